@@ -1,0 +1,1 @@
+"""Coarse-graining of granular matter: from DEM output to continuum fields."""
