@@ -1,1 +1,28 @@
 """Coarse-graining of granular matter: from DEM output to continuum fields."""
+
+from importlib.metadata import version
+
+from xcg import accessor as _accessor  # registers ds.cg
+from xcg import datasets
+from xcg.coarse_grain import coarse_grain
+from xcg.fields import FIELDS
+from xcg.readers.series import open_scene
+from xcg.scene import SceneError, SceneWarning, measure, scene_from_arrays
+from xcg.smoothing import Gaussian, Heaviside, Kernel, Lucy, register_kernel
+
+__version__ = version("xcg")
+__all__ = [
+    "FIELDS",
+    "Gaussian",
+    "Heaviside",
+    "Kernel",
+    "Lucy",
+    "SceneError",
+    "SceneWarning",
+    "coarse_grain",
+    "datasets",
+    "measure",
+    "open_scene",
+    "register_kernel",
+    "scene_from_arrays",
+]

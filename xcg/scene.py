@@ -17,12 +17,17 @@ from numpy.typing import ArrayLike, NDArray
 
 COMPONENTS = ("x", "y", "z")
 PADDING = -1
+MAX_GROUPS = 100
 
 Frame: TypeAlias = dict[str, NDArray]
 
 
 class SceneError(ValueError):
     """Something in the DEM data is missing, contradictory or not finite."""
+
+
+class SceneWarning(UserWarning):
+    """Something in the data or the request is probably not what was meant."""
 
 
 # --- names, dimensions, units ----------------------------------------------------------------------------
@@ -436,8 +441,9 @@ def stack(frames: Sequence[Frame], names: Sequence[str], rows: int) -> Frame:
 def measure_frames(frames: Sequence[Frame]) -> dict[str, Any]:
     """Sizes and extent of particles, as attributes: what default widths and bounds follow from.
 
-    ``d43 = S d^4 / S d^3``, ``d50`` the diameter below which half of the volume lies, ``dmin``, ``dmax``, and
-    the lowest and highest coordinates of the centres, over all the frames given.
+    ``d43 = S d^4 / S d^3``, ``d50`` the diameter below which half of the volume lies, ``dmin``, ``dmax``, the
+    lowest and highest coordinates of the centres, and the values that integer variables take (``species_values``),
+    over all the frames given.
     """
     measured: dict[str, Any] = {}
     positions = [f["position"] for f in frames if len(f["position"])]
@@ -451,6 +457,12 @@ def measure_frames(frames: Sequence[Frame]) -> dict[str, Any]:
         measured["d43"] = float((d**4).sum() / (d**3).sum())
         measured["d50"] = float(d[np.searchsorted(share, 0.5 * share[-1])])
         measured["dmin"], measured["dmax"] = float(d[0]), float(d[-1])
+    for name in frames[0] if frames else ():
+        values = [f[name] for f in frames if f[name].dtype.kind == "i"]
+        if values and name != "particle_id":
+            unique = np.unique(np.concatenate(values))
+            if 0 < len(unique) <= MAX_GROUPS:
+                measured[f"{name}_values"] = unique
     return measured
 
 
@@ -488,6 +500,8 @@ def to_dataset(
         "step": ("time", np.asarray(step, "int64"), {"units": "1", "long_name": "number of the time step"}),
         "component": ("component", list(COMPONENTS)),
     }
+    if box is not None:
+        measured = {"box_lower": box[0, :, 0], "box_upper": box[0, :, 1], **measured}
     attrs = {
         "Conventions": "CF-1.11",
         "periodic": setup.periodic,
@@ -708,9 +722,26 @@ def measure(ds: xr.Dataset) -> xr.Dataset:
         The same scene with the attributes d43, d50, dmin, dmax, particle_lower and particle_upper set anew.
     """
     require_scene(ds, (), "measure")
-    names = [name for name in ("particle_id", "position", "diameter") if name in ds]
+    names = [str(name) for name in ds.data_vars if variable(str(name), ds[name].dtype).dims[0] == "particle"]
     frames = []
     for t in range(ds.sizes["time"]):
         arrays = {name: ds[name].isel(time=[t]).transpose("time", ...).to_numpy() for name in names}
         frames.append(frame_of(arrays, 0))
     return ds.assign_attrs(measure_frames(frames))
+
+
+def summary(ds: xr.Dataset) -> str:
+    """Tell what a Dataset holds of a scene, and what is missing."""
+    if "position" not in ds:
+        return "not a scene: no 'position' (fields are saved with .cg.to_vtkhdf, .to_netcdf, .to_zarr)"
+    sizes = ", ".join(f"{ds.sizes[d]} {d}" for d in ("time", "particle", "contact") if d in ds.sizes)
+    lines = [f"scene of {sizes} (largest step)"]
+    for dim in ("particle", "contact"):
+        names = [str(n) for n in ds.data_vars if dim in ds[n].dims]
+        lines.append(f"  {dim + 's:':11s}{', '.join(names) or 'none'}")
+    missing = [n for n in ("velocity", "diameter", "mass", "contact_force") if n not in ds]
+    lines.append(f"  missing:   {', '.join(missing) or 'nothing'}")
+    sizes = ", ".join(f"{k} = {ds.attrs[k]:.6g}" for k in ("dmin", "d50", "d43", "dmax") if k in ds.attrs)
+    lines.append(f"  sizes:     {sizes or 'not measured'}")
+    lines.append(f"  periodic:  {ds.attrs.get('periodic') or 'no axis'}; dimension {ds.attrs.get('dimension', 3)}")
+    return "\n".join(lines)

@@ -35,6 +35,10 @@ class StepRef:
         Unit system that the header names ("si", "lj", ...).
     size : int
         Size of the file when it was indexed, so that a file that changed afterwards is noticed.
+    gravity : tuple of float or None
+        Acceleration of gravity in the file's units, None where the file does not say.
+    kind : str
+        A mark of the engine's own, for engines that read contacts from more than one kind of file.
     """
 
     path: str
@@ -48,6 +52,8 @@ class StepRef:
     length: int = 0
     units: str | None = None
     size: int = 0
+    gravity: tuple[float, float, float] | None = None
+    kind: str = ""
 
 
 @dataclass(frozen=True)
@@ -68,7 +74,13 @@ class ReadOptions:
 
 
 class Engine(Protocol):
-    """The five functions of a reader module."""
+    """The functions of a reader module.
+
+    A module may define more: ``OPTIONS``, the names of its own options (others are then refused);
+    ``contact_variables(ref, options)``, the names that `read_contacts` will return, told from the header alone
+    (without it, `xcg.open_scene` reads one frame of contacts); and ``index_walls(paths, options)`` where contacts
+    with walls stand in files of their own, whose steps `read_contacts` reads too.
+    """
 
     def recognises(self, path: str) -> bool:
         """Tell from the first bytes and the name whether this engine reads the file."""

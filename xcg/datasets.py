@@ -1,0 +1,147 @@
+"""Sample scenes and synthetic ones: the same for documentation, tests and benchmarks."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.scene import scene_from_arrays
+
+_FCC = np.array([[0.0, 0.0, 0.0], [0.5, 0.5, 0.0], [0.5, 0.0, 0.5], [0.0, 0.5, 0.5]])
+
+
+def _lattice(cells: int, basis: NDArray, edge: float) -> NDArray:
+    corner = np.stack(np.meshgrid(*[np.arange(cells)] * 3, indexing="ij"), axis=-1).reshape(-1, 1, 3)
+    return ((corner + basis) * edge).reshape(-1, 3)
+
+
+def simple_cubic(cells: int = 5, diameter: float = 1.0, force: float = 1.0, **options: Any) -> xr.Dataset:
+    """Periodic simple cubic packing of touching spheres, `cells` along each edge, with a force in every bond.
+
+    Its volume fraction is pi/6 and its stress ``force / diameter^2`` times the identity.
+    """
+    return _bonded(_lattice(cells, np.zeros((1, 3)), diameter), cells * diameter, diameter, diameter, force, options)
+
+
+def face_centred_cubic(
+    cells: int = 4, diameter: float = 1.0, bond: float | None = None, force: float = 1.0, **options: Any
+) -> xr.Dataset:
+    """Periodic face-centred cubic packing with the same force in every bond.
+
+    Its volume fraction is ``pi / (3 sqrt 2) (diameter / bond)^3``, its stress ``sum f l / V = 4 sqrt(2) / 2 ...``
+    times the identity: with 6 bonds a particle, tr(sigma) = 6 n f l.
+
+    Parameters
+    ----------
+    cells : int
+        Cubic cells (4 particles each) along an edge.
+    diameter, bond : float
+        Diameter, and distance of neighbours (m; the diameter by default).
+    force : float
+        Magnitude of the bond force (N), repulsive.
+    **options
+        For `scene_from_arrays`.
+    """
+    length = diameter if bond is None else bond
+    edge = np.sqrt(2) * length
+    return _bonded(_lattice(cells, _FCC, edge), cells * edge, diameter, length, force, options)
+
+
+def _bonded(
+    position: NDArray, edge: float, diameter: float, bond: float, force: float, options: dict[str, Any]
+) -> xr.Dataset:
+    """Scene of a periodic lattice whose neighbours at distance `bond` push each other."""
+    from scipy.spatial import cKDTree
+
+    pairs = cKDTree(position % edge, boxsize=edge).query_pairs(bond * (1 + 1e-6), output_type="ndarray")
+    branch = position[pairs[:, 0]] - position[pairs[:, 1]]
+    branch -= edge * np.rint(branch / edge)
+    given = {
+        "diameter": np.full(len(position), diameter),
+        "density": 2500.0,
+        "velocity": np.zeros_like(position),
+        "contact_i": pairs[:, 0],
+        "contact_j": pairs[:, 1],
+        "contact_force": force * branch / np.linalg.norm(branch, axis=1, keepdims=True),
+        "box": [[0.0, edge]] * 3,
+        "periodic": "xyz",
+    }
+    return scene_from_arrays(position, **(given | options))
+
+
+def random_scene(
+    particles: int = 200,
+    *,
+    seed: int = 0,
+    edge: float = 5.0,
+    periodic: str = "xyz",
+    dimension: int = 3,
+    polydispersity: float = 2.0,
+    walls: bool = True,
+    **options: Any,
+) -> xr.Dataset:
+    """Random grains with forces between near neighbours: no physics, but every sum that a real scene has.
+
+    Parameters
+    ----------
+    particles : int
+        Number of grains.
+    seed : int
+        Seed of the random numbers.
+    edge : float
+        Edge of the box (m).
+    periodic : str
+        Periodic axes.
+    dimension : int
+        3, or 2 for a layer in the plane z = 0.
+    polydispersity : float
+        Largest over smallest diameter.
+    walls : bool
+        Whether grains near the edges of axes that are not periodic also touch walls there.
+    **options
+        For `scene_from_arrays`.
+    """
+    from scipy.spatial import cKDTree
+
+    rng = np.random.default_rng(seed)
+    seen = 3 if dimension == 3 else 2
+    position = np.zeros((particles, 3))
+    position[:, :seen] = rng.uniform(0, edge, (particles, seen))
+    mean = edge * (0.6 / max(particles, 1)) ** (1 / seen)
+    diameter = mean * rng.uniform(1.0, polydispersity, particles) * 2 / (1 + polydispersity)
+    period = np.array([edge if a in periodic else 0.0 for a in "xyz"])
+    tree = cKDTree(position, boxsize=period)
+    pairs = tree.query_pairs(0.75 * diameter.max(initial=0.0), output_type="ndarray").reshape(-1, 2)
+    i, j = pairs[:, 0], pairs[:, 1]
+    force = rng.normal(size=(len(pairs), 3)) * np.array([1, 1, 1 if dimension == 3 else 0])
+    branch = position[i] - position[j]
+    wrap = period > 0
+    branch[:, wrap] -= period[wrap] * np.rint(branch[:, wrap] / period[wrap])
+    point = position[i] - 0.5 * branch
+    if walls:
+        for k, axis in enumerate("xyz"[:seen]):
+            near = np.flatnonzero(position[:, k] < 0.5 * diameter) if axis not in periodic else np.zeros(0, int)
+            foot = position[near].copy()
+            foot[:, k] = 0.0
+            push = np.zeros_like(foot)
+            push[:, k] = rng.uniform(0, 1, len(near))
+            i, j = np.concatenate([i, near]), np.concatenate([j, np.full(len(near), -1 - k)])
+            force, point = np.concatenate([force, push]), np.concatenate([point, foot])
+    velocity = rng.normal(size=(particles, 3)) * np.array([1, 1, 1 if dimension == 3 else 0])
+    given = {
+        "diameter": diameter,
+        "density": 2500.0,
+        "velocity": velocity,
+        "species": 1 + rng.integers(0, 2, particles),
+        "contact_i": i,
+        "contact_j": j,
+        "contact_force": force,
+        "contact_point": point,
+        "box": [[0.0, edge]] * 3,
+        "periodic": periodic,
+        "dimension": dimension,
+    }
+    return scene_from_arrays(position, **(given | options))

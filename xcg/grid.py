@@ -1,0 +1,168 @@
+"""Where fields are evaluated: volumes, planes, lines and points, with the other axes averaged exactly."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xcg.scene import COMPONENTS, SceneWarning
+
+MAX_NODES = 2**31
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Nodes on a regular mesh.
+
+    Attributes
+    ----------
+    axes : str
+        Resolved axes, in the order x, y, z.
+    at : dict
+        Coordinate of each fixed axis (m).
+    averaged : str
+        Axes that are integrated over and divided by their extent.
+    nodes : dict
+        Node coordinates along each resolved axis (m).
+    spacing : dict
+        Distance of nodes along each resolved axis (m).
+    """
+
+    axes: str
+    at: Mapping[str, float]
+    averaged: str
+    nodes: Mapping[str, NDArray]
+    spacing: Mapping[str, float]
+
+    @property
+    def seen(self) -> str:
+        """Axes along which distance to a node counts: resolved or fixed."""
+        return "".join(a for a in COMPONENTS if a in self.nodes or a in self.at)
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Number of nodes along x, y, z; 1 for axes that are not resolved."""
+        nx, ny, nz = (len(self.nodes[a]) if a in self.nodes else 1 for a in COMPONENTS)
+        return nx, ny, nz
+
+    @property
+    def origin(self) -> NDArray:
+        """First node (3,)."""
+        return np.array([self.nodes[a][0] if a in self.nodes else self.at.get(a, 0.0) for a in COMPONENTS])
+
+    @property
+    def steps(self) -> NDArray:
+        """Spacing (3,); 1 along axes that are not resolved."""
+        return np.array([self.spacing.get(a, 1.0) for a in COMPONENTS])
+
+    @property
+    def active(self) -> NDArray:
+        """Which of the three axes are seen (3,)."""
+        return np.array([a in self.seen for a in COMPONENTS])
+
+
+def _check_axes(axes: str, at: Mapping[str, float], bounds: Mapping[str, Sequence[float]], plane: str) -> None:
+    for name, given in (("axes", axes), ("at", at), ("bounds", bounds)):
+        wrong = [a for a in given if a not in plane]
+        if wrong:
+            msg = f"{name} names {wrong}: the axes of this scene are {', '.join(plane)}"
+            raise ValueError(msg)
+    if len(set(axes)) != len(axes):
+        msg = f"axes={axes!r} names an axis twice"
+        raise ValueError(msg)
+    both = [a for a in axes if a in at]
+    if both:
+        msg = f"axes={axes!r} and at={dict(at)!r} both name {both}: an axis is either resolved or fixed"
+        raise ValueError(msg)
+    for a, value in at.items():
+        if not np.isfinite(value):
+            msg = f"at[{a!r}]={value!r}: expected one finite coordinate; use axes= with bounds= for several"
+            raise ValueError(msg)
+    loose = [a for a in bounds if a not in axes]
+    if loose:
+        msg = (
+            f"bounds are given for {loose}, but only {list(axes)} are resolved: the fields are averaged (or fixed) "
+            "along the others. Add the axis to axes=, or leave its bounds out; extent= sets the length of an average"
+        )
+        raise ValueError(msg)
+
+
+def make_grid(
+    axes: str,
+    at: Mapping[str, float],
+    bounds: Mapping[str, Sequence[float]],
+    spacing: float | Mapping[str, float],
+    *,
+    plane: str,
+    cutoff: float,
+    automatic: Mapping[str, tuple[float, float]],
+    period: Mapping[str, float],
+) -> Grid:
+    """Place nodes.
+
+    Nodes stand at first, first + spacing, ... up to last. A periodic axis without bounds gets nodes that divide
+    its period evenly, so its spacing is the nearest that fits.
+
+    Parameters
+    ----------
+    axes, at, bounds, spacing
+        As in `xcg.coarse_grain`.
+    plane : str
+        The axes that the scene has.
+    cutoff : float
+        Radius of the support (m), for the warning about nodes that are too far apart.
+    automatic : mapping
+        First and last node of axes without bounds (m); for a periodic axis, the edges of the box.
+    period : mapping
+        Length of the periodic axes (m).
+
+    Raises
+    ------
+    ValueError
+        For unknown axes, bounds on an axis that is not resolved, or a spacing that is not positive.
+    """
+    axes = "".join(sorted(axes)) if set(axes) <= set(COMPONENTS) else axes
+    _check_axes(axes, at, bounds, plane)
+    steps = dict(spacing) if isinstance(spacing, Mapping) else dict.fromkeys(axes, spacing)
+    nodes, taken = {}, {}
+    for a in axes:
+        step = steps.get(a)
+        if step is None or not (np.isfinite(step) and step > 0):
+            msg = f"spacing along {a!r} is {step!r}: expected a positive distance (m) for each of {list(axes)}"
+            raise ValueError(msg)
+        if a in bounds:
+            first, last = map(float, bounds[a])
+            if not (np.isfinite(first) and np.isfinite(last) and first <= last):
+                msg = f"bounds[{a!r}]={tuple(bounds[a])!r}: expected (first, last) with first <= last"
+                raise ValueError(msg)
+            count = int(np.floor((last - first) / step * (1 + 1e-12) + 1e-9)) + 1
+        elif a not in automatic:
+            msg = (
+                f"axis {a!r} has no bounds: the scene holds neither a box nor the particles' extent. Give "
+                f"bounds={{{a!r}: (first, last)}}, or call ds = ds.cg.measure() first"
+            )
+            raise ValueError(msg)
+        elif a in period:
+            first, count = automatic[a][0], max(1, round(period[a] / step))
+            step = period[a] / count
+        else:
+            first, last = automatic[a]
+            count = int(np.ceil((last - first) / step)) + 1
+            first = 0.5 * (first + last) - 0.5 * (count - 1) * step
+        nodes[a], taken[a] = first + step * np.arange(count), float(step)
+        if count > 1 and step > 2 * cutoff:
+            msg = (
+                f"spacing {step:g} along {a!r} is larger than the support of the kernel (2 c = {2 * cutoff:g}): "
+                "particles between nodes are not seen; choose a smaller spacing or a larger width"
+            )
+            warnings.warn(msg, SceneWarning, stacklevel=4)
+    averaged = "".join(a for a in plane if a not in axes and a not in at)
+    grid = Grid(axes, {a: float(v) for a, v in at.items()}, averaged, nodes, taken)
+    if np.prod([float(n) for n in grid.shape]) > MAX_NODES:
+        msg = f"the mesh has {grid.shape} nodes, more than {MAX_NODES}: choose a larger spacing or smaller bounds"
+        raise ValueError(msg)
+    return grid

@@ -1,0 +1,279 @@
+"""Sums over grains and contacts at the nodes: from a frame to the moments that fields are algebra on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xcg.contacts import Contacts
+from xcg.grid import Grid
+from xcg.kernels import deposit as kernel
+from xcg.kernels.segments import deposit_segments
+from xcg.scene import Frame, SceneError
+from xcg.smoothing import Weights
+
+CONTACT_VARIABLES = ("position", "contact_i", "contact_j", "contact_force", "contact_point", "contact_normal")
+
+
+@dataclass(frozen=True)
+class Moment:
+    """One sum: ``sum_i q_i Psi(r - r_i)`` over grains, or over contacts.
+
+    Attributes
+    ----------
+    variables : tuple of str
+        Scene variables that it needs besides positions.
+    formula : str
+        What is summed.
+    shape : tuple of int
+        Components of the result at a node.
+    level : int
+        Flow columns that the point deposit must keep for it; 0 where it is a column of constants or of contacts.
+    first : int
+        Its first flow column.
+    column : callable, optional
+        ``column(frame, contacts) -> (n, ...)`` for a column of constants.
+    contacts : bool
+        Whether contacts are needed, in whole.
+    """
+
+    variables: tuple[str, ...]
+    formula: str
+    shape: tuple[int, ...] = ()
+    level: int = kernel.NONE
+    first: int = 0
+    column: Callable[[Frame, Contacts | None], NDArray] | None = None
+    contacts: bool = False
+
+
+def _power(exponent: int) -> Callable[[Frame, Contacts | None], NDArray]:
+    return lambda frame, _: frame["diameter"] ** exponent
+
+
+def _partners(frame: Frame, contacts: Contacts | None) -> NDArray:
+    if "coordination_number" in frame:
+        return frame["coordination_number"]
+    assert contacts is not None
+    return contacts.partners
+
+
+def _fabric(frame: Frame, contacts: Contacts | None) -> NDArray:
+    assert contacts is not None
+    return frame["volume"][:, None, None] * contacts.normals
+
+
+def _forces(frame: Frame, contacts: Contacts | None) -> NDArray:
+    assert contacts is not None
+    return contacts.forces
+
+
+_MV = ("mass", "velocity")
+MOMENTS: dict[str, Moment] = {
+    # flow columns, relative to the node: x = r_i - r, u = v_i - U
+    "count": Moment((), "1, where Psi > 0", (), kernel.VELOCITY, kernel.COUNT),
+    "mass": Moment(("mass",), "m", (), kernel.VELOCITY, kernel.MASS),
+    "momentum": Moment(_MV, "m u", (3,), kernel.VELOCITY, kernel.MOMENTUM),
+    "kinetic": Moment(_MV, "m u u", (3, 3), kernel.FLUCTUATION, kernel.KINETIC),
+    "offset": Moment(("mass",), "m x", (3,), kernel.LINEAR, kernel.OFFSET),
+    "shear": Moment(_MV, "m u x", (3, 3), kernel.LINEAR, kernel.SHEAR),
+    "spread": Moment(("mass",), "m x x", (3, 3), kernel.LINEAR, kernel.SPREAD),
+    # columns of constants
+    "number": Moment((), "1", column=lambda frame, _: np.ones(len(frame["position"]))),
+    "volume": Moment(("volume",), "V", column=lambda frame, _: frame["volume"]),
+    "size2": Moment(("diameter",), "d^2", column=_power(2)),
+    "size3": Moment(("diameter",), "d^3", column=_power(3)),
+    "size4": Moment(("diameter",), "d^4", column=_power(4)),
+    "partners": Moment((), "z", column=_partners, contacts=True),
+    "fabric": Moment(("volume",), "V sum_c n n", (3, 3), column=_fabric, contacts=True),
+    "force": Moment((), "sum_c f", (3,), column=_forces, contacts=True),
+    # weighted by grad Psi
+    "mass_slope": Moment(("mass",), "m, with grad Psi", (3,)),
+    "momentum_slope": Moment(_MV, "m u, with grad Psi", (3, 3)),
+    # along branches, and at walls
+    "contact": Moment((), "f a, along the branch", (3, 3), contacts=True),
+    "traction": Moment((), "f, at the wall", (3,), contacts=True),
+}
+
+_SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+# powers of the cutoff in the flow columns, which the deposit computes with lengths in cutoffs
+_CUTOFF_POWERS = {"offset": 1, "shear": 1, "spread": 2}
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What the deposits need besides a frame: which sums, where, how smeared.
+
+    Attributes
+    ----------
+    moments : tuple of str
+        Names in `MOMENTS`.
+    grid : Grid
+    weights : Weights
+        The kernel as seen in the grid's axes.
+    cutoff : float
+        Radius of the support (m).
+    limits : array
+        Longest branch (cutoffs) for each Gauss-Legendre order; empty for closed forms.
+    by : str or None
+        Integer particle variable that divides the grains into phases.
+    groups : tuple of int
+        Its values, one phase each.
+    """
+
+    moments: tuple[str, ...]
+    grid: Grid
+    weights: Weights
+    cutoff: float
+    limits: NDArray
+    by: str | None = None
+    groups: tuple[int, ...] = ()
+
+    @property
+    def level(self) -> int:
+        """Flow columns that the sums take."""
+        return max((MOMENTS[name].level for name in self.moments), default=kernel.NONE)
+
+
+def _phase_of(frame: Frame, by: str | None, groups: Sequence[int], where: str) -> NDArray:
+    count = len(frame["position"])
+    if by is None:
+        return np.zeros(count, "int64")
+    values, known = frame[by], np.asarray(groups)
+    row = np.minimum(np.searchsorted(known, values), len(known) - 1)
+    strange = np.flatnonzero(known[row] != values)
+    if strange.size:
+        msg = (
+            f"{where}: particle {frame['particle_id'][strange[0]]} has {by}={values[strange[0]]}, which is not among "
+            f"the groups {list(groups)}; pass groups= with every value that occurs"
+        )
+        raise SceneError(msg)
+    return row
+
+
+def _without_frozen(frame: Frame) -> Frame:
+    """Drop frozen grains; contacts with them become contacts with a wall, as their partner is not there."""
+    if "frozen" not in frame:
+        return frame
+    free = frame["frozen"] != 1
+    particles = {name: values[free] for name, values in frame.items() if not name.startswith(("contact", "overlap"))}
+    return {**frame, **particles}
+
+
+class _Deposit:
+    """The deposits onto one grid, with lengths in cutoffs."""
+
+    def __init__(self, recipe: Recipe, period: NDArray, scale: float) -> None:
+        grid, self.cutoff = recipe.grid, recipe.cutoff
+        self.phases = max(1, len(recipe.groups))
+        self.shape = grid.shape
+        self.origin = grid.origin
+        self.active = grid.active
+        self.steps = grid.steps / self.cutoff
+        self.period = np.where(grid.active, period, np.inf) / self.cutoff
+        self.kernel = (*recipe.weights[:3], recipe.weights.norm * scale)
+
+    def local(self, position: NDArray) -> NDArray:
+        return (position - self.origin) / self.cutoff
+
+    def new(self, columns: int) -> NDArray:
+        return np.zeros((self.phases, *self.shape, columns))
+
+    def points(
+        self, position: NDArray, velocity: NDArray, mass: NDArray, constants: NDArray, phase: NDArray, level: int,
+        reference: NDArray, *, by_gradient: bool = False,
+    ) -> NDArray:  # fmt: skip
+        sums = self.new(level + constants.shape[1])
+        kernel.deposit(
+            self.local(position), velocity, mass, constants, phase, level, self.steps, self.active, self.period,
+            *self.kernel, by_gradient, sums, reference,
+        )  # fmt: skip
+        return sums
+
+    def segments(
+        self, start: NDArray, branch: NDArray, force: NDArray, phase: NDArray, limits: NDArray
+    ) -> NDArray:
+        sums = self.new(9)
+        deposit_segments(
+            self.local(start), branch / self.cutoff, force * self.cutoff, phase, limits,
+            self.steps, self.active, self.period, *self.kernel, sums,
+        )  # fmt: skip
+        return sums
+
+
+def moments_of(frame: Frame, recipe: Recipe, period: NDArray, scale: float, where: str) -> dict[str, NDArray]:
+    """Compute the sums of one frame at all nodes.
+
+    Parameters
+    ----------
+    frame : Frame
+        One step of a scene.
+    recipe : Recipe
+        What is wanted.
+    period : array (3,)
+        Length of the periodic axes (m), infinity along the others.
+    scale : float
+        1 / extent of the averaged axes (and thickness of a layer).
+    where : str
+        Names the step in messages.
+
+    Returns
+    -------
+    dict
+        Arrays (phase, x, y, z, ...); phase 0 is the bulk, the sum over the groups. Besides the moments asked for,
+        ``reference`` (x, y, z, 3) is the velocity that ``momentum``, ``kinetic`` and ``shear`` are relative to.
+    """
+    frame = _without_frozen(frame)
+    position = np.ascontiguousarray(frame["position"])
+    count = len(position)
+    phase = _phase_of(frame, recipe.by, recipe.groups, where)
+    wanted = {name: MOMENTS[name] for name in recipe.moments}
+    contacts = Contacts.of(frame, period) if "contact_i" in frame else None
+    to = _Deposit(recipe, period, scale)
+
+    columns = {name: row.column(frame, contacts).reshape(count, -1) for name, row in wanted.items() if row.column}
+    constants = np.concatenate(list(columns.values()), axis=1) if columns else np.zeros((count, 0))
+    velocity = np.ascontiguousarray(frame.get("velocity", np.zeros((count, 3))))
+    mass = frame.get("mass", np.ones(count))
+    reference = np.full((*to.shape, 3), np.nan)
+    sums: dict[str, NDArray] = {}
+
+    level = recipe.level
+    if level or columns:
+        records = to.points(position, velocity, mass, constants, phase, level, reference)
+        for name, row in wanted.items():
+            if row.level:
+                sums[name] = _flow(records, name, row) * recipe.cutoff ** _CUTOFF_POWERS.get(name, 0)
+        first = level
+        for name, column in columns.items():
+            width = column.shape[1]
+            sums[name] = records[..., first : first + width].reshape(*records.shape[:4], *wanted[name].shape)
+            first += width
+    if {"mass_slope", "momentum_slope"} & set(wanted):
+        none = np.zeros((count, 0))
+        slopes = to.points(position, velocity, mass, none, phase, kernel.LINEAR, reference, by_gradient=True)
+        for name, flow in (("mass_slope", "offset"), ("momentum_slope", "shear")):
+            sums[name] = _flow(slopes, flow, MOMENTS[flow]) / -recipe.cutoff
+    if "contact" in wanted:
+        assert contacts is not None
+        segments = contacts.segments(position, phase)
+        sums["contact"] = to.segments(*segments, recipe.limits).reshape(to.phases, *to.shape, 3, 3)
+    if "traction" in wanted:
+        assert contacts is not None
+        row, point, force = contacts.at_walls
+        none = np.zeros((len(row), 3))
+        sums["traction"] = to.points(point, none, none[:, 0], force, phase[row], kernel.NONE, reference)
+    if recipe.by is not None:
+        sums = {name: np.concatenate([a.sum(axis=0, keepdims=True), a]) for name, a in sums.items()}
+    return sums | {"reference": np.nan_to_num(reference, nan=0.0)}
+
+
+def _flow(records: NDArray, name: str, row: Moment) -> NDArray:
+    """Cut one moment out of the nodes' records; symmetric ones are kept as six columns."""
+    if name in ("kinetic", "spread"):
+        return records[..., row.first + _SYMMETRIC]
+    size = int(np.prod(row.shape, dtype=int))
+    return records[..., row.first : row.first + size].reshape(*records.shape[:4], *row.shape)
+

@@ -1,0 +1,372 @@
+"""From what is asked for to what will be done: columns, rules, passes and memory."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg import fields as registry
+from xcg.grid import Grid, make_grid
+from xcg.kernels import weights as kinds
+from xcg.kernels.segments import MAX_ORDER, largest_error
+from xcg.moments import CONTACT_VARIABLES, MOMENTS, Recipe
+from xcg.scene import COMPONENTS, SceneError, SceneWarning, Setup, require_scene, setup_of, variable
+from xcg.smoothing import Kernel, as_kernel
+
+SIZES = ("d43", "d50", "dmax", "dmin")
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What one call of `coarse_grain` will do; printing it explains it.
+
+    Attributes
+    ----------
+    fields : tuple of str
+        What was asked for.
+    variables : tuple of str
+        What is read from the scene.
+    recipe : Recipe
+        Sums, nodes and kernel.
+    options : Options
+        Choices of the algebra.
+    kernel : Kernel
+    extent : dict
+        Length of each averaged axis (m); None takes the box of each step.
+    depth : float or str or None
+        Thickness of a one-layer scene (m), or the axis whose box extent it is.
+    setup : Setup
+        What holds for the whole scene.
+    rtol : float
+        Promise for the contact stress.
+    """
+
+    fields: tuple[str, ...]
+    variables: tuple[str, ...]
+    recipe: Recipe
+    options: registry.Options
+    kernel: Kernel
+    extent: Mapping[str, float | None]
+    depth: float | str | None
+    setup: Setup
+    rtol: float
+
+    @property
+    def dims(self) -> tuple[str, ...]:
+        """Resolved axes, and phase where there are several."""
+        return (*self.recipe.grid.axes, *(("phase",) if self.recipe.by else ()))
+
+    @property
+    def phases(self) -> int:
+        """Number of phases in the result, the bulk included."""
+        return 1 + len(self.recipe.groups)
+
+    def shape(self, name: str) -> tuple[int, ...]:
+        """Shape of one step of a field."""
+        nodes = tuple(len(self.recipe.grid.nodes[a]) for a in self.recipe.grid.axes)
+        phases = (self.phases,) if self.recipe.by else ()
+        return (*nodes, *phases, *(3,) * registry.FIELDS[name].rank)
+
+    def __str__(self) -> str:
+        grid, moments = self.recipe.grid, [MOMENTS[m] for m in self.recipe.moments]
+        nodes = int(np.prod(grid.shape))
+        columns = self.recipe.level + sum(int(np.prod(m.shape)) for m in moments if m.column)
+        slopes = any(m.endswith("_slope") for m in self.recipe.moments)
+        contact = 9 * ("contact" in self.recipe.moments)
+        outputs = sum(int(np.prod(self.shape(name))) for name in self.fields)
+        sums = nodes * max(1, self.phases - 1) * (columns + contact + slopes * 29)
+        rules = "closed form"
+        if len(self.recipe.limits):
+            steps = ", ".join(f"{k} to {x:.3g} c" for k, x in enumerate(self.recipe.limits, 1))
+            rules = f"Gauss points by branch length ({steps}), closed form beyond"
+        lines = {
+            "fields": ", ".join(self.fields),
+            "read": ", ".join(self.variables),
+            "nodes": " x ".join(f"{len(grid.nodes[a])} {a}" for a in grid.axes) or "one",
+            "fixed": ", ".join(f"{a} = {v:g}" for a, v in grid.at.items()) or "none",
+            "averaged": ", ".join(f"{a} ({self.extent[a] or 'box'})" for a in grid.averaged) or "none",
+            "kernel": f"{self.kernel!r}, seen in {len(grid.seen)} of {self.kernel.dimension} dimensions",
+            "sums": ", ".join(f"{m} ({MOMENTS[m].formula})" for m in self.recipe.moments),
+            "passes": f"{int(columns > 0)} over particles, {int(slopes)} with grad Psi, {int(contact > 0)} over contacts",
+            "contacts": f"{rules} (rtol = {self.rtol:g})" if contact else "not read for stress",
+            "memory": f"{8 * sums / 1e6:.1f} MB of sums and {8 * outputs / 1e6:.1f} MB of fields a step",
+        }
+        return "\n".join(f"{key:9s} {text}" for key, text in lines.items())
+
+
+def choose_width(width: float | str | None, attrs: Mapping[Any, Any]) -> float:
+    """Width in metres from a number, a multiple of a size such as "0.75 d43", or the default of 0.75 d43.
+
+    Raises
+    ------
+    ValueError
+        If it is not positive, or names a size that the scene does not hold.
+    """
+    if width is None:
+        width = "0.75 d43"
+    if isinstance(width, str):
+        factor, _, size = width.rpartition(" ")
+        try:
+            multiple = float(factor) if factor else 1.0
+        except ValueError:
+            multiple = np.nan
+        if size not in SIZES or not np.isfinite(multiple):
+            msg = f"width={width!r}: expected a length in metres or a multiple of {', '.join(SIZES)} such as '0.75 d43'"
+            raise ValueError(msg)
+        if size not in attrs:
+            msg = (
+                f"width={width!r} needs the attribute {size!r}, which the scene does not hold; give width= in metres, "
+                "or call ds = ds.cg.measure() first"
+            )
+            raise ValueError(msg)
+        width = multiple * float(attrs[size])
+    if not (np.isfinite(width) and width > 0):
+        msg = f"width={width!r}: expected a positive length (m); the usual choice is 0.75 mean diameters"
+        raise ValueError(msg)
+    return float(width)
+
+
+@lru_cache(maxsize=64)
+def _limits(kind: int, spread: float, table: bytes, table_shape: tuple[int, ...], seen: int, rtol: float) -> NDArray:
+    """Longest branch (cutoffs) for which 1, 2, ... Gauss points keep to `rtol`, measured against the closed form.
+
+    The error of a rule depends on nothing but the branch length over the cutoff and the place of the node, so that
+    a scan over both bounds it for every scene. A quarter is kept in hand for places between those scanned.
+    """
+    array = np.frombuffer(table).reshape(table_shape)
+    lengths = np.geomspace(1e-3, 8, 61)
+    limits = np.zeros(MAX_ORDER)
+    for order in range(1, MAX_ORDER + 1):
+        for length in lengths:
+            rows = 1 if seen == 1 else 24
+            if largest_error(length, order, rows, kind, spread, array) > 0.75 * rtol:
+                break
+            limits[order - 1] = length
+    return limits
+
+
+def gauss_limits(kernel: Kernel, seen: int, rtol: float) -> NDArray:
+    """Longest branch (cutoffs) for each Gauss-Legendre order that keeps the promise `rtol`.
+
+    The promise is ``|S_quadrature - S| <= rtol max S`` for every segment, the maximum taken over all places. Kernels
+    that jump have no such bound and always take the closed form (an empty array), as does ``rtol=0``.
+    """
+    if rtol == 0 or kernel.smoothness < 0 or seen == 0:
+        return np.zeros(0)
+    w = kernel.weights(seen)
+    return _limits(w.kind, w.spread, w.table.tobytes(), w.table.shape, seen, rtol)
+
+
+def _choose_fields(asked: str | Sequence[str] | None, ds: xr.Dataset, gradient: str) -> tuple[str, ...]:
+    if asked is None:
+        here = [name for name in registry.listed() if _variables([name], ds, gradient) <= set(ds.data_vars)]
+        if not here:
+            require_scene(ds, ("mass",), "coarse_grain")
+        return tuple(here)
+    names = [asked] if isinstance(asked, str) else list(asked)
+    unknown = [name for name in names if name not in registry.listed()]
+    if unknown or not names:
+        msg = f"unknown fields {unknown}: choose from {', '.join(registry.listed())}"
+        raise ValueError(msg)
+    return tuple(dict.fromkeys(names))
+
+
+def _variables(fields: Sequence[str], ds: xr.Dataset, gradient: str) -> set[str]:
+    """Scene variables that some fields need."""
+    needed = {"position", "particle_id"}
+    for name in registry.sums_of(fields, gradient):
+        needed |= set(MOMENTS[name].variables)
+        if name == "partners" and "coordination_number" in ds:
+            needed.add("coordination_number")
+        elif MOMENTS[name].contacts:
+            needed |= set(CONTACT_VARIABLES) - {"contact_normal"}
+            needed |= {"contact_normal"} & set(ds.data_vars) if name == "fabric" else set()
+    return needed
+
+
+def _groups(ds: xr.Dataset, by: str, groups: Sequence[int] | None) -> tuple[int, ...]:
+    if by not in ds or ds[by].dtype.kind not in "iu" or "particle" not in ds[by].dims:
+        whole = [n for n in ds.data_vars if ds[n].dtype.kind in "iu" and "particle" in ds[n].dims and n != "particle_id"]
+        msg = f"by={by!r}: expected an integer variable of the particles; this scene has {whole}"
+        raise ValueError(msg)
+    if groups is None and isinstance(ds[by].variable._data, np.ndarray):
+        valid = ds["particle_id"].to_numpy() >= 0
+        groups = np.unique(ds[by].transpose(*ds["particle_id"].dims).to_numpy()[valid]).tolist()
+    elif groups is None:
+        groups = np.atleast_1d(ds.attrs.get(f"{by}_values", [])).tolist()
+    if not groups:
+        msg = f"by={by!r}: its values are not known without reading the series; pass groups= with all that occur"
+        raise ValueError(msg)
+    return tuple(sorted({int(g) for g in groups}))
+
+
+def _edges(ds: xr.Dataset) -> dict[str, tuple[float, float]]:
+    """Edges of the box along the axes where it is finite."""
+    lower, upper = ds.attrs.get("box_lower"), ds.attrs.get("box_upper")
+    if lower is None or upper is None:
+        return {}
+    both = {a: (float(lower[k]), float(upper[k])) for k, a in enumerate(COMPONENTS)}
+    return {a: edges for a, edges in both.items() if np.isfinite(edges).all()}
+
+
+def make_plan(
+    ds: xr.Dataset,
+    fields: str | Sequence[str] | None = None,
+    *,
+    width: float | str | None = None,
+    kernel: str | Kernel = "lucy",
+    spacing: float | Mapping[str, float] | None = None,
+    axes: str | None = None,
+    at: Mapping[str, float] | None = None,
+    bounds: Mapping[str, Sequence[float]] | None = None,
+    by: str | None = None,
+    groups: Sequence[int] | None = None,
+    extent: Mapping[str, float] | None = None,
+    gradient: str = "least_squares",
+    rtol: float = 1e-3,
+) -> Plan:
+    """Plan a call of `coarse_grain`; the arguments are the same. Reads attributes only, never data.
+
+    Raises
+    ------
+    SceneError
+        If the scene lacks variables that the fields need.
+    ValueError
+        If an argument is wrong.
+    """
+    require_scene(ds, (), "coarse_grain")
+    if gradient not in registry.GRADIENTS:
+        msg = f"gradient={gradient!r}: expected one of {sorted(registry.GRADIENTS)}"
+        raise ValueError(msg)
+    if not (np.isfinite(rtol) and rtol >= 0):
+        msg = f"rtol={rtol!r}: expected 0 (closed form) or a positive number such as 1e-3"
+        raise ValueError(msg)
+    names = _choose_fields(fields, ds, gradient)
+    variables = _variables(names, ds, gradient)
+    require_scene(ds, sorted(variables), f"coarse_grain of {', '.join(names)}")
+    setup = setup_of(ds)
+    chosen = as_kernel(kernel, choose_width(width, ds.attrs) if isinstance(kernel, str) else width, setup.dimension)  # type: ignore[arg-type]
+    edges = _edges(ds)
+    period = {a: edges[a][1] - edges[a][0] for a in setup.periodic if a in edges}
+    grid = make_grid(
+        setup.plane if axes is None and at is None else axes or "",
+        at or {},
+        bounds or {},
+        chosen.width if spacing is None else spacing,
+        plane=setup.plane,
+        cutoff=chosen.cutoff,
+        automatic=_automatic(ds, setup, edges, chosen.cutoff),
+        period=period,
+    )
+    if gradient == "kernel" and {"mass_slope", "momentum_slope"} & set(registry.sums_of(names, gradient)):
+        _check_differentiable(chosen, len(grid.seen))
+    recipe = Recipe(
+        moments=registry.sums_of(names, gradient),
+        grid=grid,
+        weights=chosen.weights(len(grid.seen)),
+        cutoff=chosen.cutoff,
+        limits=gauss_limits(chosen, len(grid.seen), rtol),
+        by=by,
+        groups=() if by is None else _groups(ds, by, groups),
+    )
+    options = registry.Options(
+        plane=tuple(COMPONENTS.index(a) for a in setup.plane),
+        active=tuple(grid.active.tolist()),  # type: ignore[arg-type]
+        gradient=gradient,
+    )
+    extra = {by} if by else set()
+    extra |= {"frozen"} & set(ds.data_vars)
+    read = [n for n in ds.data_vars if n in variables | extra]
+    return Plan(
+        fields=names, variables=tuple(map(str, read)), recipe=recipe, options=options, kernel=chosen,
+        extent=_extents(grid, extent or {}, edges), depth=_depth(ds, setup, edges), setup=setup, rtol=rtol,
+    )  # fmt: skip
+
+
+def _automatic(
+    ds: xr.Dataset, setup: Setup, edges: Mapping[str, tuple[float, float]], cutoff: float
+) -> dict[str, tuple[float, float]]:
+    """Bounds by default: the period, or the particles' extent with their supports, or the box."""
+    lower, upper = ds.attrs.get("particle_lower"), ds.attrs.get("particle_upper")
+    found = dict(edges)
+    if lower is not None and upper is not None:
+        for k, a in enumerate(COMPONENTS):
+            if a not in setup.periodic:
+                found[a] = (float(lower[k]) - cutoff, float(upper[k]) + cutoff)
+    return found
+
+
+def _check_differentiable(kernel: Kernel, seen: int) -> None:
+    if kernel.shape == kinds.HEAVISIDE:
+        msg = "gradient='kernel' needs a kernel that is differentiable: Heaviside is not; take gradient='least_squares'"
+        raise ValueError(msg)
+    if not kernel.differentiable:
+        msg = (
+            f"the {kernel.name} kernel jumps at its cutoff: its gradient leaves the jump out (8 % low for a Gaussian "
+            "cut at 3 w); take Lucy, or gradient='least_squares'"
+        )
+        warnings.warn(msg, SceneWarning, stacklevel=4)
+
+
+def _extents(
+    grid: Grid, extent: Mapping[str, float], edges: Mapping[str, tuple[float, float]]
+) -> dict[str, float | None]:
+    loose = [a for a in extent if a not in grid.averaged]
+    if loose:
+        msg = f"extent names {loose}, but the averaged axes are {list(grid.averaged)}: leave it out"
+        raise ValueError(msg)
+    found: dict[str, float | None] = {}
+    for a in grid.averaged:
+        length = extent.get(a)
+        if length is None and a not in edges:
+            msg = (
+                f"fields are averaged along {a!r}, and the scene has no finite box there: give the length that the "
+                f"integral is divided by, extent={{{a!r}: length}}, or resolve or fix the axis (axes=, at=)"
+            )
+            raise ValueError(msg)
+        if length is not None and not (np.isfinite(length) and length > 0):
+            msg = f"extent[{a!r}]={length!r}: expected a positive length (m)"
+            raise ValueError(msg)
+        found[a] = None if length is None else float(length)
+    return found
+
+
+def _depth(ds: xr.Dataset, setup: Setup, edges: Mapping[str, tuple[float, float]]) -> float | str | None:
+    """Thickness of a layer, or the axis whose box extent it is."""
+    if setup.dimension == 3:
+        return None
+    if setup.thickness is not None:
+        return setup.thickness
+    (across,) = set(COMPONENTS) - set(setup.plane)
+    if across in edges:
+        return across
+    if "dmax" in ds.attrs:
+        return float(ds.attrs["dmax"])
+    msg = "a one-layer scene needs its thickness: give thickness= when opening it, or a box that is finite across it"
+    raise SceneError(msg)
+
+
+def scale_of(plan: Plan, box: NDArray | None, where: str) -> float:
+    """1 / (extents of the averaged axes x thickness of the layer) for one step."""
+    lengths = []
+    for a, length in (*plan.extent.items(), *(((plan.depth, None),) if isinstance(plan.depth, str) else ())):
+        if length is None:
+            k = COMPONENTS.index(a)
+            length = np.nan if box is None else float(box[k, 1] - box[k, 0])
+            if not (np.isfinite(length) and length > 0):
+                msg = f"{where}: fields are averaged along {a!r}, and the box of this step is not finite there"
+                raise SceneError(msg)
+        lengths.append(length)
+    if isinstance(plan.depth, float):
+        lengths.append(plan.depth)
+    return 1.0 / float(np.prod(lengths))
+
+
+__all__ = ["Plan", "choose_width", "gauss_limits", "make_plan", "scale_of", "variable"]

@@ -1,0 +1,168 @@
+"""Text dumps of LAMMPS and its relatives (``ITEM: ...``): headers and the index of steps."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from xcg.readers.engine import ReadOptions, StepRef
+from xcg.readers.text import Scanner, first_lines, open_binary, uncompressed_size
+from xcg.scene import COMPONENTS, SceneError
+
+
+def body_columns(path: str) -> tuple[str, tuple[str, ...]] | None:
+    """Label and columns of the first body of a dump ("ATOMS", ("id", ...)), None where it is not a dump."""
+    lines = first_lines(path)
+    if not lines or not lines[0].startswith("ITEM:"):
+        return None
+    for line in lines:
+        item = line.removeprefix("ITEM:").split()
+        if line.startswith("ITEM:") and _is_body(" ".join(item)):
+            return item[0], tuple(item[1:])
+    return None
+
+
+def is_numbered(columns: Sequence[str]) -> bool:
+    """Tell columns without names of their own (``c_3[1] c_3[2] ...``), as LIGGGHTS writes contacts."""
+    return len(columns) in (12, 13) and all(
+        re.fullmatch(rf"\w+\[{k}\]", column) for k, column in enumerate(columns, 1)
+    )
+
+
+def _is_body(item: str) -> bool:
+    return item not in ("UNITS", "TIME", "TIMESTEP") and not item.startswith(("NUMBER OF", "BOX BOUNDS"))
+
+
+def index_dumps(paths: Sequence[str], options: ReadOptions, *, atoms: bool) -> list[StepRef]:
+    """List the steps of dump files.
+
+    A file is read through only where it may hold several steps: not where its name holds the number of its first
+    step and its size is that of one step.
+
+    Parameters
+    ----------
+    atoms : bool
+        True for per-atom dumps (``ITEM: ATOMS``), False for local ones.
+    """
+    timestep = options.extra.get("timestep")
+    refs: list[StepRef] = []
+    for path in paths:
+        steps = list(_steps(path, atoms=atoms))
+        if not steps:
+            msg = f"{path}: the file is empty; expected a dump that begins with 'ITEM:'"
+            raise SceneError(msg)
+        refs += steps
+    if timestep is None:
+        return refs
+    if not isinstance(timestep, (int, float)) or not (np.isfinite(timestep) and timestep > 0):
+        msg = (
+            f"timestep={timestep!r}: expected a positive number, the time between two steps of the simulation"
+        )
+        raise SceneError(msg)
+    return [ref if ref.time is not None else replace(ref, time=ref.step * float(timestep)) for ref in refs]
+
+
+def _steps(path: str, *, atoms: bool) -> Iterator[StepRef]:
+    size = os.path.getsize(path)
+    units = None
+    with open_binary(path) as stream:
+        scanner = Scanner(stream)
+        while (ref := _header(scanner, path, atoms=atoms)) is not None:
+            units = ref.units or units  # LAMMPS writes the units once a file
+            ref = replace(ref, units=units, size=size)
+            rest = uncompressed_size(path) - ref.offset
+            if _is_alone(ref, rest, scanner):
+                yield replace(ref, length=rest)
+                return
+            yield replace(ref, length=sum(map(len, scanner.until(b"ITEM:"))))
+
+
+def _is_alone(ref: StepRef, rest: int, scanner: Scanner) -> bool:
+    """Tell whether a step is the only one in its file, by its name and by the length of its first rows."""
+    numbers = [int(number) for number in re.findall(r"\d+", os.path.basename(ref.path))]
+    if ref.step not in numbers or ref.rows == 0:
+        return False
+    first = scanner.sample(1 << 14)
+    lines = first.count(b"\n")
+    return lines > 0 and rest < 1.5 * ref.rows * (first.rindex(b"\n") + 1) / lines
+
+
+def _header(scanner: Scanner, path: str, *, atoms: bool) -> StepRef | None:
+    """Read one header, whatever the order of its items; None at the end of the file."""
+    found: dict[str, object] = {"step": 0}
+    rows: int | None = None
+    line = ""
+    while True:
+        raw = scanner.line()
+        if not raw:
+            if rows is None and found == {"step": 0}:
+                return None
+            msg = f"{path}: the header at byte {scanner.offset} is cut off; leave out the step or the file"
+            raise SceneError(msg)
+        line = raw.decode("utf-8", "replace").strip()
+        if not line:
+            continue
+        if not line.startswith("ITEM:"):
+            msg = f"{path}: expected a line that begins with 'ITEM:' at byte {scanner.offset}, found {line[:60]!r}"
+            raise SceneError(msg)
+        item = line.removeprefix("ITEM:").strip()
+        if _is_body(item):
+            break
+        if item.startswith("BOX BOUNDS"):
+            found |= _box(scanner, path, item.split()[2:])
+            continue
+        value = scanner.line().decode("utf-8", "replace").strip()
+        try:
+            if item == "UNITS":
+                found["units"] = value
+            elif item == "TIME":
+                found["time"] = float(value)
+            elif item == "TIMESTEP":
+                found["step"] = int(value)
+            else:
+                rows = int(value)
+        except ValueError:
+            msg = f"{path}: {value!r} follows 'ITEM: {item}', expected a number"
+            raise SceneError(msg) from None
+    label, *columns = item.split() or [""]
+    name = f"{path} (step {found['step']})"
+    if rows is None:
+        msg = f"{name}: the header does not say how many rows follow ('ITEM: NUMBER OF ...')"
+        raise SceneError(msg)
+    if (label == "ATOMS") is not atoms:
+        expected, other = ("ATOMS", "contacts") if atoms else ("ENTRIES", "particles")
+        msg = f"{name}: holds 'ITEM: {label}', expected 'ITEM: {expected}'; is this a file for {other}=?"
+        raise SceneError(msg)
+    if not columns:
+        msg = f"{name}: 'ITEM: {label}' names no columns"
+        raise SceneError(msg)
+    twice = sorted({column for column in columns if columns.count(column) > 1})
+    if twice:
+        msg = (
+            f"{name}: the columns {twice} occur twice; name them apart, for example with dump_modify colname"
+        )
+        raise SceneError(msg)
+    return StepRef(path, rows, columns=tuple(columns), offset=scanner.offset, **found)  # type: ignore[arg-type]
+
+
+def _box(scanner: Scanner, path: str, flags: Sequence[str]) -> dict[str, object]:
+    lines = [scanner.line().decode("utf-8", "replace").split() for _ in COMPONENTS]
+    if {"xy", "abc"} & set(flags) or any(len(line) > 2 for line in lines):
+        msg = (
+            f"{path}: the box is triclinic ('BOX BOUNDS {' '.join(flags)}'), and only boxes with edges along x, y, z "
+            "are supported; where its tilt is zero throughout, write it anew with 'change_box all ortho'"
+        )
+        raise SceneError(msg)
+    try:
+        edges = tuple((float(low), float(high)) for low, high in lines)
+    except ValueError:
+        msg = f"{path}: 'ITEM: BOX BOUNDS' is followed by {lines}, expected three lines of two numbers"
+        raise SceneError(msg) from None
+    if len(flags) != len(COMPONENTS):
+        return {"box": edges}  # old files do not say
+    periodic = "".join(axis for axis, flag in zip(COMPONENTS, flags, strict=True) if flag == "pp")
+    return {"box": edges, "periodic": periodic}

@@ -1,0 +1,205 @@
+"""The dask graph of a scene: one task parses the particles of a chunk, one its contacts, the rest picks variables."""
+
+from __future__ import annotations
+
+import importlib
+import operator
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+import dask.array as da
+import numpy as np
+from dask.base import tokenize
+from dask.highlevelgraph import HighLevelGraph
+from numpy.typing import NDArray
+
+from xcg.readers.engine import Engine, ReadOptions, StepRef
+from xcg.readers.text import where
+from xcg.scene import (
+    Frame,
+    SceneError,
+    Setup,
+    complete_contacts,
+    complete_particles,
+    frame_of,
+    stack,
+    variable,
+)
+
+
+def load_engine(name: str) -> Engine:
+    """Import the module of an engine, only now that it is needed (one of them imports VTK)."""
+    return cast(Engine, importlib.import_module(f"xcg.readers.{name}"))
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of the scene: its particles, and the files that its contacts come from."""
+
+    particles: StepRef
+    contacts: tuple[StepRef, ...] = ()
+    time: float | None = None
+
+
+@dataclass(frozen=True)
+class Source:
+    """All that reading a step needs besides the step; it travels to the workers.
+
+    Attributes
+    ----------
+    engine : str
+        Name of the reader module.
+    frozen : tuple of int or None
+        Species that are held in place; None where the caller said nothing.
+    """
+
+    engine: str
+    options: ReadOptions
+    setup: Setup = Setup()
+    frozen: tuple[int, ...] | None = None
+    allow_unknown: bool = False
+
+    def read(self, ref: StepRef, *, contacts: bool = False) -> Frame:
+        """Parse one body in the file's units."""
+        size = os.path.getsize(ref.path) if os.path.exists(ref.path) else None
+        if ref.size and size != ref.size:
+            now = "is gone" if size is None else f"has {size} bytes now, and had {ref.size}"
+            msg = f"{where(ref)}: the file {now} when the scene was opened; open it again"
+            raise SceneError(msg)
+        engine = load_engine(self.engine)
+        return (
+            engine.read_contacts(ref, self.options) if contacts else engine.read_particles(ref, self.options)
+        )
+
+    def complete(self, frame: Frame, ref: StepRef) -> Frame:
+        """Check and complete the particles of one step."""
+        if self.frozen is not None:
+            if "species" not in frame:
+                msg = f"{where(ref)}: frozen={self.frozen} needs 'species', and the file holds none"
+                raise SceneError(msg)
+            frame = frame | {"frozen": np.isin(frame["species"], self.frozen).astype("int64")}
+        return complete_particles(frame, self.setup, where(ref))
+
+    def contacts(
+        self, refs: Sequence[StepRef], names: Sequence[str], particles: Frame, box: NDArray | None
+    ) -> Frame:
+        """Read, check and complete the contacts of one step."""
+        parts = [
+            complete_contacts(
+                self.read(ref, contacts=True),
+                particles,
+                box,
+                self.setup,
+                where(ref),
+                allow_unknown=self.allow_unknown,
+            )
+            for ref in refs
+        ]
+        for ref, part in zip(refs, parts, strict=True):
+            _require(part, names, ref)
+        return {name: np.concatenate([part[name] for part in parts]) for name in names}
+
+
+def _require(frame: Frame, names: Sequence[str], ref: StepRef) -> None:
+    lacking = [name for name in names if name not in frame]
+    if lacking:
+        msg = f"{where(ref)}: lacks {lacking}, which other steps hold; a series must hold the same throughout"
+        raise SceneError(msg)
+
+
+def read_particle_chunk(source: Source, steps: Sequence[Step], names: Sequence[str], rows: int) -> Frame:
+    """Particles of the steps of a chunk, padded."""
+    frames = []
+    for step in steps:
+        frames.append(source.complete(source.read(step.particles), step.particles))
+        _require(frames[-1], names, step.particles)
+    return stack(frames, names, rows)
+
+
+def read_contact_chunk(
+    source: Source,
+    steps: Sequence[Step],
+    names: Sequence[str],
+    rows: int,
+    boxes: NDArray | None,
+    particles: Frame,
+) -> Frame:
+    """Contacts of the steps of a chunk, padded, checked against the particles of the same chunk."""
+    frames = [
+        source.contacts(step.contacts, names, frame_of(particles, t), None if boxes is None else boxes[t])
+        for t, step in enumerate(steps)
+    ]
+    return stack(frames, names, rows)
+
+
+def lazy_arrays(
+    source: Source,
+    steps: Sequence[Step],
+    boxes: NDArray | None,
+    particle_types: Mapping[str, Any],
+    contact_names: Sequence[str],
+    steps_per_chunk: int,
+) -> dict[str, da.Array]:
+    """Dask arrays (time first, padded) of all variables.
+
+    Parameters
+    ----------
+    boxes : array (t, 3, 2) or None
+        Edges of the domain, in the scene's units.
+    particle_types : mapping
+        Type of each variable of the particles.
+    contact_names : sequence of str
+        Variables of the contacts; empty without contacts.
+    """
+    starts = range(0, len(steps), steps_per_chunk)
+    parts = [slice(start, min(start + steps_per_chunk, len(steps))) for start in starts]
+    sizes = tuple(part.stop - part.start for part in parts)
+    paths = {ref.path for step in steps for ref in (step.particles, *step.contacts)}
+    modified = sorted((path, os.stat(path).st_mtime_ns) for path in paths)
+    token = tokenize(
+        source, list(steps), boxes, dict(particle_types), list(contact_names), steps_per_chunk, modified
+    )
+
+    names = tuple(particle_types)
+    rows = max(step.particles.rows for step in steps)
+    particles = f"read-particles-{token}"
+    graph = HighLevelGraph.from_collections(
+        particles,
+        {
+            (particles, k): (read_particle_chunk, source, list(steps[part]), list(names), rows)
+            for k, part in enumerate(parts)
+        },
+    )
+    arrays = {
+        name: _pick(graph, particles, name, dtype, rows, sizes) for name, dtype in particle_types.items()
+    }
+    if contact_names:
+        rows = max(sum(ref.rows for ref in step.contacts) for step in steps)
+        contacts = f"read-contacts-{token}"
+        layer = {}
+        for k, part in enumerate(parts):
+            edges = None if boxes is None else boxes[part]
+            arguments = (source, list(steps[part]), list(contact_names), rows, edges, (particles, k))
+            layer[contacts, k] = (read_contact_chunk, *arguments)
+        graph = HighLevelGraph(
+            {**graph.layers, contacts: layer}, {**graph.dependencies, contacts: {particles}}
+        )
+        arrays |= {
+            name: _pick(graph, contacts, name, variable(name).dtype, rows, sizes) for name in contact_names
+        }
+    return arrays
+
+
+def _pick(
+    graph: HighLevelGraph, layer: str, name: str, dtype: Any, rows: int, sizes: tuple[int, ...]
+) -> da.Array:
+    """Lazy array of one variable out of the frames that the tasks of a layer return."""
+    shape = variable(name, dtype).shape(rows)
+    key = f"{name}-{layer.removeprefix('read-')}"
+    zeros = (0,) * len(shape)
+    picks = {(key, k, *zeros): (operator.getitem, (layer, k), name) for k in range(len(sizes))}
+    whole = HighLevelGraph({**graph.layers, key: picks}, {**graph.dependencies, key: {layer}})
+    chunks = (sizes, *((length,) for length in shape))
+    return da.Array(whole, key, chunks, meta=np.empty((0,) * (len(shape) + 1), dtype))

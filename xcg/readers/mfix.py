@@ -1,0 +1,366 @@
+"""MFiX-DEM: region output in ``.vtp`` files (particles, force chains) and ``.pvd`` lists of them.
+
+Three things about its contacts were checked on its output, against the positions of the particles and the
+``Collision_force`` on each.
+
+- Pairs across a cyclic boundary stand twice, once for each particle, with ids swapped. Their normal forces
+  are each other's negative to the last bit. In a fifth of these pairs the tangential forces are not (by up to
+  half of the force): MFiX keeps two histories of sliding, and each row is what it applied to its own ``ID1``.
+  Hence rows are matched by ids and normal force, and the pair gets the mean of the two forces, which leaves
+  the stress as MFiX had it.
+- ``FORCE_CHAIN_ORIENTATION`` is ``FN / |FN|``: it points from j to i, except in the hundredth of the contacts
+  whose damping outweighs repulsion, where it points the other way. So it is not read as the normal.
+- Contact points are the points of the mesh; ``FORCE_CHAIN_CONTACT_POINT`` is off by one overlap. Contacts are
+  one time step older than positions, so a point may lie a period away from a particle i that just crossed.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xcg.readers import vtp
+from xcg.readers.engine import ReadOptions, StepRef
+from xcg.scene import Frame, SceneError, SceneWarning, variable
+
+# The first of two arrays for the same name is taken.
+PARTICLE_NAMES = {
+    "Diameter": "diameter",
+    "Velocity": "velocity",
+    "Density": "density",
+    "Mass": "mass",
+    "Volume": "volume",
+    "Particle_ID": "particle_id",
+    "ID": "particle_id",  # in the old DES files
+    "Particle_Phase_ID": "species",
+    "Coordination": "coordination_number",
+}
+CONTACT_NAMES = {
+    "FORCE_CHAIN_GLOBAL_ID1": "contact_i",
+    "FORCE_CHAIN_GLOBAL_ID2": "contact_j",
+    "Particle_ID_1": "contact_i",
+    "Particle_ID_2": "contact_j",
+    "FORCE_CHAIN_FC": "contact_force",
+    "FORCE_CHAIN_OVERLAP": "overlap",
+}
+OPTIONS = ("missing",)
+_NORMAL, _TANGENTIAL, _OVERLAP = "FORCE_CHAIN_FN", "FORCE_CHAIN_FT", "FORCE_CHAIN_OVERLAP"
+_EXACT = 2**24  # ids are Float32
+
+
+# --- index -----------------------------------------------------------------------------------------------
+
+
+def recognises(path: str) -> bool:
+    """Tell whether this is a VTK PolyData file or a collection of them."""
+    if Path(path).suffix not in (".vtp", ".pvd"):
+        return False
+    with open(path, "rb") as file:
+        head = file.read(1024)
+    return b"<VTKFile" in head and (b"PolyData" in head or b"Collection" in head)
+
+
+def index_particles(paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
+    """List the steps of particles from the headers of ``.vtp`` files.
+
+    Parameters
+    ----------
+    paths : sequence of str
+        ``.vtp`` files of one region, or ``.pvd`` collections, whose times are taken where the files say none.
+    options : ReadOptions
+        ``extra["missing"]`` is "raise" (default) or "skip": what to do about files that do not exist.
+
+    Raises
+    ------
+    SceneError
+        If files are missing, damaged, or of several regions.
+
+    Warns
+    -----
+    SceneWarning
+        For files that are missing and skipped, steps dropped because their time occurs twice with other
+        content, and particles without ids.
+    """
+    refs = _index(paths, options)
+    targets = [_targets(ref.columns, "particle", options, ref.path) for ref in refs]
+    nameless = [ref for ref, target in zip(refs, targets, strict=True) if "particle_id" not in target]
+    if nameless:
+        msg = (
+            f"{nameless[0].path}: no array 'Particle_ID', so particles are numbered as they stand: rows "
+            "are other particles in every step, and contacts cannot be matched. Write Particle_ID in the "
+            "region, or map another array with names={'...': 'particle_id'}"
+        )
+        warnings.warn(msg, SceneWarning, stacklevel=2)
+    return refs
+
+
+def index_contacts(paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
+    """List the steps of contacts from the headers of ``.vtp`` files; see `index_particles`.
+
+    Raises
+    ------
+    SceneError
+        Also if ids or forces are not among the arrays.
+    """
+    refs = _index(paths, options)
+    for ref in refs:
+        there = contact_variables(ref, options)
+        lacking = [name for name in ("contact_i", "contact_j", "contact_force") if name not in there]
+        if lacking:
+            msg = (
+                f"{ref.path}: contacts lack {lacking}; expected FORCE_CHAIN_GLOBAL_ID1 and _ID2, and "
+                f"FORCE_CHAIN_FC (or FORCE_CHAIN_FN and FORCE_CHAIN_FT), found {list(ref.columns)}. Switch "
+                "them on in the region's output, or map others with names={'...': 'contact_i'}"
+            )
+            raise SceneError(msg)
+    return refs
+
+
+def contact_variables(ref: StepRef, options: ReadOptions) -> list[str]:
+    """List the variables that `read_contacts` returns, from the header alone."""
+    targets = _targets(ref.columns, "contact", options, ref.path)
+    if {_NORMAL, _TANGENTIAL} <= set(ref.columns):
+        targets.setdefault("contact_force", "")
+    return list(targets)
+
+
+def _index(paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
+    refs = []
+    for number, (path, listed) in enumerate(_existing(paths, options)):
+        header = vtp.read_header(path)
+        digits = re.findall(r"\d+", Path(path).stem)
+        refs.append(
+            StepRef(
+                path=path,
+                rows=header.points,
+                time=_time(header.time, listed),
+                step=int(digits[-1]) if digits else number,
+                columns=header.names,
+                size=header.size,
+            )
+        )
+    return _once(refs)
+
+
+def _existing(paths: Sequence[str], options: ReadOptions) -> list[tuple[str, float | None]]:
+    """Files with their listed times: collections expanded, missing files refused or skipped."""
+    missing = options.extra.get("missing", "raise")
+    if missing not in ("raise", "skip"):
+        msg = f"missing={missing!r}: expected 'raise' or 'skip'"
+        raise SceneError(msg)
+    listed: list[tuple[str, float | None]] = []
+    for path in map(str, paths):
+        listed += (
+            vtp.read_collection(path) if path.endswith(".pvd") and Path(path).exists() else [(path, None)]
+        )
+    there = [entry for entry in listed if Path(entry[0]).exists()]
+    # MFiX lists its last frame twice: a copy that is gone is not missed.
+    times = {time for _, time in there if time is not None}
+    gone = [path for path, time in listed if not Path(path).exists() and time not in times]
+    if gone:
+        shown = f"{len(gone)} of {len(listed)} files do not exist: {', '.join(gone)}"
+        if missing == "raise" or not there:
+            way_out = "pass missing='skip' to go on with the others" if there else "check the path"
+            msg = f"{shown}; restore them, or {way_out}"
+            raise SceneError(msg)
+        warnings.warn(f"{shown}; they are skipped", SceneWarning, stacklevel=4)
+    return there
+
+
+def _time(own: float | None, listed: float | None) -> float | None:
+    """Time of a step: the file's own, unless the collection says otherwise (it prints seven digits)."""
+    if own is None or listed is None:
+        return own if listed is None else listed
+    return own if np.isclose(own, listed, rtol=1e-6, atol=0) else listed
+
+
+def _once(refs: Sequence[StepRef]) -> list[StepRef]:
+    """Drop steps whose time was there before: MFiX writes its last frame twice."""
+    kept: dict[object, StepRef] = {}
+    other = []
+    for ref in refs:
+        first = kept.setdefault(ref.path if ref.time is None else ref.time, ref)
+        if first is ref:
+            continue
+        if _region(first) != _region(ref):
+            msg = (
+                f"{first.path} and {ref.path} are of the same time, {ref.time} s, but of different regions; "
+                "open one region at a time"
+            )
+            raise SceneError(msg)
+        if (first.rows, first.size) != (ref.rows, ref.size):
+            other.append(ref.path)
+    if other:
+        msg = (
+            f"dropped, as an earlier file holds the same time (though not the same data): {', '.join(other)}"
+        )
+        warnings.warn(msg, SceneWarning, stacklevel=4)
+    return list(kept.values())
+
+
+def _region(ref: StepRef) -> str:
+    return re.sub(r"\d+(?=\D*$)", "", Path(ref.path).stem)
+
+
+# --- names -----------------------------------------------------------------------------------------------
+
+
+def _targets(columns: Sequence[str], dim: str, options: ReadOptions, path: str) -> dict[str, str]:
+    """Scene names of one dimension and the arrays that they are read from."""
+    points = {columns[0]: "position" if dim == "particle" else "contact_point"}
+    defaults = points | (PARTICLE_NAMES if dim == "particle" else CONTACT_NAMES)
+    given = {
+        a: name for a, name in options.names.items() if name is not None and variable(name).dims[0] == dim
+    }
+    absent = [array for array in given if array not in columns]
+    if absent:
+        msg = f"{path}: names= maps {absent}, which are not in this file; it holds {list(columns)}"
+        raise SceneError(msg)
+    twice = [name for name in given.values() if list(given.values()).count(name) > 1]
+    if twice:
+        msg = f"names= maps several arrays to {sorted(set(twice))}; expected one array a name"
+        raise SceneError(msg)
+    targets = {name: array for array, name in given.items()}
+    for array, name in defaults.items():
+        if array in columns and array not in options.names:
+            targets.setdefault(name, array)
+    return targets
+
+
+def _open(ref: StepRef) -> vtp.Header:
+    header = vtp.read_header(ref.path)
+    if (header.points, header.names) != (ref.rows, ref.columns) or (ref.size and header.size != ref.size):
+        msg = f"{ref.path}: the file changed after the scene was opened; open the scene again"
+        raise SceneError(msg)
+    return header
+
+
+def _read(header: vtp.Header, targets: Mapping[str, str], extra: Sequence[str] = ()) -> tuple[Frame, Frame]:
+    """Arrays by scene name, and all that were read by their name in the file."""
+    arrays = vtp.read_arrays(header, [*targets.values(), *extra])
+    return {name: arrays[array] for name, array in targets.items()}, arrays
+
+
+# --- bodies ----------------------------------------------------------------------------------------------
+
+
+def read_particles(ref: StepRef, options: ReadOptions) -> Frame:
+    """Parse the particles of one step.
+
+    Returns
+    -------
+    dict
+        Float64 arrays by scene name, shape (n,) or (n, 3), rows as in the file.
+
+    Raises
+    ------
+    SceneError
+        If the file is damaged or changed since it was indexed, or ids are too large for Float32.
+    """
+    frame, _ = _read(_open(ref), _targets(ref.columns, "particle", options, ref.path))
+    ids = frame.get("particle_id", np.empty(0))
+    if ids.size and ids.max() >= _EXACT and len(np.unique(ids)) < len(ids):
+        msg = (
+            f"{ref.path}: particle ids from {_EXACT} on occur more than once, because MFiX writes ids as "
+            "Float32, which holds whole numbers up to there only; write a region with fewer particles, or "
+            "drop the ids with names={'Particle_ID': None}"
+        )
+        raise SceneError(msg)
+    return frame
+
+
+def read_contacts(ref: StepRef, options: ReadOptions) -> Frame:
+    """Parse the contacts of one step, each contact once.
+
+    Returns
+    -------
+    dict
+        Float64 arrays by scene name, shape (n,) or (n, 3), rows in the order of the file.
+
+    Raises
+    ------
+    SceneError
+        If the file is damaged or changed since it was indexed.
+    """
+    header = _open(ref)
+    points = header.names[0]
+    wanted = [name for name in (points, _NORMAL, _TANGENTIAL, _OVERLAP) if name in header.names]
+    frame, arrays = _read(header, _targets(ref.columns, "contact", options, ref.path), wanted)
+    if "contact_force" not in frame:
+        frame["contact_force"] = arrays[_NORMAL] + arrays[_TANGENTIAL]
+    mark = arrays.get(_NORMAL, arrays.get(_OVERLAP, frame["contact_force"]))
+    return each_contact_once(frame, mark, arrays[points])
+
+
+# --- contacts that stand twice ---------------------------------------------------------------------------
+
+
+def each_contact_once(contacts: Frame, mark: NDArray, place: NDArray) -> Frame:
+    """Drop exact copies of rows and join mirrored ones.
+
+    A mirrored row has the same pair of ids swapped and `mark` negated, exactly: both rows come from the same
+    overlap and relative velocity, so that their Float32 values agree to the last bit. A pair may touch at
+    several points (concave grains); these have different marks, or else are told apart by their order in
+    space, which the shift by a period between mirrored rows leaves as it is.
+
+    Parameters
+    ----------
+    contacts : Frame
+        Arrays by scene name, at least ``contact_i``, ``contact_j`` (n,) and ``contact_force`` (n, 3).
+    mark : array (n, 3) or (n,)
+        What the two rows share: a vector that changes sign (normal force), or a scalar (overlap).
+    place : array (n, 3)
+        Contact points.
+
+    Returns
+    -------
+    Frame
+        One row a contact, in the given order. Of mirrored rows the one with the lower id first is kept, with
+        the mean of the two forces: ``(F - F_mirrored) / 2``.
+    """
+    i, j, force = contacts["contact_i"], contacts["contact_j"], contacts["contact_force"]
+    low, high, swapped = np.minimum(i, j), np.maximum(i, j), i > j
+    sign = np.where(swapped, -1.0, 1.0)
+    marks = list((mark * sign[:, None]).T) if mark.ndim == 2 else [mark]
+
+    order, pair = _runs([low, high])
+    shared = order[np.bincount(pair)[pair] > 1]  # most pairs stand once: no need to sort them further
+    order, row = _runs([key[shared] for key in (i, j, *marks, *force.T, *place.T)])
+    first = np.diff(row, prepend=-1) > 0
+    copies, shared = shared[order[~first]], shared[order[first]]
+
+    contact_keys = [key[shared] for key in (low, high, *marks)]
+    order, _ = _runs([*contact_keys, swapped[shared], *place[shared].T])
+    rows = shared[order]
+    contact = _runs_along([key[order] for key in contact_keys])
+    side = _runs_along([contact, swapped[rows]])
+    # Within a contact, rows that are not swapped come first; the n-th swapped row mirrors the n-th of them.
+    rank = np.arange(len(rows)) - np.searchsorted(side, side)
+    mirrored = swapped[rows] & (rank < np.bincount(contact, ~swapped[rows])[contact])
+    kept = rows[(np.searchsorted(contact, contact) + rank)[mirrored]]
+    gone = rows[mirrored]
+
+    joined = force.copy()
+    joined[kept] = (force[kept] - force[gone]) / 2
+    keep = np.ones(len(i), bool)
+    keep[copies] = keep[gone] = False
+    return {name: values[keep] for name, values in (contacts | {"contact_force": joined}).items()}
+
+
+def _runs_along(keys: Sequence[NDArray]) -> NDArray:
+    """Count the runs of equal keys along sorted rows, as in 0, 0, 1, 2, 2, 2."""
+    new = np.zeros(len(keys[0]), bool)
+    for key in keys:
+        new[1:] |= key[1:] != key[:-1]
+    return np.cumsum(new)
+
+
+def _runs(keys: Sequence[NDArray]) -> tuple[NDArray, NDArray]:
+    """Order that sorts rows by keys (the first one first), and the number of each sorted row's run."""
+    order = np.lexsort(tuple(reversed(keys)))
+    return order, _runs_along([key[order] for key in keys])

@@ -1,0 +1,198 @@
+"""Tables of numbers in text files, plain or gzipped: finding them and parsing them."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import os
+from collections.abc import Iterator, Sequence
+from typing import BinaryIO, cast
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from xcg.readers.engine import StepRef
+from xcg.scene import SceneError
+
+_FIRST_BLOCK, _BLOCK = 1 << 16, 1 << 22  # small first, as the header is often all that is wanted
+
+
+def open_binary(path: str) -> BinaryIO:
+    """Open a file for reading bytes, decompressed when it is gzipped (by its content, not its name)."""
+    stream = open(path, "rb")
+    if stream.peek(2)[:2] != b"\x1f\x8b":
+        return stream
+    stream.close()
+    return cast(BinaryIO, gzip.open(path, "rb"))
+
+
+def uncompressed_size(path: str) -> int:
+    """Size of the bytes that `open_binary` yields; of gzipped files modulo 4 GiB, and of the last member only."""
+    with open(path, "rb") as file:
+        gzipped = file.read(2) == b"\x1f\x8b"
+        size = file.seek(0, os.SEEK_END)
+        if not gzipped:
+            return size
+        file.seek(max(size - 4, 0))
+        return int.from_bytes(file.read(4), "little")
+
+
+def first_lines(path: str, size: int = 4096) -> list[str]:
+    """Return the first lines of a file, to recognise it by; empty where it is not text."""
+    with open_binary(path) as stream:
+        head = stream.read(size)
+    return [] if b"\0" in head else head.decode("utf-8", "replace").splitlines()
+
+
+class Scanner:
+    """Lines and blocks of a stream, read once from front to back.
+
+    `offset` counts the (decompressed) bytes handed out so far.
+    """
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self._stream = stream
+        self._data = b""
+        self._at = 0
+        self._block = _FIRST_BLOCK
+        self.offset = 0
+
+    def _more(self) -> bool:
+        block = self._stream.read(self._block)
+        self._data, self._at = self._data[self._at :] + block, 0
+        self._block = _BLOCK
+        return bool(block)
+
+    def _take(self, end: int) -> bytes:
+        taken = self._data[self._at : end]
+        self._at = end
+        self.offset += len(taken)
+        return taken
+
+    def line(self) -> bytes:
+        """Return the next line with its end, or nothing at the end of the stream."""
+        while (end := self._data.find(b"\n", self._at)) < 0:
+            if not self._more():
+                return self._take(len(self._data))
+        return self._take(end + 1)
+
+    def until(self, marker: bytes) -> Iterator[bytes]:
+        """Yield, in pieces, all up to the next line that begins with `marker` (called at the start of a line)."""
+        while len(self._data) - self._at < len(marker) and self._more():
+            pass
+        if self._data.startswith(marker, self._at):
+            return
+        needle = b"\n" + marker
+        while (found := self._data.find(needle, self._at)) < 0:
+            yield self._take(max(self._at, len(self._data) - len(marker)))  # a marker may straddle two blocks
+            if not self._more():
+                yield self._take(len(self._data))
+                return
+        yield self._take(found + 1)
+
+    def sample(self, size: int) -> bytes:
+        """Return bytes ahead without taking them."""
+        if len(self._data) - self._at < size:
+            self._more()
+        return self._data[self._at : self._at + size]
+
+
+def read_body(ref: StepRef) -> bytes:
+    """Bytes of one step's body."""
+    with open_binary(ref.path) as stream:
+        if ref.offset:
+            stream.seek(ref.offset)
+        return stream.read(ref.length) if ref.length else stream.read()
+
+
+def where(ref: StepRef) -> str:
+    """File and step, for messages."""
+    return f"{ref.path} (step {ref.step})"
+
+
+def parse_table(
+    body: bytes, columns: Sequence[str], wanted: Sequence[str], rows: int | None, name: str
+) -> dict[str, NDArray]:
+    """Parse the wanted columns of a table of numbers.
+
+    Parameters
+    ----------
+    body : bytes
+        Rows of numbers between white space.
+    columns : sequence of str
+        Names of all columns.
+    wanted : sequence of str
+        Names of those to parse.
+    rows : int or None
+        Number of rows that must be there; None takes what there is.
+    name : str
+        File and step, for messages.
+
+    Raises
+    ------
+    SceneError
+        If rows are missing, too many, or too short or long, or a wanted value is not a number; the message names
+        the first such row, counted from 0.
+    """
+    tokens = _count_tokens(body)
+    if tokens == 0 and not rows:
+        return {column: np.empty(0) for column in wanted}
+    positions = {column: columns.index(column) for column in wanted}
+    last = len(columns) - 1
+    try:
+        table = pd.read_csv(
+            io.BytesIO(body), sep=r"\s+", header=None, names=range(len(columns)),
+            usecols=sorted({*positions.values(), last}), dtype=np.float64, engine="c", quoting=3,
+        )  # fmt: skip
+    except ValueError as error:
+        msg = _fault(body, columns, wanted, rows, name) or f"{name}: cannot parse the table ({error})"
+        raise SceneError(msg) from None
+    # pandas fills rows that are too short with NaN, up to the last column, and cuts off what is too long.
+    suspect = table.isna().to_numpy().any() or not (len(table) * len(columns) == tokens)
+    if suspect or (rows is not None and len(table) != rows):
+        fault = _fault(body, columns, wanted, rows, name)
+        if fault:
+            raise SceneError(fault)
+    return {column: table[position].to_numpy() for column, position in positions.items()}
+
+
+def _count_tokens(body: bytes) -> int:
+    printing = np.frombuffer(body, np.uint8) > ord(" ")
+    if not printing.size:
+        return 0
+    return int(printing[0]) + int(np.count_nonzero(np.greater(printing[1:], printing[:-1])))
+
+
+def _fault(
+    body: bytes, columns: Sequence[str], wanted: Sequence[str], rows: int | None, name: str
+) -> str | None:
+    """Find the first row at fault, slowly, and say what is wrong with it."""
+    positions = [(column, columns.index(column)) for column in wanted]
+    lines = [line for line in body.decode("utf-8", "replace").splitlines() if line.strip()]
+    for row, line in enumerate(lines[:rows]):
+        tokens = line.split()
+        if len(tokens) != len(columns):
+            cut = row == len(lines) - 1 and len(tokens) < len(columns)
+            hint = "the file is cut off here" if cut else f"the columns are {' '.join(columns)}"
+            return (
+                f"{name}: row {row} has {len(tokens)} values, expected {len(columns)} ({line[:60]!r}); {hint}"
+            )
+        for column, position in positions:
+            if not _is_number(tokens[position]):
+                return f"{name}: row {row} has {tokens[position]!r} in column '{column}', expected a number"
+    if rows is not None and len(lines) < rows:
+        return (
+            f"{name}: {len(lines)} rows, but the header says {rows}: row {len(lines)} is missing, as when the "
+            "program that wrote the file was stopped; write it anew, or leave the step out"
+        )
+    if rows is not None and len(lines) > rows:
+        return f"{name}: more rows than the {rows} that the header says; row {rows} is {lines[rows][:60]!r}"
+    return None
+
+
+def _is_number(token: str) -> bool:
+    try:
+        return not np.isnan(float(token))
+    except ValueError:
+        return False
