@@ -96,7 +96,8 @@ def brute_force(ds, kernel, points, seen="xyz", scale=1.0, gradient=True):
     pos, vel = frame["position"][keep], frame["velocity"][keep]
     mass, vol, dia = frame["mass"][keep], frame["volume"][keep], frame["diameter"][keep]
     ids = {int(n): k for k, n in enumerate(frame["particle_id"][keep])}
-    reach = [range(-3, 4) if period[k] and k in axes else (0,) for k in range(3)]
+    far = [math.ceil(2 * kernel.c / p) + 1 if p else 0 for p in period]
+    reach = [range(-n, n + 1) if k in axes else (0,) for k, n in enumerate(far)]
     shifts = [np.array(n) * period for n in itertools.product(*reach)]
 
     def nearest(vector):
@@ -164,6 +165,8 @@ def brute_force(ds, kernel, points, seen="xyz", scale=1.0, gradient=True):
         for shift in shifts:
             for i, f, a in sides:
                 start, end, here = pos[i] + shift, pos[i] - a + shift, r
+                if (np.abs(start - here)[axes] > kernel.c + np.abs(a)[axes]).any():
+                    continue
                 s = kernel.segment(here[axes], start[axes], end[axes])
                 sc += scale * s * np.outer(f, a)
             for f, c in wall:
@@ -190,15 +193,15 @@ def brute_force(ds, kernel, points, seen="xyz", scale=1.0, gradient=True):
             centre = m @ x / rho
             root = np.sqrt(m)[:, None]
             design, rhs = root * (x - centre)[:, axes], root * (v - V)
-            fit, _, rank, _ = np.linalg.lstsq(design, rhs, rcond=1e-5)
+            fit, _, rank, size = np.linalg.lstsq(design, rhs, rcond=1e-5)
             G = np.zeros((3, 3))
             G[:, axes] = fit.T
             rest = v - V - (x - centre) @ G.T
             fluctuation = np.einsum("n,ni,nj->ij", m, rest, rest)
             if count > rank + 1:
                 T = sum(fluctuation[i, i] for i in plane) / (D * rho)
-            if rank < len(axes):
-                G = None  # which derivatives are determined is not checked here
+            if rank < len(axes) or size[-1] < 1e-2 * size[0]:
+                G = None  # nearly flat clouds leave few digits, flat ones no derivative across
         put("velocity_gradient", G)
         put("granular_temperature", T)
         if G is None:

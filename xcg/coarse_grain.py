@@ -35,7 +35,7 @@ def coarse_grain(
     groups: Sequence[int] | None = None,
     extent: Mapping[str, float] | None = None,
     gradient: str = "least_squares",
-    rtol: float = 1e-3,
+    rtol: float = 0.0,
 ) -> xr.Dataset:
     """Coarse-grain a scene to continuum fields.
 
@@ -75,7 +75,7 @@ def coarse_grain(
         "least_squares" (default), exact in linear flow, or "kernel", the exact derivative of the field V(r).
     rtol : float
         Promise for the contact stress of every segment, relative to its largest value: the cheapest quadrature that
-        keeps it is taken. 0 takes the closed form.
+        keeps it is taken. 0 (default) takes the closed form.
 
     Returns
     -------
@@ -111,7 +111,7 @@ def coarse_grain(
 
 def _inputs(ds: xr.Dataset, plan: Plan) -> dict[str, Any]:
     """Arrays of the scene, time first, whole along every other dimension."""
-    names = [*plan.variables, *(["box"] if "box" in ds else [])]
+    names = [*plan.variables, *(name for name in ("box", "step") if name in ds)]
     found: dict[str, Any] = {}
     for name in names:
         array = ds[name].transpose("time", *[d for d in ds[name].dims if d not in ("time", "component", "bound")], ...)
@@ -132,17 +132,15 @@ def _map_over_time(ds: xr.Dataset, plan: Plan) -> dict[str, Any]:
         msg = "the scene has no time dimension; select steps with a list, ds.isel(time=[3]), to keep it"
         raise ValueError(msg)
     inputs = _inputs(ds, plan)
-    steps = ds["step"].to_numpy() if "step" in ds.coords else np.arange(ds.sizes["time"])
     if not any(isinstance(a, da.Array) for a in inputs.values()):
-        return compute_chunk(plan, tuple(inputs), steps, *inputs.values())
+        return compute_chunk(plan, tuple(inputs), *inputs.values())
     lazy: dict[str, da.Array] = inputs
     name = f"coarse-grain-{tokenize(plan.fields, plan.recipe, plan.options, plan.extent, plan.depth, *lazy.values())}"
     chunks = next(iter(lazy.values())).chunks[0]
-    first = np.concatenate([[0], np.cumsum(chunks)])
     tasks: dict[Any, Any] = {}
     for t in range(len(chunks)):
         keys = [(a.name, t, *(0,) * (a.ndim - 1)) for a in lazy.values()]
-        tasks[name, t] = (compute_chunk, plan, tuple(lazy), steps[first[t] : first[t + 1]], *keys)
+        tasks[name, t] = (compute_chunk, plan, tuple(lazy), *keys)
     graph = HighLevelGraph.from_collections(name, tasks, dependencies=list(lazy.values()))
     out = {}
     for field in plan.fields:
@@ -158,13 +156,14 @@ def _pick(arrays: Mapping[str, NDArray], name: str) -> NDArray:
     return arrays[name]
 
 
-def compute_chunk(plan: Plan, names: Sequence[str], steps: NDArray, *arrays: NDArray) -> dict[str, NDArray]:
+def compute_chunk(plan: Plan, names: Sequence[str], *arrays: NDArray) -> dict[str, NDArray]:
     """Fields of one chunk of time, from padded arrays in the order of `names`."""
     inputs = dict(zip(names, arrays, strict=True))
-    boxes = inputs.pop("box", None)
-    out = {name: np.empty((len(steps), *plan.shape(name))) for name in plan.fields}
-    for t, step in enumerate(steps):
-        where = f"step {step}"
+    boxes, steps = inputs.pop("box", None), inputs.pop("step", None)
+    count = len(arrays[0])
+    out = {name: np.empty((count, *plan.shape(name))) for name in plan.fields}
+    for t in range(count):
+        where = f"frame {t} of its chunk" if steps is None else f"step {steps[t]}"
         box = None if boxes is None else boxes[t]
         values = _compute_step(plan, frame_of(inputs, t), box, where)
         for name in plan.fields:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.kernels.rows import add_rows
 from xcg.scene import Frame, minimum_image, rows_of
 
 # Branches closer to one line than this (sine of their angle) share one segment from centre to centre; the
@@ -72,13 +74,11 @@ class Contacts:
 
     def sum_over_particles(self, on_i: NDArray, on_j: NDArray) -> NDArray:
         """Sum what each contact gives to its two particles; arrays (n, ...) to (particles, ...)."""
-        total = np.zeros((self.count, *on_i.shape[1:]))
+        width = math.prod(on_i.shape[1:])
+        total = np.zeros((self.count, width))
         for row, values in ((self.i, on_i), (self.j, on_j)):
-            here = row >= 0
-            flat = values[here].reshape(int(here.sum()), -1)
-            sums = [np.bincount(row[here], column, minlength=self.count) for column in flat.T]
-            total += np.stack(sums, axis=-1).reshape(total.shape) if sums else 0.0
-        return total
+            add_rows(row, values.reshape(len(row), width), total)
+        return total.reshape(self.count, *on_i.shape[1:])
 
     @cached_property
     def partners(self) -> NDArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -233,7 +234,9 @@ def moments_of(frame: Frame, recipe: Recipe, period: NDArray, scale: float, wher
     contacts = Contacts.of(frame, period) if "contact_i" in frame else None
     to = _Deposit(recipe, period, scale)
 
-    columns = {name: row.column(frame, contacts).reshape(count, -1) for name, row in wanted.items() if row.column}
+    columns = {
+        name: row.column(frame, contacts).reshape(count, math.prod(row.shape)) for name, row in wanted.items() if row.column
+    }
     constants = np.concatenate(list(columns.values()), axis=1) if columns else np.zeros((count, 0))
     velocity = np.ascontiguousarray(frame.get("velocity", np.zeros((count, 3))))
     mass = frame.get("mass", np.ones(count))
@@ -274,6 +277,6 @@ def _flow(records: NDArray, name: str, row: Moment) -> NDArray:
     """Cut one moment out of the nodes' records; symmetric ones are kept as six columns."""
     if name in ("kinetic", "spread"):
         return records[..., row.first + _SYMMETRIC]
-    size = int(np.prod(row.shape, dtype=int))
+    size = math.prod(row.shape)
     return records[..., row.first : row.first + size].reshape(*records.shape[:4], *row.shape)
 

@@ -230,7 +230,7 @@ def make_plan(
     groups: Sequence[int] | None = None,
     extent: Mapping[str, float] | None = None,
     gradient: str = "least_squares",
-    rtol: float = 1e-3,
+    rtol: float = 0.0,
 ) -> Plan:
     """Plan a call of `coarse_grain`; the arguments are the same. Reads attributes only, never data.
 

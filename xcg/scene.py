@@ -299,7 +299,7 @@ def _complete_size_and_mass(frame: Frame, setup: Setup) -> None:
         v = frame["volume"]
         frame["diameter"] = np.sqrt(v / disc) if setup.shape == "disc" else np.cbrt(6 / np.pi * v)
     if "density" not in frame and "mass" not in frame and setup.density is not None:
-        frame["density"] = np.full(count, setup.density)
+        frame["density"] = np.full(count, float(setup.density))
     if "volume" in frame:
         if "density" not in frame and "mass" in frame:
             frame["density"] = frame["mass"] / frame["volume"]

@@ -19,13 +19,12 @@ from xcg.readers.text import parse_table, read_body, where
 from xcg.scene import COMPONENTS, Frame, SceneError
 
 Slots: TypeAlias = Mapping[str, Sequence[str]]
-"""Columns that fill each slot by default, the preferred first."""
+"""Columns that fill each slot by themselves, the preferred first."""
 
 
-def _vector(slot: str, columns: str) -> dict[str, tuple[str, ...]]:
-    """Slots of three components; `columns` are templates such as "v?"."""
-    names = [template.split("?") for template in columns.split()]
-    return {f"{slot}_{axis}": tuple(axis.join(name) for name in names) for axis in COMPONENTS}
+def _vector(slot: str, *templates: str) -> dict[str, tuple[str, ...]]:
+    """Slots of three components, filled by columns such as "v?" with the axis in place of "?"."""
+    return {f"{slot}_{axis}": tuple(t.replace("?", axis) for t in templates) for axis in COMPONENTS}
 
 
 PARTICLE_SLOTS: Slots = {
@@ -34,8 +33,8 @@ PARTICLE_SLOTS: Slots = {
     "body_id": (),
     "frozen": (),
     "coordination_number": (),
-    **_vector("position", "? ?u"),
-    **_vector("scaled", "?s ?su"),
+    **_vector("position", "?", "?u"),
+    **_vector("scaled", "?s", "?su"),
     **_vector("velocity", "v?"),
     "diameter": ("diameter",),
     "radius": ("radius",),
@@ -49,53 +48,59 @@ CONTACT_SLOTS: Slots = {
     **_vector("contact_force", "f?"),
     **_vector("normal_force", "fn?"),
     **_vector("tangential_force", "ft?"),
-    **_vector("contact_point", ""),
-    **_vector("contact_normal", ""),
+    **_vector("contact_point"),
+    **_vector("contact_normal"),
     "overlap": ("overlap", "delta"),
 }
 
-_COMPONENT_SLOTS = {f"{slot}_{axis}" for slot in ("position", "scaled", "velocity") for axis in COMPONENTS}
+_FORCES = ("contact_force", "normal_force", "tangential_force")
+_CONTACT_VECTORS = (*_FORCES, "contact_point", "contact_normal")
+_CONTACT_SCALARS = ("contact_i", "contact_j", "overlap")
+_PARTICLE_COMPONENTS = {*_vector("position"), *_vector("scaled"), *_vector("velocity")}
 
-# What the caller maps to the first displaces what the second would be filled with by default.
+# What the caller maps to the first displaces what fills the second by itself.
 _RIVALS = (
     ("radius", "diameter"),
     ("scaled", "position"),
-    ("normal", "contact_force"),
-    ("tangential", "contact_force"),
+    ("normal_force", "contact_force"),
+    ("tangential_force", "contact_force"),
 )
 
 
 def assign(ref: StepRef, slots: Slots, options: ReadOptions) -> dict[str, str]:
-    """Column of each slot that this file fills.
+    """Find the column of each slot that a file fills.
 
     Raises
     ------
     SceneError
         If `names` maps a column of this file to something that is almost, but not quite, a slot.
     """
-    columns = set(ref.columns)
-    given = {column: slot for column, slot in options.names.items() if column in columns}
-    mine = {slot: column for column, slot in given.items() if slot in slots}
+    given = {column: slot for column, slot in options.names.items() if column in ref.columns}
     for column, slot in given.items():
-        close = [] if slot is None or slot in slots else difflib.get_close_matches(slot, slots, 3, 0.8)
-        if close and slot not in PARTICLE_SLOTS and slot not in CONTACT_SLOTS:
-            msg = f"names={{{column!r}: {slot!r}}}: no such variable; did you mean {' or '.join(map(repr, close))}?"
-            raise SceneError(msg)
-    displaced = [rival for first, rival in _RIVALS if any(slot.startswith(first) for slot in mine)]
+        if slot is not None and slot not in PARTICLE_SLOTS and slot not in CONTACT_SLOTS:
+            close = difflib.get_close_matches(slot, slots, 3, 0.8)
+            if close:
+                msg = (
+                    f"names={{{column!r}: {slot!r}}}: unknown; did you mean {' or '.join(map(repr, close))}?"
+                )
+                raise SceneError(msg)
+    mine = {slot: column for column, slot in given.items() if slot is not None and slot in slots}
+    displaced = tuple(rival for first, rival in _RIVALS if any(slot.startswith(first) for slot in mine))
+    free = [column for column in ref.columns if column not in given]
     filled = {}
     for slot, candidates in slots.items():
-        default = next((column for column in candidates if column in columns and column not in given), None)
+        found = [column for column in candidates if column in free]
         if slot in mine:
             filled[slot] = mine[slot]
-        elif default is not None and not slot.startswith(tuple(displaced)):
-            filled[slot] = default
+        elif found and not slot.startswith(displaced):
+            filled[slot] = found[0]
     return filled
 
 
-def _lacks(ref: StepRef, what: str, slots: str) -> SceneError:
+def _lacks(ref: StepRef, what: str, slot: str) -> SceneError:
     msg = (
-        f"{where(ref)}: no {what} among the columns {' '.join(ref.columns)}; say which they are, for example "
-        f"names={{'column': '{slots}'}}"
+        f"{where(ref)}: no {what} among the columns {' '.join(ref.columns)}; say which column it is, "
+        f"for example names={{{ref.columns[-1]!r}: {slot!r}}}"
     )
     return SceneError(msg)
 
@@ -104,117 +109,121 @@ def _axes(filled: Mapping[str, str], slot: str) -> list[str]:
     return [axis for axis in COMPONENTS if f"{slot}_{axis}" in filled]
 
 
+def _stacked(values: Mapping[str, NDArray], slot: str, rows: int) -> NDArray:
+    """Vector (n, 3) from its components; 0 for one that is not there."""
+    zero = np.zeros(rows)
+    return np.stack([values.get(f"{slot}_{axis}", zero) for axis in COMPONENTS], axis=1)
+
+
 # --- particles -------------------------------------------------------------------------------------------
 
 
-def read_atoms(ref: StepRef, options: ReadOptions) -> Frame:
-    """Particles of one step; columns that `names` maps to other names become variables of their own."""
-    filled = assign(ref, PARTICLE_SLOTS, options)
-    extra = {
+def particle_columns(ref: StepRef, slots: Slots, options: ReadOptions) -> dict[str, str]:
+    """Find the column of each slot, checked to be enough for particles.
+
+    Columns that `names` maps to other names become variables of their own. A two-dimensional file need not
+    hold z.
+    """
+    filled = assign(ref, slots, options)
+    if "particle_id" in slots and "particle_id" not in filled:
+        raise _lacks(ref, "id of the particle", "particle_id")
+    present = {axis for slot in ("position", "scaled") for axis in _axes(filled, slot)}
+    for axis in "xy":
+        if axis not in present:
+            raise _lacks(ref, f"{axis} of the position", f"position_{axis}")
+    for axis in sorted(present):
+        if "velocity_x" in filled and f"velocity_{axis}" not in filled:
+            raise _lacks(ref, f"{axis} of the velocity", f"velocity_{axis}")
+    own = {
         slot: column
         for column, slot in options.names.items()
-        if slot is not None
-        and column in ref.columns
-        and slot not in PARTICLE_SLOTS
-        and slot not in CONTACT_SLOTS
+        if slot is not None and column in ref.columns and slot not in {*PARTICLE_SLOTS, *CONTACT_SLOTS}
     }
-    if "particle_id" not in filled:
-        raise _lacks(ref, "ids of particles", "particle_id")
-    if not {"position_x", "scaled_x"} & set(filled) or not {"position_y", "scaled_y"} & set(filled):
-        raise _lacks(ref, "positions", "position_x")
-    flat = not {"position_z", "scaled_z"} & set(filled)  # a two-dimensional run need not write z
-    if _axes(filled, "velocity") not in ([], list("xyz"), *([list("xy")] if flat else [])):
-        raise _lacks(ref, "full velocity", "velocity_z")
-    columns = filled | extra
+    return filled | own
+
+
+def particles_from(ref: StepRef, columns: Mapping[str, str]) -> Frame:
+    """Read the particles of one step from the columns of `particle_columns`."""
     table = parse_table(read_body(ref), ref.columns, sorted(set(columns.values())), ref.rows, where(ref))
     values = {slot: table[column] for slot, column in columns.items()}
-    frame = {name: array for name, array in values.items() if name in extra or name not in _COMPONENT_SLOTS}
-    frame["position"] = np.stack([_coordinate(ref, values, k) for k in range(3)], axis=1)
+    for k, axis in enumerate(COMPONENTS):
+        if f"position_{axis}" not in values and f"scaled_{axis}" in values:
+            low, high = _edges(ref)[k]
+            values[f"position_{axis}"] = low + values[f"scaled_{axis}"] * (high - low)
+    frame = {slot: array for slot, array in values.items() if slot not in _PARTICLE_COMPONENTS}
+    frame["position"] = _stacked(values, "position", ref.rows)
     if "velocity_x" in values:
-        zero = np.zeros(ref.rows)
-        frame["velocity"] = np.stack([values.get(f"velocity_{axis}", zero) for axis in COMPONENTS], axis=1)
+        frame["velocity"] = _stacked(values, "velocity", ref.rows)
     if "radius" in frame:
         radius = frame.pop("radius")
         frame.setdefault("diameter", 2 * radius)
     return frame
 
 
-def _coordinate(ref: StepRef, values: Frame, k: int) -> NDArray:
-    axis = COMPONENTS[k]
-    if f"position_{axis}" in values:
-        return values[f"position_{axis}"]
-    if f"scaled_{axis}" not in values:
-        return np.zeros(ref.rows)
+def _edges(ref: StepRef) -> tuple[tuple[float, float], ...]:
     if ref.box is None:
-        msg = f"{where(ref)}: coordinates are scaled by the box, and the header gives no box ('ITEM: BOX BOUNDS')"
+        msg = f"{where(ref)}: positions are in fractions of the box, and the header holds no 'BOX BOUNDS'"
         raise SceneError(msg)
-    low, high = ref.box[k]
-    return low + values[f"scaled_{axis}"] * (high - low)
+    return ref.box
 
 
 # --- contacts --------------------------------------------------------------------------------------------
 
 
-def contact_slots(ref: StepRef, slots: Slots, options: ReadOptions) -> dict[str, str]:
-    """Column of each slot of contacts, checked to be enough for contacts.
+def contact_columns(ref: StepRef, slots: Slots, options: ReadOptions) -> dict[str, str]:
+    """Find the column of each slot, checked to be enough for contacts.
 
-    The force is ``contact_force``; without it, the sum of ``normal_force`` and ``tangential_force``; without the
-    second, the first alone.
+    The force is ``contact_force``; without it, the sum of ``normal_force`` and ``tangential_force``; without
+    the second, the first alone.
     """
     filled = assign(ref, slots, options)
-    if "contact_i" not in filled or "contact_j" not in filled:
-        raise _lacks(ref, "pairs of ids", "contact_i")
-    vectors = {slot: _axes(filled, slot) for slot in _VECTORS}
-    for slot, axes in vectors.items():
+    for slot in ("contact_i", "contact_j"):
+        if slot not in filled:
+            raise _lacks(ref, "ids of both partners", slot)
+    there = {slot: _axes(filled, slot) for slot in _CONTACT_VECTORS}
+    for slot, axes in there.items():
         if 0 < len(axes) < 3:
-            raise _lacks(ref, f"full {slot.replace('_', ' ')} (only {', '.join(axes)})", f"{slot}_z")
-    if not vectors["contact_force"] and not vectors["normal_force"]:
-        raise _lacks(ref, "contact forces", "contact_force_x")
-    if vectors["contact_force"] and vectors["tangential_force"] and not vectors["normal_force"]:
+            lacking = next(axis for axis in COMPONENTS if axis not in axes)
+            raise _lacks(ref, f"{lacking} of the {slot.replace('_', ' ')}", f"{slot}_{lacking}")
+    if not there["contact_force"] and not there["normal_force"]:
+        raise _lacks(ref, "contact force", "contact_force_x")
+    if there["contact_force"] and there["tangential_force"] and not there["normal_force"]:
         total, part = filled["contact_force_x"], filled["tangential_force_x"]
         msg = (
-            f"{where(ref)}: is '{total}' the total force or its normal part, beside the tangential '{part}'? Say "
-            f"names={{'{total}': 'normal_force_x', ...}} to add them up, or names={{'{part}': None, ...}} to take "
-            f"'{total}' as the total"
+            f"{where(ref)}: is '{total}' the whole contact force or its normal part, beside the tangential "
+            f"'{part}'? Say names={{'{total}': 'normal_force_x', ...}} to add the two up, or "
+            f"names={{'{part}': None, ...}} to take the first alone"
         )
         raise SceneError(msg)
-    used = ("contact_force",) if vectors["contact_force"] else ("normal_force", "tangential_force")
+    used = ("contact_force",) if there["contact_force"] else ("normal_force", "tangential_force")
     unused = tuple(set(_FORCES) - set(used))
     return {slot: column for slot, column in filled.items() if not slot.startswith(unused)}
 
 
-_FORCES = ("contact_force", "normal_force", "tangential_force")
-_VECTORS = (*_FORCES, "contact_point", "contact_normal")
+def contact_names(columns: Mapping[str, str]) -> list[str]:
+    """Names of the variables that `contacts_from` returns."""
+    vectors = [slot for slot in ("contact_point", "contact_normal") if f"{slot}_x" in columns]
+    return [*(slot for slot in _CONTACT_SCALARS if slot in columns), "contact_force", *vectors]
 
 
-def contact_names(filled: Mapping[str, str]) -> tuple[str, ...]:
-    """Names of the variables that `contacts_from` makes of these slots."""
-    optional = [name for name in ("contact_point", "contact_normal") if f"{name}_x" in filled]
-    overlap = ["overlap"] if "overlap" in filled else []
-    return ("contact_i", "contact_j", "contact_force", *optional, *overlap)
-
-
-def contacts_from(ref: StepRef, filled: Mapping[str, str]) -> Frame:
-    """Contacts of one step; slots that are not of the scene are handed on as they are."""
-    table = parse_table(read_body(ref), ref.columns, sorted(set(filled.values())), ref.rows, where(ref))
-    vectors = {
-        slot: np.stack([table[filled[f"{slot}_{axis}"]] for axis in COMPONENTS], axis=1)
-        for slot in _VECTORS
-        if f"{slot}_x" in filled
-    }
-    frame = {slot: table[column] for slot, column in filled.items() if slot[:-2] not in vectors}
-    if "normal_force" in vectors:
-        normal = vectors.pop("normal_force")
-        vectors["contact_force"] = normal + vectors.pop("tangential_force", np.zeros(3))
+def contacts_from(ref: StepRef, columns: Mapping[str, str]) -> Frame:
+    """Read the contacts of one step from the columns of `contact_columns`."""
+    table = parse_table(read_body(ref), ref.columns, sorted(set(columns.values())), ref.rows, where(ref))
+    values = {slot: table[column] for slot, column in columns.items()}
+    frame: Frame = {slot: values[slot] for slot in _CONTACT_SCALARS if slot in values}
+    frame |= {slot: _stacked(values, slot, ref.rows) for slot in _CONTACT_VECTORS if f"{slot}_x" in columns}
+    if "contact_force" not in frame:
+        frame["contact_force"] = frame.pop("normal_force") + frame.pop("tangential_force", np.zeros(3))
     _check_ids(ref, frame["contact_i"])
-    return frame | vectors
+    return frame
 
 
 def _check_ids(ref: StepRef, ids: NDArray) -> None:
+    """Refuse ids that ``dump local`` cut to six digits, as it does unless told otherwise."""
     large = ids[ids >= 1e6]
     if len(large) > 10 and (large % 10 == 0).all():
         msg = (
-            f"{where(ref)}: ids above a million were written with six digits (all end in 0), so that partners are "
-            "lost; write the file anew with 'dump_modify ... format float %.10g'"
+            f"{where(ref)}: ids above a million all end in 0, as they were written with six digits; write "
+            "the file anew with 'dump_modify ... format float %.10g'"
         )
         raise SceneError(msg)

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from xcg.readers.engine import ReadOptions, StepRef
-from xcg.readers.text import Scanner, first_lines, open_binary, uncompressed_size
+from xcg.readers.text import Scanner, first_lines, open_binary, uncompressed_size, where
 from xcg.scene import COMPONENTS, SceneError
 
 
@@ -40,8 +40,8 @@ def _is_body(item: str) -> bool:
 def index_dumps(paths: Sequence[str], options: ReadOptions, *, atoms: bool) -> list[StepRef]:
     """List the steps of dump files.
 
-    A file is read through only where it may hold several steps: not where its name holds the number of its first
-    step and its size is that of one step.
+    A file is read through only where it may hold several steps: not where its name holds the number of its
+    first step and its size is that of one step.
 
     Parameters
     ----------
@@ -93,76 +93,73 @@ def _is_alone(ref: StepRef, rest: int, scanner: Scanner) -> bool:
 
 def _header(scanner: Scanner, path: str, *, atoms: bool) -> StepRef | None:
     """Read one header, whatever the order of its items; None at the end of the file."""
-    found: dict[str, object] = {"step": 0}
-    rows: int | None = None
-    line = ""
-    while True:
-        raw = scanner.line()
-        if not raw:
-            if rows is None and found == {"step": 0}:
-                return None
-            msg = f"{path}: the header at byte {scanner.offset} is cut off; leave out the step or the file"
-            raise SceneError(msg)
-        line = raw.decode("utf-8", "replace").strip()
-        if not line:
+    ref = empty = StepRef(path, rows=-1)
+    while line := scanner.line().decode("utf-8", "replace"):
+        if not line.strip():
             continue
         if not line.startswith("ITEM:"):
-            msg = f"{path}: expected a line that begins with 'ITEM:' at byte {scanner.offset}, found {line[:60]!r}"
+            before = f"before byte {scanner.offset}"
+            msg = f"{path}: expected a line that begins with 'ITEM:' {before}, found {line.strip()[:60]!r}"
             raise SceneError(msg)
         item = line.removeprefix("ITEM:").strip()
         if _is_body(item):
-            break
-        if item.startswith("BOX BOUNDS"):
-            found |= _box(scanner, path, item.split()[2:])
-            continue
-        value = scanner.line().decode("utf-8", "replace").strip()
-        try:
-            if item == "UNITS":
-                found["units"] = value
-            elif item == "TIME":
-                found["time"] = float(value)
-            elif item == "TIMESTEP":
-                found["step"] = int(value)
-            else:
-                rows = int(value)
-        except ValueError:
-            msg = f"{path}: {value!r} follows 'ITEM: {item}', expected a number"
-            raise SceneError(msg) from None
-    label, *columns = item.split() or [""]
-    name = f"{path} (step {found['step']})"
-    if rows is None:
-        msg = f"{name}: the header does not say how many rows follow ('ITEM: NUMBER OF ...')"
-        raise SceneError(msg)
-    if (label == "ATOMS") is not atoms:
-        expected, other = ("ATOMS", "contacts") if atoms else ("ENTRIES", "particles")
-        msg = f"{name}: holds 'ITEM: {label}', expected 'ITEM: {expected}'; is this a file for {other}=?"
-        raise SceneError(msg)
-    if not columns:
-        msg = f"{name}: 'ITEM: {label}' names no columns"
-        raise SceneError(msg)
+            _check_header(ref, item.split(), atoms=atoms)
+            return replace(ref, columns=tuple(item.split()[1:]), offset=scanner.offset)
+        ref = _box(ref, scanner, item) if item.startswith("BOX BOUNDS") else _value(ref, scanner, item)
+    if ref is empty:
+        return None
+    msg = f"{path}: the header of step {ref.step} is cut off; leave out the step or the file"
+    raise SceneError(msg)
+
+
+def _value(ref: StepRef, scanner: Scanner, item: str) -> StepRef:
+    """Take over an item of one value."""
+    value = scanner.line().decode("utf-8", "replace").strip()
+    try:
+        if item == "UNITS":
+            return replace(ref, units=value)
+        if item == "TIME":
+            return replace(ref, time=float(value))
+        if item == "TIMESTEP":
+            return replace(ref, step=int(value))
+        return replace(ref, rows=int(value))
+    except ValueError:
+        msg = f"{ref.path}: {value!r} follows 'ITEM: {item}', expected a number"
+        raise SceneError(msg) from None
+
+
+def _check_header(ref: StepRef, words: list[str], *, atoms: bool) -> None:
+    label, columns = words[0] if words else "", words[1:]
     twice = sorted({column for column in columns if columns.count(column) > 1})
-    if twice:
-        msg = (
-            f"{name}: the columns {twice} occur twice; name them apart, for example with dump_modify colname"
-        )
-        raise SceneError(msg)
-    return StepRef(path, rows, columns=tuple(columns), offset=scanner.offset, **found)  # type: ignore[arg-type]
+    if (label == "ATOMS") is not atoms:
+        kind, argument = ("ATOMS", "contacts") if atoms else ("ENTRIES", "particles")
+        msg = f"{where(ref)}: found 'ITEM: {label}', expected 'ITEM: {kind}'; is this a file for {argument}=?"
+    elif ref.rows < 0:
+        msg = f"{where(ref)}: the header does not say how many rows follow ('ITEM: NUMBER OF ...')"
+    elif not columns:
+        msg = f"{where(ref)}: 'ITEM: {label}' names no columns"
+    elif twice:
+        msg = f"{where(ref)}: columns {twice} occur twice; name them apart, as with dump_modify colname"
+    else:
+        return
+    raise SceneError(msg)
 
 
-def _box(scanner: Scanner, path: str, flags: Sequence[str]) -> dict[str, object]:
+def _box(ref: StepRef, scanner: Scanner, item: str) -> StepRef:
+    flags = item.split()[2:]
     lines = [scanner.line().decode("utf-8", "replace").split() for _ in COMPONENTS]
     if {"xy", "abc"} & set(flags) or any(len(line) > 2 for line in lines):
         msg = (
-            f"{path}: the box is triclinic ('BOX BOUNDS {' '.join(flags)}'), and only boxes with edges along x, y, z "
-            "are supported; where its tilt is zero throughout, write it anew with 'change_box all ortho'"
+            f"{ref.path}: the box is triclinic ('{item}'), and only boxes with edges along x, y and z are "
+            "supported; where the tilt is zero throughout, write the files anew after 'change_box all ortho'"
         )
         raise SceneError(msg)
     try:
         edges = tuple((float(low), float(high)) for low, high in lines)
     except ValueError:
-        msg = f"{path}: 'ITEM: BOX BOUNDS' is followed by {lines}, expected three lines of two numbers"
+        msg = f"{ref.path}: {lines} follow 'ITEM: BOX BOUNDS', expected three lines of two numbers"
         raise SceneError(msg) from None
     if len(flags) != len(COMPONENTS):
-        return {"box": edges}  # old files do not say
+        return replace(ref, box=edges)  # old files do not say what is periodic
     periodic = "".join(axis for axis, flag in zip(COMPONENTS, flags, strict=True) if flag == "pp")
-    return {"box": edges, "periodic": periodic}
+    return replace(ref, box=edges, periodic=periodic)

@@ -66,7 +66,8 @@ class ReadOptions:
         From names in the file to names of the scene, beside or over the engine's own. ``None`` as the target
         drops a column.
     extra : mapping
-        Options of one engine only.
+        Options of one engine only, and ``missing`` ("raise" or "skip"): what to do about files that do not
+        exist.
     """
 
     names: Mapping[str, str | None] = field(default_factory=dict)
@@ -76,10 +77,13 @@ class ReadOptions:
 class Engine(Protocol):
     """The functions of a reader module.
 
-    A module may define more: ``OPTIONS``, the names of its own options (others are then refused);
-    ``contact_variables(ref, options)``, the names that `read_contacts` will return, told from the header alone
-    (without it, `xcg.open_scene` reads one frame of contacts); and ``index_walls(paths, options)`` where contacts
-    with walls stand in files of their own, whose steps `read_contacts` reads too.
+    A module may define more:
+
+    - ``OPTIONS``, the names of its own options; others are then refused;
+    - ``contact_variables(ref, options)``, the names that `read_contacts` will return, told from the header
+      alone; without it, `xcg.open_scene` reads one frame of contacts;
+    - ``index_walls(paths, options)``, where contacts with walls stand in files of their own; `read_contacts`
+      reads these, too.
     """
 
     def recognises(self, path: str) -> bool:

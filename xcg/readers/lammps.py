@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 
-from xcg.readers import dump
+from xcg.readers import columns, dump
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.text import where
 from xcg.scene import Frame, SceneWarning
@@ -21,33 +21,42 @@ def recognises(path: str) -> bool:
 
 def index_particles(paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
     """List the steps of ``dump custom`` files."""
-    return dump.index_dumps(paths, options, atoms=True)
+    refs = dump.index_dumps(paths, options, atoms=True)
+    _particle_columns(refs[0], options)
+    return refs
 
 
 def index_contacts(paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
     """List the steps of ``dump local`` files."""
     refs = dump.index_dumps(paths, options, atoms=False)
-    if refs:
-        filled = dump.contact_slots(refs[0], dump.CONTACT_SLOTS, options)
-        if "normal_force_x" in filled and "tangential_force_x" not in filled:
-            msg = (
-                f"{where(refs[0])}: only normal forces were found ({filled['normal_force_x']}, ...), and they are "
-                "taken as the contact forces; map tangential ones with names={'column': 'tangential_force_x', ...}"
-            )
-            warnings.warn(msg, SceneWarning, stacklevel=3)
+    found = _contact_columns(refs[0], options)
+    if "normal_force_x" in found and "tangential_force_x" not in found:
+        msg = (
+            f"{where(refs[0])}: only normal forces ({found['normal_force_x']}, ...) were found, and they are "
+            "taken as the contact forces; map the others with names={'column': 'tangential_force_x', ...}"
+        )
+        warnings.warn(msg, SceneWarning, stacklevel=4)
     return refs
 
 
-def contact_variables(ref: StepRef, options: ReadOptions) -> tuple[str, ...]:
+def contact_variables(ref: StepRef, options: ReadOptions) -> list[str]:
     """Names of the variables that `read_contacts` returns."""
-    return dump.contact_names(dump.contact_slots(ref, dump.CONTACT_SLOTS, options))
+    return columns.contact_names(_contact_columns(ref, options))
 
 
 def read_particles(ref: StepRef, options: ReadOptions) -> Frame:
     """Parse the particles of one step."""
-    return dump.read_atoms(ref, options)
+    return columns.particles_from(ref, _particle_columns(ref, options))
 
 
 def read_contacts(ref: StepRef, options: ReadOptions) -> Frame:
     """Parse the contacts of one step."""
-    return dump.contacts_from(ref, dump.contact_slots(ref, dump.CONTACT_SLOTS, options))
+    return columns.contacts_from(ref, _contact_columns(ref, options))
+
+
+def _particle_columns(ref: StepRef, options: ReadOptions) -> dict[str, str]:
+    return columns.particle_columns(ref, columns.PARTICLE_SLOTS, options)
+
+
+def _contact_columns(ref: StepRef, options: ReadOptions) -> dict[str, str]:
+    return columns.contact_columns(ref, columns.CONTACT_SLOTS, options)

@@ -1,4 +1,4 @@
-"""The dask graph of a scene: one task parses the particles of a chunk, one its contacts, the rest picks variables."""
+"""The dask graph of a scene: one task parses the particles of a chunk, one its contacts, others pick."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import operator
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, cast
 
 import dask.array as da
@@ -43,6 +44,17 @@ class Step:
     time: float | None = None
 
 
+def read_step(engine: str, options: ReadOptions, ref: StepRef, *, contacts: bool = False) -> Frame:
+    """Parse one body in the file's units."""
+    size = os.path.getsize(ref.path) if os.path.exists(ref.path) else None
+    if ref.size and size != ref.size:
+        now = "is gone" if size is None else f"has {size} bytes"
+        msg = f"{where(ref)}: the file {now}, but had {ref.size} when the scene was opened; open it again"
+        raise SceneError(msg)
+    reader = load_engine(engine)
+    return reader.read_contacts(ref, options) if contacts else reader.read_particles(ref, options)
+
+
 @dataclass(frozen=True)
 class Source:
     """All that reading a step needs besides the step; it travels to the workers.
@@ -57,21 +69,9 @@ class Source:
 
     engine: str
     options: ReadOptions
-    setup: Setup = Setup()
-    frozen: tuple[int, ...] | None = None
-    allow_unknown: bool = False
-
-    def read(self, ref: StepRef, *, contacts: bool = False) -> Frame:
-        """Parse one body in the file's units."""
-        size = os.path.getsize(ref.path) if os.path.exists(ref.path) else None
-        if ref.size and size != ref.size:
-            now = "is gone" if size is None else f"has {size} bytes now, and had {ref.size}"
-            msg = f"{where(ref)}: the file {now} when the scene was opened; open it again"
-            raise SceneError(msg)
-        engine = load_engine(self.engine)
-        return (
-            engine.read_contacts(ref, self.options) if contacts else engine.read_particles(ref, self.options)
-        )
+    setup: Setup
+    frozen: tuple[int, ...] | None
+    allow_unknown: bool
 
     def complete(self, frame: Frame, ref: StepRef) -> Frame:
         """Check and complete the particles of one step."""
@@ -85,20 +85,16 @@ class Source:
     def contacts(
         self, refs: Sequence[StepRef], names: Sequence[str], particles: Frame, box: NDArray | None
     ) -> Frame:
-        """Read, check and complete the contacts of one step."""
-        parts = [
-            complete_contacts(
-                self.read(ref, contacts=True),
-                particles,
-                box,
-                self.setup,
-                where(ref),
-                allow_unknown=self.allow_unknown,
+        """Read, check and complete the contacts of one step, from all its files."""
+        parts = []
+        for ref in refs:
+            raw = read_step(self.engine, self.options, ref, contacts=True)
+            parts.append(
+                complete_contacts(
+                    raw, particles, box, self.setup, where(ref), allow_unknown=self.allow_unknown
+                )
             )
-            for ref in refs
-        ]
-        for ref, part in zip(refs, parts, strict=True):
-            _require(part, names, ref)
+            _require(parts[-1], names, ref)
         return {name: np.concatenate([part[name] for part in parts]) for name in names}
 
 
@@ -113,7 +109,8 @@ def read_particle_chunk(source: Source, steps: Sequence[Step], names: Sequence[s
     """Particles of the steps of a chunk, padded."""
     frames = []
     for step in steps:
-        frames.append(source.complete(source.read(step.particles), step.particles))
+        raw = read_step(source.engine, source.options, step.particles)
+        frames.append(source.complete(raw, step.particles))
         _require(frames[-1], names, step.particles)
     return stack(frames, names, rows)
 
@@ -156,40 +153,29 @@ def lazy_arrays(
     starts = range(0, len(steps), steps_per_chunk)
     parts = [slice(start, min(start + steps_per_chunk, len(steps))) for start in starts]
     sizes = tuple(part.stop - part.start for part in parts)
-    paths = {ref.path for step in steps for ref in (step.particles, *step.contacts)}
-    modified = sorted((path, os.stat(path).st_mtime_ns) for path in paths)
-    token = tokenize(
-        source, list(steps), boxes, dict(particle_types), list(contact_names), steps_per_chunk, modified
-    )
+    paths = sorted({ref.path for step in steps for ref in (step.particles, *step.contacts)})
+    modified = [os.stat(path).st_mtime_ns for path in paths]
+    token = tokenize(source, steps, modified, boxes, dict(particle_types), contact_names, steps_per_chunk)
 
-    names = tuple(particle_types)
-    rows = max(step.particles.rows for step in steps)
-    particles = f"read-particles-{token}"
-    graph = HighLevelGraph.from_collections(
-        particles,
-        {
-            (particles, k): (read_particle_chunk, source, list(steps[part]), list(names), rows)
-            for k, part in enumerate(parts)
-        },
-    )
-    arrays = {
-        name: _pick(graph, particles, name, dtype, rows, sizes) for name, dtype in particle_types.items()
+    layer, rows = f"read-particles-{token}", max(step.particles.rows for step in steps)
+    tasks: dict[Any, Any] = {}
+    for k, part in enumerate(parts):
+        tasks[layer, k] = (partial(read_particle_chunk, source, steps[part], list(particle_types), rows),)
+    graph = HighLevelGraph({layer: tasks}, {layer: set()})
+    arrays = {name: _pick(graph, layer, name, dtype, rows, sizes) for name, dtype in particle_types.items()}
+    if not contact_names:
+        return arrays
+
+    particles, layer = layer, f"read-contacts-{token}"
+    rows, tasks = max(sum(ref.rows for ref in step.contacts) for step in steps), {}
+    for k, part in enumerate(parts):
+        edges = None if boxes is None else boxes[part]
+        task = partial(read_contact_chunk, source, steps[part], list(contact_names), rows, edges)
+        tasks[layer, k] = (task, (particles, k))
+    graph = HighLevelGraph({**graph.layers, layer: tasks}, {**graph.dependencies, layer: {particles}})
+    return arrays | {
+        name: _pick(graph, layer, name, variable(name).dtype, rows, sizes) for name in contact_names
     }
-    if contact_names:
-        rows = max(sum(ref.rows for ref in step.contacts) for step in steps)
-        contacts = f"read-contacts-{token}"
-        layer = {}
-        for k, part in enumerate(parts):
-            edges = None if boxes is None else boxes[part]
-            arguments = (source, list(steps[part]), list(contact_names), rows, edges, (particles, k))
-            layer[contacts, k] = (read_contact_chunk, *arguments)
-        graph = HighLevelGraph(
-            {**graph.layers, contacts: layer}, {**graph.dependencies, contacts: {particles}}
-        )
-        arrays |= {
-            name: _pick(graph, contacts, name, variable(name).dtype, rows, sizes) for name in contact_names
-        }
-    return arrays
 
 
 def _pick(

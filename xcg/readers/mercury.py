@@ -1,28 +1,39 @@
-"""MercuryDPM: ``.data`` (particles), ``.fstat`` (contacts) and the head of ``.restart`` (densities, gravity).
+"""MercuryDPM: ``.data`` (particles), ``.fstat`` (contacts), and the head of ``.restart`` (density, gravity).
 
-Particles are numbered by their row in ``.data``, from 0, as ``.fstat`` does. A pair stands in ``.fstat`` twice or
-once; of two rows the one with i < j is read, the other has fewer digits.
+Particles are numbered by their row in ``.data``, from 0, as ``.fstat`` does. A pair stands in ``.fstat`` once
+or twice; of two rows, the one with i < j is read, as the other has fewer digits.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.readers import columns
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.text import Scanner, first_lines, open_binary, parse_table, read_body, where
 from xcg.scene import COMPONENTS, Frame, SceneError
 
 OPTIONS = ("restart",)
 
-_ROW_3D = ("x", "y", "z", "vx", "vy", "vz", "radius", "alpha", "beta", "gamma", "omx", "omy", "omz", "species")
+_ROW_3D = (
+    "x", "y", "z", "vx", "vy", "vz", "radius", "alpha", "beta", "gamma", "omx", "omy", "omz", "species",
+)  # fmt: skip
 _ROW_2D = ("x", "y", "vx", "vy", "radius", "alpha", "om", "species")
-_CONTACT = ("t", "i", "j", "cx", "cy", "cz", "delta", "ctheta", "fn", "ft", "nx", "ny", "nz", "tx", "ty", "tz")
-_EXTRA_HINT = "names= maps a column to another variable of particles, such as {'omx': 'spin_x'}"
+_CONTACT = (
+    "t", "i", "j", "cx", "cy", "cz", "delta", "ctheta", "fn", "ft", "nx", "ny", "nz", "tx", "ty", "tz",
+)  # fmt: skip
+_SLOTS: columns.Slots = {
+    slot: ("species",) if slot == "species" else found
+    for slot, found in columns.PARTICLE_SLOTS.items()
+    if slot != "particle_id"  # the row is the id
+}
 
 
 def recognises(path: str) -> bool:
@@ -30,79 +41,205 @@ def recognises(path: str) -> bool:
     name = os.path.basename(path)
     lines = first_lines(path)
     if ".fstat" in name:
-        return len(lines) > 2 and all(line.startswith("#") for line in lines[:3])
-    return ".data" in name and bool(lines) and _numbers(lines[0]) is not None
+        return len(lines) >= 3 and all(line.startswith("#") for line in lines[:3])
+    return ".data" in name and bool(lines) and _header(lines[0]) is not None
 
 
-# --- index -----------------------------------------------------------------------------------------------
+# --- particles -------------------------------------------------------------------------------------------
 
 
 def index_particles(paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
-    """List the steps in ``.data`` files, numbered from 0 over all files."""
-    refs = []
+    """List the steps of ``.data`` files, numbered from 0 over all files."""
+    refs: list[StepRef] = []
     for path in paths:
-        restart = _read_restart(path, options)
+        restart = read_restart(path, options)
         for ref in _data_steps(path):
-            if restart is not None:
-                ref = replace(ref, periodic=restart.periodic, gravity=restart.gravity)
-            refs.append(ref)
-    return [replace(ref, step=k) for k, ref in enumerate(refs)]
+            refs.append(
+                replace(ref, step=len(refs), periodic=restart.periodic, gravity=restart.gravity)
+                if restart
+                else replace(ref, step=len(refs))
+            )
+    return refs
 
 
 def _data_steps(path: str) -> Iterator[StepRef]:
-    size = os.path.getsize(path)
     with open_binary(path) as stream:
         scanner = Scanner(stream)
         while line := scanner.line():
             if not line.strip():
                 continue
-            header = _numbers(line.decode("utf-8", "replace"))
+            header = _header(line.decode("utf-8", "replace"))
             if header is None:
                 msg = (
-                    f"{path}: expected a header 'N t xmin ymin zmin xmax ymax zmax' (2D: without z) before byte "
-                    f"{scanner.offset}, found {line[:60]!r}"
+                    f"{path}: expected a header 'N t xmin ymin zmin xmax ymax zmax' (2D: without z) before "
+                    f"byte {scanner.offset}, found {line[:60]!r}"
                 )
                 raise SceneError(msg)
             rows, time, *edges = header
             axes = len(edges) // 2
+            box = [*zip(edges[:axes], edges[axes:], strict=True), (-np.inf, np.inf)][:3]
             start = scanner.offset
             for _ in range(int(rows)):
                 scanner.line()
             yield StepRef(
                 path,
                 int(rows),
-                time=time,
-                box=tuple(
-                    (edges[k], edges[axes + k]) if k < axes else (-np.inf, np.inf) for k in range(3)
-                ),
+                time,
+                box=tuple(box),
                 columns=_ROW_3D if axes == 3 else _ROW_2D,
                 offset=start,
                 length=scanner.offset - start,
-                size=size,
+                size=os.path.getsize(path),
             )
 
 
-def _numbers(line: str) -> list[float] | None:
+def _header(line: str) -> list[float] | None:
     try:
         values = [float(token) for token in line.split()]
     except ValueError:
         return None
-    return values if len(values) in (6, 8) and values[0] >= 0 and values[0] == int(values[0]) else None
+    return values if len(values) in (6, 8) and values[0] >= 0 and values[0].is_integer() else None
+
+
+def read_particles(ref: StepRef, options: ReadOptions) -> Frame:
+    """Parse the particles of one step; the restart file knows the density of each species."""
+    frame = columns.particles_from(ref, columns.particle_columns(ref, _SLOTS, options))
+    restart = read_restart(ref.path, options)
+    if restart and restart.density and "species" in frame and not {"density", "mass"} & set(frame):
+        unknown = set(np.unique(frame["species"])) - set(restart.density)
+        if unknown:
+            msg = (
+                f"{where(ref)}: species {int(min(unknown))} is not in {restart.path}, which knows "
+                f"{sorted(restart.density)}; name the restart file of this run with restart="
+            )
+            raise SceneError(msg)
+        kinds, kind = np.unique(frame["species"], return_inverse=True)
+        frame["density"] = np.array([restart.density[k] for k in kinds])[kind]
+    return frame
+
+
+# --- contacts --------------------------------------------------------------------------------------------
 
 
 def index_contacts(paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
-    """List the steps in ``.fstat`` files; as nothing tells their numbers of rows, ids are read for it."""
+    """List the steps of ``.fstat`` files; as no header counts the rows, ids are read to count them."""
     refs: list[StepRef] = []
     for path in paths:
         size = os.path.getsize(path)
         with open_binary(path) as stream:
             scanner = Scanner(stream)
-            while comments := [line for line in _comments(scanner)]:
-                time = _time(comments, path)
+            while time := _comments(scanner, path):
                 start = scanner.offset
                 body = b"".join(scanner.until(b"#"))
                 ref = StepRef(
-                    path, 0, time, len(refs), columns=_CONTACT, offset=start, length=len(body), size=size
+                    path, 0, float(time), len(refs), columns=_CONTACT, offset=start, length=len(body)
                 )
-                refs.append(replace(ref, rows=int(_kept(ref, body).sum())))
+                ids = parse_table(body, _CONTACT, ("i", "j"), None, where(ref))
+                refs.append(replace(ref, rows=int(_once(ids["i"], ids["j"]).sum()), size=size))
     return refs
+
+
+def _comments(scanner: Scanner, path: str) -> str:
+    """Time in the three comment lines before a step, "" at the end of the file."""
+    lines = [scanner.line().decode("utf-8", "replace") for _ in range(3)]
+    if not any(lines):
+        return ""
+    words = lines[0].removeprefix("#").split()
+    if not all(line.startswith("#") for line in lines) or not words or not _is_float(words[0]):
+        msg = f"{path}: expected three lines with '#' and the time in the first, found {lines[0][:60]!r}"
+        raise SceneError(msg)
+    return words[0]
+
+
+def _is_float(word: str) -> bool:
+    try:
+        return np.isfinite(float(word)).item()
+    except ValueError:
+        return False
+
+
+def _once(i: NDArray, j: NDArray) -> NDArray:
+    """Rows to keep: those with i < j, with walls, and mirrored ones whose pair is not among the first."""
+    keep = (i < j) | (j < 0)
+    if not keep.all():
+        pair = np.minimum(i, j) * (max(i.max(), j.max()) + 1) + np.maximum(i, j)
+        keep[~keep] = ~np.isin(pair[~keep], pair[keep & (j >= 0)])
+    return keep
+
+
+def contact_variables(ref: StepRef, options: ReadOptions) -> list[str]:
+    """Names of the variables that `read_contacts` returns."""
+    return ["contact_i", "contact_j", "contact_force", "contact_point", "contact_normal", "overlap"]
+
+
+def read_contacts(ref: StepRef, options: ReadOptions) -> Frame:
+    """Parse the contacts of one step; walls keep their negative numbers.
+
+    Between particles n points from j to i and the force on i is ``fn n + ft t``; at walls n and t point the
+    other way.
+    """
+    rows = parse_table(read_body(ref), _CONTACT, _CONTACT[1:], None, where(ref))
+    keep = _once(rows["i"], rows["j"])
+    rows = {name: values[keep] for name, values in rows.items()}
+    sign = np.where(rows["j"] < 0, -1.0, 1.0)[:, None]
+    normal, tangent, point = (
+        np.stack([rows[f"{letter}{axis}"] for axis in COMPONENTS], axis=1) for letter in "ntc"
+    )
+    return {
+        "contact_i": rows["i"],
+        "contact_j": rows["j"],
+        "contact_force": sign * (rows["fn"][:, None] * normal + rows["ft"][:, None] * tangent),
+        "contact_point": point,
+        "contact_normal": sign * normal,
+        "overlap": rows["delta"],
+    }
+
+
+# --- the restart file ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Restart:
+    """What the head of a restart file says of the whole run."""
+
+    path: str
+    gravity: tuple[float, float, float] | None = None
+    periodic: str = ""
+    density: Mapping[float, float] = field(default_factory=dict)
+
+
+def read_restart(data: str, options: ReadOptions) -> Restart | None:
+    """Read the restart file that the caller names, or that stands beside a ``.data`` file.
+
+    Only its head, down to the particles, is read.
+    """
+    given = options.extra.get("restart")
+    path = str(given) if given else re.sub(r"\.data\b.*$", ".restart", data)
+    if given is None and not Path(path).is_file():
+        return None
+    restart, density, periodic = Restart(path), {}, set()
+    with open_binary(path) as stream:
+        for raw in stream:
+            words = raw.decode("utf-8", "replace").split()
+            if words[:1] == ["Particles"]:
+                break
+            if "gravity" in words:
+                x, y, z = _vector_after(words, "gravity", path)
+                restart = replace(restart, gravity=(x, y, z))
+            if words and words[0].endswith("Species") and {"id", "density"} <= set(words):
+                number, value = (float(words[words.index(word) + 1]) for word in ("id", "density"))
+                density[number] = value
+            if words and words[0] == "PeriodicBoundary":
+                normal = _vector_after(words, "normal", path)
+                periodic |= {axis for axis, n in zip(COMPONENTS, normal, strict=True) if n}
+    return replace(restart, density=density, periodic="".join(sorted(periodic)))
+
+
+def _vector_after(words: Sequence[str], word: str, path: str) -> list[float]:
+    start = words.index(word) + 1 if word in words else len(words)
+    try:
+        x, y, z = map(float, words[start : start + 3])
+    except ValueError:
+        msg = f"{path}: expected three numbers after {word!r} in {' '.join(words[:12])!r}"
+        raise SceneError(msg) from None
+    return [x, y, z]

@@ -46,7 +46,8 @@ def _expand(path: str, argument: str) -> list[str]:
     if os.path.isfile(path):
         return [path]
     if os.path.isdir(path):
-        msg = f"{argument}={path!r} is a folder; give the files in it, for example {os.path.join(path, '*.dump')!r}"
+        pattern = os.path.join(path, "*.dump")
+        msg = f"{argument}={path!r} is a folder; give the files in it, for example {pattern!r}"
         raise FileNotFoundError(msg)
     if glob.has_magic(path):
         files = [file for file in glob.glob(path, recursive=True) if os.path.isfile(file)]

@@ -14,11 +14,22 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from xcg.readers.engine import Engine, ReadOptions, StepRef
-from xcg.readers.lazy import Source, Step, lazy_arrays, load_engine
+from xcg.readers.lazy import Source, Step, lazy_arrays, load_engine, read_step
 from xcg.readers.paths import PathLike, expand_paths
 from xcg.readers.text import where
-from xcg.scene import BOX, COMPONENTS, Frame, SceneError, SceneWarning, Setup, box_array
-from xcg.scene import measure_frames, periods, to_dataset
+from xcg.scene import (
+    BOX,
+    COMPONENTS,
+    VARIABLES,
+    Frame,
+    SceneError,
+    SceneWarning,
+    Setup,
+    box_array,
+    measure_frames,
+    periods,
+    to_dataset,
+)
 
 ENGINES = ("lammps", "liggghts", "mercury", "mfix")
 
@@ -73,8 +84,8 @@ def open_scene(
     engine : {"lammps", "liggghts", "mercury", "mfix"}, optional
         What wrote the files; guessed from their first lines by default.
     names : mapping, optional
-        From columns in the files to variables of the scene, beside and before what the engine knows by itself;
-        None drops a column. Components are single names: ``position_x``, ``velocity_x``, ``contact_force_x``,
+        From columns in the files to variables of the scene, before what the engine knows by itself; None
+        drops a column. Components are single names: ``position_x``, ``velocity_x``, ``contact_force_x``,
         ``contact_point_x``, ``contact_normal_x``, and so on for y and z. Further names are
 
         - ``particle_id``, ``species``, ``body_id``, ``frozen``, ``coordination_number``, ``diameter`` or
@@ -104,22 +115,22 @@ def open_scene(
     allow_unknown : bool
         Take contacts with ids that are not among the particles as contacts with a wall.
     missing : {"raise", "skip"}
-        What to do with steps of particles without a step of contacts: raise an error that lists them, or leave
-        them out with a warning.
+        What to do about steps of particles without a step of contacts: raise an error that lists them, or
+        leave them out with a warning. (A step without any contact has a file, too: one with no rows.)
     chunks : int
         Steps in a chunk; -1 for all in one.
     **engine_options
-        Of one engine only. LAMMPS and LIGGGHTS: ``timestep``, the time between two steps of the simulation, for
-        files without ``ITEM: TIME``. MercuryDPM: ``restart``, the restart file with gravity, periodic boundaries
-        and densities (by default the one beside the ``.data`` file).
+        Of one engine only. LAMMPS and LIGGGHTS: ``timestep``, the time between two steps of the simulation,
+        for files without ``ITEM: TIME``. MercuryDPM: ``restart``, the restart file with gravity, periodic
+        boundaries and densities (by default the one beside the ``.data`` file).
 
     Returns
     -------
     xarray.Dataset
         The scene, with dask arrays: ``position`` and ``velocity`` (time, particle, component) in m and m s-1,
         ``diameter``, ``mass``, ... (time, particle), ``contact_force`` and ``contact_point`` (time, contact,
-        component) in N and m, ... Rows fill a prefix, sorted by id; the rest is padding (``particle_id == -1``,
-        ``contact_i == -1``, NaN). ``box`` (time, component, bound) is in memory.
+        component) in N and m, ... Rows fill a prefix, particles sorted by id; the rest is padding
+        (``particle_id == -1``, ``contact_i == -1``, NaN). ``box`` (time, component, bound) is in memory.
 
     Raises
     ------
@@ -136,11 +147,14 @@ def open_scene(
 
     Notes
     -----
-    Particles and contacts are paired by time where both kinds of file hold it, else by step number. Contacts of
-    steps without particles are left out with a warning.
+    Particles and contacts are paired by time where both kinds of file hold it, else by step number. Contacts
+    of steps without particles are left out with a warning.
 
-    Where neither files, `times` nor ``timestep`` tell the time, the coordinate ``time`` is the step number, and
-    its ``long_name`` says so.
+    Where neither files, `times` nor ``timestep`` tell the time, the coordinate ``time`` is the step number,
+    and its ``long_name`` says so.
+
+    Values in the files come before `density`, and box, periodicity, units and gravity given here before those
+    in the files.
 
     Examples
     --------
@@ -150,67 +164,64 @@ def open_scene(
     ... )  # doctest: +SKIP
     >>> ds = xcg.open_scene("run.data", contacts="run.fstat", engine="mercury")  # doctest: +SKIP
     >>> ds = xcg.open_scene(
-    ...     "p.dump", contacts="c.dump", names={"c_1[1]": "contact_i", "c_1[2]": "contact_j", "c_nc": "coordination_number"}
+    ...     "particles.dump", contacts="contacts.dump",
+    ...     names={"c_nc": "coordination_number", "c_1[1]": "contact_i", "c_1[2]": "contact_j"},
     ... )  # doctest: +SKIP
     """
     if missing not in ("raise", "skip"):
         msg = f"missing={missing!r}: expected 'raise' or 'skip'"
         raise SceneError(msg)
-    files = {
-        argument: expand_paths(paths, argument)
-        for argument, paths in (("particles", particles), ("contacts", contacts), ("walls", walls))
-        if paths is not None
-    }
-    name = engine or _guess_engine(files)
-    reader = _engine(name)
-    options = ReadOptions(dict(names or {}), engine_options)
-    _check_options(reader, name, options)
-    indexed = _index(reader, name, files, options)
-    _check_names(indexed, options)
+    kinds = {"particles": particles, "contacts": contacts, "walls": walls}
+    files = {kind: expand_paths(paths, kind) for kind, paths in kinds.items() if paths is not None}
+    engine = engine or _guess_engine(files)
+    reader = _checked_engine(engine, engine_options)
+    options = ReadOptions(dict(names or {}), {**engine_options, "missing": missing})
+    said = {"periodic": periodic, "units": units, "box": box, "time": times}
+    indexed = _index(reader, engine, files, options, [what for what, given in said.items() if given is None])
     steps = _pair(indexed, times, missing)
 
     first, last = steps[0].particles, steps[-1].particles
-    raw = {ref: Source(name, options).read(ref) for ref in dict.fromkeys((first, last))}
+    raw = {ref: read_step(engine, options, ref) for ref in dict.fromkeys((first, last))}
     flat = _flat_plane(list(raw.values()))
-    if dimension is None:
-        dimension = len(plane or flat or COMPONENTS)
+    dimension = dimension or len(plane or flat or COMPONENTS)
     if dimension == 2:
         plane = plane or flat or "xy"
     setup = Setup.make(
-        units=_units(indexed, units), gravity=gravity, dimension=dimension, plane=plane, thickness=thickness,
-        shape=shape, density=density, periodic=_periodic(first, plane) if periodic is None else periodic,
-    )  # fmt: skip
+        units=_units(indexed) if units is None else units,
+        gravity=gravity,
+        dimension=dimension,
+        plane=plane,
+        thickness=thickness,
+        shape=shape,
+        density=density,
+        periodic=_periodic(first, plane) if periodic is None else periodic,
+    )
     if gravity is None and first.gravity is not None:
         x, y, z = (g * setup.factor((1, 0, -2)) for g in first.gravity)
         setup = replace(setup, gravity=(x, y, z))
     edges = _boxes(steps, box, setup)
-    source = Source(name, options, setup, _species(frozen), allow_unknown)
+    source = Source(engine, options, setup, _frozen_species(frozen, raw), allow_unknown)
     ends = [source.complete(frame, ref) for ref, frame in raw.items()]
+    types = {name: ends[0][name].dtype for name in dict.fromkeys([*VARIABLES, *ends[0]]) if name in ends[0]}
+    contact_names = _contact_names(reader, source, steps[0])
+    arrays = lazy_arrays(source, steps, edges, types, contact_names, _steps_per_chunk(chunks, len(steps)))
+    numbers = [step.particles.step for step in steps]
+    clock = [step.time for step in steps if step.time is not None]
     scene = to_dataset(
-        lazy_arrays(
-            source, steps, edges, {key: values.dtype for key, values in ends[0].items()},
-            _contact_names(reader, source, steps[0]), _steps_per_chunk(chunks, len(steps)),
-        ),
-        time=[step.particles.step if step.time is None else step.time * setup.scales[2] for step in steps],
-        step=[step.particles.step for step in steps],
+        arrays,
+        time=np.array(clock) * setup.scales[2] if clock else numbers,
+        step=numbers,
         box=edges,
         setup=setup,
         measured=measure_frames(ends),
-    )  # fmt: skip
-    if steps[0].time is None:
-        unknown = "number of the time step, as the files hold no time (give timestep= or times=)"
-        scene["time"].attrs.update(units="1", long_name=unknown)
+    )
+    if not clock:
+        said_nothing = "number of the time step, as the files do not tell the time (give timestep= or times=)"
+        scene["time"].attrs.update(units="1", long_name=said_nothing)
     return scene
 
 
 # --- the engine and its options --------------------------------------------------------------------------
-
-
-def _engine(name: str) -> Engine:
-    if name not in ENGINES:
-        msg = f"engine={name!r}: expected one of {', '.join(ENGINES)}{_did_you_mean(name, ENGINES)}"
-        raise SceneError(msg)
-    return load_engine(name)
 
 
 def _did_you_mean(word: str, words: Iterable[str]) -> str:
@@ -221,81 +232,76 @@ def _did_you_mean(word: str, words: Iterable[str]) -> str:
 def _guess_engine(files: Mapping[str, Sequence[str]]) -> str:
     firsts = [paths[0] for paths in files.values()]
     for name in ENGINES:
-        engine = load_engine(name)
-        if all(engine.recognises(path) for path in firsts):
+        if all(load_engine(name).recognises(path) for path in firsts):
             return name
-    msg = (
-        f"no engine recognises {' together with '.join(map(repr, firsts))}; name one with engine=: {', '.join(ENGINES)}"
-    )
+    msg = f"no engine recognises {' with '.join(firsts)}; name one with engine=: {', '.join(ENGINES)}"
     raise SceneError(msg)
 
 
-def _check_options(reader: Engine, name: str, options: ReadOptions) -> None:
-    known = getattr(reader, "OPTIONS", options.extra)
-    unknown = [option for option in options.extra if option not in known]
-    if unknown:
-        words = [*inspect.signature(open_scene).parameters, *known]
-        msg = (
-            f"open_scene has no argument {unknown[0]!r}{_did_you_mean(unknown[0], words)} "
-            f"(options of the engine '{name}': {', '.join(known) or 'none'})"
-        )
+def _checked_engine(name: str, engine_options: Mapping[str, Any]) -> Engine:
+    if name not in ENGINES:
+        msg = f"engine={name!r}: expected one of {', '.join(ENGINES)}{_did_you_mean(name, ENGINES)}"
         raise SceneError(msg)
+    reader = load_engine(name)
+    known = getattr(reader, "OPTIONS", tuple(engine_options))
+    for option in engine_options:
+        if option not in known:
+            likely = _did_you_mean(option, [*inspect.signature(open_scene).parameters, *known])
+            msg = f"open_scene has no argument {option!r} for the engine '{name}'{likely}"
+            raise SceneError(msg)
+    return reader
 
 
 # --- the index: checks over a series ---------------------------------------------------------------------
 
 
 def _index(
-    reader: Engine, name: str, files: Mapping[str, Sequence[str]], options: ReadOptions
+    reader: Engine,
+    name: str,
+    files: Mapping[str, Sequence[str]],
+    options: ReadOptions,
+    from_headers: Sequence[str],
 ) -> dict[str, list[StepRef]]:
-    """Index each kind of file, and check that nothing changes along the way."""
+    """Index each kind of file, and check that nothing changes along the way.
+
+    `from_headers` tells which of periodic, units, box and time the headers decide, as the caller does not.
+    """
     if "walls" in files and not hasattr(reader, "index_walls"):
-        msg = f"walls=: files of the engine '{name}' hold contacts with walls among the others; give contacts= only"
+        msg = f"walls=: the engine '{name}' reads contacts with walls among the others; give contacts= only"
         raise SceneError(msg)
-    indexed = {}
+    indexed: dict[str, list[StepRef]] = {}
     for kind, paths in files.items():
         refs = getattr(reader, f"index_{kind}")(paths, options)
         if not refs:
             msg = f"{kind}: no step in {', '.join(paths[:3])}{', ...' if len(paths) > 3 else ''}"
             raise SceneError(msg)
+        same = [what for what in from_headers if kind == "particles" or what in ("units", "time")]
         for ref in refs[1:]:
-            _check_same(refs[0], ref)
+            _check_same(refs[0], ref, same)
         indexed[kind] = refs
+    columns = {column for refs in indexed.values() for column in refs[0].columns}
+    unknown = sorted(set(options.names) - columns)
+    if unknown and columns:
+        likely = _did_you_mean(unknown[0], columns)
+        msg = f"names={{{unknown[0]!r}: ...}}: not among the columns {' '.join(sorted(columns))}{likely}"
+        raise SceneError(msg)
     return indexed
 
 
-def _check_same(first: StepRef, ref: StepRef) -> None:
+def _check_same(first: StepRef, ref: StepRef, what: Sequence[str]) -> None:
     """Refuse a step that differs in kind from the first of its series; say all that differs."""
-    problems = []
-    if set(ref.columns) != set(first.columns):
-        lacks, adds = set(first.columns) - set(ref.columns), set(ref.columns) - set(first.columns)
-        problems += [f"column '{column}' is in the first only" for column in sorted(lacks)]
-        problems += [f"column '{column}' is in the second only" for column in sorted(adds)]
-    for what, one, other in (
-        ("periodic axes", first.periodic, ref.periodic),
-        ("unit system", first.units, ref.units),
-    ):
-        if one != other:
-            problems.append(f"the {what}: {one!r} became {other!r}")
-    for what, one, other in (("box", first.box, ref.box), ("time", first.time, ref.time)):
+    problems = [f"column '{name}' is in the first only" for name in first.columns if name not in ref.columns]
+    problems += [
+        f"column '{name}' is in the second only" for name in ref.columns if name not in first.columns
+    ]
+    for name in what:
+        one, other = getattr(first, name), getattr(ref, name)
         if (one is None) != (other is None):
-            problems.append(f"the {what} is in the {'second' if one is None else 'first'} only")
+            problems.append(f"the {name} is in the {'second' if one is None else 'first'} only")
+        elif name in ("periodic", "units") and one != other:
+            problems.append(f"{name}: {one!r} became {other!r} (the argument {name}= overrides both)")
     if problems:
-        msg = (
-            f"{where(first)} and {where(ref)} differ: {'; '.join(problems)}. A series must be of one kind: open "
-            "such files apart"
-        )
-        raise SceneError(msg)
-
-
-def _check_names(indexed: Mapping[str, Sequence[StepRef]], options: ReadOptions) -> None:
-    columns = {column for refs in indexed.values() for column in refs[0].columns}
-    unknown = [column for column in options.names if column not in columns]
-    if unknown and columns:
-        msg = (
-            f"names={{{unknown[0]!r}: ...}}: the files have no such column{_did_you_mean(unknown[0], columns)} "
-            f"(they have {', '.join(sorted(columns))})"
-        )
+        msg = f"{where(first)} and {where(ref)} do not make one series: {'; '.join(problems)}"
         raise SceneError(msg)
 
 
@@ -303,13 +309,15 @@ def _check_names(indexed: Mapping[str, Sequence[StepRef]], options: ReadOptions)
 
 
 def _pair(indexed: Mapping[str, list[StepRef]], times: ArrayLike | None, missing: str) -> list[Step]:
-    """Steps of particles in the order of time, each with its contacts."""
+    """Order the steps of particles by time, each with its contacts."""
     refs = indexed["particles"]
     known: list[float | None] = [ref.time for ref in refs]
     if times is not None:
         given = np.asarray(times, float)
         if given.shape != (len(refs),) or not np.isfinite(given).all():
-            msg = f"times has shape {given.shape}: expected {len(refs)} finite numbers, one for each step of the particles"
+            msg = (
+                f"times has shape {given.shape}: expected {len(refs)} finite numbers, one a step of particles"
+            )
             raise SceneError(msg)
         known = given.tolist()
     steps = _in_order([Step(ref, (), time) for ref, time in zip(refs, known, strict=True)], "particles")
@@ -320,17 +328,13 @@ def _pair(indexed: Mapping[str, list[StepRef]], times: ArrayLike | None, missing
 
 
 def _in_order(steps: list[Step], kind: str) -> list[Step]:
-    """Sort by time (by number where there is none) and drop all but the last of equal ones."""
+    """Sort by time (by number where there is none), and of equal ones keep the last."""
     unique: dict[float, Step] = {}
     for step in steps:
         key = step.particles.step if step.time is None else step.time
         if key in unique:
-            old, new = unique[key].particles, step.particles
-            msg = (
-                f"{kind}: {where(old)} and {where(new)} are of the same time, and the second is taken; if they are "
-                "not the same, give times="
-            )
-            warnings.warn(msg, SceneWarning, stacklevel=5)
+            old, new = where(unique[key].particles), where(step.particles)
+            _warn(f"{kind}: {old} is left out, as {new} is of the same time (if it is not, give times=)")
         unique[key] = step
     return [unique[key] for key in sorted(unique)]
 
@@ -340,25 +344,22 @@ def _join(steps: list[Step], kind: str, refs: list[StepRef], missing: str) -> li
     others = [step.particles for step in _in_order([Step(ref, (), ref.time) for ref in refs], kind)]
     timed = others[0].time is not None and steps[0].particles.time is not None
     partner = _same_time(steps, others) if timed else _same_number(steps, others)
-    unused = set(range(len(others))) - set(partner)
+    paired = [(step, row) for step, row in zip(steps, partner, strict=True) if row >= 0]
     lacking = [step.particles for step, row in zip(steps, partner, strict=True) if row < 0]
-    what = "time" if timed else "step number"
-    if lacking and (missing == "raise" or len(lacking) == len(steps)):
+    unused = [ref for row, ref in enumerate(others) if row not in partner]
+    if lacking and (missing == "raise" or not paired):
+        same = "time" if timed else "step number"
         msg = (
-            f"{kind}: none of the same {what} for {len(lacking)} of {len(steps)} steps of the particles "
-            f"({_some(lacking)}); {kind} there are: {_some(others)}. Give the files that are missing, or leave such "
+            f"{kind}: none of the same {same} for {len(lacking)} of {len(steps)} steps of the particles "
+            f"({_some(lacking)}); there are {_some(others)}. Give the files that are missing, or leave such "
             "steps out with missing='skip'"
         )
         raise SceneError(msg)
     if lacking:
         _warn(f"{len(lacking)} of {len(steps)} steps have no {kind} and are left out: {_some(lacking)}")
     if unused:
-        _warn(f"{len(unused)} steps of {kind} have no particles and are left out: {_some([others[k] for k in sorted(unused)])}")
-    return [
-        replace(step, contacts=(*step.contacts, others[row]))
-        for step, row in zip(steps, partner, strict=True)
-        if row >= 0
-    ]
+        _warn(f"{len(unused)} steps of {kind} have no particles and are left out: {_some(unused)}")
+    return [replace(step, contacts=(*step.contacts, others[row])) for step, row in paired]
 
 
 def _same_number(steps: Sequence[Step], others: Sequence[StepRef]) -> list[int]:
@@ -367,17 +368,16 @@ def _same_number(steps: Sequence[Step], others: Sequence[StepRef]) -> list[int]:
 
 
 def _same_time(steps: Sequence[Step], others: Sequence[StepRef]) -> list[int]:
-    """Rows of the contacts nearest in time, -1 where they are further than a thousandth of the interval."""
+    """Find the contacts nearest in time, -1 where they are further than a thousandth of the interval."""
     wanted = np.array([step.particles.time for step in steps], float)
     there = np.array([ref.time for ref in others], float)
-    interval = np.diff(np.unique(wanted)).min() if len(wanted) > 1 else abs(wanted[0])
+    far = 1e-3 * np.diff(np.sort(wanted)).min() if len(wanted) > 1 else 1e-6 * abs(wanted[0])
     nearest = [int(np.argmin(np.abs(there - time))) for time in wanted]
-    return [row if abs(there[row] - time) <= 1e-3 * interval else -1 for row, time in zip(nearest, wanted, strict=True)]
+    return [row if abs(there[row] - time) <= far else -1 for row, time in zip(nearest, wanted, strict=True)]
 
 
 def _some(refs: Sequence[StepRef]) -> str:
-    names = [where(ref) for ref in refs[:3]]
-    return ", ".join([*names, "..."] if len(refs) > 3 else names)
+    return ", ".join([*(where(ref) for ref in refs[:3]), *(["..."] if len(refs) > 3 else [])])
 
 
 def _warn(msg: str) -> None:
@@ -387,20 +387,17 @@ def _warn(msg: str) -> None:
 # --- what holds for the whole scene ----------------------------------------------------------------------
 
 
-def _units(
-    indexed: Mapping[str, Sequence[StepRef]], units: Mapping[str, float] | str | None
-) -> Mapping[str, float] | str | None:
-    """Units as the caller says, else as the headers do, else SI."""
-    if units is not None:
-        return units
-    named = {refs[0].units: refs[0] for refs in indexed.values() if refs[0].units is not None}
+def _units(indexed: Mapping[str, Sequence[StepRef]]) -> Mapping[str, float] | str | None:
+    """Units as the headers name them; SI where they do not."""
+    named = {refs[0].units: where(refs[0]) for refs in indexed.values() if refs[0].units is not None}
     if len(named) > 1:
-        msg = f"headers name different unit systems: {', '.join(f'{u!r} in {where(ref)}' for u, ref in named.items())}"
+        found = ", ".join(f"{system!r} in {name}" for system, name in named.items())
+        msg = f"headers name different unit systems ({found}); give the factors to SI with units="
         raise SceneError(msg)
-    for system, ref in named.items():
+    for system, name in named.items():
         if system not in UNIT_SYSTEMS:
             msg = (
-                f"{where(ref)}: the header names the unit system {system!r}, known are {', '.join(UNIT_SYSTEMS)}; "
+                f"{name}: the header names the unit system {system!r}, known are {', '.join(UNIT_SYSTEMS)}; "
                 "give the factors to SI, for example units={'length': 1e-10, 'mass': 1e-3, 'time': 1e-15}"
             )
             raise SceneError(msg)
@@ -413,7 +410,7 @@ def _flat_plane(frames: Sequence[Frame]) -> str | None:
     positions = [frame["position"] for frame in frames]
     if any(len(position) < 3 for position in positions):
         return None
-    extended = [k for k in range(3) if any((position[:, k] != position[0, k]).any() for position in positions)]
+    extended = [k for k in range(3) if any(np.ptp(position[:, k]) > 0 for position in positions)]
     return "".join(COMPONENTS[k] for k in extended) if len(extended) == 2 else None
 
 
@@ -424,33 +421,41 @@ def _periodic(ref: StepRef, plane: str | None) -> str:
 
 def _boxes(steps: Sequence[Step], box: Any, setup: Setup) -> NDArray | None:
     """Edges of the domain at each step, in the scene's units."""
-    if box is None:
-        if steps[0].particles.box is None:
-            edges = None
-        else:
-            edges = box_array([step.particles.box for step in steps], len(steps))
-    else:
-        edges = box_array(box, len(steps))
-    if edges is not None:
-        edges = edges * setup.factor(BOX.powers)
+    if box is None and steps[0].particles.box is not None:
+        box = [step.particles.box for step in steps]
+    edges = None if box is None else box_array(box, len(steps)) * setup.factor(BOX.powers)
     for t, step in enumerate(steps):
         periods(None if edges is None else edges[t], setup.periodic, where(step.particles))
     return edges
 
 
-def _species(frozen: int | Sequence[int] | None) -> tuple[int, ...] | None:
-    return None if frozen is None else tuple(int(species) for species in np.atleast_1d(frozen))
+def _frozen_species(
+    frozen: int | Sequence[int] | None, raw: Mapping[StepRef, Frame]
+) -> tuple[int, ...] | None:
+    if frozen is None:
+        return None
+    species = tuple(int(number) for number in np.atleast_1d(frozen))
+    there = np.unique(np.concatenate([frame.get("species", np.empty(0)) for frame in raw.values()]))
+    absent = sorted(set(species) - set(there.tolist()))
+    if absent:
+        found = ", ".join(str(int(number)) for number in there) or "none"
+        msg = f"frozen={frozen!r}: no particle is of species {absent[0]}; there are {found}"
+        raise SceneError(msg)
+    return species
 
 
 def _contact_names(reader: Engine, source: Source, step: Step) -> list[str]:
     """Variables that the contacts of all files have, told from headers where the engine can."""
     told = getattr(reader, "contact_variables", None)
-    names: list[str] = []
+    common: list[str] = []
     for ref in step.contacts:
-        found = told(ref, source.options) if told else source.read(ref, contacts=True)
-        here = list(dict.fromkeys([*found, "contact_point"]))
-        names = [name for name in names if name in here] if names else here
-    return names
+        found = (
+            told(ref, source.options)
+            if told
+            else read_step(source.engine, source.options, ref, contacts=True)
+        )
+        common = [name for name in common or [*found, "contact_point"] if name in {*found, "contact_point"}]
+    return [name for name in VARIABLES if name in common]
 
 
 def _steps_per_chunk(chunks: int, steps: int) -> int:

@@ -20,25 +20,26 @@ _FIRST_BLOCK, _BLOCK = 1 << 16, 1 << 22  # small first, as the header is often a
 
 def open_binary(path: str) -> BinaryIO:
     """Open a file for reading bytes, decompressed when it is gzipped (by its content, not its name)."""
-    stream = open(path, "rb")
-    if stream.peek(2)[:2] != b"\x1f\x8b":
-        return stream
-    stream.close()
-    return cast(BinaryIO, gzip.open(path, "rb"))
+    if _is_gzipped(path):
+        return cast(BinaryIO, gzip.open(path, "rb"))
+    return open(path, "rb")
+
+
+def _is_gzipped(path: str) -> bool:
+    with open(path, "rb") as file:
+        return file.read(2) == b"\x1f\x8b"
 
 
 def uncompressed_size(path: str) -> int:
-    """Size of the bytes that `open_binary` yields; of gzipped files modulo 4 GiB, and of the last member only."""
+    """Size of what `open_binary` yields (of a gzipped file modulo 4 GiB, and of its last member only)."""
+    if not _is_gzipped(path):
+        return os.path.getsize(path)
     with open(path, "rb") as file:
-        gzipped = file.read(2) == b"\x1f\x8b"
-        size = file.seek(0, os.SEEK_END)
-        if not gzipped:
-            return size
-        file.seek(max(size - 4, 0))
+        file.seek(-4, os.SEEK_END)
         return int.from_bytes(file.read(4), "little")
 
 
-def first_lines(path: str, size: int = 4096) -> list[str]:
+def first_lines(path: str, size: int = 1 << 16) -> list[str]:
     """Return the first lines of a file, to recognise it by; empty where it is not text."""
     with open_binary(path) as stream:
         head = stream.read(size)
@@ -78,7 +79,7 @@ class Scanner:
         return self._take(end + 1)
 
     def until(self, marker: bytes) -> Iterator[bytes]:
-        """Yield, in pieces, all up to the next line that begins with `marker` (called at the start of a line)."""
+        """Yield, in pieces, all from the start of a line to the next line that begins with `marker`."""
         while len(self._data) - self._at < len(marker) and self._more():
             pass
         if self._data.startswith(marker, self._at):
@@ -132,8 +133,8 @@ def parse_table(
     Raises
     ------
     SceneError
-        If rows are missing, too many, or too short or long, or a wanted value is not a number; the message names
-        the first such row, counted from 0.
+        If rows are missing, too many, or too short or long, or a wanted value is not a number; the message
+        names the first such row, counted from 0.
     """
     tokens = _count_tokens(body)
     if tokens == 0 and not rows:
@@ -149,7 +150,7 @@ def parse_table(
         msg = _fault(body, columns, wanted, rows, name) or f"{name}: cannot parse the table ({error})"
         raise SceneError(msg) from None
     # pandas fills rows that are too short with NaN, up to the last column, and cuts off what is too long.
-    suspect = table.isna().to_numpy().any() or not (len(table) * len(columns) == tokens)
+    suspect = table.isna().to_numpy().any() or len(table) * len(columns) != tokens
     if suspect or (rows is not None and len(table) != rows):
         fault = _fault(body, columns, wanted, rows, name)
         if fault:
@@ -183,8 +184,8 @@ def _fault(
                 return f"{name}: row {row} has {tokens[position]!r} in column '{column}', expected a number"
     if rows is not None and len(lines) < rows:
         return (
-            f"{name}: {len(lines)} rows, but the header says {rows}: row {len(lines)} is missing, as when the "
-            "program that wrote the file was stopped; write it anew, or leave the step out"
+            f"{name}: {len(lines)} rows, but the header says {rows}: row {len(lines)} is missing, as when "
+            "writing was stopped; write the file anew, or leave the step out"
         )
     if rows is not None and len(lines) > rows:
         return f"{name}: more rows than the {rows} that the header says; row {rows} is {lines[rows][:60]!r}"

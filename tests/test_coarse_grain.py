@@ -1,0 +1,368 @@
+"""All fields against brute force; laziness; schedulers; labels; errors."""
+
+import pickle
+
+import dask
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import xcg
+from tests.brute_force import BruteKernel, brute_force
+
+RATIOS = {"velocity", "particle_density", "coordination_number", "d32", "d43", "granular_temperature",
+          "friction_coefficient", "velocity_gradient", "shear_rate", "inertial_number"}  # fmt: skip
+
+
+def nodes_of(f):
+    """All nodes (n, 3), and values of a field of the first step (n, ...)."""
+    axes = [a for a in "xyz" if a in f.dims]
+    grids = np.meshgrid(*[f[a].values for a in axes], indexing="ij")
+    points = np.zeros((int(np.prod([f.sizes[a] for a in axes])), 3))
+    for k, a in enumerate("xyz"):
+        if a in axes:
+            points[:, k] = grids[axes.index(a)].ravel()
+        elif a in f.coords:
+            points[:, k] = float(f[a])
+
+    def values(name):
+        v = f[name].isel(time=0).values
+        return v.reshape(len(points), *v.shape[len(axes) :])
+
+    return points, values
+
+
+def assert_equals_brute_force(ds, kernel, width, *, nodes=12, tolerance=1e-12, dimension=3, scale=1.0, **options):
+    f = ds.cg.coarse_grain(kernel=kernel, width=width, rtol=0, **options)
+    points, values = nodes_of(f)
+    some = np.random.default_rng(1).permutation(len(points))[:nodes]
+    seen = "".join(a for a in "xyz" if a in f.coords)
+    truth = brute_force(ds, BruteKernel(kernel, width, dimension, len(seen)), points[some], seen, scale)
+    density, pressure = np.array(truth["density"]), np.array(truth["pressure"])
+    # a ratio of weights at the rim, or over a pressure that cancels, holds no digits in either computation
+    solid = (density == 0) | (density > 1e-6 * density.max(initial=0))
+    firm = np.abs(pressure) > 1e-9 * np.abs(pressure).max(initial=0)
+    force = np.abs(ds["contact_force"].values).max(initial=0) * np.array(truth["number_density"]).max(initial=0)
+    speed = np.abs(ds["velocity"].values).max(initial=0)
+    floors = {"contact_force_density": force, "granular_temperature": speed**2}
+    floors |= dict.fromkeys(["kinetic_stress", "stress", "deviatoric_stress"], speed**2 * density.max(initial=0))
+    for name, expected in truth.items():
+        keep = np.array([e is not None for e in expected])
+        keep &= solid if name in RATIOS else True
+        keep &= firm if name in ("friction_coefficient", "inertial_number") else True
+        if keep.any():
+            want = np.array([expected[i] for i in np.flatnonzero(keep)], float)
+            size = max(np.nanmax(np.abs(want), initial=0.0), floors.get(name, 0.0))
+            np.testing.assert_allclose(values(name)[some][keep], want, rtol=0, atol=tolerance * size, err_msg=name)
+    return f
+
+
+CASES = [
+    ("xyz", {}), ("xz", {}), ("xz", {"y": 1.0}), ("z", {}), ("z", {"x": 1.0, "y": 2.0}), ("x", {"y": 2.2}),
+    ("", {"x": 1.0, "y": 2.0, "z": 2.5}),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("kernel", ["lucy", "gaussian", "heaviside"])
+@pytest.mark.parametrize(("axes", "at"), CASES)
+def test_brute_force_3d(kernel, axes, at):
+    ds = xcg.datasets.random_scene(60, periodic="xy", seed=3)
+    averaged = 3 - len(axes) - len(at)
+    # 64 Gauss points leave 1e-11 of a quotient of marginals, which amplifies the error of its parts
+    tolerance = 1e-12 if averaged == 0 else 3e-11
+    assert_equals_brute_force(
+        ds, kernel, 0.8, axes=axes, at=at, spacing=1.3, scale=5.0**-averaged, tolerance=tolerance
+    )
+
+
+@pytest.mark.parametrize("kernel", ["lucy", "gaussian", "heaviside"])
+@pytest.mark.parametrize("axes", ["xy", "y"])
+def test_brute_force_2d(kernel, axes):
+    ds = xcg.datasets.random_scene(60, periodic="x", dimension=2, seed=4, thickness=0.5)
+    scale = 2.0 if axes == "xy" else 2.0 / 5.0
+    f = assert_equals_brute_force(
+        ds, kernel, 0.8, axes=axes, spacing=0.9, scale=scale, dimension=2, tolerance=1e-12 if axes == "xy" else 3e-11
+    )
+    assert f.attrs["kernel_dimension"] == 2
+
+
+def test_support_larger_than_the_box_counts_all_images():
+    ds = xcg.datasets.random_scene(20, periodic="xyz", seed=5, edge=1.5)
+    assert_equals_brute_force(ds, "lucy", 1.2, spacing=0.5, nodes=4)
+
+
+@settings(deadline=None, max_examples=25)
+@given(
+    particles=st.integers(0, 30),
+    seed=st.integers(0, 10_000),
+    periodic=st.sampled_from(["", "x", "yz", "xyz"]),
+    width=st.floats(0.2, 1.5),
+    polydispersity=st.floats(1.0, 20.0),
+    offset=st.sampled_from([0.0, 1e4]),
+)
+def test_brute_force_on_any_scene(particles, seed, periodic, width, polydispersity, offset):
+    ds = xcg.datasets.random_scene(
+        particles, seed=seed, periodic=periodic, polydispersity=polydispersity, edge=3.0
+    )
+    ds = ds.assign(position=ds.position + offset, contact_point=ds.contact_point + offset, box=ds.box + offset)
+    bounds = dict.fromkeys("xyz", (offset, offset + 3.0))
+    # coordinates of size 1e4 hold 12 digits of an offset
+    tolerance = 1e-11 if offset == 0 else 3e-9
+    assert_equals_brute_force(ds, "lucy", width, nodes=4, spacing=2 * width, bounds=bounds, tolerance=tolerance)
+
+
+def test_kernel_gradient_is_the_derivative_of_velocity():
+    ds = xcg.datasets.random_scene(200, seed=6)
+    h = 1e-4
+    for axes, fixed in (("x", {"y": 2.5, "z": 2.5}), ("x", {"z": 2.5}), ("x", {})):
+        options = {"axes": axes, "at": fixed, "bounds": {"x": (2.0 - 2 * h, 2.0 + 2 * h)}, "spacing": h, "width": 0.8}
+        f = ds.cg.coarse_grain(["velocity", "velocity_gradient"], gradient="kernel", **options)
+        v = f.velocity.isel(time=0).values
+        slope = (8 * (v[3] - v[1]) - (v[4] - v[0])) / (12 * h)
+        exact = f.velocity_gradient.isel(time=0, x=2).values
+        np.testing.assert_allclose(exact[:, 0], slope, rtol=1e-7, atol=1e-8)
+        averaged = [k for k, a in enumerate("xyz") if a not in axes and a not in fixed]
+        assert (exact[:, averaged] == 0).all()
+
+
+def test_kernel_gradient_refuses_heaviside_and_warns_of_gaussian():
+    ds = xcg.datasets.random_scene(20)
+    with pytest.raises(ValueError, match="Heaviside is not"):
+        ds.cg.coarse_grain("shear_rate", kernel="heaviside", gradient="kernel", width=1.0)
+    with pytest.warns(xcg.SceneWarning, match="jumps at its cutoff"):
+        ds.cg.coarse_grain("shear_rate", kernel="gaussian", gradient="kernel", width=1.0)
+
+
+# --- phases ----------------------------------------------------------------------------------------------
+
+
+def test_phases_add_up_and_each_is_its_own_sum():
+    ds = xcg.datasets.random_scene(150, seed=7)
+    f = ds.cg.coarse_grain(by="species", width=0.8)
+    assert f.phase.values.tolist() == ["bulk", "1", "2"]
+    whole = ds.cg.coarse_grain(width=0.8)
+    for name, row in xcg.FIELDS.items():
+        if not row.listed:
+            continue
+        bulk = f[name].sel(phase="bulk", drop=True)
+        assert f[name].dims[:5] == ("time", "x", "y", "z", "phase")
+        scale = np.abs(whole[name]).max().item() + 1e-300
+        if name not in ("friction_coefficient", "inertial_number"):
+            xr.testing.assert_allclose(bulk, whole[name], rtol=1e-9, atol=1e-9 * scale)
+        if row.additive:
+            parts = f[name].sel(phase=["1", "2"]).sum("phase", skipna=False)
+            np.testing.assert_allclose(parts.values, bulk.values, rtol=0, atol=1e-12 * scale, err_msg=name)
+    only = (ds.species == 1).values[0]
+    alone = ds.isel(particle=only).cg.coarse_grain(["density", "velocity", "d43"], width=0.8)
+    for name in alone:
+        xr.testing.assert_allclose(f[name].sel(phase="1", drop=True), alone[name], rtol=1e-12, atol=1e-12)
+
+
+def test_partial_fluctuations_are_about_the_bulk():
+    ds = xcg.datasets.random_scene(2000, seed=8)
+    moving = ds.velocity + xr.where(ds.species == 1, 10.0, 0.0)
+    f = ds.assign(velocity=moving.transpose(*ds.velocity.dims)).cg.coarse_grain(by="species", width=1.0)
+    v = f.velocity.sel(phase="1") - f.velocity.sel(phase="bulk")
+    assert float(v.mean()) == pytest.approx(5.0, rel=0.05)
+    # species move at +-5 about the mean in each direction: 25 + 1 in each component
+    assert float(f.granular_temperature.sel(phase="1").mean()) == pytest.approx(26.0, rel=0.05)
+
+
+def test_unknown_group_is_named():
+    ds = xcg.datasets.random_scene(20)
+    with pytest.raises(xcg.SceneError, match=r"species=2, which is not among\s+the groups"):
+        ds.cg.coarse_grain("density", by="species", groups=[1], width=1.0)
+    with pytest.raises(ValueError, match="integer variable"):
+        ds.cg.coarse_grain("density", by="mass", width=1.0)
+    with pytest.raises(ValueError, match="pass groups="):
+        ds.drop_attrs().assign_attrs(periodic="xyz", plane="xyz").chunk().cg.coarse_grain(
+            "density", by="species", width=1.0, bounds=dict.fromkeys("xyz", (0, 1))
+        )
+
+
+def test_frozen_grains_act_as_walls():
+    ds = xcg.datasets.random_scene(100, seed=9, periodic="xy", walls=False)
+    ds["frozen"] = (ds.species == 2).astype("int64")
+    f = ds.cg.coarse_grain(width=0.8)
+    free = ds.isel(particle=(ds.species == 1).values[0]).drop_vars("frozen").cg.coarse_grain(width=0.8)
+    xr.testing.assert_identical(f.drop_attrs(deep=False), free.drop_attrs(deep=False))
+    assert float(np.abs(f.wall_traction).max()) > 0
+
+
+# --- lazy ------------------------------------------------------------------------------------------------
+
+
+def test_nothing_computes_while_the_graph_is_built():
+    ds = xcg.datasets.random_scene(50).chunk(time=1)
+
+    def refuse(dsk, keys, **kwargs):
+        pytest.fail("computed while the graph was built")
+
+    with dask.config.set(scheduler=refuse):
+        f = ds.cg.coarse_grain(by="species", axes="z")
+        g = f.pressure.sel(phase="bulk").mean("z")
+    assert isinstance(g.data, dask.array.Array)
+
+
+def many_steps():
+    steps = [xcg.datasets.random_scene(40 + t, seed=t) for t in range(5)]
+    names = ["velocity", "diameter", "species", "contact_i", "contact_j", "contact_force", "contact_point"]
+    key = {"contact": "contact_i", "particle": "particle_id"}
+    rows = {n: [s[n].values[0][s[key[s[n].dims[1]]].values[0] >= 0] for s in steps] for n in names}
+    return xcg.scene_from_arrays(
+        [s.position.values[0] for s in steps], density=2500.0, box=[[0, 5.0]] * 3, periodic="xyz",
+        time=np.arange(5) * 0.1, **rows,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("scheduler", ["synchronous", "threads", "processes"])
+def test_lazy_equals_eager_under_every_scheduler(scheduler):
+    ds = many_steps()
+    eager = ds.cg.coarse_grain(width=0.8, spacing=1.0)
+    for chunk in (1, 2, 5):
+        f = ds.chunk(time=chunk).cg.coarse_grain(width=0.8, spacing=1.0)
+        assert f.density.chunks[0] == ds.chunk(time=chunk).position.chunks[0]
+        xr.testing.assert_equal(f.compute(scheduler=scheduler, num_workers=2), eager)
+
+
+def test_time_verbs_and_chunks_along_particles():
+    ds = many_steps()
+    whole = ds.cg.coarse_grain(["density", "contact_stress"], width=0.8)
+    chunked = ds.chunk(time=2, particle=7, contact=11)
+    part = chunked.isel(time=[3, 1]).cg.coarse_grain(["density", "contact_stress"], width=0.8)
+    xr.testing.assert_equal(part.compute(), whole.isel(time=[3, 1]))
+    np.testing.assert_allclose(part.time, [0.3, 0.1])
+    with pytest.raises(ValueError, match=r"isel\(time=\[3\]\)"):
+        ds.isel(time=3).cg.coarse_grain("density", width=0.8)
+
+
+def test_plan_pickles_and_explains():
+    ds = xcg.datasets.random_scene(20)
+    plan = ds.cg.explain(["pressure"], axes="z", rtol=1e-3)
+    assert str(pickle.loads(pickle.dumps(plan))) == str(plan)
+    text = str(plan)
+    assert "averaged  x (box), y (box)" in text
+    assert "Gauss points by branch length" in text
+    assert "contact_i" not in str(ds.cg.explain("density"))
+
+
+def test_sub_selection_of_particles_keeps_their_side():
+    """Contacts whose partner is gone count as contacts with a wall."""
+    ds = xcg.datasets.random_scene(80, seed=10)
+    half = ds.isel(particle=slice(0, 40)).cg.coarse_grain(["contact_stress", "wall_traction"], width=0.8)
+    rest = ds.isel(particle=slice(40, None)).cg.coarse_grain(["contact_stress", "wall_traction"], width=0.8)
+    whole = ds.cg.coarse_grain(["contact_stress"], width=0.8)
+    both = half.contact_stress + rest.contact_stress
+    np.testing.assert_allclose(both, whole.contact_stress, atol=1e-12 * float(whole.contact_stress.max()))
+    np.testing.assert_allclose(half.wall_traction, -rest.wall_traction, atol=1e-12)
+
+
+# --- labels and requests ---------------------------------------------------------------------------------
+
+
+def test_labels_and_provenance(tmp_path):
+    f = xcg.datasets.random_scene(20).cg.coarse_grain(width=0.8, axes="xz", at={"y": 1.0}, by="species")
+    assert f.stress.dims == ("time", "x", "z", "phase", "component", "direction")
+    assert f.stress.attrs["units"] == "Pa"
+    assert f.velocity_gradient.attrs["units"] == "s-1"
+    assert float(f.y) == 1.0
+    assert "coarse_grain(width=0.8" in f.attrs["history"]
+    f.to_netcdf(tmp_path / "f.nc")
+    with xr.open_dataset(tmp_path / "f.nc") as again:
+        xr.testing.assert_equal(again, f)
+    reduced = xcg.datasets.random_scene(20, units="reduced").cg.coarse_grain("stress", width=0.8)
+    assert reduced.stress.attrs["units"] == "1"
+
+
+def test_empty_nodes_are_nan_with_a_count_beside():
+    ds = xcg.scene_from_arrays([[0.0, 0, 0], [9.0, 0, 0]], velocity=np.ones((2, 3)), diameter=[1.0, 1.0], density=1.0)
+    f = ds.cg.coarse_grain(axes="x", at={"y": 0, "z": 0}, bounds={"x": (0, 9)}, spacing=4.5, width=1.2)
+    assert f.sample_count.values.tolist() == [[1, 0, 1]]
+    assert f.density.values[0, 1] == 0
+    for name in ("velocity", "granular_temperature", "d43", "particle_density"):
+        assert np.isnan(f[name].values[0, 1]).all(), name
+    # one grain has a velocity, but neither a gradient nor a temperature
+    assert (f.velocity.values[0, 0] == 1).all()
+    assert np.isnan(f.velocity_gradient.values[0, 0]).all()
+    assert np.isnan(f.granular_temperature.values[0, 0])
+
+
+def test_no_particles_at_all():
+    ds = xcg.datasets.random_scene(0)
+    f = ds.cg.coarse_grain(width=1.0)
+    assert float(f.density.sum()) == 0
+    assert float(f.stress.sum()) == 0
+    assert np.isnan(f.velocity).all()
+
+
+def test_fields_that_the_scene_allows_are_the_default():
+    ds = xcg.datasets.random_scene(20)
+    bare = ds.drop_vars([n for n in ds.data_vars if str(n).startswith("contact")] + ["velocity"])
+    f = bare.cg.coarse_grain(width=1.0)
+    assert "density" in f
+    assert "velocity" not in f
+    assert "contact_stress" not in f
+    with pytest.raises(xcg.SceneError, match="contact_force"):
+        bare.cg.coarse_grain("stress", width=1.0)
+
+
+def test_given_coordination_number_is_used():
+    ds = xcg.datasets.random_scene(30)
+    ds["coordination_number"] = xr.full_like(ds.mass, 7.0)
+    f = ds.cg.coarse_grain("coordination_number", width=1.0)
+    np.testing.assert_allclose(f.coordination_number.values[f.coordination_number.notnull()], 7.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"width": 0.0}, "width=0.0: expected a positive"),
+        ({"width": -1.0}, "expected a positive"),
+        ({"width": float("nan")}, "expected a positive"),
+        ({"width": "0.75 d44"}, "multiple of d43, d50"),
+        ({"fields": "densty"}, "unknown fields"),
+        ({"kernel": "cubic"}, "expected one of"),
+        ({"axes": "xq"}, "axes names"),
+        ({"axes": "z", "bounds": {"x": (0, 1)}}, "bounds are given for"),
+        ({"axes": "xz", "at": {"x": 0.0}}, "both name"),
+        ({"axes": "x", "spacing": -1.0}, "expected a positive distance"),
+        ({"axes": "x", "bounds": {"x": (1, 0)}}, "first <= last"),
+        ({"axes": "x", "extent": {"x": 1.0}}, "extent names"),
+        ({"gradient": "magic"}, "expected one of"),
+        ({"rtol": -1e-3}, "rtol=-0.001"),
+        ({"at": {"x": float("nan")}}, "one finite coordinate"),
+        ({"spacing": 1e-5}, "nodes, more than"),
+    ],
+)
+def test_bad_requests(options, message):
+    ds = xcg.datasets.random_scene(20)
+    with pytest.raises(ValueError, match=message):
+        ds.cg.coarse_grain(**options)
+
+
+def test_spacing_larger_than_the_support_warns():
+    with pytest.warns(xcg.SceneWarning, match="larger than the support"):
+        xcg.datasets.random_scene(20).cg.coarse_grain("density", width=0.1, spacing=1.0)
+
+
+def test_average_without_a_box_needs_an_extent():
+    ds = xcg.scene_from_arrays(np.eye(3), diameter=np.ones(3), density=1.0)
+    with pytest.raises(ValueError, match="extent="):
+        ds.cg.coarse_grain("density", axes="z")
+    f = ds.cg.coarse_grain("density", axes="z", extent={"x": 4.0, "y": 2.0}, spacing=0.05)
+    assert float(f.density.sum() * 0.05 * 8) == pytest.approx(float(ds.mass.sum()), rel=1e-6)
+
+
+def test_a_dataset_that_is_no_scene():
+    with pytest.raises(xcg.SceneError, match="open_scene"):
+        xr.Dataset({"a": 1.0}).cg.coarse_grain()
+
+
+def test_preferred_width_and_spacing():
+    f = xcg.datasets.random_scene(50).cg.coarse_grain("density", width="0.5 dmax")
+    assert f.attrs["width"] == pytest.approx(0.5 * float(xcg.datasets.random_scene(50).diameter.max()))
+    # periodic axes divide the period evenly
+    step = float(f.x[1] - f.x[0])
+    assert step * f.sizes["x"] == pytest.approx(5.0)

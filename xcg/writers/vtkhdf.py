@@ -1,0 +1,338 @@
+"""VTKHDF: results as one temporal image, for ParaView (5.12 and later) and ``vtkHDFReader``.
+
+The file holds what the reader was found to read back, not all that its description allows: axes with one node
+do not appear in the shape of arrays, and a file with a single step has no time axis either. Of a single step
+VTK does not report the time; it stands in ``Steps/Values`` all the same.
+"""
+
+from __future__ import annotations
+
+import os
+import uuid
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+AXES = ("x", "y", "z")
+_ON_DISK = ("time", "z", "y", "x", "component", "direction")  # x runs fastest among nodes
+_BLOCK = 1 << 22  # bytes of one compressed block on disk
+
+
+def to_vtkhdf(fields: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
+    """Write a result as one VTKHDF file, an image with time steps.
+
+    Scalars, vectors (``component``) and tensors (``component``, ``direction``) become point data with 1, 3
+    and 9 components, the latter row by row: xx, xy, xz, yx, ... A field with phases becomes one array a
+    phase: ``velocity`` for the bulk and ``velocity_phase_1`` for phase "1". Results with fewer axes become
+    images with one node along the others, at the coordinate given by ``at`` or at 0. Integers stay integers.
+    Attributes of a field (units, long_name) stand on its array, those of `fields` on the group ``/xcg``.
+
+    Lazy fields are computed one chunk of time after the other, all variables of a chunk together, so memory
+    holds one chunk and every input file is parsed once.
+
+    Parameters
+    ----------
+    fields : xarray.Dataset
+        A result of `xcg.coarse_grain`: dimensions among time, phase, x, y, z, component and direction, with
+        evenly spaced nodes.
+    path : str or path
+        The file to write, by custom ``*.vtkhdf``. It appears only when it is whole.
+    overwrite : bool
+        Replace a file that exists.
+
+    Returns
+    -------
+    pathlib.Path
+        The file.
+
+    Raises
+    ------
+    FileExistsError
+        If the file exists and `overwrite` is False.
+    FileNotFoundError
+        If its folder does not exist.
+    ValueError
+        If the fields do not form an image: unknown dimensions, nodes that are not evenly spaced, no time
+        steps, or values that are not numbers.
+    """
+    path = Path(path)
+    if path.exists() and not overwrite:
+        msg = f"{path} exists; choose another name, or pass overwrite=True to replace it"
+        raise FileExistsError(msg)
+    if not path.parent.is_dir():
+        msg = f"{path}: the folder {path.parent} does not exist; create it first"
+        raise FileNotFoundError(msg)
+    fields = _checked(fields)
+    image = _Image.of(fields)
+    arrays = _arrays(fields)
+    part = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.part")
+    try:
+        with h5py.File(part, "w") as file:
+            targets = _lay_out(file, fields, image, arrays)
+            for steps, block in _blocks(fields):
+                for array in arrays:
+                    values = array.values(block, image)
+                    if image.temporal:
+                        targets[array.name][steps] = values
+                    else:
+                        targets[array.name][...] = values[0]
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
+    return path
+
+
+# --- what is written -------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Image:
+    """Nodes and times: number of nodes, origin and spacing along x, y, z."""
+
+    nodes: tuple[int, ...]
+    origin: tuple[float, ...]
+    spacing: tuple[float, ...]
+    times: NDArray | None
+
+    @classmethod
+    def of(cls, fields: xr.Dataset) -> _Image:
+        nodes, origin, spacing = zip(*(_axis(fields, axis) for axis in AXES), strict=True)
+        return cls(nodes, origin, spacing, _times(fields))
+
+    @property
+    def temporal(self) -> bool:
+        return self.times is not None and len(self.times) > 1
+
+    def shape(self, components: int) -> tuple[int, ...]:
+        """Shape on disk: the reader wants no axes of length one, but at least one axis."""
+        time = (len(self.times),) if self.times is not None and self.temporal else ()
+        space = tuple(n for n in reversed(self.nodes) if n > 1)
+        return (time + space or (1,)) + ((components,) if components > 1 else ())
+
+
+@dataclass(frozen=True)
+class _Array:
+    """One array of point data: a variable, or one phase of it."""
+
+    name: str
+    variable: str
+    phase: int | None
+    components: int
+    dtype: np.dtype[Any]
+
+    def values(self, block: xr.Dataset, image: _Image) -> NDArray:
+        """Values of some steps in the order on disk, time first."""
+        data = block[self.variable].variable
+        if self.phase is not None:
+            data = data.isel(phase=self.phase)
+        sizes = {dim: block.sizes.get(dim, 1) for dim in ("time", *AXES)}
+        present = [dim for dim in _ON_DISK if dim in sizes or dim in data.dims]
+        values = data.set_dims(sizes | dict(data.sizes)).transpose(*present).to_numpy()
+        shape = image.shape(self.components)
+        return values.reshape(sizes["time"], *(shape[1:] if image.temporal else shape)).astype(self.dtype)
+
+
+def _arrays(fields: xr.Dataset) -> list[_Array]:
+    """List the arrays of all variables and phases."""
+    arrays = []
+    for name, data in fields.data_vars.items():
+        components = 3 ** len({"component", "direction"} & set(data.dims))
+        dtype = _storable(data.dtype)
+        if dtype is None:
+            msg = (
+                f"'{name}' holds {data.dtype}, expected numbers; leave it out with fields.drop_vars('{name}')"
+            )
+            raise ValueError(msg)
+        if "phase" not in data.dims:
+            arrays.append(_Array(str(name), str(name), None, components, dtype))
+            continue
+        for index, phase in enumerate(map(str, fields["phase"].to_numpy())):
+            label = name if phase == "bulk" else f"{name}_phase_{phase.replace('/', '_')}"
+            arrays.append(_Array(str(label), str(name), index, components, dtype))
+    names = [array.name for array in arrays]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        msg = (
+            f"several arrays would be named {twice}; rename the variables or phases that lead to these names"
+        )
+        raise ValueError(msg)
+    return arrays
+
+
+def _storable(dtype: np.dtype[Any]) -> np.dtype[Any] | None:
+    """Type that VTK knows for values of this type, None if there is none."""
+    if dtype.kind == "f":
+        return np.dtype(f"f{min(max(dtype.itemsize, 4), 8)}")
+    return {"i": dtype, "u": dtype, "b": np.dtype("u1")}.get(dtype.kind)
+
+
+# --- checks ----------------------------------------------------------------------------------------------
+
+
+def _checked(fields: xr.Dataset) -> xr.Dataset:
+    """Refuse what is no result; put components in the order x, y, z."""
+    if not fields.data_vars:
+        msg = "fields holds no variables; expected a result of coarse_grain"
+        raise ValueError(msg)
+    known = {*_ON_DISK, "phase"}
+    for name, data in fields.data_vars.items():
+        unknown = sorted(map(str, set(data.dims) - known))
+        if unknown:
+            msg = (
+                f"'{name}' has the dimensions {unknown}, expected some of {sorted(known)}; select or average "
+                f"over them, or leave it out with fields.drop_vars('{name}')"
+            )
+            raise ValueError(msg)
+    for dim in ("component", "direction"):
+        if dim not in fields.sizes:
+            continue
+        labels = list(fields[dim].to_numpy()) if dim in fields.coords else list(AXES)
+        if sorted(map(str, labels)) != list(AXES) or fields.sizes[dim] != 3:
+            users = sorted(str(name) for name, data in fields.data_vars.items() if dim in data.dims)
+            found = list(map(str, labels)) if dim in fields.coords else f"{fields.sizes[dim]} entries"
+            msg = (
+                f"'{dim}' of {users} holds {found}, expected x, y and z; keep all three, or write one of "
+                f"them with fields.sel({dim}='x')"
+            )
+            raise ValueError(msg)
+        if labels != list(AXES):
+            fields = fields.sel({dim: list(AXES)})
+    return fields
+
+
+def _numbers(fields: xr.Dataset, name: str) -> NDArray:
+    """Return a coordinate as finite numbers."""
+    if name not in fields.coords:
+        msg = f"dimension '{name}' has no coordinate; assign one with fields.assign_coords({name}=...)"
+        raise ValueError(msg)
+    values = fields[name].to_numpy()
+    if values.dtype.kind not in "fiu" or not np.isfinite(values).all():
+        bad = values.ravel()[0] if values.dtype.kind not in "fiu" else values[~np.isfinite(values)][0]
+        msg = f"coordinate '{name}' holds {bad!r}; expected finite numbers"
+        raise ValueError(msg)
+    return values.astype("float64")
+
+
+def _axis(fields: xr.Dataset, axis: str) -> tuple[int, float, float]:
+    """Nodes, origin and spacing along one axis."""
+    if axis not in fields.sizes:
+        fixed = axis in fields.coords and fields[axis].ndim == 0
+        return 1, float(_numbers(fields, axis)) if fixed else 0.0, 1.0
+    nodes = _numbers(fields, axis)
+    if not nodes.size:
+        msg = f"dimension '{axis}' has no nodes; expected at least one"
+        raise ValueError(msg)
+    if nodes.size == 1:
+        return 1, float(nodes[0]), 1.0
+    spacing = (nodes[-1] - nodes[0]) / (nodes.size - 1)
+    even = nodes[0] + spacing * np.arange(nodes.size)
+    if not (spacing > 0 and np.abs(nodes - even).max() <= 1e-6 * spacing):
+        row = int(np.argmax(np.abs(nodes - even)))
+        msg = (
+            f"coordinate '{axis}' is not evenly spaced and rising: node {row} is at {nodes[row]}, expected "
+            f"{even[row]}; an image needs even spacing: use fields.sortby('{axis}') or "
+            f"fields.interp({axis}=np.linspace(...)), or write NetCDF"
+        )
+        raise ValueError(msg)
+    return nodes.size, float(nodes[0]), float(spacing)
+
+
+def _times(fields: xr.Dataset) -> NDArray | None:
+    """Return the times of the steps, None for a result that knows no time."""
+    if "time" not in fields.sizes:
+        return _numbers(fields, "time").reshape(1) if "time" in fields.coords else None
+    times = _numbers(fields, "time")
+    if not times.size:
+        msg = "fields has no time steps (the size of 'time' is 0); expected at least one"
+        raise ValueError(msg)
+    if not (np.diff(times) > 0).all():
+        row = int(np.argmin(np.diff(times))) + 1
+        msg = (
+            f"'time' goes from {times[row - 1]} to {times[row]} at step {row}, expected to rise; use "
+            "fields.sortby('time'), and drop_duplicates('time') where times occur twice"
+        )
+        raise ValueError(msg)
+    return times
+
+
+# --- the file --------------------------------------------------------------------------------------------
+
+
+def _lay_out(
+    file: h5py.File, fields: xr.Dataset, image: _Image, arrays: list[_Array]
+) -> dict[str, h5py.Dataset]:
+    """Write all but the values; return the empty arrays by name."""
+    root = file.create_group("VTKHDF")
+    root.attrs["Version"] = (2, 0)
+    root.attrs["Type"] = np.bytes_("ImageData")  # the reader takes ASCII of fixed length only
+    root.attrs["WholeExtent"] = np.array([(0, n - 1) for n in image.nodes]).ravel()
+    root.attrs["Origin"] = image.origin
+    root.attrs["Spacing"] = image.spacing
+    root.attrs["Direction"] = np.eye(3).ravel()
+    data = root.create_group("PointData")
+    targets = {}
+    for array in arrays:
+        shape = image.shape(array.components)
+        targets[array.name] = data.create_dataset(
+            array.name, shape, array.dtype, chunks=_disk_blocks(shape, array.dtype.itemsize, image.temporal),
+            compression="gzip", compression_opts=1, shuffle=True,
+        )  # fmt: skip
+        _describe(targets[array.name], fields[array.variable].attrs)
+    if image.times is not None:
+        steps = root.create_group("Steps")
+        steps.attrs["NSteps"] = len(image.times)
+        steps["Values"] = image.times
+        offsets = steps.create_group("PointDataOffsets")
+        for array in arrays:
+            offsets[array.name] = np.arange(len(image.times))
+        steps.create_group("CellDataOffsets")  # missed by the reader even where there are no cell data
+    _describe(file.create_group("xcg"), fields.attrs)
+    return targets
+
+
+def _disk_blocks(shape: tuple[int, ...], itemsize: int, temporal: bool) -> tuple[int, ...]:
+    """Shape of compressed blocks: slabs of one step; many steps together where a step is small."""
+    block = list(shape)
+    first = 1 if temporal and len(shape) > 1 else 0
+    slab = itemsize * int(np.prod(shape[first + 1 :]))
+    block[first] = int(np.clip(_BLOCK // slab, 1, shape[first]))
+    if first:
+        step = itemsize * int(np.prod(shape[1:]))
+        block[0] = int(np.clip((1 << 16) // step, 1, shape[0]))
+    return tuple(block)
+
+
+def _describe(target: Any, attrs: Mapping[Any, Any]) -> None:
+    """Copy attributes, as text where HDF5 has no type for them."""
+    for key, value in attrs.items():
+        array = np.asarray(value)
+        if array.dtype.kind == "U":
+            target.attrs.create(str(key), array.astype(object), dtype=h5py.string_dtype())
+        elif array.dtype.kind in "fiub":
+            target.attrs[str(key)] = value
+        else:
+            target.attrs[str(key)] = str(value)
+
+
+def _blocks(fields: xr.Dataset) -> Iterator[tuple[slice, xr.Dataset]]:
+    """Yield computed stretches of time that no chunk crosses, so that every chunk is computed once."""
+    if "time" not in fields.sizes:
+        yield slice(0, 1), fields.compute()
+        return
+    still = [name for name, data in fields.data_vars.items() if "time" not in data.dims]
+    fields = fields.assign(fields[still].compute())
+    count = fields.sizes["time"]
+    edges = set(range(count + 1))
+    for data in fields.variables.values():
+        if data.chunks is not None and "time" in data.dims:
+            edges &= {0, *np.cumsum(data.chunks[data.dims.index("time")]).tolist()}
+    ordered = sorted(edges)
+    for start, stop in pairwise(ordered):
+        yield slice(start, stop), fields.isel(time=slice(start, stop)).compute()
