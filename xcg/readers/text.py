@@ -104,7 +104,7 @@ def read_body(ref: StepRef) -> bytes:
     with open_binary(ref.path) as stream:
         if ref.offset:
             stream.seek(ref.offset)
-        return stream.read(ref.length) if ref.length else stream.read()
+        return stream.read(ref.length)
 
 
 def where(ref: StepRef) -> str:
