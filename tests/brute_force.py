@@ -50,7 +50,9 @@ class BruteKernel:
                 np.zeros_like(u), u,
             )  # fmt: skip
             return np.where(q < 1, 2 * line, 0.0) * self.norm * self.c
-        disc = _gauss(lambda r: _profile(self.name, np.minimum(r, 1 - 1e-16), self.spread) * r, safe, np.ones_like(safe))
+        disc = _gauss(
+            lambda r: _profile(self.name, np.minimum(r, 1 - 1e-16), self.spread) * r, safe, np.ones_like(safe)
+        )
         return np.where(q < 1, 2 * np.pi * disc, 0.0) * self.norm * self.c**2
 
     def segment(self, r, start, end):
@@ -89,9 +91,7 @@ def brute_force(ds, kernel, points, seen="xyz", scale=1.0, gradient=True):
     frame = {n: ds[n].isel(time=0).values for n in ds.data_vars}
     keep = frame["particle_id"] >= 0
     axes = ["xyz".index(a) for a in seen]
-    period = [
-        (frame["box"][k, 1] - frame["box"][k, 0]) if "xyz"[k] in ds.attrs["periodic"] else 0.0 for k in range(3)
-    ]
+    period = [(frame["box"][k, 1] - frame["box"][k, 0]) if "xyz"[k] in ds.attrs["periodic"] else 0.0 for k in range(3)]
     plane = ["xyz".index(a) for a in ds.attrs["plane"]]
     pos, vel = frame["position"][keep], frame["velocity"][keep]
     mass, vol, dia = frame["mass"][keep], frame["volume"][keep], frame["diameter"][keep]

@@ -77,9 +77,7 @@ def test_brute_force_3d(kernel, axes, at):
     averaged = 3 - len(axes) - len(at)
     # 64 Gauss points leave 1e-11 of a quotient of marginals, which amplifies the error of its parts
     tolerance = 1e-12 if averaged == 0 else 3e-11
-    assert_equals_brute_force(
-        ds, kernel, 0.8, axes=axes, at=at, spacing=1.3, scale=5.0**-averaged, tolerance=tolerance
-    )
+    assert_equals_brute_force(ds, kernel, 0.8, axes=axes, at=at, spacing=1.3, scale=5.0**-averaged, tolerance=tolerance)
 
 
 @pytest.mark.parametrize("kernel", ["lucy", "gaussian", "heaviside"])
@@ -108,9 +106,7 @@ def test_support_larger_than_the_box_counts_all_images():
     offset=st.sampled_from([0.0, 1e4]),
 )
 def test_brute_force_on_any_scene(particles, seed, periodic, width, polydispersity, offset):
-    ds = xcg.datasets.random_scene(
-        particles, seed=seed, periodic=periodic, polydispersity=polydispersity, edge=3.0
-    )
+    ds = xcg.datasets.random_scene(particles, seed=seed, periodic=periodic, polydispersity=polydispersity, edge=3.0)
     ds = ds.assign(position=ds.position + offset, contact_point=ds.contact_point + offset, box=ds.box + offset)
     bounds = dict.fromkeys("xyz", (offset, offset + 3.0))
     # coordinates of size 1e4 hold 12 digits of an offset

@@ -4,12 +4,15 @@ import gzip
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from tests import shared_data
 from tests.dumps import ATOMS, PAIR_ROWS, PAIRS, ROWS, dump_text, pairs_text, write
 from xcg.readers import dump, lammps
 from xcg.readers.engine import ReadOptions
 from xcg.readers.series import open_scene
+from xcg.readers.text import parse_table
 from xcg.scene import SceneError, SceneWarning
 
 DEFAULTS = ReadOptions()
@@ -215,6 +218,16 @@ def test_diameter_and_radius(tmp_path):
     np.testing.assert_array_equal(frame["diameter"], 2)
 
 
+@settings(deadline=None, max_examples=50)
+@given(st.lists(st.tuples(*[st.floats(allow_nan=False, allow_infinity=False)] * 3), max_size=20))
+def test_numbers_survive(rows):
+    body = "".join(f" {a!r}\t{b!r}  {c:.17g} \n" for a, b, c in rows).encode()
+    table = parse_table(body, ("a", "b", "c"), ("c", "a"), len(rows), "numbers")
+    expected = np.array(rows).reshape(-1, 3)
+    np.testing.assert_allclose(table["a"], expected[:, 0], rtol=1e-15)
+    np.testing.assert_allclose(table["c"], expected[:, 2], rtol=1e-15)
+
+
 # --- names -----------------------------------------------------------------------------------------------
 
 
@@ -293,7 +306,7 @@ def test_contact_columns_that_do_not_do(tmp_path, columns, names, match):
 
 def test_ids_cut_to_six_digits_are_noticed(tmp_path):
     rows = [f"{1.23457e6 + 10 * k:g} 2 1 2 3" for k in range(20)]
-    with pytest.raises(SceneError, match="written with six digits.*%.10g"):
+    with pytest.raises(SceneError, match=r"written with six digits.*%\.10g"):
         contacts(tmp_path, pairs_text(rows, "id1 id2 fx fy fz"))
 
 
@@ -343,9 +356,7 @@ def resultant(scene, t):
 def test_contact_forces_make_the_force_on_each_particle(name, steps, options, tolerance):
     folder = shared_data(name)
     forces = {f"f{axis}": f"total_force_{axis}" for axis in "xyz"}
-    scene = open_scene(
-        folder / "particles.*", contacts=folder / "contacts.*", names=forces, **options
-    ).compute()
+    scene = open_scene(folder / "particles.*", contacts=folder / "contacts.*", names=forces, **options).compute()
     for t in steps:
         total, scale = resultant(scene, t)
         step = scene.isel(time=t)
@@ -357,8 +368,7 @@ def test_contact_forces_make_the_force_on_each_particle(name, steps, options, to
 
 def test_contact_points_lie_between_the_centres():
     folder = shared_data("lammps_chute")
-    names = {"dist": "distance"}  # of contacts: no variable of the scene, so nothing happens
-    scene = open_scene(folder / "particles.*", contacts=folder / "contacts.*", names=names, chunks=-1)
+    scene = open_scene(folder / "particles.*", contacts=folder / "contacts.*")
     step = scene.isel(time=3).compute()
     valid = step.contact_i.values >= 0
     i = np.searchsorted(step.particle_id.values, step.contact_i.values[valid])

@@ -93,8 +93,7 @@ def test_walls_are_for_engines_that_keep_them_apart(tmp_path):
 
 
 def test_force_balance(box):
-    """Contact forces, with walls, and weight make the dumped force (6 digits, and half a step of damping)."""
-    assert box.sizes["contact"] == 3883 + 108 or box.sizes["contact"] > 3883
+    """Contact forces, with walls, and weight make the dumped force (written with 6 digits)."""
     for t in range(box.sizes["time"]):
         step = box.isel(time=t)
         valid = step.contact_i.values >= 0
@@ -105,16 +104,16 @@ def test_force_balance(box):
         pairs = j >= 0
         np.add.at(total, np.searchsorted(ids, j[pairs]), -force[pairs])
         dumped = np.stack([step[f"total_force_{axis}"].values for axis in "xyz"], axis=1)
-        assert np.sqrt(np.mean((total - dumped) ** 2)) < 1e-3 * np.linalg.norm(force, axis=1).mean()
+        error = np.linalg.norm(total - dumped, axis=1) / np.linalg.norm(force, axis=1).mean()
+        assert np.median(error) < 1e-5
+        assert np.sqrt(np.mean(error**2)) < 3e-3  # a few contacts of the first frame are not settled
 
 
 def test_contact_points(box):
     """Pairs meet at R - overlap/2 from both centres, walls at R - overlap."""
     step = box.isel(time=0)
     valid = step.contact_i.values >= 0
-    i, j, point, overlap = (
-        step[name].values[valid] for name in ("contact_i", "contact_j", "contact_point", "overlap")
-    )
+    i, j, point, overlap = (step[name].values[valid] for name in ("contact_i", "contact_j", "contact_point", "overlap"))
     period = np.array([0.05, 0.05, np.inf])
     row = np.searchsorted(step.particle_id.values, i)
     radius = step.diameter.values[row] / 2
@@ -139,4 +138,4 @@ def test_force_chain_finder_data():
     step = scene.isel(time=1)
     for start, ids in ((0, step.contact_i), (3, step.contact_j)):
         row = np.searchsorted(step.particle_id.values, ids.values)
-        np.testing.assert_allclose(step.position.values[row], table[:, start : start + 3], atol=1e-9)
+        np.testing.assert_allclose(step.position.values[row], table[:, start : start + 3], atol=1e-5)

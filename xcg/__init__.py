@@ -2,8 +2,8 @@
 
 from importlib.metadata import version
 
-from xcg import accessor as _accessor  # registers ds.cg
 from xcg import datasets
+from xcg.accessor import CoarseGrainAccessor
 from xcg.coarse_grain import coarse_grain
 from xcg.fields import FIELDS
 from xcg.readers.series import open_scene
@@ -13,6 +13,7 @@ from xcg.smoothing import Gaussian, Heaviside, Kernel, Lucy, register_kernel
 __version__ = version("xcg")
 __all__ = [
     "FIELDS",
+    "CoarseGrainAccessor",
     "Gaussian",
     "Heaviside",
     "Kernel",

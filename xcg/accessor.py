@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import wraps
 from pathlib import Path
 from typing import Any
 
@@ -23,16 +22,16 @@ class CoarseGrainAccessor:
     def __repr__(self) -> str:
         return summary(self._ds)
 
-    @wraps(coarse_grain, assigned=("__doc__",))
     def coarse_grain(self, fields: Any = None, **options: Any) -> xr.Dataset:
+        """Coarse-grain the scene, see `xcg.coarse_grain`."""
         return coarse_grain(self._ds, fields, **options)
 
-    @wraps(make_plan, assigned=("__doc__",))
     def explain(self, fields: Any = None, **options: Any) -> Plan:
+        """Say what `coarse_grain` with the same arguments will do: print the plan that this returns."""
         return make_plan(self._ds, fields, **options)
 
-    @wraps(measure, assigned=("__doc__",))
     def measure(self) -> xr.Dataset:
+        """Measure sizes and extent of all steps, see `xcg.measure`."""
         return measure(self._ds)
 
     def to_vtkhdf(self, path: str | Path, *, overwrite: bool = False) -> Path:

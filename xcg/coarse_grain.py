@@ -214,7 +214,11 @@ def _provenance(ds: xr.Dataset, plan: Plan, given: Mapping[str, Any]) -> dict[st
     stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     line = f"{stamp} xcg {version('xcg')}: coarse_grain({call})"
     earlier = ds.attrs.get("history")
-    kept = {k: ds.attrs[k] for k in ("Conventions", "periodic", "gravity", "unit_system", "dimension", "plane") if k in ds.attrs}
+    kept = {
+        k: ds.attrs[k]
+        for k in ("Conventions", "periodic", "gravity", "unit_system", "dimension", "plane")
+        if k in ds.attrs
+    }
     return {
         **kept,
         "kernel": plan.kernel.name,

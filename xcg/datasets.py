@@ -31,8 +31,8 @@ def face_centred_cubic(
 ) -> xr.Dataset:
     """Periodic face-centred cubic packing with the same force in every bond.
 
-    Its volume fraction is ``pi / (3 sqrt 2) (diameter / bond)^3``, its stress ``sum f l / V = 4 sqrt(2) / 2 ...``
-    times the identity: with 6 bonds a particle, tr(sigma) = 6 n f l.
+    Its volume fraction is ``pi / (3 sqrt 2) (diameter / bond)^3`` and its stress ``2 sqrt 2 force / bond^2`` times the
+    identity: 6 bonds a particle, tr(sigma) = 6 n f l with n = sqrt 2 / l^3.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def _bonded(
     """Scene of a periodic lattice whose neighbours at distance `bond` push each other."""
     from scipy.spatial import cKDTree
 
-    pairs = cKDTree(position % edge, boxsize=edge).query_pairs(bond * (1 + 1e-6), output_type="ndarray")
+    pairs = cKDTree(position % edge, boxsize=[edge] * 3).query_pairs(bond * (1 + 1e-6), output_type="ndarray")
     branch = position[pairs[:, 0]] - position[pairs[:, 1]]
     branch -= edge * np.rint(branch / edge)
     given = {

@@ -148,10 +148,8 @@ def _kernel_gradient(f: Any, s: Any, o: Options) -> NDArray:
 
 def _fluctuation_stress(f: Any, s: Any, o: Options) -> NDArray:
     """Sum of m Psi v'' v'' with v'' = u - b - G x, all about the bulk: expanded in the moments of each phase."""
-    if o.gradient == "least_squares":
-        g = f._fit.gradient[:1]
-    else:
-        g = np.nan_to_num(f.velocity_gradient[:1], nan=0.0)
+    least_squares = o.gradient == "least_squares"  # along directions that the grains do not span, its G is zero
+    g = (f._fit.gradient if least_squares else np.nan_to_num(f.velocity_gradient, nan=0.0))[:1]
     mean = np.nan_to_num(f._fit.mean[:1], nan=0.0)
     b = np.nan_to_num(f._drift[:1], nan=0.0) - np.einsum("...ij,...j->...i", g, mean)
     gx = np.einsum("...ij,...j->...i", g, s.offset)

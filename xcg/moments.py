@@ -193,9 +193,7 @@ class _Deposit:
         )  # fmt: skip
         return sums
 
-    def segments(
-        self, start: NDArray, branch: NDArray, force: NDArray, phase: NDArray, limits: NDArray
-    ) -> NDArray:
+    def segments(self, start: NDArray, branch: NDArray, force: NDArray, phase: NDArray, limits: NDArray) -> NDArray:
         sums = self.new(9)
         deposit_segments(
             self.local(start), branch / self.cutoff, force * self.cutoff, phase, limits,
@@ -235,7 +233,9 @@ def moments_of(frame: Frame, recipe: Recipe, period: NDArray, scale: float, wher
     to = _Deposit(recipe, period, scale)
 
     columns = {
-        name: row.column(frame, contacts).reshape(count, math.prod(row.shape)) for name, row in wanted.items() if row.column
+        name: row.column(frame, contacts).reshape(count, math.prod(row.shape))
+        for name, row in wanted.items()
+        if row.column
     }
     constants = np.concatenate(list(columns.values()), axis=1) if columns else np.zeros((count, 0))
     velocity = np.ascontiguousarray(frame.get("velocity", np.zeros((count, 3))))
@@ -265,9 +265,9 @@ def moments_of(frame: Frame, recipe: Recipe, period: NDArray, scale: float, wher
         sums["contact"] = to.segments(*segments, recipe.limits).reshape(to.phases, *to.shape, 3, 3)
     if "traction" in wanted:
         assert contacts is not None
-        row, point, force = contacts.at_walls
-        none = np.zeros((len(row), 3))
-        sums["traction"] = to.points(point, none, none[:, 0], force, phase[row], kernel.NONE, reference)
+        at, point, force = contacts.at_walls
+        none = np.zeros((len(at), 3))
+        sums["traction"] = to.points(point, none, none[:, 0], force, phase[at], kernel.NONE, reference)
     if recipe.by is not None:
         sums = {name: np.concatenate([a.sum(axis=0, keepdims=True), a]) for name, a in sums.items()}
     return sums | {"reference": np.nan_to_num(reference, nan=0.0)}
@@ -279,4 +279,3 @@ def _flow(records: NDArray, name: str, row: Moment) -> NDArray:
         return records[..., row.first + _SYMMETRIC]
     size = math.prod(row.shape)
     return records[..., row.first : row.first + size].reshape(*records.shape[:4], *row.shape)
-

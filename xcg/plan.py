@@ -94,7 +94,7 @@ class Plan:
             "averaged": ", ".join(f"{a} ({self.extent[a] or 'box'})" for a in grid.averaged) or "none",
             "kernel": f"{self.kernel!r}, seen in {len(grid.seen)} of {self.kernel.dimension} dimensions",
             "sums": ", ".join(f"{m} ({MOMENTS[m].formula})" for m in self.recipe.moments),
-            "passes": f"{int(columns > 0)} over particles, {int(slopes)} with grad Psi, {int(contact > 0)} over contacts",
+            "passes": f"{int(columns > 0)} over particles, {int(slopes)} with grad Psi, {contact // 9} over contacts",
             "contacts": f"{rules} (rtol = {self.rtol:g})" if contact else "not read for stress",
             "memory": f"{8 * sums / 1e6:.1f} MB of sums and {8 * outputs / 1e6:.1f} MB of fields a step",
         }
@@ -193,7 +193,9 @@ def _variables(fields: Sequence[str], ds: xr.Dataset, gradient: str) -> set[str]
 
 def _groups(ds: xr.Dataset, by: str, groups: Sequence[int] | None) -> tuple[int, ...]:
     if by not in ds or ds[by].dtype.kind not in "iu" or "particle" not in ds[by].dims:
-        whole = [n for n in ds.data_vars if ds[n].dtype.kind in "iu" and "particle" in ds[n].dims and n != "particle_id"]
+        whole = [
+            n for n in ds.data_vars if ds[n].dtype.kind in "iu" and "particle" in ds[n].dims and n != "particle_id"
+        ]
         msg = f"by={by!r}: expected an integer variable of the particles; this scene has {whole}"
         raise ValueError(msg)
     if groups is None and isinstance(ds[by].variable._data, np.ndarray):

@@ -44,9 +44,11 @@ class Variable:
 
     @property
     def fill(self) -> float | int:
+        """Value of padding."""
         return PADDING if self.dtype == "int64" else np.nan
 
     def shape(self, rows: int) -> tuple[int, ...]:
+        """Shape of one frame of `rows` rows."""
         return (rows, *(2 if dim == "bound" else 3 for dim in self.dims[1:]))
 
 
@@ -77,7 +79,7 @@ _NAMED_UNITS = {(0, 0, 0): "1", (1, 1, -2): "N", (-1, 1, -2): "Pa", (-2, 1, -2):
 
 
 def units_of(powers: tuple[int, int, int], unit_system: str = "SI") -> str:
-    """Unit in UDUNITS form for powers of (length, mass, time); "1" for everything in a reduced scene."""
+    """Return the UDUNITS form of powers of (length, mass, time); "1" for everything in a reduced scene."""
     if unit_system != "SI":
         return "1"
     if powers in _NAMED_UNITS:
@@ -190,9 +192,7 @@ class Setup:
         given["periodic"] = "".join(axis for axis in COMPONENTS if axis in (given.get("periodic") or "")) + "".join(
             sorted(set(given.get("periodic") or "") - set(COMPONENTS))
         )
-        return cls(
-            gravity=gravity, dimension=dimension, plane=plane, scales=scales, unit_system=unit_system, **given
-        )
+        return cls(gravity=gravity, dimension=dimension, plane=plane, scales=scales, unit_system=unit_system, **given)
 
     def factor(self, powers: tuple[int, int, int]) -> float:
         """Factor from the data's units to the scene's, for powers of (length, mass, time)."""
@@ -272,10 +272,12 @@ def complete_particles(frame: Mapping[str, ArrayLike], setup: Setup, where: str)
         repeated = np.flatnonzero(ids[1:] == ids[:-1])
         if repeated.size:
             rows = order[repeated[0] : repeated[0] + 2]
-            msg = f"{where}: particle id {ids[repeated[0]]} occurs twice (rows {rows[0]} and {rows[1]}); ids must be unique"
+            twice = f"particle id {ids[repeated[0]]} occurs twice (rows {rows[0]} and {rows[1]})"
+            msg = f"{where}: {twice}; ids must be unique"
             raise SceneError(msg)
         if ids[0] < 0:
-            msg = f"{where}: particle id {ids[0]} in row {order[0]} is negative; negative ids are kept for walls and padding"
+            negative = f"particle id {ids[0]} in row {order[0]} is negative"
+            msg = f"{where}: {negative}; negative ids are kept for walls and padding"
             raise SceneError(msg)
     for name in ("diameter", "density", "mass", "volume"):
         if name in given and (given[name] <= 0).any() and not (name == "mass" and (given[name] >= 0).all()):
@@ -398,7 +400,9 @@ def complete_contacts(
         )
         raise SceneError(msg)
     if "contact_point" not in given:
-        given["contact_point"] = _contact_points(given, particles, row_i, row_j, periods(box, setup.periodic, where), where)
+        given["contact_point"] = _contact_points(
+            given, particles, row_i, row_j, periods(box, setup.periodic, where), where
+        )
     return given
 
 
@@ -502,7 +506,7 @@ def to_dataset(
     }
     if box is not None:
         measured = {"box_lower": box[0, :, 0], "box_upper": box[0, :, 1], **measured}
-    attrs = {
+    attrs: dict[str, Any] = {
         "Conventions": "CF-1.11",
         "periodic": setup.periodic,
         "dimension": setup.dimension,
@@ -638,9 +642,7 @@ def scene_from_arrays(
         if contact_names:
             frame = _prefix(steps, contact_names, "contact_i", t)
             box_t = None if edges is None else edges[t]
-            contacts.append(
-                complete_contacts(frame, particles[-1], box_t, setup, where, allow_unknown=allow_unknown)
-            )
+            contacts.append(complete_contacts(frame, particles[-1], box_t, setup, where, allow_unknown=allow_unknown))
         periods(None if edges is None else edges[t], setup.periodic, where)
     arrays: Frame = {}
     for frames, key in ((particles, "particle_id"), (contacts, "contact_i")):

@@ -216,7 +216,8 @@ def register_kernel(
         The name for ``kernel=``.
     profile : callable
         ``P(q)`` for an array q = r / c in [0, 1); it need not be normalised. Values, marginals and gradients are
-        kept as Chebyshev series (32 intervals, degree 12), accurate to 1e-12 where P is smooth and ends at zero.
+        kept as Chebyshev series (32 intervals, degree 12): where P is smooth and ends at zero, values to 1e-11 and
+        derivatives to 1e-7 of the largest.
     ratio : float
         Cutoff over width.
     smoothness : int
@@ -274,9 +275,10 @@ def _chebyshev_table(
     for k in range(intervals):
         domain = (k / intervals, (k + 1) / intervals)
         series = np.polynomial.Chebyshev.interpolate(np.vectorize(value), degree, domain)
-        slope = series.deriv()
+        points = 0.5 * (domain[0] + domain[1]) + 0.5 / intervals * np.polynomial.chebyshev.chebpts1(degree + 1)
+        slope = series.deriv()(points) / points
         table[0, k] = series.coef
-        table[1, k] = np.polynomial.Chebyshev.interpolate(lambda q, s=slope: s(q) / q, degree, domain).coef
+        table[1, k] = np.polynomial.Chebyshev.fit(points, slope, degree, domain).coef
     return table
 
 

@@ -124,9 +124,7 @@ def deposit_segments(
                             if row2 >= 1.0:
                                 continue
                             half = math.sqrt(1.0 - row2) * reach[2]
-                            iz0, iz1 = node_range(
-                                z + min(0.0, bz) - half, z + max(0.0, bz) + half, steps[2], nz
-                            )
+                            iz0, iz1 = node_range(z + min(0.0, bz) - half, z + max(0.0, bz) + half, steps[2], nz)
                             for iz in range(iz0, iz1):
                                 dz = iz * steps[2] - z
                                 w = _mean(dx, dy, dz, bx, by, bz, length, order, kind, spread, table)

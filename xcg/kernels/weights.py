@@ -132,7 +132,7 @@ def value(kind, spread, table, q2):
 
 @jit
 def gradient(kind, spread, table, q2):
-    """Derivative of the value with respect to q, divided by q; the gradient is this times the vector r / c.
+    """Return the derivative of the value by q, divided by q; the gradient is this times the vector r / c.
 
     Jumps at the cutoff are left out: zero for a Heaviside of codimension 0, the smooth part for a Gaussian.
     """
@@ -158,7 +158,7 @@ def gradient(kind, spread, table, q2):
 
 @jit
 def _interpolate(table, row, q2):
-    """Chebyshev series of q on equal intervals of [0, 1], by Clenshaw's recurrence; table (2, intervals, degree + 1)."""
+    """Chebyshev series on equal intervals of q, by Clenshaw's recurrence; table (2, intervals, degree + 1)."""
     x = math.sqrt(q2) * table.shape[1]
     k = min(int(x), table.shape[1] - 1)
     y = 2.0 * (x - k) - 1.0

@@ -80,9 +80,7 @@ def assign(ref: StepRef, slots: Slots, options: ReadOptions) -> dict[str, str]:
         if slot is not None and slot not in PARTICLE_SLOTS and slot not in CONTACT_SLOTS:
             close = difflib.get_close_matches(slot, slots, 3, 0.8)
             if close:
-                msg = (
-                    f"names={{{column!r}: {slot!r}}}: unknown; did you mean {' or '.join(map(repr, close))}?"
-                )
+                msg = f"names={{{column!r}: {slot!r}}}: unknown; did you mean {' or '.join(map(repr, close))}?"
                 raise SceneError(msg)
     mine = {slot: column for column, slot in given.items() if slot is not None and slot in slots}
     displaced = tuple(rival for first, rival in _RIVALS if any(slot.startswith(first) for slot in mine))

@@ -28,9 +28,7 @@ def body_columns(path: str) -> tuple[str, tuple[str, ...]] | None:
 
 def is_numbered(columns: Sequence[str]) -> bool:
     """Tell columns without names of their own (``c_3[1] c_3[2] ...``), as LIGGGHTS writes contacts."""
-    return len(columns) in (12, 13) and all(
-        re.fullmatch(rf"\w+\[{k}\]", column) for k, column in enumerate(columns, 1)
-    )
+    return len(columns) in (12, 13) and all(re.fullmatch(rf"\w+\[{k}\]", column) for k, column in enumerate(columns, 1))
 
 
 def _is_body(item: str) -> bool:
@@ -59,9 +57,7 @@ def index_dumps(paths: Sequence[str], options: ReadOptions, *, atoms: bool) -> l
     if timestep is None:
         return refs
     if not isinstance(timestep, (int, float)) or not (np.isfinite(timestep) and timestep > 0):
-        msg = (
-            f"timestep={timestep!r}: expected a positive number, the time between two steps of the simulation"
-        )
+        msg = f"timestep={timestep!r}: expected a positive number, the time between two steps of the simulation"
         raise SceneError(msg)
     return [ref if ref.time is not None else replace(ref, time=ref.step * float(timestep)) for ref in refs]
 

@@ -82,17 +82,13 @@ class Source:
             frame = frame | {"frozen": np.isin(frame["species"], self.frozen).astype("int64")}
         return complete_particles(frame, self.setup, where(ref))
 
-    def contacts(
-        self, refs: Sequence[StepRef], names: Sequence[str], particles: Frame, box: NDArray | None
-    ) -> Frame:
+    def contacts(self, refs: Sequence[StepRef], names: Sequence[str], particles: Frame, box: NDArray | None) -> Frame:
         """Read, check and complete the contacts of one step, from all its files."""
         parts = []
         for ref in refs:
             raw = read_step(self.engine, self.options, ref, contacts=True)
             parts.append(
-                complete_contacts(
-                    raw, particles, box, self.setup, where(ref), allow_unknown=self.allow_unknown
-                )
+                complete_contacts(raw, particles, box, self.setup, where(ref), allow_unknown=self.allow_unknown)
             )
             _require(parts[-1], names, ref)
         return {name: np.concatenate([part[name] for part in parts]) for name in names}
@@ -173,14 +169,10 @@ def lazy_arrays(
         task = partial(read_contact_chunk, source, steps[part], list(contact_names), rows, edges)
         tasks[layer, k] = (task, (particles, k))
     graph = HighLevelGraph({**graph.layers, layer: tasks}, {**graph.dependencies, layer: {particles}})
-    return arrays | {
-        name: _pick(graph, layer, name, variable(name).dtype, rows, sizes) for name in contact_names
-    }
+    return arrays | {name: _pick(graph, layer, name, variable(name).dtype, rows, sizes) for name in contact_names}
 
 
-def _pick(
-    graph: HighLevelGraph, layer: str, name: str, dtype: Any, rows: int, sizes: tuple[int, ...]
-) -> da.Array:
+def _pick(graph: HighLevelGraph, layer: str, name: str, dtype: Any, rows: int, sizes: tuple[int, ...]) -> da.Array:
     """Lazy array of one variable out of the frames that the tasks of a layer return."""
     shape = variable(name, dtype).shape(rows)
     key = f"{name}-{layer.removeprefix('read-')}"

@@ -1,8 +1,8 @@
 """LIGGGHTS text dumps: ``dump custom``, and ``dump local`` of ``pair/gran/local`` and ``wall/gran/local``.
 
 Local columns have numbers instead of names (``c_3[1]``, ...). Two layouts need no ``names=``: those of
-``id pos force`` (12 columns) and ``id pos delta force`` (13). Pairs are x1(3) x2(3) id1 id2 flag force(3) overlap; walls are
-point(3) x(3) mesh triangle id force(3) overlap.
+``id pos force`` (12 columns) and ``id pos delta force`` (13). Pairs are x1(3) x2(3) id1 id2 flag force(3) overlap;
+walls are point(3) x(3) mesh triangle id force(3) overlap.
 """
 
 from __future__ import annotations

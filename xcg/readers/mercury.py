@@ -131,9 +131,7 @@ def index_contacts(paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
             while time := _comments(scanner, path):
                 start = scanner.offset
                 body = b"".join(scanner.until(b"#"))
-                ref = StepRef(
-                    path, 0, float(time), len(refs), columns=_CONTACT, offset=start, length=len(body)
-                )
+                ref = StepRef(path, 0, float(time), len(refs), columns=_CONTACT, offset=start, length=len(body))
                 ids = parse_table(body, _CONTACT, ("i", "j"), None, where(ref))
                 refs.append(replace(ref, rows=int(_once(ids["i"], ids["j"]).sum()), size=size))
     return refs
@@ -182,9 +180,7 @@ def read_contacts(ref: StepRef, options: ReadOptions) -> Frame:
     keep = _once(rows["i"], rows["j"])
     rows = {name: values[keep] for name, values in rows.items()}
     sign = np.where(rows["j"] < 0, -1.0, 1.0)[:, None]
-    normal, tangent, point = (
-        np.stack([rows[f"{letter}{axis}"] for axis in COMPONENTS], axis=1) for letter in "ntc"
-    )
+    normal, tangent, point = (np.stack([rows[f"{letter}{axis}"] for axis in COMPONENTS], axis=1) for letter in "ntc")
     return {
         "contact_i": rows["i"],
         "contact_j": rows["j"],

@@ -155,9 +155,7 @@ def _existing(paths: Sequence[str], options: ReadOptions) -> list[tuple[str, flo
         raise SceneError(msg)
     listed: list[tuple[str, float | None]] = []
     for path in map(str, paths):
-        listed += (
-            vtp.read_collection(path) if path.endswith(".pvd") and Path(path).exists() else [(path, None)]
-        )
+        listed += vtp.read_collection(path) if path.endswith(".pvd") and Path(path).exists() else [(path, None)]
     there = [entry for entry in listed if Path(entry[0]).exists()]
     # MFiX lists its last frame twice: a copy that is gone is not missed.
     times = {time for _, time in there if time is not None}
@@ -196,9 +194,7 @@ def _once(refs: Sequence[StepRef]) -> list[StepRef]:
         if (first.rows, first.size) != (ref.rows, ref.size):
             other.append(ref.path)
     if other:
-        msg = (
-            f"dropped, as an earlier file holds the same time (though not the same data): {', '.join(other)}"
-        )
+        msg = f"dropped, as an earlier file holds the same time (though not the same data): {', '.join(other)}"
         warnings.warn(msg, SceneWarning, stacklevel=4)
     return list(kept.values())
 
@@ -214,9 +210,7 @@ def _targets(columns: Sequence[str], dim: str, options: ReadOptions, path: str) 
     """Scene names of one dimension and the arrays that they are read from."""
     points = {columns[0]: "position" if dim == "particle" else "contact_point"}
     defaults = points | (PARTICLE_NAMES if dim == "particle" else CONTACT_NAMES)
-    given = {
-        a: name for a, name in options.names.items() if name is not None and variable(name).dims[0] == dim
-    }
+    given = {a: name for a, name in options.names.items() if name is not None and variable(name).dims[0] == dim}
     absent = [array for array in given if array not in columns]
     if absent:
         msg = f"{path}: names= maps {absent}, which are not in this file; it holds {list(columns)}"

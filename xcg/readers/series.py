@@ -150,6 +150,9 @@ def open_scene(
     Particles and contacts are paired by time where both kinds of file hold it, else by step number. Contacts
     of steps without particles are left out with a warning.
 
+    Steps that share one text file are read from where they begin; in a gzipped file they are reached by
+    decompressing all before them, so that long series are better kept plain or in one file a step.
+
     Where neither files, `times` nor ``timestep`` tell the time, the coordinate ``time`` is the step number,
     and its ``long_name`` says so.
 
@@ -291,9 +294,7 @@ def _index(
 def _check_same(first: StepRef, ref: StepRef, what: Sequence[str]) -> None:
     """Refuse a step that differs in kind from the first of its series; say all that differs."""
     problems = [f"column '{name}' is in the first only" for name in first.columns if name not in ref.columns]
-    problems += [
-        f"column '{name}' is in the second only" for name in ref.columns if name not in first.columns
-    ]
+    problems += [f"column '{name}' is in the second only" for name in ref.columns if name not in first.columns]
     for name in what:
         one, other = getattr(first, name), getattr(ref, name)
         if (one is None) != (other is None):
@@ -315,9 +316,7 @@ def _pair(indexed: Mapping[str, list[StepRef]], times: ArrayLike | None, missing
     if times is not None:
         given = np.asarray(times, float)
         if given.shape != (len(refs),) or not np.isfinite(given).all():
-            msg = (
-                f"times has shape {given.shape}: expected {len(refs)} finite numbers, one a step of particles"
-            )
+            msg = f"times has shape {given.shape}: expected {len(refs)} finite numbers, one a step of particles"
             raise SceneError(msg)
         known = given.tolist()
     steps = _in_order([Step(ref, (), time) for ref, time in zip(refs, known, strict=True)], "particles")
@@ -429,9 +428,7 @@ def _boxes(steps: Sequence[Step], box: Any, setup: Setup) -> NDArray | None:
     return edges
 
 
-def _frozen_species(
-    frozen: int | Sequence[int] | None, raw: Mapping[StepRef, Frame]
-) -> tuple[int, ...] | None:
+def _frozen_species(frozen: int | Sequence[int] | None, raw: Mapping[StepRef, Frame]) -> tuple[int, ...] | None:
     if frozen is None:
         return None
     species = tuple(int(number) for number in np.atleast_1d(frozen))
@@ -449,11 +446,7 @@ def _contact_names(reader: Engine, source: Source, step: Step) -> list[str]:
     told = getattr(reader, "contact_variables", None)
     common: list[str] = []
     for ref in step.contacts:
-        found = (
-            told(ref, source.options)
-            if told
-            else read_step(source.engine, source.options, ref, contacts=True)
-        )
+        found = told(ref, source.options) if told else read_step(source.engine, source.options, ref, contacts=True)
         common = [name for name in common or [*found, "contact_point"] if name in {*found, "contact_point"}]
     return [name for name in VARIABLES if name in common]
 

@@ -159,15 +159,15 @@ def parse_table(
 
 
 def _count_tokens(body: bytes) -> int:
-    printing = np.frombuffer(body, np.uint8) > ord(" ")
-    if not printing.size:
-        return 0
-    return int(printing[0]) + int(np.count_nonzero(np.greater(printing[1:], printing[:-1])))
+    count, inside = 0, False
+    for start in range(0, len(body), _BLOCK):  # in blocks that stay in the cache
+        printing = np.frombuffer(body[start : start + _BLOCK], np.uint8) > ord(" ")
+        count += int(np.count_nonzero(printing[1:] > printing[:-1])) + bool(printing[0] and not inside)
+        inside = printing[-1]
+    return count
 
 
-def _fault(
-    body: bytes, columns: Sequence[str], wanted: Sequence[str], rows: int | None, name: str
-) -> str | None:
+def _fault(body: bytes, columns: Sequence[str], wanted: Sequence[str], rows: int | None, name: str) -> str | None:
     """Find the first row at fault, slowly, and say what is wrong with it."""
     positions = [(column, columns.index(column)) for column in wanted]
     lines = [line for line in body.decode("utf-8", "replace").splitlines() if line.strip()]
@@ -176,9 +176,7 @@ def _fault(
         if len(tokens) != len(columns):
             cut = row == len(lines) - 1 and len(tokens) < len(columns)
             hint = "the file is cut off here" if cut else f"the columns are {' '.join(columns)}"
-            return (
-                f"{name}: row {row} has {len(tokens)} values, expected {len(columns)} ({line[:60]!r}); {hint}"
-            )
+            return f"{name}: row {row} has {len(tokens)} values, expected {len(columns)} ({line[:60]!r}); {hint}"
         for column, position in positions:
             if not _is_number(tokens[position]):
                 return f"{name}: row {row} has {tokens[position]!r} in column '{column}', expected a number"

@@ -151,9 +151,7 @@ def read_header(path: str) -> Header:
     prefix = np.dtype(f"{order}u{8 if file.get('header_type') == 'UInt64' else 4}")
     nothing_follows = encoding is None or (encoding == "raw" and body is None)
     if nothing_follows and any(array.offset is not None for array in arrays):
-        msg = (
-            f"{path}: its header names appended data, but none follows; the file was cut short, leave it out"
-        )
+        msg = f"{path}: its header names appended data, but none follows; the file was cut short, leave it out"
         raise SceneError(msg)
     body = None if "compressor" in file else body
     header = Header(path, size, points, _time(time[1]) if time else None, arrays, body, prefix)
@@ -188,9 +186,7 @@ def _bytes(header: Header, array: Array) -> int:
 def _check_size(header: Header) -> None:
     if header.body is None:
         return
-    ends = [
-        a.offset + header.prefix.itemsize + _bytes(header, a) for a in header.arrays if a.offset is not None
-    ]
+    ends = [a.offset + header.prefix.itemsize + _bytes(header, a) for a in header.arrays if a.offset is not None]
     needed = header.body + max(ends, default=0)
     if needed > header.size:
         msg = (
@@ -310,8 +306,6 @@ def read_collection(path: str) -> list[tuple[str, float | None]]:
         if "file" in tag:
             entries.append((str(Path(path).parent / tag["file"]), _time(tag.get("timestep", ""))))
     if not entries:
-        msg = (
-            f"{path}: this collection names no files; expected entries like <DataSet timestep=... file=.../>"
-        )
+        msg = f"{path}: this collection names no files; expected entries like <DataSet timestep=... file=.../>"
         raise SceneError(msg)
     return entries

@@ -1,0 +1,1 @@
+"""Writers of results in formats that xarray does not write itself."""
