@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from xcg.fields import FIELDS, listed
-from xcg.scene import units_of
+from xcg.schema import units_of
 
 HEAD = """# Fields
 
@@ -13,9 +13,9 @@ One row a field, made from the registry by `python docs/fields.py`. Psi is the k
 `stress.sel(component="x", direction="z")` is sigma_xz. Compression is positive. *Additive* fields of the phases add up
 to the bulk.
 
-Sums are zero where nothing reaches. Ratios are NaN there, and `sample_count` says how many grains a node saw. A velocity
-gradient is NaN along directions that the grains at a node do not span; a temperature is NaN where a linear fit through
-the grains leaves nothing over. Friction coefficient and inertial number are NaN where p <= 0.
+Sums are zero where nothing reaches. Ratios are NaN there, and `sample_count` says how many grains a node saw. A
+velocity gradient is NaN along directions that the grains at a node do not span; a temperature is NaN where a linear
+fit through the grains leaves nothing over. Friction coefficient and inertial number are NaN where p <= 0.
 
 In a one-layer scene D = 2, and traces run over the two axes of the plane.
 
@@ -32,9 +32,7 @@ def table() -> str:
         f = FIELDS[name]
         formula = f.formula.replace("|", "\\|")
         additive = "yes" if f.additive else ""
-        rows.append(
-            f"| `{name}` | {KINDS[f.rank]} | {units_of(f.powers)} | {additive} | {f.long_name} | {formula} |\n"
-        )
+        rows.append(f"| `{name}` | {KINDS[f.rank]} | {units_of(f.powers)} | {additive} | {f.long_name} | {formula} |\n")
     return HEAD + "".join(rows)
 
 

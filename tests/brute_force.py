@@ -87,7 +87,7 @@ class BruteKernel:
 
 
 def brute_force(ds, kernel, points, seen="xyz", scale=1.0, gradient=True):
-    """All fields at points (k, 3) of the first step; axes not in `seen` are integrated over and multiplied by `scale`."""
+    """All fields at points (k, 3) of the first step; axes not in `seen` are integrated over, times `scale`."""
     frame = {n: ds[n].isel(time=0).values for n in ds.data_vars}
     keep = frame["particle_id"] >= 0
     axes = ["xyz".index(a) for a in seen]

@@ -40,9 +40,8 @@ import xcg.kernels.deposit
 
 
 def test_import_defers_what_is_heavy():
-    done = run(
-        "import sys, xcg; print([m for m in ('vtk', 'vtkmodules', 'matplotlib', 'sklearn', 'h5py') if m in sys.modules])"
-    )
+    heavy = ("vtk", "vtkmodules", "matplotlib", "sklearn", "h5py")
+    done = run(f"import sys, xcg; print([m for m in {heavy} if m in sys.modules])")
     assert done.stdout.strip() == "[]", done.stdout + done.stderr
 
 

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from tests import shared_data
+from xcg.complete import minimum_image
 from xcg.readers import mfix, vtp
 from xcg.readers.engine import ReadOptions
-from xcg.scene import SceneError, SceneWarning, minimum_image
+from xcg.schema import SceneError, SceneWarning
 
 DEFAULTS = ReadOptions()
 PERIOD = np.array([0.04, np.inf, 0.02])  # of the real chute
@@ -125,12 +126,8 @@ def test_recognises(tmp_path, name, expected):
 
 def test_pvd_lists_all_that_is_missing_or_skips_it(tmp_path):
     write_particles(tmp_path / "P_0001.vtp", time=0.1000025)
-    pvd = write_pvd(
-        tmp_path / "P.pvd", {"P_0000.vtp": " 0.0E+00", "P_0001.vtp": " 0.1E+00", "P_0002.vtp": " 0.2E+00"}
-    )
-    with pytest.raises(
-        SceneError, match=r"2 of 3 files do not exist: .*P_0000\.vtp, .*P_0002\.vtp; .*missing='skip'"
-    ):
+    pvd = write_pvd(tmp_path / "P.pvd", {"P_0000.vtp": " 0.0E+00", "P_0001.vtp": " 0.1E+00", "P_0002.vtp": " 0.2E+00"})
+    with pytest.raises(SceneError, match=r"2 of 3 files do not exist: .*P_0000\.vtp, .*P_0002\.vtp; .*missing='skip'"):
         mfix.index_particles([str(pvd)], DEFAULTS)
     skip = ReadOptions(extra={"missing": "skip"})
     with pytest.warns(SceneWarning, match=r"P_0000\.vtp, .*P_0002\.vtp; they are skipped"):
@@ -197,9 +194,7 @@ def test_names_add_replace_and_drop(tmp_path):
     np.testing.assert_array_equal(frame["temperature"], [10, 20, 30])
     np.testing.assert_array_equal(frame["diameter"], 2)
     assert "diameter" not in read_particles(path, ReadOptions(names={"Diameter": None}))
-    with pytest.raises(
-        SceneError, match=r"maps \['Temp'\], which are not in this file; it holds \['coordinates'"
-    ):
+    with pytest.raises(SceneError, match=r"maps \['Temp'\], which are not in this file; it holds \['coordinates'"):
         read_particles(path, ReadOptions(names={"Temp": "temperature"}))
     with pytest.raises(SceneError, match=r"several arrays to \['diameter'\]"):
         read_particles(path, ReadOptions(names={"Diameter": "diameter", "Diameter_2": "diameter"}))
@@ -360,9 +355,7 @@ def test_mirrored_rows_become_one_with_the_mean_force(tmp_path):
 def test_mirrors_are_found_without_normal_forces(tmp_path):
     force = np.array([[1, 2, 3], [-1, -2, -3]])
     assert len(read_contacts(write_contacts(tmp_path / "FC_1.vtp", [1, 2], [2, 1], force))["contact_i"]) == 1
-    path = write_contacts(
-        tmp_path / "FC_2.vtp", [1, 2], [2, 1], [[1, 0, 0], [-0.5, 0, 0]], FORCE_CHAIN_OVERLAP=[2, 2]
-    )
+    path = write_contacts(tmp_path / "FC_2.vtp", [1, 2], [2, 1], [[1, 0, 0], [-0.5, 0, 0]], FORCE_CHAIN_OVERLAP=[2, 2])
     np.testing.assert_array_equal(read_contacts(path)["contact_force"], [[0.75, 0, 0]])
 
 

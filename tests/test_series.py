@@ -17,7 +17,7 @@ from tests.dumps import ATOMS, BOX, ROWS, dump_text, pairs_text, write, write_se
 from xcg.readers import lammps
 from xcg.readers.paths import expand_paths, natural_key
 from xcg.readers.series import open_scene
-from xcg.scene import SceneError, SceneWarning
+from xcg.schema import SceneError, SceneWarning
 
 
 @pytest.fixture

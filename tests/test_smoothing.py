@@ -98,7 +98,7 @@ def test_segment_integrals(name, dimension, seen):
         length = np.linalg.norm(end)
         brute = BruteKernel(name, 0.7, dimension, seen) if name in NAMES else None
         if length <= 1e-3:  # the kernel hardly changes along it
-            truth = _gauss(brute or (lambda r: kernel.value(r, seen)), points, end)  # noqa: B023
+            truth = _gauss(brute or (lambda r: kernel.value(r, seen)), points, end)
         elif brute:
             truth = np.array([brute.segment(p, start, end) for p in points])
         else:

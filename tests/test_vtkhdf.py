@@ -149,9 +149,7 @@ def test_fields_without_some_dimensions_are_repeated(tmp_path):
     ds = result()
     ds["mass"] = ds["density"].isel(x=0, y=0, z=0, drop=True).chunk()
     ds["weight"] = xr.DataArray(da.full(5, 2.0), dims="z")
-    filled = ds.assign(
-        mass=ds["mass"].broadcast_like(ds["density"]), weight=ds["weight"].broadcast_like(ds["density"])
-    )
+    filled = ds.assign(mass=ds["mass"].broadcast_like(ds["density"]), weight=ds["weight"].broadcast_like(ds["density"]))
     assert_read_equal(to_vtkhdf(ds, tmp_path / "f.vtkhdf"), filled, list(ds.data_vars))
 
 

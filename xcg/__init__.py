@@ -7,7 +7,8 @@ from xcg.accessor import CoarseGrainAccessor
 from xcg.coarse_grain import coarse_grain
 from xcg.fields import FIELDS
 from xcg.readers.series import open_scene
-from xcg.scene import SceneError, SceneWarning, measure, scene_from_arrays
+from xcg.scene import measure, scene_from_arrays
+from xcg.schema import SceneError, SceneWarning
 from xcg.smoothing import Gaussian, Heaviside, Kernel, Lucy, register_kernel
 
 __version__ = version("xcg")

@@ -15,9 +15,11 @@ from dask.highlevelgraph import HighLevelGraph
 from numpy.typing import NDArray
 
 from xcg import fields as registry
+from xcg.complete import periods
 from xcg.moments import moments_of
 from xcg.plan import Plan, make_plan, scale_of
-from xcg.scene import COMPONENTS, Frame, frame_of, periods, units_of
+from xcg.scene import frame_of
+from xcg.schema import COMPONENTS, Frame, units_of
 from xcg.smoothing import Kernel
 
 

@@ -9,8 +9,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.complete import minimum_image, rows_of
 from xcg.kernels.rows import add_rows
-from xcg.scene import Frame, minimum_image, rows_of
+from xcg.schema import Frame
 
 # Branches closer to one line than this (sine of their angle) share one segment from centre to centre; the
 # contact point is then off that line by no more than the rounding of its coordinates.

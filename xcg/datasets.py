@@ -56,7 +56,7 @@ def _bonded(
     """Scene of a periodic lattice whose neighbours at distance `bond` push each other."""
     from scipy.spatial import cKDTree
 
-    pairs = cKDTree(position % edge, boxsize=[edge] * 3).query_pairs(bond * (1 + 1e-6), output_type="ndarray")
+    pairs = cKDTree(position % edge, boxsize=np.full(3, edge)).query_pairs(bond * (1 + 1e-6), output_type="ndarray")
     branch = position[pairs[:, 0]] - position[pairs[:, 1]]
     branch -= edge * np.rint(branch / edge)
     given = {

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.scene import COMPONENTS, SceneWarning
+from xcg.schema import COMPONENTS, SceneWarning
 
 MAX_NODES = 2**31
 

@@ -13,7 +13,7 @@ from xcg.contacts import Contacts
 from xcg.grid import Grid
 from xcg.kernels import deposit as kernel
 from xcg.kernels.segments import deposit_segments
-from xcg.scene import Frame, SceneError
+from xcg.schema import Frame, SceneError
 from xcg.smoothing import Weights
 
 CONTACT_VARIABLES = ("position", "contact_i", "contact_j", "contact_force", "contact_point", "contact_normal")

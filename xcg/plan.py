@@ -17,7 +17,8 @@ from xcg.grid import Grid, make_grid
 from xcg.kernels import weights as kinds
 from xcg.kernels.segments import MAX_ORDER, largest_error
 from xcg.moments import CONTACT_VARIABLES, MOMENTS, Recipe
-from xcg.scene import COMPONENTS, SceneError, SceneWarning, Setup, require_scene, setup_of, variable
+from xcg.scene import require_scene, setup_of
+from xcg.schema import COMPONENTS, SceneError, SceneWarning, Setup, variable
 from xcg.smoothing import Kernel, as_kernel
 
 SIZES = ("d43", "d50", "dmax", "dmin")
@@ -280,7 +281,7 @@ def make_plan(
     )
     options = registry.Options(
         plane=tuple(COMPONENTS.index(a) for a in setup.plane),
-        active=tuple(grid.active.tolist()),  # type: ignore[arg-type]
+        active=tuple(grid.active.tolist()),
         gradient=gradient,
     )
     extra = {by} if by else set()

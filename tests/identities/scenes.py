@@ -7,10 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 import xcg
@@ -52,7 +54,11 @@ def places(ds: xr.Dataset, width: float, count: int, seed: int = 0) -> NDArray:
     rng = np.random.default_rng(seed)
     plane = [("xyz").index(a) for a in ds.attrs["plane"]]
     valid = ds["contact_i"].values[0] >= 0
-    i, j, centre = ds["contact_i"].values[0][valid], ds["contact_j"].values[0][valid], ds["contact_point"].values[0][valid]
+    i, j, centre = (
+        ds["contact_i"].values[0][valid],
+        ds["contact_j"].values[0][valid],
+        ds["contact_point"].values[0][valid],
+    )
     row = np.clip(np.searchsorted(ds["particle_id"].values[0], i), 0, ds.sizes["particle"] - 1)
     partner = np.clip(np.searchsorted(ds["particle_id"].values[0], j), 0, ds.sizes["particle"] - 1)
     position = ds["position"].values[0]
@@ -147,3 +153,31 @@ OPEN: dict[str, Callable[[Path], xr.Dataset]] = {
     "mercury_synthetic": _mercury_synthetic,
     "force_chain_finder": _force_chain_finder,
 }
+
+
+@lru_cache
+def load(name: str) -> Case:
+    """Return a scene by name; skips the test where the shared data are absent."""
+    return Case.of(name, OPEN[name](shared_data(name)))
+
+
+# --- scenes that need no data ----------------------------------------------------------------------------
+
+
+def synthetic(seed: int, particles: int, periodic: str, dimension: int, polydispersity: float) -> Case:
+    """Random grains: no physics, but contacts across edges, walls, and any periodicity."""
+    periodic = "".join(a for a in periodic if a != "z" or dimension == 3)
+    ds = xcg.datasets.random_scene(
+        particles, seed=seed, periodic=periodic, dimension=dimension, polydispersity=polydispersity
+    )
+    return Case.of(f"random_{dimension}d", ds, count=3)
+
+
+SYNTHETIC: st.SearchStrategy[Case] = st.builds(
+    synthetic,
+    seed=st.integers(0, 100_000),
+    particles=st.integers(20, 60),
+    periodic=st.sampled_from(["", "x", "yz", "xyz"]),
+    dimension=st.sampled_from([2, 3]),
+    polydispersity=st.floats(1.0, 8.0),
+)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.text import parse_table, read_body, where
-from xcg.scene import COMPONENTS, Frame, SceneError
+from xcg.schema import COMPONENTS, Frame, SceneError
 
 Slots: TypeAlias = Mapping[str, Sequence[str]]
 """Columns that fill each slot by themselves, the preferred first."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.text import Scanner, first_lines, open_binary, uncompressed_size, where
-from xcg.scene import COMPONENTS, SceneError
+from xcg.schema import COMPONENTS, SceneError
 
 
 def body_columns(path: str) -> tuple[str, tuple[str, ...]] | None:

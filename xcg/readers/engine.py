@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from xcg.scene import Frame, SceneError
+from xcg.schema import Frame, SceneError
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from xcg.readers import columns, dump
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.text import where
-from xcg.scene import Frame, SceneWarning
+from xcg.schema import Frame, SceneWarning
 
 OPTIONS = ("timestep",)
 

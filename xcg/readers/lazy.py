@@ -16,18 +16,11 @@ from dask.base import tokenize
 from dask.highlevelgraph import HighLevelGraph
 from numpy.typing import NDArray
 
+from xcg.complete import complete_contacts, complete_particles
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.text import where
-from xcg.scene import (
-    Frame,
-    SceneError,
-    Setup,
-    complete_contacts,
-    complete_particles,
-    frame_of,
-    stack,
-    variable,
-)
+from xcg.scene import frame_of, stack
+from xcg.schema import Frame, SceneError, Setup, variable
 
 
 def load_engine(name: str) -> Engine:

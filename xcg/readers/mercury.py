@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from xcg.readers import columns
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.text import Scanner, first_lines, open_binary, parse_table, read_body, where
-from xcg.scene import COMPONENTS, Frame, SceneError
+from xcg.schema import COMPONENTS, Frame, SceneError
 
 OPTIONS = ("restart",)
 

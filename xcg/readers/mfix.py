@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from xcg.readers import vtp
 from xcg.readers.engine import ReadOptions, StepRef
-from xcg.scene import Frame, SceneError, SceneWarning, variable
+from xcg.schema import Frame, SceneError, SceneWarning, variable
 
 # The first of two arrays for the same name is taken.
 PARTICLE_NAMES = {

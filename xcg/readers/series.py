@@ -13,23 +13,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
+from xcg.complete import periods
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.lazy import Source, Step, lazy_arrays, load_engine, read_step
 from xcg.readers.paths import PathLike, expand_paths
 from xcg.readers.text import where
-from xcg.scene import (
-    BOX,
-    COMPONENTS,
-    VARIABLES,
-    Frame,
-    SceneError,
-    SceneWarning,
-    Setup,
-    box_array,
-    measure_frames,
-    periods,
-    to_dataset,
-)
+from xcg.scene import box_array, measure_frames, to_dataset
+from xcg.schema import BOX, COMPONENTS, VARIABLES, Frame, SceneError, SceneWarning, Setup
 
 ENGINES = ("lammps", "liggghts", "mercury", "mfix")
 
@@ -111,7 +101,7 @@ def open_scene(
     dimension : {2, 3}, optional
         By default 2 where all particles lie in one plane across an axis (and `plane` is that plane), else 3.
     plane, thickness, shape
-        Of scenes with one layer of particles, see `xcg.scene.Setup`.
+        Of scenes with one layer of particles, see `xcg.schema.Setup`.
     allow_unknown : bool
         Take contacts with ids that are not among the particles as contacts with a wall.
     missing : {"raise", "skip"}

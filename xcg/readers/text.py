@@ -13,7 +13,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from xcg.readers.engine import StepRef
-from xcg.scene import SceneError
+from xcg.schema import SceneError
 
 _FIRST_BLOCK, _BLOCK = 1 << 16, 1 << 22  # small first, as the header is often all that is wanted
 

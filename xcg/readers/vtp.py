@@ -18,7 +18,7 @@ from xml.sax.saxutils import unescape
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.scene import SceneError
+from xcg.schema import SceneError
 
 _HEAD = 1 << 14  # headers of MFiX take 2 to 5 kB
 _SIZES = {f"{kind}{bits}": bits // 8 for kind in ("Int", "UInt", "Float") for bits in (8, 16, 32, 64)}

@@ -146,9 +146,7 @@ def _arrays(fields: xr.Dataset) -> list[_Array]:
         components = 3 ** len({"component", "direction"} & set(data.dims))
         dtype = _storable(data.dtype)
         if dtype is None:
-            msg = (
-                f"'{name}' holds {data.dtype}, expected numbers; leave it out with fields.drop_vars('{name}')"
-            )
+            msg = f"'{name}' holds {data.dtype}, expected numbers; leave it out with fields.drop_vars('{name}')"
             raise ValueError(msg)
         if "phase" not in data.dims:
             arrays.append(_Array(str(name), str(name), None, components, dtype))
@@ -159,9 +157,7 @@ def _arrays(fields: xr.Dataset) -> list[_Array]:
     names = [array.name for array in arrays]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
-        msg = (
-            f"several arrays would be named {twice}; rename the variables or phases that lead to these names"
-        )
+        msg = f"several arrays would be named {twice}; rename the variables or phases that lead to these names"
         raise ValueError(msg)
     return arrays
 
@@ -265,9 +261,7 @@ def _times(fields: xr.Dataset) -> NDArray | None:
 # --- the file --------------------------------------------------------------------------------------------
 
 
-def _lay_out(
-    file: h5py.File, fields: xr.Dataset, image: _Image, arrays: list[_Array]
-) -> dict[str, h5py.Dataset]:
+def _lay_out(file: h5py.File, fields: xr.Dataset, image: _Image, arrays: list[_Array]) -> dict[str, h5py.Dataset]:
     """Write all but the values; return the empty arrays by name."""
     root = file.create_group("VTKHDF")
     root.attrs["Version"] = (2, 0)

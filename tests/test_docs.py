@@ -1,0 +1,29 @@
+"""Generated pages are what their scripts write, and links in the documentation lead somewhere."""
+
+import re
+import runpy
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_table_of_fields_is_current():
+    page = runpy.run_path(str(ROOT / "docs" / "fields.py"))["table"]()
+    assert (ROOT / "docs" / "fields.md").read_text() == page, "run python docs/fields.py"
+
+
+@pytest.mark.parametrize("page", ["README.md", *(f"docs/{p.name}" for p in (ROOT / "docs").glob("*.md"))])
+def test_links_lead_somewhere(page):
+    path = ROOT / page
+    for target in re.findall(r"\]\(([^)#]+)", path.read_text()):
+        if not target.startswith("http"):
+            assert (path.parent / target).exists(), f"{page} links to {target}"
+
+
+def test_readme_names_every_field():
+    text = (ROOT / "README.md").read_text()
+    from xcg.fields import listed
+
+    assert [name for name in listed() if f"`{name}`" not in text] == []

@@ -1,0 +1,235 @@
+"""One frame: scale it to the scene's units, check it, and derive what is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from xcg.schema import COMPONENTS, Frame, SceneError, Setup, variable
+
+
+def _check_rows(frame: Frame, dim: str, where: str) -> None:
+    """Refuse arrays of the wrong shape or with values that are not finite; name every bad variable at once."""
+    first = next(name for name in frame if variable(name).dims[0] == dim)
+    rows = len(frame[first])
+    problems = []
+    for name, values in frame.items():
+        expected = variable(name, values.dtype).shape(rows)
+        if values.shape != expected:
+            problems.append(f"'{name}' has shape {values.shape}, expected {expected}")
+        elif values.dtype.kind == "f" and not np.isfinite(values).all():
+            bad = int(np.argwhere(~np.isfinite(values))[0][0])
+            problems.append(f"'{name}' is not finite in row {bad}: {values[bad]}")
+    if problems:
+        msg = f"{where}: " + "; ".join(problems) + ". Every row must hold finite numbers: repair or drop it."
+        raise SceneError(msg)
+
+
+def _typed(frame: Mapping[str, ArrayLike], setup: Setup, where: str) -> Frame:
+    """Give arrays their types and the scene's units."""
+    typed: Frame = {}
+    for name, values in frame.items():
+        array = np.asarray(values)
+        row = variable(name, array.dtype)
+        if row.dtype == "int64" and array.dtype.kind == "f":
+            if array.size and not (np.isfinite(array).all() and (array == np.rint(array)).all()):
+                bad = int(np.flatnonzero(~np.isfinite(array) | (array != np.rint(array)))[0])
+                msg = f"{where}: '{name}' must hold whole numbers, but row {bad} is {array.flat[bad]!r}"
+                raise SceneError(msg)
+            array = np.rint(array)
+        array = array.astype(row.dtype)
+        factor = setup.factor(row.powers)
+        typed[name] = array if factor == 1.0 else array * factor
+    return typed
+
+
+def complete_particles(frame: Mapping[str, ArrayLike], setup: Setup, where: str) -> Frame:
+    """Check the particles of one frame, sort them by id, and derive what is missing.
+
+    Mass, volume, density and diameter follow from each other: volume ``pi d^3/6`` (discs: ``pi d^2/4`` times
+    the layer's thickness), ``mass = density * volume``. What is given is taken as it is.
+
+    Parameters
+    ----------
+    frame : mapping
+        Arrays by scene name, at least ``position`` (n, 3).
+    setup : Setup
+        What the data do not say.
+    where : str
+        File and step, for messages.
+
+    Raises
+    ------
+    SceneError
+        If an array has the wrong shape or is not finite, an id occurs twice, or a size or mass is not positive.
+    """
+    given = _typed(frame, setup, where)
+    if "position" not in given:
+        msg = f"{where}: no positions; expected a variable 'position' with three components"
+        raise SceneError(msg)
+    count = len(given["position"])
+    ids = given.setdefault("particle_id", np.arange(count, dtype="int64"))
+    _check_rows(given, "particle", where)
+    if count:
+        order = np.argsort(ids, kind="stable")
+        if (order[1:] != order[:-1] + 1).any():
+            given = {name: values[order] for name, values in given.items()}
+            ids = given["particle_id"]
+        repeated = np.flatnonzero(ids[1:] == ids[:-1])
+        if repeated.size:
+            rows = order[repeated[0] : repeated[0] + 2]
+            twice = f"particle id {ids[repeated[0]]} occurs twice (rows {rows[0]} and {rows[1]})"
+            msg = f"{where}: {twice}; ids must be unique"
+            raise SceneError(msg)
+        if ids[0] < 0:
+            negative = f"particle id {ids[0]} in row {order[0]} is negative"
+            msg = f"{where}: {negative}; negative ids are kept for walls and padding"
+            raise SceneError(msg)
+    for name in ("diameter", "density", "mass", "volume"):
+        if name in given and (given[name] <= 0).any() and not (name == "mass" and (given[name] >= 0).all()):
+            bad = int(np.flatnonzero(given[name] <= 0)[0])
+            msg = f"{where}: '{name}' of particle {ids[bad]} is {given[name][bad]!r}; expected a positive number"
+            raise SceneError(msg)
+    _complete_size_and_mass(given, setup)
+    return given
+
+
+def _complete_size_and_mass(frame: Frame, setup: Setup) -> None:
+    count = len(frame["position"])
+    disc = np.pi / 4 * (setup.thickness or 0.0)
+    if "volume" not in frame:
+        if "diameter" in frame:
+            d = frame["diameter"]
+            frame["volume"] = disc * d**2 if setup.shape == "disc" else np.pi / 6 * d**3
+        elif {"mass", "density"} <= set(frame):
+            frame["volume"] = frame["mass"] / frame["density"]
+    if "diameter" not in frame and "volume" in frame:
+        v = frame["volume"]
+        frame["diameter"] = np.sqrt(v / disc) if setup.shape == "disc" else np.cbrt(6 / np.pi * v)
+    if "density" not in frame and "mass" not in frame and setup.density is not None:
+        frame["density"] = np.full(count, float(setup.density))
+    if "volume" in frame:
+        if "density" not in frame and "mass" in frame:
+            frame["density"] = frame["mass"] / frame["volume"]
+        elif "mass" not in frame and "density" in frame:
+            frame["mass"] = frame["density"] * frame["volume"]
+
+
+def periods(box: NDArray | None, periodic: str, where: str = "scene") -> NDArray:
+    """Box length along the periodic axes, infinity along the others; shape (3,)."""
+    lengths = np.full(3, np.inf)
+    for axis in periodic:
+        k = COMPONENTS.index(axis)
+        lengths[k] = np.nan if box is None else box[k, 1] - box[k, 0]
+        if not (np.isfinite(lengths[k]) and lengths[k] > 0):
+            msg = (
+                f"{where}: axis '{axis}' is periodic, but the box has no finite extent along it; give its edges, "
+                f"for example box={{'{axis}': (0.0, 0.1)}}"
+            )
+            raise SceneError(msg)
+    return lengths
+
+
+def minimum_image(vector: NDArray, period: NDArray) -> NDArray:
+    """Shortest periodic image of vectors (n, 3); `period` holds infinity along axes that are not periodic."""
+    shortest = vector.copy()
+    for k in np.flatnonzero(np.isfinite(period)):
+        shortest[:, k] -= period[k] * np.rint(vector[:, k] / period[k])
+    return shortest
+
+
+def rows_of(ids: NDArray, wanted: NDArray) -> NDArray:
+    """Row of each wanted id among sorted ids, -1 where it is not there."""
+    if not len(ids):
+        return np.full(len(wanted), -1)
+    row = np.minimum(np.searchsorted(ids, wanted), len(ids) - 1)
+    return np.where(ids[row] == wanted, row, -1)
+
+
+def complete_contacts(
+    frame: Mapping[str, ArrayLike],
+    particles: Frame,
+    box: NDArray | None,
+    setup: Setup,
+    where: str,
+    *,
+    allow_unknown: bool = False,
+) -> Frame:
+    """Check the contacts of one frame against its particles and derive missing contact points.
+
+    For spheres the contact point lies on the branch at ``R_i - overlap/2`` from the centre of i, with
+    ``overlap = R_i + R_j - |r_i - r_j|`` and ``r_i - r_j`` the minimum image.
+
+    Parameters
+    ----------
+    frame : mapping
+        Arrays by scene name, at least ``contact_i``, ``contact_j`` (n,) and ``contact_force`` (n, 3).
+    particles : Frame
+        The particles of the same step, completed.
+    box : array (3, 2) or None
+        Edges of the domain, in the scene's units.
+    allow_unknown : bool
+        Take contacts with ids that are not among the particles as contacts with a wall.
+
+    Raises
+    ------
+    SceneError
+        For unknown ids, a particle in contact with itself, values that are not finite, or a contact point that
+        is missing and cannot be derived.
+    """
+    given = _typed(frame, setup, where)
+    missing = [name for name in ("contact_i", "contact_j", "contact_force") if name not in given]
+    if missing:
+        msg = f"{where}: contacts lack {missing}; map the file's names to these with names={{...}}"
+        raise SceneError(msg)
+    _check_rows(given, "contact", where)
+    i, j = given["contact_i"], given["contact_j"]
+    ids = particles["particle_id"]
+    row_i, row_j = rows_of(ids, i), rows_of(ids, j)
+    self_contact = np.flatnonzero(i == j)
+    if self_contact.size:
+        row = self_contact[0]
+        msg = f"{where}: contact row {row} joins particle {i[row]} with itself; drop such rows"
+        raise SceneError(msg)
+    if (i < 0).any():
+        row = int(np.flatnonzero(i < 0)[0])
+        msg = f"{where}: contact row {row} has id {i[row]} as 'contact_i'; a wall must stand as 'contact_j'"
+        raise SceneError(msg)
+    unknown = (row_i < 0) | ((row_j < 0) & (j >= 0))
+    if unknown.any() and not allow_unknown:
+        row = int(np.flatnonzero(unknown)[0])
+        name, value = ("contact_i", i[row]) if row_i[row] < 0 else ("contact_j", j[row])
+        msg = (
+            f"{where}: contact row {row} has {name}={value}, and no particle has this id ({int(unknown.sum())} such "
+            "rows); check that particles and contacts are of the same step, or pass allow_unknown=True to treat "
+            "unknown partners as walls"
+        )
+        raise SceneError(msg)
+    if "contact_point" not in given:
+        given["contact_point"] = _contact_points(
+            given, particles, row_i, row_j, periods(box, setup.periodic, where), where
+        )
+    return given
+
+
+def _contact_points(
+    contacts: Frame, particles: Frame, row_i: NDArray, row_j: NDArray, period: NDArray, where: str
+) -> NDArray:
+    partnerless = (row_i < 0) | (row_j < 0)
+    if partnerless.any():
+        row = int(np.flatnonzero(partnerless)[0])
+        msg = (
+            f"{where}: contact row {row} (i={contacts['contact_i'][row]}, j={contacts['contact_j'][row]}) has no "
+            "contact point, and none follows without both spheres; give 'contact_point' for contacts with walls"
+        )
+        raise SceneError(msg)
+    if "diameter" not in particles:
+        msg = f"{where}: contact points follow from diameters, but the particles have none; give one of the two"
+        raise SceneError(msg)
+    branch = minimum_image(particles["position"][row_i] - particles["position"][row_j], period)
+    length = np.linalg.norm(branch, axis=1)
+    radius_i, radius_j = particles["diameter"][row_i] / 2, particles["diameter"][row_j] / 2
+    share = (length + radius_i - radius_j) / (2 * np.where(length > 0, length, 1.0))
+    return particles["position"][row_i] - share[:, None] * branch

@@ -1,0 +1,198 @@
+"""What a scene is made of: names, dimensions and units of its variables, and what holds for it as a whole.
+
+A *scene* is an `xarray.Dataset` whose rows fill a prefix of the ``particle`` and ``contact`` dimensions; the
+rest is padding (``particle_id == -1``, ``contact_i == -1``, NaN). Rows of particles are sorted by id. One step
+on its own, without padding, is a *frame*: a plain ``dict`` from the names below to NumPy arrays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+COMPONENTS = ("x", "y", "z")
+PADDING = -1
+MAX_GROUPS = 100
+
+Frame: TypeAlias = dict[str, NDArray]
+
+
+class SceneError(ValueError):
+    """Something in the DEM data is missing, contradictory or not finite."""
+
+
+class SceneWarning(UserWarning):
+    """Something in the data or the request is probably not what was meant."""
+
+
+# --- names, dimensions, units ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One variable of the scene: dimensions besides time, powers of (length, mass, time), kind."""
+
+    dims: tuple[str, ...]
+    powers: tuple[int, int, int]
+    long_name: str
+    dtype: str = "float64"
+
+    @property
+    def fill(self) -> float | int:
+        """Value of padding."""
+        return PADDING if self.dtype == "int64" else np.nan
+
+    def shape(self, rows: int) -> tuple[int, ...]:
+        """Shape of one frame of `rows` rows."""
+        return (rows, *(2 if dim == "bound" else 3 for dim in self.dims[1:]))
+
+
+_PARTICLE = ("particle",)
+_CONTACT = ("contact",)
+VARIABLES: dict[str, Variable] = {
+    "particle_id": Variable(_PARTICLE, (0, 0, 0), "identifier of the particle", "int64"),
+    "position": Variable((*_PARTICLE, "component"), (1, 0, 0), "position of the particle centre"),
+    "velocity": Variable((*_PARTICLE, "component"), (1, 0, -1), "velocity of the particle"),
+    "diameter": Variable(_PARTICLE, (1, 0, 0), "diameter"),
+    "density": Variable(_PARTICLE, (-3, 1, 0), "density of the particle's material"),
+    "mass": Variable(_PARTICLE, (0, 1, 0), "mass"),
+    "volume": Variable(_PARTICLE, (3, 0, 0), "volume"),
+    "species": Variable(_PARTICLE, (0, 0, 0), "species", "int64"),
+    "body_id": Variable(_PARTICLE, (0, 0, 0), "identifier of the body that the particle is glued to", "int64"),
+    "frozen": Variable(_PARTICLE, (0, 0, 0), "1 where the particle is held in place and acts as a wall", "int64"),
+    "coordination_number": Variable(_PARTICLE, (0, 0, 0), "number of contact partners"),
+    "contact_i": Variable(_CONTACT, (0, 0, 0), "id of the particle that the force acts on", "int64"),
+    "contact_j": Variable(_CONTACT, (0, 0, 0), "id of its partner; negative for a wall", "int64"),
+    "contact_force": Variable((*_CONTACT, "component"), (1, 1, -2), "contact force on particle i"),
+    "contact_point": Variable((*_CONTACT, "component"), (1, 0, 0), "contact point"),
+    "contact_normal": Variable((*_CONTACT, "component"), (0, 0, 0), "unit normal from j to i"),
+    "overlap": Variable(_CONTACT, (1, 0, 0), "overlap"),
+}
+BOX = Variable(("component", "bound"), (1, 0, 0), "edges of the domain")
+
+_NAMED_UNITS = {(0, 0, 0): "1", (1, 1, -2): "N", (-1, 1, -2): "Pa", (-2, 1, -2): "Pa m-1"}
+
+
+def units_of(powers: tuple[int, int, int], unit_system: str = "SI") -> str:
+    """Return the UDUNITS form of powers of (length, mass, time); "1" for everything in a reduced scene."""
+    if unit_system != "SI":
+        return "1"
+    if powers in _NAMED_UNITS:
+        return _NAMED_UNITS[powers]
+    length, mass, time = powers
+    parts = [(unit, power) for unit, power in (("kg", mass), ("m", length), ("s", time)) if power]
+    return " ".join(unit if power == 1 else f"{unit}{power}" for unit, power in parts)
+
+
+def variable(name: str, dtype: Any = "float64") -> Variable:
+    """Return the row of a scene variable; any other name is one value a particle, without a unit."""
+    kind = "int64" if np.issubdtype(dtype, np.integer) else "float64"
+    return VARIABLES.get(name, Variable(_PARTICLE, (0, 0, 0), name.replace("_", " "), kind))
+
+
+# --- what files do not say -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What holds for the whole scene and is not in its rows.
+
+    Attributes
+    ----------
+    periodic : str
+        Periodic axes, any of "xyz".
+    gravity : tuple of float or None
+        Acceleration of gravity (3 components), in the units of the scene.
+    dimension : int
+        3, or 2 for one layer of particles.
+    plane : str
+        The axes that the scene extends in: "xyz", or two of them for ``dimension=2``.
+    thickness : float or None
+        Depth of a one-layer scene; None takes the box depth where it is finite, else the largest diameter.
+    shape : str
+        "sphere" or "disc": how volume follows from diameter.
+    density : float or None
+        Material density where the data hold neither mass nor density.
+    scales : tuple of float
+        Factors from the data's units of (length, mass, time) to those of the scene.
+    unit_system : str
+        "SI" or "reduced".
+    """
+
+    periodic: str = ""
+    gravity: tuple[float, float, float] | None = None
+    dimension: int = 3
+    plane: str = "xyz"
+    thickness: float | None = None
+    shape: str = "sphere"
+    density: float | None = None
+    scales: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    unit_system: str = "SI"
+
+    def __post_init__(self) -> None:
+        if set(self.periodic) - set(COMPONENTS):
+            msg = f"periodic={self.periodic!r}: expected any of 'x', 'y', 'z', for example periodic='xy'"
+            raise SceneError(msg)
+        if self.dimension not in (2, 3) or len(self.plane) != self.dimension or set(self.plane) - set(COMPONENTS):
+            msg = (
+                f"dimension={self.dimension!r} with plane={self.plane!r}: expected dimension=3, "
+                "or dimension=2 with the two axes of the plane, for example plane='xy'"
+            )
+            raise SceneError(msg)
+        if self.shape not in ("sphere", "disc"):
+            msg = f"shape={self.shape!r}: expected 'sphere' or 'disc'"
+            raise SceneError(msg)
+        for name in ("density", "thickness"):
+            value = getattr(self, name)
+            if value is not None and not (np.isfinite(value) and value > 0):
+                msg = f"{name}={value!r}: expected a positive number"
+                raise SceneError(msg)
+        if self.shape == "disc" and self.thickness is None:
+            msg = "discs need thickness=: their volume is pi d^2/4 times the thickness of the layer"
+            raise SceneError(msg)
+
+    @classmethod
+    def make(
+        cls,
+        *,
+        units: Mapping[str, float] | str | None = None,
+        gravity: Sequence[float] | None = None,
+        dimension: int = 3,
+        plane: str | None = None,
+        **given: Any,
+    ) -> Setup:
+        """Build from the arguments of the public calls (`units` as a mapping, "reduced", or None for SI)."""
+        scales, unit_system = (1.0, 1.0, 1.0), "SI"
+        if units == "reduced":
+            unit_system = "reduced"
+        elif isinstance(units, Mapping):
+            wrong = set(units) - {"length", "mass", "time"}
+            if wrong or not all(np.isfinite(v) and v > 0 for v in units.values()):
+                msg = (
+                    f"units={dict(units)!r}: expected positive factors to SI for any of 'length' (m), 'mass' (kg) "
+                    "and 'time' (s), for example units={'length': 1e-3}"
+                )
+                raise SceneError(msg)
+            scales = (units.get("length", 1.0), units.get("mass", 1.0), units.get("time", 1.0))
+        elif units is not None and str(units).upper() != "SI":
+            msg = f"units={units!r}: expected None (SI), 'reduced', or factors like {{'length': 1e-3}}"
+            raise SceneError(msg)
+        if gravity is not None:
+            vector = np.asarray(gravity, float)
+            if vector.shape != (3,) or not np.isfinite(vector).all():
+                msg = f"gravity={gravity!r}: expected three finite components, for example (0, 0, -9.81)"
+                raise SceneError(msg)
+            gravity = (float(vector[0]), float(vector[1]), float(vector[2]))
+        plane = plane or ("xyz" if dimension == 3 else "xy")
+        given["periodic"] = "".join(axis for axis in COMPONENTS if axis in (given.get("periodic") or "")) + "".join(
+            sorted(set(given.get("periodic") or "") - set(COMPONENTS))
+        )
+        return cls(gravity=gravity, dimension=dimension, plane=plane, scales=scales, unit_system=unit_system, **given)
+
+    def factor(self, powers: tuple[int, int, int]) -> float:
+        """Factor from the data's units to the scene's, for powers of (length, mass, time)."""
+        return float(np.prod([scale**power for scale, power in zip(self.scales, powers, strict=True)]))
