@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from xcg.contacts import Contacts
 from xcg.grid import Grid
 from xcg.kernels import deposit as kernel
+from xcg.kernels.nodes import spatial_order
 from xcg.kernels.segments import deposit_segments
 from xcg.schema import Frame, SceneError
 from xcg.smoothing import Weights
@@ -170,36 +171,38 @@ class _Deposit:
         grid, self.cutoff = recipe.grid, recipe.cutoff
         self.phases = max(1, len(recipe.groups))
         self.shape = grid.shape
+        self.nodes = math.prod(grid.shape)
         self.origin = grid.origin
         self.active = grid.active
-        self.steps = grid.steps / self.cutoff
-        self.period = np.where(grid.active, period, np.inf) / self.cutoff
-        self.kernel = (*recipe.weights[:3], recipe.weights.norm * scale)
+        where = (grid.steps / self.cutoff, grid.active, np.where(grid.active, period, np.inf) / self.cutoff)
+        kernel = (*recipe.weights[:3], recipe.weights.norm * scale)
+        self.onto = (np.array(grid.shape), np.array([0, grid.shape[0]]), *where, *kernel)
 
-    def local(self, position: NDArray) -> NDArray:
-        return (position - self.origin) / self.cutoff
-
-    def new(self, columns: int) -> NDArray:
-        return np.zeros((self.phases, *self.shape, columns))
+    def _placed(self, position: NDArray) -> tuple[NDArray, NDArray]:
+        """Order in space, so that neighbours add to the same nodes while these are in cache; local coordinates."""
+        local = (position - self.origin) / self.cutoff
+        order = spatial_order(local, self.active)
+        return order, local[order]
 
     def points(
         self, position: NDArray, velocity: NDArray, mass: NDArray, constants: NDArray, phase: NDArray, level: int,
         reference: NDArray, *, by_gradient: bool = False,
     ) -> NDArray:  # fmt: skip
-        sums = self.new(level + constants.shape[1])
+        sums = np.zeros((self.phases, self.nodes, level + constants.shape[1]))
+        order, local = self._placed(position)
         kernel.deposit(
-            self.local(position), velocity, mass, constants, phase, level, self.steps, self.active, self.period,
-            *self.kernel, by_gradient, sums, reference,
+            local, velocity[order], mass[order], constants[order], phase[order], level, *self.onto, by_gradient,
+            sums, reference,
         )  # fmt: skip
-        return sums
+        return sums.reshape(self.phases, *self.shape, sums.shape[-1])
 
     def segments(self, start: NDArray, branch: NDArray, force: NDArray, phase: NDArray, limits: NDArray) -> NDArray:
-        sums = self.new(9)
+        sums = np.zeros((self.phases, self.nodes, 9))
+        order, local = self._placed(start)
         deposit_segments(
-            self.local(start), branch / self.cutoff, force * self.cutoff, phase, limits,
-            self.steps, self.active, self.period, *self.kernel, sums,
-        )  # fmt: skip
-        return sums
+            local, branch[order] / self.cutoff, force[order] * self.cutoff, phase[order], limits, *self.onto, sums
+        )
+        return sums.reshape(self.phases, *self.shape, 3, 3)
 
 
 def moments_of(frame: Frame, recipe: Recipe, period: NDArray, scale: float, where: str) -> dict[str, NDArray]:
@@ -240,7 +243,7 @@ def moments_of(frame: Frame, recipe: Recipe, period: NDArray, scale: float, wher
     constants = np.concatenate(list(columns.values()), axis=1) if columns else np.zeros((count, 0))
     velocity = np.ascontiguousarray(frame.get("velocity", np.zeros((count, 3))))
     mass = frame.get("mass", np.ones(count))
-    reference = np.full((*to.shape, 3), np.nan)
+    reference = np.full((to.nodes, 3), np.nan)
     sums: dict[str, NDArray] = {}
 
     level = recipe.level
@@ -262,7 +265,7 @@ def moments_of(frame: Frame, recipe: Recipe, period: NDArray, scale: float, wher
     if "contact" in wanted:
         assert contacts is not None
         segments = contacts.segments(position, phase)
-        sums["contact"] = to.segments(*segments, recipe.limits).reshape(to.phases, *to.shape, 3, 3)
+        sums["contact"] = to.segments(*segments, recipe.limits)
     if "traction" in wanted:
         assert contacts is not None
         at, point, force = contacts.at_walls
@@ -270,7 +273,7 @@ def moments_of(frame: Frame, recipe: Recipe, period: NDArray, scale: float, wher
         sums["traction"] = to.points(point, none, none[:, 0], force, phase[at], kernel.NONE, reference)
     if recipe.by is not None:
         sums = {name: np.concatenate([a.sum(axis=0, keepdims=True), a]) for name, a in sums.items()}
-    return sums | {"reference": np.nan_to_num(reference, nan=0.0)}
+    return sums | {"reference": np.nan_to_num(reference, nan=0.0).reshape(*to.shape, 3)}
 
 
 def _flow(records: NDArray, name: str, row: Moment) -> NDArray:
