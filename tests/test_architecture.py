@@ -16,6 +16,7 @@ FLOORS = [
     ["fields"],
     ["plan", "readers", "writers"],
     ["coarse_grain", "datasets"],
+    ["balance", "width_sweep"],
     ["accessor"],
     ["__init__"],
 ]

@@ -7,9 +7,11 @@ from typing import Any
 
 import xarray as xr
 
+from xcg.balance import balance
 from xcg.coarse_grain import coarse_grain
 from xcg.plan import Plan, make_plan
 from xcg.scene import measure, summary
+from xcg.width_sweep import width_sweep
 
 
 @xr.register_dataset_accessor("cg")
@@ -29,6 +31,14 @@ class CoarseGrainAccessor:
     def explain(self, fields: Any = None, **options: Any) -> Plan:
         """Say what `coarse_grain` with the same arguments will do: print the plan that this returns."""
         return make_plan(self._ds, fields, **options)
+
+    def width_sweep(self, widths: Any, fields: Any = None, **options: Any) -> xr.Dataset:
+        """Coarse-grain with several widths and find the plateau, see `xcg.width_sweep`."""
+        return width_sweep(self._ds, widths, fields, **options)
+
+    def balance(self, **options: Any) -> xr.Dataset:
+        """Residuals of the balance laws, see `xcg.balance`."""
+        return balance(self._ds, **options)
 
     def measure(self) -> xr.Dataset:
         """Measure sizes and extent of all steps, see `xcg.measure`."""
