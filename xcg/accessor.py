@@ -7,7 +7,9 @@ from typing import Any
 
 import xarray as xr
 
+from xcg.chains import force_chains
 from xcg.coarse_grain import coarse_grain
+from xcg.particle_stress import particle_stress
 from xcg.plan import Plan, make_plan
 from xcg.scene import measure, summary
 
@@ -29,6 +31,14 @@ class CoarseGrainAccessor:
     def explain(self, fields: Any = None, **options: Any) -> Plan:
         """Say what `coarse_grain` with the same arguments will do: print the plan that this returns."""
         return make_plan(self._ds, fields, **options)
+
+    def particle_stress(self, **options: Any) -> xr.Dataset:
+        """Stress of each particle, see `xcg.particle_stress`."""
+        return particle_stress(self._ds, **options)
+
+    def force_chains(self, alpha: float = 45.0, threshold: Any = None, min_length: int = 3, **options: Any) -> xr.Dataset:
+        """Force chains of each step, see `xcg.force_chains`."""
+        return force_chains(self._ds, alpha, threshold, min_length, **options)
 
     def measure(self) -> xr.Dataset:
         """Measure sizes and extent of all steps, see `xcg.measure`."""

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from xcg import fields as registry
 from xcg.complete import periods
 from xcg.moments import moments_of
-from xcg.over_time import history, map_over_time
+from xcg.labels import about
+from xcg.over_time import map_over_time
 from xcg.plan import Plan, make_plan, scale_of
 from xcg.scene import frame_of
 from xcg.schema import COMPONENTS, Frame, units_of
@@ -165,13 +166,8 @@ def _label(ds: xr.Dataset, plan: Plan, arrays: Mapping[str, Any], given: Mapping
 
 def _provenance(ds: xr.Dataset, plan: Plan, given: Mapping[str, Any]) -> dict[str, Any]:
     call = ", ".join(f"{k}={v!r}" for k, v in given.items())
-    kept = {
-        k: ds.attrs[k]
-        for k in ("Conventions", "periodic", "gravity", "unit_system", "dimension", "plane")
-        if k in ds.attrs
-    }
     return {
-        **kept,
+        **about(ds, f"coarse_grain({call})"),
         "kernel": plan.kernel.name,
         "width": plan.kernel.width,
         "cutoff": plan.kernel.cutoff,
@@ -179,5 +175,4 @@ def _provenance(ds: xr.Dataset, plan: Plan, given: Mapping[str, Any]) -> dict[st
         "rtol": plan.rtol,
         "gradient": plan.options.gradient,
         "averaged_axes": plan.recipe.grid.averaged,
-        "history": history(ds, f"coarse_grain({call})"),
     }

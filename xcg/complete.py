@@ -144,6 +144,9 @@ def rows_of(ids: NDArray, wanted: NDArray) -> NDArray:
     """Row of each wanted id among sorted ids, -1 where it is not there."""
     if not len(ids):
         return np.full(len(wanted), -1)
+    if ids[-1] - ids[0] + 1 == len(ids):  # no gaps: nothing to search for
+        row = wanted - ids[0]
+        return np.where((row >= 0) & (row < len(ids)), row, -1)
     row = np.minimum(np.searchsorted(ids, wanted), len(ids) - 1)
     return np.where(ids[row] == wanted, row, -1)
 

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from datetime import UTC, datetime
 from functools import partial
-from importlib.metadata import version
 from typing import Any, TypeAlias
 
 import dask.array as da
@@ -95,11 +93,3 @@ def _compute_chunk(compute: Compute, names: Sequence[str], *arrays: NDArray) -> 
 
 def _pick(arrays: Mapping[str, NDArray], name: str) -> NDArray:
     return arrays[name]
-
-
-def history(ds: xr.Dataset, call: str) -> str:
-    """History of a result: that of its scene, then a line with the time, the version and the call."""
-    stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-    line = f"{stamp} xcg {version('xcg')}: {call}"
-    earlier = ds.attrs.get("history")
-    return line if earlier is None else f"{earlier}\n{line}"
