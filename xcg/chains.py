@@ -11,7 +11,6 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.complete import periods
-from xcg.contacts import Contacts
 from xcg.kernels import chains as kernel
 from xcg.labels import empty_results, label, results_of
 from xcg.over_time import map_over_time
@@ -268,7 +267,7 @@ def _compute(rule: SearchRule, arrays: Mapping[str, NDArray]) -> dict[str, NDArr
 def find_chains(rule: SearchRule, frame: Frame, box: NDArray | None, time: float, where: str) -> Frame:
     """Chains of one frame: arrays by particle, by contact and by chain, by the names in `RESULTS`."""
     period = periods(box, rule.stress.periodic, where)
-    contacts = Contacts.of(frame, period)
+    contacts = rule.stress.contacts(frame, box, where)
     stress = rule.stress.evaluate(frame, contacts, box, where)
     major, onward = stress["major_stress"], np.nan_to_num(stress["major_direction"])
     qualifies = rule.qualifies(frame, stress, time, period)

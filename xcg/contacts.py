@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -16,6 +16,8 @@ from xcg.schema import Frame
 # Branches closer to one line than this (sine of their angle) share one segment from centre to centre; the
 # contact point is then off that line by no more than the rounding of its coordinates.
 COLLINEAR = 1e-12
+# Contacts are those of spheres where the branches are as spheres have them, to this share of the radius.
+SPHERES = 1e-2
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,23 @@ class Contacts:
         nearest_image(position, row_j, point, period, branch_j)
         normal = frame.get("contact_normal")
         return cls(row_i, row_j, frame["contact_force"], branch_i, branch_j, normal, point, key_i, key_j, len(ids))
+
+    def with_overlaps(self, diameter: NDArray, overlap: NDArray) -> Contacts:
+        """Return the contacts with branches of spheres as the code had them: ``a = n (R - overlap/2)``.
+
+        Text files hold normals and overlaps with more digits than positions can tell. Contacts whose branches differ
+        from that by more than `SPHERES` of a radius are not between spheres, and stay as they are.
+        """
+        both = np.flatnonzero((self.i >= 0) & (self.j >= 0))
+        normal, spheres, branches = self.normal[both], np.ones(len(both), bool), []
+        for row, given, sign in ((self.i, self.branch_i, 1.0), (self.j, self.branch_j, -1.0)):
+            radius = diameter[row[both]] / 2
+            branch = sign * (radius - overlap[both] / 2)[:, None] * normal
+            spheres &= np.linalg.norm(branch - given[both], axis=1) <= SPHERES * radius
+            branches.append(branch)
+        branch_i, branch_j = self.branch_i.copy(), self.branch_j.copy()
+        branch_i[both[spheres]], branch_j[both[spheres]] = branches[0][spheres], branches[1][spheres]
+        return replace(self, branch_i=branch_i, branch_j=branch_j)
 
     @cached_property
     def normal(self) -> NDArray:

@@ -49,12 +49,15 @@ class StressRule:
         Whether volumes are those of discs of a certain thickness.
     thickness : float or str or None
         Of the discs (m), or the axis whose box extent it is.
+    spheres : tuple of str
+        Variables that the branches of spheres follow from; empty where all follow from contact points.
     """
 
     periodic: str
     symmetric: bool = True
     disc: bool = False
     thickness: float | str | None = None
+    spheres: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.disc and self.thickness is None:
@@ -70,12 +73,20 @@ class StressRule:
         disc = volume == "disc"
         require_scene(ds, (*_CONTACTS, "diameter" if disc else "volume"), purpose)
         setup = setup_of(ds)
-        return cls(setup.periodic, symmetric, disc, layer_depth(ds, setup, edges_of(ds)) if disc else None)
+        thickness = layer_depth(ds, setup, edges_of(ds)) if disc else None
+        given = tuple(name for name in ("diameter", "overlap", "contact_normal") if name in ds)
+        return cls(setup.periodic, symmetric, disc, thickness, given if {"diameter", "overlap"} <= set(given) else ())
 
     @property
     def variables(self) -> tuple[str, ...]:
         """Variables of the scene that the stress is made from."""
-        return ("particle_id", *_CONTACTS, "diameter" if self.disc else "volume")
+        size = ("diameter",) if self.disc else ("volume",)
+        return tuple(dict.fromkeys(("particle_id", *_CONTACTS, *size, *self.spheres)))
+
+    def contacts(self, frame: Frame, box: NDArray | None, where: str) -> Contacts:
+        """Join the contacts of a frame to its particles."""
+        contacts = Contacts.of(frame, periods(box, self.periodic, where))
+        return contacts.with_overlaps(frame["diameter"], frame["overlap"]) if self.spheres else contacts
 
     def volumes(self, frame: Frame, box: NDArray | None, where: str) -> NDArray:
         """Volume of each particle (m3)."""
@@ -164,7 +175,8 @@ def particle_stress(ds: xr.Dataset, *, symmetric: bool = True, volume: str = "pa
     Notes
     -----
     ``sigma = 1/V sum_c f a``, over the contacts of the particle with others and with walls: f the force on the
-    particle, a the branch from the contact point to its centre (nearest image), V its volume. The first index
+    particle, a the branch from the contact point to its centre (nearest image), V its volume. Where the scene holds
+    overlaps, branches of spheres are ``n (R - overlap/2)``: files hold these with more digits than positions. The first index
     (`component`) is that of the force, the second (`direction`) that of the branch. Sources: Ejtehadi et al. (2024),
     where tension is positive; Goldhirsch (2010).
 
@@ -187,7 +199,7 @@ def _compute(rule: StressRule, arrays: Mapping[str, NDArray]) -> dict[str, NDArr
     out = empty_results(RESULTS, {"particle": ids.shape[1]}, len(ids)) | {"particle_id": ids}
     for t in range(len(ids)):
         frame, box, where = one_frame(arrays, t)
-        contacts = Contacts.of(frame, periods(box, rule.periodic, where))
+        contacts = rule.contacts(frame, box, where)
         for name, values in rule.evaluate(frame, contacts, box, where).items():
             out[name][t][ids[t] != PADDING] = values
     return out
