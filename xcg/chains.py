@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.complete import periods
+from xcg.complete import periods, rows_of
 from xcg.kernels import chains as kernel
 from xcg.labels import empty_results, label, results_of
 from xcg.over_time import map_over_time
@@ -18,7 +18,7 @@ from xcg.particle_stress import RESULTS as STRESSES
 from xcg.particle_stress import StressRule, carries, one_frame
 from xcg.regions import Region
 from xcg.scene import require_scene
-from xcg.schema import PADDING, VARIABLES, Frame, Variable
+from xcg.schema import PADDING, VARIABLES, Frame, SceneError, Variable
 
 ALGORITHMS = ("branching", "peters2005")
 # Angles that exceed alpha by less (radians) count as equal to it, stresses that fall short of the threshold by less
@@ -163,8 +163,8 @@ def force_chains(
         ``chain_count``, ``length_mean``, ``length_median``, ``length_min``, ``length_max``, ``length_share``
         (time, length). Positions, diameters, ids and forces are those of the scene.
 
-        The dimension ``chain`` has as many rows as there could be chains, particles // `min_length`; rows beyond
-        ``chain_count`` are padding (-1, NaN).
+        The dimension ``chain`` has as many rows as there could be chains, particles // `min_length`, so that nothing
+        needs to be computed to know the shape; rows without a chain are padding (-1, NaN).
 
     Raises
     ------
@@ -314,3 +314,68 @@ def statistics_of(particles: NDArray, min_length: int, lengths: int) -> dict[str
     share = np.bincount(particles - min_length, minlength=lengths)[:lengths] / max(count, 1)
     values = [f(particles) if count else np.nan for f in (np.mean, np.median, np.min, np.max)]
     return dict(zip(STATISTICS, (count, *values, share), strict=True))
+
+
+# --- reading a result ------------------------------------------------------------------------------------
+
+
+def require_chains(fc: xr.Dataset, purpose: str) -> None:
+    """Refuse a Dataset that is no result of `force_chains`.
+
+    Raises
+    ------
+    SceneError
+        If it lacks ``chain_id`` or ``link_chain``; the message says how to get them.
+    """
+    missing = [name for name in ("chain_id", "link_chain", "particle_id") if name not in fc]
+    if missing:
+        msg = f"{purpose} needs {missing}, which this Dataset does not hold; call it on a result of ds.cg.force_chains()"
+        raise SceneError(msg)
+
+
+def steps_of(fc: xr.Dataset, names: Sequence[str]) -> Iterator[Step]:
+    """Yield the steps of a result one after the other, each computed on its own, without padding."""
+    if "time" not in fc.dims:
+        fc = fc.expand_dims("time")
+    names = [*dict.fromkeys(("particle_id", "contact_i", *names, *(name for name in ("box",) if name in fc)))]
+    for t in range(fc.sizes["time"]):
+        step = fc[names].isel(time=t).compute()
+        rows = {"particle": step.particle_id.to_numpy() != PADDING, "contact": step.contact_i.to_numpy() != PADDING}
+        arrays = {}
+        for name in names:
+            first, *_ = RESULTS[name].dims if name in RESULTS else ("",)
+            values = step[name].transpose(*RESULTS[name].dims).to_numpy() if name in RESULTS else step[name].to_numpy()
+            arrays[name] = values[rows[first]] if first in rows else values
+        time = float(step["time"]) if "time" in step.coords else 0.0
+        number = int(step["step"]) if "step" in step.coords else t
+        period = periods(arrays.pop("box", None), fc.attrs.get("periodic", ""), f"step {number}")
+        yield Step(arrays, time, number, period)
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of a result.
+
+    Attributes
+    ----------
+    arrays : Frame
+        Variables by name, without padding (by chain: row k is chain k).
+    time : float
+        Time (s).
+    number : int
+        Number of the time step.
+    period : array (3,)
+        Length of the periodic axes (m), infinity along the others.
+    """
+
+    arrays: Frame
+    time: float
+    number: int
+    period: NDArray
+
+    def links(self) -> tuple[NDArray, NDArray, NDArray]:
+        """Contact rows of the links, and the rows of the two particles of each."""
+        contact = np.flatnonzero(self.arrays["link_chain"] >= 0)
+        ids = self.arrays["particle_id"]
+        i, j = (rows_of(ids, self.arrays[name][contact]) for name in ("contact_i", "contact_j"))
+        return contact, i, j
