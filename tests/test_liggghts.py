@@ -130,8 +130,12 @@ def test_normals(box):
     """Normals of pairs from the file's positions are those of the particles; those of walls point off the wall."""
     step = box.isel(time=0)
     valid = step.contact_i.values >= 0
-    i, j, point, normal = (step[name].values[valid] for name in ("contact_i", "contact_j", "contact_point", "contact_normal"))
-    arm = minimum_image(step.position.values[np.searchsorted(step.particle_id.values, i)] - point, np.array([0.05, 0.05, np.inf]))
+    i, j, point, normal = (
+        step[name].values[valid] for name in ("contact_i", "contact_j", "contact_point", "contact_normal")
+    )
+    arm = minimum_image(
+        step.position.values[np.searchsorted(step.particle_id.values, i)] - point, np.array([0.05, 0.05, np.inf])
+    )
     arm /= np.linalg.norm(arm, axis=1, keepdims=True)
     np.testing.assert_allclose(normal[j >= 0], arm[j >= 0], atol=1e-4)
     np.testing.assert_allclose(normal[j < 0], np.tile([0, 0, 1.0], ((j < 0).sum(), 1)), atol=1e-3)

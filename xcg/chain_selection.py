@@ -75,7 +75,7 @@ def select_chains(
     changed = MEMBERS | CHAINS | STATISTICS
     names = ["particle_id", "position", "major_stress", *MEMBERS, *CHAINS]
     names += [name for name in ("box", "time", "step") if name in fc]
-    arrays = map_over_time(fc, names, partial(_compute, condition), results_of(changed, dict(fc.sizes)), "select-chains")
+    arrays = map_over_time(fc, names, partial(_compute, condition), results_of(changed, fc.sizes), "select-chains")
     given = {"region": region, "min_stress": min_stress, "of": of}
     call = ", ".join(f"{name}={value!r}" for name, value in given.items() if value is not None)
     selected = label(fc, changed, arrays, f"select_chains({call})")

@@ -49,7 +49,10 @@ def track_chains(fc: xr.Dataset, overlap: float = 0.5) -> xr.Dataset:
     chains, steps = fc.sizes["chain"], fc.sizes["time"]
     track = np.full((steps, chains), -1)
     births, deaths, survivors = (np.zeros(steps, int) for _ in range(3))
-    times, first, last, seen = np.zeros(steps), [], [], []
+    times = np.zeros(steps)
+    first: list[int] = []  # step, by track
+    last: list[int] = []
+    seen: list[int] = []
     before: tuple[NDArray, NDArray] = (np.zeros(0, int), np.zeros(0, int))
     for t, step in enumerate(steps_of(fc, ["chain_id"])):
         member = step.arrays["chain_id"] >= 0

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from xcg import fields as registry
 from xcg.complete import periods
-from xcg.moments import moments_of
 from xcg.labels import about
+from xcg.moments import moments_of
 from xcg.over_time import map_over_time
 from xcg.plan import Plan, make_plan, scale_of
 from xcg.scene import frame_of

@@ -222,7 +222,7 @@ def complete_contacts(
 
 
 def _normals(branch: NDArray, period: NDArray) -> NDArray:
-    """Unit vectors along the nearest images of branches; zero where these are."""
+    """Make unit vectors of the nearest images of branches; zero where these are zero."""
     nearest = minimum_image(branch, period)
     length = np.linalg.norm(nearest, axis=1, keepdims=True)
     return np.divide(nearest, length, out=np.zeros_like(nearest), where=length > 0)

@@ -19,16 +19,16 @@ ABOUT = ("Conventions", "periodic", "gravity", "unit_system", "dimension", "plan
 AXES = {"component": list(COMPONENTS), "direction": list(COMPONENTS), "principal": [1, 2, 3]}
 
 
-def _shape(row: Variable, sizes: Mapping[str, int]) -> tuple[int, ...]:
+def _shape(row: Variable, sizes: Mapping[Any, int]) -> tuple[int, ...]:
     return tuple(3 if dim in AXES else sizes[dim] for dim in row.dims)
 
 
-def results_of(variables: Mapping[str, Variable], sizes: Mapping[str, int]) -> dict[str, Result]:
+def results_of(variables: Mapping[str, Variable], sizes: Mapping[Any, int]) -> dict[str, Result]:
     """Shape of one step, and type, of each variable."""
     return {name: (_shape(row, sizes), row.dtype) for name, row in variables.items()}
 
 
-def empty_results(variables: Mapping[str, Variable], sizes: Mapping[str, int], steps: int) -> dict[str, NDArray]:
+def empty_results(variables: Mapping[str, Variable], sizes: Mapping[Any, int], steps: int) -> dict[str, NDArray]:
     """Arrays of padding, time first."""
     return {name: np.full((steps, *_shape(row, sizes)), row.fill, row.dtype) for name, row in variables.items()}
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from xcg.complete import periods
 from xcg.contacts import Contacts
 from xcg.kernels.eigen import principal
-from xcg.moments import CONTACT_VARIABLES
 from xcg.labels import empty_results, label, results_of
+from xcg.moments import CONTACT_VARIABLES
 from xcg.over_time import map_over_time
 from xcg.plan import edges_of, layer_depth
 from xcg.scene import frame_of, require_scene, setup_of
@@ -93,6 +93,7 @@ class StressRule:
         if not self.disc:
             return frame["volume"]
         thickness = self.thickness
+        assert thickness is not None  # checked when the rule was made
         if isinstance(thickness, str):
             k = COMPONENTS.index(thickness)
             thickness = np.nan if box is None else float(box[k, 1] - box[k, 0])
@@ -176,9 +177,9 @@ def particle_stress(ds: xr.Dataset, *, symmetric: bool = True, volume: str = "pa
     -----
     ``sigma = 1/V sum_c f a``, over the contacts of the particle with others and with walls: f the force on the
     particle, a the branch from the contact point to its centre (nearest image), V its volume. Where the scene holds
-    overlaps, branches of spheres are ``n (R - overlap/2)``: files hold these with more digits than positions. The first index
-    (`component`) is that of the force, the second (`direction`) that of the branch. Sources: Ejtehadi et al. (2024),
-    where tension is positive; Goldhirsch (2010).
+    overlaps, branches of spheres are ``n (R - overlap/2)``: files hold these with more digits than positions. The
+    first index (`component`) is that of the force, the second (`direction`) that of the branch. Sources: Ejtehadi et
+    al. (2024), where tension is positive; Goldhirsch (2010).
 
     Examples
     --------

@@ -137,7 +137,7 @@ class Box(Region):
         middle = np.where(bounded, 0.5 * (np.where(bounded, lower, 0.0) + np.where(bounded, upper, 0.0)), 0.0)
         away = position - (offset + middle)
         away = np.where(bounded, minimum_image(away, period), away)
-        return ((away >= lower - middle) & (away <= upper - middle)).all(axis=1)
+        return np.asarray(((away >= lower - middle) & (away <= upper - middle)).all(axis=1))
 
 
 @dataclass(frozen=True)
@@ -180,4 +180,4 @@ class Sphere(Region):
         if offset is None:
             return np.zeros(len(position), bool)
         away = minimum_image(position - (offset + np.asarray(self.centre)), period)
-        return (away**2).sum(axis=1) <= self.radius**2
+        return np.asarray((away**2).sum(axis=1) <= self.radius**2)

@@ -96,9 +96,7 @@ def _fcf_rows(arrays: Frame) -> Iterator[str]:
         yield f"{arrays['particle_id'][p]},{where},{arrays['chain_id'][p]},{stress},{link},"
 
 
-def _targets(
-    fc: xr.Dataset, names: tuple[str, ...], path: str | os.PathLike[str]
-) -> Iterator[tuple[Step, Path]]:
+def _targets(fc: xr.Dataset, names: tuple[str, ...], path: str | os.PathLike[str]) -> Iterator[tuple[Step, Path]]:
     """Yield each step and the file that it goes to."""
     pattern = os.fspath(path)
     if fc.sizes.get("time", 1) > 1 and "{step}" not in pattern:
@@ -162,7 +160,6 @@ class _Mesh:
                 "force_magnitude": np.linalg.norm(arrays["contact_force"][contact], axis=1),
             },
         )
-
 
 
 def to_vtp(fc: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool = False) -> list[Path]:
