@@ -14,6 +14,8 @@ from xcg.kernels.eigen import diagonalise
 UNSEEN, TOO_SHORT = -1, -2
 # A straight chain has no plane: its second extent is below this share of the first (variances, so 1e-5 in length).
 _STRAIGHT = 1e-10
+# A branch with a smaller cosine to the direction of travel lies at right angles to it, neither ahead nor behind.
+_SIDEWAYS = 1e-9
 
 
 @jit
@@ -168,7 +170,8 @@ def branching_chains(
                 q, sign = _far_end(i, j, c, p)
                 if one_sided:
                     ahead = sign * _dot(branch[c], onward[p])
-                    if (-ahead if p == seed and way == 1 else ahead) < 0.0:
+                    ahead = -ahead if p == seed and way == 1 else ahead
+                    if ahead < -_SIDEWAYS * math.sqrt(_dot(branch[c], branch[c])):
                         continue
                 if chain[q] == UNSEEN:
                     chain[q] = count
@@ -211,11 +214,11 @@ def linear_chains(
                     q, sign = _far_end(i, j, c, p)
                     ahead = sign * _dot(branch[c], onward[p])
                     ahead = -ahead if p == seed and way == 1 else ahead
-                    if chain[q] != UNSEEN or ahead < 0.0:
-                        continue
                     length = math.sqrt(_dot(branch[c], branch[c]))
-                    cosine = ahead / length if length > 0.0 else 1.0
-                    if best == UNSEEN or cosine > best_cosine:
+                    if chain[q] != UNSEEN or ahead <= _SIDEWAYS * length:
+                        continue
+                    cosine = ahead / length
+                    if cosine > best_cosine:
                         best, best_cosine = c, cosine
                 if best == UNSEEN:
                     break
