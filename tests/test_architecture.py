@@ -18,7 +18,7 @@ FLOORS = [
     ["coarse_grain", "datasets", "particle_stress"],
     ["chains"],
     ["chain_plots", "chain_selection", "chain_tables", "chain_tracks", "writers"],
-    ["accessor"],
+    ["accessor", "cli_chains"],
     ["__init__"],
 ]
 

@@ -95,7 +95,7 @@ def plot_chains(
 
 
 def plot_lengths(fc: xr.Dataset, *, ax: Axes | None = None) -> Axes:
-    """Draw P(c), the share of chains that have c particles, of each step (thin) and of all (thick).
+    """Draw P(c), the share of chains that have c particles, of each step (grey) and of all (blue).
 
     Returns
     -------
@@ -113,9 +113,9 @@ def plot_lengths(fc: xr.Dataset, *, ax: Axes | None = None) -> Axes:
     share, count = steps["length_share"].transpose("time", "length").to_numpy(), steps["chain_count"].to_numpy()
     length = fc["length"].to_numpy()
     for row in share:
-        ax.plot(length[row > 0], row[row > 0], color="0.75", lw=0.8)
+        ax.plot(length[row > 0], row[row > 0], ".", ms=4, color="0.75")
     total = count @ share / max(count.sum(), 1)
-    ax.plot(length[total > 0], total[total > 0], "o-", ms=4, color="C0")
+    ax.plot(length[total > 0], total[total > 0], "o", ms=4, color="C0")
     ax.set_yscale("log")
     ax.set_xlabel("length c [particles]")
     ax.set_ylabel("P(c)")
