@@ -150,6 +150,7 @@ def test_statistics():
 
 def test_tables():
     fc = fork().cg.force_chains()
+    assert repr(fc.cg).startswith("force chains of 1 time, 9 particle, 8 contact")
     chains, links = fc.cg.chain_table(), fc.cg.link_table()
     assert chains[["chain", "particles", "links", "branchings"]].to_numpy().tolist() == [[0, 9, 8, 1]]
     assert set(map(tuple, links[["particle_i", "particle_j"]].to_numpy().tolist())) == {

@@ -12,7 +12,7 @@ from xcg.chain_plots import plot_chains, plot_lengths, plot_rose
 from xcg.chain_selection import select_chains
 from xcg.chain_tables import chain_table, link_table
 from xcg.chain_tracks import track_chains
-from xcg.chains import force_chains
+from xcg.chains import force_chains, summary_of_chains
 from xcg.coarse_grain import coarse_grain
 from xcg.particle_stress import particle_stress
 from xcg.plan import Plan, make_plan
@@ -28,7 +28,7 @@ class CoarseGrainAccessor:
         self._ds = ds
 
     def __repr__(self) -> str:
-        return summary(self._ds)
+        return summary_of_chains(self._ds) if "chain_id" in self._ds else summary(self._ds)
 
     def coarse_grain(self, fields: Any = None, **options: Any) -> xr.Dataset:
         """Coarse-grain the scene, see `xcg.coarse_grain`."""

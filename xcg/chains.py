@@ -335,6 +335,16 @@ def require_chains(fc: xr.Dataset, purpose: str) -> None:
         raise SceneError(msg)
 
 
+def summary_of_chains(fc: xr.Dataset) -> str:
+    """Tell what a result of `force_chains` holds, without computing it."""
+    sizes = ", ".join(f"{fc.sizes[dim]} {dim}" for dim in ("time", "particle", "contact") if dim in fc.sizes)
+    rule = ", ".join(f"{name} = {fc.attrs[name]}" for name in ("alpha", "min_length", "algorithm") if name in fc.attrs)
+    lines = [f"force chains of {sizes} (largest step)", f"  rule:      {rule}"]
+    for what, rows in (("particles", MEMBERS), ("chains", CHAINS), ("steps", STATISTICS)):
+        lines.append(f"  {what + ':':11s}{', '.join(name for name in rows if name in fc)}")
+    return "\n".join(lines)
+
+
 def steps_of(fc: xr.Dataset, names: Sequence[str]) -> Iterator[Step]:
     """Yield the steps of a result one after the other, each computed on its own, without padding."""
     if "time" not in fc.dims:
