@@ -45,7 +45,7 @@ def draw(fc: xr.Dataset, path: Path) -> None:
     rose = fc.cg.plot_rose(time=-1, ax=figure.add_subplot(grid[1, 2], projection="polar"))
     rose.plot(np.deg2rad([135, 315]), [rose.get_rmax()] * 2, "k:", lw=1)
     rose.set_title("links by force\n(dotted: compressive diagonal)", fontsize="medium")
-    figure.savefig(path, dpi=110)
+    figure.savefig(path, dpi=80)
 
 
 def main(output: Path) -> None:

@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import runpy
+from pathlib import Path
+
 import matplotlib as mpl
 import numpy as np
 import pytest
@@ -46,6 +49,14 @@ def test_nothing_to_draw():
     fc.cg.plot_chains()
     fc.cg.plot_rose(ax=plt.figure().add_subplot(projection="polar"))
     fc.cg.plot_lengths(ax=plt.figure().add_subplot())
+
+
+def test_example(tmp_path, capsys):
+    """Chains of a sheared layer lie along the compressive diagonal."""
+    example = runpy.run_path(str(Path(__file__).parents[1] / "examples" / "force_chains.py"))
+    example["main"](tmp_path)
+    assert "links point at 138 degrees, the mean stress at 140" in capsys.readouterr().out
+    assert (tmp_path / "chains.png").stat().st_size > 1e5
 
 
 def test_refused():

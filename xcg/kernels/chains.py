@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from xcg.kernels._jit import jit
-from xcg.kernels.eigen import diagonalise
+from xcg.kernels.eigen import descending, diagonalise
 
 UNSEEN, TOO_SHORT = -1, -2
 # A straight chain has no plane: its second extent is below this share of the first (variances, so 1e-5 in length).
@@ -303,13 +303,7 @@ def describe_chains(members, first, place, stress, links, lengths, edges, branch
                         place[p, b] - place[members[first[k]], b] - centre[b]
                     )
         diagonalise(spread, axes)
-        largest, smallest = 0, 0
-        for a in range(1, 3):
-            if spread[a, a] > spread[largest, largest]:
-                largest = a
-            if spread[a, a] <= spread[smallest, smallest]:
-                smallest = a
-        middle = 3 - largest - smallest
+        largest, middle, smallest = descending(spread)
         _fold(axes[:, largest], orientation[k])
         _fold(axes[:, smallest], normal[k])
         if spread[middle, middle] <= _STRAIGHT * spread[largest, largest]:

@@ -37,6 +37,18 @@ def diagonalise(matrix, vectors):
 
 
 @jit
+def descending(diagonal):
+    """Places of the diagonal entries of a 3x3 matrix from the largest to the smallest."""
+    first, last = 0, 0
+    for k in range(1, 3):
+        if diagonal[k, k] > diagonal[first, first]:
+            first = k
+        if diagonal[k, k] <= diagonal[last, last]:
+            last = k
+    return first, 3 - first - last, last
+
+
+@jit
 def principal(tensor, values, vectors):
     """Eigenvalues, largest first, and eigenvectors of symmetric matrices.
 
@@ -55,13 +67,7 @@ def principal(tensor, values, vectors):
             for j in range(3):
                 matrix[i, j] = 0.5 * (tensor[n, i, j] + tensor[n, j, i])
         diagonalise(matrix, columns)
-        first, last = 0, 0
-        for k in range(1, 3):
-            if matrix[k, k] > matrix[first, first]:
-                first = k
-            if matrix[k, k] <= matrix[last, last]:
-                last = k
-        order = (first, 3 - first - last, last)
+        order = descending(matrix)
         for k in range(3):
             values[n, k] = matrix[order[k], order[k]]
             for i in range(3):
