@@ -16,8 +16,8 @@ FLOORS = [
     ["fields", "labels"],
     ["plan", "readers"],
     ["coarse_grain", "datasets", "particle_stress"],
-    ["chains"],
-    ["chain_plots", "chain_selection", "chain_tables", "chain_tracks", "writers"],
+    ["chain_results"],
+    ["chains", "chain_plots", "chain_selection", "chain_tables", "chain_tracks", "writers"],
     ["accessor", "cli_chains"],
     ["__init__"],
 ]

@@ -9,10 +9,11 @@ import pandas as pd
 import xarray as xr
 
 from xcg.chain_plots import plot_chains, plot_lengths, plot_rose
+from xcg.chain_results import summary_of_chains
 from xcg.chain_selection import select_chains
 from xcg.chain_tables import chain_table, link_table
 from xcg.chain_tracks import track_chains
-from xcg.chains import force_chains, summary_of_chains
+from xcg.chains import force_chains
 from xcg.coarse_grain import coarse_grain
 from xcg.particle_stress import particle_stress
 from xcg.plan import Plan, make_plan

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.chains import CHAINS, MEMBERS, STATISTICS, require_chains, statistics_of
+from xcg.chain_results import CHAINS, MEMBERS, STATISTICS, require_chains, result_sizes, statistics_of
 from xcg.complete import periods
 from xcg.labels import label, results_of
 from xcg.over_time import map_over_time
@@ -18,6 +18,7 @@ from xcg.particle_stress import one_frame
 from xcg.regions import Region
 from xcg.schema import PADDING
 
+_GRAINS = ("particle_id", "position", "major_stress", "box", "step")
 OF = {"any": np.logical_or, "all": np.logical_and}
 
 
@@ -73,8 +74,7 @@ def select_chains(
         raise ValueError(msg)
     condition = _Condition(region, min_stress, of, fc.attrs.get("periodic", ""), int(fc.attrs.get("min_length", 3)))
     changed = MEMBERS | CHAINS | STATISTICS
-    names = ["particle_id", "position", "major_stress", *MEMBERS, *CHAINS]
-    names += [name for name in ("box", "time", "step") if name in fc]
+    names = [*(name for name in (*_GRAINS, "time") if name in fc), *MEMBERS, *CHAINS]
     arrays = map_over_time(fc, names, partial(_compute, condition), results_of(changed, fc.sizes), "select-chains")
     given = {"region": region, "min_stress": min_stress, "of": of}
     call = ", ".join(f"{name}={value!r}" for name, value in given.items() if value is not None)
@@ -86,11 +86,11 @@ def _compute(condition: _Condition, arrays: Mapping[str, NDArray]) -> dict[str, 
     """Chains of one chunk of time that fulfil a condition, from padded arrays."""
     out = {name: arrays[name].copy() for name in (*MEMBERS, *CHAINS)}
     steps, particles = arrays["particle_id"].shape
-    lengths = max(1, particles - condition.min_length + 1)
+    lengths = result_sizes(particles, 0, condition.min_length)["length"]
     for name, row in STATISTICS.items():
         out[name] = np.empty((steps, *(lengths,) * len(row.dims)), row.dtype)
     for t in range(steps):
-        frame, box, where = one_frame({n: arrays[n] for n in arrays if n not in CHAINS}, t)
+        frame, box, where = one_frame({name: arrays[name] for name in _GRAINS if name in arrays}, t)
         fulfilled = np.ones(len(frame["particle_id"]), bool)
         if condition.region is not None:
             time = float(arrays["time"][t]) if "time" in arrays else 0.0

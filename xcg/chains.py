@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 
@@ -10,54 +10,21 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.complete import periods, rows_of
+from xcg.chain_results import CHAINS, COPIED, RESULTS, result_sizes, statistics_of
+from xcg.complete import periods
 from xcg.kernels import chains as kernel
 from xcg.labels import empty_results, label, results_of
 from xcg.over_time import map_over_time
-from xcg.particle_stress import RESULTS as STRESSES
 from xcg.particle_stress import StressRule, carries, one_frame
 from xcg.regions import Region
 from xcg.scene import require_scene
-from xcg.schema import PADDING, VARIABLES, Frame, SceneError, Variable
+from xcg.schema import PADDING, Frame
 
 ALGORITHMS = ("branching", "peters2005")
 # Angles that exceed alpha by less (radians) count as equal to it, stresses that fall short of the threshold by less
 # than this share of it likewise: both are known to rounding only.
 _ANGLE = 1e-9
 _SHARE = 1e-12
-
-_NONE, _PRESSURE = (0, 0, 0), (-1, 1, -2)
-_COPIED = ("particle_id", "position", "diameter", "contact_i", "contact_j", "contact_force")
-STATISTICS: dict[str, Variable] = {
-    "chain_count": Variable((), _NONE, "number of chains", "int64"),
-    "length_mean": Variable((), _NONE, "mean length of the chains (particles)"),
-    "length_median": Variable((), _NONE, "median length of the chains (particles)"),
-    "length_min": Variable((), _NONE, "shortest chain (particles)"),
-    "length_max": Variable((), _NONE, "longest chain (particles)"),
-    "length_share": Variable(("length",), _NONE, "share of the chains that have this length, P(c)"),
-}
-CHAINS: dict[str, Variable] = {
-    "chain_particles": Variable(("chain",), _NONE, "length of the chain: its particles", "int64"),
-    "chain_links": Variable(("chain",), _NONE, "links of the chain", "int64"),
-    "chain_branchings": Variable(("chain",), _NONE, "branching points of the chain", "int64"),
-    "chain_stress": Variable(("chain",), _PRESSURE, "mean major stress of the chain's particles"),
-    "chain_orientation": Variable(("chain", "component"), _NONE, "axis of the chain's largest extent"),
-    "chain_normal": Variable(("chain", "component"), _NONE, "normal of the chain's best-fit plane"),
-}
-MEMBERS: dict[str, Variable] = {
-    "chain_id": Variable(("particle",), _NONE, "chain of the particle, -1 for none", "int64"),
-    "parent_id": Variable(("particle",), _NONE, "id of the particle it was reached from, -1 for a seed", "int64"),
-    "links": Variable(("particle",), _NONE, "links of the particle", "int64"),
-    "branching": Variable(("particle",), _NONE, "1 where the particle has more than two links", "int64"),
-    "link_chain": Variable(("contact",), _NONE, "chain that the contact is a link of, -1 for none", "int64"),
-}
-RESULTS: dict[str, Variable] = (
-    {name: VARIABLES[name] for name in _COPIED}
-    | MEMBERS
-    | {name: row for name, row in STRESSES.items() if name not in ("particle_id", "stress")}
-    | CHAINS
-    | STATISTICS
-)
 
 
 @dataclass(frozen=True)
@@ -93,7 +60,7 @@ class SearchRule:
     @property
     def variables(self) -> tuple[str, ...]:
         """Variables of the scene that are read."""
-        return tuple(dict.fromkeys((*self.stress.variables, *_COPIED)))
+        return tuple(dict.fromkeys((*self.stress.variables, *COPIED)))
 
     def qualifies(self, frame: Frame, stress: Frame, time: float, period: NDArray) -> NDArray:
         """Tell which particles may be part of a chain."""
@@ -192,16 +159,16 @@ def force_chains(
         "alpha": alpha, "threshold": threshold, "min_length": min_length, "algorithm": algorithm,
         "one_sided": one_sided, "region": region, "symmetric": symmetric, "volume": volume,
     }  # fmt: skip
-    sizes = result_sizes(ds.sizes["particle"], ds.sizes["contact"], min_length)
+    sizes = result_sizes(ds.sizes["particle"], ds.sizes["contact"], rule.min_length)
     names = [*rule.variables, *(name for name in ("frozen", "box", "time", "step") if name in ds)]
     arrays = map_over_time(ds, names, partial(_compute, rule), results_of(RESULTS, sizes), "force-chains")
     call = ", ".join(f"{name}={value!r}" for name, value in given.items() if value is not None)
     result = label(ds, RESULTS, arrays, f"force_chains({call})")
-    lengths = min_length + np.arange(sizes["length"])
+    lengths = rule.min_length + np.arange(sizes["length"])
     result = result.assign_coords(length=("length", lengths, {"units": "1", "long_name": "particles of a chain"}))
     if "box" in ds:
         result["box"] = ds["box"].variable
-    return result.assign_attrs(alpha=float(alpha), min_length=int(min_length), algorithm=algorithm)
+    return result.assign_attrs(alpha=float(alpha), min_length=rule.min_length, algorithm=algorithm)
 
 
 def _rule(
@@ -236,21 +203,15 @@ def _rule(
         raise ValueError(msg)
     stress = StressRule.of(ds, "force_chains", symmetric=symmetric, volume=volume)
     require_scene(ds, ("diameter",), "force_chains")
-    cosine = max(0.0, float(np.cos(min(np.deg2rad(alpha) + _ANGLE, np.pi / 2)))) if alpha < 90 else 0.0
-    return SearchRule(stress, cosine, threshold, min_length, algorithm == "peters2005", one_sided, region)
-
-
-def result_sizes(particles: int, contacts: int, min_length: int) -> dict[str, int]:
-    """Sizes of the dimensions of a result: as many chains, and as long ones, as there could be, but at least one."""
-    chains, lengths = max(1, particles // min_length), max(1, particles - min_length + 1)
-    return {"particle": particles, "contact": contacts, "chain": chains, "length": lengths}
+    cosine = max(0.0, float(np.cos(np.deg2rad(alpha) + _ANGLE)))
+    return SearchRule(stress, cosine, threshold, int(min_length), algorithm == "peters2005", one_sided, region)
 
 
 def _compute(rule: SearchRule, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
     """Chains of one chunk of time, from padded arrays."""
     ids, keys = arrays["particle_id"], arrays["contact_i"]
     sizes = result_sizes(ids.shape[1], keys.shape[1], rule.min_length)
-    out = empty_results({n: row for n, row in RESULTS.items() if n not in _COPIED}, sizes, len(ids))
+    out = empty_results({n: row for n, row in RESULTS.items() if n not in COPIED}, sizes, len(ids))
     for t in range(len(ids)):
         frame, box, where = one_frame(arrays, t)
         time = float(arrays["time"][t]) if "time" in arrays else 0.0
@@ -261,7 +222,7 @@ def _compute(rule: SearchRule, arrays: Mapping[str, NDArray]) -> dict[str, NDArr
             out[name][t][rows[RESULTS[name].dims[0]]] = values
         for name, value in statistics_of(found["chain_particles"], rule.min_length, sizes["length"]).items():
             out[name][t] = value
-    return out | {name: arrays[name] for name in _COPIED}
+    return out | {name: arrays[name] for name in COPIED}
 
 
 def find_chains(rule: SearchRule, frame: Frame, box: NDArray | None, time: float, where: str) -> Frame:
@@ -292,12 +253,11 @@ def find_chains(rule: SearchRule, frame: Frame, box: NDArray | None, time: float
     links = np.empty(particles, int)
     kernel.count_links(i, j, start, contact, link, links)
 
-    described = empty_results(CHAINS, {"chain": count}, 1)
-    about = {name: values[0] for name, values in described.items()}
-    kernel.describe_chains(members, first, place, major, links, *about.values())
+    by_chain = {name: values[0] for name, values in empty_results(CHAINS, {"chain": count}, 1).items()}
+    kernel.describe_chains(members, first, place, major, links, *by_chain.values())
     dropped = chain == kernel.TOO_SHORT
     chain[dropped] = parent[dropped] = kernel.UNSEEN
-    return about | {
+    return by_chain | {
         "chain_id": chain,
         "parent_id": np.where(parent >= 0, frame["particle_id"][parent], -1),
         "links": links,
@@ -306,88 +266,3 @@ def find_chains(rule: SearchRule, frame: Frame, box: NDArray | None, time: float
         **{name: values for name, values in stress.items() if name in RESULTS},
         "major_direction": np.where(np.isnan(stress["major_direction"]), np.nan, onward),
     }
-
-
-def statistics_of(particles: NDArray, min_length: int, lengths: int) -> dict[str, NDArray | float]:
-    """Statistics of the lengths of the chains of one step, by the names in `STATISTICS`; NaN where there are none."""
-    count = len(particles)
-    share = np.bincount(particles - min_length, minlength=lengths)[:lengths] / max(count, 1)
-    values = [f(particles) if count else np.nan for f in (np.mean, np.median, np.min, np.max)]
-    return dict(zip(STATISTICS, (count, *values, share), strict=True))
-
-
-# --- reading a result ------------------------------------------------------------------------------------
-
-
-def require_chains(fc: xr.Dataset, purpose: str) -> None:
-    """Refuse a Dataset that is no result of `force_chains`.
-
-    Raises
-    ------
-    SceneError
-        If it lacks ``chain_id`` or ``link_chain``; the message says how to get them.
-    """
-    missing = [name for name in ("chain_id", "link_chain", "particle_id") if name not in fc]
-    if missing:
-        msg = (
-            f"{purpose} needs {missing}, which this Dataset does not hold; call it on a result of ds.cg.force_chains()"
-        )
-        raise SceneError(msg)
-
-
-def summary_of_chains(fc: xr.Dataset) -> str:
-    """Tell what a result of `force_chains` holds, without computing it."""
-    sizes = ", ".join(f"{fc.sizes[dim]} {dim}" for dim in ("time", "particle", "contact") if dim in fc.sizes)
-    rule = ", ".join(f"{name} = {fc.attrs[name]}" for name in ("alpha", "min_length", "algorithm") if name in fc.attrs)
-    lines = [f"force chains of {sizes} (largest step)", f"  rule:      {rule}"]
-    for what, rows in (("particles", MEMBERS), ("chains", CHAINS), ("steps", STATISTICS)):
-        lines.append(f"  {what + ':':11s}{', '.join(name for name in rows if name in fc)}")
-    return "\n".join(lines)
-
-
-def steps_of(fc: xr.Dataset, names: Sequence[str]) -> Iterator[Step]:
-    """Yield the steps of a result one after the other, each computed on its own, without padding."""
-    if "time" not in fc.dims:
-        fc = fc.expand_dims("time")
-    names = [*dict.fromkeys(("particle_id", "contact_i", *names, *(name for name in ("box",) if name in fc)))]
-    for t in range(fc.sizes["time"]):
-        step = fc[names].isel(time=t).compute()
-        rows = {"particle": step.particle_id.to_numpy() != PADDING, "contact": step.contact_i.to_numpy() != PADDING}
-        arrays = {}
-        for name in names:
-            first, *_ = RESULTS[name].dims if name in RESULTS else ("",)
-            values = step[name].transpose(*RESULTS[name].dims).to_numpy() if name in RESULTS else step[name].to_numpy()
-            arrays[name] = values[rows[first]] if first in rows else values
-        time = float(step["time"]) if "time" in step.coords else 0.0
-        number = int(step["step"]) if "step" in step.coords else t
-        period = periods(arrays.pop("box", None), fc.attrs.get("periodic", ""), f"step {number}")
-        yield Step(arrays, time, number, period)
-
-
-@dataclass(frozen=True)
-class Step:
-    """One step of a result.
-
-    Attributes
-    ----------
-    arrays : Frame
-        Variables by name, without padding (by chain: row k is chain k).
-    time : float
-        Time (s).
-    number : int
-        Number of the time step.
-    period : array (3,)
-        Length of the periodic axes (m), infinity along the others.
-    """
-
-    arrays: Frame
-    time: float
-    number: int
-    period: NDArray
-
-    def links(self) -> tuple[NDArray, NDArray, NDArray]:
-        """Contact rows of the links, and the rows of the two particles of each."""
-        contact = np.flatnonzero(self.arrays["link_chain"] >= 0)
-        ids = self.arrays["particle_id"]
-        i, j = (rows_of(ids, self.arrays[name][contact]) for name in ("contact_i", "contact_j"))
-        return contact, i, j
