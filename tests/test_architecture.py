@@ -16,7 +16,7 @@ FLOORS = [
     ["fields", "labels"],
     ["plan", "readers"],
     ["coarse_grain", "datasets", "particle_stress"],
-    ["chain_results"],
+    ["balance", "width_sweep", "chain_results"],
     ["chains", "chain_plots", "chain_selection", "chain_tables", "chain_tracks", "writers"],
     ["accessor", "cli_chains"],
     ["__init__"],

@@ -4,6 +4,7 @@ from importlib.metadata import version
 
 from xcg import datasets
 from xcg.accessor import CoarseGrainAccessor
+from xcg.balance import balance
 from xcg.chain_plots import plot_chains, plot_lengths, plot_rose
 from xcg.chain_selection import select_chains
 from xcg.chain_tables import chain_table, link_table
@@ -17,6 +18,7 @@ from xcg.regions import Box, Region, Sphere
 from xcg.scene import measure, scene_from_arrays
 from xcg.schema import SceneError, SceneWarning
 from xcg.smoothing import Gaussian, Heaviside, Kernel, Lucy, register_kernel
+from xcg.width_sweep import width_sweep
 
 __version__ = version("xcg")
 __all__ = [
@@ -31,6 +33,7 @@ __all__ = [
     "SceneError",
     "SceneWarning",
     "Sphere",
+    "balance",
     "chain_table",
     "coarse_grain",
     "datasets",
@@ -46,4 +49,5 @@ __all__ = [
     "scene_from_arrays",
     "select_chains",
     "track_chains",
+    "width_sweep",
 ]

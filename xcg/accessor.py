@@ -8,6 +8,7 @@ from typing import Any
 import pandas as pd
 import xarray as xr
 
+from xcg.balance import balance
 from xcg.chain_plots import plot_chains, plot_lengths, plot_rose
 from xcg.chain_results import summary_of_chains
 from xcg.chain_selection import select_chains
@@ -19,6 +20,7 @@ from xcg.particle_stress import particle_stress
 from xcg.plan import Plan, make_plan
 from xcg.regions import Region
 from xcg.scene import measure, summary
+from xcg.width_sweep import width_sweep
 
 
 @xr.register_dataset_accessor("cg")
@@ -48,6 +50,14 @@ class CoarseGrainAccessor:
     ) -> xr.Dataset:
         """Force chains of each step, see `xcg.force_chains`."""
         return force_chains(self._ds, alpha, threshold, min_length, **options)
+
+    def width_sweep(self, widths: Any, fields: Any = None, **options: Any) -> xr.Dataset:
+        """Coarse-grain with several widths and find the plateau, see `xcg.width_sweep`."""
+        return width_sweep(self._ds, widths, fields, **options)
+
+    def balance(self, **options: Any) -> xr.Dataset:
+        """Residuals of the balance laws, see `xcg.balance`."""
+        return balance(self._ds, **options)
 
     def measure(self) -> xr.Dataset:
         """Measure sizes and extent of all steps, see `xcg.measure`."""
