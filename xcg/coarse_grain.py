@@ -37,6 +37,11 @@ def coarse_grain(
     groups: Sequence[int] | None = None,
     extent: Mapping[str, float] | None = None,
     gradient: str = "least_squares",
+    pressure_dims: str | None = None,
+    shear_dims: str | None = None,
+    deviatoric: str = "stress",
+    size: str = "d43",
+    fluid_viscosity: float | None = None,
     rtol: float = 0.0,
 ) -> xr.Dataset:
     """Coarse-grain a scene to continuum fields.
@@ -74,7 +79,19 @@ def coarse_grain(
     extent : mapping, optional
         Length that the integral over an averaged axis is divided by (m); by default that of the box of each step.
     gradient : str
-        "least_squares" (default), exact in linear flow, or "kernel", the exact derivative of the field V(r).
+        The way to the velocity gradient, and with it to the granular temperature: "least_squares" (default), exact
+        in linear flow; "kernel", the exact derivative of the field V(r); "finite_difference" between the nodes
+        (resolved axes only); "paper", least squares about the node instead of the grains' centre of mass.
+    pressure_dims : str, optional
+        Axes whose normal stresses make the pressure: "z", "xy", ... (all axes of the scene by default).
+    shear_dims : str, optional
+        Axes that deviatoric stress, shear stress and shear rate are restricted to, for example "xz".
+    deviatoric : str
+        Which magnitudes are those of deviators: of the "stress" (default), the "rate", "both" or "neither".
+    size : str
+        Diameter in the inertial number: "d43" (default) or "d32" of the node, "d50" or "dmax" of the scene.
+    fluid_viscosity : float, optional
+        Viscosity of the fluid between the grains (Pa s), for ``viscous_number`` and ``effective_viscosity``.
     rtol : float
         Promise for the contact stress of every segment, relative to its largest value: the cheapest quadrature that
         keeps it is taken. 0 (default) takes the closed form.
@@ -203,7 +220,7 @@ def _label(ds: xr.Dataset, plan: Plan, arrays: Mapping[str, Any], given: Mapping
         coords["phase"] = ("phase", ["bulk", *map(str, plan.recipe.groups)], attrs)
     data = {}
     for name, array in arrays.items():
-        row = registry.row(name, plan.options.gradient)
+        row = registry.row(name, plan.options)
         tail = ("component", "direction")[: row.rank]
         coords |= {dim: (dim, list(COMPONENTS)) for dim in tail}
         attrs = {"units": units_of(row.powers, system), "long_name": row.long_name, "formula": row.formula}
@@ -229,6 +246,14 @@ def _provenance(ds: xr.Dataset, plan: Plan, given: Mapping[str, Any]) -> dict[st
         "kernel_dimension": plan.kernel.dimension,
         "rtol": plan.rtol,
         "gradient": plan.options.gradient,
+        "pressure_dims": _axes(plan.options.pressure_axes or plan.options.plane),
+        "shear_dims": _axes(plan.options.shear_axes or plan.options.plane),
+        "deviatoric": plan.options.deviatoric,
+        "size": plan.options.size,
         "averaged_axes": plan.recipe.grid.averaged,
         "history": line if earlier is None else f"{earlier}\n{line}",
     }
+
+
+def _axes(indices: Sequence[int]) -> str:
+    return "".join(COMPONENTS[k] for k in indices)
