@@ -15,6 +15,7 @@ FLOORS = [
     ["scene", "contacts", "moments"],
     ["fields"],
     ["plan", "readers", "writers"],
+    ["pysammos"],
     ["coarse_grain", "datasets"],
     ["accessor"],
     ["__init__"],

@@ -322,7 +322,7 @@ def test_given_coordination_number_is_used():
         ({"width": 0.0}, "width=0.0: expected a positive"),
         ({"width": -1.0}, "expected a positive"),
         ({"width": float("nan")}, "expected a positive"),
-        ({"width": "0.75 d44"}, "multiple of d43, d50"),
+        ({"width": "0.75 d44"}, "multiple of d43, d32, d50"),
         ({"fields": "densty"}, "unknown fields"),
         ({"kernel": "cubic"}, "expected one of"),
         ({"axes": "xq"}, "axes names"),

@@ -6,6 +6,7 @@ from xcg import datasets
 from xcg.accessor import CoarseGrainAccessor
 from xcg.coarse_grain import coarse_grain
 from xcg.fields import FIELDS
+from xcg.pysammos import pysammos_mesh
 from xcg.readers.series import open_scene
 from xcg.scene import measure, scene_from_arrays
 from xcg.schema import SceneError, SceneWarning
@@ -25,6 +26,7 @@ __all__ = [
     "datasets",
     "measure",
     "open_scene",
+    "pysammos_mesh",
     "register_kernel",
     "scene_from_arrays",
 ]

@@ -15,10 +15,11 @@ from dask.highlevelgraph import HighLevelGraph
 from numpy.typing import NDArray
 
 from xcg import fields as registry
+from xcg import pysammos
 from xcg.complete import periods
 from xcg.moments import moments_of
 from xcg.plan import Plan, make_plan, scale_of
-from xcg.scene import frame_of
+from xcg.scene import frame_of, require_scene
 from xcg.schema import COMPONENTS, Frame, units_of
 from xcg.smoothing import Kernel
 
@@ -43,6 +44,7 @@ def coarse_grain(
     size: str = "d43",
     fluid_viscosity: float | None = None,
     rtol: float = 0.0,
+    preset: str | None = None,
 ) -> xr.Dataset:
     """Coarse-grain a scene to continuum fields.
 
@@ -95,6 +97,9 @@ def coarse_grain(
     rtol : float
         Promise for the contact stress of every segment, relative to its largest value: the cheapest quadrature that
         keeps it is taken. 0 (default) takes the closed form.
+    preset : {"pysammos"}, optional
+        Names and variants of another program; `fields` are then its names, and `shear_dims` its plane ("xy" by
+        default). See `xcg.pysammos`.
 
     Returns
     -------
@@ -123,9 +128,30 @@ def coarse_grain(
     ('time', 'z')
     """
     given = {k: v for k, v in locals().items() if k != "ds" and v is not None}
+    if preset is not None:
+        return _with_preset(ds, given)
     plan = make_plan(**{"ds": ds, **given})
     arrays = _map_over_time(ds, plan)
     return _label(ds, plan, arrays, given)
+
+
+def _with_preset(ds: xr.Dataset, given: dict[str, Any]) -> xr.Dataset:
+    """Fields under the names of another program."""
+    if given["preset"] != "pysammos":
+        msg = f"preset={given['preset']!r}: expected 'pysammos'"
+        raise ValueError(msg)
+    own = {"preset", "fields", "shear_dims"}
+    options = {k: v for k, v in given.items() if k not in own}
+    fixed = {"pressure_dims": None, "deviatoric": "stress", "size": "d43"}
+    clash = [k for k, usual in fixed.items() if options.get(k, usual) != usual]
+    if clash:
+        msg = f"preset='pysammos' has a name for each variant: leave out {clash}, and take the field that you want"
+        raise ValueError(msg)
+    require_scene(ds, (), "coarse_grain")
+    table = pysammos.rows(*pysammos.plane_of(ds, given.get("shear_dims")))
+    names = pysammos.choose(given.get("fields"), table, make_plan(ds, None, **options).fields)
+    needed = dict.fromkeys(["sample_count", *(n for name in names for n in table[name].needs)])
+    return pysammos.from_xcg(coarse_grain(ds, list(needed), **options), names, table)
 
 
 def _inputs(ds: xr.Dataset, plan: Plan) -> dict[str, Any]:
