@@ -12,11 +12,11 @@ FLOORS = [
     ["kernels"],
     ["schema", "smoothing"],
     ["complete", "grid"],
-    ["scene", "contacts", "moments"],
+    ["scene", "contacts", "moments", "phases"],
     ["fields"],
     ["plan", "readers", "writers"],
     ["pysammos"],
-    ["coarse_grain", "datasets"],
+    ["coarse_grain", "datasets", "statistics"],
     ["accessor"],
     ["__init__"],
 ]

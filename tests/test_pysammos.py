@@ -19,7 +19,7 @@ inertial_number_Sxy_Py_d43 inertial_number_Sxy_Pxyz_d32 inertial_number_Sxy_Pxy_
 frictional_coefficient_Dxyz_Pxyz frictional_coefficient_Dxyz_Pxy frictional_coefficient_Dxyz_Py
 frictional_coefficient_Dxy_Pxyz frictional_coefficient_Dxy_Pxy frictional_coefficient_Dxy_Py
 frictional_coefficient_01_Pxyz frictional_coefficient_01_Pxy frictional_coefficient_01_Py
-""".split()
+""".split()  # noqa: SIM905
 
 
 def preset(ds, fields=None, **options):

@@ -172,7 +172,7 @@ def test_viscous_number_and_effective_viscosity():
     np.testing.assert_allclose(f.viscous_number, (2e-3 * f.shear_rate / f.pressure).where(firm), rtol=1e-12)
     np.testing.assert_allclose(f.effective_viscosity, (f.shear_stress / (2e-3 * f.shear_rate)).where(firm), rtol=1e-12)
     assert "viscous_number" not in ds.cg.coarse_grain(width=0.9, spacing=1.3)
-    with pytest.raises(ValueError, match="needs fluid_viscosity="):
+    with pytest.raises(ValueError, match="needs the argument fluid_viscosity="):
         ds.cg.coarse_grain("viscous_number")
 
 

@@ -6,11 +6,13 @@ from xcg import datasets
 from xcg.accessor import CoarseGrainAccessor
 from xcg.coarse_grain import coarse_grain
 from xcg.fields import FIELDS
+from xcg.phases import assign_phases, find_phases, plot_phases
 from xcg.pysammos import pysammos_mesh
 from xcg.readers.series import open_scene
 from xcg.scene import measure, scene_from_arrays
 from xcg.schema import SceneError, SceneWarning
 from xcg.smoothing import Gaussian, Heaviside, Kernel, Lucy, register_kernel
+from xcg.statistics import size_statistics
 
 __version__ = version("xcg")
 __all__ = [
@@ -22,11 +24,15 @@ __all__ = [
     "Lucy",
     "SceneError",
     "SceneWarning",
+    "assign_phases",
     "coarse_grain",
     "datasets",
+    "find_phases",
     "measure",
     "open_scene",
+    "plot_phases",
     "pysammos_mesh",
     "register_kernel",
     "scene_from_arrays",
+    "size_statistics",
 ]

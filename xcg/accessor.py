@@ -8,8 +8,10 @@ from typing import Any
 import xarray as xr
 
 from xcg.coarse_grain import coarse_grain
+from xcg.phases import assign_phases, find_phases, plot_phases
 from xcg.plan import Plan, make_plan
 from xcg.scene import measure, summary
+from xcg.statistics import size_statistics
 
 
 @xr.register_dataset_accessor("cg")
@@ -29,6 +31,22 @@ class CoarseGrainAccessor:
     def explain(self, fields: Any = None, **options: Any) -> Plan:
         """Say what `coarse_grain` with the same arguments will do: print the plan that this returns."""
         return make_plan(self._ds, fields, **options)
+
+    def find_phases(self, max_phases: int = 8, **options: Any) -> xr.Dataset:
+        """Find phases as clusters of diameter and density, see `xcg.find_phases`."""
+        return find_phases(self._ds, max_phases, **options)
+
+    def assign_phases(self, **options: Any) -> xr.Dataset:
+        """Give grains phases by size edges or by a mapping of types, see `xcg.assign_phases`."""
+        return assign_phases(self._ds, **options)
+
+    def plot_phases(self, step: int = 0) -> Any:
+        """Draw the clusters and scores of `find_phases`, see `xcg.plot_phases`."""
+        return plot_phases(self._ds, step)
+
+    def size_statistics(self) -> xr.Dataset:
+        """Sizes of the grains in each step, see `xcg.size_statistics`."""
+        return size_statistics(self._ds)
 
     def measure(self) -> xr.Dataset:
         """Measure sizes and extent of all steps, see `xcg.measure`."""

@@ -43,6 +43,7 @@ def coarse_grain(
     deviatoric: str = "stress",
     size: str = "d43",
     fluid_viscosity: float | None = None,
+    by_pair: bool = False,
     rtol: float = 0.0,
     preset: str | None = None,
 ) -> xr.Dataset:
@@ -94,6 +95,9 @@ def coarse_grain(
         Diameter in the inertial number: "d43" (default) or "d32" of the node, "d50" or "dmax" of the scene.
     fluid_viscosity : float, optional
         Viscosity of the fluid between the grains (Pa s), for ``viscous_number`` and ``effective_viscosity``.
+    by_pair : bool
+        Also divide contact stress by the phase of the partner: ``contact_stress_by_pair`` with the dimension
+        ``other_phase``, the phases and then "wall". Its sum over them is the contact stress of the phase.
     rtol : float
         Promise for the contact stress of every segment, relative to its largest value: the cheapest quadrature that
         keeps it is taken. 0 (default) takes the closed form.
@@ -249,6 +253,9 @@ def _label(ds: xr.Dataset, plan: Plan, arrays: Mapping[str, Any], given: Mapping
         row = registry.row(name, plan.options)
         tail = ("component", "direction")[: row.rank]
         coords |= {dim: (dim, list(COMPONENTS)) for dim in tail}
+        if row.paired:
+            tail = ("other_phase", *tail)
+            coords["other_phase"] = ("other_phase", [*map(str, plan.recipe.groups), "wall"])
         attrs = {"units": units_of(row.powers, system), "long_name": row.long_name, "formula": row.formula}
         data[name] = (("time", *plan.dims, *tail), array, attrs)
     return xr.Dataset(data, coords, _provenance(ds, plan, given))

@@ -49,6 +49,8 @@ class Options:
         d50 or dmax of the scene (m), where `size` names one of them.
     fluid_viscosity : float, optional
         Viscosity of the fluid between the grains (Pa s).
+    by_pair : bool, optional
+        Whether contact stress is also divided by the phase of the partner.
     """
 
     plane: tuple[int, ...] = (0, 1, 2)
@@ -62,6 +64,7 @@ class Options:
     size: str = "d43"
     diameter: float = float("nan")
     fluid_viscosity: float | None = None
+    by_pair: bool | None = None
 
     @property
     def dimension(self) -> int:
@@ -91,6 +94,8 @@ class Field:
         False for steps of the algebra that are not fields of their own.
     option : str
         An attribute of `Options` that has to be given for it.
+    paired : bool
+        Whether it has the dimension ``other_phase``.
     """
 
     rank: int
@@ -103,6 +108,7 @@ class Field:
     additive: bool = False
     listed: bool = True
     option: str = ""
+    paired: bool = False
 
 
 # --- small algebra ---------------------------------------------------------------------------------------
@@ -319,6 +325,11 @@ FIELDS: dict[str, Field] = {
     "contact_stress": Field(
         2, _STRESS, "contact stress", "sigma^c = sum_c f_ij a_ij int_0^1 Psi(r - r_i + s a_ij) ds, both sides",
         lambda f, s, o: s.contact, sums=("contact",), additive=True,
+    ),
+    "contact_stress_by_pair": Field(
+        2, _STRESS, "contact stress of each phase from contacts with another, or with walls",
+        "sigma^c of the phase's sides of its contacts with grains of other_phase",
+        lambda f, s, o: s.pair_contact, sums=("pair_contact",), additive=True, option="by_pair", paired=True,
     ),
     "stress": Field(
         2, _STRESS, "stress, compression positive", "sigma = sigma^c + sigma^k",

@@ -95,6 +95,7 @@ MOMENTS: dict[str, Moment] = {
     "momentum_slope": Moment(_MV, "m u, with grad Psi", (3, 3)),
     # along branches, and at walls
     "contact": Moment((), "f a, along the branch", (3, 3), contacts=True),
+    "pair_contact": Moment((), "f a, along the branch, by phase of the partner", (3, 3), contacts=True),
     "traction": Moment((), "f, at the wall", (3,), contacts=True),
 }
 
@@ -179,8 +180,8 @@ class _Deposit:
     def local(self, position: NDArray) -> NDArray:
         return (position - self.origin) / self.cutoff
 
-    def new(self, columns: int) -> NDArray:
-        return np.zeros((self.phases, *self.shape, columns))
+    def new(self, columns: int, groups: int | None = None) -> NDArray:
+        return np.zeros((groups or self.phases, *self.shape, columns))
 
     def points(
         self, position: NDArray, velocity: NDArray, mass: NDArray, constants: NDArray, phase: NDArray, level: int,
@@ -193,8 +194,16 @@ class _Deposit:
         )  # fmt: skip
         return sums
 
-    def segments(self, start: NDArray, branch: NDArray, force: NDArray, phase: NDArray, limits: NDArray) -> NDArray:
-        sums = self.new(9)
+    def segments(
+        self,
+        start: NDArray,
+        branch: NDArray,
+        force: NDArray,
+        phase: NDArray,
+        limits: NDArray,
+        groups: int | None = None,
+    ) -> NDArray:
+        sums = self.new(9, groups)
         deposit_segments(
             self.local(start), branch / self.cutoff, force * self.cutoff, phase, limits,
             self.steps, self.active, self.period, *self.kernel, sums,
@@ -261,8 +270,16 @@ def moments_of(frame: Frame, recipe: Recipe, period: NDArray, scale: float, wher
             sums[name] = _flow(slopes, flow, MOMENTS[flow]) / -recipe.cutoff
     if "contact" in wanted:
         assert contacts is not None
-        segments = contacts.segments(position, phase)
-        sums["contact"] = to.segments(*segments, recipe.limits).reshape(to.phases, *to.shape, 3, 3)
+        start, branch, push, owner, _ = contacts.segments(position, phase)
+        sums["contact"] = to.segments(start, branch, push, owner, recipe.limits).reshape(to.phases, *to.shape, 3, 3)
+    if "pair_contact" in wanted:
+        assert contacts is not None
+        start, branch, push, owner, other = contacts.segments(position, phase)
+        others = to.phases + 1  # the last one for walls
+        pair = owner * others + np.where(other < 0, to.phases, other)
+        by_pair = to.segments(start, branch, push, pair, recipe.limits, to.phases * others)
+        by_pair = by_pair.reshape(to.phases, others, *to.shape, 3, 3)
+        sums["pair_contact"] = np.moveaxis(by_pair, 1, 4)
     if "traction" in wanted:
         assert contacts is not None
         at, point, force = contacts.at_walls

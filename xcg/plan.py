@@ -71,7 +71,8 @@ class Plan:
         """Shape of one step of a field."""
         nodes = tuple(len(self.recipe.grid.nodes[a]) for a in self.recipe.grid.axes)
         phases = (self.phases,) if self.recipe.by else ()
-        return (*nodes, *phases, *(3,) * registry.FIELDS[name].rank)
+        row = registry.FIELDS[name]
+        return (*nodes, *phases, *((self.phases,) if row.paired else ()), *(3,) * row.rank)
 
     def __str__(self) -> str:
         grid, moments = self.recipe.grid, [MOMENTS[m] for m in self.recipe.moments]
@@ -178,7 +179,7 @@ def _choose_fields(asked: str | Sequence[str] | None, ds: xr.Dataset, options: r
         raise ValueError(msg)
     for name in names:
         if name in lacking:
-            msg = f"{name} needs {registry.FIELDS[name].option}=, which was not given"
+            msg = f"{name} needs the argument {registry.FIELDS[name].option}="
             raise ValueError(msg)
     return tuple(dict.fromkeys(names))
 
@@ -242,6 +243,7 @@ def make_plan(
     deviatoric: str = "stress",
     size: str = "d43",
     fluid_viscosity: float | None = None,
+    by_pair: bool = False,
     rtol: float = 0.0,
 ) -> Plan:
     """Plan a call of `coarse_grain`; the arguments are the same. Reads attributes only, never data.
@@ -256,10 +258,16 @@ def make_plan(
     require_scene(ds, (), "coarse_grain")
     setup = setup_of(ds)
     options = _options(ds, setup, gradient, pressure_dims, shear_dims, deviatoric, size, fluid_viscosity)
+    if by_pair and by is None:
+        msg = "by_pair=True divides contact stress by pairs of phases: say which with by=, for example by='species'"
+        raise ValueError(msg)
+    options = replace(options, by_pair=by_pair or None)
     if not (np.isfinite(rtol) and rtol >= 0):
         msg = f"rtol={rtol!r}: expected 0 (closed form) or a positive number such as 1e-3"
         raise ValueError(msg)
     names = _choose_fields(fields, ds, options)
+    if by_pair:
+        names = tuple(dict.fromkeys([*names, "contact_stress_by_pair"]))
     variables = _variables(names, ds, options)
     require_scene(ds, sorted(variables), f"coarse_grain of {', '.join(names)}")
     chosen = as_kernel(kernel, choose_width(width, ds.attrs) if isinstance(kernel, str) else width, setup.dimension)  # type: ignore[arg-type]
