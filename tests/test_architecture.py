@@ -12,7 +12,7 @@ FLOORS = [
     ["kernels"],
     ["schema", "smoothing"],
     ["complete", "grid"],
-    ["scene", "contacts", "moments", "phases"],
+    ["scene", "contacts", "moments", "phases", "slices"],
     ["fields"],
     ["plan", "readers", "writers"],
     ["pysammos"],

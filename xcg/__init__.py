@@ -11,8 +11,9 @@ from xcg.pysammos import pysammos_mesh
 from xcg.readers.series import open_scene
 from xcg.scene import measure, scene_from_arrays
 from xcg.schema import SceneError, SceneWarning
+from xcg.slices import slice_temperature
 from xcg.smoothing import Gaussian, Heaviside, Kernel, Lucy, register_kernel
-from xcg.statistics import size_statistics
+from xcg.statistics import profile, size_statistics, time_average
 
 __version__ = version("xcg")
 __all__ = [
@@ -31,8 +32,11 @@ __all__ = [
     "measure",
     "open_scene",
     "plot_phases",
+    "profile",
     "pysammos_mesh",
     "register_kernel",
     "scene_from_arrays",
     "size_statistics",
+    "slice_temperature",
+    "time_average",
 ]

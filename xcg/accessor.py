@@ -11,7 +11,8 @@ from xcg.coarse_grain import coarse_grain
 from xcg.phases import assign_phases, find_phases, plot_phases
 from xcg.plan import Plan, make_plan
 from xcg.scene import measure, summary
-from xcg.statistics import size_statistics
+from xcg.slices import slice_temperature
+from xcg.statistics import profile, size_statistics, time_average
 
 
 @xr.register_dataset_accessor("cg")
@@ -47,6 +48,18 @@ class CoarseGrainAccessor:
     def size_statistics(self) -> xr.Dataset:
         """Sizes of the grains in each step, see `xcg.size_statistics`."""
         return size_statistics(self._ds)
+
+    def slice_temperature(self, axis: str = "z", **options: Any) -> xr.Dataset:
+        """Granular temperature of the scene in slices, see `xcg.slice_temperature`."""
+        return slice_temperature(self._ds, axis, **options)
+
+    def profile(self, axis: str) -> xr.Dataset:
+        """Average a result over its other axes, see `xcg.profile`."""
+        return profile(self._ds, axis)
+
+    def time_average(self, window: int | None = None, *, every: int = 1) -> xr.Dataset:
+        """Average a result over time, with standard errors, see `xcg.time_average`."""
+        return time_average(self._ds, window, every=every)
 
     def measure(self) -> xr.Dataset:
         """Measure sizes and extent of all steps, see `xcg.measure`."""

@@ -280,9 +280,9 @@ def _provenance(ds: xr.Dataset, plan: Plan, given: Mapping[str, Any]) -> dict[st
         "rtol": plan.rtol,
         "gradient": plan.options.gradient,
         "pressure_dims": _axes(plan.options.pressure_axes or plan.options.plane),
-        "shear_dims": _axes(plan.options.shear_axes or plan.options.plane),
         "deviatoric": plan.options.deviatoric,
         "size": plan.options.size,
+        **registry.given_options(plan.options),
         "averaged_axes": plan.recipe.grid.averaged,
         "history": line if earlier is None else f"{earlier}\n{line}",
     }

@@ -455,6 +455,37 @@ def row(name: str, options: Options) -> Field:
     return ways.get(getattr(options, option), FIELDS[name])
 
 
+def given_options(options: Options) -> dict[str, Any]:
+    """Return the options that are set only if somebody gave them, as attributes of a result."""
+    found: dict[str, Any] = {}
+    if options.shear_axes is not None:
+        found["shear_dims"] = "".join("xyz"[k] for k in options.shear_axes)
+    if options.fluid_viscosity is not None:
+        found["fluid_viscosity"] = options.fluid_viscosity
+    if np.isfinite(options.diameter):
+        found["size_diameter"] = options.diameter
+    return found
+
+
+def options_of(attrs: Mapping[Any, Any]) -> Options:
+    """Return the choices that a result was computed with, from its attributes."""
+
+    def axes(name: str) -> tuple[int, ...] | None:
+        return tuple("xyz".index(a) for a in attrs[name]) if name in attrs else None
+
+    viscosity = attrs.get("fluid_viscosity")
+    return Options(
+        plane=axes("plane") or (0, 1, 2),
+        gradient=str(attrs.get("gradient", "least_squares")),
+        pressure_axes=axes("pressure_dims"),
+        shear_axes=axes("shear_dims"),
+        deviatoric=str(attrs.get("deviatoric", "stress")),
+        size=str(attrs.get("size", "d43")),
+        diameter=float(attrs.get("size_diameter", np.nan)),
+        fluid_viscosity=None if viscosity is None else float(viscosity),
+    )
+
+
 def listed() -> list[str]:
     """Names of all fields that can be asked for."""
     return [name for name, field in FIELDS.items() if field.listed]

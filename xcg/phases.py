@@ -224,11 +224,11 @@ def _unless_padding(ids: NDArray, *values: NDArray, function: Any) -> NDArray:
 def _nearest(diameter: NDArray, density: NDArray, *, centres: NDArray, scale: NDArray) -> NDArray:
     from scipy.spatial import cKDTree
 
-    return 1 + cKDTree(centres / scale).query(np.stack([diameter, density], axis=-1) / scale)[1]
+    return np.asarray(cKDTree(centres / scale).query(np.stack([diameter, density], axis=-1) / scale)[1]) + 1
 
 
 def _between(diameter: NDArray, *, edges: NDArray) -> NDArray:
-    return np.searchsorted(edges, diameter, side="right") + np.ones(1, "int64")
+    return np.asarray(1 + np.searchsorted(edges, diameter, side="right"))
 
 
 def _mapped(values: NDArray, *, table: Mapping[int, int], name: str) -> NDArray:
