@@ -17,8 +17,10 @@ FLOORS = [
     ["plan", "readers", "writers"],
     ["pysammos"],
     ["coarse_grain", "datasets", "statistics"],
-    ["accessor"],
+    ["accessor", "config"],
+    ["run"],
     ["__init__"],
+    ["cli"],
 ]
 
 
@@ -41,7 +43,7 @@ import xcg.kernels.deposit
 
 
 def test_import_defers_what_is_heavy():
-    heavy = ("vtk", "vtkmodules", "matplotlib", "sklearn", "h5py")
+    heavy = ("vtk", "vtkmodules", "matplotlib", "sklearn", "h5py", "click")
     done = run(f"import sys, xcg; print([m for m in {heavy} if m in sys.modules])")
     assert done.stdout.strip() == "[]", done.stdout + done.stderr
 

@@ -364,5 +364,8 @@ def test_empty_nodes_are_unknown_with_a_count_of_zero():
     f = preset(ds, axes="x", at={"y": 0, "z": 0}, bounds={"x": (0, 9)}, spacing=4.5, width=1.2)
     assert f.sample_count.values.tolist() == [[1, 0, 1]]
     assert float(f.density_mixture[0, 1]) == 0
+    # one grain is too few for a fit: no temperature, but no unknown stress
+    assert np.isnan(f.granular_temperature_xyz.values[0, 0])
+    assert (f.kinetic_tensor.values[0, 0] == 0).all()
     for name in ("velocity", "density_particle", "d43", "granular_temperature_xyz", "velocity_gradient"):
         assert np.isnan(f[name].values[0, 1]).all()

@@ -34,7 +34,6 @@ _RENAMED = {
     "momentum_density": "momentum_density",
     "velocity": "velocity",
     "velocity_gradient": "velocity_gradient",
-    "kinetic_tensor": "fluctuation_stress",
     "contact_tensor": "contact_stress",
     "fabric_tensor": "fabric",
 }
@@ -101,8 +100,12 @@ def rows(plane: str, axes: str) -> dict[str, Row]:
             lambda x: _on_tensor(lambda a: registry.deviator(part(a), index[dims]), x, scalar=False),
         )
 
+    def kinetic(f: xr.Dataset) -> xr.DataArray:
+        # where the grains are too few for a fit, fluctuations are those about V(r)
+        return f["fluctuation_stress"].fillna(f["kinetic_stress"])
+
     def total(f: xr.Dataset) -> xr.DataArray:
-        return f["contact_stress"] + f["fluctuation_stress"]
+        return f["contact_stress"] + kinetic(f)
 
     def pressure(f: xr.Dataset, dims: str) -> xr.DataArray:
         return _on_tensor(partial(registry.mean_normal, axes=index[dims]), total(f), scalar=True)
@@ -125,7 +128,8 @@ def rows(plane: str, axes: str) -> dict[str, Row]:
         add(f"{name}_dev", label, needs, lambda f: dev(tensor(f)), f"deviator over {dims}", units)
         add(f"{name}_dev_mag", label, needs, lambda f: size(dev(tensor(f))), size_formula, units)
 
-    both = ("contact_stress", "fluctuation_stress")
+    both = ("contact_stress", "fluctuation_stress", "kinetic_stress")
+    add("kinetic_tensor", "kinetic_tensor", both[1:], kinetic, "fluctuation_stress, else kinetic_stress", both[1])
     for dims in ("xyz", plane):
         add_tensor("total_stress_tensor", both, total, stress_size, "sqrt(X:X / 2)", dims)
         add_tensor(_RATE, (_RATE,), lambda f: f[_RATE], rate_size, "sqrt(2 X:X)", dims)
