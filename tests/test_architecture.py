@@ -12,7 +12,7 @@ FLOORS = [
     ["kernels"],
     ["schema", "smoothing"],
     ["complete", "grid"],
-    ["scene", "contacts", "moments", "phases", "slices"],
+    ["scene", "contacts", "moments", "phases", "slices", "bodies"],
     ["fields"],
     ["plan", "readers", "writers"],
     ["pysammos"],

@@ -217,6 +217,27 @@ def test_automatic_grid_middle_transects_and_phases(series):
         assert float(f.x[0]) == pytest.approx(0.425, abs=0.03)  # 2.5 c + 0.5 dmax from the outermost centre
 
 
+def test_a_one_layer_series(series):
+    """As in its bedload case: all grains in one plane, z_transect = 0."""
+    rng = np.random.default_rng(1)
+    for number in (150, 151, 152):
+        x = np.concatenate([rng.uniform(0, 1, (60, 2)), np.zeros((60, 1))], axis=1)
+        more = {"Velocity": rng.normal(size=(60, 3)) * [1, 1, 0], "Density": np.full(60, 2000.0)}
+        write_vtp(series / f"VTU/DES_{number:04d}.vtp", x, time=number / 100, Particle_ID=np.arange(1, 61),
+                  Diameter=np.full(60, 0.1), **more)  # fmt: skip
+    text = changed((series / "config.ini").read_text(), z_transect="0.0", x_axis_periodic="False")
+    (series / "config.ini").write_text(text)
+    xcg_run("run", series / "config.ini", "-q")
+    with xr.open_dataset(series / "PysammosCG" / "CG_Lucy_Monodisperse.h5") as f:
+        assert f.attrs["dimension"] == 2
+        assert f.attrs["kernel_dimension"] == 2
+        inside = f.volume_fraction.sel(x=slice(0.2, 0.8), y=slice(0.2, 0.8)).mean()
+        assert float(inside) == pytest.approx(60 * np.pi / 6 * 0.1**3 / 0.1, rel=0.2)  # a layer as thick as its grains
+        empty = f.sample_count == 0
+        assert np.isnan(f.velocity.where(empty)).all()
+        assert "pressure_z" not in f
+
+
 def test_what_is_unknown_is_said(series):
     text = (series / "config.ini").read_text().replace("[grid_info]", "[grid_info]\ncolour = red")
     text = changed(text, Contact_ij="FORCE_CHAIN_CONTACT_POINT", Coordination_Number="Neighbours")

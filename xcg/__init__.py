@@ -4,6 +4,7 @@ from importlib.metadata import version
 
 from xcg import datasets
 from xcg.accessor import CoarseGrainAccessor
+from xcg.bodies import group_bodies
 from xcg.coarse_grain import coarse_grain
 from xcg.fields import FIELDS
 from xcg.phases import assign_phases, find_phases, plot_phases
@@ -29,6 +30,7 @@ __all__ = [
     "coarse_grain",
     "datasets",
     "find_phases",
+    "group_bodies",
     "measure",
     "open_scene",
     "plot_phases",

@@ -7,6 +7,7 @@ from typing import Any
 
 import xarray as xr
 
+from xcg.bodies import group_bodies
 from xcg.coarse_grain import coarse_grain
 from xcg.phases import assign_phases, find_phases, plot_phases
 from xcg.plan import Plan, make_plan
@@ -32,6 +33,10 @@ class CoarseGrainAccessor:
     def explain(self, fields: Any = None, **options: Any) -> Plan:
         """Say what `coarse_grain` with the same arguments will do: print the plan that this returns."""
         return make_plan(self._ds, fields, **options)
+
+    def group_bodies(self, by_body: str = "body_id") -> xr.Dataset:
+        """Group component spheres into bodies, see `xcg.group_bodies`."""
+        return group_bodies(self._ds, by_body)
 
     def find_phases(self, max_phases: int = 8, **options: Any) -> xr.Dataset:
         """Find phases as clusters of diameter and density, see `xcg.find_phases`."""

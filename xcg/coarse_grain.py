@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from xcg import fields as registry
 from xcg import pysammos
+from xcg.bodies import group_bodies
 from xcg.complete import periods
 from xcg.moments import moments_of
 from xcg.plan import Plan, make_plan, scale_of
@@ -44,6 +45,7 @@ def coarse_grain(
     size: str = "d43",
     fluid_viscosity: float | None = None,
     by_pair: bool = False,
+    by_body: str | None = None,
     rtol: float = 0.0,
     preset: str | None = None,
 ) -> xr.Dataset:
@@ -98,6 +100,9 @@ def coarse_grain(
     by_pair : bool
         Also divide contact stress by the phase of the partner: ``contact_stress_by_pair`` with the dimension
         ``other_phase``, the phases and then "wall". Its sum over them is the contact stress of the phase.
+    by_body : str, optional
+        An integer variable of the particles that says which body each component sphere belongs to, for example
+        "body_id": bodies are coarse-grained instead of spheres, see `xcg.group_bodies`.
     rtol : float
         Promise for the contact stress of every segment, relative to its largest value: the cheapest quadrature that
         keeps it is taken. 0 (default) takes the closed form.
@@ -132,6 +137,8 @@ def coarse_grain(
     ('time', 'z')
     """
     given = {k: v for k, v in locals().items() if k != "ds" and v is not None}
+    if by_body is not None:
+        return coarse_grain(group_bodies(ds, given.pop("by_body")), **given)
     if preset is not None:
         return _with_preset(ds, given)
     plan = make_plan(**{"ds": ds, **given})
