@@ -91,10 +91,10 @@ def _over_time(
     names = [*particles, "body", *contacts]
     outer = arrays[0].shape[:-1]
     given = dict(zip(names, arrays, strict=True))
-    rows = arrays[0].shape[-1]
-    lengths = dict.fromkeys(made, rows)
+    rows = int(arrays[0].shape[-1])
+    lengths: dict[str, int] = dict.fromkeys(made, rows)
     if contacts:
-        lengths |= dict.fromkeys(contacts, given["contact_i"].shape[-1])
+        lengths |= dict.fromkeys(contacts, int(given["contact_i"].shape[-1]))
     out = {
         name: np.full((*outer, *variable(name).shape(n)), variable(name).fill, _dtype(name))
         for name, n in lengths.items()
