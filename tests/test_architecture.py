@@ -17,6 +17,7 @@ FLOORS = [
     ["plan", "readers", "writers"],
     ["pysammos"],
     ["coarse_grain", "datasets", "statistics"],
+    ["balance", "width_sweep"],
     ["accessor", "config"],
     ["run"],
     ["__init__"],

@@ -4,6 +4,7 @@ from importlib.metadata import version
 
 from xcg import datasets
 from xcg.accessor import CoarseGrainAccessor
+from xcg.balance import balance
 from xcg.bodies import group_bodies
 from xcg.coarse_grain import coarse_grain
 from xcg.fields import FIELDS
@@ -15,6 +16,7 @@ from xcg.schema import SceneError, SceneWarning
 from xcg.slices import slice_temperature
 from xcg.smoothing import Gaussian, Heaviside, Kernel, Lucy, register_kernel
 from xcg.statistics import profile, size_statistics, time_average
+from xcg.width_sweep import width_sweep
 
 __version__ = version("xcg")
 __all__ = [
@@ -27,6 +29,7 @@ __all__ = [
     "SceneError",
     "SceneWarning",
     "assign_phases",
+    "balance",
     "coarse_grain",
     "datasets",
     "find_phases",
@@ -41,4 +44,5 @@ __all__ = [
     "size_statistics",
     "slice_temperature",
     "time_average",
+    "width_sweep",
 ]

@@ -7,6 +7,7 @@ from typing import Any
 
 import xarray as xr
 
+from xcg.balance import balance
 from xcg.bodies import group_bodies
 from xcg.coarse_grain import coarse_grain
 from xcg.phases import assign_phases, find_phases, plot_phases
@@ -14,6 +15,7 @@ from xcg.plan import Plan, make_plan
 from xcg.scene import measure, summary
 from xcg.slices import slice_temperature
 from xcg.statistics import profile, size_statistics, time_average
+from xcg.width_sweep import width_sweep
 
 
 @xr.register_dataset_accessor("cg")
@@ -65,6 +67,14 @@ class CoarseGrainAccessor:
     def time_average(self, window: int | None = None, *, every: int = 1) -> xr.Dataset:
         """Average a result over time, with standard errors, see `xcg.time_average`."""
         return time_average(self._ds, window, every=every)
+
+    def width_sweep(self, widths: Any, fields: Any = None, **options: Any) -> xr.Dataset:
+        """Coarse-grain with several widths and find the plateau, see `xcg.width_sweep`."""
+        return width_sweep(self._ds, widths, fields, **options)
+
+    def balance(self, **options: Any) -> xr.Dataset:
+        """Residuals of the balance laws, see `xcg.balance`."""
+        return balance(self._ds, **options)
 
     def measure(self) -> xr.Dataset:
         """Measure sizes and extent of all steps, see `xcg.measure`."""

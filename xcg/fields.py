@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.kernels.deposit import solve_gradient
+from xcg.kernels.fit import fit_gradient
 
 Function = Callable[[Any, Any, "Options"], Any]
 
@@ -31,6 +31,8 @@ class Options:
         The axes of the scene: (0, 1, 2), or two of them.
     active : tuple of bool
         The axes along which grains differ at a node (resolved or fixed ones).
+    shape : tuple of int
+        Nodes along x, y, z, for finite differences.
     spacing : tuple of float
         Distance of nodes along x, y, z (m), for finite differences; 0 along axes that are not resolved.
     wrapped : tuple of bool
@@ -55,6 +57,7 @@ class Options:
 
     plane: tuple[int, ...] = (0, 1, 2)
     active: tuple[bool, bool, bool] = (True, True, True)
+    shape: tuple[int, int, int] = (1, 1, 1)
     spacing: tuple[float, float, float] = (0.0, 0.0, 0.0)
     wrapped: tuple[bool, bool, bool] = (False, False, False)
     gradient: str = "least_squares"
@@ -186,11 +189,13 @@ def _fit(f: Any, s: Any, o: Options, *, about_node: bool = False) -> SimpleNames
     shear = s.shear - outer(f._drift, s.offset)
     spread = s.spread - outer(mean, s.offset)
     nodes = int(np.prod(s.mass.shape))
+    # centring one grain, or several in one place, leaves the rounding of what is subtracted, a few 1e-16
+    rounding = 1e-13 * np.einsum("...kk->...", s.spread)
     upper = np.stack([spread[..., i, j] for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))], axis=-1)
     gradient, determined, rank = np.zeros((nodes, 3, 3)), np.zeros((nodes, 3), bool), np.zeros(nodes, "int64")
-    solve_gradient(
+    fit_gradient(
         np.nan_to_num(shear, nan=0.0).reshape(nodes, 3, 3), np.nan_to_num(upper, nan=0.0).reshape(nodes, 6),
-        np.asarray(o.active), gradient, determined, rank,
+        rounding.reshape(nodes), np.asarray(o.active), gradient, determined, rank,
     )  # fmt: skip
     shape = s.mass.shape
     determined = determined.reshape(*shape, 1, 3) & (s.mass > 0)[..., None, None]
@@ -204,8 +209,12 @@ def _kernel_gradient(f: Any, s: Any, o: Options) -> NDArray:
 
 
 def _finite_difference(f: Any, s: Any, o: Options) -> NDArray:
-    """Central differences of V between nodes, of second order also at the ends; NaN beside empty nodes."""
-    v = f._drift + s.reference
+    """Central differences of V between nodes, of second order also at the ends; NaN beside empty nodes.
+
+    It needs all nodes at once, see `whole_grid`.
+    """
+    flat = f._drift + s.reference
+    v = flat.reshape(len(flat), *o.shape, 3)
     out = np.zeros((*v.shape, 3))
     for k in range(3):
         along = np.moveaxis(v, 1 + k, 0)  # a view, as is `slope`
@@ -218,7 +227,7 @@ def _finite_difference(f: Any, s: Any, o: Options) -> NDArray:
             slope[...] = np.gradient(along, o.spacing[k], axis=0, edge_order=2)
         else:
             slope[...] = np.nan
-    return out
+    return out.reshape(*flat.shape, 3)
 
 
 def _fluctuation_stress(f: Any, s: Any, o: Options) -> NDArray:
@@ -453,6 +462,11 @@ def row(name: str, options: Options) -> Field:
     """Return the row of a field, as computed with some options."""
     option, ways = WAYS.get(name, ("gradient", {}))
     return ways.get(getattr(options, option), FIELDS[name])
+
+
+def whole_grid(options: Options) -> bool:
+    """Tell whether the algebra needs all nodes at once, not block by block."""
+    return options.gradient == "finite_difference"
 
 
 def given_options(options: Options) -> dict[str, Any]:

@@ -295,7 +295,9 @@ def make_plan(
         groups=() if by is None else _groups(ds, by, groups),
     )
     x, y, z = (grid.spacing.get(a, 0.0) for a in COMPONENTS)
-    options = replace(options, active=tuple(grid.active.tolist()), spacing=(x, y, z), wrapped=_wrapped(grid, period))
+    options = replace(
+        options, active=tuple(grid.active.tolist()), shape=grid.shape, spacing=(x, y, z), wrapped=_wrapped(grid, period)
+    )
     extra = {by} if by else set()
     extra |= {"frozen"} & set(ds.data_vars)
     read = [n for n in ds.data_vars if n in variables | extra]
