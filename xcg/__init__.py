@@ -5,6 +5,7 @@ from importlib.metadata import version
 from xcg import datasets
 from xcg.accessor import CoarseGrainAccessor
 from xcg.balance import balance
+from xcg.bodies import group_bodies
 from xcg.chain_plots import plot_chains, plot_lengths, plot_rose
 from xcg.chain_selection import select_chains
 from xcg.chain_tables import chain_table, link_table
@@ -13,11 +14,15 @@ from xcg.chains import force_chains
 from xcg.coarse_grain import coarse_grain
 from xcg.fields import FIELDS
 from xcg.particle_stress import particle_stress
+from xcg.phases import assign_phases, find_phases, plot_phases
+from xcg.pysammos import pysammos_mesh
 from xcg.readers.series import open_scene
 from xcg.regions import Box, Region, Sphere
 from xcg.scene import measure, scene_from_arrays
 from xcg.schema import SceneError, SceneWarning
+from xcg.slices import slice_temperature
 from xcg.smoothing import Gaussian, Heaviside, Kernel, Lucy, register_kernel
+from xcg.statistics import profile, size_statistics, time_average
 from xcg.width_sweep import width_sweep
 
 __version__ = version("xcg")
@@ -33,21 +38,30 @@ __all__ = [
     "SceneError",
     "SceneWarning",
     "Sphere",
+    "assign_phases",
     "balance",
     "chain_table",
     "coarse_grain",
     "datasets",
+    "find_phases",
     "force_chains",
+    "group_bodies",
     "link_table",
     "measure",
     "open_scene",
     "particle_stress",
     "plot_chains",
     "plot_lengths",
+    "plot_phases",
     "plot_rose",
+    "profile",
+    "pysammos_mesh",
     "register_kernel",
     "scene_from_arrays",
     "select_chains",
+    "size_statistics",
+    "slice_temperature",
+    "time_average",
     "track_chains",
     "width_sweep",
 ]

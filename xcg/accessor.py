@@ -9,6 +9,7 @@ import pandas as pd
 import xarray as xr
 
 from xcg.balance import balance
+from xcg.bodies import group_bodies
 from xcg.chain_plots import plot_chains, plot_lengths, plot_rose
 from xcg.chain_results import summary_of_chains
 from xcg.chain_selection import select_chains
@@ -17,9 +18,12 @@ from xcg.chain_tracks import track_chains
 from xcg.chains import force_chains
 from xcg.coarse_grain import coarse_grain
 from xcg.particle_stress import particle_stress
+from xcg.phases import assign_phases, find_phases, plot_phases
 from xcg.plan import Plan, make_plan
 from xcg.regions import Region
 from xcg.scene import measure, summary
+from xcg.slices import slice_temperature
+from xcg.statistics import profile, size_statistics, time_average
 from xcg.width_sweep import width_sweep
 
 
@@ -50,6 +54,38 @@ class CoarseGrainAccessor:
     ) -> xr.Dataset:
         """Force chains of each step, see `xcg.force_chains`."""
         return force_chains(self._ds, alpha, threshold, min_length, **options)
+
+    def group_bodies(self, by_body: str = "body_id") -> xr.Dataset:
+        """Group component spheres into bodies, see `xcg.group_bodies`."""
+        return group_bodies(self._ds, by_body)
+
+    def find_phases(self, max_phases: int = 8, **options: Any) -> xr.Dataset:
+        """Find phases as clusters of diameter and density, see `xcg.find_phases`."""
+        return find_phases(self._ds, max_phases, **options)
+
+    def assign_phases(self, **options: Any) -> xr.Dataset:
+        """Give grains phases by size edges or by a mapping of types, see `xcg.assign_phases`."""
+        return assign_phases(self._ds, **options)
+
+    def plot_phases(self, step: int = 0) -> Any:
+        """Draw the clusters and scores of `find_phases`, see `xcg.plot_phases`."""
+        return plot_phases(self._ds, step)
+
+    def size_statistics(self) -> xr.Dataset:
+        """Sizes of the grains in each step, see `xcg.size_statistics`."""
+        return size_statistics(self._ds)
+
+    def slice_temperature(self, axis: str = "z", **options: Any) -> xr.Dataset:
+        """Granular temperature of the scene in slices, see `xcg.slice_temperature`."""
+        return slice_temperature(self._ds, axis, **options)
+
+    def profile(self, axis: str) -> xr.Dataset:
+        """Average a result over its other axes, see `xcg.profile`."""
+        return profile(self._ds, axis)
+
+    def time_average(self, window: int | None = None, *, every: int = 1) -> xr.Dataset:
+        """Average a result over time, with standard errors, see `xcg.time_average`."""
+        return time_average(self._ds, window, every=every)
 
     def width_sweep(self, widths: Any, fields: Any = None, **options: Any) -> xr.Dataset:
         """Coarse-grain with several widths and find the plateau, see `xcg.width_sweep`."""

@@ -11,12 +11,14 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg import fields as registry
+from xcg import pysammos
+from xcg.bodies import group_bodies
 from xcg.complete import periods
 from xcg.labels import about
 from xcg.moments import sums_of_frame
 from xcg.over_time import map_over_time
 from xcg.plan import Plan, make_plan, scale_of
-from xcg.scene import frame_of
+from xcg.scene import frame_of, require_scene
 from xcg.schema import COMPONENTS, Frame, units_of
 from xcg.smoothing import Kernel
 
@@ -35,7 +37,15 @@ def coarse_grain(
     groups: Sequence[int] | None = None,
     extent: Mapping[str, float] | None = None,
     gradient: str = "least_squares",
+    pressure_dims: str | None = None,
+    shear_dims: str | None = None,
+    deviatoric: str = "stress",
+    size: str = "d43",
+    fluid_viscosity: float | None = None,
+    by_pair: bool = False,
+    by_body: str | None = None,
     rtol: float = 0.0,
+    preset: str | None = None,
 ) -> xr.Dataset:
     """Coarse-grain a scene to continuum fields.
 
@@ -72,10 +82,31 @@ def coarse_grain(
     extent : mapping, optional
         Length that the integral over an averaged axis is divided by (m); by default that of the box of each step.
     gradient : str
-        "least_squares" (default), exact in linear flow, or "kernel", the exact derivative of the field V(r).
+        The way to the velocity gradient, and with it to the granular temperature: "least_squares" (default), exact
+        in linear flow; "kernel", the exact derivative of the field V(r); "finite_difference" between the nodes
+        (resolved axes only); "paper", least squares about the node instead of the grains' centre of mass.
+    pressure_dims : str, optional
+        Axes whose normal stresses make the pressure: "z", "xy", ... (all axes of the scene by default).
+    shear_dims : str, optional
+        Axes that deviatoric stress, shear stress and shear rate are restricted to, for example "xz".
+    deviatoric : str
+        Which magnitudes are those of deviators: of the "stress" (default), the "rate", "both" or "neither".
+    size : str
+        Diameter in the inertial number: "d43" (default) or "d32" of the node, "d50" or "dmax" of the scene.
+    fluid_viscosity : float, optional
+        Viscosity of the fluid between the grains (Pa s), for ``viscous_number`` and ``effective_viscosity``.
+    by_pair : bool
+        Also divide contact stress by the phase of the partner: ``contact_stress_by_pair`` with the dimension
+        ``other_phase``, the phases and then "wall". Its sum over them is the contact stress of the phase.
+    by_body : str, optional
+        An integer variable of the particles that says which body each component sphere belongs to, for example
+        "body_id": bodies are coarse-grained instead of spheres, see `xcg.group_bodies`.
     rtol : float
         Promise for the contact stress of every segment, relative to its largest value: the cheapest quadrature that
         keeps it is taken. 0 (default) takes the closed form.
+    preset : {"pysammos"}, optional
+        Names and variants of another program; `fields` are then its names, and `shear_dims` its plane ("xy" by
+        default). See `xcg.pysammos`.
 
     Returns
     -------
@@ -104,11 +135,34 @@ def coarse_grain(
     ('time', 'z')
     """
     given = {k: v for k, v in locals().items() if k != "ds" and v is not None}
+    if by_body is not None:
+        return coarse_grain(group_bodies(ds, given.pop("by_body")), **given)
+    if preset is not None:
+        return _with_preset(ds, given)
     plan = make_plan(**{"ds": ds, **given})
     names = [*plan.variables, *(name for name in ("box", "step") if name in ds)]
     results = {field: (plan.shape(field), "float64") for field in plan.fields}
     arrays = map_over_time(ds, names, partial(compute_chunk, plan), results, "coarse-grain")
     return _label(ds, plan, arrays, given)
+
+
+def _with_preset(ds: xr.Dataset, given: dict[str, Any]) -> xr.Dataset:
+    """Fields under the names of another program."""
+    if given["preset"] != "pysammos":
+        msg = f"preset={given['preset']!r}: expected 'pysammos'"
+        raise ValueError(msg)
+    own = {"preset", "fields", "shear_dims"}
+    options = {k: v for k, v in given.items() if k not in own}
+    fixed = {"pressure_dims": None, "deviatoric": "stress", "size": "d43"}
+    clash = [k for k, usual in fixed.items() if options.get(k, usual) != usual]
+    if clash:
+        msg = f"preset='pysammos' has a name for each variant: leave out {clash}, and take the field that you want"
+        raise ValueError(msg)
+    require_scene(ds, (), "coarse_grain")
+    table = pysammos.rows(*pysammos.plane_of(ds, given.get("shear_dims")))
+    names = pysammos.choose(given.get("fields"), table, make_plan(ds, None, **options).fields)
+    needed = dict.fromkeys(["sample_count", *(n for name in names for n in table[name].needs)])
+    return pysammos.from_xcg(coarse_grain(ds, list(needed), **options), names, table)
 
 
 def compute_chunk(plan: Plan, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
@@ -135,8 +189,9 @@ def _compute_step(plan: Plan, frame: Frame, box: NDArray | None, where: str, out
     nodes = len(sums.reference)
     phases = plan.phases if plan.recipe.by else 1
     flat = {name: out[name].reshape(nodes, phases, *out[name].shape[len(plan.dims) :]) for name in plan.fields}
-    for first in range(0, nodes, BLOCK):
-        block = slice(first, min(first + BLOCK, nodes))
+    size = max(1, nodes) if registry.whole_grid(plan.options) else BLOCK
+    for first in range(0, nodes, size):
+        block = slice(first, min(first + size, nodes))
         for name, values in registry.evaluate(plan.fields, sums.at(block), plan.options).items():
             flat[name][block] = np.moveaxis(values, 0, 1)
 
@@ -157,9 +212,12 @@ def _label(ds: xr.Dataset, plan: Plan, arrays: Mapping[str, Any], given: Mapping
         coords["phase"] = ("phase", ["bulk", *map(str, plan.recipe.groups)], attrs)
     data = {}
     for name, array in arrays.items():
-        row = registry.row(name, plan.options.gradient)
+        row = registry.row(name, plan.options)
         tail = ("component", "direction")[: row.rank]
         coords |= {dim: (dim, list(COMPONENTS)) for dim in tail}
+        if row.paired:
+            tail = ("other_phase", *tail)
+            coords["other_phase"] = ("other_phase", [*map(str, plan.recipe.groups), "wall"])
         attrs = {"units": units_of(row.powers, system), "long_name": row.long_name, "formula": row.formula}
         data[name] = (("time", *plan.dims, *tail), array, attrs)
     return xr.Dataset(data, coords, _provenance(ds, plan, given))
@@ -175,5 +233,13 @@ def _provenance(ds: xr.Dataset, plan: Plan, given: Mapping[str, Any]) -> dict[st
         "kernel_dimension": plan.kernel.dimension,
         "rtol": plan.rtol,
         "gradient": plan.options.gradient,
+        "pressure_dims": _axes(plan.options.pressure_axes or plan.options.plane),
+        "deviatoric": plan.options.deviatoric,
+        "size": plan.options.size,
+        **registry.given_options(plan.options),
         "averaged_axes": plan.recipe.grid.averaged,
     }
+
+
+def _axes(indices: Sequence[int]) -> str:
+    return "".join(COMPONENTS[k] for k in indices)

@@ -138,7 +138,7 @@ class Contacts:
             np.concatenate([self.force[wall_j], -self.force[wall_i]]),
         )
 
-    def segments(self, position: NDArray, phase: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+    def segments(self, position: NDArray, phase: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray, NDArray]:
         """Segments whose force x branch, smeared along them, is the contact stress.
 
         Each side of a contact runs from its particle's centre to the contact point. Both sides are one segment
@@ -148,8 +148,8 @@ class Contacts:
         -------
         start, branch, force : array (k, 3)
             Centre (m), vector from the segment's end to its start (m), force on that particle (N).
-        phase : array (k,)
-            Phase of that particle.
+        phase, other : array (k,)
+            Phase of that particle and of its partner; -1 for a wall or a partner that is not there.
         """
         i, j, a, b = self.i, self.j, self.branch_i, self.branch_j
         both = (i >= 0) & (j >= 0)
@@ -163,4 +163,5 @@ class Contacts:
             np.concatenate([a[whole] - b[whole], a[only_i], b[only_j]]),
             np.concatenate([self.force[whole], self.force[only_i], -self.force[only_j]]),
             np.concatenate([phase[i[whole]], phase[i[only_i]], phase[j[only_j]]]),
+            np.concatenate([phase[j[whole]], *(np.where(k >= 0, phase[k], -1) for k in (j[only_i], i[only_j]))]),
         )

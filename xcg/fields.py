@@ -8,7 +8,8 @@ velocity of the bulk, so that partial fields add up.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -30,13 +31,43 @@ class Options:
         The axes of the scene: (0, 1, 2), or two of them.
     active : tuple of bool
         The axes along which grains differ at a node (resolved or fixed ones).
+    shape : tuple of int
+        Nodes along x, y, z, for finite differences.
+    spacing : tuple of float
+        Distance of nodes along x, y, z (m), for finite differences; 0 along axes that are not resolved.
+    wrapped : tuple of bool
+        The axes along which the last node is a neighbour of the first.
     gradient : str
-        "least_squares" or "kernel".
+        "least_squares", "kernel", "finite_difference" or "paper".
+    pressure_axes : tuple of int, optional
+        The normal stresses whose mean is the pressure; those of the scene by default.
+    shear_axes : tuple of int, optional
+        The axes that magnitudes of stress and shear rate are restricted to; the scene's by default.
+    deviatoric : str
+        Which magnitudes are those of deviators: of "stress", "rate", "both" or "neither".
+    size : str
+        The diameter in the inertial number: "d43", "d32", or "d50", "dmax" of the whole scene.
+    diameter : float
+        d50 or dmax of the scene (m), where `size` names one of them.
+    fluid_viscosity : float, optional
+        Viscosity of the fluid between the grains (Pa s).
+    by_pair : bool, optional
+        Whether contact stress is also divided by the phase of the partner.
     """
 
     plane: tuple[int, ...] = (0, 1, 2)
     active: tuple[bool, bool, bool] = (True, True, True)
+    shape: tuple[int, int, int] = (1, 1, 1)
+    spacing: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    wrapped: tuple[bool, bool, bool] = (False, False, False)
     gradient: str = "least_squares"
+    pressure_axes: tuple[int, ...] | None = None
+    shear_axes: tuple[int, ...] | None = None
+    deviatoric: str = "stress"
+    size: str = "d43"
+    diameter: float = float("nan")
+    fluid_viscosity: float | None = None
+    by_pair: bool | None = None
 
     @property
     def dimension(self) -> int:
@@ -64,6 +95,10 @@ class Field:
         Whether the partial fields of the phases add up to the bulk.
     listed : bool
         False for steps of the algebra that are not fields of their own.
+    option : str
+        An attribute of `Options` that has to be given for it.
+    paired : bool
+        Whether it has the dimension ``other_phase``.
     """
 
     rank: int
@@ -75,6 +110,8 @@ class Field:
     sums: tuple[str, ...] = ()
     additive: bool = False
     listed: bool = True
+    option: str = ""
+    paired: bool = False
 
 
 # --- small algebra ---------------------------------------------------------------------------------------
@@ -92,18 +129,41 @@ def outer(a: NDArray, b: NDArray) -> NDArray:
     return a[..., :, None] * b[..., None, :]
 
 
-def trace(tensor: NDArray, o: Options) -> NDArray:
-    """Trace over the axes of the scene."""
-    return sum((tensor[..., k, k] for k in o.plane), start=np.zeros(tensor.shape[:-2]))
+def trace(tensor: NDArray, axes: Sequence[int]) -> NDArray:
+    """Trace over some axes."""
+    return sum((tensor[..., k, k] for k in axes), start=np.zeros(tensor.shape[:-2]))
 
 
-def deviator(tensor: NDArray, o: Options) -> NDArray:
-    """Return X - tr(X) / D I, with I the identity of the scene's axes."""
+def mean_normal(tensor: NDArray, axes: Sequence[int]) -> NDArray:
+    """Return the mean of the normal components along some axes."""
+    return trace(tensor, axes) / len(axes)
+
+
+def restricted(tensor: NDArray, axes: Sequence[int] | None) -> NDArray:
+    """Return the components between some axes, the others set to zero; the whole tensor for None."""
+    if axes is None:
+        return tensor
+    inside = np.isin(np.arange(3), axes)
+    return np.where(inside[:, None] & inside, tensor, 0.0)
+
+
+def deviator(tensor: NDArray, axes: Sequence[int]) -> NDArray:
+    """Return X - tr(X) / D I, with trace, D and I those of some axes."""
     out = tensor.copy()
-    mean = trace(tensor, o) / o.dimension
-    for k in o.plane:
+    mean = mean_normal(tensor, axes)
+    for k in axes:
         out[..., k, k] -= mean
     return out
+
+
+def stress_magnitude(tensor: NDArray) -> NDArray:
+    """Return sqrt(X:X / 2)."""
+    return np.sqrt(contraction(tensor) / 2)
+
+
+def rate_magnitude(tensor: NDArray) -> NDArray:
+    """Return sqrt(2 X:X), the shear rate in simple shear."""
+    return np.sqrt(2 * contraction(tensor))
 
 
 def contraction(tensor: NDArray) -> NDArray:
@@ -123,9 +183,9 @@ def _drift(f: Any, s: Any, o: Options) -> NDArray:
     return ratio(s.momentum, s.mass)
 
 
-def _fit(f: Any, s: Any, o: Options) -> SimpleNamespace:
-    """Least squares through the grains about their centre of mass: G = B M^+."""
-    mean = ratio(s.offset, s.mass)
+def _fit(f: Any, s: Any, o: Options, *, about_node: bool = False) -> SimpleNamespace:
+    """Least squares through the grains about their centre of mass, or about the node: G = B M^+."""
+    mean = np.zeros_like(s.offset) if about_node else ratio(s.offset, s.mass)
     shear = s.shear - outer(f._drift, s.offset)
     spread = s.spread - outer(mean, s.offset)
     nodes = int(np.prod(s.mass.shape))
@@ -148,9 +208,31 @@ def _kernel_gradient(f: Any, s: Any, o: Options) -> NDArray:
     return ratio(s.momentum_slope - outer(f._drift, s.mass_slope), s.mass)
 
 
+def _finite_difference(f: Any, s: Any, o: Options) -> NDArray:
+    """Central differences of V between nodes, of second order also at the ends; NaN beside empty nodes.
+
+    It needs all nodes at once, see `whole_grid`.
+    """
+    flat = f._drift + s.reference
+    v = flat.reshape(len(flat), *o.shape, 3)
+    out = np.zeros((*v.shape, 3))
+    for k in range(3):
+        along = np.moveaxis(v, 1 + k, 0)  # a view, as is `slope`
+        slope = np.moveaxis(out[..., k], 1 + k, 0)
+        if not o.active[k]:
+            continue
+        if o.spacing[k] and o.wrapped[k] and len(along) > 2:
+            slope[...] = (np.roll(along, -1, axis=0) - np.roll(along, 1, axis=0)) / (2 * o.spacing[k])
+        elif o.spacing[k] and len(along) > 2:
+            slope[...] = np.gradient(along, o.spacing[k], axis=0, edge_order=2)
+        else:
+            slope[...] = np.nan
+    return out.reshape(*flat.shape, 3)
+
+
 def _fluctuation_stress(f: Any, s: Any, o: Options) -> NDArray:
     """Sum of m Psi v'' v'' with v'' = u - b - G x, all about the bulk: expanded in the moments of each phase."""
-    least_squares = o.gradient == "least_squares"  # along directions that the grains do not span, its G is zero
+    least_squares = o.gradient in FITS  # along directions that the grains do not span, its G is zero
     g = (f._fit.gradient if least_squares else np.nan_to_num(f.velocity_gradient, nan=0.0))[:1]
     mean = np.nan_to_num(f._fit.mean[:1], nan=0.0)
     b = np.nan_to_num(f._drift[:1], nan=0.0) - np.einsum("...ij,...j->...i", g, mean)
@@ -160,6 +242,8 @@ def _fluctuation_stress(f: Any, s: Any, o: Options) -> NDArray:
     total += np.einsum("...ik,...kl,...jl->...ij", g, s.spread, g)
     # a fit through rank + 1 grains leaves nothing over: their fluctuation is unknown, not zero
     unknown = s.count[:1] <= f._fit.rank[:1] + 1
+    if not least_squares:
+        unknown = unknown | np.isnan(f.velocity_gradient[:1]).any(axis=(-1, -2))
     return np.where(unknown[..., None, None], np.nan, total)
 
 
@@ -170,19 +254,34 @@ def _kinetic_stress(f: Any, s: Any, o: Options) -> NDArray:
 
 
 def _temperature(f: Any, s: Any, o: Options) -> NDArray:
-    return ratio(np.maximum(trace(f.fluctuation_stress, o), 0.0), o.dimension * s.mass)
+    return ratio(np.maximum(trace(f.fluctuation_stress, o.plane), 0.0), o.dimension * s.mass)
+
+
+def _temperature_along(f: Any, s: Any, o: Options) -> NDArray:
+    normal = np.stack([f.fluctuation_stress[..., k, k] for k in range(3)], axis=-1)
+    return ratio(np.maximum(normal, 0.0), s.mass)
 
 
 def _shear_rate(f: Any, s: Any, o: Options) -> NDArray:
-    return np.sqrt(2 * contraction(f.shear_rate_tensor))
+    rate = restricted(f.shear_rate_tensor, o.shear_axes)
+    return rate_magnitude(deviator(rate, o.shear_axes or o.plane) if o.deviatoric in ("rate", "both") else rate)
 
 
 # --- rheology --------------------------------------------------------------------------------------------
 
 
+def _shear_stress(f: Any, s: Any, o: Options) -> NDArray:
+    whole = o.deviatoric not in ("stress", "both")
+    return stress_magnitude(restricted(f.stress, o.shear_axes) if whole else f.deviatoric_stress)
+
+
 def _inertial_number(f: Any, s: Any, o: Options) -> NDArray:
     root = np.sqrt(np.where(f.pressure > 0, f.pressure, np.nan))
-    return f.shear_rate * f.d43 * np.sqrt(f.particle_density) / root
+    return f.shear_rate * f._size * np.sqrt(f.particle_density) / root
+
+
+def _viscous_number(f: Any, s: Any, o: Options) -> NDArray:
+    return ratio(o.fluid_viscosity * f.shear_rate, f.pressure)
 
 
 _STRESS = (-1, 1, -2)
@@ -236,21 +335,27 @@ FIELDS: dict[str, Field] = {
         2, _STRESS, "contact stress", "sigma^c = sum_c f_ij a_ij int_0^1 Psi(r - r_i + s a_ij) ds, both sides",
         lambda f, s, o: s.contact, sums=("contact",), additive=True,
     ),
+    "contact_stress_by_pair": Field(
+        2, _STRESS, "contact stress of each phase from contacts with another, or with walls",
+        "sigma^c of the phase's sides of its contacts with grains of other_phase",
+        lambda f, s, o: s.pair_contact, sums=("pair_contact",), additive=True, option="by_pair", paired=True,
+    ),
     "stress": Field(
         2, _STRESS, "stress, compression positive", "sigma = sigma^c + sigma^k",
         lambda f, s, o: f.contact_stress + f.kinetic_stress, fields=("contact_stress", "kinetic_stress"), additive=True,
     ),
     "pressure": Field(
         0, _STRESS, "pressure", "p = tr(sigma) / D",
-        lambda f, s, o: trace(f.stress, o) / o.dimension, fields=("stress",), additive=True,
+        lambda f, s, o: mean_normal(f.stress, o.pressure_axes or o.plane), fields=("stress",), additive=True,
     ),
     "deviatoric_stress": Field(
-        2, _STRESS, "deviatoric stress", "dev sigma = sigma - p I",
-        lambda f, s, o: deviator(f.stress, o), fields=("stress",), additive=True,
+        2, _STRESS, "deviatoric stress", "dev sigma = sigma - tr(sigma) / D I",
+        lambda f, s, o: deviator(restricted(f.stress, o.shear_axes), o.shear_axes or o.plane),
+        fields=("stress",), additive=True,
     ),
     "shear_stress": Field(
         0, _STRESS, "magnitude of the deviatoric stress", "|dev sigma| = sqrt(dev sigma : dev sigma / 2)",
-        lambda f, s, o: np.sqrt(contraction(f.deviatoric_stress) / 2), fields=("deviatoric_stress",),
+        _shear_stress, fields=("stress", "deviatoric_stress"),
     ),
     "fluctuation_stress": Field(
         2, _STRESS, "kinetic stress about the velocity at the particles",
@@ -260,6 +365,10 @@ FIELDS: dict[str, Field] = {
     "granular_temperature": Field(
         0, (2, 0, -2), "granular temperature", "T = tr(sum m_i v'_i v'_i Psi) / (D rho)",
         _temperature, fields=("fluctuation_stress",), sums=("mass",),
+    ),
+    "directional_temperature": Field(
+        1, (2, 0, -2), "granular temperature of the fluctuations along each axis",
+        "T_k = sum m_i v'_ik v'_ik Psi / rho", _temperature_along, fields=("fluctuation_stress",), sums=("mass",),
     ),
     "fabric": Field(
         2, _NONE, "fabric", "F = sum V_i Psi sum_c n n", lambda f, s, o: s.fabric, sums=("fabric",), additive=True
@@ -281,8 +390,17 @@ FIELDS: dict[str, Field] = {
         lambda f, s, o: ratio(f.shear_stress, f.pressure), fields=("shear_stress", "pressure"),
     ),
     "inertial_number": Field(
-        0, _NONE, "inertial number", "I = |Gamma| d43 / sqrt(p / rho_p), where p > 0",
-        _inertial_number, fields=("shear_rate", "pressure", "particle_density", "d43"),
+        0, _NONE, "inertial number", "I = |Gamma| d / sqrt(p / rho_p), d = d43 by default, where p > 0",
+        _inertial_number, fields=("shear_rate", "pressure", "particle_density", "_size"),
+    ),
+    "viscous_number": Field(
+        0, _NONE, "viscous number", "J = eta_f |Gamma| / p, where p > 0",
+        _viscous_number, fields=("shear_rate", "pressure"), option="fluid_viscosity",
+    ),
+    "effective_viscosity": Field(
+        0, _NONE, "effective viscosity relative to that of the fluid", "eta_s = mu / J = |dev sigma| / (eta_f |Gamma|)",
+        lambda f, s, o: ratio(f.friction_coefficient, f.viscous_number),
+        fields=("friction_coefficient", "viscous_number"), option="fluid_viscosity",
     ),
     "wall_traction": Field(
         1, (-2, 1, -2), "traction of walls on the grains", "t = sum_w f_iw Psi(r - c_iw)",
@@ -295,19 +413,91 @@ FIELDS: dict[str, Field] = {
     # steps of the algebra
     "_drift": Field(1, (1, 0, -1), "", "V - U", _drift, sums=("mass", "momentum"), listed=False),
     "_fit": Field(2, (0, 0, -1), "", "B M^+", _fit, fields=("_drift",), sums=_LINEAR, listed=False),
+    "_size": Field(0, (1, 0, 0), "", "d43", lambda f, s, o: f.d43, fields=("d43",), listed=False),
 }  # fmt: skip
 
-# other ways to a field, by option
-KERNEL_GRADIENT = Field(
-    2, (0, 0, -1), "velocity gradient, dV_component / dx_direction", "G = (grad p - V grad rho) / rho",
-    _kernel_gradient, fields=("_drift",), sums=("mass", "momentum", "mass_slope", "momentum_slope"),
-)  # fmt: skip
-GRADIENTS = {"least_squares": FIELDS["velocity_gradient"], "kernel": KERNEL_GRADIENT}
+FITS = ("least_squares", "paper")
+DEVIATORIC = ("stress", "rate", "both", "neither")
 
 
-def row(name: str, gradient: str) -> Field:
-    """Return the row of a field, as computed with a way to the velocity gradient."""
-    return GRADIENTS[gradient] if name == "velocity_gradient" else FIELDS[name]
+def _size_of_scene(name: str) -> Field:
+    return Field(0, (1, 0, 0), "", name, lambda f, s, o: np.asarray(o.diameter), listed=False)
+
+
+# other ways to a field: the option that chooses, and the row for each of its values that is not the default
+WAYS: dict[str, tuple[str, dict[str, Field]]] = {
+    "velocity_gradient": ("gradient", {
+        "kernel": replace(
+            FIELDS["velocity_gradient"], formula="G = (grad p - V grad rho) / rho", compute=_kernel_gradient,
+            fields=("_drift",), sums=("mass", "momentum", "mass_slope", "momentum_slope"),
+        ),
+        "finite_difference": replace(
+            FIELDS["velocity_gradient"], formula="G = [V(r + h) - V(r - h)] / 2 h, h the spacing of the nodes",
+            compute=_finite_difference, fields=("_drift",), sums=("mass", "momentum"),
+        ),
+        "paper": replace(
+            FIELDS["velocity_gradient"],
+            formula="G = [sum m Psi (v_i - V)(r_i - r)] M^-1, M = sum m Psi (r_i - r)(r_i - r)",
+        ),
+    }),
+    "_fit": ("gradient", {
+        "paper": replace(FIELDS["_fit"], compute=partial(_fit, about_node=True)),
+    }),
+    "fluctuation_stress": ("gradient", {
+        "paper": replace(
+            FIELDS["fluctuation_stress"], formula="sum m_i v'_i v'_i Psi, v'_i = v_i - V - G (r_i - r)"
+        ),
+    }),
+    "_size": ("size", {
+        "d32": replace(FIELDS["_size"], formula="d32", compute=lambda f, s, o: f.d32, fields=("d32",)),
+        "d50": _size_of_scene("d50"),
+        "dmax": _size_of_scene("dmax"),
+    }),
+}  # fmt: skip
+GRADIENTS = ("least_squares", *WAYS["velocity_gradient"][1])
+INERTIAL_SIZES = ("d43", *WAYS["_size"][1])
+
+
+def row(name: str, options: Options) -> Field:
+    """Return the row of a field, as computed with some options."""
+    option, ways = WAYS.get(name, ("gradient", {}))
+    return ways.get(getattr(options, option), FIELDS[name])
+
+
+def whole_grid(options: Options) -> bool:
+    """Tell whether the algebra needs all nodes at once, not block by block."""
+    return options.gradient == "finite_difference"
+
+
+def given_options(options: Options) -> dict[str, Any]:
+    """Return the options that are set only if somebody gave them, as attributes of a result."""
+    found: dict[str, Any] = {}
+    if options.shear_axes is not None:
+        found["shear_dims"] = "".join("xyz"[k] for k in options.shear_axes)
+    if options.fluid_viscosity is not None:
+        found["fluid_viscosity"] = options.fluid_viscosity
+    if np.isfinite(options.diameter):
+        found["size_diameter"] = options.diameter
+    return found
+
+
+def options_of(attrs: Mapping[Any, Any]) -> Options:
+    """Return the choices that a result was computed with, from its attributes."""
+
+    def axes(name: str) -> tuple[int, ...] | None:
+        return tuple("xyz".index(a) for a in attrs[name]) if name in attrs else None
+
+    viscosity = attrs.get("fluid_viscosity")
+    return Options(
+        plane=axes("plane") or (0, 1, 2),
+        gradient=str(attrs.get("gradient", "least_squares")),
+        pressure_axes=axes("pressure_dims"),
+        shear_axes=axes("shear_dims"),
+        deviatoric=str(attrs.get("deviatoric", "stress")),
+        size=str(attrs.get("size", "d43")),
+        diameter=float(attrs.get("size_diameter", np.nan)),
+        fluid_viscosity=None if viscosity is None else float(viscosity),
+    )
 
 
 def listed() -> list[str]:
@@ -315,13 +505,13 @@ def listed() -> list[str]:
     return [name for name, field in FIELDS.items() if field.listed]
 
 
-def order_of(fields: Iterable[str], gradient: str) -> list[str]:
+def order_of(fields: Iterable[str], options: Options) -> list[str]:
     """All rows needed for some fields, each after what it needs."""
     order: list[str] = []
 
     def visit(name: str) -> None:
         if name not in order:
-            for needed in row(name, gradient).fields:
+            for needed in row(name, options).fields:
                 visit(needed)
             order.append(name)
 
@@ -330,15 +520,15 @@ def order_of(fields: Iterable[str], gradient: str) -> list[str]:
     return order
 
 
-def sums_of(fields: Iterable[str], gradient: str) -> tuple[str, ...]:
+def sums_of(fields: Iterable[str], options: Options) -> tuple[str, ...]:
     """All sums needed for some fields."""
-    found = dict.fromkeys(s for name in order_of(fields, gradient) for s in row(name, gradient).sums)
+    found = dict.fromkeys(s for name in order_of(fields, options) for s in row(name, options).sums)
     return tuple(found)
 
 
 def evaluate(fields: Sequence[str], sums: Mapping[str, NDArray], options: Options) -> dict[str, NDArray]:
     """Compute fields from sums; arrays (phase, x, y, z, ...)."""
     s, f = SimpleNamespace(**sums), SimpleNamespace()
-    for name in order_of(fields, options.gradient):
-        setattr(f, name, row(name, options.gradient).compute(f, s, options))
+    for name in order_of(fields, options):
+        setattr(f, name, row(name, options).compute(f, s, options))
     return {name: getattr(f, name) for name in fields}

@@ -96,6 +96,7 @@ MOMENTS: dict[str, Moment] = {
     "momentum_slope": Moment(_MV, "m u, with grad Psi", (3, 3)),
     # along branches, and at walls
     "contact": Moment((), "f a, along the branch", (3, 3), contacts=True),
+    "pair_contact": Moment((), "f a, along the branch, by phase of the partner", (3, 3), contacts=True),
     "traction": Moment((), "f, at the wall", (3,), contacts=True),
 }
 
@@ -195,8 +196,16 @@ class _Deposit:
         )  # fmt: skip
         return sums
 
-    def segments(self, start: NDArray, branch: NDArray, force: NDArray, phase: NDArray, limits: NDArray) -> NDArray:
-        sums = np.zeros((self.phases, self.nodes, 9))
+    def segments(
+        self,
+        start: NDArray,
+        branch: NDArray,
+        force: NDArray,
+        phase: NDArray,
+        limits: NDArray,
+        groups: int | None = None,
+    ) -> NDArray:
+        sums = np.zeros((groups or self.phases, self.nodes, 9))
         order, local = self._placed(start)
         deposit_segments(
             local, branch[order] / self.cutoff, force[order] * self.cutoff, phase[order], limits, *self.onto, sums
@@ -290,8 +299,17 @@ def sums_of_frame(frame: Frame, recipe: Recipe, period: NDArray, scale: float, w
             columns[name] = (slopes, _flow_columns(flow), -1 / recipe.cutoff)
     if "contact" in wanted:
         assert contacts is not None
-        segments = contacts.segments(position, phase)
-        columns["contact"] = (to.segments(*segments, recipe.limits), _all_columns((3, 3)), 1.0)
+        start, branch, push, owner, _ = contacts.segments(position, phase)
+        columns["contact"] = (to.segments(start, branch, push, owner, recipe.limits), _all_columns((3, 3)), 1.0)
+    if "pair_contact" in wanted:
+        assert contacts is not None
+        start, branch, push, owner, other = contacts.segments(position, phase)
+        others = to.phases + 1  # the last one for walls
+        pair = owner * others + np.where(other < 0, to.phases, other)
+        by_pair = to.segments(start, branch, push, pair, recipe.limits, to.phases * others)
+        by_pair = np.moveaxis(by_pair.reshape(to.phases, others, to.nodes, 9), 1, 2)
+        by_pair = by_pair.reshape(to.phases, to.nodes, others * 9)
+        columns["pair_contact"] = (by_pair, _all_columns((others, 3, 3)), 1.0)
     if "traction" in wanted:
         assert contacts is not None
         at, point, force = contacts.at_walls

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -17,11 +17,9 @@ from xcg.grid import Grid, make_grid
 from xcg.kernels import weights as kinds
 from xcg.kernels.segments import MAX_ORDER, largest_error
 from xcg.moments import CONTACT_VARIABLES, MOMENTS, Recipe
-from xcg.scene import require_scene, setup_of
+from xcg.scene import SIZES, require_scene, setup_of
 from xcg.schema import COMPONENTS, SceneError, SceneWarning, Setup, variable
 from xcg.smoothing import Kernel, as_kernel
-
-SIZES = ("d43", "d50", "dmax", "dmin")
 
 
 @dataclass(frozen=True)
@@ -73,7 +71,8 @@ class Plan:
         """Shape of one step of a field."""
         nodes = tuple(len(self.recipe.grid.nodes[a]) for a in self.recipe.grid.axes)
         phases = (self.phases,) if self.recipe.by else ()
-        return (*nodes, *phases, *(3,) * registry.FIELDS[name].rank)
+        row = registry.FIELDS[name]
+        return (*nodes, *phases, *((self.phases,) if row.paired else ()), *(3,) * row.rank)
 
     def __str__(self) -> str:
         grid, moments = self.recipe.grid, [MOMENTS[m] for m in self.recipe.moments]
@@ -165,9 +164,11 @@ def gauss_limits(kernel: Kernel, seen: int, rtol: float) -> NDArray:
     return _limits(w.kind, w.spread, w.table.tobytes(), w.table.shape, seen, rtol)
 
 
-def _choose_fields(asked: str | Sequence[str] | None, ds: xr.Dataset, gradient: str) -> tuple[str, ...]:
+def _choose_fields(asked: str | Sequence[str] | None, ds: xr.Dataset, options: registry.Options) -> tuple[str, ...]:
+    lacking = {name for name, f in registry.FIELDS.items() if f.option and getattr(options, f.option) is None}
     if asked is None:
-        here = [name for name in registry.listed() if _variables([name], ds, gradient) <= set(ds.data_vars)]
+        possible = [name for name in registry.listed() if name not in lacking]
+        here = [name for name in possible if _variables([name], ds, options) <= set(ds.data_vars)]
         if not here:
             require_scene(ds, ("mass",), "coarse_grain")
         return tuple(here)
@@ -176,13 +177,17 @@ def _choose_fields(asked: str | Sequence[str] | None, ds: xr.Dataset, gradient: 
     if unknown or not names:
         msg = f"unknown fields {unknown}: choose from {', '.join(registry.listed())}"
         raise ValueError(msg)
+    for name in names:
+        if name in lacking:
+            msg = f"{name} needs the argument {registry.FIELDS[name].option}="
+            raise ValueError(msg)
     return tuple(dict.fromkeys(names))
 
 
-def _variables(fields: Sequence[str], ds: xr.Dataset, gradient: str) -> set[str]:
+def _variables(fields: Sequence[str], ds: xr.Dataset, options: registry.Options) -> set[str]:
     """Scene variables that some fields need."""
     needed = {"position", "particle_id"}
-    for name in registry.sums_of(fields, gradient):
+    for name in registry.sums_of(fields, options):
         needed |= set(MOMENTS[name].variables)
         if name == "partners" and "coordination_number" in ds:
             needed.add("coordination_number")
@@ -233,6 +238,12 @@ def make_plan(
     groups: Sequence[int] | None = None,
     extent: Mapping[str, float] | None = None,
     gradient: str = "least_squares",
+    pressure_dims: str | None = None,
+    shear_dims: str | None = None,
+    deviatoric: str = "stress",
+    size: str = "d43",
+    fluid_viscosity: float | None = None,
+    by_pair: bool = False,
     rtol: float = 0.0,
 ) -> Plan:
     """Plan a call of `coarse_grain`; the arguments are the same. Reads attributes only, never data.
@@ -245,16 +256,20 @@ def make_plan(
         If an argument is wrong.
     """
     require_scene(ds, (), "coarse_grain")
-    if gradient not in registry.GRADIENTS:
-        msg = f"gradient={gradient!r}: expected one of {sorted(registry.GRADIENTS)}"
+    setup = setup_of(ds)
+    options = _options(ds, setup, gradient, pressure_dims, shear_dims, deviatoric, size, fluid_viscosity)
+    if by_pair and by is None:
+        msg = "by_pair=True divides contact stress by pairs of phases: say which with by=, for example by='species'"
         raise ValueError(msg)
+    options = replace(options, by_pair=by_pair or None)
     if not (np.isfinite(rtol) and rtol >= 0):
         msg = f"rtol={rtol!r}: expected 0 (closed form) or a positive number such as 1e-3"
         raise ValueError(msg)
-    names = _choose_fields(fields, ds, gradient)
-    variables = _variables(names, ds, gradient)
+    names = _choose_fields(fields, ds, options)
+    if by_pair:
+        names = tuple(dict.fromkeys([*names, "contact_stress_by_pair"]))
+    variables = _variables(names, ds, options)
     require_scene(ds, sorted(variables), f"coarse_grain of {', '.join(names)}")
-    setup = setup_of(ds)
     chosen = as_kernel(kernel, choose_width(width, ds.attrs) if isinstance(kernel, str) else width, setup.dimension)  # type: ignore[arg-type]
     edges = edges_of(ds)
     period = {a: edges[a][1] - edges[a][0] for a in setup.periodic if a in edges}
@@ -268,10 +283,10 @@ def make_plan(
         automatic=_automatic(ds, setup, edges, chosen.cutoff),
         period=period,
     )
-    if gradient == "kernel" and {"mass_slope", "momentum_slope"} & set(registry.sums_of(names, gradient)):
+    if gradient == "kernel" and {"mass_slope", "momentum_slope"} & set(registry.sums_of(names, options)):
         _check_differentiable(chosen, len(grid.seen))
     recipe = Recipe(
-        moments=registry.sums_of(names, gradient),
+        moments=registry.sums_of(names, options),
         grid=grid,
         weights=chosen.weights(len(grid.seen)),
         cutoff=chosen.cutoff,
@@ -279,10 +294,9 @@ def make_plan(
         by=by,
         groups=() if by is None else _groups(ds, by, groups),
     )
-    options = registry.Options(
-        plane=tuple(COMPONENTS.index(a) for a in setup.plane),
-        active=tuple(grid.active.tolist()),
-        gradient=gradient,
+    x, y, z = (grid.spacing.get(a, 0.0) for a in COMPONENTS)
+    options = replace(
+        options, active=tuple(grid.active.tolist()), shape=grid.shape, spacing=(x, y, z), wrapped=_wrapped(grid, period)
     )
     extra = {by} if by else set()
     extra |= {"frozen"} & set(ds.data_vars)
@@ -291,6 +305,50 @@ def make_plan(
         fields=names, variables=tuple(map(str, read)), recipe=recipe, options=options, kernel=chosen,
         extent=_extents(grid, extent or {}, edges), depth=layer_depth(ds, setup, edges), setup=setup, rtol=rtol,
     )  # fmt: skip
+
+
+def _options(
+    ds: xr.Dataset, setup: Setup, gradient: str, pressure_dims: str | None, shear_dims: str | None, deviatoric: str,
+    size: str, fluid_viscosity: float | None,
+) -> registry.Options:  # fmt: skip
+    """Check the choices of the algebra."""
+    for name, value, known in (
+        ("gradient", gradient, registry.GRADIENTS),
+        ("deviatoric", deviatoric, registry.DEVIATORIC),
+        ("size", size, registry.INERTIAL_SIZES),
+    ):
+        if value not in known:
+            msg = f"{name}={value!r}: expected one of {', '.join(known)}"
+            raise ValueError(msg)
+    for name, axes in (("pressure_dims", pressure_dims), ("shear_dims", shear_dims)):
+        if axes is not None and (not axes or set(axes) - set(setup.plane) or len(set(axes)) < len(axes)):
+            msg = f"{name}={axes!r}: expected some of the scene's axes {setup.plane!r}, each once"
+            raise ValueError(msg)
+    if fluid_viscosity is not None and not (np.isfinite(fluid_viscosity) and fluid_viscosity > 0):
+        msg = f"fluid_viscosity={fluid_viscosity!r}: expected a positive viscosity (Pa s), such as 1e-3 for water"
+        raise ValueError(msg)
+    if size in ("d50", "dmax") and size not in ds.attrs:
+        msg = f"size={size!r} is an attribute that the scene does not hold; call ds = ds.cg.measure() first"
+        raise ValueError(msg)
+    return registry.Options(
+        plane=tuple(COMPONENTS.index(a) for a in setup.plane),
+        gradient=gradient,
+        pressure_axes=None if pressure_dims is None else tuple(COMPONENTS.index(a) for a in pressure_dims),
+        shear_axes=None if shear_dims is None else tuple(COMPONENTS.index(a) for a in shear_dims),
+        deviatoric=deviatoric,
+        size=size,
+        diameter=float(ds.attrs.get(size, np.nan)),
+        fluid_viscosity=fluid_viscosity,
+    )
+
+
+def _wrapped(grid: Grid, period: Mapping[str, float]) -> tuple[bool, bool, bool]:
+    """Tell along which axes the nodes fill a period, so that the last is next to the first."""
+    x, y, z = (
+        a in period and a in grid.nodes and bool(np.isclose(len(grid.nodes[a]) * grid.spacing[a], period[a]))
+        for a in COMPONENTS
+    )
+    return x, y, z
 
 
 def _automatic(

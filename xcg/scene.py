@@ -13,6 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from xcg.complete import complete_contacts, complete_particles, periods
 from xcg.schema import BOX, COMPONENTS, MAX_GROUPS, PADDING, Frame, SceneError, Setup, units_of, variable
 
+SIZES = ("d43", "d32", "d50", "drms", "dmin", "dmax")
+
 # --- many frames: the Dataset ----------------------------------------------------------------------------
 
 
@@ -28,12 +30,33 @@ def stack(frames: Sequence[Frame], names: Sequence[str], rows: int) -> Frame:
     return stacked
 
 
+def sizes_of(diameter: NDArray, mass: NDArray | None = None) -> dict[str, float]:
+    """Sizes of a set of particles (m); NaN for an empty one.
+
+    ``d43 = S d^4 / S d^3``, ``d32 = S d^3 / S d^2``, ``drms = sqrt(S d^2 / n)``, ``d50`` the diameter below which half
+    of the mass lies (of the volume, where no mass is given), ``dmin`` and ``dmax``.
+    """
+    if not len(diameter):
+        return dict.fromkeys(SIZES, float("nan"))
+    order = np.argsort(diameter, kind="stable")
+    d = diameter[order]
+    share = np.cumsum(d**3 if mass is None else mass[order])
+    sums = [float((d**k).sum()) for k in range(5)]
+    return {
+        "d43": sums[4] / sums[3],
+        "d32": sums[3] / sums[2],
+        "d50": float(d[np.searchsorted(share, 0.5 * share[-1])]),
+        "drms": float(np.sqrt(sums[2] / sums[0])),
+        "dmin": float(d[0]),
+        "dmax": float(d[-1]),
+    }
+
+
 def measure_frames(frames: Sequence[Frame]) -> dict[str, Any]:
     """Sizes and extent of particles, as attributes: what default widths and bounds follow from.
 
-    ``d43 = S d^4 / S d^3``, ``d50`` the diameter below which half of the volume lies, ``dmin``, ``dmax``, the
-    lowest and highest coordinates of the centres, and the values that integer variables take (``species_values``),
-    over all the frames given.
+    The sizes of `sizes_of`, the lowest and highest coordinates of the centres, and the values that integer variables
+    take (``species_values``), over all the frames given.
     """
     measured: dict[str, Any] = {}
     positions = [f["position"] for f in frames if len(f["position"])]
@@ -42,11 +65,9 @@ def measure_frames(frames: Sequence[Frame]) -> dict[str, Any]:
         measured["particle_upper"] = np.max([p.max(axis=0) for p in positions], axis=0)
     diameters = [f["diameter"] for f in frames if "diameter" in f]
     if diameters and sum(map(len, diameters)):
-        d = np.sort(np.concatenate(diameters))
-        share = np.cumsum(d**3)
-        measured["d43"] = float((d**4).sum() / (d**3).sum())
-        measured["d50"] = float(d[np.searchsorted(share, 0.5 * share[-1])])
-        measured["dmin"], measured["dmax"] = float(d[0]), float(d[-1])
+        masses = [f["mass"] for f in frames if "mass" in f]
+        whole = len(masses) == len(diameters)
+        measured |= sizes_of(np.concatenate(diameters), np.concatenate(masses) if whole else None)
     for name in frames[0] if frames else ():
         values = [f[name] for f in frames if f[name].dtype.kind == "i"]
         if values and name != "particle_id":
@@ -307,7 +328,7 @@ def measure(ds: xr.Dataset) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        The same scene with the attributes d43, d50, dmin, dmax, particle_lower and particle_upper set anew.
+        The same scene with the attributes of `sizes_of`, particle_lower and particle_upper set anew.
     """
     require_scene(ds, (), "measure")
     names = [str(name) for name in ds.data_vars if variable(str(name), ds[name].dtype).dims[0] == "particle"]

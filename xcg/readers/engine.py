@@ -82,6 +82,8 @@ class Engine(Protocol):
     - ``OPTIONS``, the names of its own options; others are then refused;
     - ``contact_variables(ref, options)``, the names that `read_contacts` will return, told from the header
       alone; without it, `xcg.open_scene` reads one frame of contacts;
+    - ``recover_periods(ref, options)``, the length of the period along some axes from the contacts of one step, where
+      the files do not tell it;
     - ``index_walls(paths, options)``, where contacts with walls stand in files of their own; `read_contacts`
       reads these, too.
     """

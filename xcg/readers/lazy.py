@@ -84,6 +84,8 @@ class Source:
                 complete_contacts(raw, particles, box, self.setup, where(ref), allow_unknown=self.allow_unknown)
             )
             _require(parts[-1], names, ref)
+        if not parts:  # nothing touches
+            return {name: np.empty(variable(name).shape(0), variable(name).dtype) for name in names}
         return {name: np.concatenate([part[name] for part in parts]) for name in names}
 
 

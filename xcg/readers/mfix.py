@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from xcg.readers import vtp
 from xcg.readers.engine import ReadOptions, StepRef
-from xcg.schema import Frame, SceneError, SceneWarning, variable
+from xcg.schema import COMPONENTS, Frame, SceneError, SceneWarning, variable
 
 # The first of two arrays for the same name is taken.
 PARTICLE_NAMES = {
@@ -265,6 +265,8 @@ def read_particles(ref: StepRef, options: ReadOptions) -> Frame:
             "drop the ids with names={'Particle_ID': None}"
         )
         raise SceneError(msg)
+    if "radius" in frame:
+        frame.setdefault("diameter", 2 * frame.pop("radius"))
     return frame
 
 
@@ -289,6 +291,35 @@ def read_contacts(ref: StepRef, options: ReadOptions) -> Frame:
         frame["contact_force"] = arrays[_NORMAL] + arrays[_TANGENTIAL]
     mark = arrays.get(_NORMAL, arrays.get(_OVERLAP, frame["contact_force"]))
     return each_contact_once(frame, mark, arrays[points])
+
+
+def recover_periods(ref: StepRef, options: ReadOptions) -> dict[str, float]:
+    """Periods by axis, from pairs of contacts whose two rows stand on either side of an edge.
+
+    MFiX lists such a contact twice, ids swapped and normal force negated, with contact points one period apart. The
+    extent of the particles' centres is no period: it is short by about a diameter.
+    """
+    header = _open(ref)
+    points = header.names[0]
+    wanted = [name for name in (points, _NORMAL, _OVERLAP) if name in header.names]
+    frame, arrays = _read(header, _targets(ref.columns, "contact", options, ref.path), wanted)
+    i, j, place = frame["contact_i"], frame["contact_j"], arrays[points]
+    mark = arrays.get(_NORMAL, arrays.get(_OVERLAP))
+    if mark is None or not len(i):
+        return {}
+    swapped = i > j
+    marks = list((mark * np.where(swapped, -1.0, 1.0)[:, None]).T) if mark.ndim == 2 else [mark]
+    order, run = _runs([np.minimum(i, j), np.maximum(i, j), *marks])
+    twice = order[np.bincount(run)[run] == 2].reshape(-1, 2)
+    twice = twice[swapped[twice[:, 0]] != swapped[twice[:, 1]]]
+    apart = np.abs(place[twice[:, 0]] - place[twice[:, 1]])
+    found = {}
+    for k, axis in enumerate(COMPONENTS):
+        far = apart[apart[:, k] > 0.5 * apart[:, k].max(initial=0.0), k]
+        # both rows are one contact, so that distances are a period to single precision, or nothing
+        if len(far) and np.ptp(far) < 1e-3 * far.max() and far.max() > 1e-3 * np.ptp(place[:, k]):
+            found[axis] = float(np.median(far))
+    return found
 
 
 # --- contacts that stand twice ---------------------------------------------------------------------------

@@ -32,6 +32,8 @@ UNIT_SYSTEMS: dict[str, Mapping[str, float] | str | None] = {
     "nano": {"length": 1e-9, "mass": 1e-21, "time": 1e-9},
 }
 
+_RECOVERY_STEPS = 10  # files of contacts that are read for a period, where files do not tell it
+
 Paths = PathLike | Iterable[PathLike]
 
 
@@ -104,9 +106,9 @@ def open_scene(
         Of scenes with one layer of particles, see `xcg.schema.Setup`.
     allow_unknown : bool
         Take contacts with ids that are not among the particles as contacts with a wall.
-    missing : {"raise", "skip"}
-        What to do about steps of particles without a step of contacts: raise an error that lists them, or
-        leave them out with a warning. (A step without any contact has a file, too: one with no rows.)
+    missing : {"raise", "skip", "empty"}
+        What to do about steps of particles without a step of contacts: raise an error that lists them, leave them out
+        with a warning, or take them as steps in which nothing touches (MFiX writes no file of contacts then).
     chunks : int
         Steps in a chunk; -1 for all in one.
     **engine_options
@@ -161,14 +163,14 @@ def open_scene(
     ...     names={"c_nc": "coordination_number", "c_1[1]": "contact_i", "c_1[2]": "contact_j"},
     ... )  # doctest: +SKIP
     """
-    if missing not in ("raise", "skip"):
-        msg = f"missing={missing!r}: expected 'raise' or 'skip'"
+    if missing not in ("raise", "skip", "empty"):
+        msg = f"missing={missing!r}: expected 'raise', 'skip' or 'empty'"
         raise SceneError(msg)
     kinds = {"particles": particles, "contacts": contacts, "walls": walls}
     files = {kind: expand_paths(paths, kind) for kind, paths in kinds.items() if paths is not None}
     engine = engine or _guess_engine(files)
     reader = _checked_engine(engine, engine_options)
-    options = ReadOptions(dict(names or {}), {**engine_options, "missing": missing})
+    options = ReadOptions(dict(names or {}), {**engine_options, "missing": "raise" if missing == "raise" else "skip"})
     said = {"periodic": periodic, "units": units, "box": box, "time": times}
     indexed = _index(reader, engine, files, options, [what for what, given in said.items() if given is None])
     steps = _pair(indexed, times, missing)
@@ -192,11 +194,13 @@ def open_scene(
     if gravity is None and first.gravity is not None:
         x, y, z = (g * setup.factor((1, 0, -2)) for g in first.gravity)
         setup = replace(setup, gravity=(x, y, z))
+    if box is None and first.box is None:
+        box = _recovered_box(reader, options, steps, setup.periodic, raw)
     edges = _boxes(steps, box, setup)
     source = Source(engine, options, setup, _frozen_species(frozen, raw), allow_unknown)
     ends = [source.complete(frame, ref) for ref, frame in raw.items()]
     types = {name: ends[0][name].dtype for name in dict.fromkeys([*VARIABLES, *ends[0]]) if name in ends[0]}
-    contact_names = _contact_names(reader, source, steps[0])
+    contact_names = _contact_names(reader, source, next((step for step in steps if step.contacts), steps[0]))
     arrays = lazy_arrays(source, steps, edges, types, contact_names, _steps_per_chunk(chunks, len(steps)))
     numbers = [step.particles.step for step in steps]
     clock = [step.time for step in steps if step.time is not None]
@@ -341,14 +345,16 @@ def _join(steps: list[Step], kind: str, refs: list[StepRef], missing: str) -> li
         msg = (
             f"{kind}: none of the same {same} for {len(lacking)} of {len(steps)} steps of the particles "
             f"({_some(lacking)}); there are {_some(others)}. Give the files that are missing, or leave such "
-            "steps out with missing='skip'"
+            "steps out with missing='skip'; if nothing touches in them, pass missing='empty'"
         )
         raise SceneError(msg)
-    if lacking:
+    if missing == "empty":
+        paired = list(zip(steps, partner, strict=True))
+    elif lacking:
         _warn(f"{len(lacking)} of {len(steps)} steps have no {kind} and are left out: {_some(lacking)}")
     if unused:
         _warn(f"{len(unused)} steps of {kind} have no particles and are left out: {_some(unused)}")
-    return [replace(step, contacts=(*step.contacts, others[row])) for step, row in paired]
+    return [replace(step, contacts=(*step.contacts, *([others[row]] if row >= 0 else []))) for step, row in paired]
 
 
 def _same_number(steps: Sequence[Step], others: Sequence[StepRef]) -> list[int]:
@@ -416,6 +422,36 @@ def _boxes(steps: Sequence[Step], box: Any, setup: Setup) -> NDArray | None:
     for t, step in enumerate(steps):
         periods(None if edges is None else edges[t], setup.periodic, where(step.particles))
     return edges
+
+
+def _recovered_box(
+    reader: Engine, options: ReadOptions, steps: Sequence[Step], periodic: str, raw: Mapping[StepRef, Frame]
+) -> dict[str, tuple[float, float]] | None:
+    """Periods that files do not tell, from contacts that stand on both sides of an edge; None if that fails.
+
+    Edges are put about the middle of the grains: sums over images depend on the period alone.
+    """
+    recover = getattr(reader, "recover_periods", None)
+    found: dict[str, float] = {}
+    if recover is not None:
+        for ref in [ref for step in steps for ref in step.contacts][:_RECOVERY_STEPS]:
+            if set(periodic) <= set(found):
+                break
+            found |= {axis: length for axis, length in recover(ref, options).items() if axis not in found}
+    if not periodic or set(periodic) - set(found):
+        return None
+    box = {}
+    for axis in periodic:
+        k = COMPONENTS.index(axis)
+        middle = 0.5 * (min(f["position"][:, k].min() for f in raw.values() if len(f["position"]))
+                        + max(f["position"][:, k].max() for f in raw.values() if len(f["position"])))  # fmt: skip
+        box[axis] = (middle - 0.5 * found[axis], middle + 0.5 * found[axis])
+    said = ", ".join(f"{axis}: {found[axis]:.7g}" for axis in periodic)
+    _warn(
+        f"the files do not tell the period; recovered from contacts that stand on both sides of an edge ({said}, in "
+        f"the files' unit). Give box={{'{periodic[0]}': (lower, upper)}} if it is another"
+    )
+    return box
 
 
 def _frozen_species(frozen: int | Sequence[int] | None, raw: Mapping[StepRef, Frame]) -> tuple[int, ...] | None:

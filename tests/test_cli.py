@@ -1,0 +1,318 @@
+"""The command line: Pysammos's configuration and TOML, output read back, resumed runs, exit codes."""
+
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import xarray as xr
+from click.testing import CliRunner
+
+import xcg
+from tests import shared_data
+from tests.test_mfix import write_contacts, write_particles, write_vtp
+from tests.test_vtkhdf import read
+from xcg.cli import main
+from xcg.config import read_config
+from xcg.run import run_job
+
+ROOT = Path(__file__).parents[1]
+EXAMPLE = (ROOT / "examples" / "config.ini").read_text()
+
+
+def xcg_run(*words, code=0):
+    done = CliRunner().invoke(main, [str(w) for w in words])
+    assert done.exit_code == code, done.output + repr(done.exception)
+    return done.output
+
+
+def changed(text=EXAMPLE, **values):
+    """Give keys of the example other values."""
+    lines = text.splitlines()
+    for key, value in values.items():
+        (at,) = (n for n, line in enumerate(lines) if line.split(" = ")[0] == key)
+        lines[at] = f"{key} = {value}"
+    return "\n".join(lines)
+
+
+@pytest.fixture
+def series(tmp_path):
+    """Three steps of 60 grains in a cube of 1 m, periodic along x; contacts stand twice; the second step has none."""
+    rng = np.random.default_rng(0)
+    (tmp_path / "VTU").mkdir()
+    for number in (150, 151, 152):
+        x = rng.uniform(0, 1, (60, 3))
+        x[0], x[1] = (0.02, 0.5, 0.5), (0.97, 0.5, 0.5)
+        more = {"Velocity": rng.normal(size=(60, 3)), "Density": np.full(60, 2000.0), "Diameter": np.full(60, 0.1)}
+        more["Volume"] = more["Diameter"] ** 3 * np.pi / 6
+        write_vtp(tmp_path / f"VTU/DES_{number:04d}.vtp", x, time=number / 100, Particle_ID=np.arange(1, 61), **more)
+        if number != 151:
+            force = np.array([[-3.0, 0.5, 0], [3.0, -0.5, 0], [1.0, 0, 0], [1.0, 0, 0]])
+            point = np.array([[-0.005, 0.5, 0.5], [0.995, 0.5, 0.5], x[2], x[2]])
+            i, j = [2, 1, 3, 3], [1, 2, 4, 4]  # a mirrored pair across the edge, and an exact copy
+            write_contacts(
+                tmp_path / f"VTU/FC_{number:04d}.vtp", i, j, force, point, FORCE_CHAIN_FN=force, time=number / 100
+            )
+    bounds = {f"{a}_{end}": v for a in "xy" for end, v in (("min", 0.0), ("max", 1.0))}
+    keys = {
+        "Particle_i_ID": "FORCE_CHAIN_GLOBAL_ID1",
+        "Particle_j_ID": "FORCE_CHAIN_GLOBAL_ID2",
+        "Particle_Mass": "None",
+    }
+    text = changed(
+        particles_path="./VTU/DES_", contacts_path="./VTU/FC_", t0=150, tf=152, dt=1, z_transect=0.5,
+        z_axis_periodic=False, **bounds, **keys,
+    )  # fmt: skip
+    (tmp_path / "config.ini").write_text(text)
+    return tmp_path
+
+
+def test_real_mfix_frames_through_a_pysammos_configuration(tmp_path):
+    folder = shared_data("mfix_chute")
+    text = changed(particles_path=folder / "P_FB1_", contacts_path=folder / "FC_", output_path=tmp_path / "out")
+    (tmp_path / "config.ini").write_text(text)
+    said = xcg_run("run", tmp_path / "config.ini")
+    assert "x: 0.04, z: 0.02, in the files' unit" in said
+    out = tmp_path / "out"
+    assert sorted(p.name for p in out.iterdir()) == [
+        "CG_GranularTemperature_slices.h5", "CG_Lucy_Monodisperse.h5", "CG_Lucy_Monodisperse_0002.vtkhdf",
+        "CG_Lucy_Monodisperse_0004.vtkhdf", "CG_Lucy_Monodisperse_0006.vtkhdf",
+    ]  # fmt: skip
+    numbers = [2, 4, 6]
+    ds = xcg.open_scene(
+        [folder / f"P_FB1_{n:04d}.vtp" for n in numbers], contacts=[folder / f"FC_{n:04d}.vtp" for n in numbers],
+        periodic="xz", box={"x": (0, 0.04), "z": (0, 0.02)},
+    )  # fmt: skip
+    c = 2 * 0.75 * ds.attrs["d43"]
+    direct = ds.cg.coarse_grain(
+        ["pressure", "velocity", "total_stress_tensor"], preset="pysammos", axes="xy", at={"z": 0.01},
+        bounds={"x": (0, 0.04), "y": (0, 0.03)}, spacing=c / 2,
+    ).compute()  # fmt: skip
+    with xr.open_dataset(out / "CG_Lucy_Monodisperse.h5") as f:
+        assert f.sizes["time"] == 3
+        for name in direct:
+            # the period is recovered in single precision
+            size = float(np.abs(direct[name]).max())
+            np.testing.assert_allclose(f[name], direct[name], rtol=0, atol=1e-5 * size, err_msg=name)
+        assert float(f.pressure_xyz.max()) > 50
+        assert float(f.volume_fraction.max()) < 0.75
+        for t, number in enumerate(numbers):
+            _, (nodes, _, _), (got,) = read(out / f"CG_Lucy_Monodisperse_{number:04d}.vtkhdf")
+            assert nodes == (f.sizes["x"], f.sizes["y"], 1)
+            np.testing.assert_array_equal(got["pressure_xy"][0].T, f.pressure_xy.isel(time=t))
+            np.testing.assert_array_equal(
+                got["velocity"][0].transpose(1, 0, 2), f.velocity.isel(time=t).transpose("x", "y", "component")
+            )
+    with xr.open_dataset(out / "CG_GranularTemperature_slices.h5") as s:
+        assert {"granular_temperature_Kamrin", "granular_temperature_LAMMPS"} <= set(s)
+        assert float(s.granular_temperature_LAMMPS.max()) > 0
+
+
+def test_series_as_mfix_writes_them(series):
+    said = xcg_run("run", series / "config.ini")
+    assert "recovered from contacts that stand on both sides" in said
+    assert "3 steps" in said
+    with xr.open_dataset(series / "PysammosCG" / "CG_Lucy_Monodisperse.h5") as f:
+        assert f.step.values.tolist() == [150, 151, 152]
+        np.testing.assert_allclose(f.time, [1.5, 1.51, 1.52])
+        sigma = f.total_stress_tensor_xyz
+        assert float(np.abs(sigma.isel(time=0)).max()) > 0
+        assert np.isfinite(f.volume_fraction).all()
+    with h5py.File(series / "PysammosCG" / "CG_Lucy_Monodisperse.h5") as f:
+        assert f["pressure_xy"].attrs["units"] == b"Pa" or f["pressure_xy"].attrs["units"] == "Pa"
+    ds = xcg.open_scene(
+        sorted((series / "VTU").glob("DES*")), contacts=sorted((series / "VTU").glob("FC*")), missing="empty",
+        periodic="x", box={"x": (0.0, 1.0)},
+    )  # fmt: skip
+    assert (ds.contact_i.values >= 0).sum(axis=1).tolist() == [2, 0, 2]  # mirror and copy are gone
+    f = ds.cg.coarse_grain("contact_stress", axes="x", width=0.2, extent={"y": 1, "z": 1}, spacing=0.05)
+    assert (f.contact_stress.isel(time=1) == 0).all()
+    total = f.contact_stress.isel(time=0).sum("x").values * 0.05
+    x = ds.position.values[0]
+    branch = x[1] - x[0] - [1, 0, 0]
+    expected = np.outer([-3.0, 0.5, 0], branch) + np.outer([1.0, 0, 0], x[2] - x[3] - [round(x[2, 0] - x[3, 0]), 0, 0])
+    np.testing.assert_allclose(total, expected, atol=2e-3)
+
+
+def test_steps_without_contact_files(series):
+    options = {"contacts": str(series / "VTU/FC_*.vtp"), "periodic": "", "engine": "mfix"}
+    with pytest.raises(xcg.SceneError, match="missing='empty'"):
+        xcg.open_scene(str(series / "VTU/DES_*.vtp"), **options)
+    with pytest.warns(xcg.SceneWarning, match="are left out"):
+        assert xcg.open_scene(str(series / "VTU/DES_*.vtp"), missing="skip", **options).sizes["time"] == 2
+    assert xcg.open_scene(str(series / "VTU/DES_*.vtp"), missing="empty", **options).sizes["time"] == 3
+    # the first step may be the empty one
+    (series / "VTU/FC_0150.vtp").unlink()
+    assert "contact_force" in xcg.open_scene(str(series / "VTU/DES_*.vtp"), missing="empty", **options)
+
+
+def test_the_period_is_asked_for_where_it_cannot_be_recovered(series):
+    one = {"engine": "mfix", "periodic": "xz", "missing": "empty"}
+    with pytest.raises(xcg.SceneError, match="axis 'x' is periodic, but the box has no finite extent"):
+        xcg.open_scene(str(series / "VTU/DES_*.vtp"), contacts=str(series / "VTU/FC_*.vtp"), **one)
+    with pytest.warns(xcg.SceneWarning, match="x: 1, in the files' unit"):
+        ds = xcg.open_scene(
+            str(series / "VTU/DES_*.vtp"), contacts=str(series / "VTU/FC_*.vtp"), **one | {"periodic": "x"}
+        )
+    assert float(ds.box.values[0, 0] @ [-1, 1]) == pytest.approx(1.0, rel=1e-6)
+
+
+def test_a_run_resumes(series):
+    job = read_config(series / "config.ini")
+    steps = run_job(job, jobs=1)
+    with pytest.warns(xcg.SceneWarning, match="recovered"):
+        assert next(steps) == (0, 3)
+    assert next(steps) == (1, 3)
+    steps.close()
+    assert not (series / "PysammosCG" / "CG_Lucy_Monodisperse.h5").exists()
+    said = xcg_run("run", series / "config.ini")
+    assert "1 of 3 steps are there from an earlier run" in said
+    whole = xr.load_dataset(series / "PysammosCG" / "CG_Lucy_Monodisperse.h5")
+    assert "exists; choose another" in xcg_run("run", series / "config.ini", code=1)
+    again = xcg_run("run", series / "config.ini", "--overwrite", "--quiet")
+    assert again == ""
+    xr.testing.assert_equal(xr.load_dataset(series / "PysammosCG" / "CG_Lucy_Monodisperse.h5"), whole)
+    assert not list((series / "PysammosCG").glob(".*"))
+
+
+def test_another_job_does_not_resume(series):
+    steps = run_job(read_config(series / "config.ini"), jobs=1)
+    with pytest.warns(xcg.SceneWarning, match="recovered"):
+        next(steps)
+    next(steps)
+    steps.close()
+    (series / "config.ini").write_text(changed((series / "config.ini").read_text(), type="Gaussian", x_max=0.9))
+    (series / "config.ini").write_text(changed((series / "config.ini").read_text(), type="Lucy"))
+    assert "earlier run" not in xcg_run("run", series / "config.ini")
+
+
+@pytest.mark.parametrize("spelled", ["vkthdf_output", "vtkhdf_output"])
+def test_both_spellings_and_output_options(series, spelled):
+    text = changed((series / "config.ini").read_text(), vkthdf_output="True", h5_output="False")
+    text = changed(text, granular_temperature_slices="False").replace("vkthdf_output", spelled)
+    (series / "config.ini").write_text(text)
+    xcg_run("run", series / "config.ini", "-q")
+    assert sorted(p.suffix for p in (series / "PysammosCG").iterdir()) == [".vtkhdf"] * 3
+
+
+@pytest.mark.parametrize(("kernel", "name"), [("HeavySide", "HeavySide"), ("Gaussian", "Gaussian")])
+def test_kernels_by_their_names(series, kernel, name):
+    (series / "config.ini").write_text(changed((series / "config.ini").read_text(), type=kernel))
+    xcg_run("run", series / "config.ini", "-q")
+    assert (series / "PysammosCG" / f"CG_{name}_Monodisperse.h5").exists()
+
+
+def test_automatic_grid_middle_transects_and_phases(series):
+    text = changed((series / "config.ini").read_text(), z_transect="None", partialignore="False")
+    (series / "config.ini").write_text(text)
+    xcg_run("run", series / "config.ini", "-q")
+    with xr.open_dataset(series / "PysammosCG" / "CG_Lucy_Polydisperse.h5") as f:
+        assert "phase" not in f.dims  # all grains are alike
+        assert 0.4 < float(f.z) < 0.6
+    text = changed(text, automatic_grid="True", grid_dimension="3", grid_axes="xyz")
+    (series / "config.ini").write_text(text)
+    xcg_run("run", series / "config.ini", "-q", "--overwrite")
+    with xr.open_dataset(series / "PysammosCG" / "CG_Lucy_Polydisperse.h5") as f:
+        assert float(f.z[1] - f.z[0]) == pytest.approx(0.075, rel=1e-6)
+        assert float(f.x[0]) == pytest.approx(0.425, abs=0.03)  # 2.5 c + 0.5 dmax from the outermost centre
+
+
+def test_a_one_layer_series(series):
+    """As in its bedload case: all grains in one plane, z_transect = 0."""
+    rng = np.random.default_rng(1)
+    for number in (150, 151, 152):
+        x = np.concatenate([rng.uniform(0, 1, (60, 2)), np.zeros((60, 1))], axis=1)
+        more = {"Velocity": rng.normal(size=(60, 3)) * [1, 1, 0], "Density": np.full(60, 2000.0)}
+        write_vtp(series / f"VTU/DES_{number:04d}.vtp", x, time=number / 100, Particle_ID=np.arange(1, 61),
+                  Diameter=np.full(60, 0.1), **more)  # fmt: skip
+    text = changed((series / "config.ini").read_text(), z_transect="0.0", x_axis_periodic="False")
+    (series / "config.ini").write_text(text)
+    xcg_run("run", series / "config.ini", "-q")
+    with xr.open_dataset(series / "PysammosCG" / "CG_Lucy_Monodisperse.h5") as f:
+        assert f.attrs["dimension"] == 2
+        assert f.attrs["kernel_dimension"] == 2
+        inside = f.volume_fraction.sel(x=slice(0.2, 0.8), y=slice(0.2, 0.8)).mean()
+        assert float(inside) == pytest.approx(60 * np.pi / 6 * 0.1**3 / 0.1, rel=0.2)  # a layer as thick as its grains
+        empty = f.sample_count == 0
+        assert np.isnan(f.velocity.where(empty)).all()
+        assert "pressure_z" not in f
+
+
+def test_what_is_unknown_is_said(series):
+    text = (series / "config.ini").read_text().replace("[grid_info]", "[grid_info]\ncolour = red")
+    text = changed(text, Contact_ij="FORCE_CHAIN_CONTACT_POINT", Coordination_Number="Neighbours")
+    (series / "config.ini").write_text(text + "\n[plots]\na = 1\n")
+    said = xcg_run("run", series / "config.ini")
+    assert "[grid_info]: unknown and left out: colour" in said
+    assert "unknown sections ['plots']" in said
+    assert "off by one overlap" in said
+    assert "Coordination_Number = Neighbours: no such array" in said
+
+
+def test_no_contacts_at_all(series):
+    for file in (series / "VTU").glob("FC*"):
+        file.unlink()
+    text = changed((series / "config.ini").read_text(), x_axis_periodic="False")
+    (series / "config.ini").write_text(text)
+    assert "fields of contacts are left out" in xcg_run("run", series / "config.ini")
+    with xr.open_dataset(series / "PysammosCG" / "CG_Lucy_Monodisperse.h5") as f:
+        assert "granular_temperature_xyz" in f
+        assert "pressure_xy" not in f
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"type": "Wendland"}, "expected Lucy, Gaussian or HeavySide"),
+        ({"t0": "one"}, "expected a whole number"),
+        ({"x_min": "left"}, "expected a number or None"),
+        ({"x_min": "None"}, "x_min and x_max are needed"),
+        ({"x_axis_periodic": "maybe"}, "expected True or False"),
+        ({"grid_axes": "xyz"}, "as many axes"),
+        ({"t0": 900, "tf": 901}, "numbers there: 150, 151, 152"),
+        ({"particles_path": "./VTU/NO_"}, "there are none of that name"),
+    ],
+)
+def test_faults_are_named_and_exit_with_1(series, values, message):
+    (series / "config.ini").write_text(changed((series / "config.ini").read_text(), **values))
+    said = xcg_run("run", series / "config.ini", code=1)
+    assert message in " ".join(said.split())
+
+
+def test_usage_errors_exit_with_2(tmp_path):
+    xcg_run("run", tmp_path / "nothing.ini", code=2)
+    xcg_run("march", code=2)
+
+
+def test_toml(tmp_path):
+    pytest.importorskip("vtk")
+    text = (ROOT / "examples" / "chute.toml").read_text()
+    text = text.replace("data/lammps_chute", str(ROOT / "examples/data/lammps_chute")).replace("../output", "out")
+    (tmp_path / "chute.toml").write_text(text)
+    assert "into" in xcg_run("run", tmp_path / "chute.toml", "--dry-run")
+    assert not (tmp_path / "out").exists()
+    xcg_run("run", tmp_path / "chute.toml")
+    with xr.open_dataset(tmp_path / "out" / "chute.nc") as f:
+        assert f.pressure.dims == ("time", "z")
+        times, _, steps = read(tmp_path / "out" / "chute.vtkhdf")
+        assert times == f.time.values.tolist()
+        for t, got in enumerate(steps):
+            np.testing.assert_array_equal(got["pressure"].ravel(), f.pressure.isel(time=t))
+    for bad, message in (
+        ("[scene", "Expected ']'"),
+        ("[scene]\na=1", "scene.particles"),
+        ("x=1", "expected the tables"),
+    ):
+        (tmp_path / "bad.toml").write_text(bad)
+        assert message in xcg_run("run", tmp_path / "bad.toml", code=1)
+
+
+def test_info_and_fields(tmp_path):
+    write_particles(tmp_path / "P_0001.vtp", Velocity=np.zeros((3, 3)), Density=np.ones(3))
+    said = xcg_run("info", tmp_path / "P_0001.vtp")
+    assert "scene of 1 time, 3 particle" in said
+    assert "missing:   contact_force" in said
+    assert "granular_temperature" in xcg_run("fields")
+    assert "inertial_number_Sxy_Pxy_d32" in xcg_run("fields", "--pysammos")
+    (tmp_path / "nonsense.txt").write_text("?")
+    assert "no engine recognises" in xcg_run("info", tmp_path / "nonsense.txt", code=1)

@@ -1,0 +1,175 @@
+"""Phases by clustering, by edges, by type; sizes; stress by pairs of phases."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import xcg
+from tests.brute_force import BruteKernel
+from xcg.phases import MIN_SILHOUETTE
+
+RNG = np.random.default_rng(0)
+
+
+def scene(diameter, density=2500.0, **options):
+    n = len(diameter)
+    density = np.broadcast_to(np.asarray(density, float), (n,)).copy()
+    position = np.random.default_rng(1).uniform(0, 1, (n, 3))
+    return xcg.scene_from_arrays(position, diameter=diameter, density=density, velocity=np.zeros((n, 3)), **options)
+
+
+def phases(ds, **options):
+    return ds.cg.find_phases(**options).attrs["phase_values"].tolist()
+
+
+@pytest.mark.parametrize(
+    "diameter",
+    [
+        np.full(300, 0.003),
+        RNG.normal(0.003, 0.00005, 2000),
+        RNG.normal(0.003, 0.0003, 2000).clip(1e-4),
+        RNG.uniform(0.002, 0.004, 2000),
+        RNG.lognormal(-6, 0.1, 2000),
+        np.full(300, 0.003) * (1 + 1e-7 * RNG.normal(size=300)),
+    ],
+    ids=["monodisperse", "narrow normal", "normal", "uniform", "lognormal", "single precision"],
+)
+def test_one_distribution_is_one_phase(diameter):
+    ds = scene(diameter).cg.find_phases()
+    assert ds.attrs["phase_values"].tolist() == [1]
+    assert (ds.phase == 1).all()
+    assert ds.attrs["phase_diameter"][0] == pytest.approx(diameter.mean())
+    assert (np.atleast_1d(ds.attrs["phase_scores"]) < MIN_SILHOUETTE).all()
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-7, 0.05])
+@pytest.mark.parametrize("share", [0.5, 0.02])
+def test_two_sizes_are_two_phases(noise, share):
+    large = np.random.default_rng(2).random(3000) < share
+    diameter = np.where(large, 0.004, 0.002) * (1 + noise * np.random.default_rng(3).normal(size=3000))
+    ds = scene(diameter).cg.find_phases()
+    np.testing.assert_array_equal(ds.phase.values[0], 1 + large)
+    np.testing.assert_allclose(ds.attrs["phase_diameter"], [0.002, 0.004], rtol=0.01)
+
+
+def test_same_size_other_density_and_three_phases():
+    kind = np.random.default_rng(4).integers(0, 3, 900)
+    d, rho = np.array([0.002, 0.002, 0.005])[kind], np.array([1000.0, 2500.0, 2500.0])[kind]
+    ds = scene(d, rho).cg.find_phases()
+    np.testing.assert_array_equal(ds.phase.values[0], 1 + kind)
+    assert phases(scene(d, rho), max_phases=1) == [1]
+
+
+def test_grains_that_enter_and_leave_keep_their_phase():
+    sizes = {7: 0.004, 3: 0.002, 9: 0.002, 1: 0.004, 5: 0.002}
+    steps = [[3, 7, 9], [1, 3, 5, 7], [5, 9, 1]]
+    position = [np.random.default_rng(0).uniform(0, 1, (len(s), 3)) for s in steps]
+    ds = xcg.scene_from_arrays(
+        position, particle_id=[np.array(s) for s in steps], diameter=[np.array([sizes[i] for i in s]) for s in steps],
+        density=2500.0,
+    )  # fmt: skip
+    found = ds.cg.find_phases()
+    for t in range(3):
+        for i, phase in zip(found.particle_id.values[t], found.phase.values[t], strict=True):
+            assert phase == (-1 if i < 0 else 1 + (sizes[int(i)] > 0.003))
+    # lazy, and the same in steps that were not read
+    lazy = ds.chunk(time=1).cg.find_phases(steps=2)
+    assert lazy.phase.chunks is not None
+    xr.testing.assert_equal(lazy.phase.compute(), found.phase)
+    f = lazy.cg.coarse_grain("density", by="phase", width=0.2, bounds=dict.fromkeys("xyz", (0, 1)))
+    assert f.phase.values.tolist() == ["bulk", "1", "2"]
+    np.testing.assert_allclose(f.density.sel(phase="bulk"), f.density.sel(phase=["1", "2"]).sum("phase"))
+
+
+def test_phases_by_edges_and_by_type():
+    ds = scene(np.array([0.001, 0.002, 0.003, 0.004]), species=np.array([4, 4, 6, 9]))
+    assert ds.cg.assign_phases(edges=[0.002, 0.0035]).phase.values[0].tolist() == [1, 2, 2, 3]
+    mapped = ds.cg.assign_phases(mapping={4: 1, 6: 2, 9: 1})
+    assert mapped.phase.values[0].tolist() == [1, 1, 2, 1]
+    assert mapped.attrs["phase_values"].tolist() == [1, 2]
+    with pytest.raises(xcg.SceneError, match=r"lacks species=\[9\]"):
+        ds.cg.assign_phases(mapping={4: 1, 6: 2})
+    for options, message in (
+        ({}, "one of edges"),
+        ({"edges": [2, 1]}, "that rise"),
+        ({"mapping": {}}, "expected phases"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            ds.cg.assign_phases(**options)
+    with pytest.raises(ValueError, match="max_phases=0"):
+        ds.cg.find_phases(0)
+    with pytest.raises(xcg.SceneError, match="no grains"):
+        scene(np.zeros(0)).cg.find_phases()
+
+
+def test_plot_of_clusters_and_scores():
+    pytest.importorskip("matplotlib").use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure = scene(np.repeat([0.002, 0.004], 50)).cg.find_phases().cg.plot_phases()
+    left, right = figure.axes
+    assert [t.get_text() for t in left.get_legend().get_texts()] == ["1", "2"]
+    assert right.get_ylabel() == "mean silhouette"
+    assert right.lines[0].get_xydata()[0].tolist() == [2.0, 1.0]
+    plt.close(figure)
+
+
+# --- pairs -----------------------------------------------------------------------------------------------
+
+
+def test_stress_by_pairs_adds_up_and_is_right_for_one_pair():
+    ds = xcg.datasets.random_scene(150, periodic="xy", seed=7)
+    f = ds.cg.coarse_grain(["contact_stress"], by="species", by_pair=True, width=0.8)
+    pair = f.contact_stress_by_pair
+    assert pair.dims[-4:] == ("phase", "other_phase", "component", "direction")
+    assert pair.other_phase.values.tolist() == ["1", "2", "wall"]
+    scale = float(np.abs(f.contact_stress).max())
+    np.testing.assert_allclose(pair.sum("other_phase"), f.contact_stress, atol=1e-12 * scale)
+    for phase in ("1", "2"):
+        whole = pair.sel(phase="bulk", other_phase=phase)
+        np.testing.assert_allclose(
+            whole, pair.sel(phase=["1", "2"], other_phase=phase).sum("phase"), atol=1e-12 * scale
+        )
+    assert float(np.abs(pair.sel(other_phase="wall")).max()) > 0
+    # one contact between unlike grains: each phase keeps its own side
+    one = xcg.scene_from_arrays(
+        [[0.0, 0, 0], [1.5, 0, 0]], velocity=np.zeros((2, 3)), diameter=[1.0, 2.0], density=1.0, species=[1, 2],
+        contact_i=[0], contact_j=[1], contact_force=[[-2.0, 0, 0]],
+    )  # fmt: skip
+    at = {"x": 0.25, "y": 0.3, "z": 0.0}
+    got = one.cg.coarse_grain("density", by="species", by_pair=True, axes="", at=at, width=0.75).contact_stress_by_pair
+    kernel, r = BruteKernel("lucy", 0.75), np.array([0.25, 0.3, 0.0])
+    point = np.array([0.5, 0, 0])
+    sides = {
+        "1": kernel.segment(r, np.zeros(3), point) * 1.0,
+        "2": kernel.segment(r, np.array([1.5, 0, 0]), point) * 2.0,
+    }
+    for phase, other in (("1", "2"), ("2", "1")):
+        value = got.sel(phase=phase, other_phase=other, component="x", direction="x").item()
+        assert value == pytest.approx(sides[phase], rel=1e-12)
+        assert float(np.abs(got.sel(phase=phase, other_phase=phase)).max()) == 0
+    with pytest.raises(ValueError, match="say which with by="):
+        one.cg.coarse_grain("density", by_pair=True, width=0.75)
+
+
+# --- sizes -----------------------------------------------------------------------------------------------
+
+
+def test_size_statistics_of_each_step():
+    steps = [np.array([1.0, 2.0, 2.0]), np.array([3.0]), np.array([1.0, 1.0, 1.0, 4.0])]
+    density = [np.array([1000.0, 1.0, 1.0]), np.array([1.0]), np.full(4, 1.0)]
+    mass = [rho * d**3 for rho, d in zip(density, steps, strict=True)]
+    ds = xcg.scene_from_arrays([np.arange(3.0 * len(d)).reshape(-1, 3) for d in steps], diameter=steps, mass=mass)
+    lazy = ds.chunk(time=1, particle=2).cg.size_statistics()
+    assert lazy.d43.chunks is not None
+    for s in (ds.cg.size_statistics(), lazy.compute()):
+        for t, d in enumerate(steps):
+            row = s.isel(time=t)
+            assert row.d43.item() == pytest.approx((d**4).sum() / (d**3).sum())
+            assert row.d32.item() == pytest.approx((d**3).sum() / (d**2).sum())
+            assert row.drms.item() == pytest.approx(np.sqrt((d**2).mean()))
+            assert (row.dmin.item(), row.dmax.item()) == (d.min(), d.max())
+        # by mass, not by volume: the heavy small grain outweighs the large ones
+        assert s.d50.values.tolist() == [1.0, 3.0, 4.0]
+    assert s.d43.attrs["units"] == "m"
+    assert np.isnan(scene(np.zeros(0)).cg.size_statistics().d43).all()

@@ -1,0 +1,176 @@
+"""Profiles and averages over time: ratios through their sums, errors of correlated samples."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import xcg
+from xcg.statistics import DERIVED
+
+ALL = {"width": 0.8, "spacing": 1.0}
+
+
+def series(steps=6, **options):
+    """Random scenes one after the other, each with other grains."""
+    scenes = [xcg.datasets.random_scene(80, seed=s) for s in range(steps)]
+    names = ["velocity", "diameter", "contact_i", "contact_j", "contact_force", "contact_point"]
+    key = {"contact": "contact_i", "particle": "particle_id"}
+    rows = {n: [s[n].values[0][s[key[s[n].dims[1]]].values[0] >= 0] for s in scenes] for n in names}
+    return xcg.scene_from_arrays(
+        [s.position.values[0] for s in scenes], density=2500.0, box=[[0, 5.0]] * 3, periodic="xyz",
+        time=np.arange(steps) * 0.1, **rows,
+    )  # fmt: skip
+
+
+def assert_ratios_of_sums(got, f, dims):
+    """Each averaged field by hand from sums over `dims`."""
+    mean = {n: f[n].mean(dims) for n in ("density", "momentum_density", "volume_fraction", "number_density", "stress")}
+    np.testing.assert_allclose(got.density, mean["density"], rtol=1e-12)
+    np.testing.assert_allclose(got.velocity, mean["momentum_density"] / mean["density"], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(got.particle_density, mean["density"] / mean["volume_fraction"], rtol=1e-12)
+    s2, s3 = (f.volume_fraction / f.d32).mean(dims), f.volume_fraction.mean(dims)
+    np.testing.assert_allclose(got.d32, s3 / s2, rtol=1e-12)
+    np.testing.assert_allclose(got.d43, (f.volume_fraction * f.d43).mean(dims) / s3, rtol=1e-12)
+    z = (f.coordination_number * f.number_density).mean(dims) / mean["number_density"]
+    np.testing.assert_allclose(got.coordination_number, z, rtol=1e-12)
+    known = f.granular_temperature.notnull()  # not where a node has too few grains for a fit
+    energy = sum(f.fluctuation_stress.sel(component=a, direction=a) for a in "xyz").where(known, 0).sum(dims)
+    temperature = energy / 3 / f.density.where(known, 0).sum(dims)
+    np.testing.assert_allclose(got.granular_temperature, temperature, rtol=1e-9)
+    sigma = mean["stress"].values
+    p = np.trace(sigma, axis1=-2, axis2=-1) / 3
+    dev = sigma - p[..., None, None] * np.eye(3)
+    shear = np.sqrt((dev**2).sum((-1, -2)) / 2)
+    np.testing.assert_allclose(got.shear_stress, shear, rtol=1e-9)
+    np.testing.assert_allclose(got.friction_coefficient, np.where(p > 0, shear / p, np.nan), rtol=1e-9)
+    w = f.density.where(f.shear_rate_tensor.notnull(), 0)
+    gamma = (f.shear_rate_tensor.fillna(0) * w).sum(dims) / w.sum(dims)
+    rate = np.sqrt(2 * (gamma.values**2).sum((-1, -2)))
+    np.testing.assert_allclose(got.shear_rate, rate, rtol=1e-9)
+    rho_p = (mean["density"] / mean["volume_fraction"]).values
+    number = rate * got.d43.values * np.sqrt(rho_p / np.where(p > 0, p, np.nan))
+    np.testing.assert_allclose(got.inertial_number, number, rtol=1e-9)
+
+
+@pytest.mark.parametrize("lazy", [False, True])
+def test_profile_and_average_are_ratios_of_sums(lazy):
+    ds = series()
+    f = (ds.chunk(time=1) if lazy else ds).cg.coarse_grain(**ALL)
+    profile, average = f.cg.profile("z"), f.cg.time_average()
+    if lazy:
+        assert profile.velocity.chunks is not None
+        assert average.inertial_number_error.chunks is not None
+    assert profile.velocity.dims == ("time", "z", "component")
+    assert_ratios_of_sums(profile, f, ["x", "y"])
+    assert average.velocity.dims == ("x", "y", "z", "component")
+    assert_ratios_of_sums(average, f, ["time"])
+    # and not the means of ratios
+    assert float(np.abs(average.velocity - f.velocity.mean("time")).max()) > 1e-3
+    assert float(np.abs(average.friction_coefficient - f.friction_coefficient.mean("time")).max()) > 1e-3
+
+
+def test_profile_is_the_mean_over_nodes():
+    ds = xcg.datasets.simple_cubic(5)
+    f = ds.cg.coarse_grain(["volume_fraction", "density", "stress"], width=2.0, spacing=1.0)
+    p = f.cg.profile("z")
+    np.testing.assert_allclose(p.volume_fraction, np.pi / 6, rtol=5e-3)
+    assert p.volume_fraction.dims == ("time", "z")
+    # over whole periods, at nodes close enough, the mesh agrees with the exact marginal
+    random = xcg.datasets.random_scene(60, seed=2)
+    mesh = random.cg.coarse_grain(["density", "velocity"], width=0.6, spacing=0.25).cg.profile("z")
+    exact = random.cg.coarse_grain(["density", "velocity"], width=0.6, spacing=0.25, axes="z")
+    np.testing.assert_allclose(mesh.density, exact.density, rtol=2e-4)
+    np.testing.assert_allclose(mesh.velocity, exact.velocity, rtol=2e-3, atol=2e-4)
+
+
+def test_variants_survive_an_average():
+    options = {"pressure_dims": "z", "shear_dims": "xz", "deviatoric": "both", "size": "d32", "fluid_viscosity": 1e-3}
+    f = series(1).cg.coarse_grain(**ALL, **options)
+    once = f.cg.time_average()
+    for name in f.data_vars:
+        np.testing.assert_allclose(once[name], f[name].isel(time=0), rtol=1e-9, atol=1e-12, err_msg=name)
+        assert np.isnan(once[f"{name}_error"]).all()
+    whole = series(1).cg.coarse_grain(size="dmax", **ALL)
+    np.testing.assert_allclose(whole.cg.time_average().inertial_number, whole.inertial_number.isel(time=0), rtol=1e-9)
+
+
+def test_moving_windows():
+    f = series().cg.coarse_grain(["density", "velocity", "momentum_density"], **ALL)
+    moving = f.cg.time_average(window=3)
+    np.testing.assert_allclose(moving.time, [0.1, 0.2, 0.3, 0.4])
+    for t in range(4):
+        part = f.isel(time=slice(t, t + 3)).cg.time_average()
+        for name in ("density", "velocity", "velocity_error"):
+            np.testing.assert_allclose(moving[name].isel(time=t), part[name], rtol=1e-12, atol=1e-14)
+    np.testing.assert_allclose(f.cg.time_average(window=2, every=2).time, [0.05, 0.25, 0.45])
+
+
+def as_result(values, **more):
+    """A result of one node whose density is a given series."""
+    attrs = {"units": "kg m-3"}
+    time = np.arange(len(values), dtype=float)
+    return xr.Dataset(
+        {"density": (("time", "x"), values, attrs), **more}, {"time": time, "x": np.arange(values.shape[1])}
+    )
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.9])
+def test_errors_of_correlated_samples(memory):
+    rng = np.random.default_rng(0)
+    n, columns = 4096, 400
+    x = np.empty((n, columns))
+    x[0] = rng.normal(size=columns)
+    for t in range(1, n):
+        x[t] = memory * x[t - 1] + np.sqrt(1 - memory**2) * rng.normal(size=columns)
+    true = np.sqrt((1 + memory) / (1 - memory) / n)  # of the mean of n samples of variance 1
+    got = as_result(10 + x).cg.time_average()
+    scatter = float(got.density.std())
+    assert scatter == pytest.approx(true, rel=0.1)
+    assert float(got.density_error.mean()) == pytest.approx(true, rel=0.1)
+    naive = float((x.std(axis=0, ddof=1) / np.sqrt(n)).mean())
+    assert naive == pytest.approx(true / np.sqrt((1 + memory) / (1 - memory)), rel=0.05)
+
+
+def test_errors_of_ratios_are_those_of_the_ratio_of_sums():
+    rng = np.random.default_rng(1)
+    n, columns = 2048, 300
+    rho = rng.uniform(1, 3, (n, columns))
+    v = rng.normal(size=(n, columns, 3)) / rho[..., None] + 5.0
+    f = as_result(rho, velocity=(("time", "x", "component"), v)).assign_coords(component=list("xyz"))
+    got = f.cg.time_average()
+    np.testing.assert_allclose(got.velocity, (rho[..., None] * v).sum(0) / rho.sum(0)[:, None], rtol=1e-12)
+    assert float(got.velocity_error.mean()) == pytest.approx(float(got.velocity.std()), rel=0.1)
+
+
+def test_missing_sums_and_bad_arguments_are_named():
+    f = series(2).cg.coarse_grain(["velocity", "friction_coefficient", "inertial_number"], **ALL)
+    with pytest.raises(ValueError, match=r"velocity needs density; friction_coefficient needs shear_stress, pressure"):
+        f.cg.time_average()
+    with pytest.raises(ValueError, match="averages ratios through their sums"):
+        f.cg.profile("z")
+    density = series(2).cg.coarse_grain("density", **ALL)
+    for call, message in (
+        (lambda: density.cg.profile("q"), "the resolved axes"),
+        (lambda: density.cg.time_average(window=3), "from 1 to 2"),
+        (lambda: density.isel(time=0).cg.time_average(), "dimension 'time'"),
+        (lambda: density.assign(mine=density.density).cg.time_average(), "mine needs a rule"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            call()
+
+
+def test_every_field_has_a_rule():
+    f = series(2).cg.coarse_grain(fluid_viscosity=1e-3, **ALL)
+    assert set(f.cg.time_average()) == {*f, *(f"{n}_error" for n in f)}
+    assert set(DERIVED) <= set(f)
+
+
+def test_nodes_that_are_empty_at_times():
+    ds = xcg.scene_from_arrays(
+        [[[0.0, 0, 0]], [[9.0, 0, 0]]], velocity=[[[1.0, 0, 0]], [[3.0, 0, 0]]], diameter=[[1.0], [1.0]], density=1.0,
+    )  # fmt: skip
+    options = {"axes": "x", "at": {"y": 0, "z": 0}, "bounds": {"x": (0, 9)}, "spacing": 4.5, "width": 1.2}
+    a = ds.cg.coarse_grain(["density", "velocity", "sample_count"], **options).cg.time_average()
+    assert a.velocity.sel(component="x").values[[0, 2]].tolist() == [1.0, 3.0]  # not halved by the empty step
+    assert np.isnan(a.velocity.values[1]).all()
+    assert a.sample_count.values.tolist() == [0.5, 0, 0.5]

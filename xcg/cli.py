@@ -1,0 +1,115 @@
+"""The command ``xcg``: run a job, look into files, list fields, find force chains.
+
+Exit codes: 0 done, 1 the job or its data are at fault (the message says what), 2 the command line is.
+"""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import click
+
+import xcg
+from xcg import fields as registry
+from xcg.cli_chains import chains_command
+from xcg.schema import units_of
+
+
+@contextmanager
+def _told(quiet: bool) -> Iterator[None]:
+    """Show warnings as one line each, and errors of data without a traceback."""
+
+    def show(message: Warning | str, *_: object, **__: object) -> None:
+        if not quiet:
+            click.echo(f"warning: {message}", err=True)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", xcg.SceneWarning)
+        warnings.showwarning = show
+        try:
+            yield
+        except (ValueError, OSError, ImportError) as error:
+            raise click.ClickException(str(error)) from error
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(xcg.__version__, prog_name="xcg")
+def main() -> None:
+    """Continuum fields from granular simulations."""
+
+
+@main.command()
+@click.argument("config", type=click.Path(exists=True, dir_okay=False))
+@click.option("--quiet", "-q", is_flag=True, help="No progress bar, no warnings.")
+@click.option("--overwrite", is_flag=True, help="Replace output that is there.")
+@click.option("--jobs", "-j", type=click.IntRange(1), help="Steps at the same time; all processors by default.")
+@click.option("--dry-run", is_flag=True, help="Say what would be done.")
+def run(config: str, quiet: bool, overwrite: bool, jobs: int | None, dry_run: bool) -> None:
+    """Run a job: Pysammos's config.ini as it stands, or TOML.
+
+    An interrupted run goes on where it was.
+    """
+    from xcg.config import read_config
+    from xcg.run import open_job, run_job
+
+    with _told(quiet):
+        job = read_config(config)
+        if dry_run:
+            scene, fields, _ = open_job(job)
+            click.echo(f"{scene.cg!r}\n{', '.join(map(str, fields.data_vars))}\ninto {job.folder}/{job.name}*")
+            return
+        steps = run_job(job, overwrite=overwrite, jobs=jobs)
+        done, count = next(steps)
+        if done and not quiet:
+            click.echo(f"{done} of {count} steps are there from an earlier run", err=True)
+        with click.progressbar(length=count, label="coarse-graining", file=sys.stderr, hidden=quiet) as bar:
+            bar.update(done)
+            for now, _ in steps:
+                bar.update(now - done)
+                done = now
+    if not quiet:
+        click.echo(f"{count} steps in {job.folder}")
+
+
+@main.command()
+@click.argument("files", nargs=-1, required=True)
+@click.option("--contacts", "-c", multiple=True, help="Files with contacts.")
+@click.option("--engine", help="What wrote the files; guessed by default.")
+@click.option("--periodic", help="Periodic axes, such as xy.")
+@click.option("--density", type=float, help="Density of the material, where files hold no mass.")
+def info(files: tuple[str, ...], contacts: tuple[str, ...], **options: object) -> None:
+    """Tell what files of a DEM code hold, and what is missing."""
+    given = {name: value for name, value in options.items() if value is not None}
+    if contacts:
+        given["contacts"] = list(contacts)
+    with _told(quiet=False):
+        ds = xcg.open_scene(list(files), **given)  # type: ignore[arg-type]
+        click.echo(repr(ds.cg))
+        times = ds["time"].to_numpy()
+        click.echo(f"  time:      {times[0]:g} to {times[-1]:g} {ds['time'].attrs['units']}, {len(times)} steps")
+
+
+@main.command()
+@click.option("--pysammos", is_flag=True, help="The names of the preset 'pysammos'.")
+def fields(pysammos: bool) -> None:
+    """List all fields, with their units and formulas."""
+    if pysammos:
+        from xcg.pysammos import rows
+
+        table = [(name, "", row.formula) for name, row in rows("xy", "xyz").items()]
+    else:
+        table = [(name, units_of(registry.FIELDS[name].powers), registry.FIELDS[name].formula)
+                 for name in registry.listed()]  # fmt: skip
+    wide = max(len(name) for name, _, _ in table)
+    for name, unit, formula in table:
+        click.echo(f"{name:{wide}}  {unit:12}  {formula}")
+
+
+main.add_command(chains_command)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,354 @@
+"""Files that describe a job for the command line: Pysammos's ``config.ini`` as it stands, and TOML."""
+
+from __future__ import annotations
+
+import configparser
+import re
+import tomllib
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from xcg.schema import COMPONENTS, SceneError, SceneWarning
+
+# key_mapping: its keys and our variables
+KEYS = {
+    "Global_ID": "particle_id",
+    "Particle_Velocity": "velocity",
+    "Particle_Diameter": "diameter",
+    "Particle_Density": "density",
+    "Particle_Volume": "volume",
+    "Particle_Mass": "mass",
+    "Particle_Radius": "radius",
+    "Coordination_Number": "coordination_number",
+    "Particle_i_ID": "contact_i",
+    "Particle_j_ID": "contact_j",
+    "Force_ij": "contact_force",
+    "Contact_ij": "contact_point",
+}
+# its kernels, however they are spelled, and the names in its output
+KERNELS = {"lucy": ("lucy", "Lucy"), "gaussian": ("gaussian", "Gaussian")} | dict.fromkeys(
+    ("heavyside", "heaviside"), ("heaviside", "HeavySide")
+)
+FAMILIES = (
+    "volume_fraction", "density_mixture", "density_particle", "d32", "d43", "coordination_number", "momentum_density",
+    "velocity", "velocity_gradient", "kinetic_tensor", "contact_tensor", "total_stress_tensor", "fabric_tensor",
+    "shear_rate_tensor", "pressure", "granular_temperature", "inertial_number", "frictional_coefficient",
+)  # fmt: skip
+OF_CONTACTS = (
+    "coordination_number", "contact_tensor", "total_stress_tensor", "fabric_tensor", "pressure", "inertial_number",
+    "frictional_coefficient",
+)  # fmt: skip
+SLICES = "granular_temperature_slices"
+_OFF_BY_AN_OVERLAP = "FORCE_CHAIN_CONTACT_POINT"
+
+
+@dataclass(frozen=True)
+class Job:
+    """What one run does.
+
+    Attributes
+    ----------
+    scene : dict
+        Arguments of `xcg.open_scene`.
+    fields : dict
+        Arguments of `xcg.coarse_grain`.
+    phases : dict or None
+        Arguments of `xcg.find_phases` or `xcg.assign_phases` before it.
+    mesh : str or None
+        Resolved axes of an automatic mesh by `xcg.pysammos_mesh`.
+    middle : str
+        Axes to cut in the middle of the grains.
+    slices : dict or None
+        Arguments of `xcg.slice_temperature`.
+    folder : Path
+        Where output goes.
+    name : str
+        Stem of the output's names.
+    netcdf : bool
+        One file with all steps.
+    vtkhdf : str
+        "steps" (one file a step), "temporal" (one file) or "" (none).
+    suffix : str
+        Of the file with all steps: ".nc" or ".h5".
+    """
+
+    scene: dict[str, Any]
+    fields: dict[str, Any] = field(default_factory=dict)
+    phases: dict[str, Any] | None = None
+    mesh: str | None = None
+    middle: str = ""
+    slices: dict[str, Any] | None = None
+    folder: Path = Path("xcg-output")
+    name: str = "fields"
+    netcdf: bool = True
+    vtkhdf: str = ""
+    suffix: str = ".nc"
+
+
+def read_config(path: str | Path) -> Job:
+    """Read a job from ``.toml`` or from Pysammos's ``.ini``; paths in it are relative to its folder.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the file does not exist, or names files of which there are none.
+    SceneError
+        If it cannot be understood; the message names section and key.
+
+    Warns
+    -----
+    SceneWarning
+        For keys that are not known.
+    """
+    path = Path(path)
+    if not path.exists():
+        msg = f"{path} does not exist"
+        raise FileNotFoundError(msg)
+    return _toml(path) if path.suffix.lower() == ".toml" else _ini(path)
+
+
+def _warn(msg: str) -> None:
+    warnings.warn(msg, SceneWarning, stacklevel=4)
+
+
+# --- TOML ------------------------------------------------------------------------------------------------
+
+_TABLES = ("scene", "phases", "fields", "slices", "output")
+_OUTPUT = ("folder", "name", "netcdf", "vtkhdf")
+_PATHS = ("particles", "contacts", "walls", "restart")
+
+
+def _toml(path: Path) -> Job:
+    try:
+        data = tomllib.loads(path.read_text())
+    except tomllib.TOMLDecodeError as error:
+        msg = f"{path}: {error}"
+        raise SceneError(msg) from None
+    unknown = [name for name in data if name not in _TABLES]
+    if unknown or "particles" not in data.get("scene", {}):
+        msg = f"{path}: expected the tables {', '.join(_TABLES)} with scene.particles, found {sorted(data)}"
+        raise SceneError(msg)
+    output = data.get("output", {})
+    wrong = [name for name in output if name not in _OUTPUT]
+    if wrong:
+        msg = f"{path}: [output] has {wrong}; expected any of {', '.join(_OUTPUT)}"
+        raise SceneError(msg)
+    vtkhdf = output.get("vtkhdf", "")
+    if vtkhdf not in ("steps", "temporal", "", False):
+        msg = f"{path}: vtkhdf={vtkhdf!r} in [output]: expected 'steps', 'temporal' or false"
+        raise SceneError(msg)
+    scene = dict(data["scene"])
+    for name in set(_PATHS) & set(scene):
+        several = [scene[name]] if isinstance(scene[name], str) else scene[name]
+        scene[name] = [str(path.parent / p) for p in several]
+    phases = data.get("phases")
+    if phases and "mapping" in phases:  # keys of TOML are text
+        phases = phases | {"mapping": {int(k): v for k, v in phases["mapping"].items()}}
+    fields = dict(data.get("fields", {}))
+    if phases is not None:
+        fields.setdefault("by", "phase")
+    return Job(
+        scene=scene,
+        fields=fields,
+        phases=phases,
+        slices=data.get("slices"),
+        folder=path.parent / output.get("folder", "xcg-output"),
+        name=output.get("name", "fields"),
+        netcdf=bool(output.get("netcdf", True)),
+        vtkhdf=vtkhdf or "",
+    )
+
+
+# --- Pysammos's config.ini -------------------------------------------------------------------------------
+
+
+class _Section:
+    """One section: typed values, and a memory of what was asked for, so that the rest can be named."""
+
+    def __init__(self, path: Path, name: str, values: Mapping[str, str]) -> None:
+        self.where, self.values = f"{path}: [{name}]", dict(values)
+        self.known: set[str] = set()
+
+    def get(self, key: str) -> str | None:
+        self.known.add(key.lower())
+        value = next((v for k, v in self.values.items() if k.lower() == key.lower()), None)
+        text = None if value is None else value.split(" #")[0].split(" ;")[0].strip().strip("'\"")
+        return None if text is None or text.lower() in ("", "none") else text
+
+    def _typed(self, key: str, kind: Callable[[str], Any], expected: str) -> Any:
+        text = self.get(key)
+        if text is None:
+            return None
+        try:
+            return kind(text)
+        except (KeyError, ValueError):
+            msg = f"{self.where} {key} = {text}: expected {expected}"
+            raise SceneError(msg) from None
+
+    def number(self, key: str) -> float | None:
+        return self._typed(key, float, "a number or None")
+
+    def whole(self, key: str) -> int | None:
+        return self._typed(key, int, "a whole number")
+
+    def flag(self, key: str, default: bool = False) -> bool:
+        states = configparser.ConfigParser.BOOLEAN_STATES
+        found = self._typed(key, lambda text: states[text.lower()], "True or False")
+        return default if found is None else bool(found)
+
+    def needed(self, key: str) -> str:
+        found = self.get(key)
+        if found is None:
+            msg = f"{self.where} lacks {key}"
+            raise SceneError(msg)
+        return found
+
+    def warn_of_the_rest(self) -> None:
+        unknown = [key for key in self.values if key.lower() not in self.known]
+        if unknown:
+            _warn(
+                f"{self.where}: unknown and left out: {', '.join(unknown)}; known are {', '.join(sorted(self.known))}"
+            )
+
+
+def _ini(path: Path) -> Job:
+    parser = configparser.ConfigParser(interpolation=None)
+    parser.optionxform = str  # type: ignore[method-assign, assignment]
+    try:
+        parser.read_string(path.read_text(), source=str(path))
+    except configparser.Error as error:
+        msg = f"{path}: {error}"
+        raise SceneError(msg) from None
+    names = ("paths", "timesteps", "smoothing_function", "flags", "key_mapping", "grid_info", "fields_to_export",
+             "output_options")  # fmt: skip
+    unknown = [name for name in parser.sections() if name not in names]
+    if unknown:
+        _warn(f"{path}: unknown sections {unknown} are left out; known are {', '.join(names)}")
+    sections = {name: _Section(path, name, dict(parser[name]) if parser.has_section(name) else {}) for name in names}
+    paths, steps, flags, output = (sections[n] for n in ("paths", "timesteps", "flags", "output_options"))
+
+    particles = _files(path.parent, paths.needed("particles_path"), steps, required=True)
+    contacts_path = paths.get("contacts_path")
+    contacts = [] if contacts_path is None else _files(path.parent, contacts_path, steps, required=False)
+    scene: dict[str, Any] = {
+        "particles": particles, "names": _names(sections["key_mapping"], particles[0], contacts), "engine": "mfix",
+        "periodic": "".join(a for a in COMPONENTS if sections["grid_info"].flag(f"{a}_axis_periodic")),
+    }  # fmt: skip
+    if contacts:
+        scene |= {"contacts": contacts, "missing": "empty"}
+    elif contacts_path is not None:
+        _warn(f"{paths.where}: no contacts in these steps ({contacts_path}*.vtp): fields of contacts are left out")
+    fields, slices = _fields(sections["fields_to_export"])
+    if not contacts:
+        counted = "coordination_number" in scene["names"].values()
+        fields = [name for name in fields if name not in OF_CONTACTS[1 if counted else 0 :]]
+
+    kernel, label = _kernel(sections["smoothing_function"])
+    mesh, grid, middle = _grid(sections["grid_info"])
+    phases = None if flags.flag("partialignore", default=True) else {"max_phases": 8}
+    folder = path.parent / (paths.get("output_path") or "PysammosCG")
+    spelled = "vkthdf_output" if output.get("vkthdf_output") is not None else "vtkhdf_output"
+    output.known |= {"vkthdf_output", "vtkhdf_output"}
+    job = Job(
+        scene=scene,
+        fields={"fields": fields, "preset": "pysammos", "kernel": kernel, **grid},
+        phases=phases,
+        mesh=mesh,
+        middle=middle,
+        slices=slices,
+        folder=folder,
+        name=f"CG_{label}_{'Monodisperse' if phases is None else 'Polydisperse'}",
+        netcdf=output.flag("h5_output"),
+        vtkhdf={True: "steps", False: ""}[output.flag(spelled)],
+        suffix=".h5",
+    )
+    for section in sections.values():
+        section.warn_of_the_rest()
+    return job
+
+
+def _files(folder: Path, prefix: str, steps: _Section, *, required: bool) -> list[str]:
+    """Files ``<prefix><number>.vtp`` whose numbers are t0, t0 + dt, ... tf."""
+    start, stop, stride = (steps.whole(key) for key in ("t0", "tf", "dt"))
+    at = folder / prefix
+    parent, stem = (at, "") if prefix.endswith("/") else (at.parent, at.name)
+    found = {}
+    for file in parent.glob("*.vtp") if parent.is_dir() else ():
+        match = re.fullmatch(re.escape(stem) + r"(\d+)\.vtp", file.name)
+        if match:
+            found[int(match[1])] = str(file)
+    chosen = [
+        number
+        for number in sorted(found)
+        if (start is None or number >= start)
+        and (stop is None or number <= stop)
+        and (not stride or (number - (start or 0)) % stride == 0)
+    ]
+    if required and not chosen:
+        there = f"numbers there: {', '.join(map(str, sorted(found)))}" if found else "there are none of that name"
+        msg = f"{steps.where}: no file {at}<number>.vtp with t0={start}, tf={stop}, dt={stride}; {there}"
+        raise FileNotFoundError(msg)
+    return [found[number] for number in chosen]
+
+
+def _names(section: _Section, particles: str, contacts: list[str]) -> dict[str, str | None]:
+    """Arrays in the files for our variables, those that are there."""
+    from xcg.readers.vtp import read_header
+
+    there = {True: read_header(particles).names, False: read_header(contacts[0]).names if contacts else ()}
+    names: dict[str, str | None] = {}
+    for key, ours in KEYS.items():
+        array = section.get(key)
+        if array is None:
+            continue
+        of_particles = ours in ("particle_id", "radius") or not ours.startswith("contact")
+        if array == _OFF_BY_AN_OVERLAP:
+            _warn(f"{section.where}: {array} is off by one overlap in MFiX; the points of the file are taken instead")
+        elif array in there[of_particles]:
+            names[array] = ours
+        elif of_particles or contacts:
+            _warn(f"{section.where} {key} = {array}: no such array in {particles if of_particles else contacts[0]}")
+    return names
+
+
+def _kernel(section: _Section) -> tuple[str, str]:
+    text = section.get("type") or "Lucy"
+    if text.lower() not in KERNELS:
+        msg = f"{section.where} type = {text}: expected Lucy, Gaussian or HeavySide"
+        raise SceneError(msg)
+    return KERNELS[text.lower()]
+
+
+def _grid(section: _Section) -> tuple[str | None, dict[str, Any], str]:
+    """Automatic mesh, or bounds, fixed axes, and axes that are cut in the middle."""
+    dimension = section.whole("grid_dimension")
+    axes = section.get("grid_axes") or "xyz"
+    if set(axes) - set(COMPONENTS) or (dimension is not None and dimension != len(set(axes))):
+        msg = f"{section.where} grid_dimension = {dimension}, grid_axes = {axes}: expected as many axes of x, y, z"
+        raise SceneError(msg)
+    ends = {a: (section.number(f"{a}_min"), section.number(f"{a}_max")) for a in COMPONENTS}
+    cuts = {a: section.number(f"{a}_transect") for a in COMPONENTS}
+    if section.flag("automatic_grid"):
+        return axes, {}, ""
+    bounds = {}
+    for a in axes:
+        low, high = ends[a]
+        if low is None or high is None:
+            msg = f"{section.where}: {a}_min and {a}_max are needed with grid_axes = {axes} and automatic_grid = False"
+            raise SceneError(msg)
+        bounds[a] = (low, high)
+    at = {a: cut for a, cut in cuts.items() if a not in axes and cut is not None}
+    middle = "".join(a for a in COMPONENTS if a not in axes and a not in at)
+    return None, {"axes": axes, "bounds": bounds, "at": at}, middle
+
+
+def _fields(section: _Section) -> tuple[list[str], dict[str, Any] | None]:
+    chosen = [name for name in FAMILIES if section.flag(name)]
+    slices = {"axis": "y"} if section.flag(SLICES) else None
+    if not chosen and slices is None:
+        msg = f"{section.where}: nothing is True; switch on any of {', '.join((*FAMILIES, SLICES))}"
+        raise SceneError(msg)
+    return chosen, slices

@@ -1,0 +1,187 @@
+"""Granular temperature by slices of a scene, without a kernel: overlapping planes, or bins.
+
+Both are coarser than `xcg.coarse_grain` and are here for comparison with what was published with them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.scene import require_scene, setup_of
+from xcg.schema import COMPONENTS, units_of
+
+
+def slice_temperature(
+    ds: xr.Dataset,
+    axis: str = "z",
+    *,
+    method: str = "planes",
+    width: float | None = None,
+    spacing: float | None = None,
+    bounds: Sequence[float] | None = None,
+    planes: int = 5,
+) -> xr.Dataset:
+    """Granular temperature and velocity in slices across an axis, lazy where the scene is.
+
+    Parameters
+    ----------
+    ds : xarray.Dataset
+        A scene with ``velocity``, and ``diameter`` (planes) or ``mass`` (bins).
+    axis : str
+        The axis that slices follow each other along.
+    method : {"planes", "bins"}
+        "planes": slices overlap, each holds ``2 planes + 1`` planes; on plane m a grain weighs by the area ``A_im`` of
+        its cut, ``V_m = S A_im v_i / S A_im``, and the slice takes
+        ``T = S_m w_m S_i A_im |v_i - V_m|^2 / (D S_m w_m S_i A_im)`` with weights ``w_m = 1 - |m| / (planes + 1)``.
+        After Zhang & Kamrin (2017).
+        "bins": slices touch, a grain belongs to the one that holds its centre, ``T = S m_i |v_i - V|^2 / (D S m_i)``
+        about the velocity V of the bin, as LAMMPS computes it by chunks.
+    width : float, optional
+        Thickness of a slice (m), d43 by default.
+    spacing : float, optional
+        Distance of centres (m): half the width for planes; bins touch and take none.
+    bounds : two floats, optional
+        First and last centre for planes, edges of the first and last bin for bins (m); the extent of the grains by
+        default.
+    planes : int
+        Planes on each side of a slice's centre.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``granular_temperature`` (time, axis) in m2 s-2, ``velocity`` (time, axis, component) in m s-1, and
+        ``sample_count`` (time, axis), the grains in each slice. NaN for slices with fewer than two.
+
+    Raises
+    ------
+    SceneError
+        If the scene lacks what the method needs.
+    ValueError
+        If an argument is wrong.
+    """
+    weight = {"planes": "diameter", "bins": "mass"}.get(method)
+    if weight is None:
+        msg = f"method={method!r}: expected 'planes' (overlapping slices) or 'bins'"
+        raise ValueError(msg)
+    require_scene(ds, ("velocity", weight), "slice_temperature")
+    setup = setup_of(ds)
+    if axis not in setup.plane or len(axis) != 1:
+        msg = f"axis={axis!r}: expected one of the scene's axes {setup.plane!r}"
+        raise ValueError(msg)
+    k = COMPONENTS.index(axis)
+    if width is None:
+        width = float(ds.attrs.get("d43", np.nan))
+    if bounds is None and "particle_lower" in ds.attrs:
+        bounds = (float(ds.attrs["particle_lower"][k]), float(ds.attrs["particle_upper"][k]))
+    if bounds is None or not np.isfinite([width, *bounds]).all() or width <= 0 or bounds[0] > bounds[1]:
+        msg = f"width={width!r}, bounds={bounds!r}: expected a positive width and rising bounds (m)"
+        raise ValueError(msg)
+    if method == "bins":
+        count = max(1, int(np.ceil((bounds[1] - bounds[0]) / width - 1e-9)))
+        nodes = bounds[0] + width * (np.arange(count) + 0.5)
+        function = partial(_bins, axis=k, dims=[*map(COMPONENTS.index, setup.plane)], edges=bounds[0], width=width)
+    else:
+        step = width / 2 if spacing is None else spacing
+        if not (np.isfinite(step) and step > 0 and planes >= 0):
+            msg = f"spacing={spacing!r}, planes={planes!r}: expected a positive distance (m) and a number of planes"
+            raise ValueError(msg)
+        nodes = bounds[0] + step * np.arange(int((bounds[1] - bounds[0]) / step + 1e-9) + 1)
+        function = partial(
+            _planes, axis=k, dims=[*map(COMPONENTS.index, setup.plane)], sides=planes, width=width,
+            period=_period(ds, axis, k),
+        )  # fmt: skip
+    inputs = [ds[name] for name in ("position", "velocity", weight)]
+    inputs = [a.chunk(particle=-1) if a.chunks is not None else a for a in inputs]
+    table = xr.apply_ufunc(
+        partial(_over_time, function=function, nodes=nodes), *inputs,
+        input_core_dims=[["particle", "component"], ["particle", "component"], ["particle"]],
+        output_core_dims=[[axis, "_column"]], dask="parallelized", output_dtypes=[float],
+        dask_gufunc_kwargs={"output_sizes": {axis: len(nodes), "_column": 5}},
+    )  # fmt: skip
+    system = setup.unit_system
+    length = units_of((1, 0, 0), system)
+    coords = {axis: (axis, nodes, {"units": length, "long_name": f"position along {axis}", "axis": axis.upper()})}
+    velocity = table.isel(_column=slice(1, 4)).rename(_column="component")
+    out = {
+        "granular_temperature": table.isel(_column=0).assign_attrs(
+            units=units_of((2, 0, -2), system), long_name=f"granular temperature in slices ({method})"
+        ),
+        "velocity": velocity.assign_attrs(units=units_of((1, 0, -1), system), long_name="velocity of the slice"),
+        "sample_count": table.isel(_column=4).assign_attrs(units="1", long_name="number of particles in the slice"),
+    }
+    return xr.Dataset(out, {**coords, "component": list(COMPONENTS)}, {"slice_width": width, "method": method})
+
+
+def _period(ds: xr.Dataset, axis: str, k: int) -> float:
+    if axis not in ds.attrs.get("periodic", ""):
+        return np.inf
+    return float(ds.attrs["box_upper"][k] - ds.attrs["box_lower"][k])
+
+
+def _over_time(position: NDArray, velocity: NDArray, weight: NDArray, *, function, nodes: NDArray) -> NDArray:  # type: ignore[no-untyped-def]
+    out = np.empty((*position.shape[:-2], len(nodes), 5))
+    for at in np.ndindex(position.shape[:-2]):
+        here = np.isfinite(weight[at])
+        out[at] = function(position[at][here], velocity[at][here], weight[at][here], nodes)
+    return out
+
+
+def _bins(
+    position: NDArray, velocity: NDArray, mass: NDArray, nodes: NDArray, *, axis: int, dims: list[int], edges: float,
+    width: float,
+) -> NDArray:  # fmt: skip
+    out = np.full((len(nodes), 5), np.nan)
+    # the last edge belongs to the last bin
+    at = np.minimum(np.floor((position[:, axis] - edges) / width + 1e-9), len(nodes) - 1).astype(int)
+    at[(position[:, axis] < edges) | (position[:, axis] > edges + width * len(nodes) * (1 + 1e-9))] = -1
+    for k in range(len(nodes)):
+        m, v = mass[at == k], velocity[at == k]
+        out[k, 4] = len(m)
+        if len(m):
+            out[k, 1:4] = (m @ v) / m.sum()
+        if len(m) > 1:
+            out[k, 0] = (m @ (v - out[k, 1:4])[:, dims] ** 2).sum() / (len(dims) * m.sum())
+    return out
+
+
+def _planes(
+    position: NDArray, velocity: NDArray, diameter: NDArray, nodes: NDArray, *, axis: int, dims: list[int], sides: int,
+    width: float, period: float,
+) -> NDArray:  # fmt: skip
+    x, radius = position[:, axis], diameter / 2
+    if np.isfinite(period) and len(x):  # images of one period reach all planes that lie in the box
+        x = np.concatenate([x - period, x, x + period])
+        velocity, radius = np.tile(velocity, (3, 1)), np.tile(radius, 3)
+    order = np.argsort(x)
+    x, velocity, radius = x[order], velocity[order], radius[order]
+    reach = radius.max(initial=0.0)
+    out = np.full((len(nodes), 5), np.nan)
+    shifts = np.arange(-sides, sides + 1)
+    for k, node in enumerate(nodes):
+        total, energy, momentum, seen = 0.0, 0.0, np.zeros(3), np.zeros(len(x), bool)
+        shared = 0.0
+        for m in shifts:
+            plane, share = node + m * width / (2 * max(sides, 1)), 1 - abs(m) / (sides + 1)
+            near = slice(*np.searchsorted(x, (plane - reach, plane + reach)))
+            area = np.pi * np.maximum(radius[near] ** 2 - (x[near] - plane) ** 2, 0.0)
+            if not area.sum() > 0:
+                continue
+            seen[near] |= area > 0
+            v = velocity[near]
+            mean = (area @ v) / area.sum()
+            momentum += share * area.sum() * mean
+            total += share * area.sum()
+            if (area > 0).sum() > 1:  # one grain has no fluctuation about itself
+                energy += share * (area @ (v - mean)[:, dims] ** 2).sum()
+                shared += share * area.sum()
+        out[k, 4] = seen.sum()
+        if total > 0:
+            out[k, 1:4] = momentum / total
+        if shared > 0:
+            out[k, 0] = energy / (len(dims) * shared)
+    return out
