@@ -67,7 +67,7 @@ def locate(position, level, corner, period, lower, inverse, cells, first_cell, w
 
 @exact
 def sort_by_cell(cell, wrapped, radius, starts, records, row):
-    """Counting sort of particles by cell, stable; `starts` is used up and restored.
+    """Sort particles by cell: a counting sort, stable, that uses `starts` up and restores it.
 
     Parameters
     ----------
@@ -165,39 +165,32 @@ def find(
             for cx in range(x0, x1 + 1):
                 image_x = _image(cx, nx)
                 shift_x = image_x * period[0] if image_x else 0.0
-                for cy in range(iy if same and cx == ix else y0, y1 + 1):
+                plane = first_cell[k] + (cx - image_x * nx) * ny * nz
+                own_plane = same and cx == ix
+                for cy in range(iy if own_plane else y0, y1 + 1):
                     image_y = _image(cy, ny)
                     shift_y = image_y * period[1] if image_y else 0.0
-                    column = first_cell[k] + ((cx - image_x * nx) * ny + cy - image_y * ny) * nz
+                    column = plane + (cy - image_y * ny) * nz
+                    after = i + 1 if own_plane and cy == iy else 0
                     for image_z in range(_image(z0, nz), _image(z1, nz) + 1):
-                        begin = starts[column + max(z0 - image_z * nz, 0)]
+                        begin = max(after, starts[column + max(z0 - image_z * nz, 0)])
                         end = starts[column + min(z1 - image_z * nz, nz - 1) + 1]
-                        if same and cx == ix and cy == iy:
-                            begin = max(begin, i + 1)
-                        if end <= begin:
-                            continue
-                        tested += end - begin
+                        shift_z = image_z * period[2] if image_z else 0.0
+                        tested += max(end - begin, 0)
                         if found + end - begin > left.size:
                             left, right = _grown(left, found + end - begin), _grown(right, found + end - begin)
-                        shift_z = image_z * period[2] if image_z else 0.0
-                        if folds:
-                            for j in range(begin, end):
-                                dx = _nearest(records[j, 0] - xi + shift_x, fold[k, 0])
-                                dy = _nearest(records[j, 1] - yi + shift_y, fold[k, 1])
-                                dz = _nearest(records[j, 2] - zi + shift_z, fold[k, 2])
-                                touch = records[j, 3] + ri + skin
-                                left[found] = i
-                                right[found] = j
-                                found += dx * dx + dy * dy + dz * dz < touch * touch
-                        else:
-                            for j in range(begin, end):
-                                dx = records[j, 0] - xi + shift_x
-                                dy = records[j, 1] - yi + shift_y
-                                dz = records[j, 2] - zi + shift_z
-                                touch = records[j, 3] + ri + skin
-                                left[found] = i
-                                right[found] = j
-                                found += dx * dx + dy * dy + dz * dz < touch * touch
+                        for j in range(begin, end):
+                            dx = records[j, 0] - xi + shift_x
+                            dy = records[j, 1] - yi + shift_y
+                            dz = records[j, 2] - zi + shift_z
+                            if folds:
+                                dx = _nearest(dx, fold[k, 0])
+                                dy = _nearest(dy, fold[k, 1])
+                                dz = _nearest(dz, fold[k, 2])
+                            touch = records[j, 3] + ri + skin
+                            left[found] = i
+                            right[found] = j
+                            found += dx * dx + dy * dy + dz * dz < touch * touch
     return left, right, found, tested
 
 

@@ -1,36 +1,42 @@
-"""Who is near whom: all pairs of spheres closer than their radii and a skin, for any mix of sizes."""
+"""Levels of cells: particles sorted by size into levels, and within a level by the cell that holds them."""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from xcg.complete import periods
 from xcg.kernels import neighbours as kernel
-from xcg.schema import SceneError
 
-METHODS = ("hierarchical", "linked-cell")
-
-# Largest over smallest radius within a level, where the caller gives no number of levels. Measured on log-linear
-# packings: 1.5 to 2.5 cost the same within 10 %, below that levels cost more than they save.
-LEVEL_RATIO = 2.0
-# Cells are cut along z, where the cells that a particle can reach are one run of records: finer cells test fewer
-# pairs and cost nothing but memory. Measured: 2 is 10 % faster than 1, 3 no faster than 2.
+# Largest over smallest radius within a level, where the caller gives no number of levels. A level costs each smaller
+# particle four or five runs of cells (20 ns each), a wide level more tests (2 ns each): between 2.5 and 4 the search
+# of log-linear packings takes the same time within 15 %, at 1.5 it takes twice as long.
+LEVEL_RATIO = 3.0
+# Cells are cut along z, where all cells that a particle can reach are one run of records: finer cells test fewer
+# pairs at no cost but memory. 2 is 7 % faster than 1, 4 no faster than 2; cuts along x or y make more runs and lose.
 CUTS = 2
-# More cells than this for each particle of a level only cost memory: cells are then made larger.
+# More cells than this for each particle of a level cost memory and find nothing: cells are then made larger.
 CELLS_A_PARTICLE = 8
-# Fewer particles than this are not worth a second thread.
-PARTICLES_A_THREAD = 20_000
 
 
 @dataclass(frozen=True)
 class Levels:
-    """Cells of all levels, from small particles to large; see `xcg.kernels.neighbours`."""
+    """Cells of all levels, from small particles to large.
+
+    Attributes
+    ----------
+    lower, inverse, cells : array (levels, 3)
+        Corner (m), inverse edge (m-1) and number of the cells along each axis.
+    largest : array (levels,)
+        Largest radius (m).
+    fold : array (levels, 3)
+        The period along axes too short for three cells, infinity along the others.
+    first_cell : array (levels,)
+        Number of the first cell, all levels counted through.
+    total : int
+        Number of cells.
+    """
 
     lower: NDArray
     inverse: NDArray
@@ -82,8 +88,27 @@ def _edge_for(length: NDArray, count: float) -> float:
 
 
 @dataclass(frozen=True)
-class Sorted:
-    """Particles sorted into the cells of their levels, ready for the search."""
+class CellLists:
+    """Particles sorted into the cells of their levels, ready for the search.
+
+    Attributes
+    ----------
+    levels : Levels
+    records : array (n, 4)
+        x, y, z, radius, by level and cell (m).
+    row : array (n,)
+        Row of the particle that each record is.
+    first_record : array (levels + 1,)
+        First record of each level.
+    starts : array (levels.total + 1,)
+        First record of each cell.
+    period : array (3,)
+        Period of each axis (m), infinity where there is none.
+    skin : float
+        Pairs closer than the sum of their radii and this are found (m).
+    slack : float
+        Rounding of coordinates (m).
+    """
 
     levels: Levels
     records: NDArray
@@ -97,7 +122,7 @@ class Sorted:
     @classmethod
     def of(
         cls, position: NDArray, radius: NDArray, corner: NDArray, period: NDArray, *, skin: float, levels: int | None
-    ) -> Sorted:
+    ) -> CellLists:
         """Sort particles into `levels` levels (None: as many as their sizes ask for)."""
         # a layer is sorted along y, so that runs of cells stay long
         axes = [2, 0, 1] if np.ptp(position[:, 2]) <= 2 * radius.max() + skin else [0, 1, 2]
@@ -109,7 +134,7 @@ class Sorted:
         chosen = Levels.of(largest, members, lower, upper, period, skin, slack)
         count = len(position)
         wrapped, cell = np.empty((count, 3)), np.empty(count, "int64")
-        starts = np.zeros(chosen.total + 1, "int64")
+        starts = np.zeros(chosen.total + 1, "int32")
         kernel.locate(
             position, level, corner, period, chosen.lower, chosen.inverse, chosen.cells, chosen.first_cell,
             wrapped, cell, starts,
@@ -157,39 +182,3 @@ def _extent(position: NDArray, corner: NDArray, period: NDArray) -> tuple[NDArra
     upper = np.minimum(position.max(axis=0), high + margin)
     periodic = np.isfinite(period)
     return np.where(periodic, corner, lower), np.where(periodic, corner + period, upper)
-
-
-def find_pairs(
-    position: ArrayLike,
-    radius: ArrayLike,
-    box: ArrayLike | Mapping[str, Sequence[float]] | None = None,
-    periodic: str = "",
-    *,
-    skin: float = 0.0,
-    method: str = "hierarchical",
-    levels: int | None = None,
-    threads: int | None = None,
-) -> NDArray:
-    """Find all pairs."""
-    from xcg.scene import box_array
-
-    centres = np.ascontiguousarray(position, float)
-    radii = np.ascontiguousarray(radius, float)
-    edges = None if box is None else box_array(box, 1)[0]
-    period = periods(edges, periodic)
-    if len(centres) < 2:
-        return np.empty((0, 2), "int64")
-    corner = np.zeros(3) if edges is None else np.where(np.isfinite(period), edges[:, 0], 0.0)
-    ordered = Sorted.of(centres, radii, corner, period, skin=skin, levels=1 if method == "linked-cell" else levels)
-    workers = threads or min(len(os.sched_getaffinity(0)), 1 + len(centres) // PARTICLES_A_THREAD)
-    parts = 1 if workers == 1 else 8 * workers
-    cuts = np.linspace(0, len(centres), parts + 1).astype(int)
-    if workers == 1:
-        found = [ordered.find(0, len(centres))]
-    else:
-        with ThreadPoolExecutor(workers) as pool:
-            found = list(pool.map(ordered.find, cuts[:-1], cuts[1:]))
-    left, right = (np.concatenate([f[k] for f in found]) for k in (0, 1))
-    pairs = np.empty((len(left), 2), "int64")
-    kernel.sort_pairs(left, right, ordered.row, pairs)
-    return pairs
