@@ -13,10 +13,10 @@ FLOORS = [
     ["schema", "smoothing"],
     ["complete", "grid"],
     ["cells", "scene"],
-    ["contacts", "moments"],
+    ["contacts", "moments", "over_time"],
     ["fields"],
     ["plan", "readers", "writers"],
-    ["coarse_grain", "datasets"],
+    ["coarse_grain", "datasets", "detection"],
     ["accessor"],
     ["__init__"],
 ]

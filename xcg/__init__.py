@@ -5,6 +5,7 @@ from importlib.metadata import version
 from xcg import datasets
 from xcg.accessor import CoarseGrainAccessor
 from xcg.coarse_grain import coarse_grain
+from xcg.detection import find_contacts
 from xcg.fields import FIELDS
 from xcg.readers.series import open_scene
 from xcg.scene import measure, scene_from_arrays
@@ -23,6 +24,7 @@ __all__ = [
     "SceneWarning",
     "coarse_grain",
     "datasets",
+    "find_contacts",
     "measure",
     "open_scene",
     "register_kernel",

@@ -8,6 +8,7 @@ from typing import Any
 import xarray as xr
 
 from xcg.coarse_grain import coarse_grain
+from xcg.detection import find_contacts
 from xcg.plan import Plan, make_plan
 from xcg.scene import measure, summary
 
@@ -33,6 +34,10 @@ class CoarseGrainAccessor:
     def measure(self) -> xr.Dataset:
         """Measure sizes and extent of all steps, see `xcg.measure`."""
         return measure(self._ds)
+
+    def find_contacts(self, **options: Any) -> xr.Dataset:
+        """Find contacts from positions and diameters, see `xcg.find_contacts`."""
+        return find_contacts(self._ds, **options)
 
     def to_vtkhdf(self, path: str | Path, *, overwrite: bool = False) -> Path:
         """Write fields as one temporal VTKHDF file, see `xcg.writers.vtkhdf.to_vtkhdf`."""

@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
-from importlib.metadata import version
+from functools import partial
 from typing import Any
 
-import dask.array as da
 import numpy as np
 import xarray as xr
-from dask.base import tokenize
-from dask.highlevelgraph import HighLevelGraph
 from numpy.typing import NDArray
 
 from xcg import fields as registry
 from xcg.complete import periods
 from xcg.moments import moments_of
+from xcg.over_time import Output, map_over_time
 from xcg.plan import Plan, make_plan, scale_of
-from xcg.scene import frame_of
+from xcg.scene import with_history
 from xcg.schema import COMPONENTS, Frame, units_of
 from xcg.smoothing import Kernel
 
@@ -107,73 +104,13 @@ def coarse_grain(
     """
     given = {k: v for k, v in locals().items() if k != "ds" and v is not None}
     plan = make_plan(**{"ds": ds, **given})
-    arrays = _map_over_time(ds, plan)
+    outputs = {name: Output(plan.shape(name)) for name in plan.fields}
+    arrays = map_over_time(ds, plan.variables, partial(compute_step, plan), outputs, "coarse-grain")
     return _label(ds, plan, arrays, given)
 
 
-def _inputs(ds: xr.Dataset, plan: Plan) -> dict[str, Any]:
-    """Arrays of the scene, time first, whole along every other dimension."""
-    names = [*plan.variables, *(name for name in ("box", "step") if name in ds)]
-    found: dict[str, Any] = {}
-    for name in names:
-        array = ds[name].transpose("time", *[d for d in ds[name].dims if d not in ("time", "component", "bound")], ...)
-        data = array.variable._data if isinstance(array.variable._data, da.Array) else array.to_numpy()
-        found[name] = data
-    lazy = [a for a in found.values() if isinstance(a, da.Array)]
-    if lazy:
-        finest = max((a.chunks[0] for a in lazy), key=len)
-        found = {
-            name: da.asarray(a).rechunk({0: finest, **dict.fromkeys(range(1, a.ndim), -1)}) for name, a in found.items()
-        }
-    return found
-
-
-def _map_over_time(ds: xr.Dataset, plan: Plan) -> dict[str, Any]:
-    """Arrays of all fields, time first: computed if the scene is in memory, else one task a chunk of time."""
-    if "time" not in ds.dims:
-        msg = "the scene has no time dimension; select steps with a list, ds.isel(time=[3]), to keep it"
-        raise ValueError(msg)
-    inputs = _inputs(ds, plan)
-    if not any(isinstance(a, da.Array) for a in inputs.values()):
-        return compute_chunk(plan, tuple(inputs), *inputs.values())
-    lazy: dict[str, da.Array] = inputs
-    name = f"coarse-grain-{tokenize(plan.fields, plan.recipe, plan.options, plan.extent, plan.depth, *lazy.values())}"
-    chunks = next(iter(lazy.values())).chunks[0]
-    tasks: dict[Any, Any] = {}
-    for t in range(len(chunks)):
-        keys = [(a.name, t, *(0,) * (a.ndim - 1)) for a in lazy.values()]
-        tasks[name, t] = (compute_chunk, plan, tuple(lazy), *keys)
-    graph = HighLevelGraph.from_collections(name, tasks, dependencies=list(lazy.values()))
-    out = {}
-    for field in plan.fields:
-        shape = plan.shape(field)
-        key = f"{field}-{name}"
-        picks = {(key, t, *(0,) * len(shape)): (_pick, (name, t), field) for t in range(len(chunks))}
-        layers = HighLevelGraph({**graph.layers, key: picks}, {**graph.dependencies, key: {name}})
-        out[field] = da.Array(layers, key, (chunks, *((n,) for n in shape)), meta=np.empty((0,) * (1 + len(shape))))
-    return out
-
-
-def _pick(arrays: Mapping[str, NDArray], name: str) -> NDArray:
-    return arrays[name]
-
-
-def compute_chunk(plan: Plan, names: Sequence[str], *arrays: NDArray) -> dict[str, NDArray]:
-    """Fields of one chunk of time, from padded arrays in the order of `names`."""
-    inputs = dict(zip(names, arrays, strict=True))
-    boxes, steps = inputs.pop("box", None), inputs.pop("step", None)
-    count = len(arrays[0])
-    out = {name: np.empty((count, *plan.shape(name))) for name in plan.fields}
-    for t in range(count):
-        where = f"frame {t} of its chunk" if steps is None else f"step {steps[t]}"
-        box = None if boxes is None else boxes[t]
-        values = _compute_step(plan, frame_of(inputs, t), box, where)
-        for name in plan.fields:
-            out[name][t] = values[name]
-    return out
-
-
-def _compute_step(plan: Plan, frame: Frame, box: NDArray | None, where: str) -> dict[str, NDArray]:
+def compute_step(plan: Plan, frame: Frame, box: NDArray | None, where: str) -> dict[str, NDArray]:
+    """Fields of one step, by name."""
     period = periods(box, plan.setup.periodic, where)
     sums = moments_of(frame, plan.recipe, period, scale_of(plan, box, where), where)
     values = registry.evaluate(plan.fields, sums, plan.options)
@@ -212,10 +149,6 @@ def _label(ds: xr.Dataset, plan: Plan, arrays: Mapping[str, Any], given: Mapping
 
 
 def _provenance(ds: xr.Dataset, plan: Plan, given: Mapping[str, Any]) -> dict[str, Any]:
-    call = ", ".join(f"{k}={v!r}" for k, v in given.items())
-    stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-    line = f"{stamp} xcg {version('xcg')}: coarse_grain({call})"
-    earlier = ds.attrs.get("history")
     kept = {
         k: ds.attrs[k]
         for k in ("Conventions", "periodic", "gravity", "unit_system", "dimension", "plane")
@@ -230,5 +163,5 @@ def _provenance(ds: xr.Dataset, plan: Plan, given: Mapping[str, Any]) -> dict[st
         "rtol": plan.rtol,
         "gradient": plan.options.gradient,
         "averaged_axes": plan.recipe.grid.averaged,
-        "history": line if earlier is None else f"{earlier}\n{line}",
+        "history": with_history(ds, "coarse_grain", given),
     }

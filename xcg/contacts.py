@@ -211,7 +211,7 @@ def find_pairs(
     [[0, 1]]
     """
     centres, radii = _spheres(position, radius)
-    _check_search(skin, method, levels, threads)
+    check_search(skin, method, levels, threads)
     if box is not None and not isinstance(box, Mapping) and np.shape(box) == (2, 2):
         box = dict(zip("xy", np.asarray(box, float).tolist(), strict=True))
     edges = None if box is None else box_array(box, 1)[0]
@@ -263,7 +263,8 @@ def _spheres(position: ArrayLike, radius: ArrayLike) -> tuple[NDArray, NDArray]:
     return np.ascontiguousarray(centres), radii
 
 
-def _check_search(skin: float, method: str, levels: int | None, threads: int | None) -> None:
+def check_search(skin: float, method: str, levels: int | None, threads: int | None = None) -> None:
+    """Refuse options of the search that are not as expected."""
     if method not in METHODS:
         msg = f"method={method!r}: expected one of {', '.join(map(repr, METHODS))}"
         raise ValueError(msg)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from datetime import UTC, datetime
+from importlib.metadata import version
 from typing import Any
 
 import numpy as np
@@ -316,6 +318,15 @@ def measure(ds: xr.Dataset) -> xr.Dataset:
         arrays = {name: ds[name].isel(time=[t]).transpose("time", ...).to_numpy() for name in names}
         frames.append(frame_of(arrays, 0))
     return ds.assign_attrs(measure_frames(frames))
+
+
+def with_history(ds: xr.Dataset, function: str, given: Mapping[str, Any]) -> str:
+    """Return the history of a Dataset with one line more: when, by which version, which call."""
+    call = ", ".join(f"{k}={v!r}" for k, v in given.items())
+    stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    line = f"{stamp} xcg {version('xcg')}: {function}({call})"
+    earlier = ds.attrs.get("history")
+    return line if earlier is None else f"{earlier}\n{line}"
 
 
 def summary(ds: xr.Dataset) -> str:
