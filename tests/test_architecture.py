@@ -14,9 +14,9 @@ FLOORS = [
     ["complete", "grid"],
     ["cells", "scene"],
     ["contacts", "moments", "over_time"],
-    ["fields"],
+    ["fields", "quantities"],
     ["plan", "readers", "writers"],
-    ["coarse_grain", "datasets", "detection"],
+    ["coarse_grain", "datasets", "detection", "microstructure"],
     ["accessor"],
     ["__init__"],
 ]

@@ -7,6 +7,7 @@ from xcg.accessor import CoarseGrainAccessor
 from xcg.coarse_grain import coarse_grain
 from xcg.detection import find_contacts
 from xcg.fields import FIELDS
+from xcg.microstructure import microstructure
 from xcg.readers.series import open_scene
 from xcg.scene import measure, scene_from_arrays
 from xcg.schema import SceneError, SceneWarning
@@ -26,6 +27,7 @@ __all__ = [
     "datasets",
     "find_contacts",
     "measure",
+    "microstructure",
     "open_scene",
     "register_kernel",
     "scene_from_arrays",

@@ -9,6 +9,7 @@ import xarray as xr
 
 from xcg.coarse_grain import coarse_grain
 from xcg.detection import find_contacts
+from xcg.microstructure import microstructure
 from xcg.plan import Plan, make_plan
 from xcg.scene import measure, summary
 
@@ -38,6 +39,10 @@ class CoarseGrainAccessor:
     def find_contacts(self, **options: Any) -> xr.Dataset:
         """Find contacts from positions and diameters, see `xcg.find_contacts`."""
         return find_contacts(self._ds, **options)
+
+    def microstructure(self, quantities: Any = None, **options: Any) -> xr.Dataset:
+        """Measure the microstructure of the packing, see `xcg.microstructure`."""
+        return microstructure(self._ds, quantities, **options)
 
     def to_vtkhdf(self, path: str | Path, *, overwrite: bool = False) -> Path:
         """Write fields as one temporal VTKHDF file, see `xcg.writers.vtkhdf.to_vtkhdf`."""

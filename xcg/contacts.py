@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from xcg.cells import CellLists
 from xcg.complete import minimum_image, periods, rows_of
 from xcg.kernels.neighbours import sort_pairs
-from xcg.kernels.rows import add_rows
+from xcg.kernels.rows import add_rows, peel
 from xcg.scene import box_array
 from xcg.schema import Frame, SceneError
 
@@ -33,7 +33,7 @@ class Contacts:
     i, j : array (n,)
         Rows of the two particles; -1 for a wall or a partner that is not in the scene.
     force : array (n, 3)
-        Force on i (N).
+        Force on i (N); zero where the frame has no forces.
     branch_i, branch_j : array (n, 3)
         From the contact point to the centre, ``r_i - c`` (m), nearest image; zero for a partner that is not there.
     normal : array (n, 3)
@@ -75,9 +75,9 @@ class Contacts:
             normal = np.where((row_i >= 0)[:, None], branches[0], -branches[1])
             length = np.linalg.norm(normal, axis=1, keepdims=True)
             normal = np.divide(normal, length, out=np.zeros_like(normal), where=length > 0)
-        return cls(
-            row_i, row_j, frame["contact_force"], branches[0], branches[1], normal, point, key_i, key_j, len(ids)
-        )
+        # contacts found from positions without a stiffness have no forces
+        force = frame.get("contact_force", np.zeros_like(point))
+        return cls(row_i, row_j, force, branches[0], branches[1], normal, point, key_i, key_j, len(ids))
 
     def sum_over_particles(self, on_i: NDArray, on_j: NDArray) -> NDArray:
         """Sum what each contact gives to its two particles; arrays (n, ...) to (particles, ...)."""
@@ -88,14 +88,28 @@ class Contacts:
         return total.reshape(self.count, *on_i.shape[1:])
 
     @cached_property
-    def partners(self) -> NDArray:
-        """Number of contact partners of each particle, walls included; several contacts with one count once."""
+    def first(self) -> NDArray:
+        """1 for the first contact of each pair, 0 for further ones (bodies may touch in several places)."""
         low, high = np.minimum(self.key_i, self.key_j), np.maximum(self.key_i, self.key_j)
         order = np.lexsort((high, low))
         repeated = (np.diff(low[order]) == 0) & (np.diff(high[order]) == 0)
         first = np.ones(len(low))
         first[order[1:][repeated]] = 0.0
-        return self.sum_over_particles(first, first)
+        return first
+
+    @cached_property
+    def partners(self) -> NDArray:
+        """Number of contact partners of each particle, walls included; several contacts with one count once."""
+        return self.sum_over_particles(self.first, self.first)
+
+    def backbone(self, least: int) -> NDArray:
+        """Whether each particle keeps `least` partners when all that have fewer are taken out, again and again.
+
+        Partners that are not particles of the scene (walls) stay.
+        """
+        degree, kept = self.partners.copy(), np.ones(self.count, bool)
+        peel(self.i, self.j, self.first, least, degree, kept)
+        return kept
 
     @property
     def normals(self) -> NDArray:

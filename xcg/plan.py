@@ -192,7 +192,8 @@ def _variables(fields: Sequence[str], ds: xr.Dataset, gradient: str) -> set[str]
     return needed
 
 
-def _groups(ds: xr.Dataset, by: str, groups: Sequence[int] | None) -> tuple[int, ...]:
+def groups_of(ds: xr.Dataset, by: str, groups: Sequence[int] | None) -> tuple[int, ...]:
+    """Values of an integer variable of the particles, sorted: given, or known without reading."""
     if by not in ds or ds[by].dtype.kind not in "iu" or "particle" not in ds[by].dims:
         whole = [
             n for n in ds.data_vars if ds[n].dtype.kind in "iu" and "particle" in ds[n].dims and n != "particle_id"
@@ -210,8 +211,8 @@ def _groups(ds: xr.Dataset, by: str, groups: Sequence[int] | None) -> tuple[int,
     return tuple(sorted({int(g) for g in groups}))
 
 
-def _edges(ds: xr.Dataset) -> dict[str, tuple[float, float]]:
-    """Edges of the box along the axes where it is finite."""
+def edges_of(ds: xr.Dataset) -> dict[str, tuple[float, float]]:
+    """Edges of the box of the first step along the axes where it is finite."""
     lower, upper = ds.attrs.get("box_lower"), ds.attrs.get("box_upper")
     if lower is None or upper is None:
         return {}
@@ -256,7 +257,7 @@ def make_plan(
     require_scene(ds, sorted(variables), f"coarse_grain of {', '.join(names)}")
     setup = setup_of(ds)
     chosen = as_kernel(kernel, choose_width(width, ds.attrs) if isinstance(kernel, str) else width, setup.dimension)  # type: ignore[arg-type]
-    edges = _edges(ds)
+    edges = edges_of(ds)
     period = {a: edges[a][1] - edges[a][0] for a in setup.periodic if a in edges}
     grid = make_grid(
         setup.plane if axes is None and at is None else axes or "",
@@ -277,7 +278,7 @@ def make_plan(
         cutoff=chosen.cutoff,
         limits=gauss_limits(chosen, len(grid.seen), rtol),
         by=by,
-        groups=() if by is None else _groups(ds, by, groups),
+        groups=() if by is None else groups_of(ds, by, groups),
     )
     options = registry.Options(
         plane=tuple(COMPONENTS.index(a) for a in setup.plane),
@@ -289,7 +290,7 @@ def make_plan(
     read = [n for n in ds.data_vars if n in variables | extra]
     return Plan(
         fields=names, variables=tuple(map(str, read)), recipe=recipe, options=options, kernel=chosen,
-        extent=_extents(grid, extent or {}, edges), depth=_depth(ds, setup, edges), setup=setup, rtol=rtol,
+        extent=_extents(grid, extent or {}, edges), depth=depth_of(ds, setup, edges), setup=setup, rtol=rtol,
     )  # fmt: skip
 
 
@@ -341,7 +342,7 @@ def _extents(
     return found
 
 
-def _depth(ds: xr.Dataset, setup: Setup, edges: Mapping[str, tuple[float, float]]) -> float | str | None:
+def depth_of(ds: xr.Dataset, setup: Setup, edges: Mapping[str, tuple[float, float]]) -> float | str | None:
     """Thickness of a layer, or the axis whose box extent it is."""
     if setup.dimension == 3:
         return None
