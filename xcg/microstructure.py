@@ -292,6 +292,9 @@ def microstructure(
     rate = _rate_source(ds, strain_rate)
     names = _choose(ds, quantities, rate)
     setup, regions = setup_of(ds), _regions(bounds)
+    if axis is not None and axis not in setup.plane:
+        msg = f"axis={axis!r}: expected one of {', '.join(setup.plane)}"
+        raise ValueError(msg)
     measured = _measured(names, rate)
     needed = {variable for name in measured for variable in QUANTITIES[name].needs}
     require_scene(ds, sorted(needed), f"microstructure ({', '.join(names)})")
@@ -432,7 +435,7 @@ def _with_series(
     result = measured
     if "box" in ds and (set(STRAIN) & set(names) or _is(rate, "box")):
         lengths = (ds["box"].isel(bound=1) - ds["box"].isel(bound=0)).sel(component=list(setup.plane))
-        stretch = xr.ufuncs.log(lengths / lengths.isel(time=0))
+        stretch = xr.ufuncs.log(lengths / lengths.isel(time=0, drop=True))
         total, axial = stretch.sum("component", skipna=False), stretch.sel(component=axis, drop=True)
         for name, logarithm in (("volumetric_strain", total), ("axial_strain", axial)):
             values = 0.0 - logarithm if strain == "logarithmic" else 1 - xr.ufuncs.exp(logarithm)
