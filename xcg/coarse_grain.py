@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from xcg import fields as registry
 from xcg.complete import periods
-from xcg.moments import moments_of
+from xcg.moments import sums_of_frame
 from xcg.over_time import Output, map_over_time
 from xcg.plan import Plan, make_plan, scale_of
 from xcg.scene import with_history
@@ -109,19 +109,21 @@ def coarse_grain(
     return _label(ds, plan, arrays, given)
 
 
-def compute_step(plan: Plan, frame: Frame, box: NDArray | None, where: str) -> dict[str, NDArray]:
-    """Fields of one step, by name."""
+# The algebra runs over this many nodes at a time, so that its intermediate results stay in cache.
+BLOCK = 4096
+
+
+def compute_step(plan: Plan, frame: Frame, box: NDArray | None, where: str, out: Mapping[str, NDArray]) -> None:
+    """Compute the fields of one step into arrays (axes, phase, ...)."""
     period = periods(box, plan.setup.periodic, where)
-    sums = moments_of(frame, plan.recipe, period, scale_of(plan, box, where), where)
-    values = registry.evaluate(plan.fields, sums, plan.options)
-    # (phase, x, y, z, ...) to the resolved axes, then phase where there are several
-    unresolved = tuple(1 + k for k, a in enumerate(COMPONENTS) if a not in plan.recipe.grid.axes)
-    axes = len(plan.recipe.grid.axes)
-    out = {}
-    for name, a in values.items():
-        resolved = a.squeeze(axis=unresolved)
-        out[name] = np.moveaxis(resolved, 0, axes) if plan.recipe.by else resolved[0]
-    return out
+    sums = sums_of_frame(frame, plan.recipe, period, scale_of(plan, box, where), where)
+    nodes = len(sums.reference)
+    phases = plan.phases if plan.recipe.by else 1
+    flat = {name: out[name].reshape(nodes, phases, *out[name].shape[len(plan.dims) :]) for name in plan.fields}
+    for first in range(0, nodes, BLOCK):
+        block = slice(first, min(first + BLOCK, nodes))
+        for name, values in registry.evaluate(plan.fields, sums.at(block), plan.options).items():
+            flat[name][block] = np.moveaxis(values, 0, 1)
 
 
 def _label(ds: xr.Dataset, plan: Plan, arrays: Mapping[str, Any], given: Mapping[str, Any]) -> xr.Dataset:

@@ -93,7 +93,12 @@ class Search:
         """Variables that are added."""
         return (*FOUND, "contact_force") if self.stiffness.given else FOUND
 
-    def __call__(self, frame: Frame, box: NDArray | None, where: str) -> Frame:
+    def __call__(self, frame: Frame, box: NDArray | None, where: str, out: Mapping[str, NDArray]) -> None:
+        """Write the contacts of one frame into padded arrays."""
+        for name, values in self.contacts(frame, box, where).items():
+            out[name][: len(values)] = values
+
+    def contacts(self, frame: Frame, box: NDArray | None, where: str) -> Frame:
         """Contacts of one frame."""
         period = periods(box, self.setup.periodic, where)
         ids, position, radius = frame["particle_id"], frame["position"], frame["diameter"] / 2
@@ -207,7 +212,7 @@ def find_contacts(
     # under dask other steps keep the other cores busy
     search = Search(setup, Stiffness(k_n, E, nu), skin, method, levels, most, threads=1 if lazy else None)
     if most is None:
-        frames = [search(*step) for step in steps_in(inputs_of(ds, read))]
+        frames = [search.contacts(*step) for step in steps_in(inputs_of(ds, read))]
         arrays = stack(frames, search.names, max(len(frame["overlap"]) for frame in frames))
     else:
         rows = {name: variable(name) for name in search.names}

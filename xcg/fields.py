@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.kernels.deposit import solve_gradient
+from xcg.kernels.fit import fit_gradient
 
 Function = Callable[[Any, Any, "Options"], Any]
 
@@ -129,11 +129,13 @@ def _fit(f: Any, s: Any, o: Options) -> SimpleNamespace:
     shear = s.shear - outer(f._drift, s.offset)
     spread = s.spread - outer(mean, s.offset)
     nodes = int(np.prod(s.mass.shape))
+    # centring one grain, or several in one place, leaves the rounding of what is subtracted, a few 1e-16
+    rounding = 1e-13 * np.einsum("...kk->...", s.spread)
     upper = np.stack([spread[..., i, j] for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))], axis=-1)
     gradient, determined, rank = np.zeros((nodes, 3, 3)), np.zeros((nodes, 3), bool), np.zeros(nodes, "int64")
-    solve_gradient(
+    fit_gradient(
         np.nan_to_num(shear, nan=0.0).reshape(nodes, 3, 3), np.nan_to_num(upper, nan=0.0).reshape(nodes, 6),
-        np.asarray(o.active), gradient, determined, rank,
+        rounding.reshape(nodes), np.asarray(o.active), gradient, determined, rank,
     )  # fmt: skip
     shape = s.mass.shape
     determined = determined.reshape(*shape, 1, 3) & (s.mass > 0)[..., None, None]

@@ -77,8 +77,8 @@ class Measure:
         lengths = {"partners": self.max_connectivity + 1, "force_ratio": len(self.force_bins) - 1}
         return tuple(lengths.get(dim, 3) for dim in QUANTITIES[name].dims)
 
-    def __call__(self, frame: Frame, box: NDArray | None, where: str) -> dict[str, NDArray]:
-        """Quantities of one frame (region, phase, ...)."""
+    def __call__(self, frame: Frame, box: NDArray | None, where: str, out: Mapping[str, NDArray]) -> None:
+        """Write the quantities of one frame into arrays (region, phase, ...)."""
         period = periods(box, self.setup.periodic, where)
         frame = without_frozen(frame)
         contacts = Contacts.of(frame, period) if "contact_i" in frame else None
@@ -88,7 +88,6 @@ class Measure:
             position[:, k] -= period[k] * np.floor((position[:, k] - box[k, 0]) / period[k])
         shared = _shared(self, frame, contacts)
         phase = phase_of(frame, self.by, self.groups, where)
-        out = {name: np.empty((len(self.regions), self.phases, *self.sizes(name))) for name in self.names}
         for r, bounds in enumerate(self.regions):
             inside = np.ones(len(position), bool)
             for axis, (low, high) in bounds.items():
@@ -100,7 +99,6 @@ class Measure:
                 sample = _sample(self, frame, position, contacts, shared, member, volume)
                 for name in self.names:
                     out[name][r, p] = QUANTITIES[name].compute(sample)
-        return out
 
     def _volume(self, bounds: Bounds, box: NDArray | None) -> float:
         """Volume of a region (m3); NaN where neither bounds nor box say how far it reaches."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from xcg.contacts import Contacts
 from xcg.grid import Grid
 from xcg.kernels import deposit as kernel
+from xcg.kernels.nodes import spatial_order
 from xcg.kernels.segments import deposit_segments
 from xcg.schema import Frame, SceneError
 from xcg.smoothing import Weights
@@ -166,45 +167,80 @@ def without_frozen(frame: Frame) -> Frame:
 
 
 class _Deposit:
-    """The deposits onto one grid, with lengths in cutoffs."""
+    """The deposits onto one grid, with lengths in cutoffs; results are (phases, nodes, columns)."""
 
     def __init__(self, recipe: Recipe, period: NDArray, scale: float) -> None:
         grid, self.cutoff = recipe.grid, recipe.cutoff
         self.phases = max(1, len(recipe.groups))
-        self.shape = grid.shape
+        self.nodes = math.prod(grid.shape)
         self.origin = grid.origin
         self.active = grid.active
-        self.steps = grid.steps / self.cutoff
-        self.period = np.where(grid.active, period, np.inf) / self.cutoff
-        self.kernel = (*recipe.weights[:3], recipe.weights.norm * scale)
+        where = (grid.steps / self.cutoff, grid.active, np.where(grid.active, period, np.inf) / self.cutoff)
+        kernel = (*recipe.weights[:3], recipe.weights.norm * scale)
+        self.onto = (np.array(grid.shape), np.array([0, grid.shape[0]]), *where, *kernel)
 
-    def local(self, position: NDArray) -> NDArray:
-        return (position - self.origin) / self.cutoff
-
-    def new(self, columns: int) -> NDArray:
-        return np.zeros((self.phases, *self.shape, columns))
+    def _placed(self, position: NDArray) -> tuple[NDArray, NDArray]:
+        """Order in space, so that neighbours add to the same nodes while these are in cache; local coordinates."""
+        local = (position - self.origin) / self.cutoff
+        order = spatial_order(local, self.active)
+        return order, local[order]
 
     def points(
         self, position: NDArray, velocity: NDArray, mass: NDArray, constants: NDArray, phase: NDArray, level: int,
         reference: NDArray, *, by_gradient: bool = False,
     ) -> NDArray:  # fmt: skip
-        sums = self.new(level + constants.shape[1])
+        sums = np.zeros((self.phases, self.nodes, level + constants.shape[1]))
+        order, local = self._placed(position)
         kernel.deposit(
-            self.local(position), velocity, mass, constants, phase, level, self.steps, self.active, self.period,
-            *self.kernel, by_gradient, sums, reference,
+            local, velocity[order], mass[order], constants[order], phase[order], level, *self.onto, by_gradient,
+            sums, reference,
         )  # fmt: skip
         return sums
 
     def segments(self, start: NDArray, branch: NDArray, force: NDArray, phase: NDArray, limits: NDArray) -> NDArray:
-        sums = self.new(9)
+        sums = np.zeros((self.phases, self.nodes, 9))
+        order, local = self._placed(start)
         deposit_segments(
-            self.local(start), branch / self.cutoff, force * self.cutoff, phase, limits,
-            self.steps, self.active, self.period, *self.kernel, sums,
-        )  # fmt: skip
+            local, branch[order] / self.cutoff, force[order] * self.cutoff, phase[order], limits, *self.onto, sums
+        )
         return sums
 
 
-def moments_of(frame: Frame, recipe: Recipe, period: NDArray, scale: float, where: str) -> dict[str, NDArray]:
+@dataclass(frozen=True)
+class Sums:
+    """The sums of one frame at all nodes, as the deposits leave them.
+
+    Attributes
+    ----------
+    recipe : Recipe
+    columns : dict
+        For each moment its array (phases, nodes, columns), the columns of that array that it is made of (those of a
+        symmetric tensor name six of them nine times), and a factor.
+    reference : array (nodes, 3)
+        Velocity that ``momentum``, ``kinetic`` and ``shear`` are relative to.
+    """
+
+    recipe: Recipe
+    columns: Mapping[str, tuple[NDArray, NDArray, float]]
+    reference: NDArray
+
+    def at(self, nodes: slice) -> dict[str, NDArray]:
+        """Return the moments at some nodes: arrays (phase, node, ...) with phase 0 the bulk, the sum over groups.
+
+        Nodes run fastest in memory, so that algebra on small tensors is a loop over nodes.
+        """
+        found = {}
+        for name, (array, columns, factor) in self.columns.items():
+            part = np.moveaxis(array[:, nodes][..., columns], (0, 1), (-2, -1)) * factor
+            part = np.ascontiguousarray(part)
+            if self.recipe.by is not None:
+                part = np.concatenate([part.sum(axis=-2, keepdims=True), part], axis=-2)
+            found[name] = np.moveaxis(part, (-2, -1), (0, 1))
+        found["reference"] = np.ascontiguousarray(np.nan_to_num(self.reference[nodes], nan=0.0).T).T
+        return found
+
+
+def sums_of_frame(frame: Frame, recipe: Recipe, period: NDArray, scale: float, where: str) -> Sums:
     """Compute the sums of one frame at all nodes.
 
     Parameters
@@ -219,12 +255,6 @@ def moments_of(frame: Frame, recipe: Recipe, period: NDArray, scale: float, wher
         1 / extent of the averaged axes (and thickness of a layer).
     where : str
         Names the step in messages.
-
-    Returns
-    -------
-    dict
-        Arrays (phase, x, y, z, ...); phase 0 is the bulk, the sum over the groups. Besides the moments asked for,
-        ``reference`` (x, y, z, 3) is the velocity that ``momentum``, ``kinetic`` and ``shear`` are relative to.
     """
     frame = without_frozen(frame)
     position = np.ascontiguousarray(frame["position"])
@@ -234,50 +264,50 @@ def moments_of(frame: Frame, recipe: Recipe, period: NDArray, scale: float, wher
     contacts = Contacts.of(frame, period) if "contact_i" in frame else None
     to = _Deposit(recipe, period, scale)
 
-    columns = {
+    constants = {
         name: row.column(frame, contacts).reshape(count, math.prod(row.shape))
         for name, row in wanted.items()
         if row.column
     }
-    constants = np.concatenate(list(columns.values()), axis=1) if columns else np.zeros((count, 0))
+    stacked = np.concatenate(list(constants.values()), axis=1) if constants else np.zeros((count, 0))
     velocity = np.ascontiguousarray(frame.get("velocity", np.zeros((count, 3))))
     mass = frame.get("mass", np.ones(count))
-    reference = np.full((*to.shape, 3), np.nan)
-    sums: dict[str, NDArray] = {}
+    reference = np.full((to.nodes, 3), np.nan)
+    columns: dict[str, tuple[NDArray, NDArray, float]] = {}
 
     level = recipe.level
-    if level or columns:
-        records = to.points(position, velocity, mass, constants, phase, level, reference)
+    if level or constants:
+        records = to.points(position, velocity, mass, stacked, phase, level, reference)
         for name, row in wanted.items():
             if row.level:
-                sums[name] = _flow(records, name, row) * recipe.cutoff ** _CUTOFF_POWERS.get(name, 0)
+                columns[name] = (records, _flow_columns(name), recipe.cutoff ** _CUTOFF_POWERS.get(name, 0))
         first = level
-        for name, column in columns.items():
-            width = column.shape[1]
-            sums[name] = records[..., first : first + width].reshape(*records.shape[:4], *wanted[name].shape)
-            first += width
+        for name, values in constants.items():
+            columns[name] = (records, first + _all_columns(wanted[name].shape), 1.0)
+            first += values.shape[1]
     if {"mass_slope", "momentum_slope"} & set(wanted):
         none = np.zeros((count, 0))
         slopes = to.points(position, velocity, mass, none, phase, kernel.LINEAR, reference, by_gradient=True)
         for name, flow in (("mass_slope", "offset"), ("momentum_slope", "shear")):
-            sums[name] = _flow(slopes, flow, MOMENTS[flow]) / -recipe.cutoff
+            columns[name] = (slopes, _flow_columns(flow), -1 / recipe.cutoff)
     if "contact" in wanted:
         assert contacts is not None
         segments = contacts.segments(position, phase)
-        sums["contact"] = to.segments(*segments, recipe.limits).reshape(to.phases, *to.shape, 3, 3)
+        columns["contact"] = (to.segments(*segments, recipe.limits), _all_columns((3, 3)), 1.0)
     if "traction" in wanted:
         assert contacts is not None
         at, point, force = contacts.at_walls
         none = np.zeros((len(at), 3))
-        sums["traction"] = to.points(point, none, none[:, 0], force, phase[at], kernel.NONE, reference)
-    if recipe.by is not None:
-        sums = {name: np.concatenate([a.sum(axis=0, keepdims=True), a]) for name, a in sums.items()}
-    return sums | {"reference": np.nan_to_num(reference, nan=0.0)}
+        traction = to.points(point, none, none[:, 0], force, phase[at], kernel.NONE, reference)
+        columns["traction"] = (traction, _all_columns((3,)), 1.0)
+    return Sums(recipe, columns, reference)
 
 
-def _flow(records: NDArray, name: str, row: Moment) -> NDArray:
-    """Cut one moment out of the nodes' records; symmetric ones are kept as six columns."""
-    if name in ("kinetic", "spread"):
-        return records[..., row.first + _SYMMETRIC]
-    size = math.prod(row.shape)
-    return records[..., row.first : row.first + size].reshape(*records.shape[:4], *row.shape)
+def _all_columns(shape: tuple[int, ...]) -> NDArray:
+    return np.arange(math.prod(shape)).reshape(shape)
+
+
+def _flow_columns(name: str) -> NDArray:
+    """Columns of a node's record that make up a moment; symmetric tensors are kept as six."""
+    row = MOMENTS[name]
+    return row.first + (_SYMMETRIC if name in ("kinetic", "spread") else _all_columns(row.shape))

@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 from xcg.scene import frame_of
 from xcg.schema import Frame
 
-# function(frame, box, where) -> arrays of one step; box is None where the scene has none
-StepFunction = Callable[[Frame, NDArray | None, str], Mapping[str, NDArray]]
+# function(frame, box, where, out) fills the arrays of one step; box is None where the scene has none
+StepFunction = Callable[[Frame, NDArray | None, str, Mapping[str, NDArray]], None]
 
 
 @dataclass(frozen=True)
 class Output:
-    """One array that a step gives: its shape, type, and what rows that it leaves over are filled with."""
+    """One array that a step fills: its shape, type, and what it holds where it is not filled."""
 
     shape: tuple[int, ...]
     dtype: Any = "float64"
@@ -47,9 +47,9 @@ def map_over_time(
     variables : sequence of str
         What the function reads; the box and the number of the step come along.
     function : callable
-        ``function(frame, box, where)`` for one step; it must pickle.
+        ``function(frame, box, where, out)`` for one step, which fills the arrays of `out`; it must pickle.
     outputs : mapping
-        What it returns, by name. It may fill fewer rows than the shape says.
+        The arrays of one step, by name; what the function leaves out keeps their fill.
     name : str
         Of the tasks.
 
@@ -119,8 +119,5 @@ def map_chunk(
     """Results of the steps of one chunk, from padded arrays in the order of `names`."""
     out = {name: np.full((len(arrays[0]), *about.shape), about.fill, about.dtype) for name, about in outputs.items()}
     for t, step in enumerate(steps_in(dict(zip(names, arrays, strict=True)))):
-        values = function(*step)
-        for name, about in outputs.items():
-            rows = slice(0, len(values[name])) if about.shape else ...
-            out[name][t, rows] = values[name]
+        function(*step, {name: a[t, ...] for name, a in out.items()})
     return out

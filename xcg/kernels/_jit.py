@@ -1,18 +1,42 @@
 """Every decision about compilation, in one place.
 
-Kernels release the GIL, so that dask's threads run them side by side; they are serial, because a parallel
-kernel under a threaded scheduler aborts the interpreter. Floating-point code may contract and reassociate, but
-keeps NaN and infinity; `exact` keeps every rounding as written, for decisions that must not depend on the compiler,
-such as whether two spheres touch. Compiled code is kept on disk, so that a second process starts at once; set
-``XCG_JIT_CACHE=0`` where processes on different machines share the installation directory.
+Kernels release the GIL, so that dask's threads run them side by side; they are serial, because a parallel kernel
+under a threaded scheduler aborts the interpreter. Arithmetic is strict: the compiler may neither reorder nor contract
+it, so that results have the same bits in every process and at every number of threads.
+
+Compiled code is kept on disk beside the sources, so that a second process starts at once; ``XCG_JIT_CACHE=0`` turns
+that off, for example where machines of different kinds share an installation.
 """
 
+import hashlib
 import os
+from contextlib import suppress
+from pathlib import Path
 
 import numba
 
 CACHE = os.environ.get("XCG_JIT_CACHE", "1") != "0"
 
-jit = numba.njit(nogil=True, cache=CACHE, error_model="numpy", fastmath={"contract", "nsz", "arcp", "reassoc"})
-inline = numba.njit(nogil=True, cache=CACHE, error_model="numpy", inline="never")
-exact = numba.njit(nogil=True, cache=CACHE, error_model="numpy")
+
+def _forget_stale_code() -> None:
+    """Delete compiled code that is older than any kernel.
+
+    Numba looks at the file of the function alone, but code from other files is compiled into it.
+    """
+    here = Path(__file__).parent
+    digest = hashlib.sha256(numba.__version__.encode())
+    for source in sorted(here.glob("*.py")):
+        digest.update(source.read_bytes())
+    stamp = here / "__pycache__" / "kernels.digest"
+    with suppress(OSError):  # a read-only installation never changes
+        if not stamp.exists() or stamp.read_text() != digest.hexdigest():
+            for compiled in stamp.parent.glob("*.nb[ic]"):
+                compiled.unlink(missing_ok=True)
+            stamp.parent.mkdir(exist_ok=True)
+            stamp.write_text(digest.hexdigest())
+
+
+if CACHE:
+    _forget_stale_code()
+
+jit = numba.njit(nogil=True, cache=CACHE, error_model="numpy")

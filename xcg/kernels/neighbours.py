@@ -17,17 +17,17 @@ import math
 
 import numpy as np
 
-from xcg.kernels._jit import exact
+from xcg.kernels._jit import jit
 
 
-@exact
+@jit
 def cell_of(x, lower, inverse, count):
     """Cell that holds x along one axis; the first and the last take all that lies outside."""
     c = math.floor((x - lower) * inverse)
     return 0 if c < 0 else (count - 1 if c >= count else int(c))
 
 
-@exact
+@jit
 def locate(position, level, corner, period, lower, inverse, cells, first_cell, wrapped, cell, starts):
     """Wrap particles into the periodic box, and find the cell of each.
 
@@ -65,7 +65,7 @@ def locate(position, level, corner, period, lower, inverse, cells, first_cell, w
         starts[c] += starts[c - 1]
 
 
-@exact
+@jit
 def sort_by_cell(cell, wrapped, radius, starts, records, row):
     """Sort particles by cell: a counting sort, stable, that uses `starts` up and restores it.
 
@@ -87,7 +87,7 @@ def sort_by_cell(cell, wrapped, radius, starts, records, row):
     starts[0] = 0
 
 
-@exact
+@jit
 def _reached(x, reach, lower, inverse, count, period):
     """First and last cell that [x - reach, x + reach] meets; beyond 0 ... count - 1 these are periodic images."""
     if count == 1:
@@ -98,13 +98,13 @@ def _reached(x, reach, lower, inverse, count, period):
     return int(first), int(last)
 
 
-@exact
+@jit
 def _image(c, count):
     """How many periods a cell lies away from the box."""
     return -1 if c < 0 else (1 if c >= count else 0)
 
 
-@exact
+@jit
 def find(
     first, last, records, first_record, first_cell, starts, lower, inverse, cells, largest, period, fold,
     skin, slack, left, right,
@@ -194,13 +194,13 @@ def find(
     return left, right, found, tested
 
 
-@exact
+@jit
 def _nearest(d, period):
     """Shortest periodic image of a distance."""
     return d if math.isinf(period) else d - period * np.rint(d / period)
 
 
-@exact
+@jit
 def _grown(buffer, least):
     """Longer copy of a buffer."""
     longer = np.empty(max(least, 2 * buffer.size), buffer.dtype)
@@ -208,7 +208,7 @@ def _grown(buffer, least):
     return longer
 
 
-@exact
+@jit
 def sort_pairs(left, right, row, pairs):
     """Pairs of records as pairs of rows, the lower row first, sorted: two counting sorts, linear in rows + pairs.
 

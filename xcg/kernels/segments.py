@@ -11,8 +11,8 @@ import math
 import numpy as np
 
 from xcg.kernels._jit import jit
-from xcg.kernels.deposit import images, node_range
-from xcg.kernels.weights import segment, value
+from xcg.kernels.nodes import LANES, images, node_range
+from xcg.kernels.weights import fill_gauss, fill_segments
 
 MAX_ORDER = 6
 GAUSS_POINTS = np.zeros((MAX_ORDER + 1, MAX_ORDER))
@@ -24,26 +24,6 @@ for _order in range(1, MAX_ORDER + 1):
 # Below this length (in cutoffs) the closed form loses more digits in its difference than four points leave out.
 SHORT = 1e-4
 SHORT_ORDER = 4
-
-
-@jit
-def _mean(dx, dy, dz, bx, by, bz, length, order, kind, spread, table):
-    """Mean of the kernel over the segment from 0 to b, seen from d; `order` 0 is the closed form."""
-    if order == 0:
-        along = (dx * bx + dy * by + dz * bz) / length
-        px, py, pz = dx - along * bx / length, dy - along * by / length, dz - along * bz / length
-        h2 = px * px + py * py + pz * pz
-        if h2 >= 1.0:
-            return 0.0
-        return segment(kind, spread, table, h2, -along, length - along) / length
-    total = 0.0
-    for g in range(order):
-        u = GAUSS_POINTS[order, g]
-        x, y, z = dx - u * bx, dy - u * by, dz - u * bz
-        q2 = x * x + y * y + z * z
-        if q2 < 1.0:
-            total += GAUSS_WEIGHTS[order, g] * value(kind, spread, table, q2)
-    return total
 
 
 @jit
@@ -59,7 +39,7 @@ def choose_order(length, limits):
 
 @jit
 def deposit_segments(
-    start, branch, force, phase, limits, steps, active, period, kind, spread, table, norm, moments,
+    start, branch, force, phase, limits, shape, slab, steps, active, period, kind, spread, table, norm, moments,
 ):  # fmt: skip
     """Add force x branch of each segment to the nodes that its tube of radius 1 reaches.
 
@@ -75,15 +55,20 @@ def deposit_segments(
         Which group each segment belongs to.
     limits : (k,)
         Longest branch (cutoffs) for which 1, 2, ... k points are accurate enough; empty for the closed form.
-    steps, active, period, kind, spread, table, norm
+    shape, slab, steps, active, period, kind, spread, table, norm
         As in `deposit`.
-    moments : (phases, nx, ny, nz, 9)
+    moments : (phases, nodes, 9)
         Sums, added to: force component by branch component, row by row.
     """
-    nx, ny, nz = moments.shape[1], moments.shape[2], moments.shape[3]
-    last = ((nx - 1) * steps[0], (ny - 1) * steps[1], (nz - 1) * steps[2])
+    ny, nz = shape[1], shape[2]
+    low = (slab[0] * steps[0], 0.0, 0.0)
+    high = ((slab[1] - 1) * steps[0], (ny - 1) * steps[1], (nz - 1) * steps[2])
     reach = (1.0 if active[0] else 0.0, 1.0 if active[1] else 0.0, 1.0 if active[2] else 0.0)
     product = np.zeros(9)
+    most = 256
+    node, along, q2, w = np.empty(most, np.int64), np.empty(most), np.empty(most), np.empty(most)
+    ratio = np.empty(most)
+    bits, exponent = ratio.view(np.int64), np.empty(most, np.int64)
     for i in range(start.shape[0]):
         p = phase[i]
         x0 = start[i, 0] if active[0] else 0.0
@@ -94,24 +79,34 @@ def deposit_segments(
         bz = -branch[i, 2] if active[2] else 0.0
         length = math.sqrt(bx * bx + by * by + bz * bz)
         order = choose_order(length, limits)
+        inverse = 1.0 / length if length > 0.0 else 0.0
+        ex, ey, ez = bx * inverse, by * inverse, bz * inverse
         for j in range(3):
             for k in range(3):
-                product[3 * j + k] = norm * force[i, j] * branch[i, k]
+                product[3 * j + k] = force[i, j] * branch[i, k]
         low_x, high_x = min(0.0, bx) - reach[0], max(0.0, bx) + reach[0]
         low_y, high_y = min(0.0, by) - reach[1], max(0.0, by) + reach[1]
         low_z, high_z = min(0.0, bz) - reach[2], max(0.0, bz) + reach[2]
+        box = (int((high_x - low_x) / steps[0]) + 2) * (int((high_y - low_y) / steps[1]) + 2)
+        box *= int((high_z - low_z) / steps[2]) + 2 + LANES
+        if box > most:
+            most = 2 * box
+            node, along, q2, w = np.empty(most, np.int64), np.empty(most), np.empty(most), np.empty(most)
+            ratio = np.empty(most)
+            bits, exponent = ratio.view(np.int64), np.empty(most, np.int64)
         across2 = bx * bx + by * by
-        first_x, last_x = images(x0, low_x, high_x, last[0], period[0])
-        first_y, last_y = images(y0, low_y, high_y, last[1], period[1])
-        first_z, last_z = images(z0, low_z, high_z, last[2], period[2])
+        first_x, last_x = images(x0, low_x, high_x, low[0], high[0], period[0])
+        first_y, last_y = images(y0, low_y, high_y, low[1], high[1], period[1])
+        first_z, last_z = images(z0, low_z, high_z, low[2], high[2], period[2])
         for image_x in range(first_x, last_x + 1):
             x = x0 + image_x * period[0] if image_x else x0
-            ix0, ix1 = node_range(x + low_x, x + high_x, steps[0], nx)
+            ix0, ix1 = node_range(x + low_x, x + high_x, steps[0], slab[0], slab[1])
             for image_y in range(first_y, last_y + 1):
                 y = y0 + image_y * period[1] if image_y else y0
-                iy0, iy1 = node_range(y + low_y, y + high_y, steps[1], ny)
+                iy0, iy1 = node_range(y + low_y, y + high_y, steps[1], 0, ny)
                 for image_z in range(first_z, last_z + 1):
                     z = z0 + image_z * period[2] if image_z else z0
+                    hits = 0
                     for ix in range(ix0, ix1):
                         dx = ix * steps[0] - x
                         for iy in range(iy0, iy1):
@@ -124,28 +119,61 @@ def deposit_segments(
                             if row2 >= 1.0:
                                 continue
                             half = math.sqrt(1.0 - row2) * reach[2]
-                            iz0, iz1 = node_range(z + min(0.0, bz) - half, z + max(0.0, bz) + half, steps[2], nz)
-                            for iz in range(iz0, iz1):
+                            iz0, iz1 = node_range(z + min(0.0, bz) - half, z + max(0.0, bz) + half, steps[2], 0, nz)
+                            first = (ix * ny + iy) * nz
+                            row_along, row_q2 = dx * ex + dy * ey, dx * dx + dy * dy
+                            for iz in range(iz0, iz1, LANES):
                                 dz = iz * steps[2] - z
-                                w = _mean(dx, dy, dz, bx, by, bz, length, order, kind, spread, table)
-                                if w != 0.0:
-                                    for c in range(9):
-                                        moments[p, ix, iy, iz, c] += w * product[c]
+                                for lane in range(LANES):
+                                    along[hits + lane] = row_along + (dz + lane * steps[2]) * ez
+                                for lane in range(LANES):
+                                    q2[hits + lane] = row_q2 + (dz + lane * steps[2]) ** 2
+                                for lane in range(LANES):
+                                    node[hits + lane] = first + iz + lane
+                                hits += min(LANES, iz1 - iz)
+                    if order:
+                        fill_gauss(
+                            kind, spread, table, norm, GAUSS_POINTS, GAUSS_WEIGHTS, order, length, along, q2, hits, w
+                        )
+                    else:
+                        fill_segments(kind, spread, table, norm, length, along, q2, hits, w, ratio, bits, exponent)
+                    for k in range(hits):
+                        n, v = node[k], w[k]
+                        moments[p, n, 0] += v * product[0]
+                        moments[p, n, 1] += v * product[1]
+                        moments[p, n, 2] += v * product[2]
+                        moments[p, n, 3] += v * product[3]
+                        moments[p, n, 4] += v * product[4]
+                        moments[p, n, 5] += v * product[5]
+                        moments[p, n, 6] += v * product[6]
+                        moments[p, n, 7] += v * product[7]
+                        moments[p, n, 8] += v * product[8]
+
+
+@jit
+def _means(length, order, along, q2, kind, spread, table):
+    """Mean of the kernel over one segment, seen from many nodes; `q2` is overwritten."""
+    out, ratio, exponent = np.zeros(along.size), np.empty(along.size), np.empty(along.size, np.int64)
+    if order:
+        fill_gauss(kind, spread, table, 1.0, GAUSS_POINTS, GAUSS_WEIGHTS, order, length, along, q2, along.size, out)
+    else:
+        fill_segments(
+            kind, spread, table, 1.0, length, along, q2, along.size, out, ratio, ratio.view(np.int64), exponent
+        )
+    return out
 
 
 @jit
 def mean_along(points, end, order, kind, spread, table):
     """Mean of the kernel over the segment from 0 to `end` (m,), seen from points (n, m), all in cutoffs."""
-    out = np.zeros(points.shape[0])
-    b = np.zeros(3)
-    b[: end.size] = end
-    length = math.sqrt(b[0] * b[0] + b[1] * b[1] + b[2] * b[2])
-    d = np.zeros(3)
-    rule = SHORT_ORDER if length < SHORT and order == 0 else order
+    length = math.sqrt((end * end).sum())
+    along, q2 = np.zeros(points.shape[0]), np.zeros(points.shape[0])
     for i in range(points.shape[0]):
-        d[: end.size] = points[i]
-        out[i] = _mean(d[0], d[1], d[2], b[0], b[1], b[2], length, rule, kind, spread, table)
-    return out
+        for k in range(end.size):
+            q2[i] += points[i, k] ** 2
+            along[i] += points[i, k] * end[k] / length if length > 0.0 else 0.0
+    rule = SHORT_ORDER if length < SHORT and order == 0 else order
+    return _means(length, rule, along, q2, kind, spread, table)
 
 
 @jit
@@ -154,13 +182,13 @@ def largest_error(length, order, rows, kind, spread, table):
 
     Scans `rows` distances from the segment's line and 4 `rows` places along it (one row, h = 0, sees one dimension).
     """
-    worst, largest = 0.0, 0.0
     columns = 4 * max(rows, 32)
+    along, q2 = np.empty(rows * (columns + 1)), np.empty(rows * (columns + 1))
     for i in range(rows):
-        h = i / rows
         for j in range(columns + 1):
-            along = -1.0 + (length + 2.0) * j / columns
-            exact = _mean(along, h, 0.0, length, 0.0, 0.0, length, 0, kind, spread, table)
-            rule = _mean(along, h, 0.0, length, 0.0, 0.0, length, order, kind, spread, table)
-            worst, largest = max(worst, abs(rule - exact)), max(largest, exact)
-    return worst / largest
+            t = -1.0 + (length + 2.0) * j / columns
+            along[i * (columns + 1) + j] = t
+            q2[i * (columns + 1) + j] = t * t + (i / rows) ** 2
+    exact = _means(length, 0, along, q2.copy(), kind, spread, table)
+    rule = _means(length, order, along, q2, kind, spread, table)
+    return np.abs(rule - exact).max() / exact.max()

@@ -24,6 +24,8 @@ LUCY, GAUSSIAN, HEAVISIDE, TABLE = 0, 3, 6, 9
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(32)
 _SQRT2 = math.sqrt(2.0)
 _SQRT_PI_2 = math.sqrt(math.pi / 2)
+_LN2 = math.log(2.0)
+_TINY = 1e-290  # keeps the logarithm finite on the segment itself, where its factor h^4 is zero
 
 # --- Lucy: P = 1 - 6 q^2 + 8 q^3 - 3 q^4 = (1 - q)^3 (1 + 3 q) -------------------------------------------
 
@@ -224,6 +226,108 @@ def segment(kind, spread, table, h2, t0, t1):
     lower = _antiderivative(kind, spread, h2, abs(t0))
     upper = _antiderivative(kind, spread, h2, abs(t1))
     return (upper if t1 >= 0.0 else -upper) - (lower if t0 >= 0.0 else -lower)
+
+
+# --- many nodes at once ----------------------------------------------------------------------------------
+
+
+@jit
+def fill_values(kind, spread, table, norm, by_gradient, q2, count, out):
+    """Write norm x value (or gradient) at `count` squared distances; the loop for Lucy vectorises."""
+    if kind == LUCY and not by_gradient:
+        for k in range(count):
+            q = math.sqrt(q2[k])
+            p = 1.0 - q
+            out[k] = norm * (p * p * p * (1.0 + 3.0 * q))
+    elif by_gradient:
+        for k in range(count):
+            out[k] = norm * gradient(kind, spread, table, q2[k])
+    else:
+        for k in range(count):
+            out[k] = norm * value(kind, spread, table, q2[k])
+
+
+@jit
+def fill_gauss(kind, spread, table, norm, points, weights, order, length, along, q2, count, out):
+    """Write norm x mean of the value over segments, by Gauss-Legendre, seen from `count` nodes.
+
+    A node lies at squared distance q2 from the start of its segment, and its foot at `along` from there.
+    """
+    for k in range(count):
+        out[k] = 0.0
+    for g in range(order):
+        u = points[order, g] * length
+        w = weights[order, g] * norm
+        if kind == LUCY:
+            for k in range(count):
+                q = math.sqrt(min(1.0, max(0.0, q2[k] + u * (u - 2.0 * along[k]))))
+                p = 1.0 - q
+                out[k] += w * (p * p * p * (1.0 + 3.0 * q))
+        else:
+            for k in range(count):
+                r2 = max(0.0, q2[k] + u * (u - 2.0 * along[k]))
+                if r2 < 1.0:
+                    out[k] += w * value(kind, spread, table, r2)
+
+
+@jit
+def fill_segments(kind, spread, table, norm, length, along, q2, count, out, ratio, bits, exponent):
+    """Write norm x mean of the value over segments, in closed form, seen from `count` nodes.
+
+    `ratio` and `bits` are scratch, the same memory as floats and as integers, and `exponent` (integers).
+    """
+    if kind == LUCY:
+        _fill_lucy_lines(norm / length, length, along, q2, count, out, ratio, bits, exponent)
+        return
+    for k in range(count):
+        h2 = max(0.0, q2[k] - along[k] * along[k])
+        out[k] = 0.0
+        if h2 < 1.0:
+            out[k] = norm / length * segment(kind, spread, table, h2, -along[k], length - along[k])
+
+
+@jit
+def _fill_lucy_lines(norm, length, along, q2, count, out, ratio, bits, exponent):
+    """As `_lucy_line` at both ends of the clipped segment, in loops that vectorise.
+
+    The two logarithms are one: for ends at distances r0, r1 from the node and l from each other, asinh(t1 / h) -
+    asinh(t0 / h) = log((r0 + r1 + l) / (r0 + r1 - l)).
+    """
+    for k in range(count):
+        t = along[k]
+        h2 = max(0.0, q2[k] - t * t)
+        half = math.sqrt(max(0.0, 1.0 - h2))
+        a, b = max(-t, -half), min(length - t, half)
+        b = max(a, b)
+        a2, b2 = a * a, b * b
+        r0, r1 = math.sqrt(h2 + a2), math.sqrt(h2 + b2)
+        h4 = h2 * h2
+        # P with r^2 = h^2 + t^2, even powers first
+        c0, c2 = 1.0 - 6.0 * h2 - 3.0 * h4, -2.0 - 2.0 * h2
+        even = b * (c0 + b2 * (c2 - 0.6 * b2)) - a * (c0 + a2 * (c2 - 0.6 * a2))
+        odd = b * r1 * (2.0 * b2 + 5.0 * h2) - a * r0 * (2.0 * a2 + 5.0 * h2)
+        out[k] = norm * (even + odd)
+        both, apart = r0 + r1, b - a
+        ratio[k] = (both + apart + _TINY) / (max(0.0, both - apart) + _TINY)
+        q2[k] = 3.0 * norm * h4
+    for k in range(count):  # floats and integers of one memory in separate loops, or none of them vectorises
+        exponent[k] = (bits[k] >> 52) - 1023
+        bits[k] = (bits[k] & 0x000FFFFFFFFFFFFF) | 0x3FF0000000000000
+    for k in range(count):
+        m = ratio[k]  # mantissa, in [1, 2)
+        f = (m - _SQRT2) / (m + _SQRT2)
+        f2 = f * f
+        series = 1.0 / 19.0
+        series = series * f2 + 1.0 / 17.0
+        series = series * f2 + 1.0 / 15.0
+        series = series * f2 + 1.0 / 13.0
+        series = series * f2 + 1.0 / 11.0
+        series = series * f2 + 1.0 / 9.0
+        series = series * f2 + 1.0 / 7.0
+        series = series * f2 + 1.0 / 5.0
+        series = series * f2 + 1.0 / 3.0
+        series = series * f2 + 1.0
+        out[k] += q2[k] * (_LN2 * (exponent[k] + 0.5) + 2.0 * f * series)
 
 
 # --- arrays of points ------------------------------------------------------------------------------------

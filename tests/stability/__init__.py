@@ -1,0 +1,1 @@
+"""Cases where methods of coarse-graining fail: the naive method, and xcg."""
