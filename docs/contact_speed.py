@@ -130,7 +130,7 @@ def _touching(packing: Packing, i: NDArray, j: NDArray) -> NDArray:
 
 
 def with_freud(packing: Packing, repeat: int) -> Measured | None:
-    """freud's two searches, the faster; None where it can't search that far (half the box) or is not installed."""
+    """freud's AABBQuery (its LinkCell takes minutes); None where freud is absent or can't reach past half the box."""
     try:
         import freud
     except ImportError:
@@ -144,19 +144,13 @@ def with_freud(packing: Packing, repeat: int) -> Measured | None:
     some = np.linspace(0, count - 1, min(count, max(100, int(2e6 / within * count))), dtype=int)
     box = freud.box.Box.cube(packing.edge)
 
-    def run(make: Callable[[], object]) -> float:
-        build = seconds(make, repeat)
-        found = make()
+    def query() -> NDArray:
+        pairs = freud.locality.AABBQuery(box, x).query(x[some], {"r_max": reach}).toNeighborList()
+        i, j = some[pairs.query_point_indices], pairs.point_indices.astype(int)
+        return _touching(packing, i[i < j], j[i < j])
 
-        def query() -> NDArray:
-            pairs = found.query(x[some], {"r_max": reach}).toNeighborList()  # type: ignore[attr-defined]
-            i, j = some[pairs.query_point_indices], pairs.point_indices.astype(int)
-            return _touching(packing, i[i < j], j[i < j])
-
-        return build / count + seconds(query, repeat) / len(some)
-
-    ways = (lambda: freud.locality.AABBQuery(box, x), lambda: freud.locality.LinkCell(box, x, reach))
-    return Measured(min(run(make) for make in ways), len(some) < count)
+    build = seconds(lambda: freud.locality.AABBQuery(box, x), repeat)
+    return Measured((build + (seconds(query, repeat) - build) * count / len(some)) / count, len(some) < count)
 
 
 def measure(kind: str, count: int, ratios: tuple[int, ...], repeat: int) -> list[dict]:
