@@ -1,5 +1,7 @@
 """Microstructure against closed forms, brute force, and real packings."""
 
+from pathlib import Path
+
 import dask
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from hypothesis import strategies as st
 import xcg
 from tests import shared_data, steps_of_random_scenes
 from xcg.contacts import Contacts
+from xcg.microstructure import NAMES
 from xcg.quantities import QUANTITIES
 
 
@@ -287,6 +290,19 @@ def test_every_quantity_has_a_unit_and_a_name():
     assert m.d_bar.attrs["units"] == "m"
     assert m.strain_rate.attrs["units"] == "s-1"
     assert "microstructure(" in m.attrs["history"]
+
+
+def test_documentation_names_every_quantity():
+    page = (Path(__file__).parents[1] / "docs" / "microstructure.md").read_text()
+    assert [name for name in NAMES if f"`{name}`" not in page] == []
+
+
+def test_history_is_one_line_a_call():
+    ds = xcg.datasets.random_scene(20)
+    rate = xr.DataArray([0.2], dims="time", coords={"time": ds.time})
+    m = ds.cg.microstructure("d50", strain_rate=rate, force_bins=np.logspace(-3, 1, 41))
+    (line,) = m.attrs["history"].splitlines()
+    assert "strain_rate=<array (1,)>, strain='logarithmic'" in line
 
 
 def test_frozen_grains_act_as_walls():

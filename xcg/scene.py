@@ -322,7 +322,8 @@ def measure(ds: xr.Dataset) -> xr.Dataset:
 
 def with_history(ds: xr.Dataset, function: str, given: Mapping[str, Any]) -> str:
     """Return the history of a Dataset with one line more: when, by which version, which call."""
-    call = ", ".join(f"{k}={v!r}" for k, v in given.items())
+    shown = {k: f"<array {np.shape(v)}>" if np.ndim(v) and hasattr(v, "dtype") else repr(v) for k, v in given.items()}
+    call = ", ".join(f"{k}={v}" for k, v in shown.items())
     stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     line = f"{stamp} xcg {version('xcg')}: {function}({call})"
     earlier = ds.attrs.get("history")
