@@ -286,10 +286,9 @@ def microstructure(
     given = {k: v for k, v in locals().items() if k != "ds" and v is not None}
     require_scene(ds, (), "microstructure")
     _check(min_contacts, rattlers, max_connectivity, strain)
-    setup = setup_of(ds)
+    setup, regions = setup_of(ds), _regions(bounds)
     rate = _rate_source(ds, strain_rate)
     names = _choose(ds, quantities, rate)
-    setup, regions = setup_of(ds), _regions(bounds)
     if axis is not None and axis not in setup.plane:
         msg = f"axis={axis!r}: expected one of {', '.join(setup.plane)}"
         raise ValueError(msg)
@@ -302,11 +301,9 @@ def microstructure(
         min_contacts=int(min_contacts), iterative=rattlers == "iterative", max_connectivity=int(max_connectivity),
         force_bins=_force_bins(force_bins),
     )  # fmt: skip
-    extra = {by} if by else set()
-    extra |= {
-        name for name in ("frozen", "contact_normal") if name in ds and (name == "frozen" or needed & set(CONTACTS))
-    }
-    read = [str(name) for name in ds.data_vars if name in needed | extra | {"particle_id", "position"}]
+    extra = {"particle_id", "position", "frozen", *([by] if by else [])}
+    extra |= {"contact_normal"} if needed & set(CONTACTS) else set()
+    read = [str(name) for name in ds.data_vars if name in needed | extra]
     outputs = {name: Output((len(regions), measure.phases, *measure.sizes(name))) for name in measured}
     arrays = map_over_time(ds, read, measure, outputs, "microstructure") if measured else {}
     result = _label(ds, arrays, measure, regions)
