@@ -13,11 +13,13 @@ FLOORS = [
     ["schema", "smoothing"],
     ["complete", "grid"],
     ["cells", "scene"],
-    ["contacts", "moments", "over_time"],
-    ["fields", "quantities"],
-    ["plan", "readers", "writers"],
-    ["coarse_grain", "datasets", "detection", "microstructure"],
-    ["accessor"],
+    ["contacts", "moments", "over_time", "regions"],
+    ["fields", "labels", "quantities"],
+    ["plan", "readers"],
+    ["coarse_grain", "datasets", "detection", "microstructure", "particle_stress"],
+    ["balance", "width_sweep", "chain_results"],
+    ["chains", "chain_plots", "chain_selection", "chain_tables", "chain_tracks", "writers"],
+    ["accessor", "cli_chains"],
     ["__init__"],
 ]
 

@@ -37,8 +37,10 @@ def test_pairs(tmp_path):
     path = str(write(tmp_path / "pair.txt", pairs_text([PAIR], COLUMNS)))
     (ref,) = liggghts.index_contacts([path], DEFAULTS)
     frame = liggghts.read_contacts(ref, DEFAULTS)
-    assert set(frame) == set(liggghts.contact_variables(ref, DEFAULTS))
+    # the normal follows from the branch where the periods are known
+    assert set(frame) - {"contact_branch"} | {"contact_normal"} == set(liggghts.contact_variables(ref, DEFAULTS))
     assert (frame["contact_i"], frame["contact_j"], frame["overlap"]) == (7, 4, 0.1)
+    np.testing.assert_allclose(frame["contact_branch"], [[-0.9, 0, 0]])
     np.testing.assert_array_equal(frame["contact_force"], [[-3, 2, 1]])
 
 
@@ -49,12 +51,13 @@ def test_walls(tmp_path):
     assert (frame["contact_i"], frame["contact_j"], frame["overlap"]) == (7, -3, 0.05)
     np.testing.assert_array_equal(frame["contact_point"], [[1, 1, 0]])
     np.testing.assert_array_equal(frame["contact_force"], [[0.5, 0.25, 8]])
+    np.testing.assert_allclose(frame["contact_branch"], [[0, 0, 0.45]])
 
 
 def test_without_overlap(tmp_path):
     text = pairs_text([PAIR.rsplit(" ", 1)[0]], COLUMNS.rsplit(" ", 1)[0])
     (ref,) = liggghts.index_contacts([str(write(tmp_path / "pair.txt", text))], DEFAULTS)
-    assert set(liggghts.read_contacts(ref, DEFAULTS)) == {"contact_i", "contact_j", "contact_force"}
+    assert set(liggghts.read_contacts(ref, DEFAULTS)) == {"contact_i", "contact_j", "contact_force", "contact_branch"}
 
 
 def test_other_layouts_are_mapped(tmp_path):
@@ -121,6 +124,21 @@ def test_contact_points(box):
     arm = np.linalg.norm(minimum_image(point - step.position.values[row], period), axis=1)
     np.testing.assert_allclose(arm, radius - np.where(j < 0, overlap, overlap / 2), atol=2e-8)
     assert (j[j < 0] == -1).all()
+
+
+def test_normals(box):
+    """Normals of pairs from the file's positions are those of the particles; those of walls point off the wall."""
+    step = box.isel(time=0)
+    valid = step.contact_i.values >= 0
+    i, j, point, normal = (
+        step[name].values[valid] for name in ("contact_i", "contact_j", "contact_point", "contact_normal")
+    )
+    arm = minimum_image(
+        step.position.values[np.searchsorted(step.particle_id.values, i)] - point, np.array([0.05, 0.05, np.inf])
+    )
+    arm /= np.linalg.norm(arm, axis=1, keepdims=True)
+    np.testing.assert_allclose(normal[j >= 0], arm[j >= 0], atol=1e-4)
+    np.testing.assert_allclose(normal[j < 0], np.tile([0, 0, 1.0], ((j < 0).sum(), 1)), atol=1e-3)
 
 
 def test_time_and_density(box):

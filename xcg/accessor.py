@@ -5,24 +5,35 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import xarray as xr
 
+from xcg.balance import balance
+from xcg.chain_plots import plot_chains, plot_lengths, plot_rose
+from xcg.chain_results import summary_of_chains
+from xcg.chain_selection import select_chains
+from xcg.chain_tables import chain_table, link_table
+from xcg.chain_tracks import track_chains
+from xcg.chains import force_chains
 from xcg.coarse_grain import coarse_grain
 from xcg.detection import find_contacts
 from xcg.microstructure import microstructure
+from xcg.particle_stress import particle_stress
 from xcg.plan import Plan, make_plan
+from xcg.regions import Region
 from xcg.scene import measure, summary
+from xcg.width_sweep import width_sweep
 
 
 @xr.register_dataset_accessor("cg")
 class CoarseGrainAccessor:
-    """Coarse-graining of a scene, and saving of its fields."""
+    """Fields and force chains of a scene, and saving of them."""
 
     def __init__(self, ds: xr.Dataset) -> None:
         self._ds = ds
 
     def __repr__(self) -> str:
-        return summary(self._ds)
+        return summary_of_chains(self._ds) if "chain_id" in self._ds else summary(self._ds)
 
     def coarse_grain(self, fields: Any = None, **options: Any) -> xr.Dataset:
         """Coarse-grain the scene, see `xcg.coarse_grain`."""
@@ -31,6 +42,24 @@ class CoarseGrainAccessor:
     def explain(self, fields: Any = None, **options: Any) -> Plan:
         """Say what `coarse_grain` with the same arguments will do: print the plan that this returns."""
         return make_plan(self._ds, fields, **options)
+
+    def particle_stress(self, **options: Any) -> xr.Dataset:
+        """Stress of each particle, see `xcg.particle_stress`."""
+        return particle_stress(self._ds, **options)
+
+    def force_chains(
+        self, alpha: float = 45.0, threshold: Any = None, min_length: int = 3, **options: Any
+    ) -> xr.Dataset:
+        """Force chains of each step, see `xcg.force_chains`."""
+        return force_chains(self._ds, alpha, threshold, min_length, **options)
+
+    def width_sweep(self, widths: Any, fields: Any = None, **options: Any) -> xr.Dataset:
+        """Coarse-grain with several widths and find the plateau, see `xcg.width_sweep`."""
+        return width_sweep(self._ds, widths, fields, **options)
+
+    def balance(self, **options: Any) -> xr.Dataset:
+        """Residuals of the balance laws, see `xcg.balance`."""
+        return balance(self._ds, **options)
 
     def measure(self) -> xr.Dataset:
         """Measure sizes and extent of all steps, see `xcg.measure`."""
@@ -44,8 +73,49 @@ class CoarseGrainAccessor:
         """Measure the microstructure of the packing, see `xcg.microstructure`."""
         return microstructure(self._ds, quantities, **options)
 
-    def to_vtkhdf(self, path: str | Path, *, overwrite: bool = False) -> Path:
-        """Write fields as one temporal VTKHDF file, see `xcg.writers.vtkhdf.to_vtkhdf`."""
-        from xcg.writers.vtkhdf import to_vtkhdf
+    def select_chains(self, region: Region | None = None, **conditions: Any) -> xr.Dataset:
+        """Keep the chains that fulfil a condition, see `xcg.select_chains`."""
+        return select_chains(self._ds, region, **conditions)
 
-        return to_vtkhdf(self._ds, path, overwrite=overwrite)
+    def track_chains(self, overlap: float = 0.5) -> xr.Dataset:
+        """Follow chains over time, see `xcg.track_chains`."""
+        return track_chains(self._ds, overlap)
+
+    def chain_table(self) -> pd.DataFrame:
+        """List all chains, see `xcg.chain_table`."""
+        return chain_table(self._ds)
+
+    def link_table(self) -> pd.DataFrame:
+        """List all links, see `xcg.link_table`."""
+        return link_table(self._ds)
+
+    def plot_chains(self, **options: Any) -> Any:
+        """Draw the chains of one step of a one-layer scene, see `xcg.plot_chains`."""
+        return plot_chains(self._ds, **options)
+
+    def plot_lengths(self, **options: Any) -> Any:
+        """Draw the distribution of chain lengths, see `xcg.plot_lengths`."""
+        return plot_lengths(self._ds, **options)
+
+    def plot_rose(self, **options: Any) -> Any:
+        """Draw the directions of links, see `xcg.plot_rose`."""
+        return plot_rose(self._ds, **options)
+
+    def to_csv(self, path: str | Path, *, overwrite: bool = False) -> list[Path]:
+        """Write chains in the columns of Force Chain Finder, see `xcg.writers.chains.to_csv`."""
+        from xcg.writers import chains
+
+        return chains.to_csv(self._ds, path, overwrite=overwrite)
+
+    def to_vtp(self, path: str | Path, *, overwrite: bool = False) -> list[Path]:
+        """Write chains as VTK PolyData, see `xcg.writers.chains.to_vtp`."""
+        from xcg.writers import chains
+
+        return chains.to_vtp(self._ds, path, overwrite=overwrite)
+
+    def to_vtkhdf(self, path: str | Path, *, overwrite: bool = False) -> Path:
+        """Write fields or chains as temporal VTKHDF, see `to_vtkhdf` in `xcg.writers` `vtkhdf` and `chains`."""
+        from xcg.writers import chains, vtkhdf
+
+        writer = chains if "chain_id" in self._ds else vtkhdf
+        return writer.to_vtkhdf(self._ds, path, overwrite=overwrite)

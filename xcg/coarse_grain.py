@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from xcg import fields as registry
 from xcg.complete import periods
+from xcg.labels import about, call_of
 from xcg.moments import sums_of_frame
-from xcg.over_time import Output, map_over_time
+from xcg.over_time import map_over_time, steps_in
 from xcg.plan import Plan, make_plan, scale_of
-from xcg.scene import with_history
 from xcg.schema import COMPONENTS, Frame, units_of
 from xcg.smoothing import Kernel
 
@@ -104,16 +104,25 @@ def coarse_grain(
     """
     given = {k: v for k, v in locals().items() if k != "ds" and v is not None}
     plan = make_plan(**{"ds": ds, **given})
-    outputs = {name: Output(plan.shape(name)) for name in plan.fields}
-    arrays = map_over_time(ds, plan.variables, partial(compute_step, plan), outputs, "coarse-grain")
+    names = [*plan.variables, *(name for name in ("box", "step") if name in ds)]
+    results = {field: (plan.shape(field), "float64") for field in plan.fields}
+    arrays = map_over_time(ds, names, partial(compute_chunk, plan), results, "coarse-grain")
     return _label(ds, plan, arrays, given)
+
+
+def compute_chunk(plan: Plan, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
+    """Fields of one chunk of time, from padded arrays."""
+    out = {name: np.empty((len(arrays["particle_id"]), *plan.shape(name))) for name in plan.fields}
+    for t, (frame, box, where) in enumerate(steps_in(arrays)):
+        _compute_step(plan, frame, box, where, {name: a[t, ...] for name, a in out.items()})
+    return out
 
 
 # The algebra runs over this many nodes at a time, so that its intermediate results stay in cache.
 BLOCK = 4096
 
 
-def compute_step(plan: Plan, frame: Frame, box: NDArray | None, where: str, out: Mapping[str, NDArray]) -> None:
+def _compute_step(plan: Plan, frame: Frame, box: NDArray | None, where: str, out: Mapping[str, NDArray]) -> None:
     """Compute the fields of one step into arrays (axes, phase, ...)."""
     period = periods(box, plan.setup.periodic, where)
     sums = sums_of_frame(frame, plan.recipe, period, scale_of(plan, box, where), where)
@@ -151,13 +160,8 @@ def _label(ds: xr.Dataset, plan: Plan, arrays: Mapping[str, Any], given: Mapping
 
 
 def _provenance(ds: xr.Dataset, plan: Plan, given: Mapping[str, Any]) -> dict[str, Any]:
-    kept = {
-        k: ds.attrs[k]
-        for k in ("Conventions", "periodic", "gravity", "unit_system", "dimension", "plane")
-        if k in ds.attrs
-    }
     return {
-        **kept,
+        **about(ds, call_of("coarse_grain", given)),
         "kernel": plan.kernel.name,
         "width": plan.kernel.width,
         "cutoff": plan.kernel.cutoff,
@@ -165,5 +169,4 @@ def _provenance(ds: xr.Dataset, plan: Plan, given: Mapping[str, Any]) -> dict[st
         "rtol": plan.rtol,
         "gradient": plan.options.gradient,
         "averaged_axes": plan.recipe.grid.averaged,
-        "history": with_history(ds, "coarse_grain", given),
     }

@@ -144,6 +144,9 @@ def rows_of(ids: NDArray, wanted: NDArray) -> NDArray:
     """Row of each wanted id among sorted ids, -1 where it is not there."""
     if not len(ids):
         return np.full(len(wanted), -1)
+    if ids[-1] - ids[0] + 1 == len(ids):  # no gaps: nothing to search for
+        row = wanted - ids[0]
+        return np.where((row >= 0) & (row < len(ids)), row, -1)
     row = np.minimum(np.searchsorted(ids, wanted), len(ids) - 1)
     return np.where(ids[row] == wanted, row, -1)
 
@@ -165,7 +168,8 @@ def complete_contacts(
     Parameters
     ----------
     frame : mapping
-        Arrays by scene name, at least ``contact_i``, ``contact_j`` (n,) and ``contact_force`` (n, 3).
+        Arrays by scene name, at least ``contact_i``, ``contact_j`` (n,) and ``contact_force`` (n, 3). A vector
+        ``contact_branch`` (n, 3) from j, or the wall, to i, of any image, becomes the normal.
     particles : Frame
         The particles of the same step, completed.
     box : array (3, 2) or None
@@ -179,7 +183,10 @@ def complete_contacts(
         For unknown ids, a particle in contact with itself, values that are not finite, or a contact point that
         is missing and cannot be derived.
     """
-    given = _typed(frame, setup, where)
+    given = _typed({name: values for name, values in frame.items() if name != "contact_branch"}, setup, where)
+    if "contact_branch" in frame and "contact_normal" not in given:
+        period = periods(box, setup.periodic, where)
+        given["contact_normal"] = _normals(np.asarray(frame["contact_branch"]) * setup.scales[0], period)
     missing = [name for name in ("contact_i", "contact_j", "contact_force") if name not in given]
     if missing:
         msg = f"{where}: contacts lack {missing}; map the file's names to these with names={{...}}"
@@ -212,6 +219,13 @@ def complete_contacts(
             given, particles, row_i, row_j, periods(box, setup.periodic, where), where
         )
     return given
+
+
+def _normals(branch: NDArray, period: NDArray) -> NDArray:
+    """Make unit vectors of the nearest images of branches; zero where these are zero."""
+    nearest = minimum_image(branch, period)
+    length = np.linalg.norm(nearest, axis=1, keepdims=True)
+    return np.divide(nearest, length, out=np.zeros_like(nearest), where=length > 0)
 
 
 def _contact_points(

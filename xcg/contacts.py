@@ -6,22 +6,24 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xcg.cells import CellLists
-from xcg.complete import minimum_image, periods, rows_of
+from xcg.complete import periods, rows_of
 from xcg.kernels.neighbours import sort_pairs
-from xcg.kernels.rows import add_rows, peel
+from xcg.kernels.rows import add_dyads, add_rows, nearest_image, peel
 from xcg.scene import box_array
 from xcg.schema import Frame, SceneError
 
 # Branches closer to one line than this (sine of their angle) share one segment from centre to centre; the
 # contact point is then off that line by no more than the rounding of its coordinates.
 COLLINEAR = 1e-12
+# Contacts are those of spheres where the branches are as spheres have them, to this share of the radius.
+SPHERES = 1e-2
 
 
 @dataclass(frozen=True)
@@ -36,8 +38,8 @@ class Contacts:
         Force on i (N); zero where the frame has no forces.
     branch_i, branch_j : array (n, 3)
         From the contact point to the centre, ``r_i - c`` (m), nearest image; zero for a partner that is not there.
-    normal : array (n, 3)
-        Unit vector from j to i; zero where it is undefined.
+    given_normal : array (n, 3) or None
+        Unit vector from j to i, where the data hold it.
     point : array (n, 3)
         Contact point (m).
     key_i, key_j : array (n,)
@@ -51,7 +53,7 @@ class Contacts:
     force: NDArray
     branch_i: NDArray
     branch_j: NDArray
-    normal: NDArray
+    given_normal: NDArray | None
     point: NDArray
     key_i: NDArray
     key_j: NDArray
@@ -63,21 +65,39 @@ class Contacts:
         ids, position = frame["particle_id"], frame["position"]
         key_i, key_j, point = frame["contact_i"], frame["contact_j"], frame["contact_point"]
         row_i, row_j = rows_of(ids, key_i), rows_of(ids, key_j)
-        branches = []
-        for row in (row_i, row_j):
-            branch = np.zeros((len(row), 3))
-            here = row >= 0
-            branch[here] = minimum_image(position[row[here]] - point[here], period)
-            branches.append(branch)
-        if "contact_normal" in frame:
-            normal = frame["contact_normal"]
-        else:
-            normal = np.where((row_i >= 0)[:, None], branches[0], -branches[1])
-            length = np.linalg.norm(normal, axis=1, keepdims=True)
-            normal = np.divide(normal, length, out=np.zeros_like(normal), where=length > 0)
+        branch_i, branch_j = np.empty_like(point), np.empty_like(point)
+        nearest_image(position, row_i, point, period, branch_i)
+        nearest_image(position, row_j, point, period, branch_j)
+        normal = frame.get("contact_normal")
         # contacts found from positions without a stiffness have no forces
         force = frame.get("contact_force", np.zeros_like(point))
-        return cls(row_i, row_j, force, branches[0], branches[1], normal, point, key_i, key_j, len(ids))
+        return cls(row_i, row_j, force, branch_i, branch_j, normal, point, key_i, key_j, len(ids))
+
+    def with_overlaps(self, diameter: NDArray, overlap: NDArray) -> Contacts:
+        """Return the contacts with branches of spheres as the code had them: ``a = n (R - overlap/2)``.
+
+        Text files hold normals and overlaps with more digits than positions can tell. Contacts whose branches differ
+        from that by more than `SPHERES` of a radius are not between spheres, and stay as they are.
+        """
+        both = np.flatnonzero((self.i >= 0) & (self.j >= 0))
+        normal, spheres, branches = self.normal[both], np.ones(len(both), bool), []
+        for row, given, sign in ((self.i, self.branch_i, 1.0), (self.j, self.branch_j, -1.0)):
+            radius = diameter[row[both]] / 2
+            branch = sign * (radius - overlap[both] / 2)[:, None] * normal
+            spheres &= np.linalg.norm(branch - given[both], axis=1) <= SPHERES * radius
+            branches.append(branch)
+        branch_i, branch_j = self.branch_i.copy(), self.branch_j.copy()
+        branch_i[both[spheres]], branch_j[both[spheres]] = branches[0][spheres], branches[1][spheres]
+        return replace(self, branch_i=branch_i, branch_j=branch_j)
+
+    @cached_property
+    def normal(self) -> NDArray:
+        """Unit vector from j to i, along the branch where none is given; zero where it is undefined; (n, 3)."""
+        if self.given_normal is not None:
+            return self.given_normal
+        normal = np.where((self.i >= 0)[:, None], self.branch_i, -self.branch_j)
+        length = np.linalg.norm(normal, axis=1, keepdims=True)
+        return np.divide(normal, length, out=np.zeros_like(normal), where=length > 0)
 
     def sum_over_particles(self, on_i: NDArray, on_j: NDArray) -> NDArray:
         """Sum what each contact gives to its two particles; arrays (n, ...) to (particles, ...)."""
@@ -116,6 +136,14 @@ class Contacts:
         """Sum over contacts of n n for each particle (particles, 3, 3)."""
         product = self.normal[:, :, None] * self.normal[:, None, :]
         return self.sum_over_particles(product, product)
+
+    @property
+    def dyads(self) -> NDArray:
+        """Sum over contacts of f a for each particle, force times branch (J); shape (particles, 3, 3)."""
+        total = np.zeros((self.count, 3, 3))
+        add_dyads(self.i, 1.0, self.force, self.branch_i, total)
+        add_dyads(self.j, -1.0, self.force, self.branch_j, total)
+        return total
 
     @property
     def forces(self) -> NDArray:

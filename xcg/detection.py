@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from xcg.complete import contact_points, minimum_image, periods
 from xcg.contacts import check_search, find_pairs
-from xcg.over_time import Output, inputs_of, is_lazy, map_over_time, steps_in
-from xcg.scene import require_scene, setup_of, stack, with_history
+from xcg.labels import about, call_of
+from xcg.over_time import is_lazy, map_over_time, steps_in
+from xcg.scene import require_scene, setup_of, stack
 from xcg.schema import Frame, SceneError, Setup, units_of, variable
 
 READ = ("particle_id", "position", "diameter")
@@ -93,10 +94,11 @@ class Search:
         """Variables that are added."""
         return (*FOUND, "contact_force") if self.stiffness.given else FOUND
 
-    def __call__(self, frame: Frame, box: NDArray | None, where: str, out: Mapping[str, NDArray]) -> None:
-        """Write the contacts of one frame into padded arrays."""
-        for name, values in self.contacts(frame, box, where).items():
-            out[name][: len(values)] = values
+    def __call__(self, arrays: Mapping[str, NDArray]) -> Frame:
+        """Contacts of one chunk of time, padded to `most` rows, or as many as the largest step has."""
+        frames = [self.contacts(*step) for step in steps_in(arrays)]
+        rows = max(len(frame["overlap"]) for frame in frames) if self.most is None else self.most
+        return stack(frames, self.names, rows)
 
     def contacts(self, frame: Frame, box: NDArray | None, where: str) -> Frame:
         """Contacts of one frame."""
@@ -211,13 +213,9 @@ def find_contacts(
         most = MOST_CONTACTS[setup.dimension] * ds.sizes["particle"]
     # under dask other steps keep the other cores busy
     search = Search(setup, Stiffness(k_n, E, nu), skin, method, levels, most, threads=1 if lazy else None)
-    if most is None:
-        frames = [search.contacts(*step) for step in steps_in(inputs_of(ds, read))]
-        arrays = stack(frames, search.names, max(len(frame["overlap"]) for frame in frames))
-    else:
-        rows = {name: variable(name) for name in search.names}
-        outputs = {name: Output(row.shape(most), row.dtype, row.fill) for name, row in rows.items()}
-        arrays = map_over_time(ds, read, search, outputs, "find-contacts")
+    results = {name: (variable(name).shape(most or 0), variable(name).dtype) for name in search.names}
+    names = [*read, *(name for name in ("box", "step") if name in ds)]
+    arrays = map_over_time(ds, names, search, results, "find-contacts")
     return _label(ds, arrays, search, given)
 
 
@@ -230,4 +228,4 @@ def _label(ds: xr.Dataset, arrays: Mapping[str, Any], search: Search, given: Map
             attrs["estimated"] = f"normal force from the overlap of spheres: {search.stiffness}"
         data[name] = xr.Variable(("time", *row.dims), values, attrs)
     bare = ds.drop_dims("contact", errors="ignore")
-    return bare.assign(data).assign_attrs(history=with_history(ds, "find_contacts", given))
+    return bare.assign(data).assign_attrs(history=about(ds, call_of("find_contacts", given))["history"])

@@ -13,11 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from xcg.complete import periods
 from xcg.contacts import Contacts
+from xcg.labels import about, call_of
 from xcg.moments import phase_of, without_frozen
-from xcg.over_time import Output, map_over_time
-from xcg.plan import depth_of, edges_of, groups_of
+from xcg.over_time import map_over_time, steps_in
+from xcg.plan import edges_of, groups_of, layer_depth
 from xcg.quantities import CONTACTS, QUANTITIES, TENSOR, ratio
-from xcg.scene import require_scene, setup_of, with_history
+from xcg.scene import require_scene, setup_of
 from xcg.schema import COMPONENTS, Frame, Setup, units_of
 
 Bounds = Mapping[str, Sequence[float]]
@@ -77,7 +78,18 @@ class Measure:
         lengths = {"partners": self.max_connectivity + 1, "force_ratio": len(self.force_bins) - 1}
         return tuple(lengths.get(dim, 3) for dim in QUANTITIES[name].dims)
 
-    def __call__(self, frame: Frame, box: NDArray | None, where: str, out: Mapping[str, NDArray]) -> None:
+    def shape(self, name: str) -> tuple[int, ...]:
+        """Shape of one step of a quantity: region, phase, its own dimensions."""
+        return (len(self.regions), self.phases, *self.sizes(name))
+
+    def __call__(self, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
+        """Quantities of one chunk of time."""
+        out = {name: np.empty((len(arrays["particle_id"]), *self.shape(name))) for name in self.names}
+        for t, step in enumerate(steps_in(arrays)):
+            self.measure(*step, {name: a[t] for name, a in out.items()})
+        return out
+
+    def measure(self, frame: Frame, box: NDArray | None, where: str, out: Mapping[str, NDArray]) -> None:
         """Write the quantities of one frame into arrays (region, phase, ...)."""
         period = periods(box, self.setup.periodic, where)
         frame = without_frozen(frame)
@@ -297,15 +309,16 @@ def microstructure(
     require_scene(ds, sorted(needed), f"microstructure ({', '.join(names)})")
     measure = Measure(
         names=measured, setup=setup, regions=tuple(regions.values()), by=by,
-        groups=() if by is None else groups_of(ds, by, groups), depth=depth_of(ds, setup, edges_of(ds)),
+        groups=() if by is None else groups_of(ds, by, groups), depth=layer_depth(ds, setup, edges_of(ds)),
         min_contacts=int(min_contacts), iterative=rattlers == "iterative", max_connectivity=int(max_connectivity),
         force_bins=_force_bins(force_bins),
     )  # fmt: skip
     extra = {"particle_id", "position", "frozen", *([by] if by else [])}
     extra |= {"contact_normal"} if needed & set(CONTACTS) else set()
-    read = [str(name) for name in ds.data_vars if name in needed | extra]
-    outputs = {name: Output((len(regions), measure.phases, *measure.sizes(name))) for name in measured}
-    arrays = map_over_time(ds, read, measure, outputs, "microstructure") if measured else {}
+    read = [str(name) for name in ds.data_vars if name in needed | extra and name != "box"]
+    read += [name for name in ("box", "step") if name in ds]
+    results = {name: (measure.shape(name), "float64") for name in measured}
+    arrays = map_over_time(ds, read, measure, results, "microstructure") if measured else {}
     result = _label(ds, arrays, measure, regions)
     return _with_series(ds, result, names, rate, strain, axis or setup.plane[-1], given)
 
@@ -457,8 +470,7 @@ def _with_series(
             "formula": f"strain_rate {INERTIAL[name]} sqrt(particle_density / mean_stress)",
         }
         result[name] = number.transpose(*pressure.dims).drop_attrs().assign_attrs(attrs)
-    about = {k: ds.attrs[k] for k in ("Conventions", "periodic", "unit_system", "dimension", "plane") if k in ds.attrs}
-    return result[list(names)].assign_attrs(about, history=with_history(ds, "microstructure", given))
+    return result[list(names)].assign_attrs(about(ds, call_of("microstructure", given)))
 
 
 def _deviatoric(rates: xr.DataArray, dimension: int) -> xr.DataArray:

@@ -290,7 +290,7 @@ def make_plan(
     read = [n for n in ds.data_vars if n in variables | extra]
     return Plan(
         fields=names, variables=tuple(map(str, read)), recipe=recipe, options=options, kernel=chosen,
-        extent=_extents(grid, extent or {}, edges), depth=depth_of(ds, setup, edges), setup=setup, rtol=rtol,
+        extent=_extents(grid, extent or {}, edges), depth=layer_depth(ds, setup, edges), setup=setup, rtol=rtol,
     )  # fmt: skip
 
 
@@ -342,7 +342,7 @@ def _extents(
     return found
 
 
-def depth_of(ds: xr.Dataset, setup: Setup, edges: Mapping[str, tuple[float, float]]) -> float | str | None:
+def layer_depth(ds: xr.Dataset, setup: Setup, edges: Mapping[str, tuple[float, float]]) -> float | str | None:
     """Thickness of a layer, or the axis whose box extent it is."""
     if setup.dimension == 3:
         return None

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from datetime import UTC, datetime
-from importlib.metadata import version
 from typing import Any
 
 import numpy as np
@@ -318,16 +316,6 @@ def measure(ds: xr.Dataset) -> xr.Dataset:
         arrays = {name: ds[name].isel(time=[t]).transpose("time", ...).to_numpy() for name in names}
         frames.append(frame_of(arrays, 0))
     return ds.assign_attrs(measure_frames(frames))
-
-
-def with_history(ds: xr.Dataset, function: str, given: Mapping[str, Any]) -> str:
-    """Return the history of a Dataset with one line more: when, by which version, which call."""
-    shown = {k: f"<array {np.shape(v)}>" if np.ndim(v) and hasattr(v, "dtype") else repr(v) for k, v in given.items()}
-    call = ", ".join(f"{k}={v}" for k, v in shown.items())
-    stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-    line = f"{stamp} xcg {version('xcg')}: {function}({call})"
-    earlier = ds.attrs.get("history")
-    return line if earlier is None else f"{earlier}\n{line}"
 
 
 def summary(ds: xr.Dataset) -> str:

@@ -1,10 +1,9 @@
 """Velocity gradients of the best linear fit: small symmetric systems, rank-aware."""
 
-import math
-
 import numpy as np
 
 from xcg.kernels._jit import jit
+from xcg.kernels.eigen import diagonalise
 
 
 @jit
@@ -77,7 +76,7 @@ def _pseudo_inverse(matrix, vectors, inverse, rounding):
         inverse[0, 2] = inverse[2, 0] = c02 / determinant
         inverse[1, 2] = inverse[2, 1] = (matrix[0, 1] * matrix[0, 2] - matrix[0, 0] * matrix[1, 2]) / determinant
         return 3
-    _diagonalise(matrix, vectors)
+    diagonalise(matrix, vectors)
     largest = max(matrix[0, 0], matrix[1, 1], matrix[2, 2])
     rank = 0
     for k in range(3):
@@ -89,32 +88,3 @@ def _pseudo_inverse(matrix, vectors, inverse, rounding):
         else:
             matrix[k, k] = 0.0
     return rank
-
-
-@jit
-def _diagonalise(matrix, vectors):
-    """Cyclic Jacobi rotations: eigenvalues on the diagonal of `matrix`, eigenvectors in the columns of `vectors`."""
-    vectors[:] = 0.0
-    for k in range(3):
-        vectors[k, k] = 1.0
-    for _ in range(12):
-        off = matrix[0, 1] ** 2 + matrix[0, 2] ** 2 + matrix[1, 2] ** 2
-        if off <= 1e-40 * (matrix[0, 0] ** 2 + matrix[1, 1] ** 2 + matrix[2, 2] ** 2):
-            break
-        for p in range(2):
-            for q in range(p + 1, 3):
-                if matrix[p, q] == 0.0:
-                    continue
-                ratio = (matrix[q, q] - matrix[p, p]) / (2.0 * matrix[p, q])
-                t = math.copysign(1.0, ratio) / (abs(ratio) + math.sqrt(ratio * ratio + 1.0))
-                c = 1.0 / math.sqrt(t * t + 1.0)
-                s = t * c
-                for k in range(3):
-                    a, b = matrix[k, p], matrix[k, q]
-                    matrix[k, p], matrix[k, q] = c * a - s * b, s * a + c * b
-                for k in range(3):
-                    a, b = matrix[p, k], matrix[q, k]
-                    matrix[p, k], matrix[q, k] = c * a - s * b, s * a + c * b
-                for k in range(3):
-                    a, b = vectors[k, p], vectors[k, q]
-                    vectors[k, p], vectors[k, q] = c * a - s * b, s * a + c * b

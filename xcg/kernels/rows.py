@@ -1,4 +1,6 @@
-"""Loops over pairs of rows: sums by index, and peeling of a network."""
+"""Loops over pairs of rows: sums by index, vectors between rows, and peeling of a network."""
+
+import numpy as np
 
 from xcg.kernels._jit import jit
 
@@ -45,3 +47,29 @@ def peel(row_i, row_j, weight, least, degree, kept):
                 degree[i] += weight[n]
             if here_j and (here_i or i < 0):
                 degree[j] += weight[n]
+
+
+@jit
+def add_dyads(row, sign, a, b, out):
+    """Add sign a b, (n, 3) each, to the rows of out (m, 3, 3) that `row` (n,) names; negative rows are left out."""
+    for n in range(row.size):
+        if row[n] >= 0:
+            for i in range(3):
+                for j in range(3):
+                    out[row[n], i, j] += sign * a[n, i] * b[n, j]
+
+
+@jit
+def nearest_image(position, row, point, period, out):
+    """Write the shortest image of position[row] - point to out (n, 3), zero for negative rows.
+
+    `period` (3,) holds infinity along axes that are not periodic.
+    """
+    for n in range(row.size):
+        for k in range(3):
+            out[n, k] = 0.0
+            if row[n] >= 0:
+                d = position[row[n], k] - point[n, k]
+                if np.isfinite(period[k]):
+                    d -= period[k] * np.rint(d / period[k])
+                out[n, k] = d

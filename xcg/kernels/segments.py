@@ -87,8 +87,10 @@ def deposit_segments(
         low_x, high_x = min(0.0, bx) - reach[0], max(0.0, bx) + reach[0]
         low_y, high_y = min(0.0, by) - reach[1], max(0.0, by) + reach[1]
         low_z, high_z = min(0.0, bz) - reach[2], max(0.0, bz) + reach[2]
-        box = (int((high_x - low_x) / steps[0]) + 2) * (int((high_y - low_y) / steps[1]) + 2)
-        box *= int((high_z - low_z) / steps[2]) + 2 + LANES
+        # no more than there are: along an axis with one node the spacing means nothing
+        box = min(shape[0], int((high_x - low_x) / steps[0]) + 2)
+        box *= min(shape[1], int((high_y - low_y) / steps[1]) + 2)
+        box = box * min(shape[2], int((high_z - low_z) / steps[2]) + 2) + LANES
         if box > most:
             most = 2 * box
             node, along, q2, w = np.empty(most, np.int64), np.empty(most), np.empty(most), np.empty(most)

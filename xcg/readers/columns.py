@@ -50,11 +50,13 @@ CONTACT_SLOTS: Slots = {
     **_vector("tangential_force", "ft?"),
     **_vector("contact_point"),
     **_vector("contact_normal"),
+    **_vector("end_i"),
+    **_vector("end_j"),
     "overlap": ("overlap", "delta"),
 }
 
 _FORCES = ("contact_force", "normal_force", "tangential_force")
-_CONTACT_VECTORS = (*_FORCES, "contact_point", "contact_normal")
+_CONTACT_VECTORS = (*_FORCES, "contact_point", "contact_normal", "end_i", "end_j")
 _CONTACT_SCALARS = ("contact_i", "contact_j", "overlap")
 _PARTICLE_COMPONENTS = {*_vector("position"), *_vector("scaled"), *_vector("velocity")}
 
@@ -199,8 +201,10 @@ def contact_columns(ref: StepRef, slots: Slots, options: ReadOptions) -> dict[st
 
 
 def contact_names(columns: Mapping[str, str]) -> list[str]:
-    """Names of the variables that `contacts_from` returns."""
+    """Names of the variables that follow from what `contacts_from` returns."""
     vectors = [slot for slot in ("contact_point", "contact_normal") if f"{slot}_x" in columns]
+    if "end_i_x" in columns and "contact_normal" not in vectors:
+        vectors.append("contact_normal")
     return [*(slot for slot in _CONTACT_SCALARS if slot in columns), "contact_force", *vectors]
 
 
@@ -212,6 +216,8 @@ def contacts_from(ref: StepRef, columns: Mapping[str, str]) -> Frame:
     frame |= {slot: _stacked(values, slot, ref.rows) for slot in _CONTACT_VECTORS if f"{slot}_x" in columns}
     if "contact_force" not in frame:
         frame["contact_force"] = frame.pop("normal_force") + frame.pop("tangential_force", np.zeros(3))
+    if "end_i" in frame:  # wrapped positions: the nearest image is taken where the periods are known
+        frame["contact_branch"] = frame.pop("end_i") - frame.pop("end_j")
     _check_ids(ref, frame["contact_i"])
     return frame
 

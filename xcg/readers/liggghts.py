@@ -21,13 +21,22 @@ def _vector(slot: str, first: int) -> dict[str, int]:
     return {f"{slot}_{axis}": first + k for k, axis in enumerate(COMPONENTS)}
 
 
-# Positions are those of the particles and not read again. Nor is the flag of pairs across a periodic
-# boundary: it misses some and marks others that do not cross.
-_PAIR = {"contact_i": 6, "contact_j": 7, **_vector("contact_force", 9), "overlap": 12}
+# Positions give the normal, with other digits than the particles' where a pair crosses a periodic boundary. The flag
+# of such pairs is not read: it misses some and marks others that do not cross.
+_PAIR = {
+    "contact_i": 6,
+    "contact_j": 7,
+    **_vector("end_i", 0),
+    **_vector("end_j", 3),
+    **_vector("contact_force", 9),
+    "overlap": 12,
+}
 _WALL = {
     "contact_i": 8,
     "contact_j": 6,
     **_vector("contact_point", 0),
+    **_vector("end_i", 3),
+    **_vector("end_j", 0),
     **_vector("contact_force", 9),
     "overlap": 12,
 }

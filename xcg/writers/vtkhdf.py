@@ -8,7 +8,6 @@ VTK does not report the time; it stands in ``Steps/Values`` all the same.
 from __future__ import annotations
 
 import os
-import uuid
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
@@ -19,6 +18,8 @@ import h5py
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+
+from xcg.writers.files import whole_file
 
 AXES = ("x", "y", "z")
 _ON_DISK = ("time", "z", "y", "x", "component", "direction")  # x runs fastest among nodes
@@ -63,29 +64,18 @@ def to_vtkhdf(fields: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bo
         steps, or values that are not numbers.
     """
     path = Path(path)
-    if path.exists() and not overwrite:
-        msg = f"{path} exists; choose another name, or pass overwrite=True to replace it"
-        raise FileExistsError(msg)
-    if not path.parent.is_dir():
-        msg = f"{path}: the folder {path.parent} does not exist; create it first"
-        raise FileNotFoundError(msg)
     fields = _checked(fields)
     image = _Image.of(fields)
     arrays = _arrays(fields)
-    part = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.part")
-    try:
-        with h5py.File(part, "w") as file:
-            targets = _lay_out(file, fields, image, arrays)
-            for steps, block in _blocks(fields):
-                for array in arrays:
-                    values = array.values(block, image)
-                    if image.temporal:
-                        targets[array.name][steps] = values
-                    else:
-                        targets[array.name][...] = values[0]
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
+    with whole_file(path, overwrite=overwrite) as part, h5py.File(part, "w") as file:
+        targets = _lay_out(file, fields, image, arrays)
+        for steps, block in _blocks(fields):
+            for array in arrays:
+                values = array.values(block, image)
+                if image.temporal:
+                    targets[array.name][steps] = values
+                else:
+                    targets[array.name][...] = values[0]
     return path
 
 

@@ -1,0 +1,70 @@
+"""Residuals of the balance laws fall as the mesh and the time between frames are refined."""
+
+import dask
+import numpy as np
+import pytest
+
+import xcg
+
+
+def close_frames(dt, seed=1):
+    """Two frames, dt apart, of grains that move under constant forces from the middle between them."""
+    middle = xcg.datasets.random_scene(100, seed=seed, periodic="xyz", gravity=(0.3, 0, -1.0))
+    middle["contact_force"] = 1e3 * middle.contact_force  # as large as weight and inertia
+    total = np.zeros((100, 3))
+    i, j, force = middle.contact_i.values[0], middle.contact_j.values[0], middle.contact_force.values[0]
+    np.add.at(total, i, force)
+    np.add.at(total, j, -force)
+    a = total / middle.mass.values[0][:, None] + np.array([0.3, 0, -1.0])
+    frames = [
+        (middle.position.values[0] + s * middle.velocity.values[0] + s**2 / 2 * a, middle.velocity.values[0] + s * a)
+        for s in (-dt / 2, dt / 2)
+    ]
+    names = ["diameter", "contact_i", "contact_j", "contact_force"]
+    same = {n: [middle[n].values[0]] * 2 for n in names}
+    point = [middle.contact_point.values[0] + s * middle.velocity.values[0][i] for s in (-dt / 2, dt / 2)]
+    return xcg.scene_from_arrays(
+        [x for x, _ in frames], velocity=[v for _, v in frames], density=2500.0, contact_point=point,
+        time=[0.0, dt], box=[[0, 5.0]] * 3, periodic="xyz", gravity=(0.3, 0, -1.0), **same,
+    )  # fmt: skip
+
+
+def test_force_residual_falls_with_the_mesh():
+    ds = xcg.datasets.random_scene(100, seed=1, periodic="xy")
+    norms = [float(ds.cg.balance(width=0.8, spacing=h).force_residual_norm.item()) for h in (0.4, 0.2, 0.1)]
+    assert norms[0] > 8 * norms[1] > 64 * norms[2]
+    assert norms[2] < 1e-3
+
+
+def test_mass_and_momentum_residuals_fall_with_the_time_between_frames():
+    norms = [close_frames(dt).cg.balance(width=1.2, spacing=0.15) for dt in (0.1, 0.05)]
+    for name in ("mass_residual_norm", "momentum_residual_norm"):
+        values = [float(n[name].item()) for n in norms]
+        assert values[0] > 3 * values[1], (name, values)
+    assert norms[0].momentum_residual.dims == ("interval", "x", "y", "z", "component")
+
+
+def test_a_wrong_force_shows():
+    ds = close_frames(0.01)
+    right = ds.cg.balance(width=1.2, spacing=0.15).momentum_residual_norm.item()
+    wrong = ds.assign(contact_force=1.2 * ds.contact_force).cg.balance(width=1.2, spacing=0.15)
+    assert wrong.momentum_residual_norm.item() > 5 * right
+
+
+def test_balance_is_lazy_and_averages():
+    ds = close_frames(0.05).chunk(time=1)
+
+    def refuse(dsk, keys, **kwargs):
+        pytest.fail("computed while the graph was built")
+
+    with dask.config.set(scheduler=refuse):
+        b = ds.cg.balance(width=1.2, spacing=0.1, axes="z")
+    assert float(b.force_residual_norm.max()) < 1e-3
+
+
+def test_bad_requests():
+    ds = xcg.datasets.random_scene(20)
+    with pytest.raises(ValueError, match="fixed axis"):
+        ds.cg.balance(axes="x", at={"y": 1.0, "z": 1.0})
+    with pytest.raises(ValueError, match="fewer than five"):
+        ds.cg.balance(width=1.0, spacing=2.0)

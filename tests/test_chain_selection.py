@@ -1,0 +1,83 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import xcg
+from tests.networks import chains_of, nine_particles
+
+EVERYWHERE = xcg.Box((-np.inf,) * 3, (np.inf,) * 3)
+
+
+def three_chains():
+    """Columns at x = 0, 1, 2, ids 0 to 2, 3 to 5, 6 to 8; the second carries more."""
+    ds = nine_particles(across=0.0)
+    second = (ds.contact_i >= 3) & (ds.contact_i < 6)
+    return ds.assign(contact_force=ds.contact_force * xr.where(second, 3.0, 1.0)).cg.force_chains()
+
+
+def test_regions_any_and_all():
+    fc = three_chains()
+    corner = xcg.Box((-0.5, -0.5, -1), (1.5, 1.5, 1))
+    assert chains_of(fc.cg.select_chains(corner)) == {frozenset([0, 1, 2]), frozenset([3, 4, 5])}
+    assert chains_of(fc.cg.select_chains(corner, of="all")) == set()
+    left = xcg.Box((-0.5, -0.5, -1), (0.5, 2.5, 1))
+    assert chains_of(fc.cg.select_chains(left, of="all")) == {frozenset([0, 1, 2])}
+    assert chains_of(fc.cg.select_chains(~left, of="all")) == {frozenset([3, 4, 5]), frozenset([6, 7, 8])}
+    assert chains_of(fc.cg.select_chains(left | xcg.Sphere((2, 0, 0), 0.1))) == {
+        frozenset([0, 1, 2]),
+        frozenset([6, 7, 8]),
+    }
+
+
+def test_stress_and_composition():
+    fc = three_chains()
+    strong = 2 * float(fc.major_stress[0, 1])
+    assert chains_of(fc.cg.select_chains(min_stress=strong)) == {frozenset([3, 4, 5])}
+    assert chains_of(fc.cg.select_chains(min_stress=strong, of="all")) == set()
+    right = xcg.Box((1.5, -1, -1), (3, 3, 1))
+    assert chains_of(fc.cg.select_chains(min_stress=strong).cg.select_chains(right)) == set()
+    # in one call, one particle must fulfil both
+    assert chains_of(fc.cg.select_chains(xcg.Sphere((1, 0, 0), 0.1), min_stress=strong)) == set()
+    assert chains_of(fc.cg.select_chains(xcg.Sphere((1, 1, 0), 0.1), min_stress=strong)) == {frozenset([3, 4, 5])}
+
+
+def test_what_is_left_is_consistent():
+    fc = three_chains()
+    some = fc.cg.select_chains(xcg.Sphere((1, 0, 0), 0.1))
+    assert some.chain_id.values[0].tolist() == [-1, -1, -1, 1, 1, 1, -1, -1, -1]  # chains keep their numbers
+    assert (some.links.values[0] > 0).tolist() == (some.chain_id.values[0] >= 0).tolist()
+    assert sorted(set(some.link_chain.values[0])) == [-1, 1]
+    assert some.chain_particles.values[0].tolist() == [-1, 3, -1]
+    assert (some.chain_count.item(), some.length_mean.item()) == (1, 3.0)
+    assert some.length_share.sel(length=3).item() == 1
+    assert len(some.cg.chain_table()) == 1
+    assert len(some.cg.link_table()) == 2
+    assert "select_chains" in some.attrs["history"]
+    xr.testing.assert_equal(fc.cg.select_chains(EVERYWHERE), fc)
+    assert fc.cg.select_chains(~EVERYWHERE).chain_count.item() == 0
+
+
+def test_search_in_a_region():
+    ds = nine_particles(across=0.0)
+    assert chains_of(ds.cg.force_chains(region=xcg.Box((0.5, -1, -1), (3, 3, 1)))) == {
+        frozenset([3, 4, 5]),
+        frozenset([6, 7, 8]),
+    }
+    assert chains_of(ds.cg.force_chains(region=xcg.Box((-1, -1, -1), (3, 1.5, 1)))) == set()
+
+
+def test_moving_region_follows_time():
+    steps = nine_particles(across=0.0).isel(time=[0, 0, 0]).assign_coords(time=[0.0, 1.0, 2.0])
+    fc = steps.cg.force_chains()
+    moving = fc.cg.select_chains(xcg.Box((-0.5, -1, -1), (0.5, 3, 1), velocity=(1, 0, 0)))
+    assert [chains_of(moving, t) for t in range(3)] == [{frozenset(range(3 * t, 3 * t + 3))} for t in range(3)]
+
+
+def test_wrong_arguments():
+    fc = three_chains()
+    with pytest.raises(ValueError, match="of='most': expected 'any' or 'all'"):
+        fc.cg.select_chains(EVERYWHERE, of="most")
+    with pytest.raises(ValueError, match="nothing to select by"):
+        fc.cg.select_chains()

@@ -1,0 +1,198 @@
+"""Pictures of chains; Matplotlib comes with ``pip install xcg[plot]``."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.chain_results import Step, require_chains, steps_of
+from xcg.complete import minimum_image
+from xcg.schema import COMPONENTS
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+COLOURS = ("stress", "chain")
+
+
+def plot_chains(
+    fc: xr.Dataset, *, time: int = 0, colour: str = "stress", grains: bool = True, ax: Axes | None = None
+) -> Axes:
+    """Draw the chains of one step of a one-layer scene: links over grains, line width by force.
+
+    Parameters
+    ----------
+    fc : xarray.Dataset
+        A result of `force_chains`; its scene has ``dimension=2``.
+    time : int
+        Which step, by position.
+    colour : str
+        "stress" (default), the mean major stress of the two particles of a link, or "chain".
+    grains : bool
+        Draw the particles, those of chains darker.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw; the current axes by default.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    SceneError
+        If `fc` is not a result of `force_chains`.
+    ValueError
+        If the scene is not of one layer, or an argument is wrong.
+    """
+    from matplotlib.collections import EllipseCollection, LineCollection
+
+    require_chains(fc, "plot_chains")
+    if int(fc.attrs.get("dimension", 3)) != 2:
+        msg = "plot_chains draws one-layer scenes, and this one has dimension=3; write it with .cg.to_vtp for ParaView"
+        raise ValueError(msg)
+    if colour not in COLOURS:
+        msg = f"colour={colour!r}: expected one of {COLOURS}"
+        raise ValueError(msg)
+    plane = [COMPONENTS.index(axis) for axis in fc.attrs.get("plane", "xy")]
+    step = _step(
+        fc, time, ["position", "diameter", "chain_id", "link_chain", "contact_j", "contact_force", "major_stress"]
+    )
+    arrays = step.arrays
+    ax = ax or _current_axes()
+    position, diameter = arrays["position"][:, plane], arrays["diameter"]
+    if grains:
+        shade = np.where(arrays["chain_id"] >= 0, "0.8", "0.93")
+        ax.add_collection(
+            EllipseCollection(
+                diameter, diameter, np.zeros(len(diameter)), units="xy", offsets=position,
+                offset_transform=ax.transData, facecolors=shade, edgecolors="none",
+            )
+        )  # fmt: skip
+    contact, i, branch = _links(step)
+    force = np.linalg.norm(arrays["contact_force"][contact], axis=1)
+    ends = np.stack([position[i], position[i] + branch[:, plane]], axis=1)
+    width = 0.5 + 3 * force / max(force.max(initial=0.0), np.finfo(float).tiny)
+    lines = LineCollection(
+        list(ends), linewidths=width, capstyle="round", cmap="tab20" if colour == "chain" else "inferno_r"
+    )
+    if colour == "chain":
+        lines.set_array(arrays["link_chain"][contact] % 20)
+    else:
+        j = step.links()[2]
+        lines.set_array(0.5 * (arrays["major_stress"][i] + arrays["major_stress"][j]))
+        unit = fc["major_stress"].attrs.get("units", "")
+        ax.figure.colorbar(lines, ax=ax, label=f"major stress [{unit}]", shrink=0.8)
+    ax.add_collection(lines)
+    ax.set_aspect("equal")
+    ax.autoscale_view()
+    names = [COMPONENTS[k] for k in plane]
+    ax.set_xlabel(names[0])
+    ax.set_ylabel(names[1])
+    return ax
+
+
+def plot_lengths(fc: xr.Dataset, *, ax: Axes | None = None) -> Axes:
+    """Draw P(c), the share of chains that have c particles, of each step (grey) and of all (blue).
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    SceneError
+        If `fc` is not a result of `force_chains`.
+    """
+    require_chains(fc, "plot_lengths")
+    ax = ax or _current_axes()
+    steps = fc[["length_share", "chain_count"]].compute()
+    steps = steps if "time" in steps.dims else steps.expand_dims("time")
+    share, count = steps["length_share"].transpose("time", "length").to_numpy(), steps["chain_count"].to_numpy()
+    length = fc["length"].to_numpy()
+    for row in share:
+        ax.plot(length[row > 0], row[row > 0], ".", ms=4, color="0.75")
+    total = count @ share / max(count.sum(), 1)
+    ax.plot(length[total > 0], total[total > 0], "o", ms=4, color="C0")
+    ax.set_yscale("log")
+    ax.set_xlabel("length c [particles]")
+    ax.set_ylabel("P(c)")
+    return ax
+
+
+def plot_rose(
+    fc: xr.Dataset, *, time: int = 0, bins: int = 36, plane: str | None = None, ax: Axes | None = None
+) -> Axes:
+    """Draw how the links of one step are directed: a rose, both ways, weighted by force.
+
+    Parameters
+    ----------
+    fc : xarray.Dataset
+        A result of `force_chains`.
+    time : int
+        Which step, by position.
+    bins : int
+        Petals, an even number.
+    plane : str, optional
+        The two axes that directions are projected on; those of the layer, or "xz" in 3D.
+    ax : matplotlib.axes.Axes, optional
+        Polar axes; new ones by default.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    SceneError
+        If `fc` is not a result of `force_chains`.
+    ValueError
+        If an argument is wrong.
+    """
+    require_chains(fc, "plot_rose")
+    if bins < 2 or bins % 2:
+        msg = f"bins={bins!r}: expected an even number of petals, as every link points both ways"
+        raise ValueError(msg)
+    flat = int(fc.attrs.get("dimension", 3)) == 2
+    plane = plane or (fc.attrs.get("plane", "xy") if flat else "xz")
+    if len(plane) != 2 or len(set(plane) & set(COMPONENTS)) != 2:
+        msg = f"plane={plane!r}: expected two axes, for example 'xz'"
+        raise ValueError(msg)
+    if ax is None:
+        import matplotlib.pyplot as plt
+
+        ax = plt.subplot(projection="polar")
+    step = _step(fc, time, ["position", "link_chain", "contact_j", "contact_force"])
+    contact, _, branch = _links(step)
+    along, up = (branch[:, COMPONENTS.index(axis)] for axis in plane)
+    angle = np.arctan2(up, along) % np.pi
+    force = np.linalg.norm(step.arrays["contact_force"][contact], axis=1)
+    half, edges = np.histogram(angle, bins // 2, (0, np.pi), weights=force)
+    petals = np.tile(half / max(2 * half.sum(), np.finfo(float).tiny), 2)
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    ax.bar(
+        np.concatenate([middle, middle + np.pi]), petals, width=2 * np.pi / bins, color="C3", edgecolor="white", lw=0.5
+    )
+    ax.set_yticklabels([])
+    ax.set_xticks(np.deg2rad([0, 90, 180, 270]), [plane[0], plane[1], f"-{plane[0]}", f"-{plane[1]}"])
+    return ax
+
+
+def _current_axes() -> Axes:
+    import matplotlib.pyplot as plt
+
+    return plt.gca()
+
+
+def _step(fc: xr.Dataset, time: int, names: list[str]) -> Step:
+    (step,) = steps_of(fc.isel(time=[time]) if "time" in fc.dims else fc, names)
+    return step
+
+
+def _links(step: Step) -> tuple[NDArray, NDArray, NDArray]:
+    """Contacts of the links, row of their first particle, and nearest image of the vector to the second (m)."""
+    contact, i, j = step.links()
+    position: Any = step.arrays["position"]
+    return contact, i, minimum_image(position[j] - position[i], step.period)

@@ -1,0 +1,135 @@
+"""Results of the search for force chains: their variables, and how to read them step by step."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.complete import periods, rows_of
+from xcg.particle_stress import RESULTS as STRESSES
+from xcg.schema import BOX, PADDING, VARIABLES, Frame, SceneError, Variable
+
+_NONE, _PRESSURE = (0, 0, 0), (-1, 1, -2)
+COPIED = ("particle_id", "position", "diameter", "contact_i", "contact_j", "contact_force")
+STATISTICS: dict[str, Variable] = {
+    "chain_count": Variable((), _NONE, "number of chains", "int64"),
+    "length_mean": Variable((), _NONE, "mean length of the chains (particles)"),
+    "length_median": Variable((), _NONE, "median length of the chains (particles)"),
+    "length_min": Variable((), _NONE, "shortest chain (particles)"),
+    "length_max": Variable((), _NONE, "longest chain (particles)"),
+    "length_share": Variable(("length",), _NONE, "share of the chains that have this length, P(c)"),
+}
+CHAINS: dict[str, Variable] = {
+    "chain_particles": Variable(("chain",), _NONE, "length of the chain: its particles", "int64"),
+    "chain_links": Variable(("chain",), _NONE, "links of the chain", "int64"),
+    "chain_branchings": Variable(("chain",), _NONE, "branching points of the chain", "int64"),
+    "chain_stress": Variable(("chain",), _PRESSURE, "mean major stress of the chain's particles"),
+    "chain_orientation": Variable(("chain", "component"), _NONE, "axis of the chain's largest extent"),
+    "chain_normal": Variable(("chain", "component"), _NONE, "normal of the chain's best-fit plane"),
+}
+MEMBERS: dict[str, Variable] = {
+    "chain_id": Variable(("particle",), _NONE, "chain of the particle, -1 for none", "int64"),
+    "parent_id": Variable(("particle",), _NONE, "id of the particle it was reached from, -1 for a seed", "int64"),
+    "links": Variable(("particle",), _NONE, "links of the particle", "int64"),
+    "branching": Variable(("particle",), _NONE, "1 where the particle has more than two links", "int64"),
+    "link_chain": Variable(("contact",), _NONE, "chain that the contact is a link of, -1 for none", "int64"),
+}
+RESULTS: dict[str, Variable] = (
+    {name: VARIABLES[name] for name in COPIED}
+    | MEMBERS
+    | {name: row for name, row in STRESSES.items() if name not in ("particle_id", "stress")}
+    | CHAINS
+    | STATISTICS
+)
+
+
+def result_sizes(particles: int, contacts: int, min_length: int) -> dict[str, int]:
+    """Sizes of the dimensions of a result: as many chains, and as long ones, as there could be, but at least one."""
+    chains, lengths = max(1, particles // min_length), max(1, particles - min_length + 1)
+    return {"particle": particles, "contact": contacts, "chain": chains, "length": lengths}
+
+
+def statistics_of(particles: NDArray, min_length: int, lengths: int) -> dict[str, NDArray | float]:
+    """Statistics of the lengths of the chains of one step, by the names in `STATISTICS`; NaN where there are none."""
+    count = len(particles)
+    share = np.bincount(particles - min_length, minlength=lengths)[:lengths] / max(count, 1)
+    values = [f(particles) if count else np.nan for f in (np.mean, np.median, np.min, np.max)]
+    return dict(zip(STATISTICS, (count, *values, share), strict=True))
+
+
+def require_chains(fc: xr.Dataset, purpose: str) -> None:
+    """Refuse a Dataset that is no result of `force_chains`.
+
+    Raises
+    ------
+    SceneError
+        If it lacks ``chain_id`` or ``link_chain``; the message says how to get them.
+    """
+    missing = [name for name in ("chain_id", "link_chain", "particle_id") if name not in fc]
+    if missing:
+        msg = (
+            f"{purpose} needs {missing}, which this Dataset does not hold; call it on a result of ds.cg.force_chains()"
+        )
+        raise SceneError(msg)
+
+
+def summary_of_chains(fc: xr.Dataset) -> str:
+    """Tell what a result of `force_chains` holds, without computing it."""
+    sizes = ", ".join(f"{fc.sizes[dim]} {dim}" for dim in ("time", "particle", "contact") if dim in fc.sizes)
+    rule = ", ".join(f"{name} = {fc.attrs[name]}" for name in ("alpha", "min_length", "algorithm") if name in fc.attrs)
+    lines = [f"force chains of {sizes} (largest step)", f"  rule:      {rule}"]
+    for what, rows in (("particles", MEMBERS), ("chains", CHAINS), ("steps", STATISTICS)):
+        lines.append(f"  {what + ':':11s}{', '.join(name for name in rows if name in fc)}")
+    return "\n".join(lines)
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of a result, in memory.
+
+    Attributes
+    ----------
+    arrays : Frame
+        Variables by name, without padding (by chain: row k is chain k).
+    time : float
+        Time (s).
+    number : int
+        Number of the time step.
+    period : array (3,)
+        Length of the periodic axes (m), infinity along the others.
+    """
+
+    arrays: Frame
+    time: float
+    number: int
+    period: NDArray
+
+    def links(self) -> tuple[NDArray, NDArray, NDArray]:
+        """Contact rows of the links, and the rows of the two particles of each."""
+        contact = np.flatnonzero(self.arrays["link_chain"] >= 0)
+        ids = self.arrays["particle_id"]
+        i, j = (rows_of(ids, self.arrays[name][contact]) for name in ("contact_i", "contact_j"))
+        return contact, i, j
+
+
+def steps_of(fc: xr.Dataset, names: Sequence[str]) -> Iterator[Step]:
+    """Yield the steps of a result one after the other, each computed on its own."""
+    if "time" not in fc.dims:
+        fc = fc.expand_dims("time")
+    names = [*dict.fromkeys(("particle_id", "contact_i", *names))]
+    for t in range(fc.sizes["time"]):
+        step = fc[[*names, *({"box"} & set(fc.data_vars))]].isel(time=t).compute()
+        valid = {"particle": step.particle_id.to_numpy() != PADDING, "contact": step.contact_i.to_numpy() != PADDING}
+        arrays = {}
+        for name in names:
+            dims = RESULTS[name].dims
+            values = step[name].transpose(*dims).to_numpy()
+            arrays[name] = values[valid[dims[0]]] if dims[0] in valid else values
+        number = int(step["step"]) if "step" in step.coords else t
+        box = step["box"].transpose(*BOX.dims).to_numpy() if "box" in step else None
+        period = periods(box, fc.attrs.get("periodic", ""), f"step {number}")
+        yield Step(arrays, float(step["time"]) if "time" in step.coords else 0.0, number, period)

@@ -1,0 +1,268 @@
+"""Force chains of a scene: the search in each step, a description of each chain, statistics of all."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.chain_results import CHAINS, COPIED, RESULTS, result_sizes, statistics_of
+from xcg.complete import periods
+from xcg.kernels import chains as kernel
+from xcg.labels import empty_results, label, results_of
+from xcg.over_time import map_over_time
+from xcg.particle_stress import StressRule, carries, one_frame
+from xcg.regions import Region
+from xcg.scene import require_scene
+from xcg.schema import PADDING, Frame
+
+ALGORITHMS = ("branching", "peters2005")
+# Angles that exceed alpha by less (radians) count as equal to it, stresses that fall short of the threshold by less
+# than this share of it likewise: both are known to rounding only.
+_ANGLE = 1e-9
+_SHARE = 1e-12
+
+
+@dataclass(frozen=True)
+class SearchRule:
+    """What makes a chain.
+
+    Attributes
+    ----------
+    stress : StressRule
+        How the stress of a particle is made.
+    cosine : float
+        Of the largest angle between the major stress and the branch.
+    threshold : float or "mean" or None
+        Least major stress (Pa).
+    min_length : int
+        Least number of particles.
+    linear : bool
+        Search without branches (Peters et al. 2005).
+    one_sided : bool
+        Go on only along the direction of travel.
+    region : Region or None
+        Where particles must be.
+    """
+
+    stress: StressRule
+    cosine: float
+    threshold: float | str | None
+    min_length: int
+    linear: bool
+    one_sided: bool
+    region: Region | None
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """Variables of the scene that are read."""
+        return tuple(dict.fromkeys((*self.stress.variables, *COPIED)))
+
+    def qualifies(self, frame: Frame, stress: Frame, time: float, period: NDArray) -> NDArray:
+        """Tell which particles may be part of a chain."""
+        chosen = carries(stress)
+        if "frozen" in frame:
+            chosen &= frame["frozen"] != 1
+        if self.threshold is not None and len(chosen):
+            major = stress["major_stress"]
+            least = major.mean() if isinstance(self.threshold, str) else self.threshold
+            chosen &= major >= least - _SHARE * abs(least)
+        if self.region is not None:
+            chosen &= self.region.contains(frame, time, period)
+        return chosen
+
+
+def force_chains(
+    ds: xr.Dataset,
+    alpha: float = 45.0,
+    threshold: float | str | None = None,
+    min_length: int = 3,
+    *,
+    algorithm: str = "branching",
+    one_sided: bool = False,
+    region: Region | None = None,
+    symmetric: bool = True,
+    volume: str = "particle",
+) -> xr.Dataset:
+    """Find the force chains of each step of a scene.
+
+    A contact is a link where both of its particles are compressed (and reach the threshold), and the branch between
+    their centres is within `alpha` of the direction of the most compressive stress of both. A chain is what a
+    depth-first search reaches through links, with all branches and loops. Lazy where the scene is, one task for each
+    chunk of time.
+
+    Parameters
+    ----------
+    ds : xarray.Dataset
+        A scene with contacts.
+    alpha : float
+        Largest angle between branch and direction, in degrees, inclusive; above 0, up to 90, where every contact of
+        two compressed particles is a link.
+    threshold : float or "mean", optional
+        Least major stress of a particle (Pa), or "mean" for the mean of all particles of the step. By default any
+        compressed particle may be part of a chain.
+    min_length : int
+        Least number of particles of a chain, 2 or more.
+    algorithm : str
+        "branching" (default), or "peters2005": chains without branches, from the particle of largest stress both
+        ways, each time through the contact nearest to the direction of travel.
+    one_sided : bool
+        Go on from a particle only where the branch points along its direction, turned onward (both ways from the
+        seed). Chains then depend on the order of the ids. By default both ways count, and they do not.
+    region : Region, optional
+        Particles whose centre is elsewhere take no part: `xcg.Box`, `xcg.Sphere`, at rest, moving or following a
+        particle, combined with ``&``, ``|`` and ``~``.
+    symmetric, volume
+        How the stress of a particle is made, see `xcg.particle_stress`. Force Chain Finder takes ``symmetric=False``.
+
+    Returns
+    -------
+    xarray.Dataset
+        By particle: ``chain_id`` (-1 for none), ``parent_id`` (the particle that it was reached from, -1 for the
+        first of a chain), ``links``, ``branching`` (1 for more than two links), principal stresses (Pa) and
+        directions, ``major_direction`` turned onward along the chain. By contact: ``link_chain``, the chain that it
+        is a link of. By chain, row k for chain k: ``chain_particles``, ``chain_links``, ``chain_branchings``,
+        ``chain_stress`` (Pa), ``chain_orientation``, ``chain_normal`` (NaN for a straight chain). By step:
+        ``chain_count``, ``length_mean``, ``length_median``, ``length_min``, ``length_max``, ``length_share``
+        (time, length). Positions, diameters, ids and forces are those of the scene.
+
+        The dimension ``chain`` has as many rows as there could be chains, particles // `min_length`, so that nothing
+        needs to be computed to know the shape; rows without a chain are padding (-1, NaN).
+
+    Raises
+    ------
+    SceneError
+        If the scene holds no contacts or no volumes.
+    ValueError
+        If an argument is wrong.
+
+    Notes
+    -----
+    With b the branch and n the direction of the major stress of each of the two particles, a link has
+    ``|b . n| >= |b| cos(alpha)``. Sources: Ejtehadi et al., Comput. Phys. Commun. 297 (2024) 109070; Peters et al.,
+    Phys. Rev. E 72 (2005) 041307.
+
+    Examples
+    --------
+    >>> import xcg
+    >>> ds = xcg.datasets.random_scene(200, seed=1)
+    >>> fc = force_chains(ds, alpha=45, threshold="mean")
+    >>> fc.chain_id.dims
+    ('time', 'particle')
+    """
+    rule = _rule(ds, alpha, threshold, min_length, algorithm, one_sided, region, symmetric, volume)
+    given = {
+        "alpha": alpha, "threshold": threshold, "min_length": min_length, "algorithm": algorithm,
+        "one_sided": one_sided, "region": region, "symmetric": symmetric, "volume": volume,
+    }  # fmt: skip
+    sizes = result_sizes(ds.sizes["particle"], ds.sizes["contact"], rule.min_length)
+    names = [*rule.variables, *(name for name in ("frozen", "box", "time", "step") if name in ds)]
+    arrays = map_over_time(ds, names, partial(_compute, rule), results_of(RESULTS, sizes), "force-chains")
+    call = ", ".join(f"{name}={value!r}" for name, value in given.items() if value is not None)
+    result = label(ds, RESULTS, arrays, f"force_chains({call})")
+    lengths = rule.min_length + np.arange(sizes["length"])
+    result = result.assign_coords(length=("length", lengths, {"units": "1", "long_name": "particles of a chain"}))
+    if "box" in ds:
+        result["box"] = ds["box"].variable
+    return result.assign_attrs(alpha=float(alpha), min_length=rule.min_length, algorithm=algorithm)
+
+
+def _rule(
+    ds: xr.Dataset,
+    alpha: float,
+    threshold: float | str | None,
+    min_length: int,
+    algorithm: str,
+    one_sided: bool,
+    region: Region | None,
+    symmetric: bool,
+    volume: str,
+) -> SearchRule:
+    """Check the arguments of `force_chains` and the scene, without reading any of it."""
+    if not 0 < alpha <= 90:
+        msg = f"alpha={alpha!r}: expected an angle in degrees above 0 and up to 90, for example 45"
+        raise ValueError(msg)
+    if isinstance(threshold, str) and threshold != "mean":
+        msg = f"threshold={threshold!r}: expected None, 'mean', or a stress (Pa)"
+        raise ValueError(msg)
+    if not isinstance(threshold, str) and threshold is not None and not np.isfinite(threshold):
+        msg = f"threshold={threshold!r}: expected a finite stress (Pa), 'mean', or None for no threshold"
+        raise ValueError(msg)
+    if int(min_length) != min_length or min_length < 2:
+        msg = f"min_length={min_length!r}: expected a whole number of particles, 2 or more"
+        raise ValueError(msg)
+    if algorithm not in ALGORITHMS:
+        msg = f"algorithm={algorithm!r}: expected one of {ALGORITHMS}"
+        raise ValueError(msg)
+    if region is not None and not isinstance(region, Region):
+        msg = f"region={region!r}: expected xcg.Box(lower, upper), xcg.Sphere(centre, radius), or a combination"
+        raise ValueError(msg)
+    stress = StressRule.of(ds, "force_chains", symmetric=symmetric, volume=volume)
+    require_scene(ds, ("diameter",), "force_chains")
+    cosine = max(0.0, float(np.cos(np.deg2rad(alpha) + _ANGLE)))
+    return SearchRule(stress, cosine, threshold, int(min_length), algorithm == "peters2005", one_sided, region)
+
+
+def _compute(rule: SearchRule, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
+    """Chains of one chunk of time, from padded arrays."""
+    ids, keys = arrays["particle_id"], arrays["contact_i"]
+    sizes = result_sizes(ids.shape[1], keys.shape[1], rule.min_length)
+    out = empty_results({n: row for n, row in RESULTS.items() if n not in COPIED}, sizes, len(ids))
+    for t in range(len(ids)):
+        frame, box, where = one_frame(arrays, t)
+        time = float(arrays["time"][t]) if "time" in arrays else 0.0
+        found = find_chains(rule, frame, box, time, where)
+        count = len(found["chain_particles"])
+        rows = {"particle": ids[t] != PADDING, "contact": keys[t] != PADDING, "chain": slice(count)}
+        for name, values in found.items():
+            out[name][t][rows[RESULTS[name].dims[0]]] = values
+        for name, value in statistics_of(found["chain_particles"], rule.min_length, sizes["length"]).items():
+            out[name][t] = value
+    return out | {name: arrays[name] for name in COPIED}
+
+
+def find_chains(rule: SearchRule, frame: Frame, box: NDArray | None, time: float, where: str) -> Frame:
+    """Chains of one frame: arrays by particle, by contact and by chain, by the names in `RESULTS`."""
+    period = periods(box, rule.stress.periodic, where)
+    contacts = rule.stress.contacts(frame, box, where)
+    stress = rule.stress.evaluate(frame, contacts, box, where)
+    major, onward = stress["major_stress"], np.nan_to_num(stress["major_direction"])
+    qualifies = rule.qualifies(frame, stress, time, period)
+    i, j, particles = contacts.i, contacts.j, len(major)
+    branch = contacts.branch_i - contacts.branch_j
+
+    aligned = np.empty(len(i), bool)
+    kernel.aligned_contacts(i, j, branch, onward, qualifies, rule.cosine, aligned)
+    start, contact = kernel.rows_of_contacts(i, j, aligned, particles)
+    seeds = np.flatnonzero(qualifies)
+    chain, parent = np.full(particles, kernel.UNSEEN), np.full(particles, kernel.UNSEEN)
+    members, first = np.empty(particles, int), np.empty(particles + 1, int)
+    place, link = frame["position"].copy(), np.full(len(i), kernel.UNSEEN)
+    found = (chain, parent, members, first, onward, place, link)
+    if rule.linear:
+        seeds = seeds[np.argsort(-major[seeds], kind="stable")]
+        count = kernel.linear_chains(i, j, branch, start, contact, seeds, rule.min_length, *found)
+    else:
+        count = kernel.branching_chains(
+            i, j, branch, start, contact, seeds, rule.one_sided, rule.min_length, *found
+        )  # fmt: skip
+    links = np.empty(particles, int)
+    kernel.count_links(i, j, start, contact, link, links)
+
+    by_chain = {name: values[0] for name, values in empty_results(CHAINS, {"chain": count}, 1).items()}
+    kernel.describe_chains(members, first, place, major, links, *by_chain.values())
+    dropped = chain == kernel.TOO_SHORT
+    chain[dropped] = parent[dropped] = kernel.UNSEEN
+    return by_chain | {
+        "chain_id": chain,
+        "parent_id": np.where(parent >= 0, frame["particle_id"][parent], -1),
+        "links": links,
+        "branching": (links > 2).astype(int),
+        "link_chain": link,
+        **{name: values for name, values in stress.items() if name in RESULTS},
+        "major_direction": np.where(np.isnan(stress["major_direction"]), np.nan, onward),
+    }

@@ -1,0 +1,110 @@
+"""The command ``xcg chains``: from files to force chains, and on to files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+import xarray as xr
+
+from xcg.chains import ALGORITHMS, force_chains
+from xcg.readers.series import open_scene
+
+
+def _threshold(context: click.Context, parameter: click.Parameter, value: str | None) -> float | str | None:
+    if value is None or value == "mean":
+        return value
+    try:
+        return float(value)
+    except ValueError:
+        msg = f"{value!r} is neither 'mean' nor a stress"
+        raise click.BadParameter(msg) from None
+
+
+@click.command("chains")
+@click.argument("particles", nargs=-1, required=True)
+@click.option("--contacts", required=True, multiple=True, help="Contact files: a path or a quoted pattern; repeatable.")
+@click.option("--walls", multiple=True, help="Files of contacts with walls, where they are apart.")
+@click.option("--engine", help="The code that wrote the files; guessed by default.")
+@click.option("--periodic", help="Periodic axes, for example xy.")
+@click.option("--frozen", type=int, multiple=True, help="Species that are held in place; repeatable.")
+@click.option("--alpha", default=45.0, show_default=True, help="Largest angle between stress and branch (degrees).")
+@click.option("--threshold", callback=_threshold, help="Least major stress: a number (Pa), or mean.")
+@click.option("--min-length", default=3, show_default=True, help="Least number of particles of a chain.")
+@click.option("--algorithm", type=click.Choice(ALGORITHMS), default=ALGORITHMS[0], show_default=True)
+@click.option("--raw", is_flag=True, help="Do not symmetrise the stress (as Force Chain Finder).")
+@click.option("--csv", type=click.Path(path_type=Path), help="CSV of Force Chain Finder; {step} for several steps.")
+@click.option("--vtp", type=click.Path(path_type=Path), help="VTK PolyData; {step} for several steps.")
+@click.option("--vtkhdf", type=click.Path(path_type=Path), help="All steps as one temporal VTKHDF file.")
+@click.option("--netcdf", type=click.Path(path_type=Path), help="The whole result as NetCDF.")
+@click.option("--overwrite", is_flag=True, help="Replace files that exist.")
+def chains_command(
+    particles: tuple[str, ...],
+    contacts: tuple[str, ...],
+    walls: tuple[str, ...],
+    engine: str | None,
+    periodic: str | None,
+    frozen: tuple[int, ...],
+    alpha: float,
+    threshold: float | str | None,
+    min_length: int,
+    algorithm: str,
+    raw: bool,
+    csv: Path | None,
+    vtp: Path | None,
+    vtkhdf: Path | None,
+    netcdf: Path | None,
+    overwrite: bool,
+) -> None:
+    """Find force chains in PARTICLES and print their statistics.
+
+    For example: xcg chains "particles.*.dump" --contacts "contacts.*.dump" --csv "chains_{step}.csv" --vtp
+    "chains_{step}.vtp"
+    """
+    said: dict[str, Any] = {"engine": engine, "periodic": periodic}
+    if walls:
+        said["walls"] = list(walls)
+    if frozen:
+        said["frozen"] = list(frozen)
+    try:
+        scene = open_scene(
+            list(particles), contacts=list(contacts), **{k: v for k, v in said.items() if v is not None}
+        )  # fmt: skip
+        fc = force_chains(scene, alpha, threshold, min_length, algorithm=algorithm, symmetric=not raw).compute()
+        click.echo(statistics_table(fc))
+        if netcdf:
+            _refuse_existing(netcdf, overwrite)
+            fc.to_netcdf(netcdf)
+        _write(fc, csv, vtp, vtkhdf, overwrite=overwrite)
+    except (ValueError, OSError) as error:
+        raise click.ClickException(str(error)) from error
+
+
+def _refuse_existing(path: Path, overwrite: bool) -> None:
+    if path.exists() and not overwrite:
+        msg = f"{path} exists; choose another name, or pass --overwrite to replace it"
+        raise FileExistsError(msg)
+
+
+def _write(fc: xr.Dataset, csv: Path | None, vtp: Path | None, vtkhdf: Path | None, *, overwrite: bool) -> None:
+    from xcg.writers import chains
+
+    if csv:
+        chains.to_csv(fc, csv, overwrite=overwrite)
+    if vtp:
+        chains.to_vtp(fc, vtp, overwrite=overwrite)
+    if vtkhdf:
+        chains.to_vtkhdf(fc, vtkhdf, overwrite=overwrite)
+
+
+def statistics_table(fc: xr.Dataset) -> str:
+    """Count and lengths of the chains of each step, as text."""
+    names = ["chain_count", "length_mean", "length_median", "length_min", "length_max"]
+    heads = "".join(f"{head:>9s}" for head in ("chains", "mean", "median", "min", "max"))
+    lines = [f"{'step':>10s}{'time':>12s}{heads}"]
+    for t in range(fc.sizes["time"]):
+        step = fc.isel(time=t)
+        values = "".join(f"{step[name].item():9.4g}" for name in names)
+        lines.append(f"{step['step'].item():10d}{step['time'].item():12.5g}{values}")
+    return "\n".join(lines)
