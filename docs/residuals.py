@@ -21,9 +21,11 @@ Some identities hold on any scene, whatever made it, and need no reference data.
 of each on one step of each folder of sample data, for Lucy's kernel of half-width 0.75 d43 and closed forms, at {count}
 points near contacts (one across a periodic edge and one at a wall, where there are any). Residuals are in units of the
 terms that must cancel. What is left is rounding, and the error of the finite differences and sums over nodes that
-stand in for exact derivatives and integrals here. The last two columns are for packings at rest: how far the field is
-from equilibrium, which says how static the *data* are, and what of that is not explained by the resultants
-F + m g of the grains. Made by `python -m docs.residuals DATA`, with `DATA` the folder of the sample data.
+stand in for exact derivatives and integrals here. "4 equilibrium" is for packings at rest: how far the field is
+from equilibrium, which says how static the *data* are. The last column is what is not explained by the resultants
+F + m g of the grains, at rest or not.
+
+Made by `python -m docs.residuals DATA`, with `DATA` the folder of the sample data.
 
 """
 NOTES = """
@@ -46,7 +48,7 @@ def columns(name: str) -> dict[str, Callable[[Case], str]]:
 
     def static(case: Case) -> tuple[str, str]:
         left, unexplained, _ = residuals.static_equilibrium(case.ds, case.width, case.points)
-        return (number(left) if name in STATIC else "flows", number(unexplained))
+        return (number(left) if name in STATIC else "–", number(unexplained))
 
     return {
         "1 mass": lambda c: number(residuals.mass(c.ds, c.width)),

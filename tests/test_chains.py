@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import tracemalloc
+
 import dask
 import numpy as np
 import pytest
@@ -333,6 +335,17 @@ def test_nothing_computes_while_the_graph_is_built():
         stress = ds.cg.particle_stress().major_stress.max()
     assert dask.is_dask_collection(mean)
     assert dask.is_dask_collection(stress)
+
+
+def test_memory_grows_in_proportion():
+    peaks = []
+    for cells in (20, 40):
+        ds = xcg.datasets.random_scene(cells**3 // 4, seed=1, edge=float(cells), walls=False)
+        tracemalloc.start()
+        ds.cg.force_chains()
+        peaks.append(tracemalloc.get_traced_memory()[1] / (ds.sizes["particle"] + ds.sizes["contact"]))
+        tracemalloc.stop()
+    assert peaks[1] == pytest.approx(peaks[0], rel=0.2)
 
 
 def test_netcdf(tmp_path):

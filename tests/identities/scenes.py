@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 import xcg
+from tests import shared_data
 
 TILT = np.radians(24)
 
@@ -143,7 +144,7 @@ def _yade_periodic(folder: Path) -> xr.Dataset:
     )
 
 
-OPEN: dict[str, Callable[[Path], xr.Dataset]] = {
+OPEN: dict[str, Callable[..., xr.Dataset]] = {
     "lammps_chute": _lammps_chute,
     "lammps_polydisperse": _lammps_polydisperse,
     "lammps_biaxial2d": _lammps_biaxial2d,
@@ -156,9 +157,9 @@ OPEN: dict[str, Callable[[Path], xr.Dataset]] = {
 
 
 @lru_cache
-def load(name: str) -> Case:
-    """Return a scene by name; skips the test where the shared data are absent."""
-    return Case.of(name, OPEN[name](shared_data(name)))
+def load(name: str, **which: int) -> Case:
+    """Return a scene by name (and step, for some); skips the test where the shared data are absent."""
+    return Case.of(name, OPEN[name](shared_data(name), **which))
 
 
 # --- scenes that need no data ----------------------------------------------------------------------------
