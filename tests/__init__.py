@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
+import xarray as xr
+
+import xcg
 
 
 def shared_data(name: str) -> Path:
@@ -13,3 +17,15 @@ def shared_data(name: str) -> Path:
     if not path.exists():
         pytest.skip(f"needs the shared data '{name}'")
     return path
+
+
+def steps_of_random_scenes(count: int) -> xr.Dataset:
+    """Random scenes of different numbers of particles and contacts, as one scene of several steps."""
+    steps = [xcg.datasets.random_scene(40 + t, seed=t) for t in range(count)]
+    names = ["velocity", "diameter", "species", "contact_i", "contact_j", "contact_force", "contact_point"]
+    key = {"contact": "contact_i", "particle": "particle_id"}
+    rows = {n: [s[n].values[0][s[key[s[n].dims[1]]].values[0] >= 0] for s in steps] for n in names}
+    return xcg.scene_from_arrays(
+        [s.position.values[0] for s in steps], density=2500.0, box=[[0, 5.0]] * 3, periodic="xyz",
+        time=np.arange(count) * 0.1, **rows,
+    )  # fmt: skip

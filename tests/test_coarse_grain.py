@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import xcg
+from tests import steps_of_random_scenes
 from tests.brute_force import BruteKernel, brute_force
 
 RATIOS = {"velocity", "particle_density", "coordination_number", "d32", "d43", "granular_temperature",
@@ -207,20 +208,9 @@ def test_nothing_computes_while_the_graph_is_built():
     assert isinstance(g.data, dask.array.Array)
 
 
-def many_steps():
-    steps = [xcg.datasets.random_scene(40 + t, seed=t) for t in range(5)]
-    names = ["velocity", "diameter", "species", "contact_i", "contact_j", "contact_force", "contact_point"]
-    key = {"contact": "contact_i", "particle": "particle_id"}
-    rows = {n: [s[n].values[0][s[key[s[n].dims[1]]].values[0] >= 0] for s in steps] for n in names}
-    return xcg.scene_from_arrays(
-        [s.position.values[0] for s in steps], density=2500.0, box=[[0, 5.0]] * 3, periodic="xyz",
-        time=np.arange(5) * 0.1, **rows,
-    )  # fmt: skip
-
-
 @pytest.mark.parametrize("scheduler", ["synchronous", "threads", "processes"])
 def test_lazy_equals_eager_under_every_scheduler(scheduler):
-    ds = many_steps()
+    ds = steps_of_random_scenes(5)
     eager = ds.cg.coarse_grain(width=0.8, spacing=1.0)
     for chunk in (1, 2, 5):
         f = ds.chunk(time=chunk).cg.coarse_grain(width=0.8, spacing=1.0)
@@ -229,7 +219,7 @@ def test_lazy_equals_eager_under_every_scheduler(scheduler):
 
 
 def test_time_verbs_and_chunks_along_particles():
-    ds = many_steps()
+    ds = steps_of_random_scenes(5)
     whole = ds.cg.coarse_grain(["density", "contact_stress"], width=0.8)
     chunked = ds.chunk(time=2, particle=7, contact=11)
     part = chunked.isel(time=[3, 1]).cg.coarse_grain(["density", "contact_stress"], width=0.8)

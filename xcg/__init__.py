@@ -12,7 +12,9 @@ from xcg.chain_tables import chain_table, link_table
 from xcg.chain_tracks import track_chains
 from xcg.chains import force_chains
 from xcg.coarse_grain import coarse_grain
+from xcg.detection import find_contacts
 from xcg.fields import FIELDS
+from xcg.microstructure import microstructure
 from xcg.particle_stress import particle_stress
 from xcg.phases import assign_phases, find_phases, plot_phases
 from xcg.pysammos import pysammos_mesh
@@ -43,11 +45,13 @@ __all__ = [
     "chain_table",
     "coarse_grain",
     "datasets",
+    "find_contacts",
     "find_phases",
     "force_chains",
     "group_bodies",
     "link_table",
     "measure",
+    "microstructure",
     "open_scene",
     "particle_stress",
     "plot_chains",

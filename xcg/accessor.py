@@ -17,6 +17,8 @@ from xcg.chain_tables import chain_table, link_table
 from xcg.chain_tracks import track_chains
 from xcg.chains import force_chains
 from xcg.coarse_grain import coarse_grain
+from xcg.detection import find_contacts
+from xcg.microstructure import microstructure
 from xcg.particle_stress import particle_stress
 from xcg.phases import assign_phases, find_phases, plot_phases
 from xcg.plan import Plan, make_plan
@@ -98,6 +100,14 @@ class CoarseGrainAccessor:
     def measure(self) -> xr.Dataset:
         """Measure sizes and extent of all steps, see `xcg.measure`."""
         return measure(self._ds)
+
+    def find_contacts(self, **options: Any) -> xr.Dataset:
+        """Find contacts from positions and diameters, see `xcg.find_contacts`."""
+        return find_contacts(self._ds, **options)
+
+    def microstructure(self, quantities: Any = None, **options: Any) -> xr.Dataset:
+        """Measure the microstructure of the packing, see `xcg.microstructure`."""
+        return microstructure(self._ds, quantities, **options)
 
     def select_chains(self, region: Region | None = None, **conditions: Any) -> xr.Dataset:
         """Keep the chains that fulfil a condition, see `xcg.select_chains`."""

@@ -14,11 +14,11 @@ from xcg import fields as registry
 from xcg import pysammos
 from xcg.bodies import group_bodies
 from xcg.complete import periods
-from xcg.labels import about
+from xcg.labels import about, call_of
 from xcg.moments import sums_of_frame
-from xcg.over_time import map_over_time
+from xcg.over_time import map_over_time, steps_in
 from xcg.plan import Plan, make_plan, scale_of
-from xcg.scene import frame_of, require_scene
+from xcg.scene import require_scene
 from xcg.schema import COMPONENTS, Frame, units_of
 from xcg.smoothing import Kernel
 
@@ -167,14 +167,9 @@ def _with_preset(ds: xr.Dataset, given: dict[str, Any]) -> xr.Dataset:
 
 def compute_chunk(plan: Plan, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
     """Fields of one chunk of time, from padded arrays."""
-    inputs = dict(arrays)
-    boxes, steps = inputs.pop("box", None), inputs.pop("step", None)
-    count = len(inputs["particle_id"])
-    out = {name: np.empty((count, *plan.shape(name))) for name in plan.fields}
-    for t in range(count):
-        where = f"frame {t} of its chunk" if steps is None else f"step {steps[t]}"
-        box = None if boxes is None else boxes[t]
-        _compute_step(plan, frame_of(inputs, t), box, where, {name: a[t, ...] for name, a in out.items()})
+    out = {name: np.empty((len(arrays["particle_id"]), *plan.shape(name))) for name in plan.fields}
+    for t, (frame, box, where) in enumerate(steps_in(arrays)):
+        _compute_step(plan, frame, box, where, {name: a[t, ...] for name, a in out.items()})
     return out
 
 
@@ -224,9 +219,8 @@ def _label(ds: xr.Dataset, plan: Plan, arrays: Mapping[str, Any], given: Mapping
 
 
 def _provenance(ds: xr.Dataset, plan: Plan, given: Mapping[str, Any]) -> dict[str, Any]:
-    call = ", ".join(f"{k}={v!r}" for k, v in given.items())
     return {
-        **about(ds, f"coarse_grain({call})"),
+        **about(ds, call_of("coarse_grain", given)),
         "kernel": plan.kernel.name,
         "width": plan.kernel.width,
         "cutoff": plan.kernel.cutoff,

@@ -243,7 +243,12 @@ def _contact_points(
         msg = f"{where}: contact points follow from diameters, but the particles have none; give one of the two"
         raise SceneError(msg)
     branch = minimum_image(particles["position"][row_i] - particles["position"][row_j], period)
+    radius = particles["diameter"] / 2
+    return contact_points(particles["position"][row_i], branch, radius[row_i], radius[row_j])
+
+
+def contact_points(position_i: NDArray, branch: NDArray, radius_i: NDArray, radius_j: NDArray) -> NDArray:
+    """Points on the branches r_i - r_j of spheres, ``R_i - overlap / 2`` from the centre of i."""
     length = np.linalg.norm(branch, axis=1)
-    radius_i, radius_j = particles["diameter"][row_i] / 2, particles["diameter"][row_j] / 2
     share = (length + radius_i - radius_j) / (2 * np.where(length > 0, length, 1.0))
-    return particles["position"][row_i] - share[:, None] * branch
+    return position_i - share[:, None] * branch

@@ -1,17 +1,23 @@
-"""Contacts of one frame: who touches whom, branch vectors, and the segments that carry stress."""
+"""Contacts of one frame: who is near whom, branch vectors, and the segments that carry stress."""
 
 from __future__ import annotations
 
 import math
+import os
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from xcg.complete import rows_of
-from xcg.kernels.rows import add_dyads, add_rows, nearest_image
-from xcg.schema import Frame
+from xcg.cells import CellLists
+from xcg.complete import periods, rows_of
+from xcg.kernels.neighbours import sort_pairs
+from xcg.kernels.rows import add_dyads, add_rows, nearest_image, peel
+from xcg.scene import box_array
+from xcg.schema import Frame, SceneError
 
 # Branches closer to one line than this (sine of their angle) share one segment from centre to centre; the
 # contact point is then off that line by no more than the rounding of its coordinates.
@@ -29,7 +35,7 @@ class Contacts:
     i, j : array (n,)
         Rows of the two particles; -1 for a wall or a partner that is not in the scene.
     force : array (n, 3)
-        Force on i (N).
+        Force on i (N); zero where the frame has no forces.
     branch_i, branch_j : array (n, 3)
         From the contact point to the centre, ``r_i - c`` (m), nearest image; zero for a partner that is not there.
     given_normal : array (n, 3) or None
@@ -63,7 +69,9 @@ class Contacts:
         nearest_image(position, row_i, point, period, branch_i)
         nearest_image(position, row_j, point, period, branch_j)
         normal = frame.get("contact_normal")
-        return cls(row_i, row_j, frame["contact_force"], branch_i, branch_j, normal, point, key_i, key_j, len(ids))
+        # contacts found from positions without a stiffness have no forces
+        force = frame.get("contact_force", np.zeros_like(point))
+        return cls(row_i, row_j, force, branch_i, branch_j, normal, point, key_i, key_j, len(ids))
 
     def with_overlaps(self, diameter: NDArray, overlap: NDArray) -> Contacts:
         """Return the contacts with branches of spheres as the code had them: ``a = n (R - overlap/2)``.
@@ -100,14 +108,28 @@ class Contacts:
         return total.reshape(self.count, *on_i.shape[1:])
 
     @cached_property
-    def partners(self) -> NDArray:
-        """Number of contact partners of each particle, walls included; several contacts with one count once."""
+    def first(self) -> NDArray:
+        """1 for the first contact of each pair, 0 for further ones (bodies may touch in several places)."""
         low, high = np.minimum(self.key_i, self.key_j), np.maximum(self.key_i, self.key_j)
         order = np.lexsort((high, low))
         repeated = (np.diff(low[order]) == 0) & (np.diff(high[order]) == 0)
         first = np.ones(len(low))
         first[order[1:][repeated]] = 0.0
-        return self.sum_over_particles(first, first)
+        return first
+
+    @cached_property
+    def partners(self) -> NDArray:
+        """Number of contact partners of each particle, walls included; several contacts with one count once."""
+        return self.sum_over_particles(self.first, self.first)
+
+    def backbone(self, least: int) -> NDArray:
+        """Whether each particle keeps `least` partners when all that have fewer are taken out, again and again.
+
+        Partners that are not particles of the scene (walls) stay.
+        """
+        degree, kept = self.partners.copy(), np.ones(self.count, bool)
+        peel(self.i, self.j, self.first, least, degree, kept)
+        return kept
 
     @property
     def normals(self) -> NDArray:
@@ -165,3 +187,134 @@ class Contacts:
             np.concatenate([phase[i[whole]], phase[i[only_i]], phase[j[only_j]]]),
             np.concatenate([phase[j[whole]], *(np.where(k >= 0, phase[k], -1) for k in (j[only_i], i[only_j]))]),
         )
+
+
+# --- who is near whom ------------------------------------------------------------------------------------
+
+METHODS = ("hierarchical", "linked-cell")
+# Fewer particles than this are not worth a second thread.
+PARTICLES_A_THREAD = 20_000
+
+
+def find_pairs(
+    position: ArrayLike,
+    radius: ArrayLike,
+    box: ArrayLike | Mapping[str, Sequence[float]] | None = None,
+    periodic: str = "",
+    *,
+    skin: float = 0.0,
+    method: str = "hierarchical",
+    levels: int | None = None,
+    threads: int | None = None,
+) -> NDArray:
+    """Find all pairs of spheres with ``|r_i - r_j| < R_i + R_j + skin``, each once, for any mix of sizes.
+
+    Particles are sorted by size into levels, each with cells as large as its largest particles need. Pairs of one
+    level are found in forward cells, pairs of two levels from the smaller particle in the cells of the larger level
+    (Iwai, Hong & Greil 1999; Ogarko & Luding 2012; Shire, Hanley & Stratford 2020). Time and memory are linear in
+    particles and pairs, whatever the ratio of sizes.
+
+    Parameters
+    ----------
+    position : array (n, 3) or (n, 2)
+        Centres (m). Those outside the box are wrapped into it along periodic axes; along the others, cells are laid
+        where the particles are.
+    radius : array (n,)
+        Radii (m), zero included.
+    box : array (3, 2) or mapping, optional
+        Edges of the domain (m), needed along periodic axes, for example ``{"x": (0.0, 0.1)}``.
+    periodic : str
+        Periodic axes, any of "xyz". Distances are to the nearest image; a particle is no partner of its own image.
+    skin : float
+        Width of gaps that still count (m).
+    method : str
+        "hierarchical", or "linked-cell": one level for all sizes, the common method, to compare with.
+    levels : int, optional
+        Number of levels, spaced logarithmically from the smallest to the largest radius; those that hold no
+        particles are left out. By default one for each factor of 3.
+    threads : int, optional
+        Threads that search; by default all cores for many particles. The result does not depend on it.
+
+    Returns
+    -------
+    array (pairs, 2)
+        Rows i < j of the particles of each pair, sorted by i, then j.
+
+    Raises
+    ------
+    SceneError
+        If arrays have the wrong shape or hold values that are not finite, a radius is negative, or the box is
+        unbounded along a periodic axis.
+    ValueError
+        If `method`, `skin`, `levels` or `threads` is not as expected.
+
+    Examples
+    --------
+    >>> find_pairs([[0.1, 0, 0], [9.9, 0, 0], [5.0, 0, 0]], [0.2, 0.2, 0.2], {"x": (0, 10)}, "x").tolist()
+    [[0, 1]]
+    """
+    centres, radii = _spheres(position, radius)
+    check_search(skin, method, levels, threads)
+    if box is not None and not isinstance(box, Mapping) and np.shape(box) == (2, 2):
+        box = dict(zip("xy", np.asarray(box, float).tolist(), strict=True))
+    edges = None if box is None else box_array(box, 1)[0]
+    period = periods(edges, periodic, "find_pairs")
+    if len(centres) < 2:
+        return np.empty((0, 2), "int64")
+    corner = np.zeros(3) if edges is None else np.where(np.isfinite(period), edges[:, 0], 0.0)
+    lists = CellLists.of(centres, radii, corner, period, skin=skin, levels=1 if method == "linked-cell" else levels)
+    workers = threads or min(_cores(), 1 + len(centres) // PARTICLES_A_THREAD)
+    if workers == 1:
+        found = [lists.find(0, len(centres))]
+    else:
+        # more parts than threads, as large particles take longer than small ones
+        cuts = np.linspace(0, len(centres), 8 * workers + 1, dtype=int)
+        with ThreadPoolExecutor(workers) as pool:
+            found = list(pool.map(lists.find, cuts[:-1], cuts[1:]))
+    left, right = (np.concatenate([part[side] for part in found]) for side in (0, 1))
+    pairs = np.empty((len(left), 2), "int64")
+    sort_pairs(left, right, lists.row, pairs)
+    return pairs
+
+
+def _cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _spheres(position: ArrayLike, radius: ArrayLike) -> tuple[NDArray, NDArray]:
+    """Centres (n, 3) and radii (n,), checked."""
+    centres, radii = np.asarray(position, float), np.ascontiguousarray(radius, float)
+    if centres.size == 0:
+        centres = centres.reshape(0, 3)
+    if centres.ndim != 2 or centres.shape[1] not in (2, 3) or radii.shape != (len(centres),):
+        msg = (
+            f"position has shape {np.shape(position)} and radius {np.shape(radius)}: expected (n, 3), or (n, 2) for a "
+            "plane, and (n,)"
+        )
+        raise SceneError(msg)
+    wrong = ~(np.isfinite(centres).all(axis=1) & np.isfinite(radii) & (radii >= 0))
+    if wrong.any():
+        row = int(np.flatnonzero(wrong)[0])
+        msg = (
+            f"particle {row} has position {centres[row]} and radius {radii[row]} ({int(wrong.sum())} such rows): "
+            "expected finite coordinates and a radius of at least 0; repair or drop these rows"
+        )
+        raise SceneError(msg)
+    if centres.shape[1] == 2:
+        centres = np.column_stack([centres, np.zeros(len(centres))])
+    return np.ascontiguousarray(centres), radii
+
+
+def check_search(skin: float, method: str, levels: int | None, threads: int | None = None) -> None:
+    """Refuse options of the search that are not as expected."""
+    if method not in METHODS:
+        msg = f"method={method!r}: expected one of {', '.join(map(repr, METHODS))}"
+        raise ValueError(msg)
+    if not (np.isfinite(skin) and skin >= 0):
+        msg = f"skin={skin!r}: expected 0 or the width of a gap that still counts as a contact (m)"
+        raise ValueError(msg)
+    for name, value in (("levels", levels), ("threads", threads)):
+        if value is not None and not (isinstance(value, (int, np.integer)) and value >= 1):
+            msg = f"{name}={value!r}: expected a whole number of at least 1, or None to let it be chosen"
+            raise ValueError(msg)

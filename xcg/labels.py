@@ -47,6 +47,12 @@ def label(ds: xr.Dataset, variables: Mapping[str, Variable], arrays: Mapping[str
     return xr.Dataset(data, coords, about(ds, call))
 
 
+def call_of(function: str, given: Mapping[str, Any]) -> str:
+    """Write a call on one line, arrays by their shape."""
+    shown = {k: f"<array {np.shape(v)}>" if np.ndim(v) and hasattr(v, "dtype") else repr(v) for k, v in given.items()}
+    return f"{function}({', '.join(f'{k}={v}' for k, v in shown.items())})"
+
+
 def about(ds: xr.Dataset, call: str) -> dict[str, Any]:
     """Attributes of a result: what holds for the scene, then its history with the time, the version and the call."""
     stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")

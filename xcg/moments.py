@@ -17,7 +17,7 @@ from xcg.kernels.segments import deposit_segments
 from xcg.schema import Frame, SceneError
 from xcg.smoothing import Weights
 
-CONTACT_VARIABLES = ("position", "contact_i", "contact_j", "contact_force", "contact_point", "contact_normal")
+CONTACT_VARIABLES = ("position", "contact_i", "contact_j", "contact_point", "contact_normal")
 
 
 @dataclass(frozen=True)
@@ -73,6 +73,7 @@ def _forces(frame: Frame, contacts: Contacts | None) -> NDArray:
 
 
 _MV = ("mass", "velocity")
+_FORCE = ("contact_force",)
 MOMENTS: dict[str, Moment] = {
     # flow columns, relative to the node: x = r_i - r, u = v_i - U
     "count": Moment((), "1, where Psi > 0", (), kernel.VELOCITY, kernel.COUNT),
@@ -90,14 +91,14 @@ MOMENTS: dict[str, Moment] = {
     "size4": Moment(("diameter",), "d^4", column=_power(4)),
     "partners": Moment((), "z", column=_partners, contacts=True),
     "fabric": Moment(("volume",), "V sum_c n n", (3, 3), column=_fabric, contacts=True),
-    "force": Moment((), "sum_c f", (3,), column=_forces, contacts=True),
+    "force": Moment(_FORCE, "sum_c f", (3,), column=_forces, contacts=True),
     # weighted by grad Psi
     "mass_slope": Moment(("mass",), "m, with grad Psi", (3,)),
     "momentum_slope": Moment(_MV, "m u, with grad Psi", (3, 3)),
     # along branches, and at walls
-    "contact": Moment((), "f a, along the branch", (3, 3), contacts=True),
-    "pair_contact": Moment((), "f a, along the branch, by phase of the partner", (3, 3), contacts=True),
-    "traction": Moment((), "f, at the wall", (3,), contacts=True),
+    "contact": Moment(_FORCE, "f a, along the branch", (3, 3), contacts=True),
+    "pair_contact": Moment(_FORCE, "f a, along the branch, by phase of the partner", (3, 3), contacts=True),
+    "traction": Moment(_FORCE, "f, at the wall", (3,), contacts=True),
 }
 
 _SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
@@ -140,7 +141,8 @@ class Recipe:
         return max((MOMENTS[name].level for name in self.moments), default=kernel.NONE)
 
 
-def _phase_of(frame: Frame, by: str | None, groups: Sequence[int], where: str) -> NDArray:
+def phase_of(frame: Frame, by: str | None, groups: Sequence[int], where: str) -> NDArray:
+    """Which of the groups each particle belongs to; refuses particles of none."""
     count = len(frame["position"])
     if by is None:
         return np.zeros(count, "int64")
@@ -156,7 +158,7 @@ def _phase_of(frame: Frame, by: str | None, groups: Sequence[int], where: str) -
     return row
 
 
-def _without_frozen(frame: Frame) -> Frame:
+def without_frozen(frame: Frame) -> Frame:
     """Drop frozen grains; contacts with them become contacts with a wall, as their partner is not there."""
     if "frozen" not in frame:
         return frame
@@ -263,10 +265,10 @@ def sums_of_frame(frame: Frame, recipe: Recipe, period: NDArray, scale: float, w
     where : str
         Names the step in messages.
     """
-    frame = _without_frozen(frame)
+    frame = without_frozen(frame)
     position = np.ascontiguousarray(frame["position"])
     count = len(position)
-    phase = _phase_of(frame, recipe.by, recipe.groups, where)
+    phase = phase_of(frame, recipe.by, recipe.groups, where)
     wanted = {name: MOMENTS[name] for name in recipe.moments}
     contacts = Contacts.of(frame, period) if "contact_i" in frame else None
     to = _Deposit(recipe, period, scale)

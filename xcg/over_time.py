@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, TypeAlias
 
@@ -12,6 +12,9 @@ import xarray as xr
 from dask.base import tokenize
 from dask.highlevelgraph import HighLevelGraph
 from numpy.typing import NDArray
+
+from xcg.scene import frame_of
+from xcg.schema import Frame
 
 # computes the results of a chunk from its arrays, time first, by name
 Compute: TypeAlias = Callable[[Mapping[str, NDArray]], dict[str, NDArray]]
@@ -69,6 +72,20 @@ def map_over_time(
         meta = np.empty((0,) * (1 + len(shape)), dtype)
         out[result] = da.Array(layers, key, (chunks, *((n,) for n in shape)), meta=meta)
     return out
+
+
+def steps_in(arrays: Mapping[str, NDArray]) -> Iterator[tuple[Frame, NDArray | None, str]]:
+    """Frame, box and name of each step of padded arrays; the box is None where they hold none."""
+    boxes, steps = arrays.get("box"), arrays.get("step")
+    rows = {name: a for name, a in arrays.items() if name not in ("box", "step")}
+    for t in range(len(next(iter(rows.values())))):
+        where = f"frame {t} of its chunk" if steps is None else f"step {steps[t]}"
+        yield frame_of(rows, t), None if boxes is None else boxes[t], where
+
+
+def is_lazy(ds: xr.Dataset, names: Iterable[str]) -> bool:
+    """Whether any of these variables is a dask array."""
+    return any(isinstance(ds[name].variable._data, da.Array) for name in names)
 
 
 def _inputs(ds: xr.Dataset, names: Iterable[str]) -> dict[str, Any]:

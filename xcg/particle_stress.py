@@ -122,7 +122,7 @@ class StressRule:
         }
 
 
-_CONTACTS = tuple(name for name in CONTACT_VARIABLES if name != "contact_normal")
+_CONTACTS = (*(name for name in CONTACT_VARIABLES if name != "contact_normal"), "contact_force")
 
 
 def _principal_of_raw(stress: NDArray) -> tuple[NDArray, NDArray]:

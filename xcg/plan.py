@@ -197,7 +197,8 @@ def _variables(fields: Sequence[str], ds: xr.Dataset, options: registry.Options)
     return needed
 
 
-def _groups(ds: xr.Dataset, by: str, groups: Sequence[int] | None) -> tuple[int, ...]:
+def groups_of(ds: xr.Dataset, by: str, groups: Sequence[int] | None) -> tuple[int, ...]:
+    """Values of an integer variable of the particles, sorted: given, or known without reading."""
     if by not in ds or ds[by].dtype.kind not in "iu" or "particle" not in ds[by].dims:
         whole = [
             n for n in ds.data_vars if ds[n].dtype.kind in "iu" and "particle" in ds[n].dims and n != "particle_id"
@@ -216,7 +217,7 @@ def _groups(ds: xr.Dataset, by: str, groups: Sequence[int] | None) -> tuple[int,
 
 
 def edges_of(ds: xr.Dataset) -> dict[str, tuple[float, float]]:
-    """Edges of the box along the axes where it is finite."""
+    """Edges of the box of the first step along the axes where it is finite."""
     lower, upper = ds.attrs.get("box_lower"), ds.attrs.get("box_upper")
     if lower is None or upper is None:
         return {}
@@ -292,7 +293,7 @@ def make_plan(
         cutoff=chosen.cutoff,
         limits=gauss_limits(chosen, len(grid.seen), rtol),
         by=by,
-        groups=() if by is None else _groups(ds, by, groups),
+        groups=() if by is None else groups_of(ds, by, groups),
     )
     x, y, z = (grid.spacing.get(a, 0.0) for a in COMPONENTS)
     options = replace(

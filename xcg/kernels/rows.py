@@ -1,4 +1,4 @@
-"""Sums of rows by index, and vectors between rows."""
+"""Loops over pairs of rows: sums by index, vectors between rows, and peeling of a network."""
 
 import numpy as np
 
@@ -12,6 +12,41 @@ def add_rows(row, values, out):
         if row[n] >= 0:
             for c in range(values.shape[1]):
                 out[row[n], c] += values[n, c]
+
+
+@jit
+def peel(row_i, row_j, weight, least, degree, kept):
+    """Take out rows of fewer than `least` partners, and again those that then have fewer, until none is left.
+
+    Parameters
+    ----------
+    row_i, row_j : (n,)
+        Pairs; negative where a partner is no row.
+    weight : (n,)
+        1 for pairs that count, 0 for repeated ones.
+    least : int
+        Partners that a row needs to stay.
+    degree : (m,)
+        Number of partners of each row; lowered here.
+    kept : (m,)
+        Whether each row stays (true on entry), set here.
+    """
+    again = True
+    while again:
+        again = False
+        for i in range(kept.size):
+            if kept[i] and degree[i] < least:
+                kept[i] = False
+                again = True
+        # partners of rows that are out no longer count; what is left over is summed anew, without lists of partners
+        degree[:] = 0.0
+        for n in range(row_i.size):
+            i, j = row_i[n], row_j[n]
+            here_i, here_j = i >= 0 and kept[i], j >= 0 and kept[j]
+            if here_i and (here_j or j < 0):
+                degree[i] += weight[n]
+            if here_j and (here_i or i < 0):
+                degree[j] += weight[n]
 
 
 @jit

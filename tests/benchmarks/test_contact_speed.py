@@ -1,0 +1,33 @@
+"""Time of the search for contacts: pytest tests/benchmarks --benchmark-only."""
+
+import runpy
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from xcg.contacts import find_pairs
+
+Packing = runpy.run_path(str(Path(__file__).parents[2] / "docs" / "contact_speed.py"))["Packing"]
+
+
+@pytest.mark.parametrize("method", ["hierarchical", "linked-cell"])
+@pytest.mark.parametrize("kind", ["bidisperse", "series A"])
+@pytest.mark.parametrize("ratio", [1, 3, 10])
+def test_find_pairs(benchmark, kind, ratio, method):
+    packing = Packing.of(kind, ratio, 20_000)
+    arguments = (packing.position, packing.radius, packing.box, "xyz")
+    pairs = benchmark(find_pairs, *arguments, method=method, threads=1)
+    assert len(pairs) > packing.radius.size
+    assert (np.diff(pairs[:, 0]) >= 0).all()
+
+
+def test_find_contacts(benchmark):
+    import xcg
+
+    packing = Packing.of("series A", 5, 20_000)
+    ds = xcg.scene_from_arrays(
+        packing.position, diameter=2 * packing.radius, density=1.0, box=packing.box, periodic="xyz"
+    )
+    found = benchmark(ds.cg.find_contacts, k_n=1.0)
+    assert found.sizes["contact"] > ds.sizes["particle"]

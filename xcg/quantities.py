@@ -1,0 +1,218 @@
+"""Quantities of the microstructure: one row each, with its unit, formula, what it needs, and how it is computed.
+
+A row's function takes the sample ``s`` of one group of particles at one time:
+
+count, diameter, volume, mass, velocity, position : number and (n, ...)
+    The particles of the group.
+partners, held : (n,)
+    Number of contact partners, and whether they hold the particle in place (it is no rattler).
+weight, normal, normal_force : (c, ...)
+    The contacts of the group; a contact weighs half for each of its particles in the group, 1 at a wall.
+push, pushing, mean_force
+    Which contacts have a positive normal force, the weights of these, and their mean force.
+virial : (3, 3)
+    Sum of f a over the particles' sides of their contacts.
+region_volume, plane, min_contacts, max_connectivity, force_bins
+    Volume (m3), axes of the scene, and options.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One quantity.
+
+    Attributes
+    ----------
+    long_name, formula : str
+        For the attributes and the documentation.
+    compute : callable
+        ``compute(s)`` for a `SimpleNamespace` with the sample, see above.
+    powers : tuple of int
+        Powers of (length, mass, time) of its unit.
+    dims : tuple of str
+        Dimensions besides time, region and phase.
+    needs : tuple of str
+        Variables of the scene.
+    """
+
+    long_name: str
+    formula: str
+    compute: Callable[[Any], Any]
+    powers: tuple[int, int, int] = (0, 0, 0)
+    dims: tuple[str, ...] = ()
+    needs: tuple[str, ...] = ()
+
+
+CONTACTS = ("contact_i", "contact_j", "contact_point")
+FORCES = (*CONTACTS, "contact_force")
+TENSOR = ("component", "direction")
+_STRESS = (-1, 1, -2)
+
+
+def ratio(a: Any, b: float) -> Any:
+    """Return a / b, NaN where b is not positive."""
+    return a / b if b > 0 else np.full(np.shape(a), np.nan)
+
+
+def _mechanical(s: Any) -> float:
+    bearing = s.partners[s.partners >= s.min_contacts]
+    return ratio(bearing.sum(), len(bearing))
+
+
+def _connectivity(s: Any) -> NDArray:
+    last = s.max_connectivity
+    return ratio(np.bincount(np.minimum(s.partners, last).astype(int), minlength=last + 1), s.count)
+
+
+def _force_pdf(s: Any) -> NDArray:
+    return ratio(_force_count(s), s.pushing.sum()) / np.diff(s.force_bins)
+
+
+def _force_count(s: Any) -> NDArray:
+    ratio = s.normal_force[s.push] / s.mean_force
+    return np.histogram(ratio, s.force_bins, weights=s.pushing)[0]
+
+
+def _fabric(s: Any) -> NDArray:
+    known = s.weight * (s.normal**2).sum(axis=1)
+    return ratio(np.einsum("n,ni,nj->ij", s.weight, s.normal, s.normal), known.sum())
+
+
+def _plane(tensor: NDArray, s: Any) -> NDArray:
+    """Symmetric part of a tensor, in the axes of the scene."""
+    return ((tensor + tensor.T) / 2)[np.ix_(s.plane, s.plane)]
+
+
+def _deviator(tensor: NDArray) -> NDArray:
+    return tensor - np.trace(tensor) / len(tensor) * np.eye(len(tensor))
+
+
+def _norm(tensor: NDArray) -> float:
+    return float(np.sqrt((tensor * tensor).sum()))
+
+
+def _anisotropy(s: Any) -> float:
+    fabric = _deviator(_plane(_fabric(s), s))
+    # the norms of a = 15/2 F' and a = 4 F' that are a_1 - a_3 for an axisymmetric fabric and a_1 in a plane
+    return np.sqrt(3 / 2) * 7.5 * _norm(fabric) if len(s.plane) == 3 else np.sqrt(0.5) * 4 * _norm(fabric)
+
+
+def _stress(s: Any) -> NDArray:
+    return ratio(s.virial, s.region_volume)
+
+
+def _mean_stress(s: Any) -> float:
+    return float(np.trace(_plane(_stress(s), s)) / len(s.plane))
+
+
+def _deviator_stress(s: Any) -> float:
+    return np.sqrt(3 / 2 if len(s.plane) == 3 else 2) * _norm(_deviator(_plane(_stress(s), s)))
+
+
+def _rate(gradient: NDArray) -> float:
+    """Deviatoric strain rate of a velocity gradient in the axes of the scene."""
+    rate = _deviator((gradient + gradient.T) / 2)
+    return np.sqrt(2 / 3 if len(rate) == 3 else 2) * _norm(rate)
+
+
+def _velocity_rate(s: Any) -> float:
+    """Deviatoric rate of the affine flow that fits the velocities best."""
+    x, v = s.position[:, s.plane], s.velocity[:, s.plane]
+    if len(x) <= len(s.plane):
+        return np.nan
+    gradient = np.linalg.lstsq(x - x.mean(axis=0), v - v.mean(axis=0), rcond=None)[0].T
+    return _rate(gradient)
+
+
+def _d_max(s: Any) -> float:
+    return float(s.diameter.max()) if s.count else np.nan
+
+
+def _d50(s: Any) -> float:
+    if not s.count:
+        return np.nan
+    order = np.argsort(s.diameter, kind="stable")
+    share = np.cumsum(s.volume[order])
+    return s.diameter[order][np.searchsorted(share, 0.5 * share[-1])]
+
+
+def _d_bar(s: Any) -> float:
+    bearing = s.partners >= s.min_contacts
+    return ratio((s.volume * s.diameter)[bearing].sum(), s.volume[bearing].sum())
+
+
+_PER_RATIO = ("force_ratio",)
+QUANTITIES: dict[str, Quantity] = {
+    "particle_count": Quantity("number of particles", "N", lambda s: s.count),
+    "contact_count": Quantity("number of contacts", "N_c = sum w_c", lambda s: s.weight.sum(), needs=CONTACTS),
+    "volume_fraction": Quantity(
+        "packing fraction", "sum V_i / V", lambda s: ratio(s.volume.sum(), s.region_volume), needs=("volume",)
+    ),
+    "coordination_number": Quantity(
+        "coordination number", "Z = sum z_i / N", lambda s: ratio(s.partners.sum(), s.count), needs=CONTACTS
+    ),
+    "mechanical_coordination_number": Quantity(
+        "mechanical coordination number", "Z_mech = sum z_i / N over z_i >= m", _mechanical, needs=CONTACTS
+    ),
+    "rattler_count": Quantity(
+        "number of rattlers", "N of z_i < D + 1", lambda s: s.count - s.held.sum(), needs=CONTACTS
+    ),
+    "non_rattler_fraction": Quantity(
+        "fraction of particles that are no rattlers", "f_NR = 1 - rattlers / N",
+        lambda s: ratio(s.held.sum(), s.count), needs=CONTACTS,
+    ),
+    "connectivity": Quantity(
+        "fraction of particles by number of contact partners", "N(z_i = z) / N", _connectivity,
+        dims=("partners",), needs=CONTACTS,
+    ),
+    "mean_normal_force": Quantity(
+        "mean normal force of contacts that push", "<f> = <f_c . n_c>, f_c . n_c > 0", lambda s: s.mean_force,
+        (1, 1, -2), needs=FORCES,
+    ),
+    "normal_force_pdf": Quantity(
+        "probability density of the normal force over its mean", "p(f / <f>)", _force_pdf, dims=_PER_RATIO, needs=FORCES
+    ),
+    "normal_force_count": Quantity(
+        "number of contacts by normal force over its mean", "N_c(f / <f>)", _force_count, dims=_PER_RATIO, needs=FORCES
+    ),
+    "fabric": Quantity("fabric tensor", "F = <n n>", _fabric, dims=TENSOR, needs=CONTACTS),
+    "fabric_anisotropy": Quantity(
+        "anisotropy of the fabric", "sqrt(3/2 a:a), a = 15/2 dev F (2D: sqrt(a:a / 2), a = 4 dev F)", _anisotropy,
+        needs=CONTACTS,
+    ),
+    "stress": Quantity(
+        "contact stress, compression positive", "sum f_ij a_ij / V", _stress, _STRESS, dims=TENSOR, needs=FORCES
+    ),
+    "mean_stress": Quantity("mean stress", "p' = tr sigma / D", _mean_stress, _STRESS, needs=FORCES),
+    "deviator_stress": Quantity(
+        "deviator stress", "q = sqrt(3/2 s:s), s = dev sigma (2D: sqrt(2 s:s))", _deviator_stress, _STRESS, needs=FORCES
+    ),
+    "stress_ratio": Quantity(
+        "stress ratio", "eta = q / p'", lambda s: ratio(_deviator_stress(s), _mean_stress(s)), needs=FORCES
+    ),
+    "d_max": Quantity("largest diameter", "max d_i", _d_max, (1, 0, 0), needs=("diameter",)),
+    "d50": Quantity(
+        "diameter below which half of the volume lies", "d50", _d50, (1, 0, 0), needs=("diameter", "volume")
+    ),
+    "d_bar": Quantity(
+        "volume-weighted mean diameter of particles that bear load", "sum V_i d_i / sum V_i over z_i >= m", _d_bar,
+        (1, 0, 0), needs=("diameter", "volume", *CONTACTS),
+    ),
+    "particle_density": Quantity(
+        "density of the particles' material", "sum m_i / sum V_i", lambda s: ratio(s.mass.sum(), s.volume.sum()),
+        (-3, 1, 0), needs=("mass", "volume"),
+    ),
+    "strain_rate": Quantity(
+        "deviatoric strain rate", "sqrt(2/3 e:e), e = dev strain rate (2D: sqrt(2 e:e))", _velocity_rate, (0, 0, -1),
+        needs=("velocity",),
+    ),
+}  # fmt: skip
