@@ -18,10 +18,9 @@ FLOORS = [
     ["plan", "readers"],
     ["pysammos"],
     ["coarse_grain", "datasets", "detection", "microstructure", "particle_stress", "statistics"],
-    ["balance", "width_sweep", "chain_results"],
-    ["chains", "chain_plots", "chain_selection", "chain_tables", "chain_tracks", "writers"],
-    ["accessor", "config", "cli_chains"],
-    ["run"],
+    ["balance", "width_sweep", "chains"],
+    ["writers"],
+    ["accessor"],
     ["__init__"],
     ["cli"],
 ]

@@ -12,7 +12,7 @@ from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
 import xcg
 from tests import shared_data
 from tests.networks import fork, nine_particles, read_fcf
-from xcg.cli_chains import chains_command
+from xcg.cli.chains import chains_command
 
 BIAXIAL = Path(__file__).parents[1] / "examples" / "data" / "lammps_biaxial2d"
 

@@ -13,8 +13,8 @@ from tests import shared_data
 from tests.test_mfix import write_contacts, write_particles, write_vtp
 from tests.test_vtkhdf import read
 from xcg.cli import main
-from xcg.config import read_config
-from xcg.run import run_job
+from xcg.cli.config import read_config
+from xcg.cli.run import run_job
 
 ROOT = Path(__file__).parents[1]
 EXAMPLE = (ROOT / "examples" / "config.ini").read_text()

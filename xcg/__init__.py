@@ -6,11 +6,12 @@ from xcg import datasets
 from xcg.accessor import CoarseGrainAccessor
 from xcg.balance import balance
 from xcg.bodies import group_bodies
-from xcg.chain_plots import plot_chains, plot_lengths, plot_rose
-from xcg.chain_selection import select_chains
-from xcg.chain_tables import chain_table, link_table
-from xcg.chain_tracks import track_chains
-from xcg.chains import force_chains
+from xcg.chains.plots import plot_chains, plot_lengths, plot_rose
+from xcg.chains.regions import Box, Region, Sphere
+from xcg.chains.search import force_chains
+from xcg.chains.selection import select_chains
+from xcg.chains.tables import chain_table, link_table
+from xcg.chains.tracks import track_chains
 from xcg.coarse_grain import coarse_grain
 from xcg.detection import find_contacts
 from xcg.fields import FIELDS
@@ -19,7 +20,6 @@ from xcg.particle_stress import particle_stress
 from xcg.phases import assign_phases, find_phases, plot_phases
 from xcg.pysammos import pysammos_mesh
 from xcg.readers.series import open_scene
-from xcg.regions import Box, Region, Sphere
 from xcg.scene import measure, scene_from_arrays
 from xcg.schema import SceneError, SceneWarning
 from xcg.slices import slice_temperature

@@ -10,19 +10,19 @@ import xarray as xr
 
 from xcg.balance import balance
 from xcg.bodies import group_bodies
-from xcg.chain_plots import plot_chains, plot_lengths, plot_rose
-from xcg.chain_results import summary_of_chains
-from xcg.chain_selection import select_chains
-from xcg.chain_tables import chain_table, link_table
-from xcg.chain_tracks import track_chains
-from xcg.chains import force_chains
+from xcg.chains.plots import plot_chains, plot_lengths, plot_rose
+from xcg.chains.regions import Region
+from xcg.chains.results import summary_of_chains
+from xcg.chains.search import force_chains
+from xcg.chains.selection import select_chains
+from xcg.chains.tables import chain_table, link_table
+from xcg.chains.tracks import track_chains
 from xcg.coarse_grain import coarse_grain
 from xcg.detection import find_contacts
 from xcg.microstructure import microstructure
 from xcg.particle_stress import particle_stress
 from xcg.phases import assign_phases, find_phases, plot_phases
 from xcg.plan import Plan, make_plan
-from xcg.regions import Region
 from xcg.scene import measure, summary
 from xcg.slices import slice_temperature
 from xcg.statistics import profile, size_statistics, time_average

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from xcg.cli.config import Job
 from xcg.coarse_grain import coarse_grain
-from xcg.config import Job
 from xcg.phases import assign_phases, find_phases
 from xcg.plan import choose_width
 from xcg.pysammos import pysammos_mesh

@@ -10,12 +10,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.chain_results import CHAINS, MEMBERS, STATISTICS, require_chains, result_sizes, statistics_of
+from xcg.chains.regions import Region
+from xcg.chains.results import CHAINS, MEMBERS, STATISTICS, require_chains, result_sizes, statistics_of
 from xcg.complete import periods
 from xcg.labels import label, results_of
 from xcg.over_time import map_over_time
 from xcg.particle_stress import one_frame
-from xcg.regions import Region
 from xcg.schema import PADDING
 
 _GRAINS = ("particle_id", "position", "major_stress", "box", "step")

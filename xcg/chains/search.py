@@ -10,13 +10,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.chain_results import CHAINS, COPIED, RESULTS, result_sizes, statistics_of
+from xcg.chains.regions import Region
+from xcg.chains.results import CHAINS, COPIED, RESULTS, result_sizes, statistics_of
 from xcg.complete import periods
 from xcg.kernels import chains as kernel
 from xcg.labels import empty_results, label, results_of
 from xcg.over_time import map_over_time
 from xcg.particle_stress import StressRule, carries, one_frame
-from xcg.regions import Region
 from xcg.scene import require_scene
 from xcg.schema import PADDING, Frame
 

@@ -14,7 +14,7 @@ import click
 
 import xcg
 from xcg import fields as registry
-from xcg.cli_chains import chains_command
+from xcg.cli.chains import chains_command
 from xcg.schema import units_of
 
 
@@ -52,8 +52,8 @@ def run(config: str, quiet: bool, overwrite: bool, jobs: int | None, dry_run: bo
 
     An interrupted run goes on where it was.
     """
-    from xcg.config import read_config
-    from xcg.run import open_job, run_job
+    from xcg.cli.config import read_config
+    from xcg.cli.run import open_job, run_job
 
     with _told(quiet):
         job = read_config(config)

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.chain_results import Step, require_chains, steps_of
+from xcg.chains.results import Step, require_chains, steps_of
 from xcg.complete import minimum_image
 from xcg.schema import COMPONENTS
 

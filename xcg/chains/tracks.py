@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.chain_results import require_chains, steps_of
+from xcg.chains.results import require_chains, steps_of
 from xcg.labels import about
 from xcg.schema import units_of
 

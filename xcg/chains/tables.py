@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from xcg.chain_results import CHAINS, require_chains, steps_of
+from xcg.chains.results import CHAINS, require_chains, steps_of
 from xcg.schema import COMPONENTS
 
 

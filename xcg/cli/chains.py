@@ -8,7 +8,7 @@ from typing import Any
 import click
 import xarray as xr
 
-from xcg.chains import ALGORITHMS, force_chains
+from xcg.chains.search import ALGORITHMS, force_chains
 from xcg.readers.series import open_scene
 
 

@@ -1,0 +1,1 @@
+"""Force chains: regions, search, selection, tables, tracks over time, pictures."""

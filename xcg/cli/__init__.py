@@ -1,0 +1,5 @@
+"""The command ``xcg``."""
+
+from xcg.cli.commands import main
+
+__all__ = ["main"]
