@@ -14,13 +14,15 @@ from xcg import fields as registry
 from xcg import pysammos
 from xcg.bodies import group_bodies
 from xcg.complete import periods
+from xcg.kernels import THREADS
 from xcg.labels import about, call_of
 from xcg.moments import sums_of_frame
-from xcg.over_time import map_over_time, steps_in
+from xcg.over_time import is_lazy, map_over_time, steps_in
 from xcg.plan import Plan, make_plan, scale_of
 from xcg.scene import require_scene
 from xcg.schema import COMPONENTS, Frame, units_of
 from xcg.smoothing import Kernel
+from xcg.threads import for_each, slices
 
 
 def coarse_grain(
@@ -142,7 +144,8 @@ def coarse_grain(
     plan = make_plan(**{"ds": ds, **given})
     names = [*plan.variables, *(name for name in ("box", "step") if name in ds)]
     results = {field: (plan.shape(field), "float64") for field in plan.fields}
-    arrays = map_over_time(ds, names, partial(compute_chunk, plan), results, "coarse-grain")
+    threads = 1 if is_lazy(ds, names) else THREADS
+    arrays = map_over_time(ds, names, partial(compute_chunk, plan, threads), results, "coarse-grain")
     return _label(ds, plan, arrays, given)
 
 
@@ -165,11 +168,11 @@ def _with_preset(ds: xr.Dataset, given: dict[str, Any]) -> xr.Dataset:
     return pysammos.from_xcg(coarse_grain(ds, list(needed), **options), names, table)
 
 
-def compute_chunk(plan: Plan, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
+def compute_chunk(plan: Plan, threads: int, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
     """Fields of one chunk of time, from padded arrays."""
     out = {name: np.empty((len(arrays["particle_id"]), *plan.shape(name))) for name in plan.fields}
     for t, (frame, box, where) in enumerate(steps_in(arrays)):
-        _compute_step(plan, frame, box, where, {name: a[t, ...] for name, a in out.items()})
+        _compute_step(plan, frame, box, where, threads, {name: a[t, ...] for name, a in out.items()})
     return out
 
 
@@ -177,18 +180,21 @@ def compute_chunk(plan: Plan, arrays: Mapping[str, NDArray]) -> dict[str, NDArra
 BLOCK = 4096
 
 
-def _compute_step(plan: Plan, frame: Frame, box: NDArray | None, where: str, out: Mapping[str, NDArray]) -> None:
+def _compute_step(
+    plan: Plan, frame: Frame, box: NDArray | None, where: str, threads: int, out: Mapping[str, NDArray]
+) -> None:
     """Compute the fields of one step into arrays (axes, phase, ...)."""
     period = periods(box, plan.setup.periodic, where)
-    sums = sums_of_frame(frame, plan.recipe, period, scale_of(plan, box, where), where)
+    sums = sums_of_frame(frame, plan.recipe, period, scale_of(plan, box, where), where, threads)
     nodes = len(sums.reference)
     phases = plan.phases if plan.recipe.by else 1
     flat = {name: out[name].reshape(nodes, phases, *out[name].shape[len(plan.dims) :]) for name in plan.fields}
-    size = max(1, nodes) if registry.whole_grid(plan.options) else BLOCK
-    for first in range(0, nodes, size):
-        block = slice(first, min(first + size, nodes))
+
+    def algebra(block: slice) -> None:
         for name, values in registry.evaluate(plan.fields, sums.at(block), plan.options).items():
             flat[name][block] = np.moveaxis(values, 0, 1)
+
+    for_each(slices(nodes, nodes if registry.whole_grid(plan.options) else BLOCK), algebra, threads)
 
 
 def _label(ds: xr.Dataset, plan: Plan, arrays: Mapping[str, Any], given: Mapping[str, Any]) -> xr.Dataset:

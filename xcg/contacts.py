@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -14,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from xcg.cells import CellLists
 from xcg.complete import periods, rows_of
+from xcg.kernels import THREADS
 from xcg.kernels.neighbours import sort_pairs
 from xcg.kernels.rows import add_dyads, add_rows, nearest_image, peel
 from xcg.scene import box_array
@@ -263,7 +263,7 @@ def find_pairs(
         return np.empty((0, 2), "int64")
     corner = np.zeros(3) if edges is None else np.where(np.isfinite(period), edges[:, 0], 0.0)
     lists = CellLists.of(centres, radii, corner, period, skin=skin, levels=1 if method == "linked-cell" else levels)
-    workers = threads or min(_cores(), 1 + len(centres) // PARTICLES_A_THREAD)
+    workers = threads or min(THREADS, 1 + len(centres) // PARTICLES_A_THREAD)
     if workers == 1:
         found = [lists.find(0, len(centres))]
     else:
@@ -275,11 +275,6 @@ def find_pairs(
     pairs = np.empty((len(left), 2), "int64")
     sort_pairs(left, right, lists.row, pairs)
     return pairs
-
-
-def _cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _spheres(position: ArrayLike, radius: ArrayLike) -> tuple[NDArray, NDArray]:

@@ -168,7 +168,19 @@ def rate_magnitude(tensor: NDArray) -> NDArray:
 
 def contraction(tensor: NDArray) -> NDArray:
     """Return X:X over all components."""
-    return np.einsum("...ij,...ij->...", tensor, tensor)
+    return (tensor**2).sum(axis=(-2, -1))
+
+
+def applied(tensor: NDArray, vector: NDArray) -> NDArray:
+    """Return sum_j X_ij v_j."""
+    first, second, third = (tensor[..., j] * vector[..., j, None] for j in range(3))
+    return first + second + third
+
+
+def product(a: NDArray, b: NDArray) -> NDArray:
+    """Return A B^T = sum_k A_ik B_jk, in loops over the nodes, where einsum takes one node at a time."""
+    first, second, third = (outer(a[..., k], b[..., k]) for k in range(3))
+    return first + second + third
 
 
 def _transposed(tensor: NDArray) -> NDArray:
@@ -190,7 +202,7 @@ def _fit(f: Any, s: Any, o: Options, *, about_node: bool = False) -> SimpleNames
     spread = s.spread - outer(mean, s.offset)
     nodes = int(np.prod(s.mass.shape))
     # centring one grain, or several in one place, leaves the rounding of what is subtracted, a few 1e-16
-    rounding = 1e-13 * np.einsum("...kk->...", s.spread)
+    rounding = 1e-13 * trace(s.spread, range(3))
     upper = np.stack([spread[..., i, j] for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))], axis=-1)
     gradient, determined, rank = np.zeros((nodes, 3, 3)), np.zeros((nodes, 3), bool), np.zeros(nodes, "int64")
     fit_gradient(
@@ -199,9 +211,8 @@ def _fit(f: Any, s: Any, o: Options, *, about_node: bool = False) -> SimpleNames
     )  # fmt: skip
     shape = s.mass.shape
     determined = determined.reshape(*shape, 1, 3) & (s.mass > 0)[..., None, None]
-    return SimpleNamespace(
-        gradient=gradient.reshape(*shape, 3, 3), determined=determined, rank=rank.reshape(shape), mean=mean
-    )
+    g = np.moveaxis(np.ascontiguousarray(np.moveaxis(gradient, 0, -1)), -1, 0)  # nodes fastest, as in the sums
+    return SimpleNamespace(gradient=g.reshape(*shape, 3, 3), determined=determined, rank=rank.reshape(shape), mean=mean)
 
 
 def _kernel_gradient(f: Any, s: Any, o: Options) -> NDArray:
@@ -235,11 +246,11 @@ def _fluctuation_stress(f: Any, s: Any, o: Options) -> NDArray:
     least_squares = o.gradient in FITS  # along directions that the grains do not span, its G is zero
     g = (f._fit.gradient if least_squares else np.nan_to_num(f.velocity_gradient, nan=0.0))[:1]
     mean = np.nan_to_num(f._fit.mean[:1], nan=0.0)
-    b = np.nan_to_num(f._drift[:1], nan=0.0) - np.einsum("...ij,...j->...i", g, mean)
-    gx = np.einsum("...ij,...j->...i", g, s.offset)
-    mixed = outer(b, gx - s.momentum) - np.einsum("...ik,...jk->...ij", s.shear, g)
+    b = np.nan_to_num(f._drift[:1], nan=0.0) - applied(g, mean)
+    gx = applied(g, s.offset)
+    mixed = outer(b, gx - s.momentum) - product(s.shear, g)
     total = s.kinetic + s.mass[..., None, None] * outer(b, b) + mixed + _transposed(mixed)
-    total += np.einsum("...ik,...kl,...jl->...ij", g, s.spread, g)
+    total += product(product(g, s.spread), g)
     # a fit through rank + 1 grains leaves nothing over: their fluctuation is unknown, not zero
     unknown = s.count[:1] <= f._fit.rank[:1] + 1
     if not least_squares:

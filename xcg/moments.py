@@ -16,6 +16,7 @@ from xcg.kernels.nodes import spatial_order
 from xcg.kernels.segments import deposit_segments
 from xcg.schema import Frame, SceneError
 from xcg.smoothing import Weights
+from xcg.threads import for_each, shares
 
 CONTACT_VARIABLES = ("position", "contact_i", "contact_j", "contact_point", "contact_normal")
 
@@ -170,7 +171,7 @@ def without_frozen(frame: Frame) -> Frame:
 class _Deposit:
     """The deposits onto one grid, with lengths in cutoffs; results are (phases, nodes, columns)."""
 
-    def __init__(self, recipe: Recipe, period: NDArray, scale: float) -> None:
+    def __init__(self, recipe: Recipe, period: NDArray, scale: float, threads: int) -> None:
         grid, self.cutoff = recipe.grid, recipe.cutoff
         self.phases = max(1, len(recipe.groups))
         self.nodes = math.prod(grid.shape)
@@ -178,7 +179,16 @@ class _Deposit:
         self.active = grid.active
         where = (grid.steps / self.cutoff, grid.active, np.where(grid.active, period, np.inf) / self.cutoff)
         kernel = (*recipe.weights[:3], recipe.weights.norm * scale)
-        self.onto = (np.array(grid.shape), np.array([0, grid.shape[0]]), *where, *kernel)
+        self.shape, self.onto = np.array(grid.shape), (*where, *kernel)
+        self.threads = threads
+
+    def _over_slabs(self, fill: Callable[[NDArray], None]) -> None:
+        """Fill the nodes slab by slab of x, each by one thread.
+
+        Every node sums its grains in the same order whatever the number of threads, so that the bits are the same.
+        """
+        slabs = [np.array([s.start, s.stop]) for s in shares(int(self.shape[0]), self.threads)]
+        for_each(slabs, fill, self.threads)
 
     def _placed(self, position: NDArray) -> tuple[NDArray, NDArray]:
         """Order in space, so that neighbours add to the same nodes while these are in cache; local coordinates."""
@@ -192,10 +202,8 @@ class _Deposit:
     ) -> NDArray:  # fmt: skip
         sums = np.zeros((self.phases, self.nodes, level + constants.shape[1]))
         order, local = self._placed(position)
-        kernel.deposit(
-            local, velocity[order], mass[order], constants[order], phase[order], level, *self.onto, by_gradient,
-            sums, reference,
-        )  # fmt: skip
+        rows = (local, velocity[order], mass[order], constants[order], phase[order], level, self.shape)
+        self._over_slabs(lambda slab: kernel.deposit(*rows, slab, *self.onto, by_gradient, sums, reference))
         return sums
 
     def segments(
@@ -209,9 +217,8 @@ class _Deposit:
     ) -> NDArray:
         sums = np.zeros((groups or self.phases, self.nodes, 9))
         order, local = self._placed(start)
-        deposit_segments(
-            local, branch[order] / self.cutoff, force[order] * self.cutoff, phase[order], limits, *self.onto, sums
-        )
+        rows = (local, branch[order] / self.cutoff, force[order] * self.cutoff, phase[order], limits, self.shape)
+        self._over_slabs(lambda slab: deposit_segments(*rows, slab, *self.onto, sums))
         return sums
 
 
@@ -249,7 +256,7 @@ class Sums:
         return found
 
 
-def sums_of_frame(frame: Frame, recipe: Recipe, period: NDArray, scale: float, where: str) -> Sums:
+def sums_of_frame(frame: Frame, recipe: Recipe, period: NDArray, scale: float, where: str, threads: int = 1) -> Sums:
     """Compute the sums of one frame at all nodes.
 
     Parameters
@@ -264,6 +271,8 @@ def sums_of_frame(frame: Frame, recipe: Recipe, period: NDArray, scale: float, w
         1 / extent of the averaged axes (and thickness of a layer).
     where : str
         Names the step in messages.
+    threads : int
+        Threads that share the nodes; the bits of the result do not depend on it.
     """
     frame = without_frozen(frame)
     position = np.ascontiguousarray(frame["position"])
@@ -271,7 +280,7 @@ def sums_of_frame(frame: Frame, recipe: Recipe, period: NDArray, scale: float, w
     phase = phase_of(frame, recipe.by, recipe.groups, where)
     wanted = {name: MOMENTS[name] for name in recipe.moments}
     contacts = Contacts.of(frame, period) if "contact_i" in frame else None
-    to = _Deposit(recipe, period, scale)
+    to = _Deposit(recipe, period, scale, threads)
 
     constants = {
         name: row.column(frame, contacts).reshape(count, math.prod(row.shape))

@@ -1,1 +1,5 @@
 """Loops over plain arrays: NumPy and Numba only."""
+
+from xcg.kernels._jit import THREADS
+
+__all__ = ["THREADS"]

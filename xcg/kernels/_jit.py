@@ -15,6 +15,8 @@ from pathlib import Path
 
 import numba
 
+# Threads for a single step in memory (NUMBA_NUM_THREADS, else the processors of this process).
+THREADS = numba.config.NUMBA_NUM_THREADS
 CACHE = os.environ.get("XCG_JIT_CACHE", "1") != "0"
 
 
