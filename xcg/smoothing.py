@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.integrate import quad
 
 from xcg.kernels import segments, weights
 
@@ -254,6 +253,8 @@ def register_kernel(
 
 @lru_cache
 def _profile_integral(profile: Callable[[NDArray], NDArray], dimension: int) -> float:
+    from scipy.integrate import quad  # slow to import, and only registered kernels need it
+
     sphere = {1: 2.0, 2: 2 * math.pi, 3: 4 * math.pi}[dimension]
     return sphere * quad(lambda q: float(profile(np.asarray(q))) * q ** (dimension - 1), 0, 1, epsabs=1e-14)[0]
 
@@ -263,6 +264,7 @@ def _chebyshev_table(
     profile: Callable[[NDArray], NDArray], codimension: int, intervals: int = 32, degree: int = 12
 ) -> NDArray:
     """Chebyshev series of the value and of its derivative / q, integrated over `codimension` axes."""
+    from scipy.integrate import quad
 
     def value(q: float) -> float:
         if codimension == 0:
