@@ -19,6 +19,13 @@ def shared_data(name: str) -> Path:
     return path
 
 
+def real_data(name: str) -> Path:
+    """Folder of real output that ships with the project, else the one beside the repository."""
+    root = Path(__file__).parents[1]
+    shipped = [root / "tests" / "data" / name, root / "examples" / "data" / name]
+    return next((path for path in shipped if path.exists()), None) or shared_data(name)
+
+
 def steps_of_random_scenes(count: int) -> xr.Dataset:
     """Random scenes of different numbers of particles and contacts, as one scene of several steps."""
     steps = [xcg.datasets.random_scene(40 + t, seed=t) for t in range(count)]

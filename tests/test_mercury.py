@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests import shared_data
+from tests import real_data
 from tests.dumps import write
 from xcg.readers import mercury
 from xcg.readers.engine import ReadOptions
@@ -157,7 +157,7 @@ def test_recognises(run):
 
 def test_real_run():
     """Pairs: contact points on the branch, normals along it; walls: all six, normals into the box."""
-    folder = shared_data("mercury_synthetic")
+    folder = real_data("mercury_synthetic")
     scene = open_scene(folder / "syn200.data", contacts=folder / "syn200.fstat").compute()
     np.testing.assert_array_equal(scene.time, [0, 0.01])
     np.testing.assert_allclose(scene.density, 2.0)

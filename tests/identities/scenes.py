@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 import xcg
-from tests import shared_data
+from tests import real_data, shared_data
 
 TILT = np.radians(24)
 
@@ -90,7 +90,7 @@ def _lammps_polydisperse(folder: Path, step: int = 0) -> xr.Dataset:
 
 
 def _lammps_biaxial2d(folder: Path, step: int = 100_000) -> xr.Dataset:
-    names = (folder / f"{kind}.{step:08d}.dump" for kind in ("particles", "contacts"))
+    names = (next(folder.glob(f"{kind}.{step:08d}.dump*")) for kind in ("particles", "contacts"))
     return xcg.open_scene(next(names), contacts=next(names))
 
 
@@ -159,7 +159,7 @@ OPEN: dict[str, Callable[..., xr.Dataset]] = {
 @lru_cache
 def load(name: str, **which: int) -> Case:
     """Return a scene by name (and step, for some); skips the test where the shared data are absent."""
-    return Case.of(name, OPEN[name](shared_data(name), **which))
+    return Case.of(name, OPEN[name](shared_data(name) if which else real_data(name), **which))
 
 
 # --- scenes that need no data ----------------------------------------------------------------------------

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import xcg
-from tests import shared_data
+from tests import real_data
 from tests.identities.residuals import with_flux
 from tests.identities.scenes import load
 
@@ -18,7 +18,7 @@ TOLERANCE = 1e-9
 
 @pytest.fixture(scope="module")
 def reference():
-    with open(shared_data("mercury_synthetic") / "reference_lucy.json") as file:
+    with open(real_data("mercury_synthetic") / "reference_lucy.json") as file:
         return json.load(file)
 
 
