@@ -145,3 +145,74 @@ def random_scene(
         "dimension": dimension,
     }
     return scene_from_arrays(position, **(given | options))
+
+
+def dense_packing(
+    particles: int = 10_000,
+    *,
+    diameter: float = 1.0,
+    volume_fraction: float = 0.6,
+    contacts: float = 3.0,
+    jitter: float = 0.05,
+    seed: int = 0,
+    **options: Any,
+) -> xr.Dataset:
+    """Dense packing of equal spheres in a periodic box, of any number: a scene for benchmarks and error studies.
+
+    Spheres stand on the sites of a face-centred cubic lattice, a few left empty so that any number fits, each
+    displaced at random; the pairs that are nearest to each other are in contact, pushed apart by random forces with
+    some friction. No packing that is in balance, but its sums cost what those of one do.
+
+    Parameters
+    ----------
+    particles : int
+        Number of spheres.
+    diameter : float
+        Diameter of all of them (m).
+    volume_fraction : float
+        Volume of the spheres over that of the box.
+    contacts : float
+        Number of contacts over that of the spheres.
+    jitter : float
+        Standard deviation of the displacements along each axis, over the diameter.
+    seed : int
+        Seed of the random numbers.
+    **options
+        For `scene_from_arrays`.
+    """
+    from scipy.spatial import cKDTree
+
+    rng = np.random.default_rng(seed)
+    across = max(1, round((particles / 4) ** (1 / 3)))
+    cells = np.array([across, across, max(1, -(-particles // (4 * across**2)))])
+    edge = diameter * (particles * np.pi / 6 / volume_fraction / cells.prod()) ** (1 / 3)
+    corner = np.stack(np.meshgrid(*map(np.arange, cells), indexing="ij"), axis=-1).reshape(-1, 1, 3)
+    sites = ((corner + _FCC + 0.25) * edge).reshape(-1, 3)
+    position = rng.permutation(sites)[:particles] + jitter * diameter * rng.normal(size=(particles, 3))
+    box = cells * edge
+    position %= box
+    tree = cKDTree(position, boxsize=box)
+    wanted, reach = round(contacts * particles), 1.2 * edge / np.sqrt(2)
+    pairs = tree.query_pairs(reach, output_type="ndarray")
+    while len(pairs) < wanted and reach < box.min() / 2:
+        reach *= 1.2
+        pairs = tree.query_pairs(reach, output_type="ndarray")
+    branch = position[pairs[:, 0]] - position[pairs[:, 1]]
+    branch -= box * np.rint(branch / box)
+    length = np.linalg.norm(branch, axis=1)
+    nearest = np.argsort(length, kind="stable")[:wanted]
+    nearest = nearest[np.lexsort((pairs[nearest, 1], pairs[nearest, 0]))]
+    pairs, branch, length = pairs[nearest], branch[nearest], length[nearest]
+    push = rng.exponential(size=(len(pairs), 1)) * branch / length[:, None]
+    given = {
+        "diameter": np.full(particles, diameter),
+        "density": 2500.0,
+        "velocity": rng.normal(size=(particles, 3)),
+        "species": 1 + rng.integers(0, 2, particles),
+        "contact_i": pairs[:, 0],
+        "contact_j": pairs[:, 1],
+        "contact_force": push + 0.1 * rng.normal(size=(len(pairs), 3)),
+        "box": np.stack([np.zeros(3), box], axis=1),
+        "periodic": "xyz",
+    }
+    return scene_from_arrays(position, **(given | options))

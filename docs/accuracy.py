@@ -1,0 +1,709 @@
+"""Speed against accuracy: measures, and writes docs/accuracy.md with its picture.
+
+Run from the root of the repository, on a machine that does nothing else::
+
+    python -m docs.accuracy [--particles 20000]
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import textwrap
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import llvmlite.binding as llvm
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+import xcg
+from docs import alternatives
+from tests.brute_force import BruteKernel
+from xcg.kernels.deposit import deposit
+from xcg.kernels.segments import MAX_ORDER, deposit_segments
+
+HERE = Path(__file__).parent
+WIDTH = 0.75  # diameters, which are 1
+CUTOFF = 2 * WIDTH
+RATE = 1.0  # of the uniform shear
+POINTS = "xcg.kernels.deposit.deposit"
+SEGMENTS = "xcg.moments.deposit_segments"
+ROUNDING = 1e-15  # smaller errors are drawn here
+
+
+@dataclass(frozen=True)
+class Way:
+    """One way to a field: what is timed, and how far off its result is.
+
+    Ways of one `series` are drawn alike; those of one `group` can be compared, and have a front.
+    """
+
+    name: str
+    run: Callable[[], Any]
+    error: float
+    series: str
+    default: bool = False
+    group: str = ""
+    label: str = "right"  # of the point; "left", "below", "up" (slanted), or nothing
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Ways to one field."""
+
+    title: str
+    measure: str
+    timed: str
+    ways: Sequence[Way]
+    legend: str = "lower left"
+    headroom: float = 100.0  # factor above the largest error, for labels
+
+
+# --- scenes and exact values -----------------------------------------------------------------------------
+
+
+@cache
+def packing(particles: int, periodic: str = "xyz") -> xr.Dataset:
+    return xcg.datasets.dense_packing(particles, periodic=periodic)
+
+
+def sheared(particles: int, fluctuation: float) -> xr.Dataset:
+    """Dense packing in uniform shear, dV_x/dz = RATE, with independent fluctuations of every grain."""
+    ds = packing(particles, "")
+    velocity = fluctuation * np.random.default_rng(1).normal(size=ds.velocity.shape)
+    velocity[..., 0] += RATE * ds.position.values[..., 2]
+    return ds.assign(velocity=(ds.velocity.dims, velocity))
+
+
+def mesh(ds: xr.Dataset, width: float = WIDTH, refined: int = 1) -> dict[str, Any]:
+    """Nodes over the whole box for scenes that are not periodic, w / `refined` apart."""
+    return {
+        "width": width,
+        "spacing": width / refined,
+        "bounds": {a: (0.0, float(edge)) for a, edge in zip("xyz", ds.attrs["box_upper"], strict=True)},
+    }
+
+
+def inside(f: xr.DataArray) -> xr.DataArray:
+    """Nodes whose grains all have whole supports: two cutoffs from the edges of the mesh."""
+    return f.isel({a: slice(4, -4) for a in "xyz"})
+
+
+def some_nodes(f: xr.Dataset, count: int = 96) -> tuple[tuple[NDArray, ...], NDArray]:
+    """Indices of nodes drawn at random, and where they are (count, 3)."""
+    rng = np.random.default_rng(2)
+    index = tuple(rng.integers(0, f.sizes[a], count) for a in "xyz")
+    return index, np.stack([f[a].values[i] for a, i in zip("xyz", index, strict=True)], axis=1)
+
+
+def nearest_image(vectors: NDArray, ds: xr.Dataset) -> NDArray:
+    box = ds.attrs["box_upper"]
+    return vectors - box * np.rint(vectors / box) if ds.attrs["periodic"] else vectors
+
+
+def exact_point_sums(ds: xr.Dataset, nodes: NDArray, column: NDArray, kernel: BruteKernel, axes: slice) -> NDArray:
+    """Sum of column x Psi at points, straight from the definition; `axes` are those that are seen."""
+    position = ds.position.values[0]
+    distances = (np.linalg.norm(nearest_image(position - r, ds)[:, axes], axis=1) for r in nodes)
+    return np.array([np.tensordot(kernel(distance), column, 1) for distance in distances])
+
+
+def exact_contact_stress(ds: xr.Dataset, nodes: NDArray, kernel: BruteKernel, axes: slice) -> NDArray:
+    """Contact stress at points by composite quadrature of every branch, times the extent of axes that are not seen."""
+    position, force = ds.position.values[0], ds.contact_force.values[0]
+    rows = [np.searchsorted(ds.particle_id.values[0], ds[name].values[0]) for name in ("contact_i", "contact_j")]
+    start = position[rows[0]]
+    branch = nearest_image(start - position[rows[1]], ds)
+    longest = np.linalg.norm(branch, axis=1).max()
+    out = np.zeros((len(nodes), 3, 3))
+    for n, node in enumerate(nodes):
+        away = nearest_image(start - node, ds)
+        for c in np.flatnonzero(np.linalg.norm(away[:, axes], axis=1) < kernel.c + longest):
+            weight = kernel.segment(np.zeros(3)[axes], away[c, axes], (away[c] - branch[c])[axes])
+            out[n] += weight * np.outer(force[c], branch[c])
+    return out
+
+
+def relative(values: NDArray, exact: NDArray) -> float:
+    """Largest error over nodes and components, in units of the largest exact value."""
+    return float(np.abs(values - exact).max() / np.abs(exact).max())
+
+
+def captured(target: str, call: Callable[[], Any]) -> tuple[Any, ...]:
+    """Arguments with which a call enters a loop for the first time."""
+    original = {POINTS: deposit, SEGMENTS: deposit_segments}[target]
+    with mock.patch(target, wraps=original) as loop:
+        call()
+    return loop.call_args_list[0].args
+
+
+# --- panels ----------------------------------------------------------------------------------------------
+
+
+def contact_stress(particles: int) -> Panel:
+    """Rules for the integral along the branch."""
+    ds = packing(particles)
+
+    def field(rtol: float) -> xr.Dataset:
+        return ds.cg.coarse_grain("contact_stress", width=WIDTH, rtol=rtol)
+
+    index, nodes = some_nodes(field(0.0))
+    exact = exact_contact_stress(ds, nodes, BruteKernel("lucy", WIDTH), slice(0, 3))
+
+    def way(name: str, series: str, rtol: float, label: str = "right", default: bool = False) -> Way:
+        error = relative(field(rtol).contact_stress.values[0][index], exact)
+        run = partial(deposit_segments, *captured(SEGMENTS, lambda: field(rtol)))
+        return Way(name, run, error, series, default, label=label)
+
+    ways = []
+    for order in range(1, MAX_ORDER + 1):
+        limits = np.where(np.arange(1, order + 1) == order, np.inf, 0.0)
+        with mock.patch("xcg.plan.gauss_limits", return_value=limits):
+            ways.append(
+                way(
+                    f"{order} point{'s' * (order > 1)}",
+                    "Gauss-Legendre, all contacts",
+                    1.0,
+                    "left" if order < 6 else "below",
+                )
+            )
+    for exponent in range(1, 7):
+        ways.append(way(f"rtol 1e-{exponent}", "rule by branch length", 10.0**-exponent, "up" if exponent < 4 else ""))
+    ways.append(way("rtol 0", "closed form", 0.0, default=True))
+    return Panel("(a) contact stress", "|error| / max |sigma|", "loop over contacts", ways)
+
+
+def volume_fraction(particles: int) -> Panel:
+    """Ways to the weights."""
+    ds = packing(particles)
+
+    def field() -> xr.Dataset:
+        return ds.cg.coarse_grain("volume_fraction", width=WIDTH)
+
+    index, nodes = some_nodes(field())
+    exact = exact_point_sums(ds, nodes, ds.volume.values[0], BruteKernel("lucy", WIDTH), slice(0, 3))
+    args = captured(POINTS, field)
+
+    def way(name: str, series: str, loop: Callable[..., None], default: bool = False) -> Way:
+        with mock.patch(POINTS, loop):
+            error = relative(field().volume_fraction.values[0][index], exact)
+        label = "right" if "interpolated" in series else "left"
+        return Way(name, partial(loop, *args), error, series, default, label=label)
+
+    ways = [way("evaluated", "kernel evaluated", deposit, default=True)]
+    ways.append(way("single precision", "weights in single precision", alternatives.single_precision()))
+    for series, make in (
+        ("table, rounded down", alternatives.floored_table),
+        ("table, interpolated", alternatives.interpolated_table),
+    ):
+        ways += [way(f"{bins} bins", series, make(bins)) for bins in (10**2, 10**3, 10**4, 10**5)]
+    return Panel("(b) volume fraction", "|error| / max phi", "loop over grains", ways, "lower right")
+
+
+def kinetic_stress(particles: int) -> Panel:
+    """Ways to the kinetic stress in a frame that moves fast."""
+    ds = packing(particles)
+    ways = []
+    for speed in (1e3, 1e6):
+        fast = ds.assign(velocity=ds.velocity + speed)
+        # what adding the speed has left of the fluctuations, without its rounding
+        left = fast.assign(velocity=fast.velocity - speed)
+
+        def field(of: xr.Dataset) -> NDArray:
+            return of.cg.coarse_grain("kinetic_stress", width=WIDTH).kinetic_stress.values[0]
+
+        f = ds.cg.coarse_grain("density", width=WIDTH)
+        index, nodes = some_nodes(f)
+        m, v = left.mass.values[0], left.velocity.values[0]
+        moments = np.concatenate([m[:, None], m[:, None] * v, (m * v.T[:, None] * v.T).reshape(9, -1).T], axis=1)
+        sums = exact_point_sums(ds, nodes, moments, BruteKernel("lucy", WIDTH), slice(0, 3))
+        p = sums[:, 1:4]
+        exact = sums[:, 4:].reshape(-1, 3, 3) - p[:, :, None] * p[:, None, :] / sums[:, :1, None]
+        for name, loop in (
+            ("raw moments", alternatives.raw_moments),
+            ("two passes", alternatives.two_passes),
+            ("relative to the node", deposit),
+        ):
+
+            def run(of: xr.Dataset = fast, loop: Callable[..., None] = loop) -> NDArray:
+                with mock.patch(POINTS, loop):
+                    return field(of)
+
+            error = relative(run()[index], exact)
+            group = f"V / v' = {speed:.0e}"
+            label = "left" if loop is alternatives.raw_moments else "below" if speed < 1e6 else ""
+            ways.append(Way(name, run, error, group, loop is deposit, group, label))
+    return Panel(
+        "(c) kinetic stress of a fast frame", "|error| / max |sigma_k|", "scene to field", ways, "center right"
+    )
+
+
+def temperature_ways(ds: xr.Dataset, width: float) -> tuple[dict[str, Callable[[], xr.DataArray]], xr.DataArray]:
+    """Ways to the velocity that fluctuations are about, and the temperature of the fluctuations that were put in."""
+    nodes = mesh(ds, width)
+    x, v, m = ds.position.values[0], ds.velocity.values[0], ds.mass.values[0]
+
+    def about(reference: NDArray) -> xr.DataArray:
+        """Sum of m v' v' Psi / (3 rho), with v' about a velocity at every grain."""
+        moved = ds.assign(velocity=(ds.velocity.dims, (v - reference)[None]))
+        f = moved.cg.coarse_grain(["kinetic_stress", "velocity", "density"], **nodes)
+        return trace(f.kinetic_stress) / (3 * f.density) + (f.velocity**2).sum("component") / 3
+
+    def about_node() -> xr.DataArray:
+        f = ds.cg.coarse_grain(["kinetic_stress", "density"], **nodes)
+        return trace(f.kinetic_stress) / (3 * f.density)
+
+    def about_fit(gradient: str) -> xr.DataArray:
+        return ds.cg.coarse_grain("granular_temperature", gradient=gradient, **nodes).granular_temperature
+
+    ways: dict[str, Callable[[], xr.DataArray]] = {
+        "V at the node": about_node,
+        "linear, kernel gradient": partial(about_fit, "kernel"),
+        "linear, least squares": partial(about_fit, "least_squares"),
+        "V at the grains": lambda: about(alternatives.velocity_at_grains(x, v, m, 2 * width)),
+    }
+    return ways, about(np.stack([RATE * x[:, 2], 0 * x[:, 2], 0 * x[:, 2]], axis=1))
+
+
+def temperature(particles: int) -> Panel:
+    """Ways to the granular temperature: uniform shear without fluctuations, and with independent ones."""
+    found = []
+    for series, fluctuation in (("shear alone", 0.0), ("shear and fluctuations", RATE)):
+        ways, truth = temperature_ways(sheared(particles, fluctuation), WIDTH)
+        scale = float(inside(truth).mean()) if fluctuation else RATE**2
+        for name, run in ways.items():
+            error = float((inside(run() - truth) ** 2).mean() ** 0.5) / scale
+            label = "up" if fluctuation else "below" if "least" in name else "left"
+            found.append(Way(name, run, error, series, "least" in name, series, label))
+    return Panel(
+        "(d) granular temperature", "rms error / T, or / (shear rate x d)^2", "scene to field", found, headroom=1e5
+    )
+
+
+def trace(tensor: xr.DataArray) -> xr.DataArray:
+    return sum(tensor.sel(component=a, direction=a, drop=True) for a in "xyz")  # type: ignore[return-value]
+
+
+def velocity_gradient(particles: int) -> Panel:
+    """Ways to the velocity gradient in uniform shear."""
+    ds = sheared(particles, 0.0)
+    truth = RATE * np.outer([1, 0, 0], [0, 0, 1])
+
+    def of_grains(gradient: str) -> xr.DataArray:
+        return ds.cg.coarse_grain("velocity_gradient", gradient=gradient, **mesh(ds)).velocity_gradient
+
+    def of_nodes(refined: int) -> xr.DataArray:
+        """Central differences of V on a mesh, at every `refined`-th node."""
+        v = ds.cg.coarse_grain("velocity", **mesh(ds, refined=refined)).velocity
+        slopes = np.gradient(v.values[0], WIDTH / refined, axis=(0, 1, 2), edge_order=2)
+        whole = xr.DataArray(np.stack(slopes, axis=-1)[None], dims=(*v.dims, "direction"), coords=v.coords)
+        return whole.isel({a: slice(None, None, refined) for a in "xyz"})
+
+    ways = []
+    for name, series, run in (
+        ("least squares", "fit through the grains", partial(of_grains, "least_squares")),
+        ("kernel gradient", "derivative of V(r)", partial(of_grains, "kernel")),
+        ("mesh w", "differences on a mesh", partial(of_nodes, 1)),
+        ("mesh w/2", "differences on a mesh", partial(of_nodes, 2)),
+    ):
+        error = ((inside(run()).values - truth) ** 2).sum(axis=(-2, -1)).mean() ** 0.5 / RATE
+        label = "up" if name == "kernel gradient" else "right"
+        ways.append(Way(name, run, float(error), series, name == "least squares", label=label))
+    return Panel(
+        "(e) velocity gradient in uniform shear", "rms |error| / shear rate", "scene to field", ways, headroom=1e4
+    )
+
+
+def profiles(particles: int) -> Panel:
+    """Depth profiles: the exact marginal, or a mesh averaged afterwards."""
+    ds = packing(particles)
+    box = ds.attrs["box_upper"]
+    kernel = BruteKernel("lucy", WIDTH, seen=1)
+    ways = []
+    for name in ("density", "contact_stress"):
+
+        def marginal(name: str = name) -> NDArray:
+            return ds.cg.coarse_grain(name, axes="z", width=WIDTH)[name].values[0]
+
+        def averaged(refined: int, name: str = name) -> NDArray:
+            spacing = {"x": WIDTH / refined, "y": WIDTH / refined, "z": WIDTH}
+            return ds.cg.coarse_grain(name, width=WIDTH, spacing=spacing)[name].mean(["x", "y"]).values[0]
+
+        z = ds.cg.coarse_grain("density", axes="z", width=WIDTH).z.values
+        rows = np.linspace(0, len(z) - 1, 3).astype(int)
+        nodes = np.stack([0 * z[rows], 0 * z[rows], z[rows]], axis=1)
+        if name == "density":
+            exact = exact_point_sums(ds, nodes, ds.mass.values[0], kernel, slice(2, 3))
+        else:
+            exact = exact_contact_stress(ds, nodes, kernel, slice(2, 3))
+        exact = exact / (box[0] * box[1])
+        series = name.replace("_", " ")
+        ways.append(Way("marginal", marginal, relative(marginal()[rows], exact), series, True, series, "below"))
+        for refined in (1, 2, 4):
+            side = "left" if name == "density" and refined < 4 else "right"
+            label = "mesh w" if refined == 1 else f"mesh w/{refined}"
+            run = partial(averaged, refined)
+            ways.append(Way(label, run, relative(run()[rows], exact), series, group=series, label=side))
+    return Panel("(f) depth profile", "|error| / largest value", "scene to field", ways, "lower right")
+
+
+PANELS = (contact_stress, volume_fraction, kinetic_stress, temperature, velocity_gradient, profiles)
+
+
+# --- measuring -------------------------------------------------------------------------------------------
+
+
+def fastest(runs: Sequence[Callable[[], Any]], repeats: int) -> list[float]:
+    """Least time of each run (s); they take turns, so that what disturbs the machine disturbs all of them."""
+    for run in runs:
+        run()
+    best = [np.inf] * len(runs)
+    for _ in range(repeats):
+        for k, run in enumerate(runs):
+            begin = time.perf_counter()
+            run()
+            best[k] = min(best[k], time.perf_counter() - begin)
+    return best
+
+
+@dataclass(frozen=True)
+class Point:
+    """A way with its time (us a particle) and its error, not less than rounding."""
+
+    way: Way
+    time: float
+    error: float
+
+    def beaten(self, others: Sequence[Point]) -> bool:
+        """Whether another way is as exact and faster, by more than the noise of the clock."""
+        return any(o.error <= 1.01 * self.error and o.time < 0.97 * self.time for o in others)
+
+
+def measure(panel: Panel, particles: int, repeats: int) -> list[Point]:
+    times = fastest([way.run for way in panel.ways], repeats)
+    return [Point(w, 1e6 * t / particles, max(w.error, ROUNDING)) for w, t in zip(panel.ways, times, strict=True)]
+
+
+def by_group(points: Sequence[Point]) -> dict[str, list[Point]]:
+    """Points that can be compared with each other."""
+    return {g: [p for p in points if p.way.group == g] for g in dict.fromkeys(p.way.group for p in points)}
+
+
+def front(points: Sequence[Point]) -> list[Point]:
+    """Points that no other beats in both, fastest first."""
+    found: list[Point] = []
+    for p in sorted(points, key=lambda p: (p.time, p.error)):
+        if not found or p.error < 0.99 * found[-1].error:
+            found.append(p)
+    return found
+
+
+# --- kernels and widths ----------------------------------------------------------------------------------
+
+KERNELS = {"lucy": 2.0, "gaussian": 3.0, "heaviside": 1.0}
+WIDTHS = (0.5, 0.75, 1.0, 2.0)
+WIDTHS_OF_TEMPERATURE = (0.75, 1.0, 1.5, 2.0)
+LOOPS = {
+    "volume fraction": ("volume_fraction", POINTS),
+    "temperature": ("granular_temperature", POINTS),
+    "contact stress": ("contact_stress", SEGMENTS),
+}
+
+
+@dataclass(frozen=True)
+class Rate:
+    """Time of a loop (us a particle), node updates per second, and those of bare multiply-adds (1e6 / s)."""
+
+    columns: int
+    time: float
+    updates: float
+    bare: float
+
+
+def nodes_reached(target: str, args: Sequence[Any], ratio: float) -> float:
+    """Mean number of nodes in the support of a grain or a branch, with nodes one width apart; `ratio` is c / w."""
+    ball, tube = 4 / 3 * np.pi * ratio**3, np.pi * ratio**3
+    return float(ball + tube * np.linalg.norm(args[1], axis=1).mean() if target == SEGMENTS else ball)
+
+
+def rate(ds: xr.Dataset, field: str, target: str, kernel: str, width: float, repeats: int) -> Rate:
+    args = captured(target, lambda: ds.cg.coarse_grain(field, kernel=kernel, width=width))
+    moments = args[-1] if target == SEGMENTS else args[-2]
+    columns, items = moments.shape[-1], len(args[0])
+    reached = nodes_reached(target, args, KERNELS[kernel])
+    weights, factors = np.ones(max(1, round(reached * columns))), np.ones(items)
+    loop, bare = fastest(
+        [
+            partial({POINTS: deposit, SEGMENTS: deposit_segments}[target], *args),
+            partial(alternatives.multiply_add, np.zeros(moments.size), weights, factors),
+        ],
+        repeats,
+    )
+    updates = items * reached / 1e6
+    return Rate(columns, 1e6 * loop / ds.sizes["particle"], updates / loop, updates / bare)
+
+
+def temperatures_by_width(particles: int) -> dict[float, dict[str, float]]:
+    """Mean temperature over the true one, for independent fluctuations in uniform shear."""
+    found = {}
+    for width in WIDTHS_OF_TEMPERATURE:
+        ways, truth = temperature_ways(sheared(particles, RATE), width)
+        mean = {name: float(inside(run()).mean()) for name, run in ways.items()}
+        found[width] = {name: value / float(inside(truth).mean()) for name, value in mean.items()}
+    return found
+
+
+# --- the page --------------------------------------------------------------------------------------------
+
+
+class Times:
+    """Ratios of measured times, for the text."""
+
+    def __init__(self, points: Sequence[Point]) -> None:
+        self._points = points
+
+    def __call__(self, name: str, than: str, series: str | None = None) -> str:
+        """Time of one way over that of another; `series` is that of the first, and of both where it is a group."""
+
+        def time_of(name: str, series: str | None) -> float:
+            found = [p.time for p in self._points if p.way.name == name and series in (None, p.way.series)]
+            return found[0] if found else time_of(name, None)
+
+        return f"{time_of(name, series) / time_of(than, series):.2g}"
+
+
+HEAD = """# Speed against accuracy
+
+Error against time per particle, for every choice that xcg makes between ways to the same field: down is more
+exact, left is faster. Errors of different fields cannot be compared, so each has its panel. The grey line is
+the Pareto front: the ways that no other way beats in both (times within 3 % of each other count as equal in the
+tables). xcg's default is ringed. Made, on {machine}, by
+
+```bash
+python -m docs.accuracy --particles {particles}
+```
+
+![Error against time per particle](_static/accuracy.png)
+
+The scene is `xcg.datasets.dense_packing`: {particles} spheres at a volume fraction of 0.6 with three contacts
+each, nodes w = 0.75 d apart, Lucy's kernel, one thread. Times are the least of {repeats}, the ways of a panel
+taking turns: of the loop that differs in (a) and (b), of the whole call of `coarse_grain`, from a scene in
+memory to labelled fields, in the others. What is exact comes from elsewhere: sums over all grains straight from
+the definition, and composite 64-point quadrature of every branch (`tests/brute_force.py`). Errors are the
+largest over components and nodes, 96 random ones in (a) to (c) and three heights in (f), unless it says
+otherwise. The alternatives (`docs/alternatives.py`) are xcg's
+own loops with one thing exchanged. {tests}
+"""
+TESTS = "What does not depend on the clock is held by tests (`tests/test_accuracy.py`)."
+
+
+def says_contact_stress(x: Times) -> str:
+    return f"""**Default: the closed form (`rtol=0`).** It takes {x("rtol 0", "1 point")} times as long as a
+single Gauss point and {x("rtol 0", "6 points")} times as long as six, and is exact to rounding: so little is
+gained that is worth an error. A looser `rtol` does buy time, if little: 1e-2 takes {x("rtol 1e-2", "rtol 0")}
+of the time of the closed form. From 1e-4 on the planner itself takes the closed form at this width. The errors
+of `rtol` stay below what was asked, by a factor of ten and more: the promise holds for the worst node of every
+single branch, and a node sees a hundred.
+"""
+
+
+def says_volume_fraction(x: Times) -> str:
+    return f"""**Default: the kernel is evaluated.** A polynomial of the distance costs less than reading a
+table: {x("1000 bins", "evaluated", "table, rounded down")} times as long with the distance rounded down into
+1000 bins, as Pysammos does, for an error of 0.3 %, and {x("1000 bins", "evaluated", "table, interpolated")}
+with interpolation. More bins are more exact and no cheaper. Weights in single precision take
+{x("single precision", "evaluated")} of the time, for an error of 1e-7; they are not the default since
+identities would then hold to seven digits instead of fifteen.
+"""
+
+
+def says_kinetic_stress(x: Times) -> str:
+    return f"""**Default: one pass, velocities relative to the first grain that reaches a node.** The sum of m v
+v less rho V V loses the square of V / v': six digits at 1e3, twelve at 1e6. Two passes, V first and then the
+sums about it, keep all digits, at {x("two passes", "relative to the node", "V / v' = 1e+06")} times the time of
+the default, which keeps them in one. Raw moments take
+{x("raw moments", "relative to the node", "V / v' = 1e+06")} times as long as the default: the same loop, up to
+the noise of the clock.
+"""
+
+
+def says_temperature(x: Times) -> str:
+    return f"""**Default: the velocity at each grain by linear extrapolation from the node, with the
+least-squares gradient.** In shear without fluctuations the temperature is zero. About the velocity of the node
+it is not: that is the part of sigma^k that grows as w^2. V evaluated at the grains leaves less, as V(r) is that
+of the grains' centre of mass; extrapolation by least squares leaves rounding, as nothing else does, at
+{x("linear, least squares", "V at the node", "shear alone")} times the time of the fluctuations about the node.
+
+**With fluctuations that are independent from grain to grain the default is not on the front**, and no way is
+good at this width. A node sees some 16 grains, with unequal weights worth about seven; a mean takes one degree
+of freedom of them away, a fit four, and the velocity at a grain is to a good part the grain's own. All of them
+count as motion of the flow what was fluctuation. The table below has the mean of the temperature found over
+that put in: **temperatures at w = 0.75 d are for comparison, those wanted for their value take w of 1.5 d and
+more**, where the fit is within 7 %, while the temperature about the node grows with w without end.
+"""
+
+
+def says_velocity_gradient(x: Times) -> str:
+    return f"""**Default: least squares through the grains.** It is exact in uniform shear. The kernel gradient
+is the exact derivative of the field V(r), which itself is rough at this width: V(r) belongs to the grains'
+centre of mass, and that wanders about the node. Differences on the mesh converge to that same derivative as the
+mesh is refined (w/2), so refining makes them worse; on a coarse mesh they average a little, and take
+{x("mesh w", "least squares")} of the time, for an error of some percent. `gradient="kernel"` is there for
+balances, where the derivative of the field is what is wanted.
+"""
+
+
+def says_profiles(x: Times) -> str:
+    return f"""**Default: the exact marginal.** It is faster and exact: a mesh of spacing w takes
+{x("mesh w", "marginal", "density")} times as long for the density and
+{x("mesh w", "marginal", "contact stress")} for the contact stress and is off by up to 1 %; one of w/4 takes
+{x("mesh w/4", "marginal", "contact stress")} times as long. Here the box is periodic, the best case for a mesh.
+"""
+
+
+TEXTS = (
+    says_contact_stress, says_volume_fraction, says_kinetic_stress, says_temperature, says_velocity_gradient,
+    says_profiles,
+)  # fmt: skip
+TEMPERATURES = """Mean temperature over that of the fluctuations put in, by width:
+"""
+RATES = """## Kernels and widths
+
+Time a particle of the loop alone, closed forms, spacing of nodes equal to the width; then millions of *node
+updates* per second: one grain or contact that adds all its columns to one node, finding the node and its weight
+included. Beside them what bare multiply-adds reach, ``sums[k] += weight[k] * factor`` over as many consecutive
+numbers, with neither nodes to find nor weights to compute nor gaps between rows of nodes.
+
+**Default: Lucy.** Its value is a polynomial of the distance and its segment integral polynomials and one
+logarithm, which vectorise; the Gaussian takes an exponential a node and two error functions a branch, and
+reaches three times as many nodes at the same width. The Heaviside is cheapest since it reaches fewest nodes,
+each of which then sees few grains.
+"""
+
+MARKERS = "osD^v"
+# offset in points, alignments, rotation
+LABELS: dict[str, dict[str, Any]] = {
+    "right": {"xytext": (9, 0), "ha": "left", "va": "center"},
+    "left": {"xytext": (-9, 0), "ha": "right", "va": "center"},
+    "below": {"xytext": (0, -9), "ha": "center", "va": "top"},
+    "up": {"xytext": (-2, 9), "ha": "left", "va": "bottom", "rotation": 30, "rotation_mode": "anchor"},
+}
+
+
+def draw(panels: Sequence[tuple[Panel, list[Point]]], path: Path) -> None:
+    import matplotlib.pyplot as plt
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    figure, grid = plt.subplots(2, 3, figsize=(15, 9.5), layout="constrained")
+    for ax, (panel, points) in zip(grid.flat, panels, strict=True):
+        ax.set(xscale="log", yscale="log", title=panel.title, ylabel=panel.measure)
+        ax.set_xlabel(f"{panel.timed} (us a particle)")
+        for group in by_group(points).values():
+            line = front(group)
+            ax.step([p.time for p in line], [p.error for p in line], "0.8", lw=5, where="post", zorder=1)
+        for k, name in enumerate(dict.fromkeys(p.way.series for p in points)):
+            own = [p for p in points if p.way.series == name]
+            ax.plot([p.time for p in own], [p.error for p in own], MARKERS[k], color=f"C{k}", ms=6, label=name)
+            for p in own:
+                if p.way.label:
+                    about = LABELS[p.way.label]
+                    at = (p.time, p.error)
+                    ax.annotate(p.way.name, at, textcoords="offset points", fontsize=8.5, color=f"C{k}", **about)
+        chosen = [p for p in points if p.way.default]
+        ax.plot([p.time for p in chosen], [p.error for p in chosen], "ko", mfc="none", ms=14, label="xcg's default")
+        low, high = min(p.time for p in points), max(p.time for p in points)
+        room = 1.2 * (high / low) ** 0.45
+        ax.set_xlim(low / room, high * room)
+        ax.set_ylim(ROUNDING / 30, panel.headroom * max(p.error for p in points))
+        wide = high * room > 30 * low / room
+        ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0) if wide else (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
+        ax.xaxis.set_major_formatter("{x:g}")
+        ax.xaxis.set_minor_formatter(NullFormatter())
+        ax.grid(alpha=0.25)
+        ax.legend(fontsize=8.5, loc=panel.legend)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def table(points: Sequence[Point]) -> str:
+    """The points of one panel, in markdown."""
+    groups = by_group(points)
+    lines = ["| way | | time (us a particle) | error | on the front |", "|---|---|---|---|---|"]
+    for p in points:
+        series = p.way.series if p.way.series != p.way.name else ""
+        name = f"**{p.way.name}** (default)" if p.way.default else p.way.name
+        on = "" if p.beaten(groups[p.way.group]) else "yes"
+        lines.append(f"| {series} | {name} | {p.time:.2f} | {p.error:.1e} | {on} |")
+    return "\n".join(lines) + "\n"
+
+
+def table_of_rates(particles: int, repeats: int) -> str:
+    ds = packing(particles)
+    columns = {label: rate(ds, *LOOPS[label], "lucy", WIDTH, 1).columns for label in LOOPS}
+    heads = [f"{label}, {columns[label]} column{'s' * (columns[label] > 1)}" for label in LOOPS]
+    lines = ["| kernel | w / d | " + " | ".join(heads) + " |", "|---" * (2 + len(heads)) + "|"]
+    for kernel in KERNELS:
+        for width in WIDTHS:
+            rates = [rate(ds, *LOOPS[label], kernel, width, repeats) for label in LOOPS]
+            cells = [f"{r.time:.2f} us, {r.updates:.0f} of {r.bare:.0f}" for r in rates]
+            lines.append(f"| {kernel} | {width} | " + " | ".join(cells) + " |")
+            print(lines[-1], flush=True)
+    return "\n".join(lines) + "\n"
+
+
+def table_of_temperatures(particles: int) -> str:
+    found = temperatures_by_width(particles)
+    ways = list(next(iter(found.values())))
+    lines = ["| w / d | " + " | ".join(ways) + " |", "|---" * (1 + len(ways)) + "|"]
+    lines += [f"| {w} | " + " | ".join(f"{mean:.2f}" for mean in row.values()) + " |" for w, row in found.items()]
+    return "\n".join(lines) + "\n"
+
+
+def wrapped(text: str) -> str:
+    """Paragraphs in lines of even length, also after numbers have been put in."""
+    return "\n\n".join(textwrap.fill(part, 118, break_on_hyphens=False) for part in text.split("\n\n")) + "\n"
+
+
+def one_thread() -> Any:
+    """Hold everything to one thread: the alternatives fill all nodes in one call."""
+    return mock.patch.object(sys.modules["xcg.coarse_grain"], "THREADS", 1)
+
+
+@one_thread()
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser.add_argument("--particles", type=int, default=20_000, help="grains of the packing (default 20000)")
+    parser.add_argument("--repeats", type=int, default=15, help="times that each way is run (default 15)")
+    given = parser.parse_args()
+    n, repeats = given.particles, given.repeats
+    measured = []
+    for make in PANELS:
+        panel = make(n)
+        measured.append((panel, measure(panel, n, repeats)))
+        print(panel.title, table(measured[-1][1]), sep="\n\n", flush=True)
+    draw(measured, HERE / "_static" / "accuracy.png")
+    parts = [HEAD.format(machine=machine(), particles=n, repeats=repeats, tests=TESTS)]
+    for (panel, points), text in zip(measured, TEXTS, strict=True):
+        parts += [f"## {panel.title}\n", wrapped(text(Times(points))), table(points)]
+        if "temperature" in panel.title:
+            parts += [TEMPERATURES, table_of_temperatures(n)]
+    parts += [RATES, table_of_rates(n, repeats)]
+    (HERE / "accuracy.md").write_text("\n".join(parts))
+
+
+def machine() -> str:
+    features = llvm.get_host_cpu_features()
+    vectors = next((name for key, name in (("avx512f", "AVX-512"), ("avx2", "AVX2")) if features.get(key)), None)
+    return f"one of {os.cpu_count()} cores" + (f" with {vectors}" if vectors else "")
+
+
+if __name__ == "__main__":
+    main()

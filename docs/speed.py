@@ -1,0 +1,77 @@
+"""Measures speed and memory, and writes docs/speed.md.
+
+Run from the root of the repository, on a machine that does nothing else::
+
+    python -m docs.speed [--particles 100000] [--large 1000000]
+"""
+
+from __future__ import annotations
+
+import argparse
+from functools import partial
+from pathlib import Path
+
+from docs.accuracy import fastest, machine
+from tests.benchmarks import cases
+
+HEAD = """# Speed
+
+A dense packing (`xcg.datasets.dense_packing`): volume fraction 0.6, three contacts a grain, w = 0.75 d, nodes w
+apart, Lucy's kernel. *All fields* are the {count} of the [registry](fields.md). One thread works on one step in
+memory, two threads on two steps, one chunk of time each. Times are the least of {repeats} after one to warm up, from
+a scene in memory to labelled fields; peak memory is that of a fresh process that reads the scene from a file and does
+the job once, with Python and its libraries ({base:.0f} MB) in it. *Data* are scene and fields together. Made, on
+{machine}, by
+
+```bash
+python -m docs.speed --particles {particles} --large {large}
+```
+
+The same cases are benchmarks for pytest: `pytest tests/benchmarks --benchmark-only`. How far from the bare arithmetic
+the loops are stands under [kernels and widths](accuracy.md).
+
+"""
+COLUMNS = ("case", "grains", "threads", "time a step (s)", "us a grain and step", "peak memory (MB)", "data (MB)")
+FIRST = """
+From the start of a process to all fields of 1000 grains: {cold:.1f} s with nothing compiled, {warm:.1f} s from the
+second time on, as compiled code is kept on disk.
+"""
+
+
+def row(case: cases.Case, particles: int, repeats: int) -> str:
+    ds = case.scene(particles)
+    (seconds,) = fastest([partial(case.run, ds)], repeats)
+    seconds /= ds.sizes["time"]
+    grains = ds.sizes["particle"]
+    result = case.run(ds)
+    data = ds.nbytes + (0 if result is None else result.nbytes)
+    del result
+    peak = cases.peak_memory(case, particles)
+    size = f"{data / 1e6:.0f}" if case.run is not cases.end_to_end else ""
+    cells = (case.name, f"{grains:,}", case.threads, f"{seconds:.3g}", f"{1e6 * seconds / grains:.2f}", f"{peak:.0f}")
+    line = "| " + " | ".join(map(str, (*cells, size))) + " |"
+    print(line, flush=True)
+    return line
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser.add_argument("--particles", type=int, default=100_000, help="grains of the packing (default 100000)")
+    parser.add_argument("--large", type=int, default=1_000_000, help="grains of the large one; 0 leaves it out")
+    parser.add_argument("--repeats", type=int, default=5, help="times that each case is run (default 5)")
+    given = parser.parse_args()
+    lines = ["| " + " | ".join(COLUMNS) + " |", "|---" * len(COLUMNS) + "|"]
+    lines += [row(case, given.particles, given.repeats) for case in cases.CASES]
+    cases.packing.cache_clear()
+    if given.large:
+        lines += [row(case, given.large, 2) for case in cases.LARGE]
+    cold, warm = cases.first_result()
+    count = len(cases.CASES[0].run(cases.packing(400)).data_vars)
+    base = int(cases.fresh("import xcg\n" + cases.RESIDENT)) / 1000
+    head = HEAD.format(count=count, base=base, machine=machine().replace("one of ", ""), **vars(given))
+    text = head + "\n".join(lines) + "\n" + FIRST.format(cold=cold, warm=warm)
+    Path(__file__).with_name("speed.md").write_text(text)
+
+
+if __name__ == "__main__":
+    main()

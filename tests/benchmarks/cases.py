@@ -1,0 +1,132 @@
+"""The jobs whose speed and memory are watched: the same for pytest-benchmark and for docs/speed.py.
+
+The scene is a dense packing (`xcg.datasets.dense_packing`): volume fraction 0.6, three contacts a grain, w = 0.75 d,
+nodes w apart, all fields unless it says otherwise. One thread works on one step in memory; two threads work on two
+steps, one chunk each.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache, partial
+from pathlib import Path
+
+import xarray as xr
+
+import xcg
+
+ROOT = Path(__file__).parents[2]
+WIDTH = "0.75 d43"
+
+
+@dataclass(frozen=True)
+class Case:
+    """One job: `run(scene)` on a packing of `share` times the grains asked for, `threads` steps of it."""
+
+    name: str
+    run: Callable[[xr.Dataset], xr.Dataset | None]
+    threads: int = 1
+    share: float = 1.0
+
+    def scene(self, particles: int) -> xr.Dataset:
+        return packing(round(self.share * particles), self.threads)
+
+
+@cache
+def packing(particles: int, steps: int = 1) -> xr.Dataset:
+    one = xcg.datasets.dense_packing(particles)
+    if steps == 1:
+        return one
+    times = [one.assign_coords(time=[float(t)], step=("time", [t])) for t in range(steps)]
+    return xr.concat(times, "time", combine_attrs="override").chunk(time=1)
+
+
+def fields(ds: xr.Dataset, names: list[str] | None = None, rtol: float = 0.0, refined: int = 1) -> xr.Dataset:
+    """Fields in memory; a lazy scene is computed by as many threads as it has steps."""
+    spacing = 0.75 * ds.attrs["d43"] / refined
+    f = ds.cg.coarse_grain(names, width=WIDTH, spacing=spacing, rtol=rtol)
+    return f.compute(scheduler="threads", num_workers=ds.sizes["time"])
+
+
+def end_to_end(ds: xr.Dataset) -> None:
+    """A scene from arrays, all fields of it, as NetCDF and VTKHDF."""
+    taken = ("velocity", "diameter", "density", "contact_i", "contact_j", "contact_force", "contact_point")
+    arrays = {name: ds[name].values for name in taken}
+    scene = xcg.scene_from_arrays(ds.position.values, box=ds.box.values, periodic="xyz", **arrays)
+    with tempfile.TemporaryDirectory() as folder:
+        f = fields(scene)
+        f.to_netcdf(Path(folder) / "fields.nc")
+        f.cg.to_vtkhdf(Path(folder) / "fields.vtkhdf")
+
+
+SUMS = ["volume_fraction", "contact_stress"]
+CASES = [
+    Case("all fields, rtol = 1e-3", partial(fields, rtol=1e-3)),
+    Case("all fields, rtol = 1e-3", partial(fields, rtol=1e-3), threads=2),
+    Case("all fields, closed form", fields),
+    Case("all fields, closed form", fields, threads=2),
+    Case("volume fraction alone", partial(fields, names=["volume_fraction"])),
+    Case("contact stress alone", partial(fields, names=["contact_stress"])),
+    Case("from arrays to NetCDF and VTKHDF", end_to_end),
+    Case("volume fraction and contact stress, spacing w", partial(fields, names=SUMS), share=0.1),
+    Case("volume fraction and contact stress, spacing w/2", partial(fields, names=SUMS, refined=2), share=0.1),
+    Case("volume fraction and contact stress, spacing w/4", partial(fields, names=SUMS, refined=4), share=0.1),
+]
+LARGE = [CASES[0], CASES[1], CASES[4]]  # those worth a million grains
+
+
+# --- in a fresh process ----------------------------------------------------------------------------------
+
+FIRST = """
+import xcg
+xcg.datasets.dense_packing(1000).cg.coarse_grain()
+"""
+# the high-water mark of this process alone: that of getrusage starts from the parent's
+RESIDENT = """
+for line in open("/proc/self/status"):
+    if line.startswith("VmHWM"):
+        print(line.split()[1])
+"""
+PEAK = """
+import sys
+import xarray as xr
+from tests.benchmarks import cases
+ds = xr.load_dataset(sys.argv[1])
+case = cases.CASES[int(sys.argv[2])]
+case.run(ds if case.threads == 1 else ds.chunk(time=1))
+"""
+
+
+def fresh(code: str, *arguments: str, **environment: str) -> str:
+    """What a Python process of its own prints."""
+    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+    done = subprocess.run(
+        [sys.executable, "-c", code, *arguments], env={**os.environ, "PYTHONPATH": path, **environment},
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    return done.stdout
+
+
+def first_result() -> tuple[float, float]:
+    """Seconds from the start of a process to all fields of 1000 grains: with nothing compiled, and the next time."""
+    with tempfile.TemporaryDirectory() as folder:
+        took = []
+        for _ in range(2):
+            begin = time.perf_counter()
+            fresh(FIRST, NUMBA_CACHE_DIR=folder)
+            took.append(time.perf_counter() - begin)
+    return took[0], took[1]
+
+
+def peak_memory(case: Case, particles: int) -> float:
+    """Largest resident memory of a process that reads the scene and does the job (MB); on Linux only."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "scene.nc"
+        case.scene(particles).to_netcdf(path)
+        return int(fresh(PEAK + RESIDENT, str(path), str(CASES.index(case)))) / 1000
