@@ -4,6 +4,7 @@ project = "xcg"
 copyright = "2026, the xcg developers"
 extensions = ["myst_nb", "numpydoc", "sphinx.ext.autodoc", "sphinx.ext.mathjax"]
 exclude_patterns = ["_build", "jupyter_execute", "output"]
+default_role = "py:obj"
 
 html_theme = "pydata_sphinx_theme"
 html_title = "xcg"

@@ -25,7 +25,9 @@ stand in for exact derivatives and integrals here. *Equilibrium* is for packings
 from equilibrium, which says how static the *data* are. *Unexplained* is what is not explained by the resultants
 F + m g of the grains, at rest or not.
 
-Made by `python -m docs.residuals DATA`, with `DATA` the folder of the sample data.
+Made by `python -m docs.residuals DATA`, with `DATA` the folder of the sample data (two of the scenes ship in
+`examples/data`). They are from LAMMPS, MFiX, LIGGGHTS (`force_chain_finder` too) and YADE, but for a synthetic one in
+the format of MercuryDPM.
 
 """
 NOTES = """
