@@ -1,12 +1,21 @@
-"""Sphinx configuration: pip install . --group docs; sphinx-build -W docs docs/_build."""
+"""Sphinx configuration: pip install --group docs --editable . && python -m sphinx -W docs docs/_build."""
 
 project = "xcg"
 copyright = "2026, the xcg developers"
 extensions = ["myst_nb", "numpydoc", "sphinx.ext.autodoc", "sphinx.ext.mathjax"]
+exclude_patterns = ["_build", "jupyter_execute", "output"]
+default_role = "py:obj"
+
 html_theme = "pydata_sphinx_theme"
+html_title = "xcg"
 html_static_path = ["_static"]
-exclude_patterns = ["_build"]
+html_css_files = ["xcg.css"]
+html_show_sourcelink = False
+html_sidebars = {"**": ["globaltoc"]}
+html_theme_options = {"navbar_center": []}
+
 myst_enable_extensions = ["dollarmath"]
+myst_heading_anchors = 2
 nb_execution_mode = "force"
 nb_execution_raise_on_error = True
 numpydoc_show_class_members = False

@@ -188,17 +188,22 @@ HEAD = f"| {' | '.join(COLUMNS)} |\n|{'---|' * len(COLUMNS)}"
 
 
 def line(row: dict) -> str:
-    """One line of the table: times in ns a particle, with ratios to the hierarchical search."""
+    """One line of the table: time of the hierarchical search in ns a particle, of the others relative to it."""
     own = row["hierarchical"]
     times = []
     for name in ("linked", "tree", "freud"):
         m = row[name]
-        digits = "-" if m is None else f"{'~' * m.scaled}{m.time * 1e9:.3g} ({m.time / own.time:.3g} x)"
+        digits = "-" if m is None else f"{'~' * m.scaled}{_three(m.time / own.time)} x"
         times.append(digits)
     return (
-        f"| {row['ratio']} | {row['count']} | {row['levels']} | {row['pairs']:.2f} | {own.tested:.3g} | "
-        f"{row['linked'].tested:.3g} | {own.time * 1e9:.3g} | " + " | ".join(times) + " |"
+        f"| {row['ratio']} | {row['count']} | {row['levels']} | {row['pairs']:.2f} | {_three(own.tested)} | "
+        f"{_three(row['linked'].tested)} | {_three(own.time * 1e9)} | " + " | ".join(times) + " |"
     )
+
+
+def _three(value: float) -> str:
+    """Three significant digits, without an exponent."""
+    return f"{float(f'{value:.3g}'):.12g}"
 
 
 def draw(results: dict[str, list[dict]], path: Path) -> None:

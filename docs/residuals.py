@@ -21,22 +21,24 @@ Some identities hold on any scene, whatever made it, and need no reference data.
 of each on one step of each folder of sample data, for Lucy's kernel of half-width 0.75 d43 and closed forms, at {count}
 points near contacts (one across a periodic edge and one at a wall, where there are any). Residuals are in units of the
 terms that must cancel. What is left is rounding, and the error of the finite differences and sums over nodes that
-stand in for exact derivatives and integrals here. "4 equilibrium" is for packings at rest: how far the field is
-from equilibrium, which says how static the *data* are. The last column is what is not explained by the resultants
+stand in for exact derivatives and integrals here. *Equilibrium* is for packings at rest: how far the field is
+from equilibrium, which says how static the *data* are. *Unexplained* is what is not explained by the resultants
 F + m g of the grains, at rest or not.
 
-Made by `python -m docs.residuals DATA`, with `DATA` the folder of the sample data.
+Made by `python -m docs.residuals DATA`, with `DATA` the folder of the sample data (two of the scenes ship in
+`examples/data`). They are from LAMMPS, MFiX, LIGGGHTS (`force_chain_finder` too) and YADE, but for a synthetic one in
+the format of MercuryDPM.
 
 """
 NOTES = """
-1. **Mass**: the integral of rho over the whole support is the mass of the grains.
-2. **Continuity**: the exact rate of rho, -sum m v . grad Psi, is -div p.
-3. **Stress**: div sigma^c = -sum F Psi + t, with F the total contact force on a grain and t the traction of walls.
-   Beside it, the same with a quadrature of rtol = 1e-2 in place of the closed form.
-4. **Equilibrium**: div sigma - rho g - t = 0 where nothing moves.
-7. **Periodicity**: shifting all grains by any vector, and wrapping them, shifts all fields.
-8. **Marginals**: a field averaged over an axis is the integral of the field along it.
-9. **Virial**: the integral of sigma^c is sum f a over both sides of all contacts.
+- **Mass**: the integral of rho over the whole support is the mass of the grains.
+- **Continuity**: the exact rate of rho, -sum m v . grad Psi, is -div p.
+- **Stress**: div sigma^c = -sum F Psi + t, with F the total contact force on a grain and t the traction of walls.
+  Beside it, the same with a quadrature of rtol = 1e-2 in place of the closed form.
+- **Equilibrium**: div sigma - rho g - t = 0 where nothing moves.
+- **Periodicity**: shifting all grains by any vector, and wrapping them, shifts all fields.
+- **Marginals**: a field averaged over an axis is the integral of the field along it.
+- **Virial**: the integral of sigma^c is sum f a over both sides of all contacts.
 """
 
 
@@ -51,15 +53,15 @@ def columns(name: str) -> dict[str, Callable[[Case], str]]:
         return (number(left) if name in STATIC else "–", number(unexplained))
 
     return {
-        "1 mass": lambda c: number(residuals.mass(c.ds, c.width)),
-        "2 continuity": lambda c: number(residuals.continuity(c.ds, c.width, c.points)),
-        "3 stress": lambda c: number(residuals.stress_divergence(c.ds, c.width, c.points)),
-        "3 by quadrature": lambda c: number(residuals.stress_divergence(c.ds, c.width, c.points, rtol=1e-2)),
-        "7 periodicity": lambda c: number(residuals.periodicity(c.ds, c.width, c.points)),
-        "8 marginals": lambda c: number(residuals.marginals(c.ds, c.width, c.points[0])),
-        "9 virial": lambda c: number(residuals.virial(c.ds, c.width)),
-        "4 equilibrium": lambda c: static(c)[0],
-        "4 unexplained": lambda c: static(c)[1],
+        "mass": lambda c: number(residuals.mass(c.ds, c.width)),
+        "continuity": lambda c: number(residuals.continuity(c.ds, c.width, c.points)),
+        "stress": lambda c: number(residuals.stress_divergence(c.ds, c.width, c.points)),
+        "stress by quadrature": lambda c: number(residuals.stress_divergence(c.ds, c.width, c.points, rtol=1e-2)),
+        "periodicity": lambda c: number(residuals.periodicity(c.ds, c.width, c.points)),
+        "marginals": lambda c: number(residuals.marginals(c.ds, c.width, c.points[0])),
+        "virial": lambda c: number(residuals.virial(c.ds, c.width)),
+        "equilibrium": lambda c: static(c)[0],
+        "unexplained": lambda c: static(c)[1],
     }
 
 

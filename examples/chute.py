@@ -28,7 +28,7 @@ def table(profile: xr.Dataset) -> str:
         "inertial_number",
     ]
     heads = ["z/d", "phi", "V_x", "shear rate", "T", "mu", "I"]
-    flow = profile.sel(component="x").mean("time").sel(z=slice(2, 35)).isel(z=slice(None, None, 6))
+    flow = profile.cg.time_average().sel(component="x", z=slice(2, 35)).isel(z=slice(None, None, 6))
     rows = [[float(flow.z[k]), *(float(flow[c][k]) for c in columns)] for k in range(flow.sizes["z"])]
     lines = ["".join(f"{head:>11s}" for head in heads), *("".join(f"{v:11.4g}" for v in row) for row in rows)]
     return "\n".join(lines)
@@ -36,7 +36,7 @@ def table(profile: xr.Dataset) -> str:
 
 def draw(profile: xr.Dataset, path: Path) -> None:
     """Depth profiles of each frame (thin) and their mean (thick)."""
-    flow = profile.sel(component="x")
+    flow, mean = profile.sel(component="x"), profile.cg.time_average().sel(component="x")
     panels = {
         "volume_fraction": r"$\phi$",
         "velocity": r"$V_x$  [$\sqrt{g d}$]",
@@ -47,12 +47,12 @@ def draw(profile: xr.Dataset, path: Path) -> None:
         "inertial_number": r"$I$",
         "coordination_number": r"$Z$",
     }
-    dense = flow.where(flow.volume_fraction.mean("time") > 0.3)
+    inside = mean.volume_fraction > 0.3
     figure, axes = plt.subplots(2, 4, figsize=(11, 6.4), sharey=True, layout="constrained")
     for ax, (name, label) in zip(axes.flat, panels.items(), strict=True):
-        data = flow[name] if name in ("volume_fraction", "pressure") else dense[name]
-        ax.plot(data.transpose("z", "time"), flow.z, color="0.7", lw=0.8)
-        ax.plot(data.mean("time"), flow.z, color="C0", lw=2)
+        shown = True if name in ("volume_fraction", "pressure") else inside
+        ax.plot(flow[name].where(shown).transpose("z", "time"), flow.z, color="0.7", lw=0.8)
+        ax.plot(mean[name].where(shown), flow.z, color="C0", lw=2)
         ax.set_xlabel(label)
         ax.grid(alpha=0.3)
     dense_mu = axes.flat[5]

@@ -267,10 +267,9 @@ def microstructure(
     particle_density                  :math:`\rho = \sum m_i / \sum V_i`
     strain_rate                       :math:`\dot\epsilon_q = \sqrt{2/3\, e:e}`, e the deviatoric rate;
                                       2D: :math:`\sqrt{2 e:e}`
-    volumetric_strain, axial_strain   :math:`-\ln(V / V_0)`, :math:`-\ln(L / L_0)` of the box; engineering:
-                                      :math:`1 - V / V_0`, :math:`1 - L / L_0`
-    inertial_number_dmax, _d50,       :math:`I = \dot\epsilon_q d \sqrt{\rho / p'}`, NaN where p' <= 0      [2]_
-    _dbar
+    volumetric_strain, axial_strain   :math:`-\ln(V / V_0)`, :math:`-\ln(L / L_0)` of the box;
+                                      engineering: :math:`1 - V / V_0`, :math:`1 - L / L_0`
+    inertial_number_{dmax,d50,dbar}   :math:`I = \dot\epsilon_q d \sqrt{\rho / p'}`, NaN if p' <= 0        [2]_
     ================================  ===================================================================  =========
 
     In isochoric triaxial shear :math:`\dot\epsilon_q` is the axial rate; in simple shear it is the shear rate over

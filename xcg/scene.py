@@ -196,8 +196,14 @@ def scene_from_arrays(
         Periodic axes, for example "xy".
     gravity : three floats, optional
         Acceleration of gravity (m s-2).
-    dimension, plane, thickness, shape
-        ``dimension=2`` for one layer of particles in `plane` ("xy" by default), see `Setup`.
+    dimension : {2, 3}
+        2 for one layer of particles in `plane`.
+    plane : str, optional
+        The two axes of a one-layer scene, "xy" by default.
+    thickness : float, optional
+        Depth of a one-layer scene (m); by default that of the box where it is finite, else the largest diameter.
+    shape : {"sphere", "disc"}
+        How volume follows from diameter.
     density : float or array
         Density of the material (kg m-3): one number, or one a particle.
     units : mapping or "reduced", optional

@@ -102,8 +102,12 @@ def open_scene(
         (``si``, ``cgs``, ``micro``, ``nano``; ``lj`` is "reduced"), and SI where they say nothing.
     dimension : {2, 3}, optional
         By default 2 where all particles lie in one plane across an axis (and `plane` is that plane), else 3.
-    plane, thickness, shape
-        Of scenes with one layer of particles, see `xcg.schema.Setup`.
+    plane : str, optional
+        The two axes of a one-layer scene, for example "xz".
+    thickness : float, optional
+        Depth of a one-layer scene (m); by default that of the box where it is finite, else the largest diameter.
+    shape : {"sphere", "disc"}
+        How volume follows from diameter.
     allow_unknown : bool
         Take contacts with ids that are not among the particles as contacts with a wall.
     missing : {"raise", "skip", "empty"}
