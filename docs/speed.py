@@ -17,9 +17,9 @@ from tests.benchmarks import cases
 HEAD = """# Speed
 
 A dense packing (`xcg.datasets.dense_packing`): volume fraction 0.6, three contacts a grain, w = 0.75 d, nodes w
-apart, Lucy's kernel. *All fields* are the {count} of the [registry](fields.md). One thread works on one step in
-memory, two threads on two steps, one chunk of time each. Times are the least of {repeats} after one to warm up, from
-a scene in memory to labelled fields; peak memory is that of a fresh process that reads the scene from a file and does
+apart, Lucy's kernel. *All fields* are the {count} of the [registry](fields.md). Threads share the
+nodes of one step in memory (over space), or take a step each of a lazy scene (over time); the bits of the result are the
+same. Times are the least of {repeats} after one to warm up, from a scene in memory to labelled fields; peak memory is that of a fresh process that reads the scene from a file and does
 the job once, with Python and its libraries ({base:.0f} MB) in it. *Data* are scene and fields together. Made, on
 {machine}, by
 
@@ -47,8 +47,15 @@ def row(case: cases.Case, particles: int, repeats: int) -> str:
     data = ds.nbytes + (0 if result is None else result.nbytes)
     del result
     peak = cases.peak_memory(case, particles)
-    size = f"{data / 1e6:.0f}" if case.run is not cases.end_to_end else ""
-    cells = (case.name, f"{grains:,}", case.threads, f"{seconds:.3g}", f"{1e6 * seconds / grains:.2f}", f"{peak:.0f}")
+    size = f"{data / 1e6:.0f}" if case.work is not cases.end_to_end else ""
+    cells = (
+        case.name,
+        f"{grains:,}",
+        f"{case.threads}{case.over}",
+        f"{seconds:.3g}",
+        f"{1e6 * seconds / grains:.2f}",
+        f"{peak:.0f}",
+    )
     line = "| " + " | ".join(map(str, (*cells, size))) + " |"
     print(line, flush=True)
     return line

@@ -96,7 +96,7 @@ class Plan:
             "sums": ", ".join(f"{m} ({MOMENTS[m].formula})" for m in self.recipe.moments),
             "passes": f"{int(columns > 0)} over particles, {int(slopes)} with grad Psi, {contact // 9} over contacts",
             "contacts": f"{rules} (rtol = {self.rtol:g})" if contact else "not read for stress",
-            "memory": f"{8 * sums / 1e6:.1f} MB of sums and {8 * outputs / 1e6:.1f} MB of fields a step",
+            "memory": f"{8 * sums / 1e6:.3g} MB of sums and {8 * outputs / 1e6:.3g} MB of fields a step",
         }
         return "\n".join(f"{key:9s} {text}" for key, text in lines.items())
 

@@ -349,8 +349,8 @@ def summary(ds: xr.Dataset) -> str:
     """Tell what a Dataset holds of a scene, and what is missing."""
     if "position" not in ds:
         return "not a scene: no 'position' (fields are saved with .cg.to_vtkhdf, .to_netcdf, .to_zarr)"
-    sizes = ", ".join(f"{ds.sizes[d]} {d}" for d in ("time", "particle", "contact") if d in ds.sizes)
-    lines = [f"scene of {sizes} (largest step)"]
+    steps, particles, contacts = (ds.sizes.get(d, 0) for d in ("time", "particle", "contact"))
+    lines = [f"scene of {steps} steps with up to {particles} particles and {contacts} contacts"]
     for dim in ("particle", "contact"):
         names = [str(n) for n in ds.data_vars if dim in ds[n].dims]
         lines.append(f"  {dim + 's:':11s}{', '.join(names) or 'none'}")

@@ -1,8 +1,8 @@
 """The jobs whose speed and memory are watched: the same for pytest-benchmark and for docs/speed.py.
 
 The scene is a dense packing (`xcg.datasets.dense_packing`): volume fraction 0.6, three contacts a grain, w = 0.75 d,
-nodes w apart, all fields unless it says otherwise. One thread works on one step in memory; two threads work on two
-steps, one chunk each.
+nodes w apart, all fields unless it says otherwise. Threads share the nodes of one step in memory, or take a step
+each, one chunk of time, of a lazy scene.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
+from unittest import mock
 
 import xarray as xr
 
@@ -27,15 +28,24 @@ WIDTH = "0.75 d43"
 
 @dataclass(frozen=True)
 class Case:
-    """One job: `run(scene)` on a packing of `share` times the grains asked for, `threads` steps of it."""
+    """One job: `work(scene)` on `steps` packings of `share` times the grains asked for."""
 
     name: str
-    run: Callable[[xr.Dataset], xr.Dataset | None]
+    work: Callable[[xr.Dataset], xr.Dataset | None]
     threads: int = 1
+    steps: int = 1
     share: float = 1.0
 
     def scene(self, particles: int) -> xr.Dataset:
-        return packing(round(self.share * particles), self.threads)
+        return packing(round(self.share * particles), self.steps)
+
+    def run(self, ds: xr.Dataset) -> xr.Dataset | None:
+        with mock.patch.object(sys.modules["xcg.coarse_grain"], "THREADS", self.threads):
+            return self.work(ds)
+
+    @property
+    def over(self) -> str:
+        return "" if self.threads == 1 else " over space" if self.steps == 1 else " over time"
 
 
 @cache
@@ -69,8 +79,10 @@ SUMS = ["volume_fraction", "contact_stress"]
 CASES = [
     Case("all fields, rtol = 1e-3", partial(fields, rtol=1e-3)),
     Case("all fields, rtol = 1e-3", partial(fields, rtol=1e-3), threads=2),
+    Case("all fields, rtol = 1e-3", partial(fields, rtol=1e-3), threads=2, steps=2),
     Case("all fields, closed form", fields),
     Case("all fields, closed form", fields, threads=2),
+    Case("all fields, closed form", fields, threads=2, steps=2),
     Case("volume fraction alone", partial(fields, names=["volume_fraction"])),
     Case("contact stress alone", partial(fields, names=["contact_stress"])),
     Case("from arrays to NetCDF and VTKHDF", end_to_end),
@@ -78,7 +90,7 @@ CASES = [
     Case("volume fraction and contact stress, spacing w/2", partial(fields, names=SUMS, refined=2), share=0.1),
     Case("volume fraction and contact stress, spacing w/4", partial(fields, names=SUMS, refined=4), share=0.1),
 ]
-LARGE = [CASES[0], CASES[1], CASES[4]]  # those worth a million grains
+LARGE = [CASES[0], CASES[1], CASES[6]]  # those worth a million grains
 
 
 # --- in a fresh process ----------------------------------------------------------------------------------
@@ -99,7 +111,7 @@ import xarray as xr
 from tests.benchmarks import cases
 ds = xr.load_dataset(sys.argv[1])
 case = cases.CASES[int(sys.argv[2])]
-case.run(ds if case.threads == 1 else ds.chunk(time=1))
+case.run(ds if case.steps == 1 else ds.chunk(time=1))
 """
 
 

@@ -11,7 +11,7 @@ LARGE = pytest.mark.skipif("XCG_BENCHMARK_LARGE" not in os.environ, reason="set 
 
 
 def label(case):
-    return f"{case.name}, {case.threads} thread{'s' * (case.threads > 1)}"
+    return f"{case.name}, {case.threads} thread{'s' * (case.threads > 1)}{case.over}"
 
 
 def run(benchmark, case, particles):
@@ -37,7 +37,7 @@ def test_first_result_in_a_fresh_process(benchmark):
     benchmark.extra_info.update(cold=round(cold, 2), warm=round(warm, 2))
 
 
-@pytest.mark.parametrize("case", cases.CASES[:5], ids=label)
+@pytest.mark.parametrize("case", cases.CASES[:7], ids=label)
 def test_peak_memory(benchmark, case):
     case.run(case.scene(200))  # compiled code is on disk, so that the compiler's memory does not count
     peak = benchmark.pedantic(cases.peak_memory, (case, PARTICLES), rounds=1)
