@@ -24,7 +24,7 @@ the job once, with Python and its libraries ({base:.0f} MB) in it. *Data* are sc
 {machine}, by
 
 ```bash
-python -m docs.speed --particles {particles} --large {large}
+python -m docs.speed --particles {particles} --large {large} --repeats {repeats}
 ```
 
 The same cases are benchmarks for pytest: `pytest tests/benchmarks --benchmark-only`. How far from the bare arithmetic
