@@ -488,7 +488,7 @@ the Pareto front: the ways that no other way beats in both (times within 3 % of 
 tables). xcg's default is ringed. Made, on {machine}, by
 
 ```bash
-python -m docs.accuracy --particles {particles}
+python -m docs.accuracy --particles {particles} --repeats {repeats}
 ```
 
 ![Error against time per particle](_static/accuracy.png)
@@ -499,8 +499,8 @@ taking turns: of the loop that differs in (a) and (b), of the whole call of `coa
 memory to labelled fields, in the others. What is exact comes from elsewhere: sums over all grains straight from
 the definition, and composite 64-point quadrature of every branch (`tests/brute_force.py`). Errors are the
 largest over components and nodes, 96 random ones in (a) to (c) and three heights in (f), unless it says
-otherwise. The alternatives (`docs/alternatives.py`) are xcg's
-own loops with one thing exchanged. {tests}
+otherwise. The alternatives (`docs/alternatives.py`) are xcg's own loops with one thing exchanged.
+{tests}
 """
 TESTS = "What does not depend on the clock is held by tests (`tests/test_accuracy.py`)."
 
@@ -530,8 +530,8 @@ def says_kinetic_stress(x: Times) -> str:
 v less rho V V loses the square of V / v': six digits at 1e3, twelve at 1e6. Two passes, V first and then the
 sums about it, keep all digits, at {x("two passes", "relative to the node", "V / v' = 1e+06")} times the time of
 the default, which keeps them in one. Raw moments take
-{x("raw moments", "relative to the node", "V / v' = 1e+06")} times as long as the default: the same loop, up to
-the noise of the clock.
+{x("raw moments", "relative to the node", "V / v' = 1e+06")} times as long as the default, little to win for
+digits that go without a word.
 """
 
 

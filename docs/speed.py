@@ -24,7 +24,7 @@ peak memory is that of a fresh process that reads the scene from a file and does
 libraries ({base:.0f} MB) in it. *Data* are scene and fields together. Made, on {machine}, by
 
 ```bash
-python -m docs.speed --particles {particles} --large {large}
+python -m docs.speed --particles {particles} --large {large} --repeats {repeats}
 ```
 
 The same cases are benchmarks for pytest: `pytest tests/benchmarks --benchmark-only`. How far from the bare arithmetic
