@@ -65,7 +65,7 @@ def _partners(frame: Frame, contacts: Contacts | None) -> NDArray:
 
 def _fabric(frame: Frame, contacts: Contacts | None) -> NDArray:
     assert contacts is not None
-    return frame["volume"][:, None, None] * contacts.normals
+    return (frame["volume"][:, None, None] * contacts.normals)[:, *_UPPER]
 
 
 def _forces(frame: Frame, contacts: Contacts | None) -> NDArray:
@@ -103,6 +103,7 @@ MOMENTS: dict[str, Moment] = {
 }
 
 _SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+_UPPER = np.triu_indices(3)
 # powers of the cutoff in the flow columns, which the deposit computes with lengths in cutoffs
 _CUTOFF_POWERS = {"offset": 1, "shear": 1, "spread": 2}
 
@@ -200,6 +201,7 @@ class _Deposit:
         self, position: NDArray, velocity: NDArray, mass: NDArray, constants: NDArray, phase: NDArray, level: int,
         reference: NDArray, *, by_gradient: bool = False,
     ) -> NDArray:  # fmt: skip
+        constants = np.pad(constants, ((0, 0), (0, -constants.shape[1] % 4)))
         sums = np.zeros((self.phases, self.nodes, level + constants.shape[1]))
         order, local = self._placed(position)
         rows = (local, velocity[order], mass[order], constants[order], phase[order], level, self.shape)
@@ -283,7 +285,7 @@ def sums_of_frame(frame: Frame, recipe: Recipe, period: NDArray, scale: float, w
     to = _Deposit(recipe, period, scale, threads)
 
     constants = {
-        name: row.column(frame, contacts).reshape(count, math.prod(row.shape))
+        name: row.column(frame, contacts).reshape(count, _columns_of(name).max() + 1)
         for name, row in wanted.items()
         if row.column
     }
@@ -298,16 +300,16 @@ def sums_of_frame(frame: Frame, recipe: Recipe, period: NDArray, scale: float, w
         records = to.points(position, velocity, mass, stacked, phase, level, reference)
         for name, row in wanted.items():
             if row.level:
-                columns[name] = (records, _flow_columns(name), recipe.cutoff ** _CUTOFF_POWERS.get(name, 0))
+                columns[name] = (records, row.first + _columns_of(name), recipe.cutoff ** _CUTOFF_POWERS.get(name, 0))
         first = level
         for name, values in constants.items():
-            columns[name] = (records, first + _all_columns(wanted[name].shape), 1.0)
+            columns[name] = (records, first + _columns_of(name), 1.0)
             first += values.shape[1]
     if {"mass_slope", "momentum_slope"} & set(wanted):
         none = np.zeros((count, 0))
         slopes = to.points(position, velocity, mass, none, phase, kernel.LINEAR, reference, by_gradient=True)
         for name, flow in (("mass_slope", "offset"), ("momentum_slope", "shear")):
-            columns[name] = (slopes, _flow_columns(flow), -1 / recipe.cutoff)
+            columns[name] = (slopes, MOMENTS[flow].first + _columns_of(flow), -1 / recipe.cutoff)
     if "contact" in wanted:
         assert contacts is not None
         start, branch, push, owner, _ = contacts.segments(position, phase)
@@ -334,7 +336,6 @@ def _all_columns(shape: tuple[int, ...]) -> NDArray:
     return np.arange(math.prod(shape)).reshape(shape)
 
 
-def _flow_columns(name: str) -> NDArray:
-    """Columns of a node's record that make up a moment; symmetric tensors are kept as six."""
-    row = MOMENTS[name]
-    return row.first + (_SYMMETRIC if name in ("kinetic", "spread") else _all_columns(row.shape))
+def _columns_of(name: str) -> NDArray:
+    """Columns that make up a moment, counted from its first; symmetric tensors are kept as six."""
+    return _SYMMETRIC if name in ("kinetic", "spread", "fabric") else _all_columns(MOMENTS[name].shape)

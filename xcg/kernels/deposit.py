@@ -45,7 +45,7 @@ def deposit(
     mass : (n,)
         Masses; not read at level NONE.
     constants : (n, q)
-        Columns that are the same for all nodes.
+        Columns that are the same for all nodes; q is a multiple of four, as they are added four at a time.
     phase : (n,)
         Which group each grain belongs to.
     level : int
@@ -116,8 +116,15 @@ def deposit(
                     if level > 0:
                         _add_flow(p, mass[i], velocity[i], node, hits, w, offset, level, moments, reference)
                     for k in range(hits):
-                        for c in range(constants.shape[1]):
-                            moments[p, node[k], level + c] += w[k] * constants[i, c]
+                        n, v = node[k], w[k]
+                        for c in range(0, constants.shape[1], 4):
+                            first = level + c
+                            sum0 = moments[p, n, first] + v * constants[i, c]
+                            sum1 = moments[p, n, first + 1] + v * constants[i, c + 1]
+                            sum2 = moments[p, n, first + 2] + v * constants[i, c + 2]
+                            sum3 = moments[p, n, first + 3] + v * constants[i, c + 3]
+                            moments[p, n, first], moments[p, n, first + 1] = sum0, sum1
+                            moments[p, n, first + 2], moments[p, n, first + 3] = sum2, sum3
 
 
 @jit
