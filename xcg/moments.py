@@ -310,13 +310,12 @@ def sums_of_frame(frame: Frame, recipe: Recipe, period: NDArray, scale: float, w
         slopes = to.points(position, velocity, mass, none, phase, kernel.LINEAR, reference, by_gradient=True)
         for name, flow in (("mass_slope", "offset"), ("momentum_slope", "shear")):
             columns[name] = (slopes, MOMENTS[flow].first + _columns_of(flow), -1 / recipe.cutoff)
-    if "contact" in wanted:
-        assert contacts is not None
-        start, branch, push, owner, _ = contacts.segments(position, phase)
-        columns["contact"] = (to.segments(start, branch, push, owner, recipe.limits), _all_columns((3, 3)), 1.0)
-    if "pair_contact" in wanted:
+    if {"contact", "pair_contact"} & set(wanted):
         assert contacts is not None
         start, branch, push, owner, other = contacts.segments(position, phase)
+    if "contact" in wanted:
+        columns["contact"] = (to.segments(start, branch, push, owner, recipe.limits), _all_columns((3, 3)), 1.0)
+    if "pair_contact" in wanted:
         others = to.phases + 1  # the last one for walls
         pair = owner * others + np.where(other < 0, to.phases, other)
         by_pair = to.segments(start, branch, push, pair, recipe.limits, to.phases * others)

@@ -18,7 +18,7 @@ from xcg.kernels import weights as kinds
 from xcg.kernels.segments import MAX_ORDER, largest_error
 from xcg.moments import CONTACT_VARIABLES, MOMENTS, Recipe
 from xcg.scene import SIZES, require_scene, setup_of
-from xcg.schema import COMPONENTS, SceneError, SceneWarning, Setup, variable
+from xcg.schema import COMPONENTS, SceneError, SceneWarning, Setup
 from xcg.smoothing import Kernel, as_kernel
 
 
@@ -429,6 +429,3 @@ def scale_of(plan: Plan, box: NDArray | None, where: str) -> float:
     if isinstance(plan.depth, float):
         lengths.append(plan.depth)
     return 1.0 / float(np.prod(lengths))
-
-
-__all__ = ["Plan", "choose_width", "gauss_limits", "make_plan", "scale_of", "variable"]

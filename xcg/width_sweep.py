@@ -9,8 +9,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
+from xcg.bodies import group_bodies
 from xcg.coarse_grain import coarse_grain
-from xcg.plan import choose_width
+from xcg.plan import choose_width, make_plan
 
 THRESHOLD = 0.1
 
@@ -76,13 +77,16 @@ def width_sweep(
         msg = f"widths={list(widths)!r}: expected three or more different widths, to tell a slope"
         raise ValueError(msg)
     points, several = _points(at)
+    if "by_body" in options:
+        ds = group_bodies(ds, options.pop("by_body"))
     options.setdefault("axes", "")
     # nodes stay where they are for all widths
     if options["axes"]:
         options.setdefault("spacing", lengths[0])
         if "bounds" not in options:
-            first = coarse_grain(ds, "number_density", width=lengths[-1], at=points[0], **options)
-            options["bounds"] = {a: (float(first[a][0]), float(first[a][-1])) for a in options["axes"]}
+            placing = {k: v for k, v in options.items() if k in ("axes", "spacing", "kernel", "extent")}
+            grid = make_plan(ds, "number_density", width=lengths[-1], at=points[0], **placing).recipe.grid
+            options["bounds"] = {a: (float(nodes[0]), float(nodes[-1])) for a, nodes in grid.nodes.items()}
     swept = []
     for width in lengths:
         parts = [coarse_grain(ds, fields, width=width, at=point, **options) for point in points]

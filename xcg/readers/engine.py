@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from xcg.schema import Frame, SceneError
+from xcg.schema import Frame
 
 
 @dataclass(frozen=True)
@@ -102,6 +102,3 @@ class Engine(Protocol):
 
     def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
         """Parse the body of one step of contacts, by scene name, in the file's units."""
-
-
-__all__ = ["Engine", "Frame", "ReadOptions", "SceneError", "StepRef"]
