@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.kernels.fit import fit_gradient
+from xcg.kernels.fluctuations import about_linear, about_mean
 
 Function = Callable[[Any, Any, "Options"], Any]
 
@@ -171,18 +172,6 @@ def contraction(tensor: NDArray) -> NDArray:
     return (tensor**2).sum(axis=(-2, -1))
 
 
-def applied(tensor: NDArray, vector: NDArray) -> NDArray:
-    """Return sum_j X_ij v_j."""
-    first, second, third = (tensor[..., j] * vector[..., j, None] for j in range(3))
-    return first + second + third
-
-
-def product(a: NDArray, b: NDArray) -> NDArray:
-    """Return A B^T = sum_k A_ik B_jk, in loops over the nodes, where einsum takes one node at a time."""
-    first, second, third = (outer(a[..., k], b[..., k]) for k in range(3))
-    return first + second + third
-
-
 def _transposed(tensor: NDArray) -> NDArray:
     return np.swapaxes(tensor, -1, -2)
 
@@ -195,24 +184,28 @@ def _drift(f: Any, s: Any, o: Options) -> NDArray:
     return ratio(s.momentum, s.mass)
 
 
+def _inner(a: NDArray) -> NDArray:
+    """Return an array (phase, node, ...) as (..., phase, node), as kernels take it; the sums lie in memory like that."""
+    return np.ascontiguousarray(np.moveaxis(a, (0, 1), (-2, -1)))
+
+
+def _outer(a: NDArray) -> NDArray:
+    return np.moveaxis(a, (-2, -1), (0, 1))
+
+
 def _fit(f: Any, s: Any, o: Options, *, about_node: bool = False) -> SimpleNamespace:
     """Least squares through the grains about their centre of mass, or about the node: G = B M^+."""
-    mean = np.zeros_like(s.offset) if about_node else ratio(s.offset, s.mass)
-    shear = s.shear - outer(f._drift, s.offset)
-    spread = s.spread - outer(mean, s.offset)
-    nodes = int(np.prod(s.mass.shape))
-    # centring one grain, or several in one place, leaves the rounding of what is subtracted, a few 1e-16
-    rounding = 1e-13 * trace(s.spread, range(3))
-    upper = np.stack([spread[..., i, j] for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))], axis=-1)
-    gradient, determined, rank = np.zeros((nodes, 3, 3)), np.zeros((nodes, 3), bool), np.zeros(nodes, "int64")
-    fit_gradient(
-        np.nan_to_num(shear, nan=0.0).reshape(nodes, 3, 3), np.nan_to_num(upper, nan=0.0).reshape(nodes, 6),
-        rounding.reshape(nodes), np.asarray(o.active), gradient, determined, rank,
-    )  # fmt: skip
     shape = s.mass.shape
-    determined = determined.reshape(*shape, 1, 3) & (s.mass > 0)[..., None, None]
-    g = np.moveaxis(np.ascontiguousarray(np.moveaxis(gradient, 0, -1)), -1, 0)  # nodes fastest, as in the sums
-    return SimpleNamespace(gradient=g.reshape(*shape, 3, 3), determined=determined, rank=rank.reshape(shape), mean=mean)
+    gradient, mean = np.empty((3, 3, *shape)), np.empty((3, *shape))
+    determined, rank = np.empty((3, *shape), bool), np.empty(shape, "int64")
+    sums = [_inner(a).reshape(*a.shape[2:], -1) for a in (s.mass, f._drift, s.offset, s.shear, s.spread)]
+    fit_gradient(
+        *sums, np.asarray(o.active), about_node,
+        gradient.reshape(3, 3, -1), determined.reshape(3, -1), rank.reshape(-1), mean.reshape(3, -1),
+    )  # fmt: skip
+    return SimpleNamespace(
+        gradient=_outer(gradient), determined=_outer(determined)[..., None, :], rank=rank, mean=_outer(mean)
+    )
 
 
 def _kernel_gradient(f: Any, s: Any, o: Options) -> NDArray:
@@ -245,23 +238,21 @@ def _fluctuation_stress(f: Any, s: Any, o: Options) -> NDArray:
     """Sum of m Psi v'' v'' with v'' = u - b - G x, all about the bulk: expanded in the moments of each phase."""
     least_squares = o.gradient in FITS  # along directions that the grains do not span, its G is zero
     g = (f._fit.gradient if least_squares else np.nan_to_num(f.velocity_gradient, nan=0.0))[:1]
-    mean = np.nan_to_num(f._fit.mean[:1], nan=0.0)
-    b = np.nan_to_num(f._drift[:1], nan=0.0) - applied(g, mean)
-    gx = applied(g, s.offset)
-    mixed = outer(b, gx - s.momentum) - product(s.shear, g)
-    total = s.kinetic + s.mass[..., None, None] * outer(b, b) + mixed + _transposed(mixed)
-    total += product(product(g, s.spread), g)
     # a fit through rank + 1 grains leaves nothing over: their fluctuation is unknown, not zero
-    unknown = s.count[:1] <= f._fit.rank[:1] + 1
+    unknown = s.count[0] <= f._fit.rank[0] + 1
     if not least_squares:
-        unknown = unknown | np.isnan(f.velocity_gradient[:1]).any(axis=(-1, -2))
-    return np.where(unknown[..., None, None], np.nan, total)
+        unknown = unknown | np.isnan(f.velocity_gradient[0]).any(axis=(-1, -2))
+    sums = [_inner(a) for a in (s.mass, s.momentum, s.kinetic, s.offset, s.shear, s.spread)]
+    bulk = [_inner(a[:1])[..., 0, :] for a in (f._drift, f._fit.mean, g)]
+    out = np.empty((3, 3, *s.mass.shape))
+    about_linear(*sums, *bulk, unknown, out)
+    return _outer(out)
 
 
 def _kinetic_stress(f: Any, s: Any, o: Options) -> NDArray:
-    b = np.nan_to_num(f._drift[:1], nan=0.0)
-    mixed = outer(b, s.momentum)
-    return s.kinetic + s.mass[..., None, None] * outer(b, b) - mixed - _transposed(mixed)
+    out = np.empty((3, 3, *s.mass.shape))
+    about_mean(_inner(s.mass), _inner(s.momentum), _inner(s.kinetic), _inner(f._drift[:1])[:, 0], out)
+    return _outer(out)
 
 
 def _temperature(f: Any, s: Any, o: Options) -> NDArray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -169,6 +170,14 @@ def without_frozen(frame: Frame) -> Frame:
     return {**frame, **particles}
 
 
+_Index = tuple[int, int, int]
+
+
+def _tuple(values: Sequence[Any] | NDArray) -> tuple[Any, Any, Any]:
+    x, y, z = np.asarray(values).tolist()
+    return x, y, z
+
+
 class _Deposit:
     """The deposits onto one grid, with lengths in cutoffs; results are (phases, nodes, columns)."""
 
@@ -178,18 +187,25 @@ class _Deposit:
         self.nodes = math.prod(grid.shape)
         self.origin = grid.origin
         self.active = grid.active
-        where = (grid.steps / self.cutoff, grid.active, np.where(grid.active, period, np.inf) / self.cutoff)
+        period = np.where(grid.active, period, np.inf) / self.cutoff
+        where = (_tuple(grid.steps / self.cutoff), _tuple(grid.active), _tuple(period))
         kernel = (*recipe.weights[:3], recipe.weights.norm * scale)
-        self.shape, self.onto = np.array(grid.shape), (*where, *kernel)
+        self.shape, self.onto = grid.shape, (*where, *kernel)
         self.threads = threads
 
-    def _over_slabs(self, fill: Callable[[NDArray], None]) -> None:
-        """Fill the nodes slab by slab of x, each by one thread.
+    def _over_slabs(self, fill: Callable[[_Index, _Index], None]) -> None:
+        """Fill the nodes slab by slab along the longest axis, each by one thread.
 
         Every node sums its grains in the same order whatever the number of threads, so that the bits are the same.
         """
-        slabs = [np.array([s.start, s.stop]) for s in shares(int(self.shape[0]), self.threads)]
-        for_each(slabs, fill, self.threads)
+        axis = int(np.argmax(self.shape))
+
+        def fill_slab(part: slice) -> None:
+            low, high = [0, 0, 0], list(self.shape)
+            low[axis], high[axis] = part.start, part.stop
+            fill(_tuple(low), _tuple(high))
+
+        for_each(shares(self.shape[axis], self.threads), fill_slab, self.threads)
 
     def _placed(self, position: NDArray) -> tuple[NDArray, NDArray]:
         """Order in space, so that neighbours add to the same nodes while these are in cache; local coordinates."""
@@ -205,7 +221,7 @@ class _Deposit:
         sums = np.zeros((self.phases, self.nodes, level + constants.shape[1]))
         order, local = self._placed(position)
         rows = (local, velocity[order], mass[order], constants[order], phase[order], level, self.shape)
-        self._over_slabs(lambda slab: kernel.deposit(*rows, slab, *self.onto, by_gradient, sums, reference))
+        self._over_slabs(lambda *box: kernel.deposit(*rows, *box, *self.onto, by_gradient, sums, reference))
         return sums
 
     def segments(
@@ -220,7 +236,7 @@ class _Deposit:
         sums = np.zeros((groups or self.phases, self.nodes, 9))
         order, local = self._placed(start)
         rows = (local, branch[order] / self.cutoff, force[order] * self.cutoff, phase[order], limits, self.shape)
-        self._over_slabs(lambda slab: deposit_segments(*rows, slab, *self.onto, sums))
+        self._over_slabs(lambda *box: deposit_segments(*rows, *box, *self.onto, sums))
         return sums
 
 
@@ -337,4 +353,9 @@ def _all_columns(shape: tuple[int, ...]) -> NDArray:
 
 def _columns_of(name: str) -> NDArray:
     """Columns that make up a moment, counted from its first; symmetric tensors are kept as six."""
-    return _SYMMETRIC if name in ("kinetic", "spread", "fabric") else _all_columns(MOMENTS[name].shape)
+    if name in ("kinetic", "spread", "fabric"):
+        return _SYMMETRIC
+    if name in ("offset", "shear"):  # m x and m u x of one direction stand together
+        directions = np.arange(0, 12, 4)
+        return directions if name == "offset" else np.arange(3)[:, None] + directions
+    return _all_columns(MOMENTS[name].shape)

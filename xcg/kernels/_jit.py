@@ -10,8 +10,10 @@ that off, for example where machines of different kinds share an installation.
 
 import hashlib
 import os
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numba
 
@@ -41,4 +43,23 @@ def _forget_stale_code() -> None:
 if CACHE:
     _forget_stale_code()
 
-jit = numba.njit(nogil=True, cache=CACHE, error_model="numpy")
+
+
+def jit(function: Callable) -> Callable:
+    """Compile a kernel, with neighbouring scalar operations merged into vector instructions.
+
+    Numba leaves that pass of LLVM out unless it is asked for, once for all code of a process; here it is asked for
+    while a kernel of ours is compiled.
+    """
+    dispatcher = numba.njit(nogil=True, cache=CACHE, error_model="numpy")(function)
+    plain = dispatcher.compile
+
+    def compile_vectorised(signature: Any) -> Any:
+        before, numba.config.SLP_VECTORIZE = numba.config.SLP_VECTORIZE, 1
+        try:
+            return plain(signature)
+        finally:
+            numba.config.SLP_VECTORIZE = before
+
+    dispatcher.compile = compile_vectorised
+    return dispatcher

@@ -7,46 +7,56 @@ from xcg.kernels.eigen import diagonalise
 
 
 @jit
-def fit_gradient(shear, spread, rounding, active, gradient_out, determined, rank):
+def fit_gradient(mass, drift, offset, shear, spread, active, about_node, gradient, determined, rank, mean):
     """Velocity gradient of the best linear fit at each node: G = B M^+, row by row.
 
     Parameters
     ----------
-    shear : (n, 3, 3)
-        B = sum m Psi (v_i - V)(r_i - r_bar).
-    spread : (n, 6)
-        M = sum m Psi (r_i - r_bar)(r_i - r_bar): xx xy xz yy yz zz.
-    rounding : (n,)
-        What of M may be rounding of the sums that it is the difference of.
+    mass : (n,)
+        Sum of m Psi.
+    drift, offset : (3, n)
+        Mean velocity u_bar, and sum of m Psi x.
+    shear, spread : (3, 3, n)
+        Sums of m Psi u x and m Psi x x, u and x relative to the same point.
     active : (3,)
         Axes along which grains have offsets at all.
-    gradient_out : (n, 3, 3)
-        G, zero along directions that the grains do not span.
-    determined : (n, 3)
-        Whether the derivative along each axis follows from the grains; true along axes that are not active.
+    about_node : bool
+        Fit about x = 0 instead of the centre of mass.
+    gradient : (3, 3, n)
+        Written: G with B = sum m Psi (u - u_bar) x' and M = sum m Psi x' x', where x' = x - x_bar; zero along
+        directions that the grains do not span.
+    determined : (3, n)
+        Written: whether the derivative along each axis follows from the grains; true along axes that are not active.
     rank : (n,)
-        Number of directions that the grains span.
+        Written: number of directions that the grains span.
+    mean : (3, n)
+        Written: x_bar, zero where there are no grains.
     """
-    matrix, vectors, inverse = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
-    for n in range(shear.shape[0]):
-        xx, xy, xz, yy, yz, zz = spread[n]
-        matrix[0, 0], matrix[1, 1], matrix[2, 2] = xx, yy, zz
-        matrix[0, 1] = matrix[1, 0] = xy
-        matrix[0, 2] = matrix[2, 0] = xz
-        matrix[1, 2] = matrix[2, 1] = yz
-        rank[n] = _pseudo_inverse(matrix, vectors, inverse, rounding[n])
+    matrix, vectors, inverse, b = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
+    for n in range(mass.size):
+        if not mass[n] > 0.0:
+            gradient[:, :, n], determined[:, n], rank[n], mean[:, n] = 0.0, False, 0, 0.0
+            continue
+        # centring one grain, or several in one place, leaves the rounding of what is subtracted, a few 1e-16
+        rounding = 1e-13 * (spread[0, 0, n] + spread[1, 1, n] + spread[2, 2, n])
         for j in range(3):
-            determined[n, j] = True
+            mean[j, n] = 0.0 if about_node else offset[j, n] / mass[n]
+        for i in range(3):
+            for j in range(3):
+                matrix[i, j] = spread[i, j, n] - mean[i, n] * offset[j, n]
+                b[i, j] = shear[i, j, n] - drift[i, n] * offset[j, n]
+        matrix[1, 0], matrix[2, 0], matrix[2, 1] = matrix[0, 1], matrix[0, 2], matrix[1, 2]
+        rank[n] = _pseudo_inverse(matrix, vectors, inverse, rounding)
+        for j in range(3):
+            determined[j, n] = True
             if active[j] and rank[n] < 3:
                 # (M M^+)_jj is the part of the axis that the grains span
                 projection = 0.0
                 for k in range(3):
                     projection += vectors[j, k] * vectors[j, k] * (matrix[k, k] > 0.0)
-                determined[n, j] = projection > 1.0 - 1e-6
+                determined[j, n] = projection > 1.0 - 1e-6
             for i in range(3):
-                gradient_out[n, i, j] = (
-                    shear[n, i, 0] * inverse[0, j] + shear[n, i, 1] * inverse[1, j] + shear[n, i, 2] * inverse[2, j]
-                )
+                gradient[i, j, n] = b[i, 0] * inverse[0, j] + b[i, 1] * inverse[1, j] + b[i, 2] * inverse[2, j]
 
 
 # Eigenvalues below this share of the largest count as zero: grains that lie in a plane to single precision give

@@ -1,6 +1,10 @@
-"""Which nodes a grain or a branch reaches: periodic images, ranges of indices, spatial order, slabs.
+"""Which nodes a grain or a branch reaches: periodic images, rows of nodes, spatial order.
 
 Lengths are in units of the cutoff and relative to the first node. A node's flat index is ``(ix ny + iy) nz + iz``.
+
+Nodes are listed row by row along z, in loops that the compiler turns into vector instructions: how far each row is
+reached, for all rows at once, and then the nodes of a row, `LANES` at a time. What a row writes beyond its end is
+overwritten by the next. Indices are unsigned, as signed ones are looked at for counting from the end.
 """
 
 import math
@@ -9,9 +13,9 @@ import numpy as np
 
 from xcg.kernels._jit import jit
 
-# Nodes of a row are listed this many at a time: a loop of fixed length has no remainder, and what it writes beyond
-# the row's end is overwritten by the next row.
-LANES = 4
+LANES = 8
+PENCIL = 8  # cutoffs
+_1, _2, _3, _4 = (np.uint64(k) for k in (1, 2, 3, 4))
 
 
 @jit
@@ -29,26 +33,188 @@ def node_range(low, high, step, begin, end):
 
 
 @jit
+def scratch(size, count):
+    """Memory for `count` rows of numbers about up to `size` nodes, and for their indices."""
+    room = size + LANES
+    return np.zeros((count, room)), np.zeros(room, np.uint64)
+
+
+@jit
+def list_ball(x, y, z, steps, low, high, shape, rows, node, q2, x_off, y_off, z_off):
+    """List the nodes closer than 1 to a point.
+
+    Parameters
+    ----------
+    x, y, z : float
+        The point.
+    steps : tuple
+        Spacing of the nodes.
+    low, high : tuple of int
+        Only nodes low <= (ix, iy, iz) < high.
+    shape : tuple of int
+        Number of nodes along x, y, z.
+    rows : (4, n)
+        Scratch, one number a row of nodes.
+    node : (n,)
+        Indices, written.
+    q2, x_off, y_off, z_off : (n,)
+        Squared distance, and the point minus the node, written.
+
+    Returns
+    -------
+    int
+        Number of nodes listed.
+    """
+    dx_row, dy_row, first_row, last_row = rows[0], rows[1], rows[2], rows[3]
+    x0, x1 = node_range(x - 1.0, x + 1.0, steps[0], low[0], high[0])
+    y0, y1 = node_range(y - 1.0, y + 1.0, steps[1], low[1], high[1])
+    count = 0
+    for ix in range(x0, x1):
+        for iy in range(y0, y1):
+            dx_row[count], dy_row[count] = x - ix * steps[0], y - iy * steps[1]
+            count += 1
+    lowest, highest, per_step = float(low[2]), float(high[2] - 1), 1.0 / steps[2]
+    for k in range((count + 3) // 4 * 4):
+        rest = 1.0 - dx_row[k] * dx_row[k] - dy_row[k] * dy_row[k]
+        half = math.sqrt(max(0.0, rest))
+        first_row[k] = max(lowest, np.ceil((z - half) * per_step))
+        last_row[k] = min(highest, np.floor((z + half) * per_step) if rest > 0.0 else -1.0)
+    step1, step2, step3, step4 = steps[2], 2.0 * steps[2], 3.0 * steps[2], 4.0 * steps[2]
+    hits, k = 0, 0
+    for ix in range(x0, x1):
+        for iy in range(y0, y1):
+            begin = int(first_row[k])
+            left = int(last_row[k]) + 1 - begin
+            dx, dy = dx_row[k], dy_row[k]
+            row2 = dx * dx + dy * dy
+            k += 1
+            dz = z - begin * steps[2]
+            n, h = np.uint64((ix * shape[1] + iy) * shape[2] + begin), np.uint64(hits)
+            while True:
+                for _ in range(LANES // 4):
+                    d0, d1, d2, d3 = dz, dz - step1, dz - step2, dz - step3
+                    z_off[h], z_off[h + _1], z_off[h + _2], z_off[h + _3] = d0, d1, d2, d3
+                    d0, d1, d2, d3 = row2 + d0 * d0, row2 + d1 * d1, row2 + d2 * d2, row2 + d3 * d3
+                    q2[h], q2[h + _1], q2[h + _2], q2[h + _3] = d0, d1, d2, d3
+                    x_off[h], x_off[h + _1], x_off[h + _2], x_off[h + _3] = dx, dx, dx, dx
+                    y_off[h], y_off[h + _1], y_off[h + _2], y_off[h + _3] = dy, dy, dy, dy
+                    node[h], node[h + _1], node[h + _2], node[h + _3] = n, n + _1, n + _2, n + _3
+                    dz, n, h = dz - step4, n + _4, h + _4
+                hits += max(0, min(LANES, left))
+                left -= LANES
+                h = np.uint64(hits)
+                if left <= 0:
+                    break
+    return hits
+
+
+@jit
+def list_tube(x, y, z, bx, by, bz, per_length, steps, low, high, shape, rows, node, q2, along):
+    """List the nodes closer than 1 to the segment from a point to that point plus b.
+
+    Along the row of nodes at (dx, dy) from the start, the end u of the reach is where ``u bz + sqrt(1 - |d - u b|^2)``,
+    seen along z, is largest for 0 <= u <= 1.
+
+    Parameters
+    ----------
+    x, y, z, bx, by, bz : float
+        Start of the segment, and its end relative to it.
+    per_length : float
+        1 / its length, or 0.
+    steps, low, high, shape, rows, node, q2
+        As in `list_ball`; q2 is the squared distance to the start.
+    along : (n,)
+        Foot of the node on the segment's line, from the start, written.
+
+    Returns
+    -------
+    int
+        Number of nodes listed.
+    """
+    row2, row_dot, first_row, last_row = rows[0], rows[1], rows[2], rows[3]
+    x0, x1 = node_range(x + min(0.0, bx) - 1.0, x + max(0.0, bx) + 1.0, steps[0], low[0], high[0])
+    y0, y1 = node_range(y + min(0.0, by) - 1.0, y + max(0.0, by) + 1.0, steps[1], low[1], high[1])
+    count = 0
+    for ix in range(x0, x1):
+        dx = ix * steps[0] - x
+        for iy in range(y0, y1):
+            dy = iy * steps[1] - y
+            row2[count], row_dot[count] = dx * dx + dy * dy, dx * bx + dy * by
+            count += 1
+    across2 = bx * bx + by * by
+    per_across2 = 1.0 / across2 if across2 > 0.0 else 0.0
+    # how far u moves from the nearest point of the line for each unit of half chord
+    tilt = 0.0
+    if bz != 0.0:
+        tilt = bz / math.sqrt(across2 * (across2 + bz * bz)) if across2 > 1e-30 else math.copysign(1e300, bz)
+    lowest, highest, per_step = float(low[2]), float(high[2] - 1), 1.0 / steps[2]
+    for k in range((count + 3) // 4 * 4):
+        dot = row_dot[k]
+        u = dot * per_across2
+        move = math.sqrt(max(0.0, 1.0 - (row2[k] - dot * u))) * tilt
+        upper, lower = min(1.0, max(0.0, u + move)), min(1.0, max(0.0, u - move))
+        rest_upper = 1.0 - (row2[k] + upper * (upper * across2 - 2.0 * dot))
+        rest_lower = 1.0 - (row2[k] + lower * (lower * across2 - 2.0 * dot))
+        top = np.floor((z + upper * bz + math.sqrt(max(0.0, rest_upper))) * per_step)
+        first_row[k] = max(lowest, np.ceil((z + lower * bz - math.sqrt(max(0.0, rest_lower))) * per_step))
+        last_row[k] = min(highest, top if rest_upper > 0.0 else -1.0)
+    step1, step2, step3, step4 = steps[2], 2.0 * steps[2], 3.0 * steps[2], 4.0 * steps[2]
+    ez = bz * per_length
+    hits, k = 0, 0
+    for ix in range(x0, x1):
+        for iy in range(y0, y1):
+            begin = int(first_row[k])
+            left = int(last_row[k]) + 1 - begin
+            foot, square = row_dot[k] * per_length, row2[k]
+            k += 1
+            dz = begin * steps[2] - z
+            n, h = np.uint64((ix * shape[1] + iy) * shape[2] + begin), np.uint64(hits)
+            while True:
+                for _ in range(LANES // 4):
+                    d0, d1, d2, d3 = dz, dz + step1, dz + step2, dz + step3
+                    a0, a1, a2, a3 = foot + d0 * ez, foot + d1 * ez, foot + d2 * ez, foot + d3 * ez
+                    along[h], along[h + _1], along[h + _2], along[h + _3] = a0, a1, a2, a3
+                    d0, d1, d2, d3 = square + d0 * d0, square + d1 * d1, square + d2 * d2, square + d3 * d3
+                    q2[h], q2[h + _1], q2[h + _2], q2[h + _3] = d0, d1, d2, d3
+                    node[h], node[h + _1], node[h + _2], node[h + _3] = n, n + _1, n + _2, n + _3
+                    dz, n, h = dz + step4, n + _4, h + _4
+                hits += max(0, min(LANES, left))
+                left -= LANES
+                h = np.uint64(hits)
+                if left <= 0:
+                    break
+    return hits
+
+
+@jit
 def spatial_order(position, active):
-    """Order of points (n, 3) by cells of one cutoff, x slowest; stable, so that sums have one order only."""
+    """Order of points (n, 3) by cells of one cutoff (more where grains are few), in pencils along x.
+
+    Points of one pencil add to few nodes at a time, which stay in cache. The order is stable, so that sums have one
+    order only.
+    """
     count = position.shape[0]
-    lower, cells = np.zeros(3), np.ones(3, np.int64)
+    lower, extent, size, cells = np.zeros(3), np.zeros(3), np.ones(3), np.ones(3, np.int64)
     for k in range(3):
         if active[k] and count:
             low, high = position[0, k], position[0, k]
             for i in range(count):
                 low, high = min(low, position[i, k]), max(high, position[i, k])
-            lower[k] = low
-            cells[k] = min(1000, int(high - low) + 1)
+            lower[k], extent[k] = low, high - low
+    while (extent / size + PENCIL).prod() > 8.0 * count + 4096.0:  # a few grains far away
+        size[np.argmax(extent / size)] *= 2.0
+    for k in range(3):
+        cells[k] = int(extent[k] / size[k]) + 1
+    pencils_y, pencils_z = (cells[1] - 1) // PENCIL + 1, (cells[2] - 1) // PENCIL + 1
     cell = np.empty(count, np.int64)
-    start = np.zeros(cells[0] * cells[1] * cells[2] + 1, np.int64)
+    start = np.zeros(pencils_y * pencils_z * cells[0] * PENCIL * PENCIL + 1, np.int64)
     for i in range(count):
-        index = 0
-        for k in range(3):
-            offset = min(cells[k] - 1, int(position[i, k] - lower[k])) if active[k] else 0
-            index = index * cells[k] + offset
-        cell[i] = index
-        start[index + 1] += 1
+        x = int((position[i, 0] - lower[0]) / size[0]) if active[0] else 0
+        y = int((position[i, 1] - lower[1]) / size[1]) if active[1] else 0
+        z = int((position[i, 2] - lower[2]) / size[2]) if active[2] else 0
+        pencil = y // PENCIL * pencils_z + z // PENCIL
+        cell[i] = ((pencil * cells[0] + x) * PENCIL + y % PENCIL) * PENCIL + z % PENCIL
+        start[cell[i] + 1] += 1
     for c in range(start.size - 1):
         start[c + 1] += start[c]
     order = np.empty(count, np.int64)

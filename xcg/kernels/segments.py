@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from xcg.kernels._jit import jit
-from xcg.kernels.nodes import LANES, images, node_range
+from xcg.kernels.nodes import images, list_tube, scratch
 from xcg.kernels.weights import fill_gauss, fill_segments
 
 MAX_ORDER = 6
@@ -39,7 +39,7 @@ def choose_order(length, limits):
 
 @jit
 def deposit_segments(
-    start, branch, force, phase, limits, shape, slab, steps, active, period, kind, spread, table, norm, moments,
+    start, branch, force, phase, limits, shape, low, high, steps, active, period, kind, spread, table, norm, moments,
 ):  # fmt: skip
     """Add force x branch of each segment to the nodes that its tube of radius 1 reaches.
 
@@ -55,22 +55,19 @@ def deposit_segments(
         Which group each segment belongs to.
     limits : (k,)
         Longest branch (cutoffs) for which 1, 2, ... k points are accurate enough; empty for the closed form.
-    shape, slab, steps, active, period, kind, spread, table, norm
+    shape, low, high, steps, active, period, kind, spread, table, norm
         As in `deposit`.
     moments : (phases, nodes, 9)
         Sums, added to: force component by branch component, row by row.
     """
-    ny, nz = shape[1], shape[2]
-    low = (slab[0] * steps[0], 0.0, 0.0)
-    high = ((slab[1] - 1) * steps[0], (ny - 1) * steps[1], (nz - 1) * steps[2])
+    begin = (low[0] * steps[0], low[1] * steps[1], low[2] * steps[2])
+    end = ((high[0] - 1) * steps[0], (high[1] - 1) * steps[1], (high[2] - 1) * steps[2])
     reach = (1.0 if active[0] else 0.0, 1.0 if active[1] else 0.0, 1.0 if active[2] else 0.0)
-    product = np.zeros(9)
     most = 256
-    node, along, q2, w = np.empty(most, np.int64), np.empty(most), np.empty(most), np.empty(most)
-    ratio = np.empty(most)
-    bits, exponent = ratio.view(np.int64), np.empty(most, np.int64)
+    lists, node = scratch(most, 8)
+    exponent = np.empty(lists.shape[1], np.int64)
     for i in range(start.shape[0]):
-        p = phase[i]
+        p = np.uint64(phase[i])
         x0 = start[i, 0] if active[0] else 0.0
         y0 = start[i, 1] if active[1] else 0.0
         z0 = start[i, 2] if active[2] else 0.0
@@ -79,77 +76,58 @@ def deposit_segments(
         bz = -branch[i, 2] if active[2] else 0.0
         length = math.sqrt(bx * bx + by * by + bz * bz)
         order = choose_order(length, limits)
-        inverse = 1.0 / length if length > 0.0 else 0.0
-        ex, ey, ez = bx * inverse, by * inverse, bz * inverse
-        for j in range(3):
-            for k in range(3):
-                product[3 * j + k] = force[i, j] * branch[i, k]
+        per_length = 1.0 / length if length > 0.0 else 0.0
         low_x, high_x = min(0.0, bx) - reach[0], max(0.0, bx) + reach[0]
         low_y, high_y = min(0.0, by) - reach[1], max(0.0, by) + reach[1]
         low_z, high_z = min(0.0, bz) - reach[2], max(0.0, bz) + reach[2]
         # no more than there are: along an axis with one node the spacing means nothing
         box = min(shape[0], int((high_x - low_x) / steps[0]) + 2)
         box *= min(shape[1], int((high_y - low_y) / steps[1]) + 2)
-        box = box * min(shape[2], int((high_z - low_z) / steps[2]) + 2) + LANES
+        box = box * min(shape[2], int((high_z - low_z) / steps[2]) + 2)
         if box > most:
             most = 2 * box
-            node, along, q2, w = np.empty(most, np.int64), np.empty(most), np.empty(most), np.empty(most)
-            ratio = np.empty(most)
-            bits, exponent = ratio.view(np.int64), np.empty(most, np.int64)
-        across2 = bx * bx + by * by
-        first_x, last_x = images(x0, low_x, high_x, low[0], high[0], period[0])
-        first_y, last_y = images(y0, low_y, high_y, low[1], high[1], period[1])
-        first_z, last_z = images(z0, low_z, high_z, low[2], high[2], period[2])
+            lists, node = scratch(most, 8)
+            exponent = np.empty(lists.shape[1], np.int64)
+        q2, along, w, ratio, rows = lists[0], lists[1], lists[2], lists[3], lists[4:]
+        first_x, last_x = images(x0, low_x, high_x, begin[0], end[0], period[0])
+        first_y, last_y = images(y0, low_y, high_y, begin[1], end[1], period[1])
+        first_z, last_z = images(z0, low_z, high_z, begin[2], end[2], period[2])
         for image_x in range(first_x, last_x + 1):
             x = x0 + image_x * period[0] if image_x else x0
-            ix0, ix1 = node_range(x + low_x, x + high_x, steps[0], slab[0], slab[1])
             for image_y in range(first_y, last_y + 1):
                 y = y0 + image_y * period[1] if image_y else y0
-                iy0, iy1 = node_range(y + low_y, y + high_y, steps[1], 0, ny)
                 for image_z in range(first_z, last_z + 1):
                     z = z0 + image_z * period[2] if image_z else z0
-                    hits = 0
-                    for ix in range(ix0, ix1):
-                        dx = ix * steps[0] - x
-                        for iy in range(iy0, iy1):
-                            dy = iy * steps[1] - y
-                            # nearest point of the segment as seen along z: rows farther than 1 are not reached
-                            u = 0.0
-                            if across2 > 0.0:
-                                u = min(1.0, max(0.0, (dx * bx + dy * by) / across2))
-                            row2 = (dx - u * bx) ** 2 + (dy - u * by) ** 2
-                            if row2 >= 1.0:
-                                continue
-                            half = math.sqrt(1.0 - row2) * reach[2]
-                            iz0, iz1 = node_range(z + min(0.0, bz) - half, z + max(0.0, bz) + half, steps[2], 0, nz)
-                            first = (ix * ny + iy) * nz
-                            row_along, row_q2 = dx * ex + dy * ey, dx * dx + dy * dy
-                            for iz in range(iz0, iz1, LANES):
-                                dz = iz * steps[2] - z
-                                for lane in range(LANES):
-                                    along[hits + lane] = row_along + (dz + lane * steps[2]) * ez
-                                for lane in range(LANES):
-                                    q2[hits + lane] = row_q2 + (dz + lane * steps[2]) ** 2
-                                for lane in range(LANES):
-                                    node[hits + lane] = first + iz + lane
-                                hits += min(LANES, iz1 - iz)
+                    hits = list_tube(
+                        x, y, z, bx, by, bz, per_length, steps, low, high, shape, rows, node, q2, along
+                    )  # fmt: skip
                     if order:
                         fill_gauss(
                             kind, spread, table, norm, GAUSS_POINTS, GAUSS_WEIGHTS, order, length, along, q2, hits, w
                         )
                     else:
-                        fill_segments(kind, spread, table, norm, length, along, q2, hits, w, ratio, bits, exponent)
-                    for k in range(hits):
-                        n, v = node[k], w[k]
-                        moments[p, n, 0] += v * product[0]
-                        moments[p, n, 1] += v * product[1]
-                        moments[p, n, 2] += v * product[2]
-                        moments[p, n, 3] += v * product[3]
-                        moments[p, n, 4] += v * product[4]
-                        moments[p, n, 5] += v * product[5]
-                        moments[p, n, 6] += v * product[6]
-                        moments[p, n, 7] += v * product[7]
-                        moments[p, n, 8] += v * product[8]
+                        fill_segments(
+                            kind, spread, table, norm, length, along, q2, hits, w, ratio, ratio.view(np.int64), exponent
+                        )
+                    _add_dyad(moments, p, node, hits, w, force[i], branch[i])
+
+
+@jit
+def _add_dyad(moments, p, node, hits, w, force, branch):
+    """Add weight x force x branch to the nine columns of each node."""
+    f0, f1, f2, a0, a1, a2 = force[0], force[1], force[2], branch[0], branch[1], branch[2]
+    c0, c1, c2, c3, c4, c5, c6, c7, c8 = (
+        f0 * a0, f0 * a1, f0 * a2, f1 * a0, f1 * a1, f1 * a2, f2 * a0, f2 * a1, f2 * a2,
+    )  # fmt: skip
+    for k in range(hits):
+        n, v = node[k], w[k]
+        s0, s1 = moments[p, n, 0] + v * c0, moments[p, n, 1] + v * c1
+        s2, s3 = moments[p, n, 2] + v * c2, moments[p, n, 3] + v * c3
+        s4, s5 = moments[p, n, 4] + v * c4, moments[p, n, 5] + v * c5
+        s6, s7 = moments[p, n, 6] + v * c6, moments[p, n, 7] + v * c7
+        moments[p, n, 0], moments[p, n, 1], moments[p, n, 2], moments[p, n, 3] = s0, s1, s2, s3
+        moments[p, n, 4], moments[p, n, 5], moments[p, n, 6], moments[p, n, 7] = s4, s5, s6, s7
+        moments[p, n, 8] += v * c8
 
 
 @jit
