@@ -17,7 +17,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.kernels.deposit import VELOCITY, deposit
+from xcg.kernels.deposit import MASS, MOMENTUM, VELOCITY, deposit
 from xcg.kernels.nodes import spatial_order
 
 jit = numba.njit(nogil=True, error_model="numpy")  # as in xcg, but for the cache on disk
@@ -117,7 +117,8 @@ def two_passes(*args: Any) -> None:
     none = np.zeros((len(_of(args, "mass")), 0))
     deposit(*changed(args, level=VELOCITY, constants=none, moments=first))
     total = first.sum(axis=0)
-    reference[:] = np.divide(total[:, 2:5], total[:, 1:2], out=reference, where=total[:, 1:2] > 0)
+    mass, momentum = total[:, [MASS]], total[:, MOMENTUM : MOMENTUM + 3]
+    reference[:] = np.divide(momentum, mass, out=reference, where=mass > 0)
     deposit(*args)
 
 

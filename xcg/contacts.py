@@ -15,7 +15,7 @@ from xcg.cells import CellLists
 from xcg.complete import periods, rows_of
 from xcg.kernels import THREADS
 from xcg.kernels.neighbours import sort_pairs
-from xcg.kernels.rows import add_dyads, add_rows, nearest_image, peel
+from xcg.kernels.rows import add_dyads, add_rows, list_segments, nearest_image, peel
 from xcg.scene import box_array
 from xcg.schema import Frame, SceneError
 
@@ -139,8 +139,10 @@ class Contacts:
     @property
     def normals(self) -> NDArray:
         """Sum over contacts of n n for each particle (particles, 3, 3)."""
-        product = self.normal[:, :, None] * self.normal[:, None, :]
-        return self.sum_over_particles(product, product)
+        total = np.zeros((self.count, 3, 3))
+        for row in (self.i, self.j):
+            add_dyads(row, 1.0, self.normal, self.normal, total)
+        return total
 
     @property
     def dyads(self) -> NDArray:
@@ -178,20 +180,14 @@ class Contacts:
         phase, other : array (k,)
             Phase of that particle and of its partner; -1 for a wall or a partner that is not there.
         """
-        i, j, a, b = self.i, self.j, self.branch_i, self.branch_j
-        both = (i >= 0) & (j >= 0)
-        area = np.linalg.norm(np.cross(a, b), axis=1)
-        product = np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1)
-        opposite = np.einsum("nk,nk->n", a, b) <= 0
-        whole = both & opposite & (area <= COLLINEAR * product) & (phase[i] == phase[j])
-        only_i, only_j = (i >= 0) & ~whole, (j >= 0) & ~whole
-        return (
-            np.concatenate([position[i[whole]], position[i[only_i]], position[j[only_j]]]),
-            np.concatenate([a[whole] - b[whole], a[only_i], b[only_j]]),
-            np.concatenate([self.force[whole], self.force[only_i], -self.force[only_j]]),
-            np.concatenate([phase[i[whole]], phase[i[only_i]], phase[j[only_j]]]),
-            np.concatenate([phase[j[whole]], *(np.where(k >= 0, phase[k], -1) for k in (j[only_i], i[only_j]))]),
-        )
+        most = 2 * len(self.i)
+        start, branch, force = np.empty((most, 3)), np.empty((most, 3)), np.empty((most, 3))
+        own, other = np.empty(most, "int64"), np.empty(most, "int64")
+        n = list_segments(
+            self.i, self.j, self.branch_i, self.branch_j, self.force, position, phase, COLLINEAR,
+            start, branch, force, own, other,
+        )  # fmt: skip
+        return start[:n], branch[:n], force[:n], own[:n], other[:n]
 
 
 # --- who is near whom ------------------------------------------------------------------------------------

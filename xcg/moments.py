@@ -209,7 +209,8 @@ class _Deposit:
 
     def _placed(self, position: NDArray) -> tuple[NDArray, NDArray]:
         """Order in space, so that neighbours add to the same nodes while these are in cache; local coordinates."""
-        local = (position - self.origin) / self.cutoff
+        local = position - self.origin
+        local /= self.cutoff
         order = spatial_order(local, self.active)
         return order, local[order]
 
@@ -235,7 +236,10 @@ class _Deposit:
     ) -> NDArray:
         sums = np.zeros((groups or self.phases, self.nodes, 9))
         order, local = self._placed(start)
-        rows = (local, branch[order] / self.cutoff, force[order] * self.cutoff, phase[order], limits, self.shape)
+        branch, force = branch[order], force[order]
+        branch /= self.cutoff
+        force *= self.cutoff
+        rows = (local, branch, force, phase[order], limits, self.shape)
         self._over_slabs(lambda *box: deposit_segments(*rows, *box, *self.onto, sums))
         return sums
 

@@ -73,3 +73,68 @@ def nearest_image(position, row, point, period, out):
                 if np.isfinite(period[k]):
                     d -= period[k] * np.rint(d / period[k])
                 out[n, k] = d
+
+
+@jit
+def list_segments(
+    row_i, row_j, branch_i, branch_j, force, position, phase, tolerance,
+    start, branch, force_out, phase_out, other,
+):  # fmt: skip
+    """List the segments that contact stress is smeared along.
+
+    Each side of a contact runs from its particle's centre to the contact point. Both are one segment where they lie
+    on one line, on opposite sides of the point, and in one phase.
+
+    Parameters
+    ----------
+    row_i, row_j : (n,)
+        Particles of each contact; negative where a partner is no row.
+    branch_i, branch_j : (n, 3)
+        From the contact point to the centres.
+    force : (n, 3)
+        Force on i.
+    position : (m, 3)
+    phase : (m,)
+    tolerance : float
+        Sine of the angle up to which two branches lie on one line.
+    start, branch, force_out : (2 n, 3)
+        Written: centre, vector from the segment's end to its start, force on that particle.
+    phase_out, other : (2 n,)
+        Written: phase of that particle and of its partner, -1 where that is no row.
+
+    Returns
+    -------
+    int
+        Number of segments.
+    """
+    count = 0
+    for n in range(row_i.size):
+        i, j = row_i[n], row_j[n]
+        ax, ay, az = branch_i[n, 0], branch_i[n, 1], branch_i[n, 2]
+        bx, by, bz = branch_j[n, 0], branch_j[n, 1], branch_j[n, 2]
+        if i >= 0 and j >= 0 and phase[i] == phase[j] and ax * bx + ay * by + az * bz <= 0.0:
+            cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+            area2 = cx * cx + cy * cy + cz * cz
+            if area2 <= tolerance**2 * (ax * ax + ay * ay + az * az) * (bx * bx + by * by + bz * bz):
+                for k in range(3):
+                    start[count, k] = position[i, k]
+                    branch[count, k] = branch_i[n, k] - branch_j[n, k]
+                    force_out[count, k] = force[n, k]
+                phase_out[count] = other[count] = phase[i]
+                count += 1
+                continue
+        if i >= 0:
+            for k in range(3):
+                start[count, k] = position[i, k]
+                branch[count, k] = branch_i[n, k]
+                force_out[count, k] = force[n, k]
+            phase_out[count], other[count] = phase[i], phase[j] if j >= 0 else -1
+            count += 1
+        if j >= 0:
+            for k in range(3):
+                start[count, k] = position[j, k]
+                branch[count, k] = branch_j[n, k]
+                force_out[count, k] = -force[n, k]
+            phase_out[count], other[count] = phase[j], phase[i] if i >= 0 else -1
+            count += 1
+    return count
