@@ -149,9 +149,9 @@ class CoarseGrainAccessor:
 
         return chains.to_vtp(self._ds, path, overwrite=overwrite)
 
-    def to_vtkhdf(self, path: str | Path, *, overwrite: bool = False) -> Path:
+    def to_vtkhdf(self, path: str | Path, *, overwrite: bool = False, **options: Any) -> Path:
         """Write fields or chains as temporal VTKHDF, see `to_vtkhdf` in `xcg.writers` `vtkhdf` and `chains`."""
         from xcg.writers import chains, vtkhdf
 
         writer = chains if "chain_id" in self._ds else vtkhdf
-        return writer.to_vtkhdf(self._ds, path, overwrite=overwrite)
+        return writer.to_vtkhdf(self._ds, path, overwrite=overwrite, **options)

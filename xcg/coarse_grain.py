@@ -176,8 +176,9 @@ def compute_chunk(plan: Plan, threads: int, arrays: Mapping[str, NDArray]) -> di
     return out
 
 
-# The algebra runs over this many nodes at a time, so that its intermediate results stay in cache.
-BLOCK = 4096
+# The algebra runs over this many nodes at a time, so that its intermediate results stay in cache; with a power of two
+# all columns would want the same places in it.
+BLOCK = 4040
 
 
 def _compute_step(

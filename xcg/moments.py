@@ -14,6 +14,7 @@ from xcg.contacts import Contacts
 from xcg.grid import Grid
 from xcg.kernels import deposit as kernel
 from xcg.kernels.nodes import spatial_order
+from xcg.kernels.rows import turn
 from xcg.kernels.segments import deposit_segments
 from xcg.schema import Frame, SceneError
 from xcg.smoothing import Weights
@@ -124,6 +125,8 @@ class Recipe:
         Radius of the support (m).
     limits : array
         Longest branch (cutoffs) for each Gauss-Legendre order; empty for closed forms.
+    coarse : bool
+        Whether single precision is enough for the weights of quadrature.
     by : str or None
         Integer particle variable that divides the grains into phases.
     groups : tuple of int
@@ -135,6 +138,7 @@ class Recipe:
     weights: Weights
     cutoff: float
     limits: NDArray
+    coarse: bool = False
     by: str | None = None
     groups: tuple[int, ...] = ()
 
@@ -191,7 +195,7 @@ class _Deposit:
         where = (_tuple(grid.steps / self.cutoff), _tuple(grid.active), _tuple(period))
         kernel = (*recipe.weights[:3], recipe.weights.norm * scale)
         self.shape, self.onto = grid.shape, (*where, *kernel)
-        self.threads = threads
+        self.coarse, self.threads = recipe.coarse, threads
 
     def _over_slabs(self, fill: Callable[[_Index, _Index], None]) -> None:
         """Fill the nodes slab by slab along the longest axis, each by one thread.
@@ -239,7 +243,7 @@ class _Deposit:
         branch, force = branch[order], force[order]
         branch /= self.cutoff
         force *= self.cutoff
-        rows = (local, branch, force, phase[order], limits, self.shape)
+        rows = (local, branch, force, phase[order], limits, self.coarse, self.shape)
         self._over_slabs(lambda *box: deposit_segments(*rows, *box, *self.onto, sums))
         return sums
 
@@ -267,10 +271,15 @@ class Sums:
 
         Nodes run fastest in memory, so that algebra on small tensors is a loop over nodes.
         """
-        found = {}
+        found, turned = {}, dict[int, NDArray]()
         for name, (array, columns, factor) in self.columns.items():
-            part = np.moveaxis(array[:, nodes][..., columns], (0, 1), (-2, -1)) * factor
-            part = np.ascontiguousarray(part)
+            if id(array) not in turned:
+                records = array[:, nodes]
+                turned[id(array)] = np.empty((records.shape[-1], *records.shape[:2]))
+                turn(records, turned[id(array)])
+            part = turned[id(array)][columns]
+            if factor != 1.0:
+                part *= factor
             if self.recipe.by is not None:
                 part = np.concatenate([part.sum(axis=-2, keepdims=True), part], axis=-2)
             found[name] = np.moveaxis(part, (-2, -1), (0, 1))

@@ -133,6 +133,10 @@ def choose_width(width: float | str | None, attrs: Mapping[Any, Any]) -> float:
     return float(width)
 
 
+# From this promise on, weights are computed in single precision, which rounds them to 1e-6 of the largest.
+SINGLE = 1e-4
+
+
 @lru_cache(maxsize=64)
 def _limits(kind: int, spread: float, table: bytes, table_shape: tuple[int, ...], seen: int, rtol: float) -> NDArray:
     """Longest branch (cutoffs) for which 1, 2, ... Gauss points keep to `rtol`, measured against the closed form.
@@ -292,6 +296,7 @@ def make_plan(
         weights=chosen.weights(len(grid.seen)),
         cutoff=chosen.cutoff,
         limits=gauss_limits(chosen, len(grid.seen), rtol),
+        coarse=rtol >= SINGLE,
         by=by,
         groups=() if by is None else groups_of(ds, by, groups),
     )

@@ -72,7 +72,7 @@ def deposit(
     most = 1
     for k in range(3):
         most *= min(shape[k], int(2.0 * reach[k] / steps[k]) + 2)
-    lists, node = scratch(most, 9)
+    lists, node = scratch(most, 9, np.float64)
     q2, w, x_off, y_off, z_off, rows = lists[0], lists[1], lists[2], lists[3], lists[4], lists[5:]
     for i in range(position.shape[0]):
         p = np.uint64(phase[i])

@@ -33,10 +33,10 @@ def node_range(low, high, step, begin, end):
 
 
 @jit
-def scratch(size, count):
-    """Memory for `count` rows of numbers about up to `size` nodes, and for their indices."""
+def scratch(size, count, real):
+    """Memory for `count` rows of numbers of type `real` about up to `size` nodes, and for their indices."""
     room = size + LANES
-    return np.zeros((count, room)), np.zeros(room, np.uint64)
+    return np.zeros((count, room), real), np.zeros(room, np.uint64)
 
 
 @jit
@@ -110,7 +110,7 @@ def list_ball(x, y, z, steps, low, high, shape, rows, node, q2, x_off, y_off, z_
 
 @jit
 def list_tube(x, y, z, bx, by, bz, per_length, steps, low, high, shape, rows, node, q2, along):
-    """List the nodes closer than 1 to the segment from a point to that point plus b.
+    """List the nodes closer than 1 to the segment from a point to that point plus b, in the precision of `rows`.
 
     Along the row of nodes at (dx, dy) from the start, the end u of the reach is where ``u bz + sqrt(1 - |d - u b|^2)``,
     seen along z, is largest for 0 <= u <= 1.
@@ -142,24 +142,26 @@ def list_tube(x, y, z, bx, by, bz, per_length, steps, low, high, shape, rows, no
             row2[count], row_dot[count] = dx * dx + dy * dy, dx * bx + dy * by
             count += 1
     across2 = bx * bx + by * by
-    per_across2 = 1.0 / across2 if across2 > 0.0 else 0.0
     # how far u moves from the nearest point of the line for each unit of half chord
     tilt = 0.0
     if bz != 0.0:
-        tilt = bz / math.sqrt(across2 * (across2 + bz * bz)) if across2 > 1e-30 else math.copysign(1e300, bz)
-    lowest, highest, per_step = float(low[2]), float(high[2] - 1), 1.0 / steps[2]
-    for k in range((count + 3) // 4 * 4):
+        tilt = bz / math.sqrt(across2 * (across2 + bz * bz)) if across2 > 1e-30 else math.copysign(1e30, bz)
+    real = rows.dtype.type
+    zero, one, two, outside = real(0.0), real(1.0), real(2.0), real(-1.0)
+    a2, per_a2, tilt, rise = real(across2), real(1.0 / across2 if across2 > 0.0 else 0.0), real(tilt), real(bz)
+    z_start, per_step, lowest, highest = real(z), real(1.0 / steps[2]), real(low[2]), real(high[2] - 1)
+    for k in range((count + LANES - 1) // LANES * LANES):
         dot = row_dot[k]
-        u = dot * per_across2
-        move = math.sqrt(max(0.0, 1.0 - (row2[k] - dot * u))) * tilt
-        upper, lower = min(1.0, max(0.0, u + move)), min(1.0, max(0.0, u - move))
-        rest_upper = 1.0 - (row2[k] + upper * (upper * across2 - 2.0 * dot))
-        rest_lower = 1.0 - (row2[k] + lower * (lower * across2 - 2.0 * dot))
-        top = np.floor((z + upper * bz + math.sqrt(max(0.0, rest_upper))) * per_step)
-        first_row[k] = max(lowest, np.ceil((z + lower * bz - math.sqrt(max(0.0, rest_lower))) * per_step))
-        last_row[k] = min(highest, top if rest_upper > 0.0 else -1.0)
-    step1, step2, step3, step4 = steps[2], 2.0 * steps[2], 3.0 * steps[2], 4.0 * steps[2]
-    ez = bz * per_length
+        u = dot * per_a2
+        move = np.sqrt(max(zero, one - (row2[k] - dot * u))) * tilt
+        upper, lower = min(one, max(zero, u + move)), min(one, max(zero, u - move))
+        rest_upper = one - (row2[k] + upper * (upper * a2 - two * dot))
+        rest_lower = one - (row2[k] + lower * (lower * a2 - two * dot))
+        top = np.floor((z_start + upper * rise + np.sqrt(max(zero, rest_upper))) * per_step)
+        first_row[k] = max(lowest, np.ceil((z_start + lower * rise - np.sqrt(max(zero, rest_lower))) * per_step))
+        last_row[k] = min(highest, top if rest_upper > zero else outside)
+    step1, step2, step3, step4 = real(steps[2]), real(2.0 * steps[2]), real(3.0 * steps[2]), real(4.0 * steps[2])
+    ez, per_length = real(bz * per_length), real(per_length)
     hits, k = 0, 0
     for ix in range(x0, x1):
         for iy in range(y0, y1):
@@ -167,13 +169,13 @@ def list_tube(x, y, z, bx, by, bz, per_length, steps, low, high, shape, rows, no
             left = int(last_row[k]) + 1 - begin
             foot, square = row_dot[k] * per_length, row2[k]
             k += 1
-            dz = begin * steps[2] - z
+            dz = real(begin * steps[2] - z)
             n, h = np.uint64((ix * shape[1] + iy) * shape[2] + begin), np.uint64(hits)
             while True:
                 for _ in range(LANES // 4):
                     d0, d1, d2, d3 = dz, dz + step1, dz + step2, dz + step3
-                    a0, a1, a2, a3 = foot + d0 * ez, foot + d1 * ez, foot + d2 * ez, foot + d3 * ez
-                    along[h], along[h + _1], along[h + _2], along[h + _3] = a0, a1, a2, a3
+                    f0, f1, f2, f3 = foot + d0 * ez, foot + d1 * ez, foot + d2 * ez, foot + d3 * ez
+                    along[h], along[h + _1], along[h + _2], along[h + _3] = f0, f1, f2, f3
                     d0, d1, d2, d3 = square + d0 * d0, square + d1 * d1, square + d2 * d2, square + d3 * d3
                     q2[h], q2[h + _1], q2[h + _2], q2[h + _3] = d0, d1, d2, d3
                     node[h], node[h + _1], node[h + _2], node[h + _3] = n, n + _1, n + _2, n + _3

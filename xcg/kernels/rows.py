@@ -1,4 +1,4 @@
-"""Loops over pairs of rows: sums by index, vectors between rows, and peeling of a network."""
+"""Loops over rows and pairs of rows: sums by index, vectors between rows, peeling of a network, transposition."""
 
 import numpy as np
 
@@ -138,3 +138,12 @@ def list_segments(
             phase_out[count], other[count] = phase[j], phase[i] if i >= 0 else -1
             count += 1
     return count
+
+
+@jit
+def turn(records, out):
+    """Write records (p, n, c) as columns (c, p, n): each record is read once, in order."""
+    for p in range(records.shape[0]):
+        for n in range(records.shape[1]):
+            for c in range(records.shape[2]):
+                out[c, p, n] = records[p, n, c]

@@ -39,7 +39,7 @@ def choose_order(length, limits):
 
 @jit
 def deposit_segments(
-    start, branch, force, phase, limits, shape, low, high, steps, active, period, kind, spread, table, norm, moments,
+    start, branch, force, phase, limits, coarse, shape, low, high, steps, active, period, kind, spread, table, norm, moments,
 ):  # fmt: skip
     """Add force x branch of each segment to the nodes that its tube of radius 1 reaches.
 
@@ -55,6 +55,8 @@ def deposit_segments(
         Which group each segment belongs to.
     limits : (k,)
         Longest branch (cutoffs) for which 1, 2, ... k points are accurate enough; empty for the closed form.
+    coarse : bool
+        Whether single precision is enough for distances and weights, where points are taken; sums are in double.
     shape, low, high, steps, active, period, kind, spread, table, norm
         As in `deposit`.
     moments : (phases, nodes, 9)
@@ -64,7 +66,8 @@ def deposit_segments(
     end = ((high[0] - 1) * steps[0], (high[1] - 1) * steps[1], (high[2] - 1) * steps[2])
     reach = (1.0 if active[0] else 0.0, 1.0 if active[1] else 0.0, 1.0 if active[2] else 0.0)
     most = 256
-    lists, node = scratch(most, 8)
+    lists, node = scratch(most, 8, np.float64)
+    single, _ = scratch(most, 7, np.float32)
     exponent = np.empty(lists.shape[1], np.int64)
     for i in range(start.shape[0]):
         p = np.uint64(phase[i])
@@ -86,9 +89,9 @@ def deposit_segments(
         box = box * min(shape[2], int((high_z - low_z) / steps[2]) + 2)
         if box > most:
             most = 2 * box
-            lists, node = scratch(most, 8)
+            lists, node = scratch(most, 8, np.float64)
+            single, _ = scratch(most, 7, np.float32)
             exponent = np.empty(lists.shape[1], np.int64)
-        q2, along, w, ratio, rows = lists[0], lists[1], lists[2], lists[3], lists[4:]
         first_x, last_x = images(x0, low_x, high_x, begin[0], end[0], period[0])
         first_y, last_y = images(y0, low_y, high_y, begin[1], end[1], period[1])
         first_z, last_z = images(z0, low_z, high_z, begin[2], end[2], period[2])
@@ -98,29 +101,40 @@ def deposit_segments(
                 y = y0 + image_y * period[1] if image_y else y0
                 for image_z in range(first_z, last_z + 1):
                     z = z0 + image_z * period[2] if image_z else z0
-                    hits = list_tube(
-                        x, y, z, bx, by, bz, per_length, steps, low, high, shape, rows, node, q2, along
-                    )  # fmt: skip
+                    if order and coarse:
+                        q2, along, w, rows = single[0], single[1], single[2], single[3:]
+                        hits = list_tube(
+                            x, y, z, bx, by, bz, per_length, steps, low, high, shape, rows, node, q2, along
+                        )
+                        fill_gauss(
+                            kind, spread, table, 1.0, GAUSS_POINTS, GAUSS_WEIGHTS, order, length, along, q2, hits, w
+                        )
+                        _add_dyad(moments, p, node, hits, w, norm, force[i], branch[i])
+                        continue
+                    q2, along, w, rows = lists[0], lists[1], lists[2], lists[4:]
+                    hits = list_tube(x, y, z, bx, by, bz, per_length, steps, low, high, shape, rows, node, q2, along)
                     if order:
                         fill_gauss(
                             kind, spread, table, norm, GAUSS_POINTS, GAUSS_WEIGHTS, order, length, along, q2, hits, w
                         )
                     else:
+                        ratio = lists[3]
                         fill_segments(
                             kind, spread, table, norm, length, along, q2, hits, w, ratio, ratio.view(np.int64), exponent
                         )
-                    _add_dyad(moments, p, node, hits, w, force[i], branch[i])
+                    _add_dyad(moments, p, node, hits, w, 1.0, force[i], branch[i])
 
 
 @jit
-def _add_dyad(moments, p, node, hits, w, force, branch):
-    """Add weight x force x branch to the nine columns of each node."""
-    f0, f1, f2, a0, a1, a2 = force[0], force[1], force[2], branch[0], branch[1], branch[2]
+def _add_dyad(moments, p, node, hits, w, factor, force, branch):
+    """Add weight x factor x force x branch to the nine columns of each node."""
+    f0, f1, f2 = factor * force[0], factor * force[1], factor * force[2]
+    a0, a1, a2 = branch[0], branch[1], branch[2]
     c0, c1, c2, c3, c4, c5, c6, c7, c8 = (
         f0 * a0, f0 * a1, f0 * a2, f1 * a0, f1 * a1, f1 * a2, f2 * a0, f2 * a1, f2 * a2,
     )  # fmt: skip
     for k in range(hits):
-        n, v = node[k], w[k]
+        n, v = node[k], np.float64(w[k])
         s0, s1 = moments[p, n, 0] + v * c0, moments[p, n, 1] + v * c1
         s2, s3 = moments[p, n, 2] + v * c2, moments[p, n, 3] + v * c3
         s4, s5 = moments[p, n, 4] + v * c4, moments[p, n, 5] + v * c5

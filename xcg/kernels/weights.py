@@ -251,22 +251,25 @@ def fill_values(kind, spread, table, norm, by_gradient, q2, count, out):
 def fill_gauss(kind, spread, table, norm, points, weights, order, length, along, q2, count, out):
     """Write norm x mean of the value over segments, by Gauss-Legendre, seen from `count` nodes.
 
-    A node lies at squared distance q2 from the start of its segment, and its foot at `along` from there.
+    A node lies at squared distance q2 from the start of its segment, and its foot at `along` from there. The
+    precision is that of the arrays.
     """
+    real = out.dtype.type
+    zero, one, two, three = real(0.0), real(1.0), real(2.0), real(3.0)
     for k in range(count):
-        out[k] = 0.0
+        out[k] = zero
     for g in range(order):
-        u = points[order, g] * length
-        w = weights[order, g] * norm
+        u = real(points[order, g] * length)
+        w = real(weights[order, g] * norm)
         if kind == LUCY:
             for k in range(count):
-                q = math.sqrt(min(1.0, max(0.0, q2[k] + u * (u - 2.0 * along[k]))))
-                p = 1.0 - q
-                out[k] += w * (p * p * p * (1.0 + 3.0 * q))
+                q = np.sqrt(min(one, max(zero, q2[k] + u * (u - two * along[k]))))
+                p = one - q
+                out[k] += w * (p * p * p * (one + three * q))
         else:
             for k in range(count):
-                r2 = max(0.0, q2[k] + u * (u - 2.0 * along[k]))
-                if r2 < 1.0:
+                r2 = max(zero, q2[k] + u * (u - two * along[k]))
+                if r2 < one:
                     out[k] += w * value(kind, spread, table, r2)
 
 
