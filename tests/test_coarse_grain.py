@@ -1,6 +1,7 @@
 """All fields against brute force; laziness; schedulers; labels; errors."""
 
 import pickle
+from unittest import mock
 
 import dask
 import numpy as np
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 import xcg
 from tests import steps_of_random_scenes
 from tests.brute_force import BruteKernel, brute_force
+from xcg.kernels.deposit import deposit
 
 RATIOS = {"velocity", "particle_density", "coordination_number", "d32", "d43", "granular_temperature",
           "friction_coefficient", "velocity_gradient", "shear_rate", "inertial_number"}  # fmt: skip
@@ -170,6 +172,64 @@ def test_partial_fluctuations_are_about_the_bulk():
     assert float(v.mean()) == pytest.approx(5.0, rel=0.05)
     # species move at +-5 about the mean in each direction: 25 + 1 in each component
     assert float(f.granular_temperature.sel(phase="1").mean()) == pytest.approx(26.0, rel=0.05)
+
+
+def test_each_phase_takes_a_width_of_its_own():
+    ds = xcg.datasets.random_scene(150, seed=7)
+    place = {"spacing": 0.4, "bounds": dict.fromkeys("xyz", (0.0, 1.9))}
+    own = ds.cg.coarse_grain(by="species", width={1: 0.4, 2: 0.9}, by_pair=True, **place)
+    assert own.attrs["width"] == [0.4, 0.9]
+    for phase, width in (("1", 0.4), ("2", 0.9)):
+        same = ds.cg.coarse_grain(by="species", width=width, by_pair=True, **place)
+        # fluctuations are about the velocity of the bulk, which the other phase has a part in
+        sums = ("sample_count", "density", "momentum_density", "contact_force_density", "contact_stress")
+        for name in (*sums, "volume_fraction", "number_density", "contact_stress_by_pair", "wall_traction"):
+            want, got = same[name].sel(phase=phase), own[name].sel(phase=phase)
+            np.testing.assert_allclose(got, want, rtol=0, atol=1e-12 * float(abs(want).max()), err_msg=name)
+    for name, row in xcg.FIELDS.items():
+        if row.additive and row.listed and not row.paired and name in own:
+            parts = own[name].sel(phase=["1", "2"]).sum("phase", skipna=False)
+            bulk = own[name].sel(phase="bulk")
+            np.testing.assert_allclose(parts, bulk, rtol=0, atol=1e-12 * float(abs(bulk).max()), err_msg=name)
+
+
+def test_linear_flow_is_exact_with_two_widths():
+    ds = xcg.datasets.random_scene(300, seed=9, periodic="")
+    g = np.array([[0.1, 2.0, 0.0], [0.0, -0.3, 0.5], [0.0, 0.0, 0.2]])
+    ds = ds.assign(velocity=(ds.velocity.dims, ds.position.values @ g.T))
+    f = ds.cg.coarse_grain(
+        ["velocity_gradient", "granular_temperature"], by="species", width={1: 0.4, 2: 0.9}, spacing=0.5,
+        bounds=dict.fromkeys("xyz", (1.0, 2.0)),
+    ).sel(phase="bulk")  # fmt: skip
+    np.testing.assert_allclose(f.velocity_gradient.values, np.broadcast_to(g, f.velocity_gradient.shape), atol=1e-11)
+    assert float(f.granular_temperature.max()) < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"width": {1: 0.4, 2: 0.9}}, "with by="),
+        ({"width": {1: 0.4}, "by": "species"}, r"each of the groups \[1, 2\]"),
+        ({"width": {1: 0.4, 2: -1.0}, "by": "species"}, "positive length"),
+        ({"width": {1: 0.4, 2: 0.9}, "by": "species", "kernel": xcg.Lucy(0.5)}, "and a kernel"),
+    ],
+)
+def test_widths_of_groups_are_checked(options, message):
+    with pytest.raises(ValueError, match=message):
+        xcg.datasets.random_scene(20).cg.coarse_grain("density", **options)
+
+
+def test_one_size_of_grain_needs_one_column():
+    """Columns that all grains share are multiples of their number."""
+    ds = xcg.datasets.random_scene(60, seed=3)
+    d = np.full_like(ds.diameter, 0.7)
+    ds = ds.assign(diameter=(ds.diameter.dims, d), volume=(ds.volume.dims, np.pi / 6 * d**3))
+    one = ds.cg.coarse_grain(["volume_fraction", "d43", "d32", "number_density"], width=0.8)
+    np.testing.assert_allclose(one.volume_fraction, np.pi / 6 * 0.7**3 * one.number_density, rtol=1e-14)
+    np.testing.assert_allclose(one.d43.where(one.number_density > 0, 0.7), 0.7, rtol=1e-14)
+    with mock.patch("xcg.moments.kernel.deposit", wraps=deposit) as loop:
+        ds.cg.coarse_grain(["volume_fraction", "d43", "d32", "number_density"], width=0.8)
+    assert loop.call_args.args[3].shape[1] == 4  # one column, and three that fill up the four
 
 
 def test_unknown_group_is_named():

@@ -183,12 +183,25 @@ def test_large_steps_are_split_into_blocks(tmp_path):
         {"density": (("time", "x", "y", "z"), np.random.default_rng(1).random((2, 90, 100, 110)))},
         {"time": [0.0, 1.0], "x": np.arange(90.0), "y": np.arange(100.0), "z": np.arange(110.0)},
     )
-    path = to_vtkhdf(ds, tmp_path / "f.vtkhdf")
+    path = to_vtkhdf(ds, tmp_path / "f.vtkhdf", compression=1)
     with h5py.File(path) as file:
         blocks = file["VTKHDF/PointData/density"].chunks
     assert blocks[0] == 1
     assert np.prod(blocks) * 8 <= 1 << 22
     assert_read_equal(path, ds, ["density"])
+
+
+def test_compression_is_a_choice(tmp_path):
+    ds = xr.Dataset(
+        {"density": (("time", "x", "y", "z"), np.zeros((1, 40, 40, 40)))},
+        {"time": [0.0], **{a: np.arange(40.0) for a in "xyz"}},
+    )
+    plain, small = (to_vtkhdf(ds, tmp_path / f"{level}.vtkhdf", compression=level) for level in (0, 1))
+    assert small.stat().st_size < 0.2 * plain.stat().st_size
+    assert_read_equal(plain, ds, ["density"])
+    assert_read_equal(small, ds, ["density"])
+    with pytest.raises(ValueError, match="1 to 9"):
+        to_vtkhdf(ds, tmp_path / "no.vtkhdf", compression=10)
 
 
 # --- lazy ------------------------------------------------------------------------------------------------

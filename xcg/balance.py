@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -71,7 +72,7 @@ def balance(ds: xr.Dataset, **options: Any) -> xr.Dataset:
     Raises
     ------
     ValueError
-        If an axis is fixed or has fewer than five nodes.
+        If an axis is fixed or has fewer than five nodes, or if each group has a width of its own.
 
     Notes
     -----
@@ -79,6 +80,9 @@ def balance(ds: xr.Dataset, **options: Any) -> xr.Dataset:
     """
     if options.get("at"):
         msg = f"at={options['at']!r}: no derivative is taken along a fixed axis; resolve it, or leave it out to average"
+        raise ValueError(msg)
+    if isinstance(options.get("width"), Mapping):
+        msg = "contacts between grains of different widths exchange momentum at a distance: give one width for all"
         raise ValueError(msg)
     plan = make_plan(ds, list(FIELDS), **options)
     grid = plan.recipe.grid

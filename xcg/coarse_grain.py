@@ -29,7 +29,7 @@ def coarse_grain(
     ds: xr.Dataset,
     fields: str | Sequence[str] | None = None,
     *,
-    width: float | str | None = None,
+    width: float | str | Mapping[Any, float | str] | None = None,
     kernel: str | Kernel = "lucy",
     spacing: float | Mapping[str, float] | None = None,
     axes: str | None = None,
@@ -60,8 +60,10 @@ def coarse_grain(
     fields : str or list of str, optional
         Names in the registry (`xcg.FIELDS`); by default all that the scene's variables allow. Only what these need
         is read and summed.
-    width : float or str, optional
-        Half-width w of the kernel (m), or a multiple of a size such as "0.75 d43" (the default).
+    width : float, str or mapping, optional
+        Half-width w of the kernel (m), or a multiple of a size such as "0.75 d43" (the default). With `by`, a mapping
+        gives each group its own, for very polydisperse scenes: ``{1: 1e-3, 2: "0.75 d43"}``. Every grain, and its
+        side of its contacts, is then smeared by the width of its group.
     kernel : str or Kernel
         "lucy" (default), "gaussian", "heaviside", a registered name, or an object such as ``xcg.Lucy(cutoff=0.01)``.
         Only kernels as smooth as Lucy give fields that satisfy the differential balance laws.
@@ -229,8 +231,8 @@ def _provenance(ds: xr.Dataset, plan: Plan, given: Mapping[str, Any]) -> dict[st
     return {
         **about(ds, call_of("coarse_grain", given)),
         "kernel": plan.kernel.name,
-        "width": plan.kernel.width,
-        "cutoff": plan.kernel.cutoff,
+        "width": plan.widths if len(plan.widths) > 1 else plan.kernel.width,
+        "cutoff": list(plan.recipe.cutoffs) if len(plan.widths) > 1 else plan.kernel.cutoff,
         "kernel_dimension": plan.kernel.dimension,
         "rtol": plan.rtol,
         "gradient": plan.options.gradient,

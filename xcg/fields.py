@@ -185,7 +185,7 @@ def _drift(f: Any, s: Any, o: Options) -> NDArray:
 
 
 def _inner(a: NDArray) -> NDArray:
-    """Return an array (phase, node, ...) as (..., phase, node), as kernels take it; the sums lie in memory like that."""
+    """Return an array (phase, node, ...) as (..., phase, node): as kernels take it, and as the sums lie in memory."""
     return np.ascontiguousarray(np.moveaxis(a, (0, 1), (-2, -1)))
 
 

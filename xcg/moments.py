@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -120,9 +120,9 @@ class Recipe:
         Names in `MOMENTS`.
     grid : Grid
     weights : Weights
-        The kernel as seen in the grid's axes.
-    cutoff : float
-        Radius of the support (m).
+        The kernel of the first cutoff as seen in the grid's axes.
+    cutoffs : tuple of float
+        Radius of the support (m) of each group, or one for all.
     limits : array
         Longest branch (cutoffs) for each Gauss-Legendre order; empty for closed forms.
     coarse : bool
@@ -136,7 +136,7 @@ class Recipe:
     moments: tuple[str, ...]
     grid: Grid
     weights: Weights
-    cutoff: float
+    cutoffs: tuple[float, ...]
     limits: NDArray
     coarse: bool = False
     by: str | None = None
@@ -186,16 +186,31 @@ class _Deposit:
     """The deposits onto one grid, with lengths in cutoffs; results are (phases, nodes, columns)."""
 
     def __init__(self, recipe: Recipe, period: NDArray, scale: float, threads: int) -> None:
-        grid, self.cutoff = recipe.grid, recipe.cutoff
+        self.recipe, self.scale, self.threads = recipe, scale, threads
         self.phases = max(1, len(recipe.groups))
-        self.nodes = math.prod(grid.shape)
-        self.origin = grid.origin
-        self.active = grid.active
-        period = np.where(grid.active, period, np.inf) / self.cutoff
-        where = (_tuple(grid.steps / self.cutoff), _tuple(grid.active), _tuple(period))
-        kernel = (*recipe.weights[:3], recipe.weights.norm * scale)
-        self.shape, self.onto = grid.shape, (*where, *kernel)
-        self.coarse, self.threads = recipe.coarse, threads
+        self.cutoffs = np.broadcast_to(recipe.cutoffs, self.phases)
+        self.shape, self.active = recipe.grid.shape, recipe.grid.active
+        self.nodes = math.prod(self.shape)
+        self.period = np.where(self.active, period, np.inf)
+
+    def _onto(self, cutoff: float) -> tuple[Any, ...]:
+        """Mesh and kernel, in cutoffs."""
+        kind, spread, table, norm = self.recipe.weights
+        norm *= (self.recipe.cutoffs[0] / cutoff) ** int(self.active.sum())
+        mesh = (_tuple(self.recipe.grid.steps / cutoff), _tuple(self.active), _tuple(self.period / cutoff))
+        return *mesh, kind, spread, table, norm * self.scale
+
+    def _by_cutoff(self, position: NDArray, phase: NDArray) -> Iterator[tuple[float, NDArray, NDArray]]:
+        """Yield each cutoff, the rows that have it, and their positions in cutoffs.
+
+        Rows come in an order in space, so that neighbours add to the same nodes while these are in cache.
+        """
+        for cutoff in np.unique(self.cutoffs).tolist():
+            rows = np.flatnonzero(self.cutoffs[phase] == cutoff) if len(set(self.cutoffs)) > 1 else None
+            local = (position if rows is None else position[rows]) - self.recipe.grid.origin
+            local /= cutoff
+            order = spatial_order(local, self.active)
+            yield cutoff, order if rows is None else rows[order], local[order]
 
     def _over_slabs(self, fill: Callable[[_Index, _Index], None]) -> None:
         """Fill the nodes slab by slab along the longest axis, each by one thread.
@@ -211,40 +226,30 @@ class _Deposit:
 
         for_each(shares(self.shape[axis], self.threads), fill_slab, self.threads)
 
-    def _placed(self, position: NDArray) -> tuple[NDArray, NDArray]:
-        """Order in space, so that neighbours add to the same nodes while these are in cache; local coordinates."""
-        local = position - self.origin
-        local /= self.cutoff
-        order = spatial_order(local, self.active)
-        return order, local[order]
-
     def points(
         self, position: NDArray, velocity: NDArray, mass: NDArray, constants: NDArray, phase: NDArray, level: int,
         reference: NDArray, *, by_gradient: bool = False,
     ) -> NDArray:  # fmt: skip
         constants = np.pad(constants, ((0, 0), (0, -constants.shape[1] % 4)))
         sums = np.zeros((self.phases, self.nodes, level + constants.shape[1]))
-        order, local = self._placed(position)
-        rows = (local, velocity[order], mass[order], constants[order], phase[order], level, self.shape)
-        self._over_slabs(lambda *box: kernel.deposit(*rows, *box, *self.onto, by_gradient, sums, reference))
+        for cutoff, rows, local in self._by_cutoff(position, phase):
+            grains = (local, velocity[rows], mass[rows], constants[rows], phase[rows], level, self.shape)
+            onto = (*self._onto(cutoff), by_gradient, sums, reference)
+            self._over_slabs(lambda *box, grains=grains, onto=onto: kernel.deposit(*grains, *box, *onto))
         return sums
 
     def segments(
-        self,
-        start: NDArray,
-        branch: NDArray,
-        force: NDArray,
-        phase: NDArray,
-        limits: NDArray,
-        groups: int | None = None,
+        self, start: NDArray, branch: NDArray, force: NDArray, phase: NDArray, into: NDArray, groups: int
     ) -> NDArray:
-        sums = np.zeros((groups or self.phases, self.nodes, 9))
-        order, local = self._placed(start)
-        branch, force = branch[order], force[order]
-        branch /= self.cutoff
-        force *= self.cutoff
-        rows = (local, branch, force, phase[order], limits, self.coarse, self.shape)
-        self._over_slabs(lambda *box: deposit_segments(*rows, *box, *self.onto, sums))
+        """Deposit segments that have the cutoff of `phase` into the sums `into`, of which there are `groups`."""
+        sums = np.zeros((groups, self.nodes, 9))
+        for cutoff, rows, local in self._by_cutoff(start, phase):
+            a, f = branch[rows], force[rows]
+            a /= cutoff
+            f *= cutoff
+            sides = (local, a, f, into[rows], self.recipe.limits, self.recipe.coarse, self.shape)
+            onto = (*self._onto(cutoff), sums)
+            self._over_slabs(lambda *box, sides=sides, onto=onto: deposit_segments(*sides, *box, *onto))
         return sums
 
 
@@ -257,13 +262,13 @@ class Sums:
     recipe : Recipe
     columns : dict
         For each moment its array (phases, nodes, columns), the columns of that array that it is made of (those of a
-        symmetric tensor name six of them nine times), and a factor.
+        symmetric tensor name six of them nine times), and a factor, or one for each phase.
     reference : array (nodes, 3)
         Velocity that ``momentum``, ``kinetic`` and ``shear`` are relative to.
     """
 
     recipe: Recipe
-    columns: Mapping[str, tuple[NDArray, NDArray, float]]
+    columns: Mapping[str, tuple[NDArray, NDArray, float | NDArray]]
     reference: NDArray
 
     def at(self, nodes: slice) -> dict[str, NDArray]:
@@ -278,8 +283,8 @@ class Sums:
                 turned[id(array)] = np.empty((records.shape[-1], *records.shape[:2]))
                 turn(records, turned[id(array)])
             part = turned[id(array)][columns]
-            if factor != 1.0:
-                part *= factor
+            if np.any(factor != 1.0):
+                part = part * np.reshape(factor, (-1, 1))
             if self.recipe.by is not None:
                 part = np.concatenate([part.sum(axis=-2, keepdims=True), part], axis=-2)
             found[name] = np.moveaxis(part, (-2, -1), (0, 1))
@@ -318,36 +323,43 @@ def sums_of_frame(frame: Frame, recipe: Recipe, period: NDArray, scale: float, w
         for name, row in wanted.items()
         if row.column
     }
+    # a column that is the same for all grains, as those of one size are, is a multiple of their number
+    same = {name: float(q[0, 0]) for name, q in constants.items() if count and q.shape[1] == 1 and (q == q[0]).all()}
+    constants = {name: q for name, q in constants.items() if name not in same}
+    if same:
+        constants["number"] = np.ones((count, 1))
     stacked = np.concatenate(list(constants.values()), axis=1) if constants else np.zeros((count, 0))
     velocity = np.ascontiguousarray(frame.get("velocity", np.zeros((count, 3))))
     mass = frame.get("mass", np.ones(count))
     reference = np.full((to.nodes, 3), np.nan)
-    columns: dict[str, tuple[NDArray, NDArray, float]] = {}
+    columns: dict[str, tuple[NDArray, NDArray, float | NDArray]] = {}
 
     level = recipe.level
     if level or constants:
         records = to.points(position, velocity, mass, stacked, phase, level, reference)
         for name, row in wanted.items():
             if row.level:
-                columns[name] = (records, row.first + _columns_of(name), recipe.cutoff ** _CUTOFF_POWERS.get(name, 0))
+                columns[name] = (records, row.first + _columns_of(name), to.cutoffs ** _CUTOFF_POWERS.get(name, 0))
         first = level
         for name, values in constants.items():
             columns[name] = (records, first + _columns_of(name), 1.0)
             first += values.shape[1]
+        for name, value in same.items():
+            columns[name] = (*columns["number"][:2], value)
     if {"mass_slope", "momentum_slope"} & set(wanted):
         none = np.zeros((count, 0))
         slopes = to.points(position, velocity, mass, none, phase, kernel.LINEAR, reference, by_gradient=True)
         for name, flow in (("mass_slope", "offset"), ("momentum_slope", "shear")):
-            columns[name] = (slopes, MOMENTS[flow].first + _columns_of(flow), -1 / recipe.cutoff)
+            columns[name] = (slopes, MOMENTS[flow].first + _columns_of(flow), -1 / to.cutoffs)
     if {"contact", "pair_contact"} & set(wanted):
         assert contacts is not None
         start, branch, push, owner, other = contacts.segments(position, phase)
     if "contact" in wanted:
-        columns["contact"] = (to.segments(start, branch, push, owner, recipe.limits), _all_columns((3, 3)), 1.0)
+        columns["contact"] = (to.segments(start, branch, push, owner, owner, to.phases), _all_columns((3, 3)), 1.0)
     if "pair_contact" in wanted:
         others = to.phases + 1  # the last one for walls
         pair = owner * others + np.where(other < 0, to.phases, other)
-        by_pair = to.segments(start, branch, push, pair, recipe.limits, to.phases * others)
+        by_pair = to.segments(start, branch, push, owner, pair, to.phases * others)
         by_pair = np.moveaxis(by_pair.reshape(to.phases, others, to.nodes, 9), 1, 2)
         by_pair = by_pair.reshape(to.phases, to.nodes, others * 9)
         columns["pair_contact"] = (by_pair, _all_columns((others, 3, 3)), 1.0)

@@ -37,6 +37,7 @@ class Plan:
     options : Options
         Choices of the algebra.
     kernel : Kernel
+        The widest, where each group has its own.
     extent : dict
         Length of each averaged axis (m); None takes the box of each step.
     depth : float or str or None
@@ -67,6 +68,11 @@ class Plan:
         """Number of phases in the result, the bulk included."""
         return 1 + len(self.recipe.groups)
 
+    @property
+    def widths(self) -> list[float]:
+        """Width of each group (m), or one for all."""
+        return [self.kernel.spread * cutoff for cutoff in self.recipe.cutoffs]
+
     def shape(self, name: str) -> tuple[int, ...]:
         """Shape of one step of a field."""
         nodes = tuple(len(self.recipe.grid.nodes[a]) for a in self.recipe.grid.axes)
@@ -82,6 +88,7 @@ class Plan:
         contact = 9 * ("contact" in self.recipe.moments)
         outputs = sum(int(np.prod(self.shape(name))) for name in self.fields)
         sums = nodes * max(1, self.phases - 1) * (columns + contact + slopes * 29)
+        own = f"; widths by group {[float(f'{w:.4g}') for w in self.widths]}" if len(self.widths) > 1 else ""
         rules = "closed form"
         if len(self.recipe.limits):
             steps = ", ".join(f"{k} to {x:.3g} c" for k, x in enumerate(self.recipe.limits, 1))
@@ -92,7 +99,7 @@ class Plan:
             "nodes": " x ".join(f"{len(grid.nodes[a])} {a}" for a in grid.axes) or "one",
             "fixed": ", ".join(f"{a} = {v:g}" for a, v in grid.at.items()) or "none",
             "averaged": ", ".join(f"{a} ({self.extent[a] or 'box'})" for a in grid.averaged) or "none",
-            "kernel": f"{self.kernel!r}, seen in {len(grid.seen)} of {self.kernel.dimension} dimensions",
+            "kernel": f"{self.kernel!r}, seen in {len(grid.seen)} of {self.kernel.dimension} dimensions{own}",
             "sums": ", ".join(f"{m} ({MOMENTS[m].formula})" for m in self.recipe.moments),
             "passes": f"{int(columns > 0)} over particles, {int(slopes)} with grad Psi, {contact // 9} over contacts",
             "contacts": f"{rules} (rtol = {self.rtol:g})" if contact else "not read for stress",
@@ -111,6 +118,9 @@ def choose_width(width: float | str | None, attrs: Mapping[Any, Any]) -> float:
     """
     if width is None:
         width = "0.75 d43"
+    if isinstance(width, Mapping):
+        msg = f"width={dict(width)!r}: expected one width here, not one for each group"
+        raise ValueError(msg)
     if isinstance(width, str):
         factor, _, size = width.rpartition(" ")
         try:
@@ -233,7 +243,7 @@ def make_plan(
     ds: xr.Dataset,
     fields: str | Sequence[str] | None = None,
     *,
-    width: float | str | None = None,
+    width: float | str | Mapping[Any, float | str] | None = None,
     kernel: str | Kernel = "lucy",
     spacing: float | Mapping[str, float] | None = None,
     axes: str | None = None,
@@ -275,16 +285,17 @@ def make_plan(
         names = tuple(dict.fromkeys([*names, "contact_stress_by_pair"]))
     variables = _variables(names, ds, options)
     require_scene(ds, sorted(variables), f"coarse_grain of {', '.join(names)}")
-    chosen = as_kernel(kernel, choose_width(width, ds.attrs) if isinstance(kernel, str) else width, setup.dimension)  # type: ignore[arg-type]
+    kernels = _kernels(ds, kernel, width, by, groups, setup.dimension)
+    chosen = max(kernels, key=lambda k: k.cutoff)
     edges = edges_of(ds)
     period = {a: edges[a][1] - edges[a][0] for a in setup.periodic if a in edges}
     grid = make_grid(
         setup.plane if axes is None and at is None else axes or "",
         at or {},
         bounds or {},
-        chosen.width if spacing is None else spacing,
+        min(k.width for k in kernels) if spacing is None else spacing,
         plane=setup.plane,
-        cutoff=chosen.cutoff,
+        cutoff=min(k.cutoff for k in kernels),
         automatic=_automatic(ds, setup, edges, chosen.cutoff),
         period=period,
     )
@@ -293,8 +304,8 @@ def make_plan(
     recipe = Recipe(
         moments=registry.sums_of(names, options),
         grid=grid,
-        weights=chosen.weights(len(grid.seen)),
-        cutoff=chosen.cutoff,
+        weights=kernels[0].weights(len(grid.seen)),
+        cutoffs=tuple(k.cutoff for k in kernels),
         limits=gauss_limits(chosen, len(grid.seen), rtol),
         coarse=rtol >= SINGLE,
         by=by,
@@ -311,6 +322,23 @@ def make_plan(
         fields=names, variables=tuple(map(str, read)), recipe=recipe, options=options, kernel=chosen,
         extent=_extents(grid, extent or {}, edges), depth=layer_depth(ds, setup, edges), setup=setup, rtol=rtol,
     )  # fmt: skip
+
+
+def _kernels(
+    ds: xr.Dataset, kernel: str | Kernel, width: Any, by: str | None, groups: Sequence[int] | None, dimension: int
+) -> list[Kernel]:
+    """One kernel for all, or one for each group where `width` maps groups to widths."""
+    if not isinstance(width, Mapping):
+        return [as_kernel(kernel, choose_width(width, ds.attrs) if isinstance(kernel, str) else width, dimension)]
+    if by is None or not isinstance(kernel, str):
+        msg = f"width={dict(width)!r} gives each group its own: name the groups' variable with by=, and a kernel"
+        raise ValueError(msg)
+    own = {str(group): value for group, value in width.items()}
+    known = groups_of(ds, by, groups)
+    if set(own) != {str(g) for g in known}:
+        msg = f"width={dict(width)!r}: expected a width for each of the groups {list(known)} of {by!r}"
+        raise ValueError(msg)
+    return [as_kernel(kernel, choose_width(own[str(g)], ds.attrs), dimension) for g in known]
 
 
 def _options(

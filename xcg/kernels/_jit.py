@@ -44,7 +44,6 @@ if CACHE:
     _forget_stale_code()
 
 
-
 def jit(function: Callable) -> Callable:
     """Compile a kernel, with neighbouring scalar operations merged into vector instructions.
 

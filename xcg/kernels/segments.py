@@ -39,7 +39,8 @@ def choose_order(length, limits):
 
 @jit
 def deposit_segments(
-    start, branch, force, phase, limits, coarse, shape, low, high, steps, active, period, kind, spread, table, norm, moments,
+    start, branch, force, phase, limits, coarse, shape, low, high, steps, active, period,
+    kind, spread, table, norm, moments,
 ):  # fmt: skip
     """Add force x branch of each segment to the nodes that its tube of radius 1 reaches.
 
