@@ -1,5 +1,6 @@
 """All fields against brute force; laziness; schedulers; labels; errors."""
 
+import inspect
 import pickle
 from unittest import mock
 
@@ -297,6 +298,36 @@ def test_plan_pickles_and_explains():
     assert "averaged  x (box), y (box)" in text
     assert "Gauss points by branch length" in text
     assert "contact_i" not in str(ds.cg.explain("density"))
+
+
+def test_explain_knows_bodies_and_presets():
+    ds = xcg.datasets.random_scene(20)
+    ds = ds.assign(body_id=(ds.particle_id.dims, np.arange(20)[None] // 2))
+    assert "volume_fraction" in str(ds.cg.explain("volume_fraction", by_body="body_id", width=1.0))
+    with pytest.raises(xcg.SceneError, match="body"):
+        ds.cg.explain("volume_fraction", by_body="no_body")
+    theirs = str(ds.cg.explain(preset="pysammos", width=1.0))
+    assert "shear_rate_tensor" in theirs
+    with pytest.raises(ValueError, match="'pysammos'"):
+        ds.cg.explain(preset="other")
+
+
+def test_what_stands_still_takes_less_work_and_gives_the_same():
+    """Adding zeros or leaving them out: the same bits."""
+    ds = xcg.datasets.random_scene(60, seed=4)
+    still = ds.assign(velocity=xr.full_like(ds.velocity, 0.3))
+    f = still.cg.coarse_grain(by="species", width=1.0)
+    with mock.patch("xcg.moments.kernel.deposit", side_effect=_as_if_moving):
+        moving = still.cg.coarse_grain(by="species", width=1.0)
+    xr.testing.assert_equal(f.drop_attrs(), moving.drop_attrs())
+    seen = f.granular_temperature.sel(phase="bulk").dropna("z", how="all")
+    assert seen.size
+    assert float(abs(seen).max()) == 0.0
+
+
+def _as_if_moving(*args):
+    names = list(inspect.signature(deposit.py_func).parameters)
+    deposit(*(False if name == "still" else value for name, value in zip(names, args, strict=True)))
 
 
 def test_sub_selection_of_particles_keeps_their_side():

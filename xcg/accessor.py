@@ -17,12 +17,12 @@ from xcg.chains.search import force_chains
 from xcg.chains.selection import select_chains
 from xcg.chains.tables import chain_table, link_table
 from xcg.chains.tracks import track_chains
-from xcg.coarse_grain import coarse_grain
+from xcg.coarse_grain import coarse_grain, explain
 from xcg.detection import find_contacts
 from xcg.microstructure import microstructure
 from xcg.particle_stress import particle_stress
 from xcg.phases import assign_phases, find_phases, plot_phases
-from xcg.plan import Plan, make_plan
+from xcg.plan import Plan
 from xcg.scene import measure, summary
 from xcg.slices import slice_temperature
 from xcg.statistics import profile, size_statistics, time_average
@@ -45,7 +45,7 @@ class CoarseGrainAccessor:
 
     def explain(self, fields: Any = None, **options: Any) -> Plan:
         """Say what `coarse_grain` with the same arguments will do: print the plan that this returns."""
-        return make_plan(self._ds, fields, **options)
+        return explain(self._ds, fields, **options)
 
     def particle_stress(self, **options: Any) -> xr.Dataset:
         """Stress of each particle, see `xcg.particle_stress`."""

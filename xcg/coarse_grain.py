@@ -142,7 +142,8 @@ def coarse_grain(
     if by_body is not None:
         return coarse_grain(group_bodies(ds, given.pop("by_body")), **given)
     if preset is not None:
-        return _with_preset(ds, given)
+        names, table, own = _as_own(ds, given)
+        return pysammos.from_xcg(coarse_grain(ds, **own), names, table)
     plan = make_plan(**{"ds": ds, **given})
     names = [*plan.variables, *(name for name in ("box", "step") if name in ds)]
     results = {field: (plan.shape(field), "float64") for field in plan.fields}
@@ -151,8 +152,42 @@ def coarse_grain(
     return _label(ds, plan, arrays, given)
 
 
-def _with_preset(ds: xr.Dataset, given: dict[str, Any]) -> xr.Dataset:
-    """Fields under the names of another program."""
+def explain(ds: xr.Dataset, fields: str | Sequence[str] | None = None, **options: Any) -> Plan:
+    """Plan what `coarse_grain` with the same arguments will do, without doing it; printing the plan explains it.
+
+    Parameters
+    ----------
+    ds, fields, **options
+        As for `coarse_grain`. With ``by_body``, spheres in memory are grouped first, as the plan is that of the
+        bodies; with ``preset``, the plan is that of the fields which the preset's are made of.
+
+    Returns
+    -------
+    Plan
+        Its text names fields, variables read, nodes, kernel, sums, passes, the rule for contacts, and memory.
+
+    Raises
+    ------
+    SceneError, ValueError
+        As `coarse_grain`.
+
+    Examples
+    --------
+    >>> import xcg
+    >>> print(explain(xcg.datasets.simple_cubic(4), "volume_fraction", axes="z"))  # doctest: +ELLIPSIS
+    fields    volume_fraction
+    ...
+    """
+    given = {"fields": fields, **options}
+    if given.get("by_body") is not None:
+        return explain(group_bodies(ds, given.pop("by_body")), **given)
+    if given.get("preset") is not None:
+        _, _, given = _as_own(ds, given)
+    return make_plan(ds, **{k: v for k, v in given.items() if k not in ("by_body", "preset")})
+
+
+def _as_own(ds: xr.Dataset, given: Mapping[str, Any]) -> tuple[Any, Any, dict[str, Any]]:
+    """Names and table of another program, and the call of `coarse_grain` that its fields come from."""
     if given["preset"] != "pysammos":
         msg = f"preset={given['preset']!r}: expected 'pysammos'"
         raise ValueError(msg)
@@ -167,7 +202,7 @@ def _with_preset(ds: xr.Dataset, given: dict[str, Any]) -> xr.Dataset:
     table = pysammos.rows(*pysammos.plane_of(ds, given.get("shear_dims")))
     names = pysammos.choose(given.get("fields"), table, make_plan(ds, None, **options).fields)
     needed = dict.fromkeys(["sample_count", *(n for name in names for n in table[name].needs)])
-    return pysammos.from_xcg(coarse_grain(ds, list(needed), **options), names, table)
+    return names, table, {"fields": list(needed), **options}
 
 
 def compute_chunk(plan: Plan, threads: int, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:

@@ -232,8 +232,9 @@ class _Deposit:
     ) -> NDArray:  # fmt: skip
         constants = np.pad(constants, ((0, 0), (0, -constants.shape[1] % 4)))
         sums = np.zeros((self.phases, self.nodes, level + constants.shape[1]))
+        still = bool((velocity == velocity[:1]).all())  # nothing moves: columns with u are zero without adding them
         for cutoff, rows, local in self._by_cutoff(position, phase):
-            grains = (local, velocity[rows], mass[rows], constants[rows], phase[rows], level, self.shape)
+            grains = (local, velocity[rows], mass[rows], constants[rows], phase[rows], level, still, self.shape)
             onto = (*self._onto(cutoff), by_gradient, sums, reference)
             self._over_slabs(lambda *box, grains=grains, onto=onto: kernel.deposit(*grains, *box, *onto))
         return sums

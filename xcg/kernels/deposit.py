@@ -32,7 +32,7 @@ _COLUMNS = tuple(np.uint64(k) for k in range(LINEAR))
 
 @jit
 def deposit(
-    position, velocity, mass, constants, phase, level, shape, low, high, steps, active, period,
+    position, velocity, mass, constants, phase, level, still, shape, low, high, steps, active, period,
     kind, spread, table, norm, by_gradient, moments, reference,
 ):  # fmt: skip
     """Add grains to the nodes within their support.
@@ -51,6 +51,8 @@ def deposit(
         Which group each grain belongs to.
     level : int
         NONE, VELOCITY, FLUCTUATION or LINEAR: how many flow columns are wanted.
+    still : bool
+        Whether all grains have the same velocity, so that all columns with u are zero.
     shape : tuple of int
         Number of nodes along x, y, z.
     low, high : tuple of int
@@ -92,7 +94,19 @@ def deposit(
                     fill_values(kind, spread, table, norm, by_gradient, q2, hits, w)
                     if level > 0:
                         _add_flow(
-                            p, mass[i], velocity[i], node, hits, w, x_off, y_off, z_off, level, moments, reference
+                            p,
+                            mass[i],
+                            velocity[i],
+                            node,
+                            hits,
+                            w,
+                            x_off,
+                            y_off,
+                            z_off,
+                            level,
+                            still,
+                            moments,
+                            reference,
                         )
                     for k in range(hits):
                         n, v, c = node[k], w[k], np.uint64(level)
@@ -114,7 +128,7 @@ def _add_four(moments, p, n, c, v0, v1, v2, v3):
 
 
 @jit
-def _add_flow(p, mass, velocity, node, hits, weight, x_off, y_off, z_off, level, moments, reference):
+def _add_flow(p, mass, velocity, node, hits, weight, x_off, y_off, z_off, level, still, moments, reference):
     """Add one grain to the flow columns of the nodes that it reaches."""
     for k in range(hits):
         n = node[k]
@@ -122,6 +136,17 @@ def _add_flow(p, mass, velocity, node, hits, weight, x_off, y_off, z_off, level,
             reference[n, 0], reference[n, 1], reference[n, 2] = velocity[0], velocity[1], velocity[2]
         ux, uy, uz = velocity[0] - reference[n, 0], velocity[1] - reference[n, 1], velocity[2] - reference[n, 2]
         w = weight[k] * mass
+        if still:
+            moments[p, n, _COLUMNS[MASS]] += w
+            moments[p, n, _COLUMNS[COUNT]] += 1.0
+            if level >= LINEAR:
+                x, y, z = w * x_off[k], w * y_off[k], w * z_off[k]
+                moments[p, n, _COLUMNS[OFFSET]] += x
+                moments[p, n, _COLUMNS[OFFSET + 4]] += y
+                moments[p, n, _COLUMNS[OFFSET + 8]] += z
+                _add_four(moments, p, n, _COLUMNS[24], x * x_off[k], x * y_off[k], x * z_off[k], y * y_off[k])
+                _add_four(moments, p, n, _COLUMNS[28], y * z_off[k], z * z_off[k], 0.0, 0.0)
+            continue
         wx, wy, wz = w * ux, w * uy, w * uz
         _add_four(moments, p, n, _COLUMNS[0], w, wx, wy, wz)
         if level == VELOCITY:
