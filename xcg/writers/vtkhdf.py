@@ -8,17 +8,26 @@ VTK does not report the time; it stands in ``Steps/Values`` all the same.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+import uuid
+from collections.abc import Hashable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import dask
+import dask.array as da
 import h5py
 import numpy as np
 import xarray as xr
+from dask.delayed import Delayed
+from dask.highlevelgraph import HighLevelGraph
 from numpy.typing import NDArray
+from xarray.backends.locks import get_dask_scheduler, get_write_lock
 
+from xcg.picks import Gathered
 from xcg.writers.files import whole_file
 
 AXES = ("x", "y", "z")
@@ -35,8 +44,9 @@ def to_vtkhdf(fields: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bo
     images with one node along the others, at the coordinate given by ``at`` or at 0. Integers stay integers.
     Attributes of a field (units, long_name) stand on its array, those of `fields` on the group ``/xcg``.
 
-    Lazy fields are computed one chunk of time after the other, all variables of a chunk together, so memory
-    holds one chunk and every input file is parsed once.
+    Of lazy fields, one task computes and writes all variables of a chunk of time, so that a chunk is gone from memory
+    when the next one comes and every input file is parsed once. Under a distributed scheduler the workers write, and
+    must see the same folder.
 
     Parameters
     ----------
@@ -67,15 +77,10 @@ def to_vtkhdf(fields: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bo
     fields = _checked(fields)
     image = _Image.of(fields)
     arrays = _arrays(fields)
-    with whole_file(path, overwrite=overwrite) as part, h5py.File(part, "w") as file:
-        targets = _lay_out(file, fields, image, arrays)
-        for steps, block in _blocks(fields):
-            for array in arrays:
-                values = array.values(block, image)
-                if image.temporal:
-                    targets[array.name][steps] = values
-                else:
-                    targets[array.name][...] = values[0]
+    with whole_file(path, overwrite=overwrite) as part:
+        with h5py.File(part, "w") as file:
+            _lay_out(file, fields, image, arrays)
+        _fill(part, fields, image, arrays)
     return path
 
 
@@ -117,12 +122,11 @@ class _Array:
     components: int
     dtype: np.dtype[Any]
 
-    def values(self, block: xr.Dataset, image: _Image) -> NDArray:
+    def values(self, data: xr.Variable, image: _Image) -> NDArray:
         """Values of some steps in the order on disk, time first."""
-        data = block[self.variable].variable
         if self.phase is not None:
             data = data.isel(phase=self.phase)
-        sizes = {dim: block.sizes.get(dim, 1) for dim in ("time", *AXES)}
+        sizes: dict[Hashable, int] = {**dict(zip(AXES, image.nodes, strict=True)), "time": data.sizes.get("time", 1)}
         present = [dim for dim in _ON_DISK if dim in sizes or dim in data.dims]
         values = data.set_dims(sizes | dict(data.sizes)).transpose(*present).to_numpy()
         shape = image.shape(self.components)
@@ -251,8 +255,8 @@ def _times(fields: xr.Dataset) -> NDArray | None:
 # --- the file --------------------------------------------------------------------------------------------
 
 
-def _lay_out(file: h5py.File, fields: xr.Dataset, image: _Image, arrays: list[_Array]) -> dict[str, h5py.Dataset]:
-    """Write all but the values; return the empty arrays by name."""
+def _lay_out(file: h5py.File, fields: xr.Dataset, image: _Image, arrays: list[_Array]) -> None:
+    """Write all but the values."""
     root = file.create_group("VTKHDF")
     root.attrs["Version"] = (2, 0)
     root.attrs["Type"] = np.bytes_("ImageData")  # the reader takes ASCII of fixed length only
@@ -261,14 +265,13 @@ def _lay_out(file: h5py.File, fields: xr.Dataset, image: _Image, arrays: list[_A
     root.attrs["Spacing"] = image.spacing
     root.attrs["Direction"] = np.eye(3).ravel()
     data = root.create_group("PointData")
-    targets = {}
     for array in arrays:
         shape = image.shape(array.components)
-        targets[array.name] = data.create_dataset(
+        target = data.create_dataset(
             array.name, shape, array.dtype, chunks=_disk_blocks(shape, array.dtype.itemsize, image.temporal),
             compression="gzip", compression_opts=1, shuffle=True,
         )  # fmt: skip
-        _describe(targets[array.name], fields[array.variable].attrs)
+        _describe(target, fields[array.variable].attrs)
     if image.times is not None:
         steps = root.create_group("Steps")
         steps.attrs["NSteps"] = len(image.times)
@@ -278,7 +281,6 @@ def _lay_out(file: h5py.File, fields: xr.Dataset, image: _Image, arrays: list[_A
             offsets[array.name] = np.arange(len(image.times))
         steps.create_group("CellDataOffsets")  # missed by the reader even where there are no cell data
     _describe(file.create_group("xcg"), fields.attrs)
-    return targets
 
 
 def _disk_blocks(shape: tuple[int, ...], itemsize: int, temporal: bool) -> tuple[int, ...]:
@@ -305,18 +307,77 @@ def _describe(target: Any, attrs: Mapping[Any, Any]) -> None:
             target.attrs[str(key)] = str(value)
 
 
-def _blocks(fields: xr.Dataset) -> Iterator[tuple[slice, xr.Dataset]]:
-    """Yield computed stretches of time that no chunk crosses, so that every chunk is computed once."""
-    if "time" not in fields.sizes:
-        yield slice(0, 1), fields.compute()
+# --- its values ------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Target:
+    """Where values go: the file, its arrays, and the lock that lets one task at a time in."""
+
+    path: Path
+    lock: Any
+    image: _Image
+    arrays: Sequence[_Array]
+    dims: Mapping[str, tuple[Hashable, ...]]
+
+    def write(self, values: Mapping[str, NDArray], steps: slice) -> None:
+        """Write variables that are in `values`, whole or some steps of them."""
+        ready = {
+            array.name: array.values(xr.Variable(self.dims[array.variable], values[array.variable]), self.image)
+            for array in self.arrays
+            if array.variable in values
+        }
+        with self.lock, h5py.File(self.path, "r+") as file:
+            for name, block in ready.items():
+                target = file["VTKHDF/PointData"][name]
+                if self.image.temporal:
+                    target[steps] = block
+                else:
+                    target[...] = block[0]
+
+    def take_and_write(self, gathered: Gathered, steps: slice, *given: Any) -> None:
+        """Write one chunk of time, as a task."""
+        self.write(gathered.take(given), steps)
+
+
+def _fill(part: Path, fields: xr.Dataset, image: _Image, arrays: list[_Array]) -> None:
+    """Write all values; of lazy variables one chunk of time a task."""
+    dims = {str(name): _time_first(data.dims) for name, data in fields.data_vars.items()}
+    # Processes of dask's own scheduler cannot share a lock: there threads write.
+    scheduler = "threads" if get_dask_scheduler() == "multiprocessing" else None
+    with dask.config.set(scheduler=scheduler) if scheduler else nullcontext():
+        lock = get_write_lock(str(part))
+    target = _Target(part, lock, image, arrays, dims)
+    still = [name for name, data in fields.data_vars.items() if data.chunks is None or "time" not in data.dims]
+    now = fields[still].compute().data_vars
+    target.write({str(name): v.transpose(*_time_first(v.dims)).to_numpy() for name, v in now.items()}, slice(None))
+    lazy = _same_chunks(fields.drop_vars(still))
+    if not lazy:
         return
-    still = [name for name, data in fields.data_vars.items() if "time" not in data.dims]
-    fields = fields.assign(fields[still].compute())
-    count = fields.sizes["time"]
-    edges = set(range(count + 1))
-    for data in fields.variables.values():
-        if data.chunks is not None and "time" in data.dims:
-            edges &= {0, *np.cumsum(data.chunks[data.dims.index("time")]).tolist()}
-    ordered = sorted(edges)
-    for start, stop in pairwise(ordered):
-        yield slice(start, stop), fields.isel(time=slice(start, stop)).compute()
+    gathered = Gathered.of(lazy)
+    name = f"write-vtkhdf-{uuid.uuid4().hex}"
+    tasks: dict[Any, Any] = {}
+    for t, (start, stop) in enumerate(pairwise(np.cumsum([0, *next(iter(lazy.values())).chunks[0]]).tolist())):
+        tasks[name, t] = (partial(target.take_and_write, gathered, slice(start, stop)), *gathered.keys(t))
+    tasks[name] = (_nothing, list(tasks))
+    Delayed(name, HighLevelGraph.from_collections(name, tasks, list(lazy.values()))).compute(scheduler=scheduler)
+
+
+def _time_first(dims: tuple[Hashable, ...]) -> tuple[Hashable, ...]:
+    return ("time", *(dim for dim in dims if dim != "time")) if "time" in dims else dims
+
+
+def _nothing(_: Any) -> None:
+    """Wait for all."""
+
+
+def _same_chunks(fields: xr.Dataset) -> dict[str, da.Array]:
+    """Lazy arrays, time first, in chunks of time that cut none of theirs, so that every chunk is computed once."""
+    found: dict[str, da.Array] = {}
+    edges: set[int] = set(range(fields.sizes.get("time", 0) + 1))
+    for name, data in fields.data_vars.items():
+        array = data.transpose("time", ...).data
+        found[str(name)] = array
+        edges &= {0, *np.cumsum(array.chunks[0]).tolist()}
+    sizes = tuple(np.diff(sorted(edges)).tolist())
+    return {name: a.rechunk({0: sizes, **dict.fromkeys(range(1, a.ndim), -1)}) for name, a in found.items()}
