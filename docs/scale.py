@@ -9,14 +9,13 @@ Run from the root of the repository::
     python -m docs.scale convert /tmp/scale --steps 50
     python -m docs.scale overhead --steps 10000
 
-`write` fills a folder with MFiX's binary regions; most of its files are hard links to a few. Each measurement of memory is
-a process of its own, whose peak the system tells.
+`write` fills a folder with MFiX's binary regions; most of its files are hard links to a few. Each measurement of memory
+is a process of its own, whose peak the system tells.
 """
 
 from __future__ import annotations
 
 import argparse
-import gzip
 import json
 import os
 import subprocess
@@ -24,6 +23,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -73,12 +73,10 @@ def opening(folder: Path) -> None:
         again = least(lambda: scene_of(folder))
         rows = [["open the first time", f"{first:.2f}"], ["open again", f"{again:.2f}"]]
         for name, wanted in (("3 fields", FIELDS), ("all fields", None)):
-            rows.append([f"`coarse_grain`, {name}", f"{least(lambda wanted=wanted: ds.cg.coarse_grain(wanted)):.2f}"])
+            rows.append([f"`coarse_grain`, {name}", f"{least(partial(ds.cg.coarse_grain, wanted)):.2f}"])
             f = ds.cg.coarse_grain(wanted)
-            target = Path(cache) / "f.nc"
-            rows.append([
-                f"`to_netcdf(compute=False)`, {name}", f"{least(lambda f=f: f.to_netcdf(target, compute=False), 1):.2f}"
-            ])  # fmt: skip
+            seconds = least(partial(f.to_netcdf, Path(cache) / "f.nc", compute=False), 2)
+            rows.append([f"`to_netcdf(compute=False)`, {name}", f"{seconds:.2f}"])
     table([f"{ds.sizes['time']} steps", "time (s)"], rows)
 
 

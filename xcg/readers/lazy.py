@@ -86,6 +86,8 @@ class Source:
             _require(parts[-1], names, ref)
         if not parts:  # nothing touches
             return {name: np.empty(variable(name).shape(0), variable(name).dtype) for name in names}
+        if len(parts) == 1:
+            return {name: parts[0][name] for name in names}
         return {name: np.concatenate([part[name] for part in parts]) for name in names}
 
 

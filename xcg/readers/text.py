@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import gzip
+import importlib.util
 import io
 import os
+import threading
 from collections.abc import Iterator, Sequence
-from typing import BinaryIO, cast
+from contextlib import contextmanager
+from typing import Any, BinaryIO, cast
 
 import numpy as np
 import pandas as pd
@@ -15,13 +18,16 @@ from numpy.typing import NDArray
 from xcg.readers.engine import StepRef
 from xcg.schema import SceneError
 
+# Three times as fast as the standard library, and the same in all else.
+_gzip: Any = importlib.import_module("isal.igzip") if importlib.util.find_spec("isal") else gzip
+
 _FIRST_BLOCK, _BLOCK = 1 << 16, 1 << 22  # small first, as the header is often all that is wanted
 
 
 def open_binary(path: str) -> BinaryIO:
     """Open a file for reading bytes, decompressed when it is gzipped (by its content, not its name)."""
     if _is_gzipped(path):
-        return cast(BinaryIO, gzip.open(path, "rb"))
+        return cast(BinaryIO, _gzip.open(path, "rb"))
     return open(path, "rb")
 
 
@@ -99,9 +105,42 @@ class Scanner:
         return self._data[self._at : self._at + size]
 
 
+# Gzipped files that wait where the last step ended: a series in one file is decompressed once, not up to each step.
+_WAITING: dict[tuple[str, int, int], list[BinaryIO]] = {}
+_WAITING_LOCK = threading.Lock()
+_MOST_WAITING = 8
+
+
+@contextmanager
+def _forward(path: str, offset: int) -> Iterator[BinaryIO]:
+    """Lend a gzipped file that stands at or before an offset; it waits there for the next step."""
+    state = os.stat(path)
+    key = (path, state.st_size, state.st_mtime_ns)
+    with _WAITING_LOCK:
+        ready = [stream for stream in _WAITING.get(key, []) if stream.tell() <= offset]
+        stream = max(ready, key=lambda s: s.tell(), default=None)
+        if stream is not None:
+            _WAITING[key].remove(stream)
+    stream = stream or open_binary(path)
+    try:
+        yield stream
+    except BaseException:
+        stream.close()
+        raise
+    with _WAITING_LOCK:
+        _WAITING.setdefault(key, []).append(stream)
+        _WAITING[key] = _WAITING.pop(key)  # the file used last stands last
+        while sum(map(len, _WAITING.values())) > _MOST_WAITING:
+            first = next(iter(_WAITING))
+            _WAITING[first].pop(0).close()
+            if not _WAITING[first]:
+                del _WAITING[first]
+
+
 def read_body(ref: StepRef) -> bytes:
     """Bytes of one step's body."""
-    with open_binary(ref.path) as stream:
+    whole = ref.offset + ref.length >= uncompressed_size(ref.path)
+    with open_binary(ref.path) if whole or not _is_gzipped(ref.path) else _forward(ref.path, ref.offset) as stream:
         if ref.offset:
             stream.seek(ref.offset)
         return stream.read(ref.length)
@@ -140,6 +179,9 @@ def parse_table(
     if tokens == 0 and not rows:
         return {column: np.empty(0) for column in wanted}
     positions = {column: columns.index(column) for column in wanted}
+    table = _single_spaced(body, len(columns), sorted(set(positions.values())), tokens)
+    if table is not None and (rows is None or len(table) == rows):
+        return {column: table[position].to_numpy() for column, position in positions.items()}
     last = len(columns) - 1
     try:
         table = pd.read_csv(
@@ -156,6 +198,30 @@ def parse_table(
         if fault:
             raise SceneError(fault)
     return {column: table[position].to_numpy() for column, position in positions.items()}
+
+
+def _single_spaced(body: bytes, columns: int, positions: Sequence[int], tokens: int) -> pd.DataFrame | None:
+    """Parse rows whose values are parted by one space, as most are, at twice the speed; None where that fails.
+
+    Each line may end with a space, as those of LAMMPS do: then an empty value follows the last.
+    """
+    first = body[: body.find(b"\n") + 1].removesuffix(b"\n")
+    values = first.split(b" ")
+    ends = values[-1] == b""
+    if len(values) != columns + ends or b"" in values[:columns] or any(v.split() != [v] for v in values[:columns]):
+        return None
+    try:
+        table = pd.read_csv(
+            io.BytesIO(body), sep=" ", header=None, names=range(columns + ends), index_col=False,
+            usecols=sorted({*positions, columns - 1, columns - 1 + ends}), dtype=np.float64, engine="c", quoting=3,
+        )  # fmt: skip
+    except ValueError:
+        return None
+    # A row that is longer, shorter or parted otherwise leaves a gap, or a value after the last.
+    if ends and not table.pop(table.columns[-1]).isna().all():
+        return None
+    whole = len(table) * columns == tokens and not table.isna().to_numpy().any()
+    return table if whole else None
 
 
 def _count_tokens(body: bytes) -> int:
