@@ -26,7 +26,7 @@ _LEFT_OUT = ("path", "size")  # of entries: both are known when an entry is used
 
 
 def remembered(paths: Sequence[str], kind: str, scan: Callable[[str], Iterable[StepRef]]) -> list[list[StepRef]]:
-    """Steps of each file, from the index where it knows the file, else from its headers.
+    """Tell the steps of each file, from the index where it knows the file, else from its headers.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def _entry(ref: StepRef) -> dict[str, Any]:
 
 
 def _steps(path: str, entry: Mapping[str, Any] | None, state: tuple[int, int]) -> list[StepRef] | None:
-    """Steps of an entry; None if there is none, or it is of another state of the file."""
+    """Tell the steps of an entry; None if there is none, or it is of another state of the file."""
     if entry is None or (entry["size"], entry["modified"]) != state:
         return None
     return [StepRef(path=path, size=state[0], **{k: _tuples(v) for k, v in step.items()}) for step in entry["steps"]]

@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
-import gzip
-import importlib.util
 import io
 import os
-import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from typing import Any, BinaryIO, cast
+from typing import BinaryIO
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
 from xcg.readers.engine import StepRef
+from xcg.readers.gzipped import forward, open_gzipped
 from xcg.schema import SceneError
-
-# Three times as fast as the standard library, and the same in all else.
-_gzip: Any = importlib.import_module("isal.igzip") if importlib.util.find_spec("isal") else gzip
 
 _FIRST_BLOCK, _BLOCK = 1 << 16, 1 << 22  # small first, as the header is often all that is wanted
 
@@ -27,7 +21,7 @@ _FIRST_BLOCK, _BLOCK = 1 << 16, 1 << 22  # small first, as the header is often a
 def open_binary(path: str) -> BinaryIO:
     """Open a file for reading bytes, decompressed when it is gzipped (by its content, not its name)."""
     if _is_gzipped(path):
-        return cast(BinaryIO, _gzip.open(path, "rb"))
+        return open_gzipped(path)
     return open(path, "rb")
 
 
@@ -105,42 +99,10 @@ class Scanner:
         return self._data[self._at : self._at + size]
 
 
-# Gzipped files that wait where the last step ended: a series in one file is decompressed once, not up to each step.
-_WAITING: dict[tuple[str, int, int], list[BinaryIO]] = {}
-_WAITING_LOCK = threading.Lock()
-_MOST_WAITING = 8
-
-
-@contextmanager
-def _forward(path: str, offset: int) -> Iterator[BinaryIO]:
-    """Lend a gzipped file that stands at or before an offset; it waits there for the next step."""
-    state = os.stat(path)
-    key = (path, state.st_size, state.st_mtime_ns)
-    with _WAITING_LOCK:
-        ready = [stream for stream in _WAITING.get(key, []) if stream.tell() <= offset]
-        stream = max(ready, key=lambda s: s.tell(), default=None)
-        if stream is not None:
-            _WAITING[key].remove(stream)
-    stream = stream or open_binary(path)
-    try:
-        yield stream
-    except BaseException:
-        stream.close()
-        raise
-    with _WAITING_LOCK:
-        _WAITING.setdefault(key, []).append(stream)
-        _WAITING[key] = _WAITING.pop(key)  # the file used last stands last
-        while sum(map(len, _WAITING.values())) > _MOST_WAITING:
-            first = next(iter(_WAITING))
-            _WAITING[first].pop(0).close()
-            if not _WAITING[first]:
-                del _WAITING[first]
-
-
 def read_body(ref: StepRef) -> bytes:
     """Bytes of one step's body."""
-    whole = ref.offset + ref.length >= uncompressed_size(ref.path)
-    with open_binary(ref.path) if whole or not _is_gzipped(ref.path) else _forward(ref.path, ref.offset) as stream:
+    alone = ref.offset + ref.length >= uncompressed_size(ref.path)
+    with open_binary(ref.path) if alone or not _is_gzipped(ref.path) else forward(ref.path, ref.offset) as stream:
         if ref.offset:
             stream.seek(ref.offset)
         return stream.read(ref.length)
