@@ -1,7 +1,7 @@
 """Gzipped files that wait where the last step ended, so that a long series in one file is decompressed once.
 
 Gzip can be read from the front only. Reading step after step would decompress the file anew up to each of them, which
-takes a time that grows with the square of their number; a file that is still open at an earlier step goes on from there.
+takes a time that grows with the square of their number; a file still open at an earlier step goes on from there.
 """
 
 from __future__ import annotations
