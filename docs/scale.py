@@ -31,6 +31,7 @@ import xcg
 from tests.benchmarks import series
 
 FIELDS = ["volume_fraction", "velocity", "stress"]
+SUFFIXES = {"NetCDF": ".nc", "Zarr": ".zarr", "VTKHDF": ".vtkhdf"}
 MEGA = 1e6
 
 
@@ -86,24 +87,15 @@ _JOB = """
 import resource, sys, time, warnings
 from pathlib import Path
 import dask
-from docs.scale import FIELDS, save, scene_of
-folder, form, steps, target = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3]), sys.argv[4]
+from docs.scale import FIELDS, scene_of
+folder, steps, target = Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3]
 with dask.config.set(scheduler="threads", num_workers=2):
     ds = scene_of(folder, steps)
     f = ds.cg.coarse_grain(FIELDS, axes="xyz", spacing=2.0 * ds.attrs["d43"])
     start = time.perf_counter()
-    save(f, form, target)
+    f.cg.save(target)
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, time.perf_counter() - start)
 """
-
-
-def save(f: Any, form: str, target: str) -> None:
-    if form == "NetCDF":
-        f.to_netcdf(target)
-    elif form == "Zarr":
-        f.to_zarr(target)
-    else:
-        f.cg.to_vtkhdf(target)
 
 
 def memory(folder: Path, counts: Sequence[int], forms: Sequence[str]) -> None:
@@ -112,7 +104,7 @@ def memory(folder: Path, counts: Sequence[int], forms: Sequence[str]) -> None:
     for form in forms:
         for steps in counts:
             with tempfile.TemporaryDirectory() as out:
-                command = [sys.executable, "-c", _JOB, str(folder), form, str(steps), f"{out}/f"]
+                command = [sys.executable, "-c", _JOB, str(folder), str(steps), f"{out}/f{SUFFIXES[form]}"]
                 done = subprocess.run(command, capture_output=True, text=True, check=False)
             if done.returncode:
                 raise RuntimeError(done.stderr)
@@ -133,7 +125,7 @@ def main() -> None:
             command.add_argument("--steps", type=int, default=1000)
         if name == "memory":
             command.add_argument("--steps", type=int, nargs="+", default=[50, 200, 1000])
-            command.add_argument("--to", nargs="+", default=["NetCDF", "Zarr", "VTKHDF"])
+            command.add_argument("--to", nargs="+", default=list(SUFFIXES))
     given = parser.parse_args()
     if given.command == "write":
         write(given.folder, given.particles, given.steps)

@@ -11,7 +11,7 @@ import xarray as xr
 import xcg
 from tests import steps_of_random_scenes
 from tests.benchmarks import series
-from tests.test_scenes import assert_same_bits, reopen
+from tests.test_store import assert_same_bits, reopen
 
 distributed = pytest.importorskip("distributed")
 STEPS = 5
@@ -60,36 +60,32 @@ def test_kernels_of_a_user_travel(client):
     assert_same_bits(here(f), f.compute())
 
 
-@pytest.mark.parametrize("form", ["nc", "zarr", "vtkhdf"])
-def test_writers(client, scene, tmp_path, form):
+@pytest.mark.parametrize("suffix", [".nc", ".zarr", ".vtkhdf"])
+def test_results_are_saved(client, scene, tmp_path, suffix):
     f = scene.cg.coarse_grain(["density", "stress"], by="species")
-    one, other = tmp_path / f"one.{form}", tmp_path / f"other.{form}"
-
-    def write(path):
-        if form == "vtkhdf":
-            f.cg.to_vtkhdf(path)
-        elif form == "nc":
-            f.to_netcdf(path)
-        else:
-            f.to_zarr(path, zarr_format=2)
-
-    write(one)
+    one = xcg.save(f, tmp_path / f"one{suffix}")
     with dask.config.set(scheduler="synchronous"):
-        write(other)
-    if form == "vtkhdf":
-        with h5py.File(one) as a, h5py.File(other) as b:
-            arrays = a["VTKHDF/PointData"]
-            assert len(arrays) == 6
-            for name in arrays:
-                np.testing.assert_array_equal(arrays[name], b["VTKHDF/PointData"][name])
-                assert np.nanmax(np.abs(arrays[name][-1])) > 0
-    else:
-        assert_same_bits(reopen(one), reopen(other))
+        other = xcg.save(f, tmp_path / f"other{suffix}")
+    if suffix != ".vtkhdf":
+        assert_same_bits(here(f), here(reopen(one)))
+        return
+    with h5py.File(one) as a, h5py.File(other) as b:
+        arrays = a["VTKHDF/PointData"]
+        assert len(arrays) == 6
+        for name in arrays:
+            np.testing.assert_array_equal(arrays[name], b["VTKHDF/PointData"][name])
+            assert np.nanmax(np.abs(arrays[name][-1])) > 0
 
 
 @pytest.mark.parametrize("suffix", [".nc", ".zarr"])
 def test_scenes_are_saved(client, scene, tmp_path, suffix):
-    assert_same_bits(here(scene), here(reopen(xcg.save_scene(scene, tmp_path / f"scene{suffix}"))))
+    assert_same_bits(here(scene), here(reopen(xcg.save(scene, tmp_path / f"scene{suffix}"))))
+
+
+def test_zarr_by_xarray(client, scene, tmp_path):
+    f = scene.cg.coarse_grain(["density"])
+    f.to_zarr(tmp_path / "f.zarr", zarr_format=2)
+    assert_same_bits(here(f), here(reopen(tmp_path / "f.zarr")))
 
 
 def _refuse_pools():

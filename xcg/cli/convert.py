@@ -11,7 +11,7 @@ from dask.diagnostics import ProgressBar
 
 from xcg.cli.config import read_config
 from xcg.readers.series import open_scene
-from xcg.writers.scenes import save_scene
+from xcg.writers.store import save
 
 
 def _scene_options(files: tuple[str, ...], options: dict[str, Any]) -> dict[str, Any]:
@@ -45,7 +45,7 @@ def convert_command(files: tuple[str, ...], output: Path, *, overwrite: bool, qu
     try:
         ds = open_scene(**_scene_options(files, options))
         with ProgressBar(out=None if quiet else sys.stderr):
-            save_scene(ds, output, overwrite=overwrite)
+            save(ds, output, overwrite=overwrite)
     except (ValueError, OSError, ImportError) as error:
         raise click.ClickException(str(error)) from error
     reader = "open_zarr" if output.suffix == ".zarr" else "open_dataset"

@@ -8,26 +8,17 @@ VTK does not report the time; it stands in ``Steps/Values`` all the same.
 from __future__ import annotations
 
 import os
-import uuid
 from collections.abc import Hashable, Mapping, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass
-from functools import partial
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import dask
-import dask.array as da
 import h5py
 import numpy as np
 import xarray as xr
-from dask.delayed import Delayed
-from dask.highlevelgraph import HighLevelGraph
 from numpy.typing import NDArray
-from xarray.backends.locks import get_dask_scheduler, get_write_lock
 
-from xcg.picks import Gathered
+from xcg.writers.chunks import lock_for, over_time, write_chunks
 from xcg.writers.files import whole_file
 
 AXES = ("x", "y", "z")
@@ -320,7 +311,7 @@ class _Target:
     arrays: Sequence[_Array]
     dims: Mapping[str, tuple[Hashable, ...]]
 
-    def write(self, values: Mapping[str, NDArray], steps: slice) -> None:
+    def __call__(self, values: Mapping[str, NDArray], steps: slice) -> None:
         """Write variables that are in `values`, whole or some steps of them."""
         ready = {
             array.name: array.values(xr.Variable(self.dims[array.variable], values[array.variable]), self.image)
@@ -335,49 +326,14 @@ class _Target:
                 else:
                     target[...] = block[0]
 
-    def take_and_write(self, gathered: Gathered, steps: slice, *given: Any) -> None:
-        """Write one chunk of time, as a task."""
-        self.write(gathered.take(given), steps)
-
 
 def _fill(part: Path, fields: xr.Dataset, image: _Image, arrays: list[_Array]) -> None:
-    """Write all values; of lazy variables one chunk of time a task."""
-    dims = {str(name): _time_first(data.dims) for name, data in fields.data_vars.items()}
-    # Processes of dask's own scheduler cannot share a lock: there threads write.
-    scheduler = "threads" if get_dask_scheduler() == "multiprocessing" else None
-    with dask.config.set(scheduler=scheduler) if scheduler else nullcontext():
-        lock = get_write_lock(str(part))
-    target = _Target(part, lock, image, arrays, dims)
-    still = [name for name, data in fields.data_vars.items() if data.chunks is None or "time" not in data.dims]
-    now = fields[still].compute().data_vars
-    target.write({str(name): v.transpose(*_time_first(v.dims)).to_numpy() for name, v in now.items()}, slice(None))
-    lazy = _same_chunks(fields.drop_vars(still))
-    if not lazy:
-        return
-    gathered = Gathered.of(lazy)
-    name = f"write-vtkhdf-{uuid.uuid4().hex}"
-    tasks: dict[Any, Any] = {}
-    for t, (start, stop) in enumerate(pairwise(np.cumsum([0, *next(iter(lazy.values())).chunks[0]]).tolist())):
-        tasks[name, t] = (partial(target.take_and_write, gathered, slice(start, stop)), *gathered.keys(t))
-    tasks[name] = (_nothing, list(tasks))
-    Delayed(name, HighLevelGraph.from_collections(name, tasks, list(lazy.values()))).compute(scheduler=scheduler)
-
-
-def _time_first(dims: tuple[Hashable, ...]) -> tuple[Hashable, ...]:
-    return ("time", *(dim for dim in dims if dim != "time")) if "time" in dims else dims
-
-
-def _nothing(_: Any) -> None:
-    """Wait for all."""
-
-
-def _same_chunks(fields: xr.Dataset) -> dict[str, da.Array]:
-    """Lazy arrays, time first, in chunks of time that cut none of theirs, so that every chunk is computed once."""
-    found: dict[str, da.Array] = {}
-    edges: set[int] = set(range(fields.sizes.get("time", 0) + 1))
-    for name, data in fields.data_vars.items():
-        array = data.transpose("time", ...).data
-        found[str(name)] = array
-        edges &= {0, *np.cumsum(array.chunks[0]).tolist()}
-    sizes = tuple(np.diff(sorted(edges)).tolist())
-    return {name: a.rechunk({0: sizes, **dict.fromkeys(range(1, a.ndim), -1)}) for name, a in found.items()}
+    """Write all values."""
+    lazy = over_time(fields)
+    now = fields.drop_vars(lazy).compute().data_vars
+    dims = {str(name): data.dims for name, data in now.items()}
+    dims |= {name: fields[name].transpose("time", ...).dims for name in lazy}
+    write = _Target(part, lock_for(part), image, arrays, dims)
+    for name, data in now.items():
+        write({str(name): data.to_numpy()}, slice(None))
+    write_chunks(fields, write)

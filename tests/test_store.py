@@ -39,7 +39,7 @@ def suffix(request):
 @pytest.mark.parametrize("lazy", [False, True])
 def test_a_scene_comes_back(tmp_path, suffix, lazy):
     ds = steps_of_random_scenes(4)
-    saved = xcg.save_scene(ds.chunk(time=1) if lazy else ds, tmp_path / f"scene{suffix}")
+    saved = xcg.save(ds.chunk(time=1) if lazy else ds, tmp_path / f"scene{suffix}")
     again = reopen(saved)
     assert_same_bits(ds, again)
     assert {name: np.asarray(v).tolist() for name, v in ds.attrs.items()} == {
@@ -51,7 +51,7 @@ def test_a_scene_comes_back(tmp_path, suffix, lazy):
 
 def test_everything_works_on_it(tmp_path, suffix):
     ds = steps_of_random_scenes(2)
-    again = reopen(ds.cg.save_scene(tmp_path / f"scene{suffix}"))
+    again = reopen(ds.cg.save(tmp_path / f"scene{suffix}"))
     assert sorted(repr(again.cg).replace(",", " ").split()) == sorted(repr(ds.cg).replace(",", " ").split())
     for options in ({}, {"axes": "z", "by": "species"}, {"axes": "xz", "at": {"y": 1.0}, "width": "0.5 d32"}):
         assert_same_bits(ds.cg.coarse_grain(**options), again.cg.coarse_grain(**options).compute())
@@ -64,7 +64,7 @@ def test_real_output(tmp_path, suffix):
     ds = xcg.open_scene(
         folder / "P_FB1_0004.vtp", contacts=folder / "FC_0004.vtp", periodic="xz", box={"x": (0, 0.05), "z": (0, 0.05)}
     )
-    again = reopen(xcg.save_scene(ds, tmp_path / f"scene{suffix}"))
+    again = reopen(xcg.save(ds, tmp_path / f"scene{suffix}"))
     assert_same_bits(ds, again)
     assert np.isinf(again["box"].sel(component="y")).all()
     assert_same_bits(ds.cg.coarse_grain(axes="y").compute(), again.cg.coarse_grain(axes="y").compute())
@@ -84,21 +84,21 @@ def test_padding_takes_no_room(tmp_path, suffix):
     ragged = xcg.scene_from_arrays(
         [*few, many], diameter=[np.ones(len(p)) for p in [*few, many]], density=1.0
     )  # fmt: skip
-    sizes = [size(xcg.save_scene(ds, tmp_path / f"{k}{suffix}")) for k, ds in enumerate((alone, ragged))]
+    sizes = [size(xcg.save(ds, tmp_path / f"{k}{suffix}")) for k, ds in enumerate((alone, ragged))]
     assert ragged.nbytes > 15 * alone.nbytes
     assert sizes[1] < 2 * sizes[0]
 
 
 def test_refusals(tmp_path, suffix):
     ds = steps_of_random_scenes(1)
-    path = xcg.save_scene(ds, tmp_path / f"scene{suffix}")
+    path = xcg.save(ds, tmp_path / f"scene{suffix}")
     with pytest.raises(FileExistsError, match="overwrite=True"):
-        xcg.save_scene(ds, path)
-    assert_same_bits(ds, reopen(xcg.save_scene(ds, path, overwrite=True)))
-    with pytest.raises(ValueError, match=r"ends with \.nc \(NetCDF\) or \.zarr"):
-        xcg.save_scene(ds, tmp_path / "scene.csv")
-    with pytest.raises(xcg.SceneError, match="save_scene needs"):
-        xcg.save_scene(xr.Dataset(), tmp_path / f"x{suffix}")
+        xcg.save(ds, path)
+    assert_same_bits(ds, reopen(xcg.save(ds, path, overwrite=True)))
+    with pytest.raises(ValueError, match=r"ends with \.nc \(NetCDF\), \.zarr"):
+        xcg.save(ds, tmp_path / "scene.csv")
+    with pytest.raises(FileNotFoundError, match="create it first"):
+        xcg.save(ds, tmp_path / "none" / f"scene{suffix}")
 
 
 def test_an_error_leaves_nothing(tmp_path, suffix):
@@ -108,7 +108,7 @@ def test_an_error_leaves_nothing(tmp_path, suffix):
     target = tmp_path / "out"
     target.mkdir()
     with pytest.raises(xcg.SceneError, match="open it again"):
-        xcg.save_scene(ds, target / f"scene{suffix}")
+        xcg.save(ds, target / f"scene{suffix}")
     assert list(target.iterdir()) == []
 
 
