@@ -137,11 +137,11 @@ def parse_table(
         If rows are missing, too many, or too short or long, or a wanted value is not a number; the message
         names the first such row, counted from 0.
     """
-    tokens = _count_tokens(body)
+    tokens, gaps = _count_tokens(body)
     if tokens == 0 and not rows:
         return {column: np.empty(0) for column in wanted}
     positions = {column: columns.index(column) for column in wanted}
-    table = _single_spaced(body, len(columns), sorted(set(positions.values())), tokens)
+    table = _single_spaced(body, len(columns), sorted(set(positions.values())), tokens, gaps)
     if table is not None and (rows is None or len(table) == rows):
         return {column: table[position].to_numpy() for column, position in positions.items()}
     last = len(columns) - 1
@@ -162,37 +162,37 @@ def parse_table(
     return {column: table[position].to_numpy() for column, position in positions.items()}
 
 
-def _single_spaced(body: bytes, columns: int, positions: Sequence[int], tokens: int) -> pd.DataFrame | None:
+def _single_spaced(body: bytes, columns: int, positions: Sequence[int], tokens: int, gaps: int) -> pd.DataFrame | None:
     """Parse rows whose values are parted by one space, as most are, at twice the speed; None where that fails.
 
-    Each line may end with a space, as those of LAMMPS do: then an empty value follows the last.
+    Each line may end with a space, as those of LAMMPS do.
     """
-    first = body[: body.find(b"\n") + 1].removesuffix(b"\n")
-    values = first.split(b" ")
-    ends = values[-1] == b""
-    if len(values) != columns + ends or b"" in values[:columns] or any(v.split() != [v] for v in values[:columns]):
+    end = body.find(b"\n")
+    trailing = end > 0 and body[end - 1 : end] == b" "
+    # No two bytes of white space stand together, but for the ends of lines.
+    if body[:1].isspace() or gaps != (body.count(b" \n") if trailing else 0):
         return None
     try:
         table = pd.read_csv(
-            io.BytesIO(body), sep=" ", header=None, names=range(columns + ends), index_col=False,
-            usecols=sorted({*positions, columns - 1, columns - 1 + ends}), dtype=np.float64, engine="c", quoting=3,
+            io.BytesIO(body), sep=" ", header=None, names=range(columns + trailing), index_col=False,
+            usecols=sorted({*positions, columns - 1}), dtype=np.float64, engine="c", quoting=3,
         )  # fmt: skip
     except ValueError:
         return None
-    # A row that is longer, shorter or parted otherwise leaves a gap, or a value after the last.
-    if ends and not table.pop(table.columns[-1]).isna().all():
-        return None
+    # A row that is shorter lacks the last value; one that is longer is cut, and the number of values tells.
     whole = len(table) * columns == tokens and not table.isna().to_numpy().any()
     return table if whole else None
 
 
-def _count_tokens(body: bytes) -> int:
-    count, inside = 0, False
+def _count_tokens(body: bytes) -> tuple[int, int]:
+    """Count values, and places where white space follows white space."""
+    count, gaps, before = 0, 0, True  # whether the byte before is white space
     for start in range(0, len(body), _BLOCK):  # in blocks that stay in the cache
-        printing = np.frombuffer(body[start : start + _BLOCK], np.uint8) > ord(" ")
-        count += int(np.count_nonzero(printing[1:] > printing[:-1])) + bool(printing[0] and not inside)
-        inside = printing[-1]
-    return count
+        space = np.frombuffer(body[start : start + _BLOCK], np.uint8) <= ord(" ")
+        count += int(np.count_nonzero(space[1:] < space[:-1])) + bool(before and not space[0])
+        gaps += int(np.count_nonzero(space[1:] & space[:-1])) + bool(before and space[0] and start)
+        before = space[-1]
+    return count, gaps
 
 
 def _fault(body: bytes, columns: Sequence[str], wanted: Sequence[str], rows: int | None, name: str) -> str | None:
