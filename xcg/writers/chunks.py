@@ -58,6 +58,13 @@ def write_chunks(ds: xr.Dataset, write: Write) -> None:
     arrays = same_chunks(ds[over_time(ds)])
     if not arrays:
         return
+    graph, name = graph_of(arrays, write)
+    with _config():
+        Delayed(name, graph).compute()
+
+
+def graph_of(arrays: Mapping[str, da.Array], write: Write) -> tuple[HighLevelGraph, str]:
+    """Graph of the tasks that write arrays of the same chunks, and the name of the one that waits for all."""
     gathered = Gathered.of(arrays)
     name = f"write-{uuid.uuid4().hex}"
     chunks = next(iter(arrays.values())).chunks[0]
@@ -65,8 +72,7 @@ def write_chunks(ds: xr.Dataset, write: Write) -> None:
     for t, (start, stop) in enumerate(pairwise(np.cumsum([0, *chunks]).tolist())):
         tasks[name, t] = (partial(_take_and_write, write, gathered, slice(start, stop)), *gathered.keys(t))
     tasks[name] = (_wait, list(tasks))
-    with _config():
-        Delayed(name, HighLevelGraph.from_collections(name, tasks, list(arrays.values()))).compute()
+    return HighLevelGraph.from_collections(name, tasks, list(arrays.values())), name
 
 
 def same_chunks(ds: xr.Dataset) -> dict[str, da.Array]:
