@@ -70,6 +70,21 @@ def test_real_output(tmp_path, suffix):
     assert_same_bits(ds.cg.coarse_grain(axes="y").compute(), again.cg.coarse_grain(axes="y").compute())
 
 
+def test_nothing_touches(tmp_path, suffix):
+    ds = steps_of_random_scenes(3).isel(contact=[])
+    for k, scene in enumerate((ds, ds.chunk(time=1))):
+        assert_same_bits(ds, reopen(xcg.save(scene, tmp_path / f"{k}{suffix}")))
+
+
+def test_uneven_chunks(tmp_path, suffix):
+    """No step is lost where chunks of time differ in size, and from variable to variable."""
+    ds = steps_of_random_scenes(7)
+    one = ds.chunk(time=(2, 3, 2))
+    one["velocity"] = one["velocity"].chunk(time=(3, 1, 3))
+    one["diameter"] = one["diameter"].compute()
+    assert_same_bits(ds, reopen(xcg.save(one, tmp_path / f"scene{suffix}")))
+
+
 def test_padding_takes_no_room(tmp_path, suffix):
     """A step with a hundred times the rows does not make the others larger."""
 
@@ -123,6 +138,12 @@ def test_results_are_stored_without_warnings_about_text(tmp_path):
         again = xr.open_zarr(tmp_path / f"{k}.zarr", consolidated=False)
         assert again["component"].values.tolist() == ["x", "y", "z"] if "component" in f.dims else True
         assert_same_bits(f, again)
+
+
+def test_names_say_what_is_written(tmp_path):
+    ds = steps_of_random_scenes(2)
+    assert xcg.save(ds.cg.coarse_grain("density"), tmp_path / "f.vtkhdf").exists()
+    assert xcg.save(ds.cg.force_chains(), tmp_path / "c.vtkhdf").exists()
 
 
 # --- the command line ------------------------------------------------------------------------------------

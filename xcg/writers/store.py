@@ -39,8 +39,8 @@ def save(ds: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool = Fals
         A scene or a result, lazy or in memory.
     path : str or path
         ``*.nc`` for NetCDF 4 (deflate); ``*.zarr`` for a Zarr folder (Zstandard), which is written and read faster,
-        by several tasks at a time; ``*.vtkhdf`` for fields, see `xcg.writers.vtkhdf.to_vtkhdf`. It appears only when it
-        is whole.
+        by several tasks at a time; ``*.vtkhdf`` for fields and chains, see `to_vtkhdf` in `xcg.writers` `vtkhdf` and
+        `chains`. It appears only when it is whole.
     overwrite : bool
         Replace what is there.
 
@@ -60,9 +60,9 @@ def save(ds: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool = Fals
     """
     path = Path(path)
     if path.suffix == ".vtkhdf":
-        from xcg.writers.vtkhdf import to_vtkhdf
+        from xcg.writers import chains, vtkhdf
 
-        return to_vtkhdf(ds, path, overwrite=overwrite)
+        return (chains if "chain_id" in ds else vtkhdf).to_vtkhdf(ds, path, overwrite=overwrite)
     if path.suffix not in (".nc", ".zarr"):
         msg = f"{path}: expected a name that ends with .nc (NetCDF), .zarr (Zarr) or .vtkhdf (VTKHDF)"
         raise ValueError(msg)
@@ -117,6 +117,7 @@ def _to_netcdf(ds: xr.Dataset, path: Path, *, overwrite: bool) -> None:
     packed = {"zlib": True, "complevel": 1, "shuffle": True}
     encoding = {name: {**packed, "chunksizes": chunks} for name, chunks in _chunks(ds).items()}
     with whole_file(path, overwrite=overwrite) as part:
+        # What this returns would write the zeros of the outline; it is let go, which closes the file.
         _outline(ds).to_netcdf(part, engine="netcdf4", encoding=encoding, compute=False)
         write_chunks(ds, _Hdf5(part, lock_for(part)))
 
