@@ -10,7 +10,7 @@ PACKAGE = Path(__file__).parents[1] / "xcg"
 # floors from the ground up; a module imports only from lower floors
 FLOORS = [
     ["kernels"],
-    ["schema", "smoothing", "threads"],
+    ["picks", "schema", "smoothing", "threads"],
     ["complete", "grid"],
     ["cells", "scene"],
     ["contacts", "moments", "over_time", "regions", "phases", "slices", "bodies"],

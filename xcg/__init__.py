@@ -26,6 +26,7 @@ from xcg.slices import slice_temperature
 from xcg.smoothing import Gaussian, Heaviside, Kernel, Lucy, register_kernel
 from xcg.statistics import profile, size_statistics, time_average
 from xcg.width_sweep import width_sweep
+from xcg.writers.store import save
 
 __version__ = version("xcg")
 __all__ = [
@@ -61,6 +62,7 @@ __all__ = [
     "profile",
     "pysammos_mesh",
     "register_kernel",
+    "save",
     "scene_from_arrays",
     "select_chains",
     "size_statistics",

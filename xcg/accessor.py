@@ -27,6 +27,7 @@ from xcg.scene import measure, summary
 from xcg.slices import slice_temperature
 from xcg.statistics import profile, size_statistics, time_average
 from xcg.width_sweep import width_sweep
+from xcg.writers.store import save
 
 
 @xr.register_dataset_accessor("cg")
@@ -136,6 +137,10 @@ class CoarseGrainAccessor:
     def plot_rose(self, **options: Any) -> Any:
         """Draw the directions of links, see `xcg.plot_rose`."""
         return plot_rose(self._ds, **options)
+
+    def save(self, path: str | Path, *, overwrite: bool = False) -> Path:
+        """Write a scene or a result as NetCDF, Zarr or VTKHDF, see `xcg.save`."""
+        return save(self._ds, path, overwrite=overwrite)
 
     def to_csv(self, path: str | Path, *, overwrite: bool = False) -> list[Path]:
         """Write chains in the columns of Force Chain Finder, see `xcg.writers.chains.to_csv`."""

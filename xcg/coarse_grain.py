@@ -19,7 +19,7 @@ from xcg.labels import about, call_of
 from xcg.moments import sums_of_frame
 from xcg.over_time import is_lazy, map_over_time, steps_in
 from xcg.plan import Plan, make_plan, scale_of
-from xcg.scene import require_scene
+from xcg.scene import require_scene, storable
 from xcg.schema import COMPONENTS, Frame, units_of
 from xcg.smoothing import Kernel
 from xcg.threads import for_each, slices
@@ -259,7 +259,7 @@ def _label(ds: xr.Dataset, plan: Plan, arrays: Mapping[str, Any], given: Mapping
             coords["other_phase"] = ("other_phase", [*map(str, plan.recipe.groups), "wall"])
         attrs = {"units": units_of(row.powers, system), "long_name": row.long_name, "formula": row.formula}
         data[name] = (("time", *plan.dims, *tail), array, attrs)
-    return xr.Dataset(data, coords, _provenance(ds, plan, given))
+    return storable(xr.Dataset(data, coords, _provenance(ds, plan, given)))
 
 
 def _provenance(ds: xr.Dataset, plan: Plan, given: Mapping[str, Any]) -> dict[str, Any]:

@@ -12,6 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.over_time import Result
+from xcg.scene import storable
 from xcg.schema import COMPONENTS, Variable, units_of
 
 # attributes of a scene that hold for its results, too
@@ -44,7 +45,7 @@ def label(ds: xr.Dataset, variables: Mapping[str, Variable], arrays: Mapping[str
     coords: dict[str, Any] = {name: ds[name].variable for name in ("time", "step") if name in ds.coords}
     used = {dim for variable in data.values() for dim in variable.dims}
     coords |= {dim: (dim, values) for dim, values in AXES.items() if dim in used}
-    return xr.Dataset(data, coords, about(ds, call))
+    return storable(xr.Dataset(data, coords, about(ds, call)))
 
 
 def call_of(function: str, given: Mapping[str, Any]) -> str:

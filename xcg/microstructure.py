@@ -18,7 +18,7 @@ from xcg.moments import phase_of, without_frozen
 from xcg.over_time import map_over_time, steps_in
 from xcg.plan import edges_of, groups_of, layer_depth
 from xcg.quantities import CONTACTS, QUANTITIES, TENSOR, ratio
-from xcg.scene import require_scene, setup_of
+from xcg.scene import require_scene, setup_of, storable
 from xcg.schema import COMPONENTS, Frame, Setup, units_of
 
 Bounds = Mapping[str, Sequence[float]]
@@ -426,7 +426,8 @@ def _label(ds: xr.Dataset, arrays: Mapping[str, Any], measure: Measure, regions:
         attrs = {"units": units_of(row.powers, system), "long_name": row.long_name, "formula": row.formula}
         data[name] = xr.Variable(("time", "region", "phase", *row.dims), values, attrs)
     used = {dim for variable in data.values() for dim in variable.dims} | {"time"}
-    result = xr.Dataset(data, {name: c for name, c in coords.items() if not isinstance(c, tuple) or c[0] in used})
+    coords = {name: c for name, c in coords.items() if not isinstance(c, tuple) or c[0] in used}
+    result = storable(xr.Dataset(data, coords))
     for dim, single in (("region", "" in regions), ("phase", measure.by is None)):
         if single and dim in result.dims:
             result = result.isel({dim: 0}, drop=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
+from itertools import pairwise
 from typing import Any, TypeAlias
 
 import dask.array as da
@@ -13,6 +14,7 @@ from dask.base import tokenize
 from dask.highlevelgraph import HighLevelGraph
 from numpy.typing import NDArray
 
+from xcg.picks import Gathered, picked
 from xcg.scene import frame_of
 from xcg.schema import Frame
 
@@ -54,24 +56,29 @@ def map_over_time(
         msg = "the scene has no time dimension; select steps with a list, ds.isel(time=[3]), to keep it"
         raise ValueError(msg)
     inputs = _inputs(ds, names)
-    if not any(isinstance(a, da.Array) for a in inputs.values()):
+    lazy = {n: a for n, a in inputs.items() if isinstance(a, da.Array)}
+    if not lazy:
         return compute(inputs)
-    lazy: dict[str, da.Array] = inputs
-    name = f"{label}-{tokenize(compute, *lazy.values())}"
+    fixed = {n: a for n, a in inputs.items() if n not in lazy}
+    name = f"{label}-{tokenize(compute, inputs)}"
     chunks = next(iter(lazy.values())).chunks[0]
-    tasks: dict[Any, Any] = {}
-    for t in range(len(chunks)):
-        keys = [(a.name, t, *(0,) * (a.ndim - 1)) for a in lazy.values()]
-        tasks[name, t] = (partial(_compute_chunk, compute, tuple(lazy)), *keys)
-    graph = HighLevelGraph.from_collections(name, tasks, dependencies=list(lazy.values()))
-    out = {}
-    for result, (shape, dtype) in results.items():
-        key = f"{result}-{name}"
-        picks = {(key, t, *(0,) * len(shape)): (_pick, (name, t), result) for t in range(len(chunks))}
-        layers = HighLevelGraph({**graph.layers, key: picks}, {**graph.dependencies, key: {name}})
-        meta = np.empty((0,) * (1 + len(shape)), dtype)
-        out[result] = da.Array(layers, key, (chunks, *((n,) for n in shape)), meta=meta)
-    return out
+    graph = HighLevelGraph.from_collections(name, _tasks(name, compute, lazy, fixed, chunks), list(lazy.values()))
+    return {
+        result: picked(graph, name, result, f"{result}-{name}", chunks, shape, dtype)
+        for result, (shape, dtype) in results.items()
+    }
+
+
+def _tasks(
+    name: str, compute: Compute, lazy: Mapping[str, da.Array], fixed: Mapping[str, NDArray], chunks: Sequence[int]
+) -> dict[Any, Any]:
+    """One task a chunk of time, which computes all results."""
+    gathered = Gathered.of(lazy)
+    tasks = {}
+    for t, (start, stop) in enumerate(pairwise(np.cumsum([0, *chunks]).tolist())):
+        here = {n: a[start:stop] for n, a in fixed.items()}
+        tasks[name, t] = (partial(_compute_chunk, compute, gathered, here), *gathered.keys(t))
+    return tasks
 
 
 def steps_in(arrays: Mapping[str, NDArray]) -> Iterator[tuple[Frame, NDArray | None, str]]:
@@ -95,18 +102,15 @@ def _inputs(ds: xr.Dataset, names: Iterable[str]) -> dict[str, Any]:
         array = ds[name].transpose("time", *[d for d in ds[name].dims if d not in ("time", "component", "bound")], ...)
         data = array.variable._data if isinstance(array.variable._data, da.Array) else array.to_numpy()
         found[name] = data
-    lazy = [a for a in found.values() if isinstance(a, da.Array)]
+    lazy = {n: a for n, a in found.items() if isinstance(a, da.Array)}
     if lazy:
-        finest = max((a.chunks[0] for a in lazy), key=len)
-        found = {
-            name: da.asarray(a).rechunk({0: finest, **dict.fromkeys(range(1, a.ndim), -1)}) for name, a in found.items()
-        }
+        finest = max((a.chunks[0] for a in lazy.values()), key=len)
+        whole = {n: a.rechunk({0: finest, **dict.fromkeys(range(1, a.ndim), -1)}) for n, a in lazy.items()}
+        found |= whole
     return found
 
 
-def _compute_chunk(compute: Compute, names: Sequence[str], *arrays: NDArray) -> dict[str, NDArray]:
-    return compute(dict(zip(names, arrays, strict=True)))
-
-
-def _pick(arrays: Mapping[str, NDArray], name: str) -> NDArray:
-    return arrays[name]
+def _compute_chunk(
+    compute: Compute, gathered: Gathered, fixed: Mapping[str, NDArray], *given: Any
+) -> dict[str, NDArray]:
+    return compute({**gathered.take(given), **fixed})

@@ -123,7 +123,15 @@ def to_dataset(
         **({} if setup.thickness is None else {"thickness": setup.thickness}),
         **measured,
     }
-    return xr.Dataset(data, coords, about)
+    return storable(xr.Dataset(data, coords, about))
+
+
+def storable(ds: xr.Dataset) -> xr.Dataset:
+    """Have text coordinates stored without a fixed length: no other text is in the specification of Zarr 3."""
+    for name, coordinate in ds.coords.items():
+        if coordinate.dtype.kind == "U":
+            ds[name].encoding["dtype"] = object
+    return ds
 
 
 _BOX_FORMS = "six numbers as [[x0, x1], [y0, y1], [z0, z1]], or a mapping {'x': (x0, x1), ...}"

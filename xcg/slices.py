@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.scene import require_scene, setup_of
+from xcg.scene import require_scene, setup_of, storable
 from xcg.schema import COMPONENTS, units_of
 
 
@@ -114,7 +114,9 @@ def slice_temperature(
         "velocity": velocity.assign_attrs(units=units_of((1, 0, -1), system), long_name="velocity of the slice"),
         "sample_count": table.isel(_column=4).assign_attrs(units="1", long_name="number of particles in the slice"),
     }
-    return xr.Dataset(out, {**coords, "component": list(COMPONENTS)}, {"slice_width": width, "method": method})
+    return storable(
+        xr.Dataset(out, {**coords, "component": list(COMPONENTS)}, {"slice_width": width, "method": method})
+    )
 
 
 def _period(ds: xr.Dataset, axis: str, k: int) -> float:

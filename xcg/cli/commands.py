@@ -15,6 +15,7 @@ import click
 import xcg
 from xcg import fields as registry
 from xcg.cli.chains import chains_command
+from xcg.cli.convert import convert_command
 from xcg.schema import units_of
 
 
@@ -110,6 +111,7 @@ def fields(pysammos: bool) -> None:
 
 
 main.add_command(chains_command)
+main.add_command(convert_command)
 
 
 if __name__ == "__main__":

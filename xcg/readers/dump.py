@@ -6,10 +6,12 @@ import os
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from xcg.readers.engine import ReadOptions, StepRef
+from xcg.readers.index import remembered
 from xcg.readers.text import Scanner, first_lines, open_binary, uncompressed_size, where
 from xcg.schema import COMPONENTS, SceneError
 
@@ -48,8 +50,8 @@ def index_dumps(paths: Sequence[str], options: ReadOptions, *, atoms: bool) -> l
     """
     timestep = options.extra.get("timestep")
     refs: list[StepRef] = []
-    for path in paths:
-        steps = list(_steps(path, atoms=atoms))
+    found = remembered(paths, f"dump {atoms=}", partial(_steps, atoms=atoms))
+    for path, steps in zip(paths, found, strict=True):
         if not steps:
             msg = f"{path}: the file is empty; expected a dump that begins with 'ITEM:'"
             raise SceneError(msg)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import operator
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from dask.highlevelgraph import HighLevelGraph
 from numpy.typing import NDArray
 
 from xcg.complete import complete_contacts, complete_particles
+from xcg.picks import picked
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.text import where
 from xcg.scene import frame_of, stack
@@ -86,6 +86,8 @@ class Source:
             _require(parts[-1], names, ref)
         if not parts:  # nothing touches
             return {name: np.empty(variable(name).shape(0), variable(name).dtype) for name in names}
+        if len(parts) == 1:
+            return {name: parts[0][name] for name in names}
         return {name: np.concatenate([part[name] for part in parts]) for name in names}
 
 
@@ -146,14 +148,15 @@ def lazy_arrays(
     sizes = tuple(part.stop - part.start for part in parts)
     paths = sorted({ref.path for step in steps for ref in (step.particles, *step.contacts)})
     modified = [os.stat(path).st_mtime_ns for path in paths]
-    token = tokenize(source, steps, modified, boxes, dict(particle_types), contact_names, steps_per_chunk)
+    # as text, which dask digests ten times as fast as thousands of objects
+    token = tokenize(source, repr(steps), modified, boxes, dict(particle_types), contact_names, steps_per_chunk)
 
     layer, rows = f"read-particles-{token}", max(step.particles.rows for step in steps)
     tasks: dict[Any, Any] = {}
     for k, part in enumerate(parts):
         tasks[layer, k] = (partial(read_particle_chunk, source, steps[part], list(particle_types), rows),)
     graph = HighLevelGraph({layer: tasks}, {layer: set()})
-    arrays = {name: _pick(graph, layer, name, dtype, rows, sizes) for name, dtype in particle_types.items()}
+    arrays = {name: _array(graph, layer, name, dtype, rows, sizes) for name, dtype in particle_types.items()}
     if not contact_names:
         return arrays
 
@@ -164,15 +167,10 @@ def lazy_arrays(
         task = partial(read_contact_chunk, source, steps[part], list(contact_names), rows, edges)
         tasks[layer, k] = (task, (particles, k))
     graph = HighLevelGraph({**graph.layers, layer: tasks}, {**graph.dependencies, layer: {particles}})
-    return arrays | {name: _pick(graph, layer, name, variable(name).dtype, rows, sizes) for name in contact_names}
+    return arrays | {name: _array(graph, layer, name, variable(name).dtype, rows, sizes) for name in contact_names}
 
 
-def _pick(graph: HighLevelGraph, layer: str, name: str, dtype: Any, rows: int, sizes: tuple[int, ...]) -> da.Array:
+def _array(graph: HighLevelGraph, layer: str, name: str, dtype: Any, rows: int, sizes: tuple[int, ...]) -> da.Array:
     """Lazy array of one variable out of the frames that the tasks of a layer return."""
-    shape = variable(name, dtype).shape(rows)
     key = f"{name}-{layer.removeprefix('read-')}"
-    zeros = (0,) * len(shape)
-    picks = {(key, k, *zeros): (operator.getitem, (layer, k), name) for k in range(len(sizes))}
-    whole = HighLevelGraph({**graph.layers, key: picks}, {**graph.dependencies, key: {layer}})
-    chunks = (sizes, *((length,) for length in shape))
-    return da.Array(whole, key, chunks, meta=np.empty((0,) * (len(shape) + 1), dtype))
+    return picked(graph, layer, name, key, sizes, variable(name, dtype).shape(rows), dtype)

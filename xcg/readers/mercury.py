@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from xcg.readers import columns
 from xcg.readers.engine import ReadOptions, StepRef
+from xcg.readers.index import remembered
 from xcg.readers.text import Scanner, first_lines, open_binary, parse_table, read_body, where
 from xcg.schema import COMPONENTS, Frame, SceneError
 
@@ -51,9 +52,9 @@ def recognises(path: str) -> bool:
 def index_particles(paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
     """List the steps of ``.data`` files, numbered from 0 over all files."""
     refs: list[StepRef] = []
-    for path in paths:
+    for path, steps in zip(paths, remembered(paths, "mercury data", _data_steps), strict=True):
         restart = read_restart(path, options)
-        for ref in _data_steps(path):
+        for ref in steps:
             refs.append(
                 replace(ref, step=len(refs), periodic=restart.periodic, gravity=restart.gravity)
                 if restart
@@ -123,18 +124,21 @@ def read_particles(ref: StepRef, options: ReadOptions) -> Frame:
 
 def index_contacts(paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
     """List the steps of ``.fstat`` files; as no header counts the rows, ids are read to count them."""
-    refs: list[StepRef] = []
-    for path in paths:
-        size = os.path.getsize(path)
-        with open_binary(path) as stream:
-            scanner = Scanner(stream)
-            while time := _comments(scanner, path):
-                start = scanner.offset
-                body = b"".join(scanner.until(b"#"))
-                ref = StepRef(path, 0, float(time), len(refs), columns=_CONTACT, offset=start, length=len(body))
-                ids = parse_table(body, _CONTACT, ("i", "j"), None, where(ref))
-                refs.append(replace(ref, rows=int(_once(ids["i"], ids["j"]).sum()), size=size))
-    return refs
+    found = remembered(paths, "mercury fstat", _fstat_steps)
+    return [replace(ref, step=step) for step, ref in enumerate(ref for refs in found for ref in refs)]
+
+
+def _fstat_steps(path: str) -> Iterator[StepRef]:
+    with open_binary(path) as stream:
+        scanner = Scanner(stream)
+        step = 0
+        while time := _comments(scanner, path):
+            start = scanner.offset
+            body = b"".join(scanner.until(b"#"))
+            ref = StepRef(path, 0, float(time), step, columns=_CONTACT, offset=start, length=len(body))
+            ids = parse_table(body, _CONTACT, ("i", "j"), None, where(ref))
+            yield replace(ref, rows=int(_once(ids["i"], ids["j"]).sum()), size=os.path.getsize(path))
+            step += 1
 
 
 def _comments(scanner: Scanner, path: str) -> str:

@@ -16,9 +16,11 @@ Three things about its contacts were checked on its output, against the position
 
 from __future__ import annotations
 
+import os
 import re
 import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +28,7 @@ from numpy.typing import NDArray
 
 from xcg.readers import vtp
 from xcg.readers.engine import ReadOptions, StepRef
+from xcg.readers.index import remembered
 from xcg.schema import COMPONENTS, Frame, SceneError, SceneWarning, variable
 
 # The first of two arrays for the same name is taken.
@@ -130,21 +133,19 @@ def contact_variables(ref: StepRef, options: ReadOptions) -> list[str]:
 
 
 def _index(paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
+    there = _existing(paths, options)
+    found = remembered([path for path, _ in there], "vtp", _header)
     refs = []
-    for number, (path, listed) in enumerate(_existing(paths, options)):
-        header = vtp.read_header(path)
-        digits = re.findall(r"\d+", Path(path).stem)
-        refs.append(
-            StepRef(
-                path=path,
-                rows=header.points,
-                time=_time(header.time, listed),
-                step=int(digits[-1]) if digits else number,
-                columns=header.names,
-                size=header.size,
-            )
-        )
+    for number, ((path, listed), (ref,)) in enumerate(zip(there, found, strict=True)):
+        digits = re.findall(r"\d+", os.path.basename(path).removesuffix(".vtp"))
+        refs.append(replace(ref, time=_time(ref.time, listed), step=int(digits[-1]) if digits else number))
     return _once(refs)
+
+
+def _header(path: str) -> list[StepRef]:
+    """Tell the one step of a file from its header."""
+    header = vtp.read_header(path)
+    return [StepRef(path, rows=header.points, time=header.time, columns=header.names, size=header.size)]
 
 
 def _existing(paths: Sequence[str], options: ReadOptions) -> list[tuple[str, float | None]]:
@@ -349,12 +350,13 @@ def each_contact_once(contacts: Frame, mark: NDArray, place: NDArray) -> Frame:
         the mean of the two forces: ``(F - F_mirrored) / 2``.
     """
     i, j, force = contacts["contact_i"], contacts["contact_j"], contacts["contact_force"]
+    shared = _of_shared_pairs(i, j)  # most pairs stand once: no need to sort them further
+    if not len(shared):
+        return contacts
     low, high, swapped = np.minimum(i, j), np.maximum(i, j), i > j
     sign = np.where(swapped, -1.0, 1.0)
     marks = list((mark * sign[:, None]).T) if mark.ndim == 2 else [mark]
 
-    order, pair = _runs([low, high])
-    shared = order[np.bincount(pair)[pair] > 1]  # most pairs stand once: no need to sort them further
     order, row = _runs([key[shared] for key in (i, j, *marks, *force.T, *place.T)])
     first = np.diff(row, prepend=-1) > 0
     copies, shared = shared[order[~first]], shared[order[first]]
@@ -375,6 +377,22 @@ def each_contact_once(contacts: Frame, mark: NDArray, place: NDArray) -> Frame:
     keep = np.ones(len(i), bool)
     keep[copies] = keep[gone] = False
     return {name: values[keep] for name, values in (contacts | {"contact_force": joined}).items()}
+
+
+def _of_shared_pairs(i: NDArray, j: NDArray) -> NDArray:
+    """Rows whose pair of ids stands in other rows, too."""
+    low, high = np.minimum(i, j), np.maximum(i, j)
+    whole = low.size and max(abs(low.min()), abs(high.max())) < _EXACT  # NaN is not
+    if not whole:
+        order, pair = _runs([low, high])
+        return np.sort(order[np.bincount(pair, minlength=1)[pair] > 1])
+    key = low * (2.0 * _EXACT) + high  # exact in a double
+    ordered = np.sort(key)
+    twice = ordered[1:][ordered[1:] == ordered[:-1]]
+    if not len(twice):
+        return np.empty(0, int)
+    near = np.minimum(np.searchsorted(twice, key), len(twice) - 1)
+    return np.flatnonzero(twice[near] == key)
 
 
 def _runs_along(keys: Sequence[NDArray]) -> NDArray:

@@ -146,8 +146,11 @@ def open_scene(
     Particles and contacts are paired by time where both kinds of file hold it, else by step number. Contacts
     of steps without particles are left out with a warning.
 
-    Steps that share one text file are read from where they begin; in a gzipped file they are reached by
-    decompressing all before them, so that long series are better kept plain or in one file a step.
+    Steps that share one text file are read from where they begin. In a gzipped file they are reached by
+    decompressing all before them, going on from the last step that was read.
+
+    What the headers of files said is remembered in the user's cache until the files change
+    (``XCG_INDEX_CACHE=0`` turns this off).
 
     Where neither files, `times` nor ``timestep`` tell the time, the coordinate ``time`` is the step number,
     and its ``long_name`` says so.

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import gzip
 import io
 import os
 from collections.abc import Iterator, Sequence
-from typing import BinaryIO, cast
+from typing import BinaryIO
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
 from xcg.readers.engine import StepRef
+from xcg.readers.gzipped import forward, open_gzipped
 from xcg.schema import SceneError
 
 _FIRST_BLOCK, _BLOCK = 1 << 16, 1 << 22  # small first, as the header is often all that is wanted
@@ -21,7 +21,7 @@ _FIRST_BLOCK, _BLOCK = 1 << 16, 1 << 22  # small first, as the header is often a
 def open_binary(path: str) -> BinaryIO:
     """Open a file for reading bytes, decompressed when it is gzipped (by its content, not its name)."""
     if _is_gzipped(path):
-        return cast(BinaryIO, gzip.open(path, "rb"))
+        return open_gzipped(path)
     return open(path, "rb")
 
 
@@ -101,7 +101,8 @@ class Scanner:
 
 def read_body(ref: StepRef) -> bytes:
     """Bytes of one step's body."""
-    with open_binary(ref.path) as stream:
+    alone = ref.offset + ref.length >= uncompressed_size(ref.path)
+    with open_binary(ref.path) if alone or not _is_gzipped(ref.path) else forward(ref.path, ref.offset) as stream:
         if ref.offset:
             stream.seek(ref.offset)
         return stream.read(ref.length)
@@ -136,10 +137,13 @@ def parse_table(
         If rows are missing, too many, or too short or long, or a wanted value is not a number; the message
         names the first such row, counted from 0.
     """
-    tokens = _count_tokens(body)
+    tokens, gaps = _count_tokens(body)
     if tokens == 0 and not rows:
         return {column: np.empty(0) for column in wanted}
     positions = {column: columns.index(column) for column in wanted}
+    table = _single_spaced(body, len(columns), sorted(set(positions.values())), tokens, gaps)
+    if table is not None and (rows is None or len(table) == rows):
+        return {column: table[position].to_numpy() for column, position in positions.items()}
     last = len(columns) - 1
     try:
         table = pd.read_csv(
@@ -158,13 +162,37 @@ def parse_table(
     return {column: table[position].to_numpy() for column, position in positions.items()}
 
 
-def _count_tokens(body: bytes) -> int:
-    count, inside = 0, False
+def _single_spaced(body: bytes, columns: int, positions: Sequence[int], tokens: int, gaps: int) -> pd.DataFrame | None:
+    """Parse rows whose values are parted by one space, as most are, at twice the speed; None where that fails.
+
+    Each line may end with a space, as those of LAMMPS do.
+    """
+    end = body.find(b"\n")
+    trailing = end > 0 and body[end - 1 : end] == b" "
+    # No two bytes of white space stand together, but for the ends of lines.
+    if body[:1].isspace() or gaps != (body.count(b" \n") if trailing else 0):
+        return None
+    try:
+        table = pd.read_csv(
+            io.BytesIO(body), sep=" ", header=None, names=range(columns + trailing), index_col=False,
+            usecols=sorted({*positions, columns - 1}), dtype=np.float64, engine="c", quoting=3,
+        )  # fmt: skip
+    except ValueError:
+        return None
+    # A row that is shorter lacks the last value; one that is longer is cut, and the number of values tells.
+    whole = len(table) * columns == tokens and not table.isna().to_numpy().any()
+    return table if whole else None
+
+
+def _count_tokens(body: bytes) -> tuple[int, int]:
+    """Count values, and places where white space follows white space."""
+    count, gaps, before = 0, 0, True  # whether the byte before is white space
     for start in range(0, len(body), _BLOCK):  # in blocks that stay in the cache
-        printing = np.frombuffer(body[start : start + _BLOCK], np.uint8) > ord(" ")
-        count += int(np.count_nonzero(printing[1:] > printing[:-1])) + bool(printing[0] and not inside)
-        inside = printing[-1]
-    return count
+        space = np.frombuffer(body[start : start + _BLOCK], np.uint8) <= ord(" ")
+        count += int(np.count_nonzero(space[1:] < space[:-1])) + bool(before and not space[0])
+        gaps += int(np.count_nonzero(space[1:] & space[:-1])) + bool(before and space[0] and start)
+        before = space[-1]
+    return count, gaps
 
 
 def _fault(body: bytes, columns: Sequence[str], wanted: Sequence[str], rows: int | None, name: str) -> str | None:

@@ -8,9 +8,8 @@ VTK does not report the time; it stands in ``Steps/Values`` all the same.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.writers.chunks import lock_for, over_time, write_chunks
 from xcg.writers.files import whole_file
 
 AXES = ("x", "y", "z")
@@ -37,8 +37,9 @@ def to_vtkhdf(
     images with one node along the others, at the coordinate given by ``at`` or at 0. Integers stay integers.
     Attributes of a field (units, long_name) stand on its array, those of `fields` on the group ``/xcg``.
 
-    Lazy fields are computed one chunk of time after the other, all variables of a chunk together, so memory
-    holds one chunk and every input file is parsed once.
+    Of lazy fields, one task computes and writes all variables of a chunk of time, so that a chunk is gone from memory
+    when the next one comes and every input file is parsed once. Under a distributed scheduler the workers write, and
+    must see the same folder.
 
     Parameters
     ----------
@@ -76,15 +77,10 @@ def to_vtkhdf(
     fields = _checked(fields)
     image = _Image.of(fields)
     arrays = _arrays(fields)
-    with whole_file(path, overwrite=overwrite) as part, h5py.File(part, "w") as file:
-        targets = _lay_out(file, fields, image, arrays, compression)
-        for steps, block in _blocks(fields):
-            for array in arrays:
-                values = array.values(block, image)
-                if image.temporal:
-                    targets[array.name][steps] = values
-                else:
-                    targets[array.name][...] = values[0]
+    with whole_file(path, overwrite=overwrite) as part:
+        with h5py.File(part, "w") as file:
+            _lay_out(file, fields, image, arrays, compression)
+        _fill(part, fields, image, arrays)
     return path
 
 
@@ -126,12 +122,11 @@ class _Array:
     components: int
     dtype: np.dtype[Any]
 
-    def values(self, block: xr.Dataset, image: _Image) -> NDArray:
+    def values(self, data: xr.Variable, image: _Image) -> NDArray:
         """Values of some steps in the order on disk, time first."""
-        data = block[self.variable].variable
         if self.phase is not None:
             data = data.isel(phase=self.phase)
-        sizes = {dim: block.sizes.get(dim, 1) for dim in ("time", *AXES)}
+        sizes: dict[Hashable, int] = {**dict(zip(AXES, image.nodes, strict=True)), "time": data.sizes.get("time", 1)}
         present = [dim for dim in _ON_DISK if dim in sizes or dim in data.dims]
         values = data.set_dims(sizes | dict(data.sizes)).transpose(*present).to_numpy()
         shape = image.shape(self.components)
@@ -260,10 +255,8 @@ def _times(fields: xr.Dataset) -> NDArray | None:
 # --- the file --------------------------------------------------------------------------------------------
 
 
-def _lay_out(
-    file: h5py.File, fields: xr.Dataset, image: _Image, arrays: list[_Array], compression: int
-) -> dict[str, h5py.Dataset]:
-    """Write all but the values; return the empty arrays by name."""
+def _lay_out(file: h5py.File, fields: xr.Dataset, image: _Image, arrays: list[_Array], compression: int) -> None:
+    """Write all but the values."""
     root = file.create_group("VTKHDF")
     root.attrs["Version"] = (2, 0)
     root.attrs["Type"] = np.bytes_("ImageData")  # the reader takes ASCII of fixed length only
@@ -272,15 +265,14 @@ def _lay_out(
     root.attrs["Spacing"] = image.spacing
     root.attrs["Direction"] = np.eye(3).ravel()
     data = root.create_group("PointData")
-    targets = {}
     for array in arrays:
         shape = image.shape(array.components)
         blocks: dict[str, Any] = {}
         if compression:
             chunks = _disk_blocks(shape, array.dtype.itemsize, image.temporal)
             blocks = {"chunks": chunks, "compression": "gzip", "compression_opts": compression, "shuffle": True}
-        targets[array.name] = data.create_dataset(array.name, shape, array.dtype, **blocks)
-        _describe(targets[array.name], fields[array.variable].attrs)
+        target = data.create_dataset(array.name, shape, array.dtype, **blocks)
+        _describe(target, fields[array.variable].attrs)
     if image.times is not None:
         steps = root.create_group("Steps")
         steps.attrs["NSteps"] = len(image.times)
@@ -290,7 +282,6 @@ def _lay_out(
             offsets[array.name] = np.arange(len(image.times))
         steps.create_group("CellDataOffsets")  # missed by the reader even where there are no cell data
     _describe(file.create_group("xcg"), fields.attrs)
-    return targets
 
 
 def _disk_blocks(shape: tuple[int, ...], itemsize: int, temporal: bool) -> tuple[int, ...]:
@@ -317,18 +308,42 @@ def _describe(target: Any, attrs: Mapping[Any, Any]) -> None:
             target.attrs[str(key)] = str(value)
 
 
-def _blocks(fields: xr.Dataset) -> Iterator[tuple[slice, xr.Dataset]]:
-    """Yield computed stretches of time that no chunk crosses, so that every chunk is computed once."""
-    if "time" not in fields.sizes:
-        yield slice(0, 1), fields.compute()
-        return
-    still = [name for name, data in fields.data_vars.items() if "time" not in data.dims]
-    fields = fields.assign(fields[still].compute())
-    count = fields.sizes["time"]
-    edges = set(range(count + 1))
-    for data in fields.variables.values():
-        if data.chunks is not None and "time" in data.dims:
-            edges &= {0, *np.cumsum(data.chunks[data.dims.index("time")]).tolist()}
-    ordered = sorted(edges)
-    for start, stop in pairwise(ordered):
-        yield slice(start, stop), fields.isel(time=slice(start, stop)).compute()
+# --- its values ------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Target:
+    """Where values go: the file, its arrays, and the lock that lets one task at a time in."""
+
+    path: Path
+    lock: Any
+    image: _Image
+    arrays: Sequence[_Array]
+    dims: Mapping[str, tuple[Hashable, ...]]
+
+    def __call__(self, values: Mapping[str, NDArray], steps: slice) -> None:
+        """Write variables that are in `values`, whole or some steps of them."""
+        ready = {
+            array.name: array.values(xr.Variable(self.dims[array.variable], values[array.variable]), self.image)
+            for array in self.arrays
+            if array.variable in values
+        }
+        with self.lock, h5py.File(self.path, "r+") as file:
+            for name, block in ready.items():
+                target = file["VTKHDF/PointData"][name]
+                if self.image.temporal:
+                    target[steps] = block
+                else:
+                    target[...] = block[0]
+
+
+def _fill(part: Path, fields: xr.Dataset, image: _Image, arrays: list[_Array]) -> None:
+    """Write all values."""
+    lazy = over_time(fields)
+    now = fields.drop_vars(lazy).compute().data_vars
+    dims = {str(name): data.dims for name, data in now.items()}
+    dims |= {name: fields[name].transpose("time", ...).dims for name in lazy}
+    write = _Target(part, lock_for(part), image, arrays, dims)
+    for name, data in now.items():
+        write({str(name): data.to_numpy()}, slice(None))
+    write_chunks(fields, write)

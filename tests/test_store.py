@@ -1,0 +1,173 @@
+"""Scenes written as NetCDF and Zarr are the same to the last bit when they are opened again."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+import xarray as xr
+from click.testing import CliRunner
+
+import xcg
+from tests import real_data, steps_of_random_scenes
+from tests.dumps import write_series
+from xcg.cli import main
+
+
+def reopen(path):
+    return xr.open_zarr(path) if path.suffix == ".zarr" else xr.open_dataset(path, chunks={})
+
+
+def assert_same_bits(one: xr.Dataset, other: xr.Dataset) -> None:
+    assert set(one.variables) == set(other.variables)
+    for name, variable in one.variables.items():
+        there = other.variables[name]
+        assert variable.dims == there.dims, name
+        if variable.dtype.kind in "fi":
+            assert variable.dtype == there.dtype, name
+            assert variable.to_numpy().tobytes() == np.ascontiguousarray(there.to_numpy()).tobytes(), name
+        else:
+            assert variable.to_numpy().tolist() == there.to_numpy().tolist(), name
+
+
+@pytest.fixture(params=[".nc", ".zarr"])
+def suffix(request):
+    return request.param
+
+
+@pytest.mark.parametrize("lazy", [False, True])
+def test_a_scene_comes_back(tmp_path, suffix, lazy):
+    ds = steps_of_random_scenes(4)
+    saved = xcg.save(ds.chunk(time=1) if lazy else ds, tmp_path / f"scene{suffix}")
+    again = reopen(saved)
+    assert_same_bits(ds, again)
+    assert {name: np.asarray(v).tolist() for name, v in ds.attrs.items()} == {
+        name: np.asarray(v).tolist() for name, v in again.attrs.items()
+    }
+    assert again["position"].chunks[0] == (1, 1, 1, 1)
+    assert sorted(path.name for path in tmp_path.iterdir()) == [saved.name]
+
+
+def test_everything_works_on_it(tmp_path, suffix):
+    ds = steps_of_random_scenes(2)
+    again = reopen(ds.cg.save(tmp_path / f"scene{suffix}"))
+    assert sorted(repr(again.cg).replace(",", " ").split()) == sorted(repr(ds.cg).replace(",", " ").split())
+    for options in ({}, {"axes": "z", "by": "species"}, {"axes": "xz", "at": {"y": 1.0}, "width": "0.5 d32"}):
+        assert_same_bits(ds.cg.coarse_grain(**options), again.cg.coarse_grain(**options).compute())
+    assert_same_bits(ds.cg.force_chains(), again.cg.force_chains().compute())
+    assert_same_bits(ds.cg.find_contacts(), again.compute().cg.find_contacts())
+
+
+def test_real_output(tmp_path, suffix):
+    folder = real_data("mfix_chute")
+    ds = xcg.open_scene(
+        folder / "P_FB1_0004.vtp", contacts=folder / "FC_0004.vtp", periodic="xz", box={"x": (0, 0.05), "z": (0, 0.05)}
+    )
+    again = reopen(xcg.save(ds, tmp_path / f"scene{suffix}"))
+    assert_same_bits(ds, again)
+    assert np.isinf(again["box"].sel(component="y")).all()
+    assert_same_bits(ds.cg.coarse_grain(axes="y").compute(), again.cg.coarse_grain(axes="y").compute())
+
+
+def test_nothing_touches(tmp_path, suffix):
+    ds = steps_of_random_scenes(3).isel(contact=[])
+    for k, scene in enumerate((ds, ds.chunk(time=1))):
+        assert_same_bits(ds, reopen(xcg.save(scene, tmp_path / f"{k}{suffix}")))
+
+
+def test_uneven_chunks(tmp_path, suffix):
+    """No step is lost where chunks of time differ in size, and from variable to variable."""
+    ds = steps_of_random_scenes(7)
+    one = ds.chunk(time=(2, 3, 2))
+    one["velocity"] = one["velocity"].chunk(time=(3, 1, 3))
+    one["diameter"] = one["diameter"].compute()
+    assert_same_bits(ds, reopen(xcg.save(one, tmp_path / f"scene{suffix}")))
+
+
+def test_padding_takes_no_room(tmp_path, suffix):
+    """A step with a hundred times the rows does not make the others larger."""
+
+    def size(path):
+        files = [path] if path.is_file() else [p for p in path.rglob("*") if p.is_file()]
+        return sum(p.stat().st_size for p in files)
+
+    rng = np.random.default_rng(0)
+    few = [rng.normal(size=(50, 3)) for _ in range(20)]
+    many = rng.normal(size=(5000, 3))
+    alone = xcg.scene_from_arrays([many], diameter=1.0 + 0 * np.arange(5000)[None], density=1.0)
+    ragged = xcg.scene_from_arrays(
+        [*few, many], diameter=[np.ones(len(p)) for p in [*few, many]], density=1.0
+    )  # fmt: skip
+    sizes = [size(xcg.save(ds, tmp_path / f"{k}{suffix}")) for k, ds in enumerate((alone, ragged))]
+    assert ragged.nbytes > 15 * alone.nbytes
+    assert sizes[1] < 2 * sizes[0]
+
+
+def test_refusals(tmp_path, suffix):
+    ds = steps_of_random_scenes(1)
+    path = xcg.save(ds, tmp_path / f"scene{suffix}")
+    with pytest.raises(FileExistsError, match="overwrite=True"):
+        xcg.save(ds, path)
+    assert_same_bits(ds, reopen(xcg.save(ds, path, overwrite=True)))
+    with pytest.raises(ValueError, match=r"ends with \.nc \(NetCDF\), \.zarr"):
+        xcg.save(ds, tmp_path / "scene.csv")
+    with pytest.raises(FileNotFoundError, match="create it first"):
+        xcg.save(ds, tmp_path / "none" / f"scene{suffix}")
+
+
+def test_an_error_leaves_nothing(tmp_path, suffix):
+    particles, _ = write_series(tmp_path)
+    ds = xcg.open_scene(particles)
+    (tmp_path / "p.10.dump").write_text("changed")
+    target = tmp_path / "out"
+    target.mkdir()
+    with pytest.raises(xcg.SceneError, match="open it again"):
+        xcg.save(ds, target / f"scene{suffix}")
+    assert list(target.iterdir()) == []
+
+
+def test_results_are_stored_without_warnings_about_text(tmp_path):
+    """Labels have no fixed length in Zarr, so that other programs can read them."""
+    ds = steps_of_random_scenes(2)
+    results = [ds.cg.coarse_grain(["stress"], by="species"), ds.cg.microstructure(), ds.cg.slice_temperature()]
+    for k, f in enumerate(results):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            f.to_zarr(tmp_path / f"{k}.zarr", consolidated=False)
+        again = xr.open_zarr(tmp_path / f"{k}.zarr", consolidated=False)
+        assert again["component"].values.tolist() == ["x", "y", "z"] if "component" in f.dims else True
+        assert_same_bits(f, again)
+
+
+def test_names_say_what_is_written(tmp_path):
+    ds = steps_of_random_scenes(2)
+    assert xcg.save(ds.cg.coarse_grain("density"), tmp_path / "f.vtkhdf").exists()
+    assert xcg.save(ds.cg.force_chains(), tmp_path / "c.vtkhdf").exists()
+
+
+# --- the command line ------------------------------------------------------------------------------------
+
+
+def test_convert(tmp_path, suffix):
+    particles, contacts = write_series(tmp_path)
+    target = tmp_path / f"scene{suffix}"
+    command = ["convert", particles, "-c", contacts, "-o", str(target), "--periodic", "x", "--timestep", "0.5"]
+    done = CliRunner().invoke(main, command)
+    assert done.exit_code == 0, done.output
+    assert "3 steps" in done.output
+    assert_same_bits(xcg.open_scene(particles, contacts=contacts, periodic="x", timestep=0.5), reopen(target))
+    again = CliRunner().invoke(main, command)
+    assert again.exit_code == 1
+    assert "exists" in again.output
+    assert CliRunner().invoke(main, [*command, "--overwrite"]).exit_code == 0
+
+
+def test_convert_as_a_job_says(tmp_path, suffix):
+    write_series(tmp_path)
+    job = tmp_path / "job.toml"
+    text = '[scene]\nparticles = "p.*.dump"\ncontacts = "c.*.dump"\nnames = { mass = "weight" }\ndensity = 2.0\n'
+    job.write_text(text)
+    done = CliRunner().invoke(main, ["convert", str(job), "-o", str(tmp_path / f"scene{suffix}")])
+    assert done.exit_code == 0, done.output
+    assert "weight" in reopen(tmp_path / f"scene{suffix}")

@@ -1,0 +1,121 @@
+"""Tables of numbers: the quick way and the general one agree, and gzipped series are decompressed once."""
+
+from __future__ import annotations
+
+import gzip
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.dumps import ATOMS, dump_text, write
+from xcg.readers import gzipped, lammps, text
+from xcg.readers.engine import ReadOptions
+from xcg.readers.series import open_scene
+from xcg.schema import SceneError
+
+COLUMNS = ("a", "b", "c")
+numbers = st.floats(allow_nan=False, allow_infinity=False).map(lambda x: f"{x:.6g}") | st.integers(-(10**9), 10**9).map(
+    str
+)
+tables = st.lists(st.tuples(numbers, numbers, numbers), min_size=1, max_size=20)
+
+
+def quick(body):
+    return text._single_spaced(body, len(COLUMNS), [0, 1, 2], *text._count_tokens(body))
+
+
+@settings(deadline=None, max_examples=50)
+@given(tables, st.sampled_from([" \n", "\n"]))
+def test_both_ways_agree_to_the_last_bit(rows, end):
+    body = "".join(" ".join(row) + end for row in rows).encode()
+    wide = body.replace(b" ", b"  ")
+    assert quick(body) is not None
+    assert quick(wide) is None
+    one, other = (text.parse_table(b, COLUMNS, COLUMNS, len(rows), "file") for b in (body, wide))
+    assert {name: values.tobytes() for name, values in one.items()} == {n: v.tobytes() for n, v in other.items()}
+
+
+def test_counts_do_not_depend_on_blocks(monkeypatch):
+    body = b"1  2 3 \n 4 5\t\n6 "
+    whole = text._count_tokens(body)
+    assert whole == (6, 4)
+    for size in range(1, len(body)):
+        monkeypatch.setattr(text, "_BLOCK", size)
+        assert text._count_tokens(body) == whole
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        b"1 2 3\n4  5 6\n",
+        b"1 2 3 \n 4 5 6\n",
+        b"1 2 3\n4 5 6 \n",
+        b"1 2 3 \n4 5 6\n",
+        b"1 2 3\n4\t5 6\n",
+        b" 1 2 3\n4 5 6\n",
+        b"1 2 3 \n4  5 6\n",
+        b"1 2 3\r\n4 5 6\r\n",
+        b"1 2 3 \n\n4 5 6 \n",
+        b"1 2 3\n 4 5 6\n",
+        b"1 2 3\n4  5  6\n",
+    ],
+)
+@pytest.mark.parametrize("wanted", [("a", "b", "c"), ("a",), ("b",), ("c",)])
+def test_uneven_white_space_changes_nothing(body, wanted):
+    table = text.parse_table(body, COLUMNS, wanted, 2, "file")
+    whole = dict(zip(COLUMNS, ([1, 4], [2, 5], [3, 6]), strict=True))
+    assert {name: values.tolist() for name, values in table.items()} == {name: whole[name] for name in wanted}
+
+
+@pytest.mark.parametrize("body", [b"1 2 3 \n4 5 \n", b"1 2 3 \n4 5 6 7 \n", b"1 2 3\n4 5\n", b"1 2 3 \n4 x 6 \n"])
+def test_faults_are_found_the_quick_way_too(body):
+    with pytest.raises(SceneError, match="file: row 1 has"):
+        text.parse_table(body, COLUMNS, COLUMNS, 2, "file")
+
+
+# --- gzipped series --------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def opened(monkeypatch):
+    """Count how often files are decompressed from the start to read bodies."""
+    calls = []
+    original = gzipped.open_gzipped
+    monkeypatch.setattr(gzipped, "open_gzipped", lambda path: calls.append(path) or original(path))
+    monkeypatch.setattr(gzipped, "_waiting", [])
+    return calls
+
+
+def rows(step):
+    return [f"{k} 1 {k + 0.001 * step} 0 0 0 0 0 0.5 1" for k in range(1, 4)]
+
+
+def test_a_series_is_decompressed_once(tmp_path, opened):
+    path = write(tmp_path / "p.dump.gz", [dump_text(rows(t), ATOMS, step=t) for t in range(12)])
+    refs = lammps.index_particles([str(path)], ReadOptions())
+    for ref in refs:
+        frame = lammps.read_particles(ref, ReadOptions())
+        assert frame["position"][1, 0] == 2 + 0.001 * ref.step
+    assert len(opened) == 1
+    for ref in refs[::-1]:  # against the stream every step begins anew, and none is wrong
+        assert lammps.read_particles(ref, ReadOptions())["position"][1, 0] == 2 + 0.001 * ref.step
+    assert len(opened) > len(refs) // 2
+
+
+def test_threads_do_not_share_a_stream(tmp_path, opened):
+    path = write(tmp_path / "p.dump.gz", [dump_text(rows(t), ATOMS, step=t) for t in range(30)])
+    scene = open_scene(path)
+    found = scene.position.compute(scheduler="threads", num_workers=4)
+    np.testing.assert_array_equal(found[:, 1, 0], 2 + 0.001 * np.arange(30))
+    assert len(gzipped._waiting) <= gzipped._MOST_WAITING
+
+
+def test_a_file_that_changed_is_opened_anew(tmp_path, opened):
+    texts = [dump_text(rows(t), ATOMS, step=t) for t in range(3)]
+    path = write(tmp_path / "p.dump.gz", texts)
+    refs = lammps.index_particles([str(path)], ReadOptions())
+    lammps.read_particles(refs[0], ReadOptions())
+    path.write_bytes(gzip.compress("".join(texts).replace("2.001", "7.001").encode()))
+    assert lammps.read_particles(refs[1], ReadOptions())["position"][1, 0] == 7.001

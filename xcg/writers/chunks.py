@@ -1,0 +1,93 @@
+"""Writing lazy variables by tasks: one task a chunk of time writes all variables of it, and keeps none.
+
+So memory holds the chunks that are being worked on, every input file is parsed once, and a scheduler has one task where
+xarray's own writers make one a variable. Tasks find the file by its name, so that they may run in any process.
+"""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import dask
+import dask.array as da
+import numpy as np
+import xarray as xr
+from dask.delayed import Delayed
+from dask.highlevelgraph import HighLevelGraph
+from numpy.typing import NDArray
+from xarray.backends.locks import get_dask_scheduler, get_write_lock
+
+from xcg.picks import Gathered
+
+# writes some steps of variables, time first, by name
+Write: TypeAlias = Callable[[Mapping[str, NDArray], slice], None]
+
+
+def lock_for(path: Path) -> AbstractContextManager[Any]:
+    """Lock that lets one task at a time write to a file, whichever scheduler runs them."""
+    with _config():
+        return get_write_lock(str(path))
+
+
+def _config() -> AbstractContextManager[Any]:
+    """Have threads write where dask's own scheduler of processes is set: these cannot share a lock."""
+    return dask.config.set(scheduler="threads") if get_dask_scheduler() == "multiprocessing" else nullcontext()
+
+
+def over_time(ds: xr.Dataset) -> list[str]:
+    """Names of the variables that are lazy and have a time."""
+    return [str(name) for name, data in ds.data_vars.items() if data.chunks is not None and "time" in data.dims]
+
+
+def write_chunks(ds: xr.Dataset, write: Write) -> None:
+    """Compute and write all variables of `over_time`, chunk by chunk of time.
+
+    Parameters
+    ----------
+    ds : xarray.Dataset
+        Variables with the dimension ``time``.
+    write : callable
+        Is called by tasks, so it must pickle.
+    """
+    arrays = same_chunks(ds[over_time(ds)])
+    if not arrays:
+        return
+    graph, name = graph_of(arrays, write)
+    with _config():
+        Delayed(name, graph).compute()
+
+
+def graph_of(arrays: Mapping[str, da.Array], write: Write) -> tuple[HighLevelGraph, str]:
+    """Graph of the tasks that write arrays of the same chunks, and the name of the one that waits for all."""
+    gathered = Gathered.of(arrays)
+    name = f"write-{uuid.uuid4().hex}"
+    chunks = next(iter(arrays.values())).chunks[0]
+    tasks: dict[Any, Any] = {}
+    for t, (start, stop) in enumerate(pairwise(np.cumsum([0, *chunks]).tolist())):
+        tasks[name, t] = (partial(_take_and_write, write, gathered, slice(start, stop)), *gathered.keys(t))
+    tasks[name] = (_wait, list(tasks))
+    return HighLevelGraph.from_collections(name, tasks, list(arrays.values())), name
+
+
+def same_chunks(ds: xr.Dataset) -> dict[str, da.Array]:
+    """Lazy arrays, time first, in chunks of time that cut none of theirs, so that every chunk is computed once."""
+    arrays = {str(name): data.transpose("time", ...).data for name, data in ds.data_vars.items()}
+    edges: set[int] = set(range(ds.sizes.get("time", 0) + 1))
+    for array in arrays.values():
+        edges &= {0, *np.cumsum(array.chunks[0]).tolist()}
+    sizes = tuple(np.diff(sorted(edges)).tolist())
+    return {name: a.rechunk({0: sizes, **dict.fromkeys(range(1, a.ndim), -1)}) for name, a in arrays.items()}
+
+
+def _take_and_write(write: Write, gathered: Gathered, steps: slice, *given: Any) -> None:
+    write(gathered.take(given), steps)
+
+
+def _wait(_: Any) -> None:
+    """Depend on all tasks that write."""
