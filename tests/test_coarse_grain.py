@@ -2,6 +2,7 @@
 
 import inspect
 import pickle
+import sys
 from unittest import mock
 
 import dask
@@ -328,6 +329,21 @@ def test_what_stands_still_takes_less_work_and_gives_the_same():
 def _as_if_moving(*args):
     names = list(inspect.signature(deposit.py_func).parameters)
     deposit(*(False if name == "still" else value for name, value in zip(names, args, strict=True)))
+
+
+@pytest.mark.parametrize("rtol", [0.0, 1e-3])
+@pytest.mark.parametrize("long", ["x", "y", "z"])
+def test_threads_within_a_step_leave_every_bit(long, rtol):
+    """Slabs along the longest axis: what a thread leaves out must not change what it adds."""
+    ds = xcg.datasets.random_scene(150, seed=12)
+    options = {"by": "species", "width": 0.6, "rtol": rtol, "spacing": {a: 0.31 if a == long else 0.7 for a in "xyz"}}
+    results = []
+    for threads in (1, 3):
+        with mock.patch.object(sys.modules["xcg.coarse_grain"], "THREADS", threads):
+            results += [ds.cg.coarse_grain(**options), ds.cg.coarse_grain(axes=long, rtol=rtol, width=0.6)]
+    for one, other in zip(results[:2], results[2:], strict=True):
+        for name in one:
+            assert one[name].values.tobytes() == other[name].values.tobytes(), name
 
 
 def test_sub_selection_of_particles_keeps_their_side():

@@ -79,8 +79,7 @@ def list_ball(x, y, z, steps, low, high, shape, rows, node, q2, x_off, y_off, z_
         half = math.sqrt(max(0.0, rest))
         first_row[k] = max(lowest, np.ceil((z - half) * per_step))
         last_row[k] = min(highest, np.floor((z + half) * per_step) if rest > 0.0 else -1.0)
-    step1, step2, step3, step4 = steps[2], 2.0 * steps[2], 3.0 * steps[2], 4.0 * steps[2]
-    hits, k = 0, 0
+    step, hits, k = steps[2], 0, 0
     for ix in range(x0, x1):
         for iy in range(y0, y1):
             begin = int(first_row[k])
@@ -88,18 +87,18 @@ def list_ball(x, y, z, steps, low, high, shape, rows, node, q2, x_off, y_off, z_
             dx, dy = dx_row[k], dy_row[k]
             row2 = dx * dx + dy * dy
             k += 1
-            dz = z - begin * steps[2]
+            iz = float(begin)  # offsets come from the index alone, so that they do not depend on where a row begins
             n, h = np.uint64((ix * shape[1] + iy) * shape[2] + begin), np.uint64(hits)
             while True:
                 for _ in range(LANES // 4):
-                    d0, d1, d2, d3 = dz, dz - step1, dz - step2, dz - step3
+                    d0, d1, d2, d3 = z - iz * step, z - (iz + 1.0) * step, z - (iz + 2.0) * step, z - (iz + 3.0) * step
                     z_off[h], z_off[h + _1], z_off[h + _2], z_off[h + _3] = d0, d1, d2, d3
                     d0, d1, d2, d3 = row2 + d0 * d0, row2 + d1 * d1, row2 + d2 * d2, row2 + d3 * d3
                     q2[h], q2[h + _1], q2[h + _2], q2[h + _3] = d0, d1, d2, d3
                     x_off[h], x_off[h + _1], x_off[h + _2], x_off[h + _3] = dx, dx, dx, dx
                     y_off[h], y_off[h + _1], y_off[h + _2], y_off[h + _3] = dy, dy, dy, dy
                     node[h], node[h + _1], node[h + _2], node[h + _3] = n, n + _1, n + _2, n + _3
-                    dz, n, h = dz - step4, n + _4, h + _4
+                    iz, n, h = iz + 4.0, n + _4, h + _4
                 hits += max(0, min(LANES, left))
                 left -= LANES
                 h = np.uint64(hits)
@@ -160,8 +159,7 @@ def list_tube(x, y, z, bx, by, bz, per_length, steps, low, high, shape, rows, no
         top = np.floor((z_start + upper * rise + np.sqrt(max(zero, rest_upper))) * per_step)
         first_row[k] = max(lowest, np.ceil((z_start + lower * rise - np.sqrt(max(zero, rest_lower))) * per_step))
         last_row[k] = min(highest, top if rest_upper > zero else outside)
-    step1, step2, step3, step4 = real(steps[2]), real(2.0 * steps[2]), real(3.0 * steps[2]), real(4.0 * steps[2])
-    ez, per_length = real(bz * per_length), real(per_length)
+    step, ez, per_length = steps[2], real(bz * per_length), real(per_length)
     hits, k = 0, 0
     for ix in range(x0, x1):
         for iy in range(y0, y1):
@@ -169,17 +167,18 @@ def list_tube(x, y, z, bx, by, bz, per_length, steps, low, high, shape, rows, no
             left = int(last_row[k]) + 1 - begin
             foot, square = row_dot[k] * per_length, row2[k]
             k += 1
-            dz = real(begin * steps[2] - z)
+            iz = float(begin)
             n, h = np.uint64((ix * shape[1] + iy) * shape[2] + begin), np.uint64(hits)
             while True:
                 for _ in range(LANES // 4):
-                    d0, d1, d2, d3 = dz, dz + step1, dz + step2, dz + step3
+                    d0, d1 = real(iz * step - z), real((iz + 1.0) * step - z)
+                    d2, d3 = real((iz + 2.0) * step - z), real((iz + 3.0) * step - z)
                     f0, f1, f2, f3 = foot + d0 * ez, foot + d1 * ez, foot + d2 * ez, foot + d3 * ez
                     along[h], along[h + _1], along[h + _2], along[h + _3] = f0, f1, f2, f3
                     d0, d1, d2, d3 = square + d0 * d0, square + d1 * d1, square + d2 * d2, square + d3 * d3
                     q2[h], q2[h + _1], q2[h + _2], q2[h + _3] = d0, d1, d2, d3
                     node[h], node[h + _1], node[h + _2], node[h + _3] = n, n + _1, n + _2, n + _3
-                    dz, n, h = dz + step4, n + _4, h + _4
+                    iz, n, h = iz + 4.0, n + _4, h + _4
                 hits += max(0, min(LANES, left))
                 left -= LANES
                 h = np.uint64(hits)
