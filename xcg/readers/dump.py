@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from xcg.readers.engine import ReadOptions, StepRef
-from xcg.readers.text import Scanner, first_lines, open_binary, uncompressed_size, where
+from xcg.readers.text import Scanner, check_rows, first_lines, most_bytes, open_binary, uncompressed_size, where
 from xcg.schema import COMPONENTS, SceneError
 
 
@@ -51,7 +51,7 @@ def index_dumps(paths: Sequence[str], options: ReadOptions, *, atoms: bool) -> l
     for path in paths:
         steps = list(_steps(path, atoms=atoms))
         if not steps:
-            msg = f"{path}: the file is empty; expected a dump that begins with 'ITEM:'"
+            msg = f"{path}: the file is empty; expected a dump that begins with 'ITEM:'. Leave it out"
             raise SceneError(msg)
         refs += steps
     if timestep is None:
@@ -66,21 +66,24 @@ def _steps(path: str, *, atoms: bool) -> Iterator[StepRef]:
     size = os.path.getsize(path)
     units = None
     with open_binary(path) as stream:
-        scanner = Scanner(stream)
+        scanner = Scanner(stream, path)
         while (ref := _header(scanner, path, atoms=atoms)) is not None:
             units = ref.units or units  # LAMMPS writes the units once a file
             ref = replace(ref, units=units, size=size)
+            check_rows(ref, most_bytes(path) - ref.offset)
             rest = uncompressed_size(path) - ref.offset
             if _is_alone(ref, rest, scanner):
                 yield replace(ref, length=rest)
                 return
-            yield replace(ref, length=sum(map(len, scanner.until(b"ITEM:"))))
+            ref = replace(ref, length=sum(map(len, scanner.until(b"ITEM:"))))
+            check_rows(ref, ref.length)
+            yield ref
 
 
 def _is_alone(ref: StepRef, rest: int, scanner: Scanner) -> bool:
     """Tell whether a step is the only one in its file, by its name and by the length of its first rows."""
     numbers = [int(number) for number in re.findall(r"\d+", os.path.basename(ref.path))]
-    if ref.step not in numbers or ref.rows == 0:
+    if ref.step not in numbers or ref.rows == 0 or rest < 0:
         return False
     first = scanner.sample(1 << 14)
     lines = first.count(b"\n")
@@ -108,6 +111,16 @@ def _header(scanner: Scanner, path: str, *, atoms: bool) -> StepRef | None:
     raise SceneError(msg)
 
 
+_LARGEST = 2**63  # steps are int64
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not np.isfinite(value):
+        raise ValueError
+    return value
+
+
 def _value(ref: StepRef, scanner: Scanner, item: str) -> StepRef:
     """Take over an item of one value."""
     value = scanner.line().decode("utf-8", "replace").strip()
@@ -115,12 +128,13 @@ def _value(ref: StepRef, scanner: Scanner, item: str) -> StepRef:
         if item == "UNITS":
             return replace(ref, units=value)
         if item == "TIME":
-            return replace(ref, time=float(value))
-        if item == "TIMESTEP":
-            return replace(ref, step=int(value))
-        return replace(ref, rows=int(value))
+            return replace(ref, time=_finite(value))
+        number = int(value)
+        if not -_LARGEST < number < _LARGEST:
+            raise ValueError
+        return replace(ref, step=number) if item == "TIMESTEP" else replace(ref, rows=number)
     except ValueError:
-        msg = f"{ref.path}: {value!r} follows 'ITEM: {item}', expected a number"
+        msg = f"{ref.path}: {value[:60]!r} follows 'ITEM: {item}', expected a number"
         raise SceneError(msg) from None
 
 
@@ -152,8 +166,10 @@ def _box(ref: StepRef, scanner: Scanner, item: str) -> StepRef:
         raise SceneError(msg)
     try:
         edges = tuple((float(low), float(high)) for low, high in lines)
+        if not all(low <= high for low, high in edges):
+            raise ValueError
     except ValueError:
-        msg = f"{ref.path}: {lines} follow 'ITEM: BOX BOUNDS', expected three lines of two numbers"
+        msg = f"{ref.path}: {lines} follow 'ITEM: BOX BOUNDS', expected three lines of two numbers, the lower first"
         raise SceneError(msg) from None
     if len(flags) != len(COMPONENTS):
         return replace(ref, box=edges)  # old files do not say what is periodic

@@ -156,10 +156,10 @@ def _existing(paths: Sequence[str], options: ReadOptions) -> list[tuple[str, flo
     listed: list[tuple[str, float | None]] = []
     for path in map(str, paths):
         listed += vtp.read_collection(path) if path.endswith(".pvd") and Path(path).exists() else [(path, None)]
-    there = [entry for entry in listed if Path(entry[0]).exists()]
+    there = [entry for entry in listed if Path(entry[0]).is_file()]  # a pipe would be waited for
     # MFiX lists its last frame twice: a copy that is gone is not missed.
     times = {time for _, time in there if time is not None}
-    gone = [path for path, time in listed if not Path(path).exists() and time not in times]
+    gone = [path for path, time in listed if not Path(path).is_file() and time not in times]
     if gone:
         shown = f"{len(gone)} of {len(listed)} files do not exist: {', '.join(gone)}"
         if missing == "raise" or not there:
