@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from xcg.schema import COMPONENTS, SceneWarning
 
 MAX_NODES = 2**31
+_MOST_OF_ONE_AXIS = 2**27
 
 
 @dataclass(frozen=True)
@@ -91,6 +92,17 @@ def _check_axes(axes: str, at: Mapping[str, float], bounds: Mapping[str, Sequenc
         raise ValueError(msg)
 
 
+def _whole(axis: str, count: float) -> int:
+    """Whole number of nodes of one axis, refused before anything is made for too many."""
+    if not count < _MOST_OF_ONE_AXIS:
+        msg = (
+            f"the mesh would have {count:.3g} nodes along {axis!r}, more than {_MOST_OF_ONE_AXIS}: choose a larger "
+            "spacing or smaller bounds. If neither was given, a particle is far astray, or has another size than the rest"
+        )
+        raise ValueError(msg)
+    return int(count)
+
+
 def make_grid(
     axes: str,
     at: Mapping[str, float],
@@ -139,7 +151,7 @@ def make_grid(
             if not (np.isfinite(first) and np.isfinite(last) and first <= last):
                 msg = f"bounds[{a!r}]={tuple(bounds[a])!r}: expected (first, last) with first <= last"
                 raise ValueError(msg)
-            count = int(np.floor((last - first) / step * (1 + 1e-12) + 1e-9)) + 1
+            count = _whole(a, (last - first) / step * (1 + 1e-12) + 1e-9) + 1
         elif a not in automatic:
             msg = (
                 f"axis {a!r} has no bounds: the scene holds neither a box nor the particles' extent. Give "
@@ -147,11 +159,11 @@ def make_grid(
             )
             raise ValueError(msg)
         elif a in period:
-            first, count = automatic[a][0], max(1, round(period[a] / step))
+            first, count = automatic[a][0], max(1, _whole(a, period[a] / step + 0.5))
             step = period[a] / count
         else:
             first, last = automatic[a]
-            count = int(np.ceil((last - first) / step)) + 1
+            count = _whole(a, np.ceil((last - first) / step)) + 1
             first = 0.5 * (first + last) - 0.5 * (count - 1) * step
         nodes[a], taken[a] = first + step * np.arange(count), float(step)
         if count > 1 and step > 2 * cutoff:

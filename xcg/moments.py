@@ -14,7 +14,7 @@ from xcg.grid import Grid
 from xcg.kernels import deposit as kernel
 from xcg.kernels.nodes import spatial_order
 from xcg.kernels.segments import deposit_segments
-from xcg.schema import Frame, SceneError
+from xcg.schema import COMPONENTS, Frame, SceneError
 from xcg.smoothing import Weights
 from xcg.threads import for_each, shares
 
@@ -169,18 +169,23 @@ def without_frozen(frame: Frame) -> Frame:
     return {**frame, **particles}
 
 
+# Beyond this many cutoffs from the mesh coordinates cannot be told apart, and cells cannot be counted.
+_FAR = 2.0**50
+_MOST_IMAGES = 1000
+
+
 class _Deposit:
     """The deposits onto one grid, with lengths in cutoffs; results are (phases, nodes, columns)."""
 
-    def __init__(self, recipe: Recipe, period: NDArray, scale: float, threads: int) -> None:
-        grid, self.cutoff = recipe.grid, recipe.cutoff
+    def __init__(self, recipe: Recipe, period: NDArray, scale: float, where: str, threads: int) -> None:
+        grid, self.cutoff, self.where = recipe.grid, recipe.cutoff, where
         self.phases = max(1, len(recipe.groups))
         self.nodes = math.prod(grid.shape)
         self.origin = grid.origin
         self.active = grid.active
-        where = (grid.steps / self.cutoff, grid.active, np.where(grid.active, period, np.inf) / self.cutoff)
-        kernel = (*recipe.weights[:3], recipe.weights.norm * scale)
-        self.shape, self.onto = np.array(grid.shape), (*where, *kernel)
+        self.period = np.where(grid.active, period, np.inf) / self.cutoff
+        weights = (*recipe.weights[:3], recipe.weights.norm * scale)
+        self.shape, self.onto = np.array(grid.shape), (grid.steps / self.cutoff, grid.active, self.period, *weights)
         self.threads = threads
 
     def _over_slabs(self, fill: Callable[[NDArray], None]) -> None:
@@ -191,11 +196,35 @@ class _Deposit:
         slabs = [np.array([s.start, s.stop]) for s in shares(int(self.shape[0]), self.threads)]
         for_each(slabs, fill, self.threads)
 
-    def _placed(self, position: NDArray) -> tuple[NDArray, NDArray]:
+    def _placed(self, position: NDArray, branch: NDArray | None = None) -> tuple[NDArray, NDArray]:
         """Order in space, so that neighbours add to the same nodes while these are in cache; local coordinates."""
-        local = (position - self.origin) / self.cutoff
+        with np.errstate(over="ignore"):
+            local = (position - self.origin) / self.cutoff
+            reach = np.full(3, 2.0)
+            if branch is not None:
+                reach += np.abs(branch).max(axis=0, initial=0.0) / self.cutoff
+            farthest = np.abs(local).max(axis=0, initial=0.0) + reach
+        self._check(farthest, reach)
         order = spatial_order(local, self.active)
         return order, local[order]
+
+    def _check(self, farthest: NDArray, reach: NDArray) -> None:
+        """Refuse places that the kernels cannot number; damaged files hold them."""
+        for k in np.flatnonzero(self.active):
+            name, unit = COMPONENTS[k], self.cutoff
+            if not farthest[k] < _FAR:
+                msg = (
+                    f"{self.where}: a particle or contact reaches {farthest[k] * unit:.3g} m from the mesh along "
+                    f"'{name}', where coordinates have no digits left; the file is damaged, or its units are others"
+                )
+                raise SceneError(msg)
+            if not reach[k] < _MOST_IMAGES * self.period[k]:
+                msg = (
+                    f"{self.where}: the period {self.period[k] * unit:.3g} m along '{name}' is less than a "
+                    f"{_MOST_IMAGES}th of the reach of a particle or contact ({reach[k] * unit:.3g} m); the box or a "
+                    "contact in the file is damaged, or the kernel is too wide"
+                )
+                raise SceneError(msg)
 
     def points(
         self, position: NDArray, velocity: NDArray, mass: NDArray, constants: NDArray, phase: NDArray, level: int,
@@ -218,7 +247,7 @@ class _Deposit:
         groups: int | None = None,
     ) -> NDArray:
         sums = np.zeros((groups or self.phases, self.nodes, 9))
-        order, local = self._placed(start)
+        order, local = self._placed(start, branch)
         rows = (local, branch[order] / self.cutoff, force[order] * self.cutoff, phase[order], limits, self.shape)
         self._over_slabs(lambda slab: deposit_segments(*rows, slab, *self.onto, sums))
         return sums
@@ -282,7 +311,7 @@ def sums_of_frame(frame: Frame, recipe: Recipe, period: NDArray, scale: float, w
     phase = phase_of(frame, recipe.by, recipe.groups, where)
     wanted = {name: MOMENTS[name] for name in recipe.moments}
     contacts = Contacts.of(frame, period) if "contact_i" in frame else None
-    to = _Deposit(recipe, period, scale, threads)
+    to = _Deposit(recipe, period, scale, where, threads)
 
     constants = {
         name: row.column(frame, contacts).reshape(count, _columns_of(name).max() + 1)

@@ -13,6 +13,9 @@ from xcg.kernels._jit import jit
 # the row's end is overwritten by the next row.
 LANES = 4
 
+# Cells of the spatial order, however far apart the grains are.
+MOST_CELLS = 1 << 20
+
 
 @jit
 def images(x, low, high, first, last, period):
@@ -39,13 +42,16 @@ def spatial_order(position, active):
             for i in range(count):
                 low, high = min(low, position[i, k]), max(high, position[i, k])
             lower[k] = low
-            cells[k] = min(1000, int(high - low) + 1)
+            cells[k] = int(min(999.0, high - low)) + 1
+    while cells[0] * cells[1] * cells[2] > max(MOST_CELLS, 4 * count):  # a few grains are far astray
+        k = np.argmax(cells)
+        cells[k] = (cells[k] + 1) // 2
     cell = np.empty(count, np.int64)
     start = np.zeros(cells[0] * cells[1] * cells[2] + 1, np.int64)
     for i in range(count):
         index = 0
         for k in range(3):
-            offset = min(cells[k] - 1, int(position[i, k] - lower[k])) if active[k] else 0
+            offset = min(cells[k] - 1, int(min(1000.0, position[i, k] - lower[k]))) if active[k] else 0
             index = index * cells[k] + offset
         cell[i] = index
         start[index + 1] += 1

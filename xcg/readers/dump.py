@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
@@ -112,6 +113,7 @@ def _header(scanner: Scanner, path: str, *, atoms: bool) -> StepRef | None:
 
 
 _LARGEST = 2**63  # steps are int64
+_MOST_COLUMNS = 1000
 
 
 def _finite(text: str) -> float:
@@ -140,7 +142,7 @@ def _value(ref: StepRef, scanner: Scanner, item: str) -> StepRef:
 
 def _check_header(ref: StepRef, words: list[str], *, atoms: bool) -> None:
     label, columns = words[0] if words else "", words[1:]
-    twice = sorted({column for column in columns if columns.count(column) > 1})
+    twice = sorted(column for column, count in Counter(columns).items() if count > 1)
     if (label == "ATOMS") is not atoms:
         kind, argument = ("ATOMS", "contacts") if atoms else ("ENTRIES", "particles")
         msg = f"{where(ref)}: found 'ITEM: {label}', expected 'ITEM: {kind}'; is this a file for {argument}=?"
@@ -148,8 +150,10 @@ def _check_header(ref: StepRef, words: list[str], *, atoms: bool) -> None:
         msg = f"{where(ref)}: the header does not say how many rows follow ('ITEM: NUMBER OF ...')"
     elif not columns:
         msg = f"{where(ref)}: 'ITEM: {label}' names no columns"
+    elif len(columns) > _MOST_COLUMNS:
+        msg = f"{where(ref)}: 'ITEM: {label}' names {len(columns)} columns, expected {_MOST_COLUMNS} at most"
     elif twice:
-        msg = f"{where(ref)}: columns {twice} occur twice; name them apart, as with dump_modify colname"
+        msg = f"{where(ref)}: columns {twice[:10]} occur twice; name them apart, as with dump_modify colname"
     else:
         return
     raise SceneError(msg)

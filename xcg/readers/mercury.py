@@ -245,6 +245,7 @@ def _numbers_after(words: Sequence[str], word: str, count: int, path: str) -> li
     except ValueError:
         found = []
     if len(found) != count or not np.isfinite(found).all():
-        msg = f"{path}: expected {'a number' if count == 1 else 'three numbers'} after {word!r} in {' '.join(words[:12])[:120]!r}"
+        expected = "a number" if count == 1 else "three numbers"
+        msg = f"{path}: expected {expected} after {word!r} in {' '.join(words[:12])[:120]!r}"
         raise SceneError(msg)
     return found

@@ -18,7 +18,7 @@ from xcg.readers.engine import StepRef
 from xcg.schema import SceneError
 
 _FIRST_BLOCK, _BLOCK = 1 << 16, 1 << 22  # small first, as the header is often all that is wanted
-_LONGEST_LINE = 1 << 24  # bytes; a file of one endless line (or a few compressed kilobytes of one) is no text
+_LONGEST_LINE = 1 << 20  # bytes; a file of one endless line (or a few compressed kilobytes of one) is no text
 _DEFLATE = 1032  # deflate packs at most this many bytes into one
 _SMALL = 1 << 20  # bytes that are no matter; rows that are missing from small files are named when they are read
 _LONGEST_VALUE = 64  # bytes of one number and the space before it
