@@ -97,7 +97,7 @@ def _whole(axis: str, count: float) -> int:
     if not count < _MOST_OF_ONE_AXIS:
         msg = (
             f"the mesh would have {count:.3g} nodes along {axis!r}, more than {_MOST_OF_ONE_AXIS}: choose a larger "
-            "spacing or smaller bounds. If neither was given, a particle is far astray, or has another size than the rest"
+            "spacing or smaller bounds. If neither was given, a particle is far astray"
         )
         raise ValueError(msg)
     return int(count)
