@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import threading
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from typing import Any
 
-from xcg.schema import SceneWarning
+from xcg.schema import SceneError, SceneWarning
 
 ON_ERROR = ("raise", "skip")
 
@@ -43,17 +44,17 @@ def check_on_error(on_error: str) -> str:
 
 
 class _Noted(threading.local):
-    """Faults of this thread, by number of the step; None where they are raised."""
+    """Faults of this thread, by number of the step or by file; None where they are raised."""
 
-    faults: dict[int, str] | None = None
+    faults: dict[int | str, str] | None = None
 
 
 _noted = _Noted()
 
 
 @contextmanager
-def tolerated() -> Iterator[dict[int, str]]:
-    """Give the faults that are noted in this thread instead of raised, by number of the step."""
+def tolerated() -> Iterator[dict[Any, str]]:
+    """Give the faults that are noted in this thread instead of raised, by number of the step or by file."""
     before, _noted.faults = _noted.faults, {}
     try:
         yield _noted.faults
@@ -61,15 +62,48 @@ def tolerated() -> Iterator[dict[int, str]]:
         _noted.faults = before
 
 
-def note(step: int, error: Exception) -> bool:
-    """Note the fault of a step; False where nobody tolerates it, and it must be raised."""
+@contextmanager
+def raised() -> Iterator[dict[Any, str]]:
+    """Let faults be raised; the counterpart of `tolerated`."""
+    yield {}
+
+
+def note(where: int | str, error: Exception) -> bool:
+    """Note the fault of a step or file; False where nobody tolerates it, and it must be raised."""
     if _noted.faults is None:
         return False
-    _noted.faults.setdefault(step, str(error) or repr(error))
+    _noted.faults.setdefault(where, str(error) or repr(error))
     return True
 
 
-def warn_of(faults: dict[int, str]) -> None:
+def tolerant() -> bool:
+    """Whether faults are tolerated in this thread."""
+    return _noted.faults is not None
+
+
+def raise_noted() -> None:
+    """Raise the first fault that was noted, where nothing is left to go on with."""
+    if _noted.faults:
+        raise SceneError(next(iter(_noted.faults.values())))
+
+
+_listeners: list[dict[int, str]] = []
+
+
+@contextmanager
+def heard() -> Iterator[dict[int, str]]:
+    """Give the faults of all steps that are skipped meanwhile in this process, in whatever thread."""
+    found: dict[int, str] = {}
+    _listeners.append(found)
+    try:
+        yield found
+    finally:
+        _listeners.remove(found)
+
+
+def warn_of(faults: Mapping[int, str]) -> None:
     """Warn of every step that was skipped."""
     for step, cause in faults.items():
+        for listener in list(_listeners):
+            listener[step] = cause
         warnings.warn(SkippedStep(step, cause), stacklevel=3)

@@ -197,7 +197,8 @@ def _filled(
         fill = np.nan if np.dtype(dtype).kind == "f" else PADDING
         out[name] = np.full((count, *whole), fill, dtype)
         for t, one in found.items():
-            out[name][(t, *map(slice, one[name].shape[1:]))] = one[name][0]
+            where: Any = (t, *map(slice, one[name].shape[1:]))
+            out[name][where] = one[name][0]
     return out
 
 

@@ -44,8 +44,8 @@ def spatial_order(position, active):
             lower[k] = low
             cells[k] = int(min(999.0, high - low)) + 1
     while cells[0] * cells[1] * cells[2] > max(MOST_CELLS, 4 * count):  # a few grains are far astray
-        k = np.argmax(cells)
-        cells[k] = (cells[k] + 1) // 2
+        longest = np.argmax(cells)
+        cells[longest] = (cells[longest] + 1) // 2
     cell = np.empty(count, np.int64)
     start = np.zeros(cells[0] * cells[1] * cells[2] + 1, np.int64)
     for i in range(count):

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from xcg import faults
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.text import Scanner, check_rows, first_lines, most_bytes, open_binary, uncompressed_size, where
 from xcg.schema import COMPONENTS, SceneError
@@ -22,7 +23,7 @@ def body_columns(path: str) -> tuple[str, tuple[str, ...]] | None:
         return None
     for line in lines:
         item = line.removeprefix("ITEM:").split()
-        if line.startswith("ITEM:") and _is_body(" ".join(item)):
+        if line.startswith("ITEM:") and item and _is_body(" ".join(item)):
             return item[0], tuple(item[1:])
     return None
 
@@ -50,11 +51,18 @@ def index_dumps(paths: Sequence[str], options: ReadOptions, *, atoms: bool) -> l
     timestep = options.extra.get("timestep")
     refs: list[StepRef] = []
     for path in paths:
-        steps = list(_steps(path, atoms=atoms))
-        if not steps:
-            msg = f"{path}: the file is empty; expected a dump that begins with 'ITEM:'. Leave it out"
-            raise SceneError(msg)
-        refs += steps
+        before = len(refs)
+        try:
+            for ref in _steps(path, atoms=atoms):
+                refs.append(ref)  # those before a fault count where faults are tolerated
+            if len(refs) == before:
+                msg = f"{path}: the file is empty; expected a dump that begins with 'ITEM:'. Leave it out"
+                raise SceneError(msg)
+        except faults.FAULTS as error:
+            if not faults.note(path, error):
+                raise
+    if paths and not refs:
+        faults.raise_noted()
     if timestep is None:
         return refs
     if not isinstance(timestep, (int, float)) or not (np.isfinite(timestep) and timestep > 0):
@@ -68,17 +76,27 @@ def _steps(path: str, *, atoms: bool) -> Iterator[StepRef]:
     units = None
     with open_binary(path) as stream:
         scanner = Scanner(stream, path)
-        while (ref := _header(scanner, path, atoms=atoms)) is not None:
-            units = ref.units or units  # LAMMPS writes the units once a file
-            ref = replace(ref, units=units, size=size)
-            check_rows(ref, most_bytes(path) - ref.offset)
-            rest = uncompressed_size(path) - ref.offset
-            if _is_alone(ref, rest, scanner):
-                yield replace(ref, length=rest)
-                return
-            ref = replace(ref, length=sum(map(len, scanner.until(b"ITEM:"))))
-            check_rows(ref, ref.length)
-            yield ref
+        while True:
+            start = scanner.offset
+            try:
+                ref = _header(scanner, path, atoms=atoms)
+                if ref is None:
+                    return
+                check_rows(ref, most_bytes(path) - ref.offset)
+                units = ref.units or units  # LAMMPS writes the units once a file
+                ref = replace(ref, units=units, size=size)
+                rest = uncompressed_size(path) - ref.offset
+                if _is_alone(ref, rest, scanner):
+                    yield replace(ref, length=rest)
+                    return
+                ref = replace(ref, length=sum(map(len, scanner.until(b"ITEM:"))))
+                check_rows(ref, ref.length)
+                yield ref
+            except SceneError as error:
+                if not faults.note(f"{path} from byte {start} on", error):
+                    raise
+                for _ in scanner.until(b"ITEM: TIMESTEP"):  # the next step may be whole
+                    pass
 
 
 def _is_alone(ref: StepRef, rest: int, scanner: Scanner) -> bool:
@@ -170,7 +188,7 @@ def _box(ref: StepRef, scanner: Scanner, item: str) -> StepRef:
         raise SceneError(msg)
     try:
         edges = tuple((float(low), float(high)) for low, high in lines)
-        if not all(low <= high for low, high in edges):
+        if not all(low < high for low, high in edges):
             raise ValueError
     except ValueError:
         msg = f"{ref.path}: {lines} follow 'ITEM: BOX BOUNDS', expected three lines of two numbers, the lower first"

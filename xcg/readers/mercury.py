@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg import faults
 from xcg.readers import columns
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.text import Scanner, check_rows, first_lines, most_bytes, open_binary, parse_table, read_body, where
@@ -53,12 +54,16 @@ def index_particles(paths: Sequence[str], options: ReadOptions) -> list[StepRef]
     refs: list[StepRef] = []
     for path in paths:
         restart = read_restart(path, options)
-        for ref in _data_steps(path):
-            refs.append(
-                replace(ref, step=len(refs), periodic=restart.periodic, gravity=restart.gravity)
-                if restart
-                else replace(ref, step=len(refs))
-            )
+        try:
+            for ref in _data_steps(path):
+                refs.append(
+                    replace(ref, step=len(refs), periodic=restart.periodic, gravity=restart.gravity)
+                    if restart
+                    else replace(ref, step=len(refs))
+                )
+        except faults.FAULTS as error:  # the steps before it are whole
+            if not faults.note(path, error):
+                raise
     return refs
 
 
@@ -131,16 +136,25 @@ def index_contacts(paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
     """List the steps of ``.fstat`` files; as no header counts the rows, ids are read to count them."""
     refs: list[StepRef] = []
     for path in paths:
-        size = os.path.getsize(path)
-        with open_binary(path) as stream:
-            scanner = Scanner(stream, path)
-            while time := _comments(scanner, path):
-                start = scanner.offset
-                body = b"".join(scanner.until(b"#"))
-                ref = StepRef(path, 0, float(time), len(refs), columns=_CONTACT, offset=start, length=len(body))
-                ids = parse_table(body, _CONTACT, ("i", "j"), None, where(ref))
-                refs.append(replace(ref, rows=int(_once(ids["i"], ids["j"]).sum()), size=size))
+        try:
+            _index_contacts(path, refs)
+        except faults.FAULTS as error:
+            if not faults.note(path, error):
+                raise
     return refs
+
+
+def _index_contacts(path: str, refs: list[StepRef]) -> None:
+    """Add the steps of one file."""
+    size = os.path.getsize(path)
+    with open_binary(path) as stream:
+        scanner = Scanner(stream, path)
+        while time := _comments(scanner, path):
+            start = scanner.offset
+            body = b"".join(scanner.until(b"#"))
+            ref = StepRef(path, 0, float(time), len(refs), columns=_CONTACT, offset=start, length=len(body))
+            ids = parse_table(body, _CONTACT, ("i", "j"), None, where(ref))
+            refs.append(replace(ref, rows=int(_once(ids["i"], ids["j"]).sum()), size=size))
 
 
 def _comments(scanner: Scanner, path: str) -> str:

@@ -24,6 +24,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg import faults
 from xcg.readers import vtp
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.schema import COMPONENTS, Frame, SceneError, SceneWarning, variable
@@ -132,7 +133,12 @@ def contact_variables(ref: StepRef, options: ReadOptions) -> list[str]:
 def _index(paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
     refs = []
     for number, (path, listed) in enumerate(_existing(paths, options)):
-        header = vtp.read_header(path)
+        try:
+            header = vtp.read_header(path)
+        except faults.FAULTS as error:
+            if not faults.note(path, error):
+                raise
+            continue
         digits = re.findall(r"\d+", Path(path).stem)
         refs.append(
             StepRef(
@@ -155,7 +161,11 @@ def _existing(paths: Sequence[str], options: ReadOptions) -> list[tuple[str, flo
         raise SceneError(msg)
     listed: list[tuple[str, float | None]] = []
     for path in map(str, paths):
-        listed += vtp.read_collection(path) if path.endswith(".pvd") and Path(path).exists() else [(path, None)]
+        try:
+            listed += vtp.read_collection(path) if path.endswith(".pvd") and Path(path).exists() else [(path, None)]
+        except faults.FAULTS as error:
+            if not faults.note(path, error):
+                raise
     there = [entry for entry in listed if Path(entry[0]).is_file()]  # a pipe would be waited for
     # MFiX lists its last frame twice: a copy that is gone is not missed.
     times = {time for _, time in there if time is not None}

@@ -181,7 +181,8 @@ def _lz4(packed: bytes, expected: int) -> bytes:
     shown = vtkObject.GetGlobalWarningDisplay()
     vtkObject.GlobalWarningDisplayOff()
     try:
-        values = vtkLZ4DataCompressor().Uncompress(np.frombuffer(packed, "u1"), len(packed), expected)
+        compressor: Any = vtkLZ4DataCompressor()
+        values = compressor.Uncompress(np.frombuffer(packed, "u1"), len(packed), expected)
     finally:
         vtkObject.SetGlobalWarningDisplay(shown)
     return b"" if values is None else vtk_to_numpy(values).tobytes()
