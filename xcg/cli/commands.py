@@ -62,10 +62,11 @@ class _Group(click.Group):
         try:
             return self.main(*args, **kwargs)
         except SystemExit as end:
-            if end.code == INTERRUPTED:  # threads that still compute a step would be waited for
+            if isinstance(end.code, int) and end.code:
+                # threads that still compute a step would be waited for, and a file of a full disk be closed again
                 sys.stdout.flush()
                 sys.stderr.flush()
-                os._exit(INTERRUPTED)
+                os._exit(end.code)
             raise
 
 

@@ -166,7 +166,8 @@ def _toml(path: Path) -> Job:
     on_error = _on_error(str(path), data.pop("on_error", "raise"))
     unknown = [name for name in data if name not in _TABLES or not isinstance(data[name], dict)]
     if unknown or "particles" not in data.get("scene", {}):
-        msg = f"{path}: expected the tables {', '.join(_TABLES)} with scene.particles (and on_error), found {sorted(data)}"
+        tables = ", ".join(_TABLES)
+        msg = f"{path}: expected the tables {tables} with scene.particles, and on_error; found {sorted(data)}"
         raise SceneError(msg)
     output = data.get("output", {})
     wrong = [name for name in output if name not in _OUTPUT]

@@ -37,6 +37,7 @@ from xcg.writers.lock import locked
 
 _JOB = "job"  # attribute of the output: which job made it
 _BECAUSE = "skipped_because"
+_HEADER = 1 << 16  # bytes of a NetCDF file besides its values
 
 
 def open_job(job: Job) -> tuple[xr.Dataset, xr.Dataset, xr.Dataset | None]:
@@ -228,7 +229,7 @@ def _compute(parts: Path, series: Mapping[str, xr.Dataset], batch: int) -> Itera
                 step = computed.isel(time=[k])
                 cause = causes.get(int(step["step"].item())) if "step" in step.coords else None
                 step = step if cause is None else step.assign_attrs({_BECAUSE: cause})
-                with whole_file(parts / f"{name}.{t}.nc", overwrite=True) as path:
+                with whole_file(parts / f"{name}.{t}.nc", overwrite=True, room=step.nbytes + _HEADER) as path:
                     step.to_netcdf(path, engine="netcdf4")
         yield count - len(todo) + first + len(some), count
 
@@ -279,7 +280,8 @@ def _assemble(job: Job, name: str, parts: list[Path]) -> None:
             whole = whole.assign_attrs({_BECAUSE: "\n".join(causes)})
         stem = job.name if name == "fields" else _slices_name(job)
         if job.netcdf or name == "slices":
-            with whole_file(job.folder / f"{stem}{job.suffix}", overwrite=True) as path:
+            file = job.folder / f"{stem}{job.suffix}"
+            with whole_file(file, overwrite=True, room=whole.nbytes + _HEADER) as path:
                 whole.to_netcdf(path, engine="netcdf4")
         if name == "slices":
             return

@@ -16,6 +16,7 @@ Three things about its contacts were checked on its output, against the position
 
 from __future__ import annotations
 
+import os
 import re
 import warnings
 from collections.abc import Mapping, Sequence
@@ -166,10 +167,10 @@ def _existing(paths: Sequence[str], options: ReadOptions) -> list[tuple[str, flo
         except faults.FAULTS as error:
             if not faults.note(path, error):
                 raise
-    there = [entry for entry in listed if Path(entry[0]).is_file()]  # a pipe would be waited for
+    there = [entry for entry in listed if os.path.isfile(entry[0])]  # a pipe would be waited for
     # MFiX lists its last frame twice: a copy that is gone is not missed.
     times = {time for _, time in there if time is not None}
-    gone = [path for path, time in listed if not Path(path).is_file() and time not in times]
+    gone = [path for path, time in listed if not os.path.isfile(path) and time not in times]
     if gone:
         shown = f"{len(gone)} of {len(listed)} files do not exist: {', '.join(gone)}"
         if missing == "raise" or not there:

@@ -3,20 +3,32 @@
 from __future__ import annotations
 
 import errno
+import io
 import os
 import shutil
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _LITTLE = 1 << 20  # bytes; a disk with less is full
 
 
 @contextmanager
-def whole_file(path: Path, *, overwrite: bool) -> Iterator[Path]:
+def whole_file(path: Path, *, overwrite: bool, room: int = 0) -> Iterator[Path]:
     """Give a temporary name beside `path` to write to; rename it in the end, or remove it after an error.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    overwrite : bool
+        Replace a file that exists.
+    room : int
+        Bytes that it will take, if known: they are asked of the disk first, because the NetCDF library does not
+        recover from a disk that fills while it writes.
 
     Raises
     ------
@@ -34,6 +46,8 @@ def whole_file(path: Path, *, overwrite: bool) -> Iterator[Path]:
         raise FileNotFoundError(msg)
     part = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.part")
     try:
+        if room:
+            _reserve(part, room)
         yield part
         _publish(part, path, overwrite=overwrite)
     except (OSError, RuntimeError) as error:  # netCDF4 raises RuntimeError
@@ -48,6 +62,63 @@ def whole_file(path: Path, *, overwrite: bool) -> Iterator[Path]:
 def leftovers(path: Path) -> list[Path]:
     """List the temporary files that runs which were killed left beside `path`."""
     return [file for file in path.parent.glob(".*.part") if file.name.startswith(f".{path.name}.")]
+
+
+def _reserve(part: Path, room: int) -> None:
+    """Take room on the disk, and give it back."""
+    if not hasattr(os, "posix_fallocate"):
+        if shutil.disk_usage(part.parent).free < room:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return
+    with open(part, "wb") as file:
+        os.posix_fallocate(file.fileno(), 0, room)
+    part.unlink()
+
+
+class Sink(io.FileIO):
+    """A file for the HDF5 library, which crashes after a write that failed: from a full disk on, data are lost instead.
+
+    Attributes
+    ----------
+    problem : OSError or None
+        The first error; `check` raises it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path, "wb+")
+        self.problem: OSError | None = None
+
+    def write(self, data: Any) -> int:
+        """Write all of the data, or remember why not."""
+        view, at = memoryview(data).cast("B"), 0
+        try:
+            while self.problem is None and at < len(view):
+                at += super().write(view[at:]) or 0
+        except OSError as error:
+            self.problem = error
+        return len(view)
+
+    def readinto(self, buffer: Any) -> int:
+        """Read; zeros in place of what was lost."""
+        view = memoryview(buffer).cast("B")
+        got = super().readinto(view) or 0
+        if self.problem is not None and got < len(view):
+            view[got:] = bytes(len(view) - got)
+            return len(view)
+        return got
+
+    def truncate(self, size: int | None = None) -> int:
+        """Change the size, or remember why not."""
+        try:
+            return super().truncate(size)
+        except OSError as error:
+            self.problem = self.problem or error
+        return size or 0
+
+    def check(self) -> None:
+        """Raise the first error that occurred."""
+        if self.problem is not None:
+            raise self.problem
 
 
 def _exists(path: Path) -> str:
@@ -77,9 +148,8 @@ def _cannot_write(path: Path, error: Exception) -> OSError | None:
     with suppress(OSError):
         free = shutil.disk_usage(path.parent).free
     text = str(error)
-    said = next((n for n in _FULL if f"errno = {n}," in text), number)  # HDF5 tells it in its text only
-    if said in _FULL or free < _LITTLE:
-        full = "a file may not be larger here" if said == errno.EFBIG else "the disk is full"
+    if number in _FULL or free < _LITTLE:
+        full = "a file may not be larger here" if number == errno.EFBIG else "the disk is full"
         msg = f"{path}: {full} ({free / 1e6:.0f} MB free), and nothing was left behind; make room and run again"
         return OSError(msg)
     if isinstance(error, RuntimeError) and "HDF" in text:

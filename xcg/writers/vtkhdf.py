@@ -19,7 +19,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.writers.files import whole_file
+from xcg.writers.files import Sink, whole_file
 
 AXES = ("x", "y", "z")
 _ON_DISK = ("time", "z", "y", "x", "component", "direction")  # x runs fastest among nodes
@@ -67,16 +67,23 @@ def to_vtkhdf(fields: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bo
     fields = _checked(fields)
     image = _Image.of(fields)
     arrays = _arrays(fields)
-    with whole_file(path, overwrite=overwrite) as part, h5py.File(part, "w") as file:
-        targets = _lay_out(file, fields, image, arrays)
-        for steps, block in _blocks(fields):
-            for array in arrays:
-                values = array.values(block, image)
-                if image.temporal:
-                    targets[array.name][steps] = values
-                else:
-                    targets[array.name][...] = values[0]
+    with whole_file(path, overwrite=overwrite) as part, Sink(part) as sink:
+        with h5py.File(sink, "w") as file:
+            _write(file, fields, image, arrays, sink)
+        sink.check()
     return path
+
+
+def _write(file: h5py.File, fields: xr.Dataset, image: _Image, arrays: list[_Array], sink: Sink) -> None:
+    targets = _lay_out(file, fields, image, arrays)
+    for steps, block in _blocks(fields):
+        for array in arrays:
+            values = array.values(block, image)
+            if image.temporal:
+                targets[array.name][steps] = values
+            else:
+                targets[array.name][...] = values[0]
+        sink.check()
 
 
 # --- what is written -------------------------------------------------------------------------------------
