@@ -26,8 +26,10 @@ from xcg.writers.files import whole_file
 from xcg.writers.lock import locked
 
 ROOT = Path(__file__).parents[1]
-KILLS = 20 if os.environ.get("XCG_FULL") else 3
-STEPS = 30
+FULL = bool(os.environ.get("XCG_FULL"))
+KILLS = 20 if FULL else 3
+STEPS = 20
+slow = pytest.mark.skipif(not FULL, reason="takes long: set XCG_FULL=1")
 JOB = """
 [scene]
 particles = "p.*.dump"
@@ -36,7 +38,7 @@ timestep = 0.1
 [fields]
 fields = ["density", "velocity"]
 width = 1.0
-spacing = 0.5
+spacing = 0.75
 bounds = { x = [0.0, 9.5], y = [0.0, 9.5], z = [-1.0, 8.5] }
 [output]
 folder = "out"
@@ -44,7 +46,7 @@ vtkhdf = "temporal"
 """
 
 
-def write_job(folder: Path, steps: int = STEPS, grains: int = 200) -> Path:
+def write_job(folder: Path, steps: int = STEPS, grains: int = 100) -> Path:
     rng = np.random.default_rng(0)
     for k in range(steps):
         rows = [f"{i + 1} 1 {x:.6f} {y:.6f} {z:.6f} {k} 0 0 0.5 1" for i, (x, y, z) in
@@ -130,9 +132,9 @@ def test_resume_never_starts_over(job):
     dumps.write(job.parent / "p.99.dump", dumps.dump_text(step=99))
     assert "start over without --resume" in " ".join(xcg_run("run", job, "--resume", code=1).split())
     (job.parent / "p.99.dump").unlink()
-    assert "5 of 30 steps are there" in xcg_run("run", job, "--resume")
-    assert "30 of 30 steps are there" in xcg_run("run", job, "--resume")
-    job.write_text(JOB.replace("spacing = 0.5", "spacing = 1.0"))
+    assert "5 of 20 steps are there" in xcg_run("run", job, "--resume")
+    assert "20 of 20 steps are there" in xcg_run("run", job, "--resume")
+    job.write_text(JOB.replace("spacing = 0.75", "spacing = 1.0"))
     assert "exists; choose another" in xcg_run("run", job, "--resume", code=1)
 
 
@@ -193,7 +195,7 @@ with locked(Path({str(tmp_path / "lock")!r}), "it"):
 # --- out of disk -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("limit", [20_000, 1_000_000])  # the first step fails, or the file with all of them
+@pytest.mark.parametrize("limit", [20_000, 600_000])  # the first step fails, or the file with all of them
 def test_a_full_disk(job, limit):
     before = f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))"
     process = start(job, before=before)
@@ -318,6 +320,7 @@ def test_dashboard_without_distributed(job, monkeypatch):
     assert "pip install distributed bokeh" in xcg_run("run", job, "--dashboard", code=1)
 
 
+@slow
 def test_dashboard(tmp_path):
     pytest.importorskip("distributed")
     pytest.importorskip("bokeh")
@@ -332,6 +335,7 @@ def test_dashboard(tmp_path):
 # --- a worker is killed ----------------------------------------------------------------------------------
 
 
+@slow
 def test_a_killed_worker(tmp_path):
     pytest.importorskip("distributed")
     write_job(tmp_path, 12, 20)

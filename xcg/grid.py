@@ -13,6 +13,7 @@ from xcg.schema import COMPONENTS, SceneWarning
 
 MAX_NODES = 2**31
 _MOST_OF_ONE_AXIS = 2**27
+_FINEST = 1e-9  # least spacing, in radii of the support
 
 
 @dataclass(frozen=True)
@@ -143,8 +144,11 @@ def make_grid(
     nodes, taken = {}, {}
     for a in axes:
         step = steps.get(a)
-        if step is None or not (np.isfinite(step) and step > 0):
-            msg = f"spacing along {a!r} is {step!r}: expected a positive distance (m) for each of {list(axes)}"
+        if step is None or not (np.isfinite(step) and step > _FINEST * cutoff):
+            msg = (
+                f"spacing along {a!r} is {step!r}: expected a positive distance (m) for each of {list(axes)}, not far "
+                f"below the radius of the support ({cutoff:g} m)"
+            )
             raise ValueError(msg)
         if a in bounds:
             first, last = map(float, bounds[a])

@@ -189,7 +189,10 @@ def _toml(path: Path) -> Job:
     phases = data.get("phases")
     if phases and "mapping" in phases:  # keys of TOML are text
         try:
-            phases = phases | {"mapping": {int(k): int(v) for k, v in phases["mapping"].items()}}
+            mapping = {int(k): v for k, v in phases["mapping"].items()}
+            if not all(type(v) is int and 0 <= v < 1 << 31 for v in mapping.values()):
+                raise ValueError
+            phases = phases | {"mapping": mapping}
         except ValueError:
             msg = f"{path}: mapping = {phases['mapping']!r} in [phases]: expected numbers of types and of phases"
             raise SceneError(msg) from None

@@ -271,7 +271,8 @@ def _assemble(job: Job, name: str, parts: list[Path]) -> None:
 
     opened = [xr.open_dataset(path, chunks={}) for path in parts]
     try:
-        causes = [f"step {int(step['step'])}: {step.attrs.pop(_BECAUSE)}" for step in opened if _BECAUSE in step.attrs]
+        failed = [step for step in opened if _BECAUSE in step.attrs]
+        causes = [f"step {step['step'].to_numpy()[0]}: {step.attrs.pop(_BECAUSE)}" for step in failed]
         whole = xr.concat(opened, "time", data_vars="all", coords="minimal", compat="override", join="override",
                           combine_attrs="override")  # fmt: skip
         if SKIPPED in whole.coords:
