@@ -69,7 +69,7 @@ def test_a_number_that_a_restart_lacks(tmp_path):
 
 
 def test_a_name_of_a_file_that_is_too_long(tmp_path):
-    assert "do not exist" in refused("mfix", tmp_path, P_pvd=(b"P_1.vtp", b"P" * 5000))
+    assert "do not exist" in refused("mfix", tmp_path, P_pvd=(b"P_1.vtp", b"P" * 1000))
 
 
 @pytest.mark.parametrize(
