@@ -53,7 +53,7 @@ def index_particles(paths: Sequence[str], options: ReadOptions) -> list[StepRef]
     """List the steps of ``.data`` files, numbered from 0 over all files."""
     refs: list[StepRef] = []
     for path in paths:
-        restart = read_restart(path, options)
+        restart, before = read_restart(path, options), len(refs)
         try:
             for ref in _data_steps(path):
                 refs.append(
@@ -61,6 +61,7 @@ def index_particles(paths: Sequence[str], options: ReadOptions) -> list[StepRef]
                     if restart
                     else replace(ref, step=len(refs))
                 )
+            _refuse_empty(path, len(refs) - before)
         except faults.FAULTS as error:  # the steps before it are whole
             if not faults.note(path, error):
                 raise
@@ -136,12 +137,20 @@ def index_contacts(paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
     """List the steps of ``.fstat`` files; as no header counts the rows, ids are read to count them."""
     refs: list[StepRef] = []
     for path in paths:
+        before = len(refs)
         try:
             _index_contacts(path, refs)
+            _refuse_empty(path, len(refs) - before)
         except faults.FAULTS as error:
             if not faults.note(path, error):
                 raise
     return refs
+
+
+def _refuse_empty(path: str, steps: int) -> None:
+    if not steps:
+        msg = f"{path}: the file is empty; leave it out"
+        raise SceneError(msg)
 
 
 def _index_contacts(path: str, refs: list[StepRef]) -> None:
