@@ -7,10 +7,12 @@ Ctrl-C.
 from __future__ import annotations
 
 import os
+import signal
 import sys
+import threading
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import replace
 from typing import Any
 
@@ -21,6 +23,7 @@ from xcg import fields as registry
 from xcg.cli.chains import chains_command
 from xcg.faults import ON_ERROR
 from xcg.schema import units_of
+from xcg.writers.files import abandon
 
 INTERRUPTED = 130
 
@@ -48,22 +51,37 @@ def _told(quiet: bool) -> Iterator[None]:
             raise click.ClickException(msg) from error
 
 
-class _Group(click.Group):
-    """A group of commands that stops at once, and without a traceback, when it is interrupted."""
+# What a command that is stopped has to say.
+_last_words: list[Callable[[], str]] = []
 
-    def invoke(self, ctx: click.Context) -> Any:
-        try:
-            return super().invoke(ctx)
-        except KeyboardInterrupt:
-            click.echo("\nstopped", err=True)
-            ctx.exit(INTERRUPTED)
+
+def _stop(*_: object) -> None:
+    """End the process at once.
+
+    An exception would unwind through libraries that do not expect it (a lock of xarray's, taken and not noted, then
+    stops the run for ever), and threads that compute a step would be waited for. All files can stand an end like this.
+    """
+    abandon()
+    said = "".join(f"\n{words()}" for words in _last_words)
+    with suppress(OSError, RuntimeError):  # interrupted while it prints
+        sys.stderr.write(f"\nstopped{said}\n")
+        sys.stderr.flush()
+    os._exit(INTERRUPTED)
+
+
+class _Group(click.Group):
+    """A group of commands that ends at once, and without a traceback, when it is interrupted."""
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        """Run as the program, as opposed to within another one."""
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGINT, _stop)
         try:
             return self.main(*args, **kwargs)
         except SystemExit as end:
-            if isinstance(end.code, int) and end.code:
-                # threads that still compute a step would be waited for, and a file of a full disk be closed again
+            if (
+                isinstance(end.code, int) and end.code
+            ):  # threads would be waited for, a file of a full disk closed again
                 sys.stdout.flush()
                 sys.stderr.flush()
                 os._exit(end.code)
@@ -133,18 +151,20 @@ def run(
             if done and not quiet:
                 click.echo(f"{done} of {count} steps are there from an earlier run", err=True)
             bar = Progress(count, done, sys.stderr, quiet=quiet)
+
+            def kept() -> str:
+                return f"{done} of {count} steps are kept; the same command goes on from there"
+
+            _last_words.append(kept)
             try:
                 for done, _ in steps:
                     bar.update(done)
-            except KeyboardInterrupt:
-                bar.end()
-                click.echo(f"{done} of {count} steps are kept; the same command goes on from there", err=True)
-                raise
             except OSError as error:
-                bar.end()
-                msg = f"{error}\n{done} of {count} steps are kept; the same command goes on from there"
+                msg = f"{error}\n{kept()}"
                 raise click.ClickException(msg) from error
-            bar.end()
+            finally:
+                _last_words.remove(kept)
+                bar.end()
     if not quiet:
         click.echo(f"{count} steps in {job.folder}")
 

@@ -12,6 +12,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+# Files that go when their writers end; `abandon` removes them where writers cannot.
+temporary: set[Path] = set()
+
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _LITTLE = 1 << 20  # bytes; a disk with less is full
 
@@ -45,6 +48,7 @@ def whole_file(path: Path, *, overwrite: bool, room: int = 0) -> Iterator[Path]:
         msg = f"{path}: the folder {path.parent} does not exist; create it first"
         raise FileNotFoundError(msg)
     part = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.part")
+    temporary.add(part)
     try:
         if room:
             _reserve(part, room)
@@ -57,6 +61,14 @@ def whole_file(path: Path, *, overwrite: bool, room: int = 0) -> Iterator[Path]:
         raise problem from error
     finally:
         part.unlink(missing_ok=True)
+        temporary.discard(part)
+
+
+def abandon() -> None:
+    """Remove what is being written, and locks, just before the process ends without ado."""
+    for path in list(temporary):
+        with suppress(OSError):
+            path.unlink(missing_ok=True)
 
 
 def leftovers(path: Path) -> list[Path]:

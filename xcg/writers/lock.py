@@ -11,6 +11,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from xcg.writers.files import temporary
+
 
 @contextmanager
 def locked(path: Path, what: str) -> Iterator[None]:
@@ -22,10 +24,12 @@ def locked(path: Path, what: str) -> Iterator[None]:
         If another process holds it; the message names the process.
     """
     file = _take(path, what)
+    temporary.add(path)
     try:
         yield
     finally:
         path.unlink(missing_ok=True)  # before it is closed, so that nobody locks a file without a name
+        temporary.discard(path)
         os.close(file)
 
 
