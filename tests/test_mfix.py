@@ -440,3 +440,41 @@ def test_real_collection_and_old_file():
     frame = read_particles(folder / "CHUTE_DES_00000.vtp")
     assert frame["position"].shape == (4010, 3)
     np.testing.assert_array_equal(frame["particle_id"], np.arange(1, 4011))
+
+
+# --- how VTK may write it --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("compressor", [None, "ZLib", "LZ4", "LZMA"])
+@pytest.mark.parametrize("mode", ["Ascii", "Binary", "Appended", "AppendedRaw"])
+@pytest.mark.parametrize("header", [32, 64])
+def test_every_encoding_of_vtk(tmp_path, compressor, mode, header):
+    path = write_by_vtk(tmp_path / "P_1.vtp", mode, compressor, header)
+    got = read_particles(path)
+    np.testing.assert_array_equal(got["position"], np.arange(15000.0).reshape(-1, 3))
+    np.testing.assert_array_equal(got["particle_id"], np.arange(5000))
+
+
+def write_by_vtk(path: Path, mode="Appended", compressor="ZLib", header=32, rows=5000) -> Path:
+    from vtkmodules.util.numpy_support import numpy_to_vtk
+    from vtkmodules.vtkCommonCore import vtkPoints
+    from vtkmodules.vtkCommonDataModel import vtkPolyData
+    from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter
+
+    mesh, points = vtkPolyData(), vtkPoints()
+    points.SetData(numpy_to_vtk(np.arange(3.0 * rows, dtype="f4").reshape(-1, 3), deep=True))
+    mesh.SetPoints(points)
+    for name, values in (("Particle_ID", np.arange(rows)), ("Diameter", np.full(rows, 0.1))):
+        array = numpy_to_vtk(values, deep=True)
+        array.SetName(name)
+        mesh.GetPointData().AddArray(array)
+    writer = vtkXMLPolyDataWriter()
+    writer.SetInputData(mesh)
+    writer.SetFileName(str(path))
+    getattr(writer, f"SetDataModeTo{mode.removesuffix('Raw')}")()
+    writer.SetEncodeAppendedData(mode == "Appended")
+    writer.SetHeaderType(header)
+    getattr(writer, f"SetCompressorTypeTo{compressor}")()
+    writer.SetBlockSize(4096)
+    writer.Write()
+    return path

@@ -14,6 +14,7 @@ from xcg.chains.tables import chain_table, link_table
 from xcg.chains.tracks import track_chains
 from xcg.coarse_grain import coarse_grain
 from xcg.detection import find_contacts
+from xcg.faults import SkippedStep
 from xcg.fields import FIELDS
 from xcg.microstructure import microstructure
 from xcg.particle_stress import particle_stress
@@ -40,6 +41,7 @@ __all__ = [
     "Region",
     "SceneError",
     "SceneWarning",
+    "SkippedStep",
     "Sphere",
     "assign_phases",
     "balance",

@@ -165,6 +165,7 @@ def _by_size(radius: NDArray, skin: float, levels: int | None) -> tuple[NDArray,
     """Level of each particle by logarithmic spacing; largest radius and number of particles of the levels in use."""
     reach = radius + skin / 2
     low, high = float(reach[reach > 0].min(initial=np.inf)), float(reach.max())
+    low = max(low, 1e-300 * high)  # as in damaged files: their ratio must stay a number
     if not low < high:
         return np.zeros(len(radius), "int64"), np.array([radius.max()]), np.array([len(radius)])
     span = np.log(high / low)

@@ -14,8 +14,9 @@ from xcg import fields as registry
 from xcg import pysammos
 from xcg.bodies import group_bodies
 from xcg.complete import periods
+from xcg.faults import check_on_error
 from xcg.kernels import THREADS
-from xcg.labels import about, call_of
+from xcg.labels import about, call_of, mark_skipped
 from xcg.moments import sums_of_frame
 from xcg.over_time import is_lazy, map_over_time, steps_in
 from xcg.plan import Plan, make_plan, scale_of
@@ -48,6 +49,7 @@ def coarse_grain(
     by_body: str | None = None,
     rtol: float = 0.0,
     preset: str | None = None,
+    on_error: str = "raise",
 ) -> xr.Dataset:
     """Coarse-grain a scene to continuum fields.
 
@@ -111,6 +113,9 @@ def coarse_grain(
     preset : {"pysammos"}, optional
         Names and variants of another program; `fields` are then its names, and `shear_dims` its plane ("xy" by
         default). See `xcg.pysammos`.
+    on_error : {"raise", "skip"}
+        What to do about a step that cannot be read or computed: stop with its error (default), or leave it NaN, warn
+        of it by file and cause when it is computed, and mark it in the coordinate ``skipped`` (time).
 
     Returns
     -------
@@ -144,12 +149,17 @@ def coarse_grain(
     if preset is not None:
         names, table, own = _as_own(ds, given)
         return pysammos.from_xcg(coarse_grain(ds, **own), names, table)
+    if check_on_error(given.pop("on_error")) == "skip":
+        call = call_of("coarse_grain", given | {"on_error": on_error})
+    else:
+        call = call_of("coarse_grain", given)
     plan = make_plan(**{"ds": ds, **given})
     names = [*plan.variables, *(name for name in ("box", "step") if name in ds)]
     results = {field: (plan.shape(field), "float64") for field in plan.fields}
     threads = 1 if is_lazy(ds, names) else THREADS
-    arrays = map_over_time(ds, names, partial(compute_chunk, plan, threads), results, "coarse-grain")
-    return _label(ds, plan, arrays, given)
+    arrays = map_over_time(ds, names, partial(compute_chunk, plan, threads), results, "coarse-grain",
+                           on_error)  # fmt: skip
+    return mark_skipped(_label(ds, plan, arrays, call), arrays)
 
 
 def explain(ds: xr.Dataset, fields: str | Sequence[str] | None = None, **options: Any) -> Plan:
@@ -193,6 +203,7 @@ def _as_own(ds: xr.Dataset, given: Mapping[str, Any]) -> tuple[Any, Any, dict[st
         raise ValueError(msg)
     own = {"preset", "fields", "shear_dims"}
     options = {k: v for k, v in given.items() if k not in own}
+    planned = {k: v for k, v in options.items() if k != "on_error"}
     fixed = {"pressure_dims": None, "deviatoric": "stress", "size": "d43"}
     clash = [k for k, usual in fixed.items() if options.get(k, usual) != usual]
     if clash:
@@ -200,7 +211,7 @@ def _as_own(ds: xr.Dataset, given: Mapping[str, Any]) -> tuple[Any, Any, dict[st
         raise ValueError(msg)
     require_scene(ds, (), "coarse_grain")
     table = pysammos.rows(*pysammos.plane_of(ds, given.get("shear_dims")))
-    names = pysammos.choose(given.get("fields"), table, make_plan(ds, None, **options).fields)
+    names = pysammos.choose(given.get("fields"), table, make_plan(ds, None, **planned).fields)
     needed = dict.fromkeys(["sample_count", *(n for name in names for n in table[name].needs)])
     return names, table, {"fields": list(needed), **options}
 
@@ -235,7 +246,7 @@ def _compute_step(
     for_each(slices(nodes, nodes if registry.whole_grid(plan.options) else BLOCK), algebra, threads)
 
 
-def _label(ds: xr.Dataset, plan: Plan, arrays: Mapping[str, Any], given: Mapping[str, Any]) -> xr.Dataset:
+def _label(ds: xr.Dataset, plan: Plan, arrays: Mapping[str, Any], call: str) -> xr.Dataset:
     system = plan.setup.unit_system
     grid = plan.recipe.grid
     length = units_of((1, 0, 0), system)
@@ -250,7 +261,7 @@ def _label(ds: xr.Dataset, plan: Plan, arrays: Mapping[str, Any], given: Mapping
         attrs = {"long_name": f"phase by {plan.recipe.by}"}
         coords["phase"] = ("phase", ["bulk", *map(str, plan.recipe.groups)], attrs)
     data = {}
-    for name, array in arrays.items():
+    for name in plan.fields:
         row = registry.row(name, plan.options)
         tail = ("component", "direction")[: row.rank]
         coords |= {dim: (dim, list(COMPONENTS)) for dim in tail}
@@ -258,13 +269,13 @@ def _label(ds: xr.Dataset, plan: Plan, arrays: Mapping[str, Any], given: Mapping
             tail = ("other_phase", *tail)
             coords["other_phase"] = ("other_phase", [*map(str, plan.recipe.groups), "wall"])
         attrs = {"units": units_of(row.powers, system), "long_name": row.long_name, "formula": row.formula}
-        data[name] = (("time", *plan.dims, *tail), array, attrs)
-    return storable(xr.Dataset(data, coords, _provenance(ds, plan, given)))
+        data[name] = (("time", *plan.dims, *tail), arrays[name], attrs)
+    return storable(xr.Dataset(data, coords, _provenance(ds, plan, call)))
 
 
-def _provenance(ds: xr.Dataset, plan: Plan, given: Mapping[str, Any]) -> dict[str, Any]:
+def _provenance(ds: xr.Dataset, plan: Plan, call: str) -> dict[str, Any]:
     return {
-        **about(ds, call_of("coarse_grain", given)),
+        **about(ds, call),
         "kernel": plan.kernel.name,
         "width": plan.widths if len(plan.widths) > 1 else plan.kernel.width,
         "cutoff": list(plan.recipe.cutoffs) if len(plan.widths) > 1 else plan.kernel.cutoff,

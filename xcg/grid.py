@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from xcg.schema import COMPONENTS, SceneWarning
 
 MAX_NODES = 2**31
+_MOST_OF_ONE_AXIS = 2**27
+_FINEST = 1e-9  # least spacing, in radii of the support
 
 
 @dataclass(frozen=True)
@@ -91,6 +93,17 @@ def _check_axes(axes: str, at: Mapping[str, float], bounds: Mapping[str, Sequenc
         raise ValueError(msg)
 
 
+def _whole(axis: str, count: float) -> int:
+    """Whole number of nodes of one axis, refused before anything is made for too many."""
+    if not count < _MOST_OF_ONE_AXIS:
+        msg = (
+            f"the mesh would have {count:.3g} nodes along {axis!r}, more than {_MOST_OF_ONE_AXIS}: choose a larger "
+            "spacing or smaller bounds. If neither was given, a particle is far astray"
+        )
+        raise ValueError(msg)
+    return int(count)
+
+
 def make_grid(
     axes: str,
     at: Mapping[str, float],
@@ -131,15 +144,18 @@ def make_grid(
     nodes, taken = {}, {}
     for a in axes:
         step = steps.get(a)
-        if step is None or not (np.isfinite(step) and step > 0):
-            msg = f"spacing along {a!r} is {step!r}: expected a positive distance (m) for each of {list(axes)}"
+        if step is None or not (np.isfinite(step) and step > _FINEST * cutoff):
+            msg = (
+                f"spacing along {a!r} is {step!r}: expected a positive distance (m) for each of {list(axes)}, not far "
+                f"below the radius of the support ({cutoff:g} m)"
+            )
             raise ValueError(msg)
         if a in bounds:
             first, last = map(float, bounds[a])
             if not (np.isfinite(first) and np.isfinite(last) and first <= last):
                 msg = f"bounds[{a!r}]={tuple(bounds[a])!r}: expected (first, last) with first <= last"
                 raise ValueError(msg)
-            count = int(np.floor((last - first) / step * (1 + 1e-12) + 1e-9)) + 1
+            count = _whole(a, (last - first) / step * (1 + 1e-12) + 1e-9) + 1
         elif a not in automatic:
             msg = (
                 f"axis {a!r} has no bounds: the scene holds neither a box nor the particles' extent. Give "
@@ -147,11 +163,11 @@ def make_grid(
             )
             raise ValueError(msg)
         elif a in period:
-            first, count = automatic[a][0], max(1, round(period[a] / step))
+            first, count = automatic[a][0], max(1, _whole(a, period[a] / step + 0.5))
             step = period[a] / count
         else:
             first, last = automatic[a]
-            count = int(np.ceil((last - first) / step)) + 1
+            count = _whole(a, np.ceil((last - first) / step)) + 1
             first = 0.5 * (first + last) - 0.5 * (count - 1) * step
         nodes[a], taken[a] = first + step * np.arange(count), float(step)
         if count > 1 and step > 2 * cutoff:

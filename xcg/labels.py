@@ -11,12 +11,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.over_time import Result
+from xcg.over_time import SKIPPED, Result
 from xcg.scene import storable
 from xcg.schema import COMPONENTS, Variable, units_of
 
 # attributes of a scene that hold for its results, too
-ABOUT = ("Conventions", "periodic", "gravity", "unit_system", "dimension", "plane")
+ABOUT = ("Conventions", "periodic", "gravity", "unit_system", "dimension", "plane", "skipped_files")
 AXES = {"component": list(COMPONENTS), "direction": list(COMPONENTS), "principal": [1, 2, 3]}
 
 
@@ -39,13 +39,33 @@ def label(ds: xr.Dataset, variables: Mapping[str, Variable], arrays: Mapping[str
     system = ds.attrs.get("unit_system", "SI")
     data = {}
     for name, array in arrays.items():
+        if name == SKIPPED:
+            continue
         row = variables[name]
         attrs = {"units": units_of(row.powers, system), "long_name": row.long_name}
         data[name] = xr.Variable(("time", *row.dims), array, attrs)
     coords: dict[str, Any] = {name: ds[name].variable for name in ("time", "step") if name in ds.coords}
     used = {dim for variable in data.values() for dim in variable.dims}
     coords |= {dim: (dim, values) for dim, values in AXES.items() if dim in used}
-    return storable(xr.Dataset(data, coords, about(ds, call)))
+    return mark_skipped(storable(xr.Dataset(data, coords, about(ds, call))), arrays)
+
+
+def mark_skipped(result: xr.Dataset, arrays: Mapping[str, Any]) -> xr.Dataset:
+    """Say which steps were skipped, where they may be: the coordinate ``skipped``, and once known, an attribute."""
+    if SKIPPED not in arrays:
+        return result
+    long_name = "whether the step was left out, as it could not be read or computed"
+    result = result.assign_coords({SKIPPED: ("time", arrays[SKIPPED], {"long_name": long_name})})
+    return name_skipped(result)
+
+
+def name_skipped(result: xr.Dataset) -> xr.Dataset:
+    """List the steps that were skipped in the attribute ``skipped_steps``, if that is known and there are any."""
+    skipped = result.coords.get(SKIPPED)
+    if skipped is None or skipped.chunks is not None or not skipped.to_numpy().any():
+        return result
+    numbers = result["step"].to_numpy() if "step" in result.coords else np.arange(result.sizes["time"])
+    return result.assign_attrs(skipped_steps=numbers[skipped.to_numpy()])
 
 
 def call_of(function: str, given: Mapping[str, Any]) -> str:

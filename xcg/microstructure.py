@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from xcg.complete import periods
 from xcg.contacts import Contacts
-from xcg.labels import about, call_of
+from xcg.labels import about, call_of, mark_skipped
 from xcg.moments import phase_of, without_frozen
 from xcg.over_time import map_over_time, steps_in
 from xcg.plan import edges_of, groups_of, layer_depth
@@ -186,6 +186,7 @@ def microstructure(
     strain_rate: str | float | xr.DataArray | None = None,
     strain: str = "logarithmic",
     axis: str | None = None,
+    on_error: str = "raise",
 ) -> xr.Dataset:
     r"""Measure the microstructure of a packing, for each time, and for each region or phase.
 
@@ -219,6 +220,9 @@ def microstructure(
         "logarithmic" (default) or "engineering", relative to the first step of `ds`.
     axis : str, optional
         Axis of the axial strain; by default the last of the scene.
+    on_error : {"raise", "skip"}
+        What to do about a step that cannot be read or computed: stop with its error, or leave it out (NaN, or padding),
+        warn of it, and mark it in the coordinate ``skipped`` (time).
 
     Returns
     -------
@@ -317,9 +321,10 @@ def microstructure(
     read = [str(name) for name in ds.data_vars if name in needed | extra and name != "box"]
     read += [name for name in ("box", "step") if name in ds]
     results = {name: (measure.shape(name), "float64") for name in measured}
-    arrays = map_over_time(ds, read, measure, results, "microstructure") if measured else {}
+    arrays = map_over_time(ds, read, measure, results, "microstructure", on_error) if measured else {}
     result = _label(ds, arrays, measure, regions)
-    return _with_series(ds, result, names, rate, strain, axis or setup.plane[-1], given)
+    result = _with_series(ds, result, names, rate, strain, axis or setup.plane[-1], given)
+    return mark_skipped(result, arrays)
 
 
 def _check(min_contacts: int, rattlers: str, max_connectivity: int, strain: str) -> None:
@@ -421,8 +426,8 @@ def _label(ds: xr.Dataset, arrays: Mapping[str, Any], measure: Measure, regions:
     coords["region"] = ("region", list(regions))
     coords["phase"] = ("phase", ["bulk", *map(str, measure.groups)], {"long_name": f"phase by {measure.by}"})
     data = {}
-    for name, values in arrays.items():
-        row = QUANTITIES[name]
+    for name in measure.names if arrays else ():
+        row, values = QUANTITIES[name], arrays[name]
         attrs = {"units": units_of(row.powers, system), "long_name": row.long_name, "formula": row.formula}
         data[name] = xr.Variable(("time", "region", "phase", *row.dims), values, attrs)
     used = {dim for variable in data.values() for dim in variable.dims} | {"time"}

@@ -16,7 +16,7 @@ from xcg.kernels import deposit as kernel
 from xcg.kernels.nodes import spatial_order
 from xcg.kernels.rows import turn
 from xcg.kernels.segments import deposit_segments
-from xcg.schema import Frame, SceneError
+from xcg.schema import COMPONENTS, Frame, SceneError
 from xcg.smoothing import Weights
 from xcg.threads import for_each, shares
 
@@ -176,6 +176,10 @@ def without_frozen(frame: Frame) -> Frame:
 
 _Index = tuple[int, int, int]
 
+# Beyond this many cutoffs from the mesh coordinates cannot be told apart, and cells cannot be counted.
+_FAR = 2.0**50
+_MOST_IMAGES = 1000
+
 
 def _tuple(values: Sequence[Any] | NDArray) -> tuple[Any, Any, Any]:
     x, y, z = np.asarray(values).tolist()
@@ -185,8 +189,8 @@ def _tuple(values: Sequence[Any] | NDArray) -> tuple[Any, Any, Any]:
 class _Deposit:
     """The deposits onto one grid, with lengths in cutoffs; results are (phases, nodes, columns)."""
 
-    def __init__(self, recipe: Recipe, period: NDArray, scale: float, threads: int) -> None:
-        self.recipe, self.scale, self.threads = recipe, scale, threads
+    def __init__(self, recipe: Recipe, period: NDArray, scale: float, where: str, threads: int) -> None:
+        self.recipe, self.scale, self.where, self.threads = recipe, scale, where, threads
         self.phases = max(1, len(recipe.groups))
         self.cutoffs = np.broadcast_to(recipe.cutoffs, self.phases)
         self.shape, self.active = recipe.grid.shape, recipe.grid.active
@@ -200,15 +204,22 @@ class _Deposit:
         mesh = (_tuple(self.recipe.grid.steps / cutoff), _tuple(self.active), _tuple(self.period / cutoff))
         return *mesh, kind, spread, table, norm * self.scale
 
-    def _by_cutoff(self, position: NDArray, phase: NDArray) -> Iterator[tuple[float, NDArray, NDArray]]:
+    def _by_cutoff(
+        self, position: NDArray, phase: NDArray, branch: NDArray | None = None
+    ) -> Iterator[tuple[float, NDArray, NDArray]]:
         """Yield each cutoff, the rows that have it, and their positions in cutoffs.
 
         Rows come in an order in space, so that neighbours add to the same nodes while these are in cache.
         """
         for cutoff in np.unique(self.cutoffs).tolist():
             rows = np.flatnonzero(self.cutoffs[phase] == cutoff) if len(set(self.cutoffs)) > 1 else None
-            local = (position if rows is None else position[rows]) - self.recipe.grid.origin
-            local /= cutoff
+            with np.errstate(over="ignore"):
+                local = (position if rows is None else position[rows]) - self.recipe.grid.origin
+                local /= cutoff
+                reach = np.full(3, 2.0)
+                if branch is not None:
+                    reach += np.abs(branch).max(axis=0, initial=0.0) / cutoff
+                self._check(np.abs(local).max(axis=0, initial=0.0) + reach, reach, cutoff)
             order = spatial_order(local, self.active)
             yield cutoff, order if rows is None else rows[order], local[order]
 
@@ -225,6 +236,24 @@ class _Deposit:
             fill(_tuple(low), _tuple(high))
 
         for_each(shares(self.shape[axis], self.threads), fill_slab, self.threads)
+
+    def _check(self, farthest: NDArray, reach: NDArray, unit: float) -> None:
+        """Refuse places that the kernels cannot number; damaged files hold them."""
+        for k in np.flatnonzero(self.active):
+            name = COMPONENTS[k]
+            if not farthest[k] < _FAR:
+                msg = (
+                    f"{self.where}: a particle or contact reaches {farthest[k] * unit:.3g} m from the mesh along "
+                    f"'{name}', where coordinates have no digits left; the file is damaged, or its units are others"
+                )
+                raise SceneError(msg)
+            if not reach[k] * unit < _MOST_IMAGES * self.period[k]:
+                msg = (
+                    f"{self.where}: the period {self.period[k]:.3g} m along '{name}' is less than a "
+                    f"{_MOST_IMAGES}th of the reach of a particle or contact ({reach[k] * unit:.3g} m); the box or a "
+                    "contact in the file is damaged, or the kernel is too wide"
+                )
+                raise SceneError(msg)
 
     def points(
         self, position: NDArray, velocity: NDArray, mass: NDArray, constants: NDArray, phase: NDArray, level: int,
@@ -244,7 +273,7 @@ class _Deposit:
     ) -> NDArray:
         """Deposit segments that have the cutoff of `phase` into the sums `into`, of which there are `groups`."""
         sums = np.zeros((groups, self.nodes, 9))
-        for cutoff, rows, local in self._by_cutoff(start, phase):
+        for cutoff, rows, local in self._by_cutoff(start, phase, branch):
             a, f = branch[rows], force[rows]
             a /= cutoff
             f *= cutoff
@@ -317,7 +346,7 @@ def sums_of_frame(frame: Frame, recipe: Recipe, period: NDArray, scale: float, w
     phase = phase_of(frame, recipe.by, recipe.groups, where)
     wanted = {name: MOMENTS[name] for name in recipe.moments}
     contacts = Contacts.of(frame, period) if "contact_i" in frame else None
-    to = _Deposit(recipe, period, scale, threads)
+    to = _Deposit(recipe, period, scale, where, threads)
 
     constants = {
         name: row.column(frame, contacts).reshape(count, _columns_of(name).max() + 1)

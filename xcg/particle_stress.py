@@ -141,7 +141,9 @@ def carries(result: Mapping[str, NDArray]) -> NDArray:
     return result["major_stress"] > ROUNDING * size
 
 
-def particle_stress(ds: xr.Dataset, *, symmetric: bool = True, volume: str = "particle") -> xr.Dataset:
+def particle_stress(
+    ds: xr.Dataset, *, symmetric: bool = True, volume: str = "particle", on_error: str = "raise"
+) -> xr.Dataset:
     """Stress tensor of each particle from its contacts, with principal stresses and directions.
 
     Lazy where the scene is.
@@ -157,6 +159,9 @@ def particle_stress(ds: xr.Dataset, *, symmetric: bool = True, volume: str = "pa
     volume : str
         "particle" (default), the scene's volumes; "disc" for a one-layer scene, ``pi d^2/4`` times the thickness of
         the layer.
+    on_error : {"raise", "skip"}
+        What to do about a step that cannot be read or computed: stop with its error, or leave it out (NaN, or padding),
+        warn of it, and mark it in the coordinate ``skipped`` (time).
 
     Returns
     -------
@@ -190,7 +195,8 @@ def particle_stress(ds: xr.Dataset, *, symmetric: bool = True, volume: str = "pa
     """
     rule = StressRule.of(ds, "particle_stress", symmetric=symmetric, volume=volume)
     names = [*rule.variables, *(name for name in ("box", "step") if name in ds)]
-    arrays = map_over_time(ds, names, partial(_compute, rule), results_of(RESULTS, ds.sizes), "particle-stress")
+    arrays = map_over_time(ds, names, partial(_compute, rule), results_of(RESULTS, ds.sizes), "particle-stress",
+                           on_error)  # fmt: skip
     return label(ds, RESULTS, arrays, f"particle_stress(symmetric={symmetric}, volume={volume!r})")
 
 

@@ -5,15 +5,20 @@ Both are coarser than `xcg.coarse_grain` and are here for comparison with what w
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.labels import mark_skipped
+from xcg.over_time import map_over_time
 from xcg.scene import require_scene, setup_of, storable
 from xcg.schema import COMPONENTS, units_of
+
+_TABLE = "slices"  # temperature, velocity (3) and count, in columns
 
 
 def slice_temperature(
@@ -25,6 +30,7 @@ def slice_temperature(
     spacing: float | None = None,
     bounds: Sequence[float] | None = None,
     planes: int = 5,
+    on_error: str = "raise",
 ) -> xr.Dataset:
     """Granular temperature and velocity in slices across an axis, lazy where the scene is.
 
@@ -50,6 +56,9 @@ def slice_temperature(
         default.
     planes : int
         Planes on each side of a slice's centre.
+    on_error : {"raise", "skip"}
+        What to do about a step that cannot be read or computed: stop with its error, or leave it NaN, warn of it, and
+        mark it in the coordinate ``skipped`` (time).
 
     Returns
     -------
@@ -95,17 +104,15 @@ def slice_temperature(
             _planes, axis=k, dims=[*map(COMPONENTS.index, setup.plane)], sides=planes, width=width,
             period=_period(ds, axis, k),
         )  # fmt: skip
-    inputs = [ds[name] for name in ("position", "velocity", weight)]
-    inputs = [a.chunk(particle=-1) if a.chunks is not None else a for a in inputs]
-    table = xr.apply_ufunc(
-        partial(_over_time, function=function, nodes=nodes), *inputs,
-        input_core_dims=[["particle", "component"], ["particle", "component"], ["particle"]],
-        output_core_dims=[[axis, "_column"]], dask="parallelized", output_dtypes=[float],
-        dask_gufunc_kwargs={"output_sizes": {axis: len(nodes), "_column": 5}},
-    )  # fmt: skip
+    scene = ds if "time" in ds.dims else ds.expand_dims("time")
+    compute = partial(_over_time, weight=weight, function=function, nodes=nodes)
+    shape = {_TABLE: ((len(nodes), 5), "float64")}
+    found = map_over_time(scene, ["position", "velocity", weight], compute, shape, "slices", on_error)
+    coords: dict[Any, Any] = {name: scene[name].variable for name in ("time", "step") if name in scene.coords}
+    table = xr.DataArray(found[_TABLE], coords, ("time", axis, "_column"))
     system = setup.unit_system
     length = units_of((1, 0, 0), system)
-    coords = {axis: (axis, nodes, {"units": length, "long_name": f"position along {axis}", "axis": axis.upper()})}
+    coords |= {axis: (axis, nodes, {"units": length, "long_name": f"position along {axis}", "axis": axis.upper()})}
     velocity = table.isel(_column=slice(1, 4)).rename(_column="component")
     out = {
         "granular_temperature": table.isel(_column=0).assign_attrs(
@@ -114,9 +121,10 @@ def slice_temperature(
         "velocity": velocity.assign_attrs(units=units_of((1, 0, -1), system), long_name="velocity of the slice"),
         "sample_count": table.isel(_column=4).assign_attrs(units="1", long_name="number of particles in the slice"),
     }
-    return storable(
-        xr.Dataset(out, {**coords, "component": list(COMPONENTS)}, {"slice_width": width, "method": method})
-    )
+    attrs = {"slice_width": width, "method": method}
+    result = storable(xr.Dataset(out, {**coords, "component": list(COMPONENTS)}, attrs))
+    result = mark_skipped(result, found)
+    return result if scene is ds else result.isel(time=0)
 
 
 def _period(ds: xr.Dataset, axis: str, k: int) -> float:
@@ -125,12 +133,15 @@ def _period(ds: xr.Dataset, axis: str, k: int) -> float:
     return float(ds.attrs["box_upper"][k] - ds.attrs["box_lower"][k])
 
 
-def _over_time(position: NDArray, velocity: NDArray, weight: NDArray, *, function, nodes: NDArray) -> NDArray:  # type: ignore[no-untyped-def]
-    out = np.empty((*position.shape[:-2], len(nodes), 5))
-    for at in np.ndindex(position.shape[:-2]):
-        here = np.isfinite(weight[at])
-        out[at] = function(position[at][here], velocity[at][here], weight[at][here], nodes)
-    return out
+def _over_time(
+    arrays: Mapping[str, NDArray], *, weight: str, function: Callable[..., NDArray], nodes: NDArray
+) -> dict[str, NDArray]:
+    """Tables of the slices of one chunk of time."""
+    out = np.empty((len(arrays[weight]), len(nodes), 5))
+    for t in range(len(out)):
+        here = np.isfinite(arrays[weight][t])
+        out[t] = function(arrays["position"][t][here], arrays["velocity"][t][here], arrays[weight][t][here], nodes)
+    return {_TABLE: out}
 
 
 def _bins(

@@ -87,6 +87,7 @@ def force_chains(
     region: Region | None = None,
     symmetric: bool = True,
     volume: str = "particle",
+    on_error: str = "raise",
 ) -> xr.Dataset:
     """Find the force chains of each step of a scene.
 
@@ -118,6 +119,9 @@ def force_chains(
         particle, combined with ``&``, ``|`` and ``~``.
     symmetric, volume
         How the stress of a particle is made, see `xcg.particle_stress`. Force Chain Finder takes ``symmetric=False``.
+    on_error : {"raise", "skip"}
+        What to do about a step that cannot be read or computed: stop with its error, or leave it out (NaN, or padding),
+        warn of it, and mark it in the coordinate ``skipped`` (time).
 
     Returns
     -------
@@ -161,7 +165,8 @@ def force_chains(
     }  # fmt: skip
     sizes = result_sizes(ds.sizes["particle"], ds.sizes["contact"], rule.min_length)
     names = [*rule.variables, *(name for name in ("frozen", "box", "time", "step") if name in ds)]
-    arrays = map_over_time(ds, names, partial(_compute, rule), results_of(RESULTS, sizes), "force-chains")
+    arrays = map_over_time(ds, names, partial(_compute, rule), results_of(RESULTS, sizes), "force-chains",
+                           on_error)  # fmt: skip
     call = ", ".join(f"{name}={value!r}" for name, value in given.items() if value is not None)
     result = label(ds, RESULTS, arrays, f"force_chains({call})")
     lengths = rule.min_length + np.arange(sizes["length"])

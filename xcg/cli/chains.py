@@ -9,7 +9,10 @@ import click
 import xarray as xr
 
 from xcg.chains.search import ALGORITHMS, force_chains
+from xcg.faults import ON_ERROR
+from xcg.labels import name_skipped
 from xcg.readers.series import open_scene
+from xcg.writers.files import whole_file
 
 
 def _threshold(context: click.Context, parameter: click.Parameter, value: str | None) -> float | str | None:
@@ -39,6 +42,8 @@ def _threshold(context: click.Context, parameter: click.Parameter, value: str | 
 @click.option("--vtkhdf", type=click.Path(path_type=Path), help="All steps as one temporal VTKHDF file.")
 @click.option("--netcdf", type=click.Path(path_type=Path), help="The whole result as NetCDF.")
 @click.option("--overwrite", is_flag=True, help="Replace files that exist.")
+@click.option("--on-error", type=click.Choice(ON_ERROR), default=ON_ERROR[0], show_default=True,
+              help="Steps that cannot be read: stop, or leave them out.")  # fmt: skip
 def chains_command(
     particles: tuple[str, ...],
     contacts: tuple[str, ...],
@@ -56,13 +61,14 @@ def chains_command(
     vtkhdf: Path | None,
     netcdf: Path | None,
     overwrite: bool,
+    on_error: str,
 ) -> None:
     """Find force chains in PARTICLES and print their statistics.
 
     For example: xcg chains "particles.*.dump" --contacts "contacts.*.dump" --csv "chains_{step}.csv" --vtp
     "chains_{step}.vtp"
     """
-    said: dict[str, Any] = {"engine": engine, "periodic": periodic}
+    said: dict[str, Any] = {"engine": engine, "periodic": periodic, "on_error": on_error}
     if walls:
         said["walls"] = list(walls)
     if frozen:
@@ -71,11 +77,14 @@ def chains_command(
         scene = open_scene(
             list(particles), contacts=list(contacts), **{k: v for k, v in said.items() if v is not None}
         )  # fmt: skip
-        fc = force_chains(scene, alpha, threshold, min_length, algorithm=algorithm, symmetric=not raw).compute()
+        fc = force_chains(scene, alpha, threshold, min_length, algorithm=algorithm, symmetric=not raw,
+                          on_error=on_error).compute()  # fmt: skip
         click.echo(statistics_table(fc))
         if netcdf:
             _refuse_existing(netcdf, overwrite)
-            fc.to_netcdf(netcdf)
+            fc = name_skipped(fc)
+            with whole_file(netcdf, overwrite=overwrite, room=fc.nbytes) as part:
+                fc.to_netcdf(part, engine="netcdf4")
         _write(fc, csv, vtp, vtkhdf, overwrite=overwrite)
     except (ValueError, OSError) as error:
         raise click.ClickException(str(error)) from error

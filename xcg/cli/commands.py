@@ -1,14 +1,20 @@
 """The command ``xcg``: run a job, look into files, list fields, find force chains.
 
-Exit codes: 0 done, 1 the job or its data are at fault (the message says what), 2 the command line is.
+Exit codes: 0 done, 1 the job or its data are at fault (the message says what), 2 the command line is, 130 stopped by
+Ctrl-C.
 """
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
+import threading
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext, suppress
+from dataclasses import replace
+from typing import Any
 
 import click
 
@@ -16,7 +22,11 @@ import xcg
 from xcg import fields as registry
 from xcg.cli.chains import chains_command
 from xcg.cli.convert import convert_command
+from xcg.faults import ON_ERROR
 from xcg.schema import units_of
+from xcg.writers.files import abandon
+
+INTERRUPTED = 130
 
 
 @contextmanager
@@ -25,7 +35,8 @@ def _told(quiet: bool) -> Iterator[None]:
 
     def show(message: Warning | str, *_: object, **__: object) -> None:
         if not quiet:
-            click.echo(f"warning: {message}", err=True)
+            start = "\r\x1b[K" if sys.stderr.isatty() else ""  # over the bar, which is drawn again
+            click.echo(f"{start}warning: {message}", err=True)
 
     with warnings.catch_warnings():
         warnings.simplefilter("always", xcg.SceneWarning)
@@ -34,9 +45,67 @@ def _told(quiet: bool) -> Iterator[None]:
             yield
         except (ValueError, OSError, ImportError) as error:
             raise click.ClickException(str(error)) from error
+        except MemoryError as error:
+            msg = (
+                f"not enough memory ({error}); take fewer steps at a time (--jobs 1), fewer fields, or a larger spacing"
+            )
+            raise click.ClickException(msg) from error
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+# What a command that is stopped has to say.
+_last_words: list[Callable[[], str]] = []
+
+
+def _stop(*_: object) -> None:
+    """End the process at once.
+
+    An exception would unwind through libraries that do not expect it (a lock of xarray's, taken and not noted, then
+    stops the run for ever), and threads that compute a step would be waited for. All files can stand an end like this.
+    """
+    abandon()
+    said = "".join(f"\n{words()}" for words in _last_words)
+    with suppress(OSError, RuntimeError):  # interrupted while it prints
+        sys.stderr.write(f"\nstopped{said}\n")
+        sys.stderr.flush()
+    os._exit(INTERRUPTED)
+
+
+class _Group(click.Group):
+    """A group of commands that ends at once, and without a traceback, when it is interrupted."""
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        """Run as the program, as opposed to within another one."""
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGINT, _stop)
+        try:
+            return self.main(*args, **kwargs)
+        except SystemExit as end:
+            if (
+                isinstance(end.code, int) and end.code
+            ):  # threads would be waited for, a file of a full disk closed again
+                sys.stdout.flush()
+                sys.stderr.flush()
+                os._exit(end.code)
+            raise
+
+
+@contextmanager
+def _dashboard(jobs: int | None) -> Iterator[None]:
+    """Run dask's tasks on a local cluster, and say where it can be watched."""
+    try:
+        import bokeh  # noqa: F401
+        from distributed import Client
+    except ImportError as error:
+        msg = f"--dashboard needs {error.name}, which is not installed; pip install distributed bokeh"
+        raise click.ClickException(msg) from None
+    with Client(
+        processes=False, n_workers=1, threads_per_worker=jobs or os.cpu_count(), dashboard_address=":0"
+    ) as client:
+        click.echo(f"dashboard: {client.dashboard_link}", err=True)
+        yield
+
+
+@click.group(cls=_Group, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(xcg.__version__, prog_name="xcg")
 def main() -> None:
     """Continuum fields from granular simulations."""
@@ -46,31 +115,57 @@ def main() -> None:
 @click.argument("config", type=click.Path(exists=True, dir_okay=False))
 @click.option("--quiet", "-q", is_flag=True, help="No progress bar, no warnings.")
 @click.option("--overwrite", is_flag=True, help="Replace output that is there.")
+@click.option("--resume", is_flag=True, help="Go on with a run of this very job, or find it done; never start over.")
+@click.option("--on-error", type=click.Choice(ON_ERROR), help="Steps that cannot be read: stop, or leave them out.")
+@click.option("--dashboard", is_flag=True, help="Watch dask at work in a browser (needs distributed and bokeh).")
 @click.option("--jobs", "-j", type=click.IntRange(1), help="Steps at the same time; all processors by default.")
 @click.option("--dry-run", is_flag=True, help="Say what would be done.")
-def run(config: str, quiet: bool, overwrite: bool, jobs: int | None, dry_run: bool) -> None:
+def run(
+    config: str,
+    quiet: bool,
+    overwrite: bool,
+    resume: bool,
+    on_error: str | None,
+    dashboard: bool,
+    jobs: int | None,
+    dry_run: bool,
+) -> None:
     """Run a job: Pysammos's config.ini as it stands, or TOML.
 
     An interrupted run goes on where it was.
     """
     from xcg.cli.config import read_config
+    from xcg.cli.progress import Progress
     from xcg.cli.run import open_job, run_job
 
     with _told(quiet):
         job = read_config(config)
+        if on_error is not None:
+            job = replace(job, on_error=on_error)
         if dry_run:
             scene, fields, _ = open_job(job)
             click.echo(f"{scene.cg!r}\n{', '.join(map(str, fields.data_vars))}\ninto {job.folder}/{job.name}*")
             return
-        steps = run_job(job, overwrite=overwrite, jobs=jobs)
-        done, count = next(steps)
-        if done and not quiet:
-            click.echo(f"{done} of {count} steps are there from an earlier run", err=True)
-        with click.progressbar(length=count, label="coarse-graining", file=sys.stderr, hidden=quiet) as bar:
-            bar.update(done)
-            for now, _ in steps:
-                bar.update(now - done)
-                done = now
+        with _dashboard(jobs) if dashboard else nullcontext():
+            steps = run_job(job, overwrite=overwrite, resume=resume, jobs=jobs)
+            done, count = next(steps)
+            if done and not quiet:
+                click.echo(f"{done} of {count} steps are there from an earlier run", err=True)
+            bar = Progress(count, done, sys.stderr, quiet=quiet)
+
+            def kept() -> str:
+                return f"{done} of {count} steps are kept; the same command goes on from there"
+
+            _last_words.append(kept)
+            try:
+                for done, _ in steps:
+                    bar.update(done)
+            except OSError as error:
+                msg = f"{error}\n{kept()}"
+                raise click.ClickException(msg) from error
+            finally:
+                _last_words.remove(kept)
+                bar.end()
     if not quiet:
         click.echo(f"{count} steps in {job.folder}")
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from xcg.faults import check_on_error
 from xcg.schema import COMPONENTS, SceneError, SceneWarning
 
 # key_mapping: its keys and our variables
@@ -73,6 +74,8 @@ class Job:
         "steps" (one file a step), "temporal" (one file) or "" (none).
     suffix : str
         Of the file with all steps: ".nc" or ".h5".
+    on_error : str
+        What to do about steps that cannot be read or computed: "raise" or "skip".
     """
 
     scene: dict[str, Any]
@@ -86,6 +89,7 @@ class Job:
     netcdf: bool = True
     vtkhdf: str = ""
     suffix: str = ".nc"
+    on_error: str = "raise"
 
 
 def read_config(path: str | Path) -> Job:
@@ -107,7 +111,39 @@ def read_config(path: str | Path) -> Job:
     if not path.exists():
         msg = f"{path} does not exist"
         raise FileNotFoundError(msg)
-    return _toml(path) if path.suffix.lower() == ".toml" else _ini(path)
+    try:
+        return _toml(path) if path.suffix.lower() == ".toml" else _ini(path)
+    except UnicodeDecodeError as error:
+        msg = f"{path}: is no text in UTF-8 ({error.reason} at byte {error.start})"
+        raise SceneError(msg) from None
+    except (TypeError, AttributeError, RecursionError) as error:  # tables where values should be, and the like
+        msg = f"{path}: cannot be understood ({error}); see the form of a job in the documentation"
+        raise SceneError(msg) from None
+
+
+def _of_type(path: Path, table: str, values: Mapping[str, Any], kinds: Mapping[str, type | tuple[type, ...]]) -> None:
+    """Refuse values of another type than expected."""
+    for name, kind in kinds.items():
+        if name in values and not isinstance(values[name], kind):
+            expected = " or ".join(k.__name__ for k in (kind if isinstance(kind, tuple) else (kind,)))
+            msg = f"{path}: {name} = {values[name]!r} in [{table}]: expected {expected}"
+            raise SceneError(msg)
+
+
+def _plain_name(path: Path, name: str) -> str:
+    """Refuse a name of output that leads out of its folder."""
+    if not name or name.startswith(".") or set(name) & set("/\\\0") or len(name) > 200:
+        msg = f"{path}: name = {name[:60]!r} in [output]: expected the name of a file without its folder and suffix"
+        raise SceneError(msg)
+    return name
+
+
+def _on_error(where: str, value: str) -> str:
+    try:
+        return check_on_error(value)
+    except ValueError as error:
+        msg = f"{where}: {error}"
+        raise SceneError(msg) from None
 
 
 def _warn(msg: str) -> None:
@@ -123,19 +159,22 @@ _PATHS = ("particles", "contacts", "walls", "restart")
 
 def _toml(path: Path) -> Job:
     try:
-        data = tomllib.loads(path.read_text())
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
     except tomllib.TOMLDecodeError as error:
         msg = f"{path}: {error}"
         raise SceneError(msg) from None
-    unknown = [name for name in data if name not in _TABLES]
+    on_error = _on_error(str(path), data.pop("on_error", "raise"))
+    unknown = [name for name in data if name not in _TABLES or not isinstance(data[name], dict)]
     if unknown or "particles" not in data.get("scene", {}):
-        msg = f"{path}: expected the tables {', '.join(_TABLES)} with scene.particles, found {sorted(data)}"
+        tables = ", ".join(_TABLES)
+        msg = f"{path}: expected the tables {tables} with scene.particles, and on_error; found {sorted(data)}"
         raise SceneError(msg)
     output = data.get("output", {})
     wrong = [name for name in output if name not in _OUTPUT]
     if wrong:
         msg = f"{path}: [output] has {wrong}; expected any of {', '.join(_OUTPUT)}"
         raise SceneError(msg)
+    _of_type(path, "output", output, {"folder": str, "name": str, "netcdf": bool, "vtkhdf": (str, bool)})
     vtkhdf = output.get("vtkhdf", "")
     if vtkhdf not in ("steps", "temporal", "", False):
         msg = f"{path}: vtkhdf={vtkhdf!r} in [output]: expected 'steps', 'temporal' or false"
@@ -143,10 +182,20 @@ def _toml(path: Path) -> Job:
     scene = dict(data["scene"])
     for name in set(_PATHS) & set(scene):
         several = [scene[name]] if isinstance(scene[name], str) else scene[name]
+        if not isinstance(several, list) or not all(isinstance(p, str) and "\0" not in p for p in several):
+            msg = f"{path}: {name} = {several!r} in [scene]: expected a path, a pattern, or a list of them"
+            raise SceneError(msg)
         scene[name] = [str(path.parent / p) for p in several]
     phases = data.get("phases")
     if phases and "mapping" in phases:  # keys of TOML are text
-        phases = phases | {"mapping": {int(k): v for k, v in phases["mapping"].items()}}
+        try:
+            mapping = {int(k): v for k, v in phases["mapping"].items()}
+            if not all(type(v) is int and 0 <= v < 1 << 31 for v in mapping.values()):
+                raise ValueError
+            phases = phases | {"mapping": mapping}
+        except ValueError:
+            msg = f"{path}: mapping = {phases['mapping']!r} in [phases]: expected numbers of types and of phases"
+            raise SceneError(msg) from None
     fields = dict(data.get("fields", {}))
     if phases is not None:
         fields.setdefault("by", "phase")
@@ -156,9 +205,10 @@ def _toml(path: Path) -> Job:
         phases=phases,
         slices=data.get("slices"),
         folder=path.parent / output.get("folder", "xcg-output"),
-        name=output.get("name", "fields"),
+        name=_plain_name(path, output.get("name", "fields")),
         netcdf=bool(output.get("netcdf", True)),
         vtkhdf=vtkhdf or "",
+        on_error=on_error,
     )
 
 
@@ -218,7 +268,7 @@ def _ini(path: Path) -> Job:
     parser = configparser.ConfigParser(interpolation=None)
     parser.optionxform = str  # type: ignore[method-assign, assignment]
     try:
-        parser.read_string(path.read_text(), source=str(path))
+        parser.read_string(path.read_text(encoding="utf-8"), source=str(path))
     except configparser.Error as error:
         msg = f"{path}: {error}"
         raise SceneError(msg) from None
@@ -264,6 +314,7 @@ def _ini(path: Path) -> Job:
         netcdf=output.flag("h5_output"),
         vtkhdf={True: "steps", False: ""}[output.flag(spelled)],
         suffix=".h5",
+        on_error=_on_error(flags.where, flags.get("on_error") or "raise"),
     )
     for section in sections.values():
         section.warn_of_the_rest()

@@ -2,57 +2,106 @@
 
 from __future__ import annotations
 
+import glob
 import hashlib
+import inspect
 import os
 import shutil
-from collections.abc import Callable, Iterator
+import uuid
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import dask
 import numpy as np
 import xarray as xr
 
 from xcg.cli.config import Job
 from xcg.coarse_grain import coarse_grain
+from xcg.faults import heard, tolerated
+from xcg.labels import name_skipped
+from xcg.over_time import SKIPPED
 from xcg.phases import assign_phases, find_phases
 from xcg.plan import choose_width
 from xcg.pysammos import pysammos_mesh
+from xcg.readers.paths import expand_paths
 from xcg.readers.series import open_scene
 from xcg.scene import setup_of
-from xcg.schema import COMPONENTS
+from xcg.schema import COMPONENTS, SceneError
 from xcg.slices import slice_temperature
 from xcg.smoothing import as_kernel
+from xcg.writers.files import leftovers, whole_file
+from xcg.writers.lock import locked
+
+_JOB = "job"  # attribute of the output: which job made it
+_BECAUSE = "skipped_because"
+_HEADER = 1 << 16  # bytes of a NetCDF file besides its values
 
 
 def open_job(job: Job) -> tuple[xr.Dataset, xr.Dataset, xr.Dataset | None]:
-    """Open the scene of a job and set up its fields, lazily: scene, fields, and sliced temperatures if asked for."""
-    ds = open_scene(**job.scene)
-    options = dict(job.fields)
+    """Open the scene of a job and set up its fields, lazily: scene, fields, and sliced temperatures if asked for.
+
+    Raises
+    ------
+    SceneError
+        If an argument is unknown or of a wrong type.
+    """
+    try:
+        return _opened(job)
+    except (TypeError, KeyError, AttributeError, IndexError, OverflowError) as error:
+        # arguments come from a file, where any type can stand for any other
+        msg = f"the job cannot be set up ({type(error).__name__}: {error}); check the types of what its file says"
+        raise SceneError(msg) from error
+
+
+def _opened(job: Job) -> tuple[xr.Dataset, xr.Dataset, xr.Dataset | None]:
+    ds = open_scene(**{**job.scene, "on_error": job.on_error})
+    options = {**job.fields, "on_error": job.on_error}
     if job.phases is not None:
         assigned = {"edges", "mapping", "by"} & set(job.phases)
-        ds = assign_phases(ds, **job.phases) if assigned else find_phases(ds, **job.phases)
+        function = assign_phases if assigned else find_phases
+        _check_arguments(function, job.phases, "phases")
+        if job.on_error == "skip":
+            with tolerated(), dask.config.set(scheduler="synchronous"):  # in this thread, which tolerates faults
+                ds = function(ds, **job.phases)
+        else:
+            ds = function(ds, **job.phases)
         if len(np.atleast_1d(ds.attrs["phase_values"])) > 1 or assigned:
             options["by"] = "phase"
         else:
             options.pop("by", None)
+    _check_arguments(coarse_grain, options, "fields")
     if job.mesh is not None:
         options |= pysammos_mesh(ds, job.mesh, kernel=options.get("kernel", "lucy"))
     elif options.get("preset") == "pysammos":
         options = _own_mesh(ds, options, job.middle)
     fields = coarse_grain(ds, **options) if options.get("fields", True) else xr.Dataset()
-    slices = None
-    if job.slices is not None:
-        both = {m: slice_temperature(ds, **job.slices, method=m) for m in ("planes", "bins")}
-        label = {"planes": "Kamrin", "bins": "LAMMPS"}
-        axis = job.slices.get("axis", "z")
-        slices = xr.merge(
-            [
-                s.rename({name: f"{name}_{label[m]}" for name in s.data_vars} | {axis: f"{axis}_{label[m]}"})
-                for m, s in both.items()
-            ],
-            combine_attrs="drop_conflicts",
-        )
-    return ds, fields, slices
+    return ds, fields, None if job.slices is None else _slices(ds, job)
+
+
+def _check_arguments(function: Callable[..., Any], given: Mapping[str, Any], table: str) -> None:
+    known = [name for name in inspect.signature(function).parameters if name != "ds"]
+    wrong = sorted(set(given) - set(known))
+    if wrong:
+        msg = f"[{table}] has {wrong}; expected any of {', '.join(known)}"
+        raise SceneError(msg)
+
+
+def _slices(ds: xr.Dataset, job: Job) -> xr.Dataset:
+    options = {"on_error": job.on_error, **(job.slices or {})}
+    _check_arguments(slice_temperature, options, "slices")
+    options.pop("method", None)
+    label = {"planes": "Kamrin", "bins": "LAMMPS"}
+    both: list[xr.Dataset] = []
+    axis = options.get("axis", "z")
+    for method, name in label.items():
+        found = slice_temperature(ds, method=method, **options)
+        if both:  # both read the same files
+            found = found.drop_vars(SKIPPED, errors="ignore")
+        both.append(found.rename({n: f"{n}_{name}" for n in found.data_vars} | {axis: f"{axis}_{name}"}))
+    return xr.merge(both, combine_attrs="drop_conflicts", join="outer", compat="no_conflicts")
 
 
 def _own_mesh(ds: xr.Dataset, options: dict[str, Any], middle: str) -> dict[str, Any]:
@@ -67,54 +116,133 @@ def _own_mesh(ds: xr.Dataset, options: dict[str, Any], middle: str) -> dict[str,
     return {"spacing": kernel.cutoff / 2, **options, "at": at}
 
 
-def run_job(job: Job, *, overwrite: bool = False, jobs: int | None = None) -> Iterator[tuple[int, int]]:
+def run_job(
+    job: Job, *, overwrite: bool = False, resume: bool = False, jobs: int | None = None
+) -> Iterator[tuple[int, int]]:
     """Run a job, yielding the number of steps done and to do after each batch; the files are whole at the end.
 
     Steps are kept in a hidden folder until all are there. A run that was interrupted goes on where it was, unless the
     job or its input changed.
 
+    Parameters
+    ----------
+    job : Job
+        What to do.
+    overwrite : bool
+        Replace output that is there.
+    resume : bool
+        Refuse to start anew where an interrupted run was of another job or other input, and be content where this
+        job has ended already.
+    jobs : int, optional
+        Steps at the same time; as many as there are processors by default.
+
     Raises
     ------
     FileExistsError
-        If an output exists that this job did not leave half done.
+        If an output exists that this job did not leave half done, or another run is writing it.
+    SceneError
+        If `resume` is asked for and the job or its input changed.
+    OSError
+        If the disk is full; the steps that are done are kept.
     """
     _, fields, slices = open_job(job)
-    job.folder.mkdir(parents=True, exist_ok=True)
-    parts = job.folder / f".{job.name}.parts"
     mark = _signature(job)
-    begun = (parts / "job").exists() and (parts / "job").read_text() == mark
-    targets = list(_targets(job, fields, slices))
-    there = [path for path in targets if path.exists()]
-    if there and not (overwrite or begun):
-        msg = f"{there[0]} exists; choose another output folder or name, or overwrite it (--overwrite)"
-        raise FileExistsError(msg)
-    if not begun:
-        shutil.rmtree(parts, ignore_errors=True)
-        parts.mkdir()
-        (parts / "job").write_text(mark)
     series = {"fields": fields} if fields.data_vars else {}
     if slices is not None:
         series["slices"] = slices
+    if not series:
+        msg = "nothing to do: no field and no slice is asked for"
+        raise SceneError(msg)
+    series = {name: data.assign_attrs({_JOB: mark}) for name, data in series.items()}
+    job.folder.mkdir(parents=True, exist_ok=True)
+    stems = [job.name] if "fields" in series else []
+    stems += [_slices_name(job)] if slices is not None else []
+    with ExitStack() as held:
+        for stem in stems:
+            held.enter_context(locked(job.folder / f".{stem}.lock", f"{job.folder / stem}"))
+        targets = list(_targets(job, fields, slices))
+        parts = job.folder / f".{job.name}.parts"
+        if not _begin(parts, targets, mark, overwrite=overwrite, resume=resume):
+            count = next(iter(series.values())).sizes["time"]
+            yield count, count
+            return
+        yield from _compute(parts, series, jobs or os.cpu_count() or 1)
+        for name, data in series.items():
+            _assemble(job, name, [parts / f"{name}.{t}.nc" for t in range(data.sizes["time"])])
+        done = parts.with_name(f"{parts.name}.{uuid.uuid4().hex[:8]}")
+        parts.rename(done)  # at once, so that no half of it is taken for a run to go on with
+        shutil.rmtree(done)
+
+
+def _begin(parts: Path, targets: list[Path], mark: str, *, overwrite: bool, resume: bool) -> bool:
+    """Make the folder of steps, or keep the one that is there; False where the job has ended already."""
+    begun = (parts / "job").exists() and (parts / "job").read_text() == mark
+    there = [path for path in targets if path.exists()]
+    if resume and not begun and not overwrite:
+        if targets and there == targets and all(_made_by(path) == mark for path in targets):
+            return False
+        if (parts / "job").exists():
+            msg = (
+                f"{parts} is of a run whose job or input was another: files changed, or were added, since; start over "
+                "without --resume, or with --overwrite"
+            )
+            raise SceneError(msg)
+    if there and not (overwrite or begun):
+        msg = f"{there[0]} exists; choose another output folder or name, or overwrite it (--overwrite)"
+        raise FileExistsError(msg)
+    for old in parts.parent.glob(f"{parts.name}.*"):
+        shutil.rmtree(old, ignore_errors=True)
+    for target in targets:
+        for left in leftovers(target):
+            left.unlink(missing_ok=True)
+    if not begun:
+        shutil.rmtree(parts, ignore_errors=True)
+        parts.mkdir()
+        with whole_file(parts / "job", overwrite=True) as path:
+            path.write_text(mark)
+    return True
+
+
+def _made_by(path: Path) -> str | None:
+    """Which job wrote a file."""
+    import h5py
+
+    try:
+        with h5py.File(path) as file:
+            found = file.get("xcg", file).attrs.get(_JOB)
+    except OSError:
+        return None
+    return found.decode() if isinstance(found, bytes) else found
+
+
+def _compute(parts: Path, series: Mapping[str, xr.Dataset], batch: int) -> Iterator[tuple[int, int]]:
+    """Write the steps that are not there, some at a time."""
     count = next(iter(series.values())).sizes["time"]
     todo = [t for t in range(count) if not all((parts / f"{name}.{t}.nc").exists() for name in series)]
-    batch = jobs or os.cpu_count() or 1
     yield count - len(todo), count
     for first in range(0, len(todo), batch):
         some = todo[first : first + batch]
         for name, data in series.items():
-            computed = data.isel(time=some).compute()
+            with heard() as causes:
+                computed = data.isel(time=some).compute()
             for k, t in enumerate(some):
-                _whole(parts / f"{name}.{t}.nc", computed.isel(time=[k]).to_netcdf)
+                step = computed.isel(time=[k])
+                cause = causes.get(int(step["step"].item())) if "step" in step.coords else None
+                step = step if cause is None else step.assign_attrs({_BECAUSE: cause})
+                with whole_file(parts / f"{name}.{t}.nc", overwrite=True, room=step.nbytes + _HEADER) as path:
+                    step.to_netcdf(path, engine="netcdf4")
         yield count - len(todo) + first + len(some), count
-    for name in series:
-        _assemble(job, name, [parts / f"{name}.{t}.nc" for t in range(count)])
-    shutil.rmtree(parts)
 
 
 def _signature(job: Job) -> str:
-    """Tell a job apart from another, and from itself with other input."""
-    paths = [p for key in ("particles", "contacts", "walls") for p in job.scene.get(key, []) if Path(p).exists()]
-    text = repr(job) + repr([(p, os.stat(p).st_mtime_ns, os.stat(p).st_size) for p in paths])
+    """Tell a job apart from another, and from itself with other input or another version of xcg."""
+    paths: list[str] = []
+    for key in ("particles", "contacts", "walls", "restart"):
+        given = job.scene.get(key, [])
+        for path in [given] if isinstance(given, str) else given:
+            paths += expand_paths([path], key) if glob.has_magic(path) else [path]
+    states = [(p, os.stat(p).st_mtime_ns, os.stat(p).st_size) for p in paths if Path(p).exists()]
+    text = repr(job) + repr(states) + version("xcg")
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -137,26 +265,27 @@ def _vtkhdf_paths(job: Job, fields: xr.Dataset) -> list[Path]:
     return [job.folder / f"{job.name}.vtkhdf"] if job.vtkhdf else []
 
 
-def _whole(path: Path, write: Callable[[Path], Any]) -> None:
-    """Write a file under another name first, so that it is there only when it is whole."""
-    part = path.with_name(f".{path.name}.part")
-    write(part)
-    os.replace(part, path)
-
-
 def _assemble(job: Job, name: str, parts: list[Path]) -> None:
     """One file with all steps, and VTKHDF, from the files of the steps."""
     from xcg.writers.vtkhdf import to_vtkhdf
 
     opened = [xr.open_dataset(path, chunks={}) for path in parts]
     try:
+        failed = [step for step in opened if _BECAUSE in step.attrs]
+        causes = [f"step {step['step'].to_numpy()[0]}: {step.attrs.pop(_BECAUSE)}" for step in failed]
         whole = xr.concat(opened, "time", data_vars="all", coords="minimal", compat="override", join="override",
                           combine_attrs="override")  # fmt: skip
+        if SKIPPED in whole.coords:
+            whole = name_skipped(whole.assign_coords({SKIPPED: whole[SKIPPED].compute()}))
+        if causes:
+            whole = whole.assign_attrs({_BECAUSE: "\n".join(causes)})
+        stem = job.name if name == "fields" else _slices_name(job)
+        if job.netcdf or name == "slices":
+            file = job.folder / f"{stem}{job.suffix}"
+            with whole_file(file, overwrite=True, room=whole.nbytes + _HEADER) as path:
+                whole.to_netcdf(path, engine="netcdf4")
         if name == "slices":
-            _whole(job.folder / f"{_slices_name(job)}{job.suffix}", lambda p: whole.to_netcdf(p, engine="netcdf4"))
             return
-        if job.netcdf:
-            _whole(job.folder / f"{job.name}{job.suffix}", lambda p: whole.to_netcdf(p, engine="netcdf4"))
         paths = _vtkhdf_paths(job, whole)
         if job.vtkhdf == "steps":
             for path, step in zip(paths, opened, strict=True):

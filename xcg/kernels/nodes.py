@@ -17,6 +17,9 @@ LANES = 8
 PENCIL = 8  # cutoffs
 _1, _2, _3, _4 = (np.uint64(k) for k in (1, 2, 3, 4))
 
+# Cells of the spatial order, however far apart the grains are.
+MOST_CELLS = 1 << 20
+
 
 @jit
 def images(x, low, high, first, last, period):
@@ -202,7 +205,7 @@ def spatial_order(position, active):
             for i in range(count):
                 low, high = min(low, position[i, k]), max(high, position[i, k])
             lower[k], extent[k] = low, high - low
-    while (extent / size + PENCIL).prod() > 8.0 * count + 4096.0:  # a few grains far away
+    while (extent / size + PENCIL).prod() > max(MOST_CELLS, 4.0 * count):  # a few grains are far astray
         size[np.argmax(extent / size)] *= 2.0
     for k in range(3):
         cells[k] = int(extent[k] / size[k]) + 1

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import os
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
+from xcg import faults
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.index import remembered
-from xcg.readers.text import Scanner, first_lines, open_binary, uncompressed_size, where
+from xcg.readers.text import Scanner, check_rows, first_lines, most_bytes, open_binary, uncompressed_size, where
 from xcg.schema import COMPONENTS, SceneError
 
 
@@ -23,7 +25,7 @@ def body_columns(path: str) -> tuple[str, tuple[str, ...]] | None:
         return None
     for line in lines:
         item = line.removeprefix("ITEM:").split()
-        if line.startswith("ITEM:") and _is_body(" ".join(item)):
+        if line.startswith("ITEM:") and item and _is_body(" ".join(item)):
             return item[0], tuple(item[1:])
     return None
 
@@ -52,10 +54,11 @@ def index_dumps(paths: Sequence[str], options: ReadOptions, *, atoms: bool) -> l
     refs: list[StepRef] = []
     found = remembered(paths, f"dump {atoms=}", partial(_steps, atoms=atoms))
     for path, steps in zip(paths, found, strict=True):
-        if not steps:
-            msg = f"{path}: the file is empty; expected a dump that begins with 'ITEM:'"
-            raise SceneError(msg)
         refs += steps
+        if not steps:
+            faults.raise_or_note(path, SceneError(f"{path}: the file is empty; expected a dump. Leave it out"))
+    if paths and not refs:
+        faults.raise_noted()
     if timestep is None:
         return refs
     if not isinstance(timestep, (int, float)) or not (np.isfinite(timestep) and timestep > 0):
@@ -68,21 +71,34 @@ def _steps(path: str, *, atoms: bool) -> Iterator[StepRef]:
     size = os.path.getsize(path)
     units = None
     with open_binary(path) as stream:
-        scanner = Scanner(stream)
-        while (ref := _header(scanner, path, atoms=atoms)) is not None:
-            units = ref.units or units  # LAMMPS writes the units once a file
-            ref = replace(ref, units=units, size=size)
-            rest = uncompressed_size(path) - ref.offset
-            if _is_alone(ref, rest, scanner):
-                yield replace(ref, length=rest)
-                return
-            yield replace(ref, length=sum(map(len, scanner.until(b"ITEM:"))))
+        scanner = Scanner(stream, path)
+        while True:
+            start = scanner.offset
+            try:
+                ref = _header(scanner, path, atoms=atoms)
+                if ref is None:
+                    return
+                check_rows(ref, most_bytes(path) - ref.offset)
+                units = ref.units or units  # LAMMPS writes the units once a file
+                ref = replace(ref, units=units, size=size)
+                rest = uncompressed_size(path) - ref.offset
+                if _is_alone(ref, rest, scanner):
+                    yield replace(ref, length=rest)
+                    return
+                ref = replace(ref, length=sum(map(len, scanner.until(b"ITEM:"))))
+                check_rows(ref, ref.length)
+                yield ref
+            except SceneError as error:
+                if not faults.note(f"{path} from byte {start} on", error):
+                    raise
+                for _ in scanner.until(b"ITEM: TIMESTEP"):  # the next step may be whole
+                    pass
 
 
 def _is_alone(ref: StepRef, rest: int, scanner: Scanner) -> bool:
     """Tell whether a step is the only one in its file, by its name and by the length of its first rows."""
     numbers = [int(number) for number in re.findall(r"\d+", os.path.basename(ref.path))]
-    if ref.step not in numbers or ref.rows == 0:
+    if ref.step not in numbers or ref.rows == 0 or rest < 0:
         return False
     first = scanner.sample(1 << 14)
     lines = first.count(b"\n")
@@ -110,6 +126,17 @@ def _header(scanner: Scanner, path: str, *, atoms: bool) -> StepRef | None:
     raise SceneError(msg)
 
 
+_LARGEST = 2**63  # steps are int64
+_MOST_COLUMNS = 1000
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not np.isfinite(value):
+        raise ValueError
+    return value
+
+
 def _value(ref: StepRef, scanner: Scanner, item: str) -> StepRef:
     """Take over an item of one value."""
     value = scanner.line().decode("utf-8", "replace").strip()
@@ -117,18 +144,19 @@ def _value(ref: StepRef, scanner: Scanner, item: str) -> StepRef:
         if item == "UNITS":
             return replace(ref, units=value)
         if item == "TIME":
-            return replace(ref, time=float(value))
-        if item == "TIMESTEP":
-            return replace(ref, step=int(value))
-        return replace(ref, rows=int(value))
+            return replace(ref, time=_finite(value))
+        number = int(value)
+        if not -_LARGEST < number < _LARGEST:
+            raise ValueError
+        return replace(ref, step=number) if item == "TIMESTEP" else replace(ref, rows=number)
     except ValueError:
-        msg = f"{ref.path}: {value!r} follows 'ITEM: {item}', expected a number"
+        msg = f"{ref.path}: {value[:60]!r} follows 'ITEM: {item}', expected a number"
         raise SceneError(msg) from None
 
 
 def _check_header(ref: StepRef, words: list[str], *, atoms: bool) -> None:
     label, columns = words[0] if words else "", words[1:]
-    twice = sorted({column for column in columns if columns.count(column) > 1})
+    twice = sorted(column for column, count in Counter(columns).items() if count > 1)
     if (label == "ATOMS") is not atoms:
         kind, argument = ("ATOMS", "contacts") if atoms else ("ENTRIES", "particles")
         msg = f"{where(ref)}: found 'ITEM: {label}', expected 'ITEM: {kind}'; is this a file for {argument}=?"
@@ -136,8 +164,10 @@ def _check_header(ref: StepRef, words: list[str], *, atoms: bool) -> None:
         msg = f"{where(ref)}: the header does not say how many rows follow ('ITEM: NUMBER OF ...')"
     elif not columns:
         msg = f"{where(ref)}: 'ITEM: {label}' names no columns"
+    elif len(columns) > _MOST_COLUMNS:
+        msg = f"{where(ref)}: 'ITEM: {label}' names {len(columns)} columns, expected {_MOST_COLUMNS} at most"
     elif twice:
-        msg = f"{where(ref)}: columns {twice} occur twice; name them apart, as with dump_modify colname"
+        msg = f"{where(ref)}: columns {twice[:10]} occur twice; name them apart, as with dump_modify colname"
     else:
         return
     raise SceneError(msg)
@@ -154,8 +184,10 @@ def _box(ref: StepRef, scanner: Scanner, item: str) -> StepRef:
         raise SceneError(msg)
     try:
         edges = tuple((float(low), float(high)) for low, high in lines)
+        if not all(low < high for low, high in edges):
+            raise ValueError
     except ValueError:
-        msg = f"{ref.path}: {lines} follow 'ITEM: BOX BOUNDS', expected three lines of two numbers"
+        msg = f"{ref.path}: {lines} follow 'ITEM: BOX BOUNDS', expected three lines of two numbers, the lower first"
         raise SceneError(msg) from None
     if len(flags) != len(COMPONENTS):
         return replace(ref, box=edges)  # old files do not say what is periodic

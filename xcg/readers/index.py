@@ -18,6 +18,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+from xcg import faults
 from xcg.readers.engine import StepRef
 
 _VERSION = 1  # of the entries; raise it when headers are read in another way
@@ -51,16 +52,23 @@ def _of_folder(
 ) -> dict[str, list[StepRef]]:
     place = _place(folder, kind)
     known = _load(place)
-    found, learnt = {}, {}
+    found: dict[str, list[StepRef]] = {path: [] for path in paths}
+    learnt = {}
     for path in paths:
-        name, before = os.path.basename(path), _state(path)
-        refs = _steps(path, known.get(name), before)
-        if refs is None:
-            refs = list(scan(path))
+        try:
+            name, before = os.path.basename(path), _state(path)
+            refs = _steps(path, known.get(name), before)
+            if refs is not None:
+                found[path] = refs
+                continue
+            earlier = faults.noted()
+            found[path].extend(scan(path))  # where faults are tolerated, the steps before one stay
             after = _state(path)
-            if before == after and time.time_ns() - after[1] > _SETTLED:
-                learnt[name] = {"size": after[0], "modified": after[1], "steps": [_entry(ref) for ref in refs]}
-        found[path] = refs
+            if before == after and time.time_ns() - after[1] > _SETTLED and faults.noted() == earlier:
+                learnt[name] = {"size": after[0], "modified": after[1], "steps": [_entry(ref) for ref in found[path]]}
+        except faults.FAULTS as error:
+            if not faults.note(path, error):
+                raise
     if learnt and place is not None:
         there = {name: entry for name, entry in known.items() if os.path.exists(os.path.join(folder, name))}
         _save(place, there | learnt)

@@ -15,6 +15,7 @@ from dask.base import tokenize
 from dask.highlevelgraph import HighLevelGraph
 from numpy.typing import NDArray
 
+from xcg import faults
 from xcg.complete import complete_contacts, complete_particles
 from xcg.picks import picked
 from xcg.readers.engine import Engine, ReadOptions, StepRef
@@ -85,7 +86,7 @@ class Source:
             )
             _require(parts[-1], names, ref)
         if not parts:  # nothing touches
-            return {name: np.empty(variable(name).shape(0), variable(name).dtype) for name in names}
+            return _nothing({name: variable(name).dtype for name in names})
         if len(parts) == 1:
             return {name: parts[0][name] for name in names}
         return {name: np.concatenate([part[name] for part in parts]) for name in names}
@@ -98,14 +99,24 @@ def _require(frame: Frame, names: Sequence[str], ref: StepRef) -> None:
         raise SceneError(msg)
 
 
-def read_particle_chunk(source: Source, steps: Sequence[Step], names: Sequence[str], rows: int) -> Frame:
-    """Particles of the steps of a chunk, padded."""
+def read_particle_chunk(source: Source, steps: Sequence[Step], types: Mapping[str, Any], rows: int) -> Frame:
+    """Particles of the steps of a chunk, padded; steps at fault are empty where faults are tolerated."""
     frames = []
     for step in steps:
-        raw = read_step(source.engine, source.options, step.particles)
-        frames.append(source.complete(raw, step.particles))
-        _require(frames[-1], names, step.particles)
-    return stack(frames, names, rows)
+        try:
+            frame = source.complete(read_step(source.engine, source.options, step.particles), step.particles)
+            _require(frame, list(types), step.particles)
+        except faults.FAULTS as error:
+            if not faults.note(step.particles.step, error):
+                raise
+            frame = _nothing(types)
+        frames.append(frame)
+    return stack(frames, list(types), rows)
+
+
+def _nothing(types: Mapping[str, Any]) -> Frame:
+    """Make a frame without rows."""
+    return {name: np.empty(variable(name, dtype).shape(0), dtype) for name, dtype in types.items()}
 
 
 def read_contact_chunk(
@@ -117,10 +128,16 @@ def read_contact_chunk(
     particles: Frame,
 ) -> Frame:
     """Contacts of the steps of a chunk, padded, checked against the particles of the same chunk."""
-    frames = [
-        source.contacts(step.contacts, names, frame_of(particles, t), None if boxes is None else boxes[t])
-        for t, step in enumerate(steps)
-    ]
+    frames = []
+    for t, step in enumerate(steps):
+        try:
+            box = None if boxes is None else boxes[t]
+            frame = source.contacts(step.contacts, names, frame_of(particles, t), box)
+        except faults.FAULTS as error:
+            if not faults.note(step.particles.step, error):
+                raise
+            frame = _nothing({name: variable(name).dtype for name in names})
+        frames.append(frame)
     return stack(frames, names, rows)
 
 
@@ -154,7 +171,7 @@ def lazy_arrays(
     layer, rows = f"read-particles-{token}", max(step.particles.rows for step in steps)
     tasks: dict[Any, Any] = {}
     for k, part in enumerate(parts):
-        tasks[layer, k] = (partial(read_particle_chunk, source, steps[part], list(particle_types), rows),)
+        tasks[layer, k] = (partial(read_particle_chunk, source, steps[part], dict(particle_types), rows),)
     graph = HighLevelGraph({layer: tasks}, {layer: set()})
     arrays = {name: _array(graph, layer, name, dtype, rows, sizes) for name, dtype in particle_types.items()}
     if not contact_names:

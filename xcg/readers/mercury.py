@@ -15,10 +15,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg import faults
 from xcg.readers import columns
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.index import remembered
-from xcg.readers.text import Scanner, first_lines, open_binary, parse_table, read_body, where
+from xcg.readers.text import Scanner, check_rows, first_lines, most_bytes, open_binary, parse_table, read_body, where
 from xcg.schema import COMPONENTS, Frame, SceneError
 
 OPTIONS = ("restart",)
@@ -60,12 +61,13 @@ def index_particles(paths: Sequence[str], options: ReadOptions) -> list[StepRef]
                 if restart
                 else replace(ref, step=len(refs))
             )
+        _refuse_empty(path, len(steps))
     return refs
 
 
 def _data_steps(path: str) -> Iterator[StepRef]:
     with open_binary(path) as stream:
-        scanner = Scanner(stream)
+        scanner = Scanner(stream, path)
         while line := scanner.line():
             if not line.strip():
                 continue
@@ -73,25 +75,29 @@ def _data_steps(path: str) -> Iterator[StepRef]:
             if header is None:
                 msg = (
                     f"{path}: expected a header 'N t xmin ymin zmin xmax ymax zmax' (2D: without z) before "
-                    f"byte {scanner.offset}, found {line[:60]!r}"
+                    f"byte {scanner.offset}, found {line[:60]!r}. The file is cut short, or is damaged"
                 )
                 raise SceneError(msg)
             rows, time, *edges = header
             axes = len(edges) // 2
             box = [*zip(edges[:axes], edges[axes:], strict=True), (-np.inf, np.inf)][:3]
-            start = scanner.offset
-            for _ in range(int(rows)):
-                scanner.line()
-            yield StepRef(
+            ref = StepRef(
                 path,
                 int(rows),
                 time,
                 box=tuple(box),
                 columns=_ROW_3D if axes == 3 else _ROW_2D,
-                offset=start,
-                length=scanner.offset - start,
+                offset=scanner.offset,
                 size=os.path.getsize(path),
             )
+            check_rows(ref, most_bytes(path) - ref.offset)
+            for row in range(ref.rows):
+                if not scanner.line():
+                    msg = (
+                        f"{path} (time {time:g}): {row} rows, but the header says {ref.rows}: the file is cut off here"
+                    )
+                    raise SceneError(msg)
+            yield replace(ref, length=scanner.offset - ref.offset)
 
 
 def _header(line: str) -> list[float] | None:
@@ -99,7 +105,9 @@ def _header(line: str) -> list[float] | None:
         values = [float(token) for token in line.split()]
     except ValueError:
         return None
-    return values if len(values) in (6, 8) and values[0] >= 0 and values[0].is_integer() else None
+    edges = (len(values) - 2) // 2
+    plausible = len(values) in (6, 8) and values[0] >= 0 and values[0].is_integer() and np.isfinite(values).all()
+    return values if plausible and all(values[2 + k] <= values[2 + edges + k] for k in range(edges)) else None
 
 
 def read_particles(ref: StepRef, options: ReadOptions) -> Frame:
@@ -110,7 +118,7 @@ def read_particles(ref: StepRef, options: ReadOptions) -> Frame:
         unknown = set(np.unique(frame["species"])) - set(restart.density)
         if unknown:
             msg = (
-                f"{where(ref)}: species {int(min(unknown))} is not in {restart.path}, which knows "
+                f"{where(ref)}: species {min(unknown):g} is not in {restart.path}, which knows "
                 f"{sorted(restart.density)}; name the restart file of this run with restart="
             )
             raise SceneError(msg)
@@ -125,12 +133,19 @@ def read_particles(ref: StepRef, options: ReadOptions) -> Frame:
 def index_contacts(paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
     """List the steps of ``.fstat`` files; as no header counts the rows, ids are read to count them."""
     found = remembered(paths, "mercury fstat", _fstat_steps)
+    for path, steps in zip(paths, found, strict=True):
+        _refuse_empty(path, len(steps))
     return [replace(ref, step=step) for step, ref in enumerate(ref for refs in found for ref in refs)]
+
+
+def _refuse_empty(path: str, steps: int) -> None:
+    if not steps:
+        faults.raise_or_note(path, SceneError(f"{path}: the file is empty; leave it out"))
 
 
 def _fstat_steps(path: str) -> Iterator[StepRef]:
     with open_binary(path) as stream:
-        scanner = Scanner(stream)
+        scanner = Scanner(stream, path)
         step = 0
         while time := _comments(scanner, path):
             start = scanner.offset
@@ -219,27 +234,31 @@ def read_restart(data: str, options: ReadOptions) -> Restart | None:
         return None
     restart, density, periodic = Restart(path), {}, set()
     with open_binary(path) as stream:
-        for raw in stream:
+        scanner = Scanner(stream, path)
+        while raw := scanner.line():
             words = raw.decode("utf-8", "replace").split()
             if words[:1] == ["Particles"]:
                 break
             if "gravity" in words:
-                x, y, z = _vector_after(words, "gravity", path)
+                x, y, z = _numbers_after(words, "gravity", 3, path)
                 restart = replace(restart, gravity=(x, y, z))
             if words and words[0].endswith("Species") and {"id", "density"} <= set(words):
-                number, value = (float(words[words.index(word) + 1]) for word in ("id", "density"))
+                (number,), (value,) = (_numbers_after(words, word, 1, path) for word in ("id", "density"))
                 density[number] = value
             if words and words[0] == "PeriodicBoundary":
-                normal = _vector_after(words, "normal", path)
+                normal = _numbers_after(words, "normal", 3, path)
                 periodic |= {axis for axis, n in zip(COMPONENTS, normal, strict=True) if n}
     return replace(restart, density=density, periodic="".join(sorted(periodic)))
 
 
-def _vector_after(words: Sequence[str], word: str, path: str) -> list[float]:
+def _numbers_after(words: Sequence[str], word: str, count: int, path: str) -> list[float]:
     start = words.index(word) + 1 if word in words else len(words)
     try:
-        x, y, z = map(float, words[start : start + 3])
+        found = [float(text) for text in words[start : start + count]]
     except ValueError:
-        msg = f"{path}: expected three numbers after {word!r} in {' '.join(words[:12])!r}"
-        raise SceneError(msg) from None
-    return [x, y, z]
+        found = []
+    if len(found) != count or not np.isfinite(found).all():
+        expected = "a number" if count == 1 else "three numbers"
+        msg = f"{path}: expected {expected} after {word!r} in {' '.join(words[:12])[:120]!r}"
+        raise SceneError(msg)
+    return found

@@ -26,6 +26,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg import faults
 from xcg.readers import vtp
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.index import remembered
@@ -136,9 +137,10 @@ def _index(paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
     there = _existing(paths, options)
     found = remembered([path for path, _ in there], "vtp", _header)
     refs = []
-    for number, ((path, listed), (ref,)) in enumerate(zip(there, found, strict=True)):
+    for number, ((path, listed), steps) in enumerate(zip(there, found, strict=True)):
         digits = re.findall(r"\d+", os.path.basename(path).removesuffix(".vtp"))
-        refs.append(replace(ref, time=_time(ref.time, listed), step=int(digits[-1]) if digits else number))
+        for ref in steps:  # one, or none where the file is at fault
+            refs.append(replace(ref, time=_time(ref.time, listed), step=int(digits[-1]) if digits else number))
     return _once(refs)
 
 
@@ -156,11 +158,15 @@ def _existing(paths: Sequence[str], options: ReadOptions) -> list[tuple[str, flo
         raise SceneError(msg)
     listed: list[tuple[str, float | None]] = []
     for path in map(str, paths):
-        listed += vtp.read_collection(path) if path.endswith(".pvd") and Path(path).exists() else [(path, None)]
-    there = [entry for entry in listed if Path(entry[0]).exists()]
+        try:
+            listed += vtp.read_collection(path) if path.endswith(".pvd") and Path(path).exists() else [(path, None)]
+        except faults.FAULTS as error:
+            if not faults.note(path, error):
+                raise
+    there = [entry for entry in listed if os.path.isfile(entry[0])]  # a pipe would be waited for
     # MFiX lists its last frame twice: a copy that is gone is not missed.
     times = {time for _, time in there if time is not None}
-    gone = [path for path, time in listed if not Path(path).exists() and time not in times]
+    gone = [path for path, time in listed if not os.path.isfile(path) and time not in times]
     if gone:
         shown = f"{len(gone)} of {len(listed)} files do not exist: {', '.join(gone)}"
         if missing == "raise" or not there:

@@ -10,6 +10,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TypeAlias
 
+from xcg import faults
+
 PathLike: TypeAlias = str | os.PathLike[str]
 
 
@@ -35,8 +37,15 @@ def expand_paths(paths: PathLike | Iterable[PathLike], argument: str) -> list[st
     """
     if isinstance(paths, (str, os.PathLike)):
         return _expand(os.path.expanduser(os.fspath(paths)), argument)
-    found = [file for path in paths for file in _expand(os.path.expanduser(os.fspath(path)), argument)]
+    found = []
+    for path in paths:
+        try:
+            found += _expand(os.path.expanduser(os.fspath(path)), argument)
+        except FileNotFoundError as error:
+            if not faults.note(os.fspath(path), error):
+                raise
     if not found:
+        faults.raise_noted()
         msg = f"{argument}=[]: expected at least one file"
         raise FileNotFoundError(msg)
     return list(dict.fromkeys(found))

@@ -5,15 +5,19 @@ from __future__ import annotations
 import difflib
 import inspect
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from xcg.complete import periods
+from xcg import faults
+from xcg.complete import complete_particles, periods
+from xcg.faults import FAULTS, check_on_error, raised, tolerated
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.lazy import Source, Step, lazy_arrays, load_engine, read_step
 from xcg.readers.paths import PathLike, expand_paths
@@ -58,6 +62,7 @@ def open_scene(
     allow_unknown: bool = False,
     missing: str = "raise",
     chunks: int = 1,
+    on_error: str = "raise",
     **engine_options: Any,
 ) -> xr.Dataset:
     """Open the output of a DEM code as a lazy scene.
@@ -115,6 +120,11 @@ def open_scene(
         with a warning, or take them as steps in which nothing touches (MFiX writes no file of contacts then).
     chunks : int
         Steps in a chunk; -1 for all in one.
+    on_error : {"raise", "skip"}
+        What to do about files that are missing from a list, empty, or garbled or cut off in a header: stop with an
+        error that names the file (default), or leave out what cannot be indexed, with a warning and the attribute
+        ``skipped_files``; the whole steps of a file of many steps stay. Faults in bodies appear when these are
+        computed, see ``on_error`` of `xcg.coarse_grain`.
     **engine_options
         Of one engine only. LAMMPS and LIGGGHTS: ``timestep``, the time between two steps of the simulation,
         for files without ``ITEM: TIME``. MercuryDPM: ``restart``, the restart file with gravity, periodic
@@ -174,16 +184,23 @@ def open_scene(
         msg = f"missing={missing!r}: expected 'raise', 'skip' or 'empty'"
         raise SceneError(msg)
     kinds = {"particles": particles, "contacts": contacts, "walls": walls}
-    files = {kind: expand_paths(paths, kind) for kind, paths in kinds.items() if paths is not None}
-    engine = engine or _guess_engine(files)
-    reader = _checked_engine(engine, engine_options)
-    options = ReadOptions(dict(names or {}), {**engine_options, "missing": "raise" if missing == "raise" else "skip"})
-    said = {"periodic": periodic, "units": units, "box": box, "time": times}
-    indexed = _index(reader, engine, files, options, [what for what, given in said.items() if given is None])
-    steps = _pair(indexed, times, missing)
+    tolerate = tolerated if check_on_error(on_error) == "skip" else raised
+    with tolerate() as left_out:
+        files = {kind: expand_paths(paths, kind) for kind, paths in kinds.items() if paths is not None}
+        engine = engine or _guess_engine(files)
+        reader = _checked_engine(engine, engine_options)
+        extra = {**engine_options, "missing": "raise" if missing == "raise" and on_error == "raise" else "skip"}
+        options = ReadOptions(dict(names or {}), extra)
+        said = {"periodic": periodic, "units": units, "box": box, "time": times}
+        indexed = _index(reader, engine, files, options, [what for what, given in said.items() if given is None])
+        if left_out and missing == "empty":
+            _refuse_guesses(left_out, files)
+        steps = _pair(indexed, times, "skip" if missing == "raise" and left_out else missing)
+    with tolerate():  # steps that cannot be read stay in the scene; their faults are told when they are computed
+        raw = _ends(engine, options, steps, partial(Setup.make, shape=shape, thickness=thickness, density=density))
+    _warn_of_files(left_out)
 
-    first, last = steps[0].particles, steps[-1].particles
-    raw = {ref: read_step(engine, options, ref) for ref in dict.fromkeys((first, last))}
+    first = next(iter(raw))
     flat = _flat_plane(list(raw.values()))
     dimension = dimension or len(plane or flat or COMPONENTS)
     if dimension == 2:
@@ -202,7 +219,7 @@ def open_scene(
         x, y, z = (g * setup.factor((1, 0, -2)) for g in first.gravity)
         setup = replace(setup, gravity=(x, y, z))
     if box is None and first.box is None:
-        box = _recovered_box(reader, options, steps, setup.periodic, raw)
+        box = _recovered_box(reader, options, steps, setup.periodic, raw, skipping=on_error == "skip")
     edges = _boxes(steps, box, setup)
     source = Source(engine, options, setup, _frozen_species(frozen, raw), allow_unknown)
     ends = [source.complete(frame, ref) for ref, frame in raw.items()]
@@ -222,7 +239,49 @@ def open_scene(
     if not clock:
         said_nothing = "number of the time step, as the files do not tell the time (give timestep= or times=)"
         scene["time"].attrs.update(units="1", long_name=said_nothing)
+    if left_out:
+        scene.attrs["skipped_files"] = "\n".join(f"{where}: {cause}" for where, cause in left_out.items())
     return scene
+
+
+# --- what cannot be opened -------------------------------------------------------------------------------
+
+
+def _warn_of_files(left_out: Mapping[str, str]) -> None:
+    for place, cause in left_out.items():
+        _warn(f"left out: {cause}" if place in cause else f"left out: {place}: {cause}")
+
+
+def _refuse_guesses(left_out: Mapping[str, str], files: Mapping[str, Sequence[str]]) -> None:
+    """Refuse to take a damaged file of contacts for one that was not written as nothing touched."""
+    contacts = [path for kind in ("contacts", "walls") for path in files.get(kind, ())]
+    damaged = [place for place in left_out if any(place.startswith(path) for path in contacts)]
+    if damaged:
+        msg = (
+            f"{left_out[damaged[0]]} -- With missing='empty' its step would count as one without contacts: take "
+            "missing='skip' to leave out steps without contacts, or repair or remove the file"
+        )
+        raise SceneError(msg)
+
+
+def _ends(engine: str, options: ReadOptions, steps: Sequence[Step], setup: Callable[[], Setup]) -> dict[StepRef, Frame]:
+    """Particles of the first and the last step, of those that can be read where faults are tolerated."""
+    raw: dict[StepRef, Frame] = {}
+    for order in (steps, steps[::-1]):
+        for step in order:
+            ref = step.particles
+            try:
+                raw.setdefault(ref, read_step(engine, options, ref))
+                complete_particles(raw[ref], setup(), where(ref))
+            except FAULTS as error:
+                raw.pop(ref, None)
+                if not faults.note(where(ref), error):
+                    raise
+            else:
+                break
+    if not raw:
+        faults.raise_noted()
+    return raw
 
 
 # --- the engine and its options --------------------------------------------------------------------------
@@ -234,12 +293,24 @@ def _did_you_mean(word: str, words: Iterable[str]) -> str:
 
 
 def _guess_engine(files: Mapping[str, Sequence[str]]) -> str:
-    firsts = [paths[0] for paths in files.values()]
+    firsts = [_first_whole(paths) for paths in files.values()]
     for name in ENGINES:
         if all(load_engine(name).recognises(path) for path in firsts):
             return name
     msg = f"no engine recognises {' with '.join(firsts)}; name one with engine=: {', '.join(ENGINES)}"
     raise SceneError(msg)
+
+
+def _first_whole(paths: Sequence[str]) -> str:
+    """First file that any engine recognises, where faults are tolerated; else the first one."""
+    if faults.tolerant():
+        for path in paths:
+            try:
+                if any(load_engine(name).recognises(path) for name in ENGINES):
+                    return path
+            except FAULTS:
+                continue
+    return paths[0]
 
 
 def _checked_engine(name: str, engine_options: Mapping[str, Any]) -> Engine:
@@ -280,9 +351,7 @@ def _index(
             msg = f"{kind}: no step in {', '.join(paths[:3])}{', ...' if len(paths) > 3 else ''}"
             raise SceneError(msg)
         same = [what for what in from_headers if kind == "particles" or what in ("units", "time")]
-        for ref in refs[1:]:
-            _check_same(refs[0], ref, same)
-        indexed[kind] = refs
+        indexed[kind] = _one_series(refs, same)
     columns = {column for refs in indexed.values() for column in refs[0].columns}
     unknown = sorted(set(options.names) - columns)
     if unknown and columns:
@@ -290,6 +359,24 @@ def _index(
         msg = f"names={{{unknown[0]!r}: ...}}: not among the columns {' '.join(sorted(columns))}{likely}"
         raise SceneError(msg)
     return indexed
+
+
+def _one_series(refs: list[StepRef], same: Sequence[str]) -> list[StepRef]:
+    """Return the steps of one kind, all or an error; where faults are tolerated, those like most of them."""
+    pattern = refs[0]
+    if faults.tolerant():
+        often = Counter(ref.columns for ref in refs).most_common(1)[0][0]
+        pattern = next(ref for ref in refs if ref.columns == often)
+    kept = []
+    for ref in refs:
+        try:
+            _check_same(pattern, ref, same)
+        except SceneError as error:
+            if not faults.note(where(ref), error):
+                raise
+        else:
+            kept.append(ref)
+    return kept
 
 
 def _check_same(first: StepRef, ref: StepRef, what: Sequence[str]) -> None:
@@ -432,7 +519,13 @@ def _boxes(steps: Sequence[Step], box: Any, setup: Setup) -> NDArray | None:
 
 
 def _recovered_box(
-    reader: Engine, options: ReadOptions, steps: Sequence[Step], periodic: str, raw: Mapping[StepRef, Frame]
+    reader: Engine,
+    options: ReadOptions,
+    steps: Sequence[Step],
+    periodic: str,
+    raw: Mapping[StepRef, Frame],
+    *,
+    skipping: bool,
 ) -> dict[str, tuple[float, float]] | None:
     """Periods that files do not tell, from contacts that stand on both sides of an edge; None if that fails.
 
@@ -444,7 +537,11 @@ def _recovered_box(
         for ref in [ref for step in steps for ref in step.contacts][:_RECOVERY_STEPS]:
             if set(periodic) <= set(found):
                 break
-            found |= {axis: length for axis, length in recover(ref, options).items() if axis not in found}
+            try:
+                found |= {axis: length for axis, length in recover(ref, options).items() if axis not in found}
+            except FAULTS:
+                if not skipping:  # others may tell it
+                    raise
     if not periodic or set(periodic) - set(found):
         return None
     box = {}

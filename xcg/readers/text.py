@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import BinaryIO
 
 import numpy as np
@@ -12,17 +13,37 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from xcg.readers.engine import StepRef
-from xcg.readers.gzipped import forward, open_gzipped
+from xcg.readers.gzipped import errors, forward, open_gzipped
 from xcg.schema import SceneError
 
 _FIRST_BLOCK, _BLOCK = 1 << 16, 1 << 22  # small first, as the header is often all that is wanted
+_LONGEST_LINE = 1 << 20  # bytes; a file of one endless line (or a few compressed kilobytes of one) is no text
+_DEFLATE = 1032  # deflate packs at most this many bytes into one
+_SMALL = 1 << 20  # bytes that are no matter; rows that are missing from small files are named when they are read
+_LONGEST_VALUE = 64  # bytes of one number and the space before it
 
 
-def open_binary(path: str) -> BinaryIO:
-    """Open a file for reading bytes, decompressed when it is gzipped (by its content, not its name)."""
-    if _is_gzipped(path):
-        return open_gzipped(path)
-    return open(path, "rb")
+@contextmanager
+def open_binary(path: str) -> Iterator[BinaryIO]:
+    """Open a file for reading bytes, decompressed when it is gzipped (by its content, not its name).
+
+    Raises
+    ------
+    SceneError
+        While it is open, if the compressed data are damaged or end early.
+    """
+    with _damage_named(path), open_gzipped(path) if _is_gzipped(path) else open(path, "rb") as stream:
+        yield stream
+
+
+@contextmanager
+def _damage_named(path: str) -> Iterator[None]:
+    """Name the file whose compressed data are damaged."""
+    try:
+        yield
+    except errors() as error:
+        msg = f"{path}: its compressed data are damaged or cut off ({error}); leave the file out, or write it again"
+        raise SceneError(msg) from None
 
 
 def _is_gzipped(path: str) -> bool:
@@ -35,8 +56,34 @@ def uncompressed_size(path: str) -> int:
     if not _is_gzipped(path):
         return os.path.getsize(path)
     with open(path, "rb") as file:
-        file.seek(-4, os.SEEK_END)
+        file.seek(max(0, os.path.getsize(path) - 4))
         return int.from_bytes(file.read(4), "little")
+
+
+def most_bytes(path: str) -> int:
+    """Count the bytes that `open_binary` can yield at most, whatever a header says."""
+    return os.path.getsize(path) * (_DEFLATE if _is_gzipped(path) else 1)
+
+
+def check_rows(ref: StepRef, room: int) -> None:
+    """Refuse a header that promises more rows than its bytes can hold, before anything is made for them.
+
+    Parameters
+    ----------
+    room : int
+        Bytes that the rows have, at most.
+
+    Raises
+    ------
+    SceneError
+        If there are far fewer bytes than a digit and a space for each value.
+    """
+    if 2 * ref.rows * len(ref.columns) > room + _SMALL:
+        msg = (
+            f"{where(ref)}: its header promises {ref.rows} rows of {len(ref.columns)} values, but only {room} bytes "
+            "follow; the file was cut short or is damaged. Leave it out, or write it again"
+        )
+        raise SceneError(msg)
 
 
 def first_lines(path: str, size: int = 1 << 16) -> list[str]:
@@ -49,11 +96,12 @@ def first_lines(path: str, size: int = 1 << 16) -> list[str]:
 class Scanner:
     """Lines and blocks of a stream, read once from front to back.
 
-    `offset` counts the (decompressed) bytes handed out so far.
+    `offset` counts the (decompressed) bytes handed out so far; `name` is that of the file, for messages.
     """
 
-    def __init__(self, stream: BinaryIO) -> None:
+    def __init__(self, stream: BinaryIO, name: str = "the file") -> None:
         self._stream = stream
+        self._name = name
         self._data = b""
         self._at = 0
         self._block = _FIRST_BLOCK
@@ -74,6 +122,9 @@ class Scanner:
     def line(self) -> bytes:
         """Return the next line with its end, or nothing at the end of the stream."""
         while (end := self._data.find(b"\n", self._at)) < 0:
+            if len(self._data) - self._at > _LONGEST_LINE:
+                msg = f"{self._name}: no end of a line in {_LONGEST_LINE} bytes after byte {self.offset}; it is no text"
+                raise SceneError(msg)
             if not self._more():
                 return self._take(len(self._data))
         return self._take(end + 1)
@@ -100,9 +151,22 @@ class Scanner:
 
 
 def read_body(ref: StepRef) -> bytes:
-    """Bytes of one step's body."""
+    """Bytes of one step's body.
+
+    Raises
+    ------
+    SceneError
+        If it is longer than its rows can be, as where a few compressed kilobytes stand for gigabytes.
+    """
+    if ref.length < 0 or (ref.rows and ref.length > _LONGEST_VALUE * (ref.rows + 1) * (len(ref.columns) + 1) + _BLOCK):
+        msg = (
+            f"{where(ref)}: {ref.length} bytes follow a header that promises {ref.rows} rows of {len(ref.columns)} "
+            "values; the file is damaged. Leave it out, or write it again"
+        )
+        raise SceneError(msg)
     alone = ref.offset + ref.length >= uncompressed_size(ref.path)
-    with open_binary(ref.path) if alone or not _is_gzipped(ref.path) else forward(ref.path, ref.offset) as stream:
+    opened = open_binary(ref.path) if alone or not _is_gzipped(ref.path) else forward(ref.path, ref.offset)
+    with _damage_named(ref.path), opened as stream:
         if ref.offset:
             stream.seek(ref.offset)
         return stream.read(ref.length)
@@ -154,9 +218,11 @@ def parse_table(
         msg = _fault(body, columns, wanted, rows, name) or f"{name}: cannot parse the table ({error})"
         raise SceneError(msg) from None
     # pandas fills rows that are too short with NaN, up to the last column, and cuts off what is too long.
-    suspect = table.isna().to_numpy().any() or len(table) * len(columns) != tokens
-    if suspect or (rows is not None and len(table) != rows):
+    uneven = len(table) * len(columns) != tokens or (rows is not None and len(table) != rows)
+    if uneven or table.isna().to_numpy().any():
         fault = _fault(body, columns, wanted, rows, name)
+        if fault is None and uneven:  # as with a form feed or a lone carriage return among the values
+            fault = f"{name}: its rows are not {len(columns)} numbers each; the file is damaged, leave it out"
         if fault:
             raise SceneError(fault)
     return {column: table[position].to_numpy() for column, position in positions.items()}

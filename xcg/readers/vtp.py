@@ -1,41 +1,59 @@
-"""VTK XML PolyData files and their collections: headers as text, bodies through VTK's own reader.
+"""VTK XML PolyData files and their collections, read without an XML parser and without VTK.
 
-VTK trusts headers: one that promises more points than the file holds ends in an error on the console and an
-empty mesh, and one that promises fewer drops points without a word. So headers are checked here against the
-size of the file and of its blocks, before VTK sees the file.
+Headers are text of a known form: they are searched for their few tags, so that entities are never expanded. Every
+count in them is held against the size of the file before anything is made for it.
 """
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
 from xml.sax.saxutils import unescape
 
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.readers.vtkdata import COMPRESSORS, DataError, Encoding, parse_text, read_base64, read_raw
 from xcg.schema import SceneError
 
 _HEAD = 1 << 14  # headers of MFiX take 2 to 5 kB
-_SIZES = {f"{kind}{bits}": bits // 8 for kind in ("Int", "UInt", "Float") for bits in (8, 16, 32, 64)}
+_LONGEST_TAG = 4096
+_MOST_COMPONENTS = 100
+_TYPES = {f"{kind}{bits}": f"{letter}{bits // 8}" for kind, letter, all_bits in (
+    ("Int", "i", (8, 16, 32, 64)), ("UInt", "u", (8, 16, 32, 64)), ("Float", "f", (32, 64)),
+) for bits in all_bits}  # fmt: skip
 
-_COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 _ATTRIBUTE = re.compile(r"(\w+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
 _TIME = re.compile(r"<!--\s*Time\s*=\s*([-+.\deEdD]+)\s*s", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
 class Array:
-    """One array as the header describes it; `offset` is None where its values stand in the XML itself."""
+    """One array as the header describes it.
+
+    Attributes
+    ----------
+    name : str
+        Its name.
+    components : int
+        Values a point.
+    kind : str
+        "Float32", "Int64", ...
+    form : str
+        "raw" or "base64", "ascii".
+    start, stop : int
+        Bytes of the file where its data begin, and where they end at the latest.
+    """
 
     name: str
     components: int
-    itemsize: int
-    offset: int | None
+    kind: str
+    form: str
+    start: int
+    stop: int
 
 
 @dataclass(frozen=True)
@@ -54,10 +72,8 @@ class Header:
         Physical time (s) from the comment that MFiX writes.
     arrays : tuple of Array
         The coordinates of the points, then the arrays of point data.
-    body : int or None
-        Byte where raw appended data starts; None for other encodings, whose sizes VTK checks itself.
-    prefix : numpy.dtype
-        Type of the number of bytes that precedes each raw block.
+    encoding : Encoding
+        Byte order, type of lengths, and compression.
     """
 
     path: str
@@ -65,8 +81,7 @@ class Header:
     points: int
     time: float | None
     arrays: tuple[Array, ...]
-    body: int | None
-    prefix: np.dtype[Any]
+    encoding: Encoding
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -75,7 +90,8 @@ class Header:
 
 
 def _attributes(tag: str) -> dict[str, str]:
-    return {key: unescape(a or b, {"&quot;": '"', "&apos;": "'"}) for key, a, b in _ATTRIBUTE.findall(tag)}
+    found = _ATTRIBUTE.findall(tag[:_LONGEST_TAG])
+    return {key: unescape(a or b, {"&quot;": '"', "&apos;": "'"}) for key, a, b in found}
 
 
 def _whole(text: str | None, what: str, path: str) -> int:
@@ -83,18 +99,49 @@ def _whole(text: str | None, what: str, path: str) -> int:
         number = int(text or "")
     except ValueError:
         number = -1
-    if number < 0:
-        msg = f"{path}: {what} is {text!r} in its header; expected a whole number. Leave the file out"
+    if not 0 <= number < 1 << 62:
+        msg = f"{path}: {what} is {(text or '')[:60]!r} in its header; expected a whole number. Leave the file out"
         raise SceneError(msg)
     return number
 
 
+def _without_comments(text: str) -> str:
+    """Put blanks in place of comments, so that all else stays where it is."""
+    parts, at = [], 0
+    while (start := text.find("<!--", at)) >= 0:
+        end = text.find("-->", start + 4)
+        end = len(text) if end < 0 else end + 3
+        parts += [text[at:start], " " * (end - start)]
+        at = end
+    return "".join([*parts, text[at:]])
+
+
+def _tags(text: str, name: str, start: int = 0, stop: int | None = None) -> Iterator[tuple[str, int]]:
+    """Attributes of the tags of this name as text, and where each tag ends."""
+    stop = len(text) if stop is None else stop
+    while (start := text.find(f"<{name}", start, stop)) >= 0:
+        end = text.find(">", start, stop)
+        if end < 0:
+            return
+        inside = text[start + 1 + len(name) : end]
+        if not inside or not (inside[0].isalnum() or inside[0] == "_"):
+            yield inside, end + 1
+        start = end
+
+
+def _section(text: str, name: str) -> tuple[int, int] | None:
+    """Where the inside of an element begins and ends; None where the element is not there or not whole."""
+    start = next((end for _, end in _tags(text, name)), -1)
+    end = text.find(f"</{name}>", start) if start >= 0 else -1
+    return (start, end) if end >= 0 else None
+
+
 def _refuse(path: str, text: str, kind: str) -> None:
     """Refuse what is not VTK XML of this kind, and documents with entities."""
-    root = re.search(r"<VTKFile\b([^>]*)>", text)
-    found = _attributes(root[1]).get("type") if root else None
+    root = next((attributes for attributes, _ in _tags(text, "VTKFile")), None)
+    found = None if root is None else _attributes(root).get("type")
     if found != kind:
-        what = f"VTK data of type {found!r}" if root else "no VTK XML file"
+        what = "no VTK XML file" if root is None else f"VTK data of type {found!r}"
         msg = f"{path}: expected VTK XML of type '{kind}', but this is {what}"
         raise SceneError(msg)
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
@@ -102,8 +149,26 @@ def _refuse(path: str, text: str, kind: str) -> None:
         raise SceneError(msg)
 
 
+def _nested(text: str) -> bool:
+    """Whether every element is closed in order; `VTKFile` may stay open before appended data."""
+    opened: list[str] = []
+    at = 0
+    while (at := text.find("<", at)) >= 0:
+        end = text.find(">", at)
+        tag = text[at + 1 : end] if end >= 0 else ""
+        if not tag:
+            return False
+        if tag[0] == "/":
+            if not opened or opened.pop() != tag[1:].strip():
+                return False
+        elif tag[0] not in "?!" and tag[-1] != "/":
+            opened.append(tag.split(None, 1)[0])
+        at = end
+    return opened in ([], ["VTKFile"])
+
+
 def _text(path: str) -> tuple[str, str | None, int | None, int]:
-    """Text before the appended data, their encoding (None without any), where raw ones start, file size."""
+    """Text before the appended data, their encoding (None without any), where they start, file size."""
     with open(path, "rb") as file:
         size = os.fstat(file.fileno()).st_size
         head = file.read(_HEAD)
@@ -112,8 +177,8 @@ def _text(path: str) -> tuple[str, str | None, int | None, int]:
     text, tag, rest = head.partition(b"<AppendedData")
     opening = rest.partition(b">")[0]
     encoding = _attributes(opening.decode("latin-1")).get("encoding", "raw") if tag else None
-    marker = head.find(b"_", len(text) + len(tag) + len(opening)) if encoding == "raw" else -1
-    return text.decode("utf-8", "replace"), encoding, marker + 1 if marker >= 0 else None, size
+    marker = head.find(b"_", len(text) + len(tag) + len(opening)) if tag else -1
+    return text.decode("latin-1"), encoding, marker + 1 if marker >= 0 else None, size
 
 
 def read_header(path: str) -> Header:
@@ -127,13 +192,13 @@ def read_header(path: str) -> Header:
     SceneError
         If this is no VTK PolyData of one piece, or shorter than its header promises.
     """
-    text, encoding, body, size = _text(path)
-    time = _TIME.search(text)
-    text = _COMMENT.sub("", text)
+    text, appended, body, size = _text(path)
+    time = _TIME.search(text[:_LONGEST_TAG])
+    text = _without_comments(text)
     _refuse(path, text, "PolyData")
-    file = _attributes(text[text.index("<VTKFile") : text.index(">", text.index("<VTKFile"))])
-    pieces = re.findall(r"<Piece\b([^>]*)>", text)
-    sections = [re.search(rf"<{s}\b[^>]*>(.*?)</{s}>", text, re.DOTALL) for s in ("Points", "PointData")]
+    root = _attributes(next(_tags(text, "VTKFile"))[0])
+    pieces = [attributes for attributes, _ in _tags(text, "Piece")]
+    sections = [_section(text, "Points"), _section(text, "PointData")]
     if len(pieces) != 1 or sections[0] is None or (sections[1] is None and "<PointData" in text):
         msg = (
             f"{path}: its header has {len(pieces)} pieces and {sum(s is not None for s in sections)} of the "
@@ -141,80 +206,78 @@ def read_header(path: str) -> Header:
             "not by MFiX"
         )
         raise SceneError(msg)
+    if not _nested(text):
+        msg = f"{path}: its XML is damaged: elements do not close in the order in which they open; leave the file out"
+        raise SceneError(msg)
+    encoding = _encoding(root, path)
     points = _whole(_attributes(pieces[0]).get("NumberOfPoints"), "NumberOfPoints", path)
-    tags = [_attributes(tag) for s in sections if s for tag in re.findall(r"<DataArray\b([^>]*)>", s[1])]
-    arrays = tuple(_array(tag, path) for tag in tags)
+    tags = [(_attributes(tag), end) for s in sections if s for tag, end in _tags(text, "DataArray", *s)]
+    if any(tag.get("format") == "appended" for tag, _ in tags) and (appended not in ("raw", "base64") or not body):
+        msg = f"{path}: its header names appended data, but none follows; the file was cut short, leave it out"
+        raise SceneError(msg)
+    arrays = tuple(_array(tag, path, text, end, (appended or "", body or 0, size)) for tag, end in tags)
     if not arrays or arrays[0].components != 3:
         msg = f"{path}: its points have no array with three components; the file is not by MFiX, or damaged"
         raise SceneError(msg)
-    order = ">" if file.get("byte_order") == "BigEndian" else "<"
-    prefix = np.dtype(f"{order}u{8 if file.get('header_type') == 'UInt64' else 4}")
-    nothing_follows = encoding is None or (encoding == "raw" and body is None)
-    if nothing_follows and any(array.offset is not None for array in arrays):
-        msg = f"{path}: its header names appended data, but none follows; the file was cut short, leave it out"
-        raise SceneError(msg)
-    body = None if "compressor" in file else body
-    header = Header(path, size, points, _time(time[1]) if time else None, arrays, body, prefix)
-    _check_size(header)
+    header = Header(path, size, points, _time(time[1]) if time else None, arrays, encoding)
+    for array in arrays:
+        _check_size(header, array)
     return header
+
+
+def _encoding(root: dict[str, str], path: str) -> Encoding:
+    order = ">" if root.get("byte_order") == "BigEndian" else "<"
+    compressor = root.get("compressor", "")
+    if compressor and compressor not in COMPRESSORS:
+        msg = f"{path}: is compressed by {compressor[:60]!r}; expected one of {', '.join(COMPRESSORS)}"
+        raise SceneError(msg)
+    return Encoding(order, np.dtype(f"{order}u{8 if root.get('header_type') == 'UInt64' else 4}"), compressor)
 
 
 def _time(text: str) -> float | None:
     try:
-        return float(text.lower().replace("d", "e"))  # Fortran may write 0.1D+00
+        time = float(text.lower().replace("d", "e"))  # Fortran may write 0.1D+00
     except ValueError:
         return None
+    return time if np.isfinite(time) else None
 
 
-def _array(tag: dict[str, str], path: str) -> Array:
-    name = tag.get("Name", "Points")
-    kind = tag.get("type", "")
-    if kind not in _SIZES:
-        msg = f"{path}: array '{name}' has type {kind!r}; expected one of {sorted(_SIZES)}"
+def _array(tag: dict[str, str], path: str, text: str, end: int, appended: tuple[str, int, int]) -> Array:
+    """Describe one array; `end` is where its tag ends, `appended` are form, start and end of the appended data."""
+    name = tag.get("Name", "Points").encode("latin-1", "replace").decode("utf-8", "replace")
+    kind, form, body = tag.get("type", ""), *appended[:2]
+    if kind not in _TYPES:
+        msg = f"{path}: array '{name}' has type {kind!r}; expected one of {sorted(_TYPES)}"
         raise SceneError(msg)
-    offset = None
+    components = _whole(tag.get("NumberOfComponents", "1"), f"NumberOfComponents of '{name}'", path)
+    if not 1 <= components <= _MOST_COMPONENTS:
+        msg = f"{path}: '{name}' has {components} components; expected 1 to {_MOST_COMPONENTS}. Leave the file out"
+        raise SceneError(msg)
     if tag.get("format") == "appended":
         offset = _whole(tag.get("offset"), f"the offset of '{name}'", path)
-    components = _whole(tag.get("NumberOfComponents", "1"), f"NumberOfComponents of '{name}'", path)
-    return Array(name, components, _SIZES[kind], offset)
+        return Array(name, components, kind, form, body + offset, appended[2])
+    form = "base64" if tag.get("format") == "binary" else "ascii"
+    stop = text.find("<", end)
+    stop = len(text) if stop < 0 else stop
+    blanks = len(text[end:stop]) - len(text[end:stop].lstrip())
+    return Array(name, components, kind, form, end + blanks, stop)
 
 
-def _bytes(header: Header, array: Array) -> int:
-    return header.points * array.components * array.itemsize
+def _type(header: Header, array: Array) -> np.dtype[np.generic]:
+    return np.dtype(header.encoding.order + _TYPES[array.kind])
 
 
-def _check_size(header: Header) -> None:
-    if header.body is None:
-        return
-    ends = [a.offset + header.prefix.itemsize + _bytes(header, a) for a in header.arrays if a.offset is not None]
-    needed = header.body + max(ends, default=0)
-    if needed > header.size:
+def _check_size(header: Header, array: Array) -> None:
+    """Compare what the header promises with the bytes that there are."""
+    values, room = header.points * array.components, max(0, array.stop - array.start)
+    needed = 2 * values - 1 if array.form == "ascii" else values * _type(header, array).itemsize
+    there = room if array.form == "ascii" else header.encoding.room(room * 3 // 4 if array.form == "base64" else room)
+    if needed > there:
         msg = (
-            f"{header.path}: its header promises {header.points} points, which need {needed} bytes, but the "
-            f"file has {header.size}; it was cut short, or is still being written. Leave it out, or write it "
-            "again"
+            f"{header.path}: its header promises {header.points} points, for which '{array.name}' needs {needed} "
+            f"bytes, but {there} follow in the {header.size} of the file; it was cut short, or is still being "
+            "written. Leave it out, or write it again"
         )
-        raise SceneError(msg)
-
-
-def _check_blocks(header: Header, file: BinaryIO, arrays: Sequence[Array]) -> None:
-    """Compare the number of points with the length that stands before each raw block, or with the text."""
-    problem = ""
-    for array in arrays:
-        if header.body is not None and array.offset is not None:
-            file.seek(header.body + array.offset)
-            found = int(np.frombuffer(file.read(header.prefix.itemsize), header.prefix)[0])
-            if found != _bytes(header, array):
-                problem = f"the block of '{array.name}' holds {found} bytes, not {_bytes(header, array)}"
-                break
-    points = header.arrays[0]
-    if points.offset is None:
-        file.seek(0)
-        inner = re.search(rb'<Points>\s*<DataArray\b([^>]*format="ascii"[^>]*)>([^<]*)<', file.read())
-        if inner and len(inner[2].split()) != 3 * header.points:
-            problem = f"'{points.name}' holds {len(inner[2].split())} numbers, not {3 * header.points}"
-    if problem:
-        msg = f"{header.path}: its header promises {header.points} points, but {problem}; leave the file out"
         raise SceneError(msg)
 
 
@@ -238,57 +301,32 @@ def read_arrays(header: Header, names: Sequence[str]) -> dict[str, NDArray[np.fl
     SceneError
         If the file changed since its header was read, or its body does not match the header.
     """
-    wanted = [array for array in header.arrays if array.name in set(names)]
-    if header.points == 0:
-        return {a.name: np.empty((0, a.components) if a.components > 1 else 0) for a in wanted}
-    with open(header.path, "rb") as file:
-        _check_blocks(header, file, wanted)
-    from vtkmodules.util.numpy_support import vtk_to_numpy
-
-    mesh, errors = _through_vtk(header, [array.name for array in wanted])
-    data, coordinates = mesh.GetPointData(), mesh.GetPoints()
     result = {}
-    for array in wanted:
-        points = array is header.arrays[0]
-        parsed = (coordinates and coordinates.GetData()) if points else data.GetArray(array.name)
-        if errors or parsed is None or parsed.GetNumberOfTuples() != header.points:
-            found = 0 if parsed is None else parsed.GetNumberOfTuples()
-            why = errors[0] if errors else f"'{array.name}' has {found} rows of {header.points}"
-            msg = f"{header.path}: VTK cannot read it ({why}); leave the file out, or write it again"
-            raise SceneError(msg)
-        result[array.name] = vtk_to_numpy(parsed).astype("float64")
+    for array in header.arrays:
+        if array.name not in names or array.name in result:
+            continue
+        shape = (header.points, array.components) if array.components > 1 else (header.points,)
+        try:
+            result[array.name] = _read(header, array).reshape(shape)
+        except DataError as error:
+            msg = (
+                f"{header.path}: '{array.name}' is not as its header says, which promises {header.points} points: "
+                f"{error}; leave the file out, or write it again"
+            )
+            raise SceneError(msg) from None
     return result
 
 
-def _through_vtk(header: Header, names: Sequence[str]) -> tuple[Any, list[str]]:
-    """Mesh and error messages from VTK's reader, with nothing printed."""
-    from vtkmodules.util.misc import calldata_type
-    from vtkmodules.util.vtkConstants import VTK_STRING
-    from vtkmodules.vtkCommonCore import vtkCallbackCommand
-    from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
-
-    errors: list[str] = []
-
-    @calldata_type(VTK_STRING)
-    def listen(_caller: Any, _event: str, text: str) -> None:
-        errors.append(" ".join(text.split("): ")[-1].split()))
-
-    reader = vtkXMLPolyDataReader()
-    # Three objects complain: the reader, its parser (which takes a vtkCommand only; an empty one is silent,
-    # and the reader repeats what matters) and its executive. Without an observer each prints to the console.
-    silent = vtkCallbackCommand()
-    reader.SetParserErrorObserver(silent)
-    reader.AddObserver("ErrorEvent", listen)
-    reader.GetExecutive().AddObserver("ErrorEvent", listen)
-    reader.SetFileName(header.path)
-    reader.UpdateInformation()
-    if not errors:
-        selection = reader.GetPointDataArraySelection()
-        selection.DisableAllArrays()
-        for name in names:
-            selection.EnableArray(name)
-        reader.Update()
-    return reader.GetOutput(), errors
+def _read(header: Header, array: Array) -> NDArray[np.float64]:
+    count = header.points * array.components
+    if not count:
+        return np.empty(0)
+    with open(header.path, "rb") as file:
+        if array.form == "ascii":
+            file.seek(array.start)
+            return parse_text(file.read(array.stop - array.start), array.kind, count)
+        read = read_base64 if array.form == "base64" else read_raw
+        return read(file, array.start, header.encoding, _type(header, array), count)
 
 
 def read_collection(path: str) -> list[tuple[str, float | None]]:
@@ -299,11 +337,11 @@ def read_collection(path: str) -> list[tuple[str, float | None]]:
     SceneError
         If this is no collection, or it names nothing.
     """
-    text = _COMMENT.sub("", Path(path).read_text(encoding="utf-8", errors="replace"))
+    text = _without_comments(Path(path).read_text(encoding="utf-8", errors="replace"))
     _refuse(path, text, "Collection")
     entries = []
-    for tag in map(_attributes, re.findall(r"<DataSet\b([^>]*)>", text)):
-        if "file" in tag:
+    for tag in (_attributes(tag) for tag, _ in _tags(text, "DataSet")):
+        if tag.get("file") and "\0" not in tag["file"]:
             entries.append((str(Path(path).parent / tag["file"]), _time(tag.get("timestep", ""))))
     if not entries:
         msg = f"{path}: this collection names no files; expected entries like <DataSet timestep=... file=.../>"

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from xcg.chains.results import Step, require_chains, steps_of
 from xcg.complete import minimum_image
 from xcg.schema import Frame
-from xcg.writers.files import whole_file
+from xcg.writers.files import hdf5_file, whole_file
 
 # header of Force Chain Finder, spelling and trailing comma included; its stresses are tension-positive
 FCF_COLUMNS = (
@@ -263,7 +263,7 @@ def to_vtkhdf(fc: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool =
     """
     require_chains(fc, "to_vtkhdf")
     path = Path(path)
-    with whole_file(path, overwrite=overwrite) as part, h5py.File(part, "w") as file:
+    with whole_file(path, overwrite=overwrite) as part, hdf5_file(part, "w") as file:
         root = file.create_group("VTKHDF")
         root.attrs["Version"] = (2, 0)
         root.attrs["Type"] = np.bytes_("PolyData")  # the reader takes ASCII of fixed length only

@@ -2,33 +2,183 @@
 
 from __future__ import annotations
 
+import errno
+import io
 import os
+import shutil
 import uuid
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import h5py
+
+# Files that go when their writers end; `abandon` removes them where writers cannot.
+temporary: set[Path] = set()
+
+_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+_LITTLE = 1 << 20  # bytes; a disk with less is full
 
 
 @contextmanager
-def whole_file(path: Path, *, overwrite: bool) -> Iterator[Path]:
+def whole_file(path: Path, *, overwrite: bool, room: int = 0) -> Iterator[Path]:
     """Give a temporary name beside `path` to write to; rename it in the end, or remove it after an error.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    overwrite : bool
+        Replace a file that exists.
+    room : int
+        Bytes that it will take, if known: they are asked of the disk first, because the NetCDF library does not
+        recover from a disk that fills while it writes.
 
     Raises
     ------
     FileExistsError
-        If the file exists and `overwrite` is False.
+        If the file exists and `overwrite` is False, at the start or in the end.
     FileNotFoundError
         If its folder does not exist.
+    OSError
+        If it cannot be written, as where the disk is full. Nothing is left behind then.
     """
     if path.exists() and not overwrite:
-        msg = f"{path} exists; choose another name, or pass overwrite=True to replace it"
-        raise FileExistsError(msg)
+        raise FileExistsError(_exists(path))
     if not path.parent.is_dir():
         msg = f"{path}: the folder {path.parent} does not exist; create it first"
         raise FileNotFoundError(msg)
     part = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.part")
+    temporary.add(part)
     try:
+        if room:
+            _reserve(part, room)
         yield part
-        os.replace(part, path)
+        _publish(part, path, overwrite=overwrite)
+    except (OSError, RuntimeError) as error:  # netCDF4 raises RuntimeError
+        problem = _cannot_write(path, error)
+        if problem is None:
+            raise
+        raise problem from error
     finally:
         part.unlink(missing_ok=True)
+        temporary.discard(part)
+
+
+def abandon() -> None:
+    """Remove what is being written, and locks, just before the process ends without ado."""
+    for path in list(temporary):
+        with suppress(OSError):
+            path.unlink(missing_ok=True)
+
+
+def leftovers(path: Path) -> list[Path]:
+    """List the temporary files that runs which were killed left beside `path`."""
+    return [file for file in path.parent.glob(".*.part") if file.name.startswith(f".{path.name}.")]
+
+
+def _reserve(part: Path, room: int) -> None:
+    """Take room on the disk, and give it back."""
+    if not hasattr(os, "posix_fallocate"):
+        if shutil.disk_usage(part.parent).free < room:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return
+    with open(part, "wb") as file:
+        os.posix_fallocate(file.fileno(), 0, room)
+    part.unlink()
+
+
+class Sink(io.FileIO):
+    """A file for the HDF5 library, which crashes after a write that failed: from a full disk on, data are lost instead.
+
+    Attributes
+    ----------
+    problem : OSError or None
+        The first error; `check` raises it.
+    """
+
+    def __init__(self, path: Path, mode: str) -> None:
+        super().__init__(path, mode)
+        self.problem: OSError | None = None
+
+    def write(self, data: Any) -> int:
+        """Write all of the data, or remember why not."""
+        view, at = memoryview(data).cast("B"), 0
+        try:
+            while self.problem is None and at < len(view):
+                at += super().write(view[at:]) or 0
+        except OSError as error:
+            self.problem = error
+        return len(view)
+
+    def readinto(self, buffer: Any) -> int:
+        """Read; zeros in place of what was lost."""
+        view = memoryview(buffer).cast("B")
+        got = super().readinto(view) or 0
+        if self.problem is not None and got < len(view):
+            view[got:] = bytes(len(view) - got)
+            return len(view)
+        return got
+
+    def truncate(self, size: int | None = None) -> int:
+        """Change the size, or remember why not."""
+        try:
+            return super().truncate(size)
+        except OSError as error:
+            self.problem = self.problem or error
+        return size or 0
+
+    def check(self) -> None:
+        """Raise the first error that occurred."""
+        if self.problem is not None:
+            raise self.problem
+
+
+@contextmanager
+def hdf5_file(path: Path, mode: str) -> Iterator[h5py.File]:
+    """Open an HDF5 file to make it ("w") or to write into it ("r+"); what the disk refused is raised in the end."""
+    import h5py  # slow to import
+
+    with Sink(path, {"w": "wb+", "r+": "rb+"}[mode]) as sink:
+        with h5py.File(sink, mode) as file:
+            yield file
+        sink.check()
+
+
+def _exists(path: Path) -> str:
+    return f"{path} exists; choose another name, or pass overwrite=True to replace it"
+
+
+def _publish(part: Path, path: Path, *, overwrite: bool) -> None:
+    """Give a whole file its name, once its bytes are on the disk."""
+    with open(part, "rb+") as file:
+        os.fsync(file.fileno())
+    if not overwrite:
+        try:  # unlike a rename, this fails where another run was faster
+            os.link(part, path)
+        except FileExistsError:
+            raise FileExistsError(_exists(path)) from None
+        except OSError:  # a file system without links
+            pass
+        else:
+            return
+    os.replace(part, path)
+
+
+def _cannot_write(path: Path, error: Exception) -> OSError | None:
+    """Say plainly that a file cannot be written; None where the error is another one."""
+    number = getattr(error, "errno", None)
+    free = _LITTLE
+    with suppress(OSError):
+        free = shutil.disk_usage(path.parent).free
+    text = str(error)
+    if number in _FULL or free < _LITTLE:
+        full = "a file may not be larger here" if number == errno.EFBIG else "the disk is full"
+        msg = f"{path}: {full} ({free / 1e6:.0f} MB free), and nothing was left behind; make room and run again"
+        return OSError(msg)
+    if isinstance(error, RuntimeError) and "HDF" in text:
+        msg = f"{path}: cannot be written ({error}), and nothing was left behind; is the disk full or out of reach?"
+        return OSError(msg)
+    return None

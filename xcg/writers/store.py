@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from xcg.scene import storable
 from xcg.writers.chunks import lock_for, over_time, write_chunks
-from xcg.writers.files import whole_file
+from xcg.writers.files import hdf5_file, whole_file
 
 
 def save(ds: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
@@ -106,9 +106,7 @@ class _Hdf5:
     lock: Any
 
     def __call__(self, values: Mapping[str, NDArray], steps: slice) -> None:
-        import h5py
-
-        with self.lock, h5py.File(self.path, "r+") as file:
+        with self.lock, hdf5_file(self.path, "r+") as file:
             for name, array in values.items():
                 file[name][steps] = array
 

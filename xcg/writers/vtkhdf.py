@@ -19,7 +19,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.writers.chunks import lock_for, over_time, write_chunks
-from xcg.writers.files import whole_file
+from xcg.writers.files import hdf5_file, whole_file
 
 AXES = ("x", "y", "z")
 _ON_DISK = ("time", "z", "y", "x", "component", "direction")  # x runs fastest among nodes
@@ -78,7 +78,7 @@ def to_vtkhdf(
     image = _Image.of(fields)
     arrays = _arrays(fields)
     with whole_file(path, overwrite=overwrite) as part:
-        with h5py.File(part, "w") as file:
+        with hdf5_file(part, "w") as file:
             _lay_out(file, fields, image, arrays, compression)
         _fill(part, fields, image, arrays)
     return path
@@ -328,7 +328,7 @@ class _Target:
             for array in self.arrays
             if array.variable in values
         }
-        with self.lock, h5py.File(self.path, "r+") as file:
+        with self.lock, hdf5_file(self.path, "r+") as file:
             for name, block in ready.items():
                 target = file["VTKHDF/PointData"][name]
                 if self.image.temporal:

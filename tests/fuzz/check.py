@@ -1,0 +1,59 @@
+"""One damaged set of files through one target: opened, refused in the package's own words, or a failure."""
+
+from __future__ import annotations
+
+import random
+import shutil
+import traceback
+from collections.abc import Mapping
+from pathlib import Path
+
+from tests.fuzz.mutators import mutate
+from tests.fuzz.targets import TARGETS
+from xcg import SceneError
+
+_OWN = str(Path(__file__).parents[2] / "xcg")
+
+
+def damaged(name: str, seeds: Mapping[str, bytes], rng: random.Random) -> dict[str, bytes]:
+    """Damage one file of a set."""
+    files = dict(seeds)
+    chosen = rng.choice(sorted(set(files) - TARGETS[name].fixed))
+    others = tuple(data for other, data in files.items() if other != chosen)
+    files[chosen] = mutate(files[chosen], rng, others)
+    return files
+
+
+def lay(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Write a set of files into an empty folder."""
+    shutil.rmtree(folder, ignore_errors=True)
+    for name, data in files.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(data)
+
+
+def outcome(name: str, folder: Path) -> tuple[str, str]:
+    """Use the files in a folder: "opened", "refused", or "failed" with what went wrong."""
+    try:
+        TARGETS[name].use(folder)
+    except (SceneError, ValueError, OSError) as error:
+        last = traceback.extract_tb(error.__traceback__)[-1].filename
+        own = last.startswith(_OWN) and "/kernels/" not in last
+        if not own:
+            return "failed", "".join(traceback.format_exception(error)[-12:])
+        if not isinstance(error, (SceneError, OSError)) and not _from_arguments(error):
+            return "failed", f"not the package's own error: {error!r}\n{traceback.format_exc()[-1500:]}"
+        return "refused", str(error)
+    except BaseException as error:
+        if isinstance(error, KeyboardInterrupt):
+            raise
+        return "failed", traceback.format_exc()[-3000:]
+    return "opened", ""
+
+
+def _from_arguments(error: Exception) -> bool:
+    """Whether a plain ValueError is of the checks of arguments, which have no file to name."""
+    return any(f"/{name}.py" in traceback.extract_tb(error.__traceback__)[-1].filename
+               for name in ("grid", "plan", "coarse_grain", "smoothing", "detection", "slices", "phases", "config",
+                            "pysammos", "fields", "scene", "complete"))  # fmt: skip

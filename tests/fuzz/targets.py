@@ -1,0 +1,217 @@
+"""What is fuzzed: small valid files of each format, and what a user does with them first."""
+
+from __future__ import annotations
+
+import gzip
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import dask
+import numpy as np
+
+import xcg
+from tests import dumps, real_data
+from tests.test_mfix import OLD_ASCII, write_by_vtk, write_contacts, write_particles, write_pvd, write_vtp
+
+ROOT = Path(__file__).parents[2]
+
+
+class Escaped(AssertionError):
+    """A file appeared where none should."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """One format: the names of its files, the contents of a valid set, and what is done with them."""
+
+    seeds: Callable[[Path], Mapping[str, bytes]]
+    use: Callable[[Path], None]
+    fixed: frozenset[str] = field(default_factory=frozenset)  # names of files that stay as they are
+
+
+def fields_of(ds, **options) -> None:
+    """Compute all of a scene, and fields on a mesh of a few nodes."""
+    warnings.simplefilter("ignore")
+    with dask.config.set(scheduler="synchronous"), np.errstate(all="ignore"):
+        ds.load()
+        bounds = dict.fromkeys(ds.attrs["plane"], (0.0, 1.0))
+        if "mass" in ds and "velocity" in ds:
+            names = ["velocity", "kinetic_stress", *(["contact_stress"] if "contact_force" in ds else [])]
+            ds.cg.coarse_grain(names, bounds=bounds, spacing=0.5, width=0.4)
+        if "diameter" in ds and ds.sizes["particle"] < 10_000:
+            ds.cg.find_contacts(max_contacts=20_000)
+
+
+def _dumps(folder: Path) -> dict[str, bytes]:
+    head = "ITEM: UNITS\nlj\nITEM: TIME\n{}\n"
+    many = "".join(dumps.dump_text(step=k, before=head.format(k / 10) if not k else f"ITEM: TIME\n{k / 10}\n")
+                   for k in range(3))  # fmt: skip
+    pairs = "".join(dumps.pairs_text(step=k, before=head.format(k / 10) if not k else f"ITEM: TIME\n{k / 10}\n")
+                    for k in range(3))  # fmt: skip
+    return {"p.dump": many.encode(), "c.dump": pairs.encode()}
+
+
+def _use_dumps(folder: Path) -> None:
+    fields_of(xcg.open_scene(folder / "p.dump", contacts=folder / "c.dump", engine="lammps"))
+
+
+def _use_local(folder: Path) -> None:
+    fields_of(xcg.open_scene(folder / "p.dump", contacts=folder / "c.dump", engine="lammps", missing="empty"))
+
+
+def _dumps_gz(folder: Path) -> dict[str, bytes]:
+    plain = {"p.7.dump.gz": dumps.dump_text(step=7), "c.7.dump.gz": dumps.pairs_text(step=7)}
+    return {name: gzip.compress(text.encode(), mtime=0) for name, text in plain.items()}
+
+
+def _use_dumps_gz(folder: Path) -> None:
+    fields_of(xcg.open_scene(str(folder / "p.*.gz"), contacts=str(folder / "c.*.gz"), timestep=0.1))
+
+
+def _liggghts(folder: Path) -> dict[str, bytes]:
+    columns = " ".join(f"c_1[{k}]" for k in range(1, 14))
+    particles = dumps.dump_text(columns="id type x y z vx vy vz radius density", rows=[
+        "1 1 1 1 1 0.1 0.2 0.3 0.5 1", "2 1 1.9 1 1 0 0 0 0.5 1", "3 2 3 3 0.5 0 0 0 0.5 1"])  # fmt: skip
+    pair = dumps.pairs_text(["1 1 1 1.9 1 1 1 2 0 -9 0 0 0.1"], columns)
+    wall = dumps.pairs_text(["3 3 0 3 3 0.5 0 5 3 0 0 2 0.01"], columns)
+    return {"p.liggghts": particles.encode(), "pair.txt": pair.encode(), "wall.txt": wall.encode()}
+
+
+def _use_liggghts(folder: Path) -> None:
+    fields_of(
+        xcg.open_scene(folder / "p.liggghts", contacts=folder / "pair.txt", walls=folder / "wall.txt",
+                       engine="liggghts", timestep=1e-5)
+    )  # fmt: skip
+
+
+def _mercury(folder: Path) -> dict[str, bytes]:
+    real = real_data("mercury_synthetic")
+    restart = (real / "syn200.restart").read_bytes()
+    data = b"".join(
+        f"3 {t} 0 0 0 2 2 2\n0.5 0.5 0.5 0 0 0 0.3 0 0 0 0 0 0 0\n1 0.5 0.5 1 0 0 0.3 0 0 0 0 0 0 1\n"
+        f"1.5 1 1 0 1 0 0.3 0 0 0 0 0 0 0\n".encode()
+        for t in (0, 0.1)
+    )
+    rows = "{} 0 1 0.75 0.5 0.5 0.1 0 3 1 -1 0 0 0 1 0\n{} 1 0 0.75 0.5 0.5 0.1 0 3 1 1 0 0 0 -1 0\n"
+    rows += "{} 2 -1 1.5 1 1 0.1 0 2 0 0 0 1 1 0 0\n"
+    contacts = b"".join(f"# {t} 0\n# a\n# b\n{rows.format(t, t, t)}".encode() for t in (0, 0.1))
+    return {"run.data": data, "run.fstat": contacts, "run.restart": restart[: restart.index(b"Particles") + 20]}
+
+
+def _use_mercury(folder: Path) -> None:
+    fields_of(xcg.open_scene(folder / "run.data", contacts=folder / "run.fstat", engine="mercury"))
+
+
+def _mfix(folder: Path) -> dict[str, bytes]:
+    velocity = np.arange(9.0).reshape(3, 3)
+    write_particles(folder / "P_1.vtp", Velocity=velocity, Density=np.full(3, 2.0), time=0.1)
+    write_contacts(folder / "FC_1.vtp", [1, 2, 3], [2, 1, 1], np.eye(3), np.eye(3), FORCE_CHAIN_FN=np.eye(3), time=0.1)
+    write_pvd(folder / "P.pvd", {"P_1.vtp": "0.1"})
+    return {name: (folder / name).read_bytes() for name in ("P_1.vtp", "FC_1.vtp", "P.pvd")}
+
+
+def _use_mfix(folder: Path) -> None:
+    fields_of(xcg.open_scene(folder / "P.pvd", contacts=folder / "FC_1.vtp", engine="mfix"))
+
+
+def _vtp(folder: Path) -> dict[str, bytes]:
+    files = {"A_DES_0.vtp": OLD_ASCII.encode()}
+    for k, (mode, compressor) in enumerate(
+        [("Binary", "ZLib"), ("Binary", None), ("Appended", "LZ4"), ("AppendedRaw", "LZMA"), ("AppendedRaw", None)], 1
+    ):
+        files[f"A_DES_{k}.vtp"] = write_by_vtk(folder / "v.vtp", mode, compressor, 32 + 32 * (k % 2), 40).read_bytes()
+    return files
+
+
+def _use_vtp(folder: Path) -> None:
+    faults = []
+    for path in sorted(folder.glob("A_DES_*.vtp")):
+        try:
+            fields_of(xcg.open_scene(path, engine="mfix", density=2.0))
+        except xcg.SceneError as error:
+            if path.name not in str(error):
+                raise
+            faults.append(error)
+    if faults:
+        raise faults[0]
+
+
+def _ini(folder: Path) -> dict[str, bytes]:
+    rng = np.random.default_rng(0)
+    x = rng.uniform(0, 1, (20, 3))
+    write_vtp(
+        folder / "P_0150.vtp", x, time=1.5, Particle_ID=np.arange(1, 21), Velocity=x, Density=np.full(20, 2.0),
+        Diameter=np.full(20, 0.2), Volume=np.full(20, 0.004),
+    )  # fmt: skip
+    text = (ROOT / "examples" / "config.ini").read_text()
+    values = {"particles_path": "./P_", "contacts_path": "None", "t0": "150", "tf": "150", "dt": "1"}
+    values |= {f"{a}_axis_periodic": "False" for a in "xyz"} | {"output_path": "out"}
+    values |= {f"{a}_{end}": v for a in "xyz" for end, v in (("min", "0"), ("max", "1"))}
+    lines = [next((f"{k} = {v}" for k, v in values.items() if line.startswith(f"{k} =")), line)
+             for line in text.splitlines()]  # fmt: skip
+    return {"job/config.ini": "\n".join(lines).encode(), "job/P_0150.vtp": (folder / "P_0150.vtp").read_bytes()}
+
+
+def _toml(folder: Path) -> dict[str, bytes]:
+    text = """
+[scene]
+particles = "p.*.dump"
+contacts = "c.*.dump"
+engine = "lammps"
+timestep = 0.1
+periodic = "xy"
+[phases]
+mapping = { 1 = 0, 2 = 1 }
+[fields]
+fields = ["density", "stress"]
+axes = "z"
+bounds = { z = [0.0, 1.0] }
+width = 0.5
+spacing = 0.5
+[slices]
+axis = "z"
+width = 1.0
+[output]
+folder = "out"
+name = "fields"
+netcdf = true
+vtkhdf = "temporal"
+"""
+    return {"job/job.toml": text.encode(), "job/p.0.dump": dumps.dump_text().encode(),
+            "job/c.0.dump": dumps.pairs_text().encode()}  # fmt: skip
+
+
+def _use_job(name: str) -> Callable[[Path], None]:
+    def use(folder: Path) -> None:
+        from xcg.cli.config import read_config
+        from xcg.cli.run import run_job
+
+        warnings.simplefilter("ignore")
+        before = {p for p in folder.rglob("*") if not p.is_relative_to(folder / "job")}
+        try:
+            with dask.config.set(scheduler="synchronous"), np.errstate(all="ignore"):
+                job = read_config(folder / "job" / name)
+                for _ in run_job(job, jobs=1):
+                    pass
+        finally:
+            beyond = {p for p in folder.rglob("*") if not p.is_relative_to(folder / "job")} - before
+            if beyond:
+                msg = f"files outside the folder of the job: {sorted(map(str, beyond))}"
+                raise Escaped(msg)
+
+    return use
+
+
+TARGETS = {
+    "lammps": Target(_dumps, _use_dumps, frozenset({"c.dump"})),
+    "local": Target(_dumps, _use_local, frozenset({"p.dump"})),
+    "lammps_gz": Target(_dumps_gz, _use_dumps_gz),
+    "liggghts": Target(_liggghts, _use_liggghts),
+    "mercury": Target(_mercury, _use_mercury),
+    "mfix": Target(_mfix, _use_mfix),
+    "vtp": Target(_vtp, _use_vtp),
+    "ini": Target(_ini, _use_job("config.ini"), frozenset({"job/P_0150.vtp"})),
+    "toml": Target(_toml, _use_job("job.toml"), frozenset({"job/p.0.dump", "job/c.0.dump"})),
+}

@@ -1,0 +1,188 @@
+"""The data arrays of VTK XML files, decoded without VTK: raw, base64 or text, compressed or not.
+
+VTK's own reader allocates what a header promises before it looks for the data, and ends the interpreter where that
+fails. Here the length that stands before every block is compared with the number of values first, so that nothing
+larger than the file's own data is ever made.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import lzma
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+_LZ4 = "vtkLZ4DataCompressor"
+# Bytes that one compressed byte can stand for, at most.
+COMPRESSORS = {"vtkZLibDataCompressor": 1032, _LZ4: 256, "vtkLZMADataCompressor": 1 << 14}
+
+Take = Callable[[int, int], bytes]  # some bytes of a block: from, count
+
+
+@dataclass(frozen=True)
+class Encoding:
+    """How the arrays of one file are written.
+
+    Attributes
+    ----------
+    order : str
+        Byte order, "<" or ">".
+    prefix : numpy.dtype
+        Type of the lengths that stand before data.
+    compressor : str
+        VTK's name of it; empty for none.
+    """
+
+    order: str
+    prefix: np.dtype[Any]
+    compressor: str
+
+    def room(self, size: int) -> int:
+        """Bytes of values that `size` bytes of the file can hold, at most."""
+        return size * COMPRESSORS.get(self.compressor, 1)
+
+
+class DataError(ValueError):
+    """The data do not fit the header."""
+
+
+def parse_text(text: bytes, kind: str, count: int) -> NDArray[np.float64]:
+    """Parse numbers that stand in the XML itself."""
+    tokens = text.split()
+    if len(tokens) != count:
+        msg = f"it holds {len(tokens)} numbers, not {count}"
+        raise DataError(msg)
+    try:
+        values = np.array(tokens, "S").astype("float64") if tokens else np.empty(0)
+    except ValueError:
+        msg = "it holds something else than numbers"
+        raise DataError(msg) from None
+    if kind == "Float32":
+        with np.errstate(over="ignore"):  # infinity is refused where values are checked
+            values = values.astype("float32").astype("float64")
+    return values
+
+
+def read_raw(file: BinaryIO, start: int, encoding: Encoding, dtype: np.dtype[Any], count: int) -> NDArray[np.float64]:
+    """Read a raw block of the appended data."""
+
+    def take(first: int, number: int) -> bytes:
+        file.seek(start + first)
+        return file.read(number)
+
+    return _values(take, take, encoding, dtype, count, lambda number: number)
+
+
+def read_base64(
+    file: BinaryIO, start: int, encoding: Encoding, dtype: np.dtype[Any], count: int
+) -> NDArray[np.float64]:
+    """Read a block in base64. Lengths of compressed blocks are encoded apart from the blocks themselves."""
+
+    def decoded(first: int, number: int) -> bytes:
+        begin, skip = 4 * (first // 3), first % 3
+        file.seek(start + begin)
+        text = file.read(_encoded(skip + number))
+        try:
+            return base64.b64decode(text, validate=True)[skip : skip + number]
+        except binascii.Error:
+            msg = "its base64 data are damaged"
+            raise DataError(msg) from None
+
+    def after(first: int, number: int) -> bytes:
+        file.seek(start + first)
+        try:
+            return base64.b64decode(file.read(_encoded(number)), validate=True)[:number]
+        except binascii.Error:
+            msg = "its base64 data are damaged"
+            raise DataError(msg) from None
+
+    return _values(decoded, after, encoding, dtype, count, _encoded)
+
+
+def _encoded(number: int) -> int:
+    return 4 * -(-number // 3)
+
+
+def _values(
+    head: Take, data: Take, encoding: Encoding, dtype: np.dtype[Any], count: int, length: Callable[[int], int]
+) -> NDArray[np.float64]:
+    """Values of a block; `length` is that of so many bytes in the file."""
+    wanted = count * dtype.itemsize
+    if encoding.compressor:
+        raw = _uncompressed(head, data, encoding, wanted, length)
+    else:
+        (found,) = _numbers(head(0, encoding.prefix.itemsize), encoding, 1)
+        if found != wanted:
+            msg = f"its block holds {found} bytes, not {wanted}"
+            raise DataError(msg)
+        raw = head(encoding.prefix.itemsize, wanted)
+    if len(raw) != wanted:
+        msg = f"its block ends after {len(raw)} of {wanted} bytes"
+        raise DataError(msg)
+    return np.frombuffer(raw, dtype).astype("float64")
+
+
+def _numbers(raw: bytes, encoding: Encoding, count: int) -> list[int]:
+    if len(raw) != count * encoding.prefix.itemsize:
+        msg = "its block lies beyond the end of the file"
+        raise DataError(msg)
+    return [int(number) for number in np.frombuffer(raw, encoding.prefix)]
+
+
+def _uncompressed(head: Take, data: Take, encoding: Encoding, wanted: int, length: Callable[[int], int]) -> bytes:
+    """Join the compressed parts of a block: number, size and last size come first, then the size of each part."""
+    width = encoding.prefix.itemsize
+    number, size, last = _numbers(head(0, 3 * width), encoding, 3)
+    if not number and not wanted:
+        return b""
+    whole = number - (last > 0)
+    if not 0 < number <= wanted or whole * size + last != wanted:
+        msg = f"its block holds {number} parts of {size} bytes, not {wanted} bytes"
+        raise DataError(msg)
+    sizes = _numbers(head(3 * width, number * width), encoding, number)
+    packed = data(length((3 + number) * width), sum(sizes) if sum(sizes) <= encoding.room(wanted) + 4096 else 0)
+    parts, at = [], 0
+    for k, taken in enumerate(sizes):
+        expected = size if k < whole else last
+        part = _inflate(packed[at : at + taken], encoding.compressor, expected)
+        if len(part) != expected:
+            msg = f"part {k} of its block does not unpack to {expected} bytes"
+            raise DataError(msg)
+        parts.append(part)
+        at += taken
+    return b"".join(parts)
+
+
+def _inflate(packed: bytes, compressor: str, expected: int) -> bytes:
+    """Unpack one part, to no more than the bytes expected."""
+    if compressor == _LZ4:
+        return _lz4(packed, expected)
+    unpack: Any = zlib.decompressobj() if compressor == "vtkZLibDataCompressor" else lzma.LZMADecompressor()
+    try:
+        return bytes(unpack.decompress(packed, expected))
+    except (zlib.error, lzma.LZMAError, EOFError):
+        return b""
+
+
+def _lz4(packed: bytes, expected: int) -> bytes:
+    """Unpack through VTK, which checks both lengths; the standard library has no LZ4."""
+    from vtkmodules.util.numpy_support import vtk_to_numpy
+    from vtkmodules.vtkCommonCore import vtkObject
+    from vtkmodules.vtkIOCore import vtkLZ4DataCompressor
+
+    if not packed or expected > COMPRESSORS[_LZ4] * len(packed):
+        return b""
+    shown = vtkObject.GetGlobalWarningDisplay()
+    vtkObject.GlobalWarningDisplayOff()
+    try:
+        compressor: Any = vtkLZ4DataCompressor()
+        values = compressor.Uncompress(np.frombuffer(packed, "u1"), len(packed), expected)
+    finally:
+        vtkObject.SetGlobalWarningDisplay(shown)
+    return b"" if values is None else vtk_to_numpy(values).tobytes()
