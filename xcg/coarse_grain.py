@@ -109,7 +109,7 @@ def coarse_grain(
         "body_id": bodies are coarse-grained instead of spheres, see `xcg.group_bodies`.
     rtol : float
         Promise for the contact stress of every segment, relative to its largest value: the cheapest quadrature that
-        keeps it is taken. 0 (default) takes the closed form.
+        keeps it is taken, from 1e-4 on with weights in single precision. 0 (default) takes the closed form.
     preset : {"pysammos"}, optional
         Names and variants of another program; `fields` are then its names, and `shear_dims` its plane ("xy" by
         default). See `xcg.pysammos`.

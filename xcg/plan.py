@@ -93,6 +93,7 @@ class Plan:
         if len(self.recipe.limits):
             steps = ", ".join(f"{k} to {x:.3g} c" for k, x in enumerate(self.recipe.limits, 1))
             rules = f"Gauss points by branch length ({steps}), closed form beyond"
+            rules += ", weights in single precision" if self.recipe.coarse else ""
         lines = {
             "fields": ", ".join(self.fields),
             "read": ", ".join(self.variables),

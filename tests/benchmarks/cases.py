@@ -7,7 +7,9 @@ each, one chunk of time, of a lazy scene.
 
 from __future__ import annotations
 
+import atexit
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -16,11 +18,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 import xarray as xr
 
 import xcg
+from tests.benchmarks.series import write_vtp_series
 
 ROOT = Path(__file__).parents[2]
 WIDTH = "0.75 d43"
@@ -65,14 +69,21 @@ def fields(ds: xr.Dataset, names: list[str] | None = None, rtol: float = 0.0, re
 
 
 def end_to_end(ds: xr.Dataset) -> None:
-    """A scene from arrays, all fields of it, as NetCDF and VTKHDF."""
-    taken = ("velocity", "diameter", "density", "contact_i", "contact_j", "contact_force", "contact_point")
-    arrays = {name: ds[name].values for name in taken}
-    scene = xcg.scene_from_arrays(ds.position.values, box=ds.box.values, periodic="xyz", **arrays)
+    """A pair of MFiX's binary files to all fields, as NetCDF and VTKHDF."""
     with tempfile.TemporaryDirectory() as folder:
-        f = fields(scene)
+        f = fields(xcg.open_scene(**pair(ds.sizes["particle"])))
         f.to_netcdf(Path(folder) / "fields.nc")
         f.cg.to_vtkhdf(Path(folder) / "fields.vtkhdf")
+
+
+@cache
+def pair(particles: int) -> dict[str, Any]:
+    """Arguments for `xcg.open_scene` of the packing as files, which are there as long as the process."""
+    folder = tempfile.mkdtemp()
+    atexit.register(shutil.rmtree, folder)
+    arguments = write_vtp_series(Path(folder) / "pair", particles, 1)
+    os.environ["XCG_INDEX_CACHE"] = "0"  # headers are read anew each time
+    return arguments
 
 
 SUMS = ["volume_fraction", "contact_stress"]
@@ -85,7 +96,7 @@ CASES = [
     Case("all fields, closed form", fields, threads=2, steps=2),
     Case("volume fraction alone", partial(fields, names=["volume_fraction"])),
     Case("contact stress alone", partial(fields, names=["contact_stress"])),
-    Case("from arrays to NetCDF and VTKHDF", end_to_end),
+    Case("from a pair of .vtp to NetCDF and VTKHDF", end_to_end),
     Case("volume fraction and contact stress, spacing w", partial(fields, names=SUMS), share=0.1),
     Case("volume fraction and contact stress, spacing w/2", partial(fields, names=SUMS, refined=2), share=0.1),
     Case("volume fraction and contact stress, spacing w/4", partial(fields, names=SUMS, refined=4), share=0.1),
