@@ -241,7 +241,7 @@ def _compute_step(
 
     def algebra(block: slice) -> None:
         for name, values in registry.evaluate(plan.fields, sums.at(block), plan.options).items():
-            flat[name][block] = np.moveaxis(values, 0, 1)
+            flat[name][block] = values.swapaxes(0, 1)
 
     for_each(slices(nodes, nodes if registry.whole_grid(plan.options) else BLOCK), algebra, threads)
 

@@ -186,11 +186,11 @@ def _drift(f: Any, s: Any, o: Options) -> NDArray:
 
 def _inner(a: NDArray) -> NDArray:
     """Return an array (phase, node, ...) as (..., phase, node): as kernels take it, and as the sums lie in memory."""
-    return np.ascontiguousarray(np.moveaxis(a, (0, 1), (-2, -1)))
+    return np.ascontiguousarray(a.transpose(*range(2, a.ndim), 0, 1))
 
 
 def _outer(a: NDArray) -> NDArray:
-    return np.moveaxis(a, (-2, -1), (0, 1))
+    return a.transpose(a.ndim - 2, a.ndim - 1, *range(a.ndim - 2))
 
 
 def _fit(f: Any, s: Any, o: Options, *, about_node: bool = False) -> SimpleNamespace:

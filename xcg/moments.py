@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from xcg.contacts import Contacts
 from xcg.grid import Grid
 from xcg.kernels import deposit as kernel
-from xcg.kernels.nodes import spatial_order
+from xcg.kernels.nodes import spatial_order, to_cutoffs
 from xcg.kernels.rows import turn
 from xcg.kernels.segments import deposit_segments
 from xcg.schema import COMPONENTS, Frame, SceneError
@@ -211,17 +211,17 @@ class _Deposit:
 
         Rows come in an order in space, so that neighbours add to the same nodes while these are in cache.
         """
+        own = len(set(self.cutoffs)) > 1
         for cutoff in np.unique(self.cutoffs).tolist():
-            rows = np.flatnonzero(self.cutoffs[phase] == cutoff) if len(set(self.cutoffs)) > 1 else None
-            with np.errstate(over="ignore"):
-                local = (position if rows is None else position[rows]) - self.recipe.grid.origin
-                local /= cutoff
-                reach = np.full(3, 2.0)
-                if branch is not None:
-                    reach += np.abs(branch).max(axis=0, initial=0.0) / cutoff
-                self._check(np.abs(local).max(axis=0, initial=0.0) + reach, reach, cutoff)
+            rows = np.flatnonzero(self.cutoffs[phase] == cutoff) if own else np.arange(len(position))
+            local, there = np.empty((len(rows), 3)), np.empty((len(rows), 3))
+            reach = np.full(3, 2.0)
+            if branch is not None:
+                reach += to_cutoffs(branch, rows, np.zeros(3), cutoff, local)
+            self._check(to_cutoffs(position, rows, self.recipe.grid.origin, cutoff, local) + reach, reach, cutoff)
             order = spatial_order(local, self.active)
-            yield cutoff, order if rows is None else rows[order], local[order]
+            to_cutoffs(local, order, np.zeros(3), 1.0, there)
+            yield cutoff, rows[order], there
 
     def _over_slabs(self, fill: Callable[[_Index, _Index], None]) -> None:
         """Fill the nodes slab by slab along the longest axis, each by one thread.
@@ -274,9 +274,9 @@ class _Deposit:
         """Deposit segments that have the cutoff of `phase` into the sums `into`, of which there are `groups`."""
         sums = np.zeros((groups, self.nodes, 9))
         for cutoff, rows, local in self._by_cutoff(start, phase, branch):
-            a, f = branch[rows], force[rows]
-            a /= cutoff
-            f *= cutoff
+            a, f = np.empty((len(rows), 3)), np.empty((len(rows), 3))
+            to_cutoffs(branch, rows, np.zeros(3), cutoff, a)
+            to_cutoffs(force, rows, np.zeros(3), 1 / cutoff, f)
             sides = (local, a, f, into[rows], self.recipe.limits, self.recipe.coarse, self.shape)
             onto = (*self._onto(cutoff), sums)
             self._over_slabs(lambda *box, sides=sides, onto=onto: deposit_segments(*sides, *box, *onto))
@@ -313,11 +313,11 @@ class Sums:
                 turned[id(array)] = np.empty((records.shape[-1], *records.shape[:2]))
                 turn(records, turned[id(array)])
             part = turned[id(array)][columns]
-            if np.any(factor != 1.0):
+            if not (isinstance(factor, float) and factor == 1.0):
                 part = part * np.reshape(factor, (-1, 1))
             if self.recipe.by is not None:
                 part = np.concatenate([part.sum(axis=-2, keepdims=True), part], axis=-2)
-            found[name] = np.moveaxis(part, (-2, -1), (0, 1))
+            found[name] = part.transpose(part.ndim - 2, part.ndim - 1, *range(part.ndim - 2))
         found["reference"] = np.ascontiguousarray(np.nan_to_num(self.reference[nodes], nan=0.0).T).T
         return found
 
@@ -369,7 +369,8 @@ def sums_of_frame(frame: Frame, recipe: Recipe, period: NDArray, scale: float, w
         records = to.points(position, velocity, mass, stacked, phase, level, reference)
         for name, row in wanted.items():
             if row.level:
-                columns[name] = (records, row.first + _columns_of(name), to.cutoffs ** _CUTOFF_POWERS.get(name, 0))
+                power = _CUTOFF_POWERS.get(name, 0)
+                columns[name] = (records, row.first + _columns_of(name), to.cutoffs**power if power else 1.0)
         first = level
         for name, values in constants.items():
             columns[name] = (records, first + _columns_of(name), 1.0)

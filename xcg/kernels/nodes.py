@@ -191,6 +191,17 @@ def list_tube(x, y, z, bx, by, bz, per_length, steps, low, high, shape, rows, no
 
 
 @jit
+def to_cutoffs(position, rows, origin, cutoff, out):
+    """Write (position[rows] - origin) / cutoff, (n, 3); return the largest magnitude along each axis."""
+    farthest = np.zeros(3)
+    for n in range(rows.size):
+        for k in range(3):
+            out[n, k] = (position[rows[n], k] - origin[k]) / cutoff
+            farthest[k] = max(farthest[k], abs(out[n, k]))
+    return farthest
+
+
+@jit
 def spatial_order(position, active):
     """Order of points (n, 3) by cells of one cutoff (more where grains are few), in pencils along x.
 
