@@ -14,15 +14,11 @@ import pandas as pd
 from engine import Engine, Sample, inertial_time
 from grains import face_centred_cubic
 from measure import open_run
+from summary import sliding_array
 
 DIAMETER = 1e-3  # m
 FRICTIONS = (0.1, 0.2, 0.3, 0.4)
 CELLS, STRAIN, FRAMES, NUMBER = 3, 0.01, 50, 3e-5
-
-
-def closed_form(friction: float, slope: float = 1.0) -> float:
-    """Axial over lateral stress of the sliding array, where contacts lean by the tangent `slope` from the axis."""
-    return 2 * (1 + friction * slope) / (slope * (slope - friction))
 
 
 def run(friction: float, folder: Path) -> None:
@@ -57,9 +53,8 @@ def main(work: Path, results: Path) -> None:
         if not folder.exists():
             run(friction, folder)
         tables.append(measure(folder, friction))
-        at = tables[-1].assign(ratio=2 * tables[-1].stress_z / (tables[-1].stress_x + tables[-1].stress_y))
-        peak = at.loc[at.ratio.idxmax()]
-        print(f"friction {friction}: {peak.ratio:.4f} at {peak.axial_strain:.4f}, {closed_form(friction):.4f}", flush=True)
+        ratio = 2 * tables[-1].stress_z / (tables[-1].stress_x + tables[-1].stress_y)
+        print(f"friction {friction}: {ratio.max():.4f}, closed form {sliding_array(friction):.4f}", flush=True)
     pd.concat(tables).to_csv(results / "fcc.csv", index=False, float_format="%.6g")
 
 

@@ -49,16 +49,16 @@ def overlaps(ds: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
     return np.array(mean), np.array(largest)
 
 
-def measure(folder: Path) -> tuple[pd.DataFrame, np.ndarray, xr.Dataset]:
-    """History of a run, number of contacts by normal force in its steady part, and the whole microstructure."""
+def measure(folder: Path) -> tuple[pd.DataFrame, np.ndarray]:
+    """History of a run, and number of contacts by normal force in its steady part."""
     ds = open_run(folder)
-    m = ds.cg.microstructure([*COLUMNS, "normal_force_count", "stress", "d_max"], force_bins=FORCE_BINS).compute()
+    m = ds.cg.microstructure([*COLUMNS, "normal_force_count"], force_bins=FORCE_BINS).compute()
     table = pd.DataFrame({short: m[name].values for name, short in COLUMNS.items()})
     record = np.load(folder / "record.npz")
     table["lammps_mean_stress"] = (record["lammps_x"] + record["lammps_y"] + record["lammps_z"]) / 3
     table["overlap_mean"], table["overlap_max"] = overlaps(ds)
     steady = m.axial_strain.values > WINDOW
-    return table, m.normal_force_count.values[steady].sum(axis=0), m
+    return table, m.normal_force_count.values[steady].sum(axis=0)
 
 
 def main(work: Path, results: Path) -> None:
@@ -69,13 +69,14 @@ def main(work: Path, results: Path) -> None:
         ratio, run = folder.parent.name.removeprefix("ratio_"), folder.name.removeprefix("rate_")
         cached = folder / "history.pkl"
         if not cached.exists():
-            table, count, m = measure(folder)
+            table, count = measure(folder)
             pd.to_pickle((table, count), cached)
         table, count = pd.read_pickle(cached)
         record = np.load(record_file)
         labels = {"ratio": ratio, "run": run}
         histories.append(table.assign(**labels))
-        forces.append(pd.DataFrame({"low": FORCE_BINS[:-1], "high": FORCE_BINS[1:], "contacts": count}).assign(**labels))
+        bins = {"low": FORCE_BINS[:-1], "high": FORCE_BINS[1:], "contacts": count}
+        forces.append(pd.DataFrame(bins).assign(**labels))
         means = record["chunk_means"]
         steady = means[int(len(means) * WINDOW / table.axial_strain.iloc[-1]) :]
         particles = int(open_run(folder).isel(time=0).particle_id.size)

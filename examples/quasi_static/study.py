@@ -16,7 +16,8 @@ from engine import Engine, Sample, inertial_time
 from grains import cloud, diameters
 
 D50 = 1e-3  # m
-COUNTS = {1.2: 1000, 2.0: 1500, 5.0: 3000}
+COUNTS = {1.2: 1000, 2.0: 1500, 5.0: 2000}
+YOUNG = {1.2: 6e9, 2.0: 6e9, 5.0: 10e9}  # Pa: stiffer where large grains press on small ones; overlaps below 1 % of d
 RATES = (1e-3, 3e-3, 1e-2, 3e-2, 3e-4, 1e-4)  # inertial numbers with d50, in the order of running
 SLOWEST = {1.2: 1e-4, 2.0: 1e-4, 5.0: 3e-4}  # what the budget allows
 PRIOR, PRIOR_STRAIN = 3e-3, 0.25  # the shear from the isotropic state, where all rates start
@@ -29,7 +30,7 @@ SEED = 1
 def sample(ratio: float, folder: Path) -> tuple[Sample, np.ndarray]:
     """Folder and sizes of one packing."""
     d = diameters(COUNTS[ratio], ratio, D50, SEED)
-    return Sample(folder / f"ratio_{ratio:g}", d.min(), d.max()), d
+    return Sample(folder / f"ratio_{ratio:g}", d.min(), d.max(), YOUNG[ratio]), d
 
 
 def pack(ratio: float, folder: Path) -> None:

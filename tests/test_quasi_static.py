@@ -1,0 +1,101 @@
+"""The shipped results of the quasi-static study are what the notebook says, and the notebook runs without LAMMPS."""
+
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).parents[1]
+EXAMPLE = ROOT / "examples" / "quasi_static"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def example_on_path():
+    sys.path.insert(0, str(EXAMPLE))
+    yield
+    sys.path.remove(str(EXAMPLE))
+
+
+@pytest.fixture(scope="module")
+def tables(example_on_path):
+    import summary
+
+    return summary.load(EXAMPLE / "results")
+
+
+@pytest.fixture(scope="module")
+def values(tables):
+    import summary
+
+    return summary.steady(tables["history"])
+
+
+def test_notebook_runs_without_lammps(monkeypatch):
+    import matplotlib.pyplot as plt
+
+    monkeypatch.chdir(ROOT / "docs")
+    monkeypatch.setitem(sys.modules, "lammps", None)
+    plt.switch_backend("agg")
+    text = Path("quasi_static.md").read_text()
+    cells = re.findall(r"```\{code-cell\} python\n(?::tags:.*\n)?(.*?)```", text, flags=re.DOTALL)
+    assert len(cells) > 5
+    names = {}
+    for cell in cells:
+        exec(compile(cell, "quasi_static.md", "exec"), names)
+    assert len(plt.get_fignums()) >= 4
+    plt.close("all")
+
+
+def test_mean_stress_is_held(tables):
+    quiet = tables["runs"][lambda t: ~t.run.isin(["prior", "0.03", "0.01"])]
+    assert np.abs(quiet.servo_mean / 1e5 - 1).max() < 0.01
+
+
+def test_engine_and_xcg_agree_on_the_mean_stress(tables):
+    history = tables["history"]
+    assert np.abs(history.mean_stress / history.lammps_mean_stress - 1).max() < 1e-4
+
+
+def test_overlaps_are_small(values):
+    slow = values[values.rate < 5e-3]
+    assert slow.overlap_max.max() < 0.01
+
+
+def test_sizes_and_rates_are_the_ones_asked_for(values):
+    """The measured inertial number is that of the run's name, and sizes are those of series A."""
+    np.testing.assert_allclose(values.inertial_d50, values.rate, rtol=0.06)
+    np.testing.assert_allclose(values.inertial_dmax / values.inertial_d50, np.sqrt(values.ratio), rtol=0.05)
+
+
+def test_array_slides_at_the_stress_of_the_closed_form(tables):
+    import summary
+
+    for friction, table in tables["fcc"].groupby("friction"):
+        ratio = 2 * table.stress_z / (table.stress_x + table.stress_y)
+        sliding = table.coordination_number == 8
+        assert sliding.sum() > 20
+        late = table.axial_strain > 0.004
+        np.testing.assert_allclose(ratio[late], summary.sliding_array(friction, table.slope[late]), rtol=1e-3)
+        assert ratio.max() == pytest.approx(summary.sliding_array(friction), rel=0.02)
+
+
+def test_closed_form_is_the_sum_over_sliding_contacts(example_on_path):
+    """Eight contacts, listed one by one: the tangential force is against the motion that the deformation makes."""
+    import summary
+
+    for friction in (0.0, 0.2, 0.5):
+        for slope in (1.0, 1.1):
+            c, s = 1 / np.hypot(1, slope), slope / np.hypot(1, slope)
+            normals = [(k * s, 0, m * c) for k in (1, -1) for m in (1, -1)]
+            normals += [(0, k * s, m * c) for k in (1, -1) for m in (1, -1)]
+            stress = np.zeros((3, 3))
+            for normal in np.array(normals):
+                # the box flattens along z and widens equally along x and y so that the contact keeps its length
+                motion = normal * [c**2, c**2, -(s**2)]
+                assert motion @ normal == pytest.approx(0, abs=1e-15)
+                force = normal - friction * motion / np.linalg.norm(motion)
+                stress += np.outer(force, normal)
+            assert stress[0, 0] == pytest.approx(stress[1, 1])
+            assert stress[2, 2] / stress[0, 0] == pytest.approx(summary.sliding_array(friction, slope))
