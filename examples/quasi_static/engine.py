@@ -103,14 +103,13 @@ class Engine:
         normal = f"hertz/material {self.sample.young} {RESTITUTION} {POISSON}"
         self.do(f"pair_coeff * * {normal} tangential mindlin NULL 1.0 {friction} damping tsuji")
 
+    def stop_turning(self) -> None:
+        """Let grains move but not turn."""
+        self.do("unfix move\nfix move all nve")
+
     def stress(self) -> NDArray:
         """Principal stresses along x, y, z now (Pa), compression positive."""
         return np.array(self.lmp.extract_compute("stress", LMP_STYLE_GLOBAL, LMP_TYPE_VECTOR)[:3])
-
-    def box(self) -> NDArray:
-        """Lengths of the box (m)."""
-        low, high, *_ = self.lmp.extract_box()
-        return np.array(high) - np.array(low)
 
     def average_over(self, steps: int) -> None:
         """Average the stress over chunks of so many steps."""

@@ -21,7 +21,7 @@ YOUNG = {1.2: 6e9, 2.0: 6e9, 5.0: 10e9}  # Pa: stiffer where large grains press 
 RATES = (1e-3, 3e-3, 1e-2, 3e-2, 3e-4, 1e-4)  # inertial numbers with d50, in the order of running
 SLOWEST = {1.2: 1e-4, 2.0: 1e-4, 5.0: 3e-4}  # what the budget allows
 PRIOR, PRIOR_STRAIN = 3e-3, 0.25  # the shear from the isotropic state, where all rates start
-STRAIN, FRAMES = 0.2, 60
+STRAIN, SLOW_STRAIN, FRAMES = 0.2, 0.15, 60  # slow runs, below 1e-3, are long enough without
 PACKING_FRICTION, FRICTION = 0.1, 0.3
 LOOSE, ASPECT = 0.3, 1.5  # of the cloud; the box is as high as wide in the middle of the shear
 SEED = 1
@@ -63,7 +63,8 @@ def shear(ratio: float, number: float, folder: Path) -> None:
     with Engine(state) as engine:
         engine.read("sheared.restart", FRICTION)
         rate, prior = number / inertial_time(D50), PRIOR / inertial_time(D50)
-        record = engine.shear(rate, STRAIN, FRAMES, state.folder / f"rate_{number:g}", prior)
+        strain = STRAIN if number >= 1e-3 else SLOW_STRAIN
+        record = engine.shear(rate, strain, FRAMES, state.folder / f"rate_{number:g}", prior)
     _save(state.folder / f"rate_{number:g}", record)
 
 
