@@ -49,24 +49,42 @@ def test_notebook_runs_without_lammps(monkeypatch):
 
 
 def test_mean_stress_is_held(tables):
-    quiet = tables["runs"][lambda t: ~t.run.isin(["prior", "0.03", "0.01"])]
+    quiet = tables["runs"][lambda t: ~t.run.isin(["prior", "0.01"])]
     assert np.abs(quiet.servo_mean / 1e5 - 1).max() < 0.01
 
 
 def test_engine_and_xcg_agree_on_the_mean_stress(tables):
-    history = tables["history"]
-    assert np.abs(history.mean_stress / history.lammps_mean_stress - 1).max() < 1e-4
+    difference = np.abs(tables["history"].mean_stress / tables["history"].lammps_mean_stress - 1)
+    assert difference.max() < 5e-4
 
 
 def test_overlaps_are_small(values):
-    slow = values[values.rate < 5e-3]
-    assert slow.overlap_max.max() < 0.01
+    assert values.overlap_max.max() < 0.01
 
 
 def test_sizes_and_rates_are_the_ones_asked_for(values):
     """The measured inertial number is that of the run's name, and sizes are those of series A."""
     np.testing.assert_allclose(values.inertial_d50, values.rate, rtol=0.06)
     np.testing.assert_allclose(values.inertial_dmax / values.inertial_d50, np.sqrt(values.ratio), rtol=0.05)
+
+
+def test_contacts_come_back_as_shear_slows_down(values):
+    """From I = 1e-2 to 1e-3, Z_mech and f_NR rise by far more than their errors, eta by less than a tenth."""
+    import summary
+
+    assert set(values.ratio) == {1.2, 2.0, 5.0}
+    for _, table in values.groupby("ratio"):
+        for name, least in (("z_mech", 0.025), ("f_nr", 0.03)):
+            change, error = summary.change(table, name, 1e-2, 1e-3)
+            assert change > max(least, 5 * error), name
+        change, error = summary.change(table, "stress_ratio", 1e-2, 1e-3)
+        assert abs(change) < 0.1
+
+
+def test_wide_distributions_have_more_rattlers_and_pack_denser(values):
+    slow = values[np.isclose(values.rate, 1e-3)].sort_values("ratio")
+    assert (np.diff(slow.f_nr) < -0.05).all()
+    assert (np.diff(slow.volume_fraction) > 0.005).all()
 
 
 def test_array_slides_at_the_stress_of_the_closed_form(tables):

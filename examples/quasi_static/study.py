@@ -18,8 +18,8 @@ from grains import cloud, diameters
 D50 = 1e-3  # m
 COUNTS = {1.2: 1000, 2.0: 1500, 5.0: 2000}
 YOUNG = {1.2: 6e9, 2.0: 6e9, 5.0: 10e9}  # Pa: stiffer where large grains press on small ones; overlaps below 1 % of d
-RATES = (1e-3, 3e-3, 1e-2, 3e-2, 3e-4, 1e-4)  # inertial numbers with d50, in the order of running
-SLOWEST = {1.2: 1e-4, 2.0: 1e-4, 5.0: 3e-4}  # what the budget allows
+RATES = (1e-3, 3e-3, 1e-2, 3e-4, 1e-4)  # inertial numbers with d50, in the order of running
+SLOWEST = {1.2: 1e-4, 2.0: 3e-4, 5.0: 3e-4}  # what the budget allows
 PRIOR, PRIOR_STRAIN = 3e-3, 0.25  # the shear from the isotropic state, where all rates start
 STRAIN, SLOW_STRAIN, FRAMES = 0.2, 0.15, 60  # slow runs, below 1e-3, are long enough without
 PACKING_FRICTION, FRICTION = 0.1, 0.3

@@ -52,8 +52,8 @@ def normalised(values: pd.DataFrame, name: str, at: float = 1e-3) -> pd.DataFram
     return pd.concat(parts, ignore_index=True)
 
 
-def slope(values: pd.DataFrame, name: str, above: float, below: float) -> tuple[float, float]:
-    """Relative change of a quantity from the rate `above` down to the rate `below` (one size ratio), and its error."""
+def change(values: pd.DataFrame, name: str, above: float, below: float) -> tuple[float, float]:
+    """Relative change of a quantity from the rate `above` down to `below`, for one size ratio, and its error."""
     high, low = (values[np.isclose(values.rate, rate)].iloc[0] for rate in (above, below))
     quotient = low[name] / high[name]
     error = quotient * np.hypot(low[f"{name}_error"] / low[name], high[f"{name}_error"] / high[name])
