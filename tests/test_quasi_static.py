@@ -53,6 +53,13 @@ def test_mean_stress_is_held(tables):
     assert np.abs(quiet.servo_mean / 1e5 - 1).max() < 0.01
 
 
+def test_packings_are_at_100_kpa_before_shear(tables):
+    history = tables["history"]
+    first = history[history.run == "prior"].groupby("ratio").first()
+    assert np.abs(first.mean_stress / 1e5 - 1).max() < 0.01
+    assert (first.stress_ratio < 0.1).all()
+
+
 def test_engine_and_xcg_agree_on_the_mean_stress(tables):
     difference = np.abs(tables["history"].mean_stress / tables["history"].lammps_mean_stress - 1)
     assert difference.max() < 5e-4
