@@ -20,7 +20,7 @@ def steady(history: pd.DataFrame) -> pd.DataFrame:
     """Mean of each quantity over the steady part of each run, and its standard error.
 
     Frames are correlated, so errors come from the scatter of the means of `BLOCKS` equal parts of the run. With so few
-    blocks they are uncertain by a third themselves.
+    blocks the errors themselves are uncertain by a third.
     """
     rows = []
     for (ratio, run), table in history[history.run != "prior"].groupby(["ratio", "run"]):
