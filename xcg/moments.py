@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from xcg.contacts import Contacts
 from xcg.grid import Grid
 from xcg.kernels import deposit as kernel
-from xcg.kernels.nodes import spatial_order, to_cutoffs
+from xcg.kernels.nodes import runs_of, spatial_order, to_cutoffs
 from xcg.kernels.rows import turn
 from xcg.kernels.segments import deposit_segments
 from xcg.schema import COMPONENTS, Frame, SceneError
@@ -224,11 +224,11 @@ class _Deposit:
             yield cutoff, rows[order], there
 
     def _over_slabs(self, fill: Callable[[_Index, _Index], None]) -> None:
-        """Fill the nodes slab by slab along the longest axis, each by one thread.
+        """Fill the nodes slab by slab, each by one thread: across x where it has nodes enough, as rows run along z.
 
         Every node sums its grains in the same order whatever the number of threads, so that the bits are the same.
         """
-        axis = int(np.argmax(self.shape))
+        axis = int(np.argmax(np.minimum(self.shape, 8 * self.threads)))
 
         def fill_slab(part: slice) -> None:
             low, high = [0, 0, 0], list(self.shape)
@@ -263,7 +263,8 @@ class _Deposit:
         sums = np.zeros((self.phases, self.nodes, level + constants.shape[1]))
         still = bool((velocity == velocity[:1]).all())  # nothing moves: columns with u are zero without adding them
         for cutoff, rows, local in self._by_cutoff(position, phase):
-            grains = (local, velocity[rows], mass[rows], constants[rows], phase[rows], level, still, self.shape)
+            runs = runs_of(local, np.broadcast_to(0.0, local.shape))
+            grains = (local, velocity[rows], mass[rows], constants[rows], phase[rows], level, still, self.shape, runs)
             onto = (*self._onto(cutoff), by_gradient, sums, reference)
             self._over_slabs(lambda *box, grains=grains, onto=onto: kernel.deposit(*grains, *box, *onto))
         return sums
@@ -277,7 +278,7 @@ class _Deposit:
             a, f = np.empty((len(rows), 3)), np.empty((len(rows), 3))
             to_cutoffs(branch, rows, np.zeros(3), cutoff, a)
             to_cutoffs(force, rows, np.zeros(3), 1 / cutoff, f)
-            sides = (local, a, f, into[rows], self.recipe.limits, self.recipe.coarse, self.shape)
+            sides = (local, a, f, into[rows], self.recipe.limits, self.recipe.coarse, self.shape, runs_of(local, a))
             onto = (*self._onto(cutoff), sums)
             self._over_slabs(lambda *box, sides=sides, onto=onto: deposit_segments(*sides, *box, *onto))
         return sums

@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from xcg.kernels._jit import jit
-from xcg.kernels.nodes import images, list_ball, scratch
+from xcg.kernels.nodes import RUN, images, list_ball, run_reaches, scratch
 from xcg.kernels.weights import fill_values
 
 MASS = 0
@@ -32,7 +32,7 @@ _COLUMNS = tuple(np.uint64(k) for k in range(LINEAR))
 
 @jit
 def deposit(
-    position, velocity, mass, constants, phase, level, still, shape, low, high, steps, active, period,
+    position, velocity, mass, constants, phase, level, still, shape, runs, low, high, steps, active, period,
     kind, spread, table, norm, by_gradient, moments, reference,
 ):  # fmt: skip
     """Add grains to the nodes within their support.
@@ -55,6 +55,8 @@ def deposit(
         Whether all grains have the same velocity, so that all columns with u are zero.
     shape : tuple of int
         Number of nodes along x, y, z.
+    runs : (r, 2, 3)
+        Bounds of each run of rows, see `runs_of`: those out of reach are passed over.
     low, high : tuple of int
         Only nodes low <= (ix, iy, iz) < high are touched, so that parts of the mesh can be filled at the same time.
     steps, active, period : tuple
@@ -76,7 +78,12 @@ def deposit(
         most *= min(shape[k], int(2.0 * reach[k] / steps[k]) + 2)
     lists, node = scratch(most, 9, np.float64)
     q2, w, x_off, y_off, z_off, rows = lists[0], lists[1], lists[2], lists[3], lists[4], lists[5:]
+    here = True
     for i in range(position.shape[0]):
+        if i % RUN == 0:
+            here = run_reaches(runs[i // RUN], begin, end, active, period)
+        if not here:
+            continue
         p = np.uint64(phase[i])
         x0 = position[i, 0] if active[0] else 0.0
         y0 = position[i, 1] if active[1] else 0.0

@@ -14,7 +14,8 @@ import numpy as np
 from xcg.kernels._jit import jit
 
 LANES = 8
-PENCIL = 8  # cutoffs
+PENCIL = 8  # cells
+RUN = 256
 _1, _2, _3, _4 = (np.uint64(k) for k in (1, 2, 3, 4))
 
 # Cells of the spatial order, however far apart the grains are.
@@ -188,6 +189,34 @@ def list_tube(x, y, z, bx, by, bz, per_length, steps, low, high, shape, rows, no
                 if left <= 0:
                     break
     return hits
+
+
+@jit
+def runs_of(start, branch):
+    """Lowest and highest corner (runs, 2, 3) of each run of `RUN` segments from start to ``start - branch``, (n, 3)."""
+    count = start.shape[0]
+    bounds = np.empty(((count + RUN - 1) // RUN, 2, 3))
+    for run in range(bounds.shape[0]):
+        for k in range(3):
+            low, high = np.inf, -np.inf
+            for i in range(run * RUN, min(count, (run + 1) * RUN)):
+                end = start[i, k] - branch[i, k]
+                low, high = min(low, start[i, k], end), max(high, start[i, k], end)
+            bounds[run, 0, k], bounds[run, 1, k] = low, high
+    return bounds
+
+
+@jit
+def run_reaches(bounds, begin, end, active, period):
+    """Whether anything of a run, or one of its images, comes closer than 1 to the nodes from `begin` to `end`."""
+    for k in range(3):
+        if active[k]:
+            first, last = images(0.0, bounds[0, k] - 1.0, bounds[1, k] + 1.0, begin[k], end[k], period[k])
+            if first > last or (
+                math.isinf(period[k]) and (bounds[0, k] - 1.0 > end[k] or bounds[1, k] + 1.0 < begin[k])
+            ):
+                return False
+    return True
 
 
 @jit

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from xcg.kernels._jit import jit
-from xcg.kernels.nodes import images, list_tube, scratch
+from xcg.kernels.nodes import RUN, images, list_tube, run_reaches, scratch
 from xcg.kernels.weights import fill_gauss, fill_segments
 
 MAX_ORDER = 6
@@ -39,7 +39,7 @@ def choose_order(length, limits):
 
 @jit
 def deposit_segments(
-    start, branch, force, phase, limits, coarse, shape, low, high, steps, active, period,
+    start, branch, force, phase, limits, coarse, shape, runs, low, high, steps, active, period,
     kind, spread, table, norm, moments,
 ):  # fmt: skip
     """Add force x branch of each segment to the nodes that its tube of radius 1 reaches.
@@ -58,7 +58,7 @@ def deposit_segments(
         Longest branch (cutoffs) for which 1, 2, ... k points are accurate enough; empty for the closed form.
     coarse : bool
         Whether single precision is enough for distances and weights, where points are taken; sums are in double.
-    shape, low, high, steps, active, period, kind, spread, table, norm
+    shape, runs, low, high, steps, active, period, kind, spread, table, norm
         As in `deposit`.
     moments : (phases, nodes, 9)
         Sums, added to: force component by branch component, row by row.
@@ -70,7 +70,12 @@ def deposit_segments(
     lists, node = scratch(most, 8, np.float64)
     single, _ = scratch(most, 7, np.float32)
     exponent = np.empty(lists.shape[1], np.int64)
+    here = True
     for i in range(start.shape[0]):
+        if i % RUN == 0:
+            here = run_reaches(runs[i // RUN], begin, end, active, period)
+        if not here:
+            continue
         p = np.uint64(phase[i])
         x0 = start[i, 0] if active[0] else 0.0
         y0 = start[i, 1] if active[1] else 0.0
