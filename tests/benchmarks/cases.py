@@ -70,7 +70,8 @@ def fields(ds: xr.Dataset, names: list[str] | None = None, rtol: float = 0.0, re
 
 def end_to_end(ds: xr.Dataset) -> None:
     """A pair of MFiX's binary files to all fields, as NetCDF and VTKHDF."""
-    with tempfile.TemporaryDirectory() as folder:
+    anew = mock.patch.dict(os.environ, XCG_INDEX_CACHE="0")  # headers are not remembered
+    with tempfile.TemporaryDirectory() as folder, anew:
         f = fields(xcg.open_scene(**pair(ds.sizes["particle"])))
         f.to_netcdf(Path(folder) / "fields.nc")
         f.cg.to_vtkhdf(Path(folder) / "fields.vtkhdf")
@@ -81,9 +82,7 @@ def pair(particles: int) -> dict[str, Any]:
     """Arguments for `xcg.open_scene` of the packing as files, which are there as long as the process."""
     folder = tempfile.mkdtemp()
     atexit.register(shutil.rmtree, folder)
-    arguments = write_vtp_series(Path(folder) / "pair", particles, 1)
-    os.environ["XCG_INDEX_CACHE"] = "0"  # headers are read anew each time
-    return arguments
+    return write_vtp_series(Path(folder) / "pair", particles, 1)
 
 
 SUMS = ["volume_fraction", "contact_stress"]
