@@ -508,10 +508,11 @@ TESTS = "What does not depend on the clock is held by tests (`tests/test_accurac
 def says_contact_stress(x: Times) -> str:
     return f"""**Default: the closed form (`rtol=0`).** It takes {x("rtol 0", "1 point")} times as long as a
 single Gauss point and {x("rtol 0", "6 points")} times as long as six, and is exact to rounding: the
-identities of the theory hold on what it gives, and who does not ask gets no error. A looser `rtol` buys time, through
-weights in single precision: 1e-3 takes {x("rtol 1e-3", "rtol 0")} of the time of the closed form. From 1e-4 on
-the planner itself takes the closed form at this width. The errors of `rtol` stay below what was asked, by a factor of ten and more: the promise holds for the worst node of every
-single branch, and a node sees a hundred.
+identities of the theory hold on what it gives, and who does not ask gets no error. A looser `rtol` buys time,
+through weights in single precision: 1e-3 takes {x("rtol 1e-3", "rtol 0")} of the time of the closed form.
+From 1e-4 on the planner itself takes the closed form at this width. The errors of `rtol` stay below what was
+asked, by a factor of ten and more: the promise holds for the worst node of every single branch, and a node sees
+a hundred.
 """
 
 
