@@ -307,10 +307,20 @@ def test_explain_knows_bodies_and_presets():
     assert "volume_fraction" in str(ds.cg.explain("volume_fraction", by_body="body_id", width=1.0))
     with pytest.raises(xcg.SceneError, match="body"):
         ds.cg.explain("volume_fraction", by_body="no_body")
-    theirs = str(ds.cg.explain(preset="pysammos", width=1.0))
+    assert str(ds.cg.explain("density", width=1.0, on_error="skip")) == str(ds.cg.explain("density", width=1.0))
+    theirs = str(ds.cg.explain(preset="pysammos", width=1.0, on_error="skip"))
     assert "shear_rate_tensor" in theirs
     with pytest.raises(ValueError, match="'pysammos'"):
         ds.cg.explain(preset="other")
+
+
+@pytest.mark.parametrize("row", [0, 7, 19])
+def test_places_that_are_no_numbers_never_reach_the_loops(row):
+    ds = xcg.datasets.random_scene(20)
+    position = ds.position.values.copy()
+    position[0, row, 1] = np.nan
+    with pytest.raises(xcg.SceneError):
+        ds.assign(position=(ds.position.dims, position)).cg.coarse_grain("density", width=1.0)
 
 
 def test_what_stands_still_takes_less_work_and_gives_the_same():

@@ -193,7 +193,7 @@ def explain(ds: xr.Dataset, fields: str | Sequence[str] | None = None, **options
         return explain(group_bodies(ds, given.pop("by_body")), **given)
     if given.get("preset") is not None:
         _, _, given = _as_own(ds, given)
-    return make_plan(ds, **{k: v for k, v in given.items() if k not in ("by_body", "preset")})
+    return make_plan(ds, **{k: v for k, v in given.items() if k not in ("by_body", "preset", "on_error")})
 
 
 def _as_own(ds: xr.Dataset, given: Mapping[str, Any]) -> tuple[Any, Any, dict[str, Any]]:

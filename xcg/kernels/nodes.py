@@ -14,8 +14,8 @@ import numpy as np
 from xcg.kernels._jit import jit
 
 LANES = 8
-PENCIL = 8  # cells
-RUN = 256
+PENCIL = 8  # cells across: the nodes that a layer of a pencil adds to fit in a core's cache
+RUN = 256  # grains or branches, neighbours in space, that are passed over together
 _1, _2, _3, _4 = (np.uint64(k) for k in (1, 2, 3, 4))
 
 # Cells of the spatial order, however far apart the grains are.
@@ -226,7 +226,8 @@ def to_cutoffs(position, rows, origin, cutoff, out):
     for n in range(rows.size):
         for k in range(3):
             out[n, k] = (position[rows[n], k] - origin[k]) / cutoff
-            farthest[k] = max(farthest[k], abs(out[n, k]))
+            if not math.isnan(farthest[k]) and not abs(out[n, k]) <= farthest[k]:  # one NaN makes it NaN
+                farthest[k] = abs(out[n, k])
     return farthest
 
 
