@@ -138,9 +138,10 @@ def relative(values: NDArray, exact: NDArray) -> float:
 
 
 def captured(target: str, call: Callable[[], Any]) -> tuple[Any, ...]:
-    """Arguments with which a call enters a loop for the first time."""
+    """Arguments with which a call enters a loop for the first time, for all nodes at once."""
     original = {POINTS: deposit, SEGMENTS: deposit_segments}[target]
-    with mock.patch(target, wraps=original) as loop:
+    one_box = mock.patch.object(sys.modules["xcg.coarse_grain"], "BOX", sys.maxsize)
+    with mock.patch(target, wraps=original) as loop, one_box:
         call()
     return loop.call_args_list[0].args
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -17,13 +18,13 @@ from xcg.complete import periods
 from xcg.faults import check_on_error
 from xcg.kernels import THREADS
 from xcg.labels import about, call_of, mark_skipped
-from xcg.moments import sums_of_frame
+from xcg.moments import BOX, sums_of_frame
 from xcg.over_time import is_lazy, map_over_time, steps_in
 from xcg.plan import Plan, make_plan, scale_of
 from xcg.scene import require_scene, storable
 from xcg.schema import COMPONENTS, Frame, units_of
 from xcg.smoothing import Kernel
-from xcg.threads import for_each, slices
+from xcg.threads import Box, boxes, for_each
 
 
 def coarse_grain(
@@ -224,9 +225,9 @@ def compute_chunk(plan: Plan, threads: int, arrays: Mapping[str, NDArray]) -> di
     return out
 
 
-# The algebra runs over this many nodes at a time, so that its intermediate results stay in cache; with a power of two
-# all columns would want the same places in it.
-BLOCK = 16200
+# The algebra runs over this many nodes at a time, so that its intermediate results stay in cache; with a power of
+# two all columns would want the same places in it.
+BLOCK = 10_000
 
 
 def _compute_step(
@@ -235,15 +236,22 @@ def _compute_step(
     """Compute the fields of one step into arrays (axes, phase, ...)."""
     period = periods(box, plan.setup.periodic, where)
     sums = sums_of_frame(frame, plan.recipe, period, scale_of(plan, box, where), where, threads)
-    nodes = len(sums.reference)
+    shape = plan.recipe.grid.shape
     phases = plan.phases if plan.recipe.by else 1
-    flat = {name: out[name].reshape(nodes, phases, *out[name].shape[len(plan.dims) :]) for name in plan.fields}
+    whole = {name: a.reshape(*shape, phases, *a.shape[len(plan.dims) :]) for name, a in out.items()}
 
-    def algebra(block: slice) -> None:
-        for name, values in registry.evaluate(plan.fields, sums.at(block), plan.options).items():
-            flat[name][block] = values.swapaxes(0, 1)
+    def fill(part: Box) -> None:
+        for (low, high), moments in sums.over(part, block):
+            nodes = tuple(slice(*ends) for ends in zip(low, high, strict=True))
+            for name, values in registry.evaluate(plan.fields, moments, plan.options).items():
+                place = whole[name][nodes]
+                place[...] = values.swapaxes(0, 1).reshape(place.shape)
 
-    for_each(slices(nodes, nodes if registry.whole_grid(plan.options) else BLOCK), algebra, threads)
+    if registry.whole_grid(plan.options):
+        parts, block = [((0, 0, 0), shape)], math.prod(shape)
+    else:
+        parts, block = boxes(shape, BOX, threads), BLOCK
+    for_each(parts, fill, threads)
 
 
 def _label(ds: xr.Dataset, plan: Plan, arrays: Mapping[str, Any], call: str) -> xr.Dataset:

@@ -15,7 +15,7 @@ from xcg.cells import CellLists
 from xcg.complete import periods, rows_of
 from xcg.kernels import THREADS
 from xcg.kernels.neighbours import sort_pairs
-from xcg.kernels.rows import add_dyads, add_rows, list_segments, nearest_image, peel
+from xcg.kernels.rows import add_dyads, add_rows, add_squares, list_segments, nearest_image, peel
 from xcg.scene import box_array
 from xcg.schema import Frame, SceneError
 
@@ -138,10 +138,10 @@ class Contacts:
 
     @property
     def normals(self) -> NDArray:
-        """Sum over contacts of n n for each particle (particles, 3, 3)."""
-        total = np.zeros((self.count, 3, 3))
+        """Sum over contacts of n n for each particle (particles, 6): xx xy xz yy yz zz."""
+        total, normal = np.zeros((self.count, 6)), np.ascontiguousarray(self.normal)
         for row in (self.i, self.j):
-            add_dyads(row, 1.0, self.normal, self.normal, total)
+            add_squares(row, normal, total)
         return total
 
     @property

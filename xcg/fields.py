@@ -122,7 +122,8 @@ def ratio(a: NDArray, b: NDArray) -> NDArray:
     """Return a / b with NaN where b is not positive; b lacks the last axes of a."""
     b = b.reshape(b.shape + (1,) * (a.ndim - b.ndim))
     shape = np.broadcast_shapes(a.shape, b.shape)
-    return np.divide(a, b, out=np.full(shape, np.nan), where=np.broadcast_to(b, shape) > 0)
+    out = np.full_like(a, np.nan, shape=shape) if shape == a.shape else np.full(shape, np.nan)
+    return np.divide(a, b, out=out, where=np.broadcast_to(b, shape) > 0)
 
 
 def outer(a: NDArray, b: NDArray) -> NDArray:
@@ -150,7 +151,7 @@ def restricted(tensor: NDArray, axes: Sequence[int] | None) -> NDArray:
 
 def deviator(tensor: NDArray, axes: Sequence[int]) -> NDArray:
     """Return X - tr(X) / D I, with trace, D and I those of some axes."""
-    out = tensor.copy()
+    out = tensor.copy(order="K")
     mean = mean_normal(tensor, axes)
     for k in axes:
         out[..., k, k] -= mean
@@ -169,7 +170,8 @@ def rate_magnitude(tensor: NDArray) -> NDArray:
 
 def contraction(tensor: NDArray) -> NDArray:
     """Return X:X over all components."""
-    return (tensor**2).sum(axis=(-2, -1))
+    # term by term: the order in which numpy sums over axes depends on the number of nodes, and with it the last bit
+    return sum((tensor[..., i, j] ** 2 for i in range(3) for j in range(3)), start=np.zeros(tensor.shape[:-2]))
 
 
 def _transposed(tensor: NDArray) -> NDArray:

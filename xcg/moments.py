@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,12 +14,12 @@ from numpy.typing import NDArray
 from xcg.contacts import Contacts
 from xcg.grid import Grid
 from xcg.kernels import deposit as kernel
-from xcg.kernels.nodes import runs_of, spatial_order, to_cutoffs
+from xcg.kernels.nodes import bounds_of, runs_of, spatial_order, to_cutoffs
 from xcg.kernels.rows import turn
 from xcg.kernels.segments import deposit_segments
 from xcg.schema import COMPONENTS, Frame, SceneError
 from xcg.smoothing import Weights
-from xcg.threads import for_each, shares
+from xcg.threads import Box, for_each, slices
 
 CONTACT_VARIABLES = ("position", "contact_i", "contact_j", "contact_point", "contact_normal")
 
@@ -67,7 +68,7 @@ def _partners(frame: Frame, contacts: Contacts | None) -> NDArray:
 
 def _fabric(frame: Frame, contacts: Contacts | None) -> NDArray:
     assert contacts is not None
-    return (frame["volume"][:, None, None] * contacts.normals)[:, *_UPPER]
+    return frame["volume"][:, None] * contacts.normals
 
 
 def _forces(frame: Frame, contacts: Contacts | None) -> NDArray:
@@ -105,7 +106,6 @@ MOMENTS: dict[str, Moment] = {
 }
 
 _SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
-_UPPER = np.triu_indices(3)
 # powers of the cutoff in the flow columns, which the deposit computes with lengths in cutoffs
 _CUTOFF_POWERS = {"offset": 1, "shear": 1, "spread": 2}
 
@@ -174,8 +174,11 @@ def without_frozen(frame: Frame) -> Frame:
     return {**frame, **particles}
 
 
-_Index = tuple[int, int, int]
+# adds one pass to the sums (groups, nodes, columns) at the nodes of a box; the last array is the reference velocity
+_Fill = Callable[[Box, NDArray, NDArray], None]
 
+# Sums are made over boxes of about this many nodes, so that memory holds those of a few boxes, not of the mesh.
+BOX = 65_000
 # Beyond this many cutoffs from the mesh coordinates cannot be told apart, and cells cannot be counted.
 _FAR = 2.0**50
 _MOST_IMAGES = 1000
@@ -186,16 +189,115 @@ def _tuple(values: Sequence[Any] | NDArray) -> tuple[Any, Any, Any]:
     return x, y, z
 
 
-class _Deposit:
-    """The deposits onto one grid, with lengths in cutoffs; results are (phases, nodes, columns)."""
+@dataclass(frozen=True)
+class _Pass:
+    """One pass over grains or segments, prepared: its array is (groups, nodes, columns), filled by one loop a cutoff.
 
-    def __init__(self, recipe: Recipe, period: NDArray, scale: float, where: str, threads: int) -> None:
-        self.recipe, self.scale, self.where, self.threads = recipe, scale, where, threads
+    `moments` says which columns of that array each moment is made of (those of a symmetric tensor name six of them
+    nine times), with a factor, or one for each phase.
+    """
+
+    groups: int
+    columns: int
+    fill: Sequence[_Fill]
+    moments: Mapping[str, tuple[NDArray, float | NDArray]]
+
+    def __call__(self, box: Box, reference: NDArray) -> NDArray:
+        sums = np.zeros((self.groups, len(reference), self.columns))
+        for fill in self.fill:
+            fill(box, sums, reference)
+        return sums
+
+
+class _Deposit:
+    """Prepares the passes over one frame: lengths in cutoffs, rows in an order in space."""
+
+    def __init__(self, frame: Frame, recipe: Recipe, period: NDArray, scale: float, where: str) -> None:
+        self.frame = without_frozen(frame)
+        self.recipe, self.scale, self.where = recipe, scale, where
+        self.position = np.ascontiguousarray(self.frame["position"])
+        self.count = len(self.position)
+        self.phase = phase_of(self.frame, recipe.by, recipe.groups, where)
+        self.contacts = Contacts.of(self.frame, period) if "contact_i" in self.frame else None
+        self.velocity = np.ascontiguousarray(self.frame.get("velocity", np.zeros((self.count, 3))))
+        self.mass = self.frame.get("mass", np.ones(self.count))
         self.phases = max(1, len(recipe.groups))
         self.cutoffs = np.broadcast_to(recipe.cutoffs, self.phases)
-        self.shape, self.active = recipe.grid.shape, recipe.grid.active
-        self.nodes = math.prod(self.shape)
+        self.active = recipe.grid.active
         self.period = np.where(self.active, period, np.inf)
+
+    def passes(self, threads: int) -> list[_Pass]:
+        """All passes that the recipe takes; threads prepare one each."""
+        wanted = set(self.recipe.moments)
+        ways = [
+            (self._grains, {name for name, row in MOMENTS.items() if row.level or row.column}),
+            (self._along_branches, {"contact", "pair_contact"}),
+            (self._slopes, {"mass_slope", "momentum_slope"}),
+            (self._at_walls, {"traction"}),
+        ]
+        prepared = for_each([way for way, moments in ways if moments & wanted], lambda way: way(), threads)
+        return [one for passes in prepared for one in passes]
+
+    def _grains(self) -> list[_Pass]:
+        """Flow columns and columns of constants."""
+        wanted = {name: MOMENTS[name] for name in self.recipe.moments}
+        constants = {
+            name: row.column(self.frame, self.contacts).reshape(self.count, _columns_of(name).max() + 1)
+            for name, row in wanted.items()
+            if row.column
+        }
+        # a column that is the same for all grains, as those of one size are, is a multiple of their number
+        same = {
+            name: float(q[0, 0])
+            for name, q in constants.items()
+            if self.count and q.shape[1] == 1 and (q == q[0]).all()
+        }
+        constants = {name: q for name, q in constants.items() if name not in same}
+        if same:
+            constants["number"] = np.ones((self.count, 1))
+        level, moments = self.recipe.level, dict[str, tuple[NDArray, float | NDArray]]()
+        for name, row in wanted.items():
+            if row.level:
+                power = _CUTOFF_POWERS.get(name, 0)
+                moments[name] = (row.first + _columns_of(name), self.cutoffs**power if power else 1.0)
+        first = level
+        for name, values in constants.items():
+            moments[name] = (first + _columns_of(name), 1.0)
+            first += values.shape[1]
+        for name, value in same.items():
+            moments[name] = (moments["number"][0], value)
+        stacked = np.concatenate(list(constants.values()), axis=1) if constants else np.zeros((self.count, 0))
+        return [self._points(moments, self.position, self.velocity, self.mass, stacked, self.phase, level)]
+
+    def _slopes(self) -> list[_Pass]:
+        """Flow columns weighted by grad Psi."""
+        moments = {
+            name: (MOMENTS[flow].first + _columns_of(flow), -1 / self.cutoffs)
+            for name, flow in (("mass_slope", "offset"), ("momentum_slope", "shear"))
+        }
+        none, level = np.zeros((self.count, 0)), kernel.LINEAR
+        return [
+            self._points(moments, self.position, self.velocity, self.mass, none, self.phase, level, by_gradient=True)
+        ]
+
+    def _along_branches(self) -> list[_Pass]:
+        assert self.contacts is not None
+        start, branch, push, owner, other = self.contacts.segments(self.position, self.phase)
+        passes = []
+        if "contact" in self.recipe.moments:
+            passes.append(self._segments("contact", start, branch, push, owner, owner, self.phases))
+        if "pair_contact" in self.recipe.moments:
+            others = self.phases + 1  # the last one for walls
+            pair = owner * others + np.where(other < 0, self.phases, other)
+            passes.append(self._segments("pair_contact", start, branch, push, owner, pair, self.phases * others))
+        return passes
+
+    def _at_walls(self) -> list[_Pass]:
+        assert self.contacts is not None
+        at, point, force = self.contacts.at_walls
+        none = np.zeros((len(at), 3))
+        moments = {"traction": (_columns_of("traction"), 1.0)}
+        return [self._points(moments, point, none, none[:, 0], force, self.phase[at], kernel.NONE)]
 
     def _onto(self, cutoff: float) -> tuple[Any, ...]:
         """Mesh and kernel, in cutoffs."""
@@ -212,30 +314,16 @@ class _Deposit:
         Rows come in an order in space, so that neighbours add to the same nodes while these are in cache.
         """
         own = len(set(self.cutoffs)) > 1
+        origin = self.recipe.grid.origin
         for cutoff in np.unique(self.cutoffs).tolist():
             rows = np.flatnonzero(self.cutoffs[phase] == cutoff) if own else np.arange(len(position))
-            local, there = np.empty((len(rows), 3)), np.empty((len(rows), 3))
+            lower, upper = bounds_of(position, rows, origin, cutoff)
             reach = np.full(3, 2.0)
             if branch is not None:
-                reach += to_cutoffs(branch, rows, np.zeros(3), cutoff, local)
-            self._check(to_cutoffs(position, rows, self.recipe.grid.origin, cutoff, local) + reach, reach, cutoff)
-            order = spatial_order(local, self.active)
-            to_cutoffs(local, order, np.zeros(3), 1.0, there)
-            yield cutoff, rows[order], there
-
-    def _over_slabs(self, fill: Callable[[_Index, _Index], None]) -> None:
-        """Fill the nodes slab by slab, each by one thread: across x where it has nodes enough, as rows run along z.
-
-        Every node sums its grains in the same order whatever the number of threads, so that the bits are the same.
-        """
-        axis = int(np.argmax(np.minimum(self.shape, 8 * self.threads)))
-
-        def fill_slab(part: slice) -> None:
-            low, high = [0, 0, 0], list(self.shape)
-            low[axis], high[axis] = part.start, part.stop
-            fill(_tuple(low), _tuple(high))
-
-        for_each(shares(self.shape[axis], self.threads), fill_slab, self.threads)
+                reach += np.maximum(*np.abs(bounds_of(branch, rows, np.zeros(3), cutoff)))
+            self._check(np.maximum(np.abs(lower), np.abs(upper)) + reach, reach, cutoff)
+            order = spatial_order(position, rows, origin, cutoff, lower, upper, self.active)
+            yield cutoff, order, to_cutoffs(position, order, origin, cutoff)
 
     def _check(self, farthest: NDArray, reach: NDArray, unit: float) -> None:
         """Refuse places that the kernels cannot number; damaged files hold them."""
@@ -255,76 +343,89 @@ class _Deposit:
                 )
                 raise SceneError(msg)
 
-    def points(
-        self, position: NDArray, velocity: NDArray, mass: NDArray, constants: NDArray, phase: NDArray, level: int,
-        reference: NDArray, *, by_gradient: bool = False,
-    ) -> NDArray:  # fmt: skip
+    def _points(
+        self, moments: Mapping[str, tuple[NDArray, float | NDArray]], position: NDArray, velocity: NDArray,
+        mass: NDArray, constants: NDArray, phase: NDArray, level: int, *, by_gradient: bool = False,
+    ) -> _Pass:  # fmt: skip
+        """Prepare grains, or other points, with their flow columns up to `level` and columns of constants."""
         constants = np.pad(constants, ((0, 0), (0, -constants.shape[1] % 4)))
-        sums = np.zeros((self.phases, self.nodes, level + constants.shape[1]))
         still = bool((velocity == velocity[:1]).all())  # nothing moves: columns with u are zero without adding them
+        fill = []
         for cutoff, rows, local in self._by_cutoff(position, phase):
+            grains = (local, velocity[rows], mass[rows], constants[rows], phase[rows], level, still)
+            onto = (*self._onto(cutoff), by_gradient)
             runs = runs_of(local, np.broadcast_to(0.0, local.shape))
-            grains = (local, velocity[rows], mass[rows], constants[rows], phase[rows], level, still, self.shape, runs)
-            onto = (*self._onto(cutoff), by_gradient, sums, reference)
-            self._over_slabs(lambda *box, grains=grains, onto=onto: kernel.deposit(*grains, *box, *onto))
-        return sums
+            fill.append(partial(_fill_points, (*grains, runs), onto))
+        return _Pass(self.phases, level + constants.shape[1], fill, moments)
 
-    def segments(
-        self, start: NDArray, branch: NDArray, force: NDArray, phase: NDArray, into: NDArray, groups: int
-    ) -> NDArray:
-        """Deposit segments that have the cutoff of `phase` into the sums `into`, of which there are `groups`."""
-        sums = np.zeros((groups, self.nodes, 9))
+    def _segments(
+        self, name: str, start: NDArray, branch: NDArray, force: NDArray, phase: NDArray, into: NDArray, groups: int
+    ) -> _Pass:
+        """Prepare segments that have the cutoff of `phase`, for the sums `into`, of which there are `groups`."""
+        fill = []
         for cutoff, rows, local in self._by_cutoff(start, phase, branch):
-            a, f = np.empty((len(rows), 3)), np.empty((len(rows), 3))
-            to_cutoffs(branch, rows, np.zeros(3), cutoff, a)
-            to_cutoffs(force, rows, np.zeros(3), 1 / cutoff, f)
-            sides = (local, a, f, into[rows], self.recipe.limits, self.recipe.coarse, self.shape, runs_of(local, a))
-            onto = (*self._onto(cutoff), sums)
-            self._over_slabs(lambda *box, sides=sides, onto=onto: deposit_segments(*sides, *box, *onto))
-        return sums
+            a, f = to_cutoffs(branch, rows, np.zeros(3), cutoff), to_cutoffs(force, rows, np.zeros(3), 1 / cutoff)
+            sides = (local, a, f, into[rows], self.recipe.limits, self.recipe.coarse, runs_of(local, a))
+            fill.append(partial(_fill_segments, sides, self._onto(cutoff)))
+        return _Pass(groups, 9, fill, {name: (_columns_of("contact"), 1.0)})
+
+
+def _fill_points(grains: tuple[Any, ...], onto: tuple[Any, ...], box: Box, sums: NDArray, reference: NDArray) -> None:
+    kernel.deposit(*grains, *box, *onto, sums, reference)
+
+
+def _fill_segments(sides: tuple[Any, ...], onto: tuple[Any, ...], box: Box, sums: NDArray, _: NDArray) -> None:
+    deposit_segments(*sides, *box, *onto, sums)
 
 
 @dataclass(frozen=True)
 class Sums:
-    """The sums of one frame at all nodes, as the deposits leave them.
+    """The sums of one frame, prepared: computed for one box of nodes after the other, in any order or at once.
 
-    Attributes
-    ----------
-    recipe : Recipe
-    columns : dict
-        For each moment its array (phases, nodes, columns), the columns of that array that it is made of (those of a
-        symmetric tensor name six of them nine times), and a factor, or one for each phase.
-    reference : array (nodes, 3)
-        Velocity that ``momentum``, ``kinetic`` and ``shear`` are relative to.
+    A node's sums have one order whatever the box, so that their bits are the same.
     """
 
     recipe: Recipe
-    columns: Mapping[str, tuple[NDArray, NDArray, float | NDArray]]
-    reference: NDArray
+    passes: Sequence[_Pass]
 
-    def at(self, nodes: slice) -> dict[str, NDArray]:
-        """Return the moments at some nodes: arrays (phase, node, ...) with phase 0 the bulk, the sum over groups.
+    def over(self, box: Box, size: int) -> Iterator[tuple[Box, dict[str, NDArray]]]:
+        """Fill a box; yield its moments, layer by layer of about `size` nodes: arrays (phase, node, ...).
 
-        Nodes run fastest in memory, so that algebra on small tensors is a loop over nodes.
+        Phase 0 is the bulk, the sum over groups. Nodes run fastest in memory, so that algebra on small tensors is a
+        loop over nodes.
         """
-        found, turned = {}, dict[int, NDArray]()
-        for name, (array, columns, factor) in self.columns.items():
-            if id(array) not in turned:
-                records = array[:, nodes]
-                turned[id(array)] = np.empty((records.shape[-1], *records.shape[:2]))
-                turn(records, turned[id(array)])
-            part = turned[id(array)][columns]
+        (x, *low), (end, *high) = box
+        layer = math.prod(np.subtract(high, low).tolist())
+        reference = np.full(((end - x) * layer, 3), np.nan)
+        filled = [run(box, reference) for run in self.passes]
+        np.nan_to_num(reference, copy=False, nan=0.0)
+        for part in slices(end - x, size // layer):
+            nodes = slice(part.start * layer, part.stop * layer)
+            found = {"reference": np.ascontiguousarray(reference[nodes].T).T}
+            for run, sums in zip(self.passes, filled, strict=True):
+                found |= self._moments(run, sums[:, nodes])
+            yield ((x + part.start, *low), (x + part.stop, *high)), found
+
+    def _moments(self, run: _Pass, records: NDArray) -> dict[str, NDArray]:
+        nodes, phases = records.shape[1], max(1, len(self.recipe.groups))
+        turned = np.empty((run.columns, run.groups, nodes))
+        turn(records, turned)
+        found = {}
+        for name, (columns, factor) in run.moments.items():
+            part = turned[columns]
+            if run.groups > phases:  # by phase of the partner
+                part = np.moveaxis(part.reshape(*part.shape[:-2], phases, -1, nodes), -2, 0)
             if not (isinstance(factor, float) and factor == 1.0):
                 part = part * np.reshape(factor, (-1, 1))
             if self.recipe.by is not None:
-                part = np.concatenate([part.sum(axis=-2, keepdims=True), part], axis=-2)
+                bulk = sum(part[..., [k], :] for k in range(phases))  # in this order whatever the number of nodes
+                part = np.concatenate([bulk, part], axis=-2)
             found[name] = part.transpose(part.ndim - 2, part.ndim - 1, *range(part.ndim - 2))
-        found["reference"] = np.ascontiguousarray(np.nan_to_num(self.reference[nodes], nan=0.0).T).T
         return found
 
 
 def sums_of_frame(frame: Frame, recipe: Recipe, period: NDArray, scale: float, where: str, threads: int = 1) -> Sums:
-    """Compute the sums of one frame at all nodes.
+    """Prepare the sums of one frame.
 
     Parameters
     ----------
@@ -339,73 +440,9 @@ def sums_of_frame(frame: Frame, recipe: Recipe, period: NDArray, scale: float, w
     where : str
         Names the step in messages.
     threads : int
-        Threads that share the nodes; the bits of the result do not depend on it.
+        Threads that prepare passes.
     """
-    frame = without_frozen(frame)
-    position = np.ascontiguousarray(frame["position"])
-    count = len(position)
-    phase = phase_of(frame, recipe.by, recipe.groups, where)
-    wanted = {name: MOMENTS[name] for name in recipe.moments}
-    contacts = Contacts.of(frame, period) if "contact_i" in frame else None
-    to = _Deposit(recipe, period, scale, where, threads)
-
-    constants = {
-        name: row.column(frame, contacts).reshape(count, _columns_of(name).max() + 1)
-        for name, row in wanted.items()
-        if row.column
-    }
-    # a column that is the same for all grains, as those of one size are, is a multiple of their number
-    same = {name: float(q[0, 0]) for name, q in constants.items() if count and q.shape[1] == 1 and (q == q[0]).all()}
-    constants = {name: q for name, q in constants.items() if name not in same}
-    if same:
-        constants["number"] = np.ones((count, 1))
-    stacked = np.concatenate(list(constants.values()), axis=1) if constants else np.zeros((count, 0))
-    velocity = np.ascontiguousarray(frame.get("velocity", np.zeros((count, 3))))
-    mass = frame.get("mass", np.ones(count))
-    reference = np.full((to.nodes, 3), np.nan)
-    columns: dict[str, tuple[NDArray, NDArray, float | NDArray]] = {}
-
-    level = recipe.level
-    if level or constants:
-        records = to.points(position, velocity, mass, stacked, phase, level, reference)
-        for name, row in wanted.items():
-            if row.level:
-                power = _CUTOFF_POWERS.get(name, 0)
-                columns[name] = (records, row.first + _columns_of(name), to.cutoffs**power if power else 1.0)
-        first = level
-        for name, values in constants.items():
-            columns[name] = (records, first + _columns_of(name), 1.0)
-            first += values.shape[1]
-        for name, value in same.items():
-            columns[name] = (*columns["number"][:2], value)
-    if {"mass_slope", "momentum_slope"} & set(wanted):
-        none = np.zeros((count, 0))
-        slopes = to.points(position, velocity, mass, none, phase, kernel.LINEAR, reference, by_gradient=True)
-        for name, flow in (("mass_slope", "offset"), ("momentum_slope", "shear")):
-            columns[name] = (slopes, MOMENTS[flow].first + _columns_of(flow), -1 / to.cutoffs)
-    if {"contact", "pair_contact"} & set(wanted):
-        assert contacts is not None
-        start, branch, push, owner, other = contacts.segments(position, phase)
-    if "contact" in wanted:
-        columns["contact"] = (to.segments(start, branch, push, owner, owner, to.phases), _all_columns((3, 3)), 1.0)
-    if "pair_contact" in wanted:
-        others = to.phases + 1  # the last one for walls
-        pair = owner * others + np.where(other < 0, to.phases, other)
-        by_pair = to.segments(start, branch, push, owner, pair, to.phases * others)
-        by_pair = np.moveaxis(by_pair.reshape(to.phases, others, to.nodes, 9), 1, 2)
-        by_pair = by_pair.reshape(to.phases, to.nodes, others * 9)
-        columns["pair_contact"] = (by_pair, _all_columns((others, 3, 3)), 1.0)
-    if "traction" in wanted:
-        assert contacts is not None
-        at, point, force = contacts.at_walls
-        none = np.zeros((len(at), 3))
-        traction = to.points(point, none, none[:, 0], force, phase[at], kernel.NONE, reference)
-        columns["traction"] = (traction, _all_columns((3,)), 1.0)
-    return Sums(recipe, columns, reference)
-
-
-def _all_columns(shape: tuple[int, ...]) -> NDArray:
-    return np.arange(math.prod(shape)).reshape(shape)
+    return Sums(recipe, _Deposit(frame, recipe, period, scale, where).passes(threads))
 
 
 def _columns_of(name: str) -> NDArray:
@@ -415,4 +452,5 @@ def _columns_of(name: str) -> NDArray:
     if name in ("offset", "shear"):  # m x and m u x of one direction stand together
         directions = np.arange(0, 12, 4)
         return directions if name == "offset" else np.arange(3)[:, None] + directions
-    return _all_columns(MOMENTS[name].shape)
+    shape = MOMENTS[name].shape
+    return np.arange(math.prod(shape)).reshape(shape)

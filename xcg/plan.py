@@ -16,7 +16,7 @@ from xcg import fields as registry
 from xcg.grid import Grid, make_grid
 from xcg.kernels import weights as kinds
 from xcg.kernels.segments import MAX_ORDER, largest_error
-from xcg.moments import CONTACT_VARIABLES, MOMENTS, Recipe
+from xcg.moments import BOX, CONTACT_VARIABLES, MOMENTS, Recipe
 from xcg.scene import SIZES, require_scene, setup_of
 from xcg.schema import COMPONENTS, SceneError, SceneWarning, Setup
 from xcg.smoothing import Kernel, as_kernel
@@ -87,7 +87,7 @@ class Plan:
         slopes = any(m.endswith("_slope") for m in self.recipe.moments)
         contact = 9 * ("contact" in self.recipe.moments)
         outputs = sum(int(np.prod(self.shape(name))) for name in self.fields)
-        sums = nodes * max(1, self.phases - 1) * (columns + contact + slopes * 29)
+        sums = min(nodes, BOX) * max(1, self.phases - 1) * (columns + contact + slopes * 29)
         own = f"; widths by group {[float(f'{w:.4g}') for w in self.widths]}" if len(self.widths) > 1 else ""
         rules = "closed form"
         if len(self.recipe.limits):
@@ -104,7 +104,7 @@ class Plan:
             "sums": ", ".join(f"{m} ({MOMENTS[m].formula})" for m in self.recipe.moments),
             "passes": f"{int(columns > 0)} over particles, {int(slopes)} with grad Psi, {contact // 9} over contacts",
             "contacts": f"{rules} (rtol = {self.rtol:g})" if contact else "not read for stress",
-            "memory": f"{8 * sums / 1e6:.3g} MB of sums and {8 * outputs / 1e6:.3g} MB of fields a step",
+            "memory": f"{8 * sums / 1e6:.3g} MB of sums a thread and {8 * outputs / 1e6:.3g} MB of fields a step",
         }
         return "\n".join(f"{key:9s} {text}" for key, text in lines.items())
 
@@ -153,17 +153,27 @@ def _limits(kind: int, spread: float, table: bytes, table_shape: tuple[int, ...]
     """Longest branch (cutoffs) for which 1, 2, ... Gauss points keep to `rtol`, measured against the closed form.
 
     The error of a rule depends on nothing but the branch length over the cutoff and the place of the node, so that
-    a scan over both bounds it for every scene. A quarter is kept in hand for places between those scanned.
+    a scan over both bounds it for every scene. A twentieth is kept in hand for places between those scanned.
     """
     array = np.frombuffer(table).reshape(table_shape)
-    lengths = np.geomspace(1e-3, 8, 61)
+    rows = 1 if seen == 1 else 24
+
+    def kept(length: float, order: int) -> bool:
+        return largest_error(length, order, rows, kind, spread, array) <= 0.95 * rtol
+
     limits = np.zeros(MAX_ORDER)
     for order in range(1, MAX_ORDER + 1):
-        for length in lengths:
-            rows = 1 if seen == 1 else 24
-            if largest_error(length, order, rows, kind, spread, array) > 0.75 * rtol:
-                break
-            limits[order - 1] = length
+        for length in np.geomspace(1e-3, 8, 61):
+            if kept(length, order):
+                limits[order - 1] = length
+                continue
+            for _ in range(4):  # and now between the last that keeps it and the first that does not
+                middle = 0.5 * (limits[order - 1] + length)
+                if kept(middle, order):
+                    limits[order - 1] = middle
+                else:
+                    length = middle
+            break
     return limits
 
 

@@ -2,34 +2,42 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import TypeVar
 
 import numpy as np
 
 T = TypeVar("T")
+R = TypeVar("R")
+Box = tuple[tuple[int, int, int], tuple[int, int, int]]
 
 
-def for_each(items: Sequence[T], do: Callable[[T], None], threads: int) -> None:
-    """Do something with each item, in turn or by several threads; the first error is raised."""
+def for_each(items: Sequence[T], do: Callable[[T], R], threads: int) -> list[R]:
+    """Do something with each item, in turn or by several threads; return what it gave, raise the first error."""
     if threads == 1 or len(items) < 2:
-        for item in items:
-            do(item)
-        return
+        return [do(item) for item in items]
     with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(do, items))
+        return list(pool.map(do, items))
 
 
 def slices(count: int, size: int) -> list[slice]:
-    """Consecutive slices of `size` that cover `count` items."""
-    edges = [*range(0, count, max(1, size)), count]
-    return [slice(int(a), int(b)) for a, b in pairwise(edges)]
+    """Consecutive slices of `size`, at least one item each, that cover `count` items."""
+    size = max(1, size)
+    return [slice(first, min(count, first + size)) for first in range(0, count, size)]
 
 
-def shares(count: int, threads: int) -> list[slice]:
-    """Consecutive slices of nearly equal size, a few for each thread so that none waits for long."""
-    parts = 1 if threads == 1 else min(4 * threads, count)
-    edges = np.linspace(0, count, max(1, parts) + 1).astype(int)
-    return [slice(int(a), int(b)) for a, b in pairwise(edges)]
+def boxes(shape: Sequence[int], size: int, threads: int) -> list[Box]:
+    """Boxes (first nodes, one past the last) that cover a mesh: compact, of at most about `size` nodes.
+
+    At least two for each thread, so that none waits for long.
+    """
+    parts, wanted = np.ones(3, int), max(math.ceil(math.prod(shape) / size), 2 * threads if threads > 1 else 1)
+    while parts.prod() < min(wanted, math.prod(shape)):
+        # rows of nodes run along the last axis: cut them later
+        parts[np.argmax(np.where(parts < shape, np.asarray(shape) / parts / (1, 1, 2), 0.0))] += 1
+    edges = [np.linspace(0, n, p + 1).astype(int).tolist() for n, p in zip(shape, parts, strict=True)]
+    (x, y, z) = (list(pairwise(ends)) for ends in edges)
+    return [((i[0], j[0], k[0]), (i[1], j[1], k[1])) for i, j, k in product(x, y, z)]

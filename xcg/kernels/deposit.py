@@ -32,7 +32,7 @@ _COLUMNS = tuple(np.uint64(k) for k in range(LINEAR))
 
 @jit
 def deposit(
-    position, velocity, mass, constants, phase, level, still, shape, runs, low, high, steps, active, period,
+    position, velocity, mass, constants, phase, level, still, runs, low, high, steps, active, period,
     kind, spread, table, norm, by_gradient, moments, reference,
 ):  # fmt: skip
     """Add grains to the nodes within their support.
@@ -53,21 +53,19 @@ def deposit(
         NONE, VELOCITY, FLUCTUATION or LINEAR: how many flow columns are wanted.
     still : bool
         Whether all grains have the same velocity, so that all columns with u are zero.
-    shape : tuple of int
-        Number of nodes along x, y, z.
     runs : (r, 2, 3)
         Bounds of each run of rows, see `runs_of`: those out of reach are passed over.
     low, high : tuple of int
-        Only nodes low <= (ix, iy, iz) < high are touched, so that parts of the mesh can be filled at the same time.
+        The box of nodes low <= (ix, iy, iz) < high, so that boxes can be filled one by one, or at the same time.
     steps, active, period : tuple
         Spacing (cutoffs), whether distance along an axis counts, period (cutoffs; infinity where there is none).
     kind, spread, table, norm
         The kernel, see `xcg.smoothing.Weights`.
     by_gradient : bool
         Weigh by derivative / distance instead of the value.
-    moments : (phases, nodes, level + q)
+    moments : (phases, nodes of the box, level + q)
         Sums, added to.
-    reference : (nodes, 3)
+    reference : (nodes of the box, 3)
         Reference velocity of each node, NaN where no grain has reached it; set here.
     """
     begin = (low[0] * steps[0], low[1] * steps[1], low[2] * steps[2])
@@ -75,7 +73,7 @@ def deposit(
     reach = (1.0 if active[0] else 0.0, 1.0 if active[1] else 0.0, 1.0 if active[2] else 0.0)
     most = 1
     for k in range(3):
-        most *= min(shape[k], int(2.0 * reach[k] / steps[k]) + 2)
+        most *= min(high[k] - low[k], int(2.0 * reach[k] / steps[k]) + 2)
     lists, node = scratch(most, 9, np.float64)
     q2, w, x_off, y_off, z_off, rows = lists[0], lists[1], lists[2], lists[3], lists[4], lists[5:]
     here = True
@@ -91,13 +89,15 @@ def deposit(
         first_x, last_x = images(x0, -reach[0], reach[0], begin[0], end[0], period[0])
         first_y, last_y = images(y0, -reach[1], reach[1], begin[1], end[1], period[1])
         first_z, last_z = images(z0, -reach[2], reach[2], begin[2], end[2], period[2])
+        if first_x > last_x or first_y > last_y or first_z > last_z:
+            continue
         for image_x in range(first_x, last_x + 1):
             x = x0 + image_x * period[0] if image_x else x0
             for image_y in range(first_y, last_y + 1):
                 y = y0 + image_y * period[1] if image_y else y0
                 for image_z in range(first_z, last_z + 1):
                     z = z0 + image_z * period[2] if image_z else z0
-                    hits = list_ball(x, y, z, steps, low, high, shape, rows, node, q2, x_off, y_off, z_off)
+                    hits = list_ball(x, y, z, steps, low, high, rows, node, q2, x_off, y_off, z_off)
                     fill_values(kind, spread, table, norm, by_gradient, q2, hits, w)
                     if level > 0:
                         _add_flow(

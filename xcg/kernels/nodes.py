@@ -1,9 +1,10 @@
 """Which nodes a grain or a branch reaches: periodic images, rows of nodes, spatial order.
 
-Lengths are in units of the cutoff and relative to the first node. A node's flat index is ``(ix ny + iy) nz + iz``.
+Lengths are in units of the cutoff and relative to the first node. A node's index is ``(ix ny + iy) nz + iz``
+within the box of nodes that is being filled.
 
 Nodes are listed row by row along z, in loops that the compiler turns into vector instructions: how far each row is
-reached, for all rows at once, and then the nodes of a row, `LANES` at a time. What a row writes beyond its end is
+reached, for all rows at once, and then the nodes of a row, four or eight at a time. What a row writes beyond its end is
 overwritten by the next. Indices are unsigned, as signed ones are looked at for counting from the end.
 """
 
@@ -13,10 +14,10 @@ import numpy as np
 
 from xcg.kernels._jit import jit
 
-LANES = 8
+PAD = 16  # loops over lists run to a multiple of this: what is left over would be done one by one
 PENCIL = 8  # cells across: the nodes that a layer of a pencil adds to fit in a core's cache
 RUN = 256  # grains or branches, neighbours in space, that are passed over together
-_1, _2, _3, _4 = (np.uint64(k) for k in (1, 2, 3, 4))
+_1, _2, _3, _4, _5, _6, _7, _8 = (np.uint64(k) for k in range(1, 9))
 
 # Cells of the spatial order, however far apart the grains are.
 MOST_CELLS = 1 << 20
@@ -25,8 +26,8 @@ MOST_CELLS = 1 << 20
 @jit
 def images(x, low, high, first, last, period):
     """First and last periodic image of an interval [x + low, x + high] that meets the nodes in [first, last]."""
-    if math.isinf(period):
-        return 0, 0
+    if x + high - period < first and x + low + period > last:  # nearly all: no more than the interval itself
+        return 0, 0 if x + high >= first and x + low <= last else -1
     return math.ceil((first - x - high) / period), math.floor((last - x - low) / period)
 
 
@@ -37,14 +38,20 @@ def node_range(low, high, step, begin, end):
 
 
 @jit
+def padded(count):
+    """Return the next multiple of `PAD`."""
+    return (count + PAD - 1) // PAD * PAD
+
+
+@jit
 def scratch(size, count, real):
     """Memory for `count` rows of numbers of type `real` about up to `size` nodes, and for their indices."""
-    room = size + LANES
+    room = padded(size) + PAD
     return np.zeros((count, room), real), np.zeros(room, np.uint64)
 
 
 @jit
-def list_ball(x, y, z, steps, low, high, shape, rows, node, q2, x_off, y_off, z_off):
+def list_ball(x, y, z, steps, low, high, rows, node, q2, x_off, y_off, z_off):
     """List the nodes closer than 1 to a point.
 
     Parameters
@@ -54,9 +61,7 @@ def list_ball(x, y, z, steps, low, high, shape, rows, node, q2, x_off, y_off, z_
     steps : tuple
         Spacing of the nodes.
     low, high : tuple of int
-        Only nodes low <= (ix, iy, iz) < high.
-    shape : tuple of int
-        Number of nodes along x, y, z.
+        Only nodes low <= (ix, iy, iz) < high, whose indices are counted within this box.
     rows : (4, n)
         Scratch, one number a row of nodes.
     node : (n,)
@@ -78,11 +83,12 @@ def list_ball(x, y, z, steps, low, high, shape, rows, node, q2, x_off, y_off, z_
             dx_row[count], dy_row[count] = x - ix * steps[0], y - iy * steps[1]
             count += 1
     lowest, highest, per_step = float(low[2]), float(high[2] - 1), 1.0 / steps[2]
-    for k in range((count + 3) // 4 * 4):
+    for k in range(padded(count)):
         rest = 1.0 - dx_row[k] * dx_row[k] - dy_row[k] * dy_row[k]
         half = math.sqrt(max(0.0, rest))
         first_row[k] = max(lowest, np.ceil((z - half) * per_step))
         last_row[k] = min(highest, np.floor((z + half) * per_step) if rest > 0.0 else -1.0)
+    ny, nz = high[1] - low[1], high[2] - low[2]
     step, hits, k = steps[2], 0, 0
     for ix in range(x0, x1):
         for iy in range(y0, y1):
@@ -92,27 +98,25 @@ def list_ball(x, y, z, steps, low, high, shape, rows, node, q2, x_off, y_off, z_
             row2 = dx * dx + dy * dy
             k += 1
             iz = float(begin)  # offsets come from the index alone, so that they do not depend on where a row begins
-            n, h = np.uint64((ix * shape[1] + iy) * shape[2] + begin), np.uint64(hits)
+            n, h = np.uint64(((ix - low[0]) * ny + iy - low[1]) * nz + begin - low[2]), np.uint64(hits)
             while True:
-                for _ in range(LANES // 4):
-                    d0, d1, d2, d3 = z - iz * step, z - (iz + 1.0) * step, z - (iz + 2.0) * step, z - (iz + 3.0) * step
-                    z_off[h], z_off[h + _1], z_off[h + _2], z_off[h + _3] = d0, d1, d2, d3
-                    d0, d1, d2, d3 = row2 + d0 * d0, row2 + d1 * d1, row2 + d2 * d2, row2 + d3 * d3
-                    q2[h], q2[h + _1], q2[h + _2], q2[h + _3] = d0, d1, d2, d3
-                    x_off[h], x_off[h + _1], x_off[h + _2], x_off[h + _3] = dx, dx, dx, dx
-                    y_off[h], y_off[h + _1], y_off[h + _2], y_off[h + _3] = dy, dy, dy, dy
-                    node[h], node[h + _1], node[h + _2], node[h + _3] = n, n + _1, n + _2, n + _3
-                    iz, n, h = iz + 4.0, n + _4, h + _4
-                hits += max(0, min(LANES, left))
-                left -= LANES
-                h = np.uint64(hits)
+                d0, d1, d2, d3 = z - iz * step, z - (iz + 1.0) * step, z - (iz + 2.0) * step, z - (iz + 3.0) * step
+                z_off[h], z_off[h + _1], z_off[h + _2], z_off[h + _3] = d0, d1, d2, d3
+                d0, d1, d2, d3 = row2 + d0 * d0, row2 + d1 * d1, row2 + d2 * d2, row2 + d3 * d3
+                q2[h], q2[h + _1], q2[h + _2], q2[h + _3] = d0, d1, d2, d3
+                x_off[h], x_off[h + _1], x_off[h + _2], x_off[h + _3] = dx, dx, dx, dx
+                y_off[h], y_off[h + _1], y_off[h + _2], y_off[h + _3] = dy, dy, dy, dy
+                node[h], node[h + _1], node[h + _2], node[h + _3] = n, n + _1, n + _2, n + _3
+                hits += max(0, min(4, left))
+                left -= 4
                 if left <= 0:
                     break
+                iz, n, h = iz + 4.0, n + _4, np.uint64(hits)
     return hits
 
 
 @jit
-def list_tube(x, y, z, bx, by, bz, per_length, steps, low, high, shape, rows, node, q2, along):
+def list_tube(x, y, z, bx, by, bz, per_length, steps, low, high, rows, node, q2, along):
     """List the nodes closer than 1 to the segment from a point to that point plus b, in the precision of `rows`.
 
     Along the row of nodes at (dx, dy) from the start, the end u of the reach is where ``u bz + sqrt(1 - |d - u b|^2)``,
@@ -124,7 +128,7 @@ def list_tube(x, y, z, bx, by, bz, per_length, steps, low, high, shape, rows, no
         Start of the segment, and its end relative to it.
     per_length : float
         1 / its length, or 0.
-    steps, low, high, shape, rows, node, q2
+    steps, low, high, rows, node, q2
         As in `list_ball`; q2 is the squared distance to the start.
     along : (n,)
         Foot of the node on the segment's line, from the start, written.
@@ -150,44 +154,63 @@ def list_tube(x, y, z, bx, by, bz, per_length, steps, low, high, shape, rows, no
     if bz != 0.0:
         tilt = bz / math.sqrt(across2 * (across2 + bz * bz)) if across2 > 1e-30 else math.copysign(1e30, bz)
     real = rows.dtype.type
-    zero, one, two, outside = real(0.0), real(1.0), real(2.0), real(-1.0)
+    zero, one, two, outside = real(0.0), real(1.0), real(2.0), real(-1e30)
+    # along z nodes are counted from the last one below the start, so that few digits are enough, and the same
+    # wherever a row begins
+    base = math.floor(z / steps[2])
+    z, per_step, step = real(z - base * steps[2]), real(1.0 / steps[2]), real(steps[2])
+    lowest, highest = real(low[2] - base), real(high[2] - 1 - base)
     a2, per_a2, tilt, rise = real(across2), real(1.0 / across2 if across2 > 0.0 else 0.0), real(tilt), real(bz)
-    z_start, per_step, lowest, highest = real(z), real(1.0 / steps[2]), real(low[2]), real(high[2] - 1)
-    for k in range((count + LANES - 1) // LANES * LANES):
+    for k in range(padded(count)):
         dot = row_dot[k]
         u = dot * per_a2
         move = np.sqrt(max(zero, one - (row2[k] - dot * u))) * tilt
         upper, lower = min(one, max(zero, u + move)), min(one, max(zero, u - move))
         rest_upper = one - (row2[k] + upper * (upper * a2 - two * dot))
         rest_lower = one - (row2[k] + lower * (lower * a2 - two * dot))
-        top = np.floor((z_start + upper * rise + np.sqrt(max(zero, rest_upper))) * per_step)
-        first_row[k] = max(lowest, np.ceil((z_start + lower * rise - np.sqrt(max(zero, rest_lower))) * per_step))
+        top = np.floor((z + upper * rise + np.sqrt(max(zero, rest_upper))) * per_step)
+        first_row[k] = max(lowest, np.ceil((z + lower * rise - np.sqrt(max(zero, rest_lower))) * per_step))
         last_row[k] = min(highest, top if rest_upper > zero else outside)
-    step, ez, per_length = steps[2], real(bz * per_length), real(per_length)
+    ez, per_length = real(bz * per_length), real(per_length)
+    f1, f2, f3, f4, f5, f6, f7, f8 = (
+        one, two, real(3.0), real(4.0), real(5.0), real(6.0), real(7.0), real(8.0)
+    )  # fmt: skip
+    ny, nz = high[1] - low[1], high[2] - low[2]
     hits, k = 0, 0
     for ix in range(x0, x1):
         for iy in range(y0, y1):
-            begin = int(first_row[k])
-            left = int(last_row[k]) + 1 - begin
+            iz = first_row[k]
+            left = int(last_row[k] - iz) + 1
             foot, square = row_dot[k] * per_length, row2[k]
             k += 1
-            iz = float(begin)
-            n, h = np.uint64((ix * shape[1] + iy) * shape[2] + begin), np.uint64(hits)
+            n = np.uint64(((ix - low[0]) * ny + iy - low[1]) * nz + int(iz) + base - low[2])
+            h = np.uint64(hits)
             while True:
-                for _ in range(LANES // 4):
-                    d0, d1 = real(iz * step - z), real((iz + 1.0) * step - z)
-                    d2, d3 = real((iz + 2.0) * step - z), real((iz + 3.0) * step - z)
-                    f0, f1, f2, f3 = foot + d0 * ez, foot + d1 * ez, foot + d2 * ez, foot + d3 * ez
-                    along[h], along[h + _1], along[h + _2], along[h + _3] = f0, f1, f2, f3
-                    d0, d1, d2, d3 = square + d0 * d0, square + d1 * d1, square + d2 * d2, square + d3 * d3
-                    q2[h], q2[h + _1], q2[h + _2], q2[h + _3] = d0, d1, d2, d3
-                    node[h], node[h + _1], node[h + _2], node[h + _3] = n, n + _1, n + _2, n + _3
-                    iz, n, h = iz + 4.0, n + _4, h + _4
-                hits += max(0, min(LANES, left))
-                left -= LANES
-                h = np.uint64(hits)
+                h1, h2, h3, h4, h5, h6, h7 = h + _1, h + _2, h + _3, h + _4, h + _5, h + _6, h + _7
+                d0, d1, d2, d3 = iz * step - z, (iz + f1) * step - z, (iz + f2) * step - z, (iz + f3) * step - z
+                d4, d5 = (iz + f4) * step - z, (iz + f5) * step - z
+                d6, d7 = (iz + f6) * step - z, (iz + f7) * step - z
+                along[h], along[h1], along[h2], along[h3] = (
+                    foot + d0 * ez,
+                    foot + d1 * ez,
+                    foot + d2 * ez,
+                    foot + d3 * ez,
+                )
+                along[h4], along[h5], along[h6], along[h7] = (
+                    foot + d4 * ez,
+                    foot + d5 * ez,
+                    foot + d6 * ez,
+                    foot + d7 * ez,
+                )
+                q2[h], q2[h1], q2[h2], q2[h3] = square + d0 * d0, square + d1 * d1, square + d2 * d2, square + d3 * d3
+                q2[h4], q2[h5], q2[h6], q2[h7] = square + d4 * d4, square + d5 * d5, square + d6 * d6, square + d7 * d7
+                node[h], node[h1], node[h2], node[h3] = n, n + _1, n + _2, n + _3
+                node[h4], node[h5], node[h6], node[h7] = n + _4, n + _5, n + _6, n + _7
+                hits += max(0, min(8, left))
+                left -= 8
                 if left <= 0:
                     break
+                iz, n, h = iz + f8, n + _8, np.uint64(hits)
     return hits
 
 
@@ -212,40 +235,47 @@ def run_reaches(bounds, begin, end, active, period):
     for k in range(3):
         if active[k]:
             first, last = images(0.0, bounds[0, k] - 1.0, bounds[1, k] + 1.0, begin[k], end[k], period[k])
-            if first > last or (
-                math.isinf(period[k]) and (bounds[0, k] - 1.0 > end[k] or bounds[1, k] + 1.0 < begin[k])
-            ):
+            if first > last:
                 return False
     return True
 
 
 @jit
-def to_cutoffs(position, rows, origin, cutoff, out):
-    """Write (position[rows] - origin) / cutoff, (n, 3); return the largest magnitude along each axis."""
-    farthest = np.zeros(3)
+def bounds_of(position, rows, origin, cutoff):
+    """Lowest and highest (position[rows] - origin) / cutoff along each axis, (2, 3); NaN if any is."""
+    bounds = np.zeros((2, 3))
     for n in range(rows.size):
         for k in range(3):
-            out[n, k] = (position[rows[n], k] - origin[k]) / cutoff
-            if not math.isnan(farthest[k]) and not abs(out[n, k]) <= farthest[k]:  # one NaN makes it NaN
-                farthest[k] = abs(out[n, k])
-    return farthest
+            x = (position[rows[n], k] - origin[k]) / cutoff
+            if n == 0 or math.isnan(x) or x < bounds[0, k]:
+                bounds[0, k] = x
+            if n == 0 or math.isnan(x) or x > bounds[1, k]:
+                bounds[1, k] = x
+    return bounds
 
 
 @jit
-def spatial_order(position, active):
-    """Order of points (n, 3) by cells of one cutoff (more where grains are few), in pencils along x.
+def to_cutoffs(position, rows, origin, cutoff):
+    """Return (position[rows] - origin) / cutoff, (n, 3)."""
+    out = np.empty((rows.size, 3))
+    for n in range(rows.size):
+        for k in range(3):
+            out[n, k] = (position[rows[n], k] - origin[k]) / cutoff
+    return out
 
-    Points of one pencil add to few nodes at a time, which stay in cache. The order is stable, so that sums have one
-    order only.
+
+@jit
+def spatial_order(position, rows, origin, cutoff, lower, upper, active):
+    """Order of the points position[rows] by cells of one cutoff (more where they are few), in pencils along x.
+
+    `lower` and `upper` are their `bounds_of`. Points of one pencil add to few nodes at a time, which stay in cache.
+    The order is stable, so that sums have one order only.
     """
-    count = position.shape[0]
-    lower, extent, size, cells = np.zeros(3), np.zeros(3), np.ones(3), np.ones(3, np.int64)
+    count = rows.size
+    extent, size, cells = np.zeros(3), np.ones(3), np.ones(3, np.int64)
     for k in range(3):
-        if active[k] and count:
-            low, high = position[0, k], position[0, k]
-            for i in range(count):
-                low, high = min(low, position[i, k]), max(high, position[i, k])
-            lower[k], extent[k] = low, high - low
+        if active[k]:
+            extent[k] = upper[k] - lower[k]
     while (extent / size + PENCIL).prod() > max(MOST_CELLS, 4.0 * count):  # a few grains are far astray
         size[np.argmax(extent / size)] *= 2.0
     for k in range(3):
@@ -254,9 +284,10 @@ def spatial_order(position, active):
     cell = np.empty(count, np.int64)
     start = np.zeros(pencils_y * pencils_z * cells[0] * PENCIL * PENCIL + 1, np.int64)
     for i in range(count):
-        x = int((position[i, 0] - lower[0]) / size[0]) if active[0] else 0
-        y = int((position[i, 1] - lower[1]) / size[1]) if active[1] else 0
-        z = int((position[i, 2] - lower[2]) / size[2]) if active[2] else 0
+        row = rows[i]
+        x = int(((position[row, 0] - origin[0]) / cutoff - lower[0]) / size[0]) if active[0] else 0
+        y = int(((position[row, 1] - origin[1]) / cutoff - lower[1]) / size[1]) if active[1] else 0
+        z = int(((position[row, 2] - origin[2]) / cutoff - lower[2]) / size[2]) if active[2] else 0
         pencil = y // PENCIL * pencils_z + z // PENCIL
         cell[i] = ((pencil * cells[0] + x) * PENCIL + y % PENCIL) * PENCIL + z % PENCIL
         start[cell[i] + 1] += 1
@@ -264,6 +295,6 @@ def spatial_order(position, active):
         start[c + 1] += start[c]
     order = np.empty(count, np.int64)
     for i in range(count):
-        order[start[cell[i]]] = i
+        order[start[cell[i]]] = rows[i]
         start[cell[i]] += 1
     return order

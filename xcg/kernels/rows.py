@@ -60,6 +60,21 @@ def add_dyads(row, sign, a, b, out):
 
 
 @jit
+def add_squares(row, a, out):
+    """Add a a, (n, 3), to the rows of out (m, 6) that `row` (n,) names: xx xy xz yy yz zz; negative are left out."""
+    for n in range(row.size):
+        m = row[n]
+        if m >= 0:
+            x, y, z = a[n, 0], a[n, 1], a[n, 2]
+            out[m, 0] += x * x
+            out[m, 1] += x * y
+            out[m, 2] += x * z
+            out[m, 3] += y * y
+            out[m, 4] += y * z
+            out[m, 5] += z * z
+
+
+@jit
 def nearest_image(position, row, point, period, out):
     """Write the shortest image of position[row] - point to out (n, 3), zero for negative rows.
 

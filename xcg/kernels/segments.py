@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from xcg.kernels._jit import jit
-from xcg.kernels.nodes import RUN, images, list_tube, run_reaches, scratch
+from xcg.kernels.nodes import RUN, images, list_tube, padded, run_reaches, scratch
 from xcg.kernels.weights import fill_gauss, fill_segments
 
 MAX_ORDER = 6
@@ -39,7 +39,7 @@ def choose_order(length, limits):
 
 @jit
 def deposit_segments(
-    start, branch, force, phase, limits, coarse, shape, runs, low, high, steps, active, period,
+    start, branch, force, phase, limits, coarse, runs, low, high, steps, active, period,
     kind, spread, table, norm, moments,
 ):  # fmt: skip
     """Add force x branch of each segment to the nodes that its tube of radius 1 reaches.
@@ -58,9 +58,9 @@ def deposit_segments(
         Longest branch (cutoffs) for which 1, 2, ... k points are accurate enough; empty for the closed form.
     coarse : bool
         Whether single precision is enough for distances and weights, where points are taken; sums are in double.
-    shape, runs, low, high, steps, active, period, kind, spread, table, norm
+    runs, low, high, steps, active, period, kind, spread, table, norm
         As in `deposit`.
-    moments : (phases, nodes, 9)
+    moments : (phases, nodes of the box, 9)
         Sums, added to: force component by branch component, row by row.
     """
     begin = (low[0] * steps[0], low[1] * steps[1], low[2] * steps[2])
@@ -83,24 +83,26 @@ def deposit_segments(
         bx = -branch[i, 0] if active[0] else 0.0
         by = -branch[i, 1] if active[1] else 0.0
         bz = -branch[i, 2] if active[2] else 0.0
-        length = math.sqrt(bx * bx + by * by + bz * bz)
-        order = choose_order(length, limits)
-        per_length = 1.0 / length if length > 0.0 else 0.0
         low_x, high_x = min(0.0, bx) - reach[0], max(0.0, bx) + reach[0]
         low_y, high_y = min(0.0, by) - reach[1], max(0.0, by) + reach[1]
         low_z, high_z = min(0.0, bz) - reach[2], max(0.0, bz) + reach[2]
+        first_x, last_x = images(x0, low_x, high_x, begin[0], end[0], period[0])
+        first_y, last_y = images(y0, low_y, high_y, begin[1], end[1], period[1])
+        first_z, last_z = images(z0, low_z, high_z, begin[2], end[2], period[2])
+        if first_x > last_x or first_y > last_y or first_z > last_z:
+            continue
+        length = math.sqrt(bx * bx + by * by + bz * bz)
+        order = choose_order(length, limits)
+        per_length = 1.0 / length if length > 0.0 else 0.0
         # no more than there are: along an axis with one node the spacing means nothing
-        box = min(shape[0], int((high_x - low_x) / steps[0]) + 2)
-        box *= min(shape[1], int((high_y - low_y) / steps[1]) + 2)
-        box = box * min(shape[2], int((high_z - low_z) / steps[2]) + 2)
+        box = min(high[0] - low[0], int((high_x - low_x) / steps[0]) + 2)
+        box *= min(high[1] - low[1], int((high_y - low_y) / steps[1]) + 2)
+        box = box * min(high[2] - low[2], int((high_z - low_z) / steps[2]) + 2)
         if box > most:
             most = 2 * box
             lists, node = scratch(most, 8, np.float64)
             single, _ = scratch(most, 7, np.float32)
             exponent = np.empty(lists.shape[1], np.int64)
-        first_x, last_x = images(x0, low_x, high_x, begin[0], end[0], period[0])
-        first_y, last_y = images(y0, low_y, high_y, begin[1], end[1], period[1])
-        first_z, last_z = images(z0, low_z, high_z, begin[2], end[2], period[2])
         for image_x in range(first_x, last_x + 1):
             x = x0 + image_x * period[0] if image_x else x0
             for image_y in range(first_y, last_y + 1):
@@ -109,16 +111,14 @@ def deposit_segments(
                     z = z0 + image_z * period[2] if image_z else z0
                     if order and coarse:
                         q2, along, w, rows = single[0], single[1], single[2], single[3:]
-                        hits = list_tube(
-                            x, y, z, bx, by, bz, per_length, steps, low, high, shape, rows, node, q2, along
-                        )
+                        hits = list_tube(x, y, z, bx, by, bz, per_length, steps, low, high, rows, node, q2, along)
                         fill_gauss(
                             kind, spread, table, 1.0, GAUSS_POINTS, GAUSS_WEIGHTS, order, length, along, q2, hits, w
                         )
                         _add_dyad(moments, p, node, hits, w, norm, force[i], branch[i])
                         continue
                     q2, along, w, rows = lists[0], lists[1], lists[2], lists[4:]
-                    hits = list_tube(x, y, z, bx, by, bz, per_length, steps, low, high, shape, rows, node, q2, along)
+                    hits = list_tube(x, y, z, bx, by, bz, per_length, steps, low, high, rows, node, q2, along)
                     if order:
                         fill_gauss(
                             kind, spread, table, norm, GAUSS_POINTS, GAUSS_WEIGHTS, order, length, along, q2, hits, w
@@ -152,15 +152,20 @@ def _add_dyad(moments, p, node, hits, w, factor, force, branch):
 
 @jit
 def _means(length, order, along, q2, kind, spread, table):
-    """Mean of the kernel over one segment, seen from many nodes; `q2` is overwritten."""
-    out, ratio, exponent = np.zeros(along.size), np.empty(along.size), np.empty(along.size, np.int64)
+    """Mean of the kernel over one segment, seen from many nodes."""
+    count, room = along.size, padded(along.size)
+    lists = np.zeros((4, room))
+    lists[0, :count], lists[1, :count] = along, q2
     if order:
-        fill_gauss(kind, spread, table, 1.0, GAUSS_POINTS, GAUSS_WEIGHTS, order, length, along, q2, along.size, out)
-    else:
-        fill_segments(
-            kind, spread, table, 1.0, length, along, q2, along.size, out, ratio, ratio.view(np.int64), exponent
+        fill_gauss(
+            kind, spread, table, 1.0, GAUSS_POINTS, GAUSS_WEIGHTS, order, length, lists[0], lists[1], count, lists[2]
         )
-    return out
+    else:
+        ratio, exponent = lists[3], np.empty(room, np.int64)
+        fill_segments(
+            kind, spread, table, 1.0, length, lists[0], lists[1], count, lists[2], ratio, ratio.view(np.int64), exponent
+        )
+    return lists[2, :count].copy()
 
 
 @jit
@@ -189,6 +194,6 @@ def largest_error(length, order, rows, kind, spread, table):
             t = -1.0 + (length + 2.0) * j / columns
             along[i * (columns + 1) + j] = t
             q2[i * (columns + 1) + j] = t * t + (i / rows) ** 2
-    exact = _means(length, 0, along, q2.copy(), kind, spread, table)
+    exact = _means(length, 0, along, q2, kind, spread, table)
     rule = _means(length, order, along, q2, kind, spread, table)
     return np.abs(rule - exact).max() / exact.max()

@@ -18,6 +18,7 @@ import math
 import numpy as np
 
 from xcg.kernels._jit import jit
+from xcg.kernels.nodes import padded
 
 LUCY, GAUSSIAN, HEAVISIDE, TABLE = 0, 3, 6, 9
 
@@ -235,7 +236,7 @@ def segment(kind, spread, table, h2, t0, t1):
 def fill_values(kind, spread, table, norm, by_gradient, q2, count, out):
     """Write norm x value (or gradient) at `count` squared distances; the loop for Lucy vectorises."""
     if kind == LUCY and not by_gradient:
-        for k in range(count):
+        for k in range(padded(count)):
             q = math.sqrt(q2[k])
             p = 1.0 - q
             out[k] = norm * (p * p * p * (1.0 + 3.0 * q))
@@ -256,13 +257,14 @@ def fill_gauss(kind, spread, table, norm, points, weights, order, length, along,
     """
     real = out.dtype.type
     zero, one, two, three = real(0.0), real(1.0), real(2.0), real(3.0)
-    for k in range(count):
+    room = padded(count)
+    for k in range(room):
         out[k] = zero
     for g in range(order):
         u = real(points[order, g] * length)
         w = real(weights[order, g] * norm)
         if kind == LUCY:
-            for k in range(count):
+            for k in range(room):
                 q = np.sqrt(min(one, max(zero, q2[k] + u * (u - two * along[k]))))
                 p = one - q
                 out[k] += w * (p * p * p * (one + three * q))
@@ -296,7 +298,8 @@ def _fill_lucy_lines(norm, length, along, q2, count, out, ratio, bits, exponent)
     The two logarithms are one: for ends at distances r0, r1 from the node and l from each other, asinh(t1 / h) -
     asinh(t0 / h) = log((r0 + r1 + l) / (r0 + r1 - l)).
     """
-    for k in range(count):
+    room = padded(count)
+    for k in range(room):
         t = along[k]
         h2 = max(0.0, q2[k] - t * t)
         half = math.sqrt(max(0.0, 1.0 - h2))
@@ -313,10 +316,10 @@ def _fill_lucy_lines(norm, length, along, q2, count, out, ratio, bits, exponent)
         both, apart = r0 + r1, b - a
         ratio[k] = (both + apart + _TINY) / (max(0.0, both - apart) + _TINY)
         q2[k] = 3.0 * norm * h4
-    for k in range(count):  # floats and integers of one memory in separate loops, or none of them vectorises
+    for k in range(room):  # floats and integers of one memory in separate loops, or none of them vectorises
         exponent[k] = (bits[k] >> 52) - 1023
         bits[k] = (bits[k] & 0x000FFFFFFFFFFFFF) | 0x3FF0000000000000
-    for k in range(count):
+    for k in range(room):
         m = ratio[k]  # mantissa, in [1, 2)
         f = (m - _SQRT2) / (m + _SQRT2)
         f2 = f * f
