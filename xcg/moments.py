@@ -365,7 +365,7 @@ class _Deposit:
         fill = []
         for cutoff, rows, local in self._by_cutoff(start, phase, branch):
             a, f = to_cutoffs(branch, rows, np.zeros(3), cutoff), to_cutoffs(force, rows, np.zeros(3), 1 / cutoff)
-            sides = (local, a, f, into[rows], self.recipe.limits, self.recipe.coarse, runs_of(local, a))
+            sides = (local, a, f, into[rows], self.recipe.limits, self.recipe.coarse or None, runs_of(local, a))
             fill.append(partial(_fill_segments, sides, self._onto(cutoff)))
         return _Pass(groups, 9, fill, {name: (_columns_of("contact"), 1.0)})
 

@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from xcg.kernels._jit import jit
-from xcg.kernels.nodes import RUN, images, list_ball, run_reaches, scratch
+from xcg.kernels.nodes import PAD, RUN, images, list_ball, padded, run_reaches
 from xcg.kernels.weights import fill_values
 
 MASS = 0
@@ -74,7 +74,8 @@ def deposit(
     most = 1
     for k in range(3):
         most *= min(high[k] - low[k], int(2.0 * reach[k] / steps[k]) + 2)
-    lists, node = scratch(most, 9, np.float64)
+    room = padded(most) + PAD
+    lists, node = np.zeros((9, room)), np.zeros(room, np.uint64)
     q2, w, x_off, y_off, z_off, rows = lists[0], lists[1], lists[2], lists[3], lists[4], lists[5:]
     here = True
     for i in range(position.shape[0]):

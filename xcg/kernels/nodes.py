@@ -39,15 +39,8 @@ def node_range(low, high, step, begin, end):
 
 @jit
 def padded(count):
-    """Return the next multiple of `PAD`."""
+    """Return the next multiple of `PAD`; lists about up to n nodes are made as long as ``padded(n) + PAD``."""
     return (count + PAD - 1) // PAD * PAD
-
-
-@jit
-def scratch(size, count, real):
-    """Memory for `count` rows of numbers of type `real` about up to `size` nodes, and for their indices."""
-    room = padded(size) + PAD
-    return np.zeros((count, room), real), np.zeros(room, np.uint64)
 
 
 @jit
@@ -276,8 +269,15 @@ def spatial_order(position, rows, origin, cutoff, lower, upper, active):
     for k in range(3):
         if active[k]:
             extent[k] = upper[k] - lower[k]
-    while (extent / size + PENCIL).prod() > max(MOST_CELLS, 4.0 * count):  # a few grains are far astray
-        size[np.argmax(extent / size)] *= 2.0
+    most = max(MOST_CELLS, 4.0 * count)
+    while True:
+        total, longest = 1.0, 0
+        for k in range(3):
+            total *= extent[k] / size[k] + PENCIL
+            longest = k if extent[k] / size[k] > extent[longest] / size[longest] else longest
+        if total <= most:
+            break
+        size[longest] *= 2.0  # a few grains are far astray
     for k in range(3):
         cells[k] = int(extent[k] / size[k]) + 1
     pencils_y, pencils_z = (cells[1] - 1) // PENCIL + 1, (cells[2] - 1) // PENCIL + 1

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from xcg.kernels._jit import jit
-from xcg.kernels.nodes import RUN, images, list_tube, padded, run_reaches, scratch
+from xcg.kernels.nodes import PAD, RUN, images, list_tube, padded, run_reaches
 from xcg.kernels.weights import fill_gauss, fill_segments
 
 MAX_ORDER = 6
@@ -56,8 +56,9 @@ def deposit_segments(
         Which group each segment belongs to.
     limits : (k,)
         Longest branch (cutoffs) for which 1, 2, ... k points are accurate enough; empty for the closed form.
-    coarse : bool
+    coarse : True or None
         Whether single precision is enough for distances and weights, where points are taken; sums are in double.
+        None leaves that code out when the kernel is compiled.
     runs, low, high, steps, active, period, kind, spread, table, norm
         As in `deposit`.
     moments : (phases, nodes of the box, 9)
@@ -66,10 +67,7 @@ def deposit_segments(
     begin = (low[0] * steps[0], low[1] * steps[1], low[2] * steps[2])
     end = ((high[0] - 1) * steps[0], (high[1] - 1) * steps[1], (high[2] - 1) * steps[2])
     reach = (1.0 if active[0] else 0.0, 1.0 if active[1] else 0.0, 1.0 if active[2] else 0.0)
-    most = 256
-    lists, node = scratch(most, 8, np.float64)
-    single, _ = scratch(most, 7, np.float32)
-    exponent = np.empty(lists.shape[1], np.int64)
+    most = 0
     here = True
     for i in range(start.shape[0]):
         if i % RUN == 0:
@@ -100,16 +98,17 @@ def deposit_segments(
         box = box * min(high[2] - low[2], int((high_z - low_z) / steps[2]) + 2)
         if box > most:
             most = 2 * box
-            lists, node = scratch(most, 8, np.float64)
-            single, _ = scratch(most, 7, np.float32)
-            exponent = np.empty(lists.shape[1], np.int64)
+            room = padded(most) + PAD
+            lists, node, exponent = np.zeros((8, room)), np.zeros(room, np.uint64), np.zeros(room, np.int64)
+            if coarse is not None:
+                single = np.zeros((7, room), np.float32)
         for image_x in range(first_x, last_x + 1):
             x = x0 + image_x * period[0] if image_x else x0
             for image_y in range(first_y, last_y + 1):
                 y = y0 + image_y * period[1] if image_y else y0
                 for image_z in range(first_z, last_z + 1):
                     z = z0 + image_z * period[2] if image_z else z0
-                    if order and coarse:
+                    if coarse is not None and order:
                         q2, along, w, rows = single[0], single[1], single[2], single[3:]
                         hits = list_tube(x, y, z, bx, by, bz, per_length, steps, low, high, rows, node, q2, along)
                         fill_gauss(
