@@ -200,6 +200,8 @@ def brute_force(ds, kernel, points, seen="xyz", scale=1.0, gradient=True):
             fluctuation = np.einsum("n,ni,nj->ij", m, rest, rest)
             if count > rank + 1:
                 T = sum(fluctuation[i, i] for i in plane) / (D * rho)
+            if ((size > 1e-6 * size[:1]) & (size < 1e-3 * size[:1])).any():
+                T = None  # whether such a direction counts is a matter of taste
             if rank < len(axes) or size[-1] < 0.1 * size[0]:
                 G = None  # nearly flat clouds leave few digits, flat ones no derivative across
         put("velocity_gradient", G)

@@ -266,8 +266,8 @@ class _Deposit:
             first += values.shape[1]
         for name, value in same.items():
             moments[name] = (moments["number"][0], value)
-        stacked = np.concatenate(list(constants.values()), axis=1) if constants else np.zeros((self.count, 0))
-        return [self._points(moments, self.position, self.velocity, self.mass, stacked, self.phase, level)]
+        columns = list(constants.values())
+        return [self._points(moments, self.position, self.velocity, self.mass, columns, self.phase, level)]
 
     def _slopes(self) -> list[_Pass]:
         """Flow columns weighted by grad Psi."""
@@ -275,10 +275,8 @@ class _Deposit:
             name: (MOMENTS[flow].first + _columns_of(flow), -1 / self.cutoffs)
             for name, flow in (("mass_slope", "offset"), ("momentum_slope", "shear"))
         }
-        none, level = np.zeros((self.count, 0)), kernel.LINEAR
-        return [
-            self._points(moments, self.position, self.velocity, self.mass, none, self.phase, level, by_gradient=True)
-        ]
+        flow = (self.position, self.velocity, self.mass)
+        return [self._points(moments, *flow, [], self.phase, kernel.LINEAR, by_gradient=True)]
 
     def _along_branches(self) -> list[_Pass]:
         assert self.contacts is not None
@@ -297,7 +295,7 @@ class _Deposit:
         at, point, force = self.contacts.at_walls
         none = np.zeros((len(at), 3))
         moments = {"traction": (_columns_of("traction"), 1.0)}
-        return [self._points(moments, point, none, none[:, 0], force, self.phase[at], kernel.NONE)]
+        return [self._points(moments, point, none, none[:, 0], [force], self.phase[at], kernel.NONE)]
 
     def _onto(self, cutoff: float) -> tuple[Any, ...]:
         """Mesh and kernel, in cutoffs."""
@@ -345,18 +343,22 @@ class _Deposit:
 
     def _points(
         self, moments: Mapping[str, tuple[NDArray, float | NDArray]], position: NDArray, velocity: NDArray,
-        mass: NDArray, constants: NDArray, phase: NDArray, level: int, *, by_gradient: bool = False,
+        mass: NDArray, constants: Sequence[NDArray], phase: NDArray, level: int, *, by_gradient: bool = False,
     ) -> _Pass:  # fmt: skip
         """Prepare grains, or other points, with their flow columns up to `level` and columns of constants."""
-        constants = np.pad(constants, ((0, 0), (0, -constants.shape[1] % 4)))
+        edges = np.cumsum([0, *(values.shape[1] for values in constants)])
+        width = int(edges[-1] + -edges[-1] % 4)  # as the loop adds four columns at a time
         still = bool((velocity == velocity[:1]).all())  # nothing moves: columns with u are zero without adding them
         fill = []
         for cutoff, rows, local in self._by_cutoff(position, phase):
-            grains = (local, velocity[rows], mass[rows], constants[rows], phase[rows], level, still)
+            columns = np.zeros((len(rows), width))
+            for first, values in zip(edges, constants, strict=False):
+                columns[:, first : first + values.shape[1]] = values[rows]
+            grains = (local, velocity[rows], mass[rows], columns, phase[rows], level, still)
             onto = (*self._onto(cutoff), by_gradient)
             runs = runs_of(local, np.broadcast_to(0.0, local.shape))
             fill.append(partial(_fill_points, (*grains, runs), onto))
-        return _Pass(self.phases, level + constants.shape[1], fill, moments)
+        return _Pass(self.phases, level + width, fill, moments)
 
     def _segments(
         self, name: str, start: NDArray, branch: NDArray, force: NDArray, phase: NDArray, into: NDArray, groups: int
