@@ -201,11 +201,11 @@ def test_work_on_chunks_is_merged_with_the_picking(series):
             np.testing.assert_array_equal(found.compute(), np.sqrt(array.compute()))
 
 
-def test_the_graph_travels(series):
+def test_the_graph_travels(series, computing):
     scene = open_scene(series[0], contacts=series[1], frozen=[2])
     expected = scene.compute()
     xr.testing.assert_identical(pickle.loads(pickle.dumps(scene)).compute(), expected)
-    xr.testing.assert_identical(scene.compute(scheduler="processes", num_workers=1), expected)
+    xr.testing.assert_identical(scene.compute(**computing("processes")), expected)
 
 
 def test_files_that_changed_are_noticed(series, tmp_path):
