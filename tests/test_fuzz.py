@@ -81,6 +81,7 @@ def test_a_name_of_a_file_that_is_too_long(tmp_path):
         (b'<?xml version="1.0"?>', b'<!DOCTYPE a [<!ENTITY b "cc">]>', "entities"),
         (b"<PolyData>", b"<PolyData><!--" + b"<!--" * 1000, "expected one piece"),
         (b'type="Float32"', b'type="Float8"', "has type 'Float8'"),
+        (b"<PolyData>", b"< >", "elements do not close in the order"),
     ],
 )
 def test_headers_of_vtk_that_lie(tmp_path, old, new, message):
