@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+
 import pytest
 
 
@@ -9,3 +12,11 @@ def _own_cache(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
         yield
+
+
+@pytest.fixture(scope="session")
+def computing():
+    """Arguments of `compute` for one of dask's schedulers; a process takes seconds to start, so tests share it."""
+    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+        processes = {"scheduler": "processes", "pool": pool}
+        yield lambda name: processes if name == "processes" else {"scheduler": name, "num_workers": 2}

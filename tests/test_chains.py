@@ -308,7 +308,7 @@ def series():
 
 
 @pytest.mark.parametrize("scheduler", ["synchronous", "threads", "processes"])
-def test_lazy_equals_eager_under_every_scheduler(scheduler):
+def test_lazy_equals_eager_under_every_scheduler(scheduler, computing):
     ds = series()
     region = xcg.Box((0, 0, 0), (4, 4, 4), velocity=(1, 0, 0)) | xcg.Sphere((1, 1, 1), 2, follow=None)
     options = {"alpha": 60, "threshold": "mean", "region": region}
@@ -316,11 +316,11 @@ def test_lazy_equals_eager_under_every_scheduler(scheduler):
     for chunk in (1, 3):
         lazy = ds.chunk(time=chunk).cg.force_chains(**options)
         assert lazy.chain_id.chunks[0] == ds.chunk(time=chunk).position.chunks[0]
-        xr.testing.assert_identical(lazy.compute(scheduler=scheduler, num_workers=2).drop_attrs(), eager)
+        xr.testing.assert_identical(lazy.compute(**computing(scheduler)).drop_attrs(), eager)
     select = {"region": xcg.Sphere((2, 2, 2), 2), "min_stress": 0.1, "of": "any"}
     some = ds.chunk(time=1).cg.force_chains(**options).cg.select_chains(**select)
     expected = ds.cg.force_chains(**options).cg.select_chains(**select).drop_attrs()
-    xr.testing.assert_identical(some.compute(scheduler=scheduler, num_workers=2).drop_attrs(), expected)
+    xr.testing.assert_identical(some.compute(**computing(scheduler)).drop_attrs(), expected)
 
 
 def test_nothing_computes_while_the_graph_is_built():

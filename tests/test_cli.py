@@ -1,5 +1,9 @@
 """The command line: Pysammos's configuration and TOML, output read back, resumed runs, exit codes."""
 
+import os
+import subprocess
+import sys
+import tomllib
 from pathlib import Path
 
 import h5py
@@ -65,6 +69,26 @@ def series(tmp_path):
     )  # fmt: skip
     (tmp_path / "config.ini").write_text(text)
     return tmp_path
+
+
+@pytest.fixture
+def few(series):
+    """Fields that are quick to build, with and without contacts, for what is about files and not about values."""
+    costly = ("shear_rate_tensor", "pressure", "granular_temperature", "inertial_number", "frictional_coefficient")
+    path = series / "config.ini"
+    path.write_text(changed(path.read_text(), **dict.fromkeys(costly, False)))
+    return series
+
+
+def test_ctrl_c_while_libraries_are_imported(tmp_path):
+    (tmp_path / "numpy.py").write_text("import signal; signal.raise_signal(signal.SIGINT); print('went on')")
+    module, function = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]["xcg"].split(":")
+    done = subprocess.run(
+        [sys.executable, "-c", f"from {module} import {function}; {function}()"],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "\nstopped\n")
 
 
 def test_real_mfix_frames_through_a_pysammos_configuration(tmp_path):
@@ -157,62 +181,62 @@ def test_the_period_is_asked_for_where_it_cannot_be_recovered(series):
     assert float(ds.box.values[0, 0] @ [-1, 1]) == pytest.approx(1.0, rel=1e-6)
 
 
-def test_a_run_resumes(series):
-    job = read_config(series / "config.ini")
+def test_a_run_resumes(few):
+    job = read_config(few / "config.ini")
     steps = run_job(job, jobs=1)
     with pytest.warns(xcg.SceneWarning, match="recovered"):
         assert next(steps) == (0, 3)
     assert next(steps) == (1, 3)
     steps.close()
-    assert not (series / "PysammosCG" / "CG_Lucy_Monodisperse.h5").exists()
-    said = xcg_run("run", series / "config.ini")
+    assert not (few / "PysammosCG" / "CG_Lucy_Monodisperse.h5").exists()
+    said = xcg_run("run", few / "config.ini")
     assert "1 of 3 steps are there from an earlier run" in said
-    whole = xr.load_dataset(series / "PysammosCG" / "CG_Lucy_Monodisperse.h5")
-    assert "exists; choose another" in xcg_run("run", series / "config.ini", code=1)
-    again = xcg_run("run", series / "config.ini", "--overwrite", "--quiet")
+    whole = xr.load_dataset(few / "PysammosCG" / "CG_Lucy_Monodisperse.h5")
+    assert "exists; choose another" in xcg_run("run", few / "config.ini", code=1)
+    again = xcg_run("run", few / "config.ini", "--overwrite", "--quiet")
     assert again == ""
-    xr.testing.assert_equal(xr.load_dataset(series / "PysammosCG" / "CG_Lucy_Monodisperse.h5"), whole)
-    assert not list((series / "PysammosCG").glob(".*"))
+    xr.testing.assert_equal(xr.load_dataset(few / "PysammosCG" / "CG_Lucy_Monodisperse.h5"), whole)
+    assert not list((few / "PysammosCG").glob(".*"))
 
 
-def test_another_job_does_not_resume(series):
-    steps = run_job(read_config(series / "config.ini"), jobs=1)
+def test_another_job_does_not_resume(few):
+    steps = run_job(read_config(few / "config.ini"), jobs=1)
     with pytest.warns(xcg.SceneWarning, match="recovered"):
         next(steps)
     next(steps)
     steps.close()
-    (series / "config.ini").write_text(changed((series / "config.ini").read_text(), type="Gaussian", x_max=0.9))
-    (series / "config.ini").write_text(changed((series / "config.ini").read_text(), type="Lucy"))
-    assert "earlier run" not in xcg_run("run", series / "config.ini")
+    (few / "config.ini").write_text(changed((few / "config.ini").read_text(), type="Gaussian", x_max=0.9))
+    (few / "config.ini").write_text(changed((few / "config.ini").read_text(), type="Lucy"))
+    assert "earlier run" not in xcg_run("run", few / "config.ini")
 
 
 @pytest.mark.parametrize("spelled", ["vkthdf_output", "vtkhdf_output"])
-def test_both_spellings_and_output_options(series, spelled):
-    text = changed((series / "config.ini").read_text(), vkthdf_output="True", h5_output="False")
+def test_both_spellings_and_output_options(few, spelled):
+    text = changed((few / "config.ini").read_text(), vkthdf_output="True", h5_output="False")
     text = changed(text, granular_temperature_slices="False").replace("vkthdf_output", spelled)
-    (series / "config.ini").write_text(text)
-    xcg_run("run", series / "config.ini", "-q")
-    assert sorted(p.suffix for p in (series / "PysammosCG").iterdir()) == [".vtkhdf"] * 3
+    (few / "config.ini").write_text(text)
+    xcg_run("run", few / "config.ini", "-q")
+    assert sorted(p.suffix for p in (few / "PysammosCG").iterdir()) == [".vtkhdf"] * 3
 
 
 @pytest.mark.parametrize(("kernel", "name"), [("HeavySide", "HeavySide"), ("Gaussian", "Gaussian")])
-def test_kernels_by_their_names(series, kernel, name):
-    (series / "config.ini").write_text(changed((series / "config.ini").read_text(), type=kernel))
-    xcg_run("run", series / "config.ini", "-q")
-    assert (series / "PysammosCG" / f"CG_{name}_Monodisperse.h5").exists()
+def test_kernels_by_their_names(few, kernel, name):
+    (few / "config.ini").write_text(changed((few / "config.ini").read_text(), type=kernel))
+    xcg_run("run", few / "config.ini", "-q")
+    assert (few / "PysammosCG" / f"CG_{name}_Monodisperse.h5").exists()
 
 
-def test_automatic_grid_middle_transects_and_phases(series):
-    text = changed((series / "config.ini").read_text(), z_transect="None", partialignore="False")
-    (series / "config.ini").write_text(text)
-    xcg_run("run", series / "config.ini", "-q")
-    with xr.open_dataset(series / "PysammosCG" / "CG_Lucy_Polydisperse.h5") as f:
+def test_automatic_grid_middle_transects_and_phases(few):
+    text = changed((few / "config.ini").read_text(), z_transect="None", partialignore="False")
+    (few / "config.ini").write_text(text)
+    xcg_run("run", few / "config.ini", "-q")
+    with xr.open_dataset(few / "PysammosCG" / "CG_Lucy_Polydisperse.h5") as f:
         assert "phase" not in f.dims  # all grains are alike
         assert 0.4 < float(f.z) < 0.6
     text = changed(text, automatic_grid="True", grid_dimension="3", grid_axes="xyz")
-    (series / "config.ini").write_text(text)
-    xcg_run("run", series / "config.ini", "-q", "--overwrite")
-    with xr.open_dataset(series / "PysammosCG" / "CG_Lucy_Polydisperse.h5") as f:
+    (few / "config.ini").write_text(text)
+    xcg_run("run", few / "config.ini", "-q", "--overwrite")
+    with xr.open_dataset(few / "PysammosCG" / "CG_Lucy_Polydisperse.h5") as f:
         assert float(f.z[1] - f.z[0]) == pytest.approx(0.075, rel=1e-6)
         assert float(f.x[0]) == pytest.approx(0.425, abs=0.03)  # 2.5 c + 0.5 dmax from the outermost centre
 
@@ -238,11 +262,11 @@ def test_a_one_layer_series(series):
         assert "pressure_z" not in f
 
 
-def test_what_is_unknown_is_said(series):
-    text = (series / "config.ini").read_text().replace("[grid_info]", "[grid_info]\ncolour = red")
+def test_what_is_unknown_is_said(few):
+    text = (few / "config.ini").read_text().replace("[grid_info]", "[grid_info]\ncolour = red")
     text = changed(text, Contact_ij="FORCE_CHAIN_CONTACT_POINT", Coordination_Number="Neighbours")
-    (series / "config.ini").write_text(text + "\n[plots]\na = 1\n")
-    said = xcg_run("run", series / "config.ini")
+    (few / "config.ini").write_text(text + "\n[plots]\na = 1\n")
+    said = xcg_run("run", few / "config.ini")
     assert "[grid_info]: unknown and left out: colour" in said
     assert "unknown sections ['plots']" in said
     assert "off by one overlap" in said

@@ -275,13 +275,13 @@ def test_nothing_computes_while_the_graph_is_built():
 
 
 @pytest.mark.parametrize("scheduler", ["synchronous", "threads", "processes"])
-def test_lazy_equals_eager_under_every_scheduler(scheduler):
+def test_lazy_equals_eager_under_every_scheduler(scheduler, computing):
     ds = steps_of_random_scenes(5)
     eager = ds.cg.coarse_grain(width=0.8, spacing=1.0)
     for chunk in (1, 2, 5):
         f = ds.chunk(time=chunk).cg.coarse_grain(width=0.8, spacing=1.0)
         assert f.density.chunks[0] == ds.chunk(time=chunk).position.chunks[0]
-        xr.testing.assert_equal(f.compute(scheduler=scheduler, num_workers=2), eager)
+        xr.testing.assert_equal(f.compute(**computing(scheduler)), eager)
 
 
 def test_time_verbs_and_chunks_along_particles():

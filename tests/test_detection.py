@@ -156,13 +156,13 @@ def test_nothing_computes_while_the_graph_is_built():
 
 
 @pytest.mark.parametrize("scheduler", ["synchronous", "threads", "processes"])
-def test_lazy_equals_eager_under_every_scheduler(scheduler):
+def test_lazy_equals_eager_under_every_scheduler(scheduler, computing):
     ds = steps_of_random_scenes(5)
     eager = ds.cg.find_contacts(k_n=1.0)
     for chunk in (1, 2):
         lazy = ds.chunk(time=chunk).cg.find_contacts(k_n=1.0, max_contacts=eager.sizes["contact"])
         assert lazy.overlap.chunks[0] == ds.chunk(time=chunk).position.chunks[0]
-        computed = lazy.compute(scheduler=scheduler, num_workers=2)
+        computed = lazy.compute(**computing(scheduler))
         xr.testing.assert_equal(computed, eager)
 
 

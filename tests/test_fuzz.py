@@ -81,10 +81,18 @@ def test_a_name_of_a_file_that_is_too_long(tmp_path):
         (b'<?xml version="1.0"?>', b'<!DOCTYPE a [<!ENTITY b "cc">]>', "entities"),
         (b"<PolyData>", b"<PolyData><!--" + b"<!--" * 1000, "expected one piece"),
         (b'type="Float32"', b'type="Float8"', "has type 'Float8'"),
+        (b"<PolyData>", b"< >", "elements do not close in the order"),
     ],
 )
 def test_headers_of_vtk_that_lie(tmp_path, old, new, message):
     assert message in refused("mfix", tmp_path, P_1_vtp=(old, new))
+
+
+def test_slices_wider_than_64_bits(tmp_path):
+    seeds = dict(TARGETS["toml"].seeds(tmp_path))
+    seeds["job/job.toml"] = seeds["job/job.toml"].replace(b"width = 1.0", b"width = 18446744073709551615")
+    lay(tmp_path / "now", seeds)
+    assert outcome("toml", tmp_path / "now") == ("opened", "")
 
 
 @pytest.mark.parametrize(
@@ -103,6 +111,7 @@ def test_headers_of_vtk_that_lie(tmp_path, old, new, message):
         (b"[scene]", b"a = " + b"[" * 5000 + b"\n[scene]", "job.toml"),
         (b"spacing = 0.5", b"spacing = 1e-300", "spacing along 'z'"),
         (b"z = [0.0, 1.0]", b"z = [0.0, 1e300]", "nodes along 'z'"),
+        (b"width = 1.0", b"width = 1e-300", "slices of 11 planes are more"),
     ],
 )
 def test_jobs_that_are_refused(tmp_path, old, new, message):

@@ -11,7 +11,7 @@ import pytest
 import xcg
 from tests.benchmarks import series
 
-FEW, MANY = 8, 40
+FEW, MANY = 4, 32
 
 
 @pytest.fixture(scope="module")

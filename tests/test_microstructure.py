@@ -271,11 +271,11 @@ def test_nothing_computes_while_the_graph_is_built():
 
 
 @pytest.mark.parametrize("scheduler", ["synchronous", "threads", "processes"])
-def test_lazy_equals_eager_under_every_scheduler(scheduler, tmp_path):
+def test_lazy_equals_eager_under_every_scheduler(scheduler, computing, tmp_path):
     ds = steps_of_random_scenes(5)
     eager = ds.cg.microstructure(by="species", strain_rate="velocity")
     lazy = ds.chunk(time=2).cg.microstructure(by="species", groups=[1, 2], strain_rate="velocity")
-    xr.testing.assert_equal(lazy.compute(scheduler=scheduler, num_workers=2), eager)
+    xr.testing.assert_equal(lazy.compute(**computing(scheduler)), eager)
     eager.to_netcdf(tmp_path / "m.nc")
     with xr.open_dataset(tmp_path / "m.nc") as again:
         xr.testing.assert_equal(again, eager)

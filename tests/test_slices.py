@@ -70,6 +70,22 @@ def test_bad_slices():
         ({"width": -1.0}, "positive width"),
         ({"spacing": 0.0}, "positive distance"),
         ({"bounds": (1.0, 0.0)}, "rising bounds"),
+        ({"bounds": 1.0}, "rising bounds"),
+        ({"bounds": ("a", "b")}, "rising bounds"),
+        ({"axis": 1}, "one of the scene's axes"),
+        ({"spacing": [1.0]}, "positive distance"),
+        ({"planes": 1.5}, "number of planes"),
+        ({"planes": 10**30}, "planes are more than"),
+        ({"width": 1e-300}, "planes are more than"),
+        ({"width": 1e-300, "method": "bins"}, "1 planes are more than"),
     ):
         with pytest.raises(ValueError, match=message):
             xcg.slice_temperature(ds, **options)
+
+
+@pytest.mark.parametrize("method", ["planes", "bins"])
+def test_whole_numbers_beyond_64_bits(method):
+    ds = xcg.datasets.random_scene(20)
+    wide = xcg.slice_temperature(ds, width=2**64 - 1, bounds=(0, 2**64), method=method)
+    as_float = xcg.slice_temperature(ds, width=2.0**64, bounds=(0.0, 2.0**64), method=method)
+    xr.testing.assert_equal(wide, as_float)

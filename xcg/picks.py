@@ -1,17 +1,20 @@
 """Dask arrays whose chunks are entries of what a task returns: all variables of a step come from one task.
 
 `Gathered` looks through them: a task that takes many entries of one result depends on that result alone, which leaves
-one task where there would be one a variable.
+one task where there would be one a variable. What works on each chunk of such an array, as writing by xarray does, is
+merged with the picking before there are tasks at all, since dask is told of it as one rule for all chunks.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import Any
 
 import dask.array as da
 import numpy as np
+from dask.blockwise import blockwise
 from dask.highlevelgraph import HighLevelGraph
 from numpy.typing import NDArray
 
@@ -32,8 +35,11 @@ def picked(
     shape : tuple of int
         Shape of one step.
     """
-    zeros = (0,) * len(shape)
-    picks = {(key, k, *zeros): (_pick, (layer, k), name) for k in range(len(chunks))}
+    axes = tuple(range(1 + len(shape)))
+    picks: Any = blockwise(
+        itemgetter(name), key, axes, layer, (0,), numblocks={layer: (len(chunks),)}, new_axes=dict.fromkeys(axes[1:], 1)
+    )
+    picks.origin = layer, name
     whole = HighLevelGraph({**graph.layers, key: picks}, {**graph.dependencies, key: {layer}})
     sizes = (tuple(chunks), *((n,) for n in shape))
     return da.Array(whole, key, sizes, meta=np.empty((0,) * (1 + len(shape)), dtype))
@@ -41,10 +47,7 @@ def picked(
 
 def origin(array: da.Array) -> tuple[str, str] | None:
     """Layer and entry that all chunks of an array are picked from; None where it comes about otherwise."""
-    first = array.dask.layers.get(array.name, {}).get((array.name, *(0,) * array.ndim))
-    if not isinstance(first, tuple) or first[0] is not _pick:
-        return None
-    return first[1][0], first[2]
+    return getattr(array.dask.layers.get(array.name), "origin", None)
 
 
 @dataclass(frozen=True)
@@ -83,7 +86,3 @@ class Gathered:
     def take(self, values: Sequence[Any]) -> dict[str, NDArray]:
         """Arrays by name, from the values of the keys."""
         return {name: values[k][entry] if entry else values[k] for name, (k, entry) in self.entries.items()}
-
-
-def _pick(arrays: Mapping[str, NDArray], name: str) -> NDArray:
-    return arrays[name]

@@ -5,7 +5,7 @@ Both are coarser than `xcg.coarse_grain` and are here for comparison with what w
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -19,6 +19,7 @@ from xcg.scene import require_scene, setup_of, storable
 from xcg.schema import COMPONENTS, units_of
 
 _TABLE = "slices"  # temperature, velocity (3) and count, in columns
+_MOST = 1 << 20  # planes of all slices, each a step of a loop
 
 
 def slice_temperature(
@@ -79,7 +80,7 @@ def slice_temperature(
         raise ValueError(msg)
     require_scene(ds, ("velocity", weight), "slice_temperature")
     setup = setup_of(ds)
-    if axis not in setup.plane or len(axis) != 1:
+    if not isinstance(axis, str) or axis not in setup.plane or len(axis) != 1:
         msg = f"axis={axis!r}: expected one of the scene's axes {setup.plane!r}"
         raise ValueError(msg)
     k = COMPONENTS.index(axis)
@@ -87,19 +88,21 @@ def slice_temperature(
         width = float(ds.attrs.get("d43", np.nan))
     if bounds is None and "particle_lower" in ds.attrs:
         bounds = (float(ds.attrs["particle_lower"][k]), float(ds.attrs["particle_upper"][k]))
-    if bounds is None or not np.isfinite([width, *bounds]).all() or width <= 0 or bounds[0] > bounds[1]:
+    given = _floats(width, *(bounds if isinstance(bounds, Iterable) else ()))
+    if len(given) != 3 or not np.isfinite(given).all() or given[0] <= 0 or given[1] > given[2]:
         msg = f"width={width!r}, bounds={bounds!r}: expected a positive width and rising bounds (m)"
         raise ValueError(msg)
+    width, *bounds = given
     if method == "bins":
-        count = max(1, int(np.ceil((bounds[1] - bounds[0]) / width - 1e-9)))
+        count = max(1, _whole(np.ceil((bounds[1] - bounds[0]) / width - 1e-9)))
         nodes = bounds[0] + width * (np.arange(count) + 0.5)
         function = partial(_bins, axis=k, dims=[*map(COMPONENTS.index, setup.plane)], edges=bounds[0], width=width)
     else:
-        step = width / 2 if spacing is None else spacing
-        if not (np.isfinite(step) and step > 0 and planes >= 0):
+        (step,) = _floats(width / 2 if spacing is None else spacing) or [np.nan]
+        if not (np.isfinite(step) and step > 0 and isinstance(planes, int | np.integer) and planes >= 0):
             msg = f"spacing={spacing!r}, planes={planes!r}: expected a positive distance (m) and a number of planes"
             raise ValueError(msg)
-        nodes = bounds[0] + step * np.arange(int((bounds[1] - bounds[0]) / step + 1e-9) + 1)
+        nodes = bounds[0] + step * np.arange(_whole((bounds[1] - bounds[0]) / step + 1e-9, 2 * planes + 1) + 1)
         function = partial(
             _planes, axis=k, dims=[*map(COMPONENTS.index, setup.plane)], sides=planes, width=width,
             period=_period(ds, axis, k),
@@ -125,6 +128,22 @@ def slice_temperature(
     result = storable(xr.Dataset(out, {**coords, "component": list(COMPONENTS)}, attrs))
     result = mark_skipped(result, found)
     return result if scene is ds else result.isel(time=0)
+
+
+def _floats(*values: Any) -> list[float]:
+    """Floats of values; nothing where one is no number."""
+    try:
+        return [float(value) for value in values]
+    except (TypeError, ValueError, OverflowError):
+        return []
+
+
+def _whole(count: float, planes: int = 1) -> int:
+    """Whole number of slices, refused before anything is made for too many."""
+    if not (count + 1) * planes < _MOST:
+        msg = f"{count + 1:.3g} slices of {planes} planes are more than {_MOST} planes: choose larger or fewer ones"
+        raise ValueError(msg)
+    return int(count)
 
 
 def _period(ds: xr.Dataset, axis: str, k: int) -> float:

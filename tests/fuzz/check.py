@@ -45,6 +45,9 @@ def outcome(name: str, folder: Path) -> tuple[str, str]:
         if not isinstance(error, (SceneError, OSError)) and not _from_arguments(error):
             return "failed", f"not the package's own error: {error!r}\n{traceback.format_exc()[-1500:]}"
         return "refused", str(error)
+    except MemoryError:
+        # a job may ask for more nodes than fit, which the command says in its own words; its data are never damaged
+        return ("refused" if name in ("ini", "toml") else "failed"), traceback.format_exc()[-3000:]
     except BaseException as error:
         if isinstance(error, KeyboardInterrupt):
             raise

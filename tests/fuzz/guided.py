@@ -12,7 +12,8 @@ from pathlib import Path
 
 import atheris
 
-with atheris.instrument_imports(include=["xcg.readers", "xcg.cli.config"]):
+# what Numba compiles has no branches that Python runs
+with atheris.instrument_imports(include=["xcg.readers", "xcg.cli.config"], exclude=["xcg.readers.unbase64"]):
     import xcg.cli.config
     import xcg.readers.columns
     import xcg.readers.dump

@@ -22,7 +22,8 @@ from pathlib import Path
 from tests.fuzz.check import damaged, lay, outcome
 from tests.fuzz.targets import TARGETS
 
-_SECONDS = 30  # an input that takes longer hangs
+_SECONDS = 30  # of the processor: an input that takes longer hangs (by the clock, so would one of a machine that waits)
+_ASLEEP = 20  # times as long by the clock, for what waits for something that never comes
 _EXTRA = 1 << 31  # bytes of memory beyond what the process has after its first inputs
 
 
@@ -35,6 +36,7 @@ def _child(name: str, seed: int, folder: str, pipe, deadline: float) -> None:
         msg = f"took more than {_SECONDS} s"
         raise TimeoutError(msg)
 
+    signal.signal(signal.SIGPROF, hang)
     signal.signal(signal.SIGALRM, hang)
     work = Path(folder)
     made = work / "seeds"
@@ -49,10 +51,12 @@ def _child(name: str, seed: int, folder: str, pipe, deadline: float) -> None:
     counts: Counter[str] = Counter()
     while time.monotonic() < deadline and sum(counts.values()) < 4000:
         lay(work / "now", damaged(name, seeds, rng))
-        signal.alarm(_SECONDS)
+        signal.setitimer(signal.ITIMER_PROF, _SECONDS)
+        signal.alarm(_ASLEEP * _SECONDS)
         try:
             result, detail = outcome(name, work / "now")
         finally:
+            signal.setitimer(signal.ITIMER_PROF, 0)
             signal.alarm(0)
         if "took more than" in detail:
             result = "failed"

@@ -283,30 +283,36 @@ def time_scale(ds: xr.Dataset, width: float, acceleration: NDArray | float = 0.0
         return float(min(np.divide(width, fastest), np.sqrt(np.divide(width, largest))))
 
 
-def mass_between_frames(ds: xr.Dataset, width: float, points: NDArray, dt: float) -> Residual:
-    """2: (rho(t + dt) - rho(t - dt)) / 2 dt + div p, of order dt^2; in units of rho |v| / w."""
-    rho = [at_points(moved(ds, s * dt), ["density"], points, width=width)["density"] for s in (-1, 1)]
+def mass_between_frames(ds: xr.Dataset, width: float, points: NDArray, *steps: float) -> list[Residual]:
+    """2: (rho(t + dt) - rho(t - dt)) / 2 dt + div p for each dt, of order dt^2; in units of rho |v| / w."""
     div = divergence(ds, ["momentum_density"], points, width)["momentum_density"]
     middle = at_points(ds, ["density"], points, width=width)["density"].max()
-    return Residual((rho[1] - rho[0]) / (2 * dt) + div, float(middle / time_scale(ds, width)))
+    found = []
+    for dt in steps:
+        rho = [at_points(moved(ds, s * dt), ["density"], points, width=width)["density"] for s in (-1, 1)]
+        found.append(Residual((rho[1] - rho[0]) / (2 * dt) + div, float(middle / time_scale(ds, width))))
+    return found
 
 
-def momentum_between_frames(ds: xr.Dataset, width: float, points: NDArray, dt: float) -> Residual:
-    """5: d(rho V)/dt + div(rho V V + sigma) - rho g - t, of order dt^2; in units of |rho V V + sigma| / w.
+def momentum_between_frames(ds: xr.Dataset, width: float, points: NDArray, *steps: float) -> list[Residual]:
+    """5: d(rho V)/dt + div(rho V V + sigma) - rho g - t for each dt, of order dt^2; in units of |rho V V + sigma| / w.
 
     Frames at t -+ dt follow from the contact forces and gravity at t; grains that are frozen do not move.
     """
     acceleration, weight = accelerations(ds), gravity_of(ds)
-    p = [
-        at_points(moved(ds, s * dt, acceleration), ["momentum_density"], points, width=width)["momentum_density"]
-        for s in (-1, 1)
-    ]
     fields = ["density", "momentum_density", "kinetic_stress", "contact_stress"]
     div = divergence(ds, fields, points, width)
     f = with_flux(at_points(ds, [*fields, "wall_traction"], points, width=width))
     flux = np.abs(f["momentum_flux"] + f["contact_stress"]).max()
-    left = (p[1] - p[0]) / (2 * dt) + div["momentum_flux"] + div["contact_stress"]
-    return Residual(left - f["density"][:, None] * weight - f["wall_traction"], float(flux / width))
+    still = div["momentum_flux"] + div["contact_stress"] - f["density"][:, None] * weight - f["wall_traction"]
+    found = []
+    for dt in steps:
+        p = [
+            at_points(moved(ds, s * dt, acceleration), ["momentum_density"], points, width=width)["momentum_density"]
+            for s in (-1, 1)
+        ]
+        found.append(Residual((p[1] - p[0]) / (2 * dt) + still, float(flux / width)))
+    return found
 
 
 def shifted(ds: xr.Dataset, vector: NDArray) -> xr.Dataset:

@@ -51,7 +51,7 @@ def test_kernel_gradient_closes_the_mass_balance(name):
 def test_mass_between_close_frames(name):
     case = load(name)
     step = 0.05 * residuals.time_scale(case.ds, case.width)
-    coarse, fine = (residuals.mass_between_frames(case.ds, case.width, case.points, dt) for dt in (step, step / 2))
+    coarse, fine = residuals.mass_between_frames(case.ds, case.width, case.points, step, step / 2)
     # grains move by 0.05 w at most: the leading term is dt^2 / 6 of the third derivative of the kernel, below 100 / w^3
     assert coarse.relative < 0.05**2 / 6 * 100
     assert second_order(coarse, fine)
@@ -153,7 +153,7 @@ def test_what_does_not_rest_is_explained_by_the_resultants(name):
 def test_momentum_between_close_frames(name):
     case = load(name)
     step = 0.05 * residuals.time_scale(case.ds, case.width, residuals.accelerations(case.ds))
-    coarse, fine = (residuals.momentum_between_frames(case.ds, case.width, case.points, dt) for dt in (step, step / 2))
+    coarse, fine = residuals.momentum_between_frames(case.ds, case.width, case.points, step, step / 2)
     # as for mass, with one more derivative of the kernel where grains are accelerated
     assert coarse.relative < 0.05**2 / 6 * 100
     assert second_order(coarse, fine)
@@ -163,9 +163,8 @@ def test_momentum_between_close_frames(name):
 @given(case=SYNTHETIC)
 def test_momentum_between_close_frames_of_any_scene(case):
     step = 0.02 * residuals.time_scale(case.ds, case.width, residuals.accelerations(case.ds))
-    coarse, fine, finest = (
-        residuals.momentum_between_frames(case.ds, case.width, case.points, dt) for dt in (step, step / 4, step / 16)
-    )
+    steps = step, step / 4, step / 16
+    coarse, fine, finest = residuals.momentum_between_frames(case.ds, case.width, case.points, *steps)
     # four times finer leaves 1/16, and no less than 1/8 with a few grains at their kinks; down to those in space
     floor = 2 * KINK * coarse.scale
     size = [np.abs(r.difference).max() for r in (coarse, fine, finest)]

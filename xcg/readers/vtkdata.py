@@ -7,22 +7,27 @@ larger than the file's own data is ever made.
 
 from __future__ import annotations
 
-import base64
 import binascii
+import importlib
+import importlib.util
 import lzma
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, BinaryIO
+from functools import cache
+from typing import Any, BinaryIO, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+
+from xcg.readers import unbase64
 
 _LZ4 = "vtkLZ4DataCompressor"
 # Bytes that one compressed byte can stand for, at most.
 COMPRESSORS = {"vtkZLibDataCompressor": 1032, _LZ4: 256, "vtkLZMADataCompressor": 1 << 14}
 
-Take = Callable[[int, int], bytes]  # some bytes of a block: from, count
+Data: TypeAlias = bytes | memoryview
+Take: TypeAlias = Callable[[int, int], Data]  # some bytes of a block: from, count
 
 
 @dataclass(frozen=True)
@@ -84,23 +89,20 @@ def read_base64(
 ) -> NDArray[np.float64]:
     """Read a block in base64. Lengths of compressed blocks are encoded apart from the blocks themselves."""
 
-    def decoded(first: int, number: int) -> bytes:
-        begin, skip = 4 * (first // 3), first % 3
-        file.seek(start + begin)
-        text = file.read(_encoded(skip + number))
+    def text(first: int, number: int) -> Data:
+        file.seek(start + first)
         try:
-            return base64.b64decode(text, validate=True)[skip : skip + number]
+            return unbase64.decode(file.read(_encoded(number)))
         except binascii.Error:
             msg = "its base64 data are damaged"
             raise DataError(msg) from None
 
-    def after(first: int, number: int) -> bytes:
-        file.seek(start + first)
-        try:
-            return base64.b64decode(file.read(_encoded(number)), validate=True)[:number]
-        except binascii.Error:
-            msg = "its base64 data are damaged"
-            raise DataError(msg) from None
+    def decoded(first: int, number: int) -> Data:
+        skip = first % 3
+        return text(4 * (first // 3), skip + number)[skip : skip + number]
+
+    def after(first: int, number: int) -> Data:
+        return text(first, number)[:number]
 
     return _values(decoded, after, encoding, dtype, count, _encoded)
 
@@ -128,25 +130,28 @@ def _values(
     return np.frombuffer(raw, dtype).astype("float64")
 
 
-def _numbers(raw: bytes, encoding: Encoding, count: int) -> list[int]:
+def _numbers(raw: Data, encoding: Encoding, count: int) -> list[int]:
     if len(raw) != count * encoding.prefix.itemsize:
         msg = "its block lies beyond the end of the file"
         raise DataError(msg)
     return [int(number) for number in np.frombuffer(raw, encoding.prefix)]
 
 
-def _uncompressed(head: Take, data: Take, encoding: Encoding, wanted: int, length: Callable[[int], int]) -> bytes:
+def _uncompressed(head: Take, data: Take, encoding: Encoding, wanted: int, length: Callable[[int], int]) -> Data:
     """Join the compressed parts of a block: number, size and last size come first, then the size of each part."""
     width = encoding.prefix.itemsize
     number, size, last = _numbers(head(0, 3 * width), encoding, 3)
     if not number and not wanted:
         return b""
     whole = number - (last > 0)
-    if not 0 < number <= wanted or whole * size + last != wanted:
+    # parts of no size at all would be unpacked without a limit
+    if not 0 < number <= wanted or whole * size + last != wanted or (whole and not size):
         msg = f"its block holds {number} parts of {size} bytes, not {wanted} bytes"
         raise DataError(msg)
     sizes = _numbers(head(3 * width, number * width), encoding, number)
-    packed = data(length((3 + number) * width), sum(sizes) if sum(sizes) <= encoding.room(wanted) + 4096 else 0)
+    packed = memoryview(
+        data(length((3 + number) * width), sum(sizes) if sum(sizes) <= encoding.room(wanted) + 4096 else 0)
+    )
     parts, at = [], 0
     for k, taken in enumerate(sizes):
         expected = size if k < whole else last
@@ -159,18 +164,24 @@ def _uncompressed(head: Take, data: Take, encoding: Encoding, wanted: int, lengt
     return b"".join(parts)
 
 
-def _inflate(packed: bytes, compressor: str, expected: int) -> bytes:
+@cache
+def _zlib() -> Any:
+    """Give isal where it is installed: up to twice as fast as the standard library, with the same interface."""
+    return importlib.import_module("isal.isal_zlib") if importlib.util.find_spec("isal") else zlib
+
+
+def _inflate(packed: memoryview, compressor: str, expected: int) -> bytes:
     """Unpack one part, to no more than the bytes expected."""
     if compressor == _LZ4:
         return _lz4(packed, expected)
-    unpack: Any = zlib.decompressobj() if compressor == "vtkZLibDataCompressor" else lzma.LZMADecompressor()
+    unpack: Any = _zlib().decompressobj() if compressor == "vtkZLibDataCompressor" else lzma.LZMADecompressor()
     try:
         return bytes(unpack.decompress(packed, expected))
-    except (zlib.error, lzma.LZMAError, EOFError):
+    except (zlib.error, _zlib().error, lzma.LZMAError, EOFError):
         return b""
 
 
-def _lz4(packed: bytes, expected: int) -> bytes:
+def _lz4(packed: memoryview, expected: int) -> bytes:
     """Unpack through VTK, which checks both lengths; the standard library has no LZ4."""
     from vtkmodules.util.numpy_support import vtk_to_numpy
     from vtkmodules.vtkCommonCore import vtkObject

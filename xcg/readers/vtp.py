@@ -156,7 +156,7 @@ def _nested(text: str) -> bool:
     while (at := text.find("<", at)) >= 0:
         end = text.find(">", at)
         tag = text[at + 1 : end] if end >= 0 else ""
-        if not tag:
+        if not tag.strip():
             return False
         if tag[0] == "/":
             if not opened or opened.pop() != tag[1:].strip():

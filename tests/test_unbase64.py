@@ -1,0 +1,111 @@
+"""Base64 decoded as the standard library does, and refused where that refuses it; parts that unpack without a limit."""
+
+import base64
+import binascii
+import tracemalloc
+import zlib
+from contextlib import nullcontext
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.benchmarks import series
+from xcg.readers import unbase64, vtkdata, vtp
+from xcg.schema import SceneError
+
+
+@settings(deadline=None)
+@given(st.binary(max_size=40))
+def test_all_lengths_as_the_standard_library(raw):
+    assert bytes(unbase64.decode(base64.b64encode(raw))) == raw
+
+
+def test_every_byte_at_every_place():
+    text = base64.b64encode(bytes(range(18)))
+    for place in range(len(text)):
+        for byte in range(256):
+            changed = text[:place] + bytes([byte]) + text[place + 1 :]
+            try:
+                expected = base64.b64decode(changed, validate=True)
+            except binascii.Error:
+                with pytest.raises(binascii.Error):
+                    unbase64.decode(changed)
+            else:
+                assert bytes(unbase64.decode(changed)) == expected
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.binary(max_size=9), st.sampled_from([b"=", b"==", b"=A", b"\n", b" ", b"\xff", b"A"]), st.integers(0, 12))
+def test_nothing_is_accepted_that_the_standard_library_refuses(raw, piece, at):
+    text = base64.b64encode(raw)
+    text = text[:at] + piece + text[at:]
+    try:
+        got = bytes(unbase64.decode(text))
+    except binascii.Error:
+        return
+    assert got == base64.b64decode(text, validate=True)
+
+
+# --- zlib ------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(params=["isal.isal_zlib", "zlib"])
+def unpacked_by(request, monkeypatch):
+    """Unpack zlib by one module or the other."""
+    if request.param == "zlib":
+        monkeypatch.setattr(vtkdata.importlib.util, "find_spec", lambda name: None)
+    else:
+        pytest.importorskip("isal")
+    vtkdata._zlib.cache_clear()
+    assert vtkdata._zlib().__name__ == request.param
+    yield
+    vtkdata._zlib.cache_clear()
+
+
+@pytest.mark.usefixtures("unpacked_by")
+@pytest.mark.parametrize("encoding", ["zlib", "zlib base64"])
+def test_with_isal_and_without(tmp_path, encoding):
+    (ds,) = series.packings(3000, 1)
+    path = series.write_vtp(tmp_path / "p.vtp", ds, "position", series.PARTICLE_ARRAYS, encoding)
+    header = vtp.read_header(str(path))
+    got = vtp.read_arrays(header, header.names)
+    np.testing.assert_array_equal(got["coordinates"], ds.position.values[0].astype("f4"))
+    np.testing.assert_array_equal(got["Velocity"], ds.velocity.values[0].astype("f4"))
+
+
+@pytest.mark.parametrize(
+    ("number", "size", "last", "part", "message"),
+    [
+        (1, 12_000, 0, bytes(1 << 24), None),  # what is beyond the promise is never unpacked
+        (2, 0, 12_000, bytes(1 << 24), "2 parts of 0 bytes"),
+        (1, 12_000, 0, bytes(11_999), "does not unpack to 12000 bytes"),
+        (1, 12_000, 0, b"", "does not unpack to 12000 bytes"),
+    ],
+)
+@pytest.mark.usefixtures("unpacked_by")
+def test_parts_that_lie(tmp_path, number, size, last, part, message):
+    parts = [zlib.compress(part, 9), zlib.compress(bytes(12_000))][:number]
+    path = tmp_path / "block"
+    path.write_bytes(np.array([number, size, last, *map(len, parts)], "<u4").tobytes() + b"".join(parts))
+    encoding = vtkdata.Encoding("<", np.dtype("<u4"), "vtkZLibDataCompressor")
+    tracemalloc.start()
+    try:
+        with path.open("rb") as file, pytest.raises(vtkdata.DataError, match=message) if message else nullcontext():
+            assert not vtkdata.read_raw(file, 0, encoding, np.dtype("<f4"), 3000).any()
+        assert tracemalloc.get_traced_memory()[1] < 1 << 22
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.usefixtures("unpacked_by")
+def test_damaged_parts_are_named(tmp_path):
+    (ds,) = series.packings(500, 1)
+    path = series.write_vtp(tmp_path / "p.vtp", ds, "position", series.PARTICLE_ARRAYS, "zlib")
+    header = vtp.read_header(str(path))
+    data = path.read_bytes()
+    start = header.arrays[0].start + 16
+    path.write_bytes(data[:start] + b"\xff" * 400 + data[start + 400 :])
+    with pytest.raises(SceneError, match=r"p\.vtp: 'coordinates' is not as its header says.*does not unpack"):
+        vtp.read_arrays(header, header.names)
