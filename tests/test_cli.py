@@ -1,9 +1,5 @@
 """The command line: Pysammos's configuration and TOML, output read back, resumed runs, exit codes."""
 
-import os
-import subprocess
-import sys
-import tomllib
 from pathlib import Path
 
 import h5py
@@ -78,17 +74,6 @@ def few(series):
     path = series / "config.ini"
     path.write_text(changed(path.read_text(), **dict.fromkeys(costly, False)))
     return series
-
-
-def test_ctrl_c_while_libraries_are_imported(tmp_path):
-    (tmp_path / "numpy.py").write_text("import signal; signal.raise_signal(signal.SIGINT); print('went on')")
-    module, function = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]["xcg"].split(":")
-    done = subprocess.run(
-        [sys.executable, "-c", f"from {module} import {function}; {function}()"],
-        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])},
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert (done.returncode, done.stdout, done.stderr) == (130, "", "\nstopped\n")
 
 
 def test_real_mfix_frames_through_a_pysammos_configuration(tmp_path):
