@@ -242,7 +242,9 @@ def test_rotation_mirror_and_labels_change_nothing(ds, given_options, seed, mirr
     expected = ds.cg.force_chains(**given_options)
     turned = rotated(ds, matrix).assign_attrs(dimension=3, plane="xyz").cg.force_chains(**given_options)
     assert chains_of(turned) == chains_of(expected)
-    np.testing.assert_array_equal(turned.link_chain, expected.link_chain)
+    if given_options["symmetric"] or given_options["algorithm"] == "branching":
+        # else the end that grows first, by the sign of an eigenvector, takes a particle that both could reach
+        np.testing.assert_array_equal(turned.link_chain, expected.link_chain)
     np.testing.assert_allclose(turned.chain_stress, expected.chain_stress, rtol=1e-9)
     other, new = relabelled(ds, rng)
     expected_ids = {frozenset(new[list(chain)].tolist()) for chain in chains_of(expected)}

@@ -356,7 +356,7 @@ class _Deposit:
                 columns[:, first : first + values.shape[1]] = values[rows]
             grains = (local, velocity[rows], mass[rows], columns, phase[rows], level, still)
             onto = (*self._onto(cutoff), by_gradient)
-            runs = runs_of(local, np.broadcast_to(0.0, local.shape))
+            runs = runs_of(local, np.zeros_like(local))
             fill.append(partial(_fill_points, (*grains, runs), onto))
         return _Pass(self.phases, level + width, fill, moments)
 

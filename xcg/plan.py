@@ -149,7 +149,9 @@ SINGLE = 1e-4
 
 
 @lru_cache(maxsize=64)
-def _limits(kind: int, spread: float, table: bytes, table_shape: tuple[int, ...], seen: int, rtol: float) -> NDArray:
+def _limits(
+    kind: int | None, spread: float, table: bytes, table_shape: tuple[int, ...], seen: int, rtol: float
+) -> NDArray:
     """Longest branch (cutoffs) for which 1, 2, ... Gauss points keep to `rtol`, measured against the closed form.
 
     The error of a rule depends on nothing but the branch length over the cutoff and the place of the node, so that
@@ -161,19 +163,17 @@ def _limits(kind: int, spread: float, table: bytes, table_shape: tuple[int, ...]
     def kept(length: float, order: int) -> bool:
         return largest_error(length, order, rows, kind, spread, array) <= 0.95 * rtol
 
-    limits = np.zeros(MAX_ORDER)
+    limits, limit = np.zeros(MAX_ORDER), 0.0
     for order in range(1, MAX_ORDER + 1):
         for length in np.geomspace(1e-3, 8, 61):
-            if kept(length, order):
-                limits[order - 1] = length
+            if length <= limit or kept(length, order):  # shorter ones are left to the order before
+                limit = max(limit, length)
                 continue
             for _ in range(4):  # and now between the last that keeps it and the first that does not
-                middle = 0.5 * (limits[order - 1] + length)
-                if kept(middle, order):
-                    limits[order - 1] = middle
-                else:
-                    length = middle
+                middle = 0.5 * (limit + length)
+                limit, length = (middle, length) if kept(middle, order) else (limit, middle)
             break
+        limits[order - 1] = limit
     return limits
 
 

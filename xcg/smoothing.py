@@ -22,7 +22,7 @@ _NO_TABLE = np.zeros((2, 1, 1))
 class Weights(NamedTuple):
     """What the loops need of a kernel seen in m dimensions: kind, w / c, table, and the factor to its values."""
 
-    kind: int
+    kind: int | None
     spread: float
     table: NDArray
     norm: float
@@ -119,7 +119,7 @@ class Kernel:
                 f"{max(seen, 1)} to {min(seen + 2, 3)}"
             )
             raise ValueError(msg)
-        kind = weights.TABLE if self.shape == weights.TABLE else self.shape + codimension
+        kind = weights.TABLE if self.shape == weights.TABLE else self.shape + codimension or None
         norm = self._unit_norm(dimension) / self.cutoff**seen
         return Weights(kind, self.spread, self._table(codimension), norm)
 
