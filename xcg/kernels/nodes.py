@@ -147,20 +147,21 @@ def list_tube(x, y, z, bx, by, bz, per_length, steps, low, high, rows, node, q2,
     if bz != 0.0:
         tilt = bz / math.sqrt(across2 * (across2 + bz * bz)) if across2 > 1e-30 else math.copysign(1e30, bz)
     real = rows.dtype.type
-    zero, one, two, outside = real(0.0), real(1.0), real(2.0), real(-1e30)
+    zero, one, two = real(0.0), real(1.0), real(2.0)
     # along z nodes are counted from the last one below the start, so that few digits are enough, and the same
     # wherever a row begins
     base = math.floor(z / steps[2])
     z, per_step, step = real(z - base * steps[2]), real(1.0 / steps[2]), real(steps[2])
     lowest, highest = real(low[2] - base), real(high[2] - 1 - base)
-    a2, per_a2, tilt, rise = real(across2), real(1.0 / across2 if across2 > 0.0 else 0.0), real(tilt), real(bz)
+    outside = lowest - one
+    c2, per_c2, tilt, rise = real(across2), real(1.0 / across2 if across2 > 0.0 else 0.0), real(tilt), real(bz)
     for k in range(padded(count)):
         dot = row_dot[k]
-        u = dot * per_a2
+        u = dot * per_c2
         move = np.sqrt(max(zero, one - (row2[k] - dot * u))) * tilt
         upper, lower = min(one, max(zero, u + move)), min(one, max(zero, u - move))
-        rest_upper = one - (row2[k] + upper * (upper * a2 - two * dot))
-        rest_lower = one - (row2[k] + lower * (lower * a2 - two * dot))
+        rest_upper = one - (row2[k] + upper * (upper * c2 - two * dot))
+        rest_lower = one - (row2[k] + lower * (lower * c2 - two * dot))
         top = np.floor((z + upper * rise + np.sqrt(max(zero, rest_upper))) * per_step)
         first_row[k] = max(lowest, np.ceil((z + lower * rise - np.sqrt(max(zero, rest_lower))) * per_step))
         last_row[k] = min(highest, top if rest_upper > zero else outside)
@@ -183,18 +184,10 @@ def list_tube(x, y, z, bx, by, bz, per_length, steps, low, high, rows, node, q2,
                 d0, d1, d2, d3 = iz * step - z, (iz + f1) * step - z, (iz + f2) * step - z, (iz + f3) * step - z
                 d4, d5 = (iz + f4) * step - z, (iz + f5) * step - z
                 d6, d7 = (iz + f6) * step - z, (iz + f7) * step - z
-                along[h], along[h1], along[h2], along[h3] = (
-                    foot + d0 * ez,
-                    foot + d1 * ez,
-                    foot + d2 * ez,
-                    foot + d3 * ez,
-                )
-                along[h4], along[h5], along[h6], along[h7] = (
-                    foot + d4 * ez,
-                    foot + d5 * ez,
-                    foot + d6 * ez,
-                    foot + d7 * ez,
-                )
+                a0, a1, a2, a3 = foot + d0 * ez, foot + d1 * ez, foot + d2 * ez, foot + d3 * ez
+                a4, a5, a6, a7 = foot + d4 * ez, foot + d5 * ez, foot + d6 * ez, foot + d7 * ez
+                along[h], along[h1], along[h2], along[h3] = a0, a1, a2, a3
+                along[h4], along[h5], along[h6], along[h7] = a4, a5, a6, a7
                 q2[h], q2[h1], q2[h2], q2[h3] = square + d0 * d0, square + d1 * d1, square + d2 * d2, square + d3 * d3
                 q2[h4], q2[h5], q2[h6], q2[h7] = square + d4 * d4, square + d5 * d5, square + d6 * d6, square + d7 * d7
                 node[h], node[h1], node[h2], node[h3] = n, n + _1, n + _2, n + _3
