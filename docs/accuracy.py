@@ -35,7 +35,7 @@ WIDTH = 0.75  # diameters, which are 1
 CUTOFF = 2 * WIDTH
 RATE = 1.0  # of the uniform shear
 POINTS = "xcg.kernels.deposit.deposit"
-SEGMENTS = "xcg.moments.deposit_segments"
+SEGMENTS = "xcg.sums.deposit_segments"
 ROUNDING = 1e-15  # smaller errors are drawn here
 
 

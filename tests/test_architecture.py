@@ -15,7 +15,7 @@ FLOORS = [
     ["complete", "grid"],
     ["cells", "scene"],
     ["contacts", "moments", "over_time", "regions", "phases", "bodies"],
-    ["fields", "labels", "quantities"],
+    ["fields", "labels", "quantities", "sums"],
     ["plan", "readers"],
     ["pysammos"],
     ["coarse_grain", "datasets", "detection", "microstructure", "particle_stress", "slices", "statistics"],

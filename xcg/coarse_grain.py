@@ -18,12 +18,12 @@ from xcg.complete import periods
 from xcg.faults import check_on_error
 from xcg.kernels import THREADS
 from xcg.labels import about, call_of, mark_skipped
-from xcg.moments import BOX, sums_of_frame
 from xcg.over_time import is_lazy, map_over_time, steps_in
 from xcg.plan import Plan, make_plan, scale_of
 from xcg.scene import require_scene, storable
 from xcg.schema import COMPONENTS, Frame, units_of
 from xcg.smoothing import Kernel
+from xcg.sums import BOX, sums_of_frame
 from xcg.threads import Box, boxes, for_each
 
 

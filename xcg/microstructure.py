@@ -14,12 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 from xcg.complete import periods
 from xcg.contacts import Contacts
 from xcg.labels import about, call_of, mark_skipped
-from xcg.moments import phase_of, without_frozen
 from xcg.over_time import map_over_time, steps_in
 from xcg.plan import edges_of, groups_of, layer_depth
 from xcg.quantities import CONTACTS, QUANTITIES, TENSOR, ratio
 from xcg.scene import require_scene, setup_of, storable
 from xcg.schema import COMPONENTS, Frame, Setup, units_of
+from xcg.sums import phase_of, without_frozen
 
 Bounds = Mapping[str, Sequence[float]]
 

@@ -16,10 +16,11 @@ from xcg import fields as registry
 from xcg.grid import Grid, make_grid
 from xcg.kernels import weights as kinds
 from xcg.kernels.segments import MAX_ORDER, largest_error
-from xcg.moments import BOX, CONTACT_VARIABLES, MOMENTS, Recipe
+from xcg.moments import CONTACT_VARIABLES, MOMENTS, Recipe
 from xcg.scene import SIZES, require_scene, setup_of
 from xcg.schema import COMPONENTS, SceneError, SceneWarning, Setup
 from xcg.smoothing import Kernel, as_kernel
+from xcg.sums import BOX
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,320 @@
+"""Sums over grains and contacts at the nodes: from a frame to its moments, box by box."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xcg.contacts import Contacts
+from xcg.kernels import deposit as kernel
+from xcg.kernels.nodes import bounds_of, runs_of, spatial_order, to_cutoffs
+from xcg.kernels.rows import turn
+from xcg.kernels.segments import deposit_segments
+from xcg.moments import CUTOFF_POWERS, MOMENTS, Recipe, columns_of
+from xcg.schema import COMPONENTS, Frame, SceneError
+from xcg.threads import Box, for_each, slices
+
+
+def phase_of(frame: Frame, by: str | None, groups: Sequence[int], where: str) -> NDArray:
+    """Which of the groups each particle belongs to; refuses particles of none."""
+    count = len(frame["position"])
+    if by is None:
+        return np.zeros(count, "int64")
+    values, known = frame[by], np.asarray(groups)
+    row = np.minimum(np.searchsorted(known, values), len(known) - 1)
+    strange = np.flatnonzero(known[row] != values)
+    if strange.size:
+        msg = (
+            f"{where}: particle {frame['particle_id'][strange[0]]} has {by}={values[strange[0]]}, which is not among "
+            f"the groups {list(groups)}; pass groups= with every value that occurs"
+        )
+        raise SceneError(msg)
+    return row
+
+
+def without_frozen(frame: Frame) -> Frame:
+    """Drop frozen grains; contacts with them become contacts with a wall, as their partner is not there."""
+    if "frozen" not in frame:
+        return frame
+    free = frame["frozen"] != 1
+    particles = {name: values[free] for name, values in frame.items() if not name.startswith(("contact", "overlap"))}
+    return {**frame, **particles}
+
+
+# adds one pass to the sums (groups, nodes, columns) at the nodes of a box; the last array is the reference velocity
+_Fill = Callable[[Box, NDArray, NDArray], None]
+
+# Sums are made over boxes of about this many nodes, so that memory holds those of a few boxes, not of the mesh.
+BOX = 65_000
+# Beyond this many cutoffs from the mesh coordinates cannot be told apart, and cells cannot be counted.
+_FAR = 2.0**50
+_MOST_IMAGES = 1000
+
+
+def _tuple(values: Sequence[Any] | NDArray) -> tuple[Any, Any, Any]:
+    x, y, z = np.asarray(values).tolist()
+    return x, y, z
+
+
+@dataclass(frozen=True)
+class _Pass:
+    """One pass over grains or segments, prepared: its array is (groups, nodes, columns), filled by one loop a cutoff.
+
+    `moments` says which columns of that array each moment is made of (those of a symmetric tensor name six of them
+    nine times), with a factor, or one for each phase.
+    """
+
+    groups: int
+    columns: int
+    fill: Sequence[_Fill]
+    moments: Mapping[str, tuple[NDArray, float | NDArray]]
+
+    def __call__(self, box: Box, reference: NDArray) -> NDArray:
+        sums = np.zeros((self.groups, len(reference), self.columns))
+        for fill in self.fill:
+            fill(box, sums, reference)
+        return sums
+
+
+class _Deposit:
+    """Prepares the passes over one frame: lengths in cutoffs, rows in an order in space."""
+
+    def __init__(self, frame: Frame, recipe: Recipe, period: NDArray, scale: float, where: str) -> None:
+        self.frame = without_frozen(frame)
+        self.recipe, self.scale, self.where = recipe, scale, where
+        self.position = np.ascontiguousarray(self.frame["position"])
+        self.count = len(self.position)
+        self.phase = phase_of(self.frame, recipe.by, recipe.groups, where)
+        self.contacts = Contacts.of(self.frame, period) if "contact_i" in self.frame else None
+        self.velocity = np.ascontiguousarray(self.frame.get("velocity", np.zeros((self.count, 3))))
+        self.mass = self.frame.get("mass", np.ones(self.count))
+        self.phases = max(1, len(recipe.groups))
+        self.cutoffs = np.broadcast_to(recipe.cutoffs, self.phases)
+        self.active = recipe.grid.active
+        self.period = np.where(self.active, period, np.inf)
+
+    def passes(self, threads: int) -> list[_Pass]:
+        """All passes that the recipe takes; threads prepare one each."""
+        wanted = set(self.recipe.moments)
+        ways = [
+            (self._grains, {name for name, row in MOMENTS.items() if row.level or row.column}),
+            (self._along_branches, {"contact", "pair_contact"}),
+            (self._slopes, {"mass_slope", "momentum_slope"}),
+            (self._at_walls, {"traction"}),
+        ]
+        prepared = for_each([way for way, moments in ways if moments & wanted], lambda way: way(), threads)
+        return [one for passes in prepared for one in passes]
+
+    def _grains(self) -> list[_Pass]:
+        """Flow columns and columns of constants."""
+        wanted = {name: MOMENTS[name] for name in self.recipe.moments}
+        constants = {
+            name: row.column(self.frame, self.contacts).reshape(self.count, columns_of(name).max() + 1)
+            for name, row in wanted.items()
+            if row.column
+        }
+        # a column that is the same for all grains, as those of one size are, is a multiple of their number
+        same = {
+            name: float(q[0, 0])
+            for name, q in constants.items()
+            if self.count and q.shape[1] == 1 and (q == q[0]).all()
+        }
+        constants = {name: q for name, q in constants.items() if name not in same}
+        if same:
+            constants["number"] = np.ones((self.count, 1))
+        level, moments = self.recipe.level, dict[str, tuple[NDArray, float | NDArray]]()
+        for name, row in wanted.items():
+            if row.level:
+                power = CUTOFF_POWERS.get(name, 0)
+                moments[name] = (row.first + columns_of(name), self.cutoffs**power if power else 1.0)
+        first = level
+        for name, values in constants.items():
+            moments[name] = (first + columns_of(name), 1.0)
+            first += values.shape[1]
+        for name, value in same.items():
+            moments[name] = (moments["number"][0], value)
+        columns = list(constants.values())
+        return [self._points(moments, self.position, self.velocity, self.mass, columns, self.phase, level)]
+
+    def _slopes(self) -> list[_Pass]:
+        """Flow columns weighted by grad Psi."""
+        moments = {
+            name: (MOMENTS[flow].first + columns_of(flow), -1 / self.cutoffs)
+            for name, flow in (("mass_slope", "offset"), ("momentum_slope", "shear"))
+        }
+        flow = (self.position, self.velocity, self.mass)
+        return [self._points(moments, *flow, [], self.phase, kernel.LINEAR, by_gradient=True)]
+
+    def _along_branches(self) -> list[_Pass]:
+        assert self.contacts is not None
+        start, branch, push, owner, other = self.contacts.segments(self.position, self.phase)
+        passes = []
+        if "contact" in self.recipe.moments:
+            passes.append(self._segments("contact", start, branch, push, owner, owner, self.phases))
+        if "pair_contact" in self.recipe.moments:
+            others = self.phases + 1  # the last one for walls
+            pair = owner * others + np.where(other < 0, self.phases, other)
+            passes.append(self._segments("pair_contact", start, branch, push, owner, pair, self.phases * others))
+        return passes
+
+    def _at_walls(self) -> list[_Pass]:
+        assert self.contacts is not None
+        at, point, force = self.contacts.at_walls
+        none = np.zeros((len(at), 3))
+        moments = {"traction": (columns_of("traction"), 1.0)}
+        return [self._points(moments, point, none, none[:, 0], [force], self.phase[at], kernel.NONE)]
+
+    def _onto(self, cutoff: float) -> tuple[Any, ...]:
+        """Mesh and kernel, in cutoffs."""
+        kind, spread, table, norm = self.recipe.weights
+        norm *= (self.recipe.cutoffs[0] / cutoff) ** int(self.active.sum())
+        mesh = (_tuple(self.recipe.grid.steps / cutoff), _tuple(self.active), _tuple(self.period / cutoff))
+        return *mesh, kind, spread, table, norm * self.scale
+
+    def _by_cutoff(
+        self, position: NDArray, phase: NDArray, branch: NDArray | None = None
+    ) -> Iterator[tuple[float, NDArray, NDArray]]:
+        """Yield each cutoff, the rows that have it, and their positions in cutoffs.
+
+        Rows come in an order in space, so that neighbours add to the same nodes while these are in cache.
+        """
+        own = len(set(self.cutoffs)) > 1
+        origin = self.recipe.grid.origin
+        for cutoff in np.unique(self.cutoffs).tolist():
+            rows = np.flatnonzero(self.cutoffs[phase] == cutoff) if own else np.arange(len(position))
+            lower, upper = bounds_of(position, rows, origin, cutoff)
+            reach = np.full(3, 2.0)
+            if branch is not None:
+                reach += np.maximum(*np.abs(bounds_of(branch, rows, np.zeros(3), cutoff)))
+            self._check(np.maximum(np.abs(lower), np.abs(upper)) + reach, reach, cutoff)
+            order = spatial_order(position, rows, origin, cutoff, lower, upper, self.active)
+            yield cutoff, order, to_cutoffs(position, order, origin, cutoff)
+
+    def _check(self, farthest: NDArray, reach: NDArray, unit: float) -> None:
+        """Refuse places that the kernels cannot number; damaged files hold them."""
+        for k in np.flatnonzero(self.active):
+            name = COMPONENTS[k]
+            if not farthest[k] < _FAR:
+                msg = (
+                    f"{self.where}: a particle or contact reaches {farthest[k] * unit:.3g} m from the mesh along "
+                    f"'{name}', where coordinates have no digits left; the file is damaged, or its units are others"
+                )
+                raise SceneError(msg)
+            if not reach[k] * unit < _MOST_IMAGES * self.period[k]:
+                msg = (
+                    f"{self.where}: the period {self.period[k]:.3g} m along '{name}' is less than a "
+                    f"{_MOST_IMAGES}th of the reach of a particle or contact ({reach[k] * unit:.3g} m); the box or a "
+                    "contact in the file is damaged, or the kernel is too wide"
+                )
+                raise SceneError(msg)
+
+    def _points(
+        self, moments: Mapping[str, tuple[NDArray, float | NDArray]], position: NDArray, velocity: NDArray,
+        mass: NDArray, constants: Sequence[NDArray], phase: NDArray, level: int, *, by_gradient: bool = False,
+    ) -> _Pass:  # fmt: skip
+        """Prepare grains, or other points, with their flow columns up to `level` and columns of constants."""
+        edges = np.cumsum([0, *(values.shape[1] for values in constants)])
+        width = int(edges[-1] + -edges[-1] % 4)  # as the loop adds four columns at a time
+        still = bool((velocity == velocity[:1]).all())  # nothing moves: columns with u are zero without adding them
+        fill = []
+        for cutoff, rows, local in self._by_cutoff(position, phase):
+            columns = np.zeros((len(rows), width))
+            for first, values in zip(edges, constants, strict=False):
+                columns[:, first : first + values.shape[1]] = values[rows]
+            grains = (local, velocity[rows], mass[rows], columns, phase[rows], level, still)
+            onto = (*self._onto(cutoff), by_gradient)
+            runs = runs_of(local, np.zeros_like(local))
+            fill.append(partial(_fill_points, (*grains, runs), onto))
+        return _Pass(self.phases, level + width, fill, moments)
+
+    def _segments(
+        self, name: str, start: NDArray, branch: NDArray, force: NDArray, phase: NDArray, into: NDArray, groups: int
+    ) -> _Pass:
+        """Prepare segments that have the cutoff of `phase`, for the sums `into`, of which there are `groups`."""
+        fill = []
+        for cutoff, rows, local in self._by_cutoff(start, phase, branch):
+            a, f = to_cutoffs(branch, rows, np.zeros(3), cutoff), to_cutoffs(force, rows, np.zeros(3), 1 / cutoff)
+            sides = (local, a, f, into[rows], self.recipe.limits, self.recipe.coarse or None, runs_of(local, a))
+            fill.append(partial(_fill_segments, sides, self._onto(cutoff)))
+        return _Pass(groups, 9, fill, {name: (columns_of("contact"), 1.0)})
+
+
+def _fill_points(grains: tuple[Any, ...], onto: tuple[Any, ...], box: Box, sums: NDArray, reference: NDArray) -> None:
+    kernel.deposit(*grains, *box, *onto, sums, reference)
+
+
+def _fill_segments(sides: tuple[Any, ...], onto: tuple[Any, ...], box: Box, sums: NDArray, _: NDArray) -> None:
+    deposit_segments(*sides, *box, *onto, sums)
+
+
+@dataclass(frozen=True)
+class Sums:
+    """The sums of one frame, prepared: computed for one box of nodes after the other, in any order or at once.
+
+    A node's sums have one order whatever the box, so that their bits are the same.
+    """
+
+    recipe: Recipe
+    passes: Sequence[_Pass]
+
+    def over(self, box: Box, size: int) -> Iterator[tuple[Box, dict[str, NDArray]]]:
+        """Fill a box; yield its moments, layer by layer of about `size` nodes: arrays (phase, node, ...).
+
+        Phase 0 is the bulk, the sum over groups. Nodes run fastest in memory, so that algebra on small tensors is a
+        loop over nodes.
+        """
+        (x, *low), (end, *high) = box
+        layer = math.prod(np.subtract(high, low).tolist())
+        reference = np.full(((end - x) * layer, 3), np.nan)
+        filled = [run(box, reference) for run in self.passes]
+        np.nan_to_num(reference, copy=False, nan=0.0)
+        for part in slices(end - x, size // layer):
+            nodes = slice(part.start * layer, part.stop * layer)
+            found = {"reference": np.ascontiguousarray(reference[nodes].T).T}
+            for run, sums in zip(self.passes, filled, strict=True):
+                found |= self._moments(run, sums[:, nodes])
+            yield ((x + part.start, *low), (x + part.stop, *high)), found
+
+    def _moments(self, run: _Pass, records: NDArray) -> dict[str, NDArray]:
+        nodes, phases = records.shape[1], max(1, len(self.recipe.groups))
+        turned = np.empty((run.columns, run.groups, nodes))
+        turn(records, turned)
+        found = {}
+        for name, (columns, factor) in run.moments.items():
+            part = turned[columns]
+            if run.groups > phases:  # by phase of the partner
+                part = np.moveaxis(part.reshape(*part.shape[:-2], phases, -1, nodes), -2, 0)
+            if not (isinstance(factor, float) and factor == 1.0):
+                part = part * np.reshape(factor, (-1, 1))
+            if self.recipe.by is not None:
+                bulk = sum(part[..., [k], :] for k in range(phases))  # in this order whatever the number of nodes
+                part = np.concatenate([bulk, part], axis=-2)
+            found[name] = part.transpose(part.ndim - 2, part.ndim - 1, *range(part.ndim - 2))
+        return found
+
+
+def sums_of_frame(frame: Frame, recipe: Recipe, period: NDArray, scale: float, where: str, threads: int = 1) -> Sums:
+    """Prepare the sums of one frame.
+
+    Parameters
+    ----------
+    frame : Frame
+        One step of a scene.
+    recipe : Recipe
+        What is wanted.
+    period : array (3,)
+        Length of the periodic axes (m), infinity along the others.
+    scale : float
+        1 / extent of the averaged axes (and thickness of a layer).
+    where : str
+        Names the step in messages.
+    threads : int
+        Threads that prepare passes.
+    """
+    return Sums(recipe, _Deposit(frame, recipe, period, scale, where).passes(threads))
