@@ -122,7 +122,7 @@ def ratio(a: NDArray, b: NDArray) -> NDArray:
     """Return a / b with NaN where b is not positive; b lacks the last axes of a."""
     b = b.reshape(b.shape + (1,) * (a.ndim - b.ndim))
     shape = np.broadcast_shapes(a.shape, b.shape)
-    out = np.full_like(a, np.nan, shape=shape) if shape == a.shape else np.full(shape, np.nan)
+    out = np.full_like(a, np.nan, dtype=float, shape=shape)  # in the order of a in memory
     return np.divide(a, b, out=out, where=np.broadcast_to(b, shape) > 0)
 
 
