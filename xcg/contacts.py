@@ -15,7 +15,16 @@ from xcg.cells import CellLists
 from xcg.complete import periods, rows_of
 from xcg.kernels import THREADS
 from xcg.kernels.neighbours import sort_pairs
-from xcg.kernels.rows import add_dyads, add_rows, add_squares, list_segments, nearest_image, peel
+from xcg.kernels.rows import (
+    add_dyads,
+    add_rows,
+    add_squares,
+    list_segments,
+    nearest_image,
+    order_by,
+    peel,
+    unit_branches,
+)
 from xcg.scene import box_array
 from xcg.schema import Frame, SceneError
 
@@ -95,16 +104,16 @@ class Contacts:
         """Unit vector from j to i, along the branch where none is given; zero where it is undefined; (n, 3)."""
         if self.given_normal is not None:
             return self.given_normal
-        normal = np.where((self.i >= 0)[:, None], self.branch_i, -self.branch_j)
-        length = np.linalg.norm(normal, axis=1, keepdims=True)
-        return np.divide(normal, length, out=np.zeros_like(normal), where=length > 0)
+        normal = np.empty_like(self.branch_i)
+        unit_branches(self.i, self.branch_i, self.branch_j, normal)
+        return normal
 
-    def sum_over_particles(self, on_i: NDArray, on_j: NDArray) -> NDArray:
-        """Sum what each contact gives to its two particles; arrays (n, ...) to (particles, ...)."""
+    def sum_over_particles(self, on_i: NDArray, on_j: NDArray, sign_j: float = 1.0) -> NDArray:
+        """Sum what contacts give to their particles, `on_i` and `sign_j` x `on_j`; (n, ...) to (particles, ...)."""
         width = math.prod(on_i.shape[1:])
         total = np.zeros((self.count, width))
-        for row, values in ((self.i, on_i), (self.j, on_j)):
-            add_rows(row, values.reshape(len(row), width), total)
+        for row, sign, values in ((self.i, 1.0, on_i), (self.j, sign_j, on_j)):
+            add_rows(row, sign, values.reshape(len(row), width), total)
         return total.reshape(self.count, *on_i.shape[1:])
 
     @cached_property
@@ -155,7 +164,7 @@ class Contacts:
     @property
     def forces(self) -> NDArray:
         """Total contact force on each particle (N); shape (particles, 3)."""
-        return self.sum_over_particles(self.force, -self.force)
+        return self.sum_over_particles(self.force, self.force, -1.0)
 
     @property
     def at_walls(self) -> tuple[NDArray, NDArray, NDArray]:
@@ -167,25 +176,45 @@ class Contacts:
             np.concatenate([self.force[wall_j], -self.force[wall_i]]),
         )
 
-    def segments(self, position: NDArray, phase: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray, NDArray]:
+    def along(self, rank: NDArray) -> NDArray:
+        """Order of the contacts by the rank of their particles (count,)."""
+        order = np.empty_like(self.i)
+        order_by(rank, self.i, self.j, order)
+        return order
+
+    def segments(
+        self, order: NDArray, position: NDArray, phase: NDArray, origin: NDArray, cutoffs: NDArray, cutoff: float
+    ) -> tuple[NDArray, NDArray, NDArray, NDArray, NDArray]:
         """Segments whose force x branch, smeared along them, is the contact stress.
 
         Each side of a contact runs from its particle's centre to the contact point. Both sides are one segment
         where they lie on one line and in one phase, as for spheres: ``f (a_i - a_j)`` along the whole branch.
 
+        Parameters
+        ----------
+        order : array (n,)
+            The order of the contacts that the segments follow.
+        position, phase : array (particles, 3), (particles,)
+        origin : array (3,)
+            Of the starts.
+        cutoffs : array (phases,)
+            The cutoff (m) of each phase's sides.
+        cutoff : float
+            The one whose segments are wanted, and their unit of length.
+
         Returns
         -------
         start, branch, force : array (k, 3)
-            Centre (m), vector from the segment's end to its start (m), force on that particle (N).
+            Centre, vector from the segment's end to its start, force on that particle x cutoff (J).
         phase, other : array (k,)
             Phase of that particle and of its partner; -1 for a wall or a partner that is not there.
         """
-        most = 2 * len(self.i)
+        most = 2 * len(self.i)  # memory that is not written to is not taken
         start, branch, force = np.empty((most, 3)), np.empty((most, 3)), np.empty((most, 3))
         own, other = np.empty(most, "int64"), np.empty(most, "int64")
         n = list_segments(
-            self.i, self.j, self.branch_i, self.branch_j, self.force, position, phase, COLLINEAR,
-            start, branch, force, own, other,
+            order, self.i, self.j, self.branch_i, self.branch_j, self.force, position, phase, COLLINEAR,
+            cutoffs, cutoff, origin, start, branch, force, own, other,
         )  # fmt: skip
         return start[:n], branch[:n], force[:n], own[:n], other[:n]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,7 +51,7 @@ class Moment:
 
 
 def _power(exponent: int) -> Callable[[Frame, Contacts | None], NDArray]:
-    return lambda frame, _: frame["diameter"] ** exponent
+    return lambda frame, _: reduce(np.multiply, [frame["diameter"]] * exponent)  # many times faster than `**`
 
 
 def _partners(frame: Frame, contacts: Contacts | None) -> NDArray:

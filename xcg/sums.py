@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from xcg.contacts import Contacts
 from xcg.kernels import deposit as kernel
-from xcg.kernels.nodes import bounds_of, runs_of, spatial_order, to_cutoffs
-from xcg.kernels.rows import turn
+from xcg.kernels.nodes import bounds_of, runs_of, spatial_order
+from xcg.kernels.rows import pick_rows, turn
 from xcg.kernels.segments import deposit_segments
 from xcg.moments import CUTOFF_POWERS, MOMENTS, Recipe, columns_of
 from xcg.schema import COMPONENTS, Frame, SceneError
@@ -62,6 +62,20 @@ def _tuple(values: Sequence[Any] | NDArray) -> tuple[Any, Any, Any]:
     return x, y, z
 
 
+def _columns(
+    parts: Sequence[NDArray], rows: NDArray, width: int, origin: NDArray | None = None, unit: float = 1.0
+) -> NDArray:
+    """Return (parts[rows] - origin) / unit side by side, (rows, width), zero where they have fewer columns.
+
+    NumPy asks for large pages of memory, compiled code does not: it fills arrays that are made here.
+    """
+    out, first = np.zeros((len(rows), width)), 0
+    for values in parts:
+        pick_rows(values, rows, np.zeros(values.shape[1]) if origin is None else origin, unit, out, first)
+        first += values.shape[1]
+    return out
+
+
 @dataclass(frozen=True)
 class _Pass:
     """One pass over grains or segments, prepared: its array is (groups, nodes, columns), filled by one loop a cutoff.
@@ -95,9 +109,10 @@ class _Deposit:
         self.velocity = np.ascontiguousarray(self.frame.get("velocity", np.zeros((self.count, 3))))
         self.mass = self.frame.get("mass", np.ones(self.count))
         self.phases = max(1, len(recipe.groups))
-        self.cutoffs = np.broadcast_to(recipe.cutoffs, self.phases)
+        self.cutoffs = np.resize(recipe.cutoffs, self.phases)
         self.active = recipe.grid.active
         self.period = np.where(self.active, period, np.inf)
+        self.order = self._in_space(self.position)
 
     def passes(self, threads: int) -> list[_Pass]:
         """All passes that the recipe takes; threads prepare one each."""
@@ -140,7 +155,8 @@ class _Deposit:
         for name, value in same.items():
             moments[name] = (moments["number"][0], value)
         columns = list(constants.values())
-        return [self._points(moments, self.position, self.velocity, self.mass, columns, self.phase, level)]
+        flow = (self.position, self.velocity, self.mass)
+        return [self._points(moments, *flow, columns, self.phase, level, self.order)]
 
     def _slopes(self) -> list[_Pass]:
         """Flow columns weighted by grad Psi."""
@@ -149,26 +165,38 @@ class _Deposit:
             for name, flow in (("mass_slope", "offset"), ("momentum_slope", "shear"))
         }
         flow = (self.position, self.velocity, self.mass)
-        return [self._points(moments, *flow, [], self.phase, kernel.LINEAR, by_gradient=True)]
+        return [self._points(moments, *flow, [], self.phase, kernel.LINEAR, self.order, by_gradient=True)]
 
     def _along_branches(self) -> list[_Pass]:
         assert self.contacts is not None
-        start, branch, push, owner, other = self.contacts.segments(self.position, self.phase)
-        passes = []
-        if "contact" in self.recipe.moments:
-            passes.append(self._segments("contact", start, branch, push, owner, owner, self.phases))
-        if "pair_contact" in self.recipe.moments:
-            others = self.phases + 1  # the last one for walls
-            pair = owner * others + np.where(other < 0, self.phases, other)
-            passes.append(self._segments("pair_contact", start, branch, push, owner, pair, self.phases * others))
-        return passes
+        others = self.phases + 1  # the last one for walls
+        fills: dict[str, list[_Fill]] = {
+            name: [] for name in ("contact", "pair_contact") if name in self.recipe.moments
+        }
+        rank = np.empty_like(self.order)
+        rank[self.order] = np.arange(self.count)
+        order = self.contacts.along(rank)
+        for cutoff in np.unique(self.cutoffs).tolist():
+            start, branch, force, owner, other = self.contacts.segments(
+                order, self.position, self.phase, self.recipe.grid.origin, self.cutoffs, cutoff
+            )
+            reach = 2.0 + np.abs(bounds_of(branch)).max(axis=0)
+            self._check(np.abs(bounds_of(start)).max(axis=0) + reach, reach, cutoff)
+            runs = runs_of(start, branch)
+            for name, fill in fills.items():
+                into = owner if name == "contact" else owner * others + np.where(other < 0, self.phases, other)
+                sides = (start, branch, force, into, self.recipe.limits, self.recipe.coarse or None, runs)
+                fill.append(partial(_fill_segments, sides, self._onto(cutoff)))
+        groups = {"contact": self.phases, "pair_contact": self.phases * others}
+        return [_Pass(groups[name], 9, fill, {name: (columns_of("contact"), 1.0)}) for name, fill in fills.items()]
 
     def _at_walls(self) -> list[_Pass]:
         assert self.contacts is not None
         at, point, force = self.contacts.at_walls
         none = np.zeros((len(at), 3))
         moments = {"traction": (columns_of("traction"), 1.0)}
-        return [self._points(moments, point, none, none[:, 0], [force], self.phase[at], kernel.NONE)]
+        order = self._in_space(point)
+        return [self._points(moments, point, none, none[:, 0], [force], self.phase[at], kernel.NONE, order)]
 
     def _onto(self, cutoff: float) -> tuple[Any, ...]:
         """Mesh and kernel, in cutoffs."""
@@ -177,24 +205,15 @@ class _Deposit:
         mesh = (_tuple(self.recipe.grid.steps / cutoff), _tuple(self.active), _tuple(self.period / cutoff))
         return *mesh, kind, spread, table, norm * self.scale
 
-    def _by_cutoff(
-        self, position: NDArray, phase: NDArray, branch: NDArray | None = None
-    ) -> Iterator[tuple[float, NDArray, NDArray]]:
-        """Yield each cutoff, the rows that have it, and their positions in cutoffs.
-
-        Rows come in an order in space, so that neighbours add to the same nodes while these are in cache.
-        """
-        own = len(set(self.cutoffs)) > 1
-        origin = self.recipe.grid.origin
-        for cutoff in np.unique(self.cutoffs).tolist():
-            rows = np.flatnonzero(self.cutoffs[phase] == cutoff) if own else np.arange(len(position))
-            lower, upper = bounds_of(position, rows, origin, cutoff)
-            reach = np.full(3, 2.0)
-            if branch is not None:
-                reach += np.maximum(*np.abs(bounds_of(branch, rows, np.zeros(3), cutoff)))
-            self._check(np.maximum(np.abs(lower), np.abs(upper)) + reach, reach, cutoff)
-            order = spatial_order(position, rows, origin, cutoff, lower, upper, self.active)
-            yield cutoff, order, to_cutoffs(position, order, origin, cutoff)
+    def _in_space(self, position: NDArray) -> NDArray:
+        """Order in space, so that neighbours add to the same nodes while these are in cache."""
+        cutoff = self.cutoffs.min()
+        lower, upper = bounds_of(position)
+        farthest = np.maximum(np.abs(lower - self.recipe.grid.origin), np.abs(upper - self.recipe.grid.origin))
+        self._check(farthest / cutoff + 2.0, np.full(3, 2.0), cutoff)
+        order, cell = np.empty(len(position), "int64"), np.empty(len(position), "int64")
+        spatial_order(position, cutoff, lower, upper, self.active, cell, order)
+        return order
 
     def _check(self, farthest: NDArray, reach: NDArray, unit: float) -> None:
         """Refuse places that the kernels cannot number; damaged files hold them."""
@@ -216,33 +235,23 @@ class _Deposit:
 
     def _points(
         self, moments: Mapping[str, tuple[NDArray, float | NDArray]], position: NDArray, velocity: NDArray,
-        mass: NDArray, constants: Sequence[NDArray], phase: NDArray, level: int, *, by_gradient: bool = False,
+        mass: NDArray, constants: Sequence[NDArray], phase: NDArray, level: int, order: NDArray,
+        *, by_gradient: bool = False,
     ) -> _Pass:  # fmt: skip
         """Prepare grains, or other points, with their flow columns up to `level` and columns of constants."""
-        edges = np.cumsum([0, *(values.shape[1] for values in constants)])
-        width = int(edges[-1] + -edges[-1] % 4)  # as the loop adds four columns at a time
+        width = sum(values.shape[1] for values in constants)
+        width += -width % 4  # as the loop adds four columns at a time
         still = bool((velocity == velocity[:1]).all())  # nothing moves: columns with u are zero without adding them
         fill = []
-        for cutoff, rows, local in self._by_cutoff(position, phase):
-            columns = np.zeros((len(rows), width))
-            for first, values in zip(edges, constants, strict=False):
-                columns[:, first : first + values.shape[1]] = values[rows]
-            grains = (local, velocity[rows], mass[rows], columns, phase[rows], level, still)
+        for cutoff in np.unique(self.cutoffs).tolist():
+            rows = order if (self.cutoffs == cutoff).all() else order[self.cutoffs[phase[order]] == cutoff]
+            local = _columns([position], rows, 3, self.recipe.grid.origin, cutoff)
+            flow = (_columns([velocity], rows, 3), mass[rows])
+            grains = (local, *flow, _columns(constants, rows, width), phase[rows], level, still)
             onto = (*self._onto(cutoff), by_gradient)
             runs = runs_of(local, np.zeros_like(local))
             fill.append(partial(_fill_points, (*grains, runs), onto))
         return _Pass(self.phases, level + width, fill, moments)
-
-    def _segments(
-        self, name: str, start: NDArray, branch: NDArray, force: NDArray, phase: NDArray, into: NDArray, groups: int
-    ) -> _Pass:
-        """Prepare segments that have the cutoff of `phase`, for the sums `into`, of which there are `groups`."""
-        fill = []
-        for cutoff, rows, local in self._by_cutoff(start, phase, branch):
-            a, f = to_cutoffs(branch, rows, np.zeros(3), cutoff), to_cutoffs(force, rows, np.zeros(3), 1 / cutoff)
-            sides = (local, a, f, into[rows], self.recipe.limits, self.recipe.coarse or None, runs_of(local, a))
-            fill.append(partial(_fill_segments, sides, self._onto(cutoff)))
-        return _Pass(groups, 9, fill, {name: (columns_of("contact"), 1.0)})
 
 
 def _fill_points(grains: tuple[Any, ...], onto: tuple[Any, ...], box: Box, sums: NDArray, reference: NDArray) -> None:

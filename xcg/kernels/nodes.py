@@ -227,12 +227,12 @@ def run_reaches(bounds, begin, end, active, period):
 
 
 @jit
-def bounds_of(position, rows, origin, cutoff):
-    """Lowest and highest (position[rows] - origin) / cutoff along each axis, (2, 3); NaN if any is."""
+def bounds_of(position):
+    """Lowest and highest position (n, 3) along each axis, (2, 3); NaN if any is."""
     bounds = np.zeros((2, 3))
-    for n in range(rows.size):
+    for n in range(position.shape[0]):
         for k in range(3):
-            x = (position[rows[n], k] - origin[k]) / cutoff
+            x = position[n, k]
             if n == 0 or math.isnan(x) or x < bounds[0, k]:
                 bounds[0, k] = x
             if n == 0 or math.isnan(x) or x > bounds[1, k]:
@@ -241,24 +241,14 @@ def bounds_of(position, rows, origin, cutoff):
 
 
 @jit
-def to_cutoffs(position, rows, origin, cutoff):
-    """Return (position[rows] - origin) / cutoff, (n, 3)."""
-    out = np.empty((rows.size, 3))
-    for n in range(rows.size):
-        for k in range(3):
-            out[n, k] = (position[rows[n], k] - origin[k]) / cutoff
-    return out
+def spatial_order(position, size, lower, upper, active, cell, order):
+    """Order points (n, 3) by cells of a size (larger where points are few), in pencils along x.
 
-
-@jit
-def spatial_order(position, rows, origin, cutoff, lower, upper, active):
-    """Order of the points position[rows] by cells of one cutoff (more where they are few), in pencils along x.
-
-    `lower` and `upper` are their `bounds_of`. Points of one pencil add to few nodes at a time, which stay in cache.
-    The order is stable, so that sums have one order only.
+    `lower` and `upper` are their bounds, `order` (n,) is written, `cell` (n,) is scratch. Points of one pencil add to
+    few nodes at a time, which stay in cache. The order is stable, so that sums have one order only.
     """
-    count = rows.size
-    extent, size, cells = np.zeros(3), np.ones(3), np.ones(3, np.int64)
+    count = position.shape[0]
+    extent, sizes, cells = np.zeros(3), np.full(3, size), np.ones(3, np.int64)
     for k in range(3):
         if active[k]:
             extent[k] = upper[k] - lower[k]
@@ -266,28 +256,24 @@ def spatial_order(position, rows, origin, cutoff, lower, upper, active):
     while True:
         total, longest = 1.0, 0
         for k in range(3):
-            total *= extent[k] / size[k] + PENCIL
-            longest = k if extent[k] / size[k] > extent[longest] / size[longest] else longest
+            total *= extent[k] / sizes[k] + PENCIL
+            longest = k if extent[k] / sizes[k] > extent[longest] / sizes[longest] else longest
         if total <= most:
             break
-        size[longest] *= 2.0  # a few grains are far astray
+        sizes[longest] *= 2.0  # a few grains are far astray
     for k in range(3):
-        cells[k] = int(extent[k] / size[k]) + 1
+        cells[k] = int(extent[k] / sizes[k]) + 1
     pencils_y, pencils_z = (cells[1] - 1) // PENCIL + 1, (cells[2] - 1) // PENCIL + 1
-    cell = np.empty(count, np.int64)
     start = np.zeros(pencils_y * pencils_z * cells[0] * PENCIL * PENCIL + 1, np.int64)
     for i in range(count):
-        row = rows[i]
-        x = int(((position[row, 0] - origin[0]) / cutoff - lower[0]) / size[0]) if active[0] else 0
-        y = int(((position[row, 1] - origin[1]) / cutoff - lower[1]) / size[1]) if active[1] else 0
-        z = int(((position[row, 2] - origin[2]) / cutoff - lower[2]) / size[2]) if active[2] else 0
+        x = int((position[i, 0] - lower[0]) / sizes[0]) if active[0] else 0
+        y = int((position[i, 1] - lower[1]) / sizes[1]) if active[1] else 0
+        z = int((position[i, 2] - lower[2]) / sizes[2]) if active[2] else 0
         pencil = y // PENCIL * pencils_z + z // PENCIL
         cell[i] = ((pencil * cells[0] + x) * PENCIL + y % PENCIL) * PENCIL + z % PENCIL
         start[cell[i] + 1] += 1
     for c in range(start.size - 1):
         start[c + 1] += start[c]
-    order = np.empty(count, np.int64)
     for i in range(count):
-        order[start[cell[i]]] = rows[i]
+        order[start[cell[i]]] = i
         start[cell[i]] += 1
-    return order

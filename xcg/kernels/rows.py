@@ -6,12 +6,59 @@ from xcg.kernels._jit import jit
 
 
 @jit
-def add_rows(row, values, out):
-    """Add values (n, k) to the rows of out (m, k) that `row` (n,) names; negative rows are left out."""
+def add_rows(row, sign, values, out):
+    """Add sign x values (n, k) to the rows of out (m, k) that `row` (n,) names; negative rows are left out."""
     for n in range(row.size):
         if row[n] >= 0:
             for c in range(values.shape[1]):
-                out[row[n], c] += values[n, c]
+                out[row[n], c] += sign * values[n, c]
+
+
+@jit
+def pick_rows(values, row, origin, unit, out, first):
+    """Write (values[row] - origin) / unit, of values (m, k), to the columns of out (n, first + k) from `first` on."""
+    for n in range(row.size):
+        for c in range(values.shape[1]):
+            out[n, first + c] = (values[row[n], c] - origin[c]) / unit
+
+
+@jit
+def order_by(rank, row_i, row_j, order):
+    """Order pairs by the rank of their first row, or of the second where that is negative, in one way only.
+
+    Parameters
+    ----------
+    rank : (m,)
+        Place of each row.
+    row_i, row_j : (n,)
+        Rows; pairs with two negative ones come last.
+    order : (n,)
+        Written.
+    """
+    start = np.zeros(rank.size + 2, np.int64)
+    for n in range(row_i.size):
+        row = row_i[n] if row_i[n] >= 0 else row_j[n]
+        start[(rank[row] if row >= 0 else rank.size) + 1] += 1
+    for k in range(start.size - 1):
+        start[k + 1] += start[k]
+    for n in range(row_i.size):
+        row = row_i[n] if row_i[n] >= 0 else row_j[n]
+        k = rank[row] if row >= 0 else rank.size
+        order[start[k]] = n
+        start[k] += 1
+
+
+@jit
+def unit_branches(row_i, branch_i, branch_j, out):
+    """Write the unit vectors (n, 3) from j to i along the branch of i, or that of j where i is no row."""
+    for n in range(row_i.size):
+        sign = 1.0
+        x, y, z = branch_i[n, 0], branch_i[n, 1], branch_i[n, 2]
+        if row_i[n] < 0:
+            sign, x, y, z = -1.0, branch_j[n, 0], branch_j[n, 1], branch_j[n, 2]
+        length = np.sqrt(x * x + y * y + z * z)
+        per_length = sign / length if length > 0.0 else 0.0
+        out[n, 0], out[n, 1], out[n, 2] = x * per_length, y * per_length, z * per_length
 
 
 @jit
@@ -92,16 +139,18 @@ def nearest_image(position, row, point, period, out):
 
 @jit
 def list_segments(
-    row_i, row_j, branch_i, branch_j, force, position, phase, tolerance,
+    order, row_i, row_j, branch_i, branch_j, force, position, phase, tolerance, cutoffs, cutoff, origin,
     start, branch, force_out, phase_out, other,
 ):  # fmt: skip
-    """List the segments that contact stress is smeared along.
+    """List the segments of one cutoff that contact stress is smeared along, with lengths in cutoffs.
 
     Each side of a contact runs from its particle's centre to the contact point. Both are one segment where they lie
     on one line, on opposite sides of the point, and in one phase.
 
     Parameters
     ----------
+    order : (n,)
+        Of the contacts.
     row_i, row_j : (n,)
         Particles of each contact; negative where a partner is no row.
     branch_i, branch_j : (n, 3)
@@ -112,8 +161,14 @@ def list_segments(
     phase : (m,)
     tolerance : float
         Sine of the angle up to which two branches lie on one line.
+    cutoffs : (phases,)
+        Of the sides of each phase.
+    cutoff : float
+        The one whose segments are listed.
+    origin : (3,)
+        Of the positions that are written.
     start, branch, force_out : (2 n, 3)
-        Written: centre, vector from the segment's end to its start, force on that particle.
+        Written: centre, vector from the segment's end to its start, and force on that particle times the cutoff.
     phase_out, other : (2 n,)
         Written: phase of that particle and of its partner, -1 where that is no row.
 
@@ -123,34 +178,29 @@ def list_segments(
         Number of segments.
     """
     count = 0
-    for n in range(row_i.size):
+    for n in order:
         i, j = row_i[n], row_j[n]
         ax, ay, az = branch_i[n, 0], branch_i[n, 1], branch_i[n, 2]
         bx, by, bz = branch_j[n, 0], branch_j[n, 1], branch_j[n, 2]
-        if i >= 0 and j >= 0 and phase[i] == phase[j] and ax * bx + ay * by + az * bz <= 0.0:
+        own, partner = phase[i] if i >= 0 else -1, phase[j] if j >= 0 else -1
+        if i >= 0 and j >= 0 and own == partner and ax * bx + ay * by + az * bz <= 0.0:
             cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
             area2 = cx * cx + cy * cy + cz * cz
             if area2 <= tolerance**2 * (ax * ax + ay * ay + az * az) * (bx * bx + by * by + bz * bz):
-                for k in range(3):
-                    start[count, k] = position[i, k]
-                    branch[count, k] = branch_i[n, k] - branch_j[n, k]
-                    force_out[count, k] = force[n, k]
-                phase_out[count] = other[count] = phase[i]
-                count += 1
-                continue
-        if i >= 0:
+                ax, ay, az, j = ax - bx, ay - by, az - bz, -1
+        if i >= 0 and cutoffs[own] == cutoff:
+            branch[count, 0], branch[count, 1], branch[count, 2] = ax / cutoff, ay / cutoff, az / cutoff
             for k in range(3):
-                start[count, k] = position[i, k]
-                branch[count, k] = branch_i[n, k]
-                force_out[count, k] = force[n, k]
-            phase_out[count], other[count] = phase[i], phase[j] if j >= 0 else -1
+                start[count, k] = (position[i, k] - origin[k]) / cutoff
+                force_out[count, k] = force[n, k] * cutoff
+            phase_out[count], other[count] = own, partner
             count += 1
-        if j >= 0:
+        if j >= 0 and cutoffs[partner] == cutoff:
+            branch[count, 0], branch[count, 1], branch[count, 2] = bx / cutoff, by / cutoff, bz / cutoff
             for k in range(3):
-                start[count, k] = position[j, k]
-                branch[count, k] = branch_j[n, k]
-                force_out[count, k] = -force[n, k]
-            phase_out[count], other[count] = phase[j], phase[i] if i >= 0 else -1
+                start[count, k] = (position[j, k] - origin[k]) / cutoff
+                force_out[count, k] = -force[n, k] * cutoff
+            phase_out[count], other[count] = partner, own
             count += 1
     return count
 
