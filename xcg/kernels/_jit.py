@@ -44,13 +44,13 @@ if CACHE:
     _forget_stale_code()
 
 
-def jit(function: Callable) -> Callable:
+def jit(function: Callable, **options: Any) -> Callable:
     """Compile a kernel, with neighbouring scalar operations merged into vector instructions.
 
     Numba leaves that pass of LLVM out unless it is asked for, once for all code of a process; here it is asked for
     while a kernel of ours is compiled.
     """
-    dispatcher = numba.njit(nogil=True, cache=CACHE, error_model="numpy")(function)
+    dispatcher = numba.njit(nogil=True, cache=CACHE, error_model="numpy", **options)(function)
     plain = dispatcher.compile
 
     def compile_vectorised(signature: Any) -> Any:
@@ -62,3 +62,11 @@ def jit(function: Callable) -> Callable:
 
     dispatcher.compile = compile_vectorised
     return dispatcher
+
+
+def leaf(function: Callable) -> Callable:
+    """Compile a kernel that makes no arrays: those that it is given, and views of them, are not counted.
+
+    Counting references to memory stops the processor until all that is under way is written.
+    """
+    return jit(function, _nrt=False)

@@ -13,8 +13,22 @@ import math
 
 import numpy as np
 
-from xcg.kernels._jit import jit
-from xcg.kernels.nodes import PAD, RUN, images, list_ball, padded, run_reaches
+from xcg.kernels._jit import jit, leaf
+from xcg.kernels.nodes import (
+    LISTS,
+    NODE,
+    Q2,
+    RUN,
+    WEIGHT,
+    X,
+    Y,
+    Z,
+    images,
+    list_ball,
+    numbers_for,
+    room_for,
+    run_reaches,
+)
 from xcg.kernels.weights import fill_values
 
 MASS = 0
@@ -70,17 +84,15 @@ def deposit(
     """
     begin = (low[0] * steps[0], low[1] * steps[1], low[2] * steps[2])
     end = ((high[0] - 1) * steps[0], (high[1] - 1) * steps[1], (high[2] - 1) * steps[2])
+    per_steps = (1.0 / steps[0], 1.0 / steps[1], 1.0 / steps[2])
     reach = (1.0 if active[0] else 0.0, 1.0 if active[1] else 0.0, 1.0 if active[2] else 0.0)
-    most = 1
-    for k in range(3):
-        most *= min(high[k] - low[k], int(2.0 * reach[k] / steps[k]) + 2)
-    room = padded(most) + PAD
-    lists, node = np.zeros((9, room)), np.zeros(room, np.uint64)
-    q2, w, x_off, y_off, z_off, rows = lists[0], lists[1], lists[2], lists[3], lists[4], lists[5:]
+    room = room_for(low, high, (2.0 * reach[0], 2.0 * reach[1], 2.0 * reach[2]), steps)
+    lists, numbers = np.zeros((LISTS, room)), numbers_for(room, high[2] - low[2])
+    q2, weight = lists[Q2], lists[WEIGHT]  # here, as the memory of a view is counted
     here = True
     for i in range(position.shape[0]):
         if i % RUN == 0:
-            here = run_reaches(runs[i // RUN], begin, end, active, period)
+            here = run_reaches(runs, i // RUN, begin, end, active, period)
         if not here:
             continue
         p = np.uint64(phase[i])
@@ -98,36 +110,22 @@ def deposit(
                 y = y0 + image_y * period[1] if image_y else y0
                 for image_z in range(first_z, last_z + 1):
                     z = z0 + image_z * period[2] if image_z else z0
-                    hits = list_ball(x, y, z, steps, low, high, rows, node, q2, x_off, y_off, z_off)
-                    fill_values(kind, spread, table, norm, by_gradient, q2, hits, w)
+                    hits = list_ball(x, y, z, steps, per_steps, low, high, lists, numbers)
+                    fill_values(kind, spread, table, norm, by_gradient, q2, hits, weight)
                     if level > 0:
                         _add_flow(
-                            p,
-                            mass[i],
-                            velocity[i],
-                            node,
-                            hits,
-                            w,
-                            x_off,
-                            y_off,
-                            z_off,
-                            level,
-                            still,
-                            moments,
-                            reference,
-                        )
-                    for k in range(hits):
-                        n, v, c = node[k], w[k], np.uint64(level)
-                        for d in range(0, constants.shape[1], 4):
-                            _add_four(
-                                moments, p, n, c,
-                                v * constants[i, d], v * constants[i, d + 1],
-                                v * constants[i, d + 2], v * constants[i, d + 3],
-                            )  # fmt: skip
-                            c += _COLUMNS[4]
+                            p, mass[i], velocity[i, 0], velocity[i, 1], velocity[i, 2], lists, numbers, hits, level,
+                            still, moments, reference,
+                        )  # fmt: skip
+                    for d in range(0, constants.shape[1], 4):
+                        c = np.uint64(level + d)
+                        c0, c1, c2, c3 = constants[i, d], constants[i, d + 1], constants[i, d + 2], constants[i, d + 3]
+                        for k in range(hits):
+                            n, v = np.uint64(numbers[NODE, k]), weight[k]
+                            _add_four(moments, p, n, c, v * c0, v * c1, v * c2, v * c3)
 
 
-@jit
+@leaf
 def _add_four(moments, p, n, c, v0, v1, v2, v3):
     """Add to four columns from c on."""
     c1, c2, c3 = c + _COLUMNS[1], c + _COLUMNS[2], c + _COLUMNS[3]
@@ -135,25 +133,25 @@ def _add_four(moments, p, n, c, v0, v1, v2, v3):
     moments[p, n, c], moments[p, n, c1], moments[p, n, c2], moments[p, n, c3] = v0, v1, v2, v3
 
 
-@jit
-def _add_flow(p, mass, velocity, node, hits, weight, x_off, y_off, z_off, level, still, moments, reference):
+@leaf
+def _add_flow(p, mass, vx, vy, vz, lists, numbers, hits, level, still, moments, reference):
     """Add one grain to the flow columns of the nodes that it reaches."""
     for k in range(hits):
-        n = node[k]
+        n, x, y, z = np.uint64(numbers[NODE, k]), lists[X, k], lists[Y, k], lists[Z, k]
         if math.isnan(reference[n, 0]):
-            reference[n, 0], reference[n, 1], reference[n, 2] = velocity[0], velocity[1], velocity[2]
-        ux, uy, uz = velocity[0] - reference[n, 0], velocity[1] - reference[n, 1], velocity[2] - reference[n, 2]
-        w = weight[k] * mass
+            reference[n, 0], reference[n, 1], reference[n, 2] = vx, vy, vz
+        ux, uy, uz = vx - reference[n, 0], vy - reference[n, 1], vz - reference[n, 2]
+        w = lists[WEIGHT, k] * mass
         if still:
             moments[p, n, _COLUMNS[MASS]] += w
             moments[p, n, _COLUMNS[COUNT]] += 1.0
             if level >= LINEAR:
-                x, y, z = w * x_off[k], w * y_off[k], w * z_off[k]
-                moments[p, n, _COLUMNS[OFFSET]] += x
-                moments[p, n, _COLUMNS[OFFSET + 4]] += y
-                moments[p, n, _COLUMNS[OFFSET + 8]] += z
-                _add_four(moments, p, n, _COLUMNS[24], x * x_off[k], x * y_off[k], x * z_off[k], y * y_off[k])
-                _add_four(moments, p, n, _COLUMNS[28], y * z_off[k], z * z_off[k], 0.0, 0.0)
+                wx, wy, wz = w * x, w * y, w * z
+                moments[p, n, _COLUMNS[OFFSET]] += wx
+                moments[p, n, _COLUMNS[OFFSET + 4]] += wy
+                moments[p, n, _COLUMNS[OFFSET + 8]] += wz
+                _add_four(moments, p, n, _COLUMNS[24], wx * x, wx * y, wx * z, wy * y)
+                _add_four(moments, p, n, _COLUMNS[28], wy * z, wz * z, 0.0, 0.0)
             continue
         wx, wy, wz = w * ux, w * uy, w * uz
         _add_four(moments, p, n, _COLUMNS[0], w, wx, wy, wz)
@@ -163,10 +161,9 @@ def _add_flow(p, mass, velocity, node, hits, weight, x_off, y_off, z_off, level,
             _add_four(moments, p, n, _COLUMNS[4], 1.0, wx * ux, wx * uy, wx * uz)
             _add_four(moments, p, n, _COLUMNS[8], wy * uy, wy * uz, wz * uz, 0.0)
         if level >= LINEAR:
-            x, y, z = x_off[k], y_off[k], z_off[k]
             _add_four(moments, p, n, _COLUMNS[12], w * x, wx * x, wy * x, wz * x)
             _add_four(moments, p, n, _COLUMNS[16], w * y, wx * y, wy * y, wz * y)
             _add_four(moments, p, n, _COLUMNS[20], w * z, wx * z, wy * z, wz * z)
-            x, y, z = w * x, w * y, w * z
-            _add_four(moments, p, n, _COLUMNS[24], x * x_off[k], x * y_off[k], x * z_off[k], y * y_off[k])
-            _add_four(moments, p, n, _COLUMNS[28], y * z_off[k], z * z_off[k], 0.0, 0.0)
+            wx, wy, wz = w * x, w * y, w * z
+            _add_four(moments, p, n, _COLUMNS[24], wx * x, wx * y, wx * z, wy * y)
+            _add_four(moments, p, n, _COLUMNS[28], wy * z, wz * z, 0.0, 0.0)

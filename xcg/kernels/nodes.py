@@ -12,18 +12,25 @@ import math
 
 import numpy as np
 
-from xcg.kernels._jit import jit
+from xcg.kernels._jit import jit, leaf
 
 PAD = 16  # loops over lists run to a multiple of this: what is left over would be done one by one
 PENCIL = 8  # cells across: the nodes that a layer of a pencil adds to fit in a core's cache
 RUN = 256  # grains or branches, neighbours in space, that are passed over together
 _1, _2, _3, _4, _5, _6, _7, _8 = (np.uint64(k) for k in range(1, 9))
 
+# What the lists hold: tables over the nodes of a row and the rows of a plane, in both kinds of lists,
+OF_Y, OF_Z, OF_Y2, OF_Z2 = 0, 1, 2, 3
+# rows of nodes and nodes, as numbers,
+ROW_X, ROW_DOT, ROW_Y, ROW2, X, ALONG, Y, Z, Q2, WEIGHT, LISTS = 4, 4, 5, 6, 7, 7, 8, 9, 10, 11, 12
+# and as integers.
+ROW, FIRST, MANY, NODE, NUMBERS = 2, 3, 4, 5, 6
+
 # Cells of the spatial order, however far apart the grains are.
 MOST_CELLS = 1 << 20
 
 
-@jit
+@leaf
 def images(x, low, high, first, last, period):
     """First and last periodic image of an interval [x + low, x + high] that meets the nodes in [first, last]."""
     if x + high - period < first and x + low + period > last:  # nearly all: no more than the interval itself
@@ -31,86 +38,147 @@ def images(x, low, high, first, last, period):
     return math.ceil((first - x - high) / period), math.floor((last - x - low) / period)
 
 
-@jit
-def node_range(low, high, step, begin, end):
+@leaf
+def node_range(low, high, per_step, begin, end):
     """First and one past the last of the nodes begin, ... end - 1 that lie within [low, high]."""
-    return max(begin, math.ceil(low / step)), min(end, math.floor(high / step) + 1)
+    first = max(begin, math.ceil(low * per_step))
+    return first, max(first, min(end, math.floor(high * per_step) + 1))
 
 
-@jit
+@leaf
 def padded(count):
     """Return the next multiple of `PAD`; lists about up to n nodes are made as long as ``padded(n) + PAD``."""
     return (count + PAD - 1) // PAD * PAD
 
 
 @jit
-def list_ball(x, y, z, steps, low, high, rows, node, q2, x_off, y_off, z_off):
+def numbers_for(room, nz):
+    """Make lists of integers, with tables of the indices of the nodes of a row and of the rows of a plane."""
+    numbers = np.zeros((NUMBERS, room), np.int32)
+    for j in range(room):
+        numbers[OF_Z, j], numbers[OF_Y, j] = j, j * nz
+    return numbers
+
+
+@jit
+def room_for(low, high, reach, steps):
+    """Length of the lists for anything that reaches this far along each axis, within the box low <= node < high."""
+    most = 1
+    for k in range(3):  # no more than there are: along an axis with one node the spacing means nothing
+        most *= min(high[k] - low[k], int(reach[k] / steps[k]) + 2)
+    return padded(most) + PAD
+
+
+@leaf
+def _put(lists, to, at, value):
+    """Write a value to eight places of a list."""
+    lists[to, at], lists[to, at + _1], lists[to, at + _2], lists[to, at + _3] = value, value, value, value
+    lists[to, at + _4], lists[to, at + _5], lists[to, at + _6], lists[to, at + _7] = value, value, value, value
+
+
+@leaf
+def _put_sum(lists, to, at, value, table, first):
+    """Write value + table, from its entry `first` on, to eight places of a list."""
+    t0, t1 = value + lists[table, first], value + lists[table, first + _1]
+    t2, t3 = value + lists[table, first + _2], value + lists[table, first + _3]
+    t4, t5 = value + lists[table, first + _4], value + lists[table, first + _5]
+    t6, t7 = value + lists[table, first + _6], value + lists[table, first + _7]
+    lists[to, at], lists[to, at + _1], lists[to, at + _2], lists[to, at + _3] = t0, t1, t2, t3
+    lists[to, at + _4], lists[to, at + _5], lists[to, at + _6], lists[to, at + _7] = t4, t5, t6, t7
+
+
+@leaf
+def _put_line(lists, to, squares, begin, count, step, origin, factor):
+    """Write factor x (i step - origin), and its square without the factor, for `count` nodes i on a line."""
+    real = lists.dtype.type
+    one, two, three, four, five = real(1.0), real(2.0), real(3.0), real(4.0), real(5.0)
+    for j in range(0, count, 8):
+        i, at = real(begin + j), np.uint64(j)
+        d0, d1 = i * step - origin, (i + one) * step - origin
+        d2, d3 = (i + two) * step - origin, (i + three) * step - origin
+        d4, d5 = (i + four) * step - origin, (i + five) * step - origin
+        d6, d7 = (i + real(6.0)) * step - origin, (i + real(7.0)) * step - origin
+        lists[to, at], lists[to, at + _1], lists[to, at + _2], lists[to, at + _3] = (
+            d0 * factor, d1 * factor, d2 * factor, d3 * factor,
+        )  # fmt: skip
+        lists[to, at + _4], lists[to, at + _5], lists[to, at + _6], lists[to, at + _7] = (
+            d4 * factor, d5 * factor, d6 * factor, d7 * factor,
+        )  # fmt: skip
+        lists[squares, at], lists[squares, at + _1], lists[squares, at + _2], lists[squares, at + _3] = (
+            d0 * d0, d1 * d1, d2 * d2, d3 * d3,
+        )  # fmt: skip
+        lists[squares, at + _4], lists[squares, at + _5], lists[squares, at + _6], lists[squares, at + _7] = (
+            d4 * d4, d5 * d5, d6 * d6, d7 * d7,
+        )  # fmt: skip
+
+
+@leaf
+def list_ball(x, y, z, steps, per_steps, low, high, lists, numbers):
     """List the nodes closer than 1 to a point.
 
     Parameters
     ----------
     x, y, z : float
         The point.
-    steps : tuple
-        Spacing of the nodes.
+    steps, per_steps : tuple
+        Spacing of the nodes, and nodes per length.
     low, high : tuple of int
         Only nodes low <= (ix, iy, iz) < high, whose indices are counted within this box.
-    rows : (4, n)
-        Scratch, one number a row of nodes.
-    node : (n,)
-        Indices, written.
-    q2, x_off, y_off, z_off : (n,)
-        Squared distance, and the point minus the node, written.
+    lists, numbers : (LISTS, n), (NUMBERS, n)
+        Written: numbers[NODE], the indices, and lists[Q2], squared distances, and lists[X], lists[Y] and lists[Z], the
+        point minus the node.
 
     Returns
     -------
     int
         Number of nodes listed.
     """
-    dx_row, dy_row, first_row, last_row = rows[0], rows[1], rows[2], rows[3]
-    x0, x1 = node_range(x - 1.0, x + 1.0, steps[0], low[0], high[0])
-    y0, y1 = node_range(y - 1.0, y + 1.0, steps[1], low[1], high[1])
+    x0, x1 = node_range(x - 1.0, x + 1.0, per_steps[0], low[0], high[0])
+    y0, y1 = node_range(y - 1.0, y + 1.0, per_steps[1], low[1], high[1])
+    z0, z1 = node_range(z - 1.0, z + 1.0, per_steps[2], low[2], high[2])
+    ny, nz = high[1] - low[1], high[2] - low[2]
+    _put_line(lists, OF_Y, OF_Y2, y0, y1 - y0, steps[1], y, -1.0)
+    _put_line(lists, OF_Z, OF_Z2, z0, z1 - z0, steps[2], z, -1.0)
     count = 0
     for ix in range(x0, x1):
-        for iy in range(y0, y1):
-            dx_row[count], dy_row[count] = x - ix * steps[0], y - iy * steps[1]
-            count += 1
-    lowest, highest, per_step = float(low[2]), float(high[2] - 1), 1.0 / steps[2]
+        dx, begin = x - ix * steps[0], ((ix - low[0]) * ny + y0 - low[1]) * nz + z0 - low[2]
+        for j in range(0, y1 - y0, 8):
+            k, f = np.uint64(count + j), np.uint64(j)
+            _put(lists, ROW_X, k, dx)
+            _put_sum(lists, ROW_Y, k, 0.0, OF_Y, f)
+            _put_sum(numbers, ROW, k, begin, OF_Y, f)
+        count += y1 - y0
+    lowest, highest, per_step = float(z0), float(z1 - 1), per_steps[2]
     for k in range(padded(count)):
-        rest = 1.0 - dx_row[k] * dx_row[k] - dy_row[k] * dy_row[k]
-        half = math.sqrt(max(0.0, rest))
-        first_row[k] = max(lowest, np.ceil((z - half) * per_step))
-        last_row[k] = min(highest, np.floor((z + half) * per_step) if rest > 0.0 else -1.0)
-    ny, nz = high[1] - low[1], high[2] - low[2]
-    step, hits, k = steps[2], 0, 0
-    for ix in range(x0, x1):
-        for iy in range(y0, y1):
-            begin = int(first_row[k])
-            left = int(last_row[k]) + 1 - begin
-            dx, dy = dx_row[k], dy_row[k]
-            row2 = dx * dx + dy * dy
-            k += 1
-            iz = float(begin)  # offsets come from the index alone, so that they do not depend on where a row begins
-            n, h = np.uint64(((ix - low[0]) * ny + iy - low[1]) * nz + begin - low[2]), np.uint64(hits)
-            while True:
-                d0, d1, d2, d3 = z - iz * step, z - (iz + 1.0) * step, z - (iz + 2.0) * step, z - (iz + 3.0) * step
-                z_off[h], z_off[h + _1], z_off[h + _2], z_off[h + _3] = d0, d1, d2, d3
-                d0, d1, d2, d3 = row2 + d0 * d0, row2 + d1 * d1, row2 + d2 * d2, row2 + d3 * d3
-                q2[h], q2[h + _1], q2[h + _2], q2[h + _3] = d0, d1, d2, d3
-                x_off[h], x_off[h + _1], x_off[h + _2], x_off[h + _3] = dx, dx, dx, dx
-                y_off[h], y_off[h + _1], y_off[h + _2], y_off[h + _3] = dy, dy, dy, dy
-                node[h], node[h + _1], node[h + _2], node[h + _3] = n, n + _1, n + _2, n + _3
-                hits += max(0, min(4, left))
-                left -= 4
-                if left <= 0:
-                    break
-                iz, n, h = iz + 4.0, n + _4, np.uint64(hits)
+        dx, dy = lists[ROW_X, k], lists[ROW_Y, k]
+        row2 = dx * dx + dy * dy
+        half = math.sqrt(max(0.0, 1.0 - row2))
+        begin = max(lowest, np.ceil((z - half) * per_step))
+        end = min(highest, np.floor((z + half) * per_step) if row2 < 1.0 else lowest - 1.0)
+        lists[ROW2, k] = row2
+        numbers[FIRST, k] = np.int32(max(0.0, min(highest, begin) - lowest))  # within the tables
+        numbers[MANY, k] = np.int32(max(0.0, end - begin + 1.0))
+    hits = 0
+    for k in range(count):
+        f, left = np.uint64(numbers[FIRST, k]), numbers[MANY, k]
+        while True:
+            h = np.uint64(hits)
+            _put_sum(lists, Q2, h, lists[ROW2, k], OF_Z2, f)
+            _put(lists, X, h, lists[ROW_X, k])
+            _put(lists, Y, h, lists[ROW_Y, k])
+            _put_sum(lists, Z, h, 0.0, OF_Z, f)
+            _put_sum(numbers, NODE, h, numbers[ROW, k], OF_Z, f)
+            hits += min(8, left)
+            left -= 8
+            if left <= 0:
+                break
+            f += _8
     return hits
 
 
-@jit
-def list_tube(x, y, z, bx, by, bz, per_length, steps, low, high, rows, node, q2, along):
-    """List the nodes closer than 1 to the segment from a point to that point plus b, in the precision of `rows`.
+@leaf
+def list_tube(x, y, z, bx, by, bz, per_length, steps, per_steps, low, high, lists, numbers):
+    """List the nodes closer than 1 to the segment from a point to that point plus b, in the precision of `lists`.
 
     Along the row of nodes at (dx, dy) from the start, the end u of the reach is where ``u bz + sqrt(1 - |d - u b|^2)``,
     seen along z, is largest for 0 <= u <= 1.
@@ -121,82 +189,74 @@ def list_tube(x, y, z, bx, by, bz, per_length, steps, low, high, rows, node, q2,
         Start of the segment, and its end relative to it.
     per_length : float
         1 / its length, or 0.
-    steps, low, high, rows, node, q2
-        As in `list_ball`; q2 is the squared distance to the start.
-    along : (n,)
-        Foot of the node on the segment's line, from the start, written.
+    steps, per_steps, low, high
+        As in `list_ball`.
+    lists, numbers : (LISTS, n), (NUMBERS, n)
+        Written: numbers[NODE], the indices, lists[Q2], squared distances to the start, and lists[ALONG], the foot of
+        the node on the segment's line, from the start.
 
     Returns
     -------
     int
         Number of nodes listed.
     """
-    row2, row_dot, first_row, last_row = rows[0], rows[1], rows[2], rows[3]
-    x0, x1 = node_range(x + min(0.0, bx) - 1.0, x + max(0.0, bx) + 1.0, steps[0], low[0], high[0])
-    y0, y1 = node_range(y + min(0.0, by) - 1.0, y + max(0.0, by) + 1.0, steps[1], low[1], high[1])
-    count = 0
-    for ix in range(x0, x1):
-        dx = ix * steps[0] - x
-        for iy in range(y0, y1):
-            dy = iy * steps[1] - y
-            row2[count], row_dot[count] = dx * dx + dy * dy, dx * bx + dy * by
-            count += 1
+    x0, x1 = node_range(x + min(0.0, bx) - 1.0, x + max(0.0, bx) + 1.0, per_steps[0], low[0], high[0])
+    y0, y1 = node_range(y + min(0.0, by) - 1.0, y + max(0.0, by) + 1.0, per_steps[1], low[1], high[1])
+    z0, z1 = node_range(z + min(0.0, bz) - 1.0, z + max(0.0, bz) + 1.0, per_steps[2], low[2], high[2])
     across2 = bx * bx + by * by
     # how far u moves from the nearest point of the line for each unit of half chord
     tilt = 0.0
     if bz != 0.0:
         tilt = bz / math.sqrt(across2 * (across2 + bz * bz)) if across2 > 1e-30 else math.copysign(1e30, bz)
-    real = rows.dtype.type
+    real = lists.dtype.type
     zero, one, two = real(0.0), real(1.0), real(2.0)
-    # along z nodes are counted from the last one below the start, so that few digits are enough, and the same
-    # wherever a row begins
-    base = math.floor(z / steps[2])
-    z, per_step, step = real(z - base * steps[2]), real(1.0 / steps[2]), real(steps[2])
-    lowest, highest = real(low[2] - base), real(high[2] - 1 - base)
-    outside = lowest - one
+    # nodes are counted from the one below the start, so that few digits are enough, and the same whatever the box
+    base_y, base_z = math.floor(y * per_steps[1]), math.floor(z * per_steps[2])
+    y, step_y, by = real(y - base_y * steps[1]), real(steps[1]), real(by)
+    z, step_z, per_step = real(z - base_z * steps[2]), real(steps[2]), real(per_steps[2])
+    ez, per_length = real(bz * per_length), real(per_length)
+    ny, nz = high[1] - low[1], high[2] - low[2]
+    _put_line(lists, OF_Y, OF_Y2, y0 - base_y, y1 - y0, step_y, y, by)
+    _put_line(lists, OF_Z, OF_Z2, z0 - base_z, z1 - z0, step_z, z, ez)
+    count = 0
+    for ix in range(x0, x1):
+        dx, begin = ix * steps[0] - x, ((ix - low[0]) * ny + y0 - low[1]) * nz + z0 - low[2]
+        dx2, dx_dot = real(dx * dx), real(dx * bx)
+        for j in range(0, y1 - y0, 8):
+            k, f = np.uint64(count + j), np.uint64(j)
+            _put_sum(lists, ROW2, k, dx2, OF_Y2, f)
+            _put_sum(lists, ROW_DOT, k, dx_dot, OF_Y, f)
+            _put_sum(numbers, ROW, k, begin, OF_Y, f)
+        count += y1 - y0
+    lowest, highest = real(z0 - base_z), real(z1 - 1 - base_z)
     c2, per_c2, tilt, rise = real(across2), real(1.0 / across2 if across2 > 0.0 else 0.0), real(tilt), real(bz)
     for k in range(padded(count)):
-        dot = row_dot[k]
+        row2, dot = lists[ROW2, k], lists[ROW_DOT, k]
         u = dot * per_c2
-        move = np.sqrt(max(zero, one - (row2[k] - dot * u))) * tilt
+        move = np.sqrt(max(zero, one - (row2 - dot * u))) * tilt
         upper, lower = min(one, max(zero, u + move)), min(one, max(zero, u - move))
-        rest_upper = one - (row2[k] + upper * (upper * c2 - two * dot))
-        rest_lower = one - (row2[k] + lower * (lower * c2 - two * dot))
+        rest_upper = one - (row2 + upper * (upper * c2 - two * dot))
+        rest_lower = one - (row2 + lower * (lower * c2 - two * dot))
         top = np.floor((z + upper * rise + np.sqrt(max(zero, rest_upper))) * per_step)
-        first_row[k] = max(lowest, np.ceil((z + lower * rise - np.sqrt(max(zero, rest_lower))) * per_step))
-        last_row[k] = min(highest, top if rest_upper > zero else outside)
-    ez, per_length = real(bz * per_length), real(per_length)
-    f1, f2, f3, f4, f5, f6, f7, f8 = (
-        one, two, real(3.0), real(4.0), real(5.0), real(6.0), real(7.0), real(8.0)
-    )  # fmt: skip
-    ny, nz = high[1] - low[1], high[2] - low[2]
-    hits, k = 0, 0
-    for ix in range(x0, x1):
-        for iy in range(y0, y1):
-            iz = first_row[k]
-            left = int(last_row[k] - iz) + 1
-            foot, square = row_dot[k] * per_length, row2[k]
-            k += 1
-            n = np.uint64(((ix - low[0]) * ny + iy - low[1]) * nz + int(iz) + base - low[2])
+        bottom = np.ceil((z + lower * rise - np.sqrt(max(zero, rest_lower))) * per_step)
+        begin = max(lowest, bottom)
+        end = min(highest, top if rest_upper > zero else lowest - one)
+        numbers[FIRST, k] = np.int32(max(zero, min(highest, begin) - lowest))  # within the tables
+        numbers[MANY, k] = np.int32(max(zero, end - begin + one))
+    hits = 0
+    for k in range(count):
+        f, left = np.uint64(numbers[FIRST, k]), numbers[MANY, k]
+        row2, foot, row = lists[ROW2, k], lists[ROW_DOT, k] * per_length, numbers[ROW, k]
+        while True:
             h = np.uint64(hits)
-            while True:
-                h1, h2, h3, h4, h5, h6, h7 = h + _1, h + _2, h + _3, h + _4, h + _5, h + _6, h + _7
-                d0, d1, d2, d3 = iz * step - z, (iz + f1) * step - z, (iz + f2) * step - z, (iz + f3) * step - z
-                d4, d5 = (iz + f4) * step - z, (iz + f5) * step - z
-                d6, d7 = (iz + f6) * step - z, (iz + f7) * step - z
-                a0, a1, a2, a3 = foot + d0 * ez, foot + d1 * ez, foot + d2 * ez, foot + d3 * ez
-                a4, a5, a6, a7 = foot + d4 * ez, foot + d5 * ez, foot + d6 * ez, foot + d7 * ez
-                along[h], along[h1], along[h2], along[h3] = a0, a1, a2, a3
-                along[h4], along[h5], along[h6], along[h7] = a4, a5, a6, a7
-                q2[h], q2[h1], q2[h2], q2[h3] = square + d0 * d0, square + d1 * d1, square + d2 * d2, square + d3 * d3
-                q2[h4], q2[h5], q2[h6], q2[h7] = square + d4 * d4, square + d5 * d5, square + d6 * d6, square + d7 * d7
-                node[h], node[h1], node[h2], node[h3] = n, n + _1, n + _2, n + _3
-                node[h4], node[h5], node[h6], node[h7] = n + _4, n + _5, n + _6, n + _7
-                hits += max(0, min(8, left))
-                left -= 8
-                if left <= 0:
-                    break
-                iz, n, h = iz + f8, n + _8, np.uint64(hits)
+            _put_sum(lists, Q2, h, row2, OF_Z2, f)
+            _put_sum(lists, ALONG, h, foot, OF_Z, f)
+            _put_sum(numbers, NODE, h, row, OF_Z, f)
+            hits += min(8, left)
+            left -= 8
+            if left <= 0:
+                break
+            f += _8
     return hits
 
 
@@ -215,15 +275,15 @@ def runs_of(start, branch):
     return bounds
 
 
-@jit
-def run_reaches(bounds, begin, end, active, period):
-    """Whether anything of a run, or one of its images, comes closer than 1 to the nodes from `begin` to `end`."""
+@leaf
+def run_reaches(runs, run, begin, end, active, period):
+    """Whether anything of one of `runs_of`, or an image of it, is closer than 1 to nodes from `begin` to `end`."""
+    reaches = True
     for k in range(3):
         if active[k]:
-            first, last = images(0.0, bounds[0, k] - 1.0, bounds[1, k] + 1.0, begin[k], end[k], period[k])
-            if first > last:
-                return False
-    return True
+            first, last = images(0.0, runs[run, 0, k] - 1.0, runs[run, 1, k] + 1.0, begin[k], end[k], period[k])
+            reaches = reaches and first <= last
+    return reaches
 
 
 @jit

@@ -10,8 +10,22 @@ import math
 
 import numpy as np
 
-from xcg.kernels._jit import jit
-from xcg.kernels.nodes import PAD, RUN, images, list_tube, padded, run_reaches
+from xcg.kernels._jit import jit, leaf
+from xcg.kernels.nodes import (
+    ALONG,
+    LISTS,
+    NODE,
+    Q2,
+    ROW2,
+    RUN,
+    WEIGHT,
+    images,
+    list_tube,
+    numbers_for,
+    padded,
+    room_for,
+    run_reaches,
+)
 from xcg.kernels.weights import fill_gauss, fill_segments
 
 MAX_ORDER = 6
@@ -26,7 +40,7 @@ SHORT = 1e-4
 SHORT_ORDER = 4
 
 
-@jit
+@leaf
 def choose_order(length, limits):
     """Fewest points whose error bound holds up to this length; 0, the closed form, where none does."""
     if length < SHORT:
@@ -66,12 +80,20 @@ def deposit_segments(
     """
     begin = (low[0] * steps[0], low[1] * steps[1], low[2] * steps[2])
     end = ((high[0] - 1) * steps[0], (high[1] - 1) * steps[1], (high[2] - 1) * steps[2])
+    per_steps = (1.0 / steps[0], 1.0 / steps[1], 1.0 / steps[2])
     reach = (1.0 if active[0] else 0.0, 1.0 if active[1] else 0.0, 1.0 if active[2] else 0.0)
-    most = 0
+    room = room_for(low, high, _longest(branch, reach), steps)
+    # views of lists are made here, as their memory is counted
+    lists, numbers, exponent = np.zeros((LISTS, room)), numbers_for(room, high[2] - low[2]), np.zeros(room, np.int64)
+    q2, along, w, ratio = lists[Q2], lists[ALONG], lists[WEIGHT], lists[ROW2]
+    bits = ratio.view(np.int64)
+    if coarse is not None:
+        singles = np.zeros((LISTS, room), np.float32)
+        q2_single, along_single, w_single = singles[Q2], singles[ALONG], singles[WEIGHT]
     here = True
     for i in range(start.shape[0]):
         if i % RUN == 0:
-            here = run_reaches(runs[i // RUN], begin, end, active, period)
+            here = run_reaches(runs, i // RUN, begin, end, active, period)
         if not here:
             continue
         p = np.uint64(phase[i])
@@ -92,16 +114,6 @@ def deposit_segments(
         length = math.sqrt(bx * bx + by * by + bz * bz)
         order = choose_order(length, limits)
         per_length = 1.0 / length if length > 0.0 else 0.0
-        # no more than there are: along an axis with one node the spacing means nothing
-        box = min(high[0] - low[0], int((high_x - low_x) / steps[0]) + 2)
-        box *= min(high[1] - low[1], int((high_y - low_y) / steps[1]) + 2)
-        box = box * min(high[2] - low[2], int((high_z - low_z) / steps[2]) + 2)
-        if box > most:
-            most = 2 * box
-            room = padded(most) + PAD
-            lists, node, exponent = np.zeros((8, room)), np.zeros(room, np.uint64), np.zeros(room, np.int64)
-            if coarse is not None:
-                single = np.zeros((7, room), np.float32)
         for image_x in range(first_x, last_x + 1):
             x = x0 + image_x * period[0] if image_x else x0
             for image_y in range(first_y, last_y + 1):
@@ -109,37 +121,42 @@ def deposit_segments(
                 for image_z in range(first_z, last_z + 1):
                     z = z0 + image_z * period[2] if image_z else z0
                     if coarse is not None and order:
-                        q2, along, w, rows = single[0], single[1], single[2], single[3:]
-                        hits = list_tube(x, y, z, bx, by, bz, per_length, steps, low, high, rows, node, q2, along)
+                        hits = list_tube(x, y, z, bx, by, bz, per_length, steps, per_steps, low, high, singles, numbers)
                         fill_gauss(
-                            kind, spread, table, 1.0, GAUSS_POINTS, GAUSS_WEIGHTS, order, length, along, q2, hits, w
-                        )
-                        _add_dyad(moments, p, node, hits, w, norm, force[i], branch[i])
+                            kind, spread, table, 1.0, GAUSS_POINTS, GAUSS_WEIGHTS, order, length, along_single,
+                            q2_single, hits, w_single,
+                        )  # fmt: skip
+                        _add_dyad(moments, p, numbers, hits, w_single, norm, force, branch, i)
                         continue
-                    q2, along, w, rows = lists[0], lists[1], lists[2], lists[4:]
-                    hits = list_tube(x, y, z, bx, by, bz, per_length, steps, low, high, rows, node, q2, along)
+                    hits = list_tube(x, y, z, bx, by, bz, per_length, steps, per_steps, low, high, lists, numbers)
                     if order:
                         fill_gauss(
                             kind, spread, table, norm, GAUSS_POINTS, GAUSS_WEIGHTS, order, length, along, q2, hits, w
                         )
                     else:
-                        ratio = lists[3]
-                        fill_segments(
-                            kind, spread, table, norm, length, along, q2, hits, w, ratio, ratio.view(np.int64), exponent
-                        )
-                    _add_dyad(moments, p, node, hits, w, 1.0, force[i], branch[i])
+                        fill_segments(kind, spread, table, norm, length, along, q2, hits, w, ratio, bits, exponent)
+                    _add_dyad(moments, p, numbers, hits, w, 1.0, force, branch, i)
 
 
 @jit
-def _add_dyad(moments, p, node, hits, w, factor, force, branch):
-    """Add weight x factor x force x branch to the nine columns of each node."""
-    f0, f1, f2 = factor * force[0], factor * force[1], factor * force[2]
-    a0, a1, a2 = branch[0], branch[1], branch[2]
+def _longest(branch, reach):
+    """Longest reach of a segment along each axis."""
+    x, y, z = 0.0, 0.0, 0.0
+    for i in range(branch.shape[0]):
+        x, y, z = max(x, abs(branch[i, 0])), max(y, abs(branch[i, 1])), max(z, abs(branch[i, 2]))
+    return 2.0 * reach[0] + x, 2.0 * reach[1] + y, 2.0 * reach[2] + z
+
+
+@leaf
+def _add_dyad(moments, p, numbers, hits, w, factor, force, branch, i):
+    """Add weight x factor x force x branch of segment i to the nine columns of each node."""
+    f0, f1, f2 = factor * force[i, 0], factor * force[i, 1], factor * force[i, 2]
+    a0, a1, a2 = branch[i, 0], branch[i, 1], branch[i, 2]
     c0, c1, c2, c3, c4, c5, c6, c7, c8 = (
         f0 * a0, f0 * a1, f0 * a2, f1 * a0, f1 * a1, f1 * a2, f2 * a0, f2 * a1, f2 * a2,
     )  # fmt: skip
     for k in range(hits):
-        n, v = node[k], np.float64(w[k])
+        n, v = np.uint64(numbers[NODE, k]), np.float64(w[k])
         s0, s1 = moments[p, n, 0] + v * c0, moments[p, n, 1] + v * c1
         s2, s3 = moments[p, n, 2] + v * c2, moments[p, n, 3] + v * c3
         s4, s5 = moments[p, n, 4] + v * c4, moments[p, n, 5] + v * c5

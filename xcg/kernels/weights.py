@@ -20,7 +20,7 @@ import math
 
 import numpy as np
 
-from xcg.kernels._jit import jit
+from xcg.kernels._jit import jit, leaf
 from xcg.kernels.nodes import padded
 
 LUCY, GAUSSIAN, HEAVISIDE, TABLE = 0, 3, 6, 9
@@ -34,13 +34,13 @@ _TINY = 1e-290  # keeps the logarithm finite on the segment itself, where its fa
 # --- Lucy: P = 1 - 6 q^2 + 8 q^3 - 3 q^4 = (1 - q)^3 (1 + 3 q) -------------------------------------------
 
 
-@jit
+@leaf
 def _log_term(h2, t):
     """Inverse hyperbolic sine of t / h, and zero on the line itself, where its factor h^2 or h^4 vanishes."""
     return 0.0 if h2 < 1e-280 else math.log((t + math.sqrt(h2 + t * t)) / math.sqrt(h2))
 
 
-@jit
+@leaf
 def _lucy_line(h2, t):
     """Integral of P(sqrt(h^2 + s^2)) over 0 < s < t, for h^2 + t^2 <= 1."""
     t2 = t * t
@@ -55,7 +55,7 @@ _RIM = 0.5
 _RIM_NODES, _RIM_WEIGHTS = np.polynomial.legendre.leggauss(12)
 
 
-@jit
+@leaf
 def _lucy_line_value(q2, by_gradient):
     """L1(q), or its derivative divided by q."""
     half2 = 1.0 - q2
@@ -74,14 +74,14 @@ def _lucy_line_value(q2, by_gradient):
     return half * total
 
 
-@jit
+@leaf
 def _lucy_plane_value(q2):
     """L2(q) / 2 pi = integral of P(r) r over q < r < 1."""
     q = math.sqrt(q2)
     return (1.0 - q) ** 4 * (0.1 + 0.4 * q + 0.5 * q2)
 
 
-@jit
+@leaf
 def _lucy_plane(h2, t):
     """Integral of L1(sqrt(h^2 + s^2)) over 0 < s < t, for h^2 + t^2 <= 1.
 
@@ -108,7 +108,7 @@ def _lucy_plane(h2, t):
 # --- value and gradient ----------------------------------------------------------------------------------
 
 
-@jit
+@leaf
 def value(kind, spread, table, q2):
     """Value at squared distance q2 < 1 (cutoff 1, not normalised); `spread` is w / c of the Gaussian."""
     if kind is None:
@@ -136,7 +136,7 @@ def value(kind, spread, table, q2):
     return _interpolate(table, 0, q2)
 
 
-@jit
+@leaf
 def gradient(kind, spread, table, q2):
     """Return the derivative of the value by q, divided by q; the gradient is this times the vector r / c.
 
@@ -162,7 +162,7 @@ def gradient(kind, spread, table, q2):
     return _interpolate(table, 1, q2)
 
 
-@jit
+@leaf
 def _interpolate(table, row, q2):
     """Chebyshev series on equal intervals of q, by Clenshaw's recurrence; table (2, intervals, degree + 1)."""
     x = math.sqrt(q2) * table.shape[1]
@@ -177,7 +177,7 @@ def _interpolate(table, row, q2):
 # --- integral along a segment ----------------------------------------------------------------------------
 
 
-@jit
+@leaf
 def _antiderivative(kind, spread, h2, t):
     """Integral of the value over 0 < s < t along a line at distance h, for 0 <= t <= sqrt(1 - h^2)."""
     if kind is None:
@@ -201,7 +201,7 @@ def _antiderivative(kind, spread, h2, t):
     return math.pi * (t - t * t * t / 3.0)  # HEAVISIDE + 2
 
 
-@jit
+@leaf
 def _quadrature(kind, spread, table, h2, t0, t1):
     """Gauss-Legendre over the angle along the chord, which takes the root at its end out of the integrand."""
     half = math.sqrt(1.0 - h2)
@@ -218,7 +218,7 @@ def _quadrature(kind, spread, table, h2, t0, t1):
     return total
 
 
-@jit
+@leaf
 def segment(kind, spread, table, h2, t0, t1):
     """Integral of the value along a line at distance h from t0 to t1 (h^2 < 1, t0 < t1), exact to rounding."""
     half = math.sqrt(1.0 - h2)
@@ -235,7 +235,7 @@ def segment(kind, spread, table, h2, t0, t1):
 # --- many nodes at once ----------------------------------------------------------------------------------
 
 
-@jit
+@leaf
 def fill_values(kind, spread, table, norm, by_gradient, q2, count, out):
     """Write norm x value (or gradient) at `count` squared distances; the loop for Lucy vectorises."""
     if kind is None and not by_gradient:
@@ -251,34 +251,47 @@ def fill_values(kind, spread, table, norm, by_gradient, q2, count, out):
             out[k] = norm * value(kind, spread, table, q2[k])
 
 
-@jit
+@leaf
+def _at(kind, spread, table, r2):
+    """Value at any squared distance, zero from 1 on; Lucy's in the precision of `r2` and without a branch."""
+    if kind is None:
+        q = np.sqrt(min(np.float32(1.0), max(np.float32(0.0), r2)))
+        p = np.float32(1.0) - q
+        return p * p * p * (np.float32(1.0) + np.float32(3.0) * q)
+    return value(kind, spread, table, max(0.0, r2)) if r2 < 1.0 else 0.0
+
+
+@leaf
 def fill_gauss(kind, spread, table, norm, points, weights, order, length, along, q2, count, out):
     """Write norm x mean of the value over segments, by Gauss-Legendre, seen from `count` nodes.
 
     A node lies at squared distance q2 from the start of its segment, and its foot at `along` from there. The
-    precision is that of the arrays.
+    precision is that of the arrays. Points lie in pairs of one weight about the middle.
     """
-    real = out.dtype.type
-    zero, one, two, three = real(0.0), real(1.0), real(2.0), real(3.0)
-    room = padded(count)
-    for k in range(room):
-        out[k] = zero
-    for g in range(order):
-        u = real(points[order, g] * length)
-        w = real(weights[order, g] * norm)
-        if kind is None:
+    real, two, last = out.dtype.type, out.dtype.type(2.0), order - 1
+    room = padded(count) if kind is None else count
+    if order == 4:  # what most contacts take: all roots take turns in one loop
+        u0, u1 = real(points[4, 0] * length), real(points[4, 1] * length)
+        u2, u3 = real(points[4, 2] * length), real(points[4, 3] * length)
+        w, w1 = real(weights[4, 0] * norm), real(weights[4, 1] * norm)
+        for k in range(room):
+            r2, t = q2[k], along[k]
+            a, b = r2 + u0 * (u0 - two * t), r2 + u3 * (u3 - two * t)
+            c, d = r2 + u1 * (u1 - two * t), r2 + u2 * (u2 - two * t)
+            outer = _at(kind, spread, table, a) + _at(kind, spread, table, b)
+            out[k] = w * outer + w1 * (_at(kind, spread, table, c) + _at(kind, spread, table, d))
+    else:
+        for k in range(room):
+            out[k] = real(0.0)
+        for g in range((order + 1) // 2):
+            u, v = real(points[order, g] * length), real(points[order, last - g] * length)
+            w = real(weights[order, g] * (0.5 * norm if g == last - g else norm))  # the middle one is its own partner
             for k in range(room):
-                q = np.sqrt(min(one, max(zero, q2[k] + u * (u - two * along[k]))))
-                p = one - q
-                out[k] += w * (p * p * p * (one + three * q))
-        else:
-            for k in range(count):
-                r2 = max(zero, q2[k] + u * (u - two * along[k]))
-                if r2 < one:
-                    out[k] += w * value(kind, spread, table, r2)
+                a, b = q2[k] + u * (u - two * along[k]), q2[k] + v * (v - two * along[k])
+                out[k] += w * (_at(kind, spread, table, a) + _at(kind, spread, table, b))
 
 
-@jit
+@leaf
 def fill_segments(kind, spread, table, norm, length, along, q2, count, out, ratio, bits, exponent):
     """Write norm x mean of the value over segments, in closed form, seen from `count` nodes.
 
@@ -286,15 +299,15 @@ def fill_segments(kind, spread, table, norm, length, along, q2, count, out, rati
     """
     if kind is None:
         _fill_lucy_lines(norm / length, length, along, q2, count, out, ratio, bits, exponent)
-        return
-    for k in range(count):
-        h2 = max(0.0, q2[k] - along[k] * along[k])
-        out[k] = 0.0
-        if h2 < 1.0:
-            out[k] = norm / length * segment(kind, spread, table, h2, -along[k], length - along[k])
+    else:
+        for k in range(count):
+            h2 = max(0.0, q2[k] - along[k] * along[k])
+            out[k] = 0.0
+            if h2 < 1.0:
+                out[k] = norm / length * segment(kind, spread, table, h2, -along[k], length - along[k])
 
 
-@jit
+@leaf
 def _fill_lucy_lines(norm, length, along, q2, count, out, ratio, bits, exponent):
     """As `_lucy_line` at both ends of the clipped segment, in loops that vectorise.
 
