@@ -18,7 +18,7 @@ from xcg.kernels.neighbours import sort_pairs
 from xcg.kernels.rows import (
     add_dyads,
     add_rows,
-    add_squares,
+    add_unit_squares,
     list_segments,
     nearest_image,
     order_by,
@@ -79,7 +79,7 @@ class Contacts:
         nearest_image(position, row_j, point, period, branch_j)
         normal = frame.get("contact_normal")
         # contacts found from positions without a stiffness have no forces
-        force = frame.get("contact_force", np.zeros_like(point))
+        force = frame["contact_force"] if "contact_force" in frame else np.zeros_like(point)
         return cls(row_i, row_j, force, branch_i, branch_j, normal, point, key_i, key_j, len(ids))
 
     def with_overlaps(self, diameter: NDArray, overlap: NDArray) -> Contacts:
@@ -148,9 +148,10 @@ class Contacts:
     @property
     def normals(self) -> NDArray:
         """Sum over contacts of n n for each particle (particles, 6): xx xy xz yy yz zz."""
-        total, normal = np.zeros((self.count, 6)), np.ascontiguousarray(self.normal)
-        for row in (self.i, self.j):
-            add_squares(row, normal, total)
+        total = np.zeros((self.count, 6))
+        along_j = self.branch_j if self.given_normal is None else self.given_normal
+        along_i = self.branch_i if self.given_normal is None else self.given_normal
+        add_unit_squares(self.i, self.j, along_i, along_j, total)
         return total
 
     @property

@@ -120,10 +120,7 @@ class Field:
 
 def ratio(a: NDArray, b: NDArray) -> NDArray:
     """Return a / b with NaN where b is not positive; b lacks the last axes of a."""
-    b = b.reshape(b.shape + (1,) * (a.ndim - b.ndim))
-    shape = np.broadcast_shapes(a.shape, b.shape)
-    out = np.full_like(a, np.nan, dtype=float, shape=shape)  # in the order of a in memory
-    return np.divide(a, b, out=out, where=np.broadcast_to(b, shape) > 0)
+    return a / np.where(b > 0, b, np.nan).reshape(b.shape + (1,) * (a.ndim - b.ndim))
 
 
 def outer(a: NDArray, b: NDArray) -> NDArray:
@@ -262,8 +259,7 @@ def _temperature(f: Any, s: Any, o: Options) -> NDArray:
 
 
 def _temperature_along(f: Any, s: Any, o: Options) -> NDArray:
-    normal = np.stack([f.fluctuation_stress[..., k, k] for k in range(3)], axis=-1)
-    return ratio(np.maximum(normal, 0.0), s.mass)
+    return ratio(np.maximum(np.diagonal(f.fluctuation_stress, axis1=-2, axis2=-1), 0.0), s.mass)
 
 
 def _shear_rate(f: Any, s: Any, o: Options) -> NDArray:

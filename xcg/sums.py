@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -63,15 +63,15 @@ def _tuple(values: Sequence[Any] | NDArray) -> tuple[Any, Any, Any]:
 
 
 def _columns(
-    parts: Sequence[NDArray], rows: NDArray, width: int, origin: NDArray | None = None, unit: float = 1.0
+    parts: Sequence[NDArray], rows: NDArray, width: int, origin: NDArray | None = None, scale: float = 1.0
 ) -> NDArray:
-    """Return (parts[rows] - origin) / unit side by side, (rows, width), zero where they have fewer columns.
+    """Return (parts[rows] - origin) x scale side by side, (rows, width), zero where they have fewer columns.
 
     NumPy asks for large pages of memory, compiled code does not: it fills arrays that are made here.
     """
     out, first = np.zeros((len(rows), width)), 0
     for values in parts:
-        pick_rows(values, rows, np.zeros(values.shape[1]) if origin is None else origin, unit, out, first)
+        pick_rows(values, rows, np.zeros(values.shape[1]) if origin is None else origin, scale, out, first)
         first += values.shape[1]
     return out
 
@@ -88,6 +88,16 @@ class _Pass:
     columns: int
     fill: Sequence[_Fill]
     moments: Mapping[str, tuple[NDArray, float | NDArray]]
+
+    @cached_property
+    def together(self) -> dict[str, slice]:
+        """The columns of moments whose columns follow each other: these need no copy."""
+        first = {name: columns.flat[0] for name, (columns, _) in self.moments.items()}
+        return {
+            name: slice(first[name], first[name] + columns.size)
+            for name, (columns, _) in self.moments.items()
+            if (columns.ravel() == first[name] + np.arange(columns.size)).all()
+        }
 
     def __call__(self, box: Box, reference: NDArray) -> NDArray:
         sums = np.zeros((self.groups, len(reference), self.columns))
@@ -118,8 +128,8 @@ class _Deposit:
         """All passes that the recipe takes; threads prepare one each."""
         wanted = set(self.recipe.moments)
         ways = [
-            (self._grains, {name for name, row in MOMENTS.items() if row.level or row.column}),
             (self._along_branches, {"contact", "pair_contact"}),
+            (self._grains, {name for name, row in MOMENTS.items() if row.level or row.column}),
             (self._slopes, {"mass_slope", "momentum_slope"}),
             (self._at_walls, {"traction"}),
         ]
@@ -245,7 +255,7 @@ class _Deposit:
         fill = []
         for cutoff in np.unique(self.cutoffs).tolist():
             rows = order if (self.cutoffs == cutoff).all() else order[self.cutoffs[phase[order]] == cutoff]
-            local = _columns([position], rows, 3, self.recipe.grid.origin, cutoff)
+            local = _columns([position], rows, 3, self.recipe.grid.origin, 1.0 / cutoff)
             flow = (_columns([velocity], rows, 3), mass[rows])
             grains = (local, *flow, _columns(constants, rows, width), phase[rows], level, still)
             onto = (*self._onto(cutoff), by_gradient)
@@ -296,7 +306,7 @@ class Sums:
         turn(records, turned)
         found = {}
         for name, (columns, factor) in run.moments.items():
-            part = turned[columns]
+            part = turned[run.together.get(name, columns)].reshape(*columns.shape, *turned.shape[1:])
             if run.groups > phases:  # by phase of the partner
                 part = np.moveaxis(part.reshape(*part.shape[:-2], phases, -1, nodes), -2, 0)
             if not (isinstance(factor, float) and factor == 1.0):

@@ -143,10 +143,10 @@ def list_ball(x, y, z, steps, per_steps, low, high, lists, numbers):
     for ix in range(x0, x1):
         dx, begin = x - ix * steps[0], ((ix - low[0]) * ny + y0 - low[1]) * nz + z0 - low[2]
         for j in range(0, y1 - y0, 8):
-            k, f = np.uint64(count + j), np.uint64(j)
-            _put(lists, ROW_X, k, dx)
-            _put_sum(lists, ROW_Y, k, 0.0, OF_Y, f)
-            _put_sum(numbers, ROW, k, begin, OF_Y, f)
+            at, f = np.uint64(count + j), np.uint64(j)
+            _put(lists, ROW_X, at, dx)
+            _put_sum(lists, ROW_Y, at, 0.0, OF_Y, f)
+            _put_sum(numbers, ROW, at, begin, OF_Y, f)
         count += y1 - y0
     lowest, highest, per_step = float(z0), float(z1 - 1), per_steps[2]
     for k in range(padded(count)):
@@ -223,10 +223,10 @@ def list_tube(x, y, z, bx, by, bz, per_length, steps, per_steps, low, high, list
         dx, begin = ix * steps[0] - x, ((ix - low[0]) * ny + y0 - low[1]) * nz + z0 - low[2]
         dx2, dx_dot = real(dx * dx), real(dx * bx)
         for j in range(0, y1 - y0, 8):
-            k, f = np.uint64(count + j), np.uint64(j)
-            _put_sum(lists, ROW2, k, dx2, OF_Y2, f)
-            _put_sum(lists, ROW_DOT, k, dx_dot, OF_Y, f)
-            _put_sum(numbers, ROW, k, begin, OF_Y, f)
+            at, f = np.uint64(count + j), np.uint64(j)
+            _put_sum(lists, ROW2, at, dx2, OF_Y2, f)
+            _put_sum(lists, ROW_DOT, at, dx_dot, OF_Y, f)
+            _put_sum(numbers, ROW, at, begin, OF_Y, f)
         count += y1 - y0
     lowest, highest = real(z0 - base_z), real(z1 - 1 - base_z)
     c2, per_c2, tilt, rise = real(across2), real(1.0 / across2 if across2 > 0.0 else 0.0), real(tilt), real(bz)

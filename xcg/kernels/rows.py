@@ -15,11 +15,11 @@ def add_rows(row, sign, values, out):
 
 
 @jit
-def pick_rows(values, row, origin, unit, out, first):
-    """Write (values[row] - origin) / unit, of values (m, k), to the columns of out (n, first + k) from `first` on."""
+def pick_rows(values, row, origin, scale, out, first):
+    """Write (values[row] - origin) x scale, of values (m, k), to the columns of out (n, first + k) from `first` on."""
     for n in range(row.size):
         for c in range(values.shape[1]):
-            out[n, first + c] = (values[row[n], c] - origin[c]) / unit
+            out[n, first + c] = (values[row[n], c] - origin[c]) * scale
 
 
 @jit
@@ -107,18 +107,25 @@ def add_dyads(row, sign, a, b, out):
 
 
 @jit
-def add_squares(row, a, out):
-    """Add a a, (n, 3), to the rows of out (m, 6) that `row` (n,) names: xx xy xz yy yz zz; negative are left out."""
-    for n in range(row.size):
-        m = row[n]
-        if m >= 0:
-            x, y, z = a[n, 0], a[n, 1], a[n, 2]
-            out[m, 0] += x * x
-            out[m, 1] += x * y
-            out[m, 2] += x * z
-            out[m, 3] += y * y
-            out[m, 4] += y * z
-            out[m, 5] += z * z
+def add_unit_squares(row_i, row_j, along_i, along_j, out):
+    """Add n n of each contact to both its rows of out (m, 6): xx xy xz yy yz zz; negative rows are left out.
+
+    The unit vector n is that of `along_i` (n, 3), or of `along_j` where `row_i` is negative; zero where that is zero.
+    """
+    for n in range(row_i.size):
+        x, y, z = along_i[n, 0], along_i[n, 1], along_i[n, 2]
+        if row_i[n] < 0:
+            x, y, z = along_j[n, 0], along_j[n, 1], along_j[n, 2]
+        length2 = x * x + y * y + z * z
+        per_length2 = 1.0 / length2 if length2 > 0.0 else 0.0
+        for m in (row_i[n], row_j[n]):
+            if m >= 0:
+                out[m, 0] += x * x * per_length2
+                out[m, 1] += x * y * per_length2
+                out[m, 2] += x * z * per_length2
+                out[m, 3] += y * y * per_length2
+                out[m, 4] += y * z * per_length2
+                out[m, 5] += z * z * per_length2
 
 
 @jit
@@ -177,7 +184,7 @@ def list_segments(
     int
         Number of segments.
     """
-    count = 0
+    count, per_cutoff = 0, 1.0 / cutoff
     for n in order:
         i, j = row_i[n], row_j[n]
         ax, ay, az = branch_i[n, 0], branch_i[n, 1], branch_i[n, 2]
@@ -189,16 +196,16 @@ def list_segments(
             if area2 <= tolerance**2 * (ax * ax + ay * ay + az * az) * (bx * bx + by * by + bz * bz):
                 ax, ay, az, j = ax - bx, ay - by, az - bz, -1
         if i >= 0 and cutoffs[own] == cutoff:
-            branch[count, 0], branch[count, 1], branch[count, 2] = ax / cutoff, ay / cutoff, az / cutoff
+            branch[count, 0], branch[count, 1], branch[count, 2] = ax * per_cutoff, ay * per_cutoff, az * per_cutoff
             for k in range(3):
-                start[count, k] = (position[i, k] - origin[k]) / cutoff
+                start[count, k] = (position[i, k] - origin[k]) * per_cutoff
                 force_out[count, k] = force[n, k] * cutoff
             phase_out[count], other[count] = own, partner
             count += 1
         if j >= 0 and cutoffs[partner] == cutoff:
-            branch[count, 0], branch[count, 1], branch[count, 2] = bx / cutoff, by / cutoff, bz / cutoff
+            branch[count, 0], branch[count, 1], branch[count, 2] = bx * per_cutoff, by * per_cutoff, bz * per_cutoff
             for k in range(3):
-                start[count, k] = (position[j, k] - origin[k]) / cutoff
+                start[count, k] = (position[j, k] - origin[k]) * per_cutoff
                 force_out[count, k] = -force[n, k] * cutoff
             phase_out[count], other[count] = partner, own
             count += 1
