@@ -20,11 +20,12 @@ RUN = 256  # grains or branches, neighbours in space, that are passed over toget
 _1, _2, _3, _4, _5, _6, _7, _8 = (np.uint64(k) for k in range(1, 9))
 
 # What the lists hold: tables over the nodes of a row and the rows of a plane, in both kinds of lists,
-OF_Y, OF_Z, OF_Y2, OF_Z2 = 0, 1, 2, 3
+OF_Y, OF_Z, OF_Y2, OF_Z2 = (np.uint64(k) for k in range(4))
 # rows of nodes and nodes, as numbers,
-ROW_X, ROW_DOT, ROW_Y, ROW2, X, ALONG, Y, Z, Q2, WEIGHT, LISTS = 4, 4, 5, 6, 7, 7, 8, 9, 10, 11, 12
-# and as integers.
-ROW, FIRST, MANY, NODE, NUMBERS = 2, 3, 4, 5, 6
+ROW_X, ROW_DOT, ROW_Y, ROW2, X, ALONG, Y, Z, Q2, WEIGHT = (np.uint64(k) for k in (4, 4, 5, 6, 7, 7, 8, 9, 10, 11))
+# and as integers. (Plain integers would be compiled for one by one.)
+ROW, FIRST, MANY, NODE = (np.uint64(k) for k in range(2, 6))
+LISTS, NUMBERS = 12, 6
 
 # Cells of the spatial order, however far apart the grains are.
 MOST_CELLS = 1 << 20
