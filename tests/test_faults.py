@@ -278,3 +278,13 @@ def test_a_mesh_of_too_many_nodes():
     ds = xcg.datasets.simple_cubic(3)
     with pytest.raises(ValueError, match="nodes along 'x', more than"):
         ds.cg.coarse_grain("density", bounds={"x": (0, 1e300)}, axes="x")
+
+
+def test_a_box_far_smaller_than_the_widest_of_several_kernels():
+    ds = xcg.datasets.simple_cubic(3)
+    ds["species"] = ds.diameter.dims, np.where(np.arange(ds.sizes["particle"]) < 9, 1, 2)[None]
+    ds.box.values[:, 0] = (0, 0.1)
+    wide = {"bounds": dict.fromkeys("xyz", (0, 1)), "spacing": 0.5, "by": "species"}
+    ds.cg.coarse_grain("density", width={1: 0.3, 2: 0.4}, **wide)
+    with pytest.raises(xcg.SceneError, match=r"period 0\.1 m along 'x'"):
+        ds.cg.coarse_grain("density", width={1: 0.3, 2: 50.0}, **wide)

@@ -217,12 +217,12 @@ class _Deposit:
 
     def _in_space(self, position: NDArray) -> NDArray:
         """Order in space, so that neighbours add to the same nodes while these are in cache."""
-        cutoff = self.cutoffs.min()
         lower, upper = bounds_of(position)
         farthest = np.maximum(np.abs(lower - self.recipe.grid.origin), np.abs(upper - self.recipe.grid.origin))
-        self._check(farthest / cutoff + 2.0, np.full(3, 2.0), cutoff)
+        for cutoff in (self.cutoffs.min(), self.cutoffs.max()):
+            self._check(farthest / cutoff + 2.0, np.full(3, 2.0), cutoff)
         order, cell = np.empty(len(position), "int64"), np.empty(len(position), "int64")
-        spatial_order(position, cutoff, lower, upper, self.active, cell, order)
+        spatial_order(position, self.cutoffs.min(), lower, upper, self.active, cell, order)
         return order
 
     def _check(self, farthest: NDArray, reach: NDArray, unit: float) -> None:
