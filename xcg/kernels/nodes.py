@@ -3,9 +3,10 @@
 Lengths are in units of the cutoff and relative to the first node. A node's index is ``(ix ny + iy) nz + iz``
 within the box of nodes that is being filled.
 
-Nodes are listed row by row along z, in loops that the compiler turns into vector instructions: how far each row is
-reached, for all rows at once, and then the nodes of a row, four or eight at a time. What a row writes beyond its end is
-overwritten by the next. Indices are unsigned, as signed ones are looked at for counting from the end.
+Nodes are listed row by row along z, in loops that the compiler turns into vector instructions. Tables hold what the
+rows of a plane and the nodes of a row have in common; then it is computed how far each row is reached, for all rows at
+once, and last come the nodes of a row, eight at a time. What a row writes beyond its end is overwritten by the next.
+Indices are unsigned, as signed ones are looked at for counting from the end.
 """
 
 import math
