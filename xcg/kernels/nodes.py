@@ -72,10 +72,10 @@ def room_for(low, high, reach, steps):
 
 
 @leaf
-def _put(lists, to, at, value):
-    """Write a value to eight places of a list."""
-    lists[to, at], lists[to, at + _1], lists[to, at + _2], lists[to, at + _3] = value, value, value, value
-    lists[to, at + _4], lists[to, at + _5], lists[to, at + _6], lists[to, at + _7] = value, value, value, value
+def _put(lists, to, at, v):
+    """Write eight values to places of a list."""
+    lists[to, at], lists[to, at + _1], lists[to, at + _2], lists[to, at + _3] = v[0], v[1], v[2], v[3]
+    lists[to, at + _4], lists[to, at + _5], lists[to, at + _6], lists[to, at + _7] = v[4], v[5], v[6], v[7]
 
 
 @leaf
@@ -85,33 +85,24 @@ def _put_sum(lists, to, at, value, table, first):
     t2, t3 = value + lists[table, first + _2], value + lists[table, first + _3]
     t4, t5 = value + lists[table, first + _4], value + lists[table, first + _5]
     t6, t7 = value + lists[table, first + _6], value + lists[table, first + _7]
-    lists[to, at], lists[to, at + _1], lists[to, at + _2], lists[to, at + _3] = t0, t1, t2, t3
-    lists[to, at + _4], lists[to, at + _5], lists[to, at + _6], lists[to, at + _7] = t4, t5, t6, t7
+    _put(lists, to, at, (t0, t1, t2, t3, t4, t5, t6, t7))
 
 
 @leaf
 def _put_line(lists, to, squares, begin, count, step, origin, factor):
     """Write factor x (i step - origin), and its square without the factor, for `count` nodes i on a line."""
     real = lists.dtype.type
-    one, two, three, four, five = real(1.0), real(2.0), real(3.0), real(4.0), real(5.0)
+    one, two, three, four = real(1.0), real(2.0), real(3.0), real(4.0)
     for j in range(0, count, 8):
         i, at = real(begin + j), np.uint64(j)
         d0, d1 = i * step - origin, (i + one) * step - origin
         d2, d3 = (i + two) * step - origin, (i + three) * step - origin
-        d4, d5 = (i + four) * step - origin, (i + five) * step - origin
-        d6, d7 = (i + real(6.0)) * step - origin, (i + real(7.0)) * step - origin
-        lists[to, at], lists[to, at + _1], lists[to, at + _2], lists[to, at + _3] = (
-            d0 * factor, d1 * factor, d2 * factor, d3 * factor,
-        )  # fmt: skip
-        lists[to, at + _4], lists[to, at + _5], lists[to, at + _6], lists[to, at + _7] = (
-            d4 * factor, d5 * factor, d6 * factor, d7 * factor,
-        )  # fmt: skip
-        lists[squares, at], lists[squares, at + _1], lists[squares, at + _2], lists[squares, at + _3] = (
-            d0 * d0, d1 * d1, d2 * d2, d3 * d3,
-        )  # fmt: skip
-        lists[squares, at + _4], lists[squares, at + _5], lists[squares, at + _6], lists[squares, at + _7] = (
-            d4 * d4, d5 * d5, d6 * d6, d7 * d7,
-        )  # fmt: skip
+        i += four
+        d4, d5 = i * step - origin, (i + one) * step - origin
+        d6, d7 = (i + two) * step - origin, (i + three) * step - origin
+        _put(lists, squares, at, (d0 * d0, d1 * d1, d2 * d2, d3 * d3, d4 * d4, d5 * d5, d6 * d6, d7 * d7))
+        f = real(factor)
+        _put(lists, to, at, (f * d0, f * d1, f * d2, f * d3, f * d4, f * d5, f * d6, f * d7))
 
 
 @leaf
@@ -146,7 +137,7 @@ def list_ball(x, y, z, steps, per_steps, low, high, lists, numbers):
         dx, begin = x - ix * steps[0], ((ix - low[0]) * ny + y0 - low[1]) * nz + z0 - low[2]
         for j in range(0, y1 - y0, 8):
             at, f = np.uint64(count + j), np.uint64(j)
-            _put(lists, ROW_X, at, dx)
+            _put(lists, ROW_X, at, (dx, dx, dx, dx, dx, dx, dx, dx))
             _put_sum(lists, ROW_Y, at, 0.0, OF_Y, f)
             _put_sum(numbers, ROW, at, begin, OF_Y, f)
         count += y1 - y0
@@ -163,11 +154,12 @@ def list_ball(x, y, z, steps, per_steps, low, high, lists, numbers):
     hits = 0
     for k in range(count):
         f, left = np.uint64(numbers[FIRST, k]), numbers[MANY, k]
+        dx, dy = lists[ROW_X, k], lists[ROW_Y, k]
         while True:
             h = np.uint64(hits)
             _put_sum(lists, Q2, h, lists[ROW2, k], OF_Z2, f)
-            _put(lists, X, h, lists[ROW_X, k])
-            _put(lists, Y, h, lists[ROW_Y, k])
+            _put(lists, X, h, (dx, dx, dx, dx, dx, dx, dx, dx))
+            _put(lists, Y, h, (dy, dy, dy, dy, dy, dy, dy, dy))
             _put_sum(lists, Z, h, 0.0, OF_Z, f)
             _put_sum(numbers, NODE, h, numbers[ROW, k], OF_Z, f)
             hits += min(8, left)
