@@ -177,7 +177,9 @@ def contact_stress(particles: int) -> Panel:
                 )
             )
     for exponent in range(1, 5):  # from 1e-5 on the rule is the closed form for branches of this length
-        ways.append(way(f"rtol 1e-{exponent}", "rule by branch length", 10.0**-exponent, "right" if exponent < 4 else ""))
+        ways.append(
+            way(f"rtol 1e-{exponent}", "rule by branch length", 10.0**-exponent, "right" if exponent < 4 else "")
+        )
     ways.append(way("rtol 0", "closed form", 0.0, default=True))
     return Panel("(a) contact stress", "|error| / max |sigma|", "loop over contacts", ways)
 
