@@ -149,9 +149,8 @@ class Contacts:
     def normals(self) -> NDArray:
         """Sum over contacts of n n for each particle (particles, 6): xx xy xz yy yz zz."""
         total = np.zeros((self.count, 6))
-        along_j = self.branch_j if self.given_normal is None else self.given_normal
-        along_i = self.branch_i if self.given_normal is None else self.given_normal
-        add_unit_squares(self.i, self.j, along_i, along_j, total)
+        along = (self.branch_i, self.branch_j) if self.given_normal is None else (self.given_normal, self.given_normal)
+        add_unit_squares(self.i, self.j, *along, total)
         return total
 
     @property

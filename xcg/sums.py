@@ -190,12 +190,13 @@ class _Deposit:
             start, branch, force, owner, other = self.contacts.segments(
                 order, self.position, self.phase, self.recipe.grid.origin, self.cutoffs, cutoff
             )
-            reach = 2.0 + np.abs(bounds_of(branch)).max(axis=0)
+            longest = np.abs(bounds_of(branch)).max(axis=0)
+            reach = 2.0 + longest
             self._check(np.abs(bounds_of(start)).max(axis=0) + reach, reach, cutoff)
-            runs = runs_of(start, branch)
+            spans = (runs_of(start, branch), _tuple(longest))
             for name, fill in fills.items():
                 into = owner if name == "contact" else owner * others + np.where(other < 0, self.phases, other)
-                sides = (start, branch, force, into, self.recipe.limits, self.recipe.coarse or None, runs)
+                sides = (start, branch, force, into, self.recipe.limits, self.recipe.coarse or None, *spans)
                 fill.append(partial(_fill_segments, sides, self._onto(cutoff)))
         groups = {"contact": self.phases, "pair_contact": self.phases * others}
         return [_Pass(groups[name], 9, fill, {name: (columns_of("contact"), 1.0)}) for name, fill in fills.items()]

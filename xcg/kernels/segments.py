@@ -53,7 +53,7 @@ def choose_order(length, limits):
 
 @jit
 def deposit_segments(
-    start, branch, force, phase, limits, coarse, runs, low, high, steps, active, period,
+    start, branch, force, phase, limits, coarse, runs, longest, low, high, steps, active, period,
     kind, spread, table, norm, moments,
 ):  # fmt: skip
     """Add force x branch of each segment to the nodes that its tube of radius 1 reaches.
@@ -73,6 +73,8 @@ def deposit_segments(
     coarse : True or None
         Whether single precision is enough for distances and weights, where points are taken; sums are in double.
         None leaves that code out when the kernel is compiled.
+    longest : tuple
+        Largest component of a branch along each axis, for the length of the lists.
     runs, low, high, steps, active, period, kind, spread, table, norm
         As in `deposit`.
     moments : (phases, nodes of the box, 9)
@@ -82,7 +84,8 @@ def deposit_segments(
     end = ((high[0] - 1) * steps[0], (high[1] - 1) * steps[1], (high[2] - 1) * steps[2])
     per_steps = (1.0 / steps[0], 1.0 / steps[1], 1.0 / steps[2])
     reach = (1.0 if active[0] else 0.0, 1.0 if active[1] else 0.0, 1.0 if active[2] else 0.0)
-    room = room_for(low, high, _longest(branch, reach), steps)
+    most = (2.0 * reach[0] + longest[0], 2.0 * reach[1] + longest[1], 2.0 * reach[2] + longest[2])
+    room = room_for(low, high, most, steps)
     # views of lists are made here, as their memory is counted
     lists, numbers, exponent = np.zeros((LISTS, room)), numbers_for(room, high[2] - low[2]), np.zeros(room, np.int64)
     q2, along, w, ratio = lists[Q2], lists[ALONG], lists[WEIGHT], lists[ROW2]
@@ -136,15 +139,6 @@ def deposit_segments(
                     else:
                         fill_segments(kind, spread, table, norm, length, along, q2, hits, w, ratio, bits, exponent)
                     _add_dyad(moments, p, numbers, hits, w, 1.0, force, branch, i)
-
-
-@jit
-def _longest(branch, reach):
-    """Longest reach of a segment along each axis."""
-    x, y, z = 0.0, 0.0, 0.0
-    for i in range(branch.shape[0]):
-        x, y, z = max(x, abs(branch[i, 0])), max(y, abs(branch[i, 1])), max(z, abs(branch[i, 2]))
-    return 2.0 * reach[0] + x, 2.0 * reach[1] + y, 2.0 * reach[2] + z
 
 
 @leaf
