@@ -14,6 +14,7 @@ import math
 import numpy as np
 
 from xcg.kernels._jit import jit, leaf
+from xcg.kernels.lanes import add_four
 from xcg.kernels.nodes import (
     LISTS,
     NODE,
@@ -118,19 +119,9 @@ def deposit(
                             still, moments, reference,
                         )  # fmt: skip
                     for d in range(0, constants.shape[1], 4):
-                        c = np.uint64(level + d)
                         c0, c1, c2, c3 = constants[i, d], constants[i, d + 1], constants[i, d + 2], constants[i, d + 3]
                         for k in range(hits):
-                            n, v = np.uint64(numbers[NODE, k]), weight[k]
-                            _add_four(moments, p, n, c, v * c0, v * c1, v * c2, v * c3)
-
-
-@leaf
-def _add_four(moments, p, n, c, v0, v1, v2, v3):
-    """Add to four columns from c on."""
-    c1, c2, c3 = c + _COLUMNS[1], c + _COLUMNS[2], c + _COLUMNS[3]
-    v0, v1, v2, v3 = moments[p, n, c] + v0, moments[p, n, c1] + v1, moments[p, n, c2] + v2, moments[p, n, c3] + v3
-    moments[p, n, c], moments[p, n, c1], moments[p, n, c2], moments[p, n, c3] = v0, v1, v2, v3
+                            add_four(moments, p, numbers[NODE, k], level + d, weight[k], c0, c1, c2, c3)
 
 
 @leaf
@@ -146,24 +137,20 @@ def _add_flow(p, mass, vx, vy, vz, lists, numbers, hits, level, still, moments, 
             moments[p, n, _COLUMNS[MASS]] += w
             moments[p, n, _COLUMNS[COUNT]] += 1.0
             if level >= LINEAR:
-                wx, wy, wz = w * x, w * y, w * z
-                moments[p, n, _COLUMNS[OFFSET]] += wx
-                moments[p, n, _COLUMNS[OFFSET + 4]] += wy
-                moments[p, n, _COLUMNS[OFFSET + 8]] += wz
-                _add_four(moments, p, n, _COLUMNS[24], wx * x, wx * y, wx * z, wy * y)
-                _add_four(moments, p, n, _COLUMNS[28], wy * z, wz * z, 0.0, 0.0)
-            continue
-        wx, wy, wz = w * ux, w * uy, w * uz
-        _add_four(moments, p, n, _COLUMNS[0], w, wx, wy, wz)
-        if level == VELOCITY:
-            moments[p, n, _COLUMNS[COUNT]] += 1.0
-        if level >= FLUCTUATION:
-            _add_four(moments, p, n, _COLUMNS[4], 1.0, wx * ux, wx * uy, wx * uz)
-            _add_four(moments, p, n, _COLUMNS[8], wy * uy, wy * uz, wz * uz, 0.0)
+                moments[p, n, _COLUMNS[OFFSET]] += w * x
+                moments[p, n, _COLUMNS[OFFSET + 4]] += w * y
+                moments[p, n, _COLUMNS[OFFSET + 8]] += w * z
+        else:
+            wx, wy, wz = w * ux, w * uy, w * uz
+            add_four(moments, p, n, MASS, 1.0, w, wx, wy, wz)
+            add_four(moments, p, n, COUNT, 1.0, 1.0, wx * ux, wx * uy, wx * uz)
+            if level >= FLUCTUATION:
+                add_four(moments, p, n, KINETIC + 3, 1.0, wy * uy, wy * uz, wz * uz, 0.0)
+            if level >= LINEAR:
+                add_four(moments, p, n, OFFSET, x, w, wx, wy, wz)
+                add_four(moments, p, n, OFFSET + 4, y, w, wx, wy, wz)
+                add_four(moments, p, n, OFFSET + 8, z, w, wx, wy, wz)
         if level >= LINEAR:
-            _add_four(moments, p, n, _COLUMNS[12], w * x, wx * x, wy * x, wz * x)
-            _add_four(moments, p, n, _COLUMNS[16], w * y, wx * y, wy * y, wz * y)
-            _add_four(moments, p, n, _COLUMNS[20], w * z, wx * z, wy * z, wz * z)
             wx, wy, wz = w * x, w * y, w * z
-            _add_four(moments, p, n, _COLUMNS[24], wx * x, wx * y, wx * z, wy * y)
-            _add_four(moments, p, n, _COLUMNS[28], wy * z, wz * z, 0.0, 0.0)
+            add_four(moments, p, n, SPREAD, 1.0, wx * x, wx * y, wx * z, wy * y)
+            add_four(moments, p, n, SPREAD + 4, 1.0, wy * z, wz * z, 0.0, 0.0)

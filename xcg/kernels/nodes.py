@@ -14,11 +14,11 @@ import math
 import numpy as np
 
 from xcg.kernels._jit import jit, leaf
+from xcg.kernels.lanes import EIGHT, put_eight, put_line, put_sum
 
 PAD = 16  # loops over lists run to a multiple of this: what is left over would be done one by one
 PENCIL = 8  # cells across: the nodes that a layer of a pencil adds to fit in a core's cache
 RUN = 256  # grains or branches, neighbours in space, that are passed over together
-_1, _2, _3, _4, _5, _6, _7, _8 = (np.uint64(k) for k in range(1, 9))
 
 # What the lists hold: tables over the nodes of a row and the rows of a plane, in both kinds of lists,
 OF_Y, OF_Z, OF_Y2, OF_Z2 = (np.uint64(k) for k in range(4))
@@ -72,40 +72,6 @@ def room_for(low, high, reach, steps):
 
 
 @leaf
-def _put(lists, to, at, v):
-    """Write eight values to places of a list."""
-    lists[to, at], lists[to, at + _1], lists[to, at + _2], lists[to, at + _3] = v[0], v[1], v[2], v[3]
-    lists[to, at + _4], lists[to, at + _5], lists[to, at + _6], lists[to, at + _7] = v[4], v[5], v[6], v[7]
-
-
-@leaf
-def _put_sum(lists, to, at, value, table, first):
-    """Write value + table, from its entry `first` on, to eight places of a list."""
-    t0, t1 = value + lists[table, first], value + lists[table, first + _1]
-    t2, t3 = value + lists[table, first + _2], value + lists[table, first + _3]
-    t4, t5 = value + lists[table, first + _4], value + lists[table, first + _5]
-    t6, t7 = value + lists[table, first + _6], value + lists[table, first + _7]
-    _put(lists, to, at, (t0, t1, t2, t3, t4, t5, t6, t7))
-
-
-@leaf
-def _put_line(lists, to, squares, begin, count, step, origin, factor):
-    """Write factor x (i step - origin), and its square without the factor, for `count` nodes i on a line."""
-    real = lists.dtype.type
-    one, two, three, four = real(1.0), real(2.0), real(3.0), real(4.0)
-    for j in range(0, count, 8):
-        i, at = real(begin + j), np.uint64(j)
-        d0, d1 = i * step - origin, (i + one) * step - origin
-        d2, d3 = (i + two) * step - origin, (i + three) * step - origin
-        i += four
-        d4, d5 = i * step - origin, (i + one) * step - origin
-        d6, d7 = (i + two) * step - origin, (i + three) * step - origin
-        _put(lists, squares, at, (d0 * d0, d1 * d1, d2 * d2, d3 * d3, d4 * d4, d5 * d5, d6 * d6, d7 * d7))
-        f = real(factor)
-        _put(lists, to, at, (f * d0, f * d1, f * d2, f * d3, f * d4, f * d5, f * d6, f * d7))
-
-
-@leaf
 def list_ball(x, y, z, steps, per_steps, low, high, lists, numbers):
     """List the nodes closer than 1 to a point.
 
@@ -130,16 +96,17 @@ def list_ball(x, y, z, steps, per_steps, low, high, lists, numbers):
     y0, y1 = node_range(y - 1.0, y + 1.0, per_steps[1], low[1], high[1])
     z0, z1 = node_range(z - 1.0, z + 1.0, per_steps[2], low[2], high[2])
     ny, nz = high[1] - low[1], high[2] - low[2]
-    _put_line(lists, OF_Y, OF_Y2, y0, y1 - y0, steps[1], y, -1.0)
-    _put_line(lists, OF_Z, OF_Z2, z0, z1 - z0, steps[2], z, -1.0)
+    for j in range(0, y1 - y0, EIGHT):
+        put_line(lists, OF_Y, OF_Y2, j, y0 + j, steps[1], y, -1.0)
+    for j in range(0, z1 - z0, EIGHT):
+        put_line(lists, OF_Z, OF_Z2, j, z0 + j, steps[2], z, -1.0)
     count = 0
     for ix in range(x0, x1):
         dx, begin = x - ix * steps[0], ((ix - low[0]) * ny + y0 - low[1]) * nz + z0 - low[2]
-        for j in range(0, y1 - y0, 8):
-            at, f = np.uint64(count + j), np.uint64(j)
-            _put(lists, ROW_X, at, (dx, dx, dx, dx, dx, dx, dx, dx))
-            _put_sum(lists, ROW_Y, at, 0.0, OF_Y, f)
-            _put_sum(numbers, ROW, at, begin, OF_Y, f)
+        for j in range(0, y1 - y0, EIGHT):
+            put_eight(lists, ROW_X, count + j, dx)
+            put_sum(lists, ROW_Y, count + j, 0.0, OF_Y, j)
+            put_sum(numbers, ROW, count + j, begin, OF_Y, j)
         count += y1 - y0
     lowest, highest, per_step = float(z0), float(z1 - 1), per_steps[2]
     for k in range(padded(count)):
@@ -153,20 +120,19 @@ def list_ball(x, y, z, steps, per_steps, low, high, lists, numbers):
         numbers[MANY, k] = np.int32(max(0.0, end - begin + 1.0))
     hits = 0
     for k in range(count):
-        f, left = np.uint64(numbers[FIRST, k]), numbers[MANY, k]
-        dx, dy = lists[ROW_X, k], lists[ROW_Y, k]
+        first, left = numbers[FIRST, k], numbers[MANY, k]
+        dx, dy, row2, row = lists[ROW_X, k], lists[ROW_Y, k], lists[ROW2, k], numbers[ROW, k]
         while True:
-            h = np.uint64(hits)
-            _put_sum(lists, Q2, h, lists[ROW2, k], OF_Z2, f)
-            _put(lists, X, h, (dx, dx, dx, dx, dx, dx, dx, dx))
-            _put(lists, Y, h, (dy, dy, dy, dy, dy, dy, dy, dy))
-            _put_sum(lists, Z, h, 0.0, OF_Z, f)
-            _put_sum(numbers, NODE, h, numbers[ROW, k], OF_Z, f)
-            hits += min(8, left)
-            left -= 8
+            put_sum(lists, Q2, hits, row2, OF_Z2, first)
+            put_eight(lists, X, hits, dx)
+            put_eight(lists, Y, hits, dy)
+            put_sum(lists, Z, hits, 0.0, OF_Z, first)
+            put_sum(numbers, NODE, hits, row, OF_Z, first)
+            hits += min(EIGHT, left)
+            left -= EIGHT
             if left <= 0:
                 break
-            f += _8
+            first += EIGHT
     return hits
 
 
@@ -210,17 +176,18 @@ def list_tube(x, y, z, bx, by, bz, per_length, steps, per_steps, low, high, list
     z, step_z, per_step = real(z - base_z * steps[2]), real(steps[2]), real(per_steps[2])
     ez, per_length = real(bz * per_length), real(per_length)
     ny, nz = high[1] - low[1], high[2] - low[2]
-    _put_line(lists, OF_Y, OF_Y2, y0 - base_y, y1 - y0, step_y, y, by)
-    _put_line(lists, OF_Z, OF_Z2, z0 - base_z, z1 - z0, step_z, z, ez)
+    for j in range(0, y1 - y0, EIGHT):
+        put_line(lists, OF_Y, OF_Y2, j, y0 - base_y + j, step_y, y, by)
+    for j in range(0, z1 - z0, EIGHT):
+        put_line(lists, OF_Z, OF_Z2, j, z0 - base_z + j, step_z, z, ez)
     count = 0
     for ix in range(x0, x1):
         dx, begin = ix * steps[0] - x, ((ix - low[0]) * ny + y0 - low[1]) * nz + z0 - low[2]
         dx2, dx_dot = real(dx * dx), real(dx * bx)
-        for j in range(0, y1 - y0, 8):
-            at, f = np.uint64(count + j), np.uint64(j)
-            _put_sum(lists, ROW2, at, dx2, OF_Y2, f)
-            _put_sum(lists, ROW_DOT, at, dx_dot, OF_Y, f)
-            _put_sum(numbers, ROW, at, begin, OF_Y, f)
+        for j in range(0, y1 - y0, EIGHT):
+            put_sum(lists, ROW2, count + j, dx2, OF_Y2, j)
+            put_sum(lists, ROW_DOT, count + j, dx_dot, OF_Y, j)
+            put_sum(numbers, ROW, count + j, begin, OF_Y, j)
         count += y1 - y0
     lowest, highest = real(z0 - base_z), real(z1 - 1 - base_z)
     c2, per_c2, tilt, rise = real(across2), real(1.0 / across2 if across2 > 0.0 else 0.0), real(tilt), real(bz)
@@ -239,18 +206,17 @@ def list_tube(x, y, z, bx, by, bz, per_length, steps, per_steps, low, high, list
         numbers[MANY, k] = np.int32(max(zero, end - begin + one))
     hits = 0
     for k in range(count):
-        f, left = np.uint64(numbers[FIRST, k]), numbers[MANY, k]
+        first, left = numbers[FIRST, k], numbers[MANY, k]
         row2, foot, row = lists[ROW2, k], lists[ROW_DOT, k] * per_length, numbers[ROW, k]
         while True:
-            h = np.uint64(hits)
-            _put_sum(lists, Q2, h, row2, OF_Z2, f)
-            _put_sum(lists, ALONG, h, foot, OF_Z, f)
-            _put_sum(numbers, NODE, h, row, OF_Z, f)
-            hits += min(8, left)
-            left -= 8
+            put_sum(lists, Q2, hits, row2, OF_Z2, first)
+            put_sum(lists, ALONG, hits, foot, OF_Z, first)
+            put_sum(numbers, NODE, hits, row, OF_Z, first)
+            hits += min(EIGHT, left)
+            left -= EIGHT
             if left <= 0:
                 break
-            f += _8
+            first += EIGHT
     return hits
 
 

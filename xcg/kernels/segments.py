@@ -11,6 +11,7 @@ import math
 import numpy as np
 
 from xcg.kernels._jit import jit, leaf
+from xcg.kernels.lanes import add_four
 from xcg.kernels.nodes import (
     ALONG,
     LISTS,
@@ -38,6 +39,7 @@ for _order in range(1, MAX_ORDER + 1):
 # Below this length (in cutoffs) the closed form loses more digits in its difference than four points leave out.
 SHORT = 1e-4
 SHORT_ORDER = 4
+_LAST = np.uint64(8)
 
 
 @leaf
@@ -151,13 +153,9 @@ def _add_dyad(moments, p, numbers, hits, w, factor, force, branch, i):
     )  # fmt: skip
     for k in range(hits):
         n, v = np.uint64(numbers[NODE, k]), np.float64(w[k])
-        s0, s1 = moments[p, n, 0] + v * c0, moments[p, n, 1] + v * c1
-        s2, s3 = moments[p, n, 2] + v * c2, moments[p, n, 3] + v * c3
-        s4, s5 = moments[p, n, 4] + v * c4, moments[p, n, 5] + v * c5
-        s6, s7 = moments[p, n, 6] + v * c6, moments[p, n, 7] + v * c7
-        moments[p, n, 0], moments[p, n, 1], moments[p, n, 2], moments[p, n, 3] = s0, s1, s2, s3
-        moments[p, n, 4], moments[p, n, 5], moments[p, n, 6], moments[p, n, 7] = s4, s5, s6, s7
-        moments[p, n, 8] += v * c8
+        add_four(moments, p, n, 0, v, c0, c1, c2, c3)
+        add_four(moments, p, n, 4, v, c4, c5, c6, c7)
+        moments[p, n, _LAST] += v * c8
 
 
 @jit
