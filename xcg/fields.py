@@ -195,16 +195,17 @@ def _outer(a: NDArray) -> NDArray:
 def _fit(f: Any, s: Any, o: Options, *, about_node: bool = False) -> SimpleNamespace:
     """Least squares through the grains about their centre of mass, or about the node: G = B M^+."""
     shape = s.mass.shape
-    gradient, mean = np.empty((3, 3, *shape)), np.empty((3, *shape))
-    determined, rank = np.empty((3, *shape), bool), np.empty(shape, "int64")
-    sums = [_inner(a).reshape(*a.shape[2:], -1) for a in (s.mass, f._drift, s.offset, s.shear, s.spread)]
+    gradient, explained, mean = np.empty((3, 3, *shape)), np.empty((3, 3, *shape)), np.empty((3, *shape))
+    determined = np.empty((3, *shape), bool)
+    sums = [_inner(a).reshape(*a.shape[2:], -1) for a in (s.count, s.mass, f._drift, s.offset, s.shear, s.spread)]
     fit_gradient(
-        *sums, np.asarray(o.active), about_node,
-        gradient.reshape(3, 3, -1), determined.reshape(3, -1), rank.reshape(-1), mean.reshape(3, -1),
+        *sums, np.asarray(o.active), about_node, gradient.reshape(3, 3, -1), explained.reshape(3, 3, -1),
+        determined.reshape(3, -1), mean.reshape(3, -1),
     )  # fmt: skip
     return SimpleNamespace(
-        gradient=_outer(gradient), determined=_outer(determined)[..., None, :], rank=rank, mean=_outer(mean)
-    )
+        gradient=_outer(gradient), explained=_outer(explained), determined=_outer(determined)[..., None, :],
+        mean=_outer(mean),
+    )  # fmt: skip
 
 
 def _kernel_gradient(f: Any, s: Any, o: Options) -> NDArray:
@@ -234,11 +235,16 @@ def _finite_difference(f: Any, s: Any, o: Options) -> NDArray:
 
 
 def _fluctuation_stress(f: Any, s: Any, o: Options) -> NDArray:
-    """Sum of m Psi v'' v'' with v'' = u - b - G x, all about the bulk: expanded in the moments of each phase."""
-    least_squares = o.gradient in FITS  # along directions that the grains do not span, its G is zero
+    """Sum of m Psi v'' v'' with v'' = u - b - G x, all about the bulk: expanded in the moments of each phase.
+
+    Of the grains that G was fitted to it is what the fit leaves of the kinetic stress, as G M = B.
+    """
+    least_squares = o.gradient in FITS
+    if least_squares and len(s.mass) == 1:
+        return f.kinetic_stress - f._fit.explained
+    # along directions that the grains do not span, the G of a fit is zero
     g = (f._fit.gradient if least_squares else np.nan_to_num(f.velocity_gradient, nan=0.0))[:1]
-    # a fit through rank + 1 grains leaves nothing over: their fluctuation is unknown, not zero
-    unknown = s.count[0] <= f._fit.rank[0] + 1
+    unknown = np.isnan(f._fit.explained[0, :, 0, 0])
     if not least_squares:
         unknown = unknown | np.isnan(f.velocity_gradient[0]).any(axis=(-1, -2))
     sums = [_inner(a) for a in (s.mass, s.momentum, s.kinetic, s.offset, s.shear, s.spread)]
@@ -360,7 +366,8 @@ FIELDS: dict[str, Field] = {
     "fluctuation_stress": Field(
         2, _STRESS, "kinetic stress about the velocity at the particles",
         "sum m_i v'_i v'_i Psi, v'_i = v_i - V - G (r_i - r_bar)",
-        _fluctuation_stress, fields=("_fit", "_drift", "velocity_gradient"), sums=(*_LINEAR, "kinetic"), additive=True,
+        _fluctuation_stress, fields=("_fit", "_drift", "velocity_gradient", "kinetic_stress"),
+        sums=(*_LINEAR, "kinetic"), additive=True,
     ),
     "granular_temperature": Field(
         0, (2, 0, -2), "granular temperature", "T = tr(sum m_i v'_i v'_i Psi) / (D rho)",

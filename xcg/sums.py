@@ -90,14 +90,20 @@ class _Pass:
     moments: Mapping[str, tuple[NDArray, float | NDArray]]
 
     @cached_property
-    def together(self) -> dict[str, slice]:
-        """The columns of moments whose columns follow each other: these need no copy."""
-        first = {name: columns.flat[0] for name, (columns, _) in self.moments.items()}
-        return {
-            name: slice(first[name], first[name] + columns.size)
-            for name, (columns, _) in self.moments.items()
-            if (columns.ravel() == first[name] + np.arange(columns.size)).all()
-        }
+    def _rows(self) -> tuple[NDArray, NDArray]:
+        """Column (r,) and factor (r, groups) of each component of the moments, one after the other."""
+        columns = np.concatenate([columns.ravel() for columns, _ in self.moments.values()])
+        factors = [np.broadcast_to(factor, (columns.size, self.groups)) for columns, factor in self.moments.values()]
+        return columns.astype("uint64"), np.concatenate(factors)
+
+    def turned(self, records: NDArray) -> Iterator[tuple[str, NDArray]]:
+        """Moments (components, groups, nodes) from the sums (groups, nodes, columns)."""
+        column, factor = self._rows
+        out, first = np.empty((column.size, *records.shape[:2])), 0
+        turn(records, column, factor, out)
+        for name, (columns, _) in self.moments.items():
+            yield name, out[first : first + columns.size].reshape(*columns.shape, *out.shape[1:])
+            first += columns.size
 
     def __call__(self, box: Box, reference: NDArray) -> NDArray:
         sums = np.zeros((self.groups, len(reference), self.columns))
@@ -303,15 +309,10 @@ class Sums:
 
     def _moments(self, run: _Pass, records: NDArray) -> dict[str, NDArray]:
         nodes, phases = records.shape[1], max(1, len(self.recipe.groups))
-        turned = np.empty((run.columns, run.groups, nodes))
-        turn(records, turned)
         found = {}
-        for name, (columns, factor) in run.moments.items():
-            part = turned[run.together.get(name, columns)].reshape(*columns.shape, *turned.shape[1:])
+        for name, part in run.turned(records):
             if run.groups > phases:  # by phase of the partner
                 part = np.moveaxis(part.reshape(*part.shape[:-2], phases, -1, nodes), -2, 0)
-            if not (isinstance(factor, float) and factor == 1.0):
-                part = part * np.reshape(factor, (-1, 1))
             if self.recipe.by is not None:
                 bulk = sum(part[..., [k], :] for k in range(phases))  # in this order whatever the number of nodes
                 part = np.concatenate([bulk, part], axis=-2)

@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 
-from xcg.kernels._jit import jit
+from xcg.kernels._jit import jit, leaf
 
 
-@jit
+@leaf
 def diagonalise(matrix, vectors):
     """Cyclic Jacobi rotations: eigenvalues on the diagonal of `matrix`, eigenvectors in the columns of `vectors`."""
     vectors[:] = 0.0
@@ -36,7 +36,7 @@ def diagonalise(matrix, vectors):
                     vectors[k, p], vectors[k, q] = c * a - s * b, s * a + c * b
 
 
-@jit
+@leaf
 def descending(diagonal):
     """Places of the diagonal entries of a 3x3 matrix from the largest to the smallest."""
     first, last = 0, 0

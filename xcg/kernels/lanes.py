@@ -109,7 +109,9 @@ def put_line(typingctx, lists, to, squares, at, first, step, origin, factor):
         add, multiply = _arithmetic(builder, signature.args[0].dtype)
         begin, step, origin, factor = (_vector(builder, [number(k)] * EIGHT) for k in range(4, 8))
         number_type = context.get_data_type(signature.args[0].dtype)
-        ramp = ir.Constant(ir.VectorType(number_type, EIGHT), [ir.Constant(number_type, float(k)) for k in range(EIGHT)])
+        ramp = ir.Constant(
+            ir.VectorType(number_type, EIGHT), [ir.Constant(number_type, float(k)) for k in range(EIGHT)]
+        )
         d = builder.fsub(multiply(add(begin, ramp), step), origin)
         builder.store(multiply(factor, d), target, align=align)
         builder.store(multiply(d, d), square, align=align)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from xcg.kernels._jit import jit
+from xcg.kernels._jit import jit, leaf
 
 
 @jit
@@ -212,10 +212,13 @@ def list_segments(
     return count
 
 
-@jit
-def turn(records, out):
-    """Write records (p, n, c) as columns (c, p, n): each record is read once, in order."""
+@leaf
+def turn(records, column, factor, out):
+    """Write columns of records (p, n, c), times a factor for each p, nodes last: each record is read once, in order.
+
+    ``out[r, p, n] = factor[r, p] * records[p, n, column[r]]`` for r = 0, ... column.size - 1.
+    """
     for p in range(records.shape[0]):
         for n in range(records.shape[1]):
-            for c in range(records.shape[2]):
-                out[c, p, n] = records[p, n, c]
+            for r in range(column.size):
+                out[r, p, n] = factor[r, p] * records[p, n, column[r]]
