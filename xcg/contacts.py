@@ -19,18 +19,14 @@ from xcg.kernels.rows import (
     add_dyads,
     add_rows,
     add_unit_squares,
-    list_segments,
-    nearest_image,
-    order_by,
     peel,
+    places_by,
+    sides,
     unit_branches,
 )
 from xcg.scene import box_array
 from xcg.schema import Frame, SceneError
 
-# Branches closer to one line than this (sine of their angle) share one segment from centre to centre; the
-# contact point is then off that line by no more than the rounding of its coordinates.
-COLLINEAR = 1e-12
 # Contacts are those of spheres where the branches are as spheres have them, to this share of the radius.
 SPHERES = 1e-2
 
@@ -45,28 +41,30 @@ class Contacts:
         Rows of the two particles; -1 for a wall or a partner that is not in the scene.
     force : array (n, 3)
         Force on i (N); zero where the frame has no forces.
-    branch_i, branch_j : array (n, 3)
-        From the contact point to the centre, ``r_i - c`` (m), nearest image; zero for a partner that is not there.
-    given_normal : array (n, 3) or None
-        Unit vector from j to i, where the data hold it.
     point : array (n, 3)
         Contact point (m).
+    position : array (particles, 3)
+        Centres (m).
+    period : array (3,)
+        Length of the periodic axes (m), infinity along the others.
     key_i, key_j : array (n,)
         Identifiers of the partners, walls included.
-    count : int
-        Number of particles.
+    given_normal : array (n, 3) or None
+        Unit vector from j to i, where the data hold it.
+    given_branches : tuple of array (n, 3) or None
+        Branches of i and j, where they are known better than from centres and contact points.
     """
 
     i: NDArray
     j: NDArray
     force: NDArray
-    branch_i: NDArray
-    branch_j: NDArray
-    given_normal: NDArray | None
     point: NDArray
+    position: NDArray
+    period: NDArray
     key_i: NDArray
     key_j: NDArray
-    count: int
+    given_normal: NDArray | None
+    given_branches: tuple[NDArray, NDArray] | None = None
 
     @classmethod
     def of(cls, frame: Frame, period: NDArray) -> Contacts:
@@ -74,13 +72,30 @@ class Contacts:
         ids, position = frame["particle_id"], frame["position"]
         key_i, key_j, point = frame["contact_i"], frame["contact_j"], frame["contact_point"]
         row_i, row_j = rows_of(ids, key_i), rows_of(ids, key_j)
-        branch_i, branch_j = np.empty_like(point), np.empty_like(point)
-        nearest_image(position, row_i, point, period, branch_i)
-        nearest_image(position, row_j, point, period, branch_j)
         normal = frame.get("contact_normal")
         # contacts found from positions without a stiffness have no forces
         force = frame["contact_force"] if "contact_force" in frame else np.zeros_like(point)
-        return cls(row_i, row_j, force, branch_i, branch_j, normal, point, key_i, key_j, len(ids))
+        return cls(row_i, row_j, force, point, position, period, key_i, key_j, normal)
+
+    @cached_property
+    def branches(self) -> tuple[NDArray, NDArray]:
+        """From the contact point to the centres, ``r_i - c`` (m), nearest image; zero for a partner not there."""
+        if self.given_branches is not None:
+            return self.given_branches
+        branch_i, branch_j = np.empty_like(self.point), np.empty_like(self.point)
+        sides(self.i, self.position, self.point, self.period, branch_i)
+        sides(self.j, self.position, self.point, self.period, branch_j)
+        return branch_i, branch_j
+
+    @property
+    def branch_i(self) -> NDArray:
+        """Branch of i, see `branches`; (n, 3)."""
+        return self.branches[0]
+
+    @property
+    def branch_j(self) -> NDArray:
+        """Branch of j, see `branches`; (n, 3)."""
+        return self.branches[1]
 
     def with_overlaps(self, diameter: NDArray, overlap: NDArray) -> Contacts:
         """Return the contacts with branches of spheres as the code had them: ``a = n (R - overlap/2)``.
@@ -97,7 +112,7 @@ class Contacts:
             branches.append(branch)
         branch_i, branch_j = self.branch_i.copy(), self.branch_j.copy()
         branch_i[both[spheres]], branch_j[both[spheres]] = branches[0][spheres], branches[1][spheres]
-        return replace(self, branch_i=branch_i, branch_j=branch_j)
+        return replace(self, given_branches=(branch_i, branch_j))
 
     @cached_property
     def normal(self) -> NDArray:
@@ -111,10 +126,10 @@ class Contacts:
     def sum_over_particles(self, on_i: NDArray, on_j: NDArray, sign_j: float = 1.0) -> NDArray:
         """Sum what contacts give to their particles, `on_i` and `sign_j` x `on_j`; (n, ...) to (particles, ...)."""
         width = math.prod(on_i.shape[1:])
-        total = np.zeros((self.count, width))
+        total = np.zeros((len(self.position), width))
         for row, sign, values in ((self.i, 1.0, on_i), (self.j, sign_j, on_j)):
             add_rows(row, sign, values.reshape(len(row), width), total)
-        return total.reshape(self.count, *on_i.shape[1:])
+        return total.reshape(len(self.position), *on_i.shape[1:])
 
     @cached_property
     def first(self) -> NDArray:
@@ -141,14 +156,14 @@ class Contacts:
 
         Partners that are not particles of the scene (walls) stay.
         """
-        degree, kept = self.partners.copy(), np.ones(self.count, bool)
+        degree, kept = self.partners.copy(), np.ones(len(self.position), bool)
         peel(self.i, self.j, self.first, least, degree, kept)
         return kept
 
     @property
     def normals(self) -> NDArray:
         """Sum over contacts of n n for each particle (particles, 6): xx xy xz yy yz zz."""
-        total = np.zeros((self.count, 6))
+        total = np.zeros((len(self.position), 6))
         along = (self.branch_i, self.branch_j) if self.given_normal is None else (self.given_normal, self.given_normal)
         add_unit_squares(self.i, self.j, *along, total)
         return total
@@ -156,7 +171,7 @@ class Contacts:
     @property
     def dyads(self) -> NDArray:
         """Sum over contacts of f a for each particle, force times branch (J); shape (particles, 3, 3)."""
-        total = np.zeros((self.count, 3, 3))
+        total = np.zeros((len(self.position), 3, 3))
         add_dyads(self.i, 1.0, self.force, self.branch_i, total)
         add_dyads(self.j, -1.0, self.force, self.branch_j, total)
         return total
@@ -176,47 +191,11 @@ class Contacts:
             np.concatenate([self.force[wall_j], -self.force[wall_i]]),
         )
 
-    def along(self, rank: NDArray) -> NDArray:
-        """Order of the contacts by the rank of their particles (count,)."""
-        order = np.empty_like(self.i)
-        order_by(rank, self.i, self.j, order)
-        return order
-
-    def segments(
-        self, order: NDArray, position: NDArray, phase: NDArray, origin: NDArray, cutoffs: NDArray, cutoff: float
-    ) -> tuple[NDArray, NDArray, NDArray, NDArray, NDArray]:
-        """Segments whose force x branch, smeared along them, is the contact stress.
-
-        Each side of a contact runs from its particle's centre to the contact point. Both sides are one segment
-        where they lie on one line and in one phase, as for spheres: ``f (a_i - a_j)`` along the whole branch.
-
-        Parameters
-        ----------
-        order : array (n,)
-            The order of the contacts that the segments follow.
-        position, phase : array (particles, 3), (particles,)
-        origin : array (3,)
-            Of the starts.
-        cutoffs : array (phases,)
-            The cutoff (m) of each phase's sides.
-        cutoff : float
-            The one whose segments are wanted, and their unit of length.
-
-        Returns
-        -------
-        start, branch, force : array (k, 3)
-            Centre, vector from the segment's end to its start, force on that particle x cutoff (J).
-        phase, other : array (k,)
-            Phase of that particle and of its partner; -1 for a wall or a partner that is not there.
-        """
-        most = 2 * len(self.i)  # memory that is not written to is not taken
-        start, branch, force = np.empty((most, 3)), np.empty((most, 3)), np.empty((most, 3))
-        own, other = np.empty(most, "int64"), np.empty(most, "int64")
-        n = list_segments(
-            order, self.i, self.j, self.branch_i, self.branch_j, self.force, position, phase, COLLINEAR,
-            cutoffs, cutoff, origin, start, branch, force, own, other,
-        )  # fmt: skip
-        return start[:n], branch[:n], force[:n], own[:n], other[:n]
+    def places(self, rank: NDArray) -> NDArray:
+        """Place of each contact among all, by the rank (particles,) of its first particle that is there; (n,)."""
+        place = np.empty_like(self.i)
+        places_by(rank, np.where(self.i >= 0, self.i, self.j), np.zeros(rank.size + 2, "int64"), place)
+        return place
 
 
 # --- who is near whom ------------------------------------------------------------------------------------

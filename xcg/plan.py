@@ -158,7 +158,7 @@ def _limits(
     The error of a rule depends on nothing but the branch length over the cutoff and the place of the node, so that
     a scan over both bounds it for every scene. A twentieth is kept in hand for places between those scanned.
     """
-    array = np.frombuffer(table).reshape(table_shape)
+    array = np.frombuffer(table).reshape(table_shape).copy()
     rows = 1 if seen == 1 else 24
 
     def kept(length: float, order: int) -> bool:
@@ -313,13 +313,14 @@ def make_plan(
     )
     if gradient == "kernel" and {"mass_slope", "momentum_slope"} & set(registry.sums_of(names, options)):
         _check_differentiable(chosen, len(grid.seen))
+    limits = gauss_limits(chosen, len(grid.seen), rtol)
     recipe = Recipe(
         moments=registry.sums_of(names, options),
         grid=grid,
         weights=kernels[0].weights(len(grid.seen)),
         cutoffs=tuple(k.cutoff for k in kernels),
-        limits=gauss_limits(chosen, len(grid.seen), rtol),
-        coarse=rtol >= SINGLE,
+        limits=limits,
+        coarse=limits.size > 0 and rtol >= SINGLE,
         by=by,
         groups=() if by is None else groups_of(ds, by, groups),
     )

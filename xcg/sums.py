@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -13,9 +14,9 @@ from numpy.typing import NDArray
 
 from xcg.contacts import Contacts
 from xcg.kernels import deposit as kernel
-from xcg.kernels.nodes import bounds_of, runs_of, spatial_order
-from xcg.kernels.rows import pick_rows, turn
-from xcg.kernels.segments import deposit_segments
+from xcg.kernels.nodes import RUN, lists_for, runs_of, spatial_order
+from xcg.kernels.rows import turn
+from xcg.kernels.segments import SEGMENT, closed_for, deposit_segments, list_segments
 from xcg.moments import CUTOFF_POWERS, MOMENTS, Recipe, columns_of
 from xcg.schema import COMPONENTS, Frame, SceneError
 from xcg.threads import Box, for_each, slices
@@ -51,7 +52,7 @@ def without_frozen(frame: Frame) -> Frame:
 _Fill = Callable[[Box, NDArray, NDArray], None]
 
 # Sums are made over boxes of about this many nodes, so that memory holds those of a few boxes, not of the mesh.
-BOX = 65_000
+BOX = 110_000
 # Beyond this many cutoffs from the mesh coordinates cannot be told apart, and cells cannot be counted.
 _FAR = 2.0**50
 _MOST_IMAGES = 1000
@@ -62,16 +63,12 @@ def _tuple(values: Sequence[Any] | NDArray) -> tuple[Any, Any, Any]:
     return x, y, z
 
 
-def _columns(
-    parts: Sequence[NDArray], rows: NDArray, width: int, origin: NDArray | None = None, scale: float = 1.0
-) -> NDArray:
-    """Return (parts[rows] - origin) x scale side by side, (rows, width), zero where they have fewer columns.
-
-    NumPy asks for large pages of memory, compiled code does not: it fills arrays that are made here.
-    """
-    out, first = np.zeros((len(rows), width)), 0
+def _side_by_side(parts: Sequence[NDArray], count: int) -> NDArray:
+    """Columns (count, ...) side by side, and zeros up to a multiple of four, as the loop adds four at a time."""
+    width = sum(values.shape[1] for values in parts)
+    out, first = np.zeros((count, width + -width % 4)), 0
     for values in parts:
-        pick_rows(values, rows, np.zeros(values.shape[1]) if origin is None else origin, scale, out, first)
+        out[:, first : first + values.shape[1]] = values
         first += values.shape[1]
     return out
 
@@ -127,7 +124,8 @@ class _Deposit:
         self.phases = max(1, len(recipe.groups))
         self.cutoffs = np.resize(recipe.cutoffs, self.phases)
         self.active = recipe.grid.active
-        self.period = np.where(self.active, period, np.inf)
+        self.period, self.wrap = np.where(self.active, period, np.inf), _tuple(period)
+        self.origin = _tuple(self.recipe.grid.origin)
         self.order = self._in_space(self.position)
 
     def passes(self, threads: int) -> list[_Pass]:
@@ -191,21 +189,39 @@ class _Deposit:
         }
         rank = np.empty_like(self.order)
         rank[self.order] = np.arange(self.count)
-        order = self.contacts.along(rank)
-        for cutoff in np.unique(self.cutoffs).tolist():
-            start, branch, force, owner, other = self.contacts.segments(
-                order, self.position, self.phase, self.recipe.grid.origin, self.cutoffs, cutoff
-            )
-            longest = np.abs(bounds_of(branch)).max(axis=0)
-            reach = 2.0 + longest
-            self._check(np.abs(bounds_of(start)).max(axis=0) + reach, reach, cutoff)
-            spans = (runs_of(start, branch), _tuple(longest))
-            for name, fill in fills.items():
-                into = owner if name == "contact" else owner * others + np.where(other < 0, self.phases, other)
-                sides = (start, branch, force, into, self.recipe.limits, self.recipe.coarse or None, *spans)
-                fill.append(partial(_fill_segments, sides, self._onto(cutoff)))
+        place = self.contacts.places(rank)
+        for cutoff, (name, fill) in product(np.unique(self.cutoffs).tolist(), fills.items()):
+            for second in (False, True):
+                segments, longest, more = self._segments(place, second, others if name == "pair_contact" else 0, cutoff)
+                reach = 2.0 + longest[:3]
+                self._check(reach, reach, cutoff)
+                runs = _runs(segments)
+                runs += np.array([[-1.0], [1.0]]) * longest[:3]
+                for real, closed, rest in self._rules(longest[3]):
+                    way = (segments, self.recipe.limits, runs), reach, self._onto(cutoff), real, closed, rest
+                    fill.append(partial(_fill_segments, *way))
+                if not more:
+                    break
         groups = {"contact": self.phases, "pair_contact": self.phases * others}
         return [_Pass(groups[name], 9, fill, {name: (columns_of("contact"), 1.0)}) for name, fill in fills.items()]
+
+    def _segments(self, place: NDArray, second: bool, others: int, cutoff: float) -> tuple[NDArray, NDArray, bool]:
+        """Segments of the first or second particles of the contacts, the longest, and whether there are second ones."""
+        c = self.contacts
+        assert c is not None
+        segments, longest = np.empty((len(place), SEGMENT)), np.empty(4)
+        more = list_segments(
+            second, place, c.i, c.j, c.point, c.force, self.position, self.phase, others, self.wrap, self.cutoffs,
+            cutoff, self.origin, segments, longest,
+        )  # fmt: skip
+        return segments, longest, more
+
+    def _rules(self, longest: float) -> list[tuple[str, bool, bool]]:
+        """Ways to the weights of segments: numbers, whether in closed form as well, and whether in that alone."""
+        if not self.recipe.coarse:
+            return [("float64", True, False)]
+        by_points = ("float32", False, False)
+        return [by_points] if longest <= self.recipe.limits.max() else [by_points, ("float64", True, True)]
 
     def _at_walls(self) -> list[_Pass]:
         assert self.contacts is not None
@@ -224,13 +240,13 @@ class _Deposit:
 
     def _in_space(self, position: NDArray) -> NDArray:
         """Order in space, so that neighbours add to the same nodes while these are in cache."""
-        lower, upper = bounds_of(position)
-        farthest = np.maximum(np.abs(lower - self.recipe.grid.origin), np.abs(upper - self.recipe.grid.origin))
+        if not len(position):
+            return np.zeros(0, "int64")
+        lower, upper = position.min(axis=0), position.max(axis=0)
+        farthest = np.maximum(np.abs(lower - self.origin), np.abs(upper - self.origin))
         for cutoff in (self.cutoffs.min(), self.cutoffs.max()):
             self._check(farthest / cutoff + 2.0, np.full(3, 2.0), cutoff)
-        order, cell = np.empty(len(position), "int64"), np.empty(len(position), "int64")
-        spatial_order(position, self.cutoffs.min(), lower, upper, self.active, cell, order)
-        return order
+        return spatial_order(position, self.cutoffs.min(), lower, upper, self.active)
 
     def _check(self, farthest: NDArray, reach: NDArray, unit: float) -> None:
         """Refuse places that the kernels cannot number; damaged files hold them."""
@@ -256,27 +272,40 @@ class _Deposit:
         *, by_gradient: bool = False,
     ) -> _Pass:  # fmt: skip
         """Prepare grains, or other points, with their flow columns up to `level` and columns of constants."""
-        width = sum(values.shape[1] for values in constants)
-        width += -width % 4  # as the loop adds four columns at a time
+        columns = _side_by_side(constants, len(position))
         still = bool((velocity == velocity[:1]).all())  # nothing moves: columns with u are zero without adding them
         fill = []
         for cutoff in np.unique(self.cutoffs).tolist():
             rows = order if (self.cutoffs == cutoff).all() else order[self.cutoffs[phase[order]] == cutoff]
-            local = _columns([position], rows, 3, self.recipe.grid.origin, 1.0 / cutoff)
-            flow = (_columns([velocity], rows, 3), mass[rows])
-            grains = (local, *flow, _columns(constants, rows, width), phase[rows], level, still)
-            onto = (*self._onto(cutoff), by_gradient)
-            runs = runs_of(local, np.zeros_like(local))
-            fill.append(partial(_fill_points, (*grains, runs), onto))
-        return _Pass(self.phases, level + width, fill, moments)
+            # in order, as neighbours in space are read one after the other
+            local, *rest = (np.take(a, rows, axis=0) for a in (position, velocity, mass, columns, phase))
+            local = (local - self.origin) / cutoff
+            grains = (local, *rest, level, still, _runs(local))
+            fill.append(partial(_fill_points, grains, (*self._onto(cutoff), by_gradient)))
+        return _Pass(self.phases, level + columns.shape[1], fill, moments)
+
+
+def _runs(points: NDArray) -> NDArray:
+    """Bounds (runs, 2, 3) of points that follow each other."""
+    bounds = np.empty((-(-len(points) // RUN), 2, 3))
+    runs_of(points, bounds)
+    return bounds
 
 
 def _fill_points(grains: tuple[Any, ...], onto: tuple[Any, ...], box: Box, sums: NDArray, reference: NDArray) -> None:
-    kernel.deposit(*grains, *box, *onto, sums, reference)
+    steps, active, *_ = onto
+    lists = lists_for(*box, [2.0 * a for a in active], steps)
+    kernel.deposit(*grains, *box, *onto, *lists, sums, reference)
 
 
-def _fill_segments(sides: tuple[Any, ...], onto: tuple[Any, ...], box: Box, sums: NDArray, _: NDArray) -> None:
-    deposit_segments(*sides, *box, *onto, sums)
+def _fill_segments(
+    segments: tuple[Any, ...], reach: NDArray, onto: tuple[Any, ...], real: str, closed: bool, rest: bool,
+    box: Box, sums: NDArray, _: NDArray,
+) -> None:  # fmt: skip
+    steps, active, *_ = onto
+    lists, numbers = lists_for(*box, np.multiply(reach, active).tolist(), steps, real)
+    scratch = closed_for(lists) if closed else None
+    deposit_segments(*segments, *box, *onto, lists, numbers, scratch, rest, sums)
 
 
 @dataclass(frozen=True)

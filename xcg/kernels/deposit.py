@@ -13,23 +13,9 @@ import math
 
 import numpy as np
 
-from xcg.kernels._jit import jit, leaf
+from xcg.kernels._jit import leaf
 from xcg.kernels.lanes import add_four
-from xcg.kernels.nodes import (
-    LISTS,
-    NODE,
-    Q2,
-    RUN,
-    WEIGHT,
-    X,
-    Y,
-    Z,
-    images,
-    list_ball,
-    numbers_for,
-    room_for,
-    run_reaches,
-)
+from xcg.kernels.nodes import NODE, Q2, RUN, WEIGHT, X, Y, Z, images, list_ball, run_reaches
 from xcg.kernels.weights import fill_values
 
 MASS = 0
@@ -45,10 +31,10 @@ NONE, VELOCITY, FLUCTUATION, LINEAR = 0, 8, 12, 32
 _COLUMNS = tuple(np.uint64(k) for k in range(LINEAR))
 
 
-@jit
+@leaf
 def deposit(
     position, velocity, mass, constants, phase, level, still, runs, low, high, steps, active, period,
-    kind, spread, table, norm, by_gradient, moments, reference,
+    kind, spread, table, norm, by_gradient, lists, numbers, moments, reference,
 ):  # fmt: skip
     """Add grains to the nodes within their support.
 
@@ -78,6 +64,8 @@ def deposit(
         The kernel, see `xcg.smoothing.Weights`.
     by_gradient : bool
         Weigh by derivative / distance instead of the value.
+    lists, numbers : (LISTS, m), (NUMBERS, m)
+        Scratch, see `lists_for`.
     moments : (phases, nodes of the box, level + q)
         Sums, added to.
     reference : (nodes of the box, 3)
@@ -87,9 +75,7 @@ def deposit(
     end = ((high[0] - 1) * steps[0], (high[1] - 1) * steps[1], (high[2] - 1) * steps[2])
     per_steps = (1.0 / steps[0], 1.0 / steps[1], 1.0 / steps[2])
     reach = (1.0 if active[0] else 0.0, 1.0 if active[1] else 0.0, 1.0 if active[2] else 0.0)
-    room = room_for(low, high, (2.0 * reach[0], 2.0 * reach[1], 2.0 * reach[2]), steps)
-    lists, numbers = np.zeros((LISTS, room)), numbers_for(room, high[2] - low[2])
-    q2, weight = lists[Q2], lists[WEIGHT]  # here, as the memory of a view is counted
+    q2, weight = lists[Q2], lists[WEIGHT]
     here = True
     for i in range(position.shape[0]):
         if i % RUN == 0:

@@ -5,7 +5,6 @@ import numpy as np
 from xcg.kernels._jit import jit, leaf
 from xcg.kernels.eigen import diagonalise
 
-
 # Above this share of the largest possible determinant the explicit inverse is exact to a few hundred ulp.
 _WELL_CONDITIONED = 1e-3
 

@@ -5,7 +5,6 @@ Nothing is checked: all places must lie within the array. Sums and products are 
 number, bit for bit.
 """
 
-import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils

@@ -10,10 +10,12 @@ Indices are unsigned, as signed ones are looked at for counting from the end.
 """
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
-from xcg.kernels._jit import jit, leaf
+from xcg.kernels._jit import leaf
 from xcg.kernels.lanes import EIGHT, put_eight, put_line, put_sum
 
 PAD = 16  # loops over lists run to a multiple of this: what is left over would be done one by one
@@ -53,22 +55,22 @@ def padded(count):
     return (count + PAD - 1) // PAD * PAD
 
 
-@jit
-def numbers_for(room, nz):
-    """Make lists of integers, with tables of the indices of the nodes of a row and of the rows of a plane."""
-    numbers = np.zeros((NUMBERS, room), np.int32)
-    for j in range(room):
-        numbers[OF_Z, j], numbers[OF_Y, j] = j, j * nz
-    return numbers
+def lists_for(
+    low: Sequence[int], high: Sequence[int], reach: Sequence[float], steps: Sequence[float], real: str = "float64"
+) -> tuple[NDArray, NDArray]:
+    """Make lists for anything that reaches this far along each axis, within the box low <= node < high.
 
-
-@jit
-def room_for(low, high, reach, steps):
-    """Length of the lists for anything that reaches this far along each axis, within the box low <= node < high."""
+    The integers come with tables of the indices of the nodes of a row and of the rows of a plane.
+    """
     most = 1
-    for k in range(3):  # no more than there are: along an axis with one node the spacing means nothing
-        most *= min(high[k] - low[k], int(reach[k] / steps[k]) + 2)
-    return padded(most) + PAD
+    for first, end, far, step in zip(low, high, reach, steps, strict=True):
+        # no more than there are: along an axis with one node the spacing means nothing
+        most *= min(end - first, int(far / step) + 2)
+    room = -(-most // PAD) * PAD + PAD
+    numbers = np.zeros((NUMBERS, room), "int32")
+    numbers[OF_Z] = np.arange(room)
+    numbers[OF_Y] = np.arange(room) * (high[2] - low[2])
+    return np.zeros((LISTS, room), real), numbers
 
 
 @leaf
@@ -220,19 +222,15 @@ def list_tube(x, y, z, bx, by, bz, per_length, steps, per_steps, low, high, list
     return hits
 
 
-@jit
-def runs_of(start, branch):
-    """Lowest and highest corner (runs, 2, 3) of each run of `RUN` segments from start to ``start - branch``, (n, 3)."""
-    count = start.shape[0]
-    bounds = np.empty(((count + RUN - 1) // RUN, 2, 3))
+@leaf
+def runs_of(points, bounds):
+    """Write the lowest and highest place, (runs, 2, 3), of each run of `RUN` points (n, 3 or more)."""
     for run in range(bounds.shape[0]):
         for k in range(3):
             low, high = np.inf, -np.inf
-            for i in range(run * RUN, min(count, (run + 1) * RUN)):
-                end = start[i, k] - branch[i, k]
-                low, high = min(low, start[i, k], end), max(high, start[i, k], end)
+            for n in range(run * RUN, min(points.shape[0], (run + 1) * RUN)):
+                low, high = min(low, points[n, k]), max(high, points[n, k])
             bounds[run, 0, k], bounds[run, 1, k] = low, high
-    return bounds
 
 
 @leaf
@@ -246,54 +244,35 @@ def run_reaches(runs, run, begin, end, active, period):
     return reaches
 
 
-@jit
-def bounds_of(position):
-    """Lowest and highest position (n, 3) along each axis, (2, 3); NaN if any is."""
-    bounds = np.zeros((2, 3))
-    for n in range(position.shape[0]):
-        for k in range(3):
-            x = position[n, k]
-            if n == 0 or math.isnan(x) or x < bounds[0, k]:
-                bounds[0, k] = x
-            if n == 0 or math.isnan(x) or x > bounds[1, k]:
-                bounds[1, k] = x
-    return bounds
-
-
-@jit
-def spatial_order(position, size, lower, upper, active, cell, order):
+def spatial_order(position: NDArray, size: float, lower: NDArray, upper: NDArray, active: NDArray) -> NDArray:
     """Order points (n, 3) by cells of a size (larger where points are few), in pencils along x.
 
-    `lower` and `upper` are their bounds, `order` (n,) is written, `cell` (n,) is scratch. Points of one pencil add to
-    few nodes at a time, which stay in cache. The order is stable, so that sums have one order only.
+    `lower` and `upper` are their bounds. Points of one pencil add to few nodes at a time, which stay in cache. The
+    order is stable, so that sums have one order only.
     """
-    count = position.shape[0]
-    extent, sizes, cells = np.zeros(3), np.full(3, size), np.ones(3, np.int64)
-    for k in range(3):
-        if active[k]:
-            extent[k] = upper[k] - lower[k]
-    most = max(MOST_CELLS, 4.0 * count)
-    while True:
-        total, longest = 1.0, 0
-        for k in range(3):
-            total *= extent[k] / sizes[k] + PENCIL
-            longest = k if extent[k] / sizes[k] > extent[longest] / sizes[longest] else longest
-        if total <= most:
-            break
-        sizes[longest] *= 2.0  # a few grains are far astray
-    for k in range(3):
-        cells[k] = int(extent[k] / sizes[k]) + 1
-    pencils_y, pencils_z = (cells[1] - 1) // PENCIL + 1, (cells[2] - 1) // PENCIL + 1
-    start = np.zeros(pencils_y * pencils_z * cells[0] * PENCIL * PENCIL + 1, np.int64)
-    for i in range(count):
-        x = int((position[i, 0] - lower[0]) / sizes[0]) if active[0] else 0
-        y = int((position[i, 1] - lower[1]) / sizes[1]) if active[1] else 0
-        z = int((position[i, 2] - lower[2]) / sizes[2]) if active[2] else 0
+    count = len(position)
+    extent, sizes = np.where(active, upper - lower, 0.0), np.full(3, size)
+    while (extent / sizes + PENCIL).prod() > max(MOST_CELLS, 4.0 * count):
+        sizes[np.argmax(extent / sizes)] *= 2.0  # a few grains are far astray
+    cells = (extent / sizes).astype(int) + 1
+    pencils_y, pencils_z = (cells[1:] - 1) // PENCIL + 1
+    start = np.zeros(pencils_y * pencils_z * cells[0] * PENCIL * PENCIL + 1, "int64")
+    cell, order = np.empty(count, "int64"), np.empty(count, "int64")
+    _sort_by_cell(position, lower, np.where(active, sizes, np.inf), int(cells[0]), int(pencils_z), start, cell, order)
+    return order
+
+
+@leaf
+def _sort_by_cell(position, lower, sizes, nx, pencils_z, start, cell, order):
+    for i in range(order.size):
+        x = int((position[i, 0] - lower[0]) / sizes[0])
+        y = int((position[i, 1] - lower[1]) / sizes[1])
+        z = int((position[i, 2] - lower[2]) / sizes[2])
         pencil = y // PENCIL * pencils_z + z // PENCIL
-        cell[i] = ((pencil * cells[0] + x) * PENCIL + y % PENCIL) * PENCIL + z % PENCIL
+        cell[i] = ((pencil * nx + x) * PENCIL + y % PENCIL) * PENCIL + z % PENCIL
         start[cell[i] + 1] += 1
     for c in range(start.size - 1):
         start[c + 1] += start[c]
-    for i in range(count):
+    for i in range(order.size):
         order[start[cell[i]]] = i
         start[cell[i]] += 1

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from xcg.kernels._jit import jit, leaf
+from xcg.kernels._jit import leaf
 
 
-@jit
+@leaf
 def add_rows(row, sign, values, out):
     """Add sign x values (n, k) to the rows of out (m, k) that `row` (n,) names; negative rows are left out."""
     for n in range(row.size):
@@ -14,41 +14,23 @@ def add_rows(row, sign, values, out):
                 out[row[n], c] += sign * values[n, c]
 
 
-@jit
-def pick_rows(values, row, origin, scale, out, first):
-    """Write (values[row] - origin) x scale, of values (m, k), to the columns of out (n, first + k) from `first` on."""
-    for n in range(row.size):
-        for c in range(values.shape[1]):
-            out[n, first + c] = (values[row[n], c] - origin[c]) * scale
+@leaf
+def places_by(rank, row, start, place):
+    """Write the place (n,) of each thing among all, by the rank (m,) of its row (n,); those of negative rows come last.
 
-
-@jit
-def order_by(rank, row_i, row_j, order):
-    """Order pairs by the rank of their first row, or of the second where that is negative, in one way only.
-
-    Parameters
-    ----------
-    rank : (m,)
-        Place of each row.
-    row_i, row_j : (n,)
-        Rows; pairs with two negative ones come last.
-    order : (n,)
-        Written.
+    Things of one row keep their order. `start` (m + 2,) is scratch, zeros.
     """
-    start = np.zeros(rank.size + 2, np.int64)
-    for n in range(row_i.size):
-        row = row_i[n] if row_i[n] >= 0 else row_j[n]
-        start[(rank[row] if row >= 0 else rank.size) + 1] += 1
+    for n in range(row.size):
+        start[(rank[row[n]] if row[n] >= 0 else rank.size) + 1] += 1
     for k in range(start.size - 1):
         start[k + 1] += start[k]
-    for n in range(row_i.size):
-        row = row_i[n] if row_i[n] >= 0 else row_j[n]
-        k = rank[row] if row >= 0 else rank.size
-        order[start[k]] = n
+    for n in range(row.size):
+        k = rank[row[n]] if row[n] >= 0 else rank.size
+        place[n] = start[k]
         start[k] += 1
 
 
-@jit
+@leaf
 def unit_branches(row_i, branch_i, branch_j, out):
     """Write the unit vectors (n, 3) from j to i along the branch of i, or that of j where i is no row."""
     for n in range(row_i.size):
@@ -61,7 +43,7 @@ def unit_branches(row_i, branch_i, branch_j, out):
         out[n, 0], out[n, 1], out[n, 2] = x * per_length, y * per_length, z * per_length
 
 
-@jit
+@leaf
 def peel(row_i, row_j, weight, least, degree, kept):
     """Take out rows of fewer than `least` partners, and again those that then have fewer, until none is left.
 
@@ -96,7 +78,7 @@ def peel(row_i, row_j, weight, least, degree, kept):
                 degree[j] += weight[n]
 
 
-@jit
+@leaf
 def add_dyads(row, sign, a, b, out):
     """Add sign a b, (n, 3) each, to the rows of out (m, 3, 3) that `row` (n,) names; negative rows are left out."""
     for n in range(row.size):
@@ -106,7 +88,7 @@ def add_dyads(row, sign, a, b, out):
                     out[row[n], i, j] += sign * a[n, i] * b[n, j]
 
 
-@jit
+@leaf
 def add_unit_squares(row_i, row_j, along_i, along_j, out):
     """Add n n of each contact to both its rows of out (m, 6): xx xy xz yy yz zz; negative rows are left out.
 
@@ -128,88 +110,26 @@ def add_unit_squares(row_i, row_j, along_i, along_j, out):
                 out[m, 5] += z * z * per_length2
 
 
-@jit
-def nearest_image(position, row, point, period, out):
-    """Write the shortest image of position[row] - point to out (n, 3), zero for negative rows.
+@leaf
+def nearest(d, period):
+    """Shortest image of a distance; the period is infinite along axes that are not periodic."""
+    return d - period * np.rint(d / period) if np.isfinite(period) else d
 
-    `period` (3,) holds infinity along axes that are not periodic.
-    """
+
+@leaf
+def side(position, row, point, n, period):
+    """Vector from contact point n to the centre of a row of `position`, zero where the row is negative."""
+    if row < 0:
+        return 0.0, 0.0, 0.0
+    x, y, z = position[row, 0] - point[n, 0], position[row, 1] - point[n, 1], position[row, 2] - point[n, 2]
+    return nearest(x, period[0]), nearest(y, period[1]), nearest(z, period[2])
+
+
+@leaf
+def sides(row, position, point, period, out):
+    """Write the vectors (n, 3) from contact points to the centres of some rows, see `side`."""
     for n in range(row.size):
-        for k in range(3):
-            out[n, k] = 0.0
-            if row[n] >= 0:
-                d = position[row[n], k] - point[n, k]
-                if np.isfinite(period[k]):
-                    d -= period[k] * np.rint(d / period[k])
-                out[n, k] = d
-
-
-@jit
-def list_segments(
-    order, row_i, row_j, branch_i, branch_j, force, position, phase, tolerance, cutoffs, cutoff, origin,
-    start, branch, force_out, phase_out, other,
-):  # fmt: skip
-    """List the segments of one cutoff that contact stress is smeared along, with lengths in cutoffs.
-
-    Each side of a contact runs from its particle's centre to the contact point. Both are one segment where they lie
-    on one line, on opposite sides of the point, and in one phase.
-
-    Parameters
-    ----------
-    order : (n,)
-        Of the contacts.
-    row_i, row_j : (n,)
-        Particles of each contact; negative where a partner is no row.
-    branch_i, branch_j : (n, 3)
-        From the contact point to the centres.
-    force : (n, 3)
-        Force on i.
-    position : (m, 3)
-    phase : (m,)
-    tolerance : float
-        Sine of the angle up to which two branches lie on one line.
-    cutoffs : (phases,)
-        Of the sides of each phase.
-    cutoff : float
-        The one whose segments are listed.
-    origin : (3,)
-        Of the positions that are written.
-    start, branch, force_out : (2 n, 3)
-        Written: centre, vector from the segment's end to its start, and force on that particle times the cutoff.
-    phase_out, other : (2 n,)
-        Written: phase of that particle and of its partner, -1 where that is no row.
-
-    Returns
-    -------
-    int
-        Number of segments.
-    """
-    count, per_cutoff = 0, 1.0 / cutoff
-    for n in order:
-        i, j = row_i[n], row_j[n]
-        ax, ay, az = branch_i[n, 0], branch_i[n, 1], branch_i[n, 2]
-        bx, by, bz = branch_j[n, 0], branch_j[n, 1], branch_j[n, 2]
-        own, partner = phase[i] if i >= 0 else -1, phase[j] if j >= 0 else -1
-        if i >= 0 and j >= 0 and own == partner and ax * bx + ay * by + az * bz <= 0.0:
-            cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-            area2 = cx * cx + cy * cy + cz * cz
-            if area2 <= tolerance**2 * (ax * ax + ay * ay + az * az) * (bx * bx + by * by + bz * bz):
-                ax, ay, az, j = ax - bx, ay - by, az - bz, -1
-        if i >= 0 and cutoffs[own] == cutoff:
-            branch[count, 0], branch[count, 1], branch[count, 2] = ax * per_cutoff, ay * per_cutoff, az * per_cutoff
-            for k in range(3):
-                start[count, k] = (position[i, k] - origin[k]) * per_cutoff
-                force_out[count, k] = force[n, k] * cutoff
-            phase_out[count], other[count] = own, partner
-            count += 1
-        if j >= 0 and cutoffs[partner] == cutoff:
-            branch[count, 0], branch[count, 1], branch[count, 2] = bx * per_cutoff, by * per_cutoff, bz * per_cutoff
-            for k in range(3):
-                start[count, k] = (position[j, k] - origin[k]) * per_cutoff
-                force_out[count, k] = -force[n, k] * cutoff
-            phase_out[count], other[count] = partner, own
-            count += 1
-    return count
+        out[n, 0], out[n, 1], out[n, 2] = side(position, row[n], point, n, period)
 
 
 @leaf

@@ -9,24 +9,12 @@ that length.
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
-from xcg.kernels._jit import jit, leaf
+from xcg.kernels._jit import leaf
 from xcg.kernels.lanes import add_four
-from xcg.kernels.nodes import (
-    ALONG,
-    LISTS,
-    NODE,
-    Q2,
-    ROW2,
-    RUN,
-    WEIGHT,
-    images,
-    list_tube,
-    numbers_for,
-    padded,
-    room_for,
-    run_reaches,
-)
+from xcg.kernels.nodes import ALONG, NODE, Q2, RUN, WEIGHT, images, list_tube, padded, run_reaches
+from xcg.kernels.rows import side
 from xcg.kernels.weights import fill_gauss, fill_segments
 
 MAX_ORDER = 6
@@ -36,9 +24,15 @@ for _order in range(1, MAX_ORDER + 1):
     _x, _w = np.polynomial.legendre.leggauss(_order)
     GAUSS_POINTS[_order, :_order], GAUSS_WEIGHTS[_order, :_order] = 0.5 + 0.5 * _x, 0.5 * _w
 
+# Branches closer to one line than this (sine of their angle) share one segment from centre to centre; the
+# contact point is then off that line by no more than the rounding of its coordinates.
+COLLINEAR = 1e-12
 # Below this length (in cutoffs) the closed form loses more digits in its difference than four points leave out.
 SHORT = 1e-4
 SHORT_ORDER = 4
+# what a segment's record holds
+START, BRANCH, FORCE, GROUP = 0, 3, 6, 9
+SEGMENT = 10
 _LAST = np.uint64(8)
 
 
@@ -53,71 +47,153 @@ def choose_order(length, limits):
     return 0
 
 
-@jit
+@leaf
+def on_one_line(ax, ay, az, bx, by, bz):
+    """Whether two vectors point opposite ways along one line."""
+    cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    area2, most = cx * cx + cy * cy + cz * cz, (ax * ax + ay * ay + az * az) * (bx * bx + by * by + bz * bz)
+    return ax * bx + ay * by + az * bz <= 0.0 and area2 <= COLLINEAR**2 * most
+
+
+@leaf
+def list_segments(
+    second, place, row_i, row_j, point, force, position, phase, others, wrap, cutoffs, cutoff, origin, segments, longest
+):  # fmt: skip
+    """List one segment a contact: of its first particle that is there, or `second`, of its partner.
+
+    Each side of a contact runs from its particle's centre to the contact point. Both sides are one segment, of the
+    first, where they lie on one line, on opposite sides of the point, and in one phase.
+
+    Parameters
+    ----------
+    second : bool
+        Whether the segments of the partners are wanted.
+    place : (n,)
+        Where in the list each contact's segment goes.
+    row_i, row_j : (n,)
+        Particles of each contact; negative where a partner is no row.
+    point, force : (n, 3)
+        Contact point, and force on i.
+    position, phase : (m, 3), (m,)
+        Of the particles.
+    others : int
+        0, or the number of phases of partners, the last one for partners that are no row: groups are then phases by
+        phases of the partner.
+    wrap : tuple
+        Periods of the scene, infinity where there are none.
+    cutoffs : (phases,)
+        Cutoff of the sides of each phase.
+    cutoff : float
+        The one whose segments are listed, and their unit of length.
+    origin : tuple
+        Of the starts.
+    segments : (n, 10)
+        Written: START, BRANCH from the segment's end to its start, and FORCE on the particle times the cutoff, three
+        each, and GROUP, -1 where there is no segment.
+    longest : (4,)
+        Written: the largest component along x, y, z, and length, of a branch; NaN if any is.
+
+    Returns
+    -------
+    bool
+        Whether any contact has a second segment.
+    """
+    per_cutoff, more = 1.0 / cutoff, False
+    most_x, most_y, most_z, most2 = 0.0, 0.0, 0.0, 0.0
+    for n in range(place.size):
+        i, j, k, sign = row_i[n], row_j[n], place[n], cutoff
+        ax, ay, az = side(position, i, point, n, wrap)
+        bx, by, bz = side(position, j, point, n, wrap)
+        if i >= 0 and j >= 0:
+            if phase[i] == phase[j] and _on_one_line(ax, ay, az, bx, by, bz):
+                ax, ay, az, bx, by, bz, both = ax - bx, ay - by, az - bz, 0.0, 0.0, 0.0, False
+            else:
+                more, both = True, True
+        else:
+            both = False
+        if i < 0 or second:
+            i, j, ax, ay, az, sign = j, i, bx, by, bz, -cutoff
+        # a place that stays empty is at one of the particles all the same
+        here = i if i >= 0 else j
+        segments[k, GROUP] = -1.0
+        for c in range(3):
+            segments[k, START + c] = (position[here, c] - origin[c]) * per_cutoff if here >= 0 else 0.0
+        if i < 0 or (second and not both) or cutoffs[phase[i]] != cutoff:
+            continue
+        x, y, z = ax * per_cutoff, ay * per_cutoff, az * per_cutoff
+        segments[k, BRANCH], segments[k, BRANCH + 1], segments[k, BRANCH + 2] = x, y, z
+        segments[k, FORCE], segments[k, FORCE + 1] = sign * force[n, 0], sign * force[n, 1]
+        segments[k, FORCE + 2] = sign * force[n, 2]
+        partner = others - 1 if j < 0 else phase[j]
+        segments[k, GROUP] = phase[i] * others + partner if others else phase[i]
+        most_x, most_y, most_z = max(most_x, abs(x)), max(most_y, abs(y)), max(most_z, abs(z))
+        length2 = x * x + y * y + z * z
+        most2 = most2 if length2 <= most2 or math.isnan(most2) else length2
+    longest[0], longest[1], longest[2], longest[3] = most_x, most_y, most_z, math.sqrt(most2)
+    if math.isnan(most2):
+        longest[:] = most2
+    return more
+
+
+@leaf
+def _on_one_line(ax, ay, az, bx, by, bz):
+    """Whether two vectors point opposite ways along one line."""
+    cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    area2, most = cx * cx + cy * cy + cz * cz, (ax * ax + ay * ay + az * az) * (bx * bx + by * by + bz * bz)
+    return ax * bx + ay * by + az * bz <= 0.0 and area2 <= COLLINEAR**2 * most
+
+
+@leaf
 def deposit_segments(
-    start, branch, force, phase, limits, coarse, runs, longest, low, high, steps, active, period,
-    kind, spread, table, norm, moments,
+    segments, limits, runs, low, high, steps, active, period, kind, spread, table, norm, lists, numbers, closed, rest,
+    moments,
 ):  # fmt: skip
     """Add force x branch of each segment to the nodes that its tube of radius 1 reaches.
 
     Parameters
     ----------
-    start : (n, 3)
-        Centre of the particle, relative to the first node, in cutoffs.
-    branch : (n, 3)
-        From the end of the segment to its start, in cutoffs.
-    force : (n, 3)
-        Force on the particle, times the cutoff, so that force x branch is in the caller's units.
-    phase : (n,)
-        Which group each segment belongs to.
+    segments : (n, 10)
+        As from `list_segments`; lengths in cutoffs, starts relative to the first node.
     limits : (k,)
-        Longest branch (cutoffs) for which 1, 2, ... k points are accurate enough; empty for the closed form.
-    coarse : True or None
-        Whether single precision is enough for distances and weights, where points are taken; sums are in double.
-        None leaves that code out when the kernel is compiled.
-    longest : tuple
-        Largest component of a branch along each axis, for the length of the lists.
+        Longest branch for which 1, 2, ... k points are accurate enough; empty for the closed form.
     runs, low, high, steps, active, period, kind, spread, table, norm
         As in `deposit`.
-    moments : (phases, nodes of the box, 9)
+    lists, numbers : (LISTS, m), (NUMBERS, m)
+        Scratch, see `lists_for`: in single precision where that is enough for distances and weights; sums are in
+        double.
+    closed : tuple or None
+        Scratch for the closed form, see `closed_for`; None leaves out the segments that need it.
+    rest : bool
+        Leave out all other segments.
+    moments : (groups, nodes of the box, 9)
         Sums, added to: force component by branch component, row by row.
     """
     begin = (low[0] * steps[0], low[1] * steps[1], low[2] * steps[2])
     end = ((high[0] - 1) * steps[0], (high[1] - 1) * steps[1], (high[2] - 1) * steps[2])
     per_steps = (1.0 / steps[0], 1.0 / steps[1], 1.0 / steps[2])
     reach = (1.0 if active[0] else 0.0, 1.0 if active[1] else 0.0, 1.0 if active[2] else 0.0)
-    most = (2.0 * reach[0] + longest[0], 2.0 * reach[1] + longest[1], 2.0 * reach[2] + longest[2])
-    room = room_for(low, high, most, steps)
-    # views of lists are made here, as their memory is counted
-    lists, numbers, exponent = np.zeros((LISTS, room)), numbers_for(room, high[2] - low[2]), np.zeros(room, np.int64)
-    q2, along, w, ratio = lists[Q2], lists[ALONG], lists[WEIGHT], lists[ROW2]
-    bits = ratio.view(np.int64)
-    if coarse is not None:
-        singles = np.zeros((LISTS, room), np.float32)
-        q2_single, along_single, w_single = singles[Q2], singles[ALONG], singles[WEIGHT]
+    along, q2, w = lists[ALONG], lists[Q2], lists[WEIGHT]
     here = True
-    for i in range(start.shape[0]):
+    for i in range(segments.shape[0]):
         if i % RUN == 0:
             here = run_reaches(runs, i // RUN, begin, end, active, period)
-        if not here:
+        if not here or segments[i, GROUP] < 0.0:
             continue
-        p = np.uint64(phase[i])
-        x0 = start[i, 0] if active[0] else 0.0
-        y0 = start[i, 1] if active[1] else 0.0
-        z0 = start[i, 2] if active[2] else 0.0
-        bx = -branch[i, 0] if active[0] else 0.0
-        by = -branch[i, 1] if active[1] else 0.0
-        bz = -branch[i, 2] if active[2] else 0.0
-        low_x, high_x = min(0.0, bx) - reach[0], max(0.0, bx) + reach[0]
-        low_y, high_y = min(0.0, by) - reach[1], max(0.0, by) + reach[1]
-        low_z, high_z = min(0.0, bz) - reach[2], max(0.0, bz) + reach[2]
-        first_x, last_x = images(x0, low_x, high_x, begin[0], end[0], period[0])
-        first_y, last_y = images(y0, low_y, high_y, begin[1], end[1], period[1])
-        first_z, last_z = images(z0, low_z, high_z, begin[2], end[2], period[2])
+        x0 = segments[i, START] if active[0] else 0.0
+        y0 = segments[i, START + 1] if active[1] else 0.0
+        z0 = segments[i, START + 2] if active[2] else 0.0
+        bx = -segments[i, BRANCH] if active[0] else 0.0
+        by = -segments[i, BRANCH + 1] if active[1] else 0.0
+        bz = -segments[i, BRANCH + 2] if active[2] else 0.0
+        first_x, last_x = images(x0, min(0.0, bx) - reach[0], max(0.0, bx) + reach[0], begin[0], end[0], period[0])
+        first_y, last_y = images(y0, min(0.0, by) - reach[1], max(0.0, by) + reach[1], begin[1], end[1], period[1])
+        first_z, last_z = images(z0, min(0.0, bz) - reach[2], max(0.0, bz) + reach[2], begin[2], end[2], period[2])
         if first_x > last_x or first_y > last_y or first_z > last_z:
             continue
         length = math.sqrt(bx * bx + by * by + bz * bz)
-        order = choose_order(length, limits)
+        points = choose_order(length, limits)
+        if (points > 0 and rest) or (points == 0 and closed is None):
+            continue
         per_length = 1.0 / length if length > 0.0 else 0.0
         for image_x in range(first_x, last_x + 1):
             x = x0 + image_x * period[0] if image_x else x0
@@ -125,83 +201,63 @@ def deposit_segments(
                 y = y0 + image_y * period[1] if image_y else y0
                 for image_z in range(first_z, last_z + 1):
                     z = z0 + image_z * period[2] if image_z else z0
-                    if coarse is not None and order:
-                        hits = list_tube(x, y, z, bx, by, bz, per_length, steps, per_steps, low, high, singles, numbers)
-                        fill_gauss(
-                            kind, spread, table, 1.0, GAUSS_POINTS, GAUSS_WEIGHTS, order, length, along_single,
-                            q2_single, hits, w_single,
-                        )  # fmt: skip
-                        _add_dyad(moments, p, numbers, hits, w_single, norm, force, branch, i)
-                        continue
                     hits = list_tube(x, y, z, bx, by, bz, per_length, steps, per_steps, low, high, lists, numbers)
-                    if order:
-                        fill_gauss(
-                            kind, spread, table, norm, GAUSS_POINTS, GAUSS_WEIGHTS, order, length, along, q2, hits, w
-                        )
-                    else:
-                        fill_segments(kind, spread, table, norm, length, along, q2, hits, w, ratio, bits, exponent)
-                    _add_dyad(moments, p, numbers, hits, w, 1.0, force, branch, i)
+                    if points:
+                        fill_gauss(kind, spread, table, GAUSS_POINTS, GAUSS_WEIGHTS, points, length, along, q2, hits, w)
+                    elif closed is not None:
+                        fill_segments(kind, spread, table, length, along, q2, hits, w, *closed)
+                    _add_dyad(moments, segments, i, norm, numbers, w, hits)
 
 
 @leaf
-def _add_dyad(moments, p, numbers, hits, w, factor, force, branch, i):
-    """Add weight x factor x force x branch of segment i to the nine columns of each node."""
-    f0, f1, f2 = factor * force[i, 0], factor * force[i, 1], factor * force[i, 2]
-    a0, a1, a2 = branch[i, 0], branch[i, 1], branch[i, 2]
-    c0, c1, c2, c3, c4, c5, c6, c7, c8 = (
-        f0 * a0, f0 * a1, f0 * a2, f1 * a0, f1 * a1, f1 * a2, f2 * a0, f2 * a1, f2 * a2,
-    )  # fmt: skip
+def _add_dyad(moments, segments, i, norm, numbers, w, hits):
+    """Add weight x norm x force x branch of segment i to the nine columns of each node."""
+    p = np.uint64(segments[i, GROUP])
+    f0, f1, f2 = norm * segments[i, FORCE], norm * segments[i, FORCE + 1], norm * segments[i, FORCE + 2]
+    a0, a1, a2 = segments[i, BRANCH], segments[i, BRANCH + 1], segments[i, BRANCH + 2]
     for k in range(hits):
         n, v = np.uint64(numbers[NODE, k]), np.float64(w[k])
-        add_four(moments, p, n, 0, v, c0, c1, c2, c3)
-        add_four(moments, p, n, 4, v, c4, c5, c6, c7)
-        moments[p, n, _LAST] += v * c8
+        add_four(moments, p, n, 0, v, f0 * a0, f0 * a1, f0 * a2, f1 * a0)
+        add_four(moments, p, n, 4, v, f1 * a1, f1 * a2, f2 * a0, f2 * a1)
+        moments[p, n, _LAST] += v * (f2 * a2)
 
 
-@jit
-def _means(length, order, along, q2, kind, spread, table):
-    """Mean of the kernel over one segment, seen from many nodes."""
-    count, room = along.size, padded(along.size)
-    lists = np.zeros((4, room))
-    lists[0, :count], lists[1, :count] = along, q2
-    if order:
-        fill_gauss(
-            kind, spread, table, 1.0, GAUSS_POINTS, GAUSS_WEIGHTS, order, length, lists[0], lists[1], count, lists[2]
-        )
-    else:
-        ratio, exponent = lists[3], np.empty(room, np.int64)
-        fill_segments(
-            kind, spread, table, 1.0, length, lists[0], lists[1], count, lists[2], ratio, ratio.view(np.int64), exponent
-        )
-    return lists[2, :count].copy()
+def closed_for(lists: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+    """Scratch of the closed form as long as some lists: the same memory as floats and as integers, and integers."""
+    ratio = np.zeros(lists.shape[1])
+    return ratio, ratio.view("int64"), np.zeros(lists.shape[1], "int64")
 
 
-@jit
-def mean_along(points, end, order, kind, spread, table):
+def mean_along(points: NDArray, end: NDArray, order: int, kind: int | None, spread: float, table: NDArray) -> NDArray:
     """Mean of the kernel over the segment from 0 to `end` (m,), seen from points (n, m), all in cutoffs."""
     length = math.sqrt((end * end).sum())
-    along, q2 = np.zeros(points.shape[0]), np.zeros(points.shape[0])
-    for i in range(points.shape[0]):
-        for k in range(end.size):
-            q2[i] += points[i, k] ** 2
-            along[i] += points[i, k] * end[k] / length if length > 0.0 else 0.0
+    along = points @ end / length if length > 0.0 else np.zeros(len(points))
     rule = SHORT_ORDER if length < SHORT and order == 0 else order
-    return _means(length, rule, along, q2, kind, spread, table)
+    return _means(length, rule, along, (points * points).sum(axis=1), kind, spread, table)
 
 
-@jit
-def largest_error(length, order, rows, kind, spread, table):
+def _means(
+    length: float, order: int, along: NDArray, q2: NDArray, kind: int | None, spread: float, table: NDArray
+) -> NDArray:
+    """Mean of the kernel over one segment, seen from many nodes."""
+    count, room = along.size, padded(along.size)
+    lists = np.zeros((3, room))
+    lists[0, :count], lists[1, :count] = along, q2
+    if order:
+        fill_gauss(kind, spread, table, GAUSS_POINTS, GAUSS_WEIGHTS, order, length, *lists[:2], count, lists[2])
+    else:
+        fill_segments(kind, spread, table, length, *lists[:2], count, lists[2], *closed_for(lists))
+    return lists[2, :count]
+
+
+def largest_error(length: float, order: int, rows: int, kind: int | None, spread: float, table: NDArray) -> float:
     """Largest error of a rule over node positions about a segment, relative to the segment's largest value.
 
     Scans `rows` distances from the segment's line and 4 `rows` places along it (one row, h = 0, sees one dimension).
     """
     columns = 4 * max(rows, 32)
-    along, q2 = np.empty(rows * (columns + 1)), np.empty(rows * (columns + 1))
-    for i in range(rows):
-        for j in range(columns + 1):
-            t = -1.0 + (length + 2.0) * j / columns
-            along[i * (columns + 1) + j] = t
-            q2[i * (columns + 1) + j] = t * t + (i / rows) ** 2
+    along = np.tile(-1.0 + (length + 2.0) * np.arange(columns + 1) / columns, rows)
+    q2 = along**2 + np.repeat((np.arange(rows) / rows) ** 2, columns + 1)
     exact = _means(length, 0, along, q2, kind, spread, table)
     rule = _means(length, order, along, q2, kind, spread, table)
-    return np.abs(rule - exact).max() / exact.max()
+    return float(np.abs(rule - exact).max() / exact.max())

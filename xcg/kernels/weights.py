@@ -262,8 +262,8 @@ def _at(kind, spread, table, r2):
 
 
 @leaf
-def fill_gauss(kind, spread, table, norm, points, weights, order, length, along, q2, count, out):
-    """Write norm x mean of the value over segments, by Gauss-Legendre, seen from `count` nodes.
+def fill_gauss(kind, spread, table, points, weights, order, length, along, q2, count, out):
+    """Write the mean of the value over segments, by Gauss-Legendre, seen from `count` nodes.
 
     A node lies at squared distance q2 from the start of its segment, and its foot at `along` from there. The
     precision is that of the arrays. Points lie in pairs of one weight about the middle.
@@ -273,7 +273,7 @@ def fill_gauss(kind, spread, table, norm, points, weights, order, length, along,
     if order == 4:  # what most contacts take: all roots take turns in one loop
         u0, u1 = real(points[4, 0] * length), real(points[4, 1] * length)
         u2, u3 = real(points[4, 2] * length), real(points[4, 3] * length)
-        w, w1 = real(weights[4, 0] * norm), real(weights[4, 1] * norm)
+        w, w1 = real(weights[4, 0]), real(weights[4, 1])
         for k in range(room):
             r2, t = q2[k], along[k]
             a, b = r2 + u0 * (u0 - two * t), r2 + u3 * (u3 - two * t)
@@ -285,30 +285,30 @@ def fill_gauss(kind, spread, table, norm, points, weights, order, length, along,
             out[k] = real(0.0)
         for g in range((order + 1) // 2):
             u, v = real(points[order, g] * length), real(points[order, last - g] * length)
-            w = real(weights[order, g] * (0.5 * norm if g == last - g else norm))  # the middle one is its own partner
+            w = real(weights[order, g] * (0.5 if g == last - g else 1.0))  # the middle one is its own partner
             for k in range(room):
                 a, b = q2[k] + u * (u - two * along[k]), q2[k] + v * (v - two * along[k])
                 out[k] += w * (_at(kind, spread, table, a) + _at(kind, spread, table, b))
 
 
 @leaf
-def fill_segments(kind, spread, table, norm, length, along, q2, count, out, ratio, bits, exponent):
-    """Write norm x mean of the value over segments, in closed form, seen from `count` nodes.
+def fill_segments(kind, spread, table, length, along, q2, count, out, ratio, bits, exponent):
+    """Write the mean of the value over segments, in closed form, seen from `count` nodes.
 
     `ratio` and `bits` are scratch, the same memory as floats and as integers, and `exponent` (integers).
     """
     if kind is None:
-        _fill_lucy_lines(norm / length, length, along, q2, count, out, ratio, bits, exponent)
+        _fill_lucy_lines(1.0 / length, length, along, q2, count, out, ratio, bits, exponent)
     else:
         for k in range(count):
             h2 = max(0.0, q2[k] - along[k] * along[k])
             out[k] = 0.0
             if h2 < 1.0:
-                out[k] = norm / length * segment(kind, spread, table, h2, -along[k], length - along[k])
+                out[k] = segment(kind, spread, table, h2, -along[k], length - along[k]) / length
 
 
 @leaf
-def _fill_lucy_lines(norm, length, along, q2, count, out, ratio, bits, exponent):
+def _fill_lucy_lines(per_length, length, along, q2, count, out, ratio, bits, exponent):
     """As `_lucy_line` at both ends of the clipped segment, in loops that vectorise.
 
     The two logarithms are one: for ends at distances r0, r1 from the node and l from each other, asinh(t1 / h) -
@@ -328,10 +328,10 @@ def _fill_lucy_lines(norm, length, along, q2, count, out, ratio, bits, exponent)
         c0, c2 = 1.0 - 6.0 * h2 - 3.0 * h4, -2.0 - 2.0 * h2
         even = b * (c0 + b2 * (c2 - 0.6 * b2)) - a * (c0 + a2 * (c2 - 0.6 * a2))
         odd = b * r1 * (2.0 * b2 + 5.0 * h2) - a * r0 * (2.0 * a2 + 5.0 * h2)
-        out[k] = norm * (even + odd)
+        out[k] = per_length * (even + odd)
         both, apart = r0 + r1, b - a
         ratio[k] = (both + apart + _TINY) / (max(0.0, both - apart) + _TINY)
-        q2[k] = 3.0 * norm * h4
+        q2[k] = 3.0 * per_length * h4
     for k in range(room):  # floats and integers of one memory in separate loops, or none of them vectorises
         exponent[k] = (bits[k] >> 52) - 1023
         bits[k] = (bits[k] & 0x000FFFFFFFFFFFFF) | 0x3FF0000000000000
