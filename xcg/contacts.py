@@ -83,8 +83,9 @@ class Contacts:
         if self.given_branches is not None:
             return self.given_branches
         branch_i, branch_j = np.empty_like(self.point), np.empty_like(self.point)
-        sides(self.i, self.position, self.point, self.period, branch_i)
-        sides(self.j, self.position, self.point, self.period, branch_j)
+        period = tuple(self.period.tolist())
+        sides(self.i, self.position, self.point, period, branch_i)
+        sides(self.j, self.position, self.point, period, branch_j)
         return branch_i, branch_j
 
     @property

@@ -199,7 +199,7 @@ def _fit(f: Any, s: Any, o: Options, *, about_node: bool = False) -> SimpleNames
     determined = np.empty((3, *shape), bool)
     sums = [_inner(a).reshape(*a.shape[2:], -1) for a in (s.count, s.mass, f._drift, s.offset, s.shear, s.spread)]
     fit_gradient(
-        *sums, np.asarray(o.active), about_node, gradient.reshape(3, 3, -1), explained.reshape(3, 3, -1),
+        *sums, o.active, about_node, np.zeros((3, 3, 3)), gradient.reshape(3, 3, -1), explained.reshape(3, 3, -1),
         determined.reshape(3, -1), mean.reshape(3, -1),
     )  # fmt: skip
     return SimpleNamespace(

@@ -50,7 +50,7 @@ def jit(function: Callable, **options: Any) -> Callable:
     Numba leaves that pass of LLVM out unless it is asked for, once for all code of a process; here it is asked for
     while a kernel of ours is compiled.
     """
-    dispatcher = numba.njit(nogil=True, cache=CACHE, error_model="numpy", **options)(function)
+    dispatcher = numba.njit(nogil=True, cache=CACHE, error_model="numpy", no_cfunc_wrapper=True, **options)(function)
     plain = dispatcher.compile
 
     def compile_vectorised(signature: Any) -> Any:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from xcg.kernels._jit import jit, leaf
+from xcg.kernels._jit import leaf
 from xcg.kernels.eigen import diagonalise
 
 # Above this share of the largest possible determinant the explicit inverse is exact to a few hundred ulp.
@@ -14,8 +14,10 @@ def _dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@jit
-def fit_gradient(count, mass, drift, offset, shear, spread, active, about_node, gradient, explained, determined, mean):
+@leaf
+def fit_gradient(
+    count, mass, drift, offset, shear, spread, active, about_node, scratch, gradient, explained, determined, mean
+):  # fmt: skip
     """Velocity gradient of the best linear fit at each node: G = B M^+, row by row.
 
     Parameters
@@ -30,6 +32,7 @@ def fit_gradient(count, mass, drift, offset, shear, spread, active, about_node, 
         Axes along which grains have offsets at all.
     about_node : bool
         Fit about x = 0 instead of the centre of mass.
+    scratch : (3, 3, 3)
     gradient : (3, 3, n)
         Written: G with B = sum m Psi (u - u_bar) x' and M = sum m Psi x' x', where x' = x - x_bar; zero along
         directions that the grains do not span.
@@ -41,7 +44,7 @@ def fit_gradient(count, mass, drift, offset, shear, spread, active, about_node, 
     mean : (3, n)
         Written: x_bar, zero where there are no grains.
     """
-    matrix, vectors, inverse = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
+    matrix, vectors, inverse = scratch[0], scratch[1], scratch[2]
     for n in range(mass.size):
         # without grains all sums are zero, and so are matrix, rank and gradient
         per_mass = 1.0 / mass[n] if mass[n] > 0.0 else 0.0

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from xcg.kernels._jit import jit
+from xcg.kernels._jit import jit, leaf
 
 
-@jit
+@leaf
 def about_mean(mass, momentum, kinetic, drift, out):
     """Sum of m Psi (u - b)(u - b), with b the mean velocity of the bulk.
 
@@ -22,16 +22,15 @@ def about_mean(mass, momentum, kinetic, drift, out):
     out : (3, 3, p, n)
         Written.
     """
-    b = np.zeros(3)
-    for n in range(mass.shape[1]):
+    for p in range(mass.shape[0]):
         for i in range(3):
-            b[i] = 0.0 if np.isnan(drift[i, n]) else drift[i, n]
-        for p in range(mass.shape[0]):
-            for i in range(3):
-                for j in range(i, 3):
-                    total = kinetic[i, j, p, n] + mass[p, n] * b[i] * b[j]
-                    out[i, j, p, n] = total - b[i] * momentum[j, p, n] - b[j] * momentum[i, p, n]
-                    out[j, i, p, n] = out[i, j, p, n]
+            for j in range(i, 3):
+                for n in range(mass.shape[1]):
+                    a = 0.0 if np.isnan(drift[i, n]) else drift[i, n]
+                    b = 0.0 if np.isnan(drift[j, n]) else drift[j, n]
+                    total = kinetic[i, j, p, n] + mass[p, n] * a * b
+                    total = total - a * momentum[j, p, n] - b * momentum[i, p, n]
+                    out[i, j, p, n], out[j, i, p, n] = total, total
 
 
 @jit
