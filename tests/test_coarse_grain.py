@@ -342,7 +342,7 @@ def test_what_stands_still_takes_less_work_and_gives_the_same():
 
 def _as_if_moving(*args):
     names = list(inspect.signature(deposit.py_func).parameters)
-    deposit(*(False if name == "still" else value for name, value in zip(names, args, strict=True)))
+    deposit(*(None if name == "still" else value for name, value in zip(names, args, strict=True)))
 
 
 @pytest.mark.parametrize("rtol", [0.0, 1e-3])

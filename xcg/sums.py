@@ -269,11 +269,12 @@ class _Deposit:
     def _points(
         self, moments: Mapping[str, tuple[NDArray, float | NDArray]], position: NDArray, velocity: NDArray,
         mass: NDArray, constants: Sequence[NDArray], phase: NDArray, level: int, order: NDArray,
-        *, by_gradient: bool = False,
+        *, by_gradient: bool | None = None,
     ) -> _Pass:  # fmt: skip
         """Prepare grains, or other points, with their flow columns up to `level` and columns of constants."""
         columns = _side_by_side(constants, len(position))
-        still = bool((velocity == velocity[:1]).all())  # nothing moves: columns with u are zero without adding them
+        # where nothing moves, columns with u are zero without adding them
+        still = True if (velocity == velocity[:1]).all() else None
         fill = []
         for cutoff in np.unique(self.cutoffs).tolist():
             rows = order if (self.cutoffs == cutoff).all() else order[self.cutoffs[phase[order]] == cutoff]

@@ -45,23 +45,9 @@ if CACHE:
 
 
 def jit(function: Callable, **options: Any) -> Callable:
-    """Compile a kernel, with neighbouring scalar operations merged into vector instructions.
-
-    Numba leaves that pass of LLVM out unless it is asked for, once for all code of a process; here it is asked for
-    while a kernel of ours is compiled.
-    """
-    dispatcher = numba.njit(nogil=True, cache=CACHE, error_model="numpy", no_cfunc_wrapper=True, **options)(function)
-    plain = dispatcher.compile
-
-    def compile_vectorised(signature: Any) -> Any:
-        before, numba.config.SLP_VECTORIZE = numba.config.SLP_VECTORIZE, 1
-        try:
-            return plain(signature)
-        finally:
-            numba.config.SLP_VECTORIZE = before
-
-    dispatcher.compile = compile_vectorised
-    return dispatcher
+    """Compile a kernel."""
+    # the wrapper for callers in C would take a tenth of the time
+    return numba.njit(nogil=True, cache=CACHE, error_model="numpy", no_cfunc_wrapper=True, **options)(function)
 
 
 def leaf(function: Callable) -> Callable:

@@ -52,8 +52,9 @@ def deposit(
         Which group each grain belongs to.
     level : int
         NONE, VELOCITY, FLUCTUATION or LINEAR: how many flow columns are wanted.
-    still : bool
-        Whether all grains have the same velocity, so that all columns with u are zero.
+    still : True or None
+        Whether all grains have the same velocity, so that all columns with u are zero. None leaves code out when the
+        kernel is compiled, here and below.
     runs : (r, 2, 3)
         Bounds of each run of rows, see `runs_of`: those out of reach are passed over.
     low, high : tuple of int
@@ -62,7 +63,7 @@ def deposit(
         Spacing (cutoffs), whether distance along an axis counts, period (cutoffs; infinity where there is none).
     kind, spread, table, norm
         The kernel, see `xcg.smoothing.Weights`.
-    by_gradient : bool
+    by_gradient : True or None
         Weigh by derivative / distance instead of the value.
     lists, numbers : (LISTS, m), (NUMBERS, m)
         Scratch, see `lists_for`.
@@ -119,7 +120,7 @@ def _add_flow(p, mass, vx, vy, vz, lists, numbers, hits, level, still, moments, 
             reference[n, 0], reference[n, 1], reference[n, 2] = vx, vy, vz
         ux, uy, uz = vx - reference[n, 0], vy - reference[n, 1], vz - reference[n, 2]
         w = lists[WEIGHT, k] * mass
-        if still:
+        if still is not None:
             moments[p, n, _COLUMNS[MASS]] += w
             moments[p, n, _COLUMNS[COUNT]] += 1.0
             if level >= LINEAR:

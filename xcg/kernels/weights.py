@@ -237,15 +237,15 @@ def segment(kind, spread, table, h2, t0, t1):
 
 @leaf
 def fill_values(kind, spread, table, norm, by_gradient, q2, count, out):
-    """Write norm x value (or gradient) at `count` squared distances; the loop for Lucy vectorises."""
-    if kind is None and not by_gradient:
+    """Write norm x value, or gradient unless that is None, at `count` squared distances; Lucy's loop vectorises."""
+    if by_gradient is not None:
+        for k in range(count):
+            out[k] = norm * gradient(kind, spread, table, q2[k])
+    elif kind is None:
         for k in range(padded(count)):
             q = math.sqrt(q2[k])
             p = 1.0 - q
             out[k] = norm * (p * p * p * (1.0 + 3.0 * q))
-    elif by_gradient:
-        for k in range(count):
-            out[k] = norm * gradient(kind, spread, table, q2[k])
     else:
         for k in range(count):
             out[k] = norm * value(kind, spread, table, q2[k])
