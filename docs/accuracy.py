@@ -28,7 +28,7 @@ import xcg
 from docs import alternatives
 from tests.brute_force import BruteKernel
 from xcg.kernels.deposit import deposit
-from xcg.kernels.segments import MAX_ORDER, deposit_segments
+from xcg.kernels.segments import BRANCH, MAX_ORDER, deposit_segments
 
 HERE = Path(__file__).parent
 WIDTH = 0.75  # diameters, which are 1
@@ -434,7 +434,9 @@ class Rate:
 def nodes_reached(target: str, args: Sequence[Any], ratio: float) -> float:
     """Mean number of nodes in the support of a grain or a branch, with nodes one width apart; `ratio` is c / w."""
     ball, tube = 4 / 3 * np.pi * ratio**3, np.pi * ratio**3
-    return float(ball + tube * np.linalg.norm(args[1], axis=1).mean() if target == SEGMENTS else ball)
+    if target == POINTS:
+        return ball
+    return float(ball + tube * np.linalg.norm(args[0][:, BRANCH : BRANCH + 3], axis=1).mean())
 
 
 def rate(ds: xr.Dataset, field: str, target: str, kernel: str, width: float, repeats: int) -> Rate:

@@ -220,11 +220,15 @@ def _as_own(ds: xr.Dataset, given: Mapping[str, Any]) -> tuple[Any, Any, dict[st
 _PAGE = 4096 // 8  # numbers in a page of memory
 
 
+def _take_memory(numbers: NDArray) -> None:
+    """Write to every page at the start, while what was freed a moment ago is at hand: see docs/design.md."""
+    numbers[::_PAGE] = 0.0
+
+
 def compute_chunk(plan: Plan, threads: int, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
     """Fields of one chunk of time, from padded arrays."""
     out = {name: np.empty((len(arrays["particle_id"]), *plan.shape(name))) for name in plan.fields}
-    for a in out.values():  # take their memory now, while what was freed a moment ago is at hand: see docs/design.md
-        a.reshape(-1)[::_PAGE] = 0.0
+    for_each([a.reshape(-1) for a in out.values()], _take_memory, threads)
     for t, (frame, box, where) in enumerate(steps_in(arrays)):
         _compute_step(plan, frame, box, where, threads, {name: a[t, ...] for name, a in out.items()})
     return out

@@ -274,7 +274,7 @@ class _Deposit:
         """Prepare grains, or other points, with their flow columns up to `level` and columns of constants."""
         columns = _side_by_side(constants, len(position))
         # where nothing moves, columns with u are zero without adding them
-        still = True if (velocity == velocity[:1]).all() else None
+        still = True if level and (velocity == velocity[:1]).all() else None
         fill = []
         for cutoff in np.unique(self.cutoffs).tolist():
             rows = order if (self.cutoffs == cutoff).all() else order[self.cutoffs[phase[order]] == cutoff]
@@ -294,7 +294,7 @@ def _runs(points: NDArray) -> NDArray:
 
 
 def _fill_points(grains: tuple[Any, ...], onto: tuple[Any, ...], box: Box, sums: NDArray, reference: NDArray) -> None:
-    steps, active, *_ = onto
+    steps, active = onto[:2]
     lists = lists_for(*box, [2.0 * a for a in active], steps)
     kernel.deposit(*grains, *box, *onto, *lists, sums, reference)
 
@@ -303,7 +303,7 @@ def _fill_segments(
     segments: tuple[Any, ...], reach: NDArray, onto: tuple[Any, ...], real: str, closed: bool, rest: bool,
     box: Box, sums: NDArray, _: NDArray,
 ) -> None:  # fmt: skip
-    steps, active, *_ = onto
+    steps, active = onto[:2]
     lists, numbers = lists_for(*box, np.multiply(reach, active).tolist(), steps, real)
     scratch = closed_for(lists) if closed else None
     deposit_segments(*segments, *box, *onto, lists, numbers, scratch, rest, sums)
