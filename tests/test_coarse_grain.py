@@ -3,6 +3,7 @@
 import inspect
 import pickle
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from unittest import mock
 
 import dask
@@ -359,6 +360,32 @@ def test_threads_and_boxes_leave_every_bit(long, rtol):
         for one, another in zip(results[0], other, strict=True):
             for name in one:
                 assert one[name].values.tobytes() == another[name].values.tobytes(), name
+
+
+@pytest.mark.parametrize("gradient", ["least_squares", "paper"])
+@pytest.mark.parametrize("axes", ["xyz", "xz", "z"])
+def test_what_a_fit_leaves_is_what_the_moments_expand_to(axes, gradient):
+    """Without phases the part that the fit explains is subtracted, with phases moments are expanded about it."""
+    ds = xcg.datasets.random_scene(200, seed=6)
+    options = {"axes": axes, "width": 0.7, "spacing": 0.5, "gradient": gradient}
+    alone = ds.cg.coarse_grain(["fluctuation_stress", "kinetic_stress"], **options)
+    split = ds.cg.coarse_grain(["fluctuation_stress"], by="species", **options).sel(phase="bulk")
+    size = float(alone.kinetic_stress.max())
+    np.testing.assert_allclose(alone.fluctuation_stress, split.fluctuation_stress, rtol=0, atol=1e-9 * size)
+    assert float(alone.fluctuation_stress.max()) > 1e-3 * size
+
+
+@pytest.mark.parametrize(("steps", "shared"), [(1, True), (2, False)])
+def test_one_lazy_step_uses_all_threads_and_several_take_one_each(steps, shared):
+    one = xcg.datasets.random_scene(60, seed=2)
+    times = [one.assign_coords(time=[float(t)], step=("time", [t])) for t in range(steps)]
+    lazy = xr.concat(times, "time", combine_attrs="override").chunk(time=1)
+    pool = mock.patch("xcg.threads.ThreadPoolExecutor", wraps=ThreadPoolExecutor)
+    with mock.patch.object(sys.modules["xcg.coarse_grain"], "THREADS", 2), pool as pools:
+        f = lazy.cg.coarse_grain(width=0.8).compute()
+    assert pools.called == shared
+    for name, values in one.cg.coarse_grain(width=0.8).items():
+        assert f[name][:1].values.tobytes() == values.values.tobytes(), name
 
 
 def test_sub_selection_of_particles_keeps_their_side():

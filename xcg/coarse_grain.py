@@ -18,7 +18,7 @@ from xcg.complete import periods
 from xcg.faults import check_on_error
 from xcg.kernels import THREADS
 from xcg.labels import about, call_of, mark_skipped
-from xcg.over_time import is_lazy, map_over_time, steps_in
+from xcg.over_time import chunks_in, map_over_time, steps_in
 from xcg.plan import Plan, make_plan, scale_of
 from xcg.scene import require_scene, storable
 from xcg.schema import COMPONENTS, Frame, units_of
@@ -157,7 +157,7 @@ def coarse_grain(
     plan = make_plan(**{"ds": ds, **given})
     names = [*plan.variables, *(name for name in ("box", "step") if name in ds)]
     results = {field: (plan.shape(field), "float64") for field in plan.fields}
-    threads = 1 if is_lazy(ds, names) else THREADS
+    threads = THREADS if chunks_in(ds, names) == 1 else 1
     arrays = map_over_time(ds, names, partial(compute_chunk, plan, threads), results, "coarse-grain",
                            on_error)  # fmt: skip
     return mark_skipped(_label(ds, plan, arrays, call), arrays)
@@ -236,7 +236,7 @@ def compute_chunk(plan: Plan, threads: int, arrays: Mapping[str, NDArray]) -> di
 
 # The algebra runs over this many nodes at a time, so that its intermediate results stay in cache; with a power of
 # two all columns would want the same places in it.
-BLOCK = 10_000
+BLOCK = 20_000
 
 
 def _compute_step(

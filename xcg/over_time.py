@@ -213,6 +213,12 @@ def is_lazy(ds: xr.Dataset, names: Iterable[str]) -> bool:
     return any(isinstance(ds[name].variable._data, da.Array) for name in names)
 
 
+def chunks_in(ds: xr.Dataset, names: Iterable[str]) -> int:
+    """How many chunks of time there are to compute, each by a thread of its own; 1 for a scene in memory."""
+    arrays = [ds[name].transpose("time", ...).variable._data for name in names]
+    return max((len(a.chunks[0]) for a in arrays if isinstance(a, da.Array)), default=1)
+
+
 def _inputs(ds: xr.Dataset, names: Iterable[str]) -> dict[str, Any]:
     """Arrays of the scene, time first, whole along every other dimension."""
     found: dict[str, Any] = {}

@@ -1,4 +1,4 @@
-"""Threads within one step: for scenes in memory only, as under dask the chunks of time already share the processors."""
+"""Threads within one step: for scenes in memory or of one chunk of time, as several chunks share the processors."""
 
 from __future__ import annotations
 
