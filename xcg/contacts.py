@@ -82,11 +82,18 @@ class Contacts:
         """From the contact point to the centres, ``r_i - c`` (m), nearest image; zero for a partner not there."""
         if self.given_branches is not None:
             return self.given_branches
-        branch_i, branch_j = np.empty_like(self.point), np.empty_like(self.point)
-        period = tuple(self.period.tolist())
-        sides(self.i, self.position, self.point, period, branch_i)
-        sides(self.j, self.position, self.point, period, branch_j)
-        return branch_i, branch_j
+        return self._sides(self.i), self._sides(self.j)
+
+    def _sides(self, row: NDArray) -> NDArray:
+        """Vectors (n, 3) from the contact points to one particle of each contact, zero where it is not there."""
+        out = np.empty_like(self.point)
+        sides(row, self.position, self.point, tuple(self.period.tolist()), out)
+        return out
+
+    @property
+    def first_row(self) -> NDArray:
+        """The first particle of each contact that is there; negative where none is; (n,)."""
+        return np.where(self.i >= 0, self.i, self.j)
 
     @property
     def branch_i(self) -> NDArray:
@@ -164,9 +171,10 @@ class Contacts:
     @property
     def normals(self) -> NDArray:
         """Sum over contacts of n n for each particle (particles, 6): xx xy xz yy yz zz."""
-        total = np.zeros((len(self.position), 6))
-        along = (self.branch_i, self.branch_j) if self.given_normal is None else (self.given_normal, self.given_normal)
-        add_unit_squares(self.i, self.j, *along, total)
+        total, along = np.zeros((len(self.position), 6)), self.given_normal
+        if along is None:
+            along = self._sides(self.first_row)
+        add_unit_squares(self.i, self.j, along, total)
         return total
 
     @property
@@ -195,7 +203,7 @@ class Contacts:
     def places(self, rank: NDArray) -> NDArray:
         """Place of each contact among all, by the rank (particles,) of its first particle that is there; (n,)."""
         place = np.empty_like(self.i)
-        places_by(rank, np.where(self.i >= 0, self.i, self.j), np.zeros(rank.size + 2, "int64"), place)
+        places_by(rank, self.first_row, np.zeros(rank.size + 2, "int64"), place)
         return place
 
 

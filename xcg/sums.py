@@ -195,10 +195,10 @@ class _Deposit:
                 segments, longest, more = self._segments(place, second, others if name == "pair_contact" else 0, cutoff)
                 reach = 2.0 + longest[:3]
                 self._check(reach, reach, cutoff)
-                runs = _runs(segments)
+                runs = _runs(np.arange(len(segments)), segments)
                 runs += np.array([[-1.0], [1.0]]) * longest[:3]
                 for real, closed, rest in self._rules(longest[3]):
-                    way = (segments, self.recipe.limits, runs), reach, self._onto(cutoff), real, closed, rest
+                    way = (segments, self.recipe.limits, runs), self._onto(cutoff), reach, real, closed, rest
                     fill.append(partial(_fill_segments, *way))
                 if not more:
                     break
@@ -278,29 +278,28 @@ class _Deposit:
         fill = []
         for cutoff in np.unique(self.cutoffs).tolist():
             rows = order if (self.cutoffs == cutoff).all() else order[self.cutoffs[phase[order]] == cutoff]
-            # in order, as neighbours in space are read one after the other
-            local, *rest = (np.take(a, rows, axis=0) for a in (position, velocity, mass, columns, phase))
-            local = (local - self.origin) / cutoff
-            grains = (local, *rest, level, still, _runs(local))
-            fill.append(partial(_fill_points, grains, (*self._onto(cutoff), by_gradient)))
+            grains = (rows, position, velocity, mass, columns, phase, level, still, self.origin, cutoff)
+            runs = (_runs(rows, position) - self.origin) / cutoff
+            fill.append(partial(_fill_points, (*grains, runs), (*self._onto(cutoff), by_gradient)))
         return _Pass(self.phases, level + columns.shape[1], fill, moments)
 
 
-def _runs(points: NDArray) -> NDArray:
-    """Bounds (runs, 2, 3) of points that follow each other."""
-    bounds = np.empty((-(-len(points) // RUN), 2, 3))
-    runs_of(points, bounds)
+def _runs(rows: NDArray, position: NDArray) -> NDArray:
+    """Bounds (runs, 2, 3) of rows that follow each other."""
+    bounds = np.empty((-(-len(rows) // RUN), 2, 3))
+    runs_of(rows, position, bounds)
     return bounds
 
 
 def _fill_points(grains: tuple[Any, ...], onto: tuple[Any, ...], box: Box, sums: NDArray, reference: NDArray) -> None:
     steps, active = onto[:2]
     lists = lists_for(*box, [2.0 * a for a in active], steps)
-    kernel.deposit(*grains, *box, *onto, *lists, sums, reference)
+    records = np.empty((RUN, sums.shape[2] + kernel.GRAIN))
+    kernel.deposit(*grains, *box, *onto, records, *lists, sums, reference)
 
 
 def _fill_segments(
-    segments: tuple[Any, ...], reach: NDArray, onto: tuple[Any, ...], real: str, closed: bool, rest: bool,
+    segments: tuple[Any, ...], onto: tuple[Any, ...], reach: NDArray, real: str, closed: bool, rest: bool,
     box: Box, sums: NDArray, _: NDArray,
 ) -> None:  # fmt: skip
     steps, active = onto[:2]

@@ -26,6 +26,9 @@ OFFSET = 12  # m x: x, then every fourth column
 SHEAR = 13  # m u_i x_j: i = x y z for j = x, then every fourth column on
 SPREAD = 24  # m x x: xx xy xz yy yz zz
 
+# what a grain's record holds
+PLACE, SPEED, WEIGHED, GROUP, GRAIN = 0, 3, 6, 7, 8
+
 # how many flow columns each level of detail takes; some are spare, so that all start at a multiple of four
 NONE, VELOCITY, FLUCTUATION, LINEAR = 0, 8, 12, 32
 _COLUMNS = tuple(np.uint64(k) for k in range(LINEAR))
@@ -33,15 +36,17 @@ _COLUMNS = tuple(np.uint64(k) for k in range(LINEAR))
 
 @leaf
 def deposit(
-    position, velocity, mass, constants, phase, level, still, runs, low, high, steps, active, period,
-    kind, spread, table, norm, by_gradient, lists, numbers, moments, reference,
+    order, position, velocity, mass, constants, phase, level, still, origin, cutoff, runs, low, high, steps, active,
+    period, kind, spread, table, norm, by_gradient, grains, lists, numbers, moments, reference,
 ):  # fmt: skip
     """Add grains to the nodes within their support.
 
     Parameters
     ----------
+    order : (k,)
+        The grains, one after the other.
     position : (n, 3)
-        Centres, relative to the first node, in cutoffs.
+        Centres.
     velocity : (n, 3)
         Velocities; not read at level NONE.
     mass : (n,)
@@ -55,8 +60,11 @@ def deposit(
     still : True or None
         Whether all grains have the same velocity, so that all columns with u are zero. None leaves code out when the
         kernel is compiled, here and below.
+    origin, cutoff : tuple, float
+        Place of the first node, and radius of the support. Lengths up to here are in one unit; those that follow are in
+        cutoffs.
     runs : (r, 2, 3)
-        Bounds of each run of rows, see `runs_of`: those out of reach are passed over.
+        Bounds of each run of grains, see `runs_of`: those out of reach are passed over.
     low, high : tuple of int
         The box of nodes low <= (ix, iy, iz) < high, so that boxes can be filled one by one, or at the same time.
     steps, active, period : tuple
@@ -65,6 +73,8 @@ def deposit(
         The kernel, see `xcg.smoothing.Weights`.
     by_gradient : True or None
         Weigh by derivative / distance instead of the value.
+    grains : (RUN, GRAIN + q or more)
+        Scratch: of each grain PLACE and SPEED, three each, WEIGHED, GROUP, and its constants.
     lists, numbers : (LISTS, m), (NUMBERS, m)
         Scratch, see `lists_for`.
     moments : (phases, nodes of the box, level + q)
@@ -77,43 +87,56 @@ def deposit(
     per_steps = (1.0 / steps[0], 1.0 / steps[1], 1.0 / steps[2])
     reach = (1.0 if active[0] else 0.0, 1.0 if active[1] else 0.0, 1.0 if active[2] else 0.0)
     q2, weight = lists[Q2], lists[WEIGHT]
-    here = True
-    for i in range(position.shape[0]):
-        if i % RUN == 0:
-            here = run_reaches(runs, i // RUN, begin, end, active, period)
-        if not here:
+    for run in range(runs.shape[0]):
+        if not run_reaches(runs, run, begin, end, active, period):
             continue
-        p = np.uint64(phase[i])
-        x0 = position[i, 0] if active[0] else 0.0
-        y0 = position[i, 1] if active[1] else 0.0
-        z0 = position[i, 2] if active[2] else 0.0
-        first_x, last_x = images(x0, -reach[0], reach[0], begin[0], end[0], period[0])
-        first_y, last_y = images(y0, -reach[1], reach[1], begin[1], end[1], period[1])
-        first_z, last_z = images(z0, -reach[2], reach[2], begin[2], end[2], period[2])
-        if first_x > last_x or first_y > last_y or first_z > last_z:
-            continue
-        for image_x in range(first_x, last_x + 1):
-            x = x0 + image_x * period[0] if image_x else x0
-            for image_y in range(first_y, last_y + 1):
-                y = y0 + image_y * period[1] if image_y else y0
-                for image_z in range(first_z, last_z + 1):
-                    z = z0 + image_z * period[2] if image_z else z0
-                    hits = list_ball(x, y, z, steps, per_steps, low, high, lists, numbers)
-                    fill_values(kind, spread, table, norm, by_gradient, q2, hits, weight)
-                    if level > 0:
-                        _add_flow(
-                            p, mass[i], velocity[i, 0], velocity[i, 1], velocity[i, 2], lists, numbers, hits, level,
-                            still, moments, reference,
-                        )  # fmt: skip
-                    for d in range(0, constants.shape[1], 4):
-                        c0, c1, c2, c3 = constants[i, d], constants[i, d + 1], constants[i, d + 2], constants[i, d + 3]
-                        for k in range(hits):
-                            add_four(moments, p, numbers[NODE, k], level + d, weight[k], c0, c1, c2, c3)
+        rows = order[run * RUN : (run + 1) * RUN]
+        _list_grains(rows, position, velocity, mass, constants, phase, origin, cutoff, grains)
+        for i in range(rows.size):
+            p = np.uint64(grains[i, GROUP])
+            x0 = grains[i, PLACE] if active[0] else 0.0
+            y0 = grains[i, PLACE + 1] if active[1] else 0.0
+            z0 = grains[i, PLACE + 2] if active[2] else 0.0
+            first_x, last_x = images(x0, -reach[0], reach[0], begin[0], end[0], period[0])
+            first_y, last_y = images(y0, -reach[1], reach[1], begin[1], end[1], period[1])
+            first_z, last_z = images(z0, -reach[2], reach[2], begin[2], end[2], period[2])
+            if first_x > last_x or first_y > last_y or first_z > last_z:
+                continue
+            for image_x in range(first_x, last_x + 1):
+                x = x0 + image_x * period[0] if image_x else x0
+                for image_y in range(first_y, last_y + 1):
+                    y = y0 + image_y * period[1] if image_y else y0
+                    for image_z in range(first_z, last_z + 1):
+                        z = z0 + image_z * period[2] if image_z else z0
+                        hits = list_ball(x, y, z, steps, per_steps, low, high, lists, numbers)
+                        fill_values(kind, spread, table, norm, by_gradient, q2, hits, weight)
+                        if level > 0:
+                            _add_flow(p, grains, i, lists, numbers, hits, level, still, moments, reference)
+                        for d in range(0, constants.shape[1], 4):
+                            c0, c1 = grains[i, GRAIN + d], grains[i, GRAIN + d + 1]
+                            c2, c3 = grains[i, GRAIN + d + 2], grains[i, GRAIN + d + 3]
+                            for k in range(hits):
+                                add_four(moments, p, numbers[NODE, k], level + d, weight[k], c0, c1, c2, c3)
 
 
 @leaf
-def _add_flow(p, mass, vx, vy, vz, lists, numbers, hits, level, still, moments, reference):
+def _list_grains(rows, position, velocity, mass, constants, phase, origin, cutoff, grains):
+    """Put together what is needed of some grains, which is spread over memory: all of it is asked for at once."""
+    per_cutoff = 1.0 / cutoff
+    for i in range(rows.size):
+        n = rows[i]
+        for k in range(3):
+            grains[i, PLACE + k] = (position[n, k] - origin[k]) * per_cutoff
+            grains[i, SPEED + k] = velocity[n, k]
+        grains[i, WEIGHED], grains[i, GROUP] = mass[n], phase[n]
+        for k in range(constants.shape[1]):
+            grains[i, GRAIN + k] = constants[n, k]
+
+
+@leaf
+def _add_flow(p, grains, i, lists, numbers, hits, level, still, moments, reference):
     """Add one grain to the flow columns of the nodes that it reaches."""
+    mass, vx, vy, vz = grains[i, WEIGHED], grains[i, SPEED], grains[i, SPEED + 1], grains[i, SPEED + 2]
     for k in range(hits):
         n, x, y, z = np.uint64(numbers[NODE, k]), lists[X, k], lists[Y, k], lists[Z, k]
         if math.isnan(reference[n, 0]):

@@ -223,13 +223,13 @@ def list_tube(x, y, z, bx, by, bz, per_length, steps, per_steps, low, high, list
 
 
 @leaf
-def runs_of(points, bounds):
-    """Write the lowest and highest place, (runs, 2, 3), of each run of `RUN` points (n, 3 or more)."""
+def runs_of(rows, position, bounds):
+    """Write the lowest and highest place, (runs, 2, 3), of each run of `RUN` rows of position (m, 3)."""
     for run in range(bounds.shape[0]):
         for k in range(3):
             low, high = np.inf, -np.inf
-            for n in range(run * RUN, min(points.shape[0], (run + 1) * RUN)):
-                low, high = min(low, points[n, k]), max(high, points[n, k])
+            for n in range(run * RUN, min(rows.size, (run + 1) * RUN)):
+                low, high = min(low, position[rows[n], k]), max(high, position[rows[n], k])
             bounds[run, 0, k], bounds[run, 1, k] = low, high
 
 

@@ -89,15 +89,13 @@ def add_dyads(row, sign, a, b, out):
 
 
 @leaf
-def add_unit_squares(row_i, row_j, along_i, along_j, out):
+def add_unit_squares(row_i, row_j, along, out):
     """Add n n of each contact to both its rows of out (m, 6): xx xy xz yy yz zz; negative rows are left out.
 
-    The unit vector n is that of `along_i` (n, 3), or of `along_j` where `row_i` is negative; zero where that is zero.
+    The unit vector n is that of `along` (n, 3); zero where that is zero.
     """
     for n in range(row_i.size):
-        x, y, z = along_i[n, 0], along_i[n, 1], along_i[n, 2]
-        if row_i[n] < 0:
-            x, y, z = along_j[n, 0], along_j[n, 1], along_j[n, 2]
+        x, y, z = along[n, 0], along[n, 1], along[n, 2]
         length2 = x * x + y * y + z * z
         per_length2 = 1.0 / length2 if length2 > 0.0 else 0.0
         for m in (row_i[n], row_j[n]):
