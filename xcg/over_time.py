@@ -215,8 +215,7 @@ def is_lazy(ds: xr.Dataset, names: Iterable[str]) -> bool:
 
 def chunks_in(ds: xr.Dataset, names: Iterable[str]) -> int:
     """How many chunks of time there are to compute, each by a thread of its own; 1 for a scene in memory."""
-    arrays = [ds[name].transpose("time", ...).variable._data for name in names]
-    return max((len(a.chunks[0]) for a in arrays if isinstance(a, da.Array)), default=1)
+    return max(1, *(len(ds[name].chunksizes.get("time", ())) for name in names))
 
 
 def _inputs(ds: xr.Dataset, names: Iterable[str]) -> dict[str, Any]:

@@ -120,7 +120,7 @@ class _Deposit:
         self.phase = phase_of(self.frame, recipe.by, recipe.groups, where)
         self.contacts = Contacts.of(self.frame, period) if "contact_i" in self.frame else None
         self.velocity = np.ascontiguousarray(self.frame.get("velocity", np.zeros((self.count, 3))))
-        self.mass = self.frame.get("mass", np.ones(self.count))
+        self.mass = np.ascontiguousarray(self.frame.get("mass", np.ones(self.count)))
         self.phases = max(1, len(recipe.groups))
         self.cutoffs = np.resize(recipe.cutoffs, self.phases)
         self.active = recipe.grid.active

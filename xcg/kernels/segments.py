@@ -48,14 +48,6 @@ def choose_order(length, limits):
 
 
 @leaf
-def on_one_line(ax, ay, az, bx, by, bz):
-    """Whether two vectors point opposite ways along one line."""
-    cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-    area2, most = cx * cx + cy * cy + cz * cz, (ax * ax + ay * ay + az * az) * (bx * bx + by * by + bz * bz)
-    return ax * bx + ay * by + az * bz <= 0.0 and area2 <= COLLINEAR**2 * most
-
-
-@leaf
 def list_segments(
     second, place, row_i, row_j, point, force, position, phase, others, wrap, cutoffs, cutoff, origin, segments, longest
 ):  # fmt: skip
@@ -104,13 +96,10 @@ def list_segments(
         i, j, k, sign = row_i[n], row_j[n], place[n], cutoff
         ax, ay, az = side(position, i, point, n, wrap)
         bx, by, bz = side(position, j, point, n, wrap)
-        if i >= 0 and j >= 0:
-            if phase[i] == phase[j] and _on_one_line(ax, ay, az, bx, by, bz):
-                ax, ay, az, bx, by, bz, both = ax - bx, ay - by, az - bz, 0.0, 0.0, 0.0, False
-            else:
-                more, both = True, True
-        else:
-            both = False
+        two = i >= 0 and j >= 0
+        if two and phase[i] == phase[j] and _on_one_line(ax, ay, az, bx, by, bz):
+            ax, ay, az, two = ax - bx, ay - by, az - bz, False
+        more = more or two
         if i < 0 or second:
             i, j, ax, ay, az, sign = j, i, bx, by, bz, -cutoff
         # a place that stays empty is at one of the particles all the same
@@ -118,7 +107,7 @@ def list_segments(
         segments[k, GROUP] = -1.0
         for c in range(3):
             segments[k, START + c] = (position[here, c] - origin[c]) * per_cutoff if here >= 0 else 0.0
-        if i < 0 or (second and not both) or cutoffs[phase[i]] != cutoff:
+        if i < 0 or (second and not two) or cutoffs[phase[i]] != cutoff:
             continue
         x, y, z = ax * per_cutoff, ay * per_cutoff, az * per_cutoff
         segments[k, BRANCH], segments[k, BRANCH + 1], segments[k, BRANCH + 2] = x, y, z
