@@ -215,7 +215,7 @@ def is_lazy(ds: xr.Dataset, names: Iterable[str]) -> bool:
 
 def chunks_in(ds: xr.Dataset, names: Iterable[str]) -> int:
     """How many chunks of time there are to compute, each by a thread of its own; 1 for a scene in memory."""
-    return max(1, *(len(ds[name].chunksizes.get("time", ())) for name in names))
+    return max(1, *(len(ds[name].variable.chunksizes.get("time", ())) for name in names))
 
 
 def _inputs(ds: xr.Dataset, names: Iterable[str]) -> dict[str, Any]:
