@@ -179,7 +179,7 @@ def contact_stress(particles: int) -> Panel:
                     f"{order} point{'s' * (order > 1)}",
                     "Gauss-Legendre, all contacts",
                     1.0,
-                    {1: "left", 2: "left", 6: "below"}.get(order, ""),  # the others lie among those of `rtol`
+                    {1: "left", 6: "below"}.get(order, ""),  # the others lie among those of `rtol`
                 )
             )
     for exponent in range(1, 5):  # from 1e-5 on the rule is the closed form for branches of this length
