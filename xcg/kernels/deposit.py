@@ -48,9 +48,9 @@ def deposit(
     position : (n, 3)
         Centres.
     velocity : (n, 3)
-        Velocities; not read at level NONE.
+        Velocities; of no account at level NONE.
     mass : (n,)
-        Masses; not read at level NONE.
+        Masses; of no account at level NONE.
     constants : (n, q)
         Columns that are the same for all nodes; q is a multiple of four, as they are added four at a time.
     phase : (n,)

@@ -31,12 +31,6 @@ def _vector(builder, values):
     return out
 
 
-def _arithmetic(builder, number_type):
-    if isinstance(number_type, types.Integer):
-        return builder.add, builder.mul
-    return builder.fadd, builder.fmul
-
-
 def _cast(context, builder, signature, args):
     """Arguments by number, cast to what the array holds: places to 64 bits, values to the array's numbers."""
 
@@ -57,9 +51,9 @@ def add_four(typingctx, records, group, row, first, weight, a, b, c, d):
         place, value = _cast(context, builder, signature, args)
         where = [place(1), place(2), place(3)]
         pointer, align = _at(context, builder, signature.args[0], args[0], where, FOUR)
-        add, multiply = _arithmetic(builder, signature.args[0].dtype)
-        terms = multiply(_vector(builder, [value(4)] * FOUR), _vector(builder, [value(k) for k in range(5, 9)]))
-        builder.store(add(builder.load(pointer, align=align), terms), pointer, align=align)
+        weights, columns = _vector(builder, [value(4)] * FOUR), _vector(builder, [value(k) for k in range(5, 9)])
+        sums = builder.fadd(builder.load(pointer, align=align), builder.fmul(weights, columns))
+        builder.store(sums, pointer, align=align)
         return context.get_dummy_value()
 
     return types.void(records, group, row, first, weight, a, b, c, d), generate
@@ -86,7 +80,7 @@ def put_sum(typingctx, lists, row, at, value, table, first):
         place, number = _cast(context, builder, signature, args)
         source, align = _at(context, builder, signature.args[0], args[0], [place(4), place(5)], EIGHT)
         target, _ = _at(context, builder, signature.args[0], args[0], [place(1), place(2)], EIGHT)
-        add, _ = _arithmetic(builder, signature.args[0].dtype)
+        add = builder.add if isinstance(signature.args[0].dtype, types.Integer) else builder.fadd
         sums = add(_vector(builder, [number(3)] * EIGHT), builder.load(source, align=align))
         builder.store(sums, target, align=align)
         return context.get_dummy_value()
@@ -105,15 +99,14 @@ def put_line(typingctx, lists, to, squares, at, first, step, origin, factor):
         place, number = _cast(context, builder, signature, args)
         target, align = _at(context, builder, signature.args[0], args[0], [place(1), place(3)], EIGHT)
         square, _ = _at(context, builder, signature.args[0], args[0], [place(2), place(3)], EIGHT)
-        add, multiply = _arithmetic(builder, signature.args[0].dtype)
         begin, step, origin, factor = (_vector(builder, [number(k)] * EIGHT) for k in range(4, 8))
         number_type = context.get_data_type(signature.args[0].dtype)
         ramp = ir.Constant(
             ir.VectorType(number_type, EIGHT), [ir.Constant(number_type, float(k)) for k in range(EIGHT)]
         )
-        d = builder.fsub(multiply(add(begin, ramp), step), origin)
-        builder.store(multiply(factor, d), target, align=align)
-        builder.store(multiply(d, d), square, align=align)
+        d = builder.fsub(builder.fmul(builder.fadd(begin, ramp), step), origin)
+        builder.store(builder.fmul(factor, d), target, align=align)
+        builder.store(builder.fmul(d, d), square, align=align)
         return context.get_dummy_value()
 
     return types.void(lists, to, squares, at, first, step, origin, factor), generate

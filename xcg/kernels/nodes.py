@@ -66,7 +66,7 @@ def lists_for(
     for first, end, far, step in zip(low, high, reach, steps, strict=True):
         # no more than there are: along an axis with one node the spacing means nothing
         most *= min(end - first, int(far / step) + 2)
-    room = -(-most // PAD) * PAD + PAD
+    room = padded(most) + PAD
     numbers = np.zeros((NUMBERS, room), "int32")
     numbers[OF_Z] = np.arange(room)
     numbers[OF_Y] = np.arange(room) * (high[2] - low[2])
