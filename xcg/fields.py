@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.kernels.fit import fit_gradient
-from xcg.kernels.fluctuations import about_linear, about_mean
+from xcg.kernels.fluctuations import about_linear
 
 Function = Callable[[Any, Any, "Options"], Any]
 
@@ -195,17 +195,12 @@ def _outer(a: NDArray) -> NDArray:
 def _fit(f: Any, s: Any, o: Options, *, about_node: bool = False) -> SimpleNamespace:
     """Least squares through the grains about their centre of mass, or about the node: G = B M^+."""
     shape = s.mass.shape
-    gradient, explained, mean = np.empty((3, 3, *shape)), np.empty((3, 3, *shape)), np.empty((3, *shape))
-    determined = np.empty((3, *shape), bool)
-    sums = [_inner(a).reshape(*a.shape[2:], -1) for a in (s.count, s.mass, f._drift, s.offset, s.shear, s.spread)]
-    fit_gradient(
-        *sums, o.active, about_node, np.zeros((3, 3, 3)), gradient.reshape(3, 3, -1), explained.reshape(3, 3, -1),
-        determined.reshape(3, -1), mean.reshape(3, -1),
-    )  # fmt: skip
-    return SimpleNamespace(
-        gradient=_outer(gradient), explained=_outer(explained), determined=_outer(determined)[..., None, :],
-        mean=_outer(mean),
-    )  # fmt: skip
+    count, *sums = (
+        _inner(a).reshape(*a.shape[2:], -1) for a in (s.count, s.mass, f._drift, s.offset, s.shear, s.spread)
+    )
+    found = fit_gradient(count, *sums, active=o.active, about_node=about_node)
+    gradient, explained, determined, mean = (_outer(a.reshape(*a.shape[:-1], *shape)) for a in found)
+    return SimpleNamespace(gradient=gradient, explained=explained, determined=determined[..., None, :], mean=mean)
 
 
 def _kernel_gradient(f: Any, s: Any, o: Options) -> NDArray:
@@ -255,8 +250,12 @@ def _fluctuation_stress(f: Any, s: Any, o: Options) -> NDArray:
 
 
 def _kinetic_stress(f: Any, s: Any, o: Options) -> NDArray:
-    out = np.empty((3, 3, *s.mass.shape))
-    about_mean(_inner(s.mass), _inner(s.momentum), _inner(s.kinetic), _inner(f._drift[:1])[:, 0], out)
+    mean, out = np.nan_to_num(f._drift[:1], nan=0.0), np.empty((3, 3, *s.mass.shape))
+    for i in range(3):
+        for j in range(i, 3):
+            a, b = mean[..., i], mean[..., j]
+            out[i, j] = s.kinetic[..., i, j] + s.mass * a * b - a * s.momentum[..., j] - b * s.momentum[..., i]
+            out[j, i] = out[i, j]
     return _outer(out)
 
 

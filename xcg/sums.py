@@ -195,7 +195,7 @@ class _Deposit:
                 segments, longest, more = self._segments(place, second, others if name == "pair_contact" else 0, cutoff)
                 reach = 2.0 + longest[:3]
                 self._check(reach, reach, cutoff)
-                runs = _runs(np.arange(len(segments)), segments)
+                runs = runs_of(segments[:, :3])
                 runs += np.array([[-1.0], [1.0]]) * longest[:3]
                 for real, closed, rest in self._rules(longest[3]):
                     way = (segments, self.recipe.limits, runs), self._onto(cutoff), reach, real, closed, rest
@@ -279,16 +279,9 @@ class _Deposit:
         for cutoff in np.unique(self.cutoffs).tolist():
             rows = order if (self.cutoffs == cutoff).all() else order[self.cutoffs[phase[order]] == cutoff]
             grains = (rows, position, velocity, mass, columns, phase, level, still, self.origin, cutoff)
-            runs = (_runs(rows, position) - self.origin) / cutoff
+            runs = (runs_of(position[rows]) - self.origin) / cutoff
             fill.append(partial(_fill_points, (*grains, runs), (*self._onto(cutoff), by_gradient)))
         return _Pass(self.phases, level + columns.shape[1], fill, moments)
-
-
-def _runs(rows: NDArray, position: NDArray) -> NDArray:
-    """Bounds (runs, 2, 3) of rows that follow each other."""
-    bounds = np.empty((-(-len(rows) // RUN), 2, 3))
-    runs_of(rows, position, bounds)
-    return bounds
 
 
 def _fill_points(grains: tuple[Any, ...], onto: tuple[Any, ...], box: Box, sums: NDArray, reference: NDArray) -> None:

@@ -1,23 +1,25 @@
 """Velocity gradients of the best linear fit: small symmetric systems, rank-aware."""
 
+from collections.abc import Sequence
+
 import numpy as np
+from numpy.typing import NDArray
 
 from xcg.kernels._jit import leaf
-from xcg.kernels.eigen import diagonalise
 
 # Above this share of the largest possible determinant the explicit inverse is exact to a few hundred ulp.
 _WELL_CONDITIONED = 1e-3
+# Eigenvalues below this share of the largest count as zero: grains that lie in a plane to single precision give
+# 1e-11 from rounding alone, while a layer as thin as 1e-4 of the support still gives 1e-8.
+_RANK_THRESHOLD = 1e-9
+# Centring one grain, or several in one place, leaves the rounding of what is subtracted, a few 1e-16 of it.
+_ROUNDING = 1e-13
 
 
-@leaf
-def _dot(a, b):
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@leaf
 def fit_gradient(
-    count, mass, drift, offset, shear, spread, active, about_node, scratch, gradient, explained, determined, mean
-):  # fmt: skip
+    count: NDArray, mass: NDArray, drift: NDArray, offset: NDArray, shear: NDArray, spread: NDArray, *,
+    active: Sequence[bool], about_node: bool,
+) -> tuple[NDArray, NDArray, NDArray, NDArray]:  # fmt: skip
     """Velocity gradient of the best linear fit at each node: G = B M^+, row by row.
 
     Parameters
@@ -32,21 +34,44 @@ def fit_gradient(
         Axes along which grains have offsets at all.
     about_node : bool
         Fit about x = 0 instead of the centre of mass.
-    scratch : (3, 3, 3)
+
+    Returns
+    -------
     gradient : (3, 3, n)
-        Written: G with B = sum m Psi (u - u_bar) x' and M = sum m Psi x' x', where x' = x - x_bar; zero along
-        directions that the grains do not span.
+        G with B = sum m Psi (u - u_bar) x' and M = sum m Psi x' x', where x' = x - x_bar; zero along directions that
+        the grains do not span.
     explained : (3, 3, n)
-        Written: G B^T, the part of sum m Psi (u - u_bar)(u - u_bar) that the fit leaves nothing of; NaN where it goes
-        through all grains, so that what is left is unknown.
+        G B^T, the part of sum m Psi (u - u_bar)(u - u_bar) that the fit leaves nothing of; NaN where it goes through
+        all grains, so that what is left is unknown.
     determined : (3, n)
-        Written: whether the derivative along each axis follows from the grains; true along axes that are not active.
+        Whether the derivative along each axis follows from the grains; true along axes that are not active.
     mean : (3, n)
-        Written: x_bar, zero where there are no grains.
+        x_bar, zero where there are no grains.
     """
-    matrix, vectors, inverse = scratch[0], scratch[1], scratch[2]
+    sums = (count, mass, drift, offset, shear, spread)
+    out = np.empty_like(shear), np.empty_like(shear), np.empty(offset.shape, bool), np.empty_like(offset)
+    few = np.empty(mass.size, "int64")
+    few = few[: _fit(*sums, *active, sum(active), about_node, *out, few)]
+    if few.size:
+        fitted = _fit_few(*(a[..., few] for a in sums), active=active, about_node=about_node)
+        for whole, part in zip(out, fitted, strict=True):
+            whole[..., few] = part
+    return out
+
+
+@leaf
+def _dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@leaf
+def _fit(
+    count, mass, drift, offset, shear, spread, active_x, active_y, active_z, rank, about_node, gradient, explained,
+    determined, mean, few,
+):  # fmt: skip
+    """Fit where grains span all active axes, `rank` of them, well; list the other nodes, and return how many."""
+    left = 0
     for n in range(mass.size):
-        # without grains all sums are zero, and so are matrix, rank and gradient
         per_mass = 1.0 / mass[n] if mass[n] > 0.0 else 0.0
         offsets = offset[0, n], offset[1, n], offset[2, n]
         shift = 0.0 if about_node else per_mass
@@ -62,30 +87,22 @@ def fit_gradient(
             spread[1, 2, n] - y * offsets[2],
             spread[2, 2, n] - z * offsets[2],
         )
+        trace = xx + yy + zz
+        # along the other axes all offsets are zero, and any spread gives a gradient of zero
+        own = trace / rank
+        xx, yy, zz = xx if active_x else own, yy if active_y else own, zz if active_z else own
         c00, c01, c02 = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
-        determinant, trace = xx * c00 + xy * c01 + xz * c02, xx + yy + zz
-        # centring one grain, or several in one place, leaves the rounding of what is subtracted, a few 1e-16
-        rounding = 1e-13 * (spread[0, 0, n] + spread[1, 1, n] + spread[2, 2, n])
-        if trace > rounding and determinant > _WELL_CONDITIONED * (trace / 3.0) ** 3:
-            rank, scale = 3, 1.0 / determinant
-            c00, c01, c02 = scale * c00, scale * c01, scale * c02
-            c11, c12, c22 = scale * (xx * zz - xz * xz), scale * (xy * xz - xx * yz), scale * (xx * yy - xy * xy)
-            determined[0, n], determined[1, n], determined[2, n] = True, True, True
-        else:
-            matrix[0, 0], matrix[0, 1], matrix[0, 2] = xx, xy, xz
-            matrix[1, 0], matrix[1, 1], matrix[1, 2] = xy, yy, yz
-            matrix[2, 0], matrix[2, 1], matrix[2, 2] = xz, yz, zz
-            rank = _pseudo_inverse(matrix, vectors, inverse, rounding)
-            c00, c01, c02 = inverse[0, 0], inverse[0, 1], inverse[0, 2]
-            c11, c12, c22 = inverse[1, 1], inverse[1, 2], inverse[2, 2]
-            for j in range(3):
-                # (M M^+)_jj is the part of the axis that the grains span
-                projection = 0.0
-                for k in range(3):
-                    projection += vectors[j, k] * vectors[j, k] * (matrix[k, k] > 0.0)
-                determined[j, n] = mass[n] > 0.0 and (not active[j] or projection > 1.0 - 1e-6)
+        determinant = xx * c00 + xy * c01 + xz * c02
+        rounding = _ROUNDING * (spread[0, 0, n] + spread[1, 1, n] + spread[2, 2, n])
+        if not (trace > rounding and determinant > _WELL_CONDITIONED * own * own * own):
+            few[left] = n
+            left += 1
+            continue
+        scale = 1.0 / determinant
+        c00, c01, c02 = scale * c00, scale * c01, scale * c02
+        c11, c12, c22 = scale * (xx * zz - xz * xz), scale * (xy * xz - xx * yz), scale * (xx * yy - xy * xy)
+        determined[0, n], determined[1, n], determined[2, n] = True, True, True
         u, v, w = drift[0, n], drift[1, n], drift[2, n]
-        u, v, w = (u, v, w) if mass[n] > 0.0 else (0.0, 0.0, 0.0)
         b0 = shear[0, 0, n] - u * offsets[0], shear[0, 1, n] - u * offsets[1], shear[0, 2, n] - u * offsets[2]
         b1 = shear[1, 0, n] - v * offsets[0], shear[1, 1, n] - v * offsets[1], shear[1, 2, n] - v * offsets[2]
         b2 = shear[2, 0, n] - w * offsets[0], shear[2, 1, n] - w * offsets[1], shear[2, 2, n] - w * offsets[2]
@@ -103,30 +120,28 @@ def fit_gradient(
         explained[0, 1, n] = explained[1, 0, n] = known * _dot(g0, b1)
         explained[0, 2, n] = explained[2, 0, n] = known * _dot(g0, b2)
         explained[1, 2, n] = explained[2, 1, n] = known * _dot(g1, b2)
+    return left
 
 
-# Eigenvalues below this share of the largest count as zero: grains that lie in a plane to single precision give
-# 1e-11 from rounding alone, while a layer as thin as 1e-4 of the support still gives 1e-8.
-_RANK_THRESHOLD = 1e-9
-
-
-@leaf
-def _pseudo_inverse(matrix, vectors, inverse, rounding):
-    """Pseudo-inverse of a symmetric 3x3 matrix and its rank; `matrix` is made diagonal, with zeros for what is none."""
-    trace = matrix[0, 0] + matrix[1, 1] + matrix[2, 2]
-    inverse[:] = 0.0
-    if not trace > rounding:
-        matrix[:] = 0.0
-        return 0
-    diagonalise(matrix, vectors)
-    largest = max(matrix[0, 0], matrix[1, 1], matrix[2, 2])
-    rank = 0
-    for k in range(3):
-        if matrix[k, k] > max(_RANK_THRESHOLD * largest, rounding):
-            rank += 1
-            for i in range(3):
-                for j in range(3):
-                    inverse[i, j] += vectors[i, k] * vectors[j, k] / matrix[k, k]
-        else:
-            matrix[k, k] = 0.0
-    return rank
+def _fit_few(
+    count: NDArray, mass: NDArray, drift: NDArray, offset: NDArray, shear: NDArray, spread: NDArray, *,
+    active: Sequence[bool], about_node: bool,
+) -> tuple[NDArray, NDArray, NDArray, NDArray]:  # fmt: skip
+    """Fit by the pseudo-inverse, where grains are missing or lie close to a plane, a line or a point."""
+    there = mass > 0.0
+    mean = np.divide(offset, mass, out=np.zeros_like(offset), where=there & (not about_node))
+    matrix = np.moveaxis(spread - mean[:, None] * offset, -1, 0)
+    damaged = ~np.isfinite(matrix).all(axis=(1, 2))
+    values, vectors = np.linalg.eigh(np.where(damaged[:, None, None], 0.0, matrix))
+    rounding = _ROUNDING * np.trace(spread)
+    least = np.where(values.sum(axis=1) > rounding, np.maximum(_RANK_THRESHOLD * values[:, 2], rounding), np.inf)
+    spanned = values > least[:, None]
+    scaled = vectors * np.divide(1.0, values, out=np.zeros_like(values), where=spanned)[:, None]
+    # (M M^+)_jj is the part of the axis that the grains span
+    projection = (vectors**2 * spanned[:, None]).sum(axis=2).T
+    determined = there & (~np.reshape(active, (3, 1)) | (projection > 1.0 - 1e-6))
+    moved = np.moveaxis(shear - np.where(there, drift, 0.0)[:, None] * offset, -1, 0)
+    gradient = moved @ (scaled @ vectors.swapaxes(1, 2))
+    explained = gradient @ moved.swapaxes(1, 2)
+    explained[count <= spanned.sum(axis=1) + 1] = np.nan
+    return np.moveaxis(gradient, 0, -1), np.moveaxis(explained, 0, -1), determined, mean

@@ -1,13 +1,13 @@
-"""Second moments of the velocity about a field of velocities, expanded in the sums of each phase."""
+"""Second moments of the velocity about a linear field of velocities, expanded in the sums of each phase."""
 
 import numpy as np
 
-from xcg.kernels._jit import jit, leaf
+from xcg.kernels._jit import jit
 
 
-@leaf
-def about_mean(mass, momentum, kinetic, drift, out):
-    """Sum of m Psi (u - b)(u - b), with b the mean velocity of the bulk.
+@jit
+def about_linear(mass, momentum, kinetic, offset, shear, spread, drift, mean, gradient, unknown, out):
+    """Sum of m Psi v'' v'' with v'' = u - b - G (x - x_bar): about the bulk's velocity at the place of each grain.
 
     Parameters
     ----------
@@ -17,30 +17,6 @@ def about_mean(mass, momentum, kinetic, drift, out):
         Sum of m Psi u.
     kinetic : (3, 3, p, n)
         Sum of m Psi u u.
-    drift : (3, n)
-        The mean b; zero is taken where it is NaN.
-    out : (3, 3, p, n)
-        Written.
-    """
-    for p in range(mass.shape[0]):
-        for i in range(3):
-            for j in range(i, 3):
-                for n in range(mass.shape[1]):
-                    a = 0.0 if np.isnan(drift[i, n]) else drift[i, n]
-                    b = 0.0 if np.isnan(drift[j, n]) else drift[j, n]
-                    total = kinetic[i, j, p, n] + mass[p, n] * a * b
-                    total = total - a * momentum[j, p, n] - b * momentum[i, p, n]
-                    out[i, j, p, n], out[j, i, p, n] = total, total
-
-
-@jit
-def about_linear(mass, momentum, kinetic, offset, shear, spread, drift, mean, gradient, unknown, out):
-    """Sum of m Psi v'' v'' with v'' = u - b - G (x - x_bar): about the bulk's velocity at the place of each grain.
-
-    Parameters
-    ----------
-    mass, momentum, kinetic
-        As in `about_mean`.
     offset : (3, p, n)
         Sum of m Psi x.
     shear, spread : (3, 3, p, n)
