@@ -236,7 +236,7 @@ def compute_chunk(plan: Plan, threads: int, arrays: Mapping[str, NDArray]) -> di
 
 # The algebra runs over this many nodes at a time, so that its intermediate results stay in cache; with a power of
 # two all columns would want the same places in it.
-BLOCK = 20_000
+BLOCK = 12_000
 
 
 def _compute_step(

@@ -203,7 +203,8 @@ class Contacts:
     def places(self, rank: NDArray) -> NDArray:
         """Place of each contact among all, by the rank (particles,) of its first particle that is there; (n,)."""
         place = np.empty_like(self.i)
-        places_by(rank, self.first_row, np.zeros(rank.size + 2, "int64"), place)
+        key = np.append(rank, rank.size)[self.first_row]  # those of no particle come last
+        places_by(key, np.zeros(rank.size + 2, "int64"), place)
         return place
 
 

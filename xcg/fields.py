@@ -250,12 +250,14 @@ def _fluctuation_stress(f: Any, s: Any, o: Options) -> NDArray:
 
 
 def _kinetic_stress(f: Any, s: Any, o: Options) -> NDArray:
-    mean, out = np.nan_to_num(f._drift[:1], nan=0.0), np.empty((3, 3, *s.mass.shape))
+    """Sum of m Psi (u - b)(u - b) = sum m Psi u u - b p - (p - b sum m Psi) b, with b the mean velocity of the bulk."""
+    b, out = np.nan_to_num(f._drift[:1], nan=0.0), np.empty((3, 3, *s.mass.shape))
     for i in range(3):
+        rest = s.momentum[..., i] - b[..., i] * s.mass  # nothing but for phases
         for j in range(i, 3):
-            a, b = mean[..., i], mean[..., j]
-            out[i, j] = s.kinetic[..., i, j] + s.mass * a * b - a * s.momentum[..., j] - b * s.momentum[..., i]
-            out[j, i] = out[i, j]
+            total = s.kinetic[..., i, j] - b[..., i] * s.momentum[..., j]
+            total -= rest * b[..., j]
+            out[i, j], out[j, i] = total, total
     return _outer(out)
 
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from xcg.kernels._jit import leaf
 from xcg.kernels.lanes import EIGHT, put_eight, put_line, put_sum
+from xcg.kernels.rows import places_by
 
 PAD = 16  # loops over lists run to a multiple of this: what is left over would be done one by one
 PENCIL = 8  # cells across: the nodes that a layer of a pencil adds to fit in a core's cache
@@ -251,24 +252,11 @@ def spatial_order(position: NDArray, size: float, lower: NDArray, upper: NDArray
     while (extent / sizes + PENCIL).prod() > max(MOST_CELLS, 4.0 * count):
         sizes[np.argmax(extent / sizes)] *= 2.0  # a few grains are far astray
     cells = (extent / sizes).astype(int) + 1
-    pencils_y, pencils_z = (cells[1:] - 1) // PENCIL + 1
-    start = np.zeros(pencils_y * pencils_z * cells[0] * PENCIL * PENCIL + 1, "int64")
-    cell, order = np.empty(count, "int64"), np.empty(count, "int64")
-    _sort_by_cell(position, lower, np.where(active, sizes, np.inf), int(cells[0]), int(pencils_z), start, cell, order)
+    pencils_y, pencils_z = ((cells[1:] - 1) // PENCIL + 1).tolist()
+    x, y, z = (((position[:, k] - lower[k]) / sizes[k]).astype("int64") if active[k] else 0 for k in range(3))
+    pencil = y // PENCIL * pencils_z + z // PENCIL
+    cell = ((pencil * cells[0] + x) * PENCIL + y % PENCIL) * PENCIL + z % PENCIL + np.zeros(count, "int64")
+    place, order = np.empty(count, "int64"), np.empty(count, "int64")
+    places_by(cell, np.zeros(pencils_y * pencils_z * int(cells[0]) * PENCIL * PENCIL + 1, "int64"), place)
+    order[place] = np.arange(count)
     return order
-
-
-@leaf
-def _sort_by_cell(position, lower, sizes, nx, pencils_z, start, cell, order):
-    for i in range(order.size):
-        x = int((position[i, 0] - lower[0]) / sizes[0])
-        y = int((position[i, 1] - lower[1]) / sizes[1])
-        z = int((position[i, 2] - lower[2]) / sizes[2])
-        pencil = y // PENCIL * pencils_z + z // PENCIL
-        cell[i] = ((pencil * nx + x) * PENCIL + y % PENCIL) * PENCIL + z % PENCIL
-        start[cell[i] + 1] += 1
-    for c in range(start.size - 1):
-        start[c + 1] += start[c]
-    for i in range(order.size):
-        order[start[cell[i]]] = i
-        start[cell[i]] += 1

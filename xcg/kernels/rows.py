@@ -15,17 +15,17 @@ def add_rows(row, sign, values, out):
 
 
 @leaf
-def places_by(rank, row, start, place):
-    """Write the place (n,) of each thing among all, by the rank (m,) of its row (n,); those of negative rows come last.
+def places_by(key, start, place):
+    """Write the place (n,) of each thing among all by its key (n,), a whole number; things of one key keep their order.
 
-    Things of one row keep their order. `start` (m + 2,) is scratch, zeros.
+    `start` (keys + 1,) is scratch, zeros.
     """
-    for n in range(row.size):
-        start[(rank[row[n]] if row[n] >= 0 else rank.size) + 1] += 1
+    for n in range(key.size):
+        start[key[n] + 1] += 1
     for k in range(start.size - 1):
         start[k + 1] += start[k]
-    for n in range(row.size):
-        k = rank[row[n]] if row[n] >= 0 else rank.size
+    for n in range(key.size):
+        k = key[n]
         place[n] = start[k]
         start[k] += 1
 

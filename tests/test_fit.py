@@ -1,0 +1,71 @@
+"""The two ways to a linear fit: explicit inverses, and pseudo-inverses where grains span less."""
+
+import numpy as np
+import pytest
+
+from xcg.kernels import fit
+
+SLOPE = np.array([[0.3, -1.2, 0.5], [0.8, 0.1, -0.4], [-0.6, 0.9, 0.2]])
+
+
+def sums_of(x, u, mass):
+    """Sums over grains of some nodes, from places and velocities (nodes, grains, 3), as `fit_gradient` takes them."""
+    total = mass.sum(axis=1)
+    drift = np.einsum("ng,ngi->in", mass, u) / total
+    moments = [np.einsum(f"ng,ngi,ngj->ijn", mass, a, x) for a in (u, x)]
+    offset = np.einsum("ng,ngi->in", mass, x)
+    # velocities are relative to a reference, as are their means
+    return np.full(len(x), float(x.shape[1])), total, drift, offset, *moments
+
+
+def grains(seed, flat=()):
+    rng = np.random.default_rng(seed)
+    x, mass = rng.uniform(-1, 1, (40, 12, 3)), rng.uniform(0.1, 1, (40, 12))
+    x[..., list(flat)] = 0.0
+    return x, mass
+
+
+@pytest.mark.parametrize("about_node", [False, True])
+@pytest.mark.parametrize("flat", [(), (1,), (0, 2)])
+def test_both_ways_agree(flat, about_node):
+    x, mass = grains(3, flat)
+    u = np.random.default_rng(4).normal(size=x.shape)
+    sums, active = sums_of(x, u, mass), tuple(k not in flat for k in range(3))
+    quick = fit.fit_gradient(*sums, active=active, about_node=about_node)
+    slow = fit._fit_few(*sums, active=active, about_node=about_node)
+    for one, other in zip(quick, slow, strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-11)
+
+
+def test_a_linear_field_is_found_and_leaves_nothing():
+    x, mass = grains(5)
+    u = x @ SLOPE.T + np.array([2.0, -1.0, 0.5])
+    sums = sums_of(x, u, mass)
+    gradient, explained, determined, _ = fit.fit_gradient(*sums, active=(True,) * 3, about_node=False)
+    np.testing.assert_allclose(gradient, np.broadcast_to(SLOPE[..., None], gradient.shape), atol=1e-12)
+    about = u - sums[2].T[:, None]
+    np.testing.assert_allclose(explained, np.einsum("ng,ngi,ngj->ijn", mass, about, about), atol=1e-11)
+    assert determined.all()
+
+
+def test_grains_in_a_plane_tell_nothing_across_it():
+    x, mass = grains(6, flat=(2,))
+    sums = sums_of(x, x @ SLOPE.T, mass)
+    gradient, explained, determined, _ = fit.fit_gradient(*sums, active=(True,) * 3, about_node=False)
+    assert determined[:2].all()
+    assert not determined[2].any()
+    np.testing.assert_allclose(gradient[:, :2], np.broadcast_to(SLOPE[:, :2, None], (3, 2, 40)), atol=1e-12)
+    assert (gradient[:, 2] == 0).all()
+    assert np.isfinite(explained).all()
+
+
+def test_no_grains_one_grain_and_damaged_sums():
+    x, mass = grains(7)
+    u = x @ SLOPE.T
+    one = [np.where(np.arange(40) == 0, 0.0, a) for a in sums_of(x[:, :1], u[:, :1], mass[:, :1])]
+    one[5][:, :, 1] = np.inf
+    gradient, explained, determined, mean = fit.fit_gradient(*one, active=(True,) * 3, about_node=False)
+    assert not determined.any()
+    assert (gradient[..., [0, *range(2, 40)]] == 0).all()
+    assert np.isnan(explained).all()
+    assert (mean[:, 0] == 0).all()
