@@ -12,7 +12,7 @@ def sums_of(x, u, mass):
     """Sums over grains of some nodes, from places and velocities (nodes, grains, 3), as `fit_gradient` takes them."""
     total = mass.sum(axis=1)
     drift = np.einsum("ng,ngi->in", mass, u) / total
-    moments = [np.einsum(f"ng,ngi,ngj->ijn", mass, a, x) for a in (u, x)]
+    moments = [np.einsum("ng,ngi,ngj->ijn", mass, a, x) for a in (u, x)]
     offset = np.einsum("ng,ngi->in", mass, x)
     # velocities are relative to a reference, as are their means
     return np.full(len(x), float(x.shape[1])), total, drift, offset, *moments
