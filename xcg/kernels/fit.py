@@ -9,11 +9,17 @@ from xcg.kernels._jit import leaf
 
 # Above this share of the largest possible determinant the explicit inverse is exact to a few hundred ulp.
 _WELL_CONDITIONED = 1e-3
+# The same for the sum of the principal minors and the inverse within a plane; what is below the other two, shares of
+# those of well-spread grains, is nothing but rounding: the grains lie on one line, or in one plane.
+_WELL_SPREAD = 1e-4
+_ONE_LINE, _ONE_PLANE = 1e-13, 1e-11
 # Eigenvalues below this share of the largest count as zero: grains that lie in a plane to single precision give
 # 1e-11 from rounding alone, while a layer as thin as 1e-4 of the support still gives 1e-8.
 _RANK_THRESHOLD = 1e-9
 # Centring one grain, or several in one place, leaves the rounding of what is subtracted, a few 1e-16 of it.
 _ROUNDING = 1e-13
+# A derivative is determined where the grains span no less of its axis.
+_SPANNED = 1.0 - 1e-6
 
 
 def fit_gradient(
@@ -66,10 +72,15 @@ def _dot(a, b):
 
 @leaf
 def _fit(
-    count, mass, drift, offset, shear, spread, active_x, active_y, active_z, rank, about_node, gradient, explained,
+    count, mass, drift, offset, shear, spread, active_x, active_y, active_z, full, about_node, gradient, explained,
     determined, mean, few,
 ):  # fmt: skip
-    """Fit where grains span all active axes, `rank` of them, well; list the other nodes, and return how many."""
+    """Fit where grains clearly span all active axes, `full` of them, a plane, a line or nothing.
+
+    The pseudo-inverse of M is adj M / det M, with adj M the matrix of cofactors; M / (tr M)^2 on a line; and
+    (tr M (1 - N) - M) / tr adj M in a plane of normal n, where N = n n = adj M / tr adj M. The other nodes are listed;
+    returns how many.
+    """
     left = 0
     for n in range(mass.size):
         per_mass = 1.0 / mass[n] if mass[n] > 0.0 else 0.0
@@ -88,21 +99,42 @@ def _fit(
             spread[2, 2, n] - z * offsets[2],
         )
         trace = xx + yy + zz
+        rounding = _ROUNDING * (spread[0, 0, n] + spread[1, 1, n] + spread[2, 2, n])
         # along the other axes all offsets are zero, and any spread gives a gradient of zero
-        own = trace / rank
+        own = trace / full
         xx, yy, zz = xx if active_x else own, yy if active_y else own, zz if active_z else own
         c00, c01, c02 = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
-        determinant = xx * c00 + xy * c01 + xz * c02
-        rounding = _ROUNDING * (spread[0, 0, n] + spread[1, 1, n] + spread[2, 2, n])
-        if not (trace > rounding and determinant > _WELL_CONDITIONED * own * own * own):
+        c11, c12, c22 = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
+        determinant, minors, size = xx * c00 + xy * c01 + xz * c02, c00 + c11 + c22, xx + yy + zz
+        rank, px, py, pz = full, 1.0, 1.0, 1.0  # the part of each axis that the grains span
+        if not trace > rounding:
+            rank, px, py, pz = 0, 0.0, 0.0, 0.0
+            c00, c01, c02, c11, c12, c22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        elif determinant > _WELL_CONDITIONED * own * own * own:
+            scale = 1.0 / determinant
+            c00, c01, c02 = scale * c00, scale * c01, scale * c02
+            c11, c12, c22 = scale * c11, scale * c12, scale * c22
+        elif minors <= _ONE_LINE * size * size:
+            rank, scale = full - 2, 1.0 / size
+            px, py, pz = scale * xx, scale * yy, scale * zz
+            scale = scale * scale
+            c00, c01, c02 = scale * xx, scale * xy, scale * xz
+            c11, c12, c22 = scale * yy, scale * yz, scale * zz
+        elif minors > _WELL_SPREAD * size * size and abs(determinant) <= _ONE_PLANE * minors * size:
+            rank, scale = full - 1, 1.0 / minors
+            px, py, pz = 1.0 - scale * c00, 1.0 - scale * c11, 1.0 - scale * c22
+            across = -scale * size
+            c00, c01, c02 = scale * (size * px - xx), scale * (across * c01 - xy), scale * (across * c02 - xz)
+            c11, c12, c22 = scale * (size * py - yy), scale * (across * c12 - yz), scale * (size * pz - zz)
+        else:
             few[left] = n
             left += 1
             continue
-        scale = 1.0 / determinant
-        c00, c01, c02 = scale * c00, scale * c01, scale * c02
-        c11, c12, c22 = scale * (xx * zz - xz * xz), scale * (xy * xz - xx * yz), scale * (xx * yy - xy * xy)
-        determined[0, n], determined[1, n], determined[2, n] = True, True, True
+        determined[0, n] = mass[n] > 0.0 and (not active_x or px > _SPANNED)
+        determined[1, n] = mass[n] > 0.0 and (not active_y or py > _SPANNED)
+        determined[2, n] = mass[n] > 0.0 and (not active_z or pz > _SPANNED)
         u, v, w = drift[0, n], drift[1, n], drift[2, n]
+        u, v, w = (u, v, w) if mass[n] > 0.0 else (0.0, 0.0, 0.0)
         b0 = shear[0, 0, n] - u * offsets[0], shear[0, 1, n] - u * offsets[1], shear[0, 2, n] - u * offsets[2]
         b1 = shear[1, 0, n] - v * offsets[0], shear[1, 1, n] - v * offsets[1], shear[1, 2, n] - v * offsets[2]
         b2 = shear[2, 0, n] - w * offsets[0], shear[2, 1, n] - w * offsets[1], shear[2, 2, n] - w * offsets[2]
@@ -127,7 +159,7 @@ def _fit_few(
     count: NDArray, mass: NDArray, drift: NDArray, offset: NDArray, shear: NDArray, spread: NDArray, *,
     active: Sequence[bool], about_node: bool,
 ) -> tuple[NDArray, NDArray, NDArray, NDArray]:  # fmt: skip
-    """Fit by the pseudo-inverse, where grains are missing or lie close to a plane, a line or a point."""
+    """Fit by eigenvectors, where grains lie close to a plane or a line."""
     there = mass > 0.0
     mean = np.divide(offset, mass, out=np.zeros_like(offset), where=there & (not about_node))
     matrix = np.moveaxis(spread - mean[:, None] * offset, -1, 0)
@@ -139,7 +171,7 @@ def _fit_few(
     scaled = vectors * np.divide(1.0, values, out=np.zeros_like(values), where=spanned)[:, None]
     # (M M^+)_jj is the part of the axis that the grains span
     projection = (vectors**2 * spanned[:, None]).sum(axis=2).T
-    determined = there & (~np.reshape(active, (3, 1)) | (projection > 1.0 - 1e-6))
+    determined = there & (~np.reshape(active, (3, 1)) | (projection > _SPANNED))
     moved = np.moveaxis(shear - np.where(there, drift, 0.0)[:, None] * offset, -1, 0)
     gradient = moved @ (scaled @ vectors.swapaxes(1, 2))
     explained = gradient @ moved.swapaxes(1, 2)
