@@ -253,9 +253,9 @@ def spatial_order(position: NDArray, size: float, lower: NDArray, upper: NDArray
         sizes[np.argmax(extent / sizes)] *= 2.0  # a few grains are far astray
     cells = (extent / sizes).astype(int) + 1
     pencils_y, pencils_z = ((cells[1:] - 1) // PENCIL + 1).tolist()
-    x, y, z = (((position[:, k] - lower[k]) / sizes[k]).astype("int64") if active[k] else 0 for k in range(3))
+    x, y, z = ((position - lower) / np.where(active, sizes, np.inf)).astype("int64").T
     pencil = y // PENCIL * pencils_z + z // PENCIL
-    cell = ((pencil * cells[0] + x) * PENCIL + y % PENCIL) * PENCIL + z % PENCIL + np.zeros(count, "int64")
+    cell = ((pencil * cells[0] + x) * PENCIL + y % PENCIL) * PENCIL + z % PENCIL
     place, order = np.empty(count, "int64"), np.empty(count, "int64")
     places_by(cell, np.zeros(pencils_y * pencils_z * int(cells[0]) * PENCIL * PENCIL + 1, "int64"), place)
     order[place] = np.arange(count)
