@@ -15,7 +15,6 @@ def sums_of(x, u, mass):
     drift = np.einsum("ng,ngi->in", mass, u) / total
     moments = [np.einsum("ng,ngi,ngj->ijn", mass, a, x) for a in (u, x)]
     offset = np.einsum("ng,ngi->in", mass, x)
-    # velocities are relative to a reference, as are their means
     return np.full(len(x), float(x.shape[1])), total, drift, offset, *moments
 
 
