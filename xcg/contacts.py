@@ -145,7 +145,7 @@ class Contacts:
         low, high = np.minimum(self.key_i, self.key_j), np.maximum(self.key_i, self.key_j)
         if len(low) and (int(np.ptp(low)) + 1) * (int(np.ptp(high)) + 1) < 2**62:
             # spheres touch once: then one sort of whole numbers tells that there is nothing to tell
-            key = np.sort((low - low.min()) * (np.ptp(high) + 1) + (high - high.min()))
+            key = np.sort((low - low.min()) * (np.ptp(high) + 1) + (high - high.min()), kind="stable")
             if (key[1:] != key[:-1]).all():
                 return np.ones(len(low))
         order = np.lexsort((high, low))

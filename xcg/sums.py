@@ -132,8 +132,8 @@ class _Deposit:
         """All passes that the recipe takes; threads prepare one each."""
         wanted = set(self.recipe.moments)
         ways = [
-            (self._along_branches, {"contact", "pair_contact"}),
             (self._grains, {name for name, row in MOMENTS.items() if row.level or row.column}),
+            (self._along_branches, {"contact", "pair_contact"}),
             (self._slopes, {"mass_slope", "momentum_slope"}),
             (self._at_walls, {"traction"}),
         ]
@@ -242,7 +242,7 @@ class _Deposit:
         """Order in space, so that neighbours add to the same nodes while these are in cache."""
         if not len(position):
             return np.zeros(0, "int64")
-        lower, upper = position.min(axis=0), position.max(axis=0)
+        lower, upper = (np.array([extreme(x) for x in position.T]) for extreme in (np.min, np.max))
         farthest = np.maximum(np.abs(lower - self.origin), np.abs(upper - self.origin))
         for cutoff in (self.cutoffs.min(), self.cutoffs.max()):
             self._check(farthest / cutoff + 2.0, np.full(3, 2.0), cutoff)
@@ -279,7 +279,7 @@ class _Deposit:
         for cutoff in np.unique(self.cutoffs).tolist():
             rows = order if (self.cutoffs == cutoff).all() else order[self.cutoffs[phase[order]] == cutoff]
             grains = (rows, position, velocity, mass, columns, phase, level, still, self.origin, cutoff)
-            runs = (runs_of(position[rows]) - self.origin) / cutoff
+            runs = (runs_of(position.take(rows, axis=0)) - self.origin) / cutoff
             fill.append(partial(_fill_points, (*grains, runs), (*self._onto(cutoff), by_gradient)))
         return _Pass(self.phases, level + columns.shape[1], fill, moments)
 

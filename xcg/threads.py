@@ -16,11 +16,20 @@ Box = tuple[tuple[int, int, int], tuple[int, int, int]]
 
 
 def for_each(items: Sequence[T], do: Callable[[T], R], threads: int) -> list[R]:
-    """Do something with each item, in turn or by several threads; return what it gave, raise the first error."""
+    """Do something with each item, in turn or by several threads; return what it gave, raise an error of theirs.
+
+    The calling thread is one of them, from the last item on, as it has more memory at hand: see docs/design.md.
+    """
     if threads == 1 or len(items) < 2:
         return [do(item) for item in items]
-    with ThreadPoolExecutor(threads) as pool:
-        return list(pool.map(do, items))
+    with ThreadPoolExecutor(threads - 1) as pool:
+        others = [pool.submit(do, item) for item in items]
+        try:
+            own = {k: do(items[k]) for k in reversed(range(len(items))) if others[k].cancel()}
+            return [own[k] if k in own else other.result() for k, other in enumerate(others)]
+        finally:
+            for other in others:
+                other.cancel()
 
 
 def slices(count: int, size: int) -> list[slice]:

@@ -226,7 +226,8 @@ def list_tube(x, y, z, bx, by, bz, per_length, steps, per_steps, low, high, list
 def runs_of(position: NDArray) -> NDArray:
     """Lowest and highest place, (runs, 2, 3), of each run of `RUN` rows of position (m, 3)."""
     first = np.arange(0, len(position), RUN)
-    bounds = [[extreme.reduceat(x, first) for x in position.T] for extreme in (np.minimum, np.maximum)]
+    columns = [np.ascontiguousarray(x) for x in position.T]
+    bounds = [[extreme.reduceat(x, first) for x in columns] for extreme in (np.minimum, np.maximum)]
     return np.array(bounds).transpose(2, 0, 1).copy()
 
 
