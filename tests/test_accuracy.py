@@ -41,11 +41,11 @@ def test_contact_stress_keeps_its_promise(errors):
     assert error["closed form", "rtol 0"] < 1e-14
     for exponent in range(1, 5):
         assert error["rule by branch length", f"rtol 1e-{exponent}"] <= 10.0**-exponent
-    points = [error["Gauss-Legendre, all contacts", f"{k} point{'s' * (k > 1)}"] for k in range(1, 7)]
+    points = [error["Gauss-Legendre, all contacts", f"{k} points"] for k in (2, 4, 6, 8, 10, 12)]
     assert (np.diff(points) < 0).all()
     # two points more gain less and less: the kernel is smooth only to its second derivative
-    assert points[0] > 5e-2
-    assert points[5] > 1e-6
+    assert points[0] > 1e-3
+    assert points[5] > 1e-8
 
 
 def test_tables_err_by_the_width_of_their_bins(errors):

@@ -130,7 +130,7 @@ def test_rtol_is_a_promise(length, rtol, seen, name, seed):
     """|S_quadrature - S| <= rtol max S for the rule that the planner takes at this branch length."""
     kernel = as_kernel(name, 0.5, 3)  # cutoff 1
     limits = gauss_limits(kernel, seen, rtol)
-    orders = [k for k, limit in enumerate(limits, 1) if length <= limit]
+    orders = [points for points, limit in zip((2, 4, 6, 8, 10, 12), limits, strict=False) if length <= limit]
     order = orders[0] if orders else 0
     rng = np.random.default_rng(seed)
     points = rng.uniform(-1, 1, (2000, seen))
@@ -150,10 +150,35 @@ def test_fewer_points_for_shorter_branches_and_looser_promises():
     assert (loose > tight).all()
     assert gauss_limits(kernel, 3, 0).size == 0
     assert gauss_limits(as_kernel("gaussian", 0.5, 3), 3, 1e-2).size == 0
-    # 1, 2, 3 points at branch / c = 1/3 leave 4.8e-2, 1.6e-3, 1.8e-4 in typical scenes; nowhere twice as much
-    for order, error in ((1, 4.8e-2), (2, 1.6e-3), (3, 1.8e-4)):
-        assert gauss_limits(kernel, 3, 3.0 * error)[order - 1] > 1 / 3
-        assert gauss_limits(kernel, 3, error)[order - 1] < 1 / 3
+    # single precision takes up to twelve points, double precision no more than four
+    assert tight.size == loose.size == 6
+    assert gauss_limits(kernel, 3, 1e-5).size == 2
+    # the error of 2, 4, ... points at a branch of c / 3, measured at random places, is where the limits part
+    points, end = np.random.default_rng(4).uniform(-1.0, 1.4, (20_000, 3)), np.array([1 / 3, 0.0, 0.0])
+    exact = kernel.segment(points, 0 * end, end)
+    for k, order in enumerate((2, 4)):
+        error = np.abs(_rule(kernel, points, end, order) - exact).max() / kernel.segment([end / 2], 0 * end, end)[0]
+        assert gauss_limits(kernel, 3, 3.0 * error)[k] > 1 / 3
+        assert gauss_limits(kernel, 3, error)[k] < 1 / 3
+
+
+def _rule(kernel, points, end, order):
+    rule = zip(*np.polynomial.legendre.leggauss(order), strict=True)
+    return sum(0.5 * w * kernel.value(np.linalg.norm(points - (0.5 + 0.5 * x) * end, axis=1)) for x, w in rule)
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 4, 5, 7, 12, 13, 40])
+def test_any_number_of_gauss_points(order):
+    kernel, end = as_kernel("lucy", 0.5, 3), np.array([0.7, -0.2, 0.4])
+    points = np.random.default_rng(order).uniform(-0.8, 1.0, (200, 3))
+    found = kernel.segment(points, 0 * end, end, order)
+    np.testing.assert_allclose(found, _rule(kernel, points, end, order), rtol=0, atol=1e-14 * kernel.value(0.0))
+
+
+@pytest.mark.parametrize("order", [-1, 2.5])
+def test_strange_numbers_of_gauss_points_are_refused(order):
+    with pytest.raises(ValueError, match=f"order={order}: expected a number of Gauss-Legendre points"):
+        as_kernel("lucy", 0.5, 3).segment([[0.0, 0.0, 0.0]], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0], order)
 
 
 def test_registered_kernel_coarse_grains():

@@ -119,7 +119,7 @@ class Recipe:
     cutoffs : tuple of float
         Radius of the support (m) of each group, or one for all.
     limits : array
-        Longest branch (cutoffs) for each Gauss-Legendre order; empty for closed forms.
+        Longest branch (cutoffs) for 2, 4, ... Gauss-Legendre points; empty for closed forms.
     coarse : bool
         Whether single precision is enough for the weights of quadrature.
     by : str or None

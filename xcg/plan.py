@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from xcg import fields as registry
 from xcg.grid import Grid, make_grid
 from xcg.kernels import weights as kinds
-from xcg.kernels.segments import MAX_ORDER, largest_error
+from xcg.kernels.segments import RULES, RULES_IN_DOUBLE, largest_error
 from xcg.moments import CONTACT_VARIABLES, MOMENTS, Recipe
 from xcg.scene import SIZES, require_scene, setup_of
 from xcg.schema import COMPONENTS, SceneError, SceneWarning, Setup
@@ -92,7 +92,7 @@ class Plan:
         own = f"; widths by group {[float(f'{w:.4g}') for w in self.widths]}" if len(self.widths) > 1 else ""
         rules = "closed form"
         if len(self.recipe.limits):
-            steps = ", ".join(f"{k} to {x:.3g} c" for k, x in enumerate(self.recipe.limits, 1))
+            steps = ", ".join(f"{k} to {x:.3g} c" for k, x in zip(RULES, self.recipe.limits, strict=False))
             rules = f"Gauss points by branch length ({steps}), closed form beyond"
             rules += ", weights in single precision" if self.recipe.coarse else ""
         lines = {
@@ -153,7 +153,7 @@ SINGLE = 1e-4
 def _limits(
     kind: int | None, spread: float, table: bytes, table_shape: tuple[int, ...], seen: int, rtol: float
 ) -> NDArray:
-    """Longest branch (cutoffs) for which 1, 2, ... Gauss points keep to `rtol`, measured against the closed form.
+    """Longest branch (cutoffs) for which each rule keeps to `rtol`, measured against the closed form.
 
     The error of a rule depends on nothing but the branch length over the cutoff and the place of the node, so that
     a scan over both bounds it for every scene. A twentieth is kept in hand for places between those scanned.
@@ -164,8 +164,8 @@ def _limits(
     def kept(length: float, order: int) -> bool:
         return largest_error(length, order, rows, kind, spread, array) <= 0.95 * rtol
 
-    limits, limit = np.zeros(MAX_ORDER), 0.0
-    for order in range(1, MAX_ORDER + 1):
+    limits, limit = [], 0.0
+    for order in RULES if rtol >= SINGLE else RULES_IN_DOUBLE:
         for length in np.geomspace(1e-3, 8, 61):
             if length <= limit or kept(length, order):  # shorter ones are left to the order before
                 limit = max(limit, length)
@@ -174,12 +174,12 @@ def _limits(
                 middle = 0.5 * (limit + length)
                 limit, length = (middle, length) if kept(middle, order) else (limit, middle)
             break
-        limits[order - 1] = limit
-    return limits
+        limits.append(limit)
+    return np.array(limits)
 
 
 def gauss_limits(kernel: Kernel, seen: int, rtol: float) -> NDArray:
-    """Longest branch (cutoffs) for each Gauss-Legendre order that keeps the promise `rtol`.
+    """Longest branch (cutoffs) for which 2, 4, ... Gauss-Legendre points keep the promise `rtol`.
 
     The promise is ``|S_quadrature - S| <= rtol max S`` for every segment, the maximum taken over all places. Kernels
     that jump have no such bound and always take the closed form (an empty array), as does ``rtol=0``.

@@ -148,13 +148,21 @@ class Kernel:
             Ends of the segment (m).
         order : int
             Number of Gauss-Legendre points; 0 for the closed form.
+
+        Raises
+        ------
+        ValueError
+            If `order` is not a whole number from 0 on.
         """
+        if order != int(order) or order < 0:
+            msg = f"order={order!r}: expected a number of Gauss-Legendre points, or 0 for the closed form"
+            raise ValueError(msg)
         r = np.atleast_2d(np.asarray(points, float))
         w = self.weights(r.shape[1])
         return w.norm * segments.mean_along(
             (r - np.asarray(start, float)) / self.cutoff,
             (np.asarray(end, float) - np.asarray(start, float)) / self.cutoff,
-            order,
+            int(order),
             w.kind,
             w.spread,
             w.table,

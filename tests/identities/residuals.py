@@ -347,7 +347,8 @@ def scales_of(ds: xr.Dataset, width: float, f: dict[str, NDArray]) -> dict[str, 
     speed = float(np.linalg.norm(frame["velocity"][frame["free"]], axis=1).max(initial=0.0))
     scales = {name: float(np.nanmax(np.abs(values), initial=0.0)) for name, values in f.items()}
     rho, stress = scales["density"], scales["contact_stress"]
-    scales |= {"momentum_density": rho * speed, "velocity": speed, "granular_temperature": speed**2}
+    scales |= {"momentum_density": rho * speed, "velocity": speed}
+    scales |= dict.fromkeys(["granular_temperature", "directional_temperature"], speed**2)
     scales |= dict.fromkeys(["velocity_gradient", "shear_rate_tensor", "shear_rate"], speed / width)
     scales |= dict.fromkeys(["kinetic_stress", "fluctuation_stress", "momentum_flux"], rho * speed**2)
     scales |= dict.fromkeys(["wall_traction", "contact_force_density"], stress / width)
@@ -372,7 +373,8 @@ def difference(ds: xr.Dataset, width: float, a: dict[str, NDArray], b: dict[str,
 
 
 FEW = 10
-FITS = ("velocity_gradient", "shear_rate_tensor", "shear_rate", "fluctuation_stress", "granular_temperature")
+FITS = ("velocity_gradient", "shear_rate_tensor", "shear_rate", "fluctuation_stress", "granular_temperature",
+        "directional_temperature")  # fmt: skip
 ADDITIVE = ["density", "volume_fraction", "momentum_density", "kinetic_stress", "contact_stress", "wall_traction",
             "contact_force_density"]  # fmt: skip
 

@@ -17,13 +17,9 @@ from xcg.kernels.nodes import ALONG, NODE, Q2, RUN, WEIGHT, images, list_tube, p
 from xcg.kernels.rows import side
 from xcg.kernels.weights import fill_gauss, fill_segments
 
-MAX_ORDER = 6
-GAUSS_POINTS = np.zeros((MAX_ORDER + 1, MAX_ORDER))
-GAUSS_WEIGHTS = np.zeros((MAX_ORDER + 1, MAX_ORDER))
-for _order in range(1, MAX_ORDER + 1):
-    _x, _w = np.polynomial.legendre.leggauss(_order)
-    GAUSS_POINTS[_order, :_order], GAUSS_WEIGHTS[_order, :_order] = 0.5 + 0.5 * _x, 0.5 * _w
-
+# The rules to choose from, by number of Gauss-Legendre points: an odd number takes as long as the next even one, and
+# in double precision more than four take longer than the closed form.
+RULES, RULES_IN_DOUBLE = (2, 4, 6, 8, 10, 12), (2, 4)
 # Branches closer to one line than this (sine of their angle) share one segment from centre to centre; the
 # contact point is then off that line by no more than the rounding of its coordinates.
 COLLINEAR = 1e-12
@@ -36,14 +32,27 @@ SEGMENT = 10
 _LAST = np.uint64(8)
 
 
+def gauss_rules(*orders: int) -> tuple[NDArray, NDArray]:
+    """Points and weights of Gauss-Legendre rules on [0, 1]: those of n points fill the first n places of row n."""
+    points = np.zeros((max(orders) + 1, max(orders)))
+    weights = np.zeros_like(points)
+    for n in orders:
+        x, w = np.polynomial.legendre.leggauss(n)
+        points[n, :n], weights[n, :n] = 0.5 + 0.5 * x, 0.5 * w
+    return points, weights
+
+
+GAUSS_POINTS, GAUSS_WEIGHTS = gauss_rules(*RULES)
+
+
 @leaf
 def choose_order(length, limits):
-    """Fewest points whose error bound holds up to this length; 0, the closed form, where none does."""
+    """Fewest of 2, 4, ... points whose error bound holds up to this length; 0, the closed form, where none does."""
     if length < SHORT:
         return SHORT_ORDER
-    for order in range(1, limits.size + 1):
-        if length <= limits[order - 1]:
-            return order
+    for k in range(limits.size):
+        if length <= limits[k]:
+            return 2 * (k + 1)
     return 0
 
 
@@ -144,7 +153,7 @@ def deposit_segments(
     segments : (n, 10)
         As from `list_segments`; lengths in cutoffs, starts relative to the first node.
     limits : (k,)
-        Longest branch for which 1, 2, ... k points are accurate enough; empty for the closed form.
+        Longest branch for which 2, 4, ... 2 k points are accurate enough; empty for the closed form.
     runs, low, high, steps, active, period, kind, spread, table, norm
         As in `deposit`.
     lists, numbers : (LISTS, m), (NUMBERS, m)
@@ -233,7 +242,7 @@ def _means(
     lists = np.zeros((3, room))
     lists[0, :count], lists[1, :count] = along, q2
     if order:
-        fill_gauss(kind, spread, table, GAUSS_POINTS, GAUSS_WEIGHTS, order, length, *lists[:2], count, lists[2])
+        fill_gauss(kind, spread, table, *gauss_rules(order), order, length, *lists[:2], count, lists[2])
     else:
         fill_segments(kind, spread, table, length, *lists[:2], count, lists[2], *closed_for(lists))
     return lists[2, :count]
