@@ -153,6 +153,9 @@ def test_fewer_points_for_shorter_branches_and_looser_promises():
     # single precision takes up to twelve points, double precision no more than four
     assert tight.size == loose.size == 6
     assert gauss_limits(kernel, 3, 1e-5).size == 2
+    # marginals take their time a point, registered kernels for the closed form
+    assert gauss_limits(kernel, 2, 1e-3).size == gauss_limits(kernel, 1, 1e-3).size == 1
+    assert gauss_limits(as_kernel("wendland", 0.5, 3), 3, 1e-5).size == 6
     # the error of 2, 4, ... points at a branch of c / 3, measured at random places, is where the limits part
     points, end = np.random.default_rng(4).uniform(-1.0, 1.4, (20_000, 3)), np.array([1 / 3, 0.0, 0.0])
     exact = kernel.segment(points, 0 * end, end)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from xcg import fields as registry
 from xcg.grid import Grid, make_grid
 from xcg.kernels import weights as kinds
-from xcg.kernels.segments import RULES, RULES_IN_DOUBLE, largest_error
+from xcg.kernels.segments import RULES, largest_error
 from xcg.moments import CONTACT_VARIABLES, MOMENTS, Recipe
 from xcg.scene import SIZES, require_scene, setup_of
 from xcg.schema import COMPONENTS, SceneError, SceneWarning, Setup
@@ -149,6 +149,14 @@ def choose_width(width: float | str | None, attrs: Mapping[Any, Any]) -> float:
 SINGLE = 1e-4
 
 
+def _rules(kind: int | None, rtol: float) -> tuple[int, ...]:
+    """Gauss-Legendre rules that take less time than the closed form, by the kernel as it is seen, and the precision."""
+    if kind is None:
+        return RULES if rtol >= SINGLE else RULES[:2]
+    # registered kernels have no closed form but a long quadrature; marginals take more time a point than a polynomial
+    return RULES if kind >= kinds.TABLE else RULES[:1]
+
+
 @lru_cache(maxsize=64)
 def _limits(
     kind: int | None, spread: float, table: bytes, table_shape: tuple[int, ...], seen: int, rtol: float
@@ -165,7 +173,7 @@ def _limits(
         return largest_error(length, order, rows, kind, spread, array) <= 0.95 * rtol
 
     limits, limit = [], 0.0
-    for order in RULES if rtol >= SINGLE else RULES_IN_DOUBLE:
+    for order in _rules(kind, rtol):
         for length in np.geomspace(1e-3, 8, 61):
             if length <= limit or kept(length, order):  # shorter ones are left to the order before
                 limit = max(limit, length)

@@ -17,9 +17,8 @@ from xcg.kernels.nodes import ALONG, NODE, Q2, RUN, WEIGHT, images, list_tube, p
 from xcg.kernels.rows import side
 from xcg.kernels.weights import fill_gauss, fill_segments
 
-# The rules to choose from, by number of Gauss-Legendre points: an odd number takes as long as the next even one, and
-# in double precision more than four take longer than the closed form.
-RULES, RULES_IN_DOUBLE = (2, 4, 6, 8, 10, 12), (2, 4)
+# The rules to choose from, by number of Gauss-Legendre points: an odd number takes as long as the next even one.
+RULES = (2, 4, 6, 8, 10, 12)
 # Branches closer to one line than this (sine of their angle) share one segment from centre to centre; the
 # contact point is then off that line by no more than the rounding of its coordinates.
 COLLINEAR = 1e-12
