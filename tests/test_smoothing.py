@@ -184,6 +184,39 @@ def test_strange_numbers_of_gauss_points_are_refused(order):
         as_kernel("lucy", 0.5, 3).segment([[0.0, 0.0, 0.0]], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0], order)
 
 
+def touching(rng, axes):
+    """Two spheres of a mean diameter of 1, of any ratio up to 8; their branch as seen, and the largest of f a."""
+    ratio = rng.uniform(1.0, 8.0)
+    radii = np.array([1.0, ratio]) / (1.0 + ratio)
+    normal = rng.normal(size=3)
+    normal /= np.linalg.norm(normal)
+    branch = 0.99 * radii.sum() * normal
+    place, force = rng.uniform(-5.0, 5.0, 3), rng.normal(size=3)
+    ds = xcg.scene_from_arrays(
+        [place, place - branch], diameter=2 * radii, density=1.0, contact_i=[0], contact_j=[1], contact_force=[force],
+        contact_normal=[normal], box=[[-50.0, 50.0]] * 3,
+    )  # fmt: skip
+    seen = np.array([branch[k] for k, a in enumerate("xyz") if a in axes])
+    return ds, seen, np.abs(np.outer(force, branch)).max()
+
+
+@pytest.mark.parametrize("axes", ["xyz", "xz", "z"])
+@pytest.mark.parametrize("kernel", ["lucy", "wendland"])
+@pytest.mark.parametrize("width", [0.3, 0.45, 0.75, 1.0, 2.0, 6.0])
+def test_every_contact_keeps_the_promise(axes, kernel, width):
+    """One contact between spheres of any sizes, at random places on the mesh, at widths of 0.3 d to 6 d."""
+    rng, shape = np.random.default_rng(round(100 * width)), as_kernel(kernel, width, 3)
+    options = {"axes": axes, "kernel": kernel, "width": width, "spacing": width / 3}
+    for _ in range(3):
+        ds, branch, force = touching(rng, axes)
+        largest = shape.segment([branch / 2], 0 * branch, branch)[0] * force / 100.0 ** (3 - len(axes))
+        exact = ds.cg.coarse_grain("contact_stress", **options).contact_stress
+        assert 0.3 * largest < float(abs(exact).max()) <= largest * (1 + 1e-12)
+        for rtol in (1e-1, 1e-2, 1e-3, 1e-4, 1e-5):
+            found = ds.cg.coarse_grain("contact_stress", rtol=rtol, **options).contact_stress
+            assert float(abs(found - exact).max()) <= rtol * largest
+
+
 def test_registered_kernel_coarse_grains():
     ds = xcg.datasets.random_scene(60, seed=1)
     f = ds.cg.coarse_grain(

@@ -154,7 +154,7 @@ class Kernel:
         ValueError
             If `order` is not a whole number from 0 on.
         """
-        if order != int(order) or order < 0:
+        if not isinstance(order, int | np.integer) or order < 0:
             msg = f"order={order!r}: expected a number of Gauss-Legendre points, or 0 for the closed form"
             raise ValueError(msg)
         r = np.atleast_2d(np.asarray(points, float))
@@ -162,7 +162,7 @@ class Kernel:
         return w.norm * segments.mean_along(
             (r - np.asarray(start, float)) / self.cutoff,
             (np.asarray(end, float) - np.asarray(start, float)) / self.cutoff,
-            int(order),
+            order,
             w.kind,
             w.spread,
             w.table,
