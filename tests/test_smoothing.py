@@ -8,6 +8,7 @@ from scipy.integrate import quad
 
 import xcg
 from tests.brute_force import BruteKernel
+from xcg.kernels.segments import RULES
 from xcg.plan import gauss_limits
 from xcg.smoothing import as_kernel
 
@@ -130,7 +131,7 @@ def test_rtol_is_a_promise(length, rtol, seen, name, seed):
     """|S_quadrature - S| <= rtol max S for the rule that the planner takes at this branch length."""
     kernel = as_kernel(name, 0.5, 3)  # cutoff 1
     limits = gauss_limits(kernel, seen, rtol)
-    orders = [points for points, limit in zip((2, 4, 6, 8, 10, 12), limits, strict=False) if length <= limit]
+    orders = [points for points, limit in zip(RULES, limits, strict=False) if length <= limit]
     order = orders[0] if orders else 0
     rng = np.random.default_rng(seed)
     points = rng.uniform(-1, 1, (2000, seen))
@@ -156,6 +157,9 @@ def test_fewer_points_for_shorter_branches_and_looser_promises():
     # marginals take their time a point, registered kernels for the closed form
     assert gauss_limits(kernel, 2, 1e-3).size == gauss_limits(kernel, 1, 1e-3).size == 1
     assert gauss_limits(as_kernel("wendland", 0.5, 3), 3, 1e-5).size == 6
+    # two points at branch / c = 1/3 leave 1.6e-3 in typical scenes; nowhere twice as much
+    assert gauss_limits(kernel, 3, 3.0 * 1.6e-3)[0] > 1 / 3
+    assert gauss_limits(kernel, 3, 1.6e-3)[0] < 1 / 3
     # the error of 2, 4, ... points at a branch of c / 3, measured at random places, is where the limits part
     points, end = np.random.default_rng(4).uniform(-1.0, 1.4, (20_000, 3)), np.array([1 / 3, 0.0, 0.0])
     exact = kernel.segment(points, 0 * end, end)

@@ -149,7 +149,7 @@ def choose_width(width: float | str | None, attrs: Mapping[Any, Any]) -> float:
 SINGLE = 1e-4
 
 
-def _rules(kind: int | None, rtol: float) -> tuple[int, ...]:
+def _quicker(kind: int | None, rtol: float) -> tuple[int, ...]:
     """Gauss-Legendre rules that take less time than the closed form, by the kernel as it is seen, and the precision."""
     if kind is None:
         return RULES if rtol >= SINGLE else RULES[:2]
@@ -173,7 +173,7 @@ def _limits(
         return largest_error(length, order, rows, kind, spread, array) <= 0.95 * rtol
 
     limits, limit = [], 0.0
-    for order in _rules(kind, rtol):
+    for order in _quicker(kind, rtol):
         for length in np.geomspace(1e-3, 8, 61):
             if length <= limit or kept(length, order):  # shorter ones are left to the order before
                 limit = max(limit, length)

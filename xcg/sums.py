@@ -131,7 +131,7 @@ class _Deposit:
     def passes(self, threads: int) -> list[_Pass]:
         """All passes that the recipe takes; threads prepare one each."""
         wanted = set(self.recipe.moments)
-        ways = [
+        ways = [  # the calling thread begins with the last: contacts take more memory than grains
             (self._grains, {name for name, row in MOMENTS.items() if row.level or row.column}),
             (self._along_branches, {"contact", "pair_contact"}),
             (self._slopes, {"mass_slope", "momentum_slope"}),

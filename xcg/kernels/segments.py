@@ -7,6 +7,7 @@ that length.
 """
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,7 @@ SEGMENT = 10
 _LAST = np.uint64(8)
 
 
+@lru_cache
 def gauss_rules(*orders: int) -> tuple[NDArray, NDArray]:
     """Points and weights of Gauss-Legendre rules on [0, 1]: those of n points fill the first n places of row n."""
     points = np.zeros((max(orders) + 1, max(orders)))
@@ -46,12 +48,12 @@ GAUSS_POINTS, GAUSS_WEIGHTS = gauss_rules(*RULES)
 
 @leaf
 def choose_order(length, limits):
-    """Fewest of 2, 4, ... points whose error bound holds up to this length; 0, the closed form, where none does."""
+    """Fewest points among `RULES` whose error bound holds up to this length; 0, the closed form, where none does."""
     if length < SHORT:
         return SHORT_ORDER
     for k in range(limits.size):
         if length <= limits[k]:
-            return 2 * (k + 1)
+            return RULES[k]
     return 0
 
 
@@ -152,7 +154,7 @@ def deposit_segments(
     segments : (n, 10)
         As from `list_segments`; lengths in cutoffs, starts relative to the first node.
     limits : (k,)
-        Longest branch for which 2, 4, ... 2 k points are accurate enough; empty for the closed form.
+        Longest branch for which each of the first k `RULES` is accurate enough; empty for the closed form.
     runs, low, high, steps, active, period, kind, spread, table, norm
         As in `deposit`.
     lists, numbers : (LISTS, m), (NUMBERS, m)
