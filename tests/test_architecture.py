@@ -10,13 +10,13 @@ PACKAGE = Path(__file__).parents[1] / "xcg"
 # floors from the ground up; a module imports only from lower floors
 FLOORS = [
     ["kernels"],
-    ["picks", "schema", "smoothing", "threads"],
+    ["picks", "schema", "smoothing", "symbols", "threads"],
     ["faults"],
     ["complete", "grid"],
     ["cells", "scene"],
     ["contacts", "moments", "over_time", "regions", "phases", "bodies"],
     ["fields", "labels", "quantities", "sums"],
-    ["plan", "readers"],
+    ["plan", "readers", "tape"],
     ["pysammos"],
     ["coarse_grain", "datasets", "detection", "microstructure", "particle_stress", "slices", "statistics"],
     ["balance", "width_sweep", "chains"],

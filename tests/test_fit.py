@@ -5,17 +5,22 @@ import pytest
 
 from xcg.kernels import fit
 
-SHAPES = [(), (), (3,), (3,), (3, 3), (3, 3)]  # of the sums at a node
 SLOPE = np.array([[0.3, -1.2, 0.5], [0.8, 0.1, -0.4], [-0.6, 0.9, 0.2]])
 
 
 def sums_of(x, u, mass):
     """Sums over grains of some nodes, from places and velocities (nodes, grains, 3), as `fit_gradient` takes them."""
-    total = mass.sum(axis=1)
-    drift = np.einsum("ng,ngi->in", mass, u) / total
-    moments = [np.einsum("ng,ngi,ngj->ijn", mass, a, x) for a in (u, x)]
-    offset = np.einsum("ng,ngi->in", mass, x)
-    return np.full(len(x), float(x.shape[1])), total, drift, offset, *moments
+    momentum, offset = (np.einsum("ng,ngi->in", mass, a) for a in (u, x))
+    shear, spread = (np.einsum("ng,ngi,ngj->ijn", mass, a, x) for a in (u, x))
+    count = np.full((1, len(x)), float(x.shape[1]))
+    parts = [count, mass.sum(axis=1)[None], momentum, offset, shear.reshape(9, -1), spread[np.triu_indices(3)]]
+    return np.concatenate(parts)
+
+
+def parts_of(found):
+    """Gradient and explained part (3, 3, nodes), determined axes and centre of mass (3, nodes)."""
+    gradient, explained, determined, mean = np.split(found, (fit.EXPLAINED, fit.DETERMINED, fit.MEAN))
+    return gradient.reshape(3, 3, -1), explained[fit.SYMMETRIC], determined, mean
 
 
 def grains(seed, flat=()):
@@ -39,8 +44,8 @@ def test_both_ways_agree(count, flat, about_node):
 
 
 def compare(sums, active, about_node):
-    quick = fit.fit_gradient(*sums, active=active, about_node=about_node)
-    slow = fit._fit_few(*sums, active=active, about_node=about_node)
+    quick = parts_of(fit.fit_gradient(sums, active=active, about_node=about_node))
+    slow = parts_of(fit._fit_few(sums, active=active, about_node=about_node))
     seen = np.abs(slow[0]).max(axis=(0, 1)) < 1e3  # nodes whose grains are not almost on a line or in a plane
     assert seen.mean() > 0.9
     for one, other in zip(quick, slow, strict=True):
@@ -52,28 +57,28 @@ def test_grains_that_are_clearly_flat_take_the_quick_way(monkeypatch):
     for count, flat in ((0, ()), (1, ()), (2, ()), (2, (1,)), (12, ()), (12, (1,)), (12, (0, 1))):
         x, mass = grains(8, flat)
         x[:, 2:, 2] = 0.1  # three grains and more lie well spread
-        sums = sums_of(x[:, :count], x[:, :count], mass[:, :count]) if count else [np.zeros((*n, 5)) for n in SHAPES]
+        sums = sums_of(x[:, :count], x[:, :count], mass[:, :count]) if count else np.zeros((fit.SUMS, 5))
         active = tuple(k not in flat for k in range(3))
-        fit.fit_gradient(*sums, active=active, about_node=False)
+        fit.fit_gradient(sums, active=active, about_node=False)
 
 
 def test_a_linear_field_is_found_and_leaves_nothing():
     x, mass = grains(5)
     u = x @ SLOPE.T + np.array([2.0, -1.0, 0.5])
     sums = sums_of(x, u, mass)
-    gradient, explained, determined, _ = fit.fit_gradient(*sums, active=(True,) * 3, about_node=False)
+    gradient, explained, determined, _ = parts_of(fit.fit_gradient(sums, active=(True,) * 3, about_node=False))
     np.testing.assert_allclose(gradient, np.broadcast_to(SLOPE[..., None], gradient.shape), atol=1e-12)
-    about = u - sums[2].T[:, None]
+    about = u - (np.einsum("ng,ngi->ni", mass, u) / mass.sum(axis=1)[:, None])[:, None]
     np.testing.assert_allclose(explained, np.einsum("ng,ngi,ngj->ijn", mass, about, about), atol=1e-11)
-    assert determined.all()
+    assert (determined == 1.0).all()
 
 
 def test_grains_in_a_plane_tell_nothing_across_it():
     x, mass = grains(6, flat=(2,))
     sums = sums_of(x, x @ SLOPE.T, mass)
-    gradient, explained, determined, _ = fit.fit_gradient(*sums, active=(True,) * 3, about_node=False)
-    assert determined[:2].all()
-    assert not determined[2].any()
+    gradient, explained, determined, _ = parts_of(fit.fit_gradient(sums, active=(True,) * 3, about_node=False))
+    assert (determined[:2] == 1.0).all()
+    assert np.isnan(determined[2]).all()
     np.testing.assert_allclose(gradient[:, :2], np.broadcast_to(SLOPE[:, :2, None], (3, 2, 40)), atol=1e-12)
     assert (gradient[:, 2] == 0).all()
     assert np.isfinite(explained).all()
@@ -82,10 +87,10 @@ def test_grains_in_a_plane_tell_nothing_across_it():
 def test_no_grains_one_grain_and_damaged_sums():
     x, mass = grains(7)
     u = x @ SLOPE.T
-    one = [np.where(np.arange(40) == 0, 0.0, a) for a in sums_of(x[:, :1], u[:, :1], mass[:, :1])]
-    one[5][:, :, 1] = np.inf
-    gradient, explained, determined, mean = fit.fit_gradient(*one, active=(True,) * 3, about_node=False)
-    assert not determined.any()
+    one = np.where(np.arange(40) == 0, 0.0, sums_of(x[:, :1], u[:, :1], mass[:, :1]))
+    one[fit.SPREAD :, 1] = np.inf
+    gradient, explained, determined, mean = parts_of(fit.fit_gradient(one, active=(True,) * 3, about_node=False))
+    assert np.isnan(determined).all()
     assert (gradient[..., [0, *range(2, 40)]] == 0).all()
     assert np.isnan(explained).all()
     assert (mean[:, 0] == 0).all()

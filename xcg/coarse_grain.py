@@ -24,7 +24,8 @@ from xcg.scene import require_scene, storable
 from xcg.schema import COMPONENTS, Frame, units_of
 from xcg.smoothing import Kernel
 from xcg.sums import BOX, sums_of_frame
-from xcg.threads import Box, boxes, for_each
+from xcg.tape import tape_for
+from xcg.threads import Box, boxes, for_each, places, slices
 
 
 def coarse_grain(
@@ -247,14 +248,18 @@ def _compute_step(
     sums = sums_of_frame(frame, plan.recipe, period, scale_of(plan, box, where), where, threads)
     shape = plan.recipe.grid.shape
     phases = plan.phases if plan.recipe.by else 1
-    whole = {name: a.reshape(*shape, phases, *a.shape[len(plan.dims) :]) for name, a in out.items()}
+    rows = {name: a.reshape(math.prod(shape), phases, *a.shape[len(plan.dims) :]) for name, a in out.items()}
+    tape = None if plan.recipe.by else tape_for(plan.fields, plan.options)
 
     def fill(part: Box) -> None:
-        for (low, high), moments in sums.over(part, block):
-            nodes = tuple(slice(*ends) for ends in zip(low, high, strict=True))
-            for name, values in registry.evaluate(plan.fields, moments, plan.options).items():
-                place = whole[name][nodes]
-                place[...] = values.swapaxes(0, 1).reshape(place.shape)
+        found, place = sums.over(part), places(part, shape)
+        groups: Sequence[slice | NDArray] = slices(len(place), block)
+        if tape:
+            left = tape.play(found, place, rows)
+            groups = [left] if left.size else []
+        for nodes in groups:
+            for name, values in registry.evaluate(plan.fields, found.moments(nodes), plan.options).items():
+                rows[name][place[nodes]] = values.swapaxes(0, 1)
 
     if registry.whole_grid(plan.options):
         parts, block = [((0, 0, 0), shape)], math.prod(shape)

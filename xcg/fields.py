@@ -16,8 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.kernels.fit import fit_gradient
+from xcg import symbols
+from xcg.kernels import fit
 from xcg.kernels.fluctuations import about_linear
+from xcg.symbols import at_least_zero, where_positive, zero_if_unknown
 
 Function = Callable[[Any, Any, "Options"], Any]
 
@@ -120,7 +122,7 @@ class Field:
 
 def ratio(a: NDArray, b: NDArray) -> NDArray:
     """Return a / b with NaN where b is not positive; b lacks the last axes of a."""
-    return a / np.where(b > 0, b, np.nan).reshape(b.shape + (1,) * (a.ndim - b.ndim))
+    return a / where_positive(b).reshape(b.shape + (1,) * (a.ndim - b.ndim))
 
 
 def outer(a: NDArray, b: NDArray) -> NDArray:
@@ -194,13 +196,17 @@ def _outer(a: NDArray) -> NDArray:
 
 def _fit(f: Any, s: Any, o: Options, *, about_node: bool = False) -> SimpleNamespace:
     """Least squares through the grains about their centre of mass, or about the node: G = B M^+."""
-    shape = s.mass.shape
-    count, *sums = (
-        _inner(a).reshape(*a.shape[2:], -1) for a in (s.count, s.mass, f._drift, s.offset, s.shear, s.spread)
-    )
-    found = fit_gradient(count, *sums, active=o.active, about_node=about_node)
-    gradient, explained, determined, mean = (_outer(a.reshape(*a.shape[:-1], *shape)) for a in found)
-    return SimpleNamespace(gradient=gradient, explained=explained, determined=determined[..., None, :], mean=mean)
+    nodes = s.mass.shape
+    spread = _inner(s.spread)[np.triu_indices(3)]
+    rows = (s.count, s.mass, s.momentum, s.offset, s.shear)
+    sums = np.concatenate([*(_inner(a).reshape(-1, *nodes) for a in rows), spread]).reshape(fit.SUMS, -1)
+    way = symbols.fit_gradient if sums.dtype == object else fit.fit_gradient
+    found = way(sums, active=o.active, about_node=about_node).reshape(-1, *nodes)
+    gradient, explained, determined, mean = np.split(found, (fit.EXPLAINED, fit.DETERMINED, fit.MEAN))
+    return SimpleNamespace(
+        gradient=_outer(gradient.reshape(3, 3, *nodes)), explained=_outer(explained[fit.SYMMETRIC]),
+        determined=_outer(determined), mean=_outer(mean),
+    )  # fmt: skip
 
 
 def _kernel_gradient(f: Any, s: Any, o: Options) -> NDArray:
@@ -251,7 +257,7 @@ def _fluctuation_stress(f: Any, s: Any, o: Options) -> NDArray:
 
 def _kinetic_stress(f: Any, s: Any, o: Options) -> NDArray:
     """Sum of m Psi (u - b)(u - b) = sum m Psi u u - b p - (p - b sum m Psi) b, with b the mean velocity of the bulk."""
-    b, out = np.nan_to_num(f._drift[:1], nan=0.0), np.empty((3, 3, *s.mass.shape))
+    b, out = zero_if_unknown(f._drift[:1]), np.empty((3, 3, *s.mass.shape), s.mass.dtype)
     for i in range(3):
         rest = s.momentum[..., i] - b[..., i] * s.mass  # nothing but for phases
         for j in range(i, 3):
@@ -262,11 +268,11 @@ def _kinetic_stress(f: Any, s: Any, o: Options) -> NDArray:
 
 
 def _temperature(f: Any, s: Any, o: Options) -> NDArray:
-    return ratio(np.maximum(trace(f.fluctuation_stress, o.plane), 0.0), o.dimension * s.mass)
+    return ratio(at_least_zero(trace(f.fluctuation_stress, o.plane)), o.dimension * s.mass)
 
 
 def _temperature_along(f: Any, s: Any, o: Options) -> NDArray:
-    return ratio(np.maximum(np.diagonal(f.fluctuation_stress, axis1=-2, axis2=-1), 0.0), s.mass)
+    return ratio(at_least_zero(np.diagonal(f.fluctuation_stress, axis1=-2, axis2=-1)), s.mass)
 
 
 def _shear_rate(f: Any, s: Any, o: Options) -> NDArray:
@@ -283,7 +289,7 @@ def _shear_stress(f: Any, s: Any, o: Options) -> NDArray:
 
 
 def _inertial_number(f: Any, s: Any, o: Options) -> NDArray:
-    root = np.sqrt(np.where(f.pressure > 0, f.pressure, np.nan))
+    root = np.sqrt(where_positive(f.pressure))
     return f.shear_rate * f._size * np.sqrt(f.particle_density) / root
 
 
@@ -325,7 +331,7 @@ FIELDS: dict[str, Field] = {
     "velocity_gradient": Field(
         2, (0, 0, -1), "velocity gradient, dV_component / dx_direction",
         "G = [sum m Psi (v_i - V)(r_i - r_bar)] M^-1, M = sum m Psi (r_i - r_bar)(r_i - r_bar)",
-        lambda f, s, o: np.where(f._fit.determined, f._fit.gradient, np.nan), fields=("_fit",),
+        lambda f, s, o: f._fit.gradient * f._fit.determined[..., None, :], fields=("_fit",),
     ),
     "shear_rate_tensor": Field(
         2, (0, 0, -1), "shear rate tensor", "Gamma = (G + G^T) / 2",

@@ -19,7 +19,7 @@ from xcg.kernels.rows import turn
 from xcg.kernels.segments import SEGMENT, closed_for, deposit_segments, list_segments
 from xcg.moments import CUTOFF_POWERS, MOMENTS, Recipe, columns_of
 from xcg.schema import COMPONENTS, Frame, SceneError
-from xcg.threads import Box, for_each, slices
+from xcg.threads import Box, for_each
 
 
 def phase_of(frame: Frame, by: str | None, groups: Sequence[int], where: str) -> NDArray:
@@ -302,34 +302,40 @@ def _fill_segments(
 
 
 @dataclass(frozen=True)
-class Sums:
-    """The sums of one frame, prepared: computed for one box of nodes after the other, in any order or at once.
-
-    A node's sums have one order whatever the box, so that their bits are the same.
-    """
+class BoxSums:
+    """Sums at the nodes of one box, each pass (groups, nodes, columns), and the velocity (nodes, 3) they refer to."""
 
     recipe: Recipe
     passes: Sequence[_Pass]
+    filled: Sequence[NDArray]
+    reference: NDArray
 
-    def over(self, box: Box, size: int) -> Iterator[tuple[Box, dict[str, NDArray]]]:
-        """Fill a box; yield its moments, layer by layer of about `size` nodes: arrays (phase, node, ...).
+    @property
+    def arrays(self) -> list[NDArray]:
+        """The reference velocity, and the sums of each pass without phases: arrays (nodes, columns)."""
+        return [self.reference, *(sums[0] for sums in self.filled)]
+
+    def column(self, moment: str, k: int) -> tuple[int, int, float]:
+        """Where column k of a moment is: the number among `arrays`, the column, and a factor."""
+        if moment == "reference":
+            return 0, k, 1.0
+        number = next(n for n, run in enumerate(self.passes) if moment in run.moments)
+        columns, factor = self.passes[number].moments[moment]
+        at = columns.ravel()[columns_of(moment).ravel().tolist().index(k)]
+        return 1 + number, int(at), float(np.max(factor))
+
+    def moments(self, nodes: slice | NDArray) -> dict[str, NDArray]:
+        """Moments of some of the nodes: arrays (phase, node, ...).
 
         Phase 0 is the bulk, the sum over groups. Nodes run fastest in memory, so that algebra on small tensors is a
         loop over nodes.
         """
-        (x, *low), (end, *high) = box
-        layer = math.prod(np.subtract(high, low).tolist())
-        reference = np.full(((end - x) * layer, 3), np.nan)
-        filled = [run(box, reference) for run in self.passes]
-        np.nan_to_num(reference, copy=False, nan=0.0)
-        for part in slices(end - x, size // layer):
-            nodes = slice(part.start * layer, part.stop * layer)
-            found = {"reference": np.ascontiguousarray(reference[nodes].T).T}
-            for run, sums in zip(self.passes, filled, strict=True):
-                found |= self._moments(run, sums[:, nodes])
-            yield ((x + part.start, *low), (x + part.stop, *high)), found
+        found = {"reference": np.ascontiguousarray(self.reference[nodes].T).T}
+        for run, sums in zip(self.passes, self.filled, strict=True):
+            found |= self._of_pass(run, sums[:, nodes])
+        return found
 
-    def _moments(self, run: _Pass, records: NDArray) -> dict[str, NDArray]:
+    def _of_pass(self, run: _Pass, records: NDArray) -> dict[str, NDArray]:
         nodes, phases = records.shape[1], max(1, len(self.recipe.groups))
         found = {}
         for name, part in run.turned(records):
@@ -340,6 +346,25 @@ class Sums:
                 part = np.concatenate([bulk, part], axis=-2)
             found[name] = part.transpose(part.ndim - 2, part.ndim - 1, *range(part.ndim - 2))
         return found
+
+
+@dataclass(frozen=True)
+class Sums:
+    """The sums of one frame, prepared: computed for one box of nodes after the other, in any order or at once.
+
+    A node's sums have one order whatever the box, so that their bits are the same.
+    """
+
+    recipe: Recipe
+    passes: Sequence[_Pass]
+
+    def over(self, box: Box) -> BoxSums:
+        """Compute the sums at the nodes of a box."""
+        low, high = box
+        reference = np.full((math.prod(np.subtract(high, low).tolist()), 3), np.nan)
+        filled = [run(box, reference) for run in self.passes]
+        np.nan_to_num(reference, copy=False, nan=0.0)
+        return BoxSums(self.recipe, self.passes, filled, reference)
 
 
 def sums_of_frame(frame: Frame, recipe: Recipe, period: NDArray, scale: float, where: str, threads: int = 1) -> Sums:

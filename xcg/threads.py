@@ -9,6 +9,7 @@ from itertools import pairwise, product
 from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -50,3 +51,9 @@ def boxes(shape: Sequence[int], size: int, threads: int) -> list[Box]:
     edges = [np.linspace(0, n, p + 1).astype(int).tolist() for n, p in zip(shape, parts, strict=True)]
     (x, y, z) = (list(pairwise(ends)) for ends in edges)
     return [((i[0], j[0], k[0]), (i[1], j[1], k[1])) for i, j, k in product(x, y, z)]
+
+
+def places(box: Box, shape: Sequence[int]) -> NDArray:
+    """Where the nodes of a box are among all nodes of a mesh, numbered row by row."""
+    x, y, z = (np.arange(low, high, dtype="uint64") for low, high in zip(*box, strict=True))
+    return ((x[:, None, None] * shape[1] + y[:, None]) * shape[2] + z).ravel()

@@ -22,20 +22,20 @@ _ROUNDING = 1e-13
 _SPANNED = 1.0 - 1e-6
 
 
-def fit_gradient(
-    count: NDArray, mass: NDArray, drift: NDArray, offset: NDArray, shear: NDArray, spread: NDArray, *,
-    active: Sequence[bool], about_node: bool,
-) -> tuple[NDArray, NDArray, NDArray, NDArray]:  # fmt: skip
+# Rows of the sums at a node that a fit takes, in all `SUMS`, and of what it finds, in all `FOUND`.
+COUNT, MASS, MOMENTUM, OFFSET, SHEAR, SPREAD, SUMS = 0, 1, 2, 5, 8, 17, 23
+GRADIENT, EXPLAINED, DETERMINED, MEAN, FOUND = 0, 9, 15, 18, 21
+SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+
+
+def fit_gradient(sums: NDArray, *, active: Sequence[bool], about_node: bool) -> NDArray:
     """Velocity gradient of the best linear fit at each node: G = B M^+, row by row.
 
     Parameters
     ----------
-    count, mass : (n,)
-        Number of grains, and sum of m Psi.
-    drift, offset : (3, n)
-        Mean velocity u_bar, and sum of m Psi x.
-    shear, spread : (3, 3, n)
-        Sums of m Psi u x and m Psi x x, u and x relative to the same point.
+    sums : (SUMS, n)
+        Number of grains, and sums of m Psi, m Psi u (3), m Psi x (3), m Psi u x (9) and m Psi x x (xx xy xz yy yz zz),
+        u and x relative to the same velocity and point.
     active : (3,)
         Axes along which grains have offsets at all.
     about_node : bool
@@ -43,26 +43,25 @@ def fit_gradient(
 
     Returns
     -------
-    gradient : (3, 3, n)
-        G with B = sum m Psi (u - u_bar) x' and M = sum m Psi x' x', where x' = x - x_bar; zero along directions that
-        the grains do not span.
-    explained : (3, 3, n)
-        G B^T, the part of sum m Psi (u - u_bar)(u - u_bar) that the fit leaves nothing of; NaN where it goes through
-        all grains, so that what is left is unknown.
-    determined : (3, n)
-        Whether the derivative along each axis follows from the grains; true along axes that are not active.
-    mean : (3, n)
-        x_bar, zero where there are no grains.
+    array (FOUND, n)
+        G (9) with B = sum m Psi (u - u_bar) x' and M = sum m Psi x' x', where x' = x - x_bar: zero along directions
+        that the grains do not span. G B^T (6), the part of sum m Psi (u - u_bar)(u - u_bar) that the fit leaves nothing
+        of: NaN where it goes through all grains, so that what is left is unknown. 1 (3) where the derivative along
+        each axis follows from the grains, or the axis is not active, else NaN. x_bar (3), zero where no grains are.
     """
-    sums = (count, mass, drift, offset, shear, spread)
-    out = np.empty_like(shear), np.empty_like(shear), np.empty(offset.shape, bool), np.empty_like(offset)
-    few = np.empty(mass.size, "int64")
-    few = few[: _fit(*sums, *active, sum(active), about_node, *out, few)]
+    rows, few = np.empty((SUMS + FOUND, sums.shape[1])), np.empty(sums.shape[1], "uint64")
+    rows[:SUMS] = sums
+    begin, end, flags = (np.uint64(k) for k in (0, SUMS, flags_of(active, about_node)))
+    few = few[: fit_rows(rows, begin, end, rows.shape[1], flags, few)]
+    found = rows[SUMS:]
     if few.size:
-        fitted = _fit_few(*(a[..., few] for a in sums), active=active, about_node=about_node)
-        for whole, part in zip(out, fitted, strict=True):
-            whole[..., few] = part
-    return out
+        found[:, few] = _fit_few(sums[:, few], active=active, about_node=about_node)
+    return found
+
+
+def flags_of(active: Sequence[bool], about_node: bool) -> int:
+    """One number for the axes that are active and the point that is fitted about."""
+    return sum(1 << k for k, on in enumerate((*active, about_node)) if on)
 
 
 @leaf
@@ -71,35 +70,65 @@ def _dot(a, b):
 
 
 @leaf
-def _fit(
-    count, mass, drift, offset, shear, spread, active_x, active_y, active_z, full, about_node, gradient, explained,
-    determined, mean, few,
-):  # fmt: skip
-    """Fit where grains clearly span all active axes, `full` of them, a plane, a line or nothing.
+def _three(rows, first, n):
+    return rows[first, n], rows[first + np.uint64(1), n], rows[first + np.uint64(2), n]
+
+
+@leaf
+def _put_three(rows, first, n, values):
+    rows[first, n], rows[first + np.uint64(1), n], rows[first + np.uint64(2), n] = values
+
+
+@leaf
+def _moved(shear, u, offsets):
+    """One row of B, from the sums of m Psi u x of one component."""
+    return shear[0] - u * offsets[0], shear[1] - u * offsets[1], shear[2] - u * offsets[2]
+
+
+@leaf
+def fit_rows(rows, first, found, many, flags, few):
+    """Fit where grains clearly span all active axes, a plane, a line or nothing.
 
     The pseudo-inverse of M is adj M / det M, with adj M the matrix of cofactors; M / (tr M)^2 on a line; and
-    (tr M (1 - N) - M) / tr adj M in a plane of normal n, where N = n n = adj M / tr adj M. The other nodes are listed;
-    returns how many.
+    (tr M (1 - N) - M) / tr adj M in a plane of normal n, where N = n n = adj M / tr adj M. The other nodes are listed.
+
+    Parameters
+    ----------
+    rows : (any, nodes)
+        The sums, from row `first` on. What is found is written from row `found` on.
+    many : int
+        Number of nodes.
+    flags : int
+        See `flags_of`.
+    few : (nodes,)
+        Written: nodes that are left to `_fit_few`.
+
+    Returns
+    -------
+    int
+        Number of nodes in `few`.
     """
+    active_x, active_y, active_z, about_node = flags & 1 != 0, flags & 2 != 0, flags & 4 != 0, flags & 8 != 0
+    full = int(active_x) + int(active_y) + int(active_z)
+    # as unsigned numbers: signed ones are looked at for counting from the end
+    count, of_mass, momentum = first + np.uint64(COUNT), first + np.uint64(MASS), first + np.uint64(MOMENTUM)
+    offset, shear, spread = first + np.uint64(OFFSET), first + np.uint64(SHEAR), first + np.uint64(SPREAD)
+    gradient, explained = found + np.uint64(GRADIENT), found + np.uint64(EXPLAINED)
+    determined, mean, three = found + np.uint64(DETERMINED), found + np.uint64(MEAN), np.uint64(3)
     left = 0
-    for n in range(mass.size):
-        per_mass = 1.0 / mass[n] if mass[n] > 0.0 else 0.0
-        offsets = offset[0, n], offset[1, n], offset[2, n]
+    for n in range(many):
+        mass = rows[of_mass, n]
+        per_mass = 1.0 / mass if mass > 0.0 else 0.0
+        offsets = _three(rows, offset, n)
         shift = 0.0 if about_node else per_mass
         x, y, z = shift * offsets[0], shift * offsets[1], shift * offsets[2]
-        mean[0, n], mean[1, n], mean[2, n] = x, y, z
-        xx, xy, xz = (
-            spread[0, 0, n] - x * offsets[0],
-            spread[0, 1, n] - x * offsets[1],
-            spread[0, 2, n] - x * offsets[2],
-        )
-        yy, yz, zz = (
-            spread[1, 1, n] - y * offsets[1],
-            spread[1, 2, n] - y * offsets[2],
-            spread[2, 2, n] - z * offsets[2],
-        )
+        _put_three(rows, mean, n, (x, y, z))
+        about_xx, about_xy, about_xz = _three(rows, spread, n)
+        about_yy, about_yz, about_zz = _three(rows, spread + three, n)
+        xx, yy, zz = about_xx - x * offsets[0], about_yy - y * offsets[1], about_zz - z * offsets[2]
+        xy, xz, yz = about_xy - x * offsets[1], about_xz - x * offsets[2], about_yz - y * offsets[2]
         trace = xx + yy + zz
-        rounding = _ROUNDING * (spread[0, 0, n] + spread[1, 1, n] + spread[2, 2, n])
+        rounding = _ROUNDING * (about_xx + about_yy + about_zz)
         # along the other axes all offsets are zero, and any spread gives a gradient of zero
         own = trace / full
         xx, yy, zz = xx if active_x else own, yy if active_y else own, zz if active_z else own
@@ -130,38 +159,40 @@ def _fit(
             few[left] = n
             left += 1
             continue
-        determined[0, n] = mass[n] > 0.0 and (not active_x or px > _SPANNED)
-        determined[1, n] = mass[n] > 0.0 and (not active_y or py > _SPANNED)
-        determined[2, n] = mass[n] > 0.0 and (not active_z or pz > _SPANNED)
-        u, v, w = drift[0, n], drift[1, n], drift[2, n]
-        u, v, w = (u, v, w) if mass[n] > 0.0 else (0.0, 0.0, 0.0)
-        b0 = shear[0, 0, n] - u * offsets[0], shear[0, 1, n] - u * offsets[1], shear[0, 2, n] - u * offsets[2]
-        b1 = shear[1, 0, n] - v * offsets[0], shear[1, 1, n] - v * offsets[1], shear[1, 2, n] - v * offsets[2]
-        b2 = shear[2, 0, n] - w * offsets[0], shear[2, 1, n] - w * offsets[1], shear[2, 2, n] - w * offsets[2]
+        known_x, known_y, known_z = px > _SPANNED, py > _SPANNED, pz > _SPANNED
+        _put_three(rows, determined, n, (
+            1.0 if mass > 0.0 and (not active_x or known_x) else np.nan,
+            1.0 if mass > 0.0 and (not active_y or known_y) else np.nan,
+            1.0 if mass > 0.0 and (not active_z or known_z) else np.nan,
+        ))  # fmt: skip
+        b0, b1, b2 = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+        if mass > 0.0:
+            u, v, w = _three(rows, momentum, n)
+            b0 = _moved(_three(rows, shear, n), u / mass, offsets)
+            b1 = _moved(_three(rows, shear + three, n), v / mass, offsets)
+            b2 = _moved(_three(rows, shear + three + three, n), w / mass, offsets)
         c0, c1, c2 = (c00, c01, c02), (c01, c11, c12), (c02, c12, c22)
         g0 = _dot(b0, c0), _dot(b0, c1), _dot(b0, c2)
         g1 = _dot(b1, c0), _dot(b1, c1), _dot(b1, c2)
         g2 = _dot(b2, c0), _dot(b2, c1), _dot(b2, c2)
-        gradient[0, 0, n], gradient[0, 1, n], gradient[0, 2, n] = g0
-        gradient[1, 0, n], gradient[1, 1, n], gradient[1, 2, n] = g1
-        gradient[2, 0, n], gradient[2, 1, n], gradient[2, 2, n] = g2
+        _put_three(rows, gradient, n, g0)
+        _put_three(rows, gradient + three, n, g1)
+        _put_three(rows, gradient + three + three, n, g2)
         # a fit through rank + 1 grains leaves nothing over: their fluctuation is unknown, not zero
-        known = 1.0 if count[n] > rank + 1 else np.nan
-        explained[0, 0, n], explained[1, 1, n] = known * _dot(g0, b0), known * _dot(g1, b1)
-        explained[2, 2, n] = known * _dot(g2, b2)
-        explained[0, 1, n] = explained[1, 0, n] = known * _dot(g0, b1)
-        explained[0, 2, n] = explained[2, 0, n] = known * _dot(g0, b2)
-        explained[1, 2, n] = explained[2, 1, n] = known * _dot(g1, b2)
+        known = 1.0 if rows[count, n] > rank + 1 else np.nan
+        _put_three(rows, explained, n, (known * _dot(g0, b0), known * _dot(g0, b1), known * _dot(g0, b2)))
+        _put_three(rows, explained + three, n, (known * _dot(g1, b1), known * _dot(g1, b2), known * _dot(g2, b2)))
     return left
 
 
-def _fit_few(
-    count: NDArray, mass: NDArray, drift: NDArray, offset: NDArray, shear: NDArray, spread: NDArray, *,
-    active: Sequence[bool], about_node: bool,
-) -> tuple[NDArray, NDArray, NDArray, NDArray]:  # fmt: skip
+def _fit_few(sums: NDArray, *, active: Sequence[bool], about_node: bool) -> NDArray:
     """Fit by eigenvectors, where grains lie close to a plane or a line."""
+    count, mass, momentum, offset = sums[COUNT], sums[MASS], sums[MOMENTUM:OFFSET], sums[OFFSET:SHEAR]
+    shear, spread = sums[SHEAR:SPREAD].reshape(3, 3, -1), sums[SPREAD:][SYMMETRIC]
     there = mass > 0.0
-    mean = np.divide(offset, mass, out=np.zeros_like(offset), where=there & (not about_node))
+    drift, mean = (np.divide(a, mass, out=np.zeros_like(a), where=there) for a in (momentum, offset))
+    if about_node:
+        mean[:] = 0.0
     matrix = np.moveaxis(spread - mean[:, None] * offset, -1, 0)
     damaged = ~np.isfinite(matrix).all(axis=(1, 2))
     values, vectors = np.linalg.eigh(np.where(damaged[:, None, None], 0.0, matrix))
@@ -172,8 +203,8 @@ def _fit_few(
     # (M M^+)_jj is the part of the axis that the grains span
     projection = (vectors**2 * spanned[:, None]).sum(axis=2).T
     determined = there & (~np.reshape(active, (3, 1)) | (projection > _SPANNED))
-    moved = np.moveaxis(shear - np.where(there, drift, 0.0)[:, None] * offset, -1, 0)
+    moved = np.moveaxis(shear - drift[:, None] * offset, -1, 0)
     gradient = moved @ (scaled @ vectors.swapaxes(1, 2))
-    explained = gradient @ moved.swapaxes(1, 2)
+    explained = (gradient @ moved.swapaxes(1, 2))[:, *np.triu_indices(3)]
     explained[count <= spanned.sum(axis=1) + 1] = np.nan
-    return np.moveaxis(gradient, 0, -1), np.moveaxis(explained, 0, -1), determined, mean
+    return np.concatenate([gradient.reshape(-1, 9).T, explained.T, np.where(determined, 1.0, np.nan), mean])

@@ -5,12 +5,16 @@ Nothing is checked: all places must lie within the array. Sums and products are 
 number, bit for bit.
 """
 
+import math
+from collections.abc import Callable
+
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
 FOUR, EIGHT = 4, 8
+TILE = 64  # nodes that the algebra is done for at a time
 
 
 def _at(context, builder, array_type, array, indices, lanes):
@@ -110,3 +114,123 @@ def put_line(typingctx, lists, to, squares, at, first, step, origin, factor):
         return context.get_dummy_value()
 
     return types.void(lists, to, squares, at, first, step, origin, factor), generate
+
+
+# --- rows of as many numbers as a tile has nodes ---------------------------------------------------------
+
+
+def _of_rows(compute: Callable) -> Callable:
+    """Return an intrinsic that writes a row of an array (rows, TILE), number by number from one or two others."""
+
+    def of_rows(typingctx, rows, to, a, b):
+        def generate(context, builder, signature, args):
+            place, _ = _cast(context, builder, signature, args)
+            for k in range(0, TILE, EIGHT):
+                at = ir.Constant(ir.IntType(64), k)
+                target, *sources = (
+                    _at(context, builder, signature.args[0], args[0], [place(n), at], EIGHT) for n in (1, 2, 3)
+                )
+                values = compute(builder, *(builder.load(pointer, align=align) for pointer, align in sources))
+                builder.store(values, target[0], align=target[1])
+            return context.get_dummy_value()
+
+        return types.void(rows, to, a, b), generate
+
+    return intrinsic(of_rows)
+
+
+def _all(value: float) -> ir.Constant:
+    return ir.Constant(ir.VectorType(ir.DoubleType(), EIGHT), [value] * EIGHT)
+
+
+def _root(builder, a, _):
+    of = ir.FunctionType(a.type, [a.type])
+    return builder.call(cgutils.get_or_insert_function(builder.module, of, f"llvm.sqrt.v{EIGHT}f64"), [a])
+
+
+# ``rows[to] = rows[a] + rows[b]``, ...
+row_sum = _of_rows(lambda builder, a, b: builder.fadd(a, b))
+row_difference = _of_rows(lambda builder, a, b: builder.fsub(a, b))
+row_product = _of_rows(lambda builder, a, b: builder.fmul(a, b))
+row_quotient = _of_rows(lambda builder, a, b: builder.fdiv(a, b))
+# of `a` alone: square roots; NaN where it is not positive; 0 where it is negative; 0 where it is NaN
+row_root = _of_rows(_root)
+row_positive = _of_rows(lambda b, a, _: b.select(b.fcmp_ordered(">", a, _all(0.0)), a, _all(math.nan)))
+row_not_negative = _of_rows(lambda b, a, _: b.select(b.fcmp_ordered("<", a, _all(0.0)), _all(0.0), a))
+row_known = _of_rows(lambda b, a, _: b.select(b.fcmp_ordered("==", a, a), a, _all(0.0)))
+
+
+# --- memory that is named by its address -----------------------------------------------------------------
+
+
+def _pointer(context, builder, address, index):
+    first = builder.inttoptr(address, ir.DoubleType().as_pointer())
+    return builder.gep(first, [index])
+
+
+@intrinsic
+def number_at(typingctx, address, index):
+    """Read the float64 that is `index` numbers from an address."""
+
+    def generate(context, builder, signature, args):
+        return builder.load(_pointer(context, builder, *args))
+
+    return types.float64(types.uint64, types.uint64), generate
+
+
+@intrinsic
+def stream_number_to(typingctx, address, index, value):
+    """Write a float64 to the place that is `index` numbers from an address, past the caches.
+
+    What is written in order, without gaps, goes to memory line by line, and nothing is read for it before.
+    """
+
+    def generate(context, builder, signature, args):
+        whole = ir.IntType(64)  # of vectors the address would have to be aligned
+        pointer = builder.bitcast(_pointer(context, builder, *args[:2]), whole.as_pointer())
+        store = builder.store(builder.bitcast(args[2], whole), pointer)
+        store.set_metadata("nontemporal", builder.module.add_metadata([ir.Constant(ir.IntType(32), 1)]))
+        return context.get_dummy_value()
+
+    return types.void(types.uint64, types.uint64, types.float64), generate
+
+
+@intrinsic
+def finish_streams(typingctx):
+    """Wait until all that was written past the caches is in memory, for other threads to see."""
+
+    def generate(context, builder, signature, args):
+        builder.fence("seq_cst")
+        return context.get_dummy_value()
+
+    return types.void(), generate
+
+
+@intrinsic
+def turn_eight(typingctx, address, first, apart, rows, row, at):
+    """``rows[row + c, at + k] = m[first + k * apart + c]`` for k, c = 0, ... 7, m the numbers from an address on."""
+
+    def generate(context, builder, signature, args):
+        place, _ = _cast(context, builder, signature, args)
+        vectors = []
+        for k in range(EIGHT):
+            index = builder.add(place(1), builder.mul(place(2), ir.Constant(ir.IntType(64), k)))
+            pointer = _pointer(context, builder, args[0], index)
+            eight = ir.VectorType(ir.DoubleType(), EIGHT).as_pointer()
+            vectors.append(builder.load(builder.bitcast(pointer, eight), align=8))
+        half = EIGHT // 2
+        merge = [
+            ir.Constant(ir.VectorType(ir.IntType(32), EIGHT), [low + k // 2 + EIGHT * (k % 2) for k in range(EIGHT)])
+            for low in (0, half)
+        ]
+        for _ in range(3):  # riffles of the halves, after which the vectors are the columns
+            vectors = [
+                builder.shuffle_vector(vectors[k // 2], vectors[k // 2 + half], merge[k % 2]) for k in range(EIGHT)
+            ]
+        for c, vector in enumerate(vectors):
+            row = builder.add(place(4), ir.Constant(ir.IntType(64), c))
+            pointer, align = _at(context, builder, signature.args[3], args[3], [row, place(5)], EIGHT)
+            builder.store(vector, pointer, align=align)
+        return context.get_dummy_value()
+
+    return types.void(types.uint64, types.uint64, types.uint64, rows, types.uint64, types.uint64), generate

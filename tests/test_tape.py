@@ -1,0 +1,109 @@
+"""The algebra written down on symbols and played by one loop gives what the registry gives on arrays, to the bit."""
+
+import sys
+from unittest import mock
+
+import numpy as np
+import pytest
+
+import xcg
+from xcg import fields as registry
+from xcg import symbols, tape
+from xcg.kernels import tape as kernel
+
+MODULE = sys.modules["xcg.coarse_grain"]
+ALL = tuple(name for name in registry.listed() if not registry.FIELDS[name].option)
+
+
+def played_and_plain(ds, *fields, **options):
+    """The same fields by the tape, and by the registry on arrays; how often the tape was played."""
+    with mock.patch.object(tape.kernel, "play", wraps=tape.kernel.play) as play:
+        played = ds.cg.coarse_grain(*fields, **options)
+    with mock.patch.object(MODULE, "tape_for", return_value=None):
+        return played, ds.cg.coarse_grain(*fields, **options), play.call_count
+
+
+def assert_same(played, plain):
+    for name in plain:
+        np.testing.assert_array_equal(played[name], plain[name], err_msg=name)
+
+
+@pytest.mark.parametrize("options", [
+    {}, {"gradient": "paper"}, {"axes": "xz", "at": {"y": 1.0}}, {"axes": "z"}, {"axes": ""},
+    {"shear_dims": "xz", "pressure_dims": "z", "deviatoric": "both"}, {"deviatoric": "neither", "size": "d32"},
+    {"size": "d50", "fluid_viscosity": 1e-3},
+])  # fmt: skip
+def test_a_tape_gives_what_the_registry_gives(options):
+    ds = xcg.datasets.random_scene(200, seed=21)
+    played, plain, times = played_and_plain(ds, width=0.5, **options)
+    assert times >= 1
+    assert_same(played, plain)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_any_fields_in_any_order(seed):
+    """Rows are used anew: each field must be stored before that, whatever else is asked for."""
+    rng = np.random.default_rng(seed)
+    names = rng.permutation(ALL)[: rng.integers(1, len(ALL) + 1)].tolist()
+    assert_same(*played_and_plain(xcg.datasets.random_scene(60, seed=seed), names, width=0.6)[:2])
+
+
+@pytest.mark.parametrize("nodes", [1, 7, kernel.TILE - 1, kernel.TILE, kernel.TILE + 1, 3 * kernel.TILE])
+def test_any_number_of_nodes(nodes):
+    ds = xcg.datasets.random_scene(60, seed=4)
+    bounds = {"z": (0.0, 0.1 * (nodes - 1))}
+    played, plain, _ = played_and_plain(ds, axes="z", width=0.6, spacing=0.1, bounds=bounds)
+    assert played.sizes["z"] == nodes
+    assert_same(played, plain)
+
+
+def test_nodes_that_a_fit_leaves_to_eigenvectors_are_filled():
+    """Grains almost in a plane: neither clearly flat nor clearly spread."""
+    ds = xcg.datasets.random_scene(200, seed=3)
+    z = 1.0 + 1e-3 * (ds.position.isel(component=2) - 1.0)
+    thin = ds.assign(position=ds.position.where(ds.component != "z", z))
+    names, careful = ["velocity_gradient", "granular_temperature"], registry.fit.fit_gradient
+    played, plain, _ = played_and_plain(thin, names, width=0.6)
+    with mock.patch.object(registry.fit, "fit_gradient", wraps=careful) as left:
+        thin.cg.coarse_grain(names, width=0.6)
+    assert left.called
+    assert_same(played, plain)
+    assert bool(np.isfinite(played.velocity_gradient).any())
+
+
+def test_a_static_scene_and_one_of_equal_grains():
+    """Columns that are the same for all grains are multiples of their number, and have a factor of their own."""
+    for ds in (xcg.datasets.simple_cubic(4), xcg.datasets.dense_packing(300)):
+        assert_same(*played_and_plain(ds, width="0.9 d43")[:2])
+
+
+def test_phases_and_other_gradients_are_left_to_the_registry():
+    ds = xcg.datasets.random_scene(60, seed=5)
+    for options in ({"by": "species"}, {"gradient": "kernel"}, {"gradient": "finite_difference"}):
+        assert played_and_plain(ds, width=0.6, **options)[2] == 0
+
+
+def test_what_is_asked_for_twice_is_written_down_once():
+    record = symbols.Record()
+    a, b = record.load("momentum", np.arange(2)).ravel()
+    assert (a + b).number == (b + a).number
+    assert (a - b).number != (b - a).number
+    written = len(record.steps)
+    assert (a * b + 1.0).number != (a * b + 2.0).number
+    assert len(record.steps) == written + 5  # the product, two constants, two sums
+
+
+def test_stress_takes_no_steps_for_what_nobody_asked_for():
+    steps = tape.tape_for(("stress",), registry.Options()).steps[:, 0]
+    assert not np.isin(steps, [kernel.FIT, kernel.SQUARE_ROOT]).any()
+    # six kinetic components of symmetric tensors, not nine; each to nine of the contacts
+    assert (steps == kernel.ADD).sum() == 9
+    assert (steps == kernel.STORE).sum() == 1
+
+
+def test_symbols_have_no_value_yet():
+    (a,) = symbols.Record().load("mass", np.arange(1)).ravel()
+    with pytest.raises(TypeError, match="not known"):
+        bool(a)
+    with pytest.raises(NotImplementedError, match="only squares"):
+        a**3
