@@ -116,6 +116,23 @@ def put_line(typingctx, lists, to, squares, at, first, step, origin, factor):
     return types.void(lists, to, squares, at, first, step, origin, factor), generate
 
 
+@intrinsic
+def ask_for(typingctx, array, row):
+    """Ask for the start of a row of an array, which need not be there, so that it has come when it is read."""
+
+    def generate(context, builder, signature, args):
+        view = context.make_array(signature.args[0])(context, builder, args[0])
+        index = builder.mul(args[1], cgutils.unpack_tuple(builder, view.strides)[0])
+        first = builder.bitcast(view.data, cgutils.voidptr_t)
+        flags = [ir.Constant(ir.IntType(32), flag) for flag in (0, 3, 1)]  # to read, into all caches, data
+        of = ir.FunctionType(ir.VoidType(), [cgutils.voidptr_t] + [flag.type for flag in flags])
+        prefetch = cgutils.get_or_insert_function(builder.module, of, "llvm.prefetch.p0i8")
+        builder.call(prefetch, [builder.gep(first, [index]), *flags])
+        return context.get_dummy_value()
+
+    return types.void(array, types.int64), generate
+
+
 # --- rows of as many numbers as a tile has nodes ---------------------------------------------------------
 
 

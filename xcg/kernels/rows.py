@@ -3,12 +3,16 @@
 import numpy as np
 
 from xcg.kernels._jit import leaf
+from xcg.kernels.lanes import ask_for
+
+AHEAD = 16  # things whose rows of memory, anywhere, are asked for before their turn
 
 
 @leaf
 def add_rows(row, sign, values, out):
     """Add sign x values (n, k) to the rows of out (m, k) that `row` (n,) names; negative rows are left out."""
     for n in range(row.size):
+        ask_for(out, row[min(n + AHEAD, row.size - 1)])
         if row[n] >= 0:
             for c in range(values.shape[1]):
                 out[row[n], c] += sign * values[n, c]
@@ -95,6 +99,9 @@ def add_unit_squares(row_i, row_j, along, out):
     The unit vector n is that of `along` (n, 3); zero where that is zero.
     """
     for n in range(row_i.size):
+        later = min(n + AHEAD, row_i.size - 1)
+        ask_for(out, row_i[later])
+        ask_for(out, row_j[later])
         x, y, z = along[n, 0], along[n, 1], along[n, 2]
         length2 = x * x + y * y + z * z
         per_length2 = 1.0 / length2 if length2 > 0.0 else 0.0

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.kernels._jit import leaf
-from xcg.kernels.lanes import add_four
+from xcg.kernels.lanes import add_four, ask_for
 from xcg.kernels.nodes import ALONG, NODE, Q2, RUN, WEIGHT, images, list_tube, padded, run_reaches
-from xcg.kernels.rows import side
+from xcg.kernels.rows import AHEAD, side
 from xcg.kernels.weights import fill_gauss, fill_segments
 
 # The rules to choose from, by number of Gauss-Legendre points: an odd number takes as long as the next even one.
@@ -103,6 +103,10 @@ def list_segments(
     per_cutoff, more = 1.0 / cutoff, False
     most_x, most_y, most_z, most2 = 0.0, 0.0, 0.0, 0.0
     for n in range(place.size):
+        later = min(n + AHEAD, place.size - 1)
+        ask_for(position, row_i[later])
+        ask_for(position, row_j[later])
+        ask_for(segments, place[later])
         i, j, k, sign = row_i[n], row_j[n], place[n], cutoff
         ax, ay, az = side(position, i, point, n, wrap)
         bx, by, bz = side(position, j, point, n, wrap)
