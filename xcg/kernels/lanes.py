@@ -142,13 +142,13 @@ def _of_rows(compute: Callable) -> Callable:
     def of_rows(typingctx, rows, to, a, b):
         def generate(context, builder, signature, args):
             place, _ = _cast(context, builder, signature, args)
-            for k in range(0, TILE, EIGHT):
-                at = ir.Constant(ir.IntType(64), k)
-                target, *sources = (
-                    _at(context, builder, signature.args[0], args[0], [place(n), at], EIGHT) for n in (1, 2, 3)
-                )
-                values = compute(builder, *(builder.load(pointer, align=align) for pointer, align in sources))
-                builder.store(values, target[0], align=target[1])
+            first = ir.Constant(ir.IntType(64), 0)
+            starts = [_at(context, builder, signature.args[0], args[0], [place(n), first], EIGHT) for n in (1, 2, 3)]
+            align = starts[0][1]
+            for k in range(TILE // EIGHT):
+                target, *sources = (builder.gep(start, [ir.Constant(ir.IntType(64), k)]) for start, _ in starts)
+                values = compute(builder, *(builder.load(pointer, align=align) for pointer in sources))
+                builder.store(values, target, align=align)
             return context.get_dummy_value()
 
         return types.void(rows, to, a, b), generate
