@@ -222,9 +222,9 @@ def _inputs(ds: xr.Dataset, names: Iterable[str]) -> dict[str, Any]:
     """Arrays of the scene, time first, whole along every other dimension."""
     found: dict[str, Any] = {}
     for name in names:
-        array = ds[name].transpose("time", *[d for d in ds[name].dims if d not in ("time", "component", "bound")], ...)
-        data = array.variable._data if isinstance(array.variable._data, da.Array) else array.to_numpy()
-        found[name] = data
+        given = ds[name].variable
+        array = given.transpose("time", *[d for d in given.dims if d not in ("time", "component", "bound")], ...)
+        found[name] = array._data if isinstance(array._data, da.Array) else array.to_numpy()
     lazy = {n: a for n, a in found.items() if isinstance(a, da.Array)}
     if lazy:
         finest = max((a.chunks[0] for a in lazy.values()), key=len)

@@ -93,6 +93,15 @@ class _Pass:
         factors = [np.broadcast_to(factor, (columns.size, self.groups)) for columns, factor in self.moments.values()]
         return columns.astype("uint64"), np.concatenate(factors)
 
+    @cached_property
+    def columns_by_moment(self) -> dict[tuple[str, int], tuple[int, float]]:
+        """Column and factor, without phases, of each column of the moments."""
+        return {
+            (name, k): (column, float(np.max(factor)))
+            for name, (columns, factor) in self.moments.items()
+            for k, column in zip(columns_of(name).ravel().tolist(), columns.ravel().tolist(), strict=True)
+        }
+
     def turned(self, records: NDArray) -> Iterator[tuple[str, NDArray]]:
         """Moments (components, groups, nodes) from the sums (groups, nodes, columns)."""
         column, factor = self._rows
@@ -320,9 +329,7 @@ class BoxSums:
         if moment == "reference":
             return 0, k, 1.0
         number = next(n for n, run in enumerate(self.passes) if moment in run.moments)
-        columns, factor = self.passes[number].moments[moment]
-        at = columns.ravel()[columns_of(moment).ravel().tolist().index(k)]
-        return 1 + number, int(at), float(np.max(factor))
+        return 1 + number, *self.passes[number].columns_by_moment[moment, k]
 
     def moments(self, nodes: slice | NDArray) -> dict[str, NDArray]:
         """Moments of some of the nodes: arrays (phase, node, ...).
