@@ -107,6 +107,8 @@ def list_segments(
         ask_for(position, row_i[later])
         ask_for(position, row_j[later])
         ask_for(segments, place[later])
+        ask_for(phase, row_i[later])
+        ask_for(phase, row_j[later])
         i, j, k, sign = row_i[n], row_j[n], place[n], cutoff
         ax, ay, az = side(position, i, point, n, wrap)
         bx, by, bz = side(position, j, point, n, wrap)
