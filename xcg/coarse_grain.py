@@ -25,7 +25,7 @@ from xcg.schema import COMPONENTS, Frame, units_of
 from xcg.smoothing import Kernel
 from xcg.sums import BOX, sums_of_frame
 from xcg.tape import tape_for
-from xcg.threads import Box, boxes, for_each, places, slices
+from xcg.threads import Box, boxes, for_each, places
 
 
 def coarse_grain(
@@ -235,11 +235,6 @@ def compute_chunk(plan: Plan, threads: int, arrays: Mapping[str, NDArray]) -> di
     return out
 
 
-# The algebra runs over this many nodes at a time, so that its intermediate results stay in cache; with a power of
-# two all columns would want the same places in it.
-BLOCK = 12_000
-
-
 def _compute_step(
     plan: Plan, frame: Frame, box: NDArray | None, where: str, threads: int, out: Mapping[str, NDArray]
 ) -> None:
@@ -249,23 +244,17 @@ def _compute_step(
     shape = plan.recipe.grid.shape
     phases = plan.phases if plan.recipe.by else 1
     rows = {name: a.reshape(math.prod(shape), phases, *a.shape[len(plan.dims) :]) for name, a in out.items()}
-    tape = None if plan.recipe.by else tape_for(plan.fields, plan.options)
+    tape = tape_for(plan.fields, plan.options, len(plan.recipe.groups))
 
     def fill(part: Box) -> None:
         found, place = sums.over(part), places(part, shape)
-        groups: Sequence[slice | NDArray] = slices(len(place), block)
-        if tape:
-            left = tape.play(found, place, rows)
-            groups = [left] if left.size else []
-        for nodes in groups:
-            for name, values in registry.evaluate(plan.fields, found.moments(nodes), plan.options).items():
-                rows[name][place[nodes]] = values.swapaxes(0, 1)
+        left = tape.play(found, place, rows) if tape else slice(None)
+        if isinstance(left, np.ndarray) and not left.size:
+            return
+        for name, values in registry.evaluate(plan.fields, found.moments(left), plan.options).items():
+            rows[name][place[left]] = values.swapaxes(0, 1)
 
-    if registry.whole_grid(plan.options):
-        parts, block = [((0, 0, 0), shape)], math.prod(shape)
-    else:
-        parts, block = boxes(shape, BOX, threads), BLOCK
-    for_each(parts, fill, threads)
+    for_each(boxes(shape, BOX, threads) if tape else [((0, 0, 0), shape)], fill, threads)
 
 
 def _label(ds: xr.Dataset, plan: Plan, arrays: Mapping[str, Any], call: str) -> xr.Dataset:

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from xcg import symbols
 from xcg.kernels import fit
-from xcg.kernels.fluctuations import about_linear
 from xcg.symbols import at_least_zero, where_positive, zero_if_unknown
 
 Function = Callable[[Any, Any, "Options"], Any]
@@ -173,6 +172,12 @@ def contraction(tensor: NDArray) -> NDArray:
     return sum((tensor[..., i, j] ** 2 for i in range(3) for j in range(3)), start=np.zeros(tensor.shape[:-2]))
 
 
+def _times(a: NDArray, b: NDArray) -> NDArray:
+    """Return a_ik b_kj, term by term: see `contraction`."""
+    first, second, third = (a[..., :, k, None] * b[..., None, k, :] for k in range(3))
+    return first + second + third
+
+
 def _transposed(tensor: NDArray) -> NDArray:
     return np.swapaxes(tensor, -1, -2)
 
@@ -236,7 +241,7 @@ def _finite_difference(f: Any, s: Any, o: Options) -> NDArray:
 
 
 def _fluctuation_stress(f: Any, s: Any, o: Options) -> NDArray:
-    """Sum of m Psi v'' v'' with v'' = u - b - G x, all about the bulk: expanded in the moments of each phase.
+    """Sum of m Psi v'' v'' with v'' = u - b - G (x - x_bar), b, G and x_bar the bulk's: expanded in each phase's sums.
 
     Of the grains that G was fitted to it is what the fit leaves of the kinetic stress, as G M = B.
     """
@@ -244,14 +249,21 @@ def _fluctuation_stress(f: Any, s: Any, o: Options) -> NDArray:
     if least_squares and len(s.mass) == 1:
         return f.kinetic_stress - f._fit.explained
     # along directions that the grains do not span, the G of a fit is zero
-    g = (f._fit.gradient if least_squares else np.nan_to_num(f.velocity_gradient, nan=0.0))[:1]
-    unknown = np.isnan(f._fit.explained[0, :, 0, 0])
+    g = f._fit.gradient[:1] if least_squares else zero_if_unknown(f.velocity_gradient[:1])
+    unknown = [f._fit.explained[:1, :, 0, 0]]
     if not least_squares:
-        unknown = unknown | np.isnan(f.velocity_gradient[0]).any(axis=(-1, -2))
-    sums = [_inner(a) for a in (s.mass, s.momentum, s.kinetic, s.offset, s.shear, s.spread)]
-    bulk = [_inner(a[:1])[..., 0, :] for a in (f._drift, f._fit.mean, g)]
-    out = np.empty((3, 3, *s.mass.shape))
-    about_linear(*sums, *bulk, unknown, out)
+        unknown += [f.velocity_gradient[:1, :, i, j] for i in range(3) for j in range(3)]
+    zero = sum(x - x for x in unknown)  # or NaN
+    # v'' = u - c - G x, and G x, G x x and u G x summed over the grains
+    c = zero_if_unknown(f._drift[:1]) - _times(g, f._fit.mean[:1, ..., None])[..., 0]
+    gx, gxx = _times(g, s.offset[..., None])[..., 0], _times(g, s.spread)
+    ugx, gxgx = _times(s.shear, _transposed(g)), _times(gxx, _transposed(g))
+    rest, out = gx - s.momentum, np.empty((3, 3, *s.mass.shape), s.mass.dtype)
+    for i in range(3):
+        for j in range(i, 3):
+            total = s.kinetic[..., i, j] + s.mass * c[..., i] * c[..., j] + gxgx[..., i, j]
+            total = total + c[..., i] * rest[..., j] - ugx[..., i, j] + c[..., j] * rest[..., i] - ugx[..., j, i]
+            out[i, j] = out[j, i] = total + zero
     return _outer(out)
 
 

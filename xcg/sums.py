@@ -94,10 +94,10 @@ class _Pass:
         return columns.astype("uint64"), np.concatenate(factors)
 
     @cached_property
-    def columns_by_moment(self) -> dict[tuple[str, int], tuple[int, float]]:
-        """Column and factor, without phases, of each column of the moments."""
+    def columns_by_moment(self) -> dict[tuple[str, int], tuple[int, list[float]]]:
+        """The column of the array that each column of the moments is, and its factor in each group."""
         return {
-            (name, k): (column, float(np.max(factor)))
+            (name, k): (column, np.broadcast_to(factor, self.groups).tolist())
             for name, (columns, factor) in self.moments.items()
             for k, column in zip(columns_of(name).ravel().tolist(), columns.ravel().tolist(), strict=True)
         }
@@ -321,15 +321,16 @@ class BoxSums:
 
     @property
     def arrays(self) -> list[NDArray]:
-        """The reference velocity, and the sums of each pass without phases: arrays (nodes, columns)."""
-        return [self.reference, *(sums[0] for sums in self.filled)]
+        """The reference velocity, and the sums of each pass and group: arrays (nodes, columns)."""
+        return [self.reference, *(group for sums in self.filled for group in sums)]
 
-    def column(self, moment: str, k: int) -> tuple[int, int, float]:
-        """Where column k of a moment is: the number among `arrays`, the column, and a factor."""
+    def column(self, moment: str, group: int, k: int) -> tuple[int, int, float]:
+        """Where column k of a moment of a group is: the number among `arrays`, the column, and a factor."""
         if moment == "reference":
             return 0, k, 1.0
         number = next(n for n, run in enumerate(self.passes) if moment in run.moments)
-        return 1 + number, *self.passes[number].columns_by_moment[moment, k]
+        column, factors = self.passes[number].columns_by_moment[moment, k]
+        return 1 + sum(run.groups for run in self.passes[:number]) + group, column, factors[group]
 
     def moments(self, nodes: slice | NDArray) -> dict[str, NDArray]:
         """Moments of some of the nodes: arrays (phase, node, ...).

@@ -34,10 +34,10 @@ class Record:
         """Return a symbol for a value that may be a number."""
         return value if isinstance(value, Symbol) else self.add(kernel.CONSTANT, float(value))
 
-    def load(self, name: str, columns: NDArray) -> NDArray:
-        """Symbols (1, 1, ...) for a moment that is made of these columns: of one phase, at one node."""
-        loads = [self.add(kernel.LOAD, name, int(column)) for column in columns.ravel()]
-        return _array(loads, (1, 1, *columns.shape))
+    def load(self, name: str, group: int, columns: NDArray) -> NDArray:
+        """Return symbols for the moment of a group of grains that is made of these columns."""
+        loads = [self.add(kernel.LOAD, name, group, int(column)) for column in columns.ravel()]
+        return _array(loads, columns.shape)
 
 
 class Symbol:
@@ -105,9 +105,10 @@ def _each(array: NDArray, operation: int) -> NDArray:
 
 def fit_gradient(sums: NDArray, *, active: Sequence[bool], about_node: bool) -> NDArray:
     """As `xcg.kernels.fit.fit_gradient`, for symbols."""
-    record, numbers = sums[0, 0].record, [symbol.number for symbol in sums[:, 0]]
-    found = record.add(kernel.FIT, flags_of(active, about_node), *numbers)
-    return _array([record.add(kernel.PART, k, found.number) for k in range(FOUND)], (FOUND, 1))
+    record, flags = sums[0, 0].record, flags_of(active, about_node)
+    fits = [record.add(kernel.FIT, flags, *(symbol.number for symbol in column)) for column in sums.T]
+    found = [record.add(kernel.PART, k, one.number) for k in range(FOUND) for one in fits]
+    return _array(found, (FOUND, len(fits)))
 
 
 # --- functions of arrays of either kind ------------------------------------------------------------------

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+import operator
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, reduce
 from typing import Any
 
 import numpy as np
@@ -31,19 +32,22 @@ class Tape:
         As `xcg.kernels.tape.play` takes them.
     scratch : array (rows, TILE)
         Constants in their rows.
-    loads : tuple of (str, int)
-        Moments, and which of their columns is loaded.
-    stores : tuple of str
-        Fields.
+    loads : tuple of (str, int, int)
+        Moments, of which group, and which of their columns.
+    stores : tuple of (str, int, int)
+        Fields, the first of the components, and how many: one tensor, vector or scalar.
     target : array (stores, 9)
-        Rows of their components.
+        Rows of these components.
+    fits : int
+        Number of fits.
     """
 
     steps: NDArray
     scratch: NDArray
-    loads: tuple[tuple[str, int], ...]
-    stores: tuple[str, ...]
+    loads: tuple[tuple[str, int, int], ...]
+    stores: tuple[tuple[str, int, int], ...]
     target: NDArray
+    fits: int
 
     def play(self, sums: BoxSums, place: NDArray, out: Mapping[str, NDArray]) -> NDArray:
         """Compute fields (places, ...) from the sums at some nodes, each to its `place` (nodes,).
@@ -60,12 +64,15 @@ class Tape:
         scratch[rows[0] : rows[1]] = np.reshape(factors, (-1, 1))
         source = [(rows[1 + number] + column, rows[0] + factors.index(factor)) for number, column, factor in found]
         records = [(a.ctypes.data, width, row) for a, width, row in zip(arrays, widths, rows[1:], strict=False)]
-        fields = [(out[name].ctypes.data, math.prod(out[name].shape[1:])) for name in self.stores]
-        few = np.empty(len(place), "uint64")
+        fields = [
+            (out[name].ctypes.data + out[name].itemsize * first, math.prod(out[name].shape[1:]), count)
+            for name, first, count in self.stores
+        ]
+        few = np.empty(self.fits * len(place), "uint64")
         left = kernel.play(
-            self.steps, _whole(records, 3), _whole(source, 2), _whole(fields, 2), self.target, place, scratch, few
+            self.steps, _whole(records, 3), _whole(source, 2), _whole(fields, 3), self.target, place, scratch, few
         )
-        return few[:left]
+        return np.unique(few[:left])
 
 
 def _whole(numbers: Sequence[Sequence[int]], width: int) -> NDArray:
@@ -73,22 +80,42 @@ def _whole(numbers: Sequence[Sequence[int]], width: int) -> NDArray:
 
 
 @lru_cache(maxsize=64)
-def tape_for(fields: tuple[str, ...], options: registry.Options) -> Tape | None:
-    """Write down the algebra of some fields; None where it takes more than the sums of one phase at the node itself."""
-    if options.by_pair or options.gradient not in registry.FITS:
+def tape_for(fields: tuple[str, ...], options: registry.Options, groups: int = 0) -> Tape | None:
+    """Write down the algebra of some fields, of the bulk and of groups; None where it takes other nodes."""
+    if registry.whole_grid(options):
         return None
     record = Record()
-    sums = {name: record.load(name, columns_of(name)) for name in registry.sums_of(fields, options)}
-    sums["reference"] = record.load("reference", np.arange(3))
+    sums = {name: _moment(record, name, groups) for name in registry.sums_of(fields, options)}
+    sums["reference"] = record.load("reference", 0, np.arange(3))
     found = registry.evaluate(fields, sums, options)
-    results = {name: [record.of(value).number for value in found[name].flat] for name in fields}
+    results = {
+        (name, first, count): [record.of(value).number for value in found[name].flat[first : first + count]]
+        for name in fields
+        for count in [3 ** registry.row(name, options).rank]
+        for first in range(0, found[name].size, count)
+    }
     return _Layout(record.steps, results).tape()
+
+
+def _moment(record: Record, name: str, groups: int) -> NDArray:
+    """Symbols of a moment at one node: an array (phase, 1, ...), phase 0 the bulk, the sum over groups."""
+    columns = columns_of(name)
+    if not groups:
+        return record.load(name, 0, columns)[None, None]
+    others = (groups + 1,) if name == "pair_contact" else ()
+    parts = [record.load(name, group, columns) for group in range(groups * math.prod(others))]
+    each = np.stack(parts).reshape(groups, *others, *columns.shape)
+    return np.stack([reduce(operator.add, each), *each])[:, None]
+
+
+# The steps that lead to the components of each store.
+_Results = Mapping[tuple[str, int, int], Sequence[int]]
 
 
 class _Layout:
     """Puts the steps that lead to some results on rows of numbers, used anew once nothing needs what is in them."""
 
-    def __init__(self, recorded: Sequence[tuple[int, tuple[Any, ...]]], results: Mapping[str, Sequence[int]]) -> None:
+    def __init__(self, recorded: Sequence[tuple[int, tuple[Any, ...]]], results: _Results) -> None:
         self.recorded, self.results = recorded, results
         self.uses = self._count_uses()
         self.row: dict[int, int] = {}  # where the result of a step is
@@ -96,14 +123,14 @@ class _Layout:
         self.free: list[int] = []
         self.rows = 0
         self.steps: list[tuple[int, int, int, int]] = []
-        self.loads: list[tuple[str, int]] = []
+        self.loads: list[tuple[str, int, int]] = []
 
     def tape(self) -> Tape:
-        """Write all steps; a field is stored as soon as all its components are there."""
-        complete: dict[int, list[str]] = {}
-        for name, numbers in self.results.items():
-            complete.setdefault(max(numbers), []).append(name)
-        stored: list[str] = []
+        """Write all steps; what is stored together is stored as soon as it is there."""
+        complete: dict[int, list[tuple[str, int, int]]] = {}
+        for store, numbers in self.results.items():
+            complete.setdefault(max(numbers), []).append(store)
+        stored: list[tuple[str, int, int]] = []
         constants, target = self._keep_rows(), np.zeros((len(self.results), 9), "uint64")
         for number in sorted(self.uses):
             operation, operands = self.recorded[number]
@@ -112,21 +139,24 @@ class _Layout:
                 self.steps.append((kernel.FIT, self.row[number], rows[0], operands[0]))
             elif operation not in (kernel.CONSTANT, kernel.LOAD, kernel.PART):
                 rows = [self._at(operand) for operand in operands]
-                self.row[number] = self._new_row()
+                if number not in self.row:
+                    self.row[number] = self._new_row()
                 self.steps.append((operation, self.row[number], rows[0], rows[-1]))
             for operand in self._operands(number):
                 self._used(operand)
-            for name in complete.get(number, ()):
-                numbers = self.results[name]
+            for store in complete.get(number, ()):
+                numbers = self.results[store]
                 target[len(stored), : len(numbers)] = [self._at(k) for k in numbers]
                 self.steps.append((kernel.STORE, len(stored), 0, 0))
-                stored.append(name)
+                stored.append(store)
                 for k in numbers:
                     self._used(k)
         scratch = np.zeros((self.rows, kernel.TILE))
         for row, value in constants.items():
             scratch[row] = value
-        return Tape(_whole(self.steps, 4), scratch, tuple(self.loads), tuple(stored), target)
+        steps = _whole(self.steps, 4)
+        fits = int((steps[:, 0] == kernel.FIT).sum())
+        return Tape(steps, scratch, tuple(self.loads), tuple(stored), target, fits)
 
     def _operands(self, number: int) -> tuple[int, ...]:
         """Return the steps that a step takes something from."""

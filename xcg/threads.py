@@ -33,12 +33,6 @@ def for_each(items: Sequence[T], do: Callable[[T], R], threads: int) -> list[R]:
                 other.cancel()
 
 
-def slices(count: int, size: int) -> list[slice]:
-    """Consecutive slices of `size`, at least one item each, that cover `count` items."""
-    size = max(1, size)
-    return [slice(first, min(count, first + size)) for first in range(0, count, size)]
-
-
 def boxes(shape: Sequence[int], size: int, threads: int) -> list[Box]:
     """Boxes (first nodes, one past the last) that cover a mesh: compact, of at most about `size` nodes.
 

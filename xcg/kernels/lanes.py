@@ -196,6 +196,17 @@ def number_at(typingctx, address, index):
 
 
 @intrinsic
+def put_number_to(typingctx, address, index, value):
+    """Write a float64 to the place that is `index` numbers from an address."""
+
+    def generate(context, builder, signature, args):
+        builder.store(args[2], _pointer(context, builder, *args[:2]))
+        return context.get_dummy_value()
+
+    return types.void(types.uint64, types.uint64, types.float64), generate
+
+
+@intrinsic
 def stream_number_to(typingctx, address, index, value):
     """Write a float64 to the place that is `index` numbers from an address, past the caches.
 

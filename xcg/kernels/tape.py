@@ -9,6 +9,7 @@ from xcg.kernels.lanes import (
     TILE,
     finish_streams,
     number_at,
+    put_number_to,
     row_difference,
     row_known,
     row_not_negative,
@@ -42,21 +43,22 @@ def play(steps, records, source, fields, target, place, scratch, few):
         Address of each array of sums (nodes, width), its width, and the row of the scratch where its columns begin.
     source : (loads, 2)
         Row of the column of each load, and the row of a factor.
-    fields : (stores, 2)
-        Address of each field (places, components), and the number of components: 1, 3 or 9.
+    fields : (stores, 3)
+        Address of the first component of each store, the numbers that the field holds for a place, and how many
+        components are stored: 1, 3 or 9.
     target : (stores, 9)
         Rows of the components.
     place : (nodes,)
         Place of each node in the fields.
     scratch : (rows, TILE)
         Holds constants and factors.
-    few : (nodes,)
-        Written: nodes that `FIT` leaves to others.
+    few : (any,)
+        Written: nodes that a `FIT` leaves to others, room for all from each of them.
 
     Returns
     -------
     int
-        Number of nodes in `few`.
+        How many there are in `few`.
     """
     left, unread = 0, 0.0
     for first in range(0, place.size, TILE):
@@ -66,7 +68,10 @@ def play(steps, records, source, fields, target, place, scratch, few):
         for step in range(steps.shape[0]):
             operation, r, a, b = steps[step, 0], steps[step, 1], steps[step, 2], steps[step, 3]
             if operation == STORE:
-                _store(fields[r, 0], fields[r, 1], target[r], place, first, many, scratch)
+                if fields[r, 1] == fields[r, 2]:
+                    _store(fields[r, 0], fields[r, 1], target[r], place, first, many, scratch)
+                else:
+                    _store_apart(fields[r, 0], fields[r, 1], fields[r, 2], target[r], place, first, many, scratch)
             elif operation == FIT:
                 found = fit_rows(scratch, a, r, many, b, few[left:])
                 for k in range(left, left + found):
@@ -132,6 +137,15 @@ def _store(address, width, row, place, first, many, scratch):
             _stream_three(address, to, scratch[x, k], scratch[y, k], scratch[z, k])
             _stream_three(address, to + THREE, scratch[yx, k], scratch[yy, k], scratch[yz, k])
             _stream_three(address, to + THREE + THREE, scratch[zx, k], scratch[zy, k], scratch[zz, k])
+
+
+@leaf
+def _store_apart(address, width, components, row, place, first, many, scratch):
+    """Store some of the `width` numbers that a field holds for a place, which would leave gaps in a stream."""
+    for c in range(components):
+        x = row[c]
+        for k in range(many):
+            put_number_to(address, width * place[first + k] + c, scratch[x, k])
 
 
 @leaf
