@@ -190,12 +190,30 @@ def branching_chains(
 
 
 @jit
+def _nearest_link(p, i, j, branch, start, contact, chain, onward, either_way):
+    """Find the link of p to a particle of no chain that is nearest to its direction of travel, or to its line.
+
+    Returns the contact, UNSEEN if none lies ahead, and the cosine.
+    """
+    best, best_cosine = UNSEEN, 0.0
+    for e in range(start[p], start[p + 1]):
+        c = contact[e]
+        q, sign = _far_end(i, j, c, p)
+        cosine = sign * _dot(branch[c], onward[p]) / math.sqrt(_dot(branch[c], branch[c]))
+        ahead = abs(cosine) if either_way else cosine
+        if chain[q] == UNSEEN and ahead > _SIDEWAYS and ahead > abs(best_cosine):
+            best, best_cosine = c, cosine
+    return best, best_cosine
+
+
+@jit
 def linear_chains(
     i, j, branch, start, contact, seeds, min_length, chain, parent, members, first, onward, place, link
 ):  # fmt: skip
     """Search without branches: from each seed both ways, each time to the contact nearest to the direction of travel.
 
-    The parameters are those of `branching_chains`.
+    A seed's direction is a line: the first way is the one of the link nearest to it, so that the sign in which an
+    eigenvector comes makes no difference. The parameters are those of `branching_chains`.
     """
     count, filled = 0, 0
     for seed in seeds:
@@ -205,21 +223,13 @@ def linear_chains(
         chain[seed] = count
         members[filled] = seed
         filled += 1
-        for way in range(2):
+        _, cosine = _nearest_link(seed, i, j, branch, start, contact, chain, onward, True)
+        onward[seed] *= -1.0 if cosine < 0.0 else 1.0
+        for way in (1.0, -1.0):
             p = seed
+            onward[seed] *= way
             while True:
-                best, best_cosine = UNSEEN, 0.0
-                for e in range(start[p], start[p + 1]):
-                    c = contact[e]
-                    q, sign = _far_end(i, j, c, p)
-                    ahead = sign * _dot(branch[c], onward[p])
-                    ahead = -ahead if p == seed and way == 1 else ahead
-                    length = math.sqrt(_dot(branch[c], branch[c]))
-                    if chain[q] != UNSEEN or ahead <= _SIDEWAYS * length:
-                        continue
-                    cosine = ahead / length
-                    if cosine > best_cosine:
-                        best, best_cosine = c, cosine
+                best, _ = _nearest_link(p, i, j, branch, start, contact, chain, onward, False)
                 if best == UNSEEN:
                     break
                 q, sign = _far_end(i, j, best, p)
@@ -229,6 +239,7 @@ def linear_chains(
                 members[filled] = q
                 filled += 1
                 p = q
+        onward[seed] *= -1.0
         first[count] = begin
         count, filled = _close(chain, link, start, contact, members, begin, filled, count, min_length)
     first[count] = filled
