@@ -1,8 +1,8 @@
 """Several neighbouring numbers of an array in one instruction, written out for LLVM.
 
 Loops over four or eight numbers would be compiled one number at a time, and merged again afterwards, if they are.
-Nothing is checked: all places must lie within the array, and all addresses be those of arrays that are still there. Sums
-and products are those of the same formula number by number, bit for bit.
+Nothing is checked: places must lie within the array, and addresses be those of arrays that are still there. Sums and
+products are those of the same formula number by number, bit for bit.
 """
 
 import math
