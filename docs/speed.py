@@ -20,8 +20,8 @@ A dense packing (`xcg.datasets.dense_packing`): volume fraction 0.6, three conta
 apart, Lucy's kernel. *All fields* are the {count} of the [registry](fields.md) that need no further argument. Threads
 share the nodes of one step in memory (over space), or take a step each of a lazy scene (over time); the bits of the
 result are the same. Times are the least of {repeats} after one to warm up, from a scene in memory to labelled fields;
-peak memory is that of a fresh process that reads the scene from a file and does the job once, with Python and its
-libraries ({base:.0f} MB) in it. *Data* are scene and fields together. Made, on {machine}, by
+peak memory is that of a fresh process that reads the scene from a file (a lazy scene step by step) and does the job
+once, with Python and its libraries ({base:.0f} MB) in it. *Data* are scene and fields together. Made, on {machine}, by
 
 ```bash
 python -m docs.speed --particles {particles} --large {large} --repeats {repeats}

@@ -59,7 +59,7 @@ class Tape:
         widths = [math.prod(a.shape[1:]) for a in arrays]
         # below the rows that steps use: the factors, and the columns of each array
         rows = np.cumsum([len(self.scratch), len(factors), *(width + -width % EIGHT for width in widths)]).tolist()
-        scratch = np.zeros((rows[-1], kernel.TILE))
+        scratch = kernel.room_for(rows[-1])
         scratch[: rows[0]] = self.scratch
         scratch[rows[0] : rows[1]] = np.reshape(factors, (-1, 1))
         source = [(rows[1 + number] + column, rows[0] + factors.index(factor)) for number, column, factor in found]

@@ -96,6 +96,7 @@ CASES = [
     Case("volume fraction alone", partial(fields, names=["volume_fraction"])),
     Case("contact stress alone", partial(fields, names=["contact_stress"])),
     Case("from a pair of .vtp to NetCDF and VTKHDF", end_to_end),
+    Case("from a pair of .vtp to NetCDF and VTKHDF", end_to_end, threads=2),
     Case("volume fraction and contact stress, spacing w", partial(fields, names=SUMS), share=0.1),
     Case("volume fraction and contact stress, spacing w/2", partial(fields, names=SUMS, refined=2), share=0.1),
     Case("volume fraction and contact stress, spacing w/4", partial(fields, names=SUMS, refined=4), share=0.1),
@@ -119,9 +120,8 @@ PEAK = """
 import sys
 import xarray as xr
 from tests.benchmarks import cases
-ds = xr.load_dataset(sys.argv[1])
 case = cases.CASES[int(sys.argv[2])]
-case.run(ds if case.steps == 1 else ds.chunk(time=1))
+case.run(xr.load_dataset(sys.argv[1]) if case.steps == 1 else xr.open_dataset(sys.argv[1], chunks={"time": 1}))
 """
 
 
