@@ -547,7 +547,7 @@ def says_volume_fraction(x: Times) -> str:
 table: {x("1000 bins", "evaluated", "table, rounded down")} times as long with the distance rounded down into
 1000 bins, as Pysammos does, for an error of 0.3 %, and {x("1000 bins", "evaluated", "table, interpolated")}
 with interpolation. More bins are more exact and no cheaper. Weights in single precision take
-{x("single precision", "evaluated")} of the time, for an error of 1e-7; they are not the default since
+{x("single precision", "evaluated")} times as long, for an error of 1e-7; they are not the default since
 identities would then hold to seven digits instead of fifteen.
 """
 

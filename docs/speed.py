@@ -19,9 +19,10 @@ HEAD = """# Speed
 A dense packing (`xcg.datasets.dense_packing`): volume fraction 0.6, three contacts a grain, w = 0.75 d, nodes w
 apart, Lucy's kernel. *All fields* are the {count} of the [registry](fields.md) that need no further argument. Threads
 share the nodes of one step in memory (over space), or take a step each of a lazy scene (over time); the bits of the
-result are the same. Times are the least of {repeats} after one to warm up, from a scene in memory to labelled fields;
-peak memory is that of a fresh process that reads the scene from a file (a lazy scene step by step) and does the job
-once, with Python and its libraries ({base:.0f} MB) in it. *Data* are scene and fields together. Made, on {machine}, by
+result are the same. Times are the least of {repeats} after one to warm up, the cases taking turns, from a scene in
+memory to labelled fields; peak memory is that of a fresh process that reads the scene from a file (a lazy scene step
+by step) and does the job once, with Python and its libraries ({base:.0f} MB) in it. *Data* are scene and fields
+together. Made, on {machine}, by
 
 ```bash
 python -m docs.speed --particles {particles} --large {large} --repeats {repeats}
@@ -38,9 +39,14 @@ second time on, as compiled code is kept on disk.
 """
 
 
-def row(case: cases.Case, particles: int, repeats: int) -> str:
+def rows(jobs: list[cases.Case], particles: int, repeats: int) -> list[str]:
+    """Rows of the table; the jobs take turns, so that slow minutes are shared by all."""
+    times = fastest([partial(job.run, job.scene(particles)) for job in jobs], repeats)
+    return [row(job, particles, seconds) for job, seconds in zip(jobs, times, strict=True)]
+
+
+def row(case: cases.Case, particles: int, seconds: float) -> str:
     ds = case.scene(particles)
-    (seconds,) = fastest([partial(case.run, ds)], repeats)
     seconds /= ds.sizes["time"]
     grains = ds.sizes["particle"]
     result = case.run(ds)
@@ -68,10 +74,10 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=5, help="times that each case is run (default 5)")
     given = parser.parse_args()
     lines = ["| " + " | ".join(COLUMNS) + " |", "|---" * len(COLUMNS) + "|"]
-    lines += [row(case, given.particles, given.repeats) for case in cases.CASES]
+    lines += rows(cases.CASES, given.particles, given.repeats)
     cases.packing.cache_clear()
     if given.large:
-        lines += [row(case, given.large, 2) for case in cases.LARGE]
+        lines += rows(cases.LARGE, given.large, 2)
     cold, warm = cases.first_result()
     count = len(cases.CASES[0].run(cases.packing(400)).data_vars)
     base = int(cases.fresh("import xcg\n" + cases.RESIDENT)) / 1000
