@@ -19,10 +19,10 @@ HEAD = """# Speed
 A dense packing (`xcg.datasets.dense_packing`): volume fraction 0.6, three contacts a grain, w = 0.75 d, nodes w
 apart, Lucy's kernel. *All fields* are the {count} of the [registry](fields.md) that need no further argument. Threads
 share the nodes of one step in memory (over space), or take a step each of a lazy scene (over time); the bits of the
-result are the same. Times are the least of {repeats} after one to warm up, the cases taking turns, from a scene in
-memory to labelled fields; peak memory is that of a fresh process that reads the scene from a file (a lazy scene step
-by step) and does the job once, with Python and its libraries ({base:.0f} MB) in it. *Data* are scene and fields
-together. Made, on {machine}, by
+result are the same. Times are the least of {repeats} ({few} for a million grains) after one to warm up, the cases
+taking turns, from a scene in memory to labelled fields; peak memory is that of a fresh process that reads the scene
+from a file (a lazy scene step by step) and does the job once, with Python and its libraries ({base:.0f} MB) in it.
+*Data* are scene and fields together. Made, on {machine}, by
 
 ```bash
 python -m docs.speed --particles {particles} --large {large} --repeats {repeats}
@@ -32,6 +32,7 @@ The same cases are benchmarks for pytest: `pytest tests/benchmarks --benchmark-o
 the loops are stands under [kernels and widths](accuracy.md).
 
 """
+FEW = 2  # times that each large case is run
 COLUMNS = ("case", "grains", "threads", "time a step (s)", "us a grain and step", "peak memory (MB)", "data (MB)")
 FIRST = """
 From the start of a process to all fields of 1000 grains: {cold:.1f} s with nothing compiled, {warm:.1f} s from the
@@ -77,11 +78,11 @@ def main() -> None:
     lines += rows(cases.CASES, given.particles, given.repeats)
     cases.packing.cache_clear()
     if given.large:
-        lines += rows(cases.LARGE, given.large, 2)
+        lines += rows(cases.LARGE, given.large, FEW)
     cold, warm = cases.first_result()
     count = len(cases.CASES[0].run(cases.packing(400)).data_vars)
     base = int(cases.fresh("import xcg\n" + cases.RESIDENT)) / 1000
-    head = HEAD.format(count=count, base=base, machine=machine().replace("one of ", ""), **vars(given))
+    head = HEAD.format(count=count, base=base, few=FEW, machine=machine().replace("one of ", ""), **vars(given))
     text = head + "\n".join(lines) + "\n" + FIRST.format(cold=cold, warm=warm)
     Path(__file__).with_name("speed.md").write_text(text)
 

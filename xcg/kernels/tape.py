@@ -34,7 +34,7 @@ _LINE = 64  # bytes of a line of the cache
 
 
 def room_for(rows: int) -> NDArray:
-    """Make zeros (rows, TILE) that begin with a line of the cache: all steps take a ninth longer across two lines."""
+    """Make zeros (rows, TILE) that begin with a line of the cache: all steps take a seventh longer across two lines."""
     spare = np.zeros(rows * TILE + _LINE // 8)
     first = -spare.ctypes.data % _LINE // 8
     return spare[first : first + rows * TILE].reshape(rows, TILE)
