@@ -11,6 +11,7 @@ PACKAGE = Path(__file__).parents[1] / "xcg"
 FLOORS = [
     ["kernels"],
     ["picks", "schema", "smoothing", "symbols", "threads"],
+    ["notices"],
     ["faults"],
     ["complete", "grid"],
     ["cells", "scene"],

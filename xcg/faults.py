@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import threading
-import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
+from xcg.notices import warn_user
 from xcg.schema import SceneError, SceneWarning
 
 ON_ERROR = ("raise", "skip")
@@ -118,4 +118,4 @@ def warn_of(faults: Mapping[int, str]) -> None:
     for step, cause in faults.items():
         for listener in list(_listeners):
             listener[step] = cause
-        warnings.warn(SkippedStep(step, cause), stacklevel=3)
+        warn_user(SkippedStep(step, cause))

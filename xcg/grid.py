@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.schema import COMPONENTS, SceneWarning
+from xcg.notices import warn_user
+from xcg.schema import COMPONENTS
 
 MAX_NODES = 2**31
 _MOST_OF_ONE_AXIS = 2**27
@@ -175,7 +175,7 @@ def make_grid(
                 f"spacing {step:g} along {a!r} is larger than the support of the kernel (2 c = {2 * cutoff:g}): "
                 "particles between nodes are not seen; choose a smaller spacing or a larger width"
             )
-            warnings.warn(msg, SceneWarning, stacklevel=4)
+            warn_user(msg)
     averaged = "".join(a for a in plane if a not in axes and a not in at)
     grid = Grid(axes, {a: float(v) for a, v in at.items()}, averaged, nodes, taken)
     if np.prod([float(n) for n in grid.shape]) > MAX_NODES:

@@ -21,6 +21,7 @@ from dask.optimization import cull
 from numpy.typing import NDArray
 
 from xcg.faults import FAULTS, check_on_error, tolerated, warn_of
+from xcg.notices import Once
 from xcg.picks import Gathered, picked
 from xcg.scene import frame_of
 from xcg.schema import PADDING, Frame
@@ -73,6 +74,7 @@ def map_over_time(
     if "time" not in ds.dims:
         msg = "the scene has no time dimension; select steps with a list, ds.isel(time=[3]), to keep it"
         raise ValueError(msg)
+    compute = partial(_said_once, Once(), compute)
     inputs = _inputs(ds, names)
     lazy = {n: a for n, a in inputs.items() if isinstance(a, da.Array)}
     fixed = {n: a for n, a in inputs.items() if n not in lazy}
@@ -93,6 +95,12 @@ def map_over_time(
         result: picked(graph, name, result, f"{result}-{name}", chunks, shape, dtype)
         for result, (shape, dtype) in results.items()
     }
+
+
+def _said_once(once: Once, compute: Compute, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
+    """Compute a chunk, with what `xcg.notices.warn_once` says said once for all chunks."""
+    with once.active():
+        return compute(arrays)
 
 
 def _tasks(

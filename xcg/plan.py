@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -17,8 +16,9 @@ from xcg.grid import Grid, make_grid
 from xcg.kernels import weights as kinds
 from xcg.kernels.segments import RULES, largest_error
 from xcg.moments import CONTACT_VARIABLES, MOMENTS, Recipe
+from xcg.notices import warn_user
 from xcg.scene import SIZES, require_scene, setup_of
-from xcg.schema import COMPONENTS, SceneError, SceneWarning, Setup
+from xcg.schema import COMPONENTS, SceneError, Setup
 from xcg.smoothing import Kernel, as_kernel
 from xcg.sums import BOX
 
@@ -428,7 +428,7 @@ def _check_differentiable(kernel: Kernel, seen: int) -> None:
             f"the {kernel.name} kernel jumps at its cutoff: its gradient leaves the jump out (8 % low for a Gaussian "
             "cut at 3 w); take Lucy, or gradient='least_squares'"
         )
-        warnings.warn(msg, SceneWarning, stacklevel=4)
+        warn_user(msg)
 
 
 def _extents(

@@ -5,14 +5,14 @@ from __future__ import annotations
 import configparser
 import re
 import tomllib
-import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from xcg.faults import check_on_error
-from xcg.schema import COMPONENTS, SceneError, SceneWarning
+from xcg.notices import warn_user
+from xcg.schema import COMPONENTS, SceneError
 
 # key_mapping: its keys and our variables
 KEYS = {
@@ -146,10 +146,6 @@ def _on_error(where: str, value: str) -> str:
         raise SceneError(msg) from None
 
 
-def _warn(msg: str) -> None:
-    warnings.warn(msg, SceneWarning, stacklevel=4)
-
-
 # --- TOML ------------------------------------------------------------------------------------------------
 
 _TABLES = ("scene", "phases", "fields", "slices", "output")
@@ -259,7 +255,7 @@ class _Section:
     def warn_of_the_rest(self) -> None:
         unknown = [key for key in self.values if key.lower() not in self.known]
         if unknown:
-            _warn(
+            warn_user(
                 f"{self.where}: unknown and left out: {', '.join(unknown)}; known are {', '.join(sorted(self.known))}"
             )
 
@@ -276,7 +272,7 @@ def _ini(path: Path) -> Job:
              "output_options")  # fmt: skip
     unknown = [name for name in parser.sections() if name not in names]
     if unknown:
-        _warn(f"{path}: unknown sections {unknown} are left out; known are {', '.join(names)}")
+        warn_user(f"{path}: unknown sections {unknown} are left out; known are {', '.join(names)}")
     sections = {name: _Section(path, name, dict(parser[name]) if parser.has_section(name) else {}) for name in names}
     paths, steps, flags, output = (sections[n] for n in ("paths", "timesteps", "flags", "output_options"))
 
@@ -290,7 +286,7 @@ def _ini(path: Path) -> Job:
     if contacts:
         scene |= {"contacts": contacts, "missing": "empty"}
     elif contacts_path is not None:
-        _warn(f"{paths.where}: no contacts in these steps ({contacts_path}*.vtp): fields of contacts are left out")
+        warn_user(f"{paths.where}: no contacts in these steps ({contacts_path}*.vtp): fields of contacts are left out")
     fields, slices = _fields(sections["fields_to_export"])
     if not contacts:
         counted = "coordination_number" in scene["names"].values()
@@ -357,11 +353,13 @@ def _names(section: _Section, particles: str, contacts: list[str]) -> dict[str, 
             continue
         of_particles = ours in ("particle_id", "radius") or not ours.startswith("contact")
         if array == _OFF_BY_AN_OVERLAP:
-            _warn(f"{section.where}: {array} is off by one overlap in MFiX; the points of the file are taken instead")
+            warn_user(
+                f"{section.where}: {array} is off by one overlap in MFiX; the points of the file are taken instead"
+            )
         elif array in there[of_particles]:
             names[array] = ours
         elif of_particles or contacts:
-            _warn(f"{section.where} {key} = {array}: no such array in {particles if of_particles else contacts[0]}")
+            warn_user(f"{section.where} {key} = {array}: no such array in {particles if of_particles else contacts[0]}")
     return names
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 
+from xcg.notices import warn_user
 from xcg.readers import columns, dump
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.text import where
-from xcg.schema import Frame, SceneWarning
+from xcg.schema import Frame
 
 OPTIONS = ("timestep",)
 
@@ -35,7 +35,7 @@ def index_contacts(paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
             f"{where(refs[0])}: only normal forces ({found['normal_force_x']}, ...) were found, and they are "
             "taken as the contact forces; map the others with names={'column': 'tangential_force_x', ...}"
         )
-        warnings.warn(msg, SceneWarning, stacklevel=4)
+        warn_user(msg)
     return refs
 
 

@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import os
 import re
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -27,10 +26,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg import faults
+from xcg.notices import warn_user
 from xcg.readers import vtp
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.index import remembered
-from xcg.schema import COMPONENTS, Frame, SceneError, SceneWarning, variable
+from xcg.schema import COMPONENTS, Frame, SceneError, variable
 
 # The first of two arrays for the same name is taken.
 PARTICLE_NAMES = {
@@ -99,7 +99,7 @@ def index_particles(paths: Sequence[str], options: ReadOptions) -> list[StepRef]
             "are other particles in every step, and contacts cannot be matched. Write Particle_ID in the "
             "region, or map another array with names={'...': 'particle_id'}"
         )
-        warnings.warn(msg, SceneWarning, stacklevel=2)
+        warn_user(msg)
     return refs
 
 
@@ -173,7 +173,7 @@ def _existing(paths: Sequence[str], options: ReadOptions) -> list[tuple[str, flo
             way_out = "pass missing='skip' to go on with the others" if there else "check the path"
             msg = f"{shown}; restore them, or {way_out}"
             raise SceneError(msg)
-        warnings.warn(f"{shown}; they are skipped", SceneWarning, stacklevel=4)
+        warn_user(f"{shown}; they are skipped")
     return there
 
 
@@ -202,7 +202,7 @@ def _once(refs: Sequence[StepRef]) -> list[StepRef]:
             other.append(ref.path)
     if other:
         msg = f"dropped, as an earlier file holds the same time (though not the same data): {', '.join(other)}"
-        warnings.warn(msg, SceneWarning, stacklevel=4)
+        warn_user(msg)
     return list(kept.values())
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 import inspect
-import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -18,12 +17,13 @@ from numpy.typing import ArrayLike, NDArray
 from xcg import faults
 from xcg.complete import complete_particles, periods
 from xcg.faults import FAULTS, check_on_error, raised, tolerated
+from xcg.notices import warn_user
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.lazy import Source, Step, lazy_arrays, load_engine, read_step
 from xcg.readers.paths import PathLike, expand_paths
 from xcg.readers.text import where
 from xcg.scene import box_array, measure_frames, to_dataset
-from xcg.schema import BOX, COMPONENTS, VARIABLES, Frame, SceneError, SceneWarning, Setup
+from xcg.schema import BOX, COMPONENTS, VARIABLES, Frame, SceneError, Setup
 
 ENGINES = ("lammps", "liggghts", "mercury", "mfix")
 
@@ -249,7 +249,7 @@ def open_scene(
 
 def _warn_of_files(left_out: Mapping[str, str]) -> None:
     for place, cause in left_out.items():
-        _warn(f"left out: {cause}" if place in cause else f"left out: {place}: {cause}")
+        warn_user(f"left out: {cause}" if place in cause else f"left out: {place}: {cause}")
 
 
 def _refuse_guesses(left_out: Mapping[str, str], files: Mapping[str, Sequence[str]]) -> None:
@@ -421,7 +421,7 @@ def _in_order(steps: list[Step], kind: str) -> list[Step]:
         key = step.particles.step if step.time is None else step.time
         if key in unique:
             old, new = where(unique[key].particles), where(step.particles)
-            _warn(f"{kind}: {old} is left out, as {new} is of the same time (if it is not, give times=)")
+            warn_user(f"{kind}: {old} is left out, as {new} is of the same time (if it is not, give times=)")
         unique[key] = step
     return [unique[key] for key in sorted(unique)]
 
@@ -445,9 +445,9 @@ def _join(steps: list[Step], kind: str, refs: list[StepRef], missing: str) -> li
     if missing == "empty":
         paired = list(zip(steps, partner, strict=True))
     elif lacking:
-        _warn(f"{len(lacking)} of {len(steps)} steps have no {kind} and are left out: {_some(lacking)}")
+        warn_user(f"{len(lacking)} of {len(steps)} steps have no {kind} and are left out: {_some(lacking)}")
     if unused:
-        _warn(f"{len(unused)} steps of {kind} have no particles and are left out: {_some(unused)}")
+        warn_user(f"{len(unused)} steps of {kind} have no particles and are left out: {_some(unused)}")
     return [replace(step, contacts=(*step.contacts, *([others[row]] if row >= 0 else []))) for step, row in paired]
 
 
@@ -467,10 +467,6 @@ def _same_time(steps: Sequence[Step], others: Sequence[StepRef]) -> list[int]:
 
 def _some(refs: Sequence[StepRef]) -> str:
     return ", ".join([*(where(ref) for ref in refs[:3]), *(["..."] if len(refs) > 3 else [])])
-
-
-def _warn(msg: str) -> None:
-    warnings.warn(msg, SceneWarning, stacklevel=5)
 
 
 # --- what holds for the whole scene ----------------------------------------------------------------------
@@ -551,7 +547,7 @@ def _recovered_box(
                         + max(f["position"][:, k].max() for f in raw.values() if len(f["position"])))  # fmt: skip
         box[axis] = (middle - 0.5 * found[axis], middle + 0.5 * found[axis])
     said = ", ".join(f"{axis}: {found[axis]:.7g}" for axis in periodic)
-    _warn(
+    warn_user(
         f"the files do not tell the period; recovered from contacts that stand on both sides of an edge ({said}, in "
         f"the files' unit). Give box={{'{periodic[0]}': (lower, upper)}} if it is another"
     )
