@@ -93,9 +93,10 @@ def test_real_mfix_frames_through_a_pysammos_configuration(tmp_path):
         periodic="xz", box={"x": (0, 0.04), "z": (0, 0.02)},
     )  # fmt: skip
     c = 2 * 0.75 * ds.attrs["d43"]
+    ends = {"x": (0, 0.04), "y": (0, 0.03)}
     direct = ds.cg.coarse_grain(
         ["pressure", "velocity", "total_stress_tensor"], preset="pysammos", axes="xy", at={"z": 0.01},
-        bounds={"x": (0, 0.04), "y": (0, 0.03)}, spacing=c / 2,
+        bounds=ends, spacing={a: high / np.ceil(2 * high / c) for a, (_, high) in ends.items()},
     ).compute()  # fmt: skip
     with xr.open_dataset(out / "CG_Lucy_Monodisperse.h5") as f:
         assert f.sizes["time"] == 3
@@ -222,8 +223,10 @@ def test_automatic_grid_middle_transects_and_phases(few):
     (few / "config.ini").write_text(text)
     xcg_run("run", few / "config.ini", "-q", "--overwrite")
     with xr.open_dataset(few / "PysammosCG" / "CG_Lucy_Polydisperse.h5") as f:
-        assert float(f.z[1] - f.z[0]) == pytest.approx(0.075, rel=1e-6)
-        assert float(f.x[0]) == pytest.approx(0.425, abs=0.03)  # 2.5 c + 0.5 dmax from the outermost centre
+        first, last = f.z.values[[0, -1]]
+        assert f.sizes["z"] == np.ceil((last - first) / 0.075) + 1 > 2
+        assert first == pytest.approx(0.425, abs=0.03)  # 2.5 c + 0.5 dmax from the outermost centre
+        assert last == pytest.approx(0.575, abs=0.03)
 
 
 def test_a_one_layer_series(series):

@@ -27,11 +27,12 @@ def preset(ds, fields=None, **options):
 
 
 def by_hand(base, fluctuation):
-    """All names at one node from plain numbers, without the package."""
-    sigma = base["contact_stress"] + fluctuation
+    """All names at one node from plain numbers, without the package: stress about V(r), temperature about the fit."""
+    sigma = base["contact_stress"] + base["kinetic_stress"]
     out = {
         "density_mixture": base["density"], "density_particle": base["particle_density"],
-        "kinetic_tensor": fluctuation, "contact_tensor": base["contact_stress"], "fabric_tensor": base["fabric"],
+        "kinetic_tensor": base["kinetic_stress"], "contact_tensor": base["contact_stress"],
+        "fabric_tensor": base["fabric"],
         **{n: base[n] for n in ("volume_fraction", "d32", "d43", "coordination_number", "momentum_density", "velocity",
                                 "velocity_gradient")},
     }  # fmt: skip
@@ -100,6 +101,23 @@ def test_all_names_by_hand():
     assert checked >= 4
 
 
+def test_its_temperature_about_the_node():
+    """With its own least squares: v' = v_i - V - G (r_i - r), whatever the temperature of xcg divides by."""
+    ds = xcg.datasets.random_scene(250, periodic="", seed=3)
+    x, v, m = (ds[n].values[0] for n in ("position", "velocity", "mass"))
+    kernel = BruteKernel("lucy", 0.9)
+    for r in np.random.default_rng(0).uniform(1.5, 3.5, (5, 3)):
+        w, at = m * kernel(np.linalg.norm(x - r, axis=1)), dict(zip("xyz", r, strict=True))
+        mean, root = w @ v / w.sum(), np.sqrt(w)[:, None]
+        gradient = np.linalg.lstsq(root * (x - r), root * (v - mean), rcond=None)[0].T
+        rest = v - mean - (x - r) @ gradient.T
+        expected = w @ rest**2 / w.sum()
+        f = preset(ds, "granular_temperature", gradient="paper", width=0.9, axes="", at=at).isel(time=0)
+        for k, a in enumerate("xyz"):
+            assert f[f"granular_temperature_{a}"].item() == pytest.approx(expected[k], rel=1e-9)
+        assert f.granular_temperature_xyz.item() == pytest.approx(expected.mean(), rel=1e-9)
+
+
 def test_units_are_those_of_the_quantities():
     f = preset(xcg.datasets.random_scene(60), width=0.9)
     expected = {"density_mixture": "kg m-3", "pressure_xy": "Pa", "total_stress_tensor_xy_dev_mag": "Pa",
@@ -116,15 +134,10 @@ def test_its_keys_choose_families_and_other_planes_have_names():
         *(f"inertial_number_Sxz_P{p}_{d}" for p in ("xyz", "xz", "z") for d in ("d43", "d32")),
     }  # fmt: skip
     options = {"width": 0.9, "shear_dims": "xz", "pressure_dims": "z", "deviatoric": "both", "size": "d32"}
-    ours = ds.cg.coarse_grain(["inertial_number", "fluctuation_stress", "kinetic_stress", "pressure"], **options)
-    # ours has the kinetic stress about V(r), theirs about the velocity at the particle
-    shift = (ours.fluctuation_stress - ours.kinetic_stress).sel(component="z", direction="z", drop=True)
-    theirs = f.inertial_number_Sxz_Pz_d32 * np.sqrt(f.pressure_z.where(f.pressure_z > 0))
-    known = shift.notnull()
-    xr.testing.assert_allclose(f.pressure_z.where(known), ours.pressure + shift, rtol=1e-9)
-    both = (ours.pressure > 0) & (f.pressure_z > 0)
-    number = ours.inertial_number * np.sqrt(ours.pressure.where(ours.pressure > 0))
-    np.testing.assert_allclose(theirs.where(both), number.where(both), rtol=1e-9)
+    ours = ds.cg.coarse_grain(["inertial_number", "pressure"], **options)
+    xr.testing.assert_allclose(f.pressure_z, ours.pressure, rtol=1e-9)
+    assert ours.inertial_number.notnull().sum() > 100
+    np.testing.assert_allclose(f.inertial_number_Sxz_Pz_d32, ours.inertial_number, rtol=1e-9)
 
 
 def test_lazy_phases_and_bad_requests():
@@ -148,18 +161,59 @@ def test_lazy_phases_and_bad_requests():
         ds.cg.coarse_grain(preset="mercury")
 
 
+def its_nodes(first, last, c):
+    """As Pysammos makes them: ends included, at most c / 2 apart."""
+    return np.linspace(first, last, int(np.ceil(2 * (last - first) / c)) + 1)
+
+
 def test_its_mesh():
     ds = xcg.datasets.simple_cubic(14)  # centres from 0 to 13
     c, margin = 1.5, 2.5 * 1.5 + 0.5
     mesh = xcg.pysammos_mesh(ds, "xz")
     f = ds.cg.coarse_grain("density", **mesh)
     for a in "xz":
-        assert f[a].values[0] == pytest.approx(margin)
-        np.testing.assert_allclose(np.diff(f[a]), c / 2)
-        assert 13 - margin - c / 2 < f[a].values[-1] <= 13 - margin + 1e-9
+        np.testing.assert_allclose(f[a], its_nodes(margin, 13 - margin, c), rtol=1e-12)
+        assert len(f[a]) == 7  # and not nodes at c / 2 from the first, which are six
     assert float(f.y) == 6.5
     with pytest.raises(ValueError, match=r"less than twice the margin .* along \['x', 'y', 'z'\]"):
         xcg.pysammos_mesh(xcg.datasets.simple_cubic(5))
+
+
+@pytest.mark.parametrize(("last", "count"), [(3.0, 5), (3.0001, 6), (0.1, 2), (0.0, 1)])
+def test_its_mesh_divides_a_range_of_ones_own(last, count):
+    ds = xcg.datasets.simple_cubic(5)
+    mesh = xcg.pysammos_mesh(ds, "xy", bounds={"x": (0, last), "y": (1, 2)}, at={"z": 1.5})
+    f = ds.cg.coarse_grain("density", **mesh)
+    np.testing.assert_allclose(f.x, its_nodes(0, last, 1.5), rtol=1e-12, atol=1e-15)
+    assert f.sizes["x"] == count
+    np.testing.assert_allclose(f.y, [1, 1.5, 2], rtol=1e-12)
+    assert float(f.z) == 1.5
+    with pytest.raises(ValueError, match=r"along \['y'\]"):
+        xcg.pysammos_mesh(ds, "xy", bounds={"x": (0, last)})
+    for ends in ((2.0, 1.0), (0.0, np.nan), (0.0, np.inf)):
+        with pytest.raises(ValueError, match="expected \\(first, last\\)"):
+            ds.cg.coarse_grain("density", **xcg.pysammos_mesh(ds, "x", bounds={"x": ends}))
+
+
+def test_its_fabric_is_smeared_along_the_branch():
+    """Ours is of the grains at their centres: as much in all, elsewhere by a part of the width."""
+    ds = xcg.datasets.random_scene(250, periodic="", seed=3)
+    x, volume = (ds[n].values[0] for n in ("position", "volume"))
+    i, j, point = (ds[f"contact_{n}"].values[0] for n in ("i", "j", "point"))
+    kernel, found, theirs = BruteKernel("lucy", 0.75 * ds.attrs["d43"]), [], []
+    for r in np.random.default_rng(1).uniform(1.5, 3.5, (20, 3)):
+        at = dict(zip("xyz", r, strict=True))
+        f = preset(ds, "fabric_tensor", width=0.75 * ds.attrs["d43"], axes="", at=at)
+        found.append(f.fabric_tensor.values[0])
+        total = np.zeros((3, 3))
+        for a, b, c in zip(i, j, point, strict=True):
+            if b >= 0:
+                n = (x[a] - x[b]) / np.linalg.norm(x[a] - x[b])
+                for own in (a, b):
+                    total += volume[own] * kernel.segment(r, x[own], c) * np.outer(n, n)
+        theirs.append(total)
+    difference = np.subtract(found, theirs)
+    assert 0.09 < np.sqrt((difference**2).mean() / np.square(theirs).mean()) < 0.10
 
 
 # --- where it errs: the right value, and by how much -----------------------------------------------------

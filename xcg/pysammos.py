@@ -7,6 +7,7 @@ Pysammos 1.0.0 and its paper (EGUsphere 2026-2591). What differs from it is list
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -17,7 +18,7 @@ import xarray as xr
 from xcg import fields as registry
 from xcg.plan import choose_width
 from xcg.scene import setup_of
-from xcg.schema import COMPONENTS
+from xcg.schema import COMPONENTS, units_of
 from xcg.smoothing import as_kernel
 
 _TENSOR = ("component", "direction")
@@ -34,6 +35,7 @@ _RENAMED = {
     "momentum_density": "momentum_density",
     "velocity": "velocity",
     "velocity_gradient": "velocity_gradient",
+    "kinetic_tensor": "kinetic_stress",
     "contact_tensor": "contact_stress",
     "fabric_tensor": "fabric",
 }
@@ -100,15 +102,16 @@ def rows(plane: str, axes: str) -> dict[str, Row]:
             lambda x: _on_tensor(lambda a: registry.deviator(part(a), index[dims]), x, scalar=False),
         )
 
-    def kinetic(f: xr.Dataset) -> xr.DataArray:
-        # where the grains are too few for a fit, fluctuations are those about V(r)
-        return f["fluctuation_stress"].fillna(f["kinetic_stress"])
-
-    def total(f: xr.Dataset) -> xr.DataArray:
-        return f["contact_stress"] + kinetic(f)
+    def normal(x: xr.DataArray, dims: str) -> xr.DataArray:
+        """Mean of the normal components along some axes."""
+        return _on_tensor(partial(registry.mean_normal, axes=index[dims]), x, scalar=True)
 
     def pressure(f: xr.Dataset, dims: str) -> xr.DataArray:
-        return _on_tensor(partial(registry.mean_normal, axes=index[dims]), total(f), scalar=True)
+        return normal(f["stress"], dims)
+
+    def temperature(f: xr.Dataset, dims: str) -> xr.DataArray:
+        # of the whole density: nothing is taken off for the freedoms of the fit
+        return normal(f["fluctuation_stress"], dims).clip(min=0.0) / f["density"].where(f["density"] > 0)
 
     def stress_size(x: xr.DataArray) -> xr.DataArray:
         return _on_tensor(registry.stress_magnitude, x, scalar=True)
@@ -128,20 +131,17 @@ def rows(plane: str, axes: str) -> dict[str, Row]:
         add(f"{name}_dev", label, needs, lambda f: dev(tensor(f)), f"deviator over {dims}", units)
         add(f"{name}_dev_mag", label, needs, lambda f: size(dev(tensor(f))), size_formula, units)
 
-    both = ("contact_stress", "fluctuation_stress", "kinetic_stress")
-    add("kinetic_tensor", "kinetic_tensor", both[1:], kinetic, "fluctuation_stress, else kinetic_stress", both[1])
     for dims in ("xyz", plane):
-        add_tensor("total_stress_tensor", both, total, stress_size, "sqrt(X:X / 2)", dims)
+        add_tensor("total_stress_tensor", ("stress",), lambda f: f["stress"], stress_size, "sqrt(X:X / 2)", dims)
         add_tensor(_RATE, (_RATE,), lambda f: f[_RATE], rate_size, "sqrt(2 X:X)", dims)
     for dims in ("xyz", plane, *axes):
         formula = f"mean of sigma_aa, a in {dims}"
-        add(f"pressure_{dims}", "pressure", both, lambda f, dims=dims: pressure(f, dims), formula, both[0])
-    temperature, along = "granular_temperature", "directional_temperature"
-    add(f"{temperature}_xyz", temperature, (temperature,), lambda f: f[temperature], temperature, temperature)
-    for a in axes:
+        add(f"pressure_{dims}", "pressure", ("stress",), lambda f, dims=dims: pressure(f, dims), formula, "stress")
+    for dims in ("xyz", *axes):
         add(
-            f"{temperature}_{a}", temperature, (along,), lambda f, a=a: f[along].sel(component=a, drop=True),
-            f"{along} along {a}", along,
+            f"granular_temperature_{dims}", "granular_temperature", ("fluctuation_stress", "density"),
+            lambda f, dims=dims: temperature(f, dims), f"mean of fluctuation_stress_aa / density, a in {dims}",
+            "granular_temperature",
         )  # fmt: skip
 
     def inertial(f: xr.Dataset, dims: str, size: str) -> xr.DataArray:
@@ -150,7 +150,7 @@ def rows(plane: str, axes: str) -> dict[str, Row]:
         return rate * f[size] * (f["particle_density"] / p.where(p > 0)) ** 0.5
 
     def friction(f: xr.Dataset, kind: str, dims: str) -> xr.DataArray:
-        sigma, p = total(f), pressure(f, dims)
+        sigma, p = f["stress"], pressure(f, dims)
         if kind == "01":
             shear = abs(sigma.sel(component=plane[0], direction=plane[1], drop=True))
         else:
@@ -162,7 +162,7 @@ def rows(plane: str, axes: str) -> dict[str, Row]:
         for dims in pressures:
             add(
                 f"inertial_number_S{plane}_P{dims}_{size}", "inertial_number",
-                (_RATE, "particle_density", size, *both),
+                (_RATE, "particle_density", size, "stress"),
                 lambda f, dims=dims, size=size: inertial(f, dims, size),
                 f"shear_rate_tensor_{plane}_dev_mag {size} sqrt(density_particle / pressure_{dims}), pressure > 0",
             )  # fmt: skip
@@ -170,7 +170,7 @@ def rows(plane: str, axes: str) -> dict[str, Row]:
         for dims in pressures:
             shear = f"|sigma_{plane}|" if kind == "01" else f"total_stress_tensor_{kind[1:]}_dev_mag"
             add(
-                f"frictional_coefficient_{kind}_P{dims}", "frictional_coefficient", both,
+                f"frictional_coefficient_{kind}_P{dims}", "frictional_coefficient", ("stress",),
                 lambda f, kind=kind, dims=dims: friction(f, kind, dims), f"{shear} / pressure_{dims}, pressure > 0",
             )  # fmt: skip
     return table
@@ -217,7 +217,8 @@ def from_xcg(f: xr.Dataset, names: Sequence[str], table: Mapping[str, Row]) -> x
     out = {}
     for name in names:
         row = table[name]
-        units = f[row.units].attrs["units"] if row.units else "1"
+        powers = registry.FIELDS[row.units].powers if row.units else (0, 0, 0)
+        units = units_of(powers, f.attrs["unit_system"])
         attrs = {"units": units, "long_name": name.replace("_", " "), "formula": row.formula}
         out[name] = row.compute(f).assign_attrs(attrs)
     if "sample_count" in f:
@@ -226,31 +227,42 @@ def from_xcg(f: xr.Dataset, names: Sequence[str], table: Mapping[str, Row]) -> x
 
 
 def pysammos_mesh(
-    ds: xr.Dataset, axes: str = "xyz", *, width: float | str | None = None, kernel: str = "lucy"
+    ds: xr.Dataset,
+    axes: str = "xyz",
+    *,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    at: Mapping[str, float] | None = None,
+    width: float | str | None = None,
+    kernel: str = "lucy",
 ) -> dict[str, Any]:
     """Arguments for `xcg.coarse_grain` that place nodes as Pysammos does.
 
-    Its spacing is c / 2; its automatic range leaves ``2.5 c + 0.5 dmax`` off the extent of the particles on each side;
-    axes that are not resolved are cut in the middle of that extent.
+    It divides the range from first to last into the fewest equal parts that are no longer than c / 2, so that both
+    are nodes. Its automatic range leaves ``2.5 c + 0.5 dmax`` off the extent of the particles on each side, and axes
+    that are not resolved are cut in the middle of that extent.
 
     Parameters
     ----------
     ds : xarray.Dataset
         A scene with the attributes particle_lower, particle_upper and dmax.
     axes : str
-        Resolved axes: three, two, or one.
+        Resolved axes: three, two, or one; those that the scene lacks (one layer) are left out.
+    bounds : mapping, optional
+        First and last node of resolved axes (m), in place of the automatic range.
+    at : mapping, optional
+        Coordinates of axes that are not resolved (m), in place of the middle.
     width, kernel
         As in `xcg.coarse_grain`.
 
     Returns
     -------
     dict
-        ``axes``, ``at``, ``bounds``, ``spacing``, ``width`` (m) and ``kernel``.
+        ``axes``, ``at``, ``bounds``, ``spacing`` (m, by axis), ``width`` (m) and ``kernel``.
 
     Raises
     ------
     ValueError
-        If the scene was not measured, or is too small for the margin.
+        If the scene was not measured, or is too small for the margin of the automatic range.
 
     Examples
     --------
@@ -264,18 +276,31 @@ def pysammos_mesh(
         raise ValueError(msg)
     setup = setup_of(ds)
     chosen = as_kernel(kernel, choose_width(width, ds.attrs), setup.dimension)
+    lower, upper = ([float(x) for x in ds.attrs[f"particle_{end}"]] for end in ("lower", "upper"))
+    extent = {a: (lower[k], upper[k]) for k, a in enumerate(COMPONENTS) if a in setup.plane}
+    resolved = "".join(a for a in axes if a in extent)
     margin = 2.5 * chosen.cutoff + 0.5 * float(ds.attrs["dmax"])
-    lower, upper = (dict(zip(COMPONENTS, ds.attrs[f"particle_{end}"], strict=True)) for end in ("lower", "upper"))
-    axes = "".join(a for a in axes if a in setup.plane)
-    bounds = {a: (float(lower[a]) + margin, float(upper[a]) - margin) for a in axes}
-    small = [a for a, (first, last) in bounds.items() if first > last]
+    ranges = {a: (extent[a][0] + margin, extent[a][1] - margin) for a in resolved}
+    small = [a for a, (first, last) in ranges.items() if first > last and a not in (bounds or {})]
     if small:
         msg = (
             f"the particles extend less than twice the margin of 2.5 c + 0.5 dmax = {margin:g} along {small}: give "
             "bounds= yourself, or a smaller width"
         )
         raise ValueError(msg)
-    at = {a: 0.5 * float(lower[a] + upper[a]) for a in setup.plane if a not in axes}
+    ranges |= {a: ends for a, ends in (bounds or {}).items() if a in extent}
+    middle = {a: 0.5 * (first + last) for a, (first, last) in extent.items() if a not in resolved}
     return {
-        "axes": axes, "at": at, "bounds": bounds, "spacing": chosen.cutoff / 2, "width": chosen.width, "kernel": kernel
-    }  # fmt: skip
+        "axes": resolved,
+        "at": middle | {a: value for a, value in (at or {}).items() if a in extent},
+        "bounds": ranges,
+        "spacing": {a: _spacing(*ends, chosen.cutoff) for a, ends in ranges.items()},
+        "width": chosen.width,
+        "kernel": kernel,
+    }
+
+
+def _spacing(first: float, last: float, cutoff: float) -> float:
+    """Length of the equal parts of a range; half the cutoff for one without a length, which is one node."""
+    length = last - first
+    return length / math.ceil(2 * length / cutoff) if 0 < length < math.inf else cutoff / 2

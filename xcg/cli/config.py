@@ -58,10 +58,8 @@ class Job:
         Arguments of `xcg.coarse_grain`.
     phases : dict or None
         Arguments of `xcg.find_phases` or `xcg.assign_phases` before it.
-    mesh : str or None
-        Resolved axes of an automatic mesh by `xcg.pysammos_mesh`.
-    middle : str
-        Axes to cut in the middle of the grains.
+    mesh : dict or None
+        Arguments of `xcg.pysammos_mesh`, which places the nodes.
     slices : dict or None
         Arguments of `xcg.slice_temperature`.
     folder : Path
@@ -81,8 +79,7 @@ class Job:
     scene: dict[str, Any]
     fields: dict[str, Any] = field(default_factory=dict)
     phases: dict[str, Any] | None = None
-    mesh: str | None = None
-    middle: str = ""
+    mesh: dict[str, Any] | None = None
     slices: dict[str, Any] | None = None
     folder: Path = Path("xcg-output")
     name: str = "fields"
@@ -293,17 +290,16 @@ def _ini(path: Path) -> Job:
         fields = [name for name in fields if name not in OF_CONTACTS[1 if counted else 0 :]]
 
     kernel, label = _kernel(sections["smoothing_function"])
-    mesh, grid, middle = _grid(sections["grid_info"])
+    mesh = _mesh(sections["grid_info"])
     phases = None if flags.flag("partialignore", default=True) else {"max_phases": 8}
     folder = path.parent / (paths.get("output_path") or "PysammosCG")
     spelled = "vkthdf_output" if output.get("vkthdf_output") is not None else "vtkhdf_output"
     output.known |= {"vkthdf_output", "vtkhdf_output"}
     job = Job(
         scene=scene,
-        fields={"fields": fields, "preset": "pysammos", "kernel": kernel, **grid},
+        fields={"fields": fields, "preset": "pysammos"},
         phases=phases,
-        mesh=mesh,
-        middle=middle,
+        mesh={"kernel": kernel, **mesh},
         slices=slices,
         folder=folder,
         name=f"CG_{label}_{'Monodisperse' if phases is None else 'Polydisperse'}",
@@ -371,8 +367,8 @@ def _kernel(section: _Section) -> tuple[str, str]:
     return KERNELS[text.lower()]
 
 
-def _grid(section: _Section) -> tuple[str | None, dict[str, Any], str]:
-    """Automatic mesh, or bounds, fixed axes, and axes that are cut in the middle."""
+def _mesh(section: _Section) -> dict[str, Any]:
+    """Find the resolved axes, the ends of their nodes unless these are automatic, and where other axes are cut."""
     dimension = section.whole("grid_dimension")
     axes = section.get("grid_axes") or "xyz"
     if set(axes) - set(COMPONENTS) or (dimension is not None and dimension != len(set(axes))):
@@ -381,7 +377,7 @@ def _grid(section: _Section) -> tuple[str | None, dict[str, Any], str]:
     ends = {a: (section.number(f"{a}_min"), section.number(f"{a}_max")) for a in COMPONENTS}
     cuts = {a: section.number(f"{a}_transect") for a in COMPONENTS}
     if section.flag("automatic_grid"):
-        return axes, {}, ""
+        return {"axes": axes}
     bounds = {}
     for a in axes:
         low, high = ends[a]
@@ -390,8 +386,7 @@ def _grid(section: _Section) -> tuple[str | None, dict[str, Any], str]:
             raise SceneError(msg)
         bounds[a] = (low, high)
     at = {a: cut for a, cut in cuts.items() if a not in axes and cut is not None}
-    middle = "".join(a for a in COMPONENTS if a not in axes and a not in at)
-    return None, {"axes": axes, "bounds": bounds, "at": at}, middle
+    return {"axes": axes, "bounds": bounds, "at": at}
 
 
 def _fields(section: _Section) -> tuple[list[str], dict[str, Any] | None]:

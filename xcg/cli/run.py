@@ -24,14 +24,11 @@ from xcg.faults import heard, tolerated
 from xcg.labels import name_skipped
 from xcg.over_time import SKIPPED
 from xcg.phases import assign_phases, find_phases
-from xcg.plan import choose_width
 from xcg.pysammos import pysammos_mesh
 from xcg.readers.paths import expand_paths
 from xcg.readers.series import open_scene
-from xcg.scene import setup_of
-from xcg.schema import COMPONENTS, SceneError
+from xcg.schema import SceneError
 from xcg.slices import slice_temperature
-from xcg.smoothing import as_kernel
 from xcg.writers.files import leftovers, whole_file
 from xcg.writers.lock import locked
 
@@ -74,9 +71,7 @@ def _opened(job: Job) -> tuple[xr.Dataset, xr.Dataset, xr.Dataset | None]:
             options.pop("by", None)
     _check_arguments(coarse_grain, options, "fields")
     if job.mesh is not None:
-        options |= pysammos_mesh(ds, job.mesh, kernel=options.get("kernel", "lucy"))
-    elif options.get("preset") == "pysammos":
-        options = _own_mesh(ds, options, job.middle)
+        options |= pysammos_mesh(ds, **job.mesh)
     fields = coarse_grain(ds, **options) if options.get("fields", True) else xr.Dataset()
     return ds, fields, None if job.slices is None else _slices(ds, job)
 
@@ -102,18 +97,6 @@ def _slices(ds: xr.Dataset, job: Job) -> xr.Dataset:
             found = found.drop_vars(SKIPPED, errors="ignore")
         both.append(found.rename({n: f"{n}_{name}" for n in found.data_vars} | {axis: f"{axis}_{name}"}))
     return xr.merge(both, combine_attrs="drop_conflicts", join="outer", compat="no_conflicts")
-
-
-def _own_mesh(ds: xr.Dataset, options: dict[str, Any], middle: str) -> dict[str, Any]:
-    """Bounds and cuts as given, spacing c / 2; axes that the scene lacks (one layer) need no cut."""
-    setup = setup_of(ds)
-    kernel = as_kernel(options.get("kernel", "lucy"), choose_width(options.get("width"), ds.attrs), setup.dimension)
-    at = {a: cut for a, cut in options.get("at", {}).items() if a in setup.plane}
-    for a in middle:
-        if a in setup.plane:
-            k = COMPONENTS.index(a)
-            at[a] = 0.5 * float(ds.attrs["particle_lower"][k] + ds.attrs["particle_upper"][k])
-    return {"spacing": kernel.cutoff / 2, **options, "at": at}
 
 
 def run_job(
