@@ -111,7 +111,7 @@ def brute_force(ds, kernel, points, seen="xyz", scale=1.0, gradient=True):
     partners, normals, total = [set() for _ in mass], np.zeros((len(mass), 3, 3)), np.zeros((len(mass), 3))
     sides, wall = [], []
     for row, (i, j, f, c) in enumerate(contacts):
-        a = nearest(pos[i] - c)
+        a = nearest(pos[i] - (pos[j] if j >= 0 else c))
         n = a / np.linalg.norm(a) if np.linalg.norm(a) > 0 else np.zeros(3)
         for k, sign, other in ((i, 1, j), (j, -1, i)):
             if k >= 0:

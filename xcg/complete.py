@@ -186,7 +186,8 @@ def complete_contacts(
     given = _typed({name: values for name, values in frame.items() if name != "contact_branch"}, setup, where)
     if "contact_branch" in frame and "contact_normal" not in given:
         period = periods(box, setup.periodic, where)
-        given["contact_normal"] = _normals(np.asarray(frame["contact_branch"]) * setup.scales[0], period)
+        branch = np.asarray(frame["contact_branch"]) * setup.scales[0]
+        given["contact_normal"] = unit_vectors(minimum_image(branch, period))
     missing = [name for name in ("contact_i", "contact_j", "contact_force") if name not in given]
     if missing:
         msg = f"{where}: contacts lack {missing}; map the file's names to these with names={{...}}"
@@ -221,11 +222,10 @@ def complete_contacts(
     return given
 
 
-def _normals(branch: NDArray, period: NDArray) -> NDArray:
-    """Make unit vectors of the nearest images of branches; zero where these are zero."""
-    nearest = minimum_image(branch, period)
-    length = np.linalg.norm(nearest, axis=1, keepdims=True)
-    return np.divide(nearest, length, out=np.zeros_like(nearest), where=length > 0)
+def unit_vectors(vector: NDArray) -> NDArray:
+    """Vectors (n, 3) over their lengths; zero where these are zero."""
+    length = np.linalg.norm(vector, axis=1, keepdims=True)
+    return np.divide(vector, length, out=np.zeros_like(vector), where=length > 0)
 
 
 def _contact_points(

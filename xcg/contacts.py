@@ -12,17 +12,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xcg.cells import CellLists
-from xcg.complete import periods, rows_of
+from xcg.complete import periods, rows_of, unit_vectors
 from xcg.kernels import THREADS
 from xcg.kernels.neighbours import sort_pairs
 from xcg.kernels.rows import (
     add_dyads,
     add_rows,
     add_unit_squares,
+    between,
     peel,
     places_by,
     sides,
-    unit_branches,
 )
 from xcg.scene import box_array
 from xcg.schema import Frame, SceneError
@@ -122,14 +122,23 @@ class Contacts:
         branch_i[both[spheres]], branch_j[both[spheres]] = branches[0][spheres], branches[1][spheres]
         return replace(self, given_branches=(branch_i, branch_j))
 
+    @property
+    def between(self) -> NDArray:
+        """From j to i, ``r_i - r_j`` (m), or between the contact point and the only particle that is there; (n, 3).
+
+        Of all images of the two, those that touch at the contact point are taken: the nearest ones, unless grains are
+        larger than half the box. The contact point itself, and which of the two comes first, make no difference.
+        """
+        if self.given_branches is not None:
+            return self.branch_i - self.branch_j
+        out = np.empty_like(self.point)
+        between(self.i, self.j, self.position, self.point, tuple(self.period.tolist()), out)
+        return out
+
     @cached_property
     def normal(self) -> NDArray:
-        """Unit vector from j to i, along the branch where none is given; zero where it is undefined; (n, 3)."""
-        if self.given_normal is not None:
-            return self.given_normal
-        normal = np.empty_like(self.branch_i)
-        unit_branches(self.i, self.branch_i, self.branch_j, normal)
-        return normal
+        """Unit vector from j to i, along `between` where none is given; zero where it is undefined; (n, 3)."""
+        return unit_vectors(self.between) if self.given_normal is None else self.given_normal
 
     def sum_over_particles(self, on_i: NDArray, on_j: NDArray, sign_j: float = 1.0) -> NDArray:
         """Sum what contacts give to their particles, `on_i` and `sign_j` x `on_j`; (n, ...) to (particles, ...)."""
@@ -171,9 +180,8 @@ class Contacts:
     @property
     def normals(self) -> NDArray:
         """Sum over contacts of n n for each particle (particles, 6): xx xy xz yy yz zz."""
-        total, along = np.zeros((len(self.position), 6)), self.given_normal
-        if along is None:
-            along = self._sides(self.first_row)
+        total = np.zeros((len(self.position), 6))
+        along = self.between if self.given_normal is None else self.given_normal
         add_unit_squares(self.i, self.j, along, total)
         return total
 

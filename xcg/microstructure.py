@@ -241,8 +241,8 @@ def microstructure(
     -----
     Sums run over the N particles i whose centre is in the group, of volume V_i, mass m_i, diameter d_i and z_i contact
     partners (walls included, several contacts with one partner counted once), and over contacts c with normal n (from
-    j to i), each weighing w_c: half for each of its particles in the group, whole at a wall. D is the dimension of the
-    scene, V the volume of the region.
+    j to i: given, else along r_i - r_j, else, at a wall, along r_i - c), each weighing w_c: half for each of its
+    particles in the group, whole at a wall. D is the dimension of the scene, V the volume of the region.
 
     ================================  ===================================================================  =========
     quantity                          formula                                                              source

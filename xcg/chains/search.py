@@ -238,7 +238,7 @@ def find_chains(rule: SearchRule, frame: Frame, box: NDArray | None, time: float
     major, onward = stress["major_stress"], np.nan_to_num(stress["major_direction"])
     qualifies = rule.qualifies(frame, stress, time, period)
     i, j, particles = contacts.i, contacts.j, len(major)
-    branch = contacts.branch_i - contacts.branch_j
+    branch = contacts.between
 
     aligned = np.empty(len(i), bool)
     kernel.aligned_contacts(i, j, branch, onward, qualifies, rule.cosine, aligned)

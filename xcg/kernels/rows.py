@@ -35,19 +35,6 @@ def places_by(key, start, place):
 
 
 @leaf
-def unit_branches(row_i, branch_i, branch_j, out):
-    """Write the unit vectors (n, 3) from j to i along the branch of i, or that of j where i is no row."""
-    for n in range(row_i.size):
-        sign = 1.0
-        x, y, z = branch_i[n, 0], branch_i[n, 1], branch_i[n, 2]
-        if row_i[n] < 0:
-            sign, x, y, z = -1.0, branch_j[n, 0], branch_j[n, 1], branch_j[n, 2]
-        length = np.sqrt(x * x + y * y + z * z)
-        per_length = sign / length if length > 0.0 else 0.0
-        out[n, 0], out[n, 1], out[n, 2] = x * per_length, y * per_length, z * per_length
-
-
-@leaf
 def peel(row_i, row_j, weight, least, degree, kept):
     """Take out rows of fewer than `least` partners, and again those that then have fewer, until none is left.
 
@@ -135,6 +122,18 @@ def sides(row, position, point, period, out):
     """Write the vectors (n, 3) from contact points to the centres of some rows, see `side`."""
     for n in range(row.size):
         out[n, 0], out[n, 1], out[n, 2] = side(position, row[n], point, n, period)
+
+
+@leaf
+def between(row_i, row_j, position, point, period, out):
+    """Write the vectors (n, 3) from j to i through the contact points: the side of i less that of j, see `side`."""
+    for n in range(row_i.size):
+        later = min(n + AHEAD, row_i.size - 1)
+        ask_for(position, row_i[later])
+        ask_for(position, row_j[later])
+        ax, ay, az = side(position, row_i[n], point, n, period)
+        bx, by, bz = side(position, row_j[n], point, n, period)
+        out[n, 0], out[n, 1], out[n, 2] = ax - bx, ay - by, az - bz
 
 
 @leaf
