@@ -4,50 +4,90 @@ Kernels release the GIL, so that dask's threads run them side by side; they are 
 under a threaded scheduler aborts the interpreter. Arithmetic is strict: the compiler may neither reorder nor contract
 it, so that results have the same bits in every process and at every number of threads.
 
-Compiled code is kept on disk beside the sources, so that a second process starts at once; ``XCG_JIT_CACHE=0`` turns
+Compiled code is kept on disk, so that a second process starts at once: in ``NUMBA_CACHE_DIR`` where that is set, else
+beside the sources, else in the user's cache, and nowhere if none of them can be written. ``XCG_JIT_CACHE=0`` turns
 that off, for example where machines of different kinds share an installation.
 """
 
 import hashlib
 import os
+import pickle
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numba
+from numba.core.caching import CompileResultCacheImpl, FunctionCache
+from numba.core.serialize import dumps
 
 # Threads for a single step in memory (NUMBA_NUM_THREADS, else the processors of this process).
 THREADS = numba.config.NUMBA_NUM_THREADS
 CACHE = os.environ.get("XCG_JIT_CACHE", "1") != "0"
 
 
-def _forget_stale_code() -> None:
-    """Delete compiled code that is older than any kernel.
+def _digest_of_sources() -> str:
+    digest = hashlib.sha256()
+    for source in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(source.read_bytes())
+    return digest.hexdigest()
+
+
+_SOURCES = _digest_of_sources()
+
+
+class _Checked(CompileResultCacheImpl):
+    """Compiled code with a checksum: the processor would run whatever a damaged file holds."""
+
+    def reduce(self, result: Any) -> tuple[bytes, bytes]:
+        data = dumps(super().reduce(result))
+        return hashlib.sha256(data).digest(), data
+
+    def rebuild(self, target_context: Any, payload: tuple[bytes, bytes]) -> Any:
+        digest, data = payload
+        if hashlib.sha256(data).digest() != digest:
+            msg = "the compiled code is damaged"
+            raise ValueError(msg)
+        return super().rebuild(target_context, pickle.loads(data))
+
+
+class _Cache(FunctionCache):
+    """Numba's cache of a function, for which damaged code and that of other sources count as none.
 
     Numba looks at the file of the function alone, but code from other files is compiled into it.
     """
-    here = Path(__file__).parent
-    digest = hashlib.sha256(numba.__version__.encode())
-    for source in sorted(here.glob("*.py")):
-        digest.update(source.read_bytes())
-    stamp = here / "__pycache__" / "kernels.digest"
-    with suppress(OSError):  # a read-only installation never changes
-        if not stamp.exists() or stamp.read_text() != digest.hexdigest():
-            for compiled in stamp.parent.glob("*.nb[ic]"):
-                compiled.unlink(missing_ok=True)
-            stamp.parent.mkdir(exist_ok=True)
-            stamp.write_text(digest.hexdigest())
 
+    _impl_class = _Checked
 
-if CACHE:
-    _forget_stale_code()
+    def __init__(self, function: Callable) -> None:
+        super().__init__(function)
+        self._cache_file._source_stamp = self._cache_file._source_stamp, _SOURCES
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        try:
+            return super().load_overload(sig, target_context)
+        except Exception:  # a damaged file can make unpickling raise anything
+            self._start_anew()
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        with suppress(OSError):  # a full disk, a folder that is gone
+            super().save_overload(sig, data)
+
+    def _start_anew(self) -> None:
+        try:
+            self.flush()
+        except OSError:
+            self.disable()
 
 
 def jit(function: Callable, **options: Any) -> Callable:
     """Compile a kernel."""
     # the wrapper for callers in C would take a tenth of the time
-    return numba.njit(nogil=True, cache=CACHE, error_model="numpy", no_cfunc_wrapper=True, **options)(function)
+    compiled = numba.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options)(function)
+    if CACHE:
+        with suppress(RuntimeError):  # no folder can be written
+            compiled._cache = _Cache(function)
+    return compiled
 
 
 def leaf(function: Callable) -> Callable:
