@@ -8,9 +8,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.complete import minimum_image, rows_of
+from xcg.complete import minimum_image, periods, rows_of
 from xcg.scene import measure, require_scene, setup_of
-from xcg.schema import COMPONENTS, PADDING, SceneError, units_of, variable
+from xcg.schema import PADDING, SceneError, units_of, variable
 
 _PARTICLES = ("particle_id", "position", "velocity", "diameter", "density", "mass", "volume")
 _CONTACTS = ("contact_i", "contact_j", "contact_force", "contact_point", "contact_normal", "overlap")
@@ -51,20 +51,16 @@ def group_bodies(ds: xr.Dataset, by_body: str = "body_id") -> xr.Dataset:
     contacts = [name for name in _CONTACTS if name in ds and "contact_i" in ds]
     made = [*particles, *(name for name in ("volume", "diameter") if name not in particles and "volume" in ds)]
     inputs, dims = [], []
-    for name in [*particles, by_body, *contacts]:
+    for name in [*particles, by_body, *contacts, *(["box"] if "box" in ds else [])]:
         core = [d for d in ds[name].dims if d != "time"]
         whole = ds[name].chunk(dict.fromkeys(core, -1)) if ds[name].chunks is not None else ds[name]
         inputs.append(whole)
         dims.append([str(d) for d in core])
     setup = setup_of(ds)
-    period = np.full(3, np.inf)
-    for axis in setup.periodic:
-        k = COMPONENTS.index(axis)
-        period[k] = ds.attrs["box_upper"][k] - ds.attrs["box_lower"][k]
     outputs = [*made, *contacts]
     out_dims = [list(variable(name, _dtype(name)).dims) for name in outputs]
     arrays = xr.apply_ufunc(
-        partial(_over_time, particles=particles, contacts=contacts, made=made, period=period), *inputs,
+        partial(_over_time, particles=particles, contacts=contacts, made=made, periodic=setup.periodic), *inputs,
         input_core_dims=dims, output_core_dims=out_dims, dask="parallelized",
         output_dtypes=[np.dtype(_dtype(name)) for name in outputs],
     )  # fmt: skip
@@ -86,11 +82,11 @@ def _dtype(name: str) -> str:
 
 
 def _over_time(
-    *arrays: NDArray, particles: list[str], contacts: list[str], made: list[str], period: NDArray
+    *arrays: NDArray, particles: list[str], contacts: list[str], made: list[str], periodic: str
 ) -> tuple[NDArray, ...]:
-    names = [*particles, "body", *contacts]
+    names = [*particles, "body", *contacts, "box"]
     outer = arrays[0].shape[:-1]
-    given = dict(zip(names, arrays, strict=True))
+    given = dict(zip(names, arrays, strict=False))  # a scene that is not periodic need not have a box
     rows = int(arrays[0].shape[-1])
     lengths: dict[str, int] = dict.fromkeys(made, rows)
     if contacts:
@@ -102,7 +98,8 @@ def _over_time(
     for at in np.ndindex(outer):
         valid = given["particle_id"][at] != PADDING
         frame = {name: given[name][at][valid] for name in [*particles, "body"]}
-        bodies, id_of_row = _bodies(frame, period)
+        box = given["box"][at] if "box" in given else None
+        bodies, id_of_row = _bodies(frame, periods(box, periodic, f"group_bodies, frame {at}"))
         for name in made:
             out[name][at][: len(bodies["particle_id"])] = bodies[name]
         if contacts:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -244,6 +245,7 @@ def _compute_step(
     shape = plan.recipe.grid.shape
     phases = plan.phases if plan.recipe.by else 1
     rows = {name: a.reshape(math.prod(shape), phases, *a.shape[len(plan.dims) :]) for name, a in out.items()}
+    options = replace(plan.options, wrapped=plan.recipe.grid.fills(period))  # the box may change
     tape = tape_for(plan.fields, plan.options, len(plan.recipe.groups))
 
     def fill(part: Box) -> None:
@@ -251,7 +253,7 @@ def _compute_step(
         left = tape.play(found, place, rows) if tape else slice(None)
         if isinstance(left, np.ndarray) and not left.size:
             return
-        for name, values in registry.evaluate(plan.fields, found.moments(left), plan.options).items():
+        for name, values in registry.evaluate(plan.fields, found.moments(left), options).items():
             rows[name][place[left]] = values.swapaxes(0, 1)
 
     for_each(boxes(shape, BOX, threads) if tape else [((0, 0, 0), shape)], fill, threads)

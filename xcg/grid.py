@@ -66,6 +66,14 @@ class Grid:
         """Which of the three axes are seen (3,)."""
         return np.array([a in self.seen for a in COMPONENTS])
 
+    def fills(self, period: NDArray) -> tuple[bool, bool, bool]:
+        """Tell along which axes the nodes fill a period (3,), so that the last is next to the first."""
+        x, y, z = (
+            a in self.nodes and bool(np.isclose(len(self.nodes[a]) * self.spacing[a], period[k], atol=0.0))
+            for k, a in enumerate(COMPONENTS)
+        )
+        return x, y, z
+
 
 def _check_axes(axes: str, at: Mapping[str, float], bounds: Mapping[str, Sequence[float]], plane: str) -> None:
     for name, given in (("axes", axes), ("at", at), ("bounds", bounds)):

@@ -251,12 +251,20 @@ def groups_of(ds: xr.Dataset, by: str, groups: Sequence[int] | None) -> tuple[in
 
 
 def edges_of(ds: xr.Dataset) -> dict[str, tuple[float, float]]:
-    """Edges of the box of the first step along the axes where it is finite."""
-    lower, upper = ds.attrs.get("box_lower"), ds.attrs.get("box_upper")
-    if lower is None or upper is None:
+    """Edges of the box of the first step along the axes where it is finite.
+
+    A box in memory is looked at, and for a lazy one the attributes, which hold a box that does not change. Where a lazy
+    box changes, the six numbers of the first step are read.
+    """
+    box, lower, upper = None, ds.attrs.get("box_lower"), ds.attrs.get("box_upper")
+    if "box" in ds and ds["box"].size and (ds["box"].chunks is None or lower is None or upper is None):
+        first = ds["box"].isel(time=0) if "time" in ds["box"].dims else ds["box"]
+        box = first.transpose("component", "bound").to_numpy()
+    elif lower is not None and upper is not None:
+        box = np.stack([lower, upper], axis=1)
+    if box is None:
         return {}
-    both = {a: (float(lower[k]), float(upper[k])) for k, a in enumerate(COMPONENTS)}
-    return {a: edges for a, edges in both.items() if np.isfinite(edges).all()}
+    return {a: (float(low), float(high)) for a, (low, high) in zip(COMPONENTS, box, strict=True) if high - low < np.inf}
 
 
 def make_plan(
@@ -333,9 +341,7 @@ def make_plan(
         groups=() if by is None else groups_of(ds, by, groups),
     )
     x, y, z = (grid.spacing.get(a, 0.0) for a in COMPONENTS)
-    options = replace(
-        options, active=tuple(grid.active.tolist()), shape=grid.shape, spacing=(x, y, z), wrapped=_wrapped(grid, period)
-    )
+    options = replace(options, active=tuple(grid.active.tolist()), shape=grid.shape, spacing=(x, y, z))
     extra = {by} if by else set()
     extra |= {"frozen"} & set(ds.data_vars)
     read = [n for n in ds.data_vars if n in variables | extra]
@@ -395,15 +401,6 @@ def _options(
         diameter=float(ds.attrs.get(size, np.nan)),
         fluid_viscosity=fluid_viscosity,
     )
-
-
-def _wrapped(grid: Grid, period: Mapping[str, float]) -> tuple[bool, bool, bool]:
-    """Tell along which axes the nodes fill a period, so that the last is next to the first."""
-    x, y, z = (
-        a in period and a in grid.nodes and bool(np.isclose(len(grid.nodes[a]) * grid.spacing[a], period[a]))
-        for a in COMPONENTS
-    )
-    return x, y, z
 
 
 def _automatic(

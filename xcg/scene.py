@@ -111,7 +111,7 @@ def to_dataset(
         "step": ("time", np.asarray(step, "int64"), {"units": "1", "long_name": "number of the time step"}),
         "component": ("component", list(COMPONENTS)),
     }
-    if box is not None:
+    if box is not None and (box == box[:1]).all():  # attributes stay with every selection of steps
         measured = {"box_lower": box[0, :, 0], "box_upper": box[0, :, 1], **measured}
     about: dict[str, Any] = {
         "Conventions": "CF-1.11",

@@ -13,12 +13,15 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.complete import periods
 from xcg.labels import mark_skipped
-from xcg.over_time import map_over_time
+from xcg.over_time import map_over_time, steps_in
+from xcg.plan import edges_of
 from xcg.scene import require_scene, setup_of, storable
-from xcg.schema import COMPONENTS, units_of
+from xcg.schema import COMPONENTS, SceneError, units_of
 
 _TABLE = "slices"  # temperature, velocity (3) and count, in columns
+_MOST_PERIODS = 1000  # that a grain may reach over
 _MOST = 1 << 20  # planes of all slices, each a step of a loop
 
 
@@ -53,8 +56,9 @@ def slice_temperature(
     spacing : float, optional
         Distance of centres (m): half the width for planes; bins touch and take none.
     bounds : two floats, optional
-        First and last centre for planes, edges of the first and last bin for bins (m); the extent of the grains by
-        default.
+        First and last centre for planes, edges of the first and last bin for bins (m). By default the edges of the box
+        (of the first step) along a periodic axis, else the extent of the grains. Along a periodic axis every image of a
+        grain counts, wherever its position is written.
     planes : int
         Planes on each side of a slice's centre.
     on_error : {"raise", "skip"}
@@ -86,7 +90,9 @@ def slice_temperature(
     k = COMPONENTS.index(axis)
     if width is None:
         width = float(ds.attrs.get("d43", np.nan))
-    if bounds is None and "particle_lower" in ds.attrs:
+    if bounds is None and axis in setup.periodic:
+        bounds = edges_of(ds).get(axis)
+    elif bounds is None and "particle_lower" in ds.attrs:
         bounds = (float(ds.attrs["particle_lower"][k]), float(ds.attrs["particle_upper"][k]))
     given = _floats(width, *(bounds if isinstance(bounds, Iterable) else ()))
     if len(given) != 3 or not np.isfinite(given).all() or given[0] <= 0 or given[1] > given[2]:
@@ -103,14 +109,25 @@ def slice_temperature(
             msg = f"spacing={spacing!r}, planes={planes!r}: expected a positive distance (m) and a number of planes"
             raise ValueError(msg)
         nodes = bounds[0] + step * np.arange(_whole((bounds[1] - bounds[0]) / step + 1e-9, 2 * planes + 1) + 1)
-        function = partial(
-            _planes, axis=k, dims=[*map(COMPONENTS.index, setup.plane)], sides=planes, width=width,
-            period=_period(ds, axis, k),
-        )  # fmt: skip
+        function = partial(_planes, axis=k, dims=[*map(COMPONENTS.index, setup.plane)], sides=planes, width=width)
     scene = ds if "time" in ds.dims else ds.expand_dims("time")
-    compute = partial(_over_time, weight=weight, function=function, nodes=nodes)
+    compute = partial(
+        _over_time,
+        weight=weight,
+        function=function,
+        nodes=nodes,
+        axis=k,
+        periodic=axis if axis in setup.periodic else "",
+    )
+    names = [
+        "particle_id",
+        "position",
+        "velocity",
+        weight,
+        *(name for name in ("box", "step") if name in scene and "time" in scene[name].dims),
+    ]
     shape = {_TABLE: ((len(nodes), 5), "float64")}
-    found = map_over_time(scene, ["position", "velocity", weight], compute, shape, "slices", on_error)
+    found = map_over_time(scene, names, compute, shape, "slices", on_error)
     coords: dict[Any, Any] = {name: scene[name].variable for name in ("time", "step") if name in scene.coords}
     table = xr.DataArray(found[_TABLE], coords, ("time", axis, "_column"))
     system = setup.unit_system
@@ -146,33 +163,37 @@ def _whole(count: float, planes: int = 1) -> int:
     return int(count)
 
 
-def _period(ds: xr.Dataset, axis: str, k: int) -> float:
-    if axis not in ds.attrs.get("periodic", ""):
-        return np.inf
-    return float(ds.attrs["box_upper"][k] - ds.attrs["box_lower"][k])
-
-
 def _over_time(
-    arrays: Mapping[str, NDArray], *, weight: str, function: Callable[..., NDArray], nodes: NDArray
-) -> dict[str, NDArray]:
+    arrays: Mapping[str, NDArray], *, weight: str, function: Callable[..., NDArray], nodes: NDArray, axis: int,
+    periodic: str,
+) -> dict[str, NDArray]:  # fmt: skip
     """Tables of the slices of one chunk of time."""
     out = np.empty((len(arrays[weight]), len(nodes), 5))
-    for t in range(len(out)):
-        here = np.isfinite(arrays[weight][t])
-        out[t] = function(arrays["position"][t][here], arrays["velocity"][t][here], arrays[weight][t][here], nodes)
+    for t, (frame, box, where) in enumerate(steps_in(arrays)):
+        period = float(periods(box, periodic, where)[axis])
+        out[t] = function(frame["position"], frame["velocity"], frame[weight], nodes, period=period)
     return {_TABLE: out}
+
+
+def _images_between(x: NDArray, low: float, high: float, period: float) -> NDArray:
+    """Count the images of coordinates that lie in [low, high): 0 or 1 each where there is no period."""
+    if not np.isfinite(period):
+        return ((low <= x) & (x < high)).astype(float)
+    return np.ceil((high - x) / period) - np.ceil((low - x) / period)
 
 
 def _bins(
     position: NDArray, velocity: NDArray, mass: NDArray, nodes: NDArray, *, axis: int, dims: list[int], edges: float,
-    width: float,
+    width: float, period: float,
 ) -> NDArray:  # fmt: skip
     out = np.full((len(nodes), 5), np.nan)
-    # the last edge belongs to the last bin
-    at = np.minimum(np.floor((position[:, axis] - edges) / width + 1e-9), len(nodes) - 1).astype(int)
-    at[(position[:, axis] < edges) | (position[:, axis] > edges + width * len(nodes) * (1 + 1e-9))] = -1
+    hair = 1e-9 * width  # edges are known to rounding only
     for k in range(len(nodes)):
-        m, v = mass[at == k], velocity[at == k]
+        # the last edge belongs to the last bin, unless it is the first edge over again
+        end = hair if k == len(nodes) - 1 and not np.isfinite(period) else -hair
+        images = _images_between(position[:, axis], edges + k * width - hair, edges + (k + 1) * width + end, period)
+        here = images > 0
+        m, v = (images * mass)[here], velocity[here]
         out[k, 4] = len(m)
         if len(m):
             out[k, 1:4] = (m @ v) / m.sum()
@@ -185,25 +206,31 @@ def _planes(
     position: NDArray, velocity: NDArray, diameter: NDArray, nodes: NDArray, *, axis: int, dims: list[int], sides: int,
     width: float, period: float,
 ) -> NDArray:  # fmt: skip
-    x, radius = position[:, axis], diameter / 2
-    if np.isfinite(period) and len(x):  # images of one period reach all planes that lie in the box
-        x = np.concatenate([x - period, x, x + period])
-        velocity, radius = np.tile(velocity, (3, 1)), np.tile(radius, 3)
-    order = np.argsort(x)
-    x, velocity, radius = x[order], velocity[order], radius[order]
+    x, radius, grain = position[:, axis], diameter / 2, np.arange(len(position))
     reach = radius.max(initial=0.0)
+    if not reach < _MOST_PERIODS * period:
+        msg = f"a grain of diameter {2 * reach:.3g} m reaches over more than {_MOST_PERIODS} periods of {period:.3g} m"
+        raise SceneError(msg)
+    if np.isfinite(period):  # planes and grains are taken to [0, period), and images as far as grains reach beyond it
+        images = period * np.arange(-np.ceil(reach / period), np.ceil(reach / period) + 1)
+        grain = np.tile(grain, len(images))
+        x = (np.mod(x, period) + images[:, None]).ravel()
+    order = np.argsort(x)
+    grain, x = grain[order], x[order]
+    velocity, radius = velocity[grain], radius[grain]
     out = np.full((len(nodes), 5), np.nan)
     shifts = np.arange(-sides, sides + 1)
     for k, node in enumerate(nodes):
-        total, energy, momentum, seen = 0.0, 0.0, np.zeros(3), np.zeros(len(x), bool)
+        total, energy, momentum, seen = 0.0, 0.0, np.zeros(3), np.zeros(len(position), bool)
         shared = 0.0
         for m in shifts:
             plane, share = node + m * width / (2 * max(sides, 1)), 1 - abs(m) / (sides + 1)
+            plane = np.mod(plane, period) if np.isfinite(period) else plane
             near = slice(*np.searchsorted(x, (plane - reach, plane + reach)))
             area = np.pi * np.maximum(radius[near] ** 2 - (x[near] - plane) ** 2, 0.0)
             if not area.sum() > 0:
                 continue
-            seen[near] |= area > 0
+            seen[grain[near][area > 0]] = True
             v = velocity[near]
             mean = (area @ v) / area.sum()
             momentum += share * area.sum() * mean

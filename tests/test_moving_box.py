@@ -1,0 +1,111 @@
+"""Boxes that change over time: what looks across a periodic edge takes the period of each step."""
+
+import dask
+import numpy as np
+import pytest
+
+import xcg
+
+EDGES = (10.0, 8.0, 9.1)
+
+
+def steps_of(edges=EDGES, **options):
+    """One random scene a box, each in its own period along all axes, with contacts across the edges."""
+    steps = [xcg.datasets.random_scene(150, seed=t, edge=edge) for t, edge in enumerate(edges)]
+    names = ["velocity", "diameter", "contact_i", "contact_j", "contact_force", "contact_point"]
+    key = {"contact": "contact_i", "particle": "particle_id"}
+    rows = {n: [s[n].values[0][s[key[s[n].dims[1]]].values[0] >= 0] for s in steps] for n in names}
+    given = {"density": 2500.0, "box": [[[0, edge]] * 3 for edge in edges], "periodic": "xyz"} | rows | options
+    return xcg.scene_from_arrays([s.position.values[0] for s in steps], **given), steps
+
+
+@pytest.mark.parametrize("lazy", [False, True])
+def test_mesh_of_a_selection_is_that_of_its_first_step(lazy):
+    ds, alone = steps_of()
+    ds = ds.chunk(time=1) if lazy else ds
+    for t in (1, 2):
+        part = ds.isel(time=[t])
+        for one in (part, part.cg.measure(), ds.isel(time=slice(t, None, 3 - t))):
+            f = one.cg.coarse_grain("density", axes="xz", width=1.0)
+            assert bool(f.density.chunks) is lazy
+            expected = alone[t].cg.coarse_grain("density", axes="xz", width=1.0)
+            np.testing.assert_array_equal(f.x, expected.x)
+            np.testing.assert_array_equal(f.z, expected.z)
+            np.testing.assert_allclose(f.density[0], expected.density[0], rtol=1e-12)
+
+
+def test_a_box_that_stays_is_not_read_for_the_mesh():
+    ds, _ = steps_of(edges=(10.0, 10.0))
+    assert ds.attrs["box_upper"].tolist() == [10.0] * 3
+
+    def refuse(dsk, keys, **kwargs):
+        pytest.fail("computed while the graph was built")
+
+    with dask.config.set(scheduler=refuse):
+        ds.chunk(time=1).isel(time=[1]).cg.coarse_grain("density", width=1.0)
+
+
+@pytest.mark.parametrize("t", range(3))
+def test_finite_differences_at_the_edge_of_a_box_that_changed(t):
+    """Nodes that fill the period of the first step, against the slope of V on a mesh that goes on beyond them."""
+    ds, _ = steps_of(edges=(10.0, 8.0, 6.0))
+    options = {"axes": "x", "width": 2.0, "spacing": 0.05}
+    f = ds.cg.coarse_grain("velocity_gradient", gradient="finite_difference", **options).isel(time=t)
+    beyond = ds.cg.coarse_grain("velocity", **options, bounds={"x": (-0.1, 10.1)}).velocity.isel(time=t)
+    slope = np.gradient(beyond.values, 0.05, axis=0)[2 : 2 + f.sizes["x"]]
+    scale = np.abs(slope).max()
+    np.testing.assert_allclose(f.velocity_gradient.sel(direction="x"), slope, atol=2e-3 * scale)
+
+
+@pytest.mark.parametrize("lazy", [False, True])
+def test_a_body_across_the_edge_of_a_box_that_shrinks(lazy):
+    position = [[[0.1, 5, 5], [edge - 0.1, 5, 5]] for edge in (10.0, 8.0)]
+    ds = xcg.scene_from_arrays(
+        position, diameter=np.ones((2, 2)), density=1.0, body_id=np.zeros((2, 2), int), periodic="x",
+        box=[[[0, edge], [0, 10], [0, 10]] for edge in (10.0, 8.0)],
+    )  # fmt: skip
+    bodies = (ds.chunk(time=1) if lazy else ds).cg.group_bodies().compute()
+    np.testing.assert_allclose(bodies.position.values[:, 0], [[0, 5, 5]] * 2, atol=1e-12)
+
+
+def slices_by_hand(ds, t, method, edge, nodes, width, planes):
+    """Velocity and number of grains of each slice, image by image."""
+    x, v = ds.position.values[t][:, 0], ds.velocity.values[t]
+    d, m = ds.diameter.values[t], ds.mass.values[t]
+    for node in nodes:
+        total, momentum, seen = 0.0, np.zeros(3), set()
+        for grain in range(len(x)):
+            for n in range(-40, 41):
+                off = x[grain] + n * edge - node
+                weight = m[grain] * (-width / 2 <= off < width / 2)
+                if method == "planes":
+                    cuts = (
+                        (1 - abs(k) / (planes + 1), off - k * width / (2 * planes)) for k in range(-planes, planes + 1)
+                    )
+                    weight = sum(share * np.pi * max((d[grain] / 2) ** 2 - h**2, 0.0) for share, h in cuts)
+                if weight > 0:
+                    seen.add(grain)
+                    total, momentum = total + weight, momentum + weight * v[grain]
+        yield momentum / total, len(seen)
+
+
+@pytest.mark.parametrize("method", ["planes", "bins"])
+def test_slices_see_every_image_in_the_box_of_each_step(method):
+    """Bounds beyond the box, a box that changes, grains written many periods away."""
+    ds, alone = steps_of(edges=(5.0, 4.0))
+    options = {"axis": "x", "method": method, "width": 0.8, "bounds": (-1.0, 7.0)}
+    s = ds.cg.slice_temperature(**options)
+    for t, edge in enumerate((5.0, 4.0)):
+        by_hand = slices_by_hand(ds, t, method, edge, s.x.values, 0.8, 5)
+        for k, (velocity, count) in enumerate(by_hand):
+            np.testing.assert_allclose(s.velocity[t, k], velocity, rtol=1e-9, atol=1e-12)
+            assert s.sample_count[t, k] == count
+        far = np.random.default_rng(t).integers(-9, 9, (150, 3)) * edge
+        away = alone[t].assign(position=alone[t].position + far).cg.measure()
+        for scene in (alone[t], away):
+            one = scene.cg.slice_temperature(**options)
+            for name in s.data_vars:
+                np.testing.assert_allclose(one[name][0], s[name][t], rtol=1e-6, atol=1e-9)
+        default = [scene.cg.slice_temperature("x", method=method, width=0.8) for scene in (alone[t], away)]
+        assert default[1].sizes["x"] == default[0].sizes["x"]
+        assert default[1].sample_count.sum() == default[0].sample_count.sum()
