@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -160,6 +161,16 @@ def test_ctrl_c(job):
             assert [p.name for p in (job.parent / "out").iterdir()] == [".fields.parts"]
             assert not list((job.parent / "out").rglob("*.part"))
         assert steps_there(job) >= stop
+
+
+def test_ctrl_c_while_libraries_are_loaded(tmp_path):
+    (tmp_path / "xarray.py").write_text("import os, signal, time; os.kill(os.getpid(), signal.SIGINT); time.sleep(60)")
+    module, function = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]["xcg"].split(":")
+    done = subprocess.run(
+        [sys.executable, "-c", f"from {module} import {function}; {function}()", "fields"], capture_output=True,
+        text=True, env=os.environ | {"PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}"}, timeout=120, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "\nstopped\n")
 
 
 # --- doubled ---------------------------------------------------------------------------------------------
