@@ -109,3 +109,58 @@ def test_slices_see_every_image_in_the_box_of_each_step(method):
         default = [scene.cg.slice_temperature("x", method=method, width=0.8) for scene in (alone[t], away)]
         assert default[1].sizes["x"] == default[0].sizes["x"]
         assert default[1].sample_count.sum() == default[0].sample_count.sum()
+
+
+def test_regions_across_an_edge_against_a_loop_over_images():
+    ds, alone = steps_of(edges=(10.0, 8.0))
+    bounds = {"across": {"x": (7.0, 11.5), "y": (-1.0, 2.0)}, "far": {"z": (-33.0, -27.5)}, "inside": {"y": (1.0, 2.0)}}
+    far = np.random.default_rng(0).integers(-5, 6, (2, 150, 3)) * np.array([10.0, 8.0])[:, None, None]
+    for scene in (ds, ds.assign(position=ds.position + far)):
+        m = scene.cg.microstructure(["volume_fraction", "particle_count"], bounds=bounds)
+        for t, edge in enumerate((10.0, 8.0)):
+            x, volume = alone[t].position.values[0], alone[t].volume.values[0]
+            for name, region in bounds.items():
+                count, filled, size = 0, 0.0, edge**3
+                for low, high in region.values():
+                    size *= (high - low) / edge
+                for centre, own in zip(x, volume, strict=True):
+                    images = 1
+                    for axis, (low, high) in region.items():
+                        at = centre["xyz".index(axis)] + edge * np.arange(-20, 21)
+                        images *= ((low <= at) & (at < high)).sum()
+                    count, filled = count + images, filled + images * own
+                found = m.sel(region=name).isel(time=t)
+                assert found.particle_count == count
+                np.testing.assert_allclose(found.volume_fraction, filled / size, rtol=1e-12)
+
+
+def test_regions_wider_than_the_period_are_refused():
+    ds, alone = steps_of(edges=(10.0, 8.0))
+    whole = alone[0].cg.microstructure("volume_fraction").volume_fraction.item()
+    for low in (0.0, 3.3):
+        bounded = alone[0].cg.microstructure("volume_fraction", bounds={"x": (low, low + 10.0)})
+        assert bounded.volume_fraction.item() == pytest.approx(whole, rel=1e-12)
+    with pytest.raises(
+        xcg.SceneError, match="step 1: the region reaches from 0 to 9 along 'x', further than the period 8"
+    ):
+        ds.cg.microstructure("volume_fraction", bounds={"x": (0, 9)})
+
+
+@pytest.mark.parametrize("times", [[0.0, 2.0, 1.0], [0.0, 1.0, 1.0], [0.0, np.nan, 2.0], [np.nan] * 3])
+def test_times_that_do_not_rise_are_refused(times):
+    with pytest.raises(xcg.SceneError, match="a scene needs finite times that rise"):
+        steps_of(time=times)
+    ds = steps_of()[0].assign_coords(time=times)
+    with pytest.raises(xcg.SceneError, match=r"the strain rate of the box needs finite times .*sortby"):
+        ds.cg.microstructure("strain_rate", strain_rate="box")
+    with pytest.raises(xcg.SceneError, match="balance needs finite times"):
+        ds.cg.balance(axes="x", width=1.0)
+
+
+def test_balance_does_not_wrap_where_nodes_no_longer_fill_the_box():
+    options = {"axes": "x", "width": 1.0, "spacing": 0.25}
+    ds, _ = steps_of(edges=(10.0, 8.0))
+    ends = ds.cg.balance(**options).force_residual.isel(x=[0, 1, -2, -1])
+    assert np.isnan(ends).all()
+    same, _ = steps_of(edges=(10.0, 10.0))
+    assert same.cg.balance(**options).force_residual.notnull().all()

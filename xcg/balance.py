@@ -10,6 +10,7 @@ import xarray as xr
 
 from xcg.coarse_grain import coarse_grain
 from xcg.plan import make_plan
+from xcg.scene import require_rising_times
 from xcg.schema import COMPONENTS
 
 FIELDS = (
@@ -71,6 +72,8 @@ def balance(ds: xr.Dataset, **options: Any) -> xr.Dataset:
 
     Raises
     ------
+    SceneError
+        If the scene lacks what the fields need, or its times do not rise.
     ValueError
         If an axis is fixed or has fewer than five nodes, or if each group has a width of its own.
 
@@ -90,8 +93,10 @@ def balance(ds: xr.Dataset, **options: Any) -> xr.Dataset:
     if short:
         msg = f"axes {short} have fewer than five nodes: differences of fourth order need them; lower spacing="
         raise ValueError(msg)
+    if ds.sizes["time"] > 1:
+        require_rising_times(ds, "balance")
     f = coarse_grain(ds, list(FIELDS), **options)
-    wraps = {a for a in plan.setup.periodic if a in grid.axes and a not in options.get("bounds", {})}
+    wraps = set(plan.setup.periodic) & set(grid.axes) - set(options.get("bounds", {})) if _stays(ds) else set()
 
     def divergence(field: xr.DataArray, dim: str) -> xr.DataArray:
         return _divergence(field, dim, grid.axes, wraps)
@@ -123,6 +128,14 @@ def balance(ds: xr.Dataset, **options: Any) -> xr.Dataset:
         out[name] = residual.rename(steps).assign_attrs(units=unit, long_name=long_name)
         out[f"{name}_norm"] = norm.assign_attrs(units="1", long_name=f"{long_name}, relative to its largest term")
     return xr.Dataset(out, attrs=f.attrs)
+
+
+def _stays(ds: xr.Dataset) -> bool:
+    """Whether the box is the same in all steps, so that the last node of an axis that wraps is next to the first."""
+    if "box" not in ds or ds["box"].chunks is not None:
+        return "box_lower" in ds.attrs
+    box = ds["box"].transpose("time", ...).to_numpy()
+    return bool((box == box[:1]).all())
 
 
 def _gravity(ds: xr.Dataset) -> xr.DataArray:

@@ -17,8 +17,8 @@ from xcg.labels import about, call_of, mark_skipped
 from xcg.over_time import map_over_time, steps_in
 from xcg.plan import edges_of, groups_of, layer_depth
 from xcg.quantities import CONTACTS, QUANTITIES, TENSOR, ratio
-from xcg.scene import require_scene, setup_of, storable
-from xcg.schema import COMPONENTS, Frame, Setup, units_of
+from xcg.scene import require_rising_times, require_scene, setup_of, storable
+from xcg.schema import COMPONENTS, Frame, SceneError, Setup, units_of
 from xcg.sums import phase_of, without_frozen
 
 Bounds = Mapping[str, Sequence[float]]
@@ -94,17 +94,11 @@ class Measure:
         period = periods(box, self.setup.periodic, where)
         frame = without_frozen(frame)
         contacts = Contacts.of(frame, period) if "contact_i" in frame else None
-        position = frame["position"].copy()
-        for k in np.flatnonzero(np.isfinite(period)):
-            assert box is not None
-            position[:, k] -= period[k] * np.floor((position[:, k] - box[k, 0]) / period[k])
+        corner = np.zeros(3) if box is None else box[:, 0]
         shared = _shared(self, frame, contacts)
         phase = phase_of(frame, self.by, self.groups, where)
         for r, bounds in enumerate(self.regions):
-            inside = np.ones(len(position), bool)
-            for axis, (low, high) in bounds.items():
-                x = position[:, COMPONENTS.index(axis)]
-                inside &= (low <= x) & (x < high)
+            position, inside = _images_in(bounds, frame["position"], corner, period, where)
             volume = self._volume(bounds, box)
             for p in range(self.phases):
                 member = inside if p == 0 else inside & (phase == p - 1)
@@ -120,6 +114,29 @@ class Measure:
             low, high = bounds.get(axis, edges[COMPONENTS.index(axis)])
             lengths.append(high - low if np.isfinite(high - low) else np.nan)
         return float(np.prod(lengths)) * (self.depth if isinstance(self.depth, float) else 1.0)
+
+
+def _images_in(
+    bounds: Bounds, position: NDArray, corner: NDArray, period: NDArray, where: str
+) -> tuple[NDArray, NDArray]:
+    """Positions (n, 3), which begin at the bounds or the box along periodic axes, and which are in the bounds."""
+    position, inside = position.copy(), np.ones(len(position), bool)
+    for k, axis in enumerate(COMPONENTS):
+        x, (low, high) = position[:, k], bounds.get(axis, (corner[k], np.inf))
+        if np.isfinite(period[k]):
+            if axis in bounds and high - low > period[k] * (1 + 1e-9):
+                msg = (
+                    f"{where}: the region reaches from {low:g} to {high:g} along {axis!r}, further than the period "
+                    f"{period[k]:g}, and would hold grains twice; take narrower bounds, or none along {axis!r} for the "
+                    "whole period"
+                )
+                raise SceneError(msg)
+            for first in (corner[k], low):  # grains of the box stay as they are where bounds are in it, too
+                x -= period[k] * np.floor((x - first) / period[k])
+                x[x >= first + period[k]] = first
+        if axis in bounds:
+            inside &= (low <= x) & (x < high)
+    return position, inside
 
 
 def _shared(measure: Measure, frame: Frame, contacts: Contacts | None) -> SimpleNamespace:
@@ -201,8 +218,9 @@ def microstructure(
     groups : list of int, optional
         All values of `by`, where they are not known without reading.
     bounds : mapping, optional
-        Bounds of the region that particles' centres lie in (m), ``{"z": (0.0, 0.1)}``; the box along other axes. Or
-        such bounds by name, ``{"low": {"z": (0, 1)}, "high": {"z": (1, 2)}}``, which adds the dimension ``region``.
+        Bounds of the region that particles' centres lie in (m), ``{"z": (0.0, 0.1)}``; the box along other axes. Along
+        a periodic axis they may reach across an edge of the box, and are no wider than it. Or such bounds by name,
+        ``{"low": {"z": (0, 1)}, "high": {"z": (1, 2)}}``, which adds the dimension ``region``.
     min_contacts : int
         Partners from which a particle counts as bearing load, in Z_mech and d_bar.
     rattlers : str
@@ -233,7 +251,8 @@ def microstructure(
     Raises
     ------
     SceneError
-        If the scene lacks what a quantity needs.
+        If the scene lacks what a quantity needs, times do not rise where a rate is taken from the box, or a region is
+        wider than the period of a step.
     ValueError
         If an argument is wrong.
 
@@ -455,6 +474,7 @@ def _with_series(
             attrs = {"units": "1", "long_name": STRAIN[name], "measure": strain}
             result[name] = values.drop_attrs().assign_attrs(attrs)
         if _is(rate, "box"):
+            require_rising_times(ds, "the strain rate of the box")
             # one chunk, as finite differences reach over chunks; a box is six numbers a step
             whole = stretch.chunk(time=-1) if stretch.chunks else stretch
             rate = _deviatoric(whole.differentiate("time"), len(setup.plane))

@@ -197,7 +197,7 @@ def scene_from_arrays(
     position : array (n, 3), array (t, n, 3) or list of arrays
         Positions of the centres (m).
     time, step : array (t,), optional
-        Times (s) and step numbers; 0, 1, 2, ... by default.
+        Times (s), rising, and step numbers; 0, 1, 2, ... by default.
     box : array (3, 2), array (t, 3, 2) or mapping, optional
         Edges of the domain (m), needed along periodic axes.
     periodic : str
@@ -253,6 +253,8 @@ def scene_from_arrays(
         msg = f"variables have different numbers of steps: {counts}"
         raise SceneError(msg)
     total = counts["position"]
+    times = np.arange(total, dtype=float) if time is None else np.atleast_1d(np.asarray(time, float)) * setup.scales[2]
+    check_times(times, "a scene", "sort the steps, and leave out those that stand twice")
     edges = None if box is None else box_array(box, total) * setup.factor(BOX.powers)
     particle_names = [name for name in steps if variable(name).dims[0] == "particle"]
     contact_names = [name for name in steps if variable(name).dims[0] == "contact"]
@@ -271,7 +273,7 @@ def scene_from_arrays(
             arrays |= stack(frames, list(frames[0]), max(len(f[key]) for f in frames))
     return to_dataset(
         arrays,
-        time=np.arange(total) if time is None else np.atleast_1d(np.asarray(time, float)) * setup.scales[2],
+        time=times,
         step=np.arange(total) if step is None else np.atleast_1d(step),
         box=edges,
         setup=setup,
@@ -308,6 +310,20 @@ def require_scene(ds: xr.Dataset, names: Sequence[str], purpose: str) -> None:
             "giving contacts= for fields of contacts and density= where files hold no mass"
         )
         raise SceneError(msg)
+
+
+def check_times(time: NDArray, purpose: str, way_out: str) -> None:
+    """Refuse times (t,) that are not finite or do not rise from step to step; the message says which."""
+    late = np.flatnonzero(~(time[1:] > time[:-1]))
+    if not np.isfinite(time).all() or late.size:
+        found = f"{time[late[0] + 1]!r} follows {time[late[0]]!r} at index {late[0] + 1}" if late.size else f"{time}"
+        msg = f"{purpose} needs finite times that rise from step to step, and {found}; {way_out}"
+        raise SceneError(msg)
+
+
+def require_rising_times(ds: xr.Dataset, purpose: str) -> None:
+    """Refuse a series whose times do not rise, as after a selection or joining: rates would be wrong."""
+    check_times(ds["time"].to_numpy(), purpose, "order the steps with ds.sortby('time').drop_duplicates('time')")
 
 
 def setup_of(ds: xr.Dataset) -> Setup:

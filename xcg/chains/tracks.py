@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from xcg.chains.results import require_chains, steps_of
 from xcg.labels import about
+from xcg.scene import require_rising_times
 from xcg.schema import units_of
 
 
@@ -35,7 +36,7 @@ def track_chains(fc: xr.Dataset, overlap: float = 0.5) -> xr.Dataset:
     Raises
     ------
     SceneError
-        If `fc` is not a result of `force_chains`.
+        If `fc` is not a result of `force_chains`, or its times do not rise.
     ValueError
         If `overlap` is out of range.
     """
@@ -46,6 +47,7 @@ def track_chains(fc: xr.Dataset, overlap: float = 0.5) -> xr.Dataset:
     if "time" not in fc.dims:
         msg = "the chains have no time dimension, expected several steps; keep it when selecting: fc.isel(time=[0, 1])"
         raise ValueError(msg)
+    require_rising_times(fc, "track_chains")
     chains, steps = fc.sizes["chain"], fc.sizes["time"]
     track = np.full((steps, chains), -1)
     births, deaths, survivors = (np.zeros(steps, int) for _ in range(3))
