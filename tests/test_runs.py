@@ -1,5 +1,6 @@
 """Runs that are killed, stopped, doubled, or run out of disk; how far they are. All twenty kills with XCG_FULL=1."""
 
+import errno
 import os
 import random
 import re
@@ -210,6 +211,25 @@ with locked(Path({str(tmp_path / "lock")!r}), "it"):
     with locked(tmp_path / "lock", "it"):
         pass
     assert not (tmp_path / "lock").exists()
+
+
+def test_a_lock_follows_no_link(job, tmp_path):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "precious").write_text("data")
+    link = tmp_path / "out" / ".fields.lock"
+    link.symlink_to(tmp_path / "precious")
+    assert "is a symbolic link" in " ".join(xcg_run("run", job, code=1).split())
+    assert (tmp_path / "precious").read_text() == "data"
+    assert link.is_symlink()
+
+
+def test_a_file_system_without_locks(tmp_path, monkeypatch):
+    def refuse(*_):
+        raise OSError(errno.EOPNOTSUPP, "Operation not supported")
+
+    monkeypatch.setattr("fcntl.flock", refuse)
+    with locked(tmp_path / "lock", "it"):
+        assert (tmp_path / "lock").exists()
 
 
 # --- out of disk -----------------------------------------------------------------------------------------

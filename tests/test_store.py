@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import errno
+import os
+import subprocess
+import sys
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +18,7 @@ import xcg
 from tests import real_data, steps_of_random_scenes
 from tests.dumps import write_series
 from xcg.cli import main
+from xcg.writers.folders import whole_folder
 
 
 def reopen(path):
@@ -125,6 +131,102 @@ def test_an_error_leaves_nothing(tmp_path, suffix):
     with pytest.raises(xcg.SceneError, match="open it again"):
         xcg.save(ds, target / f"scene{suffix}")
     assert list(target.iterdir()) == []
+
+
+# --- Zarr: stores that are replaced, killed writers, two writers -----------------------------------------
+
+
+KILLED = """
+import os, sys
+from pathlib import Path
+import xcg
+from xcg.writers import files, folders
+when, target = sys.argv[1:]
+real, count = Path.rename, [0]
+
+def rename(self, other):
+    if when == "before" or (when == "between" and count[0] == 1):
+        os._exit(9)
+    count[0] += 1
+    return real(self, other)
+
+def remove(path):
+    if Path(target).exists() and count[0] == 2:
+        os._exit(9)
+    files.remove(path)
+
+Path.rename, folders.remove = rename, remove
+xcg.save(xcg.datasets.simple_cubic(3), target, overwrite=True)
+"""
+
+
+@pytest.mark.parametrize(("when", "new"), [("before", False), ("between", False), ("after", True)])
+def test_a_killed_writer_destroys_nothing(tmp_path, when, new):
+    """Killed before, between and after the two renames that put a new store in the place of an old one."""
+    ds = xcg.datasets.simple_cubic(2)
+    path = xcg.save(ds, tmp_path / "scene.zarr")
+    done = subprocess.run([sys.executable, "-c", KILLED, when, str(path)], timeout=120, check=False)
+    assert done.returncode == 9
+    assert len(list(tmp_path.iterdir())) > 1
+    with pytest.raises(FileExistsError, match="overwrite=True"):  # the next writer repairs first
+        xcg.save(ds, path)
+    assert_same_bits(xcg.datasets.simple_cubic(3) if new else ds, reopen(path))
+    xcg.save(ds, path, overwrite=True)
+    assert [p.name for p in tmp_path.iterdir()] == ["scene.zarr"]
+
+
+def test_what_killed_writers_left_is_removed(tmp_path):
+    """Of this store; those of a store with a longer name may be under way."""
+    mine, other = ".a.zarr.0123abcd.part", ".a.zarr.b.zarr.0123abcd.part"
+    for name in (mine, other):
+        (tmp_path / name / "position").mkdir(parents=True)
+    xcg.save(xcg.datasets.simple_cubic(2), tmp_path / "a.zarr")
+    assert {p.name for p in tmp_path.iterdir()} == {"a.zarr", other}
+
+
+def test_a_store_that_appears_meanwhile_is_kept(tmp_path):
+    ds, path = steps_of_random_scenes(1), tmp_path / "scene.zarr"
+    other = xcg.datasets.simple_cubic(2)
+
+    def meanwhile(block):
+        other.to_zarr(path, consolidated=False)
+        return block
+
+    lazy = ds["velocity"].chunk(time=1)
+    late = ds.assign(velocity=lazy.copy(data=lazy.data.map_blocks(meanwhile, meta=np.empty((0, 0, 0)))))
+    with pytest.raises(FileExistsError, match=r"scene\.zarr exists"):
+        xcg.save(late, path)
+    assert_same_bits(other, xr.open_zarr(path, consolidated=False))
+    assert [p.name for p in tmp_path.iterdir()] == ["scene.zarr"]
+
+
+def test_one_writer_of_a_store_at_a_time(tmp_path):
+    ds, path = xcg.datasets.simple_cubic(2), tmp_path / "scene.zarr"
+    with whole_folder(path, overwrite=False) as part:
+        part.mkdir()
+        with pytest.raises(FileExistsError, match=rf"being written by another run \(process {os.getpid()}\)"):
+            xcg.save(ds, path, overwrite=True)
+    assert [p.name for p in tmp_path.iterdir()] == ["scene.zarr"]
+
+
+def test_a_store_that_cannot_take_its_place_leaves_the_old_one(tmp_path, monkeypatch):
+    ds = xcg.datasets.simple_cubic(2)
+    path = xcg.save(ds, tmp_path / "scene.zarr")
+    real = Path.rename
+
+    def rename(self, other):
+        if self.suffix == ".part":
+            raise OSError(errno.EIO, "broken")
+        return real(self, other)
+
+    monkeypatch.setattr(Path, "rename", rename)
+    with pytest.raises(OSError, match="broken"):
+        xcg.save(xcg.datasets.simple_cubic(3), path, overwrite=True)
+    assert_same_bits(ds, reopen(path))
+    assert [p.name for p in tmp_path.iterdir()] == ["scene.zarr"]
+
+
+# --- results ---------------------------------------------------------------------------------------------
 
 
 def test_results_are_stored_without_warnings_about_text(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import glob
 import io
 import os
 import shutil
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import h5py
 
-# Files that go when their writers end; `abandon` removes them where writers cannot.
+# Files and folders that go when their writers end; `abandon` removes them where writers cannot.
 temporary: set[Path] = set()
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
@@ -45,12 +46,8 @@ def whole_file(path: Path, *, overwrite: bool, room: int = 0) -> Iterator[Path]:
     OSError
         If it cannot be written, as where the disk is full. Nothing is left behind then.
     """
-    if path.exists() and not overwrite:
-        raise FileExistsError(_exists(path))
-    if not path.parent.is_dir():
-        msg = f"{path}: the folder {path.parent} does not exist; create it first"
-        raise FileNotFoundError(msg)
-    part = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.part")
+    check_target(path, overwrite=overwrite)
+    part = part_of(path)
     temporary.add(part)
     try:
         if room:
@@ -71,12 +68,39 @@ def abandon() -> None:
     """Remove what is being written, and locks, just before the process ends without ado."""
     for path in list(temporary):
         with suppress(OSError):
-            path.unlink(missing_ok=True)
+            remove(path)
+
+
+def check_target(path: Path, *, overwrite: bool) -> None:
+    """Refuse a name that is taken, or in a folder that does not exist."""
+    if path.exists() and not overwrite:
+        raise FileExistsError(exists_message(path))
+    if not path.parent.is_dir():
+        msg = f"{path}: the folder {path.parent} does not exist; create it first"
+        raise FileNotFoundError(msg)
+
+
+def exists_message(path: Path) -> str:
+    """Say that a name is taken."""
+    return f"{path} exists; choose another name, or pass overwrite=True to replace it"
+
+
+def remove(path: Path) -> None:
+    """Remove a file, a link, or as much of a folder as can be."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)
+
+
+def part_of(path: Path) -> Path:
+    """Give a new temporary name beside `path`."""
+    return path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.part")
 
 
 def leftovers(path: Path) -> list[Path]:
-    """List the temporary files that runs which were killed left beside `path`."""
-    return [file for file in path.parent.glob(".*.part") if file.name.startswith(f".{path.name}.")]
+    """List the temporary files and folders that processes which were killed left beside `path`."""
+    return list(path.parent.glob(f".{glob.escape(path.name)}.{'[0-9a-f]' * 8}.part"))
 
 
 def _reserve(part: Path, room: int) -> None:
@@ -147,10 +171,6 @@ def hdf5_file(path: Path, mode: str) -> Iterator[h5py.File]:
         sink.check()
 
 
-def _exists(path: Path) -> str:
-    return f"{path} exists; choose another name, or pass overwrite=True to replace it"
-
-
 def _publish(part: Path, path: Path, *, overwrite: bool) -> None:
     """Give a whole file its name, once its bytes are on the disk."""
     with open(part, "rb+") as file:
@@ -159,7 +179,7 @@ def _publish(part: Path, path: Path, *, overwrite: bool) -> None:
         try:  # unlike a rename, this fails where another run was faster
             os.link(part, path)
         except FileExistsError:
-            raise FileExistsError(_exists(path)) from None
+            raise FileExistsError(exists_message(path)) from None
         except OSError:  # a file system without links
             pass
         else:

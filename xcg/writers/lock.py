@@ -6,12 +6,16 @@ lock is ever stale.
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from xcg.writers.files import temporary
+
+# What file systems without locks answer, as some of clusters; runs are not held apart there.
+_NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP}
 
 
 @contextmanager
@@ -22,6 +26,8 @@ def locked(path: Path, what: str) -> Iterator[None]:
     ------
     FileExistsError
         If another process holds it; the message names the process.
+    OSError
+        If a symbolic link has its name.
     """
     file = _take(path, what)
     temporary.add(path)
@@ -35,7 +41,7 @@ def locked(path: Path, what: str) -> Iterator[None]:
 
 def _take(path: Path, what: str) -> int:
     while True:
-        file = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        file = _open(path)
         if not _try_lock(file):
             holder = os.read(file, 32).decode("ascii", "replace").strip()
             os.close(file)
@@ -51,10 +57,17 @@ def _take(path: Path, what: str) -> int:
         os.close(file)  # its owner removed it in between
 
 
+def _open(path: Path) -> int:
+    """Open the file, never another one that a link of its name leads to: its content is overwritten."""
+    if path.is_symlink():
+        raise OSError(errno.ELOOP, "is a symbolic link, where a lock is expected; remove it", str(path))
+    return os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
+
+
 def _is_at(file: int, path: Path) -> bool:
     """Whether the open file is still the one of this name."""
     try:
-        return os.path.samestat(os.fstat(file), os.stat(path))
+        return os.path.samestat(os.fstat(file), os.lstat(path))
     except FileNotFoundError:
         return False
 
@@ -68,6 +81,9 @@ def _try_lock(file: int) -> bool:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
+    except OSError as error:
+        if error.errno not in _NO_LOCKS:
+            raise
     return True
 
 

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
-import time
-import uuid
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,6 +17,7 @@ from numpy.typing import NDArray
 from xcg.scene import storable
 from xcg.writers.chunks import lock_for, over_time, write_chunks
 from xcg.writers.files import hdf5_file, whole_file
+from xcg.writers.folders import whole_folder
 
 
 def save(ds: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
@@ -52,7 +50,7 @@ def save(ds: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool = Fals
     Raises
     ------
     FileExistsError
-        If it exists and `overwrite` is False.
+        If it exists and `overwrite` is False, or another process is writing the same Zarr folder.
     ImportError
         If Zarr is not installed.
     ValueError
@@ -143,27 +141,15 @@ def _to_zarr(ds: xr.Dataset, path: Path, *, overwrite: bool) -> None:
     except ImportError as error:
         msg = "writing Zarr needs the package zarr (version 3): pip install 'xcg[zarr]', or write NetCDF"
         raise ImportError(msg) from error
-    if path.exists() and not overwrite:
-        msg = f"{path} exists; choose another name, or pass overwrite=True to replace it"
-        raise FileExistsError(msg)
-    if not path.parent.is_dir():
-        msg = f"{path}: the folder {path.parent} does not exist; create it first"
-        raise FileNotFoundError(msg)
     packed = BloscCodec(cname="zstd", clevel=3, shuffle="shuffle")
     encoding: dict[str, Any] = {name: {"chunks": c, "compressors": [packed]} for name, c in _chunks(ds).items()}
-    part = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.part")
-    try:
+    with whole_folder(path, overwrite=overwrite) as part:
         with warnings.catch_warnings():
             # What xarray looks for first when it opens a store; programs that do not know it pass over it.
             warnings.filterwarnings("ignore", "Consolidated metadata is currently not part")
             outline = _outline(ds)
             outline.to_zarr(part, encoding=encoding, zarr_format=3, consolidated=True, compute=False)
         write_chunks(_aligned(ds), _Zarr(part))
-        if path.exists():
-            shutil.rmtree(path)
-        part.rename(path)
-    finally:
-        _remove(part)
 
 
 def _aligned(ds: xr.Dataset) -> xr.Dataset:
@@ -173,12 +159,3 @@ def _aligned(ds: xr.Dataset) -> xr.Dataset:
         return ds
     largest = int(np.lcm.reduce([s[0] for s in sizes]))
     return ds.chunk(time=largest)
-
-
-def _remove(folder: Path) -> None:
-    """Remove a folder that tasks may write to for another moment, as they do after one of them failed."""
-    for _ in range(100):
-        if not folder.exists():
-            return
-        shutil.rmtree(folder, ignore_errors=True)
-        time.sleep(0.05)
