@@ -13,7 +13,7 @@ FLOORS = [
     ["picks", "schema", "smoothing", "symbols", "threads"],
     ["notices"],
     ["faults"],
-    ["complete", "grid"],
+    ["complete", "conform", "grid"],
     ["cells", "scene"],
     ["contacts", "moments", "over_time", "regions", "phases", "bodies"],
     ["fields", "labels", "quantities", "sums"],

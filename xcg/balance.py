@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 
 from xcg.coarse_grain import coarse_grain
+from xcg.conform import takes_scene
 from xcg.plan import make_plan
 from xcg.scene import require_rising_times
 from xcg.schema import COMPONENTS
@@ -43,6 +44,7 @@ def _divergence(field: xr.DataArray, dim: str, axes: str, wraps: set[str]) -> xr
     return sum(parts[1:], start=parts[0])
 
 
+@takes_scene
 def balance(ds: xr.Dataset, **options: Any) -> xr.Dataset:
     """Residuals of the balances of force, mass and momentum, as fields and as norms.
 

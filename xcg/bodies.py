@@ -9,7 +9,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.complete import minimum_image, periods, rows_of
-from xcg.scene import measure, require_scene, setup_of
+from xcg.conform import takes_scene
+from xcg.scene import measure, particle_rows, require_scene, setup_of
 from xcg.schema import PADDING, SceneError, units_of, variable
 
 _PARTICLES = ("particle_id", "position", "velocity", "diameter", "density", "mass", "volume")
@@ -17,6 +18,7 @@ _CONTACTS = ("contact_i", "contact_j", "contact_force", "contact_point", "contac
 _MISSING = -2  # a partner that is not in the scene counts as a wall
 
 
+@takes_scene
 def group_bodies(ds: xr.Dataset, by_body: str = "body_id") -> xr.Dataset:
     """Group component spheres into bodies, lazily where the scene is.
 
@@ -96,7 +98,7 @@ def _over_time(
         for name, n in lengths.items()
     }
     for at in np.ndindex(outer):
-        valid = given["particle_id"][at] != PADDING
+        valid = particle_rows(given["particle_id"][at])
         frame = {name: given[name][at][valid] for name in [*particles, "body"]}
         box = given["box"][at] if "box" in given else None
         bodies, id_of_row = _bodies(frame, periods(box, periodic, f"group_bodies, frame {at}"))

@@ -16,6 +16,7 @@ from xcg import fields as registry
 from xcg import pysammos
 from xcg.bodies import group_bodies
 from xcg.complete import periods
+from xcg.conform import takes_scene
 from xcg.faults import check_on_error
 from xcg.kernels import THREADS
 from xcg.labels import about, call_of, mark_skipped
@@ -29,6 +30,7 @@ from xcg.tape import tape_for
 from xcg.threads import Box, boxes, for_each, places
 
 
+@takes_scene
 def coarse_grain(
     ds: xr.Dataset,
     fields: str | Sequence[str] | None = None,
@@ -165,6 +167,7 @@ def coarse_grain(
     return mark_skipped(_label(ds, plan, arrays, call), arrays)
 
 
+@takes_scene
 def explain(ds: xr.Dataset, fields: str | Sequence[str] | None = None, **options: Any) -> Plan:
     """Plan what `coarse_grain` with the same arguments will do, without doing it; printing the plan explains it.
 

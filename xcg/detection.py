@@ -11,6 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.complete import contact_points, minimum_image, periods
+from xcg.conform import takes_scene
 from xcg.contacts import check_search, find_pairs
 from xcg.labels import about, call_of
 from xcg.over_time import is_lazy, map_over_time, steps_in
@@ -136,6 +137,7 @@ class Search:
         return found
 
 
+@takes_scene
 def find_contacts(
     ds: xr.Dataset,
     *,

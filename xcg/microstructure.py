@@ -12,6 +12,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from xcg.complete import periods
+from xcg.conform import takes_scene
 from xcg.contacts import Contacts
 from xcg.labels import about, call_of, mark_skipped
 from xcg.over_time import map_over_time, steps_in
@@ -189,6 +190,7 @@ def _sample(
 # --- the call --------------------------------------------------------------------------------------------
 
 
+@takes_scene
 def microstructure(
     ds: xr.Dataset,
     quantities: str | Sequence[str] | None = None,

@@ -209,11 +209,10 @@ def _filled(
 
 def steps_in(arrays: Mapping[str, NDArray]) -> Iterator[tuple[Frame, NDArray | None, str]]:
     """Frame, box and name of each step of padded arrays; the box is None where they hold none."""
-    boxes, steps = arrays.get("box"), arrays.get("step")
-    rows = {name: a for name, a in arrays.items() if name not in ("box", "step")}
+    rows = {name: a for name, a in arrays.items() if name not in ("box", "step", "time")}
     for t in range(len(next(iter(rows.values())))):
-        where = f"frame {t} of its chunk" if steps is None else f"step {steps[t]}"
-        yield frame_of(rows, t), None if boxes is None else boxes[t], where
+        where = f"step {arrays['step'][t]}" if "step" in arrays else f"frame {t} of its chunk"
+        yield frame_of(rows, t, where), arrays["box"][t] if "box" in arrays else None, where
 
 
 def is_lazy(ds: xr.Dataset, names: Iterable[str]) -> bool:

@@ -11,14 +11,15 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.complete import periods
+from xcg.conform import takes_scene
 from xcg.contacts import Contacts
 from xcg.kernels.eigen import principal
 from xcg.labels import empty_results, label, results_of
 from xcg.moments import CONTACT_VARIABLES
-from xcg.over_time import map_over_time
+from xcg.over_time import map_over_time, steps_in
 from xcg.plan import edges_of, layer_depth
-from xcg.scene import frame_of, require_scene, setup_of
-from xcg.schema import COMPONENTS, PADDING, VARIABLES, Frame, SceneError, Variable
+from xcg.scene import particle_rows, require_scene, setup_of
+from xcg.schema import COMPONENTS, VARIABLES, Frame, SceneError, Variable
 
 VOLUMES = ("particle", "disc")
 # Eigenvalues below this share of the whole tensor are rounding.
@@ -141,6 +142,7 @@ def carries(result: Mapping[str, NDArray]) -> NDArray:
     return result["major_stress"] > ROUNDING * size
 
 
+@takes_scene
 def particle_stress(
     ds: xr.Dataset, *, symmetric: bool = True, volume: str = "particle", on_error: str = "raise"
 ) -> xr.Dataset:
@@ -204,16 +206,8 @@ def _compute(rule: StressRule, arrays: Mapping[str, NDArray]) -> dict[str, NDArr
     """Stress of the particles of one chunk of time, from padded arrays."""
     ids = arrays["particle_id"]
     out = empty_results(RESULTS, {"particle": ids.shape[1]}, len(ids)) | {"particle_id": ids}
-    for t in range(len(ids)):
-        frame, box, where = one_frame(arrays, t)
-        contacts = rule.contacts(frame, box, where)
+    for t, (frame, box, where) in enumerate(steps_in(arrays)):
+        rows, contacts = particle_rows(ids[t]), rule.contacts(frame, box, where)
         for name, values in rule.evaluate(frame, contacts, box, where).items():
-            out[name][t][ids[t] != PADDING] = values
+            out[name][t][rows] = values
     return out
-
-
-def one_frame(arrays: Mapping[str, NDArray], t: int) -> tuple[Frame, NDArray | None, str]:
-    """Frame, box and name of one step of a chunk of time."""
-    where = f"step {arrays['step'][t]}" if "step" in arrays else f"frame {t} of its chunk"
-    rows = {name: a for name, a in arrays.items() if name not in ("box", "step", "time")}
-    return frame_of(rows, t), arrays["box"][t] if "box" in arrays else None, where

@@ -14,6 +14,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.conform import takes_scene
 from xcg.scene import require_scene
 from xcg.schema import PADDING, SceneError
 
@@ -25,6 +26,7 @@ NOISE = 1e-3
 MAX_GRAINS, MAX_SILHOUETTES = 20_000, 3_000
 
 
+@takes_scene
 def find_phases(ds: xr.Dataset, max_phases: int = 8, *, steps: int = 5, seed: int = 0) -> xr.Dataset:
     """Find phases as clusters of (diameter, density) (computes some steps).
 
@@ -87,6 +89,7 @@ def find_phases(ds: xr.Dataset, max_phases: int = 8, *, steps: int = 5, seed: in
     )
 
 
+@takes_scene
 def assign_phases(
     ds: xr.Dataset,
     *,
@@ -139,6 +142,7 @@ def assign_phases(
     return found.assign_attrs(phase_values=np.unique(list(table.values())))
 
 
+@takes_scene
 def plot_phases(ds: xr.Dataset, step: int = 0) -> Any:
     """Draw the clusters of one step and the scores of `find_phases` (computes).
 

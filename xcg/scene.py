@@ -11,6 +11,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from xcg.complete import complete_contacts, complete_particles, periods
+from xcg.conform import takes_scene
 from xcg.schema import BOX, COMPONENTS, MAX_GROUPS, PADDING, Frame, SceneError, Setup, units_of, variable
 
 SIZES = ("d43", "d32", "d50", "drms", "dmin", "dmax")
@@ -339,19 +340,44 @@ def setup_of(ds: xr.Dataset) -> Setup:
     return replace(setup, unit_system=ds.attrs.get("unit_system", "SI"))
 
 
-def frame_of(arrays: Mapping[str, NDArray], t: int) -> Frame:
-    """One frame of padded arrays: the rows of step `t` that are not padding."""
-    frame: Frame = {}
-    for key, dim in (("particle_id", "particle"), ("contact_i", "contact")):
-        if key not in arrays:
-            continue
-        valid = arrays[key][t] != PADDING
+def particle_rows(ids: NDArray, where: str = "scene") -> slice | NDArray:
+    """Rows of the particles of one padded step, by id: a slice where they are sorted already.
+
+    Raises
+    ------
+    SceneError
+        If an id occurs twice.
+    """
+    count = int((ids != PADDING).sum())
+    if (ids[:count] != PADDING).all() and (ids[1:count] > ids[: max(count - 1, 0)]).all():
+        return slice(0, count)
+    rows = np.flatnonzero(ids != PADDING)
+    rows = rows[np.argsort(ids[rows], kind="stable")]
+    twice = np.flatnonzero(np.diff(ids[rows]) == 0)
+    if twice.size:
+        one, other = rows[twice[0] : twice[0] + 2]
+        msg = (
+            f"{where}: particle id {ids[one]} occurs twice (rows {one} and {other}); ids must be unique: select parts "
+            "that do not overlap before they are joined, or give the particles of one part other ids"
+        )
+        raise SceneError(msg)
+    return rows
+
+
+def frame_of(arrays: Mapping[str, NDArray], t: int, where: str = "scene") -> Frame:
+    """One frame of padded arrays: the rows of step `t` that are not padding, particles by id."""
+    rows: dict[str, Any] = {}
+    if "particle_id" in arrays:
+        rows["particle"] = particle_rows(arrays["particle_id"][t], where)
+    if "contact_i" in arrays:
+        valid = arrays["contact_i"][t] != PADDING
         count = int(valid.sum())
-        rows: Any = slice(0, count) if valid[:count].all() else valid
-        frame |= {name: a[t][rows] for name, a in arrays.items() if variable(name, a.dtype).dims[0] == dim}
-    return frame
+        rows["contact"] = slice(0, count) if valid[:count].all() else valid
+    dims = {name: variable(name, a.dtype).dims[0] for name, a in arrays.items()}
+    return {name: a[t][rows[dims[name]]] for name, a in arrays.items() if dims[name] in rows}
 
 
+@takes_scene
 def measure(ds: xr.Dataset) -> xr.Dataset:
     """Measure sizes and extent of all steps of a scene and store them as attributes (computes).
 
@@ -365,7 +391,7 @@ def measure(ds: xr.Dataset) -> xr.Dataset:
     frames = []
     for t in range(ds.sizes["time"]):
         arrays = {name: ds[name].isel(time=[t]).transpose("time", ...).to_numpy() for name in names}
-        frames.append(frame_of(arrays, 0))
+        frames.append(frame_of(arrays, 0, f"step {t}"))
     return ds.assign_attrs(measure_frames(frames))
 
 
@@ -373,8 +399,8 @@ def summary(ds: xr.Dataset) -> str:
     """Tell what a Dataset holds of a scene, and what is missing."""
     if "position" not in ds:
         return "not a scene: no 'position' (fields are saved with .cg.to_vtkhdf, .to_netcdf, .to_zarr)"
-    steps, particles, contacts = (ds.sizes.get(d, 0) for d in ("time", "particle", "contact"))
-    lines = [f"scene of {steps} steps with up to {particles} particles and {contacts} contacts"]
+    steps, particles, contacts = (ds.sizes.get(d, d == "time") for d in ("time", "particle", "contact"))
+    lines = [f"scene of {int(steps)} steps with up to {particles} particles and {contacts} contacts"]
     for dim in ("particle", "contact"):
         names = [str(n) for n in ds.data_vars if dim in ds[n].dims]
         lines.append(f"  {dim + 's:':11s}{', '.join(names) or 'none'}")

@@ -14,6 +14,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.complete import periods
+from xcg.conform import takes_scene
 from xcg.labels import mark_skipped
 from xcg.over_time import map_over_time, steps_in
 from xcg.plan import edges_of
@@ -25,6 +26,7 @@ _MOST_PERIODS = 1000  # that a grain may reach over
 _MOST = 1 << 20  # planes of all slices, each a step of a loop
 
 
+@takes_scene
 def slice_temperature(
     ds: xr.Dataset,
     axis: str = "z",
@@ -110,7 +112,6 @@ def slice_temperature(
             raise ValueError(msg)
         nodes = bounds[0] + step * np.arange(_whole((bounds[1] - bounds[0]) / step + 1e-9, 2 * planes + 1) + 1)
         function = partial(_planes, axis=k, dims=[*map(COMPONENTS.index, setup.plane)], sides=planes, width=width)
-    scene = ds if "time" in ds.dims else ds.expand_dims("time")
     compute = partial(
         _over_time,
         weight=weight,
@@ -124,11 +125,11 @@ def slice_temperature(
         "position",
         "velocity",
         weight,
-        *(name for name in ("box", "step") if name in scene and "time" in scene[name].dims),
+        *(name for name in ("box", "step") if name in ds),
     ]
     shape = {_TABLE: ((len(nodes), 5), "float64")}
-    found = map_over_time(scene, names, compute, shape, "slices", on_error)
-    coords: dict[Any, Any] = {name: scene[name].variable for name in ("time", "step") if name in scene.coords}
+    found = map_over_time(ds, names, compute, shape, "slices", on_error)
+    coords: dict[Any, Any] = {name: ds[name].variable for name in ("time", "step") if name in ds.coords}
     table = xr.DataArray(found[_TABLE], coords, ("time", axis, "_column"))
     system = setup.unit_system
     length = units_of((1, 0, 0), system)
@@ -143,8 +144,7 @@ def slice_temperature(
     }
     attrs = {"slice_width": width, "method": method}
     result = storable(xr.Dataset(out, {**coords, "component": list(COMPONENTS)}, attrs))
-    result = mark_skipped(result, found)
-    return result if scene is ds else result.isel(time=0)
+    return mark_skipped(result, found)
 
 
 def _floats(*values: Any) -> list[float]:

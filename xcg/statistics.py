@@ -16,6 +16,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg import fields as registry
+from xcg.conform import takes_scene
 from xcg.scene import SIZES, require_scene, sizes_of
 from xcg.schema import COMPONENTS, units_of
 
@@ -29,6 +30,7 @@ _SIZE_NAMES = {
 }
 
 
+@takes_scene
 def size_statistics(ds: xr.Dataset) -> xr.Dataset:
     """Sizes of the grains in each step, lazy where the scene is.
 

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from xcg.bodies import group_bodies
 from xcg.coarse_grain import coarse_grain
+from xcg.conform import takes_scene
 from xcg.plan import choose_width, make_plan
 
 THRESHOLD = 0.1
@@ -31,6 +32,7 @@ def _points(at: Mapping[str, ArrayLike] | None) -> tuple[list[dict[str, float]],
     return [dict(zip(columns, map(float, row), strict=True)) for row in rows], True
 
 
+@takes_scene
 def width_sweep(
     ds: xr.Dataset,
     widths: Sequence[float | str],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from xcg.complete import periods, rows_of
 from xcg.particle_stress import RESULTS as STRESSES
+from xcg.scene import particle_rows
 from xcg.schema import BOX, PADDING, VARIABLES, Frame, SceneError, Variable
 
 _NONE, _PRESSURE = (0, 0, 0), (-1, 1, -2)
@@ -123,12 +125,13 @@ def steps_of(fc: xr.Dataset, names: Sequence[str]) -> Iterator[Step]:
     names = [*dict.fromkeys(("particle_id", "contact_i", *names))]
     for t in range(fc.sizes["time"]):
         step = fc[[*names, *({"box"} & set(fc.data_vars))]].isel(time=t).compute()
-        valid = {"particle": step.particle_id.to_numpy() != PADDING, "contact": step.contact_i.to_numpy() != PADDING}
+        valid = step.contact_i.to_numpy() != PADDING
+        rows: dict[str, Any] = {"particle": particle_rows(step.particle_id.to_numpy()), "contact": valid}
         arrays = {}
         for name in names:
             dims = RESULTS[name].dims
             values = step[name].transpose(*dims).to_numpy()
-            arrays[name] = values[valid[dims[0]]] if dims[0] in valid else values
+            arrays[name] = values[rows[dims[0]]] if dims[0] in rows else values
         number = int(step["step"]) if "step" in step.coords else t
         box = step["box"].transpose(*BOX.dims).to_numpy() if "box" in step else None
         period = periods(box, fc.attrs.get("periodic", ""), f"step {number}")

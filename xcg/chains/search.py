@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from xcg.chains.regions import Region
 from xcg.chains.results import CHAINS, COPIED, RESULTS, result_sizes, statistics_of
 from xcg.complete import periods
+from xcg.conform import takes_scene
 from xcg.kernels import chains as kernel
 from xcg.labels import empty_results, label, results_of
-from xcg.over_time import map_over_time
-from xcg.particle_stress import StressRule, carries, one_frame
-from xcg.scene import require_scene
+from xcg.over_time import map_over_time, steps_in
+from xcg.particle_stress import StressRule, carries
+from xcg.scene import particle_rows, require_scene
 from xcg.schema import PADDING, Frame
 
 ALGORITHMS = ("branching", "peters2005")
@@ -76,6 +77,7 @@ class SearchRule:
         return chosen
 
 
+@takes_scene
 def force_chains(
     ds: xr.Dataset,
     alpha: float = 45.0,
@@ -217,12 +219,11 @@ def _compute(rule: SearchRule, arrays: Mapping[str, NDArray]) -> dict[str, NDArr
     ids, keys = arrays["particle_id"], arrays["contact_i"]
     sizes = result_sizes(ids.shape[1], keys.shape[1], rule.min_length)
     out = empty_results({n: row for n, row in RESULTS.items() if n not in COPIED}, sizes, len(ids))
-    for t in range(len(ids)):
-        frame, box, where = one_frame(arrays, t)
+    for t, (frame, box, where) in enumerate(steps_in(arrays)):
         time = float(arrays["time"][t]) if "time" in arrays else 0.0
         found = find_chains(rule, frame, box, time, where)
         count = len(found["chain_particles"])
-        rows = {"particle": ids[t] != PADDING, "contact": keys[t] != PADDING, "chain": slice(count)}
+        rows = {"particle": particle_rows(ids[t]), "contact": keys[t] != PADDING, "chain": slice(count)}
         for name, values in found.items():
             out[name][t][rows[RESULTS[name].dims[0]]] = values
         for name, value in statistics_of(found["chain_particles"], rule.min_length, sizes["length"]).items():

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from xcg.chains.regions import Region
 from xcg.chains.results import CHAINS, MEMBERS, STATISTICS, require_chains, result_sizes, statistics_of
 from xcg.complete import periods
+from xcg.conform import takes_scene
 from xcg.labels import label, results_of
-from xcg.over_time import map_over_time
-from xcg.particle_stress import one_frame
-from xcg.schema import PADDING
+from xcg.over_time import map_over_time, steps_in
+from xcg.scene import particle_rows
 
 _GRAINS = ("particle_id", "position", "major_stress", "box", "step")
 OF = {"any": np.logical_or, "all": np.logical_and}
@@ -33,6 +33,7 @@ class _Condition:
     min_length: int
 
 
+@takes_scene
 def select_chains(
     fc: xr.Dataset, region: Region | None = None, *, min_stress: float | None = None, of: str = "any"
 ) -> xr.Dataset:
@@ -89,8 +90,8 @@ def _compute(condition: _Condition, arrays: Mapping[str, NDArray]) -> dict[str, 
     lengths = result_sizes(particles, 0, condition.min_length)["length"]
     for name, row in STATISTICS.items():
         out[name] = np.empty((steps, *(lengths,) * len(row.dims)), row.dtype)
-    for t in range(steps):
-        frame, box, where = one_frame({name: arrays[name] for name in _GRAINS if name in arrays}, t)
+    grains = {name: arrays[name] for name in _GRAINS if name in arrays}
+    for t, (frame, box, where) in enumerate(steps_in(grains)):
         fulfilled = np.ones(len(frame["particle_id"]), bool)
         if condition.region is not None:
             time = float(arrays["time"][t]) if "time" in arrays else 0.0
@@ -98,7 +99,7 @@ def _compute(condition: _Condition, arrays: Mapping[str, NDArray]) -> dict[str, 
         if condition.min_stress is not None:
             fulfilled &= frame["major_stress"] >= condition.min_stress
         inside = np.zeros(particles, bool)
-        inside[arrays["particle_id"][t] != PADDING] = fulfilled
+        inside[particle_rows(arrays["particle_id"][t])] = fulfilled
         kept = _kept(arrays["chain_id"][t], arrays["chain_particles"][t] > 0, inside, condition.of)
         _drop(out, t, kept)
         for name, value in statistics_of(out["chain_particles"][t][kept], condition.min_length, lengths).items():

@@ -1,0 +1,164 @@
+"""Scenes that xarray selected from, masked, reordered or joined give what a user expects of them, or an error."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import xcg
+from tests import steps_of_random_scenes
+from xcg import SceneError
+
+FIELDS = ["contact_stress", "kinetic_stress", "volume_fraction", "coordination_number", "wall_traction"]
+MESH = {"fields": FIELDS, "width": 0.8, "spacing": 1.25, "bounds": dict.fromkeys("xyz", (0.0, 3.75))}
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return steps_of_random_scenes(2)
+
+
+def joined(*parts, **options):
+    return xr.concat(parts, "particle", join="outer", **({"data_vars": "all"} | options))
+
+
+def halves(scene):
+    return scene.isel(particle=slice(20, None)), scene.isel(particle=slice(20))
+
+
+SAME = {
+    "reversed": lambda s: s.isel(particle=slice(None, None, -1)),
+    "shuffled": lambda s: s.isel(particle=np.random.default_rng(0).permutation(s.sizes["particle"])),
+    "joined": lambda s: joined(*halves(s)),
+    "joined, minimal": lambda s: joined(*halves(s), data_vars="minimal"),
+    "components": lambda s: s.sel(component=["z", "x", "y"]),
+    "all chosen": lambda s: s.where(s.diameter > 0),
+    "padding in the middle": lambda s: s.pad(particle=(3, 0)).isel(particle=[5, 4, 0, 1, *range(6, 44), 2, 3]),
+    "transposed": lambda s: s.transpose("component", "contact", "particle", ...),
+}
+
+
+@pytest.mark.parametrize("lazy", [False, True])
+@pytest.mark.parametrize("how", SAME)
+def test_other_forms_of_one_scene_have_the_same_fields(scene, how, lazy):
+    given = SAME[how](scene.chunk(time=1) if lazy else scene)
+    xr.testing.assert_equal(given.cg.coarse_grain(**MESH).compute(), scene.cg.coarse_grain(**MESH))
+
+
+@pytest.mark.parametrize("how", SAME)
+def test_results_by_particle_keep_the_rows_of_the_scene(scene, how):
+    given = SAME[how](scene)
+    mine, usual = given.cg.particle_stress(), scene.cg.particle_stress()
+    chains, usual_chains = given.cg.force_chains(min_length=2), scene.cg.force_chains(min_length=2)
+    assert (usual_chains.chain_count > 0).all()
+    for t in range(2):
+        ids, expected = np.nan_to_num(given.particle_id.isel(time=t), nan=-1), usual.particle_id[t].values
+        np.testing.assert_array_equal(mine.particle_id[t], ids)
+        row = np.array([np.flatnonzero(expected == i)[0] for i in ids[ids >= 0]])
+        np.testing.assert_array_equal(mine.stress[t].values[ids >= 0], usual.stress[t].values[row])
+        assert np.isnan(mine.stress[t].values[ids < 0]).all()
+        for name in ("chain_id", "parent_id", "major_stress"):
+            np.testing.assert_array_equal(chains[name][t].values[ids >= 0], usual_chains[name][t].values[row])
+    upper = usual_chains.cg.select_chains(min_stress=float(usual.major_stress.median()))
+    kept = chains.cg.select_chains(min_stress=float(usual.major_stress.median()))
+    np.testing.assert_array_equal(kept.chain_count, upper.chain_count)
+    assert set(map(tuple, chains.cg.link_table()[["time", "particle_i", "particle_j"]].values)) == set(
+        map(tuple, usual_chains.cg.link_table()[["time", "particle_i", "particle_j"]].values)
+    )
+
+
+def test_bodies_and_microstructure_of_shuffled_rows(scene):
+    glued = scene.assign(body_id=(scene.particle_id // 2).where(scene.particle_id >= 0, -1))
+    shuffled = SAME["shuffled"](glued)
+    xr.testing.assert_allclose(shuffled.cg.group_bodies().drop_attrs(), glued.cg.group_bodies().drop_attrs())
+    names = ["coordination_number", "stress", "fabric", "volume_fraction"]
+    xr.testing.assert_allclose(
+        shuffled.cg.microstructure(names).drop_attrs(), glued.cg.microstructure(names).drop_attrs()
+    )
+
+
+def test_one_step_has_results_of_one_step(scene):
+    f, one = scene.cg.coarse_grain(**MESH), scene.isel(time=1)
+    assert "time" not in one.dims
+    xr.testing.assert_equal(one.cg.coarse_grain(**MESH), f.isel(time=1))
+    xr.testing.assert_equal(scene.chunk(time=1).isel(time=1).cg.coarse_grain(**MESH).compute(), f.isel(time=1))
+    xr.testing.assert_equal(scene.sel(time=0.09, method="nearest").cg.coarse_grain(**MESH), f.isel(time=1))
+    xr.testing.assert_equal(scene.isel(time=1, drop=True).cg.coarse_grain(**MESH), f.isel(time=1, drop=True))
+    chains = scene.cg.force_chains(min_length=2)
+    xr.testing.assert_equal(one.cg.force_chains(min_length=2), chains.isel(time=1))
+    xr.testing.assert_equal(
+        one.cg.force_chains(min_length=2).cg.select_chains(min_stress=0.1).chain_id,
+        chains.cg.select_chains(min_stress=0.1).chain_id.isel(time=1),
+    )
+    for task in (
+        "measure",
+        "find_contacts",
+        "microstructure",
+        "particle_stress",
+        "size_statistics",
+        "slice_temperature",
+    ):
+        assert "time" not in getattr(one.cg, task)().dims
+    assert "fields" in str(one.cg.explain("volume_fraction"))
+    assert repr(one.cg).startswith("scene of 1 step")
+
+
+CHOSEN = {
+    "where": lambda s: s.where(s.species == 1),
+    "where, dropped": lambda s: s.where((s.species == 1).compute(), drop=True),
+    "marked": lambda s: s.assign(particle_id=s.particle_id.where(s.species == 1, -1)),
+    "rows": lambda s: s.isel(time=[0]).isel(particle=np.flatnonzero(s.species[0] == 1)),
+    "by variable": lambda s: s.map(lambda v: v.where(s.species == 1) if "particle" in v.dims else v),
+}
+
+
+@pytest.mark.parametrize("lazy", [False, True])
+@pytest.mark.parametrize("how", CHOSEN)
+def test_chosen_particles_keep_the_contacts_with_all_others(scene, how, lazy):
+    chosen = CHOSEN[how](scene.chunk(time=1) if lazy else scene)
+    here = {"time": range(chosen.sizes["time"])}
+    found = chosen.cg.coarse_grain(**MESH).compute().drop_vars("wall_traction")
+    phase = scene.isel(here).cg.coarse_grain(by="species", **MESH).sel(phase="1", drop=True)
+    for name in ("contact_stress", "volume_fraction", "coordination_number"):
+        np.testing.assert_allclose(found[name], phase[name], rtol=1e-12, atol=1e-12)
+    divided = chosen.cg.coarse_grain(by="species", groups=[1], **MESH)
+    np.testing.assert_allclose(divided.contact_stress.sel(phase="1"), found.contact_stress, rtol=1e-12, atol=1e-12)
+
+
+def test_mean_stress_of_chosen_particles_is_the_sum_over_their_sides(scene):
+    step = scene.isel(time=0)
+    chosen = step.isel(particle=np.flatnonzero(step.species == 1))
+    ids, total = set(chosen.particle_id.values.tolist()), np.zeros((3, 3))
+    centre = dict(zip(step.particle_id.values.tolist(), step.position.values, strict=True))
+    for c in np.flatnonzero(step.contact_i.values >= 0):
+        for name, sign in (("contact_i", 1), ("contact_j", -1)):
+            one = int(step[name][c])
+            if one in ids:
+                branch = centre[one] - step.contact_point.values[c]
+                branch -= 5 * np.round(branch / 5)
+                total += sign * np.outer(step.contact_force.values[c], branch)
+    f = chosen.cg.coarse_grain("contact_stress", axes="", width=0.8)
+    np.testing.assert_allclose(f.contact_stress, total / 125, rtol=1e-12, atol=1e-14)
+    stresses = chosen.cg.particle_stress()
+    np.testing.assert_allclose((stresses.stress * chosen.volume).sum("particle"), (total + total.T) / 2, atol=1e-12)
+
+
+WRONG = {
+    "occurs twice": lambda s: joined(s.isel(particle=slice(30)), s.isel(particle=slice(20, None))),
+    "components": lambda s: s.sel(component=["x", "y"]),
+    r"components \['x'\]": lambda s: s.sel(component="x"),
+    "'box' differs along 'particle'": lambda s: joined(halves(s)[0], halves(s)[1].assign(box=s.box * 2)),
+    r"'diameter' has the dimensions .*'component'": lambda s: s.where(s.position > 1),
+    "expected whole numbers": lambda s: s.assign(species=s.species + 0.5),
+}
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_what_cannot_be_told_is_refused(scene, what):
+    with pytest.raises(SceneError, match=what):
+        WRONG[what](scene).cg.coarse_grain(**MESH)
+
+
+def test_what_was_spread_too_far_is_refused_before_it_is_read(scene, monkeypatch):
+    monkeypatch.setattr("xcg.conform._MOST_SPREAD", 1000)
+    with pytest.raises(SceneError, match=r"ds\.map"):
+        xcg.coarse_grain(scene.chunk(time=1).where(scene.species == 1), **MESH)
