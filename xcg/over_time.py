@@ -65,15 +65,7 @@ def map_over_time(
     -------
     dict
         NumPy or dask arrays by the names in `results`, and ``skipped`` where steps may be.
-
-    Raises
-    ------
-    ValueError
-        If `ds` has no dimension ``time``.
     """
-    if "time" not in ds.dims:
-        msg = "the scene has no time dimension; select steps with a list, ds.isel(time=[3]), to keep it"
-        raise ValueError(msg)
     compute = partial(_said_once, Once(), compute)
     inputs = _inputs(ds, names)
     lazy = {n: a for n, a in inputs.items() if isinstance(a, da.Array)}
