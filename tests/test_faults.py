@@ -1,16 +1,19 @@
 """Steps that cannot be read or computed: raised by name, or skipped, NaN, named and marked."""
 
 import gzip
+import pickle
 import warnings
 
 import dask
 import numpy as np
 import pytest
 import xarray as xr
+from click.testing import CliRunner
 
 import xcg
 from tests import dumps
 from tests.test_mfix import write_contacts, write_particles
+from xcg.cli import main
 from xcg.faults import SkippedStep
 
 STEPS = (0, 10, 20, 30, 40)
@@ -120,6 +123,37 @@ def test_results_with_skipped_steps_are_saved(folder):
         assert g.density.sel(time=~g.skipped).notnull().all()
     with pytest.warns(SkippedStep):
         f.cg.to_vtkhdf(folder / "f.vtkhdf")
+
+
+# --- what messages quote ---------------------------------------------------------------------------------
+
+CODES = "\x1b]0;title\x07\x9b31m\u202e"  # title of the window, colour, direction of writing
+SHOWN = "\\x1b]0;title\\x07\\x9b31m\\u202e"
+
+
+def test_messages_hold_nothing_that_a_terminal_obeys(folder):
+    dumps.write(folder / "p.10.dump", dumps.dump_text(columns=dumps.ATOMS.replace(" x ", f" {CODES} "), step=10))
+    with pytest.raises(xcg.SceneError) as error:
+        xcg.open_scene(folder / "p.10.dump")
+    with pytest.warns(xcg.SceneWarning) as said:
+        opened(folder, on_error="skip")
+    command = CliRunner().invoke(main, ["info", str(folder / "p.10.dump")])
+    for text in (str(error.value), " ".join(str(w.message) for w in said), command.output):
+        assert SHOWN in text
+        assert all(c.isprintable() or c == "\n" for c in text)
+
+
+def test_the_summary_of_a_scene_is_printable(folder):
+    ds = opened(folder)
+    text = repr(ds.assign({CODES: ds["diameter"]}).cg)
+    assert SHOWN in text
+    assert all(c.isprintable() or c == "\n" for c in text)
+
+
+def test_errors_and_warnings_pickle():
+    for one in (xcg.SceneError(CODES), xcg.SceneWarning(CODES), SkippedStep(3, CODES)):
+        again = pickle.loads(pickle.dumps(one))
+        assert (type(again), again.args, str(again)) == (type(one), one.args, str(one))
 
 
 # --- files that cannot be opened -------------------------------------------------------------------------

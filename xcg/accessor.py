@@ -24,6 +24,7 @@ from xcg.particle_stress import particle_stress
 from xcg.phases import assign_phases, find_phases, plot_phases
 from xcg.plan import Plan
 from xcg.scene import measure, summary
+from xcg.schema import printable
 from xcg.slices import slice_temperature
 from xcg.statistics import profile, size_statistics, time_average
 from xcg.width_sweep import width_sweep
@@ -38,7 +39,7 @@ class CoarseGrainAccessor:
         self._ds = ds
 
     def __repr__(self) -> str:
-        return summary_of_chains(self._ds) if "chain_id" in self._ds else summary(self._ds)
+        return printable(summary_of_chains(self._ds) if "chain_id" in self._ds else summary(self._ds))
 
     def coarse_grain(self, fields: Any = None, **options: Any) -> xr.Dataset:
         """Coarse-grain the scene, see `xcg.coarse_grain`."""

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from xcg.notices import warn_user
-from xcg.schema import SceneError, SceneWarning
+from xcg.schema import SceneError, SceneWarning, printable
 
 ON_ERROR = ("raise", "skip")
 
@@ -29,7 +29,7 @@ class SkippedStep(SceneWarning):
 
     def __init__(self, step: int, cause: str) -> None:
         super().__init__(step, cause)
-        self.step, self.cause = step, cause
+        self.step, self.cause = step, printable(cause)
 
     def __str__(self) -> str:
         return f"step {self.step} is skipped: {self.cause}"

@@ -21,11 +21,26 @@ MAX_GROUPS = 100
 Frame: TypeAlias = dict[str, NDArray]
 
 
-class SceneError(ValueError):
+def printable(text: str) -> str:
+    """Write what a terminal would obey or hide, as codes for colours or the title of its window, as escapes.
+
+    Messages quote files, and files may come from strangers.
+    """
+    return "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text)
+
+
+class _Printable(Exception):
+    """Keeps its message printable."""
+
+    def __init__(self, *args: object) -> None:
+        super().__init__(*(printable(a) if isinstance(a, str) else a for a in args))
+
+
+class SceneError(_Printable, ValueError):
     """Something in the DEM data is missing, contradictory or not finite."""
 
 
-class SceneWarning(UserWarning):
+class SceneWarning(_Printable, UserWarning):
     """Something in the data or the request is probably not what was meant."""
 
 

@@ -9,6 +9,7 @@ import click
 import xarray as xr
 
 from xcg.chains.search import ALGORITHMS, force_chains
+from xcg.cli.told import told
 from xcg.faults import ON_ERROR
 from xcg.labels import name_skipped
 from xcg.readers.series import open_scene
@@ -73,7 +74,7 @@ def chains_command(
         said["walls"] = list(walls)
     if frozen:
         said["frozen"] = list(frozen)
-    try:
+    with told(quiet=False):
         scene = open_scene(
             list(particles), contacts=list(contacts), **{k: v for k, v in said.items() if v is not None}
         )  # fmt: skip
@@ -86,8 +87,6 @@ def chains_command(
             with whole_file(netcdf, overwrite=overwrite, room=fc.nbytes) as part:
                 fc.to_netcdf(part, engine="netcdf4")
         _write(fc, csv, vtp, vtkhdf, overwrite=overwrite)
-    except (ValueError, OSError) as error:
-        raise click.ClickException(str(error)) from error
 
 
 def _refuse_existing(path: Path, overwrite: bool) -> None:

@@ -10,7 +10,6 @@ import os
 import signal
 import sys
 import threading
-import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import replace
@@ -22,34 +21,12 @@ import xcg
 from xcg import fields as registry
 from xcg.cli.chains import chains_command
 from xcg.cli.convert import convert_command
+from xcg.cli.told import told
 from xcg.faults import ON_ERROR
-from xcg.schema import units_of
+from xcg.schema import printable, units_of
 from xcg.writers.files import abandon
 
 INTERRUPTED = 130
-
-
-@contextmanager
-def _told(quiet: bool) -> Iterator[None]:
-    """Show warnings as one line each, and errors of data without a traceback."""
-
-    def show(message: Warning | str, *_: object, **__: object) -> None:
-        if not quiet:
-            start = "\r\x1b[K" if sys.stderr.isatty() else ""  # over the bar, which is drawn again
-            click.echo(f"{start}warning: {message}", err=True)
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("always", xcg.SceneWarning)
-        warnings.showwarning = show
-        try:
-            yield
-        except (ValueError, OSError, ImportError) as error:
-            raise click.ClickException(str(error)) from error
-        except MemoryError as error:
-            msg = (
-                f"not enough memory ({error}); take fewer steps at a time (--jobs 1), fewer fields, or a larger spacing"
-            )
-            raise click.ClickException(msg) from error
 
 
 # What a command that is stopped has to say.
@@ -138,13 +115,14 @@ def run(
     from xcg.cli.progress import Progress
     from xcg.cli.run import open_job, run_job
 
-    with _told(quiet):
+    with told(quiet):
         job = read_config(config)
         if on_error is not None:
             job = replace(job, on_error=on_error)
         if dry_run:
             scene, fields, _ = open_job(job)
-            click.echo(f"{scene.cg!r}\n{', '.join(map(str, fields.data_vars))}\ninto {job.folder}/{job.name}*")
+            names = ", ".join(map(str, fields.data_vars))
+            click.echo(printable(f"{scene.cg!r}\n{names}\ninto {job.folder}/{job.name}*"))
             return
         with _dashboard(jobs) if dashboard else nullcontext():
             steps = run_job(job, overwrite=overwrite, resume=resume, jobs=jobs)
@@ -167,7 +145,7 @@ def run(
                 _last_words.remove(kept)
                 bar.end()
     if not quiet:
-        click.echo(f"{count} steps in {job.folder}")
+        click.echo(printable(f"{count} steps in {job.folder}"))
 
 
 @main.command()
@@ -181,7 +159,7 @@ def info(files: tuple[str, ...], contacts: tuple[str, ...], **options: object) -
     given = {name: value for name, value in options.items() if value is not None}
     if contacts:
         given["contacts"] = list(contacts)
-    with _told(quiet=False):
+    with told(quiet=False):
         ds = xcg.open_scene(list(files), **given)  # type: ignore[arg-type]
         click.echo(repr(ds.cg))
         times = ds["time"].to_numpy()

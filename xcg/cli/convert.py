@@ -10,6 +10,7 @@ import click
 from dask.diagnostics import ProgressBar
 
 from xcg.cli.config import read_config
+from xcg.cli.told import told
 from xcg.readers.series import open_scene
 from xcg.writers.store import save
 
@@ -42,11 +43,9 @@ def convert_command(files: tuple[str, ...], output: Path, *, overwrite: bool, qu
     FILES are those with particles, or one job (TOML or Pysammos's config.ini) whose scene is meant. For example:
     xcg convert "particles.*.dump" -c "contacts.*.dump" -o scene.zarr
     """
-    try:
+    with told(quiet=False):
         ds = open_scene(**_scene_options(files, options))
         with ProgressBar(out=None if quiet else sys.stderr):
             save(ds, output, overwrite=overwrite)
-    except (ValueError, OSError, ImportError) as error:
-        raise click.ClickException(str(error)) from error
     reader = "open_zarr" if output.suffix == ".zarr" else "open_dataset"
     click.echo(f"{ds.sizes['time']} steps in {output}; open it with xarray.{reader}({str(output)!r})")

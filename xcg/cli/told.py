@@ -1,0 +1,35 @@
+"""What a command says of warnings and errors."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import click
+
+from xcg.schema import SceneWarning, printable
+
+
+@contextmanager
+def told(quiet: bool) -> Iterator[None]:
+    """Show warnings as one line each, and errors of data without a traceback."""
+
+    def show(message: Warning | str, *_: object, **__: object) -> None:
+        if not quiet:
+            start = "\r\x1b[K" if sys.stderr.isatty() else ""  # over the bar, which is drawn again
+            click.echo(f"{start}warning: {printable(str(message))}", err=True)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", SceneWarning)
+        warnings.showwarning = show
+        try:
+            yield
+        except (ValueError, OSError, ImportError) as error:
+            raise click.ClickException(printable(str(error))) from error
+        except MemoryError as error:
+            msg = (
+                f"not enough memory ({error}); take fewer steps at a time (--jobs 1), fewer fields, or a larger spacing"
+            )
+            raise click.ClickException(msg) from error
