@@ -15,7 +15,7 @@ FLOORS = [
     ["faults"],
     ["complete", "conform", "grid"],
     ["cells", "scene"],
-    ["contacts", "moments", "over_time", "regions", "phases", "bodies"],
+    ["contacts", "moments", "over_time", "reach", "regions", "phases", "bodies"],
     ["fields", "labels", "quantities", "sums"],
     ["plan", "readers", "tape"],
     ["pysammos"],

@@ -18,7 +18,8 @@ from xcg.kernels.nodes import RUN, lists_for, runs_of, spatial_order
 from xcg.kernels.rows import turn
 from xcg.kernels.segments import SEGMENT, closed_for, deposit_segments, list_segments
 from xcg.moments import CUTOFF_POWERS, MOMENTS, Recipe, columns_of
-from xcg.schema import COMPONENTS, Frame, SceneError
+from xcg.reach import Mesh
+from xcg.schema import Frame, SceneError
 from xcg.threads import Box, for_each
 
 
@@ -53,9 +54,6 @@ _Fill = Callable[[Box, NDArray, NDArray], None]
 
 # Sums are made over boxes of about this many nodes, so that memory holds those of a few boxes, not of the mesh.
 BOX = 110_000
-# Beyond this many cutoffs from the mesh coordinates cannot be told apart, and cells cannot be counted.
-_FAR = 2.0**50
-_MOST_IMAGES = 1000
 
 
 def _tuple(values: Sequence[Any] | NDArray) -> tuple[Any, Any, Any]:
@@ -203,10 +201,10 @@ class _Deposit:
             for second in (False, True):
                 segments, longest, more = self._segments(place, second, others if name == "pair_contact" else 0, cutoff)
                 reach = 2.0 + longest[:3]
-                self._check(reach, reach, cutoff)
+                self._mesh(cutoff).check_reach(reach)
                 runs = runs_of(segments[:, :3])
                 runs += np.array([[-1.0], [1.0]]) * longest[:3]
-                for real, closed, rest in self._rules(longest[3]):
+                for real, closed, rest in self._rules(longest[3], cutoff):
                     way = (segments, self.recipe.limits, runs), self._onto(cutoff), reach, real, closed, rest
                     fill.append(partial(_fill_segments, *way))
                 if not more:
@@ -223,11 +221,17 @@ class _Deposit:
             second, place, c.i, c.j, c.point, c.force, self.position, self.phase, others, self.wrap, self.cutoffs,
             cutoff, self.origin, segments, longest,
         )  # fmt: skip
+        mesh = self._mesh(cutoff)
+        mesh.check_far(longest[:3])
+        if mesh.too_long(longest[:3]):
+            contact = np.argsort(place)
+            partner = (c.i if second else np.where(c.i >= 0, c.j, c.i))[contact]
+            longest = mesh.cut(segments, np.array([c.point[contact], self.position[partner]]))
         return segments, longest, more
 
-    def _rules(self, longest: float) -> list[tuple[str, bool, bool]]:
+    def _rules(self, longest: float, cutoff: float) -> list[tuple[str, bool, bool]]:
         """Ways to the weights of segments: numbers, whether in closed form as well, and whether in that alone."""
-        if not self.recipe.coarse:
+        if not self.recipe.coarse or not self._mesh(cutoff).fits_single(self.recipe.limits.max()):
             return [("float64", True, False)]
         by_points = ("float32", False, False)
         return [by_points] if longest <= self.recipe.limits.max() else [by_points, ("float64", True, True)]
@@ -244,8 +248,12 @@ class _Deposit:
         """Mesh and kernel, in cutoffs."""
         kind, spread, table, norm = self.recipe.weights
         norm *= (self.recipe.cutoffs[0] / cutoff) ** int(self.active.sum())
-        mesh = (_tuple(self.recipe.grid.steps / cutoff), _tuple(self.active), _tuple(self.period / cutoff))
-        return *mesh, kind, spread, table, norm * self.scale
+        mesh = self._mesh(cutoff)
+        return *map(_tuple, (mesh.steps, mesh.active, mesh.period)), kind, spread, table, norm * self.scale
+
+    def _mesh(self, cutoff: float) -> Mesh:
+        """Mesh and its surroundings, in cutoffs."""
+        return Mesh.of(self.recipe.grid, self.period, cutoff, self.where)
 
     def _in_space(self, position: NDArray) -> NDArray:
         """Order in space, so that neighbours add to the same nodes while these are in cache."""
@@ -254,26 +262,10 @@ class _Deposit:
         lower, upper = (np.array([extreme(x) for x in position.T]) for extreme in (np.min, np.max))
         farthest = np.maximum(np.abs(lower - self.origin), np.abs(upper - self.origin))
         for cutoff in (self.cutoffs.min(), self.cutoffs.max()):
-            self._check(farthest / cutoff + 2.0, np.full(3, 2.0), cutoff)
+            mesh = self._mesh(cutoff)
+            mesh.check_far(farthest / cutoff + 2.0)
+            mesh.check_reach(np.full(3, 2.0))
         return spatial_order(position, self.cutoffs.min(), lower, upper, self.active)
-
-    def _check(self, farthest: NDArray, reach: NDArray, unit: float) -> None:
-        """Refuse places that the kernels cannot number; damaged files hold them."""
-        for k in np.flatnonzero(self.active):
-            name = COMPONENTS[k]
-            if not farthest[k] < _FAR:
-                msg = (
-                    f"{self.where}: a particle or contact reaches {farthest[k] * unit:.3g} m from the mesh along "
-                    f"'{name}', where coordinates have no digits left; the file is damaged, or its units are others"
-                )
-                raise SceneError(msg)
-            if not reach[k] * unit < _MOST_IMAGES * self.period[k]:
-                msg = (
-                    f"{self.where}: the period {self.period[k]:.3g} m along '{name}' is less than a "
-                    f"{_MOST_IMAGES}th of the reach of a particle or contact ({reach[k] * unit:.3g} m); the box or a "
-                    "contact in the file is damaged, or the kernel is too wide"
-                )
-                raise SceneError(msg)
 
     def _points(
         self, moments: Mapping[str, tuple[NDArray, float | NDArray]], position: NDArray, velocity: NDArray,

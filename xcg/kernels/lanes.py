@@ -1,8 +1,9 @@
 """Several neighbouring numbers of an array in one instruction, written out for LLVM.
 
 Loops over four or eight numbers would be compiled one number at a time, and merged again afterwards, if they are.
-Nothing is checked: places must lie within the array, and addresses be those of arrays that are still there. Sums and
-products are those of the same formula number by number, bit for bit.
+Nothing is checked unless ``NUMBA_BOUNDSCHECK=1`` is set, which `ask_for` and addresses do not heed: places must lie
+within the array, and addresses be those of arrays that are still there. Sums and products are those of the same formula
+number by number, bit for bit.
 """
 
 import math
@@ -10,7 +11,7 @@ from collections.abc import Callable
 
 from llvmlite import ir
 from numba import types
-from numba.core import cgutils
+from numba.core import cgutils, config
 from numba.extending import intrinsic
 
 FOUR, EIGHT = 4, 8
@@ -20,8 +21,13 @@ TILE = 64  # nodes that the algebra is done for at a time
 def _at(context, builder, array_type, array, indices, lanes):
     """Pointer to `lanes` numbers of a C-contiguous array, from a place on, and the alignment of one of them."""
     view = context.make_array(array_type)(context, builder, array)
+    shape = cgutils.unpack_tuple(builder, view.shape)
+    if config.BOUNDSCHECK:
+        last = builder.add(indices[-1], ir.Constant(ir.IntType(64), lanes - 1))
+        for index, extent in zip([*indices, last], [*shape, shape[-1]], strict=True):
+            cgutils.do_boundscheck(context, builder, index, extent)
     place = indices[0]
-    for index, extent in zip(indices[1:], cgutils.unpack_tuple(builder, view.shape)[1:], strict=True):
+    for index, extent in zip(indices[1:], shape[1:], strict=True):
         place = builder.add(builder.mul(place, extent), index)
     number = context.get_data_type(array_type.dtype)
     pointer = builder.gep(view.data, [place])
