@@ -43,6 +43,13 @@ def test_stress_and_composition():
     assert chains_of(fc.cg.select_chains(xcg.Sphere((1, 1, 0), 0.1), min_stress=strong)) == {frozenset([3, 4, 5])}
 
 
+def test_the_least_stress_is_included():
+    fc = three_chains()
+    largest = float(fc.major_stress.max())
+    assert chains_of(fc.cg.select_chains(min_stress=largest)) == {frozenset([3, 4, 5])}
+    assert chains_of(fc.cg.select_chains(min_stress=np.nextafter(largest, np.inf))) == set()
+
+
 def test_what_is_left_is_consistent():
     fc = three_chains()
     some = fc.cg.select_chains(xcg.Sphere((1, 0, 0), 0.1))

@@ -119,6 +119,29 @@ def test_links_across_the_boundary_end_at_an_image(tmp_path, sheared):
     assert (point_data["image"] == 0).sum() == members
 
 
+def test_every_link_goes_from_its_first_particle_to_the_nearest_image_of_its_second(tmp_path, sheared):
+    one = sheared.isel(time=[0])
+    (path,) = one.cg.to_vtp(tmp_path / "f.vtp")
+    points, ends, point_data, line_data = content(read_vtp(path))
+    ids = one.particle_id.values[0]
+    place = dict(zip(ids.tolist(), one.position.values[0], strict=True))
+    links = one.cg.link_table()
+    np.testing.assert_array_equal(point_data["id"][ends], links[["particle_i", "particle_j"]])
+    assert not point_data["image"][ends[:, 0]].any()
+    period = float(np.ptp(one.box.values[0, 0]))
+    crossing = 0
+    for (a, b), i, j in zip(ends, links["particle_i"], links["particle_j"], strict=True):
+        np.testing.assert_array_equal(points[a], place[i])
+        away = place[j] - place[i]
+        turns = np.rint(away[0] / period)
+        np.testing.assert_allclose(points[b] - points[a], away - [turns * period, 0, 0], rtol=0, atol=1e-12 * period)
+        assert point_data["image"][b] == abs(turns)
+        crossing += turns != 0
+    assert crossing > 2
+    np.testing.assert_array_equal(line_data["stress"], links["stress"])
+    np.testing.assert_array_equal(line_data["chain_id"], links["chain"])
+
+
 def test_no_chains(tmp_path):
     fc = nine_particles().cg.force_chains(threshold=1e9)
     assert len(fc.cg.to_csv(tmp_path / "f.csv")[0].read_text().splitlines()) == 1

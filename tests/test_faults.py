@@ -106,6 +106,54 @@ def test_programming_errors_are_never_skipped(folder):
         out["a"].compute()
 
 
+@pytest.mark.parametrize("error", [
+    xcg.SceneError, ValueError, OSError, FileNotFoundError, EOFError, ArithmeticError, ZeroDivisionError,
+    FloatingPointError, OverflowError, UnicodeDecodeError("utf-8", b"", 0, 1, ""),
+])  # fmt: skip
+@pytest.mark.parametrize("lazy", [False, True])
+def test_faults_of_data_and_files_are_skipped(folder, error, lazy):
+    from xcg.over_time import map_over_time
+
+    def faulty(arrays):
+        if 20 in arrays["step"]:
+            raise error
+        return {"a": np.ones(len(arrays["step"])), "b": np.ones(len(arrays["step"]), int)}
+
+    ds = opened(folder) if lazy else opened(folder).load()
+    results = {"a": ((), "float64"), "b": ((), "int64")}
+    with pytest.warns(SkippedStep, match=r"step 20 is skipped: \S"):  # and why, also where the error says nothing
+        out = dask.compute(map_over_time(ds, ["position", "step"], faulty, results, "faulty", "skip"))[0]
+    a, b, skipped = out["a"], out["b"], out["skipped"]
+    np.testing.assert_array_equal(a, [1, 1, np.nan, 1, 1])
+    np.testing.assert_array_equal(b, [1, 1, -1, 1, 1])
+    assert skipped.tolist() == [False, False, True, False, False]
+
+
+@pytest.mark.parametrize("error", [
+    TypeError, KeyError, IndexError, AttributeError, NameError, RuntimeError, NotImplementedError, AssertionError,
+    MemoryError, RecursionError, StopIteration, ImportError, KeyboardInterrupt,
+])  # fmt: skip
+def test_errors_of_programs_are_raised(folder, error):
+    from xcg.over_time import map_over_time
+
+    def broken(arrays):
+        raise error
+
+    ds = opened(folder).load()
+    with pytest.raises(error):
+        map_over_time(ds, ["position"], broken, {"a": ((), "float64")}, "broken", "skip")
+
+
+def test_whole_numbers_of_a_skipped_step_are_padding(folder):
+    garble(folder / "p.20.dump")
+    with pytest.warns(SkippedStep):
+        got = opened(folder).cg.force_chains(on_error="skip").compute()
+    whole = [name for name, a in got.data_vars.items() if a.dtype.kind == "i"]
+    assert len(whole) > 5
+    for name in whole:
+        assert (got[name].isel(time=2) == -1).all(), name
+
+
 def test_wrong_choice(folder):
     for call in (lambda: opened(folder, on_error="ignore"),
                  lambda: opened(folder).cg.coarse_grain("density", on_error="ignore")):  # fmt: skip

@@ -225,6 +225,22 @@ def test_phases_and_regions_add_up():
         np.testing.assert_allclose(thirds[name].mean("region"), whole[name], atol=1e-12)
 
 
+def test_grains_outside_the_box_are_those_of_their_images_inside():
+    ds = xcg.datasets.random_scene(200, seed=5, periodic="xz")
+    away = np.array([0.7, -31.0, 12.3])
+    moved = ds.assign(position=ds.position + away, contact_point=ds.contact_point + away, box=ds.box + away[:, None])
+    turns = np.random.default_rng(0).integers(-3, 4, (200, 3)) * [5.0, 0, 5.0]
+    assert (turns != 0).sum() > 100
+    moved["position"] = moved.position + turns
+    bounds = {"x": (1.0, 3.0), "z": (0.0, 2.0)}
+    there = {a: (low + away["xyz".index(a)], high + away["xyz".index(a)]) for a, (low, high) in bounds.items()}
+    expected, m = ds.cg.microstructure(bounds=bounds), moved.cg.microstructure(bounds=there)
+    assert 10 < expected.particle_count.item() < 100
+    for name in expected:
+        size = float(np.abs(expected[name]).max())
+        np.testing.assert_allclose(m[name], expected[name], rtol=1e-9, atol=1e-9 * size, err_msg=str(name))
+
+
 def test_stress_is_that_of_coarse_graining():
     """Love-Weber over the periodic box is the exact average of the contact stress field (the virial)."""
     ds = xcg.datasets.random_scene(200, seed=4)

@@ -270,6 +270,25 @@ def test_time_pairs_before_the_step_number(tmp_path):
     np.testing.assert_array_equal(scene.time, [1, 2])
 
 
+@pytest.mark.parametrize(
+    ("times", "near"), [((0.0, 1.0, 11.0), 1e-3), ((0.0, 10.0, 10.5), 0.5e-3), ((7.0,), 7e-6)], ids=str
+)
+def test_times_pair_within_a_thousandth_of_the_shortest_interval(tmp_path, times, near):
+    """For a single step it is a millionth of the time."""
+    for share, paired in ((0.9, True), (-0.9, True), (1.1, False), (-1.1, False)):
+        for step, time in enumerate(times):
+            off = share * near if step == len(times) - 1 else 0.0
+            write(tmp_path / f"p.{step}.dump", dump_text(step=step, before=f"ITEM: TIME\n{time}\n"))
+            text = pairs_text(["1 2 5 0 0 0 0 0"], step=step, before=f"ITEM: TIME\n{time + off:.12g}\n")
+            write(tmp_path / f"c.{step}.dump", text)
+        if paired:
+            scene = open_scene(tmp_path / "p.*", contacts=tmp_path / "c.*")
+            assert (scene.contact_force[:, 0, 0] == 5).all()
+        else:
+            with pytest.raises(SceneError, match=f"none of the same time for 1 of {len(times)} steps"):
+                open_scene(tmp_path / "p.*", contacts=tmp_path / "c.*")
+
+
 def test_nothing_pairs(series, tmp_path):
     other = write(tmp_path / "other.dump", pairs_text(step=99, before="ITEM: TIME\n9.9\n"))
     with pytest.raises(SceneError, match="none of the same time for 3 of 3 steps"):

@@ -131,6 +131,40 @@ def test_errors_of_correlated_samples(memory):
     assert naive == pytest.approx(true / np.sqrt((1 + memory) / (1 - memory)), rel=0.05)
 
 
+def test_the_error_is_that_of_the_block_beyond_which_it_does_not_grow():
+    n = 1024
+    for length in (1, 2, 4, 8):  # so many steps up, so many down: blocks of twice as many are all alike
+        x = np.where(np.arange(n) // length % 2, 1.0, -1.0)[:, None]
+        got = as_result(5 + x).cg.time_average().density_error.item()
+        assert got == pytest.approx(1 / np.sqrt(n / length - 1), rel=1e-12)
+    ramp = as_result(np.arange(64.0)[:, None]).cg.time_average().density_error.item()
+    # grows with every block: of sixteen, the fewest that are looked at
+    assert ramp == pytest.approx(4 * np.sqrt((16**2 - 1) / 12 / 15), rel=1e-12)
+    short = as_result(np.arange(8.0)[:, None]).cg.time_average().density_error.item()
+    assert short == pytest.approx(np.sqrt((8**2 - 1) / 12 / 7), rel=1e-12)
+
+
+def test_the_block_is_chosen_within_the_scatter_of_the_errors():
+    """The smallest block whose error is reached by none of the larger blocks' errors less their own scatter."""
+    rng = np.random.default_rng(2)
+    x = rng.normal(size=(700, 60))
+    for t in range(1, 700):
+        x[t] += np.linspace(0, 0.9, 60) * x[t - 1]
+    got = as_result(x).cg.time_average().density_error.values
+    chosen = []
+    for column, error in zip(x.T, got, strict=True):
+        errors, scatter, samples = [], [], column
+        while len(samples) >= 16:
+            errors.append(samples.std(ddof=1) / np.sqrt(len(samples)))
+            scatter.append(errors[-1] / np.sqrt(2 * (len(samples) - 1)))
+            samples = samples[: len(samples) // 2 * 2].reshape(-1, 2).mean(axis=1)
+        fits = [all(e - s <= errors[k] for e, s in zip(errors[k + 1 :], scatter[k + 1 :], strict=True))
+                for k in range(len(errors))]  # fmt: skip
+        chosen.append(fits.index(True))
+        assert error == pytest.approx(errors[chosen[-1]], rel=1e-9)
+    assert len(set(chosen)) > 3
+
+
 def test_errors_of_ratios_are_those_of_the_ratio_of_sums():
     rng = np.random.default_rng(1)
     n, columns = 2048, 300

@@ -72,8 +72,13 @@ def note(where: int | str, error: Exception) -> bool:
     """Note the fault of a step or file; False where nobody tolerates it, and it must be raised."""
     if _noted.faults is None:
         return False
-    _noted.faults.setdefault(where, str(error) or repr(error))
+    _noted.faults.setdefault(where, cause_of(error))
     return True
+
+
+def cause_of(error: Exception) -> str:
+    """Say what an error says, or its name where it says nothing."""
+    return str(error) or repr(error)
 
 
 def raise_or_note(path: str, error: Exception) -> None:

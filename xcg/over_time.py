@@ -20,7 +20,7 @@ from dask.highlevelgraph import HighLevelGraph
 from dask.optimization import cull
 from numpy.typing import NDArray
 
-from xcg.faults import FAULTS, check_on_error, tolerated, warn_of
+from xcg.faults import FAULTS, cause_of, check_on_error, tolerated, warn_of
 from xcg.notices import Once
 from xcg.picks import Gathered, picked
 from xcg.scene import frame_of
@@ -167,7 +167,7 @@ def _guarded(
         try:
             found[t] = compute({of: a[t : t + 1] for of, a in arrays.items()})
         except FAULTS as error:
-            faults[number] = str(error)
+            faults[number] = cause_of(error)
     warn_of({number: cause for number, cause in faults.items() if number in named})
     return _filled(results, count, found)
 
@@ -175,7 +175,7 @@ def _guarded(
 def _all_skipped(results: Mapping[str, Result], numbers: NDArray | None, error: Exception) -> dict[str, NDArray]:
     if numbers is None:
         raise error  # how many steps there are is not known
-    warn_of(dict.fromkeys(numbers.tolist(), str(error)))
+    warn_of(dict.fromkeys(numbers.tolist(), cause_of(error)))
     return _filled(results, len(numbers), {})
 
 
