@@ -9,6 +9,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from xcg.schema import COMPONENTS, Frame, SceneError, Setup, variable
 
+# Rows of one pair are one contact where their forces differ by no more than this share of their size, as in files of
+# six digits, and their points by no more than this share of the distance from the centre.
+_SAME_FORCE, _SAME_POINT = 1e-4, 0.05
+_MOST_CONTACTS_A_PAIR = 64  # of equal force, that are compared with each other
+
 
 def _check_rows(frame: Frame, dim: str, where: str) -> None:
     """Refuse arrays of the wrong shape or with values that are not finite; name every bad variable at once."""
@@ -165,6 +170,9 @@ def complete_contacts(
     For spheres the contact point lies on the branch at ``R_i - overlap/2`` from the centre of i, with
     ``overlap = R_i + R_j - |r_i - r_j|`` and ``r_i - r_j`` the minimum image.
 
+    A contact that is listed twice, as a copy or from both sides as (i, j, f) and (j, i, -f), is taken once. Several
+    contacts of one pair, which differ in force or place, all stay.
+
     Parameters
     ----------
     frame : mapping
@@ -180,8 +188,8 @@ def complete_contacts(
     Raises
     ------
     SceneError
-        For unknown ids, a particle in contact with itself, values that are not finite, or a contact point that
-        is missing and cannot be derived.
+        For unknown ids, a particle in contact with itself, values that are not finite, a contact point that is missing
+        and cannot be derived, or a contact that is listed from both sides with the same force.
     """
     given = _typed({name: values for name, values in frame.items() if name != "contact_branch"}, setup, where)
     if "contact_branch" in frame and "contact_normal" not in given:
@@ -219,7 +227,80 @@ def complete_contacts(
         given["contact_point"] = _contact_points(
             given, particles, row_i, row_j, periods(box, setup.periodic, where), where
         )
-    return given
+    rows, pair = repeated_pairs(i, j)
+    if not rows.size:
+        return given
+    there, centre = np.where(row_i >= 0, row_i, row_j)[rows], given["contact_point"][rows]
+    centre[there >= 0] = particles["position"][there[there >= 0]]
+    copy = _copies(given, rows, pair, centre, periods(box, setup.periodic, where), where)
+    return {name: np.delete(values, copy, axis=0) for name, values in given.items()} if copy.size else given
+
+
+def repeated_pairs(i: NDArray, j: NDArray) -> tuple[NDArray, NDArray]:
+    """Rows of the contacts of all pairs that have more than one, pair after pair, and a number for the pair of each.
+
+    Which of the two comes first makes no difference. Spheres touch once, and one sort then tells that there are none.
+    """
+    low, high = np.minimum(i, j), np.maximum(i, j)
+    if not len(low):
+        return np.empty(0, int), np.empty(0, int)
+    span = int(high.max()) - int(high.min()) + 1
+    if (int(low.max()) - int(low.min()) + 1) * span < 2**62:
+        key = (low - low.min()) * span + (high - high.min())
+        ordered = np.sort(key)
+        if (ordered[1:] != ordered[:-1]).all():
+            return np.empty(0, int), np.empty(0, int)
+        order = np.argsort(key, kind="stable")
+    else:
+        order = np.lexsort((high, low))
+    same = (low[order[1:]] == low[order[:-1]]) & (high[order[1:]] == high[order[:-1]])
+    inside = np.append(same, False) | np.insert(same, 0, False)
+    return order[inside], np.insert(np.cumsum(~same), 0, 0)[inside]
+
+
+def _copies(contacts: Frame, rows: NDArray, pair: NDArray, centre: NDArray, period: NDArray, where: str) -> NDArray:
+    """Rows that list a contact again: the same force, from either side, at the same point.
+
+    Contacts of one pair are sorted by the size of the force, so that those of one contact stand near each other.
+
+    Parameters
+    ----------
+    rows, pair : array (n,)
+        Contacts of pairs that have more than one, see `repeated_pairs`.
+    centre : array (n, 3)
+        Centre of a particle of each (m), from which the distance of points is judged.
+    """
+    order = np.lexsort((np.linalg.norm(contacts["contact_force"][rows], axis=1), pair))
+    rows, pair, centre = rows[order], pair[order], centre[order]
+    point = contacts["contact_point"][rows]
+    mirrored = contacts["contact_i"][rows] > contacts["contact_j"][rows]
+    force = contacts["contact_force"][rows]
+    size = np.linalg.norm(force, axis=1)
+    reach = _SAME_POINT * np.linalg.norm(minimum_image(point - centre, period), axis=1)
+    copy = np.zeros(len(rows), bool)
+    for distance in range(1, min(len(rows), _MOST_CONTACTS_A_PAIR)):
+        near = (pair[distance:] == pair[:-distance]) & ~copy[distance:]
+        near &= size[distance:] - size[:-distance] <= _SAME_FORCE * size[distance:]
+        one = np.flatnonzero(near)
+        if not one.size:
+            break
+        other = one + distance
+        together = np.linalg.norm(minimum_image(point[one] - point[other], period), axis=1) <= reach[other]
+        one, other = one[together], other[together]
+        turned, least = mirrored[one] != mirrored[other], _SAME_FORCE * size[other]
+        same = np.linalg.norm(force[one] - force[other], axis=1) <= least
+        opposite = np.linalg.norm(force[one] + force[other], axis=1) <= least
+        copy[other[np.where(turned, opposite, same)]] = True
+        wrong = turned & same & ~opposite
+        if wrong.any():
+            a, b = rows[one[wrong][0]], rows[other[wrong][0]]
+            msg = (
+                f"{where}: contact rows {a} and {b} list one contact from both sides with the same force, "
+                f"{contacts['contact_force'][a]}, so that both sides cancel; contact_force is that on contact_i: turn "
+                "the sign of one of them, or list each contact once"
+            )
+            raise SceneError(msg)
+    return rows[copy]
 
 
 def unit_vectors(vector: NDArray) -> NDArray:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xcg.cells import CellLists
-from xcg.complete import periods, rows_of, unit_vectors
+from xcg.complete import periods, repeated_pairs, rows_of, unit_vectors
 from xcg.kernels import THREADS
 from xcg.kernels.neighbours import sort_pairs
 from xcg.kernels.rows import (
@@ -151,16 +151,9 @@ class Contacts:
     @cached_property
     def first(self) -> NDArray:
         """1 for the first contact of each pair, 0 for further ones (bodies may touch in several places)."""
-        low, high = np.minimum(self.key_i, self.key_j), np.maximum(self.key_i, self.key_j)
-        if len(low) and (int(np.ptp(low)) + 1) * (int(np.ptp(high)) + 1) < 2**62:
-            # spheres touch once: then one sort of whole numbers tells that there is nothing to tell
-            key = np.sort((low - low.min()) * (np.ptp(high) + 1) + (high - high.min()), kind="stable")
-            if (key[1:] != key[:-1]).all():
-                return np.ones(len(low))
-        order = np.lexsort((high, low))
-        repeated = (np.diff(low[order]) == 0) & (np.diff(high[order]) == 0)
-        first = np.ones(len(low))
-        first[order[1:][repeated]] = 0.0
+        first = np.ones(len(self.key_i))
+        rows, pair = repeated_pairs(self.key_i, self.key_j)
+        first[rows[1:][pair[1:] == pair[:-1]]] = 0.0
         return first
 
     @cached_property
