@@ -18,8 +18,8 @@ PERIOD = np.array([0.04, np.inf, 0.02])  # of the real chute
 # --- small files of our own ------------------------------------------------------------------------------
 
 
-def write_vtp(path: Path, points, time=0.5, **arrays) -> Path:
-    """Write a file as MFiX does: big-endian, appended raw, Float32, the time in a comment."""
+def write_vtp(path: Path, points, time=0.5, shape="", **arrays) -> Path:
+    """Write a file as MFiX does: big-endian, appended raw, Float32, the time in a comment, a shape of SuperDEM."""
     blocks = {"coordinates": np.reshape(points, (-1, 3)), **arrays}
     count = len(blocks["coordinates"])
     tags, body = [], b""
@@ -34,7 +34,8 @@ def write_vtp(path: Path, points, time=0.5, **arrays) -> Path:
     header = (
         f'<?xml version="1.0"?>\n <!-- Time =  {time}       sec. -->\n'
         '<VTKFile type="PolyData" version="0.1" byte_order="BigEndian">\n<PolyData>\n'
-        f'<Piece NumberOfPoints="   {count} " NumberOfVerts="  0 " NumberOfLines ="0" NumberOfStrips="0" '
+        + (f'<FieldData>\n<DataArray type="Float32" Name="{shape}">  1.0</DataArray>\n</FieldData>\n' if shape else "")
+        + f'<Piece NumberOfPoints="   {count} " NumberOfVerts="  0 " NumberOfLines ="0" NumberOfStrips="0" '
         f'NumberOfPolys="0" >\n<Points>\n{tags[0]}\n</Points>\n<PointData Scalars="Diameter">\n'
         + "\n".join(tags[1:])
         + '\n</PointData>\n<Verts> </Verts>\n</Piece>\n</PolyData>\n<AppendedData encoding="raw">\n _'
@@ -71,7 +72,7 @@ def read_particles(path: Path, options=DEFAULTS):
 def read_contacts(path: Path, options=DEFAULTS):
     (ref,) = mfix.index_contacts([str(path)], options)
     frame = mfix.read_contacts(ref, options)
-    assert set(frame) == set(mfix.contact_variables(ref, options))
+    assert set(frame) - {"point_is_middle"} == set(mfix.contact_variables(ref, options))
     return frame
 
 
@@ -313,7 +314,8 @@ def test_contacts_by_their_names_in_the_scene(tmp_path):
         FORCE_CHAIN_ORIENTATION=np.eye(2, 3), Particle_ID_1=[9, 9], Diameter_1=[1, 1],
     )  # fmt: skip
     frame = read_contacts(path)
-    assert set(frame) == {"contact_i", "contact_j", "contact_force", "contact_point", "overlap"}
+    assert set(frame) == {"contact_i", "contact_j", "contact_force", "contact_point", "point_is_middle", "overlap"}
+    assert frame["point_is_middle"].all()
     np.testing.assert_array_equal(frame["contact_i"], [1, 3])
     np.testing.assert_array_equal(frame["contact_j"], [2, 1])
     np.testing.assert_array_equal(frame["contact_force"], [[1, 2, 3], [4, 5, 6]])

@@ -9,6 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from xcg.schema import COMPONENTS, Frame, SceneError, Setup, variable
 
+# What readers say of contacts besides variables of the scene.
+_HINTS = ("contact_branch", "point_is_middle")
 # Rows of one pair are one contact where their forces differ by no more than this share of their size, as in files of
 # six digits, and their points by no more than this share of the distance from the centre.
 _SAME_FORCE, _SAME_POINT = 1e-4, 0.05
@@ -165,7 +167,7 @@ def complete_contacts(
     *,
     allow_unknown: bool = False,
 ) -> Frame:
-    """Check the contacts of one frame against its particles and derive missing contact points.
+    """Check the contacts of one frame against its particles and derive contact points that are not given.
 
     For spheres the contact point lies on the branch at ``R_i - overlap/2`` from the centre of i, with
     ``overlap = R_i + R_j - |r_i - r_j|`` and ``r_i - r_j`` the minimum image.
@@ -177,7 +179,9 @@ def complete_contacts(
     ----------
     frame : mapping
         Arrays by scene name, at least ``contact_i``, ``contact_j`` (n,) and ``contact_force`` (n, 3). A vector
-        ``contact_branch`` (n, 3) from j, or the wall, to i, of any image, becomes the normal.
+        ``contact_branch`` (n, 3) from j, or the wall, to i, of any image, becomes the normal. Where
+        ``point_is_middle`` (n,) is true, ``contact_point`` is the middle of the centres of two spheres, and becomes the
+        point where they touch.
     particles : Frame
         The particles of the same step, completed.
     box : array (3, 2) or None
@@ -191,7 +195,7 @@ def complete_contacts(
         For unknown ids, a particle in contact with itself, values that are not finite, a contact point that is missing
         and cannot be derived, or a contact that is listed from both sides with the same force.
     """
-    given = _typed({name: values for name, values in frame.items() if name != "contact_branch"}, setup, where)
+    given = _typed({name: values for name, values in frame.items() if name not in _HINTS}, setup, where)
     if "contact_branch" in frame and "contact_normal" not in given:
         period = periods(box, setup.periodic, where)
         branch = np.asarray(frame["contact_branch"]) * setup.scales[0]
@@ -223,10 +227,13 @@ def complete_contacts(
             "unknown partners as walls"
         )
         raise SceneError(msg)
-    if "contact_point" not in given:
-        given["contact_point"] = _contact_points(
-            given, particles, row_i, row_j, periods(box, setup.periodic, where), where
-        )
+    derived = np.asarray(frame.get("point_is_middle", np.full(len(i), "contact_point" not in given)))
+    if derived.any() or "contact_point" not in given:
+        points = given.get("contact_point", np.empty((len(i), 3))).copy()
+        some = {name: values[derived] for name, values in given.items()}
+        period = periods(box, setup.periodic, where)
+        points[derived] = _contact_points(some, particles, row_i[derived], row_j[derived], period, where)
+        given["contact_point"] = points
     rows, pair = repeated_pairs(i, j)
     if not rows.size:
         return given
@@ -312,9 +319,10 @@ def unit_vectors(vector: NDArray) -> NDArray:
 def _contact_points(
     contacts: Frame, particles: Frame, row_i: NDArray, row_j: NDArray, period: NDArray, where: str
 ) -> NDArray:
-    partnerless = (row_i < 0) | (row_j < 0)
-    if partnerless.any():
-        row = int(np.flatnonzero(partnerless)[0])
+    """Points where spheres touch; their middle, if it is given, tells of a partner that is not in the scene."""
+    alone = (row_i < 0) | (row_j < 0)
+    if alone.any() and not {"contact_point", "overlap"} <= set(contacts):
+        row = int(np.flatnonzero(alone)[0])
         msg = (
             f"{where}: contact row {row} (i={contacts['contact_i'][row]}, j={contacts['contact_j'][row]}) has no "
             "contact point, and none follows without both spheres; give 'contact_point' for contacts with walls"
@@ -323,9 +331,17 @@ def _contact_points(
     if "diameter" not in particles:
         msg = f"{where}: contact points follow from diameters, but the particles have none; give one of the two"
         raise SceneError(msg)
-    branch = minimum_image(particles["position"][row_i] - particles["position"][row_j], period)
-    radius = particles["diameter"] / 2
-    return contact_points(particles["position"][row_i], branch, radius[row_i], radius[row_j])
+    position, radius = particles["position"], particles["diameter"] / 2
+    points = contacts.get("contact_point", np.empty((len(row_i), 3))).copy()
+    both, only = np.flatnonzero(~alone), np.flatnonzero(alone & (np.maximum(row_i, row_j) >= 0))
+    i, j, k = row_i[both], row_j[both], np.maximum(row_i, row_j)[only]
+    branch = minimum_image(position[i] - position[j], period)
+    points[both] = contact_points(position[i], branch, radius[i], radius[j])
+    if only.size:
+        branch = 2 * minimum_image(position[k] - points[only], period)
+        other = np.linalg.norm(branch, axis=1) + contacts["overlap"][only] - radius[k]
+        points[only] = contact_points(position[k], branch, radius[k], other)
+    return points
 
 
 def contact_points(position_i: NDArray, branch: NDArray, radius_i: NDArray, radius_j: NDArray) -> NDArray:

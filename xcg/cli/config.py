@@ -350,7 +350,8 @@ def _names(section: _Section, particles: str, contacts: list[str]) -> dict[str, 
         of_particles = ours in ("particle_id", "radius") or not ours.startswith("contact")
         if array == _OFF_BY_AN_OVERLAP:
             warn_user(
-                f"{section.where}: {array} is off by one overlap in MFiX; the points of the file are taken instead"
+                f"{section.where}: {array} is off by one overlap between spheres in MFiX; their contact points follow "
+                "from centres and radii"
             )
         elif array in there[of_particles]:
             names[array] = ours

@@ -1,17 +1,16 @@
 """MFiX-DEM: region output in ``.vtp`` files (particles, force chains) and ``.pvd`` lists of them.
 
-Three things about its contacts were checked on its output, against the positions of the particles and the
-``Collision_force`` on each.
+What its contacts hold was checked on its output, against the positions of the particles.
 
-- Pairs across a cyclic boundary stand twice, once for each particle, with ids swapped. Their normal forces
-  are each other's negative to the last bit. In a fifth of these pairs the tangential forces are not (by up to
-  half of the force): MFiX keeps two histories of sliding, and each row is what it applied to its own ``ID1``.
-  Hence rows are matched by ids and normal force, and the pair gets the mean of the two forces, which leaves
-  the stress as MFiX had it.
+- Contacts of spheres hold no contact point: the points of the mesh are the middle of the two centres, and
+  ``FORCE_CHAIN_CONTACT_POINT`` is off by one overlap. It follows from centres and radii.
+- Contacts of superquadrics have theirs in ``FORCE_CHAIN_CONTACT_POINT``; the points of the mesh lie midway between it
+  and a centre.
 - ``FORCE_CHAIN_ORIENTATION`` is ``FN / |FN|``: it points from j to i, except in the hundredth of the contacts
-  whose damping outweighs repulsion, where it points the other way. So it is not read as the normal.
-- Contact points are the points of the mesh; ``FORCE_CHAIN_CONTACT_POINT`` is off by one overlap. Contacts are
-  one time step older than positions, so a point may lie a period away from a particle i that just crossed.
+  whose damping outweighs repulsion, where it points the other way. Of superquadrics it is another direction. So it is
+  not read as the normal.
+- Contacts are one time step older than positions, so a point may lie a period away from a particle i that just crossed.
+- Many contacts stand twice: see `xcg.readers.mfix_contacts`.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +29,15 @@ from xcg.notices import warn_user
 from xcg.readers import vtp
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.index import remembered
-from xcg.schema import COMPONENTS, Frame, SceneError, variable
+from xcg.readers.mfix_contacts import (
+    EXACT,
+    both_sides_once,
+    distances_of_twins,
+    each_contact_once,
+    of_superquadrics,
+    periods_of,
+)
+from xcg.schema import Frame, SceneError, variable
 
 # The first of two arrays for the same name is taken.
 PARTICLE_NAMES = {
@@ -54,7 +61,8 @@ CONTACT_NAMES = {
 }
 OPTIONS = ("missing",)
 _NORMAL, _TANGENTIAL, _OVERLAP = "FORCE_CHAIN_FN", "FORCE_CHAIN_FT", "FORCE_CHAIN_OVERLAP"
-_EXACT = 2**24  # ids are Float32
+_POINT, _LENGTH = "FORCE_CHAIN_CONTACT_POINT", "FORCE_CHAIN_LENGTH"
+_SHAPES = "SQP_"  # begins the names of the shapes that files of superquadrics list
 
 
 # --- index -----------------------------------------------------------------------------------------------
@@ -265,9 +273,9 @@ def read_particles(ref: StepRef, options: ReadOptions) -> Frame:
     """
     frame, _ = _read(_open(ref), _targets(ref.columns, "particle", options, ref.path))
     ids = frame.get("particle_id", np.empty(0))
-    if ids.size and ids.max() >= _EXACT and len(np.unique(ids)) < len(ids):
+    if ids.size and ids.max() >= EXACT and len(np.unique(ids)) < len(ids):
         msg = (
-            f"{ref.path}: particle ids from {_EXACT} on occur more than once, because MFiX writes ids as "
+            f"{ref.path}: particle ids from {EXACT} on occur more than once, because MFiX writes ids as "
             "Float32, which holds whole numbers up to there only; write a region with fewer particles, or "
             "drop the ids with names={'Particle_ID': None}"
         )
@@ -277,139 +285,88 @@ def read_particles(ref: StepRef, options: ReadOptions) -> Frame:
     return frame
 
 
+@dataclass(frozen=True)
+class _Rows:
+    """Contacts of a file as they stand.
+
+    Attributes
+    ----------
+    frame : Frame
+        Arrays by scene name.
+    mark : array (n, 3) or (n,)
+        What the two rows of a contact of spheres share, see `each_contact_once`.
+    place : array (n, 3)
+        Contact points of superquadrics, middle of the centres of spheres (m).
+    length : array (n,)
+        ``FORCE_CHAIN_LENGTH`` (m), see `of_superquadrics`; zero where it is not there.
+    superquadric : array (n,)
+        Whether each is a contact of superquadrics.
+    """
+
+    frame: Frame
+    mark: NDArray
+    place: NDArray
+    length: NDArray
+    superquadric: NDArray
+
+    @classmethod
+    def of(cls, ref: StepRef, options: ReadOptions) -> _Rows:
+        header = _open(ref)
+        targets = _targets(ref.columns, "contact", options, ref.path)
+        points, more = header.names[0], {_NORMAL, _TANGENTIAL, _OVERLAP, _POINT, _LENGTH}
+        frame, arrays = _read(header, targets, [points, *sorted(more & set(header.names))])
+        if "contact_force" not in frame:
+            frame["contact_force"] = arrays[_NORMAL] + arrays[_TANGENTIAL]
+        mark = arrays.get(_NORMAL, arrays.get(_OVERLAP, frame["contact_force"]))
+        place, length = arrays[points], arrays.get(_LENGTH, np.zeros(header.points))
+        superquadric = np.zeros(header.points, bool)
+        if {_POINT, _LENGTH} <= set(arrays):
+            superquadric = of_superquadrics(place, arrays[_POINT], length)
+            place = np.where(superquadric[:, None], arrays[_POINT], place)
+        elif any(name.startswith(_SHAPES) for name in header.field_names):
+            msg = (
+                f"{ref.path}: contacts of superquadrics need {_POINT} and {_LENGTH}, which tell where they touch; "
+                f"found {list(ref.columns)}. Switch them on in the region's output"
+            )
+            raise SceneError(msg)
+        if targets.get("contact_point") == points and points not in options.names:
+            frame |= {"contact_point": place, "point_is_middle": ~superquadric}
+        return cls(frame, mark, place, length, superquadric)
+
+
 def read_contacts(ref: StepRef, options: ReadOptions) -> Frame:
     """Parse the contacts of one step, each contact once.
 
     Returns
     -------
     dict
-        Float64 arrays by scene name, shape (n,) or (n, 3), rows in the order of the file.
+        Float64 arrays by scene name, shape (n,) or (n, 3), rows in the order of the file, those of spheres first. Where
+        ``point_is_middle`` (n,) is true, ``contact_point`` is the middle of the centres of two spheres; `names` that
+        map an array to ``contact_point`` are believed.
 
     Raises
     ------
     SceneError
-        If the file is damaged or changed since it was indexed.
+        If the file is damaged or changed since it was indexed, or holds superquadrics without contact points.
     """
-    header = _open(ref)
-    points = header.names[0]
-    wanted = [name for name in (points, _NORMAL, _TANGENTIAL, _OVERLAP) if name in header.names]
-    frame, arrays = _read(header, _targets(ref.columns, "contact", options, ref.path), wanted)
-    if "contact_force" not in frame:
-        frame["contact_force"] = arrays[_NORMAL] + arrays[_TANGENTIAL]
-    mark = arrays.get(_NORMAL, arrays.get(_OVERLAP, frame["contact_force"]))
-    return each_contact_once(frame, mark, arrays[points])
+    rows = _Rows.of(ref, options)
+    spheres, others = np.flatnonzero(~rows.superquadric), np.flatnonzero(rows.superquadric)
+    frame = {name: values[spheres] for name, values in rows.frame.items()}
+    frame = each_contact_once(frame, rows.mark[spheres], rows.place[spheres])
+    if not len(others):
+        return frame
+    sides = {name: values[others] for name, values in rows.frame.items()}
+    joined = both_sides_once(sides, rows.place[others], rows.length[others], _periods(rows))
+    return {name: np.concatenate([frame[name], joined[name]]) for name in frame}
 
 
 def recover_periods(ref: StepRef, options: ReadOptions) -> dict[str, float]:
-    """Periods by axis, from pairs of contacts whose two rows stand on either side of an edge.
+    """Periods by axis, from contacts whose two rows stand on either side of an edge, one period apart.
 
-    MFiX lists such a contact twice, ids swapped and normal force negated, with contact points one period apart. The
-    extent of the particles' centres is no period: it is short by about a diameter.
+    The extent of the particles' centres is no period: it is short by about a diameter.
     """
-    header = _open(ref)
-    points = header.names[0]
-    wanted = [name for name in (points, _NORMAL, _OVERLAP) if name in header.names]
-    frame, arrays = _read(header, _targets(ref.columns, "contact", options, ref.path), wanted)
-    i, j, place = frame["contact_i"], frame["contact_j"], arrays[points]
-    mark = arrays.get(_NORMAL, arrays.get(_OVERLAP))
-    if mark is None or not len(i):
-        return {}
-    swapped = i > j
-    marks = list((mark * np.where(swapped, -1.0, 1.0)[:, None]).T) if mark.ndim == 2 else [mark]
-    order, run = _runs([np.minimum(i, j), np.maximum(i, j), *marks])
-    twice = order[np.bincount(run)[run] == 2].reshape(-1, 2)
-    twice = twice[swapped[twice[:, 0]] != swapped[twice[:, 1]]]
-    apart = np.abs(place[twice[:, 0]] - place[twice[:, 1]])
-    found = {}
-    for k, axis in enumerate(COMPONENTS):
-        far = apart[apart[:, k] > 0.5 * apart[:, k].max(initial=0.0), k]
-        # both rows are one contact, so that distances are a period to single precision, or nothing
-        if len(far) and np.ptp(far) < 1e-3 * far.max() and far.max() > 1e-3 * np.ptp(place[:, k]):
-            found[axis] = float(np.median(far))
-    return found
+    return _periods(_Rows.of(ref, options))
 
 
-# --- contacts that stand twice ---------------------------------------------------------------------------
-
-
-def each_contact_once(contacts: Frame, mark: NDArray, place: NDArray) -> Frame:
-    """Drop exact copies of rows and join mirrored ones.
-
-    A mirrored row has the same pair of ids swapped and `mark` negated, exactly: both rows come from the same
-    overlap and relative velocity, so that their Float32 values agree to the last bit. A pair may touch at
-    several points (concave grains); these have different marks, or else are told apart by their order in
-    space, which the shift by a period between mirrored rows leaves as it is.
-
-    Parameters
-    ----------
-    contacts : Frame
-        Arrays by scene name, at least ``contact_i``, ``contact_j`` (n,) and ``contact_force`` (n, 3).
-    mark : array (n, 3) or (n,)
-        What the two rows share: a vector that changes sign (normal force), or a scalar (overlap).
-    place : array (n, 3)
-        Contact points.
-
-    Returns
-    -------
-    Frame
-        One row a contact, in the given order. Of mirrored rows the one with the lower id first is kept, with
-        the mean of the two forces: ``(F - F_mirrored) / 2``.
-    """
-    i, j, force = contacts["contact_i"], contacts["contact_j"], contacts["contact_force"]
-    shared = _of_shared_pairs(i, j)  # most pairs stand once: no need to sort them further
-    if not len(shared):
-        return contacts
-    low, high, swapped = np.minimum(i, j), np.maximum(i, j), i > j
-    sign = np.where(swapped, -1.0, 1.0)
-    marks = list((mark * sign[:, None]).T) if mark.ndim == 2 else [mark]
-
-    order, row = _runs([key[shared] for key in (i, j, *marks, *force.T, *place.T)])
-    first = np.diff(row, prepend=-1) > 0
-    copies, shared = shared[order[~first]], shared[order[first]]
-
-    contact_keys = [key[shared] for key in (low, high, *marks)]
-    order, _ = _runs([*contact_keys, swapped[shared], *place[shared].T])
-    rows = shared[order]
-    contact = _runs_along([key[order] for key in contact_keys])
-    side = _runs_along([contact, swapped[rows]])
-    # Within a contact, rows that are not swapped come first; the n-th swapped row mirrors the n-th of them.
-    rank = np.arange(len(rows)) - np.searchsorted(side, side)
-    mirrored = swapped[rows] & (rank < np.bincount(contact, ~swapped[rows])[contact])
-    kept = rows[(np.searchsorted(contact, contact) + rank)[mirrored]]
-    gone = rows[mirrored]
-
-    joined = force.copy()
-    joined[kept] = (force[kept] - force[gone]) / 2
-    keep = np.ones(len(i), bool)
-    keep[copies] = keep[gone] = False
-    return {name: values[keep] for name, values in (contacts | {"contact_force": joined}).items()}
-
-
-def _of_shared_pairs(i: NDArray, j: NDArray) -> NDArray:
-    """Rows whose pair of ids stands in other rows, too."""
-    low, high = np.minimum(i, j), np.maximum(i, j)
-    whole = low.size and max(abs(low.min()), abs(high.max())) < _EXACT  # NaN is not
-    if not whole:
-        order, pair = _runs([low, high])
-        return np.sort(order[np.bincount(pair, minlength=1)[pair] > 1])
-    key = low * (2.0 * _EXACT) + high  # exact in a double
-    ordered = np.sort(key)
-    twice = ordered[1:][ordered[1:] == ordered[:-1]]
-    if not len(twice):
-        return np.empty(0, int)
-    near = np.minimum(np.searchsorted(twice, key), len(twice) - 1)
-    return np.flatnonzero(twice[near] == key)
-
-
-def _runs_along(keys: Sequence[NDArray]) -> NDArray:
-    """Count the runs of equal keys along sorted rows, as in 0, 0, 1, 2, 2, 2."""
-    new = np.zeros(len(keys[0]), bool)
-    for key in keys:
-        new[1:] |= key[1:] != key[:-1]
-    return np.cumsum(new)
-
-
-def _runs(keys: Sequence[NDArray]) -> tuple[NDArray, NDArray]:
-    """Order that sorts rows by keys (the first one first), and the number of each sorted row's run."""
-    order = np.lexsort(tuple(reversed(keys)))
-    return order, _runs_along([key[order] for key in keys])
+def _periods(rows: _Rows) -> dict[str, float]:
+    return periods_of(distances_of_twins(rows.frame, rows.mark, rows.place, rows.superquadric), rows.place)

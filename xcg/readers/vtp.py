@@ -74,6 +74,8 @@ class Header:
         The coordinates of the points, then the arrays of point data.
     encoding : Encoding
         Byte order, type of lengths, and compression.
+    field_names : tuple of str
+        Names of the arrays that belong to no point.
     """
 
     path: str
@@ -82,6 +84,7 @@ class Header:
     time: float | None
     arrays: tuple[Array, ...]
     encoding: Encoding
+    field_names: tuple[str, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -219,7 +222,9 @@ def read_header(path: str) -> Header:
     if not arrays or arrays[0].components != 3:
         msg = f"{path}: its points have no array with three components; the file is not by MFiX, or damaged"
         raise SceneError(msg)
-    header = Header(path, size, points, _time(time[1]) if time else None, arrays, encoding)
+    section = _section(text, "FieldData")
+    named = tuple(_attributes(tag).get("Name", "") for tag, _ in _tags(text, "DataArray", *section)) if section else ()
+    header = Header(path, size, points, _time(time[1]) if time else None, arrays, encoding, named)
     for array in arrays:
         _check_size(header, array)
     return header

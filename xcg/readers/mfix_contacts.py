@@ -1,0 +1,230 @@
+"""Contacts of MFiX that stand twice: copies, mirrored rows of spheres, and both sides of superquadrics.
+
+Three kinds of rows were found in its output, checked against the positions of the particles and the
+``Collision_force`` on each.
+
+- **Spheres** stand once, except across a cyclic boundary, where most pairs stand twice, with ids swapped. Their normal
+  forces are each other's negative to the last bit. In a fifth of these pairs the tangential forces are not (by up to
+  half of the force): MFiX keeps two histories of sliding, and each row is what it applied to its own ``ID1``. Hence
+  rows are matched by ids and normal force, and the pair gets the mean of the two forces, which leaves the stress as
+  MFiX had it.
+- **Superquadrics** (SuperDEM) stand once for each of their two sides. Most of these rows are the same, ids in the same
+  order, except for the side that they describe. Across a cyclic boundary ids are swapped, forces differ by some per
+  cent besides their sign, and points stand one period apart. Such bodies are convex: rows of one pair of ids whose
+  points agree, but for the period, are one contact.
+- **Copies** of a row stand in some files, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xcg.complete import minimum_image
+from xcg.schema import COMPONENTS, Frame
+
+EXACT = 2**24  # ids are Float32: whole numbers are exact below
+_ROUNDING = 16 * float(np.finfo("f4").eps)
+# Points of one contact agree to this share of the distance from its point to a centre: to rounding in MFiX's output.
+_SAME_PLACE = 0.5
+
+
+def of_superquadrics(middle: NDArray, point: NDArray, length: NDArray) -> NDArray:
+    """Tell contacts of superquadrics from those between two spheres, row by row, by what MFiX writes for each.
+
+    For a superquadric, the points of the mesh are midway between a centre and ``FORCE_CHAIN_CONTACT_POINT``, and
+    ``FORCE_CHAIN_LENGTH`` is the distance of these two. For spheres of radii R1, R2 and overlap h, they are midway
+    between the centres, ``|R1 - R2 + 2 h| / 2`` from ``FORCE_CHAIN_CONTACT_POINT``, and the length is the distance of
+    the centres, ``R1 + R2 - h``.
+
+    Parameters
+    ----------
+    middle, point : array (n, 3)
+        Points of the mesh, and ``FORCE_CHAIN_CONTACT_POINT`` (m).
+    length : array (n,)
+        ``FORCE_CHAIN_LENGTH`` (m).
+    """
+    apart = 2 * np.linalg.norm(point - middle, axis=1)
+    rounding = _ROUNDING * max(np.abs(middle).max(initial=0.0), np.abs(point).max(initial=0.0))
+    return np.abs(apart - length) <= 1e-3 * length + rounding
+
+
+def distances_of_twins(contacts: Frame, mark: NDArray, place: NDArray, superquadric: NDArray) -> NDArray:
+    """Distances (m, 3) along each axis between the points of the two rows of contacts that stand twice.
+
+    Parameters are those of `each_contact_once`, and which rows are contacts of superquadrics (n,).
+    """
+    i, j = contacts["contact_i"], contacts["contact_j"]
+    low, high, swapped = np.minimum(i, j), np.maximum(i, j), i > j
+    apart = [np.empty((0, 3))]
+    for rows, marks, mirrored in (
+        (np.flatnonzero(superquadric), [], False),
+        (np.flatnonzero(~superquadric), _without_sign(mark, swapped), True),
+    ):
+        order, run = _runs([key[rows] for key in (low, high, *marks)])
+        twice = rows[order[np.bincount(run, minlength=1)[run] == 2]].reshape(-1, 2)
+        if mirrored:
+            twice = twice[swapped[twice[:, 0]] != swapped[twice[:, 1]]]
+        apart.append(np.abs(place[twice[:, 0]] - place[twice[:, 1]]))
+    return np.concatenate(apart)
+
+
+def periods_of(apart: NDArray, place: NDArray) -> dict[str, float]:
+    """Periods by axis, from the distances between both points of contacts that stand twice.
+
+    Parameters
+    ----------
+    apart : array (m, 3)
+        From `distances_of_twins`: a period along the axes across whose edges a contact stands, else nearly zero.
+    place : array (n, 3)
+        Points of all contacts.
+    """
+    found = {}
+    for k, axis in enumerate(COMPONENTS):
+        far = apart[apart[:, k] > 0.5 * apart[:, k].max(initial=0.0), k]
+        # both rows are one contact, so that distances are a period to single precision, or nothing
+        if len(far) and np.ptp(far) < 1e-3 * far.max() and far.max() > 1e-3 * np.ptp(place[:, k]):
+            found[axis] = float(np.median(far))
+    return found
+
+
+def each_contact_once(contacts: Frame, mark: NDArray, place: NDArray) -> Frame:
+    """Drop exact copies of rows and join mirrored ones.
+
+    A mirrored row has the same pair of ids swapped and `mark` negated, exactly: both rows come from the same
+    overlap and relative velocity, so that their Float32 values agree to the last bit. A pair may touch at
+    several points (concave grains); these have different marks, or else are told apart by their order in
+    space, which the shift by a period between mirrored rows leaves as it is.
+
+    Parameters
+    ----------
+    contacts : Frame
+        Arrays by scene name, at least ``contact_i``, ``contact_j`` (n,) and ``contact_force`` (n, 3).
+    mark : array (n, 3) or (n,)
+        What the two rows share: a vector that changes sign (normal force), or a scalar (overlap).
+    place : array (n, 3)
+        Contact points.
+
+    Returns
+    -------
+    Frame
+        One row a contact, in the given order. Of mirrored rows the one with the lower id first is kept, with
+        the mean of the two forces: ``(F - F_mirrored) / 2``.
+    """
+    i, j, force = contacts["contact_i"], contacts["contact_j"], contacts["contact_force"]
+    shared = _of_shared_pairs(i, j)  # most pairs stand once: no need to sort them further
+    if not len(shared):
+        return contacts
+    low, high, swapped = np.minimum(i, j), np.maximum(i, j), i > j
+    marks = _without_sign(mark, swapped)
+
+    order, row = _runs([key[shared] for key in (i, j, *marks, *force.T, *place.T)])
+    first = np.diff(row, prepend=-1) > 0
+    copies, shared = shared[order[~first]], shared[order[first]]
+
+    contact_keys = [key[shared] for key in (low, high, *marks)]
+    order, _ = _runs([*contact_keys, swapped[shared], *place[shared].T])
+    rows = shared[order]
+    contact = _runs_along([key[order] for key in contact_keys])
+    side = _runs_along([contact, swapped[rows]])
+    # Within a contact, rows that are not swapped come first; the n-th swapped row mirrors the n-th of them.
+    rank = np.arange(len(rows)) - np.searchsorted(side, side)
+    mirrored = swapped[rows] & (rank < np.bincount(contact, ~swapped[rows])[contact])
+    kept = rows[(np.searchsorted(contact, contact) + rank)[mirrored]]
+    gone = rows[mirrored]
+
+    joined = force.copy()
+    joined[kept] = (force[kept] - force[gone]) / 2
+    keep = np.ones(len(i), bool)
+    keep[copies] = keep[gone] = False
+    return {name: values[keep] for name, values in (contacts | {"contact_force": joined}).items()}
+
+
+def both_sides_once(contacts: Frame, place: NDArray, length: NDArray, periods: dict[str, float]) -> Frame:
+    """Join the rows of superquadrics that are sides of one contact.
+
+    Parameters
+    ----------
+    contacts : Frame
+        Arrays by scene name, at least ``contact_i``, ``contact_j`` (n,) and ``contact_force`` (n, 3).
+    place : array (n, 3)
+        Contact points (m).
+    length : array (n,)
+        Distance from the contact point to a centre (m).
+    periods : dict
+        Those that are known, by axis (m).
+
+    Returns
+    -------
+    Frame
+        One row a contact: of its rows the first, with the mean of their points, of their overlaps, and of their forces,
+        turned to act on the same particle.
+    """
+    i, j = contacts["contact_i"], contacts["contact_j"]
+    shared = _of_shared_pairs(i, j)
+    if not len(shared):
+        return contacts
+    period = np.array([periods.get(axis, np.inf) for axis in COMPONENTS])
+    pair = np.unique(np.stack([np.minimum(i, j), np.maximum(i, j)])[:, shared], axis=1, return_inverse=True)[1].ravel()
+    first = np.arange(len(i))  # row that each row is joined to: the first of its pair at the same place
+    while len(shared):
+        _, leader, place_in = np.unique(pair, return_index=True, return_inverse=True)
+        to = shared[leader][place_in]
+        away = np.linalg.norm(minimum_image(place[shared] - place[to], period), axis=1)
+        same = (away <= _SAME_PLACE * length[to]) | (shared == to)
+        first[shared[same]] = to[same]
+        shared, pair = shared[~same], pair[~same]
+
+    joined = contacts | {"contact_force": np.where(i == i[first], 1.0, -1.0)[:, None] * contacts["contact_force"]}
+    if "contact_point" in contacts:
+        point = contacts["contact_point"]
+        joined["contact_point"] = point[first] + minimum_image(point - point[first], period)
+    for name in {"contact_force", "contact_point", "overlap"} & set(joined):
+        joined[name] = _means(joined[name], first)
+    keep = first == np.arange(len(i))
+    return {name: values[keep] for name, values in joined.items()}
+
+
+def _means(values: NDArray, group: NDArray) -> NDArray:
+    """Mean of the rows of each group, in the row that the group is named by; other rows are undefined."""
+    total = np.zeros_like(values)
+    np.add.at(total, group, values)
+    count = np.maximum(np.bincount(group, minlength=len(values)), 1)
+    return total / (count[:, None] if values.ndim == 2 else count)
+
+
+def _without_sign(mark: NDArray, swapped: NDArray) -> list[NDArray]:
+    """Keys that both rows of a contact share: vectors are turned to act on the particle of the lower id."""
+    return list((mark * np.where(swapped, -1.0, 1.0)[:, None]).T) if mark.ndim == 2 else [mark]
+
+
+def _of_shared_pairs(i: NDArray, j: NDArray) -> NDArray:
+    """Rows whose pair of ids stands in other rows, too."""
+    low, high = np.minimum(i, j), np.maximum(i, j)
+    whole = low.size and max(abs(low.min()), abs(high.max())) < EXACT  # NaN is not
+    if not whole:
+        order, pair = _runs([low, high])
+        return np.sort(order[np.bincount(pair, minlength=1)[pair] > 1])
+    key = low * (2.0 * EXACT) + high  # exact in a double
+    ordered = np.sort(key)
+    twice = ordered[1:][ordered[1:] == ordered[:-1]]
+    if not len(twice):
+        return np.empty(0, int)
+    near = np.minimum(np.searchsorted(twice, key), len(twice) - 1)
+    return np.flatnonzero(twice[near] == key)
+
+
+def _runs_along(keys: Sequence[NDArray]) -> NDArray:
+    """Count the runs of equal keys along sorted rows, as in 0, 0, 1, 2, 2, 2."""
+    new = np.zeros(len(keys[0]), bool)
+    for key in keys:
+        new[1:] |= key[1:] != key[:-1]
+    return np.cumsum(new)
+
+
+def _runs(keys: Sequence[NDArray]) -> tuple[NDArray, NDArray]:
+    """Order that sorts rows by keys (the first one first), and the number of each sorted row's run."""
+    order = np.lexsort(tuple(reversed(keys)))
+    return order, _runs_along([key[order] for key in keys])
