@@ -143,8 +143,8 @@ def test_kinds_are_kept_apart(tmp_path):
     path = write(tmp_path / "a", "x")
     settle(tmp_path)
     for kind, rows in (("one", 1), ("other", 2), ("one", 1)):
-        ((ref,),) = remembered([str(path)], kind, lambda p, rows=rows: [StepRef(p, rows, size=1)])
-        assert ref == StepRef(str(path), rows, size=1)
+        ((ref,),) = remembered([str(path)], kind, lambda p, rows=rows: [StepRef(p, rows)])
+        assert ref == StepRef(str(path), rows, size=1, modified=path.stat().st_mtime_ns)
 
 
 def test_all_that_a_header_tells_is_remembered(tmp_path):
@@ -152,7 +152,8 @@ def test_all_that_a_header_tells_is_remembered(tmp_path):
     settle(tmp_path)
     ref = StepRef(
         str(path), 5, time=0.1 + 0.2, step=7, box=((0.0, 1e300), (-np.inf, np.inf), (0.0, 0.1)), periodic="",
-        units="si", columns=("id", "Überlappung"), offset=3, length=4, size=1, gravity=(0.0, -0.0, 9.81), kind="wall",
+        modified=path.stat().st_mtime_ns, alone=True, units="si",
+        columns=("id", "Überlappung"), offset=3, length=4, size=1, gravity=(0.0, -0.0, 9.81), kind="wall",
     )  # fmt: skip
     for scan in (lambda p: [ref, ref], None):
         assert remembered([str(path)], "kind", scan) == [[ref, ref]]

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import pickle
 import subprocess
 import sys
@@ -216,6 +217,18 @@ def test_files_that_changed_are_noticed(series, tmp_path):
     (tmp_path / "c.20.dump").unlink()
     with pytest.raises(SceneError, match=r"c\.20\.dump \(step 20\): the file is gone"):
         scene.contact_i.isel(time=2).compute()
+
+
+def test_a_file_of_equal_size_is_noticed(tmp_path):
+    path = write(tmp_path / "p.0.dump", dump_text(step=0))
+    scene = open_scene(path)
+    size, modified = path.stat().st_size, path.stat().st_mtime_ns
+    write(path, dump_text(step=5, box="ITEM: BOX BOUNDS pp pp ff\n0 11\n0 10\n-1 9\n"))
+    os.utime(path, ns=(modified + 1, modified + 1))
+    assert path.stat().st_size == size
+    with pytest.raises(SceneError, match=r"p\.0\.dump \(step 0\): the file was written again"):
+        scene.position.compute()
+    assert open_scene(path).step.item() == 5
 
 
 def test_bodies_are_checked_when_they_are_read(tmp_path, series):

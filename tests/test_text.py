@@ -119,3 +119,35 @@ def test_a_file_that_changed_is_opened_anew(tmp_path, opened):
     lammps.read_particles(refs[0], ReadOptions())
     path.write_bytes(gzip.compress("".join(texts).replace("2.001", "7.001").encode()))
     assert lammps.read_particles(refs[1], ReadOptions())["position"][1, 0] == 7.001
+
+
+@pytest.mark.parametrize("count", [3, 4000])
+def test_gzipped_files_put_one_after_the_other(tmp_path, count):
+    """The last bytes of such a file tell the size of its last step only, which is that of one step."""
+    rng = np.random.default_rng(0)
+    texts, positions = [], []
+    for t in range(3):
+        positions.append(rng.random((count, 3)))
+        lines = [f"{k} 1 {x} {y} {z} 0 0 0 0.5 1" for k, (x, y, z) in enumerate(positions[-1].tolist(), 1)]
+        texts.append(dump_text(lines, ATOMS, step=10 * t))
+    path = tmp_path / "p.0.dump.gz"
+    path.write_bytes(b"".join(gzip.compress(text.encode()) for text in texts))
+    assert (path.stat().st_size > 3 * gzipped._LOOKED_AT) == (count > 3)
+    scene = open_scene(path)
+    assert scene.step.values.tolist() == [0, 10, 20]
+    np.testing.assert_array_equal(scene.position, positions)
+    # one member of three steps, and one of one step, which is not read through
+    path.write_bytes(gzip.compress("".join(texts).encode()))
+    np.testing.assert_array_equal(open_scene(path).position, positions)
+    path.write_bytes(gzip.compress(texts[0].encode()))
+    assert gzipped.size_of_content(str(path)) == len(texts[0])
+    assert lammps.index_particles([str(path)], ReadOptions())[0].alone
+
+
+def test_more_than_the_only_step_is_noticed_when_it_is_read(tmp_path, monkeypatch):
+    texts = [dump_text(step=t).encode() for t in range(2)]
+    path = tmp_path / "p.0.dump.gz"
+    path.write_bytes(b"".join(map(gzip.compress, texts)))
+    monkeypatch.setattr(text, "size_of_content", lambda path: len(texts[0]))
+    with pytest.raises(SceneError, match=r"p\.0\.dump\.gz \(step 0\): more follows"):
+        open_scene(path)

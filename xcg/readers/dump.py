@@ -68,7 +68,6 @@ def index_dumps(paths: Sequence[str], options: ReadOptions, *, atoms: bool) -> l
 
 
 def _steps(path: str, *, atoms: bool) -> Iterator[StepRef]:
-    size = os.path.getsize(path)
     units = None
     with open_binary(path) as stream:
         scanner = Scanner(stream, path)
@@ -80,10 +79,10 @@ def _steps(path: str, *, atoms: bool) -> Iterator[StepRef]:
                     return
                 check_rows(ref, most_bytes(path) - ref.offset)
                 units = ref.units or units  # LAMMPS writes the units once a file
-                ref = replace(ref, units=units, size=size)
+                ref = replace(ref, units=units)
                 rest = uncompressed_size(path) - ref.offset
                 if _is_alone(ref, rest, scanner):
-                    yield replace(ref, length=rest)
+                    yield replace(ref, length=rest, alone=True)
                     return
                 ref = replace(ref, length=sum(map(len, scanner.until(b"ITEM:"))))
                 check_rows(ref, ref.length)

@@ -33,12 +33,15 @@ class StepRef:
         Bytes (of the uncompressed stream) where the body starts and how many there are; 0 for a whole file.
     units : str or None
         Unit system that the header names ("si", "lj", ...).
-    size : int
-        Size of the file when it was indexed, so that a file that changed afterwards is noticed.
+    size, modified : int
+        Size of the file (bytes) and time of its modification (ns) when it was indexed, so that a file that changed
+        afterwards is noticed.
     gravity : tuple of float or None
         Acceleration of gravity in the file's units, None where the file does not say.
     kind : str
         A mark of the engine's own, for engines that read contacts from more than one kind of file.
+    alone : bool
+        Whether the step was taken for the only one of its file, without reading on.
     """
 
     path: str
@@ -52,8 +55,10 @@ class StepRef:
     length: int = 0
     units: str | None = None
     size: int = 0
+    modified: int = 0
     gravity: tuple[float, float, float] | None = None
     kind: str = ""
+    alone: bool = False
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,8 @@ from contextlib import contextmanager
 from typing import Any, BinaryIO, cast
 
 _MOST_WAITING = 8  # open files; each thread that reads a series keeps one
+_LOOKED_AT, _MOST_FOUND = 1 << 16, 1 << 24  # bytes of a file, and of what they hold
+_UNEVEN = 1.2  # parts of one table are compressed alike, to this factor
 _waiting: list[tuple[tuple[str, int, int], BinaryIO]] = []  # by path, size and time of modification; last used last
 _lock = threading.Lock()
 
@@ -39,9 +41,38 @@ def open_gzipped(path: str) -> BinaryIO:
     return cast(BinaryIO, _module().open(path, "rb"))
 
 
+def size_of_content(path: str) -> int:
+    """Size of what a gzipped file holds; -1 where it may be several members one after the other, or over 4 GiB.
+
+    The last bytes of a file tell the size of its last member only, modulo 4 GiB. Whether there are others is seen where
+    the first one ends in what is looked at, and else from how far that was compressed.
+    """
+    size = os.path.getsize(path)
+    with open(path, "rb") as file:
+        head = file.read(_LOOKED_AT)
+        file.seek(max(0, size - 4))
+        told = int.from_bytes(file.read(4), "little")
+    member = zlib.decompressobj(31)
+    try:
+        found = len(member.decompress(head, _MOST_FOUND))
+    except zlib.error:
+        return -1
+    taken = len(head) - len(member.unconsumed_tail) - len(member.unused_data)
+    whole = taken == size if member.eof else found * size <= _UNEVEN * told * taken
+    return told if whole else -1
+
+
+def _ended(stream: BinaryIO) -> bool:
+    """Whether nothing more can be read."""
+    try:
+        return not cast(Any, stream).peek(1)
+    except errors():
+        return True
+
+
 @contextmanager
 def forward(path: str, offset: int) -> Iterator[BinaryIO]:
-    """Lend a gzipped file that stands at or before an offset; afterwards it waits for the next step."""
+    """Lend a gzipped file that stands at or before an offset; if more follows, it waits for the next step."""
     state = os.stat(path)
     key = (path, state.st_size, state.st_mtime_ns)
     stream = _take(key, offset) or open_gzipped(path)
@@ -50,6 +81,9 @@ def forward(path: str, offset: int) -> Iterator[BinaryIO]:
     except BaseException:
         stream.close()
         raise
+    if _ended(stream):
+        stream.close()
+        return
     with _lock:
         _waiting.append((key, stream))
         surplus = [_waiting.pop(0) for _ in range(len(_waiting) - _MOST_WAITING)]

@@ -14,16 +14,16 @@ import os
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
 from xcg import faults
 from xcg.readers.engine import StepRef
 
-_VERSION = 1  # of the entries; raise it when headers are read in another way
+_VERSION = 2  # of the entries; raise it when headers are read in another way
 _SETTLED = 2e9  # ns: a file that was modified just now may change again without another time stamp
-_LEFT_OUT = ("path", "size")  # of entries: both are known when an entry is used
+_LEFT_OUT = ("path", "size", "modified")  # of entries: they are known when an entry is used
 
 
 def remembered(paths: Sequence[str], kind: str, scan: Callable[[str], Iterable[StepRef]]) -> list[list[StepRef]]:
@@ -62,7 +62,8 @@ def _of_folder(
                 found[path] = refs
                 continue
             earlier = faults.noted()
-            found[path].extend(scan(path))  # where faults are tolerated, the steps before one stay
+            for ref in scan(path):  # where faults are tolerated, the steps before one stay
+                found[path].append(replace(ref, size=before[0], modified=before[1]))
             after = _state(path)
             if before == after and time.time_ns() - after[1] > _SETTLED and faults.noted() == earlier:
                 learnt[name] = {"size": after[0], "modified": after[1], "steps": [_entry(ref) for ref in found[path]]}
@@ -90,7 +91,11 @@ def _steps(path: str, entry: Mapping[str, Any] | None, state: tuple[int, int]) -
     """Tell the steps of an entry; None if there is none, or it is of another state of the file."""
     if entry is None or (entry["size"], entry["modified"]) != state:
         return None
-    return [StepRef(path=path, size=state[0], **{k: _tuples(v) for k, v in step.items()}) for step in entry["steps"]]
+    size, modified = state
+    return [
+        StepRef(path=path, size=size, modified=modified, **{k: _tuples(v) for k, v in step.items()})
+        for step in entry["steps"]
+    ]
 
 
 def _tuples(value: Any) -> Any:

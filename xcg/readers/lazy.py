@@ -40,13 +40,24 @@ class Step:
 
 def read_step(engine: str, options: ReadOptions, ref: StepRef, *, contacts: bool = False) -> Frame:
     """Parse one body in the file's units."""
-    size = os.path.getsize(ref.path) if os.path.exists(ref.path) else None
-    if ref.size and size != ref.size:
-        now = "is gone" if size is None else f"has {size} bytes"
-        msg = f"{where(ref)}: the file {now}, but had {ref.size} when the scene was opened; open it again"
-        raise SceneError(msg)
+    if ref.size:
+        _check_unchanged(ref)
     reader = load_engine(engine)
     return reader.read_contacts(ref, options) if contacts else reader.read_particles(ref, options)
+
+
+def _check_unchanged(ref: StepRef) -> None:
+    """Refuse a file that is another than when its headers were read."""
+    try:
+        state = os.stat(ref.path)
+    except FileNotFoundError:
+        now = "is gone"
+    else:
+        if (state.st_size, state.st_mtime_ns) == (ref.size, ref.modified or state.st_mtime_ns):
+            return
+        now = f"has {state.st_size} bytes, but had {ref.size}" if state.st_size != ref.size else "was written again"
+    msg = f"{where(ref)}: the file {now} after the scene was opened; open it again"
+    raise SceneError(msg)
 
 
 @dataclass(frozen=True)

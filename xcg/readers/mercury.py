@@ -88,7 +88,6 @@ def _data_steps(path: str) -> Iterator[StepRef]:
                 box=tuple(box),
                 columns=_ROW_3D if axes == 3 else _ROW_2D,
                 offset=scanner.offset,
-                size=os.path.getsize(path),
             )
             check_rows(ref, most_bytes(path) - ref.offset)
             for row in range(ref.rows):
@@ -152,7 +151,7 @@ def _fstat_steps(path: str) -> Iterator[StepRef]:
             body = b"".join(scanner.until(b"#"))
             ref = StepRef(path, 0, float(time), step, columns=_CONTACT, offset=start, length=len(body))
             ids = parse_table(body, _CONTACT, ("i", "j"), None, where(ref))
-            yield replace(ref, rows=int(_once(ids["i"], ids["j"]).sum()), size=os.path.getsize(path))
+            yield replace(ref, rows=int(_once(ids["i"], ids["j"]).sum()))
             step += 1
 
 

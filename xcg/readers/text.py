@@ -13,7 +13,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from xcg.readers.engine import StepRef
-from xcg.readers.gzipped import errors, forward, open_gzipped
+from xcg.readers.gzipped import errors, forward, open_gzipped, size_of_content
 from xcg.schema import SceneError
 
 _FIRST_BLOCK, _BLOCK = 1 << 16, 1 << 22  # small first, as the header is often all that is wanted
@@ -52,12 +52,8 @@ def _is_gzipped(path: str) -> bool:
 
 
 def uncompressed_size(path: str) -> int:
-    """Size of what `open_binary` yields (of a gzipped file modulo 4 GiB, and of its last member only)."""
-    if not _is_gzipped(path):
-        return os.path.getsize(path)
-    with open(path, "rb") as file:
-        file.seek(max(0, os.path.getsize(path) - 4))
-        return int.from_bytes(file.read(4), "little")
+    """Size of what `open_binary` yields; -1 where a gzipped file does not tell it."""
+    return size_of_content(path) if _is_gzipped(path) else os.path.getsize(path)
 
 
 def most_bytes(path: str) -> int:
@@ -156,7 +152,8 @@ def read_body(ref: StepRef) -> bytes:
     Raises
     ------
     SceneError
-        If it is longer than its rows can be, as where a few compressed kilobytes stand for gigabytes.
+        If it is longer than its rows can be, as where a few compressed kilobytes stand for gigabytes, or more follows
+        it than was known.
     """
     if ref.length < 0 or (ref.rows and ref.length > _LONGEST_VALUE * (ref.rows + 1) * (len(ref.columns) + 1) + _BLOCK):
         msg = (
@@ -164,12 +161,18 @@ def read_body(ref: StepRef) -> bytes:
             "values; the file is damaged. Leave it out, or write it again"
         )
         raise SceneError(msg)
-    alone = ref.offset + ref.length >= uncompressed_size(ref.path)
-    opened = open_binary(ref.path) if alone or not _is_gzipped(ref.path) else forward(ref.path, ref.offset)
-    with _damage_named(ref.path), opened as stream:
+    waits = _is_gzipped(ref.path) and not ref.alone
+    with _damage_named(ref.path), forward(ref.path, ref.offset) if waits else open_binary(ref.path) as stream:
         if ref.offset:
             stream.seek(ref.offset)
-        return stream.read(ref.length)
+        body = stream.read(ref.length)
+        if ref.alone and stream.read(1):
+            msg = (
+                f"{where(ref)}: more follows what was taken for the only step of the file, as where gzipped files were "
+                "put one after the other; give the file a name without the number of the step, and it is read through"
+            )
+            raise SceneError(msg)
+    return body
 
 
 def where(ref: StepRef) -> str:
