@@ -38,9 +38,9 @@ def test_pairs(tmp_path):
     (ref,) = liggghts.index_contacts([path], DEFAULTS)
     frame = liggghts.read_contacts(ref, DEFAULTS)
     # the normal follows from the branch where the periods are known
-    assert set(frame) - {"contact_branch"} | {"contact_normal"} == set(liggghts.contact_variables(ref, DEFAULTS))
+    assert set(frame) - {"wrapped_branch"} | {"contact_normal"} == set(liggghts.contact_variables(ref, DEFAULTS))
     assert (frame["contact_i"], frame["contact_j"], frame["overlap"]) == (7, 4, 0.1)
-    np.testing.assert_allclose(frame["contact_branch"], [[-0.9, 0, 0]])
+    np.testing.assert_allclose(frame["wrapped_branch"], [[-0.9, 0, 0]])
     np.testing.assert_array_equal(frame["contact_force"], [[-3, 2, 1]])
 
 
@@ -51,13 +51,13 @@ def test_walls(tmp_path):
     assert (frame["contact_i"], frame["contact_j"], frame["overlap"]) == (7, -3, 0.05)
     np.testing.assert_array_equal(frame["contact_point"], [[1, 1, 0]])
     np.testing.assert_array_equal(frame["contact_force"], [[0.5, 0.25, 8]])
-    np.testing.assert_allclose(frame["contact_branch"], [[0, 0, 0.45]])
+    np.testing.assert_allclose(frame["wrapped_branch"], [[0, 0, 0.45]])
 
 
 def test_without_overlap(tmp_path):
     text = pairs_text([PAIR.rsplit(" ", 1)[0]], COLUMNS.rsplit(" ", 1)[0])
     (ref,) = liggghts.index_contacts([str(write(tmp_path / "pair.txt", text))], DEFAULTS)
-    assert set(liggghts.read_contacts(ref, DEFAULTS)) == {"contact_i", "contact_j", "contact_force", "contact_branch"}
+    assert set(liggghts.read_contacts(ref, DEFAULTS)) == {"contact_i", "contact_j", "contact_force", "wrapped_branch"}
 
 
 def test_other_layouts_are_mapped(tmp_path):

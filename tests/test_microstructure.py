@@ -98,8 +98,8 @@ def test_known_strain_and_rate():
     """A box that shortens along z at 0.1 /s and widens so that its volume stays."""
     time = np.linspace(0, 2, 9)
     stretch = np.exp(np.outer(time, [0.05, 0.05, -0.1]))
-    edges = np.stack([np.zeros_like(stretch), 2 * stretch], axis=-1)
-    ds = xcg.datasets.simple_cubic(2)
+    edges = np.stack([np.zeros_like(stretch), 3 * stretch], axis=-1)
+    ds = xcg.datasets.simple_cubic(3)
     names = ["diameter", "contact_i", "contact_j", "contact_force"]
     given = {name: [ds[name].values[0]] * 9 for name in names}
     position = [ds.position.values[0] * s for s in stretch]

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from xcg.notices import warn_once
 from xcg.schema import COMPONENTS, Frame, SceneError, Setup, variable
 
 # What readers say of contacts besides variables of the scene.
-_HINTS = ("contact_branch", "point_is_middle")
+_HINTS = ("wrapped_branch", "point_is_middle")
 # Rows of one pair are one contact where their forces differ by no more than this share of their size, as in files of
 # six digits, and their points by no more than this share of the distance from the centre.
 _SAME_FORCE, _SAME_POINT = 1e-4, 0.05
 _MOST_CONTACTS_A_PAIR = 64  # of equal force, that are compared with each other
+_HAIR = 1e-9  # rounding of positions, as a share of the distances between them
+_SAME_BRANCH = 0.25  # a branch that is off by more of its length is another vector; it may be a time step old
+REPEAT = "repeat the box once or more along that axis, or simulate a larger one"
 
 
 def _check_rows(frame: Frame, dim: str, where: str) -> None:
@@ -139,12 +144,34 @@ def periods(box: NDArray | None, periodic: str, where: str = "scene") -> NDArray
     return lengths
 
 
-def minimum_image(vector: NDArray, period: NDArray) -> NDArray:
-    """Shortest periodic image of vectors (n, 3); `period` holds infinity along axes that are not periodic."""
-    shortest = vector.copy()
+def minimum_image(vector: NDArray, period: NDArray, to: NDArray | None = None) -> NDArray:
+    """Shortest periodic image of vectors (n, 3), or the image nearest to other vectors.
+
+    `period` (3,) holds infinity along axes that are not periodic.
+    """
+    image, away = vector.copy(), vector if to is None else vector - to
     for k in np.flatnonzero(np.isfinite(period)):
-        shortest[:, k] -= period[k] * np.rint(vector[:, k] / period[k])
-    return shortest
+        image[:, k] -= period[k] * np.rint(away[:, k] / period[k])
+    return image
+
+
+def images_within(vector: NDArray, reach: NDArray, period: NDArray) -> tuple[NDArray, NDArray]:
+    """Rows, and the vectors, of all images of shortest vectors (n, 3) that are shorter than their reach (n,).
+
+    The shortest one always is among them. No reach may be longer than 3/2 of a period, so that no other images than
+    the next ones can be meant.
+    """
+    short = period - np.abs(vector) < reach[:, None]
+    near = np.flatnonzero(short.any(axis=1))
+    if not near.size:
+        return np.arange(len(vector)), vector
+    shifts = np.array(list(product(*((0, -1, 1) if any_short else (0,) for any_short in short.any(axis=0)))))
+    images = vector[near, None] + shifts * np.where(np.isfinite(period), period, 0.0)
+    inside = np.linalg.norm(images, axis=2) < reach[near, None]
+    inside[:, 0] = True
+    rows = np.concatenate([np.flatnonzero(~short.any(axis=1)), near[np.nonzero(inside)[0]]])
+    order = np.argsort(rows, kind="stable")
+    return rows[order], np.concatenate([vector[~short.any(axis=1)], images[inside]])[order]
 
 
 def rows_of(ids: NDArray, wanted: NDArray) -> NDArray:
@@ -170,7 +197,8 @@ def complete_contacts(
     """Check the contacts of one frame against its particles and derive contact points that are not given.
 
     For spheres the contact point lies on the branch at ``R_i - overlap/2`` from the centre of i, with
-    ``overlap = R_i + R_j - |r_i - r_j|`` and ``r_i - r_j`` the minimum image.
+    ``overlap = R_i + R_j - |r_i - r_j|`` and ``r_i - r_j`` the image nearest to the branch that the data hold, or else
+    the shortest one.
 
     A contact that is listed twice, as a copy or from both sides as (i, j, f) and (j, i, -f), is taken once. Several
     contacts of one pair, which differ in force or place, all stay.
@@ -178,10 +206,10 @@ def complete_contacts(
     Parameters
     ----------
     frame : mapping
-        Arrays by scene name, at least ``contact_i``, ``contact_j`` (n,) and ``contact_force`` (n, 3). A vector
-        ``contact_branch`` (n, 3) from j, or the wall, to i, of any image, becomes the normal. Where
-        ``point_is_middle`` (n,) is true, ``contact_point`` is the middle of the centres of two spheres, and becomes the
-        point where they touch.
+        Arrays by scene name, at least ``contact_i``, ``contact_j`` (n,) and ``contact_force`` (n, 3).
+        ``contact_branch`` (n, 3), from j to i as the code saw it, tells which images touch. ``wrapped_branch`` (n, 3),
+        from j, or the wall, to i, but of any image, becomes the normal. Where ``point_is_middle`` (n,) is true,
+        ``contact_point`` is the middle of the centres of two spheres, and becomes the point where they touch.
     particles : Frame
         The particles of the same step, completed.
     box : array (3, 2) or None
@@ -193,25 +221,30 @@ def complete_contacts(
     ------
     SceneError
         For unknown ids, a particle in contact with itself, values that are not finite, a contact point that is missing
-        and cannot be derived, or a contact that is listed from both sides with the same force.
+        and cannot be derived, as in a box so small that grains touch on both sides, or a contact that is listed from
+        both sides with the same force.
     """
     given = _typed({name: values for name, values in frame.items() if name not in _HINTS}, setup, where)
-    if "contact_branch" in frame and "contact_normal" not in given:
+    if "wrapped_branch" in frame and "contact_normal" not in given:
         period = periods(box, setup.periodic, where)
-        branch = np.asarray(frame["contact_branch"]) * setup.scales[0]
+        branch = np.asarray(frame["wrapped_branch"]) * setup.scales[0]
         given["contact_normal"] = unit_vectors(minimum_image(branch, period))
     missing = [name for name in ("contact_i", "contact_j", "contact_force") if name not in given]
     if missing:
         msg = f"{where}: contacts lack {missing}; map the file's names to these with names={{...}}"
         raise SceneError(msg)
     _check_rows(given, "contact", where)
+    seen = given.pop("contact_branch", None)
     i, j = given["contact_i"], given["contact_j"]
     ids = particles["particle_id"]
     row_i, row_j = rows_of(ids, i), rows_of(ids, j)
     self_contact = np.flatnonzero(i == j)
     if self_contact.size:
         row = self_contact[0]
-        msg = f"{where}: contact row {row} joins particle {i[row]} with itself; drop such rows"
+        msg = (
+            f"{where}: contact row {row} joins particle {i[row]} with itself; drop such rows. If it touches its own "
+            f"image, {REPEAT}"
+        )
         raise SceneError(msg)
     if (i < 0).any():
         row = int(np.flatnonzero(i < 0)[0])
@@ -231,8 +264,9 @@ def complete_contacts(
     if derived.any() or "contact_point" not in given:
         points = given.get("contact_point", np.empty((len(i), 3))).copy()
         some = {name: values[derived] for name, values in given.items()}
+        those = None if seen is None else seen[derived]
         period = periods(box, setup.periodic, where)
-        points[derived] = _contact_points(some, particles, row_i[derived], row_j[derived], period, where)
+        points[derived] = _contact_points(some, particles, row_i[derived], row_j[derived], those, period, where)
         given["contact_point"] = points
     rows, pair = repeated_pairs(i, j)
     if not rows.size:
@@ -317,8 +351,9 @@ def unit_vectors(vector: NDArray) -> NDArray:
 
 
 def _contact_points(
-    contacts: Frame, particles: Frame, row_i: NDArray, row_j: NDArray, period: NDArray, where: str
-) -> NDArray:
+    contacts: Frame, particles: Frame, row_i: NDArray, row_j: NDArray, seen: NDArray | None, period: NDArray,
+    where: str,
+) -> NDArray:  # fmt: skip
     """Points where spheres touch; their middle, if it is given, tells of a partner that is not in the scene."""
     alone = (row_i < 0) | (row_j < 0)
     if alone.any() and not {"contact_point", "overlap"} <= set(contacts):
@@ -335,13 +370,52 @@ def _contact_points(
     points = contacts.get("contact_point", np.empty((len(row_i), 3))).copy()
     both, only = np.flatnonzero(~alone), np.flatnonzero(alone & (np.maximum(row_i, row_j) >= 0))
     i, j, k = row_i[both], row_j[both], np.maximum(row_i, row_j)[only]
-    branch = minimum_image(position[i] - position[j], period)
+    seen = None if seen is None else seen[both]
+
+    def refuse(wrong: NDArray, what: str) -> None:
+        if wrong.size:
+            row = both[wrong[0]]
+            pair = f"i={contacts['contact_i'][row]}, j={contacts['contact_j'][row]}"
+            msg = f"{where}: contact row {row} ({pair}) {what}"
+            raise SceneError(msg)
+
+    branch = _branches(position[i] - position[j], radius[i] + radius[j], seen, period, refuse, where)
     points[both] = contact_points(position[i], branch, radius[i], radius[j])
+    for side in (position[i] - points[both], position[i] - points[both] - branch):
+        refuse(
+            np.flatnonzero((np.abs(side) >= 0.5 * (1 - _HAIR) * period).any(axis=1)),
+            f"is half a period away from a centre, where both of its sides are one place; {REPEAT}",
+        )
     if only.size:
         branch = 2 * minimum_image(position[k] - points[only], period)
         other = np.linalg.norm(branch, axis=1) + contacts["overlap"][only] - radius[k]
         points[only] = contact_points(position[k], branch, radius[k], other)
     return points
+
+
+def _branches(
+    apart: NDArray, touching: NDArray, seen: NDArray | None, period: NDArray, refuse: Callable[[NDArray, str], None],
+    where: str,
+) -> NDArray:  # fmt: skip
+    """Images of vectors (n, 3) from j to i that touch at `touching` (n,): nearest to what was `seen`, or shortest."""
+    if seen is not None:
+        branch = minimum_image(apart, period, seen)
+        if (np.linalg.norm(branch - seen, axis=1) <= _SAME_BRANCH * np.linalg.norm(seen, axis=1)).all():
+            return branch
+        warn_once(
+            "branches of contacts",
+            f"{where}: branches of contacts are not the vectors from j to i between the positions, or cross an edge "
+            "that is not periodic, and the shortest are taken; drop them with names={'dx': None, ...} if they are "
+            "something else",
+        )
+    branch = minimum_image(apart, period)
+    rows, _ = images_within(branch, np.maximum(np.linalg.norm(branch, axis=1), touching) * (1 + _HAIR), period)
+    refuse(
+        rows[1:][rows[1:] == rows[:-1]],
+        "may be on either side, as the box is so small that the two touch twice; give 'contact_point', or the vector "
+        "from j to i as 'contact_branch' (files: names={'dx': 'contact_branch_x', ...})",
+    )
+    return branch
 
 
 def contact_points(position_i: NDArray, branch: NDArray, radius_i: NDArray, radius_j: NDArray) -> NDArray:

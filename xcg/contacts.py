@@ -150,11 +150,26 @@ class Contacts:
 
     @cached_property
     def first(self) -> NDArray:
-        """1 for the first contact of each pair, 0 for further ones (bodies may touch in several places)."""
+        """1 for the first contact of each pair, 0 for further ones (bodies may touch in several places).
+
+        Periodic images of one particle are several partners: in small boxes, grains touch on both sides.
+        """
         first = np.ones(len(self.key_i))
         rows, pair = repeated_pairs(self.key_i, self.key_j)
-        first[rows[1:][pair[1:] == pair[:-1]]] = 0.0
+        if rows.size:
+            keys = np.column_stack([self._images[rows], pair])
+            order = np.lexsort(keys.T)
+            repeated = (np.diff(keys[order], axis=0) == 0).all(axis=1)
+            first[rows[order[1:][repeated]]] = 0.0
         return first
+
+    @property
+    def _images(self) -> NDArray:
+        """Number of periods (n, 3) between the images that touch and the particles, from the lower id to the higher."""
+        both = (self.i >= 0) & (self.j >= 0)
+        away = self.between - (self.position[self.i] - self.position[self.j])
+        number = np.where(both[:, None], np.rint(away / self.period), 0.0)
+        return np.where((self.key_i < self.key_j)[:, None], number, -number)
 
     @cached_property
     def partners(self) -> NDArray:

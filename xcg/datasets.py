@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.complete import images_within, minimum_image
 from xcg.scene import scene_from_arrays
 
 _FCC = np.array([[0.0, 0.0, 0.0], [0.5, 0.5, 0.0], [0.5, 0.0, 0.5], [0.0, 0.5, 0.5]])
@@ -56,9 +57,14 @@ def _bonded(
     """Scene of a periodic lattice whose neighbours at distance `bond` push each other."""
     from scipy.spatial import cKDTree
 
-    pairs = cKDTree(position % edge, boxsize=np.full(3, edge)).query_pairs(bond * (1 + 1e-6), output_type="ndarray")
-    branch = position[pairs[:, 0]] - position[pairs[:, 1]]
-    branch -= edge * np.rint(branch / edge)
+    reach, period = bond * (1 + 1e-6), np.full(3, edge)
+    if edge <= reach:
+        msg = f"the edge of the lattice is {edge:g}, where grains touch their own images: take more cells"
+        raise ValueError(msg)
+    pairs = cKDTree(position % edge, boxsize=period).query_pairs(reach, output_type="ndarray")
+    branch = minimum_image(position[pairs[:, 0]] - position[pairs[:, 1]], period)
+    rows, branch = images_within(branch, np.full(len(pairs), reach), period)
+    pairs = pairs[rows]
     given = {
         "diameter": np.full(len(position), diameter),
         "density": 2500.0,
@@ -66,6 +72,7 @@ def _bonded(
         "contact_i": pairs[:, 0],
         "contact_j": pairs[:, 1],
         "contact_force": force * branch / np.linalg.norm(branch, axis=1, keepdims=True),
+        "contact_branch": branch,
         "box": [[0.0, edge]] * 3,
         "periodic": "xyz",
     }
@@ -212,6 +219,7 @@ def dense_packing(
         "contact_i": pairs[:, 0],
         "contact_j": pairs[:, 1],
         "contact_force": push + 0.1 * rng.normal(size=(len(pairs), 3)),
+        "contact_branch": branch,
         "box": np.stack([np.zeros(3), box], axis=1),
         "periodic": "xyz",
     }

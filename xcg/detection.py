@@ -10,13 +10,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.complete import contact_points, minimum_image, periods
+from xcg.complete import REPEAT, contact_points, images_within, minimum_image, periods
 from xcg.conform import takes_scene
 from xcg.contacts import check_search, find_pairs
 from xcg.labels import about, call_of
 from xcg.over_time import is_lazy, map_over_time, steps_in
 from xcg.scene import require_scene, setup_of, stack
-from xcg.schema import Frame, SceneError, Setup, units_of, variable
+from xcg.schema import COMPONENTS, Frame, SceneError, Setup, units_of, variable
 
 READ = ("particle_id", "position", "diameter")
 # Pairs of these are left out: two frozen grains are one wall, and grains of one body are glued.
@@ -105,6 +105,7 @@ class Search:
         """Contacts of one frame."""
         period = periods(box, self.setup.periodic, where)
         ids, position, radius = frame["particle_id"], frame["position"], frame["diameter"] / 2
+        self._refuse_own_images(frame, period, where)
         i, j = find_pairs(
             position, radius, box, self.setup.periodic, skin=self.skin, method=self.method, levels=self.levels,
             threads=self.threads,
@@ -113,15 +114,18 @@ class Search:
             moving = (frame["frozen"][i] != 1) | (frame["frozen"][j] != 1)
             i, j = i[moving], j[moving]
         if "body_id" in frame:
-            apart = frame["body_id"][i] != frame["body_id"][j]
+            body = frame["body_id"]
+            apart = (body[i] != body[j]) | (body[i] < 0)  # negative for spheres of their own
             i, j = i[apart], j[apart]
+        reach = radius[i] + radius[j] + self.skin
+        rows, branch = images_within(minimum_image(position[i] - position[j], period), reach, period)
+        i, j = i[rows], j[rows]
         if self.most is not None and len(i) > self.most:
             msg = (
                 f"{where}: {len(i)} contacts among {len(ids)} particles, more than the {self.most} rows set aside; "
                 f"pass max_contacts={len(i)} or more to find_contacts, or load the scene first with ds.load()"
             )
             raise SceneError(msg)
-        branch = minimum_image(position[i] - position[j], period)
         length = np.linalg.norm(branch, axis=1)
         normal = np.divide(branch, length[:, None], out=np.zeros_like(branch), where=length[:, None] > 0)
         overlap = radius[i] + radius[j] - length
@@ -135,6 +139,21 @@ class Search:
         if self.stiffness.given:
             found["contact_force"] = self.stiffness.force(overlap, radius[i], radius[j])[:, None] * normal
         return found
+
+    def _refuse_own_images(self, frame: Frame, period: NDArray, where: str) -> None:
+        """Refuse a period that a grain reaches across: a contact with itself has no place in a scene."""
+        ids, diameter = frame["particle_id"], frame["diameter"]
+        if "frozen" in frame:
+            ids, diameter = ids[frame["frozen"] != 1], diameter[frame["frozen"] != 1]
+        k = int(np.argmin(period))
+        if diameter.max(initial=0.0) + self.skin > period[k]:
+            row = int(np.argmax(diameter))
+            msg = (
+                f"{where}: particle {ids[row]} of diameter {diameter[row]:g} touches its own image (skin "
+                f"{self.skin:g}), as the period along '{COMPONENTS[k]}' is {period[k]:g}, and a contact with itself "
+                f"has no place in a scene; {REPEAT}"
+            )
+            raise SceneError(msg)
 
 
 @takes_scene
@@ -151,9 +170,10 @@ def find_contacts(
 ) -> xr.Dataset:
     """Find the contacts of a scene from positions and diameters, and their normal forces from a stiffness.
 
-    All pairs with ``|r_i - r_j| < R_i + R_j + skin``, nearest images, each once, sorted by the rows of i, then j (see
-    `xcg.contacts.find_pairs`). Pairs of two frozen grains and pairs within one body are left out. Walls that are not
-    made of grains leave no trace in positions: their contacts are not found.
+    All pairs with ``|r_i - r_j| < R_i + R_j + skin``, each once, sorted by the rows of i, then j (see
+    `xcg.contacts.find_pairs`); in a box so small that two grains touch on several sides, each of these contacts. Pairs
+    of two frozen grains and pairs within one body are left out. Walls that are not made of grains leave no trace in
+    positions: their contacts are not found.
 
     Parameters
     ----------
@@ -185,7 +205,8 @@ def find_contacts(
     Raises
     ------
     SceneError
-        If the scene has no diameters; on computing, if a step has more than `max_contacts`.
+        If the scene has no diameters; on computing, if a step has more than `max_contacts`, or a grain touches its own
+        image across a periodic axis.
     ValueError
         If an argument is wrong.
 

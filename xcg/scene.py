@@ -221,7 +221,8 @@ def scene_from_arrays(
         Take contacts with ids that are not among the particles as contacts with a wall.
     **variables
         Other variables by their scene name: ``velocity``, ``diameter``, ``mass``, ``volume``, ``particle_id``,
-        ``species``, ``contact_i``, ``contact_j``, ``contact_force``, ``contact_point``, ...
+        ``species``, ``contact_i``, ``contact_j``, ``contact_force``, ``contact_point``, ... In a periodic box of less
+        than two diameters ``contact_branch`` (from j to i) tells on which side grains touch, where no point does.
 
     Returns
     -------

@@ -86,6 +86,8 @@ VARIABLES: dict[str, Variable] = {
     "contact_point": Variable((*_CONTACT, "component"), (1, 0, 0), "contact point"),
     "contact_normal": Variable((*_CONTACT, "component"), (0, 0, 0), "unit normal from j to i"),
     "overlap": Variable(_CONTACT, (1, 0, 0), "overlap"),
+    # an input only: it says on which side of a grain the contact point is, and is not kept
+    "contact_branch": Variable((*_CONTACT, "component"), (1, 0, 0), "vector from j to i, in the image that touches"),
 }
 BOX = Variable(("component", "bound"), (1, 0, 0), "edges of the domain")
 

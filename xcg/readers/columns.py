@@ -50,13 +50,14 @@ CONTACT_SLOTS: Slots = {
     **_vector("tangential_force", "ft?"),
     **_vector("contact_point"),
     **_vector("contact_normal"),
+    **_vector("contact_branch", "d?"),
     **_vector("end_i"),
     **_vector("end_j"),
     "overlap": ("overlap", "delta"),
 }
 
 _FORCES = ("contact_force", "normal_force", "tangential_force")
-_CONTACT_VECTORS = (*_FORCES, "contact_point", "contact_normal", "end_i", "end_j")
+_CONTACT_VECTORS = (*_FORCES, "contact_point", "contact_normal", "contact_branch", "end_i", "end_j")
 _CONTACT_SCALARS = ("contact_i", "contact_j", "overlap")
 _PARTICLE_COMPONENTS = {*_vector("position"), *_vector("scaled"), *_vector("velocity")}
 
@@ -180,6 +181,8 @@ def contact_columns(ref: StepRef, slots: Slots, options: ReadOptions) -> dict[st
     for slot in ("contact_i", "contact_j"):
         if slot not in filled:
             raise _lacks(ref, "ids of both partners", slot)
+    if len(_axes(filled, "contact_branch")) < 3:  # a hint: without all of it, images follow from positions
+        filled = {slot: column for slot, column in filled.items() if not slot.startswith("contact_branch")}
     there = {slot: _axes(filled, slot) for slot in _CONTACT_VECTORS}
     for slot, axes in there.items():
         if 0 < len(axes) < 3:
@@ -217,7 +220,7 @@ def contacts_from(ref: StepRef, columns: Mapping[str, str]) -> Frame:
     if "contact_force" not in frame:
         frame["contact_force"] = frame.pop("normal_force") + frame.pop("tangential_force", np.zeros(3))
     if "end_i" in frame:  # wrapped positions: the nearest image is taken where the periods are known
-        frame["contact_branch"] = frame.pop("end_i") - frame.pop("end_j")
+        frame["wrapped_branch"] = frame.pop("end_i") - frame.pop("end_j")
     _check_ids(ref, frame["contact_i"])
     return frame
 
