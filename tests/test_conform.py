@@ -162,3 +162,21 @@ def test_what_was_spread_too_far_is_refused_before_it_is_read(scene, monkeypatch
     monkeypatch.setattr("xcg.conform._MOST_SPREAD", 1000)
     with pytest.raises(SceneError, match=r"ds\.map"):
         xcg.coarse_grain(scene.chunk(time=1).where(scene.species == 1), **MESH)
+
+
+def test_masked_arrays_are_refused():
+    position, mask = np.eye(3), [False, True, False]
+    masked = np.ma.masked_array(np.ones(3), mask)
+    for given in ({"diameter": masked}, {"diameter": [masked]}, {"velocity": np.ma.masked_equal(position, 1.0)}):
+        with pytest.raises(SceneError, match=rf"'{next(iter(given))}' is a masked array with \d masked values"):
+            xcg.scene_from_arrays(position, density=1.0, **given)
+    with pytest.raises(SceneError, match="'time' is a masked array"):
+        xcg.scene_from_arrays(position, diameter=np.ones(3), density=1.0, time=np.ma.masked_array([1.0], [True]))
+    ds = xcg.scene_from_arrays(position, diameter=np.ma.masked_array(np.ones(3)), density=1.0)
+    assert ds.sizes["particle"] == 3
+
+
+@pytest.mark.parametrize("time", [[np.nan], [np.inf]])
+def test_times_that_are_not_numbers_are_refused(time):
+    with pytest.raises(SceneError, match="time"):
+        xcg.scene_from_arrays(np.eye(3), diameter=np.ones(3), density=1.0, time=time)

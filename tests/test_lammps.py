@@ -385,3 +385,19 @@ def test_two_dimensional_scene_is_detected():
     folder = shared_data("lammps_biaxial2d")
     scene = open_scene(folder / "particles.00050000.dump", contacts=folder / "contacts.00050000.dump")
     assert (scene.attrs["dimension"], scene.attrs["plane"], scene.attrs["periodic"]) == (2, "xy", "x")
+
+
+def test_velocities_that_lack_x_are_no_velocities(tmp_path):
+    for row, columns in (("1 0 0 0 1 1", "id x y z vy vz"), ("1 0 0 0 1", "id x y z vz")):
+        with pytest.raises(SceneError, match="no x of the velocity"):
+            particles(tmp_path, dump_text([row], columns))
+    flat = dump_text(["1 0 0 1 2"], "id x y vx vy")
+    np.testing.assert_array_equal(particles(tmp_path, flat)[1]["velocity"], [[1, 2, 0]])
+
+
+def test_two_columns_for_one_variable_are_refused(tmp_path):
+    text = dump_text(["1 0 0 0 5 6"], "id x y z a b")
+    for slot in ("velocity_x", "mass", "temperature"):
+        with pytest.raises(SceneError, match=f"names maps 'a' and 'b' to '{slot}'"):
+            particles(tmp_path, text, options=ReadOptions({"a": slot, "b": slot}))
+    assert particles(tmp_path, text, options=ReadOptions({"a": "mass", "b": None}))[1]["mass"] == [5]

@@ -156,8 +156,20 @@ def box_array(box: ArrayLike | Mapping[str, Sequence[float]], steps: int) -> NDA
     return np.broadcast_to(edges, (steps, 3, 2)).copy()
 
 
+def _refuse_mask(name: str, values: Any) -> None:
+    """Refuse masked values: what stands below the mask would count."""
+    if np.ma.is_masked(values):
+        msg = (
+            f"'{name}' is a masked array with {np.ma.count_masked(values)} masked values; leave out such rows of all "
+            "variables, by giving a list of steps of different length, or fill them"
+        )
+        raise SceneError(msg)
+
+
 def _split_steps(name: str, values: Any) -> list[NDArray]:
     """Arrays of one step each, from one step, a stack of steps, or a list of steps of different length."""
+    for part in values if isinstance(values, (list, tuple)) else [values]:
+        _refuse_mask(name, part)
     if isinstance(values, (list, tuple)) and len(values) and np.ndim(values[0]) == len(variable(name).dims):
         return [np.asarray(v) for v in values]
     array = np.asarray(values)
@@ -255,6 +267,7 @@ def scene_from_arrays(
         msg = f"variables have different numbers of steps: {counts}"
         raise SceneError(msg)
     total = counts["position"]
+    _refuse_mask("time", time)
     times = np.arange(total, dtype=float) if time is None else np.atleast_1d(np.asarray(time, float)) * setup.scales[2]
     check_times(times, "a scene", "sort the steps, and leave out those that stand twice")
     edges = None if box is None else box_array(box, total) * setup.factor(BOX.powers)

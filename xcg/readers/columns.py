@@ -8,6 +8,7 @@ slot by themselves; ``names={column: slot}`` of the caller comes first.
 from __future__ import annotations
 
 import difflib
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import TypeAlias
 
@@ -76,9 +77,15 @@ def assign(ref: StepRef, slots: Slots, options: ReadOptions) -> dict[str, str]:
     Raises
     ------
     SceneError
-        If `names` maps a column of this file to something that is almost, but not quite, a slot.
+        If `names` maps a column of this file to something that is almost, but not quite, a slot, or two columns to the
+        same.
     """
     given = {column: slot for column, slot in options.names.items() if column in ref.columns}
+    for taken, count in Counter(slot for slot in given.values() if slot is not None).items():
+        if count > 1:
+            both = " and ".join(repr(column) for column in given if given[column] == taken)
+            msg = f"{where(ref)}: names maps {both} to {taken!r}, and only one of them can be; map the others to None"
+            raise SceneError(msg)
     for column, slot in given.items():
         if slot is not None and slot not in PARTICLE_SLOTS and slot not in CONTACT_SLOTS:
             close = difflib.get_close_matches(slot, slots, 3, 0.8)
@@ -133,7 +140,7 @@ def particle_columns(ref: StepRef, slots: Slots, options: ReadOptions) -> dict[s
         if axis not in present:
             raise _lacks(ref, f"{axis} of the position", f"position_{axis}")
     for axis in sorted(present):
-        if "velocity_x" in filled and f"velocity_{axis}" not in filled:
+        if _axes(filled, "velocity") and f"velocity_{axis}" not in filled:
             raise _lacks(ref, f"{axis} of the velocity", f"velocity_{axis}")
     own = {
         slot: column
