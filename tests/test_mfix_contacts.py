@@ -277,10 +277,11 @@ def run(config):
     return done.output
 
 
-def test_a_bed_of_superquadrics_from_its_configuration_alone(tmp_path):
+@pytest.mark.parametrize("across", [False, True], ids=["", "periodic across the layer"])
+def test_a_bed_of_superquadrics_from_its_configuration_alone(tmp_path, across):
     for step in (1, 2):
         x, i, j, force, point = write_superquadrics(tmp_path, step, seed=step)
-    said = run(configuration(tmp_path, 2, x_max=1.0, y_max=0.5))
+    said = run(configuration(tmp_path, 2, x_max=1.0, y_max=0.5, z_axis_periodic=across))
     assert "x: 1, in the files' unit" in said
     with xr.open_dataset(tmp_path / "PysammosCG" / "CG_Lucy_Monodisperse.h5") as f:
         got = f.contact_tensor.isel(time=1).load()
@@ -318,6 +319,15 @@ def test_real_superquadrics_count_once_and_forces_are_what_mfix_applied(bedload)
     error = np.linalg.norm(total - applied, axis=1)[free]
     assert np.mean(error < 1e-7) > 0.95  # the others stand at the cyclic boundary
     assert error.max() < 0.03 < 0.01 * np.linalg.norm(applied, axis=1).max() + 0.02
+    # what both rows of a contact say on average, whatever the contact points
+    path = bedload / "FC_0150.vtp"
+    raw = vtp.read_arrays(vtp.read_header(str(path)), [f"FORCE_CHAIN_{n}" for n in ("FC", "GLOBAL_ID1", "GLOBAL_ID2")])
+    i, j = (raw[f"FORCE_CHAIN_GLOBAL_ID{side}"].astype(int) - 1 for side in (1, 2))
+    branch = minimum_image(ds.position.values[0, i] - ds.position.values[0, j], np.array([0.5, np.inf, np.inf]))
+    _, pair, rows = np.unique(np.sort([i, j], axis=0), axis=1, return_inverse=True, return_counts=True)
+    virial = np.einsum("n,ni,nj->ij", 1 / rows[pair.ravel()], raw["FORCE_CHAIN_FC"], branch)
+    got = (ds.cg.particle_stress(symmetric=False).stress * ds.volume).sum("particle").values[0]
+    np.testing.assert_allclose(got, virial, rtol=0, atol=1e-5 * np.abs(virial).max())
     # contacts lie between both bodies: in MFiX's geometry one step earlier, within their enclosing spheres
     for side in ("contact_i", "contact_j"):
         k = ds[side].values[0, there] - 1

@@ -207,6 +207,8 @@ def open_scene(
     dimension = dimension or len(plane or flat or COMPONENTS)
     if dimension == 2:
         plane = plane or flat or "xy"
+    if periodic is not None and box is None and first.box is None:
+        periodic = _within(flat, periodic)  # no file tells the period across a layer, and nothing depends on it
     setup = Setup.make(
         units=_units(indexed) if units is None else units,
         gravity=gravity,
@@ -215,7 +217,7 @@ def open_scene(
         thickness=thickness,
         shape=shape,
         density=density,
-        periodic=_periodic(first, plane) if periodic is None else periodic,
+        periodic=_within(plane, first.periodic or "") if periodic is None else periodic,
     )
     if gravity is None and first.gravity is not None:
         x, y, z = (g * setup.factor((1, 0, -2)) for g in first.gravity)
@@ -501,9 +503,9 @@ def _flat_plane(frames: Sequence[Frame]) -> str | None:
     return "".join(COMPONENTS[k] for k in extended) if len(extended) == 2 else None
 
 
-def _periodic(ref: StepRef, plane: str | None) -> str:
-    """Periodic axes of the header; LAMMPS calls a two-dimensional box periodic across its plane, too."""
-    return "".join(axis for axis in ref.periodic or "" if axis in (plane or COMPONENTS))
+def _within(plane: str | None, periodic: str) -> str:
+    """Periodic axes without that across a plane, along which two-dimensional boxes may be called periodic, too."""
+    return "".join(axis for axis in periodic if plane is None or axis in plane or axis not in COMPONENTS)
 
 
 def _boxes(steps: Sequence[Step], box: Any, setup: Setup) -> NDArray | None:
