@@ -184,9 +184,10 @@ def test_partial_fluctuations_are_about_the_bulk():
     assert float(f.granular_temperature.sel(phase="1").mean()) == pytest.approx(26.0, rel=0.05)
 
 
-def test_each_phase_takes_a_width_of_its_own():
+@pytest.mark.parametrize("axes", ["xyz", "xz", "z"])
+def test_each_phase_takes_a_width_of_its_own(axes):
     ds = xcg.datasets.random_scene(150, seed=7)
-    place = {"spacing": 0.4, "bounds": dict.fromkeys("xyz", (0.0, 1.9))}
+    place = {"spacing": 0.4, "axes": axes, "bounds": dict.fromkeys(axes, (0.0, 1.9))}
     own = ds.cg.coarse_grain(by="species", width={1: 0.4, 2: 0.9}, by_pair=True, **place)
     assert own.attrs["width"] == [0.4, 0.9]
     for phase, width in (("1", 0.4), ("2", 0.9)):
@@ -201,6 +202,19 @@ def test_each_phase_takes_a_width_of_its_own():
             parts = own[name].sel(phase=["1", "2"]).sum("phase", skipna=False)
             bulk = own[name].sel(phase="bulk")
             np.testing.assert_allclose(parts, bulk, rtol=0, atol=1e-12 * float(abs(bulk).max()), err_msg=name)
+
+
+def test_the_traction_of_a_wall_belongs_to_the_phase_that_touches_it():
+    ds = xcg.datasets.random_scene(150, seed=7, periodic="xy")
+    own = ds.cg.coarse_grain("wall_traction", by="species", axes="z", width=0.6)
+    first = ds.particle_id.values[0][ds.species.values[0] == 1]
+    for phase, kept in (("1", np.isin(ds.contact_i, first)), ("2", ~np.isin(ds.contact_i, first))):
+        alone = ds.assign(contact_force=ds.contact_force.where(xr.DataArray(kept, dims=("time", "contact")), 0.0))
+        expected = alone.cg.coarse_grain("wall_traction", axes="z", width=0.6).wall_traction
+        assert float(abs(expected).max()) > 0
+        np.testing.assert_allclose(
+            own.wall_traction.sel(phase=phase), expected, atol=1e-12 * float(abs(expected).max())
+        )
 
 
 def test_linear_flow_is_exact_with_two_widths():

@@ -71,6 +71,20 @@ def test_touching_exactly_and_coincident_particles(data, periodic, count, cells,
         np.testing.assert_array_equal(find_pairs(position, radius, box, periodic, skin=skin, method=method), expected)
 
 
+@pytest.mark.parametrize("periodic", ["", "xyz"])
+@pytest.mark.parametrize("decades", [0.0, 1.0])
+def test_a_skin_of_many_radii(periodic, decades):
+    """Cells and what is looked for in them reach as far as the skin does, not as far as radii alone."""
+    rng = np.random.default_rng(4)
+    position, radius = rng.uniform(0, 10, (400, 3)), 0.05 * 10 ** (-decades * rng.random(400))
+    box = [(0.0, 10.0)] * 3
+    for skin in (0.4, 1.5, 2.8):
+        expected = all_pairs(position, radius, box, periodic, skin)
+        for method in ("hierarchical", "linked-cell"):
+            found = find_pairs(position, radius, box, periodic, skin=skin, method=method)
+            np.testing.assert_array_equal(found, expected)
+
+
 def test_touching_is_not_closer_but_within_a_skin():
     position = np.array([[0.0, 0, 0], [1.0, 0, 0]])
     assert find_pairs(position, [0.5, 0.5]).shape == (0, 2)

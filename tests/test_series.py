@@ -465,6 +465,25 @@ def test_discs(tmp_path):
     np.testing.assert_allclose(scene.mass, np.pi * 4 * 0.5 * 2)
 
 
+def test_sizes_from_volumes(tmp_path):
+    rows = ["1 1 5 2 0.3", "2 2 6 2 0.6", "3 4 5 2 1.2"]
+    path = write(tmp_path / "p.dump", dump_text(rows, "id x y mass v"))
+    volumes = np.array([0.3, 0.6, 1.2])
+    disc = open_scene(path, shape="disc", thickness=0.5, names={"v": "volume"}).compute()
+    np.testing.assert_allclose(disc.diameter.values[0] ** 2 * np.pi / 4 * 0.5, volumes, rtol=1e-14)
+    sphere = open_scene(path, names={"v": "volume"}).compute()
+    np.testing.assert_allclose(sphere.diameter.values[0] ** 3 * np.pi / 6, volumes, rtol=1e-14)
+
+
+@pytest.mark.parametrize("column", ["mass", "density"])
+def test_what_a_file_holds_comes_before_the_density_given(tmp_path, column):
+    path = write(tmp_path / "p.dump", dump_text(["1 1 5 2 7", "2 2 6 2 7", "3 4 5 2 7"], f"id x y radius {column}"))
+    with_it, without = (open_scene(path, **given).compute() for given in ({"density": 2.0}, {}))
+    for name in ("mass", "density"):
+        np.testing.assert_array_equal(with_it[name], without[name])
+    np.testing.assert_array_equal(with_it[column], 7.0)
+
+
 def test_frozen(series):
     scene = open_scene(series[0], frozen=2)
     np.testing.assert_array_equal(scene.frozen.compute()[0], [0, 0, 1])

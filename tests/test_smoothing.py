@@ -61,6 +61,25 @@ def test_the_1d_lucy_is_not_the_marginal_of_the_3d_one():
     assert np.abs(marginal - own).max() > 0.05 * own.max()
 
 
+def test_the_marginal_of_lucy_keeps_its_digits_up_to_the_rim():
+    """Relative to each value, however small: near the rim a node may see nothing else."""
+    nodes, weights = np.polynomial.legendre.leggauss(300)
+    q = np.concatenate([np.geomspace(1e-3, 0.1, 5), np.linspace(0.15, 0.95, 33), 1 - np.geomspace(1e-3, 0.04, 9)])[
+        :, None
+    ]
+    half = np.sqrt((1 - q) * (1 + q))
+    top = np.arcsinh(half / q)
+    u = top * (1 + nodes) / 2
+    s = q * np.sinh(u)
+    rest = (half - s) * (half + s)  # 1 - r^2, without cancellation
+    r = np.sqrt(1 - rest)
+    p = rest / (1 + r)
+    lucy, peak = xcg.Lucy(cutoff=1.0, dimension=3), 105 / (16 * np.pi)
+    for got, along in ((lucy.value(q[:, 0], 2), p**3 * (1 + 3 * r)), (lucy.derivative(q[:, 0], 2), -12 * q * p**2)):
+        expected = peak * (top * along * q * np.cosh(u) * weights).sum(axis=1)
+        np.testing.assert_allclose(got, expected, rtol=2e-13)
+
+
 @pytest.mark.parametrize("name", ["lucy", "wendland"])
 @pytest.mark.parametrize(("dimension", "seen"), SEEN)
 def test_derivative(name, dimension, seen):

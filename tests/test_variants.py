@@ -176,6 +176,18 @@ def test_viscous_number_and_effective_viscosity():
         ds.cg.coarse_grain("viscous_number")
 
 
+def test_rheology_is_unknown_where_the_pressure_is_not_positive():
+    ds = xcg.datasets.random_scene(150, seed=6)
+    names = ["viscous_number", "effective_viscosity", "inertial_number", "friction_coefficient", "pressure"]
+    f = ds.assign(contact_force=1e5 * ds.contact_force).cg.coarse_grain(
+        names, width=0.9, spacing=1.3, fluid_viscosity=2e-3
+    )
+    tension = f.pressure <= 0
+    assert 0 < int(tension.sum()) < tension.size
+    for name in names[:-1]:
+        np.testing.assert_array_equal(np.isnan(f[name]), tension, err_msg=name)
+
+
 def test_directional_temperatures_of_a_layer():
     ds = xcg.datasets.random_scene(150, periodic="", dimension=2, seed=7)
     f = ds.cg.coarse_grain(["granular_temperature", "directional_temperature"], width=0.9, spacing=1.0)
