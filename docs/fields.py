@@ -16,7 +16,8 @@ definitions. Vectors have the dimension `component`; tensors have `component` (o
 
 Sums are zero where nothing reaches. Ratios are NaN there, and `sample_count` says how many grains a node saw. A
 velocity gradient is NaN along directions that the grains at a node do not span; a temperature is NaN where a linear
-fit through the grains leaves nothing over. Friction coefficient and inertial number are NaN where p <= 0.
+fit through the grains leaves less than half of a mean grain over (`fluctuation_density`, rho_T). Friction coefficient
+and inertial number are NaN where p <= 0.
 
 In a one-layer scene D = 2, and traces run over the two axes of the plane.
 

@@ -187,8 +187,9 @@ def brute_force(ds, kernel, points, seen="xyz", scale=1.0, gradient=True):
         put("shear_stress", np.sqrt((dev**2).sum() / 2))
         mu = np.sqrt((dev**2).sum() / 2) / p if p > 0 else np.nan
         put("friction_coefficient", mu)
+        put("effective_count", rho**2 / (np.bincount(k, m) ** 2).sum() if count else np.nan)
         # weighted least squares by LAPACK, not by normal equations
-        G, T, rank = np.full((3, 3), np.nan), np.nan, 0
+        G, T, rank, free = np.full((3, 3), np.nan), np.nan, 0, 0.0
         if count:
             centre = m @ x / rho
             root = np.sqrt(m)[:, None]
@@ -198,14 +199,20 @@ def brute_force(ds, kernel, points, seen="xyz", scale=1.0, gradient=True):
             G[:, axes] = fit.T
             rest = v - V - (x - centre) @ G.T
             fluctuation = np.einsum("n,ni,nj->ij", m, rest, rest)
-            if count > rank + 1:
-                T = sum(fluctuation[i, i] for i in plane) / (D * rho)
+            # what independent velocities of the grains leave: the fit to the velocity of one grain after the other
+            one = np.eye(len(mass))[k]
+            mean = m @ one / rho
+            left = one - mean - (x - centre)[:, axes] @ np.linalg.lstsq(design, root * (one - mean), rcond=1e-5)[0]
+            free = m @ (left**2).sum(axis=1)
+            if count > rank + 1 and free > 0.5 * rho / count:
+                T = sum(fluctuation[i, i] for i in plane) / (D * free)
             if ((size > 1e-6 * size[:1]) & (size < 1e-3 * size[:1])).any():
                 T = None  # whether such a direction counts is a matter of taste
             if rank < len(axes) or size[-1] < 0.1 * size[0]:
                 G = None  # nearly flat clouds leave few digits, flat ones no derivative across
         put("velocity_gradient", G)
         put("granular_temperature", T)
+        put("fluctuation_density", free)
         if G is None:
             put("shear_rate", None)
             put("inertial_number", None)

@@ -18,8 +18,9 @@ from tests import steps_of_random_scenes
 from tests.brute_force import BruteKernel, brute_force
 from xcg.kernels.deposit import deposit
 
-RATIOS = {"velocity", "particle_density", "coordination_number", "d32", "d43", "granular_temperature",
-          "friction_coefficient", "velocity_gradient", "shear_rate", "inertial_number"}  # fmt: skip
+RATIOS = {"velocity", "effective_count", "particle_density", "coordination_number", "d32",
+          "d43", "granular_temperature", "friction_coefficient", "velocity_gradient", "shear_rate",
+          "inertial_number"}  # fmt: skip
 
 
 def nodes_of(f):
@@ -61,6 +62,8 @@ def assert_equals_brute_force(ds, kernel, width, *, nodes=12, tolerance=1e-12, d
     # one minus the distance cancels at the rim: where nodes see no more, coordinates hold fewer digits of the weight
     rim, mass, volume = 1e-3 * peak, *(ds[name].values.max(initial=0) for name in ("mass", "volume"))
     floors |= {"number_density": rim, "density": rim * mass, "momentum_density": rim * mass * speed}
+    # the difference of density and what a fit takes
+    floors["fluctuation_density"] = density.max(initial=0)
     floors |= {"volume_fraction": rim * volume, "fabric": rim * volume}
     # a gradient is a difference of velocities across the support; where all are the same, their rounding is left
     floors["velocity_gradient"] = floors["shear_rate"] = speed / width

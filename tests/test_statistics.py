@@ -35,7 +35,7 @@ def assert_ratios_of_sums(got, f, dims):
     np.testing.assert_allclose(got.coordination_number, z, rtol=1e-12)
     known = f.granular_temperature.notnull()  # not where a node has too few grains for a fit
     energy = sum(f.fluctuation_stress.sel(component=a, direction=a) for a in "xyz").where(known, 0).sum(dims)
-    temperature = energy / 3 / f.density.where(known, 0).sum(dims)
+    temperature = energy / 3 / f.fluctuation_density.where(known, 0).sum(dims)
     np.testing.assert_allclose(got.granular_temperature, temperature, rtol=1e-9)
     sigma = mean["stress"].values
     p = np.trace(sigma, axis1=-2, axis2=-1) / 3

@@ -51,7 +51,7 @@ def test_fits_are_those_of_lapack(about_node):
     ds = linear_flow(seed=1, noise=0.5)
     gradient = "paper" if about_node else "least_squares"
     names = ["velocity_gradient", "granular_temperature", "directional_temperature"]
-    f = ds.cg.coarse_grain(names, gradient=gradient, **INSIDE).isel(time=0)
+    f = ds.cg.coarse_grain(names, gradient=gradient, temperature="biased", **INSIDE).isel(time=0)
     got = [f[n].values.reshape(-1, *f[n].shape[3:]) for n in names]
     for n, (w, x, v) in enumerate(around(ds, f, 0.6)):
         mean = (w @ v) / w.sum()
@@ -68,7 +68,8 @@ def test_fits_are_those_of_lapack(about_node):
 def test_kernel_and_finite_difference_temperatures_by_brute_force():
     ds = linear_flow(seed=2, noise=0.5)
     for gradient in ("kernel", "finite_difference"):
-        f = ds.cg.coarse_grain(["velocity_gradient", "granular_temperature"], gradient=gradient, **INSIDE).isel(time=0)
+        options = {"gradient": gradient, "temperature": "biased", **INSIDE}
+        f = ds.cg.coarse_grain(["velocity_gradient", "granular_temperature"], **options).isel(time=0)
         slopes, temperature = f.velocity_gradient.values.reshape(-1, 3, 3), f.granular_temperature.values.ravel()
         for n, (w, x, v) in enumerate(around(ds, f, 0.6)):
             rest = v - (w @ v) / w.sum() - (x - (w @ x) / w.sum()) @ slopes[n].T

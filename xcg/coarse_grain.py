@@ -20,6 +20,7 @@ from xcg.conform import takes_scene
 from xcg.faults import check_on_error
 from xcg.kernels import THREADS
 from xcg.labels import about, call_of, mark_skipped
+from xcg.notices import warn_once
 from xcg.over_time import chunks_in, map_over_time, steps_in
 from xcg.plan import Plan, make_plan, scale_of
 from xcg.scene import require_scene, storable
@@ -51,6 +52,7 @@ def coarse_grain(
     size: str = "d43",
     fluid_viscosity: float | None = None,
     by_pair: bool = False,
+    temperature: str = "unbiased",
     by_body: str | None = None,
     rtol: float = 0.0,
     preset: str | None = None,
@@ -109,6 +111,10 @@ def coarse_grain(
     by_pair : bool
         Also divide contact stress by the phase of the partner: ``contact_stress_by_pair`` with the dimension
         ``other_phase``, the phases and then "wall". Its sum over them is the contact stress of the phase.
+    temperature : str
+        "unbiased" (default) divides the fluctuations about the fitted velocity by the density less what the fit takes
+        of them (``fluctuation_density``); "biased" by the density alone, which gives less than half of the temperature
+        of a dense packing at the default width, and a tenth of that of a gas.
     by_body : str, optional
         An integer variable of the particles that says which body each component sphere belongs to, for example
         "body_id": bodies are coarse-grained instead of spheres, see `xcg.group_bodies`.
@@ -210,7 +216,7 @@ def _as_own(ds: xr.Dataset, given: Mapping[str, Any]) -> tuple[Any, Any, dict[st
     own = {"preset", "fields", "shear_dims"}
     options = {k: v for k, v in given.items() if k not in own}
     planned = {k: v for k, v in options.items() if k != "on_error"}
-    fixed = {"pressure_dims": None, "deviatoric": "stress", "size": "d43"}
+    fixed = {"pressure_dims": None, "deviatoric": "stress", "size": "d43", "temperature": "unbiased"}
     clash = [k for k, usual in fixed.items() if options.get(k, usual) != usual]
     if clash:
         msg = f"preset='pysammos' has a name for each variant: leave out {clash}, and take the field that you want"
@@ -219,9 +225,11 @@ def _as_own(ds: xr.Dataset, given: Mapping[str, Any]) -> tuple[Any, Any, dict[st
     table = pysammos.rows(*pysammos.plane_of(ds, given.get("shear_dims")))
     names = pysammos.choose(given.get("fields"), table, make_plan(ds, None, **planned).fields)
     needed = dict.fromkeys(["sample_count", *(n for name in names for n in table[name].needs)])
-    return names, table, {"fields": list(needed), **options}
+    # its temperature is per density; other fields do not depend on it
+    return names, table, {"fields": list(needed), **options, "temperature": "biased"}
 
 
+_TEMPERATURES = {"granular_temperature", "directional_temperature"}
 _PAGE = 4096 // 8  # numbers in a page of memory
 
 
@@ -251,8 +259,11 @@ def _compute_step(
     options = replace(plan.options, wrapped=plan.recipe.grid.fills(period))  # the box may change
     tape = tape_for(plan.fields, plan.options, len(plan.recipe.groups))
 
+    reached: list[int] = []
+
     def fill(part: Box) -> None:
         found, place = sums.over(part), places(part, shape)
+        reached.append(found.reached)
         left = tape.play(found, place, rows) if tape else slice(None)
         if isinstance(left, np.ndarray) and not left.size:
             return
@@ -260,6 +271,21 @@ def _compute_step(
             rows[name][place[left]] = values.swapaxes(0, 1)
 
     for_each(boxes(shape, BOX, threads) if tape else [((0, 0, 0), shape)], fill, threads)
+    if plan.options.temperature == "unbiased":
+        _warn_of_unknown(rows, sum(reached), plan.kernel.width, where)
+
+
+def _warn_of_unknown(rows: Mapping[str, NDArray], reached: int, width: float, where: str) -> None:
+    """Warn where most of the nodes that grains reach have no temperature."""
+    for name in _TEMPERATURES & set(rows):
+        known = int(np.isfinite(rows[name].reshape(len(rows[name]), -1)[:, 0]).sum())
+        if 2 * known < reached:
+            msg = (
+                f"{where}: of {reached} nodes that grains reach {known} have a temperature; the others see too few "
+                f"grains for a mean velocity and its gradient to leave fluctuations over. Take a larger width (it is "
+                f"{width:.3g}), average along an axis (axes=), or mask by sample_count"
+            )
+            warn_once("temperature", msg)
 
 
 def _label(ds: xr.Dataset, plan: Plan, arrays: Mapping[str, Any], call: str) -> xr.Dataset:
@@ -301,6 +327,7 @@ def _provenance(ds: xr.Dataset, plan: Plan, call: str) -> dict[str, Any]:
         "pressure_dims": _axes(plan.options.pressure_axes or plan.options.plane),
         "deviatoric": plan.options.deviatoric,
         "size": plan.options.size,
+        "temperature": plan.options.temperature,
         **registry.given_options(plan.options),
         "averaged_axes": plan.recipe.grid.averaged,
     }

@@ -55,6 +55,8 @@ class Options:
         Viscosity of the fluid between the grains (Pa s).
     by_pair : bool, optional
         Whether contact stress is also divided by the phase of the partner.
+    temperature : str
+        "unbiased", or "biased": per density, whatever the fit takes.
     """
 
     plane: tuple[int, ...] = (0, 1, 2)
@@ -70,6 +72,7 @@ class Options:
     diameter: float = float("nan")
     fluid_viscosity: float | None = None
     by_pair: bool | None = None
+    temperature: str = "unbiased"
 
     @property
     def dimension(self) -> int:
@@ -207,10 +210,11 @@ def _fit(f: Any, s: Any, o: Options, *, about_node: bool = False) -> SimpleNames
     sums = np.concatenate([*(_inner(a).reshape(-1, *nodes) for a in rows), spread]).reshape(fit.SUMS, -1)
     way = symbols.fit_gradient if sums.dtype == object else fit.fit_gradient
     found = way(sums, active=o.active, about_node=about_node).reshape(-1, *nodes)
-    gradient, explained, determined, mean = np.split(found, (fit.EXPLAINED, fit.DETERMINED, fit.MEAN))
+    parts = np.split(found, (fit.EXPLAINED, fit.DETERMINED, fit.MEAN, fit.INVERSE))
+    gradient, explained, determined, mean, inverse = parts
     return SimpleNamespace(
         gradient=_outer(gradient.reshape(3, 3, *nodes)), explained=_outer(explained[fit.SYMMETRIC]),
-        determined=_outer(determined), mean=_outer(mean),
+        determined=_outer(determined), mean=_outer(mean), inverse=_outer(inverse[fit.SYMMETRIC]),
     )  # fmt: skip
 
 
@@ -279,12 +283,65 @@ def _kinetic_stress(f: Any, s: Any, o: Options) -> NDArray:
     return _outer(out)
 
 
+def _about(sums: tuple[NDArray, NDArray, NDArray], a: NDArray, b: NDArray) -> tuple[NDArray, NDArray]:
+    """Return the sums of w (x - a) and of w (x - a)(x - b), from those of w, w x and w x x."""
+    weight, first, second = sums
+    moved = first - weight[..., None] * a
+    return moved, second - outer(a, first) - outer(moved, b)
+
+
+def _taken_by_mean(f: Any, s: Any, o: Options) -> NDArray:
+    """Return the density whose fluctuations the mean velocity of the bulk takes, in each phase: see `_taken_by_fit`."""
+    mass = where_positive(s.mass[:1])
+    return zero_if_unknown(2 * s.square / mass - s.mass * s.square[:1] / (mass * mass))
+
+
+def _taken_by_fit(f: Any, s: Any, o: Options) -> NDArray:
+    """Return the density whose fluctuations the fit takes, in each phase.
+
+    The fit gives grain i the velocity ``sum_j H_ij v_j`` with ``H_ij = w_j (1 / rho + y_i A x_j)``, w = m Psi, x and y
+    relative to x_bar and to the point of the fit, A = M^+. Of independent fluctuations it takes, from the grains i of
+    a phase, ``sum_i w_i (2 H_ii - sum_j H_ij^2)``: for the bulk ``tr(M^-1 sum w^2 phi phi)``, phi = (1, x).
+    """
+    point, inverse = f._fit.mean[:1], f._fit.inverse[:1]
+    centre = zero_if_unknown(ratio(s.offset[:1], s.mass[:1]))
+    squares = s.square, s.square_offset, s.square_spread
+    shift, bulk = _about(tuple(a[:1] for a in squares), centre, centre)
+    if len(s.mass) == 1:
+        return _taken_by_mean(f, s, o) + _double(inverse, bulk)
+    _, own = _about(squares, centre, point)
+    first, second = _about((s.mass, s.offset, s.spread), point, point)
+    across = _times(inverse, shift[..., None])[..., 0]
+    mean = zero_if_unknown(2 * _dot(across, first) / where_positive(s.mass[:1]))
+    shared = _double(_times(_times(inverse, bulk), inverse), second)
+    return _taken_by_mean(f, s, o) + (2 * _double(inverse, own) - mean - shared)
+
+
+def _dot(a: NDArray, b: NDArray) -> NDArray:
+    return sum((a[..., k] * b[..., k] for k in range(3)), start=np.zeros(b.shape[:-1]))
+
+
+def _double(a: NDArray, b: NDArray) -> NDArray:
+    """Return a_ij b_ij, term by term: see `contraction`."""
+    return sum((a[..., i, j] * b[..., i, j] for i in range(3) for j in range(3)), start=np.zeros(b.shape[:-2]))
+
+
+def _fluctuation_density(f: Any, s: Any, o: Options) -> NDArray:
+    return at_least_zero(s.mass - f._taken)
+
+
+def _free(f: Any, s: Any, o: Options) -> NDArray:
+    """Return the density that a temperature divides by, NaN where it is less than half of that of a mean grain."""
+    enough = where_positive(f.fluctuation_density - 0.5 * ratio(s.mass, s.count))
+    return f.fluctuation_density + (enough - enough)
+
+
 def _temperature(f: Any, s: Any, o: Options) -> NDArray:
-    return ratio(at_least_zero(trace(f.fluctuation_stress, o.plane)), o.dimension * s.mass)
+    return ratio(at_least_zero(trace(f.fluctuation_stress, o.plane)), o.dimension * f._free)
 
 
 def _temperature_along(f: Any, s: Any, o: Options) -> NDArray:
-    return ratio(at_least_zero(np.diagonal(f.fluctuation_stress, axis1=-2, axis2=-1)), s.mass)
+    return ratio(at_least_zero(np.diagonal(f.fluctuation_stress, axis1=-2, axis2=-1)), f._free)
 
 
 def _shear_rate(f: Any, s: Any, o: Options) -> NDArray:
@@ -312,6 +369,7 @@ def _viscous_number(f: Any, s: Any, o: Options) -> NDArray:
 _STRESS = (-1, 1, -2)
 _NONE = (0, 0, 0)
 _LINEAR = ("count", "mass", "momentum", "offset", "shear", "spread")
+_SQUARES = ("square", "square_offset", "square_spread")
 
 FIELDS: dict[str, Field] = {
     "sample_count": Field(
@@ -388,13 +446,23 @@ FIELDS: dict[str, Field] = {
         _fluctuation_stress, fields=("_fit", "_drift", "velocity_gradient", "kinetic_stress"),
         sums=(*_LINEAR, "kinetic"), additive=True,
     ),
+    "fluctuation_density": Field(
+        0, (-3, 1, 0), "density of what fluctuates: that of the mixture less what V and G take",
+        "rho_T = rho - tr(P^-1 sum (m_i Psi)^2 p_i p_i), P = sum m_i Psi p_i p_i, p_i = (1, r_i - r_bar)",
+        _fluctuation_density, fields=("_taken",), sums=("mass",), additive=True,
+    ),
     "granular_temperature": Field(
-        0, (2, 0, -2), "granular temperature", "T = tr(sum m_i v'_i v'_i Psi) / (D rho)",
-        _temperature, fields=("fluctuation_stress",), sums=("mass",),
+        0, (2, 0, -2), "granular temperature", "T = tr(sum m_i v'_i v'_i Psi) / (D rho_T)",
+        _temperature, fields=("fluctuation_stress", "_free"),
     ),
     "directional_temperature": Field(
         1, (2, 0, -2), "granular temperature of the fluctuations along each axis",
-        "T_k = sum m_i v'_ik v'_ik Psi / rho", _temperature_along, fields=("fluctuation_stress",), sums=("mass",),
+        "T_k = sum m_i v'_ik v'_ik Psi / rho_T", _temperature_along, fields=("fluctuation_stress", "_free"),
+    ),
+    "effective_count": Field(
+        0, _NONE, "effective number of particles, which errors of one step follow from",
+        "N_eff = (sum m_i Psi)^2 / sum (m_i Psi)^2",
+        lambda f, s, o: ratio(s.mass * s.mass, s.square), sums=("mass", "square"),
     ),
     "fabric": Field(
         2, _NONE, "fabric", "F = sum V_i Psi sum_c n n", lambda f, s, o: s.fabric, sums=("fabric",), additive=True
@@ -439,6 +507,13 @@ FIELDS: dict[str, Field] = {
     # steps of the algebra
     "_drift": Field(1, (1, 0, -1), "", "V - U", _drift, sums=("mass", "momentum"), listed=False),
     "_fit": Field(2, (0, 0, -1), "", "B M^+", _fit, fields=("_drift",), sums=_LINEAR, listed=False),
+    "_taken": Field(
+        0, (-3, 1, 0), "", "rho - rho_T", _taken_by_fit, fields=("_fit",), sums=(*_LINEAR, *_SQUARES), listed=False
+    ),
+    "_free": Field(
+        0, (-3, 1, 0), "", "rho_T, where known", _free, fields=("fluctuation_density",), sums=("count", "mass"),
+        listed=False,
+    ),
     "_size": Field(0, (1, 0, 0), "", "d43", lambda f, s, o: f.d43, fields=("d43",), listed=False),
 }  # fmt: skip
 
@@ -474,6 +549,15 @@ WAYS: dict[str, tuple[str, dict[str, Field]]] = {
             FIELDS["fluctuation_stress"], formula="sum m_i v'_i v'_i Psi, v'_i = v_i - V - G (r_i - r)"
         ),
     }),
+    "_taken": ("gradient", dict.fromkeys(
+        ("kernel", "finite_difference"),
+        replace(FIELDS["_taken"], compute=_taken_by_mean, fields=(), sums=("mass", "square")),
+    )),
+    "fluctuation_density": ("temperature", {
+        "biased": replace(
+            FIELDS["fluctuation_density"], formula="rho_T = rho", compute=lambda f, s, o: s.mass, fields=()
+        ),
+    }),
     "_size": ("size", {
         "d32": replace(FIELDS["_size"], formula="d32", compute=lambda f, s, o: f.d32, fields=("d32",)),
         "d50": _size_of_scene("d50"),
@@ -482,6 +566,7 @@ WAYS: dict[str, tuple[str, dict[str, Field]]] = {
 }  # fmt: skip
 GRADIENTS = ("least_squares", *WAYS["velocity_gradient"][1])
 INERTIAL_SIZES = ("d43", *WAYS["_size"][1])
+TEMPERATURES = ("unbiased", *WAYS["fluctuation_density"][1])
 
 
 def row(name: str, options: Options) -> Field:
@@ -521,6 +606,7 @@ def options_of(attrs: Mapping[Any, Any]) -> Options:
         shear_axes=axes("shear_dims"),
         deviatoric=str(attrs.get("deviatoric", "stress")),
         size=str(attrs.get("size", "d43")),
+        temperature=str(attrs.get("temperature", "biased")),
         diameter=float(attrs.get("size_diameter", np.nan)),
         fluid_viscosity=None if viscosity is None else float(viscosity),
     )

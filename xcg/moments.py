@@ -82,6 +82,10 @@ MOMENTS: dict[str, Moment] = {
     "offset": Moment(("mass",), "m x", (3,), kernel.LINEAR, kernel.OFFSET),
     "shear": Moment(_MV, "m u x", (3, 3), kernel.LINEAR, kernel.SHEAR),
     "spread": Moment(("mass",), "m x x", (3, 3), kernel.LINEAR, kernel.SPREAD),
+    # these with Psi once more
+    "square": Moment(("mass",), "m^2 Psi", (), kernel.FLUCTUATION, kernel.SQUARE),
+    "square_offset": Moment(("mass",), "m^2 Psi x", (3,), kernel.SQUARED, kernel.SQUARE_OFFSET),
+    "square_spread": Moment(("mass",), "m^2 Psi x x", (3, 3), kernel.SQUARED, kernel.SQUARE_SPREAD),
     # columns of constants
     "number": Moment((), "1", column=lambda frame, _: np.ones(len(frame["position"]))),
     "volume": Moment(("volume",), "V", column=lambda frame, _: frame["volume"]),
@@ -102,7 +106,7 @@ MOMENTS: dict[str, Moment] = {
 
 _SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 # powers of the cutoff in the flow columns, which the deposit computes with lengths in cutoffs
-CUTOFF_POWERS = {"offset": 1, "shear": 1, "spread": 2}
+CUTOFF_POWERS = {"offset": 1, "shear": 1, "spread": 2, "square_offset": 1, "square_spread": 2}
 
 
 @dataclass(frozen=True)
@@ -145,7 +149,7 @@ class Recipe:
 
 def columns_of(name: str) -> NDArray:
     """Columns that make up a moment, counted from its first; symmetric tensors are kept as six."""
-    if name in ("kinetic", "spread", "fabric"):
+    if name in ("kinetic", "spread", "square_spread", "fabric"):
         return _SYMMETRIC
     if name in ("offset", "shear"):  # m x and m u x of one direction stand together
         directions = np.arange(0, 12, 4)

@@ -287,6 +287,7 @@ def make_plan(
     size: str = "d43",
     fluid_viscosity: float | None = None,
     by_pair: bool = False,
+    temperature: str = "unbiased",
     rtol: float = 0.0,
 ) -> Plan:
     """Plan a call of `coarse_grain`; the arguments are the same. Reads attributes only, never data.
@@ -300,7 +301,7 @@ def make_plan(
     """
     require_scene(ds, (), "coarse_grain")
     setup = setup_of(ds)
-    options = _options(ds, setup, gradient, pressure_dims, shear_dims, deviatoric, size, fluid_viscosity)
+    options = _options(ds, setup, gradient, pressure_dims, shear_dims, deviatoric, size, fluid_viscosity, temperature)
     if by_pair and by is None:
         msg = "by_pair=True divides contact stress by pairs of phases: say which with by=, for example by='species'"
         raise ValueError(msg)
@@ -370,13 +371,14 @@ def _kernels(
 
 def _options(
     ds: xr.Dataset, setup: Setup, gradient: str, pressure_dims: str | None, shear_dims: str | None, deviatoric: str,
-    size: str, fluid_viscosity: float | None,
+    size: str, fluid_viscosity: float | None, temperature: str,
 ) -> registry.Options:  # fmt: skip
     """Check the choices of the algebra."""
     for name, value, known in (
         ("gradient", gradient, registry.GRADIENTS),
         ("deviatoric", deviatoric, registry.DEVIATORIC),
         ("size", size, registry.INERTIAL_SIZES),
+        ("temperature", temperature, registry.TEMPERATURES),
     ):
         if value not in known:
             msg = f"{name}={value!r}: expected one of {', '.join(known)}"
@@ -400,6 +402,7 @@ def _options(
         size=size,
         diameter=float(ds.attrs.get(size, np.nan)),
         fluid_viscosity=fluid_viscosity,
+        temperature=temperature,
     )
 
 

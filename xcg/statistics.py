@@ -82,8 +82,9 @@ WEIGHTS = {
     "velocity": "density",
     "velocity_gradient": "density",
     "shear_rate_tensor": "density",
-    "granular_temperature": "density",
-    "directional_temperature": "density",
+    "granular_temperature": "fluctuation_density",
+    "directional_temperature": "fluctuation_density",
+    "effective_count": "density",
     "particle_density": "volume_fraction",
     "d43": "volume_fraction",  # S d^3 is 6 / pi times the volume fraction of spheres
     "d32": "volume_fraction",

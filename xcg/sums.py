@@ -276,10 +276,12 @@ class _Deposit:
         columns = _side_by_side(constants, len(position))
         # where nothing moves, columns with u are zero without adding them
         still = True if level and (velocity == velocity[:1]).all() else None
+        squares = level and not by_gradient and any(name.startswith("square") for name in self.recipe.moments)
         fill = []
         for cutoff in np.unique(self.cutoffs).tolist():
             rows = order if (self.cutoffs == cutoff).all() else order[self.cutoffs[phase[order]] == cutoff]
-            grains = (rows, position, velocity, mass, columns, phase, level, still, self.origin, cutoff)
+            meet = True if squares and (self.period < 2 * cutoff).any() else None
+            grains = (rows, position, velocity, mass, columns, phase, level, still, meet, self.origin, cutoff)
             runs = (runs_of(position.take(rows, axis=0)) - self.origin) / cutoff
             fill.append(partial(_fill_points, (*grains, runs), (*self._onto(cutoff), by_gradient)))
         return _Pass(self.phases, level + columns.shape[1], fill, moments)
@@ -304,12 +306,16 @@ def _fill_segments(
 
 @dataclass(frozen=True)
 class BoxSums:
-    """Sums at the nodes of one box, each pass (groups, nodes, columns), and the velocity (nodes, 3) they refer to."""
+    """Sums at the nodes of one box, each pass (groups, nodes, columns), and the velocity (nodes, 3) they refer to.
+
+    `reached` says how many nodes grains with flow columns reach.
+    """
 
     recipe: Recipe
     passes: Sequence[_Pass]
     filled: Sequence[NDArray]
     reference: NDArray
+    reached: int
 
     @property
     def arrays(self) -> list[NDArray]:
@@ -363,8 +369,9 @@ class Sums:
         low, high = box
         reference = np.full((math.prod(np.subtract(high, low).tolist()), 3), np.nan)
         filled = [run(box, reference) for run in self.passes]
-        np.nan_to_num(reference, copy=False, nan=0.0)
-        return BoxSums(self.recipe, self.passes, filled, reference)
+        unreached = np.isnan(reference)
+        reference[unreached] = 0.0
+        return BoxSums(self.recipe, self.passes, filled, reference, len(reference) - int(unreached[:, 0].sum()))
 
 
 def sums_of_frame(frame: Frame, recipe: Recipe, period: NDArray, scale: float, where: str, threads: int = 1) -> Sums:

@@ -15,29 +15,32 @@ import numpy as np
 
 from xcg.kernels._jit import leaf
 from xcg.kernels.lanes import add_four
-from xcg.kernels.nodes import NODE, Q2, RUN, WEIGHT, X, Y, Z, images, list_ball, run_reaches
+from xcg.kernels.nodes import NODE, OTHER, Q2, RUN, WEIGHT, X, Y, Z, images, list_ball, run_reaches
 from xcg.kernels.weights import fill_values
 
 MASS = 0
 MOMENTUM = 1  # m u: x y z
 COUNT = 4
 KINETIC = 5  # m u u: xx xy xz yy yz zz
+SQUARE = 11  # (m Psi)^2, as below
 OFFSET = 12  # m x: x, then every fourth column
 SHEAR = 13  # m u_i x_j: i = x y z for j = x, then every fourth column on
 SPREAD = 24  # m x x: xx xy xz yy yz zz
+SQUARE_OFFSET = 30  # (m Psi)^2 x: x y z
+SQUARE_SPREAD = 33  # (m Psi)^2 x x: xx xy xz yy yz zz
 
 # what a grain's record holds
 PLACE, SPEED, WEIGHED, GROUP, GRAIN = 0, 3, 6, 7, 8
 
 # how many flow columns each level of detail takes; some are spare, so that all start at a multiple of four
-NONE, VELOCITY, FLUCTUATION, LINEAR = 0, 8, 12, 32
-_COLUMNS = tuple(np.uint64(k) for k in range(LINEAR))
+NONE, VELOCITY, FLUCTUATION, LINEAR, SQUARED = 0, 8, 12, 32, 40
+_COLUMNS = tuple(np.uint64(k) for k in range(SQUARED))
 
 
 @leaf
 def deposit(
-    order, position, velocity, mass, constants, phase, level, still, origin, cutoff, runs, low, high, steps, active,
-    period, kind, spread, table, norm, by_gradient, grains, lists, numbers, moments, reference,
+    order, position, velocity, mass, constants, phase, level, still, meet, origin, cutoff, runs, low, high, steps,
+    active, period, kind, spread, table, norm, by_gradient, grains, lists, numbers, moments, reference,
 ):  # fmt: skip
     """Add grains to the nodes within their support.
 
@@ -56,10 +59,13 @@ def deposit(
     phase : (n,)
         Which group each grain belongs to.
     level : int
-        NONE, VELOCITY, FLUCTUATION or LINEAR: how many flow columns are wanted.
+        NONE, VELOCITY, FLUCTUATION, LINEAR or SQUARED: how many flow columns are wanted.
     still : True or None
         Whether all grains have the same velocity, so that all columns with u are zero. None leaves code out when the
         kernel is compiled, here and below.
+    meet : True or None
+        Whether several images of a grain may reach one node. They share their velocity: in the squares of weights
+        they count as one grain.
     origin, cutoff : tuple, float
         Place of the first node, and radius of the support. Lengths up to here are in one unit; those that follow are in
         cutoffs.
@@ -112,6 +118,9 @@ def deposit(
                         fill_values(kind, spread, table, norm, by_gradient, q2, hits, weight)
                         if level > 0:
                             _add_flow(p, grains, i, lists, numbers, hits, level, still, moments, reference)
+                        if meet is not None:
+                            kernel = kind, spread, table, norm
+                            _add_images(p, grains[i, WEIGHED], lists, numbers, hits, level, period, kernel, moments)
                         for d in range(0, constants.shape[1], 4):
                             c0, c1 = grains[i, GRAIN + d], grains[i, GRAIN + d + 1]
                             c2, c3 = grains[i, GRAIN + d + 2], grains[i, GRAIN + d + 3]
@@ -146,6 +155,8 @@ def _add_flow(p, grains, i, lists, numbers, hits, level, still, moments, referen
         if still is not None:
             moments[p, n, _COLUMNS[MASS]] += w
             moments[p, n, _COLUMNS[COUNT]] += 1.0
+            if level >= FLUCTUATION:
+                moments[p, n, _COLUMNS[SQUARE]] += w * w
             if level >= LINEAR:
                 moments[p, n, _COLUMNS[OFFSET]] += w * x
                 moments[p, n, _COLUMNS[OFFSET + 4]] += w * y
@@ -155,7 +166,7 @@ def _add_flow(p, grains, i, lists, numbers, hits, level, still, moments, referen
             add_four(moments, p, n, MASS, 1.0, w, wx, wy, wz)
             add_four(moments, p, n, COUNT, 1.0, 1.0, wx * ux, wx * uy, wx * uz)
             if level >= FLUCTUATION:
-                add_four(moments, p, n, KINETIC + 3, 1.0, wy * uy, wy * uz, wz * uz, 0.0)
+                add_four(moments, p, n, KINETIC + 3, 1.0, wy * uy, wy * uz, wz * uz, w * w)
             if level >= LINEAR:
                 add_four(moments, p, n, OFFSET, x, w, wx, wy, wz)
                 add_four(moments, p, n, OFFSET + 4, y, w, wx, wy, wz)
@@ -163,4 +174,44 @@ def _add_flow(p, grains, i, lists, numbers, hits, level, still, moments, referen
         if level >= LINEAR:
             wx, wy, wz = w * x, w * y, w * z
             add_four(moments, p, n, SPREAD, 1.0, wx * x, wx * y, wx * z, wy * y)
-            add_four(moments, p, n, SPREAD + 4, 1.0, wy * z, wz * z, 0.0, 0.0)
+            add_four(moments, p, n, SPREAD + 4, 1.0, wy * z, wz * z, w * wx, w * wy)
+            if level >= SQUARED:
+                add_four(moments, p, n, SQUARE_OFFSET + 2, w, wz, wx * x, wx * y, wx * z)
+                add_four(moments, p, n, SQUARE_SPREAD + 3, w, wy * y, wy * z, wz * z, 0.0)
+
+
+@leaf
+def _others(period):
+    """How many images to each side are closer than two cutoffs, so that they can reach a node together."""
+    return math.ceil(2.0 / period) - 1 if period < 2.0 else 0
+
+
+@leaf
+def _add_images(p, mass, lists, numbers, hits, level, period, kernel, moments):
+    """Add the products of the weight of one image of a grain, at the nodes that it reaches, and of all its others."""
+    kind, spread, table, norm = kernel
+    q2, other = lists[Q2], lists[OTHER]
+    many_x, many_y, many_z = _others(period[0]), _others(period[1]), _others(period[2])
+    for n_x in range(-many_x, many_x + 1):
+        move_x = n_x * period[0] if n_x else 0.0
+        for n_y in range(-many_y, many_y + 1):
+            move_y = n_y * period[1] if n_y else 0.0
+            for n_z in range(-many_z, many_z + 1):
+                move_z = n_z * period[2] if n_z else 0.0
+                if n_x == 0 and n_y == 0 and n_z == 0:
+                    continue
+                for k in range(hits):
+                    x, y, z = lists[X, k] + move_x, lists[Y, k] + move_y, lists[Z, k] + move_z
+                    q2[k] = min(1.0, x * x + y * y + z * z)
+                fill_values(kind, spread, table, norm, None, q2, hits, other)
+                for k in range(hits):
+                    if q2[k] >= 1.0:
+                        continue
+                    n, w = np.uint64(numbers[NODE, k]), mass * lists[WEIGHT, k] * (mass * other[k])
+                    moments[p, n, _COLUMNS[SQUARE]] += w
+                    if level >= SQUARED:
+                        x, y, z = lists[X, k], lists[Y, k], lists[Z, k]
+                        to_x, to_y, to_z = w * (x + move_x), w * (y + move_y), w * (z + move_z)
+                        add_four(moments, p, n, SQUARE_OFFSET, 1.0, to_x, to_y, to_z, x * to_x)
+                        add_four(moments, p, n, SQUARE_SPREAD + 1, 1.0, x * to_y, x * to_z, y * to_y, y * to_z)
+                        moments[p, n, _COLUMNS[SQUARE_SPREAD + 5]] += z * to_z

@@ -24,8 +24,9 @@ _SPANNED = 1.0 - 1e-6
 
 # Rows of the sums at a node that a fit takes, in all `SUMS`, and of what it finds, in all `FOUND`.
 COUNT, MASS, MOMENTUM, OFFSET, SHEAR, SPREAD, SUMS = 0, 1, 2, 5, 8, 17, 23
-GRADIENT, EXPLAINED, DETERMINED, MEAN, FOUND = 0, 9, 15, 18, 21
+GRADIENT, EXPLAINED, DETERMINED, MEAN, INVERSE, FOUND = 0, 9, 15, 18, 21, 27
 SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+_SIX = np.triu_indices(3)
 
 
 def fit_gradient(sums: NDArray, *, active: Sequence[bool], about_node: bool) -> NDArray:
@@ -48,6 +49,7 @@ def fit_gradient(sums: NDArray, *, active: Sequence[bool], about_node: bool) -> 
         that the grains do not span. G B^T (6), the part of sum m Psi (u - u_bar)(u - u_bar) that the fit leaves nothing
         of: NaN where it goes through all grains, so that what is left is unknown. 1 (3) where the derivative along
         each axis follows from the grains, or the axis is not active, else NaN. x_bar (3), zero where no grains are.
+        M^+ (6).
     """
     rows, few = np.empty((SUMS + FOUND, sums.shape[1])), np.empty(sums.shape[1], "uint64")
     rows[:SUMS] = sums
@@ -115,6 +117,7 @@ def fit_rows(rows, first, found, many, flags, few):
     offset, shear, spread = first + np.uint64(OFFSET), first + np.uint64(SHEAR), first + np.uint64(SPREAD)
     gradient, explained = found + np.uint64(GRADIENT), found + np.uint64(EXPLAINED)
     determined, mean, three = found + np.uint64(DETERMINED), found + np.uint64(MEAN), np.uint64(3)
+    inverse = found + np.uint64(INVERSE)
     left = 0
     for n in range(many):
         mass = rows[of_mass, n]
@@ -159,6 +162,8 @@ def fit_rows(rows, first, found, many, flags, few):
             few[left] = n
             left += 1
             continue
+        _put_three(rows, inverse, n, (c00, c01, c02))
+        _put_three(rows, inverse + three, n, (c11, c12, c22))
         known_x, known_y, known_z = px > _SPANNED, py > _SPANNED, pz > _SPANNED
         _put_three(rows, determined, n, (
             1.0 if mass > 0.0 and (not active_x or known_x) else np.nan,
@@ -204,7 +209,9 @@ def _fit_few(sums: NDArray, *, active: Sequence[bool], about_node: bool) -> NDAr
     projection = (vectors**2 * spanned[:, None]).sum(axis=2).T
     determined = there & (~np.reshape(active, (3, 1)) | (projection > _SPANNED))
     moved = np.moveaxis(shear - drift[:, None] * offset, -1, 0)
-    gradient = moved @ (scaled @ vectors.swapaxes(1, 2))
-    explained = (gradient @ moved.swapaxes(1, 2))[:, *np.triu_indices(3)]
+    inverse = scaled @ vectors.swapaxes(1, 2)
+    gradient = moved @ inverse
+    explained, inverse = (gradient @ moved.swapaxes(1, 2))[:, *_SIX], inverse[:, *_SIX]
     explained[count <= spanned.sum(axis=1) + 1] = np.nan
-    return np.concatenate([gradient.reshape(-1, 9).T, explained.T, np.where(determined, 1.0, np.nan), mean])
+    determined = np.where(determined, 1.0, np.nan)
+    return np.concatenate([gradient.reshape(-1, 9).T, explained.T, determined, mean, inverse.T])

@@ -27,6 +27,7 @@ RUN = 256  # grains or branches, neighbours in space, that are passed over toget
 OF_Y, OF_Z, OF_Y2, OF_Z2 = (np.uint64(k) for k in range(4))
 # rows of nodes and nodes, as numbers,
 ROW_X, ROW_DOT, ROW_Y, ROW2, X, ALONG, Y, Z, Q2, WEIGHT = (np.uint64(k) for k in (4, 4, 5, 6, 7, 7, 8, 9, 10, 11))
+OTHER = ROW_X  # no longer needed once the nodes are listed
 # and as integers. (Plain integers would be compiled for one by one.)
 ROW, FIRST, MANY, NODE = (np.uint64(k) for k in range(2, 6))
 LISTS, NUMBERS = 12, 6
