@@ -78,7 +78,7 @@ def test_a_skin_of_many_radii(periodic, decades):
     rng = np.random.default_rng(4)
     position, radius = rng.uniform(0, 10, (400, 3)), 0.05 * 10 ** (-decades * rng.random(400))
     box = [(0.0, 10.0)] * 3
-    for skin in (0.4, 1.5, 2.8):
+    for skin in (0.4, 2.8, 6.0):  # the last reaches an image of its own partner
         expected = all_pairs(position, radius, box, periodic, skin)
         for method in ("hierarchical", "linked-cell"):
             found = find_pairs(position, radius, box, periodic, skin=skin, method=method)
