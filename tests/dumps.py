@@ -23,7 +23,8 @@ def dump_text(
     box: str = BOX,
     count: int | None = None,
 ) -> str:
-    """One step of a dump; `before` stands for items ahead of the time step."""
+    """One step of a dump, in SI unless `before`, items ahead of the time step, says otherwise."""
+    before = before if "UNITS" in before else f"ITEM: UNITS\nsi\n{before}"
     head = f"{before}ITEM: TIMESTEP\n{step}\nITEM: NUMBER OF {label}\n{len(rows) if count is None else count}\n"
     return f"{head}{box}ITEM: {label} {columns}\n" + "".join(f"{row} \n" for row in rows)
 

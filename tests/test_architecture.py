@@ -14,6 +14,7 @@ FLOORS = [
     ["notices"],
     ["faults"],
     ["complete", "conform", "grid"],
+    ["plausible"],
     ["cells", "scene"],
     ["contacts", "moments", "over_time", "reach", "regions", "phases", "bodies"],
     ["fields", "labels", "quantities", "sums"],

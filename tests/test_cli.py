@@ -43,6 +43,7 @@ def series(tmp_path):
     for number in (150, 151, 152):
         x = rng.uniform(0, 1, (60, 3))
         x[0], x[1] = (0.02, 0.5, 0.5), (0.97, 0.5, 0.5)
+        x[3] = x[2] + (0.0, 0.0, 0.09)
         more = {"Velocity": rng.normal(size=(60, 3)), "Density": np.full(60, 2000.0), "Diameter": np.full(60, 0.1)}
         more["Volume"] = more["Diameter"] ** 3 * np.pi / 6
         write_vtp(tmp_path / f"VTU/DES_{number:04d}.vtp", x, time=number / 100, Particle_ID=np.arange(1, 61), **more)

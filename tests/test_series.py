@@ -356,7 +356,7 @@ def test_times_of_the_caller(series):
         ),
         (dump_text(step=30, box=BOX.replace("pp ff", "ff ff")), "periodic: 'xy' became 'x' .*periodic="),
         (dump_text(step=30, box=""), "the box is in the first only"),
-        (dump_text(step=30, before="ITEM: UNITS\nlj\n"), "the units is in the second only"),
+        (dump_text(step=30, before="ITEM: UNITS\nlj\n"), "units: 'si' became 'lj'"),
         (dump_text(step=30, before="ITEM: TIME\n3\n"), "the time is in the second only"),
     ],
 )

@@ -23,6 +23,7 @@ from xcg.labels import about, call_of, mark_skipped
 from xcg.notices import warn_once
 from xcg.over_time import chunks_in, map_over_time, steps_in
 from xcg.plan import Plan, make_plan, scale_of
+from xcg.plausible import check_mesh
 from xcg.scene import require_scene, storable
 from xcg.schema import COMPONENTS, Frame, units_of
 from xcg.smoothing import Kernel
@@ -252,6 +253,7 @@ def _compute_step(
 ) -> None:
     """Compute the fields of one step into arrays (axes, phase, ...)."""
     period = periods(box, plan.setup.periodic, where)
+    check_mesh(frame["position"], plan.recipe.grid, max(plan.recipe.cutoffs), period, where)
     sums = sums_of_frame(frame, plan.recipe, period, scale_of(plan, box, where), where, threads)
     shape = plan.recipe.grid.shape
     phases = plan.phases if plan.recipe.by else 1

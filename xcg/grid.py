@@ -32,6 +32,8 @@ class Grid:
         Node coordinates along each resolved axis (m).
     spacing : dict
         Distance of nodes along each resolved axis (m).
+    fitted : str
+        Resolved axes along which the nodes were laid around the particles.
     """
 
     axes: str
@@ -39,6 +41,7 @@ class Grid:
     averaged: str
     nodes: Mapping[str, NDArray]
     spacing: Mapping[str, float]
+    fitted: str = ""
 
     @property
     def seen(self) -> str:
@@ -166,8 +169,8 @@ def make_grid(
             count = _whole(a, (last - first) / step * (1 + 1e-12) + 1e-9) + 1
         elif a not in automatic:
             msg = (
-                f"axis {a!r} has no bounds: the scene holds neither a box nor the particles' extent. Give "
-                f"bounds={{{a!r}: (first, last)}}, or call ds = ds.cg.measure() first"
+                f"axis {a!r} has no bounds: the scene holds neither a box nor the particles' extent, or no longer, as "
+                f"positions were changed. Give bounds={{{a!r}: (first, last)}}, or call ds = ds.cg.measure() first"
             )
             raise ValueError(msg)
         elif a in period:
@@ -185,7 +188,8 @@ def make_grid(
             )
             warn_user(msg)
     averaged = "".join(a for a in plane if a not in axes and a not in at)
-    grid = Grid(axes, {a: float(v) for a, v in at.items()}, averaged, nodes, taken)
+    fitted = "".join(a for a in axes if a not in bounds and a not in period)
+    grid = Grid(axes, {a: float(v) for a, v in at.items()}, averaged, nodes, taken, fitted)
     if np.prod([float(n) for n in grid.shape]) > MAX_NODES:
         msg = f"the mesh has {grid.shape} nodes, more than {MAX_NODES}: choose a larger spacing or smaller bounds"
         raise ValueError(msg)

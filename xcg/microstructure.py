@@ -94,7 +94,7 @@ class Measure:
         """Write the quantities of one frame into arrays (region, phase, ...)."""
         period = periods(box, self.setup.periodic, where)
         frame = without_frozen(frame)
-        contacts = Contacts.of(frame, period) if "contact_i" in frame else None
+        contacts = Contacts.of(frame, period, where) if "contact_i" in frame else None
         corner = np.zeros(3) if box is None else box[:, 0]
         shared = _shared(self, frame, contacts)
         phase = phase_of(frame, self.by, self.groups, where)

@@ -86,7 +86,7 @@ class StressRule:
 
     def contacts(self, frame: Frame, box: NDArray | None, where: str) -> Contacts:
         """Join the contacts of a frame to its particles."""
-        contacts = Contacts.of(frame, periods(box, self.periodic, where))
+        contacts = Contacts.of(frame, periods(box, self.periodic, where), where)
         return contacts.with_overlaps(frame["diameter"], frame["overlap"]) if self.spheres else contacts
 
     def volumes(self, frame: Frame, box: NDArray | None, where: str) -> NDArray:

@@ -15,7 +15,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.conform import takes_scene
-from xcg.scene import require_scene
+from xcg.scene import mark_measured, require_scene
 from xcg.schema import PADDING, SceneError
 
 # Of a single normal or uniform distribution cut in two or more, silhouettes stay below 0.65; two sizes that differ by
@@ -81,7 +81,7 @@ def find_phases(ds: xr.Dataset, max_phases: int = 8, *, steps: int = 5, seed: in
     assigned = _by_properties(
         ds, ("diameter", "density"), partial(_nearest, centres=centres, scale=scale), "nearest (diameter, density)"
     )
-    return assigned.assign_attrs(
+    return mark_measured(assigned, ["phase"]).assign_attrs(
         phase_values=np.arange(1, len(centres) + 1),
         phase_diameter=centres[:, 0],
         phase_density=centres[:, 1],
@@ -132,14 +132,14 @@ def assign_phases(
             msg = f"edges={edges!r}: expected diameters (m) that rise, such as [0.002, 0.004]"
             raise ValueError(msg)
         found = _by_properties(ds, ("diameter",), partial(_between, edges=rising), f"between {rising.tolist()}")
-        return found.assign_attrs(phase_values=np.arange(1, len(rising) + 2))
+        return mark_measured(found, ["phase"]).assign_attrs(phase_values=np.arange(1, len(rising) + 2))
     require_scene(ds, (by,), "assign_phases")
     table = {int(value): int(phase) for value, phase in (mapping or {}).items()}
     if not table or min(table.values()) < 0:
         msg = f"mapping={mapping!r}: expected phases that are not negative, for example {{1: 1, 2: 1, 3: 2}}"
         raise ValueError(msg)
     found = _by_properties(ds, (by,), partial(_mapped, table=table, name=by), f"from {by} by {table}")
-    return found.assign_attrs(phase_values=np.unique(list(table.values())))
+    return mark_measured(found, ["phase"]).assign_attrs(phase_values=np.unique(list(table.values())))
 
 
 @takes_scene

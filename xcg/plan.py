@@ -17,7 +17,7 @@ from xcg.kernels import weights as kinds
 from xcg.kernels.segments import RULES, largest_error
 from xcg.moments import CONTACT_VARIABLES, MOMENTS, Recipe
 from xcg.notices import warn_user
-from xcg.scene import SIZES, require_scene, setup_of
+from xcg.scene import SIZES, known_without_reading, require_scene, setup_of, with_measures
 from xcg.schema import COMPONENTS, SceneError, Setup
 from xcg.smoothing import Kernel, as_kernel
 from xcg.sums import BOX
@@ -134,8 +134,8 @@ def choose_width(width: float | str | None, attrs: Mapping[Any, Any]) -> float:
             raise ValueError(msg)
         if size not in attrs:
             msg = (
-                f"width={width!r} needs the attribute {size!r}, which the scene does not hold; give width= in metres, "
-                "or call ds = ds.cg.measure() first"
+                f"width={width!r} needs the attribute {size!r}, which the scene does not hold, or no longer, as "
+                "diameters were changed; give width= in metres, or call ds = ds.cg.measure() first"
             )
             raise ValueError(msg)
         width = multiple * float(attrs[size])
@@ -144,6 +144,8 @@ def choose_width(width: float | str | None, attrs: Mapping[Any, Any]) -> float:
         raise ValueError(msg)
     return float(width)
 
+
+_NARROW = 0.1  # widths, in mean diameters, that show single grains only
 
 # From this promise on, weights are computed in single precision, which rounds them to 1e-6 of the largest.
 SINGLE = 1e-4
@@ -227,6 +229,7 @@ def _variables(fields: Sequence[str], ds: xr.Dataset, options: registry.Options)
             needed.add("coordination_number")
         elif MOMENTS[name].contacts:
             needed |= set(CONTACT_VARIABLES) - {"contact_normal"}
+            needed |= {"diameter"} & set(ds.data_vars)  # tells contacts that are far from their grains
             needed |= {"contact_normal"} & set(ds.data_vars) if name == "fabric" else set()
     return needed
 
@@ -242,7 +245,7 @@ def groups_of(ds: xr.Dataset, by: str, groups: Sequence[int] | None) -> tuple[in
     if groups is None and isinstance(ds[by].variable._data, np.ndarray):
         valid = ds["particle_id"].to_numpy() >= 0
         groups = np.unique(ds[by].transpose(*ds["particle_id"].dims).to_numpy()[valid]).tolist()
-    elif groups is None:
+    elif groups is None and known_without_reading(ds, by):
         groups = np.atleast_1d(ds.attrs.get(f"{by}_values", [])).tolist()
     if not groups:
         msg = f"by={by!r}: its values are not known without reading the series; pass groups= with all that occur"
@@ -300,6 +303,7 @@ def make_plan(
         If an argument is wrong.
     """
     require_scene(ds, (), "coarse_grain")
+    ds = with_measures(ds)
     setup = setup_of(ds)
     options = _options(ds, setup, gradient, pressure_dims, shear_dims, deviatoric, size, fluid_viscosity, temperature)
     if by_pair and by is None:
@@ -316,6 +320,7 @@ def make_plan(
     require_scene(ds, sorted(variables), f"coarse_grain of {', '.join(names)}")
     kernels = _kernels(ds, kernel, width, by, groups, setup.dimension)
     chosen = max(kernels, key=lambda k: k.cutoff)
+    _warn_of_width(min(k.width for k in kernels), ds.attrs.get("dmin" if isinstance(width, Mapping) else "d43"))
     edges = edges_of(ds)
     period = {a: edges[a][1] - edges[a][0] for a in setup.periodic if a in edges}
     grid = make_grid(
@@ -328,6 +333,7 @@ def make_plan(
         automatic=_automatic(ds, setup, edges, chosen.cutoff),
         period=period,
     )
+    _warn_of_cuts(grid, {a: edges[a] for a in period}, chosen.cutoff)
     if gradient == "kernel" and {"mass_slope", "momentum_slope"} & set(registry.sums_of(names, options)):
         _check_differentiable(chosen, len(grid.seen))
     limits = gauss_limits(chosen, len(grid.seen), rtol)
@@ -350,6 +356,26 @@ def make_plan(
         fields=names, variables=tuple(map(str, read)), recipe=recipe, options=options, kernel=chosen,
         extent=_extents(grid, extent or {}, edges), depth=layer_depth(ds, setup, edges), setup=setup, rtol=rtol,
     )  # fmt: skip
+
+
+def _warn_of_width(width: float, diameter: Any) -> None:
+    if diameter is not None and width < _NARROW * diameter:
+        msg = (
+            f"width={width:.4g} is {width / diameter:.2g} of the grains' diameter ({diameter:.4g}): the kernel sees "
+            "the inside of single grains, and no field of a continuum (volume fractions far above 1); the usual choice "
+            "is 0.75 mean diameters, see the page on width"
+        )
+        warn_user(msg)
+
+
+def _warn_of_cuts(grid: Grid, edges: Mapping[str, tuple[float, float]], reach: float) -> None:
+    for a, (low, high) in edges.items():
+        if a in grid.at and not low - reach <= grid.at[a] <= high + reach:  # grains may be beyond an edge
+            msg = (
+                f"at={{{a!r}: {grid.at[a]:g}}} is outside the box, which is periodic from {low:g} to {high:g} along "
+                f"{a!r}: fields are those of the image inside; check the units of lengths"
+            )
+            warn_user(msg)
 
 
 def _kernels(
@@ -463,8 +489,9 @@ def layer_depth(ds: xr.Dataset, setup: Setup, edges: Mapping[str, tuple[float, f
     (across,) = set(COMPONENTS) - set(setup.plane)
     if across in edges:
         return across
-    if "dmax" in ds.attrs:
-        return float(ds.attrs["dmax"])
+    measured = with_measures(ds).attrs
+    if "dmax" in measured:
+        return float(measured["dmax"])
     msg = "a one-layer scene needs its thickness: give thickness= when opening it, or a box that is finite across it"
     raise SceneError(msg)
 

@@ -17,7 +17,7 @@ import xarray as xr
 
 from xcg import fields as registry
 from xcg.plan import choose_width
-from xcg.scene import setup_of
+from xcg.scene import setup_of, with_measures
 from xcg.schema import COMPONENTS, units_of
 from xcg.smoothing import as_kernel
 
@@ -270,6 +270,7 @@ def pysammos_mesh(
     >>> ds = xcg.datasets.simple_cubic(10)
     >>> f = ds.cg.coarse_grain(preset="pysammos", **xcg.pysammos_mesh(ds, "xz"))
     """
+    ds = with_measures(ds)
     lacking = [name for name in ("particle_lower", "particle_upper", "dmax") if name not in ds.attrs]
     if lacking:
         msg = f"pysammos_mesh needs the attributes {lacking}; call ds = ds.cg.measure() first"

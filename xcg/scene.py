@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import inspect
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -12,7 +13,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from xcg.complete import complete_contacts, complete_particles, periods
 from xcg.conform import takes_scene
-from xcg.schema import BOX, COMPONENTS, MAX_GROUPS, PADDING, Frame, SceneError, Setup, units_of, variable
+from xcg.schema import (
+    BOX,
+    COMPONENTS,
+    MAX_GROUPS,
+    PADDING,
+    VARIABLES,
+    Frame,
+    SceneError,
+    Setup,
+    did_you_mean,
+    units_of,
+    variable,
+)
 
 SIZES = ("d43", "d32", "d50", "drms", "dmin", "dmax")
 
@@ -60,7 +73,7 @@ def measure_frames(frames: Sequence[Frame]) -> dict[str, Any]:
     take (``species_values``), over all the frames given.
     """
     measured: dict[str, Any] = {}
-    positions = [f["position"] for f in frames if len(f["position"])]
+    positions = [f["position"] for f in frames if "position" in f and len(f["position"])]
     if positions:
         measured["particle_lower"] = np.min([p.min(axis=0) for p in positions], axis=0)
         measured["particle_upper"] = np.max([p.max(axis=0) for p in positions], axis=0)
@@ -124,7 +137,7 @@ def to_dataset(
         **({} if setup.thickness is None else {"thickness": setup.thickness}),
         **measured,
     }
-    return storable(xr.Dataset(data, coords, about))
+    return mark_measured(storable(xr.Dataset(data, coords, about)))
 
 
 def storable(ds: xr.Dataset) -> xr.Dataset:
@@ -235,6 +248,7 @@ def scene_from_arrays(
         Other variables by their scene name: ``velocity``, ``diameter``, ``mass``, ``volume``, ``particle_id``,
         ``species``, ``contact_i``, ``contact_j``, ``contact_force``, ``contact_point``, ... In a periodic box of less
         than two diameters ``contact_branch`` (from j to i) tells on which side grains touch, where no point does.
+        Any other name is one value a particle of your own, but for names that are almost one of these.
 
     Returns
     -------
@@ -253,6 +267,7 @@ def scene_from_arrays(
     >>> dict(ds.sizes)
     {'time': 1, 'particle': 2, 'component': 3}
     """
+    _refuse_misspelt(variables)
     one_density = density if np.ndim(density) == 0 else None
     setup = Setup.make(
         units=units, gravity=gravity, dimension=dimension, plane=plane, periodic=periodic, thickness=thickness,
@@ -294,6 +309,18 @@ def scene_from_arrays(
         setup=setup,
         measured=measure_frames(particles),
     )
+
+
+def _refuse_misspelt(names: Iterable[str]) -> None:
+    """Refuse names of variables that are almost, but not quite, one that is known; ``diameter_2`` is one of its own."""
+    known = [*VARIABLES, *inspect.signature(scene_from_arrays).parameters]
+    for name in names:
+        own = any(name.startswith(word) and not name[len(word) :][:1].isalpha() for word in known)
+        likely = "" if own else did_you_mean(name, known, 0.77)
+        if likely:
+            msg = f"scene_from_arrays: {name!r} is neither an argument nor a variable of scenes{likely} Variables of "
+            msg += "your own need names that are less alike"
+            raise SceneError(msg)
 
 
 def _prefix(steps: Mapping[str, list[NDArray]], names: Sequence[str], key: str, t: int) -> Frame:
@@ -406,7 +433,64 @@ def measure(ds: xr.Dataset) -> xr.Dataset:
     for t in range(ds.sizes["time"]):
         arrays = {name: ds[name].isel(time=[t]).transpose("time", ...).to_numpy() for name in names}
         frames.append(frame_of(arrays, 0, f"step {t}"))
-    return ds.assign_attrs(measure_frames(frames))
+    return mark_measured(ds.assign_attrs(measure_frames(frames)))
+
+
+# --- do measured attributes still hold? ------------------------------------------------------------------
+
+# A lazy variable that is as it was when its attributes were measured says so in its encoding: selections keep that,
+# arithmetic drops it. "source" stands in that of variables from a file, which holds the attributes, too.
+_MEASURED, _FROM_FILE = "measured", "source"
+_ATTRIBUTES = {"position": ("particle_lower", "particle_upper"), "diameter": SIZES}
+
+
+def mark_measured(ds: xr.Dataset, names: Sequence[str] | None = None) -> xr.Dataset:
+    """Note that the attributes measured from some variables (all by default) are those of what they are now."""
+    for name in ds.data_vars if names is None else names:
+        ds[name].encoding[_MEASURED] = True
+    return ds
+
+
+def known_without_reading(ds: xr.Dataset, name: str) -> bool:
+    """Whether a variable is in memory, or as it was when its attributes were measured."""
+    given = ds[name].variable
+    return isinstance(given._data, np.ndarray) or not {_MEASURED, _FROM_FILE}.isdisjoint(given.encoding)
+
+
+def with_measures(ds: xr.Dataset) -> xr.Dataset:
+    """Return the scene with such sizes and extent as its attributes as hold for its particles. Nothing is read.
+
+    Variables may have been replaced since they were measured. Those in memory are looked at: where grains of the first
+    or the last step lie outside the extent or the range of sizes, these steps are measured anew. Attributes of lazy
+    variables that were computed from others are left out.
+    """
+    of = {name: attrs for name, attrs in _ATTRIBUTES.items() if name in ds}
+    lost = {attr for name in of if not known_without_reading(ds, name) for attr in of[name]} & set(ds.attrs)
+    if lost:
+        ds = ds.drop_attrs(deep=False).assign_attrs({k: v for k, v in ds.attrs.items() if k not in lost})
+    now = measure_frames(_ends_in_memory(ds, ("particle_id", *of, "mass")))
+    return ds if _within(now, ds.attrs) else ds.assign_attrs(now)
+
+
+def _ends_in_memory(ds: xr.Dataset, names: Sequence[str]) -> list[Frame]:
+    """Give the first and the last step of those variables that are in memory; nothing where the ids are not."""
+    here = [n for n in names if n in ds and "time" in ds[n].dims and isinstance(ds[n].variable._data, np.ndarray)]
+    if "particle_id" not in here or not ds.sizes["time"]:
+        return []
+    ends = {name: ds[name].transpose("time", ...)[[0, -1]].to_numpy() for name in here}
+    return [{name: a[t][ends["particle_id"][t] != PADDING] for name, a in ends.items()} for t in range(2)]
+
+
+def _within(now: Mapping[str, Any], known: Mapping[Any, Any]) -> bool:
+    """Whether an extent and range of sizes lie inside those that are known, where these are."""
+    for low, high in (("particle_lower", "particle_upper"), ("dmin", "dmax")):
+        if low in now and low in known:
+            small = 1e-9 * np.max(np.abs([known[low], known[high]]))
+            if (now[low] < known[low] - small).any() or (now[high] > known[high] + small).any():
+                return False
+        elif low in now:
+            return False
+    return True
 
 
 def summary(ds: xr.Dataset) -> str:

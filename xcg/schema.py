@@ -7,7 +7,8 @@ on its own, without padding, is a *frame*: a plain ``dict`` from the names below
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import difflib
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -103,6 +104,12 @@ def units_of(powers: tuple[int, int, int], unit_system: str = "SI") -> str:
     length, mass, time = powers
     parts = [(unit, power) for unit, power in (("kg", mass), ("m", length), ("s", time)) if power]
     return " ".join(unit if power == 1 else f"{unit}{power}" for unit, power in parts)
+
+
+def did_you_mean(word: str, words: Iterable[str], cutoff: float = 0.6) -> str:
+    """Suggest the most similar of some words, as the end of a message; nothing where none is similar."""
+    close = difflib.get_close_matches(word, list(words), 1, cutoff)
+    return f"; did you mean {close[0]!r}?" if close else ""
 
 
 def variable(name: str, dtype: Any = "float64") -> Variable:

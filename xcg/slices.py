@@ -18,7 +18,7 @@ from xcg.conform import takes_scene
 from xcg.labels import mark_skipped
 from xcg.over_time import map_over_time, steps_in
 from xcg.plan import edges_of
-from xcg.scene import require_scene, setup_of, storable
+from xcg.scene import require_scene, setup_of, storable, with_measures
 from xcg.schema import COMPONENTS, SceneError, units_of
 
 _TABLE = "slices"  # temperature, velocity (3) and count, in columns
@@ -85,6 +85,7 @@ def slice_temperature(
         msg = f"method={method!r}: expected 'planes' (overlapping slices) or 'bins'"
         raise ValueError(msg)
     require_scene(ds, ("velocity", weight), "slice_temperature")
+    ds = with_measures(ds)
     setup = setup_of(ds)
     if not isinstance(axis, str) or axis not in setup.plane or len(axis) != 1:
         msg = f"axis={axis!r}: expected one of the scene's axes {setup.plane!r}"

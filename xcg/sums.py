@@ -125,7 +125,7 @@ class _Deposit:
         self.position = np.ascontiguousarray(self.frame["position"])
         self.count = len(self.position)
         self.phase = phase_of(self.frame, recipe.by, recipe.groups, where)
-        self.contacts = Contacts.of(self.frame, period) if "contact_i" in self.frame else None
+        self.contacts = Contacts.of(self.frame, period, where) if "contact_i" in self.frame else None
         self.velocity = np.ascontiguousarray(self.frame.get("velocity", np.zeros((self.count, 3))))
         self.mass = np.ascontiguousarray(self.frame.get("mass", np.ones(self.count)))
         self.phases = max(1, len(recipe.groups))

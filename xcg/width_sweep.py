@@ -13,6 +13,7 @@ from xcg.bodies import group_bodies
 from xcg.coarse_grain import coarse_grain
 from xcg.conform import takes_scene
 from xcg.plan import choose_width, make_plan
+from xcg.scene import with_measures
 
 THRESHOLD = 0.1
 
@@ -74,7 +75,8 @@ def width_sweep(
     ValueError
         If there are fewer than three different widths, or an argument of `coarse_grain` is wrong.
     """
-    lengths = sorted({choose_width(width, ds.attrs) for width in widths})
+    measured = with_measures(ds).attrs
+    lengths = sorted({choose_width(width, measured) for width in widths})
     if len(lengths) < 3:
         msg = f"widths={list(widths)!r}: expected three or more different widths, to tell a slope"
         raise ValueError(msg)

@@ -8,6 +8,7 @@ slot by themselves; ``names={column: slot}`` of the caller comes first.
 from __future__ import annotations
 
 import difflib
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import TypeAlias
@@ -15,6 +16,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.notices import warn_user
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.text import parse_table, read_body, where
 from xcg.schema import COMPONENTS, Frame, SceneError
@@ -121,6 +123,23 @@ def _stacked(values: Mapping[str, NDArray], slot: str, rows: int) -> NDArray:
     """Vector (n, 3) from its components; 0 for one that is not there."""
     zero = np.zeros(rows)
     return np.stack([values.get(f"{slot}_{axis}", zero) for axis in COMPONENTS], axis=1)
+
+
+_SUSPECT = re.compile("wall|force", re.IGNORECASE)
+
+
+def warn_of_ignored(ref: StepRef, filled: Mapping[str, str], slots: Slots, options: ReadOptions) -> None:
+    """Warn of columns that look like forces or contacts with walls by their names, and that nobody asked for."""
+    known = {*filled.values(), *options.names, *(column for columns in slots.values() for column in columns)}
+    ignored = [column for column in ref.columns if column not in known and _SUSPECT.search(column)]
+    if ignored:
+        first = ignored[0]
+        target = "contact_force_x" if slots is CONTACT_SLOTS else "my_" + re.sub(r"\W+", "_", first).strip("_").lower()
+        warn_user(
+            f"{where(ref)}: columns {' '.join(ignored)} look like forces or contacts with walls and are not read; map "
+            f"them, for example names={{{first!r}: {target!r}}}, or drop them by names={{{first!r}: None}}. Contacts "
+            "with walls are rows of the files of contacts (contacts=, walls=), with the grain as contact_i"
+        )
 
 
 # --- particles -------------------------------------------------------------------------------------------

@@ -22,7 +22,7 @@ def recognises(path: str) -> bool:
 def index_particles(paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
     """List the steps of ``dump custom`` files."""
     refs = dump.index_dumps(paths, options, atoms=True)
-    _particle_columns(refs[0], options)
+    columns.warn_of_ignored(refs[0], _particle_columns(refs[0], options), columns.PARTICLE_SLOTS, options)
     return refs
 
 
@@ -30,6 +30,7 @@ def index_contacts(paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
     """List the steps of ``dump local`` files."""
     refs = dump.index_dumps(paths, options, atoms=False)
     found = _contact_columns(refs[0], options)
+    columns.warn_of_ignored(refs[0], found, columns.CONTACT_SLOTS, options)
     if "normal_force_x" in found and "tangential_force_x" not in found:
         msg = (
             f"{where(refs[0])}: only normal forces ({found['normal_force_x']}, ...) were found, and they are "

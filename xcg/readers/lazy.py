@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, cast
 
@@ -16,8 +16,10 @@ from dask.highlevelgraph import HighLevelGraph
 from numpy.typing import NDArray
 
 from xcg import faults
-from xcg.complete import complete_contacts, complete_particles
+from xcg.complete import complete_contacts, complete_particles, periods
+from xcg.notices import Once
 from xcg.picks import picked
+from xcg.plausible import check_ends
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.text import where
 from xcg.scene import frame_of, stack
@@ -70,6 +72,8 @@ class Source:
         Name of the reader module.
     frozen : tuple of int or None
         Species that are held in place; None where the caller said nothing.
+    once : Once
+        Gives warnings of the scene's steps once.
     """
 
     engine: str
@@ -77,6 +81,7 @@ class Source:
     setup: Setup
     frozen: tuple[int, ...] | None
     allow_unknown: bool
+    once: Once = field(default_factory=Once, compare=False)
 
     def complete(self, frame: Frame, ref: StepRef) -> Frame:
         """Check and complete the particles of one step."""
@@ -92,6 +97,11 @@ class Source:
         parts = []
         for ref in refs:
             raw = read_step(self.engine, self.options, ref, contacts=True)
+            if "contact_branch" in raw:
+                scaled = particles | {"position": particles["position"] / self.setup.scales[0]}
+                period = periods(box, self.setup.periodic, where(ref)) / self.setup.scales[0]
+                with self.once.active():
+                    check_ends(raw, scaled, period, where(ref))
             parts.append(
                 complete_contacts(raw, particles, box, self.setup, where(ref), allow_unknown=self.allow_unknown)
             )

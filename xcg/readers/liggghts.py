@@ -51,7 +51,7 @@ def recognises(path: str) -> bool:
 def index_particles(paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
     """List the steps of ``dump custom`` files."""
     refs = dump.index_dumps(paths, options, atoms=True)
-    _particle_columns(refs[0], options)
+    columns.warn_of_ignored(refs[0], _particle_columns(refs[0], options), columns.PARTICLE_SLOTS, options)
     return refs
 
 

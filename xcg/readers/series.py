@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import inspect
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -23,7 +22,7 @@ from xcg.readers.lazy import Source, Step, lazy_arrays, load_engine, read_step
 from xcg.readers.paths import PathLike, expand_paths
 from xcg.readers.text import where
 from xcg.scene import box_array, measure_frames, to_dataset
-from xcg.schema import BOX, COMPONENTS, VARIABLES, Frame, SceneError, Setup
+from xcg.schema import BOX, COMPONENTS, VARIABLES, Frame, SceneError, Setup, did_you_mean
 
 ENGINES = ("lammps", "liggghts", "mercury", "mfix")
 
@@ -106,7 +105,8 @@ def open_scene(
         Species that are held in place and act as walls: they get ``frozen = 1``, all others 0.
     units : mapping, "SI" or "reduced", optional
         Factors from the files' units to SI, for example ``{"length": 1e-3}``. By default what the headers say
-        (``si``, ``cgs``, ``micro``, ``nano``; ``lj`` is "reduced"), and SI where they say nothing.
+        (``si``, ``cgs``, ``micro``, ``nano``; ``lj`` is "reduced"), and SI where they say nothing (LAMMPS: with a
+        warning). What contradicts the headers is refused.
     dimension : {2, 3}, optional
         By default 2 where all particles lie in one plane across an axis (and `plane` is that plane), else 3.
     plane : str, optional
@@ -151,7 +151,8 @@ def open_scene(
     Warns
     -----
     SceneWarning
-        If a step occurs twice (the later one counts), or steps are left out.
+        If a step occurs twice (the later one counts), steps are left out, a LAMMPS file does not name its units, files
+        of contacts are of another box, or columns look like forces or contacts with walls and are not read.
 
     Notes
     -----
@@ -167,8 +168,8 @@ def open_scene(
     Where neither files, `times` nor ``timestep`` tell the time, the coordinate ``time`` is the step number,
     and its ``long_name`` says so.
 
-    Values in the files come before `density`, and box, periodicity, units and gravity given here before those
-    in the files.
+    Values in the files come before `density`, and box, periodicity and gravity given here before those in the
+    files.
 
     Examples
     --------
@@ -210,7 +211,7 @@ def open_scene(
     if periodic is not None and box is None and first.box is None:
         periodic = _within(flat, periodic)  # no file tells the period across a layer, and nothing depends on it
     setup = Setup.make(
-        units=_units(indexed) if units is None else units,
+        units=_units(engine, indexed) if units is None else _not_against_headers(units, indexed),
         gravity=gravity,
         dimension=dimension,
         plane=plane,
@@ -291,11 +292,6 @@ def _ends(engine: str, options: ReadOptions, steps: Sequence[Step], setup: Calla
 # --- the engine and its options --------------------------------------------------------------------------
 
 
-def _did_you_mean(word: str, words: Iterable[str]) -> str:
-    close = difflib.get_close_matches(word, list(words), 1)
-    return f"; did you mean {close[0]!r}?" if close else ""
-
-
 def _guess_engine(files: Mapping[str, Sequence[str]]) -> str:
     firsts = [_first_whole(paths) for paths in files.values()]
     for name in ENGINES:
@@ -319,13 +315,13 @@ def _first_whole(paths: Sequence[str]) -> str:
 
 def _checked_engine(name: str, engine_options: Mapping[str, Any]) -> Engine:
     if name not in ENGINES:
-        msg = f"engine={name!r}: expected one of {', '.join(ENGINES)}{_did_you_mean(name, ENGINES)}"
+        msg = f"engine={name!r}: expected one of {', '.join(ENGINES)}{did_you_mean(name, ENGINES)}"
         raise SceneError(msg)
     reader = load_engine(name)
     known = getattr(reader, "OPTIONS", tuple(engine_options))
     for option in engine_options:
         if option not in known:
-            likely = _did_you_mean(option, [*inspect.signature(open_scene).parameters, *known])
+            likely = did_you_mean(option, [*inspect.signature(open_scene).parameters, *known])
             msg = f"open_scene has no argument {option!r} for the engine '{name}'{likely}"
             raise SceneError(msg)
     return reader
@@ -359,7 +355,7 @@ def _index(
     columns = {column for refs in indexed.values() for column in refs[0].columns}
     unknown = sorted(set(options.names) - columns)
     if unknown and columns:
-        likely = _did_you_mean(unknown[0], columns)
+        likely = did_you_mean(unknown[0], columns)
         msg = f"names={{{unknown[0]!r}: ...}}: not among the columns {' '.join(sorted(columns))}{likely}"
         raise SceneError(msg)
     return indexed
@@ -452,7 +448,24 @@ def _join(steps: list[Step], kind: str, refs: list[StepRef], missing: str) -> li
         warn_user(f"{len(lacking)} of {len(steps)} steps have no {kind} and are left out: {_some(lacking)}")
     if unused:
         warn_user(f"{len(unused)} steps of {kind} have no particles and are left out: {_some(unused)}")
+    _warn_of_boxes([(step, others[row]) for step, row in paired if row >= 0], kind)
     return [replace(step, contacts=(*step.contacts, *([others[row]] if row >= 0 else []))) for step, row in paired]
+
+
+def _warn_of_boxes(pairs: Sequence[tuple[Step, StepRef]], kind: str) -> None:
+    """Warn of contacts in files with another box than that of the particles, along axes that may be periodic."""
+    for step, ref in pairs:
+        own, other = step.particles.box, ref.box
+        if own is None or other is None:
+            continue
+        for k, a in enumerate(COMPONENTS):
+            period = own[k][1] - own[k][0]
+            if a in (step.particles.periodic or COMPONENTS) and not np.allclose(own[k], other[k], 0, 1e-4 * period):
+                warn_user(
+                    f"{kind}: the box of {where(ref)} is {list(other[k])} along {a!r}, and that of the particles "
+                    f"({where(step.particles)}) is {list(own[k])}, which is taken: are both of one run?"
+                )
+                return
 
 
 def _same_number(steps: Sequence[Step], others: Sequence[StepRef]) -> list[int]:
@@ -476,7 +489,7 @@ def _some(refs: Sequence[StepRef]) -> str:
 # --- what holds for the whole scene ----------------------------------------------------------------------
 
 
-def _units(indexed: Mapping[str, Sequence[StepRef]]) -> Mapping[str, float] | str | None:
+def _units(engine: str, indexed: Mapping[str, Sequence[StepRef]]) -> Mapping[str, float] | str | None:
     """Units as the headers name them; SI where they do not."""
     named = {refs[0].units: where(refs[0]) for refs in indexed.values() if refs[0].units is not None}
     if len(named) > 1:
@@ -491,7 +504,36 @@ def _units(indexed: Mapping[str, Sequence[StepRef]]) -> Mapping[str, float] | st
             )
             raise SceneError(msg)
         return UNIT_SYSTEMS[system]
+    if engine == "lammps":
+        warn_user(
+            f"{where(indexed['particles'][0])}: the header does not name the units, and SI is taken; say units='SI', "
+            "'reduced' (LAMMPS's lj) or factors such as {'length': 1e-3}, or have the files say it by "
+            "'dump_modify ... units yes'"
+        )
     return None
+
+
+def _not_against_headers(units: Mapping[str, float] | str, indexed: Mapping[str, Sequence[StepRef]]) -> Any:
+    """Refuse units other than those that the headers name.
+
+    Factors may give reduced units (lj) a scale, and numbers in SI may be taken as scaled ones: none of them changes.
+    """
+    given = Setup.make(units=units)
+    for refs in indexed.values():
+        system = refs[0].units
+        scaled = (system == "lj" and isinstance(units, Mapping)) or (system == "si" and units == "reduced")
+        if system not in UNIT_SYSTEMS or scaled:
+            continue
+        named = Setup.make(units=UNIT_SYSTEMS[system])
+        if given.unit_system != named.unit_system or not np.allclose(given.scales, named.scales, rtol=1e-12, atol=0):
+            way_out = (
+                "give factors to SI, for example units={'length': 1.0, 'mass': 1.0, 'time': 1.0}"
+                if system == "lj"
+                else "leave units= out, or change 'ITEM: UNITS' in the files if it is wrong"
+            )
+            msg = f"units={units!r}, but the header of {where(refs[0])} names the unit system {system!r}: {way_out}"
+            raise SceneError(msg)
+    return units
 
 
 def _flat_plane(frames: Sequence[Frame]) -> str | None:

@@ -1,0 +1,205 @@
+"""Data that can be computed but are hardly what was meant are pointed at, once a call."""
+
+import warnings
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import xcg
+from tests import dumps
+from xcg.complete import minimum_image
+from xcg.plausible import check_ends
+
+CONTACT_FIELDS = ["contact_stress"]
+
+
+@pytest.fixture
+def ds():
+    return xcg.datasets.simple_cubic(4)
+
+
+def several(ds, steps=3):
+    """The scene, several times over."""
+    return xr.concat([ds.assign_coords(time=[float(t)]) for t in range(steps)], "time", data_vars="all")
+
+
+def only(said):
+    assert len(said) == 1
+    assert said[0].filename == __file__
+    return str(said[0].message)
+
+
+# --- mesh and grains -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("lazy", [False, True])
+def test_no_grain_reaches_any_node(lazy):
+    position = np.random.default_rng(0).uniform(0, 1, (4, 30, 3))
+    ds = xcg.scene_from_arrays(position, diameter=np.full((4, 30), 0.1), density=1.0)
+    ds = ds.chunk(time=1) if lazy else ds
+    with pytest.warns(xcg.SceneWarning) as said:
+        f = ds.cg.coarse_grain("density", bounds=dict.fromkeys("xyz", (1000.0, 1001.0)), width=0.1).compute()
+    text = only(said)
+    assert "no grain reaches any node" in text
+    assert "x from 1000 to 1001" in text
+    assert f"z from {position[0, :, 2].min():.6g}" in text or lazy
+    assert not f.density.any()
+    with pytest.warns(xcg.SceneWarning) as said:
+        ds.cg.coarse_grain("density", axes="xz", at={"y": 3.0}, width=0.1).compute()
+    assert "y from 3 to 3" in only(said)
+
+
+def test_a_step_without_grains_is_no_reason_to_warn():
+    ds = xcg.scene_from_arrays([np.zeros((0, 3)), np.ones((2, 3))], diameter=[np.zeros(0), np.ones(2)], density=1.0)
+    ds.cg.coarse_grain("density")
+
+
+def test_grains_beyond_the_mesh_of_first_and_last_step():
+    position = np.zeros((3, 2, 3))
+    position[1:, 1, 2] = 5.0, 0.1
+    ds = xcg.scene_from_arrays(position, diameter=np.ones((3, 2)), density=1.0)
+    ds = ds.assign_attrs(ds.isel(time=[0, 2]).cg.measure().attrs)
+    with pytest.warns(xcg.SceneWarning) as said:
+        ds.cg.coarse_grain("density")
+    assert "step 1: grains lie at z from 0 to 5" in only(said)
+    ds.cg.measure().cg.coarse_grain("density")  # no warning
+    ds.cg.coarse_grain("density", bounds=dict.fromkeys("xyz", (-1.0, 1.0)))  # nor where the mesh is the user's
+
+
+# --- contacts --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("lazy", [False, True])
+@pytest.mark.parametrize(
+    "call",
+    [lambda ds: ds.cg.coarse_grain(CONTACT_FIELDS), lambda ds: ds.cg.particle_stress(),
+     lambda ds: ds.cg.force_chains(), lambda ds: ds.cg.microstructure(["stress"])],
+)  # fmt: skip
+def test_forces_of_the_wrong_sign(ds, call, lazy):
+    ds = several(ds.assign(contact_force=-ds.contact_force))
+    with pytest.warns(xcg.SceneWarning) as said:
+        call(ds.chunk(time=1) if lazy else ds).compute()
+    assert "contacts looked at pull their particles together" in only(said)
+
+
+def test_forces_of_the_right_sign_are_those_that_push(ds):
+    for scene in (ds, ds.assign(contact_i=ds.contact_j, contact_j=ds.contact_i, contact_force=-ds.contact_force)):
+        scene.cg.coarse_grain(CONTACT_FIELDS)
+
+
+def test_contact_points_that_were_left_behind(ds):
+    moved = several(ds.assign(position=ds.position + 1.5).assign_attrs(periodic=""))
+    moved = moved.assign(position=moved.position + 4.0)
+    with pytest.warns(xcg.SceneWarning) as said:
+        moved.cg.coarse_grain(CONTACT_FIELDS)
+    assert "diameters from the centre of a particle" in only(said)
+
+
+def test_contacts_across_a_box_that_is_not_periodic(ds):
+    with pytest.warns(xcg.SceneWarning) as said:
+        ds.assign_attrs(periodic="").cg.coarse_grain(CONTACT_FIELDS)
+    assert "another step or box" in only(said)
+
+
+def test_ends_that_are_not_the_positions(ds):
+    frame = {name: ds[name].values[0] for name in ("particle_id", "position", "contact_i", "contact_j")}
+    period = np.full(3, 4.0)
+    branch = frame["position"][frame["contact_i"]] - frame["position"][frame["contact_j"]]
+    check_ends(frame | {"contact_branch": branch}, frame, period, "step 0")
+    check_ends(frame | {"contact_branch": minimum_image(branch, period)}, frame, period, "step 0")
+    with pytest.warns(xcg.SceneWarning, match="ends of .* are not the positions"):
+        check_ends(frame | {"contact_branch": branch[:, ::-1]}, frame, period, "step 0")
+
+
+def test_all_is_well_in_the_samples():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for scene in (xcg.datasets.simple_cubic(4), xcg.datasets.simple_cubic(3)):
+            scene.cg.coarse_grain()
+            scene.cg.particle_stress()
+
+
+# --- the call ---------------------------------------------------------------------------------------------
+
+
+def test_a_width_far_below_the_grains(ds):
+    with pytest.warns(xcg.SceneWarning) as said:
+        ds.cg.coarse_grain("volume_fraction", width="0.05 d43", axes="z")
+    assert "0.05 of the grains' diameter" in only(said)
+    ds.cg.coarse_grain("volume_fraction", width="0.125 d43", axes="z")  # as in studies of what width does
+
+
+def test_a_cut_outside_a_periodic_box(ds):
+    with pytest.warns(xcg.SceneWarning) as said:
+        f = ds.cg.coarse_grain("density", axes="x", at={"y": 9.0, "z": 1.0})
+    assert "at={'y': 9} is outside the box, which is periodic from 0 to 4" in only(said)
+    inside = ds.cg.coarse_grain("density", axes="x", at={"y": 1.0, "z": 1.0})
+    np.testing.assert_allclose(f.density, inside.density, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "name", ["diametr", "diameters", "velocty", "velocities", "contact_forces", "periodc", "spieces"]
+)
+def test_a_misspelt_variable(name):
+    with pytest.raises(xcg.SceneError, match=f"'{name}' is neither .*did you mean"):
+        xcg.scene_from_arrays(np.zeros((2, 3)), **{name: np.ones(2)})
+
+
+@pytest.mark.parametrize("name", ["temperature", "diameter_2", "charge", "species2", "moisture", "velocity_x", "age"])
+def test_variables_of_the_user(name):
+    assert name in xcg.scene_from_arrays(np.zeros((2, 3)), **{name: np.ones(2)})
+
+
+# --- files ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("system", "units", "fits"),
+    [
+        ("si", "SI", True), ("si", {"length": 1.0}, True), ("si", {"length": 1e-3}, False), ("si", "reduced", True),
+        ("lj", "reduced", True), ("lj", "SI", False), ("lj", {"length": 1e-3, "mass": 2.0}, True),
+        ("cgs", {"length": 1e-2, "mass": 1e-3}, True), ("cgs", "SI", False),
+        ("cgs", "reduced", False), ("metal", {"length": 1e-10}, True),
+    ],
+)  # fmt: skip
+def test_units_against_the_header(tmp_path, system, units, fits):
+    path = dumps.write(tmp_path / "p.dump", dumps.dump_text(before=f"ITEM: UNITS\n{system}\n"))
+    if fits:
+        xcg.open_scene(path, units=units)
+    else:
+        with pytest.raises(xcg.SceneError, match=rf"p\.dump.* names the unit system '{system}'"):
+            xcg.open_scene(path, units=units)
+
+
+def test_contacts_of_another_box(tmp_path):
+    units = "ITEM: UNITS\nsi\n"
+    particles = dumps.write(tmp_path / "p.dump", dumps.dump_text(before=units))
+    same = dumps.write(tmp_path / "c.dump", dumps.pairs_text(before=units, box=dumps.BOX.replace("-1 9", "-1 8")))
+    xcg.open_scene(particles, contacts=same)  # along an axis that is not periodic
+    other = dumps.write(tmp_path / "d.dump", dumps.pairs_text(before=units, box=dumps.BOX.replace("0 10", "0 20", 1)))
+    with pytest.warns(xcg.SceneWarning) as said:
+        xcg.open_scene(particles, contacts=other)
+    assert "d.dump (step 0) is [0.0, 20.0] along 'x'" in only(said)
+
+
+def test_a_lammps_file_without_units(tmp_path):
+    path = dumps.write(tmp_path / "p.dump", dumps.dump_text().replace("ITEM: UNITS\nsi\n", ""))
+    with pytest.warns(xcg.SceneWarning) as said:
+        xcg.open_scene(path)
+    assert "p.dump (step 0): the header does not name the units, and SI is taken" in only(said)
+    for units in ("SI", "reduced", {"length": 1e-3}):
+        xcg.open_scene(path, units=units)
+
+
+def test_columns_that_look_like_walls_or_forces(tmp_path):
+    rows = [f"{row} 7" for row in dumps.ROWS]
+    particles = dumps.write(tmp_path / "p.dump", dumps.dump_text(rows, f"{dumps.ATOMS} f_wall[1]"))
+    with pytest.warns(xcg.SceneWarning) as said:
+        xcg.open_scene(particles)
+    assert "p.dump (step 0): columns f_wall[1] look like forces or contacts with walls" in only(said)
+    xcg.open_scene(particles, names={"f_wall[1]": None})
+    assert "at_wall" in xcg.open_scene(particles, names={"f_wall[1]": "at_wall"})
+    contacts = dumps.write(tmp_path / "c.dump", dumps.pairs_text(["1 2 -9 0 0 0 1 0 3"], f"{dumps.PAIRS} force_x"))
+    with pytest.warns(xcg.SceneWarning, match=r"c\.dump.* columns force_x look like .*'contact_force_x'"):
+        xcg.open_scene(particles, contacts=contacts, names={"f_wall[1]": None})
