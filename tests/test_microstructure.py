@@ -241,6 +241,14 @@ def test_grains_outside_the_box_are_those_of_their_images_inside():
         np.testing.assert_allclose(m[name], expected[name], rtol=1e-9, atol=1e-9 * size, err_msg=str(name))
 
 
+def test_a_region_holds_its_lower_bound_and_not_its_upper_one():
+    ds = xcg.datasets.simple_cubic(4)  # centres at 0, 1, 2, 3
+    layers = {"low": {"z": (0.0, 2.0)}, "middle": {"z": (2.0, 3.0)}, "high": {"z": (3.0, 4.0)}}
+    m = ds.cg.microstructure(["particle_count", "contact_count"], bounds=layers)
+    assert m.particle_count.values.tolist() == [[32, 16, 16]]
+    assert m.contact_count.values.tolist() == [[96, 48, 48]]
+
+
 def test_stress_is_that_of_coarse_graining():
     """Love-Weber over the periodic box is the exact average of the contact stress field (the virial)."""
     ds = xcg.datasets.random_scene(200, seed=4)
