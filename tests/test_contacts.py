@@ -216,3 +216,16 @@ def test_normals_are_along_the_centres_and_at_walls_towards_the_contact_point(pe
                 fabric[row] += np.outer(n, n)
     upper = fabric[:, *np.triu_indices(3)]
     np.testing.assert_allclose(contacts.normals, upper, rtol=1e-12, atol=1e-12)
+
+
+def test_walls_may_come_first_or_second_and_particles_may_be_the_first():
+    frame = {
+        "particle_id": np.array([4, 7]), "position": np.array([[0.0, 0, 0], [5, 0, 0]]),
+        "contact_i": np.array([4, -2, -2, 7]), "contact_j": np.array([-2, 4, 7, -2]),
+        "contact_force": np.arange(12.0).reshape(4, 3), "contact_point": np.arange(12.0).reshape(4, 3) / 10,
+    }  # fmt: skip
+    row, point, force = Contacts.of(frame, np.full(3, np.inf)).at_walls
+    assert row.tolist() == [0, 1, 0, 1]
+    np.testing.assert_array_equal(point, frame["contact_point"][[0, 3, 1, 2]])
+    sign = np.array([[1], [1], [-1], [-1]])  # the force given is that on the first of the two
+    np.testing.assert_array_equal(force, sign * frame["contact_force"][[0, 3, 1, 2]])

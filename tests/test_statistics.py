@@ -176,6 +176,14 @@ def test_errors_of_ratios_are_those_of_the_ratio_of_sums():
     assert float(got.velocity_error.mean()) == pytest.approx(float(got.velocity.std()), rel=0.1)
 
 
+def test_the_density_of_the_material_is_averaged_by_volume():
+    rng = np.random.default_rng(3)
+    rho, phi = rng.uniform(500, 3000, (9, 4)), rng.uniform(0.1, 0.6, (9, 4))
+    ratios = {"volume_fraction": (("time", "x"), phi), "particle_density": (("time", "x"), rho / phi)}
+    got = as_result(rho, **ratios).cg.time_average()
+    np.testing.assert_allclose(got.particle_density, rho.sum(axis=0) / phi.sum(axis=0), rtol=1e-12)
+
+
 def test_missing_sums_and_bad_arguments_are_named():
     f = series(2).cg.coarse_grain(["velocity", "friction_coefficient", "inertial_number"], **ALL)
     with pytest.raises(ValueError, match=r"velocity needs density; friction_coefficient needs shear_stress, pressure"):
