@@ -123,7 +123,7 @@ def check_ends(raw: Frame, particles: Frame, period: NDArray, where: str) -> Non
     Parameters
     ----------
     raw : Frame
-        Contacts with ``contact_branch``, from j to i by the ends in the file (m), of any image.
+        Contacts with ``wrapped_branch``, from j to i by the ends in the file (m), of any image.
     particles : Frame
         The particles of the same step.
     period : array (3,)
@@ -136,7 +136,7 @@ def check_ends(raw: Frame, particles: Frame, period: NDArray, where: str) -> Non
         rows_of(particles["particle_id"], np.asarray(raw[name][some], "int64")) for name in ("contact_i", "contact_j")
     )
     pairs = np.flatnonzero((row_i >= 0) & (row_j >= 0))
-    ends = minimum_image(raw["contact_branch"][some][pairs], period)
+    ends = minimum_image(raw["wrapped_branch"][some][pairs], period)
     centres = particles["position"][row_i[pairs]] - particles["position"][row_j[pairs]]
     off = np.flatnonzero(_lengths(minimum_image(ends - centres, period)) > _OFF * _lengths(ends))
     if off.size:

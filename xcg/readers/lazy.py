@@ -97,7 +97,7 @@ class Source:
         parts = []
         for ref in refs:
             raw = read_step(self.engine, self.options, ref, contacts=True)
-            if "contact_branch" in raw:
+            if "wrapped_branch" in raw:
                 scaled = particles | {"position": particles["position"] / self.setup.scales[0]}
                 period = periods(box, self.setup.periodic, where(ref)) / self.setup.scales[0]
                 with self.once.active():
