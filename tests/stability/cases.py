@@ -63,6 +63,23 @@ def few_grains():
     )  # fmt: skip
 
 
+def temperature_at_the_default_width():
+    """Mean temperature of independent velocities, where a node sees some 16 grains."""
+    ds = xcg.datasets.dense_packing(4000)
+    ds = ds.assign(velocity=(ds.velocity.dims, np.random.default_rng(1).normal(size=ds.velocity.shape)))
+    f = ds.cg.coarse_grain(["granular_temperature", "fluctuation_density", "fluctuation_stress", "density"])
+    known = f.granular_temperature.notnull()
+    free = f.fluctuation_density.where(known, 0.0)
+    ours = (f.granular_temperature.fillna(0.0) * free).sum() / free.sum()
+    left = sum(f.fluctuation_stress.sel(component=a, direction=a).where(known, 0.0) for a in "xyz") / 3
+    truth = float((ds.velocity**2).mean())
+    return Case(
+        "temperature at a width of 0.75 d", "V and its gradient follow the grains whose fluctuations are wanted",
+        "fluctuations over the density less what the fit takes (error left: one step)",
+        _relative(left.sum() / f.density.where(known, 0.0).sum(), truth), _relative(ours, truth), 0.05,
+    )  # fmt: skip
+
+
 def fast_frame():
     """Temperature in a frame a million times faster than the fluctuations."""
     ds = xcg.datasets.random_scene(300, seed=2)
@@ -239,6 +256,6 @@ def degenerate_rows():
 
 
 CASES = [
-    part_of_the_box, few_grains, fast_frame, far_origin, narrow_kernel, support_beyond_the_box,
-    contact_across_the_edge, jumping_kernel, polydisperse, near_a_wall, degenerate_rows,
+    part_of_the_box, few_grains, temperature_at_the_default_width, fast_frame, far_origin, narrow_kernel,
+    support_beyond_the_box, contact_across_the_edge, jumping_kernel, polydisperse, near_a_wall, degenerate_rows,
 ]  # fmt: skip

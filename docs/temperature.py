@@ -1,0 +1,162 @@
+"""Writes docs/temperature.md, temperatures found over those put in: python -m docs.temperature, from the root.
+
+Grains anywhere with independent velocities, gases, and dense shear. The runs of the last two are made by
+LAMMPS, from `examples/data/lammps_gas/gas.in` and `examples/data/lammps_shear/shear.in`.
+"""
+
+import gzip
+import warnings
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+import xcg
+
+HERE = Path(__file__).parent
+DATA = HERE.parent / "examples" / "data"
+RATE = 0.1  # of shear.in
+WIDTHS = (0.6, 0.75, 1.0, 1.5, 2.0)
+NAMES = ["granular_temperature", "fluctuation_density", "effective_count"]
+HEAD = """# Granular temperature
+
+The mean velocity at a node and its gradient come from the few grains there, whose own fluctuations they follow. What
+is left of these is divided by the density less what the fit takes, so that the mean comes out right where velocities
+are independent from grain to grain ([theory](theory.md)). The tables hold the temperature found over the one put in,
+averaged through its sums, first **without bias** (the default), then `temperature="biased"`: per density. Made by
+`python -m docs.temperature`.
+
+## Independent velocities
+
+Grains anywhere in a periodic box, at a volume fraction phi; "2 : 1" are two sizes, as many of each, and under "small"
+the temperature of the phase of the small ones. Last, the share of the nodes (of the volume) that know a temperature.
+
+"""
+GAS = """
+## Gases
+
+1000 elastic spheres that collide in a periodic box (`examples/data/lammps_gas`), in four steps.
+
+"""
+SHEAR = """
+## Dense shear
+
+1000 frictional spheres at phi = 0.57 in uniform shear without walls (`examples/data/lammps_shear`); what is put in is
+the variance about the uniform flow.
+
+"""
+TAIL = """
+**Velocities of neighbours in dense flow are correlated**: grains that touch move together. A fit takes part of such a
+motion for flow, at whatever width the grains stay together, and no count of grains tells how much. T is then the
+variance of what differs from the best linear flow over the support: a quantity of its width, which grows towards the
+whole as w does. Give w with it, take the same w where flows are compared, and look at T against w
+(`ds.cg.width_sweep`).
+
+**How much a node knows.** `sample_count` grains reach it, worth `effective_count` N of equal weight. Standard errors
+of one step are about sqrt(T / N) for a component of the velocity and T sqrt(2 / (D (N - 1 - D))) for T, where
+velocities are independent. Where less than half of a mean grain is left over (`fluctuation_density` below `density /
+sample_count / 2`), T is NaN. A warning comes where most nodes that grains reach know no temperature: a larger width,
+an average along an axis (`axes="z"`), or a mean over time help, as sums are added before they are divided
+(`time_average`, `profile`). Means of the temperatures themselves give nodes of few grains the same say as others.
+"""
+
+
+def found(
+    ds: xr.Dataset, truth: np.ndarray, width: float, **options: object
+) -> tuple[xr.DataArray, xr.DataArray, float]:
+    """Ratio to the true temperatures (time,): without bias and with, and the share of nodes that know one."""
+    ratios, share = [], 0.0
+    for way in ("biased", "unbiased"):
+        f = ds.cg.coarse_grain(NAMES, width=width, temperature=way, **options)
+        known = f.granular_temperature.notnull()
+        weight = f.fluctuation_density.where(known, 0.0)
+        rest = [d for d in weight.dims if d != "phase"]
+        true = xr.DataArray(truth, dims="time")
+        ratios.append((f.granular_temperature.fillna(0.0) * weight).sum(rest) / (true * weight).sum(rest))
+        share = float(known.mean())
+    return ratios[1], ratios[0], share
+
+
+def independent(phi: float, small: float, grains: int = 40_000) -> xr.Dataset:
+    """Grains anywhere, half of them smaller, with independent velocities of temperature 1, in many steps."""
+    rng = np.random.default_rng(1)
+    length, sizes = 12.0, np.array([1.0, small])
+    count = round(phi * length**3 / (np.pi / 6 * (sizes**3).mean()))
+    steps = max(2, grains // count)
+    species = np.tile(np.arange(count) % 2 + 1, (steps, 1))
+    return xcg.scene_from_arrays(
+        rng.uniform(0, length, (steps, count, 3)), velocity=rng.normal(size=(steps, count, 3)), density=1.0,
+        diameter=sizes[species - 1], species=species, box=dict.fromkeys("xyz", (0.0, length)), periodic="xyz",
+    )  # fmt: skip
+
+
+def table_of_independent() -> str:
+    lines = ['| w / d | phi | volume | plane (`axes="xz"`) | profile | 2 : 1 | small | known |', "|---" * 8 + "|"]
+    for width, phi in product(WIDTHS, (0.1, 0.3, 0.6)):
+        same, mixed = independent(phi, 1.0), independent(phi, 0.5)
+        options = {"spacing": 0.75, "width": width}
+        ones = [found(same, np.ones(same.sizes["time"]), axes=axes, **options) for axes in ("xyz", "xz", "z")]
+        two = found(mixed, np.ones(mixed.sizes["time"]), by="species", **options)
+        cells = [f"{float(new):.2f}, {float(old):.2f}" for new, old, _ in ones]
+        cells += [f"{float(two[0][k]):.2f}, {float(two[1][k]):.2f}" for k in (0, 2)]
+        lines.append(f"| {width} | {phi} | " + " | ".join(cells) + f" | {100 * ones[0][2]:.0f} % |")
+        print(lines[-1], flush=True)
+    return "\n".join(lines) + "\n"
+
+
+def table_of_gases() -> str:
+    lines = ["| w / d | phi = 0.1 | known | phi = 0.4 | known |", "|---" * 5 + "|"]
+    for width in WIDTHS:
+        cells = []
+        for phi in (0.1, 0.4):
+            ds = xcg.open_scene(str(DATA / "lammps_gas" / f"gas_{phi}.dump.gz"), units="reduced").load()
+            new, old, share = found(ds, ds.velocity.var("particle").mean("component").values, width, spacing=0.5)
+            cells.append(f"{float(new):.2f}, {float(old):.2f} | {100 * share:.0f} %")
+        lines.append(f"| {width} | " + " | ".join(cells) + " |")
+        print(lines[-1], flush=True)
+    return "\n".join(lines) + "\n"
+
+
+def sheared() -> tuple[xr.Dataset, np.ndarray, float]:
+    """Steps of the shear with the images of its grains, which move with the flow; true temperatures, and the edge."""
+    with gzip.open(DATA / "lammps_shear" / "shear.dump.gz", "rt") as file:
+        lines = file.read().split("\n")
+    starts, steps, truth = [k for k, line in enumerate(lines) if line == "ITEM: TIMESTEP"], [], []
+    for start in starts:
+        tilt, length = float(lines[start + 5].split()[2]), float(lines[start + 6].split()[1])
+        rows = np.array([line.split() for line in lines[start + 9 : start + 9 + int(lines[start + 3])]], float)
+        x, v = rows[:, 1:4], rows[:, 4:7]
+        own = v - [1, 0, 0] * (RATE * x[:, 1:2])
+        truth.append(((own - own.mean(axis=0)) ** 2).mean())
+        cell = np.array([[length, 0, 0], [tilt, length, 0], [0, 0, length]])
+        images = np.array(list(product((-2, -1, 0, 1, 2), (-1, 0, 1), (-1, 0, 1))))
+        position = (x + (images @ cell)[:, None]).reshape(-1, 3)
+        velocity = (v + RATE * length * images[:, 1, None, None] * np.array([1, 0, 0])).reshape(-1, 3)
+        near = ((position > -4.0) & (position < length + 4.0)).all(axis=1)  # the widest support
+        steps.append((position[near], velocity[near]))
+    positions, velocities = zip(*steps, strict=True)
+    sizes = [np.ones(len(p)) for p in positions]
+    ds = xcg.scene_from_arrays(list(positions), velocity=list(velocities), diameter=sizes, density=1.0, units="reduced")
+    return ds, np.array(truth), length
+
+
+def table_of_shear() -> str:
+    ds, truth, length = sheared()
+    lines = ["| w / d | without bias | per density | known |", "|---" * 4 + "|"]
+    bounds = dict.fromkeys("xyz", (0.0, length - 0.5))
+    for width in WIDTHS:
+        new, old, share = found(ds, truth, width, bounds=bounds, spacing=0.5)
+        lines.append(f"| {width} | {float(new):.2f} | {float(old):.2f} | {100 * share:.0f} % |")
+        print(lines[-1], flush=True)
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    warnings.filterwarnings("ignore", ".*have a temperature", xcg.SceneWarning)
+    page = HEAD + table_of_independent() + GAS + table_of_gases() + SHEAR + table_of_shear() + TAIL
+    (HERE / "temperature.md").write_text(page)
+
+
+if __name__ == "__main__":
+    main()
