@@ -575,9 +575,9 @@ of the grains' centre of mass; extrapolation by least squares leaves rounding, a
 16 grains, with unequal weights worth about seven; a mean takes one degree of freedom of them away, a fit four,
 and the velocity at a grain is to a good part the grain's own. All of them count as motion of the flow what was
 fluctuation. The default knows how much its fit takes and divides by what is left, so that its **mean is right at
-every width**, as the table below has it: the temperature found over that put in, averaged through its sums. Per
-density (`temperature="biased"`) the same fluctuations give a third at this width and 7 % too little at twice it;
-about the node the temperature grows with w without end. More in [granular temperature](temperature.md).
+every width**, as the table below has it: the mean of the temperature found over that put in. Per density
+(`temperature="biased"`) the same fluctuations give a third at this width and 7 % too little at twice it; about
+the node the temperature grows with w without end. More in [granular temperature](temperature.md).
 """
 
 

@@ -36,7 +36,8 @@ the temperature of the phase of the small ones. Last, the share of the nodes (of
 GAS = """
 ## Gases
 
-1000 elastic spheres that collide in a periodic box (`examples/data/lammps_gas`), in four steps.
+1000 elastic spheres that collide in a periodic box (`examples/data/lammps_gas`), in four steps. Where hardly
+any node knows a temperature (0 or 1 %), these few steps have too few of them for a mean.
 
 """
 SHEAR = """
