@@ -68,7 +68,7 @@ def test_everything_works_on_it(tmp_path, suffix):
 def test_real_output(tmp_path, suffix):
     folder = real_data("mfix_chute")
     ds = xcg.open_scene(
-        folder / "P_FB1_0004.vtp", contacts=folder / "FC_0004.vtp", periodic="xz", box={"x": (0, 0.05), "z": (0, 0.05)}
+        folder / "P_FB1_0004.vtp", contacts=folder / "FC_0004.vtp", periodic="xz", box={"x": (0, 0.04), "z": (0, 0.02)}
     )
     again = reopen(xcg.save(ds, tmp_path / f"scene{suffix}"))
     assert_same_bits(ds, again)

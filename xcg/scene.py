@@ -438,23 +438,23 @@ def measure(ds: xr.Dataset) -> xr.Dataset:
 
 # --- do measured attributes still hold? ------------------------------------------------------------------
 
-# A lazy variable that is as it was when its attributes were measured says so in its encoding: selections keep that,
-# arithmetic drops it. "source" stands in that of variables from a file, which holds the attributes, too.
-_MEASURED, _FROM_FILE = "measured", "source"
+# A lazy variable that is as it was when its attributes were measured has an encoding: this mark, or what came with a
+# file that holds the attributes, too. Selections keep encodings, arithmetic drops them.
+_MARK = "measured"
 _ATTRIBUTES = {"position": ("particle_lower", "particle_upper"), "diameter": SIZES}
 
 
 def mark_measured(ds: xr.Dataset, names: Sequence[str] | None = None) -> xr.Dataset:
     """Note that the attributes measured from some variables (all by default) are those of what they are now."""
     for name in ds.data_vars if names is None else names:
-        ds[name].encoding[_MEASURED] = True
+        ds[name].encoding[_MARK] = True
     return ds
 
 
 def known_without_reading(ds: xr.Dataset, name: str) -> bool:
     """Whether a variable is in memory, or as it was when its attributes were measured."""
     given = ds[name].variable
-    return isinstance(given._data, np.ndarray) or not {_MEASURED, _FROM_FILE}.isdisjoint(given.encoding)
+    return isinstance(given._data, np.ndarray) or bool(given.encoding)
 
 
 def with_measures(ds: xr.Dataset) -> xr.Dataset:
