@@ -1,5 +1,8 @@
 """Pairs against brute force on any scene: sizes, periods, layers, touching, coincident and lost particles; normals."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -229,3 +232,29 @@ def test_walls_may_come_first_or_second_and_particles_may_be_the_first():
     np.testing.assert_array_equal(point, frame["contact_point"][[0, 3, 1, 2]])
     sign = np.array([[1], [1], [-1], [-1]])  # the force given is that on the first of the two
     np.testing.assert_array_equal(force, sign * frame["contact_force"][[0, 3, 1, 2]])
+
+
+def test_too_many_pairs_end_the_search_before_memory_does():
+    """30,000 grains in one place have 450 million pairs."""
+    code = """
+import resource, numpy as np, xcg
+from xcg.contacts import find_pairs
+find_pairs(np.zeros((2, 3)), np.ones(2))
+ds = xcg.scene_from_arrays(np.zeros((30_000, 3)), diameter=np.ones(30_000))
+used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
+resource.setrlimit(resource.RLIMIT_AS, (used + (1 << 30), used + (1 << 30)))
+for call in (lambda: find_pairs(np.zeros((30_000, 3)), np.ones(30_000)), lambda: xcg.find_contacts(ds, max_contacts=9)):
+    try:
+        call()
+    except xcg.SceneError as error:
+        print(error)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stdout.count("more than 6000000 pairs of near particles among 30000") == 2, done.stderr
+
+
+def test_many_pairs_that_are_meant():
+    n = 1500
+    assert len(find_pairs(np.zeros((n, 3)), np.ones(n), most=2_000_000)) == n * (n - 1) // 2
+    with pytest.raises(xcg.SceneError, match="more than 1000000 pairs"):
+        find_pairs(np.zeros((n, 3)), np.ones(n))

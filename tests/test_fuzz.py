@@ -1,13 +1,16 @@
 """A short form of ``python -m tests.fuzz.run``: damaged files are opened, or refused in the package's own words."""
 
+import os
 import random
+import subprocess
+import sys
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.fuzz.check import damaged, lay, outcome
-from tests.fuzz.targets import TARGETS
+from tests.fuzz.targets import ROOT, TARGETS
 
 EXAMPLES = dict.fromkeys(TARGETS, 12) | {"vtp": 4, "ini": 3, "toml": 6}
 
@@ -116,3 +119,43 @@ def test_slices_wider_than_64_bits(tmp_path):
 )
 def test_jobs_that_are_refused(tmp_path, old, new, message):
     assert message in refused("toml", tmp_path, job_toml=(old, new))
+
+
+# --- hostile calls ---------------------------------------------------------------------------------------
+
+
+def test_identities_under_bounds_checks():
+    env = os.environ | {"NUMBA_BOUNDSCHECK": "1", "XCG_JIT_CACHE": "0"}
+    chosen = ["tests/identities/test_closed_forms.py", "tests/test_tape.py", "-x", "-q"]
+    done = subprocess.run([sys.executable, "-m", "pytest", *chosen], env=env, cwd=ROOT, capture_output=True, text=True,
+                          check=False)  # fmt: skip
+    assert done.returncode == 0, done.stdout[-3000:]
+
+
+def test_bounds_checks_find_an_index_beyond_its_array():
+    """Also in the instructions that are written by hand."""
+    code = """
+import numpy as np, numba
+from xcg.kernels._jit import leaf
+from xcg.kernels.lanes import add_four, put_eight
+
+@leaf
+def beyond(lists, row, at):
+    put_eight(lists, row, at, 1.0)
+
+@leaf
+def sums(records, n):
+    add_four(records, 0, n, 0, 1.0, 1.0, 1.0, 1.0, 1.0)
+
+beyond(np.zeros((2, 16)), 1, 8)
+sums(np.zeros((1, 5, 4)), 4)
+for call in (lambda: beyond(np.zeros((2, 16)), 1, 9), lambda: beyond(np.zeros((2, 16)), 2, 0),
+             lambda: sums(np.zeros((1, 5, 4)), 5)):
+    try:
+        call()
+    except IndexError as error:
+        print(error)
+"""
+    env = os.environ | {"NUMBA_BOUNDSCHECK": "1", "XCG_JIT_CACHE": "0"}
+    done = subprocess.run([sys.executable, "-c", code], env=env, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.stdout.count("out of bounds") == 3, done.stdout + done.stderr

@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+import xarray as xr
 from scipy.integrate import quad
 
 import xcg
+from xcg.kernels.eigen import principal
 
 FORCE = np.array([0.3, -0.2, 1.0])
 BOX = [[0, 1], [0, 1], [0, 1]]
@@ -110,3 +112,39 @@ def test_a_mesh_that_the_kernel_cannot_number():
     ds = scene([[0, 0, 0.5], [0, 0, 0.52]], [(0, 1)])
     with pytest.raises(xcg.SceneError, match="closer to each other"), pytest.warns(xcg.SceneWarning, match="not seen"):
         ds.cg.coarse_grain("density", axes="z", bounds={"z": (0.0, 1e20)}, spacing=1e18, width=0.3)
+
+
+# --- sizes and types ---------------------------------------------------------------------------------------
+
+
+def test_sizes_whose_powers_are_no_numbers():
+    with pytest.raises(xcg.SceneError, match=r"'diameter' of particle 1 is 1e-110 m, expected 1e-75 to 1e\+75 m"):
+        xcg.scene_from_arrays(np.eye(3), diameter=[1.0, 1e-110, 1.0])
+    ds = scene([[0, 0, 0.5], [0, 0, 0.52]], [(0, 1)])
+    for width in (1e-310, 1e100):
+        with pytest.raises(ValueError, match="expected a positive length, from 1e-75"):
+            ds.cg.coarse_grain("density", axes="z", width=width, spacing=0.1)
+
+
+def test_numbers_the_other_way_round():
+    """As netCDF-3 gives them."""
+    ds = xcg.datasets.random_scene(20, seed=1)
+    turned = ds.map(lambda v: v.astype(v.dtype.newbyteorder(">")) if v.dtype.kind in "if" else v)
+    names, options = ["stress", "fabric"], {"axes": "z", "by": "species"}
+    xr.testing.assert_equal(turned.cg.coarse_grain(names, **options), ds.cg.coarse_grain(names, **options))
+    xr.testing.assert_equal(turned.cg.force_chains(), ds.cg.force_chains())
+
+
+def test_times_and_steps_of_another_number():
+    for name in ("time", "step"):
+        with pytest.raises(xcg.SceneError, match=f"{name}= has shape .2,.: expected one value for each of the 1 steps"):
+            xcg.scene_from_arrays(np.eye(3), **{name: [0, 1]})
+
+
+def test_principal_axes_of_what_is_no_number():
+    values, vectors = np.empty((4, 3)), np.empty((4, 3, 3))
+    tensor = np.tile(np.diag([1.0, 3.0, 2.0]), (4, 1, 1))
+    tensor[[1, 2, 3], [0, 1, 2], [0, 1, 2]] = np.nan
+    principal(tensor, values, vectors)
+    assert values[0].tolist() == [3.0, 2.0, 1.0]
+    assert (np.isnan(values[1:]).sum(axis=1) >= 1).all()

@@ -149,14 +149,14 @@ class CellLists:
         first_record = np.concatenate([[0], np.cumsum(members)])
         return cls(chosen, records, row, first_record, starts, period, skin, slack)
 
-    def find(self, first: int, last: int) -> tuple[NDArray, NDArray, int]:
-        """Pairs of the records from `first` to `last`, and how many distances that took."""
+    def find(self, first: int, last: int, most: int = 2**62) -> tuple[NDArray, NDArray, int]:
+        """Pairs of the records from `first` to `last`, of more than `most` only some, and the distances that took."""
         capacity = 4 * (last - first) + 64
         at = self.levels
         left, right, found, tested = kernel.find(
             first, last, self.records, self.first_record, at.first_cell, self.starts, at.lower, at.inverse, at.cells,
-            at.largest, self.period, at.fold, self.skin, self.slack, np.empty(capacity, "int32"),
-            np.empty(capacity, "int32"),
+            at.largest, self.period, at.fold, self.skin, self.slack, most,
+            np.empty(capacity, "int32"), np.empty(capacity, "int32"),
         )  # fmt: skip
         return left[:found], right[:found], tested
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xcg.notices import warn_once
-from xcg.schema import COMPONENTS, Frame, SceneError, Setup, variable
+from xcg.schema import COMPONENTS, LONGEST, SHORTEST, Frame, SceneError, Setup, variable
 
 # What readers say of contacts besides variables of the scene.
 _HINTS = ("wrapped_branch", "point_is_middle")
@@ -105,6 +105,14 @@ def complete_particles(frame: Mapping[str, ArrayLike], setup: Setup, where: str)
             msg = f"{where}: '{name}' of particle {ids[bad]} is {given[name][bad]!r}; expected a positive number"
             raise SceneError(msg)
     _complete_size_and_mass(given, setup)
+    if "diameter" in given:
+        beyond = np.flatnonzero(~((given["diameter"] >= SHORTEST) & (given["diameter"] <= LONGEST)))
+        if beyond.size:
+            msg = (
+                f"{where}: 'diameter' of particle {ids[beyond[0]]} is {given['diameter'][beyond[0]]:.3g} m, expected "
+                f"{SHORTEST:g} to {LONGEST:g} m; check the units, and the volume or mass that it follows from"
+            )
+            raise SceneError(msg)
     return given
 
 

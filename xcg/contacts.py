@@ -231,6 +231,8 @@ class Contacts:
 METHODS = ("hierarchical", "linked-cell")
 # Fewer particles than this are not worth a second thread.
 PARTICLES_A_THREAD = 20_000
+# Pairs that the search stops beyond, unless more are asked for: spheres without overlap have 7 a particle.
+MOST_A_PARTICLE, MOST_PAIRS = 200, 1_000_000
 
 
 def find_pairs(
@@ -243,6 +245,7 @@ def find_pairs(
     method: str = "hierarchical",
     levels: int | None = None,
     threads: int | None = None,
+    most: int | None = None,
 ) -> NDArray:
     """Find all pairs of spheres with ``|r_i - r_j| < R_i + R_j + skin``, each once, for any mix of sizes.
 
@@ -271,6 +274,8 @@ def find_pairs(
         particles are left out. By default one for each factor of 3.
     threads : int, optional
         Threads that search; by default all cores for many particles. The result does not depend on it.
+    most : int, optional
+        Pairs that are meant, where they are more than a million and 200 a particle, at which the search stops.
 
     Returns
     -------
@@ -281,7 +286,7 @@ def find_pairs(
     ------
     SceneError
         If arrays have the wrong shape or hold values that are not finite, a radius is negative, or the box is
-        unbounded along a periodic axis.
+        unbounded along a periodic axis, or there are more than `most` pairs.
     ValueError
         If `method`, `skin`, `levels` or `threads` is not as expected.
 
@@ -301,13 +306,27 @@ def find_pairs(
     corner = np.zeros(3) if edges is None else np.where(np.isfinite(period), edges[:, 0], 0.0)
     lists = CellLists.of(centres, radii, corner, period, skin=skin, levels=1 if method == "linked-cell" else levels)
     workers = threads or min(THREADS, 1 + len(centres) // PARTICLES_A_THREAD)
+    most = max(MOST_PAIRS, MOST_A_PARTICLE * len(centres), most or 0)
+    counts = [0]
+
+    def find(first: int, last: int) -> tuple[NDArray, NDArray, int]:
+        part = lists.find(first, last, most - sum(counts))
+        counts.append(len(part[0]))
+        return part
+
     if workers == 1:
-        found = [lists.find(0, len(centres))]
+        found = [find(0, len(centres))]
     else:
         # more parts than threads, as large particles take longer than small ones
         cuts = np.linspace(0, len(centres), 8 * workers + 1, dtype=int)
         with ThreadPoolExecutor(workers) as pool:
-            found = list(pool.map(lists.find, cuts[:-1], cuts[1:]))
+            found = list(pool.map(find, cuts[:-1], cuts[1:]))
+    if sum(counts) > most:
+        msg = (
+            f"more than {most} pairs of near particles among {len(centres)}: positions coincide, or diameters or skin= "
+            "are too large for their unit. Where so many are meant, give most= (max_contacts= of find_contacts)"
+        )
+        raise SceneError(msg)
     left, right = (np.concatenate([part[side] for part in found]) for side in (0, 1))
     pairs = np.empty((len(left), 2), "int64")
     sort_pairs(left, right, lists.row, pairs)

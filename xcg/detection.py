@@ -108,7 +108,7 @@ class Search:
         self._refuse_own_images(frame, period, where)
         i, j = find_pairs(
             position, radius, box, self.setup.periodic, skin=self.skin, method=self.method, levels=self.levels,
-            threads=self.threads,
+            threads=self.threads, most=self.most,
         ).T  # fmt: skip
         if "frozen" in frame:
             moving = (frame["frozen"][i] != 1) | (frame["frozen"][j] != 1)

@@ -55,10 +55,12 @@ def sizes_of(diameter: NDArray, mass: NDArray | None = None) -> dict[str, float]
     order = np.argsort(diameter, kind="stable")
     d = diameter[order]
     share = np.cumsum(d**3 if mass is None else mass[order])
-    sums = [float((d**k).sum()) for k in range(5)]
+    sums = [(d**k).sum() for k in range(5)]
+    with np.errstate(invalid="ignore", divide="ignore"):  # powers of zero: NaN, which no width may be
+        ratios = [float(sums[k] / sums[k - 1]) for k in (3, 4)]
     return {
-        "d43": sums[4] / sums[3],
-        "d32": sums[3] / sums[2],
+        "d43": ratios[1],
+        "d32": ratios[0],
         "d50": float(d[np.searchsorted(share, 0.5 * share[-1])]),
         "drms": float(np.sqrt(sums[2] / sums[0])),
         "dmin": float(d[0]),
@@ -284,6 +286,11 @@ def scene_from_arrays(
     total = counts["position"]
     _refuse_mask("time", time)
     times = np.arange(total, dtype=float) if time is None else np.atleast_1d(np.asarray(time, float)) * setup.scales[2]
+    numbers = np.arange(total) if step is None else np.atleast_1d(step)
+    for name, values in (("time", times), ("step", numbers)):
+        if values.shape != (total,):
+            msg = f"{name}= has shape {values.shape}: expected one value for each of the {total} steps"
+            raise SceneError(msg)
     check_times(times, "a scene", "sort the steps, and leave out those that stand twice")
     edges = None if box is None else box_array(box, total) * setup.factor(BOX.powers)
     particle_names = [name for name in steps if variable(name).dims[0] == "particle"]
@@ -304,7 +311,7 @@ def scene_from_arrays(
     return to_dataset(
         arrays,
         time=times,
-        step=np.arange(total) if step is None else np.atleast_1d(step),
+        step=numbers,
         box=edges,
         setup=setup,
         measured=measure_frames(particles),
@@ -414,8 +421,12 @@ def frame_of(arrays: Mapping[str, NDArray], t: int, where: str = "scene") -> Fra
         valid = arrays["contact_i"][t] != PADDING
         count = int(valid.sum())
         rows["contact"] = slice(0, count) if valid[:count].all() else valid
-    dims = {name: variable(name, a.dtype).dims[0] for name, a in arrays.items()}
-    return {name: a[t][rows[dims[name]]] for name, a in arrays.items() if dims[name] in rows}
+    found: Frame = {}
+    for name, values in arrays.items():
+        row = variable(name, values.dtype)
+        if row.dims[0] in rows:  # in the types of compiled loops: netCDF-3 holds bytes the other way round
+            found[name] = values[t][rows[row.dims[0]]].astype(row.dtype, copy=False)
+    return found
 
 
 @takes_scene

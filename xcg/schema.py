@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 COMPONENTS = ("x", "y", "z")
 PADDING = -1
 MAX_GROUPS = 100
+SHORTEST, LONGEST = 1e-75, 1e75  # m; powers of lengths between these are numbers, too
 
 Frame: TypeAlias = dict[str, NDArray]
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xcg.kernels import segments, weights
+from xcg.schema import LONGEST, SHORTEST
 
 _NO_TABLE = np.zeros((2, 1, 1))
 
@@ -58,8 +59,11 @@ class Kernel:
             msg = f"{type(self).__name__} needs width= or cutoff= (in metres)"
             raise ValueError(msg)
         for name, given in (("width", width), ("cutoff", cutoff)):
-            if given is not None and not (np.isfinite(given) and given > 0):
-                msg = f"{name}={given!r}: expected a positive length; the usual choice is 0.75 mean diameters"
+            if given is not None and not SHORTEST <= given <= LONGEST:
+                msg = (
+                    f"{name}={given!r}: expected a positive length, from {SHORTEST:g} to {LONGEST:g} m; the usual "
+                    "choice is 0.75 mean diameters"
+                )
                 raise ValueError(msg)
         if dimension not in (None, 1, 2, 3):
             msg = f"dimension={dimension!r}: expected 1, 2 or 3"

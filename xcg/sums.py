@@ -299,7 +299,7 @@ def _fill_segments(
     box: Box, sums: NDArray, _: NDArray,
 ) -> None:  # fmt: skip
     steps, active = onto[:2]
-    lists, numbers = lists_for(*box, np.multiply(reach, active).tolist(), steps, real)
+    lists, numbers = lists_for(*box, np.where(active, reach, 0.0).tolist(), steps, real)
     scratch = closed_for(lists) if closed else None
     deposit_segments(*segments, *box, *onto, lists, numbers, scratch, rest, sums)
 

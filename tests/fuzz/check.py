@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import resource
 import shutil
 import traceback
 from collections.abc import Mapping
@@ -38,9 +39,7 @@ def outcome(name: str, folder: Path) -> tuple[str, str]:
     try:
         TARGETS[name].use(folder)
     except (SceneError, ValueError, OSError) as error:
-        last = traceback.extract_tb(error.__traceback__)[-1].filename
-        own = last.startswith(_OWN) and "/kernels/" not in last
-        if not own:
+        if not is_own(error):
             return "failed", "".join(traceback.format_exception(error)[-12:])
         if not isinstance(error, (SceneError, OSError)) and not _from_arguments(error):
             return "failed", f"not the package's own error: {error!r}\n{traceback.format_exc()[-1500:]}"
@@ -53,6 +52,17 @@ def outcome(name: str, folder: Path) -> tuple[str, str]:
             raise
         return "failed", traceback.format_exc()[-3000:]
     return "opened", ""
+
+
+def address_space() -> int:
+    """Bytes of memory that this process has asked for."""
+    return int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+
+
+def is_own(error: Exception) -> bool:
+    """Whether an error was raised by the package, outside its compiled loops."""
+    last = traceback.extract_tb(error.__traceback__)[-1].filename
+    return last.startswith(_OWN) and "/kernels/" not in last
 
 
 def _from_arguments(error: Exception) -> bool:

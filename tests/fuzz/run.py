@@ -19,16 +19,12 @@ import time
 from collections import Counter
 from pathlib import Path
 
-from tests.fuzz.check import damaged, lay, outcome
+from tests.fuzz.check import address_space, damaged, lay, outcome
 from tests.fuzz.targets import TARGETS
 
 _SECONDS = 30  # of the processor: an input that takes longer hangs (by the clock, so would one of a machine that waits)
 _ASLEEP = 20  # times as long by the clock, for what waits for something that never comes
 _EXTRA = 1 << 31  # bytes of memory beyond what the process has after its first inputs
-
-
-def _address_space() -> int:
-    return int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
 
 
 def _child(name: str, seed: int, folder: str, pipe, deadline: float) -> None:
@@ -45,7 +41,7 @@ def _child(name: str, seed: int, folder: str, pipe, deadline: float) -> None:
     lay(work / "now", seeds)
     first = outcome(name, work / "now")
     assert first[0] == "opened", first
-    limit = _address_space() + _EXTRA
+    limit = address_space() + _EXTRA
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     rng = random.Random(seed)
     counts: Counter[str] = Counter()

@@ -38,14 +38,14 @@ def diagonalise(matrix, vectors):
 
 @leaf
 def descending(diagonal):
-    """Places of the diagonal entries of a 3x3 matrix from the largest to the smallest."""
-    first, last = 0, 0
+    """Places of the diagonal entries of a 3x3 matrix from the largest to the smallest; all three, NaN or not."""
+    first = 0
     for k in range(1, 3):
         if diagonal[k, k] > diagonal[first, first]:
             first = k
-        if diagonal[k, k] <= diagonal[last, last]:
-            last = k
-    return first, 3 - first - last, last
+    one = 1 if first == 0 else 0
+    other = 3 - first - one
+    return (first, one, other) if diagonal[other, other] <= diagonal[one, one] else (first, other, one)
 
 
 @jit

@@ -107,7 +107,7 @@ def _image(c, count):
 @jit
 def find(
     first, last, records, first_record, first_cell, starts, lower, inverse, cells, largest, period, fold,
-    skin, slack, left, right,
+    skin, slack, most, left, right,
 ):  # fmt: skip
     """Pairs of the records `first` to `last` with partners in their own and larger levels.
 
@@ -133,6 +133,8 @@ def find(
         Pairs closer than the sum of their radii and this are found.
     slack : float
         Rounding of coordinates, added to reaches.
+    most : int
+        The search ends once more pairs than this are found.
     left, right : (capacity,)
         Buffers for pairs of records.
 
@@ -177,6 +179,8 @@ def find(
                         end = starts[column + min(z1 - image_z * nz, nz - 1) + 1]
                         shift_z = image_z * period[2] if image_z else 0.0
                         tested += max(end - begin, 0)
+                        if found > most:
+                            return left, right, found, tested
                         if found + end - begin > left.size:
                             left, right = _grown(left, found + end - begin), _grown(right, found + end - begin)
                         for j in range(begin, end):

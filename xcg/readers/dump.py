@@ -14,7 +14,18 @@ import numpy as np
 from xcg import faults
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.index import remembered
-from xcg.readers.text import Scanner, check_rows, first_lines, most_bytes, open_binary, uncompressed_size, where
+from xcg.readers.text import (
+    Scanner,
+    check_rows,
+    first_lines,
+    is_gzipped,
+    is_one_table,
+    most_bytes,
+    most_text,
+    open_binary,
+    uncompressed_size,
+    where,
+)
 from xcg.schema import COMPONENTS, SceneError
 
 
@@ -70,7 +81,7 @@ def index_dumps(paths: Sequence[str], options: ReadOptions, *, atoms: bool) -> l
 def _steps(path: str, *, atoms: bool) -> Iterator[StepRef]:
     units = None
     with open_binary(path) as stream:
-        scanner = Scanner(stream, path)
+        scanner = Scanner(stream, path, most_text(path))
         while True:
             start = scanner.offset
             try:
@@ -99,6 +110,8 @@ def _is_alone(ref: StepRef, rest: int, scanner: Scanner) -> bool:
     numbers = [int(number) for number in re.findall(r"\d+", os.path.basename(ref.path))]
     if ref.step not in numbers or ref.rows == 0 or rest < 0:
         return False
+    if not is_gzipped(ref.path):
+        return is_one_table(ref.path, ref.offset, ref.rows, b"\nITEM:")
     first = scanner.sample(1 << 14)
     lines = first.count(b"\n")
     return lines > 0 and rest < 1.5 * ref.rows * (first.rindex(b"\n") + 1) / lines
@@ -107,12 +120,16 @@ def _is_alone(ref: StepRef, rest: int, scanner: Scanner) -> bool:
 def _header(scanner: Scanner, path: str, *, atoms: bool) -> StepRef | None:
     """Read one header, whatever the order of its items; None at the end of the file."""
     ref = empty = StepRef(path, rows=-1)
+    start = scanner.offset
     while line := scanner.line().decode("utf-8", "replace"):
         if not line.strip():
             continue
         if not line.startswith("ITEM:"):
             before = f"before byte {scanner.offset}"
             msg = f"{path}: expected a line that begins with 'ITEM:' {before}, found {line.strip()[:60]!r}"
+            raise SceneError(msg)
+        if scanner.offset - start > _LONGEST_HEADER:
+            msg = f"{path}: the header that begins at byte {start} has no end in {_LONGEST_HEADER} bytes; it is damaged"
             raise SceneError(msg)
         item = line.removeprefix("ITEM:").strip()
         if _is_body(item):
@@ -125,6 +142,7 @@ def _header(scanner: Scanner, path: str, *, atoms: bool) -> StepRef | None:
     raise SceneError(msg)
 
 
+_LONGEST_HEADER = 1 << 20  # bytes
 _LARGEST = 2**63  # steps are int64
 _MOST_COLUMNS = 1000
 

@@ -12,7 +12,7 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import fields, replace
 from pathlib import Path
@@ -20,9 +20,11 @@ from typing import Any
 
 from xcg import faults
 from xcg.readers.engine import StepRef
+from xcg.schema import SceneError
 
 _VERSION = 2  # of the entries; raise it when headers are read in another way
 _SETTLED = 2e9  # ns: a file that was modified just now may change again without another time stamp
+_MOST_STEPS = 200_000  # in a file; each takes a kilobyte
 _LEFT_OUT = ("path", "size", "modified")  # of entries: they are known when an entry is used
 
 
@@ -62,7 +64,7 @@ def _of_folder(
                 found[path] = refs
                 continue
             earlier = faults.noted()
-            for ref in scan(path):  # where faults are tolerated, the steps before one stay
+            for ref in _counted(path, scan(path)):  # where faults are tolerated, the steps before one stay
                 found[path].append(replace(ref, size=before[0], modified=before[1]))
             after = _state(path)
             if before == after and time.time_ns() - after[1] > _SETTLED and faults.noted() == earlier:
@@ -74,6 +76,15 @@ def _of_folder(
         there = {name: entry for name, entry in known.items() if os.path.exists(os.path.join(folder, name))}
         _save(place, there | learnt)
     return found
+
+
+def _counted(path: str, steps: Iterable[StepRef]) -> Iterator[StepRef]:
+    """Pass steps on, and refuse a file of more than can be kept in memory and in a graph."""
+    for number, step in enumerate(steps):
+        if number == _MOST_STEPS:
+            msg = f"{path}: more than {_MOST_STEPS} steps in one file; split it, or thin it out"
+            raise SceneError(msg)
+        yield step
 
 
 def _state(path: str) -> tuple[int, int]:

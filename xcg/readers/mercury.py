@@ -19,7 +19,17 @@ from xcg import faults
 from xcg.readers import columns
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.index import remembered
-from xcg.readers.text import Scanner, check_rows, first_lines, most_bytes, open_binary, parse_table, read_body, where
+from xcg.readers.text import (
+    Scanner,
+    check_rows,
+    first_lines,
+    most_bytes,
+    most_text,
+    open_binary,
+    parse_table,
+    read_body,
+    where,
+)
 from xcg.schema import COMPONENTS, Frame, SceneError
 
 OPTIONS = ("restart",)
@@ -67,7 +77,7 @@ def index_particles(paths: Sequence[str], options: ReadOptions) -> list[StepRef]
 
 def _data_steps(path: str) -> Iterator[StepRef]:
     with open_binary(path) as stream:
-        scanner = Scanner(stream, path)
+        scanner = Scanner(stream, path, most_text(path))
         while line := scanner.line():
             if not line.strip():
                 continue
@@ -144,7 +154,7 @@ def _refuse_empty(path: str, steps: int) -> None:
 
 def _fstat_steps(path: str) -> Iterator[StepRef]:
     with open_binary(path) as stream:
-        scanner = Scanner(stream, path)
+        scanner = Scanner(stream, path, most_text(path))
         step = 0
         while time := _comments(scanner, path):
             start = scanner.offset
@@ -233,7 +243,7 @@ def read_restart(data: str, options: ReadOptions) -> Restart | None:
         return None
     restart, density, periodic = Restart(path), {}, set()
     with open_binary(path) as stream:
-        scanner = Scanner(stream, path)
+        scanner = Scanner(stream, path, most_text(path))
         while raw := scanner.line():
             words = raw.decode("utf-8", "replace").split()
             if words[:1] == ["Particles"]:

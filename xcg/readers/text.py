@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -19,6 +20,10 @@ from xcg.schema import SceneError
 _FIRST_BLOCK, _BLOCK = 1 << 16, 1 << 22  # small first, as the header is often all that is wanted
 _LONGEST_LINE = 1 << 20  # bytes; a file of one endless line (or a few compressed kilobytes of one) is no text
 _DEFLATE = 1032  # deflate packs at most this many bytes into one
+_SAMPLE = 1 << 14
+_TEXT = 50  # tables of numbers shrink to a fifth, and never to as little as this
+_SLACK = 1 << 26  # bytes that any gzipped text may have
+_MOST_BLANK = 10_000  # lines without a word between two that have some
 _SMALL = 1 << 20  # bytes that are no matter; rows that are missing from small files are named when they are read
 _LONGEST_VALUE = 64  # bytes of one number and the space before it
 
@@ -32,7 +37,7 @@ def open_binary(path: str) -> Iterator[BinaryIO]:
     SceneError
         While it is open, if the compressed data are damaged or end early.
     """
-    with _damage_named(path), open_gzipped(path) if _is_gzipped(path) else open(path, "rb") as stream:
+    with _damage_named(path), open_gzipped(path) if is_gzipped(path) else open(path, "rb") as stream:
         yield stream
 
 
@@ -46,19 +51,25 @@ def _damage_named(path: str) -> Iterator[None]:
         raise SceneError(msg) from None
 
 
-def _is_gzipped(path: str) -> bool:
+def is_gzipped(path: str) -> bool:
+    """Tell gzipped files by their first bytes."""
     with open(path, "rb") as file:
         return file.read(2) == b"\x1f\x8b"
 
 
 def uncompressed_size(path: str) -> int:
     """Size of what `open_binary` yields; -1 where a gzipped file does not tell it."""
-    return size_of_content(path) if _is_gzipped(path) else os.path.getsize(path)
+    return size_of_content(path) if is_gzipped(path) else os.path.getsize(path)
 
 
 def most_bytes(path: str) -> int:
     """Count the bytes that `open_binary` can yield at most, whatever a header says."""
-    return os.path.getsize(path) * (_DEFLATE if _is_gzipped(path) else 1)
+    return os.path.getsize(path) * (_DEFLATE if is_gzipped(path) else 1)
+
+
+def most_text(path: str) -> float:
+    """Count the bytes of text that a file can hold if it is a table of numbers; more are only good to fill memory."""
+    return os.path.getsize(path) * _TEXT + _SLACK if is_gzipped(path) else math.inf
 
 
 def check_rows(ref: StepRef, room: int) -> None:
@@ -82,6 +93,23 @@ def check_rows(ref: StepRef, room: int) -> None:
         raise SceneError(msg)
 
 
+def is_one_table(path: str, first: int, rows: int, marker: bytes) -> bool:
+    """Tell whether a plain file holds nothing but a table of some rows from byte `first` on, from a few samples.
+
+    Another table after it, which a marker begins, makes the file longer, or is seen among the last bytes.
+    """
+    size = os.path.getsize(path) - first
+    lines, length = 0, 0
+    with open(path, "rb") as file:
+        for place in (first, first + size // 2, first + max(0, size - _SAMPLE)):
+            file.seek(place)
+            block = file.read(_SAMPLE)
+            begin, end = (0 if place == first else block.find(b"\n") + 1), block.rfind(b"\n") + 1
+            lines, length = lines + block.count(b"\n", begin, end), length + end - begin
+        file.seek(first + max(0, size - max(_FIRST_BLOCK, size // 32)))
+        return lines > 0 and size < 1.03 * rows * length / lines + _SAMPLE and marker not in file.read()
+
+
 def first_lines(path: str, size: int = 1 << 16) -> list[str]:
     """Return the first lines of a file, to recognise it by; empty where it is not text."""
     with open_binary(path) as stream:
@@ -92,12 +120,15 @@ def first_lines(path: str, size: int = 1 << 16) -> list[str]:
 class Scanner:
     """Lines and blocks of a stream, read once from front to back.
 
-    `offset` counts the (decompressed) bytes handed out so far; `name` is that of the file, for messages.
+    `offset` counts the (decompressed) bytes handed out so far; `name` is that of the file, for messages; beyond `most`
+    bytes the stream is refused, see `most_text`.
     """
 
-    def __init__(self, stream: BinaryIO, name: str = "the file") -> None:
+    def __init__(self, stream: BinaryIO, name: str = "the file", most: float = math.inf) -> None:
         self._stream = stream
         self._name = name
+        self._most = most
+        self._blank = 0
         self._data = b""
         self._at = 0
         self._block = _FIRST_BLOCK
@@ -113,6 +144,9 @@ class Scanner:
         taken = self._data[self._at : end]
         self._at = end
         self.offset += len(taken)
+        if self.offset > self._most:
+            msg = f"{self._name}: its compressed bytes stand for more than {self._most:.3g}; it is no table of numbers"
+            raise SceneError(msg)
         return taken
 
     def line(self) -> bytes:
@@ -123,6 +157,12 @@ class Scanner:
                 raise SceneError(msg)
             if not self._more():
                 return self._take(len(self._data))
+        self._blank = 0 if self._data[self._at : end].strip() else self._blank + 1
+        if self._blank > _MOST_BLANK:
+            msg = (
+                f"{self._name}: more than {_MOST_BLANK} lines before byte {self.offset} are blank; the file is damaged"
+            )
+            raise SceneError(msg)
         return self._take(end + 1)
 
     def until(self, marker: bytes) -> Iterator[bytes]:
@@ -161,7 +201,7 @@ def read_body(ref: StepRef) -> bytes:
             "values; the file is damaged. Leave it out, or write it again"
         )
         raise SceneError(msg)
-    waits = _is_gzipped(ref.path) and not ref.alone
+    waits = is_gzipped(ref.path) and not ref.alone
     with _damage_named(ref.path), forward(ref.path, ref.offset) if waits else open_binary(ref.path) as stream:
         if ref.offset:
             stream.seek(ref.offset)
@@ -212,10 +252,12 @@ def parse_table(
     if table is not None and (rows is None or len(table) == rows):
         return {column: table[position].to_numpy() for column, position in positions.items()}
     last = len(columns) - 1
+    # what nobody wants may be text, as LAMMPS' `element`; the last column is read to see whether rows are whole
+    types = {**dict.fromkeys([last], "str"), **dict.fromkeys(positions.values(), "float64")}
     try:
         table = pd.read_csv(
             io.BytesIO(body), sep=r"\s+", header=None, names=range(len(columns)),
-            usecols=sorted({*positions.values(), last}), dtype=np.float64, engine="c", quoting=3,
+            usecols=sorted({*positions.values(), last}), dtype=types, engine="c", quoting=3,
         )  # fmt: skip
     except ValueError as error:
         msg = _fault(body, columns, wanted, rows, name) or f"{name}: cannot parse the table ({error})"
