@@ -21,11 +21,11 @@ from xcg.particle_stress import particle_stress
 from xcg.phases import assign_phases, find_phases, plot_phases
 from xcg.pysammos import pysammos_mesh
 from xcg.readers.series import open_scene
-from xcg.scene import measure, scene_from_arrays
+from xcg.scene import measure, scene_from_arrays, size_statistics
 from xcg.schema import SceneError, SceneWarning
 from xcg.slices import slice_temperature
 from xcg.smoothing import Gaussian, Heaviside, Kernel, Lucy, register_kernel
-from xcg.statistics import profile, size_statistics, time_average
+from xcg.statistics import profile, time_average
 from xcg.width_sweep import width_sweep
 from xcg.writers.store import save
 

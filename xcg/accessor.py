@@ -23,10 +23,10 @@ from xcg.microstructure import microstructure
 from xcg.particle_stress import particle_stress
 from xcg.phases import assign_phases, find_phases, plot_phases
 from xcg.plan import Plan
-from xcg.scene import measure, summary
+from xcg.scene import measure, size_statistics, summary
 from xcg.schema import printable
 from xcg.slices import slice_temperature
-from xcg.statistics import profile, size_statistics, time_average
+from xcg.statistics import profile, time_average
 from xcg.width_sweep import width_sweep
 from xcg.writers.store import save
 

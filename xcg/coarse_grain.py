@@ -18,13 +18,13 @@ from xcg.bodies import group_bodies
 from xcg.complete import periods
 from xcg.conform import takes_scene
 from xcg.faults import check_on_error
+from xcg.grid import check_mesh
 from xcg.kernels import THREADS
 from xcg.labels import about, call_of, mark_skipped
 from xcg.notices import warn_once
-from xcg.over_time import chunks_in, map_over_time, steps_in
+from xcg.over_time import chunks_in, map_over_time
 from xcg.plan import Plan, make_plan, scale_of
-from xcg.plausible import check_mesh
-from xcg.scene import require_scene, storable
+from xcg.scene import require_scene, steps_in, storable
 from xcg.schema import COMPONENTS, Frame, units_of
 from xcg.smoothing import Kernel
 from xcg.sums import BOX, sums_of_frame

@@ -14,8 +14,8 @@ from xcg.complete import REPEAT, contact_points, images_within, minimum_image, p
 from xcg.conform import takes_scene
 from xcg.contacts import check_search, find_pairs
 from xcg.labels import about, call_of
-from xcg.over_time import is_lazy, map_over_time, steps_in
-from xcg.scene import require_scene, setup_of, stack
+from xcg.over_time import is_lazy, map_over_time
+from xcg.scene import require_scene, setup_of, stack, steps_in
 from xcg.schema import COMPONENTS, Frame, SceneError, Setup, units_of, variable
 
 READ = ("particle_id", "position", "diameter")

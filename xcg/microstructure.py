@@ -15,12 +15,21 @@ from xcg.complete import periods
 from xcg.conform import takes_scene
 from xcg.contacts import Contacts
 from xcg.labels import about, call_of, mark_skipped
-from xcg.over_time import map_over_time, steps_in
-from xcg.plan import edges_of, groups_of, layer_depth
+from xcg.over_time import map_over_time
 from xcg.quantities import CONTACTS, QUANTITIES, TENSOR, ratio
-from xcg.scene import require_rising_times, require_scene, setup_of, storable
+from xcg.scene import (
+    edges_of,
+    groups_of,
+    layer_depth,
+    phase_of,
+    require_rising_times,
+    require_scene,
+    setup_of,
+    steps_in,
+    storable,
+    without_frozen,
+)
 from xcg.schema import COMPONENTS, Frame, SceneError, Setup, units_of
-from xcg.sums import phase_of, without_frozen
 
 Bounds = Mapping[str, Sequence[float]]
 

@@ -11,12 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.contacts import Contacts
-from xcg.grid import Grid
 from xcg.kernels import deposit as kernel
 from xcg.schema import Frame
-from xcg.smoothing import Weights
-
-CONTACT_VARIABLES = ("position", "contact_i", "contact_j", "contact_point", "contact_normal")
 
 
 @dataclass(frozen=True)
@@ -107,44 +103,6 @@ MOMENTS: dict[str, Moment] = {
 _SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 # powers of the cutoff in the flow columns, which the deposit computes with lengths in cutoffs
 CUTOFF_POWERS = {"offset": 1, "shear": 1, "spread": 2, "square_offset": 1, "square_spread": 2}
-
-
-@dataclass(frozen=True)
-class Recipe:
-    """What the deposits need besides a frame: which sums, where, how smeared.
-
-    Attributes
-    ----------
-    moments : tuple of str
-        Names in `MOMENTS`.
-    grid : Grid
-    weights : Weights
-        The kernel of the first cutoff as seen in the grid's axes.
-    cutoffs : tuple of float
-        Radius of the support (m) of each group, or one for all.
-    limits : array
-        Longest branch (cutoffs) for 2, 4, ... Gauss-Legendre points; empty for closed forms.
-    coarse : bool
-        Whether single precision is enough for the weights of quadrature.
-    by : str or None
-        Integer particle variable that divides the grains into phases.
-    groups : tuple of int
-        Its values, one phase each.
-    """
-
-    moments: tuple[str, ...]
-    grid: Grid
-    weights: Weights
-    cutoffs: tuple[float, ...]
-    limits: NDArray
-    coarse: bool = False
-    by: str | None = None
-    groups: tuple[int, ...] = ()
-
-    @property
-    def level(self) -> int:
-        """Flow columns that the sums take."""
-        return max((MOMENTS[name].level for name in self.moments), default=kernel.NONE)
 
 
 def columns_of(name: str) -> NDArray:

@@ -6,7 +6,7 @@ skipped is one task that holds all it depends on, down to the reading of its fil
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from itertools import pairwise
 from typing import Any, TypeAlias
@@ -23,8 +23,7 @@ from numpy.typing import NDArray
 from xcg.faults import FAULTS, cause_of, check_on_error, tolerated, warn_of
 from xcg.notices import Once
 from xcg.picks import Gathered, picked
-from xcg.scene import frame_of
-from xcg.schema import PADDING, Frame
+from xcg.schema import PADDING
 
 # computes the results of a chunk from its arrays, time first, by name
 Compute: TypeAlias = Callable[[Mapping[str, NDArray]], dict[str, NDArray]]
@@ -197,14 +196,6 @@ def _filled(
             where: Any = (t, *map(slice, one[name].shape[1:]))
             out[name][where] = one[name][0]
     return out
-
-
-def steps_in(arrays: Mapping[str, NDArray]) -> Iterator[tuple[Frame, NDArray | None, str]]:
-    """Frame, box and name of each step of padded arrays; the box is None where they hold none."""
-    rows = {name: a for name, a in arrays.items() if name not in ("box", "step", "time")}
-    for t in range(len(next(iter(rows.values())))):
-        where = f"step {arrays['step'][t]}" if "step" in arrays else f"frame {t} of its chunk"
-        yield frame_of(rows, t, where), arrays["box"][t] if "box" in arrays else None, where
 
 
 def is_lazy(ds: xr.Dataset, names: Iterable[str]) -> bool:

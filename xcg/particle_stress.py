@@ -15,11 +15,9 @@ from xcg.conform import takes_scene
 from xcg.contacts import Contacts
 from xcg.kernels.eigen import principal
 from xcg.labels import empty_results, label, results_of
-from xcg.moments import CONTACT_VARIABLES
-from xcg.over_time import map_over_time, steps_in
-from xcg.plan import edges_of, layer_depth
-from xcg.scene import particle_rows, require_scene, setup_of
-from xcg.schema import COMPONENTS, VARIABLES, Frame, SceneError, Variable
+from xcg.over_time import map_over_time
+from xcg.scene import edges_of, layer_depth, particle_rows, require_scene, setup_of, steps_in
+from xcg.schema import COMPONENTS, CONTACT_VARIABLES, VARIABLES, Frame, SceneError, Variable
 
 VOLUMES = ("particle", "disc")
 # Eigenvalues below this share of the whole tensor are rounding.

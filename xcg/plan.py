@@ -15,12 +15,19 @@ from xcg import fields as registry
 from xcg.grid import Grid, make_grid
 from xcg.kernels import weights as kinds
 from xcg.kernels.segments import RULES, largest_error
-from xcg.moments import CONTACT_VARIABLES, MOMENTS, Recipe
+from xcg.moments import MOMENTS
 from xcg.notices import warn_user
-from xcg.scene import SIZES, known_without_reading, require_scene, setup_of, with_measures
-from xcg.schema import COMPONENTS, SceneError, Setup
-from xcg.smoothing import Kernel, as_kernel
-from xcg.sums import BOX
+from xcg.scene import (
+    edges_of,
+    groups_of,
+    layer_depth,
+    require_scene,
+    setup_of,
+    with_measures,
+)
+from xcg.schema import COMPONENTS, CONTACT_VARIABLES, SceneError, Setup
+from xcg.smoothing import Kernel, as_kernel, choose_width
+from xcg.sums import BOX, Recipe
 
 
 @dataclass(frozen=True)
@@ -110,41 +117,6 @@ class Plan:
         return "\n".join(f"{key:9s} {text}" for key, text in lines.items())
 
 
-def choose_width(width: float | str | None, attrs: Mapping[Any, Any]) -> float:
-    """Width in metres from a number, a multiple of a size such as "0.75 d43", or the default of 0.75 d43.
-
-    Raises
-    ------
-    ValueError
-        If it is not positive, or names a size that the scene does not hold.
-    """
-    if width is None:
-        width = "0.75 d43"
-    if isinstance(width, Mapping):
-        msg = f"width={dict(width)!r}: expected one width here, not one for each group"
-        raise ValueError(msg)
-    if isinstance(width, str):
-        factor, _, size = width.rpartition(" ")
-        try:
-            multiple = float(factor) if factor else 1.0
-        except ValueError:
-            multiple = np.nan
-        if size not in SIZES or not np.isfinite(multiple):
-            msg = f"width={width!r}: expected a length in metres or a multiple of {', '.join(SIZES)} such as '0.75 d43'"
-            raise ValueError(msg)
-        if size not in attrs:
-            msg = (
-                f"width={width!r} needs the attribute {size!r}, which the scene does not hold, or no longer, as "
-                "diameters were changed; give width= in metres, or call ds = ds.cg.measure() first"
-            )
-            raise ValueError(msg)
-        width = multiple * float(attrs[size])
-    if not (np.isfinite(width) and width > 0):
-        msg = f"width={width!r}: expected a positive length (m); the usual choice is 0.75 mean diameters"
-        raise ValueError(msg)
-    return float(width)
-
-
 _NARROW = 0.1  # widths, in mean diameters, that show single grains only
 
 # From this promise on, weights are computed in single precision, which rounds them to 1e-6 of the largest.
@@ -232,42 +204,6 @@ def _variables(fields: Sequence[str], ds: xr.Dataset, options: registry.Options)
             needed |= {"diameter"} & set(ds.data_vars)  # tells contacts that are far from their grains
             needed |= {"contact_normal"} & set(ds.data_vars) if name == "fabric" else set()
     return needed
-
-
-def groups_of(ds: xr.Dataset, by: str, groups: Sequence[int] | None) -> tuple[int, ...]:
-    """Values of an integer variable of the particles, sorted: given, or known without reading."""
-    if by not in ds or ds[by].dtype.kind not in "iu" or "particle" not in ds[by].dims:
-        whole = [
-            n for n in ds.data_vars if ds[n].dtype.kind in "iu" and "particle" in ds[n].dims and n != "particle_id"
-        ]
-        msg = f"by={by!r}: expected an integer variable of the particles; this scene has {whole}"
-        raise ValueError(msg)
-    if groups is None and isinstance(ds[by].variable._data, np.ndarray):
-        valid = ds["particle_id"].to_numpy() >= 0
-        groups = np.unique(ds[by].transpose(*ds["particle_id"].dims).to_numpy()[valid]).tolist()
-    elif groups is None and known_without_reading(ds, by):
-        groups = np.atleast_1d(ds.attrs.get(f"{by}_values", [])).tolist()
-    if not groups:
-        msg = f"by={by!r}: its values are not known without reading the series; pass groups= with all that occur"
-        raise ValueError(msg)
-    return tuple(sorted({int(g) for g in groups}))
-
-
-def edges_of(ds: xr.Dataset) -> dict[str, tuple[float, float]]:
-    """Edges of the box of the first step along the axes where it is finite.
-
-    A box in memory is looked at, and for a lazy one the attributes, which hold a box that does not change. Where a lazy
-    box changes, the six numbers of the first step are read.
-    """
-    box, lower, upper = None, ds.attrs.get("box_lower"), ds.attrs.get("box_upper")
-    if "box" in ds and ds["box"].size and (ds["box"].chunks is None or lower is None or upper is None):
-        first = ds["box"].isel(time=0) if "time" in ds["box"].dims else ds["box"]
-        box = first.transpose("component", "bound").to_numpy()
-    elif lower is not None and upper is not None:
-        box = np.stack([lower, upper], axis=1)
-    if box is None:
-        return {}
-    return {a: (float(low), float(high)) for a, (low, high) in zip(COMPONENTS, box, strict=True) if high - low < np.inf}
 
 
 def make_plan(
@@ -478,22 +414,6 @@ def _extents(
             raise ValueError(msg)
         found[a] = None if length is None else float(length)
     return found
-
-
-def layer_depth(ds: xr.Dataset, setup: Setup, edges: Mapping[str, tuple[float, float]]) -> float | str | None:
-    """Thickness of a layer, or the axis whose box extent it is."""
-    if setup.dimension == 3:
-        return None
-    if setup.thickness is not None:
-        return setup.thickness
-    (across,) = set(COMPONENTS) - set(setup.plane)
-    if across in edges:
-        return across
-    measured = with_measures(ds).attrs
-    if "dmax" in measured:
-        return float(measured["dmax"])
-    msg = "a one-layer scene needs its thickness: give thickness= when opening it, or a box that is finite across it"
-    raise SceneError(msg)
 
 
 def scale_of(plan: Plan, box: NDArray | None, where: str) -> float:

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.complete import minimum_image, rows_of
-from xcg.grid import Grid
 from xcg.notices import warn_once
-from xcg.schema import COMPONENTS, Frame
+from xcg.schema import Frame
 
 _SAMPLE = 4096  # rows looked at, spread over all
 _FAR = 3.0  # diameters from a centre to a contact point; the ends of rods are as far that are 18 times as long as wide
@@ -22,52 +21,6 @@ _OFF = 0.1  # largest distance of the ends in a file from the centres, in branch
 
 def _sample(rows: int) -> slice:
     return slice(None, None, max(1, rows // _SAMPLE))
-
-
-def check_mesh(position: NDArray, grid: Grid, cutoff: float, period: NDArray, where: str) -> None:
-    """Warn where no grain reaches any node, and where grains lie beyond a mesh that was laid around them.
-
-    Parameters
-    ----------
-    position : array (n, 3)
-        Centres (m).
-    grid : Grid
-        The nodes.
-    cutoff : float
-        Radius of the largest support (m).
-    period : array (3,)
-        Length of the periodic axes (m), infinity along the others.
-    where : str
-        Names the step.
-    """
-    axes = [k for k, a in enumerate(COMPONENTS) if a in grid.seen and not np.isfinite(period[k])]
-    if not len(position) or not axes:
-        return
-    first = grid.origin
-    last = first + (np.array(grid.shape) - 1) * grid.steps
-    parts = (position[start : start + _SAMPLE] for start in range(0, len(position), _SAMPLE))
-    reached = (np.all([(x[:, k] > first[k] - cutoff) & (x[:, k] < last[k] + cutoff) for k in axes], 0) for x in parts)
-    if not any(some.any() for some in reached):
-        spans = [(COMPONENTS[k], position[:, k].min(), position[:, k].max()) for k in axes]
-        grains = ", ".join(f"{a} from {low:.6g} to {high:.6g}" for a, low, high in spans)
-        nodes = ", ".join(f"{COMPONENTS[k]} from {first[k]:.6g} to {last[k]:.6g}" for k in axes)
-        warn_once(
-            "reach",
-            f"{where}: no grain reaches any node, so that sums are zero: grains lie at {grains}, nodes at {nodes}, and "
-            f"the kernel reaches {cutoff:.4g}; check bounds=, at= and the units of lengths",
-        )
-        return
-    for k in [k for k in axes if COMPONENTS[k] in grid.fitted]:
-        x = position[:, k]
-        low, high = float(x.min()), float(x.max())
-        if low < first[k] + 0.5 * cutoff or high > last[k] - 0.5 * cutoff:
-            a = COMPONENTS[k]
-            warn_once(
-                f"beyond {a}",
-                f"{where}: grains lie at {a} from {low:.6g} to {high:.6g}, and the support of some is cut off by the "
-                f"mesh, which was laid around the first and the last step, from {first[k]:.6g} to {last[k]:.6g}; give "
-                f"bounds={{{a!r}: (first, last)}}, or call ds = ds.cg.measure(), which looks at all steps",
-            )
 
 
 def check_contacts(frame: Frame, period: NDArray, where: str) -> None:

@@ -16,10 +16,9 @@ from typing import Any
 import xarray as xr
 
 from xcg import fields as registry
-from xcg.plan import choose_width
 from xcg.scene import setup_of, with_measures
 from xcg.schema import COMPONENTS, units_of
-from xcg.smoothing import as_kernel
+from xcg.smoothing import as_kernel, choose_width
 
 _TENSOR = ("component", "direction")
 _RATE = "shear_rate_tensor"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -519,3 +519,144 @@ def summary(ds: xr.Dataset) -> str:
     lines.append(f"  sizes:     {sizes or 'not measured'}")
     lines.append(f"  periodic:  {ds.attrs.get('periodic') or 'no axis'}; dimension {ds.attrs.get('dimension', 3)}")
     return "\n".join(lines)
+
+
+def groups_of(ds: xr.Dataset, by: str, groups: Sequence[int] | None) -> tuple[int, ...]:
+    """Values of an integer variable of the particles, sorted: given, or known without reading."""
+    if by not in ds or ds[by].dtype.kind not in "iu" or "particle" not in ds[by].dims:
+        whole = [
+            n for n in ds.data_vars if ds[n].dtype.kind in "iu" and "particle" in ds[n].dims and n != "particle_id"
+        ]
+        msg = f"by={by!r}: expected an integer variable of the particles; this scene has {whole}"
+        raise ValueError(msg)
+    if groups is None and isinstance(ds[by].variable._data, np.ndarray):
+        valid = ds["particle_id"].to_numpy() >= 0
+        groups = np.unique(ds[by].transpose(*ds["particle_id"].dims).to_numpy()[valid]).tolist()
+    elif groups is None and known_without_reading(ds, by):
+        groups = np.atleast_1d(ds.attrs.get(f"{by}_values", [])).tolist()
+    if not groups:
+        msg = f"by={by!r}: its values are not known without reading the series; pass groups= with all that occur"
+        raise ValueError(msg)
+    return tuple(sorted({int(g) for g in groups}))
+
+
+def edges_of(ds: xr.Dataset) -> dict[str, tuple[float, float]]:
+    """Edges of the box of the first step along the axes where it is finite.
+
+    A box in memory is looked at, and for a lazy one the attributes, which hold a box that does not change. Where a lazy
+    box changes, the six numbers of the first step are read.
+    """
+    box, lower, upper = None, ds.attrs.get("box_lower"), ds.attrs.get("box_upper")
+    if "box" in ds and ds["box"].size and (ds["box"].chunks is None or lower is None or upper is None):
+        first = ds["box"].isel(time=0) if "time" in ds["box"].dims else ds["box"]
+        box = first.transpose("component", "bound").to_numpy()
+    elif lower is not None and upper is not None:
+        box = np.stack([lower, upper], axis=1)
+    if box is None:
+        return {}
+    return {a: (float(low), float(high)) for a, (low, high) in zip(COMPONENTS, box, strict=True) if high - low < np.inf}
+
+
+def layer_depth(ds: xr.Dataset, setup: Setup, edges: Mapping[str, tuple[float, float]]) -> float | str | None:
+    """Thickness of a layer, or the axis whose box extent it is."""
+    if setup.dimension == 3:
+        return None
+    if setup.thickness is not None:
+        return setup.thickness
+    (across,) = set(COMPONENTS) - set(setup.plane)
+    if across in edges:
+        return across
+    measured = with_measures(ds).attrs
+    if "dmax" in measured:
+        return float(measured["dmax"])
+    msg = "a one-layer scene needs its thickness: give thickness= when opening it, or a box that is finite across it"
+    raise SceneError(msg)
+
+
+def phase_of(frame: Frame, by: str | None, groups: Sequence[int], where: str) -> NDArray:
+    """Which of the groups each particle belongs to; refuses particles of none."""
+    count = len(frame["position"])
+    if by is None:
+        return np.zeros(count, "int64")
+    values, known = frame[by], np.asarray(groups)
+    row = np.minimum(np.searchsorted(known, values), len(known) - 1)
+    strange = np.flatnonzero(known[row] != values)
+    if strange.size:
+        msg = (
+            f"{where}: particle {frame['particle_id'][strange[0]]} has {by}={values[strange[0]]}, which is not among "
+            f"the groups {list(groups)}; pass groups= with every value that occurs"
+        )
+        raise SceneError(msg)
+    return row
+
+
+def without_frozen(frame: Frame) -> Frame:
+    """Drop frozen grains; contacts with them become contacts with a wall, as their partner is not there."""
+    if "frozen" not in frame:
+        return frame
+    free = frame["frozen"] != 1
+    particles = {name: values[free] for name, values in frame.items() if not name.startswith(("contact", "overlap"))}
+    return {**frame, **particles}
+
+
+def steps_in(arrays: Mapping[str, NDArray]) -> Iterator[tuple[Frame, NDArray | None, str]]:
+    """Frame, box and name of each step of padded arrays; the box is None where they hold none."""
+    rows = {name: a for name, a in arrays.items() if name not in ("box", "step", "time")}
+    for t in range(len(next(iter(rows.values())))):
+        where = f"step {arrays['step'][t]}" if "step" in arrays else f"frame {t} of its chunk"
+        yield frame_of(rows, t, where), arrays["box"][t] if "box" in arrays else None, where
+
+
+_SIZE_NAMES = {
+    "d43": "volume-weighted mean diameter",
+    "d32": "surface-weighted mean diameter",
+    "d50": "median diameter by mass",
+    "drms": "root mean square diameter",
+    "dmin": "smallest diameter",
+    "dmax": "largest diameter",
+}
+
+
+@takes_scene
+def size_statistics(ds: xr.Dataset) -> xr.Dataset:
+    """Sizes of the grains in each step, lazy where the scene is.
+
+    ``d43 = S d^4 / S d^3``, ``d32 = S d^3 / S d^2``, ``drms = sqrt(S d^2 / n)``, ``d50`` the diameter below which half
+    of the mass lies, ``dmin``, ``dmax``.
+
+    Parameters
+    ----------
+    ds : xarray.Dataset
+        A scene with ``diameter``, and ``mass`` (else d50 is by volume).
+
+    Returns
+    -------
+    xarray.Dataset
+        Variables (time,) in m; NaN for steps without grains.
+
+    Raises
+    ------
+    SceneError
+        If the scene holds no diameters.
+    """
+    require_scene(ds, ("diameter",), "size_statistics")
+    weight = ds["mass"] if "mass" in ds else ds["diameter"] ** 3
+    inputs = [a.chunk(particle=-1) if a.chunks is not None else a for a in (ds["diameter"], weight)]
+    table = xr.apply_ufunc(
+        _sizes_of_rows, *inputs, input_core_dims=[["particle"]] * 2, output_core_dims=[["size"]],
+        dask="parallelized", output_dtypes=[float], dask_gufunc_kwargs={"output_sizes": {"size": len(SIZES)}},
+    )  # fmt: skip
+    units = units_of((1, 0, 0), ds.attrs.get("unit_system", "SI"))
+    out = {
+        name: table.isel(size=k).assign_attrs(units=units, long_name=_SIZE_NAMES[name]) for k, name in enumerate(SIZES)
+    }
+    return xr.Dataset(out)
+
+
+def _sizes_of_rows(diameter: NDArray, weight: NDArray) -> NDArray:
+    out = np.empty((*diameter.shape[:-1], len(SIZES)))
+    for at in np.ndindex(diameter.shape[:-1]):
+        here = np.isfinite(diameter[at])
+        found = sizes_of(diameter[at][here], weight[at][here])
+        out[at] = [found[name] for name in SIZES]
+    return out

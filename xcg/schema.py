@@ -221,3 +221,6 @@ class Setup:
     def factor(self, powers: tuple[int, int, int]) -> float:
         """Factor from the data's units to the scene's, for powers of (length, mass, time)."""
         return float(np.prod([scale**power for scale, power in zip(self.scales, powers, strict=True)]))
+
+
+CONTACT_VARIABLES = ("position", "contact_i", "contact_j", "contact_point", "contact_normal")

@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from xcg.complete import periods
 from xcg.conform import takes_scene
 from xcg.labels import mark_skipped
-from xcg.over_time import map_over_time, steps_in
-from xcg.plan import edges_of
-from xcg.scene import require_scene, setup_of, storable, with_measures
+from xcg.over_time import map_over_time
+from xcg.scene import edges_of, require_scene, setup_of, steps_in, storable, with_measures
 from xcg.schema import COMPONENTS, SceneError, units_of
 
 _TABLE = "slices"  # temperature, velocity (3) and count, in columns

@@ -7,7 +7,7 @@ A kernel belongs to a number of dimensions k, in which its integral is 1. Seen i
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xcg.kernels import segments, weights
+from xcg.scene import SIZES
 from xcg.schema import LONGEST, SHORTEST
 
 _NO_TABLE = np.zeros((2, 1, 1))
@@ -315,3 +316,38 @@ def as_kernel(kernel: str | Kernel, width: float | None, dimension: int) -> Kern
         msg = f"kernel={kernel!r}: expected one of {sorted(_NAMED)} or a kernel object such as xcg.Lucy(width=0.01)"
         raise ValueError(msg) from None
     return kind(width, dimension=dimension)
+
+
+def choose_width(width: float | str | None, attrs: Mapping[Any, Any]) -> float:
+    """Width in metres from a number, a multiple of a size such as "0.75 d43", or the default of 0.75 d43.
+
+    Raises
+    ------
+    ValueError
+        If it is not positive, or names a size that the scene does not hold.
+    """
+    if width is None:
+        width = "0.75 d43"
+    if isinstance(width, Mapping):
+        msg = f"width={dict(width)!r}: expected one width here, not one for each group"
+        raise ValueError(msg)
+    if isinstance(width, str):
+        factor, _, size = width.rpartition(" ")
+        try:
+            multiple = float(factor) if factor else 1.0
+        except ValueError:
+            multiple = np.nan
+        if size not in SIZES or not np.isfinite(multiple):
+            msg = f"width={width!r}: expected a length in metres or a multiple of {', '.join(SIZES)} such as '0.75 d43'"
+            raise ValueError(msg)
+        if size not in attrs:
+            msg = (
+                f"width={width!r} needs the attribute {size!r}, which the scene does not hold, or no longer, as "
+                "diameters were changed; give width= in metres, or call ds = ds.cg.measure() first"
+            )
+            raise ValueError(msg)
+        width = multiple * float(attrs[size])
+    if not (np.isfinite(width) and width > 0):
+        msg = f"width={width!r}: expected a positive length (m); the usual choice is 0.75 mean diameters"
+        raise ValueError(msg)
+    return float(width)

@@ -13,41 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.contacts import Contacts
+from xcg.grid import Grid
 from xcg.kernels import deposit as kernel
 from xcg.kernels.nodes import RUN, lists_for, runs_of, spatial_order
 from xcg.kernels.rows import turn
 from xcg.kernels.segments import SEGMENT, closed_for, deposit_segments, list_segments
-from xcg.moments import CUTOFF_POWERS, MOMENTS, Recipe, columns_of
+from xcg.moments import CUTOFF_POWERS, MOMENTS, columns_of
 from xcg.reach import Mesh
-from xcg.schema import Frame, SceneError
+from xcg.scene import phase_of, without_frozen
+from xcg.schema import Frame
+from xcg.smoothing import Weights
 from xcg.threads import Box, for_each
-
-
-def phase_of(frame: Frame, by: str | None, groups: Sequence[int], where: str) -> NDArray:
-    """Which of the groups each particle belongs to; refuses particles of none."""
-    count = len(frame["position"])
-    if by is None:
-        return np.zeros(count, "int64")
-    values, known = frame[by], np.asarray(groups)
-    row = np.minimum(np.searchsorted(known, values), len(known) - 1)
-    strange = np.flatnonzero(known[row] != values)
-    if strange.size:
-        msg = (
-            f"{where}: particle {frame['particle_id'][strange[0]]} has {by}={values[strange[0]]}, which is not among "
-            f"the groups {list(groups)}; pass groups= with every value that occurs"
-        )
-        raise SceneError(msg)
-    return row
-
-
-def without_frozen(frame: Frame) -> Frame:
-    """Drop frozen grains; contacts with them become contacts with a wall, as their partner is not there."""
-    if "frozen" not in frame:
-        return frame
-    free = frame["frozen"] != 1
-    particles = {name: values[free] for name, values in frame.items() if not name.startswith(("contact", "overlap"))}
-    return {**frame, **particles}
-
 
 # adds one pass to the sums (groups, nodes, columns) at the nodes of a box; the last array is the reference velocity
 _Fill = Callable[[Box, NDArray, NDArray], None]
@@ -393,3 +369,41 @@ def sums_of_frame(frame: Frame, recipe: Recipe, period: NDArray, scale: float, w
         Threads that prepare passes.
     """
     return Sums(recipe, _Deposit(frame, recipe, period, scale, where).passes(threads))
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What the deposits need besides a frame: which sums, where, how smeared.
+
+    Attributes
+    ----------
+    moments : tuple of str
+        Names in `MOMENTS`.
+    grid : Grid
+    weights : Weights
+        The kernel of the first cutoff as seen in the grid's axes.
+    cutoffs : tuple of float
+        Radius of the support (m) of each group, or one for all.
+    limits : array
+        Longest branch (cutoffs) for 2, 4, ... Gauss-Legendre points; empty for closed forms.
+    coarse : bool
+        Whether single precision is enough for the weights of quadrature.
+    by : str or None
+        Integer particle variable that divides the grains into phases.
+    groups : tuple of int
+        Its values, one phase each.
+    """
+
+    moments: tuple[str, ...]
+    grid: Grid
+    weights: Weights
+    cutoffs: tuple[float, ...]
+    limits: NDArray
+    coarse: bool = False
+    by: str | None = None
+    groups: tuple[int, ...] = ()
+
+    @property
+    def level(self) -> int:
+        """Flow columns that the sums take."""
+        return max((MOMENTS[name].level for name in self.moments), default=kernel.NONE)

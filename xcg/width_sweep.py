@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from xcg.bodies import group_bodies
 from xcg.coarse_grain import coarse_grain
 from xcg.conform import takes_scene
-from xcg.plan import choose_width, make_plan
+from xcg.plan import make_plan
 from xcg.scene import with_measures
+from xcg.smoothing import choose_width
 
 THRESHOLD = 0.1
 

@@ -16,9 +16,9 @@ from xcg.complete import periods
 from xcg.conform import takes_scene
 from xcg.kernels import chains as kernel
 from xcg.labels import empty_results, label, results_of
-from xcg.over_time import map_over_time, steps_in
+from xcg.over_time import map_over_time
 from xcg.particle_stress import StressRule, carries
-from xcg.scene import particle_rows, require_scene
+from xcg.scene import particle_rows, require_scene, steps_in
 from xcg.schema import PADDING, Frame
 
 ALGORITHMS = ("branching", "peters2005")

@@ -15,8 +15,8 @@ from xcg.chains.results import CHAINS, MEMBERS, STATISTICS, require_chains, resu
 from xcg.complete import periods
 from xcg.conform import takes_scene
 from xcg.labels import label, results_of
-from xcg.over_time import map_over_time, steps_in
-from xcg.scene import particle_rows
+from xcg.over_time import map_over_time
+from xcg.scene import particle_rows, steps_in
 
 _GRAINS = ("particle_id", "position", "major_stress", "box", "step")
 OF = {"any": np.logical_or, "all": np.logical_and}
