@@ -27,15 +27,15 @@ from numpy.typing import NDArray
 import xcg
 from docs import alternatives
 from tests.brute_force import BruteKernel
-from xcg.kernels.deposit import deposit
-from xcg.kernels.segments import BRANCH, RULES, deposit_segments
+from xcg.compiled.points import deposit
+from xcg.compiled.segments import BRANCH, RULES, deposit_segments
 
 HERE = Path(__file__).parent
 WIDTH = 0.75  # diameters, which are 1
 CUTOFF = 2 * WIDTH
 RATE = 1.0  # of the uniform shear
-POINTS = "xcg.kernels.deposit.deposit"
-SEGMENTS = "xcg.sums.deposit_segments"
+POINTS = "xcg.compiled.points.deposit"
+SEGMENTS = "xcg.fields.deposit.deposit_segments"
 ROUNDING = 1e-15  # smaller errors are drawn here
 
 
@@ -140,7 +140,7 @@ def relative(values: NDArray, exact: NDArray) -> float:
 def captured(target: str, call: Callable[[], Any]) -> list[tuple[Any, ...]]:
     """Arguments with which a call enters a loop, each time for all nodes at once."""
     original = {POINTS: deposit, SEGMENTS: deposit_segments}[target]
-    one_box = mock.patch.object(sys.modules["xcg.coarse_grain"], "BOX", sys.maxsize)
+    one_box = mock.patch.object(sys.modules["xcg.fields.coarse_grain"], "BOX", sys.maxsize)
     with mock.patch(target, wraps=original) as loop, one_box:
         call()
     return [each.args for each in loop.call_args_list]
@@ -175,7 +175,7 @@ def contact_stress(particles: int) -> Panel:
         limits = np.where(np.array(RULES) == order, np.inf, 0.0)
         # the others lie among those of `rtol`
         label = {RULES[0]: "right", RULES[-1]: "below"}.get(order, "")
-        with mock.patch("xcg.plan.gauss_limits", return_value=limits):
+        with mock.patch("xcg.fields.plan.gauss_limits", return_value=limits):
             ways.append(way(f"{order} points", "Gauss-Legendre, all contacts", 1.0, label))
     for exponent in range(1, 5):  # from 1e-5 on the rule is the closed form for branches of this length
         ways.append(
@@ -704,7 +704,7 @@ def wrapped(text: str) -> str:
 
 def one_thread() -> Any:
     """Hold everything to one thread: the alternatives fill all nodes in one call."""
-    return mock.patch.object(sys.modules["xcg.coarse_grain"], "THREADS", 1)
+    return mock.patch.object(sys.modules["xcg.fields.coarse_grain"], "THREADS", 1)
 
 
 @one_thread()

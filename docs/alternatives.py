@@ -17,7 +17,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.kernels.deposit import MASS, MOMENTUM, VELOCITY, deposit
+from xcg.compiled.points import MASS, MOMENTUM, VELOCITY, deposit
 
 jit = numba.njit(nogil=True, error_model="numpy")  # as in xcg, but for the cache on disk
 _ARGUMENTS = list(inspect.signature(deposit.py_func).parameters)

@@ -3,8 +3,8 @@
 import re
 from pathlib import Path
 
-from xcg.fields import FIELDS, listed
-from xcg.schema import units_of
+from xcg.fields.registry import FIELDS, listed
+from xcg.scene.schema import units_of
 
 HEAD = """# Fields
 

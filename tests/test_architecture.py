@@ -43,7 +43,7 @@ import xcg.kernels.deposit
     # importing xcg itself would pull xarray in, so its __init__ is left out
     stub = f"import sys, types; p = types.ModuleType('xcg'); p.__path__ = [{str(PACKAGE)!r}]; sys.modules['xcg'] = p\n"
     names = [f.stem for f in sorted((PACKAGE / "kernels").glob("[a-z]*.py"))]
-    done = run(stub + code + "\n".join(f"import xcg.kernels.{n}" for n in names))
+    done = run(stub + code + "\n".join(f"import xcg.compiled.{n}" for n in names))
     assert done.returncode == 0, done.stderr
 
 

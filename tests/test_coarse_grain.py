@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 import xcg
 from tests import steps_of_random_scenes
 from tests.brute_force import BruteKernel, brute_force
-from xcg.kernels.deposit import deposit
+from xcg.compiled.points import deposit
 
 RATIOS = {"velocity", "effective_count", "particle_density", "coordination_number", "d32",
           "d43", "granular_temperature", "friction_coefficient", "velocity_gradient", "shear_rate",
@@ -255,7 +255,7 @@ def test_one_size_of_grain_needs_one_column():
     one = ds.cg.coarse_grain(["volume_fraction", "d43", "d32", "number_density"], width=0.8)
     np.testing.assert_allclose(one.volume_fraction, np.pi / 6 * 0.7**3 * one.number_density, rtol=1e-14)
     np.testing.assert_allclose(one.d43.where(one.number_density > 0, 0.7), 0.7, rtol=1e-14)
-    with mock.patch("xcg.sums.kernel.deposit", wraps=deposit) as loop:
+    with mock.patch("xcg.fields.deposit.kernel.deposit", wraps=deposit) as loop:
         ds.cg.coarse_grain(["volume_fraction", "d43", "d32", "number_density"], width=0.8)
     constants = list(inspect.signature(deposit.py_func).parameters).index("constants")
     assert loop.call_args.args[constants].shape[1] == 4  # one column, and three that fill up the four
@@ -355,7 +355,7 @@ def test_what_stands_still_takes_less_work_and_gives_the_same():
     ds = xcg.datasets.random_scene(60, seed=4)
     still = ds.assign(velocity=xr.full_like(ds.velocity, 0.3))
     f = still.cg.coarse_grain(by="species", width=1.0)
-    with mock.patch("xcg.sums.kernel.deposit", side_effect=_as_if_moving):
+    with mock.patch("xcg.fields.deposit.kernel.deposit", side_effect=_as_if_moving):
         moving = still.cg.coarse_grain(by="species", width=1.0)
     xr.testing.assert_equal(f.drop_attrs(), moving.drop_attrs())
     seen = f.granular_temperature.sel(phase="bulk").dropna("z", how="all")
@@ -374,7 +374,7 @@ def test_threads_and_boxes_leave_every_bit(long, rtol):
     """What is left out in a box of nodes must not change what is added there."""
     ds = xcg.datasets.random_scene(150, seed=12)
     options = {"by": "species", "width": 0.6, "rtol": rtol, "spacing": {a: 0.31 if a == long else 0.7 for a in "xyz"}}
-    module, results = sys.modules["xcg.coarse_grain"], []
+    module, results = sys.modules["xcg.fields.coarse_grain"], []
     for threads, box in ((1, 65_000), (3, 65_000), (2, 7)):
         with mock.patch.multiple(module, THREADS=threads, BOX=box):
             results.append([ds.cg.coarse_grain(**options), ds.cg.coarse_grain(axes=long, rtol=rtol, width=0.6)])
@@ -402,8 +402,8 @@ def test_one_lazy_step_uses_all_threads_and_several_take_one_each(steps, shared)
     one = xcg.datasets.random_scene(60, seed=2)
     times = [one.assign_coords(time=[float(t)], step=("time", [t])) for t in range(steps)]
     lazy = xr.concat(times, "time", combine_attrs="override").chunk(time=1)
-    pool = mock.patch("xcg.threads.ThreadPoolExecutor", wraps=ThreadPoolExecutor)
-    with mock.patch.object(sys.modules["xcg.coarse_grain"], "THREADS", 2), pool as pools:
+    pool = mock.patch("xcg.fields.blocks.ThreadPoolExecutor", wraps=ThreadPoolExecutor)
+    with mock.patch.object(sys.modules["xcg.fields.coarse_grain"], "THREADS", 2), pool as pools:
         f = lazy.cg.coarse_grain(width=0.8).compute()
     assert pools.called == shared
     for name, values in one.cg.coarse_grain(width=0.8).items():

@@ -159,7 +159,7 @@ def test_what_cannot_be_told_is_refused(scene, what):
 
 
 def test_what_was_spread_too_far_is_refused_before_it_is_read(scene, monkeypatch):
-    monkeypatch.setattr("xcg.conform._MOST_SPREAD", 1000)
+    monkeypatch.setattr("xcg.scene.conform._MOST_SPREAD", 1000)
     with pytest.raises(SceneError, match=r"ds\.map"):
         xcg.coarse_grain(scene.chunk(time=1).where(scene.species == 1), **MESH)
 

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import xcg
-from xcg.cells import CellLists
-from xcg.contacts import Contacts, find_pairs
+from xcg.packing.cells import CellLists
+from xcg.scene.contacts import Contacts, find_pairs
 
 
 def all_pairs(position, radius, box=None, periodic="", skin=0.0):

@@ -89,13 +89,13 @@ def test_zarr_by_xarray(client, scene, tmp_path):
 
 
 def _refuse_pools():
-    import xcg.threads
+    import xcg.fields.blocks
 
     def refuse(*_):
         message = "a task started threads of its own"
         raise AssertionError(message)
 
-    xcg.threads.ThreadPoolExecutor = refuse
+    xcg.fields.blocks.ThreadPoolExecutor = refuse
 
 
 def test_one_thread_a_task(client, scene):

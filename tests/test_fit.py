@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from xcg.kernels import fit
+from xcg.compiled import fit
 
 SLOPE = np.array([[0.3, -1.2, 0.5], [0.8, 0.1, -0.4], [-0.6, 0.9, 0.2]])
 

@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 
 KERNELS = Path(__file__).parents[1] / "xcg" / "kernels"
-INNER = """from xcg.kernels._jit import jit
+INNER = """from xcg.compiled._jit import jit
 @jit
 def inner(x):
     return x + 1
 """
-OUTER = """from xcg.kernels._jit import jit
+OUTER = """from xcg.compiled._jit import jit
 from xcg.kernels.inner import inner
 @jit
 def outer(x):
@@ -41,7 +41,7 @@ def package(tmp_path):
 
 def call(package, **env):
     """Result of the outer kernel in a new process, and how often it was found compiled."""
-    code = "from xcg.kernels.outer import outer; print(outer(1.0), sum(outer.stats.cache_hits.values()))"
+    code = "from xcg.compiled.outer import outer; print(outer(1.0), sum(outer.stats.cache_hits.values()))"
     given = {
         "PYTHONPATH": str(package),
         "HOME": str(package / "home"),

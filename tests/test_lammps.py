@@ -13,7 +13,7 @@ from xcg.readers import dump, lammps
 from xcg.readers.engine import ReadOptions
 from xcg.readers.series import open_scene
 from xcg.readers.text import parse_table
-from xcg.schema import SceneError, SceneWarning
+from xcg.scene.schema import SceneError, SceneWarning
 
 DEFAULTS = ReadOptions()
 

@@ -5,11 +5,11 @@ import pytest
 
 from tests import shared_data
 from tests.dumps import dump_text, pairs_text, write
-from xcg.complete import minimum_image
 from xcg.readers import liggghts
 from xcg.readers.engine import ReadOptions
 from xcg.readers.series import open_scene
-from xcg.schema import SceneError
+from xcg.scene.complete import minimum_image
+from xcg.scene.schema import SceneError
 
 DEFAULTS = ReadOptions()
 COLUMNS = " ".join(f"c_3[{k}]" for k in range(1, 14))

@@ -8,7 +8,7 @@ from tests.dumps import write
 from xcg.readers import mercury
 from xcg.readers.engine import ReadOptions
 from xcg.readers.series import open_scene
-from xcg.schema import SceneError
+from xcg.scene.schema import SceneError
 
 DATA = "{n} {t} 0 0 0 4 4 2\n"
 ROWS = [

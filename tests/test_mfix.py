@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from tests import shared_data
-from xcg.complete import minimum_image
 from xcg.readers import mfix, vtp
 from xcg.readers.engine import ReadOptions
-from xcg.schema import SceneError, SceneWarning
+from xcg.scene.complete import minimum_image
+from xcg.scene.schema import SceneError, SceneWarning
 
 DEFAULTS = ReadOptions()
 PERIOD = np.array([0.04, np.inf, 0.02])  # of the real chute

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 import xcg
 from tests import shared_data, steps_of_random_scenes
-from xcg.contacts import Contacts
-from xcg.microstructure import NAMES
-from xcg.quantities import QUANTITIES
+from xcg.packing.microstructure import NAMES
+from xcg.packing.quantities import QUANTITIES
+from xcg.scene.contacts import Contacts
 
 
 def one(m, name):

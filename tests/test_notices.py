@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import xcg
-from xcg.faults import SkippedStep
-from xcg.notices import Once, warn_once, warn_user
-from xcg.over_time import map_over_time
+from xcg.scene.warn import Once, warn_once, warn_user
+from xcg.steps.errors import SkippedStep
+from xcg.steps.map import map_over_time
 
 
 def line_of(record, text):

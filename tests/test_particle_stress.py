@@ -7,7 +7,7 @@ import pytest
 
 import xcg
 from tests.networks import network
-from xcg.kernels.eigen import principal
+from xcg.compiled.eigen import principal
 
 EXAMPLES = Path(__file__).parents[1] / "examples" / "data"
 

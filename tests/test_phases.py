@@ -6,7 +6,7 @@ import xarray as xr
 
 import xcg
 from tests.brute_force import BruteKernel
-from xcg.phases import MIN_SILHOUETTE
+from xcg.scene.phases import MIN_SILHOUETTE
 
 RNG = np.random.default_rng(0)
 

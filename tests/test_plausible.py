@@ -8,8 +8,8 @@ import xarray as xr
 
 import xcg
 from tests import dumps
-from xcg.complete import minimum_image
-from xcg.plausible import check_ends
+from xcg.scene.complete import minimum_image
+from xcg.scene.plausible import check_ends
 
 CONTACT_FIELDS = ["contact_stress"]
 

@@ -6,7 +6,7 @@ import xarray as xr
 from scipy.integrate import quad
 
 import xcg
-from xcg.kernels.eigen import principal
+from xcg.compiled.eigen import principal
 
 FORCE = np.array([0.3, -0.2, 1.0])
 BOX = [[0, 1], [0, 1], [0, 1]]

@@ -18,7 +18,7 @@ from tests.dumps import ATOMS, BOX, ROWS, dump_text, pairs_text, write, write_se
 from xcg.readers import lammps
 from xcg.readers.paths import expand_paths, natural_key
 from xcg.readers.series import open_scene
-from xcg.schema import SceneError, SceneWarning
+from xcg.scene.schema import SceneError, SceneWarning
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 
 import xcg
-from xcg.statistics import DERIVED
+from xcg.fields.averages import DERIVED
 
 ALL = {"width": 0.8, "spacing": 1.0}
 

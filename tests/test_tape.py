@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 import xcg
-from xcg import fields as registry
-from xcg import symbols, tape
-from xcg.kernels import tape as kernel
+from xcg.compiled import program as kernel
+from xcg.fields import program as tape
+from xcg.fields import registry
+from xcg.fields import trace as symbols
 
-MODULE = sys.modules["xcg.coarse_grain"]
+MODULE = sys.modules["xcg.fields.coarse_grain"]
 ALL = tuple(name for name in registry.listed() if not registry.FIELDS[name].option)
 
 

@@ -13,7 +13,7 @@ from tests.dumps import ATOMS, dump_text, write
 from xcg.readers import gzipped, lammps, text
 from xcg.readers.engine import ReadOptions
 from xcg.readers.series import open_scene
-from xcg.schema import SceneError
+from xcg.scene.schema import SceneError
 
 COLUMNS = ("a", "b", "c")
 numbers = st.floats(allow_nan=False, allow_infinity=False).map(lambda x: f"{x:.6g}") | st.integers(-(10**9), 10**9).map(

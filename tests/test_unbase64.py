@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from tests.benchmarks import series
 from xcg.readers import unbase64, vtkdata, vtp
-from xcg.schema import SceneError
+from xcg.scene.schema import SceneError
 
 
 @settings(deadline=None)

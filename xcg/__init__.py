@@ -4,29 +4,29 @@ from importlib.metadata import version
 
 from xcg import datasets
 from xcg.accessor import CoarseGrainAccessor
-from xcg.balance import balance
-from xcg.bodies import group_bodies
+from xcg.chains.particle_stress import particle_stress
 from xcg.chains.plots import plot_chains, plot_lengths, plot_rose
 from xcg.chains.regions import Box, Region, Sphere
 from xcg.chains.search import force_chains
 from xcg.chains.selection import select_chains
 from xcg.chains.tables import chain_table, link_table
 from xcg.chains.tracks import track_chains
-from xcg.coarse_grain import coarse_grain
-from xcg.detection import find_contacts
-from xcg.faults import SkippedStep
-from xcg.fields import FIELDS
-from xcg.microstructure import microstructure
-from xcg.particle_stress import particle_stress
-from xcg.phases import assign_phases, find_phases, plot_phases
-from xcg.pysammos import pysammos_mesh
+from xcg.fields.averages import profile, time_average
+from xcg.fields.balance import balance
+from xcg.fields.coarse_grain import coarse_grain
+from xcg.fields.pysammos import pysammos_mesh
+from xcg.fields.registry import FIELDS
+from xcg.fields.slice_temperature import slice_temperature
+from xcg.fields.smoothing import Gaussian, Heaviside, Kernel, Lucy, register_kernel
+from xcg.fields.width_sweep import width_sweep
+from xcg.packing.find_contacts import find_contacts
+from xcg.packing.microstructure import microstructure
 from xcg.readers.series import open_scene
-from xcg.scene import measure, scene_from_arrays, size_statistics
-from xcg.schema import SceneError, SceneWarning
-from xcg.slices import slice_temperature
-from xcg.smoothing import Gaussian, Heaviside, Kernel, Lucy, register_kernel
-from xcg.statistics import profile, time_average
-from xcg.width_sweep import width_sweep
+from xcg.scene.bodies import group_bodies
+from xcg.scene.build import measure, scene_from_arrays, size_statistics
+from xcg.scene.phases import assign_phases, find_phases, plot_phases
+from xcg.scene.schema import SceneError, SceneWarning
+from xcg.steps.errors import SkippedStep
 from xcg.writers.store import save
 
 __version__ = version("xcg")

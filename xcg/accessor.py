@@ -8,8 +8,7 @@ from typing import Any
 import pandas as pd
 import xarray as xr
 
-from xcg.balance import balance
-from xcg.bodies import group_bodies
+from xcg.chains.particle_stress import particle_stress
 from xcg.chains.plots import plot_chains, plot_lengths, plot_rose
 from xcg.chains.regions import Region
 from xcg.chains.results import summary_of_chains
@@ -17,17 +16,18 @@ from xcg.chains.search import force_chains
 from xcg.chains.selection import select_chains
 from xcg.chains.tables import chain_table, link_table
 from xcg.chains.tracks import track_chains
-from xcg.coarse_grain import coarse_grain, explain
-from xcg.detection import find_contacts
-from xcg.microstructure import microstructure
-from xcg.particle_stress import particle_stress
-from xcg.phases import assign_phases, find_phases, plot_phases
-from xcg.plan import Plan
-from xcg.scene import measure, size_statistics, summary
-from xcg.schema import printable
-from xcg.slices import slice_temperature
-from xcg.statistics import profile, time_average
-from xcg.width_sweep import width_sweep
+from xcg.fields.averages import profile, time_average
+from xcg.fields.balance import balance
+from xcg.fields.coarse_grain import coarse_grain, explain
+from xcg.fields.plan import Plan
+from xcg.fields.slice_temperature import slice_temperature
+from xcg.fields.width_sweep import width_sweep
+from xcg.packing.find_contacts import find_contacts
+from xcg.packing.microstructure import microstructure
+from xcg.scene.bodies import group_bodies
+from xcg.scene.build import measure, size_statistics, summary
+from xcg.scene.phases import assign_phases, find_phases, plot_phases
+from xcg.scene.schema import printable
 from xcg.writers.store import save
 
 

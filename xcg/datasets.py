@@ -8,8 +8,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.complete import images_within, minimum_image
-from xcg.scene import scene_from_arrays
+from xcg.scene.build import scene_from_arrays
+from xcg.scene.complete import images_within, minimum_image
 
 _FCC = np.array([[0.0, 0.0, 0.0], [0.5, 0.5, 0.0], [0.5, 0.0, 0.5], [0.0, 0.5, 0.5]])
 

@@ -8,11 +8,13 @@ from hypothesis import strategies as st
 import xcg
 from tests.identities import residuals
 from tests.identities.scenes import OPEN, Case, load, synthetic
-from xcg.schema import VARIABLES
+from xcg.scene.schema import VARIABLES
 
 REAL = pytest.mark.parametrize("name", list(OPEN))
 # the temperatures along the axes are the diagonal of a tensor, not a vector: they do not turn like one
-ALL = [name for name in xcg.fields.listed() if not xcg.FIELDS[name].option and name != "directional_temperature"]
+ALL = [
+    name for name in xcg.fields.registry.listed() if not xcg.FIELDS[name].option and name != "directional_temperature"
+]
 OBJECTIVE = ["kinetic_stress", "velocity_gradient", "granular_temperature", "fluctuation_stress", "shear_rate"]
 VECTORS = ("position", "velocity", "contact_point", "contact_force", "contact_normal")
 

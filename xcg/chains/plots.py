@@ -9,8 +9,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.chains.results import Step, require_chains, steps_of
-from xcg.complete import minimum_image
-from xcg.schema import COMPONENTS
+from xcg.scene.complete import minimum_image
+from xcg.scene.schema import COMPONENTS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.complete import minimum_image
-from xcg.schema import Frame
+from xcg.scene.complete import minimum_image
+from xcg.scene.schema import Frame
 
 
 class Region:

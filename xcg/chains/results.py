@@ -10,10 +10,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.complete import periods, rows_of
-from xcg.particle_stress import RESULTS as STRESSES
-from xcg.scene import particle_rows
-from xcg.schema import BOX, PADDING, VARIABLES, Frame, SceneError, Variable
+from xcg.chains.particle_stress import RESULTS as STRESSES
+from xcg.scene.build import particle_rows
+from xcg.scene.complete import periods, rows_of
+from xcg.scene.schema import BOX, PADDING, VARIABLES, Frame, SceneError, Variable
 
 _NONE, _PRESSURE = (0, 0, 0), (-1, 1, -2)
 COPIED = ("particle_id", "position", "diameter", "contact_i", "contact_j", "contact_force")

@@ -10,16 +10,16 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.chains.particle_stress import StressRule, carries
 from xcg.chains.regions import Region
 from xcg.chains.results import CHAINS, COPIED, RESULTS, result_sizes, statistics_of
-from xcg.complete import periods
-from xcg.conform import takes_scene
-from xcg.kernels import chains as kernel
-from xcg.labels import empty_results, label, results_of
-from xcg.over_time import map_over_time
-from xcg.particle_stress import StressRule, carries
-from xcg.scene import particle_rows, require_scene, steps_in
-from xcg.schema import PADDING, Frame
+from xcg.compiled import chains as kernel
+from xcg.scene.build import particle_rows, require_scene, steps_in
+from xcg.scene.complete import periods
+from xcg.scene.conform import takes_scene
+from xcg.scene.schema import PADDING, Frame
+from xcg.steps.label import empty_results, label, results_of
+from xcg.steps.map import map_over_time
 
 ALGORITHMS = ("branching", "peters2005")
 # Angles that exceed alpha by less (radians) count as equal to it, stresses that fall short of the threshold by less

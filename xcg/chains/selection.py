@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from xcg.chains.regions import Region
 from xcg.chains.results import CHAINS, MEMBERS, STATISTICS, require_chains, result_sizes, statistics_of
-from xcg.complete import periods
-from xcg.conform import takes_scene
-from xcg.labels import label, results_of
-from xcg.over_time import map_over_time
-from xcg.scene import particle_rows, steps_in
+from xcg.scene.build import particle_rows, steps_in
+from xcg.scene.complete import periods
+from xcg.scene.conform import takes_scene
+from xcg.steps.label import label, results_of
+from xcg.steps.map import map_over_time
 
 _GRAINS = ("particle_id", "position", "major_stress", "box", "step")
 OF = {"any": np.logical_or, "all": np.logical_and}

@@ -7,7 +7,7 @@ import pandas as pd
 import xarray as xr
 
 from xcg.chains.results import CHAINS, require_chains, steps_of
-from xcg.schema import COMPONENTS
+from xcg.scene.schema import COMPONENTS
 
 
 def chain_table(fc: xr.Dataset) -> pd.DataFrame:

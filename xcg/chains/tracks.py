@@ -7,9 +7,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.chains.results import require_chains, steps_of
-from xcg.labels import about
-from xcg.scene import require_rising_times
-from xcg.schema import units_of
+from xcg.scene.build import require_rising_times
+from xcg.scene.schema import units_of
+from xcg.steps.label import about
 
 
 def track_chains(fc: xr.Dataset, overlap: float = 0.5) -> xr.Dataset:

@@ -10,9 +10,9 @@ import xarray as xr
 
 from xcg.chains.search import ALGORITHMS, force_chains
 from xcg.cli.told import told
-from xcg.faults import ON_ERROR
-from xcg.labels import name_skipped
 from xcg.readers.series import open_scene
+from xcg.steps.errors import ON_ERROR
+from xcg.steps.label import name_skipped
 from xcg.writers.files import whole_file
 
 

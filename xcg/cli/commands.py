@@ -18,12 +18,12 @@ from typing import Any
 import click
 
 import xcg
-from xcg import fields as registry
 from xcg.cli.chains import chains_command
 from xcg.cli.convert import convert_command
 from xcg.cli.told import told
-from xcg.faults import ON_ERROR
-from xcg.schema import printable, units_of
+from xcg.fields import registry
+from xcg.scene.schema import printable, units_of
+from xcg.steps.errors import ON_ERROR
 from xcg.writers.files import abandon
 
 INTERRUPTED = 130
@@ -172,7 +172,7 @@ def info(files: tuple[str, ...], contacts: tuple[str, ...], **options: object) -
 def fields(pysammos: bool) -> None:
     """List all fields, with their units and formulas."""
     if pysammos:
-        from xcg.pysammos import rows
+        from xcg.fields.pysammos import rows
 
         table = [(name, "", row.formula) for name, row in rows("xy", "xyz").items()]
     else:

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from xcg.faults import check_on_error
-from xcg.notices import warn_user
-from xcg.schema import COMPONENTS, SceneError
+from xcg.scene.schema import COMPONENTS, SceneError
+from xcg.scene.warn import warn_user
+from xcg.steps.errors import check_on_error
 
 # key_mapping: its keys and our variables
 KEYS = {

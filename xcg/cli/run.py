@@ -19,16 +19,16 @@ import numpy as np
 import xarray as xr
 
 from xcg.cli.config import Job
-from xcg.coarse_grain import coarse_grain
-from xcg.faults import heard, tolerated
-from xcg.labels import name_skipped
-from xcg.over_time import SKIPPED
-from xcg.phases import assign_phases, find_phases
-from xcg.pysammos import pysammos_mesh
+from xcg.fields.coarse_grain import coarse_grain
+from xcg.fields.pysammos import pysammos_mesh
+from xcg.fields.slice_temperature import slice_temperature
 from xcg.readers.paths import expand_paths
 from xcg.readers.series import open_scene
-from xcg.schema import SceneError
-from xcg.slices import slice_temperature
+from xcg.scene.phases import assign_phases, find_phases
+from xcg.scene.schema import SceneError
+from xcg.steps.errors import heard, tolerated
+from xcg.steps.label import name_skipped
+from xcg.steps.map import SKIPPED
 from xcg.writers.files import leftovers, whole_file
 from xcg.writers.lock import locked
 

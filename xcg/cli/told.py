@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 import click
 
-from xcg.schema import SceneWarning, printable
+from xcg.scene.schema import SceneWarning, printable
 
 
 @contextmanager

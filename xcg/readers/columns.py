@@ -16,10 +16,10 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.notices import warn_user
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.text import parse_table, read_body, where
-from xcg.schema import COMPONENTS, Frame, SceneError
+from xcg.scene.schema import COMPONENTS, Frame, SceneError
+from xcg.scene.warn import warn_user
 
 Slots: TypeAlias = Mapping[str, Sequence[str]]
 """Columns that fill each slot by themselves, the preferred first."""

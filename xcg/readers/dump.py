@@ -11,7 +11,6 @@ from functools import partial
 
 import numpy as np
 
-from xcg import faults
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.index import remembered
 from xcg.readers.text import (
@@ -26,7 +25,8 @@ from xcg.readers.text import (
     uncompressed_size,
     where,
 )
-from xcg.schema import COMPONENTS, SceneError
+from xcg.scene.schema import COMPONENTS, SceneError
+from xcg.steps import errors as faults
 
 
 def body_columns(path: str) -> tuple[str, tuple[str, ...]] | None:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from xcg.schema import Frame
+from xcg.scene.schema import Frame
 
 
 @dataclass(frozen=True)

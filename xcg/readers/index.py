@@ -18,9 +18,9 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-from xcg import faults
 from xcg.readers.engine import StepRef
-from xcg.schema import SceneError
+from xcg.scene.schema import SceneError
+from xcg.steps import errors as faults
 
 _VERSION = 2  # of the entries; raise it when headers are read in another way
 _SETTLED = 2e9  # ns: a file that was modified just now may change again without another time stamp

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from xcg.notices import warn_user
 from xcg.readers import columns, dump
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.text import where
-from xcg.schema import Frame
+from xcg.scene.schema import Frame
+from xcg.scene.warn import warn_user
 
 OPTIONS = ("timestep",)
 

@@ -15,15 +15,15 @@ from dask.base import tokenize
 from dask.highlevelgraph import HighLevelGraph
 from numpy.typing import NDArray
 
-from xcg import faults
-from xcg.complete import complete_contacts, complete_particles, periods
-from xcg.notices import Once
-from xcg.picks import picked
-from xcg.plausible import check_ends
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.text import where
-from xcg.scene import frame_of, stack
-from xcg.schema import Frame, SceneError, Setup, variable
+from xcg.scene.build import frame_of, stack
+from xcg.scene.complete import complete_contacts, complete_particles, periods
+from xcg.scene.plausible import check_ends
+from xcg.scene.schema import Frame, SceneError, Setup, variable
+from xcg.scene.warn import Once
+from xcg.steps import errors as faults
+from xcg.steps.graph import picked
 
 
 def load_engine(name: str) -> Engine:

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 from xcg.readers import columns, dump
 from xcg.readers.engine import ReadOptions, StepRef
-from xcg.schema import COMPONENTS, Frame
+from xcg.scene.schema import COMPONENTS, Frame
 
 OPTIONS = ("timestep",)
 

@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg import faults
 from xcg.readers import columns
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.index import remembered
@@ -30,7 +29,8 @@ from xcg.readers.text import (
     read_body,
     where,
 )
-from xcg.schema import COMPONENTS, Frame, SceneError
+from xcg.scene.schema import COMPONENTS, Frame, SceneError
+from xcg.steps import errors as faults
 
 OPTIONS = ("restart",)
 

@@ -24,8 +24,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg import faults
-from xcg.notices import warn_user
 from xcg.readers import vtp
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.index import remembered
@@ -37,7 +35,9 @@ from xcg.readers.mfix_contacts import (
     of_superquadrics,
     periods_of,
 )
-from xcg.schema import Frame, SceneError, variable
+from xcg.scene.schema import Frame, SceneError, variable
+from xcg.scene.warn import warn_user
+from xcg.steps import errors as faults
 
 # The first of two arrays for the same name is taken.
 PARTICLE_NAMES = {

@@ -22,8 +22,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.complete import minimum_image
-from xcg.schema import COMPONENTS, Frame
+from xcg.scene.complete import minimum_image
+from xcg.scene.schema import COMPONENTS, Frame
 
 EXACT = 2**24  # ids are Float32: whole numbers are exact below
 _ROUNDING = 16 * float(np.finfo("f4").eps)

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TypeAlias
 
-from xcg import faults
+from xcg.steps import errors as faults
 
 PathLike: TypeAlias = str | os.PathLike[str]
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from xcg.readers.engine import StepRef
 from xcg.readers.gzipped import errors, forward, open_gzipped, size_of_content
-from xcg.schema import SceneError
+from xcg.scene.schema import SceneError
 
 _FIRST_BLOCK, _BLOCK = 1 << 16, 1 << 22  # small first, as the header is often all that is wanted
 _LONGEST_LINE = 1 << 20  # bytes; a file of one endless line (or a few compressed kilobytes of one) is no text

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.readers.vtkdata import COMPRESSORS, DataError, Encoding, parse_text, read_base64, read_raw
-from xcg.schema import SceneError
+from xcg.scene.schema import SceneError
 
 _HEAD = 1 << 14  # headers of MFiX take 2 to 5 kB
 _LONGEST_TAG = 4096

@@ -14,8 +14,8 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from xcg.chains.results import Step, require_chains, steps_of
-from xcg.complete import minimum_image
-from xcg.schema import Frame
+from xcg.scene.complete import minimum_image
+from xcg.scene.schema import Frame
 from xcg.writers.files import hdf5_file, whole_file
 
 # header of Force Chain Finder, spelling and trailing comma included; its stresses are tension-positive

@@ -23,7 +23,7 @@ from dask.highlevelgraph import HighLevelGraph
 from numpy.typing import NDArray
 from xarray.backends.locks import get_dask_scheduler, get_write_lock
 
-from xcg.picks import Gathered
+from xcg.steps.graph import Gathered
 
 # writes some steps of variables, time first, by name
 Write: TypeAlias = Callable[[Mapping[str, NDArray], slice], None]

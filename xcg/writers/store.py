@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.scene import storable
+from xcg.scene.build import storable
 from xcg.writers.chunks import lock_for, over_time, write_chunks
 from xcg.writers.files import hdf5_file, whole_file
 from xcg.writers.folders import whole_folder

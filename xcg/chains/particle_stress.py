@@ -1,0 +1,211 @@
+"""Stress of single particles from their contacts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.compiled.eigen import principal
+from xcg.scene.build import edges_of, layer_depth, particle_rows, require_scene, setup_of, steps_in
+from xcg.scene.complete import periods
+from xcg.scene.conform import takes_scene
+from xcg.scene.contacts import Contacts
+from xcg.scene.schema import COMPONENTS, CONTACT_VARIABLES, VARIABLES, Frame, SceneError, Variable
+from xcg.steps.label import empty_results, label, results_of
+from xcg.steps.map import map_over_time
+
+VOLUMES = ("particle", "disc")
+# Eigenvalues below this share of the whole tensor are rounding.
+ROUNDING = 1e-12
+
+_PRESSURE = (-1, 1, -2)
+RESULTS: dict[str, Variable] = {
+    "particle_id": VARIABLES["particle_id"],
+    "stress": Variable(("particle", "component", "direction"), _PRESSURE, "stress of the particle"),
+    "principal_stress": Variable(("particle", "principal"), _PRESSURE, "principal stresses, most compressive first"),
+    "principal_direction": Variable(("particle", "principal", "component"), (0, 0, 0), "principal directions"),
+    "major_stress": Variable(("particle",), _PRESSURE, "most compressive principal stress"),
+    "major_direction": Variable(("particle", "component"), (0, 0, 0), "direction of the major stress"),
+}
+
+
+@dataclass(frozen=True)
+class StressRule:
+    """How the stress of a particle is made.
+
+    Attributes
+    ----------
+    periodic : str
+        Periodic axes of the scene.
+    symmetric : bool
+        Whether the symmetric part is taken.
+    disc : bool
+        Whether volumes are those of discs of a certain thickness.
+    thickness : float or str or None
+        Of the discs (m), or the axis whose box extent it is.
+    spheres : tuple of str
+        Variables that the branches of spheres follow from; empty where all follow from contact points.
+    """
+
+    periodic: str
+    symmetric: bool = True
+    disc: bool = False
+    thickness: float | str | None = None
+    spheres: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.disc and self.thickness is None:
+            msg = "volume='disc' is for one-layer scenes, and this one has dimension=3; leave volume= out"
+            raise SceneError(msg)
+
+    @classmethod
+    def of(cls, ds: xr.Dataset, purpose: str, *, symmetric: bool, volume: str) -> StressRule:
+        """Check that a scene holds what the stress needs, without reading any of it."""
+        if volume not in VOLUMES:
+            msg = f"volume={volume!r}: expected 'particle' (the scene's volumes) or 'disc' (pi d^2/4 x thickness)"
+            raise ValueError(msg)
+        disc = volume == "disc"
+        require_scene(ds, (*_CONTACTS, "diameter" if disc else "volume"), purpose)
+        setup = setup_of(ds)
+        thickness = layer_depth(ds, setup, edges_of(ds)) if disc else None
+        given = tuple(name for name in ("diameter", "overlap", "contact_normal") if name in ds)
+        return cls(setup.periodic, symmetric, disc, thickness, given if {"diameter", "overlap"} <= set(given) else ())
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """Variables of the scene that the stress is made from."""
+        size = ("diameter",) if self.disc else ("volume",)
+        return tuple(dict.fromkeys(("particle_id", *_CONTACTS, *size, *self.spheres)))
+
+    def contacts(self, frame: Frame, box: NDArray | None, where: str) -> Contacts:
+        """Join the contacts of a frame to its particles."""
+        contacts = Contacts.of(frame, periods(box, self.periodic, where), where)
+        return contacts.with_overlaps(frame["diameter"], frame["overlap"]) if self.spheres else contacts
+
+    def volumes(self, frame: Frame, box: NDArray | None, where: str) -> NDArray:
+        """Volume of each particle (m3)."""
+        if not self.disc:
+            return frame["volume"]
+        thickness = self.thickness
+        assert thickness is not None  # checked when the rule was made
+        if isinstance(thickness, str):
+            k = COMPONENTS.index(thickness)
+            thickness = np.nan if box is None else float(box[k, 1] - box[k, 0])
+            if not (np.isfinite(thickness) and thickness > 0):
+                msg = f"{where}: the layer is as thick as the box along {self.thickness!r}, which is not finite"
+                raise SceneError(msg)
+        return np.pi / 4 * frame["diameter"] ** 2 * thickness
+
+    def evaluate(self, frame: Frame, contacts: Contacts, box: NDArray | None, where: str) -> Frame:
+        """Stress of each particle of a frame, and its principal values, by name."""
+        stress = contacts.dyads
+        stress /= self.volumes(frame, box, where)[:, None, None]
+        if self.symmetric:
+            stress = 0.5 * (stress + stress.transpose(0, 2, 1))
+            values, vectors = np.empty((len(stress), 3)), np.empty((len(stress), 3, 3))
+            principal(stress, values, vectors)
+        else:
+            values, vectors = _principal_of_raw(stress)
+        vectors[~stress.any(axis=(1, 2))] = np.nan
+        return {
+            "stress": stress,
+            "principal_stress": values,
+            "principal_direction": vectors,
+            "major_stress": values[:, 0].copy(),
+            "major_direction": vectors[:, 0].copy(),
+        }
+
+
+_CONTACTS = (*(name for name in CONTACT_VARIABLES if name != "contact_normal"), "contact_force")
+
+
+def _principal_of_raw(stress: NDArray) -> tuple[NDArray, NDArray]:
+    """Real eigenvalues, largest first, and right eigenvectors of matrices that are not symmetric; NaN where complex."""
+    values, columns = np.linalg.eig(stress)
+    real = np.where(np.imag(values) == 0, np.real(values), np.nan)
+    order = np.argsort(-real, axis=1)  # NaN last
+    vectors = np.take_along_axis(np.real(columns).transpose(0, 2, 1), order[:, :, None], axis=1)
+    real = np.take_along_axis(real, order, axis=1)
+    return real, np.where(np.isnan(real)[:, :, None], np.nan, vectors)
+
+
+def carries(result: Mapping[str, NDArray]) -> NDArray:
+    """Particles under compression: their largest principal stress is positive, and not by rounding."""
+    size = np.sqrt(np.einsum("nij,nij->n", result["stress"], result["stress"]))
+    return result["major_stress"] > ROUNDING * size
+
+
+@takes_scene
+def particle_stress(
+    ds: xr.Dataset, *, symmetric: bool = True, volume: str = "particle", on_error: str = "raise"
+) -> xr.Dataset:
+    """Stress tensor of each particle from its contacts, with principal stresses and directions.
+
+    Lazy where the scene is.
+
+    Parameters
+    ----------
+    ds : xarray.Dataset
+        A scene with contacts.
+    symmetric : bool
+        Take the symmetric part of the tensor (default). Friction makes the stress of a single particle
+        asymmetric; without its symmetric part, principal stresses are the real eigenvalues, NaN where two of them
+        are complex, and principal directions are the right eigenvectors, not perpendicular to each other.
+    volume : str
+        "particle" (default), the scene's volumes; "disc" for a one-layer scene, ``pi d^2/4`` times the thickness of
+        the layer.
+    on_error : {"raise", "skip"}
+        What to do about a step that cannot be read or computed: stop with its error, or leave it out (NaN, or padding),
+        warn of it, and mark it in the coordinate ``skipped`` (time).
+
+    Returns
+    -------
+    xarray.Dataset
+        ``stress`` (time, particle, component, direction), in Pa with compression positive; ``principal_stress``
+        (time, particle, principal), most compressive first; ``principal_direction`` (time, particle, principal,
+        component), unit vectors; ``major_stress`` and ``major_direction``, the most compressive one and its
+        direction. A particle without contacts has stress zero and no direction (NaN), padding is NaN.
+
+    Raises
+    ------
+    SceneError
+        If the scene holds no contacts or no volumes.
+    ValueError
+        If an argument is wrong.
+
+    Notes
+    -----
+    ``sigma = 1/V sum_c f a``, over the contacts of the particle with others and with walls: f the force on the
+    particle, a the branch from the contact point to its centre (nearest image), V its volume. Where the scene holds
+    overlaps, branches of spheres are ``n (R - overlap/2)``: files hold these with more digits than positions. The
+    first index (`component`) is that of the force, the second (`direction`) that of the branch. Sources: Ejtehadi et
+    al. (2024), where tension is positive; Goldhirsch (2010).
+
+    Examples
+    --------
+    >>> import xcg
+    >>> ds = xcg.datasets.simple_cubic(4, force=1.0)
+    >>> float(particle_stress(ds).major_stress[0, 0].round(3))  # 1/V sum f a = 6 / pi for d = f = 1
+    1.91
+    """
+    rule = StressRule.of(ds, "particle_stress", symmetric=symmetric, volume=volume)
+    names = [*rule.variables, *(name for name in ("box", "step") if name in ds)]
+    arrays = map_over_time(ds, names, partial(_compute, rule), results_of(RESULTS, ds.sizes), "particle-stress",
+                           on_error)  # fmt: skip
+    return label(ds, RESULTS, arrays, f"particle_stress(symmetric={symmetric}, volume={volume!r})")
+
+
+def _compute(rule: StressRule, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
+    """Stress of the particles of one chunk of time, from padded arrays."""
+    ids = arrays["particle_id"]
+    out = empty_results(RESULTS, {"particle": ids.shape[1]}, len(ids)) | {"particle_id": ids}
+    for t, (frame, box, where) in enumerate(steps_in(arrays)):
+        rows, contacts = particle_rows(ids[t]), rule.contacts(frame, box, where)
+        for name, values in rule.evaluate(frame, contacts, box, where).items():
+            out[name][t][rows] = values
+    return out

@@ -1,0 +1,148 @@
+"""Loops over rows and pairs of rows: sums by index, vectors between rows, peeling of a network, transposition."""
+
+import numpy as np
+
+from xcg.compiled._jit import leaf
+from xcg.compiled.simd import ask_for
+
+AHEAD = 16  # things whose rows of memory, anywhere, are asked for before their turn
+
+
+@leaf
+def add_rows(row, sign, values, out):
+    """Add sign x values (n, k) to the rows of out (m, k) that `row` (n,) names; negative rows are left out."""
+    for n in range(row.size):
+        ask_for(out, row[min(n + AHEAD, row.size - 1)])
+        if row[n] >= 0:
+            for c in range(values.shape[1]):
+                out[row[n], c] += sign * values[n, c]
+
+
+@leaf
+def places_by(key, start, place):
+    """Write the place (n,) of each thing among all by its key (n,), a whole number; things of one key keep their order.
+
+    `start` (keys + 1,) is scratch, zeros.
+    """
+    for n in range(key.size):
+        start[key[n] + 1] += 1
+    for k in range(start.size - 1):
+        start[k + 1] += start[k]
+    for n in range(key.size):
+        k = key[n]
+        place[n] = start[k]
+        start[k] += 1
+
+
+@leaf
+def peel(row_i, row_j, weight, least, degree, kept):
+    """Take out rows of fewer than `least` partners, and again those that then have fewer, until none is left.
+
+    Parameters
+    ----------
+    row_i, row_j : (n,)
+        Pairs; negative where a partner is no row.
+    weight : (n,)
+        1 for pairs that count, 0 for repeated ones.
+    least : int
+        Partners that a row needs to stay.
+    degree : (m,)
+        Number of partners of each row; lowered here.
+    kept : (m,)
+        Whether each row stays (true on entry), set here.
+    """
+    again = True
+    while again:
+        again = False
+        for i in range(kept.size):
+            if kept[i] and degree[i] < least:
+                kept[i] = False
+                again = True
+        # partners of rows that are out no longer count; what is left over is summed anew, without lists of partners
+        degree[:] = 0.0
+        for n in range(row_i.size):
+            i, j = row_i[n], row_j[n]
+            here_i, here_j = i >= 0 and kept[i], j >= 0 and kept[j]
+            if here_i and (here_j or j < 0):
+                degree[i] += weight[n]
+            if here_j and (here_i or i < 0):
+                degree[j] += weight[n]
+
+
+@leaf
+def add_dyads(row, sign, a, b, out):
+    """Add sign a b, (n, 3) each, to the rows of out (m, 3, 3) that `row` (n,) names; negative rows are left out."""
+    for n in range(row.size):
+        if row[n] >= 0:
+            for i in range(3):
+                for j in range(3):
+                    out[row[n], i, j] += sign * a[n, i] * b[n, j]
+
+
+@leaf
+def add_unit_squares(row_i, row_j, along, out):
+    """Add n n of each contact to both its rows of out (m, 6): xx xy xz yy yz zz; negative rows are left out.
+
+    The unit vector n is that of `along` (n, 3); zero where that is zero.
+    """
+    for n in range(row_i.size):
+        later = min(n + AHEAD, row_i.size - 1)
+        ask_for(out, row_i[later])
+        ask_for(out, row_j[later])
+        x, y, z = along[n, 0], along[n, 1], along[n, 2]
+        length2 = x * x + y * y + z * z
+        per_length2 = 1.0 / length2 if length2 > 0.0 else 0.0
+        for m in (row_i[n], row_j[n]):
+            if m >= 0:
+                out[m, 0] += x * x * per_length2
+                out[m, 1] += x * y * per_length2
+                out[m, 2] += x * z * per_length2
+                out[m, 3] += y * y * per_length2
+                out[m, 4] += y * z * per_length2
+                out[m, 5] += z * z * per_length2
+
+
+@leaf
+def nearest(d, period):
+    """Shortest image of a distance; the period is infinite along axes that are not periodic."""
+    return d - period * np.rint(d / period) if np.isfinite(period) else d
+
+
+@leaf
+def side(position, row, point, n, period):
+    """Vector from contact point n to the centre of a row of `position`, zero where the row is negative."""
+    if row < 0:
+        return 0.0, 0.0, 0.0
+    x, y, z = position[row, 0] - point[n, 0], position[row, 1] - point[n, 1], position[row, 2] - point[n, 2]
+    return nearest(x, period[0]), nearest(y, period[1]), nearest(z, period[2])
+
+
+@leaf
+def sides(row, position, point, period, out):
+    """Write the vectors (n, 3) from contact points to the centres of some rows, see `side`."""
+    for n in range(row.size):
+        out[n, 0], out[n, 1], out[n, 2] = side(position, row[n], point, n, period)
+
+
+@leaf
+def between(row_i, row_j, position, point, period, out):
+    """Write the vectors (n, 3) from j to i through the contact points: the side of i less that of j, see `side`."""
+    for n in range(row_i.size):
+        later = min(n + AHEAD, row_i.size - 1)
+        ask_for(position, row_i[later])
+        ask_for(position, row_j[later])
+        ax, ay, az = side(position, row_i[n], point, n, period)
+        bx, by, bz = side(position, row_j[n], point, n, period)
+        out[n, 0], out[n, 1], out[n, 2] = ax - bx, ay - by, az - bz
+
+
+@leaf
+def turn(records, column, factor, out):
+    """Write columns of records (p, n, c), times a factor for each p, nodes last: each record is read once, in order.
+
+    ``out[r, p, n] = factor[r, p] * records[p, n, column[r]]`` for r = 0, ... column.size - 1.
+    """
+    for p in range(records.shape[0]):
+        for n in range(records.shape[1]):
+            for r in range(column.size):
+                out[r, p, n] = factor[r, p] * records[p, n, column[r]]

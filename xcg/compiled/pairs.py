@@ -1,0 +1,248 @@
+"""Pairs of near spheres: particles sorted by cell into levels of size, and the search through the levels.
+
+Every level has its own cells, at least as wide as its largest particle's reach. Particles are kept as records
+(x, y, z, radius), sorted by level and cell, so that the cells along z that a particle can reach are one run of
+records. A particle looks for partners in its own level and in those of larger particles, never in those of smaller
+ones: forward cells in its own level (each pair once), all near cells in the others.
+
+A level is a row of three arrays:
+
+lower, inverse : (levels, 3)
+    Corner of the cells (m), and the inverse of their edges (m-1).
+cells : (levels, 3)
+    Number of cells along each axis; one where the period is too short for three.
+"""
+
+import math
+
+import numpy as np
+
+from xcg.compiled._jit import jit
+
+
+@jit
+def cell_of(x, lower, inverse, count):
+    """Cell that holds x along one axis; the first and the last take all that lies outside."""
+    c = math.floor((x - lower) * inverse)
+    return 0 if c < 0 else (count - 1 if c >= count else int(c))
+
+
+@jit
+def locate(position, level, corner, period, lower, inverse, cells, first_cell, wrapped, cell, starts):
+    """Wrap particles into the periodic box, and find the cell of each.
+
+    Parameters
+    ----------
+    position : (n, 3)
+        Centres.
+    level : (n,)
+        Level of each particle.
+    corner, period : (3,)
+        Lower edge of the box, and its period; infinity where there is none.
+    lower, inverse, cells : (levels, 3)
+        The levels.
+    first_cell : (levels,)
+        Number of the first cell of each level, all levels counted through.
+    wrapped : (n, 3)
+        Centres inside the box, set here.
+    cell : (n,)
+        Number of each particle's cell, set here.
+    starts : (all cells + 1,)
+        How many particles lie in the cells before each, set here (zeros on entry).
+    """
+    for i in range(position.shape[0]):
+        number = 0
+        k = level[i]
+        for a in range(3):
+            x = position[i, a]
+            if not math.isinf(period[a]) and not (corner[a] <= x < corner[a] + period[a]):
+                x -= period[a] * math.floor((x - corner[a]) / period[a])
+            wrapped[i, a] = x
+            number = number * cells[k, a] + cell_of(x, lower[k, a], inverse[k, a], cells[k, a])
+        cell[i] = first_cell[k] + number
+        starts[cell[i] + 1] += 1
+    for c in range(1, starts.size):
+        starts[c] += starts[c - 1]
+
+
+@jit
+def sort_by_cell(cell, wrapped, radius, starts, records, row):
+    """Sort particles by cell: a counting sort, stable, that uses `starts` up and restores it.
+
+    Parameters
+    ----------
+    records : (n, 4)
+        x, y, z, radius in the order of the cells, set here.
+    row : (n,)
+        Row that each record comes from, set here.
+    """
+    for i in range(cell.size):
+        at = starts[cell[i]]
+        starts[cell[i]] = at + 1
+        records[at, 0], records[at, 1], records[at, 2] = wrapped[i, 0], wrapped[i, 1], wrapped[i, 2]
+        records[at, 3] = radius[i]
+        row[at] = i
+    for c in range(starts.size - 1, 0, -1):
+        starts[c] = starts[c - 1]
+    starts[0] = 0
+
+
+@jit
+def _reached(x, reach, lower, inverse, count, period):
+    """First and last cell that [x - reach, x + reach] meets; beyond 0 ... count - 1 these are periodic images."""
+    if count == 1:
+        return 0, 0
+    first, last = math.floor((x - reach - lower) * inverse), math.floor((x + reach - lower) * inverse)
+    if math.isinf(period):
+        return max(0, min(first, count - 1)), max(0, min(last, count - 1))
+    return int(first), int(last)
+
+
+@jit
+def _image(c, count):
+    """How many periods a cell lies away from the box."""
+    return -1 if c < 0 else (1 if c >= count else 0)
+
+
+@jit
+def find(
+    first, last, records, first_record, first_cell, starts, lower, inverse, cells, largest, period, fold,
+    skin, slack, most, left, right,
+):  # fmt: skip
+    """Pairs of the records `first` to `last` with partners in their own and larger levels.
+
+    Parameters
+    ----------
+    first, last : int
+        Records whose partners are looked for.
+    records : (n, 4)
+        x, y, z, radius, sorted by level and cell.
+    first_record : (levels + 1,)
+        First record of each level.
+    first_cell, starts
+        See `locate`.
+    lower, inverse, cells : (levels, 3)
+        The levels, from small particles to large.
+    largest : (levels,)
+        Largest radius of each level.
+    period : (3,)
+        Period of each axis, infinity where there is none.
+    fold : (levels, 3)
+        The period along axes where a level has one cell, so that each distance is wrapped by itself; else infinity.
+    skin : float
+        Pairs closer than the sum of their radii and this are found.
+    slack : float
+        Rounding of coordinates, added to reaches.
+    most : int
+        The search ends once more pairs than this are found.
+    left, right : (capacity,)
+        Buffers for pairs of records.
+
+    Returns
+    -------
+    left, right : (capacity,)
+        The buffers, or larger ones where they did not suffice.
+    found, tested : int
+        Number of pairs found, and of pairs whose distance was computed.
+    """
+    found, tested = 0, 0
+    own = 0
+    for i in range(first, last):
+        while i >= first_record[own + 1]:
+            own += 1
+        xi, yi, zi, ri = records[i, 0], records[i, 1], records[i, 2], records[i, 3]
+        for k in range(own, largest.size):
+            folds = not (math.isinf(fold[k, 0]) and math.isinf(fold[k, 1]) and math.isinf(fold[k, 2]))
+            nx, ny, nz = cells[k, 0], cells[k, 1], cells[k, 2]
+            reach = ri + largest[k] + skin + slack
+            x0, x1 = _reached(xi, reach, lower[k, 0], inverse[k, 0], nx, period[0])
+            y0, y1 = _reached(yi, reach, lower[k, 1], inverse[k, 1], ny, period[1])
+            z0, z1 = _reached(zi, reach, lower[k, 2], inverse[k, 2], nz, period[2])
+            same = k == own
+            ix, iy = 0, 0
+            if same:
+                ix = cell_of(xi, lower[k, 0], inverse[k, 0], nx)
+                iy = cell_of(yi, lower[k, 1], inverse[k, 1], ny)
+                x0 = ix
+            for cx in range(x0, x1 + 1):
+                image_x = _image(cx, nx)
+                shift_x = image_x * period[0] if image_x else 0.0
+                plane = first_cell[k] + (cx - image_x * nx) * ny * nz
+                own_plane = same and cx == ix
+                for cy in range(iy if own_plane else y0, y1 + 1):
+                    image_y = _image(cy, ny)
+                    shift_y = image_y * period[1] if image_y else 0.0
+                    column = plane + (cy - image_y * ny) * nz
+                    after = i + 1 if own_plane and cy == iy else 0
+                    for image_z in range(_image(z0, nz), _image(z1, nz) + 1):
+                        begin = max(after, starts[column + max(z0 - image_z * nz, 0)])
+                        end = starts[column + min(z1 - image_z * nz, nz - 1) + 1]
+                        shift_z = image_z * period[2] if image_z else 0.0
+                        tested += max(end - begin, 0)
+                        if found > most:
+                            return left, right, found, tested
+                        if found + end - begin > left.size:
+                            left, right = _grown(left, found + end - begin), _grown(right, found + end - begin)
+                        for j in range(begin, end):
+                            dx = records[j, 0] - xi + shift_x
+                            dy = records[j, 1] - yi + shift_y
+                            dz = records[j, 2] - zi + shift_z
+                            if folds:
+                                dx = _nearest(dx, fold[k, 0])
+                                dy = _nearest(dy, fold[k, 1])
+                                dz = _nearest(dz, fold[k, 2])
+                            touch = records[j, 3] + ri + skin
+                            left[found] = i
+                            right[found] = j
+                            found += dx * dx + dy * dy + dz * dz < touch * touch
+    return left, right, found, tested
+
+
+@jit
+def _nearest(d, period):
+    """Shortest periodic image of a distance."""
+    return d if math.isinf(period) else d - period * np.rint(d / period)
+
+
+@jit
+def _grown(buffer, least):
+    """Longer copy of a buffer."""
+    longer = np.empty(max(least, 2 * buffer.size), buffer.dtype)
+    longer[: buffer.size] = buffer
+    return longer
+
+
+@jit
+def sort_pairs(left, right, row, pairs):
+    """Pairs of records as pairs of rows, the lower row first, sorted: two counting sorts, linear in rows + pairs.
+
+    Parameters
+    ----------
+    left, right : (m,)
+        Pairs of records.
+    row : (n,)
+        Row of each record.
+    pairs : (m, 2)
+        Set here.
+    """
+    low_ends, high_ends = np.zeros(row.size + 1, np.int64), np.zeros(row.size + 1, np.int64)
+    for n in range(left.size):
+        i, j = row[left[n]], row[right[n]]
+        low_ends[min(i, j) + 1] += 1
+        high_ends[max(i, j) + 1] += 1
+    for i in range(row.size):
+        low_ends[i + 1] += low_ends[i]
+        high_ends[i + 1] += high_ends[i]
+    low_by_high = np.empty(left.size, row.dtype)
+    for n in range(left.size):
+        i, j = row[left[n]], row[right[n]]
+        high = max(i, j)
+        low_by_high[high_ends[high]] = min(i, j)
+        high_ends[high] += 1
+    n = 0
+    for high in range(row.size):
+        while n < high_ends[high]:
+            low = low_by_high[n]
+            pairs[low_ends[low], 0], pairs[low_ends[low], 1] = low, high
+            low_ends[low] += 1
+            n += 1

@@ -1,0 +1,217 @@
+"""Sums over points: every grain adds its columns, smeared by the kernel, to the nodes that it reaches.
+
+Lengths are in units of the cutoff and relative to the first node. A node's record holds the *flow* columns first,
+then columns of constants. Flow columns are relative to the node: offsets x = r_i - r, and velocities u = v_i - U with
+U the velocity of the first grain that reached the node. Nothing large is ever subtracted from something equally
+large, however fast the frame or far the origin.
+
+For each grain the nodes within its support are listed, their weights computed in one vectorised loop, and their
+records updated, four neighbouring columns in one instruction.
+"""
+
+import math
+
+import numpy as np
+
+from xcg.compiled._jit import leaf
+from xcg.compiled.reach import NODE, OTHER, Q2, RUN, WEIGHT, X, Y, Z, images, list_ball, run_reaches
+from xcg.compiled.simd import add_four
+from xcg.compiled.smoothing import fill_values
+
+MASS = 0
+MOMENTUM = 1  # m u: x y z
+COUNT = 4
+KINETIC = 5  # m u u: xx xy xz yy yz zz
+SQUARE = 11  # (m Psi)^2, as below
+OFFSET = 12  # m x: x, then every fourth column
+SHEAR = 13  # m u_i x_j: i = x y z for j = x, then every fourth column on
+SPREAD = 24  # m x x: xx xy xz yy yz zz
+SQUARE_OFFSET = 30  # (m Psi)^2 x: x y z
+SQUARE_SPREAD = 33  # (m Psi)^2 x x: xx xy xz yy yz zz
+
+# what a grain's record holds
+PLACE, SPEED, WEIGHED, GROUP, GRAIN = 0, 3, 6, 7, 8
+
+# how many flow columns each level of detail takes; some are spare, so that all start at a multiple of four
+NONE, VELOCITY, FLUCTUATION, LINEAR, SQUARED = 0, 8, 12, 32, 40
+_COLUMNS = tuple(np.uint64(k) for k in range(SQUARED))
+
+
+@leaf
+def deposit(
+    order, position, velocity, mass, constants, phase, level, still, meet, origin, cutoff, runs, low, high, steps,
+    active, period, kind, spread, table, norm, by_gradient, grains, lists, numbers, moments, reference,
+):  # fmt: skip
+    """Add grains to the nodes within their support.
+
+    Parameters
+    ----------
+    order : (k,)
+        The grains, one after the other.
+    position : (n, 3)
+        Centres.
+    velocity : (n, 3)
+        Velocities; of no account at level NONE.
+    mass : (n,)
+        Masses; of no account at level NONE.
+    constants : (n, q)
+        Columns that are the same for all nodes; q is a multiple of four, as they are added four at a time.
+    phase : (n,)
+        Which group each grain belongs to.
+    level : int
+        NONE, VELOCITY, FLUCTUATION, LINEAR or SQUARED: how many flow columns are wanted.
+    still : True or None
+        Whether all grains have the same velocity, so that all columns with u are zero. None leaves code out when the
+        kernel is compiled, here and below.
+    meet : True or None
+        Whether several images of a grain may reach one node. They share their velocity: in the squares of weights
+        they count as one grain.
+    origin, cutoff : tuple, float
+        Place of the first node, and radius of the support. Lengths up to here are in one unit; those that follow are in
+        cutoffs.
+    runs : (r, 2, 3)
+        Bounds of each run of grains, see `runs_of`: those out of reach are passed over.
+    low, high : tuple of int
+        The box of nodes low <= (ix, iy, iz) < high, so that boxes can be filled one by one, or at the same time.
+    steps, active, period : tuple
+        Spacing (cutoffs), whether distance along an axis counts, period (cutoffs; infinity where there is none).
+    kind, spread, table, norm
+        The kernel, see `xcg.fields.smoothing.Weights`.
+    by_gradient : True or None
+        Weigh by derivative / distance instead of the value.
+    grains : (RUN, GRAIN + q or more)
+        Scratch: of each grain PLACE and SPEED, three each, WEIGHED, GROUP, and its constants.
+    lists, numbers : (LISTS, m), (NUMBERS, m)
+        Scratch, see `lists_for`.
+    moments : (phases, nodes of the box, level + q)
+        Sums, added to.
+    reference : (nodes of the box, 3)
+        Reference velocity of each node, NaN where no grain has reached it; set here.
+    """
+    begin = (low[0] * steps[0], low[1] * steps[1], low[2] * steps[2])
+    end = ((high[0] - 1) * steps[0], (high[1] - 1) * steps[1], (high[2] - 1) * steps[2])
+    per_steps = (1.0 / steps[0], 1.0 / steps[1], 1.0 / steps[2])
+    reach = (1.0 if active[0] else 0.0, 1.0 if active[1] else 0.0, 1.0 if active[2] else 0.0)
+    q2, weight = lists[Q2], lists[WEIGHT]
+    for run in range(runs.shape[0]):
+        if not run_reaches(runs, run, begin, end, active, period):
+            continue
+        rows = order[run * RUN : (run + 1) * RUN]
+        _list_grains(rows, position, velocity, mass, constants, phase, origin, cutoff, grains)
+        for i in range(rows.size):
+            p = np.uint64(grains[i, GROUP])
+            x0 = grains[i, PLACE] if active[0] else 0.0
+            y0 = grains[i, PLACE + 1] if active[1] else 0.0
+            z0 = grains[i, PLACE + 2] if active[2] else 0.0
+            first_x, last_x = images(x0, -reach[0], reach[0], begin[0], end[0], period[0])
+            first_y, last_y = images(y0, -reach[1], reach[1], begin[1], end[1], period[1])
+            first_z, last_z = images(z0, -reach[2], reach[2], begin[2], end[2], period[2])
+            if first_x > last_x or first_y > last_y or first_z > last_z:
+                continue
+            for image_x in range(first_x, last_x + 1):
+                x = x0 + image_x * period[0] if image_x else x0
+                for image_y in range(first_y, last_y + 1):
+                    y = y0 + image_y * period[1] if image_y else y0
+                    for image_z in range(first_z, last_z + 1):
+                        z = z0 + image_z * period[2] if image_z else z0
+                        hits = list_ball(x, y, z, steps, per_steps, low, high, lists, numbers)
+                        fill_values(kind, spread, table, norm, by_gradient, q2, hits, weight)
+                        if level > 0:
+                            _add_flow(p, grains, i, lists, numbers, hits, level, still, moments, reference)
+                        if meet is not None:
+                            kernel = kind, spread, table, norm
+                            _add_images(p, grains[i, WEIGHED], lists, numbers, hits, level, period, kernel, moments)
+                        for d in range(0, constants.shape[1], 4):
+                            c0, c1 = grains[i, GRAIN + d], grains[i, GRAIN + d + 1]
+                            c2, c3 = grains[i, GRAIN + d + 2], grains[i, GRAIN + d + 3]
+                            for k in range(hits):
+                                add_four(moments, p, numbers[NODE, k], level + d, weight[k], c0, c1, c2, c3)
+
+
+@leaf
+def _list_grains(rows, position, velocity, mass, constants, phase, origin, cutoff, grains):
+    """Put together what is needed of some grains, which is spread over memory: all of it is asked for at once."""
+    per_cutoff = 1.0 / cutoff
+    for i in range(rows.size):
+        n = rows[i]
+        for k in range(3):
+            grains[i, PLACE + k] = (position[n, k] - origin[k]) * per_cutoff
+            grains[i, SPEED + k] = velocity[n, k]
+        grains[i, WEIGHED], grains[i, GROUP] = mass[n], phase[n]
+        for k in range(constants.shape[1]):
+            grains[i, GRAIN + k] = constants[n, k]
+
+
+@leaf
+def _add_flow(p, grains, i, lists, numbers, hits, level, still, moments, reference):
+    """Add one grain to the flow columns of the nodes that it reaches."""
+    mass, vx, vy, vz = grains[i, WEIGHED], grains[i, SPEED], grains[i, SPEED + 1], grains[i, SPEED + 2]
+    for k in range(hits):
+        n, x, y, z = np.uint64(numbers[NODE, k]), lists[X, k], lists[Y, k], lists[Z, k]
+        if math.isnan(reference[n, 0]):
+            reference[n, 0], reference[n, 1], reference[n, 2] = vx, vy, vz
+        ux, uy, uz = vx - reference[n, 0], vy - reference[n, 1], vz - reference[n, 2]
+        w = lists[WEIGHT, k] * mass
+        if still is not None:
+            moments[p, n, _COLUMNS[MASS]] += w
+            moments[p, n, _COLUMNS[COUNT]] += 1.0
+            if level >= FLUCTUATION:
+                moments[p, n, _COLUMNS[SQUARE]] += w * w
+            if level >= LINEAR:
+                moments[p, n, _COLUMNS[OFFSET]] += w * x
+                moments[p, n, _COLUMNS[OFFSET + 4]] += w * y
+                moments[p, n, _COLUMNS[OFFSET + 8]] += w * z
+        else:
+            wx, wy, wz = w * ux, w * uy, w * uz
+            add_four(moments, p, n, MASS, 1.0, w, wx, wy, wz)
+            add_four(moments, p, n, COUNT, 1.0, 1.0, wx * ux, wx * uy, wx * uz)
+            if level >= FLUCTUATION:
+                add_four(moments, p, n, KINETIC + 3, 1.0, wy * uy, wy * uz, wz * uz, w * w)
+            if level >= LINEAR:
+                add_four(moments, p, n, OFFSET, x, w, wx, wy, wz)
+                add_four(moments, p, n, OFFSET + 4, y, w, wx, wy, wz)
+                add_four(moments, p, n, OFFSET + 8, z, w, wx, wy, wz)
+        if level >= LINEAR:
+            wx, wy, wz = w * x, w * y, w * z
+            add_four(moments, p, n, SPREAD, 1.0, wx * x, wx * y, wx * z, wy * y)
+            add_four(moments, p, n, SPREAD + 4, 1.0, wy * z, wz * z, w * wx, w * wy)
+            if level >= SQUARED:
+                add_four(moments, p, n, SQUARE_OFFSET + 2, w, wz, wx * x, wx * y, wx * z)
+                add_four(moments, p, n, SQUARE_SPREAD + 3, w, wy * y, wy * z, wz * z, 0.0)
+
+
+@leaf
+def _others(period):
+    """How many images to each side are closer than two cutoffs, so that they can reach a node together."""
+    return math.ceil(2.0 / period) - 1 if period < 2.0 else 0
+
+
+@leaf
+def _add_images(p, mass, lists, numbers, hits, level, period, kernel, moments):
+    """Add the products of the weight of one image of a grain, at the nodes that it reaches, and of all its others."""
+    kind, spread, table, norm = kernel
+    q2, other = lists[Q2], lists[OTHER]
+    many_x, many_y, many_z = _others(period[0]), _others(period[1]), _others(period[2])
+    for n_x in range(-many_x, many_x + 1):
+        move_x = n_x * period[0] if n_x else 0.0
+        for n_y in range(-many_y, many_y + 1):
+            move_y = n_y * period[1] if n_y else 0.0
+            for n_z in range(-many_z, many_z + 1):
+                move_z = n_z * period[2] if n_z else 0.0
+                if n_x == 0 and n_y == 0 and n_z == 0:
+                    continue
+                for k in range(hits):
+                    x, y, z = lists[X, k] + move_x, lists[Y, k] + move_y, lists[Z, k] + move_z
+                    q2[k] = min(1.0, x * x + y * y + z * z)
+                fill_values(kind, spread, table, norm, None, q2, hits, other)
+                for k in range(hits):
+                    if q2[k] >= 1.0:
+                        continue
+                    n, w = np.uint64(numbers[NODE, k]), mass * lists[WEIGHT, k] * (mass * other[k])
+                    moments[p, n, _COLUMNS[SQUARE]] += w
+                    if level >= SQUARED:
+                        x, y, z = lists[X, k], lists[Y, k], lists[Z, k]
+                        to_x, to_y, to_z = w * (x + move_x), w * (y + move_y), w * (z + move_z)
+                        add_four(moments, p, n, SQUARE_OFFSET, 1.0, to_x, to_y, to_z, x * to_x)
+                        add_four(moments, p, n, SQUARE_SPREAD + 1, 1.0, x * to_y, x * to_z, y * to_y, y * to_z)
+                        moments[p, n, _COLUMNS[SQUARE_SPREAD + 5]] += z * to_z

@@ -1,0 +1,164 @@
+"""The algebra at the nodes, step by step, over a few nodes at a time so that all intermediate results stay in cache."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xcg.compiled._jit import leaf
+from xcg.compiled.fit import fit_rows
+from xcg.compiled.simd import (
+    EIGHT,
+    TILE,
+    finish_streams,
+    number_at,
+    put_number_to,
+    row_difference,
+    row_known,
+    row_not_negative,
+    row_positive,
+    row_product,
+    row_quotient,
+    row_root,
+    row_sum,
+    stream_number_to,
+    turn_eight,
+)
+
+# The operations of a step (operation, result, a, b). Results and operands are rows of the scratch, but for a load and a
+# store, which say what to load or store.
+(
+    CONSTANT, LOAD, STORE, ADD, SUBTRACT, MULTIPLY, DIVIDE, SQUARE_ROOT, WHERE_POSITIVE, AT_LEAST_ZERO,
+    ZERO_IF_UNKNOWN, FIT, PART,
+) = range(13)  # fmt: skip
+THREE = np.uint64(3)
+_LINE = 64  # bytes of a line of the cache
+
+
+def room_for(rows: int) -> NDArray:
+    """Make zeros (rows, TILE) that begin with a line of the cache: all steps take a seventh longer across two lines."""
+    spare = np.zeros(rows * TILE + _LINE // 8)
+    first = -spare.ctypes.data % _LINE // 8
+    return spare[first : first + rows * TILE].reshape(rows, TILE)
+
+
+@leaf
+def play(steps, records, source, fields, target, place, scratch, few):
+    """Do the steps of a tape for all nodes.
+
+    Parameters
+    ----------
+    steps : (n, 4)
+        Operation, result and operands.
+    records : (arrays, 3)
+        Address of each array of sums (nodes, width), its width, and the row of the scratch where its columns begin.
+    source : (loads, 2)
+        Row of the column of each load, and the row of a factor.
+    fields : (stores, 3)
+        Address of the first component of each store, the numbers that the field holds for a place, and how many
+        components are stored: 1, 3 or 9.
+    target : (stores, 9)
+        Rows of the components.
+    place : (nodes,)
+        Place of each node in the fields.
+    scratch : (rows, TILE)
+        Holds constants and factors.
+    few : (any,)
+        Written: nodes that a `FIT` leaves to others, room for all from each of them.
+
+    Returns
+    -------
+    int
+        How many there are in `few`.
+    """
+    left, unread = 0, 0.0
+    for first in range(0, place.size, TILE):
+        many = min(TILE, place.size - first)
+        for n in range(records.shape[0]):
+            unread += _turn_records(records[n, 0], records[n, 1], records[n, 2], first, many, place.size, scratch)
+        for step in range(steps.shape[0]):
+            operation, r, a, b = steps[step, 0], steps[step, 1], steps[step, 2], steps[step, 3]
+            if operation == STORE:
+                if fields[r, 1] == fields[r, 2]:
+                    _store(fields[r, 0], fields[r, 1], target[r], place, first, many, scratch)
+                else:
+                    _store_apart(fields[r, 0], fields[r, 1], fields[r, 2], target[r], place, first, many, scratch)
+            elif operation == FIT:
+                found = fit_rows(scratch, a, r, many, b, few[left:])
+                for k in range(left, left + found):
+                    few[k] += first
+                left += found
+            elif operation == LOAD:
+                row_product(scratch, r, source[a, 0], source[a, 1])
+            elif operation == ADD:
+                row_sum(scratch, r, a, b)
+            elif operation == SUBTRACT:
+                row_difference(scratch, r, a, b)
+            elif operation == MULTIPLY:
+                row_product(scratch, r, a, b)
+            elif operation == DIVIDE:
+                row_quotient(scratch, r, a, b)
+            elif operation == SQUARE_ROOT:
+                row_root(scratch, r, a, a)
+            elif operation == WHERE_POSITIVE:
+                row_positive(scratch, r, a, a)
+            elif operation == AT_LEAST_ZERO:
+                row_not_negative(scratch, r, a, a)
+            elif operation == ZERO_IF_UNKNOWN:
+                row_known(scratch, r, a, a)
+    finish_streams()
+    scratch[0, 0] = unread
+    return left
+
+
+@leaf
+def _turn_records(address, width, row, first, many, nodes, scratch):
+    """Write the columns of some records (nodes, width) to rows; returns the sum of one number in each line of memory.
+
+    Lines are first read one after the other, as the processor expects it: that takes half the time.
+    """
+    begin, end, read = first * width, (first + many) * width, 0.0
+    for k in range(begin, end, np.uint64(EIGHT)):
+        read += number_at(address, k)
+    if many == TILE and end + np.uint64(EIGHT) <= nodes * width:  # what is read beyond a record is there
+        for k in range(0, TILE, EIGHT):
+            for c in range(0, width, EIGHT):
+                turn_eight(address, begin + k * width + c, width, scratch, row + c, k)
+    else:
+        for k in range(many):
+            for c in range(width):
+                scratch[row + c, k] = number_at(address, begin + k * width + c)
+    return read
+
+
+@leaf
+def _store(address, width, row, place, first, many, scratch):
+    """Store the components of a field (places, width), 1, 3 or 9, from their rows."""
+    x, y, z = row[0], row[1], row[2]
+    if width == 1:
+        for k in range(many):
+            stream_number_to(address, place[first + k], scratch[x, k])
+    elif width == 3:
+        for k in range(many):
+            _stream_three(address, width * place[first + k], scratch[x, k], scratch[y, k], scratch[z, k])
+    else:
+        yx, yy, yz, zx, zy, zz = row[3], row[4], row[5], row[6], row[7], row[8]
+        for k in range(many):
+            to = width * place[first + k]
+            _stream_three(address, to, scratch[x, k], scratch[y, k], scratch[z, k])
+            _stream_three(address, to + THREE, scratch[yx, k], scratch[yy, k], scratch[yz, k])
+            _stream_three(address, to + THREE + THREE, scratch[zx, k], scratch[zy, k], scratch[zz, k])
+
+
+@leaf
+def _store_apart(address, width, components, row, place, first, many, scratch):
+    """Store some of the `width` numbers that a field holds for a place, which would leave gaps in a stream."""
+    for c in range(components):
+        x = row[c]
+        for k in range(many):
+            put_number_to(address, width * place[first + k] + c, scratch[x, k])
+
+
+@leaf
+def _stream_three(address, to, x, y, z):
+    stream_number_to(address, to, x)
+    stream_number_to(address, to + np.uint64(1), y)
+    stream_number_to(address, to + np.uint64(2), z)

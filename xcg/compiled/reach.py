@@ -1,0 +1,264 @@
+"""Which nodes a grain or a branch reaches: periodic images, rows of nodes, spatial order.
+
+Lengths are in units of the cutoff and relative to the first node. A node's index is ``(ix ny + iy) nz + iz``
+within the box of nodes that is being filled.
+
+Nodes are listed row by row along z, in loops that the compiler turns into vector instructions. Tables hold what the
+rows of a plane and the nodes of a row have in common; then it is computed how far each row is reached, for all rows at
+once, and last come the nodes of a row, eight at a time. What a row writes beyond its end is overwritten by the next.
+Indices are unsigned, as signed ones are looked at for counting from the end.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xcg.compiled._jit import leaf
+from xcg.compiled.contacts import places_by
+from xcg.compiled.simd import EIGHT, put_eight, put_line, put_sum
+
+PAD = 16  # loops over lists run to a multiple of this: what is left over would be done one by one
+PENCIL = 8  # cells across: the nodes that a layer of a pencil adds to fit in a core's cache
+RUN = 256  # grains or branches, neighbours in space, that are passed over together
+
+# What the lists hold: tables over the nodes of a row and the rows of a plane, in both kinds of lists,
+OF_Y, OF_Z, OF_Y2, OF_Z2 = (np.uint64(k) for k in range(4))
+# rows of nodes and nodes, as numbers,
+ROW_X, ROW_DOT, ROW_Y, ROW2, X, ALONG, Y, Z, Q2, WEIGHT = (np.uint64(k) for k in (4, 4, 5, 6, 7, 7, 8, 9, 10, 11))
+OTHER = ROW_X  # no longer needed once the nodes are listed
+# and as integers. (Plain integers would be compiled for one by one.)
+ROW, FIRST, MANY, NODE = (np.uint64(k) for k in range(2, 6))
+LISTS, NUMBERS = 12, 6
+
+# Cells of the spatial order, however far apart the grains are.
+MOST_CELLS = 1 << 20
+
+
+@leaf
+def images(x, low, high, first, last, period):
+    """First and last periodic image of an interval [x + low, x + high] that meets the nodes in [first, last]."""
+    if x + high - period < first and x + low + period > last:  # nearly all: no more than the interval itself
+        return 0, 0 if x + high >= first and x + low <= last else -1
+    return math.ceil((first - x - high) / period), math.floor((last - x - low) / period)
+
+
+@leaf
+def node_range(low, high, per_step, begin, end):
+    """First and one past the last of the nodes begin, ... end - 1 that lie within [low, high]."""
+    first = max(begin, math.ceil(low * per_step))
+    return first, max(first, min(end, math.floor(high * per_step) + 1))
+
+
+@leaf
+def padded(count):
+    """Return the next multiple of `PAD`; lists about up to n nodes are made as long as ``padded(n) + PAD``."""
+    return (count + PAD - 1) // PAD * PAD
+
+
+def lists_for(
+    low: Sequence[int], high: Sequence[int], reach: Sequence[float], steps: Sequence[float], real: str = "float64"
+) -> tuple[NDArray, NDArray]:
+    """Make lists for anything that reaches this far along each axis, within the box low <= node < high.
+
+    The integers come with tables of the indices of the nodes of a row and of the rows of a plane.
+    """
+    most = 1
+    for first, end, far, step in zip(low, high, reach, steps, strict=True):
+        # no more than there are: along an axis with one node the spacing means nothing
+        most *= min(end - first, int(far / step) + 2)
+    room = padded(most) + PAD
+    numbers = np.zeros((NUMBERS, room), "int32")
+    numbers[OF_Z] = np.arange(room)
+    numbers[OF_Y] = np.arange(room) * (high[2] - low[2])
+    return np.zeros((LISTS, room), real), numbers
+
+
+@leaf
+def list_ball(x, y, z, steps, per_steps, low, high, lists, numbers):
+    """List the nodes closer than 1 to a point.
+
+    Parameters
+    ----------
+    x, y, z : float
+        The point.
+    steps, per_steps : tuple
+        Spacing of the nodes, and nodes per length.
+    low, high : tuple of int
+        Only nodes low <= (ix, iy, iz) < high, whose indices are counted within this box.
+    lists, numbers : (LISTS, n), (NUMBERS, n)
+        Written: numbers[NODE], the indices, and lists[Q2], squared distances, and lists[X], lists[Y] and lists[Z], the
+        point minus the node.
+
+    Returns
+    -------
+    int
+        Number of nodes listed.
+    """
+    x0, x1 = node_range(x - 1.0, x + 1.0, per_steps[0], low[0], high[0])
+    y0, y1 = node_range(y - 1.0, y + 1.0, per_steps[1], low[1], high[1])
+    z0, z1 = node_range(z - 1.0, z + 1.0, per_steps[2], low[2], high[2])
+    ny, nz = high[1] - low[1], high[2] - low[2]
+    for j in range(0, y1 - y0, EIGHT):
+        put_line(lists, OF_Y, OF_Y2, j, y0 + j, steps[1], y, -1.0)
+    for j in range(0, z1 - z0, EIGHT):
+        put_line(lists, OF_Z, OF_Z2, j, z0 + j, steps[2], z, -1.0)
+    count = 0
+    for ix in range(x0, x1):
+        dx, begin = x - ix * steps[0], ((ix - low[0]) * ny + y0 - low[1]) * nz + z0 - low[2]
+        for j in range(0, y1 - y0, EIGHT):
+            put_eight(lists, ROW_X, count + j, dx)
+            put_sum(lists, ROW_Y, count + j, 0.0, OF_Y, j)
+            put_sum(numbers, ROW, count + j, begin, OF_Y, j)
+        count += y1 - y0
+    lowest, highest, per_step = float(z0), float(z1 - 1), per_steps[2]
+    for k in range(padded(count)):
+        dx, dy = lists[ROW_X, k], lists[ROW_Y, k]
+        row2 = dx * dx + dy * dy
+        half = math.sqrt(max(0.0, 1.0 - row2))
+        begin = max(lowest, np.ceil((z - half) * per_step))
+        end = min(highest, np.floor((z + half) * per_step) if row2 < 1.0 else lowest - 1.0)
+        lists[ROW2, k] = row2
+        numbers[FIRST, k] = np.int32(max(0.0, min(highest, begin) - lowest))  # within the tables
+        numbers[MANY, k] = np.int32(max(0.0, end - begin + 1.0))
+    hits = 0
+    for k in range(count):
+        first, left = numbers[FIRST, k], numbers[MANY, k]
+        dx, dy, row2, row = lists[ROW_X, k], lists[ROW_Y, k], lists[ROW2, k], numbers[ROW, k]
+        while True:
+            put_sum(lists, Q2, hits, row2, OF_Z2, first)
+            put_eight(lists, X, hits, dx)
+            put_eight(lists, Y, hits, dy)
+            put_sum(lists, Z, hits, 0.0, OF_Z, first)
+            put_sum(numbers, NODE, hits, row, OF_Z, first)
+            hits += min(EIGHT, left)
+            left -= EIGHT
+            if left <= 0:
+                break
+            first += EIGHT
+    return hits
+
+
+@leaf
+def list_tube(x, y, z, bx, by, bz, per_length, steps, per_steps, low, high, lists, numbers):
+    """List the nodes closer than 1 to the segment from a point to that point plus b, in the precision of `lists`.
+
+    Along the row of nodes at (dx, dy) from the start, the end u of the reach is where ``u bz + sqrt(1 - |d - u b|^2)``,
+    seen along z, is largest for 0 <= u <= 1.
+
+    Parameters
+    ----------
+    x, y, z, bx, by, bz : float
+        Start of the segment, and its end relative to it.
+    per_length : float
+        1 / its length, or 0.
+    steps, per_steps, low, high
+        As in `list_ball`.
+    lists, numbers : (LISTS, n), (NUMBERS, n)
+        Written: numbers[NODE], the indices, lists[Q2], squared distances to the start, and lists[ALONG], the foot of
+        the node on the segment's line, from the start.
+
+    Returns
+    -------
+    int
+        Number of nodes listed.
+    """
+    x0, x1 = node_range(x + min(0.0, bx) - 1.0, x + max(0.0, bx) + 1.0, per_steps[0], low[0], high[0])
+    y0, y1 = node_range(y + min(0.0, by) - 1.0, y + max(0.0, by) + 1.0, per_steps[1], low[1], high[1])
+    z0, z1 = node_range(z + min(0.0, bz) - 1.0, z + max(0.0, bz) + 1.0, per_steps[2], low[2], high[2])
+    across2 = bx * bx + by * by
+    # how far u moves from the nearest point of the line for each unit of half chord
+    tilt = 0.0
+    if bz != 0.0:
+        tilt = bz / math.sqrt(across2 * (across2 + bz * bz)) if across2 > 1e-30 else math.copysign(1e30, bz)
+    real = lists.dtype.type
+    zero, one, two = real(0.0), real(1.0), real(2.0)
+    # nodes are counted from the one below the start, so that few digits are enough, and the same whatever the box
+    base_y, base_z = math.floor(y * per_steps[1]), math.floor(z * per_steps[2])
+    y, step_y, by = real(y - base_y * steps[1]), real(steps[1]), real(by)
+    z, step_z, per_step = real(z - base_z * steps[2]), real(steps[2]), real(per_steps[2])
+    ez, per_length = real(bz * per_length), real(per_length)
+    ny, nz = high[1] - low[1], high[2] - low[2]
+    for j in range(0, y1 - y0, EIGHT):
+        put_line(lists, OF_Y, OF_Y2, j, y0 - base_y + j, step_y, y, by)
+    for j in range(0, z1 - z0, EIGHT):
+        put_line(lists, OF_Z, OF_Z2, j, z0 - base_z + j, step_z, z, ez)
+    count = 0
+    for ix in range(x0, x1):
+        dx, begin = ix * steps[0] - x, ((ix - low[0]) * ny + y0 - low[1]) * nz + z0 - low[2]
+        dx2, dx_dot = real(dx * dx), real(dx * bx)
+        for j in range(0, y1 - y0, EIGHT):
+            put_sum(lists, ROW2, count + j, dx2, OF_Y2, j)
+            put_sum(lists, ROW_DOT, count + j, dx_dot, OF_Y, j)
+            put_sum(numbers, ROW, count + j, begin, OF_Y, j)
+        count += y1 - y0
+    lowest, highest = real(z0 - base_z), real(z1 - 1 - base_z)
+    c2, per_c2, tilt, rise = real(across2), real(1.0 / across2 if across2 > 0.0 else 0.0), real(tilt), real(bz)
+    for k in range(padded(count)):
+        row2, dot = lists[ROW2, k], lists[ROW_DOT, k]
+        u = dot * per_c2
+        move = np.sqrt(max(zero, one - (row2 - dot * u))) * tilt
+        upper, lower = min(one, max(zero, u + move)), min(one, max(zero, u - move))
+        rest_upper = one - (row2 + upper * (upper * c2 - two * dot))
+        rest_lower = one - (row2 + lower * (lower * c2 - two * dot))
+        top = np.floor((z + upper * rise + np.sqrt(max(zero, rest_upper))) * per_step)
+        bottom = np.ceil((z + lower * rise - np.sqrt(max(zero, rest_lower))) * per_step)
+        begin = max(lowest, bottom)
+        end = min(highest, top if rest_upper > zero else lowest - one)
+        numbers[FIRST, k] = np.int32(max(zero, min(highest, begin) - lowest))  # within the tables
+        numbers[MANY, k] = np.int32(max(zero, end - begin + one))
+    hits = 0
+    for k in range(count):
+        first, left = numbers[FIRST, k], numbers[MANY, k]
+        row2, foot, row = lists[ROW2, k], lists[ROW_DOT, k] * per_length, numbers[ROW, k]
+        while True:
+            put_sum(lists, Q2, hits, row2, OF_Z2, first)
+            put_sum(lists, ALONG, hits, foot, OF_Z, first)
+            put_sum(numbers, NODE, hits, row, OF_Z, first)
+            hits += min(EIGHT, left)
+            left -= EIGHT
+            if left <= 0:
+                break
+            first += EIGHT
+    return hits
+
+
+def runs_of(position: NDArray) -> NDArray:
+    """Lowest and highest place, (runs, 2, 3), of each run of `RUN` rows of position (m, 3)."""
+    first = np.arange(0, len(position), RUN)
+    columns = [np.ascontiguousarray(x) for x in position.T]
+    bounds = [[extreme.reduceat(x, first) for x in columns] for extreme in (np.minimum, np.maximum)]
+    return np.array(bounds).transpose(2, 0, 1).copy()
+
+
+@leaf
+def run_reaches(runs, run, begin, end, active, period):
+    """Whether anything of one of `runs_of`, or an image of it, is closer than 1 to nodes from `begin` to `end`."""
+    reaches = True
+    for k in range(3):
+        if active[k]:
+            first, last = images(0.0, runs[run, 0, k] - 1.0, runs[run, 1, k] + 1.0, begin[k], end[k], period[k])
+            reaches = reaches and first <= last
+    return reaches
+
+
+def spatial_order(position: NDArray, size: float, lower: NDArray, upper: NDArray, active: NDArray) -> NDArray:
+    """Order points (n, 3) by cells of a size (larger where points are few), in pencils along x.
+
+    `lower` and `upper` are their bounds. Points of one pencil add to few nodes at a time, which stay in cache. The
+    order is stable, so that sums have one order only.
+    """
+    count = len(position)
+    extent, sizes = np.where(active, upper - lower, 0.0), np.full(3, size)
+    while (extent / sizes + PENCIL).prod() > max(MOST_CELLS, 4.0 * count):
+        sizes[np.argmax(extent / sizes)] *= 2.0  # a few grains are far astray
+    cells = (extent / sizes).astype(int) + 1
+    pencils_y, pencils_z = ((cells[1:] - 1) // PENCIL + 1).tolist()
+    x, y, z = ((position - lower) / np.where(active, sizes, np.inf)).astype("int64").T
+    pencil = y // PENCIL * pencils_z + z // PENCIL
+    cell = ((pencil * cells[0] + x) * PENCIL + y % PENCIL) * PENCIL + z % PENCIL
+    place, order = np.empty(count, "int64"), np.empty(count, "int64")
+    places_by(cell, np.zeros(pencils_y * pencils_z * int(cells[0]) * PENCIL * PENCIL + 1, "int64"), place)
+    order[place] = np.arange(count)
+    return order

@@ -1,0 +1,268 @@
+"""Sums over segments: every contact adds force times branch, smeared along the branch, to the nodes it reaches.
+
+Lengths are in units of the cutoff and relative to the first node. The weight of a node is the mean of the kernel
+over the segment, ``S = int_0^1 Psi(r - start + u a) du`` with the segment running from `start` to ``start - a``. It
+comes from the closed form, or from the fewest Gauss-Legendre points that meet the asked accuracy for a branch of
+that length.
+"""
+
+import math
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xcg.compiled._jit import leaf
+from xcg.compiled.contacts import AHEAD, side
+from xcg.compiled.reach import ALONG, NODE, Q2, RUN, WEIGHT, images, list_tube, padded, run_reaches
+from xcg.compiled.simd import add_four, ask_for
+from xcg.compiled.smoothing import fill_gauss, fill_segments
+
+# The rules to choose from, by number of Gauss-Legendre points: an odd number takes as long as the next even one.
+RULES = (2, 4, 6, 8, 10, 12)
+# Branches closer to one line than this (sine of their angle) share one segment from centre to centre; the
+# contact point is then off that line by no more than the rounding of its coordinates.
+COLLINEAR = 1e-12
+# Below this length (in cutoffs) the closed form loses more digits in its difference than four points leave out.
+SHORT = 1e-4
+SHORT_ORDER = 4
+# what a segment's record holds
+START, BRANCH, FORCE, GROUP = 0, 3, 6, 9
+SEGMENT = 10
+_LAST = np.uint64(8)
+
+
+@lru_cache
+def gauss_rules(*orders: int) -> tuple[NDArray, NDArray]:
+    """Points and weights of Gauss-Legendre rules on [0, 1]: those of n points fill the first n places of row n."""
+    points = np.zeros((max(orders) + 1, max(orders)))
+    weights = np.zeros_like(points)
+    for n in orders:
+        x, w = np.polynomial.legendre.leggauss(n)
+        points[n, :n], weights[n, :n] = 0.5 + 0.5 * x, 0.5 * w
+    return points, weights
+
+
+GAUSS_POINTS, GAUSS_WEIGHTS = gauss_rules(*RULES)
+
+
+@leaf
+def choose_order(length, limits):
+    """Fewest points among `RULES` whose error bound holds up to this length; 0, the closed form, where none does."""
+    if length < SHORT:
+        return SHORT_ORDER
+    for k in range(limits.size):
+        if length <= limits[k]:
+            return RULES[k]
+    return 0
+
+
+@leaf
+def list_segments(
+    second, place, row_i, row_j, point, force, position, phase, others, wrap, cutoffs, cutoff, origin, segments, longest
+):  # fmt: skip
+    """List one segment a contact: of its first particle that is there, or `second`, of its partner.
+
+    Each side of a contact runs from its particle's centre to the contact point. Both sides are one segment, of the
+    first, where they lie on one line, on opposite sides of the point, and in one phase.
+
+    Parameters
+    ----------
+    second : bool
+        Whether the segments of the partners are wanted.
+    place : (n,)
+        Where in the list each contact's segment goes.
+    row_i, row_j : (n,)
+        Particles of each contact; negative where a partner is no row.
+    point, force : (n, 3)
+        Contact point, and force on i.
+    position, phase : (m, 3), (m,)
+        Of the particles.
+    others : int
+        0, or the number of phases of partners, the last one for partners that are no row: groups are then phases by
+        phases of the partner.
+    wrap : tuple
+        Periods of the scene, infinity where there are none.
+    cutoffs : (phases,)
+        Cutoff of the sides of each phase.
+    cutoff : float
+        The one whose segments are listed, and their unit of length.
+    origin : tuple
+        Of the starts.
+    segments : (n, 10)
+        Written: START, BRANCH from the segment's end to its start, and FORCE on the particle times the cutoff, three
+        each, and GROUP, -1 where there is no segment.
+    longest : (4,)
+        Written: the largest component along x, y, z, and length, of a branch; NaN if any is.
+
+    Returns
+    -------
+    bool
+        Whether any contact has a second segment.
+    """
+    per_cutoff, more = 1.0 / cutoff, False
+    most_x, most_y, most_z, most2 = 0.0, 0.0, 0.0, 0.0
+    for n in range(place.size):
+        later = min(n + AHEAD, place.size - 1)
+        ask_for(position, row_i[later])
+        ask_for(position, row_j[later])
+        ask_for(segments, place[later])
+        ask_for(phase, row_i[later])
+        ask_for(phase, row_j[later])
+        i, j, k, sign = row_i[n], row_j[n], place[n], cutoff
+        ax, ay, az = side(position, i, point, n, wrap)
+        bx, by, bz = side(position, j, point, n, wrap)
+        two = i >= 0 and j >= 0
+        if two and phase[i] == phase[j] and _on_one_line(ax, ay, az, bx, by, bz):
+            ax, ay, az, two = ax - bx, ay - by, az - bz, False
+        more = more or two
+        if i < 0 or second:
+            i, j, ax, ay, az, sign = j, i, bx, by, bz, -cutoff
+        # a place that stays empty is at one of the particles all the same
+        here = i if i >= 0 else j
+        segments[k, GROUP] = -1.0
+        for c in range(3):
+            segments[k, START + c] = (position[here, c] - origin[c]) * per_cutoff if here >= 0 else 0.0
+        if i < 0 or (second and not two) or cutoffs[phase[i]] != cutoff:
+            continue
+        x, y, z = ax * per_cutoff, ay * per_cutoff, az * per_cutoff
+        segments[k, BRANCH], segments[k, BRANCH + 1], segments[k, BRANCH + 2] = x, y, z
+        segments[k, FORCE], segments[k, FORCE + 1] = sign * force[n, 0], sign * force[n, 1]
+        segments[k, FORCE + 2] = sign * force[n, 2]
+        partner = others - 1 if j < 0 else phase[j]
+        segments[k, GROUP] = phase[i] * others + partner if others else phase[i]
+        most_x, most_y, most_z = max(most_x, abs(x)), max(most_y, abs(y)), max(most_z, abs(z))
+        length2 = x * x + y * y + z * z
+        most2 = most2 if length2 <= most2 or math.isnan(most2) else length2
+    longest[0], longest[1], longest[2], longest[3] = most_x, most_y, most_z, math.sqrt(most2)
+    if math.isnan(most2):
+        longest[:] = most2
+    return more
+
+
+@leaf
+def _on_one_line(ax, ay, az, bx, by, bz):
+    """Whether two vectors point opposite ways along one line."""
+    cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    area2, most = cx * cx + cy * cy + cz * cz, (ax * ax + ay * ay + az * az) * (bx * bx + by * by + bz * bz)
+    return ax * bx + ay * by + az * bz <= 0.0 and area2 <= COLLINEAR * COLLINEAR * most
+
+
+@leaf
+def deposit_segments(
+    segments, limits, runs, low, high, steps, active, period, kind, spread, table, norm, lists, numbers, closed, rest,
+    moments,
+):  # fmt: skip
+    """Add force x branch of each segment to the nodes that its tube of radius 1 reaches.
+
+    Parameters
+    ----------
+    segments : (n, 10)
+        As from `list_segments`; lengths in cutoffs, starts relative to the first node.
+    limits : (k,)
+        Longest branch for which each of the first k `RULES` is accurate enough; empty for the closed form.
+    runs, low, high, steps, active, period, kind, spread, table, norm
+        As in `deposit`.
+    lists, numbers : (LISTS, m), (NUMBERS, m)
+        Scratch, see `lists_for`: in single precision where that is enough for distances and weights; sums are in
+        double.
+    closed : tuple or None
+        Scratch for the closed form, see `closed_for`; None leaves out the segments that need it.
+    rest : bool
+        Leave out all other segments.
+    moments : (groups, nodes of the box, 9)
+        Sums, added to: force component by branch component, row by row.
+    """
+    begin = (low[0] * steps[0], low[1] * steps[1], low[2] * steps[2])
+    end = ((high[0] - 1) * steps[0], (high[1] - 1) * steps[1], (high[2] - 1) * steps[2])
+    per_steps = (1.0 / steps[0], 1.0 / steps[1], 1.0 / steps[2])
+    reach = (1.0 if active[0] else 0.0, 1.0 if active[1] else 0.0, 1.0 if active[2] else 0.0)
+    along, q2, w = lists[ALONG], lists[Q2], lists[WEIGHT]
+    here = True
+    for i in range(segments.shape[0]):
+        if i % RUN == 0:
+            here = run_reaches(runs, i // RUN, begin, end, active, period)
+        if not here or segments[i, GROUP] < 0.0:
+            continue
+        x0 = segments[i, START] if active[0] else 0.0
+        y0 = segments[i, START + 1] if active[1] else 0.0
+        z0 = segments[i, START + 2] if active[2] else 0.0
+        bx = -segments[i, BRANCH] if active[0] else 0.0
+        by = -segments[i, BRANCH + 1] if active[1] else 0.0
+        bz = -segments[i, BRANCH + 2] if active[2] else 0.0
+        first_x, last_x = images(x0, min(0.0, bx) - reach[0], max(0.0, bx) + reach[0], begin[0], end[0], period[0])
+        first_y, last_y = images(y0, min(0.0, by) - reach[1], max(0.0, by) + reach[1], begin[1], end[1], period[1])
+        first_z, last_z = images(z0, min(0.0, bz) - reach[2], max(0.0, bz) + reach[2], begin[2], end[2], period[2])
+        if first_x > last_x or first_y > last_y or first_z > last_z:
+            continue
+        length = math.sqrt(bx * bx + by * by + bz * bz)
+        points = choose_order(length, limits)
+        if (points > 0 and rest) or (points == 0 and closed is None):
+            continue
+        per_length = 1.0 / length if length > 0.0 else 0.0
+        for image_x in range(first_x, last_x + 1):
+            x = x0 + image_x * period[0] if image_x else x0
+            for image_y in range(first_y, last_y + 1):
+                y = y0 + image_y * period[1] if image_y else y0
+                for image_z in range(first_z, last_z + 1):
+                    z = z0 + image_z * period[2] if image_z else z0
+                    hits = list_tube(x, y, z, bx, by, bz, per_length, steps, per_steps, low, high, lists, numbers)
+                    if points:
+                        fill_gauss(kind, spread, table, GAUSS_POINTS, GAUSS_WEIGHTS, points, length, along, q2, hits, w)
+                    elif closed is not None:
+                        fill_segments(kind, spread, table, length, along, q2, hits, w, *closed)
+                    _add_dyad(moments, segments, i, norm, numbers, w, hits)
+
+
+@leaf
+def _add_dyad(moments, segments, i, norm, numbers, w, hits):
+    """Add weight x norm x force x branch of segment i to the nine columns of each node."""
+    p = np.uint64(segments[i, GROUP])
+    f0, f1, f2 = norm * segments[i, FORCE], norm * segments[i, FORCE + 1], norm * segments[i, FORCE + 2]
+    a0, a1, a2 = segments[i, BRANCH], segments[i, BRANCH + 1], segments[i, BRANCH + 2]
+    for k in range(hits):
+        n, v = np.uint64(numbers[NODE, k]), np.float64(w[k])
+        add_four(moments, p, n, 0, v, f0 * a0, f0 * a1, f0 * a2, f1 * a0)
+        add_four(moments, p, n, 4, v, f1 * a1, f1 * a2, f2 * a0, f2 * a1)
+        moments[p, n, _LAST] += v * (f2 * a2)
+
+
+def closed_for(lists: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+    """Scratch of the closed form as long as some lists: the same memory as floats and as integers, and integers."""
+    ratio = np.zeros(lists.shape[1])
+    return ratio, ratio.view("int64"), np.zeros(lists.shape[1], "int64")
+
+
+def mean_along(points: NDArray, end: NDArray, order: int, kind: int | None, spread: float, table: NDArray) -> NDArray:
+    """Mean of the kernel over the segment from 0 to `end` (m,), seen from points (n, m), all in cutoffs."""
+    length = math.sqrt((end * end).sum())
+    along = points @ end / length if length > 0.0 else np.zeros(len(points))
+    rule = SHORT_ORDER if length < SHORT and order == 0 else order
+    return _means(length, rule, along, (points * points).sum(axis=1), kind, spread, table)
+
+
+def _means(
+    length: float, order: int, along: NDArray, q2: NDArray, kind: int | None, spread: float, table: NDArray
+) -> NDArray:
+    """Mean of the kernel over one segment, seen from many nodes."""
+    count, room = along.size, padded(along.size)
+    lists = np.zeros((3, room))
+    lists[0, :count], lists[1, :count] = along, q2
+    if order:
+        fill_gauss(kind, spread, table, *gauss_rules(order), order, length, *lists[:2], count, lists[2])
+    else:
+        fill_segments(kind, spread, table, length, *lists[:2], count, lists[2], *closed_for(lists))
+    return lists[2, :count]
+
+
+def largest_error(length: float, order: int, rows: int, kind: int | None, spread: float, table: NDArray) -> float:
+    """Largest error of a rule over node positions about a segment, relative to the segment's largest value.
+
+    Scans `rows` distances from the segment's line and 4 `rows` places along it (one row, h = 0, sees one dimension).
+    """
+    columns = 4 * max(rows, 32)
+    along = np.tile(-1.0 + (length + 2.0) * np.arange(columns + 1) / columns, rows)
+    q2 = along**2 + np.repeat((np.arange(rows) / rows) ** 2, columns + 1)
+    exact = _means(length, 0, along, q2, kind, spread, table)
+    rule = _means(length, order, along, q2, kind, spread, table)
+    return float(np.abs(rule - exact).max() / exact.max())

@@ -1,0 +1,368 @@
+"""Radial smoothing functions of a unit cutoff: value, gradient and integral along a segment.
+
+A kernel in k dimensions that is seen in m of them has codimension n = k - m: it is integrated over n axes. With
+P(q) the profile (q = r / cutoff, zero for q >= 1),
+
+    n = 0   P(q)
+    n = 1   L1(q) = integral of P over a line at distance q
+    n = 2   L2(q) = integral of P over a plane at distance q
+
+and the same three hold for kernels of any k. A segment at distance h from a point, running from t0 to t1 along
+its own line, contributes the integral of the value at sqrt(h^2 + t^2) over t. A kind is shape + codimension.
+
+Powers of q integrate to polynomials and logarithms: for Lucy see `_lucy_line` and `_lucy_plane`.
+
+The kind of Lucy's kernel itself, in codimension 0, is None: the compiler tells None from a number by its type, and
+leaves all other kernels out of the loops that most scenes take, which then compile in half the time.
+"""
+
+import math
+
+import numpy as np
+
+from xcg.compiled._jit import jit, leaf
+from xcg.compiled.reach import padded
+
+LUCY, GAUSSIAN, HEAVISIDE, TABLE = 0, 3, 6, 9
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(32)
+_SQRT2 = math.sqrt(2.0)
+_SQRT_PI_2 = math.sqrt(math.pi / 2)
+_LN2 = math.log(2.0)
+_TINY = 1e-290  # keeps the logarithm finite on the segment itself, where its factor h^4 is zero
+
+# --- Lucy: P = 1 - 6 q^2 + 8 q^3 - 3 q^4 = (1 - q)^3 (1 + 3 q) -------------------------------------------
+
+
+@leaf
+def _log_term(h2, t):
+    """Inverse hyperbolic sine of t / h, and zero on the line itself, where its factor h^2 or h^4 vanishes."""
+    return 0.0 if h2 < 1e-280 else math.log((t + math.sqrt(h2 + t * t)) / math.sqrt(h2))
+
+
+@leaf
+def _lucy_line(h2, t):
+    """Integral of P(sqrt(h^2 + s^2)) over 0 < s < t, for h^2 + t^2 <= 1."""
+    t2 = t * t
+    r = math.sqrt(h2 + t2)
+    cubic = t * r * (2.0 * r * r + 3.0 * h2) + 3.0 * h2 * h2 * _log_term(h2, t)
+    return t * (1.0 - 6.0 * h2 - 2.0 * t2 - 3.0 * h2 * h2 - 2.0 * h2 * t2 - 0.6 * t2 * t2) + cubic
+
+
+# Beyond this squared distance the closed form of L1 cancels to its rounding; the quadrature keeps every digit of
+# the small weights at the rim, where a node may see nothing else.
+_RIM = 0.5
+_RIM_NODES, _RIM_WEIGHTS = np.polynomial.legendre.leggauss(12)
+
+
+@leaf
+def _lucy_line_value(q2, by_gradient):
+    """L1(q), or its derivative divided by q."""
+    half2 = 1.0 - q2
+    half = math.sqrt(half2)
+    if q2 < _RIM:
+        if by_gradient:
+            return -24.0 * (half * (q2 + half2 / 3.0) - q2 * _log_term(q2, half))
+        return 2.0 * _lucy_line(q2, half)
+    total = 0.0
+    for g in range(_RIM_NODES.size):
+        t = 0.5 * (1.0 + _RIM_NODES[g])
+        rest = half2 * (1.0 - t * t)  # 1 - r^2
+        r = math.sqrt(1.0 - rest)
+        p = rest / (1.0 + r)
+        total += _RIM_WEIGHTS[g] * (-12.0 * p * p if by_gradient else p * p * p * (1.0 + 3.0 * r))
+    return half * total
+
+
+@leaf
+def _lucy_plane_value(q2):
+    """L2(q) / 2 pi = integral of P(r) r over q < r < 1."""
+    q = math.sqrt(q2)
+    return (1.0 - q) ** 4 * (0.1 + 0.4 * q + 0.5 * q2)
+
+
+@leaf
+def _lucy_plane(h2, t):
+    """Integral of L1(sqrt(h^2 + s^2)) over 0 < s < t, for h^2 + t^2 <= 1.
+
+    In polar coordinates about the foot of the perpendicular, integrating by parts over the radius leaves
+    pi w(h) - 2 t int_0^u w(r) / (u^2 + t^2) du with w = L2 / 2 pi and u the half chord of the disc at t.
+    """
+    a2 = h2 + t * t
+    if t <= 0.0:
+        return 0.0
+    u2 = max(0.0, 1.0 - a2)
+    u = math.sqrt(u2)
+    h = math.sqrt(h2)
+    t2, h4 = t * t, h2 * h2
+    even0 = 0.1 + h2 * (-0.5 + h2 * (1.5 + 0.5 * h2))
+    even = (-0.5 + 3.0 * h2 + 1.5 * h4) * u
+    even += 1.5 * (1.0 + h2) * u * (u2 / 3.0 + t2)
+    even += 0.5 * u * (u2 * u2 / 5.0 + 2.0 / 3.0 * t2 * u2 + t2 * t2)
+    log = math.log((1.0 + u) / math.sqrt(a2))
+    odd = 0.25 * u + 0.375 * a2 * (u + a2 * log) + 0.5 * h2 * (u + a2 * log) + h4 * log
+    angles = even0 * math.atan2(u, t) - 1.6 * h4 * h * math.atan2(h * u, t)
+    return math.pi * _lucy_plane_value(h2) - 2.0 * (angles + t * (even - 1.6 * odd))
+
+
+# --- value and gradient ----------------------------------------------------------------------------------
+
+
+@leaf
+def value(kind, spread, table, q2):
+    """Value at squared distance q2 < 1 (cutoff 1, not normalised); `spread` is w / c of the Gaussian."""
+    if kind is None:
+        q = math.sqrt(q2)
+        p = 1.0 - q
+        return p * p * p * (1.0 + 3.0 * q)
+    if kind == LUCY + 1:
+        return _lucy_line_value(q2, False)
+    if kind == LUCY + 2:
+        return 2.0 * math.pi * _lucy_plane_value(q2)
+    if kind == GAUSSIAN:
+        return math.exp(-0.5 * q2 / (spread * spread))
+    if kind == GAUSSIAN + 1:
+        half = math.erf(math.sqrt(1.0 - q2) / (_SQRT2 * spread))
+        return 2.0 * spread * _SQRT_PI_2 * half * math.exp(-0.5 * q2 / (spread * spread))
+    if kind == GAUSSIAN + 2:
+        s2 = spread * spread
+        return 2.0 * math.pi * s2 * math.exp(-0.5 / s2) * math.expm1(0.5 * (1.0 - q2) / s2)
+    if kind == HEAVISIDE:
+        return 1.0
+    if kind == HEAVISIDE + 1:
+        return 2.0 * math.sqrt(1.0 - q2)
+    if kind == HEAVISIDE + 2:
+        return math.pi * (1.0 - q2)
+    return _interpolate(table, 0, q2)
+
+
+@leaf
+def gradient(kind, spread, table, q2):
+    """Return the derivative of the value by q, divided by q; the gradient is this times the vector r / c.
+
+    Jumps at the cutoff are left out: zero for a Heaviside of codimension 0, the smooth part for a Gaussian.
+    """
+    if kind is None:
+        p = 1.0 - math.sqrt(q2)
+        return -12.0 * p * p
+    if kind == LUCY + 1:
+        return _lucy_line_value(q2, True)
+    if kind == LUCY + 2:
+        return -2.0 * math.pi * value(None, spread, table, q2)
+    if kind in (GAUSSIAN, GAUSSIAN + 1):
+        return -value(kind, spread, table, q2) / (spread * spread)
+    if kind == GAUSSIAN + 2:
+        return -2.0 * math.pi * math.exp(-0.5 * q2 / (spread * spread))
+    if kind == HEAVISIDE:
+        return 0.0
+    if kind == HEAVISIDE + 1:
+        return -2.0 / math.sqrt(1.0 - q2)
+    if kind == HEAVISIDE + 2:
+        return -2.0 * math.pi
+    return _interpolate(table, 1, q2)
+
+
+@leaf
+def _interpolate(table, row, q2):
+    """Chebyshev series on equal intervals of q, by Clenshaw's recurrence; table (2, intervals, degree + 1)."""
+    x = math.sqrt(q2) * table.shape[1]
+    k = min(int(x), table.shape[1] - 1)
+    y = 2.0 * (x - k) - 1.0
+    b1, b2 = 0.0, 0.0
+    for j in range(table.shape[2] - 1, 0, -1):
+        b1, b2 = 2.0 * y * b1 - b2 + table[row, k, j], b1
+    return y * b1 - b2 + table[row, k, 0]
+
+
+# --- integral along a segment ----------------------------------------------------------------------------
+
+
+@leaf
+def _antiderivative(kind, spread, h2, t):
+    """Integral of the value over 0 < s < t along a line at distance h, for 0 <= t <= sqrt(1 - h^2)."""
+    if kind is None:
+        return _lucy_line(h2, t)
+    if kind == LUCY + 1:
+        return _lucy_plane(h2, t)
+    if kind == LUCY + 2:  # seen in one dimension, where every line runs through the point: h = 0
+        t2 = t * t
+        return 2.0 * math.pi * t * (0.1 + t2 * (-1.0 / 6.0 + t2 * (0.3 - 4.0 / 15.0 * t + t2 / 14.0)))
+    if kind == GAUSSIAN:
+        return spread * _SQRT_PI_2 * math.erf(t / (_SQRT2 * spread)) * math.exp(-0.5 * h2 / (spread * spread))
+    if kind == GAUSSIAN + 2:
+        s2 = spread * spread
+        flat = t * math.exp(-0.5 / s2)
+        return 2.0 * math.pi * s2 * (spread * _SQRT_PI_2 * math.erf(t / (_SQRT2 * spread)) - flat)
+    if kind == HEAVISIDE:
+        return t
+    if kind == HEAVISIDE + 1:
+        half2 = 1.0 - h2
+        return t * math.sqrt(max(0.0, half2 - t * t)) + half2 * math.atan2(t, math.sqrt(max(0.0, half2 - t * t)))
+    return math.pi * (t - t * t * t / 3.0)  # HEAVISIDE + 2
+
+
+@leaf
+def _quadrature(kind, spread, table, h2, t0, t1):
+    """Gauss-Legendre over the angle along the chord, which takes the root at its end out of the integrand."""
+    half = math.sqrt(1.0 - h2)
+    a0, a1 = math.asin(max(-1.0, t0 / half)), math.asin(min(1.0, t1 / half))
+    total = 0.0
+    for lower, upper in ((a0, min(a1, 0.0)), (max(a0, 0.0), a1)):
+        if upper > lower:
+            mean, span = 0.5 * (upper + lower), 0.5 * (upper - lower)
+            for g in range(_NODES.size):
+                angle = mean + span * _NODES[g]
+                t = half * math.sin(angle)
+                q2 = min(h2 + t * t, 1.0)
+                total += span * _WEIGHTS[g] * half * math.cos(angle) * value(kind, spread, table, q2)
+    return total
+
+
+@leaf
+def segment(kind, spread, table, h2, t0, t1):
+    """Integral of the value along a line at distance h from t0 to t1 (h^2 < 1, t0 < t1), exact to rounding."""
+    half = math.sqrt(1.0 - h2)
+    t0, t1 = max(t0, -half), min(t1, half)
+    if t1 <= t0:
+        return 0.0
+    if kind is not None and (kind == GAUSSIAN + 1 or kind >= TABLE):
+        return _quadrature(kind, spread, table, h2, t0, t1)
+    lower = _antiderivative(kind, spread, h2, abs(t0))
+    upper = _antiderivative(kind, spread, h2, abs(t1))
+    return (upper if t1 >= 0.0 else -upper) - (lower if t0 >= 0.0 else -lower)
+
+
+# --- many nodes at once ----------------------------------------------------------------------------------
+
+
+@leaf
+def fill_values(kind, spread, table, norm, by_gradient, q2, count, out):
+    """Write norm x value, or gradient unless that is None, at `count` squared distances; Lucy's loop vectorises."""
+    if by_gradient is not None:
+        for k in range(count):
+            out[k] = norm * gradient(kind, spread, table, q2[k])
+    elif kind is None:
+        for k in range(padded(count)):
+            q = math.sqrt(q2[k])
+            p = 1.0 - q
+            out[k] = norm * (p * p * p * (1.0 + 3.0 * q))
+    else:
+        for k in range(count):
+            out[k] = norm * value(kind, spread, table, q2[k])
+
+
+@leaf
+def _at(kind, spread, table, r2):
+    """Value at any squared distance, zero from 1 on; Lucy's in the precision of `r2` and without a branch."""
+    if kind is None:
+        q = np.sqrt(min(np.float32(1.0), max(np.float32(0.0), r2)))
+        p = np.float32(1.0) - q
+        return p * p * p * (np.float32(1.0) + np.float32(3.0) * q)
+    return value(kind, spread, table, max(0.0, r2)) if r2 < 1.0 else 0.0
+
+
+@leaf
+def fill_gauss(kind, spread, table, points, weights, order, length, along, q2, count, out):
+    """Write the mean of the value over segments, by Gauss-Legendre, seen from `count` nodes.
+
+    A node lies at squared distance q2 from the start of its segment, and its foot at `along` from there. The
+    precision is that of the arrays. Points lie in pairs of one weight about the middle.
+    """
+    real, two, last = out.dtype.type, out.dtype.type(2.0), order - 1
+    room = padded(count) if kind is None else count
+    if order == 4:  # what most contacts take: all roots take turns in one loop
+        u0, u1 = real(points[4, 0] * length), real(points[4, 1] * length)
+        u2, u3 = real(points[4, 2] * length), real(points[4, 3] * length)
+        w, w1 = real(weights[4, 0]), real(weights[4, 1])
+        for k in range(room):
+            r2, t = q2[k], along[k]
+            a, b = r2 + u0 * (u0 - two * t), r2 + u3 * (u3 - two * t)
+            c, d = r2 + u1 * (u1 - two * t), r2 + u2 * (u2 - two * t)
+            outer = _at(kind, spread, table, a) + _at(kind, spread, table, b)
+            out[k] = w * outer + w1 * (_at(kind, spread, table, c) + _at(kind, spread, table, d))
+    else:
+        for k in range(room):
+            out[k] = real(0.0)
+        for g in range((order + 1) // 2):
+            u, v = real(points[order, g] * length), real(points[order, last - g] * length)
+            w = real(weights[order, g] * (0.5 if g == last - g else 1.0))  # the middle one is its own partner
+            for k in range(room):
+                a, b = q2[k] + u * (u - two * along[k]), q2[k] + v * (v - two * along[k])
+                out[k] += w * (_at(kind, spread, table, a) + _at(kind, spread, table, b))
+
+
+@leaf
+def fill_segments(kind, spread, table, length, along, q2, count, out, ratio, bits, exponent):
+    """Write the mean of the value over segments, in closed form, seen from `count` nodes.
+
+    `ratio` and `bits` are scratch, the same memory as floats and as integers, and `exponent` (integers).
+    """
+    if kind is None:
+        _fill_lucy_lines(1.0 / length, length, along, q2, count, out, ratio, bits, exponent)
+    else:
+        for k in range(count):
+            h2 = max(0.0, q2[k] - along[k] * along[k])
+            out[k] = 0.0
+            if h2 < 1.0:
+                out[k] = segment(kind, spread, table, h2, -along[k], length - along[k]) / length
+
+
+@leaf
+def _fill_lucy_lines(per_length, length, along, q2, count, out, ratio, bits, exponent):
+    """As `_lucy_line` at both ends of the clipped segment, in loops that vectorise.
+
+    The two logarithms are one: for ends at distances r0, r1 from the node and l from each other, asinh(t1 / h) -
+    asinh(t0 / h) = log((r0 + r1 + l) / (r0 + r1 - l)).
+    """
+    room = padded(count)
+    for k in range(room):
+        t = along[k]
+        h2 = max(0.0, q2[k] - t * t)
+        half = math.sqrt(max(0.0, 1.0 - h2))
+        a, b = max(-t, -half), min(length - t, half)
+        b = max(a, b)
+        a2, b2 = a * a, b * b
+        r0, r1 = math.sqrt(h2 + a2), math.sqrt(h2 + b2)
+        h4 = h2 * h2
+        # P with r^2 = h^2 + t^2, even powers first
+        c0, c2 = 1.0 - 6.0 * h2 - 3.0 * h4, -2.0 - 2.0 * h2
+        even = b * (c0 + b2 * (c2 - 0.6 * b2)) - a * (c0 + a2 * (c2 - 0.6 * a2))
+        odd = b * r1 * (2.0 * b2 + 5.0 * h2) - a * r0 * (2.0 * a2 + 5.0 * h2)
+        out[k] = per_length * (even + odd)
+        both, apart = r0 + r1, b - a
+        ratio[k] = (both + apart + _TINY) / (max(0.0, both - apart) + _TINY)
+        q2[k] = 3.0 * per_length * h4
+    for k in range(room):  # floats and integers of one memory in separate loops, or none of them vectorises
+        exponent[k] = (bits[k] >> 52) - 1023
+        bits[k] = (bits[k] & 0x000FFFFFFFFFFFFF) | 0x3FF0000000000000
+    for k in range(room):
+        m = ratio[k]  # mantissa, in [1, 2)
+        f = (m - _SQRT2) / (m + _SQRT2)
+        f2 = f * f
+        series = 1.0 / 19.0
+        series = series * f2 + 1.0 / 17.0
+        series = series * f2 + 1.0 / 15.0
+        series = series * f2 + 1.0 / 13.0
+        series = series * f2 + 1.0 / 11.0
+        series = series * f2 + 1.0 / 9.0
+        series = series * f2 + 1.0 / 7.0
+        series = series * f2 + 1.0 / 5.0
+        series = series * f2 + 1.0 / 3.0
+        series = series * f2 + 1.0
+        out[k] += q2[k] * (_LN2 * (exponent[k] + 0.5) + 2.0 * f * series)
+
+
+# --- arrays of points ------------------------------------------------------------------------------------
+
+
+@jit
+def sample(kind, spread, table, q, derivative):
+    """Values, or derivatives with respect to q, at distances q (n,); zero at and beyond the cutoff."""
+    out = np.zeros(q.size)
+    for i in range(q.size):
+        if q[i] < 1.0:
+            if derivative:
+                out[i] = q[i] * gradient(kind, spread, table, q[i] * q[i])
+            else:
+                out[i] = value(kind, spread, table, q[i] * q[i])
+    return out

@@ -1,0 +1,1 @@
+"""Continuum fields: what is asked, and how it is summed."""

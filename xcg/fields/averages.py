@@ -1,0 +1,240 @@
+"""Statistics of scenes and results: sizes, profiles, averages over time with their standard errors.
+
+Averages of ratios are ratios of averages. Sums (`additive` fields) are averaged as they are; a ratio, such as a
+velocity, is averaged with the sum in its denominator as its weight, which gives the ratio of the averaged sums; and
+what is not linear in these (magnitudes, friction coefficient, inertial number) is computed anew from the averages. The
+sums have to be in the result beside the ratios: an error says which are missing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import SimpleNamespace
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.fields import registry
+from xcg.scene.schema import COMPONENTS
+
+# --- averages of results ---------------------------------------------------------------------------------
+
+# the sum in the denominator of each ratio
+WEIGHTS = {
+    "velocity": "density",
+    "velocity_gradient": "density",
+    "shear_rate_tensor": "density",
+    "granular_temperature": "fluctuation_density",
+    "directional_temperature": "fluctuation_density",
+    "effective_count": "density",
+    "particle_density": "volume_fraction",
+    "d43": "volume_fraction",  # S d^3 is 6 / pi times the volume fraction of spheres
+    "d32": "volume_fraction",
+    "coordination_number": "number_density",
+}
+# what is computed anew from averages, in the registry's own algebra
+DERIVED = (
+    "deviatoric_stress", "pressure", "shear_rate", "shear_stress", "friction_coefficient", "inertial_number",
+    "viscous_number", "effective_viscosity",
+)  # fmt: skip
+# Blocks fewer than this tell too little of their own scatter.
+MIN_BLOCKS = 16
+_SAMPLE = "_sample"
+
+
+def profile(f: xr.Dataset, axis: str) -> xr.Dataset:
+    """Average a result over its other axes, nodes weighing the same.
+
+    This is for results that are there already; the exact marginal profile, without a mesh along the other axes, is
+    ``coarse_grain(axes=axis)``. Over whole periods or supports the two agree but for the ratios' small parts.
+
+    Parameters
+    ----------
+    f : xarray.Dataset
+        A result of `xcg.coarse_grain`.
+    axis : str
+        The axis to keep.
+
+    Returns
+    -------
+    xarray.Dataset
+        Fields without the other axes; ratios are ratios of averaged sums.
+
+    Raises
+    ------
+    ValueError
+        If the axis is not resolved, or a sum that a ratio needs is not in the result.
+    """
+    axes = [a for a in COMPONENTS if a in f.dims]
+    if axis not in axes:
+        msg = f"profile({axis!r}): the resolved axes of this result are {axes}"
+        raise ValueError(msg)
+    others = [a for a in axes if a != axis]
+    return _from_sums(_to_sums(f, "profile").mean(others, skipna=False), f)
+
+
+def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) -> xr.Dataset:
+    """Average a result over time, or over moving windows, with standard errors from block averages.
+
+    Steps of a simulation are correlated, so the scatter of single steps over sqrt(n) is too small an error. Means of
+    blocks of 1, 2, 4, ... steps give errors that grow with the block until blocks are independent: the error is that
+    of the smallest block beyond which it no longer grows (Flyvbjerg & Petersen 1989), each value by itself, ratios by
+    the jackknife over blocks of their sums. Where the series is too short to reach that plateau (fewer than 16 blocks
+    left), the last error is a lower bound.
+
+    Parameters
+    ----------
+    f : xarray.Dataset
+        A result of `xcg.coarse_grain` with several steps, weighing the same.
+    window : int, optional
+        Steps in a moving window; all by default.
+    every : int
+        Steps from one window to the next.
+
+    Returns
+    -------
+    xarray.Dataset
+        Means and, under ``<name>_error``, their standard errors; NaN for a single step. Without `time`, or with the
+        mean time of each window.
+
+    Raises
+    ------
+    ValueError
+        If there is no time, the window does not fit, or a sum that a ratio needs is not in the result.
+    """
+    if "time" not in f.dims:
+        msg = "time_average needs a result with the dimension 'time'"
+        raise ValueError(msg)
+    count = f.sizes["time"]
+    for name, value in (("window", window), ("every", every)):
+        if value is not None and (value != int(value) or not 1 <= value <= count):
+            msg = f"{name}={value!r}: expected a number of steps from 1 to {count}"
+            raise ValueError(msg)
+    sums = _to_sums(f.drop_vars("step", errors="ignore"), "time_average")
+    if window is None:
+        samples = sums.rename(time=_SAMPLE).drop_vars(_SAMPLE)
+    else:
+        first = slice(window - 1, None, every)
+        samples = sums.rolling(time=window).construct(_SAMPLE).isel(time=first)
+        middle = f["time"].rolling(time=window).construct(_SAMPLE).mean(_SAMPLE).isel(time=first)
+        samples = samples.assign_coords(time=("time", middle.to_numpy(), f["time"].attrs))
+    mean = _from_sums(samples.mean(_SAMPLE, skipna=False), f)
+    errors = _standard_errors(samples, f)
+    for name in map(str, list(mean.data_vars)):
+        attrs = {"units": f[name].attrs.get("units", "1"), "long_name": f"standard error of {name}"}
+        mean[f"{name}_error"] = errors[name].assign_attrs(attrs)
+    return mean.assign_attrs(averaged_steps=count if window is None else window)
+
+
+def _standard_errors(samples: xr.Dataset, f: xr.Dataset) -> xr.Dataset:
+    """Errors of the mean over samples, at the first block size beyond which they do not grow."""
+    levels: list[xr.Dataset] = []
+    doubt = []  # relative scatter of each level's error
+    while (count := samples.sizes[_SAMPLE]) >= 2 and (not levels or count >= MIN_BLOCKS):
+        # jackknife: for sums the scatter over sqrt(n), for functions of sums right to first order
+        without = (count * samples.mean(_SAMPLE, skipna=False) - samples) / (count - 1)
+        levels.append(_from_sums(without, f).std(_SAMPLE, ddof=0, skipna=False) * np.sqrt(count - 1))
+        doubt.append(1 / np.sqrt(2 * (count - 1)))
+        samples = samples.coarsen({_SAMPLE: 2}, boundary="trim").mean()
+    if not levels:
+        return _from_sums(samples.mean(_SAMPLE), f) * np.nan
+    found = levels[-1]
+    for k in reversed(range(len(levels) - 1)):
+        flat = levels[k + 1] * (1 - doubt[k + 1]) <= levels[k]
+        for m in range(k + 2, len(levels)):
+            flat = flat & (levels[m] * (1 - doubt[m]) <= levels[k])
+        found = xr.where(flat, levels[k], found)
+    return found
+
+
+def _to_sums(f: xr.Dataset, purpose: str) -> xr.Dataset:
+    """Quantities that may be averaged: additive fields, and numerator and denominator of each ratio."""
+    out: dict[str, xr.DataArray] = {}
+    missing: dict[str, list[str]] = {}
+    for name in map(str, f.data_vars):
+        if name in DERIVED and name not in ("pressure", "deviatoric_stress"):
+            needs = _roots(name, f)
+            if needs:
+                missing[name] = needs
+        elif name in WEIGHTS:
+            if WEIGHTS[name] not in f:
+                missing[name] = [WEIGHTS[name]]
+                continue
+            weight = f[WEIGHTS[name]].where(_known(f[name]), 0.0)
+            value = f[name].fillna(0.0)
+            if name == "d32":  # S d^3 / S d^2: the sum of surfaces is the volume over d32
+                out[f"{name}/top"], out[f"{name}/bottom"] = weight, (weight / value.where(weight > 0, 1.0))
+            else:
+                out[f"{name}/top"], out[f"{name}/bottom"] = weight * value, weight
+        elif name in registry.FIELDS and registry.FIELDS[name].additive:
+            out[name] = f[name].astype(float)
+        else:
+            missing[name] = ["a rule: leave it out with drop_vars"]
+    if missing:
+        lacking = "; ".join(f"{name} needs {', '.join(what)}" for name, what in missing.items())
+        msg = f"{purpose} averages ratios through their sums, and some are not in this result: {lacking}"
+        raise ValueError(msg)
+    return xr.Dataset(out)
+
+
+def _known(values: xr.DataArray) -> xr.DataArray:
+    return values.notnull()
+
+
+def _roots(name: str, f: xr.Dataset) -> list[str]:
+    """Return what is lacking to compute a derived field from averages."""
+    options = registry.options_of(f.attrs)
+    lacking = []
+    for need in _needs(name, options):
+        if need in f or (need in DERIVED and not _roots(need, f)):
+            continue
+        lacking.append(need)
+    return lacking
+
+
+def _needs(name: str, options: registry.Options) -> Sequence[str]:
+    """Fields that a derived one is computed from; the size in the inertial number may be a constant."""
+    needs = registry.row(name, options).fields
+    size = [options.size] if options.size in ("d43", "d32") else []
+    return [*(n for n in needs if n != "_size"), *(size if "_size" in needs else [])]
+
+
+def _from_sums(sums: xr.Dataset, f: xr.Dataset) -> xr.Dataset:
+    """Fields of `f` from averaged quantities."""
+    options = registry.options_of(f.attrs)
+    found: dict[str, xr.DataArray] = {}
+    for name in map(str, sums.data_vars):
+        if name.endswith("/top"):
+            ratio, below = name.removesuffix("/top"), sums[name.removesuffix("top") + "bottom"]
+            found[ratio] = sums[name] / below.where(below > 0)
+        elif "/" not in name:
+            found[name] = sums[name]
+
+    def derive(name: str) -> xr.DataArray:
+        if name not in found:
+            needs = _needs(name, options)
+            found[name] = _compute(name, needs, [derive(need) for need in needs], options)
+        return found[name]
+
+    out = {name: derive(name).assign_attrs(f[name].attrs) for name in map(str, f.data_vars)}
+    return xr.Dataset(out, attrs=f.attrs)
+
+
+def _compute(
+    name: str, needs: Sequence[str], values: Sequence[xr.DataArray], options: registry.Options
+) -> xr.DataArray:
+    """One row of the registry on labelled arrays."""
+    row = registry.row(name, options)
+
+    def plain(*arrays: NDArray) -> NDArray:
+        given = SimpleNamespace(**dict(zip(needs, arrays, strict=True)))
+        if "_size" in row.fields:
+            given._size = getattr(given, options.size, options.diameter)
+        return row.compute(given, None, options)
+
+    tail = ("component", "direction")
+    return xr.apply_ufunc(
+        plain, *values, input_core_dims=[[d for d in tail if d in v.dims] for v in values],
+        output_core_dims=[tail[: row.rank]], dask="parallelized", output_dtypes=[float],
+    )  # fmt: skip

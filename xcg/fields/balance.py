@@ -1,0 +1,167 @@
+"""Residuals of the balance laws on a mesh: whether mesh and time between frames resolve the flow."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from xcg.fields.coarse_grain import coarse_grain
+from xcg.fields.plan import make_plan
+from xcg.scene.build import require_rising_times
+from xcg.scene.conform import takes_scene
+from xcg.scene.schema import COMPONENTS
+
+FIELDS = (
+    "density",
+    "momentum_density",
+    "velocity",
+    "stress",
+    "contact_stress",
+    "contact_force_density",
+    "wall_traction",
+)
+
+
+def _derivative(field: xr.DataArray, axis: str, *, wraps: bool) -> xr.DataArray:
+    """Central difference of fourth order; NaN at the two nodes next to an end, unless the axis wraps."""
+    step = float(field[axis][1] - field[axis][0])
+    nodes = field.sizes[axis]
+    wide = field.pad({axis: 2}, mode="wrap") if wraps else field.pad({axis: 2}, constant_values=np.nan)
+    near, far = (
+        wide.isel({axis: slice(2 + k, nodes + 2 + k)}).drop_vars(axis)
+        - wide.isel({axis: slice(2 - k, nodes + 2 - k)}).drop_vars(axis)
+        for k in (1, 2)
+    )
+    return ((8 * near - far) / (12 * step)).assign_coords({axis: field[axis]})
+
+
+def _divergence(field: xr.DataArray, dim: str, axes: str, wraps: set[str]) -> xr.DataArray:
+    """Sum over the axes of the derivative of the components along `dim`; averaged axes have none."""
+    parts = [_derivative(field.sel({dim: a}, drop=True), a, wraps=a in wraps) for a in axes]
+    return sum(parts[1:], start=parts[0])
+
+
+@takes_scene
+def balance(ds: xr.Dataset, **options: Any) -> xr.Dataset:
+    """Residuals of the balances of force, mass and momentum, as fields and as norms.
+
+    With div by central differences of fourth order between the nodes,
+
+    - ``force_residual`` = div sigma^c + sum_i F_i Psi - t, at each step: zero for the exact divergence, so that
+      it tells how well the mesh resolves the kernel;
+    - ``mass_residual`` = d rho/dt + div p, between consecutive steps;
+    - ``momentum_residual`` = d p/dt + div(rho V V + sigma) - rho g - t, between consecutive steps (with g).
+
+    Rates are differences of two steps, the other terms their mean, so that these fall with the square of the time
+    between the steps; consecutive frames of a usual series are far too far apart.
+
+    Parameters
+    ----------
+    ds : xarray.Dataset
+        A scene with contacts.
+    **options
+        Arguments of `coarse_grain`. Every axis must be resolved or averaged (no ``at``), with five nodes or more; a
+        spacing of a quarter of the width or less resolves the kernel.
+
+    Returns
+    -------
+    xarray.Dataset
+        The residuals (N m-3, kg m-3 s-1), and for each ``<name>_norm`` (time): its root mean square over the nodes,
+        relative to that of its largest term. Between steps, ``time`` is that in the middle.
+
+    Raises
+    ------
+    SceneError
+        If the scene lacks what the fields need, or its times do not rise.
+    ValueError
+        If an axis is fixed or has fewer than five nodes, or if each group has a width of its own.
+
+    Notes
+    -----
+    Source: Goldhirsch (2010), eqs. 4 to 14; walls: Weinhart et al. (2012).
+    """
+    if options.get("at"):
+        msg = f"at={options['at']!r}: no derivative is taken along a fixed axis; resolve it, or leave it out to average"
+        raise ValueError(msg)
+    if isinstance(options.get("width"), Mapping):
+        msg = "contacts between grains of different widths exchange momentum at a distance: give one width for all"
+        raise ValueError(msg)
+    plan = make_plan(ds, list(FIELDS), **options)
+    grid = plan.recipe.grid
+    short = [a for a in grid.axes if len(grid.nodes[a]) < 5]
+    if short:
+        msg = f"axes {short} have fewer than five nodes: differences of fourth order need them; lower spacing="
+        raise ValueError(msg)
+    if ds.sizes["time"] > 1:
+        require_rising_times(ds, "balance")
+    f = coarse_grain(ds, list(FIELDS), **options)
+    wraps = set(plan.setup.periodic) & set(grid.axes) - set(options.get("bounds", {})) if _stays(ds) else set()
+
+    def divergence(field: xr.DataArray, dim: str) -> xr.DataArray:
+        return _divergence(field, dim, grid.axes, wraps)
+
+    terms: dict[str, list[xr.DataArray]] = {
+        "force_residual": [divergence(f.contact_stress, "direction"), f.contact_force_density, -f.wall_traction]
+    }
+    if f.sizes["time"] > 1:
+        terms["mass_residual"] = [_between_steps(f.density), _middle(divergence(f.momentum_density, "component"))]
+    if f.sizes["time"] > 1 and "gravity" in ds.attrs:
+        flux = f.momentum_density * f.velocity.rename(component="direction") + f.stress
+        flux = flux.where(f.density > 0, f.stress)
+        sources = [divergence(flux, "direction"), -f.density * _gravity(ds), -f.wall_traction]
+        terms["momentum_residual"] = [_between_steps(f.momentum_density), *map(_middle, sources)]
+    out: dict[str, xr.DataArray] = {}
+    about = {
+        "force_residual": ("N m-3", "residual of the divergence of contact stress"),
+        "mass_residual": ("kg m-3 s-1", "residual of the balance of mass"),
+        "momentum_residual": ("N m-3", "residual of the balance of momentum"),
+    }
+    for name, parts in terms.items():
+        unit, long_name = about[name]
+        unit = unit if plan.setup.unit_system == "SI" else "1"
+        steps = {} if name == "force_residual" else {"time": "interval"}
+        residual = sum(parts[1:], start=parts[0]).transpose("time", *plan.dims, ...)
+        valid = residual.notnull()
+        largest = xr.concat([_rms(part.where(valid)) for part in parts], "term").max("term")
+        norm = (_rms(residual) / largest.where(largest > 0)).rename(steps)
+        out[name] = residual.rename(steps).assign_attrs(units=unit, long_name=long_name)
+        out[f"{name}_norm"] = norm.assign_attrs(units="1", long_name=f"{long_name}, relative to its largest term")
+    return xr.Dataset(out, attrs=f.attrs)
+
+
+def _stays(ds: xr.Dataset) -> bool:
+    """Whether the box is the same in all steps, so that the last node of an axis that wraps is next to the first."""
+    if "box" not in ds or ds["box"].chunks is not None:
+        return "box_lower" in ds.attrs
+    box = ds["box"].transpose("time", ...).to_numpy()
+    return bool((box == box[:1]).all())
+
+
+def _gravity(ds: xr.Dataset) -> xr.DataArray:
+    return xr.DataArray(np.asarray(ds.attrs["gravity"], float), {"component": list(COMPONENTS)}, "component")
+
+
+def _ends(field: xr.DataArray) -> tuple[xr.DataArray, xr.DataArray, Any]:
+    """Each step but the last, each but the first, and the times in the middle."""
+    bare = field.drop_vars(["time", "step"], errors="ignore")
+    middle = (field.time[:-1].values + field.time[1:].values) / 2
+    return bare.isel(time=slice(None, -1)), bare.isel(time=slice(1, None)), middle
+
+
+def _between_steps(field: xr.DataArray) -> xr.DataArray:
+    """Rate of change from each step to the next, at the time in the middle."""
+    first, second, middle = _ends(field)
+    return ((second - first) / xr.DataArray(np.diff(field.time.values), dims="time")).assign_coords(time=middle)
+
+
+def _middle(field: xr.DataArray) -> xr.DataArray:
+    """Mean of each step and the next, at the time in the middle."""
+    first, second, middle = _ends(field)
+    return ((first + second) / 2).assign_coords(time=middle)
+
+
+def _rms(field: xr.DataArray) -> xr.DataArray:
+    return (field**2).mean([d for d in field.dims if d != "time"]) ** 0.5

@@ -1,0 +1,409 @@
+"""Sums over grains and contacts at the nodes: from a frame to its moments, box by box."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xcg.compiled import points as kernel
+from xcg.compiled.contacts import turn
+from xcg.compiled.reach import RUN, lists_for, runs_of, spatial_order
+from xcg.compiled.segments import SEGMENT, closed_for, deposit_segments, list_segments
+from xcg.fields.blocks import Box, for_each
+from xcg.fields.grid import Grid
+from xcg.fields.moments import CUTOFF_POWERS, MOMENTS, columns_of
+from xcg.fields.reach import Mesh
+from xcg.fields.smoothing import Weights
+from xcg.scene.build import phase_of, without_frozen
+from xcg.scene.contacts import Contacts
+from xcg.scene.schema import Frame
+
+# adds one pass to the sums (groups, nodes, columns) at the nodes of a box; the last array is the reference velocity
+_Fill = Callable[[Box, NDArray, NDArray], None]
+
+# Sums are made over boxes of about this many nodes, so that memory holds those of a few boxes, not of the mesh.
+BOX = 110_000
+
+
+def _tuple(values: Sequence[Any] | NDArray) -> tuple[Any, Any, Any]:
+    x, y, z = np.asarray(values).tolist()
+    return x, y, z
+
+
+def _side_by_side(parts: Sequence[NDArray], count: int) -> NDArray:
+    """Columns (count, ...) side by side, and zeros up to a multiple of four, as the loop adds four at a time."""
+    width = sum(values.shape[1] for values in parts)
+    out, first = np.zeros((count, width + -width % 4)), 0
+    for values in parts:
+        out[:, first : first + values.shape[1]] = values
+        first += values.shape[1]
+    return out
+
+
+@dataclass(frozen=True)
+class _Pass:
+    """One pass over grains or segments, prepared: its array is (groups, nodes, columns), filled by one loop a cutoff.
+
+    `moments` says which columns of that array each moment is made of (those of a symmetric tensor name six of them
+    nine times), with a factor, or one for each phase.
+    """
+
+    groups: int
+    columns: int
+    fill: Sequence[_Fill]
+    moments: Mapping[str, tuple[NDArray, float | NDArray]]
+
+    @cached_property
+    def _rows(self) -> tuple[NDArray, NDArray]:
+        """Column (r,) and factor (r, groups) of each component of the moments, one after the other."""
+        columns = np.concatenate([columns.ravel() for columns, _ in self.moments.values()])
+        factors = [np.broadcast_to(factor, (columns.size, self.groups)) for columns, factor in self.moments.values()]
+        return columns.astype("uint64"), np.concatenate(factors)
+
+    @cached_property
+    def columns_by_moment(self) -> dict[tuple[str, int], tuple[int, list[float]]]:
+        """The column of the array that each column of the moments is, and its factor in each group."""
+        return {
+            (name, k): (column, np.broadcast_to(factor, self.groups).tolist())
+            for name, (columns, factor) in self.moments.items()
+            for k, column in zip(columns_of(name).ravel().tolist(), columns.ravel().tolist(), strict=True)
+        }
+
+    def turned(self, records: NDArray) -> Iterator[tuple[str, NDArray]]:
+        """Moments (components, groups, nodes) from the sums (groups, nodes, columns)."""
+        column, factor = self._rows
+        out, first = np.empty((column.size, *records.shape[:2])), 0
+        turn(records, column, factor, out)
+        for name, (columns, _) in self.moments.items():
+            yield name, out[first : first + columns.size].reshape(*columns.shape, *out.shape[1:])
+            first += columns.size
+
+    def __call__(self, box: Box, reference: NDArray) -> NDArray:
+        sums = np.zeros((self.groups, len(reference), self.columns))
+        for fill in self.fill:
+            fill(box, sums, reference)
+        return sums
+
+
+class _Deposit:
+    """Prepares the passes over one frame: lengths in cutoffs, rows in an order in space."""
+
+    def __init__(self, frame: Frame, recipe: Recipe, period: NDArray, scale: float, where: str) -> None:
+        self.frame = without_frozen(frame)
+        self.recipe, self.scale, self.where = recipe, scale, where
+        self.position = np.ascontiguousarray(self.frame["position"])
+        self.count = len(self.position)
+        self.phase = phase_of(self.frame, recipe.by, recipe.groups, where)
+        self.contacts = Contacts.of(self.frame, period, where) if "contact_i" in self.frame else None
+        self.velocity = np.ascontiguousarray(self.frame.get("velocity", np.zeros((self.count, 3))))
+        self.mass = np.ascontiguousarray(self.frame.get("mass", np.ones(self.count)))
+        self.phases = max(1, len(recipe.groups))
+        self.cutoffs = np.resize(recipe.cutoffs, self.phases)
+        self.active = recipe.grid.active
+        self.period, self.wrap = np.where(self.active, period, np.inf), _tuple(period)
+        self.origin = _tuple(self.recipe.grid.origin)
+        self.order = self._in_space(self.position)
+
+    def passes(self, threads: int) -> list[_Pass]:
+        """All passes that the recipe takes; threads prepare one each."""
+        wanted = set(self.recipe.moments)
+        ways = [  # the calling thread begins with the last: contacts take more memory than grains
+            (self._grains, {name for name, row in MOMENTS.items() if row.level or row.column}),
+            (self._along_branches, {"contact", "pair_contact"}),
+            (self._slopes, {"mass_slope", "momentum_slope"}),
+            (self._at_walls, {"traction"}),
+        ]
+        prepared = for_each([way for way, moments in ways if moments & wanted], lambda way: way(), threads)
+        return [one for passes in prepared for one in passes]
+
+    def _grains(self) -> list[_Pass]:
+        """Flow columns and columns of constants."""
+        wanted = {name: MOMENTS[name] for name in self.recipe.moments}
+        constants = {
+            name: row.column(self.frame, self.contacts).reshape(self.count, columns_of(name).max() + 1)
+            for name, row in wanted.items()
+            if row.column
+        }
+        # a column that is the same for all grains, as those of one size are, is a multiple of their number
+        same = {
+            name: float(q[0, 0])
+            for name, q in constants.items()
+            if self.count and q.shape[1] == 1 and (q == q[0]).all()
+        }
+        constants = {name: q for name, q in constants.items() if name not in same}
+        if same:
+            constants["number"] = np.ones((self.count, 1))
+        level, moments = self.recipe.level, dict[str, tuple[NDArray, float | NDArray]]()
+        for name, row in wanted.items():
+            if row.level:
+                power = CUTOFF_POWERS.get(name, 0)
+                moments[name] = (row.first + columns_of(name), self.cutoffs**power if power else 1.0)
+        first = level
+        for name, values in constants.items():
+            moments[name] = (first + columns_of(name), 1.0)
+            first += values.shape[1]
+        for name, value in same.items():
+            moments[name] = (moments["number"][0], value)
+        columns = list(constants.values())
+        flow = (self.position, self.velocity, self.mass)
+        return [self._points(moments, *flow, columns, self.phase, level, self.order)]
+
+    def _slopes(self) -> list[_Pass]:
+        """Flow columns weighted by grad Psi."""
+        moments = {
+            name: (MOMENTS[flow].first + columns_of(flow), -1 / self.cutoffs)
+            for name, flow in (("mass_slope", "offset"), ("momentum_slope", "shear"))
+        }
+        flow = (self.position, self.velocity, self.mass)
+        return [self._points(moments, *flow, [], self.phase, kernel.LINEAR, self.order, by_gradient=True)]
+
+    def _along_branches(self) -> list[_Pass]:
+        assert self.contacts is not None
+        others = self.phases + 1  # the last one for walls
+        fills: dict[str, list[_Fill]] = {
+            name: [] for name in ("contact", "pair_contact") if name in self.recipe.moments
+        }
+        rank = np.empty_like(self.order)
+        rank[self.order] = np.arange(self.count)
+        place = self.contacts.places(rank)
+        for cutoff, (name, fill) in product(np.unique(self.cutoffs).tolist(), fills.items()):
+            for second in (False, True):
+                segments, longest, more = self._segments(place, second, others if name == "pair_contact" else 0, cutoff)
+                reach = 2.0 + longest[:3]
+                self._mesh(cutoff).check_reach(reach)
+                runs = runs_of(segments[:, :3])
+                runs += np.array([[-1.0], [1.0]]) * longest[:3]
+                for real, closed, rest in self._rules(longest[3], cutoff):
+                    way = (segments, self.recipe.limits, runs), self._onto(cutoff), reach, real, closed, rest
+                    fill.append(partial(_fill_segments, *way))
+                if not more:
+                    break
+        groups = {"contact": self.phases, "pair_contact": self.phases * others}
+        return [_Pass(groups[name], 9, fill, {name: (columns_of("contact"), 1.0)}) for name, fill in fills.items()]
+
+    def _segments(self, place: NDArray, second: bool, others: int, cutoff: float) -> tuple[NDArray, NDArray, bool]:
+        """Segments of the first or second particles of the contacts, the longest, and whether there are second ones."""
+        c = self.contacts
+        assert c is not None
+        segments, longest = np.empty((len(place), SEGMENT)), np.empty(4)
+        more = list_segments(
+            second, place, c.i, c.j, c.point, c.force, self.position, self.phase, others, self.wrap, self.cutoffs,
+            cutoff, self.origin, segments, longest,
+        )  # fmt: skip
+        mesh = self._mesh(cutoff)
+        mesh.check_far(longest[:3])
+        if mesh.too_long(longest[:3]):
+            contact = np.argsort(place)
+            partner = (c.i if second else np.where(c.i >= 0, c.j, c.i))[contact]
+            longest = mesh.cut(segments, np.array([c.point[contact], self.position[partner]]))
+        return segments, longest, more
+
+    def _rules(self, longest: float, cutoff: float) -> list[tuple[str, bool, bool]]:
+        """Ways to the weights of segments: numbers, whether in closed form as well, and whether in that alone."""
+        if not self.recipe.coarse or not self._mesh(cutoff).fits_single(self.recipe.limits.max()):
+            return [("float64", True, False)]
+        by_points = ("float32", False, False)
+        return [by_points] if longest <= self.recipe.limits.max() else [by_points, ("float64", True, True)]
+
+    def _at_walls(self) -> list[_Pass]:
+        assert self.contacts is not None
+        at, point, force = self.contacts.at_walls
+        none = np.zeros((len(at), 3))
+        moments = {"traction": (columns_of("traction"), 1.0)}
+        order = self._in_space(point)
+        return [self._points(moments, point, none, none[:, 0], [force], self.phase[at], kernel.NONE, order)]
+
+    def _onto(self, cutoff: float) -> tuple[Any, ...]:
+        """Mesh and kernel, in cutoffs."""
+        kind, spread, table, norm = self.recipe.weights
+        norm *= (self.recipe.cutoffs[0] / cutoff) ** int(self.active.sum())
+        mesh = self._mesh(cutoff)
+        return *map(_tuple, (mesh.steps, mesh.active, mesh.period)), kind, spread, table, norm * self.scale
+
+    def _mesh(self, cutoff: float) -> Mesh:
+        """Mesh and its surroundings, in cutoffs."""
+        return Mesh.of(self.recipe.grid, self.period, cutoff, self.where)
+
+    def _in_space(self, position: NDArray) -> NDArray:
+        """Order in space, so that neighbours add to the same nodes while these are in cache."""
+        if not len(position):
+            return np.zeros(0, "int64")
+        lower, upper = (np.array([extreme(x) for x in position.T]) for extreme in (np.min, np.max))
+        farthest = np.maximum(np.abs(lower - self.origin), np.abs(upper - self.origin))
+        for cutoff in (self.cutoffs.min(), self.cutoffs.max()):
+            mesh = self._mesh(cutoff)
+            mesh.check_far(farthest / cutoff + 2.0)
+            mesh.check_reach(np.full(3, 2.0))
+        return spatial_order(position, self.cutoffs.min(), lower, upper, self.active)
+
+    def _points(
+        self, moments: Mapping[str, tuple[NDArray, float | NDArray]], position: NDArray, velocity: NDArray,
+        mass: NDArray, constants: Sequence[NDArray], phase: NDArray, level: int, order: NDArray,
+        *, by_gradient: bool | None = None,
+    ) -> _Pass:  # fmt: skip
+        """Prepare grains, or other points, with their flow columns up to `level` and columns of constants."""
+        columns = _side_by_side(constants, len(position))
+        # where nothing moves, columns with u are zero without adding them
+        still = True if level and (velocity == velocity[:1]).all() else None
+        squares = level and not by_gradient and any(name.startswith("square") for name in self.recipe.moments)
+        fill = []
+        for cutoff in np.unique(self.cutoffs).tolist():
+            rows = order if (self.cutoffs == cutoff).all() else order[self.cutoffs[phase[order]] == cutoff]
+            meet = True if squares and (self.period < 2 * cutoff).any() else None
+            grains = (rows, position, velocity, mass, columns, phase, level, still, meet, self.origin, cutoff)
+            runs = (runs_of(position.take(rows, axis=0)) - self.origin) / cutoff
+            fill.append(partial(_fill_points, (*grains, runs), (*self._onto(cutoff), by_gradient)))
+        return _Pass(self.phases, level + columns.shape[1], fill, moments)
+
+
+def _fill_points(grains: tuple[Any, ...], onto: tuple[Any, ...], box: Box, sums: NDArray, reference: NDArray) -> None:
+    steps, active = onto[:2]
+    lists = lists_for(*box, [2.0 * a for a in active], steps)
+    records = np.empty((RUN, sums.shape[2] + kernel.GRAIN))
+    kernel.deposit(*grains, *box, *onto, records, *lists, sums, reference)
+
+
+def _fill_segments(
+    segments: tuple[Any, ...], onto: tuple[Any, ...], reach: NDArray, real: str, closed: bool, rest: bool,
+    box: Box, sums: NDArray, _: NDArray,
+) -> None:  # fmt: skip
+    steps, active = onto[:2]
+    lists, numbers = lists_for(*box, np.where(active, reach, 0.0).tolist(), steps, real)
+    scratch = closed_for(lists) if closed else None
+    deposit_segments(*segments, *box, *onto, lists, numbers, scratch, rest, sums)
+
+
+@dataclass(frozen=True)
+class BoxSums:
+    """Sums at the nodes of one box, each pass (groups, nodes, columns), and the velocity (nodes, 3) they refer to.
+
+    `reached` says how many nodes grains with flow columns reach.
+    """
+
+    recipe: Recipe
+    passes: Sequence[_Pass]
+    filled: Sequence[NDArray]
+    reference: NDArray
+    reached: int
+
+    @property
+    def arrays(self) -> list[NDArray]:
+        """The reference velocity, and the sums of each pass and group: arrays (nodes, columns)."""
+        return [self.reference, *(group for sums in self.filled for group in sums)]
+
+    def column(self, moment: str, group: int, k: int) -> tuple[int, int, float]:
+        """Where column k of a moment of a group is: the number among `arrays`, the column, and a factor."""
+        if moment == "reference":
+            return 0, k, 1.0
+        number = next(n for n, run in enumerate(self.passes) if moment in run.moments)
+        column, factors = self.passes[number].columns_by_moment[moment, k]
+        return 1 + sum(run.groups for run in self.passes[:number]) + group, column, factors[group]
+
+    def moments(self, nodes: slice | NDArray) -> dict[str, NDArray]:
+        """Moments of some of the nodes: arrays (phase, node, ...).
+
+        Phase 0 is the bulk, the sum over groups. Nodes run fastest in memory, so that algebra on small tensors is a
+        loop over nodes.
+        """
+        found = {"reference": np.ascontiguousarray(self.reference[nodes].T).T}
+        for run, sums in zip(self.passes, self.filled, strict=True):
+            found |= self._of_pass(run, sums[:, nodes])
+        return found
+
+    def _of_pass(self, run: _Pass, records: NDArray) -> dict[str, NDArray]:
+        nodes, phases = records.shape[1], max(1, len(self.recipe.groups))
+        found = {}
+        for name, part in run.turned(records):
+            if run.groups > phases:  # by phase of the partner
+                part = np.moveaxis(part.reshape(*part.shape[:-2], phases, -1, nodes), -2, 0)
+            if self.recipe.by is not None:
+                bulk = sum(part[..., [k], :] for k in range(phases))  # in this order whatever the number of nodes
+                part = np.concatenate([bulk, part], axis=-2)
+            found[name] = part.transpose(part.ndim - 2, part.ndim - 1, *range(part.ndim - 2))
+        return found
+
+
+@dataclass(frozen=True)
+class Sums:
+    """The sums of one frame, prepared: computed for one box of nodes after the other, in any order or at once.
+
+    A node's sums have one order whatever the box, so that their bits are the same.
+    """
+
+    recipe: Recipe
+    passes: Sequence[_Pass]
+
+    def over(self, box: Box) -> BoxSums:
+        """Compute the sums at the nodes of a box."""
+        low, high = box
+        reference = np.full((math.prod(np.subtract(high, low).tolist()), 3), np.nan)
+        filled = [run(box, reference) for run in self.passes]
+        unreached = np.isnan(reference)
+        reference[unreached] = 0.0
+        return BoxSums(self.recipe, self.passes, filled, reference, len(reference) - int(unreached[:, 0].sum()))
+
+
+def sums_of_frame(frame: Frame, recipe: Recipe, period: NDArray, scale: float, where: str, threads: int = 1) -> Sums:
+    """Prepare the sums of one frame.
+
+    Parameters
+    ----------
+    frame : Frame
+        One step of a scene.
+    recipe : Recipe
+        What is wanted.
+    period : array (3,)
+        Length of the periodic axes (m), infinity along the others.
+    scale : float
+        1 / extent of the averaged axes (and thickness of a layer).
+    where : str
+        Names the step in messages.
+    threads : int
+        Threads that prepare passes.
+    """
+    return Sums(recipe, _Deposit(frame, recipe, period, scale, where).passes(threads))
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What the deposits need besides a frame: which sums, where, how smeared.
+
+    Attributes
+    ----------
+    moments : tuple of str
+        Names in `MOMENTS`.
+    grid : Grid
+    weights : Weights
+        The kernel of the first cutoff as seen in the grid's axes.
+    cutoffs : tuple of float
+        Radius of the support (m) of each group, or one for all.
+    limits : array
+        Longest branch (cutoffs) for 2, 4, ... Gauss-Legendre points; empty for closed forms.
+    coarse : bool
+        Whether single precision is enough for the weights of quadrature.
+    by : str or None
+        Integer particle variable that divides the grains into phases.
+    groups : tuple of int
+        Its values, one phase each.
+    """
+
+    moments: tuple[str, ...]
+    grid: Grid
+    weights: Weights
+    cutoffs: tuple[float, ...]
+    limits: NDArray
+    coarse: bool = False
+    by: str | None = None
+    groups: tuple[int, ...] = ()
+
+    @property
+    def level(self) -> int:
+        """Flow columns that the sums take."""
+        return max((MOMENTS[name].level for name in self.moments), default=kernel.NONE)

@@ -1,0 +1,243 @@
+"""Where fields are evaluated: volumes, planes, lines and points, with the other axes averaged exactly."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xcg.scene.plausible import _SAMPLE
+from xcg.scene.schema import COMPONENTS
+from xcg.scene.warn import warn_once, warn_user
+
+MAX_NODES = 2**31
+_MOST_OF_ONE_AXIS = 2**27
+_FINEST = 1e-9  # least spacing, in radii of the support
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Nodes on a regular mesh.
+
+    Attributes
+    ----------
+    axes : str
+        Resolved axes, in the order x, y, z.
+    at : dict
+        Coordinate of each fixed axis (m).
+    averaged : str
+        Axes that are integrated over and divided by their extent.
+    nodes : dict
+        Node coordinates along each resolved axis (m).
+    spacing : dict
+        Distance of nodes along each resolved axis (m).
+    fitted : str
+        Resolved axes along which the nodes were laid around the particles.
+    """
+
+    axes: str
+    at: Mapping[str, float]
+    averaged: str
+    nodes: Mapping[str, NDArray]
+    spacing: Mapping[str, float]
+    fitted: str = ""
+
+    @property
+    def seen(self) -> str:
+        """Axes along which distance to a node counts: resolved or fixed."""
+        return "".join(a for a in COMPONENTS if a in self.nodes or a in self.at)
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Number of nodes along x, y, z; 1 for axes that are not resolved."""
+        nx, ny, nz = (len(self.nodes[a]) if a in self.nodes else 1 for a in COMPONENTS)
+        return nx, ny, nz
+
+    @property
+    def origin(self) -> NDArray:
+        """First node (3,)."""
+        return np.array([self.nodes[a][0] if a in self.nodes else self.at.get(a, 0.0) for a in COMPONENTS])
+
+    @property
+    def steps(self) -> NDArray:
+        """Spacing (3,); 1 along axes that are not resolved."""
+        return np.array([self.spacing.get(a, 1.0) for a in COMPONENTS])
+
+    @property
+    def active(self) -> NDArray:
+        """Which of the three axes are seen (3,)."""
+        return np.array([a in self.seen for a in COMPONENTS])
+
+    def fills(self, period: NDArray) -> tuple[bool, bool, bool]:
+        """Tell along which axes the nodes fill a period (3,), so that the last is next to the first."""
+        x, y, z = (
+            a in self.nodes and bool(np.isclose(len(self.nodes[a]) * self.spacing[a], period[k], atol=0.0))
+            for k, a in enumerate(COMPONENTS)
+        )
+        return x, y, z
+
+
+def _check_axes(axes: str, at: Mapping[str, float], bounds: Mapping[str, Sequence[float]], plane: str) -> None:
+    for name, given in (("axes", axes), ("at", at), ("bounds", bounds)):
+        wrong = [a for a in given if a not in plane]
+        if wrong:
+            msg = f"{name} names {wrong}: the axes of this scene are {', '.join(plane)}"
+            raise ValueError(msg)
+    if len(set(axes)) != len(axes):
+        msg = f"axes={axes!r} names an axis twice"
+        raise ValueError(msg)
+    both = [a for a in axes if a in at]
+    if both:
+        msg = f"axes={axes!r} and at={dict(at)!r} both name {both}: an axis is either resolved or fixed"
+        raise ValueError(msg)
+    for a, value in at.items():
+        if not np.isfinite(value):
+            msg = f"at[{a!r}]={value!r}: expected one finite coordinate; use axes= with bounds= for several"
+            raise ValueError(msg)
+    loose = [a for a in bounds if a not in axes]
+    if loose:
+        msg = (
+            f"bounds are given for {loose}, but only {list(axes)} are resolved: the fields are averaged (or fixed) "
+            "along the others. Add the axis to axes=, or leave its bounds out; extent= sets the length of an average"
+        )
+        raise ValueError(msg)
+
+
+def _whole(axis: str, count: float) -> int:
+    """Whole number of nodes of one axis, refused before anything is made for too many."""
+    if not count < _MOST_OF_ONE_AXIS:
+        msg = (
+            f"the mesh would have {count:.3g} nodes along {axis!r}, more than {_MOST_OF_ONE_AXIS}: choose a larger "
+            "spacing or smaller bounds. If neither was given, a particle is far astray"
+        )
+        raise ValueError(msg)
+    return int(count)
+
+
+def make_grid(
+    axes: str,
+    at: Mapping[str, float],
+    bounds: Mapping[str, Sequence[float]],
+    spacing: float | Mapping[str, float],
+    *,
+    plane: str,
+    cutoff: float,
+    automatic: Mapping[str, tuple[float, float]],
+    period: Mapping[str, float],
+) -> Grid:
+    """Place nodes.
+
+    Nodes stand at first, first + spacing, ... up to last. A periodic axis without bounds gets nodes that divide
+    its period evenly, so its spacing is the nearest that fits.
+
+    Parameters
+    ----------
+    axes, at, bounds, spacing
+        As in `xcg.coarse_grain`.
+    plane : str
+        The axes that the scene has.
+    cutoff : float
+        Radius of the support (m), for the warning about nodes that are too far apart.
+    automatic : mapping
+        First and last node of axes without bounds (m); for a periodic axis, the edges of the box.
+    period : mapping
+        Length of the periodic axes (m).
+
+    Raises
+    ------
+    ValueError
+        For unknown axes, bounds on an axis that is not resolved, or a spacing that is not positive.
+    """
+    axes = "".join(sorted(axes)) if set(axes) <= set(COMPONENTS) else axes
+    _check_axes(axes, at, bounds, plane)
+    steps = dict(spacing) if isinstance(spacing, Mapping) else dict.fromkeys(axes, spacing)
+    nodes, taken = {}, {}
+    for a in axes:
+        step = steps.get(a)
+        if step is None or not (np.isfinite(step) and step > _FINEST * cutoff):
+            msg = (
+                f"spacing along {a!r} is {step!r}: expected a positive distance (m) for each of {list(axes)}, not far "
+                f"below the radius of the support ({cutoff:g} m)"
+            )
+            raise ValueError(msg)
+        if a in bounds:
+            first, last = map(float, bounds[a])
+            if not (np.isfinite(first) and np.isfinite(last) and first <= last):
+                msg = f"bounds[{a!r}]={tuple(bounds[a])!r}: expected (first, last) with first <= last"
+                raise ValueError(msg)
+            count = _whole(a, (last - first) / step * (1 + 1e-12) + 1e-9) + 1
+        elif a not in automatic:
+            msg = (
+                f"axis {a!r} has no bounds: the scene holds neither a box nor the particles' extent, or no longer, as "
+                f"positions were changed. Give bounds={{{a!r}: (first, last)}}, or call ds = ds.cg.measure() first"
+            )
+            raise ValueError(msg)
+        elif a in period:
+            first, count = automatic[a][0], max(1, _whole(a, period[a] / step + 0.5))
+            step = period[a] / count
+        else:
+            first, last = automatic[a]
+            count = _whole(a, np.ceil((last - first) / step)) + 1
+            first = 0.5 * (first + last) - 0.5 * (count - 1) * step
+        nodes[a], taken[a] = first + step * np.arange(count), float(step)
+        if count > 1 and step > 2 * cutoff:
+            msg = (
+                f"spacing {step:g} along {a!r} is larger than the support of the kernel (2 c = {2 * cutoff:g}): "
+                "particles between nodes are not seen; choose a smaller spacing or a larger width"
+            )
+            warn_user(msg)
+    averaged = "".join(a for a in plane if a not in axes and a not in at)
+    fitted = "".join(a for a in axes if a not in bounds and a not in period)
+    grid = Grid(axes, {a: float(v) for a, v in at.items()}, averaged, nodes, taken, fitted)
+    if np.prod([float(n) for n in grid.shape]) > MAX_NODES:
+        msg = f"the mesh has {grid.shape} nodes, more than {MAX_NODES}: choose a larger spacing or smaller bounds"
+        raise ValueError(msg)
+    return grid
+
+
+def check_mesh(position: NDArray, grid: Grid, cutoff: float, period: NDArray, where: str) -> None:
+    """Warn where no grain reaches any node, and where grains lie beyond a mesh that was laid around them.
+
+    Parameters
+    ----------
+    position : array (n, 3)
+        Centres (m).
+    grid : Grid
+        The nodes.
+    cutoff : float
+        Radius of the largest support (m).
+    period : array (3,)
+        Length of the periodic axes (m), infinity along the others.
+    where : str
+        Names the step.
+    """
+    axes = [k for k, a in enumerate(COMPONENTS) if a in grid.seen and not np.isfinite(period[k])]
+    if not len(position) or not axes:
+        return
+    first = grid.origin
+    last = first + (np.array(grid.shape) - 1) * grid.steps
+    parts = (position[start : start + _SAMPLE] for start in range(0, len(position), _SAMPLE))
+    reached = (np.all([(x[:, k] > first[k] - cutoff) & (x[:, k] < last[k] + cutoff) for k in axes], 0) for x in parts)
+    if not any(some.any() for some in reached):
+        spans = [(COMPONENTS[k], position[:, k].min(), position[:, k].max()) for k in axes]
+        grains = ", ".join(f"{a} from {low:.6g} to {high:.6g}" for a, low, high in spans)
+        nodes = ", ".join(f"{COMPONENTS[k]} from {first[k]:.6g} to {last[k]:.6g}" for k in axes)
+        warn_once(
+            "reach",
+            f"{where}: no grain reaches any node, so that sums are zero: grains lie at {grains}, nodes at {nodes}, and "
+            f"the kernel reaches {cutoff:.4g}; check bounds=, at= and the units of lengths",
+        )
+        return
+    for k in [k for k in axes if COMPONENTS[k] in grid.fitted]:
+        x = position[:, k]
+        low, high = float(x.min()), float(x.max())
+        if low < first[k] + 0.5 * cutoff or high > last[k] - 0.5 * cutoff:
+            a = COMPONENTS[k]
+            warn_once(
+                f"beyond {a}",
+                f"{where}: grains lie at {a} from {low:.6g} to {high:.6g}, and the support of some is cut off by the "
+                f"mesh, which was laid around the first and the last step, from {first[k]:.6g} to {last[k]:.6g}; give "
+                f"bounds={{{a!r}: (first, last)}}, or call ds = ds.cg.measure(), which looks at all steps",
+            )

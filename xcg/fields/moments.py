@@ -1,0 +1,116 @@
+"""The registry of moments, the sums over grains and contacts that fields are algebra on, and what a recipe takes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import reduce
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xcg.compiled import points as kernel
+from xcg.scene.contacts import Contacts
+from xcg.scene.schema import Frame
+
+
+@dataclass(frozen=True)
+class Moment:
+    """One sum: ``sum_i q_i Psi(r - r_i)`` over grains, or over contacts.
+
+    Attributes
+    ----------
+    variables : tuple of str
+        Scene variables that it needs besides positions.
+    formula : str
+        What is summed.
+    shape : tuple of int
+        Components of the result at a node.
+    level : int
+        Flow columns that the point deposit must keep for it; 0 where it is a column of constants or of contacts.
+    first : int
+        Its first flow column.
+    column : callable, optional
+        ``column(frame, contacts) -> (n, ...)`` for a column of constants.
+    contacts : bool
+        Whether contacts are needed, in whole.
+    """
+
+    variables: tuple[str, ...]
+    formula: str
+    shape: tuple[int, ...] = ()
+    level: int = kernel.NONE
+    first: int = 0
+    column: Callable[[Frame, Contacts | None], NDArray] | None = None
+    contacts: bool = False
+
+
+def _power(exponent: int) -> Callable[[Frame, Contacts | None], NDArray]:
+    return lambda frame, _: reduce(np.multiply, [frame["diameter"]] * exponent)  # many times faster than `**`
+
+
+def _partners(frame: Frame, contacts: Contacts | None) -> NDArray:
+    if "coordination_number" in frame:
+        return frame["coordination_number"]
+    assert contacts is not None
+    return contacts.partners
+
+
+def _fabric(frame: Frame, contacts: Contacts | None) -> NDArray:
+    assert contacts is not None
+    return frame["volume"][:, None] * contacts.normals
+
+
+def _forces(frame: Frame, contacts: Contacts | None) -> NDArray:
+    assert contacts is not None
+    return contacts.forces
+
+
+_MV = ("mass", "velocity")
+_FORCE = ("contact_force",)
+MOMENTS: dict[str, Moment] = {
+    # flow columns, relative to the node: x = r_i - r, u = v_i - U
+    "count": Moment((), "1, where Psi > 0", (), kernel.VELOCITY, kernel.COUNT),
+    "mass": Moment(("mass",), "m", (), kernel.VELOCITY, kernel.MASS),
+    "momentum": Moment(_MV, "m u", (3,), kernel.VELOCITY, kernel.MOMENTUM),
+    "kinetic": Moment(_MV, "m u u", (3, 3), kernel.FLUCTUATION, kernel.KINETIC),
+    "offset": Moment(("mass",), "m x", (3,), kernel.LINEAR, kernel.OFFSET),
+    "shear": Moment(_MV, "m u x", (3, 3), kernel.LINEAR, kernel.SHEAR),
+    "spread": Moment(("mass",), "m x x", (3, 3), kernel.LINEAR, kernel.SPREAD),
+    # these with Psi once more
+    "square": Moment(("mass",), "m^2 Psi", (), kernel.FLUCTUATION, kernel.SQUARE),
+    "square_offset": Moment(("mass",), "m^2 Psi x", (3,), kernel.SQUARED, kernel.SQUARE_OFFSET),
+    "square_spread": Moment(("mass",), "m^2 Psi x x", (3, 3), kernel.SQUARED, kernel.SQUARE_SPREAD),
+    # columns of constants
+    "number": Moment((), "1", column=lambda frame, _: np.ones(len(frame["position"]))),
+    "volume": Moment(("volume",), "V", column=lambda frame, _: frame["volume"]),
+    "size2": Moment(("diameter",), "d^2", column=_power(2)),
+    "size3": Moment(("diameter",), "d^3", column=_power(3)),
+    "size4": Moment(("diameter",), "d^4", column=_power(4)),
+    "partners": Moment((), "z", column=_partners, contacts=True),
+    "fabric": Moment(("volume",), "V sum_c n n", (3, 3), column=_fabric, contacts=True),
+    "force": Moment(_FORCE, "sum_c f", (3,), column=_forces, contacts=True),
+    # weighted by grad Psi
+    "mass_slope": Moment(("mass",), "m, with grad Psi", (3,)),
+    "momentum_slope": Moment(_MV, "m u, with grad Psi", (3, 3)),
+    # along branches, and at walls
+    "contact": Moment(_FORCE, "f a, along the branch", (3, 3), contacts=True),
+    "pair_contact": Moment(_FORCE, "f a, along the branch, by phase of the partner", (3, 3), contacts=True),
+    "traction": Moment(_FORCE, "f, at the wall", (3,), contacts=True),
+}
+
+_SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+# powers of the cutoff in the flow columns, which the deposit computes with lengths in cutoffs
+CUTOFF_POWERS = {"offset": 1, "shear": 1, "spread": 2, "square_offset": 1, "square_spread": 2}
+
+
+def columns_of(name: str) -> NDArray:
+    """Columns that make up a moment, counted from its first; symmetric tensors are kept as six."""
+    if name in ("kinetic", "spread", "square_spread", "fabric"):
+        return _SYMMETRIC
+    if name in ("offset", "shear"):  # m x and m u x of one direction stand together
+        directions = np.arange(0, 12, 4)
+        return directions if name == "offset" else np.arange(3)[:, None] + directions
+    shape = MOMENTS[name].shape
+    return np.arange(math.prod(shape)).reshape(shape)

@@ -1,0 +1,425 @@
+"""From what is asked for to what will be done: columns, rules, passes and memory."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.compiled import smoothing as kinds
+from xcg.compiled.segments import RULES, largest_error
+from xcg.fields import registry
+from xcg.fields.deposit import BOX, Recipe
+from xcg.fields.grid import Grid, make_grid
+from xcg.fields.moments import MOMENTS
+from xcg.fields.smoothing import Kernel, as_kernel, choose_width
+from xcg.scene.build import edges_of, groups_of, layer_depth, require_scene, setup_of, with_measures
+from xcg.scene.schema import COMPONENTS, CONTACT_VARIABLES, SceneError, Setup
+from xcg.scene.warn import warn_user
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What one call of `coarse_grain` will do; printing it explains it.
+
+    Attributes
+    ----------
+    fields : tuple of str
+        What was asked for.
+    variables : tuple of str
+        What is read from the scene.
+    recipe : Recipe
+        Sums, nodes and kernel.
+    options : Options
+        Choices of the algebra.
+    kernel : Kernel
+        The widest, where each group has its own.
+    extent : dict
+        Length of each averaged axis (m); None takes the box of each step.
+    depth : float or str or None
+        Thickness of a one-layer scene (m), or the axis whose box extent it is.
+    setup : Setup
+        What holds for the whole scene.
+    rtol : float
+        Promise for the contact stress.
+    """
+
+    fields: tuple[str, ...]
+    variables: tuple[str, ...]
+    recipe: Recipe
+    options: registry.Options
+    kernel: Kernel
+    extent: Mapping[str, float | None]
+    depth: float | str | None
+    setup: Setup
+    rtol: float
+
+    @property
+    def dims(self) -> tuple[str, ...]:
+        """Resolved axes, and phase where there are several."""
+        return (*self.recipe.grid.axes, *(("phase",) if self.recipe.by else ()))
+
+    @property
+    def phases(self) -> int:
+        """Number of phases in the result, the bulk included."""
+        return 1 + len(self.recipe.groups)
+
+    @property
+    def widths(self) -> list[float]:
+        """Width of each group (m), or one for all."""
+        return [self.kernel.spread * cutoff for cutoff in self.recipe.cutoffs]
+
+    def shape(self, name: str) -> tuple[int, ...]:
+        """Shape of one step of a field."""
+        nodes = tuple(len(self.recipe.grid.nodes[a]) for a in self.recipe.grid.axes)
+        phases = (self.phases,) if self.recipe.by else ()
+        row = registry.FIELDS[name]
+        return (*nodes, *phases, *((self.phases,) if row.paired else ()), *(3,) * row.rank)
+
+    def __str__(self) -> str:
+        grid, moments = self.recipe.grid, [MOMENTS[m] for m in self.recipe.moments]
+        nodes = int(np.prod(grid.shape))
+        columns = self.recipe.level + sum(int(np.prod(m.shape)) for m in moments if m.column)
+        slopes = any(m.endswith("_slope") for m in self.recipe.moments)
+        contact = 9 * ("contact" in self.recipe.moments)
+        outputs = sum(int(np.prod(self.shape(name))) for name in self.fields)
+        sums = min(nodes, BOX) * max(1, self.phases - 1) * (columns + contact + slopes * 29)
+        own = f"; widths by group {[float(f'{w:.4g}') for w in self.widths]}" if len(self.widths) > 1 else ""
+        rules = "closed form"
+        if len(self.recipe.limits):
+            steps = ", ".join(f"{k} to {x:.3g} c" for k, x in zip(RULES, self.recipe.limits, strict=False))
+            rules = f"Gauss points by branch length ({steps}), closed form beyond"
+            rules += ", weights in single precision" if self.recipe.coarse else ""
+        lines = {
+            "fields": ", ".join(self.fields),
+            "read": ", ".join(self.variables),
+            "nodes": " x ".join(f"{len(grid.nodes[a])} {a}" for a in grid.axes) or "one",
+            "fixed": ", ".join(f"{a} = {v:g}" for a, v in grid.at.items()) or "none",
+            "averaged": ", ".join(f"{a} ({self.extent[a] or 'box'})" for a in grid.averaged) or "none",
+            "kernel": f"{self.kernel!r}, seen in {len(grid.seen)} of {self.kernel.dimension} dimensions{own}",
+            "sums": ", ".join(f"{m} ({MOMENTS[m].formula})" for m in self.recipe.moments),
+            "passes": f"{int(columns > 0)} over particles, {int(slopes)} with grad Psi, {contact // 9} over contacts",
+            "contacts": f"{rules} (rtol = {self.rtol:g})" if contact else "not read for stress",
+            "memory": f"{8 * sums / 1e6:.3g} MB of sums a thread and {8 * outputs / 1e6:.3g} MB of fields a step",
+        }
+        return "\n".join(f"{key:9s} {text}" for key, text in lines.items())
+
+
+_NARROW = 0.1  # widths, in mean diameters, that show single grains only
+
+# From this promise on, weights are computed in single precision, which rounds them to 1e-6 of the largest.
+SINGLE = 1e-4
+
+
+def _quicker(kind: int | None, rtol: float) -> tuple[int, ...]:
+    """Gauss-Legendre rules that take less time than the closed form, by the kernel as it is seen, and the precision."""
+    if kind is None:
+        return RULES if rtol >= SINGLE else RULES[:2]
+    # registered kernels have no closed form but a long quadrature; marginals take more time a point than a polynomial
+    return RULES if kind >= kinds.TABLE else RULES[:1]
+
+
+@lru_cache(maxsize=64)
+def _limits(
+    kind: int | None, spread: float, table: bytes, table_shape: tuple[int, ...], seen: int, rtol: float
+) -> NDArray:
+    """Longest branch (cutoffs) for which each rule keeps to `rtol`, measured against the closed form.
+
+    The error of a rule depends on nothing but the branch length over the cutoff and the place of the node, so that
+    a scan over both bounds it for every scene. A twentieth is kept in hand for places between those scanned.
+    """
+    array = np.frombuffer(table).reshape(table_shape).copy()
+    rows = 1 if seen == 1 else 24
+
+    def kept(length: float, order: int) -> bool:
+        return largest_error(length, order, rows, kind, spread, array) <= 0.95 * rtol
+
+    limits, limit = [], 0.0
+    for order in _quicker(kind, rtol):
+        for length in np.geomspace(1e-3, 8, 61):
+            if length <= limit or kept(length, order):  # shorter ones are left to the order before
+                limit = max(limit, length)
+                continue
+            for _ in range(4):  # and now between the last that keeps it and the first that does not
+                middle = 0.5 * (limit + length)
+                limit, length = (middle, length) if kept(middle, order) else (limit, middle)
+            break
+        limits.append(limit)
+    return np.array(limits)
+
+
+def gauss_limits(kernel: Kernel, seen: int, rtol: float) -> NDArray:
+    """Longest branch (cutoffs) for which 2, 4, ... Gauss-Legendre points keep the promise `rtol`.
+
+    The promise is ``|S_quadrature - S| <= rtol max S`` for every segment, the maximum taken over all places. Kernels
+    that jump have no such bound and always take the closed form (an empty array), as does ``rtol=0``.
+    """
+    if rtol == 0 or kernel.smoothness < 0 or seen == 0:
+        return np.zeros(0)
+    w = kernel.weights(seen)
+    return _limits(w.kind, w.spread, w.table.tobytes(), w.table.shape, seen, rtol)
+
+
+def _choose_fields(asked: str | Sequence[str] | None, ds: xr.Dataset, options: registry.Options) -> tuple[str, ...]:
+    lacking = {name for name, f in registry.FIELDS.items() if f.option and getattr(options, f.option) is None}
+    if asked is None:
+        possible = [name for name in registry.listed() if name not in lacking]
+        here = [name for name in possible if _variables([name], ds, options) <= set(ds.data_vars)]
+        if not here:
+            require_scene(ds, ("mass",), "coarse_grain")
+        return tuple(here)
+    names = [asked] if isinstance(asked, str) else list(asked)
+    unknown = [name for name in names if name not in registry.listed()]
+    if unknown or not names:
+        msg = f"unknown fields {unknown}: choose from {', '.join(registry.listed())}"
+        raise ValueError(msg)
+    for name in names:
+        if name in lacking:
+            msg = f"{name} needs the argument {registry.FIELDS[name].option}="
+            raise ValueError(msg)
+    return tuple(dict.fromkeys(names))
+
+
+def _variables(fields: Sequence[str], ds: xr.Dataset, options: registry.Options) -> set[str]:
+    """Scene variables that some fields need."""
+    needed = {"position", "particle_id"}
+    for name in registry.sums_of(fields, options):
+        needed |= set(MOMENTS[name].variables)
+        if name == "partners" and "coordination_number" in ds:
+            needed.add("coordination_number")
+        elif MOMENTS[name].contacts:
+            needed |= set(CONTACT_VARIABLES) - {"contact_normal"}
+            needed |= {"diameter"} & set(ds.data_vars)  # tells contacts that are far from their grains
+            needed |= {"contact_normal"} & set(ds.data_vars) if name == "fabric" else set()
+    return needed
+
+
+def make_plan(
+    ds: xr.Dataset,
+    fields: str | Sequence[str] | None = None,
+    *,
+    width: float | str | Mapping[Any, float | str] | None = None,
+    kernel: str | Kernel = "lucy",
+    spacing: float | Mapping[str, float] | None = None,
+    axes: str | None = None,
+    at: Mapping[str, float] | None = None,
+    bounds: Mapping[str, Sequence[float]] | None = None,
+    by: str | None = None,
+    groups: Sequence[int] | None = None,
+    extent: Mapping[str, float] | None = None,
+    gradient: str = "least_squares",
+    pressure_dims: str | None = None,
+    shear_dims: str | None = None,
+    deviatoric: str = "stress",
+    size: str = "d43",
+    fluid_viscosity: float | None = None,
+    by_pair: bool = False,
+    temperature: str = "unbiased",
+    rtol: float = 0.0,
+) -> Plan:
+    """Plan a call of `coarse_grain`; the arguments are the same. Reads attributes only, never data.
+
+    Raises
+    ------
+    SceneError
+        If the scene lacks variables that the fields need.
+    ValueError
+        If an argument is wrong.
+    """
+    require_scene(ds, (), "coarse_grain")
+    ds = with_measures(ds)
+    setup = setup_of(ds)
+    options = _options(ds, setup, gradient, pressure_dims, shear_dims, deviatoric, size, fluid_viscosity, temperature)
+    if by_pair and by is None:
+        msg = "by_pair=True divides contact stress by pairs of phases: say which with by=, for example by='species'"
+        raise ValueError(msg)
+    options = replace(options, by_pair=by_pair or None)
+    if not (np.isfinite(rtol) and rtol >= 0):
+        msg = f"rtol={rtol!r}: expected 0 (closed form) or a positive number such as 1e-3"
+        raise ValueError(msg)
+    names = _choose_fields(fields, ds, options)
+    if by_pair:
+        names = tuple(dict.fromkeys([*names, "contact_stress_by_pair"]))
+    variables = _variables(names, ds, options)
+    require_scene(ds, sorted(variables), f"coarse_grain of {', '.join(names)}")
+    kernels = _kernels(ds, kernel, width, by, groups, setup.dimension)
+    chosen = max(kernels, key=lambda k: k.cutoff)
+    _warn_of_width(min(k.width for k in kernels), ds.attrs.get("dmin" if isinstance(width, Mapping) else "d43"))
+    edges = edges_of(ds)
+    period = {a: edges[a][1] - edges[a][0] for a in setup.periodic if a in edges}
+    grid = make_grid(
+        setup.plane if axes is None and at is None else axes or "",
+        at or {},
+        bounds or {},
+        min(k.width for k in kernels) if spacing is None else spacing,
+        plane=setup.plane,
+        cutoff=min(k.cutoff for k in kernels),
+        automatic=_automatic(ds, setup, edges, chosen.cutoff),
+        period=period,
+    )
+    _warn_of_cuts(grid, {a: edges[a] for a in period}, chosen.cutoff)
+    if gradient == "kernel" and {"mass_slope", "momentum_slope"} & set(registry.sums_of(names, options)):
+        _check_differentiable(chosen, len(grid.seen))
+    limits = gauss_limits(chosen, len(grid.seen), rtol)
+    recipe = Recipe(
+        moments=registry.sums_of(names, options),
+        grid=grid,
+        weights=kernels[0].weights(len(grid.seen)),
+        cutoffs=tuple(k.cutoff for k in kernels),
+        limits=limits,
+        coarse=limits.size > 0 and rtol >= SINGLE,
+        by=by,
+        groups=() if by is None else groups_of(ds, by, groups),
+    )
+    x, y, z = (grid.spacing.get(a, 0.0) for a in COMPONENTS)
+    options = replace(options, active=tuple(grid.active.tolist()), shape=grid.shape, spacing=(x, y, z))
+    extra = {by} if by else set()
+    extra |= {"frozen"} & set(ds.data_vars)
+    read = [n for n in ds.data_vars if n in variables | extra]
+    return Plan(
+        fields=names, variables=tuple(map(str, read)), recipe=recipe, options=options, kernel=chosen,
+        extent=_extents(grid, extent or {}, edges), depth=layer_depth(ds, setup, edges), setup=setup, rtol=rtol,
+    )  # fmt: skip
+
+
+def _warn_of_width(width: float, diameter: Any) -> None:
+    if diameter is not None and width < _NARROW * diameter:
+        msg = (
+            f"width={width:.4g} is {width / diameter:.2g} of the grains' diameter ({diameter:.4g}): the kernel sees "
+            "the inside of single grains, and no field of a continuum (volume fractions far above 1); the usual choice "
+            "is 0.75 mean diameters, see the page on width"
+        )
+        warn_user(msg)
+
+
+def _warn_of_cuts(grid: Grid, edges: Mapping[str, tuple[float, float]], reach: float) -> None:
+    for a, (low, high) in edges.items():
+        if a in grid.at and not low - reach <= grid.at[a] <= high + reach:  # grains may be beyond an edge
+            msg = (
+                f"at={{{a!r}: {grid.at[a]:g}}} is outside the box, which is periodic from {low:g} to {high:g} along "
+                f"{a!r}: fields are those of the image inside; check the units of lengths"
+            )
+            warn_user(msg)
+
+
+def _kernels(
+    ds: xr.Dataset, kernel: str | Kernel, width: Any, by: str | None, groups: Sequence[int] | None, dimension: int
+) -> list[Kernel]:
+    """One kernel for all, or one for each group where `width` maps groups to widths."""
+    if not isinstance(width, Mapping):
+        return [as_kernel(kernel, choose_width(width, ds.attrs) if isinstance(kernel, str) else width, dimension)]
+    if by is None or not isinstance(kernel, str):
+        msg = f"width={dict(width)!r} gives each group its own: name the groups' variable with by=, and a kernel"
+        raise ValueError(msg)
+    own = {str(group): value for group, value in width.items()}
+    known = groups_of(ds, by, groups)
+    if set(own) != {str(g) for g in known}:
+        msg = f"width={dict(width)!r}: expected a width for each of the groups {list(known)} of {by!r}"
+        raise ValueError(msg)
+    return [as_kernel(kernel, choose_width(own[str(g)], ds.attrs), dimension) for g in known]
+
+
+def _options(
+    ds: xr.Dataset, setup: Setup, gradient: str, pressure_dims: str | None, shear_dims: str | None, deviatoric: str,
+    size: str, fluid_viscosity: float | None, temperature: str,
+) -> registry.Options:  # fmt: skip
+    """Check the choices of the algebra."""
+    for name, value, known in (
+        ("gradient", gradient, registry.GRADIENTS),
+        ("deviatoric", deviatoric, registry.DEVIATORIC),
+        ("size", size, registry.INERTIAL_SIZES),
+        ("temperature", temperature, registry.TEMPERATURES),
+    ):
+        if value not in known:
+            msg = f"{name}={value!r}: expected one of {', '.join(known)}"
+            raise ValueError(msg)
+    for name, axes in (("pressure_dims", pressure_dims), ("shear_dims", shear_dims)):
+        if axes is not None and (not axes or set(axes) - set(setup.plane) or len(set(axes)) < len(axes)):
+            msg = f"{name}={axes!r}: expected some of the scene's axes {setup.plane!r}, each once"
+            raise ValueError(msg)
+    if fluid_viscosity is not None and not (np.isfinite(fluid_viscosity) and fluid_viscosity > 0):
+        msg = f"fluid_viscosity={fluid_viscosity!r}: expected a positive viscosity (Pa s), such as 1e-3 for water"
+        raise ValueError(msg)
+    if size in ("d50", "dmax") and size not in ds.attrs:
+        msg = f"size={size!r} is an attribute that the scene does not hold; call ds = ds.cg.measure() first"
+        raise ValueError(msg)
+    return registry.Options(
+        plane=tuple(COMPONENTS.index(a) for a in setup.plane),
+        gradient=gradient,
+        pressure_axes=None if pressure_dims is None else tuple(COMPONENTS.index(a) for a in pressure_dims),
+        shear_axes=None if shear_dims is None else tuple(COMPONENTS.index(a) for a in shear_dims),
+        deviatoric=deviatoric,
+        size=size,
+        diameter=float(ds.attrs.get(size, np.nan)),
+        fluid_viscosity=fluid_viscosity,
+        temperature=temperature,
+    )
+
+
+def _automatic(
+    ds: xr.Dataset, setup: Setup, edges: Mapping[str, tuple[float, float]], cutoff: float
+) -> dict[str, tuple[float, float]]:
+    """Bounds by default: the period, or the particles' extent with their supports, or the box."""
+    lower, upper = ds.attrs.get("particle_lower"), ds.attrs.get("particle_upper")
+    found = dict(edges)
+    if lower is not None and upper is not None:
+        for k, a in enumerate(COMPONENTS):
+            if a not in setup.periodic:
+                found[a] = (float(lower[k]) - cutoff, float(upper[k]) + cutoff)
+    return found
+
+
+def _check_differentiable(kernel: Kernel, seen: int) -> None:
+    if kernel.shape == kinds.HEAVISIDE:
+        msg = "gradient='kernel' needs a kernel that is differentiable: Heaviside is not; take gradient='least_squares'"
+        raise ValueError(msg)
+    if not kernel.differentiable:
+        msg = (
+            f"the {kernel.name} kernel jumps at its cutoff: its gradient leaves the jump out (8 % low for a Gaussian "
+            "cut at 3 w); take Lucy, or gradient='least_squares'"
+        )
+        warn_user(msg)
+
+
+def _extents(
+    grid: Grid, extent: Mapping[str, float], edges: Mapping[str, tuple[float, float]]
+) -> dict[str, float | None]:
+    loose = [a for a in extent if a not in grid.averaged]
+    if loose:
+        msg = f"extent names {loose}, but the averaged axes are {list(grid.averaged)}: leave it out"
+        raise ValueError(msg)
+    found: dict[str, float | None] = {}
+    for a in grid.averaged:
+        length = extent.get(a)
+        if length is None and a not in edges:
+            msg = (
+                f"fields are averaged along {a!r}, and the scene has no finite box there: give the length that the "
+                f"integral is divided by, extent={{{a!r}: length}}, or resolve or fix the axis (axes=, at=)"
+            )
+            raise ValueError(msg)
+        if length is not None and not (np.isfinite(length) and length > 0):
+            msg = f"extent[{a!r}]={length!r}: expected a positive length (m)"
+            raise ValueError(msg)
+        found[a] = None if length is None else float(length)
+    return found
+
+
+def scale_of(plan: Plan, box: NDArray | None, where: str) -> float:
+    """1 / (extents of the averaged axes x thickness of the layer) for one step."""
+    lengths = []
+    for a, length in (*plan.extent.items(), *(((plan.depth, None),) if isinstance(plan.depth, str) else ())):
+        if length is None:
+            k = COMPONENTS.index(a)
+            length = np.nan if box is None else float(box[k, 1] - box[k, 0])
+            if not (np.isfinite(length) and length > 0):
+                msg = f"{where}: fields are averaged along {a!r}, and the box of this step is not finite there"
+                raise SceneError(msg)
+        lengths.append(length)
+    if isinstance(plan.depth, float):
+        lengths.append(plan.depth)
+    return 1.0 / float(np.prod(lengths))

@@ -1,0 +1,223 @@
+"""The algebra of fields as a tape: written down once for symbols, then played over the nodes by one compiled loop."""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache, reduce
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xcg.compiled import program as kernel
+from xcg.compiled.fit import FOUND
+from xcg.compiled.simd import EIGHT
+from xcg.fields import registry
+from xcg.fields.deposit import BoxSums
+from xcg.fields.moments import columns_of
+from xcg.fields.trace import Record
+
+
+@dataclass(frozen=True)
+class Tape:
+    """Steps from the sums at a node to its fields.
+
+    Attributes
+    ----------
+    steps : array (n, 4)
+        As `xcg.compiled.program.play` takes them.
+    scratch : array (rows, TILE)
+        Constants in their rows.
+    loads : tuple of (str, int, int)
+        Moments, of which group, and which of their columns.
+    stores : tuple of (str, int, int)
+        Fields, the first of the components, and how many: one tensor, vector or scalar.
+    target : array (stores, 9)
+        Rows of these components.
+    fits : int
+        Number of fits.
+    """
+
+    steps: NDArray
+    scratch: NDArray
+    loads: tuple[tuple[str, int, int], ...]
+    stores: tuple[tuple[str, int, int], ...]
+    target: NDArray
+    fits: int
+
+    def play(self, sums: BoxSums, place: NDArray, out: Mapping[str, NDArray]) -> NDArray:
+        """Compute fields (places, ...) from the sums at some nodes, each to its `place` (nodes,).
+
+        Returns the nodes that are left out: those where a fit takes eigenvectors.
+        """
+        found, arrays = [sums.column(*load) for load in self.loads], sums.arrays
+        factors = list(dict.fromkeys(factor for _, _, factor in found))
+        widths = [math.prod(a.shape[1:]) for a in arrays]
+        # below the rows that steps use: the factors, and the columns of each array
+        rows = np.cumsum([len(self.scratch), len(factors), *(width + -width % EIGHT for width in widths)]).tolist()
+        scratch = kernel.room_for(rows[-1])
+        scratch[: rows[0]] = self.scratch
+        scratch[rows[0] : rows[1]] = np.reshape(factors, (-1, 1))
+        source = [(rows[1 + number] + column, rows[0] + factors.index(factor)) for number, column, factor in found]
+        records = [(a.ctypes.data, width, row) for a, width, row in zip(arrays, widths, rows[1:], strict=False)]
+        fields = [
+            (out[name].ctypes.data + out[name].itemsize * first, math.prod(out[name].shape[1:]), count)
+            for name, first, count in self.stores
+        ]
+        few = np.empty(self.fits * len(place), "uint64")
+        left = kernel.play(
+            self.steps, _whole(records, 3), _whole(source, 2), _whole(fields, 3), self.target, place, scratch, few
+        )
+        return np.unique(few[:left])
+
+
+def _whole(numbers: Sequence[Sequence[int]], width: int) -> NDArray:
+    return np.array(numbers, "uint64").reshape(-1, width)
+
+
+@lru_cache(maxsize=64)
+def tape_for(fields: tuple[str, ...], options: registry.Options, groups: int = 0) -> Tape | None:
+    """Write down the algebra of some fields, of the bulk and of groups; None where it takes other nodes."""
+    if registry.whole_grid(options):
+        return None
+    record = Record()
+    sums = {name: _moment(record, name, groups) for name in registry.sums_of(fields, options)}
+    sums["reference"] = record.load("reference", 0, np.arange(3))
+    found = registry.evaluate(fields, sums, options)
+    results = {
+        (name, first, count): [record.of(value).number for value in found[name].flat[first : first + count]]
+        for name in fields
+        for count in [3 ** registry.row(name, options).rank]
+        for first in range(0, found[name].size, count)
+    }
+    return _Layout(record.steps, results).tape()
+
+
+def _moment(record: Record, name: str, groups: int) -> NDArray:
+    """Symbols of a moment at one node: an array (phase, 1, ...), phase 0 the bulk, the sum over groups."""
+    columns = columns_of(name)
+    if not groups:
+        return record.load(name, 0, columns)[None, None]
+    others = (groups + 1,) if name == "pair_contact" else ()
+    parts = [record.load(name, group, columns) for group in range(groups * math.prod(others))]
+    each = np.stack(parts).reshape(groups, *others, *columns.shape)
+    return np.stack([reduce(operator.add, each), *each])[:, None]
+
+
+# The steps that lead to the components of each store.
+_Results = Mapping[tuple[str, int, int], Sequence[int]]
+
+
+class _Layout:
+    """Puts the steps that lead to some results on rows of numbers, used anew once nothing needs what is in them."""
+
+    def __init__(self, recorded: Sequence[tuple[int, tuple[Any, ...]]], results: _Results) -> None:
+        self.recorded, self.results = recorded, results
+        self.uses = self._count_uses()
+        self.row: dict[int, int] = {}  # where the result of a step is
+        self.kept: set[int] = set()  # rows that are not used anew
+        self.free: list[int] = []
+        self.rows = 0
+        self.steps: list[tuple[int, int, int, int]] = []
+        self.loads: list[tuple[str, int, int]] = []
+
+    def tape(self) -> Tape:
+        """Write all steps; what is stored together is stored as soon as it is there."""
+        complete: dict[int, list[tuple[str, int, int]]] = {}
+        for store, numbers in self.results.items():
+            complete.setdefault(max(numbers), []).append(store)
+        stored: list[tuple[str, int, int]] = []
+        constants, target = self._keep_rows(), np.zeros((len(self.results), 9), "uint64")
+        for number in sorted(self.uses):
+            operation, operands = self.recorded[number]
+            if operation == kernel.FIT:
+                rows = [self._at(operand) for operand in operands[1:]]
+                self.steps.append((kernel.FIT, self.row[number], rows[0], operands[0]))
+            elif operation not in (kernel.CONSTANT, kernel.LOAD, kernel.PART):
+                rows = [self._at(operand) for operand in operands]
+                if number not in self.row:
+                    self.row[number] = self._new_row()
+                self.steps.append((operation, self.row[number], rows[0], rows[-1]))
+            for operand in self._operands(number):
+                self._used(operand)
+            for store in complete.get(number, ()):
+                numbers = self.results[store]
+                target[len(stored), : len(numbers)] = [self._at(k) for k in numbers]
+                self.steps.append((kernel.STORE, len(stored), 0, 0))
+                stored.append(store)
+                for k in numbers:
+                    self._used(k)
+        scratch = np.zeros((self.rows, kernel.TILE))
+        for row, value in constants.items():
+            scratch[row] = value
+        steps = _whole(self.steps, 4)
+        fits = int((steps[:, 0] == kernel.FIT).sum())
+        return Tape(steps, scratch, tuple(self.loads), tuple(stored), target, fits)
+
+    def _operands(self, number: int) -> tuple[int, ...]:
+        """Return the steps that a step takes something from."""
+        operation, operands = self.recorded[number]
+        if operation in (kernel.CONSTANT, kernel.LOAD):
+            return ()
+        return operands[1:] if operation in (kernel.FIT, kernel.PART) else operands
+
+    def _count_uses(self) -> Counter[int]:
+        """How often the result of each step is used, for those that lead to the results."""
+        uses = Counter(number for numbers in self.results.values() for number in numbers)
+        waiting = list(uses)
+        while waiting:
+            for operand in self._operands(waiting.pop()):
+                if not uses[operand]:
+                    waiting.append(operand)
+                uses[operand] += 1
+        return uses
+
+    def _keep_rows(self) -> dict[int, float]:
+        """Give rows for good to constants, and to what a fit takes and finds, side by side; returns the constants."""
+        constants = {}
+        for number in sorted(self.uses):
+            operation, operands = self.recorded[number]
+            if operation == kernel.CONSTANT:
+                constants[self.rows] = operands[0]
+                self._keep([number])
+            elif operation == kernel.FIT:
+                self._keep(operands[1:])
+                self.row[number] = self._kept_rows(FOUND)
+            elif operation == kernel.PART:
+                self.row[number] = self.row[operands[1]] + operands[0]
+        return constants
+
+    def _keep(self, numbers: Sequence[int]) -> None:
+        first = self._kept_rows(len(numbers))
+        self.row |= {number: first + k for k, number in enumerate(numbers)}
+
+    def _kept_rows(self, count: int) -> int:
+        first, self.rows = self.rows, self.rows + count
+        self.kept |= {*range(first, self.rows)}
+        return first
+
+    def _new_row(self) -> int:
+        if not self.free:
+            self.free.append(self.rows)
+            self.rows += 1
+        return self.free.pop()
+
+    def _at(self, number: int) -> int:
+        """Row of a result; a column is loaded when it is first needed."""
+        operation, operands = self.recorded[number]
+        if operation == kernel.LOAD and operands not in self.loads:
+            if number not in self.row:
+                self.row[number] = self._new_row()
+            self.steps.append((kernel.LOAD, self.row[number], len(self.loads), 0))
+            self.loads.append(operands)
+        return self.row[number]
+
+    def _used(self, number: int) -> None:
+        """Count a use of a result; after the last its row is free."""
+        self.uses[number] -= 1
+        if not self.uses[number] and self.row[number] not in self.kept:
+            self.free.append(self.row[number])

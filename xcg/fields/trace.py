@@ -1,0 +1,129 @@
+"""Symbols: numbers at a node that are not known yet. Algebra on arrays of them writes down what it would compute.
+
+The formulas of the registry are run on arrays of numbers or, once, on arrays of symbols, element for element the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xcg.compiled import program as kernel
+from xcg.compiled.fit import FOUND, flags_of
+
+
+class Record:
+    """The steps that were written down, each once however often it was asked for."""
+
+    def __init__(self) -> None:
+        self.steps: list[tuple[int, tuple[Hashable, ...]]] = []
+        self._number: dict[tuple[int, tuple[Hashable, ...]], int] = {}
+
+    def add(self, operation: int, *operands: Hashable) -> Symbol:
+        """Write down a step, of which the operands are numbers of earlier ones."""
+        step = operation, operands
+        if step not in self._number:
+            self._number[step] = len(self.steps)
+            self.steps.append(step)
+        return Symbol(self, self._number[step])
+
+    def of(self, value: Any) -> Symbol:
+        """Return a symbol for a value that may be a number."""
+        return value if isinstance(value, Symbol) else self.add(kernel.CONSTANT, float(value))
+
+    def load(self, name: str, group: int, columns: NDArray) -> NDArray:
+        """Return symbols for the moment of a group of grains that is made of these columns."""
+        loads = [self.add(kernel.LOAD, name, group, int(column)) for column in columns.ravel()]
+        return _array(loads, columns.shape)
+
+
+class Symbol:
+    """The result of a step; arithmetic with it makes further steps."""
+
+    __slots__ = ("number", "record")
+
+    def __init__(self, record: Record, number: int) -> None:
+        self.record, self.number = record, number
+
+    def _with(self, operation: int, left: Any, right: Any) -> Symbol:
+        numbers = [self.record.of(value).number for value in (left, right)]
+        if operation in (kernel.ADD, kernel.MULTIPLY):  # the order of two does not matter, to the last bit
+            numbers.sort()
+        return self.record.add(operation, *numbers)
+
+    def __add__(self, other: Any) -> Symbol:
+        return self._with(kernel.ADD, self, other)
+
+    def __sub__(self, other: Any) -> Symbol:
+        return self._with(kernel.SUBTRACT, self, other)
+
+    def __rsub__(self, other: Any) -> Symbol:
+        return self._with(kernel.SUBTRACT, other, self)
+
+    def __mul__(self, other: Any) -> Symbol:
+        return self._with(kernel.MULTIPLY, self, other)
+
+    def __truediv__(self, other: Any) -> Symbol:
+        return self._with(kernel.DIVIDE, self, other)
+
+    def __rtruediv__(self, other: Any) -> Symbol:
+        return self._with(kernel.DIVIDE, other, self)
+
+    __radd__, __rmul__ = __add__, __mul__
+
+    def __pow__(self, exponent: int) -> Symbol:
+        if exponent != 2:
+            msg = f"power {exponent}: only squares are known"
+            raise NotImplementedError(msg)
+        return self * self
+
+    def __bool__(self) -> bool:
+        msg = "the value of a symbol is not known while steps are written down"
+        raise TypeError(msg)
+
+    def alone(self, operation: int) -> Symbol:
+        """Write down a step with one operand."""
+        return self.record.add(operation, self.number)
+
+    def sqrt(self) -> Symbol:
+        """Return the square root; `np.sqrt` of an array of symbols calls it."""
+        return self.alone(kernel.SQUARE_ROOT)
+
+
+def _array(symbols: Sequence[Symbol], shape: tuple[int, ...]) -> NDArray:
+    out = np.empty(len(symbols), object)
+    out[:] = symbols
+    return out.reshape(shape)
+
+
+def _each(array: NDArray, operation: int) -> NDArray:
+    return _array([symbol.alone(operation) for symbol in array.ravel()], array.shape)
+
+
+def fit_gradient(sums: NDArray, *, active: Sequence[bool], about_node: bool) -> NDArray:
+    """As `xcg.compiled.fit.fit_gradient`, for symbols."""
+    record, flags = sums[0, 0].record, flags_of(active, about_node)
+    fits = [record.add(kernel.FIT, flags, *(symbol.number for symbol in column)) for column in sums.T]
+    found = [record.add(kernel.PART, k, one.number) for k in range(FOUND) for one in fits]
+    return _array(found, (FOUND, len(fits)))
+
+
+# --- functions of arrays of either kind ------------------------------------------------------------------
+
+
+def where_positive(x: NDArray) -> NDArray:
+    """Return x where it is positive, NaN elsewhere."""
+    return _each(x, kernel.WHERE_POSITIVE) if x.dtype == object else np.where(x > 0, x, np.nan)
+
+
+def at_least_zero(x: NDArray) -> NDArray:
+    """Return the larger of x and 0; NaN stays NaN."""
+    return _each(x, kernel.AT_LEAST_ZERO) if x.dtype == object else np.maximum(x, 0.0)
+
+
+def zero_if_unknown(x: NDArray) -> NDArray:
+    """Return x, 0 where it is NaN."""
+    return _each(x, kernel.ZERO_IF_UNKNOWN) if x.dtype == object else np.where(np.isnan(x), 0.0, x)

@@ -1,0 +1,129 @@
+"""Fields against the width of the kernel, and the plateau where they hardly depend on it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+
+from xcg.fields.coarse_grain import coarse_grain
+from xcg.fields.plan import make_plan
+from xcg.fields.smoothing import choose_width
+from xcg.scene.bodies import group_bodies
+from xcg.scene.build import with_measures
+from xcg.scene.conform import takes_scene
+
+THRESHOLD = 0.1
+
+
+def _points(at: Mapping[str, ArrayLike] | None) -> tuple[list[dict[str, float]], bool]:
+    """Points as single `at` mappings, and whether there are several."""
+    if at is None:
+        return [{}], False
+    columns = {axis: np.asarray(values, float) for axis, values in at.items()}
+    if all(values.ndim == 0 for values in columns.values()):
+        return [{axis: float(values) for axis, values in columns.items()}], False
+    shapes = {axis: values.shape for axis, values in columns.items()}
+    if len(set(shapes.values())) > 1 or any(len(shape) != 1 for shape in shapes.values()):
+        msg = f"at has shapes {shapes}: expected one number an axis, or lists of the same length, one entry a point"
+        raise ValueError(msg)
+    rows = zip(*columns.values(), strict=True)
+    return [dict(zip(columns, map(float, row), strict=True)) for row in rows], True
+
+
+@takes_scene
+def width_sweep(
+    ds: xr.Dataset,
+    widths: Sequence[float | str],
+    fields: str | Sequence[str] | None = None,
+    *,
+    at: Mapping[str, ArrayLike] | None = None,
+    threshold: float = THRESHOLD,
+    **options: Any,
+) -> xr.Dataset:
+    """Coarse-grain with several widths, and find the plateau of each field.
+
+    The plateau is where the logarithmic slope ``|d ln f / d ln w|`` is smallest, if it is below `threshold` there.
+    Lazy where the scene is; computed in one go, all widths share one pass over the files.
+
+    Parameters
+    ----------
+    ds : xarray.Dataset
+        A scene.
+    widths : list of float or str
+        Three or more widths (m), or multiples of sizes such as "0.5 d43".
+    fields : str or list of str, optional
+        Names of fields.
+    at : mapping, optional
+        Points: one number an axis, or lists of the same length, one entry a point (dimension ``point``). Axes not
+        named are averaged, unless `options` resolve them with ``axes=``; None averages over the whole box.
+    threshold : float
+        Largest logarithmic slope of a plateau; 0.1 changes a field by 7 % when the width doubles.
+    **options
+        Further arguments of `coarse_grain`, for example ``kernel="gaussian"`` or ``axes="z"``.
+
+    Returns
+    -------
+    xarray.Dataset
+        The fields with the dimension ``width`` (m), and for each ``<field>_slope``, ``<field>_plateau_width`` (m, NaN
+        where there is none) and ``<field>_plateau`` (the value there).
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than three different widths, or an argument of `coarse_grain` is wrong.
+    """
+    measured = with_measures(ds).attrs
+    lengths = sorted({choose_width(width, measured) for width in widths})
+    if len(lengths) < 3:
+        msg = f"widths={list(widths)!r}: expected three or more different widths, to tell a slope"
+        raise ValueError(msg)
+    points, several = _points(at)
+    if "by_body" in options:
+        ds = group_bodies(ds, options.pop("by_body"))
+    options.setdefault("axes", "")
+    # nodes stay where they are for all widths
+    if options["axes"]:
+        options.setdefault("spacing", lengths[0])
+        if "bounds" not in options:
+            placing = {k: v for k, v in options.items() if k in ("axes", "spacing", "kernel", "extent")}
+            grid = make_plan(ds, "number_density", width=lengths[-1], at=points[0], **placing).recipe.grid
+            options["bounds"] = {a: (float(nodes[0]), float(nodes[-1])) for a, nodes in grid.nodes.items()}
+    swept = []
+    for width in lengths:
+        parts = [coarse_grain(ds, fields, width=width, at=point, **options) for point in points]
+        swept.append(xr.concat(parts, "point", coords="different", compat="equals") if several else parts[0])
+    joined = xr.concat(swept, xr.Variable("width", lengths, {"long_name": "width of the kernel"}), join="override")
+    joined["width"].attrs["units"] = "m" if joined.attrs.get("unit_system", "SI") == "SI" else "1"
+    for name in ("width", "cutoff"):
+        joined.attrs.pop(name, None)
+    if joined.chunks:
+        joined = joined.chunk({"width": -1})
+    found: dict[str, xr.DataArray] = {}
+    for field in map(str, joined.data_vars):
+        found |= _plateau(field, joined[field], np.array(lengths), threshold)
+    return joined.assign(found)
+
+
+def _plateau(name: str, field: xr.DataArray, widths: NDArray, threshold: float) -> dict[str, xr.DataArray]:
+    """Slope of a field, and width and value where it is smallest."""
+    # d ln f / d ln w = (w / f) df / dw, which also holds where f is negative
+    by_width = field.assign_coords(width=np.log(widths)).differentiate("width").assign_coords(width=widths)
+    slope = abs(by_width / field.where(field != 0))
+    # the ends have one neighbour only: no plateau is told from them
+    inside = slope.where((slope.width > widths[0]) & (slope.width < widths[-1])).fillna(np.inf)
+    flat = inside.min("width") < threshold
+    rows = xr.DataArray(np.arange(len(widths)), {"width": widths}, "width")
+    best = (rows == inside.argmin("width")) & flat
+    value = field.where(best).sum("width", min_count=1)
+    width = inside.width.where(best).sum("width", min_count=1)
+    unit = field.coords["width"].attrs.get("units", "m")
+    what = field.attrs.get("long_name", name)
+    return {
+        f"{name}_slope": slope.assign_attrs(units="1", long_name=f"logarithmic slope of {what} against width"),
+        f"{name}_plateau_width": width.assign_attrs(units=unit, long_name=f"width at the plateau of {what}"),
+        f"{name}_plateau": value.assign_attrs(field.attrs, long_name=f"{what} at its plateau"),
+    }

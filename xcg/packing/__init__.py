@@ -1,0 +1,1 @@
+"""Packings: contacts from positions, and their microstructure."""

@@ -1,0 +1,254 @@
+"""Contacts from positions: a scene whose code wrote none gets them back, with forces where a stiffness is given."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.scene.build import require_scene, setup_of, stack, steps_in
+from xcg.scene.complete import REPEAT, contact_points, images_within, minimum_image, periods
+from xcg.scene.conform import takes_scene
+from xcg.scene.contacts import check_search, find_pairs
+from xcg.scene.schema import COMPONENTS, Frame, SceneError, Setup, units_of, variable
+from xcg.steps.label import about, call_of
+from xcg.steps.map import is_lazy, map_over_time
+
+READ = ("particle_id", "position", "diameter")
+# Pairs of these are left out: two frozen grains are one wall, and grains of one body are glued.
+OPTIONAL = ("frozen", "body_id")
+FOUND = ("contact_i", "contact_j", "contact_point", "contact_normal", "overlap")
+
+# Contacts a particle that spheres without overlap can have on average, of any sizes: half the average kissing number,
+# at most 13.955 for spheres (Glazyrin 2020), and 6 in a plane (contact graphs of discs are planar).
+MOST_CONTACTS = {3: 7, 2: 3}
+
+
+@dataclass(frozen=True)
+class Stiffness:
+    """How a normal force follows from an overlap.
+
+    Attributes
+    ----------
+    k_n : float or None
+        Linear spring (N m-1): ``f = k_n overlap``.
+    E, nu : float or None
+        Young's modulus (Pa) and Poisson's ratio of both spheres, Hertz: ``f = 4/3 E* sqrt(R*) overlap^(3/2)`` with
+        ``E* = E / (2 (1 - nu^2))`` and ``R* = R_i R_j / (R_i + R_j)`` (Johnson 1985, eq. 4.22).
+    """
+
+    k_n: float | None = None
+    E: float | None = None
+    nu: float | None = None
+
+    def __post_init__(self) -> None:
+        linear, hertz = self.k_n is not None, self.E is not None or self.nu is not None
+        whole = self.E is not None and self.nu is not None
+        positive = all(v is None or (np.isfinite(v) and v > 0) for v in (self.k_n, self.E))
+        if (linear and hertz) or (hertz and not whole) or not positive or not -1 < (self.nu or 0.0) <= 0.5:
+            msg = (
+                f"k_n={self.k_n!r}, E={self.E!r}, nu={self.nu!r}: expected k_n > 0 (N m-1) for linear springs, or both "
+                "E > 0 (Pa) and -1 < nu <= 0.5 for Hertz contacts, or none of them"
+            )
+            raise ValueError(msg)
+
+    @property
+    def given(self) -> bool:
+        """Whether forces are wanted."""
+        return self.k_n is not None or self.E is not None
+
+    def __str__(self) -> str:
+        if self.k_n is not None:
+            return f"linear spring, k_n = {self.k_n:g}"
+        return f"Hertz, E = {self.E:g}, nu = {self.nu:g}"
+
+    def force(self, overlap: NDArray, radius_i: NDArray, radius_j: NDArray) -> NDArray:
+        """Magnitude of the normal force (N); zero across a gap."""
+        depth = np.maximum(overlap, 0.0)
+        if self.k_n is not None:
+            return self.k_n * depth
+        assert self.E is not None
+        assert self.nu is not None
+        total = radius_i + radius_j
+        reduced = np.divide(radius_i * radius_j, total, out=np.zeros_like(total), where=total > 0)
+        return 4 / 3 * self.E / (2 * (1 - self.nu**2)) * np.sqrt(reduced) * depth**1.5
+
+
+@dataclass(frozen=True)
+class Search:
+    """What finding the contacts of a frame needs besides the frame."""
+
+    setup: Setup
+    stiffness: Stiffness
+    skin: float
+    method: str
+    levels: int | None
+    most: int | None
+    threads: int | None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Variables that are added."""
+        return (*FOUND, "contact_force") if self.stiffness.given else FOUND
+
+    def __call__(self, arrays: Mapping[str, NDArray]) -> Frame:
+        """Contacts of one chunk of time, padded to `most` rows, or as many as the largest step has."""
+        frames = [self.contacts(*step) for step in steps_in(arrays)]
+        rows = max(len(frame["overlap"]) for frame in frames) if self.most is None else self.most
+        return stack(frames, self.names, rows)
+
+    def contacts(self, frame: Frame, box: NDArray | None, where: str) -> Frame:
+        """Contacts of one frame."""
+        period = periods(box, self.setup.periodic, where)
+        ids, position, radius = frame["particle_id"], frame["position"], frame["diameter"] / 2
+        self._refuse_own_images(frame, period, where)
+        i, j = find_pairs(
+            position, radius, box, self.setup.periodic, skin=self.skin, method=self.method, levels=self.levels,
+            threads=self.threads, most=self.most,
+        ).T  # fmt: skip
+        if "frozen" in frame:
+            moving = (frame["frozen"][i] != 1) | (frame["frozen"][j] != 1)
+            i, j = i[moving], j[moving]
+        if "body_id" in frame:
+            body = frame["body_id"]
+            apart = (body[i] != body[j]) | (body[i] < 0)  # negative for spheres of their own
+            i, j = i[apart], j[apart]
+        reach = radius[i] + radius[j] + self.skin
+        rows, branch = images_within(minimum_image(position[i] - position[j], period), reach, period)
+        i, j = i[rows], j[rows]
+        if self.most is not None and len(i) > self.most:
+            msg = (
+                f"{where}: {len(i)} contacts among {len(ids)} particles, more than the {self.most} rows set aside; "
+                f"pass max_contacts={len(i)} or more to find_contacts, or load the scene first with ds.load()"
+            )
+            raise SceneError(msg)
+        length = np.linalg.norm(branch, axis=1)
+        normal = np.divide(branch, length[:, None], out=np.zeros_like(branch), where=length[:, None] > 0)
+        overlap = radius[i] + radius[j] - length
+        found = {
+            "contact_i": ids[i],
+            "contact_j": ids[j],
+            "contact_point": contact_points(position[i], branch, radius[i], radius[j]),
+            "contact_normal": normal,
+            "overlap": overlap,
+        }
+        if self.stiffness.given:
+            found["contact_force"] = self.stiffness.force(overlap, radius[i], radius[j])[:, None] * normal
+        return found
+
+    def _refuse_own_images(self, frame: Frame, period: NDArray, where: str) -> None:
+        """Refuse a period that a grain reaches across: a contact with itself has no place in a scene."""
+        ids, diameter = frame["particle_id"], frame["diameter"]
+        if "frozen" in frame:
+            ids, diameter = ids[frame["frozen"] != 1], diameter[frame["frozen"] != 1]
+        k = int(np.argmin(period))
+        if diameter.max(initial=0.0) + self.skin > period[k]:
+            row = int(np.argmax(diameter))
+            msg = (
+                f"{where}: particle {ids[row]} of diameter {diameter[row]:g} touches its own image (skin "
+                f"{self.skin:g}), as the period along '{COMPONENTS[k]}' is {period[k]:g}, and a contact with itself "
+                f"has no place in a scene; {REPEAT}"
+            )
+            raise SceneError(msg)
+
+
+@takes_scene
+def find_contacts(
+    ds: xr.Dataset,
+    *,
+    method: str = "hierarchical",
+    levels: int | None = None,
+    skin: float = 0.0,
+    k_n: float | None = None,
+    E: float | None = None,
+    nu: float | None = None,
+    max_contacts: int | None = None,
+) -> xr.Dataset:
+    """Find the contacts of a scene from positions and diameters, and their normal forces from a stiffness.
+
+    All pairs with ``|r_i - r_j| < R_i + R_j + skin``, each once, sorted by the rows of i, then j (see
+    `xcg.scene.contacts.find_pairs`); in a box so small that two grains touch on several sides, each of these contacts. Pairs
+    of two frozen grains and pairs within one body are left out. Walls that are not made of grains leave no trace in
+    positions: their contacts are not found.
+
+    Parameters
+    ----------
+    ds : xarray.Dataset
+        A scene with diameters. Contacts that it holds are replaced.
+    method : str
+        "hierarchical" or "linked-cell" (one level of cells, to compare with).
+    levels : int, optional
+        Number of levels of the hierarchy; by default one for each factor of 3 in size.
+    skin : float
+        Width of gaps that still count as contacts (m); their overlap is negative and their force zero.
+    k_n : float, optional
+        Stiffness of linear springs (N m-1), for ``contact_force = k_n overlap n``.
+    E, nu : float, optional
+        Young's modulus (Pa) and Poisson's ratio, for Hertz contacts: ``4/3 E* sqrt(R*) overlap^(3/2) n`` with
+        ``E* = E / (2 (1 - nu^2))``, ``R* = R_i R_j / (R_i + R_j)``. Friction, damping and cohesion are not in it.
+    max_contacts : int, optional
+        Rows set aside for the contacts of a step. By default a scene in memory takes as many as it finds; a lazy one
+        takes 7 a particle (3 in a one-layer scene), more than spheres without overlap can have on average whatever
+        their sizes (Glazyrin 2020): the average kissing number is below 13.955. Rows that are not needed are padding.
+
+    Returns
+    -------
+    xarray.Dataset
+        The scene with ``contact_i``, ``contact_j``, ``contact_point``, ``contact_normal``, ``overlap``, and
+        ``contact_force`` where a stiffness is given, marked by its attribute ``estimated``. Lazy over time where the
+        scene is, one task for each chunk.
+
+    Raises
+    ------
+    SceneError
+        If the scene has no diameters; on computing, if a step has more than `max_contacts`, or a grain touches its own
+        image across a periodic axis.
+    ValueError
+        If an argument is wrong.
+
+    Notes
+    -----
+    The contact point lies at ``R_i - overlap / 2`` from the centre of i, the normal points from j to i. Source of the
+    method: Ogarko & Luding (2012); Shire, Hanley & Stratford (2020). Of Hertz contacts: Johnson (1985), eq. 4.22.
+
+    Examples
+    --------
+    >>> import xcg
+    >>> ds = xcg.datasets.simple_cubic(4).cg.find_contacts(skin=1e-9, k_n=1e5)
+    >>> ds.sizes["contact"] / ds.sizes["particle"]
+    3.0
+    """
+    given = {k: v for k, v in locals().items() if k != "ds" and v is not None}
+    require_scene(ds, ("diameter",), "find_contacts")
+    check_search(skin, method, levels)
+    if max_contacts is not None and not (isinstance(max_contacts, (int, np.integer)) and max_contacts >= 0):
+        msg = f"max_contacts={max_contacts!r}: expected a whole number of rows, or None"
+        raise ValueError(msg)
+    setup = setup_of(ds)
+    read = [name for name in (*READ, *OPTIONAL) if name in ds]
+    lazy = is_lazy(ds, read)
+    most = max_contacts
+    if lazy and most is None:
+        most = MOST_CONTACTS[setup.dimension] * ds.sizes["particle"]
+    # under dask other steps keep the other cores busy
+    search = Search(setup, Stiffness(k_n, E, nu), skin, method, levels, most, threads=1 if lazy else None)
+    results = {name: (variable(name).shape(most or 0), variable(name).dtype) for name in search.names}
+    names = [*read, *(name for name in ("box", "step") if name in ds)]
+    arrays = map_over_time(ds, names, search, results, "find-contacts")
+    return _label(ds, arrays, search, given)
+
+
+def _label(ds: xr.Dataset, arrays: Mapping[str, Any], search: Search, given: Mapping[str, Any]) -> xr.Dataset:
+    data = {}
+    for name, values in arrays.items():
+        row = variable(name)
+        attrs = {"units": units_of(row.powers, search.setup.unit_system), "long_name": row.long_name}
+        if name == "contact_force":
+            attrs["estimated"] = f"normal force from the overlap of spheres: {search.stiffness}"
+        data[name] = xr.Variable(("time", *row.dims), values, attrs)
+    bare = ds.drop_dims("contact", errors="ignore")
+    return bare.assign(data).assign_attrs(history=about(ds, call_of("find_contacts", given))["history"])

@@ -1,0 +1,515 @@
+"""Microstructure of a packing: one number, tensor or distribution for each time and group of particles."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+
+from xcg.packing.quantities import CONTACTS, QUANTITIES, TENSOR, ratio
+from xcg.scene.build import (
+    edges_of,
+    groups_of,
+    layer_depth,
+    phase_of,
+    require_rising_times,
+    require_scene,
+    setup_of,
+    steps_in,
+    storable,
+    without_frozen,
+)
+from xcg.scene.complete import periods
+from xcg.scene.conform import takes_scene
+from xcg.scene.contacts import Contacts
+from xcg.scene.schema import COMPONENTS, Frame, SceneError, Setup, units_of
+from xcg.steps.label import about, call_of, mark_skipped
+from xcg.steps.map import map_over_time
+
+Bounds = Mapping[str, Sequence[float]]
+
+# Partners that hold a sphere in place without friction: one more than the dimensions.
+NOT_A_RATTLER = {3: 4, 2: 3}
+FORCE_BINS = np.logspace(-4, 2, 61)
+STRAINS = ("logarithmic", "engineering")
+
+
+# quantities of the whole series: strains, and the size that each inertial number takes
+STRAIN = {
+    "volumetric_strain": "volumetric strain of the box, compression positive",
+    "axial_strain": "axial strain of the box, compression positive",
+}
+INERTIAL = {"inertial_number_dmax": "d_max", "inertial_number_d50": "d50", "inertial_number_dbar": "d_bar"}
+NAMES = (*QUANTITIES, *STRAIN, *INERTIAL)
+
+
+# --- one step --------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Measure:
+    """All that measuring a frame needs besides the frame.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Names in `QUANTITIES`.
+    regions : tuple of mapping
+        Bounds of each region; one without bounds is the whole scene.
+    groups : tuple of int
+        Values of `by`; empty without phases.
+    depth : float or str or None
+        Thickness of a one-layer scene (m), or the axis whose box extent it is.
+    """
+
+    names: tuple[str, ...]
+    setup: Setup
+    regions: tuple[Bounds, ...]
+    by: str | None
+    groups: tuple[int, ...]
+    depth: float | str | None
+    min_contacts: int
+    iterative: bool
+    max_connectivity: int
+    force_bins: NDArray
+
+    @property
+    def phases(self) -> int:
+        """Number of phases, the bulk included."""
+        return 1 + len(self.groups)
+
+    def sizes(self, name: str) -> tuple[int, ...]:
+        """Size of a quantity along its own dimensions."""
+        lengths = {"partners": self.max_connectivity + 1, "force_ratio": len(self.force_bins) - 1}
+        return tuple(lengths.get(dim, 3) for dim in QUANTITIES[name].dims)
+
+    def shape(self, name: str) -> tuple[int, ...]:
+        """Shape of one step of a quantity: region, phase, its own dimensions."""
+        return (len(self.regions), self.phases, *self.sizes(name))
+
+    def __call__(self, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
+        """Quantities of one chunk of time."""
+        out = {name: np.empty((len(arrays["particle_id"]), *self.shape(name))) for name in self.names}
+        for t, step in enumerate(steps_in(arrays)):
+            self.measure(*step, {name: a[t] for name, a in out.items()})
+        return out
+
+    def measure(self, frame: Frame, box: NDArray | None, where: str, out: Mapping[str, NDArray]) -> None:
+        """Write the quantities of one frame into arrays (region, phase, ...)."""
+        period = periods(box, self.setup.periodic, where)
+        frame = without_frozen(frame)
+        contacts = Contacts.of(frame, period, where) if "contact_i" in frame else None
+        corner = np.zeros(3) if box is None else box[:, 0]
+        shared = _shared(self, frame, contacts)
+        phase = phase_of(frame, self.by, self.groups, where)
+        for r, bounds in enumerate(self.regions):
+            position, inside = _images_in(bounds, frame["position"], corner, period, where)
+            volume = self._volume(bounds, box)
+            for p in range(self.phases):
+                member = inside if p == 0 else inside & (phase == p - 1)
+                sample = _sample(self, frame, position, contacts, shared, member, volume)
+                for name in self.names:
+                    out[name][r, p] = QUANTITIES[name].compute(sample)
+
+    def _volume(self, bounds: Bounds, box: NDArray | None) -> float:
+        """Volume of a region (m3); NaN where neither bounds nor box say how far it reaches."""
+        edges = np.full((3, 2), np.nan) if box is None else box
+        lengths = []
+        for axis in self.setup.plane + (self.depth if isinstance(self.depth, str) else ""):
+            low, high = bounds.get(axis, edges[COMPONENTS.index(axis)])
+            lengths.append(high - low if np.isfinite(high - low) else np.nan)
+        return float(np.prod(lengths)) * (self.depth if isinstance(self.depth, float) else 1.0)
+
+
+def _images_in(
+    bounds: Bounds, position: NDArray, corner: NDArray, period: NDArray, where: str
+) -> tuple[NDArray, NDArray]:
+    """Positions (n, 3), which begin at the bounds or the box along periodic axes, and which are in the bounds."""
+    position, inside = position.copy(), np.ones(len(position), bool)
+    for k, axis in enumerate(COMPONENTS):
+        x, (low, high) = position[:, k], bounds.get(axis, (corner[k], np.inf))
+        if np.isfinite(period[k]):
+            if axis in bounds and high - low > period[k] * (1 + 1e-9):
+                msg = (
+                    f"{where}: the region reaches from {low:g} to {high:g} along {axis!r}, further than the period "
+                    f"{period[k]:g}, and would hold grains twice; take narrower bounds, or none along {axis!r} for the "
+                    "whole period"
+                )
+                raise SceneError(msg)
+            for first in (corner[k], low):  # grains of the box stay as they are where bounds are in it, too
+                x -= period[k] * np.floor((x - first) / period[k])
+                x[x >= first + period[k]] = first
+        if axis in bounds:
+            inside &= (low <= x) & (x < high)
+    return position, inside
+
+
+def _shared(measure: Measure, frame: Frame, contacts: Contacts | None) -> SimpleNamespace:
+    """Compute what all groups of a frame share: partners, rattlers, normal forces, the virial of each particle."""
+    if contacts is None:
+        return SimpleNamespace()
+    least = NOT_A_RATTLER[measure.setup.dimension]
+    virial_i = contacts.force[:, :, None] * contacts.branch_i[:, None, :]
+    virial_j = -contacts.force[:, :, None] * contacts.branch_j[:, None, :]
+    return SimpleNamespace(
+        partners=contacts.partners,
+        held=contacts.backbone(least) if measure.iterative else contacts.partners >= least,
+        normal_force=np.einsum("ni,ni->n", contacts.force, contacts.normal),
+        virial=contacts.sum_over_particles(virial_i, virial_j),
+    )
+
+
+def _sample(
+    measure: Measure, frame: Frame, position: NDArray, contacts: Contacts | None, shared: SimpleNamespace,
+    member: NDArray, volume: float,
+) -> SimpleNamespace:  # fmt: skip
+    """Particles and contacts of one group, as the functions of the quantities take them.
+
+    A contact counts half for each of its particles in the group, and whole for a particle at a wall.
+    """
+    s = SimpleNamespace(
+        count=int(member.sum()),
+        region_volume=volume,
+        position=position[member],
+        plane=[COMPONENTS.index(a) for a in measure.setup.plane],
+        min_contacts=measure.min_contacts,
+        max_connectivity=measure.max_connectivity,
+        force_bins=measure.force_bins,
+        **{name: frame[name][member] for name in ("diameter", "volume", "mass", "velocity") if name in frame},
+    )
+    if contacts is not None:
+        side_i, side_j = (np.where(row >= 0, member[row], False) for row in (contacts.i, contacts.j))
+        sides = (contacts.i >= 0).astype(int) + (contacts.j >= 0)
+        weight = np.divide(side_i.astype(float) + side_j, sides, out=np.zeros(len(sides)), where=sides > 0)
+        here = weight > 0
+        s.weight, s.normal, s.normal_force = weight[here], contacts.normal[here], shared.normal_force[here]
+        s.push = s.normal_force > 0
+        s.pushing = s.weight[s.push]
+        s.mean_force = float(ratio((s.pushing * s.normal_force[s.push]).sum(), s.pushing.sum()))
+        s.partners, s.held = shared.partners[member], shared.held[member]
+        s.virial = shared.virial[member].sum(axis=0)
+    return s
+
+
+# --- the call --------------------------------------------------------------------------------------------
+
+
+@takes_scene
+def microstructure(
+    ds: xr.Dataset,
+    quantities: str | Sequence[str] | None = None,
+    *,
+    by: str | None = None,
+    groups: Sequence[int] | None = None,
+    bounds: Bounds | Mapping[str, Bounds] | None = None,
+    min_contacts: int = 2,
+    rattlers: str = "count",
+    max_connectivity: int = 63,
+    force_bins: ArrayLike | None = None,
+    strain_rate: str | float | xr.DataArray | None = None,
+    strain: str = "logarithmic",
+    axis: str | None = None,
+    on_error: str = "raise",
+) -> xr.Dataset:
+    r"""Measure the microstructure of a packing, for each time, and for each region or phase.
+
+    Parameters
+    ----------
+    ds : xarray.Dataset
+        A scene. Frozen grains act as walls.
+    quantities : str or list of str, optional
+        Names below; by default all that the scene's variables allow.
+    by : str, optional
+        An integer variable of the particles: adds the dimension ``phase``, with "bulk" first.
+    groups : list of int, optional
+        All values of `by`, where they are not known without reading.
+    bounds : mapping, optional
+        Bounds of the region that particles' centres lie in (m), ``{"z": (0.0, 0.1)}``; the box along other axes. Along
+        a periodic axis they may reach across an edge of the box, and are no wider than it. Or such bounds by name,
+        ``{"low": {"z": (0, 1)}, "high": {"z": (1, 2)}}``, which adds the dimension ``region``.
+    min_contacts : int
+        Partners from which a particle counts as bearing load, in Z_mech and d_bar.
+    rattlers : str
+        "count": particles with fewer than 4 partners (3 in a one-layer scene) are rattlers. "iterative": they are taken
+        out, with their contacts, until every particle left has that many.
+    max_connectivity : int
+        Last bin of ``connectivity``, which takes in all particles with more partners.
+    force_bins : array, optional
+        Edges of the bins of f / <f>; by default ten a decade from 1e-4 to 100.
+    strain_rate : str, float or DataArray, optional
+        Deviatoric strain rate (s-1): a number, one a time, "box" (from the strain of the box by finite differences in
+        time), or "velocity" (from the affine flow that fits the velocities of each group best). By default "box" where
+        the scene has one and several steps, else "velocity".
+    strain : str
+        "logarithmic" (default) or "engineering", relative to the first step of `ds`.
+    axis : str, optional
+        Axis of the axial strain; by default the last of the scene.
+    on_error : {"raise", "skip"}
+        What to do about a step that cannot be read or computed: stop with its error, or leave it out (NaN, or padding),
+        warn of it, and mark it in the coordinate ``skipped`` (time).
+
+    Returns
+    -------
+    xarray.Dataset
+        Dimensions (time, region, phase), those that apply, and those of each quantity. Lazy over time where the scene
+        is. NaN where there is nothing to measure, and where the volume of the region is not known.
+
+    Raises
+    ------
+    SceneError
+        If the scene lacks what a quantity needs, times do not rise where a rate is taken from the box, or a region is
+        wider than the period of a step.
+    ValueError
+        If an argument is wrong.
+
+    Notes
+    -----
+    Sums run over the N particles i whose centre is in the group, of volume V_i, mass m_i, diameter d_i and z_i contact
+    partners (walls included, several contacts with one partner counted once), and over contacts c with normal n (from
+    j to i: given, else along r_i - r_j, else, at a wall, along r_i - c), each weighing w_c: half for each of its
+    particles in the group, whole at a wall. D is the dimension of the scene, V the volume of the region.
+
+    ================================  ===================================================================  =========
+    quantity                          formula                                                              source
+    ================================  ===================================================================  =========
+    particle_count, contact_count     :math:`N`, :math:`N_c = \sum w_c`
+    volume_fraction                   :math:`\phi = \sum V_i / V`
+    coordination_number               :math:`Z = \sum z_i / N` (:math:`2 N_c / N` in the bulk)             [1]_
+    mechanical_coordination_number    :math:`Z_{mech} = \sum_{z_i \ge m} z_i / N_{z \ge m}`; for m = 2     [1]_
+                                      :math:`(2 N_c - N_1) / (N - N_0 - N_1)`
+    rattler_count                     particles of :math:`z_i < D + 1`                                     [2]_
+    non_rattler_fraction              :math:`f_{NR}`, 1 - rattlers / N                                     [2]_
+    connectivity                      :math:`N_{z_i = z} / N`
+    mean_normal_force                 :math:`\langle f \rangle`, f = f_c . n_c where it is positive
+    normal_force_pdf, _count          :math:`p(f / \langle f \rangle)`, and number of contacts a bin       [3]_
+    fabric                            :math:`F = \sum w_c n n / N_c`                                       [4]_
+    fabric_anisotropy                 :math:`\sqrt{3/2\, a:a}`, :math:`a = 15/2\, dev F`; 2D:              [5]_
+                                      :math:`\sqrt{a:a / 2}`, :math:`a = 4\, dev F`
+    stress                            :math:`\sigma = \sum_i \sum_c f_{ic} (r_i - c) / V`, contacts only   [6]_
+    mean_stress                       :math:`p' = tr \sigma / D`
+    deviator_stress                   :math:`q = \sqrt{3/2\, s:s}`, s = dev :math:`\sigma`; 2D:
+                                      :math:`\sqrt{2 s:s}`. Both are :math:`\sigma_1 - \sigma_3` in
+                                      axisymmetric states
+    stress_ratio                      :math:`\eta = q / p'`
+    d_max, d50, d_bar                 largest; half of the volume is smaller;                              [2]_
+                                      :math:`\sum V_i d_i / \sum V_i` over :math:`z_i \ge m`
+    particle_density                  :math:`\rho = \sum m_i / \sum V_i`
+    strain_rate                       :math:`\dot\epsilon_q = \sqrt{2/3\, e:e}`, e the deviatoric rate;
+                                      2D: :math:`\sqrt{2 e:e}`
+    volumetric_strain, axial_strain   :math:`-\ln(V / V_0)`, :math:`-\ln(L / L_0)` of the box;
+                                      engineering: :math:`1 - V / V_0`, :math:`1 - L / L_0`
+    inertial_number_{dmax,d50,dbar}   :math:`I = \dot\epsilon_q d \sqrt{\rho / p'}`, NaN if p' <= 0        [2]_
+    ================================  ===================================================================  =========
+
+    In isochoric triaxial shear :math:`\dot\epsilon_q` is the axial rate; in simple shear it is the shear rate over
+    :math:`\sqrt 3` (in a plane: the shear rate).
+
+    References
+    ----------
+    .. [1] Thornton, C. (2000). Numerical simulations of deviatoric shear deformation of granular media.
+       Géotechnique 50.
+    .. [2] Shire, T., Hanley, K. J., Stratford, K. (2020). DEM simulations of polydisperse media: efficient contact
+       detection applied to investigate the quasi-static limit. Comput. Part. Mech.
+    .. [3] Radjai, F., Jean, M., Moreau, J.-J., Roux, S. (1996). Force distributions in dense two-dimensional granular
+       systems. Phys. Rev. Lett. 77.
+    .. [4] Satake, M. (1982). Fabric tensor in granular materials. IUTAM conference, Delft.
+    .. [5] Guo, N., Zhao, J. (2013). The signature of shear-induced anisotropy in granular media. Comput. Geotech. 47.
+    .. [6] Love-Weber: Bagi, K. (1996). Stress and strain in granular assemblies. Mech. Mater. 22.
+
+    Examples
+    --------
+    >>> import xcg
+    >>> m = xcg.datasets.face_centred_cubic(3).cg.microstructure(["coordination_number", "stress_ratio"])
+    >>> m.coordination_number.item()
+    12.0
+    """
+    given = {k: v for k, v in locals().items() if k != "ds" and v is not None}
+    require_scene(ds, (), "microstructure")
+    _check(min_contacts, rattlers, max_connectivity, strain)
+    setup, regions = setup_of(ds), _regions(bounds)
+    rate = _rate_source(ds, strain_rate)
+    names = _choose(ds, quantities, rate)
+    if axis is not None and axis not in setup.plane:
+        msg = f"axis={axis!r}: expected one of {', '.join(setup.plane)}"
+        raise ValueError(msg)
+    measured = _measured(names, rate)
+    needed = {variable for name in measured for variable in QUANTITIES[name].needs}
+    require_scene(ds, sorted(needed), f"microstructure ({', '.join(names)})")
+    measure = Measure(
+        names=measured, setup=setup, regions=tuple(regions.values()), by=by,
+        groups=() if by is None else groups_of(ds, by, groups), depth=layer_depth(ds, setup, edges_of(ds)),
+        min_contacts=int(min_contacts), iterative=rattlers == "iterative", max_connectivity=int(max_connectivity),
+        force_bins=_force_bins(force_bins),
+    )  # fmt: skip
+    extra = {"particle_id", "position", "frozen", *([by] if by else [])}
+    extra |= {"contact_normal"} if needed & set(CONTACTS) else set()
+    read = [str(name) for name in ds.data_vars if name in needed | extra and name != "box"]
+    read += [name for name in ("box", "step") if name in ds]
+    results = {name: (measure.shape(name), "float64") for name in measured}
+    arrays = map_over_time(ds, read, measure, results, "microstructure", on_error) if measured else {}
+    result = _label(ds, arrays, measure, regions)
+    result = _with_series(ds, result, names, rate, strain, axis or setup.plane[-1], given)
+    return mark_skipped(result, arrays)
+
+
+def _check(min_contacts: int, rattlers: str, max_connectivity: int, strain: str) -> None:
+    for name, value in (("min_contacts", min_contacts), ("max_connectivity", max_connectivity)):
+        if not (isinstance(value, (int, np.integer)) and value >= 1):
+            msg = f"{name}={value!r}: expected a whole number of at least 1"
+            raise ValueError(msg)
+    for name, choice, known in (("rattlers", rattlers, ("count", "iterative")), ("strain", strain, STRAINS)):
+        if choice not in known:
+            msg = f"{name}={choice!r}: expected one of {', '.join(map(repr, known))}"
+            raise ValueError(msg)
+
+
+def _force_bins(edges: ArrayLike | None) -> NDArray:
+    bins = FORCE_BINS if edges is None else np.asarray(edges, float)
+    if bins.ndim != 1 or len(bins) < 2 or not ((np.diff(bins) > 0).all() and bins[0] >= 0):
+        msg = f"force_bins={edges!r}: expected at least two increasing edges of f / <f>, such as np.logspace(-3, 1, 41)"
+        raise ValueError(msg)
+    return bins
+
+
+def _regions(bounds: Bounds | Mapping[str, Bounds] | None) -> dict[str, Bounds]:
+    """Bounds by name of the region; the name is empty where there is one region only."""
+    nested = bool(bounds) and all(isinstance(value, Mapping) for value in (bounds or {}).values())
+    regions: dict[str, Any] = dict(bounds or {}) if nested else {"": bounds or {}}
+    for region in regions.values():
+        for axis, edges in region.items():
+            if axis not in COMPONENTS or np.shape(edges) != (2,) or not float(edges[0]) < float(edges[1]):
+                msg = (
+                    f"bounds={bounds!r}: expected (low, high) for axes x, y or z, for example {{'z': (0.0, 0.1)}}, "
+                    "or several such mappings by name of the region"
+                )
+                raise ValueError(msg)
+    return regions
+
+
+def _rate_source(ds: xr.Dataset, given: str | float | xr.DataArray | None) -> str | xr.DataArray:
+    """Where the strain rate comes from: "box", "velocity", or the rate itself."""
+    if given is None:
+        return "box" if "box" in ds and ds.sizes.get("time", 0) > 1 else "velocity"
+    if isinstance(given, str):
+        if given not in ("box", "velocity"):
+            msg = f"strain_rate={given!r}: expected a rate (s-1), 'box' or 'velocity'"
+            raise ValueError(msg)
+        if given == "box" and ("box" not in ds or ds.sizes.get("time", 0) < 2):
+            msg = "strain_rate='box' needs a box and at least two steps; give the rate (s-1), or take 'velocity'"
+            raise ValueError(msg)
+        return given
+    return given if isinstance(given, xr.DataArray) else xr.DataArray(float(given))
+
+
+def _choose(ds: xr.Dataset, asked: str | Sequence[str] | None, rate: str | xr.DataArray) -> tuple[str, ...]:
+    """Names that were asked for, or all that the scene allows."""
+    if asked is not None:
+        names = [asked] if isinstance(asked, str) else list(asked)
+        unknown = [name for name in names if name not in NAMES]
+        if unknown or not names:
+            msg = f"unknown quantities {unknown}: choose from {', '.join(NAMES)}"
+            raise ValueError(msg)
+        if set(names) & set(STRAIN) and "box" not in ds:
+            require_scene(ds, ("box",), "strain of the box")
+        return tuple(dict.fromkeys(names))
+    return tuple(
+        name
+        for name in NAMES
+        if (name not in STRAIN or "box" in ds)
+        and all(set(QUANTITIES[part].needs) <= set(ds.data_vars) for part in _measured([name], rate))
+    )
+
+
+def _measured(names: Sequence[str], rate: str | xr.DataArray) -> tuple[str, ...]:
+    """Quantities to measure step by step for these names; a rate that comes from elsewhere is not among them."""
+    found: list[str] = []
+    for name in names:
+        if name in INERTIAL:
+            found += [INERTIAL[name], "particle_density", "mean_stress", "strain_rate"]
+        elif name not in STRAIN:
+            found.append(name)
+    return tuple(name for name in dict.fromkeys(found) if name != "strain_rate" or _is(rate, "velocity"))
+
+
+def _is(rate: str | xr.DataArray, source: str) -> bool:
+    return isinstance(rate, str) and rate == source
+
+
+def _label(ds: xr.Dataset, arrays: Mapping[str, Any], measure: Measure, regions: Mapping[str, Bounds]) -> xr.Dataset:
+    """Name dimensions, without those of one region or phase."""
+    system, bins = measure.setup.unit_system, measure.force_bins
+    coords: dict[str, Any] = {name: ds[name].variable for name in ("time", "step") if name in ds.coords}
+    coords |= {dim: (dim, list(COMPONENTS)) for dim in TENSOR}
+    coords["partners"] = (
+        "partners",
+        np.arange(measure.max_connectivity + 1),
+        {"long_name": "number of contact partners"},
+    )
+    middle = np.sqrt(bins[1:] * bins[:-1]) if bins[0] > 0 else (bins[1:] + bins[:-1]) / 2
+    coords["force_ratio"] = ("force_ratio", middle, {"long_name": "normal force over its mean", "units": "1"})
+    coords["force_ratio_width"] = ("force_ratio", np.diff(bins), {"long_name": "width of the bin", "units": "1"})
+    coords["region"] = ("region", list(regions))
+    coords["phase"] = ("phase", ["bulk", *map(str, measure.groups)], {"long_name": f"phase by {measure.by}"})
+    data = {}
+    for name in measure.names if arrays else ():
+        row, values = QUANTITIES[name], arrays[name]
+        attrs = {"units": units_of(row.powers, system), "long_name": row.long_name, "formula": row.formula}
+        data[name] = xr.Variable(("time", "region", "phase", *row.dims), values, attrs)
+    used = {dim for variable in data.values() for dim in variable.dims} | {"time"}
+    coords = {name: c for name, c in coords.items() if not isinstance(c, tuple) or c[0] in used}
+    result = storable(xr.Dataset(data, coords))
+    for dim, single in (("region", "" in regions), ("phase", measure.by is None)):
+        if single and dim in result.dims:
+            result = result.isel({dim: 0}, drop=True)
+    return result
+
+
+def _with_series(
+    ds: xr.Dataset, measured: xr.Dataset, names: Sequence[str], rate: str | xr.DataArray, strain: str, axis: str,
+    given: Mapping[str, Any],
+) -> xr.Dataset:  # fmt: skip
+    """Add what takes the whole series: strains, the strain rate of the box, inertial numbers."""
+    setup = setup_of(ds)
+    result = measured
+    if "box" in ds and (set(STRAIN) & set(names) or _is(rate, "box")):
+        lengths = (ds["box"].isel(bound=1) - ds["box"].isel(bound=0)).sel(component=list(setup.plane))
+        stretch = xr.ufuncs.log(lengths / lengths.isel(time=0, drop=True))
+        total, axial = stretch.sum("component", skipna=False), stretch.sel(component=axis, drop=True)
+        for name, logarithm in (("volumetric_strain", total), ("axial_strain", axial)):
+            values = 0.0 - logarithm if strain == "logarithmic" else 1 - xr.ufuncs.exp(logarithm)
+            attrs = {"units": "1", "long_name": STRAIN[name], "measure": strain}
+            result[name] = values.drop_attrs().assign_attrs(attrs)
+        if _is(rate, "box"):
+            require_rising_times(ds, "the strain rate of the box")
+            # one chunk, as finite differences reach over chunks; a box is six numbers a step
+            whole = stretch.chunk(time=-1) if stretch.chunks else stretch
+            rate = _deviatoric(whole.differentiate("time"), len(setup.plane))
+    if isinstance(rate, xr.DataArray):
+        attrs = {
+            "units": units_of((0, 0, -1), setup.unit_system),
+            "long_name": QUANTITIES["strain_rate"].long_name,
+            "formula": QUANTITIES["strain_rate"].formula,
+        }
+        result["strain_rate"] = rate.drop_attrs().assign_attrs(attrs)
+    for name in set(INERTIAL) & set(names):
+        pressure = result["mean_stress"]
+        root = xr.ufuncs.sqrt(result["particle_density"] / pressure.where(pressure > 0))
+        number = xr.ufuncs.fabs(result["strain_rate"]) * result[INERTIAL[name]] * root
+        attrs = {
+            "units": "1",
+            "long_name": f"inertial number with {INERTIAL[name]}",
+            "formula": f"strain_rate {INERTIAL[name]} sqrt(particle_density / mean_stress)",
+        }
+        result[name] = number.transpose(*pressure.dims).drop_attrs().assign_attrs(attrs)
+    return result[list(names)].assign_attrs(about(ds, call_of("microstructure", given)))
+
+
+def _deviatoric(rates: xr.DataArray, dimension: int) -> xr.DataArray:
+    """Deviatoric strain rate from the rates of stretch along the axes, as `_rate` of a tensor."""
+    deviator = rates - rates.mean("component")
+    return xr.ufuncs.sqrt((2 / 3 if dimension == 3 else 2) * (deviator**2).sum("component", skipna=False))

@@ -1,0 +1,433 @@
+"""One frame: scale it to the scene's units, check it, and derive what is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from itertools import product
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from xcg.scene.schema import COMPONENTS, LONGEST, SHORTEST, Frame, SceneError, Setup, variable
+from xcg.scene.warn import warn_once
+
+# What readers say of contacts besides variables of the scene.
+_HINTS = ("wrapped_branch", "point_is_middle")
+# Rows of one pair are one contact where their forces differ by no more than this share of their size, as in files of
+# six digits, and their points by no more than this share of the distance from the centre.
+_SAME_FORCE, _SAME_POINT = 1e-4, 0.05
+_MOST_CONTACTS_A_PAIR = 64  # of equal force, that are compared with each other
+_HAIR = 1e-9  # rounding of positions, as a share of the distances between them
+_SAME_BRANCH = 0.25  # a branch that is off by more of its length is another vector; it may be a time step old
+REPEAT = "repeat the box once or more along that axis, or simulate a larger one"
+
+
+def _check_rows(frame: Frame, dim: str, where: str) -> None:
+    """Refuse arrays of the wrong shape or with values that are not finite; name every bad variable at once."""
+    first = next(name for name in frame if variable(name).dims[0] == dim)
+    rows = len(frame[first])
+    problems = []
+    for name, values in frame.items():
+        expected = variable(name, values.dtype).shape(rows)
+        if values.shape != expected:
+            problems.append(f"'{name}' has shape {values.shape}, expected {expected}")
+        elif values.dtype.kind == "f" and not np.isfinite(values).all():
+            bad = int(np.argwhere(~np.isfinite(values))[0][0])
+            problems.append(f"'{name}' is not finite in row {bad}: {values[bad]}")
+    if problems:
+        msg = f"{where}: " + "; ".join(problems) + ". Every row must hold finite numbers: repair or drop it."
+        raise SceneError(msg)
+
+
+def _typed(frame: Mapping[str, ArrayLike], setup: Setup, where: str) -> Frame:
+    """Give arrays their types and the scene's units."""
+    typed: Frame = {}
+    for name, values in frame.items():
+        array = np.asarray(values)
+        row = variable(name, array.dtype)
+        if row.dtype == "int64" and array.dtype.kind == "f":
+            if array.size and not (np.isfinite(array).all() and (array == np.rint(array)).all()):
+                bad = int(np.flatnonzero(~np.isfinite(array) | (array != np.rint(array)))[0])
+                msg = f"{where}: '{name}' must hold whole numbers, but row {bad} is {array.flat[bad]!r}"
+                raise SceneError(msg)
+            array = np.rint(array)
+        array = array.astype(row.dtype)
+        factor = setup.factor(row.powers)
+        typed[name] = array if factor == 1.0 else array * factor
+    return typed
+
+
+def complete_particles(frame: Mapping[str, ArrayLike], setup: Setup, where: str) -> Frame:
+    """Check the particles of one frame, sort them by id, and derive what is missing.
+
+    Mass, volume, density and diameter follow from each other: volume ``pi d^3/6`` (discs: ``pi d^2/4`` times
+    the layer's thickness), ``mass = density * volume``. What is given is taken as it is.
+
+    Parameters
+    ----------
+    frame : mapping
+        Arrays by scene name, at least ``position`` (n, 3).
+    setup : Setup
+        What the data do not say.
+    where : str
+        File and step, for messages.
+
+    Raises
+    ------
+    SceneError
+        If an array has the wrong shape or is not finite, an id occurs twice, or a size or mass is not positive.
+    """
+    given = _typed(frame, setup, where)
+    if "position" not in given:
+        msg = f"{where}: no positions; expected a variable 'position' with three components"
+        raise SceneError(msg)
+    count = len(given["position"])
+    ids = given.setdefault("particle_id", np.arange(count, dtype="int64"))
+    _check_rows(given, "particle", where)
+    if count:
+        order = np.argsort(ids, kind="stable")
+        if (order[1:] != order[:-1] + 1).any():
+            given = {name: values[order] for name, values in given.items()}
+            ids = given["particle_id"]
+        repeated = np.flatnonzero(ids[1:] == ids[:-1])
+        if repeated.size:
+            rows = order[repeated[0] : repeated[0] + 2]
+            twice = f"particle id {ids[repeated[0]]} occurs twice (rows {rows[0]} and {rows[1]})"
+            msg = f"{where}: {twice}; ids must be unique"
+            raise SceneError(msg)
+        if ids[0] < 0:
+            negative = f"particle id {ids[0]} in row {order[0]} is negative"
+            msg = f"{where}: {negative}; negative ids are kept for walls and padding"
+            raise SceneError(msg)
+    for name in ("diameter", "density", "mass", "volume"):
+        if name in given and (given[name] <= 0).any() and not (name == "mass" and (given[name] >= 0).all()):
+            bad = int(np.flatnonzero(given[name] <= 0)[0])
+            msg = f"{where}: '{name}' of particle {ids[bad]} is {given[name][bad]!r}; expected a positive number"
+            raise SceneError(msg)
+    _complete_size_and_mass(given, setup)
+    if "diameter" in given:
+        beyond = np.flatnonzero(~((given["diameter"] >= SHORTEST) & (given["diameter"] <= LONGEST)))
+        if beyond.size:
+            msg = (
+                f"{where}: 'diameter' of particle {ids[beyond[0]]} is {given['diameter'][beyond[0]]:.3g} m, expected "
+                f"{SHORTEST:g} to {LONGEST:g} m; check the units, and the volume or mass that it follows from"
+            )
+            raise SceneError(msg)
+    return given
+
+
+def _complete_size_and_mass(frame: Frame, setup: Setup) -> None:
+    count = len(frame["position"])
+    disc = np.pi / 4 * (setup.thickness or 0.0)
+    if "volume" not in frame:
+        if "diameter" in frame:
+            d = frame["diameter"]
+            frame["volume"] = disc * d**2 if setup.shape == "disc" else np.pi / 6 * d**3
+        elif {"mass", "density"} <= set(frame):
+            frame["volume"] = frame["mass"] / frame["density"]
+    if "diameter" not in frame and "volume" in frame:
+        v = frame["volume"]
+        frame["diameter"] = np.sqrt(v / disc) if setup.shape == "disc" else np.cbrt(6 / np.pi * v)
+    if "density" not in frame and "mass" not in frame and setup.density is not None:
+        frame["density"] = np.full(count, float(setup.density))
+    if "volume" in frame:
+        if "density" not in frame and "mass" in frame:
+            frame["density"] = frame["mass"] / frame["volume"]
+        elif "mass" not in frame and "density" in frame:
+            frame["mass"] = frame["density"] * frame["volume"]
+
+
+def periods(box: NDArray | None, periodic: str, where: str = "scene") -> NDArray:
+    """Box length along the periodic axes, infinity along the others; shape (3,)."""
+    lengths = np.full(3, np.inf)
+    for axis in periodic:
+        k = COMPONENTS.index(axis)
+        lengths[k] = np.nan if box is None else box[k, 1] - box[k, 0]
+        if not (np.isfinite(lengths[k]) and lengths[k] > 0):
+            msg = (
+                f"{where}: axis '{axis}' is periodic, but the box has no finite extent along it; give its edges, "
+                f"for example box={{'{axis}': (0.0, 0.1)}}"
+            )
+            raise SceneError(msg)
+    return lengths
+
+
+def minimum_image(vector: NDArray, period: NDArray, to: NDArray | None = None) -> NDArray:
+    """Shortest periodic image of vectors (n, 3), or the image nearest to other vectors.
+
+    `period` (3,) holds infinity along axes that are not periodic.
+    """
+    image, away = vector.copy(), vector if to is None else vector - to
+    for k in np.flatnonzero(np.isfinite(period)):
+        image[:, k] -= period[k] * np.rint(away[:, k] / period[k])
+    return image
+
+
+def images_within(vector: NDArray, reach: NDArray, period: NDArray) -> tuple[NDArray, NDArray]:
+    """Rows, and the vectors, of all images of shortest vectors (n, 3) that are shorter than their reach (n,).
+
+    The shortest one always is among them. No reach may be longer than 3/2 of a period, so that no other images than
+    the next ones can be meant.
+    """
+    short = period - np.abs(vector) < reach[:, None]
+    near = np.flatnonzero(short.any(axis=1))
+    if not near.size:
+        return np.arange(len(vector)), vector
+    shifts = np.array(list(product(*((0, -1, 1) if any_short else (0,) for any_short in short.any(axis=0)))))
+    images = vector[near, None] + shifts * np.where(np.isfinite(period), period, 0.0)
+    inside = np.linalg.norm(images, axis=2) < reach[near, None]
+    inside[:, 0] = True
+    rows = np.concatenate([np.flatnonzero(~short.any(axis=1)), near[np.nonzero(inside)[0]]])
+    order = np.argsort(rows, kind="stable")
+    return rows[order], np.concatenate([vector[~short.any(axis=1)], images[inside]])[order]
+
+
+def rows_of(ids: NDArray, wanted: NDArray) -> NDArray:
+    """Row of each wanted id among sorted ids, -1 where it is not there."""
+    if not len(ids):
+        return np.full(len(wanted), -1)
+    if ids[-1] - ids[0] + 1 == len(ids):  # no gaps: nothing to search for
+        row = wanted - ids[0]
+        return np.where((row >= 0) & (row < len(ids)), row, -1)
+    row = np.minimum(np.searchsorted(ids, wanted), len(ids) - 1)
+    return np.where(ids[row] == wanted, row, -1)
+
+
+def complete_contacts(
+    frame: Mapping[str, ArrayLike],
+    particles: Frame,
+    box: NDArray | None,
+    setup: Setup,
+    where: str,
+    *,
+    allow_unknown: bool = False,
+) -> Frame:
+    """Check the contacts of one frame against its particles and derive contact points that are not given.
+
+    For spheres the contact point lies on the branch at ``R_i - overlap/2`` from the centre of i, with
+    ``overlap = R_i + R_j - |r_i - r_j|`` and ``r_i - r_j`` the image nearest to the branch that the data hold, or else
+    the shortest one.
+
+    A contact that is listed twice, as a copy or from both sides as (i, j, f) and (j, i, -f), is taken once. Several
+    contacts of one pair, which differ in force or place, all stay.
+
+    Parameters
+    ----------
+    frame : mapping
+        Arrays by scene name, at least ``contact_i``, ``contact_j`` (n,) and ``contact_force`` (n, 3).
+        ``contact_branch`` (n, 3), from j to i as the code saw it, tells which images touch. ``wrapped_branch`` (n, 3),
+        from j, or the wall, to i, but of any image, becomes the normal. Where ``point_is_middle`` (n,) is true,
+        ``contact_point`` is the middle of the centres of two spheres, and becomes the point where they touch.
+    particles : Frame
+        The particles of the same step, completed.
+    box : array (3, 2) or None
+        Edges of the domain, in the scene's units.
+    allow_unknown : bool
+        Take contacts with ids that are not among the particles as contacts with a wall.
+
+    Raises
+    ------
+    SceneError
+        For unknown ids, a particle in contact with itself, values that are not finite, a contact point that is missing
+        and cannot be derived, as in a box so small that grains touch on both sides, or a contact that is listed from
+        both sides with the same force.
+    """
+    given = _typed({name: values for name, values in frame.items() if name not in _HINTS}, setup, where)
+    if "wrapped_branch" in frame and "contact_normal" not in given:
+        period = periods(box, setup.periodic, where)
+        branch = np.asarray(frame["wrapped_branch"]) * setup.scales[0]
+        given["contact_normal"] = unit_vectors(minimum_image(branch, period))
+    missing = [name for name in ("contact_i", "contact_j", "contact_force") if name not in given]
+    if missing:
+        msg = f"{where}: contacts lack {missing}; map the file's names to these with names={{...}}"
+        raise SceneError(msg)
+    _check_rows(given, "contact", where)
+    seen = given.pop("contact_branch", None)
+    i, j = given["contact_i"], given["contact_j"]
+    ids = particles["particle_id"]
+    row_i, row_j = rows_of(ids, i), rows_of(ids, j)
+    self_contact = np.flatnonzero(i == j)
+    if self_contact.size:
+        row = self_contact[0]
+        msg = (
+            f"{where}: contact row {row} joins particle {i[row]} with itself; drop such rows. If it touches its own "
+            f"image, {REPEAT}"
+        )
+        raise SceneError(msg)
+    if (i < 0).any():
+        row = int(np.flatnonzero(i < 0)[0])
+        msg = f"{where}: contact row {row} has id {i[row]} as 'contact_i'; a wall must stand as 'contact_j'"
+        raise SceneError(msg)
+    unknown = (row_i < 0) | ((row_j < 0) & (j >= 0))
+    if unknown.any() and not allow_unknown:
+        row = int(np.flatnonzero(unknown)[0])
+        name, value = ("contact_i", i[row]) if row_i[row] < 0 else ("contact_j", j[row])
+        msg = (
+            f"{where}: contact row {row} has {name}={value}, and no particle has this id ({int(unknown.sum())} such "
+            "rows); check that particles and contacts are of the same step, or pass allow_unknown=True to treat "
+            "unknown partners as walls"
+        )
+        raise SceneError(msg)
+    derived = np.asarray(frame.get("point_is_middle", np.full(len(i), "contact_point" not in given)))
+    if derived.any() or "contact_point" not in given:
+        points = given.get("contact_point", np.empty((len(i), 3))).copy()
+        some = {name: values[derived] for name, values in given.items()}
+        those = None if seen is None else seen[derived]
+        period = periods(box, setup.periodic, where)
+        points[derived] = _contact_points(some, particles, row_i[derived], row_j[derived], those, period, where)
+        given["contact_point"] = points
+    rows, pair = repeated_pairs(i, j)
+    if not rows.size:
+        return given
+    there, centre = np.where(row_i >= 0, row_i, row_j)[rows], given["contact_point"][rows]
+    centre[there >= 0] = particles["position"][there[there >= 0]]
+    copy = _copies(given, rows, pair, centre, periods(box, setup.periodic, where), where)
+    return {name: np.delete(values, copy, axis=0) for name, values in given.items()} if copy.size else given
+
+
+def repeated_pairs(i: NDArray, j: NDArray) -> tuple[NDArray, NDArray]:
+    """Rows of the contacts of all pairs that have more than one, pair after pair, and a number for the pair of each.
+
+    Which of the two comes first makes no difference. Spheres touch once, and one sort then tells that there are none.
+    """
+    low, high = np.minimum(i, j), np.maximum(i, j)
+    if not len(low):
+        return np.empty(0, int), np.empty(0, int)
+    span = int(high.max()) - int(high.min()) + 1
+    if (int(low.max()) - int(low.min()) + 1) * span < 2**62:
+        key = (low - low.min()) * span + (high - high.min())
+        ordered = np.sort(key)
+        if (ordered[1:] != ordered[:-1]).all():
+            return np.empty(0, int), np.empty(0, int)
+        order = np.argsort(key, kind="stable")
+    else:
+        order = np.lexsort((high, low))
+    same = (low[order[1:]] == low[order[:-1]]) & (high[order[1:]] == high[order[:-1]])
+    inside = np.append(same, False) | np.insert(same, 0, False)
+    return order[inside], np.insert(np.cumsum(~same), 0, 0)[inside]
+
+
+def _copies(contacts: Frame, rows: NDArray, pair: NDArray, centre: NDArray, period: NDArray, where: str) -> NDArray:
+    """Rows that list a contact again: the same force, from either side, at the same point.
+
+    Contacts of one pair are sorted by the size of the force, so that those of one contact stand near each other.
+
+    Parameters
+    ----------
+    rows, pair : array (n,)
+        Contacts of pairs that have more than one, see `repeated_pairs`.
+    centre : array (n, 3)
+        Centre of a particle of each (m), from which the distance of points is judged.
+    """
+    order = np.lexsort((np.linalg.norm(contacts["contact_force"][rows], axis=1), pair))
+    rows, pair, centre = rows[order], pair[order], centre[order]
+    point = contacts["contact_point"][rows]
+    mirrored = contacts["contact_i"][rows] > contacts["contact_j"][rows]
+    force = contacts["contact_force"][rows]
+    size = np.linalg.norm(force, axis=1)
+    reach = _SAME_POINT * np.linalg.norm(minimum_image(point - centre, period), axis=1)
+    copy = np.zeros(len(rows), bool)
+    for distance in range(1, min(len(rows), _MOST_CONTACTS_A_PAIR)):
+        near = (pair[distance:] == pair[:-distance]) & ~copy[distance:]
+        near &= size[distance:] - size[:-distance] <= _SAME_FORCE * size[distance:]
+        one = np.flatnonzero(near)
+        if not one.size:
+            break
+        other = one + distance
+        together = np.linalg.norm(minimum_image(point[one] - point[other], period), axis=1) <= reach[other]
+        one, other = one[together], other[together]
+        turned, least = mirrored[one] != mirrored[other], _SAME_FORCE * size[other]
+        same = np.linalg.norm(force[one] - force[other], axis=1) <= least
+        opposite = np.linalg.norm(force[one] + force[other], axis=1) <= least
+        copy[other[np.where(turned, opposite, same)]] = True
+        wrong = turned & same & ~opposite
+        if wrong.any():
+            a, b = rows[one[wrong][0]], rows[other[wrong][0]]
+            msg = (
+                f"{where}: contact rows {a} and {b} list one contact from both sides with the same force, "
+                f"{contacts['contact_force'][a]}, so that both sides cancel; contact_force is that on contact_i: turn "
+                "the sign of one of them, or list each contact once"
+            )
+            raise SceneError(msg)
+    return rows[copy]
+
+
+def unit_vectors(vector: NDArray) -> NDArray:
+    """Vectors (n, 3) over their lengths; zero where these are zero."""
+    length = np.linalg.norm(vector, axis=1, keepdims=True)
+    return np.divide(vector, length, out=np.zeros_like(vector), where=length > 0)
+
+
+def _contact_points(
+    contacts: Frame, particles: Frame, row_i: NDArray, row_j: NDArray, seen: NDArray | None, period: NDArray,
+    where: str,
+) -> NDArray:  # fmt: skip
+    """Points where spheres touch; their middle, if it is given, tells of a partner that is not in the scene."""
+    alone = (row_i < 0) | (row_j < 0)
+    if alone.any() and not {"contact_point", "overlap"} <= set(contacts):
+        row = int(np.flatnonzero(alone)[0])
+        msg = (
+            f"{where}: contact row {row} (i={contacts['contact_i'][row]}, j={contacts['contact_j'][row]}) has no "
+            "contact point, and none follows without both spheres; give 'contact_point' for contacts with walls"
+        )
+        raise SceneError(msg)
+    if "diameter" not in particles:
+        msg = f"{where}: contact points follow from diameters, but the particles have none; give one of the two"
+        raise SceneError(msg)
+    position, radius = particles["position"], particles["diameter"] / 2
+    points = contacts.get("contact_point", np.empty((len(row_i), 3))).copy()
+    both, only = np.flatnonzero(~alone), np.flatnonzero(alone & (np.maximum(row_i, row_j) >= 0))
+    i, j, k = row_i[both], row_j[both], np.maximum(row_i, row_j)[only]
+    seen = None if seen is None else seen[both]
+
+    def refuse(wrong: NDArray, what: str) -> None:
+        if wrong.size:
+            row = both[wrong[0]]
+            pair = f"i={contacts['contact_i'][row]}, j={contacts['contact_j'][row]}"
+            msg = f"{where}: contact row {row} ({pair}) {what}"
+            raise SceneError(msg)
+
+    branch = _branches(position[i] - position[j], radius[i] + radius[j], seen, period, refuse, where)
+    points[both] = contact_points(position[i], branch, radius[i], radius[j])
+    for side in (position[i] - points[both], position[i] - points[both] - branch):
+        refuse(
+            np.flatnonzero((np.abs(side) >= 0.5 * (1 - _HAIR) * period).any(axis=1)),
+            f"is half a period away from a centre, where both of its sides are one place; {REPEAT}",
+        )
+    if only.size:
+        branch = 2 * minimum_image(position[k] - points[only], period)
+        other = np.linalg.norm(branch, axis=1) + contacts["overlap"][only] - radius[k]
+        points[only] = contact_points(position[k], branch, radius[k], other)
+    return points
+
+
+def _branches(
+    apart: NDArray, touching: NDArray, seen: NDArray | None, period: NDArray, refuse: Callable[[NDArray, str], None],
+    where: str,
+) -> NDArray:  # fmt: skip
+    """Images of vectors (n, 3) from j to i that touch at `touching` (n,): nearest to what was `seen`, or shortest."""
+    if seen is not None:
+        branch = minimum_image(apart, period, seen)
+        if (np.linalg.norm(branch - seen, axis=1) <= _SAME_BRANCH * np.linalg.norm(seen, axis=1)).all():
+            return branch
+        warn_once(
+            "branches of contacts",
+            f"{where}: branches of contacts are not the vectors from j to i between the positions, or cross an edge "
+            "that is not periodic, and the shortest are taken; drop them with names={'dx': None, ...} if they are "
+            "something else",
+        )
+    branch = minimum_image(apart, period)
+    rows, _ = images_within(branch, np.maximum(np.linalg.norm(branch, axis=1), touching) * (1 + _HAIR), period)
+    refuse(
+        rows[1:][rows[1:] == rows[:-1]],
+        "may be on either side, as the box is so small that the two touch twice; give 'contact_point', or the vector "
+        "from j to i as 'contact_branch' (files: names={'dx': 'contact_branch_x', ...})",
+    )
+    return branch
+
+
+def contact_points(position_i: NDArray, branch: NDArray, radius_i: NDArray, radius_j: NDArray) -> NDArray:
+    """Points on the branches r_i - r_j of spheres, ``R_i - overlap / 2`` from the centre of i."""
+    length = np.linalg.norm(branch, axis=1)
+    share = (length + radius_i - radius_j) / (2 * np.where(length > 0, length, 1.0))
+    return position_i - share[:, None] * branch

@@ -1,0 +1,363 @@
+"""Contacts of one frame: who is near whom, branch vectors, and the segments that carry stress."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from xcg.compiled import THREADS
+from xcg.compiled.contacts import add_dyads, add_rows, add_unit_squares, between, peel, places_by, sides
+from xcg.compiled.pairs import sort_pairs
+from xcg.packing.cells import CellLists
+from xcg.scene.build import box_array
+from xcg.scene.complete import periods, repeated_pairs, rows_of, unit_vectors
+from xcg.scene.plausible import check_contacts
+from xcg.scene.schema import Frame, SceneError
+
+# Contacts are those of spheres where the branches are as spheres have them, to this share of the radius.
+SPHERES = 1e-2
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """Contacts by row of their particles.
+
+    Attributes
+    ----------
+    i, j : array (n,)
+        Rows of the two particles; -1 for a wall or a partner that is not in the scene.
+    force : array (n, 3)
+        Force on i (N); zero where the frame has no forces.
+    point : array (n, 3)
+        Contact point (m).
+    position : array (particles, 3)
+        Centres (m).
+    period : array (3,)
+        Length of the periodic axes (m), infinity along the others.
+    key_i, key_j : array (n,)
+        Identifiers of the partners, walls included.
+    given_normal : array (n, 3) or None
+        Unit vector from j to i, where the data hold it.
+    given_branches : tuple of array (n, 3) or None
+        Branches of i and j, where they are known better than from centres and contact points.
+    """
+
+    i: NDArray
+    j: NDArray
+    force: NDArray
+    point: NDArray
+    position: NDArray
+    period: NDArray
+    key_i: NDArray
+    key_j: NDArray
+    given_normal: NDArray | None
+    given_branches: tuple[NDArray, NDArray] | None = None
+
+    @classmethod
+    def of(cls, frame: Frame, period: NDArray, where: str = "scene") -> Contacts:
+        """Join the contacts of a frame to the rows of its particles; `where` names the step in warnings."""
+        check_contacts(frame, period, where)
+        ids, position = frame["particle_id"], frame["position"]
+        key_i, key_j, point = frame["contact_i"], frame["contact_j"], frame["contact_point"]
+        row_i, row_j = rows_of(ids, key_i), rows_of(ids, key_j)
+        normal = frame.get("contact_normal")
+        # contacts found from positions without a stiffness have no forces
+        force = frame["contact_force"] if "contact_force" in frame else np.zeros_like(point)
+        return cls(row_i, row_j, force, point, position, period, key_i, key_j, normal)
+
+    @cached_property
+    def branches(self) -> tuple[NDArray, NDArray]:
+        """From the contact point to the centres, ``r_i - c`` (m), nearest image; zero for a partner not there."""
+        if self.given_branches is not None:
+            return self.given_branches
+        return self._sides(self.i), self._sides(self.j)
+
+    def _sides(self, row: NDArray) -> NDArray:
+        """Vectors (n, 3) from the contact points to one particle of each contact, zero where it is not there."""
+        out = np.empty_like(self.point)
+        sides(row, self.position, self.point, tuple(self.period.tolist()), out)
+        return out
+
+    @property
+    def first_row(self) -> NDArray:
+        """The first particle of each contact that is there; negative where none is; (n,)."""
+        return np.where(self.i >= 0, self.i, self.j)
+
+    @property
+    def branch_i(self) -> NDArray:
+        """Branch of i, see `branches`; (n, 3)."""
+        return self.branches[0]
+
+    @property
+    def branch_j(self) -> NDArray:
+        """Branch of j, see `branches`; (n, 3)."""
+        return self.branches[1]
+
+    def with_overlaps(self, diameter: NDArray, overlap: NDArray) -> Contacts:
+        """Return the contacts with branches of spheres as the code had them: ``a = n (R - overlap/2)``.
+
+        Text files hold normals and overlaps with more digits than positions can tell. Contacts whose branches differ
+        from that by more than `SPHERES` of a radius are not between spheres, and stay as they are.
+        """
+        both = np.flatnonzero((self.i >= 0) & (self.j >= 0))
+        normal, spheres, branches = self.normal[both], np.ones(len(both), bool), []
+        for row, given, sign in ((self.i, self.branch_i, 1.0), (self.j, self.branch_j, -1.0)):
+            radius = diameter[row[both]] / 2
+            branch = sign * (radius - overlap[both] / 2)[:, None] * normal
+            spheres &= np.linalg.norm(branch - given[both], axis=1) <= SPHERES * radius
+            branches.append(branch)
+        branch_i, branch_j = self.branch_i.copy(), self.branch_j.copy()
+        branch_i[both[spheres]], branch_j[both[spheres]] = branches[0][spheres], branches[1][spheres]
+        return replace(self, given_branches=(branch_i, branch_j))
+
+    @property
+    def between(self) -> NDArray:
+        """From j to i, ``r_i - r_j`` (m), or between the contact point and the only particle that is there; (n, 3).
+
+        Of all images of the two, those that touch at the contact point are taken: the nearest ones, unless grains are
+        larger than half the box. The contact point itself, and which of the two comes first, make no difference.
+        """
+        if self.given_branches is not None:
+            return self.branch_i - self.branch_j
+        out = np.empty_like(self.point)
+        between(self.i, self.j, self.position, self.point, tuple(self.period.tolist()), out)
+        return out
+
+    @cached_property
+    def normal(self) -> NDArray:
+        """Unit vector from j to i, along `between` where none is given; zero where it is undefined; (n, 3)."""
+        return unit_vectors(self.between) if self.given_normal is None else self.given_normal
+
+    def sum_over_particles(self, on_i: NDArray, on_j: NDArray, sign_j: float = 1.0) -> NDArray:
+        """Sum what contacts give to their particles, `on_i` and `sign_j` x `on_j`; (n, ...) to (particles, ...)."""
+        width = math.prod(on_i.shape[1:])
+        total = np.zeros((len(self.position), width))
+        for row, sign, values in ((self.i, 1.0, on_i), (self.j, sign_j, on_j)):
+            add_rows(row, sign, values.reshape(len(row), width), total)
+        return total.reshape(len(self.position), *on_i.shape[1:])
+
+    @cached_property
+    def first(self) -> NDArray:
+        """1 for the first contact of each pair, 0 for further ones (bodies may touch in several places).
+
+        Periodic images of one particle are several partners: in small boxes, grains touch on both sides.
+        """
+        first = np.ones(len(self.key_i))
+        rows, pair = repeated_pairs(self.key_i, self.key_j)
+        if rows.size:
+            keys = np.column_stack([self._images[rows], pair])
+            order = np.lexsort(keys.T)
+            repeated = (np.diff(keys[order], axis=0) == 0).all(axis=1)
+            first[rows[order[1:][repeated]]] = 0.0
+        return first
+
+    @property
+    def _images(self) -> NDArray:
+        """Number of periods (n, 3) between the images that touch and the particles, from the lower id to the higher."""
+        both = (self.i >= 0) & (self.j >= 0)
+        away = self.between - (self.position[self.i] - self.position[self.j])
+        number = np.where(both[:, None], np.rint(away / self.period), 0.0)
+        return np.where((self.key_i < self.key_j)[:, None], number, -number)
+
+    @cached_property
+    def partners(self) -> NDArray:
+        """Number of contact partners of each particle, walls included; several contacts with one count once."""
+        return self.sum_over_particles(self.first, self.first)
+
+    def backbone(self, least: int) -> NDArray:
+        """Whether each particle keeps `least` partners when all that have fewer are taken out, again and again.
+
+        Partners that are not particles of the scene (walls) stay.
+        """
+        degree, kept = self.partners.copy(), np.ones(len(self.position), bool)
+        peel(self.i, self.j, self.first, least, degree, kept)
+        return kept
+
+    @property
+    def normals(self) -> NDArray:
+        """Sum over contacts of n n for each particle (particles, 6): xx xy xz yy yz zz."""
+        total = np.zeros((len(self.position), 6))
+        along = self.between if self.given_normal is None else self.given_normal
+        add_unit_squares(self.i, self.j, along, total)
+        return total
+
+    @property
+    def dyads(self) -> NDArray:
+        """Sum over contacts of f a for each particle, force times branch (J); shape (particles, 3, 3)."""
+        total = np.zeros((len(self.position), 3, 3))
+        add_dyads(self.i, 1.0, self.force, self.branch_i, total)
+        add_dyads(self.j, -1.0, self.force, self.branch_j, total)
+        return total
+
+    @property
+    def forces(self) -> NDArray:
+        """Total contact force on each particle (N); shape (particles, 3)."""
+        return self.sum_over_particles(self.force, self.force, -1.0)
+
+    @property
+    def at_walls(self) -> tuple[NDArray, NDArray, NDArray]:
+        """Particle row, contact point (m) and force on the particle (N) of the contacts with walls."""
+        wall_j, wall_i = (self.j < 0) & (self.i >= 0), (self.i < 0) & (self.j >= 0)
+        return (
+            np.concatenate([self.i[wall_j], self.j[wall_i]]),
+            np.concatenate([self.point[wall_j], self.point[wall_i]]),
+            np.concatenate([self.force[wall_j], -self.force[wall_i]]),
+        )
+
+    def places(self, rank: NDArray) -> NDArray:
+        """Place of each contact among all, by the rank (particles,) of its first particle that is there; (n,)."""
+        place = np.empty_like(self.i)
+        key = np.append(rank, rank.size)[self.first_row]  # those of no particle come last
+        places_by(key, np.zeros(rank.size + 2, "int64"), place)
+        return place
+
+
+# --- who is near whom ------------------------------------------------------------------------------------
+
+METHODS = ("hierarchical", "linked-cell")
+# Fewer particles than this are not worth a second thread.
+PARTICLES_A_THREAD = 20_000
+# Pairs that the search stops beyond, unless more are asked for: spheres without overlap have 7 a particle.
+MOST_A_PARTICLE, MOST_PAIRS = 200, 1_000_000
+
+
+def find_pairs(
+    position: ArrayLike,
+    radius: ArrayLike,
+    box: ArrayLike | Mapping[str, Sequence[float]] | None = None,
+    periodic: str = "",
+    *,
+    skin: float = 0.0,
+    method: str = "hierarchical",
+    levels: int | None = None,
+    threads: int | None = None,
+    most: int | None = None,
+) -> NDArray:
+    """Find all pairs of spheres with ``|r_i - r_j| < R_i + R_j + skin``, each once, for any mix of sizes.
+
+    Particles are sorted by size into levels, each with cells as large as its largest particles need. Pairs of one
+    level are found in forward cells, pairs of two levels from the smaller particle in the cells of the larger level
+    (Iwai, Hong & Greil 1999; Ogarko & Luding 2012; Shire, Hanley & Stratford 2020). Time and memory are linear in
+    particles and pairs, whatever the ratio of sizes.
+
+    Parameters
+    ----------
+    position : array (n, 3) or (n, 2)
+        Centres (m). Those outside the box are wrapped into it along periodic axes; along the others, cells are laid
+        where the particles are.
+    radius : array (n,)
+        Radii (m), zero included.
+    box : array (3, 2) or mapping, optional
+        Edges of the domain (m), needed along periodic axes, for example ``{"x": (0.0, 0.1)}``.
+    periodic : str
+        Periodic axes, any of "xyz". Distances are to the nearest image; a particle is no partner of its own image.
+    skin : float
+        Width of gaps that still count (m).
+    method : str
+        "hierarchical", or "linked-cell": one level for all sizes, the common method, to compare with.
+    levels : int, optional
+        Number of levels, spaced logarithmically from the smallest to the largest radius; those that hold no
+        particles are left out. By default one for each factor of 3.
+    threads : int, optional
+        Threads that search; by default all cores for many particles. The result does not depend on it.
+    most : int, optional
+        Pairs that are meant, where they are more than a million and 200 a particle, at which the search stops.
+
+    Returns
+    -------
+    array (pairs, 2)
+        Rows i < j of the particles of each pair, sorted by i, then j.
+
+    Raises
+    ------
+    SceneError
+        If arrays have the wrong shape or hold values that are not finite, a radius is negative, or the box is
+        unbounded along a periodic axis, or there are more than `most` pairs.
+    ValueError
+        If `method`, `skin`, `levels` or `threads` is not as expected.
+
+    Examples
+    --------
+    >>> find_pairs([[0.1, 0, 0], [9.9, 0, 0], [5.0, 0, 0]], [0.2, 0.2, 0.2], {"x": (0, 10)}, "x").tolist()
+    [[0, 1]]
+    """
+    centres, radii = _spheres(position, radius)
+    check_search(skin, method, levels, threads)
+    if box is not None and not isinstance(box, Mapping) and np.shape(box) == (2, 2):
+        box = dict(zip("xy", np.asarray(box, float).tolist(), strict=True))
+    edges = None if box is None else box_array(box, 1)[0]
+    period = periods(edges, periodic, "find_pairs")
+    if len(centres) < 2:
+        return np.empty((0, 2), "int64")
+    corner = np.zeros(3) if edges is None else np.where(np.isfinite(period), edges[:, 0], 0.0)
+    lists = CellLists.of(centres, radii, corner, period, skin=skin, levels=1 if method == "linked-cell" else levels)
+    workers = threads or min(THREADS, 1 + len(centres) // PARTICLES_A_THREAD)
+    most = max(MOST_PAIRS, MOST_A_PARTICLE * len(centres), most or 0)
+    counts = [0]
+
+    def find(first: int, last: int) -> tuple[NDArray, NDArray, int]:
+        part = lists.find(first, last, most - sum(counts))
+        counts.append(len(part[0]))
+        return part
+
+    if workers == 1:
+        found = [find(0, len(centres))]
+    else:
+        # more parts than threads, as large particles take longer than small ones
+        cuts = np.linspace(0, len(centres), 8 * workers + 1, dtype=int)
+        with ThreadPoolExecutor(workers) as pool:
+            found = list(pool.map(find, cuts[:-1], cuts[1:]))
+    if sum(counts) > most:
+        msg = (
+            f"more than {most} pairs of near particles among {len(centres)}: positions coincide, or diameters or skin= "
+            "are too large for their unit. Where so many are meant, give most= (max_contacts= of find_contacts)"
+        )
+        raise SceneError(msg)
+    left, right = (np.concatenate([part[side] for part in found]) for side in (0, 1))
+    pairs = np.empty((len(left), 2), "int64")
+    sort_pairs(left, right, lists.row, pairs)
+    return pairs
+
+
+def _spheres(position: ArrayLike, radius: ArrayLike) -> tuple[NDArray, NDArray]:
+    """Centres (n, 3) and radii (n,), checked."""
+    centres, radii = np.asarray(position, float), np.ascontiguousarray(radius, float)
+    if centres.size == 0:
+        centres = centres.reshape(0, 3)
+    if centres.ndim != 2 or centres.shape[1] not in (2, 3) or radii.shape != (len(centres),):
+        msg = (
+            f"position has shape {np.shape(position)} and radius {np.shape(radius)}: expected (n, 3), or (n, 2) for a "
+            "plane, and (n,)"
+        )
+        raise SceneError(msg)
+    wrong = ~(np.isfinite(centres).all(axis=1) & np.isfinite(radii) & (radii >= 0))
+    if wrong.any():
+        row = int(np.flatnonzero(wrong)[0])
+        msg = (
+            f"particle {row} has position {centres[row]} and radius {radii[row]} ({int(wrong.sum())} such rows): "
+            "expected finite coordinates and a radius of at least 0; repair or drop these rows"
+        )
+        raise SceneError(msg)
+    if centres.shape[1] == 2:
+        centres = np.column_stack([centres, np.zeros(len(centres))])
+    return np.ascontiguousarray(centres), radii
+
+
+def check_search(skin: float, method: str, levels: int | None, threads: int | None = None) -> None:
+    """Refuse options of the search that are not as expected."""
+    if method not in METHODS:
+        msg = f"method={method!r}: expected one of {', '.join(map(repr, METHODS))}"
+        raise ValueError(msg)
+    if not (np.isfinite(skin) and skin >= 0):
+        msg = f"skin={skin!r}: expected 0 or the width of a gap that still counts as a contact (m)"
+        raise ValueError(msg)
+    for name, value in (("levels", levels), ("threads", threads)):
+        if value is not None and not (isinstance(value, (int, np.integer)) and value >= 1):
+            msg = f"{name}={value!r}: expected a whole number of at least 1, or None to let it be chosen"
+            raise ValueError(msg)

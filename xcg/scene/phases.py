@@ -1,0 +1,244 @@
+"""Phases: groups of grains by size and density, found by clustering or said by edges or types.
+
+A phase is an integer variable of the particles, ``phase`` = 1, 2, ...; ``coarse_grain(by="phase")`` divides by it. It
+follows from each grain's own properties, not from its row, so that grains may enter and leave.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.scene.build import mark_measured, require_scene
+from xcg.scene.conform import takes_scene
+from xcg.scene.schema import PADDING, SceneError
+
+# Of a single normal or uniform distribution cut in two or more, silhouettes stay below 0.65; two sizes that differ by
+# four standard deviations reach 0.75.
+MIN_SILHOUETTE = 0.7
+# Spreads below this share of the mean are noise, such as densities that were computed from single-precision masses.
+NOISE = 1e-3
+MAX_GRAINS, MAX_SILHOUETTES = 20_000, 3_000
+
+
+@takes_scene
+def find_phases(ds: xr.Dataset, max_phases: int = 8, *, steps: int = 5, seed: int = 0) -> xr.Dataset:
+    """Find phases as clusters of (diameter, density) (computes some steps).
+
+    k-means for 2 to `max_phases` clusters on standardised diameters and densities; the number with the best mean
+    silhouette is taken, or one phase where even that stays below 0.7: a single distribution, however narrow, is not
+    split. Sources: Lloyd (1982); Rousseeuw (1987).
+
+    Parameters
+    ----------
+    ds : xarray.Dataset
+        A scene with ``diameter`` and ``density``.
+    max_phases : int
+        Most clusters that are tried.
+    steps : int
+        Steps that are read, evenly over the series, the first and the last among them. Grains of other steps are
+        assigned to the nearest cluster when they are read.
+    seed : int
+        Seed of k-means and of the samples.
+
+    Returns
+    -------
+    xarray.Dataset
+        The scene with ``phase`` (time, particle), lazy where the scene is: 1, 2, ... in the order of diameter and
+        density, -1 for padding. Attributes: ``phase_values``, ``phase_diameter`` (m) and ``phase_density`` (kg m-3) of
+        the clusters, ``phase_scores`` (mean silhouette for 2, 3, ... clusters).
+
+    Raises
+    ------
+    SceneError
+        If the scene holds neither diameters nor densities, or no grains.
+    ValueError
+        If `max_phases` or `steps` is less than 1.
+    """
+    require_scene(ds, ("diameter", "density"), "find_phases")
+    for name, value in (("max_phases", max_phases), ("steps", steps)):
+        if value != int(value) or value < 1:
+            msg = f"{name}={value!r}: expected a whole number, 1 or more"
+            raise ValueError(msg)
+    count = ds.sizes["time"]
+    some = np.unique(np.linspace(0, count - 1, min(steps, count)).round().astype(int))
+    read = ds[["diameter", "density"]].isel(time=some).compute()
+    properties = np.stack([read[name].to_numpy().ravel() for name in ("diameter", "density")], axis=1)
+    properties = properties[np.isfinite(properties).all(axis=1)]
+    if not len(properties):
+        msg = f"find_phases: no grains in steps {some.tolist()}; give phases by assign_phases(edges=[...])"
+        raise SceneError(msg)
+    mean = properties.mean(axis=0)
+    scale = np.maximum(properties.std(axis=0), NOISE * np.abs(mean))
+    labels, scores = _cluster((properties - mean) / scale, int(max_phases), seed)
+    centres = np.array([properties[labels == k].mean(axis=0) for k in np.unique(labels)])
+    centres = centres[np.lexsort((centres[:, 1], centres[:, 0]))]
+    assigned = _by_properties(
+        ds, ("diameter", "density"), partial(_nearest, centres=centres, scale=scale), "nearest (diameter, density)"
+    )
+    return mark_measured(assigned, ["phase"]).assign_attrs(
+        phase_values=np.arange(1, len(centres) + 1),
+        phase_diameter=centres[:, 0],
+        phase_density=centres[:, 1],
+        phase_scores=np.array(scores),
+    )
+
+
+@takes_scene
+def assign_phases(
+    ds: xr.Dataset,
+    *,
+    edges: Sequence[float] | None = None,
+    mapping: Mapping[int, int] | None = None,
+    by: str = "species",
+) -> xr.Dataset:
+    """Give grains phases by size or by type.
+
+    Parameters
+    ----------
+    ds : xarray.Dataset
+        A scene.
+    edges : sequence of float, optional
+        Diameters (m) between phases, rising: phase 1 below the first, phase 2 from the first to the second, ...
+    mapping : mapping, optional
+        From values of `by` to phases, for example ``{1: 1, 2: 1, 3: 2}``.
+    by : str
+        An integer variable of the particles.
+
+    Returns
+    -------
+    xarray.Dataset
+        The scene with ``phase`` (time, particle), lazy where the scene is, and the attribute ``phase_values``.
+
+    Raises
+    ------
+    SceneError
+        If the scene lacks what is asked for, or a grain has a type that is not in the mapping.
+    ValueError
+        Unless one of `edges` and `mapping` is given, or if edges do not rise.
+    """
+    if (edges is None) == (mapping is None):
+        msg = "assign_phases takes one of edges=[...] (diameters between phases) and mapping={type: phase}"
+        raise ValueError(msg)
+    if edges is not None:
+        require_scene(ds, ("diameter",), "assign_phases")
+        rising = np.asarray(edges, float)
+        if rising.ndim != 1 or not np.isfinite(rising).all() or not (np.diff(rising) > 0).all():
+            msg = f"edges={edges!r}: expected diameters (m) that rise, such as [0.002, 0.004]"
+            raise ValueError(msg)
+        found = _by_properties(ds, ("diameter",), partial(_between, edges=rising), f"between {rising.tolist()}")
+        return mark_measured(found, ["phase"]).assign_attrs(phase_values=np.arange(1, len(rising) + 2))
+    require_scene(ds, (by,), "assign_phases")
+    table = {int(value): int(phase) for value, phase in (mapping or {}).items()}
+    if not table or min(table.values()) < 0:
+        msg = f"mapping={mapping!r}: expected phases that are not negative, for example {{1: 1, 2: 1, 3: 2}}"
+        raise ValueError(msg)
+    found = _by_properties(ds, (by,), partial(_mapped, table=table, name=by), f"from {by} by {table}")
+    return mark_measured(found, ["phase"]).assign_attrs(phase_values=np.unique(list(table.values())))
+
+
+@takes_scene
+def plot_phases(ds: xr.Dataset, step: int = 0) -> Any:
+    """Draw the clusters of one step and the scores of `find_phases` (computes).
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    import matplotlib.pyplot as plt
+
+    require_scene(ds, ("diameter", "density", "phase"), "plot_phases")
+    frame = ds[["diameter", "density", "phase"]].isel(time=step).compute()
+    scores = np.atleast_1d(ds.attrs.get("phase_scores", []))
+    figure, axes = plt.subplots(1, 2 if len(scores) else 1, figsize=(9 if len(scores) else 5, 4), layout="constrained")
+    left = np.atleast_1d(axes)[0]
+    for value in np.atleast_1d(ds.attrs["phase_values"]):
+        here = frame["phase"].to_numpy() == value
+        left.scatter(frame["diameter"].to_numpy()[here], frame["density"].to_numpy()[here], s=8, label=f"{value}")
+    if "phase_diameter" in ds.attrs:
+        left.plot(ds.attrs["phase_diameter"], ds.attrs["phase_density"], "k+", ms=12)
+    left.set(xlabel="diameter", ylabel="density")
+    left.legend(title="phase")
+    if len(scores):
+        right = axes[1]
+        right.plot(np.arange(2, 2 + len(scores)), scores, "o-")
+        right.axhline(MIN_SILHOUETTE, color="0.6", ls=":")
+        right.set(xlabel="clusters", ylabel="mean silhouette", ylim=(0, 1.02))
+    return figure
+
+
+# --- clusters --------------------------------------------------------------------------------------------
+
+
+def _cluster(points: NDArray, most: int, seed: int) -> tuple[NDArray, list[float]]:
+    """Labels of the best number of clusters, and the mean silhouettes of 2, 3, ... of them."""
+    from sklearn.cluster import KMeans
+
+    rng = np.random.default_rng(seed)
+    sample = points if len(points) <= MAX_GRAINS else rng.permutation(points)[:MAX_GRAINS]
+    distinct = len(np.unique(np.round(sample, 6), axis=0))
+    labels, best, scores = np.zeros(len(points), int), MIN_SILHOUETTE, []
+    for k in range(2, min(most, distinct) + 1):
+        model = KMeans(k, n_init=5, random_state=seed).fit(sample)
+        scores.append(_silhouette(sample, model.labels_, rng))
+        if scores[-1] > best + 1e-6:  # of equal ones the fewest clusters
+            best, labels = scores[-1], model.predict(points)
+    return labels, scores
+
+
+def _silhouette(points: NDArray, labels: NDArray, rng: np.random.Generator) -> float:
+    """Mean silhouette, from equally many points of every cluster, weighted by its size."""
+    from sklearn.metrics import silhouette_samples
+
+    values, counts = np.unique(labels, return_counts=True)
+    share = max(2, MAX_SILHOUETTES // len(values))
+    some = np.concatenate([rng.permutation(np.flatnonzero(labels == v))[:share] for v in values])
+    if len(some) <= len(values):
+        return 1.0  # one point a cluster
+    each = silhouette_samples(points[some], labels[some])
+    means = np.array([each[labels[some] == v].mean() for v in values])
+    return float((means * counts).sum() / counts.sum())
+
+
+# --- from properties to phases ---------------------------------------------------------------------------
+
+
+def _by_properties(ds: xr.Dataset, names: Sequence[str], function: Any, how: str) -> xr.Dataset:
+    """Add ``phase`` from some variables of each grain, chunk by chunk."""
+    inputs = [ds["particle_id"], *(ds[name] for name in names)]
+    phase = xr.apply_ufunc(
+        partial(_unless_padding, function=function), *inputs, dask="parallelized", output_dtypes=["int64"]
+    )
+    phase.attrs = {"units": "1", "long_name": f"phase, {how}"}
+    return ds.assign(phase=phase.transpose(*ds["particle_id"].dims))
+
+
+def _unless_padding(ids: NDArray, *values: NDArray, function: Any) -> NDArray:
+    out = np.full(ids.shape, PADDING)
+    here = ids != PADDING
+    out[here] = function(*(v[here] for v in values))
+    return out
+
+
+def _nearest(diameter: NDArray, density: NDArray, *, centres: NDArray, scale: NDArray) -> NDArray:
+    from scipy.spatial import cKDTree
+
+    return np.asarray(cKDTree(centres / scale).query(np.stack([diameter, density], axis=-1) / scale)[1]) + 1
+
+
+def _between(diameter: NDArray, *, edges: NDArray) -> NDArray:
+    return np.asarray(1 + np.searchsorted(edges, diameter, side="right"))
+
+
+def _mapped(values: NDArray, *, table: Mapping[int, int], name: str) -> NDArray:
+    unknown = sorted(set(np.unique(values).tolist()) - set(table))
+    if unknown:
+        msg = f"mapping={dict(table)!r} lacks {name}={unknown}, which grains have; add all that occur"
+        raise SceneError(msg)
+    found, row = np.unique(values, return_inverse=True)
+    return np.array([table[int(value)] for value in found], "int64")[row]

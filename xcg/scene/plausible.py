@@ -1,0 +1,108 @@
+"""What a colleague would point at: data of a step that can be computed but are hardly what was meant.
+
+Everything here warns, once a call, and looks at a few thousand rows of a step at most where all would take time.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xcg.scene.complete import minimum_image, rows_of
+from xcg.scene.schema import Frame
+from xcg.scene.warn import warn_once
+
+_SAMPLE = 4096  # rows looked at, spread over all
+_FAR = 3.0  # diameters from a centre to a contact point; the ends of rods are as far that are 18 times as long as wide
+_FEW = 20  # contacts that are too few to tell a wrong sign by
+_MOST = 0.9  # share of contacts that pull
+_OFF = 0.1  # largest distance of the ends in a file from the centres, in branches
+
+
+def _sample(rows: int) -> slice:
+    return slice(None, None, max(1, rows // _SAMPLE))
+
+
+def check_contacts(frame: Frame, period: NDArray, where: str) -> None:
+    """Warn of contact points far from the centres of their grains, and of contacts that pull nearly throughout.
+
+    Parameters
+    ----------
+    frame : Frame
+        Particles and contacts of one step.
+    period : array (3,)
+        Length of the periodic axes (m), infinity along the others.
+    where : str
+        Names the step.
+    """
+    if not len(frame["position"]) or not len(frame["contact_i"]):
+        return
+    some = _sample(len(frame["contact_i"]))
+    keys = frame["contact_i"][some], frame["contact_j"][some]
+    rows = [rows_of(frame["particle_id"], key) for key in keys]
+    point, force = frame["contact_point"][some], frame.get("contact_force")
+    branches = [minimum_image(frame["position"][row] - point, period) for row in rows]
+    if "diameter" in frame:
+        there = [row >= 0 for row in rows]
+        larger = np.maximum(*(frame["diameter"][row] * known for row, known in zip(rows, there, strict=True)))
+        farthest = np.maximum(*(_lengths(b) * known for b, known in zip(branches, there, strict=True)))
+        farthest = np.divide(farthest, larger, out=np.zeros_like(farthest), where=larger > 0)
+        far = np.flatnonzero(farthest > _FAR)
+        if far.size:
+            i, j = (key[far[0]] for key in keys)
+            warn_once(
+                "far contacts",
+                f"{where}: {far.size} of {len(point)} contacts looked at lie more than {_FAR:g} diameters from the "
+                f"centre of a particle of theirs ({farthest[far[0]]:.3g} diameters for contact_i={i}, contact_j={j}): "
+                "they are of another step or box, ids are mixed up, or positions were changed without contact_point",
+            )
+            return
+    if force is None:
+        return
+    along = np.einsum("ij,ij->i", force[some], np.where(rows[0][:, None] >= 0, branches[0], -branches[1]))
+    pulling, pushing = int((along < 0).sum()), int((along > 0).sum())
+    if pulling + pushing >= _FEW and pulling > _MOST * (pulling + pushing):
+        warn_once(
+            "tension",
+            f"{where}: {pulling} of {pulling + pushing} contacts looked at pull their particles together, so that "
+            "pressure is negative nearly everywhere: contact_force is the force on contact_i, and where the data have "
+            "that on the other, exchange the two (names=), or change the sign",
+        )
+
+
+def check_ends(raw: Frame, particles: Frame, period: NDArray, where: str) -> None:
+    """Warn where the ends that a file of contacts holds are not the positions of the particles.
+
+    Parameters
+    ----------
+    raw : Frame
+        Contacts with ``wrapped_branch``, from j to i by the ends in the file (m), of any image.
+    particles : Frame
+        The particles of the same step.
+    period : array (3,)
+        Length of the periodic axes (m), infinity along the others.
+    where : str
+        Names the step.
+    """
+    some = _sample(len(raw["contact_i"]))
+    row_i, row_j = (
+        rows_of(particles["particle_id"], np.asarray(raw[name][some], "int64")) for name in ("contact_i", "contact_j")
+    )
+    pairs = np.flatnonzero((row_i >= 0) & (row_j >= 0))
+    ends = minimum_image(raw["wrapped_branch"][some][pairs], period)
+    centres = particles["position"][row_i[pairs]] - particles["position"][row_j[pairs]]
+    off = np.flatnonzero(_lengths(minimum_image(ends - centres, period)) > _OFF * _lengths(ends))
+    if off.size:
+        first = off[0]
+        i, j = (int(raw[name][some][pairs[first]]) for name in ("contact_i", "contact_j"))
+        warn_once(
+            "ends",
+            f"{where}: the ends of {off.size} of {len(pairs)} contacts looked at are not the positions of their "
+            f"particles (contact_i={i}, contact_j={j}: {ends[first]} from end to end, "
+            f"{minimum_image(centres, period)[first]} from centre to centre): particles and contacts are of different "
+            "steps or runs, columns are not in the order expected, or the box is another",
+        )
+
+
+def _lengths(vectors: NDArray) -> NDArray:
+    return np.sqrt(np.einsum("ij,ij->i", vectors, vectors))

@@ -1,0 +1,1 @@
+"""A function over the steps of a scene, with dask; what becomes of steps at fault; labels of results."""
