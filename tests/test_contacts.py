@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 import xcg
 from xcg.packing.cells import CellLists
-from xcg.scene.contacts import Contacts, find_pairs
+from xcg.packing.pairs import find_pairs
+from xcg.scene.contacts import Contacts
 
 
 def all_pairs(position, radius, box=None, periodic="", skin=0.0):

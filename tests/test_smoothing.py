@@ -9,7 +9,7 @@ from scipy.integrate import quad
 import xcg
 from tests.brute_force import BruteKernel
 from xcg.compiled.segments import RULES
-from xcg.fields.plan import gauss_limits
+from xcg.fields.quadrature import gauss_limits
 from xcg.fields.smoothing import as_kernel
 
 NAMES = ["lucy", "gaussian", "heaviside"]

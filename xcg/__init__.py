@@ -23,9 +23,10 @@ from xcg.packing.find_contacts import find_contacts
 from xcg.packing.microstructure import microstructure
 from xcg.readers.series import open_scene
 from xcg.scene.bodies import group_bodies
-from xcg.scene.build import measure, scene_from_arrays, size_statistics
+from xcg.scene.build import scene_from_arrays
 from xcg.scene.phases import assign_phases, find_phases, plot_phases
 from xcg.scene.schema import SceneError, SceneWarning
+from xcg.scene.sizes import measure, size_statistics
 from xcg.steps.errors import SkippedStep
 from xcg.writers.store import save
 

@@ -25,9 +25,10 @@ from xcg.fields.width_sweep import width_sweep
 from xcg.packing.find_contacts import find_contacts
 from xcg.packing.microstructure import microstructure
 from xcg.scene.bodies import group_bodies
-from xcg.scene.build import measure, size_statistics, summary
 from xcg.scene.phases import assign_phases, find_phases, plot_phases
 from xcg.scene.schema import printable
+from xcg.scene.sizes import measure, size_statistics
+from xcg.scene.summary import summary
 from xcg.writers.store import save
 
 

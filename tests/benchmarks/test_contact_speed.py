@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from xcg.scene.contacts import find_pairs
+from xcg.packing.pairs import find_pairs
 
 Packing = runpy.run_path(str(Path(__file__).parents[2] / "docs" / "contact_speed.py"))["Packing"]
 

@@ -11,11 +11,13 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.compiled.eigen import principal
-from xcg.scene.build import edges_of, layer_depth, particle_rows, require_scene, setup_of, steps_in
 from xcg.scene.complete import periods
 from xcg.scene.conform import takes_scene
 from xcg.scene.contacts import Contacts
+from xcg.scene.frame import particle_rows, steps_in
+from xcg.scene.query import edges_of, require_scene, setup_of
 from xcg.scene.schema import COMPONENTS, CONTACT_VARIABLES, VARIABLES, Frame, SceneError, Variable
+from xcg.scene.sizes import layer_depth
 from xcg.steps.label import empty_results, label, results_of
 from xcg.steps.map import map_over_time
 

@@ -11,8 +11,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.chains.particle_stress import RESULTS as STRESSES
-from xcg.scene.build import particle_rows
 from xcg.scene.complete import periods, rows_of
+from xcg.scene.frame import particle_rows
 from xcg.scene.schema import BOX, PADDING, VARIABLES, Frame, SceneError, Variable
 
 _NONE, _PRESSURE = (0, 0, 0), (-1, 1, -2)

@@ -14,9 +14,10 @@ from xcg.chains.particle_stress import StressRule, carries
 from xcg.chains.regions import Region
 from xcg.chains.results import CHAINS, COPIED, RESULTS, result_sizes, statistics_of
 from xcg.compiled import chains as kernel
-from xcg.scene.build import particle_rows, require_scene, steps_in
 from xcg.scene.complete import periods
 from xcg.scene.conform import takes_scene
+from xcg.scene.frame import particle_rows, steps_in
+from xcg.scene.query import require_scene
 from xcg.scene.schema import PADDING, Frame
 from xcg.steps.label import empty_results, label, results_of
 from xcg.steps.map import map_over_time

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from xcg.chains.regions import Region
 from xcg.chains.results import CHAINS, MEMBERS, STATISTICS, require_chains, result_sizes, statistics_of
-from xcg.scene.build import particle_rows, steps_in
 from xcg.scene.complete import periods
 from xcg.scene.conform import takes_scene
+from xcg.scene.frame import particle_rows, steps_in
 from xcg.steps.label import label, results_of
 from xcg.steps.map import map_over_time
 

@@ -7,7 +7,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.chains.results import require_chains, steps_of
-from xcg.scene.build import require_rising_times
+from xcg.scene.query import require_rising_times
 from xcg.scene.schema import units_of
 from xcg.steps.label import about
 

@@ -18,7 +18,7 @@ import dask
 import numpy as np
 import xarray as xr
 
-from xcg.cli.config import Job
+from xcg.cli.job import Job
 from xcg.fields.coarse_grain import coarse_grain
 from xcg.fields.pysammos import pysammos_mesh
 from xcg.fields.slice_temperature import slice_temperature

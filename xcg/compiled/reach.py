@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled._jit import leaf
-from xcg.compiled.contacts import places_by
+from xcg.compiled.arrays import places_by
 from xcg.compiled.simd import EIGHT, put_eight, put_line, put_sum
 
 PAD = 16  # loops over lists run to a multiple of this: what is left over would be done one by one

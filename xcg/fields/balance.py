@@ -10,8 +10,8 @@ import xarray as xr
 
 from xcg.fields.coarse_grain import coarse_grain
 from xcg.fields.plan import make_plan
-from xcg.scene.build import require_rising_times
 from xcg.scene.conform import takes_scene
+from xcg.scene.query import require_rising_times
 from xcg.scene.schema import COMPONENTS
 
 FIELDS = (

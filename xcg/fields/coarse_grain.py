@@ -21,9 +21,11 @@ from xcg.fields.plan import Plan, make_plan, scale_of
 from xcg.fields.program import tape_for
 from xcg.fields.smoothing import Kernel
 from xcg.scene.bodies import group_bodies
-from xcg.scene.build import require_scene, steps_in, storable
+from xcg.scene.build import storable
 from xcg.scene.complete import periods
 from xcg.scene.conform import takes_scene
+from xcg.scene.frame import steps_in
+from xcg.scene.query import require_scene
 from xcg.scene.schema import COMPONENTS, Frame, units_of
 from xcg.scene.warn import warn_once
 from xcg.steps.errors import check_on_error

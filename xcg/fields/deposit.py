@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled import points as kernel
-from xcg.compiled.contacts import turn
+from xcg.compiled.arrays import turn
 from xcg.compiled.reach import RUN, lists_for, runs_of, spatial_order
 from xcg.compiled.segments import SEGMENT, closed_for, deposit_segments, list_segments
 from xcg.fields.blocks import Box, for_each
@@ -21,8 +21,8 @@ from xcg.fields.grid import Grid
 from xcg.fields.moments import CUTOFF_POWERS, MOMENTS, columns_of
 from xcg.fields.reach import Mesh
 from xcg.fields.smoothing import Weights
-from xcg.scene.build import phase_of, without_frozen
 from xcg.scene.contacts import Contacts
+from xcg.scene.frame import phase_of, without_frozen
 from xcg.scene.schema import Frame
 
 # adds one pass to the sums (groups, nodes, columns) at the nodes of a box; the last array is the reference velocity

@@ -17,8 +17,9 @@ import xarray as xr
 
 from xcg.fields import registry
 from xcg.fields.smoothing import as_kernel, choose_width
-from xcg.scene.build import setup_of, with_measures
+from xcg.scene.query import setup_of
 from xcg.scene.schema import COMPONENTS, units_of
+from xcg.scene.sizes import with_measures
 
 _TENSOR = ("component", "direction")
 _RATE = "shear_rate_tensor"

@@ -13,10 +13,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.scene.build import edges_of, require_scene, setup_of, steps_in, storable, with_measures
+from xcg.scene.build import storable
 from xcg.scene.complete import periods
 from xcg.scene.conform import takes_scene
+from xcg.scene.frame import steps_in
+from xcg.scene.query import edges_of, require_scene, setup_of
 from xcg.scene.schema import COMPONENTS, SceneError, units_of
+from xcg.scene.sizes import with_measures
 from xcg.steps.label import mark_skipped
 from xcg.steps.map import map_over_time
 

@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from xcg.compiled import segments
 from xcg.compiled import smoothing as weights
-from xcg.scene.build import SIZES
 from xcg.scene.schema import LONGEST, SHORTEST
+from xcg.scene.sizes import SIZES
 
 _NO_TABLE = np.zeros((2, 1, 1))
 

@@ -13,8 +13,8 @@ from xcg.fields.coarse_grain import coarse_grain
 from xcg.fields.plan import make_plan
 from xcg.fields.smoothing import choose_width
 from xcg.scene.bodies import group_bodies
-from xcg.scene.build import with_measures
 from xcg.scene.conform import takes_scene
+from xcg.scene.sizes import with_measures
 
 THRESHOLD = 0.1
 

@@ -10,10 +10,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.scene.build import require_scene, setup_of, stack, steps_in
+from xcg.packing.pairs import check_search, find_pairs
 from xcg.scene.complete import REPEAT, contact_points, images_within, minimum_image, periods
 from xcg.scene.conform import takes_scene
-from xcg.scene.contacts import check_search, find_pairs
+from xcg.scene.frame import stack, steps_in
+from xcg.scene.query import require_scene, setup_of
 from xcg.scene.schema import COMPONENTS, Frame, SceneError, Setup, units_of, variable
 from xcg.steps.label import about, call_of
 from xcg.steps.map import is_lazy, map_over_time
@@ -171,7 +172,7 @@ def find_contacts(
     """Find the contacts of a scene from positions and diameters, and their normal forces from a stiffness.
 
     All pairs with ``|r_i - r_j| < R_i + R_j + skin``, each once, sorted by the rows of i, then j (see
-    `xcg.scene.contacts.find_pairs`); in a box so small that two grains touch on several sides, each of these contacts. Pairs
+    `xcg.packing.pairs.find_pairs`); in a box so small that two grains touch on several sides, each of these contacts. Pairs
     of two frozen grains and pairs within one body are left out. Walls that are not made of grains leave no trace in
     positions: their contacts are not found.
 

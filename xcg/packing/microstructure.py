@@ -12,22 +12,14 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from xcg.packing.quantities import CONTACTS, QUANTITIES, TENSOR, ratio
-from xcg.scene.build import (
-    edges_of,
-    groups_of,
-    layer_depth,
-    phase_of,
-    require_rising_times,
-    require_scene,
-    setup_of,
-    steps_in,
-    storable,
-    without_frozen,
-)
+from xcg.scene.build import storable
 from xcg.scene.complete import periods
 from xcg.scene.conform import takes_scene
 from xcg.scene.contacts import Contacts
+from xcg.scene.frame import phase_of, steps_in, without_frozen
+from xcg.scene.query import edges_of, groups_of, require_rising_times, require_scene, setup_of
 from xcg.scene.schema import COMPONENTS, Frame, SceneError, Setup, units_of
+from xcg.scene.sizes import layer_depth
 from xcg.steps.label import about, call_of, mark_skipped
 from xcg.steps.map import map_over_time
 

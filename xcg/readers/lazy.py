@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.text import where
-from xcg.scene.build import frame_of, stack
 from xcg.scene.complete import complete_contacts, complete_particles, periods
+from xcg.scene.frame import frame_of, stack
 from xcg.scene.plausible import check_ends
 from xcg.scene.schema import Frame, SceneError, Setup, variable
 from xcg.scene.warn import Once

@@ -17,9 +17,10 @@ from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.lazy import Source, Step, lazy_arrays, load_engine, read_step
 from xcg.readers.paths import PathLike, expand_paths
 from xcg.readers.text import where
-from xcg.scene.build import box_array, measure_frames, to_dataset
+from xcg.scene.build import box_array, to_dataset
 from xcg.scene.complete import complete_particles, periods
 from xcg.scene.schema import BOX, COMPONENTS, VARIABLES, Frame, SceneError, Setup, did_you_mean
+from xcg.scene.sizes import measure_frames
 from xcg.scene.warn import warn_user
 from xcg.steps import errors as faults
 from xcg.steps.errors import FAULTS, check_on_error, raised, tolerated

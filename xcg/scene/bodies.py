@@ -8,10 +8,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.scene.build import measure, particle_rows, require_scene, setup_of
 from xcg.scene.complete import minimum_image, periods, rows_of
 from xcg.scene.conform import takes_scene
+from xcg.scene.frame import particle_rows
+from xcg.scene.query import require_scene, setup_of
 from xcg.scene.schema import PADDING, SceneError, units_of, variable
+from xcg.scene.sizes import measure
 
 _PARTICLES = ("particle_id", "position", "velocity", "diameter", "density", "mass", "volume")
 _CONTACTS = ("contact_i", "contact_j", "contact_force", "contact_point", "contact_normal", "overlap")

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from xcg.compiled import THREADS
-from xcg.compiled.contacts import add_dyads, add_rows, add_unit_squares, between, peel, places_by, sides
-from xcg.compiled.pairs import sort_pairs
-from xcg.packing.cells import CellLists
-from xcg.scene.build import box_array
-from xcg.scene.complete import periods, repeated_pairs, rows_of, unit_vectors
+from xcg.compiled.arrays import places_by
+from xcg.compiled.contacts import add_dyads, add_rows, add_unit_squares, between, peel, sides
+from xcg.scene.complete import repeated_pairs, rows_of, unit_vectors
 from xcg.scene.plausible import check_contacts
-from xcg.scene.schema import Frame, SceneError
+from xcg.scene.schema import Frame
 
 # Contacts are those of spheres where the branches are as spheres have them, to this share of the radius.
 SPHERES = 1e-2
@@ -220,144 +215,5 @@ class Contacts:
 
 # --- who is near whom ------------------------------------------------------------------------------------
 
-METHODS = ("hierarchical", "linked-cell")
-# Fewer particles than this are not worth a second thread.
-PARTICLES_A_THREAD = 20_000
 # Pairs that the search stops beyond, unless more are asked for: spheres without overlap have 7 a particle.
 MOST_A_PARTICLE, MOST_PAIRS = 200, 1_000_000
-
-
-def find_pairs(
-    position: ArrayLike,
-    radius: ArrayLike,
-    box: ArrayLike | Mapping[str, Sequence[float]] | None = None,
-    periodic: str = "",
-    *,
-    skin: float = 0.0,
-    method: str = "hierarchical",
-    levels: int | None = None,
-    threads: int | None = None,
-    most: int | None = None,
-) -> NDArray:
-    """Find all pairs of spheres with ``|r_i - r_j| < R_i + R_j + skin``, each once, for any mix of sizes.
-
-    Particles are sorted by size into levels, each with cells as large as its largest particles need. Pairs of one
-    level are found in forward cells, pairs of two levels from the smaller particle in the cells of the larger level
-    (Iwai, Hong & Greil 1999; Ogarko & Luding 2012; Shire, Hanley & Stratford 2020). Time and memory are linear in
-    particles and pairs, whatever the ratio of sizes.
-
-    Parameters
-    ----------
-    position : array (n, 3) or (n, 2)
-        Centres (m). Those outside the box are wrapped into it along periodic axes; along the others, cells are laid
-        where the particles are.
-    radius : array (n,)
-        Radii (m), zero included.
-    box : array (3, 2) or mapping, optional
-        Edges of the domain (m), needed along periodic axes, for example ``{"x": (0.0, 0.1)}``.
-    periodic : str
-        Periodic axes, any of "xyz". Distances are to the nearest image; a particle is no partner of its own image.
-    skin : float
-        Width of gaps that still count (m).
-    method : str
-        "hierarchical", or "linked-cell": one level for all sizes, the common method, to compare with.
-    levels : int, optional
-        Number of levels, spaced logarithmically from the smallest to the largest radius; those that hold no
-        particles are left out. By default one for each factor of 3.
-    threads : int, optional
-        Threads that search; by default all cores for many particles. The result does not depend on it.
-    most : int, optional
-        Pairs that are meant, where they are more than a million and 200 a particle, at which the search stops.
-
-    Returns
-    -------
-    array (pairs, 2)
-        Rows i < j of the particles of each pair, sorted by i, then j.
-
-    Raises
-    ------
-    SceneError
-        If arrays have the wrong shape or hold values that are not finite, a radius is negative, or the box is
-        unbounded along a periodic axis, or there are more than `most` pairs.
-    ValueError
-        If `method`, `skin`, `levels` or `threads` is not as expected.
-
-    Examples
-    --------
-    >>> find_pairs([[0.1, 0, 0], [9.9, 0, 0], [5.0, 0, 0]], [0.2, 0.2, 0.2], {"x": (0, 10)}, "x").tolist()
-    [[0, 1]]
-    """
-    centres, radii = _spheres(position, radius)
-    check_search(skin, method, levels, threads)
-    if box is not None and not isinstance(box, Mapping) and np.shape(box) == (2, 2):
-        box = dict(zip("xy", np.asarray(box, float).tolist(), strict=True))
-    edges = None if box is None else box_array(box, 1)[0]
-    period = periods(edges, periodic, "find_pairs")
-    if len(centres) < 2:
-        return np.empty((0, 2), "int64")
-    corner = np.zeros(3) if edges is None else np.where(np.isfinite(period), edges[:, 0], 0.0)
-    lists = CellLists.of(centres, radii, corner, period, skin=skin, levels=1 if method == "linked-cell" else levels)
-    workers = threads or min(THREADS, 1 + len(centres) // PARTICLES_A_THREAD)
-    most = max(MOST_PAIRS, MOST_A_PARTICLE * len(centres), most or 0)
-    counts = [0]
-
-    def find(first: int, last: int) -> tuple[NDArray, NDArray, int]:
-        part = lists.find(first, last, most - sum(counts))
-        counts.append(len(part[0]))
-        return part
-
-    if workers == 1:
-        found = [find(0, len(centres))]
-    else:
-        # more parts than threads, as large particles take longer than small ones
-        cuts = np.linspace(0, len(centres), 8 * workers + 1, dtype=int)
-        with ThreadPoolExecutor(workers) as pool:
-            found = list(pool.map(find, cuts[:-1], cuts[1:]))
-    if sum(counts) > most:
-        msg = (
-            f"more than {most} pairs of near particles among {len(centres)}: positions coincide, or diameters or skin= "
-            "are too large for their unit. Where so many are meant, give most= (max_contacts= of find_contacts)"
-        )
-        raise SceneError(msg)
-    left, right = (np.concatenate([part[side] for part in found]) for side in (0, 1))
-    pairs = np.empty((len(left), 2), "int64")
-    sort_pairs(left, right, lists.row, pairs)
-    return pairs
-
-
-def _spheres(position: ArrayLike, radius: ArrayLike) -> tuple[NDArray, NDArray]:
-    """Centres (n, 3) and radii (n,), checked."""
-    centres, radii = np.asarray(position, float), np.ascontiguousarray(radius, float)
-    if centres.size == 0:
-        centres = centres.reshape(0, 3)
-    if centres.ndim != 2 or centres.shape[1] not in (2, 3) or radii.shape != (len(centres),):
-        msg = (
-            f"position has shape {np.shape(position)} and radius {np.shape(radius)}: expected (n, 3), or (n, 2) for a "
-            "plane, and (n,)"
-        )
-        raise SceneError(msg)
-    wrong = ~(np.isfinite(centres).all(axis=1) & np.isfinite(radii) & (radii >= 0))
-    if wrong.any():
-        row = int(np.flatnonzero(wrong)[0])
-        msg = (
-            f"particle {row} has position {centres[row]} and radius {radii[row]} ({int(wrong.sum())} such rows): "
-            "expected finite coordinates and a radius of at least 0; repair or drop these rows"
-        )
-        raise SceneError(msg)
-    if centres.shape[1] == 2:
-        centres = np.column_stack([centres, np.zeros(len(centres))])
-    return np.ascontiguousarray(centres), radii
-
-
-def check_search(skin: float, method: str, levels: int | None, threads: int | None = None) -> None:
-    """Refuse options of the search that are not as expected."""
-    if method not in METHODS:
-        msg = f"method={method!r}: expected one of {', '.join(map(repr, METHODS))}"
-        raise ValueError(msg)
-    if not (np.isfinite(skin) and skin >= 0):
-        msg = f"skin={skin!r}: expected 0 or the width of a gap that still counts as a contact (m)"
-        raise ValueError(msg)
-    for name, value in (("levels", levels), ("threads", threads)):
-        if value is not None and not (isinstance(value, (int, np.integer)) and value >= 1):
-            msg = f"{name}={value!r}: expected a whole number of at least 1, or None to let it be chosen"
-            raise ValueError(msg)

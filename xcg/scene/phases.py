@@ -14,8 +14,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.scene.build import mark_measured, require_scene
 from xcg.scene.conform import takes_scene
+from xcg.scene.query import mark_measured, require_scene
 from xcg.scene.schema import PADDING, SceneError
 
 # Of a single normal or uniform distribution cut in two or more, silhouettes stay below 0.65; two sizes that differ by

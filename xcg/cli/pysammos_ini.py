@@ -1,0 +1,245 @@
+"""Pysammos's config.ini, read as a job."""
+
+from __future__ import annotations
+
+import configparser
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from xcg.cli.job import Job, _on_error
+from xcg.scene.schema import COMPONENTS, SceneError
+from xcg.scene.warn import warn_user
+
+# key_mapping: its keys and our variables
+KEYS = {
+    "Global_ID": "particle_id",
+    "Particle_Velocity": "velocity",
+    "Particle_Diameter": "diameter",
+    "Particle_Density": "density",
+    "Particle_Volume": "volume",
+    "Particle_Mass": "mass",
+    "Particle_Radius": "radius",
+    "Coordination_Number": "coordination_number",
+    "Particle_i_ID": "contact_i",
+    "Particle_j_ID": "contact_j",
+    "Force_ij": "contact_force",
+    "Contact_ij": "contact_point",
+}
+
+
+# its kernels, however they are spelled, and the names in its output
+KERNELS = {"lucy": ("lucy", "Lucy"), "gaussian": ("gaussian", "Gaussian")} | dict.fromkeys(
+    ("heavyside", "heaviside"), ("heaviside", "HeavySide")
+)
+
+
+FAMILIES = (
+    "volume_fraction", "density_mixture", "density_particle", "d32", "d43", "coordination_number", "momentum_density",
+    "velocity", "velocity_gradient", "kinetic_tensor", "contact_tensor", "total_stress_tensor", "fabric_tensor",
+    "shear_rate_tensor", "pressure", "granular_temperature", "inertial_number", "frictional_coefficient",
+)  # fmt: skip
+
+
+OF_CONTACTS = (
+    "coordination_number", "contact_tensor", "total_stress_tensor", "fabric_tensor", "pressure", "inertial_number",
+    "frictional_coefficient",
+)  # fmt: skip
+
+
+SLICES = "granular_temperature_slices"
+
+
+_OFF_BY_AN_OVERLAP = "FORCE_CHAIN_CONTACT_POINT"
+
+
+class _Section:
+    """One section: typed values, and a memory of what was asked for, so that the rest can be named."""
+
+    def __init__(self, path: Path, name: str, values: Mapping[str, str]) -> None:
+        self.where, self.values = f"{path}: [{name}]", dict(values)
+        self.known: set[str] = set()
+
+    def get(self, key: str) -> str | None:
+        self.known.add(key.lower())
+        value = next((v for k, v in self.values.items() if k.lower() == key.lower()), None)
+        text = None if value is None else value.split(" #")[0].split(" ;")[0].strip().strip("'\"")
+        return None if text is None or text.lower() in ("", "none") else text
+
+    def _typed(self, key: str, kind: Callable[[str], Any], expected: str) -> Any:
+        text = self.get(key)
+        if text is None:
+            return None
+        try:
+            return kind(text)
+        except (KeyError, ValueError):
+            msg = f"{self.where} {key} = {text}: expected {expected}"
+            raise SceneError(msg) from None
+
+    def number(self, key: str) -> float | None:
+        return self._typed(key, float, "a number or None")
+
+    def whole(self, key: str) -> int | None:
+        return self._typed(key, int, "a whole number")
+
+    def flag(self, key: str, default: bool = False) -> bool:
+        states = configparser.ConfigParser.BOOLEAN_STATES
+        found = self._typed(key, lambda text: states[text.lower()], "True or False")
+        return default if found is None else bool(found)
+
+    def needed(self, key: str) -> str:
+        found = self.get(key)
+        if found is None:
+            msg = f"{self.where} lacks {key}"
+            raise SceneError(msg)
+        return found
+
+    def warn_of_the_rest(self) -> None:
+        unknown = [key for key in self.values if key.lower() not in self.known]
+        if unknown:
+            warn_user(
+                f"{self.where}: unknown and left out: {', '.join(unknown)}; known are {', '.join(sorted(self.known))}"
+            )
+
+
+def _ini(path: Path) -> Job:
+    parser = configparser.ConfigParser(interpolation=None)
+    parser.optionxform = str  # type: ignore[method-assign, assignment]
+    try:
+        parser.read_string(path.read_text(encoding="utf-8"), source=str(path))
+    except configparser.Error as error:
+        msg = f"{path}: {error}"
+        raise SceneError(msg) from None
+    names = ("paths", "timesteps", "smoothing_function", "flags", "key_mapping", "grid_info", "fields_to_export",
+             "output_options")  # fmt: skip
+    unknown = [name for name in parser.sections() if name not in names]
+    if unknown:
+        warn_user(f"{path}: unknown sections {unknown} are left out; known are {', '.join(names)}")
+    sections = {name: _Section(path, name, dict(parser[name]) if parser.has_section(name) else {}) for name in names}
+    paths, steps, flags, output = (sections[n] for n in ("paths", "timesteps", "flags", "output_options"))
+
+    particles = _files(path.parent, paths.needed("particles_path"), steps, required=True)
+    contacts_path = paths.get("contacts_path")
+    contacts = [] if contacts_path is None else _files(path.parent, contacts_path, steps, required=False)
+    scene: dict[str, Any] = {
+        "particles": particles, "names": _names(sections["key_mapping"], particles[0], contacts), "engine": "mfix",
+        "periodic": "".join(a for a in COMPONENTS if sections["grid_info"].flag(f"{a}_axis_periodic")),
+    }  # fmt: skip
+    if contacts:
+        scene |= {"contacts": contacts, "missing": "empty"}
+    elif contacts_path is not None:
+        warn_user(f"{paths.where}: no contacts in these steps ({contacts_path}*.vtp): fields of contacts are left out")
+    fields, slices = _fields(sections["fields_to_export"])
+    if not contacts:
+        counted = "coordination_number" in scene["names"].values()
+        fields = [name for name in fields if name not in OF_CONTACTS[1 if counted else 0 :]]
+
+    kernel, label = _kernel(sections["smoothing_function"])
+    mesh = _mesh(sections["grid_info"])
+    phases = None if flags.flag("partialignore", default=True) else {"max_phases": 8}
+    folder = path.parent / (paths.get("output_path") or "PysammosCG")
+    spelled = "vkthdf_output" if output.get("vkthdf_output") is not None else "vtkhdf_output"
+    output.known |= {"vkthdf_output", "vtkhdf_output"}
+    job = Job(
+        scene=scene,
+        fields={"fields": fields, "preset": "pysammos"},
+        phases=phases,
+        mesh={"kernel": kernel, **mesh},
+        slices=slices,
+        folder=folder,
+        name=f"CG_{label}_{'Monodisperse' if phases is None else 'Polydisperse'}",
+        netcdf=output.flag("h5_output"),
+        vtkhdf={True: "steps", False: ""}[output.flag(spelled)],
+        suffix=".h5",
+        on_error=_on_error(flags.where, flags.get("on_error") or "raise"),
+    )
+    for section in sections.values():
+        section.warn_of_the_rest()
+    return job
+
+
+def _files(folder: Path, prefix: str, steps: _Section, *, required: bool) -> list[str]:
+    """Files ``<prefix><number>.vtp`` whose numbers are t0, t0 + dt, ... tf."""
+    start, stop, stride = (steps.whole(key) for key in ("t0", "tf", "dt"))
+    at = folder / prefix
+    parent, stem = (at, "") if prefix.endswith("/") else (at.parent, at.name)
+    found = {}
+    for file in parent.glob("*.vtp") if parent.is_dir() else ():
+        match = re.fullmatch(re.escape(stem) + r"(\d+)\.vtp", file.name)
+        if match:
+            found[int(match[1])] = str(file)
+    chosen = [
+        number
+        for number in sorted(found)
+        if (start is None or number >= start)
+        and (stop is None or number <= stop)
+        and (not stride or (number - (start or 0)) % stride == 0)
+    ]
+    if required and not chosen:
+        there = f"numbers there: {', '.join(map(str, sorted(found)))}" if found else "there are none of that name"
+        msg = f"{steps.where}: no file {at}<number>.vtp with t0={start}, tf={stop}, dt={stride}; {there}"
+        raise FileNotFoundError(msg)
+    return [found[number] for number in chosen]
+
+
+def _names(section: _Section, particles: str, contacts: list[str]) -> dict[str, str | None]:
+    """Arrays in the files for our variables, those that are there."""
+    from xcg.readers.vtp import read_header
+
+    there = {True: read_header(particles).names, False: read_header(contacts[0]).names if contacts else ()}
+    names: dict[str, str | None] = {}
+    for key, ours in KEYS.items():
+        array = section.get(key)
+        if array is None:
+            continue
+        of_particles = ours in ("particle_id", "radius") or not ours.startswith("contact")
+        if array == _OFF_BY_AN_OVERLAP:
+            warn_user(
+                f"{section.where}: {array} is off by one overlap between spheres in MFiX; their contact points follow "
+                "from centres and radii"
+            )
+        elif array in there[of_particles]:
+            names[array] = ours
+        elif of_particles or contacts:
+            warn_user(f"{section.where} {key} = {array}: no such array in {particles if of_particles else contacts[0]}")
+    return names
+
+
+def _kernel(section: _Section) -> tuple[str, str]:
+    text = section.get("type") or "Lucy"
+    if text.lower() not in KERNELS:
+        msg = f"{section.where} type = {text}: expected Lucy, Gaussian or HeavySide"
+        raise SceneError(msg)
+    return KERNELS[text.lower()]
+
+
+def _mesh(section: _Section) -> dict[str, Any]:
+    """Find the resolved axes, the ends of their nodes unless these are automatic, and where other axes are cut."""
+    dimension = section.whole("grid_dimension")
+    axes = section.get("grid_axes") or "xyz"
+    if set(axes) - set(COMPONENTS) or (dimension is not None and dimension != len(set(axes))):
+        msg = f"{section.where} grid_dimension = {dimension}, grid_axes = {axes}: expected as many axes of x, y, z"
+        raise SceneError(msg)
+    ends = {a: (section.number(f"{a}_min"), section.number(f"{a}_max")) for a in COMPONENTS}
+    cuts = {a: section.number(f"{a}_transect") for a in COMPONENTS}
+    if section.flag("automatic_grid"):
+        return {"axes": axes}
+    bounds = {}
+    for a in axes:
+        low, high = ends[a]
+        if low is None or high is None:
+            msg = f"{section.where}: {a}_min and {a}_max are needed with grid_axes = {axes} and automatic_grid = False"
+            raise SceneError(msg)
+        bounds[a] = (low, high)
+    at = {a: cut for a, cut in cuts.items() if a not in axes and cut is not None}
+    return {"axes": axes, "bounds": bounds, "at": at}
+
+
+def _fields(section: _Section) -> tuple[list[str], dict[str, Any] | None]:
+    chosen = [name for name in FAMILIES if section.flag(name)]
+    slices = {"axis": "y"} if section.flag(SLICES) else None
+    if not chosen and slices is None:
+        msg = f"{section.where}: nothing is True; switch on any of {', '.join((*FAMILIES, SLICES))}"
+        raise SceneError(msg)
+    return chosen, slices

@@ -1,0 +1,33 @@
+"""Loops over plain arrays that belong to no method: sorting by counting, transposing."""
+
+from __future__ import annotations
+
+from xcg.compiled._jit import leaf
+
+
+@leaf
+def places_by(key, start, place):
+    """Write the place (n,) of each thing among all by its key (n,), a whole number; things of one key keep their order.
+
+    `start` (keys + 1,) is scratch, zeros.
+    """
+    for n in range(key.size):
+        start[key[n] + 1] += 1
+    for k in range(start.size - 1):
+        start[k + 1] += start[k]
+    for n in range(key.size):
+        k = key[n]
+        place[n] = start[k]
+        start[k] += 1
+
+
+@leaf
+def turn(records, column, factor, out):
+    """Write columns of records (p, n, c), times a factor for each p, nodes last: each record is read once, in order.
+
+    ``out[r, p, n] = factor[r, p] * records[p, n, column[r]]`` for r = 0, ... column.size - 1.
+    """
+    for p in range(records.shape[0]):
+        for n in range(records.shape[1]):
+            for r in range(column.size):
+                out[r, p, n] = factor[r, p] * records[p, n, column[r]]

@@ -1,0 +1,98 @@
+"""Frames: one step of a scene as plain arrays, and back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xcg.scene.schema import PADDING, Frame, SceneError, variable
+
+
+def stack(frames: Sequence[Frame], names: Sequence[str], rows: int) -> Frame:
+    """Stack frames along a new first axis, padded to `rows` rows."""
+    stacked = {}
+    for name in names:
+        row = variable(name, frames[0][name].dtype)
+        out = np.full((len(frames), *row.shape(rows)), row.fill, row.dtype)
+        for t, frame in enumerate(frames):
+            out[t, : len(frame[name])] = frame[name]
+        stacked[name] = out
+    return stacked
+
+
+def particle_rows(ids: NDArray, where: str = "scene") -> slice | NDArray:
+    """Rows of the particles of one padded step, by id: a slice where they are sorted already.
+
+    Raises
+    ------
+    SceneError
+        If an id occurs twice.
+    """
+    count = int((ids != PADDING).sum())
+    if (ids[:count] != PADDING).all() and (ids[1:count] > ids[: max(count - 1, 0)]).all():
+        return slice(0, count)
+    rows = np.flatnonzero(ids != PADDING)
+    rows = rows[np.argsort(ids[rows], kind="stable")]
+    twice = np.flatnonzero(np.diff(ids[rows]) == 0)
+    if twice.size:
+        one, other = rows[twice[0] : twice[0] + 2]
+        msg = (
+            f"{where}: particle id {ids[one]} occurs twice (rows {one} and {other}); ids must be unique: select parts "
+            "that do not overlap before they are joined, or give the particles of one part other ids"
+        )
+        raise SceneError(msg)
+    return rows
+
+
+def frame_of(arrays: Mapping[str, NDArray], t: int, where: str = "scene") -> Frame:
+    """One frame of padded arrays: the rows of step `t` that are not padding, particles by id."""
+    rows: dict[str, Any] = {}
+    if "particle_id" in arrays:
+        rows["particle"] = particle_rows(arrays["particle_id"][t], where)
+    if "contact_i" in arrays:
+        valid = arrays["contact_i"][t] != PADDING
+        count = int(valid.sum())
+        rows["contact"] = slice(0, count) if valid[:count].all() else valid
+    found: Frame = {}
+    for name, values in arrays.items():
+        row = variable(name, values.dtype)
+        if row.dims[0] in rows:  # in the types of compiled loops: netCDF-3 holds bytes the other way round
+            found[name] = values[t][rows[row.dims[0]]].astype(row.dtype, copy=False)
+    return found
+
+
+def phase_of(frame: Frame, by: str | None, groups: Sequence[int], where: str) -> NDArray:
+    """Which of the groups each particle belongs to; refuses particles of none."""
+    count = len(frame["position"])
+    if by is None:
+        return np.zeros(count, "int64")
+    values, known = frame[by], np.asarray(groups)
+    row = np.minimum(np.searchsorted(known, values), len(known) - 1)
+    strange = np.flatnonzero(known[row] != values)
+    if strange.size:
+        msg = (
+            f"{where}: particle {frame['particle_id'][strange[0]]} has {by}={values[strange[0]]}, which is not among "
+            f"the groups {list(groups)}; pass groups= with every value that occurs"
+        )
+        raise SceneError(msg)
+    return row
+
+
+def without_frozen(frame: Frame) -> Frame:
+    """Drop frozen grains; contacts with them become contacts with a wall, as their partner is not there."""
+    if "frozen" not in frame:
+        return frame
+    free = frame["frozen"] != 1
+    particles = {name: values[free] for name, values in frame.items() if not name.startswith(("contact", "overlap"))}
+    return {**frame, **particles}
+
+
+def steps_in(arrays: Mapping[str, NDArray]) -> Iterator[tuple[Frame, NDArray | None, str]]:
+    """Frame, box and name of each step of padded arrays; the box is None where they hold none."""
+    rows = {name: a for name, a in arrays.items() if name not in ("box", "step", "time")}
+    for t in range(len(next(iter(rows.values())))):
+        where = f"step {arrays['step'][t]}" if "step" in arrays else f"frame {t} of its chunk"
+        yield frame_of(rows, t, where), arrays["box"][t] if "box" in arrays else None, where

@@ -1,0 +1,111 @@
+"""Questions to a scene: what it holds, its box, its groups, and what a call needs of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.scene.schema import COMPONENTS, SceneError, Setup
+
+
+def require_scene(ds: xr.Dataset, names: Sequence[str], purpose: str) -> None:
+    """Refuse a Dataset that lacks variables; the message lists all that is missing.
+
+    Raises
+    ------
+    SceneError
+        If `ds` is not a scene or lacks any of `names`.
+    """
+    missing = [name for name in ("position", "particle_id", *names) if name not in ds]
+    if missing:
+        msg = (
+            f"{purpose} needs {sorted(set(missing))}, which this Dataset does not hold (it has "
+            f"{sorted(map(str, ds.data_vars))}); open it with xcg.open_scene or build it with xcg.scene_from_arrays, "
+            "giving contacts= for fields of contacts and density= where files hold no mass"
+        )
+        raise SceneError(msg)
+
+
+def check_times(time: NDArray, purpose: str, way_out: str) -> None:
+    """Refuse times (t,) that are not finite or do not rise from step to step; the message says which."""
+    late = np.flatnonzero(~(time[1:] > time[:-1]))
+    if not np.isfinite(time).all() or late.size:
+        found = f"{time[late[0] + 1]!r} follows {time[late[0]]!r} at index {late[0] + 1}" if late.size else f"{time}"
+        msg = f"{purpose} needs finite times that rise from step to step, and {found}; {way_out}"
+        raise SceneError(msg)
+
+
+def require_rising_times(ds: xr.Dataset, purpose: str) -> None:
+    """Refuse a series whose times do not rise, as after a selection or joining: rates would be wrong."""
+    check_times(ds["time"].to_numpy(), purpose, "order the steps with ds.sortby('time').drop_duplicates('time')")
+
+
+def setup_of(ds: xr.Dataset) -> Setup:
+    """Return what a scene's attributes say."""
+    gravity = ds.attrs.get("gravity")
+    setup = Setup.make(
+        periodic=ds.attrs.get("periodic", ""),
+        gravity=None if gravity is None else np.asarray(gravity, float).tolist(),
+        dimension=int(ds.attrs.get("dimension", 3)),
+        plane=ds.attrs.get("plane"),
+        thickness=ds.attrs.get("thickness"),
+    )
+    return replace(setup, unit_system=ds.attrs.get("unit_system", "SI"))
+
+
+# A lazy variable that is as it was when its attributes were measured has an encoding: this mark, or what came with a
+# file that holds the attributes, too. Selections keep encodings, arithmetic drops them.
+_MARK = "measured"
+
+
+def mark_measured(ds: xr.Dataset, names: Sequence[str] | None = None) -> xr.Dataset:
+    """Note that the attributes measured from some variables (all by default) are those of what they are now."""
+    for name in ds.data_vars if names is None else names:
+        ds[name].encoding[_MARK] = True
+    return ds
+
+
+def known_without_reading(ds: xr.Dataset, name: str) -> bool:
+    """Whether a variable is in memory, or as it was when its attributes were measured."""
+    given = ds[name].variable
+    return isinstance(given._data, np.ndarray) or bool(given.encoding)
+
+
+def groups_of(ds: xr.Dataset, by: str, groups: Sequence[int] | None) -> tuple[int, ...]:
+    """Values of an integer variable of the particles, sorted: given, or known without reading."""
+    if by not in ds or ds[by].dtype.kind not in "iu" or "particle" not in ds[by].dims:
+        whole = [
+            n for n in ds.data_vars if ds[n].dtype.kind in "iu" and "particle" in ds[n].dims and n != "particle_id"
+        ]
+        msg = f"by={by!r}: expected an integer variable of the particles; this scene has {whole}"
+        raise ValueError(msg)
+    if groups is None and isinstance(ds[by].variable._data, np.ndarray):
+        valid = ds["particle_id"].to_numpy() >= 0
+        groups = np.unique(ds[by].transpose(*ds["particle_id"].dims).to_numpy()[valid]).tolist()
+    elif groups is None and known_without_reading(ds, by):
+        groups = np.atleast_1d(ds.attrs.get(f"{by}_values", [])).tolist()
+    if not groups:
+        msg = f"by={by!r}: its values are not known without reading the series; pass groups= with all that occur"
+        raise ValueError(msg)
+    return tuple(sorted({int(g) for g in groups}))
+
+
+def edges_of(ds: xr.Dataset) -> dict[str, tuple[float, float]]:
+    """Edges of the box of the first step along the axes where it is finite.
+
+    A box in memory is looked at, and for a lazy one the attributes, which hold a box that does not change. Where a lazy
+    box changes, the six numbers of the first step are read.
+    """
+    box, lower, upper = None, ds.attrs.get("box_lower"), ds.attrs.get("box_upper")
+    if "box" in ds and ds["box"].size and (ds["box"].chunks is None or lower is None or upper is None):
+        first = ds["box"].isel(time=0) if "time" in ds["box"].dims else ds["box"]
+        box = first.transpose("component", "bound").to_numpy()
+    elif lower is not None and upper is not None:
+        box = np.stack([lower, upper], axis=1)
+    if box is None:
+        return {}
+    return {a: (float(low), float(high)) for a, (low, high) in zip(COMPONENTS, box, strict=True) if high - low < np.inf}

@@ -1,0 +1,194 @@
+"""Sizes of the particles: of a set, of a scene, of each step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.scene.conform import takes_scene
+from xcg.scene.frame import frame_of
+from xcg.scene.query import known_without_reading, mark_measured, require_scene
+from xcg.scene.schema import COMPONENTS, MAX_GROUPS, PADDING, Frame, SceneError, Setup, units_of, variable
+
+SIZES = ("d43", "d32", "d50", "drms", "dmin", "dmax")
+
+
+def sizes_of(diameter: NDArray, mass: NDArray | None = None) -> dict[str, float]:
+    """Sizes of a set of particles (m); NaN for an empty one.
+
+    ``d43 = S d^4 / S d^3``, ``d32 = S d^3 / S d^2``, ``drms = sqrt(S d^2 / n)``, ``d50`` the diameter below which half
+    of the mass lies (of the volume, where no mass is given), ``dmin`` and ``dmax``.
+    """
+    if not len(diameter):
+        return dict.fromkeys(SIZES, float("nan"))
+    order = np.argsort(diameter, kind="stable")
+    d = diameter[order]
+    share = np.cumsum(d**3 if mass is None else mass[order])
+    sums = [(d**k).sum() for k in range(5)]
+    with np.errstate(invalid="ignore", divide="ignore"):  # powers of zero: NaN, which no width may be
+        ratios = [float(sums[k] / sums[k - 1]) for k in (3, 4)]
+    return {
+        "d43": ratios[1],
+        "d32": ratios[0],
+        "d50": float(d[np.searchsorted(share, 0.5 * share[-1])]),
+        "drms": float(np.sqrt(sums[2] / sums[0])),
+        "dmin": float(d[0]),
+        "dmax": float(d[-1]),
+    }
+
+
+def measure_frames(frames: Sequence[Frame]) -> dict[str, Any]:
+    """Sizes and extent of particles, as attributes: what default widths and bounds follow from.
+
+    The sizes of `sizes_of`, the lowest and highest coordinates of the centres, and the values that integer variables
+    take (``species_values``), over all the frames given.
+    """
+    measured: dict[str, Any] = {}
+    positions = [f["position"] for f in frames if "position" in f and len(f["position"])]
+    if positions:
+        measured["particle_lower"] = np.min([p.min(axis=0) for p in positions], axis=0)
+        measured["particle_upper"] = np.max([p.max(axis=0) for p in positions], axis=0)
+    diameters = [f["diameter"] for f in frames if "diameter" in f]
+    if diameters and sum(map(len, diameters)):
+        masses = [f["mass"] for f in frames if "mass" in f]
+        whole = len(masses) == len(diameters)
+        measured |= sizes_of(np.concatenate(diameters), np.concatenate(masses) if whole else None)
+    for name in frames[0] if frames else ():
+        values = [f[name] for f in frames if f[name].dtype.kind == "i"]
+        if values and name != "particle_id":
+            unique = np.unique(np.concatenate(values))
+            if 0 < len(unique) <= MAX_GROUPS:
+                measured[f"{name}_values"] = unique
+    return measured
+
+
+@takes_scene
+def measure(ds: xr.Dataset) -> xr.Dataset:
+    """Measure sizes and extent of all steps of a scene and store them as attributes (computes).
+
+    Returns
+    -------
+    xarray.Dataset
+        The same scene with the attributes of `sizes_of`, particle_lower and particle_upper set anew.
+    """
+    require_scene(ds, (), "measure")
+    names = [str(name) for name in ds.data_vars if variable(str(name), ds[name].dtype).dims[0] == "particle"]
+    frames = []
+    for t in range(ds.sizes["time"]):
+        arrays = {name: ds[name].isel(time=[t]).transpose("time", ...).to_numpy() for name in names}
+        frames.append(frame_of(arrays, 0, f"step {t}"))
+    return mark_measured(ds.assign_attrs(measure_frames(frames)))
+
+
+_ATTRIBUTES = {"position": ("particle_lower", "particle_upper"), "diameter": SIZES}
+
+
+def with_measures(ds: xr.Dataset) -> xr.Dataset:
+    """Return the scene with such sizes and extent as its attributes as hold for its particles. Nothing is read.
+
+    Variables may have been replaced since they were measured. Those in memory are looked at: where grains of the first
+    or the last step lie outside the extent or the range of sizes, these steps are measured anew. Attributes of lazy
+    variables that were computed from others are left out.
+    """
+    of = {name: attrs for name, attrs in _ATTRIBUTES.items() if name in ds}
+    lost = {attr for name in of if not known_without_reading(ds, name) for attr in of[name]} & set(ds.attrs)
+    if lost:
+        ds = ds.drop_attrs(deep=False).assign_attrs({k: v for k, v in ds.attrs.items() if k not in lost})
+    now = measure_frames(_ends_in_memory(ds, ("particle_id", *of, "mass")))
+    return ds if _within(now, ds.attrs) else ds.assign_attrs(now)
+
+
+def _ends_in_memory(ds: xr.Dataset, names: Sequence[str]) -> list[Frame]:
+    """Give the first and the last step of those variables that are in memory; nothing where the ids are not."""
+    here = [n for n in names if n in ds and "time" in ds[n].dims and isinstance(ds[n].variable._data, np.ndarray)]
+    if "particle_id" not in here or not ds.sizes["time"]:
+        return []
+    ends = {name: ds[name].transpose("time", ...)[[0, -1]].to_numpy() for name in here}
+    return [{name: a[t][ends["particle_id"][t] != PADDING] for name, a in ends.items()} for t in range(2)]
+
+
+def _within(now: Mapping[str, Any], known: Mapping[Any, Any]) -> bool:
+    """Whether an extent and range of sizes lie inside those that are known, where these are."""
+    for low, high in (("particle_lower", "particle_upper"), ("dmin", "dmax")):
+        if low in now and low in known:
+            small = 1e-9 * np.max(np.abs([known[low], known[high]]))
+            if (now[low] < known[low] - small).any() or (now[high] > known[high] + small).any():
+                return False
+        elif low in now:
+            return False
+    return True
+
+
+def layer_depth(ds: xr.Dataset, setup: Setup, edges: Mapping[str, tuple[float, float]]) -> float | str | None:
+    """Thickness of a layer, or the axis whose box extent it is."""
+    if setup.dimension == 3:
+        return None
+    if setup.thickness is not None:
+        return setup.thickness
+    (across,) = set(COMPONENTS) - set(setup.plane)
+    if across in edges:
+        return across
+    measured = with_measures(ds).attrs
+    if "dmax" in measured:
+        return float(measured["dmax"])
+    msg = "a one-layer scene needs its thickness: give thickness= when opening it, or a box that is finite across it"
+    raise SceneError(msg)
+
+
+_SIZE_NAMES = {
+    "d43": "volume-weighted mean diameter",
+    "d32": "surface-weighted mean diameter",
+    "d50": "median diameter by mass",
+    "drms": "root mean square diameter",
+    "dmin": "smallest diameter",
+    "dmax": "largest diameter",
+}
+
+
+@takes_scene
+def size_statistics(ds: xr.Dataset) -> xr.Dataset:
+    """Sizes of the grains in each step, lazy where the scene is.
+
+    ``d43 = S d^4 / S d^3``, ``d32 = S d^3 / S d^2``, ``drms = sqrt(S d^2 / n)``, ``d50`` the diameter below which half
+    of the mass lies, ``dmin``, ``dmax``.
+
+    Parameters
+    ----------
+    ds : xarray.Dataset
+        A scene with ``diameter``, and ``mass`` (else d50 is by volume).
+
+    Returns
+    -------
+    xarray.Dataset
+        Variables (time,) in m; NaN for steps without grains.
+
+    Raises
+    ------
+    SceneError
+        If the scene holds no diameters.
+    """
+    require_scene(ds, ("diameter",), "size_statistics")
+    weight = ds["mass"] if "mass" in ds else ds["diameter"] ** 3
+    inputs = [a.chunk(particle=-1) if a.chunks is not None else a for a in (ds["diameter"], weight)]
+    table = xr.apply_ufunc(
+        _sizes_of_rows, *inputs, input_core_dims=[["particle"]] * 2, output_core_dims=[["size"]],
+        dask="parallelized", output_dtypes=[float], dask_gufunc_kwargs={"output_sizes": {"size": len(SIZES)}},
+    )  # fmt: skip
+    units = units_of((1, 0, 0), ds.attrs.get("unit_system", "SI"))
+    out = {
+        name: table.isel(size=k).assign_attrs(units=units, long_name=_SIZE_NAMES[name]) for k, name in enumerate(SIZES)
+    }
+    return xr.Dataset(out)
+
+
+def _sizes_of_rows(diameter: NDArray, weight: NDArray) -> NDArray:
+    out = np.empty((*diameter.shape[:-1], len(SIZES)))
+    for at in np.ndindex(diameter.shape[:-1]):
+        here = np.isfinite(diameter[at])
+        found = sizes_of(diameter[at][here], weight[at][here])
+        out[at] = [found[name] for name in SIZES]
+    return out
