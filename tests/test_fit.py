@@ -8,7 +8,7 @@ from xcg.compiled import fit
 SLOPE = np.array([[0.3, -1.2, 0.5], [0.8, 0.1, -0.4], [-0.6, 0.9, 0.2]])
 
 
-def sums_of(x, u, mass):
+def moments_of(x, u, mass):
     """Sums over grains of some nodes, from places and velocities (nodes, grains, 3), as `fit_gradient` takes them."""
     momentum, offset = (np.einsum("ng,ngi->in", mass, a) for a in (u, x))
     shear, spread = (np.einsum("ng,ngi,ngj->ijn", mass, a, x) for a in (u, x))
@@ -38,7 +38,7 @@ def test_both_ways_agree(count, flat, about_node):
     x, mass = grains(3, flat)
     x, mass = x[:, :count], mass[:, :count]
     u = np.random.default_rng(4).normal(size=x.shape)
-    sums = sums_of(x, u, mass)
+    sums = moments_of(x, u, mass)
     for active in (tuple(k not in flat for k in range(3)), (True,) * 3):
         compare(sums, active, about_node)
 
@@ -57,7 +57,7 @@ def test_grains_that_are_clearly_flat_take_the_quick_way(monkeypatch):
     for count, flat in ((0, ()), (1, ()), (2, ()), (2, (1,)), (12, ()), (12, (1,)), (12, (0, 1))):
         x, mass = grains(8, flat)
         x[:, 2:, 2] = 0.1  # three grains and more lie well spread
-        sums = sums_of(x[:, :count], x[:, :count], mass[:, :count]) if count else np.zeros((fit.SUMS, 5))
+        sums = moments_of(x[:, :count], x[:, :count], mass[:, :count]) if count else np.zeros((fit.SUMS, 5))
         active = tuple(k not in flat for k in range(3))
         fit.fit_gradient(sums, active=active, about_node=False)
 
@@ -65,7 +65,7 @@ def test_grains_that_are_clearly_flat_take_the_quick_way(monkeypatch):
 def test_a_linear_field_is_found_and_leaves_nothing():
     x, mass = grains(5)
     u = x @ SLOPE.T + np.array([2.0, -1.0, 0.5])
-    sums = sums_of(x, u, mass)
+    sums = moments_of(x, u, mass)
     gradient, explained, determined, _ = parts_of(fit.fit_gradient(sums, active=(True,) * 3, about_node=False))
     np.testing.assert_allclose(gradient, np.broadcast_to(SLOPE[..., None], gradient.shape), atol=1e-12)
     about = u - (np.einsum("ng,ngi->ni", mass, u) / mass.sum(axis=1)[:, None])[:, None]
@@ -75,7 +75,7 @@ def test_a_linear_field_is_found_and_leaves_nothing():
 
 def test_grains_in_a_plane_tell_nothing_across_it():
     x, mass = grains(6, flat=(2,))
-    sums = sums_of(x, x @ SLOPE.T, mass)
+    sums = moments_of(x, x @ SLOPE.T, mass)
     gradient, explained, determined, _ = parts_of(fit.fit_gradient(sums, active=(True,) * 3, about_node=False))
     assert (determined[:2] == 1.0).all()
     assert np.isnan(determined[2]).all()
@@ -87,7 +87,7 @@ def test_grains_in_a_plane_tell_nothing_across_it():
 def test_no_grains_one_grain_and_damaged_sums():
     x, mass = grains(7)
     u = x @ SLOPE.T
-    one = np.where(np.arange(40) == 0, 0.0, sums_of(x[:, :1], u[:, :1], mass[:, :1]))
+    one = np.where(np.arange(40) == 0, 0.0, moments_of(x[:, :1], u[:, :1], mass[:, :1]))
     one[fit.SPREAD :, 1] = np.inf
     gradient, explained, determined, mean = parts_of(fit.fit_gradient(one, active=(True,) * 3, about_node=False))
     assert np.isnan(determined).all()

@@ -137,7 +137,7 @@ def _choose_fields(asked: str | Sequence[str] | None, ds: xr.Dataset, options: r
 def _variables(fields: Sequence[str], ds: xr.Dataset, options: registry.Options) -> set[str]:
     """Scene variables that some fields need."""
     needed = {"position", "particle_id"}
-    for name in registry.sums_of(fields, options):
+    for name in registry.moments_of(fields, options):
         needed |= set(MOMENTS[name].variables)
         if name == "partners" and "coordination_number" in ds:
             needed.add("coordination_number")
@@ -212,11 +212,11 @@ def make_plan(
         period=period,
     )
     _warn_of_cuts(grid, {a: edges[a] for a in period}, chosen.cutoff)
-    if gradient == "kernel" and {"mass_slope", "momentum_slope"} & set(registry.sums_of(names, options)):
+    if gradient == "kernel" and {"mass_slope", "momentum_slope"} & set(registry.moments_of(names, options)):
         _check_differentiable(chosen, len(grid.seen))
     limits = gauss_limits(chosen, len(grid.seen), rtol)
     recipe = Recipe(
-        moments=registry.sums_of(names, options),
+        moments=registry.moments_of(names, options),
         grid=grid,
         weights=kernels[0].weights(len(grid.seen)),
         cutoffs=tuple(k.cutoff for k in kernels),

@@ -85,7 +85,7 @@ def tape_for(fields: tuple[str, ...], options: registry.Options, groups: int = 0
     if registry.whole_grid(options):
         return None
     record = Record()
-    sums = {name: _moment(record, name, groups) for name in registry.sums_of(fields, options)}
+    sums = {name: _moment(record, name, groups) for name in registry.moments_of(fields, options)}
     sums["reference"] = record.load("reference", 0, np.arange(3))
     found = registry.evaluate(fields, sums, options)
     results = {

@@ -94,7 +94,7 @@ class Field:
         For the attributes and the table of the documentation.
     compute : callable
         ``compute(f, s, o)``.
-    fields, sums : tuple of str
+    fields, moments : tuple of str
         What it needs.
     additive : bool
         Whether the partial fields of the phases add up to the bulk.
@@ -112,7 +112,7 @@ class Field:
     formula: str
     compute: Function
     fields: tuple[str, ...] = ()
-    sums: tuple[str, ...] = ()
+    moments: tuple[str, ...] = ()
     additive: bool = False
     listed: bool = True
     option: str = ""
@@ -374,29 +374,29 @@ _SQUARES = ("square", "square_offset", "square_spread")
 FIELDS: dict[str, Field] = {
     "sample_count": Field(
         0, _NONE, "number of particles that reach the node", "sum_i [Psi_i > 0]",
-        lambda f, s, o: s.count, sums=("count",), additive=True,
+        lambda f, s, o: s.count, moments=("count",), additive=True,
     ),
     "volume_fraction": Field(
-        0, _NONE, "volume fraction", "phi = sum V_i Psi", lambda f, s, o: s.volume, sums=("volume",), additive=True
+        0, _NONE, "volume fraction", "phi = sum V_i Psi", lambda f, s, o: s.volume, moments=("volume",), additive=True
     ),
     "density": Field(
         0, (-3, 1, 0), "mass density of the mixture", "rho = sum m_i Psi",
-        lambda f, s, o: s.mass, sums=("mass",), additive=True,
+        lambda f, s, o: s.mass, moments=("mass",), additive=True,
     ),
     "particle_density": Field(
         0, (-3, 1, 0), "density of the particles' material", "rho_p = rho / phi",
         lambda f, s, o: ratio(f.density, f.volume_fraction), fields=("density", "volume_fraction"),
     ),
     "number_density": Field(
-        0, (-3, 0, 0), "number density", "n = sum Psi", lambda f, s, o: s.number, sums=("number",), additive=True
+        0, (-3, 0, 0), "number density", "n = sum Psi", lambda f, s, o: s.number, moments=("number",), additive=True
     ),
     "momentum_density": Field(
         1, (-2, 1, -1), "momentum density", "p = sum m_i v_i Psi",
-        lambda f, s, o: s.momentum + s.mass[..., None] * s.reference, sums=("mass", "momentum"), additive=True,
+        lambda f, s, o: s.momentum + s.mass[..., None] * s.reference, moments=("mass", "momentum"), additive=True,
     ),
     "velocity": Field(
         1, (1, 0, -1), "velocity", "V = p / rho",
-        lambda f, s, o: f._drift + s.reference, fields=("_drift",), sums=("mass", "momentum"),
+        lambda f, s, o: f._drift + s.reference, fields=("_drift",), moments=("mass", "momentum"),
     ),
     "velocity_gradient": Field(
         2, (0, 0, -1), "velocity gradient, dV_component / dx_direction",
@@ -412,16 +412,16 @@ FIELDS: dict[str, Field] = {
     ),
     "kinetic_stress": Field(
         2, _STRESS, "kinetic stress", "sigma^k = sum m_i (v_i - V)(v_i - V) Psi",
-        _kinetic_stress, fields=("_drift",), sums=("mass", "momentum", "kinetic"), additive=True,
+        _kinetic_stress, fields=("_drift",), moments=("mass", "momentum", "kinetic"), additive=True,
     ),
     "contact_stress": Field(
         2, _STRESS, "contact stress", "sigma^c = sum_c f_ij a_ij int_0^1 Psi(r - r_i + s a_ij) ds, both sides",
-        lambda f, s, o: s.contact, sums=("contact",), additive=True,
+        lambda f, s, o: s.contact, moments=("contact",), additive=True,
     ),
     "contact_stress_by_pair": Field(
         2, _STRESS, "contact stress of each phase from contacts with another, or with walls",
         "sigma^c of the phase's sides of its contacts with grains of other_phase",
-        lambda f, s, o: s.pair_contact, sums=("pair_contact",), additive=True, option="by_pair", paired=True,
+        lambda f, s, o: s.pair_contact, moments=("pair_contact",), additive=True, option="by_pair", paired=True,
     ),
     "stress": Field(
         2, _STRESS, "stress, compression positive", "sigma = sigma^c + sigma^k",
@@ -444,12 +444,12 @@ FIELDS: dict[str, Field] = {
         2, _STRESS, "kinetic stress about the velocity at the particles",
         "sum m_i v'_i v'_i Psi, v'_i = v_i - V - G (r_i - r_bar)",
         _fluctuation_stress, fields=("_fit", "_drift", "velocity_gradient", "kinetic_stress"),
-        sums=(*_LINEAR, "kinetic"), additive=True,
+        moments=(*_LINEAR, "kinetic"), additive=True,
     ),
     "fluctuation_density": Field(
         0, (-3, 1, 0), "density of what fluctuates: that of the mixture less what V and G take",
         "rho_T = rho - tr(P^-1 sum (m_i Psi)^2 p_i p_i), P = sum m_i Psi p_i p_i, p_i = (1, r_i - r_bar)",
-        _fluctuation_density, fields=("_taken",), sums=("mass",), additive=True,
+        _fluctuation_density, fields=("_taken",), moments=("mass",), additive=True,
     ),
     "granular_temperature": Field(
         0, (2, 0, -2), "granular temperature", "T = tr(sum m_i v'_i v'_i Psi) / (D rho_T)",
@@ -462,22 +462,22 @@ FIELDS: dict[str, Field] = {
     "effective_count": Field(
         0, _NONE, "effective number of particles, which errors of one step follow from",
         "N_eff = (sum m_i Psi)^2 / sum (m_i Psi)^2",
-        lambda f, s, o: ratio(s.mass * s.mass, s.square), sums=("mass", "square"),
+        lambda f, s, o: ratio(s.mass * s.mass, s.square), moments=("mass", "square"),
     ),
     "fabric": Field(
-        2, _NONE, "fabric", "F = sum V_i Psi sum_c n n", lambda f, s, o: s.fabric, sums=("fabric",), additive=True
+        2, _NONE, "fabric", "F = sum V_i Psi sum_c n n", lambda f, s, o: s.fabric, moments=("fabric",), additive=True
     ),
     "coordination_number": Field(
         0, _NONE, "coordination number", "Z = sum z_i Psi / n",
-        lambda f, s, o: ratio(s.partners, s.number), sums=("partners", "number"),
+        lambda f, s, o: ratio(s.partners, s.number), moments=("partners", "number"),
     ),
     "d32": Field(
         0, (1, 0, 0), "surface-weighted mean diameter", "d32 = sum d_i^3 Psi / sum d_i^2 Psi",
-        lambda f, s, o: ratio(s.size3, s.size2), sums=("size2", "size3"),
+        lambda f, s, o: ratio(s.size3, s.size2), moments=("size2", "size3"),
     ),
     "d43": Field(
         0, (1, 0, 0), "volume-weighted mean diameter", "d43 = sum d_i^4 Psi / sum d_i^3 Psi",
-        lambda f, s, o: ratio(s.size4, s.size3), sums=("size3", "size4"),
+        lambda f, s, o: ratio(s.size4, s.size3), moments=("size3", "size4"),
     ),
     "friction_coefficient": Field(
         0, _NONE, "friction coefficient", "mu = |dev sigma| / p, where p > 0",
@@ -498,20 +498,20 @@ FIELDS: dict[str, Field] = {
     ),
     "wall_traction": Field(
         1, (-2, 1, -2), "traction of walls on the grains", "t = sum_w f_iw Psi(r - c_iw)",
-        lambda f, s, o: s.traction, sums=("traction",), additive=True,
+        lambda f, s, o: s.traction, moments=("traction",), additive=True,
     ),
     "contact_force_density": Field(
         1, (-2, 1, -2), "density of the contact forces on the grains", "sum_i Psi sum_c f_ij",
-        lambda f, s, o: s.force, sums=("force",), additive=True,
+        lambda f, s, o: s.force, moments=("force",), additive=True,
     ),
     # steps of the algebra
-    "_drift": Field(1, (1, 0, -1), "", "V - U", _drift, sums=("mass", "momentum"), listed=False),
-    "_fit": Field(2, (0, 0, -1), "", "B M^+", _fit, fields=("_drift",), sums=_LINEAR, listed=False),
+    "_drift": Field(1, (1, 0, -1), "", "V - U", _drift, moments=("mass", "momentum"), listed=False),
+    "_fit": Field(2, (0, 0, -1), "", "B M^+", _fit, fields=("_drift",), moments=_LINEAR, listed=False),
     "_taken": Field(
-        0, (-3, 1, 0), "", "rho - rho_T", _taken_by_fit, fields=("_fit",), sums=(*_LINEAR, *_SQUARES), listed=False
+        0, (-3, 1, 0), "", "rho - rho_T", _taken_by_fit, fields=("_fit",), moments=(*_LINEAR, *_SQUARES), listed=False
     ),
     "_free": Field(
-        0, (-3, 1, 0), "", "rho_T, where known", _free, fields=("fluctuation_density",), sums=("count", "mass"),
+        0, (-3, 1, 0), "", "rho_T, where known", _free, fields=("fluctuation_density",), moments=("count", "mass"),
         listed=False,
     ),
     "_size": Field(0, (1, 0, 0), "", "d43", lambda f, s, o: f.d43, fields=("d43",), listed=False),
@@ -530,11 +530,11 @@ WAYS: dict[str, tuple[str, dict[str, Field]]] = {
     "velocity_gradient": ("gradient", {
         "kernel": replace(
             FIELDS["velocity_gradient"], formula="G = (grad p - V grad rho) / rho", compute=_kernel_gradient,
-            fields=("_drift",), sums=("mass", "momentum", "mass_slope", "momentum_slope"),
+            fields=("_drift",), moments=("mass", "momentum", "mass_slope", "momentum_slope"),
         ),
         "finite_difference": replace(
             FIELDS["velocity_gradient"], formula="G = [V(r + h) - V(r - h)] / 2 h, h the spacing of the nodes",
-            compute=_finite_difference, fields=("_drift",), sums=("mass", "momentum"),
+            compute=_finite_difference, fields=("_drift",), moments=("mass", "momentum"),
         ),
         "paper": replace(
             FIELDS["velocity_gradient"],
@@ -551,7 +551,7 @@ WAYS: dict[str, tuple[str, dict[str, Field]]] = {
     }),
     "_taken": ("gradient", dict.fromkeys(
         ("kernel", "finite_difference"),
-        replace(FIELDS["_taken"], compute=_taken_by_mean, fields=(), sums=("mass", "square")),
+        replace(FIELDS["_taken"], compute=_taken_by_mean, fields=(), moments=("mass", "square")),
     )),
     "fluctuation_density": ("temperature", {
         "biased": replace(
@@ -632,9 +632,9 @@ def order_of(fields: Iterable[str], options: Options) -> list[str]:
     return order
 
 
-def sums_of(fields: Iterable[str], options: Options) -> tuple[str, ...]:
+def moments_of(fields: Iterable[str], options: Options) -> tuple[str, ...]:
     """All sums needed for some fields."""
-    found = dict.fromkeys(s for name in order_of(fields, options) for s in row(name, options).sums)
+    found = dict.fromkeys(s for name in order_of(fields, options) for s in row(name, options).moments)
     return tuple(found)
 
 
