@@ -68,8 +68,8 @@ def test_selections_keep_the_mesh_of_the_series(ds, select):
 def test_in_memory_a_part_of_the_scene_keeps_the_mesh(ds):
     part = ds.isel(particle=slice(5))
     assert (
-        part.cg.explain("density", spacing=0.2).recipe.grid.shape
-        == ds.cg.explain("density", spacing=0.2).recipe.grid.shape
+        part.cg.explain("density", spacing=0.2).deposit.grid.shape
+        == ds.cg.explain("density", spacing=0.2).deposit.grid.shape
     )
     assert part.cg.explain("density").kernel.width == ds.cg.explain("density").kernel.width
 
@@ -90,12 +90,12 @@ def test_files_bring_their_measures(ds, tmp_path):
     ds.to_netcdf(tmp_path / "ds.nc")
     for chunks in ({"time": 1}, None):
         with xr.open_dataset(tmp_path / "ds.nc", chunks=chunks) as again:
-            assert again.cg.explain("density").recipe.grid.shape == ds.cg.explain("density").recipe.grid.shape
+            assert again.cg.explain("density").deposit.grid.shape == ds.cg.explain("density").deposit.grid.shape
 
 
 def test_groups_that_were_changed_are_asked_for(ds):
     lazy = ds.chunk(time=1)
-    assert lazy.cg.explain("density", by="species").recipe.groups == (1, 2)
+    assert lazy.cg.explain("density", by="species").deposit.groups == (1, 2)
     with pytest.raises(ValueError, match="not known without reading"):
         lazy.assign(species=lazy.species + 1).cg.explain("density", by="species")
 

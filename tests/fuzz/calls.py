@@ -165,7 +165,7 @@ def _coarse_grain(rng: random.Random, ds: xr.Dataset) -> None:
     fields = rng.choice([None, "density", ["contact_stress"], ["stress", "granular_temperature", "fabric"]])
     # as many nodes as a mesh may have would take minutes and all memory, which is what was asked for
     plan = ds.cg.explain(fields, **options)
-    if np.prod(plan.recipe.grid.shape) < 30_000:
+    if np.prod(plan.deposit.grid.shape) < 30_000:
         xcg.coarse_grain(ds, fields, **options)
 
 

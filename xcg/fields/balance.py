@@ -90,7 +90,7 @@ def balance(ds: xr.Dataset, **options: Any) -> xr.Dataset:
         msg = "contacts between grains of different widths exchange momentum at a distance: give one width for all"
         raise ValueError(msg)
     plan = make_plan(ds, list(FIELDS), **options)
-    grid = plan.recipe.grid
+    grid = plan.deposit.grid
     short = [a for a in grid.axes if len(grid.nodes[a]) < 5]
     if short:
         msg = f"axes {short} have fewer than five nodes: differences of fourth order need them; lower spacing="

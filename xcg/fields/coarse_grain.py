@@ -254,13 +254,13 @@ def _compute_step(
 ) -> None:
     """Compute the fields of one step into arrays (axes, phase, ...)."""
     period = periods(box, plan.setup.periodic, where)
-    check_mesh(frame["position"], plan.recipe.grid, max(plan.recipe.cutoffs), period, where)
-    sums = sums_of_frame(frame, plan.recipe, period, scale_of(plan, box, where), where, threads)
-    shape = plan.recipe.grid.shape
-    phases = plan.phases if plan.recipe.by else 1
+    check_mesh(frame["position"], plan.deposit.grid, max(plan.deposit.cutoffs), period, where)
+    sums = sums_of_frame(frame, plan.deposit, period, scale_of(plan, box, where), where, threads)
+    shape = plan.deposit.grid.shape
+    phases = plan.phases if plan.deposit.by else 1
     rows = {name: a.reshape(math.prod(shape), phases, *a.shape[len(plan.dims) :]) for name, a in out.items()}
-    options = replace(plan.options, wrapped=plan.recipe.grid.fills(period))  # the box may change
-    tape = tape_for(plan.fields, plan.options, len(plan.recipe.groups))
+    options = replace(plan.options, wrapped=plan.deposit.grid.fills(period))  # the box may change
+    tape = tape_for(plan.fields, plan.options, len(plan.deposit.groups))
 
     reached: list[int] = []
 
@@ -293,7 +293,7 @@ def _warn_of_unknown(rows: Mapping[str, NDArray], reached: int, width: float, wh
 
 def _label(ds: xr.Dataset, plan: Plan, arrays: Mapping[str, Any], call: str) -> xr.Dataset:
     system = plan.setup.unit_system
-    grid = plan.recipe.grid
+    grid = plan.deposit.grid
     length = units_of((1, 0, 0), system)
     coords: dict[str, Any] = {name: ds[name].variable for name in ("time", "step") if name in ds.coords}
     for a in COMPONENTS:
@@ -302,9 +302,9 @@ def _label(ds: xr.Dataset, plan: Plan, arrays: Mapping[str, Any], call: str) -> 
             coords[a] = (a, grid.nodes[a], attrs)
         elif a in grid.at:
             coords[a] = ((), grid.at[a], attrs)
-    if plan.recipe.by:
-        attrs = {"long_name": f"phase by {plan.recipe.by}"}
-        coords["phase"] = ("phase", ["bulk", *map(str, plan.recipe.groups)], attrs)
+    if plan.deposit.by:
+        attrs = {"long_name": f"phase by {plan.deposit.by}"}
+        coords["phase"] = ("phase", ["bulk", *map(str, plan.deposit.groups)], attrs)
     data = {}
     for name in plan.fields:
         row = registry.row(name, plan.options)
@@ -312,7 +312,7 @@ def _label(ds: xr.Dataset, plan: Plan, arrays: Mapping[str, Any], call: str) -> 
         coords |= {dim: (dim, list(COMPONENTS)) for dim in tail}
         if row.paired:
             tail = ("other_phase", *tail)
-            coords["other_phase"] = ("other_phase", [*map(str, plan.recipe.groups), "wall"])
+            coords["other_phase"] = ("other_phase", [*map(str, plan.deposit.groups), "wall"])
         attrs = {"units": units_of(row.powers, system), "long_name": row.long_name, "formula": row.formula}
         data[name] = (("time", *plan.dims, *tail), arrays[name], attrs)
     return storable(xr.Dataset(data, coords, _provenance(ds, plan, call)))
@@ -323,7 +323,7 @@ def _provenance(ds: xr.Dataset, plan: Plan, call: str) -> dict[str, Any]:
         **about(ds, call),
         "kernel": plan.kernel.name,
         "width": plan.widths if len(plan.widths) > 1 else plan.kernel.width,
-        "cutoff": list(plan.recipe.cutoffs) if len(plan.widths) > 1 else plan.kernel.cutoff,
+        "cutoff": list(plan.deposit.cutoffs) if len(plan.widths) > 1 else plan.kernel.cutoff,
         "kernel_dimension": plan.kernel.dimension,
         "rtol": plan.rtol,
         "gradient": plan.options.gradient,
@@ -332,7 +332,7 @@ def _provenance(ds: xr.Dataset, plan: Plan, call: str) -> dict[str, Any]:
         "size": plan.options.size,
         "temperature": plan.options.temperature,
         **registry.given_options(plan.options),
-        "averaged_axes": plan.recipe.grid.averaged,
+        "averaged_axes": plan.deposit.grid.averaged,
     }
 
 

@@ -95,25 +95,25 @@ class _Pass:
 class _Deposit:
     """Prepares the passes over one frame: lengths in cutoffs, rows in an order in space."""
 
-    def __init__(self, frame: Frame, recipe: Recipe, period: NDArray, scale: float, where: str) -> None:
+    def __init__(self, frame: Frame, spec: DepositSpec, period: NDArray, scale: float, where: str) -> None:
         self.frame = without_frozen(frame)
-        self.recipe, self.scale, self.where = recipe, scale, where
+        self.spec, self.scale, self.where = spec, scale, where
         self.position = np.ascontiguousarray(self.frame["position"])
         self.count = len(self.position)
-        self.phase = phase_of(self.frame, recipe.by, recipe.groups, where)
+        self.phase = phase_of(self.frame, spec.by, spec.groups, where)
         self.contacts = Contacts.of(self.frame, period, where) if "contact_i" in self.frame else None
         self.velocity = np.ascontiguousarray(self.frame.get("velocity", np.zeros((self.count, 3))))
         self.mass = np.ascontiguousarray(self.frame.get("mass", np.ones(self.count)))
-        self.phases = max(1, len(recipe.groups))
-        self.cutoffs = np.resize(recipe.cutoffs, self.phases)
-        self.active = recipe.grid.active
+        self.phases = max(1, len(spec.groups))
+        self.cutoffs = np.resize(spec.cutoffs, self.phases)
+        self.active = spec.grid.active
         self.period, self.wrap = np.where(self.active, period, np.inf), _tuple(period)
-        self.origin = _tuple(self.recipe.grid.origin)
+        self.origin = _tuple(self.spec.grid.origin)
         self.order = self._in_space(self.position)
 
     def passes(self, threads: int) -> list[_Pass]:
         """All passes that the recipe takes; threads prepare one each."""
-        wanted = set(self.recipe.moments)
+        wanted = set(self.spec.moments)
         ways = [  # the calling thread begins with the last: contacts take more memory than grains
             (self._grains, {name for name, row in MOMENTS.items() if row.level or row.column}),
             (self._along_branches, {"contact", "pair_contact"}),
@@ -125,7 +125,7 @@ class _Deposit:
 
     def _grains(self) -> list[_Pass]:
         """Flow columns and columns of constants."""
-        wanted = {name: MOMENTS[name] for name in self.recipe.moments}
+        wanted = {name: MOMENTS[name] for name in self.spec.moments}
         constants = {
             name: row.column(self.frame, self.contacts).reshape(self.count, columns_of(name).max() + 1)
             for name, row in wanted.items()
@@ -140,7 +140,7 @@ class _Deposit:
         constants = {name: q for name, q in constants.items() if name not in same}
         if same:
             constants["number"] = np.ones((self.count, 1))
-        level, moments = self.recipe.level, dict[str, tuple[NDArray, float | NDArray]]()
+        level, moments = self.spec.level, dict[str, tuple[NDArray, float | NDArray]]()
         for name, row in wanted.items():
             if row.level:
                 power = CUTOFF_POWERS.get(name, 0)
@@ -167,9 +167,7 @@ class _Deposit:
     def _along_branches(self) -> list[_Pass]:
         assert self.contacts is not None
         others = self.phases + 1  # the last one for walls
-        fills: dict[str, list[_Fill]] = {
-            name: [] for name in ("contact", "pair_contact") if name in self.recipe.moments
-        }
+        fills: dict[str, list[_Fill]] = {name: [] for name in ("contact", "pair_contact") if name in self.spec.moments}
         rank = np.empty_like(self.order)
         rank[self.order] = np.arange(self.count)
         place = self.contacts.places(rank)
@@ -181,7 +179,7 @@ class _Deposit:
                 runs = runs_of(segments[:, :3])
                 runs += np.array([[-1.0], [1.0]]) * longest[:3]
                 for real, closed, rest in self._rules(longest[3], cutoff):
-                    way = (segments, self.recipe.limits, runs), self._onto(cutoff), reach, real, closed, rest
+                    way = (segments, self.spec.limits, runs), self._onto(cutoff), reach, real, closed, rest
                     fill.append(partial(_fill_segments, *way))
                 if not more:
                     break
@@ -207,10 +205,10 @@ class _Deposit:
 
     def _rules(self, longest: float, cutoff: float) -> list[tuple[str, bool, bool]]:
         """Ways to the weights of segments: numbers, whether in closed form as well, and whether in that alone."""
-        if not self.recipe.coarse or not self._mesh(cutoff).fits_single(self.recipe.limits.max()):
+        if not self.spec.coarse or not self._mesh(cutoff).fits_single(self.spec.limits.max()):
             return [("float64", True, False)]
         by_points = ("float32", False, False)
-        return [by_points] if longest <= self.recipe.limits.max() else [by_points, ("float64", True, True)]
+        return [by_points] if longest <= self.spec.limits.max() else [by_points, ("float64", True, True)]
 
     def _at_walls(self) -> list[_Pass]:
         assert self.contacts is not None
@@ -222,14 +220,14 @@ class _Deposit:
 
     def _onto(self, cutoff: float) -> tuple[Any, ...]:
         """Mesh and kernel, in cutoffs."""
-        kind, spread, table, norm = self.recipe.weights
-        norm *= (self.recipe.cutoffs[0] / cutoff) ** int(self.active.sum())
+        kind, spread, table, norm = self.spec.weights
+        norm *= (self.spec.cutoffs[0] / cutoff) ** int(self.active.sum())
         mesh = self._mesh(cutoff)
         return *map(_tuple, (mesh.steps, mesh.active, mesh.period)), kind, spread, table, norm * self.scale
 
     def _mesh(self, cutoff: float) -> Mesh:
         """Mesh and its surroundings, in cutoffs."""
-        return Mesh.of(self.recipe.grid, self.period, cutoff, self.where)
+        return Mesh.of(self.spec.grid, self.period, cutoff, self.where)
 
     def _in_space(self, position: NDArray) -> NDArray:
         """Order in space, so that neighbours add to the same nodes while these are in cache."""
@@ -252,7 +250,7 @@ class _Deposit:
         columns = _side_by_side(constants, len(position))
         # where nothing moves, columns with u are zero without adding them
         still = True if level and (velocity == velocity[:1]).all() else None
-        squares = level and not by_gradient and any(name.startswith("square") for name in self.recipe.moments)
+        squares = level and not by_gradient and any(name.startswith("square") for name in self.spec.moments)
         fill = []
         for cutoff in np.unique(self.cutoffs).tolist():
             rows = order if (self.cutoffs == cutoff).all() else order[self.cutoffs[phase[order]] == cutoff]
@@ -287,7 +285,7 @@ class BoxSums:
     `reached` says how many nodes grains with flow columns reach.
     """
 
-    recipe: Recipe
+    spec: DepositSpec
     passes: Sequence[_Pass]
     filled: Sequence[NDArray]
     reference: NDArray
@@ -318,12 +316,12 @@ class BoxSums:
         return found
 
     def _of_pass(self, run: _Pass, records: NDArray) -> dict[str, NDArray]:
-        nodes, phases = records.shape[1], max(1, len(self.recipe.groups))
+        nodes, phases = records.shape[1], max(1, len(self.spec.groups))
         found = {}
         for name, part in run.turned(records):
             if run.groups > phases:  # by phase of the partner
                 part = np.moveaxis(part.reshape(*part.shape[:-2], phases, -1, nodes), -2, 0)
-            if self.recipe.by is not None:
+            if self.spec.by is not None:
                 bulk = sum(part[..., [k], :] for k in range(phases))  # in this order whatever the number of nodes
                 part = np.concatenate([bulk, part], axis=-2)
             found[name] = part.transpose(part.ndim - 2, part.ndim - 1, *range(part.ndim - 2))
@@ -337,7 +335,7 @@ class Sums:
     A node's sums have one order whatever the box, so that their bits are the same.
     """
 
-    recipe: Recipe
+    spec: DepositSpec
     passes: Sequence[_Pass]
 
     def over(self, box: Box) -> BoxSums:
@@ -347,17 +345,17 @@ class Sums:
         filled = [run(box, reference) for run in self.passes]
         unreached = np.isnan(reference)
         reference[unreached] = 0.0
-        return BoxSums(self.recipe, self.passes, filled, reference, len(reference) - int(unreached[:, 0].sum()))
+        return BoxSums(self.spec, self.passes, filled, reference, len(reference) - int(unreached[:, 0].sum()))
 
 
-def sums_of_frame(frame: Frame, recipe: Recipe, period: NDArray, scale: float, where: str, threads: int = 1) -> Sums:
+def sums_of_frame(frame: Frame, spec: DepositSpec, period: NDArray, scale: float, where: str, threads: int = 1) -> Sums:
     """Prepare the sums of one frame.
 
     Parameters
     ----------
     frame : Frame
         One step of a scene.
-    recipe : Recipe
+    spec : DepositSpec
         What is wanted.
     period : array (3,)
         Length of the periodic axes (m), infinity along the others.
@@ -368,11 +366,11 @@ def sums_of_frame(frame: Frame, recipe: Recipe, period: NDArray, scale: float, w
     threads : int
         Threads that prepare passes.
     """
-    return Sums(recipe, _Deposit(frame, recipe, period, scale, where).passes(threads))
+    return Sums(spec, _Deposit(frame, spec, period, scale, where).passes(threads))
 
 
 @dataclass(frozen=True)
-class Recipe:
+class DepositSpec:
     """What the deposits need besides a frame: which sums, where, how smeared.
 
     Attributes

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from xcg.compiled import smoothing as kinds
 from xcg.compiled.segments import RULES
 from xcg.fields import registry
-from xcg.fields.deposit import BOX, Recipe
+from xcg.fields.deposit import BOX, DepositSpec
 from xcg.fields.grid import Grid, make_grid
 from xcg.fields.moments import MOMENTS
 from xcg.fields.quadrature import SINGLE, gauss_limits
@@ -34,7 +34,7 @@ class Plan:
         What was asked for.
     variables : tuple of str
         What is read from the scene.
-    recipe : Recipe
+    deposit : DepositSpec
         Sums, nodes and kernel.
     options : Options
         Choices of the algebra.
@@ -52,7 +52,7 @@ class Plan:
 
     fields: tuple[str, ...]
     variables: tuple[str, ...]
-    recipe: Recipe
+    deposit: DepositSpec
     options: registry.Options
     kernel: Kernel
     extent: Mapping[str, float | None]
@@ -63,39 +63,39 @@ class Plan:
     @property
     def dims(self) -> tuple[str, ...]:
         """Resolved axes, and phase where there are several."""
-        return (*self.recipe.grid.axes, *(("phase",) if self.recipe.by else ()))
+        return (*self.deposit.grid.axes, *(("phase",) if self.deposit.by else ()))
 
     @property
     def phases(self) -> int:
         """Number of phases in the result, the bulk included."""
-        return 1 + len(self.recipe.groups)
+        return 1 + len(self.deposit.groups)
 
     @property
     def widths(self) -> list[float]:
         """Width of each group (m), or one for all."""
-        return [self.kernel.spread * cutoff for cutoff in self.recipe.cutoffs]
+        return [self.kernel.spread * cutoff for cutoff in self.deposit.cutoffs]
 
     def shape(self, name: str) -> tuple[int, ...]:
         """Shape of one step of a field."""
-        nodes = tuple(len(self.recipe.grid.nodes[a]) for a in self.recipe.grid.axes)
-        phases = (self.phases,) if self.recipe.by else ()
+        nodes = tuple(len(self.deposit.grid.nodes[a]) for a in self.deposit.grid.axes)
+        phases = (self.phases,) if self.deposit.by else ()
         row = registry.FIELDS[name]
         return (*nodes, *phases, *((self.phases,) if row.paired else ()), *(3,) * row.rank)
 
     def __str__(self) -> str:
-        grid, moments = self.recipe.grid, [MOMENTS[m] for m in self.recipe.moments]
+        grid, moments = self.deposit.grid, [MOMENTS[m] for m in self.deposit.moments]
         nodes = int(np.prod(grid.shape))
-        columns = self.recipe.level + sum(int(np.prod(m.shape)) for m in moments if m.column)
-        slopes = any(m.endswith("_slope") for m in self.recipe.moments)
-        contact = 9 * ("contact" in self.recipe.moments)
+        columns = self.deposit.level + sum(int(np.prod(m.shape)) for m in moments if m.column)
+        slopes = any(m.endswith("_slope") for m in self.deposit.moments)
+        contact = 9 * ("contact" in self.deposit.moments)
         outputs = sum(int(np.prod(self.shape(name))) for name in self.fields)
         sums = min(nodes, BOX) * max(1, self.phases - 1) * (columns + contact + slopes * 29)
         own = f"; widths by group {[float(f'{w:.4g}') for w in self.widths]}" if len(self.widths) > 1 else ""
         rules = "closed form"
-        if len(self.recipe.limits):
-            steps = ", ".join(f"{k} to {x:.3g} c" for k, x in zip(RULES, self.recipe.limits, strict=False))
+        if len(self.deposit.limits):
+            steps = ", ".join(f"{k} to {x:.3g} c" for k, x in zip(RULES, self.deposit.limits, strict=False))
             rules = f"Gauss points by branch length ({steps}), closed form beyond"
-            rules += ", weights in single precision" if self.recipe.coarse else ""
+            rules += ", weights in single precision" if self.deposit.coarse else ""
         lines = {
             "fields": ", ".join(self.fields),
             "read": ", ".join(self.variables),
@@ -103,7 +103,7 @@ class Plan:
             "fixed": ", ".join(f"{a} = {v:g}" for a, v in grid.at.items()) or "none",
             "averaged": ", ".join(f"{a} ({self.extent[a] or 'box'})" for a in grid.averaged) or "none",
             "kernel": f"{self.kernel!r}, seen in {len(grid.seen)} of {self.kernel.dimension} dimensions{own}",
-            "sums": ", ".join(f"{m} ({MOMENTS[m].formula})" for m in self.recipe.moments),
+            "sums": ", ".join(f"{m} ({MOMENTS[m].formula})" for m in self.deposit.moments),
             "passes": f"{int(columns > 0)} over particles, {int(slopes)} with grad Psi, {contact // 9} over contacts",
             "contacts": f"{rules} (rtol = {self.rtol:g})" if contact else "not read for stress",
             "memory": f"{8 * sums / 1e6:.3g} MB of sums a thread and {8 * outputs / 1e6:.3g} MB of fields a step",
@@ -215,7 +215,7 @@ def make_plan(
     if gradient == "kernel" and {"mass_slope", "momentum_slope"} & set(registry.moments_of(names, options)):
         _check_differentiable(chosen, len(grid.seen))
     limits = gauss_limits(chosen, len(grid.seen), rtol)
-    recipe = Recipe(
+    deposit = DepositSpec(
         moments=registry.moments_of(names, options),
         grid=grid,
         weights=kernels[0].weights(len(grid.seen)),
@@ -231,7 +231,7 @@ def make_plan(
     extra |= {"frozen"} & set(ds.data_vars)
     read = [n for n in ds.data_vars if n in variables | extra]
     return Plan(
-        fields=names, variables=tuple(map(str, read)), recipe=recipe, options=options, kernel=chosen,
+        fields=names, variables=tuple(map(str, read)), deposit=deposit, options=options, kernel=chosen,
         extent=_extents(grid, extent or {}, edges), depth=layer_depth(ds, setup, edges), setup=setup, rtol=rtol,
     )  # fmt: skip
 

@@ -90,7 +90,7 @@ def width_sweep(
         options.setdefault("spacing", lengths[0])
         if "bounds" not in options:
             placing = {k: v for k, v in options.items() if k in ("axes", "spacing", "kernel", "extent")}
-            grid = make_plan(ds, "number_density", width=lengths[-1], at=points[0], **placing).recipe.grid
+            grid = make_plan(ds, "number_density", width=lengths[-1], at=points[0], **placing).deposit.grid
             options["bounds"] = {a: (float(nodes[0]), float(nodes[-1])) for a, nodes in grid.nodes.items()}
     swept = []
     for width in lengths:
