@@ -376,7 +376,7 @@ def test_threads_and_boxes_leave_every_bit(long, rtol):
     options = {"by": "species", "width": 0.6, "rtol": rtol, "spacing": {a: 0.31 if a == long else 0.7 for a in "xyz"}}
     module, results = sys.modules["xcg.fields.coarse_grain"], []
     for threads, box in ((1, 65_000), (3, 65_000), (2, 7)):
-        with mock.patch.multiple(module, THREADS=threads, BOX=box):
+        with mock.patch.multiple(module, THREADS=threads, BLOCK_NODES=box):
             results.append([ds.cg.coarse_grain(**options), ds.cg.coarse_grain(axes=long, rtol=rtol, width=0.6)])
     for other in results[1:]:
         for one, another in zip(results[0], other, strict=True):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from xcg.chains.particle_stress import RESULTS as STRESSES
 from xcg.scene.complete import periods, rows_of
 from xcg.scene.frame import particle_rows
-from xcg.scene.schema import BOX, PADDING, VARIABLES, Frame, SceneError, Variable
+from xcg.scene.schema import BOX_EDGES, PADDING, VARIABLES, Frame, SceneError, Variable
 
 _NONE, _PRESSURE = (0, 0, 0), (-1, 1, -2)
 COPIED = ("particle_id", "position", "diameter", "contact_i", "contact_j", "contact_force")
@@ -133,6 +133,6 @@ def steps_of(fc: xr.Dataset, names: Sequence[str]) -> Iterator[Step]:
             values = step[name].transpose(*dims).to_numpy()
             arrays[name] = values[rows[dims[0]]] if dims[0] in rows else values
         number = int(step["step"]) if "step" in step.coords else t
-        box = step["box"].transpose(*BOX.dims).to_numpy() if "box" in step else None
+        box = step["box"].transpose(*BOX_EDGES.dims).to_numpy() if "box" in step else None
         period = periods(box, fc.attrs.get("periodic", ""), f"step {number}")
         yield Step(arrays, float(step["time"]) if "time" in step.coords else 0.0, number, period)

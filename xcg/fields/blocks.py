@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 T = TypeVar("T")
 R = TypeVar("R")
-Box = tuple[tuple[int, int, int], tuple[int, int, int]]
+NodeBlock = tuple[tuple[int, int, int], tuple[int, int, int]]
 
 
 def for_each(items: Sequence[T], do: Callable[[T], R], threads: int) -> list[R]:
@@ -33,7 +33,7 @@ def for_each(items: Sequence[T], do: Callable[[T], R], threads: int) -> list[R]:
                 other.cancel()
 
 
-def boxes(shape: Sequence[int], size: int, threads: int) -> list[Box]:
+def blocks(shape: Sequence[int], size: int, threads: int) -> list[NodeBlock]:
     """Boxes (first nodes, one past the last) that cover a mesh: compact, of at most about `size` nodes.
 
     At least two for each thread, so that none waits for long.
@@ -47,7 +47,7 @@ def boxes(shape: Sequence[int], size: int, threads: int) -> list[Box]:
     return [((i[0], j[0], k[0]), (i[1], j[1], k[1])) for i, j, k in product(x, y, z)]
 
 
-def places(box: Box, shape: Sequence[int]) -> NDArray:
+def places(block: NodeBlock, shape: Sequence[int]) -> NDArray:
     """Where the nodes of a box are among all nodes of a mesh, numbered row by row."""
-    x, y, z = (np.arange(low, high, dtype="uint64") for low, high in zip(*box, strict=True))
+    x, y, z = (np.arange(low, high, dtype="uint64") for low, high in zip(*block, strict=True))
     return ((x[:, None, None] * shape[1] + y[:, None]) * shape[2] + z).ravel()

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from xcg.compiled import THREADS
 from xcg.fields import pysammos, registry
-from xcg.fields.blocks import Box, boxes, for_each, places
-from xcg.fields.deposit import BOX, sums_of_frame
+from xcg.fields.blocks import NodeBlock, blocks, for_each, places
+from xcg.fields.deposit import BLOCK_NODES, sums_of_frame
 from xcg.fields.grid import check_mesh
 from xcg.fields.plan import Plan, make_plan, scale_of
 from xcg.fields.program import tape_for
@@ -264,7 +264,7 @@ def _compute_step(
 
     reached: list[int] = []
 
-    def fill(part: Box) -> None:
+    def fill(part: NodeBlock) -> None:
         found, place = sums.over(part), places(part, shape)
         reached.append(found.reached)
         left = tape.play(found, place, rows) if tape else slice(None)
@@ -273,7 +273,7 @@ def _compute_step(
         for name, values in registry.evaluate(plan.fields, found.moments(left), options).items():
             rows[name][place[left]] = values.swapaxes(0, 1)
 
-    for_each(boxes(shape, BOX, threads) if tape else [((0, 0, 0), shape)], fill, threads)
+    for_each(blocks(shape, BLOCK_NODES, threads) if tape else [((0, 0, 0), shape)], fill, threads)
     if plan.options.temperature == "unbiased":
         _warn_of_unknown(rows, sum(reached), plan.kernel.width, where)
 

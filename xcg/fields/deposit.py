@@ -16,7 +16,7 @@ from xcg.compiled import points as kernel
 from xcg.compiled.arrays import turn
 from xcg.compiled.reach import RUN, lists_for, runs_of, spatial_order
 from xcg.compiled.segments import SEGMENT, closed_for, deposit_segments, list_segments
-from xcg.fields.blocks import Box, for_each
+from xcg.fields.blocks import NodeBlock, for_each
 from xcg.fields.grid import Grid
 from xcg.fields.moments import CUTOFF_POWERS, MOMENTS, columns_of
 from xcg.fields.reach import Mesh
@@ -26,10 +26,10 @@ from xcg.scene.frame import phase_of, without_frozen
 from xcg.scene.schema import Frame
 
 # adds one pass to the sums (groups, nodes, columns) at the nodes of a box; the last array is the reference velocity
-_Fill = Callable[[Box, NDArray, NDArray], None]
+_Fill = Callable[[NodeBlock, NDArray, NDArray], None]
 
 # Sums are made over boxes of about this many nodes, so that memory holds those of a few boxes, not of the mesh.
-BOX = 110_000
+BLOCK_NODES = 110_000
 
 
 def _tuple(values: Sequence[Any] | NDArray) -> tuple[Any, Any, Any]:
@@ -85,10 +85,10 @@ class _Pass:
             yield name, out[first : first + columns.size].reshape(*columns.shape, *out.shape[1:])
             first += columns.size
 
-    def __call__(self, box: Box, reference: NDArray) -> NDArray:
+    def __call__(self, block: NodeBlock, reference: NDArray) -> NDArray:
         sums = np.zeros((self.groups, len(reference), self.columns))
         for fill in self.fill:
-            fill(box, sums, reference)
+            fill(block, sums, reference)
         return sums
 
 
@@ -261,25 +261,27 @@ class _Deposit:
         return _Pass(self.phases, level + columns.shape[1], fill, moments)
 
 
-def _fill_points(grains: tuple[Any, ...], onto: tuple[Any, ...], box: Box, sums: NDArray, reference: NDArray) -> None:
+def _fill_points(
+    grains: tuple[Any, ...], onto: tuple[Any, ...], block: NodeBlock, sums: NDArray, reference: NDArray
+) -> None:
     steps, active = onto[:2]
-    lists = lists_for(*box, [2.0 * a for a in active], steps)
+    lists = lists_for(*block, [2.0 * a for a in active], steps)
     records = np.empty((RUN, sums.shape[2] + kernel.GRAIN))
-    kernel.deposit(*grains, *box, *onto, records, *lists, sums, reference)
+    kernel.deposit(*grains, *block, *onto, records, *lists, sums, reference)
 
 
 def _fill_segments(
     segments: tuple[Any, ...], onto: tuple[Any, ...], reach: NDArray, real: str, closed: bool, rest: bool,
-    box: Box, sums: NDArray, _: NDArray,
+    block: NodeBlock, sums: NDArray, _: NDArray,
 ) -> None:  # fmt: skip
     steps, active = onto[:2]
-    lists, numbers = lists_for(*box, np.where(active, reach, 0.0).tolist(), steps, real)
+    lists, numbers = lists_for(*block, np.where(active, reach, 0.0).tolist(), steps, real)
     scratch = closed_for(lists) if closed else None
-    deposit_segments(*segments, *box, *onto, lists, numbers, scratch, rest, sums)
+    deposit_segments(*segments, *block, *onto, lists, numbers, scratch, rest, sums)
 
 
 @dataclass(frozen=True)
-class BoxSums:
+class BlockSums:
     """Sums at the nodes of one box, each pass (groups, nodes, columns), and the velocity (nodes, 3) they refer to.
 
     `reached` says how many nodes grains with flow columns reach.
@@ -338,14 +340,14 @@ class Sums:
     spec: DepositSpec
     passes: Sequence[_Pass]
 
-    def over(self, box: Box) -> BoxSums:
+    def over(self, block: NodeBlock) -> BlockSums:
         """Compute the sums at the nodes of a box."""
-        low, high = box
+        low, high = block
         reference = np.full((math.prod(np.subtract(high, low).tolist()), 3), np.nan)
-        filled = [run(box, reference) for run in self.passes]
+        filled = [run(block, reference) for run in self.passes]
         unreached = np.isnan(reference)
         reference[unreached] = 0.0
-        return BoxSums(self.spec, self.passes, filled, reference, len(reference) - int(unreached[:, 0].sum()))
+        return BlockSums(self.spec, self.passes, filled, reference, len(reference) - int(unreached[:, 0].sum()))
 
 
 def sums_of_frame(frame: Frame, spec: DepositSpec, period: NDArray, scale: float, where: str, threads: int = 1) -> Sums:

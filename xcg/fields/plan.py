@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from xcg.compiled import smoothing as kinds
 from xcg.compiled.segments import RULES
 from xcg.fields import registry
-from xcg.fields.deposit import BOX, DepositSpec
+from xcg.fields.deposit import BLOCK_NODES, DepositSpec
 from xcg.fields.grid import Grid, make_grid
 from xcg.fields.moments import MOMENTS
 from xcg.fields.quadrature import SINGLE, gauss_limits
@@ -89,7 +89,7 @@ class Plan:
         slopes = any(m.endswith("_slope") for m in self.deposit.moments)
         contact = 9 * ("contact" in self.deposit.moments)
         outputs = sum(int(np.prod(self.shape(name))) for name in self.fields)
-        sums = min(nodes, BOX) * max(1, self.phases - 1) * (columns + contact + slopes * 29)
+        sums = min(nodes, BLOCK_NODES) * max(1, self.phases - 1) * (columns + contact + slopes * 29)
         own = f"; widths by group {[float(f'{w:.4g}') for w in self.widths]}" if len(self.widths) > 1 else ""
         rules = "closed form"
         if len(self.deposit.limits):

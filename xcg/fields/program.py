@@ -17,7 +17,7 @@ from xcg.compiled import program as kernel
 from xcg.compiled.fit import FOUND
 from xcg.compiled.simd import EIGHT
 from xcg.fields import registry
-from xcg.fields.deposit import BoxSums
+from xcg.fields.deposit import BlockSums
 from xcg.fields.moments import columns_of
 from xcg.fields.trace import Record
 
@@ -49,7 +49,7 @@ class Tape:
     target: NDArray
     fits: int
 
-    def play(self, sums: BoxSums, place: NDArray, out: Mapping[str, NDArray]) -> NDArray:
+    def play(self, sums: BlockSums, place: NDArray, out: Mapping[str, NDArray]) -> NDArray:
         """Compute fields (places, ...) from the sums at some nodes, each to its `place` (nodes,).
 
         Returns the nodes that are left out: those where a fit takes eigenvectors.

@@ -19,7 +19,7 @@ from xcg.readers.paths import PathLike, expand_paths
 from xcg.readers.text import where
 from xcg.scene.build import box_array, to_dataset
 from xcg.scene.complete import complete_particles, periods
-from xcg.scene.schema import BOX, COMPONENTS, VARIABLES, Frame, SceneError, Setup, did_you_mean
+from xcg.scene.schema import BOX_EDGES, COMPONENTS, VARIABLES, Frame, SceneError, Setup, did_you_mean
 from xcg.scene.sizes import measure_frames
 from xcg.scene.warn import warn_user
 from xcg.steps import errors as faults
@@ -555,7 +555,7 @@ def _boxes(steps: Sequence[Step], box: Any, setup: Setup) -> NDArray | None:
     """Edges of the domain at each step, in the scene's units."""
     if box is None and steps[0].particles.box is not None:
         box = [step.particles.box for step in steps]
-    edges = None if box is None else box_array(box, len(steps)) * setup.factor(BOX.powers)
+    edges = None if box is None else box_array(box, len(steps)) * setup.factor(BOX_EDGES.powers)
     for t, step in enumerate(steps):
         periods(None if edges is None else edges[t], setup.periodic, where(step.particles))
     return edges

@@ -14,7 +14,7 @@ from xcg.scene.complete import complete_contacts, complete_particles, periods
 from xcg.scene.frame import stack
 from xcg.scene.query import check_times, mark_measured
 from xcg.scene.schema import (
-    BOX,
+    BOX_EDGES,
     COMPONENTS,
     PADDING,
     VARIABLES,
@@ -56,8 +56,8 @@ def to_dataset(
         attrs = {"units": units_of(row.powers, setup.unit_system), "long_name": row.long_name}
         data[name] = xr.Variable(("time", *row.dims), values, attrs)
     if box is not None:
-        attrs = {"units": units_of(BOX.powers, setup.unit_system), "long_name": BOX.long_name}
-        data["box"] = xr.Variable(("time", *BOX.dims), box, attrs)
+        attrs = {"units": units_of(BOX_EDGES.powers, setup.unit_system), "long_name": BOX_EDGES.long_name}
+        data["box"] = xr.Variable(("time", *BOX_EDGES.dims), box, attrs)
     second = "s" if setup.unit_system == "SI" else "1"
     coords = {
         "time": ("time", np.asarray(time, float), {"units": second, "long_name": "time", "axis": "T"}),
@@ -229,7 +229,7 @@ def scene_from_arrays(
             msg = f"{name}= has shape {values.shape}: expected one value for each of the {total} steps"
             raise SceneError(msg)
     check_times(times, "a scene", "sort the steps, and leave out those that stand twice")
-    edges = None if box is None else box_array(box, total) * setup.factor(BOX.powers)
+    edges = None if box is None else box_array(box, total) * setup.factor(BOX_EDGES.powers)
     particle_names = [name for name in steps if variable(name).dims[0] == "particle"]
     contact_names = [name for name in steps if variable(name).dims[0] == "contact"]
     particles, contacts = [], []

@@ -15,7 +15,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.scene.schema import BOX, COMPONENTS, PADDING, VARIABLES, SceneError, Variable
+from xcg.scene.schema import BOX_EDGES, COMPONENTS, PADDING, VARIABLES, SceneError, Variable
 
 _MOST_SPREAD = 2**27  # values a step of a variable that was spread over the rows of others: 1 GB
 
@@ -49,7 +49,7 @@ def conform(ds: xr.Dataset) -> xr.Dataset:
     scene = _with_components(ds if "time" in ds.dims else _with_time(ds))
     changed = {}
     for name, array in scene.data_vars.items():
-        row = BOX if name == "box" else VARIABLES.get(str(name))
+        row = BOX_EDGES if name == "box" else VARIABLES.get(str(name))
         found = array if row is None else _with_dims(array, row)
         if found.dtype.kind == "f" and (f"{name}_values" in scene.attrs or (row and row.dtype == "int64")):
             found = _mapped(partial(_whole, name=str(name)), found, "int64")

@@ -91,7 +91,7 @@ VARIABLES: dict[str, Variable] = {
     # an input only: it says on which side of a grain the contact point is, and is not kept
     "contact_branch": Variable((*_CONTACT, "component"), (1, 0, 0), "vector from j to i, in the image that touches"),
 }
-BOX = Variable(("component", "bound"), (1, 0, 0), "edges of the domain")
+BOX_EDGES = Variable(("component", "bound"), (1, 0, 0), "edges of the domain")
 
 _NAMED_UNITS = {(0, 0, 0): "1", (1, 1, -2): "N", (-1, 1, -2): "Pa", (-2, 1, -2): "Pa m-1"}
 
