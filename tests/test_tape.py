@@ -8,7 +8,7 @@ import pytest
 
 import xcg
 from xcg.compiled import program as kernel
-from xcg.fields import program as tape
+from xcg.fields import program as program
 from xcg.fields import registry
 from xcg.fields import trace as symbols
 
@@ -18,10 +18,10 @@ ALL = tuple(name for name in registry.listed() if not registry.FIELDS[name].opti
 
 def played_and_plain(ds, *fields, **options):
     """The same fields by the tape, and by the registry on arrays; how often the tape was played."""
-    with mock.patch.object(tape.kernel, "play", wraps=tape.kernel.play) as play:
+    with mock.patch.object(program.kernel, "play", wraps=program.kernel.run) as run:
         played = ds.cg.coarse_grain(*fields, **options)
     with mock.patch.object(MODULE, "tape_for", return_value=None):
-        return played, ds.cg.coarse_grain(*fields, **options), play.call_count
+        return played, ds.cg.coarse_grain(*fields, **options), run.call_count
 
 
 def assert_same(played, plain):
@@ -93,7 +93,7 @@ def test_phases_of_few_grains():
 
 
 def test_what_is_asked_for_twice_is_written_down_once():
-    record = symbols.Record()
+    record = symbols.Trace()
     a, b = record.load("momentum", 0, np.arange(2))
     assert (a + b).number == (b + a).number
     assert (a - b).number != (b - a).number
@@ -103,7 +103,7 @@ def test_what_is_asked_for_twice_is_written_down_once():
 
 
 def test_stress_takes_no_steps_for_what_nobody_asked_for():
-    steps = tape.tape_for(("stress",), registry.Options()).steps[:, 0]
+    steps = program.program_for(("stress",), registry.Options()).steps[:, 0]
     assert not np.isin(steps, [kernel.FIT, kernel.SQUARE_ROOT]).any()
     # six kinetic components of symmetric tensors, not nine; each to nine of the contacts
     assert (steps == kernel.ADD).sum() == 9
@@ -111,7 +111,7 @@ def test_stress_takes_no_steps_for_what_nobody_asked_for():
 
 
 def test_symbols_have_no_value_yet():
-    (a,) = symbols.Record().load("mass", 0, np.arange(1))
+    (a,) = symbols.Trace().load("mass", 0, np.arange(1))
     with pytest.raises(TypeError, match="not known"):
         bool(a)
     with pytest.raises(NotImplementedError, match="only squares"):

@@ -51,13 +51,13 @@ def fit_gradient(sums: NDArray, *, active: Sequence[bool], about_node: bool) -> 
         each axis follows from the grains, or the axis is not active, else NaN. x_bar (3), zero where no grains are.
         M^+ (6).
     """
-    rows, few = np.empty((SUMS + FOUND, sums.shape[1])), np.empty(sums.shape[1], "uint64")
+    rows, singular = np.empty((SUMS + FOUND, sums.shape[1])), np.empty(sums.shape[1], "uint64")
     rows[:SUMS] = sums
     begin, end, flags = (np.uint64(k) for k in (0, SUMS, flags_of(active, about_node)))
-    few = few[: fit_rows(rows, begin, end, rows.shape[1], flags, few)]
+    singular = singular[: fit_rows(rows, begin, end, rows.shape[1], flags, singular)]
     found = rows[SUMS:]
-    if few.size:
-        found[:, few] = _fit_few(sums[:, few], active=active, about_node=about_node)
+    if singular.size:
+        found[:, singular] = _fit_few(sums[:, singular], active=active, about_node=about_node)
     return found
 
 
@@ -88,7 +88,7 @@ def _moved(shear, u, offsets):
 
 
 @leaf
-def fit_rows(rows, first, found, many, flags, few):
+def fit_rows(rows, first, found, many, flags, singular):
     """Fit where grains clearly span all active axes, a plane, a line or nothing.
 
     The pseudo-inverse of M is adj M / det M, with adj M the matrix of cofactors; M / (tr M)^2 on a line; and
@@ -102,13 +102,13 @@ def fit_rows(rows, first, found, many, flags, few):
         Number of nodes.
     flags : int
         See `flags_of`.
-    few : (nodes,)
+    singular : (nodes,)
         Written: nodes that are left to `_fit_few`.
 
     Returns
     -------
     int
-        Number of nodes in `few`.
+        Number of nodes in `singular`.
     """
     active_x, active_y, active_z, about_node = flags & 1 != 0, flags & 2 != 0, flags & 4 != 0, flags & 8 != 0
     full = int(active_x) + int(active_y) + int(active_z)
@@ -159,7 +159,7 @@ def fit_rows(rows, first, found, many, flags, few):
             c00, c01, c02 = scale * (size * px - xx), scale * (across * c01 - xy), scale * (across * c02 - xz)
             c11, c12, c22 = scale * (size * py - yy), scale * (across * c12 - yz), scale * (size * pz - zz)
         else:
-            few[left] = n
+            singular[left] = n
             left += 1
             continue
         _put_three(rows, inverse, n, (c00, c01, c02))

@@ -41,7 +41,7 @@ def room_for(rows: int) -> NDArray:
 
 
 @leaf
-def play(steps, records, source, fields, target, place, scratch, few):
+def run(steps, records, source, fields, target, place, scratch, singular):
     """Do the steps of a tape for all nodes.
 
     Parameters
@@ -61,13 +61,13 @@ def play(steps, records, source, fields, target, place, scratch, few):
         Place of each node in the fields.
     scratch : (rows, TILE)
         Holds constants and factors.
-    few : (any,)
+    singular : (any,)
         Written: nodes that a `FIT` leaves to others, room for all from each of them.
 
     Returns
     -------
     int
-        How many there are in `few`.
+        How many there are in `singular`.
     """
     left, unread = 0, 0.0
     for first in range(0, place.size, TILE):
@@ -82,9 +82,9 @@ def play(steps, records, source, fields, target, place, scratch, few):
                 else:
                     _store_apart(fields[r, 0], fields[r, 1], fields[r, 2], target[r], place, first, many, scratch)
             elif operation == FIT:
-                found = fit_rows(scratch, a, r, many, b, few[left:])
+                found = fit_rows(scratch, a, r, many, b, singular[left:])
                 for k in range(left, left + found):
-                    few[k] += first
+                    singular[k] += first
                 left += found
             elif operation == LOAD:
                 row_product(scratch, r, source[a, 0], source[a, 1])

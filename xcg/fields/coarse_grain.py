@@ -18,7 +18,7 @@ from xcg.fields.blocks import NodeBlock, blocks, for_each, places
 from xcg.fields.deposit import BLOCK_NODES, sums_of_frame
 from xcg.fields.grid import check_mesh
 from xcg.fields.plan import Plan, make_plan, scale_of
-from xcg.fields.program import tape_for
+from xcg.fields.program import program_for
 from xcg.fields.smoothing import Kernel
 from xcg.scene.bodies import group_bodies
 from xcg.scene.build import storable
@@ -260,20 +260,20 @@ def _compute_step(
     phases = plan.phases if plan.deposit.by else 1
     rows = {name: a.reshape(math.prod(shape), phases, *a.shape[len(plan.dims) :]) for name, a in out.items()}
     options = replace(plan.options, wrapped=plan.deposit.grid.fills(period))  # the box may change
-    tape = tape_for(plan.fields, plan.options, len(plan.deposit.groups))
+    program = program_for(plan.fields, plan.options, len(plan.deposit.groups))
 
     reached: list[int] = []
 
     def fill(part: NodeBlock) -> None:
         found, place = sums.over(part), places(part, shape)
         reached.append(found.reached)
-        left = tape.play(found, place, rows) if tape else slice(None)
-        if isinstance(left, np.ndarray) and not left.size:
+        remaining = program.run(found, place, rows) if program else slice(None)
+        if isinstance(remaining, np.ndarray) and not remaining.size:
             return
-        for name, values in registry.evaluate(plan.fields, found.moments(left), options).items():
-            rows[name][place[left]] = values.swapaxes(0, 1)
+        for name, values in registry.evaluate(plan.fields, found.moments(remaining), options).items():
+            rows[name][place[remaining]] = values.swapaxes(0, 1)
 
-    for_each(blocks(shape, BLOCK_NODES, threads) if tape else [((0, 0, 0), shape)], fill, threads)
+    for_each(blocks(shape, BLOCK_NODES, threads) if program else [((0, 0, 0), shape)], fill, threads)
     if plan.options.temperature == "unbiased":
         _warn_of_unknown(rows, sum(reached), plan.kernel.width, where)
 

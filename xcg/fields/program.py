@@ -19,22 +19,22 @@ from xcg.compiled.simd import EIGHT
 from xcg.fields import registry
 from xcg.fields.deposit import BlockSums
 from xcg.fields.moments import columns_of
-from xcg.fields.trace import Record
+from xcg.fields.trace import Trace
 
 
 @dataclass(frozen=True)
-class Tape:
+class Program:
     """Steps from the sums at a node to its fields.
 
     Attributes
     ----------
     steps : array (n, 4)
-        As `xcg.compiled.program.play` takes them.
+        As `xcg.compiled.program.run` takes them.
     scratch : array (rows, TILE)
         Constants in their rows.
-    loads : tuple of (str, int, int)
+    inputs : tuple of (str, int, int)
         Moments, of which group, and which of their columns.
-    stores : tuple of (str, int, int)
+    outputs : tuple of (str, int, int)
         Fields, the first of the components, and how many: one tensor, vector or scalar.
     target : array (stores, 9)
         Rows of these components.
@@ -44,17 +44,17 @@ class Tape:
 
     steps: NDArray
     scratch: NDArray
-    loads: tuple[tuple[str, int, int], ...]
-    stores: tuple[tuple[str, int, int], ...]
+    inputs: tuple[tuple[str, int, int], ...]
+    outputs: tuple[tuple[str, int, int], ...]
     target: NDArray
     fits: int
 
-    def play(self, sums: BlockSums, place: NDArray, out: Mapping[str, NDArray]) -> NDArray:
+    def run(self, sums: BlockSums, place: NDArray, out: Mapping[str, NDArray]) -> NDArray:
         """Compute fields (places, ...) from the sums at some nodes, each to its `place` (nodes,).
 
         Returns the nodes that are left out: those where a fit takes eigenvectors.
         """
-        found, arrays = [sums.column(*load) for load in self.loads], sums.arrays
+        found, arrays = [sums.column(*load) for load in self.inputs], sums.arrays
         factors = list(dict.fromkeys(factor for _, _, factor in found))
         widths = [math.prod(a.shape[1:]) for a in arrays]
         # below the rows that steps use: the factors, and the columns of each array
@@ -66,13 +66,13 @@ class Tape:
         records = [(a.ctypes.data, width, row) for a, width, row in zip(arrays, widths, rows[1:], strict=False)]
         fields = [
             (out[name].ctypes.data + out[name].itemsize * first, math.prod(out[name].shape[1:]), count)
-            for name, first, count in self.stores
+            for name, first, count in self.outputs
         ]
-        few = np.empty(self.fits * len(place), "uint64")
-        left = kernel.play(
-            self.steps, _whole(records, 3), _whole(source, 2), _whole(fields, 3), self.target, place, scratch, few
+        singular = np.empty(self.fits * len(place), "uint64")
+        remaining = kernel.run(
+            self.steps, _whole(records, 3), _whole(source, 2), _whole(fields, 3), self.target, place, scratch, singular
         )
-        return np.unique(few[:left])
+        return np.unique(singular[:remaining])
 
 
 def _whole(numbers: Sequence[Sequence[int]], width: int) -> NDArray:
@@ -80,11 +80,11 @@ def _whole(numbers: Sequence[Sequence[int]], width: int) -> NDArray:
 
 
 @lru_cache(maxsize=64)
-def tape_for(fields: tuple[str, ...], options: registry.Options, groups: int = 0) -> Tape | None:
+def program_for(fields: tuple[str, ...], options: registry.Options, groups: int = 0) -> Program | None:
     """Write down the algebra of some fields, of the bulk and of groups; None where it takes other nodes."""
     if registry.whole_grid(options):
         return None
-    record = Record()
+    record = Trace()
     sums = {name: _moment(record, name, groups) for name in registry.moments_of(fields, options)}
     sums["reference"] = record.load("reference", 0, np.arange(3))
     found = registry.evaluate(fields, sums, options)
@@ -94,10 +94,10 @@ def tape_for(fields: tuple[str, ...], options: registry.Options, groups: int = 0
         for count in [3 ** registry.row(name, options).rank]
         for first in range(0, found[name].size, count)
     }
-    return _Layout(record.steps, results).tape()
+    return _RegisterAllocation(record.steps, results).program()
 
 
-def _moment(record: Record, name: str, groups: int) -> NDArray:
+def _moment(record: Trace, name: str, groups: int) -> NDArray:
     """Symbols of a moment at one node: an array (phase, 1, ...), phase 0 the bulk, the sum over groups."""
     columns = columns_of(name)
     if not groups:
@@ -112,7 +112,7 @@ def _moment(record: Record, name: str, groups: int) -> NDArray:
 _Results = Mapping[tuple[str, int, int], Sequence[int]]
 
 
-class _Layout:
+class _RegisterAllocation:
     """Puts the steps that lead to some results on rows of numbers, used anew once nothing needs what is in them."""
 
     def __init__(self, recorded: Sequence[tuple[int, tuple[Any, ...]]], results: _Results) -> None:
@@ -123,9 +123,9 @@ class _Layout:
         self.free: list[int] = []
         self.rows = 0
         self.steps: list[tuple[int, int, int, int]] = []
-        self.loads: list[tuple[str, int, int]] = []
+        self.inputs: list[tuple[str, int, int]] = []
 
-    def tape(self) -> Tape:
+    def program(self) -> Program:
         """Write all steps; what is stored together is stored as soon as it is there."""
         complete: dict[int, list[tuple[str, int, int]]] = {}
         for store, numbers in self.results.items():
@@ -156,7 +156,7 @@ class _Layout:
             scratch[row] = value
         steps = _whole(self.steps, 4)
         fits = int((steps[:, 0] == kernel.FIT).sum())
-        return Tape(steps, scratch, tuple(self.loads), tuple(stored), target, fits)
+        return Program(steps, scratch, tuple(self.inputs), tuple(stored), target, fits)
 
     def _operands(self, number: int) -> tuple[int, ...]:
         """Return the steps that a step takes something from."""
@@ -209,11 +209,11 @@ class _Layout:
     def _at(self, number: int) -> int:
         """Row of a result; a column is loaded when it is first needed."""
         operation, operands = self.recorded[number]
-        if operation == kernel.LOAD and operands not in self.loads:
+        if operation == kernel.LOAD and operands not in self.inputs:
             if number not in self.row:
                 self.row[number] = self._new_row()
-            self.steps.append((kernel.LOAD, self.row[number], len(self.loads), 0))
-            self.loads.append(operands)
+            self.steps.append((kernel.LOAD, self.row[number], len(self.inputs), 0))
+            self.inputs.append(operands)
         return self.row[number]
 
     def _used(self, number: int) -> None:

@@ -15,7 +15,7 @@ from xcg.compiled import program as kernel
 from xcg.compiled.fit import FOUND, flags_of
 
 
-class Record:
+class Trace:
     """The steps that were written down, each once however often it was asked for."""
 
     def __init__(self) -> None:
@@ -45,7 +45,7 @@ class Symbol:
 
     __slots__ = ("number", "record")
 
-    def __init__(self, record: Record, number: int) -> None:
+    def __init__(self, record: Trace, number: int) -> None:
         self.record, self.number = record, number
 
     def _with(self, operation: int, left: Any, right: Any) -> Symbol:
