@@ -137,15 +137,15 @@ def test_bounds_checks_find_an_index_beyond_its_array():
     code = """
 import numpy as np, numba
 from xcg.kernels._jit import leaf
-from xcg.kernels.lanes import add_four, put_eight
+from xcg.kernels.lanes import add4, fill8
 
 @leaf
 def beyond(lists, row, at):
-    put_eight(lists, row, at, 1.0)
+    fill8(lists, row, at, 1.0)
 
 @leaf
 def sums(records, n):
-    add_four(records, 0, n, 0, 1.0, 1.0, 1.0, 1.0, 1.0)
+    add4(records, 0, n, 0, 1.0, 1.0, 1.0, 1.0, 1.0)
 
 beyond(np.zeros((2, 16)), 1, 8)
 sums(np.zeros((1, 5, 4)), 4)

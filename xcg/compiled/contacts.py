@@ -3,7 +3,7 @@
 import numpy as np
 
 from xcg.compiled._jit import leaf
-from xcg.compiled.simd import ask_for
+from xcg.compiled.simd import prefetch
 
 AHEAD = 16  # things whose rows of memory, anywhere, are asked for before their turn
 
@@ -12,7 +12,7 @@ AHEAD = 16  # things whose rows of memory, anywhere, are asked for before their 
 def add_rows(row, sign, values, out):
     """Add sign x values (n, k) to the rows of out (m, k) that `row` (n,) names; negative rows are left out."""
     for n in range(row.size):
-        ask_for(out, row[min(n + AHEAD, row.size - 1)])
+        prefetch(out, row[min(n + AHEAD, row.size - 1)])
         if row[n] >= 0:
             for c in range(values.shape[1]):
                 out[row[n], c] += sign * values[n, c]
@@ -71,8 +71,8 @@ def add_unit_squares(row_i, row_j, along, out):
     """
     for n in range(row_i.size):
         later = min(n + AHEAD, row_i.size - 1)
-        ask_for(out, row_i[later])
-        ask_for(out, row_j[later])
+        prefetch(out, row_i[later])
+        prefetch(out, row_j[later])
         x, y, z = along[n, 0], along[n, 1], along[n, 2]
         length2 = x * x + y * y + z * z
         per_length2 = 1.0 / length2 if length2 > 0.0 else 0.0
@@ -113,8 +113,8 @@ def between(row_i, row_j, position, point, period, out):
     """Write the vectors (n, 3) from j to i through the contact points: the side of i less that of j, see `side`."""
     for n in range(row_i.size):
         later = min(n + AHEAD, row_i.size - 1)
-        ask_for(position, row_i[later])
-        ask_for(position, row_j[later])
+        prefetch(position, row_i[later])
+        prefetch(position, row_j[later])
         ax, ay, az = side(position, row_i[n], point, n, period)
         bx, by, bz = side(position, row_j[n], point, n, period)
         out[n, 0], out[n, 1], out[n, 2] = ax - bx, ay - by, az - bz

@@ -15,7 +15,7 @@ import numpy as np
 
 from xcg.compiled._jit import leaf
 from xcg.compiled.reach import NODE, OTHER, Q2, RUN, WEIGHT, X, Y, Z, images, list_ball, run_reaches
-from xcg.compiled.simd import add_four
+from xcg.compiled.simd import add4
 from xcg.compiled.smoothing import fill_values
 
 MASS = 0
@@ -125,7 +125,7 @@ def deposit(
                             c0, c1 = grains[i, GRAIN + d], grains[i, GRAIN + d + 1]
                             c2, c3 = grains[i, GRAIN + d + 2], grains[i, GRAIN + d + 3]
                             for k in range(hits):
-                                add_four(moments, p, numbers[NODE, k], level + d, weight[k], c0, c1, c2, c3)
+                                add4(moments, p, numbers[NODE, k], level + d, weight[k], c0, c1, c2, c3)
 
 
 @leaf
@@ -163,21 +163,21 @@ def _add_flow(p, grains, i, lists, numbers, hits, level, still, moments, referen
                 moments[p, n, _COLUMNS[OFFSET + 8]] += w * z
         else:
             wx, wy, wz = w * ux, w * uy, w * uz
-            add_four(moments, p, n, MASS, 1.0, w, wx, wy, wz)
-            add_four(moments, p, n, COUNT, 1.0, 1.0, wx * ux, wx * uy, wx * uz)
+            add4(moments, p, n, MASS, 1.0, w, wx, wy, wz)
+            add4(moments, p, n, COUNT, 1.0, 1.0, wx * ux, wx * uy, wx * uz)
             if level >= FLUCTUATION:
-                add_four(moments, p, n, KINETIC + 3, 1.0, wy * uy, wy * uz, wz * uz, w * w)
+                add4(moments, p, n, KINETIC + 3, 1.0, wy * uy, wy * uz, wz * uz, w * w)
             if level >= LINEAR:
-                add_four(moments, p, n, OFFSET, x, w, wx, wy, wz)
-                add_four(moments, p, n, OFFSET + 4, y, w, wx, wy, wz)
-                add_four(moments, p, n, OFFSET + 8, z, w, wx, wy, wz)
+                add4(moments, p, n, OFFSET, x, w, wx, wy, wz)
+                add4(moments, p, n, OFFSET + 4, y, w, wx, wy, wz)
+                add4(moments, p, n, OFFSET + 8, z, w, wx, wy, wz)
         if level >= LINEAR:
             wx, wy, wz = w * x, w * y, w * z
-            add_four(moments, p, n, SPREAD, 1.0, wx * x, wx * y, wx * z, wy * y)
-            add_four(moments, p, n, SPREAD + 4, 1.0, wy * z, wz * z, w * wx, w * wy)
+            add4(moments, p, n, SPREAD, 1.0, wx * x, wx * y, wx * z, wy * y)
+            add4(moments, p, n, SPREAD + 4, 1.0, wy * z, wz * z, w * wx, w * wy)
             if level >= SQUARED:
-                add_four(moments, p, n, SQUARE_OFFSET + 2, w, wz, wx * x, wx * y, wx * z)
-                add_four(moments, p, n, SQUARE_SPREAD + 3, w, wy * y, wy * z, wz * z, 0.0)
+                add4(moments, p, n, SQUARE_OFFSET + 2, w, wz, wx * x, wx * y, wx * z)
+                add4(moments, p, n, SQUARE_SPREAD + 3, w, wy * y, wy * z, wz * z, 0.0)
 
 
 @leaf
@@ -212,6 +212,6 @@ def _add_images(p, mass, lists, numbers, hits, level, period, kernel, moments):
                     if level >= SQUARED:
                         x, y, z = lists[X, k], lists[Y, k], lists[Z, k]
                         to_x, to_y, to_z = w * (x + move_x), w * (y + move_y), w * (z + move_z)
-                        add_four(moments, p, n, SQUARE_OFFSET, 1.0, to_x, to_y, to_z, x * to_x)
-                        add_four(moments, p, n, SQUARE_SPREAD + 1, 1.0, x * to_y, x * to_z, y * to_y, y * to_z)
+                        add4(moments, p, n, SQUARE_OFFSET, 1.0, to_x, to_y, to_z, x * to_x)
+                        add4(moments, p, n, SQUARE_SPREAD + 1, 1.0, x * to_y, x * to_z, y * to_y, y * to_z)
                         moments[p, n, _COLUMNS[SQUARE_SPREAD + 5]] += z * to_z

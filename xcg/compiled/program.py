@@ -8,19 +8,19 @@ from xcg.compiled.fit import fit_rows
 from xcg.compiled.simd import (
     EIGHT,
     TILE,
-    finish_streams,
-    number_at,
-    put_number_to,
+    clip_at_zero,
+    load_number,
+    nan_to_zero,
+    nan_unless_positive,
     row_difference,
-    row_known,
-    row_not_negative,
-    row_positive,
     row_product,
     row_quotient,
     row_root,
     row_sum,
-    stream_number_to,
-    turn_eight,
+    store_fence,
+    store_nontemporal,
+    store_number,
+    transpose8x8,
 )
 
 # The operations of a step (operation, result, a, b). Results and operands are rows of the scratch, but for a load and a
@@ -99,12 +99,12 @@ def run(steps, records, source, fields, target, place, scratch, singular):
             elif operation == SQUARE_ROOT:
                 row_root(scratch, r, a, a)
             elif operation == WHERE_POSITIVE:
-                row_positive(scratch, r, a, a)
+                nan_unless_positive(scratch, r, a, a)
             elif operation == AT_LEAST_ZERO:
-                row_not_negative(scratch, r, a, a)
+                clip_at_zero(scratch, r, a, a)
             elif operation == ZERO_IF_UNKNOWN:
-                row_known(scratch, r, a, a)
-    finish_streams()
+                nan_to_zero(scratch, r, a, a)
+    store_fence()
     scratch[0, 0] = unread
     return left
 
@@ -117,15 +117,15 @@ def _turn_records(address, width, row, first, many, nodes, scratch):
     """
     begin, end, read = first * width, (first + many) * width, 0.0
     for k in range(begin, end, np.uint64(EIGHT)):
-        read += number_at(address, k)
+        read += load_number(address, k)
     if many == TILE and end + np.uint64(EIGHT) <= nodes * width:  # what is read beyond a record is there
         for k in range(0, TILE, EIGHT):
             for c in range(0, width, EIGHT):
-                turn_eight(address, begin + k * width + c, width, scratch, row + c, k)
+                transpose8x8(address, begin + k * width + c, width, scratch, row + c, k)
     else:
         for k in range(many):
             for c in range(width):
-                scratch[row + c, k] = number_at(address, begin + k * width + c)
+                scratch[row + c, k] = load_number(address, begin + k * width + c)
     return read
 
 
@@ -135,7 +135,7 @@ def _store(address, width, row, place, first, many, scratch):
     x, y, z = row[0], row[1], row[2]
     if width == 1:
         for k in range(many):
-            stream_number_to(address, place[first + k], scratch[x, k])
+            store_nontemporal(address, place[first + k], scratch[x, k])
     elif width == 3:
         for k in range(many):
             _stream_three(address, width * place[first + k], scratch[x, k], scratch[y, k], scratch[z, k])
@@ -154,11 +154,11 @@ def _store_apart(address, width, components, row, place, first, many, scratch):
     for c in range(components):
         x = row[c]
         for k in range(many):
-            put_number_to(address, width * place[first + k] + c, scratch[x, k])
+            store_number(address, width * place[first + k] + c, scratch[x, k])
 
 
 @leaf
 def _stream_three(address, to, x, y, z):
-    stream_number_to(address, to, x)
-    stream_number_to(address, to + np.uint64(1), y)
-    stream_number_to(address, to + np.uint64(2), z)
+    store_nontemporal(address, to, x)
+    store_nontemporal(address, to + np.uint64(1), y)
+    store_nontemporal(address, to + np.uint64(2), z)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from xcg.compiled._jit import leaf
 from xcg.compiled.arrays import places_by
-from xcg.compiled.simd import EIGHT, put_eight, put_line, put_sum
+from xcg.compiled.simd import EIGHT, add_scalar8, fill8, ramp8
 
 PAD = 16  # loops over lists run to a multiple of this: what is left over would be done one by one
 PENCIL = 8  # cells across: the nodes that a layer of a pencil adds to fit in a core's cache
@@ -101,16 +101,16 @@ def list_ball(x, y, z, steps, per_steps, low, high, lists, numbers):
     z0, z1 = node_range(z - 1.0, z + 1.0, per_steps[2], low[2], high[2])
     ny, nz = high[1] - low[1], high[2] - low[2]
     for j in range(0, y1 - y0, EIGHT):
-        put_line(lists, OF_Y, OF_Y2, j, y0 + j, steps[1], y, -1.0)
+        ramp8(lists, OF_Y, OF_Y2, j, y0 + j, steps[1], y, -1.0)
     for j in range(0, z1 - z0, EIGHT):
-        put_line(lists, OF_Z, OF_Z2, j, z0 + j, steps[2], z, -1.0)
+        ramp8(lists, OF_Z, OF_Z2, j, z0 + j, steps[2], z, -1.0)
     count = 0
     for ix in range(x0, x1):
         dx, begin = x - ix * steps[0], ((ix - low[0]) * ny + y0 - low[1]) * nz + z0 - low[2]
         for j in range(0, y1 - y0, EIGHT):
-            put_eight(lists, ROW_X, count + j, dx)
-            put_sum(lists, ROW_Y, count + j, 0.0, OF_Y, j)
-            put_sum(numbers, ROW, count + j, begin, OF_Y, j)
+            fill8(lists, ROW_X, count + j, dx)
+            add_scalar8(lists, ROW_Y, count + j, 0.0, OF_Y, j)
+            add_scalar8(numbers, ROW, count + j, begin, OF_Y, j)
         count += y1 - y0
     lowest, highest, per_step = float(z0), float(z1 - 1), per_steps[2]
     for k in range(padded(count)):
@@ -127,11 +127,11 @@ def list_ball(x, y, z, steps, per_steps, low, high, lists, numbers):
         first, left = numbers[FIRST, k], numbers[MANY, k]
         dx, dy, row2, row = lists[ROW_X, k], lists[ROW_Y, k], lists[ROW2, k], numbers[ROW, k]
         while True:
-            put_sum(lists, Q2, hits, row2, OF_Z2, first)
-            put_eight(lists, X, hits, dx)
-            put_eight(lists, Y, hits, dy)
-            put_sum(lists, Z, hits, 0.0, OF_Z, first)
-            put_sum(numbers, NODE, hits, row, OF_Z, first)
+            add_scalar8(lists, Q2, hits, row2, OF_Z2, first)
+            fill8(lists, X, hits, dx)
+            fill8(lists, Y, hits, dy)
+            add_scalar8(lists, Z, hits, 0.0, OF_Z, first)
+            add_scalar8(numbers, NODE, hits, row, OF_Z, first)
             hits += min(EIGHT, left)
             left -= EIGHT
             if left <= 0:
@@ -181,17 +181,17 @@ def list_tube(x, y, z, bx, by, bz, per_length, steps, per_steps, low, high, list
     ez, per_length = real(bz * per_length), real(per_length)
     ny, nz = high[1] - low[1], high[2] - low[2]
     for j in range(0, y1 - y0, EIGHT):
-        put_line(lists, OF_Y, OF_Y2, j, y0 - base_y + j, step_y, y, by)
+        ramp8(lists, OF_Y, OF_Y2, j, y0 - base_y + j, step_y, y, by)
     for j in range(0, z1 - z0, EIGHT):
-        put_line(lists, OF_Z, OF_Z2, j, z0 - base_z + j, step_z, z, ez)
+        ramp8(lists, OF_Z, OF_Z2, j, z0 - base_z + j, step_z, z, ez)
     count = 0
     for ix in range(x0, x1):
         dx, begin = ix * steps[0] - x, ((ix - low[0]) * ny + y0 - low[1]) * nz + z0 - low[2]
         dx2, dx_dot = real(dx * dx), real(dx * bx)
         for j in range(0, y1 - y0, EIGHT):
-            put_sum(lists, ROW2, count + j, dx2, OF_Y2, j)
-            put_sum(lists, ROW_DOT, count + j, dx_dot, OF_Y, j)
-            put_sum(numbers, ROW, count + j, begin, OF_Y, j)
+            add_scalar8(lists, ROW2, count + j, dx2, OF_Y2, j)
+            add_scalar8(lists, ROW_DOT, count + j, dx_dot, OF_Y, j)
+            add_scalar8(numbers, ROW, count + j, begin, OF_Y, j)
         count += y1 - y0
     lowest, highest = real(z0 - base_z), real(z1 - 1 - base_z)
     c2, per_c2, tilt, rise = real(across2), real(1.0 / across2 if across2 > 0.0 else 0.0), real(tilt), real(bz)
@@ -213,9 +213,9 @@ def list_tube(x, y, z, bx, by, bz, per_length, steps, per_steps, low, high, list
         first, left = numbers[FIRST, k], numbers[MANY, k]
         row2, foot, row = lists[ROW2, k], lists[ROW_DOT, k] * per_length, numbers[ROW, k]
         while True:
-            put_sum(lists, Q2, hits, row2, OF_Z2, first)
-            put_sum(lists, ALONG, hits, foot, OF_Z, first)
-            put_sum(numbers, NODE, hits, row, OF_Z, first)
+            add_scalar8(lists, Q2, hits, row2, OF_Z2, first)
+            add_scalar8(lists, ALONG, hits, foot, OF_Z, first)
+            add_scalar8(numbers, NODE, hits, row, OF_Z, first)
             hits += min(EIGHT, left)
             left -= EIGHT
             if left <= 0:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from xcg.compiled._jit import leaf
 from xcg.compiled.contacts import AHEAD, side
 from xcg.compiled.reach import ALONG, NODE, Q2, RUN, WEIGHT, images, list_tube, padded, run_reaches
-from xcg.compiled.simd import add_four, ask_for
+from xcg.compiled.simd import add4, prefetch
 from xcg.compiled.smoothing import fill_gauss, fill_segments
 
 # The rules to choose from, by number of Gauss-Legendre points: an odd number takes as long as the next even one.
@@ -104,11 +104,11 @@ def list_segments(
     most_x, most_y, most_z, most2 = 0.0, 0.0, 0.0, 0.0
     for n in range(place.size):
         later = min(n + AHEAD, place.size - 1)
-        ask_for(position, row_i[later])
-        ask_for(position, row_j[later])
-        ask_for(segments, place[later])
-        ask_for(phase, row_i[later])
-        ask_for(phase, row_j[later])
+        prefetch(position, row_i[later])
+        prefetch(position, row_j[later])
+        prefetch(segments, place[later])
+        prefetch(phase, row_i[later])
+        prefetch(phase, row_j[later])
         i, j, k, sign = row_i[n], row_j[n], place[n], cutoff
         ax, ay, az = side(position, i, point, n, wrap)
         bx, by, bz = side(position, j, point, n, wrap)
@@ -222,8 +222,8 @@ def _add_dyad(moments, segments, i, norm, numbers, w, hits):
     a0, a1, a2 = segments[i, BRANCH], segments[i, BRANCH + 1], segments[i, BRANCH + 2]
     for k in range(hits):
         n, v = np.uint64(numbers[NODE, k]), np.float64(w[k])
-        add_four(moments, p, n, 0, v, f0 * a0, f0 * a1, f0 * a2, f1 * a0)
-        add_four(moments, p, n, 4, v, f1 * a1, f1 * a2, f2 * a0, f2 * a1)
+        add4(moments, p, n, 0, v, f0 * a0, f0 * a1, f0 * a2, f1 * a0)
+        add4(moments, p, n, 4, v, f1 * a1, f1 * a2, f2 * a0, f2 * a1)
         moments[p, n, _LAST] += v * (f2 * a2)
 
 

@@ -1,7 +1,7 @@
 """Several neighbouring numbers of an array in one instruction, written out for LLVM.
 
 Loops over four or eight numbers would be compiled one number at a time, and merged again afterwards, if they are.
-Nothing is checked unless ``NUMBA_BOUNDSCHECK=1`` is set, which `ask_for` and addresses do not heed: places must lie
+Nothing is checked unless ``NUMBA_BOUNDSCHECK=1`` is set, which `prefetch` and addresses do not heed: places must lie
 within the array, and addresses be those of arrays that are still there. Sums and products are those of the same formula
 number by number, bit for bit.
 """
@@ -54,7 +54,7 @@ def _cast(context, builder, signature, args):
 
 
 @intrinsic
-def add_four(typingctx, records, group, row, first, weight, a, b, c, d):
+def add4(typingctx, records, group, row, first, weight, a, b, c, d):
     """``records[group, row, first : first + 4] += weight * (a, b, c, d)``."""
 
     def generate(context, builder, signature, args):
@@ -70,7 +70,7 @@ def add_four(typingctx, records, group, row, first, weight, a, b, c, d):
 
 
 @intrinsic
-def put_eight(typingctx, lists, row, at, value):
+def fill8(typingctx, lists, row, at, value):
     """``lists[row, at : at + 8] = value``."""
 
     def generate(context, builder, signature, args):
@@ -83,7 +83,7 @@ def put_eight(typingctx, lists, row, at, value):
 
 
 @intrinsic
-def put_sum(typingctx, lists, row, at, value, table, first):
+def add_scalar8(typingctx, lists, row, at, value, table, first):
     """``lists[row, at : at + 8] = value + lists[table, first : first + 8]``."""
 
     def generate(context, builder, signature, args):
@@ -99,7 +99,7 @@ def put_sum(typingctx, lists, row, at, value, table, first):
 
 
 @intrinsic
-def put_line(typingctx, lists, to, squares, at, first, step, origin, factor):
+def ramp8(typingctx, lists, to, squares, at, first, step, origin, factor):
     """Write d = (first + k) step - origin, times a factor, and its square, for k = 0, ... 7.
 
     ``lists[to, at + k] = factor * d`` and ``lists[squares, at + k] = d * d``.
@@ -123,7 +123,7 @@ def put_line(typingctx, lists, to, squares, at, first, step, origin, factor):
 
 
 @intrinsic
-def ask_for(typingctx, array, row):
+def prefetch(typingctx, array, row):
     """Ask for the start of a row of an array, which need not be there, so that it has come when it is read."""
 
     def generate(context, builder, signature, args):
@@ -178,9 +178,9 @@ row_product = _of_rows(lambda builder, a, b: builder.fmul(a, b))
 row_quotient = _of_rows(lambda builder, a, b: builder.fdiv(a, b))
 # of `a` alone: square roots; NaN where it is not positive; 0 where it is negative; 0 where it is NaN
 row_root = _of_rows(_root)
-row_positive = _of_rows(lambda b, a, _: b.select(b.fcmp_ordered(">", a, _all(0.0)), a, _all(math.nan)))
-row_not_negative = _of_rows(lambda b, a, _: b.select(b.fcmp_ordered("<", a, _all(0.0)), _all(0.0), a))
-row_known = _of_rows(lambda b, a, _: b.select(b.fcmp_ordered("==", a, a), a, _all(0.0)))
+nan_unless_positive = _of_rows(lambda b, a, _: b.select(b.fcmp_ordered(">", a, _all(0.0)), a, _all(math.nan)))
+clip_at_zero = _of_rows(lambda b, a, _: b.select(b.fcmp_ordered("<", a, _all(0.0)), _all(0.0), a))
+nan_to_zero = _of_rows(lambda b, a, _: b.select(b.fcmp_ordered("==", a, a), a, _all(0.0)))
 
 
 # --- memory that is named by its address -----------------------------------------------------------------
@@ -192,7 +192,7 @@ def _pointer(context, builder, address, index):
 
 
 @intrinsic
-def number_at(typingctx, address, index):
+def load_number(typingctx, address, index):
     """Read the float64 that is `index` numbers from an address."""
 
     def generate(context, builder, signature, args):
@@ -202,7 +202,7 @@ def number_at(typingctx, address, index):
 
 
 @intrinsic
-def put_number_to(typingctx, address, index, value):
+def store_number(typingctx, address, index, value):
     """Write a float64 to the place that is `index` numbers from an address."""
 
     def generate(context, builder, signature, args):
@@ -213,7 +213,7 @@ def put_number_to(typingctx, address, index, value):
 
 
 @intrinsic
-def stream_number_to(typingctx, address, index, value):
+def store_nontemporal(typingctx, address, index, value):
     """Write a float64 to the place that is `index` numbers from an address, past the caches.
 
     What is written in order, without gaps, goes to memory line by line, and nothing is read for it before.
@@ -230,7 +230,7 @@ def stream_number_to(typingctx, address, index, value):
 
 
 @intrinsic
-def finish_streams(typingctx):
+def store_fence(typingctx):
     """Wait until all that was written past the caches is in memory, for other threads to see."""
 
     def generate(context, builder, signature, args):
@@ -241,7 +241,7 @@ def finish_streams(typingctx):
 
 
 @intrinsic
-def turn_eight(typingctx, address, first, apart, rows, row, at):
+def transpose8x8(typingctx, address, first, apart, rows, row, at):
     """``rows[row + c, at + k] = m[first + k * apart + c]`` for k, c = 0, ... 7, m the numbers from an address on."""
 
     def generate(context, builder, signature, args):
