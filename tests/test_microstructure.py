@@ -273,7 +273,7 @@ def test_backbone_is_what_is_left_of_taking_out_rattlers(seed, least):
         if not out:
             break
         kept -= out
-    assert set(np.flatnonzero(contacts.backbone(least)).tolist()) == kept
+    assert set(np.flatnonzero(contacts.k_core(least)).tolist()) == kept
     if least == 4:
         m = ds.cg.microstructure("non_rattler_fraction", rattlers="iterative")
         assert one(m, "non_rattler_fraction") == len(kept) / 60

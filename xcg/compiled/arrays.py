@@ -6,7 +6,7 @@ from xcg.compiled._jit import leaf
 
 
 @leaf
-def places_by(key, start, place):
+def counting_sort_places(key, start, place):
     """Write the place (n,) of each thing among all by its key (n,), a whole number; things of one key keep their order.
 
     `start` (keys + 1,) is scratch, zeros.
@@ -22,7 +22,7 @@ def places_by(key, start, place):
 
 
 @leaf
-def turn(records, column, factor, out):
+def transpose_columns(records, column, factor, out):
     """Write columns of records (p, n, c), times a factor for each p, nodes last: each record is read once, in order.
 
     ``out[r, p, n] = factor[r, p] * records[p, n, column[r]]`` for r = 0, ... column.size - 1.

@@ -19,7 +19,7 @@ def add_rows(row, sign, values, out):
 
 
 @leaf
-def peel(row_i, row_j, weight, least, degree, kept):
+def k_core(row_i, row_j, weight, least, degree, kept):
     """Take out rows of fewer than `least` partners, and again those that then have fewer, until none is left.
 
     Parameters

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled._jit import leaf
-from xcg.compiled.arrays import places_by
+from xcg.compiled.arrays import counting_sort_places
 from xcg.compiled.simd import EIGHT, add_scalar8, fill8, ramp8
 
 PAD = 16  # loops over lists run to a multiple of this: what is left over would be done one by one
@@ -259,6 +259,6 @@ def spatial_order(position: NDArray, size: float, lower: NDArray, upper: NDArray
     pencil = y // PENCIL * pencils_z + z // PENCIL
     cell = ((pencil * cells[0] + x) * PENCIL + y % PENCIL) * PENCIL + z % PENCIL
     place, order = np.empty(count, "int64"), np.empty(count, "int64")
-    places_by(cell, np.zeros(pencils_y * pencils_z * int(cells[0]) * PENCIL * PENCIL + 1, "int64"), place)
+    counting_sort_places(cell, np.zeros(pencils_y * pencils_z * int(cells[0]) * PENCIL * PENCIL + 1, "int64"), place)
     order[place] = np.arange(count)
     return order

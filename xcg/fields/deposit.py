@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled import points as kernel
-from xcg.compiled.arrays import turn
+from xcg.compiled.arrays import transpose_columns
 from xcg.compiled.reach import RUN, lists_for, runs_of, spatial_order
 from xcg.compiled.segments import SEGMENT, closed_for, deposit_segments, list_segments
 from xcg.fields.blocks import NodeBlock, for_each
@@ -80,7 +80,7 @@ class _Pass:
         """Moments (components, groups, nodes) from the sums (groups, nodes, columns)."""
         column, factor = self._rows
         out, first = np.empty((column.size, *records.shape[:2])), 0
-        turn(records, column, factor, out)
+        transpose_columns(records, column, factor, out)
         for name, (columns, _) in self.moments.items():
             yield name, out[first : first + columns.size].reshape(*columns.shape, *out.shape[1:])
             first += columns.size

@@ -150,7 +150,7 @@ def _shared(measure: Measure, frame: Frame, contacts: Contacts | None) -> Simple
     virial_j = -contacts.force[:, :, None] * contacts.branch_j[:, None, :]
     return SimpleNamespace(
         partners=contacts.partners,
-        held=contacts.backbone(least) if measure.iterative else contacts.partners >= least,
+        held=contacts.k_core(least) if measure.iterative else contacts.partners >= least,
         normal_force=np.einsum("ni,ni->n", contacts.force, contacts.normal),
         virial=contacts.sum_over_particles(virial_i, virial_j),
     )

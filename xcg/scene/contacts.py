@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.compiled.arrays import places_by
-from xcg.compiled.contacts import add_dyads, add_rows, add_unit_squares, between, peel, sides
+from xcg.compiled.arrays import counting_sort_places
+from xcg.compiled.contacts import add_dyads, add_rows, add_unit_squares, between, k_core, sides
 from xcg.scene.complete import repeated_pairs, rows_of, unit_vectors
 from xcg.scene.plausible import check_contacts
 from xcg.scene.schema import Frame
@@ -165,13 +165,13 @@ class Contacts:
         """Number of contact partners of each particle, walls included; several contacts with one count once."""
         return self.sum_over_particles(self.first, self.first)
 
-    def backbone(self, least: int) -> NDArray:
+    def k_core(self, least: int) -> NDArray:
         """Whether each particle keeps `least` partners when all that have fewer are taken out, again and again.
 
         Partners that are not particles of the scene (walls) stay.
         """
         degree, kept = self.partners.copy(), np.ones(len(self.position), bool)
-        peel(self.i, self.j, self.first, least, degree, kept)
+        k_core(self.i, self.j, self.first, least, degree, kept)
         return kept
 
     @property
@@ -209,7 +209,7 @@ class Contacts:
         """Place of each contact among all, by the rank (particles,) of its first particle that is there; (n,)."""
         place = np.empty_like(self.i)
         key = np.append(rank, rank.size)[self.first_row]  # those of no particle come last
-        places_by(key, np.zeros(rank.size + 2, "int64"), place)
+        counting_sort_places(key, np.zeros(rank.size + 2, "int64"), place)
         return place
 
 
