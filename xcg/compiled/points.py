@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from xcg.compiled._jit import leaf
-from xcg.compiled.reach import NODE, OTHER, Q2, RUN, WEIGHT, X, Y, Z, images, list_ball, run_reaches
+from xcg.compiled.reach import BATCH, NODE, OTHER, Q2, WEIGHT, X, Y, Z, batch_reaches, nodes_in_ball, periodic_images
 from xcg.compiled.simd import add4
 from xcg.compiled.smoothing import fill_values
 
@@ -39,7 +39,7 @@ _COLUMNS = tuple(np.uint64(k) for k in range(SQUARED))
 
 @leaf
 def deposit(
-    order, position, velocity, mass, constants, phase, level, still, meet, origin, cutoff, runs, low, high, steps,
+    order, position, velocity, mass, constants, phase, level, still, meet, origin, cutoff, batches, low, high, steps,
     active, period, kind, spread, table, norm, by_gradient, grains, lists, numbers, moments, reference,
 ):  # fmt: skip
     """Add grains to the nodes within their support.
@@ -69,8 +69,8 @@ def deposit(
     origin, cutoff : tuple, float
         Place of the first node, and radius of the support. Lengths up to here are in one unit; those that follow are in
         cutoffs.
-    runs : (r, 2, 3)
-        Bounds of each run of grains, see `runs_of`: those out of reach are passed over.
+    batches : (r, 2, 3)
+        Bounds of each run of grains, see `batches_of`: those out of reach are passed over.
     low, high : tuple of int
         The box of nodes low <= (ix, iy, iz) < high, so that boxes can be filled one by one, or at the same time.
     steps, active, period : tuple
@@ -93,19 +93,19 @@ def deposit(
     per_steps = (1.0 / steps[0], 1.0 / steps[1], 1.0 / steps[2])
     reach = (1.0 if active[0] else 0.0, 1.0 if active[1] else 0.0, 1.0 if active[2] else 0.0)
     q2, weight = lists[Q2], lists[WEIGHT]
-    for run in range(runs.shape[0]):
-        if not run_reaches(runs, run, begin, end, active, period):
+    for batch in range(batches.shape[0]):
+        if not batch_reaches(batches, batch, begin, end, active, period):
             continue
-        rows = order[run * RUN : (run + 1) * RUN]
+        rows = order[batch * BATCH : (batch + 1) * BATCH]
         _list_grains(rows, position, velocity, mass, constants, phase, origin, cutoff, grains)
         for i in range(rows.size):
             p = np.uint64(grains[i, GROUP])
             x0 = grains[i, PLACE] if active[0] else 0.0
             y0 = grains[i, PLACE + 1] if active[1] else 0.0
             z0 = grains[i, PLACE + 2] if active[2] else 0.0
-            first_x, last_x = images(x0, -reach[0], reach[0], begin[0], end[0], period[0])
-            first_y, last_y = images(y0, -reach[1], reach[1], begin[1], end[1], period[1])
-            first_z, last_z = images(z0, -reach[2], reach[2], begin[2], end[2], period[2])
+            first_x, last_x = periodic_images(x0, -reach[0], reach[0], begin[0], end[0], period[0])
+            first_y, last_y = periodic_images(y0, -reach[1], reach[1], begin[1], end[1], period[1])
+            first_z, last_z = periodic_images(z0, -reach[2], reach[2], begin[2], end[2], period[2])
             if first_x > last_x or first_y > last_y or first_z > last_z:
                 continue
             for image_x in range(first_x, last_x + 1):
@@ -114,7 +114,7 @@ def deposit(
                     y = y0 + image_y * period[1] if image_y else y0
                     for image_z in range(first_z, last_z + 1):
                         z = z0 + image_z * period[2] if image_z else z0
-                        hits = list_ball(x, y, z, steps, per_steps, low, high, lists, numbers)
+                        hits = nodes_in_ball(x, y, z, steps, per_steps, low, high, lists, numbers)
                         fill_values(kind, spread, table, norm, by_gradient, q2, hits, weight)
                         if level > 0:
                             _add_flow(p, grains, i, lists, numbers, hits, level, still, moments, reference)

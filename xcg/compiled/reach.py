@@ -21,7 +21,7 @@ from xcg.compiled.simd import EIGHT, add_scalar8, fill8, ramp8
 
 PAD = 16  # loops over lists run to a multiple of this: what is left over would be done one by one
 PENCIL = 8  # cells across: the nodes that a layer of a pencil adds to fit in a core's cache
-RUN = 256  # grains or branches, neighbours in space, that are passed over together
+BATCH = 256  # grains or branches, neighbours in space, that are passed over together
 
 # What the lists hold: tables over the nodes of a row and the rows of a plane, in both kinds of lists,
 OF_Y, OF_Z, OF_Y2, OF_Z2 = (np.uint64(k) for k in range(4))
@@ -37,7 +37,7 @@ MOST_CELLS = 1 << 20
 
 
 @leaf
-def images(x, low, high, first, last, period):
+def periodic_images(x, low, high, first, last, period):
     """First and last periodic image of an interval [x + low, x + high] that meets the nodes in [first, last]."""
     if x + high - period < first and x + low + period > last:  # nearly all: no more than the interval itself
         return 0, 0 if x + high >= first and x + low <= last else -1
@@ -76,7 +76,7 @@ def lists_for(
 
 
 @leaf
-def list_ball(x, y, z, steps, per_steps, low, high, lists, numbers):
+def nodes_in_ball(x, y, z, steps, per_steps, low, high, lists, numbers):
     """List the nodes closer than 1 to a point.
 
     Parameters
@@ -141,7 +141,7 @@ def list_ball(x, y, z, steps, per_steps, low, high, lists, numbers):
 
 
 @leaf
-def list_tube(x, y, z, bx, by, bz, per_length, steps, per_steps, low, high, lists, numbers):
+def nodes_around_segment(x, y, z, bx, by, bz, per_length, steps, per_steps, low, high, lists, numbers):
     """List the nodes closer than 1 to the segment from a point to that point plus b, in the precision of `lists`.
 
     Along the row of nodes at (dx, dy) from the start, the end u of the reach is where ``u bz + sqrt(1 - |d - u b|^2)``,
@@ -154,7 +154,7 @@ def list_tube(x, y, z, bx, by, bz, per_length, steps, per_steps, low, high, list
     per_length : float
         1 / its length, or 0.
     steps, per_steps, low, high
-        As in `list_ball`.
+        As in `nodes_in_ball`.
     lists, numbers : (LISTS, n), (NUMBERS, n)
         Written: numbers[NODE], the indices, lists[Q2], squared distances to the start, and lists[ALONG], the foot of
         the node on the segment's line, from the start.
@@ -224,21 +224,23 @@ def list_tube(x, y, z, bx, by, bz, per_length, steps, per_steps, low, high, list
     return hits
 
 
-def runs_of(position: NDArray) -> NDArray:
-    """Lowest and highest place, (runs, 2, 3), of each run of `RUN` rows of position (m, 3)."""
-    first = np.arange(0, len(position), RUN)
+def batches_of(position: NDArray) -> NDArray:
+    """Lowest and highest place, (runs, 2, 3), of each run of `BATCH` rows of position (m, 3)."""
+    first = np.arange(0, len(position), BATCH)
     columns = [np.ascontiguousarray(x) for x in position.T]
     bounds = [[extreme.reduceat(x, first) for x in columns] for extreme in (np.minimum, np.maximum)]
     return np.array(bounds).transpose(2, 0, 1).copy()
 
 
 @leaf
-def run_reaches(runs, run, begin, end, active, period):
-    """Whether anything of one of `runs_of`, or an image of it, is closer than 1 to nodes from `begin` to `end`."""
+def batch_reaches(batches, batch, begin, end, active, period):
+    """Whether anything of one of `batches_of`, or an image of it, is closer than 1 to nodes from `begin` to `end`."""
     reaches = True
     for k in range(3):
         if active[k]:
-            first, last = images(0.0, runs[run, 0, k] - 1.0, runs[run, 1, k] + 1.0, begin[k], end[k], period[k])
+            first, last = periodic_images(
+                0.0, batches[batch, 0, k] - 1.0, batches[batch, 1, k] + 1.0, begin[k], end[k], period[k]
+            )
             reaches = reaches and first <= last
     return reaches
 

@@ -14,7 +14,17 @@ from numpy.typing import NDArray
 
 from xcg.compiled._jit import leaf
 from xcg.compiled.contacts import AHEAD, side
-from xcg.compiled.reach import ALONG, NODE, Q2, RUN, WEIGHT, images, list_tube, padded, run_reaches
+from xcg.compiled.reach import (
+    ALONG,
+    BATCH,
+    NODE,
+    Q2,
+    WEIGHT,
+    batch_reaches,
+    nodes_around_segment,
+    padded,
+    periodic_images,
+)
 from xcg.compiled.simd import add4, prefetch
 from xcg.compiled.smoothing import fill_gauss, fill_segments
 
@@ -150,7 +160,7 @@ def _on_one_line(ax, ay, az, bx, by, bz):
 
 @leaf
 def deposit_segments(
-    segments, limits, runs, low, high, steps, active, period, kind, spread, table, norm, lists, numbers, closed, rest,
+    segments, limits, batches, low, high, steps, active, period, kind, spread, table, norm, lists, numbers, closed, rest,
     moments,
 ):  # fmt: skip
     """Add force x branch of each segment to the nodes that its tube of radius 1 reaches.
@@ -180,8 +190,8 @@ def deposit_segments(
     along, q2, w = lists[ALONG], lists[Q2], lists[WEIGHT]
     here = True
     for i in range(segments.shape[0]):
-        if i % RUN == 0:
-            here = run_reaches(runs, i // RUN, begin, end, active, period)
+        if i % BATCH == 0:
+            here = batch_reaches(batches, i // BATCH, begin, end, active, period)
         if not here or segments[i, GROUP] < 0.0:
             continue
         x0 = segments[i, START] if active[0] else 0.0
@@ -190,9 +200,15 @@ def deposit_segments(
         bx = -segments[i, BRANCH] if active[0] else 0.0
         by = -segments[i, BRANCH + 1] if active[1] else 0.0
         bz = -segments[i, BRANCH + 2] if active[2] else 0.0
-        first_x, last_x = images(x0, min(0.0, bx) - reach[0], max(0.0, bx) + reach[0], begin[0], end[0], period[0])
-        first_y, last_y = images(y0, min(0.0, by) - reach[1], max(0.0, by) + reach[1], begin[1], end[1], period[1])
-        first_z, last_z = images(z0, min(0.0, bz) - reach[2], max(0.0, bz) + reach[2], begin[2], end[2], period[2])
+        first_x, last_x = periodic_images(
+            x0, min(0.0, bx) - reach[0], max(0.0, bx) + reach[0], begin[0], end[0], period[0]
+        )
+        first_y, last_y = periodic_images(
+            y0, min(0.0, by) - reach[1], max(0.0, by) + reach[1], begin[1], end[1], period[1]
+        )
+        first_z, last_z = periodic_images(
+            z0, min(0.0, bz) - reach[2], max(0.0, bz) + reach[2], begin[2], end[2], period[2]
+        )
         if first_x > last_x or first_y > last_y or first_z > last_z:
             continue
         length = math.sqrt(bx * bx + by * by + bz * bz)
@@ -206,7 +222,9 @@ def deposit_segments(
                 y = y0 + image_y * period[1] if image_y else y0
                 for image_z in range(first_z, last_z + 1):
                     z = z0 + image_z * period[2] if image_z else z0
-                    hits = list_tube(x, y, z, bx, by, bz, per_length, steps, per_steps, low, high, lists, numbers)
+                    hits = nodes_around_segment(
+                        x, y, z, bx, by, bz, per_length, steps, per_steps, low, high, lists, numbers
+                    )
                     if points:
                         fill_gauss(kind, spread, table, GAUSS_POINTS, GAUSS_WEIGHTS, points, length, along, q2, hits, w)
                     elif closed is not None:

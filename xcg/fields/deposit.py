@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from xcg.compiled import points as kernel
 from xcg.compiled.arrays import transpose_columns
-from xcg.compiled.reach import RUN, lists_for, runs_of, spatial_order
+from xcg.compiled.reach import BATCH, batches_of, lists_for, spatial_order
 from xcg.compiled.segments import SEGMENT, closed_for, deposit_segments, list_segments
 from xcg.fields.blocks import NodeBlock, for_each
 from xcg.fields.grid import Grid
@@ -176,10 +176,10 @@ class _Deposit:
                 segments, longest, more = self._segments(place, second, others if name == "pair_contact" else 0, cutoff)
                 reach = 2.0 + longest[:3]
                 self._mesh(cutoff).check_reach(reach)
-                runs = runs_of(segments[:, :3])
-                runs += np.array([[-1.0], [1.0]]) * longest[:3]
+                batches = batches_of(segments[:, :3])
+                batches += np.array([[-1.0], [1.0]]) * longest[:3]
                 for real, closed, rest in self._rules(longest[3], cutoff):
-                    way = (segments, self.spec.limits, runs), self._onto(cutoff), reach, real, closed, rest
+                    way = (segments, self.spec.limits, batches), self._onto(cutoff), reach, real, closed, rest
                     fill.append(partial(_fill_segments, *way))
                 if not more:
                     break
@@ -256,8 +256,8 @@ class _Deposit:
             rows = order if (self.cutoffs == cutoff).all() else order[self.cutoffs[phase[order]] == cutoff]
             meet = True if squares and (self.period < 2 * cutoff).any() else None
             grains = (rows, position, velocity, mass, columns, phase, level, still, meet, self.origin, cutoff)
-            runs = (runs_of(position.take(rows, axis=0)) - self.origin) / cutoff
-            fill.append(partial(_fill_points, (*grains, runs), (*self._onto(cutoff), by_gradient)))
+            batches = (batches_of(position.take(rows, axis=0)) - self.origin) / cutoff
+            fill.append(partial(_fill_points, (*grains, batches), (*self._onto(cutoff), by_gradient)))
         return _Pass(self.phases, level + columns.shape[1], fill, moments)
 
 
@@ -266,7 +266,7 @@ def _fill_points(
 ) -> None:
     steps, active = onto[:2]
     lists = lists_for(*block, [2.0 * a for a in active], steps)
-    records = np.empty((RUN, sums.shape[2] + kernel.GRAIN))
+    records = np.empty((BATCH, sums.shape[2] + kernel.GRAIN))
     kernel.deposit(*grains, *block, *onto, records, *lists, sums, reference)
 
 
