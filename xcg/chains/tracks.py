@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from xcg.chains.results import require_chains, steps_of
 from xcg.scene.query import require_rising_times
 from xcg.scene.schema import units_of
-from xcg.steps.label import about
+from xcg.steps.label import provenance
 
 
 def track_chains(fc: xr.Dataset, overlap: float = 0.5) -> xr.Dataset:
@@ -89,7 +89,7 @@ def track_chains(fc: xr.Dataset, overlap: float = 0.5) -> xr.Dataset:
         "steps": ("track", np.array(seen, int), {"long_name": "steps of the track"}),
     }
     coords = {name: fc[name].variable for name in ("time", "step") if name in fc.coords}
-    return xr.Dataset(data, coords, about(fc, f"track_chains(overlap={overlap!r})"))
+    return xr.Dataset(data, coords, provenance(fc, f"track_chains(overlap={overlap!r})"))
 
 
 def _matches(before: tuple[NDArray, NDArray], now: tuple[NDArray, NDArray], overlap: float) -> list[tuple[int, int]]:

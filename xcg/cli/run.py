@@ -26,7 +26,7 @@ from xcg.readers.paths import expand_paths
 from xcg.readers.series import open_scene
 from xcg.scene.phases import assign_phases, find_phases
 from xcg.scene.schema import SceneError
-from xcg.steps.errors import heard, tolerated
+from xcg.steps.errors import collecting, listen_for_skips
 from xcg.steps.label import name_skipped
 from xcg.steps.map import SKIPPED
 from xcg.writers.files import leftovers, whole_file
@@ -61,7 +61,7 @@ def _opened(job: Job) -> tuple[xr.Dataset, xr.Dataset, xr.Dataset | None]:
         function = assign_phases if assigned else find_phases
         _check_arguments(function, job.phases, "phases")
         if job.on_error == "skip":
-            with tolerated(), dask.config.set(scheduler="synchronous"):  # in this thread, which tolerates faults
+            with collecting(), dask.config.set(scheduler="synchronous"):  # in this thread, which tolerates faults
                 ds = function(ds, **job.phases)
         else:
             ds = function(ds, **job.phases)
@@ -206,7 +206,7 @@ def _compute(parts: Path, series: Mapping[str, xr.Dataset], batch: int) -> Itera
     for first in range(0, len(todo), batch):
         some = todo[first : first + batch]
         for name, data in series.items():
-            with heard() as causes:
+            with listen_for_skips() as causes:
                 computed = data.isel(time=some).compute()
             for k, t in enumerate(some):
                 step = computed.isel(time=[k])

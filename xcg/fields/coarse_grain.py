@@ -29,7 +29,7 @@ from xcg.scene.query import require_scene
 from xcg.scene.schema import COMPONENTS, Frame, units_of
 from xcg.scene.warn import warn_once
 from xcg.steps.errors import check_on_error
-from xcg.steps.label import about, call_of, mark_skipped
+from xcg.steps.label import format_call, mark_skipped, provenance
 from xcg.steps.map import chunks_in, map_over_time
 
 
@@ -163,9 +163,9 @@ def coarse_grain(
         names, table, own = _as_own(ds, given)
         return pysammos.from_xcg(coarse_grain(ds, **own), names, table)
     if check_on_error(given.pop("on_error")) == "skip":
-        call = call_of("coarse_grain", given | {"on_error": on_error})
+        call = format_call("coarse_grain", given | {"on_error": on_error})
     else:
-        call = call_of("coarse_grain", given)
+        call = format_call("coarse_grain", given)
     plan = make_plan(**{"ds": ds, **given})
     names = [*plan.variables, *(name for name in ("box", "step") if name in ds)]
     results = {field: (plan.shape(field), "float64") for field in plan.fields}
@@ -320,7 +320,7 @@ def _label(ds: xr.Dataset, plan: Plan, arrays: Mapping[str, Any], call: str) -> 
 
 def _provenance(ds: xr.Dataset, plan: Plan, call: str) -> dict[str, Any]:
     return {
-        **about(ds, call),
+        **provenance(ds, call),
         "kernel": plan.kernel.name,
         "width": plan.widths if len(plan.widths) > 1 else plan.kernel.width,
         "cutoff": list(plan.deposit.cutoffs) if len(plan.widths) > 1 else plan.kernel.cutoff,

@@ -16,7 +16,7 @@ from xcg.scene.conform import takes_scene
 from xcg.scene.frame import stack, steps_in
 from xcg.scene.query import require_scene, setup_of
 from xcg.scene.schema import COMPONENTS, Frame, SceneError, Setup, units_of, variable
-from xcg.steps.label import about, call_of
+from xcg.steps.label import format_call, provenance
 from xcg.steps.map import is_lazy, map_over_time
 
 READ = ("particle_id", "position", "diameter")
@@ -252,4 +252,4 @@ def _label(ds: xr.Dataset, arrays: Mapping[str, Any], search: Search, given: Map
             attrs["estimated"] = f"normal force from the overlap of spheres: {search.stiffness}"
         data[name] = xr.Variable(("time", *row.dims), values, attrs)
     bare = ds.drop_dims("contact", errors="ignore")
-    return bare.assign(data).assign_attrs(history=about(ds, call_of("find_contacts", given))["history"])
+    return bare.assign(data).assign_attrs(history=provenance(ds, format_call("find_contacts", given))["history"])

@@ -20,7 +20,7 @@ from xcg.scene.frame import phase_of, steps_in, without_frozen
 from xcg.scene.query import edges_of, groups_of, require_rising_times, require_scene, setup_of
 from xcg.scene.schema import COMPONENTS, Frame, SceneError, Setup, units_of
 from xcg.scene.sizes import layer_depth
-from xcg.steps.label import about, call_of, mark_skipped
+from xcg.steps.label import format_call, mark_skipped, provenance
 from xcg.steps.map import map_over_time
 
 Bounds = Mapping[str, Sequence[float]]
@@ -498,7 +498,7 @@ def _with_series(
             "formula": f"strain_rate {INERTIAL[name]} sqrt(particle_density / mean_stress)",
         }
         result[name] = number.transpose(*pressure.dims).drop_attrs().assign_attrs(attrs)
-    return result[list(names)].assign_attrs(about(ds, call_of("microstructure", given)))
+    return result[list(names)].assign_attrs(provenance(ds, format_call("microstructure", given)))
 
 
 def _deviatoric(rates: xr.DataArray, dimension: int) -> xr.DataArray:

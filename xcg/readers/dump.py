@@ -26,7 +26,7 @@ from xcg.readers.text import (
     where,
 )
 from xcg.scene.schema import COMPONENTS, SceneError
-from xcg.steps import errors as faults
+from xcg.steps import errors as errors
 
 
 def body_columns(path: str) -> tuple[str, tuple[str, ...]] | None:
@@ -67,9 +67,9 @@ def index_dumps(paths: Sequence[str], options: ReadOptions, *, atoms: bool) -> l
     for path, steps in zip(paths, found, strict=True):
         refs += steps
         if not steps:
-            faults.raise_or_note(path, SceneError(f"{path}: the file is empty; expected a dump. Leave it out"))
+            errors.raise_or_record(path, SceneError(f"{path}: the file is empty; expected a dump. Leave it out"))
     if paths and not refs:
-        faults.raise_noted()
+        errors.raise_recorded()
     if timestep is None:
         return refs
     if not isinstance(timestep, (int, float)) or not (np.isfinite(timestep) and timestep > 0):
@@ -99,7 +99,7 @@ def _steps(path: str, *, atoms: bool) -> Iterator[StepRef]:
                 check_rows(ref, ref.length)
                 yield ref
             except SceneError as error:
-                if not faults.note(f"{path} from byte {start} on", error):
+                if not errors.record_fault(f"{path} from byte {start} on", error):
                     raise
                 for _ in scanner.until(b"ITEM: TIMESTEP"):  # the next step may be whole
                     pass

@@ -20,7 +20,7 @@ from typing import Any
 
 from xcg.readers.engine import StepRef
 from xcg.scene.schema import SceneError
-from xcg.steps import errors as faults
+from xcg.steps import errors as errors
 
 _VERSION = 2  # of the entries; raise it when headers are read in another way
 _SETTLED = 2e9  # ns: a file that was modified just now may change again without another time stamp
@@ -63,14 +63,14 @@ def _of_folder(
             if refs is not None:
                 found[path] = refs
                 continue
-            earlier = faults.noted()
+            earlier = errors.recorded()
             for ref in _counted(path, scan(path)):  # where faults are tolerated, the steps before one stay
                 found[path].append(replace(ref, size=before[0], modified=before[1]))
             after = _state(path)
-            if before == after and time.time_ns() - after[1] > _SETTLED and faults.noted() == earlier:
+            if before == after and time.time_ns() - after[1] > _SETTLED and errors.recorded() == earlier:
                 learnt[name] = {"size": after[0], "modified": after[1], "steps": [_entry(ref) for ref in found[path]]}
-        except faults.FAULTS as error:
-            if not faults.note(path, error):
+        except errors.FAULTS as error:
+            if not errors.record_fault(path, error):
                 raise
     if learnt and place is not None:
         there = {name: entry for name, entry in known.items() if os.path.exists(os.path.join(folder, name))}

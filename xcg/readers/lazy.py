@@ -22,7 +22,7 @@ from xcg.scene.frame import frame_of, stack
 from xcg.scene.plausible import check_ends
 from xcg.scene.schema import Frame, SceneError, Setup, variable
 from xcg.scene.warn import Once
-from xcg.steps import errors as faults
+from xcg.steps import errors as errors
 from xcg.steps.graph import picked
 
 
@@ -127,8 +127,8 @@ def read_particle_chunk(source: Source, steps: Sequence[Step], types: Mapping[st
         try:
             frame = source.complete(read_step(source.engine, source.options, step.particles), step.particles)
             _require(frame, list(types), step.particles)
-        except faults.FAULTS as error:
-            if not faults.note(step.particles.step, error):
+        except errors.FAULTS as error:
+            if not errors.record_fault(step.particles.step, error):
                 raise
             frame = _nothing(types)
         frames.append(frame)
@@ -154,8 +154,8 @@ def read_contact_chunk(
         try:
             box = None if boxes is None else boxes[t]
             frame = source.contacts(step.contacts, names, frame_of(particles, t), box)
-        except faults.FAULTS as error:
-            if not faults.note(step.particles.step, error):
+        except errors.FAULTS as error:
+            if not errors.record_fault(step.particles.step, error):
                 raise
             frame = _nothing({name: variable(name).dtype for name in names})
         frames.append(frame)

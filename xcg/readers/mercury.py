@@ -30,7 +30,7 @@ from xcg.readers.text import (
     where,
 )
 from xcg.scene.schema import COMPONENTS, Frame, SceneError
-from xcg.steps import errors as faults
+from xcg.steps import errors as errors
 
 OPTIONS = ("restart",)
 
@@ -149,7 +149,7 @@ def index_contacts(paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
 
 def _refuse_empty(path: str, steps: int) -> None:
     if not steps:
-        faults.raise_or_note(path, SceneError(f"{path}: the file is empty; leave it out"))
+        errors.raise_or_record(path, SceneError(f"{path}: the file is empty; leave it out"))
 
 
 def _fstat_steps(path: str) -> Iterator[StepRef]:

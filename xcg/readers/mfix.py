@@ -37,7 +37,7 @@ from xcg.readers.mfix_contacts import (
 )
 from xcg.scene.schema import Frame, SceneError, variable
 from xcg.scene.warn import warn_user
-from xcg.steps import errors as faults
+from xcg.steps import errors as errors
 
 # The first of two arrays for the same name is taken.
 PARTICLE_NAMES = {
@@ -168,8 +168,8 @@ def _existing(paths: Sequence[str], options: ReadOptions) -> list[tuple[str, flo
     for path in map(str, paths):
         try:
             listed += vtp.read_collection(path) if path.endswith(".pvd") and Path(path).exists() else [(path, None)]
-        except faults.FAULTS as error:
-            if not faults.note(path, error):
+        except errors.FAULTS as error:
+            if not errors.record_fault(path, error):
                 raise
     there = [entry for entry in listed if os.path.isfile(entry[0])]  # a pipe would be waited for
     # MFiX lists its last frame twice: a copy that is gone is not missed.

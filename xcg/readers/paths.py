@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TypeAlias
 
-from xcg.steps import errors as faults
+from xcg.steps import errors as errors
 
 PathLike: TypeAlias = str | os.PathLike[str]
 
@@ -42,10 +42,10 @@ def expand_paths(paths: PathLike | Iterable[PathLike], argument: str) -> list[st
         try:
             found += _expand(os.path.expanduser(os.fspath(path)), argument)
         except FileNotFoundError as error:
-            if not faults.note(os.fspath(path), error):
+            if not errors.record_fault(os.fspath(path), error):
                 raise
     if not found:
-        faults.raise_noted()
+        errors.raise_recorded()
         msg = f"{argument}=[]: expected at least one file"
         raise FileNotFoundError(msg)
     return list(dict.fromkeys(found))

@@ -22,8 +22,8 @@ from xcg.scene.complete import complete_particles, periods
 from xcg.scene.schema import BOX_EDGES, COMPONENTS, VARIABLES, Frame, SceneError, Setup, did_you_mean
 from xcg.scene.sizes import measure_frames
 from xcg.scene.warn import warn_user
-from xcg.steps import errors as faults
-from xcg.steps.errors import FAULTS, check_on_error, raised, tolerated
+from xcg.steps import errors as errors
+from xcg.steps.errors import FAULTS, check_on_error, collecting, raising
 
 ENGINES = ("lammps", "liggghts", "mercury", "mfix")
 
@@ -188,7 +188,7 @@ def open_scene(
         msg = f"missing={missing!r}: expected 'raise', 'skip' or 'empty'"
         raise SceneError(msg)
     kinds = {"particles": particles, "contacts": contacts, "walls": walls}
-    tolerate = tolerated if check_on_error(on_error) == "skip" else raised
+    tolerate = collecting if check_on_error(on_error) == "skip" else raising
     with tolerate() as left_out:
         files = {kind: expand_paths(paths, kind) for kind, paths in kinds.items() if paths is not None}
         engine = engine or _guess_engine(files)
@@ -281,12 +281,12 @@ def _ends(engine: str, options: ReadOptions, steps: Sequence[Step], setup: Calla
                 complete_particles(raw[ref], setup(), where(ref))
             except FAULTS as error:
                 raw.pop(ref, None)
-                if not faults.note(where(ref), error):
+                if not errors.record_fault(where(ref), error):
                     raise
             else:
                 break
     if not raw:
-        faults.raise_noted()
+        errors.raise_recorded()
     return raw
 
 
@@ -304,7 +304,7 @@ def _guess_engine(files: Mapping[str, Sequence[str]]) -> str:
 
 def _first_whole(paths: Sequence[str]) -> str:
     """First file that any engine recognises, where faults are tolerated; else the first one."""
-    if faults.tolerant():
+    if errors.is_collecting():
         for path in paths:
             try:
                 if any(load_engine(name).recognises(path) for name in ENGINES):
@@ -365,7 +365,7 @@ def _index(
 def _one_series(refs: list[StepRef], same: Sequence[str]) -> list[StepRef]:
     """Return the steps of one kind, all or an error; where faults are tolerated, those like most of them."""
     pattern = refs[0]
-    if faults.tolerant():
+    if errors.is_collecting():
         often = Counter(ref.columns for ref in refs).most_common(1)[0][0]
         pattern = next(ref for ref in refs if ref.columns == often)
     kept = []
@@ -373,7 +373,7 @@ def _one_series(refs: list[StepRef], same: Sequence[str]) -> list[StepRef]:
         try:
             _check_same(pattern, ref, same)
         except SceneError as error:
-            if not faults.note(where(ref), error):
+            if not errors.record_fault(where(ref), error):
                 raise
         else:
             kept.append(ref)

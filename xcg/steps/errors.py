@@ -43,36 +43,36 @@ def check_on_error(on_error: str) -> str:
     return on_error
 
 
-class _Noted(threading.local):
+class _Recorded(threading.local):
     """Faults of this thread, by number of the step or by file; None where they are raised."""
 
     faults: dict[int | str, str] | None = None
 
 
-_noted = _Noted()
+_recorded = _Recorded()
 
 
 @contextmanager
-def tolerated() -> Iterator[dict[Any, str]]:
+def collecting() -> Iterator[dict[Any, str]]:
     """Give the faults that are noted in this thread instead of raised, by number of the step or by file."""
-    before, _noted.faults = _noted.faults, {}
+    before, _recorded.faults = _recorded.faults, {}
     try:
-        yield _noted.faults
+        yield _recorded.faults
     finally:
-        _noted.faults = before
+        _recorded.faults = before
 
 
 @contextmanager
-def raised() -> Iterator[dict[Any, str]]:
-    """Let faults be raised; the counterpart of `tolerated`."""
+def raising() -> Iterator[dict[Any, str]]:
+    """Let faults be raised; the counterpart of `collecting`."""
     yield {}
 
 
-def note(where: int | str, error: Exception) -> bool:
+def record_fault(where: int | str, error: Exception) -> bool:
     """Note the fault of a step or file; False where nobody tolerates it, and it must be raised."""
-    if _noted.faults is None:
+    if _recorded.faults is None:
         return False
-    _noted.faults.setdefault(where, cause_of(error))
+    _recorded.faults.setdefault(where, cause_of(error))
     return True
 
 
@@ -81,34 +81,34 @@ def cause_of(error: Exception) -> str:
     return str(error) or repr(error)
 
 
-def raise_or_note(path: str, error: Exception) -> None:
+def raise_or_record(path: str, error: Exception) -> None:
     """Raise the fault of a file, or note it, unless one of it is noted."""
-    known = any(str(where).startswith(path) for where in _noted.faults or ())
-    if not known and not note(path, error):
+    known = any(str(where).startswith(path) for where in _recorded.faults or ())
+    if not known and not record_fault(path, error):
         raise error
 
 
-def noted() -> int:
+def recorded() -> int:
     """Count the faults that are noted in this thread."""
-    return len(_noted.faults or ())
+    return len(_recorded.faults or ())
 
 
-def tolerant() -> bool:
+def is_collecting() -> bool:
     """Whether faults are tolerated in this thread."""
-    return _noted.faults is not None
+    return _recorded.faults is not None
 
 
-def raise_noted() -> None:
+def raise_recorded() -> None:
     """Raise the first fault that was noted, where nothing is left to go on with."""
-    if _noted.faults:
-        raise SceneError(next(iter(_noted.faults.values())))
+    if _recorded.faults:
+        raise SceneError(next(iter(_recorded.faults.values())))
 
 
 _listeners: list[dict[int, str]] = []
 
 
 @contextmanager
-def heard() -> Iterator[dict[int, str]]:
+def listen_for_skips() -> Iterator[dict[int, str]]:
     """Give the faults of all steps that are skipped meanwhile in this process, in whatever thread."""
     found: dict[int, str] = {}
     _listeners.append(found)

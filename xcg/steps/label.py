@@ -48,7 +48,7 @@ def label(ds: xr.Dataset, variables: Mapping[str, Variable], arrays: Mapping[str
     coords: dict[str, Any] = {name: ds[name].variable for name in ("time", "step") if name in ds.coords}
     used = {dim for variable in data.values() for dim in variable.dims}
     coords |= {dim: (dim, values) for dim, values in AXES.items() if dim in used}
-    return mark_skipped(storable(xr.Dataset(data, coords, about(ds, call))), arrays)
+    return mark_skipped(storable(xr.Dataset(data, coords, provenance(ds, call))), arrays)
 
 
 def mark_skipped(result: xr.Dataset, arrays: Mapping[str, Any]) -> xr.Dataset:
@@ -69,7 +69,7 @@ def name_skipped(result: xr.Dataset) -> xr.Dataset:
     return result.assign_attrs(skipped_steps=numbers[skipped.to_numpy()])
 
 
-def call_of(function: str, given: Mapping[str, Any]) -> str:
+def format_call(function: str, given: Mapping[str, Any]) -> str:
     """Write a call on one line, arrays by their shape."""
     shown = {k: f"<array {np.shape(v)}>" if np.ndim(v) and hasattr(v, "dtype") else repr(v) for k, v in given.items()}
     return f"{function}({', '.join(f'{k}={v}' for k, v in shown.items())})"
@@ -80,7 +80,7 @@ def _version() -> str:
     return version("xcg")  # which is read from a file
 
 
-def about(ds: xr.Dataset, call: str) -> dict[str, Any]:
+def provenance(ds: xr.Dataset, call: str) -> dict[str, Any]:
     """Attributes of a result: what holds for the scene, then its history with the time, the version and the call."""
     stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     line = f"{stamp} xcg {_version()}: {call}"

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from xcg.scene.schema import PADDING
 from xcg.scene.warn import Once
-from xcg.steps.errors import FAULTS, cause_of, check_on_error, tolerated, warn_of
+from xcg.steps.errors import FAULTS, cause_of, check_on_error, collecting, warn_of
 from xcg.steps.graph import Gathered, picked
 
 # computes the results of a chunk from its arrays, time first, by name
@@ -144,7 +144,7 @@ def _guarded(
     arrays: Mapping[str, NDArray],
 ) -> dict[str, NDArray]:
     """Results of one chunk; steps that cannot be read or computed are filled, and warned of."""
-    with tolerated() as faults:
+    with collecting() as faults:
         if keys:
             try:
                 arrays = dict(arrays) | dict(zip(keys, get(graph, list(keys.values())), strict=True))
