@@ -84,12 +84,12 @@ class StressRule:
         size = ("diameter",) if self.disc else ("volume",)
         return tuple(dict.fromkeys(("particle_id", *_CONTACTS, *size, *self.spheres)))
 
-    def contacts(self, frame: Frame, box: NDArray | None, where: str) -> Contacts:
+    def contacts(self, frame: Frame, box: NDArray | None, source: str) -> Contacts:
         """Join the contacts of a frame to its particles."""
-        contacts = Contacts.of(frame, periods(box, self.periodic, where), where)
+        contacts = Contacts.of(frame, periods(box, self.periodic, source), source)
         return contacts.with_overlaps(frame["diameter"], frame["overlap"]) if self.spheres else contacts
 
-    def volumes(self, frame: Frame, box: NDArray | None, where: str) -> NDArray:
+    def volumes(self, frame: Frame, box: NDArray | None, source: str) -> NDArray:
         """Volume of each particle (m3)."""
         if not self.disc:
             return frame["volume"]
@@ -99,14 +99,14 @@ class StressRule:
             k = COMPONENTS.index(thickness)
             thickness = np.nan if box is None else float(box[k, 1] - box[k, 0])
             if not (np.isfinite(thickness) and thickness > 0):
-                msg = f"{where}: the layer is as thick as the box along {self.thickness!r}, which is not finite"
+                msg = f"{source}: the layer is as thick as the box along {self.thickness!r}, which is not finite"
                 raise SceneError(msg)
         return np.pi / 4 * frame["diameter"] ** 2 * thickness
 
-    def evaluate(self, frame: Frame, contacts: Contacts, box: NDArray | None, where: str) -> Frame:
+    def evaluate(self, frame: Frame, contacts: Contacts, box: NDArray | None, source: str) -> Frame:
         """Stress of each particle of a frame, and its principal values, by name."""
         stress = contacts.dyads
-        stress /= self.volumes(frame, box, where)[:, None, None]
+        stress /= self.volumes(frame, box, source)[:, None, None]
         if self.symmetric:
             stress = 0.5 * (stress + stress.transpose(0, 2, 1))
             values, vectors = np.empty((len(stress), 3)), np.empty((len(stress), 3, 3))
@@ -206,8 +206,8 @@ def _compute(rule: StressRule, arrays: Mapping[str, NDArray]) -> dict[str, NDArr
     """Stress of the particles of one chunk of time, from padded arrays."""
     ids = arrays["particle_id"]
     out = empty_results(RESULTS, {"particle": ids.shape[1]}, len(ids)) | {"particle_id": ids}
-    for t, (frame, box, where) in enumerate(steps_in(arrays)):
-        rows, contacts = particle_rows(ids[t]), rule.contacts(frame, box, where)
-        for name, values in rule.evaluate(frame, contacts, box, where).items():
+    for t, (frame, box, source) in enumerate(steps_in(arrays)):
+        rows, contacts = particle_rows(ids[t]), rule.contacts(frame, box, source)
+        for name, values in rule.evaluate(frame, contacts, box, source).items():
             out[name][t][rows] = values
     return out

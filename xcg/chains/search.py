@@ -220,9 +220,9 @@ def _compute(rule: SearchRule, arrays: Mapping[str, NDArray]) -> dict[str, NDArr
     ids, keys = arrays["particle_id"], arrays["contact_i"]
     sizes = result_sizes(ids.shape[1], keys.shape[1], rule.min_length)
     out = empty_results({n: row for n, row in RESULTS.items() if n not in COPIED}, sizes, len(ids))
-    for t, (frame, box, where) in enumerate(steps_in(arrays)):
+    for t, (frame, box, source) in enumerate(steps_in(arrays)):
         time = float(arrays["time"][t]) if "time" in arrays else 0.0
-        found = find_chains(rule, frame, box, time, where)
+        found = find_chains(rule, frame, box, time, source)
         count = len(found["chain_particles"])
         rows = {"particle": particle_rows(ids[t]), "contact": keys[t] != PADDING, "chain": slice(count)}
         for name, values in found.items():
@@ -232,11 +232,11 @@ def _compute(rule: SearchRule, arrays: Mapping[str, NDArray]) -> dict[str, NDArr
     return out | {name: arrays[name] for name in COPIED}
 
 
-def find_chains(rule: SearchRule, frame: Frame, box: NDArray | None, time: float, where: str) -> Frame:
+def find_chains(rule: SearchRule, frame: Frame, box: NDArray | None, time: float, source: str) -> Frame:
     """Chains of one frame: arrays by particle, by contact and by chain, by the names in `RESULTS`."""
-    period = periods(box, rule.stress.periodic, where)
-    contacts = rule.stress.contacts(frame, box, where)
-    stress = rule.stress.evaluate(frame, contacts, box, where)
+    period = periods(box, rule.stress.periodic, source)
+    contacts = rule.stress.contacts(frame, box, source)
+    stress = rule.stress.evaluate(frame, contacts, box, source)
     major, onward = stress["major_stress"], np.nan_to_num(stress["major_direction"])
     qualifies = rule.qualifies(frame, stress, time, period)
     i, j, particles = contacts.i, contacts.j, len(major)

@@ -91,11 +91,11 @@ def _compute(condition: _Condition, arrays: Mapping[str, NDArray]) -> dict[str, 
     for name, row in STATISTICS.items():
         out[name] = np.empty((steps, *(lengths,) * len(row.dims)), row.dtype)
     grains = {name: arrays[name] for name in _GRAINS if name in arrays}
-    for t, (frame, box, where) in enumerate(steps_in(grains)):
+    for t, (frame, box, source) in enumerate(steps_in(grains)):
         fulfilled = np.ones(len(frame["particle_id"]), bool)
         if condition.region is not None:
             time = float(arrays["time"][t]) if "time" in arrays else 0.0
-            fulfilled &= condition.region.contains(frame, time, periods(box, condition.periodic, where))
+            fulfilled &= condition.region.contains(frame, time, periods(box, condition.periodic, source))
         if condition.min_stress is not None:
             fulfilled &= frame["major_stress"] >= condition.min_stress
         inside = np.zeros(particles, bool)

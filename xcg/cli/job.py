@@ -71,9 +71,9 @@ def _plain_name(path: Path, name: str) -> str:
     return name
 
 
-def _on_error(where: str, value: str) -> str:
+def _on_error(source: str, value: str) -> str:
     try:
         return check_on_error(value)
     except ValueError as error:
-        msg = f"{where}: {error}"
+        msg = f"{source}: {error}"
         raise SceneError(msg) from None

@@ -58,7 +58,7 @@ class _Section:
     """One section: typed values, and a memory of what was asked for, so that the rest can be named."""
 
     def __init__(self, path: Path, name: str, values: Mapping[str, str]) -> None:
-        self.where, self.values = f"{path}: [{name}]", dict(values)
+        self.source, self.values = f"{path}: [{name}]", dict(values)
         self.known: set[str] = set()
 
     def get(self, key: str) -> str | None:
@@ -74,7 +74,7 @@ class _Section:
         try:
             return kind(text)
         except (KeyError, ValueError):
-            msg = f"{self.where} {key} = {text}: expected {expected}"
+            msg = f"{self.source} {key} = {text}: expected {expected}"
             raise SceneError(msg) from None
 
     def number(self, key: str) -> float | None:
@@ -91,7 +91,7 @@ class _Section:
     def needed(self, key: str) -> str:
         found = self.get(key)
         if found is None:
-            msg = f"{self.where} lacks {key}"
+            msg = f"{self.source} lacks {key}"
             raise SceneError(msg)
         return found
 
@@ -99,7 +99,7 @@ class _Section:
         unknown = [key for key in self.values if key.lower() not in self.known]
         if unknown:
             warn_user(
-                f"{self.where}: unknown and left out: {', '.join(unknown)}; known are {', '.join(sorted(self.known))}"
+                f"{self.source}: unknown and left out: {', '.join(unknown)}; known are {', '.join(sorted(self.known))}"
             )
 
 
@@ -129,7 +129,7 @@ def _ini(path: Path) -> Job:
     if contacts:
         scene |= {"contacts": contacts, "missing": "empty"}
     elif contacts_path is not None:
-        warn_user(f"{paths.where}: no contacts in these steps ({contacts_path}*.vtp): fields of contacts are left out")
+        warn_user(f"{paths.source}: no contacts in these steps ({contacts_path}*.vtp): fields of contacts are left out")
     fields, slices = _fields(sections["fields_to_export"])
     if not contacts:
         counted = "coordination_number" in scene["names"].values()
@@ -152,7 +152,7 @@ def _ini(path: Path) -> Job:
         netcdf=output.flag("h5_output"),
         vtkhdf={True: "steps", False: ""}[output.flag(spelled)],
         suffix=".h5",
-        on_error=_on_error(flags.where, flags.get("on_error") or "raise"),
+        on_error=_on_error(flags.source, flags.get("on_error") or "raise"),
     )
     for section in sections.values():
         section.warn_of_the_rest()
@@ -178,7 +178,7 @@ def _files(folder: Path, prefix: str, steps: _Section, *, required: bool) -> lis
     ]
     if required and not chosen:
         there = f"numbers there: {', '.join(map(str, sorted(found)))}" if found else "there are none of that name"
-        msg = f"{steps.where}: no file {at}<number>.vtp with t0={start}, tf={stop}, dt={stride}; {there}"
+        msg = f"{steps.source}: no file {at}<number>.vtp with t0={start}, tf={stop}, dt={stride}; {there}"
         raise FileNotFoundError(msg)
     return [found[number] for number in chosen]
 
@@ -196,20 +196,22 @@ def _names(section: _Section, particles: str, contacts: list[str]) -> dict[str, 
         of_particles = ours in ("particle_id", "radius") or not ours.startswith("contact")
         if array == _OFF_BY_AN_OVERLAP:
             warn_user(
-                f"{section.where}: {array} is off by one overlap between spheres in MFiX; their contact points follow "
+                f"{section.source}: {array} is off by one overlap between spheres in MFiX; their contact points follow "
                 "from centres and radii"
             )
         elif array in there[of_particles]:
             names[array] = ours
         elif of_particles or contacts:
-            warn_user(f"{section.where} {key} = {array}: no such array in {particles if of_particles else contacts[0]}")
+            warn_user(
+                f"{section.source} {key} = {array}: no such array in {particles if of_particles else contacts[0]}"
+            )
     return names
 
 
 def _kernel(section: _Section) -> tuple[str, str]:
     text = section.get("type") or "Lucy"
     if text.lower() not in KERNELS:
-        msg = f"{section.where} type = {text}: expected Lucy, Gaussian or HeavySide"
+        msg = f"{section.source} type = {text}: expected Lucy, Gaussian or HeavySide"
         raise SceneError(msg)
     return KERNELS[text.lower()]
 
@@ -219,7 +221,7 @@ def _mesh(section: _Section) -> dict[str, Any]:
     dimension = section.whole("grid_dimension")
     axes = section.get("grid_axes") or "xyz"
     if set(axes) - set(COMPONENTS) or (dimension is not None and dimension != len(set(axes))):
-        msg = f"{section.where} grid_dimension = {dimension}, grid_axes = {axes}: expected as many axes of x, y, z"
+        msg = f"{section.source} grid_dimension = {dimension}, grid_axes = {axes}: expected as many axes of x, y, z"
         raise SceneError(msg)
     ends = {a: (section.number(f"{a}_min"), section.number(f"{a}_max")) for a in COMPONENTS}
     cuts = {a: section.number(f"{a}_transect") for a in COMPONENTS}
@@ -229,7 +231,7 @@ def _mesh(section: _Section) -> dict[str, Any]:
     for a in axes:
         low, high = ends[a]
         if low is None or high is None:
-            msg = f"{section.where}: {a}_min and {a}_max are needed with grid_axes = {axes} and automatic_grid = False"
+            msg = f"{section.source}: {a}_min and {a}_max are needed with grid_axes = {axes} and automatic_grid = False"
             raise SceneError(msg)
         bounds[a] = (low, high)
     at = {a: cut for a, cut in cuts.items() if a not in axes and cut is not None}
@@ -240,6 +242,6 @@ def _fields(section: _Section) -> tuple[list[str], dict[str, Any] | None]:
     chosen = [name for name in FAMILIES if section.flag(name)]
     slices = {"axis": "y"} if section.flag(SLICES) else None
     if not chosen and slices is None:
-        msg = f"{section.where}: nothing is True; switch on any of {', '.join((*FAMILIES, SLICES))}"
+        msg = f"{section.source}: nothing is True; switch on any of {', '.join((*FAMILIES, SLICES))}"
         raise SceneError(msg)
     return chosen, slices

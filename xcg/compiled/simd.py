@@ -59,8 +59,8 @@ def add4(typingctx, records, group, row, first, weight, a, b, c, d):
 
     def generate(context, builder, signature, args):
         place, value = _cast(context, builder, signature, args)
-        where = [place(1), place(2), place(3)]
-        pointer, align = _at(context, builder, signature.args[0], args[0], where, FOUR)
+        source = [place(1), place(2), place(3)]
+        pointer, align = _at(context, builder, signature.args[0], args[0], source, FOUR)
         weights, columns = _vector(builder, [value(4)] * FOUR), _vector(builder, [value(k) for k in range(5, 9)])
         sums = builder.fadd(builder.load(pointer, align=align), builder.fmul(weights, columns))
         builder.store(sums, pointer, align=align)

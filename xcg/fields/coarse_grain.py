@@ -244,18 +244,18 @@ def compute_chunk(plan: Plan, threads: int, arrays: Mapping[str, NDArray]) -> di
     """Fields of one chunk of time, from padded arrays."""
     out = {name: np.empty((len(arrays["particle_id"]), *plan.shape(name))) for name in plan.fields}
     for_each([a.reshape(-1) for a in out.values()], _take_memory, threads)
-    for t, (frame, box, where) in enumerate(steps_in(arrays)):
-        _compute_step(plan, frame, box, where, threads, {name: a[t, ...] for name, a in out.items()})
+    for t, (frame, box, source) in enumerate(steps_in(arrays)):
+        _compute_step(plan, frame, box, source, threads, {name: a[t, ...] for name, a in out.items()})
     return out
 
 
 def _compute_step(
-    plan: Plan, frame: Frame, box: NDArray | None, where: str, threads: int, out: Mapping[str, NDArray]
+    plan: Plan, frame: Frame, box: NDArray | None, source: str, threads: int, out: Mapping[str, NDArray]
 ) -> None:
     """Compute the fields of one step into arrays (axes, phase, ...)."""
-    period = periods(box, plan.setup.periodic, where)
-    check_mesh(frame["position"], plan.deposit.grid, max(plan.deposit.cutoffs), period, where)
-    sums = sums_of_frame(frame, plan.deposit, period, scale_of(plan, box, where), where, threads)
+    period = periods(box, plan.setup.periodic, source)
+    check_mesh(frame["position"], plan.deposit.grid, max(plan.deposit.cutoffs), period, source)
+    sums = sums_of_frame(frame, plan.deposit, period, scale_of(plan, box, source), source, threads)
     shape = plan.deposit.grid.shape
     phases = plan.phases if plan.deposit.by else 1
     rows = {name: a.reshape(math.prod(shape), phases, *a.shape[len(plan.dims) :]) for name, a in out.items()}
@@ -275,16 +275,16 @@ def _compute_step(
 
     for_each(blocks(shape, BLOCK_NODES, threads) if program else [((0, 0, 0), shape)], fill, threads)
     if plan.options.temperature == "unbiased":
-        _warn_of_unknown(rows, sum(reached), plan.kernel.width, where)
+        _warn_of_unknown(rows, sum(reached), plan.kernel.width, source)
 
 
-def _warn_of_unknown(rows: Mapping[str, NDArray], reached: int, width: float, where: str) -> None:
+def _warn_of_unknown(rows: Mapping[str, NDArray], reached: int, width: float, source: str) -> None:
     """Warn where most of the nodes that grains reach have no temperature."""
     for name in _TEMPERATURES & set(rows):
         known = int(np.isfinite(rows[name].reshape(len(rows[name]), -1)[:, 0]).sum())
         if 2 * known < reached:
             msg = (
-                f"{where}: of {reached} nodes that grains reach {known} have a temperature; the others see too few "
+                f"{source}: of {reached} nodes that grains reach {known} have a temperature; the others see too few "
                 f"grains for a mean velocity and its gradient to leave fluctuations over. Take a larger width (it is "
                 f"{width:.3g}), average along an axis (axes=), or mask by sample_count"
             )

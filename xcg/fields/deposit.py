@@ -95,13 +95,13 @@ class _Pass:
 class _Deposit:
     """Prepares the passes over one frame: lengths in cutoffs, rows in an order in space."""
 
-    def __init__(self, frame: Frame, spec: DepositSpec, period: NDArray, scale: float, where: str) -> None:
+    def __init__(self, frame: Frame, spec: DepositSpec, period: NDArray, scale: float, source: str) -> None:
         self.frame = without_frozen(frame)
-        self.spec, self.scale, self.where = spec, scale, where
+        self.spec, self.scale, self.source = spec, scale, source
         self.position = np.ascontiguousarray(self.frame["position"])
         self.count = len(self.position)
-        self.phase = phase_of(self.frame, spec.by, spec.groups, where)
-        self.contacts = Contacts.of(self.frame, period, where) if "contact_i" in self.frame else None
+        self.phase = phase_of(self.frame, spec.by, spec.groups, source)
+        self.contacts = Contacts.of(self.frame, period, source) if "contact_i" in self.frame else None
         self.velocity = np.ascontiguousarray(self.frame.get("velocity", np.zeros((self.count, 3))))
         self.mass = np.ascontiguousarray(self.frame.get("mass", np.ones(self.count)))
         self.phases = max(1, len(spec.groups))
@@ -227,7 +227,7 @@ class _Deposit:
 
     def _mesh(self, cutoff: float) -> Mesh:
         """Mesh and its surroundings, in cutoffs."""
-        return Mesh.of(self.spec.grid, self.period, cutoff, self.where)
+        return Mesh.of(self.spec.grid, self.period, cutoff, self.source)
 
     def _in_space(self, position: NDArray) -> NDArray:
         """Order in space, so that neighbours add to the same nodes while these are in cache."""
@@ -350,7 +350,9 @@ class Sums:
         return BlockSums(self.spec, self.passes, filled, reference, len(reference) - int(unreached[:, 0].sum()))
 
 
-def sums_of_frame(frame: Frame, spec: DepositSpec, period: NDArray, scale: float, where: str, threads: int = 1) -> Sums:
+def sums_of_frame(
+    frame: Frame, spec: DepositSpec, period: NDArray, scale: float, source: str, threads: int = 1
+) -> Sums:
     """Prepare the sums of one frame.
 
     Parameters
@@ -363,12 +365,12 @@ def sums_of_frame(frame: Frame, spec: DepositSpec, period: NDArray, scale: float
         Length of the periodic axes (m), infinity along the others.
     scale : float
         1 / extent of the averaged axes (and thickness of a layer).
-    where : str
+    source : str
         Names the step in messages.
     threads : int
         Threads that prepare passes.
     """
-    return Sums(spec, _Deposit(frame, spec, period, scale, where).passes(threads))
+    return Sums(spec, _Deposit(frame, spec, period, scale, source).passes(threads))
 
 
 @dataclass(frozen=True)

@@ -197,7 +197,7 @@ def make_grid(
     return grid
 
 
-def check_mesh(position: NDArray, grid: Grid, cutoff: float, period: NDArray, where: str) -> None:
+def check_mesh(position: NDArray, grid: Grid, cutoff: float, period: NDArray, source: str) -> None:
     """Warn where no grain reaches any node, and where grains lie beyond a mesh that was laid around them.
 
     Parameters
@@ -210,7 +210,7 @@ def check_mesh(position: NDArray, grid: Grid, cutoff: float, period: NDArray, wh
         Radius of the largest support (m).
     period : array (3,)
         Length of the periodic axes (m), infinity along the others.
-    where : str
+    source : str
         Names the step.
     """
     axes = [k for k, a in enumerate(COMPONENTS) if a in grid.seen and not np.isfinite(period[k])]
@@ -226,7 +226,7 @@ def check_mesh(position: NDArray, grid: Grid, cutoff: float, period: NDArray, wh
         nodes = ", ".join(f"{COMPONENTS[k]} from {first[k]:.6g} to {last[k]:.6g}" for k in axes)
         warn_once(
             "reach",
-            f"{where}: no grain reaches any node, so that sums are zero: grains lie at {grains}, nodes at {nodes}, and "
+            f"{source}: no grain reaches any node, so that sums are zero: grains lie at {grains}, nodes at {nodes}, and "
             f"the kernel reaches {cutoff:.4g}; check bounds=, at= and the units of lengths",
         )
         return
@@ -237,7 +237,7 @@ def check_mesh(position: NDArray, grid: Grid, cutoff: float, period: NDArray, wh
             a = COMPONENTS[k]
             warn_once(
                 f"beyond {a}",
-                f"{where}: grains lie at {a} from {low:.6g} to {high:.6g}, and the support of some is cut off by the "
+                f"{source}: grains lie at {a} from {low:.6g} to {high:.6g}, and the support of some is cut off by the "
                 f"mesh, which was laid around the first and the last step, from {first[k]:.6g} to {last[k]:.6g}; give "
                 f"bounds={{{a!r}: (first, last)}}, or call ds = ds.cg.measure(), which looks at all steps",
             )

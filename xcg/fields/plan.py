@@ -358,7 +358,7 @@ def _extents(
     return found
 
 
-def scale_of(plan: Plan, box: NDArray | None, where: str) -> float:
+def scale_of(plan: Plan, box: NDArray | None, source: str) -> float:
     """1 / (extents of the averaged axes x thickness of the layer) for one step."""
     lengths = []
     for a, length in (*plan.extent.items(), *(((plan.depth, None),) if isinstance(plan.depth, str) else ())):
@@ -366,7 +366,7 @@ def scale_of(plan: Plan, box: NDArray | None, where: str) -> float:
             k = COMPONENTS.index(a)
             length = np.nan if box is None else float(box[k, 1] - box[k, 0])
             if not (np.isfinite(length) and length > 0):
-                msg = f"{where}: fields are averaged along {a!r}, and the box of this step is not finite there"
+                msg = f"{source}: fields are averaged along {a!r}, and the box of this step is not finite there"
                 raise SceneError(msg)
         lengths.append(length)
     if isinstance(plan.depth, float):

@@ -44,7 +44,7 @@ class Mesh:
         Number of nodes.
     cutoff : float
         The unit of length (m).
-    where : str
+    source : str
         Names the step in messages.
     """
 
@@ -55,22 +55,22 @@ class Mesh:
     period: NDArray
     nodes: int
     cutoff: float
-    where: str
+    source: str
 
     @classmethod
-    def of(cls, grid: Grid, period: NDArray, cutoff: float, where: str) -> Mesh:
+    def of(cls, grid: Grid, period: NDArray, cutoff: float, source: str) -> Mesh:
         """Take over a grid and the periods of the scene (m)."""
         shape, active = np.array(grid.shape), grid.active
         steps = np.where(shape > 1, grid.steps / cutoff, 1.0)
         nodes, periods = int(shape.prod()), np.where(active, period, np.inf) / cutoff
-        return cls(grid.origin, steps, (shape - 1) * steps, active, periods, nodes, cutoff, where)
+        return cls(grid.origin, steps, (shape - 1) * steps, active, periods, nodes, cutoff, source)
 
     def check_far(self, farthest: NDArray) -> None:
         """Refuse places (3,) too far from the first node to be numbered, or not finite; damaged files hold them."""
         for k in np.flatnonzero(self.active):
             if not farthest[k] < _FAR:
                 msg = (
-                    f"{self.where}: a particle or contact reaches {farthest[k] * self.cutoff:.3g} m from the mesh "
+                    f"{self.source}: a particle or contact reaches {farthest[k] * self.cutoff:.3g} m from the mesh "
                     f"along '{COMPONENTS[k]}', where coordinates have no digits left; the file is damaged, or its "
                     "units are others"
                 )
@@ -81,7 +81,7 @@ class Mesh:
         for k in np.flatnonzero(self.active):
             if not (self.extent[k] < _FAR and (reach[k] + self.extent[k]) / self.steps[k] < _FAR):
                 msg = (
-                    f"{self.where}: along '{COMPONENTS[k]}' the mesh is {self.extent[k] * self.cutoff:.3g} m long with "
+                    f"{self.source}: along '{COMPONENTS[k]}' the mesh is {self.extent[k] * self.cutoff:.3g} m long with "
                     f"nodes {self.steps[k] * self.cutoff:.3g} m apart, and the radius of the support is "
                     f"{self.cutoff:.3g} m; choose a width and a spacing that are closer to each other"
                 )
@@ -90,7 +90,7 @@ class Mesh:
         if not images.prod() <= _MOST_IMAGES + self.nodes:
             k = images.argmax()
             msg = (
-                f"{self.where}: the box is so small that a particle or contact reaches the mesh in "
+                f"{self.source}: the box is so small that a particle or contact reaches the mesh in "
                 f"{images.prod():.3g} periodic images (along '{COMPONENTS[k]}' the period is "
                 f"{self.period[k] * self.cutoff:.3g} m, and the reach {reach[k] * self.cutoff:.3g} m); the box or a "
                 "contact in the file is damaged, or the kernel is too wide"
@@ -141,7 +141,7 @@ class Mesh:
         longest = np.array([*sizes.max(axis=0, initial=0.0), np.sqrt((sizes**2).sum(axis=1).max(initial=0.0))])
         if not longest[:3][self.active].max() < _TOO_LONG:
             msg = (
-                f"{self.where}: a contact is {longest[:3][self.active].max() * self.cutoff:.3g} m long within the mesh "
+                f"{self.source}: a contact is {longest[:3][self.active].max() * self.cutoff:.3g} m long within the mesh "
                 f"or a periodic box, more than {_TOO_LONG:.0f} supports of the kernel; its particles are not in touch: "
                 "check the ids and units of the contacts, or choose a larger width"
             )

@@ -172,8 +172,8 @@ def _over_time(
 ) -> dict[str, NDArray]:  # fmt: skip
     """Tables of the slices of one chunk of time."""
     out = np.empty((len(arrays[weight]), len(nodes), 5))
-    for t, (frame, box, where) in enumerate(steps_in(arrays)):
-        period = float(periods(box, periodic, where)[axis])
+    for t, (frame, box, source) in enumerate(steps_in(arrays)):
+        period = float(periods(box, periodic, source)[axis])
         out[t] = function(frame["position"], frame["velocity"], frame[weight], nodes, period=period)
     return {_TABLE: out}
 

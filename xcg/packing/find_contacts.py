@@ -102,11 +102,11 @@ class Search:
         rows = max(len(frame["overlap"]) for frame in frames) if self.most is None else self.most
         return stack(frames, self.names, rows)
 
-    def contacts(self, frame: Frame, box: NDArray | None, where: str) -> Frame:
+    def contacts(self, frame: Frame, box: NDArray | None, source: str) -> Frame:
         """Contacts of one frame."""
-        period = periods(box, self.setup.periodic, where)
+        period = periods(box, self.setup.periodic, source)
         ids, position, radius = frame["particle_id"], frame["position"], frame["diameter"] / 2
-        self._refuse_own_images(frame, period, where)
+        self._refuse_own_images(frame, period, source)
         i, j = find_pairs(
             position, radius, box, self.setup.periodic, skin=self.skin, method=self.method, levels=self.levels,
             threads=self.threads, most=self.most,
@@ -123,7 +123,7 @@ class Search:
         i, j = i[rows], j[rows]
         if self.most is not None and len(i) > self.most:
             msg = (
-                f"{where}: {len(i)} contacts among {len(ids)} particles, more than the {self.most} rows set aside; "
+                f"{source}: {len(i)} contacts among {len(ids)} particles, more than the {self.most} rows set aside; "
                 f"pass max_contacts={len(i)} or more to find_contacts, or load the scene first with ds.load()"
             )
             raise SceneError(msg)
@@ -141,7 +141,7 @@ class Search:
             found["contact_force"] = self.stiffness.force(overlap, radius[i], radius[j])[:, None] * normal
         return found
 
-    def _refuse_own_images(self, frame: Frame, period: NDArray, where: str) -> None:
+    def _refuse_own_images(self, frame: Frame, period: NDArray, source: str) -> None:
         """Refuse a period that a grain reaches across: a contact with itself has no place in a scene."""
         ids, diameter = frame["particle_id"], frame["diameter"]
         if "frozen" in frame:
@@ -150,7 +150,7 @@ class Search:
         if diameter.max(initial=0.0) + self.skin > period[k]:
             row = int(np.argmax(diameter))
             msg = (
-                f"{where}: particle {ids[row]} of diameter {diameter[row]:g} touches its own image (skin "
+                f"{source}: particle {ids[row]} of diameter {diameter[row]:g} touches its own image (skin "
                 f"{self.skin:g}), as the period along '{COMPONENTS[k]}' is {period[k]:g}, and a contact with itself "
                 f"has no place in a scene; {REPEAT}"
             )

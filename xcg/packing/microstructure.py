@@ -91,16 +91,16 @@ class Measure:
             self.measure(*step, {name: a[t] for name, a in out.items()})
         return out
 
-    def measure(self, frame: Frame, box: NDArray | None, where: str, out: Mapping[str, NDArray]) -> None:
+    def measure(self, frame: Frame, box: NDArray | None, source: str, out: Mapping[str, NDArray]) -> None:
         """Write the quantities of one frame into arrays (region, phase, ...)."""
-        period = periods(box, self.setup.periodic, where)
+        period = periods(box, self.setup.periodic, source)
         frame = without_frozen(frame)
-        contacts = Contacts.of(frame, period, where) if "contact_i" in frame else None
+        contacts = Contacts.of(frame, period, source) if "contact_i" in frame else None
         corner = np.zeros(3) if box is None else box[:, 0]
         shared = _shared(self, frame, contacts)
-        phase = phase_of(frame, self.by, self.groups, where)
+        phase = phase_of(frame, self.by, self.groups, source)
         for r, bounds in enumerate(self.regions):
-            position, inside = _images_in(bounds, frame["position"], corner, period, where)
+            position, inside = _images_in(bounds, frame["position"], corner, period, source)
             volume = self._volume(bounds, box)
             for p in range(self.phases):
                 member = inside if p == 0 else inside & (phase == p - 1)
@@ -119,7 +119,7 @@ class Measure:
 
 
 def _images_in(
-    bounds: Bounds, position: NDArray, corner: NDArray, period: NDArray, where: str
+    bounds: Bounds, position: NDArray, corner: NDArray, period: NDArray, source: str
 ) -> tuple[NDArray, NDArray]:
     """Positions (n, 3), which begin at the bounds or the box along periodic axes, and which are in the bounds."""
     position, inside = position.copy(), np.ones(len(position), bool)
@@ -128,7 +128,7 @@ def _images_in(
         if np.isfinite(period[k]):
             if axis in bounds and high - low > period[k] * (1 + 1e-9):
                 msg = (
-                    f"{where}: the region reaches from {low:g} to {high:g} along {axis!r}, further than the period "
+                    f"{source}: the region reaches from {low:g} to {high:g} along {axis!r}, further than the period "
                     f"{period[k]:g}, and would hold grains twice; take narrower bounds, or none along {axis!r} for the "
                     "whole period"
                 )

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.readers.engine import ReadOptions, StepRef
-from xcg.readers.text import parse_table, read_body, where
+from xcg.readers.text import parse_table, read_body, source_of
 from xcg.scene.schema import COMPONENTS, Frame, SceneError
 from xcg.scene.warn import warn_user
 
@@ -86,7 +86,9 @@ def assign(ref: StepRef, slots: Slots, options: ReadOptions) -> dict[str, str]:
     for taken, count in Counter(slot for slot in given.values() if slot is not None).items():
         if count > 1:
             both = " and ".join(repr(column) for column in given if given[column] == taken)
-            msg = f"{where(ref)}: names maps {both} to {taken!r}, and only one of them can be; map the others to None"
+            msg = (
+                f"{source_of(ref)}: names maps {both} to {taken!r}, and only one of them can be; map the others to None"
+            )
             raise SceneError(msg)
     for column, slot in given.items():
         if slot is not None and slot not in PARTICLE_SLOTS and slot not in CONTACT_SLOTS:
@@ -109,7 +111,7 @@ def assign(ref: StepRef, slots: Slots, options: ReadOptions) -> dict[str, str]:
 
 def _lacks(ref: StepRef, what: str, slot: str) -> SceneError:
     msg = (
-        f"{where(ref)}: no {what} among the columns {' '.join(ref.columns)}; say which column it is, "
+        f"{source_of(ref)}: no {what} among the columns {' '.join(ref.columns)}; say which column it is, "
         f"for example names={{{ref.columns[-1]!r}: {slot!r}}}"
     )
     return SceneError(msg)
@@ -136,7 +138,7 @@ def warn_of_ignored(ref: StepRef, filled: Mapping[str, str], slots: Slots, optio
         first = ignored[0]
         target = "contact_force_x" if slots is CONTACT_SLOTS else "my_" + re.sub(r"\W+", "_", first).strip("_").lower()
         warn_user(
-            f"{where(ref)}: columns {' '.join(ignored)} look like forces or contacts with walls and are not read; map "
+            f"{source_of(ref)}: columns {' '.join(ignored)} look like forces or contacts with walls and are not read; map "
             f"them, for example names={{{first!r}: {target!r}}}, or drop them by names={{{first!r}: None}}. Contacts "
             "with walls are rows of the files of contacts (contacts=, walls=), with the grain as contact_i"
         )
@@ -171,7 +173,7 @@ def particle_columns(ref: StepRef, slots: Slots, options: ReadOptions) -> dict[s
 
 def particles_from(ref: StepRef, columns: Mapping[str, str]) -> Frame:
     """Read the particles of one step from the columns of `particle_columns`."""
-    table = parse_table(read_body(ref), ref.columns, sorted(set(columns.values())), ref.rows, where(ref))
+    table = parse_table(read_body(ref), ref.columns, sorted(set(columns.values())), ref.rows, source_of(ref))
     values = {slot: table[column] for slot, column in columns.items()}
     for k, axis in enumerate(COMPONENTS):
         if f"position_{axis}" not in values and f"scaled_{axis}" in values:
@@ -189,7 +191,7 @@ def particles_from(ref: StepRef, columns: Mapping[str, str]) -> Frame:
 
 def _edges(ref: StepRef) -> tuple[tuple[float, float], ...]:
     if ref.box is None:
-        msg = f"{where(ref)}: positions are in fractions of the box, and the header holds no 'BOX BOUNDS'"
+        msg = f"{source_of(ref)}: positions are in fractions of the box, and the header holds no 'BOX BOUNDS'"
         raise SceneError(msg)
     return ref.box
 
@@ -219,7 +221,7 @@ def contact_columns(ref: StepRef, slots: Slots, options: ReadOptions) -> dict[st
     if there["contact_force"] and there["tangential_force"] and not there["normal_force"]:
         total, part = filled["contact_force_x"], filled["tangential_force_x"]
         msg = (
-            f"{where(ref)}: is '{total}' the whole contact force or its normal part, beside the tangential "
+            f"{source_of(ref)}: is '{total}' the whole contact force or its normal part, beside the tangential "
             f"'{part}'? Say names={{'{total}': 'normal_force_x', ...}} to add the two up, or "
             f"names={{'{part}': None, ...}} to take the first alone"
         )
@@ -239,7 +241,7 @@ def contact_names(columns: Mapping[str, str]) -> list[str]:
 
 def contacts_from(ref: StepRef, columns: Mapping[str, str]) -> Frame:
     """Read the contacts of one step from the columns of `contact_columns`."""
-    table = parse_table(read_body(ref), ref.columns, sorted(set(columns.values())), ref.rows, where(ref))
+    table = parse_table(read_body(ref), ref.columns, sorted(set(columns.values())), ref.rows, source_of(ref))
     values = {slot: table[column] for slot, column in columns.items()}
     frame: Frame = {slot: values[slot] for slot in _CONTACT_SCALARS if slot in values}
     frame |= {slot: _stacked(values, slot, ref.rows) for slot in _CONTACT_VECTORS if f"{slot}_x" in columns}
@@ -256,7 +258,7 @@ def _check_ids(ref: StepRef, ids: NDArray) -> None:
     large = ids[ids >= 1e6]
     if len(large) > 10 and (large % 10 == 0).all():
         msg = (
-            f"{where(ref)}: ids above a million all end in 0, as they were written with six digits; write "
+            f"{source_of(ref)}: ids above a million all end in 0, as they were written with six digits; write "
             "the file anew with 'dump_modify ... format float %.10g'"
         )
         raise SceneError(msg)

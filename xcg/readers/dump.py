@@ -22,8 +22,8 @@ from xcg.readers.text import (
     most_bytes,
     most_text,
     open_binary,
+    source_of,
     uncompressed_size,
-    where,
 )
 from xcg.scene.schema import COMPONENTS, SceneError
 from xcg.steps import errors as errors
@@ -176,15 +176,15 @@ def _check_header(ref: StepRef, words: list[str], *, atoms: bool) -> None:
     twice = sorted(column for column, count in Counter(columns).items() if count > 1)
     if (label == "ATOMS") is not atoms:
         kind, argument = ("ATOMS", "contacts") if atoms else ("ENTRIES", "particles")
-        msg = f"{where(ref)}: found 'ITEM: {label}', expected 'ITEM: {kind}'; is this a file for {argument}=?"
+        msg = f"{source_of(ref)}: found 'ITEM: {label}', expected 'ITEM: {kind}'; is this a file for {argument}=?"
     elif ref.rows < 0:
-        msg = f"{where(ref)}: the header does not say how many rows follow ('ITEM: NUMBER OF ...')"
+        msg = f"{source_of(ref)}: the header does not say how many rows follow ('ITEM: NUMBER OF ...')"
     elif not columns:
-        msg = f"{where(ref)}: 'ITEM: {label}' names no columns"
+        msg = f"{source_of(ref)}: 'ITEM: {label}' names no columns"
     elif len(columns) > _MOST_COLUMNS:
-        msg = f"{where(ref)}: 'ITEM: {label}' names {len(columns)} columns, expected {_MOST_COLUMNS} at most"
+        msg = f"{source_of(ref)}: 'ITEM: {label}' names {len(columns)} columns, expected {_MOST_COLUMNS} at most"
     elif twice:
-        msg = f"{where(ref)}: columns {twice[:10]} occur twice; name them apart, as with dump_modify colname"
+        msg = f"{source_of(ref)}: columns {twice[:10]} occur twice; name them apart, as with dump_modify colname"
     else:
         return
     raise SceneError(msg)

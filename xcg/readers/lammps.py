@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from xcg.readers import columns, dump
 from xcg.readers.engine import ReadOptions, StepRef
-from xcg.readers.text import where
+from xcg.readers.text import source_of
 from xcg.scene.schema import Frame
 from xcg.scene.warn import warn_user
 
@@ -33,7 +33,7 @@ def index_contacts(paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
     columns.warn_of_ignored(refs[0], found, columns.CONTACT_SLOTS, options)
     if "normal_force_x" in found and "tangential_force_x" not in found:
         msg = (
-            f"{where(refs[0])}: only normal forces ({found['normal_force_x']}, ...) were found, and they are "
+            f"{source_of(refs[0])}: only normal forces ({found['normal_force_x']}, ...) were found, and they are "
             "taken as the contact forces; map the others with names={'column': 'tangential_force_x', ...}"
         )
         warn_user(msg)

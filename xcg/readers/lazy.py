@@ -16,7 +16,7 @@ from dask.highlevelgraph import HighLevelGraph
 from numpy.typing import NDArray
 
 from xcg.readers.engine import Engine, ReadOptions, StepRef
-from xcg.readers.text import where
+from xcg.readers.text import source_of
 from xcg.scene.complete import complete_contacts, complete_particles, periods
 from xcg.scene.frame import frame_of, stack
 from xcg.scene.plausible import check_ends
@@ -58,7 +58,7 @@ def _check_unchanged(ref: StepRef) -> None:
         if (state.st_size, state.st_mtime_ns) == (ref.size, ref.modified or state.st_mtime_ns):
             return
         now = f"has {state.st_size} bytes, but had {ref.size}" if state.st_size != ref.size else "was written again"
-    msg = f"{where(ref)}: the file {now} after the scene was opened; open it again"
+    msg = f"{source_of(ref)}: the file {now} after the scene was opened; open it again"
     raise SceneError(msg)
 
 
@@ -87,10 +87,10 @@ class Source:
         """Check and complete the particles of one step."""
         if self.frozen is not None:
             if "species" not in frame:
-                msg = f"{where(ref)}: frozen={self.frozen} needs 'species', and the file holds none"
+                msg = f"{source_of(ref)}: frozen={self.frozen} needs 'species', and the file holds none"
                 raise SceneError(msg)
             frame = frame | {"frozen": np.isin(frame["species"], self.frozen).astype("int64")}
-        return complete_particles(frame, self.setup, where(ref))
+        return complete_particles(frame, self.setup, source_of(ref))
 
     def contacts(self, refs: Sequence[StepRef], names: Sequence[str], particles: Frame, box: NDArray | None) -> Frame:
         """Read, check and complete the contacts of one step, from all its files."""
@@ -99,11 +99,11 @@ class Source:
             raw = read_step(self.engine, self.options, ref, contacts=True)
             if "wrapped_branch" in raw:
                 scaled = particles | {"position": particles["position"] / self.setup.scales[0]}
-                period = periods(box, self.setup.periodic, where(ref)) / self.setup.scales[0]
+                period = periods(box, self.setup.periodic, source_of(ref)) / self.setup.scales[0]
                 with self.once.active():
-                    check_ends(raw, scaled, period, where(ref))
+                    check_ends(raw, scaled, period, source_of(ref))
             parts.append(
-                complete_contacts(raw, particles, box, self.setup, where(ref), allow_unknown=self.allow_unknown)
+                complete_contacts(raw, particles, box, self.setup, source_of(ref), allow_unknown=self.allow_unknown)
             )
             _require(parts[-1], names, ref)
         if not parts:  # nothing touches
@@ -116,7 +116,7 @@ class Source:
 def _require(frame: Frame, names: Sequence[str], ref: StepRef) -> None:
     lacking = [name for name in names if name not in frame]
     if lacking:
-        msg = f"{where(ref)}: lacks {lacking}, which other steps hold; a series must hold the same throughout"
+        msg = f"{source_of(ref)}: lacks {lacking}, which other steps hold; a series must hold the same throughout"
         raise SceneError(msg)
 
 

@@ -27,7 +27,7 @@ from xcg.readers.text import (
     open_binary,
     parse_table,
     read_body,
-    where,
+    source_of,
 )
 from xcg.scene.schema import COMPONENTS, Frame, SceneError
 from xcg.steps import errors as errors
@@ -127,7 +127,7 @@ def read_particles(ref: StepRef, options: ReadOptions) -> Frame:
         unknown = set(np.unique(frame["species"])) - set(restart.density)
         if unknown:
             msg = (
-                f"{where(ref)}: species {min(unknown):g} is not in {restart.path}, which knows "
+                f"{source_of(ref)}: species {min(unknown):g} is not in {restart.path}, which knows "
                 f"{sorted(restart.density)}; name the restart file of this run with restart="
             )
             raise SceneError(msg)
@@ -160,7 +160,7 @@ def _fstat_steps(path: str) -> Iterator[StepRef]:
             start = scanner.offset
             body = b"".join(scanner.until(b"#"))
             ref = StepRef(path, 0, float(time), step, columns=_CONTACT, offset=start, length=len(body))
-            ids = parse_table(body, _CONTACT, ("i", "j"), None, where(ref))
+            ids = parse_table(body, _CONTACT, ("i", "j"), None, source_of(ref))
             yield replace(ref, rows=int(_once(ids["i"], ids["j"]).sum()))
             step += 1
 
@@ -204,7 +204,7 @@ def read_contacts(ref: StepRef, options: ReadOptions) -> Frame:
     Between particles n points from j to i and the force on i is ``fn n + ft t``; at walls n and t point the
     other way.
     """
-    rows = parse_table(read_body(ref), _CONTACT, _CONTACT[1:], None, where(ref))
+    rows = parse_table(read_body(ref), _CONTACT, _CONTACT[1:], None, source_of(ref))
     keep = _once(rows["i"], rows["j"])
     rows = {name: values[keep] for name, values in rows.items()}
     sign = np.where(rows["j"] < 0, -1.0, 1.0)[:, None]

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.lazy import Source, Step, lazy_arrays, load_engine, read_step
 from xcg.readers.paths import PathLike, expand_paths
-from xcg.readers.text import where
+from xcg.readers.text import source_of
 from xcg.scene.build import box_array, to_dataset
 from xcg.scene.complete import complete_particles, periods
 from xcg.scene.schema import BOX_EDGES, COMPONENTS, VARIABLES, Frame, SceneError, Setup, did_you_mean
@@ -246,7 +246,7 @@ def open_scene(
         said_nothing = "number of the time step, as the files do not tell the time (give timestep= or times=)"
         scene["time"].attrs.update(units="1", long_name=said_nothing)
     if left_out:
-        scene.attrs["skipped_files"] = "\n".join(f"{where}: {cause}" for where, cause in left_out.items())
+        scene.attrs["skipped_files"] = "\n".join(f"{source}: {cause}" for source, cause in left_out.items())
     return scene
 
 
@@ -278,10 +278,10 @@ def _ends(engine: str, options: ReadOptions, steps: Sequence[Step], setup: Calla
             ref = step.particles
             try:
                 raw.setdefault(ref, read_step(engine, options, ref))
-                complete_particles(raw[ref], setup(), where(ref))
+                complete_particles(raw[ref], setup(), source_of(ref))
             except FAULTS as error:
                 raw.pop(ref, None)
-                if not errors.record_fault(where(ref), error):
+                if not errors.record_fault(source_of(ref), error):
                     raise
             else:
                 break
@@ -373,7 +373,7 @@ def _one_series(refs: list[StepRef], same: Sequence[str]) -> list[StepRef]:
         try:
             _check_same(pattern, ref, same)
         except SceneError as error:
-            if not errors.record_fault(where(ref), error):
+            if not errors.record_fault(source_of(ref), error):
                 raise
         else:
             kept.append(ref)
@@ -391,7 +391,7 @@ def _check_same(first: StepRef, ref: StepRef, what: Sequence[str]) -> None:
         elif name in ("periodic", "units") and one != other:
             problems.append(f"{name}: {one!r} became {other!r} (the argument {name}= overrides both)")
     if problems:
-        msg = f"{where(first)} and {where(ref)} do not make one series: {'; '.join(problems)}"
+        msg = f"{source_of(first)} and {source_of(ref)} do not make one series: {'; '.join(problems)}"
         raise SceneError(msg)
 
 
@@ -421,7 +421,7 @@ def _in_order(steps: list[Step], kind: str) -> list[Step]:
     for step in steps:
         key = step.particles.step if step.time is None else step.time
         if key in unique:
-            old, new = where(unique[key].particles), where(step.particles)
+            old, new = source_of(unique[key].particles), source_of(step.particles)
             warn_user(f"{kind}: {old} is left out, as {new} is of the same time (if it is not, give times=)")
         unique[key] = step
     return [unique[key] for key in sorted(unique)]
@@ -463,8 +463,8 @@ def _warn_of_boxes(pairs: Sequence[tuple[Step, StepRef]], kind: str) -> None:
             period = own[k][1] - own[k][0]
             if a in (step.particles.periodic or COMPONENTS) and not np.allclose(own[k], other[k], 0, 1e-4 * period):
                 warn_user(
-                    f"{kind}: the box of {where(ref)} is {list(other[k])} along {a!r}, and that of the particles "
-                    f"({where(step.particles)}) is {list(own[k])}, which is taken: are both of one run?"
+                    f"{kind}: the box of {source_of(ref)} is {list(other[k])} along {a!r}, and that of the particles "
+                    f"({source_of(step.particles)}) is {list(own[k])}, which is taken: are both of one run?"
                 )
                 return
 
@@ -484,7 +484,7 @@ def _same_time(steps: Sequence[Step], others: Sequence[StepRef]) -> list[int]:
 
 
 def _some(refs: Sequence[StepRef]) -> str:
-    return ", ".join([*(where(ref) for ref in refs[:3]), *(["..."] if len(refs) > 3 else [])])
+    return ", ".join([*(source_of(ref) for ref in refs[:3]), *(["..."] if len(refs) > 3 else [])])
 
 
 # --- what holds for the whole scene ----------------------------------------------------------------------
@@ -492,7 +492,7 @@ def _some(refs: Sequence[StepRef]) -> str:
 
 def _units(engine: str, indexed: Mapping[str, Sequence[StepRef]]) -> Mapping[str, float] | str | None:
     """Units as the headers name them; SI where they do not."""
-    named = {refs[0].units: where(refs[0]) for refs in indexed.values() if refs[0].units is not None}
+    named = {refs[0].units: source_of(refs[0]) for refs in indexed.values() if refs[0].units is not None}
     if len(named) > 1:
         found = ", ".join(f"{system!r} in {name}" for system, name in named.items())
         msg = f"headers name different unit systems ({found}); give the factors to SI with units="
@@ -507,7 +507,7 @@ def _units(engine: str, indexed: Mapping[str, Sequence[StepRef]]) -> Mapping[str
         return UNIT_SYSTEMS[system]
     if engine == "lammps":
         warn_user(
-            f"{where(indexed['particles'][0])}: the header does not name the units, and SI is taken; say units='SI', "
+            f"{source_of(indexed['particles'][0])}: the header does not name the units, and SI is taken; say units='SI', "
             "'reduced' (LAMMPS's lj) or factors such as {'length': 1e-3}, or have the files say it by "
             "'dump_modify ... units yes'"
         )
@@ -532,7 +532,7 @@ def _not_against_headers(units: Mapping[str, float] | str, indexed: Mapping[str,
                 if system == "lj"
                 else "leave units= out, or change 'ITEM: UNITS' in the files if it is wrong"
             )
-            msg = f"units={units!r}, but the header of {where(refs[0])} names the unit system {system!r}: {way_out}"
+            msg = f"units={units!r}, but the header of {source_of(refs[0])} names the unit system {system!r}: {way_out}"
             raise SceneError(msg)
     return units
 
@@ -557,7 +557,7 @@ def _boxes(steps: Sequence[Step], box: Any, setup: Setup) -> NDArray | None:
         box = [step.particles.box for step in steps]
     edges = None if box is None else box_array(box, len(steps)) * setup.factor(BOX_EDGES.powers)
     for t, step in enumerate(steps):
-        periods(None if edges is None else edges[t], setup.periodic, where(step.particles))
+        periods(None if edges is None else edges[t], setup.periodic, source_of(step.particles))
     return edges
 
 

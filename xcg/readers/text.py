@@ -87,7 +87,7 @@ def check_rows(ref: StepRef, room: int) -> None:
     """
     if 2 * ref.rows * len(ref.columns) > room + _SMALL:
         msg = (
-            f"{where(ref)}: its header promises {ref.rows} rows of {len(ref.columns)} values, but only {room} bytes "
+            f"{source_of(ref)}: its header promises {ref.rows} rows of {len(ref.columns)} values, but only {room} bytes "
             "follow; the file was cut short or is damaged. Leave it out, or write it again"
         )
         raise SceneError(msg)
@@ -197,7 +197,7 @@ def read_body(ref: StepRef) -> bytes:
     """
     if ref.length < 0 or (ref.rows and ref.length > _LONGEST_VALUE * (ref.rows + 1) * (len(ref.columns) + 1) + _BLOCK):
         msg = (
-            f"{where(ref)}: {ref.length} bytes follow a header that promises {ref.rows} rows of {len(ref.columns)} "
+            f"{source_of(ref)}: {ref.length} bytes follow a header that promises {ref.rows} rows of {len(ref.columns)} "
             "values; the file is damaged. Leave it out, or write it again"
         )
         raise SceneError(msg)
@@ -208,14 +208,14 @@ def read_body(ref: StepRef) -> bytes:
         body = stream.read(ref.length)
         if ref.alone and stream.read(1):
             msg = (
-                f"{where(ref)}: more follows what was taken for the only step of the file, as where gzipped files were "
+                f"{source_of(ref)}: more follows what was taken for the only step of the file, as where gzipped files were "
                 "put one after the other; give the file a name without the number of the step, and it is read through"
             )
             raise SceneError(msg)
     return body
 
 
-def where(ref: StepRef) -> str:
+def source_of(ref: StepRef) -> str:
     """File and step, for messages."""
     return f"{ref.path} (step {ref.step})"
 

@@ -234,13 +234,13 @@ def scene_from_arrays(
     contact_names = [name for name in steps if variable(name).dims[0] == "contact"]
     particles, contacts = [], []
     for t in range(total):
-        where = f"step {t}" if total > 1 else "scene"
-        particles.append(complete_particles(_prefix(steps, particle_names, "particle_id", t), setup, where))
+        source = f"step {t}" if total > 1 else "scene"
+        particles.append(complete_particles(_prefix(steps, particle_names, "particle_id", t), setup, source))
         if contact_names:
             frame = _prefix(steps, contact_names, "contact_i", t)
             box_t = None if edges is None else edges[t]
-            contacts.append(complete_contacts(frame, particles[-1], box_t, setup, where, allow_unknown=allow_unknown))
-        periods(None if edges is None else edges[t], setup.periodic, where)
+            contacts.append(complete_contacts(frame, particles[-1], box_t, setup, source, allow_unknown=allow_unknown))
+        periods(None if edges is None else edges[t], setup.periodic, source)
     arrays: Frame = {}
     for frames, key in ((particles, "particle_id"), (contacts, "contact_i")):
         if frames:

@@ -22,7 +22,7 @@ _SAME_BRANCH = 0.25  # a branch that is off by more of its length is another vec
 REPEAT = "repeat the box once or more along that axis, or simulate a larger one"
 
 
-def _check_rows(frame: Frame, dim: str, where: str) -> None:
+def _check_rows(frame: Frame, dim: str, source: str) -> None:
     """Refuse arrays of the wrong shape or with values that are not finite; name every bad variable at once."""
     first = next(name for name in frame if variable(name).dims[0] == dim)
     rows = len(frame[first])
@@ -35,11 +35,11 @@ def _check_rows(frame: Frame, dim: str, where: str) -> None:
             bad = int(np.argwhere(~np.isfinite(values))[0][0])
             problems.append(f"'{name}' is not finite in row {bad}: {values[bad]}")
     if problems:
-        msg = f"{where}: " + "; ".join(problems) + ". Every row must hold finite numbers: repair or drop it."
+        msg = f"{source}: " + "; ".join(problems) + ". Every row must hold finite numbers: repair or drop it."
         raise SceneError(msg)
 
 
-def _typed(frame: Mapping[str, ArrayLike], setup: Setup, where: str) -> Frame:
+def _typed(frame: Mapping[str, ArrayLike], setup: Setup, source: str) -> Frame:
     """Give arrays their types and the scene's units."""
     typed: Frame = {}
     for name, values in frame.items():
@@ -48,7 +48,7 @@ def _typed(frame: Mapping[str, ArrayLike], setup: Setup, where: str) -> Frame:
         if row.dtype == "int64" and array.dtype.kind == "f":
             if array.size and not (np.isfinite(array).all() and (array == np.rint(array)).all()):
                 bad = int(np.flatnonzero(~np.isfinite(array) | (array != np.rint(array)))[0])
-                msg = f"{where}: '{name}' must hold whole numbers, but row {bad} is {array.flat[bad]!r}"
+                msg = f"{source}: '{name}' must hold whole numbers, but row {bad} is {array.flat[bad]!r}"
                 raise SceneError(msg)
             array = np.rint(array)
         array = array.astype(row.dtype)
@@ -57,7 +57,7 @@ def _typed(frame: Mapping[str, ArrayLike], setup: Setup, where: str) -> Frame:
     return typed
 
 
-def complete_particles(frame: Mapping[str, ArrayLike], setup: Setup, where: str) -> Frame:
+def complete_particles(frame: Mapping[str, ArrayLike], setup: Setup, source: str) -> Frame:
     """Check the particles of one frame, sort them by id, and derive what is missing.
 
     Mass, volume, density and diameter follow from each other: volume ``pi d^3/6`` (discs: ``pi d^2/4`` times
@@ -69,7 +69,7 @@ def complete_particles(frame: Mapping[str, ArrayLike], setup: Setup, where: str)
         Arrays by scene name, at least ``position`` (n, 3).
     setup : Setup
         What the data do not say.
-    where : str
+    source : str
         File and step, for messages.
 
     Raises
@@ -77,13 +77,13 @@ def complete_particles(frame: Mapping[str, ArrayLike], setup: Setup, where: str)
     SceneError
         If an array has the wrong shape or is not finite, an id occurs twice, or a size or mass is not positive.
     """
-    given = _typed(frame, setup, where)
+    given = _typed(frame, setup, source)
     if "position" not in given:
-        msg = f"{where}: no positions; expected a variable 'position' with three components"
+        msg = f"{source}: no positions; expected a variable 'position' with three components"
         raise SceneError(msg)
     count = len(given["position"])
     ids = given.setdefault("particle_id", np.arange(count, dtype="int64"))
-    _check_rows(given, "particle", where)
+    _check_rows(given, "particle", source)
     if count:
         order = np.argsort(ids, kind="stable")
         if (order[1:] != order[:-1] + 1).any():
@@ -93,23 +93,23 @@ def complete_particles(frame: Mapping[str, ArrayLike], setup: Setup, where: str)
         if repeated.size:
             rows = order[repeated[0] : repeated[0] + 2]
             twice = f"particle id {ids[repeated[0]]} occurs twice (rows {rows[0]} and {rows[1]})"
-            msg = f"{where}: {twice}; ids must be unique"
+            msg = f"{source}: {twice}; ids must be unique"
             raise SceneError(msg)
         if ids[0] < 0:
             negative = f"particle id {ids[0]} in row {order[0]} is negative"
-            msg = f"{where}: {negative}; negative ids are kept for walls and padding"
+            msg = f"{source}: {negative}; negative ids are kept for walls and padding"
             raise SceneError(msg)
     for name in ("diameter", "density", "mass", "volume"):
         if name in given and (given[name] <= 0).any() and not (name == "mass" and (given[name] >= 0).all()):
             bad = int(np.flatnonzero(given[name] <= 0)[0])
-            msg = f"{where}: '{name}' of particle {ids[bad]} is {given[name][bad]!r}; expected a positive number"
+            msg = f"{source}: '{name}' of particle {ids[bad]} is {given[name][bad]!r}; expected a positive number"
             raise SceneError(msg)
     _complete_size_and_mass(given, setup)
     if "diameter" in given:
         beyond = np.flatnonzero(~((given["diameter"] >= SHORTEST) & (given["diameter"] <= LONGEST)))
         if beyond.size:
             msg = (
-                f"{where}: 'diameter' of particle {ids[beyond[0]]} is {given['diameter'][beyond[0]]:.3g} m, expected "
+                f"{source}: 'diameter' of particle {ids[beyond[0]]} is {given['diameter'][beyond[0]]:.3g} m, expected "
                 f"{SHORTEST:g} to {LONGEST:g} m; check the units, and the volume or mass that it follows from"
             )
             raise SceneError(msg)
@@ -137,7 +137,7 @@ def _complete_size_and_mass(frame: Frame, setup: Setup) -> None:
             frame["mass"] = frame["density"] * frame["volume"]
 
 
-def periods(box: NDArray | None, periodic: str, where: str = "scene") -> NDArray:
+def periods(box: NDArray | None, periodic: str, source: str = "scene") -> NDArray:
     """Box length along the periodic axes, infinity along the others; shape (3,)."""
     lengths = np.full(3, np.inf)
     for axis in periodic:
@@ -145,7 +145,7 @@ def periods(box: NDArray | None, periodic: str, where: str = "scene") -> NDArray
         lengths[k] = np.nan if box is None else box[k, 1] - box[k, 0]
         if not (np.isfinite(lengths[k]) and lengths[k] > 0):
             msg = (
-                f"{where}: axis '{axis}' is periodic, but the box has no finite extent along it; give its edges, "
+                f"{source}: axis '{axis}' is periodic, but the box has no finite extent along it; give its edges, "
                 f"for example box={{'{axis}': (0.0, 0.1)}}"
             )
             raise SceneError(msg)
@@ -198,7 +198,7 @@ def complete_contacts(
     particles: Frame,
     box: NDArray | None,
     setup: Setup,
-    where: str,
+    source: str,
     *,
     allow_unknown: bool = False,
 ) -> Frame:
@@ -232,16 +232,16 @@ def complete_contacts(
         and cannot be derived, as in a box so small that grains touch on both sides, or a contact that is listed from
         both sides with the same force.
     """
-    given = _typed({name: values for name, values in frame.items() if name not in _HINTS}, setup, where)
+    given = _typed({name: values for name, values in frame.items() if name not in _HINTS}, setup, source)
     if "wrapped_branch" in frame and "contact_normal" not in given:
-        period = periods(box, setup.periodic, where)
+        period = periods(box, setup.periodic, source)
         branch = np.asarray(frame["wrapped_branch"]) * setup.scales[0]
         given["contact_normal"] = unit_vectors(minimum_image(branch, period))
     missing = [name for name in ("contact_i", "contact_j", "contact_force") if name not in given]
     if missing:
-        msg = f"{where}: contacts lack {missing}; map the file's names to these with names={{...}}"
+        msg = f"{source}: contacts lack {missing}; map the file's names to these with names={{...}}"
         raise SceneError(msg)
-    _check_rows(given, "contact", where)
+    _check_rows(given, "contact", source)
     seen = given.pop("contact_branch", None)
     i, j = given["contact_i"], given["contact_j"]
     ids = particles["particle_id"]
@@ -250,20 +250,20 @@ def complete_contacts(
     if self_contact.size:
         row = self_contact[0]
         msg = (
-            f"{where}: contact row {row} joins particle {i[row]} with itself; drop such rows. If it touches its own "
+            f"{source}: contact row {row} joins particle {i[row]} with itself; drop such rows. If it touches its own "
             f"image, {REPEAT}"
         )
         raise SceneError(msg)
     if (i < 0).any():
         row = int(np.flatnonzero(i < 0)[0])
-        msg = f"{where}: contact row {row} has id {i[row]} as 'contact_i'; a wall must stand as 'contact_j'"
+        msg = f"{source}: contact row {row} has id {i[row]} as 'contact_i'; a wall must stand as 'contact_j'"
         raise SceneError(msg)
     unknown = (row_i < 0) | ((row_j < 0) & (j >= 0))
     if unknown.any() and not allow_unknown:
         row = int(np.flatnonzero(unknown)[0])
         name, value = ("contact_i", i[row]) if row_i[row] < 0 else ("contact_j", j[row])
         msg = (
-            f"{where}: contact row {row} has {name}={value}, and no particle has this id ({int(unknown.sum())} such "
+            f"{source}: contact row {row} has {name}={value}, and no particle has this id ({int(unknown.sum())} such "
             "rows); check that particles and contacts are of the same step, or pass allow_unknown=True to treat "
             "unknown partners as walls"
         )
@@ -273,15 +273,15 @@ def complete_contacts(
         points = given.get("contact_point", np.empty((len(i), 3))).copy()
         some = {name: values[derived] for name, values in given.items()}
         those = None if seen is None else seen[derived]
-        period = periods(box, setup.periodic, where)
-        points[derived] = _contact_points(some, particles, row_i[derived], row_j[derived], those, period, where)
+        period = periods(box, setup.periodic, source)
+        points[derived] = _contact_points(some, particles, row_i[derived], row_j[derived], those, period, source)
         given["contact_point"] = points
     rows, pair = repeated_pairs(i, j)
     if not rows.size:
         return given
     there, centre = np.where(row_i >= 0, row_i, row_j)[rows], given["contact_point"][rows]
     centre[there >= 0] = particles["position"][there[there >= 0]]
-    copy = _copies(given, rows, pair, centre, periods(box, setup.periodic, where), where)
+    copy = _copies(given, rows, pair, centre, periods(box, setup.periodic, source), source)
     return {name: np.delete(values, copy, axis=0) for name, values in given.items()} if copy.size else given
 
 
@@ -307,7 +307,7 @@ def repeated_pairs(i: NDArray, j: NDArray) -> tuple[NDArray, NDArray]:
     return order[inside], np.insert(np.cumsum(~same), 0, 0)[inside]
 
 
-def _copies(contacts: Frame, rows: NDArray, pair: NDArray, centre: NDArray, period: NDArray, where: str) -> NDArray:
+def _copies(contacts: Frame, rows: NDArray, pair: NDArray, centre: NDArray, period: NDArray, source: str) -> NDArray:
     """Rows that list a contact again: the same force, from either side, at the same point.
 
     Contacts of one pair are sorted by the size of the force, so that those of one contact stand near each other.
@@ -344,7 +344,7 @@ def _copies(contacts: Frame, rows: NDArray, pair: NDArray, centre: NDArray, peri
         if wrong.any():
             a, b = rows[one[wrong][0]], rows[other[wrong][0]]
             msg = (
-                f"{where}: contact rows {a} and {b} list one contact from both sides with the same force, "
+                f"{source}: contact rows {a} and {b} list one contact from both sides with the same force, "
                 f"{contacts['contact_force'][a]}, so that both sides cancel; contact_force is that on contact_i: turn "
                 "the sign of one of them, or list each contact once"
             )
@@ -360,19 +360,19 @@ def unit_vectors(vector: NDArray) -> NDArray:
 
 def _contact_points(
     contacts: Frame, particles: Frame, row_i: NDArray, row_j: NDArray, seen: NDArray | None, period: NDArray,
-    where: str,
+    source: str,
 ) -> NDArray:  # fmt: skip
     """Points where spheres touch; their middle, if it is given, tells of a partner that is not in the scene."""
     alone = (row_i < 0) | (row_j < 0)
     if alone.any() and not {"contact_point", "overlap"} <= set(contacts):
         row = int(np.flatnonzero(alone)[0])
         msg = (
-            f"{where}: contact row {row} (i={contacts['contact_i'][row]}, j={contacts['contact_j'][row]}) has no "
+            f"{source}: contact row {row} (i={contacts['contact_i'][row]}, j={contacts['contact_j'][row]}) has no "
             "contact point, and none follows without both spheres; give 'contact_point' for contacts with walls"
         )
         raise SceneError(msg)
     if "diameter" not in particles:
-        msg = f"{where}: contact points follow from diameters, but the particles have none; give one of the two"
+        msg = f"{source}: contact points follow from diameters, but the particles have none; give one of the two"
         raise SceneError(msg)
     position, radius = particles["position"], particles["diameter"] / 2
     points = contacts.get("contact_point", np.empty((len(row_i), 3))).copy()
@@ -384,10 +384,10 @@ def _contact_points(
         if wrong.size:
             row = both[wrong[0]]
             pair = f"i={contacts['contact_i'][row]}, j={contacts['contact_j'][row]}"
-            msg = f"{where}: contact row {row} ({pair}) {what}"
+            msg = f"{source}: contact row {row} ({pair}) {what}"
             raise SceneError(msg)
 
-    branch = _branches(position[i] - position[j], radius[i] + radius[j], seen, period, refuse, where)
+    branch = _branches(position[i] - position[j], radius[i] + radius[j], seen, period, refuse, source)
     points[both] = contact_points(position[i], branch, radius[i], radius[j])
     for side in (position[i] - points[both], position[i] - points[both] - branch):
         refuse(
@@ -403,7 +403,7 @@ def _contact_points(
 
 def _branches(
     apart: NDArray, touching: NDArray, seen: NDArray | None, period: NDArray, refuse: Callable[[NDArray, str], None],
-    where: str,
+    source: str,
 ) -> NDArray:  # fmt: skip
     """Images of vectors (n, 3) from j to i that touch at `touching` (n,): nearest to what was `seen`, or shortest."""
     if seen is not None:
@@ -412,7 +412,7 @@ def _branches(
             return branch
         warn_once(
             "branches of contacts",
-            f"{where}: branches of contacts are not the vectors from j to i between the positions, or cross an edge "
+            f"{source}: branches of contacts are not the vectors from j to i between the positions, or cross an edge "
             "that is not periodic, and the shortest are taken; drop them with names={'dx': None, ...} if they are "
             "something else",
         )

@@ -55,9 +55,9 @@ class Contacts:
     given_branches: tuple[NDArray, NDArray] | None = None
 
     @classmethod
-    def of(cls, frame: Frame, period: NDArray, where: str = "scene") -> Contacts:
-        """Join the contacts of a frame to the rows of its particles; `where` names the step in warnings."""
-        check_contacts(frame, period, where)
+    def of(cls, frame: Frame, period: NDArray, source: str = "scene") -> Contacts:
+        """Join the contacts of a frame to the rows of its particles; `source` names the step in warnings."""
+        check_contacts(frame, period, source)
         ids, position = frame["particle_id"], frame["position"]
         key_i, key_j, point = frame["contact_i"], frame["contact_j"], frame["contact_point"]
         row_i, row_j = rows_of(ids, key_i), rows_of(ids, key_j)

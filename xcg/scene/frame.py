@@ -23,7 +23,7 @@ def stack(frames: Sequence[Frame], names: Sequence[str], rows: int) -> Frame:
     return stacked
 
 
-def particle_rows(ids: NDArray, where: str = "scene") -> slice | NDArray:
+def particle_rows(ids: NDArray, source: str = "scene") -> slice | NDArray:
     """Rows of the particles of one padded step, by id: a slice where they are sorted already.
 
     Raises
@@ -40,18 +40,18 @@ def particle_rows(ids: NDArray, where: str = "scene") -> slice | NDArray:
     if twice.size:
         one, other = rows[twice[0] : twice[0] + 2]
         msg = (
-            f"{where}: particle id {ids[one]} occurs twice (rows {one} and {other}); ids must be unique: select parts "
+            f"{source}: particle id {ids[one]} occurs twice (rows {one} and {other}); ids must be unique: select parts "
             "that do not overlap before they are joined, or give the particles of one part other ids"
         )
         raise SceneError(msg)
     return rows
 
 
-def frame_of(arrays: Mapping[str, NDArray], t: int, where: str = "scene") -> Frame:
+def frame_of(arrays: Mapping[str, NDArray], t: int, source: str = "scene") -> Frame:
     """One frame of padded arrays: the rows of step `t` that are not padding, particles by id."""
     rows: dict[str, Any] = {}
     if "particle_id" in arrays:
-        rows["particle"] = particle_rows(arrays["particle_id"][t], where)
+        rows["particle"] = particle_rows(arrays["particle_id"][t], source)
     if "contact_i" in arrays:
         valid = arrays["contact_i"][t] != PADDING
         count = int(valid.sum())
@@ -64,7 +64,7 @@ def frame_of(arrays: Mapping[str, NDArray], t: int, where: str = "scene") -> Fra
     return found
 
 
-def phase_of(frame: Frame, by: str | None, groups: Sequence[int], where: str) -> NDArray:
+def phase_of(frame: Frame, by: str | None, groups: Sequence[int], source: str) -> NDArray:
     """Which of the groups each particle belongs to; refuses particles of none."""
     count = len(frame["position"])
     if by is None:
@@ -74,7 +74,7 @@ def phase_of(frame: Frame, by: str | None, groups: Sequence[int], where: str) ->
     strange = np.flatnonzero(known[row] != values)
     if strange.size:
         msg = (
-            f"{where}: particle {frame['particle_id'][strange[0]]} has {by}={values[strange[0]]}, which is not among "
+            f"{source}: particle {frame['particle_id'][strange[0]]} has {by}={values[strange[0]]}, which is not among "
             f"the groups {list(groups)}; pass groups= with every value that occurs"
         )
         raise SceneError(msg)
@@ -94,5 +94,5 @@ def steps_in(arrays: Mapping[str, NDArray]) -> Iterator[tuple[Frame, NDArray | N
     """Frame, box and name of each step of padded arrays; the box is None where they hold none."""
     rows = {name: a for name, a in arrays.items() if name not in ("box", "step", "time")}
     for t in range(len(next(iter(rows.values())))):
-        where = f"step {arrays['step'][t]}" if "step" in arrays else f"frame {t} of its chunk"
-        yield frame_of(rows, t, where), arrays["box"][t] if "box" in arrays else None, where
+        source = f"step {arrays['step'][t]}" if "step" in arrays else f"frame {t} of its chunk"
+        yield frame_of(rows, t, source), arrays["box"][t] if "box" in arrays else None, source

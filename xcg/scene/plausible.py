@@ -23,7 +23,7 @@ def _sample(rows: int) -> slice:
     return slice(None, None, max(1, rows // _SAMPLE))
 
 
-def check_contacts(frame: Frame, period: NDArray, where: str) -> None:
+def check_contacts(frame: Frame, period: NDArray, source: str) -> None:
     """Warn of contact points far from the centres of their grains, and of contacts that pull nearly throughout.
 
     Parameters
@@ -32,7 +32,7 @@ def check_contacts(frame: Frame, period: NDArray, where: str) -> None:
         Particles and contacts of one step.
     period : array (3,)
         Length of the periodic axes (m), infinity along the others.
-    where : str
+    source : str
         Names the step.
     """
     if not len(frame["position"]) or not len(frame["contact_i"]):
@@ -52,7 +52,7 @@ def check_contacts(frame: Frame, period: NDArray, where: str) -> None:
             i, j = (key[far[0]] for key in keys)
             warn_once(
                 "far contacts",
-                f"{where}: {far.size} of {len(point)} contacts looked at lie more than {_FAR:g} diameters from the "
+                f"{source}: {far.size} of {len(point)} contacts looked at lie more than {_FAR:g} diameters from the "
                 f"centre of a particle of theirs ({farthest[far[0]]:.3g} diameters for contact_i={i}, contact_j={j}): "
                 "they are of another step or box, ids are mixed up, or positions were changed without contact_point",
             )
@@ -64,13 +64,13 @@ def check_contacts(frame: Frame, period: NDArray, where: str) -> None:
     if pulling + pushing >= _FEW and pulling > _MOST * (pulling + pushing):
         warn_once(
             "tension",
-            f"{where}: {pulling} of {pulling + pushing} contacts looked at pull their particles together, so that "
+            f"{source}: {pulling} of {pulling + pushing} contacts looked at pull their particles together, so that "
             "pressure is negative nearly everywhere: contact_force is the force on contact_i, and where the data have "
             "that on the other, exchange the two (names=), or change the sign",
         )
 
 
-def check_ends(raw: Frame, particles: Frame, period: NDArray, where: str) -> None:
+def check_ends(raw: Frame, particles: Frame, period: NDArray, source: str) -> None:
     """Warn where the ends that a file of contacts holds are not the positions of the particles.
 
     Parameters
@@ -81,7 +81,7 @@ def check_ends(raw: Frame, particles: Frame, period: NDArray, where: str) -> Non
         The particles of the same step.
     period : array (3,)
         Length of the periodic axes (m), infinity along the others.
-    where : str
+    source : str
         Names the step.
     """
     some = _sample(len(raw["contact_i"]))
@@ -97,7 +97,7 @@ def check_ends(raw: Frame, particles: Frame, period: NDArray, where: str) -> Non
         i, j = (int(raw[name][some][pairs[first]]) for name in ("contact_i", "contact_j"))
         warn_once(
             "ends",
-            f"{where}: the ends of {off.size} of {len(pairs)} contacts looked at are not the positions of their "
+            f"{source}: the ends of {off.size} of {len(pairs)} contacts looked at are not the positions of their "
             f"particles (contact_i={i}, contact_j={j}: {ends[first]} from end to end, "
             f"{minimum_image(centres, period)[first]} from centre to centre): particles and contacts are of different "
             "steps or runs, columns are not in the order expected, or the box is another",

@@ -68,11 +68,11 @@ def raising() -> Iterator[dict[Any, str]]:
     yield {}
 
 
-def record_fault(where: int | str, error: Exception) -> bool:
+def record_fault(source: int | str, error: Exception) -> bool:
     """Note the fault of a step or file; False where nobody tolerates it, and it must be raised."""
     if _recorded.faults is None:
         return False
-    _recorded.faults.setdefault(where, cause_of(error))
+    _recorded.faults.setdefault(source, cause_of(error))
     return True
 
 
@@ -83,7 +83,7 @@ def cause_of(error: Exception) -> str:
 
 def raise_or_record(path: str, error: Exception) -> None:
     """Raise the fault of a file, or note it, unless one of it is noted."""
-    known = any(str(where).startswith(path) for where in _recorded.faults or ())
+    known = any(str(source).startswith(path) for source in _recorded.faults or ())
     if not known and not record_fault(path, error):
         raise error
 

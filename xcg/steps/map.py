@@ -193,8 +193,8 @@ def _filled(
         fill = np.nan if np.dtype(dtype).kind == "f" else PADDING
         out[name] = np.full((count, *whole), fill, dtype)
         for t, one in found.items():
-            where: Any = (t, *map(slice, one[name].shape[1:]))
-            out[name][where] = one[name][0]
+            source: Any = (t, *map(slice, one[name].shape[1:]))
+            out[name][source] = one[name][0]
     return out
 
 

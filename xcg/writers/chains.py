@@ -89,11 +89,11 @@ def _fcf_rows(arrays: Frame) -> Iterator[str]:
         axis=1,
     )
     for p in np.flatnonzero(arrays["chain_id"] >= 0):
-        where = ",".join(f"{v:.9g}" for v in (*arrays["position"][p], arrays["diameter"][p] / 2))
+        source = ",".join(f"{v:.9g}" for v in (*arrays["position"][p], arrays["diameter"][p] / 2))
         stress = ",".join(f"{v:.9g}" for v in numbers[p])
         parent = arrays["parent_id"][p]
         link = "starting" if parent < 0 else f'"{parent}"'
-        yield f"{arrays['particle_id'][p]},{where},{arrays['chain_id'][p]},{stress},{link},"
+        yield f"{arrays['particle_id'][p]},{source},{arrays['chain_id'][p]},{stress},{link},"
 
 
 def _targets(fc: xr.Dataset, names: tuple[str, ...], path: str | os.PathLike[str]) -> Iterator[tuple[Step, Path]]:
