@@ -74,3 +74,8 @@ __all__ = [
     "track_chains",
     "width_sweep",
 ]
+
+
+def __dir__() -> list[str]:
+    """Completion shows what is public: modules have their own place in the documentation."""
+    return [*__all__, "__version__"]

@@ -160,8 +160,8 @@ def _on_one_line(ax, ay, az, bx, by, bz):
 
 @leaf
 def deposit_segments(
-    segments, limits, batches, low, high, steps, active, period, kind, spread, table, norm, lists, numbers, closed, rest,
-    moments,
+    segments, limits, batches, low, high, steps, active, period, kind, spread, table, norm, lists, numbers, closed,
+    rest, moments,
 ):  # fmt: skip
     """Add force x branch of each segment to the nodes that its tube of radius 1 reaches.
 

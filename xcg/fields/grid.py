@@ -226,8 +226,8 @@ def check_mesh(position: NDArray, grid: Grid, cutoff: float, period: NDArray, so
         nodes = ", ".join(f"{COMPONENTS[k]} from {first[k]:.6g} to {last[k]:.6g}" for k in axes)
         warn_once(
             "reach",
-            f"{source}: no grain reaches any node, so that sums are zero: grains lie at {grains}, nodes at {nodes}, and "
-            f"the kernel reaches {cutoff:.4g}; check bounds=, at= and the units of lengths",
+            f"{source}: no grain reaches any node, so that sums are zero: grains lie at {grains}, nodes at {nodes}, "
+            f"and the kernel reaches {cutoff:.4g}; check bounds=, at= and the units of lengths",
         )
         return
     for k in [k for k in axes if COMPONENTS[k] in grid.fitted]:

@@ -1,7 +1,7 @@
 """Pysammos's names for fields, its variants of them, and its mesh: ``coarse_grain(preset="pysammos")``.
 
 Its names carry their variant: ``inertial_number_Sxy_Pxy_d32`` takes the shear rate in the plane xy, the pressure
-(sigma_xx + sigma_yy) / 2 and d32. Each is algebra on fields of xcg, so that values are those of `xcg.fields.registry`. Formulas:
+(sigma_xx + sigma_yy) / 2 and d32. Each is algebra on fields of xcg, so that values are those of the registry. Formulas:
 Pysammos 1.0.0 and its paper (EGUsphere 2026-2591). What differs from it is listed in the documentation.
 """
 

@@ -81,8 +81,8 @@ class Mesh:
         for k in np.flatnonzero(self.active):
             if not (self.extent[k] < _FAR and (reach[k] + self.extent[k]) / self.steps[k] < _FAR):
                 msg = (
-                    f"{self.source}: along '{COMPONENTS[k]}' the mesh is {self.extent[k] * self.cutoff:.3g} m long with "
-                    f"nodes {self.steps[k] * self.cutoff:.3g} m apart, and the radius of the support is "
+                    f"{self.source}: along '{COMPONENTS[k]}' the mesh is {self.extent[k] * self.cutoff:.3g} m long "
+                    f"with nodes {self.steps[k] * self.cutoff:.3g} m apart, and the radius of the support is "
                     f"{self.cutoff:.3g} m; choose a width and a spacing that are closer to each other"
                 )
                 raise SceneError(msg)
@@ -141,9 +141,9 @@ class Mesh:
         longest = np.array([*sizes.max(axis=0, initial=0.0), np.sqrt((sizes**2).sum(axis=1).max(initial=0.0))])
         if not longest[:3][self.active].max() < _TOO_LONG:
             msg = (
-                f"{self.source}: a contact is {longest[:3][self.active].max() * self.cutoff:.3g} m long within the mesh "
-                f"or a periodic box, more than {_TOO_LONG:.0f} supports of the kernel; its particles are not in touch: "
-                "check the ids and units of the contacts, or choose a larger width"
+                f"{self.source}: a contact is {longest[:3][self.active].max() * self.cutoff:.3g} m long within the "
+                f"mesh or a periodic box, more than {_TOO_LONG:.0f} supports of the kernel; its particles are not in "
+                "touch: check the ids and units of the contacts, or choose a larger width"
             )
             raise SceneError(msg)
         return longest

@@ -138,9 +138,9 @@ def warn_of_ignored(ref: StepRef, filled: Mapping[str, str], slots: Slots, optio
         first = ignored[0]
         target = "contact_force_x" if slots is CONTACT_SLOTS else "my_" + re.sub(r"\W+", "_", first).strip("_").lower()
         warn_user(
-            f"{source_of(ref)}: columns {' '.join(ignored)} look like forces or contacts with walls and are not read; map "
-            f"them, for example names={{{first!r}: {target!r}}}, or drop them by names={{{first!r}: None}}. Contacts "
-            "with walls are rows of the files of contacts (contacts=, walls=), with the grain as contact_i"
+            f"{source_of(ref)}: columns {' '.join(ignored)} look like forces or contacts with walls and are not "
+            f"read; map them, for example names={{{first!r}: {target!r}}}, or drop them by names={{{first!r}: None}}. "
+            "Contacts with walls are rows of the files of contacts (contacts=, walls=), with the grain as contact_i"
         )
 
 

@@ -507,8 +507,8 @@ def _units(engine: str, indexed: Mapping[str, Sequence[StepRef]]) -> Mapping[str
         return UNIT_SYSTEMS[system]
     if engine == "lammps":
         warn_user(
-            f"{source_of(indexed['particles'][0])}: the header does not name the units, and SI is taken; say units='SI', "
-            "'reduced' (LAMMPS's lj) or factors such as {'length': 1e-3}, or have the files say it by "
+            f"{source_of(indexed['particles'][0])}: the header does not name the units, and SI is taken; say "
+            "units='SI', 'reduced' (LAMMPS's lj) or factors such as {'length': 1e-3}, or have the files say it by "
             "'dump_modify ... units yes'"
         )
     return None

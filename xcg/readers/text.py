@@ -87,8 +87,8 @@ def check_rows(ref: StepRef, room: int) -> None:
     """
     if 2 * ref.rows * len(ref.columns) > room + _SMALL:
         msg = (
-            f"{source_of(ref)}: its header promises {ref.rows} rows of {len(ref.columns)} values, but only {room} bytes "
-            "follow; the file was cut short or is damaged. Leave it out, or write it again"
+            f"{source_of(ref)}: its header promises {ref.rows} rows of {len(ref.columns)} values, but only {room} "
+            "bytes follow; the file was cut short or is damaged. Leave it out, or write it again"
         )
         raise SceneError(msg)
 
@@ -208,8 +208,9 @@ def read_body(ref: StepRef) -> bytes:
         body = stream.read(ref.length)
         if ref.alone and stream.read(1):
             msg = (
-                f"{source_of(ref)}: more follows what was taken for the only step of the file, as where gzipped files were "
-                "put one after the other; give the file a name without the number of the step, and it is read through"
+                f"{source_of(ref)}: more follows what was taken for the only step of the file, as where gzipped files "
+                "were put one after the other; give the file a name without the number of the step, and it is read "
+                "through"
             )
             raise SceneError(msg)
     return body

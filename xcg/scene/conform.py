@@ -1,8 +1,9 @@
 """Scenes that were selected from, masked, reordered or joined by xarray, brought back to the form that tasks read.
 
 What xarray's methods make of a scene shows in labels, dimensions and types, without reading: ``isel(time=0)`` takes the
-dimension of time away, ``source`` and ``concat`` spread variables over the rows of others and turn whole numbers into
-floats, ``sel`` reorders components. The order of rows is looked after where frames are made (`xcg.scene.frame.frame_of`).
+dimension of time away, ``where`` and ``concat`` spread variables over the rows of others and turn whole numbers into
+floats, ``sel`` reorders components. The order of rows is looked after where frames are made
+(`xcg.scene.frame.frame_of`).
 """
 
 from __future__ import annotations
