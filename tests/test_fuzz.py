@@ -1,5 +1,6 @@
 """A short form of ``python -m tests.fuzz.run``: damaged files are opened, or refused in the package's own words."""
 
+import json
 import os
 import random
 import subprocess
@@ -124,9 +125,20 @@ def test_jobs_that_are_refused(tmp_path, old, new, message):
 # --- hostile calls ---------------------------------------------------------------------------------------
 
 
-def test_identities_under_bounds_checks():
+def test_a_thousand_hostile_calls_under_bounds_checks():
+    """In a process of its own, with all indices checked: results or errors of the package, nothing else."""
     env = os.environ | {"NUMBA_BOUNDSCHECK": "1", "XCG_JIT_CACHE": "0"}
-    chosen = ["tests/identities/test_closed_forms.py", "tests/test_tape.py", "-x", "-q"]
+    command = [sys.executable, "-m", "tests.fuzz.calls", "--count", "1000"]
+    done = subprocess.run(command, env=env, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, f"{done.stdout[-3000:]}\nlast call: {done.stderr[-500:]}"
+    counts = json.loads(done.stdout.splitlines()[-1])
+    assert counts["computed"] > 300, counts
+    assert counts["refused"] > 300, counts
+
+
+def test_fields_under_bounds_checks():
+    env = os.environ | {"NUMBA_BOUNDSCHECK": "1", "XCG_JIT_CACHE": "0"}
+    chosen = ["tests/test_tape.py", "tests/test_reach.py", "-x", "-q"]
     done = subprocess.run([sys.executable, "-m", "pytest", *chosen], env=env, cwd=ROOT, capture_output=True, text=True,
                           check=False)  # fmt: skip
     assert done.returncode == 0, done.stdout[-3000:]

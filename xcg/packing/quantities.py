@@ -129,8 +129,10 @@ def _velocity_rate(s: Any) -> float:
     x, v = s.position[:, s.plane], s.velocity[:, s.plane]
     if len(x) <= len(s.plane):
         return np.nan
-    gradient = np.linalg.lstsq(x - x.mean(axis=0), v - v.mean(axis=0), rcond=None)[0].T
-    return _rate(gradient)
+    away, relative = x - x.mean(axis=0), v - v.mean(axis=0)
+    if not (np.isfinite(away).all() and np.isfinite(relative).all()):  # LAPACK would not come to an end
+        return np.nan
+    return _rate(np.linalg.lstsq(away, relative, rcond=None)[0].T)
 
 
 def _d_max(s: Any) -> float:
