@@ -148,8 +148,8 @@ def test_bounds_checks_find_an_index_beyond_its_array():
     """Also in the instructions that are written by hand."""
     code = """
 import numpy as np, numba
-from xcg.kernels._jit import leaf
-from xcg.kernels.lanes import add4, fill8
+from xcg.compiled._jit import leaf
+from xcg.compiled.simd import add4, fill8
 
 @leaf
 def beyond(lists, row, at):

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
-KERNELS = Path(__file__).parents[1] / "xcg" / "kernels"
+COMPILED = Path(__file__).parents[1] / "xcg" / "compiled"
 INNER = """from xcg.compiled._jit import jit
 @jit
 def inner(x):
     return x + 1
 """
 OUTER = """from xcg.compiled._jit import jit
-from xcg.kernels.inner import inner
+from xcg.compiled.inner import inner
 @jit
 def outer(x):
     return 2 * inner(x)
@@ -23,14 +23,14 @@ def outer(x):
 
 
 def write_package(folder):
-    """Write a package of that name with two small kernels, one of which is compiled into the other."""
-    kernels = folder / "xcg" / "kernels"
-    kernels.mkdir(parents=True)
+    """Write a package of that name with two small loops, one of which is compiled into the other."""
+    compiled = folder / "xcg" / "compiled"
+    compiled.mkdir(parents=True)
     (folder / "xcg" / "__init__.py").touch()
     for name in ("__init__", "_jit"):
-        shutil.copy(KERNELS / f"{name}.py", kernels)
-    (kernels / "inner.py").write_text(INNER)
-    (kernels / "outer.py").write_text(OUTER)
+        shutil.copy(COMPILED / f"{name}.py", compiled)
+    (compiled / "inner.py").write_text(INNER)
+    (compiled / "outer.py").write_text(OUTER)
 
 
 @pytest.fixture
@@ -40,7 +40,7 @@ def package(tmp_path):
 
 
 def call(package, **env):
-    """Result of the outer kernel in a new process, and how often it was found compiled."""
+    """Result of the outer loop in a new process, and how often it was found compiled."""
     code = "from xcg.compiled.outer import outer; print(outer(1.0), sum(outer.stats.cache_hits.values()))"
     given = {
         "PYTHONPATH": str(package),
@@ -73,14 +73,14 @@ def used(run_once, tmp_path):
 
 @pytest.mark.parametrize("beside", [True, False])
 def test_a_change_of_another_file_is_noticed(package, beside):
-    place = package / "xcg" / "kernels" / "__pycache__"
+    place = package / "xcg" / "compiled" / "__pycache__"
     if beside:
         place.mkdir()
         (place / "kernels.digest").write_bytes(b"\xff\xfe")  # damaged, of earlier versions
     else:
         place.write_text("")
     assert call(package) == (4, 0)
-    (package / "xcg" / "kernels" / "inner.py").write_text(INNER.replace("+ 1", "+ 2"))
+    (package / "xcg" / "compiled" / "inner.py").write_text(INNER.replace("+ 1", "+ 2"))
     assert call(package) == (6, 0)
     assert call(package) == (6, 1)
 
@@ -99,7 +99,7 @@ def test_damaged_code_is_made_anew(used, kind, damage):
 
 
 def test_no_folder_can_be_written(package):
-    for place in (package / "home", package / "xcg" / "kernels" / "__pycache__"):
+    for place in (package / "home", package / "xcg" / "compiled" / "__pycache__"):
         place.write_text("a file where the folder should be: not even the superuser can write to it")
     assert call(package) == (4, 0)
 

@@ -18,9 +18,9 @@ ALL = tuple(name for name in registry.listed() if not registry.FIELDS[name].opti
 
 def played_and_plain(ds, *fields, **options):
     """The same fields by the tape, and by the registry on arrays; how often the tape was played."""
-    with mock.patch.object(program.kernel, "play", wraps=program.kernel.run) as run:
+    with mock.patch.object(program.kernel, "run", wraps=program.kernel.run) as run:
         played = ds.cg.coarse_grain(*fields, **options)
-    with mock.patch.object(MODULE, "tape_for", return_value=None):
+    with mock.patch.object(MODULE, "program_for", return_value=None):
         return played, ds.cg.coarse_grain(*fields, **options), run.call_count
 
 

@@ -62,11 +62,11 @@ def address_space() -> int:
 def is_own(error: Exception) -> bool:
     """Whether an error was raised by the package, outside its compiled loops."""
     last = traceback.extract_tb(error.__traceback__)[-1].filename
-    return last.startswith(_OWN) and "/kernels/" not in last
+    return last.startswith(_OWN) and "/compiled/" not in last
 
 
 def _from_arguments(error: Exception) -> bool:
     """Whether a plain ValueError is of the checks of arguments, which have no file to name."""
     return any(f"/{name}.py" in traceback.extract_tb(error.__traceback__)[-1].filename
-               for name in ("grid", "plan", "coarse_grain", "smoothing", "detection", "slices", "phases", "config",
-                            "pysammos", "fields", "scene", "complete"))  # fmt: skip
+               for name in ("grid", "plan", "coarse_grain", "smoothing", "find_contacts", "pairs", "slice_temperature",
+                            "phases", "job", "pysammos_ini", "pysammos", "registry", "build", "query", "complete"))  # fmt: skip
