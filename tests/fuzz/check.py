@@ -65,8 +65,14 @@ def is_own(error: Exception) -> bool:
     return last.startswith(_OWN) and "/compiled/" not in last
 
 
+# modules that check arguments
+_CHECKS = (
+    "grid", "plan", "coarse_grain", "smoothing", "find_contacts", "pairs", "slice_temperature", "phases", "job",
+    "pysammos_ini", "pysammos", "registry", "build", "query", "complete",
+)  # fmt: skip
+
+
 def _from_arguments(error: Exception) -> bool:
     """Whether a plain ValueError is of the checks of arguments, which have no file to name."""
-    return any(f"/{name}.py" in traceback.extract_tb(error.__traceback__)[-1].filename
-               for name in ("grid", "plan", "coarse_grain", "smoothing", "find_contacts", "pairs", "slice_temperature",
-                            "phases", "job", "pysammos_ini", "pysammos", "registry", "build", "query", "complete"))  # fmt: skip
+    module = Path(traceback.extract_tb(error.__traceback__)[-1].filename).stem
+    return module in _CHECKS
