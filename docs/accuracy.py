@@ -140,7 +140,7 @@ def relative(values: NDArray, exact: NDArray) -> float:
 def captured(target: str, call: Callable[[], Any]) -> list[tuple[Any, ...]]:
     """Arguments with which a call enters a loop, each time for all nodes at once."""
     original = {POINTS: deposit, SEGMENTS: deposit_segments}[target]
-    one_box = mock.patch.object(sys.modules["xcg.fields.coarse_grain"], "BLOCK_NODES", sys.maxsize)
+    one_box = mock.patch("xcg.fields.evaluate.BLOCK_NODES", sys.maxsize)
     with mock.patch(target, wraps=original) as loop, one_box:
         call()
     return [each.args for each in loop.call_args_list]
@@ -704,7 +704,7 @@ def wrapped(text: str) -> str:
 
 def one_thread() -> Any:
     """Hold everything to one thread: the alternatives fill all nodes in one call."""
-    return mock.patch.object(sys.modules["xcg.fields.coarse_grain"], "THREADS", 1)
+    return mock.patch("xcg.fields.evaluate.THREADS", 1)
 
 
 @one_thread()

@@ -2,7 +2,6 @@
 
 import inspect
 import pickle
-import sys
 from concurrent.futures import ThreadPoolExecutor
 from unittest import mock
 
@@ -374,9 +373,9 @@ def test_threads_and_boxes_leave_every_bit(long, rtol):
     """What is left out in a box of nodes must not change what is added there."""
     ds = xcg.datasets.random_scene(150, seed=12)
     options = {"by": "species", "width": 0.6, "rtol": rtol, "spacing": {a: 0.31 if a == long else 0.7 for a in "xyz"}}
-    module, results = sys.modules["xcg.fields.coarse_grain"], []
+    results = []
     for threads, box in ((1, 65_000), (3, 65_000), (2, 7)):
-        with mock.patch.multiple(module, THREADS=threads, BLOCK_NODES=box):
+        with mock.patch.multiple("xcg.fields.evaluate", THREADS=threads, BLOCK_NODES=box):
             results.append([ds.cg.coarse_grain(**options), ds.cg.coarse_grain(axes=long, rtol=rtol, width=0.6)])
     for other in results[1:]:
         for one, another in zip(results[0], other, strict=True):
@@ -403,7 +402,7 @@ def test_one_lazy_step_uses_all_threads_and_several_take_one_each(steps, shared)
     times = [one.assign_coords(time=[float(t)], step=("time", [t])) for t in range(steps)]
     lazy = xr.concat(times, "time", combine_attrs="override").chunk(time=1)
     pool = mock.patch("xcg.fields.blocks.ThreadPoolExecutor", wraps=ThreadPoolExecutor)
-    with mock.patch.object(sys.modules["xcg.fields.coarse_grain"], "THREADS", 2), pool as pools:
+    with mock.patch("xcg.fields.evaluate.THREADS", 2), pool as pools:
         f = lazy.cg.coarse_grain(width=0.8).compute()
     assert pools.called == shared
     for name, values in one.cg.coarse_grain(width=0.8).items():

@@ -1,6 +1,5 @@
 """The algebra written down on symbols and played by one loop gives what the registry gives on arrays, to the bit."""
 
-import sys
 from unittest import mock
 
 import numpy as np
@@ -12,7 +11,6 @@ from xcg.fields import program as program
 from xcg.fields import registry
 from xcg.fields import trace as symbols
 
-MODULE = sys.modules["xcg.fields.coarse_grain"]
 ALL = tuple(name for name in registry.listed() if not registry.FIELDS[name].option)
 
 
@@ -20,7 +18,7 @@ def played_and_plain(ds, *fields, **options):
     """The same fields by the tape, and by the registry on arrays; how often the tape was played."""
     with mock.patch.object(program.kernel, "run", wraps=program.kernel.run) as run:
         played = ds.cg.coarse_grain(*fields, **options)
-    with mock.patch.object(MODULE, "program_for", return_value=None):
+    with mock.patch("xcg.fields.evaluate.program_for", return_value=None):
         return played, ds.cg.coarse_grain(*fields, **options), run.call_count
 
 

@@ -44,7 +44,7 @@ class Case:
         return packing(round(self.share * particles), self.steps)
 
     def run(self, ds: xr.Dataset) -> xr.Dataset | None:
-        with mock.patch.object(sys.modules["xcg.fields.coarse_grain"], "THREADS", self.threads):
+        with mock.patch("xcg.fields.evaluate.THREADS", self.threads):
             return self.work(ds)
 
     @property

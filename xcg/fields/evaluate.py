@@ -1,0 +1,94 @@
+"""What a plan gives: the sums and the algebra of each step, mapped over time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.compiled import THREADS
+from xcg.fields import registry
+from xcg.fields.blocks import NodeBlock, blocks, for_each, places
+from xcg.fields.deposit import BLOCK_NODES, sums_of_frame
+from xcg.fields.grid import check_mesh
+from xcg.fields.plan import Plan, scale_of
+from xcg.fields.program import program_for
+from xcg.scene.complete import periods
+from xcg.scene.frame import steps_in
+from xcg.scene.schema import Frame
+from xcg.scene.warn import warn_once
+from xcg.steps.map import chunks_in, map_over_time
+
+
+def evaluate_plan(ds: xr.Dataset, plan: Plan, on_error: str) -> dict[str, Any]:
+    """Arrays of the plan's fields (time, axes, phase, ...), lazy where the scene is."""
+    names = [*plan.variables, *(name for name in ("box", "step") if name in ds)]
+    results = {field: (plan.shape(field), "float64") for field in plan.fields}
+    threads = THREADS if chunks_in(ds, names) == 1 else 1
+    return map_over_time(ds, names, partial(compute_chunk, plan, threads), results, "coarse-grain", on_error)
+
+
+_TEMPERATURES = {"granular_temperature", "directional_temperature"}
+_PAGE = 4096 // 8  # numbers in a page of memory
+
+
+def _take_memory(numbers: NDArray) -> None:
+    """Write to every page at the start, while what was freed a moment ago is at hand: see docs/design.md."""
+    numbers[::_PAGE] = 0.0
+
+
+def compute_chunk(plan: Plan, threads: int, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
+    """Fields of one chunk of time, from padded arrays."""
+    out = {name: np.empty((len(arrays["particle_id"]), *plan.shape(name))) for name in plan.fields}
+    for_each([a.reshape(-1) for a in out.values()], _take_memory, threads)
+    for t, (frame, box, source) in enumerate(steps_in(arrays)):
+        _compute_step(plan, frame, box, source, threads, {name: a[t, ...] for name, a in out.items()})
+    return out
+
+
+def _compute_step(
+    plan: Plan, frame: Frame, box: NDArray | None, source: str, threads: int, out: Mapping[str, NDArray]
+) -> None:
+    """Compute the fields of one step into arrays (axes, phase, ...)."""
+    period = periods(box, plan.setup.periodic, source)
+    check_mesh(frame["position"], plan.deposit.grid, max(plan.deposit.cutoffs), period, source)
+    sums = sums_of_frame(frame, plan.deposit, period, scale_of(plan, box, source), source, threads)
+    shape = plan.deposit.grid.shape
+    phases = plan.phases if plan.deposit.by else 1
+    rows = {name: a.reshape(math.prod(shape), phases, *a.shape[len(plan.dims) :]) for name, a in out.items()}
+    options = replace(plan.options, wrapped=plan.deposit.grid.fills(period))  # the box may change
+    program = program_for(plan.fields, plan.options, len(plan.deposit.groups))
+
+    reached: list[int] = []
+
+    def fill(part: NodeBlock) -> None:
+        found, place = sums.over(part), places(part, shape)
+        reached.append(found.reached)
+        remaining = program.run(found, place, rows) if program else slice(None)
+        if isinstance(remaining, np.ndarray) and not remaining.size:
+            return
+        for name, values in registry.evaluate(plan.fields, found.moments(remaining), options).items():
+            rows[name][place[remaining]] = values.swapaxes(0, 1)
+
+    for_each(blocks(shape, BLOCK_NODES, threads) if program else [((0, 0, 0), shape)], fill, threads)
+    if plan.options.temperature == "unbiased":
+        _warn_of_unknown(rows, sum(reached), plan.kernel.width, source)
+
+
+def _warn_of_unknown(rows: Mapping[str, NDArray], reached: int, width: float, source: str) -> None:
+    """Warn where most of the nodes that grains reach have no temperature."""
+    for name in _TEMPERATURES & set(rows):
+        known = int(np.isfinite(rows[name].reshape(len(rows[name]), -1)[:, 0]).sum())
+        if 2 * known < reached:
+            msg = (
+                f"{source}: of {reached} nodes that grains reach {known} have a temperature; the others see too few "
+                f"grains for a mean velocity and its gradient to leave fluctuations over. Take a larger width (it is "
+                f"{width:.3g}), average along an axis (axes=), or mask by sample_count"
+            )
+            warn_once("temperature", msg)
