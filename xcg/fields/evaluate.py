@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from xcg.compiled import THREADS
 from xcg.fields import registry
 from xcg.fields.blocks import NodeBlock, blocks, for_each, places
-from xcg.fields.deposit import BLOCK_NODES, sums_of_frame
+from xcg.fields.deposit import BLOCK_NODES, BlockSums, sums_of_frame
 from xcg.fields.grid import check_mesh
 from xcg.fields.plan import Plan, scale_of
 from xcg.fields.program import program_for
@@ -64,19 +64,26 @@ def _compute_step(
     rows = {name: a.reshape(math.prod(shape), phases, *a.shape[len(plan.dims) :]) for name, a in out.items()}
     options = replace(plan.options, wrapped=plan.deposit.grid.fills(period))  # the box may change
     program = program_for(plan.fields, plan.options, len(plan.deposit.groups))
+    traced = program.fields if program else ()
+    untraced = tuple(name for name in plan.fields if name not in traced)
 
     reached: list[int] = []
 
     def fill(part: NodeBlock) -> None:
         found, place = sums.over(part), places(part, shape)
         reached.append(found.reached)
-        remaining = program.run(found, place, rows) if program else slice(None)
-        if isinstance(remaining, np.ndarray) and not remaining.size:
-            return
-        for name, values in registry.evaluate(plan.fields, found.moments(remaining), options).items():
-            rows[name][place[remaining]] = values.swapaxes(0, 1)
+        if program and (remaining := program.run(found, place, rows)).size:
+            evaluate(traced, found, place, remaining)
+        if untraced:
+            evaluate(untraced, found, place, slice(None))
 
-    for_each(blocks(shape, BLOCK_NODES, threads) if program else [((0, 0, 0), shape)], fill, threads)
+    def evaluate(fields: tuple[str, ...], found: BlockSums, place: NDArray, nodes: slice | NDArray) -> None:
+        """Compute fields of some nodes of a block with NumPy."""
+        for name, values in registry.evaluate(fields, found.moments(nodes), options).items():
+            rows[name][place[nodes]] = values.swapaxes(0, 1)
+
+    whole = registry.whole_grid(plan.options)
+    for_each([((0, 0, 0), shape)] if whole else blocks(shape, BLOCK_NODES, threads), fill, threads)
     if plan.options.temperature == "unbiased":
         _warn_of_unknown(rows, sum(reached), plan.kernel.width, source)
 

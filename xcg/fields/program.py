@@ -1,4 +1,4 @@
-"""The algebra of fields as a tape: written down once for symbols, then played over the nodes by one compiled loop."""
+"""The algebra of fields as a program: traced once, then run over the nodes by one compiled loop."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, reduce
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,12 +20,12 @@ from xcg.compiled.simd import EIGHT
 from xcg.fields import registry
 from xcg.fields.deposit import BlockSums
 from xcg.fields.moments import columns_of
-from xcg.fields.trace import Trace
+from xcg.fields.trace import Trace, as_symbols
 
 
 @dataclass(frozen=True)
 class Program:
-    """Steps from the sums at a node to its fields.
+    """Steps from the moments at a node to its fields.
 
     Attributes
     ----------
@@ -49,8 +50,13 @@ class Program:
     target: NDArray
     fits: int
 
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """Names of the fields that it computes."""
+        return tuple(dict.fromkeys(name for name, _, _ in self.outputs))
+
     def run(self, sums: BlockSums, place: NDArray, out: Mapping[str, NDArray]) -> NDArray:
-        """Compute fields (places, ...) from the sums at some nodes, each to its `place` (nodes,).
+        """Compute fields (places, ...) from the moments at some nodes, each to its `place` (nodes,).
 
         Returns the nodes that are left out: those where a fit takes eigenvectors.
         """
@@ -81,20 +87,39 @@ def _whole(numbers: Sequence[Sequence[int]], width: int) -> NDArray:
 
 @lru_cache(maxsize=64)
 def program_for(fields: tuple[str, ...], options: registry.Options, groups: int = 0) -> Program | None:
-    """Write down the algebra of some fields, of the bulk and of groups; None where it takes other nodes."""
+    """Trace the algebra of some fields, of the bulk and of groups.
+
+    Fields that cannot be traced are left out, and None is returned where all are: those whose formula, or that of a
+    field that they need, takes operations that the loop does not know, or other nodes.
+    """
     if registry.whole_grid(options):
         return None
     record = Trace()
-    sums = {name: _moment(record, name, groups) for name in registry.moments_of(fields, options)}
-    sums["reference"] = record.load("reference", 0, np.arange(3))
-    found = registry.evaluate(fields, sums, options)
+    moments = {name: _moment(record, name, groups) for name in registry.moments_of(fields, options)}
+    moments["reference"] = record.load("reference", 0, np.arange(3))
+    found = _traced(fields, moments, options)
     results = {
         (name, first, count): [record.of(value).number for value in found[name].flat[first : first + count]]
         for name in fields
+        if name in found
         for count in [3 ** registry.row(name, options).rank]
         for first in range(0, found[name].size, count)
     }
-    return _RegisterAllocation(record.steps, results).program()
+    return _RegisterAllocation(record.steps, results).program() if results else None
+
+
+def _traced(fields: Sequence[str], moments: Mapping[str, NDArray], options: registry.Options) -> dict[str, Any]:
+    """Symbols of some fields and of what they need, without those that cannot be traced."""
+    found: dict[str, Any] = {}
+    s = SimpleNamespace(**moments)
+    for name in registry.order_of(fields, options):
+        row = registry.row(name, options)
+        if found.keys() >= set(row.fields):
+            try:
+                found[name] = as_symbols(row.compute(SimpleNamespace(**found), s, options))
+            except Exception:  # numbers may do; if not, they give an error that says why
+                continue
+    return found
 
 
 def _moment(record: Trace, name: str, groups: int) -> NDArray:

@@ -1,24 +1,24 @@
-"""The registry of fields: one row each, with its dimensions, units, formula, the sums it needs, and the algebra.
+"""The registry of fields: one row each, with its dimensions, units, formula, the moments it needs, and the algebra.
 
-A row's function takes ``f`` (the fields it needs), ``s`` (the sums it needs, see `xcg.fields.moments`) and ``o``
-(`Options`). All arrays are (phase, x, y, z, ...), with phase 0 the bulk; fluctuations of every phase are about the
+A row's function takes ``f`` (the fields it needs), ``s`` (the moments it needs, see `xcg.fields.moments`) and ``o``
+(`Options`). All arrays are (phase, node, ...), with phase 0 the bulk; fluctuations of every phase are about the
 velocity of the bulk, so that partial fields add up.
 """
 
 from __future__ import annotations
 
+from collections import ChainMap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from types import SimpleNamespace
+from types import MappingProxyType, SimpleNamespace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled import fit
-from xcg.fields import trace as symbols
-from xcg.fields.trace import at_least_zero, where_positive, zero_if_unknown
+from xcg.fields.trace import at_least_zero, trace_fit, where_positive, zero_if_unknown
 
 Function = Callable[[Any, Any, "Options"], Any]
 
@@ -57,6 +57,9 @@ class Options:
         Whether contact stress is also divided by the phase of the partner.
     temperature : str
         "unbiased", or "biased": per density, whatever the fit takes.
+    rows : tuple of (str, Field)
+        Rows that stand in no registry of xcg, of fields that users registered: what computes a plan in another process
+        finds them here.
     """
 
     plane: tuple[int, ...] = (0, 1, 2)
@@ -73,6 +76,7 @@ class Options:
     fluid_viscosity: float | None = None
     by_pair: bool | None = None
     temperature: str = "unbiased"
+    rows: tuple[tuple[str, Field], ...] = ()
 
     @property
     def dimension(self) -> int:
@@ -97,7 +101,13 @@ class Field:
     fields, moments : tuple of str
         What it needs.
     additive : bool
-        Whether the partial fields of the phases add up to the bulk.
+        Whether it is a sum: the partial fields of the phases add up to the bulk, and averages over nodes or steps are
+        means.
+    weight : str
+        The additive field that weighs its averages, where it is a ratio: the one in the denominator. A field that is
+        neither additive nor weighted is computed anew from averages of the fields it needs.
+    harmonic : bool
+        Whether it is its inverse that is averaged with `weight`, as the weight is the numerator.
     listed : bool
         False for steps of the algebra that are not fields of their own.
     option : str
@@ -114,6 +124,8 @@ class Field:
     fields: tuple[str, ...] = ()
     moments: tuple[str, ...] = ()
     additive: bool = False
+    weight: str = ""
+    harmonic: bool = False
     listed: bool = True
     option: str = ""
     paired: bool = False
@@ -194,7 +206,7 @@ def _drift(f: Any, s: Any, o: Options) -> NDArray:
 
 
 def _inner(a: NDArray) -> NDArray:
-    """Return an array (phase, node, ...) as (..., phase, node): as kernels take it, and as the sums lie in memory."""
+    """Return an array (phase, node, ...) as (..., phase, node): as loops take it, and as moments lie in memory."""
     return np.ascontiguousarray(a.transpose(*range(2, a.ndim), 0, 1))
 
 
@@ -208,7 +220,7 @@ def _fit(f: Any, s: Any, o: Options, *, about_node: bool = False) -> SimpleNames
     spread = _inner(s.spread)[np.triu_indices(3)]
     rows = (s.count, s.mass, s.momentum, s.offset, s.shear)
     sums = np.concatenate([*(_inner(a).reshape(-1, *nodes) for a in rows), spread]).reshape(fit.SUMS, -1)
-    way = symbols.fit_gradient if sums.dtype == object else fit.fit_gradient
+    way = trace_fit if sums.dtype == object else fit.fit_gradient
     found = way(sums, active=o.active, about_node=about_node).reshape(-1, *nodes)
     parts = np.split(found, (fit.EXPLAINED, fit.DETERMINED, fit.MEAN, fit.INVERSE))
     gradient, explained, determined, mean, inverse = parts
@@ -245,7 +257,7 @@ def _finite_difference(f: Any, s: Any, o: Options) -> NDArray:
 
 
 def _fluctuation_stress(f: Any, s: Any, o: Options) -> NDArray:
-    """Sum of m Psi v'' v'' with v'' = u - b - G (x - x_bar), b, G and x_bar the bulk's: expanded in each phase's sums.
+    """Sum of m Psi v'' v'' with v'' = u - b - G (x - x_bar), b, G, x_bar the bulk's: expanded in the phase's moments.
 
     Of the grains that G was fitted to it is what the fit leaves of the kinetic stress, as G M = B.
     """
@@ -371,7 +383,7 @@ _NONE = (0, 0, 0)
 _LINEAR = ("count", "mass", "momentum", "offset", "shear", "spread")
 _SQUARES = ("square", "square_offset", "square_spread")
 
-FIELDS: dict[str, Field] = {
+_ROWS: dict[str, Field] = {
     "sample_count": Field(
         0, _NONE, "number of particles that reach the node", "sum_i [Psi_i > 0]",
         lambda f, s, o: s.count, moments=("count",), additive=True,
@@ -386,6 +398,7 @@ FIELDS: dict[str, Field] = {
     "particle_density": Field(
         0, (-3, 1, 0), "density of the particles' material", "rho_p = rho / phi",
         lambda f, s, o: ratio(f.density, f.volume_fraction), fields=("density", "volume_fraction"),
+        weight="volume_fraction",
     ),
     "number_density": Field(
         0, (-3, 0, 0), "number density", "n = sum Psi", lambda f, s, o: s.number, moments=("number",), additive=True
@@ -396,16 +409,17 @@ FIELDS: dict[str, Field] = {
     ),
     "velocity": Field(
         1, (1, 0, -1), "velocity", "V = p / rho",
-        lambda f, s, o: f._drift + s.reference, fields=("_drift",), moments=("mass", "momentum"),
+        lambda f, s, o: f._drift + s.reference, fields=("_drift",), moments=("mass", "momentum"), weight="density",
     ),
     "velocity_gradient": Field(
         2, (0, 0, -1), "velocity gradient, dV_component / dx_direction",
         "G = [sum m Psi (v_i - V)(r_i - r_bar)] M^-1, M = sum m Psi (r_i - r_bar)(r_i - r_bar)",
-        lambda f, s, o: f._fit.gradient * f._fit.determined[..., None, :], fields=("_fit",),
+        lambda f, s, o: f._fit.gradient * f._fit.determined[..., None, :], fields=("_fit",), weight="density",
     ),
     "shear_rate_tensor": Field(
         2, (0, 0, -1), "shear rate tensor", "Gamma = (G + G^T) / 2",
         lambda f, s, o: (f.velocity_gradient + _transposed(f.velocity_gradient)) / 2, fields=("velocity_gradient",),
+        weight="density",
     ),
     "shear_rate": Field(
         0, (0, 0, -1), "shear rate", "|Gamma| = sqrt(2 Gamma:Gamma)", _shear_rate, fields=("shear_rate_tensor",)
@@ -453,31 +467,32 @@ FIELDS: dict[str, Field] = {
     ),
     "granular_temperature": Field(
         0, (2, 0, -2), "granular temperature", "T = tr(sum m_i v'_i v'_i Psi) / (D rho_T)",
-        _temperature, fields=("fluctuation_stress", "_free"),
+        _temperature, fields=("fluctuation_stress", "_free"), weight="fluctuation_density",
     ),
     "directional_temperature": Field(
         1, (2, 0, -2), "granular temperature of the fluctuations along each axis",
         "T_k = sum m_i v'_ik v'_ik Psi / rho_T", _temperature_along, fields=("fluctuation_stress", "_free"),
+        weight="fluctuation_density",
     ),
     "effective_count": Field(
         0, _NONE, "effective number of particles, which errors of one step follow from",
         "N_eff = (sum m_i Psi)^2 / sum (m_i Psi)^2",
-        lambda f, s, o: ratio(s.mass * s.mass, s.square), moments=("mass", "square"),
+        lambda f, s, o: ratio(s.mass * s.mass, s.square), moments=("mass", "square"), weight="density",
     ),
     "fabric": Field(
         2, _NONE, "fabric", "F = sum V_i Psi sum_c n n", lambda f, s, o: s.fabric, moments=("fabric",), additive=True
     ),
     "coordination_number": Field(
         0, _NONE, "coordination number", "Z = sum z_i Psi / n",
-        lambda f, s, o: ratio(s.partners, s.number), moments=("partners", "number"),
+        lambda f, s, o: ratio(s.partners, s.number), moments=("partners", "number"), weight="number_density",
     ),
     "d32": Field(
         0, (1, 0, 0), "surface-weighted mean diameter", "d32 = sum d_i^3 Psi / sum d_i^2 Psi",
-        lambda f, s, o: ratio(s.size3, s.size2), moments=("size2", "size3"),
+        lambda f, s, o: ratio(s.size3, s.size2), moments=("size2", "size3"), weight="volume_fraction", harmonic=True,
     ),
     "d43": Field(
         0, (1, 0, 0), "volume-weighted mean diameter", "d43 = sum d_i^4 Psi / sum d_i^3 Psi",
-        lambda f, s, o: ratio(s.size4, s.size3), moments=("size3", "size4"),
+        lambda f, s, o: ratio(s.size4, s.size3), moments=("size3", "size4"), weight="volume_fraction",
     ),
     "friction_coefficient": Field(
         0, _NONE, "friction coefficient", "mu = |dev sigma| / p, where p > 0",
@@ -516,6 +531,9 @@ FIELDS: dict[str, Field] = {
     ),
     "_size": Field(0, (1, 0, 0), "", "d43", lambda f, s, o: f.d43, fields=("d43",), listed=False),
 }  # fmt: skip
+_REGISTERED: dict[str, Field] = {}  # by users, see `xcg.register_field`
+# All rows by name, read-only.
+FIELDS: Mapping[str, Field] = MappingProxyType(ChainMap(_REGISTERED, _ROWS))
 
 FITS = ("least_squares", "paper")
 DEVIATORIC = ("stress", "rate", "both", "neither")
@@ -529,37 +547,37 @@ def _size_of_scene(name: str) -> Field:
 WAYS: dict[str, tuple[str, dict[str, Field]]] = {
     "velocity_gradient": ("gradient", {
         "kernel": replace(
-            FIELDS["velocity_gradient"], formula="G = (grad p - V grad rho) / rho", compute=_kernel_gradient,
+            _ROWS["velocity_gradient"], formula="G = (grad p - V grad rho) / rho", compute=_kernel_gradient,
             fields=("_drift",), moments=("mass", "momentum", "mass_slope", "momentum_slope"),
         ),
         "finite_difference": replace(
-            FIELDS["velocity_gradient"], formula="G = [V(r + h) - V(r - h)] / 2 h, h the spacing of the nodes",
+            _ROWS["velocity_gradient"], formula="G = [V(r + h) - V(r - h)] / 2 h, h the spacing of the nodes",
             compute=_finite_difference, fields=("_drift",), moments=("mass", "momentum"),
         ),
         "paper": replace(
-            FIELDS["velocity_gradient"],
+            _ROWS["velocity_gradient"],
             formula="G = [sum m Psi (v_i - V)(r_i - r)] M^-1, M = sum m Psi (r_i - r)(r_i - r)",
         ),
     }),
     "_fit": ("gradient", {
-        "paper": replace(FIELDS["_fit"], compute=partial(_fit, about_node=True)),
+        "paper": replace(_ROWS["_fit"], compute=partial(_fit, about_node=True)),
     }),
     "fluctuation_stress": ("gradient", {
         "paper": replace(
-            FIELDS["fluctuation_stress"], formula="sum m_i v'_i v'_i Psi, v'_i = v_i - V - G (r_i - r)"
+            _ROWS["fluctuation_stress"], formula="sum m_i v'_i v'_i Psi, v'_i = v_i - V - G (r_i - r)"
         ),
     }),
     "_taken": ("gradient", dict.fromkeys(
         ("kernel", "finite_difference"),
-        replace(FIELDS["_taken"], compute=_taken_by_mean, fields=(), moments=("mass", "square")),
+        replace(_ROWS["_taken"], compute=_taken_by_mean, fields=(), moments=("mass", "square")),
     )),
     "fluctuation_density": ("temperature", {
         "biased": replace(
-            FIELDS["fluctuation_density"], formula="rho_T = rho", compute=lambda f, s, o: s.mass, fields=()
+            _ROWS["fluctuation_density"], formula="rho_T = rho", compute=lambda f, s, o: s.mass, fields=()
         ),
     }),
     "_size": ("size", {
-        "d32": replace(FIELDS["_size"], formula="d32", compute=lambda f, s, o: f.d32, fields=("d32",)),
+        "d32": replace(_ROWS["_size"], formula="d32", compute=lambda f, s, o: f.d32, fields=("d32",)),
         "d50": _size_of_scene("d50"),
         "dmax": _size_of_scene("dmax"),
     }),
@@ -571,6 +589,9 @@ TEMPERATURES = ("unbiased", *WAYS["fluctuation_density"][1])
 
 def row(name: str, options: Options) -> Field:
     """Return the row of a field, as computed with some options."""
+    for own, field in options.rows:
+        if own == name:
+            return field
     option, ways = WAYS.get(name, ("gradient", {}))
     return ways.get(getattr(options, option), FIELDS[name])
 
@@ -612,9 +633,19 @@ def options_of(attrs: Mapping[Any, Any]) -> Options:
     )
 
 
-def listed() -> list[str]:
-    """Names of all fields that can be asked for."""
-    return [name for name, field in FIELDS.items() if field.listed]
+def listed(*, registered: bool = True) -> list[str]:
+    """Names of all fields that can be asked for, with or without those that users registered."""
+    return [name for name, field in (FIELDS if registered else _ROWS).items() if field.listed]
+
+
+def add(name: str, field: Field) -> None:
+    """Put the row of a user's field beside the others; in place of a former one of its name."""
+    _REGISTERED[name] = field
+
+
+def registered_rows(fields: Iterable[str], options: Options) -> tuple[tuple[str, Field], ...]:
+    """Return the rows of users that some fields need."""
+    return tuple((name, _REGISTERED[name]) for name in order_of(fields, options) if name in _REGISTERED)
 
 
 def order_of(fields: Iterable[str], options: Options) -> list[str]:
@@ -633,14 +664,15 @@ def order_of(fields: Iterable[str], options: Options) -> list[str]:
 
 
 def moments_of(fields: Iterable[str], options: Options) -> tuple[str, ...]:
-    """All sums needed for some fields."""
+    """All moments needed for some fields."""
     found = dict.fromkeys(s for name in order_of(fields, options) for s in row(name, options).moments)
     return tuple(found)
 
 
-def evaluate(fields: Sequence[str], sums: Mapping[str, NDArray], options: Options) -> dict[str, NDArray]:
-    """Compute fields from sums; arrays (phase, x, y, z, ...)."""
-    s, f = SimpleNamespace(**sums), SimpleNamespace()
-    for name in order_of(fields, options):
-        setattr(f, name, row(name, options).compute(f, s, options))
+def evaluate(fields: Sequence[str], moments: Mapping[str, NDArray], options: Options) -> dict[str, NDArray]:
+    """Compute fields from moments with NumPy; arrays (phase, node, ...)."""
+    s, f = SimpleNamespace(**moments), SimpleNamespace()
+    with np.errstate(all="ignore"):  # as the program: nodes without grains divide 0 by 0
+        for name in order_of(fields, options):
+            setattr(f, name, row(name, options).compute(f, s, options))
     return {name: getattr(f, name) for name in fields}

@@ -1,18 +1,23 @@
-"""Symbols: numbers at a node that are not known yet. Algebra on arrays of them writes down what it would compute.
+"""Tracing: the formulas of the registry are run once on symbols, which write down the steps that they would compute.
 
-The formulas of the registry are run on arrays of numbers or, once, on arrays of symbols, element for element the same.
+A symbol is a number at a node that is not known yet. Formulas run on arrays of numbers or on arrays of symbols, element
+for element the same. What symbols do not know is refused; such formulas are left to NumPy.
 """
 
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled import program as kernel
 from xcg.compiled.fit import FOUND, flags_of
+
+
+class UnknownOperation(NotImplementedError, TypeError):
+    """A formula takes an operation that only numbers know."""
 
 
 class Trace:
@@ -74,15 +79,22 @@ class Symbol:
 
     __radd__, __rmul__ = __add__, __mul__
 
+    def __neg__(self) -> Symbol:
+        return self * -1.0
+
     def __pow__(self, exponent: int) -> Symbol:
         if exponent != 2:
             msg = f"power {exponent}: only squares are known"
-            raise NotImplementedError(msg)
+            raise UnknownOperation(msg)
         return self * self
 
-    def __bool__(self) -> bool:
+    def _no_value(self, *others: Any) -> NoReturn:
         msg = "the value of a symbol is not known while steps are written down"
-        raise TypeError(msg)
+        raise UnknownOperation(msg)
+
+    __bool__ = __float__ = __int__ = __index__ = _no_value
+    __eq__ = __ne__ = __lt__ = __le__ = __gt__ = __ge__ = _no_value
+    __hash__ = None  # type: ignore[assignment]
 
     def alone(self, operation: int) -> Symbol:
         """Write down a step with one operand."""
@@ -93,17 +105,53 @@ class Symbol:
         return self.alone(kernel.SQUARE_ROOT)
 
 
+# What gives the same bits on symbols as on numbers: arithmetic element by element, and putting elements elsewhere. Sums
+# over axes are not among it, as NumPy adds numbers in another order than symbols.
+_ARITHMETIC = {np.add, np.subtract, np.multiply, np.divide, np.negative, np.square, np.sqrt, np.power}
+_PLACEMENT = {
+    np.array_split, np.broadcast_to, np.concatenate, np.copy, np.diagonal, np.expand_dims, np.flip, np.moveaxis,
+    np.ravel, np.reshape, np.split, np.squeeze, np.stack, np.swapaxes, np.take, np.transpose, np.where,
+}  # fmt: skip
+
+
+class Symbols(np.ndarray):
+    """An array of symbols."""
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
+        if method != "__call__" or ufunc not in _ARITHMETIC or options.keys() - {"out"}:
+            msg = f"{ufunc.__name__}: only {', '.join(sorted(known.__name__ for known in _ARITHMETIC))} are known"
+            raise UnknownOperation(msg)
+        if "out" in options:
+            options["out"] = tuple(map(_plain, options["out"]))
+        return as_symbols(ufunc(*map(_plain, inputs), **options))
+
+    def __array_function__(self, function: Any, types: Any, args: Any, options: Any) -> Any:
+        if function not in _PLACEMENT:
+            msg = f"{function.__name__} is not known"
+            raise UnknownOperation(msg)
+        return as_symbols(super().__array_function__(function, types, args, options))
+
+
+def as_symbols(value: Any) -> Any:
+    """Return an array of symbols as `Symbols`, anything else as it is."""
+    return value.view(Symbols) if isinstance(value, np.ndarray) and value.dtype == object else value
+
+
+def _plain(value: Any) -> Any:
+    return value.view(np.ndarray) if isinstance(value, Symbols) else value
+
+
 def _array(symbols: Sequence[Symbol], shape: tuple[int, ...]) -> NDArray:
     out = np.empty(len(symbols), object)
     out[:] = symbols
-    return out.reshape(shape)
+    return out.reshape(shape).view(Symbols)
 
 
 def _each(array: NDArray, operation: int) -> NDArray:
     return _array([symbol.alone(operation) for symbol in array.ravel()], array.shape)
 
 
-def fit_gradient(sums: NDArray, *, active: Sequence[bool], about_node: bool) -> NDArray:
+def trace_fit(sums: NDArray, *, active: Sequence[bool], about_node: bool) -> NDArray:
     """As `xcg.compiled.fit.fit_gradient`, for symbols."""
     record, flags = sums[0, 0].record, flags_of(active, about_node)
     fits = [record.add(kernel.FIT, flags, *(symbol.number for symbol in column)) for column in sums.T]

@@ -1,4 +1,4 @@
-"""The algebra written down on symbols and played by one loop gives what the registry gives on arrays, to the bit."""
+"""The algebra, traced and run by one loop, gives what the registry gives on arrays, to the bit."""
 
 from unittest import mock
 
@@ -15,7 +15,7 @@ ALL = tuple(name for name in registry.listed() if not registry.FIELDS[name].opti
 
 
 def played_and_plain(ds, *fields, **options):
-    """The same fields by the tape, and by the registry on arrays; how often the tape was played."""
+    """The same fields by the program, and by the registry on arrays; how often the program was run."""
     with mock.patch.object(program.kernel, "run", wraps=program.kernel.run) as run:
         played = ds.cg.coarse_grain(*fields, **options)
     with mock.patch("xcg.fields.evaluate.program_for", return_value=None):
@@ -34,7 +34,7 @@ def assert_same(played, plain):
     {"by": "species", "gradient": "kernel", "axes": "yz"}, {"by": "species", "by_pair": True},
     {"by": "species", "width": {1: 0.4, 2: 0.7}, "axes": "xz"},
 ])  # fmt: skip
-def test_a_tape_gives_what_the_registry_gives(options):
+def test_a_program_gives_what_the_registry_gives(options):
     ds = xcg.datasets.random_scene(200, seed=21)
     played, plain, times = played_and_plain(ds, **{"width": 0.5, **options})
     assert times >= 1
@@ -106,6 +106,33 @@ def test_stress_takes_no_steps_for_what_nobody_asked_for():
     # six kinetic components of symmetric tensors, not nine; each to nine of the contacts
     assert (steps == kernel.ADD).sum() == 9
     assert (steps == kernel.STORE).sum() == 1
+
+
+@pytest.mark.parametrize("gradient", ["least_squares", "kernel", "paper"])
+@pytest.mark.parametrize("groups", [0, 2])
+def test_all_fields_of_the_registry_are_traced(gradient, groups):
+    options = registry.Options(gradient=gradient, fluid_viscosity=1e-3, by_pair=True)
+    names = tuple(name for name in registry.listed() if groups or not registry.FIELDS[name].paired)
+    assert set(program.program_for(names, options, groups).fields) == set(names)
+
+
+def test_negation_is_traced_to_the_bit():
+    (a,) = symbols.Trace().load("mass", 0, np.arange(1))
+    kind, operands = a.record.steps[(-a).number]
+    assert kind == kernel.MULTIPLY
+    assert (kernel.CONSTANT, (-1.0,)) in [a.record.steps[k] for k in operands]
+
+
+@pytest.mark.parametrize("operation", [
+    np.exp, np.abs, np.isnan, np.nan_to_num, np.linalg.eigvalsh, np.linalg.norm, lambda x: x.sum(-1), lambda x: x @ x,
+    lambda x: x**3, lambda x: x > 0, lambda x: x == x, lambda x: np.where(x > 0, x, 1.0), lambda x: np.maximum(x, 0.0),
+    lambda x: x.astype(float), lambda x: np.einsum("...ij,...ij", x, x), lambda x: x.max(), float, sorted, abs,
+])  # fmt: skip
+def test_what_symbols_do_not_know_is_refused(operation):
+    """What is let through must give the bits of NumPy, which sums over axes in an order of its own."""
+    x = symbols.Trace().load("contact", 0, np.arange(9).reshape(3, 3))
+    with pytest.raises((symbols.UnknownOperation, TypeError)):
+        operation(x)
 
 
 def test_symbols_have_no_value_yet():
