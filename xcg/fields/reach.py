@@ -13,8 +13,10 @@ from xcg.scene.schema import COMPONENTS, SceneError
 
 # Beyond this many cutoffs from the mesh, or spacings, places cannot be told apart, and cells and nodes not be counted.
 _FAR = 2.0**50
-# Periodic images of one grain or branch, besides one for each node of a mesh over many periods.
-_MOST_IMAGES = 10_000
+# Periodic images of one grain or branch that reach one node: temperatures take products of all pairs of them.
+_MOST_IMAGES = 300
+# Images over the whole mesh, besides those for each node of a mesh over many periods.
+_MOST_OVER_MESH = 10_000
 # Weights of a branch of L cutoffs are exact to L^2 1e-16: longer ones are cut where the mesh ends,
 _LONG = 64.0
 # and refused where they are as long within it.
@@ -86,8 +88,10 @@ class Mesh:
                     f"{self.cutoff:.3g} m; choose a width and a spacing that are closer to each other"
                 )
                 raise SceneError(msg)
-        images = np.where(self.active, (reach + self.extent) / self.period + 1.0, 1.0)
-        if not images.prod() <= _MOST_IMAGES + self.nodes:
+        images = np.where(self.active, reach / self.period + 1.0, 1.0)
+        over_mesh = np.where(self.active, (reach + self.extent) / self.period + 1.0, 1.0)
+        if not (images.prod() <= _MOST_IMAGES and over_mesh.prod() <= _MOST_OVER_MESH + self.nodes * images.prod()):
+            images = over_mesh
             k = images.argmax()
             msg = (
                 f"{self.source}: the box is so small that a particle or contact reaches the mesh in "
