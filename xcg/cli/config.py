@@ -5,9 +5,12 @@ from __future__ import annotations
 import tomllib
 from pathlib import Path
 
+import xarray as xr
+
 from xcg.cli.job import Job, _of_type, _on_error, _plain_name
 from xcg.cli.pysammos_ini import _ini
 from xcg.scene.schema import SceneError
+from xcg.writers.encoding import Encoding
 
 
 def read_config(path: str | Path) -> Job:
@@ -42,7 +45,7 @@ def read_config(path: str | Path) -> Job:
 # --- TOML ------------------------------------------------------------------------------------------------
 
 _TABLES = ("scene", "phases", "fields", "slices", "output")
-_OUTPUT = ("folder", "name", "netcdf", "vtkhdf")
+_OUTPUT = ("folder", "name", "netcdf", "vtkhdf", "dtype", "digits", "compression")
 _PATHS = ("particles", "contacts", "walls", "restart")
 
 
@@ -64,6 +67,12 @@ def _toml(path: Path) -> Job:
         msg = f"{path}: [output] has {wrong}; expected any of {', '.join(_OUTPUT)}"
         raise SceneError(msg)
     _of_type(path, "output", output, {"folder": str, "name": str, "netcdf": bool, "vtkhdf": (str, bool)})
+    encoding = {name: output[name] for name in ("dtype", "digits", "compression") if name in output}
+    try:
+        Encoding.of(xr.Dataset(), **encoding)
+    except (TypeError, ValueError) as error:
+        msg = f"{path}: [output] has {error}"
+        raise SceneError(msg) from None
     vtkhdf = output.get("vtkhdf", "")
     if vtkhdf not in ("steps", "temporal", "", False):
         msg = f"{path}: vtkhdf={vtkhdf!r} in [output]: expected 'steps', 'temporal' or false"
@@ -97,6 +106,7 @@ def _toml(path: Path) -> Job:
         name=_plain_name(path, output.get("name", "fields")),
         netcdf=bool(output.get("netcdf", True)),
         vtkhdf=vtkhdf or "",
+        encoding=encoding,
         on_error=on_error,
     )
 

@@ -35,9 +35,22 @@ def _scene_options(files: tuple[str, ...], options: dict[str, Any]) -> dict[str,
 @click.option("--frozen", type=int, multiple=True, help="Species that are held in place; repeatable.")
 @click.option("--missing", type=click.Choice(["raise", "skip", "empty"]), help="Steps of particles without contacts.")
 @click.option("--chunks", type=int, help="Steps in a chunk on disk; one by default.")
+@click.option("--dtype", type=click.Choice(["float32", "float64"]), help="Type of numbers on disk.")
+@click.option("--digits", type=click.IntRange(1, 15), help="Significant digits to keep; all by default.")
+@click.option("--compression", type=click.IntRange(0, 9), help="Level of compression, 0 for none; 1 by default.")
 @click.option("--overwrite", is_flag=True, help="Replace output that is there.")
 @click.option("--quiet", "-q", is_flag=True, help="No progress bar.")
-def convert_command(files: tuple[str, ...], output: Path, *, overwrite: bool, quiet: bool, **options: Any) -> None:
+def convert_command(
+    files: tuple[str, ...],
+    output: Path,
+    *,
+    dtype: str | None,
+    digits: int | None,
+    compression: int | None,
+    overwrite: bool,
+    quiet: bool,
+    **options: Any,
+) -> None:
     """Convert FILES of a DEM code to NetCDF or Zarr, which open at once.
 
     FILES are those with particles, or one job (TOML or Pysammos's config.ini) whose scene is meant. For example:
@@ -46,6 +59,6 @@ def convert_command(files: tuple[str, ...], output: Path, *, overwrite: bool, qu
     with told(quiet=False):
         ds = open_scene(**_scene_options(files, options))
         with ProgressBar(out=None if quiet else sys.stderr):
-            save(ds, output, overwrite=overwrite)
+            save(ds, output, overwrite=overwrite, dtype=dtype, digits=digits, compression=compression)
     reader = "open_zarr" if output.suffix == ".zarr" else "open_dataset"
     click.echo(f"{ds.sizes['time']} steps in {output}; open it with xarray.{reader}({str(output)!r})")

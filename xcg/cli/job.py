@@ -37,6 +37,8 @@ class Job:
         "steps" (one file a step), "temporal" (one file) or "" (none).
     suffix : str
         Of the file with all steps: ".nc" or ".h5".
+    encoding : dict
+        ``dtype``, ``digits`` and ``compression`` of the numbers in the output, as in `xcg.save`.
     on_error : str
         What to do about steps that cannot be read or computed: "raise" or "skip".
     """
@@ -51,6 +53,7 @@ class Job:
     netcdf: bool = True
     vtkhdf: str = ""
     suffix: str = ".nc"
+    encoding: dict[str, Any] = field(default_factory=dict)
     on_error: str = "raise"
 
 

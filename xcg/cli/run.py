@@ -29,8 +29,10 @@ from xcg.scene.schema import SceneError
 from xcg.steps.errors import collecting, listen_for_skips
 from xcg.steps.label import name_skipped
 from xcg.steps.map import SKIPPED
+from xcg.writers.encoding import Encoding
 from xcg.writers.files import leftovers, whole_file
 from xcg.writers.lock import locked
+from xcg.writers.store import to_netcdf
 
 _JOB = "job"  # attribute of the output: which job made it
 _BECAUSE = "skipped_because"
@@ -265,16 +267,15 @@ def _assemble(job: Job, name: str, parts: list[Path]) -> None:
         stem = job.name if name == "fields" else _slices_name(job)
         if job.netcdf or name == "slices":
             file = job.folder / f"{stem}{job.suffix}"
-            with whole_file(file, overwrite=True, room=whole.nbytes + _HEADER) as path:
-                whole.to_netcdf(path, engine="netcdf4")
+            to_netcdf(whole, file, Encoding.of(whole, **job.encoding), overwrite=True, room=whole.nbytes + _HEADER)
         if name == "slices":
             return
         paths = _vtkhdf_paths(job, whole)
         if job.vtkhdf == "steps":
             for path, step in zip(paths, opened, strict=True):
-                to_vtkhdf(step, path, overwrite=True)
+                to_vtkhdf(step, path, overwrite=True, **job.encoding)
         elif paths:
-            to_vtkhdf(whole, paths[0], overwrite=True)
+            to_vtkhdf(whole, paths[0], overwrite=True, **job.encoding)
     finally:
         for data in opened:
             data.close()

@@ -45,7 +45,7 @@ def over_time(ds: xr.Dataset) -> list[str]:
     return [str(name) for name, data in ds.data_vars.items() if data.chunks is not None and "time" in data.dims]
 
 
-def write_chunks(ds: xr.Dataset, write: Write) -> None:
+def write_chunks(ds: xr.Dataset, write: Write, steps: int = 1) -> None:
     """Compute and write all variables of `over_time`, chunk by chunk of time.
 
     Parameters
@@ -54,23 +54,30 @@ def write_chunks(ds: xr.Dataset, write: Write) -> None:
         Variables with the dimension ``time``.
     write : callable
         Is called by tasks, so it must pickle.
+    steps : int
+        What one task writes at least, unless the steps end: several chunks where they are shorter.
     """
     arrays = same_chunks(ds[over_time(ds)])
     if not arrays:
         return
-    graph, name = graph_of(arrays, write)
+    graph, name = graph_of(arrays, write, steps)
     with _config():
         Delayed(name, graph).compute()
 
 
-def graph_of(arrays: Mapping[str, da.Array], write: Write) -> tuple[HighLevelGraph, str]:
+def graph_of(arrays: Mapping[str, da.Array], write: Write, steps: int = 1) -> tuple[HighLevelGraph, str]:
     """Graph of the tasks that write arrays of the same chunks, and the name of the one that waits for all."""
     gathered = Gathered.of(arrays)
     name = f"write-{uuid.uuid4().hex}"
-    chunks = next(iter(arrays.values())).chunks[0]
+    edges = np.cumsum([0, *next(iter(arrays.values())).chunks[0]]).tolist()
+    firsts = [0]  # chunks that the tasks begin with
+    for t, edge in enumerate(edges):
+        if edge - edges[firsts[-1]] >= steps and t < len(edges) - 1:
+            firsts.append(t)
     tasks: dict[Any, Any] = {}
-    for t, (start, stop) in enumerate(pairwise(np.cumsum([0, *chunks]).tolist())):
-        tasks[name, t] = (partial(_take_and_write, write, gathered, slice(start, stop)), *gathered.keys(t))
+    for first, end in pairwise([*firsts, len(edges) - 1]):
+        keys = [key for t in range(first, end) for key in gathered.keys(t)]
+        tasks[name, first] = (partial(_take_and_write, write, gathered, slice(edges[first], edges[end])), *keys)
     tasks[name] = (_wait, list(tasks))
     return HighLevelGraph.from_collections(name, tasks, list(arrays.values())), name
 
@@ -86,7 +93,10 @@ def same_chunks(ds: xr.Dataset) -> dict[str, da.Array]:
 
 
 def _take_and_write(write: Write, gathered: Gathered, steps: slice, *given: Any) -> None:
-    write(gathered.take(given), steps)
+    a_chunk = len(gathered.sources)
+    parts = [gathered.take(given[first : first + a_chunk]) for first in range(0, len(given), a_chunk)]
+    together = parts[0] if len(parts) == 1 else {n: np.concatenate([part[n] for part in parts]) for n in parts[0]}
+    write(together, steps)
 
 
 def _wait(_: Any) -> None:

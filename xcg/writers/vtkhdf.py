@@ -16,9 +16,10 @@ from typing import Any
 import h5py
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from xcg.writers.chunks import lock_for, over_time, write_chunks
+from xcg.writers.encoding import Encoding
 from xcg.writers.files import hdf5_file, whole_file
 
 AXES = ("x", "y", "z")
@@ -27,7 +28,13 @@ _BLOCK = 1 << 22  # bytes of one compressed block on disk
 
 
 def to_vtkhdf(
-    fields: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool = False, compression: int = 0
+    fields: xr.Dataset,
+    path: str | os.PathLike[str],
+    *,
+    overwrite: bool = False,
+    dtype: DTypeLike | None = None,
+    digits: int | None = None,
+    compression: int | None = None,
 ) -> Path:
     """Write a result as one VTKHDF file, an image with time steps.
 
@@ -50,9 +57,11 @@ def to_vtkhdf(
         The file to write, by custom ``*.vtkhdf``. It appears only when it is whole.
     overwrite : bool
         Replace a file that exists.
-    compression : int
-        Level of gzip, 1 to 9; 0, the default, writes as fast as the disk takes it. Level 1 takes about ten times as
-        long, and makes fields smaller by a third or, where much of the mesh is empty, by far more.
+    dtype, digits
+        Type and significant digits of floating-point numbers, as in `xcg.save`.
+    compression : int, optional
+        Level of gzip, 1 to 9, or 0 for none; by default 1 for fields of fewer digits or single precision, else none,
+        which writes as fast as the disk takes it.
 
     Returns
     -------
@@ -66,21 +75,19 @@ def to_vtkhdf(
     FileNotFoundError
         If its folder does not exist.
     ValueError
-        If `compression` is not 0 to 9.
+        If `dtype`, `digits` or `compression` is none of those that are known.
         If the fields do not form an image: unknown dimensions, nodes that are not evenly spaced, no time
         steps, or values that are not numbers.
     """
-    if compression not in range(10):
-        msg = f"compression={compression!r}: expected a level of gzip, 1 to 9, or 0 for none"
-        raise ValueError(msg)
+    encoding = Encoding.of(fields, dtype, digits, compression)
     path = Path(path)
-    fields = _checked(fields)
+    fields = encoding.noted(_checked(fields))
     image = _Image.of(fields)
     arrays = _arrays(fields)
     with whole_file(path, overwrite=overwrite) as part:
         with hdf5_file(part, "w") as file:
-            _lay_out(file, fields, image, arrays, compression)
-        _fill(part, fields, image, arrays)
+            _lay_out(file, fields, image, arrays, encoding)
+        _fill(part, fields, image, arrays, encoding)
     return path
 
 
@@ -255,7 +262,7 @@ def _times(fields: xr.Dataset) -> NDArray | None:
 # --- the file --------------------------------------------------------------------------------------------
 
 
-def _lay_out(file: h5py.File, fields: xr.Dataset, image: _Image, arrays: list[_Array], compression: int) -> None:
+def _lay_out(file: h5py.File, fields: xr.Dataset, image: _Image, arrays: list[_Array], encoding: Encoding) -> None:
     """Write all but the values."""
     root = file.create_group("VTKHDF")
     root.attrs["Version"] = (2, 0)
@@ -268,10 +275,11 @@ def _lay_out(file: h5py.File, fields: xr.Dataset, image: _Image, arrays: list[_A
     for array in arrays:
         shape = image.shape(array.components)
         blocks: dict[str, Any] = {}
-        if compression:
-            chunks = _disk_blocks(shape, array.dtype.itemsize, image.temporal)
-            blocks = {"chunks": chunks, "compression": "gzip", "compression_opts": compression, "shuffle": True}
-        target = data.create_dataset(array.name, shape, array.dtype, **blocks)
+        dtype = encoding.type_of(array.dtype)
+        if encoding.level:
+            chunks = _disk_blocks(shape, dtype.itemsize, image.temporal)
+            blocks = {"chunks": chunks, "compression": "gzip", "compression_opts": encoding.level, "shuffle": True}
+        target = data.create_dataset(array.name, shape, dtype, **blocks)
         _describe(target, fields[array.variable].attrs)
     if image.times is not None:
         steps = root.create_group("Steps")
@@ -320,11 +328,14 @@ class _Target:
     image: _Image
     arrays: Sequence[_Array]
     dims: Mapping[str, tuple[Hashable, ...]]
+    encoding: Encoding
 
     def __call__(self, values: Mapping[str, NDArray], steps: slice) -> None:
         """Write variables that are in `values`, whole or some steps of them."""
         ready = {
-            array.name: array.values(xr.Variable(self.dims[array.variable], values[array.variable]), self.image)
+            array.name: self.encoding.reduced(
+                array.values(xr.Variable(self.dims[array.variable], values[array.variable]), self.image)
+            )
             for array in self.arrays
             if array.variable in values
         }
@@ -337,13 +348,13 @@ class _Target:
                     target[...] = block[0]
 
 
-def _fill(part: Path, fields: xr.Dataset, image: _Image, arrays: list[_Array]) -> None:
+def _fill(part: Path, fields: xr.Dataset, image: _Image, arrays: list[_Array], encoding: Encoding) -> None:
     """Write all values."""
     lazy = over_time(fields)
     now = fields.drop_vars(lazy).compute().data_vars
     dims = {str(name): data.dims for name, data in now.items()}
     dims |= {name: fields[name].transpose("time", ...).dims for name in lazy}
-    write = _Target(part, lock_for(part), image, arrays, dims)
+    write = _Target(part, lock_for(part), image, arrays, dims, encoding)
     for name, data in now.items():
         write({str(name): data.to_numpy()}, slice(None))
     write_chunks(fields, write)
