@@ -1,6 +1,6 @@
 """Every decision about compilation, in one place.
 
-Kernels release the GIL, so that dask's threads run them side by side; they are serial, because a parallel kernel
+Loops release the GIL, so that dask's threads run them side by side; they are serial, because a parallel loop
 under a threaded scheduler aborts the interpreter. Arithmetic is strict: the compiler may neither reorder nor contract
 it, so that results have the same bits in every process and at every number of threads.
 
@@ -81,17 +81,17 @@ class _Cache(FunctionCache):
 
 
 def jit(function: Callable, **options: Any) -> Callable:
-    """Compile a kernel."""
+    """Compile a loop; under ``NUMBA_DISABLE_JIT=1`` it stays the Python function that it is."""
     # the wrapper for callers in C would take a tenth of the time
     compiled = numba.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options)(function)
-    if CACHE:
+    if CACHE and compiled is not function:
         with suppress(RuntimeError):  # no folder can be written
             compiled._cache = _Cache(function)
     return compiled
 
 
 def leaf(function: Callable) -> Callable:
-    """Compile a kernel that makes no arrays: those that it is given, and views of them, are not counted.
+    """Compile a loop that makes no arrays: those that it is given, and views of them, are not counted.
 
     Counting references to memory stops the processor until all that is under way is written.
     """

@@ -1,14 +1,20 @@
 """Several neighbouring numbers of an array in one instruction, written out for LLVM.
 
-Loops over four or eight numbers would be compiled one number at a time, and merged again afterwards, if they are.
-Nothing is checked unless ``NUMBA_BOUNDSCHECK=1`` is set, which `prefetch` and addresses do not heed: places must lie
-within the array, and addresses be those of arrays that are still there. Sums and products are those of the same formula
-number by number, bit for bit.
+Numba compiles a Python loop over four or eight numbers one number at a time, and LLVM merges them afterwards only
+sometimes. So each function here has two forms: the Python function says what it does, and runs where nothing is
+compiled (``NUMBA_DISABLE_JIT=1``, to step through a loop in a debugger); the function in front of it, of the same name
+with an underscore, writes the instructions that compiled code has in its place. Both give the same bits.
+
+Compiled code checks places only where ``NUMBA_BOUNDSCHECK=1`` is set, and never addresses or what `prefetch` is asked
+for: places must lie within the array, and addresses be those of arrays that are still there.
 """
 
+import ctypes
 import math
 from collections.abc import Callable
+from typing import Any
 
+import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils, config
@@ -16,6 +22,24 @@ from numba.extending import intrinsic
 
 FOUR, EIGHT = 4, 8
 TILE = 64  # nodes that the algebra is done for at a time
+
+
+def compiled_as(emit: Callable) -> Callable:
+    """Pair a Python function with the instructions that compiled code has in its place.
+
+    `emit` is what `numba.extending.intrinsic` takes: from the types of the arguments to a signature and a function that
+    writes instructions. As of a compiled loop, the Python function is the attribute ``py_func``.
+    """
+
+    def pair(function: Callable) -> Any:
+        if config.DISABLE_JIT:
+            return function
+        emit.__doc__ = function.__doc__
+        instructions = intrinsic(emit)
+        instructions.py_func = function
+        return instructions
+
+    return pair
 
 
 def _at(context, builder, array_type, array, indices, lanes):
@@ -53,10 +77,7 @@ def _cast(context, builder, signature, args):
     return place, value
 
 
-@intrinsic
-def add4(typingctx, records, group, row, first, weight, a, b, c, d):
-    """``records[group, row, first : first + 4] += weight * (a, b, c, d)``."""
-
+def _add4(typingctx, records, group, row, first, weight, a, b, c, d):
     def generate(context, builder, signature, args):
         place, value = _cast(context, builder, signature, args)
         source = [place(1), place(2), place(3)]
@@ -69,10 +90,14 @@ def add4(typingctx, records, group, row, first, weight, a, b, c, d):
     return types.void(records, group, row, first, weight, a, b, c, d), generate
 
 
-@intrinsic
-def fill8(typingctx, lists, row, at, value):
-    """``lists[row, at : at + 8] = value``."""
+@compiled_as(_add4)
+def add4(records, group, row, first, weight, a, b, c, d):
+    """``records[group, row, first : first + 4] += weight * (a, b, c, d)``."""
+    real = records.dtype.type
+    records[group, row, first : first + FOUR] += real(weight) * np.array((a, b, c, d), real)
 
+
+def _fill8(typingctx, lists, row, at, value):
     def generate(context, builder, signature, args):
         place, number = _cast(context, builder, signature, args)
         pointer, align = _at(context, builder, signature.args[0], args[0], [place(1), place(2)], EIGHT)
@@ -82,10 +107,13 @@ def fill8(typingctx, lists, row, at, value):
     return types.void(lists, row, at, value), generate
 
 
-@intrinsic
-def add_scalar8(typingctx, lists, row, at, value, table, first):
-    """``lists[row, at : at + 8] = value + lists[table, first : first + 8]``."""
+@compiled_as(_fill8)
+def fill8(lists, row, at, value):
+    """``lists[row, at : at + 8] = value``."""
+    lists[row, at : at + EIGHT] = value
 
+
+def _add_scalar8(typingctx, lists, row, at, value, table, first):
     def generate(context, builder, signature, args):
         place, number = _cast(context, builder, signature, args)
         source, align = _at(context, builder, signature.args[0], args[0], [place(4), place(5)], EIGHT)
@@ -98,13 +126,13 @@ def add_scalar8(typingctx, lists, row, at, value, table, first):
     return types.void(lists, row, at, value, table, first), generate
 
 
-@intrinsic
-def ramp8(typingctx, lists, to, squares, at, first, step, origin, factor):
-    """Write d = (first + k) step - origin, times a factor, and its square, for k = 0, ... 7.
+@compiled_as(_add_scalar8)
+def add_scalar8(lists, row, at, value, table, first):
+    """``lists[row, at : at + 8] = value + lists[table, first : first + 8]``."""
+    lists[row, at : at + EIGHT] = lists.dtype.type(value) + lists[table, first : first + EIGHT]
 
-    ``lists[to, at + k] = factor * d`` and ``lists[squares, at + k] = d * d``.
-    """
 
+def _ramp8(typingctx, lists, to, squares, at, first, step, origin, factor):
     def generate(context, builder, signature, args):
         place, number = _cast(context, builder, signature, args)
         target, align = _at(context, builder, signature.args[0], args[0], [place(1), place(3)], EIGHT)
@@ -122,10 +150,19 @@ def ramp8(typingctx, lists, to, squares, at, first, step, origin, factor):
     return types.void(lists, to, squares, at, first, step, origin, factor), generate
 
 
-@intrinsic
-def prefetch(typingctx, array, row):
-    """Ask for the start of a row of an array, which need not be there, so that it has come when it is read."""
+@compiled_as(_ramp8)
+def ramp8(lists, to, squares, at, first, step, origin, factor):
+    """Write d = (first + k) step - origin, times a factor, and its square, for k = 0, ... 7.
 
+    ``lists[to, at + k] = factor * d`` and ``lists[squares, at + k] = d * d``.
+    """
+    real = lists.dtype.type
+    d = (real(first) + np.arange(EIGHT, dtype=real)) * real(step) - real(origin)
+    lists[to, at : at + EIGHT] = real(factor) * d
+    lists[squares, at : at + EIGHT] = d * d
+
+
+def _prefetch(typingctx, array, row):
     def generate(context, builder, signature, args):
         view = context.make_array(signature.args[0])(context, builder, args[0])
         index = builder.mul(args[1], cgutils.unpack_tuple(builder, view.strides)[0])
@@ -139,11 +176,20 @@ def prefetch(typingctx, array, row):
     return types.void(array, types.int64), generate
 
 
+@compiled_as(_prefetch)
+def prefetch(array, row):
+    """Ask for the start of a row of an array, which need not be there, so that it is in cache when it is read."""
+
+
 # --- rows of as many numbers as a tile has nodes ---------------------------------------------------------
 
 
-def _of_rows(compute: Callable) -> Callable:
-    """Return an intrinsic that writes a row of an array (rows, TILE), number by number from one or two others."""
+def _of_rows(emit: Callable, compute: Callable) -> Any:
+    """Return what writes a row of an array (rows, TILE), number by number from one or two others.
+
+    Both are functions of two rows: `emit` writes the instructions for eight numbers of each, and `compute` takes and
+    returns arrays.
+    """
 
     def of_rows(typingctx, rows, to, a, b):
         def generate(context, builder, signature, args):
@@ -153,13 +199,18 @@ def _of_rows(compute: Callable) -> Callable:
             align = starts[0][1]
             for k in range(TILE // EIGHT):
                 target, *sources = (builder.gep(start, [ir.Constant(ir.IntType(64), k)]) for start, _ in starts)
-                values = compute(builder, *(builder.load(pointer, align=align) for pointer in sources))
+                values = emit(builder, *(builder.load(pointer, align=align) for pointer in sources))
                 builder.store(values, target, align=align)
             return context.get_dummy_value()
 
         return types.void(rows, to, a, b), generate
 
-    return intrinsic(of_rows)
+    @compiled_as(of_rows)
+    def row_of(rows, to, a, b):
+        with np.errstate(all="ignore"):
+            rows[to] = compute(rows[a], rows[b])
+
+    return row_of
 
 
 def _all(value: float) -> ir.Constant:
@@ -172,15 +223,24 @@ def _root(builder, a, _):
 
 
 # ``rows[to] = rows[a] + rows[b]``, ...
-row_sum = _of_rows(lambda builder, a, b: builder.fadd(a, b))
-row_difference = _of_rows(lambda builder, a, b: builder.fsub(a, b))
-row_product = _of_rows(lambda builder, a, b: builder.fmul(a, b))
-row_quotient = _of_rows(lambda builder, a, b: builder.fdiv(a, b))
+row_sum = _of_rows(lambda builder, a, b: builder.fadd(a, b), np.add)
+row_difference = _of_rows(lambda builder, a, b: builder.fsub(a, b), np.subtract)
+row_product = _of_rows(lambda builder, a, b: builder.fmul(a, b), np.multiply)
+row_quotient = _of_rows(lambda builder, a, b: builder.fdiv(a, b), np.divide)
 # of `a` alone: square roots; NaN where it is not positive; 0 where it is negative; 0 where it is NaN
-row_root = _of_rows(_root)
-nan_unless_positive = _of_rows(lambda b, a, _: b.select(b.fcmp_ordered(">", a, _all(0.0)), a, _all(math.nan)))
-clip_at_zero = _of_rows(lambda b, a, _: b.select(b.fcmp_ordered("<", a, _all(0.0)), _all(0.0), a))
-nan_to_zero = _of_rows(lambda b, a, _: b.select(b.fcmp_ordered("==", a, a), a, _all(0.0)))
+row_root = _of_rows(_root, lambda a, _: np.sqrt(a))
+nan_unless_positive = _of_rows(
+    lambda builder, a, _: builder.select(builder.fcmp_ordered(">", a, _all(0.0)), a, _all(math.nan)),
+    lambda a, _: np.where(a > 0.0, a, np.nan),
+)
+clip_at_zero = _of_rows(
+    lambda builder, a, _: builder.select(builder.fcmp_ordered("<", a, _all(0.0)), _all(0.0), a),
+    lambda a, _: np.where(a < 0.0, 0.0, a),
+)
+nan_to_zero = _of_rows(
+    lambda builder, a, _: builder.select(builder.fcmp_ordered("==", a, a), a, _all(0.0)),
+    lambda a, _: np.where(np.isnan(a), 0.0, a),
+)
 
 
 # --- memory that is named by its address -----------------------------------------------------------------
@@ -191,20 +251,24 @@ def _pointer(context, builder, address, index):
     return builder.gep(first, [index])
 
 
-@intrinsic
-def load_number(typingctx, address, index):
-    """Read the float64 that is `index` numbers from an address."""
+def _number(address: int, index: int) -> ctypes.c_double:
+    return ctypes.c_double.from_address(int(address) + ctypes.sizeof(ctypes.c_double) * int(index))
 
+
+def _load_number(typingctx, address, index):
     def generate(context, builder, signature, args):
         return builder.load(_pointer(context, builder, *args))
 
     return types.float64(types.uint64, types.uint64), generate
 
 
-@intrinsic
-def store_number(typingctx, address, index, value):
-    """Write a float64 to the place that is `index` numbers from an address."""
+@compiled_as(_load_number)
+def load_number(address, index):
+    """Read the float64 that is `index` numbers from an address."""
+    return _number(address, index).value
 
+
+def _store_number(typingctx, address, index, value):
     def generate(context, builder, signature, args):
         builder.store(args[2], _pointer(context, builder, *args[:2]))
         return context.get_dummy_value()
@@ -212,13 +276,13 @@ def store_number(typingctx, address, index, value):
     return types.void(types.uint64, types.uint64, types.float64), generate
 
 
-@intrinsic
-def store_nontemporal(typingctx, address, index, value):
-    """Write a float64 to the place that is `index` numbers from an address, past the caches.
+@compiled_as(_store_number)
+def store_number(address, index, value):
+    """Write a float64 to the place that is `index` numbers from an address."""
+    _number(address, index).value = value
 
-    What is written in order, without gaps, goes to memory line by line, and nothing is read for it before.
-    """
 
+def _store_nontemporal(typingctx, address, index, value):
     def generate(context, builder, signature, args):
         whole = ir.IntType(64)  # of vectors the address would have to be aligned
         pointer = builder.bitcast(_pointer(context, builder, *args[:2]), whole.as_pointer())
@@ -229,10 +293,16 @@ def store_nontemporal(typingctx, address, index, value):
     return types.void(types.uint64, types.uint64, types.float64), generate
 
 
-@intrinsic
-def store_fence(typingctx):
-    """Wait until all that was written past the caches is in memory, for other threads to see."""
+@compiled_as(_store_nontemporal)
+def store_nontemporal(address, index, value):
+    """Write a float64 to the place that is `index` numbers from an address, past the caches.
 
+    What is written in order, without gaps, goes to memory line by line, and nothing is read for it before.
+    """
+    _number(address, index).value = value
+
+
+def _store_fence(typingctx):
     def generate(context, builder, signature, args):
         builder.fence("seq_cst")
         return context.get_dummy_value()
@@ -240,10 +310,12 @@ def store_fence(typingctx):
     return types.void(), generate
 
 
-@intrinsic
-def transpose8x8(typingctx, address, first, apart, rows, row, at):
-    """``rows[row + c, at + k] = m[first + k * apart + c]`` for k, c = 0, ... 7, m the numbers from an address on."""
+@compiled_as(_store_fence)
+def store_fence():
+    """Wait until all that was written past the caches is in memory, for other threads to see."""
 
+
+def _transpose8x8(typingctx, address, first, apart, rows, row, at):
     def generate(context, builder, signature, args):
         place, _ = _cast(context, builder, signature, args)
         vectors = []
@@ -268,3 +340,11 @@ def transpose8x8(typingctx, address, first, apart, rows, row, at):
         return context.get_dummy_value()
 
     return types.void(types.uint64, types.uint64, types.uint64, rows, types.uint64, types.uint64), generate
+
+
+@compiled_as(_transpose8x8)
+def transpose8x8(address, first, apart, rows, row, at):
+    """``rows[row + c, at + k] = m[first + k * apart + c]`` for k, c = 0, ... 7, m the numbers from an address on."""
+    for k in range(EIGHT):
+        for c in range(EIGHT):
+            rows[row + c, at + k] = _number(address, first + k * apart + c).value

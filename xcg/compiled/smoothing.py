@@ -78,7 +78,8 @@ def _lucy_line_value(q2, by_gradient):
 def _lucy_plane_value(q2):
     """L2(q) / 2 pi = integral of P(r) r over q < r < 1."""
     q = math.sqrt(q2)
-    return (1.0 - q) ** 4 * (0.1 + 0.4 * q + 0.5 * q2)
+    square = (1.0 - q) * (1.0 - q)  # its square is what the compiler makes of the fourth power, and Python does not
+    return square * square * (0.1 + 0.4 * q + 0.5 * q2)
 
 
 @leaf
