@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,12 +17,33 @@ from xcg.scene.schema import BOX_EDGES, PADDING, VARIABLES, Frame, SceneError, V
 
 _NONE, _PRESSURE = (0, 0, 0), (-1, 1, -2)
 COPIED = ("particle_id", "position", "diameter", "contact_i", "contact_j", "contact_force")
+
+
+@dataclass(frozen=True)
+class Statistic:
+    """A statistic of the chains of one step.
+
+    Attributes
+    ----------
+    variable : Variable
+        Dimensions, unit and type.
+    compute : callable
+        ``compute(particles)`` from the numbers of particles of the chains, an array (chains,) of at least one.
+    """
+
+    variable: Variable
+    compute: Callable[[NDArray], float]
+
+
+_OF_LENGTHS: dict[str, Statistic] = {
+    "length_mean": Statistic(Variable((), _NONE, "mean length of the chains (particles)"), np.mean),
+    "length_median": Statistic(Variable((), _NONE, "median length of the chains (particles)"), np.median),
+    "length_min": Statistic(Variable((), _NONE, "shortest chain (particles)"), np.min),
+    "length_max": Statistic(Variable((), _NONE, "longest chain (particles)"), np.max),
+}
 STATISTICS: dict[str, Variable] = {
     "chain_count": Variable((), _NONE, "number of chains", "int64"),
-    "length_mean": Variable((), _NONE, "mean length of the chains (particles)"),
-    "length_median": Variable((), _NONE, "median length of the chains (particles)"),
-    "length_min": Variable((), _NONE, "shortest chain (particles)"),
-    "length_max": Variable((), _NONE, "longest chain (particles)"),
+    **{name: row.variable for name, row in _OF_LENGTHS.items()},
     "length_share": Variable(("length",), _NONE, "share of the chains that have this length, P(c)"),
 }
 CHAINS: dict[str, Variable] = {
@@ -58,9 +79,10 @@ def result_sizes(particles: int, contacts: int, min_length: int) -> dict[str, in
 def statistics_of(particles: NDArray, min_length: int, lengths: int) -> dict[str, NDArray | float]:
     """Statistics of the lengths of the chains of one step, by the names in `STATISTICS`; NaN where there are none."""
     count = len(particles)
-    share = np.bincount(particles - min_length, minlength=lengths)[:lengths] / max(count, 1)
-    values = [f(particles) if count else np.nan for f in (np.mean, np.median, np.min, np.max)]
-    return dict(zip(STATISTICS, (count, *values, share), strict=True))
+    found: dict[str, NDArray | float] = {"chain_count": count}
+    found |= {name: row.compute(particles) if count else np.nan for name, row in _OF_LENGTHS.items()}
+    found["length_share"] = np.bincount(particles - min_length, minlength=lengths)[:lengths] / max(count, 1)
+    return found
 
 
 def require_chains(fc: xr.Dataset, purpose: str) -> None:
