@@ -136,8 +136,8 @@ def memory(folder: Path, counts: Sequence[int], forms: Sequence[str]) -> None:
 
 def reading(folder: Path, particles: int) -> None:
     """Speed of parsers and of whole steps, on one core."""
-    from xcg.readers import lammps, text, vtp
-    from xcg.readers.engine import ReadOptions
+    from xcg.readers import ReadOptions, text, vtp
+    from xcg.readers.lammps import Lammps
 
     folder.mkdir(parents=True, exist_ok=True)
     (ds,) = series.packings(particles, 1)
@@ -154,8 +154,8 @@ def reading(folder: Path, particles: int) -> None:
         for suffix, data in (("", raw), (".gz", gzip.compress(raw))):
             path = folder / f"{kind}.0.dump{suffix}"
             path.write_bytes(data)
-            (ref,) = getattr(lammps, f"index_{kind}")([str(path)], ReadOptions())
-            seconds = processor(partial(getattr(lammps, f"read_{kind}"), ref, ReadOptions()), 3)
+            (ref,) = getattr(Lammps(), f"index_{kind}")([str(path)], ReadOptions())
+            seconds = processor(partial(getattr(Lammps(), f"read_{kind}"), ref, ReadOptions()), 3)
             rows.append([f"LAMMPS {kind}{suffix}", f"{len(data) / seconds / MEGA:.0f}",
                          f"{len(raw) / seconds / MEGA:.0f}"])  # fmt: skip
         body = text.read_body(ref)

@@ -12,9 +12,11 @@ import pytest
 
 from tests import shared_data
 from tests.dumps import dump_text, write, write_series
-from xcg.readers import dump, lammps, mfix
+from xcg.readers import dump, mfix
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.index import remembered
+from xcg.readers.lammps import Lammps
+from xcg.readers.mfix import Mfix
 from xcg.readers.series import open_scene
 
 
@@ -160,7 +162,7 @@ def test_all_that_a_header_tells_is_remembered(tmp_path):
 
 
 @pytest.mark.parametrize(("engine", "folder", "pattern"), [
-    (lammps, "lammps_chute", "particles.*.gz"), (mfix, "mfix_chute", "P_FB1_0*.vtp"),
+    (Lammps(), "lammps_chute", "particles.*.gz"), (Mfix(), "mfix_chute", "P_FB1_0*.vtp"),
 ])  # fmt: skip
 def test_real_output(tmp_path, monkeypatch, engine, folder, pattern):
     for path in shared_data(folder).glob(pattern):

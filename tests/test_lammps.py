@@ -9,11 +9,14 @@ from hypothesis import strategies as st
 
 from tests import shared_data
 from tests.dumps import ATOMS, PAIR_ROWS, PAIRS, ROWS, dump_text, pairs_text, write
-from xcg.readers import dump, lammps
+from xcg.readers import dump
 from xcg.readers.engine import ReadOptions
+from xcg.readers.lammps import Lammps
 from xcg.readers.series import open_scene
 from xcg.readers.text import parse_table
 from xcg.scene.schema import SceneError, SceneWarning
+
+lammps = Lammps()
 
 DEFAULTS = ReadOptions()
 

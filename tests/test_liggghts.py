@@ -5,11 +5,13 @@ import pytest
 
 from tests import shared_data
 from tests.dumps import dump_text, pairs_text, write
-from xcg.readers import liggghts
 from xcg.readers.engine import ReadOptions
+from xcg.readers.liggghts import Liggghts
 from xcg.readers.series import open_scene
 from xcg.scene.complete import minimum_image
 from xcg.scene.schema import SceneError
+
+liggghts = Liggghts()
 
 DEFAULTS = ReadOptions()
 COLUMNS = " ".join(f"c_3[{k}]" for k in range(1, 14))

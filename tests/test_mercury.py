@@ -5,10 +5,12 @@ import pytest
 
 from tests import real_data
 from tests.dumps import write
-from xcg.readers import mercury
 from xcg.readers.engine import ReadOptions
+from xcg.readers.mercury import Mercury, read_restart
 from xcg.readers.series import open_scene
 from xcg.scene.schema import SceneError
+
+mercury = Mercury()
 
 DATA = "{n} {t} 0 0 0 4 4 2\n"
 ROWS = [
@@ -193,4 +195,4 @@ def test_unit_gravity_is_scaled(run):
 
 
 def test_options_are_the_engines_own():
-    assert mercury.read_restart("nowhere/run.data", ReadOptions()) is None
+    assert read_restart("nowhere/run.data", ReadOptions()) is None

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 from tests import shared_data
-from xcg.readers import mfix, vtp
+from xcg.readers import vtp
 from xcg.readers.engine import ReadOptions
+from xcg.readers.mfix import Mfix
 from xcg.scene.complete import minimum_image
 from xcg.scene.schema import SceneError, SceneWarning
+
+mfix = Mfix()
 
 DEFAULTS = ReadOptions()
 PERIOD = np.array([0.04, np.inf, 0.02])  # of the real chute

@@ -14,10 +14,13 @@ from tests import shared_data
 from tests.test_mfix import read_contacts, write_contacts, write_vtp
 from xcg.cli import main
 from xcg.packing.pairs import find_pairs
-from xcg.readers import mfix, vtp
+from xcg.readers import vtp
 from xcg.readers.engine import ReadOptions
+from xcg.readers.mfix import Mfix
 from xcg.scene.complete import minimum_image
 from xcg.scene.schema import SceneError, SceneWarning
+
+mfix = Mfix()
 
 EXAMPLE = (Path(__file__).parents[1] / "examples" / "config.ini").read_text()
 

@@ -15,7 +15,7 @@ import xarray as xr
 
 from tests import shared_data
 from tests.dumps import ATOMS, BOX, ROWS, dump_text, pairs_text, write, write_series
-from xcg.readers import lammps
+from xcg.readers.lammps import Lammps
 from xcg.readers.paths import expand_paths, natural_key
 from xcg.readers.series import open_scene
 from xcg.scene.schema import SceneError, SceneWarning
@@ -32,13 +32,13 @@ def reads(monkeypatch):
     """Count the bodies that the LAMMPS engine parses, by kind and step."""
     counts: Counter = Counter()
     for kind in ("particles", "contacts"):
-        original = getattr(lammps, f"read_{kind}")
+        original = getattr(Lammps, f"read_{kind}")
 
-        def counted(ref, options, kind=kind, original=original):
+        def counted(self, ref, options, kind=kind, original=original):
             counts[kind, ref.step] += 1
-            return original(ref, options)
+            return original(self, ref, options)
 
-        monkeypatch.setattr(lammps, f"read_{kind}", counted)
+        monkeypatch.setattr(Lammps, f"read_{kind}", counted)
     return counts
 
 

@@ -10,10 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.dumps import ATOMS, dump_text, write
-from xcg.readers import gzipped, lammps, text
+from xcg.readers import gzipped, text
 from xcg.readers.engine import ReadOptions
+from xcg.readers.lammps import Lammps
 from xcg.readers.series import open_scene
 from xcg.scene.schema import SceneError
+
+lammps = Lammps()
 
 COLUMNS = ("a", "b", "c")
 numbers = st.floats(allow_nan=False, allow_infinity=False).map(lambda x: f"{x:.6g}") | st.integers(-(10**9), 10**9).map(

@@ -11,7 +11,8 @@ from functools import partial
 
 import numpy as np
 
-from xcg.readers.engine import ReadOptions, StepRef
+from xcg.readers import columns
+from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.index import remembered
 from xcg.readers.text import (
     Scanner,
@@ -25,8 +26,40 @@ from xcg.readers.text import (
     source_of,
     uncompressed_size,
 )
-from xcg.scene.schema import COMPONENTS, SceneError
+from xcg.scene.schema import COMPONENTS, Frame, SceneError
 from xcg.steps import errors as errors
+
+
+class Dumps(Engine):
+    """What the engines of dumps share."""
+
+    OPTIONS = ("timestep",)
+
+    def index_particles(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
+        """List the steps of ``dump custom`` files."""
+        refs = index_dumps(paths, options, atoms=True)
+        columns.warn_of_ignored(refs[0], _particle_columns(refs[0], options), columns.PARTICLE_SLOTS, options)
+        return refs
+
+    def contact_columns(self, ref: StepRef, options: ReadOptions) -> dict[str, str]:
+        """Find the columns that contacts are read from."""
+        return columns.contact_columns(ref, columns.CONTACT_SLOTS, options)
+
+    def contact_variables(self, ref: StepRef, options: ReadOptions) -> list[str]:
+        """Names of the variables that `read_contacts` returns."""
+        return columns.contact_names(self.contact_columns(ref, options))
+
+    def read_particles(self, ref: StepRef, options: ReadOptions) -> Frame:
+        """Parse the particles of one step."""
+        return columns.particles_from(ref, _particle_columns(ref, options))
+
+    def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
+        """Parse the contacts of one step."""
+        return columns.contacts_from(ref, self.contact_columns(ref, options))
+
+
+def _particle_columns(ref: StepRef, options: ReadOptions) -> dict[str, str]:
+    return columns.particle_columns(ref, columns.PARTICLE_SLOTS, options)
 
 
 def body_columns(path: str) -> tuple[str, tuple[str, ...]] | None:
@@ -41,9 +74,9 @@ def body_columns(path: str) -> tuple[str, tuple[str, ...]] | None:
     return None
 
 
-def is_numbered(columns: Sequence[str]) -> bool:
+def is_numbered(names: Sequence[str]) -> bool:
     """Tell columns without names of their own (``c_3[1] c_3[2] ...``), as LIGGGHTS writes contacts."""
-    return len(columns) in (12, 13) and all(re.fullmatch(rf"\w+\[{k}\]", column) for k, column in enumerate(columns, 1))
+    return len(names) in (12, 13) and all(re.fullmatch(rf"\w+\[{k}\]", name) for k, name in enumerate(names, 1))
 
 
 def _is_body(item: str) -> bool:
@@ -172,17 +205,17 @@ def _value(ref: StepRef, scanner: Scanner, item: str) -> StepRef:
 
 
 def _check_header(ref: StepRef, words: list[str], *, atoms: bool) -> None:
-    label, columns = words[0] if words else "", words[1:]
-    twice = sorted(column for column, count in Counter(columns).items() if count > 1)
+    label, names = words[0] if words else "", words[1:]
+    twice = sorted(column for column, count in Counter(names).items() if count > 1)
     if (label == "ATOMS") is not atoms:
         kind, argument = ("ATOMS", "contacts") if atoms else ("ENTRIES", "particles")
         msg = f"{source_of(ref)}: found 'ITEM: {label}', expected 'ITEM: {kind}'; is this a file for {argument}=?"
     elif ref.rows < 0:
         msg = f"{source_of(ref)}: the header does not say how many rows follow ('ITEM: NUMBER OF ...')"
-    elif not columns:
+    elif not names:
         msg = f"{source_of(ref)}: 'ITEM: {label}' names no columns"
-    elif len(columns) > _MOST_COLUMNS:
-        msg = f"{source_of(ref)}: 'ITEM: {label}' names {len(columns)} columns, expected {_MOST_COLUMNS} at most"
+    elif len(names) > _MOST_COLUMNS:
+        msg = f"{source_of(ref)}: 'ITEM: {label}' names {len(names)} columns, expected {_MOST_COLUMNS} at most"
     elif twice:
         msg = f"{source_of(ref)}: columns {twice[:10]} occur twice; name them apart, as with dump_modify colname"
     else:

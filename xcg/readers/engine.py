@@ -1,17 +1,20 @@
-"""What a reader must offer: an index of steps from headers, and the body of one step as a frame."""
+"""What an engine must offer: an index of steps from headers, and the body of one step as a frame."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import ClassVar
 
-from xcg.scene.schema import Frame
+from xcg.scene.schema import Frame, SceneError
 
 
 @dataclass(frozen=True)
 class StepRef:
     """One step of one file: all that its header tells, and where its body is.
+
+    Only `path` and `rows` must be given.
 
     Attributes
     ----------
@@ -35,7 +38,7 @@ class StepRef:
         Unit system that the header names ("si", "lj", ...).
     size, modified : int
         Size of the file (bytes) and time of its modification (ns) when it was indexed, so that a file that changed
-        afterwards is noticed.
+        afterwards is noticed; `xcg.open_scene` fills them in.
     gravity : tuple of float or None
         Acceleration of gravity in the file's units, None where the file does not say.
     kind : str
@@ -79,31 +82,122 @@ class ReadOptions:
     extra: Mapping[str, object] = field(default_factory=dict)
 
 
-class Engine(Protocol):
-    """The functions of a reader module.
+class Engine(ABC):
+    """A format of files: how its steps are listed, and how one of them is read.
 
-    A module may define more:
+    A subclass needs `index_particles` and `read_particles`; `index_contacts` and `read_contacts` where files hold
+    contacts; `recognises` if it is to be found without ``engine=``. `xcg.open_scene` makes one object of it, without
+    arguments, and sends it to the processes that read, so it should hold no open files. Packages register it by the
+    entry point group ``xcg.readers``; any other is handed over, ``open_scene(..., engine=MyEngine)``.
 
-    - ``OPTIONS``, the names of its own options; others are then refused;
-    - ``contact_variables(ref, options)``, the names that `read_contacts` will return, told from the header
-      alone; without it, `xcg.open_scene` reads one frame of contacts;
-    - ``recover_periods(ref, options)``, the length of the period along some axes from the contacts of one step, where
-      the files do not tell it;
-    - ``index_walls(paths, options)``, where contacts with walls stand in files of their own; `read_contacts`
-      reads these, too.
+    Steps are sorted, paired with their contacts, checked and converted to SI after an engine listed and read them.
+
+    Attributes
+    ----------
+    OPTIONS : tuple of str
+        Names of the keyword arguments of its own that `xcg.open_scene` takes; they come as ``options.extra``.
+    UNNAMED_UNITS : str
+        What to do about files that do not name their units, for the warning that such files get; without it they are
+        taken as SI without a word.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from xcg.readers import Engine, StepRef
+    >>> class Points(Engine):
+    ...     def index_particles(self, paths, options):
+    ...         return [StepRef(path, rows=len(np.load(path)), step=k) for k, path in enumerate(paths)]
+    ...
+    ...     def read_particles(self, ref, options):
+    ...         return {"position": np.load(ref.path)}
     """
 
-    def recognises(self, path: str) -> bool:
-        """Tell from the first bytes and the name whether this engine reads the file."""
+    OPTIONS: ClassVar[tuple[str, ...]] = ()
+    UNNAMED_UNITS: ClassVar[str] = ""
 
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        return type(self).__name__.lower()
+
+    def recognises(self, path: str) -> bool:
+        """Tell from the first bytes and the name whether this engine reads the file.
+
+        Any file may come, of particles or of contacts, and what raises an error here cannot be opened.
+        """
+        return False
+
+    @abstractmethod
     def index_particles(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
-        """List the steps in particle files from headers alone."""
+        """List the steps in files with particles, from headers alone.
+
+        Parameters
+        ----------
+        paths : sequence of str
+            Files that exist, in the order that the caller gave, globs in the order of the numbers in names.
+        options : ReadOptions
+            What the caller said.
+
+        Returns
+        -------
+        list of StepRef
+            The steps, with `time` in all of them or in none; the number of the step decides where no time is known.
+
+        Raises
+        ------
+        SceneError
+            If a file is not what it should be; `on_error` of `xcg.open_scene` leaves it out.
+        """
+
+    @abstractmethod
+    def read_particles(self, ref: StepRef, options: ReadOptions) -> Frame:
+        """Read the particles of one step, of n rows at most ``ref.rows``.
+
+        Returns
+        -------
+        dict of arrays
+            By names of the scene, in the file's units: ``position`` (n, 3), and what there is of ``velocity`` (n, 3),
+            ``particle_id``, ``species``, ``diameter``, ``density``, ``mass``, ``volume``, ``coordination_number``
+            (n,). Any other name becomes a variable of the particles. Rows come in any order; without
+            ``particle_id`` their number is the id.
+
+        Raises
+        ------
+        SceneError
+            If the body does not fit its header.
+        """
 
     def index_contacts(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
-        """List the steps in contact files from headers alone."""
+        """List the steps in files with contacts, from headers alone; see `index_particles`."""
+        msg = f"contacts=: the engine '{self.name}' reads particles only"
+        raise SceneError(msg)
 
-    def read_particles(self, ref: StepRef, options: ReadOptions) -> Frame:
-        """Parse the body of one step of particles, by scene name, in the file's units."""
+    def index_walls(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
+        """List the steps in files with contacts with walls, where these are kept apart; `read_contacts` reads them."""
+        msg = f"walls=: the engine '{self.name}' reads contacts with walls among the others; give contacts= only"
+        raise SceneError(msg)
 
     def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
-        """Parse the body of one step of contacts, by scene name, in the file's units."""
+        """Read the contacts of one step, of n rows at most ``ref.rows``.
+
+        Returns
+        -------
+        dict of arrays
+            ``contact_i`` and ``contact_j`` (n,), ids of the partners, negative for a wall; ``contact_force`` (n, 3), on
+            i; and what there is of ``contact_point``, ``contact_normal`` (n, 3) and ``overlap`` (n,).
+
+        Raises
+        ------
+        SceneError
+            If the body does not fit its header.
+        """
+        msg = f"contacts=: the engine '{self.name}' does not read contacts"
+        raise SceneError(msg)
+
+    def contact_variables(self, ref: StepRef, options: ReadOptions) -> Sequence[str]:
+        """Names of what `read_contacts` returns; told from the header where that is quicker than reading the step."""
+        return list(self.read_contacts(ref, options))
+
+    def recover_periods(self, ref: StepRef, options: ReadOptions) -> Mapping[str, float]:
+        """Length of the period along some axes from the contacts of a step, where files do not tell it."""
+        return {}

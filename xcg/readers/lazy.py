@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, cast
+from typing import Any
 
 import dask.array as da
 import numpy as np
@@ -26,11 +25,6 @@ from xcg.steps import errors as errors
 from xcg.steps.graph import picked
 
 
-def load_engine(name: str) -> Engine:
-    """Import the module of an engine, only now that it is needed (one of them imports VTK)."""
-    return cast(Engine, importlib.import_module(f"xcg.readers.{name}"))
-
-
 @dataclass(frozen=True)
 class Step:
     """One step of the scene: its particles, and the files that its contacts come from."""
@@ -40,12 +34,11 @@ class Step:
     time: float | None = None
 
 
-def read_step(engine: str, options: ReadOptions, ref: StepRef, *, contacts: bool = False) -> Frame:
+def read_step(engine: Engine, options: ReadOptions, ref: StepRef, *, contacts: bool = False) -> Frame:
     """Parse one body in the file's units."""
     if ref.size:
         _check_unchanged(ref)
-    reader = load_engine(engine)
-    return reader.read_contacts(ref, options) if contacts else reader.read_particles(ref, options)
+    return engine.read_contacts(ref, options) if contacts else engine.read_particles(ref, options)
 
 
 def _check_unchanged(ref: StepRef) -> None:
@@ -68,15 +61,15 @@ class Source:
 
     Attributes
     ----------
-    engine : str
-        Name of the reader module.
+    engine : Engine
+        Reads one step.
     frozen : tuple of int or None
         Species that are held in place; None where the caller said nothing.
     once : Once
         Gives warnings of the scene's steps once.
     """
 
-    engine: str
+    engine: Engine
     options: ReadOptions
     setup: Setup
     frozen: tuple[int, ...] | None
@@ -114,6 +107,11 @@ class Source:
 
 
 def _require(frame: Frame, names: Sequence[str], ref: StepRef) -> None:
+    """Refuse a frame without what the other steps hold, or with more rows than its header promised."""
+    rows = len(next(iter(frame.values())))
+    if rows > ref.rows:
+        msg = f"{source_of(ref)}: {rows} rows, but its index promised {ref.rows} at most"
+        raise SceneError(msg)
     lacking = [name for name in names if name not in frame]
     if lacking:
         msg = f"{source_of(ref)}: lacks {lacking}, which other steps hold; a series must hold the same throughout"

@@ -14,8 +14,6 @@ from xcg.readers import columns, dump
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.scene.schema import COMPONENTS, Frame
 
-OPTIONS = ("timestep",)
-
 
 def _vector(slot: str, first: int) -> dict[str, int]:
     return {f"{slot}_{axis}": first + k for k, axis in enumerate(COMPONENTS)}
@@ -42,58 +40,39 @@ _WALL = {
 }
 
 
-def recognises(path: str) -> bool:
-    """Tell dumps by their first lines, local ones by columns that have numbers instead of names."""
-    found = dump.body_columns(path)
-    return found is not None and (found[0] == "ATOMS" or dump.is_numbered(found[1]))
+class Liggghts(dump.Dumps):
+    """Dumps of LIGGGHTS."""
 
+    def recognises(self, path: str) -> bool:
+        """Tell dumps by their first lines, local ones by columns that have numbers instead of names."""
+        found = dump.body_columns(path)
+        return found is not None and (found[0] == "ATOMS" or dump.is_numbered(found[1]))
 
-def index_particles(paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
-    """List the steps of ``dump custom`` files."""
-    refs = dump.index_dumps(paths, options, atoms=True)
-    columns.warn_of_ignored(refs[0], _particle_columns(refs[0], options), columns.PARTICLE_SLOTS, options)
-    return refs
+    def index_contacts(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
+        """List the steps of ``pair/gran/local`` files."""
+        refs = dump.index_dumps(paths, options, atoms=False)
+        self.contact_columns(refs[0], options)
+        return refs
 
+    def index_walls(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
+        """List the steps of ``wall/gran/local`` files."""
+        refs = [replace(ref, kind="wall") for ref in dump.index_dumps(paths, options, atoms=False)]
+        self.contact_columns(refs[0], options)
+        return refs
 
-def index_contacts(paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
-    """List the steps of ``pair/gran/local`` files."""
-    refs = dump.index_dumps(paths, options, atoms=False)
-    _contact_columns(refs[0], options)
-    return refs
+    def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
+        """Parse the contacts of one step; mesh k is the partner -(k + 1)."""
+        frame = super().read_contacts(ref, options)
+        if ref.kind == "wall":
+            frame["contact_j"] = -(frame["contact_j"] + 1)
+        return frame
 
-
-def index_walls(paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
-    """List the steps of ``wall/gran/local`` files."""
-    refs = [replace(ref, kind="wall") for ref in dump.index_dumps(paths, options, atoms=False)]
-    _contact_columns(refs[0], options)
-    return refs
-
-
-def contact_variables(ref: StepRef, options: ReadOptions) -> list[str]:
-    """Names of the variables that `read_contacts` returns."""
-    return columns.contact_names(_contact_columns(ref, options))
-
-
-def read_particles(ref: StepRef, options: ReadOptions) -> Frame:
-    """Parse the particles of one step."""
-    return columns.particles_from(ref, _particle_columns(ref, options))
-
-
-def read_contacts(ref: StepRef, options: ReadOptions) -> Frame:
-    """Parse the contacts of one step; mesh k is the partner -(k + 1)."""
-    frame = columns.contacts_from(ref, _contact_columns(ref, options))
-    if ref.kind == "wall":
-        frame["contact_j"] = -(frame["contact_j"] + 1)
-    return frame
-
-
-def _particle_columns(ref: StepRef, options: ReadOptions) -> dict[str, str]:
-    return columns.particle_columns(ref, columns.PARTICLE_SLOTS, options)
-
-
-def _contact_columns(ref: StepRef, options: ReadOptions) -> dict[str, str]:
-    slots: columns.Slots = columns.CONTACT_SLOTS
-    if dump.is_numbered(ref.columns):
+    def contact_columns(self, ref: StepRef, options: ReadOptions) -> dict[str, str]:
+        """Find the columns that contacts are read from, by their place where they have numbers for names."""
+        if not dump.is_numbered(ref.columns):
+            return super().contact_columns(ref, options)
         layout = _WALL if ref.kind == "wall" else _PAIR
-        slots = dict.fromkeys(slots, ()) | {slot: ref.columns[at : at + 1] for slot, at in layout.items()}
-    return columns.contact_columns(ref, slots, options)
+        slots: columns.Slots = dict.fromkeys(columns.CONTACT_SLOTS, ()) | {
+            slot: ref.columns[at : at + 1] for slot, at in layout.items()
+        }
+        return columns.contact_columns(ref, slots, options)

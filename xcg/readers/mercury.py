@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.readers import columns
-from xcg.readers.engine import ReadOptions, StepRef
+from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.index import remembered
 from xcg.readers.text import (
     Scanner,
@@ -32,8 +32,6 @@ from xcg.readers.text import (
 from xcg.scene.schema import COMPONENTS, Frame, SceneError
 from xcg.steps import errors as errors
 
-OPTIONS = ("restart",)
-
 _ROW_3D = (
     "x", "y", "z", "vx", "vy", "vz", "radius", "alpha", "beta", "gamma", "omx", "omy", "omz", "species",
 )  # fmt: skip
@@ -48,31 +46,84 @@ _SLOTS: columns.Slots = {
 }
 
 
-def recognises(path: str) -> bool:
-    """Tell ``.data`` by its header of 8 (2D: 6) numbers, ``.fstat`` by its three comment lines."""
-    name = os.path.basename(path)
-    lines = first_lines(path)
-    if ".fstat" in name:
-        return len(lines) >= 3 and all(line.startswith("#") for line in lines[:3])
-    return ".data" in name and bool(lines) and _header(lines[0]) is not None
+class Mercury(Engine):
+    """Files ``.data``, ``.fstat`` and ``.restart`` of MercuryDPM."""
+
+    OPTIONS = ("restart",)
+
+    def recognises(self, path: str) -> bool:
+        """Tell ``.data`` by its header of 8 (2D: 6) numbers, ``.fstat`` by its three comment lines."""
+        name = os.path.basename(path)
+        lines = first_lines(path)
+        if ".fstat" in name:
+            return len(lines) >= 3 and all(line.startswith("#") for line in lines[:3])
+        return ".data" in name and bool(lines) and _header(lines[0]) is not None
+
+    def index_particles(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
+        """List the steps of ``.data`` files, numbered from 0 over all files."""
+        refs: list[StepRef] = []
+        for path, steps in zip(paths, remembered(paths, "mercury data", _data_steps), strict=True):
+            restart = read_restart(path, options)
+            for ref in steps:
+                refs.append(
+                    replace(ref, step=len(refs), periodic=restart.periodic, gravity=restart.gravity)
+                    if restart
+                    else replace(ref, step=len(refs))
+                )
+            _refuse_empty(path, len(steps))
+        return refs
+
+    def index_contacts(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
+        """List the steps of ``.fstat`` files; as no header counts the rows, ids are read to count them."""
+        found = remembered(paths, "mercury fstat", _fstat_steps)
+        for path, steps in zip(paths, found, strict=True):
+            _refuse_empty(path, len(steps))
+        return [replace(ref, step=step) for step, ref in enumerate(ref for refs in found for ref in refs)]
+
+    def contact_variables(self, ref: StepRef, options: ReadOptions) -> list[str]:
+        """Names of the variables that `read_contacts` returns."""
+        return ["contact_i", "contact_j", "contact_force", "contact_point", "contact_normal", "overlap"]
+
+    def read_particles(self, ref: StepRef, options: ReadOptions) -> Frame:
+        """Parse the particles of one step; the restart file knows the density of each species."""
+        frame = columns.particles_from(ref, columns.particle_columns(ref, _SLOTS, options))
+        restart = read_restart(ref.path, options)
+        if restart and restart.density and "species" in frame and not {"density", "mass"} & set(frame):
+            unknown = set(np.unique(frame["species"])) - set(restart.density)
+            if unknown:
+                msg = (
+                    f"{source_of(ref)}: species {min(unknown):g} is not in {restart.path}, which knows "
+                    f"{sorted(restart.density)}; name the restart file of this run with restart="
+                )
+                raise SceneError(msg)
+            kinds, kind = np.unique(frame["species"], return_inverse=True)
+            frame["density"] = np.array([restart.density[k] for k in kinds])[kind]
+        return frame
+
+    def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
+        """Parse the contacts of one step; walls keep their negative numbers.
+
+        Between particles n points from j to i and the force on i is ``fn n + ft t``; at walls n and t point the
+        other way.
+        """
+        rows = parse_table(read_body(ref), _CONTACT, _CONTACT[1:], None, source_of(ref))
+        keep = _once(rows["i"], rows["j"])
+        rows = {name: values[keep] for name, values in rows.items()}
+        sign = np.where(rows["j"] < 0, -1.0, 1.0)[:, None]
+        normal, tangent, point = (
+            np.stack([rows[f"{letter}{axis}"] for axis in COMPONENTS], axis=1) for letter in "ntc"
+        )
+        return {
+            "contact_i": rows["i"],
+            "contact_j": rows["j"],
+            "contact_force": sign * (rows["fn"][:, None] * normal + rows["ft"][:, None] * tangent),
+            "contact_point": point,
+            "contact_normal": sign * normal,
+            "overlap": rows["delta"],
+        }
 
 
 # --- particles -------------------------------------------------------------------------------------------
-
-
-def index_particles(paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
-    """List the steps of ``.data`` files, numbered from 0 over all files."""
-    refs: list[StepRef] = []
-    for path, steps in zip(paths, remembered(paths, "mercury data", _data_steps), strict=True):
-        restart = read_restart(path, options)
-        for ref in steps:
-            refs.append(
-                replace(ref, step=len(refs), periodic=restart.periodic, gravity=restart.gravity)
-                if restart
-                else replace(ref, step=len(refs))
-            )
-        _refuse_empty(path, len(steps))
-    return refs
 
 
 def _data_steps(path: str) -> Iterator[StepRef]:
@@ -119,32 +170,7 @@ def _header(line: str) -> list[float] | None:
     return values if plausible and all(values[2 + k] <= values[2 + edges + k] for k in range(edges)) else None
 
 
-def read_particles(ref: StepRef, options: ReadOptions) -> Frame:
-    """Parse the particles of one step; the restart file knows the density of each species."""
-    frame = columns.particles_from(ref, columns.particle_columns(ref, _SLOTS, options))
-    restart = read_restart(ref.path, options)
-    if restart and restart.density and "species" in frame and not {"density", "mass"} & set(frame):
-        unknown = set(np.unique(frame["species"])) - set(restart.density)
-        if unknown:
-            msg = (
-                f"{source_of(ref)}: species {min(unknown):g} is not in {restart.path}, which knows "
-                f"{sorted(restart.density)}; name the restart file of this run with restart="
-            )
-            raise SceneError(msg)
-        kinds, kind = np.unique(frame["species"], return_inverse=True)
-        frame["density"] = np.array([restart.density[k] for k in kinds])[kind]
-    return frame
-
-
 # --- contacts --------------------------------------------------------------------------------------------
-
-
-def index_contacts(paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
-    """List the steps of ``.fstat`` files; as no header counts the rows, ids are read to count them."""
-    found = remembered(paths, "mercury fstat", _fstat_steps)
-    for path, steps in zip(paths, found, strict=True):
-        _refuse_empty(path, len(steps))
-    return [replace(ref, step=step) for step, ref in enumerate(ref for refs in found for ref in refs)]
 
 
 def _refuse_empty(path: str, steps: int) -> None:
@@ -191,32 +217,6 @@ def _once(i: NDArray, j: NDArray) -> NDArray:
         pair = np.minimum(i, j) * (max(i.max(), j.max()) + 1) + np.maximum(i, j)
         keep[~keep] = ~np.isin(pair[~keep], pair[keep & (j >= 0)])
     return keep
-
-
-def contact_variables(ref: StepRef, options: ReadOptions) -> list[str]:
-    """Names of the variables that `read_contacts` returns."""
-    return ["contact_i", "contact_j", "contact_force", "contact_point", "contact_normal", "overlap"]
-
-
-def read_contacts(ref: StepRef, options: ReadOptions) -> Frame:
-    """Parse the contacts of one step; walls keep their negative numbers.
-
-    Between particles n points from j to i and the force on i is ``fn n + ft t``; at walls n and t point the
-    other way.
-    """
-    rows = parse_table(read_body(ref), _CONTACT, _CONTACT[1:], None, source_of(ref))
-    keep = _once(rows["i"], rows["j"])
-    rows = {name: values[keep] for name, values in rows.items()}
-    sign = np.where(rows["j"] < 0, -1.0, 1.0)[:, None]
-    normal, tangent, point = (np.stack([rows[f"{letter}{axis}"] for axis in COMPONENTS], axis=1) for letter in "ntc")
-    return {
-        "contact_i": rows["i"],
-        "contact_j": rows["j"],
-        "contact_force": sign * (rows["fn"][:, None] * normal + rows["ft"][:, None] * tangent),
-        "contact_point": point,
-        "contact_normal": sign * normal,
-        "overlap": rows["delta"],
-    }
 
 
 # --- the restart file ------------------------------------------------------------------------------------

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.readers import vtp
-from xcg.readers.engine import ReadOptions, StepRef
+from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.index import remembered
 from xcg.readers.mfix_contacts import (
     EXACT,
@@ -59,86 +59,143 @@ CONTACT_NAMES = {
     "FORCE_CHAIN_FC": "contact_force",
     "FORCE_CHAIN_OVERLAP": "overlap",
 }
-OPTIONS = ("missing",)
 _NORMAL, _TANGENTIAL, _OVERLAP = "FORCE_CHAIN_FN", "FORCE_CHAIN_FT", "FORCE_CHAIN_OVERLAP"
 _POINT, _LENGTH = "FORCE_CHAIN_CONTACT_POINT", "FORCE_CHAIN_LENGTH"
 _SHAPES = "SQP_"  # begins the names of the shapes that files of superquadrics list
 
 
-# --- index -----------------------------------------------------------------------------------------------
+class Mfix(Engine):
+    """Region output of MFiX-DEM."""
 
+    def recognises(self, path: str) -> bool:
+        """Tell whether this is a VTK PolyData file or a collection of them."""
+        if Path(path).suffix not in (".vtp", ".pvd"):
+            return False
+        with open(path, "rb") as file:
+            head = file.read(1024)
+        return b"<VTKFile" in head and (b"PolyData" in head or b"Collection" in head)
 
-def recognises(path: str) -> bool:
-    """Tell whether this is a VTK PolyData file or a collection of them."""
-    if Path(path).suffix not in (".vtp", ".pvd"):
-        return False
-    with open(path, "rb") as file:
-        head = file.read(1024)
-    return b"<VTKFile" in head and (b"PolyData" in head or b"Collection" in head)
+    def index_particles(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
+        """List the steps of particles from the headers of ``.vtp`` files.
 
+        Parameters
+        ----------
+        paths : sequence of str
+            ``.vtp`` files of one region, or ``.pvd`` collections, whose times are taken where the files say none.
+        options : ReadOptions
+            ``extra["missing"]`` is "raise" (default) or "skip": what to do about files that do not exist.
 
-def index_particles(paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
-    """List the steps of particles from the headers of ``.vtp`` files.
+        Raises
+        ------
+        SceneError
+            If files are missing, damaged, or of several regions.
 
-    Parameters
-    ----------
-    paths : sequence of str
-        ``.vtp`` files of one region, or ``.pvd`` collections, whose times are taken where the files say none.
-    options : ReadOptions
-        ``extra["missing"]`` is "raise" (default) or "skip": what to do about files that do not exist.
-
-    Raises
-    ------
-    SceneError
-        If files are missing, damaged, or of several regions.
-
-    Warns
-    -----
-    SceneWarning
-        For files that are missing and skipped, steps dropped because their time occurs twice with other
-        content, and particles without ids.
-    """
-    refs = _index(paths, options)
-    targets = [_targets(ref.columns, "particle", options, ref.path) for ref in refs]
-    nameless = [ref for ref, target in zip(refs, targets, strict=True) if "particle_id" not in target]
-    if nameless:
-        msg = (
-            f"{nameless[0].path}: no array 'Particle_ID', so particles are numbered as they stand: rows "
-            "are other particles in every step, and contacts cannot be matched. Write Particle_ID in the "
-            "region, or map another array with names={'...': 'particle_id'}"
-        )
-        warn_user(msg)
-    return refs
-
-
-def index_contacts(paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
-    """List the steps of contacts from the headers of ``.vtp`` files; see `index_particles`.
-
-    Raises
-    ------
-    SceneError
-        Also if ids or forces are not among the arrays.
-    """
-    refs = _index(paths, options)
-    for ref in refs:
-        there = contact_variables(ref, options)
-        lacking = [name for name in ("contact_i", "contact_j", "contact_force") if name not in there]
-        if lacking:
+        Warns
+        -----
+        SceneWarning
+            For files that are missing and skipped, steps dropped because their time occurs twice with other
+            content, and particles without ids.
+        """
+        refs = _index(paths, options)
+        targets = [_targets(ref.columns, "particle", options, ref.path) for ref in refs]
+        nameless = [ref for ref, target in zip(refs, targets, strict=True) if "particle_id" not in target]
+        if nameless:
             msg = (
-                f"{ref.path}: contacts lack {lacking}; expected FORCE_CHAIN_GLOBAL_ID1 and _ID2, and "
-                f"FORCE_CHAIN_FC (or FORCE_CHAIN_FN and FORCE_CHAIN_FT), found {list(ref.columns)}. Switch "
-                "them on in the region's output, or map others with names={'...': 'contact_i'}"
+                f"{nameless[0].path}: no array 'Particle_ID', so particles are numbered as they stand: rows "
+                "are other particles in every step, and contacts cannot be matched. Write Particle_ID in the "
+                "region, or map another array with names={'...': 'particle_id'}"
+            )
+            warn_user(msg)
+        return refs
+
+    def index_contacts(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
+        """List the steps of contacts from the headers of ``.vtp`` files; see `index_particles`.
+
+        Raises
+        ------
+        SceneError
+            Also if ids or forces are not among the arrays.
+        """
+        refs = _index(paths, options)
+        for ref in refs:
+            there = self.contact_variables(ref, options)
+            lacking = [name for name in ("contact_i", "contact_j", "contact_force") if name not in there]
+            if lacking:
+                msg = (
+                    f"{ref.path}: contacts lack {lacking}; expected FORCE_CHAIN_GLOBAL_ID1 and _ID2, and "
+                    f"FORCE_CHAIN_FC (or FORCE_CHAIN_FN and FORCE_CHAIN_FT), found {list(ref.columns)}. Switch "
+                    "them on in the region's output, or map others with names={'...': 'contact_i'}"
+                )
+                raise SceneError(msg)
+        return refs
+
+    def contact_variables(self, ref: StepRef, options: ReadOptions) -> list[str]:
+        """List the variables that `read_contacts` returns, from the header alone."""
+        targets = _targets(ref.columns, "contact", options, ref.path)
+        if {_NORMAL, _TANGENTIAL} <= set(ref.columns):
+            targets.setdefault("contact_force", "")
+        return list(targets)
+
+    def read_particles(self, ref: StepRef, options: ReadOptions) -> Frame:
+        """Parse the particles of one step.
+
+        Returns
+        -------
+        dict
+            Float64 arrays by scene name, shape (n,) or (n, 3), rows as in the file.
+
+        Raises
+        ------
+        SceneError
+            If the file is damaged or changed since it was indexed, or ids are too large for Float32.
+        """
+        frame, _ = _read(_open(ref), _targets(ref.columns, "particle", options, ref.path))
+        ids = frame.get("particle_id", np.empty(0))
+        if ids.size and ids.max() >= EXACT and len(np.unique(ids)) < len(ids):
+            msg = (
+                f"{ref.path}: particle ids from {EXACT} on occur more than once, because MFiX writes ids as "
+                "Float32, which holds whole numbers up to there only; write a region with fewer particles, or "
+                "drop the ids with names={'Particle_ID': None}"
             )
             raise SceneError(msg)
-    return refs
+        if "radius" in frame:
+            frame.setdefault("diameter", 2 * frame.pop("radius"))
+        return frame
+
+    def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
+        """Parse the contacts of one step, each contact once.
+
+        Returns
+        -------
+        dict
+            Float64 arrays by scene name, shape (n,) or (n, 3), rows in the order of the file, those of spheres first.
+            Where ``point_is_middle`` (n,) is true, ``contact_point`` is the middle of the centres of two spheres;
+            `names` that map an array to ``contact_point`` are believed.
+
+        Raises
+        ------
+        SceneError
+            If the file is damaged or changed since it was indexed, or holds superquadrics without contact points.
+        """
+        rows = _Rows.of(ref, options)
+        spheres, others = np.flatnonzero(~rows.superquadric), np.flatnonzero(rows.superquadric)
+        frame = {name: values[spheres] for name, values in rows.frame.items()}
+        frame = each_contact_once(frame, rows.mark[spheres], rows.place[spheres])
+        if not len(others):
+            return frame
+        sides = {name: values[others] for name, values in rows.frame.items()}
+        joined = both_sides_once(sides, rows.place[others], rows.length[others], _periods(rows))
+        return {name: np.concatenate([frame[name], joined[name]]) for name in frame}
+
+    def recover_periods(self, ref: StepRef, options: ReadOptions) -> dict[str, float]:
+        """Periods by axis, from contacts whose two rows stand on either side of an edge, one period apart.
+
+        The extent of the particles' centres is no period: it is short by about a diameter.
+        """
+        return _periods(_Rows.of(ref, options))
 
 
-def contact_variables(ref: StepRef, options: ReadOptions) -> list[str]:
-    """List the variables that `read_contacts` returns, from the header alone."""
-    targets = _targets(ref.columns, "contact", options, ref.path)
-    if {_NORMAL, _TANGENTIAL} <= set(ref.columns):
-        targets.setdefault("contact_force", "")
-    return list(targets)
+# --- index -----------------------------------------------------------------------------------------------
 
 
 def _index(paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
@@ -258,33 +315,6 @@ def _read(header: vtp.Header, targets: Mapping[str, str], extra: Sequence[str] =
 # --- bodies ----------------------------------------------------------------------------------------------
 
 
-def read_particles(ref: StepRef, options: ReadOptions) -> Frame:
-    """Parse the particles of one step.
-
-    Returns
-    -------
-    dict
-        Float64 arrays by scene name, shape (n,) or (n, 3), rows as in the file.
-
-    Raises
-    ------
-    SceneError
-        If the file is damaged or changed since it was indexed, or ids are too large for Float32.
-    """
-    frame, _ = _read(_open(ref), _targets(ref.columns, "particle", options, ref.path))
-    ids = frame.get("particle_id", np.empty(0))
-    if ids.size and ids.max() >= EXACT and len(np.unique(ids)) < len(ids):
-        msg = (
-            f"{ref.path}: particle ids from {EXACT} on occur more than once, because MFiX writes ids as "
-            "Float32, which holds whole numbers up to there only; write a region with fewer particles, or "
-            "drop the ids with names={'Particle_ID': None}"
-        )
-        raise SceneError(msg)
-    if "radius" in frame:
-        frame.setdefault("diameter", 2 * frame.pop("radius"))
-    return frame
-
-
 @dataclass(frozen=True)
 class _Rows:
     """Contacts of a file as they stand.
@@ -332,40 +362,6 @@ class _Rows:
         if targets.get("contact_point") == points and points not in options.names:
             frame |= {"contact_point": place, "point_is_middle": ~superquadric}
         return cls(frame, mark, place, length, superquadric)
-
-
-def read_contacts(ref: StepRef, options: ReadOptions) -> Frame:
-    """Parse the contacts of one step, each contact once.
-
-    Returns
-    -------
-    dict
-        Float64 arrays by scene name, shape (n,) or (n, 3), rows in the order of the file, those of spheres first. Where
-        ``point_is_middle`` (n,) is true, ``contact_point`` is the middle of the centres of two spheres; `names` that
-        map an array to ``contact_point`` are believed.
-
-    Raises
-    ------
-    SceneError
-        If the file is damaged or changed since it was indexed, or holds superquadrics without contact points.
-    """
-    rows = _Rows.of(ref, options)
-    spheres, others = np.flatnonzero(~rows.superquadric), np.flatnonzero(rows.superquadric)
-    frame = {name: values[spheres] for name, values in rows.frame.items()}
-    frame = each_contact_once(frame, rows.mark[spheres], rows.place[spheres])
-    if not len(others):
-        return frame
-    sides = {name: values[others] for name, values in rows.frame.items()}
-    joined = both_sides_once(sides, rows.place[others], rows.length[others], _periods(rows))
-    return {name: np.concatenate([frame[name], joined[name]]) for name in frame}
-
-
-def recover_periods(ref: StepRef, options: ReadOptions) -> dict[str, float]:
-    """Periods by axis, from contacts whose two rows stand on either side of an edge, one period apart.
-
-    The extent of the particles' centres is no period: it is short by about a diameter.
-    """
-    return _periods(_Rows.of(ref, options))
 
 
 def _periods(rows: _Rows) -> dict[str, float]:

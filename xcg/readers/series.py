@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import inspect
+import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,8 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from xcg.readers.engine import Engine, ReadOptions, StepRef
-from xcg.readers.lazy import Source, Step, lazy_arrays, load_engine, read_step
+from xcg.readers.engines import all_engines, engine_table, load_engine
+from xcg.readers.lazy import Source, Step, lazy_arrays, read_step
 from xcg.readers.paths import PathLike, expand_paths
 from xcg.readers.text import source_of
 from xcg.scene.build import box_array, to_dataset
@@ -24,8 +26,6 @@ from xcg.scene.sizes import measure_frames
 from xcg.scene.warn import warn_user
 from xcg.steps import errors as errors
 from xcg.steps.errors import FAULTS, check_on_error, collecting, raising
-
-ENGINES = ("lammps", "liggghts", "mercury", "mfix")
 
 # Factors to SI of the unit systems that headers name.
 UNIT_SYSTEMS: dict[str, Mapping[str, float] | str | None] = {
@@ -46,7 +46,7 @@ def open_scene(
     *,
     contacts: Paths | None = None,
     walls: Paths | None = None,
-    engine: str | None = None,
+    engine: str | Engine | type[Engine] | None = None,
     names: Mapping[str, str | None] | None = None,
     times: ArrayLike | None = None,
     box: ArrayLike | Mapping[str, Sequence[float]] | None = None,
@@ -78,8 +78,9 @@ def open_scene(
         Files with contacts.
     walls : path, glob or list of them, optional
         Files with contacts with walls, for engines that keep them apart (LIGGGHTS ``wall/gran/local``).
-    engine : {"lammps", "liggghts", "mercury", "mfix"}, optional
-        What wrote the files; guessed from their first lines by default.
+    engine : {"lammps", "liggghts", "mercury", "mfix"}, name or Engine, optional
+        What wrote the files, guessed from their first lines by default; the name of an engine that an installed package
+        registers; or a class or object derived from `xcg.readers.Engine`.
     names : mapping, optional
         From columns in the files to variables of the scene, before what the engine knows by itself; None
         drops a column. Components are single names: ``position_x``, ``velocity_x``, ``contact_force_x``,
@@ -191,17 +192,17 @@ def open_scene(
     tolerate = collecting if check_on_error(on_error) == "skip" else raising
     with tolerate() as left_out:
         files = {kind: expand_paths(paths, kind) for kind, paths in kinds.items() if paths is not None}
-        engine = engine or _guess_engine(files)
-        reader = _checked_engine(engine, engine_options)
+        reader = load_engine(engine or _guess_engine(files))
+        _check_options(reader, engine_options)
         extra = {**engine_options, "missing": "raise" if missing == "raise" and on_error == "raise" else "skip"}
         options = ReadOptions(dict(names or {}), extra)
         said = {"periodic": periodic, "units": units, "box": box, "time": times}
-        indexed = _index(reader, engine, files, options, [what for what, given in said.items() if given is None])
+        indexed = _index(reader, files, options, [what for what, given in said.items() if given is None])
         if left_out and missing == "empty":
             _refuse_guesses(left_out, files)
         steps = _pair(indexed, times, "skip" if missing == "raise" and left_out else missing)
     with tolerate():  # steps that cannot be read stay in the scene; their faults are told when they are computed
-        raw = _ends(engine, options, steps, partial(Setup.make, shape=shape, thickness=thickness, density=density))
+        raw = _ends(reader, options, steps, partial(Setup.make, shape=shape, thickness=thickness, density=density))
     _warn_of_files(left_out)
 
     first = next(iter(raw))
@@ -212,7 +213,7 @@ def open_scene(
     if periodic is not None and box is None and first.box is None:
         periodic = _within(flat, periodic)  # no file tells the period across a layer, and nothing depends on it
     setup = Setup.make(
-        units=_units(engine, indexed) if units is None else _not_against_headers(units, indexed),
+        units=_units(reader, indexed) if units is None else _not_against_headers(units, indexed),
         gravity=gravity,
         dimension=dimension,
         plane=plane,
@@ -227,10 +228,10 @@ def open_scene(
     if box is None and first.box is None:
         box = _recovered_box(reader, options, steps, setup.periodic, raw, skipping=on_error == "skip")
     edges = _boxes(steps, box, setup)
-    source = Source(engine, options, setup, _frozen_species(frozen, raw), allow_unknown)
+    source = Source(reader, options, setup, _frozen_species(frozen, raw), allow_unknown)
     ends = [source.complete(frame, ref) for ref, frame in raw.items()]
     types = {name: ends[0][name].dtype for name in dict.fromkeys([*VARIABLES, *ends[0]]) if name in ends[0]}
-    contact_names = _contact_names(reader, source, next((step for step in steps if step.contacts), steps[0]))
+    contact_names = _contact_names(source, next((step for step in steps if step.contacts), steps[0]))
     arrays = lazy_arrays(source, steps, edges, types, contact_names, _steps_per_chunk(chunks, len(steps)))
     numbers = [step.particles.step for step in steps]
     clock = [step.time for step in steps if step.time is not None]
@@ -270,7 +271,9 @@ def _refuse_guesses(left_out: Mapping[str, str], files: Mapping[str, Sequence[st
         raise SceneError(msg)
 
 
-def _ends(engine: str, options: ReadOptions, steps: Sequence[Step], setup: Callable[[], Setup]) -> dict[StepRef, Frame]:
+def _ends(
+    engine: Engine, options: ReadOptions, steps: Sequence[Step], setup: Callable[[], Setup]
+) -> dict[StepRef, Frame]:
     """Particles of the first and the last step, of those that can be read where faults are tolerated."""
     raw: dict[StepRef, Frame] = {}
     for order in (steps, steps[::-1]):
@@ -293,12 +296,15 @@ def _ends(engine: str, options: ReadOptions, steps: Sequence[Step], setup: Calla
 # --- the engine and its options --------------------------------------------------------------------------
 
 
-def _guess_engine(files: Mapping[str, Sequence[str]]) -> str:
+def _guess_engine(files: Mapping[str, Sequence[str]]) -> Engine:
     firsts = [_first_whole(paths) for paths in files.values()]
-    for name in ENGINES:
-        if all(load_engine(name).recognises(path) for path in firsts):
-            return name
-    msg = f"no engine recognises {' with '.join(firsts)}; name one with engine=: {', '.join(ENGINES)}"
+    for engine in all_engines():
+        if all(engine.recognises(path) for path in firsts):
+            return engine
+    msg = (
+        f"no engine recognises {' with '.join(firsts)}; name one with engine=: {', '.join(engine_table())}. For other "
+        "formats, xcg.scene_from_arrays takes arrays, and engine= a reader of your own (docs/own_readers.md)"
+    )
     raise SceneError(msg)
 
 
@@ -307,25 +313,19 @@ def _first_whole(paths: Sequence[str]) -> str:
     if errors.is_collecting():
         for path in paths:
             try:
-                if any(load_engine(name).recognises(path) for name in ENGINES):
+                if any(engine.recognises(path) for engine in all_engines()):
                     return path
             except FAULTS:
                 continue
     return paths[0]
 
 
-def _checked_engine(name: str, engine_options: Mapping[str, Any]) -> Engine:
-    if name not in ENGINES:
-        msg = f"engine={name!r}: expected one of {', '.join(ENGINES)}{did_you_mean(name, ENGINES)}"
-        raise SceneError(msg)
-    reader = load_engine(name)
-    known = getattr(reader, "OPTIONS", tuple(engine_options))
+def _check_options(engine: Engine, engine_options: Mapping[str, Any]) -> None:
     for option in engine_options:
-        if option not in known:
-            likely = did_you_mean(option, [*inspect.signature(open_scene).parameters, *known])
-            msg = f"open_scene has no argument {option!r} for the engine '{name}'{likely}"
+        if option not in engine.OPTIONS:
+            likely = did_you_mean(option, [*inspect.signature(open_scene).parameters, *engine.OPTIONS])
+            msg = f"open_scene has no argument {option!r} for the engine '{engine.name}'{likely}"
             raise SceneError(msg)
-    return reader
 
 
 # --- the index: checks over a series ---------------------------------------------------------------------
@@ -333,7 +333,6 @@ def _checked_engine(name: str, engine_options: Mapping[str, Any]) -> Engine:
 
 def _index(
     reader: Engine,
-    name: str,
     files: Mapping[str, Sequence[str]],
     options: ReadOptions,
     from_headers: Sequence[str],
@@ -342,12 +341,9 @@ def _index(
 
     `from_headers` tells which of periodic, units, box and time the headers decide, as the caller does not.
     """
-    if "walls" in files and not hasattr(reader, "index_walls"):
-        msg = f"walls=: the engine '{name}' reads contacts with walls among the others; give contacts= only"
-        raise SceneError(msg)
     indexed: dict[str, list[StepRef]] = {}
     for kind, paths in files.items():
-        refs = getattr(reader, f"index_{kind}")(paths, options)
+        refs = _stamped(getattr(reader, f"index_{kind}")(paths, options), reader)
         if not refs:
             msg = f"{kind}: no step in {', '.join(paths[:3])}{', ...' if len(paths) > 3 else ''}"
             raise SceneError(msg)
@@ -360,6 +356,20 @@ def _index(
         msg = f"names={{{unknown[0]!r}: ...}}: not among the columns {' '.join(sorted(columns))}{likely}"
         raise SceneError(msg)
     return indexed
+
+
+def _stamped(refs: Iterable[StepRef], engine: Engine) -> list[StepRef]:
+    """Give each step the size and time of modification of its file, where the engine did not."""
+    state = cache(os.stat)
+    stamped = []
+    for ref in refs:
+        if not isinstance(ref, StepRef):
+            msg = f"the engine '{engine.name}' lists {ref!r} as a step; expected a list of xcg.readers.StepRef"
+            raise SceneError(msg)
+        known = ref.size or ref.modified
+        now = None if known else state(ref.path)
+        stamped.append(replace(ref, size=now.st_size, modified=now.st_mtime_ns) if now else ref)
+    return stamped
 
 
 def _one_series(refs: list[StepRef], same: Sequence[str]) -> list[StepRef]:
@@ -490,7 +500,7 @@ def _some(refs: Sequence[StepRef]) -> str:
 # --- what holds for the whole scene ----------------------------------------------------------------------
 
 
-def _units(engine: str, indexed: Mapping[str, Sequence[StepRef]]) -> Mapping[str, float] | str | None:
+def _units(engine: Engine, indexed: Mapping[str, Sequence[StepRef]]) -> Mapping[str, float] | str | None:
     """Units as the headers name them; SI where they do not."""
     named = {refs[0].units: source_of(refs[0]) for refs in indexed.values() if refs[0].units is not None}
     if len(named) > 1:
@@ -505,11 +515,10 @@ def _units(engine: str, indexed: Mapping[str, Sequence[StepRef]]) -> Mapping[str
             )
             raise SceneError(msg)
         return UNIT_SYSTEMS[system]
-    if engine == "lammps":
+    if engine.UNNAMED_UNITS:
         warn_user(
             f"{source_of(indexed['particles'][0])}: the header does not name the units, and SI is taken; say "
-            "units='SI', 'reduced' (LAMMPS's lj) or factors such as {'length': 1e-3}, or have the files say it by "
-            "'dump_modify ... units yes'"
+            f"units='SI', 'reduced' (LAMMPS's lj) or factors such as {{'length': 1e-3}}, or {engine.UNNAMED_UNITS}"
         )
     return None
 
@@ -574,17 +583,15 @@ def _recovered_box(
 
     Edges are put about the middle of the grains: sums over images depend on the period alone.
     """
-    recover = getattr(reader, "recover_periods", None)
     found: dict[str, float] = {}
-    if recover is not None:
-        for ref in [ref for step in steps for ref in step.contacts][:_RECOVERY_STEPS]:
-            if set(periodic) <= set(found):
-                break
-            try:
-                found |= {axis: length for axis, length in recover(ref, options).items() if axis not in found}
-            except FAULTS:
-                if not skipping:  # others may tell it
-                    raise
+    for ref in [ref for step in steps for ref in step.contacts][:_RECOVERY_STEPS]:
+        if set(periodic) <= set(found):
+            break
+        try:
+            found = {**reader.recover_periods(ref, options), **found}  # the first that tells an axis counts
+        except FAULTS:
+            if not skipping:  # others may tell it
+                raise
     if not periodic or set(periodic) - set(found):
         return None
     box = {}
@@ -614,13 +621,12 @@ def _frozen_species(frozen: int | Sequence[int] | None, raw: Mapping[StepRef, Fr
     return species
 
 
-def _contact_names(reader: Engine, source: Source, step: Step) -> list[str]:
-    """Variables that the contacts of all files have, told from headers where the engine can."""
-    told = getattr(reader, "contact_variables", None)
+def _contact_names(source: Source, step: Step) -> list[str]:
+    """Variables that the contacts of all files have."""
     common: list[str] = []
     for ref in step.contacts:
-        found = told(ref, source.options) if told else read_step(source.engine, source.options, ref, contacts=True)
-        common = [name for name in common or [*found, "contact_point"] if name in {*found, "contact_point"}]
+        found = {*source.engine.contact_variables(ref, source.options), "contact_point"}
+        common = [name for name in common or found if name in found]
     return [name for name in VARIABLES if name in common]
 
 

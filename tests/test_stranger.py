@@ -1,0 +1,159 @@
+"""What users add, through public names only: as someone would who knows the documentation and not the code."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+
+# --- a reader from another package -----------------------------------------------------------------------
+
+
+def write_grit(folder):
+    """Two steps of the code in the docs: three grains in a row, two contacts."""
+    for k, time in enumerate((0.0, 0.5)):
+        rows = [f"{i} {2 * i + time} 0 0 1 0 0 1" for i in (3, 1, 2)]
+        (folder / f"grains_{k}.txt").write_text("\n".join([f"# grit t={time} n=3", *rows, ""]))
+        (folder / f"forces_{k}.txt").write_text(f"# grit t={time} n=2\n1 2 -5 0 0\n2 3 -5 0 0\n")
+
+
+@pytest.fixture
+def site(tmp_path):
+    """A folder with the engine of the docs as an installed package, in front of the path of modules."""
+    page = (ROOT / "docs" / "own_readers.md").read_text()
+    source, project = (re.search(rf"```{kind}\n(.*?)```", page, re.DOTALL)[1] for kind in ("python", "toml"))
+    entry = re.search(r'\[project.entry-points."xcg.readers"\]\n(.*)\n', project)[1].replace('"', "")
+    site = tmp_path / "site"
+    (site / "grit_tools-1.0.dist-info").mkdir(parents=True)
+    (site / "grit_tools-1.0.dist-info" / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: grit-tools\nVersion: 1.0\n"
+    )
+    (site / "grit_tools-1.0.dist-info" / "entry_points.txt").write_text(f"[xcg.readers]\n{entry}\n")
+    (site / "grit_tools.py").write_text(source)
+    return site
+
+
+def run(code, site, folder):
+    """Run Python with a folder of packages, in a folder of data."""
+    paths = os.pathsep.join([str(site), str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=folder,
+        env={**os.environ, "PYTHONPATH": paths},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_an_installed_package_brings_a_reader(tmp_path, site):
+    write_grit(tmp_path)
+    code = """
+import dask, xcg
+for engine in (None, "grit"):
+    ds = xcg.open_scene("grains_*.txt", contacts="forces_*.txt", engine=engine, density=2500, units={"length": 1e-3})
+    if engine:
+        dask.config.set(scheduler="processes", num_workers=1)
+    ds = ds[["position", "diameter", "contact_point"]].compute()
+    print((1e3 * ds.position[1, :, 0]).round(9).values.tolist(), float(ds.diameter.max()))
+    print(ds.time.values.tolist(), ds.contact_point[0, :, 0].values.tolist())
+try:
+    xcg.open_scene("grains_0.txt", engine="grid")
+except xcg.SceneError as error:
+    print(error)
+"""
+    told = "[2.5, 4.5, 6.5] 0.002\n[0.0, 0.5] [0.003, 0.005]\n"
+    shown = run(code, site, tmp_path)
+    assert shown.startswith(2 * told)
+    assert shown.endswith("expected one of lammps, liggghts, mercury, mfix, grit; did you mean 'grit'?\n")
+
+
+def test_a_class_travels_to_other_processes(tmp_path, site):
+    write_grit(tmp_path)
+    code = (
+        (site / "grit_tools.py").read_text()
+        + """
+import xcg
+for engine in (Grit, Grit()):
+    ds = xcg.open_scene("grains_*.txt", contacts="forces_*.txt", engine=engine, density=2500)
+    print(float(ds.contact_force.sum().compute(scheduler="processes", num_workers=1)))
+"""
+    )
+    (site / "grit_tools.py").unlink()  # the class is that of the script
+    assert run(code, tmp_path, tmp_path) == 2 * "-20.0\n"
+
+
+def test_a_package_that_is_broken_is_left_out(tmp_path, site):
+    write_grit(tmp_path)
+    (site / "grit_tools.py").write_text("import nowhere_to_be_found")
+    code = """
+import warnings, xcg
+with warnings.catch_warnings(record=True) as caught:
+    warnings.simplefilter("always")
+    try:
+        xcg.open_scene("grains_0.txt")
+    except xcg.SceneError as error:
+        print(error)
+print(*(w.message for w in caught))
+"""
+    shown = run(code, site, tmp_path)
+    assert re.match(r"no engine recognises grains_0.txt; .*xcg.scene_from_arrays .*docs/own_readers.md", shown)
+    assert "the engine 'grit' (grit_tools:Grit) cannot be imported: No module named 'nowhere_to_be_found'" in shown
+
+
+def test_engines_at_fault_are_named(tmp_path):
+    import xcg
+    from xcg.readers import Engine, StepRef
+
+    class Points(Engine):
+        promised = 4
+
+        def index_particles(self, paths, options):
+            return [StepRef(path, rows=self.promised, step=k) for k, path in enumerate(paths)]
+
+        def read_particles(self, ref, options):
+            return {"position": np.load(ref.path)}
+
+    class Fewer(Points):
+        promised = 3
+
+    class Paths(Points):
+        def index_particles(self, paths, options):
+            return paths
+
+    class Half(Engine):
+        def index_particles(self, paths, options):
+            return []
+
+    class Asks(Points):
+        def __init__(self, argument):
+            pass
+
+    path = tmp_path / "p.npy"
+    np.save(path, np.eye(4, 3))
+    ds = xcg.open_scene(path, engine=Points)
+    np.testing.assert_array_equal(ds.position[0], np.eye(4, 3))
+    np.testing.assert_array_equal(xcg.open_scene(path, engine=Asks(1)).position[0], np.eye(4, 3))
+    for engine, message in [
+        (Fewer, r"p\.npy.*4 rows, but its index promised 3"),
+        (Paths, "'paths' lists .* as a step; expected a list of xcg.readers.StepRef"),
+        (Half, "Half.*read_particles"),
+        (Asks, "Asks.*without arguments"),
+        (np, "expected a name, or a class or object derived from xcg.readers.Engine"),
+    ]:
+        with pytest.raises(xcg.SceneError, match=message):
+            xcg.open_scene(path, engine=engine).compute()
+    for arguments, message in [
+        ({"contacts": path}, "contacts=: the engine 'points' reads particles only"),
+        ({"walls": path}, "walls=: the engine 'points' reads contacts with walls among"),
+        ({"step": 1}, "no argument 'step' for the engine 'points'"),
+    ]:
+        with pytest.raises(xcg.SceneError, match=message):
+            xcg.open_scene(path, engine=Points, **arguments)
+    np.save(path, np.eye(5, 3))
+    with pytest.raises(xcg.SceneError, match="after the scene was opened"):
+        ds.compute()

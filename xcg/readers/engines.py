@@ -1,0 +1,73 @@
+"""The table of engines: those of this package, and those that installed packages register."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from importlib.metadata import EntryPoint, entry_points
+
+from xcg.readers.engine import Engine
+from xcg.scene.schema import SceneError, did_you_mean
+from xcg.scene.warn import warn_user
+
+GROUP = "xcg.readers"
+_OWN = {
+    "lammps": "xcg.readers.lammps:Lammps",
+    "liggghts": "xcg.readers.liggghts:Liggghts",
+    "mercury": "xcg.readers.mercury:Mercury",
+    "mfix": "xcg.readers.mfix:Mfix",
+}
+
+
+def engine_table() -> dict[str, EntryPoint]:
+    """List the engines by name; those of this package come first, and first when files are recognised."""
+    found = {name: EntryPoint(name, place, GROUP) for name, place in _OWN.items()}
+    for entry in entry_points(group=GROUP):
+        taken = found.setdefault(entry.name, entry)
+        if taken.value != entry.value:
+            warn_user(
+                f"two engines are called {entry.name!r}: {taken.value} is taken; hand over the other one, "
+                f"{entry.value}, as engine="
+            )
+    return found
+
+
+def all_engines() -> Iterator[Engine]:
+    """Load one engine after the other; those of packages that cannot be imported are left out, with a warning."""
+    for name in engine_table():
+        try:
+            yield load_engine(name)
+        except SceneError as error:
+            warn_user(f"left out: {error}")
+
+
+def load_engine(engine: str | Engine | type[Engine]) -> Engine:
+    """Make an engine of its name, of its class, or of itself.
+
+    Raises
+    ------
+    SceneError
+        If there is none of this name, it cannot be imported, or it is no `Engine`.
+    """
+    given = _load(engine) if isinstance(engine, str) else engine
+    if isinstance(given, type) and issubclass(given, Engine):
+        try:
+            return given()
+        except TypeError as error:
+            msg = f"engine={engine!r}: no object can be made of it without arguments ({error})"
+            raise SceneError(msg) from None
+    if not isinstance(given, Engine):
+        msg = f"engine={engine!r}: expected a name, or a class or object derived from xcg.readers.Engine"
+        raise SceneError(msg)
+    return given
+
+
+def _load(name: str) -> object:
+    table = engine_table()
+    if name not in table:
+        msg = f"engine={name!r}: expected one of {', '.join(table)}{did_you_mean(name, table)}"
+        raise SceneError(msg)
+    try:
+        return table[name].load()
+    except (ImportError, AttributeError) as error:
+        msg = f"the engine {name!r} ({table[name].value}) cannot be imported: {error}"
+        raise SceneError(msg) from error
