@@ -18,9 +18,11 @@ def moments_of(x, u, mass):
 
 
 def parts_of(found):
-    """Gradient and explained part (3, 3, nodes), determined axes and centre of mass (3, nodes)."""
-    gradient, explained, determined, mean = np.split(found, (fit.EXPLAINED, fit.DETERMINED, fit.MEAN))
-    return gradient.reshape(3, 3, -1), explained[fit.SYMMETRIC], determined, mean
+    """Gradient, explained part (3, 3, nodes), determined axes, centre of mass (3, nodes), inverse (3, 3, nodes)."""
+    gradient, explained, determined, mean, inverse = np.split(
+        found, (fit.EXPLAINED, fit.DETERMINED, fit.MEAN, fit.INVERSE)
+    )
+    return gradient.reshape(3, 3, -1), explained[fit.SYMMETRIC], determined, mean, inverse[fit.SYMMETRIC]
 
 
 def grains(seed, flat=()):
@@ -66,7 +68,7 @@ def test_a_linear_field_is_found_and_leaves_nothing():
     x, mass = grains(5)
     u = x @ SLOPE.T + np.array([2.0, -1.0, 0.5])
     sums = moments_of(x, u, mass)
-    gradient, explained, determined, _ = parts_of(fit.fit_gradient(sums, active=(True,) * 3, about_node=False))
+    gradient, explained, determined, *_ = parts_of(fit.fit_gradient(sums, active=(True,) * 3, about_node=False))
     np.testing.assert_allclose(gradient, np.broadcast_to(SLOPE[..., None], gradient.shape), atol=1e-12)
     about = u - (np.einsum("ng,ngi->ni", mass, u) / mass.sum(axis=1)[:, None])[:, None]
     np.testing.assert_allclose(explained, np.einsum("ng,ngi,ngj->ijn", mass, about, about), atol=1e-11)
@@ -76,7 +78,7 @@ def test_a_linear_field_is_found_and_leaves_nothing():
 def test_grains_in_a_plane_tell_nothing_across_it():
     x, mass = grains(6, flat=(2,))
     sums = moments_of(x, x @ SLOPE.T, mass)
-    gradient, explained, determined, _ = parts_of(fit.fit_gradient(sums, active=(True,) * 3, about_node=False))
+    gradient, explained, determined, *_ = parts_of(fit.fit_gradient(sums, active=(True,) * 3, about_node=False))
     assert (determined[:2] == 1.0).all()
     assert np.isnan(determined[2]).all()
     np.testing.assert_allclose(gradient[:, :2], np.broadcast_to(SLOPE[:, :2, None], (3, 2, 40)), atol=1e-12)
@@ -89,7 +91,7 @@ def test_no_grains_one_grain_and_damaged_sums():
     u = x @ SLOPE.T
     one = np.where(np.arange(40) == 0, 0.0, moments_of(x[:, :1], u[:, :1], mass[:, :1]))
     one[fit.SPREAD :, 1] = np.inf
-    gradient, explained, determined, mean = parts_of(fit.fit_gradient(one, active=(True,) * 3, about_node=False))
+    gradient, explained, determined, mean, _ = parts_of(fit.fit_gradient(one, active=(True,) * 3, about_node=False))
     assert np.isnan(determined).all()
     assert (gradient[..., [0, *range(2, 40)]] == 0).all()
     assert np.isnan(explained).all()

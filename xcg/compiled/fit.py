@@ -162,8 +162,9 @@ def fit_rows(rows, first, found, many, flags, singular):
             singular[left] = n
             left += 1
             continue
-        _put_three(rows, inverse, n, (c00, c01, c02))
-        _put_three(rows, inverse + three, n, (c11, c12, c22))
+        # where offsets are all zero the spread that stands for theirs has an inverse too, which is none of M^+
+        _put_three(rows, inverse, n, (c00 if active_x else 0.0, c01, c02))
+        _put_three(rows, inverse + three, n, (c11 if active_y else 0.0, c12, c22 if active_z else 0.0))
         known_x, known_y, known_z = px > _SPANNED, py > _SPANNED, pz > _SPANNED
         _put_three(rows, determined, n, (
             1.0 if mass > 0.0 and (not active_x or known_x) else np.nan,
