@@ -248,7 +248,9 @@ def _warn_of_width(width: float, diameter: Any) -> None:
 
 def _warn_of_cuts(grid: Grid, edges: Mapping[str, tuple[float, float]], reach: float) -> None:
     for a, (low, high) in edges.items():
-        if a in grid.at and not low - reach <= grid.at[a] <= high + reach:  # grains may be beyond an edge
+        # grains and cuts of scenes that were shifted, or are not wrapped, are beyond an edge, by a period at most
+        room = max(reach, high - low)
+        if a in grid.at and not low - room <= grid.at[a] <= high + room:
             msg = (
                 f"at={{{a!r}: {grid.at[a]:g}}} is outside the box, which is periodic from {low:g} to {high:g} along "
                 f"{a!r}: fields are those of the image inside; check the units of lengths"
