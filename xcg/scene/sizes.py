@@ -107,7 +107,7 @@ def _ends_in_memory(ds: xr.Dataset, names: Sequence[str]) -> list[Frame]:
     here = [n for n in names if n in ds and "time" in ds[n].dims and isinstance(ds[n].variable._data, np.ndarray)]
     if "particle_id" not in here or not ds.sizes["time"]:
         return []
-    ends = {name: ds[name].transpose("time", ...)[[0, -1]].to_numpy() for name in here}
+    ends = {name: ds[name].transpose("time", "particle", ...)[[0, -1]].to_numpy() for name in here}
     return [{name: a[t][ends["particle_id"][t] != PADDING] for name, a in ends.items()} for t in range(2)]
 
 
