@@ -175,7 +175,7 @@ def contact_stress(particles: int) -> Panel:
         limits = np.where(np.array(RULES) == order, np.inf, 0.0)
         # the others lie among those of `rtol`
         label = {RULES[0]: "right", RULES[-1]: "below"}.get(order, "")
-        with mock.patch("xcg.fields.quadrature.gauss_limits", return_value=limits):
+        with mock.patch("xcg.fields.plan.gauss_limits", return_value=limits):
             ways.append(way(f"{order} points", "Gauss-Legendre, all contacts", 1.0, label))
     for exponent in range(1, 5):  # from 1e-5 on the rule is the closed form for branches of this length
         ways.append(

@@ -124,6 +124,16 @@ def test_front_is_what_nothing_beats():
     assert [p.beaten(points) for p in points] == [False, True, False, True, False]
 
 
+@pytest.mark.parametrize("periodic", ["", "xz", "xyz"])
+def test_no_contact_of_a_packing_crosses_an_edge_that_is_not_periodic(periodic):
+    ds = xcg.datasets.dense_packing(1000, periodic=periodic)
+    i, j = (np.searchsorted(ds.particle_id[0], ds[name][0]) for name in ("contact_i", "contact_j"))
+    apart = np.abs(ds.position.values[0][i] - ds.position.values[0][j])
+    across = (apart > 0.5 * ds.attrs["box_upper"]).any(axis=0)
+    assert across.tolist() == [a in periodic for a in "xyz"]
+    assert ds.sizes["contact"] == 3000
+
+
 @pytest.mark.parametrize(("particles", "contacts"), [(1, 0.0), (2, 0.5), (1000, 3.0), (1234, 3.0), (4000, 2.0)])
 def test_dense_packing(particles, contacts):
     ds = xcg.datasets.dense_packing(particles, diameter=2.0, contacts=contacts)

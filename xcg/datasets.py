@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from xcg.scene.build import scene_from_arrays
 from xcg.scene.complete import images_within, minimum_image
+from xcg.scene.schema import COMPONENTS
 
 _FCC = np.array([[0.0, 0.0, 0.0], [0.5, 0.5, 0.0], [0.5, 0.0, 0.5], [0.0, 0.5, 0.5]])
 
@@ -162,9 +163,10 @@ def dense_packing(
     contacts: float = 3.0,
     jitter: float = 0.05,
     seed: int = 0,
+    periodic: str = "xyz",
     **options: Any,
 ) -> xr.Dataset:
-    """Dense packing of equal spheres in a periodic box, of any number: a scene for benchmarks and error studies.
+    """Dense packing of equal spheres in a box, of any number: a scene for benchmarks and error studies.
 
     Spheres stand on the sites of a face-centred cubic lattice, a few left empty so that any number fits, each
     displaced at random; the pairs that are nearest to each other are in contact, pushed apart by random forces with
@@ -184,6 +186,8 @@ def dense_packing(
         Standard deviation of the displacements along each axis, over the diameter.
     seed : int
         Seed of the random numbers.
+    periodic : str
+        Periodic axes; no contact crosses an edge of the box along the others.
     **options
         For `scene_from_arrays`.
     """
@@ -198,14 +202,14 @@ def dense_packing(
     position = rng.permutation(sites)[:particles] + jitter * diameter * rng.normal(size=(particles, 3))
     box = cells * edge
     position %= box
-    tree = cKDTree(position, boxsize=box)
+    period = np.where([a in periodic for a in COMPONENTS], box, np.inf)
+    tree = cKDTree(position, boxsize=np.where(np.isfinite(period), period, 0.0))
     wanted, reach = round(contacts * particles), 1.2 * edge / np.sqrt(2)
     pairs = tree.query_pairs(reach, output_type="ndarray")
     while len(pairs) < wanted and reach < box.min() / 2:
         reach *= 1.2
         pairs = tree.query_pairs(reach, output_type="ndarray")
-    branch = position[pairs[:, 0]] - position[pairs[:, 1]]
-    branch -= box * np.rint(branch / box)
+    branch = minimum_image(position[pairs[:, 0]] - position[pairs[:, 1]], period)
     length = np.linalg.norm(branch, axis=1)
     nearest = np.argsort(length, kind="stable")[:wanted]
     nearest = nearest[np.lexsort((pairs[nearest, 1], pairs[nearest, 0]))]
@@ -221,6 +225,6 @@ def dense_packing(
         "contact_force": push + 0.1 * rng.normal(size=(len(pairs), 3)),
         "contact_branch": branch,
         "box": np.stack([np.zeros(3), box], axis=1),
-        "periodic": "xyz",
+        "periodic": periodic,
     }
     return scene_from_arrays(position, **(given | options))
