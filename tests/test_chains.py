@@ -129,7 +129,10 @@ def test_frozen_grains_are_walls():
 
 
 def test_several_contacts_of_a_pair_are_one_link():
-    ds = network(np.arange(4)[:, None], [(0, 1), (1, 0), (1, 2), (2, 3), (2, 3)], np.ones(5))
+    pairs, aside = [(0, 1), (1, 0), (1, 2), (2, 3), (2, 3)], np.array([0, 0.1, 0, 0, 0.1])
+    i, j = np.array(pairs).T
+    point = np.stack([0.5 * (i + j), aside, np.zeros(5)], axis=1)  # those of one pair are not in one place
+    ds = network(np.arange(4)[:, None], pairs, np.ones(5), contact_point=point)
     fc = ds.cg.force_chains()
     assert fc.links.values[0].tolist() == [1, 2, 2, 1]
     assert fc.link_chain.values[0].tolist() == [0, -1, 0, 0, -1]

@@ -24,6 +24,11 @@ def scene(position, contacts=((0, 1), (2, 1)), point=None, **options):
     )  # fmt: skip
 
 
+def warned_of_far():
+    """A partner that is far away is warned of, and its contact is taken as it is."""
+    return pytest.warns(xcg.SceneWarning, match="more than 3 diameters from the centre")
+
+
 def stress_along_z(z, contacts, cutoff):
     """Contact stress of branches along z by quadrature: sigma_iz = f_i times the integral of Psi from j to i."""
     kernel = xcg.Lucy(cutoff=cutoff)
@@ -43,7 +48,9 @@ def stress_along_z(z, contacts, cutoff):
 def test_a_partner_far_away(far, contacts, rtol):
     z = np.array([far, 0.5, 0.52])
     ds = scene(np.column_stack([0 * z, 0 * z, z]), contacts)
-    f = ds.cg.coarse_grain("contact_stress", axes="z", bounds={"z": (0.47, 0.53)}, spacing=3e-5, width=0.3, rtol=rtol)
+    options = {"axes": "z", "bounds": {"z": (0.47, 0.53)}, "spacing": 3e-5, "width": 0.3, "rtol": rtol}
+    with warned_of_far():
+        f = ds.cg.coarse_grain("contact_stress", **options)
     expected = stress_along_z(z, contacts, 0.6)
     for k in (0, 700, len(f.z) - 1):
         np.testing.assert_allclose(f.contact_stress[0, k, :, 2], expected(float(f.z[k])), rtol=1e-10 + rtol, atol=0)
@@ -52,7 +59,8 @@ def test_a_partner_far_away(far, contacts, rtol):
 def test_far_halves_of_a_branch_are_cut_one_by_one():
     """The contact point is off the line of centres, so that each half is a segment; along z they follow each other."""
     ds = scene([[0, 0, 1e9], [0, 0, 0.5]], [(0, 1)], point=[[3e8, 0, 0.8]])
-    f = ds.cg.coarse_grain("contact_stress", axes="z", bounds={"z": (0.4, 0.45)}, spacing=0.05, width=0.3)
+    with warned_of_far():
+        f = ds.cg.coarse_grain("contact_stress", axes="z", bounds={"z": (0.4, 0.45)}, spacing=0.05, width=0.3)
     expected = stress_along_z([1e9, 0.5], [(0, 1)], 0.6)
     for k, node in enumerate(f.z.values):
         np.testing.assert_allclose(f.contact_stress[0, k, :, 2], expected(node), rtol=1e-9)
@@ -62,21 +70,23 @@ def test_a_slanted_branch_is_that_of_its_near_part():
     """Cut or not, what nodes see of a branch is the same: two kernels' lengths and a million beyond them."""
     near, direction = np.array([0.5, 0.5, 0.5]), np.array([0.6, -0.48, 0.64])
     options = {"bounds": dict.fromkeys("xyz", (0.0, 1.0)), "spacing": 0.25, "width": 0.2}
-    long, short = (
-        scene([near + length * direction, near], [(0, 1)]).cg.coarse_grain("contact_stress", **options)
-        for length in (1e6, 4.0)
-    )
+    with warned_of_far():
+        long, short = (
+            scene([near + length * direction, near], [(0, 1)]).cg.coarse_grain("contact_stress", **options)
+            for length in (1e6, 4.0)
+        )
     np.testing.assert_allclose(long.contact_stress, short.contact_stress, rtol=1e-8, atol=1e-9)
     assert float(abs(short.contact_stress).max()) > 0.1
 
 
 def test_a_far_branch_that_never_comes_near():
     ds = scene([[0, 0, 1e12], [1e3, 0, 1e12 + 1e9], [0, 0, 0.5]], [(0, 1)])
-    f = ds.cg.coarse_grain(["contact_stress", "density"], axes="z", bounds={"z": (0.4, 0.6)}, spacing=0.1, width=0.3)
+    options = {"axes": "z", "bounds": {"z": (0.4, 0.6)}, "spacing": 0.1, "width": 0.3}
+    with warned_of_far():
+        f = ds.cg.coarse_grain(["contact_stress", "density"], **options)
     assert (f.contact_stress == 0).all()
     alone = scene([[0, 0, 1e12], [1e3, 0, 1e12 + 1e9], [0, 0, 0.5]], [(0, 1)]).isel(particle=[2])
-    np.testing.assert_array_equal(f.density, alone.cg.coarse_grain(
-        "density", axes="z", bounds={"z": (0.4, 0.6)}, spacing=0.1, width=0.3).density)  # fmt: skip
+    np.testing.assert_array_equal(f.density, alone.cg.coarse_grain("density", **options).density)
 
 
 def test_a_wide_kernel_on_a_plane():
@@ -105,7 +115,7 @@ def test_periodic_images_in_all_axes_together():
 )  # fmt: skip
 def test_places_that_are_refused(position, options, message):
     ds = scene(position, [(0, 1)], **options)
-    with pytest.raises(xcg.SceneError, match=message):
+    with pytest.raises(xcg.SceneError, match=message), warned_of_far():
         ds.cg.coarse_grain("contact_stress", axes="z", bounds={"z": (0.4, 0.6)}, spacing=0.1, width=0.3)
 
 

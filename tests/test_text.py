@@ -148,7 +148,8 @@ def test_gzipped_files_put_one_after_the_other(tmp_path, count):
 
 
 def test_more_than_the_only_step_is_noticed_when_it_is_read(tmp_path, monkeypatch):
-    texts = [dump_text(step=t).encode() for t in range(2)]
+    rows = [f"{k} 1 {k} 1 1 0 0 0 0.5 1" for k in range(30)]  # so many that lines of headers are few
+    texts = [dump_text(rows, step=t).encode() for t in range(2)]
     path = tmp_path / "p.0.dump.gz"
     path.write_bytes(b"".join(map(gzip.compress, texts)))
     monkeypatch.setattr(text, "size_of_content", lambda path: len(texts[0]))

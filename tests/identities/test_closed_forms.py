@@ -141,12 +141,14 @@ def test_layer_averaged_over_its_box():
         box=[(0, n * bond), (0, n * bond), (-1, 1)], periodic="xy", dimension=2, shape="disc", thickness=thickness,
     )  # fmt: skip
     f = ds.cg.coarse_grain(width=1.0, axes="").isel(time=0)
+    by_density = ds.cg.coarse_grain("granular_temperature", temperature="biased", width=1.0, axes="")
     phi = np.pi / 4 / bond**2
     contact, kinetic = force / (bond * thickness), 2.0 * phi * speed**2
     exact = {"volume_fraction": phi, "density": 2 * phi, "pressure": contact + kinetic, "shear_stress": 0.0,
-             "granular_temperature": speed**2, "coordination_number": 4.0}  # fmt: skip
+             "granular_temperature": speed**2 * n**2 / (n**2 - 1), "coordination_number": 4.0}  # fmt: skip
     for name, value in exact.items():
         assert f[name].item() == pytest.approx(value, rel=1e-13, abs=1e-13), name
+    assert by_density.granular_temperature.item() == pytest.approx(speed**2, rel=1e-13)
     np.testing.assert_allclose(f.stress.values, (contact + kinetic) * np.diag([1, 1, 0]), rtol=1e-13, atol=1e-13)
 
 
