@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
+from unittest import mock
 
 import pytest
 
@@ -11,6 +12,13 @@ def _own_cache(tmp_path_factory):
     """Keep the index of files that tests read out of the user's cache."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+@pytest.fixture(autouse=True)
+def _own_fields():
+    """Forget the fields that a test registers."""
+    with mock.patch.dict("xcg.fields.registry._REGISTERED"):
         yield
 
 

@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import xcg
+
 ROOT = Path(__file__).parents[1]
 
 
@@ -106,7 +108,6 @@ print(*(w.message for w in caught))
 
 
 def test_engines_at_fault_are_named(tmp_path):
-    import xcg
     from xcg.readers import Engine, StepRef
 
     class Points(Engine):
@@ -157,3 +158,29 @@ def test_engines_at_fault_are_named(tmp_path):
     np.save(path, np.eye(5, 3))
     with pytest.raises(xcg.SceneError, match="after the scene was opened"):
         ds.compute()
+
+
+# --- a field of one's own ----------------------------------------------------------------------------------
+
+
+def test_a_field_with_an_eigenvalue():
+    """The largest principal stress, in memory, by phase, and averaged over time."""
+    xcg.register_field(
+        "major_stress",
+        lambda f, s, o: np.linalg.eigvalsh(f.stress)[..., -1],
+        fields="stress",
+        powers=(-1, 1, -2),
+        long_name="largest principal stress",
+        formula="sigma_1",
+    )
+    ds = xcg.datasets.random_scene(100, seed=1)
+    f = ds.cg.coarse_grain(["stress", "major_stress"], width=0.8, by="species")
+    np.testing.assert_array_equal(f.major_stress, np.linalg.eigvalsh(f.stress)[..., -1])
+    assert f.major_stress.dims == ("time", "x", "y", "z", "phase")
+    assert f.major_stress.attrs["units"] == "Pa"
+    assert f.major_stress.attrs["long_name"] == "largest principal stress"
+    assert "major_stress" in xcg.FIELDS
+    alone = ds.cg.coarse_grain("major_stress", width=0.8, by="species")
+    np.testing.assert_array_equal(alone.major_stress, f.major_stress)
+    mean = f.cg.profile("z")  # of the averaged stress, not the average of eigenvalues
+    np.testing.assert_allclose(mean.major_stress, np.linalg.eigvalsh(f.stress.mean(["x", "y"]))[..., -1], rtol=1e-12)

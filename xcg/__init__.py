@@ -15,6 +15,7 @@ from xcg.fields.averages import profile, time_average
 from xcg.fields.balance import balance
 from xcg.fields.coarse_grain import coarse_grain
 from xcg.fields.pysammos import pysammos_mesh
+from xcg.fields.register import register_field
 from xcg.fields.registry import FIELDS
 from xcg.fields.slice_temperature import slice_temperature
 from xcg.fields.smoothing import Gaussian, Heaviside, Kernel, Lucy, register_kernel
@@ -64,6 +65,7 @@ __all__ = [
     "plot_rose",
     "profile",
     "pysammos_mesh",
+    "register_field",
     "register_kernel",
     "save",
     "scene_from_arrays",

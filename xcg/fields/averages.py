@@ -1,14 +1,15 @@
 """Statistics of scenes and results: sizes, profiles, averages over time with their standard errors.
 
-Averages of ratios are ratios of averages. Sums (`additive` fields) are averaged as they are; a ratio, such as a
-velocity, is averaged with the sum in its denominator as its weight, which gives the ratio of the averaged sums; and
-what is not linear in these (magnitudes, friction coefficient, inertial number) is computed anew from the averages. The
-sums have to be in the result beside the ratios: an error says which are missing.
+Averages of ratios are ratios of averages, by the rule on each field's row in the registry. Sums (`additive` fields)
+are averaged as they are. A ratio, such as a velocity, is averaged with the sum in its denominator as its `weight`:
+this is the ratio of the averaged sums. What is not linear in these (magnitudes, friction, inertial number) is
+computed anew from the averages. The sums have to be in the result beside the ratios: `needed_for_averages` says which
+these are, and an error which are missing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping
 from types import SimpleNamespace
 
 import numpy as np
@@ -20,27 +21,10 @@ from xcg.scene.schema import COMPONENTS
 
 # --- averages of results ---------------------------------------------------------------------------------
 
-# the sum in the denominator of each ratio
-WEIGHTS = {
-    "velocity": "density",
-    "velocity_gradient": "density",
-    "shear_rate_tensor": "density",
-    "granular_temperature": "fluctuation_density",
-    "directional_temperature": "fluctuation_density",
-    "effective_count": "density",
-    "particle_density": "volume_fraction",
-    "d43": "volume_fraction",  # S d^3 is 6 / pi times the volume fraction of spheres
-    "d32": "volume_fraction",
-    "coordination_number": "number_density",
-}
-# what is computed anew from averages, in the registry's own algebra
-DERIVED = (
-    "deviatoric_stress", "pressure", "shear_rate", "shear_stress", "friction_coefficient", "inertial_number",
-    "viscous_number", "effective_viscosity",
-)  # fmt: skip
 # Blocks fewer than this tell too little of their own scatter.
 MIN_BLOCKS = 16
 _SAMPLE = "_sample"
+_NO_RULE = "a rule: leave it out with drop_vars"
 
 
 def profile(f: xr.Dataset, axis: str) -> xr.Dataset:
@@ -148,56 +132,68 @@ def _standard_errors(samples: xr.Dataset, f: xr.Dataset) -> xr.Dataset:
     return found
 
 
+def needed_for_averages(names: Iterable[str], options: registry.Options) -> tuple[str, ...]:
+    """Return the fields that have to be in a result beside some others, so that averages of all can be taken."""
+    names = tuple(names)
+    rows = {name: registry.row(name, options) for name in names}
+    return tuple(dict.fromkeys(need for needs in _missing(rows, options).values() for need in needs))
+
+
+def _missing(rows: Mapping[str, registry.Field | None], options: registry.Options) -> dict[str, list[str]]:
+    """Fields that averages of each field of a result lack, each named once; None is a field without a row."""
+    here, missing = set(rows), dict[str, list[str]]()
+
+    def follows(name: str) -> bool:
+        """Whether a sum is here, or follows from sums that are."""
+        row = registry.row(name, options)
+        return name in here or bool(row.fields and not row.moments and all(map(follows, row.fields)))
+
+    def obtain(name: str, row: registry.Field | None) -> list[str]:
+        if row is None or (row.moments and not row.additive and not row.weight):
+            return [_NO_RULE]
+        if not row.additive and not row.weight:
+            return [lack for need in row.fields for lack in obtain(need, registry.row(need, options))]
+        wanted = [
+            field for field in (name, row.weight) if field and not (field in here or (row.additive and follows(name)))
+        ]
+        here.update(wanted)
+        return wanted
+
+    for name, row in rows.items():
+        if lacking := list(dict.fromkeys(obtain(name, row))):
+            missing[name] = lacking
+    return missing
+
+
+def _rows_of(f: xr.Dataset) -> dict[str, registry.Field | None]:
+    """Rows of the fields of a result; None for what is no field."""
+    options = registry.options_of(f.attrs)
+    names = map(str, f.data_vars)
+    return {name: registry.row(name, options) if name in registry.FIELDS else None for name in names}
+
+
 def _to_sums(f: xr.Dataset, purpose: str) -> xr.Dataset:
     """Quantities that may be averaged: additive fields, and numerator and denominator of each ratio."""
-    out: dict[str, xr.DataArray] = {}
-    missing: dict[str, list[str]] = {}
-    for name in map(str, f.data_vars):
-        if name in DERIVED and name not in ("pressure", "deviatoric_stress"):
-            needs = _roots(name, f)
-            if needs:
-                missing[name] = needs
-        elif name in WEIGHTS:
-            if WEIGHTS[name] not in f:
-                missing[name] = [WEIGHTS[name]]
-                continue
-            weight = f[WEIGHTS[name]].where(_known(f[name]), 0.0)
-            value = f[name].fillna(0.0)
-            if name == "d32":  # S d^3 / S d^2: the sum of surfaces is the volume over d32
-                out[f"{name}/top"], out[f"{name}/bottom"] = weight, (weight / value.where(weight > 0, 1.0))
-            else:
-                out[f"{name}/top"], out[f"{name}/bottom"] = weight * value, weight
-        elif name in registry.FIELDS and registry.FIELDS[name].additive:
-            out[name] = f[name].astype(float)
-        else:
-            missing[name] = ["a rule: leave it out with drop_vars"]
+    rows = _rows_of(f)
+    missing = _missing(rows, registry.options_of(f.attrs))
     if missing:
         lacking = "; ".join(f"{name} needs {', '.join(what)}" for name, what in missing.items())
         msg = f"{purpose} averages ratios through their sums, and some are not in this result: {lacking}"
+        sums = sorted({what for needs in missing.values() for what in needs} - {_NO_RULE})
+        msg += f". Ask coarse_grain for {', '.join(sums)} too" if sums else ""
         raise ValueError(msg)
+    out: dict[str, xr.DataArray] = {}
+    for name, row in rows.items():
+        assert row is not None
+        if row.additive:
+            out[name] = f[name].astype(float)
+        elif row.weight:
+            weight, value = f[row.weight].where(f[name].notnull(), 0.0), f[name].fillna(0.0)
+            if row.harmonic:
+                out[f"{name}/top"], out[f"{name}/bottom"] = weight, weight / value.where(weight > 0, 1.0)
+            else:
+                out[f"{name}/top"], out[f"{name}/bottom"] = weight * value, weight
     return xr.Dataset(out)
-
-
-def _known(values: xr.DataArray) -> xr.DataArray:
-    return values.notnull()
-
-
-def _roots(name: str, f: xr.Dataset) -> list[str]:
-    """Return what is lacking to compute a derived field from averages."""
-    options = registry.options_of(f.attrs)
-    lacking = []
-    for need in _needs(name, options):
-        if need in f or (need in DERIVED and not _roots(need, f)):
-            continue
-        lacking.append(need)
-    return lacking
-
-
-def _needs(name: str, options: registry.Options) -> Sequence[str]:
-    """Fields that a derived one is computed from; the size in the inertial number may be a constant."""
-    needs = registry.row(name, options).fields
-    size = [options.size] if options.size in ("d43", "d32") else []
-    return [*(n for n in needs if n != "_size"), *(size if "_size" in needs else [])]
 
 
 def _from_sums(sums: xr.Dataset, f: xr.Dataset) -> xr.Dataset:
@@ -213,28 +209,25 @@ def _from_sums(sums: xr.Dataset, f: xr.Dataset) -> xr.Dataset:
 
     def derive(name: str) -> xr.DataArray:
         if name not in found:
-            needs = _needs(name, options)
-            found[name] = _compute(name, needs, [derive(need) for need in needs], options)
+            row = registry.row(name, options)
+            found[name] = _compute(row, {need: derive(need) for need in row.fields}, options)
         return found[name]
 
     out = {name: derive(name).assign_attrs(f[name].attrs) for name in map(str, f.data_vars)}
     return xr.Dataset(out, attrs=f.attrs)
 
 
-def _compute(
-    name: str, needs: Sequence[str], values: Sequence[xr.DataArray], options: registry.Options
-) -> xr.DataArray:
-    """One row of the registry on labelled arrays."""
-    row = registry.row(name, options)
+def _compute(row: registry.Field, needs: Mapping[str, xr.DataArray], options: registry.Options) -> xr.DataArray:
+    """Compute one row of the registry on labelled arrays."""
 
     def plain(*arrays: NDArray) -> NDArray:
-        given = SimpleNamespace(**dict(zip(needs, arrays, strict=True)))
-        if "_size" in row.fields:
-            given._size = getattr(given, options.size, options.diameter)
-        return row.compute(given, None, options)
+        with np.errstate(all="ignore"):
+            return row.compute(SimpleNamespace(**dict(zip(needs, arrays, strict=True))), None, options)
 
+    if not needs:
+        return xr.DataArray(plain())
     tail = ("component", "direction")
     return xr.apply_ufunc(
-        plain, *values, input_core_dims=[[d for d in tail if d in v.dims] for v in values],
+        plain, *needs.values(), input_core_dims=[[d for d in tail if d in v.dims] for v in needs.values()],
         output_core_dims=[tail[: row.rank]], dask="parallelized", output_dtypes=[float],
     )  # fmt: skip

@@ -79,7 +79,7 @@ class Plan:
         """Shape of one step of a field."""
         nodes = tuple(len(self.deposit.grid.nodes[a]) for a in self.deposit.grid.axes)
         phases = (self.phases,) if self.deposit.by else ()
-        row = registry.FIELDS[name]
+        row = registry.row(name, self.options)
         return (*nodes, *phases, *((self.phases,) if row.paired else ()), *(3,) * row.rank)
 
     def __str__(self) -> str:
@@ -117,7 +117,7 @@ _NARROW = 0.1  # widths, in mean diameters, that show single grains only
 def _choose_fields(asked: str | Sequence[str] | None, ds: xr.Dataset, options: registry.Options) -> tuple[str, ...]:
     lacking = {name for name, f in registry.FIELDS.items() if f.option and getattr(options, f.option) is None}
     if asked is None:
-        possible = [name for name in registry.listed() if name not in lacking]
+        possible = [name for name in registry.listed(registered=False) if name not in lacking]
         here = [name for name in possible if _variables([name], ds, options) <= set(ds.data_vars)]
         if not here:
             require_scene(ds, ("mass",), "coarse_grain")
@@ -226,7 +226,10 @@ def make_plan(
         groups=() if by is None else groups_of(ds, by, groups),
     )
     x, y, z = (grid.spacing.get(a, 0.0) for a in COMPONENTS)
-    options = replace(options, active=tuple(grid.active.tolist()), shape=grid.shape, spacing=(x, y, z))
+    options = replace(
+        options, active=tuple(grid.active.tolist()), shape=grid.shape, spacing=(x, y, z),
+        rows=registry.registered_rows(names, options),
+    )  # fmt: skip
     extra = {by} if by else set()
     extra |= {"frozen"} & set(ds.data_vars)
     read = [n for n in ds.data_vars if n in variables | extra]

@@ -1,0 +1,130 @@
+"""Fields that users register: in the program or in NumPy with the same bits, in other processes, refused when wrong."""
+
+import sys
+from unittest import mock
+
+import numpy as np
+import pytest
+
+import xcg
+from tests import steps_of_random_scenes
+from xcg.fields import program, registry
+
+OWN = {
+    "deviation": (lambda f, s, o: -f.stress * 0.5 + f.pressure[..., None, None] ** 2, 2, ["stress", "pressure"]),
+    "exponential": (lambda f, s, o: np.exp(-f.volume_fraction), 0, ["volume_fraction"]),
+    "doubled": (lambda f, s, o: 2 * f.exponential + s.mass, 0, ["exponential"]),
+    "cube": (lambda f, s, o: np.abs(f.velocity) ** 3, 1, ["velocity"]),
+    "dense": (lambda f, s, o: f.volume_fraction > 0.3, 0, ["volume_fraction"]),
+    "branch": (lambda f, s, o: np.where(f.pressure > 0, f.pressure, 0.0), 0, ["pressure"]),
+}
+TRACED = {"deviation"}
+
+
+def register_all():
+    for name, (compute, rank, fields) in OWN.items():
+        xcg.register_field(name, compute, rank=rank, fields=fields, moments=["mass"] if name == "doubled" else [])
+
+
+def test_numpy_computes_what_is_not_traced():
+    register_all()
+    names = (*OWN, "stress", "velocity_gradient")
+    assert set(program.program_for(names, registry.Options()).fields) == {*TRACED, "stress", "velocity_gradient"}
+    assert program.program_for(("cube",), registry.Options()) is None
+
+
+@pytest.mark.parametrize("options", [{}, {"by": "species"}, {"axes": "z"}, {"gradient": "finite_difference"}])
+def test_both_ways_give_the_same_bits(options):
+    register_all()
+    ds = xcg.datasets.random_scene(120, seed=8)
+    names = [*OWN, *registry.listed(registered=False)]
+    names = [name for name in names if not registry.FIELDS[name].option]
+    module = sys.modules["xcg.fields.evaluate"]
+    with mock.patch.multiple(module, BLOCK_NODES=40, THREADS=2):
+        mixed = ds.cg.coarse_grain(names, width=0.6, **options)
+    with mock.patch.object(module, "program_for", return_value=None):
+        plain = ds.cg.coarse_grain(names, width=0.6, **options)
+    for name in names:
+        np.testing.assert_array_equal(mixed[name], plain[name], err_msg=name)
+    np.testing.assert_array_equal(mixed.cube, np.abs(mixed.velocity) ** 3)
+    np.testing.assert_array_equal(mixed.dense, mixed.volume_fraction > 0.3)
+    known = [name for name in plain if name not in OWN]
+    for name, values in ds.cg.coarse_grain(known, width=0.6, **options).items():
+        np.testing.assert_array_equal(values, mixed[name], err_msg=name)
+
+
+@pytest.mark.parametrize("scheduler", ["synchronous", "threads", "processes"])
+def test_rows_travel_to_other_processes(computing, scheduler):
+    xcg.register_field("swing", lambda f, s, o: np.sin(f.density), fields="density")
+    xcg.register_field("rest", lambda f, s, o: f.swing - 1.0, fields="swing")
+    ds = steps_of_random_scenes(2).chunk(time=1)
+    f = ds.cg.coarse_grain(["density", "rest"], width=0.8)
+    xcg.register_field("swing", lambda f, s, o: np.cos(f.density), fields="density")  # is for later calls
+    f = f.compute(**computing(scheduler))
+    np.testing.assert_array_equal(f.rest, np.sin(f.density) - 1.0)
+    again = ds.cg.coarse_grain(["density", "swing"], width=0.8).compute()
+    np.testing.assert_array_equal(again.swing, np.cos(again.density))
+
+
+def test_fields_of_users_are_asked_for_by_name():
+    ds = xcg.datasets.simple_cubic(3)
+    before = list(ds.cg.coarse_grain(axes="z"))
+    xcg.register_field("twice", lambda f, s, o: 2 * f.density, fields="density")
+    assert list(ds.cg.coarse_grain(axes="z")) == before
+    with pytest.raises(TypeError):
+        xcg.FIELDS["twice"] = xcg.FIELDS["density"]
+
+
+def test_options_that_a_field_needs_are_needed_by_what_is_made_of_it():
+    xcg.register_field("twice", lambda f, s, o: 2 * f.viscous_number, fields="viscous_number")
+    ds = xcg.datasets.random_scene(40, seed=1)
+    with pytest.raises(ValueError, match="twice needs the argument fluid_viscosity="):
+        ds.cg.coarse_grain("twice")
+    f = ds.cg.coarse_grain(["viscous_number", "twice"], fluid_viscosity=1e-3, axes="z", width=0.8)
+    np.testing.assert_array_equal(f.twice, 2 * f.viscous_number)
+
+
+def change_what_is_given(f, s, o):
+    f.stress[...] = 0.0
+    return f.volume_fraction
+
+
+def smallest_rate(f, s, o):
+    return np.linalg.eigvalsh(f.shear_rate_tensor)[..., 0]
+
+
+RIGHT = {"compute": lambda f, s, o: f.density, "fields": "density"}
+
+
+@pytest.mark.parametrize(("name", "options", "message"), [
+    ("density", {}, "that of a field of xcg"),
+    ("phase", {}, "that of a coordinate"),
+    ("two words", {}, "letters, digits and underscores"),
+    ("_own", {}, "letters, digits and underscores"),
+    ("own", {"compute": 3.0}, r"compute=3.0: expected a function"),
+    ("own", {"rank": 3}, r"rank=3: expected 0 \(scalar\)"),
+    ("own", {"powers": (1, 2)}, r"powers=\(1, 2\): expected whole powers"),
+    ("own", {"fields": ()}, "name the fields= or moments="),
+    ("own", {"fields": "densty"}, "the field 'densty', which does not exist; did you mean 'density'"),
+    ("own", {"fields": "_fit"}, "the field '_fit', which does not exist"),
+    ("own", {"moments": ["weight"]}, "the moment 'weight', which does not exist"),
+    ("own", {"weight": "velocity"}, "weight='velocity': expected"),
+    ("own", {"weight": "density", "additive": True}, "for a field that is not additive"),
+    ("own", {"rank": 1}, r"gives float64 \(3, 5\); of rank=1 it has to give numbers \(3, 5, 3\)"),
+    ("own", {"compute": lambda f, s, o: f.stress}, "no attribute 'stress'"),
+    ("own", {"compute": lambda f, s, o: f.density + 1j}, "gives complex128"),
+    ("own", {"compute": lambda f, s, o: f.density / f.density.max()}, "depends on other nodes"),
+    ("own", {"compute": change_what_is_given, "fields": ["stress", "volume_fraction"]}, "changes the field 'stress'"),
+    ("own", {"compute": smallest_rate, "fields": "shear_rate_tensor"}, "one sees no grains .* LinAlgError"),
+])  # fmt: skip
+def test_what_is_wrong_is_named(name, options, message):
+    with pytest.raises(ValueError, match=message):
+        xcg.register_field(name, **(RIGHT | options))
+    assert "own" not in xcg.FIELDS
+
+
+def test_a_field_cannot_need_itself():
+    xcg.register_field("first", lambda f, s, o: f.density, fields="density")
+    xcg.register_field("second", lambda f, s, o: f.first, fields="first")
+    with pytest.raises(ValueError, match="needs itself"):
+        xcg.register_field("first", lambda f, s, o: f.second, fields="second")
