@@ -146,3 +146,22 @@ def test_the_command_line_takes_them(tmp_path):
     done = CliRunner().invoke(main, ["run", "--quiet", str(job)])
     assert done.exit_code == 1
     assert "digits=99" in done.output
+
+
+def test_a_format_of_ones_own(tmp_path):
+    def write_text(ds, path, encoding, *, overwrite):
+        np.savetxt(path, encoding.reduced(ds.density.to_numpy()))
+
+    xcg.register_writer(".txt", write_text)
+    xcg.register_writer(".txt", write_text)
+    f = steps_of_random_scenes(2).cg.coarse_grain(["density"], axes="z")
+    path = xcg.save(f, tmp_path / "f.txt", digits=3)
+    np.testing.assert_allclose(np.loadtxt(path), f.density, rtol=0.5e-3)
+    with pytest.raises(FileExistsError, match=r"f\.txt exists"):
+        xcg.save(f, path)
+    with pytest.raises(ValueError, match="taken"):
+        xcg.register_writer(".nc", write_text)
+    with pytest.raises(ValueError, match="with its dot"):
+        xcg.register_writer("txt", write_text)
+    with pytest.raises(ValueError, match=r"\.txt"):
+        xcg.save(f, tmp_path / "f.tex")

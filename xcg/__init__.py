@@ -29,7 +29,7 @@ from xcg.scene.phases import assign_phases, find_phases, plot_phases
 from xcg.scene.schema import SceneError, SceneWarning
 from xcg.scene.sizes import measure, size_statistics
 from xcg.steps.errors import SkippedStep
-from xcg.writers.store import save
+from xcg.writers.save import register_writer, save
 
 __version__ = version("xcg")
 __all__ = [
@@ -67,6 +67,7 @@ __all__ = [
     "pysammos_mesh",
     "register_field",
     "register_kernel",
+    "register_writer",
     "save",
     "scene_from_arrays",
     "select_chains",

@@ -29,7 +29,7 @@ from xcg.scene.phases import assign_phases, find_phases, plot_phases
 from xcg.scene.schema import printable
 from xcg.scene.sizes import measure, size_statistics
 from xcg.scene.summary import summary
-from xcg.writers.store import save
+from xcg.writers.save import save
 
 
 @xr.register_dataset_accessor("cg")

@@ -9,7 +9,7 @@ import click
 import xarray as xr
 
 from xcg.chains.search import ALGORITHMS, force_chains
-from xcg.cli.told import told
+from xcg.cli.messages import plain_messages
 from xcg.readers.series import open_scene
 from xcg.steps.errors import ON_ERROR
 from xcg.steps.label import name_skipped
@@ -74,7 +74,7 @@ def chains_command(
         said["walls"] = list(walls)
     if frozen:
         said["frozen"] = list(frozen)
-    with told(quiet=False):
+    with plain_messages(quiet=False):
         scene = open_scene(
             list(particles), contacts=list(contacts), **{k: v for k, v in said.items() if v is not None}
         )  # fmt: skip

@@ -20,7 +20,7 @@ import click
 import xcg
 from xcg.cli.chains import chains_command
 from xcg.cli.convert import convert_command
-from xcg.cli.told import told
+from xcg.cli.messages import plain_messages
 from xcg.fields import registry
 from xcg.scene.schema import printable, units_of
 from xcg.steps.errors import ON_ERROR
@@ -115,7 +115,7 @@ def run(
     from xcg.cli.progress import Progress
     from xcg.cli.run import open_job, run_job
 
-    with told(quiet):
+    with plain_messages(quiet):
         job = read_config(config)
         if on_error is not None:
             job = replace(job, on_error=on_error)
@@ -159,7 +159,7 @@ def info(files: tuple[str, ...], contacts: tuple[str, ...], **options: object) -
     given = {name: value for name, value in options.items() if value is not None}
     if contacts:
         given["contacts"] = list(contacts)
-    with told(quiet=False):
+    with plain_messages(quiet=False):
         ds = xcg.open_scene(list(files), **given)  # type: ignore[arg-type]
         click.echo(repr(ds.cg))
         times = ds["time"].to_numpy()

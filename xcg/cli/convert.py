@@ -10,9 +10,9 @@ import click
 from dask.diagnostics import ProgressBar
 
 from xcg.cli.config import read_config
-from xcg.cli.told import told
+from xcg.cli.messages import plain_messages
 from xcg.readers.series import open_scene
-from xcg.writers.store import save
+from xcg.writers.save import save
 
 
 def _scene_options(files: tuple[str, ...], options: dict[str, Any]) -> dict[str, Any]:
@@ -56,7 +56,7 @@ def convert_command(
     FILES are those with particles, or one job (TOML or Pysammos's config.ini) whose scene is meant. For example:
     xcg convert "particles.*.dump" -c "contacts.*.dump" -o scene.zarr
     """
-    with told(quiet=False):
+    with plain_messages(quiet=False):
         ds = open_scene(**_scene_options(files, options))
         with ProgressBar(out=None if quiet else sys.stderr):
             save(ds, output, overwrite=overwrite, dtype=dtype, digits=digits, compression=compression)

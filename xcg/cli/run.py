@@ -32,7 +32,7 @@ from xcg.steps.map import SKIPPED
 from xcg.writers.encoding import Encoding
 from xcg.writers.files import leftovers, whole_file
 from xcg.writers.lock import locked
-from xcg.writers.store import to_netcdf
+from xcg.writers.netcdf import write_netcdf
 
 _JOB = "job"  # attribute of the output: which job made it
 _BECAUSE = "skipped_because"
@@ -267,7 +267,7 @@ def _assemble(job: Job, name: str, parts: list[Path]) -> None:
         stem = job.name if name == "fields" else _slices_name(job)
         if job.netcdf or name == "slices":
             file = job.folder / f"{stem}{job.suffix}"
-            to_netcdf(whole, file, Encoding.of(whole, **job.encoding), overwrite=True, room=whole.nbytes + _HEADER)
+            write_netcdf(whole, file, Encoding.of(whole, **job.encoding), overwrite=True, room=whole.nbytes + _HEADER)
         if name == "slices":
             return
         paths = _vtkhdf_paths(job, whole)

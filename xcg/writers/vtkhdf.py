@@ -18,6 +18,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import DTypeLike, NDArray
 
+from xcg.writers import chains
 from xcg.writers.chunks import lock_for, over_time, write_chunks
 from xcg.writers.encoding import Encoding
 from xcg.writers.files import hdf5_file, whole_file
@@ -80,15 +81,22 @@ def to_vtkhdf(
         steps, or values that are not numbers.
     """
     encoding = Encoding.of(fields, dtype, digits, compression)
-    path = Path(path)
-    fields = encoding.noted(_checked(fields))
+    write_vtkhdf(fields, Path(path), encoding, overwrite=overwrite)
+    return Path(path)
+
+
+def write_vtkhdf(ds: xr.Dataset, path: Path, encoding: Encoding, *, overwrite: bool) -> None:
+    """Write fields as an image, chains as poly data."""
+    if "chain_id" in ds:
+        chains.to_vtkhdf(ds, path, overwrite=overwrite)
+        return
+    fields = encoding.noted(_checked(ds))
     image = _Image.of(fields)
     arrays = _arrays(fields)
     with whole_file(path, overwrite=overwrite) as part:
         with hdf5_file(part, "w") as file:
             _lay_out(file, fields, image, arrays, encoding)
         _fill(part, fields, image, arrays, encoding)
-    return path
 
 
 # --- what is written -------------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from xcg.scene.schema import SceneWarning, printable
 
 
 @contextmanager
-def told(quiet: bool) -> Iterator[None]:
+def plain_messages(quiet: bool) -> Iterator[None]:
     """Show warnings as one line each, and errors of data without a traceback."""
 
     def show(message: Warning | str, *_: object, **__: object) -> None:

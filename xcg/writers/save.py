@@ -1,0 +1,133 @@
+"""Saving: the suffix of a name chooses the format, from one table."""
+
+from __future__ import annotations
+
+import importlib
+import os
+from pathlib import Path
+from typing import Protocol
+
+import xarray as xr
+from numpy.typing import DTypeLike
+
+from xcg.writers.encoding import Encoding
+from xcg.writers.files import check_target
+
+
+class Writer(Protocol):
+    """What writes one format: ``write(ds, path, encoding, overwrite=...)``.
+
+    `ds` is a scene, a result or chains, lazy or in memory; `encoding` says how numbers are stored, and
+    ``encoding.reduced(values)`` gives them as they are asked for. The file should appear only when it is whole.
+    """
+
+    def __call__(self, ds: xr.Dataset, path: Path, encoding: Encoding, *, overwrite: bool) -> object:
+        """Write a Dataset."""
+
+
+# by suffix: a writer, or its module and name, which is imported when it is needed
+_WRITERS: dict[str, Writer | tuple[str, str]] = {
+    ".nc": ("xcg.writers.netcdf", "write_netcdf"),
+    ".zarr": ("xcg.writers.zarr", "write_zarr"),
+    ".vtkhdf": ("xcg.writers.vtkhdf", "write_vtkhdf"),
+}
+
+
+def register_writer(suffix: str, write: Writer) -> None:
+    """Have `save` write another format.
+
+    Parameters
+    ----------
+    suffix : str
+        End of the names that choose it, with its dot.
+    write : callable
+        ``write(ds, path, encoding, overwrite=...)``, see `Writer`. `save` has checked that the folder of `path` is
+        there and that the name is free, unless it may be replaced.
+
+    Raises
+    ------
+    ValueError
+        If the suffix has no dot, or is taken.
+
+    Examples
+    --------
+    A table of a profile as text:
+
+    >>> import xcg
+    >>> def write_csv(ds, path, encoding, *, overwrite):
+    ...     ds.squeeze().to_dataframe().to_csv(path)
+    >>> xcg.register_writer(".csv", write_csv)
+    """
+    if not suffix.startswith(".") or len(suffix) < 2:
+        msg = f"suffix={suffix!r}: expected the end of a name with its dot, such as '.csv'"
+        raise ValueError(msg)
+    if suffix in _WRITERS and _WRITERS[suffix] != write:
+        msg = f"suffix={suffix!r} is taken; choose another one"
+        raise ValueError(msg)
+    _WRITERS[suffix] = write
+
+
+def save(
+    ds: xr.Dataset,
+    path: str | os.PathLike[str],
+    *,
+    overwrite: bool = False,
+    dtype: DTypeLike | None = None,
+    digits: int | None = None,
+    compression: int | None = None,
+) -> Path:
+    """Write a scene or a result, as the name says: NetCDF (``.nc``), Zarr (``.zarr``) or VTKHDF (``.vtkhdf``).
+
+    A scene that is opened again with ``xr.open_dataset(path, chunks={})`` or ``xr.open_zarr(path)`` is the same to the
+    last bit, and `ds.cg` works on it. It opens at once, and is read several times as fast as the text it came from.
+
+    A lazy Dataset is computed and written one chunk of time after the other by one task each, where xarray's own
+    `to_netcdf` and `to_zarr` make one a variable. So it takes thousands of steps; and it may run on a cluster of
+    processes that see the same folder. While one step is written, others are computed and compressed. A chunk on disk
+    holds the steps of a chunk of the Dataset (one, where it is in memory); a file of a Zarr array holds several chunks
+    where steps are short. Padding of steps with fewer rows takes hardly any room, as it compresses away.
+
+    Parameters
+    ----------
+    ds : xarray.Dataset
+        A scene or a result, lazy or in memory.
+    path : str or path
+        ``*.nc`` for NetCDF 4 (deflate); ``*.zarr`` for a Zarr folder (Zstandard), which is written and read faster,
+        by several tasks at a time; ``*.vtkhdf`` for fields and chains, see `to_vtkhdf` in `xcg.writers` `vtkhdf` and
+        `chains`. It appears only when it is whole.
+    overwrite : bool
+        Replace what is there.
+    dtype : {"float32", "float64"}, optional
+        Type of floating-point numbers on disk; by default their own.
+    digits : int, optional
+        Significant digits to keep, 1 to 15: numbers are rounded to a relative error of at most ``0.5 * 10**-digits``,
+        and compress well then. The attribute ``precision`` of each variable says so. By default all are kept.
+    compression : int, optional
+        Level of compression, 1 (fastest) to 9, or 0 for none. By default 1 for scenes, and for fields of fewer digits
+        or single precision; none for fields of full precision, which become a fifth smaller only.
+
+    Returns
+    -------
+    pathlib.Path
+        The file or folder.
+
+    Raises
+    ------
+    FileExistsError
+        If it exists and `overwrite` is False, or another process is writing the same Zarr folder.
+    ImportError
+        If Zarr is not installed.
+    ValueError
+        If the name ends otherwise, or `dtype`, `digits` or `compression` is none of those above.
+    """
+    path = Path(path)
+    if path.suffix not in _WRITERS:
+        msg = f"{path}: expected a name that ends with .nc (NetCDF), .zarr (Zarr) or .vtkhdf (VTKHDF)"
+        added = [suffix for suffix in _WRITERS if suffix not in (".nc", ".zarr", ".vtkhdf")]
+        raise ValueError(msg + (f", or with {', '.join(added)}" if added else ""))
+    encoding = Encoding.of(ds, dtype, digits, compression)
+    check_target(path, overwrite=overwrite)
+    writer = _WRITERS[path.suffix]
+    write: Writer = getattr(importlib.import_module(writer[0]), writer[1]) if isinstance(writer, tuple) else writer
+    write(ds, path, encoding, overwrite=overwrite)
+    return path
