@@ -1,6 +1,10 @@
-"""Writes docs/fields.md, the table of all fields, from the registry: python docs/fields.py."""
+"""Writes what the documentation says of all fields from the rows of the registry: python docs/fields.py.
+
+That is the page docs/fields.md, and the parts of README.md and docs/averages.md between two marks.
+"""
 
 import re
+import textwrap
 from pathlib import Path
 
 from xcg.fields.registry import FIELDS, listed
@@ -12,7 +16,9 @@ What `ds.cg.coarse_grain([...])` takes by name. Psi is the kernel, the sums run 
 images) whose support reaches the node; [theory](theory.md) explains the formulas, [variants](variants.md) has other
 definitions. Vectors have the dimension `component`; tensors have `component` (of the force or velocity) and `direction`
 (of the face or derivative), so that `stress.sel(component="x", direction="z")` is sigma_xz. Compression is positive.
-*Additive* fields of the phases add up to the bulk.
+*Additive* fields of the phases add up to the bulk. The last column says how a field is [averaged](averages.md): sums as
+they are, ratios weighted by a sum, the rest anew from averages. [Your own fields](own_fields.md) are taken by name as
+well.
 
 Sums are zero where nothing reaches. Ratios are NaN there, and `sample_count` says how many grains a node saw. A
 velocity gradient is NaN along directions that the grains at a node do not span; a temperature is NaN where a linear
@@ -21,8 +27,8 @@ and inertial number are NaN where p <= 0.
 
 In a one-layer scene D = 2, and traces run over the two axes of the plane.
 
-| field | what it is, and its formula | kind | unit | additive |
-|---|---|---|---|---|
+| field | what it is, and its formula | kind | unit | additive | averages |
+|---|---|---|---|---|---|
 """
 TAIL = """
 This table is made by `python docs/fields.py`; `xcg fields` prints it.
@@ -31,17 +37,55 @@ KINDS = ("scalar", "vector", "tensor")
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
+ROOT = Path(__file__).parents[1]
+FIRST, LAST = "<!-- python docs/fields.py writes this -->\n", "<!-- until here -->\n"
+
+
 def table() -> str:
     """The page, as text."""
     rows = []
-    for name in listed():
+    for name in listed(registered=False):
         f = FIELDS[name]
         formula = f.formula.replace("|", "\\|")
         additive = "yes" if f.additive else ""
+        average = "as they are" if f.additive else f"by `{f.weight}`" if f.weight else "anew"
         unit = re.sub(r"(?<=[a-z])-?\d", lambda power: power[0].translate(RAISED), units_of(f.powers))
-        rows.append(f"| `{name}` | {f.long_name}<br>`{formula}` | {KINDS[f.rank]} | {unit} | {additive} |\n")
+        about = f"{f.long_name}<br>`{formula}`"
+        rows.append(f"| `{name}` | {about} | {KINDS[f.rank]} | {unit} | {additive} | {average} |\n")
     return HEAD + "".join(rows) + TAIL
 
 
+def names() -> str:
+    """The list of fields in the README."""
+    return textwrap.fill(", ".join(f"`{name}`" for name in listed(registered=False)) + ".", 120) + "\n"
+
+
+def averages() -> str:
+    """The table of docs/averages.md."""
+    rules: dict[str, list[str]] = {"as they are": ["sums (*additive* in the [table](fields.md))"]}
+    for name in listed(registered=False):
+        f = FIELDS[name]
+        if f.harmonic:
+            rule = f"`{f.weight}` over the mean of `{f.weight}` divided by the field"
+        elif f.weight:
+            rule = f"weighted by `{f.weight}`, where they are known"
+        else:
+            rule = "computed anew from averages of what they are made of, with the variants of the result"
+        if not f.additive:
+            rules.setdefault(rule, []).append(f"`{name}`")
+    rows = [f"| {', '.join(fields)} | {rule} |\n" for rule, fields in rules.items()]
+    return "".join(["| fields | how they are averaged |\n|---|---|\n", *rows])
+
+
+def pages() -> dict[Path, str]:
+    """All files that this writes, with their text."""
+    found = {ROOT / "docs" / "fields.md": table()}
+    for path, part in ((ROOT / "README.md", names()), (ROOT / "docs" / "averages.md", averages())):
+        before, rest = path.read_text().split(FIRST)
+        found[path] = before + FIRST + part + "\n" + LAST + rest.split(LAST)[1]
+    return found
+
+
 if __name__ == "__main__":
-    (Path(__file__).parent / "fields.md").write_text(table())
+    for path, text in pages().items():
+        path.write_text(text)
