@@ -15,6 +15,7 @@ import xarray as xr
 
 from tests import shared_data
 from tests.dumps import ATOMS, BOX, ROWS, dump_text, pairs_text, write, write_series
+from xcg.readers import Engine, StepRef
 from xcg.readers.lammps import Lammps
 from xcg.readers.paths import expand_paths, natural_key
 from xcg.readers.series import open_scene
@@ -169,7 +170,11 @@ def test_contacts_of_one_step_touch_that_step_only(series, reads):
     assert reads == {("particles", 10): 1, ("contacts", 10): 1}
 
 
-@pytest.mark.parametrize(("chunks", "expected"), [(1, (1, 1, 1)), (2, (2, 1)), (7, (3,)), (-1, (3,))])
+@pytest.mark.parametrize(("chunks", "expected"), [
+    (1, (1, 1, 1)), (2, (2, 1)), (7, (3,)), (-1, (3,)), ({}, (1, 1, 1)), ({"time": 2, "particle": -1}, (2, 1)),
+    ({"time": -1}, (3,)), ({"time": (1, 2)}, (1, 2)), ((2, 1), (2, 1)), ("auto", (3,)), ({"time": "auto"}, (3,)),
+    ({"time": None}, (1, 1, 1)),
+])  # fmt: skip
 def test_chunks(series, chunks, expected):
     scene = open_scene(series[0], contacts=series[1], chunks=chunks)
     assert scene.contact_point.chunks == (expected, (1,), (3,))
@@ -180,6 +185,29 @@ def test_chunks(series, chunks, expected):
 def test_bad_chunks(series, chunks):
     with pytest.raises(SceneError, match=f"chunks={chunks}"):
         open_scene(series[0], chunks=chunks)
+
+
+@pytest.mark.parametrize("chunks", ["often", True, {"particle": 2}, {"time": 0}, (1, 1), (4, -1), [[3]], {"time": {}}])
+def test_chunks_that_xarray_would_refuse(series, chunks):
+    with pytest.raises(SceneError, match=r"chunks=.*: expected"):
+        open_scene(series[0], chunks=chunks)
+
+
+def test_automatic_chunks_follow_files_and_memory(tmp_path):
+    class Steps(Engine):
+        def index_particles(self, paths, options):
+            return [StepRef(paths[0], rows=100, step=k, length=3_000_000) for k in range(10)]
+
+        def read_particles(self, ref, options):
+            return {"position": np.eye(3)}
+
+    path = write(tmp_path / "p.txt", "")
+    assert open_scene(path, engine=Steps, chunks="auto").chunks["time"] == (4, 4, 2)  # 10 MB of files
+    step = 100 * (3 + 1) * 8  # position and id
+    with dask.config.set({"array.chunk-size": f"{3 * step + 1}B"}):
+        assert open_scene(path, engine=Steps, chunks="auto").chunks["time"] == (3, 3, 3, 1)
+    with dask.config.set({"array.chunk-size": "1B"}):
+        assert open_scene(path, engine=Steps, chunks="auto").chunks["time"] == (1,) * 10
 
 
 def test_names_of_the_graph_tell_contents(series, tmp_path):

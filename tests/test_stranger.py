@@ -4,6 +4,8 @@ import os
 import re
 import subprocess
 import sys
+import tomllib
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import numpy as np
@@ -38,6 +40,12 @@ def site(tmp_path):
     )
     (site / "grit_tools-1.0.dist-info" / "entry_points.txt").write_text(f"[xcg.readers]\n{entry}\n")
     (site / "grit_tools.py").write_text(source)
+    if not entry_points(group="xarray.backends", name="xcg"):  # a checkout that was installed before there was any
+        backends = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"]["xarray.backends"]
+        lines = "".join(f"{name} = {place}\n" for name, place in backends.items())
+        (site / "grit_tools-1.0.dist-info" / "entry_points.txt").write_text(
+            f"[xcg.readers]\n{entry}\n[xarray.backends]\n{lines}"
+        )
     return site
 
 
@@ -72,6 +80,19 @@ except xcg.SceneError as error:
     shown = run(code, site, tmp_path)
     assert shown.startswith(2 * told)
     assert shown.endswith("expected one of lammps, liggghts, mercury, mfix, grit; did you mean 'grit'?\n")
+
+
+def test_xarray_opens_files_of_that_package(tmp_path, site):
+    write_grit(tmp_path)
+    code = """
+import xarray as xr
+for options in ({"engine": "xcg"}, {"engine": "xcg", "reader": "grit", "chunks": {}}, {}):
+    ds = xr.open_dataset("grains_1.txt", contacts="forces_1.txt", density=2500, drop_variables="velocity", **options)
+    force = ds.contact_force.compute(scheduler="processes", num_workers=1)
+    print(ds.chunks.get("time"), force[0, :, 0].values.tolist(), "velocity" in ds)
+"""
+    told = "{} [-5.0, -5.0] False\n"
+    assert run(code, site, tmp_path) == told.format(None) + told.format((1,)) + told.format(None)
 
 
 def test_a_class_travels_to_other_processes(tmp_path, site):

@@ -6,6 +6,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import accumulate
 from typing import Any
 
 import dask.array as da
@@ -160,17 +161,11 @@ def read_contact_chunk(
     return stack(frames, names, rows)
 
 
-def lazy_arrays(
-    source: Source,
-    steps: Sequence[Step],
-    boxes: NDArray | None,
-    particle_types: Mapping[str, Any],
-    contact_names: Sequence[str],
-    steps_per_chunk: int,
-) -> dict[str, da.Array]:
-    """Dask arrays (time first, padded) of all variables.
+@dataclass(frozen=True)
+class Series:
+    """The steps of a scene, and what their bodies hold.
 
-    Parameters
+    Attributes
     ----------
     boxes : array (t, 3, 2) or None
         Edges of the domain, in the scene's units.
@@ -179,34 +174,59 @@ def lazy_arrays(
     contact_names : sequence of str
         Variables of the contacts; empty without contacts.
     """
-    starts = range(0, len(steps), steps_per_chunk)
-    parts = [slice(start, min(start + steps_per_chunk, len(steps))) for start in starts]
-    sizes = tuple(part.stop - part.start for part in parts)
-    paths = sorted({ref.path for step in steps for ref in (step.particles, *step.contacts)})
-    modified = [os.stat(path).st_mtime_ns for path in paths]
-    # as text, which dask digests ten times as fast as thousands of objects
-    token = tokenize(source, repr(steps), modified, boxes, dict(particle_types), contact_names, steps_per_chunk)
 
-    layer, rows = f"read-particles-{token}", max(step.particles.rows for step in steps)
+    source: Source
+    steps: Sequence[Step]
+    boxes: NDArray | None
+    particle_types: Mapping[str, Any]
+    contact_names: Sequence[str]
+
+    @property
+    def particle_rows(self) -> int:
+        """Rows of particles in a step, at most."""
+        return max(step.particles.rows for step in self.steps)
+
+    @property
+    def contact_rows(self) -> int:
+        """Rows of contacts in a step, at most."""
+        return max(sum(ref.rows for ref in step.contacts) for step in self.steps)
+
+    def token(self) -> str:
+        """Tell series apart by what they read."""
+        paths = sorted({ref.path for step in self.steps for ref in (step.particles, *step.contacts)})
+        modified = [os.stat(path).st_mtime_ns for path in paths]
+        # as text, which dask digests ten times as fast as thousands of objects
+        steps = repr(self.steps)
+        return tokenize(self.source, steps, modified, self.boxes, dict(self.particle_types), self.contact_names)
+
+
+def lazy_arrays(series: Series, sizes: Sequence[int]) -> dict[str, da.Array]:
+    """Dask arrays (time first, padded) of all variables, in chunks of so many steps."""
+    source, steps, boxes, particle_types = series.source, series.steps, series.boxes, dict(series.particle_types)
+    stops = list(accumulate(sizes))
+    parts = [slice(stop - size, stop) for stop, size in zip(stops, sizes, strict=True)]
+    token = tokenize(series.token(), sizes)
+
+    layer, rows = f"read-particles-{token}", series.particle_rows
     tasks: dict[Any, Any] = {}
     for k, part in enumerate(parts):
-        tasks[layer, k] = (partial(read_particle_chunk, source, steps[part], dict(particle_types), rows),)
+        tasks[layer, k] = (partial(read_particle_chunk, source, steps[part], particle_types, rows),)
     graph = HighLevelGraph({layer: tasks}, {layer: set()})
     arrays = {name: _array(graph, layer, name, dtype, rows, sizes) for name, dtype in particle_types.items()}
-    if not contact_names:
+    if not series.contact_names:
         return arrays
 
     particles, layer = layer, f"read-contacts-{token}"
-    rows, tasks = max(sum(ref.rows for ref in step.contacts) for step in steps), {}
+    names, rows, tasks = list(series.contact_names), series.contact_rows, {}
     for k, part in enumerate(parts):
         edges = None if boxes is None else boxes[part]
-        task = partial(read_contact_chunk, source, steps[part], list(contact_names), rows, edges)
+        task = partial(read_contact_chunk, source, steps[part], names, rows, edges)
         tasks[layer, k] = (task, (particles, k))
     graph = HighLevelGraph({**graph.layers, layer: tasks}, {**graph.dependencies, layer: {particles}})
-    return arrays | {name: _array(graph, layer, name, variable(name).dtype, rows, sizes) for name in contact_names}
+    return arrays | {name: _array(graph, layer, name, variable(name).dtype, rows, sizes) for name in names}
 
 
-def _array(graph: HighLevelGraph, layer: str, name: str, dtype: Any, rows: int, sizes: tuple[int, ...]) -> da.Array:
+def _array(graph: HighLevelGraph, layer: str, name: str, dtype: Any, rows: int, sizes: Sequence[int]) -> da.Array:
     """Lazy array of one variable out of the frames that the tasks of a layer return."""
     key = f"{name}-{layer.removeprefix('read-')}"
     return picked(graph, layer, name, key, sizes, variable(name, dtype).shape(rows), dtype)

@@ -14,9 +14,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
+from xcg.readers.chunks import Chunks, steps_of_chunks
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.engines import all_engines, engine_table, load_engine
-from xcg.readers.lazy import Source, Step, lazy_arrays, read_step
+from xcg.readers.indexed import indexed_arrays
+from xcg.readers.lazy import Series, Source, Step, lazy_arrays, read_step
 from xcg.readers.paths import PathLike, expand_paths
 from xcg.readers.text import source_of
 from xcg.scene.build import box_array, to_dataset
@@ -61,7 +63,7 @@ def open_scene(
     shape: str = "sphere",
     allow_unknown: bool = False,
     missing: str = "raise",
-    chunks: int = 1,
+    chunks: Chunks = 1,
     on_error: str = "raise",
     **engine_options: Any,
 ) -> xr.Dataset:
@@ -122,8 +124,12 @@ def open_scene(
     missing : {"raise", "skip", "empty"}
         What to do about steps of particles without a step of contacts: raise an error that lists them, leave them out
         with a warning, or take them as steps in which nothing touches (MFiX writes no file of contacts then).
-    chunks : int
-        Steps in a chunk; -1 for all in one.
+    chunks : int, "auto", mapping or None
+        Steps in a chunk, as xarray takes it: a number; -1 for all in one; "auto" for as many as have files of 10 MB
+        together (text is parsed at 100 MB/s, so that a task takes a tenth of a second or more), but no more than
+        dask's ``array.chunk-size`` (128 MiB) of arrays; a mapping such as ``{"time": 10}`` or
+        ``{"time": (10, 5)}``. Rows of a step stay together. None gives arrays without dask, which are read when
+        they are used and then kept.
     on_error : {"raise", "skip"}
         What to do about files that are missing from a list, empty, or garbled or cut off in a header: stop with an
         error that names the file (default), or leave out what cannot be indexed, with a warning and the attribute
@@ -232,7 +238,8 @@ def open_scene(
     ends = [source.complete(frame, ref) for ref, frame in raw.items()]
     types = {name: ends[0][name].dtype for name in dict.fromkeys([*VARIABLES, *ends[0]]) if name in ends[0]}
     contact_names = _contact_names(source, next((step for step in steps if step.contacts), steps[0]))
-    arrays = lazy_arrays(source, steps, edges, types, contact_names, _steps_per_chunk(chunks, len(steps)))
+    series = Series(source, steps, edges, types, contact_names)
+    arrays = indexed_arrays(series) if chunks is None else lazy_arrays(series, steps_of_chunks(chunks, series))
     numbers = [step.particles.step for step in steps]
     clock = [step.time for step in steps if step.time is not None]
     scene = to_dataset(
@@ -628,10 +635,3 @@ def _contact_names(source: Source, step: Step) -> list[str]:
         found = {*source.engine.contact_variables(ref, source.options), "contact_point"}
         common = [name for name in common or found if name in found]
     return [name for name in VARIABLES if name in common]
-
-
-def _steps_per_chunk(chunks: int, steps: int) -> int:
-    if chunks != int(chunks) or (chunks < 1 and chunks != -1):
-        msg = f"chunks={chunks!r}: expected the number of steps in a chunk, or -1 for all"
-        raise SceneError(msg)
-    return steps if chunks == -1 else int(chunks)

@@ -1,0 +1,76 @@
+"""How many steps a chunk has, from ``chunks=`` as xarray takes it."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeAlias
+
+import dask
+import numpy as np
+from dask.utils import parse_bytes
+
+from xcg.readers.engine import StepRef
+from xcg.readers.lazy import Series
+from xcg.scene.schema import SceneError, variable
+
+Chunks: TypeAlias = int | str | Sequence[int] | Mapping[str, int | str | Sequence[int] | None] | None
+
+_FILES = 1e7  # bytes; a tenth of a second of parsing text
+_EXPECTED = (
+    "expected the number of steps in a chunk, -1 for all, 'auto', None for no dask, or such as {'time': 10}, as the "
+    "rows of a step stay together"
+)
+
+
+def steps_of_chunks(chunks: Any, series: Series) -> tuple[int, ...]:
+    """Numbers of steps in the chunks of a series.
+
+    Raises
+    ------
+    SceneError
+        If this is nothing that xarray takes, or cuts other dimensions than time.
+    """
+    msg = f"chunks={chunks!r}: {_EXPECTED}"
+    count = len(series.steps)
+    if isinstance(chunks, Mapping):
+        if any(dim != "time" and size not in (None, -1) for dim, size in chunks.items()):
+            raise SceneError(msg)
+        chunks = chunks.get("time")
+        chunks = 1 if chunks is None else chunks
+    if isinstance(chunks, str) and chunks == "auto":
+        chunks = _sensible(series)
+    sizes = np.atleast_1d(np.asarray(chunks))
+    if sizes.dtype.kind not in "iu" or sizes.ndim != 1:
+        raise SceneError(msg)
+    if np.ndim(chunks):
+        if (sizes < 1).any() or sizes.sum() != count:
+            msg = f"chunks={chunks!r}: expected positive numbers that add up to the {count} steps"
+            raise SceneError(msg)
+        return tuple(sizes.tolist())
+    size = count if sizes[0] == -1 else int(sizes[0])
+    if size < 1:
+        raise SceneError(msg)
+    return tuple(min(size, count - start) for start in range(0, count, size))
+
+
+def _sensible(series: Series) -> int:
+    """Count steps of about `_FILES` bytes of files, whose arrays are no larger than dask wants chunks to be."""
+    refs = [ref for step in series.steps for ref in (step.particles, *step.contacts)]
+    shared = Counter(ref.path for ref in refs)
+    read = sum(_bytes(ref, shared[ref.path]) for ref in refs) / len(series.steps)
+    held: int = sum(_held(name, dtype, series.particle_rows) for name, dtype in series.particle_types.items())
+    held += sum(_held(name, variable(name).dtype, series.contact_rows) for name in series.contact_names)
+    limit = parse_bytes(dask.config.get("array.chunk-size"))
+    return max(1, min(int(np.ceil(_FILES / max(read, 1))), limit // max(held, 1)))
+
+
+def _held(name: str, dtype: Any, rows: int) -> int:
+    """Bytes of one step of a variable in memory."""
+    return math.prod(variable(name, dtype).shape(rows)) * np.dtype(dtype).itemsize
+
+
+def _bytes(ref: StepRef, steps: int) -> float:
+    """Bytes of a body, as its header tells, else its share of the file."""
+    return ref.length or ref.size / steps
