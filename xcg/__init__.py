@@ -19,6 +19,7 @@ from xcg.fields.register import register_field
 from xcg.fields.registry import FIELDS
 from xcg.fields.slice_temperature import slice_temperature
 from xcg.fields.smoothing import Gaussian, Heaviside, Kernel, Lucy, register_kernel
+from xcg.fields.variables import Flux, Mean, Sum, Variance
 from xcg.fields.width_sweep import width_sweep
 from xcg.packing.find_contacts import find_contacts
 from xcg.packing.microstructure import microstructure
@@ -36,15 +37,19 @@ __all__ = [
     "FIELDS",
     "Box",
     "CoarseGrainAccessor",
+    "Flux",
     "Gaussian",
     "Heaviside",
     "Kernel",
     "Lucy",
+    "Mean",
     "Region",
     "SceneError",
     "SceneWarning",
     "SkippedStep",
     "Sphere",
+    "Sum",
+    "Variance",
     "assign_phases",
     "balance",
     "chain_table",

@@ -9,7 +9,7 @@ import xarray as xr
 
 from xcg.fields import pysammos, registry
 from xcg.fields.evaluate import evaluate_plan
-from xcg.fields.plan import Plan, make_plan
+from xcg.fields.plan import Fields, Plan, make_plan
 from xcg.fields.smoothing import Kernel
 from xcg.scene.bodies import group_bodies
 from xcg.scene.build import storable
@@ -23,7 +23,7 @@ from xcg.steps.label import format_call, mark_skipped, provenance
 @takes_scene
 def coarse_grain(
     ds: xr.Dataset,
-    fields: str | Sequence[str] | None = None,
+    fields: Fields = None,
     *,
     width: float | str | Mapping[Any, float | str] | None = None,
     kernel: str | Kernel = "lucy",
@@ -55,9 +55,10 @@ def coarse_grain(
     ----------
     ds : xarray.Dataset
         A scene, from `open_scene` or `scene_from_arrays`.
-    fields : str or list of str, optional
-        Names in the registry (`xcg.FIELDS`); by default all that the scene's variables allow. Only what these need
-        is read and summed.
+    fields : str, quantity, or list of these, optional
+        Names in the registry (`xcg.FIELDS`), by default all that the scene's variables allow; names of other variables
+        of the scene, for their means; and `xcg.Mean`, `xcg.Sum`, `xcg.Variance` or `xcg.Flux` of any variable. Only
+        what these need is read and summed.
     width : float, str or mapping, optional
         Half-width w of the kernel (m), or a multiple of a size such as "0.75 d43" (the default). With `by`, a mapping
         gives each group its own, for very polydisperse scenes: ``{1: 1e-3, 2: "0.75 d43"}``. Every grain, and its
@@ -159,7 +160,7 @@ def coarse_grain(
 
 
 @takes_scene
-def explain(ds: xr.Dataset, fields: str | Sequence[str] | None = None, **options: Any) -> Plan:
+def explain(ds: xr.Dataset, fields: Fields = None, **options: Any) -> Plan:
     """Plan what `coarse_grain` with the same arguments will do, without doing it; printing the plan explains it.
 
     Parameters
@@ -236,7 +237,9 @@ def _label(ds: xr.Dataset, plan: Plan, arrays: Mapping[str, Any], call: str) -> 
         if row.paired:
             tail = ("other_phase", *tail)
             coords["other_phase"] = ("other_phase", [*map(str, plan.deposit.groups), "wall"])
-        attrs = {"units": units_of(row.powers, system), "long_name": row.long_name, "formula": row.formula}
+        units = units_of(row.powers, system) if row.units is None else row.units
+        about = {"units": units, "long_name": row.long_name, "formula": row.formula, "source": row.source}
+        attrs = {key: text for key, text in about.items() if text}
         data[name] = (("time", *plan.dims, *tail), arrays[name], attrs)
     return storable(xr.Dataset(data, coords, _provenance(ds, plan, call)))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from itertools import product
 from typing import Any
@@ -18,11 +18,11 @@ from xcg.compiled.reach import BATCH, batches_of, lists_for, spatial_order
 from xcg.compiled.segments import SEGMENT, closed_for, deposit_segments, list_segments
 from xcg.fields.blocks import NodeBlock, for_each
 from xcg.fields.grid import Grid
-from xcg.fields.moments import CUTOFF_POWERS, MOMENTS, columns_of
+from xcg.fields.moments import CUTOFF_POWERS, MOMENTS, Moment
 from xcg.fields.reach import Mesh
 from xcg.fields.smoothing import Weights
 from xcg.scene.contacts import Contacts
-from xcg.scene.frame import phase_of, without_frozen
+from xcg.scene.frame import check_finite, phase_of, without_frozen
 from xcg.scene.schema import Frame
 
 # adds one pass to the sums (groups, nodes, columns) at the nodes of a box; the last array is the reference velocity
@@ -52,13 +52,14 @@ class _Pass:
     """One pass over grains or segments, prepared: its array is (groups, nodes, columns), filled by one loop a cutoff.
 
     `moments` says which columns of that array each moment is made of (those of a symmetric tensor name six of them
-    nine times), with a factor, or one for each phase.
+    nine times), with a factor, or one for each phase. A pass that is `apart` has a reference of its own.
     """
 
     groups: int
     columns: int
     fill: Sequence[_Fill]
     moments: Mapping[str, tuple[NDArray, float | NDArray]]
+    apart: bool = False
 
     @cached_property
     def _rows(self) -> tuple[NDArray, NDArray]:
@@ -71,9 +72,9 @@ class _Pass:
     def columns_by_moment(self) -> dict[tuple[str, int], tuple[int, list[float]]]:
         """The column of the array that each column of the moments is, and its factor in each group."""
         return {
-            (name, k): (column, np.broadcast_to(factor, self.groups).tolist())
+            (name, column - columns.min()): (column, np.broadcast_to(factor, self.groups).tolist())
             for name, (columns, factor) in self.moments.items()
-            for k, column in zip(columns_of(name).ravel().tolist(), columns.ravel().tolist(), strict=True)
+            for column in columns.ravel().tolist()
         }
 
     def turned(self, records: NDArray) -> Iterator[tuple[str, NDArray]]:
@@ -87,6 +88,8 @@ class _Pass:
 
     def __call__(self, block: NodeBlock, reference: NDArray) -> NDArray:
         sums = np.zeros((self.groups, len(reference), self.columns))
+        if self.apart:
+            reference = np.full_like(reference, np.nan)
         for fill in self.fill:
             fill(block, sums, reference)
         return sums
@@ -113,24 +116,30 @@ class _Deposit:
 
     def passes(self, threads: int) -> list[_Pass]:
         """All passes that the recipe takes; threads prepare one each."""
-        wanted = set(self.spec.moments)
+        for name in {name for row in self.spec.own.values() for name in row.variables}:
+            check_finite(name, self.frame, self.source)
+        wanted = self.spec.rows
         ways = [  # the calling thread begins with the last: contacts take more memory than grains
-            (self._grains, {name for name, row in MOMENTS.items() if row.level or row.column}),
-            (self._along_branches, {"contact", "pair_contact"}),
-            (self._slopes, {"mass_slope", "momentum_slope"}),
-            (self._at_walls, {"traction"}),
+            (self._grains, _of_grains(wanted)),
+            (self._relative, {name for name, row in wanted.items() if row.level and row.column}),
+            (self._at_contacts, {name for name, row in wanted.items() if row.at_contacts and not row.level}),
+            (self._along_branches, wanted.keys() & {"contact", "pair_contact"}),
+            (self._slopes, wanted.keys() & {"mass_slope", "momentum_slope"}),
+            (self._at_walls, wanted.keys() & {"traction"}),
         ]
-        prepared = for_each([way for way, moments in ways if moments & wanted], lambda way: way(), threads)
+        prepared = for_each([way for way, moments in ways if moments], lambda way: way(), threads)
         return [one for passes in prepared for one in passes]
+
+    def _column(self, row: Moment) -> NDArray:
+        """Columns (n, q) of a moment: its values at the grains, or at the contacts."""
+        assert row.column is not None
+        values = row.column(self.frame, self.contacts)
+        return values.reshape(len(values), math.prod(values.shape[1:]))
 
     def _grains(self) -> list[_Pass]:
         """Flow columns and columns of constants."""
-        wanted = {name: MOMENTS[name] for name in self.spec.moments}
-        constants = {
-            name: row.column(self.frame, self.contacts).reshape(self.count, columns_of(name).max() + 1)
-            for name, row in wanted.items()
-            if row.column
-        }
+        wanted = _of_grains(self.spec.rows)
+        constants = {name: self._column(row) for name, row in wanted.items() if row.column}
         # a column that is the same for all grains, as those of one size are, is a multiple of their number
         same = {
             name: float(q[0, 0])
@@ -144,10 +153,10 @@ class _Deposit:
         for name, row in wanted.items():
             if row.level:
                 power = CUTOFF_POWERS.get(name, 0)
-                moments[name] = (row.first + columns_of(name), self.cutoffs**power if power else 1.0)
+                moments[name] = (row.first + row.columns, self.cutoffs**power if power else 1.0)
         first = level
         for name, values in constants.items():
-            moments[name] = (first + columns_of(name), 1.0)
+            moments[name] = (first + (wanted.get(name) or MOMENTS[name]).columns, 1.0)
             first += values.shape[1]
         for name, value in same.items():
             moments[name] = (moments["number"][0], value)
@@ -158,7 +167,7 @@ class _Deposit:
     def _slopes(self) -> list[_Pass]:
         """Flow columns weighted by grad Psi."""
         moments = {
-            name: (MOMENTS[flow].first + columns_of(flow), -1 / self.cutoffs)
+            name: (MOMENTS[flow].first + MOMENTS[flow].columns, -1 / self.cutoffs)
             for name, flow in (("mass_slope", "offset"), ("momentum_slope", "shear"))
         }
         flow = (self.position, self.velocity, self.mass)
@@ -184,7 +193,7 @@ class _Deposit:
                 if not more:
                     break
         groups = {"contact": self.phases, "pair_contact": self.phases * others}
-        return [_Pass(groups[name], 9, fill, {name: (columns_of("contact"), 1.0)}) for name, fill in fills.items()]
+        return [_Pass(groups[name], 9, fill, {name: (MOMENTS[name].columns, 1.0)}) for name, fill in fills.items()]
 
     def _segments(self, place: NDArray, second: bool, others: int, cutoff: float) -> tuple[NDArray, NDArray, bool]:
         """Segments of the first or second particles of the contacts, the longest, and whether there are second ones."""
@@ -214,9 +223,52 @@ class _Deposit:
         assert self.contacts is not None
         at, point, force = self.contacts.at_walls
         none = np.zeros((len(at), 3))
-        moments = {"traction": (columns_of("traction"), 1.0)}
+        moments = {"traction": (MOMENTS["traction"].columns, 1.0)}
         order = self._in_space(point)
         return [self._points(moments, point, none, none[:, 0], [force], self.phase[at], kernel.NONE, order)]
+
+    def _at_contacts(self) -> list[_Pass]:
+        """Columns of constants at the contact points."""
+        rows = {name: row for name, row in self.spec.rows.items() if row.at_contacts and not row.level}
+        place, phase, share, contact = self._contact_points
+        moments, columns, first = {}, [], 0
+        for name, row in rows.items():
+            columns.append(self._column(row)[contact] * share[:, None])
+            moments[name] = (first + row.columns, 1.0)
+            first += columns[-1].shape[1]
+        none = np.zeros((len(place), 3))
+        return [self._points(moments, place, none, share, columns, phase, kernel.NONE, self._in_space(place))]
+
+    def _relative(self) -> list[_Pass]:
+        """Numbers in the place of velocity, so that they are kept relative to each node: a pass for each three."""
+        passes = []
+        for name, row in self.spec.rows.items():
+            if not (row.level and row.column):
+                continue
+            values = self._column(row)
+            place, phase, order = self.position, self.phase, self.order
+            if row.at_contacts:
+                place, phase, share, contact = self._contact_points
+                values, order = values[contact], self._in_space(place)
+                values[:, 0] *= share
+            weight, numbers = np.ascontiguousarray(values[:, 0]), np.ascontiguousarray(values[:, 1:])
+            moments = {name: (row.columns, 1.0)}
+            passes.append(self._points(moments, place, numbers, weight, [], phase, row.level, order, apart=True))
+        return passes
+
+    @cached_property
+    def _contact_points(self) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+        """Contact points (n, 3), their phases, the share in the contact, and its row; (n,).
+
+        A contact between two phases is half one's and half the other's, so that phases add up to the bulk.
+        """
+        c = self.contacts
+        assert c is not None
+        first = np.flatnonzero(c.first_row >= 0)
+        mixed = (c.i >= 0) & (c.j >= 0) & (self.phase[c.i] != self.phase[c.j])
+        contact = np.concatenate([first, np.flatnonzero(mixed)])
+        phase = np.concatenate([self.phase[c.first_row[first]], self.phase[c.j[mixed]]])
+        return c.point[contact], phase, np.where(mixed[contact], 0.5, 1.0), contact
 
     def _onto(self, cutoff: float) -> tuple[Any, ...]:
         """Mesh and kernel, in cutoffs."""
@@ -244,13 +296,13 @@ class _Deposit:
     def _points(
         self, moments: Mapping[str, tuple[NDArray, float | NDArray]], position: NDArray, velocity: NDArray,
         mass: NDArray, constants: Sequence[NDArray], phase: NDArray, level: int, order: NDArray,
-        *, by_gradient: bool | None = None,
+        *, by_gradient: bool | None = None, apart: bool = False,
     ) -> _Pass:  # fmt: skip
         """Prepare grains, or other points, with their flow columns up to `level` and columns of constants."""
         columns = _side_by_side(constants, len(position))
         # where nothing moves, columns with u are zero without adding them
         still = True if level and (velocity == velocity[:1]).all() else None
-        squares = level and not by_gradient and any(name.startswith("square") for name in self.spec.moments)
+        squares = any(name.startswith("square") for name in moments)
         fill = []
         for cutoff in np.unique(self.cutoffs).tolist():
             rows = order if (self.cutoffs == cutoff).all() else order[self.cutoffs[phase[order]] == cutoff]
@@ -258,7 +310,12 @@ class _Deposit:
             grains = (rows, position, velocity, mass, columns, phase, level, still, meet, self.origin, cutoff)
             batches = (batches_of(position.take(rows, axis=0)) - self.origin) / cutoff
             fill.append(partial(_fill_points, (*grains, batches), (*self._onto(cutoff), by_gradient)))
-        return _Pass(self.phases, level + columns.shape[1], fill, moments)
+        return _Pass(self.phases, level + columns.shape[1], fill, moments, apart)
+
+
+def _of_grains(rows: Mapping[str, Moment]) -> dict[str, Moment]:
+    """Moments of the main pass over grains: flow columns, or columns of constants."""
+    return {name: row for name, row in rows.items() if not row.at_contacts and bool(row.level) != bool(row.column)}
 
 
 def _fill_points(
@@ -380,7 +437,7 @@ class DepositSpec:
     Attributes
     ----------
     moments : tuple of str
-        Names in `MOMENTS`.
+        Names in `MOMENTS` or `own`.
     grid : Grid
     weights : Weights
         The kernel of the first cutoff as seen in the grid's axes.
@@ -394,6 +451,8 @@ class DepositSpec:
         Integer particle variable that divides the grains into phases.
     groups : tuple of int
         Its values, one phase each.
+    own : mapping
+        Moments of the caller's own variables.
     """
 
     moments: tuple[str, ...]
@@ -404,8 +463,14 @@ class DepositSpec:
     coarse: bool = False
     by: str | None = None
     groups: tuple[int, ...] = ()
+    own: Mapping[str, Moment] = field(default_factory=dict)
+
+    @property
+    def rows(self) -> dict[str, Moment]:
+        """The moments by name."""
+        return {name: self.own.get(name) or MOMENTS[name] for name in self.moments}
 
     @property
     def level(self) -> int:
-        """Flow columns that the sums take."""
-        return max((MOMENTS[name].level for name in self.moments), default=kernel.NONE)
+        """Flow columns that the pass over grains takes."""
+        return max((row.level for row in _of_grains(self.rows).values()), default=kernel.NONE)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import reduce
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,8 +34,14 @@ class Moment:
         Its first flow column.
     column : callable, optional
         ``column(frame, contacts) -> (n, ...)`` for a column of constants.
+        Together with a `level` it gives (n, 4): a weight, and three numbers that take the place of velocity in the flow
+        columns of a pass of their own, so that their squares and products are kept relative to each node.
     contacts : bool
         Whether contacts are needed, in whole.
+    at_contacts : bool
+        Whether a row of `column` is a contact, which stands at its contact point, and not a grain.
+    layout : tuple
+        Columns of the components, counted from the first, where they do not stand one after the other.
     """
 
     variables: tuple[str, ...]
@@ -44,6 +51,13 @@ class Moment:
     first: int = 0
     column: Callable[[Frame, Contacts | None], NDArray] | None = None
     contacts: bool = False
+    at_contacts: bool = False
+    layout: tuple[Any, ...] = ()
+
+    @property
+    def columns(self) -> NDArray:
+        """Columns of the components, counted from the first: an array of the moment's shape."""
+        return np.array(self.layout) if self.layout else np.arange(math.prod(self.shape)).reshape(self.shape)
 
 
 def _power(exponent: int) -> Callable[[Frame, Contacts | None], NDArray]:
@@ -67,6 +81,13 @@ def _forces(frame: Frame, contacts: Contacts | None) -> NDArray:
     return contacts.forces
 
 
+def _one_a_contact(frame: Frame, contacts: Contacts | None) -> NDArray:
+    return np.ones(len(frame["contact_i"]))
+
+
+_SYMMETRIC = ((0, 1, 2), (1, 3, 4), (2, 4, 5))  # kept as six
+_OFFSETS = (0, 4, 8)  # m x and m u x of one direction stand together
+_SHEARS = ((0, 4, 8), (1, 5, 9), (2, 6, 10))
 _MV = ("mass", "velocity")
 _FORCE = ("contact_force",)
 MOMENTS: dict[str, Moment] = {
@@ -74,14 +95,14 @@ MOMENTS: dict[str, Moment] = {
     "count": Moment((), "1, where Psi > 0", (), kernel.VELOCITY, kernel.COUNT),
     "mass": Moment(("mass",), "m", (), kernel.VELOCITY, kernel.MASS),
     "momentum": Moment(_MV, "m u", (3,), kernel.VELOCITY, kernel.MOMENTUM),
-    "kinetic": Moment(_MV, "m u u", (3, 3), kernel.FLUCTUATION, kernel.KINETIC),
-    "offset": Moment(("mass",), "m x", (3,), kernel.LINEAR, kernel.OFFSET),
-    "shear": Moment(_MV, "m u x", (3, 3), kernel.LINEAR, kernel.SHEAR),
-    "spread": Moment(("mass",), "m x x", (3, 3), kernel.LINEAR, kernel.SPREAD),
+    "kinetic": Moment(_MV, "m u u", (3, 3), kernel.FLUCTUATION, kernel.KINETIC, layout=_SYMMETRIC),
+    "offset": Moment(("mass",), "m x", (3,), kernel.LINEAR, kernel.OFFSET, layout=_OFFSETS),
+    "shear": Moment(_MV, "m u x", (3, 3), kernel.LINEAR, kernel.SHEAR, layout=_SHEARS),
+    "spread": Moment(("mass",), "m x x", (3, 3), kernel.LINEAR, kernel.SPREAD, layout=_SYMMETRIC),
     # these with Psi once more
     "square": Moment(("mass",), "m^2 Psi", (), kernel.FLUCTUATION, kernel.SQUARE),
     "square_offset": Moment(("mass",), "m^2 Psi x", (3,), kernel.SQUARED, kernel.SQUARE_OFFSET),
-    "square_spread": Moment(("mass",), "m^2 Psi x x", (3, 3), kernel.SQUARED, kernel.SQUARE_SPREAD),
+    "square_spread": Moment(("mass",), "m^2 Psi x x", (3, 3), kernel.SQUARED, kernel.SQUARE_SPREAD, layout=_SYMMETRIC),
     # columns of constants
     "number": Moment((), "1", column=lambda frame, _: np.ones(len(frame["position"]))),
     "volume": Moment(("volume",), "V", column=lambda frame, _: frame["volume"]),
@@ -89,8 +110,10 @@ MOMENTS: dict[str, Moment] = {
     "size3": Moment(("diameter",), "d^3", column=_power(3)),
     "size4": Moment(("diameter",), "d^4", column=_power(4)),
     "partners": Moment((), "z", column=_partners, contacts=True),
-    "fabric": Moment(("volume",), "V sum_c n n", (3, 3), column=_fabric, contacts=True),
+    "fabric": Moment(("volume",), "V sum_c n n", (3, 3), column=_fabric, contacts=True, layout=_SYMMETRIC),
     "force": Moment(_FORCE, "sum_c f", (3,), column=_forces, contacts=True),
+    # at the contact points
+    "contacts": Moment((), "1", column=_one_a_contact, contacts=True, at_contacts=True),
     # weighted by grad Psi
     "mass_slope": Moment(("mass",), "m, with grad Psi", (3,)),
     "momentum_slope": Moment(_MV, "m u, with grad Psi", (3, 3)),
@@ -100,17 +123,5 @@ MOMENTS: dict[str, Moment] = {
     "traction": Moment(_FORCE, "f, at the wall", (3,), contacts=True),
 }
 
-_SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 # powers of the cutoff in the flow columns, which the deposit computes with lengths in cutoffs
 CUTOFF_POWERS = {"offset": 1, "shear": 1, "spread": 2, "square_offset": 1, "square_spread": 2}
-
-
-def columns_of(name: str) -> NDArray:
-    """Columns that make up a moment, counted from its first; symmetric tensors are kept as six."""
-    if name in ("kinetic", "spread", "square_spread", "fabric"):
-        return _SYMMETRIC
-    if name in ("offset", "shear"):  # m x and m u x of one direction stand together
-        directions = np.arange(0, 12, 4)
-        return directions if name == "offset" else np.arange(3)[:, None] + directions
-    shape = MOMENTS[name].shape
-    return np.arange(math.prod(shape)).reshape(shape)

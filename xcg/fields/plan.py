@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import xarray as xr
@@ -18,10 +18,13 @@ from xcg.fields.grid import Grid, make_grid
 from xcg.fields.moments import MOMENTS
 from xcg.fields.quadrature import SINGLE, gauss_limits
 from xcg.fields.smoothing import Kernel, as_kernel, choose_width
+from xcg.fields.variables import OwnField, Quantity, own_fields, own_moments, rows_of
 from xcg.scene.query import edges_of, groups_of, require_scene, setup_of
 from xcg.scene.schema import COMPONENTS, CONTACT_VARIABLES, SceneError, Setup
 from xcg.scene.sizes import layer_depth, with_measures
 from xcg.scene.warn import warn_user
+
+Fields: TypeAlias = str | Quantity | Sequence[str | Quantity] | None
 
 
 @dataclass(frozen=True)
@@ -83,13 +86,17 @@ class Plan:
         return (*nodes, *phases, *((self.phases,) if row.paired else ()), *(3,) * row.rank)
 
     def __str__(self) -> str:
-        grid, moments = self.deposit.grid, [MOMENTS[m] for m in self.deposit.moments]
+        grid, moments = self.deposit.grid, self.deposit.rows
         nodes = int(np.prod(grid.shape))
-        columns = self.deposit.level + sum(int(np.prod(m.shape)) for m in moments if m.column)
+        constants = [m for m in moments.values() if m.column and not m.level]
+        columns = self.deposit.level + sum(int(np.prod(m.shape)) for m in constants if not m.at_contacts)
+        points = sum(int(np.prod(m.shape)) for m in constants if m.at_contacts)
+        relative = [m.level for m in moments.values() if m.column and m.level]
         slopes = any(m.endswith("_slope") for m in self.deposit.moments)
         contact = 9 * ("contact" in self.deposit.moments)
         outputs = sum(int(np.prod(self.shape(name))) for name in self.fields)
-        sums = min(nodes, BLOCK_NODES) * max(1, self.phases - 1) * (columns + contact + slopes * 29)
+        width = columns + points + sum(relative) + contact + slopes * 29
+        sums = min(nodes, BLOCK_NODES) * max(1, self.phases - 1) * width
         own = f"; widths by group {[float(f'{w:.4g}') for w in self.widths]}" if len(self.widths) > 1 else ""
         rules = "closed form"
         if len(self.deposit.limits):
@@ -103,8 +110,10 @@ class Plan:
             "fixed": ", ".join(f"{a} = {v:g}" for a, v in grid.at.items()) or "none",
             "averaged": ", ".join(f"{a} ({self.extent[a] or 'box'})" for a in grid.averaged) or "none",
             "kernel": f"{self.kernel!r}, seen in {len(grid.seen)} of {self.kernel.dimension} dimensions{own}",
-            "sums": ", ".join(f"{m} ({MOMENTS[m].formula})" for m in self.deposit.moments),
-            "passes": f"{int(columns > 0)} over particles, {int(slopes)} with grad Psi, {contact // 9} over contacts",
+            "sums": ", ".join(f"{m} ({row.formula})" for m, row in moments.items()),
+            "passes": f"{int(columns > 0)} over particles, {int(slopes)} with grad Psi, {contact // 9} over contacts"
+            + (f", {int(points > 0)} over contact points" if points else "")
+            + (f", {len(relative)} relative to means" if relative else ""),
             "contacts": f"{rules} (rtol = {self.rtol:g})" if contact else "not read for stress",
             "memory": f"{8 * sums / 1e6:.3g} MB of sums a thread and {8 * outputs / 1e6:.3g} MB of fields a step",
         }
@@ -114,34 +123,42 @@ class Plan:
 _NARROW = 0.1  # widths, in mean diameters, that show single grains only
 
 
-def _choose_fields(asked: str | Sequence[str] | None, ds: xr.Dataset, options: registry.Options) -> tuple[str, ...]:
+def _choose_fields(
+    asked: Fields, ds: xr.Dataset, options: registry.Options
+) -> tuple[tuple[str, ...], tuple[OwnField, ...]]:
+    """Names of the fields of a result, and those of them that are quantities of the scene's own variables."""
     lacking = {name for name, f in registry.FIELDS.items() if f.option and getattr(options, f.option) is None}
     if asked is None:
         possible = [name for name in registry.listed(registered=False) if name not in lacking]
         here = [name for name in possible if _variables([name], ds, options) <= set(ds.data_vars)]
         if not here:
             require_scene(ds, ("mass",), "coarse_grain")
-        return tuple(here)
-    names = [asked] if isinstance(asked, str) else list(asked)
-    unknown = [name for name in names if name not in registry.listed()]
+        return tuple(here), ()
+    given = [asked] if isinstance(asked, (str, Quantity)) else list(asked)
+    own = own_fields(given, ds)
+    names = [own[k].name if k in own else one for k, one in enumerate(given)]
+    unknown = [name for name in names if name not in registry.listed() and name not in {o.name for o in own.values()}]
     if unknown or not names:
         msg = f"unknown fields {unknown}: choose from {', '.join(registry.listed())}"
+        more = [name for name in rows_of(ds) if name not in registry.FIELDS]
+        msg += f", or a variable of the scene: {', '.join(more)}"
         raise ValueError(msg)
     for name in names:
         if name in lacking:
             msg = f"{name} needs the argument {registry.FIELDS[name].option}="
             raise ValueError(msg)
-    return tuple(dict.fromkeys(names))
+    return tuple(dict.fromkeys(map(str, names))), tuple(dict.fromkeys(own.values()))
 
 
 def _variables(fields: Sequence[str], ds: xr.Dataset, options: registry.Options) -> set[str]:
     """Scene variables that some fields need."""
     needed = {"position", "particle_id"}
+    rows = MOMENTS | own_moments(options.own)
     for name in registry.moments_of(fields, options):
-        needed |= set(MOMENTS[name].variables)
+        needed |= set(rows[name].variables)
         if name == "partners" and "coordination_number" in ds:
             needed.add("coordination_number")
-        elif MOMENTS[name].contacts:
+        elif rows[name].contacts:
             needed |= set(CONTACT_VARIABLES) - {"contact_normal"}
             needed |= {"diameter"} & set(ds.data_vars)  # tells contacts that are far from their grains
             needed |= {"contact_normal"} & set(ds.data_vars) if name == "fabric" else set()
@@ -150,7 +167,7 @@ def _variables(fields: Sequence[str], ds: xr.Dataset, options: registry.Options)
 
 def make_plan(
     ds: xr.Dataset,
-    fields: str | Sequence[str] | None = None,
+    fields: Fields = None,
     *,
     width: float | str | Mapping[Any, float | str] | None = None,
     kernel: str | Kernel = "lucy",
@@ -191,7 +208,8 @@ def make_plan(
     if not (np.isfinite(rtol) and rtol >= 0):
         msg = f"rtol={rtol!r}: expected 0 (closed form) or a positive number such as 1e-3"
         raise ValueError(msg)
-    names = _choose_fields(fields, ds, options)
+    names, own = _choose_fields(fields, ds, options)
+    options = replace(options, own=own)
     if by_pair:
         names = tuple(dict.fromkeys([*names, "contact_stress_by_pair"]))
     variables = _variables(names, ds, options)
@@ -224,6 +242,7 @@ def make_plan(
         coarse=limits.size > 0 and rtol >= SINGLE,
         by=by,
         groups=() if by is None else groups_of(ds, by, groups),
+        own=own_moments(own),
     )
     x, y, z = (grid.spacing.get(a, 0.0) for a in COMPONENTS)
     options = replace(

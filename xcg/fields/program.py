@@ -19,7 +19,7 @@ from xcg.compiled.fit import FOUND
 from xcg.compiled.simd import EIGHT
 from xcg.fields import registry
 from xcg.fields.deposit import BlockSums
-from xcg.fields.moments import columns_of
+from xcg.fields.moments import MOMENTS
 from xcg.fields.trace import Trace, as_symbols
 
 
@@ -95,7 +95,9 @@ def program_for(fields: tuple[str, ...], options: registry.Options, groups: int 
     if registry.whole_grid(options):
         return None
     record = Trace()
-    moments = {name: _moment(record, name, groups) for name in registry.moments_of(fields, options)}
+    rows = MOMENTS | {name: row for one in options.own for name, row in one.moments.items()}
+    wanted = registry.moments_of(fields, options)
+    moments = {name: _moment(record, name, rows[name].columns, groups) for name in wanted}
     moments["reference"] = record.load("reference", 0, np.arange(3))
     found = _traced(fields, moments, options)
     results = {
@@ -122,9 +124,8 @@ def _traced(fields: Sequence[str], moments: Mapping[str, NDArray], options: regi
     return found
 
 
-def _moment(record: Trace, name: str, groups: int) -> NDArray:
+def _moment(record: Trace, name: str, columns: NDArray, groups: int) -> NDArray:
     """Symbols of a moment at one node: an array (phase, 1, ...), phase 0 the bulk, the sum over groups."""
-    columns = columns_of(name)
     if not groups:
         return record.load(name, 0, columns)[None, None]
     others = (groups + 1,) if name == "pair_contact" else ()

@@ -60,6 +60,9 @@ class Options:
     rows : tuple of (str, Field)
         Rows that stand in no registry of xcg, of fields that users registered: what computes a plan in another process
         finds them here.
+    own : tuple
+        Fields of the scene's own variables, each with a `name`, its `row`, and `moments` by name; see
+        `xcg.fields.variables.OwnField`.
     """
 
     plane: tuple[int, ...] = (0, 1, 2)
@@ -77,6 +80,7 @@ class Options:
     by_pair: bool | None = None
     temperature: str = "unbiased"
     rows: tuple[tuple[str, Field], ...] = ()
+    own: tuple[Any, ...] = ()
 
     @property
     def dimension(self) -> int:
@@ -114,6 +118,10 @@ class Field:
         An attribute of `Options` that has to be given for it.
     paired : bool
         Whether it has the dimension ``other_phase``.
+    units : str, optional
+        Its unit, where powers of length, mass and time do not make it; empty where it is not known.
+    source : str
+        The variable of the scene that it is made of, where it is not one that all scenes have.
     """
 
     rank: int
@@ -129,6 +137,8 @@ class Field:
     listed: bool = True
     option: str = ""
     paired: bool = False
+    units: str | None = None
+    source: str = ""
 
 
 # --- small algebra ---------------------------------------------------------------------------------------
@@ -592,6 +602,9 @@ def row(name: str, options: Options) -> Field:
     for own, field in options.rows:
         if own == name:
             return field
+    own = next((one for one in options.own if one.name == name), None)
+    if own is not None:
+        return own.row
     option, ways = WAYS.get(name, ("gradient", {}))
     return ways.get(getattr(options, option), FIELDS[name])
 

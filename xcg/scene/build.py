@@ -52,7 +52,7 @@ def to_dataset(
     """
     data = {}
     for name, values in arrays.items():
-        row = variable(name, values.dtype)
+        row = variable(name, values.dtype, values.ndim - 1)
         attrs = {"units": units_of(row.powers, setup.unit_system), "long_name": row.long_name}
         data[name] = xr.Variable(("time", *row.dims), values, attrs)
     if box is not None:
@@ -64,6 +64,8 @@ def to_dataset(
         "step": ("time", np.asarray(step, "int64"), {"units": "1", "long_name": "number of the time step"}),
         "component": ("component", list(COMPONENTS)),
     }
+    if any("direction" in variable.dims for variable in data.values()):
+        coords["direction"] = ("direction", list(COMPONENTS))
     if box is not None and (box == box[:1]).all():  # attributes stay with every selection of steps
         measured = {"box_lower": box[0, :, 0], "box_upper": box[0, :, 1], **measured}
     about: dict[str, Any] = {
@@ -134,6 +136,23 @@ def _split_steps(name: str, values: Any) -> list[NDArray]:
     raise SceneError(msg)
 
 
+def _split_own(name: str, values: Any, rows: Sequence[int]) -> list[NDArray]:
+    """As `_split_steps`, for a scalar, vector or tensor of the caller's own; `rows` of each step tell which it is."""
+    for part in values if isinstance(values, (list, tuple)) else [values]:
+        _refuse_mask(name, part)
+    if len(values) == len(rows) and all(np.shape(v)[:1] == (n,) for v, n in zip(values, rows, strict=True)):
+        return [np.asarray(v) for v in values]
+    array = np.asarray(values)
+    if len(rows) == 1 and array.shape[:1] == (rows[0],):
+        return [array]
+    msg = (
+        f"{name!r} has shape {np.shape(values) if isinstance(values, np.ndarray) else (len(values), '...')}: expected "
+        f"(n,), (n, 3) or (n, 3, 3) for a step, with n = {', '.join(map(str, rows[:3]))}{', ...' * (len(rows) > 3)}, "
+        f"and one such array for each of {len(rows)} steps"
+    )
+    raise SceneError(msg)
+
+
 def scene_from_arrays(
     position: Any,
     *,
@@ -187,7 +206,9 @@ def scene_from_arrays(
         Other variables by their scene name: ``velocity``, ``diameter``, ``mass``, ``volume``, ``particle_id``,
         ``species``, ``contact_i``, ``contact_j``, ``contact_force``, ``contact_point``, ... In a periodic box of less
         than two diameters ``contact_branch`` (from j to i) tells on which side grains touch, where no point does.
-        Any other name is one value a particle of your own, but for names that are almost one of these.
+        Any other name is a variable of your own, but for names that are almost one of these: of the contacts if it
+        begins with ``contact_``, else of the particles; scalars ``(n,)``, vectors ``(n, 3)`` or tensors ``(n, 3, 3)``
+        a step. `coarse_grain` takes it by its name.
 
     Returns
     -------
@@ -215,7 +236,11 @@ def scene_from_arrays(
     given = {"position": position, **variables}
     if density is not None and one_density is None:
         given["density"] = density
-    steps = {name: _split_steps(name, values) for name, values in given.items() if values is not None}
+    given = {name: values for name, values in given.items() if values is not None}
+    steps = {name: _split_steps(name, values) for name, values in given.items() if name in VARIABLES}
+    for name in (name for name in given if name not in VARIABLES):
+        key = "position" if variable(name).dims[0] == "particle" else "contact_i"
+        steps[name] = _split_own(name, given[name], [len(one) for one in steps.get(key, [])])
     counts = {name: len(values) for name, values in steps.items()}
     if len(set(counts.values())) > 1:
         msg = f"variables have different numbers of steps: {counts}"

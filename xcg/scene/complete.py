@@ -28,7 +28,7 @@ def _check_rows(frame: Frame, dim: str, source: str) -> None:
     rows = len(frame[first])
     problems = []
     for name, values in frame.items():
-        expected = variable(name, values.dtype).shape(rows)
+        expected = variable(name, values.dtype, values.ndim).shape(rows)
         if values.shape != expected:
             problems.append(f"'{name}' has shape {values.shape}, expected {expected}")
         elif values.dtype.kind == "f" and not np.isfinite(values).all():
@@ -44,7 +44,7 @@ def _typed(frame: Mapping[str, ArrayLike], setup: Setup, source: str) -> Frame:
     typed: Frame = {}
     for name, values in frame.items():
         array = np.asarray(values)
-        row = variable(name, array.dtype)
+        row = variable(name, array.dtype, array.ndim)
         if row.dtype == "int64" and array.dtype.kind == "f":
             if array.size and not (np.isfinite(array).all() and (array == np.rint(array)).all()):
                 bad = int(np.flatnonzero(~np.isfinite(array) | (array != np.rint(array)))[0])

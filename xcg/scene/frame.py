@@ -15,7 +15,7 @@ def stack(frames: Sequence[Frame], names: Sequence[str], rows: int) -> Frame:
     """Stack frames along a new first axis, padded to `rows` rows."""
     stacked = {}
     for name in names:
-        row = variable(name, frames[0][name].dtype)
+        row = variable(name, frames[0][name].dtype, frames[0][name].ndim)
         out = np.full((len(frames), *row.shape(rows)), row.fill, row.dtype)
         for t, frame in enumerate(frames):
             out[t, : len(frame[name])] = frame[name]
@@ -58,10 +58,25 @@ def frame_of(arrays: Mapping[str, NDArray], t: int, source: str = "scene") -> Fr
         rows["contact"] = slice(0, count) if valid[:count].all() else valid
     found: Frame = {}
     for name, values in arrays.items():
-        row = variable(name, values.dtype)
+        row = variable(name, values.dtype, values.ndim - 1)
         if row.dims[0] in rows:  # in the types of compiled loops: netCDF-3 holds bytes the other way round
             found[name] = values[t][rows[row.dims[0]]].astype(row.dtype, copy=False)
     return found
+
+
+def check_finite(name: str, frame: Frame, source: str) -> None:
+    """Refuse a variable that is not finite in a row that is not padding, as one that was assigned may be."""
+    bad = np.argwhere(~np.isfinite(frame[name]))
+    if not bad.size:
+        return
+    row = int(bad[0][0])
+    at_contacts = variable(name).dims[0] == "contact"
+    whose = f"contact row {row}" if at_contacts else f"particle {frame['particle_id'][row]}"
+    msg = (
+        f"{source}: {name!r} of {whose} is {frame[name][row]}; every row must hold finite numbers: repair it, or leave "
+        "the row out of the scene"
+    )
+    raise SceneError(msg)
 
 
 def phase_of(frame: Frame, by: str | None, groups: Sequence[int], source: str) -> NDArray:

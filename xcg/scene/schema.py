@@ -113,10 +113,17 @@ def did_you_mean(word: str, words: Iterable[str], cutoff: float = 0.6) -> str:
     return f"; did you mean {close[0]!r}?" if close else ""
 
 
-def variable(name: str, dtype: Any = "float64") -> Variable:
-    """Return the row of a scene variable; any other name is one value a particle, without a unit."""
+def variable(name: str, dtype: Any = "float64", ndim: int = 1) -> Variable:
+    """Return the row of a scene variable.
+
+    Any other name is a variable of the particles, or of the contacts if it begins with "contact_": a scalar, vector or
+    tensor by the number of dimensions of one step, without a unit.
+    """
+    if name in VARIABLES:
+        return VARIABLES[name]
     kind = "int64" if np.issubdtype(dtype, np.integer) else "float64"
-    return VARIABLES.get(name, Variable(_PARTICLE, (0, 0, 0), name.replace("_", " "), kind))
+    dims = ("contact" if name.startswith("contact_") else "particle", "component", "direction")
+    return Variable(dims[:ndim], (0, 0, 0), name.replace("_", " "), kind)
 
 
 # --- what files do not say -------------------------------------------------------------------------------

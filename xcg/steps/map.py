@@ -213,7 +213,7 @@ def _inputs(ds: xr.Dataset, names: Iterable[str]) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for name in names:
         given = ds[name].variable
-        array = given.transpose("time", *[d for d in given.dims if d not in ("time", "component", "bound")], ...)
+        array = given.transpose("time", ..., *[d for d in ("component", "direction", "bound") if d in given.dims])
         found[name] = array._data if isinstance(array._data, da.Array) else array.to_numpy()
     lazy = {n: a for n, a in found.items() if isinstance(a, da.Array)}
     if lazy:
