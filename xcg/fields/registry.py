@@ -599,12 +599,12 @@ TEMPERATURES = ("unbiased", *WAYS["fluctuation_density"][1])
 
 def row(name: str, options: Options) -> Field:
     """Return the row of a field, as computed with some options."""
-    for own, field in options.rows:
-        if own == name:
+    for registered, field in options.rows:
+        if registered == name:
             return field
-    own = next((one for one in options.own if one.name == name), None)
-    if own is not None:
-        return own.row
+    for own in options.own:
+        if own.name == name:
+            return own.row
     option, ways = WAYS.get(name, ("gradient", {}))
     return ways.get(getattr(options, option), FIELDS[name])
 

@@ -290,7 +290,7 @@ def own_field(quantity: Quantity, ds: xr.Dataset) -> OwnField:
         msg = f"{quantity}: the scene has no variable {name!r}{did_you_mean(name, rows_of(ds))}; it has {rows_of(ds)}"
         raise SceneError(msg)
     found = ds[name]
-    row = variable(name, found.dtype, found.ndim - 1)
+    row = variable(name, found.dtype, max(found.ndim - 1, 1))
     rank = len(row.dims) - 1
     if set(found.dims) != {"time", *row.dims} or found.dtype.kind not in "fiub":
         raise SceneError(_wrong_dims(found, row.dims))

@@ -285,8 +285,11 @@ def _refuse_misspelt(names: Iterable[str]) -> None:
     known = [*VARIABLES, *inspect.signature(scene_from_arrays).parameters]
     for name in names:
         own = any(name.startswith(word) and not name[len(word) :][:1].isalpha() for word in known)
-        likely = "" if own else did_you_mean(name, known, 0.77)
+        prefix = "contact_" if name.startswith("contact_") else ""  # which all variables of contacts share
+        alike = [word.removeprefix(prefix) for word in known if word.startswith(prefix)]
+        likely = "" if own else did_you_mean(name.removeprefix(prefix), alike, 0.77)
         if likely:
+            likely = likely.replace("'", f"'{prefix}", 1)
             msg = f"scene_from_arrays: {name!r} is neither an argument nor a variable of scenes{likely} Variables of "
             msg += "your own need names that are less alike"
             raise SceneError(msg)
