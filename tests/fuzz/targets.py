@@ -45,12 +45,12 @@ def fields_of(ds, **options) -> None:
 
 
 def _dumps(folder: Path) -> dict[str, bytes]:
-    head = "ITEM: UNITS\nlj\nITEM: TIME\n{}\n"
-    many = "".join(dumps.dump_text(step=k, before=head.format(k / 10) if not k else f"ITEM: TIME\n{k / 10}\n")
-                   for k in range(3))  # fmt: skip
-    pairs = "".join(dumps.pairs_text(step=k, before=head.format(k / 10) if not k else f"ITEM: TIME\n{k / 10}\n")
-                    for k in range(3))  # fmt: skip
-    return {"p.dump": many.encode(), "c.dump": pairs.encode()}
+    units = "ITEM: UNITS\nlj\n"  # as LAMMPS does it, before the first step only
+    files = {}
+    for name, text in (("p.dump", dumps.dump_text), ("c.dump", dumps.pairs_text)):
+        steps = [text(step=k, before=f"{units}ITEM: TIME\n{k / 10}\n").removeprefix(units) for k in range(3)]
+        files[name] = (units + "".join(steps)).encode()
+    return files
 
 
 def _use_dumps(folder: Path) -> None:
