@@ -18,7 +18,8 @@ definitions. Vectors have the dimension `component`; tensors have `component` (o
 (of the face or derivative), so that `stress.sel(component="x", direction="z")` is sigma_xz. Compression is positive.
 *Additive* fields of the phases add up to the bulk. The last column says how a field is [averaged](averages.md): sums as
 they are, ratios weighted by a sum, the rest anew from averages. [Your own fields](own_fields.md) are taken by name as
-well.
+well, and so is [any variable of the scene](own_fields.md#any-variable).
+`contact_number_density` is computed only where it is asked for.
 
 Sums are zero where nothing reaches. Ratios are NaN there, and `sample_count` says how many grains a node saw. A
 velocity gradient is NaN along directions that the grains at a node do not span; a temperature is NaN where a linear

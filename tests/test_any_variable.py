@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 
 import xcg
 from tests.brute_force import BruteKernel
+from xcg.cli.config import read_config
+from xcg.cli.run import run_job
 
 WIDTH = 0.12
 N, CONTACTS = 60, 90
@@ -358,6 +360,51 @@ def test_frozen_grains_are_not_counted():
     close(f.heat, written_out(psi, held.mass.to_numpy()[0], a["heat"], None)[1])
     free = (frozen[a["contact_i"]] == 0) | ((a["contact_j"] >= 0) & (frozen[a["contact_j"]] == 0))
     close(f.contact_wear, written_out(kernel_sums(f, a["contact_point"]) * free, 1.0, a["contact_wear"], None)[1])
+
+
+def test_averages_go_through_sums(tmp_path):
+    ds = series()
+    asked = ["heat", "density", "contact_slip", "contact_number_density", xcg.Flux("heat"), xcg.Variance("heat")]
+    f = ds.cg.coarse_grain(asked, width=WIDTH, axes="yz", spacing=0.3)
+    f.to_netcdf(tmp_path / "f.nc")
+    with xr.open_dataset(tmp_path / "f.nc") as reopened:
+        mean, line = reopened.cg.time_average(), reopened.cg.profile("z")
+    for name, weight in (("heat", "density"), ("variance_heat", "density"), ("contact_slip", "contact_number_density")):
+        w, q = f[weight], f[name].fillna(0)
+        xr.testing.assert_allclose(mean[name], (w * q).sum("time") / w.sum("time"))
+        xr.testing.assert_allclose(line[name], (w * q).sum("y") / w.sum("y"))
+    xr.testing.assert_allclose(mean.flux_heat, f.flux_heat.mean("time"))
+    with pytest.raises(ValueError, match="heat needs density"):
+        f[["heat"]].cg.time_average()
+
+
+def test_contacts_are_counted_where_they_are_asked_for():
+    ds = build()
+    f = ds.cg.coarse_grain("contact_number_density", width=WIDTH, spacing=0.3)
+    close(f.contact_number_density, kernel_sums(f, arrays()["contact_point"]).sum(1))
+    assert "contact_number_density" not in ds.cg.coarse_grain(width=WIDTH, axes="z")
+
+
+def test_a_job_takes_texts(tmp_path):
+    ds = series()
+    job = tmp_path / "job.toml"
+    for t in range(2):
+        one = ds.isel(time=t)
+        rows = np.column_stack([one.particle_id, one.position, one.velocity, one.diameter, one.heat])
+        table = "\n".join(" ".join(f"{x:.17g}" for x in row) for row in rows)
+        head = f"ITEM: TIMESTEP\n{t}\nITEM: NUMBER OF ATOMS\n{N}\nITEM: BOX BOUNDS pp ff pp\n"
+        head += "\n".join(f"{low} {high}" for low, high in EDGES)
+        columns = "\nITEM: ATOMS id x y z vx vy vz diameter c_heat\n"
+        (tmp_path / f"grains.{t}.dump").write_text(f"{head}{columns}{table}\n")
+    job.write_text(
+        '[scene]\nparticles = "grains.*.dump"\ndensity = 2500.0\nunits = "SI"\nnames = {c_heat = "heat"}\n'
+        '[fields]\nfields = ["density", "heat", "sum(heat)", "mean(heat, number, name=plain)"]\naxes = "z"\n'
+        '[output]\nfolder = "out"\n'
+    )
+    list(run_job(read_config(str(job))))
+    with xr.open_dataset(tmp_path / "out" / "fields.nc") as f:
+        assert set(f.data_vars) == {"density", "heat", "sum_heat", "plain"}
+        assert float(f.heat.mean()) == pytest.approx(300, abs=1)
 
 
 def test_one_layer():

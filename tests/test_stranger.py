@@ -201,3 +201,24 @@ def test_a_field_with_an_eigenvalue():
     np.testing.assert_allclose(mean.major_stress, np.linalg.eigvalsh(sigma)[..., -1], rtol=1e-12)
     ratio = mean.major_stress / (sum(sigma.sel(component=a, direction=a) for a in "xyz") / 3) - 1
     np.testing.assert_allclose(mean.stress_anisotropy, ratio, rtol=1e-9)
+
+
+# --- a variable of one's own -----------------------------------------------------------------------------
+
+
+def test_mean_of_a_temperature():
+    rng = np.random.default_rng(3)
+    position = rng.random((300, 3)) * [1.0, 1.0, 2.0]
+    ds = xcg.scene_from_arrays(
+        position, diameter=np.full(300, 0.1), density=1000.0, velocity=rng.normal(size=(300, 3)),
+        box={"x": (0, 1), "y": (0, 1), "z": (0, 2)}, periodic="xyz",
+    )  # fmt: skip
+    ds = ds.assign(temperature=(("time", "particle"), 290.0 + 10.0 * position[None, :, 2], {"units": "K"}))
+    f = ds.cg.coarse_grain(["velocity", "temperature", xcg.Flux("temperature")], width=0.2, axes="z")
+    assert f.temperature.dims == ("time", "z")
+    assert f.temperature.attrs["units"] == "K"
+    middle = f.temperature.sel(z=slice(0.6, 1.4)).isel(time=0)
+    np.testing.assert_allclose(middle, 290.0 + 10.0 * middle.z, atol=0.7)
+    weighed = f.temperature.attrs["weight"]
+    average = ds.cg.coarse_grain(["temperature", weighed], width=0.2, axes="z").cg.profile("z")
+    np.testing.assert_allclose(average.temperature, f.temperature)

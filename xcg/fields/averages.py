@@ -17,6 +17,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.fields import registry
+from xcg.fields.variables import row_of_result
 from xcg.scene.schema import COMPONENTS
 
 # --- averages of results ---------------------------------------------------------------------------------
@@ -169,7 +170,7 @@ def _rows_of(f: xr.Dataset) -> dict[str, registry.Field | None]:
     """Rows of the fields of a result; None for what is no field."""
     options = registry.options_of(f.attrs)
     names = map(str, f.data_vars)
-    return {name: registry.row(name, options) if name in registry.FIELDS else None for name in names}
+    return {name: registry.row(name, options) if name in registry.FIELDS else row_of_result(f[name]) for name in names}
 
 
 def _to_sums(f: xr.Dataset, purpose: str) -> xr.Dataset:

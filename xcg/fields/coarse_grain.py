@@ -239,6 +239,7 @@ def _label(ds: xr.Dataset, plan: Plan, arrays: Mapping[str, Any], call: str) -> 
             coords["other_phase"] = ("other_phase", [*map(str, plan.deposit.groups), "wall"])
         units = units_of(row.powers, system) if row.units is None else row.units
         about = {"units": units, "long_name": row.long_name, "formula": row.formula, "source": row.source}
+        about |= {"weight": row.weight} if row.source else {}  # what averages of fields without a row need
         attrs = {key: text for key, text in about.items() if text}
         data[name] = (("time", *plan.dims, *tail), arrays[name], attrs)
     return storable(xr.Dataset(data, coords, _provenance(ds, plan, call)))

@@ -129,6 +129,7 @@ def _choose_fields(
     """Names of the fields of a result, and those of them that are quantities of the scene's own variables."""
     lacking = {name for name, f in registry.FIELDS.items() if f.option and getattr(options, f.option) is None}
     if asked is None:
+        lacking |= {name for name, f in registry.FIELDS.items() if not f.default}
         possible = [name for name in registry.listed(registered=False) if name not in lacking]
         here = [name for name in possible if _variables([name], ds, options) <= set(ds.data_vars)]
         if not here:

@@ -114,6 +114,8 @@ class Field:
         Whether it is its inverse that is averaged with `weight`, as the weight is the numerator.
     listed : bool
         False for steps of the algebra that are not fields of their own.
+    default : bool
+        Whether it is computed where no field is asked for by name.
     option : str
         An attribute of `Options` that has to be given for it.
     paired : bool
@@ -135,6 +137,7 @@ class Field:
     weight: str = ""
     harmonic: bool = False
     listed: bool = True
+    default: bool = True
     option: str = ""
     paired: bool = False
     units: str | None = None
@@ -528,6 +531,10 @@ _ROWS: dict[str, Field] = {
     "contact_force_density": Field(
         1, (-2, 1, -2), "density of the contact forces on the grains", "sum_i Psi sum_c f_ij",
         lambda f, s, o: s.force, moments=("force",), additive=True,
+    ),
+    "contact_number_density": Field(
+        0, (-3, 0, 0), "number density of contacts", "n_c = sum_c Psi(r - c)",
+        lambda f, s, o: s.contacts, moments=("contacts",), additive=True, default=False,
     ),
     # steps of the algebra
     "_drift": Field(1, (1, 0, -1), "", "V - U", _drift, moments=("mass", "momentum"), listed=False),

@@ -174,7 +174,7 @@ class OwnField:
     @property
     def _counts(self) -> str:
         """The field that weighs averages over nodes or steps: that of its weights."""
-        return "" if self.at_contacts else WEIGHTS[self.weight][3]
+        return "contact_number_density" if self.at_contacts else WEIGHTS[self.weight][3]
 
     @property
     def _triples(self) -> list[tuple[_Number, _Number, _Number]]:
@@ -243,6 +243,14 @@ class OwnField:
             additive=kind in (Sum, Flux), weight="" if kind in (Sum, Flux) else self._counts, units=self.units,
             source=f"variable {q!r} of the {'contacts' if self.at_contacts else 'particles'}",
         )  # fmt: skip
+
+
+def row_of_result(field: xr.DataArray) -> Field | None:
+    """Return what averages have to know of a quantity in a result, from its attributes; None for other fields."""
+    if "source" not in field.attrs:
+        return None
+    weight = str(field.attrs.get("weight", ""))
+    return Field(0, (0, 0, 0), "", "", lambda f, s, o: None, additive=not weight, weight=weight)
 
 
 def own_moments(own: Iterable[OwnField]) -> dict[str, Moment]:
