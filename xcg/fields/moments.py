@@ -115,8 +115,8 @@ MOMENTS: dict[str, Moment] = {
     # at the contact points
     "contacts": Moment((), "1", column=_one_a_contact, contacts=True, at_contacts=True),
     # weighted by grad Psi
-    "mass_slope": Moment(("mass",), "m, with grad Psi", (3,)),
-    "momentum_slope": Moment(_MV, "m u, with grad Psi", (3, 3)),
+    "mass_slope": Moment(("mass",), "m, with grad Psi", (3,), layout=_OFFSETS),
+    "momentum_slope": Moment(_MV, "m u, with grad Psi", (3, 3), layout=_SHEARS),
     # along branches, and at walls
     "contact": Moment(_FORCE, "f a, along the branch", (3, 3), contacts=True),
     "pair_contact": Moment(_FORCE, "f a, along the branch, by phase of the partner", (3, 3), contacts=True),
