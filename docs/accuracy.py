@@ -459,13 +459,14 @@ def nodes_reached(target: str, args: Sequence[Any], ratio: float) -> float:
     ball, tube = 4 / 3 * np.pi * ratio**3, np.pi * ratio**3
     if target == POINTS:
         return ball
-    return float(ball + tube * np.linalg.norm(args[0][:, BRANCH : BRANCH + 3], axis=1).mean())
+    return float(ball + tube * np.linalg.norm(args[0].records[:, BRANCH : BRANCH + 3], axis=1).mean())
 
 
 def rate(ds: xr.Dataset, field: str, target: str, kernel: str, width: float, repeats: int) -> Rate:
     (args,) = captured(target, lambda: ds.cg.coarse_grain(field, kernel=kernel, width=width))
     moments = args[-1] if target == SEGMENTS else args[-2]
-    columns, items = moments.shape[-1], len(args[0])
+    items = len(args[0].records if target == SEGMENTS else args[0].order)
+    columns = moments.shape[-1]
     reached = nodes_reached(target, args, KERNELS[kernel])
     weights, factors = np.ones(max(1, round(reached * columns))), np.ones(items)
     loop, bare = fastest(

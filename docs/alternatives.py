@@ -87,7 +87,7 @@ def single_precision() -> Callable[..., None]:
 
 def _with_table(loop: Callable[..., None], bins: int) -> Callable[..., None]:
     table = _lucy_table(bins).reshape(1, 1, -1)
-    return lambda *args: loop(*changed(args, table=table))
+    return lambda *args: loop(*changed(args, kernel=_of(args, "kernel")._replace(table=table)))
 
 
 # --- moments ---------------------------------------------------------------------------------------------
@@ -113,8 +113,9 @@ def two_passes(*args: Any) -> None:
     reference, moments = _of(args, "reference"), _of(args, "moments")
     reference[:] = 0.0
     first = np.zeros((*moments.shape[:2], VELOCITY))
-    none = np.zeros((len(_of(args, "mass")), 0))
-    deposit(*changed(args, level=VELOCITY, constants=none, moments=first))
+    grains = _of(args, "grains")
+    grains = grains._replace(constants=np.zeros((len(grains.mass), 0)))
+    deposit(*changed(args, level=VELOCITY, grains=grains, moments=first))
     total = first.sum(axis=0)
     mass, momentum = total[:, [MASS]], total[:, MOMENTUM : MOMENTUM + 3]
     reference[:] = np.divide(momentum, mass, out=reference, where=mass > 0)

@@ -10,8 +10,10 @@ records updated, four neighbouring columns in one instruction.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from xcg.compiled._jit import leaf
 from xcg.compiled.reach import BATCH, NODE, OTHER, Q2, WEIGHT, X, Y, Z, batch_reaches, nodes_in_ball, periodic_images
@@ -37,72 +39,88 @@ NONE, VELOCITY, FLUCTUATION, LINEAR, SQUARED = 0, 8, 12, 32, 40
 _COLUMNS = tuple(np.uint64(k) for k in range(SQUARED))
 
 
-@leaf
-def deposit(
-    order, position, velocity, mass, constants, phase, level, still, meet, origin, cutoff, batches, low, high, steps,
-    active, period, kind, spread, table, norm, by_gradient, grains, lists, numbers, moments, reference,
-):  # fmt: skip
-    """Add grains to the nodes within their support.
+class Grains(NamedTuple):
+    """Grains, or other points, that are added.
 
-    Parameters
+    Attributes
     ----------
     order : (k,)
-        The grains, one after the other.
+        Rows of the grains, one after the other.
+    batches : (r, 2, 3)
+        Bounds of each batch of them, in cutoffs from the first node, see `batches_of`: those out of reach are passed
+        over.
     position : (n, 3)
         Centres.
-    velocity : (n, 3)
-        Velocities; of no account at level NONE.
-    mass : (n,)
-        Masses; of no account at level NONE.
+    velocity, mass : (n, 3), (n,)
+        Velocities and masses; of no account at level NONE.
     constants : (n, q)
         Columns that are the same for all nodes; q is a multiple of four, as they are added four at a time.
     phase : (n,)
         Which group each grain belongs to.
+    origin, cutoff : tuple, float
+        Place of the first node, and radius of the support, in the unit of `position`. All other lengths are in cutoffs.
+    """
+
+    order: NDArray
+    batches: NDArray
+    position: NDArray
+    velocity: NDArray
+    mass: NDArray
+    constants: NDArray
+    phase: NDArray
+    origin: tuple[float, float, float]
+    cutoff: float
+
+
+@leaf
+def deposit(grains, nodes, kernel, level, still, meet, by_gradient, records, lists, moments, reference):
+    """Add grains to the nodes within their support.
+
+    Parameters
+    ----------
+    grains : Grains
+        The grains.
+    nodes : Nodes
+        A block of nodes.
+    kernel : KernelCode
+        The smoothing function.
     level : int
         NONE, VELOCITY, FLUCTUATION, LINEAR or SQUARED: how many flow columns are wanted.
     still : True or None
         Whether all grains have the same velocity, so that all columns with u are zero. None leaves code out when the
-        kernel is compiled, here and below.
+        loop is compiled, here and below.
     meet : True or None
         Whether several images of a grain may reach one node. They share their velocity: in the squares of weights
         they count as one grain.
-    origin, cutoff : tuple, float
-        Place of the first node, and radius of the support. Lengths up to here are in one unit; those that follow are in
-        cutoffs.
-    batches : (r, 2, 3)
-        Bounds of each run of grains, see `batches_of`: those out of reach are passed over.
-    low, high : tuple of int
-        The box of nodes low <= (ix, iy, iz) < high, so that boxes can be filled one by one, or at the same time.
-    steps, active, period : tuple
-        Spacing (cutoffs), whether distance along an axis counts, period (cutoffs; infinity where there is none).
-    kind, spread, table, norm
-        The kernel, see `xcg.fields.smoothing.Weights`.
     by_gradient : True or None
         Weigh by derivative / distance instead of the value.
-    grains : (RUN, GRAIN + q or more)
+    records : (BATCH, GRAIN + q or more)
         Scratch: of each grain PLACE and SPEED, three each, WEIGHED, GROUP, and its constants.
-    lists, numbers : (LISTS, m), (NUMBERS, m)
-        Scratch, see `lists_for`.
-    moments : (phases, nodes of the box, level + q)
+    lists : Lists
+        Scratch.
+    moments : (phases, nodes of the block, level + q)
         Sums, added to.
-    reference : (nodes of the box, 3)
+    reference : (nodes of the block, 3)
         Reference velocity of each node, NaN where no grain has reached it; set here.
     """
+    low, high, steps, active, period = nodes
+    kind, spread, table, norm = kernel
+    values, numbers = lists
     begin = (low[0] * steps[0], low[1] * steps[1], low[2] * steps[2])
     end = ((high[0] - 1) * steps[0], (high[1] - 1) * steps[1], (high[2] - 1) * steps[2])
     per_steps = (1.0 / steps[0], 1.0 / steps[1], 1.0 / steps[2])
     reach = (1.0 if active[0] else 0.0, 1.0 if active[1] else 0.0, 1.0 if active[2] else 0.0)
-    q2, weight = lists[Q2], lists[WEIGHT]
-    for batch in range(batches.shape[0]):
-        if not batch_reaches(batches, batch, begin, end, active, period):
+    q2, weight, columns = values[Q2], values[WEIGHT], grains.constants.shape[1]
+    for batch in range(grains.batches.shape[0]):
+        if not batch_reaches(grains.batches, batch, begin, end, active, period):
             continue
-        rows = order[batch * BATCH : (batch + 1) * BATCH]
-        _list_grains(rows, position, velocity, mass, constants, phase, origin, cutoff, grains)
+        rows = grains.order[batch * BATCH : (batch + 1) * BATCH]
+        _list_grains(rows, grains, records)
         for i in range(rows.size):
-            p = np.uint64(grains[i, GROUP])
-            x0 = grains[i, PLACE] if active[0] else 0.0
-            y0 = grains[i, PLACE + 1] if active[1] else 0.0
-            z0 = grains[i, PLACE + 2] if active[2] else 0.0
+            p = np.uint64(records[i, GROUP])
+            x0 = records[i, PLACE] if active[0] else 0.0
+            y0 = records[i, PLACE + 1] if active[1] else 0.0
+            z0 = records[i, PLACE + 2] if active[2] else 0.0
             first_x, last_x = periodic_images(x0, -reach[0], reach[0], begin[0], end[0], period[0])
             first_y, last_y = periodic_images(y0, -reach[1], reach[1], begin[1], end[1], period[1])
             first_z, last_z = periodic_images(z0, -reach[2], reach[2], begin[2], end[2], period[2])
@@ -114,44 +132,45 @@ def deposit(
                     y = y0 + image_y * period[1] if image_y else y0
                     for image_z in range(first_z, last_z + 1):
                         z = z0 + image_z * period[2] if image_z else z0
-                        hits = nodes_in_ball(x, y, z, steps, per_steps, low, high, lists, numbers)
+                        hits = nodes_in_ball(x, y, z, nodes, per_steps, lists)
                         fill_values(kind, spread, table, norm, by_gradient, q2, hits, weight)
                         if level > 0:
-                            _add_flow(p, grains, i, lists, numbers, hits, level, still, moments, reference)
+                            _add_flow(p, records, i, lists, hits, level, still, moments, reference)
                         if meet is not None:
-                            kernel = kind, spread, table, norm
-                            _add_images(p, grains[i, WEIGHED], lists, numbers, hits, level, period, kernel, moments)
-                        for d in range(0, constants.shape[1], 4):
-                            c0, c1 = grains[i, GRAIN + d], grains[i, GRAIN + d + 1]
-                            c2, c3 = grains[i, GRAIN + d + 2], grains[i, GRAIN + d + 3]
+                            _add_images(p, records[i, WEIGHED], lists, hits, level, period, kernel, moments)
+                        for d in range(0, columns, 4):
+                            c0, c1 = records[i, GRAIN + d], records[i, GRAIN + d + 1]
+                            c2, c3 = records[i, GRAIN + d + 2], records[i, GRAIN + d + 3]
                             for k in range(hits):
                                 add4(moments, p, numbers[NODE, k], level + d, weight[k], c0, c1, c2, c3)
 
 
 @leaf
-def _list_grains(rows, position, velocity, mass, constants, phase, origin, cutoff, grains):
+def _list_grains(rows, grains, records):
     """Put together what is needed of some grains, which is spread over memory: all of it is asked for at once."""
-    per_cutoff = 1.0 / cutoff
+    per_cutoff, origin = 1.0 / grains.cutoff, grains.origin
+    position, velocity, constants = grains.position, grains.velocity, grains.constants
     for i in range(rows.size):
         n = rows[i]
         for k in range(3):
-            grains[i, PLACE + k] = (position[n, k] - origin[k]) * per_cutoff
-            grains[i, SPEED + k] = velocity[n, k]
-        grains[i, WEIGHED], grains[i, GROUP] = mass[n], phase[n]
+            records[i, PLACE + k] = (position[n, k] - origin[k]) * per_cutoff
+            records[i, SPEED + k] = velocity[n, k]
+        records[i, WEIGHED], records[i, GROUP] = grains.mass[n], grains.phase[n]
         for k in range(constants.shape[1]):
-            grains[i, GRAIN + k] = constants[n, k]
+            records[i, GRAIN + k] = constants[n, k]
 
 
 @leaf
-def _add_flow(p, grains, i, lists, numbers, hits, level, still, moments, reference):
+def _add_flow(p, records, i, lists, hits, level, still, moments, reference):
     """Add one grain to the flow columns of the nodes that it reaches."""
-    mass, vx, vy, vz = grains[i, WEIGHED], grains[i, SPEED], grains[i, SPEED + 1], grains[i, SPEED + 2]
+    mass, vx, vy, vz = records[i, WEIGHED], records[i, SPEED], records[i, SPEED + 1], records[i, SPEED + 2]
+    values, numbers = lists
     for k in range(hits):
-        n, x, y, z = np.uint64(numbers[NODE, k]), lists[X, k], lists[Y, k], lists[Z, k]
+        n, x, y, z = np.uint64(numbers[NODE, k]), values[X, k], values[Y, k], values[Z, k]
         if math.isnan(reference[n, 0]):
             reference[n, 0], reference[n, 1], reference[n, 2] = vx, vy, vz
         ux, uy, uz = vx - reference[n, 0], vy - reference[n, 1], vz - reference[n, 2]
-        w = lists[WEIGHT, k] * mass
+        w = values[WEIGHT, k] * mass
         if still is not None:
             moments[p, n, _COLUMNS[MASS]] += w
             moments[p, n, _COLUMNS[COUNT]] += 1.0
@@ -187,10 +206,11 @@ def _others(period):
 
 
 @leaf
-def _add_images(p, mass, lists, numbers, hits, level, period, kernel, moments):
+def _add_images(p, mass, lists, hits, level, period, kernel, moments):
     """Add the products of the weight of one image of a grain, at the nodes that it reaches, and of all its others."""
     kind, spread, table, norm = kernel
-    q2, other = lists[Q2], lists[OTHER]
+    values, numbers = lists
+    q2, other = values[Q2], values[OTHER]
     many_x, many_y, many_z = _others(period[0]), _others(period[1]), _others(period[2])
     for n_x in range(-many_x, many_x + 1):
         move_x = n_x * period[0] if n_x else 0.0
@@ -201,16 +221,16 @@ def _add_images(p, mass, lists, numbers, hits, level, period, kernel, moments):
                 if n_x == 0 and n_y == 0 and n_z == 0:
                     continue
                 for k in range(hits):
-                    x, y, z = lists[X, k] + move_x, lists[Y, k] + move_y, lists[Z, k] + move_z
+                    x, y, z = values[X, k] + move_x, values[Y, k] + move_y, values[Z, k] + move_z
                     q2[k] = min(1.0, x * x + y * y + z * z)
                 fill_values(kind, spread, table, norm, None, q2, hits, other)
                 for k in range(hits):
                     if q2[k] >= 1.0:
                         continue
-                    n, w = np.uint64(numbers[NODE, k]), mass * lists[WEIGHT, k] * (mass * other[k])
+                    n, w = np.uint64(numbers[NODE, k]), mass * values[WEIGHT, k] * (mass * other[k])
                     moments[p, n, _COLUMNS[SQUARE]] += w
                     if level >= SQUARED:
-                        x, y, z = lists[X, k], lists[Y, k], lists[Z, k]
+                        x, y, z = values[X, k], values[Y, k], values[Z, k]
                         to_x, to_y, to_z = w * (x + move_x), w * (y + move_y), w * (z + move_z)
                         add4(moments, p, n, SQUARE_OFFSET, 1.0, to_x, to_y, to_z, x * to_x)
                         add4(moments, p, n, SQUARE_SPREAD + 1, 1.0, x * to_y, x * to_z, y * to_y, y * to_z)

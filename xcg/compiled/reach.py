@@ -11,6 +11,7 @@ Indices are unsigned, as signed ones are looked at for counting from the end.
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,35 @@ LISTS, NUMBERS = 12, 6
 MOST_CELLS = 1 << 20
 
 
+class Nodes(NamedTuple):
+    """The nodes that are filled, and what surrounds them: tuples of one entry for each axis.
+
+    Attributes
+    ----------
+    low, high : tuple of int
+        The block of nodes low <= (ix, iy, iz) < high, so that blocks can be filled one by one, or at the same time.
+    steps : tuple of float
+        Spacing.
+    active : tuple of bool
+        Whether distance along an axis counts.
+    period : tuple of float
+        Period, infinity where there is none.
+    """
+
+    low: tuple[int, int, int]
+    high: tuple[int, int, int]
+    steps: tuple[float, float, float]
+    active: tuple[bool, bool, bool]
+    period: tuple[float, float, float]
+
+
+class Lists(NamedTuple):
+    """Scratch for lists of nodes, see `lists_for`: numbers of one precision (LISTS, m), and integers (NUMBERS, m)."""
+
+    values: NDArray
+    numbers: NDArray
+
+
 @leaf
 def periodic_images(x, low, high, first, last, period):
     """First and last periodic image of an interval [x + low, x + high] that meets the nodes in [first, last]."""
@@ -57,80 +87,80 @@ def padded(count):
     return (count + PAD - 1) // PAD * PAD
 
 
-def lists_for(
-    low: Sequence[int], high: Sequence[int], reach: Sequence[float], steps: Sequence[float], real: str = "float64"
-) -> tuple[NDArray, NDArray]:
-    """Make lists for anything that reaches this far along each axis, within the box low <= node < high.
+def lists_for(nodes: Nodes, reach: Sequence[float], real: str = "float64") -> Lists:
+    """Make lists for anything that reaches this far, from end to end, along the active axes.
 
     The integers come with tables of the indices of the nodes of a row and of the rows of a plane.
     """
-    most = 1
-    for first, end, far, step in zip(low, high, reach, steps, strict=True):
+    low, high, most = nodes.low, nodes.high, 1
+    for first, end, far, step, active in zip(low, high, reach, nodes.steps, nodes.active, strict=True):
         # no more than there are: along an axis with one node the spacing means nothing
-        most *= min(end - first, int(far / step) + 2)
+        most *= min(end - first, int(far / step) + 2 if active else 2)
     room = padded(most) + PAD
     numbers = np.zeros((NUMBERS, room), "int32")
     numbers[OF_Z] = np.arange(room)
     numbers[OF_Y] = np.arange(room) * (high[2] - low[2])
-    return np.zeros((LISTS, room), real), numbers
+    return Lists(np.zeros((LISTS, room), real), numbers)
 
 
 @leaf
-def nodes_in_ball(x, y, z, steps, per_steps, low, high, lists, numbers):
+def nodes_in_ball(x, y, z, nodes, per_steps, lists):
     """List the nodes closer than 1 to a point.
 
     Parameters
     ----------
     x, y, z : float
         The point.
-    steps, per_steps : tuple
-        Spacing of the nodes, and nodes per length.
-    low, high : tuple of int
-        Only nodes low <= (ix, iy, iz) < high, whose indices are counted within this box.
-    lists, numbers : (LISTS, n), (NUMBERS, n)
-        Written: numbers[NODE], the indices, and lists[Q2], squared distances, and lists[X], lists[Y] and lists[Z], the
-        point minus the node.
+    nodes : Nodes
+        Indices are counted within this block.
+    per_steps : tuple
+        Nodes per length.
+    lists : Lists
+        Written: numbers[NODE], the indices, and values[Q2], squared distances, and values[X], values[Y] and values[Z],
+        the point minus the node.
 
     Returns
     -------
     int
         Number of nodes listed.
     """
+    low, high, steps = nodes.low, nodes.high, nodes.steps
+    values, numbers = lists.values, lists.numbers
     x0, x1 = node_range(x - 1.0, x + 1.0, per_steps[0], low[0], high[0])
     y0, y1 = node_range(y - 1.0, y + 1.0, per_steps[1], low[1], high[1])
     z0, z1 = node_range(z - 1.0, z + 1.0, per_steps[2], low[2], high[2])
     ny, nz = high[1] - low[1], high[2] - low[2]
     for j in range(0, y1 - y0, EIGHT):
-        ramp8(lists, OF_Y, OF_Y2, j, y0 + j, steps[1], y, -1.0)
+        ramp8(values, OF_Y, OF_Y2, j, y0 + j, steps[1], y, -1.0)
     for j in range(0, z1 - z0, EIGHT):
-        ramp8(lists, OF_Z, OF_Z2, j, z0 + j, steps[2], z, -1.0)
+        ramp8(values, OF_Z, OF_Z2, j, z0 + j, steps[2], z, -1.0)
     count = 0
     for ix in range(x0, x1):
         dx, begin = x - ix * steps[0], ((ix - low[0]) * ny + y0 - low[1]) * nz + z0 - low[2]
         for j in range(0, y1 - y0, EIGHT):
-            fill8(lists, ROW_X, count + j, dx)
-            add_scalar8(lists, ROW_Y, count + j, 0.0, OF_Y, j)
+            fill8(values, ROW_X, count + j, dx)
+            add_scalar8(values, ROW_Y, count + j, 0.0, OF_Y, j)
             add_scalar8(numbers, ROW, count + j, begin, OF_Y, j)
         count += y1 - y0
     lowest, highest, per_step = float(z0), float(z1 - 1), per_steps[2]
     for k in range(padded(count)):
-        dx, dy = lists[ROW_X, k], lists[ROW_Y, k]
+        dx, dy = values[ROW_X, k], values[ROW_Y, k]
         row2 = dx * dx + dy * dy
         half = math.sqrt(max(0.0, 1.0 - row2))
         begin = max(lowest, np.ceil((z - half) * per_step))
         end = min(highest, np.floor((z + half) * per_step) if row2 < 1.0 else lowest - 1.0)
-        lists[ROW2, k] = row2
+        values[ROW2, k] = row2
         numbers[FIRST, k] = np.int32(max(0.0, min(highest, begin) - lowest))  # within the tables
         numbers[MANY, k] = np.int32(max(0.0, end - begin + 1.0))
     hits = 0
     for k in range(count):
         first, left = numbers[FIRST, k], numbers[MANY, k]
-        dx, dy, row2, row = lists[ROW_X, k], lists[ROW_Y, k], lists[ROW2, k], numbers[ROW, k]
+        dx, dy, row2, row = values[ROW_X, k], values[ROW_Y, k], values[ROW2, k], numbers[ROW, k]
         while True:
-            add_scalar8(lists, Q2, hits, row2, OF_Z2, first)
-            fill8(lists, X, hits, dx)
-            fill8(lists, Y, hits, dy)
-            add_scalar8(lists, Z, hits, 0.0, OF_Z, first)
+            add_scalar8(values, Q2, hits, row2, OF_Z2, first)
+            fill8(values, X, hits, dx)
+            fill8(values, Y, hits, dy)
+            add_scalar8(values, Z, hits, 0.0, OF_Z, first)
             add_scalar8(numbers, NODE, hits, row, OF_Z, first)
             hits += min(EIGHT, left)
             left -= EIGHT
@@ -141,8 +171,8 @@ def nodes_in_ball(x, y, z, steps, per_steps, low, high, lists, numbers):
 
 
 @leaf
-def nodes_around_segment(x, y, z, bx, by, bz, per_length, steps, per_steps, low, high, lists, numbers):
-    """List the nodes closer than 1 to the segment from a point to that point plus b, in the precision of `lists`.
+def nodes_around_segment(x, y, z, bx, by, bz, per_length, nodes, per_steps, lists):
+    """List the nodes closer than 1 to the segment from a point to that point plus b, in the precision of the lists.
 
     Along the row of nodes at (dx, dy) from the start, the end u of the reach is where ``u bz + sqrt(1 - |d - u b|^2)``,
     seen along z, is largest for 0 <= u <= 1.
@@ -153,10 +183,10 @@ def nodes_around_segment(x, y, z, bx, by, bz, per_length, steps, per_steps, low,
         Start of the segment, and its end relative to it.
     per_length : float
         1 / its length, or 0.
-    steps, per_steps, low, high
+    nodes, per_steps
         As in `nodes_in_ball`.
-    lists, numbers : (LISTS, n), (NUMBERS, n)
-        Written: numbers[NODE], the indices, lists[Q2], squared distances to the start, and lists[ALONG], the foot of
+    lists : Lists
+        Written: numbers[NODE], the indices, values[Q2], squared distances to the start, and values[ALONG], the foot of
         the node on the segment's line, from the start.
 
     Returns
@@ -164,6 +194,8 @@ def nodes_around_segment(x, y, z, bx, by, bz, per_length, steps, per_steps, low,
     int
         Number of nodes listed.
     """
+    low, high, steps = nodes.low, nodes.high, nodes.steps
+    values, numbers = lists.values, lists.numbers
     x0, x1 = node_range(x + min(0.0, bx) - 1.0, x + max(0.0, bx) + 1.0, per_steps[0], low[0], high[0])
     y0, y1 = node_range(y + min(0.0, by) - 1.0, y + max(0.0, by) + 1.0, per_steps[1], low[1], high[1])
     z0, z1 = node_range(z + min(0.0, bz) - 1.0, z + max(0.0, bz) + 1.0, per_steps[2], low[2], high[2])
@@ -172,7 +204,7 @@ def nodes_around_segment(x, y, z, bx, by, bz, per_length, steps, per_steps, low,
     tilt = 0.0
     if bz != 0.0:
         tilt = bz / math.sqrt(across2 * (across2 + bz * bz)) if across2 > 1e-30 else math.copysign(1e30, bz)
-    real = lists.dtype.type
+    real = values.dtype.type
     zero, one, two = real(0.0), real(1.0), real(2.0)
     # nodes are counted from the one below the start, so that few digits are enough, and the same whatever the box
     base_y, base_z = math.floor(y * per_steps[1]), math.floor(z * per_steps[2])
@@ -181,22 +213,22 @@ def nodes_around_segment(x, y, z, bx, by, bz, per_length, steps, per_steps, low,
     ez, per_length = real(bz * per_length), real(per_length)
     ny, nz = high[1] - low[1], high[2] - low[2]
     for j in range(0, y1 - y0, EIGHT):
-        ramp8(lists, OF_Y, OF_Y2, j, y0 - base_y + j, step_y, y, by)
+        ramp8(values, OF_Y, OF_Y2, j, y0 - base_y + j, step_y, y, by)
     for j in range(0, z1 - z0, EIGHT):
-        ramp8(lists, OF_Z, OF_Z2, j, z0 - base_z + j, step_z, z, ez)
+        ramp8(values, OF_Z, OF_Z2, j, z0 - base_z + j, step_z, z, ez)
     count = 0
     for ix in range(x0, x1):
         dx, begin = ix * steps[0] - x, ((ix - low[0]) * ny + y0 - low[1]) * nz + z0 - low[2]
         dx2, dx_dot = real(dx * dx), real(dx * bx)
         for j in range(0, y1 - y0, EIGHT):
-            add_scalar8(lists, ROW2, count + j, dx2, OF_Y2, j)
-            add_scalar8(lists, ROW_DOT, count + j, dx_dot, OF_Y, j)
+            add_scalar8(values, ROW2, count + j, dx2, OF_Y2, j)
+            add_scalar8(values, ROW_DOT, count + j, dx_dot, OF_Y, j)
             add_scalar8(numbers, ROW, count + j, begin, OF_Y, j)
         count += y1 - y0
     lowest, highest = real(z0 - base_z), real(z1 - 1 - base_z)
     c2, per_c2, tilt, rise = real(across2), real(1.0 / across2 if across2 > 0.0 else 0.0), real(tilt), real(bz)
     for k in range(padded(count)):
-        row2, dot = lists[ROW2, k], lists[ROW_DOT, k]
+        row2, dot = values[ROW2, k], values[ROW_DOT, k]
         u = dot * per_c2
         move = np.sqrt(max(zero, one - (row2 - dot * u))) * tilt
         upper, lower = min(one, max(zero, u + move)), min(one, max(zero, u - move))
@@ -211,10 +243,10 @@ def nodes_around_segment(x, y, z, bx, by, bz, per_length, steps, per_steps, low,
     hits = 0
     for k in range(count):
         first, left = numbers[FIRST, k], numbers[MANY, k]
-        row2, foot, row = lists[ROW2, k], lists[ROW_DOT, k] * per_length, numbers[ROW, k]
+        row2, foot, row = values[ROW2, k], values[ROW_DOT, k] * per_length, numbers[ROW, k]
         while True:
-            add_scalar8(lists, Q2, hits, row2, OF_Z2, first)
-            add_scalar8(lists, ALONG, hits, foot, OF_Z, first)
+            add_scalar8(values, Q2, hits, row2, OF_Z2, first)
+            add_scalar8(values, ALONG, hits, foot, OF_Z, first)
             add_scalar8(numbers, NODE, hits, row, OF_Z, first)
             hits += min(EIGHT, left)
             left -= EIGHT

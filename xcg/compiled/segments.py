@@ -8,6 +8,7 @@ that length.
 
 import math
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,10 +68,32 @@ def choose_order(length, limits):
     return 0
 
 
+class ContactRows(NamedTuple):
+    """Contacts by the rows of their particles.
+
+    Attributes
+    ----------
+    row_i, row_j : (n,)
+        Particles of each contact; negative where a partner is no row.
+    point, force : (n, 3)
+        Contact point, and force on i.
+    position, phase : (m, 3), (m,)
+        Of the particles.
+    period : tuple
+        Periods of the scene, infinity where there are none.
+    """
+
+    row_i: NDArray
+    row_j: NDArray
+    point: NDArray
+    force: NDArray
+    position: NDArray
+    phase: NDArray
+    period: tuple[float, float, float]
+
+
 @leaf
-def list_segments(
-    second, place, row_i, row_j, point, force, position, phase, others, wrap, cutoffs, cutoff, origin, segments, longest
-):  # fmt: skip
+def list_segments(contacts, second, place, others, cutoffs, cutoff, origin, segments, longest):
     """List one segment a contact: of its first particle that is there, or `second`, of its partner.
 
     Each side of a contact runs from its particle's centre to the contact point. Both sides are one segment, of the
@@ -78,28 +101,22 @@ def list_segments(
 
     Parameters
     ----------
+    contacts : ContactRows
+        The contacts.
     second : bool
         Whether the segments of the partners are wanted.
     place : (n,)
         Where in the list each contact's segment goes.
-    row_i, row_j : (n,)
-        Particles of each contact; negative where a partner is no row.
-    point, force : (n, 3)
-        Contact point, and force on i.
-    position, phase : (m, 3), (m,)
-        Of the particles.
     others : int
         0, or the number of phases of partners, the last one for partners that are no row: groups are then phases by
         phases of the partner.
-    wrap : tuple
-        Periods of the scene, infinity where there are none.
     cutoffs : (phases,)
         Cutoff of the sides of each phase.
     cutoff : float
         The one whose segments are listed, and their unit of length.
     origin : tuple
         Of the starts.
-    segments : (n, 10)
+    segments : (n, SEGMENT)
         Written: START, BRANCH from the segment's end to its start, and FORCE on the particle times the cutoff, three
         each, and GROUP, -1 where there is no segment.
     longest : (4,)
@@ -110,6 +127,7 @@ def list_segments(
     bool
         Whether any contact has a second segment.
     """
+    row_i, row_j, point, force, position, phase, wrap = contacts
     per_cutoff, more = 1.0 / cutoff, False
     most_x, most_y, most_z, most2 = 0.0, 0.0, 0.0, 0.0
     for n in range(place.size):
@@ -158,48 +176,66 @@ def _on_one_line(ax, ay, az, bx, by, bz):
     return ax * bx + ay * by + az * bz <= 0.0 and area2 <= COLLINEAR * COLLINEAR * most
 
 
+class Segments(NamedTuple):
+    """Segments that are added.
+
+    Attributes
+    ----------
+    records : (n, SEGMENT)
+        As from `list_segments`; lengths in cutoffs, starts relative to the first node.
+    limits : (k,)
+        Longest branch for which each of the first k `RULES` is accurate enough; empty for the closed form.
+    batches : (r, 2, 3)
+        Bounds of each batch of segments, see `batches_of`.
+    """
+
+    records: NDArray
+    limits: NDArray
+    batches: NDArray
+
+
 @leaf
-def deposit_segments(
-    segments, limits, batches, low, high, steps, active, period, kind, spread, table, norm, lists, numbers, closed,
-    rest, moments,
-):  # fmt: skip
+def deposit_segments(segments, nodes, kernel, lists, closed, rest, moments):
     """Add force x branch of each segment to the nodes that its tube of radius 1 reaches.
 
     Parameters
     ----------
-    segments : (n, 10)
-        As from `list_segments`; lengths in cutoffs, starts relative to the first node.
-    limits : (k,)
-        Longest branch for which each of the first k `RULES` is accurate enough; empty for the closed form.
-    runs, low, high, steps, active, period, kind, spread, table, norm
-        As in `deposit`.
-    lists, numbers : (LISTS, m), (NUMBERS, m)
-        Scratch, see `lists_for`: in single precision where that is enough for distances and weights; sums are in
-        double.
+    segments : Segments
+        The segments.
+    nodes : Nodes
+        A block of nodes.
+    kernel : KernelCode
+        The smoothing function.
+    lists : Lists
+        Scratch: in single precision where that is enough for distances and weights; sums are in double.
     closed : tuple or None
         Scratch for the closed form, see `closed_for`; None leaves out the segments that need it.
     rest : bool
         Leave out all other segments.
-    moments : (groups, nodes of the box, 9)
+    moments : (groups, nodes of the block, 9)
         Sums, added to: force component by branch component, row by row.
     """
+    low, high, steps, active, period = nodes
+    kind, spread, table, norm = kernel
+    values, numbers = lists
+    records = segments.records
     begin = (low[0] * steps[0], low[1] * steps[1], low[2] * steps[2])
     end = ((high[0] - 1) * steps[0], (high[1] - 1) * steps[1], (high[2] - 1) * steps[2])
     per_steps = (1.0 / steps[0], 1.0 / steps[1], 1.0 / steps[2])
     reach = (1.0 if active[0] else 0.0, 1.0 if active[1] else 0.0, 1.0 if active[2] else 0.0)
-    along, q2, w = lists[ALONG], lists[Q2], lists[WEIGHT]
+    along, q2, w = values[ALONG], values[Q2], values[WEIGHT]
     here = True
-    for i in range(segments.shape[0]):
+    for i in range(records.shape[0]):
         if i % BATCH == 0:
-            here = batch_reaches(batches, i // BATCH, begin, end, active, period)
-        if not here or segments[i, GROUP] < 0.0:
+            here = batch_reaches(segments.batches, i // BATCH, begin, end, active, period)
+        if not here or records[i, GROUP] < 0.0:
             continue
-        x0 = segments[i, START] if active[0] else 0.0
-        y0 = segments[i, START + 1] if active[1] else 0.0
-        z0 = segments[i, START + 2] if active[2] else 0.0
-        bx = -segments[i, BRANCH] if active[0] else 0.0
-        by = -segments[i, BRANCH + 1] if active[1] else 0.0
-        bz = -segments[i, BRANCH + 2] if active[2] else 0.0
+        x0 = records[i, START] if active[0] else 0.0
+        y0 = records[i, START + 1] if active[1] else 0.0
+        z0 = records[i, START + 2] if active[2] else 0.0
+        bx = -records[i, BRANCH] if active[0] else 0.0
+        by = -records[i, BRANCH + 1] if active[1] else 0.0
+        bz = -records[i, BRANCH + 2] if active[2] else 0.0
         first_x, last_x = periodic_images(
             x0, min(0.0, bx) - reach[0], max(0.0, bx) + reach[0], begin[0], end[0], period[0]
         )
@@ -212,7 +248,7 @@ def deposit_segments(
         if first_x > last_x or first_y > last_y or first_z > last_z:
             continue
         length = math.sqrt(bx * bx + by * by + bz * bz)
-        points = choose_order(length, limits)
+        points = choose_order(length, segments.limits)
         if (points > 0 and rest) or (points == 0 and closed is None):
             continue
         per_length = 1.0 / length if length > 0.0 else 0.0
@@ -222,22 +258,20 @@ def deposit_segments(
                 y = y0 + image_y * period[1] if image_y else y0
                 for image_z in range(first_z, last_z + 1):
                     z = z0 + image_z * period[2] if image_z else z0
-                    hits = nodes_around_segment(
-                        x, y, z, bx, by, bz, per_length, steps, per_steps, low, high, lists, numbers
-                    )
+                    hits = nodes_around_segment(x, y, z, bx, by, bz, per_length, nodes, per_steps, lists)
                     if points:
                         fill_gauss(kind, spread, table, GAUSS_POINTS, GAUSS_WEIGHTS, points, length, along, q2, hits, w)
                     elif closed is not None:
                         fill_segments(kind, spread, table, length, along, q2, hits, w, *closed)
-                    _add_dyad(moments, segments, i, norm, numbers, w, hits)
+                    _add_dyad(moments, records, i, norm, numbers, w, hits)
 
 
 @leaf
-def _add_dyad(moments, segments, i, norm, numbers, w, hits):
+def _add_dyad(moments, records, i, norm, numbers, w, hits):
     """Add weight x norm x force x branch of segment i to the nine columns of each node."""
-    p = np.uint64(segments[i, GROUP])
-    f0, f1, f2 = norm * segments[i, FORCE], norm * segments[i, FORCE + 1], norm * segments[i, FORCE + 2]
-    a0, a1, a2 = segments[i, BRANCH], segments[i, BRANCH + 1], segments[i, BRANCH + 2]
+    p = np.uint64(records[i, GROUP])
+    f0, f1, f2 = norm * records[i, FORCE], norm * records[i, FORCE + 1], norm * records[i, FORCE + 2]
+    a0, a1, a2 = records[i, BRANCH], records[i, BRANCH + 1], records[i, BRANCH + 2]
     for k in range(hits):
         n, v = np.uint64(numbers[NODE, k]), np.float64(w[k])
         add4(moments, p, n, 0, v, f0 * a0, f0 * a1, f0 * a2, f1 * a0)
@@ -245,10 +279,10 @@ def _add_dyad(moments, segments, i, norm, numbers, w, hits):
         moments[p, n, _LAST] += v * (f2 * a2)
 
 
-def closed_for(lists: NDArray) -> tuple[NDArray, NDArray, NDArray]:
-    """Scratch of the closed form as long as some lists: the same memory as floats and as integers, and integers."""
-    ratio = np.zeros(lists.shape[1])
-    return ratio, ratio.view("int64"), np.zeros(lists.shape[1], "int64")
+def closed_for(room: int) -> tuple[NDArray, NDArray, NDArray]:
+    """Scratch of the closed form of this length: the same memory as floats and as integers, and integers."""
+    ratio = np.zeros(room)
+    return ratio, ratio.view("int64"), np.zeros(room, "int64")
 
 
 def mean_along(points: NDArray, end: NDArray, order: int, kind: int | None, spread: float, table: NDArray) -> NDArray:
@@ -269,7 +303,7 @@ def _means(
     if order:
         fill_gauss(kind, spread, table, *gauss_rules(order), order, length, *lists[:2], count, lists[2])
     else:
-        fill_segments(kind, spread, table, length, *lists[:2], count, lists[2], *closed_for(lists))
+        fill_segments(kind, spread, table, length, *lists[:2], count, lists[2], *closed_for(room))
     return lists[2, :count]
 
 

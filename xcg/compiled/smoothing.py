@@ -8,22 +8,49 @@ P(q) the profile (q = r / cutoff, zero for q >= 1),
     n = 2   L2(q) = integral of P over a plane at distance q
 
 and the same three hold for kernels of any k. A segment at distance h from a point, running from t0 to t1 along
-its own line, contributes the integral of the value at sqrt(h^2 + t^2) over t. A kind is shape + codimension.
+its own line, contributes the integral of the value at sqrt(h^2 + t^2) over t.
 
 Powers of q integrate to polynomials and logarithms: for Lucy see `_lucy_line` and `_lucy_plane`.
 
-The kind of Lucy's kernel itself, in codimension 0, is None: the compiler tells None from a number by its type, and
-leaves all other kernels out of the loops that most scenes take, which then compile in half the time.
+A kind is one of these, the code of a kernel + its codimension. The kind of Lucy's kernel itself, in codimension 0, is
+`LUCY_FULL`, which is None: the compiler tells None from a number by its type, and leaves all other kernels out of the
+loops that most scenes take, which then compile in half the time.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from xcg.compiled._jit import jit, leaf
 from xcg.compiled.reach import padded
 
+# codes of the kernels
 LUCY, GAUSSIAN, HEAVISIDE, TABLE = 0, 3, 6, 9
+LUCY_FULL = None
+
+
+class KernelCode(NamedTuple):
+    """A kernel as loops take it, seen in some of its dimensions.
+
+    Attributes
+    ----------
+    kind : int or None
+        Code + codimension, `TABLE` alone, or `LUCY_FULL`.
+    spread : float
+        Width over cutoff, which a Gaussian needs.
+    table : (2, intervals, degree + 1)
+        Chebyshev series of a `TABLE`, see `_interpolate`; any array for other kinds.
+    norm : float
+        Factor to the values.
+    """
+
+    kind: int | None
+    spread: float
+    table: NDArray
+    norm: float
+
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(32)
 _SQRT2 = math.sqrt(2.0)
@@ -112,7 +139,7 @@ def _lucy_plane(h2, t):
 @leaf
 def value(kind, spread, table, q2):
     """Value at squared distance q2 < 1 (cutoff 1, not normalised); `spread` is w / c of the Gaussian."""
-    if kind is None:
+    if kind is LUCY_FULL:
         q = math.sqrt(q2)
         p = 1.0 - q
         return p * p * p * (1.0 + 3.0 * q)
@@ -143,13 +170,13 @@ def gradient(kind, spread, table, q2):
 
     Jumps at the cutoff are left out: zero for a Heaviside of codimension 0, the smooth part for a Gaussian.
     """
-    if kind is None:
+    if kind is LUCY_FULL:
         p = 1.0 - math.sqrt(q2)
         return -12.0 * p * p
     if kind == LUCY + 1:
         return _lucy_line_value(q2, True)
     if kind == LUCY + 2:
-        return -2.0 * math.pi * value(None, spread, table, q2)
+        return -2.0 * math.pi * value(LUCY_FULL, spread, table, q2)
     if kind in (GAUSSIAN, GAUSSIAN + 1):
         return -value(kind, spread, table, q2) / (spread * spread)
     if kind == GAUSSIAN + 2:
@@ -181,7 +208,7 @@ def _interpolate(table, row, q2):
 @leaf
 def _antiderivative(kind, spread, h2, t):
     """Integral of the value over 0 < s < t along a line at distance h, for 0 <= t <= sqrt(1 - h^2)."""
-    if kind is None:
+    if kind is LUCY_FULL:
         return _lucy_line(h2, t)
     if kind == LUCY + 1:
         return _lucy_plane(h2, t)
@@ -226,7 +253,7 @@ def segment(kind, spread, table, h2, t0, t1):
     t0, t1 = max(t0, -half), min(t1, half)
     if t1 <= t0:
         return 0.0
-    if kind is not None and (kind == GAUSSIAN + 1 or kind >= TABLE):
+    if kind is not LUCY_FULL and (kind == GAUSSIAN + 1 or kind >= TABLE):
         return _quadrature(kind, spread, table, h2, t0, t1)
     lower = _antiderivative(kind, spread, h2, abs(t0))
     upper = _antiderivative(kind, spread, h2, abs(t1))
@@ -242,7 +269,7 @@ def fill_values(kind, spread, table, norm, by_gradient, q2, count, out):
     if by_gradient is not None:
         for k in range(count):
             out[k] = norm * gradient(kind, spread, table, q2[k])
-    elif kind is None:
+    elif kind is LUCY_FULL:
         for k in range(padded(count)):
             q = math.sqrt(q2[k])
             p = 1.0 - q
@@ -255,7 +282,7 @@ def fill_values(kind, spread, table, norm, by_gradient, q2, count, out):
 @leaf
 def _at(kind, spread, table, r2):
     """Value at any squared distance, zero from 1 on; Lucy's in the precision of `r2` and without a branch."""
-    if kind is None:
+    if kind is LUCY_FULL:
         q = np.sqrt(min(np.float32(1.0), max(np.float32(0.0), r2)))
         p = np.float32(1.0) - q
         return p * p * p * (np.float32(1.0) + np.float32(3.0) * q)
@@ -270,7 +297,7 @@ def fill_gauss(kind, spread, table, points, weights, order, length, along, q2, c
     precision is that of the arrays. Points lie in pairs of one weight about the middle.
     """
     real, two, last = out.dtype.type, out.dtype.type(2.0), order - 1
-    room = padded(count) if kind is None else count
+    room = padded(count) if kind is LUCY_FULL else count
     if order == 4:  # what most contacts take: all roots take turns in one loop
         u0, u1 = real(points[4, 0] * length), real(points[4, 1] * length)
         u2, u3 = real(points[4, 2] * length), real(points[4, 3] * length)
@@ -298,7 +325,7 @@ def fill_segments(kind, spread, table, length, along, q2, count, out, ratio, bit
 
     `ratio` and `bits` are scratch, the same memory as floats and as integers, and `exponent` (integers).
     """
-    if kind is None:
+    if kind is LUCY_FULL:
         _fill_lucy_lines(1.0 / length, length, along, q2, count, out, ratio, bits, exponent)
     else:
         for k in range(count):

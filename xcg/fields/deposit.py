@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from xcg.compiled import points as kernel
 from xcg.compiled.arrays import transpose_columns
 from xcg.compiled.reach import BATCH, batches_of, lists_for, spatial_order
-from xcg.compiled.segments import SEGMENT, closed_for, deposit_segments, list_segments
+from xcg.compiled.segments import SEGMENT, ContactRows, Segments, closed_for, deposit_segments, list_segments
+from xcg.compiled.smoothing import KernelCode
 from xcg.fields.blocks import NodeBlock, for_each
 from xcg.fields.grid import Grid
 from xcg.fields.moments import CUTOFF_POWERS, MOMENTS, Moment
 from xcg.fields.reach import Mesh
-from xcg.fields.smoothing import Weights
 from xcg.scene.contacts import Contacts
 from xcg.scene.frame import check_finite, phase_of, without_frozen
 from xcg.scene.schema import Frame
@@ -188,8 +188,8 @@ class _Deposit:
                 batches = batches_of(segments[:, :3])
                 batches += np.array([[-1.0], [1.0]]) * longest[:3]
                 for real, closed, rest in self._rules(longest[3], cutoff):
-                    way = (segments, self.spec.limits, batches), self._onto(cutoff), reach, real, closed, rest
-                    fill.append(partial(_fill_segments, *way))
+                    way = Segments(segments, self.spec.limits, batches), self._mesh(cutoff), self._kernel(cutoff)
+                    fill.append(partial(_fill_segments, *way, reach.tolist(), real, closed, rest))
                 if not more:
                     break
         groups = {"contact": self.phases, "pair_contact": self.phases * others}
@@ -200,10 +200,8 @@ class _Deposit:
         c = self.contacts
         assert c is not None
         segments, longest = np.empty((len(place), SEGMENT)), np.empty(4)
-        more = list_segments(
-            second, place, c.i, c.j, c.point, c.force, self.position, self.phase, others, self.wrap, self.cutoffs,
-            cutoff, self.origin, segments, longest,
-        )  # fmt: skip
+        rows = ContactRows(c.i, c.j, c.point, c.force, self.position, self.phase, self.wrap)
+        more = list_segments(rows, second, place, others, self.cutoffs, cutoff, self.origin, segments, longest)
         mesh = self._mesh(cutoff)
         mesh.check_far(longest[:3])
         if mesh.too_long(longest[:3]):
@@ -270,12 +268,10 @@ class _Deposit:
         phase = np.concatenate([self.phase[c.first_row[first]], self.phase[c.j[mixed]]])
         return c.point[contact], phase, np.where(mixed[contact], 0.5, 1.0), contact
 
-    def _onto(self, cutoff: float) -> tuple[Any, ...]:
-        """Mesh and kernel, in cutoffs."""
-        kind, spread, table, norm = self.spec.weights
-        norm *= (self.spec.cutoffs[0] / cutoff) ** int(self.active.sum())
-        mesh = self._mesh(cutoff)
-        return *map(_tuple, (mesh.steps, mesh.active, mesh.period)), kind, spread, table, norm * self.scale
+    def _kernel(self, cutoff: float) -> KernelCode:
+        """Return the kernel of this cutoff, divided by the extent of averaged axes."""
+        norm = self.spec.weights.norm * (self.spec.cutoffs[0] / cutoff) ** int(self.active.sum())
+        return self.spec.weights._replace(norm=norm * self.scale)
 
     def _mesh(self, cutoff: float) -> Mesh:
         """Mesh and its surroundings, in cutoffs."""
@@ -307,9 +303,11 @@ class _Deposit:
         for cutoff in np.unique(self.cutoffs).tolist():
             rows = order if (self.cutoffs == cutoff).all() else order[self.cutoffs[phase[order]] == cutoff]
             meet = True if squares and (self.period < 2 * cutoff).any() else None
-            grains = (rows, position, velocity, mass, columns, phase, level, still, meet, self.origin, cutoff)
             batches = (batches_of(position.take(rows, axis=0)) - self.origin) / cutoff
-            fill.append(partial(_fill_points, (*grains, batches), (*self._onto(cutoff), by_gradient)))
+            flow = (velocity, mass, columns, phase)
+            grains = kernel.Grains(rows, batches, position, *flow, self.origin, cutoff)
+            flags = (level, still, meet, by_gradient)
+            fill.append(partial(_fill_points, grains, self._mesh(cutoff), self._kernel(cutoff), flags))
         return _Pass(self.phases, level + columns.shape[1], fill, moments, apart)
 
 
@@ -319,22 +317,22 @@ def _of_grains(rows: Mapping[str, Moment]) -> dict[str, Moment]:
 
 
 def _fill_points(
-    grains: tuple[Any, ...], onto: tuple[Any, ...], block: NodeBlock, sums: NDArray, reference: NDArray
-) -> None:
-    steps, active = onto[:2]
-    lists = lists_for(*block, [2.0 * a for a in active], steps)
+    grains: kernel.Grains, mesh: Mesh, weights: KernelCode, flags: tuple[int, bool | None, bool | None, bool | None],
+    block: NodeBlock, sums: NDArray, reference: NDArray,
+) -> None:  # fmt: skip
+    nodes = mesh.nodes_of(block)
     records = np.empty((BATCH, sums.shape[2] + kernel.GRAIN))
-    kernel.deposit(*grains, *block, *onto, records, *lists, sums, reference)
+    kernel.deposit(grains, nodes, weights, *flags, records, lists_for(nodes, [2.0] * 3), sums, reference)
 
 
 def _fill_segments(
-    segments: tuple[Any, ...], onto: tuple[Any, ...], reach: NDArray, real: str, closed: bool, rest: bool,
+    segments: Segments, mesh: Mesh, weights: KernelCode, reach: Sequence[float], real: str, closed: bool, rest: bool,
     block: NodeBlock, sums: NDArray, _: NDArray,
 ) -> None:  # fmt: skip
-    steps, active = onto[:2]
-    lists, numbers = lists_for(*block, np.where(active, reach, 0.0).tolist(), steps, real)
-    scratch = closed_for(lists) if closed else None
-    deposit_segments(*segments, *block, *onto, lists, numbers, scratch, rest, sums)
+    nodes = mesh.nodes_of(block)
+    lists = lists_for(nodes, reach, real)
+    scratch = closed_for(lists.values.shape[1]) if closed else None
+    deposit_segments(segments, nodes, weights, lists, scratch, rest, sums)
 
 
 @dataclass(frozen=True)
@@ -439,7 +437,7 @@ class DepositSpec:
     moments : tuple of str
         Names in `MOMENTS` or `own`.
     grid : Grid
-    weights : Weights
+    weights : KernelCode
         The kernel of the first cutoff as seen in the grid's axes.
     cutoffs : tuple of float
         Radius of the support (m) of each group, or one for all.
@@ -457,7 +455,7 @@ class DepositSpec:
 
     moments: tuple[str, ...]
     grid: Grid
-    weights: Weights
+    weights: KernelCode
     cutoffs: tuple[float, ...]
     limits: NDArray
     coarse: bool = False

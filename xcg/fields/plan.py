@@ -349,7 +349,7 @@ def _automatic(
 
 
 def _check_differentiable(kernel: Kernel, seen: int) -> None:
-    if kernel.shape == kinds.HEAVISIDE:
+    if kernel.code == kinds.HEAVISIDE:
         msg = "gradient='kernel' needs a kernel that is differentiable: Heaviside is not; take gradient='least_squares'"
         raise ValueError(msg)
     if not kernel.differentiable:

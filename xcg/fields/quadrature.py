@@ -17,7 +17,7 @@ SINGLE = 1e-4
 
 def _quicker(kind: int | None, rtol: float) -> tuple[int, ...]:
     """Gauss-Legendre rules that take less time than the closed form, by the kernel as it is seen, and the precision."""
-    if kind is None:
+    if kind is kinds.LUCY_FULL:
         return RULES if rtol >= SINGLE else RULES[:2]
     # registered kernels have no closed form but a long quadrature; marginals take more time a point than a polynomial
     return RULES if kind >= kinds.TABLE else RULES[:1]

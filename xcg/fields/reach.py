@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.compiled.reach import Nodes
 from xcg.compiled.segments import BRANCH, FORCE, GROUP
+from xcg.fields.blocks import NodeBlock
 from xcg.fields.grid import Grid
 from xcg.scene.schema import COMPONENTS, SceneError
 
@@ -66,6 +68,10 @@ class Mesh:
         steps = np.where(shape > 1, grid.steps / cutoff, 1.0)
         nodes, periods = int(shape.prod()), np.where(active, period, np.inf) / cutoff
         return cls(grid.origin, steps, (shape - 1) * steps, active, periods, nodes, cutoff, source)
+
+    def nodes_of(self, block: NodeBlock) -> Nodes:
+        """Return a block of nodes as the loops take it."""
+        return Nodes(*block, *(tuple(values.tolist()) for values in (self.steps, self.active, self.period)))
 
     def check_far(self, farthest: NDArray) -> None:
         """Refuse places (3,) too far from the first node to be numbered, or not finite; damaged files hold them."""

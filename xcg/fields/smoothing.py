@@ -9,26 +9,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xcg.compiled import segments
-from xcg.compiled import smoothing as weights
+from xcg.compiled import smoothing as codes
+from xcg.compiled.smoothing import LUCY_FULL, KernelCode
 from xcg.scene.schema import LONGEST, SHORTEST
 from xcg.scene.sizes import SIZES
 
 _NO_TABLE = np.zeros((2, 1, 1))
-
-
-class Weights(NamedTuple):
-    """What the loops need of a kernel seen in m dimensions: kind, w / c, table, and the factor to its values."""
-
-    kind: int | None
-    spread: float
-    table: NDArray
-    norm: float
 
 
 class Kernel:
@@ -50,7 +42,7 @@ class Kernel:
     """
 
     name = ""
-    shape = 0
+    code = 0  # of the loops
     ratio = 1.0  # cutoff / width
     smoothness = -1  # continuous derivatives
 
@@ -112,12 +104,12 @@ class Kernel:
     def _table(self, codimension: int) -> NDArray:
         return _NO_TABLE
 
-    def weights(self, seen: int | None = None) -> Weights:
+    def weights(self, seen: int | None = None) -> KernelCode:
         """Return the kernel as the loops need it, seen in `seen` of its dimensions (all by default)."""
         dimension = self.dimension or 3
         seen = dimension if seen is None else seen
         if seen == 0:  # averaged over every axis: each grain counts in full
-            return Weights(weights.HEAVISIDE, 1.0, _NO_TABLE, 1.0)
+            return KernelCode(codes.HEAVISIDE, 1.0, _NO_TABLE, 1.0)
         codimension = dimension - seen
         if not 0 <= codimension <= 2:
             msg = (
@@ -125,14 +117,15 @@ class Kernel:
                 f"{max(seen, 1)} to {min(seen + 2, 3)}"
             )
             raise ValueError(msg)
-        kind = weights.TABLE if self.shape == weights.TABLE else self.shape + codimension or None
+        code = codes.TABLE if self.code == codes.TABLE else self.code + codimension
+        kind = LUCY_FULL if code == codes.LUCY else code
         norm = self._unit_norm(dimension) / self.cutoff**seen
-        return Weights(kind, self.spread, self._table(codimension), norm)
+        return KernelCode(kind, self.spread, self._table(codimension), norm)
 
     def _sample(self, r: ArrayLike, seen: int | None, derivative: bool) -> NDArray:
         w = self.weights(seen)
         q = np.abs(np.asarray(r, float)) / self.cutoff
-        values = weights.sample(w.kind, w.spread, w.table, np.ravel(q), derivative).reshape(q.shape)
+        values = codes.sample(w.kind, w.spread, w.table, np.ravel(q), derivative).reshape(q.shape)
         return values * (w.norm / self.cutoff if derivative else w.norm)
 
     def value(self, r: ArrayLike, seen: int | None = None) -> NDArray:
@@ -181,7 +174,7 @@ class Lucy(Kernel):
     Twice continuously differentiable, so that its fields satisfy the differential balance laws. Source: Lucy (1977).
     """
 
-    name, shape, ratio, smoothness = "lucy", weights.LUCY, 2.0, 2
+    name, code, ratio, smoothness = "lucy", codes.LUCY, 2.0, 2
 
     def _unit_norm(self, dimension: int) -> float:
         return {1: 5 / 4, 2: 5 / math.pi, 3: 105 / (16 * math.pi)}[dimension]
@@ -190,7 +183,7 @@ class Lucy(Kernel):
 class Gaussian(Kernel):
     """A Gaussian cut at c = 3 w (or another `cutoff`), normalised with its cut; it jumps there by 1.1 % of its peak."""
 
-    name, shape, ratio = "gaussian", weights.GAUSSIAN, 3.0
+    name, code, ratio = "gaussian", codes.GAUSSIAN, 3.0
 
     def _check_ratio(self) -> None:
         """Any cutoff is allowed."""
@@ -209,7 +202,7 @@ class Gaussian(Kernel):
 class Heaviside(Kernel):
     """Constant inside c = w, zero outside; its fields jump."""
 
-    name, shape = "heaviside", weights.HEAVISIDE
+    name, code = "heaviside", codes.HEAVISIDE
 
     def _unit_norm(self, dimension: int) -> float:
         return {1: 1 / 2, 2: 1 / math.pi, 3: 3 / (4 * math.pi)}[dimension]
@@ -258,7 +251,7 @@ def register_kernel(
 
     members: dict[str, Any] = {
         "__doc__": f"The kernel registered as {name!r}.",
-        "name": name, "shape": weights.TABLE, "ratio": ratio, "smoothness": smoothness,
+        "name": name, "code": codes.TABLE, "ratio": ratio, "smoothness": smoothness,
         "_unit_norm": unit_norm, "_table": table,
     }  # fmt: skip
     _NAMED[name.lower()] = type(name.title(), (Kernel,), members)
