@@ -25,7 +25,7 @@ from xcg.scene.schema import COMPONENTS
 # Blocks fewer than this tell too little of their own scatter.
 MIN_BLOCKS = 16
 _SAMPLE = "_sample"
-_NO_RULE = "a rule: leave it out with drop_vars"
+_NO_RULE = "a rule: give it one with xcg.register_field, or leave it out with drop_vars"
 
 
 def profile(f: xr.Dataset, axis: str) -> xr.Dataset:

@@ -130,7 +130,7 @@ def _choose_fields(
     lacking = {name for name, f in registry.FIELDS.items() if f.option and getattr(options, f.option) is None}
     if asked is None:
         lacking |= {name for name, f in registry.FIELDS.items() if not f.default}
-        possible = [name for name in registry.listed(registered=False) if name not in lacking]
+        possible = [name for name in registry.listed() if name not in lacking]
         here = [name for name in possible if _variables([name], ds, options) <= set(ds.data_vars)]
         if not here:
             require_scene(ds, ("mass",), "coarse_grain")
@@ -211,6 +211,7 @@ def make_plan(
         raise ValueError(msg)
     names, own = _choose_fields(fields, ds, options)
     options = replace(options, own=own)
+    options = replace(options, own=(*own, *registry.registered_for(names, options)))
     if by_pair:
         names = tuple(dict.fromkeys([*names, "contact_stress_by_pair"]))
     variables = _variables(names, ds, options)
@@ -246,10 +247,7 @@ def make_plan(
         own=own_moments(own),
     )
     x, y, z = (grid.spacing.get(a, 0.0) for a in COMPONENTS)
-    options = replace(
-        options, active=tuple(grid.active.tolist()), shape=grid.shape, spacing=(x, y, z),
-        rows=registry.registered_rows(names, options),
-    )  # fmt: skip
+    options = replace(options, active=tuple(grid.active.tolist()), shape=grid.shape, spacing=(x, y, z))
     extra = {by} if by else set()
     extra |= {"frozen"} & set(ds.data_vars)
     read = [n for n in ds.data_vars if n in variables | extra]

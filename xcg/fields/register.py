@@ -85,7 +85,7 @@ def register_field(
     """
     row = Field(
         rank, tuple(powers), long_name or str(name).replace("_", " "), formula, compute,  # type: ignore[arg-type]
-        _names(fields), _names(moments), additive=additive, weight=weight,
+        _names(fields), _names(moments), additive=additive, weight=weight, default=False,
     )  # fmt: skip
     _check(name, row)
     row = replace(row, option=next((FIELDS[need].option for need in row.fields if FIELDS[need].option), ""))
@@ -132,7 +132,7 @@ def _check(name: str, row: Field) -> None:
 
 def _try_out(name: str, row: Field) -> None:
     """Compute the field from made-up moments."""
-    options = Options(fluid_viscosity=1.0, by_pair=True, rows=((name, row),))
+    options = Options(fluid_viscosity=1.0, by_pair=True, own=(registry.Registered(name, row),))
     moments = _made_up(registry.moments_of([name], options))
     part = {moment: a[..., 2:4, :] if moment == "reference" else a[:, 2:4] for moment, a in moments.items()}
     try:

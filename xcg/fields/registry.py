@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType, SimpleNamespace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,12 +57,10 @@ class Options:
         Whether contact stress is also divided by the phase of the partner.
     temperature : str
         "unbiased", or "biased": per density, whatever the fit takes.
-    rows : tuple of (str, Field)
-        Rows that stand in no registry of xcg, of fields that users registered: what computes a plan in another process
-        finds them here.
     own : tuple
-        Fields of the scene's own variables, each with a `name`, its `row`, and `moments` by name; see
-        `xcg.fields.variables.OwnField`.
+        Fields that are not those of xcg, each with a `name`, its `row`, and `moments` by name: of the scene's own
+        variables, see `xcg.fields.variables.OwnField`, and those that users registered, see `Registered`. What computes
+        a plan in another process finds them here.
     """
 
     plane: tuple[int, ...] = (0, 1, 2)
@@ -79,7 +77,6 @@ class Options:
     fluid_viscosity: float | None = None
     by_pair: bool | None = None
     temperature: str = "unbiased"
-    rows: tuple[tuple[str, Field], ...] = ()
     own: tuple[Any, ...] = ()
 
     @property
@@ -606,9 +603,6 @@ TEMPERATURES = ("unbiased", *WAYS["fluctuation_density"][1])
 
 def row(name: str, options: Options) -> Field:
     """Return the row of a field, as computed with some options."""
-    for registered, field in options.rows:
-        if registered == name:
-            return field
     for own in options.own:
         if own.name == name:
             return own.row
@@ -658,14 +652,23 @@ def listed(*, registered: bool = True) -> list[str]:
     return [name for name, field in (FIELDS if registered else _ROWS).items() if field.listed]
 
 
+@dataclass(frozen=True)
+class Registered:
+    """A field that a user registered, as `Options.own` holds it."""
+
+    name: str
+    row: Field
+    moments: ClassVar[Mapping[str, Any]] = MappingProxyType({})
+
+
 def add(name: str, field: Field) -> None:
     """Put the row of a user's field beside the others; in place of a former one of its name."""
     _REGISTERED[name] = field
 
 
-def registered_rows(fields: Iterable[str], options: Options) -> tuple[tuple[str, Field], ...]:
-    """Return the rows of users that some fields need."""
-    return tuple((name, _REGISTERED[name]) for name in order_of(fields, options) if name in _REGISTERED)
+def registered_for(fields: Iterable[str], options: Options) -> tuple[Registered, ...]:
+    """Return what users registered of all that some fields need."""
+    return tuple(Registered(name, _REGISTERED[name]) for name in order_of(fields, options) if name in _REGISTERED)
 
 
 def order_of(fields: Iterable[str], options: Options) -> list[str]:
