@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import xcg
+from tests import steps_of_random_scenes
 
 
 def close_frames(dt, seed=1):
@@ -42,6 +43,16 @@ def test_mass_and_momentum_residuals_fall_with_the_time_between_frames():
         values = [float(n[name].item()) for n in norms]
         assert values[0] > 3 * values[1], (name, values)
     assert norms[0].momentum_residual.dims == ("interval", "x", "y", "z", "component")
+
+
+@pytest.mark.parametrize("options", [{}, {"axes": "zx"}, {"by": "species"}])
+def test_dimensions_and_coordinates_stand_in_the_order_of_the_fields(options):
+    ds = steps_of_random_scenes(2).assign_attrs(gravity=np.array([0, 0, -1.0]))
+    f, b = ds.cg.coarse_grain("velocity", **options), ds.cg.balance(**options)
+    assert list(b.sizes) == [*f.sizes, "interval"]
+    assert list(b.coords) == [*f.coords, "interval"]
+    assert b.momentum_residual.dims == ("interval", *f.velocity.dims[1:])
+    assert list(ds.isel(time=0).cg.balance(**options).sizes) == list(f.sizes)[1:]
 
 
 def test_a_wrong_force_shows():

@@ -124,6 +124,72 @@ def test_chosen_particles_keep_the_contacts_with_all_others(scene, how, lazy):
     np.testing.assert_allclose(divided.contact_stress.sel(phase="1"), found.contact_stress, rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.parametrize("how", CHOSEN)
+def test_chosen_particles_of_a_lazy_scene_have_the_default_width_and_mesh_of_the_scene(scene, how):
+    chosen, lazy = CHOSEN[how](scene), CHOSEN[how](scene.chunk(time=1))
+    assert lazy.position.chunks is not None
+    for options in ({}, {"axes": "z", "by": "species", "groups": [1]}):
+        xr.testing.assert_equal(
+            lazy.cg.coarse_grain(FIELDS, **options).compute(), chosen.cg.coarse_grain(FIELDS, **options)
+        )
+    assert lazy.cg.explain().deposit.grid.shape == scene.cg.explain().deposit.grid.shape
+    assert lazy.cg.explain("density", by="species").deposit.groups == (1, 2)
+    assert np.isfinite(lazy.cg.slice_temperature().velocity).any()
+    measured = lazy.cg.measure()
+    assert measured.cg.explain("density", by="species").deposit.groups == (1,)
+    assert measured.attrs["dmax"] == float(chosen.diameter.max())
+
+
+def test_diameters_that_were_changed_before_a_selection_are_told(scene):
+    lazy = scene.chunk(time=1)
+    changed = lazy.assign(diameter=3 * lazy.diameter).where(lazy.species == 1)
+    with pytest.warns(xcg.SceneWarning, match=r"diameters from .* not in the range that was measured.*measure\(\)"):
+        changed.cg.coarse_grain("coordination_number").compute()
+    changed.cg.measure().cg.coarse_grain("coordination_number").compute()
+
+
+@pytest.mark.parametrize("lazy", [False, True])
+def test_one_particle_or_contact_has_results_without_that_dimension(scene, lazy):
+    scene = scene.chunk(time=1) if lazy else scene
+    one, several = scene.isel(particle=5), scene.isel(particle=[5])
+    xr.testing.assert_equal(
+        one.cg.coarse_grain(**MESH, by="species").compute(), several.cg.coarse_grain(**MESH, by="species").compute()
+    )
+    assert one.cg.explain().kernel.width == several.cg.explain().kernel.width
+    for task in ("particle_stress", "force_chains", "measure", "size_statistics"):
+        got, expected = (getattr(s.cg, task)() for s in (one, several))
+        assert "particle" not in got.dims
+        xr.testing.assert_equal(got.compute(), expected.isel(particle=0, missing_dims="ignore").compute())
+    single, first = scene.isel(contact=0), scene.isel(contact=[0])
+    xr.testing.assert_equal(single.cg.coarse_grain(**MESH).compute(), first.cg.coarse_grain(**MESH).compute())
+    xr.testing.assert_equal(
+        single.isel(time=0, particle=5).cg.particle_stress().compute(),
+        several.isel(contact=[0]).cg.particle_stress().isel(time=0, particle=0).compute(),
+    )
+
+
+@pytest.mark.parametrize("lazy", [False, True])
+def test_labels_may_stand_for_rows(scene, lazy):
+    scene = scene.chunk(time=1) if lazy else scene
+    by_number = scene.swap_dims(time="step")
+    f = by_number.cg.coarse_grain(**MESH)
+    xr.testing.assert_equal(f.sel(step=1).compute(), scene.cg.coarse_grain(**MESH).isel(time=1).compute())
+    by_id = scene.isel(time=1).set_coords("particle_id").compute().swap_dims(particle="particle_id")
+    ids, rows = [7, 3, 12], scene.particle_id.isel(time=1).compute().to_index().get_indexer([7, 3, 12])
+    stresses = by_id.sel(particle_id=ids).cg.particle_stress()
+    assert stresses.particle_id.values.tolist() == ids
+    expected = scene.isel(time=1, particle=rows).cg.particle_stress()
+    np.testing.assert_array_equal(stresses.stress.sel(particle_id=3), expected.stress.compute()[1])
+    assert scene.set_coords(["particle_id", "box", "position"]).cg.width_sweep([0.6, 0.8, 1.0], "density").density.any()
+
+
+def test_no_particles_at_all_are_no_fault(scene):
+    for none in (scene.isel(particle=[]), scene.chunk(time=1).isel(particle=[])):
+        assert (none.cg.coarse_grain("density", width=0.8).density == 0).all()
+        assert (none.cg.microstructure("coordination_number").coordination_number.isnull()).all()
+        assert np.isnan(none.cg.size_statistics().d43).all()
+
+
 def test_mean_stress_of_chosen_particles_is_the_sum_over_their_sides(scene):
     step = scene.isel(time=0)
     chosen = step.isel(particle=np.flatnonzero(step.species == 1))

@@ -129,7 +129,9 @@ def balance(ds: xr.Dataset, **options: Any) -> xr.Dataset:
         norm = (_rms(residual) / largest.where(largest > 0)).rename(steps)
         out[name] = residual.rename(steps).assign_attrs(units=unit, long_name=long_name)
         out[f"{name}_norm"] = norm.assign_attrs(units="1", long_name=f"{long_name}, relative to its largest term")
-    return xr.Dataset(out, attrs=f.attrs)
+    known = {name: c for residual in out.values() for name, c in residual.coords.items()}
+    coords = {name: known[name] for name in (*f.coords, "interval") if name in known}  # in the order of the fields
+    return xr.Dataset({name: residual.variable for name, residual in out.items()}, coords, f.attrs)
 
 
 def _stays(ds: xr.Dataset) -> bool:

@@ -175,7 +175,8 @@ def _sample(
         **{name: frame[name][member] for name in ("diameter", "volume", "mass", "velocity") if name in frame},
     )
     if contacts is not None:
-        side_i, side_j = (np.where(row >= 0, member[row], False) for row in (contacts.i, contacts.j))
+        known = np.append(member, False)  # row -1 is that of a partner that is not there
+        side_i, side_j = known[contacts.i], known[contacts.j]
         sides = (contacts.i >= 0).astype(int) + (contacts.j >= 0)
         weight = np.divide(side_i.astype(float) + side_j, sides, out=np.zeros(len(sides)), where=sides > 0)
         here = weight > 0

@@ -1,14 +1,14 @@
 """Scenes that were selected from, masked, reordered or joined by xarray, brought back to the form that tasks read.
 
 What xarray's methods make of a scene shows in labels, dimensions and types, without reading: ``isel(time=0)`` takes the
-dimension of time away, ``where`` and ``concat`` spread variables over the rows of others and turn whole numbers into
-floats, ``sel`` reorders components. The order of rows is looked after where frames are made
-(`xcg.scene.frame.frame_of`).
+dimension of time away, ``swap_dims`` names it otherwise, ``set_coords`` makes coordinates of variables, ``where`` and
+``concat`` spread variables over the rows of others and turn whole numbers into floats, ``sel`` reorders components. The
+order of rows is looked after where frames are made (`xcg.scene.frame.frame_of`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial, wraps
 from typing import Any, Concatenate, ParamSpec, TypeVar, cast
 
@@ -16,7 +16,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.scene.query import MEASURED, known_without_reading
 from xcg.scene.schema import BOX_EDGES, COMPONENTS, PADDING, VARIABLES, SceneError, Variable
+from xcg.scene.warn import Once
 
 _MOST_SPREAD = 2**27  # values a step of a variable that was spread over the rows of others: 1 GB
 
@@ -26,13 +28,12 @@ Task = Callable[Concatenate[xr.Dataset, P], R]
 
 
 def takes_scene(task: Task[P, R]) -> Task[P, R]:
-    """Have a task take any selection of a scene; its result has the dimension of time only where the scene has it."""
+    """Have a task take any selection of a scene; its result has those dimensions that the selection has."""
 
     @wraps(task)
     def call(ds: xr.Dataset, *args: P.args, **options: P.kwargs) -> R:
         result: Any = task(conform(ds), *args, **options)
-        alone = isinstance(result, xr.Dataset) and "time" in result.dims and "time" not in ds.dims
-        return cast(R, result.isel(time=0) if alone else result)
+        return cast(R, _as_selected(result, ds) if isinstance(result, xr.Dataset) else result)
 
     return cast("Task[P, R]", call)
 
@@ -47,24 +48,71 @@ def conform(ds: xr.Dataset) -> xr.Dataset:
     """
     if "position" not in ds or "particle_id" not in ds:
         return ds
-    scene = _with_components(ds if "time" in ds.dims else _with_time(ds))
+    scene = ds.swap_dims(_renamed(ds))
+    scene = scene.reset_coords([name for name in scene.coords if name in VARIABLES or name == "box"])
+    for dim in _taken_away(scene):
+        scene = _with_dim(scene, dim)
+    scene = _with_components(scene)
+    masked = scene["particle_id"].dtype.kind == "f"
     changed = {}
-    for name, array in scene.data_vars.items():
-        row = BOX_EDGES if name == "box" else VARIABLES.get(str(name))
+    for name, row in _rows(scene).items():
+        array = scene[name]
         found = array if row is None else _with_dims(array, row)
         if found.dtype.kind == "f" and (f"{name}_values" in scene.attrs or (row and row.dtype == "int64")):
-            found = _mapped(partial(_whole, name=str(name)), found, "int64")
+            found = _mapped(partial(_whole, name=name), found, "int64")
+        if masked and "particle" in found.dims and not known_without_reading(scene, name):
+            found = _as_measured(found, scene.attrs)
         if found is not array:
             changed[name] = found
     return scene.assign(changed) if changed else scene
 
 
-def _with_time(ds: xr.Dataset) -> xr.Dataset:
-    """Give one step the dimension of time back."""
-    series = ds.expand_dims("time")
-    if "step" in ds.coords and ds["step"].ndim == 0:
-        series = series.assign_coords(step=ds["step"].variable.expand_dims("time"))
-    return series
+# --- dimensions ------------------------------------------------------------------------------------------
+
+# what ds.swap_dims makes dimensions of
+_LABELS = {"step": "time", "particle_id": "particle"}
+
+
+def _renamed(ds: xr.Dataset) -> dict[str, str]:
+    """Dimensions that go by the name of another coordinate, with the names that tasks know them by."""
+    return {label: dim for label, dim in _LABELS.items() if label in ds.dims and dim not in ds.dims}
+
+
+def _taken_away(ds: xr.Dataset) -> list[str]:
+    """Dimensions that a selection of one step, one particle or one contact has no more."""
+    rows = {"time": (), "particle": ds["position"].dims, "contact": ds["contact_i"].dims if "contact_i" in ds else None}
+    return [dim for dim, dims in rows.items() if dims is not None and dim not in (dims or ds.dims)]
+
+
+def _with_dim(ds: xr.Dataset, dim: str) -> xr.Dataset:
+    """Give one step, one particle or one contact its dimension back."""
+    if dim == "time":
+        series = ds.expand_dims("time")
+        if "step" in ds.coords and ds["step"].ndim == 0:
+            series = series.assign_coords(step=ds["step"].variable.expand_dims("time"))
+        return series
+    rows = {name: "particle" if row is None else row.dims[0] for name, row in _rows(ds).items()}
+    of_it = [name for name, first in rows.items() if first == dim and {*ds[name].dims} <= {"time", "component"}]
+    found = {name: ds[name].variable.expand_dims(dim) for name in of_it}
+    for name, array in found.items():
+        array.encoding = ds[name].encoding
+    return ds.assign(found)
+
+
+def _rows(ds: xr.Dataset) -> dict[str, Variable | None]:
+    """Rows of the schema of all variables; none for those of the user's own."""
+    return {str(name): BOX_EDGES if name == "box" else VARIABLES.get(str(name)) for name in ds.data_vars}
+
+
+def _as_selected(result: xr.Dataset, ds: xr.Dataset) -> xr.Dataset:
+    """Take the dimensions away that a selection has no more, and name the others as it does."""
+    if "position" not in ds or "particle_id" not in ds:
+        return result
+    renamed = _renamed(ds)
+    gone = {dim: 0 for dim in _taken_away(ds.swap_dims(renamed)) if dim in result.dims}
+    result = result.isel(gone)
+    back = {dim: label for label, dim in renamed.items() if label in result and result[label].dims == (dim,)}
+    return result.swap_dims(back) if back else result
 
 
 def _with_components(ds: xr.Dataset) -> xr.Dataset:
@@ -80,12 +128,12 @@ def _with_components(ds: xr.Dataset) -> xr.Dataset:
 
 
 def _with_dims(array: xr.DataArray, row: Variable) -> xr.DataArray:
-    """Take away the rows of others that a variable was spread over."""
+    """Put dimensions in order, and take away the rows of others that a variable was spread over."""
     expected = ("time", *row.dims)
     lacking = [d for d in expected if d not in array.dims]
     spread = [str(d) for d in array.dims if d not in expected]
     if not lacking and not spread:
-        return array
+        return array if array.dims == expected else array.transpose(*expected)
     size = array.size / max(array.sizes.get("time", 1), 1)
     if lacking or not set(spread) <= {"particle", "contact"} or not 0 < size <= _MOST_SPREAD:
         msg = (
@@ -97,7 +145,36 @@ def _with_dims(array: xr.DataArray, row: Variable) -> xr.DataArray:
     for dim in spread:
         whole = array.chunk({dim: -1}) if array.chunks is not None else array
         array = _mapped(partial(_same, name=str(array.name), dim=dim), whole, array.dtype, dim)
+    return array.transpose(*expected)
+
+
+# --- values ----------------------------------------------------------------------------------------------
+
+
+def _as_measured(array: xr.DataArray, attrs: Mapping[Any, Any]) -> xr.DataArray:
+    """Note that a lazy variable, some of whose rows were masked, is as it was measured, and look when it is read.
+
+    Masking takes marks away, as arithmetic does. Diameters tell which of them it was, positions do so when they are
+    compared with the mesh, and groups when grains are counted to them.
+    """
+    if array.name == "diameter" and {"dmin", "dmax"} <= set(attrs):
+        low, high = float(attrs["dmin"]), float(attrs["dmax"])
+        array = _mapped(partial(_in_range, low=low, high=high, once=Once()), array, array.dtype)
+    array = array.copy(deep=False)
+    array.encoding[MEASURED] = True
     return array
+
+
+def _in_range(diameter: NDArray, low: float, high: float, once: Once) -> NDArray:
+    """Warn of diameters outside the range that was measured; NaN is in it."""
+    small = 1e-9 * high
+    if (diameter < low - small).any() or (diameter > high + small).any():
+        msg = (
+            f"diameters from {np.nanmin(diameter):.6g} to {np.nanmax(diameter):.6g} are not in the range that was "
+            f"measured, {low:.6g} to {high:.6g}, and default widths follow from that; call ds = ds.cg.measure() first"
+        )
+        once.warn("diameters", msg)
+    return diameter
 
 
 def _mapped(function: Callable[[NDArray], NDArray], array: xr.DataArray, dtype: Any, *dims: Any) -> xr.DataArray:
@@ -112,8 +189,8 @@ def _same(values: NDArray, name: str, dim: str) -> NDArray:
     low, high = np.fmin.reduce(values, axis=-1), np.fmax.reduce(values, axis=-1)
     if (low < high).any():
         msg = (
-            f"'{name}' differs along '{dim}', as where parts with other contacts or boxes are joined by xr.concat; "
-            "build the joined scene with xcg.scene_from_arrays"
+            f"'{name}' differs along '{dim}', as where parts with other contacts or boxes are joined by xr.concat "
+            "(build the joined scene with xcg.scene_from_arrays), or where 'where' puts other values than NaN into rows"
         )
         raise SceneError(msg)
     return low

@@ -59,13 +59,13 @@ def setup_of(ds: xr.Dataset) -> Setup:
 
 # A lazy variable that is as it was when its attributes were measured has an encoding: this mark, or what came with a
 # file that holds the attributes, too. Selections keep encodings, arithmetic drops them.
-_MARK = "measured"
+MEASURED = "measured"
 
 
 def mark_measured(ds: xr.Dataset, names: Sequence[str] | None = None) -> xr.Dataset:
     """Note that the attributes measured from some variables (all by default) are those of what they are now."""
     for name in ds.data_vars if names is None else names:
-        ds[name].encoding[_MARK] = True
+        ds[name].encoding[MEASURED] = True
     return ds
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from xcg.scene.conform import takes_scene
 from xcg.scene.frame import frame_of
 from xcg.scene.query import known_without_reading, mark_measured, require_scene
-from xcg.scene.schema import COMPONENTS, MAX_GROUPS, PADDING, Frame, SceneError, Setup, units_of, variable
+from xcg.scene.schema import COMPONENTS, MAX_GROUPS, PADDING, Frame, SceneError, Setup, units_of
 
 SIZES = ("d43", "d32", "d50", "drms", "dmin", "dmax")
 
@@ -66,7 +66,9 @@ def measure_frames(frames: Sequence[Frame]) -> dict[str, Any]:
     return measured
 
 
-@takes_scene
+_ATTRIBUTES = {"position": ("particle_lower", "particle_upper"), "diameter": SIZES}
+
+
 def measure(ds: xr.Dataset) -> xr.Dataset:
     """Measure sizes and extent of all steps of a scene and store them as attributes (computes).
 
@@ -76,7 +78,12 @@ def measure(ds: xr.Dataset) -> xr.Dataset:
         The same scene with the attributes of `sizes_of`, particle_lower and particle_upper set anew.
     """
     require_scene(ds, (), "measure")
-    names = [str(name) for name in ds.data_vars if variable(str(name), ds[name].dtype).dims[0] == "particle"]
+    return _measure(_without_attrs(ds, {attr for attrs in _ATTRIBUTES.values() for attr in attrs}))
+
+
+@takes_scene
+def _measure(ds: xr.Dataset) -> xr.Dataset:
+    names = [str(name) for name in ds.data_vars if "particle" in ds[name].dims]
     frames = []
     for t in range(ds.sizes["time"]):
         arrays = {name: ds[name].isel(time=[t]).transpose("time", ...).to_numpy() for name in names}
@@ -84,7 +91,8 @@ def measure(ds: xr.Dataset) -> xr.Dataset:
     return mark_measured(ds.assign_attrs(measure_frames(frames)))
 
 
-_ATTRIBUTES = {"position": ("particle_lower", "particle_upper"), "diameter": SIZES}
+def _without_attrs(ds: xr.Dataset, names: Collection[str]) -> xr.Dataset:
+    return ds.drop_attrs(deep=False).assign_attrs({k: v for k, v in ds.attrs.items() if k not in names})
 
 
 def with_measures(ds: xr.Dataset) -> xr.Dataset:
@@ -97,7 +105,7 @@ def with_measures(ds: xr.Dataset) -> xr.Dataset:
     of = {name: attrs for name, attrs in _ATTRIBUTES.items() if name in ds}
     lost = {attr for name in of if not known_without_reading(ds, name) for attr in of[name]} & set(ds.attrs)
     if lost:
-        ds = ds.drop_attrs(deep=False).assign_attrs({k: v for k, v in ds.attrs.items() if k not in lost})
+        ds = _without_attrs(ds, lost)
     now = measure_frames(_ends_in_memory(ds, ("particle_id", *of, "mass")))
     return ds if _within(now, ds.attrs) else ds.assign_attrs(now)
 
@@ -174,6 +182,8 @@ def size_statistics(ds: xr.Dataset) -> xr.Dataset:
     require_scene(ds, ("diameter",), "size_statistics")
     weight = ds["mass"] if "mass" in ds else ds["diameter"] ** 3
     inputs = [a.chunk(particle=-1) if a.chunks is not None else a for a in (ds["diameter"], weight)]
+    if not ds.sizes["particle"]:  # which dask takes no function over
+        inputs = [a.compute() for a in inputs]
     table = xr.apply_ufunc(
         _sizes_of_rows, *inputs, input_core_dims=[["particle"]] * 2, output_core_dims=[["size"]],
         dask="parallelized", output_dtypes=[float], dask_gufunc_kwargs={"output_sizes": {"size": len(SIZES)}},
