@@ -169,6 +169,21 @@ def test_one_particle_or_contact_has_results_without_that_dimension(scene, lazy)
 
 
 @pytest.mark.parametrize("lazy", [False, True])
+def test_variables_of_the_users_own_are_selected_along(scene, lazy):
+    own = scene.assign(
+        temperature=2 * scene.diameter, spin=-scene.velocity, contact_heat=scene.contact_force.sum("component"),
+        serial=("time", [1.0, 2.0]),
+    )  # fmt: skip
+    own = own.chunk(time=1) if lazy else own
+    fields = ["temperature", "spin", xcg.Sum("contact_heat")]
+    whole = own.cg.coarse_grain(fields, width=0.8).compute()
+    for how in ("transposed", "all chosen", "shuffled"):
+        xr.testing.assert_equal(SAME[how](own).cg.coarse_grain(fields, width=0.8).compute(), whole)
+    one, several = (s.cg.coarse_grain(fields, width=0.8) for s in (own.isel(particle=5), own.isel(particle=[5])))
+    xr.testing.assert_equal(one.compute(), several.compute())
+
+
+@pytest.mark.parametrize("lazy", [False, True])
 def test_labels_may_stand_for_rows(scene, lazy):
     scene = scene.chunk(time=1) if lazy else scene
     by_number = scene.swap_dims(time="step")

@@ -17,7 +17,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.scene.query import MEASURED, known_without_reading
-from xcg.scene.schema import BOX_EDGES, COMPONENTS, PADDING, VARIABLES, SceneError, Variable
+from xcg.scene.schema import BOX_EDGES, COMPONENTS, PADDING, VARIABLES, SceneError, Variable, variable
 from xcg.scene.warn import Once
 
 _MOST_SPREAD = 2**27  # values a step of a variable that was spread over the rows of others: 1 GB
@@ -55,8 +55,8 @@ def conform(ds: xr.Dataset) -> xr.Dataset:
     scene = _with_components(scene)
     masked = scene["particle_id"].dtype.kind == "f"
     changed = {}
-    for name, row in _rows(scene).items():
-        array = scene[name]
+    for name in map(str, scene.data_vars):
+        array, row = scene[name], _row_of(scene, name)
         found = array if row is None else _with_dims(array, row)
         if found.dtype.kind == "f" and (f"{name}_values" in scene.attrs or (row and row.dtype == "int64")):
             found = _mapped(partial(_whole, name=name), found, "int64")
@@ -91,17 +91,25 @@ def _with_dim(ds: xr.Dataset, dim: str) -> xr.Dataset:
         if "step" in ds.coords and ds["step"].ndim == 0:
             series = series.assign_coords(step=ds["step"].variable.expand_dims("time"))
         return series
-    rows = {name: "particle" if row is None else row.dims[0] for name, row in _rows(ds).items()}
-    of_it = [name for name, first in rows.items() if first == dim and {*ds[name].dims} <= {"time", "component"}]
-    found = {name: ds[name].variable.expand_dims(dim) for name in of_it}
-    for name, array in found.items():
-        array.encoding = ds[name].encoding
+    of_step = {"time", "component", "direction"}
+    names = [
+        n for n in map(str, ds.data_vars) if n != "box" and {*ds[n].dims} <= of_step and variable(n).dims[0] == dim
+    ]
+    found = {}
+    for name in names:
+        found[name] = ds[name].variable.set_dims([dim, *ds[name].dims])
+        found[name].encoding = ds[name].encoding
     return ds.assign(found)
 
 
-def _rows(ds: xr.Dataset) -> dict[str, Variable | None]:
-    """Rows of the schema of all variables; none for those of the user's own."""
-    return {str(name): BOX_EDGES if name == "box" else VARIABLES.get(str(name)) for name in ds.data_vars}
+def _row_of(ds: xr.Dataset, name: str) -> Variable | None:
+    """Row of the schema of a variable; none for what the user keeps beside the scene."""
+    if name == "box":
+        return BOX_EDGES
+    dims = ds[name].dims
+    row = variable(name, ds[name].dtype, 1 + sum(dim in dims for dim in ("component", "direction")))
+    expected = {"time", *row.dims}
+    return row if name in VARIABLES or expected <= {*dims} <= expected | {"particle", "contact"} else None
 
 
 def _as_selected(result: xr.Dataset, ds: xr.Dataset) -> xr.Dataset:
