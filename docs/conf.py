@@ -20,3 +20,13 @@ nb_execution_mode = "force"
 nb_execution_raise_on_error = True
 numpydoc_show_class_members = False
 autodoc_typehints = "none"
+
+
+def shorten_methods(app, what, name, obj, options, lines):
+    """Methods of the accessor are functions that have their own entries: one line is enough."""
+    if name.startswith("xcg.CoarseGrainAccessor.") and lines:
+        del lines[1:]
+
+
+def setup(app):
+    app.connect("autodoc-process-docstring", shorten_methods, priority=1)  # before numpydoc

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from xcg.fields.coarse_grain import coarse_grain
+from xcg.fields.coarse_grain import answer, of_bodies
 from xcg.fields.plan import make_plan
+from xcg.fields.request import SharedOptions, takes
 from xcg.scene.conform import takes_scene
 from xcg.scene.query import require_rising_times
 from xcg.scene.schema import COMPONENTS
 
-FIELDS = (
+FIELDS = [
     "density",
     "momentum_density",
     "velocity",
@@ -22,7 +24,7 @@ FIELDS = (
     "contact_stress",
     "contact_force_density",
     "wall_traction",
-)
+]
 
 
 def _derivative(field: xr.DataArray, axis: str, *, wraps: bool) -> xr.DataArray:
@@ -44,8 +46,26 @@ def _divergence(field: xr.DataArray, dim: str, axes: str, wraps: set[str]) -> xr
     return sum(parts[1:], start=parts[0])
 
 
+@dataclass(frozen=True, kw_only=True)
+class BalanceRequest(SharedOptions):
+    """Arguments of `balance`: every axis must be resolved or averaged, with five nodes or more.
+
+    Parameters
+    ----------
+    width : float or str, optional
+        Half-width w of the kernel (m), or a multiple of a size such as "0.75 d43" (the default). A spacing of a quarter
+        of the width or less resolves the kernel.
+    at : mapping, optional
+        Refused unless empty: no derivative is taken along a fixed axis.
+    """
+
+    width: float | str | None = None
+    at: Mapping[str, float] | None = None
+
+
 @takes_scene
-def balance(ds: xr.Dataset, **options: Any) -> xr.Dataset:
+@takes(BalanceRequest)
+def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
     """Residuals of the balances of force, mass and momentum, as fields and as norms.
 
     With div by central differences of fourth order between the nodes,
@@ -62,9 +82,7 @@ def balance(ds: xr.Dataset, **options: Any) -> xr.Dataset:
     ----------
     ds : xarray.Dataset
         A scene with contacts.
-    **options
-        Arguments of `coarse_grain`. Every axis must be resolved or averaged (no ``at``), with five nodes or more; a
-        spacing of a quarter of the width or less resolves the kernel.
+    {arguments}
 
     Returns
     -------
@@ -77,19 +95,24 @@ def balance(ds: xr.Dataset, **options: Any) -> xr.Dataset:
     SceneError
         If the scene lacks what the fields need, or its times do not rise.
     ValueError
-        If an axis is fixed or has fewer than five nodes, or if each group has a width of its own.
+        If an axis is fixed or has fewer than five nodes, if each group has a width of its own, or with a preset.
 
     Notes
     -----
     Source: Goldhirsch (2010), eqs. 4 to 14; walls: Weinhart et al. (2012).
     """
-    if options.get("at"):
-        msg = f"at={options['at']!r}: no derivative is taken along a fixed axis; resolve it, or leave it out to average"
+    if asked.at:
+        msg = f"at={asked.at!r}: no derivative is taken along a fixed axis; resolve it, or leave it out to average"
         raise ValueError(msg)
-    if isinstance(options.get("width"), Mapping):
+    if isinstance(asked.width, Mapping):
         msg = "contacts between grains of different widths exchange momentum at a distance: give one width for all"
         raise ValueError(msg)
-    plan = make_plan(ds, list(FIELDS), **options)
+    if asked.preset is not None:
+        msg = f"preset={asked.preset!r}: the balances are those of fields of xcg; leave it out"
+        raise ValueError(msg)
+    ds, asked = of_bodies(ds, asked)
+    request = asked.ask(fields=FIELDS, width=asked.width)
+    plan = make_plan(ds, request)
     grid = plan.deposit.grid
     short = [a for a in grid.axes if len(grid.nodes[a]) < 5]
     if short:
@@ -97,8 +120,8 @@ def balance(ds: xr.Dataset, **options: Any) -> xr.Dataset:
         raise ValueError(msg)
     if ds.sizes["time"] > 1:
         require_rising_times(ds, "balance")
-    f = coarse_grain(ds, list(FIELDS), **options)
-    wraps = set(plan.setup.periodic) & set(grid.axes) - set(options.get("bounds", {})) if _stays(ds) else set()
+    f = answer(ds, request)
+    wraps = set(plan.setup.periodic) & set(grid.axes) - set(asked.bounds or {}) if _stays(ds) else set()
 
     def divergence(field: xr.DataArray, dim: str) -> xr.DataArray:
         return _divergence(field, dim, grid.axes, wraps)

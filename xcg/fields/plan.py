@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -17,14 +17,13 @@ from xcg.fields.deposit import BLOCK_NODES, DepositSpec
 from xcg.fields.grid import Grid, make_grid
 from xcg.fields.moments import MOMENTS
 from xcg.fields.quadrature import SINGLE, gauss_limits
+from xcg.fields.request import Request
 from xcg.fields.smoothing import Kernel, as_kernel, choose_width
 from xcg.fields.variables import OwnField, Quantity, own_fields, own_moments, rows_of
 from xcg.scene.query import edges_of, groups_of, require_scene, setup_of
-from xcg.scene.schema import COMPONENTS, CONTACT_VARIABLES, SceneError, Setup
+from xcg.scene.schema import COMPONENTS, CONTACT_VARIABLES, SceneError, Setup, did_you_mean
 from xcg.scene.sizes import layer_depth, with_measures
 from xcg.scene.warn import warn_user
-
-Fields: TypeAlias = str | Quantity | Sequence[str | Quantity] | None
 
 
 @dataclass(frozen=True)
@@ -124,7 +123,7 @@ _NARROW = 0.1  # widths, in mean diameters, that show single grains only
 
 
 def _choose_fields(
-    asked: Fields, ds: xr.Dataset, options: registry.Options
+    asked: str | Quantity | Sequence[str | Quantity] | None, ds: xr.Dataset, options: registry.Options
 ) -> tuple[tuple[str, ...], tuple[OwnField, ...]]:
     """Names of the fields of a result, and those of them that are quantities of the scene's own variables."""
     lacking = {name for name, f in registry.FIELDS.items() if f.option and getattr(options, f.option) is None}
@@ -140,9 +139,10 @@ def _choose_fields(
     names = [own[k].name if k in own else one for k, one in enumerate(given)]
     unknown = [name for name in names if name not in registry.listed() and name not in {o.name for o in own.values()}]
     if unknown or not names:
-        msg = f"unknown fields {unknown}: choose from {', '.join(registry.listed())}"
         more = [name for name in rows_of(ds) if name not in registry.FIELDS]
+        msg = f"unknown fields {unknown}: choose from {', '.join(registry.listed())}"
         msg += f", or a variable of the scene: {', '.join(more)}"
+        msg += "".join(did_you_mean(str(name), [*registry.listed(), *more]) for name in unknown)
         raise ValueError(msg)
     for name in names:
         if name in lacking:
@@ -166,30 +166,8 @@ def _variables(fields: Sequence[str], ds: xr.Dataset, options: registry.Options)
     return needed
 
 
-def make_plan(
-    ds: xr.Dataset,
-    fields: Fields = None,
-    *,
-    width: float | str | Mapping[Any, float | str] | None = None,
-    kernel: str | Kernel = "lucy",
-    spacing: float | Mapping[str, float] | None = None,
-    axes: str | None = None,
-    at: Mapping[str, float] | None = None,
-    bounds: Mapping[str, Sequence[float]] | None = None,
-    by: str | None = None,
-    groups: Sequence[int] | None = None,
-    extent: Mapping[str, float] | None = None,
-    gradient: str = "least_squares",
-    pressure_dims: str | None = None,
-    shear_dims: str | None = None,
-    deviatoric: str = "stress",
-    size: str = "d43",
-    fluid_viscosity: float | None = None,
-    by_pair: bool = False,
-    temperature: str = "unbiased",
-    rtol: float = 0.0,
-) -> Plan:
-    """Plan a call of `coarse_grain`; the arguments are the same. Reads attributes only, never data.
+def make_plan(ds: xr.Dataset, request: Request) -> Plan:
+    """Plan what a request takes, of grains and fields of xcg. Reads attributes only, never data.
 
     Raises
     ------
@@ -201,38 +179,39 @@ def make_plan(
     require_scene(ds, (), "coarse_grain")
     ds = with_measures(ds)
     setup = setup_of(ds)
-    options = _options(ds, setup, gradient, pressure_dims, shear_dims, deviatoric, size, fluid_viscosity, temperature)
-    if by_pair and by is None:
+    options = _options(ds, setup, request)
+    rtol, by = request.rtol, request.by
+    if request.by_pair and by is None:
         msg = "by_pair=True divides contact stress by pairs of phases: say which with by=, for example by='species'"
         raise ValueError(msg)
-    options = replace(options, by_pair=by_pair or None)
+    options = replace(options, by_pair=request.by_pair or None)
     if not (np.isfinite(rtol) and rtol >= 0):
         msg = f"rtol={rtol!r}: expected 0 (closed form) or a positive number such as 1e-3"
         raise ValueError(msg)
-    names, own = _choose_fields(fields, ds, options)
+    names, own = _choose_fields(request.fields, ds, options)
     options = replace(options, own=own)
     options = replace(options, own=(*own, *registry.registered_for(names, options)))
-    if by_pair:
+    if request.by_pair:
         names = tuple(dict.fromkeys([*names, "contact_stress_by_pair"]))
     variables = _variables(names, ds, options)
     require_scene(ds, sorted(variables), f"coarse_grain of {', '.join(names)}")
-    kernels = _kernels(ds, kernel, width, by, groups, setup.dimension)
+    kernels = _kernels(ds, request, setup.dimension)
     chosen = max(kernels, key=lambda k: k.cutoff)
-    _warn_of_width(min(k.width for k in kernels), ds.attrs.get("dmin" if isinstance(width, Mapping) else "d43"))
+    _warn_of_width(min(k.width for k in kernels), ds.attrs.get("dmin" if isinstance(request.width, Mapping) else "d43"))
     edges = edges_of(ds)
     period = {a: edges[a][1] - edges[a][0] for a in setup.periodic if a in edges}
     grid = make_grid(
-        setup.plane if axes is None and at is None else axes or "",
-        at or {},
-        bounds or {},
-        min(k.width for k in kernels) if spacing is None else spacing,
+        setup.plane if request.axes is None and request.at is None else request.axes or "",
+        request.at or {},
+        request.bounds or {},
+        min(k.width for k in kernels) if request.spacing is None else request.spacing,
         plane=setup.plane,
         cutoff=min(k.cutoff for k in kernels),
         automatic=_automatic(ds, setup, edges, chosen.cutoff),
         period=period,
     )
     _warn_of_cuts(grid, {a: edges[a] for a in period}, chosen.cutoff)
-    if gradient == "kernel" and {"mass_slope", "momentum_slope"} & set(registry.moments_of(names, options)):
+    if request.gradient == "kernel" and {"mass_slope", "momentum_slope"} & set(registry.moments_of(names, options)):
         _check_differentiable(chosen, len(grid.seen))
     limits = gauss_limits(chosen, len(grid.seen), rtol)
     deposit = DepositSpec(
@@ -243,7 +222,7 @@ def make_plan(
         limits=limits,
         coarse=limits.size > 0 and rtol >= SINGLE,
         by=by,
-        groups=() if by is None else groups_of(ds, by, groups),
+        groups=() if by is None else groups_of(ds, by, request.groups),
         own=own_moments(own),
     )
     x, y, z = (grid.spacing.get(a, 0.0) for a in COMPONENTS)
@@ -253,7 +232,7 @@ def make_plan(
     read = [n for n in ds.data_vars if n in variables | extra]
     return Plan(
         fields=names, variables=tuple(map(str, read)), deposit=deposit, options=options, kernel=chosen,
-        extent=_extents(grid, extent or {}, edges), depth=layer_depth(ds, setup, edges), setup=setup, rtol=rtol,
+        extent=_extents(grid, request.extent or {}, edges), depth=layer_depth(ds, setup, edges), setup=setup, rtol=rtol,
     )  # fmt: skip
 
 
@@ -279,38 +258,38 @@ def _warn_of_cuts(grid: Grid, edges: Mapping[str, tuple[float, float]], reach: f
             warn_user(msg)
 
 
-def _kernels(
-    ds: xr.Dataset, kernel: str | Kernel, width: Any, by: str | None, groups: Sequence[int] | None, dimension: int
-) -> list[Kernel]:
+def _kernels(ds: xr.Dataset, request: Request, dimension: int) -> list[Kernel]:
     """One kernel for all, or one for each group where `width` maps groups to widths."""
+    kernel, width, by = request.kernel, request.width, request.by
     if not isinstance(width, Mapping):
-        return [as_kernel(kernel, choose_width(width, ds.attrs) if isinstance(kernel, str) else width, dimension)]
+        has_own = isinstance(kernel, Kernel) and width is None
+        return [as_kernel(kernel, None if has_own else choose_width(width, ds.attrs), dimension)]
     if by is None or not isinstance(kernel, str):
         msg = f"width={dict(width)!r} gives each group its own: name the groups' variable with by=, and a kernel"
         raise ValueError(msg)
     own = {str(group): value for group, value in width.items()}
-    known = groups_of(ds, by, groups)
+    known = groups_of(ds, by, request.groups)
     if set(own) != {str(g) for g in known}:
         msg = f"width={dict(width)!r}: expected a width for each of the groups {list(known)} of {by!r}"
         raise ValueError(msg)
     return [as_kernel(kernel, choose_width(own[str(g)], ds.attrs), dimension) for g in known]
 
 
-def _options(
-    ds: xr.Dataset, setup: Setup, gradient: str, pressure_dims: str | None, shear_dims: str | None, deviatoric: str,
-    size: str, fluid_viscosity: float | None, temperature: str,
-) -> registry.Options:  # fmt: skip
+def _options(ds: xr.Dataset, setup: Setup, request: Request) -> registry.Options:
     """Check the choices of the algebra."""
-    for name, value, known in (
-        ("gradient", gradient, registry.GRADIENTS),
-        ("deviatoric", deviatoric, registry.DEVIATORIC),
-        ("size", size, registry.INERTIAL_SIZES),
-        ("temperature", temperature, registry.TEMPERATURES),
+    for name, known in (
+        ("gradient", registry.GRADIENTS),
+        ("deviatoric", registry.DEVIATORIC),
+        ("size", registry.INERTIAL_SIZES),
+        ("temperature", registry.TEMPERATURES),
     ):
+        value = getattr(request, name)
         if value not in known:
             msg = f"{name}={value!r}: expected one of {', '.join(known)}"
             raise ValueError(msg)
-    for name, axes in (("pressure_dims", pressure_dims), ("shear_dims", shear_dims)):
+    size, fluid_viscosity = request.size, request.fluid_viscosity
+    for name in ("pressure_dims", "shear_dims"):
+        axes = getattr(request, name)
         if axes is not None and (not axes or set(axes) - set(setup.plane) or len(set(axes)) < len(axes)):
             msg = f"{name}={axes!r}: expected some of the scene's axes {setup.plane!r}, each once"
             raise ValueError(msg)
@@ -322,15 +301,19 @@ def _options(
         raise ValueError(msg)
     return registry.Options(
         plane=tuple(COMPONENTS.index(a) for a in setup.plane),
-        gradient=gradient,
-        pressure_axes=None if pressure_dims is None else tuple(COMPONENTS.index(a) for a in pressure_dims),
-        shear_axes=None if shear_dims is None else tuple(COMPONENTS.index(a) for a in shear_dims),
-        deviatoric=deviatoric,
+        gradient=request.gradient,
+        pressure_axes=_indices(request.pressure_dims),
+        shear_axes=_indices(request.shear_dims),
+        deviatoric=request.deviatoric,
         size=size,
         diameter=float(ds.attrs.get(size, np.nan)),
         fluid_viscosity=fluid_viscosity,
-        temperature=temperature,
+        temperature=request.temperature,
     )
+
+
+def _indices(axes: str | None) -> tuple[int, ...] | None:
+    return None if axes is None else tuple(COMPONENTS.index(a) for a in axes)
 
 
 def _automatic(

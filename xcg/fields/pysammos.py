@@ -9,16 +9,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import xarray as xr
 
 from xcg.fields import registry
+from xcg.fields.plan import make_plan
+from xcg.fields.request import Request
 from xcg.fields.smoothing import as_kernel, choose_width
-from xcg.scene.query import setup_of
-from xcg.scene.schema import COMPONENTS, units_of
+from xcg.fields.variables import Quantity
+from xcg.scene.query import require_scene, setup_of
+from xcg.scene.schema import COMPONENTS, did_you_mean, units_of
 from xcg.scene.sizes import with_measures
 
 _TENSOR = ("component", "direction")
@@ -176,7 +179,9 @@ def rows(plane: str, axes: str) -> dict[str, Row]:
     return table
 
 
-def choose(asked: str | Sequence[str] | None, table: Mapping[str, Row], available: Sequence[str]) -> list[str]:
+def choose(
+    asked: str | Quantity | Sequence[str | Quantity] | None, table: Mapping[str, Row], available: Sequence[str]
+) -> list[str]:
     """Names for a request: names, keys of ``fields_to_export``, or None for all that `available` fields of xcg allow.
 
     Raises
@@ -187,10 +192,11 @@ def choose(asked: str | Sequence[str] | None, table: Mapping[str, Row], availabl
     if asked is None:
         return [name for name, row in table.items() if set(row.needs) <= set(available)]
     names: list[str] = []
-    for word in [asked] if isinstance(asked, str) else asked:
+    for word in map(str, [asked] if isinstance(asked, (str, Quantity)) else asked):
         found = [word] if word in table else [name for name, row in table.items() if row.family == word]
         if not found:
-            msg = f"unknown field {word!r} of the preset 'pysammos': choose from {', '.join(table)}"
+            known = f"choose from {', '.join(table)}{did_you_mean(word, table)}"
+            msg = f"unknown field {word!r} of the preset 'pysammos': {known}"
             raise ValueError(msg)
         names += found
     return list(dict.fromkeys(names))
@@ -224,6 +230,31 @@ def from_xcg(f: xr.Dataset, names: Sequence[str], table: Mapping[str, Row]) -> x
     if "sample_count" in f:
         out["sample_count"] = f["sample_count"]
     return xr.Dataset(out, attrs=f.attrs)
+
+
+def translate(ds: xr.Dataset, request: Request) -> tuple[Request, Callable[[xr.Dataset], xr.Dataset]]:
+    """Put a request in its names into names of xcg; the function turns the answer into its fields.
+
+    Raises
+    ------
+    SceneError
+        If `ds` is not a scene.
+    ValueError
+        If a variant is asked for by an argument, or names or plane are wrong.
+    """
+    usual = Request()
+    variants = ("pressure_dims", "deviatoric", "size", "temperature")
+    clash = [name for name in variants if getattr(request, name) != getattr(usual, name)]
+    if clash:
+        msg = f"preset='pysammos' has a name for each variant: leave out {clash}, and take the field that you want"
+        raise ValueError(msg)
+    require_scene(ds, (), "coarse_grain")
+    table = rows(*plane_of(ds, request.shear_dims))
+    own = replace(request, preset=None, shear_dims=None)
+    names = choose(request.fields, table, make_plan(ds, replace(own, fields=None)).fields)
+    needed = list(dict.fromkeys(["sample_count", *(n for name in names for n in table[name].needs)]))
+    # its temperature is per density; other fields do not depend on it
+    return replace(own, fields=needed, temperature="biased"), partial(from_xcg, names=names, table=table)
 
 
 def pysammos_mesh(

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import KW_ONLY, dataclass, replace
 
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from xcg.fields.coarse_grain import coarse_grain
+from xcg.fields.coarse_grain import answer, of_bodies
 from xcg.fields.plan import make_plan
+from xcg.fields.request import Request, SharedOptions, takes
 from xcg.fields.smoothing import choose_width
-from xcg.scene.bodies import group_bodies
+from xcg.fields.variables import Quantity
 from xcg.scene.conform import takes_scene
 from xcg.scene.sizes import with_measures
 
@@ -34,16 +35,33 @@ def _points(at: Mapping[str, ArrayLike] | None) -> tuple[list[dict[str, float]],
     return [dict(zip(columns, map(float, row), strict=True)) for row in rows], True
 
 
+@dataclass(frozen=True)
+class SweepRequest(SharedOptions):
+    """Arguments of `width_sweep`.
+
+    Parameters
+    ----------
+    widths : list of float or str
+        Three or more widths (m), or multiples of sizes such as "0.5 d43".
+    fields : str, quantity, or list of these, optional
+        Names of fields, or quantities, as in `coarse_grain`.
+    at : mapping, optional
+        Points: one number an axis, or lists of the same length, one entry a point (dimension ``point``). Axes not
+        named are averaged, unless ``axes`` resolves them; None averages over the whole box.
+    threshold : float
+        Largest logarithmic slope of a plateau; 0.1 changes a field by 7 % when the width doubles.
+    """
+
+    widths: Sequence[float | str]
+    fields: str | Quantity | Sequence[str | Quantity] | None = None
+    _: KW_ONLY
+    at: Mapping[str, ArrayLike] | None = None
+    threshold: float = THRESHOLD
+
+
 @takes_scene
-def width_sweep(
-    ds: xr.Dataset,
-    widths: Sequence[float | str],
-    fields: str | Sequence[str] | None = None,
-    *,
-    at: Mapping[str, ArrayLike] | None = None,
-    threshold: float = THRESHOLD,
-    **options: Any,
-) -> xr.Dataset:
+@takes(SweepRequest)
+def width_sweep(ds: xr.Dataset, asked: SweepRequest) -> xr.Dataset:
     """Coarse-grain with several widths, and find the plateau of each field.
 
     The plateau is where the logarithmic slope ``|d ln f / d ln w|`` is smallest, if it is below `threshold` there.
@@ -53,17 +71,7 @@ def width_sweep(
     ----------
     ds : xarray.Dataset
         A scene.
-    widths : list of float or str
-        Three or more widths (m), or multiples of sizes such as "0.5 d43".
-    fields : str or list of str, optional
-        Names of fields.
-    at : mapping, optional
-        Points: one number an axis, or lists of the same length, one entry a point (dimension ``point``). Axes not
-        named are averaged, unless `options` resolve them with ``axes=``; None averages over the whole box.
-    threshold : float
-        Largest logarithmic slope of a plateau; 0.1 changes a field by 7 % when the width doubles.
-    **options
-        Further arguments of `coarse_grain`, for example ``kernel="gaussian"`` or ``axes="z"``.
+    {arguments}
 
     Returns
     -------
@@ -77,24 +85,18 @@ def width_sweep(
         If there are fewer than three different widths, or an argument of `coarse_grain` is wrong.
     """
     measured = with_measures(ds).attrs
-    lengths = sorted({choose_width(width, measured) for width in widths})
+    lengths = sorted({choose_width(width, measured) for width in asked.widths})
     if len(lengths) < 3:
-        msg = f"widths={list(widths)!r}: expected three or more different widths, to tell a slope"
+        msg = f"widths={list(asked.widths)!r}: expected three or more different widths, to tell a slope"
         raise ValueError(msg)
-    points, several = _points(at)
-    if "by_body" in options:
-        ds = group_bodies(ds, options.pop("by_body"))
-    options.setdefault("axes", "")
-    # nodes stay where they are for all widths
-    if options["axes"]:
-        options.setdefault("spacing", lengths[0])
-        if "bounds" not in options:
-            placing = {k: v for k, v in options.items() if k in ("axes", "spacing", "kernel", "extent")}
-            grid = make_plan(ds, "number_density", width=lengths[-1], at=points[0], **placing).deposit.grid
-            options["bounds"] = {a: (float(nodes[0]), float(nodes[-1])) for a, nodes in grid.nodes.items()}
+    points, several = _points(asked.at)
+    ds, asked = of_bodies(ds, asked)
+    asked = replace(asked, axes=asked.axes or "")
+    if asked.axes:
+        asked = _with_nodes(ds, asked, lengths, points[0])
     swept = []
     for width in lengths:
-        parts = [coarse_grain(ds, fields, width=width, at=point, **options) for point in points]
+        parts = [answer(ds, asked.ask(fields=asked.fields, width=width, at=point)) for point in points]
         swept.append(xr.concat(parts, "point", coords="different", compat="equals") if several else parts[0])
     joined = xr.concat(swept, xr.Variable("width", lengths, {"long_name": "width of the kernel"}), join="override")
     joined["width"].attrs["units"] = "m" if joined.attrs.get("unit_system", "SI") == "SI" else "1"
@@ -104,8 +106,23 @@ def width_sweep(
         joined = joined.chunk({"width": -1})
     found: dict[str, xr.DataArray] = {}
     for field in map(str, joined.data_vars):
-        found |= _plateau(field, joined[field], np.array(lengths), threshold)
+        found |= _plateau(field, joined[field], np.array(lengths), asked.threshold)
     return joined.assign(found)
+
+
+def _with_nodes(
+    ds: xr.Dataset, asked: SweepRequest, widths: Sequence[float], point: Mapping[str, float]
+) -> SweepRequest:
+    """Keep nodes where they are for all widths: as close as the narrowest asks, as far as the widest reaches."""
+    spacing = widths[0] if asked.spacing is None else asked.spacing
+    if asked.bounds is not None:
+        return replace(asked, spacing=spacing)
+    placing = Request(
+        "number_density", width=widths[-1], at=point, axes=asked.axes, spacing=spacing, kernel=asked.kernel,
+        extent=asked.extent,
+    )  # fmt: skip
+    nodes = make_plan(ds, placing).deposit.grid.nodes
+    return replace(asked, spacing=spacing, bounds={a: (float(x[0]), float(x[-1])) for a, x in nodes.items()})
 
 
 def _plateau(name: str, field: xr.DataArray, widths: NDArray, threshold: float) -> dict[str, xr.DataArray]:

@@ -18,7 +18,7 @@ from xcg.scene.conform import takes_scene
 from xcg.scene.contacts import Contacts
 from xcg.scene.frame import phase_of, steps_in, without_frozen
 from xcg.scene.query import edges_of, groups_of, require_rising_times, require_scene, setup_of
-from xcg.scene.schema import COMPONENTS, Frame, SceneError, Setup, units_of
+from xcg.scene.schema import COMPONENTS, Frame, SceneError, Setup, did_you_mean, units_of
 from xcg.scene.sizes import layer_depth
 from xcg.steps.label import format_call, mark_skipped, provenance
 from xcg.steps.map import map_over_time
@@ -405,7 +405,8 @@ def _choose(ds: xr.Dataset, asked: str | Sequence[str] | None, rate: str | xr.Da
         names = [asked] if isinstance(asked, str) else list(asked)
         unknown = [name for name in names if name not in NAMES]
         if unknown or not names:
-            msg = f"unknown quantities {unknown}: choose from {', '.join(NAMES)}"
+            suggestions = "".join(did_you_mean(name, NAMES) for name in unknown)
+            msg = f"unknown quantities {unknown}: choose from {', '.join(NAMES)}{suggestions}"
             raise ValueError(msg)
         if set(names) & set(STRAIN) and "box" not in ds:
             require_scene(ds, ("box",), "strain of the box")

@@ -8,6 +8,7 @@ order of rows is looked after where frames are made (`xcg.scene.frame.frame_of`)
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Mapping
 from functools import partial, wraps
 from typing import Any, Concatenate, ParamSpec, TypeVar, cast
@@ -16,6 +17,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.scene.arguments import check_arguments
 from xcg.scene.query import MEASURED, known_without_reading
 from xcg.scene.schema import BOX_EDGES, COMPONENTS, PADDING, VARIABLES, SceneError, Variable, variable
 from xcg.scene.warn import Once
@@ -29,9 +31,11 @@ Task = Callable[Concatenate[xr.Dataset, P], R]
 
 def takes_scene(task: Task[P, R]) -> Task[P, R]:
     """Have a task take any selection of a scene; its result has those dimensions that the selection has."""
+    signature = inspect.signature(task)
 
     @wraps(task)
     def call(ds: xr.Dataset, *args: P.args, **options: P.kwargs) -> R:
+        check_arguments(task.__name__, signature, (ds, *args), options)
         result: Any = task(conform(ds), *args, **options)
         return cast(R, _as_selected(result, ds) if isinstance(result, xr.Dataset) else result)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
@@ -17,6 +17,9 @@ from numpy.typing import NDArray
 from xcg.scene.conform import takes_scene
 from xcg.scene.query import mark_measured, require_scene
 from xcg.scene.schema import PADDING, SceneError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # Of a single normal or uniform distribution cut in two or more, silhouettes stay below 0.65; two sizes that differ by
 # four standard deviations reach 0.75.
@@ -143,7 +146,7 @@ def assign_phases(
 
 
 @takes_scene
-def plot_phases(ds: xr.Dataset, step: int = 0) -> Any:
+def plot_phases(ds: xr.Dataset, step: int = 0) -> Figure:
     """Draw the clusters of one step and the scores of `find_phases` (computes).
 
     Returns

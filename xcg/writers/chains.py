@@ -6,9 +6,8 @@ import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import h5py
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +16,9 @@ from xcg.chains.results import Step, require_chains, steps_of
 from xcg.scene.complete import minimum_image
 from xcg.scene.schema import Frame
 from xcg.writers.files import hdf5_file, whole_file
+
+if TYPE_CHECKING:
+    import h5py
 
 # header of Force Chain Finder, spelling and trailing comma included; its stresses are tension-positive
 FCF_COLUMNS = (

@@ -11,9 +11,8 @@ import os
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import h5py
 import numpy as np
 import xarray as xr
 from numpy.typing import DTypeLike, NDArray
@@ -22,6 +21,9 @@ from xcg.writers import chains
 from xcg.writers.chunks import lock_for, over_time, write_chunks
 from xcg.writers.encoding import Encoding
 from xcg.writers.files import hdf5_file, whole_file
+
+if TYPE_CHECKING:
+    import h5py
 
 AXES = ("x", "y", "z")
 _ON_DISK = ("time", "z", "y", "x", "component", "direction")  # x runs fastest among nodes
@@ -314,6 +316,8 @@ def _disk_blocks(shape: tuple[int, ...], itemsize: int, temporal: bool) -> tuple
 
 def _describe(target: Any, attrs: Mapping[Any, Any]) -> None:
     """Copy attributes, as text where HDF5 has no type for them."""
+    import h5py
+
     for key, value in attrs.items():
         array = np.asarray(value)
         if array.dtype.kind == "U":

@@ -1,0 +1,166 @@
+"""The accessor shows what its functions take, offers what fits, and says what was meant."""
+
+import inspect
+import pydoc
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import xcg
+from xcg.accessor import CoarseGrainAccessor, Method
+from xcg.fields.coarse_grain import coarse_grain, explain
+from xcg.fields.request import SharedOptions, arguments, takes
+from xcg.writers import chains, vtkhdf
+
+METHODS = sorted(name for name, member in vars(CoarseGrainAccessor).items() if isinstance(member, Method))
+# methods whose functions have no place at the top of the package
+DEEPER = {"explain": explain, "to_csv": chains.to_csv, "to_vtp": chains.to_vtp, "to_vtkhdf": vtkhdf.to_vtkhdf}
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return xcg.datasets.random_scene(30, seed=1)
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_a_method_is_its_function(scene, name):
+    function = DEEPER.get(name) or getattr(xcg, name)
+    method = getattr(scene.cg, name)
+    _, *parameters = inspect.signature(function).parameters.values()
+    assert list(inspect.signature(method).parameters.values()) == parameters
+    assert inspect.signature(method).return_annotation == inspect.signature(function).return_annotation
+    assert method.__doc__ == function.__doc__
+    assert inspect.getsource(method) == inspect.getsource(function)
+    assert getattr(CoarseGrainAccessor, name) is function
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_every_argument_has_a_type_and_a_meaning(name):
+    function = getattr(CoarseGrainAccessor, name)
+    _, *parameters = inspect.signature(function).parameters.values()
+    told = inspect.cleandoc(function.__doc__).partition("Parameters\n----------\n")[2].partition("\n\n")[0]
+    entries = [line.split(" : ")[0] for line in told.splitlines() if not line.startswith(" ")]
+    named = {word.strip() for entry in entries for word in entry.split(",")}
+    for parameter in parameters:
+        assert parameter.kind not in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL)
+        assert "Any" not in str(parameter.annotation)
+        assert parameter.annotation is not parameter.empty
+        assert not told or parameter.name in named
+
+
+def test_help_is_whole(scene):
+    text = pydoc.plain(pydoc.render_doc(scene.cg.coarse_grain))
+    assert "kernel: 'str | Kernel' = 'lucy'" in text
+    assert "rtol: 'float' = 0.0" in text
+    assert "Half-width w of the kernel (m)" in text
+    assert "keeps it is taken, from 1e-4 on" in text
+    assert "{arguments}" not in text
+
+
+def test_all_that_coarse_grain_share_its_options():
+    shared = {field.name: field for field in arguments(SharedOptions)}
+    assert inspect.signature(explain).parameters == inspect.signature(coarse_grain).parameters
+    for function in (coarse_grain, explain, xcg.balance, xcg.width_sweep):
+        parameters = inspect.signature(function).parameters
+        assert [p.default for name, p in parameters.items() if name in shared] == [f.default for f in shared.values()]
+    assert coarse_grain.__annotations__["rtol"] is float  # types, where they are asked for
+
+
+@dataclass(frozen=True, kw_only=True)
+class Undocumented(SharedOptions):
+    """Arguments of a function.
+
+    Parameters
+    ----------
+    other : int
+        Not the one.
+    """
+
+    one: int = 1
+
+
+def test_each_argument_of_a_request_needs_a_meaning():
+    def function(ds: xr.Dataset, asked: Undocumented) -> xr.Dataset:
+        """Do something."""
+
+    with pytest.raises(KeyError, match="one"):
+        takes(Undocumented)(function)
+
+
+def test_every_kind_is_offered_what_fits(scene):
+    fields = scene.cg.coarse_grain("density", width=1.0)
+    found = scene.cg.force_chains()
+    offered = {kind: {n for n in dir(ds.cg) if n in METHODS} for kind, ds in
+               {"scene": scene, "fields": fields, "chains": found}.items()}  # fmt: skip
+    assert offered["scene"] >= {"coarse_grain", "explain", "force_chains", "measure", "save"}
+    assert offered["fields"] == {"profile", "time_average", "to_vtkhdf", "save"}
+    assert offered["chains"] >= {"select_chains", "chain_table", "plot_rose", "to_csv", "to_vtp", "to_vtkhdf", "save"}
+    assert not offered["scene"] & offered["chains"] - {"save"}
+    assert set.union(*offered.values()) == set(METHODS)
+    assert "__repr__" in dir(scene.cg)
+
+
+@pytest.mark.parametrize(
+    ("method", "given", "message"),
+    [
+        ("coarse_grain", {"widht": 1.0}, r"coarse_grain\(\) got an unexpected .* 'widht'; did you mean 'width'\?"),
+        ("explain", {"spacin": 1.0}, "did you mean 'spacing'"),
+        ("width_sweep", {"widths": [1, 2, 3], "treshold": 1.0}, r"width_sweep\(\).*did you mean 'threshold'"),
+        ("width_sweep", {}, r"width_sweep\(\).*'widths'"),
+        ("balance", {"kernal": "lucy"}, "did you mean 'kernel'"),
+        ("balance", {"fields": "density"}, "'fields'"),
+        ("force_chains", {"alfa": 30.0}, r"force_chains\(\).*did you mean 'alpha'"),
+        ("microstructure", {"rattler": "count"}, "did you mean 'rattlers'"),
+        ("find_contacts", {"zzzz": 1}, "'zzzz'$"),
+    ],
+)
+def test_misspelt_arguments(scene, method, given, message):
+    with pytest.raises(TypeError, match=message):
+        getattr(scene.cg, method)(**given)
+
+
+def test_too_many_arguments(scene):
+    with pytest.raises(TypeError, match=r"coarse_grain\(\).*too many positional"):
+        scene.cg.coarse_grain("density", 1.0)
+
+
+@pytest.mark.parametrize(
+    ("method", "given", "message"),
+    [
+        ("coarse_grain", "densty", "unknown fields .*did you mean 'density'"),
+        ("explain", ["velocty", "density"], "did you mean 'velocity'"),
+        ("microstructure", "mean_stres", "unknown quantities .*did you mean 'mean_stress'"),
+    ],
+)
+def test_misspelt_names(scene, method, given, message):
+    with pytest.raises(ValueError, match=message):
+        getattr(scene.cg, method)(given)
+
+
+def test_misspelt_names_of_a_preset(scene):
+    with pytest.raises(ValueError, match="did you mean 'density_mixture'"):
+        scene.cg.coarse_grain("density_mixtur", preset="pysammos", width=1.0)
+
+
+def test_balance_refuses_presets_and_takes_bodies_and_skips(scene):
+    with pytest.raises(ValueError, match="preset='pysammos'"):
+        scene.cg.balance(preset="pysammos", width=1.0)
+    options = {"width": 1.0, "spacing": 0.3, "axes": "z"}
+    plain = scene.cg.balance(**options)
+    same = scene.cg.balance(on_error="skip", **options)
+    np.testing.assert_array_equal(plain.force_residual, same.force_residual)
+    alone = scene.assign(body_id=scene.particle_id)
+    of_bodies = alone.cg.balance(by_body="body_id", **options)
+    np.testing.assert_allclose(of_bodies.force_residual, plain.force_residual, atol=1e-9)
+
+
+def test_completion_by_jedi(scene):
+    jedi = pytest.importorskip("jedi")
+    names = {c.name for c in jedi.Interpreter("ds.cg.", [{"ds": scene}]).complete()}
+    assert {"coarse_grain", "explain"} <= names
+    assert not {"to_csv", "profile"} & names
+    (signature, *_) = jedi.Interpreter("ds.cg.coarse_grain(", [{"ds": scene}]).get_signatures()
+    assert [p.name for p in signature.params] == list(inspect.signature(scene.cg.coarse_grain).parameters)
+    assert [c.name for c in jedi.Interpreter("ds.cg.width_sweep(thr", [{"ds": scene}]).complete()] == ["threshold="]

@@ -1,0 +1,181 @@
+"""What is asked of `coarse_grain` and of what calls it: each argument once, with its type, default and meaning.
+
+Functions take a request as one object. The decorator `takes` gives them its arguments instead, with the documentation,
+so that users see plain functions.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import KW_ONLY, MISSING, Field, dataclass, fields
+from functools import wraps
+from typing import Any, Concatenate, ParamSpec, TypeVar, cast, get_type_hints
+
+import xarray as xr
+
+from xcg.fields.smoothing import Kernel
+from xcg.fields.variables import Quantity
+
+P = ParamSpec("P")
+A = TypeVar("A")
+R = TypeVar("R")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SharedOptions:
+    """Arguments of all functions that coarse-grain a scene.
+
+    Parameters
+    ----------
+    kernel : str or Kernel
+        "lucy" (default), "gaussian", "heaviside", a registered name, or an object such as ``xcg.Lucy(cutoff=0.01)``.
+        Only kernels as smooth as Lucy give fields that satisfy the differential balance laws.
+    spacing : float or mapping, optional
+        Distance of nodes (m), for all axes or by axis; the width by default. Periodic axes without bounds take the
+        nearest spacing that divides the period.
+    axes : str, optional
+        Resolved axes, for example "xyz" (the default), "xz", "z". Axes neither here nor in `at` are averaged: the
+        exact integral over them (through the kernel's marginal), divided by their extent.
+    bounds : mapping, optional
+        First and last node of resolved axes (m). By default the box along periodic axes, and the extent of the
+        particles with their supports along the others.
+    by : str, optional
+        An integer variable of the particles, for example "species": adds the dimension ``phase`` with "bulk" first.
+        Fluctuations of each phase are about the bulk velocity; contact stress is split at the contact point.
+    groups : list of int, optional
+        All values of `by`, where they are not known without reading.
+    extent : mapping, optional
+        Length that the integral over an averaged axis is divided by (m); by default that of the box of each step.
+    gradient : str
+        The way to the velocity gradient, and with it to the granular temperature: "least_squares" (default), exact
+        in linear flow; "kernel", the exact derivative of the field V(r); "finite_difference" between the nodes
+        (resolved axes only); "paper", least squares about the node instead of the grains' centre of mass.
+    pressure_dims : str, optional
+        Axes whose normal stresses make the pressure: "z", "xy", ... (all axes of the scene by default).
+    shear_dims : str, optional
+        Axes that deviatoric stress, shear stress and shear rate are restricted to, for example "xz".
+    deviatoric : str
+        Which magnitudes are those of deviators: of the "stress" (default), the "rate", "both" or "neither".
+    size : str
+        Diameter in the inertial number: "d43" (default) or "d32" of the node, "d50" or "dmax" of the scene.
+    fluid_viscosity : float, optional
+        Viscosity of the fluid between the grains (Pa s), for ``viscous_number`` and ``effective_viscosity``.
+    by_pair : bool
+        Also divide contact stress by the phase of the partner: ``contact_stress_by_pair`` with the dimension
+        ``other_phase``, the phases and then "wall". Its sum over them is the contact stress of the phase.
+    temperature : str
+        "unbiased" (default) divides the fluctuations about the fitted velocity by the density less what the fit takes
+        of them (``fluctuation_density``); "biased" by the density alone, which gives less than half of the temperature
+        of a dense packing at the default width, and a tenth of that of a gas.
+    by_body : str, optional
+        An integer variable of the particles that says which body each component sphere belongs to, for example
+        "body_id": bodies are coarse-grained instead of spheres, see `xcg.group_bodies`.
+    rtol : float
+        Promise for the contact stress of every segment, relative to its largest value: the cheapest quadrature that
+        keeps it is taken, from 1e-4 on with weights in single precision. 0 (default) takes the closed form.
+    preset : {"pysammos"}, optional
+        Names and variants of another program; `fields` are then its names, and `shear_dims` its plane ("xy" by
+        default). See `xcg.fields.pysammos`.
+    on_error : {"raise", "skip"}
+        What to do about a step that cannot be read or computed: stop with its error (default), or leave it NaN, warn
+        of it by file and cause when it is computed, and mark it in the coordinate ``skipped`` (time).
+    """
+
+    kernel: str | Kernel = "lucy"
+    spacing: float | Mapping[str, float] | None = None
+    axes: str | None = None
+    bounds: Mapping[str, Sequence[float]] | None = None
+    by: str | None = None
+    groups: Sequence[int] | None = None
+    extent: Mapping[str, float] | None = None
+    gradient: str = "least_squares"
+    pressure_dims: str | None = None
+    shear_dims: str | None = None
+    deviatoric: str = "stress"
+    size: str = "d43"
+    fluid_viscosity: float | None = None
+    by_pair: bool = False
+    temperature: str = "unbiased"
+    by_body: str | None = None
+    rtol: float = 0.0
+    preset: str | None = None
+    on_error: str = "raise"
+
+    def ask(self, **own: Any) -> Request:
+        """Ask `coarse_grain` with these options, and with arguments of its own."""
+        return Request(**own, **{field.name: getattr(self, field.name) for field in fields(SharedOptions)})
+
+
+@dataclass(frozen=True)
+class Request(SharedOptions):
+    """Arguments of `coarse_grain`.
+
+    Parameters
+    ----------
+    fields : str, quantity, or list of these, optional
+        Names in the registry (`xcg.FIELDS`), by default all that the scene's variables allow; names of other variables
+        of the scene, for their means; and `xcg.Mean`, `xcg.Sum`, `xcg.Variance` or `xcg.Flux` of any variable. Only
+        what these need is read and summed.
+    width : float, str or mapping, optional
+        Half-width w of the kernel (m), or a multiple of a size such as "0.75 d43" (the default). With `by`, a mapping
+        gives each group its own, for very polydisperse scenes: ``{1: 1e-3, 2: "0.75 d43"}``. Every grain, and its
+        side of its contacts, is then smeared by the width of its group.
+    at : mapping, optional
+        Coordinate of fixed axes, for example ``{"y": 0.0}`` (m).
+    """
+
+    fields: str | Quantity | Sequence[str | Quantity] | None = None
+    _: KW_ONLY
+    width: float | str | Mapping[int, float | str] | None = None
+    at: Mapping[str, float] | None = None
+
+    def given(self) -> dict[str, Any]:
+        """Arguments that are not None."""
+        values = {field.name: getattr(self, field.name) for field in arguments(type(self))}
+        return {name: value for name, value in values.items() if value is not None}
+
+
+def arguments(request: Any) -> list[Field[Any]]:
+    """Fields of a class of requests in the order of a call: by position, its own, those of all."""
+    shared = {field.name for field in fields(SharedOptions)}
+    return sorted(fields(request), key=lambda field: (field.kw_only, field.name in shared))
+
+
+def takes(request: Callable[P, A]) -> Callable[[Callable[[xr.Dataset, A], R]], Callable[Concatenate[xr.Dataset, P], R]]:
+    """Give a function of a Dataset and a request the arguments that the request is made of.
+
+    Signature, annotations and docstring, where ``{arguments}`` stands for the parameters, tell of the arguments.
+    """
+
+    def decorate(function: Callable[[xr.Dataset, A], R]) -> Callable[Concatenate[xr.Dataset, P], R]:
+        @wraps(function)
+        def call(ds: xr.Dataset, *args: P.args, **options: P.kwargs) -> R:
+            return function(ds, request(*args, **options))
+
+        parameters = [inspect.Parameter("ds", inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation="xr.Dataset")]
+        for field in arguments(request):
+            kind = inspect.Parameter.KEYWORD_ONLY if field.kw_only else inspect.Parameter.POSITIONAL_OR_KEYWORD
+            default = inspect.Parameter.empty if field.default is MISSING else field.default
+            parameters.append(inspect.Parameter(field.name, kind, default=default, annotation=field.type))
+        hints = {"ds": xr.Dataset, **get_type_hints(request), "return": get_type_hints(function)["return"]}
+        shown = cast(Any, call)
+        shown.__signature__ = inspect.Signature(parameters, return_annotation=function.__annotations__["return"])
+        shown.__annotations__ = {name: hints[name] for name in (*(p.name for p in parameters), "return")}
+        if function.__doc__:  # there is none under python -OO
+            meanings = _meanings(request)
+            told = "\n".join(meanings[field.name] for field in arguments(request))
+            call.__doc__ = inspect.cleandoc(function.__doc__).replace("{arguments}", told)
+        return call
+
+    return decorate
+
+
+def _meanings(request: Any) -> dict[str, str]:
+    """Entries of the parameters in the docstrings of a class of requests and of those that it extends."""
+    found: dict[str, str] = {}
+    for kind in reversed(request.__mro__):
+        _, _, entries = inspect.cleandoc(kind.__doc__ or "").partition("Parameters\n----------\n")
+        found |= {entry.split(" :")[0]: entry for entry in re.split(r"\n(?=\S)", entries)}
+    return found
