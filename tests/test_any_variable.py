@@ -407,6 +407,23 @@ def test_a_job_takes_texts(tmp_path):
         assert float(f.heat.mean()) == pytest.approx(300, abs=1)
 
 
+def test_columns_of_contacts_become_variables(tmp_path):
+    rows = [(1, 0.0, 0.0, 0.0), (2, 1.0, 0.0, 0.0), (3, 2.0, 0.0, 0.0)]
+    head = "ITEM: TIMESTEP\n0\nITEM: NUMBER OF {}\n{}\nITEM: BOX BOUNDS ff ff ff\n-1 3\n-1 1\n-1 1\nITEM: {} {}\n"
+    grains, contacts = tmp_path / "grains.dump", tmp_path / "contacts.dump"
+    table = "\n".join(f"{i} {x} {y} {z} 1.0" for i, x, y, z in rows)
+    grains.write_text(head.format("ATOMS", 3, "ATOMS", "id x y z diameter") + table + "\n")
+    pairs = "1 2 1 0 0 7.5\n2 3 1 0 0 2.5\n"
+    contacts.write_text(head.format("ENTRIES", 2, "ENTRIES", "id1 id2 fx fy fz c_age") + pairs)
+    open_files = {"particles": str(grains), "contacts": str(contacts), "density": 1.0, "units": "SI"}
+    for chunks in (None, 1):
+        ds = xcg.open_scene(**open_files, chunks=chunks, names={"c_age": "contact_age"})
+        assert ds.contact_age.dims == ("time", "contact")
+        assert ds.contact_age.to_numpy()[0].tolist() == [7.5, 2.5]
+        f = ds.cg.coarse_grain("contact_age", width=0.4, axes="x", at={"y": 0.0, "z": 0.0}, spacing=0.25)
+        assert f.contact_age.sel(x=0.5, method="nearest").item() == pytest.approx(7.5)
+
+
 def test_one_layer():
     rng = np.random.default_rng(1)
     position = np.column_stack([rng.random((40, 2)), np.zeros(40)])

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.text import parse_table, read_body, source_of
-from xcg.scene.schema import COMPONENTS, Frame, SceneError
+from xcg.scene.schema import COMPONENTS, Frame, SceneError, variable
 from xcg.scene.warn import warn_user
 
 Slots: TypeAlias = Mapping[str, Sequence[str]]
@@ -92,7 +92,9 @@ def assign(ref: StepRef, slots: Slots, options: ReadOptions) -> dict[str, str]:
             raise SceneError(msg)
     for column, slot in given.items():
         if slot is not None and slot not in PARTICLE_SLOTS and slot not in CONTACT_SLOTS:
-            close = difflib.get_close_matches(slot, slots, 3, 0.8)
+            prefix = "contact_" if slot.startswith("contact_") else ""  # which all slots of contacts share
+            alike = [word.removeprefix(prefix) for word in slots if word.startswith(prefix)]
+            close = [prefix + word for word in difflib.get_close_matches(slot.removeprefix(prefix), alike, 3, 0.8)]
             if close:
                 msg = f"names={{{column!r}: {slot!r}}}: unknown; did you mean {' or '.join(map(repr, close))}?"
                 raise SceneError(msg)
@@ -166,9 +168,14 @@ def particle_columns(ref: StepRef, slots: Slots, options: ReadOptions) -> dict[s
     own = {
         slot: column
         for column, slot in options.names.items()
-        if slot is not None and column in ref.columns and slot not in {*PARTICLE_SLOTS, *CONTACT_SLOTS}
+        if slot is not None and column in ref.columns and _is_own(slot, "particle")
     }
     return filled | own
+
+
+def _is_own(slot: str, dim: str) -> bool:
+    """Whether a slot is a variable of the caller's own, of particles or of contacts."""
+    return slot not in {*PARTICLE_SLOTS, *CONTACT_SLOTS} and variable(slot).dims == (dim,)
 
 
 def particles_from(ref: StepRef, columns: Mapping[str, str]) -> Frame:
@@ -203,7 +210,8 @@ def contact_columns(ref: StepRef, slots: Slots, options: ReadOptions) -> dict[st
     """Find the column of each slot, checked to be enough for contacts.
 
     The force is ``contact_force``; without it, the sum of ``normal_force`` and ``tangential_force``; without
-    the second, the first alone.
+    the second, the first alone. Columns that `names` maps to other names that begin with "contact_" become variables
+    of their own.
     """
     filled = assign(ref, slots, options)
     for slot in ("contact_i", "contact_j"):
@@ -228,7 +236,12 @@ def contact_columns(ref: StepRef, slots: Slots, options: ReadOptions) -> dict[st
         raise SceneError(msg)
     used = ("contact_force",) if there["contact_force"] else ("normal_force", "tangential_force")
     unused = tuple(set(_FORCES) - set(used))
-    return {slot: column for slot, column in filled.items() if not slot.startswith(unused)}
+    own = {
+        slot: column
+        for column, slot in options.names.items()
+        if slot is not None and column in ref.columns and _is_own(slot, "contact")
+    }
+    return {slot: column for slot, column in filled.items() if not slot.startswith(unused)} | own
 
 
 def contact_names(columns: Mapping[str, str]) -> list[str]:
@@ -236,14 +249,15 @@ def contact_names(columns: Mapping[str, str]) -> list[str]:
     vectors = [slot for slot in ("contact_point", "contact_normal") if f"{slot}_x" in columns]
     if "end_i_x" in columns and "contact_normal" not in vectors:
         vectors.append("contact_normal")
-    return [*(slot for slot in _CONTACT_SCALARS if slot in columns), "contact_force", *vectors]
+    own = [slot for slot in columns if _is_own(slot, "contact")]
+    return [*(slot for slot in _CONTACT_SCALARS if slot in columns), "contact_force", *vectors, *own]
 
 
 def contacts_from(ref: StepRef, columns: Mapping[str, str]) -> Frame:
     """Read the contacts of one step from the columns of `contact_columns`."""
     table = parse_table(read_body(ref), ref.columns, sorted(set(columns.values())), ref.rows, source_of(ref))
     values = {slot: table[column] for slot, column in columns.items()}
-    frame: Frame = {slot: values[slot] for slot in _CONTACT_SCALARS if slot in values}
+    frame: Frame = {slot: values[slot] for slot in values if slot in _CONTACT_SCALARS or _is_own(slot, "contact")}
     frame |= {slot: _stacked(values, slot, ref.rows) for slot in _CONTACT_VECTORS if f"{slot}_x" in columns}
     if "contact_force" not in frame:
         frame["contact_force"] = frame.pop("normal_force") + frame.pop("tangential_force", np.zeros(3))

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.text import source_of
-from xcg.scene.complete import complete_contacts, complete_particles, periods
+from xcg.scene.complete import HINTS, complete_contacts, complete_particles, periods
 from xcg.scene.frame import frame_of, stack
 from xcg.scene.plausible import check_ends
-from xcg.scene.schema import Frame, SceneError, Setup, variable
+from xcg.scene.schema import VARIABLES, Frame, SceneError, Setup, variable
 from xcg.scene.warn import Once
 from xcg.steps import errors as errors
 from xcg.steps.graph import picked
@@ -79,6 +79,7 @@ class Source:
 
     def complete(self, frame: Frame, ref: StepRef) -> Frame:
         """Check and complete the particles of one step."""
+        _check_own(frame, ref)
         if self.frozen is not None:
             if "species" not in frame:
                 msg = f"{source_of(ref)}: frozen={self.frozen} needs 'species', and the file holds none"
@@ -91,6 +92,7 @@ class Source:
         parts = []
         for ref in refs:
             raw = read_step(self.engine, self.options, ref, contacts=True)
+            _check_own(raw, ref)
             if "wrapped_branch" in raw:
                 scaled = particles | {"position": particles["position"] / self.setup.scales[0]}
                 period = periods(box, self.setup.periodic, source_of(ref)) / self.setup.scales[0]
@@ -105,6 +107,19 @@ class Source:
         if len(parts) == 1:
             return {name: parts[0][name] for name in names}
         return {name: np.concatenate([part[name] for part in parts]) for name in names}
+
+
+def _check_own(frame: Frame, ref: StepRef) -> None:
+    """Refuse variables of the caller's own that are not one number a row, as the shape of lazy arrays is that."""
+    wide = next(
+        (name for name, values in frame.items() if name not in {*VARIABLES, *HINTS} and np.ndim(values) > 1), None
+    )
+    if wide is not None:
+        msg = (
+            f"{source_of(ref)}: {wide!r} has shape {frame[wide].shape}, expected one number a row; leave it out of "
+            "names=, and add vectors and tensors of your own with ds.assign"
+        )
+        raise SceneError(msg)
 
 
 def _require(frame: Frame, names: Sequence[str], ref: StepRef) -> None:

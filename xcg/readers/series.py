@@ -634,4 +634,4 @@ def _contact_names(source: Source, step: Step) -> list[str]:
     for ref in step.contacts:
         found = {*source.engine.contact_variables(ref, source.options), "contact_point"}
         common = [name for name in common or found if name in found]
-    return [name for name in VARIABLES if name in common]
+    return [*(name for name in VARIABLES if name in common), *sorted(set(common) - set(VARIABLES))]

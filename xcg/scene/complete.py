@@ -12,7 +12,7 @@ from xcg.scene.schema import COMPONENTS, LONGEST, SHORTEST, Frame, SceneError, S
 from xcg.scene.warn import warn_once
 
 # What readers say of contacts besides variables of the scene.
-_HINTS = ("wrapped_branch", "point_is_middle")
+HINTS = ("wrapped_branch", "point_is_middle")
 # Rows of one pair are one contact where their forces differ by no more than this share of their size, as in files of
 # six digits, and their points by no more than this share of the distance from the centre.
 _SAME_FORCE, _SAME_POINT = 1e-4, 0.05
@@ -232,7 +232,7 @@ def complete_contacts(
         and cannot be derived, as in a box so small that grains touch on both sides, or a contact that is listed from
         both sides with the same force.
     """
-    given = _typed({name: values for name, values in frame.items() if name not in _HINTS}, setup, source)
+    given = _typed({name: values for name, values in frame.items() if name not in HINTS}, setup, source)
     if "wrapped_branch" in frame and "contact_normal" not in given:
         period = periods(box, setup.periodic, source)
         branch = np.asarray(frame["wrapped_branch"]) * setup.scales[0]
