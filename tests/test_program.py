@@ -141,3 +141,32 @@ def test_symbols_have_no_value_yet():
         bool(a)
     with pytest.raises(NotImplementedError, match="only squares"):
         a**3
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda a: a.astype("float32"), "float32"),
+        (lambda a: np.asfortranarray(a), "one after the other"),
+        (lambda a: a[:-1], r"\(\d, 9\) numbers or more"),
+        (lambda a: a[:, :, :2].copy(), r"\(\d, 9\) numbers or more"),
+        (lambda a: np.broadcast_to(a[:1], a.shape), "one after the other"),
+        (lambda a: np.frombuffer(a.tobytes()).reshape(a.shape), "written to"),
+    ],
+)
+def test_arrays_that_are_written_by_address_are_checked(spoil, message):
+    run = program.Program.run
+
+    def spoiled(self, sums, place, out):
+        return run(self, sums, place, out | {"stress": spoil(out["stress"])})
+
+    ds = xcg.datasets.random_scene(20, seed=1)
+    with mock.patch.object(program.Program, "run", spoiled), pytest.raises(ValueError, match=message):
+        ds.cg.coarse_grain("stress", width=1.0, spacing=0.5, bounds=dict.fromkeys("xyz", (0.0, 0.5)))
+
+
+def test_arrays_that_are_read_by_address_are_checked():
+    with pytest.raises(ValueError, match="'moments': expected"):
+        kernel.address_of(np.zeros((5, 4))[::2], 3, 4, "moments")
+    numbers = np.zeros((5, 4))
+    assert kernel.address_of(numbers, 5, 4, "moments") == numbers.ctypes.data

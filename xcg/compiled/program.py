@@ -1,5 +1,7 @@
 """The algebra at the nodes, step by step, over a few nodes at a time so that all intermediate results stay in cache."""
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -40,9 +42,31 @@ def room_for(rows: int) -> NDArray:
     return spare[first : first + rows * TILE].reshape(rows, TILE)
 
 
+def address_of(numbers: NDArray, rows: int, width: int, name: str, *, written: bool = False) -> int:
+    """Address of an array (rows, width), or larger, that a loop reads or writes by address, where nothing is checked.
+
+    Raises
+    ------
+    ValueError
+        If the loop would read or write other memory, or other numbers.
+    """
+    flags = numbers.flags
+    fits = len(numbers) >= rows and math.prod(numbers.shape[1:]) >= width
+    if numbers.dtype != np.float64 or not (flags.c_contiguous and flags.aligned and fits):
+        msg = (
+            f"{name!r}: expected ({rows}, {width}) numbers or more, float64 and one after the other in memory; this is "
+            f"an array {numbers.shape} of {numbers.dtype} with strides {numbers.strides}"
+        )
+        raise ValueError(msg)
+    if written and not flags.writeable:
+        msg = f"{name!r}: expected an array that can be written to"
+        raise ValueError(msg)
+    return numbers.ctypes.data
+
+
 @leaf
 def run(steps, records, source, fields, target, place, scratch, singular):
-    """Do the steps of a tape for all nodes.
+    """Do the steps of a program for all nodes.
 
     Parameters
     ----------
@@ -73,7 +97,7 @@ def run(steps, records, source, fields, target, place, scratch, singular):
     for first in range(0, place.size, TILE):
         many = min(TILE, place.size - first)
         for n in range(records.shape[0]):
-            unread += _turn_records(records[n, 0], records[n, 1], records[n, 2], first, many, place.size, scratch)
+            unread += _transpose_records(records[n, 0], records[n, 1], records[n, 2], first, many, place.size, scratch)
         for step in range(steps.shape[0]):
             operation, r, a, b = steps[step, 0], steps[step, 1], steps[step, 2], steps[step, 3]
             if operation == STORE:
@@ -110,7 +134,7 @@ def run(steps, records, source, fields, target, place, scratch, singular):
 
 
 @leaf
-def _turn_records(address, width, row, first, many, nodes, scratch):
+def _transpose_records(address, width, row, first, many, nodes, scratch):
     """Write the columns of some records (nodes, width) to rows; returns the sum of one number in each line of memory.
 
     Lines are first read one after the other, as the processor expects it: that takes half the time.
@@ -138,19 +162,19 @@ def _store(address, width, row, place, first, many, scratch):
             store_nontemporal(address, place[first + k], scratch[x, k])
     elif width == 3:
         for k in range(many):
-            _stream_three(address, width * place[first + k], scratch[x, k], scratch[y, k], scratch[z, k])
+            _store_three(address, width * place[first + k], scratch[x, k], scratch[y, k], scratch[z, k])
     else:
         yx, yy, yz, zx, zy, zz = row[3], row[4], row[5], row[6], row[7], row[8]
         for k in range(many):
             to = width * place[first + k]
-            _stream_three(address, to, scratch[x, k], scratch[y, k], scratch[z, k])
-            _stream_three(address, to + THREE, scratch[yx, k], scratch[yy, k], scratch[yz, k])
-            _stream_three(address, to + THREE + THREE, scratch[zx, k], scratch[zy, k], scratch[zz, k])
+            _store_three(address, to, scratch[x, k], scratch[y, k], scratch[z, k])
+            _store_three(address, to + THREE, scratch[yx, k], scratch[yy, k], scratch[yz, k])
+            _store_three(address, to + THREE + THREE, scratch[zx, k], scratch[zy, k], scratch[zz, k])
 
 
 @leaf
 def _store_apart(address, width, components, row, place, first, many, scratch):
-    """Store some of the `width` numbers that a field holds for a place, which would leave gaps in a stream."""
+    """Store some of the `width` numbers that a field holds for a place, through the caches, as there are gaps."""
     for c in range(components):
         x = row[c]
         for k in range(many):
@@ -158,7 +182,7 @@ def _store_apart(address, width, components, row, place, first, many, scratch):
 
 
 @leaf
-def _stream_three(address, to, x, y, z):
+def _store_three(address, to, x, y, z):
     store_nontemporal(address, to, x)
     store_nontemporal(address, to + np.uint64(1), y)
     store_nontemporal(address, to + np.uint64(2), z)

@@ -59,6 +59,11 @@ class Program:
         """Compute fields (places, ...) from the moments at some nodes, each to its `place` (nodes,).
 
         Returns the nodes that are left out: those where a fit takes eigenvectors.
+
+        Raises
+        ------
+        ValueError
+            If an array is not as the loop expects it, which reads and writes by address.
         """
         found, arrays = [sums.column(*load) for load in self.inputs], sums.arrays
         factors = list(dict.fromkeys(factor for _, _, factor in found))
@@ -69,12 +74,18 @@ class Program:
         scratch[: rows[0]] = self.scratch
         scratch[rows[0] : rows[1]] = np.reshape(factors, (-1, 1))
         source = [(rows[1 + number] + column, rows[0] + factors.index(factor)) for number, column, factor in found]
-        records = [(a.ctypes.data, width, row) for a, width, row in zip(arrays, widths, rows[1:], strict=False)]
+        nodes, places = len(place), 1 + int(place.max(initial=0))
+        starts = [kernel.address_of(a, nodes, width, "moments") for a, width in zip(arrays, widths, strict=True)]
+        records = list(zip(starts, widths, rows[1:], strict=False))
         fields = [
-            (out[name].ctypes.data + out[name].itemsize * first, math.prod(out[name].shape[1:]), count)
+            (
+                kernel.address_of(out[name], places, first + count, name, written=True) + out[name].itemsize * first,
+                math.prod(out[name].shape[1:]),
+                count,
+            )
             for name, first, count in self.outputs
         ]
-        singular = np.empty(self.fits * len(place), "uint64")
+        singular = np.empty(self.fits * nodes, "uint64")
         remaining = kernel.run(
             self.steps, _whole(records, 3), _whole(source, 2), _whole(fields, 3), self.target, place, scratch, singular
         )
