@@ -421,7 +421,7 @@ def test_columns_of_contacts_become_variables(tmp_path):
         assert ds.contact_age.dims == ("time", "contact")
         assert ds.contact_age.to_numpy()[0].tolist() == [7.5, 2.5]
         f = ds.cg.coarse_grain("contact_age", width=0.4, axes="x", at={"y": 0.0, "z": 0.0}, spacing=0.25)
-        assert f.contact_age.sel(x=0.5, method="nearest").item() == pytest.approx(7.5)
+        assert f.contact_age.sel(x=0.5, method="nearest").to_numpy().item() == pytest.approx(7.5)
 
 
 def test_one_layer():
