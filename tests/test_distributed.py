@@ -60,6 +60,12 @@ def test_kernels_of_a_user_travel(client):
     assert_same_bits(here(f), f.compute())
 
 
+def test_fields_of_a_user_travel(client):
+    xcg.register_field("twist", lambda f, s, o: np.linalg.eigvalsh(f.stress)[..., 0] ** 3, fields="stress")
+    f = steps_of_random_scenes(2).chunk(time=1).cg.coarse_grain(["stress", "twist"], width=0.8)
+    assert_same_bits(here(f), f.compute())
+
+
 @pytest.mark.parametrize("suffix", [".nc", ".zarr", ".vtkhdf"])
 def test_results_are_saved(client, scene, tmp_path, suffix):
     f = scene.cg.coarse_grain(["density", "stress"], by="species")
