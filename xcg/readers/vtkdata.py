@@ -18,9 +18,8 @@ from functools import cache
 from typing import Any, BinaryIO, TypeAlias
 
 import numpy as np
+import pybase64
 from numpy.typing import NDArray
-
-from xcg.readers import unbase64
 
 _LZ4 = "vtkLZ4DataCompressor"
 # Bytes that one compressed byte can stand for, at most.
@@ -92,7 +91,7 @@ def read_base64(
     def text(first: int, number: int) -> Data:
         file.seek(start + first)
         try:
-            return unbase64.decode(file.read(_encoded(number)))
+            return memoryview(pybase64.b64decode(file.read(_encoded(number)), validate=True))
         except binascii.Error:
             msg = "its base64 data are damaged"
             raise DataError(msg) from None
