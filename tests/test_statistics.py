@@ -227,6 +227,18 @@ def test_what_averages_lack_is_named_in_one_round(options):
                 part.drop_vars(need).cg.time_average()
 
 
+def test_sums_are_taken_along_where_asked_for():
+    names, ds = ["velocity", "inertial_number"], series(3)
+    f = ds.cg.coarse_grain(names, for_averages=True, **ALL)
+    sums = {"density", "shear_rate_tensor", "pressure", "particle_density", "volume_fraction", "d43"}
+    assert list(f)[:2] == names
+    assert set(f) == {*names, *sums}
+    average, whole = f.cg.time_average(), ds.cg.coarse_grain(**ALL).cg.time_average()
+    for name in names:
+        np.testing.assert_allclose(average[name], whole[name], rtol=1e-12, err_msg=name)
+    assert list(ds.cg.coarse_grain(names, **ALL)) == names
+
+
 def test_nodes_that_are_empty_at_times():
     ds = xcg.scene_from_arrays(
         [[[0.0, 0, 0]], [[9.0, 0, 0]]], velocity=[[[1.0, 0, 0]], [[3.0, 0, 0]]], diameter=[[1.0], [1.0]], density=1.0,

@@ -9,7 +9,7 @@ these are, and an error which are missing.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from types import SimpleNamespace
 
 import numpy as np
@@ -137,7 +137,12 @@ def needed_for_averages(names: Iterable[str], options: registry.Options) -> tupl
     """Return the fields that have to be in a result beside some others, so that averages of all can be taken."""
     names = tuple(names)
     rows = {name: registry.row(name, options) for name in names}
-    return tuple(dict.fromkeys(need for needs in _missing(rows, options).values() for need in needs))
+    return _all_of(_missing(rows, options))
+
+
+def _all_of(missing: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
+    """Return the fields that are missing, each once."""
+    return tuple(dict.fromkeys(need for needs in missing.values() for need in needs if need != _NO_RULE))
 
 
 def _missing(rows: Mapping[str, registry.Field | None], options: registry.Options) -> dict[str, list[str]]:
@@ -180,8 +185,8 @@ def _to_sums(f: xr.Dataset, purpose: str) -> xr.Dataset:
     if missing:
         lacking = "; ".join(f"{name} needs {', '.join(what)}" for name, what in missing.items())
         msg = f"{purpose} averages ratios through their sums, and some are not in this result: {lacking}"
-        sums = sorted({what for needs in missing.values() for what in needs} - {_NO_RULE})
-        msg += f". Ask coarse_grain for {', '.join(sums)} too" if sums else ""
+        if sums := _all_of(missing):
+            msg += f". Call coarse_grain with for_averages=True, or ask it for {', '.join(sums)} too"
         raise ValueError(msg)
     out: dict[str, xr.DataArray] = {}
     for name, row in rows.items():

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from xcg.compiled import smoothing as kinds
 from xcg.compiled.segments import RULES
 from xcg.fields import registry
+from xcg.fields.averages import needed_for_averages
 from xcg.fields.deposit import BLOCK_NODES, DepositSpec
 from xcg.fields.grid import Grid, make_grid
 from xcg.fields.moments import MOMENTS
@@ -193,6 +194,8 @@ def make_plan(ds: xr.Dataset, request: Request) -> Plan:
     options = replace(options, own=(*own, *registry.registered_for(names, options)))
     if request.by_pair:
         names = tuple(dict.fromkeys([*names, "contact_stress_by_pair"]))
+    if request.for_averages:
+        names = (*names, *needed_for_averages(names, options))
     variables = _variables(names, ds, options)
     require_scene(ds, sorted(variables), f"coarse_grain of {', '.join(names)}")
     kernels = _kernels(ds, request, setup.dimension)

@@ -124,12 +124,16 @@ class Request(SharedOptions):
         side of its contacts, is then smeared by the width of its group.
     at : mapping, optional
         Coordinate of fixed axes, for example ``{"y": 0.0}`` (m).
+    for_averages : bool
+        Also compute the sums that `time_average` and `profile` of the fields need beside them, such as the density
+        beside a velocity.
     """
 
     fields: str | Quantity | Sequence[str | Quantity] | None = None
     _: KW_ONLY
     width: float | str | Mapping[int, float | str] | None = None
     at: Mapping[str, float] | None = None
+    for_averages: bool = False
 
     def given(self) -> dict[str, Any]:
         """Arguments that are not None."""
