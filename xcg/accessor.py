@@ -24,9 +24,9 @@ from xcg.packing.find_contacts import find_contacts
 from xcg.packing.microstructure import microstructure
 from xcg.scene.bodies import group_bodies
 from xcg.scene.phases import assign_phases, find_phases, plot_phases
-from xcg.scene.schema import printable
 from xcg.scene.sizes import measure, size_statistics
-from xcg.scene.summary import summary
+from xcg.scene.summary import summary_of_scene
+from xcg.steps.summary import summary_of_result
 from xcg.writers.chains import to_csv, to_vtp
 from xcg.writers.save import save
 from xcg.writers.vtkhdf import to_vtkhdf
@@ -68,6 +68,9 @@ class Method(Generic[P, R]):
         return self.function if accessor is None else MethodType(self.function, accessor._ds)
 
 
+_SUMMARIES = {SCENE: summary_of_scene, RESULT: summary_of_result, CHAINS: summary_of_chains}
+
+
 @xr.register_dataset_accessor("cg")
 class CoarseGrainAccessor:
     """Fields and force chains of a scene, and saving of them: functions of `xcg` as methods.
@@ -79,7 +82,10 @@ class CoarseGrainAccessor:
         self._ds = ds
 
     def __repr__(self) -> str:
-        return printable(summary_of_chains(self._ds) if kind_of(self._ds) == CHAINS else summary(self._ds))
+        return str(_SUMMARIES[kind_of(self._ds)](self._ds))
+
+    def _repr_html_(self) -> str:
+        return _SUMMARIES[kind_of(self._ds)](self._ds).html()
 
     def __dir__(self) -> list[str]:
         kind = kind_of(self._ds)

@@ -14,6 +14,7 @@ from xcg.chains.particle_stress import RESULTS as STRESSES
 from xcg.scene.complete import periods, rows_of
 from xcg.scene.frame import particle_rows
 from xcg.scene.schema import BOX_EDGES, PADDING, VARIABLES, Frame, SceneError, Variable
+from xcg.scene.summary import Summary, rows_of_origin
 
 _NONE, _PRESSURE = (0, 0, 0), (-1, 1, -2)
 COPIED = ("particle_id", "position", "diameter", "contact_i", "contact_j", "contact_force")
@@ -101,14 +102,13 @@ def require_chains(fc: xr.Dataset, purpose: str) -> None:
         raise SceneError(msg)
 
 
-def summary_of_chains(fc: xr.Dataset) -> str:
+def summary_of_chains(fc: xr.Dataset) -> Summary:
     """Tell what a result of `force_chains` holds, without computing it."""
     sizes = ", ".join(f"{fc.sizes[dim]} {dim}" for dim in ("time", "particle", "contact") if dim in fc.sizes)
     rule = ", ".join(f"{name} = {fc.attrs[name]}" for name in ("alpha", "min_length", "algorithm") if name in fc.attrs)
-    lines = [f"force chains of {sizes} (largest step)", f"  rule:      {rule}"]
-    for what, rows in (("particles", MEMBERS), ("chains", CHAINS), ("steps", STATISTICS)):
-        lines.append(f"  {what + ':':11s}{', '.join(name for name in rows if name in fc)}")
-    return "\n".join(lines)
+    kinds = (("particles", MEMBERS), ("chains", CHAINS), ("steps", STATISTICS))
+    held = [(what, ", ".join(name for name in rows if name in fc)) for what, rows in kinds]
+    return Summary.of(f"force chains of {sizes} (largest step)", [("rule", rule), *held, *rows_of_origin(fc)])
 
 
 @dataclass(frozen=True)

@@ -162,9 +162,6 @@ def info(files: tuple[str, ...], contacts: tuple[str, ...], **options: object) -
     with plain_messages(quiet=False):
         ds = xcg.open_scene(list(files), **given)  # type: ignore[arg-type]
         click.echo(repr(ds.cg))
-        times = ds["time"].to_numpy()
-        unit = ds["time"].attrs["units"].removesuffix("1")  # reduced units have none to tell
-        click.echo(f"  time:      {times[0]:g} to {times[-1]:g} {unit}".rstrip())
 
 
 @main.command()

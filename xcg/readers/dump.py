@@ -57,6 +57,11 @@ class Dumps(Engine):
         """Parse the contacts of one step."""
         return columns.contacts_from(ref, self.contact_columns(ref, options))
 
+    def ignored_columns(self, ref: StepRef, options: ReadOptions, *, contacts: bool = False) -> list[str]:
+        """Columns of a step that are not read."""
+        read = self.contact_columns(ref, options) if contacts else _particle_columns(ref, options)
+        return [column for column in ref.columns if column not in read.values()]
+
 
 def _particle_columns(ref: StepRef, options: ReadOptions) -> dict[str, str]:
     return columns.particle_columns(ref, columns.PARTICLE_SLOTS, options)

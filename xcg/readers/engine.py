@@ -201,3 +201,7 @@ class Engine(ABC):
     def recover_periods(self, ref: StepRef, options: ReadOptions) -> Mapping[str, float]:
         """Length of the period along some axes from the contacts of a step, where files do not tell it."""
         return {}
+
+    def ignored_columns(self, ref: StepRef, options: ReadOptions, *, contacts: bool = False) -> Sequence[str]:
+        """Columns of a step that are not read, for what a scene says of itself; none by default."""
+        return ()

@@ -84,6 +84,11 @@ class Mercury(Engine):
         """Names of the variables that `read_contacts` returns."""
         return ["contact_i", "contact_j", "contact_force", "contact_point", "contact_normal", "overlap"]
 
+    def ignored_columns(self, ref: StepRef, options: ReadOptions, *, contacts: bool = False) -> list[str]:
+        """Columns of a step that are not read: orientations and rotations of particles."""
+        read = [] if contacts else columns.particle_columns(ref, _SLOTS, options).values()
+        return [] if contacts else [column for column in ref.columns if column not in read]
+
     def read_particles(self, ref: StepRef, options: ReadOptions) -> Frame:
         """Parse the particles of one step; the restart file knows the density of each species."""
         frame = columns.particles_from(ref, columns.particle_columns(ref, _SLOTS, options))

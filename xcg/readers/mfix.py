@@ -136,6 +136,13 @@ class Mfix(Engine):
             targets.setdefault("contact_force", "")
         return list(targets)
 
+    def ignored_columns(self, ref: StepRef, options: ReadOptions, *, contacts: bool = False) -> list[str]:
+        """Arrays of a step that are not read."""
+        read = {*_targets(ref.columns, "contact" if contacts else "particle", options, ref.path).values()}
+        if contacts:
+            read |= {_NORMAL, _TANGENTIAL, _OVERLAP, _POINT, _LENGTH}
+        return [array for array in ref.columns if array not in read]
+
     def read_particles(self, ref: StepRef, options: ReadOptions) -> Frame:
         """Parse the particles of one step.
 

@@ -23,7 +23,7 @@ from xcg.readers.paths import PathLike, expand_paths
 from xcg.readers.text import source_of
 from xcg.scene.build import box_array, to_dataset
 from xcg.scene.complete import complete_particles, periods
-from xcg.scene.schema import BOX_EDGES, COMPONENTS, VARIABLES, Frame, SceneError, Setup, did_you_mean
+from xcg.scene.schema import BOX_EDGES, COMPONENTS, VARIABLES, Frame, SceneError, Setup, did_you_mean, printable
 from xcg.scene.sizes import measure_frames
 from xcg.scene.warn import warn_user
 from xcg.steps import errors as errors
@@ -253,9 +253,29 @@ def open_scene(
     if not clock:
         said_nothing = "number of the time step, as the files do not tell the time (give timestep= or times=)"
         scene["time"].attrs.update(units="1", long_name=said_nothing)
+    scene.attrs |= _origin(reader, files, options, steps)
     if left_out:
         scene.attrs["skipped_files"] = "\n".join(f"{source}: {cause}" for source, cause in left_out.items())
     return scene
+
+
+def _origin(
+    engine: Engine, files: Mapping[str, Sequence[str]], options: ReadOptions, steps: Sequence[Step]
+) -> dict[str, str]:
+    """Attributes on where a scene is from: engine, files, and columns that are not read, a line a kind of file."""
+    named = {kind: p[0] if len(p) == 1 else f"{p[0]} to {p[-1]} ({len(p)} files)" for kind, p in files.items()}
+    refs = [(step.particles, False) for step in steps[:1]]
+    refs += [(ref, True) for ref in next((step.contacts for step in steps if step.contacts), ())]
+    ignored: dict[str, dict[str, None]] = {}
+    for ref, contacts in refs:
+        left = engine.ignored_columns(ref, options, contacts=contacts)
+        ignored.setdefault("contacts" if contacts else "particles", {}).update(dict.fromkeys(left))
+    said = {
+        "engine": engine.name,
+        "files": "\n".join(f"{kind}: {text}" for kind, text in named.items()),
+        "ignored_columns": "\n".join(f"{kind}: {', '.join(left)}" for kind, left in ignored.items() if left),
+    }
+    return {name: printable(text) for name, text in said.items() if text}
 
 
 # --- what cannot be opened -------------------------------------------------------------------------------

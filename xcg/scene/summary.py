@@ -1,22 +1,108 @@
-"""What `ds.cg` prints: what a scene holds, and what is missing."""
+"""What `ds.cg` shows: a title and rows of (label, text), made once and written as text and as HTML."""
 
 from __future__ import annotations
 
+import html
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
 import xarray as xr
 
+from xcg.scene.query import edges_of
+from xcg.scene.schema import COMPONENTS, printable, units_of, variable
 
-def summary(ds: xr.Dataset) -> str:
-    """Tell what a Dataset holds of a scene, and what is missing."""
-    if "position" not in ds:
-        return "not a scene: no 'position' (fields are saved with .cg.to_vtkhdf, .to_netcdf, .to_zarr)"
-    steps, particles, contacts = (ds.sizes.get(d, d == "time") for d in ("time", "particle", "contact"))
-    lines = [f"scene of {int(steps)} steps with up to {particles} particles and {contacts} contacts"]
-    for dim in ("particle", "contact"):
-        names = [str(n) for n in ds.data_vars if dim in ds[n].dims]
-        lines.append(f"  {dim + 's:':11s}{', '.join(names) or 'none'}")
-    missing = [n for n in ("velocity", "diameter", "mass", "contact_force") if n not in ds]
-    lines.append(f"  missing:   {', '.join(missing) or 'nothing'}")
+_WIDTH = 11  # of labels
+
+
+@dataclass(frozen=True)
+class Summary:
+    """A title and rows of (label, text). Rows without text are left out; names in files are made printable."""
+
+    title: str
+    rows: tuple[tuple[str, str], ...]
+
+    @classmethod
+    def of(cls, title: str, rows: Iterable[tuple[str, str]]) -> Summary:
+        """Make one of what there is to say."""
+        return cls(printable(title), tuple((label, printable(text)) for label, text in rows if text))
+
+    def __str__(self) -> str:
+        return "\n".join([self.title, *(f"  {label + ':':{_WIDTH}s}{text}" for label, text in self.rows)])
+
+    def html(self) -> str:
+        """Write a table, for notebooks."""
+        style = "text-align: left; vertical-align: top"
+        rows = "".join(
+            f'<tr><th style="{style}">{html.escape(label)}</th><td style="{style}">{html.escape(text)}</td></tr>'
+            for label, text in self.rows
+        )
+        return f"<div><p><b>{html.escape(self.title)}</b></p><table>{rows}</table></div>"
+
+
+def summary_of_scene(ds: xr.Dataset) -> Summary:
+    """Tell what a scene holds, and what is missing, without reading it."""
+    steps, particles, contacts = (ds.sizes.get(dim, 1) for dim in ("time", "particle", "contact"))
+    contacts = contacts if "contact_i" in ds else 0
+    names = {dim: [n for n in map(str, ds.variables) if n != "box" and variable(n).dims[0] == dim] for dim in _ROWS}
+    own = {
+        dim: [n for n in names[dim] if n not in ds.dims and (n in ds.data_vars or n == dim + "_id")] for dim in _ROWS
+    }
+    missing = [name for name in ("velocity", "diameter", "mass", "contact_force") if name not in ds]
     sizes = ", ".join(f"{k} = {ds.attrs[k]:.6g}" for k in ("dmin", "d50", "d43", "dmax") if k in ds.attrs)
-    lines.append(f"  sizes:     {sizes or 'not measured'}")
-    lines.append(f"  periodic:  {ds.attrs.get('periodic') or 'no axis'}; dimension {ds.attrs.get('dimension', 3)}")
-    return "\n".join(lines)
+    return Summary.of(
+        f"scene of {steps} steps with up to {particles} particles and {contacts} contacts",
+        [
+            *rows_of_origin(ds),
+            *((f"{dim}s", ", ".join(own[dim]) or "none") for dim in _ROWS),
+            ("missing", ", ".join(missing) or "nothing"),
+            ("sizes", sizes or "not measured"),
+            ("box", _box(ds)),
+            ("periodic", f"{ds.attrs.get('periodic') or 'no axis'}; dimension {ds.attrs.get('dimension', 3)}"),
+        ],
+    )
+
+
+_ROWS = ("particle", "contact")
+
+
+def rows_of_origin(ds: xr.Dataset) -> list[tuple[str, str]]:
+    """Rows on where data come from and what holds for all of them: engine, files, times, gravity, units."""
+    gravity = ds.attrs.get("gravity")
+    system, skipped = ds.attrs.get("unit_system"), str(ds.attrs.get("skipped_files", ""))
+    pull = "" if gravity is None else ", ".join(f"{g:.6g}" for g in np.atleast_1d(gravity))
+    unit = units_of((1, 0, -2), system or "SI").removesuffix("1")
+    return [
+        ("engine", str(ds.attrs.get("engine", ""))),
+        ("files", str(ds.attrs.get("files", "")).replace("\n", "; ")),
+        ("ignored", str(ds.attrs.get("ignored_columns", "")).replace("\n", "; ")),
+        ("skipped", f"{len(skipped.splitlines())} files" if skipped else ""),
+        ("time", _times(ds)),
+        ("gravity", f"({pull}) {unit}".rstrip() if pull else ""),
+        ("units", {None: "", "SI": "SI"}.get(system, f"{system}: scaled numbers, without units")),
+    ]
+
+
+def _times(ds: xr.Dataset) -> str:
+    """First and last time, and numbers of steps."""
+    if "time" not in ds.coords or not ds["time"].size or ds["time"].dtype.kind not in "iuf":
+        return ""
+    times = np.atleast_1d(ds["time"].to_numpy())
+    unit = str(ds["time"].attrs.get("units", "")).removesuffix("1")
+    text = f"{times[0]:g} to {times[-1]:g} {unit}" if len(times) > 1 else f"{times[0]:g} {unit}"
+    if "step" not in ds.coords or not ds["step"].size or ds["step"].chunks is not None:
+        return text.rstrip()
+    numbers = np.atleast_1d(ds["step"].to_numpy())
+    shown = f"steps {numbers[0]} to {numbers[-1]}" if len(numbers) > 1 else f"step {numbers[0]}"
+    return f"{text.rstrip()} ({shown})"
+
+
+def _box(ds: xr.Dataset) -> str:
+    """Edges of the box where they are known without reading."""
+    if "box" in ds and ds["box"].chunks is not None and "box_lower" not in ds.attrs:
+        return "changes with time"
+    edges = edges_of(ds)
+    unit = units_of((1, 0, 0), ds.attrs.get("unit_system", "SI")).removesuffix("1")
+    text = ", ".join(f"{a} {edges[a][0]:.6g} to {edges[a][1]:.6g}" for a in COMPONENTS if a in edges)
+    changes = "box" in ds and "box_lower" not in ds.attrs and ds["box"].sizes.get("time", 1) > 1
+    return f"{text} {unit}".rstrip() + (" (first step)" if changes else "") if text else "none"

@@ -17,7 +17,7 @@ from xcg.scene.schema import COMPONENTS, Variable, units_of
 from xcg.steps.map import SKIPPED, Result
 
 # attributes of a scene that hold for its results, too
-ABOUT = ("Conventions", "periodic", "gravity", "unit_system", "dimension", "plane", "skipped_files")
+ABOUT = ("Conventions", "engine", "files", "periodic", "gravity", "unit_system", "dimension", "plane", "skipped_files")
 AXES = {"component": list(COMPONENTS), "direction": list(COMPONENTS), "principal": [1, 2, 3]}
 
 
