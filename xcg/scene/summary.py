@@ -84,17 +84,13 @@ def rows_of_origin(ds: xr.Dataset) -> list[tuple[str, str]]:
 
 
 def _times(ds: xr.Dataset) -> str:
-    """First and last time, and numbers of steps."""
+    """First and last time."""
     if "time" not in ds.coords or not ds["time"].size or ds["time"].dtype.kind not in "iuf":
         return ""
     times = np.atleast_1d(ds["time"].to_numpy())
     unit = str(ds["time"].attrs.get("units", "")).removesuffix("1")
     text = f"{times[0]:g} to {times[-1]:g} {unit}" if len(times) > 1 else f"{times[0]:g} {unit}"
-    if "step" not in ds.coords or not ds["step"].size or ds["step"].chunks is not None:
-        return text.rstrip()
-    numbers = np.atleast_1d(ds["step"].to_numpy())
-    shown = f"steps {numbers[0]} to {numbers[-1]}" if len(numbers) > 1 else f"step {numbers[0]}"
-    return f"{text.rstrip()} ({shown})"
+    return text.rstrip()
 
 
 def _box(ds: xr.Dataset) -> str:
