@@ -25,7 +25,7 @@ from xcg.fields.slice_temperature import slice_temperature
 from xcg.readers.paths import expand_paths
 from xcg.readers.series import open_scene
 from xcg.scene.phases import assign_phases, find_phases
-from xcg.scene.schema import SceneError
+from xcg.scene.schema import SceneError, did_you_mean
 from xcg.steps.errors import collecting, listen_for_skips
 from xcg.steps.label import name_skipped
 from xcg.steps.map import SKIPPED
@@ -82,7 +82,7 @@ def _check_arguments(function: Callable[..., Any], given: Mapping[str, Any], tab
     known = [name for name in inspect.signature(function).parameters if name != "ds"]
     wrong = sorted(set(given) - set(known))
     if wrong:
-        msg = f"[{table}] has {wrong}; expected any of {', '.join(known)}"
+        msg = f"[{table}] has {wrong}; expected any of {', '.join(known)}{did_you_mean(wrong[0], known)}"
         raise SceneError(msg)
 
 

@@ -154,7 +154,7 @@ def _split_own(name: str, values: Any, rows: Sequence[int]) -> list[NDArray]:
 
 
 def scene_from_arrays(
-    position: Any,
+    position: ArrayLike | Sequence[ArrayLike],
     *,
     time: ArrayLike | None = None,
     step: ArrayLike | None = None,
@@ -165,7 +165,7 @@ def scene_from_arrays(
     plane: str | None = None,
     thickness: float | None = None,
     shape: str = "sphere",
-    density: Any = None,
+    density: ArrayLike | None = None,
     units: Mapping[str, float] | str | None = None,
     allow_unknown: bool = False,
     **variables: Any,
@@ -228,7 +228,7 @@ def scene_from_arrays(
     {'time': 1, 'particle': 2, 'component': 3}
     """
     _refuse_misspelt(variables)
-    one_density = density if np.ndim(density) == 0 else None
+    one_density = None if density is None or np.ndim(density) else density
     setup = Setup.make(
         units=units, gravity=gravity, dimension=dimension, plane=plane, periodic=periodic, thickness=thickness,
         shape=shape, density=one_density,
