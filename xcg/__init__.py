@@ -2,7 +2,7 @@
 
 from importlib.metadata import version
 
-from xcg import datasets
+from xcg import datasets, readers
 from xcg.accessor import CoarseGrainAccessor
 from xcg.chains.particle_stress import particle_stress
 from xcg.chains.plots import plot_chains, plot_lengths, plot_rose
@@ -23,6 +23,7 @@ from xcg.fields.variables import Flux, Mean, Sum, Variance
 from xcg.fields.width_sweep import width_sweep
 from xcg.packing.find_contacts import find_contacts
 from xcg.packing.microstructure import microstructure
+from xcg.packing.pairs import find_pairs
 from xcg.readers.series import open_scene
 from xcg.scene.bodies import group_bodies
 from xcg.scene.build import scene_from_arrays
@@ -56,6 +57,7 @@ __all__ = [
     "coarse_grain",
     "datasets",
     "find_contacts",
+    "find_pairs",
     "find_phases",
     "force_chains",
     "group_bodies",
@@ -70,6 +72,7 @@ __all__ = [
     "plot_rose",
     "profile",
     "pysammos_mesh",
+    "readers",
     "register_field",
     "register_kernel",
     "register_writer",

@@ -172,7 +172,7 @@ def find_contacts(
     """Find the contacts of a scene from positions and diameters, and their normal forces from a stiffness.
 
     All pairs with ``|r_i - r_j| < R_i + R_j + skin``, each once, sorted by the rows of i, then j (see
-    `xcg.packing.pairs.find_pairs`); in a box so small that two grains touch on several sides, each of these contacts.
+    `xcg.find_pairs`); in a box so small that two grains touch on several sides, each of these contacts.
     Pairs of two frozen grains and pairs within one body are left out. Walls that are not made of grains leave no
     trace in positions: their contacts are not found.
 
