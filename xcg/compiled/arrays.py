@@ -1,6 +1,8 @@
-"""Loops over plain arrays that belong to no method: sorting by counting, transposing."""
+"""What several loops need: sorting by counting, transposing, the nearest image."""
 
 from __future__ import annotations
+
+import numpy as np
 
 from xcg.compiled._jit import leaf
 
@@ -9,7 +11,7 @@ from xcg.compiled._jit import leaf
 def counting_sort_places(key, start, place):
     """Write the place (n,) of each thing among all by its key (n,), a whole number; things of one key keep their order.
 
-    `start` (keys + 1,) is scratch, zeros.
+    `start` (keys + 1,) is zeros before; afterwards ``start[k]`` is one past the last place of key k.
     """
     for n in range(key.size):
         start[key[n] + 1] += 1
@@ -31,3 +33,9 @@ def transpose_columns(records, column, factor, out):
         for n in range(records.shape[1]):
             for r in range(column.size):
                 out[r, p, n] = factor[r, p] * records[p, n, column[r]]
+
+
+@leaf
+def nearest_image(d, period):
+    """Nearest image of a distance along one axis; the period is infinite along axes that are not periodic."""
+    return d - period * np.rint(d / period) if np.isfinite(period) else d

@@ -1,11 +1,10 @@
-"""Loops over rows and pairs of rows: sums by index, vectors between rows, peeling of a network, transposition."""
-
-import numpy as np
+"""Loops over contacts and the rows of their particles: sums by row, vectors between rows, the k-core of a network."""
 
 from xcg.compiled._jit import leaf
+from xcg.compiled.arrays import nearest_image
 from xcg.compiled.simd import prefetch
 
-AHEAD = 16  # things whose rows of memory, anywhere, are asked for before their turn
+AHEAD = 16  # the particles of the contact so many places ahead are prefetched
 
 
 @leaf
@@ -20,7 +19,7 @@ def add_rows(row, sign, values, out):
 
 @leaf
 def k_core(row_i, row_j, weight, least, degree, kept):
-    """Take out rows of fewer than `least` partners, and again those that then have fewer, until none is left.
+    """Find the k-core: take out rows of fewer than `least` partners, again and again, until all that stay have as many.
 
     Parameters
     ----------
@@ -42,7 +41,7 @@ def k_core(row_i, row_j, weight, least, degree, kept):
             if kept[i] and degree[i] < least:
                 kept[i] = False
                 again = True
-        # partners of rows that are out no longer count; what is left over is summed anew, without lists of partners
+        # the degrees of the rows that stay are counted again from the pairs: that takes no lists of each row's partners
         degree[:] = 0.0
         for n in range(row_i.size):
             i, j = row_i[n], row_j[n]
@@ -87,18 +86,12 @@ def add_unit_squares(row_i, row_j, along, out):
 
 
 @leaf
-def nearest(d, period):
-    """Shortest image of a distance; the period is infinite along axes that are not periodic."""
-    return d - period * np.rint(d / period) if np.isfinite(period) else d
-
-
-@leaf
 def side(position, row, point, n, period):
     """Vector from contact point n to the centre of a row of `position`, zero where the row is negative."""
     if row < 0:
         return 0.0, 0.0, 0.0
     x, y, z = position[row, 0] - point[n, 0], position[row, 1] - point[n, 1], position[row, 2] - point[n, 2]
-    return nearest(x, period[0]), nearest(y, period[1]), nearest(z, period[2])
+    return nearest_image(x, period[0]), nearest_image(y, period[1]), nearest_image(z, period[2])
 
 
 @leaf

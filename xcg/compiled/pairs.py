@@ -18,6 +18,7 @@ import math
 import numpy as np
 
 from xcg.compiled._jit import jit
+from xcg.compiled.arrays import counting_sort_places, nearest_image
 
 
 @jit
@@ -28,7 +29,7 @@ def cell_of(x, lower, inverse, count):
 
 
 @jit
-def locate(position, level, corner, period, lower, inverse, cells, first_cell, wrapped, cell, starts):
+def locate(position, level, corner, period, lower, inverse, cells, first_cell, wrapped, cell):
     """Wrap particles into the periodic box, and find the cell of each.
 
     Parameters
@@ -47,8 +48,6 @@ def locate(position, level, corner, period, lower, inverse, cells, first_cell, w
         Centres inside the box, set here.
     cell : (n,)
         Number of each particle's cell, set here.
-    starts : (all cells + 1,)
-        How many particles lie in the cells before each, set here (zeros on entry).
     """
     for i in range(position.shape[0]):
         number = 0
@@ -60,31 +59,26 @@ def locate(position, level, corner, period, lower, inverse, cells, first_cell, w
             wrapped[i, a] = x
             number = number * cells[k, a] + cell_of(x, lower[k, a], inverse[k, a], cells[k, a])
         cell[i] = first_cell[k] + number
-        starts[cell[i] + 1] += 1
-    for c in range(1, starts.size):
-        starts[c] += starts[c - 1]
 
 
 @jit
-def sort_by_cell(cell, wrapped, radius, starts, records, row):
-    """Sort particles by cell: a counting sort, stable, that uses `starts` up and restores it.
+def write_records(place, wrapped, radius, records, row):
+    """Write particles to their places among all, sorted by cell.
 
     Parameters
     ----------
+    place : (n,)
+        Place of each particle.
     records : (n, 4)
         x, y, z, radius in the order of the cells, set here.
     row : (n,)
         Row that each record comes from, set here.
     """
-    for i in range(cell.size):
-        at = starts[cell[i]]
-        starts[cell[i]] = at + 1
+    for i in range(place.size):
+        at = place[i]
         records[at, 0], records[at, 1], records[at, 2] = wrapped[i, 0], wrapped[i, 1], wrapped[i, 2]
         records[at, 3] = radius[i]
         row[at] = i
-    for c in range(starts.size - 1, 0, -1):
-        starts[c] = starts[c - 1]
-    starts[0] = 0
 
 
 @jit
@@ -119,8 +113,10 @@ def find(
         x, y, z, radius, sorted by level and cell.
     first_record : (levels + 1,)
         First record of each level.
-    first_cell, starts
+    first_cell : (levels,)
         See `locate`.
+    starts : (all cells + 1,)
+        First record of each cell.
     lower, inverse, cells : (levels, 3)
         The levels, from small particles to large.
     largest : (levels,)
@@ -188,20 +184,14 @@ def find(
                             dy = records[j, 1] - yi + shift_y
                             dz = records[j, 2] - zi + shift_z
                             if folds:
-                                dx = _nearest(dx, fold[k, 0])
-                                dy = _nearest(dy, fold[k, 1])
-                                dz = _nearest(dz, fold[k, 2])
+                                dx = nearest_image(dx, fold[k, 0])
+                                dy = nearest_image(dy, fold[k, 1])
+                                dz = nearest_image(dz, fold[k, 2])
                             touch = records[j, 3] + ri + skin
                             left[found] = i
                             right[found] = j
                             found += dx * dx + dy * dy + dz * dz < touch * touch
     return left, right, found, tested
-
-
-@jit
-def _nearest(d, period):
-    """Shortest periodic image of a distance."""
-    return d if math.isinf(period) else d - period * np.rint(d / period)
 
 
 @jit
@@ -225,24 +215,14 @@ def sort_pairs(left, right, row, pairs):
     pairs : (m, 2)
         Set here.
     """
-    low_ends, high_ends = np.zeros(row.size + 1, np.int64), np.zeros(row.size + 1, np.int64)
+    low, high, place = np.empty(left.size, row.dtype), np.empty(left.size, row.dtype), np.empty(left.size, np.int64)
     for n in range(left.size):
         i, j = row[left[n]], row[right[n]]
-        low_ends[min(i, j) + 1] += 1
-        high_ends[max(i, j) + 1] += 1
-    for i in range(row.size):
-        low_ends[i + 1] += low_ends[i]
-        high_ends[i + 1] += high_ends[i]
-    low_by_high = np.empty(left.size, row.dtype)
+        low[n], high[n] = min(i, j), max(i, j)
+    counting_sort_places(high, np.zeros(row.size + 1, np.int64), place)
+    low_by_high, high_by_high = np.empty(left.size, row.dtype), np.empty(left.size, row.dtype)
     for n in range(left.size):
-        i, j = row[left[n]], row[right[n]]
-        high = max(i, j)
-        low_by_high[high_ends[high]] = min(i, j)
-        high_ends[high] += 1
-    n = 0
-    for high in range(row.size):
-        while n < high_ends[high]:
-            low = low_by_high[n]
-            pairs[low_ends[low], 0], pairs[low_ends[low], 1] = low, high
-            low_ends[low] += 1
-            n += 1
+        low_by_high[place[n]], high_by_high[place[n]] = low[n], high[n]
+    counting_sort_places(low_by_high, np.zeros(row.size + 1, np.int64), place)
+    for n in range(left.size):
+        pairs[place[n], 0], pairs[place[n], 1] = low_by_high[n], high_by_high[n]

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled import pairs as kernel
+from xcg.compiled.arrays import counting_sort_places
 
 # Largest over smallest radius within a level, where the caller gives no number of levels. A level costs each smaller
 # particle four or five runs of cells (20 ns each), a wide level more tests (2 ns each): between 2.5 and 4 the search
@@ -139,13 +140,24 @@ class CellLists:
         chosen = Levels.of(largest, members, lower, upper, period, skin, slack)
         count = len(position)
         wrapped, cell = np.empty((count, 3)), np.empty(count, "int64")
-        starts = np.zeros(chosen.total + 1, "int32")
         kernel.locate(
-            position, level, corner, period, chosen.lower, chosen.inverse, chosen.cells, chosen.first_cell,
-            wrapped, cell, starts,
-        )  # fmt: skip
+            position,
+            level,
+            corner,
+            period,
+            chosen.lower,
+            chosen.inverse,
+            chosen.cells,
+            chosen.first_cell,
+            wrapped,
+            cell,
+        )
+        # the sort leaves where each cell ends, and the next begins
+        starts, place = np.zeros(chosen.total + 2, "int32"), np.empty(count, "int64")
+        counting_sort_places(cell, starts[1:], place)
+        starts = starts[:-1]
         records, row = np.empty((count, 4)), np.empty(count, "int32")
-        kernel.sort_by_cell(cell, wrapped, radius, starts, records, row)
+        kernel.write_records(place, wrapped, radius, records, row)
         first_record = np.concatenate([[0], np.cumsum(members)])
         return cls(chosen, records, row, first_record, starts, period, skin, slack)
 
