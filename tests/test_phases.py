@@ -1,10 +1,13 @@
 """Phases by clustering, by edges, by type; sizes; stress by pairs of phases."""
 
+import pickle
+
 import numpy as np
 import pytest
 import xarray as xr
 
 import xcg
+from tests import steps_of_random_scenes
 from tests.brute_force import BruteKernel
 from xcg.scene.phases import MIN_SILHOUETTE
 
@@ -173,3 +176,29 @@ def test_size_statistics_of_each_step():
         assert s.d50.values.tolist() == [1.0, 3.0, 4.0]
     assert s.d43.attrs["units"] == "m"
     assert np.isnan(scene(np.zeros(0)).cg.size_statistics().d43).all()
+
+
+def test_phases_are_found_by_number_and_by_text(tmp_path):
+    ds = steps_of_random_scenes(2)
+    f = ds.cg.coarse_grain(["density", "velocity", "contact_stress_by_pair"], axes="z", by="species", by_pair=True)
+    mean = f[["density", "velocity"]].cg.time_average()
+    packing = ds.cg.microstructure("coordination_number", by="species")
+    for g in (f, mean, f.isel(phase=[0, 2, 1]), f * 2.0, f.chunk(phase=1), pickle.loads(pickle.dumps(f)), packing):
+        for number in (2, np.int64(2)):
+            xr.testing.assert_identical(g.sel(phase=number), g.sel(phase="2"))
+        xr.testing.assert_identical(g.sel(phase=[2, 1]), g.sel(phase=["2", "1"]))
+        xr.testing.assert_identical(g.sel(phase=slice(1, 2)), g.sel(phase=slice("1", "2")))
+        assert g.sel(phase="bulk").phase.item() == "bulk"
+        for unknown in (3, "3", True):
+            with pytest.raises(KeyError):
+                g.sel(phase=unknown)
+    by_pair = f.contact_stress_by_pair
+    assert by_pair.sel(phase=1, other_phase=2).equals(by_pair.sel(phase="1", other_phase="2"))
+    assert by_pair.sel(phase=1, other_phase="wall").other_phase.item() == "wall"
+    for suffix, reopen in (("nc", xr.open_dataset), ("zarr", xr.open_zarr)):
+        again = reopen(f.cg.save(tmp_path / f"f.{suffix}"))
+        xr.testing.assert_equal(again, f)
+        assert again.phase.values.tolist() == ["bulk", "1", "2"]
+        xr.testing.assert_equal((f - again).sel(phase=1), f.sel(phase=1) - again.sel(phase="1"))  # they align
+        total = again.isel(phase=[2, 1]) + f
+        xr.testing.assert_equal(total.sel(phase=["1", "2"]), f.sel(phase=[1, 2]) * 2.0)

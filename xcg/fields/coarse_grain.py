@@ -18,6 +18,7 @@ from xcg.scene.conform import takes_scene
 from xcg.scene.schema import COMPONENTS, units_of
 from xcg.steps.errors import check_on_error
 from xcg.steps.label import format_call, mark_skipped, provenance
+from xcg.steps.phase_labels import with_phase_labels
 
 # names of other programs: from a request in them to one in names of xcg, and what turns its answer into theirs
 PRESETS: dict[str, Callable[[xr.Dataset, Request], tuple[Request, Callable[[xr.Dataset], xr.Dataset]]]] = {
@@ -159,7 +160,7 @@ def _label(ds: xr.Dataset, plan: Plan, arrays: Mapping[str, Any], call: str) -> 
         about |= {"weight": row.weight} if row.source else {}  # what averages of fields without a row need
         attrs = {key: text for key, text in about.items() if text}
         data[name] = (("time", *plan.dims, *tail), arrays[name], attrs)
-    return storable(xr.Dataset(data, coords, _provenance(ds, plan, call)))
+    return with_phase_labels(storable(xr.Dataset(data, coords, _provenance(ds, plan, call))))
 
 
 def _provenance(ds: xr.Dataset, plan: Plan, call: str) -> dict[str, Any]:

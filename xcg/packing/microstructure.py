@@ -22,6 +22,7 @@ from xcg.scene.schema import COMPONENTS, Frame, SceneError, Setup, did_you_mean,
 from xcg.scene.sizes import layer_depth
 from xcg.steps.label import format_call, mark_skipped, provenance
 from xcg.steps.map import map_over_time
+from xcg.steps.phase_labels import with_phase_labels
 
 Bounds = Mapping[str, Sequence[float]]
 
@@ -456,7 +457,7 @@ def _label(ds: xr.Dataset, arrays: Mapping[str, Any], measure: Measure, regions:
         data[name] = xr.Variable(("time", "region", "phase", *row.dims), values, attrs)
     used = {dim for variable in data.values() for dim in variable.dims} | {"time"}
     coords = {name: c for name, c in coords.items() if not isinstance(c, tuple) or c[0] in used}
-    result = storable(xr.Dataset(data, coords))
+    result = with_phase_labels(storable(xr.Dataset(data, coords)))
     for dim, single in (("region", "" in regions), ("phase", measure.by is None)):
         if single and dim in result.dims:
             result = result.isel({dim: 0}, drop=True)
