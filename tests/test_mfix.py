@@ -75,7 +75,7 @@ def read_particles(path: Path, options=DEFAULTS):
 def read_contacts(path: Path, options=DEFAULTS):
     (ref,) = mfix.index_contacts([str(path)], options)
     frame = mfix.read_contacts(ref, options)
-    assert set(frame) - {"point_is_middle"} == set(mfix.contact_variables(ref, options))
+    assert set(frame) - {"point_is_middle", "row_of_file"} == set(mfix.contact_variables(ref, options))
     return frame
 
 
@@ -317,7 +317,15 @@ def test_contacts_by_their_names_in_the_scene(tmp_path):
         FORCE_CHAIN_ORIENTATION=np.eye(2, 3), Particle_ID_1=[9, 9], Diameter_1=[1, 1],
     )  # fmt: skip
     frame = read_contacts(path)
-    assert set(frame) == {"contact_i", "contact_j", "contact_force", "contact_point", "point_is_middle", "overlap"}
+    assert set(frame) == {
+        "contact_i",
+        "contact_j",
+        "contact_force",
+        "contact_point",
+        "point_is_middle",
+        "overlap",
+        "row_of_file",
+    }
     assert frame["point_is_middle"].all()
     np.testing.assert_array_equal(frame["contact_i"], [1, 3])
     np.testing.assert_array_equal(frame["contact_j"], [2, 1])

@@ -140,6 +140,20 @@ def test_a_sphere_whose_partner_is_not_in_the_file(tmp_path):
         opened(tmp_path, allow_unknown=True)
 
 
+def test_messages_count_rows_of_the_file(tmp_path):
+    """Rows of superquadrics come first in the file, and the contact of spheres after them is the one at fault."""
+    write_vtp(tmp_path / "P_1.vtp", [[0, 0, 0], [2, 0, 0], [9, 9, 9]], Particle_ID=[4, 5, 6], Diameter=[2.0] * 3)
+    middle, point = [[0.5, 0, 0], [1.5, 0, 0], [0, 0, 2.25]], [[1, 0, 0], [1, 0, 0], [0, 0, 0.5]]
+    write_contacts(
+        tmp_path / "FC_1.vtp", [4, 4, 4], [5, 5, 7], np.eye(3)[[0, 0, 2]], middle, FORCE_CHAIN_CONTACT_POINT=point,
+        FORCE_CHAIN_LENGTH=[1.0, 1.0, 4.5],
+    )  # fmt: skip
+    with pytest.raises(SceneError, match="contact row 2 has contact_j=7"):
+        opened(tmp_path)
+    with pytest.raises(SceneError, match=r"contact row 2 \(i=4, j=7\) has no contact point"):
+        opened(tmp_path, allow_unknown=True)
+
+
 def test_names_that_map_contact_points_are_believed(unlike_spheres):
     folder, _ = unlike_spheres
     for array in ("FORCE_CHAIN_CONTACT_POINT", "coordinates"):

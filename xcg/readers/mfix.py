@@ -177,7 +177,7 @@ class Mfix(Engine):
         dict
             Float64 arrays by scene name, shape (n,) or (n, 3), rows in the order of the file, those of spheres first.
             Where ``point_is_middle`` (n,) is true, ``contact_point`` is the middle of the centres of two spheres;
-            `names` that map an array to ``contact_point`` are believed.
+            `names` that map an array to ``contact_point`` are believed. ``row_of_file`` (n,) counts rows of the file.
 
         Raises
         ------
@@ -368,6 +368,7 @@ class _Rows:
             raise SceneError(msg)
         if targets.get("contact_point") == points and points not in options.names:
             frame |= {"contact_point": place, "point_is_middle": ~superquadric}
+        frame["row_of_file"] = np.arange(header.points)
         return cls(frame, mark, place, length, superquadric)
 
 

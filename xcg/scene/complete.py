@@ -12,7 +12,7 @@ from xcg.scene.schema import COMPONENTS, LONGEST, SHORTEST, Frame, SceneError, S
 from xcg.scene.warn import warn_once
 
 # What readers say of contacts besides variables of the scene.
-HINTS = ("wrapped_branch", "point_is_middle")
+HINTS = ("wrapped_branch", "point_is_middle", "row_of_file")
 # Rows of one pair are one contact where their forces differ by no more than this share of their size, as in files of
 # six digits, and their points by no more than this share of the distance from the centre.
 _SAME_FORCE, _SAME_POINT = 1e-4, 0.05
@@ -218,6 +218,7 @@ def complete_contacts(
         ``contact_branch`` (n, 3), from j to i as the code saw it, tells which images touch. ``wrapped_branch`` (n, 3),
         from j, or the wall, to i, but of any image, becomes the normal. Where ``point_is_middle`` (n,) is true,
         ``contact_point`` is the middle of the centres of two spheres, and becomes the point where they touch.
+        Messages count rows by ``row_of_file`` (n,), where rows were joined or reordered.
     particles : Frame
         The particles of the same step, completed.
     box : array (3, 2) or None
@@ -243,6 +244,7 @@ def complete_contacts(
         raise SceneError(msg)
     _check_rows(given, "contact", source)
     seen = given.pop("contact_branch", None)
+    number = np.asarray(frame.get("row_of_file", np.arange(len(given["contact_i"]))))
     i, j = given["contact_i"], given["contact_j"]
     ids = particles["particle_id"]
     row_i, row_j = rows_of(ids, i), rows_of(ids, j)
@@ -250,20 +252,20 @@ def complete_contacts(
     if self_contact.size:
         row = self_contact[0]
         msg = (
-            f"{source}: contact row {row} joins particle {i[row]} with itself; drop such rows. If it touches its own "
+            f"{source}: contact row {number[row]} joins particle {i[row]} with itself; drop such rows. If it touches its own "
             f"image, {REPEAT}"
         )
         raise SceneError(msg)
     if (i < 0).any():
         row = int(np.flatnonzero(i < 0)[0])
-        msg = f"{source}: contact row {row} has id {i[row]} as 'contact_i'; a wall must stand as 'contact_j'"
+        msg = f"{source}: contact row {number[row]} has id {i[row]} as 'contact_i'; a wall must stand as 'contact_j'"
         raise SceneError(msg)
     unknown = (row_i < 0) | ((row_j < 0) & (j >= 0))
     if unknown.any() and not allow_unknown:
         row = int(np.flatnonzero(unknown)[0])
         name, value = ("contact_i", i[row]) if row_i[row] < 0 else ("contact_j", j[row])
         msg = (
-            f"{source}: contact row {row} has {name}={value}, and no particle has this id ({int(unknown.sum())} such "
+            f"{source}: contact row {number[row]} has {name}={value}, and no particle has this id ({int(unknown.sum())} such "
             "rows); check that particles and contacts are of the same step, or pass allow_unknown=True to treat "
             "unknown partners as walls"
         )
@@ -271,7 +273,7 @@ def complete_contacts(
     derived = np.asarray(frame.get("point_is_middle", np.full(len(i), "contact_point" not in given)))
     if derived.any() or "contact_point" not in given:
         points = given.get("contact_point", np.empty((len(i), 3))).copy()
-        some = {name: values[derived] for name, values in given.items()}
+        some = {name: values[derived] for name, values in given.items()} | {"row_of_file": number[derived]}
         those = None if seen is None else seen[derived]
         period = periods(box, setup.periodic, source)
         points[derived] = _contact_points(some, particles, row_i[derived], row_j[derived], those, period, source)
@@ -281,7 +283,8 @@ def complete_contacts(
         return given
     there, centre = np.where(row_i >= 0, row_i, row_j)[rows], given["contact_point"][rows]
     centre[there >= 0] = particles["position"][there[there >= 0]]
-    copy = _copies(given, rows, pair, centre, periods(box, setup.periodic, source), source)
+    contacts = given | {"row_of_file": number}
+    copy = _copies(contacts, rows, pair, centre, periods(box, setup.periodic, source), source)
     return {name: np.delete(values, copy, axis=0) for name, values in given.items()} if copy.size else given
 
 
@@ -342,10 +345,10 @@ def _copies(contacts: Frame, rows: NDArray, pair: NDArray, centre: NDArray, peri
         copy[other[np.where(turned, opposite, same)]] = True
         wrong = turned & same & ~opposite
         if wrong.any():
-            a, b = rows[one[wrong][0]], rows[other[wrong][0]]
+            first, second = contacts["row_of_file"][[rows[one[wrong][0]], rows[other[wrong][0]]]]
             msg = (
-                f"{source}: contact rows {a} and {b} list one contact from both sides with the same force, "
-                f"{contacts['contact_force'][a]}, so that both sides cancel; contact_force is that on contact_i: turn "
+                f"{source}: contact rows {first} and {second} list one contact from both sides with the same force, "
+                f"{force[one[wrong][0]]}, so that both sides cancel; contact_force is that on contact_i: turn "
                 "the sign of one of them, or list each contact once"
             )
             raise SceneError(msg)
@@ -367,8 +370,8 @@ def _contact_points(
     if alone.any() and not {"contact_point", "overlap"} <= set(contacts):
         row = int(np.flatnonzero(alone)[0])
         msg = (
-            f"{source}: contact row {row} (i={contacts['contact_i'][row]}, j={contacts['contact_j'][row]}) has no "
-            "contact point, and none follows without both spheres; give 'contact_point' for contacts with walls"
+            f"{source}: contact row {contacts['row_of_file'][row]} (i={contacts['contact_i'][row]}, "
+            f"j={contacts['contact_j'][row]}) has no contact point, and none follows without both spheres; give 'contact_point' for contacts with walls"
         )
         raise SceneError(msg)
     if "diameter" not in particles:
@@ -384,7 +387,7 @@ def _contact_points(
         if wrong.size:
             row = both[wrong[0]]
             pair = f"i={contacts['contact_i'][row]}, j={contacts['contact_j'][row]}"
-            msg = f"{source}: contact row {row} ({pair}) {what}"
+            msg = f"{source}: contact row {contacts['row_of_file'][row]} ({pair}) {what}"
             raise SceneError(msg)
 
     branch = _branches(position[i] - position[j], radius[i] + radius[j], seen, period, refuse, source)
