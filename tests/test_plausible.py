@@ -146,6 +146,11 @@ def test_a_misspelt_variable(name):
         xcg.scene_from_arrays(np.zeros((2, 3)), **{name: np.ones(2)})
 
 
+def test_radii_are_half_of_diameters():
+    with pytest.raises(xcg.SceneError, match=r"'radius' is neither .*; did you mean diameter = 2 radius\?"):
+        xcg.scene_from_arrays(np.zeros((2, 3)), radius=np.ones(2))
+
+
 @pytest.mark.parametrize("name", ["temperature", "diameter_2", "charge", "species2", "moisture", "velocity_x", "age"])
 def test_variables_of_the_user(name):
     assert name in xcg.scene_from_arrays(np.zeros((2, 3)), **{name: np.ones(2)})

@@ -280,6 +280,10 @@ def scene_from_arrays(
     )
 
 
+# What others have in place of a variable of scenes, and how that follows.
+_OTHER_NAMES = {"radius": "diameter = 2 radius", "radii": "diameter = 2 radii"}
+
+
 def _refuse_misspelt(names: Iterable[str]) -> None:
     """Refuse names of variables that are almost, but not quite, one that is known; ``diameter_2`` is one of its own."""
     known = [*VARIABLES, *inspect.signature(scene_from_arrays).parameters]
@@ -290,6 +294,9 @@ def _refuse_misspelt(names: Iterable[str]) -> None:
         likely = "" if own else did_you_mean(name.removeprefix(prefix), alike, 0.77)
         if likely:
             likely = likely.replace("'", f"'{prefix}", 1)
+        if name in _OTHER_NAMES:
+            likely = f"; did you mean {_OTHER_NAMES[name]}?"
+        if likely:
             msg = f"scene_from_arrays: {name!r} is neither an argument nor a variable of scenes{likely} Variables of "
             msg += "your own need names that are less alike"
             raise SceneError(msg)
