@@ -252,8 +252,8 @@ def complete_contacts(
     if self_contact.size:
         row = self_contact[0]
         msg = (
-            f"{source}: contact row {number[row]} joins particle {i[row]} with itself; drop such rows. If it touches its own "
-            f"image, {REPEAT}"
+            f"{source}: contact row {number[row]} joins particle {i[row]} with itself; drop such rows. If it "
+            f"touches its own image, {REPEAT}"
         )
         raise SceneError(msg)
     if (i < 0).any():
@@ -265,8 +265,8 @@ def complete_contacts(
         row = int(np.flatnonzero(unknown)[0])
         name, value = ("contact_i", i[row]) if row_i[row] < 0 else ("contact_j", j[row])
         msg = (
-            f"{source}: contact row {number[row]} has {name}={value}, and no particle has this id ({int(unknown.sum())} such "
-            "rows); check that particles and contacts are of the same step, or pass allow_unknown=True to treat "
+            f"{source}: contact row {number[row]} has {name}={value}, and no particle has this id "
+            f"({int(unknown.sum())} such rows); check that particles and contacts are of the same step, or pass allow_unknown=True to treat "
             "unknown partners as walls"
         )
         raise SceneError(msg)
@@ -371,7 +371,8 @@ def _contact_points(
         row = int(np.flatnonzero(alone)[0])
         msg = (
             f"{source}: contact row {contacts['row_of_file'][row]} (i={contacts['contact_i'][row]}, "
-            f"j={contacts['contact_j'][row]}) has no contact point, and none follows without both spheres; give 'contact_point' for contacts with walls"
+            f"j={contacts['contact_j'][row]}) has no contact point, and none follows without both spheres; give "
+            "'contact_point' for contacts with walls"
         )
         raise SceneError(msg)
     if "diameter" not in particles:
