@@ -266,8 +266,8 @@ def complete_contacts(
         name, value = ("contact_i", i[row]) if row_i[row] < 0 else ("contact_j", j[row])
         msg = (
             f"{source}: contact row {number[row]} has {name}={value}, and no particle has this id "
-            f"({int(unknown.sum())} such rows); check that particles and contacts are of the same step, or pass allow_unknown=True to treat "
-            "unknown partners as walls"
+            f"({int(unknown.sum())} such rows); check that particles and contacts are of the same step, or pass "
+            "allow_unknown=True to treat unknown partners as walls"
         )
         raise SceneError(msg)
     derived = np.asarray(frame.get("point_is_middle", np.full(len(i), "contact_point" not in given)))
