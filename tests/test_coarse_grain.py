@@ -40,7 +40,10 @@ def nodes_of(f):
     return points, values
 
 
-def assert_equals_brute_force(ds, kernel, width, *, nodes=12, tolerance=1e-12, dimension=3, scale=1.0, **options):
+def assert_equals_brute_force(
+    ds, kernel, width, *, nodes=12, tolerance=1e-12, dimension=3, scale=1.0, fitted=0, **options
+):
+    """Compare all fields at some nodes; what a fit takes, only where at least `fitted` grains reach the node."""
     f = ds.cg.coarse_grain(kernel=kernel, width=width, rtol=0, **options)
     points, values = nodes_of(f)
     some = np.random.default_rng(1).permutation(len(points))[:nodes]
@@ -66,10 +69,12 @@ def assert_equals_brute_force(ds, kernel, width, *, nodes=12, tolerance=1e-12, d
     floors |= {"volume_fraction": rim * volume, "fabric": rim * volume}
     # a gradient is a difference of velocities across the support; where all are the same, their rounding is left
     floors["velocity_gradient"] = floors["shear_rate"] = speed / width
+    many = values("sample_count")[some] >= fitted
     firm = np.abs(pressure) > 1e-4 * max(np.abs(pressure).max(initial=0), kinetic + contact)
     for name, expected in truth.items():
         keep = np.array([e is not None for e in expected])
         keep &= solid if name in RATIOS else True
+        keep &= many if name == "fluctuation_density" else True
         keep &= firm if name in ("friction_coefficient", "inertial_number") else True
         if keep.any():
             want = np.array([expected[i] for i in np.flatnonzero(keep)], float)
@@ -111,6 +116,8 @@ def test_support_larger_than_the_box_counts_all_images():
 
 
 @pytest.mark.filterwarnings("ignore:.*contacts looked at lie more than")  # of random places, some are
+@pytest.mark.filterwarnings("ignore:.*width")  # and some grains are far wider than the kernel
+@example(particles=1, seed=1, periodic="yz", width=1.5, polydispersity=1.0, offset=1e4)
 @example(particles=1, seed=13, periodic="xyz", width=1.5, polydispersity=1.0, offset=0.0)
 @settings(deadline=None, max_examples=25)
 @given(
@@ -127,7 +134,10 @@ def test_brute_force_on_any_scene(particles, seed, periodic, width, polydispersi
     bounds = dict.fromkeys("xyz", (offset, offset + 3.0))
     # coordinates of size 1e4 hold 12 digits of an offset
     tolerance = 1e-11 if offset == 0 else 3e-9
-    assert_equals_brute_force(ds, "lucy", width, nodes=4, spacing=2 * width, bounds=bounds, tolerance=tolerance)
+    # what a fit through few grains takes amplifies rounding by the condition of the fit
+    assert_equals_brute_force(
+        ds, "lucy", width, nodes=4, spacing=2 * width, bounds=bounds, tolerance=tolerance, fitted=10
+    )
 
 
 def test_kernel_gradient_is_the_derivative_of_velocity():

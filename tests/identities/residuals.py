@@ -347,7 +347,7 @@ def scales_of(ds: xr.Dataset, width: float, f: dict[str, NDArray]) -> dict[str, 
     speed = float(np.linalg.norm(frame["velocity"][frame["free"]], axis=1).max(initial=0.0))
     scales = {name: float(np.nanmax(np.abs(values), initial=0.0)) for name, values in f.items()}
     rho, stress = scales["density"], scales["contact_stress"]
-    scales |= {"momentum_density": rho * speed, "velocity": speed}
+    scales |= {"momentum_density": rho * speed, "velocity": speed, "fluctuation_density": rho}
     scales |= dict.fromkeys(["granular_temperature", "directional_temperature"], speed**2)
     scales |= dict.fromkeys(["velocity_gradient", "shear_rate_tensor", "shear_rate"], speed / width)
     scales |= dict.fromkeys(["kinetic_stress", "fluctuation_stress", "momentum_flux"], rho * speed**2)
