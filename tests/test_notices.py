@@ -102,7 +102,7 @@ def test_from_a_thread_of_the_user():
 
 
 def test_workers_tell_their_client():
-    cluster = distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None)
+    cluster = distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=True, dashboard_address=":0")
     f = without_box().chunk(time=1).cg.coarse_grain("density", axes="z", on_error="skip")
     with cluster, distributed.Client(cluster), pytest.warns(SkippedStep, match="no finite extent"):
         f.compute()

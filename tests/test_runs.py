@@ -384,7 +384,7 @@ import os, signal, threading, time, warnings
 import xcg
 from distributed import Client
 if __name__ == "__main__":
-    with Client(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as client:
+    with Client(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0") as client:
         ds = xcg.open_scene({str(tmp_path / "p.*.dump")!r})
         f = ds.cg.coarse_grain("density", axes="z", on_error="skip")
         future = client.compute(f)

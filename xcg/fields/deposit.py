@@ -286,7 +286,7 @@ class _Deposit:
         for cutoff in (self.cutoffs.min(), self.cutoffs.max()):
             mesh = self._mesh(cutoff)
             mesh.check_far(farthest / cutoff + 2.0)
-            mesh.check_reach(np.full(3, 2.0))
+            mesh.check_reach(np.full(3, 2.0), paired=self.spec.level >= kernel.SQUARED)
         return spatial_order(position, self.cutoffs.min(), lower, upper, self.active)
 
     def _points(

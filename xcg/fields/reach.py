@@ -15,8 +15,10 @@ from xcg.scene.schema import COMPONENTS, SceneError
 
 # Beyond this many cutoffs from the mesh, or spacings, places cannot be told apart, and cells and nodes not be counted.
 _FAR = 2.0**50
-# Periodic images of one grain or branch that reach one node: temperatures take products of all pairs of them.
-_MOST_IMAGES = 300
+# Periodic images of one grain or branch that reach one node,
+_MOST_IMAGES = 10_000
+# and where temperatures take products of all pairs of them.
+_MOST_PAIRED = 300
 # Images over the whole mesh, besides those for each node of a mesh over many periods.
 _MOST_OVER_MESH = 10_000
 # Weights of a branch of L cutoffs are exact to L^2 1e-16: longer ones are cut where the mesh ends,
@@ -84,8 +86,12 @@ class Mesh:
                 )
                 raise SceneError(msg)
 
-    def check_reach(self, reach: NDArray) -> None:
-        """Refuse supports (3,), from end to end, of more nodes or periodic images than can be counted, or than end."""
+    def check_reach(self, reach: NDArray, *, paired: bool = False) -> None:
+        """Refuse supports (3,), from end to end, of more nodes or periodic images than can be counted, or than end.
+
+        `paired` says that images of one grain are multiplied with each other.
+        """
+        most = _MOST_PAIRED if paired else _MOST_IMAGES
         for k in np.flatnonzero(self.active):
             if not (self.extent[k] < _FAR and (reach[k] + self.extent[k]) / self.steps[k] < _FAR):
                 msg = (
@@ -96,7 +102,7 @@ class Mesh:
                 raise SceneError(msg)
         images = np.where(self.active, reach / self.period + 1.0, 1.0)
         over_mesh = np.where(self.active, (reach + self.extent) / self.period + 1.0, 1.0)
-        if not (images.prod() <= _MOST_IMAGES and over_mesh.prod() <= _MOST_OVER_MESH + self.nodes * images.prod()):
+        if not (images.prod() <= most and over_mesh.prod() <= _MOST_OVER_MESH + self.nodes * images.prod()):
             images = over_mesh
             k = images.argmax()
             msg = (
