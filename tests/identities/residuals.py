@@ -373,8 +373,8 @@ def difference(ds: xr.Dataset, width: float, a: dict[str, NDArray], b: dict[str,
 
 
 FEW = 10
-FITS = ("velocity_gradient", "shear_rate_tensor", "shear_rate", "fluctuation_stress", "granular_temperature",
-        "directional_temperature")  # fmt: skip
+FITS = ("velocity_gradient", "shear_rate_tensor", "shear_rate", "fluctuation_stress", "fluctuation_density",
+        "granular_temperature", "directional_temperature")  # fmt: skip
 ADDITIVE = ["density", "volume_fraction", "momentum_density", "kinetic_stress", "contact_stress", "wall_traction",
             "contact_force_density"]  # fmt: skip
 

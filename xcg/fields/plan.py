@@ -251,8 +251,8 @@ def _warn_of_width(width: float, diameter: Any) -> None:
 
 def _warn_of_cuts(grid: Grid, edges: Mapping[str, tuple[float, float]], reach: float) -> None:
     for a, (low, high) in edges.items():
-        # grains and cuts of scenes that were shifted, or are not wrapped, are beyond an edge, by a period at most
-        room = max(reach, high - low)
+        # grains and cuts of scenes that were shifted, or are not wrapped, are beyond an edge by up to a period
+        room = high - low + reach
         if a in grid.at and not low - room <= grid.at[a] <= high + room:
             msg = (
                 f"at={{{a!r}: {grid.at[a]:g}}} is outside the box, which is periodic from {low:g} to {high:g} along "
