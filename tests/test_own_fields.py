@@ -9,6 +9,7 @@ import pytest
 import xcg
 from tests import steps_of_random_scenes
 from xcg.fields import program, registry
+from xcg.fields.field import Options
 
 OWN = {
     "deviation": (lambda f, s, o: -f.stress * 0.5 + f.pressure[..., None, None] ** 2, 2, ["stress", "pressure"]),
@@ -29,8 +30,8 @@ def register_all():
 def test_numpy_computes_what_is_not_traced():
     register_all()
     names = (*OWN, "stress", "velocity_gradient")
-    assert set(program.program_for(names, registry.Options()).fields) == {*TRACED, "stress", "velocity_gradient"}
-    assert program.program_for(("cube",), registry.Options()) is None
+    assert set(program.program_for(names, Options()).fields) == {*TRACED, "stress", "velocity_gradient"}
+    assert program.program_for(("cube",), Options()) is None
 
 
 @pytest.mark.parametrize("options", [{}, {"by": "species"}, {"axes": "z"}, {"gradient": "finite_difference"}])

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 import xcg
+from xcg.compiled import fit
 from xcg.compiled import program as kernel
 from xcg.fields import program as program
 from xcg.fields import registry
 from xcg.fields import trace as symbols
+from xcg.fields.field import Options
 
 ALL = tuple(name for name in registry.listed() if not registry.FIELDS[name].option)
 
@@ -63,9 +65,9 @@ def test_nodes_that_a_fit_leaves_to_eigenvectors_are_filled():
     ds = xcg.datasets.random_scene(200, seed=3)
     z = 1.0 + 1e-3 * (ds.position.isel(component=2) - 1.0)
     thin = ds.assign(position=ds.position.where(ds.component != "z", z))
-    names, careful = ["velocity_gradient", "granular_temperature"], registry.fit.fit_gradient
+    names, careful = ["velocity_gradient", "granular_temperature"], fit.fit_gradient
     played, plain, _ = played_and_plain(thin, names, width=0.6)
-    with mock.patch.object(registry.fit, "fit_gradient", wraps=careful) as left:
+    with mock.patch.object(fit, "fit_gradient", wraps=careful) as left:
         thin.cg.coarse_grain(names, width=0.6)
     assert left.called
     assert_same(played, plain)
@@ -101,7 +103,7 @@ def test_what_is_asked_for_twice_is_written_down_once():
 
 
 def test_stress_takes_no_steps_for_what_nobody_asked_for():
-    steps = program.program_for(("stress",), registry.Options()).steps[:, 0]
+    steps = program.program_for(("stress",), Options()).steps[:, 0]
     assert not np.isin(steps, [kernel.FIT, kernel.SQUARE_ROOT]).any()
     # six kinetic components of symmetric tensors, not nine; each to nine of the contacts
     assert (steps == kernel.ADD).sum() == 9
@@ -111,7 +113,7 @@ def test_stress_takes_no_steps_for_what_nobody_asked_for():
 @pytest.mark.parametrize("gradient", ["least_squares", "kernel", "paper"])
 @pytest.mark.parametrize("groups", [0, 2])
 def test_all_fields_of_the_registry_are_traced(gradient, groups):
-    options = registry.Options(gradient=gradient, fluid_viscosity=1e-3, by_pair=True)
+    options = Options(gradient=gradient, fluid_viscosity=1e-3, by_pair=True)
     names = tuple(name for name in registry.listed() if groups or not registry.FIELDS[name].paired)
     assert set(program.program_for(names, options, groups).fields) == set(names)
 

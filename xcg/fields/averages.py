@@ -17,6 +17,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.fields import registry
+from xcg.fields.field import Field, Options
 from xcg.fields.variables import row_of_result
 from xcg.scene.schema import COMPONENTS
 
@@ -133,7 +134,7 @@ def _standard_errors(samples: xr.Dataset, f: xr.Dataset) -> xr.Dataset:
     return found
 
 
-def needed_for_averages(names: Iterable[str], options: registry.Options) -> tuple[str, ...]:
+def needed_for_averages(names: Iterable[str], options: Options) -> tuple[str, ...]:
     """Return the fields that have to be in a result beside some others, so that averages of all can be taken."""
     names = tuple(names)
     rows = {name: registry.row(name, options) for name in names}
@@ -145,7 +146,7 @@ def _all_of(missing: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(need for needs in missing.values() for need in needs if need != _NO_RULE))
 
 
-def _missing(rows: Mapping[str, registry.Field | None], options: registry.Options) -> dict[str, list[str]]:
+def _missing(rows: Mapping[str, Field | None], options: Options) -> dict[str, list[str]]:
     """Fields that averages of each field of a result lack, each named once; None is a field without a row."""
     here, missing = set(rows), dict[str, list[str]]()
 
@@ -154,7 +155,7 @@ def _missing(rows: Mapping[str, registry.Field | None], options: registry.Option
         row = registry.row(name, options)
         return name in here or bool(row.fields and not row.moments and all(map(follows, row.fields)))
 
-    def obtain(name: str, row: registry.Field | None) -> list[str]:
+    def obtain(name: str, row: Field | None) -> list[str]:
         if row is None or (row.moments and not row.additive and not row.weight):
             return [_NO_RULE]
         if not row.additive and not row.weight:
@@ -171,7 +172,7 @@ def _missing(rows: Mapping[str, registry.Field | None], options: registry.Option
     return missing
 
 
-def _rows_of(f: xr.Dataset) -> dict[str, registry.Field | None]:
+def _rows_of(f: xr.Dataset) -> dict[str, Field | None]:
     """Rows of the fields of a result; None for what is no field."""
     options = registry.options_of(f.attrs)
     names = map(str, f.data_vars)
@@ -223,7 +224,7 @@ def _from_sums(sums: xr.Dataset, f: xr.Dataset) -> xr.Dataset:
     return xr.Dataset(out, attrs=f.attrs)
 
 
-def _compute(row: registry.Field, needs: Mapping[str, xr.DataArray], options: registry.Options) -> xr.DataArray:
+def _compute(row: Field, needs: Mapping[str, xr.DataArray], options: Options) -> xr.DataArray:
     """Compute one row of the registry on labelled arrays."""
 
     def plain(*arrays: NDArray) -> NDArray:

@@ -15,6 +15,7 @@ from xcg.compiled.segments import RULES
 from xcg.fields import registry
 from xcg.fields.averages import needed_for_averages
 from xcg.fields.deposit import BLOCK_NODES, DepositSpec
+from xcg.fields.field import Options
 from xcg.fields.grid import Grid, make_grid
 from xcg.fields.moments import MOMENTS
 from xcg.fields.quadrature import SINGLE, gauss_limits
@@ -56,7 +57,7 @@ class Plan:
     fields: tuple[str, ...]
     variables: tuple[str, ...]
     deposit: DepositSpec
-    options: registry.Options
+    options: Options
     kernel: Kernel
     extent: Mapping[str, float | None]
     depth: float | str | None
@@ -124,7 +125,7 @@ _NARROW = 0.1  # widths, in mean diameters, that show single grains only
 
 
 def _choose_fields(
-    asked: str | Quantity | Sequence[str | Quantity] | None, ds: xr.Dataset, options: registry.Options
+    asked: str | Quantity | Sequence[str | Quantity] | None, ds: xr.Dataset, options: Options
 ) -> tuple[tuple[str, ...], tuple[OwnField, ...]]:
     """Names of the fields of a result, and those of them that are quantities of the scene's own variables."""
     lacking = {name for name, f in registry.FIELDS.items() if f.option and getattr(options, f.option) is None}
@@ -152,7 +153,7 @@ def _choose_fields(
     return tuple(dict.fromkeys(map(str, names))), tuple(dict.fromkeys(own.values()))
 
 
-def _variables(fields: Sequence[str], ds: xr.Dataset, options: registry.Options) -> set[str]:
+def _variables(fields: Sequence[str], ds: xr.Dataset, options: Options) -> set[str]:
     """Scene variables that some fields need."""
     needed = {"position", "particle_id"}
     rows = MOMENTS | own_moments(options.own)
@@ -278,7 +279,7 @@ def _kernels(ds: xr.Dataset, request: Request, dimension: int) -> list[Kernel]:
     return [as_kernel(kernel, choose_width(own[str(g)], ds.attrs), dimension) for g in known]
 
 
-def _options(ds: xr.Dataset, setup: Setup, request: Request) -> registry.Options:
+def _options(ds: xr.Dataset, setup: Setup, request: Request) -> Options:
     """Check the choices of the algebra."""
     for name, known in (
         ("gradient", registry.GRADIENTS),
@@ -302,7 +303,7 @@ def _options(ds: xr.Dataset, setup: Setup, request: Request) -> registry.Options
     if size in ("d50", "dmax") and size not in ds.attrs:
         msg = f"size={size!r} is an attribute that the scene does not hold; call ds = ds.cg.measure() first"
         raise ValueError(msg)
-    return registry.Options(
+    return Options(
         plane=tuple(COMPONENTS.index(a) for a in setup.plane),
         gradient=request.gradient,
         pressure_axes=_indices(request.pressure_dims),

@@ -19,6 +19,7 @@ from xcg.compiled.fit import FOUND
 from xcg.compiled.simd import EIGHT
 from xcg.fields import registry
 from xcg.fields.deposit import BlockSums
+from xcg.fields.field import Options
 from xcg.fields.moments import MOMENTS
 from xcg.fields.trace import Trace, as_symbols
 
@@ -97,7 +98,7 @@ def _whole(numbers: Sequence[Sequence[int]], width: int) -> NDArray:
 
 
 @lru_cache(maxsize=64)
-def program_for(fields: tuple[str, ...], options: registry.Options, groups: int = 0) -> Program | None:
+def program_for(fields: tuple[str, ...], options: Options, groups: int = 0) -> Program | None:
     """Trace the algebra of some fields, of the bulk and of groups.
 
     Fields that cannot be traced are left out, and None is returned where all are: those whose formula, or that of a
@@ -121,7 +122,7 @@ def program_for(fields: tuple[str, ...], options: registry.Options, groups: int 
     return _RegisterAllocation(record.steps, results).program() if results else None
 
 
-def _traced(fields: Sequence[str], moments: Mapping[str, NDArray], options: registry.Options) -> dict[str, Any]:
+def _traced(fields: Sequence[str], moments: Mapping[str, NDArray], options: Options) -> dict[str, Any]:
     """Symbols of some fields and of what they need, without those that cannot be traced."""
     found: dict[str, Any] = {}
     s = SimpleNamespace(**moments)

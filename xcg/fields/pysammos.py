@@ -15,7 +15,7 @@ from typing import Any
 
 import xarray as xr
 
-from xcg.fields import registry
+from xcg.fields import algebra, registry
 from xcg.fields.plan import make_plan
 from xcg.fields.request import Request
 from xcg.fields.smoothing import as_kernel, choose_width
@@ -99,15 +99,15 @@ def rows(plane: str, axes: str) -> dict[str, Row]:
 
     def parts(dims: str) -> tuple[Callable[[xr.DataArray], xr.DataArray], Callable[[xr.DataArray], xr.DataArray]]:
         """Restriction to some axes, and its deviator."""
-        part = partial(registry.restricted, axes=index[dims])
+        part = partial(algebra.restricted, axes=index[dims])
         return (
             lambda x: _on_tensor(part, x, scalar=False),
-            lambda x: _on_tensor(lambda a: registry.deviator(part(a), index[dims]), x, scalar=False),
+            lambda x: _on_tensor(lambda a: algebra.deviator(part(a), index[dims]), x, scalar=False),
         )
 
     def normal(x: xr.DataArray, dims: str) -> xr.DataArray:
         """Mean of the normal components along some axes."""
-        return _on_tensor(partial(registry.mean_normal, axes=index[dims]), x, scalar=True)
+        return _on_tensor(partial(algebra.mean_normal, axes=index[dims]), x, scalar=True)
 
     def pressure(f: xr.Dataset, dims: str) -> xr.DataArray:
         return normal(f["stress"], dims)
@@ -117,10 +117,10 @@ def rows(plane: str, axes: str) -> dict[str, Row]:
         return normal(f["fluctuation_stress"], dims).clip(min=0.0) / f["density"].where(f["density"] > 0)
 
     def stress_size(x: xr.DataArray) -> xr.DataArray:
-        return _on_tensor(registry.stress_magnitude, x, scalar=True)
+        return _on_tensor(algebra.stress_magnitude, x, scalar=True)
 
     def rate_size(x: xr.DataArray) -> xr.DataArray:
-        return _on_tensor(registry.rate_magnitude, x, scalar=True)
+        return _on_tensor(algebra.rate_magnitude, x, scalar=True)
 
     for name, ours in _RENAMED.items():
         renamed(name, ours)

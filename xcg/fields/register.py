@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.fields import registry
+from xcg.fields.field import Field, Options
 from xcg.fields.moments import MOMENTS
-from xcg.fields.registry import FIELDS, Field, Options
+from xcg.fields.registry import FIELDS
 from xcg.scene.schema import COMPONENTS, did_you_mean
 
 _COORDINATES = ("time", "step", "skipped", *COMPONENTS, "phase", "other_phase", "component", "direction")
@@ -44,7 +45,7 @@ def register_field(
     compute : callable
         ``compute(f, s, o)`` gives the field, an array (phase, node), followed by 3 for a vector, (3, 3) for a tensor.
         ``f.<name>`` are the fields that it needs, ``s.<name>`` the moments, in the same form, and ``o`` the options
-        (`xcg.fields.registry.Options`), such as the axes ``o.plane`` of the scene. Phase 0 is the bulk. Nodes where
+        (`xcg.fields.field.Options`), such as the axes ``o.plane`` of the scene. Phase 0 is the bulk. Nodes where
         nothing reaches hold zeros, and NaN in what is divided by a density.
     rank : int
         0 for a scalar, 1 for a vector, 2 for a tensor.

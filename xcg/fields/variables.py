@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 
 from xcg.compiled import points as kernel
 from xcg.fields import registry
+from xcg.fields.algebra import ratio
+from xcg.fields.field import Field, Options
 from xcg.fields.moments import Moment
-from xcg.fields.registry import Field, Options, ratio
 from xcg.fields.trace import at_least_zero, zero_if_unknown
 from xcg.scene.contacts import Contacts
 from xcg.scene.schema import COMPONENTS, Frame, SceneError, did_you_mean, units_of, variable
