@@ -17,6 +17,8 @@ def _profile(name, q, spread):
         return np.where(inside, (1 - q) ** 3 * (1 + 3 * q), 0.0)
     if name == "gaussian":
         return np.where(inside, np.exp(-(q**2) / (2 * spread**2)), 0.0)
+    if name == "shifted gaussian":
+        return np.where(inside, np.exp(-(q**2) / (2 * spread**2)) - np.exp(-1 / (2 * spread**2)), 0.0)
     return np.where(inside, 1.0, 0.0)
 
 
@@ -31,7 +33,7 @@ class BruteKernel:
 
     def __init__(self, name, width, dimension=3, seen=3):
         self.name, self.seen, self.n = name, seen, dimension - seen
-        ratio = {"lucy": 2.0, "gaussian": 3.0, "heaviside": 1.0}[name]
+        ratio = {"lucy": 2.0, "gaussian": 3.0, "shifted gaussian": 3.0, "heaviside": 1.0}[name]
         self.c, self.spread = ratio * width, 1 / ratio
         sphere = {1: 2.0, 2: 2 * math.pi, 3: 4 * math.pi}[dimension]
         total = _gauss(lambda q: _profile(name, q, self.spread) * q ** (dimension - 1), np.zeros(()), np.ones(()))

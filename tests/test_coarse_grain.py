@@ -89,7 +89,7 @@ CASES = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("kernel", ["lucy", "gaussian", "heaviside"])
+@pytest.mark.parametrize("kernel", ["lucy", "gaussian", "shifted gaussian", "heaviside"])
 @pytest.mark.parametrize(("axes", "at"), CASES)
 def test_brute_force_3d(kernel, axes, at):
     ds = xcg.datasets.random_scene(60, periodic="xy", seed=3)
@@ -99,7 +99,7 @@ def test_brute_force_3d(kernel, axes, at):
     assert_equals_brute_force(ds, kernel, 0.8, axes=axes, at=at, spacing=1.3, scale=5.0**-averaged, tolerance=tolerance)
 
 
-@pytest.mark.parametrize("kernel", ["lucy", "gaussian", "heaviside"])
+@pytest.mark.parametrize("kernel", ["lucy", "gaussian", "shifted gaussian", "heaviside"])
 @pytest.mark.parametrize("axes", ["xy", "y"])
 def test_brute_force_2d(kernel, axes):
     ds = xcg.datasets.random_scene(60, periodic="x", dimension=2, seed=4, thickness=0.5)
@@ -160,6 +160,20 @@ def test_kernel_gradient_refuses_heaviside_and_warns_of_gaussian():
         ds.cg.coarse_grain("shear_rate", kernel="heaviside", gradient="kernel", width=1.0)
     with pytest.warns(xcg.SceneWarning, match="jumps at its cutoff"):
         ds.cg.coarse_grain("shear_rate", kernel="gaussian", gradient="kernel", width=1.0)
+    with pytest.warns(xcg.SceneWarning, match="its gradient is exact almost everywhere"):
+        ds.cg.coarse_grain("shear_rate", kernel="shifted gaussian", gradient="kernel", width=1.0)
+
+
+@pytest.mark.filterwarnings("ignore:the shifted gaussian kernel is continuous")
+def test_kernel_gradient_of_the_shifted_gaussian_is_that_of_the_velocity():
+    """Between nodes so close that no grain comes into reach from one to the next."""
+    ds, h = xcg.datasets.random_scene(60, seed=3), 1e-6
+    at = {"y": 2.0, "z": 2.1}
+    options = {"kernel": xcg.Gaussian(0.9, shifted=True), "axes": "x", "at": at, "gradient": "kernel"}
+    f = ds.cg.coarse_grain(["velocity", "velocity_gradient"], bounds={"x": (2.0, 2.0 + 2 * h)}, spacing=h, **options)
+    v = f.velocity.isel(time=0).values
+    slope = (v[2] - v[0]) / (2 * h)
+    np.testing.assert_allclose(f.velocity_gradient.isel(time=0, x=1).values[:, 0], slope, rtol=1e-8, atol=1e-8)
 
 
 # --- phases ----------------------------------------------------------------------------------------------

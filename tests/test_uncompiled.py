@@ -134,6 +134,7 @@ CALLS = {
     "groups": {"by": "species", "by_pair": True, "axes": "xz", "rtol": 0.0},
     "slopes": {"gradient": "kernel", "axes": "z", "rtol": 0.0},
     "gaussian": {"kernel": "gaussian", "axes": "xy", "rtol": 0.0},
+    "shifted": {"kernel": "shifted gaussian", "axes": "xy", "rtol": 0.0},
     "heaviside": {"kernel": "heaviside", "axes": "yz", "rtol": 0.0},
 }
 

@@ -17,18 +17,13 @@ COLUMNS = {
 }
 
 
-def profile(q):
-    """The Gaussian, shifted so that it ends at zero."""
-    return np.exp(-((q * CUTOFF / WIDTH) ** 2) / 2) - np.exp(-((CUTOFF / WIDTH) ** 2) / 2)
-
-
 @pytest.fixture(scope="module")
 def fields():
     folder = shared_data("lammps_continuum")
     ds = xcg.open_scene(folder / "particles.*.gz", contacts=folder / "contacts.*.gz", frozen=2).load()
-    kernel = xcg.register_kernel("shifted gaussian", profile, ratio=CUTOFF / WIDTH, smoothness=0)
+    kernel = xcg.Gaussian(WIDTH, cutoff=CUTOFF, shifted=True)
     bounds = {"x": (0.5, 19.5), "y": (0.5, 9.5), "z": (-4.5, 29.5)}
-    f = xcg.coarse_grain(ds, list(COLUMNS), kernel=kernel(WIDTH), bounds=bounds, spacing=1.0).isel(time=0)
+    f = xcg.coarse_grain(ds, list(COLUMNS), kernel=kernel, bounds=bounds, spacing=1.0).isel(time=0)
     return f, np.loadtxt(folder / "fields_3d.txt.gz", skiprows=4)[:, 1:]
 
 

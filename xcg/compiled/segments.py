@@ -285,7 +285,9 @@ def closed_for(room: int) -> tuple[NDArray, NDArray, NDArray]:
     return ratio, ratio.view("int64"), np.zeros(room, "int64")
 
 
-def mean_along(points: NDArray, end: NDArray, order: int, kind: int | None, spread: float, table: NDArray) -> NDArray:
+def mean_along(
+    points: NDArray, end: NDArray, order: int, kind: int | None, spread: float, table: NDArray | None
+) -> NDArray:
     """Mean of the kernel over the segment from 0 to `end` (m,), seen from points (n, m), all in cutoffs."""
     length = math.sqrt((end * end).sum())
     along = points @ end / length if length > 0.0 else np.zeros(len(points))
@@ -294,7 +296,7 @@ def mean_along(points: NDArray, end: NDArray, order: int, kind: int | None, spre
 
 
 def _means(
-    length: float, order: int, along: NDArray, q2: NDArray, kind: int | None, spread: float, table: NDArray
+    length: float, order: int, along: NDArray, q2: NDArray, kind: int | None, spread: float, table: NDArray | None
 ) -> NDArray:
     """Mean of the kernel over one segment, seen from many nodes."""
     count, room = along.size, padded(along.size)
@@ -307,7 +309,9 @@ def _means(
     return lists[2, :count]
 
 
-def largest_error(length: float, order: int, rows: int, kind: int | None, spread: float, table: NDArray) -> float:
+def largest_error(
+    length: float, order: int, rows: int, kind: int | None, spread: float, table: NDArray | None
+) -> float:
     """Largest error of a rule over node positions about a segment, relative to the segment's largest value.
 
     Scans `rows` distances from the segment's line and 4 `rows` places along it (one row, h = 0, sees one dimension).

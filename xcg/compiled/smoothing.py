@@ -14,7 +14,8 @@ Powers of q integrate to polynomials and logarithms: for Lucy see `_lucy_line` a
 
 A kind is one of these, the code of a kernel + its codimension. The kind of Lucy's kernel itself, in codimension 0, is
 `LUCY_FULL`, which is None: the compiler tells None from a number by its type, and leaves all other kernels out of the
-loops that most scenes take, which then compile in half the time.
+loops that most scenes take, which then compile in half the time. In the same way a Gaussian whose table is `SHIFTED`,
+which is None, has its value at the cutoff taken off, and no other kernel compiles anything of it.
 """
 
 import math
@@ -29,6 +30,7 @@ from xcg.compiled.reach import padded
 # codes of the kernels
 LUCY, GAUSSIAN, HEAVISIDE, TABLE = 0, 3, 6, 9
 LUCY_FULL = None
+SHIFTED = None  # in place of a table
 
 
 class KernelCode(NamedTuple):
@@ -40,15 +42,15 @@ class KernelCode(NamedTuple):
         Code + codimension, `TABLE` alone, or `LUCY_FULL`.
     spread : float
         Width over cutoff, which a Gaussian needs.
-    table : (2, intervals, degree + 1)
-        Chebyshev series of a `TABLE`, see `_interpolate`; any array for other kinds.
+    table : (2, intervals, degree + 1), or None
+        Chebyshev series of a `TABLE`, see `_interpolate`; `SHIFTED` for that Gaussian; any array for other kinds.
     norm : float
         Factor to the values.
     """
 
     kind: int | None
     spread: float
-    table: NDArray
+    table: NDArray | None
     norm: float
 
 
@@ -133,6 +135,59 @@ def _lucy_plane(h2, t):
     return math.pi * _lucy_plane_value(h2) - 2.0 * (angles + t * (even - 1.6 * odd))
 
 
+# --- the shifted Gaussian: P = exp(-q^2 / 2 s^2) - exp(-1 / 2 s^2), with s the spread ------------------------
+
+_SERIES = 25  # terms that reach rounding for arguments up to 1
+
+
+@leaf
+def _shifted_value(kind, spread, q2):
+    """P, L1 or L2, each with its last digits up to the rim: series take the place of differences that cancel there."""
+    s2 = spread * spread
+    y = 0.5 * (1.0 - q2) / s2
+    edge, peak = math.exp(-0.5 / s2), math.exp(-0.5 * q2 / s2)
+    if kind == GAUSSIAN:
+        return edge * math.expm1(y) if y < 1.0 else peak - edge
+    if kind == GAUSSIAN + 1:
+        x = math.sqrt(y)
+        total = _SQRT_PI_2 * peak * math.erf(x) - _SQRT2 * x * edge
+        if y < 1.0:  # sqrt(pi) exp(x^2) erf(x) = 2 x sum (2 x^2)^n / (2 n + 1)!!, less its first term
+            term, total = _SQRT2 * x * edge, 0.0
+            for n in range(1, _SERIES):
+                term *= 2.0 * y / (2.0 * n + 1.0)
+                total += term
+        return 2.0 * spread * total
+    total = peak - edge * (1.0 + y)
+    if y < 1.0:  # the series of exp, less its first two terms
+        term, total = edge * y, 0.0
+        for n in range(2, _SERIES):
+            term *= y / n
+            total += term
+    return 2.0 * math.pi * s2 * total
+
+
+@leaf
+def _shifted_gradient(kind, spread, q2):
+    """As `gradient`: exact up to the rim, where the value ends at zero and its slope jumps in codimension 0."""
+    s2 = spread * spread
+    if kind == GAUSSIAN + 2:
+        return -2.0 * math.pi * _shifted_value(GAUSSIAN, spread, q2)
+    slope = -math.exp(-0.5 * q2 / s2) / s2
+    if kind == GAUSSIAN:
+        return slope
+    return 2.0 * spread * _SQRT_PI_2 * math.erf(math.sqrt(1.0 - q2) / (_SQRT2 * spread)) * slope
+
+
+@leaf
+def _shifted_antiderivative(kind, spread, h2, t):
+    """As `_antiderivative`, of codimension 0 and 2: that of the Gaussian less that of its value at the cutoff."""
+    s2 = spread * spread
+    line, edge = spread * _SQRT_PI_2 * math.erf(t / (_SQRT2 * spread)), math.exp(-0.5 / s2)
+    if kind == GAUSSIAN:
+        return line * math.exp(-0.5 * h2 / s2) - edge * t
+    return 2.0 * math.pi * s2 * (line - edge * t) - edge * math.pi * (t - t * t * t / 3.0)
+
+
 # --- value and gradient ----------------------------------------------------------------------------------
 
 
@@ -143,6 +198,8 @@ def value(kind, spread, table, q2):
         q = math.sqrt(q2)
         p = 1.0 - q
         return p * p * p * (1.0 + 3.0 * q)
+    if table is SHIFTED:
+        return _shifted_value(kind, spread, q2)
     if kind == LUCY + 1:
         return _lucy_line_value(q2, False)
     if kind == LUCY + 2:
@@ -173,6 +230,8 @@ def gradient(kind, spread, table, q2):
     if kind is LUCY_FULL:
         p = 1.0 - math.sqrt(q2)
         return -12.0 * p * p
+    if table is SHIFTED:
+        return _shifted_gradient(kind, spread, q2)
     if kind == LUCY + 1:
         return _lucy_line_value(q2, True)
     if kind == LUCY + 2:
@@ -206,10 +265,12 @@ def _interpolate(table, row, q2):
 
 
 @leaf
-def _antiderivative(kind, spread, h2, t):
+def _antiderivative(kind, spread, table, h2, t):
     """Integral of the value over 0 < s < t along a line at distance h, for 0 <= t <= sqrt(1 - h^2)."""
     if kind is LUCY_FULL:
         return _lucy_line(h2, t)
+    if table is SHIFTED:
+        return _shifted_antiderivative(kind, spread, h2, t)
     if kind == LUCY + 1:
         return _lucy_plane(h2, t)
     if kind == LUCY + 2:  # seen in one dimension, where every line runs through the point: h = 0
@@ -255,8 +316,8 @@ def segment(kind, spread, table, h2, t0, t1):
         return 0.0
     if kind is not LUCY_FULL and (kind == GAUSSIAN + 1 or kind >= TABLE):
         return _quadrature(kind, spread, table, h2, t0, t1)
-    lower = _antiderivative(kind, spread, h2, abs(t0))
-    upper = _antiderivative(kind, spread, h2, abs(t1))
+    lower = _antiderivative(kind, spread, table, h2, abs(t0))
+    upper = _antiderivative(kind, spread, table, h2, abs(t1))
     return (upper if t1 >= 0.0 else -upper) - (lower if t0 >= 0.0 else -lower)
 
 

@@ -337,7 +337,13 @@ def _check_differentiable(kernel: Kernel, seen: int) -> None:
     if kernel.code == kinds.HEAVISIDE:
         msg = "gradient='kernel' needs a kernel that is differentiable: Heaviside is not; take gradient='least_squares'"
         raise ValueError(msg)
-    if not kernel.differentiable:
+    if kernel.smoothness == 0:
+        msg = (
+            f"the {kernel.name} kernel is continuous, but its slope jumps at its cutoff: its gradient is exact almost "
+            "everywhere, and the fields made of it jump where a grain comes into reach; take Lucy for smooth ones"
+        )
+        warn_user(msg)
+    elif not kernel.differentiable:
         msg = (
             f"the {kernel.name} kernel jumps at its cutoff: its gradient leaves the jump out (8 % low for a Gaussian "
             "cut at 3 w); take Lucy, or gradient='least_squares'"

@@ -25,14 +25,14 @@ def _quicker(kind: int | None, rtol: float) -> tuple[int, ...]:
 
 @lru_cache(maxsize=64)
 def _limits(
-    kind: int | None, spread: float, table: bytes, table_shape: tuple[int, ...], seen: int, rtol: float
+    kind: int | None, spread: float, table: bytes | None, table_shape: tuple[int, ...], seen: int, rtol: float
 ) -> NDArray:
     """Longest branch (cutoffs) for which each rule keeps to `rtol`, measured against the closed form.
 
     The error of a rule depends on nothing but the branch length over the cutoff and the place of the node, so that
     a scan over both bounds it for every scene. A twentieth is kept in hand for places between those scanned.
     """
-    array = np.frombuffer(table).reshape(table_shape).copy()
+    array = None if table is None else np.frombuffer(table).reshape(table_shape).copy()
     rows = 1 if seen == 1 else 24
 
     def kept(length: float, order: int) -> bool:
@@ -61,4 +61,6 @@ def gauss_limits(kernel: Kernel, seen: int, rtol: float) -> NDArray:
     if rtol == 0 or kernel.smoothness < 0 or seen == 0:
         return np.zeros(0)
     w = kernel.weights(seen)
+    if w.table is None:
+        return _limits(w.kind, w.spread, None, (), seen, rtol)
     return _limits(w.kind, w.spread, w.table.tobytes(), w.table.shape, seen, rtol)

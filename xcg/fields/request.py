@@ -30,7 +30,8 @@ class SharedOptions:
     Parameters
     ----------
     kernel : str or Kernel
-        "lucy" (default), "gaussian", "heaviside", a registered name, or an object such as ``xcg.Lucy(cutoff=0.01)``.
+        "lucy" (default), "gaussian", "shifted gaussian", "heaviside", a registered name, or an object such as
+        ``xcg.Lucy(cutoff=0.01)``.
         Only kernels as smooth as Lucy give fields that satisfy the differential balance laws.
     spacing : float or mapping, optional
         Distance of nodes (m), for all axes or by axis; the width by default. Periodic axes without bounds take the

@@ -7,8 +7,10 @@ A kernel belongs to a number of dimensions k, in which its integral is 1. Seen i
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Callable, Mapping
-from functools import lru_cache
+from functools import lru_cache, partial
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -16,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from xcg.compiled import segments
 from xcg.compiled import smoothing as codes
-from xcg.compiled.smoothing import LUCY_FULL, KernelCode
+from xcg.compiled.smoothing import LUCY_FULL, SHIFTED, KernelCode
 from xcg.scene.schema import LONGEST, SHORTEST
 from xcg.scene.sizes import SIZES
 
@@ -101,7 +103,7 @@ class Kernel:
         """1 / integral of the profile over the unit ball."""
         raise NotImplementedError
 
-    def _table(self, codimension: int) -> NDArray:
+    def _table(self, codimension: int) -> NDArray | None:
         return _NO_TABLE
 
     def weights(self, seen: int | None = None) -> KernelCode:
@@ -181,12 +183,52 @@ class Lucy(Kernel):
 
 
 class Gaussian(Kernel):
-    """A Gaussian cut at c = 3 w (or another `cutoff`), normalised with its cut; it jumps there by 1.1 % of its peak."""
+    """A Gaussian cut at c = 3 w (or another `cutoff`), normalised with its cut; it jumps there by 1.1 % of its peak.
+
+    With `shifted`, its value at the cutoff is taken off, ``exp(-r^2 / 2 w^2) - exp(-c^2 / 2 w^2)``, so that it is
+    continuous: its gradient is then exact, and jumps at the cutoff. This is the kernel of LAMMPS' ``compute
+    continuum/chunk``.
+
+    Parameters
+    ----------
+    width : float, optional
+        Half-width w (m), its standard deviation before it is cut.
+    cutoff : float, optional
+        Radius c of the support (m), 3 w by default.
+    dimension : int, optional
+        The number of dimensions in which it integrates to 1; by default that of the scene.
+    shifted : bool
+        Take its value at the cutoff off. The name ``kernel="shifted gaussian"`` stands for this.
+
+    Raises
+    ------
+    ValueError
+        As `Kernel`.
+    """
 
     name, code, ratio = "gaussian", codes.GAUSSIAN, 3.0
 
+    def __init__(
+        self,
+        width: float | None = None,
+        *,
+        cutoff: float | None = None,
+        dimension: int | None = None,
+        shifted: bool = False,
+    ) -> None:
+        super().__init__(width, cutoff=cutoff, dimension=dimension)
+        self.shifted = bool(shifted)
+        if self.shifted:
+            self.name, self.smoothness = _SHIFTED_GAUSSIAN, 0
+
+    def __repr__(self) -> str:
+        return super().__repr__().replace(")", ", shifted=True)" if self.shifted else ")")
+
     def _check_ratio(self) -> None:
         """Any cutoff is allowed."""
+
+    def _table(self, codimension: int) -> NDArray | None:
+        return SHIFTED if self.shifted else _NO_TABLE
 
     def _unit_norm(self, dimension: int) -> float:
         s = self.spread
@@ -195,8 +237,18 @@ class Gaussian(Kernel):
             1: math.sqrt(2 * math.pi) * s * core,
             2: 2 * math.pi * s**2 * (1 - tail),
             3: (2 * math.pi) ** 1.5 * s**3 * core - 4 * math.pi * s**2 * tail,
-        }
-        return 1 / integral[dimension]
+        }[dimension]
+        if self.shifted:
+            ball = {1: 2.0, 2: math.pi, 3: 4 * math.pi / 3}[dimension]
+            y = 0.5 / s**2
+            integral -= ball * tail
+            if y < 1:  # the same without a difference: sum over n > 0 of (2 y)^n / ((k + 2) (k + 4) ... (k + 2 n))
+                terms = accumulate((2 * y / (dimension + 2 * n) for n in range(1, 25)), operator.mul)
+                integral = ball * tail * sum(terms)
+        return 1 / integral
+
+
+_SHIFTED_GAUSSIAN = "shifted gaussian"
 
 
 class Heaviside(Kernel):
@@ -208,7 +260,12 @@ class Heaviside(Kernel):
         return {1: 1 / 2, 2: 1 / math.pi, 3: 3 / (4 * math.pi)}[dimension]
 
 
-_NAMED: dict[str, type[Kernel]] = {"lucy": Lucy, "gaussian": Gaussian, "heaviside": Heaviside}
+_NAMED: dict[str, Callable[..., Kernel]] = {
+    "lucy": Lucy,
+    "gaussian": Gaussian,
+    _SHIFTED_GAUSSIAN: partial(Gaussian, shifted=True),
+    "heaviside": Heaviside,
+}
 
 
 def register_kernel(
@@ -254,8 +311,8 @@ def register_kernel(
         "name": name, "code": codes.TABLE, "ratio": ratio, "smoothness": smoothness,
         "_unit_norm": unit_norm, "_table": table,
     }  # fmt: skip
-    _NAMED[name.lower()] = type(name.title(), (Kernel,), members)
-    return _NAMED[name.lower()]
+    kind = _NAMED[name.lower()] = type(name.title(), (Kernel,), members)
+    return kind
 
 
 @lru_cache
