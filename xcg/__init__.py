@@ -14,6 +14,7 @@ from xcg.chains.tracks import track_chains
 from xcg.fields.averages import profile, time_average
 from xcg.fields.balance import balance
 from xcg.fields.coarse_grain import coarse_grain
+from xcg.fields.lammps import lammps_mesh
 from xcg.fields.pysammos import pysammos_mesh
 from xcg.fields.register import register_field
 from xcg.fields.registry import FIELDS
@@ -61,6 +62,7 @@ __all__ = [
     "find_phases",
     "force_chains",
     "group_bodies",
+    "lammps_mesh",
     "link_table",
     "measure",
     "microstructure",

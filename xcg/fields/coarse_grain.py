@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import xarray as xr
 
-from xcg.fields import pysammos, registry
+from xcg.fields import lammps, pysammos, registry
 from xcg.fields.evaluate import evaluate_plan
 from xcg.fields.plan import Plan, make_plan
 from xcg.fields.request import Request, SharedOptions, takes
@@ -23,6 +23,7 @@ from xcg.steps.phase_labels import with_phase_labels
 # names of other programs: from a request in them to one in names of xcg, and what turns its answer into theirs
 PRESETS: dict[str, Callable[[xr.Dataset, Request], tuple[Request, Callable[[xr.Dataset], xr.Dataset]]]] = {
     "pysammos": pysammos.translate,
+    "lammps": lammps.translate,
 }
 Asked = TypeVar("Asked", bound=SharedOptions)
 

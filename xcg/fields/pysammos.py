@@ -242,9 +242,7 @@ def translate(ds: xr.Dataset, request: Request) -> tuple[Request, Callable[[xr.D
     ValueError
         If a variant is asked for by an argument, or names or plane are wrong.
     """
-    usual = Request()
-    variants = ("pressure_dims", "deviatoric", "size", "temperature")
-    clash = [name for name in variants if getattr(request, name) != getattr(usual, name)]
+    clash = request.changed(("pressure_dims", "deviatoric", "size", "temperature"))
     if clash:
         msg = f"preset='pysammos' has a name for each variant: leave out {clash}, and take the field that you want"
         raise ValueError(msg)

@@ -76,9 +76,9 @@ class SharedOptions:
     rtol : float
         Promise for the contact stress of every segment, relative to its largest value: the cheapest quadrature that
         keeps it is taken, from 1e-4 on with weights in single precision. 0 (default) takes the closed form.
-    preset : {"pysammos"}, optional
-        Names and variants of another program; `fields` are then its names, and `shear_dims` its plane ("xy" by
-        default). See `xcg.fields.pysammos`.
+    preset : {"pysammos", "lammps"}, optional
+        Names and variants of another program; `fields` are then its names. For "pysammos", `shear_dims` is its plane
+        ("xy" by default), see `xcg.fields.pysammos`; "lammps" is ``compute continuum/chunk``, see `xcg.fields.lammps`.
     on_error : {"raise", "skip"}
         What to do about a step that cannot be read or computed: stop with its error (default), or leave it NaN, warn
         of it by file and cause when it is computed, and mark it in the coordinate ``skipped`` (time).
@@ -135,6 +135,11 @@ class Request(SharedOptions):
     width: float | str | Mapping[int, float | str] | None = None
     at: Mapping[str, float] | None = None
     for_averages: bool = False
+
+    def changed(self, names: Sequence[str]) -> list[str]:
+        """Of some arguments, those that are not as they are by default."""
+        usual = Request()
+        return [name for name in names if getattr(self, name) != getattr(usual, name)]
 
     def given(self) -> dict[str, Any]:
         """Arguments that are not None."""
