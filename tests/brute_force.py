@@ -225,3 +225,36 @@ def brute_force(ds, kernel, points, seen="xyz", scale=1.0, gradient=True):
             d = out["d43"][-1]
             put("inertial_number", rate * d * np.sqrt(out["particle_density"][-1] / p) if p > 0 else np.nan)
     return out
+
+
+def weights(ds, kernel, f, places, extent):
+    """Weights (nodes, places) of points at the nodes of a result, all images added, over the extent of averaged axes.
+
+    `places` (n, 3) are contact points or centres, `kernel` the one seen in the axes of the result, None for none;
+    `extent` holds the lengths of averaged axes that the box does not have.
+    """
+    seen = [k for k, a in enumerate("xyz") if a in f.coords]
+    lists = np.meshgrid(*(np.atleast_1d(f["xyz"[k]].to_numpy()) for k in seen), indexing="ij")
+    nodes = np.stack([x.ravel() for x in lists], axis=-1) if seen else np.zeros((1, 0))
+    box = ds["box"].to_numpy()[0] if "box" in ds else np.full((3, 2), np.nan)
+    length = box[:, 1] - box[:, 0]
+    images = [(0,)] * 3
+    for k in seen:
+        if "xyz"[k] in ds.attrs["periodic"]:
+            most = math.ceil(kernel.c / length[k]) + 1
+            images[k] = range(-most, most + 1)
+    total = np.zeros((len(nodes), len(places)))
+    for image in itertools.product(*images):
+        away = nodes[:, None] - (places + np.where(np.array(image) == 0, 0.0, image * length))[None][..., seen]
+        q = np.linalg.norm(away, axis=-1)
+        total += kernel(q) if seen else 1.0
+    averaged = [a for a in ds.attrs["plane"] if a not in f.coords]
+    layer = 1.0 if ds.attrs["dimension"] == 3 else depth(ds)
+    return total / layer / np.prod([extent.get(a, length["xyz".index(a)]) for a in averaged])
+
+
+def depth(ds):
+    """Thickness of a layer: the extent of the box across it where that is finite, else the largest diameter."""
+    (across,) = set("xyz") - set(ds.attrs["plane"])
+    length = np.ptp(ds["box"].to_numpy()[0, "xyz".index(across)]) if "box" in ds else np.inf
+    return float(ds.attrs.get("thickness", length if np.isfinite(length) else ds.attrs["dmax"]))

@@ -8,9 +8,14 @@ import xcg
 from tests import steps_of_random_scenes
 
 
-def close_frames(dt, seed=1):
-    """Two frames, dt apart, of grains that move under constant forces from the middle between them."""
+def close_frames(dt, seed=1, *, species=False):
+    """Two frames, dt apart, of grains that move under constant forces from the middle between them.
+
+    With `species`, there are two, which move apart.
+    """
     middle = xcg.datasets.random_scene(100, seed=seed, periodic="xyz", gravity=(0.3, 0, -1.0))
+    if species:
+        middle["velocity"] = middle.velocity + 3.0 * (middle.species - 1.5)
     middle["contact_force"] = 1e3 * middle.contact_force  # as large as weight and inertia
     total = np.zeros((100, 3))
     i, j, force = middle.contact_i.values[0], middle.contact_j.values[0], middle.contact_force.values[0]
@@ -22,7 +27,7 @@ def close_frames(dt, seed=1):
         for s in (-dt / 2, dt / 2)
     ]
     names = ["diameter", "contact_i", "contact_j", "contact_force"]
-    same = {n: [middle[n].values[0]] * 2 for n in names}
+    same = {n: [middle[n].values[0]] * 2 for n in names + ["species"] * species}
     point = [middle.contact_point.values[0] + s * middle.velocity.values[0][i] for s in (-dt / 2, dt / 2)]
     return xcg.scene_from_arrays(
         [x for x, _ in frames], velocity=[v for _, v in frames], density=2500.0, contact_point=point,
@@ -43,6 +48,23 @@ def test_mass_and_momentum_residuals_fall_with_the_time_between_frames():
         values = [float(n[name].item()) for n in norms]
         assert values[0] > 3 * values[1], (name, values)
     assert norms[0].momentum_residual.dims == ("interval", "x", "y", "z", "component")
+
+
+def test_residuals_of_each_phase_fall_with_the_mesh_and_with_the_time_between_frames():
+    ds = xcg.datasets.random_scene(100, seed=1, periodic="xy")
+    norms = [ds.cg.balance(width=0.8, spacing=h, by="species") for h in (0.4, 0.2, 0.1)]
+    one, two, three = (float(b.force_residual_norm.item()) for b in norms)
+    assert one > 8 * two > 64 * three
+    assert three < 1e-3
+    # species that move apart: the flux of their momentum is not rho_a V_a V_a
+    ways = []
+    for dt in (0.1, 0.05):
+        half = close_frames(dt, species=True)
+        ways.append(half.cg.balance(width=1.2, spacing=0.15, by="species"))
+    for name in ("mass_residual", "momentum_residual"):
+        for phase in ("bulk", "1", "2"):
+            one, two = (float(np.sqrt((b[name].sel(phase=phase) ** 2).mean())) for b in ways)
+            assert one > 3 * two, (name, phase, one, two)
 
 
 @pytest.mark.parametrize("options", [{}, {"axes": "zx"}, {"by": "species"}])

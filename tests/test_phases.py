@@ -8,7 +8,7 @@ import xarray as xr
 
 import xcg
 from tests import steps_of_random_scenes
-from tests.brute_force import BruteKernel
+from tests.brute_force import BruteKernel, weights
 from xcg.scene.phases import MIN_SILHOUETTE
 
 RNG = np.random.default_rng(0)
@@ -153,6 +153,90 @@ def test_stress_by_pairs_adds_up_and_is_right_for_one_pair():
         assert float(np.abs(got.sel(phase=phase, other_phase=phase)).max()) == 0
     with pytest.raises(ValueError, match="say which with by="):
         one.cg.coarse_grain("density", by_pair=True, width=0.75)
+
+
+# --- phases on each other --------------------------------------------------------------------------------
+
+EXCHANGE = ["interphase_force", "segregation_flux", "concentration", "void_fraction"]
+
+
+PLACES = [
+    ({"periodic": "xy"}, "xyz"), ({"periodic": "xy"}, "xz"), ({"periodic": "xy", "edge": 3.0}, "z"), ({}, ""),
+    ({"dimension": 2, "periodic": "x"}, "xy"), ({"dimension": 2, "periodic": "x"}, "y"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("scene", "axes"), PLACES)
+def test_what_phases_do_to_each_other_is_its_sum(scene, axes):
+    ds = xcg.datasets.random_scene(60, seed=11, **scene)
+    extent = {a: 4.0 for a in ds.attrs["plane"] if a not in axes and a not in ds.attrs["periodic"]}
+    f = ds.cg.coarse_grain(EXCHANGE, by="species", axes=axes, width=0.8, spacing=0.9, extent=extent)
+    kernel = BruteKernel("lucy", 0.8, ds.attrs["dimension"], len(axes)) if axes else None
+    frame = {name: ds[name].to_numpy()[0] for name in ds.data_vars}
+    species = frame["species"]
+    grains, contacts = (weights(ds, kernel, f, frame[name], extent) for name in ("position", "contact_point"))
+    i, j = frame["contact_i"], frame["contact_j"]
+    phases = {"bulk": (1, 2), "1": (1,), "2": (2,)}
+    of = dict(zip(frame["particle_id"].tolist(), species.tolist(), strict=True))
+    side_i, side_j = (np.array([of.get(k, "wall") for k in ids.tolist()], object) for ids in (i, j))
+    nodes = grains.shape[0]
+    rho, volume = (grains * frame[name] for name in ("mass", "volume"))
+    total = rho.sum(1)[:, None]
+    velocity = rho @ frame["velocity"] / np.where(total > 0, total, np.inf)
+    for phase, members in phases.items():
+        g, own = f.sel(phase=phase), np.isin(species, members)
+        for other in ("1", "2", "wall"):
+            partner = "wall" if other == "wall" else int(other)
+            force = np.zeros((nodes, 3))
+            for one, two, sign in ((side_i, side_j, 1.0), (side_j, side_i, -1.0)):
+                acts = np.isin(one.astype(str), [str(m) for m in members]) & (two == partner)
+                force += sign * (contacts[:, acts] @ frame["contact_force"][acts])
+            close(g.interphase_force.sel(other_phase=other), force, float(abs(f.interphase_force).max()))
+        flux = rho[:, own] @ frame["velocity"][own] - rho[:, own].sum(1)[:, None] * velocity
+        close(g.segregation_flux, np.where(rho.sum(1)[:, None] > 0, flux, 0.0), float(abs(rho).sum(1).max()))
+        phi, total = volume[:, own].sum(1), volume.sum(1)
+        close(g.void_fraction, 1 - phi, 1.0)
+        with np.errstate(invalid="ignore"):
+            close(g.concentration, np.where(total > 0, phi / total, np.nan), 1.0)
+
+
+def close(found, expected, scale):
+    np.testing.assert_allclose(found.to_numpy()[0].reshape(expected.shape), expected, rtol=0, atol=1e-12 * scale)
+
+
+def test_forces_between_phases_have_the_kernel_of_the_phase_they_act_on():
+    ds = xcg.datasets.random_scene(150, periodic="xy", seed=7)
+    place = {"spacing": 0.4, "axes": "z", "bounds": {"z": (0.0, 4.0)}, "by": "species"}
+    own = ds.cg.coarse_grain("interphase_force", width={1: 0.4, 2: 0.9}, **place)
+    for phase, width in (("1", 0.4), ("2", 0.9)):
+        same = ds.cg.coarse_grain("interphase_force", width=width, **place).interphase_force.sel(phase=phase)
+        np.testing.assert_allclose(own.interphase_force.sel(phase=phase), same, atol=1e-12 * float(abs(same).max()))
+
+
+def test_a_fast_frame_takes_nothing_from_the_segregation_flux():
+    ds = xcg.datasets.random_scene(150, seed=7)
+    fast = ds.assign(velocity=ds.velocity + 1e6)
+    one, other = (d.cg.coarse_grain("segregation_flux", by="species", width=0.8).segregation_flux for d in (ds, fast))
+    np.testing.assert_allclose(other, one, atol=1e-8 * float(abs(one).max()))
+
+
+def test_pairs_of_phases_need_phases():
+    with pytest.raises(ValueError, match="interphase_force needs the argument by="):
+        xcg.datasets.random_scene(20).cg.coarse_grain("interphase_force")
+
+
+def test_averages_of_concentrations_are_ratios_of_averages():
+    ds = steps_of_random_scenes(4)
+    f = ds.cg.coarse_grain(["concentration", "volume_fraction", "void_fraction"], by="species", width=0.8)
+    mean, phi = f.cg.time_average(), f.volume_fraction.mean("time")
+    bulk = phi.sel(phase="bulk", drop=True)
+    xr.testing.assert_allclose(mean.concentration, (phi / bulk.where(bulk > 0)).transpose(*mean.concentration.dims))
+    xr.testing.assert_allclose(mean.void_fraction, 1 - phi)
+    with pytest.raises(ValueError, match="choose phases after it"):
+        f.sel(phase=[1]).cg.time_average()
+    with pytest.raises(ValueError, match="choose phases after it"):
+        f.sel(phase=1).cg.time_average()
+    assert float(f.sel(phase="bulk").cg.time_average().concentration.max()) == 1.0
 
 
 # --- sizes -----------------------------------------------------------------------------------------------

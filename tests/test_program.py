@@ -113,7 +113,7 @@ def test_stress_takes_no_steps_for_what_nobody_asked_for():
 @pytest.mark.parametrize("gradient", ["least_squares", "kernel", "paper"])
 @pytest.mark.parametrize("groups", [0, 2])
 def test_all_fields_of_the_registry_are_traced(gradient, groups):
-    options = Options(gradient=gradient, fluid_viscosity=1e-3, by_pair=True)
+    options = Options(gradient=gradient, fluid_viscosity=1e-3)
     names = tuple(name for name in registry.listed() if groups or not registry.FIELDS[name].paired)
     assert set(program.program_for(names, options, groups).fields) == set(names)
 

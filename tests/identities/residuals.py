@@ -433,3 +433,24 @@ def virial(ds: xr.Dataset, width: float) -> Residual:
         for axis in axes_of(ds)
     ]
     return Residual(np.array(found), float(size))
+
+
+def phase_divergence(ds: xr.Dataset, width: float, points: NDArray, by: str, groups: list[int]) -> Residual:
+    """3, of each phase: div sigma^c_a = -sum F_i Psi over its grains + what walls and the other phases do to it.
+
+    In units of the largest |sigma^c| / w. Forces of phases on each other are opposite, and none acts on itself.
+    """
+    fields, options = ["contact_stress", "interphase_force", "wall_traction"], {"by": by, "groups": groups}
+    f = at_points(ds, fields, points, width=width, **options)
+    found = divergence(ds, ["contact_stress"], points, width, **options)["contact_stress"]
+    scale = float(np.abs(f["contact_stress"]).max() / width)
+    frame, force = frame_of(ds), forces_on(ds)
+    phase = frame[by][frame["free"]]
+    own = [force, *(np.where(phase[:, None] == group, force, 0.0) for group in groups)]
+    resultant = np.stack([smear(ds, column, points, width) for column in own], axis=1)
+    between = f["interphase_force"]
+    balance = Residual(found + resultant - between.sum(axis=2), scale)
+    opposite = between[:, 1:, :-1] + between[:, 1:, :-1].swapaxes(1, 2)
+    size = float(np.abs(between).max()) or 1.0
+    walls = between[:, :, -1] - f["wall_traction"]
+    return balance | Residual(opposite, 1e-2 * size) | Residual(walls, 1e-2 * size)

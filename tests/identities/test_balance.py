@@ -83,6 +83,24 @@ def test_divergence_of_contact_stress_with_any_forces(name):
     assert residuals.stress_divergence(ds, case.width, case.points).relative < ROUNDING
 
 
+def in_halves(ds):
+    """The scene with its grains in two phases, by turns."""
+    return ds.assign(half=ds.particle_id % 2)
+
+
+@pytest.mark.parametrize("name", ["lammps_chute", "lammps_biaxial2d", "liggghts_box", "mercury_synthetic"])
+def test_divergence_of_the_contact_stress_of_each_phase(name):
+    case = load(name)
+    found = residuals.phase_divergence(in_halves(case.ds), case.width, case.points[:3], "half", [0, 1])
+    assert found.relative < ROUNDING
+
+
+@settings(deadline=None, max_examples=10)
+@given(case=SYNTHETIC)
+def test_divergence_of_the_contact_stress_of_each_phase_of_any_scene(case):
+    assert residuals.phase_divergence(in_halves(case.ds), case.width, case.points, "half", [0, 1]).relative < 1e-9
+
+
 @settings(deadline=None, max_examples=20)
 @given(case=SYNTHETIC)
 def test_divergence_of_contact_stress_of_any_scene(case):

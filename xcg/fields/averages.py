@@ -195,12 +195,23 @@ def _to_sums(f: xr.Dataset, purpose: str) -> xr.Dataset:
         if row.additive:
             out[name] = f[name].astype(float)
         elif row.weight:
-            weight, value = f[row.weight].where(f[name].notnull(), 0.0), f[name].fillna(0.0)
+            weight = _of_bulk(f[row.weight], name, purpose) if row.by_bulk else f[row.weight]
+            weight, value = weight.where(f[name].notnull(), 0.0), f[name].fillna(0.0)
             if row.harmonic:
                 out[f"{name}/top"], out[f"{name}/bottom"] = weight, weight / value.where(weight > 0, 1.0)
             else:
                 out[f"{name}/top"], out[f"{name}/bottom"] = weight * value, weight
     return xr.Dataset(out)
+
+
+def _of_bulk(weight: xr.DataArray, name: str, purpose: str) -> xr.DataArray:
+    """Return the bulk's part of the field that weighs another; the whole of it where there are no phases."""
+    if "phase" not in weight.coords:
+        return weight
+    if "bulk" not in np.atleast_1d(weight["phase"].to_numpy()):
+        msg = f"{purpose} averages {name} by the bulk's {weight.name}, which this result lacks: choose phases after it"
+        raise ValueError(msg)
+    return weight.sel(phase="bulk", drop=True) if "phase" in weight.dims else weight
 
 
 def _from_sums(sums: xr.Dataset, f: xr.Dataset) -> xr.Dataset:

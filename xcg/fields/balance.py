@@ -25,6 +25,7 @@ FIELDS = [
     "contact_force_density",
     "wall_traction",
 ]
+OF_PHASES = ["interphase_force", "segregation_flux"]  # what phases have besides
 
 
 def _derivative(field: xr.DataArray, axis: str, *, wraps: bool) -> xr.DataArray:
@@ -78,6 +79,10 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
     Rates are differences of two steps, the other terms their mean, so that these fall with the square of the time
     between the steps; consecutive frames of a usual series are far too far apart.
 
+    With `by`, each phase has its residuals: t is then what walls and the other phases do to it
+    (``interphase_force``), and the flux of its momentum is p_a V + V J_a + sigma_a, with V the bulk's velocity, which
+    its stress is about, and J_a = rho_a (V_a - V) (``segregation_flux``).
+
     Parameters
     ----------
     ds : xarray.Dataset
@@ -111,7 +116,7 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
         msg = f"preset={asked.preset!r}: the balances are those of fields of xcg; leave it out"
         raise ValueError(msg)
     ds, asked = of_bodies(ds, asked)
-    request = asked.ask(fields=FIELDS, width=asked.width)
+    request = asked.ask(fields=[*FIELDS, *(OF_PHASES if asked.by else [])], width=asked.width)
     plan = make_plan(ds, request)
     grid = plan.deposit.grid
     short = [a for a in grid.axes if len(grid.nodes[a]) < 5]
@@ -126,15 +131,19 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
     def divergence(field: xr.DataArray, dim: str) -> xr.DataArray:
         return _divergence(field, dim, grid.axes, wraps)
 
+    traction = f.interphase_force.sum("other_phase") if asked.by else f.wall_traction
     terms: dict[str, list[xr.DataArray]] = {
-        "force_residual": [divergence(f.contact_stress, "direction"), f.contact_force_density, -f.wall_traction]
+        "force_residual": [divergence(f.contact_stress, "direction"), f.contact_force_density, -traction]
     }
     if f.sizes["time"] > 1:
         terms["mass_residual"] = [_between_steps(f.density), _middle(divergence(f.momentum_density, "component"))]
     if f.sizes["time"] > 1 and "gravity" in ds.attrs:
-        flux = f.momentum_density * f.velocity.rename(component="direction") + f.stress
+        velocity = f.velocity.sel(phase="bulk", drop=True) if asked.by else f.velocity
+        flux = f.momentum_density * velocity.rename(component="direction") + f.stress
+        if asked.by:
+            flux = flux + velocity * f.segregation_flux.rename(component="direction")
         flux = flux.where(f.density > 0, f.stress)
-        sources = [divergence(flux, "direction"), -f.density * _gravity(ds), -f.wall_traction]
+        sources = [divergence(flux, "direction"), -f.density * _gravity(ds), -traction]
         terms["momentum_residual"] = [_between_steps(f.momentum_density), *map(_middle, sources)]
     out: dict[str, xr.DataArray] = {}
     about = {

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -28,6 +27,8 @@ from xcg.scene.schema import Frame
 # adds one pass to the sums (groups, nodes, columns) at the nodes of a box; the last array is the reference velocity
 _Fill = Callable[[NodeBlock, NDArray, NDArray], None]
 
+# Moments that run along the branches.
+_BRANCHES = ("contact", "pair_contact")
 # Sums are made over boxes of about this many nodes, so that memory holds those of a few boxes, not of the mesh.
 BLOCK_NODES = 110_000
 
@@ -108,6 +109,7 @@ class _Deposit:
         self.velocity = np.ascontiguousarray(self.frame.get("velocity", np.zeros((self.count, 3))))
         self.mass = np.ascontiguousarray(self.frame.get("mass", np.ones(self.count)))
         self.phases = max(1, len(spec.groups))
+        self.others = self.phases + 1  # the last one for walls
         self.cutoffs = np.resize(spec.cutoffs, self.phases)
         self.active = spec.grid.active
         self.period, self.wrap = np.where(self.active, period, np.inf), _tuple(period)
@@ -123,7 +125,8 @@ class _Deposit:
             (self._grains, _of_grains(wanted)),
             (self._relative, {name for name, row in wanted.items() if row.level and row.column}),
             (self._at_contacts, {name for name, row in wanted.items() if row.at_contacts and not row.level}),
-            (self._along_branches, wanted.keys() & {"contact", "pair_contact"}),
+            (self._between_phases, wanted.keys() & {"pair_force"}),
+            (self._along_branches, wanted.keys() & set(_BRANCHES)),
             (self._slopes, wanted.keys() & {"mass_slope", "momentum_slope"}),
             (self._at_walls, wanted.keys() & {"traction"}),
         ]
@@ -175,14 +178,18 @@ class _Deposit:
 
     def _along_branches(self) -> list[_Pass]:
         assert self.contacts is not None
-        others = self.phases + 1  # the last one for walls
-        fills: dict[str, list[_Fill]] = {name: [] for name in ("contact", "pair_contact") if name in self.spec.moments}
         rank = np.empty_like(self.order)
         rank[self.order] = np.arange(self.count)
         place = self.contacts.places(rank)
-        for cutoff, (name, fill) in product(np.unique(self.cutoffs).tolist(), fills.items()):
+        return [self._branches(name, place) for name in _BRANCHES if name in self.spec.moments]
+
+    def _branches(self, name: str, place: NDArray) -> _Pass:
+        """Branches of the contacts in the order that `place` says, each with its force."""
+        others = self.others if MOMENTS[name].paired else 0
+        fill: list[_Fill] = []
+        for cutoff in np.unique(self.cutoffs).tolist():
             for second in (False, True):
-                segments, longest, more = self._segments(place, second, others if name == "pair_contact" else 0, cutoff)
+                segments, longest, more = self._segments(place, second, others, cutoff)
                 reach = 2.0 + longest[:3]
                 self._mesh(cutoff).check_reach(reach)
                 batches = batches_of(segments[:, :3])
@@ -192,8 +199,7 @@ class _Deposit:
                     fill.append(partial(_fill_segments, *way, reach.tolist(), real, closed, rest))
                 if not more:
                     break
-        groups = {"contact": self.phases, "pair_contact": self.phases * others}
-        return [_Pass(groups[name], 9, fill, {name: (MOMENTS[name].columns, 1.0)}) for name, fill in fills.items()]
+        return _Pass(self.phases * max(others, 1), 9, fill, {name: (MOMENTS[name].columns, 1.0)})
 
     def _segments(self, place: NDArray, second: bool, others: int, cutoff: float) -> tuple[NDArray, NDArray, bool]:
         """Segments of the first or second particles of the contacts, the longest, and whether there are second ones."""
@@ -224,6 +230,22 @@ class _Deposit:
         moments = {"traction": (MOMENTS["traction"].columns, 1.0)}
         order = self._in_space(point)
         return [self._points(moments, point, none, none[:, 0], [force], self.phase[at], kernel.NONE, order)]
+
+    def _between_phases(self) -> list[_Pass]:
+        """Sum the forces of other phases and of walls on the grains of each phase, at the contact points."""
+        c = self.contacts
+        assert c is not None
+        phase = np.append(self.phase, self.phases)  # row -1 is that of a wall
+        sides = []
+        for row, partner, sign in ((c.i, c.j, 1.0), (c.j, c.i, -1.0)):
+            # inside a phase both sides add up to nothing
+            at = np.flatnonzero((row >= 0) & (phase[row] != phase[partner]))
+            sides.append((c.point[at], phase[row[at]] * self.others + phase[partner[at]], sign * c.force[at]))
+        point, pair, force = (np.concatenate(parts) for parts in zip(*sides, strict=True))
+        none = np.zeros((len(point), 3))
+        moments = {"pair_force": (MOMENTS["pair_force"].columns, 1.0)}
+        order = self._in_space(point)
+        return [self._points(moments, point, none, none[:, 0], [force], pair, kernel.NONE, order, others=self.others)]
 
     def _at_contacts(self) -> list[_Pass]:
         """Columns of constants at the contact points."""
@@ -292,23 +314,26 @@ class _Deposit:
     def _points(
         self, moments: Mapping[str, tuple[NDArray, float | NDArray]], position: NDArray, velocity: NDArray,
         mass: NDArray, constants: Sequence[NDArray], phase: NDArray, level: int, order: NDArray,
-        *, by_gradient: bool | None = None, apart: bool = False,
+        *, by_gradient: bool | None = None, apart: bool = False, others: int = 1,
     ) -> _Pass:  # fmt: skip
-        """Prepare grains, or other points, with their flow columns up to `level` and columns of constants."""
+        """Prepare grains, or other points, with their flow columns up to `level` and columns of constants.
+
+        With `others`, `phase` is the number of a pair of phases, the first times `others` plus the second.
+        """
         columns = _side_by_side(constants, len(position))
         # where nothing moves, columns with u are zero without adding them
         still = True if level and (velocity == velocity[:1]).all() else None
         squares = any(name.startswith("square") for name in moments)
-        fill = []
-        for cutoff in np.unique(self.cutoffs).tolist():
-            rows = order if (self.cutoffs == cutoff).all() else order[self.cutoffs[phase[order]] == cutoff]
+        fill, cutoffs = [], np.repeat(self.cutoffs, others)
+        for cutoff in np.unique(cutoffs).tolist():
+            rows = order if (cutoffs == cutoff).all() else order[cutoffs[phase[order]] == cutoff]
             meet = True if squares and (self.period < 2 * cutoff).any() else None
             batches = (batches_of(position.take(rows, axis=0)) - self.origin) / cutoff
             flow = (velocity, mass, columns, phase)
             grains = kernel.Grains(rows, batches, position, *flow, self.origin, cutoff)
             flags = (level, still, meet, by_gradient)
             fill.append(partial(_fill_points, grains, self._mesh(cutoff), self._kernel(cutoff), flags))
-        return _Pass(self.phases, level + columns.shape[1], fill, moments, apart)
+        return _Pass(self.phases * others, level + columns.shape[1], fill, moments, apart)
 
 
 def _of_grains(rows: Mapping[str, Moment]) -> dict[str, Moment]:

@@ -39,8 +39,6 @@ class Options:
         d50 or dmax of the scene (m), where `size` names one of them.
     fluid_viscosity : float, optional
         Viscosity of the fluid between the grains (Pa s).
-    by_pair : bool, optional
-        Whether contact stress is also divided by the phase of the partner.
     temperature : str
         "unbiased", or "biased": per density, whatever the fit takes.
     own : tuple
@@ -61,7 +59,6 @@ class Options:
     size: str = "d43"
     diameter: float = float("nan")
     fluid_viscosity: float | None = None
-    by_pair: bool | None = None
     temperature: str = "unbiased"
     own: tuple[Any, ...] = ()
 
@@ -93,6 +90,8 @@ class Field:
     weight : str
         The additive field that weighs its averages, where it is a ratio: the one in the denominator. A field that is
         neither additive nor weighted is computed anew from averages of the fields it needs.
+    by_bulk : bool
+        Whether `weight` is that of the bulk, also for phases.
     harmonic : bool
         Whether it is its inverse that is averaged with `weight`, as the weight is the numerator.
     listed : bool
@@ -102,7 +101,7 @@ class Field:
     option : str
         An attribute of `Options` that has to be given for it.
     paired : bool
-        Whether it has the dimension ``other_phase``.
+        Whether it has the dimension ``other_phase``; it then takes the argument ``by``.
     units : str, optional
         Its unit, where powers of length, mass and time do not make it; empty where it is not known.
     source : str
@@ -118,6 +117,7 @@ class Field:
     moments: tuple[str, ...] = ()
     additive: bool = False
     weight: str = ""
+    by_bulk: bool = False
     harmonic: bool = False
     listed: bool = True
     default: bool = True

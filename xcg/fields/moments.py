@@ -42,6 +42,8 @@ class Moment:
         Whether a row of `column` is a contact, which stands at its contact point, and not a grain.
     layout : tuple
         Columns of the components, counted from the first, where they do not stand one after the other.
+    paired : bool
+        Whether it is summed for each pair of phases, walls being the last of the other phases.
     """
 
     variables: tuple[str, ...]
@@ -53,6 +55,7 @@ class Moment:
     contacts: bool = False
     at_contacts: bool = False
     layout: tuple[Any, ...] = ()
+    paired: bool = False
 
     @property
     def columns(self) -> NDArray:
@@ -114,12 +117,15 @@ MOMENTS: dict[str, Moment] = {
     "force": Moment(_FORCE, "sum_c f", (3,), column=_forces, contacts=True),
     # at the contact points
     "contacts": Moment((), "1", column=_one_a_contact, contacts=True, at_contacts=True),
+    "pair_force": Moment(_FORCE, "f, at the contact, by phase of the partner", (3,), contacts=True, paired=True),
     # weighted by grad Psi
     "mass_slope": Moment(("mass",), "m, with grad Psi", (3,), layout=_OFFSETS),
     "momentum_slope": Moment(_MV, "m u, with grad Psi", (3, 3), layout=_SHEARS),
     # along branches, and at walls
     "contact": Moment(_FORCE, "f a, along the branch", (3, 3), contacts=True),
-    "pair_contact": Moment(_FORCE, "f a, along the branch, by phase of the partner", (3, 3), contacts=True),
+    "pair_contact": Moment(
+        _FORCE, "f a, along the branch, by phase of the partner", (3, 3), contacts=True, paired=True
+    ),
     "traction": Moment(_FORCE, "f, at the wall", (3,), contacts=True),
 }
 

@@ -125,13 +125,14 @@ _NARROW = 0.1  # widths, in mean diameters, that show single grains only
 
 
 def _choose_fields(
-    asked: str | Quantity | Sequence[str | Quantity] | None, ds: xr.Dataset, options: Options
+    asked: str | Quantity | Sequence[str | Quantity] | None, ds: xr.Dataset, options: Options, by: str | None
 ) -> tuple[tuple[str, ...], tuple[OwnField, ...]]:
     """Names of the fields of a result, and those of them that are quantities of the scene's own variables."""
-    lacking = {name for name, f in registry.FIELDS.items() if f.option and getattr(options, f.option) is None}
+    rows = registry.FIELDS.items()
+    lacking = {name: f.option for name, f in rows if f.option and getattr(options, f.option) is None}
+    lacking |= {name: "by" for name, f in rows if f.paired and by is None}
     if asked is None:
-        lacking |= {name for name, f in registry.FIELDS.items() if not f.default}
-        possible = [name for name in registry.listed() if name not in lacking]
+        possible = [name for name in registry.listed() if registry.FIELDS[name].default and name not in lacking]
         here = [name for name in possible if _variables([name], ds, options) <= set(ds.data_vars)]
         if not here:
             require_scene(ds, ("mass",), "coarse_grain")
@@ -148,7 +149,7 @@ def _choose_fields(
         raise ValueError(msg)
     for name in names:
         if name in lacking:
-            msg = f"{name} needs the argument {registry.FIELDS[name].option}="
+            msg = f"{name} needs the argument {lacking[name]}="
             raise ValueError(msg)
     return tuple(dict.fromkeys(map(str, names))), tuple(dict.fromkeys(own.values()))
 
@@ -186,11 +187,10 @@ def make_plan(ds: xr.Dataset, request: Request) -> Plan:
     if request.by_pair and by is None:
         msg = "by_pair=True divides contact stress by pairs of phases: say which with by=, for example by='species'"
         raise ValueError(msg)
-    options = replace(options, by_pair=request.by_pair or None)
     if not (np.isfinite(rtol) and rtol >= 0):
         msg = f"rtol={rtol!r}: expected 0 (closed form) or a positive number such as 1e-3"
         raise ValueError(msg)
-    names, own = _choose_fields(request.fields, ds, options)
+    names, own = _choose_fields(request.fields, ds, options, by)
     options = replace(options, own=own)
     options = replace(options, own=(*own, *registry.registered_for(names, options)))
     if request.by_pair:

@@ -20,7 +20,7 @@ from xcg.compiled.simd import EIGHT
 from xcg.fields import registry
 from xcg.fields.deposit import BlockSums
 from xcg.fields.field import Options
-from xcg.fields.moments import MOMENTS
+from xcg.fields.moments import MOMENTS, Moment
 from xcg.fields.trace import Trace, as_symbols
 
 
@@ -109,7 +109,7 @@ def program_for(fields: tuple[str, ...], options: Options, groups: int = 0) -> P
     record = Trace()
     rows = MOMENTS | {name: row for one in options.own for name, row in one.moments.items()}
     wanted = registry.moments_of(fields, options)
-    moments = {name: _moment(record, name, rows[name].columns, groups) for name in wanted}
+    moments = {name: _moment(record, name, rows[name], groups) for name in wanted}
     moments["reference"] = record.load("reference", 0, np.arange(3))
     found = _traced(fields, moments, options)
     results = {
@@ -136,11 +136,12 @@ def _traced(fields: Sequence[str], moments: Mapping[str, NDArray], options: Opti
     return found
 
 
-def _moment(record: Trace, name: str, columns: NDArray, groups: int) -> NDArray:
+def _moment(record: Trace, name: str, row: Moment, groups: int) -> NDArray:
     """Symbols of a moment at one node: an array (phase, 1, ...), phase 0 the bulk, the sum over groups."""
+    columns = row.columns
     if not groups:
         return record.load(name, 0, columns)[None, None]
-    others = (groups + 1,) if name == "pair_contact" else ()
+    others = (groups + 1,) if row.paired else ()
     parts = [record.load(name, group, columns) for group in range(groups * math.prod(others))]
     each = np.stack(parts).reshape(groups, *others, *columns.shape)
     return np.stack([reduce(operator.add, each), *each])[:, None]

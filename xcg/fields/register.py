@@ -133,7 +133,7 @@ def _check(name: str, row: Field) -> None:
 
 def _try_out(name: str, row: Field) -> None:
     """Compute the field from made-up moments."""
-    options = Options(fluid_viscosity=1.0, by_pair=True, own=(registry.Registered(name, row),))
+    options = Options(fluid_viscosity=1.0, own=(registry.Registered(name, row),))
     moments = _made_up(registry.moments_of([name], options))
     part = {moment: a[..., 2:4, :] if moment == "reference" else a[:, 2:4] for moment, a in moments.items()}
     try:
@@ -161,7 +161,7 @@ def _made_up(names: Sequence[str]) -> dict[str, NDArray]:
     """Moments (phase, node, ...) of two phases and the bulk, read-only; symmetric tensors are positive."""
     rng, found = np.random.default_rng(0), {}
     for name in names:
-        tail = (_PHASES, 3, 3) if name == "pair_contact" else MOMENTS[name].shape
+        tail = ((_PHASES,) if MOMENTS[name].paired else ()) + MOMENTS[name].shape
         values = rng.uniform(0.5, 1.5, (_PHASES, _NODES, *tail))
         if tail[-2:] == (3, 3):
             values = values + values.swapaxes(-1, -2) + 4 * np.eye(3)

@@ -13,6 +13,10 @@ ROWS: dict[str, Field] = {
     "volume_fraction": Field(
         0, NONE, "volume fraction", "phi = sum V_i Psi", lambda f, s, o: s.volume, moments=("volume",), additive=True
     ),
+    "void_fraction": Field(
+        0, NONE, "volume fraction of what is between the grains", "epsilon = 1 - phi",
+        lambda f, s, o: 1.0 - f.volume_fraction, fields=("volume_fraction",), default=False,
+    ),
     "density": Field(
         0, (-3, 1, 0), "mass density of the mixture", "rho = sum m_i Psi",
         lambda f, s, o: s.mass, moments=("mass",), additive=True,
