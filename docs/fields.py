@@ -19,7 +19,7 @@ definitions. Vectors have the dimension `component`; tensors have `component` (o
 *Additive* fields of the phases add up to the bulk. The last column says how a field is [averaged](averages.md): sums as
 they are, ratios weighted by a sum, the rest anew from averages. [Your own fields](own_fields.md) are taken by name as
 well, and so is [any variable of the scene](own_fields.md#any-variable).
-`contact_number_density` is computed only where it is asked for.
+Those with a star are computed only where they are asked for by name, all others also without any names.
 
 Sums are zero where nothing reaches. Ratios are NaN there, and `sample_count` says how many grains a node saw. A
 velocity gradient is NaN along directions that the grains at a node do not span; a temperature is NaN where a linear
@@ -49,10 +49,12 @@ def table() -> str:
         f = FIELDS[name]
         formula = f.formula.replace("|", "\\|")
         additive = "yes" if f.additive else ""
-        average = "as they are" if f.additive else f"by `{f.weight}`" if f.weight else "anew"
+        whose = " of the bulk" if f.by_bulk else ""
+        average = "as they are" if f.additive else f"by `{f.weight}`{whose}" if f.weight else "anew"
         unit = re.sub(r"(?<=[a-z])-?\d", lambda power: power[0].translate(RAISED), units_of(f.powers))
         about = f"{f.long_name}<br>`{formula}`"
-        rows.append(f"| `{name}` | {about} | {KINDS[f.rank]} | {unit} | {additive} | {average} |\n")
+        star = "" if f.default else " \\*"
+        rows.append(f"| `{name}`{star} | {about} | {KINDS[f.rank]} | {unit} | {additive} | {average} |\n")
     return HEAD + "".join(rows) + TAIL
 
 
@@ -69,7 +71,8 @@ def averages() -> str:
         if f.harmonic:
             rule = f"`{f.weight}` over the mean of `{f.weight}` divided by the field"
         elif f.weight:
-            rule = f"weighted by `{f.weight}`, where they are known"
+            whose = ", that of the bulk" if f.by_bulk else ""
+            rule = f"weighted by `{f.weight}`{whose}, where they are known"
         else:
             rule = "computed anew from averages of what they are made of, with the variants of the result"
         if not f.additive:
