@@ -31,6 +31,7 @@ from xcg.scene.build import scene_from_arrays
 from xcg.scene.phases import assign_phases, find_phases, plot_phases
 from xcg.scene.schema import SceneError, SceneWarning
 from xcg.scene.sizes import measure, size_statistics
+from xcg.scene.walls import select_walls
 from xcg.steps.errors import SkippedStep
 from xcg.writers.save import register_writer, save
 
@@ -81,6 +82,7 @@ __all__ = [
     "save",
     "scene_from_arrays",
     "select_chains",
+    "select_walls",
     "size_statistics",
     "slice_temperature",
     "time_average",

@@ -26,6 +26,7 @@ from xcg.scene.bodies import group_bodies
 from xcg.scene.phases import assign_phases, find_phases, plot_phases
 from xcg.scene.sizes import measure, size_statistics
 from xcg.scene.summary import summary_of_scene
+from xcg.scene.walls import select_walls
 from xcg.steps.summary import summary_of_result
 from xcg.writers.chains import to_csv, to_vtp
 from xcg.writers.save import save
@@ -107,6 +108,7 @@ class CoarseGrainAccessor:
     find_phases = Method(find_phases, SCENE)
     assign_phases = Method(assign_phases, SCENE)
     plot_phases = Method(plot_phases, SCENE)
+    select_walls = Method(select_walls, SCENE)
 
     profile = Method(profile, RESULT)
     time_average = Method(time_average, RESULT)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import difflib
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TypeAlias
 
 import numpy as np
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.text import parse_table, read_body, source_of
 from xcg.scene.schema import COMPONENTS, Frame, SceneError, variable
+from xcg.scene.walls import FIRST_WALL
 from xcg.scene.warn import warn_user
 
 Slots: TypeAlias = Mapping[str, Sequence[str]]
@@ -135,6 +136,17 @@ _SUSPECT = re.compile("wall|force", re.IGNORECASE)
 def warn_of_ignored(ref: StepRef, filled: Mapping[str, str], slots: Slots, options: ReadOptions) -> None:
     """Warn of columns that look like forces or contacts with walls by their names, and that nobody asked for."""
     known = {*filled.values(), *options.names, *(column for columns in slots.values() for column in columns)}
+    known |= columns_of_walls(ref, options)
+    arrays = {column.removesuffix("[1]") for column in ref.columns if slots is PARTICLE_SLOTS and column[:2] == "f_"}
+    for array in sorted(arrays):
+        numbered = [f"{array}[{k}]" for k in range(1, _WALL_ARRAY + 1)]
+        if set(numbered) <= set(ref.columns) - known:
+            known |= set(numbered)
+            warn_user(
+                f"{source_of(ref)}: columns {array}[1] to {array}[{_WALL_ARRAY}] look like contacts with a wall (fix "
+                f"wall/gran ... contacts) and are not read; give the wall a name, walls={{'side': '{array}[*]'}}, or "
+                f"drop them by names={{'{array}[1]': None, ...}}"
+            )
     ignored = [column for column in ref.columns if column not in known and _SUSPECT.search(column)]
     if ignored:
         first = ignored[0]
@@ -265,6 +277,60 @@ def contacts_from(ref: StepRef, columns: Mapping[str, str]) -> Frame:
         frame["wrapped_branch"] = frame.pop("end_i") - frame.pop("end_j")
     _check_ids(ref, frame["contact_i"])
     return frame
+
+
+# --- contacts with walls, in columns of the particles -----------------------------------------------------
+
+# The per-atom array of LAMMPS' ``fix wall/gran ... contacts``: 1 where the grain touches, force on it (3), point on the
+# wall (3), radius; zeros where it does not touch.
+_WALL_ARRAY = 8
+_FORCE_AND_POINT = range(2, 8)
+WALL_CONTACTS = ("contact_i", "contact_j", "contact_force", "contact_point")
+
+
+def _numbered(pattern: str, numbers: Iterable[int]) -> list[str]:
+    return [pattern.replace("*", str(k)) for k in numbers]
+
+
+def columns_of_walls(ref: StepRef, options: ReadOptions) -> set[str]:
+    """Columns that the contacts with walls have in a step of particles, read or not."""
+    given = options.walls.values()
+    return {c for one in given for c in (_numbered(one, range(1, _WALL_ARRAY + 1)) if isinstance(one, str) else one)}
+
+
+def wall_columns(ref: StepRef, options: ReadOptions) -> dict[str, list[str]]:
+    """Columns of force (3) and point (3) of the contacts with each wall.
+
+    Raises
+    ------
+    SceneError
+        If a step of particles does not hold them.
+    """
+    found = {}
+    for wall, given in options.walls.items():
+        found[wall] = _numbered(given, _FORCE_AND_POINT) if isinstance(given, str) else list(given)
+        lacking = [column for column in found[wall] if column not in ref.columns]
+        if (isinstance(given, str) and "*" not in given) or len(found[wall]) != len(_FORCE_AND_POINT) or lacking:
+            there = f"; it has no {' '.join(lacking)}, but {' '.join(ref.columns)}" if lacking else ""
+            msg = (
+                f"{source_of(ref)}: walls={{{wall!r}: {given!r}}}: expected the columns of a 'fix wall/gran ... "
+                f"contacts', such as 'f_{wall}[*]', or names of six columns, force and point{there}"
+            )
+            raise SceneError(msg)
+    return found
+
+
+def wall_contacts_from(ref: StepRef, options: ReadOptions) -> Frame:
+    """Read the contacts with walls from columns of a step of particles, wall after wall."""
+    name, walls = assign(ref, PARTICLE_SLOTS, options)["particle_id"], wall_columns(ref, options)
+    wanted = {name, *(column for six in walls.values() for column in six)}
+    table = parse_table(read_body(ref), ref.columns, sorted(wanted), ref.rows // len(walls), source_of(ref))
+    parts = []
+    for number, six in enumerate(walls.values()):
+        values = np.stack([table[column] for column in six], axis=1)
+        row = np.flatnonzero((values != 0).any(axis=1))
+        parts.append((table[name][row], np.full(len(row), FIRST_WALL - number), values[row, :3], values[row, 3:]))
+    return dict(zip(WALL_CONTACTS, map(np.concatenate, zip(*parts, strict=True)), strict=True))
 
 
 def _check_ids(ref: StepRef, ids: NDArray) -> None:

@@ -76,10 +76,13 @@ class ReadOptions:
     extra : mapping
         Options of one engine only, and ``missing`` ("raise" or "skip"): what to do about files that do not
         exist.
+    walls : mapping
+        From names of walls to the columns of particles that their contacts stand in: a pattern, or names of columns.
     """
 
     names: Mapping[str, str | None] = field(default_factory=dict)
     extra: Mapping[str, object] = field(default_factory=dict)
+    walls: Mapping[str, str | Sequence[str]] = field(default_factory=dict)
 
 
 class Engine(ABC):
@@ -175,6 +178,11 @@ class Engine(ABC):
     def index_walls(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
         """List the steps in files with contacts with walls, where these are kept apart; `read_contacts` reads them."""
         msg = f"walls=: the engine '{self.name}' reads contacts with walls among the others; give contacts= only"
+        raise SceneError(msg)
+
+    def wall_step(self, ref: StepRef, options: ReadOptions) -> StepRef:
+        """Return the contacts with walls that stand in columns of a step of particles, for `read_contacts`."""
+        msg = f"walls={dict(options.walls)!r}: the engine '{self.name}' reads no walls from columns of particles"
         raise SceneError(msg)
 
     def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from xcg.readers import columns, dump
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.text import source_of
+from xcg.scene.schema import Frame
 from xcg.scene.warn import warn_user
+
+_WALLS = "walls"  # kind of a step whose contacts stand in columns of the particles
 
 
 class Lammps(dump.Dumps):
@@ -32,3 +36,22 @@ class Lammps(dump.Dumps):
             )
             warn_user(msg)
         return refs
+
+    def wall_step(self, ref: StepRef, options: ReadOptions) -> StepRef:
+        """Return the contacts with walls of a step; each grain may touch each wall once."""
+        return replace(ref, kind=_WALLS, rows=ref.rows * len(columns.wall_columns(ref, options)))
+
+    def contact_variables(self, ref: StepRef, options: ReadOptions) -> list[str]:
+        """Names of the variables that `read_contacts` returns."""
+        return list(columns.WALL_CONTACTS) if ref.kind == _WALLS else super().contact_variables(ref, options)
+
+    def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
+        """Parse the contacts of one step: those between grains, or those in columns of the grains."""
+        return columns.wall_contacts_from(ref, options) if ref.kind == _WALLS else super().read_contacts(ref, options)
+
+    def ignored_columns(self, ref: StepRef, options: ReadOptions, *, contacts: bool = False) -> list[str]:
+        """Columns of a step that are not read."""
+        if ref.kind == _WALLS:
+            return []
+        walls = () if contacts else columns.columns_of_walls(ref, options)
+        return [name for name in super().ignored_columns(ref, options, contacts=contacts) if name not in walls]

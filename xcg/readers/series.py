@@ -25,6 +25,7 @@ from xcg.scene.build import box_array, to_dataset
 from xcg.scene.complete import complete_particles, periods
 from xcg.scene.schema import BOX_EDGES, COMPONENTS, VARIABLES, Frame, SceneError, Setup, did_you_mean, printable
 from xcg.scene.sizes import measure_frames
+from xcg.scene.walls import named_walls
 from xcg.scene.warn import warn_user
 from xcg.steps import errors as errors
 from xcg.steps.errors import FAULTS, check_on_error, collecting, raising
@@ -47,7 +48,7 @@ def open_scene(
     particles: Paths,
     *,
     contacts: Paths | None = None,
-    walls: Paths | None = None,
+    walls: Paths | Mapping[str, str | Sequence[str]] | None = None,
     engine: str | Engine | type[Engine] | None = None,
     names: Mapping[str, str | None] | None = None,
     times: ArrayLike | None = None,
@@ -78,8 +79,11 @@ def open_scene(
         Files with particles. Globs are sorted by the numbers in the names (9 before 10).
     contacts : path, glob or list of them, optional
         Files with contacts.
-    walls : path, glob or list of them, optional
-        Files with contacts with walls, for engines that keep them apart (LIGGGHTS ``wall/gran/local``).
+    walls : path, glob or list of them, or mapping, optional
+        Files with contacts with walls, for engines that keep them apart (LIGGGHTS ``wall/gran/local``). For LAMMPS,
+        whose ``fix wall/gran ... contacts`` puts them into columns of the particles, a mapping from names of walls to
+        these columns: ``{"side": "f_side[*]"}``, or the names of six columns, force and point. The walls are partners
+        -2, -3, ... in their order; see `xcg.select_walls`.
     engine : {"lammps", "liggghts", "mercury", "mfix"}, name or Engine, optional
         What wrote the files, guessed from their first lines by default; the name of an engine that an installed package
         registers; or a class or object derived from `xcg.readers.Engine`.
@@ -194,19 +198,24 @@ def open_scene(
     if missing not in ("raise", "skip", "empty"):
         msg = f"missing={missing!r}: expected 'raise', 'skip' or 'empty'"
         raise SceneError(msg)
-    kinds = {"particles": particles, "contacts": contacts, "walls": walls}
+    in_columns = dict(walls) if isinstance(walls, Mapping) else {}
+    about_walls = named_walls(in_columns) if in_columns else {}
+    kinds = {"particles": particles, "contacts": contacts, "walls": None if isinstance(walls, Mapping) else walls}
     tolerate = collecting if check_on_error(on_error) == "skip" else raising
     with tolerate() as left_out:
         files = {kind: expand_paths(paths, kind) for kind, paths in kinds.items() if paths is not None}
         reader = load_engine(engine or _guess_engine(files))
         _check_options(reader, engine_options)
         extra = {**engine_options, "missing": "raise" if missing == "raise" and on_error == "raise" else "skip"}
-        options = ReadOptions(dict(names or {}), extra)
+        options = ReadOptions(dict(names or {}), extra, in_columns)
         said = {"periodic": periodic, "units": units, "box": box, "time": times}
         indexed = _index(reader, files, options, [what for what, given in said.items() if given is None])
         if left_out and missing == "empty":
             _refuse_guesses(left_out, files)
         steps = _pair(indexed, times, "skip" if missing == "raise" and left_out else missing)
+        if in_columns:
+            beside = [reader.wall_step(step.particles, options) for step in steps]
+            steps = [replace(step, contacts=(*step.contacts, ref)) for step, ref in zip(steps, beside, strict=True)]
     with tolerate():  # steps that cannot be read stay in the scene; their faults are told when they are computed
         raw = _ends(reader, options, steps, partial(Setup.make, shape=shape, thickness=thickness, density=density))
     _warn_of_files(left_out)
@@ -253,7 +262,7 @@ def open_scene(
     if not clock:
         said_nothing = "number of the time step, as the files do not tell the time (give timestep= or times=)"
         scene["time"].attrs.update(units="1", long_name=said_nothing)
-    scene.attrs |= _origin(reader, files, options, steps)
+    scene.attrs |= _origin(reader, files, options, steps) | about_walls
     if left_out:
         scene.attrs["skipped_files"] = "\n".join(f"{source}: {cause}" for source, cause in left_out.items())
     return scene
