@@ -14,6 +14,7 @@ from xcg.chains.tracks import track_chains
 from xcg.fields.averages import profile, time_average
 from xcg.fields.balance import balance
 from xcg.fields.coarse_grain import coarse_grain
+from xcg.fields.displacement import displacement
 from xcg.fields.lammps import lammps_mesh
 from xcg.fields.pysammos import pysammos_mesh
 from xcg.fields.register import register_field
@@ -58,6 +59,7 @@ __all__ = [
     "chain_table",
     "coarse_grain",
     "datasets",
+    "displacement",
     "find_contacts",
     "find_pairs",
     "find_phases",

@@ -18,6 +18,7 @@ from xcg.chains.tracks import track_chains
 from xcg.fields.averages import profile, time_average
 from xcg.fields.balance import balance
 from xcg.fields.coarse_grain import coarse_grain, explain
+from xcg.fields.displacement import displacement
 from xcg.fields.slice_temperature import slice_temperature
 from xcg.fields.width_sweep import width_sweep
 from xcg.packing.find_contacts import find_contacts
@@ -95,6 +96,7 @@ class CoarseGrainAccessor:
 
     coarse_grain = Method(coarse_grain, SCENE)
     explain = Method(explain, SCENE)
+    displacement = Method(displacement, SCENE)
     width_sweep = Method(width_sweep, SCENE)
     balance = Method(balance, SCENE)
     slice_temperature = Method(slice_temperature, SCENE)

@@ -225,14 +225,16 @@ def _from_sums(sums: xr.Dataset, f: xr.Dataset) -> xr.Dataset:
         elif "/" not in name:
             found[name] = sums[name]
 
-    def derive(name: str) -> xr.DataArray:
-        if name not in found:
-            row = registry.row(name, options)
-            found[name] = _compute(row, {need: derive(need) for need in row.fields}, options)
-        return found[name]
-
-    out = {name: derive(name).assign_attrs(f[name].attrs) for name in map(str, f.data_vars)}
+    out = {name: derive(name, found, options).assign_attrs(f[name].attrs) for name in map(str, f.data_vars)}
     return xr.Dataset(out, attrs=f.attrs)
+
+
+def derive(name: str, found: dict[str, xr.DataArray], options: Options) -> xr.DataArray:
+    """Give a field that is among those found, or follows from them, and add to them what it took."""
+    if name not in found:
+        row = registry.row(name, options)
+        found[name] = _compute(row, {need: derive(need, found, options) for need in row.fields}, options)
+    return found[name]
 
 
 def _compute(row: Field, needs: Mapping[str, xr.DataArray], options: Options) -> xr.DataArray:

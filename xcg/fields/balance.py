@@ -13,7 +13,7 @@ from xcg.fields.coarse_grain import answer, of_bodies
 from xcg.fields.plan import make_plan
 from xcg.fields.request import SharedOptions, takes
 from xcg.scene.conform import takes_scene
-from xcg.scene.query import require_rising_times
+from xcg.scene.query import box_stays, require_rising_times
 from xcg.scene.schema import COMPONENTS
 
 FIELDS = [
@@ -126,7 +126,7 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
     if ds.sizes["time"] > 1:
         require_rising_times(ds, "balance")
     f = answer(ds, request)
-    wraps = set(plan.setup.periodic) & set(grid.axes) - set(asked.bounds or {}) if _stays(ds) else set()
+    wraps = set(plan.setup.periodic) & set(grid.axes) - set(asked.bounds or {}) if box_stays(ds) else set()
 
     def divergence(field: xr.DataArray, dim: str) -> xr.DataArray:
         return _divergence(field, dim, grid.axes, wraps)
@@ -164,14 +164,6 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
     known = {name: c for residual in out.values() for name, c in residual.coords.items()}
     coords = {name: known[name] for name in (*f.coords, "interval") if name in known}  # in the order of the fields
     return xr.Dataset({name: residual.variable for name, residual in out.items()}, coords, f.attrs)
-
-
-def _stays(ds: xr.Dataset) -> bool:
-    """Whether the box is the same in all steps, so that the last node of an axis that wraps is next to the first."""
-    if "box" not in ds or ds["box"].chunks is not None:
-        return "box_lower" in ds.attrs
-    box = ds["box"].transpose("time", ...).to_numpy()
-    return bool((box == box[:1]).all())
 
 
 def _gravity(ds: xr.Dataset) -> xr.DataArray:

@@ -10,6 +10,7 @@ import xarray as xr
 
 from xcg.fields import lammps, pysammos, registry
 from xcg.fields.evaluate import evaluate_plan
+from xcg.fields.field import Field
 from xcg.fields.plan import Plan, make_plan
 from xcg.fields.request import Request, SharedOptions, takes
 from xcg.scene.bodies import group_bodies
@@ -114,7 +115,7 @@ def answer(ds: xr.Dataset, request: Request) -> xr.Dataset:
     call = format_call("coarse_grain", {k: v for k, v in request.given().items() if k != "on_error" or skips})
     plan = make_plan(ds, request)
     arrays = evaluate_plan(ds, plan, request.on_error)
-    return rename(mark_skipped(_label(ds, plan, arrays, call), arrays))
+    return rename(mark_skipped(label_fields(ds, plan, arrays, call), arrays))
 
 
 def of_bodies(ds: xr.Dataset, asked: Asked) -> tuple[xr.Dataset, Asked]:
@@ -134,7 +135,8 @@ def _in_own_names(ds: xr.Dataset, request: Request) -> tuple[Request, Callable[[
     return PRESETS[request.preset](ds, request)
 
 
-def _label(ds: xr.Dataset, plan: Plan, arrays: Mapping[str, Any], call: str) -> xr.Dataset:
+def label_fields(ds: xr.Dataset, plan: Plan, arrays: Mapping[str, Any], call: str) -> xr.Dataset:
+    """Label what a plan gave as a result of the scene."""
     system = plan.setup.unit_system
     grid = plan.deposit.grid
     length = units_of((1, 0, 0), system)
@@ -156,12 +158,16 @@ def _label(ds: xr.Dataset, plan: Plan, arrays: Mapping[str, Any], call: str) -> 
         if row.paired:
             tail = ("other_phase", *tail)
             coords["other_phase"] = ("other_phase", [*map(str, plan.deposit.groups), "wall"])
-        units = units_of(row.powers, system) if row.units is None else row.units
-        about = {"units": units, "long_name": row.long_name, "formula": row.formula, "source": row.source}
-        about |= {"weight": row.weight} if row.source else {}  # what averages of fields without a row need
-        attrs = {key: text for key, text in about.items() if text}
-        data[name] = (("time", *plan.dims, *tail), arrays[name], attrs)
+        data[name] = (("time", *plan.dims, *tail), arrays[name], about(row, system))
     return with_phase_labels(storable(xr.Dataset(data, coords, _provenance(ds, plan, call))))
+
+
+def about(row: Field, system: str) -> dict[str, str]:
+    """Attributes of a field in a result."""
+    units = units_of(row.powers, system) if row.units is None else row.units
+    found = {"units": units, "long_name": row.long_name, "formula": row.formula, "source": row.source}
+    found |= {"weight": row.weight} if row.source else {}  # what averages of fields without a row need
+    return {key: text for key, text in found.items() if text}
 
 
 def _provenance(ds: xr.Dataset, plan: Plan, call: str) -> dict[str, Any]:

@@ -34,7 +34,14 @@ def evaluate_plan(ds: xr.Dataset, plan: Plan, on_error: str) -> dict[str, Any]:
     return map_over_time(ds, names, partial(compute_chunk, plan, threads), results, "coarse-grain", on_error)
 
 
-_TEMPERATURES = {"granular_temperature", "directional_temperature"}
+# what fluctuations tell, in words
+_TEMPERATURES = {
+    "granular_temperature": "temperature",
+    "directional_temperature": "temperature",
+    "d2min": "d2min",
+    "nonaffine_covariance": "covariance",
+    "self_diffusion": "self-diffusion",
+}
 _PAGE = 4096 // 8  # numbers in a page of memory
 
 
@@ -90,12 +97,12 @@ def _compute_step(
 
 def _warn_of_unknown(rows: Mapping[str, NDArray], reached: int, width: float, source: str) -> None:
     """Warn where most of the nodes that grains reach have no temperature."""
-    for name in _TEMPERATURES & set(rows):
+    for name in _TEMPERATURES.keys() & set(rows):
         known = int(np.isfinite(rows[name].reshape(len(rows[name]), -1)[:, 0]).sum())
         if 2 * known < reached:
             msg = (
-                f"{source}: of {reached} nodes that grains reach {known} have a temperature; the others see too few "
-                f"grains for a mean velocity and its gradient to leave fluctuations over. Take a larger width (it is "
+                f"{source}: of {reached} nodes that grains reach {known} have a {_TEMPERATURES[name]}; the others see "
+                f"too few grains for a mean and its gradient to leave fluctuations over. Take a larger width (it is "
                 f"{width:.3g}), average along an axis (axes=), or mask by sample_count"
             )
             warn_once("temperature", msg)

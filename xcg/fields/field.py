@@ -41,6 +41,8 @@ class Options:
         Viscosity of the fluid between the grains (Pa s).
     temperature : str
         "unbiased", or "biased": per density, whatever the fit takes.
+    lag : int, optional
+        Frames from each frame to that which it is compared with; given in scenes of displacements.
     own : tuple
         Fields that are not those of xcg, each with a `name`, its `row`, and `moments` by name: of the scene's own
         variables, see `xcg.fields.variables.OwnField`, and those that users registered, see `Registered`. What computes
@@ -60,6 +62,7 @@ class Options:
     diameter: float = float("nan")
     fluid_viscosity: float | None = None
     temperature: str = "unbiased"
+    lag: int | None = None
     own: tuple[Any, ...] = ()
 
     @property

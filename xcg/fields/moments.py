@@ -112,6 +112,7 @@ MOMENTS: dict[str, Moment] = {
     "size2": Moment(("diameter",), "d^2", column=_power(2)),
     "size3": Moment(("diameter",), "d^3", column=_power(3)),
     "size4": Moment(("diameter",), "d^4", column=_power(4)),
+    "interval": Moment(("interval",), "t' - t", column=lambda frame, _: frame["interval"]),
     "partners": Moment((), "z", column=_partners, contacts=True),
     "fabric": Moment(("volume",), "V sum_c n n", (3, 3), column=_fabric, contacts=True, layout=_SYMMETRIC),
     "force": Moment(_FORCE, "sum_c f", (3,), column=_forces, contacts=True),

@@ -150,6 +150,8 @@ def _choose_fields(
     for name in names:
         if name in lacking:
             msg = f"{name} needs the argument {lacking[name]}="
+            if lacking[name] == "lag":
+                msg = f"{name} compares two frames: call ds.cg.displacement({name!r}) instead of coarse_grain"
             raise ValueError(msg)
     return tuple(dict.fromkeys(map(str, names))), tuple(dict.fromkeys(own.values()))
 
@@ -313,6 +315,7 @@ def _options(ds: xr.Dataset, setup: Setup, request: Request) -> Options:
         diameter=float(ds.attrs.get(size, np.nan)),
         fluid_viscosity=fluid_viscosity,
         temperature=request.temperature,
+        lag=ds.attrs.get("lag"),
     )
 
 

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.fields.field import Field, Options
-from xcg.fields.rows import contacts, density, flow, phases, rheology
+from xcg.fields.rows import contacts, density, displacement, flow, phases, rheology
 
-_TOPICS = (density, flow, contacts, phases, rheology)
+_TOPICS = (density, flow, contacts, phases, rheology, displacement)
 _ROWS: dict[str, Field] = {name: row for topic in _TOPICS for name, row in topic.ROWS.items()}
 _REGISTERED: dict[str, Field] = {}  # by users, see `xcg.register_field`
 # All rows by name, read-only.
@@ -56,6 +56,8 @@ def given_options(options: Options) -> dict[str, Any]:
         found["fluid_viscosity"] = options.fluid_viscosity
     if np.isfinite(options.diameter):
         found["size_diameter"] = options.diameter
+    if options.lag is not None:
+        found["lag"] = options.lag
     return found
 
 
@@ -65,7 +67,7 @@ def options_of(attrs: Mapping[Any, Any]) -> Options:
     def axes(name: str) -> tuple[int, ...] | None:
         return tuple("xyz".index(a) for a in attrs[name]) if name in attrs else None
 
-    viscosity = attrs.get("fluid_viscosity")
+    viscosity, lag = attrs.get("fluid_viscosity"), attrs.get("lag")
     return Options(
         plane=axes("plane") or (0, 1, 2),
         gradient=str(attrs.get("gradient", "least_squares")),
@@ -76,6 +78,7 @@ def options_of(attrs: Mapping[Any, Any]) -> Options:
         temperature=str(attrs.get("temperature", "biased")),
         diameter=float(attrs.get("size_diameter", np.nan)),
         fluid_viscosity=None if viscosity is None else float(viscosity),
+        lag=None if lag is None else int(lag),
     )
 
 

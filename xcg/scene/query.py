@@ -109,3 +109,11 @@ def edges_of(ds: xr.Dataset) -> dict[str, tuple[float, float]]:
     if box is None:
         return {}
     return {a: (float(low), float(high)) for a, (low, high) in zip(COMPONENTS, box, strict=True) if high - low < np.inf}
+
+
+def box_stays(ds: xr.Dataset) -> bool:
+    """Whether the box is the same in all steps; a lazy one is not read, as attributes hold a box that stays."""
+    if "box" not in ds or ds["box"].chunks is not None:
+        return "box_lower" in ds.attrs
+    box = ds["box"].transpose("time", ...).to_numpy()
+    return bool((box == box[:1]).all())

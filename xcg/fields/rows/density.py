@@ -26,6 +26,11 @@ ROWS: dict[str, Field] = {
         lambda f, s, o: ratio(f.density, f.volume_fraction), fields=("density", "volume_fraction"),
         weight="volume_fraction",
     ),
+    "centre_offset": Field(
+        1, (1, 0, 0), "centre of mass of the grains at the node, from the node",
+        "r_bar - r = sum m_i (r_i - r) Psi / rho",
+        lambda f, s, o: ratio(s.offset, s.mass), moments=("offset", "mass"), weight="density", default=False,
+    ),
     "number_density": Field(
         0, (-3, 0, 0), "number density", "n = sum Psi", lambda f, s, o: s.number, moments=("number",), additive=True
     ),
