@@ -19,7 +19,8 @@ definitions. Vectors have the dimension `component`; tensors have `component` (o
 *Additive* fields of the phases add up to the bulk. The last column says how a field is [averaged](averages.md): sums as
 they are, ratios weighted by a sum, the rest anew from averages. [Your own fields](own_fields.md) are taken by name as
 well, and so is [any variable of the scene](own_fields.md#any-variable).
-Those with a star are computed only where they are asked for by name, all others also without any names.
+Those with a star are computed only where they are asked for by name, all others also without any names. Fields from
+`displacement` on compare two frames: [`ds.cg.displacement`](displacement.md) takes them instead.
 
 Sums are zero where nothing reaches. Ratios are NaN there, and `sample_count` says how many grains a node saw. A
 velocity gradient is NaN along directions that the grains at a node do not span; a temperature is NaN where a linear

@@ -1,7 +1,9 @@
 """Displacement, strain and non-affine motion: exact where the deformation is affine, brute force elsewhere."""
 
 import re
+from pathlib import Path
 
+import matplotlib.pyplot
 import numpy as np
 import pytest
 import xarray as xr
@@ -349,3 +351,25 @@ def test_ids_that_do_not_last():
 def test_coarse_grain_says_where_these_fields_are():
     with pytest.raises(ValueError, match=r"strain compares two frames: call ds.cg.displacement\('strain'\)"):
         series().cg.coarse_grain("strain")
+
+
+def test_the_page_runs(monkeypatch, capsys):
+    root = Path(__file__).parents[1]
+    monkeypatch.chdir(root / "docs")
+    names = {}
+    with matplotlib.rc_context({"backend": "agg"}):
+        for cell in re.findall(r"```\{code-cell\} python\n(.*?)```", Path("displacement.md").read_text(), re.DOTALL):
+            exec(compile(cell, "displacement.md", "exec"), names)
+        matplotlib.pyplot.close("all")
+    assert capsys.readouterr().out == "0.1 s between the frames, 0 grains left and 0 entered\n"
+    f = names["f"]
+    # the band carries the shear, and its grains stray
+    band = f.shear_strain.max("y").mean()
+    assert 0.5 < band < 2
+    assert float(f.shear_strain.median()) < 0.03
+    assert float(f.d2min.where(f.shear_strain > 0.5).median()) > 100 * float(
+        f.d2min.where(f.shear_strain < 0.05).median()
+    )
+    # the top moves against the bottom by the integral of the shear
+    ends = f.displacement.sel(component="x").mean("x").dropna("y")
+    assert float(ends[-1] - ends[0]) == pytest.approx(0.02, rel=0.05)

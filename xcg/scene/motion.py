@@ -37,14 +37,14 @@ class BoxMotion:
     ) -> BoxMotion:
         """Compare the boxes (3, 2) of two frames."""
         before, after = (periods(box, periodic, name) for box, name in zip((first, later), sources, strict=True))
+        stretch, lower, moved = np.zeros((3, 3))
         wraps = np.isfinite(before)
-        gradient, shift = np.zeros((3, 3)), np.zeros(3)
         if first is not None and later is not None:
-            stretch = np.where(wraps, (after - before) / np.where(wraps, before, 1.0), 0.0)
-            lower = np.where(wraps, first[:, 0], 0.0)
+            stretch[wraps] = after[wraps] / before[wraps] - 1.0
+            lower[wraps] = first[wraps, 0]
             # an edge that is a period further on is the same edge
-            moved = minimum_image(np.where(wraps, later[:, 0] - first[:, 0], 0.0)[None], after)[0]
-            gradient, shift = np.diag(stretch), moved - stretch * lower
+            moved[wraps] = minimum_image((later - first)[None, wraps, 0], after[wraps])[0]
+        gradient, shift = np.diag(stretch), moved - stretch * lower
         return cls(gradient, shift, after)
 
     def relative(self, position: NDArray, later: NDArray) -> NDArray:
