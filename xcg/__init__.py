@@ -21,7 +21,9 @@ from xcg.fields.register import register_field
 from xcg.fields.registry import FIELDS
 from xcg.fields.slice_temperature import slice_temperature
 from xcg.fields.smoothing import Gaussian, Heaviside, Kernel, Lucy, register_kernel
+from xcg.fields.surfaces import Cylinder, Plane, Surface
 from xcg.fields.variables import Flux, Mean, Sum, Variance
+from xcg.fields.wall_stress import wall_stress
 from xcg.fields.width_sweep import width_sweep
 from xcg.packing.find_contacts import find_contacts
 from xcg.packing.microstructure import microstructure
@@ -41,18 +43,21 @@ __all__ = [
     "FIELDS",
     "Box",
     "CoarseGrainAccessor",
+    "Cylinder",
     "Flux",
     "Gaussian",
     "Heaviside",
     "Kernel",
     "Lucy",
     "Mean",
+    "Plane",
     "Region",
     "SceneError",
     "SceneWarning",
     "SkippedStep",
     "Sphere",
     "Sum",
+    "Surface",
     "Variance",
     "assign_phases",
     "balance",
@@ -89,6 +94,7 @@ __all__ = [
     "slice_temperature",
     "time_average",
     "track_chains",
+    "wall_stress",
     "width_sweep",
 ]
 

@@ -20,6 +20,7 @@ from xcg.fields.balance import balance
 from xcg.fields.coarse_grain import coarse_grain, explain
 from xcg.fields.displacement import displacement
 from xcg.fields.slice_temperature import slice_temperature
+from xcg.fields.wall_stress import wall_stress
 from xcg.fields.width_sweep import width_sweep
 from xcg.packing.find_contacts import find_contacts
 from xcg.packing.microstructure import microstructure
@@ -100,6 +101,7 @@ class CoarseGrainAccessor:
     width_sweep = Method(width_sweep, SCENE)
     balance = Method(balance, SCENE)
     slice_temperature = Method(slice_temperature, SCENE)
+    wall_stress = Method(wall_stress, SCENE)
     find_contacts = Method(find_contacts, SCENE)
     microstructure = Method(microstructure, SCENE)
     particle_stress = Method(particle_stress, SCENE)
