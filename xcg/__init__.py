@@ -36,6 +36,7 @@ from xcg.scene.schema import SceneError, SceneWarning
 from xcg.scene.sizes import measure, size_statistics
 from xcg.scene.walls import select_walls
 from xcg.steps.errors import SkippedStep
+from xcg.writers.record import Recorder, record
 from xcg.writers.save import register_writer, save
 
 __version__ = version("xcg")
@@ -51,6 +52,7 @@ __all__ = [
     "Lucy",
     "Mean",
     "Plane",
+    "Recorder",
     "Region",
     "SceneError",
     "SceneWarning",
@@ -83,6 +85,7 @@ __all__ = [
     "profile",
     "pysammos_mesh",
     "readers",
+    "record",
     "register_field",
     "register_kernel",
     "register_writer",

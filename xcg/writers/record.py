@@ -1,0 +1,319 @@
+"""Fields of one step after the other into one file, while a simulation runs."""
+
+from __future__ import annotations
+
+import json
+import os
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Protocol
+
+import numpy as np
+import xarray as xr
+from numpy.typing import DTypeLike
+
+from xcg.fields.coarse_grain import answer
+from xcg.fields.request import Request
+from xcg.fields.smoothing import Kernel
+from xcg.scene.build import storable
+from xcg.scene.conform import takes_scene
+from xcg.scene.query import check_times
+from xcg.scene.schema import COMPONENTS, SceneError
+from xcg.writers.encoding import Encoding
+from xcg.writers.files import check_target, part_of, remove, whole_file
+from xcg.writers.lock import locked
+
+_CDF5: Any = "NETCDF3_64BIT_DATA"  # which xarray hands on, though its annotations do not list it
+# attributes that tell fields of one kind from those of another
+_SAME = ("kernel", "width", "cutoff", "kernel_dimension", "gradient", "unit_system", "averaged_axes", "periodic")
+
+
+class _Format(Protocol):
+    """A file that grows by steps: what is in it is whole at any moment, whenever the process ends."""
+
+    path: Path
+
+    def create(self, first: xr.Dataset, *, overwrite: bool) -> None:
+        """Begin with one step."""
+
+    def append(self, values: dict[str, np.ndarray], at: int) -> None:
+        """Add a step, whose arrays have time first, as number `at`."""
+
+    def close(self) -> None:
+        """Let go of the file."""
+
+
+class _NetCDF:
+    """A file in the classic format of NetCDF with 64 bits (CDF-5), whose time is its record dimension.
+
+    Steps are added to its end, and then their number is written into its header: a step that was not finished does not
+    count. An HDF5 file could not be read after a process ended that was writing to it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._file: Any = None
+
+    def create(self, first: xr.Dataset, *, overwrite: bool) -> None:
+        with whole_file(self.path, overwrite=overwrite) as part:
+            first.to_netcdf(part, engine="netcdf4", format=_CDF5, unlimited_dims=["time"])
+
+    def append(self, values: dict[str, np.ndarray], at: int) -> None:
+        import netCDF4
+
+        if self._file is None:
+            self._file = netCDF4.Dataset(self.path, "r+")
+            self._file.set_auto_maskandscale(False)
+        for name, value in values.items():
+            self._file[name][at : at + 1] = value
+        self._file.sync()
+
+    def close(self) -> None:
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+
+class _Zarr:
+    """A Zarr folder with a file a variable and step.
+
+    Steps count from the moment at which the consolidated metadata, one file that is replaced as a whole, says so.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def create(self, first: xr.Dataset, *, overwrite: bool) -> None:
+        from xcg.writers.zarr import write_zarr
+
+        write_zarr(first, self.path, Encoding(level=1), overwrite=overwrite)
+
+    def append(self, values: dict[str, np.ndarray], at: int) -> None:
+        import zarr
+
+        group = zarr.open_group(self.path, mode="r+", use_consolidated=False)
+        for name, value in values.items():
+            array = group[name]
+            array.resize((at + 1, *array.shape[1:]))
+            array[at : at + 1] = value
+        root = self.path / "zarr.json"
+        said = json.loads(root.read_text())
+        for name in values:
+            said["consolidated_metadata"]["metadata"][name]["shape"][0] = at + 1
+        part = part_of(root)
+        part.write_text(json.dumps(said))
+        os.replace(part, root)
+
+    def close(self) -> None:
+        for part in self.path.glob(".zarr.json.*.part"):
+            remove(part)
+
+
+_FORMATS: dict[str, type[_NetCDF] | type[_Zarr]] = {".nc": _NetCDF, ".zarr": _Zarr}
+
+
+class Recorder:
+    """What `xcg.record` returns: a file of fields that grows by steps. It is a context manager.
+
+    Attributes
+    ----------
+    path : pathlib.Path
+        The file or folder.
+    steps : int
+        Steps in it.
+    """
+
+    def __init__(self, path: Path, request: Request, encoding: Encoding, *, overwrite: bool) -> None:
+        if path.suffix not in _FORMATS:
+            msg = f"{path}: expected a name that ends with .nc (NetCDF) or .zarr (Zarr)"
+            raise ValueError(msg)
+        check_target(path, overwrite=True)
+        self.path, self.steps = path, 0
+        self._request, self._encoding, self._overwrite = request, encoding, overwrite
+        self._format: _Format = _FORMATS[path.suffix](path)
+        self._pattern: xr.Dataset | None = None
+        self._held = ExitStack()
+        self._held.enter_context(locked(path.with_name(f".{path.name}.record"), str(path)))
+        self._held.callback(self._format.close)
+        try:
+            if path.exists() and not overwrite:
+                self._continue()
+        except BaseException:
+            self.close()
+            raise
+
+    def _continue(self) -> None:
+        with xr.open_dataset(self.path, chunks=None, engine="zarr" if self.path.suffix == ".zarr" else None) as there:
+            if "time" not in there.dims:
+                msg = f"{self.path}: this is no record of fields over time; pass overwrite=True to replace it"
+                raise SceneError(msg)
+            self._remember(there)
+
+    def _remember(self, fields: xr.Dataset) -> None:
+        """Keep what all steps have in common, and the last time."""
+        self._pattern, self.steps = fields.isel(time=slice(-1, None)).load(), fields.sizes["time"]
+        self._request = _with_mesh_of(self._request, fields)
+
+    def append(self, ds: xr.Dataset) -> None:
+        """Add the fields of a scene, or fields, one step after the other.
+
+        Mesh and width are those of the first step, whatever the extent of the grains in later ones.
+
+        Parameters
+        ----------
+        ds : xarray.Dataset
+            A scene, or a result of `xcg.coarse_grain`: one step or several.
+
+        Raises
+        ------
+        SceneError
+            If it is not later than what is there, or its fields have other names, nodes or kernels.
+        """
+        for k in range(ds.sizes.get("time", 1)):
+            one = ds.isel(time=slice(k, k + 1)) if "time" in ds.dims else ds
+            self._add(_fields(one, self._request) if "position" in ds else one)
+
+    def _add(self, fields: xr.Dataset) -> None:
+        fields = _one_step(fields)
+        before = self._pattern
+        if before is not None:
+            _check(before, fields, self.path)
+            times = np.concatenate([before["time"].to_numpy(), fields["time"].to_numpy()])
+            check_times(times, str(self.path), "steps are appended as time goes on")
+        fields = self._encoding.noted(fields).load()
+        values = {str(n): self._encoding.reduced(v.to_numpy()) for n, v in fields.variables.items() if "time" in v.dims}
+        if before is None:
+            stored = fields.assign(
+                {n: fields[n].copy(data=values[n]) for n in map(str, fields.data_vars) if n in values}
+            )
+            self._format.create(storable(stored.drop_encoding()), overwrite=self._overwrite)
+            self._remember(fields)
+            return
+        self._format.append(values, self.steps)
+        self._pattern, self.steps = before.assign_coords(time=fields["time"]), self.steps + 1
+
+    def close(self) -> None:
+        """Let go of the file; `xcg.record` on its name goes on with it."""
+        self._held.close()
+
+    def __enter__(self) -> Recorder:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+@takes_scene
+def _fields(ds: xr.Dataset, request: Request) -> xr.Dataset:
+    return answer(ds, request)
+
+
+def _one_step(fields: xr.Dataset) -> xr.Dataset:
+    if "time" in fields.dims:
+        return fields.transpose("time", ...)
+    if "time" not in fields.coords:
+        msg = "what is recorded needs the coordinate 'time'"
+        raise SceneError(msg)
+    step = {"step": ("time", [fields["step"].item()], fields["step"].attrs)} if "step" in fields.coords else {}
+    return fields.expand_dims("time").assign_coords(step)
+
+
+def _with_mesh_of(request: Request, fields: xr.Dataset) -> Request:
+    """Fix nodes, width and phases to those of a result."""
+    nodes = {a: fields[a].to_numpy() for a in COMPONENTS if a in fields.dims}
+    bounds = {a: (float(x[0]), float(x[-1])) for a, x in nodes.items()}
+    spacing = {a: float(x[-1] - x[0]) / (len(x) - 1) for a, x in nodes.items() if len(x) > 1}
+    fixed: dict[str, Any] = {"bounds": bounds or None}
+    if len(spacing) == len(nodes):
+        fixed["spacing"] = spacing or None
+    if not isinstance(request.kernel, Kernel) and np.ndim(fields.attrs.get("width", ())) == 0:
+        fixed["width"] = float(fields.attrs["width"])
+    if request.by is not None and request.groups is None:
+        fixed["groups"] = [int(label) for label in fields["phase"].to_numpy().tolist() if label != "bulk"]
+    return replace(request, **fixed)
+
+
+def _check(before: xr.Dataset, fields: xr.Dataset, path: Path) -> None:
+    """Refuse a step with other fields, nodes or kernels than those before it."""
+    problems = []
+    changed = sorted(set(map(str, before.data_vars)) ^ set(map(str, fields.data_vars)))
+    if changed:
+        problems.append(f"the fields {changed} are not in both")
+    for name, size in before.sizes.items():
+        if fields.sizes.get(name) != size:
+            problems.append(f"{name!r} has the length {fields.sizes.get(name)} instead of {size}")
+        elif name != "time" and name in before.coords and not _alike(before[name], fields[name]):
+            problems.append(f"{name!r} has other values")
+    for name in _SAME:
+        if not np.array_equal(before.attrs.get(name, ""), fields.attrs.get(name, "")):
+            problems.append(f"{name} is {fields.attrs.get(name)!r} instead of {before.attrs.get(name)!r}")
+    if problems:
+        msg = f"{path}: this step is not like those that are there: {'; '.join(problems)}; record it in another file"
+        raise SceneError(msg)
+
+
+def _alike(one: xr.DataArray, other: xr.DataArray) -> bool:
+    a, b = one.to_numpy(), other.to_numpy()
+    if a.dtype.kind == "f":
+        return np.allclose(a, b, rtol=1e-9, atol=0)
+    return [str(x) for x in a.ravel()] == [str(x) for x in b.ravel()]  # text has several types
+
+
+def record(
+    path: str | os.PathLike[str],
+    fields: Any = None,
+    *,
+    overwrite: bool = False,
+    dtype: DTypeLike | None = None,
+    digits: int | None = None,
+    **options: Any,
+) -> Recorder:
+    """Record the fields of one step after the other in a file, while a simulation runs.
+
+    Each step is in the file when `append` returns, and the file can be read at any moment, also after the process was
+    killed: the steps that were appended are whole. Only one step is in memory.
+
+    Parameters
+    ----------
+    path : str or path
+        ``*.nc`` for NetCDF, in its classic format with 64 bits, or ``*.zarr`` for a Zarr folder, which makes a file a
+        field and step. A file that is there is continued, after a check that fields, mesh and kernel are the same.
+    fields : optional
+        As `xcg.coarse_grain`.
+    overwrite : bool
+        Replace a file that is there, with the first step that is appended.
+    dtype, digits
+        As in `xcg.save`.
+    **options
+        As `xcg.coarse_grain`. Mesh and width are those of the first step where they are not given.
+
+    Returns
+    -------
+    Recorder
+        Its method ``append(ds)`` takes a scene, or fields; ``close()``, or the end of the ``with`` block, lets go of
+        the file.
+
+    Raises
+    ------
+    FileExistsError
+        If another process is recording to the same file.
+    SceneError
+        If a file is there that holds no steps; by `append` if a step is not later than those before, or not like them.
+    TypeError, ValueError
+        If an argument is unknown or wrong.
+
+    Examples
+    --------
+    >>> import xcg, tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     with xcg.record(f"{folder}/live.nc", "density", axes="z", width=1.0) as live:
+    ...         live.append(xcg.datasets.simple_cubic(4))
+    ...         live.steps
+    1
+    """
+    request = Request(fields, **options)
+    return Recorder(Path(path), request, Encoding.of(xr.Dataset(), dtype, digits, 0), overwrite=overwrite)
