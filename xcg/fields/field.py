@@ -39,6 +39,8 @@ class Options:
         d50 or dmax of the scene (m), where `size` names one of them.
     fluid_viscosity : float, optional
         Viscosity of the fluid between the grains (Pa s).
+    by : str, optional
+        The variable that divides the grains into phases.
     temperature : str
         "unbiased", or "biased": per density, whatever the fit takes.
     lag : int, optional
@@ -61,6 +63,7 @@ class Options:
     size: str = "d43"
     diameter: float = float("nan")
     fluid_viscosity: float | None = None
+    by: str | None = None
     temperature: str = "unbiased"
     lag: int | None = None
     own: tuple[Any, ...] = ()
@@ -104,7 +107,7 @@ class Field:
     option : str
         An attribute of `Options` that has to be given for it.
     paired : bool
-        Whether it has the dimension ``other_phase``; it then takes the argument ``by``.
+        Whether it has the dimension ``other_phase``.
     units : str, optional
         Its unit, where powers of length, mass and time do not make it; empty where it is not known.
     source : str

@@ -125,12 +125,10 @@ _NARROW = 0.1  # widths, in mean diameters, that show single grains only
 
 
 def _choose_fields(
-    asked: str | Quantity | Sequence[str | Quantity] | None, ds: xr.Dataset, options: Options, by: str | None
+    asked: str | Quantity | Sequence[str | Quantity] | None, ds: xr.Dataset, options: Options
 ) -> tuple[tuple[str, ...], tuple[OwnField, ...]]:
     """Names of the fields of a result, and those of them that are quantities of the scene's own variables."""
-    rows = registry.FIELDS.items()
-    lacking = {name: f.option for name, f in rows if f.option and getattr(options, f.option) is None}
-    lacking |= {name: "by" for name, f in rows if f.paired and by is None}
+    lacking = {name for name, f in registry.FIELDS.items() if f.option and getattr(options, f.option) is None}
     if asked is None:
         possible = [name for name in registry.listed() if registry.FIELDS[name].default and name not in lacking]
         here = [name for name in possible if _variables([name], ds, options) <= set(ds.data_vars)]
@@ -149,8 +147,9 @@ def _choose_fields(
         raise ValueError(msg)
     for name in names:
         if name in lacking:
-            msg = f"{name} needs the argument {lacking[name]}="
-            if lacking[name] == "lag":
+            option = registry.FIELDS[name].option
+            msg = f"{name} needs the argument {option}="
+            if option == "lag":
                 msg = f"{name} compares two frames: call ds.cg.displacement({name!r}) instead of coarse_grain"
             raise ValueError(msg)
     return tuple(dict.fromkeys(map(str, names))), tuple(dict.fromkeys(own.values()))
@@ -192,7 +191,8 @@ def make_plan(ds: xr.Dataset, request: Request) -> Plan:
     if not (np.isfinite(rtol) and rtol >= 0):
         msg = f"rtol={rtol!r}: expected 0 (closed form) or a positive number such as 1e-3"
         raise ValueError(msg)
-    names, own = _choose_fields(request.fields, ds, options, by)
+    options = replace(options, by=by)
+    names, own = _choose_fields(request.fields, ds, options)
     options = replace(options, own=own)
     options = replace(options, own=(*own, *registry.registered_for(names, options)))
     if request.by_pair:

@@ -13,7 +13,8 @@ ROWS: dict[str, Field] = {
     "contact_stress_by_pair": Field(
         2, STRESS, "contact stress of each phase from contacts with another, or with walls",
         "sigma^c of the phase's sides of its contacts with grains of other_phase",
-        lambda f, s, o: s.pair_contact, moments=("pair_contact",), additive=True, default=False, paired=True,
+        lambda f, s, o: s.pair_contact, moments=("pair_contact",), additive=True, default=False, option="by",
+        paired=True,
     ),
     "wall_traction": Field(
         1, (-2, 1, -2), "traction of walls on the grains", "t = sum_w f_iw Psi(r - c_iw)",

@@ -23,15 +23,17 @@ ROWS: dict[str, Field] = {
     "interphase_force": Field(
         1, (-2, 1, -2), "density of the contact forces of another phase, or of walls, on each phase",
         "sum_c f_ij Psi(r - c), i in the phase and j in other_phase",
-        lambda f, s, o: s.pair_force, moments=("pair_force",), additive=True, default=False, paired=True,
+        lambda f, s, o: s.pair_force, moments=("pair_force",), additive=True, default=False, option="by",
+        paired=True,
     ),
     "segregation_flux": Field(
         1, (-2, 1, -1), "flux of a phase's mass relative to the bulk", "rho_a (V_a - V)",
         _segregation_flux, fields=("_drift",), moments=("mass", "momentum"), additive=True, default=False,
+        option="by",
     ),
     "concentration": Field(
         0, NONE, "share of a phase in the volume of the grains", "c_a = phi_a / phi",
         lambda f, s, o: ratio(f.volume_fraction, f.volume_fraction[:1]), fields=("volume_fraction",),
-        weight="volume_fraction", by_bulk=True, default=False,
+        weight="volume_fraction", by_bulk=True, default=False, option="by",
     ),
 }  # fmt: skip
