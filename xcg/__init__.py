@@ -28,6 +28,7 @@ from xcg.fields.width_sweep import width_sweep
 from xcg.packing.find_contacts import find_contacts
 from xcg.packing.microstructure import microstructure
 from xcg.packing.pairs import find_pairs
+from xcg.readers.live import scene_from_lammps
 from xcg.readers.series import open_scene
 from xcg.scene.bodies import group_bodies
 from xcg.scene.build import scene_from_arrays
@@ -91,6 +92,7 @@ __all__ = [
     "register_writer",
     "save",
     "scene_from_arrays",
+    "scene_from_lammps",
     "select_chains",
     "select_walls",
     "size_statistics",

