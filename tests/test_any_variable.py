@@ -39,7 +39,7 @@ def arrays(seed=0):
         "contact_point": position[i] + rng.normal(size=(CONTACTS, 3)) * 0.03,
         "species": rng.integers(1, 4, N),
         "heat": rng.normal(size=N) + 300.0,
-        "spin": rng.normal(size=(N, 3)),
+        "whirl": rng.normal(size=(N, 3)),
         "inner": rng.normal(size=(N, 3, 3)),
         "contact_wear": rng.normal(size=CONTACTS),
         "contact_slip": rng.normal(size=(CONTACTS, 3)),
@@ -101,7 +101,7 @@ def weights_of(a, ds):
 
 
 @pytest.mark.parametrize("axes", ["xyz", "xz", "z"])
-@given(st.sampled_from(["mass", "volume", "number"]), st.sampled_from(["heat", "spin", "inner"]), st.integers(0, 3))
+@given(st.sampled_from(["mass", "volume", "number"]), st.sampled_from(["heat", "whirl", "inner"]), st.integers(0, 3))
 @settings(max_examples=8, deadline=None)
 def test_variables_of_particles_are_their_sums(axes, weight, name, seed):
     a, ds = arrays(seed), build(seed)
@@ -215,18 +215,18 @@ def test_fluctuations_of_a_millionth_keep_their_digits(large):
 def test_names_units_and_sources():
     ds = build()
     ds["heat"].attrs.update(units="K", long_name="temperature of the grain")
-    ds["spin"].attrs["units"] = "rad s-1"
+    ds["whirl"].attrs["units"] = "rad s-1"
     ds["inner"].attrs.pop("units")
     ds["contact_wear"].attrs["units"] = "J/m2"
     asked = [
         "velocity", "heat", xcg.Sum("heat"), xcg.Sum("heat", "mass", name="content"), xcg.Flux("heat"),
-        xcg.Variance("heat"), xcg.Variance("spin"), xcg.Mean("density"), "inner", xcg.Sum("contact_wear"),
+        xcg.Variance("heat"), xcg.Variance("whirl"), xcg.Mean("density"), "inner", xcg.Sum("contact_wear"),
         xcg.Variance("contact_wear"),
     ]  # fmt: skip
     f = ds.cg.coarse_grain(asked, axes="z")
     assert {str(name): f[name].attrs.get("units") for name in f} == {
         "velocity": "m s-1", "heat": "K", "sum_heat": "K m-3", "content": "K kg m-3", "flux_heat": "K kg m-2 s-1",
-        "variance_heat": "K2", "variance_spin": "rad2 s-2", "mean_density": "kg m-3", "inner": None,
+        "variance_heat": "K2", "variance_whirl": "rad2 s-2", "mean_density": "kg m-3", "inner": None,
         "sum_contact_wear": "(J/m2) m-3", "variance_contact_wear": "(J/m2)2",
     }  # fmt: skip
     assert f.heat.attrs["long_name"] == "mean of temperature of the grain, weighted by mass"
@@ -308,7 +308,7 @@ def series(steps=3):
     )
 
 
-ASKED = ["velocity", "heat", "inner", "contact_slip", xcg.Flux("spin"), xcg.Variance("contact_wear"), xcg.Sum("heat")]
+ASKED = ["velocity", "heat", "inner", "contact_slip", xcg.Flux("whirl"), xcg.Variance("contact_wear"), xcg.Sum("heat")]
 
 
 def test_lazy_scenes_give_the_same_bits():
@@ -329,12 +329,14 @@ def bounds_of(f):
 def test_variables_may_be_assigned_lazily():
     ds = series().chunk(time=1)
     ds = ds.assign(energy=0.5 * ds.mass * (ds.velocity**2).sum("component"))
-    dyad = (ds.velocity * ds.spin.rename(component="direction")).transpose("direction", "component", "time", "particle")
+    dyad = (ds.velocity * ds.whirl.rename(component="direction")).transpose(
+        "direction", "component", "time", "particle"
+    )
     ds = ds.assign(dyad=dyad)
     f = ds.cg.coarse_grain(["sum(energy)", "mean(dyad)", "kinetic_stress", "momentum_density"], width=WIDTH, axes="z")
     assert f.dyad.dims == ("time", "z", "component", "direction")
     a = ds.isel(time=0)
-    v, w = a.velocity.to_numpy(), a.spin.to_numpy()
+    v, w = a.velocity.to_numpy(), a.whirl.to_numpy()
     psi = kernel_sums(f.isel(time=[0]), a.position.to_numpy(), "z")
     close(f.dyad, written_out(psi, a.mass.to_numpy(), v[:, :, None] * w[:, None], None)[1])
     drift = f.momentum_density.to_numpy()[0]

@@ -171,11 +171,11 @@ def test_one_particle_or_contact_has_results_without_that_dimension(scene, lazy)
 @pytest.mark.parametrize("lazy", [False, True])
 def test_variables_of_the_users_own_are_selected_along(scene, lazy):
     own = scene.assign(
-        temperature=2 * scene.diameter, spin=-scene.velocity, contact_heat=scene.contact_force.sum("component"),
+        temperature=2 * scene.diameter, whirl=-scene.velocity, contact_heat=scene.contact_force.sum("component"),
         serial=("time", [1.0, 2.0]),
     )  # fmt: skip
     own = own.chunk(time=1) if lazy else own
-    fields = ["temperature", "spin", xcg.Sum("contact_heat")]
+    fields = ["temperature", "whirl", xcg.Sum("contact_heat")]
     whole = own.cg.coarse_grain(fields, width=0.8).compute()
     for how in ("transposed", "all chosen", "shuffled"):
         xr.testing.assert_equal(SAME[how](own).cg.coarse_grain(fields, width=0.8).compute(), whole)

@@ -25,17 +25,20 @@ MOMENTUM = 1  # m u: x y z
 COUNT = 4
 KINETIC = 5  # m u u: xx xy xz yy yz zz
 SQUARE = 11  # (m Psi)^2, as below
+CUBE = 12  # m |u|^2 u: x y z, at level CUBIC alone
 OFFSET = 12  # m x: x, then every fourth column
 SHEAR = 13  # m u_i x_j: i = x y z for j = x, then every fourth column on
 SPREAD = 24  # m x x: xx xy xz yy yz zz
 SQUARE_OFFSET = 30  # (m Psi)^2 x: x y z
 SQUARE_SPREAD = 33  # (m Psi)^2 x x: xx xy xz yy yz zz
 
+SQUARES = (SQUARE, *range(SQUARE_OFFSET, SQUARE_SPREAD + 6))
+
 # what a grain's record holds
 PLACE, SPEED, WEIGHED, GROUP, GRAIN = 0, 3, 6, 7, 8
 
 # how many flow columns each level of detail takes; some are spare, so that all start at a multiple of four
-NONE, VELOCITY, FLUCTUATION, LINEAR, SQUARED = 0, 8, 12, 32, 40
+NONE, VELOCITY, FLUCTUATION, CUBIC, LINEAR, SQUARED = 0, 8, 12, 16, 32, 40
 _COLUMNS = tuple(np.uint64(k) for k in range(SQUARED))
 
 
@@ -73,7 +76,7 @@ class Grains(NamedTuple):
 
 
 @leaf
-def deposit(grains, nodes, kernel, level, still, meet, by_gradient, records, lists, moments, reference):
+def deposit(grains, nodes, kernel, level, still, meet, by_gradient, cubes, records, lists, moments, reference):
     """Add grains to the nodes within their support.
 
     Parameters
@@ -85,7 +88,7 @@ def deposit(grains, nodes, kernel, level, still, meet, by_gradient, records, lis
     kernel : KernelCode
         The smoothing function.
     level : int
-        NONE, VELOCITY, FLUCTUATION, LINEAR or SQUARED: how many flow columns are wanted.
+        NONE, VELOCITY, FLUCTUATION, CUBIC, LINEAR or SQUARED: how many flow columns are wanted.
     still : True or None
         Whether all grains have the same velocity, so that all columns with u are zero. None leaves code out when the
         loop is compiled, here and below.
@@ -94,6 +97,8 @@ def deposit(grains, nodes, kernel, level, still, meet, by_gradient, records, lis
         they count as one grain.
     by_gradient : True or None
         Weigh by derivative / distance instead of the value.
+    cubes : True or None
+        Whether the columns of CUBIC are wanted; LINEAR has others in their place.
     records : (BATCH, GRAIN + q or more)
         Scratch: of each grain PLACE and SPEED, three each, WEIGHED, GROUP, and its constants.
     lists : Lists
@@ -136,6 +141,8 @@ def deposit(grains, nodes, kernel, level, still, meet, by_gradient, records, lis
                         fill_values(kind, spread, table, norm, by_gradient, q2, hits, weight)
                         if level > 0:
                             _add_flow(p, records, i, lists, hits, level, still, moments, reference)
+                        if cubes is not None:
+                            _add_cubes(p, records, i, lists, hits, moments, reference)
                         if meet is not None:
                             _add_images(p, records[i, WEIGHED], lists, hits, level, period, kernel, moments)
                         for d in range(0, columns, 4):
@@ -197,6 +204,17 @@ def _add_flow(p, records, i, lists, hits, level, still, moments, reference):
             if level >= SQUARED:
                 add4(moments, p, n, SQUARE_OFFSET + 2, w, wz, wx * x, wx * y, wx * z)
                 add4(moments, p, n, SQUARE_SPREAD + 3, w, wy * y, wy * z, wz * z, 0.0)
+
+
+@leaf
+def _add_cubes(p, records, i, lists, hits, moments, reference):
+    """Add m |u|^2 u of one grain to the nodes that it reaches."""
+    mass, vx, vy, vz = records[i, WEIGHED], records[i, SPEED], records[i, SPEED + 1], records[i, SPEED + 2]
+    values, numbers = lists
+    for k in range(hits):
+        n = np.uint64(numbers[NODE, k])
+        ux, uy, uz = vx - reference[n, 0], vy - reference[n, 1], vz - reference[n, 2]
+        add4(moments, p, n, CUBE, values[WEIGHT, k] * mass * (ux * ux + uy * uy + uz * uz), ux, uy, uz, 0.0)
 
 
 @leaf

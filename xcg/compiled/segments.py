@@ -1,5 +1,7 @@
 """Sums over segments: every contact adds force times branch, smeared along the branch, to the nodes it reaches.
 
+Any other vector of a contact's sides may take the place of the force.
+
 Lengths are in units of the cutoff and relative to the first node. The weight of a node is the mean of the kernel
 over the segment, ``S = int_0^1 Psi(r - start + u a) du`` with the segment running from `start` to ``start - a``. It
 comes from the closed form, or from the fewest Gauss-Legendre points that meet the asked accuracy for a branch of
@@ -75,8 +77,10 @@ class ContactRows(NamedTuple):
     ----------
     row_i, row_j : (n,)
         Particles of each contact; negative where a partner is no row.
-    point, force : (n, 3)
-        Contact point, and force on i.
+    point : (n, 3)
+        Contact point.
+    on_i : (n, 3)
+        What the side of i carries: the force on i, or another vector.
     position, phase : (m, 3), (m,)
         Of the particles.
     period : tuple
@@ -86,23 +90,26 @@ class ContactRows(NamedTuple):
     row_i: NDArray
     row_j: NDArray
     point: NDArray
-    force: NDArray
+    on_i: NDArray
     position: NDArray
     phase: NDArray
     period: tuple[float, float, float]
 
 
 @leaf
-def list_segments(contacts, second, place, others, cutoffs, cutoff, origin, segments, longest):
+def list_segments(contacts, on_j, second, place, others, cutoffs, cutoff, origin, segments, longest):
     """List one segment a contact: of its first particle that is there, or `second`, of its partner.
 
     Each side of a contact runs from its particle's centre to the contact point. Both sides are one segment, of the
-    first, where they lie on one line, on opposite sides of the point, and in one phase.
+    first, where they carry opposite vectors, lie on one line, on opposite sides of the point, and in one phase.
 
     Parameters
     ----------
     contacts : ContactRows
         The contacts.
+    on_j : (n, 3) or None
+        What the side of j carries; None for the opposite of that of i, as of forces. None leaves code out when the loop
+        is compiled.
     second : bool
         Whether the segments of the partners are wanted.
     place : (n,)
@@ -117,8 +124,8 @@ def list_segments(contacts, second, place, others, cutoffs, cutoff, origin, segm
     origin : tuple
         Of the starts.
     segments : (n, SEGMENT)
-        Written: START, BRANCH from the segment's end to its start, and FORCE on the particle times the cutoff, three
-        each, and GROUP, -1 where there is no segment.
+        Written: START, BRANCH from the segment's end to its start, and FORCE on the particle (or what the side carries
+        in its place) times the cutoff, three each, and GROUP, -1 where there is no segment.
     longest : (4,)
         Written: the largest component along x, y, z, and length, of a branch; NaN if any is.
 
@@ -127,7 +134,7 @@ def list_segments(contacts, second, place, others, cutoffs, cutoff, origin, segm
     bool
         Whether any contact has a second segment.
     """
-    row_i, row_j, point, force, position, phase, wrap = contacts
+    row_i, row_j, point, on_i, position, phase, wrap = contacts
     per_cutoff, more = 1.0 / cutoff, False
     most_x, most_y, most_z, most2 = 0.0, 0.0, 0.0, 0.0
     for n in range(place.size):
@@ -141,11 +148,16 @@ def list_segments(contacts, second, place, others, cutoffs, cutoff, origin, segm
         ax, ay, az = side(position, i, point, n, wrap)
         bx, by, bz = side(position, j, point, n, wrap)
         two = i >= 0 and j >= 0
-        if two and phase[i] == phase[j] and _on_one_line(ax, ay, az, bx, by, bz):
+        if on_j is None and two and phase[i] == phase[j] and _on_one_line(ax, ay, az, bx, by, bz):
             ax, ay, az, two = ax - bx, ay - by, az - bz, False
         more = more or two
+        carried = on_i
         if i < 0 or second:
-            i, j, ax, ay, az, sign = j, i, bx, by, bz, -cutoff
+            i, j, ax, ay, az = j, i, bx, by, bz
+            if on_j is None:
+                sign = -cutoff
+            else:
+                carried = on_j
         # a place that stays empty is at one of the particles all the same
         here = i if i >= 0 else j
         segments[k, GROUP] = -1.0
@@ -155,8 +167,8 @@ def list_segments(contacts, second, place, others, cutoffs, cutoff, origin, segm
             continue
         x, y, z = ax * per_cutoff, ay * per_cutoff, az * per_cutoff
         segments[k, BRANCH], segments[k, BRANCH + 1], segments[k, BRANCH + 2] = x, y, z
-        segments[k, FORCE], segments[k, FORCE + 1] = sign * force[n, 0], sign * force[n, 1]
-        segments[k, FORCE + 2] = sign * force[n, 2]
+        segments[k, FORCE], segments[k, FORCE + 1] = sign * carried[n, 0], sign * carried[n, 1]
+        segments[k, FORCE + 2] = sign * carried[n, 2]
         partner = others - 1 if j < 0 else phase[j]
         segments[k, GROUP] = phase[i] * others + partner if others else phase[i]
         most_x, most_y, most_z = max(most_x, abs(x)), max(most_y, abs(y)), max(most_z, abs(z))

@@ -19,16 +19,15 @@ from xcg.compiled.smoothing import KernelCode
 from xcg.fields.blocks import NodeBlock, for_each
 from xcg.fields.grid import Grid
 from xcg.fields.moments import CUTOFF_POWERS, MOMENTS, Moment
+from xcg.fields.power import WALL_VELOCITY, velocities_of_walls
 from xcg.fields.reach import Mesh
 from xcg.scene.contacts import Contacts
 from xcg.scene.frame import check_finite, phase_of, without_frozen
-from xcg.scene.schema import Frame
+from xcg.scene.schema import ROTATION, Frame
 
 # adds one pass to the sums (groups, nodes, columns) at the nodes of a box; the last array is the reference velocity
 _Fill = Callable[[NodeBlock, NDArray, NDArray], None]
 
-# Moments that run along the branches.
-_BRANCHES = ("contact", "pair_contact")
 # Sums are made over boxes of about this many nodes, so that memory holds those of a few boxes, not of the mesh.
 BLOCK_NODES = 110_000
 
@@ -106,6 +105,8 @@ class _Deposit:
         self.count = len(self.position)
         self.phase = phase_of(self.frame, spec.by, spec.groups, source)
         self.contacts = Contacts.of(self.frame, period, source) if "contact_i" in self.frame else None
+        if self.contacts and any(WALL_VELOCITY in row.optional for row in spec.rows.values()) and "frozen" in frame:
+            self.frame[WALL_VELOCITY] = velocities_of_walls(frame, self.contacts, period, source)
         self.velocity = np.ascontiguousarray(self.frame.get("velocity", np.zeros((self.count, 3))))
         self.mass = np.ascontiguousarray(self.frame.get("mass", np.ones(self.count)))
         self.phases = max(1, len(spec.groups))
@@ -118,7 +119,8 @@ class _Deposit:
 
     def passes(self, threads: int) -> list[_Pass]:
         """All passes that the recipe takes; threads prepare one each."""
-        for name in {name for row in self.spec.own.values() for name in row.variables}:
+        asked = {name for row in self.spec.own.values() for name in row.variables}
+        for name in asked | ({*ROTATION, WALL_VELOCITY} & set(self.frame)):
             check_finite(name, self.frame, self.source)
         wanted = self.spec.rows
         ways = [  # the calling thread begins with the last: contacts take more memory than grains
@@ -126,7 +128,7 @@ class _Deposit:
             (self._relative, {name for name, row in wanted.items() if row.level and row.column}),
             (self._at_contacts, {name for name, row in wanted.items() if row.at_contacts and not row.level}),
             (self._between_phases, wanted.keys() & {"pair_force"}),
-            (self._along_branches, wanted.keys() & set(_BRANCHES)),
+            (self._along_branches, {name for name, row in wanted.items() if row.along_branches}),
             (self._slopes, wanted.keys() & {"mass_slope", "momentum_slope"}),
             (self._at_walls, wanted.keys() & {"traction"}),
         ]
@@ -181,15 +183,15 @@ class _Deposit:
         rank = np.empty_like(self.order)
         rank[self.order] = np.arange(self.count)
         place = self.contacts.places(rank)
-        return [self._branches(name, place) for name in _BRANCHES if name in self.spec.moments]
+        return [self._branches(name, row, place) for name, row in self.spec.rows.items() if row.along_branches]
 
-    def _branches(self, name: str, place: NDArray) -> _Pass:
-        """Branches of the contacts in the order that `place` says, each with its force."""
-        others = self.others if MOMENTS[name].paired else 0
+    def _branches(self, name: str, row: Moment, place: NDArray) -> _Pass:
+        """Branches of the contacts in the order that `place` says, each with its force or what is in its place."""
+        others, carried = self.others if row.paired else 0, self._carried(row)
         fill: list[_Fill] = []
         for cutoff in np.unique(self.cutoffs).tolist():
             for second in (False, True):
-                segments, longest, more = self._segments(place, second, others, cutoff)
+                segments, longest, more = self._segments(*carried, place, second, others, cutoff)
                 reach = 2.0 + longest[:3]
                 self._mesh(cutoff).check_reach(reach)
                 batches = batches_of(segments[:, :3])
@@ -199,15 +201,25 @@ class _Deposit:
                     fill.append(partial(_fill_segments, *way, reach.tolist(), real, closed, rest))
                 if not more:
                     break
-        return _Pass(self.phases * max(others, 1), 9, fill, {name: (MOMENTS[name].columns, 1.0)})
+        return _Pass(self.phases * max(others, 1), 9, fill, {name: (row.columns, 1.0)})
 
-    def _segments(self, place: NDArray, second: bool, others: int, cutoff: float) -> tuple[NDArray, NDArray, bool]:
+    def _carried(self, row: Moment) -> tuple[NDArray, NDArray | None]:
+        """Vectors (n, 3) that the sides of i and of j carry; None where those of j are the opposite."""
+        assert self.contacts is not None
+        if row.column is None:
+            return self.contacts.force, None
+        on_i, on_j = row.column(self.frame, self.contacts)
+        return on_i, on_j
+
+    def _segments(
+        self, on_i: NDArray, on_j: NDArray | None, place: NDArray, second: bool, others: int, cutoff: float
+    ) -> tuple[NDArray, NDArray, bool]:
         """Segments of the first or second particles of the contacts, the longest, and whether there are second ones."""
         c = self.contacts
         assert c is not None
         segments, longest = np.empty((len(place), SEGMENT)), np.empty(4)
-        rows = ContactRows(c.i, c.j, c.point, c.force, self.position, self.phase, self.wrap)
-        more = list_segments(rows, second, place, others, self.cutoffs, cutoff, self.origin, segments, longest)
+        rows = ContactRows(c.i, c.j, c.point, on_i, self.position, self.phase, self.wrap)
+        more = list_segments(rows, on_j, second, place, others, self.cutoffs, cutoff, self.origin, segments, longest)
         mesh = self._mesh(cutoff)
         mesh.check_far(longest[:3])
         if mesh.too_long(longest[:3]):
@@ -272,7 +284,7 @@ class _Deposit:
                 values, order = values[contact], self._in_space(place)
                 values[:, 0] *= share
             weight, numbers = np.ascontiguousarray(values[:, 0]), np.ascontiguousarray(values[:, 1:])
-            moments = {name: (row.columns, 1.0)}
+            moments = {name: (row.first + row.columns, 1.0)}
             passes.append(self._points(moments, place, numbers, weight, [], phase, row.level, order, apart=True))
         return passes
 
@@ -323,7 +335,8 @@ class _Deposit:
         columns = _side_by_side(constants, len(position))
         # where nothing moves, columns with u are zero without adding them
         still = True if level and (velocity == velocity[:1]).all() else None
-        squares = any(name.startswith("square") for name in moments)
+        squares = any(np.isin(columns[columns < level], kernel.SQUARES).any() for columns, _ in moments.values())
+        cubes = True if level == kernel.CUBIC else None
         fill, cutoffs = [], np.repeat(self.cutoffs, others)
         for cutoff in np.unique(cutoffs).tolist():
             rows = order if (cutoffs == cutoff).all() else order[cutoffs[phase[order]] == cutoff]
@@ -331,18 +344,19 @@ class _Deposit:
             batches = (batches_of(position.take(rows, axis=0)) - self.origin) / cutoff
             flow = (velocity, mass, columns, phase)
             grains = kernel.Grains(rows, batches, position, *flow, self.origin, cutoff)
-            flags = (level, still, meet, by_gradient)
+            flags = (level, still, meet, by_gradient, cubes)
             fill.append(partial(_fill_points, grains, self._mesh(cutoff), self._kernel(cutoff), flags))
         return _Pass(self.phases * others, level + columns.shape[1], fill, moments, apart)
 
 
 def _of_grains(rows: Mapping[str, Moment]) -> dict[str, Moment]:
     """Moments of the main pass over grains: flow columns, or columns of constants."""
-    return {name: row for name, row in rows.items() if not row.at_contacts and bool(row.level) != bool(row.column)}
+    elsewhere = {name for name, row in rows.items() if row.at_contacts or row.along_branches}
+    return {name: row for name, row in rows.items() if name not in elsewhere and bool(row.level) != bool(row.column)}
 
 
 def _fill_points(
-    grains: kernel.Grains, mesh: Mesh, weights: KernelCode, flags: tuple[int, bool | None, bool | None, bool | None],
+    grains: kernel.Grains, mesh: Mesh, weights: KernelCode, flags: tuple[int, *tuple[bool | None, ...]],
     block: NodeBlock, sums: NDArray, reference: NDArray,
 ) -> None:  # fmt: skip
     nodes = mesh.nodes_of(block)

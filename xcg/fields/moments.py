@@ -5,15 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import reduce
+from functools import partial, reduce
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled import points as kernel
+from xcg.fields import power
 from xcg.scene.contacts import Contacts
-from xcg.scene.schema import Frame
+from xcg.scene.schema import ROTATION, Frame
 
 
 @dataclass(frozen=True)
@@ -40,10 +41,15 @@ class Moment:
         Whether contacts are needed, in whole.
     at_contacts : bool
         Whether a row of `column` is a contact, which stands at its contact point, and not a grain.
+    along_branches : bool
+        Whether `column` gives what each side of a contact carries along its branch, (2, contacts, 3) for i and j;
+        without a column that is the force.
     layout : tuple
         Columns of the components, counted from the first, where they do not stand one after the other.
     paired : bool
         Whether it is summed for each pair of phases, walls being the last of the other phases.
+    optional : tuple of str
+        Variables that are taken where the scene has them.
     """
 
     variables: tuple[str, ...]
@@ -54,8 +60,10 @@ class Moment:
     column: Callable[[Frame, Contacts | None], NDArray] | None = None
     contacts: bool = False
     at_contacts: bool = False
+    along_branches: bool = False
     layout: tuple[Any, ...] = ()
     paired: bool = False
+    optional: tuple[str, ...] = ()
 
     @property
     def columns(self) -> NDArray:
@@ -93,6 +101,11 @@ _OFFSETS = (0, 4, 8)  # m x and m u x of one direction stand together
 _SHEARS = ((0, 4, 8), (1, 5, 9), (2, 6, 10))
 _MV = ("mass", "velocity")
 _FORCE = ("contact_force",)
+_ABOUT = tuple(range(kernel.COUNT)) + tuple(range(kernel.KINETIC, kernel.SQUARE + 1))
+_I_OMEGA = ("moment_of_inertia", "angular_velocity")
+_power_moment = partial(
+    Moment, (*_FORCE, "velocity"), contacts=True, optional=("angular_velocity", power.WALL_VELOCITY)
+)
 MOMENTS: dict[str, Moment] = {
     # flow columns, relative to the node: x = r_i - r, u = v_i - U
     "count": Moment((), "1, where Psi > 0", (), kernel.VELOCITY, kernel.COUNT),
@@ -116,17 +129,51 @@ MOMENTS: dict[str, Moment] = {
     "partners": Moment((), "z", column=_partners, contacts=True),
     "fabric": Moment(("volume",), "V sum_c n n", (3, 3), column=_fabric, contacts=True, layout=_SYMMETRIC),
     "force": Moment(_FORCE, "sum_c f", (3,), column=_forces, contacts=True),
+    "inertia": Moment(("moment_of_inertia",), "I", column=lambda frame, _: frame["moment_of_inertia"]),
+    "spin": Moment(_I_OMEGA, "I omega", (3,), column=power.spins),
+    "spin_flux": Moment((*_I_OMEGA, "velocity"), "I omega v", (3, 3), column=power.spin_fluxes),
+    "rotational_energy": Moment(_I_OMEGA, "I omega^2 / 2", column=power.rotational_energies),
+    "rotational_energy_flux": Moment(
+        ("velocity",), "I omega^2 v / 2", (3,), column=power.rotational_energy_fluxes, optional=ROTATION
+    ),
+    "some_rotational_energy": Moment((), "I omega^2 / 2", column=power.rotational_energies, optional=ROTATION),
+    "energy": Moment(_MV, "(m v^2 + I omega^2) / 2", column=power.energies, optional=ROTATION),
+    "energy_flux": Moment(_MV, "(m v^2 + I omega^2) v / 2", (3,), column=power.energy_fluxes, optional=ROTATION),
+    "torque": Moment(_FORCE, "sum_c b x f", (3,), column=power.torques, contacts=True),
+    "power": _power_moment("sum_c f.u", column=power.powers),
+    # in passes of their own, relative to the node
+    "rotation": Moment(
+        _I_OMEGA,
+        "I (1, o, o o), (I Psi)^2, o = omega",
+        (11,),
+        kernel.FLUCTUATION,
+        column=power.weighted_rotation,
+        layout=_ABOUT,
+    ),
+    "cubes": Moment(_MV, "m u^2 u", (3,), kernel.CUBIC, kernel.CUBE, column=power.weighted_motion),
     # at the contact points
     "contacts": Moment((), "1", column=_one_a_contact, contacts=True, at_contacts=True),
     "pair_force": Moment(_FORCE, "f, at the contact, by phase of the partner", (3,), contacts=True, paired=True),
+    "contact_couple": Moment(_FORCE, "(b_i - b_j) x f", (3,), column=power.couples, contacts=True, at_contacts=True),
+    "taken_up": _power_moment("-f.(u_i - u_j)", column=power.taken_up, at_contacts=True),
+    "wall_power": _power_moment("f.u of the wall", column=power.of_walls, at_contacts=True),
     # weighted by grad Psi
     "mass_slope": Moment(("mass",), "m, with grad Psi", (3,), layout=_OFFSETS),
     "momentum_slope": Moment(_MV, "m u, with grad Psi", (3, 3), layout=_SHEARS),
     # along branches, and at walls
-    "contact": Moment(_FORCE, "f a, along the branch", (3, 3), contacts=True),
+    "contact": Moment(_FORCE, "f a, along the branch", (3, 3), contacts=True, along_branches=True),
     "pair_contact": Moment(
-        _FORCE, "f a, along the branch, by phase of the partner", (3, 3), contacts=True, paired=True
+        _FORCE,
+        "f a, along the branch, by phase of the partner",
+        (3, 3),
+        contacts=True,
+        along_branches=True,
+        paired=True,
     ),
+    "couple": Moment(
+        _FORCE, "(b x f) a, along the branch", (3, 3), column=power.torque_of_sides, contacts=True, along_branches=True
+    ),
+    "side_power": _power_moment("(f.u) a, along the branch", (3,), column=power.power_of_sides, along_branches=True),
     "traction": Moment(_FORCE, "f, at the wall", (3,), contacts=True),
 }
 

@@ -89,12 +89,12 @@ class Plan:
     def __str__(self) -> str:
         grid, moments = self.deposit.grid, self.deposit.rows
         nodes = int(np.prod(grid.shape))
-        constants = [m for m in moments.values() if m.column and not m.level]
+        constants = [m for m in moments.values() if m.column and not m.level and not m.along_branches]
         columns = self.deposit.level + sum(int(np.prod(m.shape)) for m in constants if not m.at_contacts)
         points = sum(int(np.prod(m.shape)) for m in constants if m.at_contacts)
         relative = [m.level for m in moments.values() if m.column and m.level]
         slopes = any(m.endswith("_slope") for m in self.deposit.moments)
-        contact = 9 * ("contact" in self.deposit.moments)
+        contact = 9 * sum(m.along_branches for m in moments.values())
         outputs = sum(int(np.prod(self.shape(name))) for name in self.fields)
         width = columns + points + sum(relative) + contact + slopes * 29
         sums = min(nodes, BLOCK_NODES) * max(1, self.phases - 1) * width
@@ -160,7 +160,7 @@ def _variables(fields: Sequence[str], ds: xr.Dataset, options: Options) -> set[s
     needed = {"position", "particle_id"}
     rows = MOMENTS | own_moments(options.own)
     for name in registry.moments_of(fields, options):
-        needed |= set(rows[name].variables)
+        needed |= set(rows[name].variables) | (set(rows[name].optional) & set(ds.data_vars))
         if name == "partners" and "coordination_number" in ds:
             needed.add("coordination_number")
         elif rows[name].contacts:

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.fields.field import Field, Options
-from xcg.fields.rows import contacts, density, displacement, flow, phases, rheology
+from xcg.fields.rows import contacts, density, displacement, energy, flow, phases, rheology, rotation
 
-_TOPICS = (density, flow, contacts, phases, rheology, displacement)
+_TOPICS = (density, flow, contacts, phases, rheology, rotation, energy, displacement)
 _ROWS: dict[str, Field] = {name: row for topic in _TOPICS for name, row in topic.ROWS.items()}
 _REGISTERED: dict[str, Field] = {}  # by users, see `xcg.register_field`
 # All rows by name, read-only.

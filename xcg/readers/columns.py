@@ -40,11 +40,13 @@ PARTICLE_SLOTS: Slots = {
     **_vector("position", "?", "?u"),
     **_vector("scaled", "?s", "?su"),
     **_vector("velocity", "v?"),
+    **_vector("angular_velocity", "omega?"),
     "diameter": ("diameter",),
     "radius": ("radius",),
     "density": ("density",),
     "mass": ("mass",),
     "volume": ("volume",),
+    "moment_of_inertia": (),
 }
 CONTACT_SLOTS: Slots = {
     "contact_i": ("id1", "patom1"),
@@ -63,7 +65,8 @@ CONTACT_SLOTS: Slots = {
 _FORCES = ("contact_force", "normal_force", "tangential_force")
 _CONTACT_VECTORS = (*_FORCES, "contact_point", "contact_normal", "contact_branch", "end_i", "end_j")
 _CONTACT_SCALARS = ("contact_i", "contact_j", "overlap")
-_PARTICLE_COMPONENTS = {*_vector("position"), *_vector("scaled"), *_vector("velocity")}
+_PARTICLE_VECTORS = ("position", "scaled", "velocity", "angular_velocity")
+_PARTICLE_COMPONENTS = {component for slot in _PARTICLE_VECTORS for component in _vector(slot)}
 
 # What the caller maps to the first displaces what fills the second by itself.
 _RIVALS = (
@@ -177,6 +180,14 @@ def particle_columns(ref: StepRef, slots: Slots, options: ReadOptions) -> dict[s
     for axis in sorted(present):
         if _axes(filled, "velocity") and f"velocity_{axis}" not in filled:
             raise _lacks(ref, f"{axis} of the velocity", f"velocity_{axis}")
+    unwanted = options.unwanted
+    turning = _axes(filled, "angular_velocity")
+    if 0 < len(turning) < 3 and turning != ["z"]:  # in a plane, grains turn about its normal alone
+        axis = next(axis for axis in COMPONENTS if axis not in turning)
+        if any(str(slot).startswith("angular_velocity_") for slot in options.names.values()):
+            raise _lacks(ref, f"{axis} of the angular velocity", f"angular_velocity_{axis}")
+        unwanted = (*unwanted, "angular_velocity")  # the file's column was mapped to something else
+    filled = {slot: column for slot, column in filled.items() if not slot.startswith(unwanted)}
     own = {
         slot: column
         for column, slot in options.names.items()
@@ -200,8 +211,9 @@ def particles_from(ref: StepRef, columns: Mapping[str, str]) -> Frame:
             values[f"position_{axis}"] = low + values[f"scaled_{axis}"] * (high - low)
     frame = {slot: array for slot, array in values.items() if slot not in _PARTICLE_COMPONENTS}
     frame["position"] = _stacked(values, "position", ref.rows)
-    if "velocity_x" in values:
-        frame["velocity"] = _stacked(values, "velocity", ref.rows)
+    for slot in ("velocity", "angular_velocity"):
+        if any(f"{slot}_{axis}" in values for axis in COMPONENTS):
+            frame[slot] = _stacked(values, slot, ref.rows)
     if "radius" in frame:
         radius = frame.pop("radius")
         frame.setdefault("diameter", 2 * radius)

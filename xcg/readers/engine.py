@@ -78,11 +78,14 @@ class ReadOptions:
         exist.
     walls : mapping
         From names of walls to the columns of particles that their contacts stand in: a pattern, or names of columns.
+    unwanted : tuple of str
+        Variables of the scene that an engine need not read this time.
     """
 
     names: Mapping[str, str | None] = field(default_factory=dict)
     extra: Mapping[str, object] = field(default_factory=dict)
     walls: Mapping[str, str | Sequence[str]] = field(default_factory=dict)
+    unwanted: tuple[str, ...] = ()
 
 
 class Engine(ABC):
@@ -159,10 +162,10 @@ class Engine(ABC):
         Returns
         -------
         dict of arrays
-            By names of the scene, in the file's units: ``position`` (n, 3), and what there is of ``velocity`` (n, 3),
-            ``particle_id``, ``species``, ``diameter``, ``density``, ``mass``, ``volume``, ``coordination_number``
-            (n,). Any other name becomes a variable of the particles. Rows come in any order; without
-            ``particle_id`` their number is the id.
+            By names of the scene, in the file's units: ``position`` (n, 3), and what there is of ``velocity``,
+            ``angular_velocity`` (n, 3), ``particle_id``, ``species``, ``diameter``, ``density``, ``mass``, ``volume``,
+            ``moment_of_inertia``, ``coordination_number`` (n,). Any other name becomes a variable of the particles.
+            Rows come in any order; without ``particle_id`` their number is the id.
 
         Raises
         ------

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import accumulate
 from typing import Any
@@ -20,7 +20,7 @@ from xcg.readers.text import source_of
 from xcg.scene.complete import HINTS, complete_contacts, complete_particles, periods
 from xcg.scene.frame import frame_of, stack
 from xcg.scene.plausible import check_ends
-from xcg.scene.schema import VARIABLES, Frame, SceneError, Setup, variable
+from xcg.scene.schema import ROTATION, VARIABLES, Frame, SceneError, Setup, variable
 from xcg.scene.warn import Once
 from xcg.steps import errors as errors
 from xcg.steps.graph import picked
@@ -76,6 +76,10 @@ class Source:
     frozen: tuple[int, ...] | None
     allow_unknown: bool
     once: Once = field(default_factory=Once, compare=False)
+
+    def without(self, variables: Sequence[str]) -> Source:
+        """Return what reads steps without some variables."""
+        return replace(self, options=replace(self.options, unwanted=tuple(variables)))
 
     def complete(self, frame: Frame, ref: StepRef) -> Frame:
         """Check and complete the particles of one step."""
@@ -222,12 +226,19 @@ def lazy_arrays(series: Series, sizes: Sequence[int]) -> dict[str, da.Array]:
     parts = [slice(stop - size, stop) for stop, size in zip(stops, sizes, strict=True)]
     token = tokenize(series.token(), sizes)
 
-    layer, rows = f"read-particles-{token}", series.particle_rows
-    tasks: dict[Any, Any] = {}
-    for k, part in enumerate(parts):
-        tasks[layer, k] = (partial(read_particle_chunk, source, steps[part], particle_types, rows),)
-    graph = HighLevelGraph({layer: tasks}, {layer: set()})
-    arrays = {name: _array(graph, layer, name, dtype, rows, sizes) for name, dtype in particle_types.items()}
+    rows, arrays = series.particle_rows, dict[str, da.Array]()
+    # what few fields need is read by tasks of its own; contacts are checked against the particles, which come last
+    kinds = {"rotation": [name for name in particle_types if name in ROTATION]}
+    kinds["particles"] = [name for name in particle_types if name not in ROTATION]
+    for kind, wanted in kinds.items():
+        layer, tasks = f"read-{kind}-{token}", dict[Any, Any]()
+        types = {name: particle_types[name] for name in wanted}
+        reader = source.without(ROTATION) if kind == "particles" and kinds["rotation"] else source
+        for k, part in enumerate(parts):
+            tasks[layer, k] = (partial(read_particle_chunk, reader, steps[part], types, rows),)
+        graph = HighLevelGraph({layer: tasks}, {layer: set()})
+        arrays |= {name: _array(graph, layer, name, dtype, rows, sizes) for name, dtype in types.items()}
+    arrays = {name: arrays[name] for name in particle_types}
     if not series.contact_names:
         return arrays
 

@@ -39,8 +39,12 @@ _ROW_2D = ("x", "y", "vx", "vy", "radius", "alpha", "om", "species")
 _CONTACT = (
     "t", "i", "j", "cx", "cy", "cz", "delta", "ctheta", "fn", "ft", "nx", "ny", "nz", "tx", "ty", "tz",
 )  # fmt: skip
+_OWN_COLUMNS = {
+    "species": ("species",),
+    **{f"angular_velocity_{axis}": (f"om{axis}", *(["om"] if axis == "z" else [])) for axis in COMPONENTS},
+}
 _SLOTS: columns.Slots = {
-    slot: ("species",) if slot == "species" else found
+    slot: _OWN_COLUMNS.get(slot, found)
     for slot, found in columns.PARTICLE_SLOTS.items()
     if slot != "particle_id"  # the row is the id
 }
@@ -85,7 +89,7 @@ class Mercury(Engine):
         return ["contact_i", "contact_j", "contact_force", "contact_point", "contact_normal", "overlap"]
 
     def ignored_columns(self, ref: StepRef, options: ReadOptions, *, contacts: bool = False) -> list[str]:
-        """Columns of a step that are not read: orientations and rotations of particles."""
+        """Columns of a step that are not read: orientations of particles."""
         read = [] if contacts else columns.particle_columns(ref, _SLOTS, options).values()
         return [] if contacts else [column for column in ref.columns if column not in read]
 

@@ -43,6 +43,7 @@ from xcg.steps import errors as errors
 PARTICLE_NAMES = {
     "Diameter": "diameter",
     "Velocity": "velocity",
+    "Angular_velocity": "angular_velocity",
     "Density": "density",
     "Mass": "mass",
     "Volume": "volume",
@@ -302,7 +303,7 @@ def _targets(columns: Sequence[str], dim: str, options: ReadOptions, path: str) 
     for array, name in defaults.items():
         if array in columns and array not in options.names:
             targets.setdefault(name, array)
-    return targets
+    return {name: array for name, array in targets.items() if name not in options.unwanted}
 
 
 def _open(ref: StepRef) -> vtp.Header:

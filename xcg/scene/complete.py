@@ -61,7 +61,8 @@ def complete_particles(frame: Mapping[str, ArrayLike], setup: Setup, source: str
     """Check the particles of one frame, sort them by id, and derive what is missing.
 
     Mass, volume, density and diameter follow from each other: volume ``pi d^3/6`` (discs: ``pi d^2/4`` times
-    the layer's thickness), ``mass = density * volume``. What is given is taken as it is.
+    the layer's thickness), ``mass = density * volume``. Moments of inertia of particles with an angular velocity are
+    those of solid spheres, ``m d^2/10``, or discs, ``m d^2/8``. What is given is taken as it is.
 
     Parameters
     ----------
@@ -99,8 +100,9 @@ def complete_particles(frame: Mapping[str, ArrayLike], setup: Setup, source: str
             negative = f"particle id {ids[0]} in row {order[0]} is negative"
             msg = f"{source}: {negative}; negative ids are kept for walls and padding"
             raise SceneError(msg)
-    for name in ("diameter", "density", "mass", "volume"):
-        if name in given and (given[name] <= 0).any() and not (name == "mass" and (given[name] >= 0).all()):
+    for name in ("diameter", "density", "mass", "volume", "moment_of_inertia"):
+        may_be_zero = name in ("mass", "moment_of_inertia")
+        if name in given and (given[name] <= 0).any() and not (may_be_zero and (given[name] >= 0).all()):
             bad = int(np.flatnonzero(given[name] <= 0)[0])
             msg = f"{source}: '{name}' of particle {ids[bad]} is {given[name][bad]!r}; expected a positive number"
             raise SceneError(msg)
@@ -135,6 +137,8 @@ def _complete_size_and_mass(frame: Frame, setup: Setup) -> None:
             frame["density"] = frame["mass"] / frame["volume"]
         elif "mass" not in frame and "density" in frame:
             frame["mass"] = frame["density"] * frame["volume"]
+    if {"angular_velocity", "mass", "diameter"} <= set(frame) and "moment_of_inertia" not in frame:
+        frame["moment_of_inertia"] = frame["mass"] * frame["diameter"] ** 2 / (8 if setup.shape == "disc" else 10)
 
 
 def periods(box: NDArray | None, periodic: str, source: str = "scene") -> NDArray:

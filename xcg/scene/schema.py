@@ -74,10 +74,12 @@ VARIABLES: dict[str, Variable] = {
     "particle_id": Variable(_PARTICLE, (0, 0, 0), "identifier of the particle", "int64"),
     "position": Variable((*_PARTICLE, "component"), (1, 0, 0), "position of the particle centre"),
     "velocity": Variable((*_PARTICLE, "component"), (1, 0, -1), "velocity of the particle"),
+    "angular_velocity": Variable((*_PARTICLE, "component"), (0, 0, -1), "angular velocity of the particle"),
     "diameter": Variable(_PARTICLE, (1, 0, 0), "diameter"),
     "density": Variable(_PARTICLE, (-3, 1, 0), "density of the particle's material"),
     "mass": Variable(_PARTICLE, (0, 1, 0), "mass"),
     "volume": Variable(_PARTICLE, (3, 0, 0), "volume"),
+    "moment_of_inertia": Variable(_PARTICLE, (2, 1, 0), "moment of inertia about the centre"),
     "species": Variable(_PARTICLE, (0, 0, 0), "species", "int64"),
     "body_id": Variable(_PARTICLE, (0, 0, 0), "identifier of the body that the particle is glued to", "int64"),
     "frozen": Variable(_PARTICLE, (0, 0, 0), "1 where the particle is held in place and acts as a wall", "int64"),
@@ -91,6 +93,8 @@ VARIABLES: dict[str, Variable] = {
     # an input only: it says on which side of a grain the contact point is, and is not kept
     "contact_branch": Variable((*_CONTACT, "component"), (1, 0, 0), "vector from j to i, in the image that touches"),
 }
+# Read only where they are asked for, as few fields need them.
+ROTATION = ("angular_velocity", "moment_of_inertia")
 BOX_EDGES = Variable(("component", "bound"), (1, 0, 0), "edges of the domain")
 
 _NAMED_UNITS = {(0, 0, 0): "1", (1, 1, -2): "N", (-1, 1, -2): "Pa", (-2, 1, -2): "Pa m-1"}
