@@ -158,7 +158,10 @@ def label_fields(ds: xr.Dataset, plan: Plan, arrays: Mapping[str, Any], call: st
         if row.paired:
             tail = ("other_phase", *tail)
             coords["other_phase"] = ("other_phase", [*map(str, plan.deposit.groups), "wall"])
-        data[name] = (("time", *plan.dims, *tail), arrays[name], about(row, system))
+        attrs = about(row, system)
+        if lacking := plan.left_out(name):
+            attrs["comment"] = f"without rotation, as the scene holds no {' and no '.join(lacking)}"
+        data[name] = (("time", *plan.dims, *tail), arrays[name], attrs)
     return with_phase_labels(storable(xr.Dataset(data, coords, _provenance(ds, plan, call))))
 
 

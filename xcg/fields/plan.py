@@ -23,7 +23,7 @@ from xcg.fields.request import Request
 from xcg.fields.smoothing import Kernel, as_kernel, choose_width
 from xcg.fields.variables import OwnField, Quantity, own_fields, own_moments, rows_of
 from xcg.scene.query import edges_of, groups_of, require_scene, setup_of
-from xcg.scene.schema import COMPONENTS, CONTACT_VARIABLES, SceneError, Setup, did_you_mean
+from xcg.scene.schema import COMPONENTS, CONTACT_VARIABLES, ROTATION, SceneError, Setup, did_you_mean
 from xcg.scene.sizes import layer_depth, with_measures
 from xcg.scene.warn import warn_user
 
@@ -85,6 +85,12 @@ class Plan:
         phases = (self.phases,) if self.deposit.by else ()
         row = registry.row(name, self.options)
         return (*nodes, *phases, *((self.phases,) if row.paired else ()), *(3,) * row.rank)
+
+    def left_out(self, name: str) -> list[str]:
+        """Name the variables of rotation that a field would take and that the scene does not hold."""
+        rows = self.deposit.rows
+        optional = {v for moment in registry.moments_of([name], self.options) for v in rows[moment].optional}
+        return [v for v in ROTATION if v in optional and v not in self.variables]
 
     def __str__(self) -> str:
         grid, moments = self.deposit.grid, self.deposit.rows

@@ -97,7 +97,14 @@ VARIABLES: dict[str, Variable] = {
 ROTATION = ("angular_velocity", "moment_of_inertia")
 BOX_EDGES = Variable(("component", "bound"), (1, 0, 0), "edges of the domain")
 
-_NAMED_UNITS = {(0, 0, 0): "1", (1, 1, -2): "N", (-1, 1, -2): "Pa", (-2, 1, -2): "Pa m-1"}
+_NAMED_UNITS = {
+    (0, 0, 0): "1",
+    (1, 1, -2): "N",
+    (-1, 1, -2): "Pa",
+    (-2, 1, -2): "Pa m-1",
+    (0, 1, -3): "W m-2",
+    (-1, 1, -3): "W m-3",
+}
 
 
 def units_of(powers: tuple[int, int, int], unit_system: str = "SI") -> str:
