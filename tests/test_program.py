@@ -13,7 +13,7 @@ from xcg.fields import registry
 from xcg.fields import trace as symbols
 from xcg.fields.field import Options
 
-ALL = tuple(name for name in registry.listed() if not registry.FIELDS[name].option)
+ALL = tuple(name for name in registry.listed() if not (registry.FIELDS[name].option or registry.FIELDS[name].paired))
 
 
 def played_and_plain(ds, *fields, **options):

@@ -139,11 +139,14 @@ def random_scene(
             i, j = np.concatenate([i, near]), np.concatenate([j, np.full(len(near), -1 - k)])
             force, point = np.concatenate([force, push]), np.concatenate([point, foot])
     velocity = rng.normal(size=(particles, 3)) * np.array([1, 1, 1 if dimension == 3 else 0])
+    species = 1 + rng.integers(0, 2, particles)
+    turning = rng.normal(size=(particles, 3)) * np.array([1, 1, 1] if dimension == 3 else [0, 0, 1])
     given = {
         "diameter": diameter,
         "density": 2500.0,
         "velocity": velocity,
-        "species": 1 + rng.integers(0, 2, particles),
+        "angular_velocity": turning,
+        "species": species,
         "contact_i": i,
         "contact_j": j,
         "contact_force": force,

@@ -89,6 +89,7 @@ VARIABLES: dict[str, Variable] = {
     "contact_force": Variable((*_CONTACT, "component"), (1, 1, -2), "contact force on particle i"),
     "contact_point": Variable((*_CONTACT, "component"), (1, 0, 0), "contact point"),
     "contact_normal": Variable((*_CONTACT, "component"), (0, 0, 0), "unit normal from j to i"),
+    "contact_wall_velocity": Variable((*_CONTACT, "component"), (1, 0, -1), "velocity of the wall at the contact"),
     "overlap": Variable(_CONTACT, (1, 0, 0), "overlap"),
     # an input only: it says on which side of a grain the contact point is, and is not kept
     "contact_branch": Variable((*_CONTACT, "component"), (1, 0, 0), "vector from j to i, in the image that touches"),

@@ -40,9 +40,10 @@ def _temperature(f: Any, s: Any, o: Options) -> NDArray:
     """Traces run over the axes that grains turn about: in a one-layer scene, that across the plane."""
     axes = [k for k in range(3) if k not in o.plane] if o.dimension == 2 else [0, 1, 2]
     total = sum((f.spin_fluctuation[..., k, k] for k in axes), start=np.zeros(f.density.shape))
-    # a single grain has no fluctuation about its own spin, and rounding of one is none either
-    known = where_positive(f.fluctuation_inertia - 1e-6 * f.inertia_density)
-    return ratio(at_least_zero(total) * f.inertia_density / known, len(axes) * f.density)
+    # as of velocities: unknown where the mean leaves less than half of a mean grain
+    enough = where_positive(f.fluctuation_inertia - 0.5 * ratio(f.inertia_density, f.sample_count))
+    free = f.fluctuation_inertia + (enough - enough)
+    return ratio(at_least_zero(total) * f.inertia_density / free, len(axes) * f.density)
 
 
 ROWS: dict[str, Field] = {
@@ -79,7 +80,8 @@ ROWS: dict[str, Field] = {
     "rotational_temperature": Field(
         0, (2, 0, -2), "rotational temperature",
         "tr(sum I_i omega'_i omega'_i Psi) / (D_r rho) sum I_i Psi / I_T, D_r = 3, or 1 in a plane",
-        _temperature, fields=("spin_fluctuation", "fluctuation_inertia", "inertia_density", "density"), default=False,
+        _temperature, fields=("spin_fluctuation", "fluctuation_inertia", "inertia_density", "density", "sample_count"),
+        default=False,
     ),
     "torque_density": Field(
         1, STRESS, "density of the torques of contact forces on the grains", "sum_i Psi sum_c b x f, b = c - r_i",
