@@ -1,5 +1,7 @@
 """A running LAMMPS as a scene: with an object of the same interface, and with LAMMPS itself where it is installed."""
 
+import re
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -254,6 +256,24 @@ def test_equal_to_the_scene_from_dumps(lammps, tmp_path):
     f, g = (ds.cg.coarse_grain(fields, axes="z", bounds={"z": (0, 0.01)}, spacing=0.001) for ds in (live, dumps))
     for name in fields:
         np.testing.assert_allclose(f[name], g[name], rtol=1e-10, atol=1e-12 * float(np.abs(g[name]).max()))
+
+
+def test_the_dumps_of_the_documentation(lammps, tmp_path):
+    """The commands that the page for users of LAMMPS tells, and the call that opens what they write."""
+    page = (Path(__file__).parents[1] / "docs" / "lammps.md").read_text()
+    commands = re.search(r"```text\n(.*?)```", page, re.DOTALL)[1]
+    lammps.commands_string(re.sub(r"(\w+\.\*\.dump)\.gz", rf"{tmp_path}/\1", commands))
+    lammps.command("run 1000 post no")
+    live = xcg.scene_from_lammps(lammps)
+    lammps.commands_string("undump p\nundump c\nuncompute ids\nuncompute pl")
+    ds = xcg.open_scene(tmp_path / "particles.*.dump", contacts=tmp_path / "contacts.*.dump").isel(time=-1).load()
+    assert ds.step.item() == live.step.item()
+    assert ds.time.item() == pytest.approx(live.time.item())
+    assert (ds.contact_i > 0).sum() == live.sizes["contact"] > 100
+    f, g = (s.cg.coarse_grain("contact_stress", axes="", width=0.001) for s in (live, ds))
+    np.testing.assert_allclose(
+        f.contact_stress[0], g.contact_stress, rtol=1e-3, atol=1e-4 * np.abs(f.contact_stress).max()
+    )
 
 
 def test_recorded_while_it_runs(lammps, tmp_path):
