@@ -113,6 +113,20 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
     return mean.assign_attrs(averaged_steps=count if window is None else window)
 
 
+def per_fraction(f: xr.Dataset, fraction: xr.DataArray) -> xr.Dataset:
+    """Divide the sums of a result by a fraction of the volume; ratios of sums stay, other fields follow from the sums.
+
+    Numbers of particles stay, too, and all is NaN where the fraction is.
+    """
+    rows, fraction = _rows_of(f), fraction.drop_attrs()
+    sums = _to_sums(f, "per='accessible'")
+    kept = {"sample_count", *(name for name, row in rows.items() if row is not None and row.weight)}
+    divided = {name: sums[name] if name in kept or "/" in str(name) else sums[name] / fraction for name in sums}
+    out = _from_sums(xr.Dataset(divided), f)
+    known = fraction.notnull()
+    return out.assign({name: f[name].where(known) if name != "sample_count" else f[name] for name in kept & set(rows)})
+
+
 def _standard_errors(samples: xr.Dataset, f: xr.Dataset) -> xr.Dataset:
     """Errors of the mean over samples, at the first block size beyond which they do not grow."""
     levels: list[xr.Dataset] = []

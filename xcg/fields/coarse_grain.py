@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 import xarray as xr
 
 from xcg.fields import lammps, pysammos, registry
+from xcg.fields.accessible import check_walls, with_accessible
 from xcg.fields.evaluate import evaluate_plan
 from xcg.fields.field import Field
 from xcg.fields.plan import Plan, make_plan
@@ -109,13 +110,20 @@ def explain(ds: xr.Dataset, request: Request) -> Plan:
 
 def answer(ds: xr.Dataset, request: Request) -> xr.Dataset:
     """Give what a request asks for."""
+    check_walls(request)
     ds, request = of_bodies(ds, request)
     request, rename = _in_own_names(ds, request)
     skips = check_on_error(request.on_error) == "skip"
     call = format_call("coarse_grain", {k: v for k, v in request.given().items() if k != "on_error" or skips})
     plan = make_plan(ds, request)
+    wanted = plan.fields
+    if request.per is not None:
+        plan = make_plan(ds, replace(request, for_averages=True))
     arrays = evaluate_plan(ds, plan, request.on_error)
-    return rename(mark_skipped(label_fields(ds, plan, arrays, call), arrays))
+    result = label_fields(ds, plan, arrays, call)
+    if request.walls is not None:
+        result = with_accessible(result, ds, plan, request, wanted)
+    return rename(mark_skipped(result, arrays))
 
 
 def of_bodies(ds: xr.Dataset, asked: Asked) -> tuple[xr.Dataset, Asked]:

@@ -16,6 +16,7 @@ from typing import Any, Concatenate, ParamSpec, TypeVar, cast, get_type_hints
 import xarray as xr
 
 from xcg.fields.smoothing import Kernel
+from xcg.fields.surfaces import Wall
 from xcg.fields.variables import Quantity
 
 P = ParamSpec("P")
@@ -125,6 +126,13 @@ class Request(SharedOptions):
         side of its contacts, is then smeared by the width of its group.
     at : mapping, optional
         Coordinate of fixed axes, for example ``{"y": 0.0}`` (m).
+    walls : list of Plane, Cylinder and Surface, optional
+        Walls as geometry: adds the field ``accessible_fraction``, the share of the kernel that lies on their accessible
+        side, averaged axes included.
+    per : {"accessible"}, optional
+        Divide sums by the accessible fraction, so that fields near walls are per volume that grains can reach. Ratios
+        of sums stay, other fields follow from the sums. NaN where the fraction is below 0.01. Balance laws hold for
+        fields per volume, without it.
     for_averages : bool
         Also compute the sums that `time_average` and `profile` of the fields need beside them, such as the density
         beside a velocity.
@@ -134,6 +142,8 @@ class Request(SharedOptions):
     _: KW_ONLY
     width: float | str | Mapping[int, float | str] | None = None
     at: Mapping[str, float] | None = None
+    walls: Sequence[Wall] | None = None
+    per: str | None = None
     for_averages: bool = False
 
     def changed(self, names: Sequence[str]) -> list[str]:
