@@ -158,7 +158,7 @@ def reading(folder: Path, particles: int) -> None:
             seconds = processor(partial(getattr(Lammps(), f"read_{kind}"), ref, ReadOptions()), 3)
             rows.append([f"LAMMPS {kind}{suffix}", f"{len(data) / seconds / MEGA:.0f}",
                          f"{len(raw) / seconds / MEGA:.0f}"])  # fmt: skip
-        body = text.read_body(ref)
+        body = b"".join(text.body_of(ref))
         for name, work in parsers(body, len(ref.columns)).items():
             seconds = processor(work, 3)
             rows.append([f"- {name}, {kind}", "", f"{len(body) / seconds / MEGA:.0f}"])

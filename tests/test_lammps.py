@@ -13,7 +13,7 @@ from xcg.readers import dump
 from xcg.readers.engine import ReadOptions
 from xcg.readers.lammps import Lammps
 from xcg.readers.series import open_scene
-from xcg.readers.text import parse_table
+from xcg.readers.table import parse_table
 from xcg.scene.schema import SceneError, SceneWarning
 
 lammps = Lammps()

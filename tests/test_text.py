@@ -1,8 +1,9 @@
-"""Tables of numbers: the quick way and the general one agree, and gzipped series are decompressed once."""
+"""Tables of numbers: blocks, threads and white space change nothing; gzipped series are decompressed once."""
 
 from __future__ import annotations
 
 import gzip
+import re
 
 import numpy as np
 import pytest
@@ -11,9 +12,11 @@ from hypothesis import strategies as st
 
 from tests.dumps import ATOMS, dump_text, write
 from xcg.readers import gzipped, text
+from xcg.readers import table as table_module
 from xcg.readers.engine import ReadOptions
 from xcg.readers.lammps import Lammps
 from xcg.readers.series import open_scene
+from xcg.readers.table import parse_table
 from xcg.scene.schema import SceneError
 
 lammps = Lammps()
@@ -25,28 +28,49 @@ numbers = st.floats(allow_nan=False, allow_infinity=False).map(lambda x: f"{x:.6
 tables = st.lists(st.tuples(numbers, numbers, numbers), min_size=1, max_size=20)
 
 
-def quick(body):
-    return text._single_spaced(body, len(COLUMNS), [0, 1, 2], *text._count_tokens(body))
-
-
 @settings(deadline=None, max_examples=50)
 @given(tables, st.sampled_from([" \n", "\n"]))
-def test_both_ways_agree_to_the_last_bit(rows, end):
+def test_white_space_and_pieces_change_no_bit(rows, end):
     body = "".join(" ".join(row) + end for row in rows).encode()
-    wide = body.replace(b" ", b"  ")
-    assert quick(body) is not None
-    assert quick(wide) is None
-    one, other = (text.parse_table(b, COLUMNS, COLUMNS, len(rows), "file") for b in (body, wide))
-    assert {name: values.tobytes() for name, values in one.items()} == {n: v.tobytes() for n, v in other.items()}
+    expected = np.array([[float(word) for word in row] for row in rows]).T.tobytes()
+    for changed in (body, body.replace(b" ", b"  "), body.replace(b" ", b"\t"), body.replace(b"\n", b"\r\n\n")):
+        for size in (1, 7, len(changed)):
+            pieces = [changed[at : at + size] for at in range(0, len(changed), size)]
+            table = parse_table(pieces, COLUMNS, COLUMNS, len(rows), "file")
+            assert b"".join(table[name].tobytes() for name in COLUMNS) == expected
 
 
-def test_counts_do_not_depend_on_blocks(monkeypatch):
-    body = b"1  2 3 \n 4 5\t\n6 "
-    whole = text._count_tokens(body)
-    assert whole == (6, 4)
-    for size in range(1, len(body)):
-        monkeypatch.setattr(text, "_BLOCK", size)
-        assert text._count_tokens(body) == whole
+@pytest.mark.parametrize("threads", [1, 2, 5])
+@pytest.mark.parametrize("rows", [2000, None])
+def test_blocks_and_threads_change_nothing(monkeypatch, threads, rows):
+    monkeypatch.setattr(table_module, "PIECE", 1000)
+    values = np.random.default_rng(0).normal(size=(2000, 3))
+    lines = ["{!r} {!r} {!r}\n".format(*row) + "\n" * (k % 700 == 5) for k, row in enumerate(values.tolist())]
+
+    def parse(lines, threads):
+        return parse_table("".join(lines).encode(), COLUMNS, ("c", "a"), rows, "file", threads)
+
+    table = parse(lines, threads)
+    np.testing.assert_array_equal(table["a"], values[:, 0])
+    np.testing.assert_array_equal(table["c"], values[:, 2])
+    for row, line, found in [
+        (1500, "1 2\n", "2 values, expected 3 ('1 2'); the columns are a b c"),
+        (1999, "1 2\n", "2 values, expected 3 ('1 2'); the file is cut off here"),
+        (700, "1 2 x\n", "'x' in column 'c'"),
+    ]:
+        for further in (threads, 1):
+            with pytest.raises(SceneError, match=re.escape(f"file: row {row} has {found}")):
+                parse([*lines[:row], line, "\n", *lines[row + 1 :]], further)
+    if rows:
+        with pytest.raises(SceneError, match="1999 rows, but the header says 2000: row 1999 is missing"):
+            parse(lines[:-1], threads)
+        with pytest.raises(SceneError, match="more rows than the 2000 that the header says; row 2000 is '7 8 9'"):
+            parse([*lines, "\n7 8 9\n\n", "8 9"], threads)
+
+
+def test_a_line_without_end(monkeypatch):
+    with pytest.raises(SceneError, match="file: a line has no end in 1048576 bytes"):
+        parse_table(b"1 2 3\n" + b"1 " * 600_000, COLUMNS, COLUMNS, None, "file")
 
 
 @pytest.mark.parametrize(
@@ -67,15 +91,15 @@ def test_counts_do_not_depend_on_blocks(monkeypatch):
 )
 @pytest.mark.parametrize("wanted", [("a", "b", "c"), ("a",), ("b",), ("c",)])
 def test_uneven_white_space_changes_nothing(body, wanted):
-    table = text.parse_table(body, COLUMNS, wanted, 2, "file")
+    table = parse_table(body, COLUMNS, wanted, 2, "file")
     whole = dict(zip(COLUMNS, ([1, 4], [2, 5], [3, 6]), strict=True))
     assert {name: values.tolist() for name, values in table.items()} == {name: whole[name] for name in wanted}
 
 
 @pytest.mark.parametrize("body", [b"1 2 3 \n4 5 \n", b"1 2 3 \n4 5 6 7 \n", b"1 2 3\n4 5\n", b"1 2 3 \n4 x 6 \n"])
-def test_faults_are_found_the_quick_way_too(body):
+def test_faults_name_the_row(body):
     with pytest.raises(SceneError, match="file: row 1 has"):
-        text.parse_table(body, COLUMNS, COLUMNS, 2, "file")
+        parse_table(body, COLUMNS, COLUMNS, 2, "file")
 
 
 # --- gzipped series --------------------------------------------------------------------------------------

@@ -42,7 +42,7 @@ def compiled_as(emit: Callable) -> Callable:
     return pair
 
 
-def _at(context, builder, array_type, array, indices, lanes):
+def pointer_to(context, builder, array_type, array, indices, lanes):
     """Pointer to `lanes` numbers of a C-contiguous array, from a place on, and the alignment of one of them."""
     view = context.make_array(array_type)(context, builder, array)
     shape = cgutils.unpack_tuple(builder, view.shape)
@@ -65,7 +65,7 @@ def _vector(builder, values):
     return out
 
 
-def _cast(context, builder, signature, args):
+def typed(context, builder, signature, args):
     """Arguments by number, cast to what the array holds: places to 64 bits, values to the array's numbers."""
 
     def place(k):
@@ -79,9 +79,9 @@ def _cast(context, builder, signature, args):
 
 def _add4(typingctx, records, group, row, first, weight, a, b, c, d):
     def generate(context, builder, signature, args):
-        place, value = _cast(context, builder, signature, args)
+        place, value = typed(context, builder, signature, args)
         source = [place(1), place(2), place(3)]
-        pointer, align = _at(context, builder, signature.args[0], args[0], source, FOUR)
+        pointer, align = pointer_to(context, builder, signature.args[0], args[0], source, FOUR)
         weights, columns = _vector(builder, [value(4)] * FOUR), _vector(builder, [value(k) for k in range(5, 9)])
         sums = builder.fadd(builder.load(pointer, align=align), builder.fmul(weights, columns))
         builder.store(sums, pointer, align=align)
@@ -99,8 +99,8 @@ def add4(records, group, row, first, weight, a, b, c, d):
 
 def _fill8(typingctx, lists, row, at, value):
     def generate(context, builder, signature, args):
-        place, number = _cast(context, builder, signature, args)
-        pointer, align = _at(context, builder, signature.args[0], args[0], [place(1), place(2)], EIGHT)
+        place, number = typed(context, builder, signature, args)
+        pointer, align = pointer_to(context, builder, signature.args[0], args[0], [place(1), place(2)], EIGHT)
         builder.store(_vector(builder, [number(3)] * EIGHT), pointer, align=align)
         return context.get_dummy_value()
 
@@ -115,9 +115,9 @@ def fill8(lists, row, at, value):
 
 def _add_scalar8(typingctx, lists, row, at, value, table, first):
     def generate(context, builder, signature, args):
-        place, number = _cast(context, builder, signature, args)
-        source, align = _at(context, builder, signature.args[0], args[0], [place(4), place(5)], EIGHT)
-        target, _ = _at(context, builder, signature.args[0], args[0], [place(1), place(2)], EIGHT)
+        place, number = typed(context, builder, signature, args)
+        source, align = pointer_to(context, builder, signature.args[0], args[0], [place(4), place(5)], EIGHT)
+        target, _ = pointer_to(context, builder, signature.args[0], args[0], [place(1), place(2)], EIGHT)
         add = builder.add if isinstance(signature.args[0].dtype, types.Integer) else builder.fadd
         sums = add(_vector(builder, [number(3)] * EIGHT), builder.load(source, align=align))
         builder.store(sums, target, align=align)
@@ -134,9 +134,9 @@ def add_scalar8(lists, row, at, value, table, first):
 
 def _ramp8(typingctx, lists, to, squares, at, first, step, origin, factor):
     def generate(context, builder, signature, args):
-        place, number = _cast(context, builder, signature, args)
-        target, align = _at(context, builder, signature.args[0], args[0], [place(1), place(3)], EIGHT)
-        square, _ = _at(context, builder, signature.args[0], args[0], [place(2), place(3)], EIGHT)
+        place, number = typed(context, builder, signature, args)
+        target, align = pointer_to(context, builder, signature.args[0], args[0], [place(1), place(3)], EIGHT)
+        square, _ = pointer_to(context, builder, signature.args[0], args[0], [place(2), place(3)], EIGHT)
         begin, step, origin, factor = (_vector(builder, [number(k)] * EIGHT) for k in range(4, 8))
         number_type = context.get_data_type(signature.args[0].dtype)
         ramp = ir.Constant(
@@ -193,9 +193,11 @@ def _of_rows(emit: Callable, compute: Callable) -> Any:
 
     def of_rows(typingctx, rows, to, a, b):
         def generate(context, builder, signature, args):
-            place, _ = _cast(context, builder, signature, args)
+            place, _ = typed(context, builder, signature, args)
             first = ir.Constant(ir.IntType(64), 0)
-            starts = [_at(context, builder, signature.args[0], args[0], [place(n), first], EIGHT) for n in (1, 2, 3)]
+            starts = [
+                pointer_to(context, builder, signature.args[0], args[0], [place(n), first], EIGHT) for n in (1, 2, 3)
+            ]
             align = starts[0][1]
             for k in range(TILE // EIGHT):
                 target, *sources = (builder.gep(start, [ir.Constant(ir.IntType(64), k)]) for start, _ in starts)
@@ -317,7 +319,7 @@ def store_fence():
 
 def _transpose8x8(typingctx, address, first, apart, rows, row, at):
     def generate(context, builder, signature, args):
-        place, _ = _cast(context, builder, signature, args)
+        place, _ = typed(context, builder, signature, args)
         vectors = []
         for k in range(EIGHT):
             index = builder.add(place(1), builder.mul(place(2), ir.Constant(ir.IntType(64), k)))
@@ -335,7 +337,7 @@ def _transpose8x8(typingctx, address, first, apart, rows, row, at):
             ]
         for c, vector in enumerate(vectors):
             row = builder.add(place(4), ir.Constant(ir.IntType(64), c))
-            pointer, align = _at(context, builder, signature.args[3], args[3], [row, place(5)], EIGHT)
+            pointer, align = pointer_to(context, builder, signature.args[3], args[3], [row, place(5)], EIGHT)
             builder.store(vector, pointer, align=align)
         return context.get_dummy_value()
 

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.readers.engine import ReadOptions, StepRef
-from xcg.readers.text import parse_table, read_body, source_of
+from xcg.readers.table import read_table
+from xcg.readers.text import source_of
 from xcg.scene.schema import COMPONENTS, Frame, SceneError, variable
 from xcg.scene.walls import FIRST_WALL
 from xcg.scene.warn import warn_user
@@ -201,9 +202,9 @@ def _is_own(slot: str, dim: str) -> bool:
     return slot not in {*PARTICLE_SLOTS, *CONTACT_SLOTS} and variable(slot).dims == (dim,)
 
 
-def particles_from(ref: StepRef, columns: Mapping[str, str]) -> Frame:
+def particles_from(ref: StepRef, columns: Mapping[str, str], options: ReadOptions) -> Frame:
     """Read the particles of one step from the columns of `particle_columns`."""
-    table = parse_table(read_body(ref), ref.columns, sorted(set(columns.values())), ref.rows, source_of(ref))
+    table = read_table(ref, columns.values(), ref.rows, options)
     values = {slot: table[column] for slot, column in columns.items()}
     for k, axis in enumerate(COMPONENTS):
         if f"position_{axis}" not in values and f"scaled_{axis}" in values:
@@ -277,9 +278,9 @@ def contact_names(columns: Mapping[str, str]) -> list[str]:
     return [*(slot for slot in _CONTACT_SCALARS if slot in columns), "contact_force", *vectors, *own]
 
 
-def contacts_from(ref: StepRef, columns: Mapping[str, str]) -> Frame:
+def contacts_from(ref: StepRef, columns: Mapping[str, str], options: ReadOptions) -> Frame:
     """Read the contacts of one step from the columns of `contact_columns`."""
-    table = parse_table(read_body(ref), ref.columns, sorted(set(columns.values())), ref.rows, source_of(ref))
+    table = read_table(ref, columns.values(), ref.rows, options)
     values = {slot: table[column] for slot, column in columns.items()}
     frame: Frame = {slot: values[slot] for slot in values if slot in _CONTACT_SCALARS or _is_own(slot, "contact")}
     frame |= {slot: _stacked(values, slot, ref.rows) for slot in _CONTACT_VECTORS if f"{slot}_x" in columns}

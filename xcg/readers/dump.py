@@ -51,11 +51,11 @@ class Dumps(Engine):
 
     def read_particles(self, ref: StepRef, options: ReadOptions) -> Frame:
         """Parse the particles of one step."""
-        return columns.particles_from(ref, _particle_columns(ref, options))
+        return columns.particles_from(ref, _particle_columns(ref, options), options)
 
     def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
         """Parse the contacts of one step."""
-        return columns.contacts_from(ref, self.contact_columns(ref, options))
+        return columns.contacts_from(ref, self.contact_columns(ref, options), options)
 
     def ignored_columns(self, ref: StepRef, options: ReadOptions, *, contacts: bool = False) -> list[str]:
         """Columns of a step that are not read."""

@@ -66,7 +66,7 @@ class StepRef:
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """What the caller says about the files.
+    """What the caller says about the files, and how they are read.
 
     Attributes
     ----------
@@ -80,12 +80,15 @@ class ReadOptions:
         From names of walls to the columns of particles that their contacts stand in: a pattern, or names of columns.
     unwanted : tuple of str
         Variables of the scene that an engine need not read this time.
+    alone : bool
+        Whether nothing else is read or computed meanwhile, so that one step may take all threads of the process.
     """
 
     names: Mapping[str, str | None] = field(default_factory=dict)
     extra: Mapping[str, object] = field(default_factory=dict)
     walls: Mapping[str, str | Sequence[str]] = field(default_factory=dict)
     unwanted: tuple[str, ...] = ()
+    alone: bool = False
 
 
 class Engine(ABC):

@@ -8,6 +8,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Hashable
 from concurrent.futures import Future
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,7 @@ _lock = threading.Lock()
 
 def indexed_arrays(series: Series) -> dict[str, indexing.MemoryCachedArray]:
     """Arrays (time first, padded) of all variables, which are kept once they are loaded whole."""
+    series = replace(series, source=series.source.taking_threads(len(series.steps) == 1))  # dask may wrap the arrays
     token = series.token()
     shapes = {name: (dtype, series.particle_rows) for name, dtype in series.particle_types.items()}
     shapes |= {name: (variable(name).dtype, series.contact_rows) for name in series.contact_names}

@@ -81,6 +81,10 @@ class Source:
         """Return what reads steps without some variables."""
         return replace(self, options=replace(self.options, unwanted=tuple(variables)))
 
+    def taking_threads(self, alone: bool) -> Source:
+        """Return the same, for steps that are read one after the other (`alone`) or side by side."""
+        return replace(self, options=replace(self.options, alone=alone))
+
     def complete(self, frame: Frame, ref: StepRef) -> Frame:
         """Check and complete the particles of one step."""
         _check_own(frame, ref)
@@ -221,7 +225,8 @@ class Series:
 
 def lazy_arrays(series: Series, sizes: Sequence[int]) -> dict[str, da.Array]:
     """Dask arrays (time first, padded) of all variables, in chunks of so many steps."""
-    source, steps, boxes, particle_types = series.source, series.steps, series.boxes, dict(series.particle_types)
+    source = series.source.taking_threads(len(sizes) == 1)
+    steps, boxes, particle_types = series.steps, series.boxes, dict(series.particle_types)
     stops = list(accumulate(sizes))
     parts = [slice(stop - size, stop) for stop, size in zip(stops, sizes, strict=True)]
     token = tokenize(series.token(), sizes)

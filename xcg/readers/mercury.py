@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from xcg.readers import columns
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.index import remembered
+from xcg.readers.table import parse_table, read_table
 from xcg.readers.text import (
     Scanner,
     check_rows,
@@ -25,8 +26,6 @@ from xcg.readers.text import (
     most_bytes,
     most_text,
     open_binary,
-    parse_table,
-    read_body,
     source_of,
 )
 from xcg.scene.schema import COMPONENTS, Frame, SceneError
@@ -95,7 +94,7 @@ class Mercury(Engine):
 
     def read_particles(self, ref: StepRef, options: ReadOptions) -> Frame:
         """Parse the particles of one step; the restart file knows the density of each species."""
-        frame = columns.particles_from(ref, columns.particle_columns(ref, _SLOTS, options))
+        frame = columns.particles_from(ref, columns.particle_columns(ref, _SLOTS, options), options)
         restart = read_restart(ref.path, options)
         if restart and restart.density and "species" in frame and not {"density", "mass"} & set(frame):
             unknown = set(np.unique(frame["species"])) - set(restart.density)
@@ -115,7 +114,7 @@ class Mercury(Engine):
         Between particles n points from j to i and the force on i is ``fn n + ft t``; at walls n and t point the
         other way.
         """
-        rows = parse_table(read_body(ref), _CONTACT, _CONTACT[1:], None, source_of(ref))
+        rows = read_table(ref, _CONTACT[1:], None, options)
         keep = _once(rows["i"], rows["j"])
         rows = {name: values[keep] for name, values in rows.items()}
         sign = np.where(rows["j"] < 0, -1.0, 1.0)[:, None]

@@ -207,7 +207,7 @@ def open_scene(
         reader = load_engine(engine or _guess_engine(files))
         _check_options(reader, engine_options)
         extra = {**engine_options, "missing": "raise" if missing == "raise" and on_error == "raise" else "skip"}
-        options = ReadOptions(dict(names or {}), extra, in_columns)
+        options = ReadOptions(dict(names or {}), extra, in_columns, alone=True)
         said = {"periodic": periodic, "units": units, "box": box, "time": times}
         indexed = _index(reader, files, options, [what for what, given in said.items() if given is None])
         if left_out and missing == "empty":

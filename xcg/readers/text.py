@@ -1,18 +1,14 @@
-"""Tables of numbers in text files, plain or gzipped: finding them and parsing them."""
+"""Text files, plain or gzipped: lines and blocks of them, and the bytes of one step."""
 
 from __future__ import annotations
 
-import io
 import math
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import BinaryIO
 
-import numpy as np
-import pandas as pd
-from numpy.typing import NDArray
-
+from xcg.compiled.text import BEYOND
 from xcg.readers.engine import StepRef
 from xcg.readers.gzipped import errors, forward, open_gzipped, size_of_content
 from xcg.scene.schema import SceneError
@@ -25,6 +21,8 @@ _TEXT = 50  # tables of numbers shrink to a fifth, and never to as little as thi
 _SLACK = 1 << 26  # bytes that any gzipped text may have
 _MOST_BLANK = 10_000  # lines without a word between two that have some
 _SMALL = 1 << 20  # bytes that are no matter; rows that are missing from small files are named when they are read
+PIECE = 1 << 17  # bytes of text that stay in the processor's cache while they are parsed
+_BLANK = b"\n" * BEYOND
 _LONGEST_VALUE = 64  # bytes of one number and the space before it
 
 
@@ -186,8 +184,8 @@ class Scanner:
         return self._data[self._at : self._at + size]
 
 
-def read_body(ref: StepRef) -> bytes:
-    """Bytes of one step's body.
+def body_of(ref: StepRef) -> Iterator[bytes]:
+    """Yield the bytes of one step's body, in pieces.
 
     Raises
     ------
@@ -205,7 +203,10 @@ def read_body(ref: StepRef) -> bytes:
     with _damage_named(ref.path), forward(ref.path, ref.offset) if waits else open_binary(ref.path) as stream:
         if ref.offset:
             stream.seek(ref.offset)
-        body = stream.read(ref.length)
+        missing = ref.length
+        while missing > 0 and (piece := stream.read(min(missing, PIECE))):
+            missing -= len(piece)
+            yield piece
         if ref.alone and stream.read(1):
             msg = (
                 f"{source_of(ref)}: more follows what was taken for the only step of the file, as where gzipped files "
@@ -213,125 +214,29 @@ def read_body(ref: StepRef) -> bytes:
                 "through"
             )
             raise SceneError(msg)
-    return body
+
+
+def whole_lines(pieces: Iterable[bytes], name: str) -> Iterator[bytes]:
+    """Move the ends of pieces of a text to the ends of lines, and add `BEYOND` blank lines to each.
+
+    Raises
+    ------
+    SceneError
+        If a line is too long for any text; `name` is that of the file.
+    """
+    begun: list[bytes] = []  # a line that goes on
+    for piece in pieces:
+        end = piece.rfind(b"\n") + 1
+        if end:
+            yield b"".join([*begun, memoryview(piece)[:end], _BLANK])
+            begun.clear()
+        begun.append(piece[end:])
+        if sum(map(len, begun)) > _LONGEST_LINE:
+            msg = f"{name}: a line has no end in {_LONGEST_LINE} bytes; the file is damaged, leave it out"
+            raise SceneError(msg)
+    yield b"".join([*begun, _BLANK])
 
 
 def source_of(ref: StepRef) -> str:
     """File and step, for messages."""
     return f"{ref.path} (step {ref.step})"
-
-
-def parse_table(
-    body: bytes, columns: Sequence[str], wanted: Sequence[str], rows: int | None, name: str
-) -> dict[str, NDArray]:
-    """Parse the wanted columns of a table of numbers.
-
-    Parameters
-    ----------
-    body : bytes
-        Rows of numbers between white space.
-    columns : sequence of str
-        Names of all columns.
-    wanted : sequence of str
-        Names of those to parse.
-    rows : int or None
-        Number of rows that must be there; None takes what there is.
-    name : str
-        File and step, for messages.
-
-    Raises
-    ------
-    SceneError
-        If rows are missing, too many, or too short or long, or a wanted value is not a number; the message
-        names the first such row, counted from 0.
-    """
-    tokens, gaps = _count_tokens(body)
-    if tokens == 0 and not rows:
-        return {column: np.empty(0) for column in wanted}
-    positions = {column: columns.index(column) for column in wanted}
-    table = _single_spaced(body, len(columns), sorted(set(positions.values())), tokens, gaps)
-    if table is not None and (rows is None or len(table) == rows):
-        return {column: table[position].to_numpy() for column, position in positions.items()}
-    last = len(columns) - 1
-    # what nobody wants may be text, as LAMMPS' `element`; the last column is read to see whether rows are whole
-    types = {**dict.fromkeys([last], "str"), **dict.fromkeys(positions.values(), "float64")}
-    try:
-        table = pd.read_csv(
-            io.BytesIO(body), sep=r"\s+", header=None, names=range(len(columns)),
-            usecols=sorted({*positions.values(), last}), dtype=types, engine="c", quoting=3,
-        )  # fmt: skip
-    except ValueError as error:
-        msg = _fault(body, columns, wanted, rows, name) or f"{name}: cannot parse the table ({error})"
-        raise SceneError(msg) from None
-    # pandas fills rows that are too short with NaN, up to the last column, and cuts off what is too long.
-    uneven = len(table) * len(columns) != tokens or (rows is not None and len(table) != rows)
-    if uneven or table.isna().to_numpy().any():
-        fault = _fault(body, columns, wanted, rows, name)
-        if fault is None and uneven:  # as with a form feed or a lone carriage return among the values
-            fault = f"{name}: its rows are not {len(columns)} numbers each; the file is damaged, leave it out"
-        if fault:
-            raise SceneError(fault)
-    return {column: table[position].to_numpy() for column, position in positions.items()}
-
-
-def _single_spaced(body: bytes, columns: int, positions: Sequence[int], tokens: int, gaps: int) -> pd.DataFrame | None:
-    """Parse rows whose values are parted by one space, as most are, at twice the speed; None where that fails.
-
-    Each line may end with a space, as those of LAMMPS do.
-    """
-    end = body.find(b"\n")
-    trailing = end > 0 and body[end - 1 : end] == b" "
-    # No two bytes of white space stand together, but for the ends of lines.
-    if body[:1].isspace() or gaps != (body.count(b" \n") if trailing else 0):
-        return None
-    try:
-        table = pd.read_csv(
-            io.BytesIO(body), sep=" ", header=None, names=range(columns + trailing), index_col=False,
-            usecols=sorted({*positions, columns - 1}), dtype=np.float64, engine="c", quoting=3,
-        )  # fmt: skip
-    except ValueError:
-        return None
-    # A row that is shorter lacks the last value; one that is longer is cut, and the number of values tells.
-    whole = len(table) * columns == tokens and not table.isna().to_numpy().any()
-    return table if whole else None
-
-
-def _count_tokens(body: bytes) -> tuple[int, int]:
-    """Count values, and places where white space follows white space."""
-    count, gaps, before = 0, 0, True  # whether the byte before is white space
-    for start in range(0, len(body), _BLOCK):  # in blocks that stay in the cache
-        space = np.frombuffer(body[start : start + _BLOCK], np.uint8) <= ord(" ")
-        count += int(np.count_nonzero(space[1:] < space[:-1])) + bool(before and not space[0])
-        gaps += int(np.count_nonzero(space[1:] & space[:-1])) + bool(before and space[0] and start)
-        before = space[-1]
-    return count, gaps
-
-
-def _fault(body: bytes, columns: Sequence[str], wanted: Sequence[str], rows: int | None, name: str) -> str | None:
-    """Find the first row at fault, slowly, and say what is wrong with it."""
-    positions = [(column, columns.index(column)) for column in wanted]
-    lines = [line for line in body.decode("utf-8", "replace").splitlines() if line.strip()]
-    for row, line in enumerate(lines[:rows]):
-        tokens = line.split()
-        if len(tokens) != len(columns):
-            cut = row == len(lines) - 1 and len(tokens) < len(columns)
-            hint = "the file is cut off here" if cut else f"the columns are {' '.join(columns)}"
-            return f"{name}: row {row} has {len(tokens)} values, expected {len(columns)} ({line[:60]!r}); {hint}"
-        for column, position in positions:
-            if not _is_number(tokens[position]):
-                return f"{name}: row {row} has {tokens[position]!r} in column '{column}', expected a number"
-    if rows is not None and len(lines) < rows:
-        return (
-            f"{name}: {len(lines)} rows, but the header says {rows}: row {len(lines)} is missing, as when "
-            "writing was stopped; write the file anew, or leave the step out"
-        )
-    if rows is not None and len(lines) > rows:
-        return f"{name}: more rows than the {rows} that the header says; row {rows} is {lines[rows][:60]!r}"
-    return None
-
-
-def _is_number(token: str) -> bool:
-    try:
-        return not np.isnan(float(token))
-    except ValueError:
-        return False

@@ -1,0 +1,157 @@
+"""Tables of numbers: from the bytes of a text to columns, block by block, in all threads where nothing else is read."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xcg.compiled import THREADS
+from xcg.compiled.text import BEYOND, REST, read_rows
+from xcg.readers.engine import ReadOptions, StepRef
+from xcg.readers.text import PIECE, body_of, source_of, whole_lines
+from xcg.scene.schema import SceneError
+
+_SHARED = 1 << 22  # bytes from which on a table is worth the threads
+_LEFT = 1024  # words of a block that are read by Python at a time
+
+
+def read_table(ref: StepRef, wanted: Iterable[str], rows: int | None, options: ReadOptions) -> dict[str, NDArray]:
+    """Read the wanted columns of one step's body; see `parse_table`."""
+    threads = THREADS if options.alone and ref.length > _SHARED else 1
+    return parse_table(body_of(ref), ref.columns, sorted(set(wanted)), rows, source_of(ref), threads)
+
+
+def parse_table(
+    body: bytes | Iterable[bytes],
+    columns: Sequence[str],
+    wanted: Sequence[str],
+    rows: int | None,
+    name: str,
+    threads: int = 1,
+) -> dict[str, NDArray]:
+    """Parse the wanted columns of a table of numbers.
+
+    Parameters
+    ----------
+    body : bytes or iterable of bytes
+        Rows of numbers between white space, whole or in pieces.
+    columns : sequence of str
+        Names of all columns.
+    wanted : sequence of str
+        Names of those to parse. What nobody wants may be text, as LAMMPS' ``element``.
+    rows : int or None
+        Number of rows that must be there; None takes what there is.
+    name : str
+        File and step, for messages.
+    threads : int
+        Threads that share the blocks of the body.
+
+    Returns
+    -------
+    dict of arrays of float64, (rows,)
+        Each number the nearest to its digits, as of Python's `float`.
+
+    Raises
+    ------
+    SceneError
+        If rows are missing, too many, or too short or long, or a wanted value is not a number; the message
+        names the first such row, counted from 0.
+    """
+    places = np.array([columns.index(column) for column in wanted], np.int64)
+    pieces = (body[at : at + PIECE] for at in range(0, len(body), PIECE)) if isinstance(body, bytes) else body
+    results = _in_order(whole_lines(pieces, name), partial(_parse, len(columns), places), threads)
+    table, filled = np.empty((len(wanted), rows or 0)), 0
+    for block, (numbers, whole) in results:
+        end = filled + numbers.shape[1]
+        if rows is not None and end + (not whole) > rows:
+            surplus = _lines(block)[rows - filled]
+            msg = f"{name}: more rows than the {rows} that the header says; row {rows} is {_shown(surplus)}"
+            raise SceneError(msg)
+        if not whole:
+            line, *more = _lines(block)[numbers.shape[1] :]
+            last = not more and not any(following.strip() for following, _ in results)
+            msg = f"{name}: row {end} {_fault(line, columns, wanted, last=last)}"
+            raise SceneError(msg)
+        if end > table.shape[1]:
+            table = np.concatenate([table, np.empty((len(wanted), end))], axis=1)
+        table[:, filled:end] = numbers
+        filled = end
+    if rows is not None and filled < rows:
+        msg = (
+            f"{name}: {filled} rows, but the header says {rows}: row {filled} is missing, as when writing was stopped; "
+            "write the file anew, or leave the step out"
+        )
+        raise SceneError(msg)
+    return {column: table[place, :filled] for place, column in enumerate(wanted)}
+
+
+def _in_order(blocks: Iterable[bytes], work: Callable, threads: int) -> Iterator[tuple[bytes, tuple[NDArray, bool]]]:
+    """Each block and what is made of it; threads work ahead while blocks are read, by a few of them."""
+    if threads == 1:
+        for block in blocks:
+            yield block, work(block)
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        ahead: deque = deque()
+        for block in blocks:
+            ahead.append((block, pool.submit(work, block)))
+            if len(ahead) > 4 * threads:
+                first, result = ahead.popleft()
+                yield first, result.result()
+        for last, result in ahead:
+            yield last, result.result()
+
+
+def _parse(columns: int, places: NDArray, block: bytes) -> tuple[NDArray, bool]:
+    """Parse the rows of a block, (wanted, rows), and tell whether that is all of it or one of its rows is at fault."""
+    text, size = np.frombuffer(block, np.uint8), len(block) - BEYOND
+    out = np.empty((len(places), size // (2 * columns) + 1))  # a digit and a space for each value
+    edges, lines = np.empty(text.size + 2 * columns + 2, np.int32), np.empty(text.size, np.int32)
+    left = np.empty((len(places) + _LEFT, len(REST)), np.int64)
+    row = done = 0
+    while done < size:
+        with np.errstate(over="ignore"):  # where nothing is compiled, NumPy warns of bits that products lose
+            rows, passed, count = read_rows(text[done:], size - done + 1, columns, places, out, row, edges, lines, left)
+        for at, place, start, stop in left[:count].tolist():
+            value = _number(block[done + start : done + stop])
+            if math.isnan(value):
+                return out[:, :at], False
+            out[place, at] = value
+        if passed == 0:
+            return out[:, :row], False
+        row, done = row + rows, done + passed
+    return out[:, :row], True
+
+
+def _number(word: bytes) -> float:
+    """Read what compiled code leaves undecided; NaN where it is no number."""
+    try:
+        return float(word) if b"_" not in word else math.nan
+    except ValueError:
+        return math.nan
+
+
+def _lines(block: bytes) -> list[bytes]:
+    return [line for line in block.split(b"\n") if line.strip()]
+
+
+def _shown(line: bytes) -> str:
+    return repr(line.decode("utf-8", "replace").strip()[:60])
+
+
+def _fault(line: bytes, columns: Sequence[str], wanted: Sequence[str], *, last: bool) -> str:
+    """Say what is wrong with a row."""
+    words = line.split()
+    if len(words) != len(columns):
+        hint = (
+            "the file is cut off here" if last and len(words) < len(columns) else f"the columns are {' '.join(columns)}"
+        )
+        return f"has {len(words)} values, expected {len(columns)} ({_shown(line)}); {hint}"
+    wrong = next(column for column in wanted if math.isnan(_number(words[columns.index(column)])))
+    return f"has {words[columns.index(wrong)].decode('utf-8', 'replace')!r} in column '{wrong}', expected a number"
