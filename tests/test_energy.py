@@ -441,8 +441,8 @@ def test_rotation_is_read_where_it_is_asked_for(monkeypatch):
     folder = real_data("lammps_plane_shear")
     ds = xcg.open_scene(folder / "particles.*.dump.gz", contacts=folder / "contacts.*.dump.gz", frozen=2)
     asked = []
-    read = columns_of_files.parse_table
-    monkeypatch.setattr(columns_of_files, "parse_table", lambda *a: asked.append(a[2]) or read(*a))
+    read = columns_of_files.read_table
+    monkeypatch.setattr(columns_of_files, "read_table", lambda *a: asked.append(list(a[1])) or read(*a))
     with dask.config.set(scheduler="synchronous"):
         ds.isel(time=[3]).cg.coarse_grain(["density", "velocity"], axes="z").compute()
         assert asked

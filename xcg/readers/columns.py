@@ -337,7 +337,7 @@ def wall_contacts_from(ref: StepRef, options: ReadOptions) -> Frame:
     """Read the contacts with walls from columns of a step of particles, wall after wall."""
     name, walls = assign(ref, PARTICLE_SLOTS, options)["particle_id"], wall_columns(ref, options)
     wanted = {name, *(column for six in walls.values() for column in six)}
-    table = parse_table(read_body(ref), ref.columns, sorted(wanted), ref.rows // len(walls), source_of(ref))
+    table = read_table(ref, wanted, ref.rows // len(walls), options)
     parts = []
     for number, six in enumerate(walls.values()):
         values = np.stack([table[column] for column in six], axis=1)
