@@ -14,6 +14,8 @@ from xcg.chains.tracks import track_chains
 from xcg.fields.averages import profile, time_average
 from xcg.fields.balance import balance
 from xcg.fields.coarse_grain import coarse_grain
+from xcg.fields.correlations import spatial_correlation, time_correlation
+from xcg.fields.diffusion import mean_squared_displacement
 from xcg.fields.displacement import displacement
 from xcg.fields.lammps import lammps_mesh
 from xcg.fields.pysammos import pysammos_mesh
@@ -75,6 +77,7 @@ __all__ = [
     "group_bodies",
     "lammps_mesh",
     "link_table",
+    "mean_squared_displacement",
     "measure",
     "microstructure",
     "open_scene",
@@ -97,7 +100,9 @@ __all__ = [
     "select_walls",
     "size_statistics",
     "slice_temperature",
+    "spatial_correlation",
     "time_average",
+    "time_correlation",
     "track_chains",
     "wall_stress",
     "width_sweep",

@@ -18,6 +18,8 @@ from xcg.chains.tracks import track_chains
 from xcg.fields.averages import profile, time_average
 from xcg.fields.balance import balance
 from xcg.fields.coarse_grain import coarse_grain, explain
+from xcg.fields.correlations import spatial_correlation, time_correlation
+from xcg.fields.diffusion import mean_squared_displacement
 from xcg.fields.displacement import displacement
 from xcg.fields.slice_temperature import slice_temperature
 from xcg.fields.wall_stress import wall_stress
@@ -98,6 +100,7 @@ class CoarseGrainAccessor:
     coarse_grain = Method(coarse_grain, SCENE)
     explain = Method(explain, SCENE)
     displacement = Method(displacement, SCENE)
+    mean_squared_displacement = Method(mean_squared_displacement, SCENE)
     width_sweep = Method(width_sweep, SCENE)
     balance = Method(balance, SCENE)
     slice_temperature = Method(slice_temperature, SCENE)
@@ -116,6 +119,8 @@ class CoarseGrainAccessor:
 
     profile = Method(profile, RESULT)
     time_average = Method(time_average, RESULT)
+    spatial_correlation = Method(spatial_correlation, RESULT)
+    time_correlation = Method(time_correlation, RESULT)
 
     select_chains = Method(select_chains, CHAINS)
     track_chains = Method(track_chains, CHAINS)

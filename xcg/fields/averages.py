@@ -9,7 +9,7 @@ these are, and an error which are missing.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import SimpleNamespace
 
 import numpy as np
@@ -106,7 +106,7 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
         middle = f["time"].rolling(time=window).construct(_SAMPLE).mean(_SAMPLE).isel(time=first)
         samples = samples.assign_coords(time=("time", middle.to_numpy(), f["time"].attrs))
     mean = _from_sums(samples.mean(_SAMPLE, skipna=False), f)
-    errors = _standard_errors(samples, f)
+    errors = block_errors(samples, _SAMPLE, lambda means: _from_sums(means, f))
     for name in map(str, list(mean.data_vars)):
         attrs = {"units": f[name].attrs.get("units", "1"), "long_name": f"standard error of {name}"}
         mean[f"{name}_error"] = errors[name].assign_attrs(attrs)
@@ -127,18 +127,21 @@ def per_fraction(f: xr.Dataset, fraction: xr.DataArray) -> xr.Dataset:
     return out.assign({name: f[name].where(known) if name != "sample_count" else f[name] for name in kept & set(rows)})
 
 
-def _standard_errors(samples: xr.Dataset, f: xr.Dataset) -> xr.Dataset:
-    """Errors of the mean over samples, at the first block size beyond which they do not grow."""
+def block_errors(samples: xr.Dataset, dim: str, function: Callable[[xr.Dataset], xr.Dataset]) -> xr.Dataset:
+    """Give standard errors of a function of the mean over samples in a row, which may be correlated.
+
+    They are those of the first size of blocks beyond which they do not grow, see `time_average`.
+    """
     levels: list[xr.Dataset] = []
     doubt = []  # relative scatter of each level's error
-    while (count := samples.sizes[_SAMPLE]) >= 2 and (not levels or count >= MIN_BLOCKS):
+    while (count := samples.sizes[dim]) >= 2 and (not levels or count >= MIN_BLOCKS):
         # jackknife: for sums the scatter over sqrt(n), for functions of sums right to first order
-        without = (count * samples.mean(_SAMPLE, skipna=False) - samples) / (count - 1)
-        levels.append(_from_sums(without, f).std(_SAMPLE, ddof=0, skipna=False) * np.sqrt(count - 1))
+        without = (count * samples.mean(dim, skipna=False) - samples) / (count - 1)
+        levels.append(function(without).std(dim, ddof=0, skipna=False) * np.sqrt(count - 1))
         doubt.append(1 / np.sqrt(2 * (count - 1)))
-        samples = samples.coarsen({_SAMPLE: 2}, boundary="trim").mean()
+        samples = samples.coarsen({dim: 2}, boundary="trim").mean()
     if not levels:
-        return _from_sums(samples.mean(_SAMPLE), f) * np.nan
+        return function(samples.mean(dim)) * np.nan
     found = levels[-1]
     for k in reversed(range(len(levels) - 1)):
         flat = levels[k + 1] * (1 - doubt[k + 1]) <= levels[k]

@@ -13,7 +13,7 @@ from xcg.fields.coarse_grain import answer, of_bodies
 from xcg.fields.plan import make_plan
 from xcg.fields.request import SharedOptions, takes
 from xcg.scene.conform import takes_scene
-from xcg.scene.query import box_stays, require_rising_times
+from xcg.scene.query import require_rising_times
 from xcg.scene.schema import COMPONENTS
 
 OF_PHASES = ("interphase_force", "segregation_flux")  # what phases have besides
@@ -218,7 +218,7 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
     if ds.sizes["time"] > 1:
         require_rising_times(ds, "balance")
     f = answer(ds, request)
-    wraps = set(plan.setup.periodic) & set(grid.axes) - set(asked.bounds or {}) if box_stays(ds) else set()
+    wraps = {a for a, wrapped in zip(COMPONENTS, plan.options.wrapped, strict=True) if wrapped}
 
     def divergence(field: xr.DataArray) -> xr.DataArray:
         return _divergence(field, "direction" if "direction" in field.dims else "component", grid.axes, wraps)

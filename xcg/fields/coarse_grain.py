@@ -196,6 +196,7 @@ def _provenance(ds: xr.Dataset, plan: Plan, call: str) -> dict[str, Any]:
         "temperature": plan.options.temperature,
         **registry.given_options(plan.options),
         "averaged_axes": plan.deposit.grid.averaged,
+        "wrapped_axes": "".join(a for a, wraps in zip(COMPONENTS, plan.options.wrapped, strict=True) if wraps),
     }
 
 

@@ -22,7 +22,7 @@ from xcg.fields.quadrature import SINGLE, gauss_limits
 from xcg.fields.request import Request
 from xcg.fields.smoothing import Kernel, as_kernel, choose_width
 from xcg.fields.variables import OwnField, Quantity, own_fields, own_moments, rows_of
-from xcg.scene.query import edges_of, groups_of, require_scene, setup_of
+from xcg.scene.query import box_stays, edges_of, groups_of, require_scene, setup_of
 from xcg.scene.schema import COMPONENTS, CONTACT_VARIABLES, ROTATION, SceneError, Setup, did_you_mean
 from xcg.scene.sizes import layer_depth, with_measures
 from xcg.scene.warn import warn_user
@@ -238,7 +238,10 @@ def make_plan(ds: xr.Dataset, request: Request) -> Plan:
         own=own_moments(own),
     )
     x, y, z = (grid.spacing.get(a, 0.0) for a in COMPONENTS)
-    options = replace(options, active=tuple(grid.active.tolist()), shape=grid.shape, spacing=(x, y, z))
+    wrapped = grid.fills(np.array([period.get(a, np.inf) for a in COMPONENTS])) if box_stays(ds) else (False,) * 3
+    options = replace(
+        options, active=tuple(grid.active.tolist()), shape=grid.shape, spacing=(x, y, z), wrapped=wrapped
+    )  # fmt: skip
     extra = {by} if by else set()
     extra |= {"frozen"} & set(ds.data_vars)
     read = [n for n in ds.data_vars if n in variables | extra]

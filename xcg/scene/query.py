@@ -44,6 +44,15 @@ def require_rising_times(ds: xr.Dataset, purpose: str) -> None:
     check_times(ds["time"].to_numpy(), purpose, "order the steps with ds.sortby('time').drop_duplicates('time')")
 
 
+def evenly_spaced(values: NDArray, what: str) -> float:
+    """Return the distance of numbers that rise by equal steps; refuse others, as `what`."""
+    steps = np.diff(values)
+    if not (steps > 0).all() or not np.allclose(steps, steps[0], rtol=1e-4, atol=0.0):
+        msg = f"{what} at equal distances are needed, and these are {steps.min():.6g} to {steps.max():.6g} apart"
+        raise SceneError(msg)
+    return float((values[-1] - values[0]) / len(steps))
+
+
 def setup_of(ds: xr.Dataset) -> Setup:
     """Return what a scene's attributes say."""
     gravity = ds.attrs.get("gravity")
