@@ -208,3 +208,76 @@ def test_columns_that_look_like_walls_or_forces(tmp_path):
     contacts = dumps.write(tmp_path / "c.dump", dumps.pairs_text(["1 2 -9 0 0 0 1 0 3"], f"{dumps.PAIRS} force_x"))
     with pytest.warns(xcg.SceneWarning, match=r"c\.dump.* columns force_x look like .*'contact_force_x'"):
         xcg.open_scene(particles, contacts=contacts, names={"f_wall[1]": None})
+
+
+# --- columns that were mistaken ----------------------------------------------------------------------------
+
+RAW = "c_1[1] c_1[2] " + " ".join(f"c_2[{k}]" for k in range(1, 10))
+WHOLE = {"c_1[1]": "contact_i", "c_1[2]": "contact_j"} | {
+    f"c_2[{k + 3 * part + 1}]": f"{name}_{a}"
+    for part, name in enumerate(("contact_branch", "contact_force"))
+    for k, a in enumerate("xyz")
+}
+
+
+def chain(shear, count=30):
+    """Dumps of a row of grains that press on each other, with a tangential part of each force."""
+    grains = [f"{k + 1} 1 {0.3 * k:.6g} {0.1 * (k % 2):.6g} 0 0 0 0 0.16 1" for k in range(count)]
+    rows = []
+    for k in range(1, count):
+        branch = np.array([0.3, 0.1 * (k % 2) - 0.1 * ((k - 1) % 2), 0.0])
+        numbers = [*branch, *(7.0 * branch), -shear * branch[1], shear * branch[0], 0.0]
+        rows.append(f"{k + 1} {k} " + " ".join(f"{x:.6g}" for x in numbers))
+    return grains, rows
+
+
+def opened(tmp_path, shear, names, columns=RAW):
+    grains, rows = chain(shear)
+    particles = dumps.write(tmp_path / "p.dump", dumps.dump_text(grains))
+    contacts = dumps.write(tmp_path / "c.dump", dumps.pairs_text(rows, columns))
+    return xcg.open_scene(particles, contacts=contacts, names=names)
+
+
+def test_a_normal_part_that_is_taken_for_the_force_is_pointed_at(tmp_path):
+    with pytest.warns(xcg.SceneWarning) as said:
+        opened(tmp_path, 2.0, WHOLE).compute()
+    text = only(said)
+    assert "c.dump (step 0): all contact forces lie along the branches" in text
+    assert "columns c_2[7] c_2[8] c_2[9] are not read" in text
+    assert "names={'c_2[4]': 'normal_force_x', 'c_2[7]': 'tangential_force_x', ...}" in text
+
+
+def test_forces_that_are_whole_are_not(tmp_path):
+    dropped = WHOLE | {f"c_2[{k}]": None for k in (7, 8, 9)}
+    opened(tmp_path, 2.0, dropped).compute()  # said not to be wanted
+    parts = {column: slot.replace("contact_force", "normal_force") for column, slot in WHOLE.items()}
+    both = parts | {f"c_2[{7 + k}]": f"tangential_force_{a}" for k, a in enumerate("xyz")}
+    force = opened(tmp_path, 2.0, both).contact_force.values[0]
+    np.testing.assert_allclose(force[0], [7 * 0.3 - 2 * 0.1, 7 * 0.1 + 2 * 0.3, 0.0], rtol=1e-5)
+    # the sum of both in columns that have other columns beside them
+    turned = {f"c_2[{7 + k}]": f"contact_force_{a}" for k, a in enumerate("xyz")}
+    kept = {column: slot for column, slot in WHOLE.items() if "force" not in slot}
+    opened(tmp_path, 2.0, kept | turned).compute()
+
+
+def test_raw_columns_get_a_table_of_targets(tmp_path):
+    with pytest.raises(xcg.SceneError) as raised:
+        opened(tmp_path, 2.0, {})
+    text = " ".join(str(raised.value).split())
+    assert "no ids of both partners among the columns c_1[1] c_1[2] c_2[1]" in text
+    assert "which become patom1 patom2 contact_i, contact_j dx dy dz contact_branch_x" in text
+    assert "fx fy fz normal_force_x, normal_force_y, normal_force_z p1 p2 p3 tangential_force_x" in text
+    with pytest.raises(xcg.SceneError) as raised:  # not where columns have names
+        opened(tmp_path, 2.0, {}, columns=" ".join("abcdefghijk"))
+    assert "patom1" not in str(raised.value)
+
+
+def test_the_summary_says_which_units_were_assumed(tmp_path):
+    text = dumps.dump_text().removeprefix("ITEM: UNITS\nsi\n")
+    path = dumps.write(tmp_path / "p.dump", text)
+    with pytest.warns(xcg.SceneWarning, match="the header does not name the units"):
+        ds = xcg.open_scene(path)
+    assert "SI (assumed: the files do not name them)" in str(ds.cg)
+    assert "assumed" not in str(xcg.open_scene(path, units="SI").cg)
+    named = dumps.write(tmp_path / "named.dump", dumps.dump_text())
+    assert "assumed" not in str(xcg.open_scene(named).cg)

@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.table import read_table
 from xcg.readers.text import source_of
+from xcg.scene.plausible import is_central
 from xcg.scene.schema import COMPONENTS, Frame, SceneError, variable
 from xcg.scene.walls import FIRST_WALL
-from xcg.scene.warn import warn_user
+from xcg.scene.warn import warn_once, warn_user
 
 Slots: TypeAlias = Mapping[str, Sequence[str]]
 """Columns that fill each slot by themselves, the preferred first."""
@@ -121,7 +122,36 @@ def _lacks(ref: StepRef, what: str, slot: str) -> SceneError:
         f"{source_of(ref)}: no {what} among the columns {' '.join(ref.columns)}; say which column it is, "
         f"for example names={{{ref.columns[-1]!r}: {slot!r}}}"
     )
+    if slot in CONTACT_SLOTS and any(map(_RAW.fullmatch, ref.columns)):
+        rows = "".join(f"\n    {words:<14}{', '.join(slots)}" for words, slots in _WORDS_OF_COMPUTES)
+        msg += f". Columns such as 'c_1[2]' have the order of the words in LAMMPS' compute, which become{rows}"
     return SceneError(msg)
+
+
+_RAW = re.compile(r"[cf]_\w+(\[\d+\])?")  # columns of LAMMPS without names of their own
+_WORDS_OF_COMPUTES = (
+    ("patom1 patom2", ("contact_i", "contact_j")),
+    ("dx dy dz", tuple(f"contact_branch_{axis}" for axis in COMPONENTS)),
+    ("fx fy fz", tuple(f"normal_force_{axis}" for axis in COMPONENTS)),
+    ("p1 p2 p3", (*(f"tangential_force_{axis}" for axis in COMPONENTS), "of granular styles")),
+)
+
+
+def warn_of_partial_force(ref: StepRef, contacts: Frame, filled: Mapping[str, str], options: ReadOptions) -> None:
+    """Warn where what is taken for the whole force lies along all branches, beside columns that nobody wanted.
+
+    Forces without friction lie along the branches, too; but who has these has no further columns in most cases, and
+    says what they are otherwise.
+    """
+    left = [name for name in ref.columns if _RAW.fullmatch(name) and name not in (*filled.values(), *options.names)]
+    if "contact_force_x" in filled and len(left) >= len(COMPONENTS) and is_central(contacts):
+        mapping = f"{{{filled['contact_force_x']!r}: 'normal_force_x', {left[0]!r}: 'tangential_force_x', ...}}"
+        warn_once(
+            "partial force",
+            f"{source_of(ref)}: all contact forces lie along the branches, as normal parts do, and columns "
+            f"{' '.join(left)} are not read: if the tangential part is among them, say names={mapping}, and the two "
+            f"are added up; otherwise drop them by names={{{left[0]!r}: None, ...}}",
+        )
 
 
 def _axes(filled: Mapping[str, str], slot: str) -> list[str]:

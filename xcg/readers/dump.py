@@ -55,7 +55,10 @@ class Dumps(Engine):
 
     def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
         """Parse the contacts of one step."""
-        return columns.contacts_from(ref, self.contact_columns(ref, options), options)
+        found = self.contact_columns(ref, options)
+        contacts = columns.contacts_from(ref, found, options)
+        columns.warn_of_partial_force(ref, contacts, found, options)
+        return contacts
 
     def ignored_columns(self, ref: StepRef, options: ReadOptions, *, contacts: bool = False) -> list[str]:
         """Columns of a step that are not read."""

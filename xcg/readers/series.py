@@ -262,6 +262,8 @@ def open_scene(
     if not clock:
         said_nothing = "number of the time step, as the files do not tell the time (give timestep= or times=)"
         scene["time"].attrs.update(units="1", long_name=said_nothing)
+    if units is None and _names_no_units(reader, indexed):
+        scene.attrs["assumed_units"] = "SI"
     scene.attrs |= _origin(reader, files, options, steps) | about_walls
     if left_out:
         scene.attrs["skipped_files"] = "\n".join(f"{source}: {cause}" for source, cause in left_out.items())
@@ -536,6 +538,11 @@ def _some(refs: Sequence[StepRef]) -> str:
 # --- what holds for the whole scene ----------------------------------------------------------------------
 
 
+def _names_no_units(engine: Engine, indexed: Mapping[str, Sequence[StepRef]]) -> bool:
+    """Whether files could name their units, and do not."""
+    return bool(engine.UNNAMED_UNITS) and all(refs[0].units is None for refs in indexed.values())
+
+
 def _units(engine: Engine, indexed: Mapping[str, Sequence[StepRef]]) -> Mapping[str, float] | str | None:
     """Units as the headers name them; SI where they do not."""
     named = {refs[0].units: source_of(refs[0]) for refs in indexed.values() if refs[0].units is not None}
@@ -551,7 +558,7 @@ def _units(engine: Engine, indexed: Mapping[str, Sequence[StepRef]]) -> Mapping[
             )
             raise SceneError(msg)
         return UNIT_SYSTEMS[system]
-    if engine.UNNAMED_UNITS:
+    if _names_no_units(engine, indexed):
         warn_user(
             f"{source_of(indexed['particles'][0])}: the header does not name the units, and SI is taken; say "
             f"units='SI', 'reduced' (LAMMPS's lj) or factors such as {{'length': 1e-3}}, or {engine.UNNAMED_UNITS}"

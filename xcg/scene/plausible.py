@@ -16,6 +16,7 @@ _SAMPLE = 4096  # rows looked at, spread over all
 _FAR = 3.0  # diameters from a centre to a contact point; the ends of rods are as far that are 18 times as long as wide
 _FEW = 20  # contacts that are too few to tell a wrong sign by
 _MOST = 0.9  # share of contacts that pull
+_CENTRAL = 1e-4  # sine of the angle between forces of six digits and their branches
 _OFF = 0.1  # largest distance of the ends in a file from the centres, in branches
 
 
@@ -68,6 +69,16 @@ def check_contacts(frame: Frame, period: NDArray, source: str) -> None:
             "pressure is negative nearly everywhere: contact_force is the force on contact_i, and where the data have "
             "that on the other, exchange the two (names=), or change the sign",
         )
+
+
+def is_central(contacts: Frame) -> bool:
+    """Whether all forces lie along the branches that the data hold; False where there are none, or few contacts."""
+    if "contact_branch" not in contacts or len(contacts["contact_branch"]) < _FEW:
+        return False
+    some = _sample(len(contacts["contact_branch"]))
+    branch, force = contacts["contact_branch"][some], contacts["contact_force"][some]
+    across = _lengths(np.cross(branch, force))
+    return bool((across <= _CENTRAL * _lengths(branch) * _lengths(force)).all())
 
 
 def check_ends(raw: Frame, particles: Frame, period: NDArray, source: str) -> None:

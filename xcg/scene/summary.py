@@ -72,6 +72,7 @@ def rows_of_origin(ds: xr.Dataset) -> list[tuple[str, str]]:
     system, skipped = ds.attrs.get("unit_system"), str(ds.attrs.get("skipped_files", ""))
     pull = "" if gravity is None else ", ".join(f"{g:.6g}" for g in np.atleast_1d(gravity))
     unit = units_of((1, 0, -2), system or "SI").removesuffix("1")
+    assumed = " (assumed: the files do not name them)" if "assumed_units" in ds.attrs else ""
     return [
         ("engine", str(ds.attrs.get("engine", ""))),
         ("files", str(ds.attrs.get("files", "")).replace("\n", "; ")),
@@ -79,7 +80,7 @@ def rows_of_origin(ds: xr.Dataset) -> list[tuple[str, str]]:
         ("skipped", f"{len(skipped.splitlines())} files" if skipped else ""),
         ("time", _times(ds)),
         ("gravity", f"({pull}) {unit}".rstrip() if pull else ""),
-        ("units", {None: "", "SI": "SI"}.get(system, f"{system}: scaled numbers, without units")),
+        ("units", {None: "", "SI": "SI"}.get(system, f"{system}: scaled numbers, without units") + assumed),
     ]
 
 
