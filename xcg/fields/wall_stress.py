@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from xcg.fields.smoothing import Kernel, as_kernel, choose_width
 from xcg.fields.surfaces import Cells, Wall
@@ -205,6 +204,8 @@ def _images(period: NDArray, count: int) -> NDArray:
 
 def _smear(task: _Task, point: NDArray, values: NDArray, period: NDArray) -> NDArray:
     """Sum over contacts weights (cells, contacts) times values (contacts, n), per area."""
+    from scipy.spatial import cKDTree  # slow to import
+
     cells, cutoff = task.cells, task.kernel.cutoff
     out = np.zeros((len(cells.area), values.shape[1]))
     if not len(point):
