@@ -39,6 +39,8 @@ class Options:
         d50 or dmax of the scene (m), where `size` names one of them.
     fluid_viscosity : float, optional
         Viscosity of the fluid between the grains (Pa s).
+    friction : float, optional
+        Coefficient of friction between the grains.
     by : str, optional
         The variable that divides the grains into phases.
     temperature : str
@@ -63,10 +65,16 @@ class Options:
     size: str = "d43"
     diameter: float = float("nan")
     fluid_viscosity: float | None = None
+    friction: float | None = None
     by: str | None = None
     temperature: str = "unbiased"
     lag: int | None = None
     own: tuple[Any, ...] = ()
+
+    @property
+    def sliding(self) -> bool:
+        """Whether it is known which contacts slide."""
+        return self.friction is not None
 
     @property
     def dimension(self) -> int:

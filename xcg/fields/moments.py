@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial, reduce
 from typing import Any
 
@@ -12,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled import points as kernel
-from xcg.fields import power
+from xcg.fields import fabric, power
+from xcg.fields.fabric import Column
 from xcg.scene.contacts import Contacts
 from xcg.scene.schema import ROTATION, Frame
 
@@ -57,7 +57,7 @@ class Moment:
     shape: tuple[int, ...] = ()
     level: int = kernel.NONE
     first: int = 0
-    column: Callable[[Frame, Contacts | None], NDArray] | None = None
+    column: Column | None = None
     contacts: bool = False
     at_contacts: bool = False
     along_branches: bool = False
@@ -71,7 +71,7 @@ class Moment:
         return np.array(self.layout) if self.layout else np.arange(math.prod(self.shape)).reshape(self.shape)
 
 
-def _power(exponent: int) -> Callable[[Frame, Contacts | None], NDArray]:
+def _power(exponent: int) -> Column:
     return lambda frame, _: reduce(np.multiply, [frame["diameter"]] * exponent)  # many times faster than `**`
 
 
@@ -92,11 +92,16 @@ def _forces(frame: Frame, contacts: Contacts | None) -> NDArray:
     return contacts.forces
 
 
-def _one_a_contact(frame: Frame, contacts: Contacts | None) -> NDArray:
-    return np.ones(len(frame["contact_i"]))
+def _at_contacts(
+    variables: tuple[str, ...], formula: str, column: Column, shape: tuple[int, ...] = (),
+    layout: tuple[Any, ...] = (), optional: tuple[str, ...] = (),
+) -> Moment:  # fmt: skip
+    row = Moment(variables, formula, shape, column=column, contacts=True, at_contacts=True)
+    return replace(row, layout=layout, optional=optional)
 
 
 _SYMMETRIC = ((0, 1, 2), (1, 3, 4), (2, 4, 5))  # kept as six
+_NORMAL = ("contact_normal",)
 _OFFSETS = (0, 4, 8)  # m x and m u x of one direction stand together
 _SHEARS = ((0, 4, 8), (1, 5, 9), (2, 6, 10))
 _MV = ("mass", "velocity")
@@ -127,7 +132,9 @@ MOMENTS: dict[str, Moment] = {
     "size4": Moment(("diameter",), "d^4", column=_power(4)),
     "interval": Moment(("interval",), "t' - t", column=lambda frame, _: frame["interval"]),
     "partners": Moment((), "z", column=_partners, contacts=True),
-    "fabric": Moment(("volume",), "V sum_c n n", (3, 3), column=_fabric, contacts=True, layout=_SYMMETRIC),
+    "fabric": Moment(
+        ("volume",), "V sum_c n n", (3, 3), column=_fabric, contacts=True, layout=_SYMMETRIC, optional=_NORMAL
+    ),
     "force": Moment(_FORCE, "sum_c f", (3,), column=_forces, contacts=True),
     "inertia": Moment(("moment_of_inertia",), "I", column=lambda frame, _: frame["moment_of_inertia"]),
     "spin": Moment(_I_OMEGA, "I omega", (3,), column=power.spins),
@@ -151,8 +158,22 @@ MOMENTS: dict[str, Moment] = {
         layout=_ABOUT,
     ),
     "cubes": Moment(_MV, "m u^2 u", (3,), kernel.CUBIC, kernel.CUBE, column=power.weighted_motion),
+    "bearing": Moment((), "1, where z > 1", column=fabric.bearing, contacts=True),
+    "bearing_partners": Moment((), "z, where z > 1", column=fabric.bearing_partners, contacts=True),
     # at the contact points
-    "contacts": Moment((), "1", column=_one_a_contact, contacts=True, at_contacts=True),
+    "contacts": _at_contacts((), "1", fabric.one_a_contact),
+    "bearing_contacts": _at_contacts((), "1, between grains of z > 1", fabric.bearing_contacts),
+    "sliding_contacts": _at_contacts(_FORCE, "1, where it slides", fabric.none_slides, optional=_NORMAL),
+    "normals": _at_contacts((), "n n", fabric.normals(fabric.one_a_contact), (3, 3), _SYMMETRIC, optional=_NORMAL),
+    "branch_length": _at_contacts((), "l . n", fabric.branch_length, optional=_NORMAL),
+    "branch_normals": _at_contacts(
+        (), "l . n n n", fabric.normals(fabric.branch_length), (3, 3), _SYMMETRIC, optional=_NORMAL
+    ),
+    "normal_force": _at_contacts(_FORCE, "f . n", fabric.normal_force, optional=_NORMAL),
+    "normal_force_normals": _at_contacts(
+        _FORCE, "f . n n n", fabric.normals(fabric.normal_force), (3, 3), _SYMMETRIC, optional=_NORMAL
+    ),
+    "tangential_normals": _at_contacts(_FORCE, "f_t n", fabric.tangential_normals, (3, 3), optional=_NORMAL),
     "pair_force": Moment(_FORCE, "f, at the contact, by phase of the partner", (3,), contacts=True, paired=True),
     "contact_couple": Moment(_FORCE, "(b_i - b_j) x f", (3,), column=power.couples, contacts=True, at_contacts=True),
     "taken_up": _power_moment("-f.(u_i - u_j)", column=power.taken_up, at_contacts=True),
@@ -162,6 +183,15 @@ MOMENTS: dict[str, Moment] = {
     "momentum_slope": Moment(_MV, "m u, with grad Psi", (3, 3), layout=_SHEARS),
     # along branches, and at walls
     "contact": Moment(_FORCE, "f a, along the branch", (3, 3), contacts=True, along_branches=True),
+    "strong_contact": Moment(
+        _FORCE,
+        "f a, along the branch, of contacts that push more than the mean",
+        (3, 3),
+        column=fabric.strong_forces,
+        contacts=True,
+        along_branches=True,
+        optional=_NORMAL,
+    ),
     "pair_contact": Moment(
         _FORCE,
         "f a, along the branch, by phase of the partner",

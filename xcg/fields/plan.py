@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,9 +16,10 @@ from xcg.compiled.segments import RULES
 from xcg.fields import registry
 from xcg.fields.averages import needed_for_averages
 from xcg.fields.deposit import BLOCK_NODES, DepositSpec
+from xcg.fields.fabric import sliding_contacts
 from xcg.fields.field import Options
 from xcg.fields.grid import Grid, make_grid
-from xcg.fields.moments import MOMENTS
+from xcg.fields.moments import MOMENTS, Moment
 from xcg.fields.quadrature import SINGLE, gauss_limits
 from xcg.fields.request import Request
 from xcg.fields.smoothing import Kernel, as_kernel, choose_width
@@ -172,7 +174,6 @@ def _variables(fields: Sequence[str], ds: xr.Dataset, options: Options) -> set[s
         elif rows[name].contacts:
             needed |= set(CONTACT_VARIABLES) - {"contact_normal"}
             needed |= {"diameter"} & set(ds.data_vars)  # tells contacts that are far from their grains
-            needed |= {"contact_normal"} & set(ds.data_vars) if name == "fabric" else set()
     return needed
 
 
@@ -235,7 +236,7 @@ def make_plan(ds: xr.Dataset, request: Request) -> Plan:
         coarse=limits.size > 0 and rtol >= SINGLE,
         by=by,
         groups=() if by is None else groups_of(ds, by, request.groups),
-        own=own_moments(own),
+        own=own_moments(own) | _with_friction(options.friction),
     )
     x, y, z = (grid.spacing.get(a, 0.0) for a in COMPONENTS)
     wrapped = grid.fills(np.array([period.get(a, np.inf) for a in COMPONENTS])) if box_stays(ds) else (False,) * 3
@@ -311,6 +312,9 @@ def _options(ds: xr.Dataset, setup: Setup, request: Request) -> Options:
     if fluid_viscosity is not None and not (np.isfinite(fluid_viscosity) and fluid_viscosity > 0):
         msg = f"fluid_viscosity={fluid_viscosity!r}: expected a positive viscosity (Pa s), such as 1e-3 for water"
         raise ValueError(msg)
+    if request.friction is not None and not (np.isfinite(request.friction) and request.friction >= 0):
+        msg = f"friction={request.friction!r}: expected a coefficient of friction, such as 0.5"
+        raise ValueError(msg)
     if size in ("d50", "dmax") and size not in ds.attrs:
         msg = f"size={size!r} is an attribute that the scene does not hold; call ds = ds.cg.measure() first"
         raise ValueError(msg)
@@ -323,9 +327,16 @@ def _options(ds: xr.Dataset, setup: Setup, request: Request) -> Options:
         size=size,
         diameter=float(ds.attrs.get(size, np.nan)),
         fluid_viscosity=fluid_viscosity,
+        friction=request.friction,
         temperature=request.temperature,
         lag=ds.attrs.get("lag"),
     )
+
+
+def _with_friction(friction: float | None) -> dict[str, Moment]:
+    """Return the moment that takes the coefficient of friction, with it."""
+    name = "sliding_contacts"
+    return {} if friction is None else {name: replace(MOMENTS[name], column=partial(sliding_contacts, friction))}
 
 
 def _indices(axes: str | None) -> tuple[int, ...] | None:

@@ -17,15 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.fields.field import Field, Options
-from xcg.fields.rows import contacts, density, displacement, energy, flow, phases, rheology, rotation
+from xcg.fields.rows import contacts, density, displacement, energy, fabric, flow, phases, rheology, rotation
 
-_TOPICS = (density, flow, contacts, phases, rheology, rotation, energy, displacement)
+_TOPICS = (density, flow, contacts, fabric, phases, rheology, rotation, energy, displacement)
 _ROWS: dict[str, Field] = {name: row for topic in _TOPICS for name, row in topic.ROWS.items()}
 _REGISTERED: dict[str, Field] = {}  # by users, see `xcg.register_field`
 # All rows by name, read-only.
 FIELDS: Mapping[str, Field] = MappingProxyType(ChainMap(_REGISTERED, _ROWS))
 # Other ways to a field: the option that chooses, and the row for each of its values that is not the default.
-WAYS = flow.WAYS | rheology.WAYS
+WAYS = flow.WAYS | rheology.WAYS | fabric.WAYS
 
 DEVIATORIC = ("stress", "rate", "both", "neither")
 GRADIENTS = ("least_squares", *WAYS["velocity_gradient"][1])

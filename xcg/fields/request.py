@@ -64,6 +64,8 @@ class SharedOptions:
         Diameter in the inertial number: "d43" (default) or "d32" of the node, "d50" or "dmax" of the scene.
     fluid_viscosity : float, optional
         Viscosity of the fluid between the grains (Pa s), for ``viscous_number`` and ``effective_viscosity``.
+    friction : float, optional
+        Coefficient of friction between the grains, for ``redundancy_number``: contacts at Coulomb's limit slide.
     by_pair : bool
         Also divide contact stress by the phase of the partner: ``contact_stress_by_pair`` with the dimension
         ``other_phase``, the phases and then "wall". Its sum over them is the contact stress of the phase.
@@ -98,6 +100,7 @@ class SharedOptions:
     deviatoric: str = "stress"
     size: str = "d43"
     fluid_viscosity: float | None = None
+    friction: float | None = None
     by_pair: bool = False
     temperature: str = "unbiased"
     by_body: str | None = None

@@ -17,6 +17,8 @@ from xcg.scene.schema import Frame
 
 # Contacts are those of spheres where the branches are as spheres have them, to this share of the radius.
 SPHERES = 1e-2
+# Partners from which a grain may bear load, with friction (Thornton 2000).
+BEARING = 2
 
 
 @dataclass(frozen=True)
@@ -129,6 +131,17 @@ class Contacts:
         """Unit vector from j to i, along `between` where none is given; zero where it is undefined; (n, 3)."""
         return unit_vectors(self.between) if self.given_normal is None else self.given_normal
 
+    @cached_property
+    def normal_force(self) -> NDArray:
+        """Normal force of each contact (N), positive where it pushes; (n,)."""
+        return np.einsum("ni,ni->n", self.force, self.normal)
+
+    @property
+    def strong(self) -> NDArray:
+        """Whether each contact pushes more than the mean of all contacts that push; (n,)."""
+        push = (self.normal_force > 0) & (self.first_row >= 0)
+        return push & (self.normal_force > self.normal_force[push].mean()) if push.any() else push
+
     def sum_over_particles(self, on_i: NDArray, on_j: NDArray, sign_j: float = 1.0) -> NDArray:
         """Sum what contacts give to their particles, `on_i` and `sign_j` x `on_j`; (n, ...) to (particles, ...)."""
         width = math.prod(on_i.shape[1:])
@@ -164,6 +177,17 @@ class Contacts:
     def partners(self) -> NDArray:
         """Number of contact partners of each particle, walls included; several contacts with one count once."""
         return self.sum_over_particles(self.first, self.first)
+
+    @cached_property
+    def bearing(self) -> NDArray:
+        """Whether each particle has two contact partners or more, so that it may bear load; (particles,)."""
+        return self.partners >= BEARING
+
+    @property
+    def between_bearing(self) -> NDArray:
+        """Whether all particles of each contact that are there may bear load; (n,)."""
+        bearing = np.append(self.bearing, True)  # row -1 is that of a wall
+        return bearing[self.i] & bearing[self.j] & (self.first_row >= 0)
 
     def k_core(self, least: int) -> NDArray:
         """Whether each particle keeps `least` partners when all that have fewer are taken out, again and again.
