@@ -11,6 +11,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
+from xcg.packing.mixing import Mixture
 from xcg.packing.quantities import CONTACTS, QUANTITIES, TENSOR, ratio
 from xcg.scene.build import storable
 from xcg.scene.complete import periods
@@ -28,6 +29,8 @@ Bounds = Mapping[str, Sequence[float]]
 
 # Partners that hold a sphere in place without friction: one more than the dimensions.
 NOT_A_RATTLER = {3: 4, 2: 3}
+# Edge of the cells that concentrations are sampled in, in mean diameters d43, and nearest neighbours looked at.
+CELL, NEIGHBOURS = 3.0, {3: 12, 2: 6}
 FORCE_BINS = np.logspace(-4, 2, 61)
 STRAINS = ("logarithmic", "engineering")
 
@@ -70,6 +73,9 @@ class Measure:
     iterative: bool
     max_connectivity: int
     force_bins: NDArray
+    cell: float | None
+    by_volume: bool
+    neighbours: int
 
     @property
     def phases(self) -> int:
@@ -103,11 +109,34 @@ class Measure:
         for r, bounds in enumerate(self.regions):
             position, inside = _images_in(bounds, frame["position"], corner, period, source)
             volume = self._volume(bounds, box)
+            mixture = self._mixture(bounds, box, frame, position, inside, phase, period)
             for p in range(self.phases):
                 member = inside if p == 0 else inside & (phase == p - 1)
                 sample = _sample(self, frame, position, contacts, shared, member, volume)
+                sample.mixture, sample.which = mixture, p
                 for name in self.names:
                     out[name][r, p] = QUANTITIES[name].compute(sample)
+
+    def _mixture(
+        self, bounds: Bounds, box: NDArray | None, frame: Frame, position: NDArray, inside: NDArray, phase: NDArray,
+        period: NDArray,
+    ) -> Mixture | None:  # fmt: skip
+        """Grains of a region by phase, where quantities need them; without bounds or box it is as large as they are."""
+        if not any(QUANTITIES[name].of_phases for name in self.names):
+            return None
+        axes = [COMPONENTS.index(a) for a in self.setup.plane]
+        x, size = position[inside][:, axes], frame["diameter"][inside]
+        edges = np.full((3, 2), np.nan) if box is None else box
+        lower, upper = np.array([bounds.get(COMPONENTS[k], edges[k]) for k in axes], float).T
+        if len(x):
+            lower = np.where(np.isfinite(lower), lower, x.min(axis=0))
+            upper = np.where(np.isfinite(upper), upper, x.max(axis=0))
+        lengths = np.where(upper > lower, upper - lower, 1.0)
+        d43 = float(ratio((size**4).sum(), (size**3).sum()))
+        return Mixture(
+            x - lower, phase[inside], frame["volume"][inside] if self.by_volume else np.ones(len(x)), lengths,
+            np.isclose(lengths, period[axes], rtol=1e-9), self.cell or CELL * d43, self.neighbours,
+        )  # fmt: skip
 
     def _volume(self, bounds: Bounds, box: NDArray | None) -> float:
         """Volume of a region (m3); NaN where neither bounds nor box say how far it reaches."""
@@ -208,6 +237,9 @@ def microstructure(
     strain_rate: str | float | xr.DataArray | None = None,
     strain: str = "logarithmic",
     axis: str | None = None,
+    cell: float | None = None,
+    mixing_weight: str = "number",
+    neighbours: int | None = None,
     on_error: str = "raise",
 ) -> xr.Dataset:
     r"""Measure the microstructure of a packing, for each time, and for each region or phase.
@@ -243,6 +275,13 @@ def microstructure(
         "logarithmic" (default) or "engineering", relative to the first step of `ds`.
     axis : str, optional
         Axis of the axial strain; by default the last of the scene.
+    cell : float, optional
+        Edge of the cells in which the concentration of phases is sampled (m), rounded so that cells fill the region; by
+        default 3 d43 of the region's grains.
+    mixing_weight : {"number", "volume"}
+        What grains count by in concentrations, their variances and entropy.
+    neighbours : int, optional
+        Nearest neighbours of each grain for ``nearest_neighbour_index``; by default 12, in a one-layer scene 6.
     on_error : {"raise", "skip"}
         What to do about a step that cannot be read or computed: stop with its error, or leave it out (NaN, or padding),
         warn of it, and mark it in the coordinate ``skipped`` (time).
@@ -297,6 +336,12 @@ def microstructure(
                                       2D: :math:`\sqrt{2 e:e}`
     volumetric_strain, axial_strain   :math:`-\ln(V / V_0)`, :math:`-\ln(L / L_0)` of the box;
                                       engineering: :math:`1 - V / V_0`, :math:`1 - L / L_0`
+    lacey_index                       :math:`(S_0^2 - S^2) / (S_0^2 - S_r^2)`, with `by`                   [7]_
+    concentration_variance            :math:`S^2 = \sum W_k (c_k - p)^2 / W` over cells
+    random_concentration_variance     :math:`S_r^2 = \frac{K - 1}{N - 1} N \sum w_i^2 (a_i - p)^2 / W^2`
+    segregated_concentration_variance :math:`S_0^2 = p (1 - p)`
+    mixing_entropy                    :math:`\sum_k W_k \sum_a c_{ka} \ln c_{ka} / W \sum_a p_a \ln p_a`   [8]_
+    nearest_neighbour_index           :math:`\sum u_i / \sum (N - N_a) / (N - 1)`                          [9]_
     inertial_number_{dmax,d50,dbar}   :math:`I = \dot\epsilon_q d \sqrt{\rho / p'}`, NaN if p' <= 0        [2]_
     ================================  ===================================================================  =========
 
@@ -314,6 +359,11 @@ def microstructure(
     .. [4] Satake, M. (1982). Fabric tensor in granular materials. IUTAM conference, Delft.
     .. [5] Guo, N., Zhao, J. (2013). The signature of shear-induced anisotropy in granular media. Comput. Geotech. 47.
     .. [6] Love-Weber: Bagi, K. (1996). Stress and strain in granular assemblies. Mech. Mater. 22.
+    .. [7] Lacey, P. M. C. (1954). Developments in the theory of particle mixing. J. Appl. Chem. 4.
+    .. [8] Schutyser, M. A. I. et al. (2001). Discrete particle simulations predicting mixing behavior of solid
+       substrate particles in a rotating drum fermenter. Biotechnol. Bioeng. 75.
+    .. [9] Godlieb, W., Deen, N. G., Kuipers, J. A. M. (2007). Characterizing solids mixing in DEM simulations. 6th Int.
+       Conf. on Multiphase Flow.
 
     Examples
     --------
@@ -325,9 +375,10 @@ def microstructure(
     given = {k: v for k, v in locals().items() if k != "ds" and v is not None}
     require_scene(ds, (), "microstructure")
     _check(min_contacts, rattlers, max_connectivity, strain)
+    _check_mixing(cell, mixing_weight, neighbours)
     setup, regions = setup_of(ds), _regions(bounds)
     rate = _rate_source(ds, strain_rate)
-    names = _choose(ds, quantities, rate)
+    names = _choose(ds, quantities, rate, by)
     if axis is not None and axis not in setup.plane:
         msg = f"axis={axis!r}: expected one of {', '.join(setup.plane)}"
         raise ValueError(msg)
@@ -338,7 +389,8 @@ def microstructure(
         names=measured, setup=setup, regions=tuple(regions.values()), by=by,
         groups=() if by is None else groups_of(ds, by, groups), depth=layer_depth(ds, setup, edges_of(ds)),
         min_contacts=int(min_contacts), iterative=rattlers == "iterative", max_connectivity=int(max_connectivity),
-        force_bins=_force_bins(force_bins),
+        force_bins=_force_bins(force_bins), cell=cell, by_volume=mixing_weight == "volume",
+        neighbours=neighbours or NEIGHBOURS[setup.dimension],
     )  # fmt: skip
     extra = {"particle_id", "position", "frozen", *([by] if by else [])}
     extra |= {"contact_normal"} if needed & set(CONTACTS) else set()
@@ -360,6 +412,18 @@ def _check(min_contacts: int, rattlers: str, max_connectivity: int, strain: str)
         if choice not in known:
             msg = f"{name}={choice!r}: expected one of {', '.join(map(repr, known))}"
             raise ValueError(msg)
+
+
+def _check_mixing(cell: float | None, weight: str, neighbours: int | None) -> None:
+    if cell is not None and not (np.isfinite(cell) and cell > 0):
+        msg = f"cell={cell!r}: expected the edge of a cell (m), such as three diameters"
+        raise ValueError(msg)
+    if weight not in ("number", "volume"):
+        msg = f"mixing_weight={weight!r}: expected 'number' or 'volume'"
+        raise ValueError(msg)
+    if neighbours is not None and not (isinstance(neighbours, (int, np.integer)) and neighbours >= 1):
+        msg = f"neighbours={neighbours!r}: expected a whole number of at least 1"
+        raise ValueError(msg)
 
 
 def _force_bins(edges: ArrayLike | None) -> NDArray:
@@ -400,7 +464,9 @@ def _rate_source(ds: xr.Dataset, given: str | float | xr.DataArray | None) -> st
     return given if isinstance(given, xr.DataArray) else xr.DataArray(float(given))
 
 
-def _choose(ds: xr.Dataset, asked: str | Sequence[str] | None, rate: str | xr.DataArray) -> tuple[str, ...]:
+def _choose(
+    ds: xr.Dataset, asked: str | Sequence[str] | None, rate: str | xr.DataArray, by: str | None
+) -> tuple[str, ...]:
     """Names that were asked for, or all that the scene allows."""
     if asked is not None:
         names = [asked] if isinstance(asked, str) else list(asked)
@@ -409,6 +475,10 @@ def _choose(ds: xr.Dataset, asked: str | Sequence[str] | None, rate: str | xr.Da
             suggestions = "".join(did_you_mean(name, NAMES) for name in unknown)
             msg = f"unknown quantities {unknown}: choose from {', '.join(NAMES)}{suggestions}"
             raise ValueError(msg)
+        mixing = [name for name in names if name in QUANTITIES and QUANTITIES[name].of_phases]
+        if mixing and by is None:
+            msg = f"{', '.join(mixing)}: say which phases are mixed with by=, for example by='species'"
+            raise ValueError(msg)
         if set(names) & set(STRAIN) and "box" not in ds:
             require_scene(ds, ("box",), "strain of the box")
         return tuple(dict.fromkeys(names))
@@ -416,6 +486,7 @@ def _choose(ds: xr.Dataset, asked: str | Sequence[str] | None, rate: str | xr.Da
         name
         for name in NAMES
         if (name not in STRAIN or "box" in ds)
+        and not (name in QUANTITIES and QUANTITIES[name].of_phases)
         and all(set(QUANTITIES[part].needs) <= set(ds.data_vars) for part in _measured([name], rate))
     )
 

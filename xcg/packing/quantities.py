@@ -12,6 +12,8 @@ push, pushing, mean_force
     Which contacts have a positive normal force, the weights of these, and their mean force.
 virial : (3, 3)
     Sum of f a over the particles' sides of their contacts.
+mixture, which
+    All grains of the region by phase (`xcg.packing.mixing`), and the group: 0 the bulk, 1, 2, ... the phases.
 region_volume, plane, min_contacts, max_connectivity, force_bins
     Volume (m3), axes of the scene, and options.
 """
@@ -42,6 +44,8 @@ class Quantity:
         Dimensions besides time, region and phase.
     needs : tuple of str
         Variables of the scene.
+    of_phases : bool
+        Whether it takes phases, and is measured only where it is asked for.
     """
 
     long_name: str
@@ -50,6 +54,7 @@ class Quantity:
     powers: tuple[int, int, int] = (0, 0, 0)
     dims: tuple[str, ...] = ()
     needs: tuple[str, ...] = ()
+    of_phases: bool = False
 
 
 CONTACTS = ("contact_i", "contact_j", "contact_point")
@@ -152,6 +157,10 @@ def _d_bar(s: Any) -> float:
     return ratio((s.volume * s.diameter)[bearing].sum(), s.volume[bearing].sum())
 
 
+def _of_phases(long_name: str, formula: str, compute: Callable[[Any], Any]) -> Quantity:
+    return Quantity(long_name, formula, compute, needs=("diameter", "volume"), of_phases=True)
+
+
 _PER_RATIO = ("force_ratio",)
 QUANTITIES: dict[str, Quantity] = {
     "particle_count": Quantity("number of particles", "N", lambda s: s.count),
@@ -216,5 +225,29 @@ QUANTITIES: dict[str, Quantity] = {
     "strain_rate": Quantity(
         "deviatoric strain rate", "sqrt(2/3 e:e), e = dev strain rate (2D: sqrt(2 e:e))", _velocity_rate, (0, 0, -1),
         needs=("velocity",),
+    ),
+    "lacey_index": _of_phases(
+        "Lacey's index of mixing", "M = (S_0^2 - S^2) / (S_0^2 - S_r^2)", lambda s: s.mixture.lacey(s.which)
+    ),
+    "concentration_variance": _of_phases(
+        "variance of the concentration between cells", "S^2 = sum_k W_k (c_k - p)^2 / W",
+        lambda s: s.mixture.variance(s.which),
+    ),
+    "random_concentration_variance": _of_phases(
+        "mean variance of the concentration where phases are at random",
+        "S_r^2 = (K - 1) / (N - 1) N sum w_i^2 (a_i - p)^2 / W^2", lambda s: s.mixture.random_variance(s.which),
+    ),
+    "segregated_concentration_variance": _of_phases(
+        "variance of the concentration where phases are apart", "S_0^2 = p (1 - p)",
+        lambda s: s.mixture.segregated_variance(s.which),
+    ),
+    "mixing_entropy": _of_phases(
+        "entropy of the cells over that of the region", "sum_k W_k / W sum_a c_ka ln c_ka / sum_a p_a ln p_a",
+        lambda s: s.mixture.entropy(s.which),
+    ),
+    "nearest_neighbour_index": _of_phases(
+        "neighbours of another phase over their number where phases are at random",
+        "sum_i u_i / sum_i (N - N_a) / (N - 1), u_i the share of another phase",
+        lambda s: s.mixture.neighbour_index(s.which),
     ),
 }  # fmt: skip
