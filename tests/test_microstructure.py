@@ -316,7 +316,11 @@ def test_lazy_equals_eager_under_every_scheduler(scheduler, computing, tmp_path)
 
 
 def test_every_quantity_has_a_unit_and_a_name():
-    m = xcg.datasets.random_scene(50).cg.microstructure()
+    ds = xcg.datasets.random_scene(50)
+    of_phases = [name for name, row in QUANTITIES.items() if row.of_phases]
+    m = ds.cg.microstructure()
+    assert not set(m.data_vars) & set(of_phases)
+    m = m.merge(ds.cg.microstructure(of_phases, by="species").sel(phase="bulk", drop=True))
     assert set(m.data_vars) >= set(QUANTITIES)
     for name in m:
         assert {"units", "long_name"} <= set(m[name].attrs), name
