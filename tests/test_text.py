@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.dumps import ATOMS, dump_text, write
-from xcg.readers import gzipped, text
+from xcg.readers import compressed, text
 from xcg.readers import table as table_module
 from xcg.readers.engine import ReadOptions
 from xcg.readers.lammps import Lammps
@@ -109,9 +109,9 @@ def test_faults_name_the_row(body):
 def opened(monkeypatch):
     """Count how often files are decompressed from the start to read bodies."""
     calls = []
-    original = gzipped.open_gzipped
-    monkeypatch.setattr(gzipped, "open_gzipped", lambda path: calls.append(path) or original(path))
-    monkeypatch.setattr(gzipped, "_waiting", [])
+    original = compressed.open_compressed
+    monkeypatch.setattr(compressed, "open_compressed", lambda path: calls.append(path) or original(path))
+    monkeypatch.setattr(compressed, "_waiting", [])
     return calls
 
 
@@ -136,7 +136,7 @@ def test_threads_do_not_share_a_stream(tmp_path, opened):
     scene = open_scene(path)
     found = scene.position.compute(scheduler="threads", num_workers=4)
     np.testing.assert_array_equal(found[:, 1, 0], 2 + 0.001 * np.arange(30))
-    assert len(gzipped._waiting) <= gzipped._MOST_WAITING
+    assert len(compressed._waiting) <= compressed._MOST_WAITING
 
 
 def test_a_file_that_changed_is_opened_anew(tmp_path, opened):
@@ -146,6 +146,40 @@ def test_a_file_that_changed_is_opened_anew(tmp_path, opened):
     lammps.read_particles(refs[0], ReadOptions())
     path.write_bytes(gzip.compress("".join(texts).replace("2.001", "7.001").encode()))
     assert lammps.read_particles(refs[1], ReadOptions())["position"][1, 0] == 7.001
+
+
+def zstd():
+    return compressed._zstd() or pytest.skip("needs Python 3.14 or backports.zstd")
+
+
+def test_zstd_is_read_as_plain_text_is(tmp_path, opened):
+    texts = [dump_text(rows(t), ATOMS, step=t) for t in range(12)]
+    plain = write(tmp_path / "plain.dump", texts)
+    path = tmp_path / "p.dump.zst"
+    path.write_bytes(b"".join(zstd().compress(text.encode()) for text in ["".join(texts[:5]), *texts[5:]]))  # frames
+    scene, expected = open_scene(path), open_scene(plain)
+    np.testing.assert_array_equal(scene.position, expected.position)
+    opened.clear()
+    for ref in lammps.index_particles([str(path)], ReadOptions()):
+        lammps.read_particles(ref, ReadOptions())
+    assert len(opened) == 1  # for all bodies
+
+
+def test_damaged_zstd_is_named(tmp_path):
+    whole = zstd().compress("".join(dump_text(rows(t), ATOMS, step=t) for t in range(300)).encode())
+    path = tmp_path / "p.dump.zst"
+    for data in (whole[:-200], whole[:100] + b"xxxx" + whole[104:]):
+        path.write_bytes(data)
+        with pytest.raises(SceneError, match=r"p\.dump\.zst"):
+            open_scene(path, engine="lammps").compute()
+
+
+def test_what_to_install_for_zstd(tmp_path, monkeypatch):
+    path = tmp_path / "p.dump.zst"
+    path.write_bytes(b"\x28\xb5\x2f\xfd")
+    monkeypatch.setattr(compressed, "_zstd", lambda: None)
+    with pytest.raises(SceneError, match=r"p\.dump\.zst: .*pip install 'xcg\[zstd\]'"):
+        open_scene(path)
 
 
 @pytest.mark.parametrize("count", [3, 4000])
@@ -159,7 +193,7 @@ def test_gzipped_files_put_one_after_the_other(tmp_path, count):
         texts.append(dump_text(lines, ATOMS, step=10 * t))
     path = tmp_path / "p.0.dump.gz"
     path.write_bytes(b"".join(gzip.compress(text.encode()) for text in texts))
-    assert (path.stat().st_size > 3 * gzipped._LOOKED_AT) == (count > 3)
+    assert (path.stat().st_size > 3 * compressed._LOOKED_AT) == (count > 3)
     scene = open_scene(path)
     assert scene.step.values.tolist() == [0, 10, 20]
     np.testing.assert_array_equal(scene.position, positions)
@@ -167,7 +201,7 @@ def test_gzipped_files_put_one_after_the_other(tmp_path, count):
     path.write_bytes(gzip.compress("".join(texts).encode()))
     np.testing.assert_array_equal(open_scene(path).position, positions)
     path.write_bytes(gzip.compress(texts[0].encode()))
-    assert gzipped.size_of_content(str(path)) == len(texts[0])
+    assert compressed.size_of_content(str(path)) == len(texts[0])
     assert lammps.index_particles([str(path)], ReadOptions())[0].alone
 
 

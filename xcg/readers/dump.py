@@ -12,15 +12,14 @@ from functools import partial
 import numpy as np
 
 from xcg.readers import columns
+from xcg.readers.compressed import compression, most_from
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.index import remembered
 from xcg.readers.text import (
     Scanner,
     check_rows,
     first_lines,
-    is_gzipped,
     is_one_table,
-    most_bytes,
     most_text,
     open_binary,
     source_of,
@@ -129,7 +128,7 @@ def _steps(path: str, *, atoms: bool) -> Iterator[StepRef]:
                 ref = _header(scanner, path, atoms=atoms)
                 if ref is None:
                     return
-                check_rows(ref, most_bytes(path) - ref.offset)
+                check_rows(ref, most_from(path) - ref.offset)
                 units = ref.units or units  # LAMMPS writes the units once a file
                 ref = replace(ref, units=units)
                 rest = uncompressed_size(path) - ref.offset
@@ -151,7 +150,7 @@ def _is_alone(ref: StepRef, rest: int, scanner: Scanner) -> bool:
     numbers = [int(number) for number in re.findall(r"\d+", os.path.basename(ref.path))]
     if ref.step not in numbers or ref.rows == 0 or rest < 0:
         return False
-    if not is_gzipped(ref.path):
+    if not compression(ref.path):
         return is_one_table(ref.path, ref.offset, ref.rows, b"\nITEM:")
     first = scanner.sample(1 << 14)
     lines = first.count(b"\n")

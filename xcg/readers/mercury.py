@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.readers import columns
+from xcg.readers.compressed import most_from
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.index import remembered
 from xcg.readers.table import parse_table, read_table
@@ -23,7 +24,6 @@ from xcg.readers.text import (
     Scanner,
     check_rows,
     first_lines,
-    most_bytes,
     most_text,
     open_binary,
     source_of,
@@ -158,7 +158,7 @@ def _data_steps(path: str) -> Iterator[StepRef]:
                 columns=_ROW_3D if axes == 3 else _ROW_2D,
                 offset=scanner.offset,
             )
-            check_rows(ref, most_bytes(path) - ref.offset)
+            check_rows(ref, most_from(path) - ref.offset)
             for row in range(ref.rows):
                 if not scanner.line():
                     msg = (

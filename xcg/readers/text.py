@@ -1,4 +1,4 @@
-"""Text files, plain or gzipped: lines and blocks of them, and the bytes of one step."""
+"""Text files, plain or compressed: lines and blocks of them, and the bytes of one step."""
 
 from __future__ import annotations
 
@@ -9,16 +9,15 @@ from contextlib import contextmanager
 from typing import BinaryIO
 
 from xcg.compiled.text import BEYOND
+from xcg.readers.compressed import compression, errors, forward, open_compressed, size_of_content
 from xcg.readers.engine import StepRef
-from xcg.readers.gzipped import errors, forward, open_gzipped, size_of_content
 from xcg.scene.schema import SceneError
 
 _FIRST_BLOCK, _BLOCK = 1 << 16, 1 << 22  # small first, as the header is often all that is wanted
 _LONGEST_LINE = 1 << 20  # bytes; a file of one endless line (or a few compressed kilobytes of one) is no text
-_DEFLATE = 1032  # deflate packs at most this many bytes into one
 _SAMPLE = 1 << 14
 _TEXT = 50  # tables of numbers shrink to a fifth, and never to as little as this
-_SLACK = 1 << 26  # bytes that any gzipped text may have
+_SLACK = 1 << 26  # bytes that any compressed text may have
 _MOST_BLANK = 10_000  # lines without a word between two that have some
 _SMALL = 1 << 20  # bytes that are no matter; rows that are missing from small files are named when they are read
 PIECE = 1 << 17  # bytes of text that stay in the processor's cache while they are parsed
@@ -28,14 +27,14 @@ _LONGEST_VALUE = 64  # bytes of one number and the space before it
 
 @contextmanager
 def open_binary(path: str) -> Iterator[BinaryIO]:
-    """Open a file for reading bytes, decompressed when it is gzipped (by its content, not its name).
+    """Open a file for reading bytes, decompressed when it is compressed (by its content, not its name).
 
     Raises
     ------
     SceneError
         While it is open, if the compressed data are damaged or end early.
     """
-    with _damage_named(path), open_gzipped(path) if is_gzipped(path) else open(path, "rb") as stream:
+    with _damage_named(path), open_compressed(path) if compression(path) else open(path, "rb") as stream:
         yield stream
 
 
@@ -49,25 +48,14 @@ def _damage_named(path: str) -> Iterator[None]:
         raise SceneError(msg) from None
 
 
-def is_gzipped(path: str) -> bool:
-    """Tell gzipped files by their first bytes."""
-    with open(path, "rb") as file:
-        return file.read(2) == b"\x1f\x8b"
-
-
 def uncompressed_size(path: str) -> int:
-    """Size of what `open_binary` yields; -1 where a gzipped file does not tell it."""
-    return size_of_content(path) if is_gzipped(path) else os.path.getsize(path)
-
-
-def most_bytes(path: str) -> int:
-    """Count the bytes that `open_binary` can yield at most, whatever a header says."""
-    return os.path.getsize(path) * (_DEFLATE if is_gzipped(path) else 1)
+    """Size of what `open_binary` yields; -1 where a compressed file does not tell it."""
+    return size_of_content(path) if compression(path) else os.path.getsize(path)
 
 
 def most_text(path: str) -> float:
     """Count the bytes of text that a file can hold if it is a table of numbers; more are only good to fill memory."""
-    return os.path.getsize(path) * _TEXT + _SLACK if is_gzipped(path) else math.inf
+    return os.path.getsize(path) * _TEXT + _SLACK if compression(path) else math.inf
 
 
 def check_rows(ref: StepRef, room: int) -> None:
@@ -199,7 +187,7 @@ def body_of(ref: StepRef) -> Iterator[bytes]:
             "values; the file is damaged. Leave it out, or write it again"
         )
         raise SceneError(msg)
-    waits = is_gzipped(ref.path) and not ref.alone
+    waits = compression(ref.path) and not ref.alone
     with _damage_named(ref.path), forward(ref.path, ref.offset) if waits else open_binary(ref.path) as stream:
         if ref.offset:
             stream.seek(ref.offset)
