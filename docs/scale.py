@@ -6,6 +6,7 @@ Run from the root of the repository::
     python -m docs.scale open    /tmp/scale
     python -m docs.scale memory  /tmp/scale --steps 50 200 1000
     python -m docs.scale read    /tmp/scale
+    python -m docs.scale text    /tmp/scale --particles 1000000
     python -m docs.scale convert /tmp/scale --steps 50
     python -m docs.scale overhead --steps 10000
 
@@ -24,11 +25,13 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import dask
 import xarray as xr
@@ -36,7 +39,9 @@ from dask.delayed import Delayed
 from dask.highlevelgraph import HighLevelGraph
 
 import xcg
-from tests.benchmarks import series
+from docs.accuracy import fastest
+from tests.benchmarks import cases, series
+from xcg.readers import ReadOptions
 from xcg.writers import chunks
 
 FIELDS = ["volume_fraction", "velocity", "stress"]
@@ -136,8 +141,7 @@ def memory(folder: Path, counts: Sequence[int], forms: Sequence[str]) -> None:
 
 def reading(folder: Path, particles: int) -> None:
     """Speed of parsers and of whole steps, on one core."""
-    from xcg.readers import ReadOptions, text, vtp
-    from xcg.readers.lammps import Lammps
+    from xcg.readers import vtp
 
     folder.mkdir(parents=True, exist_ok=True)
     (ds,) = series.packings(particles, 1)
@@ -149,20 +153,51 @@ def reading(folder: Path, particles: int) -> None:
         values = 4 * particles * sum(array.components for array in header.arrays)
         rows.append([f"`.vtp`, {encoding}", f"{path.stat().st_size / seconds / MEGA:.0f}",
                      f"{values / seconds / MEGA:.0f}"])  # fmt: skip
-    for kind, content in zip(("particles", "contacts"), series.dump_texts(ds, 0), strict=True):
+    table(["", "bytes of the file (MB/s)", "bytes of values (MB/s)"], rows)
+
+
+def parsing(folder: Path, particles: int) -> None:
+    """Speed of reading text, plain and compressed, by one thread and by two; of other parsers; and of the fields."""
+    from xcg.readers import text
+    from xcg.readers.compressed import _zstd
+    from xcg.readers.lammps import Lammps
+    from xcg.readers.mercury import Mercury
+
+    folder.mkdir(parents=True, exist_ok=True)
+    (ds,) = series.packings(particles, 1)
+    packers: dict[str, Callable[[bytes], bytes]] = {"": bytes, ".gz": partial(gzip.compress, compresslevel=6)}
+    if _zstd() is not None:
+        packers[".zst"] = _zstd().compress
+    texts = dict(zip(("p.0.dump", "c.0.dump"), series.dump_texts(ds, 0), strict=True))
+    texts["m.fstat"] = series.fstat_text(ds)
+    rows = []
+    for name, content in texts.items():
+        engine, kind = Mercury() if name == "m.fstat" else Lammps(), "particles" if name == "p.0.dump" else "contacts"
         raw = content.encode()
-        for suffix, data in (("", raw), (".gz", gzip.compress(raw))):
-            path = folder / f"{kind}.0.dump{suffix}"
-            path.write_bytes(data)
-            (ref,) = getattr(Lammps(), f"index_{kind}")([str(path)], ReadOptions())
-            seconds = processor(partial(getattr(Lammps(), f"read_{kind}"), ref, ReadOptions()), 3)
-            rows.append([f"LAMMPS {kind}{suffix}", f"{len(data) / seconds / MEGA:.0f}",
-                         f"{len(raw) / seconds / MEGA:.0f}"])  # fmt: skip
-        body = b"".join(text.body_of(ref))
-        for name, work in parsers(body, len(ref.columns)).items():
-            seconds = processor(work, 3)
-            rows.append([f"- {name}, {kind}", "", f"{len(body) / seconds / MEGA:.0f}"])
-    table(["", "bytes of the file (MB/s)", "bytes of values or text (MB/s)"], rows)
+        for suffix, pack in packers.items():
+            path = folder / f"{name}{suffix}"
+            path.write_bytes(pack(raw))
+            (ref,) = getattr(engine, f"index_{kind}")([str(path)], ReadOptions())
+            size = ref.length / MEGA
+            read = [
+                partial(getattr(engine, f"read_{kind}"), ref, ReadOptions(alone=threads)) for threads in (False, True)
+            ]
+            one = processor(read[0])
+            unpacked = processor(lambda ref=ref: deque(text.body_of(ref), 0))
+            with mock.patch("xcg.readers.table.THREADS", 2):
+                alone, both = fastest(read, 5)
+            rows.append([f"{kind} of {engine.name}{suffix}", f"{size:.0f}", f"{size / unpacked:.0f}",
+                         f"{size / one:.0f}", f"{alone / both:.2f}", f"{one:.2f}"])  # fmt: skip
+            path.unlink()
+            if not suffix:
+                body = raw[ref.offset :].replace(b" \n", b"\n").replace(b"\n", b" \n")  # as these parsers are told
+                for way, work in parsers(body, len(ref.columns)).items():
+                    seconds = processor(work, 2)
+                    rows.append([f"- all columns by {way}", "", "", f"{size / seconds:.0f}", "", f"{seconds:.2f}"])
+    seconds = processor(partial(cases.fields, ds), 2)
+    rows.append([f"all fields of {particles:,} grains", "", "", "", "", f"{seconds:.2f}"])
+    table(["", "text (MB)", "read and unpacked (MB/s)", "read and parsed (MB/s)", "two threads, times as fast",
+           "processor time (s)"], rows)  # fmt: skip
 
 
 def parsers(body: bytes, columns: int) -> dict[str, Callable[[], object]]:
@@ -267,10 +302,10 @@ def overhead(steps: int) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(dest="command", required=True)
-    for name in ("write", "open", "memory", "read", "convert"):
+    for name in ("write", "open", "memory", "read", "text", "convert"):
         command = commands.add_parser(name)
         command.add_argument("folder", type=Path)
-        if name in ("write", "read"):
+        if name in ("write", "read", "text"):
             command.add_argument("--particles", type=int, default=100_000)
         if name in ("write", "convert"):
             command.add_argument("--steps", type=int, default=1000 if name == "write" else 10)
@@ -286,6 +321,8 @@ def main() -> None:
         opening(given.folder)
     elif given.command == "read":
         reading(given.folder, given.particles)
+    elif given.command == "text":
+        parsing(given.folder, given.particles)
     elif given.command == "convert":
         converting(given.folder, given.steps)
     elif given.command == "overhead":

@@ -123,3 +123,15 @@ def dump_texts(ds: xr.Dataset, step: int) -> tuple[str, str]:
     box = "ITEM: BOX BOUNDS pp pp pp\n" + "".join(f"{low:.10g} {high:.10g}\n" for low, high in edges)
     time = f"ITEM: TIME\n{0.1 * step:g}\n"
     return dump_text(particles, step=step, before=time, box=box), pairs_text(contacts, step=step, before=time, box=box)
+
+
+def fstat_text(ds: xr.Dataset) -> str:
+    """The contacts of a step as MercuryDPM writes them, with 17 digits."""
+    one = ds.isel(time=0)
+    force, point = one["contact_force"].to_numpy(), one["contact_point"].to_numpy()
+    size = np.linalg.norm(force, axis=1)[:, None]
+    normal = force / np.where(size > 0, size, 1)
+    numbers = [point, 0 * size, 0 * size, size, 0 * size, normal, normal]
+    form = "0.01 %d %d " + " ".join(["%.17g"] * 13) + "\n"
+    rows = np.column_stack([one["contact_i"], one["contact_j"], *numbers]).tolist()
+    return "# 0.01 1\n# 0 0 0 4 4 2\n# 0.25 0.5 0 0 0 0\n" + "".join([form % tuple(row) for row in rows])
