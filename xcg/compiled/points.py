@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled._jit import leaf
+from xcg.compiled.cells import points_in_ball
 from xcg.compiled.reach import BATCH, NODE, OTHER, Q2, WEIGHT, X, Y, Z, batch_reaches, nodes_in_ball, periodic_images
 from xcg.compiled.simd import add4
 from xcg.compiled.smoothing import fill_values
@@ -76,7 +77,9 @@ class Grains(NamedTuple):
 
 
 @leaf
-def deposit(grains, nodes, kernel, level, still, meet, by_gradient, cubes, records, lists, moments, reference):
+def deposit(
+    grains, nodes, rows, cells, kernel, level, still, meet, by_gradient, cubes, records, lists, moments, reference
+):  # fmt: skip
     """Add grains to the nodes within their support.
 
     Parameters
@@ -85,6 +88,8 @@ def deposit(grains, nodes, kernel, level, still, meet, by_gradient, cubes, recor
         The grains.
     nodes : Nodes
         A block of nodes.
+    rows, cells : Rows and None, or None and Cells
+        Where they are: on a mesh, or anywhere. None leaves code out when the loop is compiled, here and below.
     kernel : KernelCode
         The smoothing function.
     level : int
@@ -108,20 +113,17 @@ def deposit(grains, nodes, kernel, level, still, meet, by_gradient, cubes, recor
     reference : (nodes of the block, 3)
         Reference velocity of each node, NaN where no grain has reached it; set here.
     """
-    low, high, steps, active, period = nodes
+    begin, end, active, period = nodes.begin, nodes.end, nodes.active, nodes.period
     kind, spread, table, norm = kernel
     values, numbers = lists
-    begin = (low[0] * steps[0], low[1] * steps[1], low[2] * steps[2])
-    end = ((high[0] - 1) * steps[0], (high[1] - 1) * steps[1], (high[2] - 1) * steps[2])
-    per_steps = (1.0 / steps[0], 1.0 / steps[1], 1.0 / steps[2])
     reach = (1.0 if active[0] else 0.0, 1.0 if active[1] else 0.0, 1.0 if active[2] else 0.0)
     q2, weight, columns = values[Q2], values[WEIGHT], grains.constants.shape[1]
     for batch in range(grains.batches.shape[0]):
         if not batch_reaches(grains.batches, batch, begin, end, active, period):
             continue
-        rows = grains.order[batch * BATCH : (batch + 1) * BATCH]
-        _list_grains(rows, grains, records)
-        for i in range(rows.size):
+        listed = grains.order[batch * BATCH : (batch + 1) * BATCH]
+        _list_grains(listed, grains, records)
+        for i in range(listed.size):
             p = np.uint64(records[i, GROUP])
             x0 = records[i, PLACE] if active[0] else 0.0
             y0 = records[i, PLACE + 1] if active[1] else 0.0
@@ -137,7 +139,11 @@ def deposit(grains, nodes, kernel, level, still, meet, by_gradient, cubes, recor
                     y = y0 + image_y * period[1] if image_y else y0
                     for image_z in range(first_z, last_z + 1):
                         z = z0 + image_z * period[2] if image_z else z0
-                        hits = nodes_in_ball(x, y, z, nodes, per_steps, lists)
+                        hits = 0
+                        if rows is not None:
+                            hits = nodes_in_ball(x, y, z, rows, lists)
+                        if cells is not None:
+                            hits = points_in_ball(x, y, z, cells, lists)
                         fill_values(kind, spread, table, norm, by_gradient, q2, hits, weight)
                         if level > 0:
                             _add_flow(p, records, i, lists, hits, level, still, moments, reference)

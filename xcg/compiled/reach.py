@@ -38,25 +38,42 @@ MOST_CELLS = 1 << 20
 
 
 class Nodes(NamedTuple):
-    """The nodes that are filled, and what surrounds them: tuples of one entry for each axis.
+    """A block of nodes that is filled, and what surrounds it: tuples of one entry for each axis.
+
+    Where its nodes are say `Rows` of a mesh, or `xcg.compiled.cells.Cells` of points that form none. Loops take both,
+    one of which is None, which leaves its code out when they are compiled.
 
     Attributes
     ----------
-    low, high : tuple of int
-        The block of nodes low <= (ix, iy, iz) < high, so that blocks can be filled one by one, or at the same time.
-    steps : tuple of float
-        Spacing.
+    begin, end : tuple of float
+        Places of the lowest and the highest node.
     active : tuple of bool
         Whether distance along an axis counts.
     period : tuple of float
         Period, infinity where there is none.
     """
 
+    begin: tuple[float, float, float]
+    end: tuple[float, float, float]
+    active: tuple[bool, bool, bool]
+    period: tuple[float, float, float]
+
+
+class Rows(NamedTuple):
+    """Nodes of a mesh: tuples of one entry for each axis.
+
+    Attributes
+    ----------
+    low, high : tuple of int
+        The block low <= (ix, iy, iz) < high, so that blocks can be filled one by one, or at the same time.
+    steps, per_steps : tuple of float
+        Spacing, and nodes per length.
+    """
+
     low: tuple[int, int, int]
     high: tuple[int, int, int]
     steps: tuple[float, float, float]
-    active: tuple[bool, bool, bool]
-    period: tuple[float, float, float]
+    per_steps: tuple[float, float, float]
 
 
 class Lists(NamedTuple):
@@ -87,15 +104,16 @@ def padded(count):
     return (count + PAD - 1) // PAD * PAD
 
 
-def lists_for(nodes: Nodes, reach: Sequence[float], real: str = "float64") -> Lists:
-    """Make lists for anything that reaches this far, from end to end, along the active axes.
+def lists_for(rows: Rows, active: Sequence[bool], reach: Sequence[float], real: str = "float64") -> Lists:
+    """Make lists for anything that reaches this far, from end to end, along the active axes of a mesh.
 
     The integers come with tables of the indices of the nodes of a row and of the rows of a plane.
     """
-    low, high, most = nodes.low, nodes.high, 1
-    for first, end, far, step, active in zip(low, high, reach, nodes.steps, nodes.active, strict=True):
+    low, high, steps, _ = rows
+    most = 1
+    for first, end, far, step, counts in zip(low, high, reach, steps, active, strict=True):
         # no more than there are: along an axis with one node the spacing means nothing
-        most *= min(end - first, int(far / step) + 2 if active else 2)
+        most *= min(end - first, int(far / step) + 2 if counts else 2)
     room = padded(most) + PAD
     numbers = np.zeros((NUMBERS, room), "int32")
     numbers[OF_Z] = np.arange(room)
@@ -104,17 +122,15 @@ def lists_for(nodes: Nodes, reach: Sequence[float], real: str = "float64") -> Li
 
 
 @leaf
-def nodes_in_ball(x, y, z, nodes, per_steps, lists):
-    """List the nodes closer than 1 to a point.
+def nodes_in_ball(x, y, z, rows, lists):
+    """List the nodes of a mesh closer than 1 to a point.
 
     Parameters
     ----------
     x, y, z : float
         The point.
-    nodes : Nodes
+    rows : Rows
         Indices are counted within this block.
-    per_steps : tuple
-        Nodes per length.
     lists : Lists
         Written: numbers[NODE], the indices, and values[Q2], squared distances, and values[X], values[Y] and values[Z],
         the point minus the node.
@@ -124,7 +140,7 @@ def nodes_in_ball(x, y, z, nodes, per_steps, lists):
     int
         Number of nodes listed.
     """
-    low, high, steps = nodes.low, nodes.high, nodes.steps
+    low, high, steps, per_steps = rows
     values, numbers = lists.values, lists.numbers
     x0, x1 = node_range(x - 1.0, x + 1.0, per_steps[0], low[0], high[0])
     y0, y1 = node_range(y - 1.0, y + 1.0, per_steps[1], low[1], high[1])
@@ -171,8 +187,10 @@ def nodes_in_ball(x, y, z, nodes, per_steps, lists):
 
 
 @leaf
-def nodes_around_segment(x, y, z, bx, by, bz, per_length, nodes, per_steps, lists):
-    """List the nodes closer than 1 to the segment from a point to that point plus b, in the precision of the lists.
+def nodes_around_segment(x, y, z, bx, by, bz, per_length, rows, lists):
+    """List the nodes of a mesh closer than 1 to the segment from a point to that point plus b.
+
+    Numbers are in the precision of the lists.
 
     Along the row of nodes at (dx, dy) from the start, the end u of the reach is where ``u bz + sqrt(1 - |d - u b|^2)``,
     seen along z, is largest for 0 <= u <= 1.
@@ -183,7 +201,7 @@ def nodes_around_segment(x, y, z, bx, by, bz, per_length, nodes, per_steps, list
         Start of the segment, and its end relative to it.
     per_length : float
         1 / its length, or 0.
-    nodes, per_steps
+    rows : Rows
         As in `nodes_in_ball`.
     lists : Lists
         Written: numbers[NODE], the indices, values[Q2], squared distances to the start, and values[ALONG], the foot of
@@ -194,7 +212,7 @@ def nodes_around_segment(x, y, z, bx, by, bz, per_length, nodes, per_steps, list
     int
         Number of nodes listed.
     """
-    low, high, steps = nodes.low, nodes.high, nodes.steps
+    low, high, steps, per_steps = rows
     values, numbers = lists.values, lists.numbers
     x0, x1 = node_range(x + min(0.0, bx) - 1.0, x + max(0.0, bx) + 1.0, per_steps[0], low[0], high[0])
     y0, y1 = node_range(y + min(0.0, by) - 1.0, y + max(0.0, by) + 1.0, per_steps[1], low[1], high[1])

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled._jit import leaf
+from xcg.compiled.cells import points_around_segment
 from xcg.compiled.contacts import AHEAD, side
 from xcg.compiled.reach import (
     ALONG,
@@ -207,7 +208,7 @@ class Segments(NamedTuple):
 
 
 @leaf
-def deposit_segments(segments, nodes, kernel, lists, closed, rest, moments):
+def deposit_segments(segments, nodes, rows, cells, kernel, lists, closed, rest, moments):
     """Add force x branch of each segment to the nodes that its tube of radius 1 reaches.
 
     Parameters
@@ -216,6 +217,8 @@ def deposit_segments(segments, nodes, kernel, lists, closed, rest, moments):
         The segments.
     nodes : Nodes
         A block of nodes.
+    rows, cells : Rows and None, or None and Cells
+        Where they are: on a mesh, or anywhere. None leaves code out when the loop is compiled, here and below.
     kernel : KernelCode
         The smoothing function.
     lists : Lists
@@ -227,13 +230,10 @@ def deposit_segments(segments, nodes, kernel, lists, closed, rest, moments):
     moments : (groups, nodes of the block, 9)
         Sums, added to: force component by branch component, row by row.
     """
-    low, high, steps, active, period = nodes
+    begin, end, active, period = nodes.begin, nodes.end, nodes.active, nodes.period
     kind, spread, table, norm = kernel
     values, numbers = lists
     records = segments.records
-    begin = (low[0] * steps[0], low[1] * steps[1], low[2] * steps[2])
-    end = ((high[0] - 1) * steps[0], (high[1] - 1) * steps[1], (high[2] - 1) * steps[2])
-    per_steps = (1.0 / steps[0], 1.0 / steps[1], 1.0 / steps[2])
     reach = (1.0 if active[0] else 0.0, 1.0 if active[1] else 0.0, 1.0 if active[2] else 0.0)
     along, q2, w = values[ALONG], values[Q2], values[WEIGHT]
     here = True
@@ -270,7 +270,11 @@ def deposit_segments(segments, nodes, kernel, lists, closed, rest, moments):
                 y = y0 + image_y * period[1] if image_y else y0
                 for image_z in range(first_z, last_z + 1):
                     z = z0 + image_z * period[2] if image_z else z0
-                    hits = nodes_around_segment(x, y, z, bx, by, bz, per_length, nodes, per_steps, lists)
+                    hits = 0
+                    if rows is not None:
+                        hits = nodes_around_segment(x, y, z, bx, by, bz, per_length, rows, lists)
+                    if cells is not None:
+                        hits = points_around_segment(x, y, z, bx, by, bz, per_length, cells, lists)
                     if points:
                         fill_gauss(kind, spread, table, GAUSS_POINTS, GAUSS_WEIGHTS, points, length, along, q2, hits, w)
                     elif closed is not None:

@@ -197,7 +197,10 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
     Source: Goldhirsch (2010), eqs. 4 to 14; walls: Weinhart et al. (2012); spin and energy: Babic (1997).
     """
     if asked.at:
-        msg = f"at={asked.at!r}: no derivative is taken along a fixed axis; resolve it, or leave it out to average"
+        msg = (
+            f"at= names {list(asked.at)}: no derivative is taken along a fixed axis, or between points; resolve it, or "
+            "leave it out to average"
+        )
         raise ValueError(msg)
     if isinstance(asked.width, Mapping):
         msg = "contacts between grains of different widths exchange momentum at a distance: give one width for all"
@@ -211,7 +214,7 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
     request = asked.ask(fields=list(dict.fromkeys(needed)), width=asked.width)
     plan = make_plan(ds, request)
     grid = plan.deposit.grid
-    short = [a for a in grid.axes if len(grid.nodes[a]) < 5]
+    short = [a for a, size in zip(grid.dims, grid.sizes, strict=True) if size < 5]
     if short:
         msg = f"axes {short} have fewer than five nodes: differences of fourth order need them; lower spacing="
         raise ValueError(msg)

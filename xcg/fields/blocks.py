@@ -1,19 +1,29 @@
-"""Threads within one step: for scenes in memory or of one chunk of time, as several chunks share the processors."""
+"""Blocks of nodes, which are filled one by one, or by several threads within one step.
+
+Threads are for scenes in memory or of one chunk of time, as several chunks share the processors.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from itertools import pairwise, product
-from typing import TypeVar
+from typing import Any, Protocol, TypeAlias, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+
+from xcg.compiled.cells import Cells
+from xcg.compiled.reach import Lists, Nodes, Rows, lists_for
 
 T = TypeVar("T")
 R = TypeVar("R")
-NodeBlock = tuple[tuple[int, int, int], tuple[int, int, int]]
+Taken: TypeAlias = tuple[Nodes, Rows | None, Cells | None]  # nodes as loops take them
+
+# Sums are made over blocks of about this many nodes, so that memory holds those of a few blocks, not of all nodes.
+BLOCK_NODES = 110_000
 
 
 def for_each(items: Sequence[T], do: Callable[[T], R], threads: int) -> list[R]:
@@ -33,8 +43,74 @@ def for_each(items: Sequence[T], do: Callable[[T], R], threads: int) -> list[R]:
                 other.cancel()
 
 
-def blocks(shape: Sequence[int], size: int, threads: int) -> list[NodeBlock]:
-    """Boxes (first nodes, one past the last) that cover a mesh: compact, of at most about `size` nodes.
+def triple(values: ArrayLike) -> tuple[Any, Any, Any]:
+    """Return three numbers, one for each axis, as loops take them."""
+    x, y, z = np.asarray(values).tolist()
+    return x, y, z
+
+
+class NodeBlock(Protocol):
+    """Nodes that are filled at one time, as they are neighbours in space."""
+
+    @property
+    def count(self) -> int:
+        """Number of nodes."""
+
+    @property
+    def places(self) -> NDArray:
+        """Where the nodes are among all nodes of the result, unsigned (nodes,)."""
+
+    def nodes(self, origin: NDArray, unit: float, active: NDArray, period: NDArray) -> Taken:
+        """Return the nodes as loops take them.
+
+        Parameters
+        ----------
+        origin, unit : array (3,), float
+            What lengths are relative to, and measured in (m).
+        active, period : array (3,)
+            Axes along which distance counts, and periods in the unit.
+        """
+
+    def lists(self, taken: Taken, reach: Sequence[float], real: str = "float64") -> Lists:
+        """Return scratch to list those nodes that something of this length (3,), from end to end, reaches."""
+
+
+@dataclass(frozen=True)
+class MeshBlock:
+    """Nodes low <= (ix, iy, iz) < high of a mesh of a shape, with distances between them (m)."""
+
+    low: tuple[int, int, int]
+    high: tuple[int, int, int]
+    shape: tuple[int, int, int]
+    steps: NDArray
+
+    @property
+    def count(self) -> int:
+        """Number of nodes."""
+        return math.prod(np.subtract(self.high, self.low).tolist())
+
+    @property
+    def places(self) -> NDArray:
+        """Where the nodes are among all nodes of the mesh, numbered row by row."""
+        x, y, z = (np.arange(low, high, dtype="uint64") for low, high in zip(self.low, self.high, strict=True))
+        return ((x[:, None, None] * self.shape[1] + y[:, None]) * self.shape[2] + z).ravel()
+
+    def nodes(self, origin: NDArray, unit: float, active: NDArray, period: NDArray) -> Taken:
+        """Return the nodes as loops take them; the origin is the first node of the mesh."""
+        steps = np.where(np.array(self.shape) > 1, self.steps / unit, 1.0)  # that of one node means nothing
+        begin, end = np.array(self.low) * steps, (np.array(self.high) - 1) * steps
+        nodes = Nodes(triple(begin), triple(end), triple(active), triple(period))
+        return nodes, Rows(self.low, self.high, triple(steps), triple(1.0 / steps)), None
+
+    def lists(self, taken: Taken, reach: Sequence[float], real: str = "float64") -> Lists:
+        """Return scratch to list the nodes that something of this length reaches."""
+        nodes, rows, _ = taken
+        assert rows is not None
+        return lists_for(rows, nodes.active, reach, real)
+
+
+def mesh_blocks(shape: tuple[int, int, int], steps: NDArray, size: int, threads: int) -> list[MeshBlock]:
+    """Cover a mesh with blocks: compact, of at most about `size` nodes.
 
     At least two for each thread, so that none waits for long.
     """
@@ -44,10 +120,4 @@ def blocks(shape: Sequence[int], size: int, threads: int) -> list[NodeBlock]:
         parts[np.argmax(np.where(parts < shape, np.asarray(shape) / parts / (1, 1, 2), 0.0))] += 1
     edges = [np.linspace(0, n, p + 1).astype(int).tolist() for n, p in zip(shape, parts, strict=True)]
     (x, y, z) = (list(pairwise(ends)) for ends in edges)
-    return [((i[0], j[0], k[0]), (i[1], j[1], k[1])) for i, j, k in product(x, y, z)]
-
-
-def places(block: NodeBlock, shape: Sequence[int]) -> NDArray:
-    """Where the nodes of a box are among all nodes of a mesh, numbered row by row."""
-    x, y, z = (np.arange(low, high, dtype="uint64") for low, high in zip(*block, strict=True))
-    return ((x[:, None, None] * shape[1] + y[:, None]) * shape[2] + z).ravel()
+    return [MeshBlock((i[0], j[0], k[0]), (i[1], j[1], k[1]), shape, steps) for i, j, k in product(x, y, z)]

@@ -146,15 +146,11 @@ def _in_own_names(ds: xr.Dataset, request: Request) -> tuple[Request, Callable[[
 def label_fields(ds: xr.Dataset, plan: Plan, arrays: Mapping[str, Any], call: str) -> xr.Dataset:
     """Label what a plan gave as a result of the scene."""
     system = plan.setup.unit_system
-    grid = plan.deposit.grid
     length = units_of((1, 0, 0), system)
     coords: dict[str, Any] = {name: ds[name].variable for name in ("time", "step") if name in ds.coords}
-    for a in COMPONENTS:
-        attrs = {"units": length, "long_name": f"position along {a}", "axis": a.upper()}
-        if a in grid.nodes:
-            coords[a] = (a, grid.nodes[a], attrs)
-        elif a in grid.at:
-            coords[a] = ((), grid.at[a], attrs)
+    for name, coord in plan.deposit.grid.coords.items():
+        attrs = {"units": length, "long_name": f"position along {name}", "axis": name.upper()}
+        coords[name] = (coord.dims, coord, attrs | coord.attrs if name in COMPONENTS else coord.attrs)
     if plan.deposit.by:
         attrs = {"long_name": f"phase by {plan.deposit.by}"}
         coords["phase"] = ("phase", ["bulk", *map(str, plan.deposit.groups)], attrs)

@@ -1,4 +1,4 @@
-"""Sums over grains and contacts at the nodes: from a frame to its moments, box by box."""
+"""Sums over grains and contacts at the nodes: from a frame to its moments, block by block."""
 
 from __future__ import annotations
 
@@ -6,17 +6,16 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled import points as kernel
 from xcg.compiled.arrays import transpose_columns
-from xcg.compiled.reach import BATCH, batches_of, lists_for, spatial_order
+from xcg.compiled.reach import BATCH, batches_of, spatial_order
 from xcg.compiled.segments import SEGMENT, ContactRows, Segments, closed_for, deposit_segments, list_segments
 from xcg.compiled.smoothing import KernelCode
-from xcg.fields.blocks import NodeBlock, for_each
+from xcg.fields.blocks import NodeBlock, for_each, triple
 from xcg.fields.grid import Grid
 from xcg.fields.moments import CUTOFF_POWERS, MOMENTS, Moment
 from xcg.fields.power import WALL_VELOCITY, velocities_of_walls
@@ -25,16 +24,8 @@ from xcg.scene.contacts import Contacts
 from xcg.scene.frame import check_finite, phase_of, without_frozen
 from xcg.scene.schema import ROTATION, Frame
 
-# adds one pass to the sums (groups, nodes, columns) at the nodes of a box; the last array is the reference velocity
+# adds one pass to the sums (groups, nodes, columns) at the nodes of a block; the last array is the reference velocity
 _Fill = Callable[[NodeBlock, NDArray, NDArray], None]
-
-# Sums are made over boxes of about this many nodes, so that memory holds those of a few boxes, not of the mesh.
-BLOCK_NODES = 110_000
-
-
-def _tuple(values: Sequence[Any] | NDArray) -> tuple[Any, Any, Any]:
-    x, y, z = np.asarray(values).tolist()
-    return x, y, z
 
 
 def _side_by_side(parts: Sequence[NDArray], count: int) -> NDArray:
@@ -113,8 +104,8 @@ class _Deposit:
         self.others = self.phases + 1  # the last one for walls
         self.cutoffs = np.resize(spec.cutoffs, self.phases)
         self.active = spec.grid.active
-        self.period, self.wrap = np.where(self.active, period, np.inf), _tuple(period)
-        self.origin = _tuple(self.spec.grid.origin)
+        self.period, self.wrap = np.where(self.active, period, np.inf), triple(period)
+        self.origin = triple(self.spec.grid.origin)
         self.order = self._in_space(self.position)
 
     def passes(self, threads: int) -> list[_Pass]:
@@ -359,24 +350,24 @@ def _fill_points(
     grains: kernel.Grains, mesh: Mesh, weights: KernelCode, flags: tuple[int, *tuple[bool | None, ...]],
     block: NodeBlock, sums: NDArray, reference: NDArray,
 ) -> None:  # fmt: skip
-    nodes = mesh.nodes_of(block)
+    taken = mesh.nodes_of(block)
     records = np.empty((BATCH, sums.shape[2] + kernel.GRAIN))
-    kernel.deposit(grains, nodes, weights, *flags, records, lists_for(nodes, [2.0] * 3), sums, reference)
+    kernel.deposit(grains, *taken, weights, *flags, records, block.lists(taken, [2.0] * 3), sums, reference)
 
 
 def _fill_segments(
     segments: Segments, mesh: Mesh, weights: KernelCode, reach: Sequence[float], real: str, closed: bool, rest: bool,
     block: NodeBlock, sums: NDArray, _: NDArray,
 ) -> None:  # fmt: skip
-    nodes = mesh.nodes_of(block)
-    lists = lists_for(nodes, reach, real)
+    taken = mesh.nodes_of(block)
+    lists = block.lists(taken, reach, real)
     scratch = closed_for(lists.values.shape[1]) if closed else None
-    deposit_segments(segments, nodes, weights, lists, scratch, rest, sums)
+    deposit_segments(segments, *taken, weights, lists, scratch, rest, sums)
 
 
 @dataclass(frozen=True)
 class BlockSums:
-    """Sums at the nodes of one box, each pass (groups, nodes, columns), and the velocity (nodes, 3) they refer to.
+    """Sums at the nodes of one block, each pass (groups, nodes, columns), and the velocity (nodes, 3) they refer to.
 
     `reached` says how many nodes grains with flow columns reach.
     """
@@ -426,18 +417,17 @@ class BlockSums:
 
 @dataclass(frozen=True)
 class Sums:
-    """The sums of one frame, prepared: computed for one box of nodes after the other, in any order or at once.
+    """The sums of one frame, prepared: computed for one block of nodes after the other, in any order or at once.
 
-    A node's sums have one order whatever the box, so that their bits are the same.
+    A node's sums have one order whatever the block, so that their bits are the same.
     """
 
     spec: DepositSpec
     passes: Sequence[_Pass]
 
     def over(self, block: NodeBlock) -> BlockSums:
-        """Compute the sums at the nodes of a box."""
-        low, high = block
-        reference = np.full((math.prod(np.subtract(high, low).tolist()), 3), np.nan)
+        """Compute the sums at the nodes of a block."""
+        reference = np.full((block.count, 3), np.nan)
         filled = [run(block, reference) for run in self.passes]
         unreached = np.isnan(reference)
         reference[unreached] = 0.0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
@@ -14,8 +13,8 @@ from numpy.typing import NDArray
 
 from xcg.compiled import THREADS
 from xcg.fields import registry
-from xcg.fields.blocks import NodeBlock, blocks, for_each, places
-from xcg.fields.deposit import BLOCK_NODES, BlockSums, sums_of_frame
+from xcg.fields.blocks import BLOCK_NODES, NodeBlock, for_each
+from xcg.fields.deposit import BlockSums, sums_of_frame
 from xcg.fields.grid import check_mesh
 from xcg.fields.plan import Plan, scale_of
 from xcg.fields.program import program_for
@@ -66,10 +65,10 @@ def _compute_step(
     period = periods(box, plan.setup.periodic, source)
     check_mesh(frame["position"], plan.deposit.grid, max(plan.deposit.cutoffs), period, source)
     sums = sums_of_frame(frame, plan.deposit, period, scale_of(plan, box, source), source, threads)
-    shape = plan.deposit.grid.shape
+    grid = plan.deposit.grid
     phases = plan.phases if plan.deposit.by else 1
-    rows = {name: a.reshape(math.prod(shape), phases, *a.shape[len(plan.dims) :]) for name, a in out.items()}
-    options = replace(plan.options, wrapped=plan.deposit.grid.fills(period))  # the box may change
+    rows = {name: a.reshape(grid.count, phases, *a.shape[len(plan.dims) :]) for name, a in out.items()}
+    options = replace(plan.options, wrapped=grid.fills(period))  # the box may change
     program = program_for(plan.fields, plan.options, len(plan.deposit.groups))
     traced = program.fields if program else ()
     untraced = tuple(name for name in plan.fields if name not in traced)
@@ -77,7 +76,7 @@ def _compute_step(
     reached: list[int] = []
 
     def fill(part: NodeBlock) -> None:
-        found, place = sums.over(part), places(part, shape)
+        found, place = sums.over(part), part.places
         reached.append(found.reached)
         if program and (remaining := program.run(found, place, rows)).size:
             evaluate(traced, found, place, remaining)
@@ -90,7 +89,7 @@ def _compute_step(
             rows[name][place[nodes]] = values.swapaxes(0, 1)
 
     whole = registry.whole_grid(plan.options)
-    for_each([((0, 0, 0), shape)] if whole else blocks(shape, BLOCK_NODES, threads), fill, threads)
+    for_each(grid.blocks(grid.count, 1) if whole else grid.blocks(BLOCK_NODES, threads), fill, threads)
     if plan.options.temperature == "unbiased":
         _warn_of_unknown(rows, sum(reached), plan.kernel.width, source)
 

@@ -1,13 +1,17 @@
-"""Where fields are evaluated: volumes, planes, lines and points, with the other axes averaged exactly."""
+"""Where fields are evaluated: on meshes of volumes, planes and lines, with the other axes averaged exactly."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.fields.blocks import NodeBlock, mesh_blocks
 from xcg.scene.plausible import _SAMPLE
 from xcg.scene.schema import COMPONENTS
 from xcg.scene.warn import warn_once, warn_user
@@ -17,8 +21,85 @@ _MOST_OF_ONE_AXIS = 2**27
 _FINEST = 1e-9  # least spacing, in radii of the support
 
 
+class Grid(Protocol):
+    """Where fields are evaluated: nodes on a mesh (`RegularGrid`), or anywhere (`xcg.fields.points.Points`)."""
+
+    @property
+    def seen(self) -> str:
+        """Axes along which distance to a node counts."""
+
+    @property
+    def active(self) -> NDArray:
+        """Which of the three axes are seen (3,)."""
+
+    @property
+    def averaged(self) -> str:
+        """Axes that are integrated over and divided by their extent."""
+
+    @property
+    def axes(self) -> str:
+        """Axes that are dimensions of the result."""
+
+    @property
+    def fitted(self) -> str:
+        """Those of them along which the nodes were laid around the particles."""
+
+    @property
+    def cuts(self) -> Mapping[str, tuple[float, float]]:
+        """Lowest and highest coordinate along each axis that is fixed, not resolved (m)."""
+
+    @property
+    def dims(self) -> tuple[str, ...]:
+        """Dimensions that the nodes have in results."""
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Lengths of these dimensions."""
+
+    @property
+    def count(self) -> int:
+        """Number of nodes."""
+
+    @property
+    def coords(self) -> Mapping[str, xr.Variable]:
+        """Coordinates of results."""
+
+    @property
+    def origin(self) -> NDArray:
+        """Return the place that loops take others relative to (3,)."""
+
+    @property
+    def lower(self) -> NDArray:
+        """Lower bounds of the nodes (3,)."""
+
+    @property
+    def upper(self) -> NDArray:
+        """Upper bounds of the nodes (3,)."""
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Number of nodes along x, y, z, for differences between neighbours."""
+
+    @property
+    def spacing(self) -> Mapping[str, float]:
+        """Distance of neighbours along each axis that has any (m)."""
+
+    @property
+    def steps(self) -> NDArray:
+        """Distance by which loops count nodes (3,), infinity where they do not."""
+
+    def fills(self, period: NDArray) -> tuple[bool, bool, bool]:
+        """Tell along which axes the nodes fill a period (3,), so that the last is next to the first."""
+
+    def blocks(self, size: int, threads: int) -> Sequence[NodeBlock]:
+        """Divide the nodes into blocks of at most about `size`, for some threads."""
+
+    def describe(self) -> dict[str, str]:
+        """Say where the nodes are."""
+
+
 @dataclass(frozen=True)
-class Grid:
+class RegularGrid:
     """Nodes on a regular mesh.
 
     Attributes
@@ -45,6 +126,26 @@ class Grid:
     fitted: str = ""
 
     @property
+    def active(self) -> NDArray:
+        """Which of the three axes are seen (3,)."""
+        return np.array([a in self.seen for a in COMPONENTS])
+
+    @property
+    def count(self) -> int:
+        """Number of nodes."""
+        return math.prod(self.sizes)
+
+    @property
+    def dims(self) -> tuple[str, ...]:
+        """Resolved axes."""
+        return tuple(self.axes)
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Number of nodes along each resolved axis."""
+        return tuple(len(self.nodes[a]) for a in self.axes)
+
+    @property
     def seen(self) -> str:
         """Axes along which distance to a node counts: resolved or fixed."""
         return "".join(a for a in COMPONENTS if a in self.nodes or a in self.at)
@@ -61,14 +162,41 @@ class Grid:
         return np.array([self.nodes[a][0] if a in self.nodes else self.at.get(a, 0.0) for a in COMPONENTS])
 
     @property
+    def lower(self) -> NDArray:
+        """First node (3,)."""
+        return self.origin
+
+    @property
+    def upper(self) -> NDArray:
+        """Last node (3,)."""
+        return self.origin + (np.array(self.shape) - 1) * self.steps
+
+    @property
     def steps(self) -> NDArray:
         """Spacing (3,); 1 along axes that are not resolved."""
         return np.array([self.spacing.get(a, 1.0) for a in COMPONENTS])
 
     @property
-    def active(self) -> NDArray:
-        """Which of the three axes are seen (3,)."""
-        return np.array([a in self.seen for a in COMPONENTS])
+    def cuts(self) -> dict[str, tuple[float, float]]:
+        """Coordinate of each fixed axis, twice (m)."""
+        return {a: (value, value) for a, value in self.at.items()}
+
+    @property
+    def coords(self) -> dict[str, xr.Variable]:
+        """Nodes of resolved axes, and coordinates of fixed ones."""
+        resolved = {a: xr.Variable(a, self.nodes[a]) for a in COMPONENTS if a in self.nodes}
+        return resolved | {a: xr.Variable((), value) for a, value in self.at.items()}
+
+    def blocks(self, size: int, threads: int) -> Sequence[NodeBlock]:
+        """Divide the mesh into boxes."""
+        return mesh_blocks(self.shape, self.steps, size, threads)
+
+    def describe(self) -> dict[str, str]:
+        """Say where the nodes are."""
+        return {
+            "nodes": " x ".join(f"{len(self.nodes[a])} {a}" for a in self.axes) or "one",
+            "fixed": ", ".join(f"{a} = {v:g}" for a, v in self.at.items()) or "none",
+        }
 
     def fills(self, period: NDArray) -> tuple[bool, bool, bool]:
         """Tell along which axes the nodes fill a period (3,), so that the last is next to the first."""
@@ -79,12 +207,17 @@ class Grid:
         return x, y, z
 
 
-def _check_axes(axes: str, at: Mapping[str, float], bounds: Mapping[str, Sequence[float]], plane: str) -> None:
+def check_axes(name: str, given: Iterable[str], plane: str) -> None:
+    """Refuse axes that the scene does not have."""
+    wrong = [a for a in given if a not in plane]
+    if wrong:
+        msg = f"{name} names {wrong}: the axes of this scene are {', '.join(plane)}"
+        raise ValueError(msg)
+
+
+def _check_mesh_axes(axes: str, at: Mapping[str, float], bounds: Mapping[str, Sequence[float]], plane: str) -> None:
     for name, given in (("axes", axes), ("at", at), ("bounds", bounds)):
-        wrong = [a for a in given if a not in plane]
-        if wrong:
-            msg = f"{name} names {wrong}: the axes of this scene are {', '.join(plane)}"
-            raise ValueError(msg)
+        check_axes(name, given, plane)
     if len(set(axes)) != len(axes):
         msg = f"axes={axes!r} names an axis twice"
         raise ValueError(msg)
@@ -126,7 +259,7 @@ def make_grid(
     cutoff: float,
     automatic: Mapping[str, tuple[float, float]],
     period: Mapping[str, float],
-) -> Grid:
+) -> RegularGrid:
     """Place nodes.
 
     Nodes stand at first, first + spacing, ... up to last. A periodic axis without bounds gets nodes that divide
@@ -151,7 +284,7 @@ def make_grid(
         For unknown axes, bounds on an axis that is not resolved, or a spacing that is not positive.
     """
     axes = "".join(sorted(axes)) if set(axes) <= set(COMPONENTS) else axes
-    _check_axes(axes, at, bounds, plane)
+    _check_mesh_axes(axes, at, bounds, plane)
     steps = dict(spacing) if isinstance(spacing, Mapping) else dict.fromkeys(axes, spacing)
     nodes, taken = {}, {}
     for a in axes:
@@ -190,7 +323,7 @@ def make_grid(
             warn_user(msg)
     averaged = "".join(a for a in plane if a not in axes and a not in at)
     fitted = "".join(a for a in axes if a not in bounds and a not in period)
-    grid = Grid(axes, {a: float(v) for a, v in at.items()}, averaged, nodes, taken, fitted)
+    grid = RegularGrid(axes, {a: float(v) for a, v in at.items()}, averaged, nodes, taken, fitted)
     if np.prod([float(n) for n in grid.shape]) > MAX_NODES:
         msg = f"the mesh has {grid.shape} nodes, more than {MAX_NODES}: choose a larger spacing or smaller bounds"
         raise ValueError(msg)
@@ -214,10 +347,9 @@ def check_mesh(position: NDArray, grid: Grid, cutoff: float, period: NDArray, so
         Names the step.
     """
     axes = [k for k, a in enumerate(COMPONENTS) if a in grid.seen and not np.isfinite(period[k])]
-    if not len(position) or not axes:
+    if not len(position) or not axes or not grid.count:
         return
-    first = grid.origin
-    last = first + (np.array(grid.shape) - 1) * grid.steps
+    first, last = grid.lower, grid.upper
     parts = (position[start : start + _SAMPLE] for start in range(0, len(position), _SAMPLE))
     reached = (np.all([(x[:, k] > first[k] - cutoff) & (x[:, k] < last[k] + cutoff) for k in axes], 0) for x in parts)
     if not any(some.any() for some in reached):

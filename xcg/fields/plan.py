@@ -15,11 +15,13 @@ from xcg.compiled import smoothing as kinds
 from xcg.compiled.segments import RULES
 from xcg.fields import registry
 from xcg.fields.averages import needed_for_averages
-from xcg.fields.deposit import BLOCK_NODES, DepositSpec
+from xcg.fields.blocks import BLOCK_NODES
+from xcg.fields.deposit import DepositSpec
 from xcg.fields.fabric import sliding_contacts
 from xcg.fields.field import Options
 from xcg.fields.grid import Grid, make_grid
 from xcg.fields.moments import MOMENTS, Moment
+from xcg.fields.points import is_pointwise, make_points
 from xcg.fields.quadrature import SINGLE, gauss_limits
 from xcg.fields.request import Request
 from xcg.fields.smoothing import Kernel, as_kernel, choose_width
@@ -68,8 +70,8 @@ class Plan:
 
     @property
     def dims(self) -> tuple[str, ...]:
-        """Resolved axes, and phase where there are several."""
-        return (*self.deposit.grid.axes, *(("phase",) if self.deposit.by else ()))
+        """Dimensions of the nodes, and phase where there are several."""
+        return (*self.deposit.grid.dims, *(("phase",) if self.deposit.by else ()))
 
     @property
     def phases(self) -> int:
@@ -83,10 +85,9 @@ class Plan:
 
     def shape(self, name: str) -> tuple[int, ...]:
         """Shape of one step of a field."""
-        nodes = tuple(len(self.deposit.grid.nodes[a]) for a in self.deposit.grid.axes)
         phases = (self.phases,) if self.deposit.by else ()
         row = registry.row(name, self.options)
-        return (*nodes, *phases, *((self.phases,) if row.paired else ()), *(3,) * row.rank)
+        return (*self.deposit.grid.sizes, *phases, *((self.phases,) if row.paired else ()), *(3,) * row.rank)
 
     def left_out(self, name: str) -> list[str]:
         """Name the variables of rotation that a field would take and that the scene does not hold."""
@@ -96,7 +97,6 @@ class Plan:
 
     def __str__(self) -> str:
         grid, moments = self.deposit.grid, self.deposit.rows
-        nodes = int(np.prod(grid.shape))
         constants = [m for m in moments.values() if m.column and not m.level and not m.along_branches]
         columns = self.deposit.level + sum(int(np.prod(m.shape)) for m in constants if not m.at_contacts)
         points = sum(int(np.prod(m.shape)) for m in constants if m.at_contacts)
@@ -105,7 +105,7 @@ class Plan:
         contact = 9 * sum(m.along_branches for m in moments.values())
         outputs = sum(int(np.prod(self.shape(name))) for name in self.fields)
         width = columns + points + sum(relative) + contact + slopes * 29
-        sums = min(nodes, BLOCK_NODES) * max(1, self.phases - 1) * width
+        sums = min(grid.count, BLOCK_NODES) * max(1, self.phases - 1) * width
         own = f"; widths by group {[float(f'{w:.4g}') for w in self.widths]}" if len(self.widths) > 1 else ""
         rules = "closed form"
         if len(self.deposit.limits):
@@ -115,8 +115,7 @@ class Plan:
         lines = {
             "fields": ", ".join(self.fields),
             "read": ", ".join(self.variables),
-            "nodes": " x ".join(f"{len(grid.nodes[a])} {a}" for a in grid.axes) or "one",
-            "fixed": ", ".join(f"{a} = {v:g}" for a, v in grid.at.items()) or "none",
+            **grid.describe(),
             "averaged": ", ".join(f"{a} ({self.extent[a] or 'box'})" for a in grid.averaged) or "none",
             "kernel": f"{self.kernel!r}, seen in {len(grid.seen)} of {self.kernel.dimension} dimensions{own}",
             "sums": ", ".join(f"{m} ({row.formula})" for m, row in moments.items()),
@@ -213,16 +212,7 @@ def make_plan(ds: xr.Dataset, request: Request) -> Plan:
     _warn_of_width(min(k.width for k in kernels), ds.attrs.get("dmin" if isinstance(request.width, Mapping) else "d43"))
     edges = edges_of(ds)
     period = {a: edges[a][1] - edges[a][0] for a in setup.periodic if a in edges}
-    grid = make_grid(
-        setup.plane if request.axes is None and request.at is None else request.axes or "",
-        request.at or {},
-        request.bounds or {},
-        min(k.width for k in kernels) if request.spacing is None else request.spacing,
-        plane=setup.plane,
-        cutoff=min(k.cutoff for k in kernels),
-        automatic=_automatic(ds, setup, edges, chosen.cutoff),
-        period=period,
-    )
+    grid = _grid(ds, request, setup, kernels, edges, period)
     _warn_of_cuts(grid, {a: edges[a] for a in period}, chosen.cutoff)
     if request.gradient == "kernel" and {"mass_slope", "momentum_slope"} & set(registry.moments_of(names, options)):
         _check_differentiable(chosen, len(grid.seen))
@@ -252,6 +242,46 @@ def make_plan(ds: xr.Dataset, request: Request) -> Plan:
     )  # fmt: skip
 
 
+def _grid(
+    ds: xr.Dataset, request: Request, setup: Setup, kernels: Sequence[Kernel],
+    edges: Mapping[str, tuple[float, float]], period: Mapping[str, float],
+) -> Grid:  # fmt: skip
+    """Lay the nodes: points, where coordinates are arrays, or a mesh."""
+    at: Mapping[str, Any] = request.at or {}
+    narrowest = min(k.cutoff for k in kernels)
+    if is_pointwise(at):
+        _check_pointwise(request)
+        return make_points(at, plane=setup.plane, cutoff=narrowest)
+    return make_grid(
+        setup.plane if request.axes is None and request.at is None else request.axes or "",
+        at,
+        request.bounds or {},
+        min(k.width for k in kernels) if request.spacing is None else request.spacing,
+        plane=setup.plane,
+        cutoff=narrowest,
+        automatic=_automatic(ds, setup, edges, max(k.cutoff for k in kernels)),
+        period=period,
+    )
+
+
+def _check_pointwise(request: Request) -> None:
+    """Refuse what only meshes have."""
+    for name in ("axes", "bounds", "spacing"):
+        if getattr(request, name):
+            msg = (
+                f"{name}={getattr(request, name)!r} lays a mesh, and at= has arrays, which name points: leave it out "
+                "(axes that at= does not name are averaged), or give the nodes along an axis as one more array of at=, "
+                "such as xr.DataArray(z, dims='z'), which broadcasts against the others"
+            )
+            raise ValueError(msg)
+    if request.gradient == "finite_difference":
+        msg = (
+            "gradient='finite_difference' takes differences between the nodes of a mesh, and points have no "
+            "neighbours: take gradient='least_squares' (the default) or 'kernel'"
+        )
+        raise ValueError(msg)
+
+
 def _warn_of_width(width: float, diameter: Any) -> None:
     if diameter is not None and width < _NARROW * diameter:
         msg = (
@@ -266,9 +296,10 @@ def _warn_of_cuts(grid: Grid, edges: Mapping[str, tuple[float, float]], reach: f
     for a, (low, high) in edges.items():
         # grains and cuts of scenes that were shifted, or are not wrapped, are beyond an edge by up to a period
         room = high - low + reach
-        if a in grid.at and not low - room <= grid.at[a] <= high + room:
+        beyond = [x for x in grid.cuts.get(a, ()) if not low - room <= x <= high + room]
+        if beyond:
             msg = (
-                f"at={{{a!r}: {grid.at[a]:g}}} is outside the box, which is periodic from {low:g} to {high:g} along "
+                f"at={{{a!r}: {beyond[0]:g}}} is outside the box, which is periodic from {low:g} to {high:g} along "
                 f"{a!r}: fields are those of the image inside; check the units of lengths"
             )
             warn_user(msg)

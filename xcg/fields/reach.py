@@ -1,4 +1,4 @@
-"""What grains and contacts may reach of a mesh: what the loops over nodes rely on, checked before they start."""
+"""What grains and contacts may reach of the nodes: what the loops over them rely on, checked before they start."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.compiled.reach import Nodes
 from xcg.compiled.segments import BRANCH, FORCE, GROUP
-from xcg.fields.blocks import NodeBlock
+from xcg.fields.blocks import NodeBlock, Taken
 from xcg.fields.grid import Grid
 from xcg.scene.schema import COMPONENTS, SceneError
 
@@ -34,14 +33,16 @@ _MARGIN = 2.0
 
 @dataclass(frozen=True)
 class Mesh:
-    """A mesh and its surroundings as the loops see them: lengths in cutoffs, places relative to the first node.
+    """Nodes and their surroundings as the loops see them: lengths in cutoffs, places relative to one of the nodes.
 
     Attributes
     ----------
     origin : array (3,)
-        The first node (m).
-    steps, extent : array (3,)
-        Spacing, and place of the last node. The spacing of an axis with one node means nothing and is 1.
+        That node (m): of a mesh the first.
+    steps : array (3,)
+        Spacing of a mesh, where one node means nothing and is 1; infinity for points.
+    lower, upper : array (3,)
+        Bounds of the nodes.
     active : array (3,)
         Axes along which distance counts.
     period : array (3,)
@@ -56,7 +57,8 @@ class Mesh:
 
     origin: NDArray
     steps: NDArray
-    extent: NDArray
+    lower: NDArray
+    upper: NDArray
     active: NDArray
     period: NDArray
     nodes: int
@@ -66,14 +68,19 @@ class Mesh:
     @classmethod
     def of(cls, grid: Grid, period: NDArray, cutoff: float, source: str) -> Mesh:
         """Take over a grid and the periods of the scene (m)."""
-        shape, active = np.array(grid.shape), grid.active
-        steps = np.where(shape > 1, grid.steps / cutoff, 1.0)
-        nodes, periods = int(shape.prod()), np.where(active, period, np.inf) / cutoff
-        return cls(grid.origin, steps, (shape - 1) * steps, active, periods, nodes, cutoff, source)
+        steps = np.where(np.array(grid.shape) > 1, grid.steps / cutoff, 1.0)
+        lower, upper = (grid.lower - grid.origin) / cutoff, (grid.upper - grid.origin) / cutoff
+        periods = np.where(grid.active, period, np.inf) / cutoff
+        return cls(grid.origin, steps, lower, upper, grid.active, periods, grid.count, cutoff, source)
 
-    def nodes_of(self, block: NodeBlock) -> Nodes:
+    @property
+    def extent(self) -> NDArray:
+        """From the lowest node to the highest (3,)."""
+        return self.upper - self.lower
+
+    def nodes_of(self, block: NodeBlock) -> Taken:
         """Return a block of nodes as the loops take it."""
-        return Nodes(*block, *(tuple(values.tolist()) for values in (self.steps, self.active, self.period)))
+        return block.nodes(self.origin, self.cutoff, self.active, self.period)
 
     def check_far(self, farthest: NDArray) -> None:
         """Refuse places (3,) too far from the first node to be numbered, or not finite; damaged files hold them."""
@@ -169,7 +176,7 @@ class Mesh:
 
         Points are counted from the end that is nearer to the mesh, so that none of its digits are lost.
         """
-        lower, upper = -_MARGIN, self.extent + _MARGIN
+        lower, upper = self.lower - _MARGIN, self.upper + _MARGIN
 
         def distance(point: NDArray) -> NDArray:
             return (np.maximum(np.maximum(lower - point, point - upper), 0.0) * axes).max(axis=1, keepdims=True)

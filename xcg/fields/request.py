@@ -128,7 +128,9 @@ class Request(SharedOptions):
         gives each group its own, for very polydisperse scenes: ``{1: 1e-3, 2: "0.75 d43"}``. Every grain, and its
         side of its contacts, is then smeared by the width of its group.
     at : mapping, optional
-        Coordinate of fixed axes, for example ``{"y": 0.0}`` (m).
+        Coordinate of fixed axes, for example ``{"y": 0.0}`` (m). DataArrays name points, as in xarray's pointwise
+        indexing: ``{"x": xa, "y": ya, "z": za}`` with arrays that share dimensions, or broadcast against each other;
+        results have these dimensions and coordinates, and axes without an array are averaged.
     walls : list of Plane, Cylinder and Surface, optional
         Walls as geometry: adds the field ``accessible_fraction``, the share of the kernel that lies on their accessible
         side, averaged axes included.
@@ -144,7 +146,7 @@ class Request(SharedOptions):
     fields: str | Quantity | Sequence[str | Quantity] | None = None
     _: KW_ONLY
     width: float | str | Mapping[int, float | str] | None = None
-    at: Mapping[str, float] | None = None
+    at: Mapping[str, float | xr.DataArray] | None = None
     walls: Sequence[Wall] | None = None
     per: str | None = None
     for_averages: bool = False

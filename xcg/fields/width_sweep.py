@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -20,10 +21,12 @@ from xcg.scene.sizes import with_measures
 THRESHOLD = 0.1
 
 
-def _points(at: Mapping[str, ArrayLike] | None) -> tuple[list[dict[str, float]], bool]:
-    """Points as single `at` mappings, and whether there are several."""
+def _points(at: Mapping[str, ArrayLike | xr.DataArray] | None) -> tuple[list[Mapping[str, Any]], bool]:
+    """Points as single `at` mappings, and whether there are several; DataArrays name all points at once."""
     if at is None:
         return [{}], False
+    if any(isinstance(values, xr.DataArray) and values.ndim for values in at.values()):
+        return [at], False
     columns = {axis: np.asarray(values, float) for axis, values in at.items()}
     if all(values.ndim == 0 for values in columns.values()):
         return [{axis: float(values) for axis, values in columns.items()}], False
@@ -46,8 +49,9 @@ class SweepRequest(SharedOptions):
     fields : str, quantity, or list of these, optional
         Names of fields, or quantities, as in `coarse_grain`.
     at : mapping, optional
-        Points: one number an axis, or lists of the same length, one entry a point (dimension ``point``). Axes not
-        named are averaged, unless ``axes`` resolves them; None averages over the whole box.
+        Points: one number an axis, or lists of the same length, one entry a point (dimension ``point``), or DataArrays
+        as in `coarse_grain`. Axes not named are averaged, unless ``axes`` resolves them; None averages over the whole
+        box.
     threshold : float
         Largest logarithmic slope of a plateau; 0.1 changes a field by 7 % when the width doubles.
     """
@@ -55,7 +59,7 @@ class SweepRequest(SharedOptions):
     widths: Sequence[float | str]
     fields: str | Quantity | Sequence[str | Quantity] | None = None
     _: KW_ONLY
-    at: Mapping[str, ArrayLike] | None = None
+    at: Mapping[str, ArrayLike | xr.DataArray] | None = None
     threshold: float = THRESHOLD
 
 
@@ -110,9 +114,7 @@ def width_sweep(ds: xr.Dataset, asked: SweepRequest) -> xr.Dataset:
     return joined.assign(found)
 
 
-def _with_nodes(
-    ds: xr.Dataset, asked: SweepRequest, widths: Sequence[float], point: Mapping[str, float]
-) -> SweepRequest:
+def _with_nodes(ds: xr.Dataset, asked: SweepRequest, widths: Sequence[float], point: Mapping[str, Any]) -> SweepRequest:
     """Keep nodes where they are for all widths: as close as the narrowest asks, as far as the widest reaches."""
     spacing = widths[0] if asked.spacing is None else asked.spacing
     if asked.bounds is not None:
@@ -121,7 +123,8 @@ def _with_nodes(
         "number_density", width=widths[-1], at=point, axes=asked.axes, spacing=spacing, kernel=asked.kernel,
         extent=asked.extent,
     )  # fmt: skip
-    nodes = make_plan(ds, placing).deposit.grid.nodes
+    grid = make_plan(ds, placing).deposit.grid
+    nodes = {a: grid.coords[a].to_numpy() for a in grid.axes}
     return replace(asked, spacing=spacing, bounds={a: (float(x[0]), float(x[-1])) for a, x in nodes.items()})
 
 

@@ -194,7 +194,8 @@ def _checked(fields: xr.Dataset) -> xr.Dataset:
         if unknown:
             msg = (
                 f"'{name}' has the dimensions {unknown}, expected some of {sorted(known)}; select or average "
-                f"over them, or leave it out with fields.drop_vars('{name}')"
+                f"over them, or leave it out with fields.drop_vars('{name}'). Fields at points are no image: save them "
+                "as NetCDF or Zarr, or on their mesh with to_vtu"
             )
             raise ValueError(msg)
     for dim in ("component", "direction"):
