@@ -12,11 +12,14 @@ import xcg
 from xcg.accessor import CoarseGrainAccessor, Method
 from xcg.fields.coarse_grain import coarse_grain, explain
 from xcg.fields.request import SharedOptions, arguments, takes
-from xcg.writers import chains, vtkhdf
+from xcg.writers import chains, vtkhdf, vtu
 
 METHODS = sorted(name for name, member in vars(CoarseGrainAccessor).items() if isinstance(member, Method))
 # methods whose functions have no place at the top of the package
-DEEPER = {"explain": explain, "to_csv": chains.to_csv, "to_vtp": chains.to_vtp, "to_vtkhdf": vtkhdf.to_vtkhdf}
+DEEPER = {
+    "explain": explain, "to_csv": chains.to_csv, "to_vtp": chains.to_vtp, "to_vtkhdf": vtkhdf.to_vtkhdf,
+    "to_vtu": vtu.to_vtu,
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +99,7 @@ def test_every_kind_is_offered_what_fits(scene):
                {"scene": scene, "fields": fields, "chains": found}.items()}  # fmt: skip
     assert offered["scene"] >= {"coarse_grain", "explain", "force_chains", "measure", "save"}
     correlations = {"spatial_correlation", "time_correlation"}
-    assert offered["fields"] == {"profile", "time_average", "to_vtkhdf", "save"} | correlations
+    assert offered["fields"] == {"profile", "time_average", "to_vtkhdf", "to_vtu", "save"} | correlations
     assert offered["chains"] >= {"select_chains", "chain_table", "plot_rose", "to_csv", "to_vtp", "to_vtkhdf", "save"}
     assert not offered["scene"] & offered["chains"] - {"save"}
     assert set.union(*offered.values()) == set(METHODS)

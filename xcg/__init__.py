@@ -31,6 +31,7 @@ from xcg.packing.find_contacts import find_contacts
 from xcg.packing.microstructure import microstructure
 from xcg.packing.pairs import find_pairs
 from xcg.readers.live import scene_from_lammps
+from xcg.readers.mesh_points import mesh_points
 from xcg.readers.series import open_scene
 from xcg.scene.bodies import group_bodies
 from xcg.scene.build import scene_from_arrays
@@ -79,6 +80,7 @@ __all__ = [
     "link_table",
     "mean_squared_displacement",
     "measure",
+    "mesh_points",
     "microstructure",
     "open_scene",
     "particle_stress",

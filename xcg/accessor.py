@@ -35,6 +35,7 @@ from xcg.steps.summary import summary_of_result
 from xcg.writers.chains import to_csv, to_vtp
 from xcg.writers.save import save
 from xcg.writers.vtkhdf import to_vtkhdf
+from xcg.writers.vtu import to_vtu
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -133,4 +134,5 @@ class CoarseGrainAccessor:
     to_vtp = Method(to_vtp, CHAINS)
 
     to_vtkhdf = Method(to_vtkhdf, RESULT, CHAINS)
+    to_vtu = Method(to_vtu, RESULT)
     save = Method(save, SCENE, RESULT, CHAINS)

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from xcg.compiled import triangles as loops
 from xcg.scene.schema import COMPONENTS
+from xcg.scene.vtk_mesh import read_mesh
 
 _MOST_CELLS = 2**24
 Bounds = tuple[tuple[float, float], tuple[float, float]]
@@ -499,32 +500,26 @@ class Surface(Wall):
         return across, vectors - across[:, None] * normal
 
 
+_SURFACES = (".stl", ".obj", ".ply", ".vtp", ".vtk")
+
+
 def _read(path: str) -> tuple[NDArray, NDArray]:
     """Corners and triangles of a file."""
-    readers = {
-        ".stl": ("vtkIOGeometry", "vtkSTLReader"), ".obj": ("vtkIOGeometry", "vtkOBJReader"),
-        ".ply": ("vtkIOPLY", "vtkPLYReader"), ".vtp": ("vtkIOXML", "vtkXMLPolyDataReader"),
-        ".vtk": ("vtkIOLegacy", "vtkPolyDataReader"),
-    }  # fmt: skip
     suffix = os.path.splitext(path)[1].lower()
-    if suffix not in readers:
-        msg = f"{path}: expected a surface in {', '.join(readers)}, or arrays of corners and triangles"
+    if suffix not in _SURFACES:
+        msg = f"{path}: expected a surface in {', '.join(_SURFACES)}, or arrays of corners and triangles"
         raise ValueError(msg)
-    if not os.path.exists(path):
-        raise FileNotFoundError(path)
-    import importlib  # VTK is slow to import
+    mesh = read_mesh(path, empty=True)
 
-    from vtkmodules.util.numpy_support import vtk_to_numpy
+    from vtkmodules.util.numpy_support import vtk_to_numpy  # VTK is slow to import
     from vtkmodules.vtkFiltersCore import vtkTriangleFilter
 
-    module, name = readers[suffix]
-    reader = getattr(importlib.import_module(f"vtkmodules.{module}"), name)()
-    reader.SetFileName(path)
     faces = vtkTriangleFilter()
-    faces.SetInputConnection(reader.GetOutputPort())
-    faces.PassLinesOff()
-    faces.PassVertsOff()
-    faces.Update()
+    if mesh.IsA("vtkPolyData"):
+        faces.SetInputData(mesh)
+        faces.PassLinesOff()
+        faces.PassVertsOff()
+        faces.Update()
     data = faces.GetOutput()
     if not data.GetNumberOfPolys():
         msg = f"{path}: holds no triangle; is it a surface?"

@@ -94,7 +94,7 @@ def write_vtkhdf(ds: xr.Dataset, path: Path, encoding: Encoding, *, overwrite: b
         return
     fields = encoding.noted(_checked(ds))
     image = _Image.of(fields)
-    arrays = _arrays(fields)
+    arrays = arrays_of(fields)
     with whole_file(path, overwrite=overwrite) as part:
         with hdf5_file(part, "w") as file:
             _lay_out(file, fields, image, arrays, encoding)
@@ -150,7 +150,7 @@ class _Array:
         return values.reshape(sizes["time"], *(shape[1:] if image.temporal else shape)).astype(self.dtype)
 
 
-def _arrays(fields: xr.Dataset) -> list[_Array]:
+def arrays_of(fields: xr.Dataset) -> list[_Array]:
     """List the arrays of all variables and phases."""
     arrays = []
     for name, data in fields.data_vars.items():

@@ -1,0 +1,82 @@
+"""Meshes and surfaces of files, by VTK's readers, which are imported when they are needed."""
+
+from __future__ import annotations
+
+import importlib
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+# reader of each suffix: its module in vtkmodules, and its name
+READERS = {
+    ".vtu": ("vtkIOXML", "vtkXMLUnstructuredGridReader"),
+    ".vtp": ("vtkIOXML", "vtkXMLPolyDataReader"),
+    ".vts": ("vtkIOXML", "vtkXMLStructuredGridReader"),
+    ".vtr": ("vtkIOXML", "vtkXMLRectilinearGridReader"),
+    ".vti": ("vtkIOXML", "vtkXMLImageDataReader"),
+    ".vtk": ("vtkIOLegacy", "vtkDataSetReader"),
+    ".stl": ("vtkIOGeometry", "vtkSTLReader"),
+    ".obj": ("vtkIOGeometry", "vtkOBJReader"),
+    ".ply": ("vtkIOPLY", "vtkPLYReader"),
+}
+
+
+def read_mesh(path: str | os.PathLike[str], *, empty: bool = False) -> Any:
+    """Read a mesh or a surface: a vtkDataSet, with at least one point unless it may be `empty`.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If the name ends otherwise, or VTK cannot read the file.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in READERS:
+        msg = f"{path}: expected a mesh in {', '.join(READERS)}"
+        raise ValueError(msg)
+    if not path.is_file():
+        msg = f"{path}: there is no such file"
+        raise FileNotFoundError(msg)
+    module, name = READERS[path.suffix.lower()]
+    reader = getattr(importlib.import_module(f"vtkmodules.{module}"), name)()
+    problems: list[str] = []
+
+    def note(_: Any, __: str, text: str) -> None:
+        problems.append(text.strip().splitlines()[-1])
+
+    note.CallDataType = "string0"  # type: ignore[attr-defined]
+    reader.AddObserver("ErrorEvent", note)
+    if parser := getattr(reader, "GetXMLParser", lambda: None)():
+        parser.AddObserver("ErrorEvent", note)
+    reader.SetFileName(os.fspath(path))
+    reader.Update()
+    mesh = reader.GetOutput()
+    if problems or mesh is None or not (empty or mesh.GetNumberOfPoints()):
+        msg = f"{path}: VTK reads no points from it" + "".join(f"; {problem}" for problem in problems[:1])
+        raise ValueError(msg)
+    return mesh
+
+
+def places_of(mesh: Any, *, centers: bool) -> NDArray:
+    """Points (n, 3) of a vtkDataSet, or centres of its cells."""
+    from vtkmodules.util.numpy_support import vtk_to_numpy
+    from vtkmodules.vtkCommonCore import VTK_DOUBLE, vtkDoubleArray, vtkPoints
+
+    if centers:
+        from vtkmodules.vtkFiltersCore import vtkCellCenters
+
+        found = vtkDoubleArray()
+        found.SetNumberOfComponents(3)
+        found.SetNumberOfTuples(mesh.GetNumberOfCells())
+        vtkCellCenters.ComputeCellCenters(mesh, found)
+        return vtk_to_numpy(found).reshape(-1, 3).copy()
+    points = vtkPoints()
+    points.SetDataType(VTK_DOUBLE)
+    if hasattr(mesh, "GetPoints") and mesh.GetPoints() is not None:
+        points.DeepCopy(mesh.GetPoints())
+        return vtk_to_numpy(points.GetData()).reshape(-1, 3).astype("float64")
+    return np.array([mesh.GetPoint(k) for k in range(mesh.GetNumberOfPoints())])
