@@ -125,6 +125,26 @@ def test_fields_do_not_see_where_the_edges_are():
         np.testing.assert_allclose(at_edge[name], within[name], rtol=1e-9, atol=1e-12, err_msg=name)
 
 
+def test_a_box_far_from_the_origin_keeps_its_images():
+    stretch, away = np.array([1.3, 0.8, 1.0]), np.array([100.0, -50.0, 0.0])
+    r = grains()
+    edges = np.array([[6.0] * 3, 6.0 * stretch])
+    box = np.stack([np.tile(away, (2, 1)), away + edges], axis=-1)
+    ds = scene([away + r, away + (r * stretch + 0.3) % edges[1]], box=box, periodic="xyz")
+    f = ds.cg.displacement([*NAMES, "centre_offset"], axes="y", spacing=1.0)
+    check_affine(f, np.diag(stretch), atol=1e-12)
+    expected = 0.3 + (f.y - away[1] + f.centre_offset.sel(component="y")) * (stretch[1] - 1)
+    np.testing.assert_allclose(f.displacement.sel(component="y"), expected.transpose("time", "y"), atol=1e-12)
+
+
+def test_open_and_periodic_axes_together():
+    deformation = np.diag([1.2, 1.0, 1.0]) + 0.1 * np.outer([0, 1, 0], [0, 0, 1])
+    r = grains()
+    box = np.array([[[0.0, 6.0]] * 3, [[0.0, 7.2], [0.0, 6.0], [0.0, 6.0]]])
+    ds = scene([r, r @ deformation.T % [7.2, 6.0, 100.0]], box=box, periodic="xy")
+    check_affine(ds.cg.displacement(bounds={"z": (2.0, 4.0)}, spacing=1.0), deformation, atol=1e-12)
+
+
 def test_an_edge_a_period_further_on_is_the_same_edge():
     r = grains()
     box = np.array([[[0.0, 6.0]] * 3, [[6.0, 12.0]] * 3])
@@ -324,6 +344,7 @@ def test_turned_inside_out_is_no_rotation():
         (lambda ds: ds, {"fields": "velocity"}, ValueError, "no fields ['velocity']"),
         (lambda ds: ds, {"fields": ["strian"]}, ValueError, "did you mean 'strain'"),
         (lambda ds: ds, {"fields": ["d2min"], "accumulate": True}, ValueError, "['d2min'] do not follow from one"),
+        (lambda ds: ds, {"per": "accessible"}, ValueError, "per='accessible': there is none"),
         (lambda ds: ds, {"preset": "pysammos"}, ValueError, "preset='pysammos': there is none"),
         (lambda ds: ds.isel(time=[1, 0]), {}, xcg.SceneError, "times that rise"),
         (lambda ds: ds.assign(particle_id=ds.particle_id + 0.5), {}, xcg.SceneError, "'particle_id' holds"),

@@ -153,7 +153,7 @@ def _names(ds: xr.Dataset, asked: DisplacementRequest) -> tuple[str, ...]:
     if lag >= frames:
         msg = f"lag={lag!r}: the scene has {frames} frames, and displacements need lag + 1 or more of them"
         raise ValueError(msg)
-    for name, no in (("preset", None), ("by_pair", False)):
+    for name, no in (("preset", None), ("by_pair", False), ("walls", None), ("per", None)):
         if getattr(asked, name) != no:
             msg = f"{name}={getattr(asked, name)!r}: there is none of displacements; leave it out"
             raise ValueError(msg)
