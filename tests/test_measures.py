@@ -52,6 +52,14 @@ def test_bounds_of_lazy_positions_that_were_changed_are_asked_for(ds):
     lazy.cg.coarse_grain("density", bounds=dict.fromkeys(AXES, (-100, -99)))
 
 
+def test_positions_that_were_exchanged_under_their_attributes_are_warned_of(ds):
+    """`copy(data=...)` keeps all marks: the mesh is the old one, and the sums are not zero in silence."""
+    lazy = ds.chunk(time=1)
+    f = lazy.assign(position=lazy.position.copy(data=lazy.position.data - 100)).cg.coarse_grain("density")
+    with pytest.warns(xcg.SceneWarning, match="no grain reaches any node"):
+        assert float(f.density.sum()) == 0.0
+
+
 @pytest.mark.parametrize(
     "select",
     [
