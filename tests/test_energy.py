@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import xcg
-from tests import real_data
+from tests import real_data, shared_data
 from tests.brute_force import BruteKernel
 from tests.identities import residuals
 from xcg.fields.rows import energy, rotation
@@ -347,6 +347,17 @@ def test_grains_held_in_place_are_walls_that_move():
         np.testing.assert_allclose(f[name], g[name], rtol=1e-12, atol=1e-12 * float(abs(g[name]).max()))
 
 
+def test_the_power_of_moving_walls_closes():
+    """Walls given by velocities, and grains held in place on either side of a contact."""
+    given = scene(1, 100)
+    held = xcg.datasets.random_scene(100, seed=1, periodic="xy", walls=False)
+    held = held.assign(frozen=(held.species == 2).astype("int64"))
+    for ds in (given, held):
+        b = ds.cg.balance(of=["torque", "power"], width=1.2, spacing=0.15)
+        assert float(b.torque_residual_norm.max()) < 1e-3
+        assert float(b.power_residual_norm.max()) < 1e-3
+
+
 # --- balances --------------------------------------------------------------------------------------------
 
 
@@ -434,6 +445,24 @@ def test_what_balance_refuses():
         ds.cg.balance(of=["power"], by="species")
 
 
+# --- moments of inertia ------------------------------------------------------------------------------------
+
+
+def test_moments_of_inertia():
+    """Of solid spheres or discs, and as they are given; none without angular velocities."""
+    given = {"position": np.zeros((1, 3)), "diameter": [0.4], "mass": [5.0]}
+    turning = {"angular_velocity": [[0.0, 0.0, 1.0]], **given}
+    assert xcg.scene_from_arrays(**turning).moment_of_inertia.item() == pytest.approx(2 / 5 * 5.0 * 0.2**2)
+    disc = xcg.scene_from_arrays(**turning, shape="disc", thickness=0.1, dimension=2)
+    assert disc.moment_of_inertia.item() == pytest.approx(1 / 2 * 5.0 * 0.2**2)
+    assert xcg.scene_from_arrays(**turning, moment_of_inertia=[7.0]).moment_of_inertia.item() == 7.0
+    assert "moment_of_inertia" not in xcg.scene_from_arrays(**given)
+    scaled = xcg.scene_from_arrays(**turning, moment_of_inertia=[7.0], units={"length": 10.0, "mass": 2.0, "time": 4.0})
+    assert (scaled.moment_of_inertia.item(), scaled.angular_velocity.values[0, 0, 2]) == (1400.0, 0.25)
+    with pytest.raises(xcg.SceneError, match="'moment_of_inertia' of particle 0"):
+        xcg.scene_from_arrays(**turning, moment_of_inertia=[-7.0])
+
+
 # --- files -----------------------------------------------------------------------------------------------
 
 
@@ -452,12 +481,42 @@ def test_rotation_is_read_where_it_is_asked_for(monkeypatch):
     assert float(abs(f.spin).max()) > 0
 
 
+@pytest.mark.parametrize(("folder", "pattern", "options", "first"), [
+    ("mfix_chute", "P_FB1_0002.vtp", {}, [24.09193611, 49.53808975, -308.92214966]),
+    ("liggghts_box", "compress*.liggghts", {"density": 2500.0}, [0.3348705, -0.04611752, -0.1535044]),
+    ("mercury_synthetic", "syn200.data", {}, [-0.0327707, -0.0108021, 0.244621]),
+    ("lammps_chute", "particles.00030000.dump.gz", {}, None),
+])  # fmt: skip
+def test_files_of_other_codes_tell_angular_velocities(folder, pattern, options, first):
+    ds = xcg.open_scene(shared_data(folder) / pattern, **options)
+    omega = ds.angular_velocity.isel(time=0).values
+    assert omega.shape == ds.velocity.shape[1:]
+    assert np.abs(omega).max() > 0
+    if first is not None:
+        np.testing.assert_allclose(omega[3], first, rtol=1e-6)
+    np.testing.assert_allclose(ds.moment_of_inertia, ds.mass * ds.diameter**2 / 10, rtol=1e-12)
+
+
+def test_columns_of_angular_velocities(tmp_path):
+    """In a plane z alone will do; of three, one alone is an error if it was named."""
+    head = "ITEM: TIMESTEP\n0\nITEM: NUMBER OF ATOMS\n1\nITEM: BOX BOUNDS pp pp pp\n0 1\n0 1\n0 1\nITEM: ATOMS "
+    path = tmp_path / "a.dump"
+    path.write_text(f"{head}id x y z radius mass omegaz wx\n1 0.1 0.2 0.3 0.05 1.0 4.0 5.0\n")
+    ds = xcg.open_scene(path, units="SI")
+    np.testing.assert_array_equal(ds.angular_velocity.values[0, 0], [0.0, 0.0, 4.0])
+    with pytest.raises(xcg.SceneError, match="no y of the angular velocity"):
+        xcg.open_scene(path, units="SI", names={"wx": "angular_velocity_x"})
+    assert "angular_velocity" not in xcg.open_scene(path, units="SI", names={"omegaz": "turning"})
+
+
 def test_a_packing_in_plane_shear():
     """Its own bookkeeping: energies of LAMMPS at each frame, power of its walls; dissipation is stress times rate."""
     folder = real_data("lammps_plane_shear")
     ds = xcg.open_scene(folder / "particles.*.dump.gz", contacts=folder / "contacts.*.dump.gz", frozen=2).compute()
-    names = ["kinetic_energy", "rotational_kinetic_energy", "dissipation_rate", "wall_power", "contact_power"]
-    f = ds.cg.coarse_grain(names, axes="z", bounds={"z": (-2.0, 13.0)}, spacing=0.1) * (6.0 * 4.0)
+    names = ["kinetic_energy", "rotational_kinetic_energy", "dissipation_rate", "wall_power", "contact_power",
+             "stress", "spin", "vorticity"]  # fmt: skip
+    f = ds.cg.coarse_grain(names, axes="z", bounds={"z": (-2.0, 13.0)}, spacing=0.1)
+    f = f.assign({name: 6.0 * 4.0 * f[name] for name in [*names[:5], "stress"]})  # in all of the cross-section
     total = f.integrate("z")
     _, moving_part, turning, power = np.loadtxt(folder / "energies.txt").T
     # bulk grains only: those of the walls are no part of a field
@@ -467,8 +526,17 @@ def test_a_packing_in_plane_shear():
     np.testing.assert_allclose(total.wall_power, power, rtol=0, atol=0.02 * np.abs(power).max())
     # each frame: power of contacts on grains is that of walls less what contacts take up
     np.testing.assert_allclose(total.contact_power, total.wall_power - total.dissipation_rate, rtol=1e-6, atol=1e-3)
-    # all frames: what contacts take up is the power of the walls, within the error of both
+    # all frames: what contacts take up is the power of the walls, and stress times rate, within the errors
     gamma, walls = total.dissipation_rate.values, np.loadtxt(folder / "means.txt")[:, 3]
-    error = np.hypot(gamma.std(ddof=1) / np.sqrt(gamma.size), walls.std(ddof=1) / np.sqrt(walls.size))
-    assert abs(gamma.mean() - walls.mean()) < 3 * error
-    assert error < 0.25 * walls.mean()
+    error = np.hypot(standard_error(gamma), standard_error(walls))
+    assert abs(gamma.mean() - walls.mean()) < 2 * error < 0.4 * walls.mean()
+    middle = f.sel(z=slice(2.5, 8.5))
+    times_rate = -middle.stress.sel(component="x", direction="z").mean("z").values * 5.0  # walls at -2.5 and 2.5
+    assert abs(gamma.mean() - times_rate.mean()) < 2 * standard_error(gamma - times_rate) < 0.3 * times_rate.mean()
+    # grains turn with the flow
+    turning, whirling = (middle[name].sel(component="y").mean(["time", "z"]) for name in ("spin", "vorticity"))
+    assert float(turning) == pytest.approx(float(whirling) / 2, rel=0.1)
+
+
+def standard_error(values):
+    return values.std(ddof=1) / np.sqrt(values.size)

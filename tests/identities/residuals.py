@@ -355,6 +355,17 @@ def scales_of(ds: xr.Dataset, width: float, f: dict[str, NDArray]) -> dict[str, 
     scales |= dict.fromkeys(anisotropies, 1.0) | dict.fromkeys(["tangential_force_fabric"], 1.0)
     scales |= dict.fromkeys(["strong_contact_stress", "weak_contact_stress"], stress)
     scales |= dict.fromkeys(["wall_traction", "contact_force_density"], stress / width)
+    # torques and powers of forces that cancel
+    spin, radius = np.linalg.norm(frame.get("angular_velocity", np.zeros(3)), axis=-1).max(), ds.attrs["dmax"] / 2
+    surface = speed + float(spin) * radius
+    scales |= {"vorticity": speed / width, "couple_stress": stress * radius}
+    scales |= dict.fromkeys(["torque_density", "contact_couple_density"], stress)
+    scales |= dict.fromkeys(["contact_power", "dissipation_rate", "wall_power"], stress * surface / width)
+    scales |= {"stress_power": (stress + rho * speed**2) * speed / width}
+    scales |= dict.fromkeys(["contact_energy_flux", "contact_heat_flux"], stress * surface)
+    scales |= dict.fromkeys(["kinetic_energy_flux", "kinetic_heat_flux"], rho * surface**3)
+    scales |= {"heat_flux": stress * surface + rho * surface**3}
+    scales |= dict.fromkeys(["mean_kinetic_energy", "fluctuating_kinetic_energy"], rho * speed**2)
     return scales | dict.fromkeys(["stress", "pressure", "deviatoric_stress", "shear_stress"], stress + rho * speed**2)
 
 
@@ -377,7 +388,7 @@ def difference(ds: xr.Dataset, width: float, a: dict[str, NDArray], b: dict[str,
 
 FEW = 10
 FITS = ("velocity_gradient", "shear_rate_tensor", "shear_rate", "fluctuation_stress", "fluctuation_density",
-        "granular_temperature", "directional_temperature")  # fmt: skip
+        "granular_temperature", "directional_temperature", "vorticity", "stress_power")  # fmt: skip
 ADDITIVE = ["density", "volume_fraction", "momentum_density", "kinetic_stress", "contact_stress", "wall_traction",
             "contact_force_density"]  # fmt: skip
 
