@@ -11,6 +11,7 @@ import xcg
 from tests import real_data, shared_data
 from tests.brute_force import BruteKernel
 from tests.identities import residuals
+from tests.identities.scenes import load
 from xcg.fields.rows import energy, rotation
 from xcg.readers import columns as columns_of_files
 from xcg.scene.schema import VARIABLES
@@ -378,6 +379,12 @@ def test_spin_and_energy_of_contacts_close(options):
     ds = scene(3, **options)
     points = np.random.default_rng(1).uniform(0.5, 4.0, (4, 3)) * [1, 1, 0 if "dimension" in options else 1]
     assert max(closes(ds, 0.9, points)) < 1e-9
+
+
+@pytest.mark.parametrize("name", ["lammps_chute", "mfix_chute", "liggghts_box"])
+def test_spin_and_energy_of_contacts_close_in_output_of_codes(name):
+    case = load(name)
+    assert max(closes(case.ds, case.width, case.points)) < 1e-9
 
 
 def test_residuals_fall_with_the_spacing():

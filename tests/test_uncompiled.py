@@ -136,6 +136,7 @@ CALLS = {
     "gaussian": {"kernel": "gaussian", "axes": "xy", "rtol": 0.0},
     "shifted": {"kernel": "shifted gaussian", "axes": "xy", "rtol": 0.0},
     "heaviside": {"kernel": "heaviside", "axes": "yz", "rtol": 0.0},
+    "rotation": {"fields": ["couple_stress", "contact_energy_flux", "kinetic_heat_flux", "rotational_temperature"]},
 }
 
 
