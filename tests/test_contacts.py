@@ -12,6 +12,7 @@ import xcg
 from xcg.packing.cells import CellLists
 from xcg.packing.pairs import find_pairs
 from xcg.scene.contacts import Contacts
+from xcg.scene.lattice import Lattice
 
 
 def all_pairs(position, radius, box=None, periodic="", skin=0.0):
@@ -211,7 +212,7 @@ def test_normals_are_along_the_centres_and_at_walls_towards_the_contact_point(pe
         towards = towards - (period * np.rint(towards / period) if periodic else 0.0)
         normal.append(towards / np.linalg.norm(towards))
     frame = {name: ds[name].values for name in ("particle_id", "position", "contact_i", "contact_j", "contact_point")}
-    contacts = Contacts.of(frame, np.full(3, period))
+    contacts = Contacts.of(frame, Lattice(np.full(3, period)))
     np.testing.assert_allclose(contacts.normal, normal, rtol=0, atol=1e-12)
     fabric = np.zeros((150, 3, 3))
     for i, j, n in zip(ds.contact_i.values, ds.contact_j.values, normal, strict=True):
@@ -228,7 +229,7 @@ def test_walls_may_come_first_or_second_and_particles_may_be_the_first():
         "contact_i": np.array([4, -2, -2, 7]), "contact_j": np.array([-2, 4, 7, -2]),
         "contact_force": np.arange(12.0).reshape(4, 3), "contact_point": np.arange(12.0).reshape(4, 3) / 10,
     }  # fmt: skip
-    row, point, force = Contacts.of(frame, np.full(3, np.inf)).at_walls
+    row, point, force = Contacts.of(frame, Lattice(np.full(3, np.inf))).at_walls
     assert row.tolist() == [0, 1, 0, 1]
     np.testing.assert_array_equal(point, frame["contact_point"][[0, 3, 1, 2]])
     sign = np.array([[1], [1], [-1], [-1]])  # the force given is that on the first of the two

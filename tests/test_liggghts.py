@@ -8,7 +8,7 @@ from tests.dumps import dump_text, pairs_text, write
 from xcg.readers.engine import ReadOptions
 from xcg.readers.liggghts import Liggghts
 from xcg.readers.series import open_scene
-from xcg.scene.complete import minimum_image
+from xcg.scene.lattice import minimum_image
 from xcg.scene.schema import SceneError
 
 liggghts = Liggghts()

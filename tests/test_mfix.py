@@ -9,7 +9,7 @@ from tests import shared_data
 from xcg.readers import vtp
 from xcg.readers.engine import ReadOptions
 from xcg.readers.mfix import Mfix
-from xcg.scene.complete import minimum_image
+from xcg.scene.lattice import minimum_image
 from xcg.scene.schema import SceneError, SceneWarning
 
 mfix = Mfix()

@@ -17,7 +17,7 @@ from xcg.packing.pairs import find_pairs
 from xcg.readers import vtp
 from xcg.readers.engine import ReadOptions
 from xcg.readers.mfix import Mfix
-from xcg.scene.complete import minimum_image
+from xcg.scene.lattice import minimum_image
 from xcg.scene.schema import SceneError, SceneWarning
 
 mfix = Mfix()

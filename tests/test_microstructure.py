@@ -14,6 +14,7 @@ from tests import shared_data, steps_of_random_scenes
 from xcg.packing.microstructure import NAMES
 from xcg.packing.quantities import QUANTITIES
 from xcg.scene.contacts import Contacts
+from xcg.scene.lattice import Lattice
 
 
 def one(m, name):
@@ -273,7 +274,7 @@ def test_stress_is_that_of_coarse_graining():
 def test_backbone_is_what_is_left_of_taking_out_rattlers(seed, least):
     ds = xcg.datasets.random_scene(60, seed=seed, periodic="x")
     frame = {n: ds[n].values[0] for n in ds.data_vars if n != "box"}
-    contacts = Contacts.of(frame, np.array([5.0, np.inf, np.inf]))
+    contacts = Contacts.of(frame, Lattice(np.array([5.0, np.inf, np.inf])))
     pairs = [(int(i), int(j)) for i, j in zip(contacts.key_i, contacts.key_j, strict=True)]
     kept = set(range(60))
     while True:

@@ -8,7 +8,7 @@ import xarray as xr
 
 import xcg
 from tests import dumps
-from xcg.scene.complete import minimum_image
+from xcg.scene.lattice import Lattice, minimum_image
 from xcg.scene.plausible import check_ends
 
 CONTACT_FIELDS = ["contact_stress"]
@@ -106,10 +106,10 @@ def test_ends_that_are_not_the_positions(ds):
     frame = {name: ds[name].values[0] for name in ("particle_id", "position", "contact_i", "contact_j")}
     period = np.full(3, 4.0)
     branch = frame["position"][frame["contact_i"]] - frame["position"][frame["contact_j"]]
-    check_ends(frame | {"wrapped_branch": branch}, frame, period, "step 0")
-    check_ends(frame | {"wrapped_branch": minimum_image(branch, period)}, frame, period, "step 0")
+    check_ends(frame | {"wrapped_branch": branch}, frame, Lattice(period), "step 0")
+    check_ends(frame | {"wrapped_branch": minimum_image(branch, period)}, frame, Lattice(period), "step 0")
     with pytest.warns(xcg.SceneWarning, match="ends of .* are not the positions"):
-        check_ends(frame | {"wrapped_branch": branch[:, ::-1]}, frame, period, "step 0")
+        check_ends(frame | {"wrapped_branch": branch[:, ::-1]}, frame, Lattice(period), "step 0")
 
 
 def test_all_is_well_in_the_samples():

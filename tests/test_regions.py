@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from xcg import Box, Sphere
+from xcg.scene.lattice import Lattice
 
 OPEN = np.full(3, np.inf)
 FRAME = {
@@ -13,7 +14,7 @@ FRAME = {
 
 
 def inside(region, time=0.0, period=OPEN):
-    return FRAME["particle_id"][region.contains(FRAME, time, period)].tolist()
+    return FRAME["particle_id"][region.contains(FRAME, time, Lattice(period))].tolist()
 
 
 def test_box():

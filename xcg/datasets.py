@@ -9,7 +9,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.scene.build import scene_from_arrays
-from xcg.scene.complete import images_within, minimum_image
+from xcg.scene.lattice import images_within, minimum_image
 from xcg.scene.schema import COMPONENTS
 
 _FCC = np.array([[0.0, 0.0, 0.0], [0.5, 0.5, 0.0], [0.5, 0.0, 0.5], [0.0, 0.5, 0.5]])

@@ -11,12 +11,12 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.compiled.eigen import principal
-from xcg.scene.complete import periods
 from xcg.scene.conform import takes_scene
 from xcg.scene.contacts import Contacts
 from xcg.scene.frame import particle_rows, steps_in
+from xcg.scene.lattice import Lattice
 from xcg.scene.query import edges_of, require_scene, setup_of
-from xcg.scene.schema import COMPONENTS, CONTACT_VARIABLES, VARIABLES, Frame, SceneError, Variable
+from xcg.scene.schema import CONTACT_VARIABLES, OF_STEP, VARIABLES, Frame, SceneError, Variable
 from xcg.scene.sizes import layer_depth
 from xcg.steps.label import empty_results, label, results_of
 from xcg.steps.map import map_over_time
@@ -84,29 +84,28 @@ class StressRule:
         size = ("diameter",) if self.disc else ("volume",)
         return tuple(dict.fromkeys(("particle_id", *_CONTACTS, *size, *self.spheres)))
 
-    def contacts(self, frame: Frame, box: NDArray | None, source: str) -> Contacts:
+    def contacts(self, frame: Frame, lattice: Lattice, source: str) -> Contacts:
         """Join the contacts of a frame to its particles."""
-        contacts = Contacts.of(frame, periods(box, self.periodic, source), source)
+        contacts = Contacts.of(frame, lattice, source)
         return contacts.with_overlaps(frame["diameter"], frame["overlap"]) if self.spheres else contacts
 
-    def volumes(self, frame: Frame, box: NDArray | None, source: str) -> NDArray:
+    def volumes(self, frame: Frame, lattice: Lattice, source: str) -> NDArray:
         """Volume of each particle (m3)."""
         if not self.disc:
             return frame["volume"]
         thickness = self.thickness
         assert thickness is not None  # checked when the rule was made
         if isinstance(thickness, str):
-            k = COMPONENTS.index(thickness)
-            thickness = np.nan if box is None else float(box[k, 1] - box[k, 0])
+            thickness = lattice.length(thickness)
             if not (np.isfinite(thickness) and thickness > 0):
                 msg = f"{source}: the layer is as thick as the box along {self.thickness!r}, which is not finite"
                 raise SceneError(msg)
         return np.pi / 4 * frame["diameter"] ** 2 * thickness
 
-    def evaluate(self, frame: Frame, contacts: Contacts, box: NDArray | None, source: str) -> Frame:
+    def evaluate(self, frame: Frame, contacts: Contacts, lattice: Lattice, source: str) -> Frame:
         """Stress of each particle of a frame, and its principal values, by name."""
         stress = contacts.dyads
-        stress /= self.volumes(frame, box, source)[:, None, None]
+        stress /= self.volumes(frame, lattice, source)[:, None, None]
         if self.symmetric:
             stress = 0.5 * (stress + stress.transpose(0, 2, 1))
             values, vectors = np.empty((len(stress), 3)), np.empty((len(stress), 3, 3))
@@ -196,7 +195,7 @@ def particle_stress(
     1.91
     """
     rule = StressRule.of(ds, "particle_stress", symmetric=symmetric, volume=volume)
-    names = [*rule.variables, *(name for name in ("box", "step") if name in ds)]
+    names = [*rule.variables, *(name for name in OF_STEP if name in ds)]
     arrays = map_over_time(ds, names, partial(_compute, rule), results_of(RESULTS, ds.sizes), "particle-stress",
                            on_error)  # fmt: skip
     return label(ds, RESULTS, arrays, f"particle_stress(symmetric={symmetric}, volume={volume!r})")
@@ -206,8 +205,8 @@ def _compute(rule: StressRule, arrays: Mapping[str, NDArray]) -> dict[str, NDArr
     """Stress of the particles of one chunk of time, from padded arrays."""
     ids = arrays["particle_id"]
     out = empty_results(RESULTS, {"particle": ids.shape[1]}, len(ids)) | {"particle_id": ids}
-    for t, (frame, box, source) in enumerate(steps_in(arrays)):
-        rows, contacts = particle_rows(ids[t]), rule.contacts(frame, box, source)
-        for name, values in rule.evaluate(frame, contacts, box, source).items():
+    for t, (frame, lattice, source) in enumerate(steps_in(arrays, rule.periodic)):
+        rows, contacts = particle_rows(ids[t]), rule.contacts(frame, lattice, source)
+        for name, values in rule.evaluate(frame, contacts, lattice, source).items():
             out[name][t][rows] = values
     return out

@@ -9,7 +9,6 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.chains.results import Step, require_chains, steps_of
-from xcg.scene.complete import minimum_image
 from xcg.scene.schema import COMPONENTS
 
 if TYPE_CHECKING:
@@ -195,4 +194,4 @@ def _links(step: Step) -> tuple[NDArray, NDArray, NDArray]:
     """Contacts of the links, row of their first particle, and nearest image of the vector to the second (m)."""
     contact, i, j = step.links()
     position: Any = step.arrays["position"]
-    return contact, i, minimum_image(position[j] - position[i], step.period)
+    return contact, i, step.lattice.shortest(position[j] - position[i])

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.scene.complete import minimum_image
+from xcg.scene.lattice import Lattice
 from xcg.scene.schema import Frame
 
 
 class Region:
     """Part of space; ``a & b``, ``a | b`` and ``~a`` are regions, too."""
 
-    def contains(self, frame: Frame, time: float, period: NDArray) -> NDArray:
+    def contains(self, frame: Frame, time: float, lattice: Lattice) -> NDArray:
         """Tell which particles have their centre inside.
 
         Parameters
@@ -24,8 +24,8 @@ class Region:
             One step of a scene: ``position`` and ``particle_id``.
         time : float
             Its time (s).
-        period : array (3,)
-            Length of the periodic axes (m), infinity along the others.
+        lattice : Lattice
+            Periodic images.
 
         Returns
         -------
@@ -48,8 +48,8 @@ class _Both(Region):
     first: Region
     second: Region
 
-    def contains(self, frame: Frame, time: float, period: NDArray) -> NDArray:
-        return self.first.contains(frame, time, period) & self.second.contains(frame, time, period)
+    def contains(self, frame: Frame, time: float, lattice: Lattice) -> NDArray:
+        return self.first.contains(frame, time, lattice) & self.second.contains(frame, time, lattice)
 
 
 @dataclass(frozen=True)
@@ -57,16 +57,16 @@ class _Either(Region):
     first: Region
     second: Region
 
-    def contains(self, frame: Frame, time: float, period: NDArray) -> NDArray:
-        return self.first.contains(frame, time, period) | self.second.contains(frame, time, period)
+    def contains(self, frame: Frame, time: float, lattice: Lattice) -> NDArray:
+        return self.first.contains(frame, time, lattice) | self.second.contains(frame, time, lattice)
 
 
 @dataclass(frozen=True)
 class _Outside(Region):
     region: Region
 
-    def contains(self, frame: Frame, time: float, period: NDArray) -> NDArray:
-        return ~self.region.contains(frame, time, period)
+    def contains(self, frame: Frame, time: float, lattice: Lattice) -> NDArray:
+        return ~self.region.contains(frame, time, lattice)
 
 
 def _vector(name: str, given: Sequence[float], *, finite: bool = True) -> tuple[float, float, float]:
@@ -125,7 +125,7 @@ class Box(Region):
         object.__setattr__(self, "lower", lower)
         object.__setattr__(self, "upper", upper)
 
-    def contains(self, frame: Frame, time: float, period: NDArray) -> NDArray:
+    def contains(self, frame: Frame, time: float, lattice: Lattice) -> NDArray:
         """Tell which particles have their centre inside."""
         position = frame["position"]
         offset = _offset(frame, time, self.velocity, self.follow)
@@ -136,7 +136,10 @@ class Box(Region):
         # about its centre, so that a periodic image inside counts
         middle = np.where(bounded, 0.5 * (np.where(bounded, lower, 0.0) + np.where(bounded, upper, 0.0)), 0.0)
         away = position - (offset + middle)
-        away = np.where(bounded, minimum_image(away, period), away)
+        if lattice.vectors is not None:  # the image inside need not be the shortest
+            inside, _, _ = lattice.seen(bounded, "region").images(away, lower - middle, upper - middle)
+            return np.bincount(inside, minlength=len(away)) > 0
+        away = np.where(bounded, lattice.shortest(away), away)
         return np.asarray(((away >= lower - middle) & (away <= upper - middle)).all(axis=1))
 
 
@@ -173,11 +176,11 @@ class Sphere(Region):
         object.__setattr__(self, "velocity", _check_motion(self.velocity, self.follow))
         object.__setattr__(self, "centre", _vector("centre", self.centre))
 
-    def contains(self, frame: Frame, time: float, period: NDArray) -> NDArray:
+    def contains(self, frame: Frame, time: float, lattice: Lattice) -> NDArray:
         """Tell which particles have their centre inside."""
         position = frame["position"]
         offset = _offset(frame, time, self.velocity, self.follow)
         if offset is None:
             return np.zeros(len(position), bool)
-        away = minimum_image(position - (offset + np.asarray(self.centre)), period)
+        away = lattice.shortest(position - (offset + np.asarray(self.centre)))
         return np.asarray((away**2).sum(axis=1) <= self.radius**2)

@@ -11,9 +11,10 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.chains.particle_stress import RESULTS as STRESSES
-from xcg.scene.complete import periods, rows_of
+from xcg.scene.complete import rows_of
 from xcg.scene.frame import particle_rows
-from xcg.scene.schema import BOX_EDGES, PADDING, VARIABLES, Frame, SceneError, Variable
+from xcg.scene.lattice import Lattice
+from xcg.scene.schema import BOX, PADDING, VARIABLES, Frame, SceneError, Variable
 from xcg.scene.summary import Summary, rows_of_origin
 
 _NONE, _PRESSURE = (0, 0, 0), (-1, 1, -2)
@@ -123,14 +124,14 @@ class Step:
         Time (s).
     number : int
         Number of the time step.
-    period : array (3,)
-        Length of the periodic axes (m), infinity along the others.
+    lattice : Lattice
+        Periodic images.
     """
 
     arrays: Frame
     time: float
     number: int
-    period: NDArray
+    lattice: Lattice
 
     def links(self) -> tuple[NDArray, NDArray, NDArray]:
         """Contact rows of the links, and the rows of the two particles of each."""
@@ -146,7 +147,7 @@ def steps_of(fc: xr.Dataset, names: Sequence[str]) -> Iterator[Step]:
         fc = fc.expand_dims("time")
     names = [*dict.fromkeys(("particle_id", "contact_i", *names))]
     for t in range(fc.sizes["time"]):
-        step = fc[[*names, *({"box"} & set(fc.data_vars))]].isel(time=t).compute()
+        step = fc[[*names, *(BOX.keys() & set(fc.data_vars))]].isel(time=t).compute()
         valid = step.contact_i.to_numpy() != PADDING
         rows: dict[str, Any] = {"particle": particle_rows(step.particle_id.to_numpy()), "contact": valid}
         arrays = {}
@@ -155,6 +156,6 @@ def steps_of(fc: xr.Dataset, names: Sequence[str]) -> Iterator[Step]:
             values = step[name].transpose(*dims).to_numpy()
             arrays[name] = values[rows[dims[0]]] if dims[0] in rows else values
         number = int(step["step"]) if "step" in step.coords else t
-        box = step["box"].transpose(*BOX_EDGES.dims).to_numpy() if "box" in step else None
-        period = periods(box, fc.attrs.get("periodic", ""), f"step {number}")
-        yield Step(arrays, float(step["time"]) if "time" in step.coords else 0.0, number, period)
+        box = {name: step[name].transpose(*row.dims).to_numpy() for name, row in BOX.items() if name in step}
+        lattice = Lattice.of(box, fc.attrs.get("periodic", ""), f"step {number}")
+        yield Step(arrays, float(step["time"]) if "time" in step.coords else 0.0, number, lattice)

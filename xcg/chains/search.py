@@ -14,11 +14,11 @@ from xcg.chains.particle_stress import StressRule, carries
 from xcg.chains.regions import Region
 from xcg.chains.results import CHAINS, COPIED, RESULTS, result_sizes, statistics_of
 from xcg.compiled import chains as kernel
-from xcg.scene.complete import periods
 from xcg.scene.conform import takes_scene
 from xcg.scene.frame import particle_rows, steps_in
+from xcg.scene.lattice import Lattice
 from xcg.scene.query import require_scene
-from xcg.scene.schema import PADDING, Frame
+from xcg.scene.schema import BOX, OF_STEP, PADDING, Frame
 from xcg.steps.label import empty_results, label, results_of
 from xcg.steps.map import map_over_time
 
@@ -64,7 +64,7 @@ class SearchRule:
         """Variables of the scene that are read."""
         return tuple(dict.fromkeys((*self.stress.variables, *COPIED)))
 
-    def qualifies(self, frame: Frame, stress: Frame, time: float, period: NDArray) -> NDArray:
+    def qualifies(self, frame: Frame, stress: Frame, time: float, lattice: Lattice) -> NDArray:
         """Tell which particles may be part of a chain."""
         chosen = carries(stress)
         if "frozen" in frame:
@@ -74,7 +74,7 @@ class SearchRule:
             least = major.mean() if isinstance(self.threshold, str) else self.threshold
             chosen &= major >= least - _SHARE * abs(least)
         if self.region is not None:
-            chosen &= self.region.contains(frame, time, period)
+            chosen &= self.region.contains(frame, time, lattice)
         return chosen
 
 
@@ -167,15 +167,15 @@ def force_chains(
         "one_sided": one_sided, "region": region, "symmetric": symmetric, "volume": volume,
     }  # fmt: skip
     sizes = result_sizes(ds.sizes["particle"], ds.sizes["contact"], rule.min_length)
-    names = [*rule.variables, *(name for name in ("frozen", "box", "time", "step") if name in ds)]
+    names = [*rule.variables, *(name for name in ("frozen", "time", *OF_STEP) if name in ds)]
     arrays = map_over_time(ds, names, partial(_compute, rule), results_of(RESULTS, sizes), "force-chains",
                            on_error)  # fmt: skip
     call = ", ".join(f"{name}={value!r}" for name, value in given.items() if value is not None)
     result = label(ds, RESULTS, arrays, f"force_chains({call})")
     lengths = rule.min_length + np.arange(sizes["length"])
     result = result.assign_coords(length=("length", lengths, {"units": "1", "long_name": "particles of a chain"}))
-    if "box" in ds:
-        result["box"] = ds["box"].variable
+    for name in BOX.keys() & ds:
+        result[name] = ds[name].variable
     return result.assign_attrs(alpha=float(alpha), min_length=rule.min_length, algorithm=algorithm)
 
 
@@ -220,9 +220,9 @@ def _compute(rule: SearchRule, arrays: Mapping[str, NDArray]) -> dict[str, NDArr
     ids, keys = arrays["particle_id"], arrays["contact_i"]
     sizes = result_sizes(ids.shape[1], keys.shape[1], rule.min_length)
     out = empty_results({n: row for n, row in RESULTS.items() if n not in COPIED}, sizes, len(ids))
-    for t, (frame, box, source) in enumerate(steps_in(arrays)):
+    for t, (frame, lattice, source) in enumerate(steps_in(arrays, rule.stress.periodic)):
         time = float(arrays["time"][t]) if "time" in arrays else 0.0
-        found = find_chains(rule, frame, box, time, source)
+        found = find_chains(rule, frame, lattice, time, source)
         count = len(found["chain_particles"])
         rows = {"particle": particle_rows(ids[t]), "contact": keys[t] != PADDING, "chain": slice(count)}
         for name, values in found.items():
@@ -232,13 +232,12 @@ def _compute(rule: SearchRule, arrays: Mapping[str, NDArray]) -> dict[str, NDArr
     return out | {name: arrays[name] for name in COPIED}
 
 
-def find_chains(rule: SearchRule, frame: Frame, box: NDArray | None, time: float, source: str) -> Frame:
+def find_chains(rule: SearchRule, frame: Frame, lattice: Lattice, time: float, source: str) -> Frame:
     """Chains of one frame: arrays by particle, by contact and by chain, by the names in `RESULTS`."""
-    period = periods(box, rule.stress.periodic, source)
-    contacts = rule.stress.contacts(frame, box, source)
-    stress = rule.stress.evaluate(frame, contacts, box, source)
+    contacts = rule.stress.contacts(frame, lattice, source)
+    stress = rule.stress.evaluate(frame, contacts, lattice, source)
     major, onward = stress["major_stress"], np.nan_to_num(stress["major_direction"])
-    qualifies = rule.qualifies(frame, stress, time, period)
+    qualifies = rule.qualifies(frame, stress, time, lattice)
     i, j, particles = contacts.i, contacts.j, len(major)
     branch = contacts.between
 

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from xcg.chains.regions import Region
 from xcg.chains.results import CHAINS, MEMBERS, STATISTICS, require_chains, result_sizes, statistics_of
-from xcg.scene.complete import periods
 from xcg.scene.conform import takes_scene
 from xcg.scene.frame import particle_rows, steps_in
+from xcg.scene.schema import OF_STEP
 from xcg.steps.label import label, results_of
 from xcg.steps.map import map_over_time
 
-_GRAINS = ("particle_id", "position", "major_stress", "box", "step")
+_GRAINS = ("particle_id", "position", "major_stress", *OF_STEP)
 OF = {"any": np.logical_or, "all": np.logical_and}
 
 
@@ -91,11 +91,11 @@ def _compute(condition: _Condition, arrays: Mapping[str, NDArray]) -> dict[str, 
     for name, row in STATISTICS.items():
         out[name] = np.empty((steps, *(lengths,) * len(row.dims)), row.dtype)
     grains = {name: arrays[name] for name in _GRAINS if name in arrays}
-    for t, (frame, box, source) in enumerate(steps_in(grains)):
+    for t, (frame, lattice, _) in enumerate(steps_in(grains, condition.periodic)):
         fulfilled = np.ones(len(frame["particle_id"]), bool)
         if condition.region is not None:
             time = float(arrays["time"][t]) if "time" in arrays else 0.0
-            fulfilled &= condition.region.contains(frame, time, periods(box, condition.periodic, source))
+            fulfilled &= condition.region.contains(frame, time, lattice)
         if condition.min_stress is not None:
             fulfilled &= frame["major_stress"] >= condition.min_stress
         inside = np.zeros(particles, bool)

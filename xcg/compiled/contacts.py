@@ -2,6 +2,7 @@
 
 from xcg.compiled._jit import leaf
 from xcg.compiled.arrays import nearest_image
+from xcg.compiled.lattice import nearest_of
 from xcg.compiled.simd import prefetch
 
 AHEAD = 16  # the particles of the contact so many places ahead are prefetched
@@ -86,28 +87,33 @@ def add_unit_squares(row_i, row_j, along, out):
 
 
 @leaf
-def side(position, row, point, n, period):
-    """Vector from contact point n to the centre of a row of `position`, zero where the row is negative."""
+def side(position, row, point, n, period, lattice):
+    """Vector from contact point n to the centre of a row of `position`, zero where the row is negative.
+
+    Images are those of a `lattice`, or where that is None, of periods along the axes.
+    """
     if row < 0:
         return 0.0, 0.0, 0.0
     x, y, z = position[row, 0] - point[n, 0], position[row, 1] - point[n, 1], position[row, 2] - point[n, 2]
+    if lattice is not None:
+        return nearest_of(x, y, z, lattice)
     return nearest_image(x, period[0]), nearest_image(y, period[1]), nearest_image(z, period[2])
 
 
 @leaf
-def sides(row, position, point, period, out):
+def sides(row, position, point, period, lattice, out):
     """Write the vectors (n, 3) from contact points to the centres of some rows, see `side`."""
     for n in range(row.size):
-        out[n, 0], out[n, 1], out[n, 2] = side(position, row[n], point, n, period)
+        out[n, 0], out[n, 1], out[n, 2] = side(position, row[n], point, n, period, lattice)
 
 
 @leaf
-def between(row_i, row_j, position, point, period, out):
+def between(row_i, row_j, position, point, period, lattice, out):
     """Write the vectors (n, 3) from j to i through the contact points: the side of i less that of j, see `side`."""
     for n in range(row_i.size):
         later = min(n + AHEAD, row_i.size - 1)
         prefetch(position, row_i[later])
         prefetch(position, row_j[later])
-        ax, ay, az = side(position, row_i[n], point, n, period)
-        bx, by, bz = side(position, row_j[n], point, n, period)
+        ax, ay, az = side(position, row_i[n], point, n, period, lattice)
+        bx, by, bz = side(position, row_j[n], point, n, period, lattice)
         out[n, 0], out[n, 1], out[n, 2] = ax - bx, ay - by, az - bz

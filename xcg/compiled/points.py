@@ -97,9 +97,9 @@ def deposit(
     still : True or None
         Whether all grains have the same velocity, so that all columns with u are zero. None leaves code out when the
         loop is compiled, here and below.
-    meet : True or None
-        Whether several images of a grain may reach one node. They share their velocity: in the squares of weights
-        they count as one grain.
+    meet : (m, 3) or None
+        Ways from an image of a grain to all others that may reach a node together with it. They share what their
+        velocities are beyond that of the flow: in the squares of weights they count as one grain.
     by_gradient : True or None
         Weigh by derivative / distance instead of the value.
     cubes : True or None
@@ -150,7 +150,7 @@ def deposit(
                         if cubes is not None:
                             _add_cubes(p, records, i, lists, hits, moments, reference)
                         if meet is not None:
-                            _add_images(p, records[i, WEIGHED], lists, hits, level, period, kernel, moments)
+                            _add_images(p, records[i, WEIGHED], lists, hits, level, meet, kernel, moments)
                         for d in range(0, columns, 4):
                             c0, c1 = records[i, GRAIN + d], records[i, GRAIN + d + 1]
                             c2, c3 = records[i, GRAIN + d + 2], records[i, GRAIN + d + 3]
@@ -224,38 +224,25 @@ def _add_cubes(p, records, i, lists, hits, moments, reference):
 
 
 @leaf
-def _others(period):
-    """How many images to each side are closer than two cutoffs, so that they can reach a node together."""
-    return math.ceil(2.0 / period) - 1 if period < 2.0 else 0
-
-
-@leaf
-def _add_images(p, mass, lists, hits, level, period, kernel, moments):
+def _add_images(p, mass, lists, hits, level, meet, kernel, moments):
     """Add the products of the weight of one image of a grain, at the nodes that it reaches, and of all its others."""
     kind, spread, table, norm = kernel
     values, numbers = lists
     q2, other = values[Q2], values[OTHER]
-    many_x, many_y, many_z = _others(period[0]), _others(period[1]), _others(period[2])
-    for n_x in range(-many_x, many_x + 1):
-        move_x = n_x * period[0] if n_x else 0.0
-        for n_y in range(-many_y, many_y + 1):
-            move_y = n_y * period[1] if n_y else 0.0
-            for n_z in range(-many_z, many_z + 1):
-                move_z = n_z * period[2] if n_z else 0.0
-                if n_x == 0 and n_y == 0 and n_z == 0:
-                    continue
-                for k in range(hits):
-                    x, y, z = values[X, k] + move_x, values[Y, k] + move_y, values[Z, k] + move_z
-                    q2[k] = min(1.0, x * x + y * y + z * z)
-                fill_values(kind, spread, table, norm, None, q2, hits, other)
-                for k in range(hits):
-                    if q2[k] >= 1.0:
-                        continue
-                    n, w = np.uint64(numbers[NODE, k]), mass * values[WEIGHT, k] * (mass * other[k])
-                    moments[p, n, _COLUMNS[SQUARE]] += w
-                    if level >= SQUARED:
-                        x, y, z = values[X, k], values[Y, k], values[Z, k]
-                        to_x, to_y, to_z = w * (x + move_x), w * (y + move_y), w * (z + move_z)
-                        add4(moments, p, n, SQUARE_OFFSET, 1.0, to_x, to_y, to_z, x * to_x)
-                        add4(moments, p, n, SQUARE_SPREAD + 1, 1.0, x * to_y, x * to_z, y * to_y, y * to_z)
-                        moments[p, n, _COLUMNS[SQUARE_SPREAD + 5]] += z * to_z
+    for image in range(meet.shape[0]):
+        move_x, move_y, move_z = meet[image, 0], meet[image, 1], meet[image, 2]
+        for k in range(hits):
+            x, y, z = values[X, k] + move_x, values[Y, k] + move_y, values[Z, k] + move_z
+            q2[k] = min(1.0, x * x + y * y + z * z)
+        fill_values(kind, spread, table, norm, None, q2, hits, other)
+        for k in range(hits):
+            if q2[k] >= 1.0:
+                continue
+            n, w = np.uint64(numbers[NODE, k]), mass * values[WEIGHT, k] * (mass * other[k])
+            moments[p, n, _COLUMNS[SQUARE]] += w
+            if level >= SQUARED:
+                x, y, z = values[X, k], values[Y, k], values[Z, k]
+                to_x, to_y, to_z = w * (x + move_x), w * (y + move_y), w * (z + move_z)
+                add4(moments, p, n, SQUARE_OFFSET, 1.0, to_x, to_y, to_z, x * to_x)
+                add4(moments, p, n, SQUARE_SPREAD + 1, 1.0, x * to_y, x * to_z, y * to_y, y * to_z)
+                moments[p, n, _COLUMNS[SQUARE_SPREAD + 5]] += z * to_z

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from xcg.compiled._jit import leaf
 from xcg.compiled.cells import points_around_segment
 from xcg.compiled.contacts import AHEAD, side
+from xcg.compiled.lattice import Reduced
 from xcg.compiled.reach import (
     ALONG,
     BATCH,
@@ -86,6 +87,8 @@ class ContactRows(NamedTuple):
         Of the particles.
     period : tuple
         Periods of the scene, infinity where there are none.
+    lattice : Reduced or None
+        Periodic images of boxes with other edges than x, y and z.
     """
 
     row_i: NDArray
@@ -95,6 +98,7 @@ class ContactRows(NamedTuple):
     position: NDArray
     phase: NDArray
     period: tuple[float, float, float]
+    lattice: Reduced | None
 
 
 @leaf
@@ -135,7 +139,7 @@ def list_segments(contacts, on_j, second, place, others, cutoffs, cutoff, origin
     bool
         Whether any contact has a second segment.
     """
-    row_i, row_j, point, on_i, position, phase, wrap = contacts
+    row_i, row_j, point, on_i, position, phase, wrap, lattice = contacts
     per_cutoff, more = 1.0 / cutoff, False
     most_x, most_y, most_z, most2 = 0.0, 0.0, 0.0, 0.0
     for n in range(place.size):
@@ -146,8 +150,8 @@ def list_segments(contacts, on_j, second, place, others, cutoffs, cutoff, origin
         prefetch(phase, row_i[later])
         prefetch(phase, row_j[later])
         i, j, k, sign = row_i[n], row_j[n], place[n], cutoff
-        ax, ay, az = side(position, i, point, n, wrap)
-        bx, by, bz = side(position, j, point, n, wrap)
+        ax, ay, az = side(position, i, point, n, wrap, lattice)
+        bx, by, bz = side(position, j, point, n, wrap, lattice)
         two = i >= 0 and j >= 0
         if on_j is None and two and phase[i] == phase[j] and _on_one_line(ax, ay, az, bx, by, bz):
             ax, ay, az, two = ax - bx, ay - by, az - bz, False

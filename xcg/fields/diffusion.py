@@ -17,7 +17,7 @@ from xcg.scene.conform import takes_scene
 from xcg.scene.frame import phase_of, steps_in, without_frozen
 from xcg.scene.motion import BoxMotion, partners
 from xcg.scene.query import evenly_spaced, groups_of, require_scene, setup_of
-from xcg.scene.schema import COMPONENTS, units_of
+from xcg.scene.schema import COMPONENTS, OF_STEP, units_of
 from xcg.steps.label import format_call, provenance
 from xcg.steps.phase_labels import with_phase_labels
 
@@ -197,26 +197,26 @@ class _Places:
 
 def _ways(ds: xr.Dataset, by: str | None, known: Sequence[int], remove_drift: bool) -> Iterator[_Places]:
     """Follow the grains from step to step."""
-    names = [n for n in ("particle_id", "position", "frozen", by, "box", "step") if n is not None and n in ds]
+    names = [n for n in ("particle_id", "position", "frozen", by, *OF_STEP) if n is not None and n in ds]
     periodic, before = str(ds.attrs.get("periodic", "")), None
     for t in range(ds.sizes["time"]):
         step = ds[names].isel(time=[t]).compute()
-        frame, box, source = next(steps_in({name: step[name].to_numpy() for name in names}))
+        frame, lattice, source = next(steps_in({name: step[name].to_numpy() for name in names}, periodic))
         frame = without_frozen(frame)
         ids, position = frame["particle_id"], frame["position"]
         place, seen = np.zeros_like(position), np.full(len(ids), t)
         if before is not None:
-            old, old_frame, old_box, old_source = before
+            old, old_frame, old_lattice, old_source = before
             rows = partners(old_frame, frame, (old_source, source))
             stay = rows >= 0
-            motion = BoxMotion.between(old_box, box, periodic, (old_source, source))
+            motion = BoxMotion.between(old_lattice, lattice)
             moved = motion.relative(old_frame["position"][stay], position[rows[stay]])
             if remove_drift and len(moved):
                 moved -= moved.mean(axis=0)
             place[rows[stay]], seen[rows[stay]] = old.place[stay] + moved, old.first_seen[stay]
         found = _Places(ids, place, seen, phase_of(frame, by, known, source))
         yield found
-        before = found, frame, box, source
+        before = found, frame, lattice, source
 
 
 def _sums(

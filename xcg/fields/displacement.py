@@ -23,7 +23,7 @@ from xcg.scene.conform import takes_scene
 from xcg.scene.frame import steps_in
 from xcg.scene.motion import BoxMotion, partners
 from xcg.scene.query import box_stays, require_rising_times, require_scene
-from xcg.scene.schema import COMPONENTS, PADDING, did_you_mean, units_of
+from xcg.scene.schema import COMPONENTS, OF_STEP, PADDING, did_you_mean, units_of
 from xcg.scene.sizes import with_measures
 from xcg.steps.errors import check_on_error
 from xcg.steps.label import format_call, mark_skipped
@@ -186,11 +186,12 @@ def _between_frames(
     """Fields of displacements relative to the box, and ``box_gradient`` and ``box_shift`` (time)."""
     count, lag = ds.sizes["time"] - asked.lag, asked.lag
     contacts = [name for name in ds.data_vars if "contact" in ds[name].dims]
-    first = ds.drop_vars(contacts).isel(time=slice(0, count))
+    # displacements relative to the box are the same in all images
+    first = ds.drop_vars([*contacts, "lattice_velocity"], errors="ignore").isel(time=slice(0, count))
     # a plan looks at names only: what stands for displacements and intervals comes with the frames
     scene = first.assign(velocity=first["position"], interval=first["mass"]).assign_attrs(lag=lag)
     plan = make_plan(scene, asked.ask(fields=names, width=asked.width, at=asked.at))
-    both = ["particle_id", "position", "time", *(name for name in ("box", "step") if name in ds)]
+    both = ["particle_id", "position", "time", *(name for name in OF_STEP if name in ds and name != "lattice_velocity")]
     later = {f"{name}{_LATER}": ds[name].variable[{"time": slice(lag, None)}].to_base_variable() for name in both}
     read = list(dict.fromkeys([*(name for name in plan.variables if name not in _MADE), *both]))
     pairs = first.assign(later)
@@ -228,11 +229,13 @@ class _Pairs:
         first["velocity"] = np.full((steps, grains, 3), np.nan)
         ids = np.full((steps, grains), PADDING)
         frames = {name: first[name] for name in later}
-        for t, (one, other) in enumerate(zip(steps_in(frames), steps_in(later), strict=True)):
+        for t, (one, other) in enumerate(
+            zip(steps_in(frames, self.periodic), steps_in(later, self.periodic), strict=True)
+        ):
             sources = one[2], other[2]
             rows = partners(one[0], other[0], sources)
             stay = rows >= 0
-            motion = BoxMotion.between(one[1], other[1], self.periodic, sources)
+            motion = BoxMotion.between(one[1], other[1])
             # grains without a partner become padding, and all rows stay where they are
             given = first["particle_id"][t]
             place = np.argsort(given, kind="stable")[grains - len(rows) :][stay]

@@ -18,16 +18,16 @@ from xcg.fields.deposit import BlockSums, sums_of_frame
 from xcg.fields.grid import check_mesh
 from xcg.fields.plan import Plan, scale_of
 from xcg.fields.program import program_for
-from xcg.scene.complete import periods
 from xcg.scene.frame import steps_in
-from xcg.scene.schema import Frame
+from xcg.scene.lattice import Lattice
+from xcg.scene.schema import OF_STEP, Frame
 from xcg.scene.warn import warn_once
 from xcg.steps.map import chunks_in, map_over_time
 
 
 def evaluate_plan(ds: xr.Dataset, plan: Plan, on_error: str) -> dict[str, Any]:
     """Arrays of the plan's fields (time, axes, phase, ...), lazy where the scene is."""
-    names = [*plan.variables, *(name for name in ("box", "step") if name in ds)]
+    names = [*plan.variables, *(name for name in OF_STEP if name in ds)]
     results = {field: (plan.shape(field), "float64") for field in plan.fields}
     threads = THREADS if chunks_in(ds, names) == 1 else 1
     return map_over_time(ds, names, partial(compute_chunk, plan, threads), results, "coarse-grain", on_error)
@@ -53,22 +53,21 @@ def compute_chunk(plan: Plan, threads: int, arrays: Mapping[str, NDArray]) -> di
     """Fields of one chunk of time, from padded arrays."""
     out = {name: np.empty((len(arrays["particle_id"]), *plan.shape(name))) for name in plan.fields}
     for_each([a.reshape(-1) for a in out.values()], _take_memory, threads)
-    for t, (frame, box, source) in enumerate(steps_in(arrays)):
-        _compute_step(plan, frame, box, source, threads, {name: a[t, ...] for name, a in out.items()})
+    for t, (frame, lattice, source) in enumerate(steps_in(arrays, plan.setup.periodic)):
+        _compute_step(plan, frame, lattice, source, threads, {name: a[t, ...] for name, a in out.items()})
     return out
 
 
 def _compute_step(
-    plan: Plan, frame: Frame, box: NDArray | None, source: str, threads: int, out: Mapping[str, NDArray]
+    plan: Plan, frame: Frame, lattice: Lattice, source: str, threads: int, out: Mapping[str, NDArray]
 ) -> None:
     """Compute the fields of one step into arrays (axes, phase, ...)."""
-    period = periods(box, plan.setup.periodic, source)
-    check_mesh(frame["position"], plan.deposit.grid, max(plan.deposit.cutoffs), period, source)
-    sums = sums_of_frame(frame, plan.deposit, period, scale_of(plan, box, source), source, threads)
     grid = plan.deposit.grid
+    check_mesh(frame["position"], grid, max(plan.deposit.cutoffs), lattice.open_axes, source)
+    sums = sums_of_frame(frame, plan.deposit, lattice, scale_of(plan, lattice, source), source, threads)
     phases = plan.phases if plan.deposit.by else 1
     rows = {name: a.reshape(grid.count, phases, *a.shape[len(plan.dims) :]) for name, a in out.items()}
-    options = replace(plan.options, wrapped=grid.fills(period))  # the box may change
+    options = replace(plan.options, wrapped=grid.fills(lattice.axis_periods))  # the box may change
     program = program_for(plan.fields, plan.options, len(plan.deposit.groups))
     traced = program.fields if program else ()
     untraced = tuple(name for name in plan.fields if name not in traced)

@@ -330,7 +330,7 @@ def make_grid(
     return grid
 
 
-def check_mesh(position: NDArray, grid: Grid, cutoff: float, period: NDArray, source: str) -> None:
+def check_mesh(position: NDArray, grid: Grid, cutoff: float, open_axes: NDArray, source: str) -> None:
     """Warn where no grain reaches any node, and where grains lie beyond a mesh that was laid around them.
 
     Parameters
@@ -341,12 +341,12 @@ def check_mesh(position: NDArray, grid: Grid, cutoff: float, period: NDArray, so
         The nodes.
     cutoff : float
         Radius of the largest support (m).
-    period : array (3,)
-        Length of the periodic axes (m), infinity along the others.
+    open_axes : array (3,)
+        Axes along which nothing repeats.
     source : str
         Names the step.
     """
-    axes = [k for k, a in enumerate(COMPONENTS) if a in grid.seen and not np.isfinite(period[k])]
+    axes = [k for k, a in enumerate(COMPONENTS) if a in grid.seen and open_axes[k]]
     if not len(position) or not axes or not grid.count:
         return
     first, last = grid.lower, grid.upper

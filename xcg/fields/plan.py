@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from xcg.compiled import smoothing as kinds
 from xcg.compiled.segments import RULES
@@ -26,8 +25,9 @@ from xcg.fields.quadrature import SINGLE, gauss_limits
 from xcg.fields.request import Request
 from xcg.fields.smoothing import Kernel, as_kernel, choose_width
 from xcg.fields.variables import OwnField, Quantity, own_fields, own_moments, rows_of
+from xcg.scene.lattice import Lattice
 from xcg.scene.query import box_stays, edges_of, groups_of, require_scene, setup_of
-from xcg.scene.schema import COMPONENTS, CONTACT_VARIABLES, ROTATION, SceneError, Setup, did_you_mean
+from xcg.scene.schema import BOX, COMPONENTS, CONTACT_VARIABLES, ROTATION, SceneError, Setup, did_you_mean
 from xcg.scene.sizes import layer_depth, with_measures
 from xcg.scene.warn import warn_user
 
@@ -229,7 +229,7 @@ def make_plan(ds: xr.Dataset, request: Request) -> Plan:
         own=own_moments(own) | _with_friction(options.friction),
     )
     x, y, z = (grid.spacing.get(a, 0.0) for a in COMPONENTS)
-    wrapped = grid.fills(np.array([period.get(a, np.inf) for a in COMPONENTS])) if box_stays(ds) else (False,) * 3
+    wrapped = grid.fills(_lasting_periods(ds, setup, period)) if box_stays(ds) else (False,) * 3
     options = replace(
         options, active=tuple(grid.active.tolist()), shape=grid.shape, spacing=(x, y, z), wrapped=wrapped
     )  # fmt: skip
@@ -290,6 +290,14 @@ def _warn_of_width(width: float, diameter: Any) -> None:
             "is 0.75 mean diameters, see the page on width"
         )
         warn_user(msg)
+
+
+def _lasting_periods(ds: xr.Dataset, setup: Setup, period: Mapping[str, float]) -> NDArray:
+    """Period (3,) along each axis alone, infinity where there is none; of a box that is the same in all steps."""
+    if "lattice" not in ds:
+        return np.array([period.get(a, np.inf) for a in COMPONENTS])
+    box = {name: ds[name].isel(time=0).transpose(*row.dims).to_numpy() for name, row in BOX.items() if name in ds}
+    return Lattice.of(box, setup.periodic).axis_periods
 
 
 def _warn_of_cuts(grid: Grid, edges: Mapping[str, tuple[float, float]], reach: float) -> None:
@@ -428,17 +436,20 @@ def _extents(
     return found
 
 
-def scale_of(plan: Plan, box: NDArray | None, source: str) -> float:
+def scale_of(plan: Plan, lattice: Lattice, source: str) -> float:
     """1 / (extents of the averaged axes x thickness of the layer) for one step."""
-    lengths = []
+    lengths, of_box = [], np.zeros(3, bool)
     for a, length in (*plan.extent.items(), *(((plan.depth, None),) if isinstance(plan.depth, str) else ())):
         if length is None:
-            k = COMPONENTS.index(a)
-            length = np.nan if box is None else float(box[k, 1] - box[k, 0])
+            length = lattice.length(a)
             if not (np.isfinite(length) and length > 0):
                 msg = f"{source}: fields are averaged along {a!r}, and the box of this step is not finite there"
                 raise SceneError(msg)
-        lengths.append(length)
+            of_box[COMPONENTS.index(a)] = lattice.vectors is not None
+        if not of_box[COMPONENTS.index(a)]:
+            lengths.append(length)
+    if of_box.any():
+        lengths.append(lattice.extent(of_box))
     if isinstance(plan.depth, float):
         lengths.append(plan.depth)
     return 1.0 / float(np.prod(lengths))

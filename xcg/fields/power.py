@@ -23,10 +23,11 @@ def _of(contacts: Contacts | None) -> Contacts:
     return contacts
 
 
-def surface_velocities(frame: Frame, contacts: Contacts) -> tuple[NDArray, NDArray]:
+def surface_velocities(frame: Frame, contacts: Contacts, *, of_images: bool = False) -> tuple[NDArray, NDArray]:
     """Velocities of the surfaces of i and j at the contact points (m s-1), (n, 3) each.
 
-    Those of walls are `WALL_VELOCITY` of the frame, or zero.
+    Those of walls are `WALL_VELOCITY` of the frame, or zero. In a sheared box they are those of the particles as they
+    are written, or of the images that touch at the point.
     """
     found = []
     for row, branch in ((contacts.i, contacts.branch_i), (contacts.j, contacts.branch_j)):
@@ -34,14 +35,16 @@ def surface_velocities(frame: Frame, contacts: Contacts) -> tuple[NDArray, NDArr
         u[there] = frame["velocity"][row[there]]
         if "angular_velocity" in frame:
             u[there] += np.cross(branch[there], frame["angular_velocity"][row[there]])
+        if of_images:
+            u[there] += contacts.lattice.drift((contacts.point + branch)[there] - frame["position"][row[there]])
         found.append(u)
     return found[0], found[1]
 
 
-def velocities_of_walls(frame: Frame, free: Contacts, period: NDArray, source: str) -> NDArray:
+def velocities_of_walls(frame: Frame, free: Contacts, source: str) -> NDArray:
     """Velocities (n, 3) of the surfaces that act as walls on the free grains: of grains held in place, or as given."""
-    every = Contacts.of(frame, period, source)
-    u_i, u_j = surface_velocities(frame, every)
+    every = Contacts.of(frame, free.lattice, source)
+    u_i, u_j = surface_velocities(frame, every, of_images=True)
     return np.where((free.i < 0)[:, None], u_i, u_j)
 
 
@@ -67,14 +70,14 @@ def couples(frame: Frame, contacts: Contacts | None) -> NDArray:
 def taken_up(frame: Frame, contacts: Contacts | None) -> NDArray:
     """Power that each contact takes up, -f.(u_i - u_j) (W); (contacts,)."""
     c = _of(contacts)
-    u_i, u_j = surface_velocities(frame, c)
+    u_i, u_j = surface_velocities(frame, c, of_images=True)
     return -dot(c.force, u_i - u_j)
 
 
 def of_walls(frame: Frame, contacts: Contacts | None) -> NDArray:
     """Power of the wall in each contact with one, f.u of the wall's velocity (W), else zero; (contacts,)."""
     c = _of(contacts)
-    u_i, u_j = surface_velocities(frame, c)
+    u_i, u_j = surface_velocities(frame, c, of_images=True)
     return np.where(c.j < 0, dot(c.force, u_j), 0.0) - np.where(c.i < 0, dot(c.force, u_i), 0.0)
 
 

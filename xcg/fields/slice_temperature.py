@@ -14,16 +14,16 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.scene.build import storable
-from xcg.scene.complete import periods
 from xcg.scene.conform import takes_scene
 from xcg.scene.frame import steps_in
 from xcg.scene.query import edges_of, require_scene, setup_of
-from xcg.scene.schema import COMPONENTS, SceneError, units_of
+from xcg.scene.schema import COMPONENTS, OF_STEP, SceneError, units_of
 from xcg.scene.sizes import with_measures
 from xcg.steps.label import mark_skipped
 from xcg.steps.map import map_over_time
 
 _TABLE = "slices"  # temperature, velocity (3) and count, in columns
+_HAIR = 1e-9  # rounding of edges, as a share of the width
 _MOST_PERIODS = 1000  # that a grain may reach over
 _MOST = 1 << 20  # planes of all slices, each a step of a loop
 
@@ -107,6 +107,8 @@ def slice_temperature(
     if method == "bins":
         count = max(1, _whole(np.ceil((bounds[1] - bounds[0]) / width - 1e-9)))
         nodes = bounds[0] + width * (np.arange(count) + 0.5)
+        hair = _HAIR * width  # the last edge is the first over again
+        limits = (bounds[0] - hair, bounds[0] + count * width - 2 * hair)
         function = partial(_bins, axis=k, dims=[*map(COMPONENTS.index, setup.plane)], edges=bounds[0], width=width)
     else:
         (step,) = _floats(width / 2 if spacing is None else spacing) or [np.nan]
@@ -114,6 +116,7 @@ def slice_temperature(
             msg = f"spacing={spacing!r}, planes={planes!r}: expected a positive distance (m) and a number of planes"
             raise ValueError(msg)
         nodes = bounds[0] + step * np.arange(_whole((bounds[1] - bounds[0]) / step + 1e-9, 2 * planes + 1) + 1)
+        limits = (nodes[0] - width / 2, nodes[-1] + width / 2)
         function = partial(_planes, axis=k, dims=[*map(COMPONENTS.index, setup.plane)], sides=planes, width=width)
     compute = partial(
         _over_time,
@@ -121,14 +124,15 @@ def slice_temperature(
         function=function,
         nodes=nodes,
         axis=k,
-        periodic=axis if axis in setup.periodic else "",
+        limits=limits,
+        periodic=setup.periodic if "lattice" in ds else axis if axis in setup.periodic else "",
     )
     names = [
         "particle_id",
         "position",
         "velocity",
         weight,
-        *(name for name in ("box", "step") if name in ds),
+        *(name for name in OF_STEP if name in ds),
     ]
     shape = {_TABLE: ((len(nodes), 5), "float64")}
     found = map_over_time(ds, names, compute, shape, "slices", on_error)
@@ -168,13 +172,22 @@ def _whole(count: float, planes: int = 1) -> int:
 
 def _over_time(
     arrays: Mapping[str, NDArray], *, weight: str, function: Callable[..., NDArray], nodes: NDArray, axis: int,
-    periodic: str,
+    periodic: str, limits: tuple[float, float],
 ) -> dict[str, NDArray]:  # fmt: skip
     """Tables of the slices of one chunk of time."""
     out = np.empty((len(arrays[weight]), len(nodes), 5))
-    for t, (frame, box, source) in enumerate(steps_in(arrays)):
-        period = float(periods(box, periodic, source)[axis])
-        out[t] = function(frame["position"], frame["velocity"], frame[weight], nodes, period=period)
+    for t, (frame, box, source) in enumerate(steps_in(arrays, periodic)):
+        lattice, position, velocity = box.seen(np.arange(3) == axis, source), frame["position"], frame["velocity"]
+        if lattice.vectors is not None:  # every image stands for itself, as its velocity may be another
+            reach = 0.5 * frame[weight].max(initial=0.0) * (weight == "diameter")
+            low, high = (
+                np.where(np.arange(3) == axis, end, sign * np.inf)
+                for sign, end in ((-1, limits[0] - reach), (1, limits[1] + reach))
+            )
+            row, shift, drift = lattice.images(position, low, high, source)
+            frame = {weight: frame[weight][row]}
+            position, velocity = position[row] + shift, velocity[row] + drift
+        out[t] = function(position, velocity, frame[weight], nodes, period=float(lattice.period[axis]))
     return {_TABLE: out}
 
 
@@ -190,7 +203,7 @@ def _bins(
     width: float, period: float,
 ) -> NDArray:  # fmt: skip
     out = np.full((len(nodes), 5), np.nan)
-    hair = 1e-9 * width  # edges are known to rounding only
+    hair = _HAIR * width  # edges are known to rounding only
     for k in range(len(nodes)):
         # the last edge belongs to the last bin, unless it is the first edge over again
         end = hair if k == len(nodes) - 1 and not np.isfinite(period) else -hair

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from xcg.fields.smoothing import Kernel, as_kernel, choose_width
 from xcg.fields.surfaces import Cells, Wall
 from xcg.scene.build import storable
-from xcg.scene.complete import periods
 from xcg.scene.conform import takes_scene
 from xcg.scene.contacts import Contacts
 from xcg.scene.frame import steps_in, without_frozen
+from xcg.scene.lattice import Lattice
 from xcg.scene.query import edges_of, require_scene, setup_of
-from xcg.scene.schema import COMPONENTS, Setup, units_of
+from xcg.scene.schema import COMPONENTS, OF_STEP, Setup, units_of
 from xcg.scene.sizes import with_measures
 from xcg.scene.walls import Walls, select_walls
 from xcg.scene.warn import warn_once
@@ -137,7 +137,7 @@ def wall_stress(
         "wall_force": ((3,), "float64"),
         "wall_contacts": ((), "int64"),
     }
-    names = ["particle_id", "position", *_NEEDS, *(n for n in ("diameter", "frozen", "box", "step") if n in ds)]
+    names = ["particle_id", "position", *_NEEDS, *(n for n in ("diameter", "frozen", *OF_STEP) if n in ds)]
     found = map_over_time(ds, names, partial(_of_chunk, task), results, "wall-stress", on_error)
     result = _label(ds, task, found).assign_attrs(
         **provenance(ds, call), kernel=smooth.name, width=smooth.width, cutoff=smooth.cutoff, surface=repr(surface)
@@ -161,18 +161,17 @@ def _box_of_grains(ds: xr.Dataset, setup: Setup) -> tuple[NDArray, NDArray]:
 
 def _of_chunk(task: _Task, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
     """Tractions of one chunk of time."""
-    steps = [_of_step(task, frame, box, source) for frame, box, source in steps_in(arrays)]
+    steps = [_of_step(task, *step) for step in steps_in(arrays, task.setup.periodic)]
     return {name: np.stack([step[name] for step in steps]) for name in steps[0]}
 
 
-def _of_step(task: _Task, frame: Any, box: NDArray | None, source: str) -> dict[str, NDArray]:
-    period = periods(box, task.setup.periodic, source)
-    _, point, force = Contacts.of(without_frozen(frame), period, source).at_walls
-    point, force = _over_surface(task, point, -force, period)
+def _of_step(task: _Task, frame: Any, lattice: Lattice, source: str) -> dict[str, NDArray]:
+    _, point, force = Contacts.of(without_frozen(frame), lattice, source).at_walls
+    point, force = _over_surface(task, point, -force, lattice)
     if not len(point):
         warn_once("wall stress", f"{source}: no contact with a wall is within {task.within:.3g} m of {task.surface!r}")
     normal, along = task.surface.in_surface(point, force)
-    smeared = _smear(task, point, np.column_stack([-normal, along, force]), period)
+    smeared = _smear(task, point, np.column_stack([-normal, along, force]), lattice)
     shape, axes = task.cells.shape, len(task.cells.axes)
     return {
         "normal_traction": smeared[:, 0].reshape(shape),
@@ -183,9 +182,9 @@ def _of_step(task: _Task, frame: Any, box: NDArray | None, source: str) -> dict[
     }
 
 
-def _over_surface(task: _Task, point: NDArray, force: NDArray, period: NDArray) -> tuple[NDArray, NDArray]:
+def _over_surface(task: _Task, point: NDArray, force: NDArray, lattice: Lattice) -> tuple[NDArray, NDArray]:
     """Contacts near the surface and over its cells, each as that image which is the nearest to it."""
-    images = _images(period, 1)
+    images = _images(lattice, 1)
     all_points = (point + images[:, None]).reshape(-1, 3)
     distance = np.abs(task.surface.distance(all_points)) if len(all_points) else np.empty(0)
     over = task.surface.covers(all_points, task.cells) if len(all_points) else np.empty(0, bool)
@@ -195,14 +194,14 @@ def _over_surface(task: _Task, point: NDArray, force: NDArray, period: NDArray) 
     return (point + images[image])[near], force[near]
 
 
-def _images(period: NDArray, count: int) -> NDArray:
+def _images(lattice: Lattice, count: int) -> NDArray:
     """Shifts by up to `count` periods, none first."""
-    sides = [[0.0, *(s * n * p for n in range(1, count + 1) for s in (-1, 1))] if np.isfinite(p) else [0.0]
-             for p in period]  # fmt: skip
-    return np.array(list(product(*sides)))
+    numbers = [0.0, *(s * n for n in range(1, count + 1) for s in (-1.0, 1.0))]
+    basis = lattice.basis
+    return np.array(list(product(numbers, repeat=len(basis)))).reshape(-1, len(basis)) @ basis
 
 
-def _smear(task: _Task, point: NDArray, values: NDArray, period: NDArray) -> NDArray:
+def _smear(task: _Task, point: NDArray, values: NDArray, lattice: Lattice) -> NDArray:
     """Sum over contacts weights (cells, contacts) times values (contacts, n), per area."""
     from scipy.spatial import cKDTree  # slow to import
 
@@ -210,7 +209,7 @@ def _smear(task: _Task, point: NDArray, values: NDArray, period: NDArray) -> NDA
     out = np.zeros((len(cells.area), values.shape[1]))
     if not len(point):
         return out
-    shifts = _images(period, int(np.ceil(cutoff / period.min())) if np.isfinite(period).any() else 0)
+    shifts = _images(lattice, int(np.ceil(cutoff / lattice.closest[0])))
     tree = cKDTree(cells.centre)
     pairs = [tree.sparse_distance_matrix(cKDTree(point + shift), cutoff, output_type="ndarray") for shift in shifts]
     cell, contact, distance = (np.concatenate([found[name] for found in pairs]) for name in ("i", "j", "v"))

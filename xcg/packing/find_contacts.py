@@ -10,12 +10,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.packing.pairs import check_search, find_pairs
-from xcg.scene.complete import REPEAT, contact_points, images_within, minimum_image, periods
+from xcg.packing.pairs import check_search, pairs_of
+from xcg.scene.complete import REPEAT, contact_points
 from xcg.scene.conform import takes_scene
 from xcg.scene.frame import stack, steps_in
+from xcg.scene.lattice import Lattice
 from xcg.scene.query import require_scene, setup_of
-from xcg.scene.schema import COMPONENTS, Frame, SceneError, Setup, units_of, variable
+from xcg.scene.schema import OF_STEP, Frame, SceneError, Setup, units_of, variable
 from xcg.steps.label import format_call, provenance
 from xcg.steps.map import is_lazy, map_over_time
 
@@ -98,18 +99,17 @@ class Search:
 
     def __call__(self, arrays: Mapping[str, NDArray]) -> Frame:
         """Contacts of one chunk of time, padded to `most` rows, or as many as the largest step has."""
-        frames = [self.contacts(*step) for step in steps_in(arrays)]
+        frames = [self.contacts(*step) for step in steps_in(arrays, self.setup.periodic)]
         rows = max(len(frame["overlap"]) for frame in frames) if self.most is None else self.most
         return stack(frames, self.names, rows)
 
-    def contacts(self, frame: Frame, box: NDArray | None, source: str) -> Frame:
+    def contacts(self, frame: Frame, lattice: Lattice, source: str) -> Frame:
         """Contacts of one frame."""
-        period = periods(box, self.setup.periodic, source)
         ids, position, radius = frame["particle_id"], frame["position"], frame["diameter"] / 2
-        self._refuse_own_images(frame, period, source)
-        i, j = find_pairs(
-            position, radius, box, self.setup.periodic, skin=self.skin, method=self.method, levels=self.levels,
-            threads=self.threads, most=self.most,
+        self._refuse_own_images(frame, lattice, source)
+        i, j = pairs_of(
+            position, radius, lattice, skin=self.skin, method=self.method, levels=self.levels, threads=self.threads,
+            most=self.most, source=source,
         ).T  # fmt: skip
         if "frozen" in frame:
             moving = (frame["frozen"][i] != 1) | (frame["frozen"][j] != 1)
@@ -119,7 +119,7 @@ class Search:
             apart = (body[i] != body[j]) | (body[i] < 0)  # negative for spheres of their own
             i, j = i[apart], j[apart]
         reach = radius[i] + radius[j] + self.skin
-        rows, branch = images_within(minimum_image(position[i] - position[j], period), reach, period)
+        rows, branch = lattice.within(lattice.shortest(position[i] - position[j]), reach)
         i, j = i[rows], j[rows]
         if self.most is not None and len(i) > self.most:
             msg = (
@@ -141,17 +141,17 @@ class Search:
             found["contact_force"] = self.stiffness.force(overlap, radius[i], radius[j])[:, None] * normal
         return found
 
-    def _refuse_own_images(self, frame: Frame, period: NDArray, source: str) -> None:
+    def _refuse_own_images(self, frame: Frame, lattice: Lattice, source: str) -> None:
         """Refuse a period that a grain reaches across: a contact with itself has no place in a scene."""
         ids, diameter = frame["particle_id"], frame["diameter"]
         if "frozen" in frame:
             ids, diameter = ids[frame["frozen"] != 1], diameter[frame["frozen"] != 1]
-        k = int(np.argmin(period))
-        if diameter.max(initial=0.0) + self.skin > period[k]:
+        period, direction = lattice.closest
+        if diameter.max(initial=0.0) + self.skin > period:
             row = int(np.argmax(diameter))
             msg = (
                 f"{source}: particle {ids[row]} of diameter {diameter[row]:g} touches its own image (skin "
-                f"{self.skin:g}), as the period along '{COMPONENTS[k]}' is {period[k]:g}, and a contact with itself "
+                f"{self.skin:g}), as the period {direction} is {period:g}, and a contact with itself "
                 f"has no place in a scene; {REPEAT}"
             )
             raise SceneError(msg)
@@ -238,7 +238,7 @@ def find_contacts(
     # under dask other steps keep the other cores busy
     search = Search(setup, Stiffness(k_n, E, nu), skin, method, levels, most, threads=1 if lazy else None)
     results = {name: (variable(name).shape(most or 0), variable(name).dtype) for name in search.names}
-    names = [*read, *(name for name in ("box", "step") if name in ds)]
+    names = [*read, *(name for name in OF_STEP if name in ds)]
     arrays = map_over_time(ds, names, search, results, "find-contacts")
     return _label(ds, arrays, search, given)
 

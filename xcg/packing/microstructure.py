@@ -14,12 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 from xcg.packing.mixing import Mixture
 from xcg.packing.quantities import CONTACTS, QUANTITIES, TENSOR, ratio
 from xcg.scene.build import storable
-from xcg.scene.complete import periods
 from xcg.scene.conform import takes_scene
 from xcg.scene.contacts import Contacts
 from xcg.scene.frame import phase_of, steps_in, without_frozen
+from xcg.scene.lattice import Lattice
 from xcg.scene.query import edges_of, groups_of, require_rising_times, require_scene, setup_of
-from xcg.scene.schema import COMPONENTS, Frame, SceneError, Setup, did_you_mean, units_of
+from xcg.scene.schema import BOX, COMPONENTS, OF_STEP, Frame, SceneError, Setup, did_you_mean, units_of
 from xcg.scene.sizes import layer_depth
 from xcg.steps.label import format_call, mark_skipped, provenance
 from xcg.steps.map import map_over_time
@@ -94,39 +94,38 @@ class Measure:
     def __call__(self, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
         """Quantities of one chunk of time."""
         out = {name: np.empty((len(arrays["particle_id"]), *self.shape(name))) for name in self.names}
-        for t, step in enumerate(steps_in(arrays)):
+        for t, step in enumerate(steps_in(arrays, self.setup.periodic)):
             self.measure(*step, {name: a[t] for name, a in out.items()})
         return out
 
-    def measure(self, frame: Frame, box: NDArray | None, source: str, out: Mapping[str, NDArray]) -> None:
+    def measure(self, frame: Frame, lattice: Lattice, source: str, out: Mapping[str, NDArray]) -> None:
         """Write the quantities of one frame into arrays (region, phase, ...)."""
-        period = periods(box, self.setup.periodic, source)
         frame = without_frozen(frame)
-        contacts = Contacts.of(frame, period, source) if "contact_i" in frame else None
-        corner = np.zeros(3) if box is None else box[:, 0]
+        contacts = Contacts.of(frame, lattice, source) if "contact_i" in frame else None
         shared = _shared(self, frame, contacts)
         phase = phase_of(frame, self.by, self.groups, source)
         for r, bounds in enumerate(self.regions):
-            position, inside = _images_in(bounds, frame["position"], corner, period, source)
-            volume = self._volume(bounds, box)
-            mixture = self._mixture(bounds, box, frame, position, inside, phase, period)
+            position, inside = _images_in(bounds, frame["position"], lattice, source)
+            volume, here = self._volume(bounds, lattice.edges), frame
+            if "velocity" in frame:
+                here = frame | {"velocity": frame["velocity"] + lattice.drift(position - frame["position"])}
+            mixture = self._mixture(bounds, lattice, frame, position, inside, phase)
             for p in range(self.phases):
                 member = inside if p == 0 else inside & (phase == p - 1)
-                sample = _sample(self, frame, position, contacts, shared, member, volume)
+                sample = _sample(self, here, position, contacts, shared, member, volume)
                 sample.mixture, sample.which = mixture, p
                 for name in self.names:
                     out[name][r, p] = QUANTITIES[name].compute(sample)
 
     def _mixture(
-        self, bounds: Bounds, box: NDArray | None, frame: Frame, position: NDArray, inside: NDArray, phase: NDArray,
-        period: NDArray,
+        self, bounds: Bounds, lattice: Lattice, frame: Frame, position: NDArray, inside: NDArray, phase: NDArray,
     ) -> Mixture | None:  # fmt: skip
         """Grains of a region by phase, where quantities need them; without bounds or box it is as large as they are."""
         if not any(QUANTITIES[name].of_phases for name in self.names):
             return None
         axes = [COMPONENTS.index(a) for a in self.setup.plane]
         x, size = position[inside][:, axes], frame["diameter"][inside]
-        edges = np.full((3, 2), np.nan) if box is None else box
+        edges = np.full((3, 2), np.nan) if lattice.edges is None else lattice.edges
         lower, upper = np.array([bounds.get(COMPONENTS[k], edges[k]) for k in axes], float).T
         if len(x):
             lower = np.where(np.isfinite(lower), lower, x.min(axis=0))
@@ -135,7 +134,7 @@ class Measure:
         d43 = float(ratio((size**4).sum(), (size**3).sum()))
         return Mixture(
             x - lower, phase[inside], frame["volume"][inside] if self.by_volume else np.ones(len(x)), lengths,
-            np.isclose(lengths, period[axes], rtol=1e-9), self.cell or CELL * d43, self.neighbours,
+            np.isclose(lengths, lattice.axis_periods[axes], rtol=1e-9), self.cell or CELL * d43, self.neighbours,
         )  # fmt: skip
 
     def _volume(self, bounds: Bounds, box: NDArray | None) -> float:
@@ -148,26 +147,26 @@ class Measure:
         return float(np.prod(lengths)) * (self.depth if isinstance(self.depth, float) else 1.0)
 
 
-def _images_in(
-    bounds: Bounds, position: NDArray, corner: NDArray, period: NDArray, source: str
-) -> tuple[NDArray, NDArray]:
+def _images_in(bounds: Bounds, position: NDArray, lattice: Lattice, source: str) -> tuple[NDArray, NDArray]:
     """Positions (n, 3), which begin at the bounds or the box along periodic axes, and which are in the bounds."""
-    position, inside = position.copy(), np.ones(len(position), bool)
+    corner = np.zeros(3) if lattice.edges is None else lattice.edges[:, 0]
+    first, inside = corner.copy(), np.ones(len(position), bool)
     for k, axis in enumerate(COMPONENTS):
-        x, (low, high) = position[:, k], bounds.get(axis, (corner[k], np.inf))
-        if np.isfinite(period[k]):
-            if axis in bounds and high - low > period[k] * (1 + 1e-9):
+        if axis in bounds:
+            first[k], high = bounds[axis]
+            period = lattice.lengths[k]
+            if high - first[k] > period * (1 + 1e-9):
                 msg = (
-                    f"{source}: the region reaches from {low:g} to {high:g} along {axis!r}, further than the period "
-                    f"{period[k]:g}, and would hold grains twice; take narrower bounds, or none along {axis!r} for the "
-                    "whole period"
+                    f"{source}: the region reaches from {first[k]:g} to {high:g} along {axis!r}, further than the "
+                    f"period {period:g}, and would hold grains twice; take narrower bounds, or none along "
+                    f"{axis!r} for the whole period"
                 )
                 raise SceneError(msg)
-            for first in (corner[k], low):  # grains of the box stay as they are where bounds are in it, too
-                x -= period[k] * np.floor((x - first) / period[k])
-                x[x >= first + period[k]] = first
+    for start in (corner, first):  # grains of the box stay as they are where bounds are in it, too
+        position = lattice.wrapped(position, start, source)
+    for k, axis in enumerate(COMPONENTS):
         if axis in bounds:
-            inside &= (low <= x) & (x < high)
+            inside &= (bounds[axis][0] <= position[:, k]) & (position[:, k] < bounds[axis][1])
     return position, inside
 
 
@@ -270,7 +269,7 @@ def microstructure(
     strain_rate : str, float or DataArray, optional
         Deviatoric strain rate (s-1): a number, one a time, "box" (from the strain of the box by finite differences in
         time), or "velocity" (from the affine flow that fits the velocities of each group best). By default "box" where
-        the scene has one and several steps, else "velocity".
+        the scene has one that is not tilted and several steps, else "velocity".
     strain : str
         "logarithmic" (default) or "engineering", relative to the first step of `ds`.
     axis : str, optional
@@ -394,8 +393,8 @@ def microstructure(
     )  # fmt: skip
     extra = {"particle_id", "position", "frozen", *([by] if by else [])}
     extra |= {"contact_normal"} if needed & set(CONTACTS) else set()
-    read = [str(name) for name in ds.data_vars if name in needed | extra and name != "box"]
-    read += [name for name in ("box", "step") if name in ds]
+    read = [str(name) for name in ds.data_vars if name in needed | extra and name not in BOX]
+    read += [name for name in OF_STEP if name in ds]
     results = {name: (measure.shape(name), "float64") for name in measured}
     arrays = map_over_time(ds, read, measure, results, "microstructure", on_error) if measured else {}
     result = _label(ds, arrays, measure, regions)
@@ -452,13 +451,16 @@ def _regions(bounds: Bounds | Mapping[str, Bounds] | None) -> dict[str, Bounds]:
 def _rate_source(ds: xr.Dataset, given: str | float | xr.DataArray | None) -> str | xr.DataArray:
     """Where the strain rate comes from: "box", "velocity", or the rate itself."""
     if given is None:
-        return "box" if "box" in ds and ds.sizes.get("time", 0) > 1 else "velocity"
+        return "box" if "box" in ds and "lattice" not in ds and ds.sizes.get("time", 0) > 1 else "velocity"
     if isinstance(given, str):
         if given not in ("box", "velocity"):
             msg = f"strain_rate={given!r}: expected a rate (s-1), 'box' or 'velocity'"
             raise ValueError(msg)
         if given == "box" and ("box" not in ds or ds.sizes.get("time", 0) < 2):
             msg = "strain_rate='box' needs a box and at least two steps; give the rate (s-1), or take 'velocity'"
+            raise ValueError(msg)
+        if given == "box" and "lattice" in ds:
+            msg = "strain_rate='box' is that of edges along x, y and z, and this box is tilted; take 'velocity'"
             raise ValueError(msg)
         return given
     return given if isinstance(given, xr.DataArray) else xr.DataArray(float(given))

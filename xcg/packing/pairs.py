@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from xcg.compiled import THREADS
 from xcg.compiled.pairs import sort_pairs
 from xcg.packing.cells import CellLists
-from xcg.scene.build import box_array
-from xcg.scene.complete import periods
+from xcg.scene.box import box_array, with_lattice
 from xcg.scene.contacts import MOST_A_PARTICLE, MOST_PAIRS
+from xcg.scene.lattice import Lattice
 from xcg.scene.schema import SceneError
 
 METHODS = ("hierarchical", "linked-cell")
@@ -29,6 +29,7 @@ def find_pairs(
     box: ArrayLike | Mapping[str, Sequence[float]] | None = None,
     periodic: str = "",
     *,
+    lattice: ArrayLike | Mapping[str, ArrayLike] | None = None,
     skin: float = 0.0,
     method: str = "hierarchical",
     levels: int | None = None,
@@ -53,6 +54,8 @@ def find_pairs(
         Edges of the domain (m), needed along periodic axes, for example ``{"x": (0.0, 0.1)}``.
     periodic : str
         Periodic axes, any of "xyz". Distances are to the nearest image; a particle is no partner of its own image.
+    lattice : array (3, 3) or mapping, optional
+        Vectors a, b, c to the next images of a tilted box, or its tilts, as in `xcg.scene_from_arrays` (m).
     skin : float
         Width of gaps that still count (m).
     method : str
@@ -87,11 +90,40 @@ def find_pairs(
     check_search(skin, method, levels, threads)
     if box is not None and not isinstance(box, Mapping) and np.shape(box) == (2, 2):
         box = dict(zip("xy", np.asarray(box, float).tolist(), strict=True))
-    edges = None if box is None else box_array(box, 1)[0]
-    period = periods(edges, periodic, "find_pairs")
+    edges = None if box is None else box_array(box, 1)
+    arrays = with_lattice(edges, lattice, {}, periodic, None)
+    images = Lattice.of({name: values[0] for name, values in arrays.items()}, periodic, "find_pairs")
+    return pairs_of(centres, radii, images, skin=skin, method=method, levels=levels, threads=threads, most=most)
+
+
+def pairs_of(
+    centres: NDArray, radii: NDArray, lattice: Lattice, *, skin: float, method: str, levels: int | None,
+    threads: int | None, most: int | None, source: str = "find_pairs",
+) -> NDArray:  # fmt: skip
+    """Find pairs of spheres in any box, see `find_pairs`."""
     if len(centres) < 2:
         return np.empty((0, 2), "int64")
-    corner = np.zeros(3) if edges is None else np.where(np.isfinite(period), edges[:, 0], 0.0)
+    corner = np.zeros(3) if lattice.edges is None else np.where(lattice.open_axes, 0.0, lattice.edges[:, 0])
+    count, whose = len(centres), np.arange(len(centres))
+    if lattice.vectors is not None:  # images near the box stand beside it as particles of their own
+        centres, reach = lattice.wrapped(centres, corner, source), 2 * radii.max() + skin
+        low, high = centres.min(axis=0) - reach, centres.max(axis=0) + reach
+        row, shift, _ = lattice.images(centres, low, high, source)
+        others = shift.any(axis=1)
+        centres = np.concatenate([centres, centres[row[others]] + shift[others]])
+        whose = np.concatenate([whose, row[others]])
+    near = _near(centres, radii[whose], corner, lattice.period, skin, method, levels, threads, most)
+    if lattice.vectors is None:
+        return near
+    near = whose[near[near[:, 0] < count]]  # of two images that are near each other one is in the box
+    return np.unique(np.sort(near[near[:, 0] != near[:, 1]], axis=1), axis=0)
+
+
+def _near(
+    centres: NDArray, radii: NDArray, corner: NDArray, period: NDArray, skin: float, method: str, levels: int | None,
+    threads: int | None, most: int | None,
+) -> NDArray:  # fmt: skip
+    """Pairs of spheres in a box with periods along the axes, or none."""
     lists = CellLists.of(centres, radii, corner, period, skin=skin, levels=1 if method == "linked-cell" else levels)
     workers = threads or min(THREADS, 1 + len(centres) // PARTICLES_A_THREAD)
     most = max(MOST_PAIRS, MOST_A_PARTICLE * len(centres), most or 0)

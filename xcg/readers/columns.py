@@ -240,6 +240,9 @@ def particles_from(ref: StepRef, columns: Mapping[str, str], options: ReadOption
         if f"position_{axis}" not in values and f"scaled_{axis}" in values:
             low, high = _edges(ref)[k]
             values[f"position_{axis}"] = low + values[f"scaled_{axis}"] * (high - low)
+            for other, vector in zip(COMPONENTS, ref.lattice or (), strict=False):
+                if other != axis and vector[k]:
+                    values[f"position_{axis}"] += values.get(f"scaled_{other}", 0.0) * vector[k]
     frame = {slot: array for slot, array in values.items() if slot not in _PARTICLE_COMPONENTS}
     frame["position"] = _stacked(values, "position", ref.rows)
     for slot in ("velocity", "angular_velocity"):

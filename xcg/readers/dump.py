@@ -233,19 +233,34 @@ def _check_header(ref: StepRef, words: list[str], *, atoms: bool) -> None:
 def _box(ref: StepRef, scanner: Scanner, item: str) -> StepRef:
     flags = item.split()[2:]
     lines = [scanner.line().decode("utf-8", "replace").split() for _ in COMPONENTS]
-    if {"xy", "abc"} & set(flags) or any(len(line) > 2 for line in lines):
+    if "abc" in flags:
         msg = (
-            f"{ref.path}: the box is triclinic ('{item}'), and only boxes with edges along x, y and z are "
-            "supported; where the tilt is zero throughout, write the files anew after 'change_box all ortho'"
+            f"{ref.path}: the box is written by vectors in any direction ('{item}'); write it by tilts, which LAMMPS "
+            "does after 'dump_modify ... triclinic/general no'"
         )
         raise SceneError(msg)
+    tilted, flags = flags[:3] == ["xy", "xz", "yz"], [flag for flag in flags if flag not in ("xy", "xz", "yz")]
     try:
-        edges = tuple((float(low), float(high)) for low, high in lines)
-        if not all(low < high for low, high in edges):
+        low, high, *tilts = np.array([[_finite(word) for word in line] for line in lines]).T
+        if len(tilts) != tilted:
+            raise ValueError
+        lattice = None
+        if tilted:  # the bounds are those of the tilted box
+            xy, xz, yz = tilts[0].tolist()
+            low = low - [min(0.0, xy, xz, xy + xz), min(0.0, yz), 0.0]
+            high = high - [max(0.0, xy, xz, xy + xz), max(0.0, yz), 0.0]
+            x, y, z = (high - low).tolist()
+            lattice = ((x, 0.0, 0.0), (xy, y, 0.0), (xz, yz, z))
+        if not (low < high).all():
             raise ValueError
     except ValueError:
-        msg = f"{ref.path}: {lines} follow 'ITEM: BOX BOUNDS', expected three lines of two numbers, the lower first"
+        what = "three lines of " + (
+            "three numbers, the bounds and a tilt" if tilted else "two numbers, the lower first"
+        )
+        msg = f"{ref.path}: {lines} follow 'ITEM: {item}', expected {what}"
         raise SceneError(msg) from None
+    edges = tuple(zip(low.tolist(), high.tolist(), strict=True))
+    ref = replace(ref, lattice=lattice)
     if len(flags) != len(COMPONENTS):
         return replace(ref, box=edges)  # old files do not say what is periodic
     periodic = "".join(axis for axis, flag in zip(COMPONENTS, flags, strict=True) if flag == "pp")

@@ -28,6 +28,9 @@ class StepRef:
         Number of the time step, from the header or the file's name.
     box : tuple or None
         ``((x0, x1), (y0, y1), (z0, z1))`` in the file's unit; infinite edges where an axis is unbounded.
+    lattice : tuple or None
+        Vectors a, b, c to the next images in the file's unit, where the file may tilt the box; `box` then holds the
+        edges without the tilt.
     periodic : str or None
         Periodic axes as the header says, None where it does not.
     columns : tuple of str
@@ -52,6 +55,7 @@ class StepRef:
     time: float | None = None
     step: int = 0
     box: tuple[tuple[float, float], ...] | None = None
+    lattice: tuple[tuple[float, float, float], ...] | None = None
     periodic: str | None = None
     columns: tuple[str, ...] = ()
     offset: int = 0

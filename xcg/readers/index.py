@@ -22,7 +22,7 @@ from xcg.readers.engine import StepRef
 from xcg.scene.schema import SceneError
 from xcg.steps import errors as errors
 
-_VERSION = 2  # of the entries; raise it when headers are read in another way
+_VERSION = 3  # of the entries; raise it when headers are read in another way
 _SETTLED = 2e9  # ns: a file that was modified just now may change again without another time stamp
 _MOST_STEPS = 200_000  # in a file; each takes a kilobyte
 _LEFT_OUT = ("path", "size", "modified")  # of entries: they are known when an entry is used

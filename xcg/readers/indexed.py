@@ -62,7 +62,7 @@ class _Variable(BackendArray):
             return read_particle_chunk(series.source, series.steps[one], series.particle_types, series.particle_rows)
 
         def contacts() -> Frame:
-            boxes = None if series.boxes is None else series.boxes[one]
+            boxes = {name: values[one] for name, values in series.boxes.items()}
             beside = _kept((self.token, t, "particles"), particles)
             return read_contact_chunk(
                 series.source, series.steps[one], series.contact_names, series.contact_rows, boxes, beside

@@ -13,12 +13,12 @@ import dask.array as da
 import numpy as np
 from dask.base import tokenize
 from dask.highlevelgraph import HighLevelGraph
-from numpy.typing import NDArray
 
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.text import source_of
-from xcg.scene.complete import HINTS, complete_contacts, complete_particles, periods
+from xcg.scene.complete import HINTS, complete_contacts, complete_particles
 from xcg.scene.frame import frame_of, stack
+from xcg.scene.lattice import Lattice
 from xcg.scene.plausible import check_ends
 from xcg.scene.schema import ROTATION, VARIABLES, Frame, SceneError, Setup, variable
 from xcg.scene.warn import Once
@@ -95,19 +95,19 @@ class Source:
             frame = frame | {"frozen": np.isin(frame["species"], self.frozen).astype("int64")}
         return complete_particles(frame, self.setup, source_of(ref))
 
-    def contacts(self, refs: Sequence[StepRef], names: Sequence[str], particles: Frame, box: NDArray | None) -> Frame:
+    def contacts(self, refs: Sequence[StepRef], names: Sequence[str], particles: Frame, box: Frame) -> Frame:
         """Read, check and complete the contacts of one step, from all its files."""
         parts = []
         for ref in refs:
+            lattice = Lattice.of(box, self.setup.periodic, source_of(ref))
             raw = read_step(self.engine, self.options, ref, contacts=True)
             _check_own(raw, ref)
             if "wrapped_branch" in raw:
                 scaled = particles | {"position": particles["position"] / self.setup.scales[0]}
-                period = periods(box, self.setup.periodic, source_of(ref)) / self.setup.scales[0]
                 with self.once.active():
-                    check_ends(raw, scaled, period, source_of(ref))
+                    check_ends(raw, scaled, lattice.scaled(self.setup.scales[0]), source_of(ref))
             parts.append(
-                complete_contacts(raw, particles, box, self.setup, source_of(ref), allow_unknown=self.allow_unknown)
+                complete_contacts(raw, particles, lattice, self.setup, source_of(ref), allow_unknown=self.allow_unknown)
             )
             _require(parts[-1], names, ref)
         if not parts:  # nothing touches
@@ -167,14 +167,14 @@ def read_contact_chunk(
     steps: Sequence[Step],
     names: Sequence[str],
     rows: int,
-    boxes: NDArray | None,
+    boxes: Frame,
     particles: Frame,
 ) -> Frame:
     """Contacts of the steps of a chunk, padded, checked against the particles of the same chunk."""
     frames = []
     for t, step in enumerate(steps):
         try:
-            box = None if boxes is None else boxes[t]
+            box = {name: values[t] for name, values in boxes.items()}
             frame = source.contacts(step.contacts, names, frame_of(particles, t), box)
         except errors.FAULTS as error:
             if not errors.record_fault(step.particles.step, error):
@@ -190,8 +190,8 @@ class Series:
 
     Attributes
     ----------
-    boxes : array (t, 3, 2) or None
-        Edges of the domain, in the scene's units.
+    boxes : mapping
+        Variables of the domain, time first, in the scene's units.
     particle_types : mapping
         Type of each variable of the particles.
     contact_names : sequence of str
@@ -200,7 +200,7 @@ class Series:
 
     source: Source
     steps: Sequence[Step]
-    boxes: NDArray | None
+    boxes: Frame
     particle_types: Mapping[str, Any]
     contact_names: Sequence[str]
 
@@ -250,7 +250,7 @@ def lazy_arrays(series: Series, sizes: Sequence[int]) -> dict[str, da.Array]:
     particles, layer = layer, f"read-contacts-{token}"
     names, rows, tasks = list(series.contact_names), series.contact_rows, {}
     for k, part in enumerate(parts):
-        edges = None if boxes is None else boxes[part]
+        edges = {name: values[part] for name, values in boxes.items()}
         task = partial(read_contact_chunk, source, steps[part], names, rows, edges)
         tasks[layer, k] = (task, (particles, k))
     graph = HighLevelGraph({**graph.layers, layer: tasks}, {**graph.dependencies, layer: {particles}})

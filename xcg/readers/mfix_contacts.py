@@ -22,7 +22,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.scene.complete import minimum_image
+from xcg.scene.lattice import minimum_image
 from xcg.scene.schema import COMPONENTS, Frame
 
 EXACT = 2**24  # ids are Float32: whole numbers are exact below

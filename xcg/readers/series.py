@@ -21,9 +21,11 @@ from xcg.readers.indexed import indexed_arrays
 from xcg.readers.lazy import Series, Source, Step, lazy_arrays, read_step
 from xcg.readers.paths import PathLike, expand_paths
 from xcg.readers.text import source_of
-from xcg.scene.build import box_array, to_dataset
-from xcg.scene.complete import complete_particles, periods
-from xcg.scene.schema import BOX_EDGES, COMPONENTS, VARIABLES, Frame, SceneError, Setup, did_you_mean, printable
+from xcg.scene.box import box_array, in_unit, with_lattice
+from xcg.scene.build import to_dataset
+from xcg.scene.complete import complete_particles
+from xcg.scene.lattice import Lattice
+from xcg.scene.schema import COMPONENTS, VARIABLES, Frame, SceneError, Setup, did_you_mean, printable
 from xcg.scene.sizes import measure_frames
 from xcg.scene.walls import named_walls
 from xcg.scene.warn import warn_user
@@ -54,6 +56,8 @@ def open_scene(
     times: ArrayLike | None = None,
     box: ArrayLike | Mapping[str, Sequence[float]] | None = None,
     periodic: str | None = None,
+    lattice: ArrayLike | Mapping[str, ArrayLike] | None = None,
+    shear_rate: Mapping[str, ArrayLike] | None = None,
     gravity: Sequence[float] | None = None,
     density: float | None = None,
     frozen: int | Sequence[int] | None = None,
@@ -105,6 +109,15 @@ def open_scene(
         Edges of the domain in the files' unit of length, in place of the headers'.
     periodic : str, optional
         Periodic axes, for example "xy", in place of the headers'; "" for none.
+    lattice : array (3, 3), array (t, 3, 3) or mapping, optional
+        Vectors a, b, c to the next periodic images of a tilted box, or its tilts by name, ``{"xy": 0.01}``, in the
+        files' unit of length, in place of the headers' (see `xcg.scene_from_arrays`). In boxes of Lees & Edwards the
+        tilt is the offset of the images.
+    shear_rate : mapping, optional
+        How much faster images one length further along y move along x, ``{"xy": 0.1}`` (s-1; a number, or one a step).
+        By default the rate at which tilts change from step to step, which is right where particles that leave a sheared
+        box change their velocity (LAMMPS: ``fix deform ... remap v``); ``{}`` for images of equal velocity (``remap
+        x``).
     gravity : three floats, optional
         Acceleration of gravity (m s-2, or reduced).
     density : float, optional
@@ -242,20 +255,21 @@ def open_scene(
         setup = replace(setup, gravity=(x, y, z))
     if box is None and first.box is None:
         box = _recovered_box(reader, options, steps, setup.periodic, raw, skipping=on_error == "skip")
-    edges = _boxes(steps, box, setup)
+    clock = [step.time for step in steps if step.time is not None]
+    time = np.array(clock) * setup.scales[2] if clock else None
+    domain = _domain(steps, box, lattice, shear_rate, setup, time)
     source = Source(reader, options, setup, _frozen_species(frozen, raw), allow_unknown)
     ends = [source.complete(frame, ref) for ref, frame in raw.items()]
     types = {name: ends[0][name].dtype for name in dict.fromkeys([*VARIABLES, *ends[0]]) if name in ends[0]}
     contact_names = _contact_names(source, next((step for step in steps if step.contacts), steps[0]))
-    series = Series(source, steps, edges, types, contact_names)
+    series = Series(source, steps, domain, types, contact_names)
     arrays = indexed_arrays(series) if chunks is None else lazy_arrays(series, steps_of_chunks(chunks, series))
     numbers = [step.particles.step for step in steps]
-    clock = [step.time for step in steps if step.time is not None]
     scene = to_dataset(
         arrays,
-        time=np.array(clock) * setup.scales[2] if clock else numbers,
+        time=numbers if time is None else time,
         step=numbers,
-        box=edges,
+        box=domain,
         setup=setup,
         measured=measure_frames(ends),
     )
@@ -603,14 +617,21 @@ def _within(plane: str | None, periodic: str) -> str:
     return "".join(axis for axis in periodic if plane is None or axis in plane or axis not in COMPONENTS)
 
 
-def _boxes(steps: Sequence[Step], box: Any, setup: Setup) -> NDArray | None:
-    """Edges of the domain at each step, in the scene's units."""
+def _domain(
+    steps: Sequence[Step], box: Any, lattice: Any, shear_rate: Mapping[str, ArrayLike] | None, setup: Setup,
+    time: NDArray | None,
+) -> dict[str, NDArray]:  # fmt: skip
+    """Variables of the domain at each step, in the scene's units."""
+    if lattice is None and box is None and any(step.particles.lattice is not None for step in steps):
+        straight = [np.diag(np.diff(step.particles.box)[:, 0]) for step in steps if step.particles.box is not None]
+        lattice = [step.particles.lattice or cell.tolist() for step, cell in zip(steps, straight, strict=True)]
     if box is None and steps[0].particles.box is not None:
         box = [step.particles.box for step in steps]
-    edges = None if box is None else box_array(box, len(steps)) * setup.factor(BOX_EDGES.powers)
+    edges = None if box is None else box_array(box, len(steps)) * setup.scales[0]
+    found = with_lattice(edges, in_unit(lattice, setup.scales[0]), shear_rate, setup.periodic, time)
     for t, step in enumerate(steps):
-        periods(None if edges is None else edges[t], setup.periodic, source_of(step.particles))
-    return edges
+        Lattice.of({name: values[t] for name, values in found.items()}, setup.periodic, source_of(step.particles))
+    return found
 
 
 def _recovered_box(

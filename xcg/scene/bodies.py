@@ -8,11 +8,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.scene.complete import minimum_image, periods, rows_of
+from xcg.scene.complete import rows_of
 from xcg.scene.conform import takes_scene
 from xcg.scene.frame import particle_rows
+from xcg.scene.lattice import Lattice
 from xcg.scene.query import require_scene, setup_of
-from xcg.scene.schema import PADDING, SceneError, units_of, variable
+from xcg.scene.schema import BOX, PADDING, SceneError, units_of, variable
 from xcg.scene.sizes import measure
 
 _PARTICLES = ("particle_id", "position", "velocity", "diameter", "density", "mass", "volume")
@@ -55,16 +56,18 @@ def group_bodies(ds: xr.Dataset, by_body: str = "body_id") -> xr.Dataset:
     contacts = [name for name in _CONTACTS if name in ds and "contact_i" in ds]
     made = [*particles, *(name for name in ("volume", "diameter") if name not in particles and "volume" in ds)]
     inputs, dims = [], []
-    for name in [*particles, by_body, *contacts, *(["box"] if "box" in ds else [])]:
+    box = [name for name in BOX if name in ds]
+    for name in [*particles, by_body, *contacts, *box]:
         core = [d for d in ds[name].dims if d != "time"]
         whole = ds[name].chunk(dict.fromkeys(core, -1)) if ds[name].chunks is not None else ds[name]
         inputs.append(whole)
         dims.append([str(d) for d in core])
     setup = setup_of(ds)
+    names = [*particles, "body", *contacts, *box]
     outputs = [*made, *contacts]
     out_dims = [list(variable(name, _dtype(name)).dims) for name in outputs]
     arrays = xr.apply_ufunc(
-        partial(_over_time, particles=particles, contacts=contacts, made=made, periodic=setup.periodic), *inputs,
+        partial(_over_time, names=names, made=made, contacts=contacts, periodic=setup.periodic), *inputs,
         input_core_dims=dims, output_core_dims=out_dims, dask="parallelized",
         output_dtypes=[np.dtype(_dtype(name)) for name in outputs],
     )  # fmt: skip
@@ -72,8 +75,7 @@ def group_bodies(ds: xr.Dataset, by_body: str = "body_id") -> xr.Dataset:
     for name, array in zip(outputs, arrays if len(outputs) > 1 else [arrays], strict=True):
         row = variable(name)
         data[name] = array.assign_attrs(units=units_of(row.powers, setup.unit_system), long_name=row.long_name)
-    if "box" in ds:
-        data["box"] = ds["box"]
+    data |= {name: ds[name] for name in BOX if name in ds}
     line = f"xcg: group_bodies({by_body!r})"
     attrs = {name: value for name, value in ds.attrs.items() if not str(name).endswith("_values")}
     attrs["history"] = f"{attrs['history']}\n{line}" if "history" in attrs else line
@@ -86,11 +88,10 @@ def _dtype(name: str) -> str:
 
 
 def _over_time(
-    *arrays: NDArray, particles: list[str], contacts: list[str], made: list[str], periodic: str
+    *arrays: NDArray, names: list[str], made: list[str], contacts: list[str], periodic: str
 ) -> tuple[NDArray, ...]:
-    names = [*particles, "body", *contacts, "box"]
     outer = arrays[0].shape[:-1]
-    given = dict(zip(names, arrays, strict=False))  # a scene that is not periodic need not have a box
+    given = dict(zip(names, arrays, strict=True))
     rows = int(arrays[0].shape[-1])
     lengths: dict[str, int] = dict.fromkeys(made, rows)
     if contacts:
@@ -101,9 +102,9 @@ def _over_time(
     }
     for at in np.ndindex(outer):
         valid = particle_rows(given["particle_id"][at])
-        frame = {name: given[name][at][valid] for name in [*particles, "body"]}
-        box = given["box"][at] if "box" in given else None
-        bodies, id_of_row = _bodies(frame, periods(box, periodic, f"group_bodies, frame {at}"))
+        frame = {name: given[name][at][valid] for name in names if name not in {*contacts, *BOX}}
+        box = {name: given[name][at] for name in BOX if name in given}
+        bodies, id_of_row = _bodies(frame, Lattice.of(box, periodic, f"group_bodies, frame {at}"))
         for name in made:
             out[name][at][: len(bodies["particle_id"])] = bodies[name]
         if contacts:
@@ -119,7 +120,7 @@ def _over_time(
     return tuple(out.values())
 
 
-def _bodies(frame: dict[str, NDArray], period: NDArray) -> tuple[dict[str, NDArray], NDArray]:
+def _bodies(frame: dict[str, NDArray], lattice: Lattice) -> tuple[dict[str, NDArray], NDArray]:
     """Bodies of one frame, and the body's id of each sphere."""
     ids, body = frame["particle_id"], frame["body"]
     own = body < 0
@@ -134,10 +135,12 @@ def _bodies(frame: dict[str, NDArray], period: NDArray) -> tuple[dict[str, NDArr
 
     bodies = {"particle_id": found, "mass": total(mass)}
     anchor = frame["position"][first]
-    offset = minimum_image(frame["position"] - anchor[group], period)
+    apart = frame["position"] - anchor[group]
+    offset = lattice.shortest(apart)
     bodies["position"] = anchor + total(mass[:, None] * offset) / bodies["mass"][:, None]
     if "velocity" in frame:
-        bodies["velocity"] = total(mass[:, None] * frame["velocity"]) / bodies["mass"][:, None]
+        velocity = frame["velocity"] + lattice.drift(offset - apart)
+        bodies["velocity"] = total(mass[:, None] * velocity) / bodies["mass"][:, None]
     if "volume" in frame:
         bodies["volume"] = total(frame["volume"])
         bodies["density"] = bodies["mass"] / bodies["volume"]

@@ -10,14 +10,17 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from xcg.scene.complete import complete_contacts, complete_particles, periods
+from xcg.scene.box import box_array, in_unit, with_lattice
+from xcg.scene.complete import complete_contacts, complete_particles
 from xcg.scene.frame import stack
+from xcg.scene.lattice import Lattice
 from xcg.scene.query import check_times, mark_measured
 from xcg.scene.schema import (
-    BOX_EDGES,
+    BOX,
     COMPONENTS,
     PADDING,
     VARIABLES,
+    VECTORS,
     Frame,
     SceneError,
     Setup,
@@ -35,7 +38,7 @@ def to_dataset(
     *,
     time: ArrayLike,
     step: ArrayLike,
-    box: NDArray | None,
+    box: Mapping[str, NDArray],
     setup: Setup,
     measured: Mapping[str, Any],
 ) -> xr.Dataset:
@@ -47,17 +50,17 @@ def to_dataset(
         Padded arrays by scene name, time first.
     time, step : array (t,)
         Times (s) and step numbers.
-    box : array (t, 3, 2) or None
-        Edges of the domain.
+    box : mapping
+        Variables of the domain, time first, see `with_lattice`.
     """
     data = {}
     for name, values in arrays.items():
         row = variable(name, values.dtype, values.ndim - 1)
         attrs = {"units": units_of(row.powers, setup.unit_system), "long_name": row.long_name}
         data[name] = xr.Variable(("time", *row.dims), values, attrs)
-    if box is not None:
-        attrs = {"units": units_of(BOX_EDGES.powers, setup.unit_system), "long_name": BOX_EDGES.long_name}
-        data["box"] = xr.Variable(("time", *BOX_EDGES.dims), box, attrs)
+    for name, values in box.items():
+        attrs = {"units": units_of(BOX[name].powers, setup.unit_system), "long_name": BOX[name].long_name}
+        data[name] = xr.Variable(("time", *BOX[name].dims), values, attrs)
     second = "s" if setup.unit_system == "SI" else "1"
     coords = {
         "time": ("time", np.asarray(time, float), {"units": second, "long_name": "time", "axis": "T"}),
@@ -66,8 +69,11 @@ def to_dataset(
     }
     if any("direction" in variable.dims for variable in data.values()):
         coords["direction"] = ("direction", list(COMPONENTS))
-    if box is not None and (box == box[:1]).all():  # attributes stay with every selection of steps
-        measured = {"box_lower": box[0, :, 0], "box_upper": box[0, :, 1], **measured}
+    if "lattice" in box:
+        coords["vector"] = ("vector", list(VECTORS))
+    edges = box.get("box")
+    if edges is not None and (edges == edges[:1]).all():  # attributes stay with every selection of steps
+        measured = {"box_lower": edges[0, :, 0], "box_upper": edges[0, :, 1], **measured}
     about: dict[str, Any] = {
         "Conventions": "CF-1.11",
         "periodic": setup.periodic,
@@ -87,27 +93,6 @@ def storable(ds: xr.Dataset) -> xr.Dataset:
         if coordinate.dtype.kind == "U":
             ds[name].encoding["dtype"] = object
     return ds
-
-
-_BOX_FORMS = "six numbers as [[x0, x1], [y0, y1], [z0, z1]], or a mapping {'x': (x0, x1), ...}"
-
-
-def box_array(box: ArrayLike | Mapping[str, Sequence[float]], steps: int) -> NDArray:
-    """Edges of the domain as an array (steps, 3, 2); axes left out of a mapping are unbounded."""
-    if isinstance(box, Mapping):
-        wrong = set(box) - set(COMPONENTS)
-        if wrong:
-            msg = f"box has keys {sorted(wrong)}: expected {_BOX_FORMS}"
-            raise SceneError(msg)
-        box = [box.get(axis, (-np.inf, np.inf)) for axis in COMPONENTS]
-    edges = np.asarray(box, float)
-    if edges.shape not in ((3, 2), (steps, 3, 2)):
-        msg = f"box has shape {edges.shape}: expected {_BOX_FORMS}, or one such array a step"
-        raise SceneError(msg)
-    if not (edges[..., 0] < edges[..., 1]).all():
-        msg = f"box={box!r}: the lower edge of every axis must lie below the upper edge"
-        raise SceneError(msg)
-    return np.broadcast_to(edges, (steps, 3, 2)).copy()
 
 
 def _refuse_mask(name: str, values: Any) -> None:
@@ -160,6 +145,8 @@ def scene_from_arrays(
     step: ArrayLike | None = None,
     box: ArrayLike | Mapping[str, Sequence[float]] | None = None,
     periodic: str = "",
+    lattice: ArrayLike | Mapping[str, ArrayLike] | None = None,
+    shear_rate: Mapping[str, ArrayLike] | None = None,
     gravity: Sequence[float] | None = None,
     dimension: int = 3,
     plane: str | None = None,
@@ -186,6 +173,14 @@ def scene_from_arrays(
         Edges of the domain (m), needed along periodic axes.
     periodic : str
         Periodic axes, for example "xy".
+    lattice : array (3, 3), array (t, 3, 3) or mapping, optional
+        Vectors a, b, c to the next periodic images (m) where they are not along x, y and z, in rows; `box` then holds
+        the edges of the box without its tilt, whose lengths are the vectors' components along their own axes. Or tilts
+        by name, ``{"xy": 0.01}`` (a number, or one a step): how far images along y are shifted along x, in boxes of
+        Lees & Edwards the offset of the images.
+    shear_rate : mapping, optional
+        How much faster images one length further along y move along x, ``{"xy": 0.1}`` (s-1; a number, or one a step).
+        By default the rate at which tilts change from step to step; ``{}`` for images of equal velocity.
     gravity : three floats, optional
         Acceleration of gravity (m s-2).
     dimension : {2, 3}
@@ -254,18 +249,19 @@ def scene_from_arrays(
             msg = f"{name}= has shape {values.shape}: expected one value for each of the {total} steps"
             raise SceneError(msg)
     check_times(times, "a scene", "sort the steps, and leave out those that stand twice")
-    edges = None if box is None else box_array(box, total) * setup.factor(BOX_EDGES.powers)
+    length = setup.scales[0]
+    edges = None if box is None else box_array(box, total) * length
+    domain = with_lattice(edges, in_unit(lattice, length), shear_rate, setup.periodic, times)
     particle_names = [name for name in steps if variable(name).dims[0] == "particle"]
     contact_names = [name for name in steps if variable(name).dims[0] == "contact"]
     particles, contacts = [], []
     for t in range(total):
         source = f"step {t}" if total > 1 else "scene"
         particles.append(complete_particles(_prefix(steps, particle_names, "particle_id", t), setup, source))
+        images = Lattice.of({name: values[t] for name, values in domain.items()}, setup.periodic, source)
         if contact_names:
             frame = _prefix(steps, contact_names, "contact_i", t)
-            box_t = None if edges is None else edges[t]
-            contacts.append(complete_contacts(frame, particles[-1], box_t, setup, source, allow_unknown=allow_unknown))
-        periods(None if edges is None else edges[t], setup.periodic, source)
+            contacts.append(complete_contacts(frame, particles[-1], images, setup, source, allow_unknown=allow_unknown))
     arrays: Frame = {}
     for frames, key in ((particles, "particle_id"), (contacts, "contact_i")):
         if frames:
@@ -274,7 +270,7 @@ def scene_from_arrays(
         arrays,
         time=times,
         step=numbers,
-        box=edges,
+        box=domain,
         setup=setup,
         measured=measure_frames(particles),
     )

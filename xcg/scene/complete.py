@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from xcg.scene.schema import COMPONENTS, LONGEST, SHORTEST, Frame, SceneError, Setup, variable
+from xcg.scene.lattice import Lattice
+from xcg.scene.schema import LONGEST, SHORTEST, Frame, SceneError, Setup, variable
 from xcg.scene.warn import warn_once
 
 # What readers say of contacts besides variables of the scene.
@@ -141,51 +141,6 @@ def _complete_size_and_mass(frame: Frame, setup: Setup) -> None:
         frame["moment_of_inertia"] = frame["mass"] * frame["diameter"] ** 2 / (8 if setup.shape == "disc" else 10)
 
 
-def periods(box: NDArray | None, periodic: str, source: str = "scene") -> NDArray:
-    """Box length along the periodic axes, infinity along the others; shape (3,)."""
-    lengths = np.full(3, np.inf)
-    for axis in periodic:
-        k = COMPONENTS.index(axis)
-        lengths[k] = np.nan if box is None else box[k, 1] - box[k, 0]
-        if not (np.isfinite(lengths[k]) and lengths[k] > 0):
-            msg = (
-                f"{source}: axis '{axis}' is periodic, but the box has no finite extent along it; give its edges, "
-                f"for example box={{'{axis}': (0.0, 0.1)}}"
-            )
-            raise SceneError(msg)
-    return lengths
-
-
-def minimum_image(vector: NDArray, period: NDArray, to: NDArray | None = None) -> NDArray:
-    """Shortest periodic image of vectors (n, 3), or the image nearest to other vectors.
-
-    `period` (3,) holds infinity along axes that are not periodic.
-    """
-    image, away = vector.copy(), vector if to is None else vector - to
-    for k in np.flatnonzero(np.isfinite(period)):
-        image[:, k] -= period[k] * np.rint(away[:, k] / period[k])
-    return image
-
-
-def images_within(vector: NDArray, reach: NDArray, period: NDArray) -> tuple[NDArray, NDArray]:
-    """Rows, and the vectors, of all images of shortest vectors (n, 3) that are shorter than their reach (n,).
-
-    The shortest one always is among them. No reach may be longer than 3/2 of a period, so that no other images than
-    the next ones can be meant.
-    """
-    short = period - np.abs(vector) < reach[:, None]
-    near = np.flatnonzero(short.any(axis=1))
-    if not near.size:
-        return np.arange(len(vector)), vector
-    shifts = np.array(list(product(*((0, -1, 1) if any_short else (0,) for any_short in short.any(axis=0)))))
-    images = vector[near, None] + shifts * np.where(np.isfinite(period), period, 0.0)
-    inside = np.linalg.norm(images, axis=2) < reach[near, None]
-    inside[:, 0] = True
-    rows = np.concatenate([np.flatnonzero(~short.any(axis=1)), near[np.nonzero(inside)[0]]])
-    order = np.argsort(rows, kind="stable")
-    return rows[order], np.concatenate([vector[~short.any(axis=1)], images[inside]])[order]
-
-
 def rows_of(ids: NDArray, wanted: NDArray) -> NDArray:
     """Row of each wanted id among sorted ids, -1 where it is not there."""
     if not len(ids):
@@ -200,7 +155,7 @@ def rows_of(ids: NDArray, wanted: NDArray) -> NDArray:
 def complete_contacts(
     frame: Mapping[str, ArrayLike],
     particles: Frame,
-    box: NDArray | None,
+    lattice: Lattice,
     setup: Setup,
     source: str,
     *,
@@ -225,8 +180,8 @@ def complete_contacts(
         Messages count rows by ``row_of_file`` (n,), where rows were joined or reordered.
     particles : Frame
         The particles of the same step, completed.
-    box : array (3, 2) or None
-        Edges of the domain, in the scene's units.
+    lattice : Lattice
+        Periodic images, in the scene's units.
     allow_unknown : bool
         Take contacts with ids that are not among the particles as contacts with a wall.
 
@@ -239,9 +194,8 @@ def complete_contacts(
     """
     given = _typed({name: values for name, values in frame.items() if name not in HINTS}, setup, source)
     if "wrapped_branch" in frame and "contact_normal" not in given:
-        period = periods(box, setup.periodic, source)
         branch = np.asarray(frame["wrapped_branch"]) * setup.scales[0]
-        given["contact_normal"] = unit_vectors(minimum_image(branch, period))
+        given["contact_normal"] = unit_vectors(lattice.shortest(branch))
     missing = [name for name in ("contact_i", "contact_j", "contact_force") if name not in given]
     if missing:
         msg = f"{source}: contacts lack {missing}; map the file's names to these with names={{...}}"
@@ -279,8 +233,7 @@ def complete_contacts(
         points = given.get("contact_point", np.empty((len(i), 3))).copy()
         some = {name: values[derived] for name, values in given.items()} | {"row_of_file": number[derived]}
         those = None if seen is None else seen[derived]
-        period = periods(box, setup.periodic, source)
-        points[derived] = _contact_points(some, particles, row_i[derived], row_j[derived], those, period, source)
+        points[derived] = _contact_points(some, particles, row_i[derived], row_j[derived], those, lattice, source)
         given["contact_point"] = points
     rows, pair = repeated_pairs(i, j)
     if not rows.size:
@@ -288,7 +241,7 @@ def complete_contacts(
     there, centre = np.where(row_i >= 0, row_i, row_j)[rows], given["contact_point"][rows]
     centre[there >= 0] = particles["position"][there[there >= 0]]
     contacts = given | {"row_of_file": number}
-    copy = _copies(contacts, rows, pair, centre, periods(box, setup.periodic, source), source)
+    copy = _copies(contacts, rows, pair, centre, lattice, source)
     return {name: np.delete(values, copy, axis=0) for name, values in given.items()} if copy.size else given
 
 
@@ -314,7 +267,7 @@ def repeated_pairs(i: NDArray, j: NDArray) -> tuple[NDArray, NDArray]:
     return order[inside], np.insert(np.cumsum(~same), 0, 0)[inside]
 
 
-def _copies(contacts: Frame, rows: NDArray, pair: NDArray, centre: NDArray, period: NDArray, source: str) -> NDArray:
+def _copies(contacts: Frame, rows: NDArray, pair: NDArray, centre: NDArray, lattice: Lattice, source: str) -> NDArray:
     """Rows that list a contact again: the same force, from either side, at the same point.
 
     Contacts of one pair are sorted by the size of the force, so that those of one contact stand near each other.
@@ -332,7 +285,7 @@ def _copies(contacts: Frame, rows: NDArray, pair: NDArray, centre: NDArray, peri
     mirrored = contacts["contact_i"][rows] > contacts["contact_j"][rows]
     force = contacts["contact_force"][rows]
     size = np.linalg.norm(force, axis=1)
-    reach = _SAME_POINT * np.linalg.norm(minimum_image(point - centre, period), axis=1)
+    reach = _SAME_POINT * np.linalg.norm(lattice.shortest(point - centre), axis=1)
     copy = np.zeros(len(rows), bool)
     for distance in range(1, min(len(rows), _MOST_CONTACTS_A_PAIR)):
         near = (pair[distance:] == pair[:-distance]) & ~copy[distance:]
@@ -341,7 +294,7 @@ def _copies(contacts: Frame, rows: NDArray, pair: NDArray, centre: NDArray, peri
         if not one.size:
             break
         other = one + distance
-        together = np.linalg.norm(minimum_image(point[one] - point[other], period), axis=1) <= reach[other]
+        together = np.linalg.norm(lattice.shortest(point[one] - point[other]), axis=1) <= reach[other]
         one, other = one[together], other[together]
         turned, least = mirrored[one] != mirrored[other], _SAME_FORCE * size[other]
         same = np.linalg.norm(force[one] - force[other], axis=1) <= least
@@ -366,7 +319,7 @@ def unit_vectors(vector: NDArray) -> NDArray:
 
 
 def _contact_points(
-    contacts: Frame, particles: Frame, row_i: NDArray, row_j: NDArray, seen: NDArray | None, period: NDArray,
+    contacts: Frame, particles: Frame, row_i: NDArray, row_j: NDArray, seen: NDArray | None, lattice: Lattice,
     source: str,
 ) -> NDArray:  # fmt: skip
     """Points where spheres touch; their middle, if it is given, tells of a partner that is not in the scene."""
@@ -395,27 +348,27 @@ def _contact_points(
             msg = f"{source}: contact row {contacts['row_of_file'][row]} ({pair}) {what}"
             raise SceneError(msg)
 
-    branch = _branches(position[i] - position[j], radius[i] + radius[j], seen, period, refuse, source)
+    branch = _branches(position[i] - position[j], radius[i] + radius[j], seen, lattice, refuse, source)
     points[both] = contact_points(position[i], branch, radius[i], radius[j])
     for side in (position[i] - points[both], position[i] - points[both] - branch):
         refuse(
-            np.flatnonzero((np.abs(side) >= 0.5 * (1 - _HAIR) * period).any(axis=1)),
+            np.flatnonzero(lattice.is_halfway(side, _HAIR)),
             f"is half a period away from a centre, where both of its sides are one place; {REPEAT}",
         )
     if only.size:
-        branch = 2 * minimum_image(position[k] - points[only], period)
+        branch = 2 * lattice.shortest(position[k] - points[only])
         other = np.linalg.norm(branch, axis=1) + contacts["overlap"][only] - radius[k]
         points[only] = contact_points(position[k], branch, radius[k], other)
     return points
 
 
 def _branches(
-    apart: NDArray, touching: NDArray, seen: NDArray | None, period: NDArray, refuse: Callable[[NDArray, str], None],
+    apart: NDArray, touching: NDArray, seen: NDArray | None, lattice: Lattice, refuse: Callable[[NDArray, str], None],
     source: str,
 ) -> NDArray:  # fmt: skip
     """Images of vectors (n, 3) from j to i that touch at `touching` (n,): nearest to what was `seen`, or shortest."""
     if seen is not None:
-        branch = minimum_image(apart, period, seen)
+        branch = lattice.shortest(apart, seen)
         if (np.linalg.norm(branch - seen, axis=1) <= _SAME_BRANCH * np.linalg.norm(seen, axis=1)).all():
             return branch
         warn_once(
@@ -424,8 +377,8 @@ def _branches(
             "that is not periodic, and the shortest are taken; drop them with names={'dx': None, ...} if they are "
             "something else",
         )
-    branch = minimum_image(apart, period)
-    rows, _ = images_within(branch, np.maximum(np.linalg.norm(branch, axis=1), touching) * (1 + _HAIR), period)
+    branch = lattice.shortest(apart)
+    rows, _ = lattice.within(branch, np.maximum(np.linalg.norm(branch, axis=1), touching) * (1 + _HAIR))
     refuse(
         rows[1:][rows[1:] == rows[:-1]],
         "may be on either side, as the box is so small that the two touch twice; give 'contact_point', or the vector "

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from xcg.scene.arguments import check_arguments
 from xcg.scene.query import MEASURED, known_without_reading
-from xcg.scene.schema import BOX_EDGES, COMPONENTS, PADDING, VARIABLES, SceneError, Variable, variable
+from xcg.scene.schema import BOX, COMPONENTS, PADDING, VARIABLES, SceneError, Variable, variable
 from xcg.scene.warn import Once
 
 _MOST_SPREAD = 2**27  # values a step of a variable that was spread over the rows of others: 1 GB
@@ -53,7 +53,7 @@ def conform(ds: xr.Dataset) -> xr.Dataset:
     if "position" not in ds or "particle_id" not in ds:
         return ds
     scene = ds.swap_dims(_renamed(ds))
-    scene = scene.reset_coords([name for name in scene.coords if name in VARIABLES or name == "box"])
+    scene = scene.reset_coords([name for name in scene.coords if name in VARIABLES or name in BOX])
     for dim in _taken_away(scene):
         scene = _with_dim(scene, dim)
     scene = _with_components(scene)
@@ -97,7 +97,7 @@ def _with_dim(ds: xr.Dataset, dim: str) -> xr.Dataset:
         return series
     of_step = {"time", "component", "direction"}
     names = [
-        n for n in map(str, ds.data_vars) if n != "box" and {*ds[n].dims} <= of_step and variable(n).dims[0] == dim
+        n for n in map(str, ds.data_vars) if n not in BOX and {*ds[n].dims} <= of_step and variable(n).dims[0] == dim
     ]
     found = {}
     for name in names:
@@ -108,8 +108,8 @@ def _with_dim(ds: xr.Dataset, dim: str) -> xr.Dataset:
 
 def _row_of(ds: xr.Dataset, name: str) -> Variable | None:
     """Row of the schema of a variable; none for what the user keeps beside the scene."""
-    if name == "box":
-        return BOX_EDGES
+    if name in BOX:
+        return BOX[name]
     dims = ds[name].dims
     row = variable(name, ds[name].dtype, 1 + sum(dim in dims for dim in ("component", "direction")))
     expected = {"time", *row.dims}

@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 from xcg.compiled.arrays import counting_sort_places
 from xcg.compiled.contacts import add_dyads, add_rows, add_unit_squares, between, k_core, sides
+from xcg.compiled.lattice import Reduced
 from xcg.scene.complete import repeated_pairs, rows_of, unit_vectors
+from xcg.scene.lattice import Lattice
 from xcg.scene.plausible import check_contacts
 from xcg.scene.schema import Frame
 
@@ -35,8 +37,8 @@ class Contacts:
         Contact point (m).
     position : array (particles, 3)
         Centres (m).
-    period : array (3,)
-        Length of the periodic axes (m), infinity along the others.
+    lattice : Lattice
+        Periodic images.
     key_i, key_j : array (n,)
         Identifiers of the partners, walls included.
     given_normal : array (n, 3) or None
@@ -50,23 +52,23 @@ class Contacts:
     force: NDArray
     point: NDArray
     position: NDArray
-    period: NDArray
+    lattice: Lattice
     key_i: NDArray
     key_j: NDArray
     given_normal: NDArray | None
     given_branches: tuple[NDArray, NDArray] | None = None
 
     @classmethod
-    def of(cls, frame: Frame, period: NDArray, source: str = "scene") -> Contacts:
+    def of(cls, frame: Frame, lattice: Lattice, source: str = "scene") -> Contacts:
         """Join the contacts of a frame to the rows of its particles; `source` names the step in warnings."""
-        check_contacts(frame, period, source)
+        check_contacts(frame, lattice, source)
         ids, position = frame["particle_id"], frame["position"]
         key_i, key_j, point = frame["contact_i"], frame["contact_j"], frame["contact_point"]
         row_i, row_j = rows_of(ids, key_i), rows_of(ids, key_j)
         normal = frame.get("contact_normal")
         # contacts found from positions without a stiffness have no forces
         force = frame["contact_force"] if "contact_force" in frame else np.zeros_like(point)
-        return cls(row_i, row_j, force, point, position, period, key_i, key_j, normal)
+        return cls(row_i, row_j, force, point, position, lattice, key_i, key_j, normal)
 
     @cached_property
     def branches(self) -> tuple[NDArray, NDArray]:
@@ -75,10 +77,16 @@ class Contacts:
             return self.given_branches
         return self._sides(self.i), self._sides(self.j)
 
+    @property
+    def periods(self) -> tuple[tuple[float, float, float], Reduced | None]:
+        """Periods along the axes, and the lattice of other boxes, as compiled loops take them."""
+        x, y, z = self.lattice.period.tolist()
+        return (x, y, z), self.lattice.reduced
+
     def _sides(self, row: NDArray) -> NDArray:
         """Vectors (n, 3) from the contact points to one particle of each contact, zero where it is not there."""
         out = np.empty_like(self.point)
-        sides(row, self.position, self.point, tuple(self.period.tolist()), out)
+        sides(row, self.position, self.point, *self.periods, out)
         return out
 
     @property
@@ -123,7 +131,7 @@ class Contacts:
         if self.given_branches is not None:
             return self.branch_i - self.branch_j
         out = np.empty_like(self.point)
-        between(self.i, self.j, self.position, self.point, tuple(self.period.tolist()), out)
+        between(self.i, self.j, self.position, self.point, *self.periods, out)
         return out
 
     @cached_property
@@ -167,10 +175,10 @@ class Contacts:
 
     @property
     def _images(self) -> NDArray:
-        """Number of periods (n, 3) between the images that touch and the particles, from the lower id to the higher."""
+        """Number of periods (n, k) between the images that touch and the particles, from the lower id to the higher."""
         both = (self.i >= 0) & (self.j >= 0)
         away = self.between - (self.position[self.i] - self.position[self.j])
-        number = np.where(both[:, None], np.rint(away / self.period), 0.0)
+        number = np.where(both[:, None], self.lattice.numbers(away), 0.0)
         return np.where((self.key_i < self.key_j)[:, None], number, -number)
 
     @cached_property

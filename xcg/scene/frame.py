@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.scene.schema import PADDING, Frame, SceneError, variable
+from xcg.scene.lattice import Lattice
+from xcg.scene.schema import BOX, OF_STEP, PADDING, Frame, SceneError, variable
 
 
 def stack(frames: Sequence[Frame], names: Sequence[str], rows: int) -> Frame:
@@ -105,9 +106,10 @@ def without_frozen(frame: Frame) -> Frame:
     return {**frame, **particles}
 
 
-def steps_in(arrays: Mapping[str, NDArray]) -> Iterator[tuple[Frame, NDArray | None, str]]:
-    """Frame, box and name of each step of padded arrays; the box is None where they hold none."""
-    rows = {name: a for name, a in arrays.items() if name not in ("box", "step", "time")}
+def steps_in(arrays: Mapping[str, NDArray], periodic: str) -> Iterator[tuple[Frame, Lattice, str]]:
+    """Frame, periodic images and name of each step of padded arrays."""
+    rows = {name: a for name, a in arrays.items() if name not in (*OF_STEP, "time")}
     for t in range(len(next(iter(rows.values())))):
         source = f"step {arrays['step'][t]}" if "step" in arrays else f"frame {t} of its chunk"
-        yield frame_of(rows, t, source), arrays["box"][t] if "box" in arrays else None, source
+        box = {name: arrays[name][t] for name in BOX if name in arrays}
+        yield frame_of(rows, t, source), Lattice.of(box, periodic, source), source

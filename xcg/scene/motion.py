@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.scene.complete import minimum_image, periods, rows_of
+from xcg.scene.complete import rows_of
+from xcg.scene.lattice import Lattice, same_vectors
 from xcg.scene.schema import Frame, SceneError
 
 
@@ -23,33 +24,35 @@ class BoxMotion:
         Change of the periods over the periods.
     shift : array (3,)
         Displacement that belongs to the origin of coordinates (m).
-    period : array (3,)
-        Periods of the later frame (m), infinity along open axes.
+    lattice : Lattice
+        Periodic images of the later frame.
     """
 
     gradient: NDArray
     shift: NDArray
-    period: NDArray
+    lattice: Lattice
 
     @classmethod
-    def between(
-        cls, first: NDArray | None, later: NDArray | None, periodic: str, sources: tuple[str, str]
-    ) -> BoxMotion:
-        """Compare the boxes (3, 2) of two frames."""
-        before, after = (periods(box, periodic, name) for box, name in zip((first, later), sources, strict=True))
+    def between(cls, first: Lattice, later: Lattice) -> BoxMotion:
+        """Compare the boxes of two frames."""
         stretch, lower, moved = np.zeros((3, 3))
-        wraps = np.isfinite(before)
-        if first is not None and later is not None:
-            stretch[wraps] = after[wraps] / before[wraps] - 1.0
-            lower[wraps] = first[wraps, 0]
+        wraps = np.isfinite(first.lengths)
+        if first.edges is not None and later.edges is not None:
+            lower[wraps] = first.edges[wraps, 0]
+            moved[wraps] = (later.edges - first.edges)[wraps, 0]
             # an edge that is a period further on is the same edge
-            moved[wraps] = minimum_image((later - first)[None, wraps, 0], after[wraps])[0]
-        gradient, shift = np.diag(stretch), moved - stretch * lower
-        return cls(gradient, shift, after)
+            moved = later.shortest(moved[None])[0]
+        if first.vectors is None and later.vectors is None:
+            stretch[wraps] = later.period[wraps] / first.period[wraps] - 1.0
+            return cls(np.diag(stretch), moved - stretch * lower, later)
+        before, after = first.given, later.given
+        turned = same_vectors(before, after, np.flatnonzero(wraps)) @ after
+        gradient = (np.linalg.pinv(before) @ (turned - before)).T
+        return cls(gradient, moved - gradient @ lower, later)
 
     def relative(self, position: NDArray, later: NDArray) -> NDArray:
         """Displacements (n, 3) of grains less that of the box where they were, in the image that moved least."""
-        return minimum_image(later - position - self.shift - position @ self.gradient.T, self.period)
+        return self.lattice.shortest(later - position - self.shift - position @ self.gradient.T)
 
 
 def partners(first: Frame, later: Frame, sources: tuple[str, str]) -> NDArray:

@@ -8,7 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.scene.complete import minimum_image, rows_of
+from xcg.scene.complete import rows_of
+from xcg.scene.lattice import Lattice
 from xcg.scene.schema import Frame
 from xcg.scene.warn import warn_once
 
@@ -24,15 +25,15 @@ def _sample(rows: int) -> slice:
     return slice(None, None, max(1, rows // _SAMPLE))
 
 
-def check_contacts(frame: Frame, period: NDArray, source: str) -> None:
+def check_contacts(frame: Frame, lattice: Lattice, source: str) -> None:
     """Warn of contact points far from the centres of their grains, and of contacts that pull nearly throughout.
 
     Parameters
     ----------
     frame : Frame
         Particles and contacts of one step.
-    period : array (3,)
-        Length of the periodic axes (m), infinity along the others.
+    lattice : Lattice
+        Periodic images.
     source : str
         Names the step.
     """
@@ -42,7 +43,7 @@ def check_contacts(frame: Frame, period: NDArray, source: str) -> None:
     keys = frame["contact_i"][some], frame["contact_j"][some]
     rows = [rows_of(frame["particle_id"], key) for key in keys]
     point, force = frame["contact_point"][some], frame.get("contact_force")
-    branches = [minimum_image(frame["position"][row] - point, period) for row in rows]
+    branches = [lattice.shortest(frame["position"][row] - point) for row in rows]
     if "diameter" in frame:
         there = [row >= 0 for row in rows]
         larger = np.maximum(*(frame["diameter"][row] * known for row, known in zip(rows, there, strict=True)))
@@ -81,7 +82,7 @@ def is_central(contacts: Frame) -> bool:
     return bool((across <= _CENTRAL * _lengths(branch) * _lengths(force)).all())
 
 
-def check_ends(raw: Frame, particles: Frame, period: NDArray, source: str) -> None:
+def check_ends(raw: Frame, particles: Frame, lattice: Lattice, source: str) -> None:
     """Warn where the ends that a file of contacts holds are not the positions of the particles.
 
     Parameters
@@ -90,8 +91,8 @@ def check_ends(raw: Frame, particles: Frame, period: NDArray, source: str) -> No
         Contacts with ``wrapped_branch``, from j to i by the ends in the file (m), of any image.
     particles : Frame
         The particles of the same step.
-    period : array (3,)
-        Length of the periodic axes (m), infinity along the others.
+    lattice : Lattice
+        Periodic images.
     source : str
         Names the step.
     """
@@ -100,9 +101,9 @@ def check_ends(raw: Frame, particles: Frame, period: NDArray, source: str) -> No
         rows_of(particles["particle_id"], np.asarray(raw[name][some], "int64")) for name in ("contact_i", "contact_j")
     )
     pairs = np.flatnonzero((row_i >= 0) & (row_j >= 0))
-    ends = minimum_image(raw["wrapped_branch"][some][pairs], period)
+    ends = lattice.shortest(raw["wrapped_branch"][some][pairs])
     centres = particles["position"][row_i[pairs]] - particles["position"][row_j[pairs]]
-    off = np.flatnonzero(_lengths(minimum_image(ends - centres, period)) > _OFF * _lengths(ends))
+    off = np.flatnonzero(_lengths(lattice.shortest(ends - centres)) > _OFF * _lengths(ends))
     if off.size:
         first = off[0]
         i, j = (int(raw[name][some][pairs[first]]) for name in ("contact_i", "contact_j"))
@@ -110,7 +111,7 @@ def check_ends(raw: Frame, particles: Frame, period: NDArray, source: str) -> No
             "ends",
             f"{source}: the ends of {off.size} of {len(pairs)} contacts looked at are not the positions of their "
             f"particles (contact_i={i}, contact_j={j}: {ends[first]} from end to end, "
-            f"{minimum_image(centres, period)[first]} from centre to centre): particles and contacts are of different "
+            f"{lattice.shortest(centres)[first]} from centre to centre): particles and contacts are of different "
             "steps or runs, columns are not in the order expected, or the box is another",
         )
 

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.scene.schema import COMPONENTS, SceneError, Setup
+from xcg.scene.schema import BOX, COMPONENTS, SceneError, Setup
 
 
 def require_scene(ds: xr.Dataset, names: Sequence[str], purpose: str) -> None:
@@ -123,6 +123,6 @@ def edges_of(ds: xr.Dataset) -> dict[str, tuple[float, float]]:
 def box_stays(ds: xr.Dataset) -> bool:
     """Whether the box is the same in all steps; a lazy one is not read, as attributes hold a box that stays."""
     if "box" not in ds or ds["box"].chunks is not None:
-        return "box_lower" in ds.attrs
-    box = ds["box"].transpose("time", ...).to_numpy()
-    return bool((box == box[:1]).all())
+        return "box_lower" in ds.attrs and "lattice" not in ds
+    parts = [ds[name].transpose("time", ...).to_numpy() for name in BOX if name in ds]
+    return all(bool((part == part[:1]).all()) for part in parts)

@@ -96,7 +96,14 @@ VARIABLES: dict[str, Variable] = {
 }
 # Read only where they are asked for, as few fields need them.
 ROTATION = ("angular_velocity", "moment_of_inertia")
-BOX_EDGES = Variable(("component", "bound"), (1, 0, 0), "edges of the domain")
+# the domain of a step; the lattice is there where edges are not along x, y and z, its velocity where images move
+BOX: dict[str, Variable] = {
+    "box": Variable(("component", "bound"), (1, 0, 0), "edges of the domain"),
+    "lattice": Variable(("vector", "component"), (1, 0, 0), "vectors a, b, c to the next periodic images"),
+    "lattice_velocity": Variable(("vector", "component"), (1, 0, -1), "rate at which the lattice vectors change"),
+}
+OF_STEP = (*BOX, "step")  # what tasks take of a step besides its rows
+VECTORS = ("a", "b", "c")
 
 _NAMED_UNITS = {
     (0, 0, 0): "1",

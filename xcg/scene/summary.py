@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from xcg.scene.query import edges_of
-from xcg.scene.schema import COMPONENTS, printable, units_of, variable
+from xcg.scene.schema import BOX, COMPONENTS, printable, units_of, variable
 
 _WIDTH = 11  # of labels
 
@@ -44,7 +44,7 @@ def summary_of_scene(ds: xr.Dataset) -> Summary:
     """Tell what a scene holds, and what is missing, without reading it."""
     steps, particles, contacts = (ds.sizes.get(dim, 1) for dim in ("time", "particle", "contact"))
     contacts = contacts if "contact_i" in ds else 0
-    names = {dim: [n for n in map(str, ds.variables) if n != "box" and variable(n).dims[0] == dim] for dim in _ROWS}
+    names = {dim: [n for n in map(str, ds.variables) if n not in BOX and variable(n).dims[0] == dim] for dim in _ROWS}
     own = {
         dim: [n for n in names[dim] if n not in ds.dims and (n in ds.data_vars or n == dim + "_id")] for dim in _ROWS
     }
@@ -101,5 +101,6 @@ def _box(ds: xr.Dataset) -> str:
     edges = edges_of(ds)
     unit = units_of((1, 0, 0), ds.attrs.get("unit_system", "SI")).removesuffix("1")
     text = ", ".join(f"{a} {edges[a][0]:.6g} to {edges[a][1]:.6g}" for a in COMPONENTS if a in edges)
+    text += ", tilted" * ("lattice" in ds) + ", with images that move" * ("lattice_velocity" in ds)
     changes = "box" in ds and "box_lower" not in ds.attrs and ds["box"].sizes.get("time", 1) > 1
     return f"{text} {unit}".rstrip() + (" (first step)" if changes else "") if text else "none"

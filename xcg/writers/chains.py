@@ -13,7 +13,6 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from xcg.chains.results import Step, require_chains, steps_of
-from xcg.scene.complete import minimum_image
 from xcg.scene.schema import Frame
 from xcg.writers.files import hdf5_file, whole_file
 
@@ -134,7 +133,7 @@ class _Mesh:
         point[members] = np.arange(len(members))
         position = arrays["position"]
         away = position[j] - position[i]
-        nearest = minimum_image(away, step.period)
+        nearest = step.lattice.shortest(away)
         crossing = np.flatnonzero((nearest != away).any(axis=1))
         source = np.concatenate([members, j[crossing]])
         ends = point[j]

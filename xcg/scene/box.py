@@ -1,0 +1,177 @@
+"""The domain as callers and files describe it: edges, tilt and shear, as variables of the scene."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from xcg.scene.lattice import same_vectors
+from xcg.scene.schema import COMPONENTS, SceneError
+from xcg.scene.warn import warn_user
+
+_BOX_FORMS = "six numbers as [[x0, x1], [y0, y1], [z0, z1]], or a mapping {'x': (x0, x1), ...}"
+_TILT_FORMS = "the vectors a, b, c as an array (3, 3), one such array a step, or tilts such as {'xy': 0.01} (m)"
+_SHEARS = tuple(i + j for i in COMPONENTS for j in COMPONENTS if i != j)
+_FAST = 0.25  # change of the tilt from step to step, in periods, from which it is hardly known: a half is two rates
+
+
+def box_array(box: ArrayLike | Mapping[str, Sequence[float]], steps: int) -> NDArray:
+    """Edges of the domain as an array (steps, 3, 2); axes left out of a mapping are unbounded."""
+    if isinstance(box, Mapping):
+        wrong = set(box) - set(COMPONENTS)
+        if wrong:
+            msg = f"box has keys {sorted(wrong)}: expected {_BOX_FORMS}"
+            raise SceneError(msg)
+        box = [box.get(axis, (-np.inf, np.inf)) for axis in COMPONENTS]
+    edges = np.asarray(box, float)
+    if edges.shape not in ((3, 2), (steps, 3, 2)):
+        msg = f"box has shape {edges.shape}: expected {_BOX_FORMS}, or one such array a step"
+        raise SceneError(msg)
+    if not (edges[..., 0] < edges[..., 1]).all():
+        msg = f"box={box!r}: the lower edge of every axis must lie below the upper edge"
+        raise SceneError(msg)
+    return np.broadcast_to(edges, (steps, 3, 2)).copy()
+
+
+def in_unit(lattice: ArrayLike | Mapping[str, ArrayLike] | None, unit: float) -> Any:
+    """Vectors or tilts as the caller gave them, times a unit of length."""
+    if isinstance(lattice, Mapping):
+        return {name: np.asarray(tilt, float) * unit for name, tilt in lattice.items()}
+    return None if lattice is None else np.asarray(lattice, float) * unit
+
+
+def with_lattice(
+    edges: NDArray | None,
+    lattice: ArrayLike | Mapping[str, ArrayLike] | None,
+    shear_rate: Mapping[str, ArrayLike] | None,
+    periodic: str,
+    time: NDArray | None,
+) -> dict[str, NDArray]:
+    """Variables of the domain, time first: its edges, and where it is tilted or sheared its lattice and how that moves.
+
+    Parameters
+    ----------
+    edges : array (t, 3, 2) or None
+        Edges of the box without its tilt.
+    lattice : array (3, 3), array (t, 3, 3) or mapping, optional
+        Vectors a, b, c, or tilts by name, a number or one a step: "xy" is how far images along y are shifted along x.
+    shear_rate : mapping, optional
+        Rates by name (s-1), a number or one a step: "xy" is how much faster images one length up y move along x. By
+        default the rates at which the tilts change from step to step.
+    periodic : str
+        Periodic axes.
+    time : array (t,) or None
+        Times of the steps (s), where they are known.
+
+    Raises
+    ------
+    SceneError
+        If a lattice is given without edges, does not fit them, or a shear is given without a lattice.
+    """
+    if edges is None:
+        if lattice is not None or shear_rate:
+            msg = f"lattice={lattice!r}, shear_rate={shear_rate!r}: give the edges without the tilt, too (box=)"
+            raise SceneError(msg)
+        return {}
+    found = {"box": edges}
+    if lattice is None:
+        if shear_rate and any(np.any(rate) for rate in shear_rate.values()):
+            msg = (
+                f"shear_rate={dict(shear_rate)!r}: where images are, along the shear, is not known from edges; give "
+                f"the tilt at each step as well: lattice={{{next(iter(shear_rate))!r}: tilts}}, in Lees-Edwards boxes "
+                "the offset of the images"
+            )
+            raise SceneError(msg)
+        return found
+    vectors = _vectors(edges, lattice, periodic)
+    rates = _rates(vectors, periodic, time) if shear_rate is None else _entries(edges, shear_rate, "shear_rate", per=1)
+    tilted = (vectors * (1 - np.eye(3)))[:, [COMPONENTS.index(a) for a in periodic]].any()
+    if tilted or rates.any():
+        found["lattice"] = vectors
+    if rates.any():
+        found["lattice_velocity"] = rates
+    return found
+
+
+def _entries(edges: NDArray, given: Mapping[str, ArrayLike], name: str, per: int = 0) -> NDArray:
+    """Matrices (t, 3, 3) of numbers such as {"xy": value}, times the length of the second axis where that is asked."""
+    wrong = set(given) - set(_SHEARS) if isinstance(given, Mapping) else {repr(given)}
+    out = np.zeros((len(edges), 3, 3))
+    if wrong:
+        msg = f"{name} names {sorted(wrong)}: expected a mapping from any of {', '.join(_SHEARS)} to numbers"
+        raise SceneError(msg)
+    for key, values in given.items():
+        i, j = (COMPONENTS.index(axis) for axis in key)
+        numbers = np.asarray(values, float)
+        length = edges[:, j, 1] - edges[:, j, 0] if per else 1.0
+        if numbers.shape not in ((), (len(edges),)) or not np.isfinite(numbers * length).all():
+            msg = f"{name}[{key!r}]={values!r}: expected a finite number, or one for each of {len(edges)} steps"
+            raise SceneError(msg)
+        out[:, j, i] = numbers * length
+    return out
+
+
+def _vectors(edges: NDArray, lattice: ArrayLike | Mapping[str, ArrayLike], periodic: str) -> NDArray:
+    """Lattice vectors (t, 3, 3), checked against the edges."""
+    lengths = edges[..., 1] - edges[..., 0]
+    if isinstance(lattice, Mapping):
+        vectors = _entries(edges, lattice, "lattice")
+        vectors[:, range(3), range(3)] = lengths
+        return vectors
+    vectors = np.asarray(lattice, float)
+    if vectors.shape not in ((3, 3), (len(edges), 3, 3)):
+        msg = f"lattice has shape {vectors.shape}: expected {_TILT_FORMS}"
+        raise SceneError(msg)
+    vectors = np.broadcast_to(vectors, (len(edges), 3, 3)).copy()
+    for axis in periodic:
+        k = COMPONENTS.index(axis)
+        off = np.flatnonzero(~(np.abs(vectors[:, k, k] - lengths[:, k]) <= 1e-9 * lengths[:, k]))
+        if off.size:
+            msg = (
+                f"lattice vector {'abc'[k]} is {vectors[off[0], k].tolist()}, and the box without its tilt is "
+                f"{lengths[off[0], k]:g} long along {axis!r}: expected that as its component along {axis!r}"
+            )
+            raise SceneError(msg)
+        vectors[:, k, k] = lengths[:, k]
+    return vectors
+
+
+def _rates(vectors: NDArray, periodic: str, time: NDArray | None) -> NDArray:
+    """Rates (t, 3, 3) at which tilts change, from the steps before and after each.
+
+    Codes flip a box that is tilted far: a vector is then written as its sum with whole numbers of others, and moves as
+    that sum does.
+    """
+    axes = [COMPONENTS.index(a) for a in periodic]
+    cells = (vectors * (1 - np.eye(3)))[:, axes]
+    rates = np.zeros_like(vectors)
+    if not cells.any() or (cells == cells[:1]).all():
+        return rates
+    if time is None:
+        warn_user(
+            "the tilt of the box changes from step to step, but the times of the steps are not known, so that its "
+            "images are taken to be at rest relative to each other; give timestep=, times= or shear_rate="
+        )
+        return rates
+    cells, largest = vectors[:, axes], 0.0
+    seen = np.zeros((2, len(time), len(axes), 3))  # rates before and after each step, of the vectors as written there
+    for t, (one, two) in enumerate(pairwise(cells)):
+        turned = same_vectors(one, two, axes)
+        move = (turned @ two - one) * ~np.eye(3, dtype=bool)[axes]
+        largest = max(largest, float(np.abs(move[:, axes] / two[range(len(axes)), axes]).max()))
+        seen[1, t] = move / (time[t + 1] - time[t])
+        seen[0, t + 1] = np.linalg.solve(turned, seen[1, t])
+    if largest > _FAST:
+        warn_user(
+            f"the tilt of the box changes by up to {largest:.2g} periods from step to step; where it is half of one or "
+            "more, the rate of shear that follows is wrong: give shear_rate=, for example {'xy': 0.1} (s-1)"
+        )
+    lengths = np.diff(time)[:, None, None]
+    seen[0, 0], seen[1, -1] = seen[1, 0], seen[0, -1]
+    before, after = (np.concatenate(parts) for parts in ((lengths[:1], lengths), (lengths, lengths[-1:])))
+    rates[:, axes] = (after * seen[0] + before * seen[1]) / (before + after)
+    return rates

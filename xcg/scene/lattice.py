@@ -1,0 +1,428 @@
+"""Periodic images of a step: the shortest one, those within a distance, wrapping; in tilted boxes, too.
+
+A lattice is all ``n_a a + n_b b + n_c c`` with whole numbers n. Where its vectors change in time, as in a box that is
+sheared, an image moves with ``n_a da/dt + n_b db/dt + n_c dc/dt`` relative to its original (Lees & Edwards 1972).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xcg.compiled.lattice import Reduced, nearest_images
+from xcg.scene.schema import COMPONENTS, SceneError
+
+_SAME = 1e-9  # rounding of lattice vectors, as a share of the longest
+_MOST_IMAGES = 20_000  # lattice translations that are looked at
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """Periodic images of one step.
+
+    Attributes
+    ----------
+    period : array (3,)
+        Length of the periodic axes (m), infinity along the others; infinity along all where there are `vectors`.
+    edges : array (3, 2) or None
+        Edges of the box, without its tilt (m).
+    vectors : array (k, 3) or None
+        Vectors to the next images (m), as short as they can be chosen, in boxes with other edges than x, y and z, or
+        with images that move; None in all others.
+    rates : array (k, 3) or None
+        Rates at which the vectors change (m/s).
+    cell : array (3, 3) or None
+        The vectors a, b, c as they were given, zero where they are not periodic.
+    """
+
+    period: NDArray
+    edges: NDArray | None = None
+    vectors: NDArray | None = None
+    rates: NDArray | None = None
+    cell: NDArray | None = None
+
+    @classmethod
+    def of(cls, box: Mapping[str, NDArray], periodic: str, source: str = "scene") -> Lattice:
+        """Take over the box of a step: its variables ``box``, ``lattice`` and ``lattice_velocity``, those there are.
+
+        Raises
+        ------
+        SceneError
+            If the box has no finite extent along a periodic axis, or its vectors span no volume.
+        """
+        edges, given = box.get("box"), box.get("lattice")
+        axes = [COMPONENTS.index(axis) for axis in periodic]
+        if given is None:
+            return cls(_periods(edges, axes, source), edges)
+        rates = np.asarray(box.get("lattice_velocity", np.zeros((3, 3))), float)[axes]
+        vectors = np.asarray(given, float)[axes]
+        lengths = np.linalg.norm(vectors, axis=1)
+        if not (np.isfinite(vectors).all() and np.isfinite(rates).all() and _volume(vectors) > 1e-12 * lengths.prod()):
+            msg = (
+                f"{source}: the lattice vectors of the periodic axes {periodic!r} are {vectors.tolist()} (m), moving "
+                f"with {rates.tolist()} (m/s); expected finite vectors that span a volume"
+            )
+            raise SceneError(msg)
+        straight = np.zeros((len(axes), 3))
+        straight[range(len(axes)), axes] = lengths
+        if edges is not None and not rates.any() and (vectors == straight).all():
+            return cls(_periods(edges, axes, source), edges)
+        cell = np.zeros((3, 3))
+        cell[axes] = vectors
+        return cls(np.full(3, np.inf), edges, *_reduced(vectors, rates), cell)
+
+    @property
+    def lengths(self) -> NDArray:
+        """Length (3,) of the periodic axes in the box without its tilt (m), infinity along the others."""
+        return self.period if self.cell is None else np.where(self.cell.any(axis=1), np.diagonal(self.cell), np.inf)
+
+    def length(self, axis: str) -> float:
+        """Extent of the box along an axis (m); NaN where it has none."""
+        return np.nan if self.edges is None else float(np.diff(self.edges[COMPONENTS.index(axis)])[0])
+
+    @property
+    def given(self) -> NDArray:
+        """Vectors of the periodic axes (k, 3) as they were given, in the order of the axes."""
+        return self.basis if self.cell is None else self.cell[self.cell.any(axis=1)]
+
+    def scaled(self, unit: float) -> Lattice:
+        """Return the same images with lengths in another unit (m)."""
+        vectors = None if self.vectors is None else self.vectors / unit
+        return Lattice(self.period / unit, vectors=vectors, rates=self.rates)
+
+    # --- vectors between two places ---
+
+    @cached_property
+    def basis(self) -> NDArray:
+        """Vectors to the next images (k, 3), those of any box."""
+        periodic = np.isfinite(self.period)
+        return np.diag(np.where(periodic, self.period, 0.0))[periodic] if self.vectors is None else self.vectors
+
+    @cached_property
+    def reduced(self) -> Reduced | None:
+        """The lattice as compiled loops take it; None where periods along the axes are enough."""
+        if self.vectors is None:
+            return None
+        around = np.array([n for n in product((-1.0, 0.0, 1.0), repeat=len(self.vectors)) if any(n)])
+        around = around.reshape(-1, len(self.vectors)) @ self.vectors
+        return Reduced(np.ascontiguousarray(self.vectors), self._dual, around)
+
+    @cached_property
+    def _dual(self) -> NDArray:
+        return np.ascontiguousarray(np.linalg.pinv(self.basis).T).reshape(-1, 3)
+
+    def shortest(self, vector: NDArray, to: NDArray | None = None) -> NDArray:
+        """Shortest periodic image of vectors (n, 3), or the image nearest to other vectors."""
+        if self.reduced is None:
+            return minimum_image(vector, self.period, to)
+        out = np.empty((len(vector), 3))
+        nearest_images(np.ascontiguousarray(vector if to is None else vector - to, float), self.reduced, out)
+        return out if to is None else out + to
+
+    def numbers(self, vector: NDArray) -> NDArray:
+        """Whole numbers (n, k) of lattice vectors nearest to vectors (n, 3)."""
+        return np.rint(vector @ self._dual.T)
+
+    def drift(self, shift: NDArray) -> NDArray | float:
+        """How fast images move that are shifted by lattice vectors (n, 3); (n, 3), or 0 where none moves (m/s)."""
+        return 0.0 if self.rates is None or not self.rates.any() else self.numbers(shift) @ self.rates
+
+    def translations(self, length: float, source: str = "scene") -> NDArray:
+        """All lattice vectors (m, 3) shorter than a length, but for zero."""
+        most = np.ceil(length * np.linalg.norm(self._dual, axis=1))
+        numbers = _numbers(-most, most, source)
+        found = numbers[numbers.any(axis=1)] @ self.basis
+        return found[(found**2).sum(axis=1) < length**2]
+
+    def within(self, vector: NDArray, reach: NDArray) -> tuple[NDArray, NDArray]:
+        """Rows, and the vectors, of all images of shortest vectors (n, 3) that are shorter than their reach (n,).
+
+        The shortest one always is among them. Along axes, no reach may be longer than 3/2 of a period, so that no other
+        images than the next ones can be meant.
+        """
+        if self.vectors is None:
+            return images_within(vector, reach, self.period)
+        moves = np.concatenate([np.zeros((1, 3)), self.translations(2 * reach.max(initial=0.0))])
+        images = vector[:, None] + moves
+        inside = (images**2).sum(axis=2) < reach[:, None] ** 2
+        inside[:, 0] = True
+        return np.nonzero(inside)[0], images[inside]
+
+    def is_halfway(self, vector: NDArray, hair: float) -> NDArray:
+        """Whether shortest vectors (n, 3) are as long as another image of theirs, up to a share of the period; (n,)."""
+        if self.reduced is None:
+            return (np.abs(vector) >= 0.5 * (1 - hair) * self.period).any(axis=1)
+        around = self.reduced.around
+        toward = np.einsum("ni,mi->nm", vector, around) / (around**2).sum(axis=1)
+        return (np.abs(toward) >= 0.5 * (1 - hair)).any(axis=1)
+
+    @property
+    def closest(self) -> tuple[float, str]:
+        """Distance to the nearest image, and the direction in which it is, for messages."""
+        lengths = np.linalg.norm(self.basis, axis=1)
+        if not len(lengths):
+            return np.inf, ""
+        k = int(np.argmin(lengths))
+        if self.vectors is None:
+            return float(lengths[k]), f"along '{COMPONENTS[np.flatnonzero(np.isfinite(self.period))[k]]}'"
+        return float(lengths[k]), f"along {self.vectors[k].tolist()}"
+
+    # --- places ---
+
+    @property
+    def open_axes(self) -> NDArray:
+        """Axes (3,) along which nothing repeats."""
+        return ~(np.abs(self.basis) > _SAME * np.abs(self.basis).max(initial=0.0)).any(axis=0)
+
+    @cached_property
+    def axis_periods(self) -> NDArray:
+        """Period (3,) along each axis alone, after which all is the same, velocities too; infinity if there is none."""
+        if self.vectors is None or self.edges is None or self.rates is None:
+            return self.period
+        lengths = self.edges[:, 1] - self.edges[:, 0]
+        found = np.full(3, np.inf)
+        for k in np.flatnonzero(np.isfinite(lengths)):
+            step = lengths[k] * np.eye(3)[k]
+            number = self.numbers(step)
+            if np.abs(number @ self.vectors - step).max() <= _SAME * lengths[k] and not (number @ self.rates).any():
+                found[k] = lengths[k]
+        return found
+
+    def wrapped(self, position: NDArray, first: NDArray, source: str = "scene") -> NDArray:
+        """Images of positions (n, 3) in the box without tilt that begins at `first` (3,); no more than one for each.
+
+        Raises
+        ------
+        SceneError
+            If no such box holds one image of each place, as where the vectors point in any direction.
+        """
+        position = position.copy()
+        cell = self.cell if self.cell is not None else np.diag(np.where(np.isfinite(self.period), self.period, 0.0))
+        left = [k for k in range(3) if cell[k].any()]
+        while left:
+            # along this axis only its own vector leads, so that wrapping along the others leaves it as it is
+            free = next((k for k in reversed(left) if cell[k, k] and not any(cell[j, k] for j in left if j != k)), None)
+            if free is None:
+                msg = f"{source}: the lattice {cell.tolist()} has no axis that one of its vectors leads along alone"
+                raise SceneError(msg)
+            left.remove(free)
+            x = position[:, free]
+            position -= np.floor((x - first[free]) / cell[free, free])[:, None] * cell[free]
+            x[x >= first[free] + cell[free, free]] = first[free]
+        return position
+
+    def seen(self, active: NDArray, source: str = "scene") -> Lattice:
+        """Return the lattice as seen along some axes (3,): averages along the others do not tell its images apart.
+
+        Raises
+        ------
+        SceneError
+            If images are shifted along the axes that are seen by what is no period of theirs, so that an average along
+            the others is that over infinitely many shifted boxes.
+        """
+        if self.vectors is None:
+            return replace(self, period=np.where(active, self.period, np.inf))
+        vectors, rates, apart = self._along(active)
+        flat, rates = (vectors * active)[apart], rates[apart]
+        if not _independent(flat):
+            shown = "".join(a for a, is_seen in zip(COMPONENTS, active, strict=True) if is_seen)
+            hidden = "".join(a for a, is_seen in zip(COMPONENTS, active, strict=True) if not is_seen)
+            msg = (
+                f"{source}: the box is tilted, so that its images along {' and '.join(hidden)} are shifted along "
+                f"{' and '.join(shown)}, and an average along {' and '.join(hidden)} alone does not exist; resolve "
+                f"more axes (axes={self._resolvable(active)!r}) and average the result"
+            )
+            raise SceneError(msg)
+        return Lattice(self.period, self.edges, *_reduced(flat, rates))
+
+    def hides_shear(self, active: NDArray) -> bool:
+        """Whether images along averaged axes, those not active (3,), move at other velocities."""
+        if self.vectors is None:
+            return False
+        _, rates, apart = self._along(active)
+        return bool(rates[~apart].any())
+
+    def _along(self, active: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+        """Vectors that some axes (3,) tell apart, if any are, their rates, and which of them lead along these axes."""
+        assert self.vectors is not None
+        assert self.rates is not None
+        longest = np.linalg.norm(self.vectors, axis=1).max(initial=0.0)
+        for vectors in (self.given, self.vectors):
+            flat = vectors * active
+            apart = np.linalg.norm(flat, axis=1) > _SAME * longest
+            if _independent(flat[apart]):
+                break
+        return vectors, self.numbers(vectors) @ self.rates, apart
+
+    def _resolvable(self, active: NDArray) -> str:
+        """Fewest further axes that make `seen` possible, with those that are seen."""
+        for more in np.flatnonzero(~active):
+            some = active.copy()
+            some[more] = True
+            try:
+                self.seen(some)
+            except SceneError:
+                continue
+            return "".join(a for a, is_seen in zip(COMPONENTS, some, strict=True) if is_seen)
+        return "".join(COMPONENTS)
+
+    def images(
+        self, position: NDArray, low: NDArray, high: NDArray, source: str = "scene"
+    ) -> tuple[NDArray, NDArray, NDArray]:
+        """All images of positions (n, 3) that lie within [low, high], (3,) each, infinite along axes without a limit.
+
+        Returns
+        -------
+        row : array (m,)
+            Of the position that each is an image of: first all by one translation, in their order, then by the next.
+        shift, drift : array (m, 3)
+            How far away from it the image is (m), and how fast it moves relative to it (m/s).
+        """
+        vectors, dual, limited = self.basis, self._dual, np.isfinite(low) & np.isfinite(high)
+        assert limited[np.abs(vectors).any(axis=0)].all()
+        rates = np.zeros_like(vectors) if self.rates is None else self.rates
+        first, last = np.where(limited, low, 0.0), np.where(limited, high, 0.0)
+        middle, half = 0.5 * (first + last), 0.5 * (last - first)
+        home = self.numbers(position - middle)
+        near = position - home @ vectors
+        bounds = [extreme(axis=0, initial=0.0) for extreme in ((near - middle).min, (near - middle).max)]
+        # a translation by n leads from the extent of the positions into the limits where n is within these
+        spread = np.abs(dual) @ (half + np.where(limited, 0.5 * (bounds[1] - bounds[0]), 0.0))
+        centre = -dual @ np.where(limited, 0.5 * (bounds[0] + bounds[1]), 0.0)
+        numbers = _numbers(np.ceil(centre - spread - _SAME), np.floor(centre + spread + _SAME), source)
+        rows, found = [], []
+        for number in numbers:
+            shifted = near + number @ vectors
+            inside = np.flatnonzero(((low <= shifted) & (shifted <= high)).all(axis=1))
+            rows.append(inside)
+            found.append(number - home[inside])
+        row, whole = np.concatenate(rows), np.concatenate(found)
+        return row, whole @ vectors, whole @ rates
+
+    def extent(self, hidden: NDArray) -> float:
+        """Length, area or volume that sums over all images are divided by, to be averages along some axes (3,).
+
+        That of the vectors along these axes, times the length of the box along those that are not periodic.
+        """
+        lengths = np.full(3, np.nan) if self.edges is None else self.edges[:, 1] - self.edges[:, 0]
+        if self.vectors is None:
+            return float(lengths[hidden].prod())
+        vectors, _, apart = self._along(~hidden)
+        along = vectors[~apart]
+        open_axes = hidden & ~(np.abs(along) > _SAME * np.abs(along).max(initial=0.0)).any(axis=0)
+        return float(_volume(along) * lengths[open_axes].prod())
+
+
+def _periods(edges: NDArray | None, axes: list[int], source: str) -> NDArray:
+    """Box length along some axes, infinity along the others; shape (3,)."""
+    lengths = np.full(3, np.inf)
+    for k in axes:
+        lengths[k] = np.nan if edges is None else edges[k, 1] - edges[k, 0]
+        if not (np.isfinite(lengths[k]) and lengths[k] > 0):
+            axis = COMPONENTS[k]
+            msg = (
+                f"{source}: axis '{axis}' is periodic, but the box has no finite extent along it; give its edges, "
+                f"for example box={{'{axis}': (0.0, 0.1)}}"
+            )
+            raise SceneError(msg)
+    return lengths
+
+
+def _volume(vectors: NDArray) -> float:
+    """Length, area or volume that vectors (k, 3) span; 1 for none."""
+    return float(np.prod(np.linalg.svd(vectors, compute_uv=False))) if len(vectors) else 1.0
+
+
+def _independent(vectors: NDArray) -> bool:
+    """Whether vectors (k, 3) span a volume, or as much as they can."""
+    return _volume(vectors) > _SAME * np.linalg.norm(vectors, axis=1).prod()
+
+
+def _numbers(low: NDArray, high: NDArray, source: str) -> NDArray:
+    """All rows of whole numbers (m, k) from `low` to `high` (k,)."""
+    if not np.prod(high - low + 1) <= _MOST_IMAGES:
+        msg = (
+            f"{source}: the box is so small that {np.prod(high - low + 1):.3g} periodic images are within reach; it is "
+            "damaged, or the kernel is too wide"
+        )
+        raise SceneError(msg)
+    axes = [np.arange(first, last + 1) for first, last in zip(low, high, strict=True)]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(low)) if axes else np.zeros((1, 0))
+
+
+def same_vectors(one: NDArray, two: NDArray, axes: Sequence[int] | NDArray) -> NDArray:
+    """Whole numbers (k, k) for which the sums ``numbers @ two`` of vectors are nearest to other ones, (k, 3) each.
+
+    Codes flip a box that is tilted far: a vector is then written as its sum with others. `axes` (k,) are those that
+    the vectors belong to.
+    """
+    numbers = np.eye(len(axes))
+    for row, other in ((r, o) for r in range(len(axes)) for o in reversed(range(len(axes))) if r != o):
+        if two[other, axes[row]] == 0:  # it leaves the length along the vector's own axis as it is
+            away = numbers[row] @ two - one[row]
+            numbers[row, other] -= np.rint(away[axes[other]] / two[other, axes[other]])
+    return numbers
+
+
+def _reduced(vectors: NDArray, rates: NDArray) -> tuple[NDArray, NDArray]:
+    """Shortest vectors (k, 3) of the same lattice, shortest first, and their rates.
+
+    Each vector is shortened by whole numbers of the others until none gets shorter (Lagrange; in three dimensions
+    Semaev 2001).
+    """
+    vectors, rates, again = vectors.copy(), rates.copy(), len(vectors) > 1
+    while again:
+        again = False
+        order = np.argsort((vectors**2).sum(axis=1), kind="stable")
+        vectors, rates = vectors[order], rates[order]
+        for k in reversed(range(len(vectors))):
+            others = [j for j in range(len(vectors)) if j != k]
+            ways = [np.array(n) for n in product((-1.0, 0.0, 1.0), repeat=len(others))]
+            for j, way in zip(others, np.eye(len(others)), strict=True):
+                ways.append(way * np.rint(vectors[k] @ vectors[j] / (vectors[j] @ vectors[j])))
+            sizes = [((vectors[k] - way @ vectors[others]) ** 2).sum() for way in ways]
+            if min(sizes) < (vectors[k] @ vectors[k]) * (1 - _SAME):
+                way = ways[int(np.argmin(sizes))]
+                vectors[k] -= way @ vectors[others]
+                rates[k] -= way @ rates[others]
+                again = True
+                break
+    return vectors, rates
+
+
+# --- boxes with edges along the axes ---------------------------------------------------------------------
+
+
+def minimum_image(vector: NDArray, period: NDArray, to: NDArray | None = None) -> NDArray:
+    """Shortest periodic image of vectors (n, 3), or the image nearest to other vectors.
+
+    `period` (3,) holds infinity along axes that are not periodic.
+    """
+    image, away = vector.copy(), vector if to is None else vector - to
+    for k in np.flatnonzero(np.isfinite(period)):
+        image[:, k] -= period[k] * np.rint(away[:, k] / period[k])
+    return image
+
+
+def images_within(vector: NDArray, reach: NDArray, period: NDArray) -> tuple[NDArray, NDArray]:
+    """Rows, and the vectors, of all images of shortest vectors (n, 3) that are shorter than their reach (n,).
+
+    The shortest one always is among them. No reach may be longer than 3/2 of a period, so that no other images than
+    the next ones can be meant.
+    """
+    short = period - np.abs(vector) < reach[:, None]
+    near = np.flatnonzero(short.any(axis=1))
+    if not near.size:
+        return np.arange(len(vector)), vector
+    shifts = np.array(list(product(*((0, -1, 1) if any_short else (0,) for any_short in short.any(axis=0)))))
+    images = vector[near, None] + shifts * np.where(np.isfinite(period), period, 0.0)
+    inside = np.linalg.norm(images, axis=2) < reach[near, None]
+    inside[:, 0] = True
+    rows = np.concatenate([np.flatnonzero(~short.any(axis=1)), near[np.nonzero(inside)[0]]])
+    order = np.argsort(rows, kind="stable")
+    return rows[order], np.concatenate([vector[~short.any(axis=1)], images[inside]])[order]
