@@ -339,6 +339,23 @@ def test_microstructure_and_chains_are_those_of_another_basis():
     assert_equal(slices[1], slices[3])
 
 
+def test_displacements_are_relative_to_a_box_that_is_sheared_and_flips():
+    rng = np.random.default_rng(11)
+    share, tilts, time = rng.random((300, 3)), [2.3, -2.3, -1.9], [0.0, 0.5, 1.0]  # 2.3, 2.7 - 5, 3.1 - 5
+    cells = [cell_of((tilt, 0.4, 0.0)) for tilt in (2.3, 2.7, 3.1)]
+    position = [LOW + share @ cell + rng.integers(-1, 2, (300, 3)) @ cell for cell in cells]
+    ds = xcg.scene_from_arrays(
+        position, time=time, box=BOX, periodic="xyz", lattice={"xy": tilts, "xz": 0.4}, diameter=np.ones((3, 300)),
+        density=1.0,
+    )  # fmt: skip
+    f = ds.cg.displacement(["displacement_gradient", "d2min"], axes="xyz", width=1.0, spacing=1.5)
+    expected = np.zeros((3, 3))
+    expected[0, 1] = 0.4 / LENGTHS[1]
+    found = f.displacement_gradient.values.reshape(-1, 3, 3)
+    np.testing.assert_allclose(found, np.broadcast_to(expected, found.shape), rtol=0, atol=1e-12)
+    assert np.nanmax(np.abs(f.d2min)) < 1e-24
+
+
 def test_slices_of_sheared_boxes_take_the_velocity_of_the_image():
     for method in ("planes", "bins"):
         f = sheared(1.7).cg.slice_temperature("y", width=0.5, method=method, bounds=(-3.0, 1.0))

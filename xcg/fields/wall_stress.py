@@ -198,7 +198,7 @@ def _images(lattice: Lattice, count: int) -> NDArray:
     """Shifts by up to `count` periods, none first."""
     numbers = [0.0, *(s * n for n in range(1, count + 1) for s in (-1.0, 1.0))]
     basis = lattice.basis
-    return np.array(list(product(numbers, repeat=len(basis)))).reshape(-1, len(basis)) @ basis
+    return np.array(list(product(numbers, repeat=len(basis)))) @ basis
 
 
 def _smear(task: _Task, point: NDArray, values: NDArray, lattice: Lattice) -> NDArray:

@@ -109,7 +109,7 @@ class Lattice:
         if self.vectors is None:
             return None
         around = np.array([n for n in product((-1.0, 0.0, 1.0), repeat=len(self.vectors)) if any(n)])
-        around = around.reshape(-1, len(self.vectors)) @ self.vectors
+        around = around.reshape(3 ** len(self.vectors) - 1, len(self.vectors)) @ self.vectors
         return Reduced(np.ascontiguousarray(self.vectors), self._dual, around)
 
     @cached_property
