@@ -161,7 +161,6 @@ def test_computes_are_removed_after_an_error():
     ("lmp", "arguments", "message"),
     [
         ({"running": True}, {}, "cannot define computes within a run"),
-        ({"tilt": 0.5}, {}, "the box of LAMMPS is tilted"),
         ({"units": "real"}, {}, "LAMMPS has the unit system 'real'"),
         ({"atoms": ["id", "type", "x", "v"]}, {}, "the atoms of LAMMPS have no radius"),
         ({}, {"contacts": {"no": "patom1 patom2"}}, "LAMMPS has no compute 'no'"),

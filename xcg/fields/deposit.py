@@ -297,7 +297,7 @@ class _Deposit:
             row, shift, drifts = self._near_mesh(start, (1.0 + longest[3]) * cutoff)
             segments = segments[row]
             segments[:, :BRANCH] += shift / cutoff
-            for drift, here in _alike(drifts) if "velocity" in moment.variables else ():
+            for drift, here in _alike(drifts) if "velocity" in moment.variables and drifts.any() else ():
                 on_i, on_j = self._carried(moment, self._moving(drift))
                 moving, _ = np.empty((len(place), SEGMENT)), np.empty(4)
                 rows = rows._replace(on_i=on_i)

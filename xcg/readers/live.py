@@ -36,6 +36,7 @@ def scene_from_lammps(
     frozen: int | Sequence[int] | None = None,
     gravity: Sequence[float] | None = None,
     units: Mapping[str, float] | str | None = None,
+    shear_rate: Mapping[str, float] | None = None,
 ) -> xr.Dataset:
     """Take the present step of a running LAMMPS as a scene in memory.
 
@@ -63,6 +64,10 @@ def scene_from_lammps(
         Factors to SI. By default as LAMMPS' ``units`` says: ``si``, ``cgs``, ``micro``, ``nano``, and ``lj`` as
         "reduced".
 
+    shear_rate : mapping, optional
+        Rates at which a box is sheared with ``fix deform ... remap v``, ``{"xy": 0.1}``, in units of the simulation: as
+        much faster images one length further along y move along x.
+
     Returns
     -------
     xarray.Dataset
@@ -71,7 +76,7 @@ def scene_from_lammps(
     Raises
     ------
     SceneError
-        If atoms have no radius, the box is tilted, units are unknown, or a compute or fix is not there or has other
+        If atoms have no radius, units are unknown, or a compute or fix is not there or has other
         columns.
 
     Notes
@@ -94,9 +99,9 @@ def scene_from_lammps(
         )
         raise SceneError(msg)
     if not contacts:
-        return _scene(lmp, {}, walls, frozen, gravity, units)
+        return _scene(lmp, {}, walls, frozen, gravity, units, shear_rate)
     with _computes(lmp) if contacts is True else _unchanged(contacts) as columns:
-        return _scene(lmp, columns, walls, frozen, gravity, units)
+        return _scene(lmp, columns, walls, frozen, gravity, units, shear_rate)
 
 
 @contextmanager
@@ -132,6 +137,7 @@ def _scene(
     frozen: int | Sequence[int] | None,
     gravity: Sequence[float] | None,
     units: Mapping[str, float] | str | None,
+    shear_rate: Mapping[str, float] | None,
 ) -> xr.Dataset:
     arrays = _atoms(lmp)
     named = (
@@ -144,17 +150,14 @@ def _scene(
     if frozen is not None:
         arrays["frozen"] = np.isin(arrays["species"], frozen).astype("int64")
     low, high, xy, yz, xz, periodic, _ = lmp.extract_box()
-    if any((xy, yz, xz)):
-        msg = (
-            f"the box of LAMMPS is tilted (xy, xz, yz = {xy:g}, {xz:g}, {yz:g}), and only boxes along x, y, z are taken"
-        )
-        raise SceneError(msg)
     everywhere: dict[str, Any] = {name: _gathered(lmp, values) for name, values in arrays.items()}
     scene = scene_from_arrays(
         **everywhere,
         time=[lmp.get_thermo("time")],
         step=[int(lmp.extract_global("ntimestep"))],
         box=np.stack([low, high], axis=1),
+        lattice={"xy": xy, "xz": xz, "yz": yz},
+        shear_rate=shear_rate,
         periodic="".join(a for a, wraps in zip(COMPONENTS, periodic, strict=True) if wraps),
         gravity=gravity,
         dimension=int(lmp.extract_setting("dimension")),
