@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from xcg.compiled import smoothing as kinds
 from xcg.compiled.segments import RULES
