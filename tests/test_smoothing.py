@@ -108,6 +108,16 @@ def test_shifted_gaussians_of_any_cutoff(dimension, seen, ratio):
     assert kernel.value(kernel.cutoff, seen) == 0.0
 
 
+@pytest.mark.parametrize("ratio", [20.0, 40.0, 60.0])
+@pytest.mark.parametrize(("dimension", "seen"), SEEN)
+def test_gaussians_cut_far_out_are_those_that_are_not_cut(dimension, seen, ratio):
+    kernel = xcg.Gaussian(1.0, cutoff=ratio, dimension=dimension)
+    r = np.array([0.0, 0.5, 1.0, 3.0, 10.0, ratio * (1 - 1e-9)])
+    whole = (2 * np.pi) ** (-seen / 2) * np.exp(-0.5 * r**2)
+    np.testing.assert_allclose(kernel.value(r, seen), whole, rtol=1e-11, atol=1e-80)
+    np.testing.assert_allclose(kernel.derivative(r, seen), -r * whole, rtol=1e-11, atol=1e-80)
+
+
 def test_the_shifted_gaussian_is_the_gaussian_less_its_value_at_the_cutoff():
     r = np.linspace(0, 2.0, 30)
     whole, shifted = xcg.Gaussian(0.7), xcg.Gaussian(0.7, shifted=True)

@@ -141,13 +141,21 @@ _SERIES = 25  # terms that reach rounding for arguments up to 1
 
 
 @leaf
+def _above_edge(spread, q2):
+    """P: close to the rim, where a difference has no digits, and far from it, where expm1 may overflow."""
+    s2 = spread * spread
+    y, edge = 0.5 * (1.0 - q2) / s2, math.exp(-0.5 / s2)
+    return edge * math.expm1(y) if y < 1.0 else math.exp(-0.5 * q2 / s2) - edge
+
+
+@leaf
 def _shifted_value(kind, spread, q2):
     """P, L1 or L2, each with its last digits up to the rim: series take the place of differences that cancel there."""
+    if kind == GAUSSIAN:
+        return _above_edge(spread, q2)
     s2 = spread * spread
     y = 0.5 * (1.0 - q2) / s2
     edge, peak = math.exp(-0.5 / s2), math.exp(-0.5 * q2 / s2)
-    if kind == GAUSSIAN:
-        return edge * math.expm1(y) if y < 1.0 else peak - edge
     if kind == GAUSSIAN + 1:
         x = math.sqrt(y)
         total = _SQRT_PI_2 * peak * math.erf(x) - _SQRT2 * x * edge
@@ -171,7 +179,7 @@ def _shifted_gradient(kind, spread, q2):
     """As `gradient`: exact up to the rim, where the value ends at zero and its slope jumps in codimension 0."""
     s2 = spread * spread
     if kind == GAUSSIAN + 2:
-        return -2.0 * math.pi * _shifted_value(GAUSSIAN, spread, q2)
+        return -2.0 * math.pi * _above_edge(spread, q2)
     slope = -math.exp(-0.5 * q2 / s2) / s2
     if kind == GAUSSIAN:
         return slope
@@ -210,8 +218,7 @@ def value(kind, spread, table, q2):
         half = math.erf(math.sqrt(1.0 - q2) / (_SQRT2 * spread))
         return 2.0 * spread * _SQRT_PI_2 * half * math.exp(-0.5 * q2 / (spread * spread))
     if kind == GAUSSIAN + 2:
-        s2 = spread * spread
-        return 2.0 * math.pi * s2 * math.exp(-0.5 / s2) * math.expm1(0.5 * (1.0 - q2) / s2)
+        return 2.0 * math.pi * spread * spread * _above_edge(spread, q2)
     if kind == HEAVISIDE:
         return 1.0
     if kind == HEAVISIDE + 1:
