@@ -135,6 +135,7 @@ def _yade_periodic(folder: Path) -> xr.Dataset:
         diameter=2 * grains[:, 4],
         mass=grains[:, 5],
         velocity=grains[:, 6:9],
+        angular_velocity=np.random.default_rng(0).normal(0.0, 10.0, (len(grains), 3)),  # the file has none
         contact_i=rows[:, 1],
         contact_j=rows[:, 0],
         contact_force=rows[:, 12:15] + rows[:, 15:18],
