@@ -1,11 +1,14 @@
 """The preset of Pysammos: each of its names by an independent computation, and where it errs, the right value."""
 
+import pickle
+
 import numpy as np
 import pytest
 import xarray as xr
 
 import xcg
 from tests.brute_force import BruteKernel, brute_force
+from xcg.fields.program import program_for
 
 ISSUE_NAMES = """
 volume_fraction density_mixture density_particle d32 d43 coordination_number momentum_density velocity
@@ -116,6 +119,16 @@ def test_its_temperature_about_the_node():
         for k, a in enumerate("xyz"):
             assert f[f"granular_temperature_{a}"].item() == pytest.approx(expected[k], rel=1e-9)
         assert f.granular_temperature_xyz.item() == pytest.approx(expected.mean(), rel=1e-9)
+
+
+def test_its_fields_are_computed_in_one_pass_with_those_of_xcg():
+    ds = xcg.datasets.random_scene(60)
+    plans = [ds.cg.explain(preset="pysammos", width=0.9) for _ in range(2)]
+    programs = [program_for(plan.fields, plan.options) for plan in plans]
+    assert set(programs[0].fields) == set(plans[0].fields) >= set(ISSUE_NAMES)
+    assert programs[0] is programs[1]  # traced once
+    sent = pickle.loads(pickle.dumps(plans[0]))
+    assert sent.options.own == plans[0].options.own
 
 
 def test_units_are_those_of_the_quantities():

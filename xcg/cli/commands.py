@@ -171,7 +171,7 @@ def fields(pysammos: bool) -> None:
     if pysammos:
         from xcg.fields.pysammos import rows
 
-        table = [(name, "", row.formula) for name, row in rows("xy", "xyz").items()]
+        table = [(name, "", row.field.formula) for name, row in rows("xy", "xyz").items()]
     else:
         table = [(name, units_of(registry.FIELDS[name].powers), registry.FIELDS[name].formula)
                  for name in registry.listed()]  # fmt: skip

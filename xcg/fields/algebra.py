@@ -7,12 +7,17 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.fields.trace import where_positive
+from xcg.fields.trace import at_least_zero, where_positive
 
 
 def ratio(a: NDArray, b: NDArray) -> NDArray:
     """Return a / b with NaN where b is not positive; b lacks the last axes of a."""
     return a / where_positive(b).reshape(b.shape + (1,) * (a.ndim - b.ndim))
+
+
+def absolute(x: NDArray) -> NDArray:
+    """Return |x|; NaN stays NaN."""
+    return at_least_zero(x) + at_least_zero(-x)
 
 
 def outer(a: NDArray, b: NDArray) -> NDArray:

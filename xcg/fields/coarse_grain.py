@@ -77,8 +77,8 @@ def coarse_grain(ds: xr.Dataset, request: Request) -> xr.Dataset:
 def explain(ds: xr.Dataset, request: Request) -> Plan:
     """Plan what `coarse_grain` with the same arguments will do, without doing it; printing the plan explains it.
 
-    With ``by_body``, spheres in memory are grouped first, as the plan is that of the bodies; with ``preset``, the plan
-    is that of the fields which the preset's are made of.
+    With ``by_body``, spheres in memory are grouped first, as the plan is that of the bodies; with ``preset="lammps"``,
+    the plan is that of the fields which the preset's are made of.
 
     Parameters
     ----------
@@ -112,9 +112,9 @@ def answer(ds: xr.Dataset, request: Request) -> xr.Dataset:
     """Give what a request asks for."""
     check_walls(request)
     ds, request = of_bodies(ds, request)
-    request, rename = _in_own_names(ds, request)
     skips = check_on_error(request.on_error) == "skip"
     call = format_call("coarse_grain", {k: v for k, v in request.given().items() if k != "on_error" or skips})
+    request, rename = _in_own_names(ds, request)
     plan = make_plan(ds, request)
     wanted = plan.fields
     if request.per is not None:

@@ -49,7 +49,7 @@ class Options:
         Frames from each frame to that which it is compared with; given in scenes of displacements.
     own : tuple
         Fields that are not those of xcg, each with a `name`, its `row`, and `moments` by name: of the scene's own
-        variables, see `xcg.fields.variables.OwnField`, and those that users registered, see `Registered`. What computes
+        variables, see `xcg.fields.variables.OwnField`, and those that users registered, see `OwnRow`. What computes
         a plan in another process finds them here.
     """
 

@@ -133,8 +133,8 @@ _NARROW = 0.1  # widths, in mean diameters, that show single grains only
 
 
 def _choose_fields(
-    asked: str | Quantity | Sequence[str | Quantity] | None, ds: xr.Dataset, options: Options
-) -> tuple[tuple[str, ...], tuple[OwnField, ...]]:
+    asked: str | Quantity | Sequence[str | Quantity | registry.OwnRow] | None, ds: xr.Dataset, options: Options
+) -> tuple[tuple[str, ...], tuple[OwnField | registry.OwnRow, ...]]:
     """Names of the fields of a result, and those of them that are quantities of the scene's own variables."""
     lacking = {name for name, f in registry.FIELDS.items() if f.option and getattr(options, f.option) is None}
     if asked is None:
@@ -175,6 +175,12 @@ def _variables(fields: Sequence[str], ds: xr.Dataset, options: Options) -> set[s
             needed |= set(CONTACT_VARIABLES) - {"contact_normal"}
             needed |= {"diameter"} & set(ds.data_vars)  # tells contacts that are far from their grains
     return needed
+
+
+def possible_fields(ds: xr.Dataset, request: Request) -> tuple[str, ...]:
+    """Name the fields that a request without names is answered with: those that the scene's variables allow."""
+    options = replace(_options(ds, setup_of(ds), request), by=request.by)
+    return _choose_fields(None, ds, options)[0]
 
 
 def make_plan(ds: xr.Dataset, request: Request) -> Plan:

@@ -10,21 +10,24 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Any
+from functools import lru_cache, partial
+from typing import Any, cast
 
+import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from xcg.fields import algebra, registry
-from xcg.fields.plan import make_plan
+from xcg.fields.field import NONE, Field, Options
+from xcg.fields.plan import possible_fields
 from xcg.fields.request import Request
 from xcg.fields.smoothing import as_kernel, choose_width
+from xcg.fields.trace import at_least_zero, where_positive
 from xcg.fields.variables import Quantity
 from xcg.scene.query import require_scene, setup_of
-from xcg.scene.schema import COMPONENTS, did_you_mean, units_of
+from xcg.scene.schema import COMPONENTS, did_you_mean
 from xcg.scene.sizes import with_measures
 
-_TENSOR = ("component", "direction")
 _RATE = "shear_rate_tensor"
 
 
@@ -45,6 +48,21 @@ _RENAMED = {
 
 
 @dataclass(frozen=True)
+class Formula:
+    """A function of the fields at hand and of further arguments, as the algebra of a row.
+
+    Two of the same are equal, so that a program that was made for one serves the other.
+    """
+
+    function: Callable[..., NDArray]
+    given: tuple[Any, ...]
+
+    def __call__(self, f: Any, s: Any, o: Options) -> NDArray:
+        """Compute the field from others."""
+        return self.function(f, *self.given)
+
+
+@dataclass(frozen=True)
 class Row:
     """One of its fields.
 
@@ -52,32 +70,50 @@ class Row:
     ----------
     family : str
         Its key among ``fields_to_export``.
-    needs : tuple of str
-        Fields of xcg.
-    compute : callable
-        From a Dataset that holds these to the values.
-    formula : str
-        In names of xcg.
-    units : str
-        The field of xcg that it shares its units with; "" for a pure number.
+    field : Field
+        Its units, the fields of xcg that it is made of, and the algebra.
     """
 
     family: str
-    needs: tuple[str, ...]
-    compute: Callable[[xr.Dataset], xr.DataArray]
-    formula: str
-    units: str
+    field: Field
 
 
-def _on_tensor(function: Callable[..., Any], tensor: xr.DataArray, *, scalar: bool) -> xr.DataArray:
-    """Apply the registry's algebra of tensors to a labelled one."""
-    return xr.apply_ufunc(
-        function, tensor, input_core_dims=[_TENSOR], output_core_dims=[() if scalar else _TENSOR],
-        dask="parallelized", output_dtypes=[float], keep_attrs=False,
-    )  # fmt: skip
+def _magnitude_of_part(
+    f: Any, tensor: str, axes: tuple[int, ...], deviatoric: bool, size: Callable[[NDArray], NDArray]
+) -> NDArray:
+    return size(_part(f, tensor, axes, deviatoric))
 
 
-def rows(plane: str, axes: str) -> dict[str, Row]:
+def _part(f: Any, tensor: str, axes: tuple[int, ...], deviatoric: bool) -> NDArray:
+    """Restriction of a tensor to some axes, or the deviator of that."""
+    part = algebra.restricted(getattr(f, tensor), axes)
+    return algebra.deviator(part, axes) if deviatoric else part
+
+
+def _pressure(f: Any, axes: tuple[int, ...]) -> NDArray:
+    return algebra.mean_normal(f.stress, axes)
+
+
+def _temperature(f: Any, axes: tuple[int, ...]) -> NDArray:
+    # of the whole density: nothing is taken off for the freedoms of the fit
+    return at_least_zero(algebra.mean_normal(f.fluctuation_stress, axes)) / where_positive(f.density)
+
+
+def _inertial(f: Any, plane: tuple[int, ...], axes: tuple[int, ...], size: str) -> NDArray:
+    rate = algebra.rate_magnitude(_part(f, _RATE, plane, deviatoric=True))
+    return rate * getattr(f, size) * np.sqrt(f.particle_density / where_positive(_pressure(f, axes)))
+
+
+def _friction(f: Any, shear: tuple[int, ...], axes: tuple[int, ...], component: bool) -> NDArray:
+    if component:
+        stress = algebra.absolute(f.stress[..., shear[0], shear[1]])
+    else:
+        stress = algebra.stress_magnitude(_part(f, "stress", shear, deviatoric=True))
+    return stress / where_positive(_pressure(f, axes))
+
+
+@lru_cache
+def rows(plane: str, axes: str) -> Mapping[str, Row]:
     """Its fields by their names.
 
     Parameters
@@ -91,91 +127,49 @@ def rows(plane: str, axes: str) -> dict[str, Row]:
     index |= {a: (COMPONENTS.index(a),) for a in axes}
     table: dict[str, Row] = {}
 
-    def add(name: str, family: str, needs: Sequence[str], compute: Any, formula: str, units: str = "") -> None:
-        table[name] = Row(family, tuple(needs), compute, formula, units)
-
-    def renamed(name: str, ours: str) -> None:
-        add(name, name, (ours,), lambda f: f[ours], ours, ours)
-
-    def parts(dims: str) -> tuple[Callable[[xr.DataArray], xr.DataArray], Callable[[xr.DataArray], xr.DataArray]]:
-        """Restriction to some axes, and its deviator."""
-        part = partial(algebra.restricted, axes=index[dims])
-        return (
-            lambda x: _on_tensor(part, x, scalar=False),
-            lambda x: _on_tensor(lambda a: algebra.deviator(part(a), index[dims]), x, scalar=False),
-        )
-
-    def normal(x: xr.DataArray, dims: str) -> xr.DataArray:
-        """Mean of the normal components along some axes."""
-        return _on_tensor(partial(algebra.mean_normal, axes=index[dims]), x, scalar=True)
-
-    def pressure(f: xr.Dataset, dims: str) -> xr.DataArray:
-        return normal(f["stress"], dims)
-
-    def temperature(f: xr.Dataset, dims: str) -> xr.DataArray:
-        # of the whole density: nothing is taken off for the freedoms of the fit
-        return normal(f["fluctuation_stress"], dims).clip(min=0.0) / f["density"].where(f["density"] > 0)
-
-    def stress_size(x: xr.DataArray) -> xr.DataArray:
-        return _on_tensor(algebra.stress_magnitude, x, scalar=True)
-
-    def rate_size(x: xr.DataArray) -> xr.DataArray:
-        return _on_tensor(algebra.rate_magnitude, x, scalar=True)
+    def add(
+        name: str, family: str, needs: Sequence[str], formula: str, compute: Callable[..., NDArray], *given: Any,
+        rank: int = 0, units: str = "",
+    ) -> None:  # fmt: skip
+        powers = registry.FIELDS[units].powers if units else NONE
+        way = Formula(compute, given)
+        table[name] = Row(family, Field(rank, powers, name.replace("_", " "), formula, way, tuple(needs)))
 
     for name, ours in _RENAMED.items():
-        renamed(name, ours)
-
-    def add_tensor(label: str, needs: Sequence[str], tensor: Any, size: Any, size_formula: str, dims: str) -> None:
-        """Add one tensor restricted to some axes, its deviator, and the magnitudes of both."""
-        part, dev = parts(dims)
-        name, units = f"{label}_{dims}", needs[0]
-        add(name, label, needs, lambda f: part(tensor(f)), f"{label}, restricted to {dims}", units)
-        add(f"{name}_mag", label, needs, lambda f: size(part(tensor(f))), size_formula, units)
-        add(f"{name}_dev", label, needs, lambda f: dev(tensor(f)), f"deviator over {dims}", units)
-        add(f"{name}_dev_mag", label, needs, lambda f: size(dev(tensor(f))), size_formula, units)
-
+        add(name, name, (ours,), ours, getattr, ours, rank=registry.FIELDS[ours].rank, units=ours)
     for dims in ("xyz", plane):
-        add_tensor("total_stress_tensor", ("stress",), lambda f: f["stress"], stress_size, "sqrt(X:X / 2)", dims)
-        add_tensor(_RATE, (_RATE,), lambda f: f[_RATE], rate_size, "sqrt(2 X:X)", dims)
+        for label, tensor, size, formula in (
+            ("total_stress_tensor", "stress", algebra.stress_magnitude, "sqrt(X:X / 2)"),
+            (_RATE, _RATE, algebra.rate_magnitude, "sqrt(2 X:X)"),
+        ):
+            for deviatoric, end, what in (
+                (False, "", f"{label}, restricted to {dims}"),
+                (True, "_dev", f"deviator over {dims}"),
+            ):
+                name, given = f"{label}_{dims}{end}", (tensor, index[dims], deviatoric)
+                add(name, label, (tensor,), what, _part, *given, rank=2, units=tensor)
+                add(f"{name}_mag", label, (tensor,), formula, _magnitude_of_part, *given, size, units=tensor)
     for dims in ("xyz", plane, *axes):
         formula = f"mean of sigma_aa, a in {dims}"
-        add(f"pressure_{dims}", "pressure", ("stress",), lambda f, dims=dims: pressure(f, dims), formula, "stress")
+        add(f"pressure_{dims}", "pressure", ("stress",), formula, _pressure, index[dims], units="stress")
     for dims in ("xyz", *axes):
-        add(
-            f"granular_temperature_{dims}", "granular_temperature", ("fluctuation_stress", "density"),
-            lambda f, dims=dims: temperature(f, dims), f"mean of fluctuation_stress_aa / density, a in {dims}",
-            "granular_temperature",
-        )  # fmt: skip
-
-    def inertial(f: xr.Dataset, dims: str, size: str) -> xr.DataArray:
-        p = pressure(f, dims)
-        rate = rate_size(parts(plane)[1](f[_RATE]))
-        return rate * f[size] * (f["particle_density"] / p.where(p > 0)) ** 0.5
-
-    def friction(f: xr.Dataset, kind: str, dims: str) -> xr.DataArray:
-        sigma, p = f["stress"], pressure(f, dims)
-        if kind == "01":
-            shear = abs(sigma.sel(component=plane[0], direction=plane[1], drop=True))
-        else:
-            shear = stress_size(parts(kind.removeprefix("D"))[1](sigma))
-        return shear / p.where(p > 0)
-
+        family, formula = "granular_temperature", f"mean of fluctuation_stress_aa / density, a in {dims}"
+        needs = ("fluctuation_stress", "density")
+        add(f"{family}_{dims}", family, needs, formula, _temperature, index[dims], units=family)
     pressures = ("xyz", plane, plane[1])
-    for size in ("d43", "d32"):
+    for diameter in ("d43", "d32"):
         for dims in pressures:
-            add(
-                f"inertial_number_S{plane}_P{dims}_{size}", "inertial_number",
-                (_RATE, "particle_density", size, "stress"),
-                lambda f, dims=dims, size=size: inertial(f, dims, size),
-                f"shear_rate_tensor_{plane}_dev_mag {size} sqrt(density_particle / pressure_{dims}), pressure > 0",
-            )  # fmt: skip
-    for kind in ("Dxyz", f"D{plane}", "01"):
+            root = f"sqrt(density_particle / pressure_{dims}), pressure > 0"
+            made_of = (_RATE, "particle_density", diameter, "stress")
+            name = f"inertial_number_S{plane}_P{dims}_{diameter}"
+            formula = f"shear_rate_tensor_{plane}_dev_mag {diameter} {root}"
+            add(name, "inertial_number", made_of, formula, _inertial, index[plane], index[dims], diameter)
+    for kind, shear in (("Dxyz", "xyz"), (f"D{plane}", plane), ("01", plane)):
         for dims in pressures:
-            shear = f"|sigma_{plane}|" if kind == "01" else f"total_stress_tensor_{kind[1:]}_dev_mag"
-            add(
-                f"frictional_coefficient_{kind}_P{dims}", "frictional_coefficient", ("stress",),
-                lambda f, kind=kind, dims=dims: friction(f, kind, dims), f"{shear} / pressure_{dims}, pressure > 0",
-            )  # fmt: skip
+            top = f"|sigma_{plane}|" if kind == "01" else f"total_stress_tensor_{shear}_dev_mag"
+            name, formula = f"frictional_coefficient_{kind}_P{dims}", f"{top} / pressure_{dims}, pressure > 0"
+            ways = (index[shear], index[dims], kind == "01")
+            add(name, "frictional_coefficient", ("stress",), formula, _friction, *ways)
     return table
 
 
@@ -190,7 +184,7 @@ def choose(
         For names that are neither.
     """
     if asked is None:
-        return [name for name, row in table.items() if set(row.needs) <= set(available)]
+        return [name for name, row in table.items() if set(row.field.fields) <= set(available)]
     names: list[str] = []
     for word in map(str, [asked] if isinstance(asked, (str, Quantity)) else asked):
         found = [word] if word in table else [name for name, row in table.items() if row.family == word]
@@ -218,18 +212,11 @@ def plane_of(ds: xr.Dataset, shear_dims: str | None) -> tuple[str, str]:
     return plane, axes
 
 
-def from_xcg(f: xr.Dataset, names: Sequence[str], table: Mapping[str, Row]) -> xr.Dataset:
-    """Compute its fields from a result of `xcg.coarse_grain` that holds what they need."""
-    out = {}
-    for name in names:
-        row = table[name]
-        powers = registry.FIELDS[row.units].powers if row.units else (0, 0, 0)
-        units = units_of(powers, f.attrs["unit_system"])
-        attrs = {"units": units, "long_name": name.replace("_", " "), "formula": row.formula}
-        out[name] = row.compute(f).assign_attrs(attrs)
-    if "sample_count" in f:
-        out["sample_count"] = f["sample_count"]
-    return xr.Dataset(out, attrs=f.attrs)
+def _in_its_names(f: xr.Dataset, renamed: Mapping[str, Field]) -> xr.Dataset:
+    """Describe those fields of a result that are named alike here and there as it does."""
+    for name, row in renamed.items():
+        f[name].attrs |= {"long_name": row.long_name, "formula": row.formula}
+    return f
 
 
 def translate(ds: xr.Dataset, request: Request) -> tuple[Request, Callable[[xr.Dataset], xr.Dataset]]:
@@ -248,11 +235,13 @@ def translate(ds: xr.Dataset, request: Request) -> tuple[Request, Callable[[xr.D
         raise ValueError(msg)
     require_scene(ds, (), "coarse_grain")
     table = rows(*plane_of(ds, request.shear_dims))
-    own = replace(request, preset=None, shear_dims=None)
-    names = choose(request.fields, table, make_plan(ds, replace(own, fields=None)).fields)
-    needed = list(dict.fromkeys(["sample_count", *(n for name in names for n in table[name].needs)]))
+    own = replace(request, preset=None, shear_dims=None, for_averages=False)
+    chosen = {name: table[name].field for name in choose(request.fields, table, possible_fields(ds, own))}
+    same = {name: row for name, row in chosen.items() if row.fields == (name,)}
+    asked = [name if name in same else registry.OwnRow(name, row) for name, row in chosen.items()]
     # its temperature is per density; other fields do not depend on it
-    return replace(own, fields=needed, temperature="biased"), partial(from_xcg, names=names, table=table)
+    own = replace(own, fields=cast(Any, [*asked, "sample_count"]), temperature="biased")
+    return own, partial(_in_its_names, renamed=same)
 
 
 def pysammos_mesh(

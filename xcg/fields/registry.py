@@ -88,8 +88,8 @@ def listed(*, registered: bool = True) -> list[str]:
 
 
 @dataclass(frozen=True)
-class Registered:
-    """A field that a user registered, as `Options.own` holds it."""
+class OwnRow:
+    """A field that a user registered, or that a preset defines, as `Options.own` holds it."""
 
     name: str
     row: Field
@@ -101,9 +101,9 @@ def add(name: str, field: Field) -> None:
     _REGISTERED[name] = field
 
 
-def registered_for(fields: Iterable[str], options: Options) -> tuple[Registered, ...]:
+def registered_for(fields: Iterable[str], options: Options) -> tuple[OwnRow, ...]:
     """Return what users registered of all that some fields need."""
-    return tuple(Registered(name, _REGISTERED[name]) for name in order_of(fields, options) if name in _REGISTERED)
+    return tuple(OwnRow(name, _REGISTERED[name]) for name in order_of(fields, options) if name in _REGISTERED)
 
 
 def order_of(fields: Iterable[str], options: Options) -> list[str]:

@@ -254,13 +254,15 @@ def row_of_result(field: xr.DataArray) -> Field | None:
     return Field(0, (0, 0, 0), "", "", lambda f, s, o: None, additive=not weight, weight=weight)
 
 
-def own_moments(own: Iterable[OwnField]) -> dict[str, Moment]:
+def own_moments(own: Iterable[OwnField | registry.OwnRow]) -> dict[str, Moment]:
     """All sums that some quantities need, by name."""
     return {name: row for one in own for name, row in one.moments.items()}
 
 
-def own_fields(given: Iterable[str | Quantity], ds: xr.Dataset) -> dict[int, OwnField]:
-    """Those of the fields asked for that are quantities of a scene's variable, by their place in the list.
+def own_fields(
+    given: Iterable[str | Quantity | registry.OwnRow], ds: xr.Dataset
+) -> dict[int, OwnField | registry.OwnRow]:
+    """Those of the fields asked for that are quantities of a scene's variable, or rows, by their place in the list.
 
     Names of fields come first: ``"density"`` is the field, and ``Mean("density")`` the mean of the variable.
 
@@ -269,15 +271,19 @@ def own_fields(given: Iterable[str | Quantity], ds: xr.Dataset) -> dict[int, Own
     SceneError, ValueError
         As `own_field`, or if two have the same name.
     """
-    found: dict[int, OwnField] = {}
+    found: dict[int, OwnField | registry.OwnRow] = {}
     for k, one in enumerate(given):
+        if isinstance(one, registry.OwnRow):
+            found[k] = one
+            continue
         quantity = read_quantity(one) if isinstance(one, str) and one not in registry.FIELDS else one
         if quantity is None and one in rows_of(ds):
             quantity = Mean(str(one))
         if isinstance(quantity, Quantity):
             found[k] = own_field(quantity, ds)
-    for name in {own.name for own in found.values()}:
-        same = dict.fromkeys(own.quantity for own in found.values() if own.name == name)
+    quantities = [own for own in found.values() if isinstance(own, OwnField)]
+    for name in {own.name for own in quantities}:
+        same = dict.fromkeys(own.quantity for own in quantities if own.name == name)
         if len(same) > 1:
             msg = f"{' and '.join(map(str, same))} would both be called {name!r}; pass name="
             raise ValueError(msg)
