@@ -15,7 +15,7 @@ html_sidebars = {"**": ["globaltoc"]}
 html_theme_options = {"navbar_center": []}
 
 myst_enable_extensions = ["dollarmath"]
-myst_heading_anchors = 2
+myst_heading_anchors = 3
 nb_execution_mode = "force"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 300  # a cell may compile

@@ -99,7 +99,8 @@ def test_every_kind_is_offered_what_fits(scene):
                {"scene": scene, "fields": fields, "chains": found}.items()}  # fmt: skip
     assert offered["scene"] >= {"coarse_grain", "explain", "force_chains", "measure", "save"}
     correlations = {"spatial_correlation", "time_correlation"}
-    assert offered["fields"] == {"profile", "time_average", "to_vtkhdf", "to_vtu", "save"} | correlations
+    pictures = {"plot", "movie"}
+    assert offered["fields"] == {"profile", "time_average", "to_vtkhdf", "to_vtu", "save"} | correlations | pictures
     assert offered["chains"] >= {"select_chains", "chain_table", "plot_rose", "to_csv", "to_vtp", "to_vtkhdf", "save"}
     assert not offered["scene"] & offered["chains"] - {"save"}
     assert set.union(*offered.values()) == set(METHODS)

@@ -21,9 +21,9 @@ import xcg
 from tests import dumps
 from tests.test_cli import xcg_run
 from xcg.cli.config import read_config
-from xcg.cli.progress import Progress
 from xcg.cli.run import run_job
 from xcg.steps.errors import SkippedStep
+from xcg.steps.progress import Progress
 from xcg.writers.files import whole_file
 from xcg.writers.lock import locked
 

@@ -18,6 +18,7 @@ from xcg.fields.correlations import spatial_correlation, time_correlation
 from xcg.fields.diffusion import mean_squared_displacement
 from xcg.fields.displacement import displacement
 from xcg.fields.lammps import lammps_mesh
+from xcg.fields.plots import movie, plot
 from xcg.fields.pysammos import pysammos_mesh
 from xcg.fields.register import register_field
 from xcg.fields.registry import FIELDS
@@ -82,8 +83,10 @@ __all__ = [
     "measure",
     "mesh_points",
     "microstructure",
+    "movie",
     "open_scene",
     "particle_stress",
+    "plot",
     "plot_chains",
     "plot_lengths",
     "plot_phases",

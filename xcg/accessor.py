@@ -21,6 +21,7 @@ from xcg.fields.coarse_grain import coarse_grain, explain
 from xcg.fields.correlations import spatial_correlation, time_correlation
 from xcg.fields.diffusion import mean_squared_displacement
 from xcg.fields.displacement import displacement
+from xcg.fields.plots import movie, plot
 from xcg.fields.slice_temperature import slice_temperature
 from xcg.fields.wall_stress import wall_stress
 from xcg.fields.width_sweep import width_sweep
@@ -122,6 +123,8 @@ class CoarseGrainAccessor:
     time_average = Method(time_average, RESULT)
     spatial_correlation = Method(spatial_correlation, RESULT)
     time_correlation = Method(time_correlation, RESULT)
+    plot = Method(plot, RESULT)
+    movie = Method(movie, RESULT)
 
     select_chains = Method(select_chains, CHAINS)
     track_chains = Method(track_chains, CHAINS)

@@ -1,14 +1,15 @@
-"""Pictures of chains; Matplotlib comes with ``pip install xcg[plot]``."""
+"""Pictures of chains."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.chains.results import Step, require_chains, steps_of
+from xcg.scene.extras import extra
 from xcg.scene.schema import COMPONENTS
 
 if TYPE_CHECKING:
@@ -46,8 +47,6 @@ def plot_chains(
     ValueError
         If the scene is not of one layer, or an argument is wrong.
     """
-    from matplotlib.collections import EllipseCollection, LineCollection
-
     require_chains(fc, "plot_chains")
     if int(fc.attrs.get("dimension", 3)) != 2:
         msg = "plot_chains draws one-layer scenes, and this one has dimension=3; write it with .cg.to_vtp for ParaView"
@@ -55,6 +54,7 @@ def plot_chains(
     if colour not in COLOURS:
         msg = f"colour={colour!r}: expected one of {COLOURS}"
         raise ValueError(msg)
+    collections = extra("matplotlib.collections", "plot", "drawing")
     plane = [COMPONENTS.index(axis) for axis in fc.attrs.get("plane", "xy")]
     step = _step(
         fc, time, ["position", "diameter", "chain_id", "link_chain", "contact_j", "contact_force", "major_stress"]
@@ -65,7 +65,7 @@ def plot_chains(
     if grains:
         shade = np.where(arrays["chain_id"] >= 0, "0.8", "0.93")
         ax.add_collection(
-            EllipseCollection(
+            collections.EllipseCollection(
                 diameter, diameter, np.zeros(len(diameter)), units="xy", offsets=position,
                 offset_transform=ax.transData, facecolors=shade, edgecolors="none",
             )
@@ -74,7 +74,7 @@ def plot_chains(
     force = np.linalg.norm(arrays["contact_force"][contact], axis=1)
     ends = np.stack([position[i], position[i] + branch[:, plane]], axis=1)
     width = 0.5 + 3 * force / max(force.max(initial=0.0), np.finfo(float).tiny)
-    lines = LineCollection(
+    lines = collections.LineCollection(
         list(ends), linewidths=width, capstyle="round", cmap="tab20" if colour == "chain" else "inferno_r"
     )
     if colour == "chain":
@@ -160,9 +160,7 @@ def plot_rose(
         msg = f"plane={plane!r}: expected two axes, for example 'xz'"
         raise ValueError(msg)
     if ax is None:
-        import matplotlib.pyplot as plt
-
-        ax = plt.subplot(projection="polar")
+        ax = extra("matplotlib.pyplot", "plot", "drawing").subplot(projection="polar")
     step = _step(fc, time, ["position", "link_chain", "contact_j", "contact_force"])
     contact, _, branch = _links(step)
     along, up = (branch[:, COMPONENTS.index(axis)] for axis in plane)
@@ -180,9 +178,7 @@ def plot_rose(
 
 
 def _current_axes() -> Axes:
-    import matplotlib.pyplot as plt
-
-    return plt.gca()
+    return cast("Axes", extra("matplotlib.pyplot", "plot", "drawing").gca())
 
 
 def _step(fc: xr.Dataset, time: int, names: list[str]) -> Step:

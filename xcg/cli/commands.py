@@ -112,8 +112,8 @@ def run(
     An interrupted run goes on where it was.
     """
     from xcg.cli.config import read_config
-    from xcg.cli.progress import Progress
     from xcg.cli.run import open_job, run_job
+    from xcg.steps.progress import Progress
 
     with plain_messages(quiet):
         job = read_config(config)

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any
 
 import click
-from dask.diagnostics import ProgressBar
 
 from xcg.cli.config import read_config
 from xcg.cli.messages import plain_messages
@@ -58,7 +56,8 @@ def convert_command(
     """
     with plain_messages(quiet=False):
         ds = open_scene(**_scene_options(files, options))
-        with ProgressBar(out=None if quiet else sys.stderr):
-            save(ds, output, overwrite=overwrite, dtype=dtype, digits=digits, compression=compression)
+        save(
+            ds, output, overwrite=overwrite, dtype=dtype, digits=digits, compression=compression, progress=not quiet
+        )  # fmt: skip
     reader = "open_zarr" if output.suffix == ".zarr" else "open_dataset"
     click.echo(f"{ds.sizes['time']} steps in {output}; open it with xarray.{reader}({str(output)!r})")

@@ -306,43 +306,43 @@ def microstructure(
     j to i: given, else along r_i - r_j, else, at a wall, along r_i - c), each weighing w_c: half for each of its
     particles in the group, whole at a wall. D is the dimension of the scene, V the volume of the region.
 
-    ================================  ===================================================================  =========
-    quantity                          formula                                                              source
-    ================================  ===================================================================  =========
-    particle_count, contact_count     :math:`N`, :math:`N_c = \sum w_c`
-    volume_fraction                   :math:`\phi = \sum V_i / V`
-    coordination_number               :math:`Z = \sum z_i / N` (:math:`2 N_c / N` in the bulk)             [1]_
-    mechanical_coordination_number    :math:`Z_{mech} = \sum_{z_i \ge m} z_i / N_{z \ge m}`; for m = 2     [1]_
-                                      :math:`(2 N_c - N_1) / (N - N_0 - N_1)`
-    rattler_count                     particles of :math:`z_i < D + 1`                                     [2]_
-    non_rattler_fraction              :math:`f_{NR}`, 1 - rattlers / N                                     [2]_
-    connectivity                      :math:`N_{z_i = z} / N`
-    mean_normal_force                 :math:`\langle f \rangle`, f = f_c . n_c where it is positive
-    normal_force_pdf, _count          :math:`p(f / \langle f \rangle)`, and number of contacts a bin       [3]_
-    fabric                            :math:`F = \sum w_c n n / N_c`                                       [4]_
-    fabric_anisotropy                 :math:`\sqrt{3/2\, a:a}`, :math:`a = 15/2\, dev F`; 2D:              [5]_
-                                      :math:`\sqrt{a:a / 2}`, :math:`a = 4\, dev F`
-    stress                            :math:`\sigma = \sum_i \sum_c f_{ic} (r_i - c) / V`, contacts only   [6]_
-    mean_stress                       :math:`p' = tr \sigma / D`
-    deviator_stress                   :math:`q = \sqrt{3/2\, s:s}`, s = dev :math:`\sigma`; 2D:
-                                      :math:`\sqrt{2 s:s}`. Both are :math:`\sigma_1 - \sigma_3` in
-                                      axisymmetric states
-    stress_ratio                      :math:`\eta = q / p'`
-    d_max, d50, d_bar                 largest; half of the volume is smaller;                              [2]_
-                                      :math:`\sum V_i d_i / \sum V_i` over :math:`z_i \ge m`
-    particle_density                  :math:`\rho = \sum m_i / \sum V_i`
-    strain_rate                       :math:`\dot\epsilon_q = \sqrt{2/3\, e:e}`, e the deviatoric rate;
-                                      2D: :math:`\sqrt{2 e:e}`
-    volumetric_strain, axial_strain   :math:`-\ln(V / V_0)`, :math:`-\ln(L / L_0)` of the box;
-                                      engineering: :math:`1 - V / V_0`, :math:`1 - L / L_0`
-    lacey_index                       :math:`(S_0^2 - S^2) / (S_0^2 - S_r^2)`, with `by`                   [7]_
-    concentration_variance            :math:`S^2 = \sum W_k (c_k - p)^2 / W` over cells
-    random_concentration_variance     :math:`S_r^2 = \frac{K - 1}{N - 1} N \sum w_i^2 (a_i - p)^2 / W^2`
-    segregated_concentration_variance :math:`S_0^2 = p (1 - p)`
-    mixing_entropy                    :math:`\sum_k W_k \sum_a c_{ka} \ln c_{ka} / W \sum_a p_a \ln p_a`   [8]_
-    nearest_neighbour_index           :math:`\sum u_i / \sum (N - N_a) / (N - 1)`                          [9]_
-    inertial_number_{dmax,d50,dbar}   :math:`I = \dot\epsilon_q d \sqrt{\rho / p'}`, NaN if p' <= 0        [2]_
-    ================================  ===================================================================  =========
+    =================================  ===================================================================  =========
+    quantity                           formula                                                              source
+    =================================  ===================================================================  =========
+    particle_count, contact_count      :math:`N`, :math:`N_c = \sum w_c`
+    volume_fraction                    :math:`\phi = \sum V_i / V`
+    coordination_number                :math:`Z = \sum z_i / N` (:math:`2 N_c / N` in the bulk)             [1]_
+    mechanical_coordination_number     :math:`Z_{mech} = \sum_{z_i \ge m} z_i / N_{z \ge m}`; for m = 2     [1]_
+                                       :math:`(2 N_c - N_1) / (N - N_0 - N_1)`
+    rattler_count                      particles of :math:`z_i < D + 1`                                     [2]_
+    non_rattler_fraction               :math:`f_{NR}`, 1 - rattlers / N                                     [2]_
+    connectivity                       :math:`N_{z_i = z} / N`
+    mean_normal_force                  :math:`\langle f \rangle`, f = f_c . n_c where it is positive
+    normal_force_pdf, _count           :math:`p(f / \langle f \rangle)`, and number of contacts a bin       [3]_
+    fabric                             :math:`F = \sum w_c n n / N_c`                                       [4]_
+    fabric_anisotropy                  :math:`\sqrt{3/2\, a:a}`, :math:`a = 15/2\, dev F`; 2D:              [5]_
+                                       :math:`\sqrt{a:a / 2}`, :math:`a = 4\, dev F`
+    stress                             :math:`\sigma = \sum_i \sum_c f_{ic} (r_i - c) / V`, contacts only   [6]_
+    mean_stress                        :math:`p' = tr \sigma / D`
+    deviator_stress                    :math:`q = \sqrt{3/2\, s:s}`, s = dev :math:`\sigma`; 2D:
+                                       :math:`\sqrt{2 s:s}`. Both are :math:`\sigma_1 - \sigma_3` in
+                                       axisymmetric states
+    stress_ratio                       :math:`\eta = q / p'`
+    d_max, d50, d_bar                  largest; half of the volume is smaller;                              [2]_
+                                       :math:`\sum V_i d_i / \sum V_i` over :math:`z_i \ge m`
+    particle_density                   :math:`\rho = \sum m_i / \sum V_i`
+    strain_rate                        :math:`\dot\epsilon_q = \sqrt{2/3\, e:e}`, e the deviatoric rate;
+                                       2D: :math:`\sqrt{2 e:e}`
+    volumetric_strain, axial_strain    :math:`-\ln(V / V_0)`, :math:`-\ln(L / L_0)` of the box;
+                                       engineering: :math:`1 - V / V_0`, :math:`1 - L / L_0`
+    lacey_index                        :math:`(S_0^2 - S^2) / (S_0^2 - S_r^2)`, with `by`                   [7]_
+    concentration_variance             :math:`S^2 = \sum W_k (c_k - p)^2 / W` over cells
+    random_concentration_variance      :math:`S_r^2 = \frac{K - 1}{N - 1} N \sum w_i^2 (a_i - p)^2 / W^2`
+    segregated_concentration_variance  :math:`S_0^2 = p (1 - p)`
+    mixing_entropy                     :math:`\sum_k W_k \sum_a c_{ka} \ln c_{ka} / W \sum_a p_a \ln p_a`   [8]_
+    nearest_neighbour_index            :math:`\sum u_i / \sum (N - N_a) / (N - 1)`                          [9]_
+    inertial_number_{dmax,d50,dbar}    :math:`I = \dot\epsilon_q d \sqrt{\rho / p'}`, NaN if p' <= 0        [2]_
+    =================================  ===================================================================  =========
 
     In isochoric triaxial shear :math:`\dot\epsilon_q` is the axial rate; in simple shear it is the shear rate over
     :math:`\sqrt 3` (in a plane: the shear rate).

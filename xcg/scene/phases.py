@@ -15,6 +15,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.scene.conform import takes_scene
+from xcg.scene.extras import extra
 from xcg.scene.query import mark_measured, require_scene
 from xcg.scene.schema import PADDING, SceneError
 
@@ -153,11 +154,10 @@ def plot_phases(ds: xr.Dataset, step: int = 0) -> Figure:
     -------
     matplotlib.figure.Figure
     """
-    import matplotlib.pyplot as plt
-
     require_scene(ds, ("diameter", "density", "phase"), "plot_phases")
     frame = ds[["diameter", "density", "phase"]].isel(time=step).compute()
     scores = np.atleast_1d(ds.attrs.get("phase_scores", []))
+    plt = extra("matplotlib.pyplot", "plot", "drawing")
     figure, axes = plt.subplots(1, 2 if len(scores) else 1, figsize=(9 if len(scores) else 5, 4), layout="constrained")
     left = np.atleast_1d(axes)[0]
     for value in np.atleast_1d(ds.attrs["phase_values"]):
@@ -180,7 +180,7 @@ def plot_phases(ds: xr.Dataset, step: int = 0) -> Figure:
 
 def _cluster(points: NDArray, most: int, seed: int) -> tuple[NDArray, list[float]]:
     """Labels of the best number of clusters, and the mean silhouettes of 2, 3, ... of them."""
-    from sklearn.cluster import KMeans
+    KMeans = extra("sklearn.cluster", "phases", "finding phases").KMeans
 
     rng = np.random.default_rng(seed)
     sample = points if len(points) <= MAX_GRAINS else rng.permutation(points)[:MAX_GRAINS]

@@ -7,8 +7,8 @@ xarray's own writers make one a variable. Tasks find the file by its name, so th
 from __future__ import annotations
 
 import uuid
-from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -18,15 +18,19 @@ import dask
 import dask.array as da
 import numpy as np
 import xarray as xr
+from dask.callbacks import Callback
 from dask.delayed import Delayed
 from dask.highlevelgraph import HighLevelGraph
 from numpy.typing import NDArray
 from xarray.backends.locks import get_dask_scheduler, get_write_lock
 
 from xcg.steps.graph import Gathered
+from xcg.steps.progress import Progress, shown
 
 # writes some steps of variables, time first, by name
 Write: TypeAlias = Callable[[Mapping[str, NDArray], slice], None]
+
+_WRITES = "write-"  # names of tasks that write begin like this
 
 
 def lock_for(path: Path) -> AbstractContextManager[Any]:
@@ -68,7 +72,7 @@ def write_chunks(ds: xr.Dataset, write: Write, steps: int = 1) -> None:
 def graph_of(arrays: Mapping[str, da.Array], write: Write, steps: int = 1) -> tuple[HighLevelGraph, str]:
     """Graph of the tasks that write arrays of the same chunks, and the name of the one that waits for all."""
     gathered = Gathered.of(arrays)
-    name = f"write-{uuid.uuid4().hex}"
+    name = f"{_WRITES}{uuid.uuid4().hex}"
     edges = np.cumsum([0, *next(iter(arrays.values())).chunks[0]]).tolist()
     firsts = [0]  # chunks that the tasks begin with
     for t, edge in enumerate(edges):
@@ -101,3 +105,31 @@ def _take_and_write(write: Write, gathered: Gathered, steps: slice, *given: Any)
 
 def _wait(_: Any) -> None:
     """Depend on all tasks that write."""
+
+
+@contextmanager
+def telling(ds: xr.Dataset, progress: bool | None) -> Iterator[None]:
+    """Tell how many steps are written; `progress` as in `xcg.steps.progress.shown`. Tasks on a cluster are not seen."""
+    count = ds.sizes.get("time", 1)
+    with shown(count, progress) as bar, _Told(bar, count):
+        yield
+
+
+class _Told(Callback):
+    """Count the tasks that write."""
+
+    def __init__(self, bar: Progress, steps: int) -> None:
+        super().__init__(start=self._begin, posttask=self._end)
+        self._bar, self._steps, self._done, self._tasks = bar, steps, 0, 1
+
+    def _begin(self, graph: Mapping[Any, Any]) -> None:
+        self._tasks = max(1, sum(map(_writes, graph)))
+
+    def _end(self, key: Any, *_: Any) -> None:
+        if _writes(key):
+            self._done += 1
+            self._bar.update(self._steps * self._done // self._tasks)
+
+
+def _writes(key: Any) -> bool:
+    return isinstance(key, tuple) and str(key[0]).startswith(_WRITES)

@@ -10,6 +10,7 @@ from typing import Protocol
 import xarray as xr
 from numpy.typing import DTypeLike
 
+from xcg.writers.chunks import telling
 from xcg.writers.encoding import Encoding
 from xcg.writers.files import check_target
 
@@ -75,6 +76,7 @@ def save(
     dtype: DTypeLike | None = None,
     digits: int | None = None,
     compression: int | None = None,
+    progress: bool | None = None,
 ) -> Path:
     """Write a scene or a result, as the name says: NetCDF (``.nc``), Zarr (``.zarr``) or VTKHDF (``.vtkhdf``).
 
@@ -105,6 +107,9 @@ def save(
     compression : int, optional
         Level of compression, 1 (fastest) to 9, or 0 for none. By default 1 for scenes, and for fields of fewer digits
         or single precision; none for fields of full precision, which become a fifth smaller only.
+    progress : bool, optional
+        Tell how far it is on the standard error: always or never. By default in a terminal or notebook where it takes
+        longer than two seconds. Only lazy variables are counted, and not those that a cluster computes.
 
     Returns
     -------
@@ -129,5 +134,6 @@ def save(
     check_target(path, overwrite=overwrite)
     writer = _WRITERS[path.suffix]
     write: Writer = getattr(importlib.import_module(writer[0]), writer[1]) if isinstance(writer, tuple) else writer
-    write(ds, path, encoding, overwrite=overwrite)
+    with telling(ds, progress):
+        write(ds, path, encoding, overwrite=overwrite)
     return path

@@ -11,6 +11,7 @@ from typing import Any
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.scene.extras import extra
 from xcg.writers.encoding import Encoding
 from xcg.writers.folders import whole_folder
 from xcg.writers.layout import chunk_shape, outline, prepared, steps_in_chunk, write_all
@@ -36,11 +37,7 @@ class _Zarr:
 
 def write_zarr(ds: xr.Dataset, path: Path, encoding: Encoding, *, overwrite: bool) -> None:
     """Write a Zarr folder."""
-    try:
-        from zarr.codecs import BloscCodec
-    except ImportError as error:
-        msg = "writing Zarr needs the package zarr (version 3): pip install 'xcg[zarr]', or write NetCDF"
-        raise ImportError(msg) from error
+    BloscCodec = extra("zarr.codecs", "zarr", "writing Zarr").BloscCodec
     ds, over = prepared(ds, encoding)
     packed = [BloscCodec(cname="zstd", clevel=encoding.level, shuffle="shuffle")] if encoding.level else []
     chunk, shard = steps_in_chunk(ds, over), _steps_in_shard(ds, over)

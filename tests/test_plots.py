@@ -1,0 +1,205 @@
+"""Pictures and movies show the numbers of a result, and packages that are missing are named with what to install."""
+
+from __future__ import annotations
+
+import re
+import sys
+import tomllib
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+
+import xcg
+from xcg.steps.progress import shown
+
+mpl.use("agg")
+plt = pytest.importorskip("matplotlib.pyplot")
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(autouse=True)
+def _close():
+    yield
+    plt.close("all")
+
+
+@pytest.fixture(scope="module")
+def result():
+    """Three steps of random grains; those of the second are twice as fast, of the third four times."""
+    ds = xcg.datasets.random_scene(200, seed=3)
+    steps = [ds.assign(velocity=2.0**k * ds.velocity).assign_coords(time=[float(k)]) for k in range(3)]
+    import xarray as xr
+
+    scene = xr.concat(steps, "time", data_vars="all", coords="minimal", compat="override", join="override")
+    fields = ["volume_fraction", "velocity", "stress", "density"]
+    return scene, scene.cg.coarse_grain(fields, axes="xz", at={"y": 2.5}, width=1.0).compute()
+
+
+def test_a_map_shows_the_field_with_arrows_of_the_flow(result):
+    _, f = result
+    ax = f.cg.plot(time=1)
+    mesh, arrows = ax.collections
+    np.testing.assert_array_equal(mesh.get_array(), f.volume_fraction.isel(time=1).transpose("z", "x"))
+    flow = f.velocity.isel(time=1).transpose("z", "x", "component").to_numpy()
+    every = max(1, round(max(f.sizes["x"], f.sizes["z"]) / 20))
+    shown_arrows = flow[every // 2 :: every, every // 2 :: every]
+    np.testing.assert_array_equal(arrows.U, shown_arrows[..., 0].ravel())
+    np.testing.assert_array_equal(arrows.V, shown_arrows[..., 2].ravel())
+    assert ax.get_title() == "time = 1, y = 2.5 m"
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("x [m]", "z [m]")
+    assert ax.figure.axes[1].get_ylabel() == "volume fraction"
+
+
+def test_a_map_of_a_vector_is_its_magnitude_and_one_of_both_signs_is_white_at_zero(result):
+    _, f = result
+    (mesh, _) = f.cg.plot("velocity").collections
+    np.testing.assert_allclose(mesh.get_array(), np.sqrt((f.velocity[-1] ** 2).sum("component")).transpose("z", "x"))
+    plt.figure()
+    (mesh,) = f.cg.plot("stress", component="x", direction="z", arrows=None).collections
+    low, high = mesh.get_clim()
+    assert low == -high
+    assert high == pytest.approx(float(np.abs(f.stress[-1].sel(component="x", direction="z")).max()))
+
+
+def test_a_profile_has_a_band_of_one_standard_error(result):
+    scene, _ = result
+    p = scene.cg.coarse_grain(["velocity", "density"], axes="z", width=1.0).compute().cg.time_average()
+    ax = p.cg.plot("velocity", component="x")
+    (line,), (band,) = ax.lines, ax.collections
+    value, error = (p[name].sel(component="x") for name in ("velocity", "velocity_error"))
+    np.testing.assert_array_equal(line.get_xdata(), value)
+    np.testing.assert_array_equal(line.get_ydata(), p.z)
+    corners = band.get_paths()[0].vertices
+    assert corners[:, 0].max() == pytest.approx(float((value + error).max()))
+    assert corners[:, 0].min() == pytest.approx(float((value - error).min()))
+    plt.figure()
+    assert [t.get_text() for t in p.cg.plot("velocity").get_legend().get_texts()] == ["x", "y", "z"]
+
+
+def test_a_volume_is_cut_through_the_middle_of_its_shortest_axis_or_where_it_is_said():
+    f = xcg.datasets.random_scene(60).cg.coarse_grain("density", width=1.0, bounds={"y": (1.0, 3.0)})
+    (mesh,) = f.cg.plot().collections
+    np.testing.assert_array_equal(
+        mesh.get_array(), f.density.isel(time=0, y=f.sizes["y"] // 2).transpose("z", "x").compute()
+    )
+    plt.figure()
+    ax = f.cg.plot(at={"x": 2.0})
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("y [m]", "z [m]")
+
+
+def test_phases_are_lines_of_a_profile():
+    p = xcg.datasets.random_scene(60).cg.coarse_grain("volume_fraction", axes="x", by="species", width=1.0)
+    ax = p.cg.plot()
+    assert [t.get_text() for t in ax.get_legend().get_texts()] == ["bulk", "1", "2"]
+    np.testing.assert_array_equal(ax.lines[1].get_ydata(), p.volume_fraction.sel(phase="1").isel(time=0).compute())
+
+
+@pytest.mark.parametrize("axes", ["xz", "z"])
+def test_a_movie_has_a_frame_a_step(result, tmp_path, axes):
+    from PIL import Image
+
+    _, f = result
+    path = (f if axes == "xz" else f.cg.profile("z")).cg.movie(tmp_path / "f.gif", "velocity", dpi=40)
+    with Image.open(path) as film:
+        assert film.n_frames == 3
+        frames = []
+        for k in range(3):
+            film.seek(k)
+            frames.append(np.asarray(film.convert("RGB"), int))
+    assert not np.array_equal(frames[0], frames[1])
+    assert [p.name for p in tmp_path.iterdir()] == ["f.gif"]
+
+
+def test_refused(result, tmp_path):
+    _, f = result
+    with pytest.raises(ValueError, match=r"stress is a tensor: name a part of it, for example component='x'"):
+        f.cg.plot("stress")
+    with pytest.raises(ValueError, match=r"plot\('presure'\): the result has volume_fraction, velocity"):
+        f.cg.plot("presure")
+    with pytest.raises(ValueError, match=r"component='x': density has no dimension 'component'"):
+        f.cg.plot("density", component="x")
+    with pytest.raises(ValueError, match=r"at={'y': 1.0}: the axes of this result are x, z"):
+        f.cg.plot(at={"y": 1.0})
+    with pytest.raises(ValueError, match="plot draws along one or two of x, y, z"):
+        f.isel(x=0, z=0).cg.plot()
+    with pytest.raises(ValueError, match=r"ends with \.gif or \.mp4"):
+        f.cg.movie(tmp_path / "f.avi")
+    with pytest.raises(ValueError, match="movie needs a result with the dimension 'time'"):
+        f.isel(time=0).cg.movie(tmp_path / "f.gif")
+
+
+def test_a_movie_without_ffmpeg(result, tmp_path, monkeypatch):
+    from matplotlib import animation
+
+    monkeypatch.setattr(animation.writers, "is_available", lambda name: name != "ffmpeg")
+    with pytest.raises(OSError, match="mp4 needs the program ffmpeg"):
+        result[1].cg.movie(tmp_path / "f.mp4")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("package", "extra", "call"),
+    [
+        ("matplotlib.pyplot", "plot", lambda f, folder: f.cg.plot()),
+        ("matplotlib.animation", "plot", lambda f, folder: f.cg.movie(folder / "f.gif")),
+        ("zarr.codecs", "zarr", lambda f, folder: f.cg.save(folder / "f.zarr")),
+        ("sklearn.cluster", "phases", lambda f, folder: xcg.datasets.random_scene(9).cg.find_phases()),
+    ],
+)
+def test_errors_name_the_extra_to_install(result, tmp_path, monkeypatch, package, extra, call):
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(ImportError, match=re.escape(f"pip install 'xcg[{extra}]'")):
+        call(result[1], tmp_path)
+
+
+def test_extras_that_are_named_exist():
+    known = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    named = set()
+    for path in [*ROOT.glob("xcg/**/*.py"), *ROOT.glob("docs/*.md"), ROOT / "README.md"]:
+        named |= set(re.findall(r"xcg\[(\w+)\]", path.read_text()))
+        named |= set(re.findall(r'extra\("[\w.]+", "(\w+)"', path.read_text()))
+    assert named
+    assert named <= set(known)
+
+
+def test_saving_tells_how_far_it_is(tmp_path, capsys):
+    import xarray as xr
+
+    ds = xcg.datasets.random_scene(30)
+    series = xr.concat([ds.assign_coords(time=[float(k)]) for k in range(4)], "time", data_vars="all").chunk(time=1)
+    series.cg.save(tmp_path / "quiet.nc")
+    assert capsys.readouterr().err == ""  # neither a terminal nor asked for
+    series.cg.save(tmp_path / "told.nc", progress=True)
+    assert [line.split(" steps")[0] for line in capsys.readouterr().err.splitlines()] == [
+        "1 of 4", "2 of 4", "3 of 4", "4 of 4",
+    ]  # fmt: skip
+
+
+def test_a_notebook_gets_a_bar(monkeypatch):
+    class OutStream:
+        __module__ = "ipykernel.iostream"
+
+        def __init__(self):
+            self.text = ""
+
+        def isatty(self):
+            return False
+
+        def write(self, text):
+            self.text += text
+
+        def flush(self):
+            pass
+
+    stream = OutStream()
+    monkeypatch.setattr(sys, "stderr", stream)
+    with shown(2, True) as bar:
+        bar.update(1)
+        bar.update(2)
+    assert "\r[###############---------------] 1 of 2 steps" in stream.text
+    stream.text = ""
+    with shown(2, None) as bar:  # nothing in the first seconds
+        bar.update(2)
+    assert stream.text == ""

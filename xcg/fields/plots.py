@@ -1,0 +1,380 @@
+"""Pictures and movies of results: profiles with their errors, maps with arrows."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xarray as xr
+
+from xcg.scene.extras import extra
+from xcg.scene.schema import COMPONENTS
+from xcg.steps.progress import shown
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+ARROWS = 20  # along the longer axis of a map
+_ARROW = "arrow_"
+ERROR = "_error"  # what `time_average` adds to the name of a field
+
+
+def plot(
+    f: xr.Dataset,
+    field: str | None = None,
+    *,
+    time: int = -1,
+    component: str | None = None,
+    direction: str | None = None,
+    phase: int | str | None = None,
+    at: Mapping[str, float] | None = None,
+    arrows: str | None = "velocity",
+    ax: Axes | None = None,
+    cmap: str | None = None,
+    vmin: float | None = None,
+    vmax: float | None = None,
+) -> Axes:
+    """Draw one field of a result: a profile along one axis, or a map over two.
+
+    Profiles show one line for each component of a vector or for each phase, and a band of one standard error on both
+    sides where the result has errors (`time_average`). The axis z stands upright. Maps show numbers as colours, white
+    where the field is unknown, and the mean flow as arrows. A map of a vector shows its magnitude. Of a volume, the
+    slice in the middle of its shortest axis is drawn.
+
+    Parameters
+    ----------
+    f : xarray.Dataset
+        A result with one, two or three axes, lazy or in memory. Only what is drawn is computed.
+    field : str, optional
+        Which field; the first one but `sample_count` by default.
+    time : int
+        Which step, by position; the last one by default.
+    component, direction : str, optional
+        "x", "y" or "z": the part of a vector or tensor to draw. A tensor needs both.
+    phase : int or str, optional
+        Which phase; the bulk by default in maps, all phases in profiles.
+    at : mapping, optional
+        Where a volume is cut, for example ``{"y": 10.0}`` (m; the nearest nodes are drawn).
+    arrows : str, optional
+        The vector field that arrows show on maps, where the result has it; None for no arrows.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw; the current axes by default.
+    cmap : str, optional
+        Colours of a map, by the names of matplotlib; by default "viridis", or "RdBu_r" with white for zero where the
+        field has both signs.
+    vmin, vmax : float, optional
+        Ends of the colours of a map; the smallest and largest number by default.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    ImportError
+        If matplotlib is not installed.
+    ValueError
+        If the result has no such field, no axes to draw along, or a part has to be named.
+
+    Examples
+    --------
+    >>> import xcg
+    >>> f = xcg.datasets.random_scene().cg.coarse_grain(axes="xz", at={"y": 2.5}, width=1.0)
+    >>> f.cg.plot("pressure")  # doctest: +SKIP
+    """
+    pyplot = extra("matplotlib.pyplot", "plot", "drawing")
+    part = _part(f, field, component, direction, at, arrows)
+    picture = _one_step(part, time, phase).compute()
+    ax = ax or pyplot.gca()
+    name, axes = picture.attrs["drawn"], _axes(picture)
+    if len(axes) == 1:
+        _draw_profile(picture, name, axes[0], ax)
+    else:
+        colours = _colours(*_limits([picture[name]]), cmap, vmin, vmax)
+        mesh = _draw_map(picture, name, axes, ax, colours, _fastest(picture))
+        ax.figure.colorbar(mesh, ax=ax, label=_label(picture[name], name))
+    ax.set_title(_title(picture))
+    return ax
+
+
+def movie(
+    f: xr.Dataset,
+    path: str | os.PathLike[str],
+    field: str | None = None,
+    *,
+    component: str | None = None,
+    direction: str | None = None,
+    phase: int | str | None = None,
+    at: Mapping[str, float] | None = None,
+    arrows: str | None = "velocity",
+    fps: float = 10.0,
+    dpi: float = 120.0,
+    progress: bool | None = None,
+    cmap: str | None = None,
+    vmin: float | None = None,
+    vmax: float | None = None,
+) -> Path:
+    """Write a movie of one field: the picture of `plot` for each step, with the same axes and colours in all of them.
+
+    Parameters
+    ----------
+    f : xarray.Dataset
+        A result with several steps, lazy or in memory. What is drawn of all steps is held in memory.
+    path : str or path
+        ``*.gif``, or ``*.mp4``, which needs the program ffmpeg. A file of this name is replaced.
+    field, component, direction, phase, at, arrows, cmap, vmin, vmax
+        As in `plot`; the ends of the colours are those of all steps.
+    fps : float
+        Steps in a second.
+    dpi : float
+        Dots in an inch; a frame is 7 by 5 inches.
+    progress : bool, optional
+        Tell how far it is on the standard error; by default in a terminal or notebook where it takes long.
+
+    Returns
+    -------
+    pathlib.Path
+        The file.
+
+    Raises
+    ------
+    ImportError
+        If matplotlib is not installed.
+    OSError
+        If ffmpeg is not installed, for mp4.
+    ValueError
+        If the result has no dimension ``time``, the name ends otherwise, or as in `plot`.
+    """
+    path = Path(path)
+    if path.suffix not in (".gif", ".mp4"):
+        msg = f"{path}: expected a name that ends with .gif or .mp4"
+        raise ValueError(msg)
+    if "time" not in f.dims:
+        msg = "movie needs a result with the dimension 'time'; draw a single step with plot"
+        raise ValueError(msg)
+    animation = extra("matplotlib.animation", "plot", "a movie")
+    if path.suffix == ".mp4" and not animation.writers.is_available("ffmpeg"):
+        msg = f"{path}: mp4 needs the program ffmpeg (apt install ffmpeg, or conda install ffmpeg); or write a .gif"
+        raise OSError(msg)
+    part = _part(f, field, component, direction, at, arrows)
+    count = part.sizes["time"]
+    name = part.attrs["drawn"]
+    # a step has to be computed and drawn
+    with shown(2 * count, progress, what="frames") as bar:
+        steps = []
+        for k in range(count):
+            steps.append(_one_step(part, k, phase).compute())
+            bar.update(k + 1)
+        low, high = _limits([step[name] for step in steps])
+        fastest = max(_fastest(step) for step in steps)
+        colours = _colours(low, high, cmap, vmin, vmax)
+        figure = extra("matplotlib.figure", "plot", "a movie").Figure(figsize=(7, 5), layout="constrained")
+        ax = figure.add_subplot()
+        axes = _axes(steps[0])
+
+        def draw(k: int) -> None:
+            ax.clear()
+            if len(axes) == 1:
+                _draw_profile(steps[k], name, axes[0], ax)
+                margin = 0.05 * (high - low)
+                (ax.set_xlim if axes[0] == "z" else ax.set_ylim)(low - margin, high + margin)
+            else:
+                mesh = _draw_map(steps[k], name, axes, ax, colours, fastest)
+                if k == 0 and len(figure.axes) == 1:
+                    figure.colorbar(mesh, ax=ax, label=_label(steps[k][name], name))
+            ax.set_title(_title(steps[k]))
+            bar.update(count + k + 1)
+
+        film = animation.FuncAnimation(figure, draw, frames=count, init_func=lambda: None)
+        part_of_file = path.with_name(f".{path.stem}.part{path.suffix}")
+        try:
+            film.save(part_of_file, writer="pillow" if path.suffix == ".gif" else "ffmpeg", fps=fps, dpi=dpi)
+            part_of_file.replace(path)
+        finally:
+            with suppress(FileNotFoundError):
+                part_of_file.unlink()
+    return path
+
+
+# --- what is drawn ---------------------------------------------------------------------------------------
+
+
+def _part(
+    f: xr.Dataset,
+    field: str | None,
+    component: str | None,
+    direction: str | None,
+    at: Mapping[str, float] | None,
+    arrows: str | None,
+) -> xr.Dataset:
+    """Select the numbers to draw, its errors and arrows of all steps and phases; ``attrs["drawn"]`` is its name."""
+    name = field or next((str(n) for n in f.data_vars if n != "sample_count"), None)
+    if name is None or name not in f:
+        msg = f"plot({name!r}): the result has {', '.join(map(str, f.data_vars)) or 'no fields'}"
+        raise ValueError(msg)
+    cut = _slice(f, at)
+    axes = _axes(cut)
+    if not 1 <= len(axes) <= 2 or "point" in cut.dims:
+        msg = f"plot draws along one or two of x, y, z; the dimensions of this result are {', '.join(map(str, f.dims))}"
+        raise ValueError(msg)
+    value = cut[name]
+    if "direction" in value.dims and (component is None or direction is None):
+        msg = f"{name} is a tensor: name a part of it, for example component='x', direction='z'"
+        raise ValueError(msg)
+    wanted = {"component": component, "direction": direction}
+    chosen = {dim: label for dim, label in wanted.items() if label is not None}
+    found = {name: _component(value, name, chosen)}
+    if len(axes) == 1 and f"{name}{ERROR}" in cut:
+        found[f"{name}{ERROR}"] = _component(cut[f"{name}{ERROR}"], name, chosen)
+    if len(axes) == 2:
+        if "component" in found[name].dims:
+            arrows = name if arrows else None
+        if arrows and arrows in cut and cut[arrows].dims[-1:] == ("component",):
+            for axis in axes:
+                found[f"{_ARROW}{axis}"] = cut[arrows].sel(component=axis, drop=True)
+        if "component" in found[name].dims:
+            size = (found[name] ** 2).sum("component", skipna=False) ** 0.5
+            found[name] = size.assign_attrs(value.attrs, long_name=f"magnitude of {_named(value, name)}")
+    return xr.Dataset(found, attrs={"drawn": name})
+
+
+def _component(value: xr.DataArray, name: str, chosen: Mapping[str, str]) -> xr.DataArray:
+    for dim in chosen:
+        if dim not in value.dims:
+            msg = f"{dim}={chosen[dim]!r}: {name} has no dimension {dim!r}"
+            raise ValueError(msg)
+    if not chosen:
+        return value
+    part = f"{_named(value, name)}, {''.join(chosen.values())}"
+    return value.sel(chosen, drop=True).assign_attrs(value.attrs, long_name=part)
+
+
+def _slice(f: xr.Dataset, at: Mapping[str, float] | None) -> xr.Dataset:
+    """Cut a result where it is asked for, and a volume through the middle of its shortest axis."""
+    wrong = sorted(set(at or ()) - set(_axes(f)))
+    if wrong:
+        msg = f"at={dict(at or {})!r}: the axes of this result are {', '.join(_axes(f)) or 'none'}"
+        raise ValueError(msg)
+    cut = f.sel(at, method="nearest") if at else f
+    axes = _axes(cut)
+    if len(axes) < 3:
+        return cut
+    shortest = min(axes, key=lambda a: float(cut[a][-1] - cut[a][0]))
+    return cut.isel({shortest: cut.sizes[shortest] // 2})
+
+
+def _one_step(part: xr.Dataset, time: int, phase: int | str | None) -> xr.Dataset:
+    """Select a step, and of maps a phase."""
+    if "time" in part.dims:
+        part = part.isel(time=time)
+    if "phase" not in part.dims:
+        return part
+    if phase is None and len(_axes(part)) == 2:
+        phase = "bulk"
+    return part if phase is None else part.sel(phase=phase)
+
+
+def _axes(f: xr.Dataset) -> list[str]:
+    return [a for a in COMPONENTS if a in f.dims]
+
+
+def _limits(steps: list[xr.DataArray]) -> tuple[float, float]:
+    """Smallest and largest number of all steps, apart."""
+    values = np.concatenate([step.to_numpy().ravel() for step in steps])
+    values = values[np.isfinite(values)]
+    if not values.size:
+        return 0.0, 1.0
+    low, high = float(values.min()), float(values.max())
+    return (low, high) if low < high else (low - 0.5, high + 0.5)
+
+
+def _colours(low: float, high: float, cmap: str | None, vmin: float | None, vmax: float | None) -> dict[str, Any]:
+    """Colours as they are asked for; by default from low to high, or about zero where a field has both signs."""
+    both = low < 0 < high and vmin is None and vmax is None
+    if both:
+        high = max(-low, high)
+        low = -high
+    return {
+        "cmap": cmap or ("RdBu_r" if both else "viridis"),
+        "vmin": low if vmin is None else vmin,
+        "vmax": high if vmax is None else vmax,
+    }
+
+
+def _fastest(picture: xr.Dataset) -> float:
+    """Length of the longest arrow."""
+    parts = [picture[name].to_numpy() for name in picture if str(name).startswith(_ARROW)]
+    if not parts:
+        return 0.0
+    return float(np.nanmax(np.hypot(*parts), initial=0.0, where=np.isfinite(parts).all(axis=0)))
+
+
+# --- drawing ---------------------------------------------------------------------------------------------
+
+
+def _draw_profile(picture: xr.Dataset, name: str, axis: str, ax: Axes) -> None:
+    nodes = picture[axis].to_numpy()
+    value, error = picture[name], picture.get(f"{name}{ERROR}")
+    others = [dim for dim in value.dims if dim != axis]
+    upright = axis == "z"
+    stacked = value.stack(line=others) if others else value.expand_dims(line=[""])
+    errors = None if error is None else error.stack(line=others) if others else error.expand_dims(line=[""])
+    for k, key in enumerate(stacked["line"].to_numpy()):
+        label = ", ".join(map(str, key)) if isinstance(key, tuple) else str(key)
+        y = stacked.isel(line=k).to_numpy()
+        (line,) = ax.plot(*((y, nodes) if upright else (nodes, y)), label=label or None)
+        if errors is not None:
+            e = errors.isel(line=k).to_numpy()
+            fill = ax.fill_betweenx if upright else ax.fill_between
+            fill(nodes, y - e, y + e, color=line.get_color(), alpha=0.25, lw=0)
+    along, across = _label(picture[axis], axis), _label(value, name)
+    ax.set_xlabel(across if upright else along)
+    ax.set_ylabel(along if upright else across)
+    if others:
+        ax.legend(title=", ".join(map(str, others)))
+
+
+def _draw_map(
+    picture: xr.Dataset, name: str, axes: list[str], ax: Axes, colours: Mapping[str, Any], fastest: float
+) -> Any:
+    across, up = axes
+    value = picture[name].transpose(up, across)
+    mesh = ax.pcolormesh(picture[across], picture[up], value, shading="nearest", **colours)
+    if fastest > 0:
+        every = max(1, round(max(picture.sizes[a] for a in axes) / ARROWS))
+        some = picture.isel({a: slice(every // 2, None, every) for a in axes})
+        along, rise = (some[f"{_ARROW}{a}"].transpose(up, across) for a in axes)
+        apart = min((float(some[a][1] - some[a][0]) for a in axes if some.sizes[a] > 1), default=1.0)
+        ax.quiver(
+            some[across], some[up], along, rise, pivot="mid", color="white", edgecolor="black", linewidth=0.5,
+            angles="xy", scale_units="xy", scale=fastest / apart, width=0.006,
+        )  # fmt: skip
+    ax.set_aspect("equal")
+    ax.set_xlabel(_label(picture[across], across))
+    ax.set_ylabel(_label(picture[up], up))
+    return mesh
+
+
+def _named(value: xr.DataArray, name: str) -> str:
+    return str(value.attrs.get("long_name", name.replace("_", " ")))
+
+
+def _label(value: xr.DataArray, name: str) -> str:
+    unit = str(value.attrs.get("units", "")).removesuffix("1").strip()
+    text = name if name in COMPONENTS else _named(value, name)
+    return f"{text} [{unit}]" if unit else text
+
+
+def _title(picture: xr.Dataset) -> str:
+    """Tell when, and where a result was cut."""
+    said = [a for a in ("time", "phase", *COMPONENTS) if a in picture.coords and not picture[a].ndim]
+    parts = []
+    for name in said:
+        value, unit = picture[name].item(), str(picture[name].attrs.get("units", "")).removesuffix("1")
+        text = f"{value:.4g}" if isinstance(value, float) else str(value)
+        parts.append(f"{name} = {text} {unit}".rstrip())
+    return ", ".join(parts)
