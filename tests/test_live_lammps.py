@@ -275,6 +275,18 @@ def test_the_dumps_of_the_documentation(lammps, tmp_path):
     )
 
 
+def test_the_binary_dump_of_the_documentation(lammps, tmp_path):
+    page = (Path(__file__).parents[1] / "docs" / "lammps.md").read_text()
+    commands = re.findall(r"```text\n(.*?)```", page, re.DOTALL)[1].splitlines()[:2]
+    lammps.commands_string("\n".join(commands).replace("particles", f"{tmp_path}/particles"))
+    lammps.command("run 0 post no")
+    live = xcg.scene_from_lammps(lammps, contacts=False)
+    lammps.command("undump b")
+    ds = xcg.open_scene(tmp_path / "particles.*.bin").isel(time=-1)
+    for name in ("position", "velocity", "diameter", "mass"):
+        np.testing.assert_array_equal(ds[name], live[name][0])
+
+
 def test_recorded_while_it_runs(lammps, tmp_path):
     with xcg.record(tmp_path / "live.nc", ["density"], axes="z", width=0.001, bounds={"z": (0, 0.01)}) as live:
         for _ in range(3):

@@ -13,6 +13,7 @@ import numpy as np
 
 import xcg
 from tests import dumps, real_data
+from tests.lammps_forms import binary_step, rows_of, write_netcdf
 from tests.test_mfix import OLD_ASCII, write_by_vtk, write_contacts, write_particles, write_pvd, write_vtp
 
 ROOT = Path(__file__).parents[2]
@@ -68,6 +69,23 @@ def _dumps_gz(folder: Path) -> dict[str, bytes]:
 
 def _use_dumps_gz(folder: Path) -> None:
     fields_of(xcg.open_scene(str(folder / "p.*.gz"), contacts=str(folder / "c.*.gz"), timestep=0.1))
+
+
+def _lammps_bin(folder: Path) -> dict[str, bytes]:
+    steps = [binary_step(rows_of(4, seed=k), step=k, time=k / 10, parts=2) for k in range(3)]
+    return {"p.bin": b"".join(steps)}
+
+
+def _use_lammps_bin(folder: Path) -> None:
+    fields_of(xcg.open_scene(folder / "p.bin"))
+
+
+def _lammps_nc(folder: Path) -> dict[str, bytes]:
+    return {"p.nc": write_netcdf(folder / "n.nc", {k: rows_of(4, seed=k) for k in range(3)}).read_bytes()}
+
+
+def _use_lammps_nc(folder: Path) -> None:
+    fields_of(xcg.open_scene(folder / "p.nc", engine="lammps"))
 
 
 def _liggghts(folder: Path) -> dict[str, bytes]:
@@ -208,6 +226,8 @@ TARGETS = {
     "lammps": Target(_dumps, _use_dumps, frozenset({"c.dump"})),
     "local": Target(_dumps, _use_local, frozenset({"p.dump"})),
     "lammps_gz": Target(_dumps_gz, _use_dumps_gz),
+    "lammps_bin": Target(_lammps_bin, _use_lammps_bin),
+    "lammps_nc": Target(_lammps_nc, _use_lammps_nc),
     "liggghts": Target(_liggghts, _use_liggghts),
     "mercury": Target(_mercury, _use_mercury),
     "mfix": Target(_mfix, _use_mfix),

@@ -1,4 +1,4 @@
-"""From columns of text files to variables of the scene.
+"""From columns of files to variables of the scene.
 
 A *slot* is what a column can be: a variable of the scene (``species``), a component of one (``velocity_x``),
 or an ingredient of one (``radius``, ``scaled_x``, ``normal_force_x``). Each engine lists which columns fill a
@@ -10,7 +10,7 @@ from __future__ import annotations
 import difflib
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TypeAlias
 
 import numpy as np
@@ -26,6 +26,9 @@ from xcg.scene.warn import warn_once, warn_user
 
 Slots: TypeAlias = Mapping[str, Sequence[str]]
 """Columns that fill each slot by themselves, the preferred first."""
+
+Read: TypeAlias = Callable[[StepRef, Iterable[str], int | None, ReadOptions], dict[str, NDArray]]
+"""What reads the wanted columns of one step, such as `read_table` of texts."""
 
 
 def _vector(slot: str, *templates: str) -> dict[str, tuple[str, ...]]:
@@ -158,9 +161,9 @@ def _axes(filled: Mapping[str, str], slot: str) -> list[str]:
     return [axis for axis in COMPONENTS if f"{slot}_{axis}" in filled]
 
 
-def _stacked(values: Mapping[str, NDArray], slot: str, rows: int) -> NDArray:
+def _stacked(values: Mapping[str, NDArray], slot: str) -> NDArray:
     """Vector (n, 3) from its components; 0 for one that is not there."""
-    zero = np.zeros(rows)
+    zero = np.zeros(len(next(iter(values.values()))))
     return np.stack([values.get(f"{slot}_{axis}", zero) for axis in COMPONENTS], axis=1)
 
 
@@ -232,9 +235,9 @@ def _is_own(slot: str, dim: str) -> bool:
     return slot not in {*PARTICLE_SLOTS, *CONTACT_SLOTS} and variable(slot).dims == (dim,)
 
 
-def particles_from(ref: StepRef, columns: Mapping[str, str], options: ReadOptions) -> Frame:
+def particles_from(ref: StepRef, columns: Mapping[str, str], options: ReadOptions, read: Read = read_table) -> Frame:
     """Read the particles of one step from the columns of `particle_columns`."""
-    table = read_table(ref, columns.values(), ref.rows, options)
+    table = read(ref, columns.values(), ref.rows, options)
     values = {slot: table[column] for slot, column in columns.items()}
     for k, axis in enumerate(COMPONENTS):
         if f"position_{axis}" not in values and f"scaled_{axis}" in values:
@@ -244,10 +247,10 @@ def particles_from(ref: StepRef, columns: Mapping[str, str], options: ReadOption
                 if other != axis and vector[k]:
                     values[f"position_{axis}"] += values.get(f"scaled_{other}", 0.0) * vector[k]
     frame = {slot: array for slot, array in values.items() if slot not in _PARTICLE_COMPONENTS}
-    frame["position"] = _stacked(values, "position", ref.rows)
+    frame["position"] = _stacked(values, "position")
     for slot in ("velocity", "angular_velocity"):
         if any(f"{slot}_{axis}" in values for axis in COMPONENTS):
-            frame[slot] = _stacked(values, slot, ref.rows)
+            frame[slot] = _stacked(values, slot)
     if "radius" in frame:
         radius = frame.pop("radius")
         frame.setdefault("diameter", 2 * radius)
@@ -311,12 +314,12 @@ def contact_names(columns: Mapping[str, str]) -> list[str]:
     return [*(slot for slot in _CONTACT_SCALARS if slot in columns), "contact_force", *vectors, *own]
 
 
-def contacts_from(ref: StepRef, columns: Mapping[str, str], options: ReadOptions) -> Frame:
+def contacts_from(ref: StepRef, columns: Mapping[str, str], options: ReadOptions, read: Read = read_table) -> Frame:
     """Read the contacts of one step from the columns of `contact_columns`."""
-    table = read_table(ref, columns.values(), ref.rows, options)
+    table = read(ref, columns.values(), ref.rows, options)
     values = {slot: table[column] for slot, column in columns.items()}
     frame: Frame = {slot: values[slot] for slot in values if slot in _CONTACT_SCALARS or _is_own(slot, "contact")}
-    frame |= {slot: _stacked(values, slot, ref.rows) for slot in _CONTACT_VECTORS if f"{slot}_x" in columns}
+    frame |= {slot: _stacked(values, slot) for slot in _CONTACT_VECTORS if f"{slot}_x" in columns}
     if "contact_force" not in frame:
         frame["contact_force"] = frame.pop("normal_force") + frame.pop("tangential_force", np.zeros(3))
     if "end_i" in frame:  # wrapped positions: the nearest image is taken where the periods are known
@@ -366,11 +369,11 @@ def wall_columns(ref: StepRef, options: ReadOptions) -> dict[str, list[str]]:
     return found
 
 
-def wall_contacts_from(ref: StepRef, options: ReadOptions) -> Frame:
+def wall_contacts_from(ref: StepRef, options: ReadOptions, read: Read = read_table) -> Frame:
     """Read the contacts with walls from columns of a step of particles, wall after wall."""
     name, walls = assign(ref, PARTICLE_SLOTS, options)["particle_id"], wall_columns(ref, options)
     wanted = {name, *(column for six in walls.values() for column in six)}
-    table = read_table(ref, wanted, ref.rows // len(walls), options)
+    table = read(ref, wanted, ref.rows // len(walls), options)
     parts = []
     for number, six in enumerate(walls.values()):
         values = np.stack([table[column] for column in six], axis=1)

@@ -1,20 +1,24 @@
-"""Text dumps of LAMMPS and its relatives (``ITEM: ...``): headers and the index of steps."""
+"""Dumps of LAMMPS and its relatives: the index of steps, and the headers of texts (``ITEM: ...``)."""
 
 from __future__ import annotations
 
 import os
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
+from types import ModuleType
 
 import numpy as np
+from numpy.typing import NDArray
 
-from xcg.readers import columns
+from xcg.readers import columns, lammps_binary, lammps_netcdf
+from xcg.readers.columnar import Columnar
 from xcg.readers.compressed import compression, most_from
-from xcg.readers.engine import Engine, ReadOptions, StepRef
+from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.index import remembered
+from xcg.readers.lammps_box import with_bounds
 from xcg.readers.text import (
     Scanner,
     check_rows,
@@ -29,7 +33,7 @@ from xcg.scene.schema import COMPONENTS, Frame, SceneError
 from xcg.steps import errors as errors
 
 
-class Dumps(Engine):
+class Dumps(Columnar):
     """What the engines of dumps share."""
 
     OPTIONS = ("timestep",)
@@ -37,36 +41,31 @@ class Dumps(Engine):
     def index_particles(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
         """List the steps of ``dump custom`` files."""
         refs = index_dumps(paths, options, atoms=True)
-        columns.warn_of_ignored(refs[0], _particle_columns(refs[0], options), columns.PARTICLE_SLOTS, options)
+        columns.warn_of_ignored(refs[0], self.particle_columns(refs[0], options), columns.PARTICLE_SLOTS, options)
         return refs
-
-    def contact_columns(self, ref: StepRef, options: ReadOptions) -> dict[str, str]:
-        """Find the columns that contacts are read from."""
-        return columns.contact_columns(ref, columns.CONTACT_SLOTS, options)
-
-    def contact_variables(self, ref: StepRef, options: ReadOptions) -> list[str]:
-        """Names of the variables that `read_contacts` returns."""
-        return columns.contact_names(self.contact_columns(ref, options))
-
-    def read_particles(self, ref: StepRef, options: ReadOptions) -> Frame:
-        """Parse the particles of one step."""
-        return columns.particles_from(ref, _particle_columns(ref, options), options)
 
     def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
         """Parse the contacts of one step."""
-        found = self.contact_columns(ref, options)
-        contacts = columns.contacts_from(ref, found, options)
-        columns.warn_of_partial_force(ref, contacts, found, options)
+        contacts = super().read_contacts(ref, options)
+        columns.warn_of_partial_force(ref, contacts, self.contact_columns(ref, options), options)
         return contacts
 
-    def ignored_columns(self, ref: StepRef, options: ReadOptions, *, contacts: bool = False) -> list[str]:
-        """Columns of a step that are not read."""
-        read = self.contact_columns(ref, options) if contacts else _particle_columns(ref, options)
-        return [column for column in ref.columns if column not in read.values()]
+    def read_columns(
+        self, ref: StepRef, wanted: Iterable[str], rows: int | None, options: ReadOptions
+    ) -> dict[str, NDArray]:
+        """Read columns of one step, in whatever form it is written."""
+        form = form_of(ref.path)
+        return form.read_columns(ref, wanted) if form else super().read_columns(ref, wanted, rows, options)
 
 
-def _particle_columns(ref: StepRef, options: ReadOptions) -> dict[str, str]:
-    return columns.particle_columns(ref, columns.PARTICLE_SLOTS, options)
+_FORMS = (lammps_binary, lammps_netcdf)
+
+
+def form_of(path: str) -> ModuleType | None:
+    """Give the module that reads a dump which is no text; None for texts and all else."""
+    with open(path, "rb") as file:
+        head = file.read(64)
+    return next((form for form in _FORMS if form.begins(head)), None)
 
 
 def body_columns(path: str) -> tuple[str, tuple[str, ...]] | None:
@@ -119,6 +118,17 @@ def index_dumps(paths: Sequence[str], options: ReadOptions, *, atoms: bool) -> l
 
 
 def _steps(path: str, *, atoms: bool) -> Iterator[StepRef]:
+    form = form_of(path)
+    if form is None:
+        yield from _steps_of_text(path, atoms=atoms)
+    elif atoms:
+        yield from form.steps_of(path)
+    else:
+        msg = f"{path}: LAMMPS writes particles in this form, and contacts as text; is this a file for particles=?"
+        raise SceneError(msg)
+
+
+def _steps_of_text(path: str, *, atoms: bool) -> Iterator[StepRef]:
     units = None
     with open_binary(path) as stream:
         scanner = Scanner(stream, path, most_text(path))
@@ -244,24 +254,14 @@ def _box(ref: StepRef, scanner: Scanner, item: str) -> StepRef:
         low, high, *tilts = np.array([[_finite(word) for word in line] for line in lines]).T
         if len(tilts) != tilted:
             raise ValueError
-        lattice = None
-        if tilted:  # the bounds are those of the tilted box
-            xy, xz, yz = tilts[0].tolist()
-            low = low - [min(0.0, xy, xz, xy + xz), min(0.0, yz), 0.0]
-            high = high - [max(0.0, xy, xz, xy + xz), max(0.0, yz), 0.0]
-            x, y, z = (high - low).tolist()
-            lattice = ((x, 0.0, 0.0), (xy, y, 0.0), (xz, yz, z))
-        if not (low < high).all():
-            raise ValueError
+        ref = with_bounds(ref, low, high, tilts[0].tolist() if tilted else None)
     except ValueError:
         what = "three lines of " + (
             "three numbers, the bounds and a tilt" if tilted else "two numbers, the lower first"
         )
         msg = f"{ref.path}: {lines} follow 'ITEM: {item}', expected {what}"
         raise SceneError(msg) from None
-    edges = tuple(zip(low.tolist(), high.tolist(), strict=True))
-    ref = replace(ref, lattice=lattice)
     if len(flags) != len(COMPONENTS):
-        return replace(ref, box=edges)  # old files do not say what is periodic
+        return ref  # old files do not say what is periodic
     periodic = "".join(axis for axis, flag in zip(COMPONENTS, flags, strict=True) if flag == "pp")
-    return replace(ref, box=edges, periodic=periodic)
+    return replace(ref, periodic=periodic)

@@ -1,4 +1,4 @@
-"""LAMMPS text dumps: ``dump custom`` for particles, ``dump local`` for contacts, plain or gzipped."""
+"""LAMMPS dumps: ``dump custom`` (text, binary) or ``dump netcdf`` for particles, ``dump local`` for contacts."""
 
 from __future__ import annotations
 
@@ -20,7 +20,9 @@ class Lammps(dump.Dumps):
     UNNAMED_UNITS = "have the files say it by 'dump_modify ... units yes'"
 
     def recognises(self, path: str) -> bool:
-        """Tell LAMMPS dumps by their first lines, apart from those that only LIGGGHTS writes."""
+        """Tell LAMMPS dumps by how they begin, apart from those that only LIGGGHTS writes."""
+        if dump.form_of(path):
+            return True
         found = dump.body_columns(path)
         return found is not None and ".liggghts" not in path and not dump.is_numbered(found[1])
 
@@ -47,7 +49,9 @@ class Lammps(dump.Dumps):
 
     def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
         """Parse the contacts of one step: those between grains, or those in columns of the grains."""
-        return columns.wall_contacts_from(ref, options) if ref.kind == _WALLS else super().read_contacts(ref, options)
+        if ref.kind == _WALLS:
+            return columns.wall_contacts_from(ref, options, self.read_columns)
+        return super().read_contacts(ref, options)
 
     def ignored_columns(self, ref: StepRef, options: ReadOptions, *, contacts: bool = False) -> list[str]:
         """Columns of a step that are not read."""

@@ -1,0 +1,174 @@
+"""Binary dumps of LAMMPS (``dump custom`` or ``dump atom``, ``*.bin``), whose headers name their columns (since 2020).
+
+A step is the number of letters of "DUMPCUSTOM" or "DUMPATOM", negative (int64); these letters; 1 (int32), which tells
+the order of bytes; the revision of the format; step and number of atoms (int64); whether the box is tilted; its six
+boundaries, 0 for periodic; its bounds (float64), with tilts where there are any; the number of columns; the units, time
+and names of the columns, each with its length before it. Then follow blocks of rows, one from each process: the number
+of values, and the values (float64).
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import struct
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from typing import BinaryIO, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xcg.readers.engine import StepRef
+from xcg.readers.lammps_box import with_bounds
+from xcg.readers.text import source_of
+from xcg.scene.schema import COMPONENTS, SceneError
+
+_MARKS = {struct.pack(f"{order}q", -len(word)) + word: order for order in "<>" for word in (b"DUMPCUSTOM", b"DUMPATOM")}
+_LONGEST_MARK = max(map(len, _MARKS))
+_MOST_COLUMNS = 1000
+_LONGEST_TEXT = 1 << 16  # bytes of the names of columns
+_NEWEST = 2  # revision
+
+
+def begins(head: bytes) -> bool:
+    """Tell by the first bytes whether this is a binary dump."""
+    return _mark(head) is not None
+
+
+def _mark(head: bytes) -> bytes | None:
+    return next((mark for mark in _MARKS if head.startswith(mark)), None)
+
+
+class _Header:
+    """Numbers of a header, one after the other."""
+
+    def __init__(self, file: BinaryIO, path: str) -> None:
+        self.file, self.path, self.start = file, path, file.tell()
+        self.order = "<"
+
+    def refuse(self, problem: str) -> NoReturn:
+        msg = f"{self.path}: the header at byte {self.start} {problem}; leave the file out, or write it anew"
+        raise SceneError(msg) from None
+
+    def bytes(self, count: int) -> bytes:
+        found = self.file.read(count)
+        if len(found) < count:
+            self.refuse("is cut off")
+        return found
+
+    def numbers(self, code: str) -> tuple:
+        return struct.unpack(self.order + code, self.bytes(struct.calcsize("<" + code)))
+
+    def text(self) -> str:
+        (length,) = self.numbers("i")
+        if not 0 <= length <= _LONGEST_TEXT:
+            self.refuse(f"has a text of {length} bytes")
+        return self.bytes(length).decode("utf-8", "replace")
+
+
+def steps_of(path: str) -> Iterator[StepRef]:
+    """List the steps of a file from its headers.
+
+    Raises
+    ------
+    SceneError
+        If a header or its blocks are not as described above, or the file ends within one.
+    """
+    size, units = os.path.getsize(path), None
+    with open(path, "rb") as file:
+        while file.tell() < size:
+            ref = _read_header(_Header(file, path))
+            units = ref.units or units  # LAMMPS writes the units once a file
+            end = _end_of_blocks(file, ref, size)
+            yield replace(ref, units=units, length=end - ref.offset)
+            file.seek(end)
+
+
+def _read_header(header: _Header) -> StepRef:
+    mark = _mark(header.file.read(_LONGEST_MARK))
+    if mark is None:
+        header.refuse("does not begin with 'DUMPCUSTOM' or 'DUMPATOM'")
+    header.order = _MARKS[mark]
+    header.file.seek(header.start + len(mark))
+    one, revision, step, rows, triclinic, *walls = header.numbers("iiqqi6i")
+    if one != 1 or not 1 <= revision <= _NEWEST:
+        header.refuse(f"is of revision {revision}, expected 1 to {_NEWEST}")
+    if triclinic not in (0, 1):
+        header.refuse("has a box of vectors in any direction; write 'dump_modify ... triclinic/general no'")
+    bounds = header.numbers("6d")
+    tilts = header.numbers("3d") if triclinic else None
+    (columns,) = header.numbers("i")
+    units = header.text() or None
+    time = header.numbers("d")[0] if header.numbers("?")[0] else None
+    names = tuple(header.text().split())
+    if not 0 < columns == len(names) == len(set(names)) <= _MOST_COLUMNS or rows < 0:
+        header.refuse(f"promises {rows} rows of {columns} columns, and names {' '.join(names[:50]) or 'none'}")
+    if not all(map(math.isfinite, (*bounds, *(tilts or ()), time or 0.0))):
+        header.refuse("has a time or box that is not finite")
+    periodic = "".join(a for k, a in enumerate(COMPONENTS) if walls[2 * k] == walls[2 * k + 1] == 0)
+    ref = StepRef(
+        header.path,
+        rows,
+        time=time,
+        step=step,
+        periodic=periodic,
+        columns=names,
+        offset=header.file.tell(),
+        units=units,
+    )
+    try:
+        return with_bounds(ref, bounds[::2], bounds[1::2], tilts)
+    except ValueError:
+        header.refuse(f"has the box {bounds}, lower edges first")
+
+
+def _end_of_blocks(file: BinaryIO, ref: StepRef, size: int) -> int:
+    """Byte after the last block of a step, whose rows are counted."""
+    header = _Header(file, ref.path)
+    header.order, values, wide = _order_of(ref.path), 0, len(ref.columns)
+    (processes,) = header.numbers("i")
+    for _ in range(processes):
+        (count,) = header.numbers("i")
+        end = file.tell() + 8 * count
+        if count < 0 or count % wide or end > size:
+            header.refuse(f"is followed by a block of {count} values, expected rows of {wide} within the file")
+        values += count
+        file.seek(end)
+    if values != ref.rows * wide:
+        msg = (
+            f"{source_of(ref)}: its header promises {ref.rows} rows of {wide} values, and {values} values follow; "
+            "leave the file out, or write it anew"
+        )
+        raise SceneError(msg)
+    return file.tell()
+
+
+def _order_of(path: str) -> str:
+    """Order of bytes of a file."""
+    with open(path, "rb") as file:
+        return _MARKS.get(_mark(file.read(_LONGEST_MARK)) or b"", "<")
+
+
+def read_columns(ref: StepRef, wanted: Iterable[str]) -> dict[str, NDArray]:
+    """Read columns of one step.
+
+    Raises
+    ------
+    SceneError
+        If the blocks are not as they were when they were listed.
+    """
+    order, wide = _order_of(ref.path), len(ref.columns)
+    with open(ref.path, "rb") as file:
+        file.seek(ref.offset)
+        body = file.read(ref.length)
+    blocks, at = [], 4
+    while at < len(body):
+        count = struct.unpack_from(f"{order}i", body, at)[0] if at + 4 <= len(body) else -1
+        if count < 0 or count % wide or at + 4 + 8 * count > len(body):
+            msg = f"{source_of(ref)}: the file changed after the scene was opened; open it again"
+            raise SceneError(msg)
+        blocks.append(np.frombuffer(body, f"{order}f8", count, at + 4).reshape(-1, wide))
+        at += 4 + 8 * count
+    rows = np.concatenate(blocks) if blocks else np.empty((0, wide))
+    return {name: rows[:, ref.columns.index(name)].astype("f8") for name in set(wanted)}
