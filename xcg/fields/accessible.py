@@ -56,6 +56,9 @@ def check_walls(request: Request) -> None:
     if not walls or not all(isinstance(wall, Wall) for wall in walls):
         msg = f"walls={request.walls!r}: expected a list of xcg.Plane, xcg.Cylinder and xcg.Surface"
         raise ValueError(msg)
+    if request.frame is not None:
+        msg = "walls= with frame=: walls are given in the scene's own axes; leave one of them out"
+        raise ValueError(msg)
     if request.preset is not None:
         msg = f"walls= with preset={request.preset!r}: presets know no accessible volume; leave one of them out"
         raise ValueError(msg)

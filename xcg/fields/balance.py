@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from xcg.fields.coarse_grain import answer, of_bodies
+from xcg.fields.coarse_grain import answer, prepare
 from xcg.fields.plan import make_plan
 from xcg.fields.request import SharedOptions, takes
 from xcg.scene.conform import takes_scene
@@ -208,7 +208,7 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
     if asked.preset is not None:
         msg = f"preset={asked.preset!r}: the balances are those of fields of xcg; leave it out"
         raise ValueError(msg)
-    ds, asked = of_bodies(ds, asked)
+    ds, asked = prepare(ds, asked)
     laws = _chosen(ds, asked)
     needed = [name for law in laws.values() for name in law.fields] + list(OF_PHASES if asked.by else ())
     request = asked.ask(fields=list(dict.fromkeys(needed)), width=asked.width)

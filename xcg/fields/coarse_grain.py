@@ -12,12 +12,14 @@ from xcg.fields import lammps, pysammos, registry
 from xcg.fields.accessible import check_walls, with_accessible
 from xcg.fields.evaluate import evaluate_plan
 from xcg.fields.field import Field
+from xcg.fields.frames import in_frame
 from xcg.fields.plan import Plan, make_plan
 from xcg.fields.request import Request, SharedOptions, takes
 from xcg.scene.bodies import group_bodies
 from xcg.scene.build import storable
 from xcg.scene.conform import takes_scene
 from xcg.scene.schema import COMPONENTS, units_of
+from xcg.scene.sizes import with_measures
 from xcg.steps.errors import check_on_error
 from xcg.steps.label import format_call, mark_skipped, provenance
 from xcg.steps.phase_labels import with_phase_labels
@@ -103,7 +105,7 @@ def explain(ds: xr.Dataset, request: Request) -> Plan:
     fields    volume_fraction
     ...
     """
-    ds, request = of_bodies(ds, request)
+    ds, request = prepare(ds, request)
     request, _ = _in_own_names(ds, request)
     return make_plan(ds, request)
 
@@ -111,9 +113,11 @@ def explain(ds: xr.Dataset, request: Request) -> Plan:
 def answer(ds: xr.Dataset, request: Request) -> xr.Dataset:
     """Give what a request asks for."""
     check_walls(request)
-    ds, request = of_bodies(ds, request)
+    framed = {"frame": request.frame} if request.frame is not None else {}
+    ds, request = prepare(ds, request)
     skips = check_on_error(request.on_error) == "skip"
-    call = format_call("coarse_grain", {k: v for k, v in request.given().items() if k != "on_error" or skips})
+    given = {k: v for k, v in (request.given() | framed).items() if k != "on_error" or skips}
+    call = format_call("coarse_grain", given)
     request, rename = _in_own_names(ds, request)
     plan = make_plan(ds, request)
     wanted = plan.fields
@@ -126,11 +130,16 @@ def answer(ds: xr.Dataset, request: Request) -> xr.Dataset:
     return rename(mark_skipped(result, arrays))
 
 
-def of_bodies(ds: xr.Dataset, asked: Asked) -> tuple[xr.Dataset, Asked]:
-    """Group spheres where bodies are asked for; what is asked for then holds of the bodies."""
-    if asked.by_body is None:
-        return ds, asked
-    return group_bodies(ds, asked.by_body), replace(asked, by_body=None)
+def prepare(ds: xr.Dataset, asked: Asked) -> tuple[xr.Dataset, Asked]:
+    """Group spheres where bodies are asked for, and turn the scene into the frame that is asked for.
+
+    What is asked for then holds of the bodies, in the axes of the frame.
+    """
+    if asked.by_body is not None:
+        ds, asked = group_bodies(ds, asked.by_body), replace(asked, by_body=None)
+    if asked.frame is not None:
+        ds, asked = in_frame(with_measures(ds), asked.frame), replace(asked, frame=None)
+    return ds, asked
 
 
 def _in_own_names(ds: xr.Dataset, request: Request) -> tuple[Request, Callable[[xr.Dataset], xr.Dataset]]:

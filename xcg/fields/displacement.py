@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from xcg.compiled import THREADS
 from xcg.fields import registry
 from xcg.fields.averages import derive, needed_for_averages
-from xcg.fields.coarse_grain import about, label_fields, of_bodies
+from xcg.fields.coarse_grain import about, label_fields, prepare
 from xcg.fields.evaluate import compute_chunk
 from xcg.fields.plan import make_plan
 from xcg.fields.request import Request, takes
@@ -117,10 +117,13 @@ def displacement(ds: xr.Dataset, asked: DisplacementRequest) -> xr.Dataset:
     require_scene(ds, ("mass",), "displacement")
     skips = check_on_error(asked.on_error) == "skip"
     call = format_call("displacement", {k: v for k, v in asked.given().items() if k != "on_error" or skips})
-    ds, asked = of_bodies(with_measures(ds), asked)
+    ds, asked = prepare(with_measures(ds), asked)
     if asked.accumulate:
         ds, asked = ds.isel(time=slice(None, None, asked.lag)), replace(asked, lag=1)
     moves = bool(ds.attrs.get("periodic")) and not box_stays(ds)
+    if moves and "frame" in ds.attrs:
+        msg = "displacements in a box that changes are found in the scene's own axes: leave frame= out"
+        raise ValueError(msg)
     options = registry.options_of({**ds.attrs, "gradient": asked.gradient, "temperature": asked.temperature})
     options = replace(options, lag=asked.lag)
     if asked.for_averages:

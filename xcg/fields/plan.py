@@ -245,7 +245,8 @@ def make_plan(ds: xr.Dataset, request: Request) -> Plan:
     read = [n for n in ds.data_vars if n in variables | extra]
     return Plan(
         fields=names, variables=tuple(map(str, read)), deposit=deposit, options=options, kernel=chosen,
-        extent=_extents(grid, request.extent or {}, edges), depth=layer_depth(ds, setup, edges), setup=setup, rtol=rtol,
+        extent=_extents(grid, request.extent or {}, edges, tilted="lattice" in ds),
+        depth=layer_depth(ds, setup, edges), setup=setup, rtol=rtol,
     )  # fmt: skip
 
 
@@ -397,7 +398,7 @@ def _automatic(
     found = dict(edges)
     if lower is not None and upper is not None:
         for k, a in enumerate(COMPONENTS):
-            if a not in setup.periodic:
+            if a not in setup.periodic or a not in edges:
                 found[a] = (float(lower[k]) - cutoff, float(upper[k]) + cutoff)
     return found
 
@@ -421,7 +422,7 @@ def _check_differentiable(kernel: Kernel, seen: int) -> None:
 
 
 def _extents(
-    grid: Grid, extent: Mapping[str, float], edges: Mapping[str, tuple[float, float]]
+    grid: Grid, extent: Mapping[str, float], edges: Mapping[str, tuple[float, float]], *, tilted: bool
 ) -> dict[str, float | None]:
     loose = [a for a in extent if a not in grid.averaged]
     if loose:
@@ -430,7 +431,7 @@ def _extents(
     found: dict[str, float | None] = {}
     for a in grid.averaged:
         length = extent.get(a)
-        if length is None and a not in edges:
+        if length is None and a not in edges and not tilted:
             msg = (
                 f"fields are averaged along {a!r}, and the scene has no finite box there: give the length that the "
                 f"integral is divided by, extent={{{a!r}: length}}, or resolve or fix the axis (axes=, at=)"
@@ -445,18 +446,19 @@ def _extents(
 
 def scale_of(plan: Plan, lattice: Lattice, source: str) -> float:
     """1 / (extents of the averaged axes x thickness of the layer) for one step."""
-    lengths, of_box = [], np.zeros(3, bool)
-    for a, length in (*plan.extent.items(), *(((plan.depth, None),) if isinstance(plan.depth, str) else ())):
-        if length is None:
-            length = lattice.length(a)
-            if not (np.isfinite(length) and length > 0):
-                msg = f"{source}: fields are averaged along {a!r}, and the box of this step is not finite there"
-                raise SceneError(msg)
-            of_box[COMPONENTS.index(a)] = lattice.vectors is not None
-        if not of_box[COMPONENTS.index(a)]:
-            lengths.append(length)
+    given = {**plan.extent, **({plan.depth: None} if isinstance(plan.depth, str) else {})}
+    lengths = [length for length in given.values() if length is not None]
+    of_box = np.array([a in given and given[a] is None for a in COMPONENTS])
     if of_box.any():
         lengths.append(lattice.extent(of_box))
+        if not (np.isfinite(lengths[-1]) and lengths[-1] > 0):
+            lattice.seen(plan.deposit.grid.active, source)  # which may say more
+            axes = " and ".join(repr(a) for a, averaged in zip(COMPONENTS, of_box, strict=True) if averaged)
+            msg = (
+                f"{source}: fields are averaged along {axes}, and the box of this step is not finite there; give the "
+                "length that the integral is divided by (extent=)"
+            )
+            raise SceneError(msg)
     if isinstance(plan.depth, float):
         lengths.append(plan.depth)
     return 1.0 / float(np.prod(lengths))

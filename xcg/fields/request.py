@@ -15,6 +15,7 @@ from typing import Any, Concatenate, ParamSpec, TypeVar, cast, get_type_hints
 
 import xarray as xr
 
+from xcg.fields.frames import Rotated
 from xcg.fields.smoothing import Kernel
 from xcg.fields.surfaces import Wall
 from xcg.fields.variables import Quantity
@@ -76,6 +77,8 @@ class SharedOptions:
     by_body : str, optional
         An integer variable of the particles that says which body each component sphere belongs to, for example
         "body_id": bodies are coarse-grained instead of spheres, see `xcg.group_bodies`.
+    frame : Rotated, optional
+        Axes of one's own choice, in which everything else in the request and in the result is then meant.
     rtol : float
         Promise for the contact stress of every segment, relative to its largest value: the cheapest quadrature that
         keeps it is taken, from 1e-4 on with weights in single precision. 0 (default) takes the closed form.
@@ -104,6 +107,7 @@ class SharedOptions:
     by_pair: bool = False
     temperature: str = "unbiased"
     by_body: str | None = None
+    frame: Rotated | None = None
     rtol: float = 0.0
     preset: str | None = None
     on_error: str = "raise"

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from xcg.fields.coarse_grain import answer, of_bodies
+from xcg.fields.coarse_grain import answer, prepare
 from xcg.fields.plan import make_plan
 from xcg.fields.request import Request, SharedOptions, takes
 from xcg.fields.smoothing import choose_width
@@ -94,7 +94,7 @@ def width_sweep(ds: xr.Dataset, asked: SweepRequest) -> xr.Dataset:
         msg = f"widths={list(asked.widths)!r}: expected three or more different widths, to tell a slope"
         raise ValueError(msg)
     points, several = _points(asked.at)
-    ds, asked = of_bodies(ds, asked)
+    ds, asked = prepare(ds, asked)
     asked = replace(asked, axes=asked.axes or "")
     if asked.axes:
         asked = _with_nodes(ds, asked, lengths, points[0])

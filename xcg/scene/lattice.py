@@ -307,15 +307,17 @@ class Lattice:
     def extent(self, hidden: NDArray) -> float:
         """Length, area or volume that sums over all images are divided by, to be averages along some axes (3,).
 
-        That of the vectors along these axes, times the length of the box along those that are not periodic.
+        That of the vectors along these axes, and of the box along those that are not periodic; not finite where the
+        scene does not say.
         """
         lengths = np.full(3, np.nan) if self.edges is None else self.edges[:, 1] - self.edges[:, 0]
-        if self.vectors is None:
+        if self.cell is None:
             return float(lengths[hidden].prod())
         vectors, _, apart = self._along(~hidden)
-        along = vectors[~apart]
-        open_axes = hidden & ~(np.abs(along) > _SAME * np.abs(along).max(initial=0.0)).any(axis=0)
-        return float(_volume(along) * lengths[open_axes].prod())
+        along, open_axes = vectors[~apart], hidden & ~self.cell.any(axis=1)
+        if len(along) + open_axes.sum() < hidden.sum() or not np.isfinite(lengths[open_axes]).all():
+            return np.nan
+        return _volume(np.concatenate([along, np.diag(np.where(open_axes, lengths, 0.0))[open_axes]]))
 
 
 def _periods(edges: NDArray | None, axes: list[int], source: str) -> NDArray:

@@ -38,8 +38,9 @@ class BoxMotion:
         stretch, lower, moved = np.zeros((3, 3))
         wraps = np.isfinite(first.lengths)
         if first.edges is not None and later.edges is not None:
-            lower[wraps] = first.edges[wraps, 0]
-            moved[wraps] = (later.edges - first.edges)[wraps, 0]
+            known = wraps & np.isfinite(first.edges[:, 0]) & np.isfinite(later.edges[:, 0])
+            lower[known] = first.edges[known, 0]
+            moved[known] = later.edges[known, 0] - first.edges[known, 0]
             # an edge that is a period further on is the same edge
             moved = later.shortest(moved[None])[0]
         if first.vectors is None and later.vectors is None:

@@ -17,7 +17,10 @@ from xcg.scene.schema import COMPONENTS, Variable, units_of
 from xcg.steps.map import SKIPPED, Result
 
 # attributes of a scene that hold for its results, too
-ABOUT = ("Conventions", "engine", "files", "periodic", "gravity", "unit_system", "dimension", "plane", "skipped_files")
+ABOUT = (
+    "Conventions", "engine", "files", "periodic", "gravity", "unit_system", "dimension", "plane", "skipped_files",
+    "frame", "frame_axes", "frame_origin",
+)  # fmt: skip
 AXES = {"component": list(COMPONENTS), "direction": list(COMPONENTS), "principal": [1, 2, 3]}
 
 

@@ -1,0 +1,117 @@
+"""Other axes than the scene's: nodes, vectors, tensors and gradients in axes of the user's choice."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.scene.schema import COMPONENTS
+from xcg.scene.turn import turn_scene
+
+_PARALLEL = 1e-6  # sine of the smallest angle between two axes that are given
+_NO_PLACE = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Rotated:
+    """Axes x, y, z of one's own choice, for the argument ``frame``; right-handed, at right angles.
+
+    One or two of them are given. Of two, the first of z, x, y is kept as it is, and of the other its part at a right
+    angle to that. Of one, the second is the scene's own z, or x where that is z, likewise.
+
+    Parameters
+    ----------
+    x, y, z : sequence of float, optional
+        Directions of the new axes in the scene's own, of any length.
+    origin : sequence of float
+        Where the new axes meet, in the scene's own coordinates (m).
+
+    Raises
+    ------
+    ValueError
+        If none or three axes are given, two are parallel, or numbers are not finite.
+
+    Notes
+    -----
+    Everything in the request and in the result is in these axes: ``axes``, ``at``, ``bounds``, ``extent``,
+    ``pressure_dims``, coordinates, and the labels x, y, z of ``component`` and ``direction``. All is as if the scene
+    itself were turned. Results hold the axes, row by row, and the origin as the attributes ``frame_axes`` and
+    ``frame_origin``.
+
+    Examples
+    --------
+    >>> import xcg
+    >>> frame = xcg.Rotated(z=(0, 1, 1), x=(1, 0, 0))
+    >>> frame.axes.round(3).tolist()
+    [[1.0, 0.0, 0.0], [0.0, 0.707, -0.707], [0.0, 0.707, 0.707]]
+    """
+
+    x: Sequence[float] | None = None
+    y: Sequence[float] | None = None
+    z: Sequence[float] | None = None
+    origin: Sequence[float] = _NO_PLACE
+
+    def __post_init__(self) -> None:
+        given = [a for a in COMPONENTS if getattr(self, a) is not None]
+        if len(given) not in (1, 2):
+            msg = f"{self}: expected one or two of the axes x, y, z; the others follow from right angles"
+            raise ValueError(msg)
+        for name in (*given, "origin"):
+            numbers(f"{type(self).__name__}({name}=)", getattr(self, name), direction=name != "origin")
+        if len(given) == 2 and self._second(*self._order(given)) is None:
+            msg = f"{self}: the axes {' and '.join(given)} are parallel; they are to be at right angles"
+            raise ValueError(msg)
+
+    @property
+    def axes(self) -> NDArray:
+        """The axes x, y, z in those of the scene, a row each (3, 3)."""
+        given = self._order(a for a in COMPONENTS if getattr(self, a) is not None)
+        first, others = given[0], given[1:] or [a for a in "zxy" if a != given[0]]
+        second, beside = next((a, part) for a in others if (part := self._second(first, a)) is not None)
+        (third,) = {*COMPONENTS} - {first, second}
+        found = {first: _unit(self._given(first)), second: beside}
+        after = {a: COMPONENTS[(k + 1) % 3] for k, a in enumerate(COMPONENTS)}
+        found[third] = np.cross(found[after[third]], found[after[after[third]]])
+        return np.array([found[a] for a in COMPONENTS]) + 0.0
+
+    @staticmethod
+    def _order(axes: Any) -> list[str]:
+        return sorted(axes, key="zxy".index)
+
+    def _given(self, axis: str) -> NDArray:
+        """Direction of an axis: given, or the scene's own."""
+        value = getattr(self, axis)
+        return np.eye(3)[COMPONENTS.index(axis)] if value is None else np.asarray(value, float)
+
+    def _second(self, first: str, second: str) -> NDArray | None:
+        """Part of an axis at a right angle to the first; None where they are parallel."""
+        one, other = _unit(self._given(first)), _unit(self._given(second))
+        part = other - (other @ one) * one
+        return _unit(part - (part @ one) * one) if np.linalg.norm(part) > _PARALLEL else None
+
+
+def numbers(name: str, given: Any, *, direction: bool) -> NDArray:
+    """Check three finite numbers, which are a direction or a place."""
+    values = np.asarray(given, float) if np.ndim(given) == 1 and np.shape(given) == (3,) else np.full(3, np.nan)
+    if not np.isfinite(values).all() or (direction and not values.any()):
+        what = "three finite numbers, not all zero" if direction else "three finite coordinates (m)"
+        msg = f"{name} is {given!r}: expected {what}"
+        raise ValueError(msg)
+    return values
+
+
+def _unit(vector: NDArray) -> NDArray:
+    vector = vector / np.abs(vector).max()
+    return np.asarray(vector / np.linalg.norm(vector))
+
+
+def in_frame(ds: xr.Dataset, frame: Rotated) -> xr.Dataset:
+    """Return the scene in a frame, which its attributes then tell."""
+    origin = np.asarray(frame.origin, float)
+    turned = turn_scene(ds, frame.axes, origin)
+    return turned.assign_attrs(frame="rotated", frame_axes=frame.axes.ravel(), frame_origin=origin)
