@@ -1,16 +1,89 @@
-"""Sample scenes and synthetic ones: the same for documentation, tests and benchmarks."""
+"""Sample data that come with xcg, and synthetic scenes: the same for documentation, tests and benchmarks."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.readers.series import open_scene
 from xcg.scene.build import scene_from_arrays
 from xcg.scene.lattice import images_within, minimum_image
 from xcg.scene.schema import COMPONENTS
+
+
+@dataclass(frozen=True)
+class _Sample:
+    """Files that come with xcg: in the installed package under ``data``, in a checkout among the examples."""
+
+    folder: str
+    particles: str
+    contacts: str
+    options: dict[str, Any] = field(default_factory=dict)
+
+
+# what the wheel holds stands in pyproject.toml
+_SAMPLES = {
+    "chute": _Sample(
+        "lammps_chute",
+        "particles.00050000.dump.gz",
+        "contacts.00050000.dump.gz",
+        {"gravity": (0.4067, 0.0, -0.9135)},
+    ),
+    "plane_shear": _Sample("lammps_plane_shear", "particles.*.dump.gz", "contacts.*.dump.gz"),
+}
+_FOLDERS = (Path(__file__).parent / "data", Path(__file__).parents[1] / "examples" / "data")
+
+
+def open(name: str, **options: Any) -> xr.Dataset:  # noqa: A001
+    """Open sample data that come with xcg; nothing is fetched from a network.
+
+    Parameters
+    ----------
+    name : str
+        "chute": one step of 4398 spheres that flow down a rough plane at 24 degrees, of which species 2 is held in
+        place. "plane_shear": 17 steps of spheres that are sheared between two moving walls. Both are of LAMMPS, with
+        contacts, in reduced units.
+    **options
+        For `xcg.open_scene`.
+
+    Returns
+    -------
+    xarray.Dataset
+        The scene, lazy.
+
+    Raises
+    ------
+    ValueError
+        If there are no data of this name.
+    FileNotFoundError
+        If the files are missing from the installation.
+
+    Examples
+    --------
+    >>> import xcg
+    >>> ds = xcg.datasets.open("chute")
+    >>> ds.sizes["particle"]
+    4398
+    """
+    if name not in _SAMPLES:
+        msg = f"open({name!r}): the sample data are {', '.join(_SAMPLES)}; files of your own open with xcg.open_scene"
+        raise ValueError(msg)
+    sample = _SAMPLES[name]
+    for folder in _FOLDERS:
+        if (folder / sample.folder).is_dir():
+            found = folder / sample.folder
+            return open_scene(
+                str(found / sample.particles),
+                **{"contacts": str(found / sample.contacts), **sample.options, **options},
+            )
+    msg = f"open({name!r}): no folder {_FOLDERS[0] / sample.folder}; install xcg again"
+    raise FileNotFoundError(msg)
+
 
 _FCC = np.array([[0.0, 0.0, 0.0], [0.5, 0.5, 0.0], [0.5, 0.0, 0.5], [0.0, 0.5, 0.5]])
 

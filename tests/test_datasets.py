@@ -1,0 +1,57 @@
+"""Sample data come with the package, and what tells the version says the same everywhere."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import xcg
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_samples_open_with_contacts():
+    chute = xcg.datasets.open("chute")
+    assert (chute.sizes["time"], chute.sizes["particle"], chute.sizes["contact"]) == (1, 4398, 6229)
+    assert chute.attrs["gravity"] == pytest.approx([0.4067, 0.0, -0.9135])
+    assert chute["position"].chunks is not None
+    shear = xcg.datasets.open("plane_shear", frozen=2)
+    assert shear.sizes["time"] == 17
+    # the sheared grains carry the shear stress from wall to wall
+    p = shear.isel(time=slice(8, None)).cg.coarse_grain(["stress", "velocity", "density"], axes="z").compute()
+    middle = p.cg.time_average().sel(z=slice(3, 8))
+    assert (middle.stress.sel(component="x", direction="z") < 0).all()
+    assert float(middle.velocity.sel(component="x").differentiate("z").mean()) > 0.2
+
+
+def test_refused(monkeypatch, tmp_path):
+    with pytest.raises(ValueError, match=r"open\('silo'\): the sample data are chute, plane_shear"):
+        xcg.datasets.open("silo")
+    monkeypatch.setattr(xcg.datasets, "_FOLDERS", (tmp_path,))
+    with pytest.raises(FileNotFoundError, match="install xcg again"):
+        xcg.datasets.open("chute")
+
+
+def test_the_wheel_holds_the_samples():
+    held = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"]["wheel"]
+    targets = held["force-include"].values()
+    for sample in xcg.datasets._SAMPLES.values():
+        assert any(t.startswith(f"xcg/data/{sample.folder}") for t in targets)
+    for source in held["force-include"]:
+        assert (ROOT / source).exists()
+
+
+def test_one_version():
+    assert re.search(r"^version: (.*)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)[1] == xcg.__version__
+
+
+def test_the_conda_recipe_has_the_dependencies():
+    names = {"isal": "python-isal", "dask": "dask-core", "vtk": "vtk-base", "netcdf4": "netcdf4"}
+    recipe = (ROOT / ".ci" / "conda" / "meta.yaml").read_text().partition("  run:\n")[2].partition("\ntest:")[0]
+    listed = dict(re.findall(r"- ([\w-]+) >=([\d.]+)", recipe))
+    for requirement in tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]:
+        name, floor = re.match(r"([\w-]+)(?:\[\w+\])?(?:>=([\d.]+))?", requirement).groups()
+        if floor:  # llvmlite comes with numba
+            assert listed.pop(names.get(name.lower(), name.lower())) == floor, requirement
+    assert not listed
