@@ -1,14 +1,14 @@
 """Sphinx configuration: pip install --group docs --editable . && python -m sphinx -W docs docs/_build."""
 
 import urllib.request
-from importlib.metadata import files, version
+from importlib import metadata
 from pathlib import Path
 
 from sphinx.util.fileutil import copy_asset
 
 project = "xcg"
 copyright = "2026, the xcg developers"
-release = version("xcg")
+release = metadata.version("xcg")
 extensions = [
     "myst_nb",
     "numpydoc",
@@ -38,7 +38,7 @@ numpydoc_show_class_members = False
 autodoc_typehints = "none"
 
 # Formulas are drawn without a network: MathJax of an installed package is copied into the site.
-MATHJAX = next(path for path in files("sphinx-mathjax-offline") if path.name == "tex-chtml.js").locate().parent
+MATHJAX = next(path for path in metadata.files("sphinx-mathjax-offline") if path.name == "tex-chtml.js").locate().parent
 mathjax_path = "mathjax/tex-chtml.js"
 
 # Links to other projects, where their lists of names can be fetched.

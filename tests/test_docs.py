@@ -1,5 +1,6 @@
 """Generated pages are what their scripts write, and links in the documentation lead somewhere."""
 
+import pkgutil
 import re
 import runpy
 from pathlib import Path
@@ -29,3 +30,13 @@ def test_readme_names_every_field():
     from xcg.fields.registry import listed
 
     assert [name for name in listed() if f"`{name}`" not in text] == []
+
+
+def test_every_public_name_has_a_page():
+    import xcg
+
+    listed = set(re.findall(r"^   ([\w.]+)$", (ROOT / "docs" / "api.md").read_text(), re.MULTILINE))
+    modules = {"FIELDS", "datasets", "readers"}  # FIELDS has the page on fields
+    assert set(xcg.__all__) - modules <= listed
+    for name in listed:
+        assert pkgutil.resolve_name(f"xcg.{name}").__doc__, name
