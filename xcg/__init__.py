@@ -32,6 +32,7 @@ from xcg.fields.width_sweep import width_sweep
 from xcg.packing.find_contacts import find_contacts
 from xcg.packing.microstructure import microstructure
 from xcg.packing.pairs import find_pairs
+from xcg.readers.from_table import scene_from_table
 from xcg.readers.live import scene_from_lammps
 from xcg.readers.mesh_points import mesh_points
 from xcg.readers.series import open_scene
@@ -103,6 +104,7 @@ __all__ = [
     "save",
     "scene_from_arrays",
     "scene_from_lammps",
+    "scene_from_table",
     "select_chains",
     "select_walls",
     "size_statistics",

@@ -88,6 +88,28 @@ def _use_lammps_nc(folder: Path) -> None:
     fields_of(xcg.open_scene(folder / "p.nc", engine="lammps"))
 
 
+def _yade(folder: Path) -> dict[str, bytes]:
+    head = "# time 0.5 step 7 cell 1 0.1 0 0 1 0 0 0 1\n"
+    grains = head + "# id x y z r mass v(3)\n0 0.4 0.5 0.5 0.1 1 0 0 1\n1 0.59 0.5 0.5 0.1 1 0 0 1\n"
+    pairs = head + "# id1 id2 n(3) c(3) fn(3) fs(3)\n0 1 1 0 0 0.5 0.5 0.5 5 0 0 0 2 0\n"
+    return {"p.txt": grains.encode(), "c.txt": pairs.encode()}
+
+
+def _use_yade(folder: Path) -> None:
+    fields_of(xcg.open_scene(folder / "p.txt", contacts=folder / "c.txt", engine="yade", shear_rate={}))
+
+
+def _csv(folder: Path) -> dict[str, bytes]:
+    rows = [f"{k // 2},{k % 2},{0.4 + 0.19 * (k % 2)},0.5,0.5,0,0,1,0.1" for k in range(6)]
+    pairs = [f"{k},0,1,{0.1 * k},2,3" for k in range(3)]
+    return {"p.csv": "\n".join(["time,id,x,y,z,vx,vy,vz,radius", *rows, ""]).encode(),
+            "c.csv": "\n".join(["time,id1,id2,fx,fy,fz", *pairs]).encode()}  # fmt: skip
+
+
+def _use_csv(folder: Path) -> None:
+    fields_of(xcg.open_scene(folder / "p.csv", contacts=folder / "c.csv", engine="table", density=2.0))
+
+
 def _liggghts(folder: Path) -> dict[str, bytes]:
     columns = " ".join(f"c_1[{k}]" for k in range(1, 14))
     particles = dumps.dump_text(columns="id type x y z vx vy vz radius density", rows=[
@@ -228,6 +250,8 @@ TARGETS = {
     "lammps_gz": Target(_dumps_gz, _use_dumps_gz),
     "lammps_bin": Target(_lammps_bin, _use_lammps_bin),
     "lammps_nc": Target(_lammps_nc, _use_lammps_nc),
+    "yade": Target(_yade, _use_yade),
+    "csv": Target(_csv, _use_csv),
     "liggghts": Target(_liggghts, _use_liggghts),
     "mercury": Target(_mercury, _use_mercury),
     "mfix": Target(_mfix, _use_mfix),

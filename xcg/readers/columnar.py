@@ -20,10 +20,13 @@ class Columnar(Engine):
     ----------
     PARTICLE_SLOTS, CONTACT_SLOTS : mapping
         Columns that are taken for variables of the scene without ``names=``, see `xcg.readers.columns`.
+    NEEDS_ID : bool
+        Whether particles must have a column of ids; else the number of the row is the id where there is none.
     """
 
     PARTICLE_SLOTS: ClassVar[columns.Slots] = columns.PARTICLE_SLOTS
     CONTACT_SLOTS: ClassVar[columns.Slots] = columns.CONTACT_SLOTS
+    NEEDS_ID: ClassVar[bool] = True
 
     def read_columns(
         self, ref: StepRef, wanted: Iterable[str], rows: int | None, options: ReadOptions
@@ -33,7 +36,10 @@ class Columnar(Engine):
 
     def particle_columns(self, ref: StepRef, options: ReadOptions) -> dict[str, str]:
         """Find the columns that particles are read from."""
-        return columns.particle_columns(ref, self.PARTICLE_SLOTS, options)
+        slots = self.PARTICLE_SLOTS
+        if not self.NEEDS_ID and "particle_id" not in columns.assign(ref, slots, options):
+            slots = {slot: found for slot, found in slots.items() if slot != "particle_id"}
+        return columns.particle_columns(ref, slots, options)
 
     def contact_columns(self, ref: StepRef, options: ReadOptions) -> dict[str, str]:
         """Find the columns that contacts are read from."""

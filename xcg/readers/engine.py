@@ -25,7 +25,8 @@ class StepRef:
     time : float or None
         Physical time in the file's unit, None where the file does not say.
     step : int
-        Number of the time step, from the header or the file's name.
+        Number of the time step, from the header or the file's name; negative and rising where neither tells it, so that
+        particles and contacts are paired in their order.
     box : tuple or None
         ``((x0, x1), (y0, y1), (z0, z1))`` in the file's unit; infinite edges where an axis is unbounded.
     lattice : tuple or None

@@ -15,6 +15,8 @@ _OWN = {
     "liggghts": "xcg.readers.liggghts:Liggghts",
     "mercury": "xcg.readers.mercury:Mercury",
     "mfix": "xcg.readers.mfix:Mfix",
+    "yade": "xcg.readers.yade:Yade",
+    "table": "xcg.readers.tabular:Tabular",
 }
 
 

@@ -532,6 +532,8 @@ def _warn_of_boxes(pairs: Sequence[tuple[Step, StepRef]], kind: str) -> None:
 
 
 def _same_number(steps: Sequence[Step], others: Sequence[StepRef]) -> list[int]:
+    if others[-1].step < 0 and len(others) == len(steps):  # files that tell neither, in their order
+        return list(range(len(others)))
     rows = {ref.step: row for row, ref in enumerate(others)}
     return [rows.get(step.particles.step, -1) for step in steps]
 

@@ -17,13 +17,13 @@ from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.text import PIECE, body_of, source_of, whole_lines
 from xcg.scene.schema import SceneError
 
-_SHARED = 1 << 22  # bytes from which on a table is worth the threads
+SHARED = 1 << 22  # bytes from which on a table is worth the threads
 _LEFT = 1024  # words of a block that are read by Python at a time
 
 
 def read_table(ref: StepRef, wanted: Iterable[str], rows: int | None, options: ReadOptions) -> dict[str, NDArray]:
     """Read the wanted columns of one step's body; see `parse_table`."""
-    threads = THREADS if options.alone and ref.length > _SHARED else 1
+    threads = THREADS if options.alone and ref.length > SHARED else 1
     return parse_table(body_of(ref), ref.columns, sorted(set(wanted)), rows, source_of(ref), threads)
 
 

@@ -165,6 +165,12 @@ class Scanner:
                 return
         yield self._take(found + 1)
 
+    def block(self, size: int) -> bytes:
+        """Return the next bytes, nothing at the end of the stream."""
+        while len(self._data) - self._at < size and self._more():
+            pass
+        return self._take(min(len(self._data), self._at + size))
+
     def sample(self, size: int) -> bytes:
         """Return bytes ahead without taking them."""
         if len(self._data) - self._at < size:
@@ -226,5 +232,5 @@ def whole_lines(pieces: Iterable[bytes], name: str) -> Iterator[bytes]:
 
 
 def source_of(ref: StepRef) -> str:
-    """File and step, for messages."""
-    return f"{ref.path} (step {ref.step})"
+    """File and step, for messages; the file alone where it does not tell the step."""
+    return f"{ref.path} (step {ref.step})" if ref.step >= 0 else ref.path

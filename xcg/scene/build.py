@@ -223,7 +223,7 @@ def scene_from_arrays(
     {'time': 1, 'particle': 2, 'component': 3}
     """
     _refuse_misspelt(variables)
-    one_density = None if density is None or np.ndim(density) else density
+    one_density = density if density is not None and _is_one_number(density) else None
     setup = Setup.make(
         units=units, gravity=gravity, dimension=dimension, plane=plane, periodic=periodic, thickness=thickness,
         shape=shape, density=one_density,
@@ -274,6 +274,11 @@ def scene_from_arrays(
         setup=setup,
         measured=measure_frames(particles),
     )
+
+
+def _is_one_number(values: Any) -> bool:
+    """Whether this is no array, and no list of steps, which may differ in length."""
+    return not isinstance(values, (list, tuple)) and np.ndim(values) == 0
 
 
 # What others have in place of a variable of scenes, and how that follows.

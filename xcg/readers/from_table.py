@@ -1,0 +1,117 @@
+"""Scenes from tables in memory, as pandas has them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.readers import columns
+from xcg.readers.engine import ReadOptions, StepRef
+from xcg.readers.tabular import Tabular, clock_of, runs_of
+from xcg.scene.build import scene_from_arrays
+from xcg.scene.schema import Frame, SceneError
+
+
+def scene_from_table(
+    particles: Any, *, contacts: Any = None, names: Mapping[str, str | None] | None = None, **options: Any
+) -> xr.Dataset:
+    """Build a scene from tables in memory, as pandas has them.
+
+    Parameters
+    ----------
+    particles : pandas.DataFrame, or what makes one
+        A row a particle and step. Columns are named as in `xcg.open_scene`: ``x y z`` or ``position_x``,
+        ``diameter`` or ``radius``, ``mass``, ``density``, ``particle_id`` or ``id``, ``species`` or ``type``; ``time``
+        (s) or ``step`` tell steps apart, whose rows come in any order.
+    contacts : pandas.DataFrame, or what makes one, optional
+        A row a contact and step: ``contact_i contact_j`` or ``id1 id2``, ``fx fy fz`` or ``contact_force_x``, on i, or
+        ``normal_force_x`` and ``tangential_force_x``, ``contact_point_x``, ``overlap``, and ``time`` or ``step``.
+    names : mapping, optional
+        From other columns to these names; None drops a column.
+    **options
+        All else that `xcg.scene_from_arrays` takes: ``density``, ``box``, ``periodic``, ``units``, ...
+
+    Returns
+    -------
+    xarray.Dataset
+        The scene, in memory.
+
+    Raises
+    ------
+    SceneError
+        If a column is missing, holds something other than numbers, or the tables disagree; the message names table,
+        column and row.
+
+    Examples
+    --------
+    >>> import pandas as pd, xcg
+    >>> table = pd.DataFrame({"time": [0.0, 0.0, 0.1], "x": [0.0, 1.0, 0.5], "y": 0.0, "z": 0.0, "radius": 0.5})
+    >>> ds = xcg.scene_from_table(table, density=2500.0)
+    >>> dict(ds.sizes)
+    {'time': 2, 'particle': 2, 'component': 3}
+    """
+    said = ReadOptions(dict(names or {}))
+    grains = _frames(particles, "particles", said, contacts=False)
+    steps = sorted(grains)
+    given: dict[str, Any] = _stacked([grains[key][1] for key in steps])
+    given |= {what: [grains[key][0][what] for key in steps] for what in grains[steps[0]][0]}
+    if contacts is not None:
+        touching = _frames(contacts, "contacts", said, contacts=True)
+        unknown = sorted(set(touching) - set(steps))
+        if unknown:
+            msg = f"contacts: rows of {unknown[0]}, and no particles of that time or step; there are {steps[:3]}"
+            raise SceneError(msg)
+        empty = {name: values[:0] for name, values in next(iter(touching.values()))[1].items()}
+        given |= _stacked([touching[key][1] if key in touching else empty for key in steps])
+    position = given.pop("position")
+    return scene_from_arrays(position, **(options | given))
+
+
+def _stacked(frames: Sequence[Frame]) -> dict[str, list[NDArray]]:
+    return {name: [frame[name] for frame in frames] for name in frames[0]}
+
+
+def _frames(
+    table: Any, what: str, options: ReadOptions, *, contacts: bool
+) -> dict[float, tuple[dict[str, float], Frame]]:
+    """Time and number of each step, and its frame, by the first of both."""
+    data = table if isinstance(table, pd.DataFrame) else pd.DataFrame(table)
+    data = data.reset_index(drop=False) if any(data.index.names) else data
+    data = data.rename(columns=str)
+    engine, found = Tabular(), {}
+    clock = clock_of(tuple(data.columns), options.names)
+    rows = {word: _numbers(data, name, what) for word, name in clock.items()}
+    runs = [np.arange(len(data))]
+    if rows:
+        key = next(iter(rows.values()))
+        order = np.argsort(key, kind="stable")
+        runs_of({word: values[order] for word, values in rows.items()}, len(data), what)
+        runs = np.split(order, np.flatnonzero(np.diff(key[order])) + 1)
+    for k, chosen in enumerate(runs):
+        told = {word: float(values[chosen[0]]) for word, values in rows.items()} if len(chosen) else {}
+        ref = StepRef(what, len(chosen), step=int(told.get("step", k)), columns=tuple(data.columns))
+        read = partial(_of_rows, data.iloc[chosen], what)
+        if contacts:
+            frame = columns.contacts_from(ref, engine.contact_columns(ref, options), options, read)
+        else:
+            frame = columns.particles_from(ref, engine.particle_columns(ref, options), options, read)
+        found[next(iter(told.values()), 0.0)] = told, frame
+    return found
+
+
+def _of_rows(data: pd.DataFrame, what: str, ref: StepRef, wanted: Iterable[str], *_: object) -> dict[str, NDArray]:
+    return {name: _numbers(data, name, what) for name in wanted}
+
+
+def _numbers(data: pd.DataFrame, name: str, what: str) -> NDArray:
+    try:
+        return data[name].to_numpy(dtype="float64", na_value=np.nan)
+    except (TypeError, ValueError) as error:
+        msg = f"{what}: column {name!r} holds other things than numbers ({error})"
+        raise SceneError(msg) from None

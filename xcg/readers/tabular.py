@@ -1,0 +1,157 @@
+"""Tables of any origin, CSV (also compressed) and Parquet; columns are named as variables of scenes, or by ``names=``.
+
+A file holds one step, or several that a column of times tells apart, whose rows stand together.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xcg.readers import columns, delimited, parquet
+from xcg.readers.columnar import Columnar
+from xcg.readers.engine import ReadOptions, StepRef
+from xcg.readers.index import remembered
+from xcg.scene.schema import SceneError
+from xcg.steps import errors as errors
+
+_CLOCK = ("time", "step")
+
+
+def _slots(known: columns.Slots, *left_out: str) -> columns.Slots:
+    """Slots that columns of their own names fill first, then those of dumps."""
+    return {slot: (slot, *found) for slot, found in known.items() if not slot.startswith(left_out)}
+
+
+class Tabular(Columnar):
+    """CSV and Parquet."""
+
+    OPTIONS = ("timestep",)
+    NEEDS_ID = False
+    PARTICLE_SLOTS = _slots(columns.PARTICLE_SLOTS, "scaled")
+    CONTACT_SLOTS = _slots(columns.CONTACT_SLOTS, "end_i", "end_j")
+
+    def recognises(self, path: str) -> bool:
+        """Tell by the end of the name."""
+        return _form(path) is not None
+
+    def index_particles(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
+        """List the steps of particles, from the column of times where there is one."""
+        refs = _index(paths, options)
+        found = self.particle_columns(refs[0], options)
+        columns.warn_of_ignored(refs[0], found, self.PARTICLE_SLOTS, options)
+        return refs
+
+    def index_contacts(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
+        """List the steps of contacts."""
+        refs = _index(paths, options)
+        columns.warn_of_ignored(refs[0], self.contact_columns(refs[0], options), self.CONTACT_SLOTS, options)
+        return refs
+
+    def read_columns(
+        self, ref: StepRef, wanted: Iterable[str], rows: int | None, options: ReadOptions
+    ) -> dict[str, NDArray]:
+        """Read columns of one step."""
+        return (_form(ref.path) or delimited).read_columns(ref, sorted(set(wanted)), options)
+
+    def particle_columns(self, ref: StepRef, options: ReadOptions) -> dict[str, str]:
+        """Find the columns that particles are read from."""
+        return super().particle_columns(ref, without_clock(options))
+
+    def contact_columns(self, ref: StepRef, options: ReadOptions) -> dict[str, str]:
+        """Find the columns that contacts are read from."""
+        return super().contact_columns(ref, without_clock(options))
+
+    def ignored_columns(self, ref: StepRef, options: ReadOptions, *, contacts: bool = False) -> list[str]:
+        """Columns of a step that are not read."""
+        ignored = super().ignored_columns(ref, options, contacts=contacts)
+        return [name for name in ignored if name not in clock_of(ref.columns, options.names).values()]
+
+
+def _form(path: str) -> Any:
+    """Give the module that reads files of this name."""
+    endings = [ending.lower() for ending in Path(path).suffixes if ending.lower() not in (".gz", ".zst")]
+    return {".csv": delimited, ".tsv": delimited, ".parquet": parquet}.get(endings[-1] if endings else "")
+
+
+def clock_of(names: Sequence[str], given: Mapping[str, str | None]) -> dict[str, str]:
+    """Columns of the time and of the number of the step, as far as there are such."""
+    found = {target: name for name, target in given.items() if target in _CLOCK and name in names}
+    for target in _CLOCK:
+        if target in names and target not in given:
+            found.setdefault(target, target)
+    return found
+
+
+def without_clock(options: ReadOptions) -> ReadOptions:
+    """Return what holds for all columns but those of times and numbers of steps."""
+    return replace(options, names={name: target for name, target in options.names.items() if target not in _CLOCK})
+
+
+def _index(paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
+    clock = {name: target for name, target in options.names.items() if target in _CLOCK}
+    timestep = options.extra.get("timestep")
+    refs: list[StepRef] = []
+    for path, steps in zip(paths, remembered(paths, f"table {clock}", partial(_steps, given=clock)), strict=True):
+        digits = re.findall(r"\d+", Path(path).name)
+        for ref in steps:
+            if ref.step < 0 and len(steps) == 1 and digits:
+                ref = replace(ref, step=int(digits[-1]))
+            refs.append(ref)
+    if not refs:
+        errors.raise_recorded()
+    numbered = [ref if ref.step >= 0 else replace(ref, step=k - len(refs)) for k, ref in enumerate(refs)]
+    if timestep is None:
+        return numbered
+    return [ref if ref.time is not None else replace(ref, time=ref.step * float(str(timestep))) for ref in numbered]
+
+
+def _steps(path: str, given: Mapping[str, str | None]) -> Iterator[StepRef]:
+    form = _form(path) or delimited
+    table = form.scan(path, lambda names: clock_of(names, given))
+    clock = clock_of(table.columns, given)
+    for first, stop in runs_of({what: table.clock[name] for what, name in clock.items()}, table.rows, path):
+        told = {what: table.clock[name][first] for what, name in clock.items()}
+        offset, length = table.place(first, stop)
+        yield StepRef(
+            path, stop - first, time=float(told["time"]) if "time" in told else None, step=int(told.get("step", -1)),
+            columns=table.columns, offset=offset, length=length, kind=table.kind,
+        )  # fmt: skip
+
+
+def runs_of(clock: Mapping[str, NDArray], rows: int, path: str) -> list[tuple[int, int]]:
+    """First row of each step and the one after its last.
+
+    Raises
+    ------
+    SceneError
+        If a time is no finite number, a number of a step is none, or rows of one time stand apart.
+    """
+    key = next(iter(clock.values()), None)
+    if key is None:
+        return [(0, rows)]
+    for what, values in clock.items():
+        fit = np.isfinite(values) & ((values % 1 == 0) & (values >= 0) & (values < 2**63) if what == "step" else True)
+        if not fit.all():
+            row = int(np.argmin(fit))
+            expected = "0, 1, 2, ..." if what == "step" else "numbers"
+            msg = f"{path}: the {what} of row {row} is {values[row]!r}; expected {expected}"
+            raise SceneError(msg)
+    if not rows:
+        msg = f"{path}: no rows follow the names of the columns"
+        raise SceneError(msg)
+    edges = [0, *(np.flatnonzero(np.diff(key)) + 1).tolist(), rows]
+    firsts = key[edges[:-1]]
+    if len(np.unique(firsts)) < len(firsts):
+        twice = next(value for k, value in enumerate(firsts) if value in firsts[:k])
+        msg = f"{path}: rows of the {next(iter(clock))} {twice!r} stand apart from each other; sort the table by it"
+        raise SceneError(msg)
+    return list(pairwise(edges))

@@ -1,0 +1,155 @@
+"""YADE: text by scripts of its users (docs/yade.md has one) and by ``yade.export``.
+
+Lines of comments come first. The last one names the columns; ``fn(3)`` stands for three of them. One before it may tell
+the time, the number of the step and the cell: ``# time 0.5 step 1000 cell h00 h01 ... h22``, whose columns are the
+vectors to the next images. Positions are not wrapped. The forces that YADE keeps act on the second body of a contact.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from xcg.readers import columns
+from xcg.readers.columnar import Columnar
+from xcg.readers.engine import ReadOptions, StepRef
+from xcg.readers.index import remembered
+from xcg.readers.text import Scanner, check_rows, first_lines, most_text, open_binary
+from xcg.scene.schema import COMPONENTS, SceneError
+from xcg.steps import errors as errors
+
+_MOST_COMMENTS = 1000
+_MOST_COMPONENTS = 9
+_SHEARED = 1e-12  # of an edge: less is rounding
+_WORDS = {"time": 1, "step": 1, "cell": 9}  # of comments, and how many numbers follow
+
+
+def _vector(slot: str, letters: str) -> dict[str, tuple[str, ...]]:
+    return {f"{slot}_{axis}": (letters + axis,) for axis in COMPONENTS}
+
+
+class Yade(Columnar):
+    """Text of YADE."""
+
+    NEEDS_ID = False
+    PARTICLE_SLOTS: ClassVar[columns.Slots] = {
+        **columns.PARTICLE_SLOTS,
+        **_vector("angular_velocity", "w"),
+        "radius": ("r", "radius"),
+        "species": ("matId", "type"),
+    }
+    CONTACT_SLOTS: ClassVar[columns.Slots] = {
+        **dict.fromkeys(columns.CONTACT_SLOTS, ()),
+        "contact_i": ("id2",),
+        "contact_j": ("id1",),
+        **_vector("normal_force", "fn"),
+        **_vector("tangential_force", "fs"),
+        **_vector("contact_point", "c"),
+        **_vector("contact_normal", "n"),
+        "overlap": ("delta",),
+    }
+
+    def recognises(self, path: str) -> bool:
+        """Tell by a first line of ``#`` that tells format, time or columns in YADE's words."""
+        lines = first_lines(path)
+        words = lines[0].lstrip("#").split() if lines and lines[0].startswith("#") else []
+        return words[:1] in (["time"], ["format"]) or {"id1", "id2"} <= set(words)
+
+    def index_particles(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
+        """List the steps of particles, one a file."""
+        refs = _index(paths)
+        found = self.particle_columns(refs[0], options)
+        columns.warn_of_ignored(refs[0], found, self.PARTICLE_SLOTS, options)
+        return refs
+
+    def index_contacts(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
+        """List the steps of contacts, one a file."""
+        refs = _index(paths)
+        columns.warn_of_ignored(refs[0], self.contact_columns(refs[0], options), self.CONTACT_SLOTS, options)
+        return refs
+
+
+def _index(paths: Sequence[str]) -> list[StepRef]:
+    refs = [ref for steps in remembered(paths, "yade", _steps) for ref in steps]
+    if not refs:
+        errors.raise_recorded()
+    return [ref if ref.step >= 0 else replace(ref, step=k - len(refs)) for k, ref in enumerate(refs)]
+
+
+def _steps(path: str) -> Iterator[StepRef]:
+    """Tell the one step of a file from its comments, and count its rows."""
+    told: dict[str, Any] = {}
+    digits = re.findall(r"\d+", Path(path).stem)
+    with open_binary(path) as stream:
+        scanner = Scanner(stream, path, most_text(path))
+        names: tuple[str, ...] = ()
+        for _ in range(_MOST_COMMENTS):
+            if scanner.sample(1) != b"#":
+                break
+            words = scanner.line().decode("utf-8", "replace").lstrip("#").split()
+            if words[:1] == ["time"]:
+                told = _told(words, path)
+            elif words:
+                names = _names(words)
+        if not names or len(set(names)) != len(names):
+            msg = f"{path}: expected a comment that names each column once, such as '# id x y z r', found {names}"
+            raise SceneError(msg)
+        ref = StepRef(path, 0, columns=names, offset=scanner.offset)
+        length, rows, last = 0, 0, b"\n"
+        for piece in filter(None, scanner.until(b"#")):
+            length, rows, last = length + len(piece), rows + piece.count(b"\n"), piece
+        rows += not last.endswith(b"\n")
+        if scanner.line():
+            msg = f"{path}: a comment stands between rows at byte {scanner.offset}; expected one step a file"
+            raise SceneError(msg)
+    ref = replace(ref, rows=rows, length=length, **{"step": int(digits[-1]) if digits else -1} | told)
+    check_rows(ref, length)
+    yield ref
+
+
+def _names(words: Sequence[str]) -> tuple[str, ...]:
+    """Names of columns, one for each component."""
+    if words[0] == "format":  # yade.export.text
+        words = words[1].split("_") if len(words) > 1 else ()
+    names: list[str] = []
+    for word in words:
+        several = re.fullmatch(r"(\w+)\((\d)\)", word)
+        count = int(several[2]) if several else 1
+        ends = COMPONENTS if count == len(COMPONENTS) else [f"[{k + 1}]" for k in range(count)]
+        names += [several[1] + end for end in ends] if several else [word]
+    return tuple(names)
+
+
+def _told(words: Sequence[str], path: str) -> dict[str, Any]:
+    """Time, step and cell of a comment."""
+    numbers: dict[str, list[float]] = {}
+    try:
+        for name, count in _WORDS.items():
+            if name in words:
+                at = words.index(name) + 1
+                numbers[name] = [float(word) for word in words[at : at + count]]
+                if len(numbers[name]) != count or not all(map(math.isfinite, numbers[name])):
+                    raise ValueError
+        step = int(words[words.index("step") + 1]) if "step" in numbers else None
+        if step is not None and not 0 <= step < 2**63:
+            raise ValueError
+    except (ValueError, OverflowError):
+        msg = f"{path}: {' '.join(words)[:80]!r}: expected '# time 0.5 step 1000 cell' and nine numbers, row by row"
+        raise SceneError(msg) from None
+    told: dict[str, Any] = {"time": numbers["time"][0], **({} if step is None else {"step": step})}
+    if "cell" in numbers:
+        vectors = np.reshape(numbers["cell"], (3, 3)).T
+        edges = np.diag(vectors)
+        if not (edges > 0).all():
+            msg = f"{path}: the cell has the diagonal {edges.tolist()}, expected positive lengths"
+            raise SceneError(msg)
+        told |= {"periodic": "xyz", "box": tuple((0.0, edge) for edge in edges.tolist())}
+        if np.abs(vectors - np.diag(edges)).max() > _SHEARED * edges.max():
+            told["lattice"] = tuple(map(tuple, vectors.tolist()))
+    return told
