@@ -351,8 +351,10 @@ def scales_of(ds: xr.Dataset, width: float, f: dict[str, NDArray]) -> dict[str, 
     scales |= dict.fromkeys(["granular_temperature", "directional_temperature"], speed**2)
     scales |= dict.fromkeys(["velocity_gradient", "shear_rate_tensor", "shear_rate"], speed / width)
     scales |= dict.fromkeys(["kinetic_stress", "fluctuation_stress", "momentum_flux"], rho * speed**2)
-    anisotropies = (name for name in scales if name.endswith("_anisotropy"))  # of tensors whose traces are 1
-    scales |= dict.fromkeys(anisotropies, 1.0) | dict.fromkeys(["tangential_force_fabric"], 1.0)
+    # tensors whose traces are 1; where forces of both signs leave a mean of 1/k of their size to divide by, values are
+    # k times as large, and their rounding k^2 times
+    ratios = [name for name in scales if name.endswith(("_anisotropy", "_force_fabric"))]
+    scales |= dict.fromkeys(ratios, max([1.0, *(scales[name] for name in ratios)]) ** 2)
     scales |= dict.fromkeys(["strong_contact_stress", "weak_contact_stress"], stress)
     scales |= dict.fromkeys(["wall_traction", "contact_force_density"], stress / width)
     # torques and powers of forces that cancel
