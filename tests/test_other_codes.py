@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 from types import SimpleNamespace
 
+import h5py
 import numpy as np
 import pandas as pd
 import pytest
@@ -89,3 +90,18 @@ def test_tables(folder):
     assert later.time.values.tolist() == [0.5]
     for name in later.data_vars:
         np.testing.assert_array_equal(later[name][0], ds[name][1])
+
+
+def test_hdf5(folder):
+    names = {"Particles/Position": np.array([[0.0, 0, 0], [0.9, 0, 0]]), "Particles/Velocity": np.ones((2, 3)),
+             "Particles/Ids": [3, 4], "Particles/Radius": [0.5, 0.5], "Contacts/Id1": [3], "Contacts/Id2": [4],
+             "Contacts/NormalForce": [[-5.0, 0, 0]], "Contacts/TangentialForce": [[0, 1.0, 0]],
+             "Contacts/Position": [[0.45, 0, 0]]}  # fmt: skip
+    with h5py.File("run.h5", "w") as file:
+        for time in (0.5, 1.25):
+            for name, values in names.items():
+                file[f"Step{time}/{name}"] = values
+    ds = opened(blocks("HDF5")[0])
+    np.testing.assert_array_equal(ds.time, [0.5, 1.25])
+    np.testing.assert_array_equal(ds.contact_force[1, 0], [-5, 1, 0])
+    np.testing.assert_array_equal(ds.diameter[0], [1, 1])

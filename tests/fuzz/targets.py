@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import dask
+import h5py
 import numpy as np
 
 import xcg
@@ -108,6 +109,30 @@ def _csv(folder: Path) -> dict[str, bytes]:
 
 def _use_csv(folder: Path) -> None:
     fields_of(xcg.open_scene(folder / "p.csv", contacts=folder / "c.csv", engine="table", density=2.0))
+
+
+def _hdf5(folder: Path) -> dict[str, bytes]:
+    with h5py.File(folder / "run.h5", "w") as file:
+        for k in range(2):
+            group = file.create_group(f"S{k}")
+            group["x"] = np.array([[0.4, 0.5, 0.5], [0.59, 0.5, 0.5]])
+            group.create_dataset("v", data=np.ones((2, 3)), compression="gzip")
+            group["r"], group["f"] = [0.1, 0.1], [[1.0, 2, 3]]
+            group["i"], group["j"] = [0], [1]
+    return {"run.h5": (folder / "run.h5").read_bytes()}
+
+
+def _use_hdf5(folder: Path) -> None:
+    mapping = {
+        "position": "x",
+        "velocity": "v",
+        "radius": "r",
+        "contact_i": "i",
+        "contact_j": "j",
+        "contact_force": "f",
+    }
+    path, places = folder / "run.h5", {name: f"/S{{step}}/{word}" for name, word in mapping.items()}
+    fields_of(xcg.open_scene(path, contacts=path, engine="hdf5", mapping=places, density=2.0))
 
 
 def _liggghts(folder: Path) -> dict[str, bytes]:
@@ -252,6 +277,7 @@ TARGETS = {
     "lammps_nc": Target(_lammps_nc, _use_lammps_nc),
     "yade": Target(_yade, _use_yade),
     "csv": Target(_csv, _use_csv),
+    "hdf5": Target(_hdf5, _use_hdf5),
     "liggghts": Target(_liggghts, _use_liggghts),
     "mercury": Target(_mercury, _use_mercury),
     "mfix": Target(_mfix, _use_mfix),

@@ -17,6 +17,7 @@ _OWN = {
     "mfix": "xcg.readers.mfix:Mfix",
     "yade": "xcg.readers.yade:Yade",
     "table": "xcg.readers.tabular:Tabular",
+    "hdf5": "xcg.readers.hdf5:Hdf5",
 }
 
 

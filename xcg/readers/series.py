@@ -88,7 +88,7 @@ def open_scene(
         whose ``fix wall/gran ... contacts`` puts them into columns of the particles, a mapping from names of walls to
         these columns: ``{"side": "f_side[*]"}``, or the names of six columns, force and point. The walls are partners
         -2, -3, ... in their order; see `xcg.select_walls`.
-    engine : {"lammps", "liggghts", "mercury", "mfix"}, name or Engine, optional
+    engine : {"lammps", "liggghts", "mercury", "mfix", "yade", "table", "hdf5"}, name or Engine, optional
         What wrote the files, guessed from their first lines by default; the name of an engine that an installed package
         registers; or a class or object derived from `xcg.readers.Engine`.
     names : mapping, optional
@@ -153,9 +153,10 @@ def open_scene(
         ``skipped_files``; the whole steps of a file of many steps stay. Faults in bodies appear when these are
         computed, see ``on_error`` of `xcg.coarse_grain`.
     **engine_options
-        Of one engine only. LAMMPS and LIGGGHTS: ``timestep``, the time between two steps of the simulation,
-        for files without ``ITEM: TIME``. MercuryDPM: ``restart``, the restart file with gravity, periodic
-        boundaries and densities (by default the one beside the ``.data`` file).
+        Of one engine only. LAMMPS, LIGGGHTS, tables and HDF5: ``timestep``, the time between two steps of the
+        simulation, for files that do not tell the time. HDF5: ``mapping``, from variables to datasets. MercuryDPM:
+        ``restart``, the restart file with gravity, periodic boundaries and densities (by default the one beside the
+        ``.data`` file).
 
     Returns
     -------
