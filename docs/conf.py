@@ -42,7 +42,6 @@ MATHJAX = next(path for path in metadata.files("sphinx-mathjax-offline") if path
 mathjax_path = "mathjax/tex-chtml.js"
 
 # Links to other projects, where their lists of names can be fetched.
-numpydoc_xref_param_type = True
 numpydoc_xref_aliases = {"Dataset": "xarray.Dataset", "path": "pathlib.Path"}
 numpydoc_xref_ignore = {"optional", "or", "of", "sequence", "mapping", "callable", "array_like", "default"}
 
@@ -64,6 +63,7 @@ OTHERS = {
     "xarray": "https://docs.xarray.dev/en/stable",
 }
 intersphinx_mapping = {name: (address, None) for name, address in OTHERS.items() if reachable(address)}
+numpydoc_xref_param_type = "python" in intersphinx_mapping
 
 
 def shorten_methods(app, what, name, obj, options, lines):

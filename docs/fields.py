@@ -4,10 +4,11 @@ That is the page docs/fields.md, and the parts of README.md and docs/averages.md
 """
 
 import re
+import runpy
 import textwrap
 from pathlib import Path
 
-from xcg.fields.registry import FIELDS, listed
+from xcg.fields.registry import FIELDS, TOPICS, listed
 from xcg.scene.schema import units_of
 
 HEAD = """# Fields
@@ -28,35 +29,58 @@ fit through the grains leaves less than half of a mean grain over (`fluctuation_
 and inertial number are NaN where p <= 0.
 
 In a one-layer scene D = 2, and traces run over the two axes of the plane.
-
+"""
+TABLE = """
 | field | what it is, and its formula | kind | unit | additive | averages |
 |---|---|---|---|---|---|
 """
 TAIL = """
-This table is made by `python docs/fields.py`; `xcg fields` prints it.
+These tables are made by `python docs/fields.py`; `xcg fields` prints all formulas.
 """
+# pages that say more on a topic
+PAGES = {
+    "flow": "[granular temperature](temperature.md)",
+    "contacts": "[walls](walls.md)",
+    "fabric": "[fabric](fabric.md)",
+    "phases": "[phases](phases.md)",
+    "rheology": "[variants](variants.md)",
+    "rotation": "[rotation and energy](energy.md)",
+    "energy": "[rotation and energy](energy.md)",
+    "displacement": "[displacement and strain](displacement.md)",
+}
 KINDS = ("scalar", "vector", "tensor")
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 ROOT = Path(__file__).parents[1]
+mathematics = runpy.run_path(str(Path(__file__).with_name("formula.py")))["mathematics"]
 FIRST, LAST = "<!-- python docs/fields.py writes this -->\n", "<!-- until here -->\n"
 
 
 def table() -> str:
     """The page, as text."""
-    rows = []
-    for name in listed(registered=False):
-        f = FIELDS[name]
-        formula = f.formula.replace("|", "\\|")
-        additive = "yes" if f.additive else ""
-        whose = " of the bulk" if f.by_bulk else ""
-        average = "as they are" if f.additive else f"by `{f.weight}`{whose}" if f.weight else "anew"
-        unit = re.sub(r"(?<=[a-z])-?\d", lambda power: power[0].translate(RAISED), units_of(f.powers))
-        about = f"{f.long_name}<br>`{formula}`"
-        star = "" if f.default else " \\*"
-        rows.append(f"| `{name}`{star} | {about} | {KINDS[f.rank]} | {unit} | {additive} | {average} |\n")
-    return HEAD + "".join(rows) + TAIL
+    shown = set(listed(registered=False))
+    parts = [HEAD]
+    for topic in TOPICS:
+        room = topic.__name__.rpartition(".")[2]
+        title = (topic.__doc__ or room).partition("\n")[0].removesuffix(".")
+        parts.append(f"\n## {title}\n")
+        parts.append(f"\nMore: {PAGES[room]}.\n" if room in PAGES else "")
+        parts.append(TABLE)
+        parts += [_row(name) for name in topic.ROWS if name in shown]
+    return "".join([*parts, TAIL])
+
+
+def _row(name: str) -> str:
+    """One row of a table."""
+    f = FIELDS[name]
+    additive = "yes" if f.additive else ""
+    whose = " of the bulk" if f.by_bulk else ""
+    average = "as they are" if f.additive else f"by `{f.weight}`{whose}" if f.weight else "anew"
+    unit = re.sub(r"(?<=[a-z])-?\d", lambda power: power[0].translate(RAISED), units_of(f.powers))
+    about = f"{f.long_name}<br>{mathematics(f.formula)}"
+    star = "" if f.default else " \\*"
+    return f"| `{name}`{star} | {about} | {KINDS[f.rank]} | {unit} | {additive} | {average} |\n"
 
 
 def names() -> str:

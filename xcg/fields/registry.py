@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from xcg.fields.field import Field, Options
 from xcg.fields.rows import contacts, density, displacement, energy, fabric, flow, phases, rheology, rotation
 
-_TOPICS = (density, flow, contacts, fabric, phases, rheology, rotation, energy, displacement)
-_ROWS: dict[str, Field] = {name: row for topic in _TOPICS for name, row in topic.ROWS.items()}
+TOPICS = (density, flow, contacts, fabric, phases, rheology, rotation, energy, displacement)
+_ROWS: dict[str, Field] = {name: row for topic in TOPICS for name, row in topic.ROWS.items()}
 _REGISTERED: dict[str, Field] = {}  # by users, see `xcg.register_field`
 # All rows by name, read-only.
 FIELDS: Mapping[str, Field] = MappingProxyType(ChainMap(_REGISTERED, _ROWS))
