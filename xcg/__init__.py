@@ -17,7 +17,7 @@ from xcg.fields.coarse_grain import coarse_grain
 from xcg.fields.correlations import spatial_correlation, time_correlation
 from xcg.fields.diffusion import mean_squared_displacement
 from xcg.fields.displacement import displacement
-from xcg.fields.frames import Rotated
+from xcg.fields.frames import Cylindrical, Rotated
 from xcg.fields.lammps import lammps_mesh
 from xcg.fields.plots import movie, plot
 from xcg.fields.pysammos import pysammos_mesh
@@ -52,6 +52,7 @@ __all__ = [
     "Box",
     "CoarseGrainAccessor",
     "Cylinder",
+    "Cylindrical",
     "Flux",
     "Gaussian",
     "Heaviside",

@@ -9,6 +9,7 @@ these are, and an error which are missing.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import SimpleNamespace
 
@@ -30,7 +31,7 @@ _NO_RULE = "a rule: give it one with xcg.register_field, or leave it out with dr
 
 
 def profile(f: xr.Dataset, axis: str) -> xr.Dataset:
-    """Average a result over its other axes, nodes weighing the same.
+    """Average a result over its other axes, nodes weighing the same, or those of a cylinder by their radius.
 
     This is for results that are there already; the exact marginal profile, without a mesh along the other axes, is
     ``coarse_grain(axes=axis)``. Over whole periods or supports the two agree but for the ratios' small parts.
@@ -52,12 +53,21 @@ def profile(f: xr.Dataset, axis: str) -> xr.Dataset:
     ValueError
         If the axis is not resolved, or a sum that a ratio needs is not in the result.
     """
-    axes = [a for a in COMPONENTS if a in f.dims]
+    axes = [a for a in (*COMPONENTS, "r", "theta") if a in f.dims]
     if axis not in axes:
         msg = f"profile({axis!r}): the resolved axes of this result are {axes}"
         raise ValueError(msg)
     others = [a for a in axes if a != axis]
-    return _from_sums(_to_sums(f, "profile").mean(others, skipna=False), f)
+    sums = _to_sums(f, "profile")
+    if "r" in others:  # rings have areas r dr; the axis itself has none
+        sums = sums.sel(r=sums["r"] > 0.0)
+        return _from_sums((sums * sums["r"]).sum(others, skipna=False) / _area(sums, others), f)
+    return _from_sums(sums.mean(others, skipna=False), f)
+
+
+def _area(f: xr.Dataset, dims: Sequence[str]) -> float:
+    """Sum of the radii of all nodes along some dimensions."""
+    return float(f["r"].sum()) * math.prod(f.sizes[d] for d in dims if d != "r")
 
 
 def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) -> xr.Dataset:

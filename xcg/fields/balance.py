@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 
 from xcg.fields.coarse_grain import answer, prepare
+from xcg.fields.frames import refuse_cylindrical
 from xcg.fields.plan import make_plan
 from xcg.fields.request import SharedOptions, takes
 from xcg.scene.conform import takes_scene
@@ -209,6 +210,7 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
         msg = f"preset={asked.preset!r}: the balances are those of fields of xcg; leave it out"
         raise ValueError(msg)
     ds, asked = prepare(ds, asked)
+    refuse_cylindrical(ds, "balance")
     laws = _chosen(ds, asked)
     needed = [name for law in laws.values() for name in law.fields] + list(OF_PHASES if asked.by else ())
     request = asked.ask(fields=list(dict.fromkeys(needed)), width=asked.width)

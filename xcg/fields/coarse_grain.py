@@ -12,9 +12,10 @@ from xcg.fields import lammps, pysammos, registry
 from xcg.fields.accessible import check_walls, with_accessible
 from xcg.fields.evaluate import evaluate_plan
 from xcg.fields.field import Field
-from xcg.fields.frames import in_frame
+from xcg.fields.frames import in_frame, is_cylindrical
 from xcg.fields.plan import Plan, make_plan
 from xcg.fields.request import Request, SharedOptions, takes
+from xcg.fields.rings import Rings
 from xcg.scene.bodies import group_bodies
 from xcg.scene.build import storable
 from xcg.scene.conform import takes_scene
@@ -29,6 +30,12 @@ PRESETS: dict[str, Callable[[xr.Dataset, Request], tuple[Request, Callable[[xr.D
     "pysammos": pysammos.translate,
     "lammps": lammps.translate,
 }
+_CYLINDRICAL: dict[str, dict[str, str]] = {
+    "r": {"long_name": "distance from the axis"},
+    "theta": {"units": "rad", "long_name": "angle about the axis"},
+    "z": {"long_name": "position along the axis", "axis": "Z"},
+}
+_AXES = {*COMPONENTS, *_CYLINDRICAL}
 Asked = TypeVar("Asked", bound=SharedOptions)
 
 
@@ -138,7 +145,12 @@ def prepare(ds: xr.Dataset, asked: Asked) -> tuple[xr.Dataset, Asked]:
     if asked.by_body is not None:
         ds, asked = group_bodies(ds, asked.by_body), replace(asked, by_body=None)
     if asked.frame is not None:
-        ds, asked = in_frame(with_measures(ds), asked.frame), replace(asked, frame=None)
+        ds = ds if is_cylindrical(ds) else in_frame(with_measures(ds), asked.frame)
+        if not is_cylindrical(ds):
+            return ds, replace(asked, frame=None)
+        letters = {ord("r"): "x", ord("t"): "y"}  # of the components that stand in their places
+        dims = {name: getattr(asked, name) for name in ("pressure_dims", "shear_dims")}
+        asked = replace(asked, **{name: axes and axes.translate(letters) for name, axes in dims.items()})
     return ds, asked
 
 
@@ -159,7 +171,9 @@ def label_fields(ds: xr.Dataset, plan: Plan, arrays: Mapping[str, Any], call: st
     coords: dict[str, Any] = {name: ds[name].variable for name in ("time", "step") if name in ds.coords}
     for name, coord in plan.deposit.grid.coords.items():
         attrs = {"units": length, "long_name": f"position along {name}", "axis": name.upper()}
-        coords[name] = (coord.dims, coord, attrs | coord.attrs if name in COMPONENTS else coord.attrs)
+        if is_cylindrical(ds):
+            attrs = _CYLINDRICAL[name] | ({} if name == "theta" else {"units": length})
+        coords[name] = (coord.dims, coord, attrs | coord.attrs if name in _AXES else coord.attrs)
     if plan.deposit.by:
         attrs = {"long_name": f"phase by {plan.deposit.by}"}
         coords["phase"] = ("phase", ["bulk", *map(str, plan.deposit.groups)], attrs)
@@ -167,7 +181,7 @@ def label_fields(ds: xr.Dataset, plan: Plan, arrays: Mapping[str, Any], call: st
     for name in plan.fields:
         row = registry.row(name, plan.options)
         tail = ("component", "direction")[: row.rank]
-        coords |= {dim: (dim, list(COMPONENTS)) for dim in tail}
+        coords |= {dim: (dim, list(_CYLINDRICAL) if is_cylindrical(ds) else list(COMPONENTS)) for dim in tail}
         if row.paired:
             tail = ("other_phase", *tail)
             coords["other_phase"] = ("other_phase", [*map(str, plan.deposit.groups), "wall"])
@@ -187,8 +201,10 @@ def about(row: Field, system: str) -> dict[str, str]:
 
 
 def _provenance(ds: xr.Dataset, plan: Plan, call: str) -> dict[str, Any]:
+    grid = plan.deposit.grid
     return {
         **provenance(ds, call),
+        **({"theta_error": grid.error} if isinstance(grid, Rings) else {}),
         "kernel": plan.kernel.name,
         "width": plan.widths if len(plan.widths) > 1 else plan.kernel.width,
         "cutoff": list(plan.deposit.cutoffs) if len(plan.widths) > 1 else plan.kernel.cutoff,

@@ -55,12 +55,43 @@ def _side_by_side(parts: Sequence[NDArray], count: int) -> NDArray:
     return out
 
 
+@dataclass(frozen=True, eq=False)
+class Squared:
+    """Grains of one cutoff the squares of whose weights are summed.
+
+    Attributes
+    ----------
+    rows : array (n,)
+        Which of the places they are.
+    position, mass, phase : array (m, 3), (m,), (m,)
+        Places, weights and groups of all.
+    lattice : Lattice
+        Periodic images beyond these places.
+    groups : array
+        Groups of this cutoff.
+    cutoff, weights, active
+        The kernel, and the axes that it is seen in.
+    """
+
+    rows: NDArray
+    position: NDArray
+    mass: NDArray
+    phase: NDArray
+    lattice: Lattice
+    groups: NDArray
+    cutoff: float
+    weights: KernelCode
+    active: NDArray
+
+
 @dataclass(frozen=True)
-class _Pass:
+class Pass:
     """One pass over grains or segments, prepared: its array is (groups, nodes, columns), filled by one loop a cutoff.
 
     `moments` says which columns of that array each moment is made of (those of a symmetric tensor name six of them
-    nine times), with a factor, or one for each phase. A pass that is `apart` has a reference of its own.
+    nine times), with a factor, or one for each phase. A pass that is `apart` has a reference of its own. The first
+    `level` of its columns are flow columns; the numbers in the place of velocity may be no `vector`. `squared` are the
+    grains whose weights are squared in them.
     """
 
     groups: int
@@ -68,6 +99,9 @@ class _Pass:
     fill: Sequence[_Fill]
     moments: Mapping[str, tuple[NDArray, float | NDArray]]
     apart: bool = False
+    level: int = 0
+    vector: bool = True
+    squared: Sequence[Squared] = ()
 
     @cached_property
     def _rows(self) -> tuple[NDArray, NDArray]:
@@ -95,9 +129,8 @@ class _Pass:
             first += columns.size
 
     def __call__(self, block: NodeBlock, reference: NDArray) -> NDArray:
+        """Compute the sums at the nodes of a block, relative to a reference that is set where it is not a number."""
         sums = np.zeros((self.groups, len(reference), self.columns))
-        if self.apart:
-            reference = np.full_like(reference, np.nan)
         for fill in self.fill:
             fill(block, sums, reference)
         return sums
@@ -155,7 +188,7 @@ class _Deposit:
         self.origin = triple(self.spec.grid.origin)
         self.grains = self._images(self.position)
 
-    def passes(self, threads: int) -> list[_Pass]:
+    def passes(self, threads: int) -> list[Pass]:
         """All passes that the recipe takes; threads prepare one each."""
         asked = {name for row in self.spec.own.values() for name in row.variables}
         for name in asked | ({*ROTATION, WALL_VELOCITY} & set(self.frame)):
@@ -210,7 +243,7 @@ class _Deposit:
         velocity = self.grains.of(self.velocity)
         return velocity if self.grains.drift is None else velocity + self.grains.drift, self.grains.of(self.mass)
 
-    def _grains(self) -> list[_Pass]:
+    def _grains(self) -> list[Pass]:
         """Flow columns and columns of constants."""
         wanted = _of_grains(self.spec.rows)
         constants = {name: self._column(row, self.grains) for name, row in wanted.items() if row.column}
@@ -236,7 +269,7 @@ class _Deposit:
         columns = list(constants.values())
         return [self._points(moments, self.grains, *self._flow, columns, level, self.grains.of(self.phase))]
 
-    def _slopes(self) -> list[_Pass]:
+    def _slopes(self) -> list[Pass]:
         """Flow columns weighted by grad Psi."""
         moments = {
             name: (MOMENTS[flow].first + MOMENTS[flow].columns, -1 / self.cutoffs)
@@ -245,7 +278,7 @@ class _Deposit:
         phase = self.grains.of(self.phase)
         return [self._points(moments, self.grains, *self._flow, [], kernel.LINEAR, phase, by_gradient=True)]
 
-    def _along_branches(self) -> list[_Pass]:
+    def _along_branches(self) -> list[Pass]:
         assert self.contacts is not None
         order = self._in_space(self.position) if self.grains.row is not None else self.grains.order
         rank = np.empty_like(order)
@@ -253,7 +286,7 @@ class _Deposit:
         place = self.contacts.places(rank)
         return [self._branches(name, row, place) for name, row in self.spec.rows.items() if row.along_branches]
 
-    def _branches(self, name: str, row: Moment, place: NDArray) -> _Pass:
+    def _branches(self, name: str, row: Moment, place: NDArray) -> Pass:
         """Branches of the contacts in the order that `place` says, each with its force or what is in its place."""
         others, carried = self.others if row.paired else 0, self._carried(row, self.frame)
         fill: list[_Fill] = []
@@ -269,7 +302,7 @@ class _Deposit:
                     fill.append(partial(_fill_segments, *way, reach.tolist(), real, closed, rest))
                 if not more:
                     break
-        return _Pass(self.phases * max(others, 1), 9, fill, {name: (row.columns, 1.0)})
+        return Pass(self.phases * max(others, 1), 9, fill, {name: (row.columns, 1.0)})
 
     def _carried(self, row: Moment, frame: Frame) -> tuple[NDArray, NDArray | None]:
         """Vectors (n, 3) that the sides of i and of j carry; None where those of j are the opposite."""
@@ -317,7 +350,7 @@ class _Deposit:
         by_points = ("float32", False, False)
         return [by_points] if longest <= self.spec.limits.max() else [by_points, ("float64", True, True)]
 
-    def _at_walls(self) -> list[_Pass]:
+    def _at_walls(self) -> list[Pass]:
         assert self.contacts is not None
         at, point, force = self.contacts.at_walls
         moments = {"traction": (MOMENTS["traction"].columns, 1.0)}
@@ -326,7 +359,7 @@ class _Deposit:
         phase = images.of(self.phase[at])
         return [self._points(moments, images, none, none[:, 0], [images.of(force)], kernel.NONE, phase)]
 
-    def _between_phases(self) -> list[_Pass]:
+    def _between_phases(self) -> list[Pass]:
         """Sum the forces of other phases and of walls on the grains of each phase, at the contact points."""
         c = self.contacts
         assert c is not None
@@ -342,7 +375,7 @@ class _Deposit:
         none, force, pair = np.zeros((len(images.position), 3)), images.of(force), images.of(pair)
         return [self._points(moments, images, none, none[:, 0], [force], kernel.NONE, pair, others=self.others)]
 
-    def _at_contacts(self) -> list[_Pass]:
+    def _at_contacts(self) -> list[Pass]:
         """Columns of constants at the contact points."""
         rows = {name: row for name, row in self.spec.rows.items() if row.at_contacts and not row.level}
         images, phase, share, contact = self._contact_points
@@ -354,7 +387,7 @@ class _Deposit:
         none = np.zeros((len(share), 3))
         return [self._points(moments, images, none, share, columns, kernel.NONE, phase)]
 
-    def _relative(self) -> list[_Pass]:
+    def _relative(self) -> list[Pass]:
         """Numbers in the place of velocity, so that they are kept relative to each node: a pass for each three."""
         passes = []
         for name, row in self.spec.rows.items():
@@ -369,7 +402,9 @@ class _Deposit:
                 values = self._column(row, images)
             weight, numbers = np.ascontiguousarray(values[:, 0]), np.ascontiguousarray(values[:, 1:])
             moments = {name: (row.first + row.columns, 1.0)}
-            passes.append(self._points(moments, images, numbers, weight, [], row.level, phase, apart=True))
+            passes.append(
+                self._points(moments, images, numbers, weight, [], row.level, phase, apart=True, vector=row.vector)
+            )
         return passes
 
     @cached_property
@@ -412,7 +447,8 @@ class _Deposit:
         self, moments: Mapping[str, tuple[NDArray, float | NDArray]], images: _Images, velocity: NDArray,
         mass: NDArray, constants: Sequence[NDArray], level: int, phase: NDArray,
         *, by_gradient: bool | None = None, apart: bool = False, others: int = 1,
-    ) -> _Pass:  # fmt: skip
+        vector: bool = True,
+    ) -> Pass:  # fmt: skip
         """Prepare grains, or other points, with their flow columns up to `level` and columns of constants.
 
         With `others`, `phase` is the number of a pair of phases, the first times `others` plus the second.
@@ -423,7 +459,8 @@ class _Deposit:
         still = True if level and (velocity == velocity[:1]).all() else None
         squares = any(np.isin(columns[columns < level], kernel.SQUARES).any() for columns, _ in moments.values())
         cubes = True if level == kernel.CUBIC else None
-        fill, cutoffs = [], np.repeat(self.cutoffs, others)
+        fill, squared, cutoffs = [], [], np.repeat(self.cutoffs, others)
+        beyond = self.lattice if images.row is None else Lattice(np.full(3, np.inf))
         for cutoff in np.unique(cutoffs).tolist():
             rows = order if (cutoffs == cutoff).all() else order[cutoffs[phase[order]] == cutoff]
             meet = self.lattice.scaled(cutoff).translations(2.0, self.source) if squares else None
@@ -433,7 +470,11 @@ class _Deposit:
             grains = kernel.Grains(rows, batches, position, *flow, self.origin, cutoff)
             flags = (level, still, meet, by_gradient, cubes)
             fill.append(partial(_fill_points, grains, self._mesh(cutoff), self._kernel(cutoff), flags))
-        return _Pass(self.phases * others, level + columns.shape[1], fill, moments, apart)
+            if squares:
+                groups, weights = np.flatnonzero(cutoffs == cutoff), self._kernel(cutoff)
+                squared.append(Squared(rows, position, mass, phase, beyond, groups, cutoff, weights, self.active))
+        count, width = self.phases * others, level + columns.shape[1]
+        return Pass(count, width, fill, moments, apart, level, vector, squared)
 
 
 def _alike(drifts: NDArray) -> Iterator[tuple[NDArray, NDArray]]:
@@ -469,16 +510,26 @@ def _fill_segments(
 
 @dataclass(frozen=True)
 class BlockSums:
-    """Sums at the nodes of one block, each pass (groups, nodes, columns), and the velocity (nodes, 3) they refer to.
+    """Sums at the nodes of one block, each pass (groups, nodes, columns), and what they refer to.
 
-    `reached` says how many nodes grains with flow columns reach.
+    `velocity` (nodes, 3) is what the main pass refers to, `references` what each does; NaN where nothing reaches.
     """
 
     spec: DepositSpec
-    passes: Sequence[_Pass]
+    passes: Sequence[Pass]
     filled: Sequence[NDArray]
-    reference: NDArray
-    reached: int
+    velocity: NDArray
+    references: Sequence[NDArray]
+
+    @cached_property
+    def reference(self) -> NDArray:
+        """The velocity that sums refer to, zero where nothing reaches."""
+        return np.where(np.isnan(self.velocity), 0.0, self.velocity)
+
+    @property
+    def reached(self) -> int:
+        """How many nodes grains with flow columns reach."""
+        return len(self.velocity) - int(np.isnan(self.velocity[:, 0]).sum())
 
     @property
     def arrays(self) -> list[NDArray]:
@@ -504,7 +555,7 @@ class BlockSums:
             found |= self._of_pass(run, sums[:, nodes])
         return found
 
-    def _of_pass(self, run: _Pass, records: NDArray) -> dict[str, NDArray]:
+    def _of_pass(self, run: Pass, records: NDArray) -> dict[str, NDArray]:
         nodes, phases = records.shape[1], max(1, len(self.spec.groups))
         found = {}
         for name, part in run.turned(records):
@@ -525,15 +576,14 @@ class Sums:
     """
 
     spec: DepositSpec
-    passes: Sequence[_Pass]
+    passes: Sequence[Pass]
 
     def over(self, block: NodeBlock) -> BlockSums:
         """Compute the sums at the nodes of a block."""
-        reference = np.full((block.count, 3), np.nan)
-        filled = [run(block, reference) for run in self.passes]
-        unreached = np.isnan(reference)
-        reference[unreached] = 0.0
-        return BlockSums(self.spec, self.passes, filled, reference, len(reference) - int(unreached[:, 0].sum()))
+        velocity = np.full((block.count, 3), np.nan)
+        references = [np.full_like(velocity, np.nan) if run.apart else velocity for run in self.passes]
+        filled = [run(block, own) for run, own in zip(self.passes, references, strict=True)]
+        return BlockSums(self.spec, self.passes, filled, velocity, references)
 
 
 def sums_of_frame(

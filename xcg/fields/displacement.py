@@ -17,6 +17,7 @@ from xcg.fields import registry
 from xcg.fields.averages import derive, needed_for_averages
 from xcg.fields.coarse_grain import about, label_fields, prepare
 from xcg.fields.evaluate import compute_chunk
+from xcg.fields.frames import refuse_cylindrical
 from xcg.fields.plan import make_plan
 from xcg.fields.request import Request, takes
 from xcg.scene.conform import takes_scene
@@ -119,6 +120,7 @@ def displacement(ds: xr.Dataset, asked: DisplacementRequest) -> xr.Dataset:
     call = format_call("displacement", {k: v for k, v in asked.given().items() if k != "on_error" or skips})
     ds, asked = prepare(with_measures(ds), asked)
     if asked.accumulate:
+        refuse_cylindrical(ds, "displacement(accumulate=True)")
         ds, asked = ds.isel(time=slice(None, None, asked.lag)), replace(asked, lag=1)
     moves = bool(ds.attrs.get("periodic")) and not box_stays(ds)
     if moves and "frame" in ds.attrs:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from xcg.scene.schema import COMPONENTS
 from xcg.scene.turn import turn_scene
 
+CYLINDRICAL = "cylindrical"
 _PARALLEL = 1e-6  # sine of the smallest angle between two axes that are given
 _NO_PLACE = (0.0, 0.0, 0.0)
 
@@ -95,6 +96,71 @@ class Rotated:
         return _unit(part - (part @ one) * one) if np.linalg.norm(part) > _PARALLEL else None
 
 
+@dataclass(frozen=True)
+class Cylindrical:
+    """Axes r, theta and z around a line, for the argument ``frame`` of `xcg.coarse_grain`.
+
+    Parameters
+    ----------
+    axis : {"x", "y", "z"} or sequence of float
+        Direction of the axis z of the cylinder, in the scene's own axes.
+    origin : sequence of float
+        A place on it, where z is 0 (m).
+    x : sequence of float, optional
+        Direction in which theta is 0; its part at a right angle to the axis counts. By default the scene's x, or y
+        where x is the axis.
+    error : float
+        What averages over theta may differ by from the exact integral, as a share of the most that one grain adds at
+        any place: so many angles are taken. Kernels that jump at their cutoff do not meet it, as the attribute
+        ``theta_error`` of results then tells.
+
+    Raises
+    ------
+    ValueError
+        If an argument is wrong.
+
+    Notes
+    -----
+    ``axes`` is made of "r", "t" (theta) and "z": "r", "rz", "rt", "rtz"; ``at``, ``bounds`` and ``spacing`` name r,
+    theta (rad) and z. Axes that are not named are averaged: theta over the circle, or over ``bounds["theta"]``, z as
+    in `xcg.coarse_grain`. ``component`` and ``direction`` are r, theta and z. At each angle the sums are turned
+    into these axes, then they are averaged over theta, and fields follow from the averages: so the velocity gradient
+    holds V_theta / r by itself, and a rigid rotation has no shear rate and no temperature. On the axis itself r and
+    theta have no direction: vectors and tensors are NaN there.
+
+    Examples
+    --------
+    >>> import xcg
+    >>> ds = xcg.datasets.simple_cubic(4)
+    >>> frame = xcg.Cylindrical("z", origin=(2, 2, 0))
+    >>> f = ds.cg.coarse_grain("velocity", axes="r", frame=frame, bounds={"r": (0, 2)}, spacing=0.5)
+    >>> f.velocity.dims, f.component.values.tolist()
+    (('time', 'r', 'component'), ['r', 'theta', 'z'])
+    """
+
+    axis: str | Sequence[float] = "z"
+    origin: Sequence[float] = _NO_PLACE
+    x: Sequence[float] | None = None
+    error: float = 1e-3
+
+    def __post_init__(self) -> None:
+        if isinstance(self.axis, str) and self.axis not in COMPONENTS:
+            msg = f"{self}: expected 'x', 'y', 'z' or a direction as its axis"
+            raise ValueError(msg)
+        if not (np.isfinite(self.error) and self.error > 0):
+            msg = f"{self}: expected a positive error, such as 1e-3"
+            raise ValueError(msg)
+        _ = self.rotated
+
+    @property
+    def rotated(self) -> Rotated:
+        """The axes in which the cylinder's is z, and theta is 0 along x."""
+        z = np.eye(3)[COMPONENTS.index(self.axis)] if isinstance(self.axis, str) else self.axis
+        given = Rotated(z=tuple(np.asarray(z, float).tolist()), x=self.x, origin=self.origin)
+        along_x = self.x is None and Rotated(z=given.z).axes[2] @ np.eye(3)[0] > 1.0 - _PARALLEL**2
+        return Rotated(z=given.z, x=(0.0, 1.0, 0.0), origin=self.origin) if along_x else given
+
+
 def numbers(name: str, given: Any, *, direction: bool) -> NDArray:
     """Check three finite numbers, which are a direction or a place."""
     values = np.asarray(given, float) if np.ndim(given) == 1 and np.shape(given) == (3,) else np.full(3, np.nan)
@@ -110,8 +176,22 @@ def _unit(vector: NDArray) -> NDArray:
     return np.asarray(vector / np.linalg.norm(vector))
 
 
-def in_frame(ds: xr.Dataset, frame: Rotated) -> xr.Dataset:
+def in_frame(ds: xr.Dataset, frame: Rotated | Cylindrical) -> xr.Dataset:
     """Return the scene in a frame, which its attributes then tell."""
+    axes = frame if isinstance(frame, Rotated) else frame.rotated
     origin = np.asarray(frame.origin, float)
-    turned = turn_scene(ds, frame.axes, origin)
-    return turned.assign_attrs(frame="rotated", frame_axes=frame.axes.ravel(), frame_origin=origin)
+    turned = turn_scene(ds, axes.axes, origin)
+    name = "rotated" if isinstance(frame, Rotated) else CYLINDRICAL
+    return turned.assign_attrs(frame=name, frame_axes=axes.axes.ravel(), frame_origin=origin)
+
+
+def refuse_cylindrical(ds: xr.Dataset, call: str) -> None:
+    """Refuse a cylindrical frame where it has no meaning."""
+    if is_cylindrical(ds):
+        msg = f"{call} takes axes at right angles: frame=xcg.Rotated, not xcg.Cylindrical"
+        raise ValueError(msg)
+
+
+def is_cylindrical(ds: xr.Dataset) -> bool:
+    """Whether a scene was turned into, or a result is in, a cylindrical frame."""
+    return bool(ds.attrs.get("frame") == CYLINDRICAL)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import xarray as xr
@@ -249,6 +249,45 @@ def _whole(axis: str, count: float) -> int:
     return int(count)
 
 
+def nodes_along(
+    a: str, step: Any, axes: Iterable[str], bounds: Mapping[str, Sequence[float]],
+    automatic: Mapping[str, tuple[float, float]], period: Mapping[str, float], cutoff: float,
+) -> tuple[NDArray, float]:  # fmt: skip
+    """Nodes along one of the resolved axes, and their distance; arguments as in `make_grid`."""
+    if step is None or not (np.isfinite(step) and step > _FINEST * cutoff):
+        msg = (
+            f"spacing along {a!r} is {step!r}: expected a positive distance (m) for each of {list(axes)}, not far "
+            f"below the radius of the support ({cutoff:g} m)"
+        )
+        raise ValueError(msg)
+    if a in bounds:
+        first, last = map(float, bounds[a])
+        if not (np.isfinite(first) and np.isfinite(last) and first <= last):
+            msg = f"bounds[{a!r}]={tuple(bounds[a])!r}: expected (first, last) with first <= last"
+            raise ValueError(msg)
+        count = _whole(a, (last - first) / step * (1 + 1e-12) + 1e-9) + 1
+    elif a not in automatic:
+        msg = (
+            f"axis {a!r} has no bounds: the scene holds neither a box nor the particles' extent, or no longer, as "
+            f"positions were changed. Give bounds={{{a!r}: (first, last)}}, or call ds = ds.cg.measure() first"
+        )
+        raise ValueError(msg)
+    elif a in period:
+        first, count = automatic[a][0], max(1, _whole(a, period[a] / step + 0.5))
+        step = period[a] / count
+    else:
+        first, last = automatic[a]
+        count = _whole(a, np.ceil((last - first) / step)) + 1
+        first = 0.5 * (first + last) - 0.5 * (count - 1) * step
+    if count > 1 and step > 2 * cutoff:
+        msg = (
+            f"spacing {step:g} along {a!r} is larger than the support of the kernel (2 c = {2 * cutoff:g}): "
+            "particles between nodes are not seen; choose a smaller spacing or a larger width"
+        )
+        warn_user(msg)
+    return first + step * np.arange(count), float(step)
+
+
 def make_grid(
     axes: str,
     at: Mapping[str, float],
@@ -288,39 +327,7 @@ def make_grid(
     steps = dict(spacing) if isinstance(spacing, Mapping) else dict.fromkeys(axes, spacing)
     nodes, taken = {}, {}
     for a in axes:
-        step = steps.get(a)
-        if step is None or not (np.isfinite(step) and step > _FINEST * cutoff):
-            msg = (
-                f"spacing along {a!r} is {step!r}: expected a positive distance (m) for each of {list(axes)}, not far "
-                f"below the radius of the support ({cutoff:g} m)"
-            )
-            raise ValueError(msg)
-        if a in bounds:
-            first, last = map(float, bounds[a])
-            if not (np.isfinite(first) and np.isfinite(last) and first <= last):
-                msg = f"bounds[{a!r}]={tuple(bounds[a])!r}: expected (first, last) with first <= last"
-                raise ValueError(msg)
-            count = _whole(a, (last - first) / step * (1 + 1e-12) + 1e-9) + 1
-        elif a not in automatic:
-            msg = (
-                f"axis {a!r} has no bounds: the scene holds neither a box nor the particles' extent, or no longer, as "
-                f"positions were changed. Give bounds={{{a!r}: (first, last)}}, or call ds = ds.cg.measure() first"
-            )
-            raise ValueError(msg)
-        elif a in period:
-            first, count = automatic[a][0], max(1, _whole(a, period[a] / step + 0.5))
-            step = period[a] / count
-        else:
-            first, last = automatic[a]
-            count = _whole(a, np.ceil((last - first) / step)) + 1
-            first = 0.5 * (first + last) - 0.5 * (count - 1) * step
-        nodes[a], taken[a] = first + step * np.arange(count), float(step)
-        if count > 1 and step > 2 * cutoff:
-            msg = (
-                f"spacing {step:g} along {a!r} is larger than the support of the kernel (2 c = {2 * cutoff:g}): "
-                "particles between nodes are not seen; choose a smaller spacing or a larger width"
-            )
-            warn_user(msg)
+        nodes[a], taken[a] = nodes_along(a, steps.get(a), axes, bounds, automatic, period, cutoff)
     averaged = "".join(a for a in plane if a not in axes and a not in at)
     fitted = "".join(a for a in axes if a not in bounds and a not in period)
     grid = RegularGrid(axes, {a: float(v) for a, v in at.items()}, averaged, nodes, taken, fitted)

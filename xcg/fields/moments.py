@@ -50,6 +50,8 @@ class Moment:
         Whether it is summed for each pair of phases, walls being the last of the other phases.
     optional : tuple of str
         Variables that are taken where the scene has them.
+    vector : bool
+        Whether the three numbers in the place of velocity are the components of a vector.
     """
 
     variables: tuple[str, ...]
@@ -64,6 +66,7 @@ class Moment:
     layout: tuple[Any, ...] = ()
     paired: bool = False
     optional: tuple[str, ...] = ()
+    vector: bool = True
 
     @property
     def columns(self) -> NDArray:

@@ -19,13 +19,15 @@ from xcg.fields.blocks import BLOCK_NODES
 from xcg.fields.deposit import DepositSpec
 from xcg.fields.fabric import sliding_contacts
 from xcg.fields.field import Options
+from xcg.fields.frames import Cylindrical, is_cylindrical
 from xcg.fields.grid import Grid, make_grid
 from xcg.fields.moments import MOMENTS, Moment
 from xcg.fields.points import is_pointwise, make_points
 from xcg.fields.quadrature import SINGLE, gauss_limits
 from xcg.fields.request import Request
+from xcg.fields.rings import Rings, make_rings
 from xcg.fields.smoothing import Kernel, as_kernel, choose_width
-from xcg.fields.variables import OwnField, Quantity, own_fields, own_moments, rows_of
+from xcg.fields.variables import OwnField, Quantity, check_turns, own_fields, own_moments, rows_of
 from xcg.scene.lattice import Lattice
 from xcg.scene.query import box_stays, edges_of, groups_of, require_scene, setup_of
 from xcg.scene.schema import BOX, COMPONENTS, CONTACT_VARIABLES, ROTATION, SceneError, Setup, did_you_mean
@@ -206,6 +208,8 @@ def make_plan(ds: xr.Dataset, request: Request) -> Plan:
         raise ValueError(msg)
     options = replace(options, by=by)
     names, own = _choose_fields(request.fields, ds, options)
+    if is_cylindrical(ds):
+        check_turns(own)
     options = replace(options, own=own)
     options = replace(options, own=(*own, *registry.registered_for(names, options)))
     if request.by_pair:
@@ -257,6 +261,8 @@ def _grid(
     """Lay the nodes: points, where coordinates are arrays, or a mesh."""
     at: Mapping[str, Any] = request.at or {}
     narrowest = min(k.cutoff for k in kernels)
+    if is_cylindrical(ds):
+        return _rings(ds, request, setup, kernels, edges, period)
     if is_pointwise(at):
         _check_pointwise(request)
         return make_points(at, plane=setup.plane, cutoff=narrowest)
@@ -270,6 +276,43 @@ def _grid(
         automatic=_automatic(ds, setup, edges, max(k.cutoff for k in kernels)),
         period=period,
     )
+
+
+def _rings(
+    ds: xr.Dataset, request: Request, setup: Setup, kernels: Sequence[Kernel],
+    edges: Mapping[str, tuple[float, float]], period: Mapping[str, float],
+) -> Rings:  # fmt: skip
+    """Lay the nodes of a cylinder."""
+    assert isinstance(request.frame, Cylindrical)
+    if request.gradient == "finite_difference":
+        msg = "gradient='finite_difference' takes a mesh along x, y and z, not a cylindrical frame; take another way"
+        raise ValueError(msg)
+    reach = max(k.cutoff for k in kernels)
+    automatic = _automatic(ds, setup, edges, reach)
+    if {"x", "y"} <= set(automatic):
+        automatic["r"] = 0.0, _largest_radius(ds) + reach
+    axes = ("rtz" if "z" in setup.plane else "rt") if request.axes is None and request.at is None else request.axes
+    return make_rings(
+        axes or "",
+        request.at or {},
+        request.bounds or {},
+        min(k.width for k in kernels) if request.spacing is None else request.spacing,
+        plane=setup.plane,
+        kernel=min(kernels, key=lambda k: k.cutoff),
+        seen_all=setup.dimension,
+        error=request.frame.error,
+        automatic=automatic,
+        period=period,
+    )
+
+
+def _largest_radius(ds: xr.Dataset) -> float:
+    """Distance from the axis z of the outermost grain of the first and last step; of the corners of a lazy scene."""
+    if isinstance(ds["position"].variable._data, np.ndarray):
+        ends = ds["position"].transpose("time", "particle", "component")[[0, -1]].to_numpy()
+        return float(np.nanmax(np.hypot(ends[..., 0], ends[..., 1])))
+    far = np.maximum(np.abs(ds.attrs["particle_lower"]), np.abs(ds.attrs["particle_upper"]))
+    return float(np.hypot(far[0], far[1]))
 
 
 def _check_pointwise(request: Request) -> None:

@@ -15,7 +15,7 @@ from typing import Any, Concatenate, ParamSpec, TypeVar, cast, get_type_hints
 
 import xarray as xr
 
-from xcg.fields.frames import Rotated
+from xcg.fields.frames import Cylindrical, Rotated
 from xcg.fields.smoothing import Kernel
 from xcg.fields.surfaces import Wall
 from xcg.fields.variables import Quantity
@@ -77,7 +77,7 @@ class SharedOptions:
     by_body : str, optional
         An integer variable of the particles that says which body each component sphere belongs to, for example
         "body_id": bodies are coarse-grained instead of spheres, see `xcg.group_bodies`.
-    frame : Rotated, optional
+    frame : Rotated or Cylindrical, optional
         Axes of one's own choice, in which everything else in the request and in the result is then meant.
     rtol : float
         Promise for the contact stress of every segment, relative to its largest value: the cheapest quadrature that
@@ -107,7 +107,7 @@ class SharedOptions:
     by_pair: bool = False
     temperature: str = "unbiased"
     by_body: str | None = None
-    frame: Rotated | None = None
+    frame: Rotated | Cylindrical | None = None
     rtol: float = 0.0
     preset: str | None = None
     on_error: str = "raise"

@@ -211,6 +211,7 @@ class OwnField:
                 tuple(dict.fromkeys([*reads, *(part[0] for part in triple if part)])),
                 f"{symbol} (1, q, q q) of {', '.join(_text(part) for part in triple if part)}",
                 (len(_ABOUT),), kernel.FLUCTUATION, kernel.MASS, partial(_numbers, triple, self.weight), layout=_ABOUT,
+                vector=self.rank == 1 and isinstance(self.quantity, Variance),
             )
             for triple in self._triples
         }  # fmt: skip
@@ -329,6 +330,25 @@ def own_field(quantity: Quantity, ds: xr.Dataset) -> OwnField:
         units=_units(quantity, weight, found.attrs.get("units"), ds.attrs.get("unit_system", "SI")),
         what=str(found.attrs.get("long_name", name.replace("_", " "))),
     )  # fmt: skip
+
+
+def check_turns(own: Iterable[Any]) -> None:
+    """Refuse quantities of which sums cannot be turned from place to place, as a cylindrical frame does.
+
+    Raises
+    ------
+    ValueError
+        If one is a flux, or a variance of tensors.
+    """
+    for one in own:
+        if not isinstance(one, OwnField):
+            continue
+        if isinstance(one.quantity, Flux) or (isinstance(one.quantity, Variance) and one.rank == 2):
+            msg = (
+                f"{one.quantity} is not there in a cylindrical frame: take it in the scene's axes, or Mean, Sum and "
+                "the Variance of scalars and vectors"
+            )
+            raise ValueError(msg)
 
 
 def rows_of(ds: xr.Dataset) -> list[str]:

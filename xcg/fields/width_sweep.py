@@ -11,6 +11,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from xcg.fields.coarse_grain import answer, prepare
+from xcg.fields.frames import refuse_cylindrical
 from xcg.fields.plan import make_plan
 from xcg.fields.request import Request, SharedOptions, takes
 from xcg.fields.smoothing import choose_width
@@ -95,6 +96,7 @@ def width_sweep(ds: xr.Dataset, asked: SweepRequest) -> xr.Dataset:
         raise ValueError(msg)
     points, several = _points(asked.at)
     ds, asked = prepare(ds, asked)
+    refuse_cylindrical(ds, "width_sweep")
     asked = replace(asked, axes=asked.axes or "")
     if asked.axes:
         asked = _with_nodes(ds, asked, lengths, points[0])

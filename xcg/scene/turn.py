@@ -40,7 +40,10 @@ def turn_scene(ds: xr.Dataset, axes: NDArray, origin: NDArray) -> xr.Dataset:
         If the axes lead out of the plane of a scene of one layer, or some components of a variable are not there.
     """
     across = [k for k, a in enumerate(COMPONENTS) if a not in ds.attrs.get("plane", "xyz")]
-    if any(abs(axes[k, k]) < 1.0 - _SAME for k in across):
+    plane = "".join(
+        a for a, row in zip(COMPONENTS, axes, strict=True) if not any(abs(row[k]) > 1.0 - _SAME for k in across)
+    )
+    if across and len(plane) != len(COMPONENTS) - len(across):
         msg = (
             f"the scene is a layer in the plane {ds.attrs['plane']!r}, and the axes {axes.tolist()} lead out of it: "
             "turn it about the axis across its plane"
@@ -55,6 +58,8 @@ def turn_scene(ds: xr.Dataset, axes: NDArray, origin: NDArray) -> xr.Dataset:
             found[name] = _mapped(turned, ds[name], dims)
     out = _with_box(ds.assign(found), axes, origin)
     attrs = {k: v for k, v in out.attrs.items() if k not in ("particle_lower", "particle_upper")}
+    if across:
+        attrs["plane"] = plane
     if "gravity" in attrs:
         attrs["gravity"] = axes @ np.asarray(attrs["gravity"], float)
     out = out.drop_attrs(deep=False).assign_attrs(attrs)
