@@ -112,7 +112,7 @@ class _Reader:
                 factors = factors[-1:]
             above = " ".join(factors)
             whole = re.fullmatch(r"\(((?:[^()]|\([^()]*\))*)\)", above)
-            done.append(rf"\frac{{{whole[1] if whole else above}}}{{{below}}}")
+            done.append(rf"\dfrac{{{whole[1] if whole else above}}}{{{below}}}")
             factors = []
         return " ".join([*done, *factors])
 

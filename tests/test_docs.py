@@ -45,19 +45,19 @@ def test_every_public_name_has_a_page():
 @pytest.mark.parametrize(
     ("formula", "expected"),
     [
-        ("rho_p = rho / phi", r"$\rho_{p} = \frac{\rho}{\phi}$"),
-        ("d32 = sum d_i^3 Psi / sum d_i^2 Psi", r"$d_{32} = \frac{\sum d_{i}^{3} \Psi}{\sum d_{i}^{2} \Psi}$"),
+        ("rho_p = rho / phi", r"$\rho_{p} = \dfrac{\rho}{\phi}$"),
+        ("d32 = sum d_i^3 Psi / sum d_i^2 Psi", r"$d_{32} = \dfrac{\sum d_{i}^{3} \Psi}{\sum d_{i}^{2} \Psi}$"),
         (
             "dev sigma = sigma - tr(sigma) / D I",
-            r"$\operatorname{dev} \sigma = \sigma - \frac{\operatorname{tr} (\sigma)}{D} I$",
+            r"$\operatorname{dev} \sigma = \sigma - \dfrac{\operatorname{tr} (\sigma)}{D} I$",
         ),
-        ("sum (m_i v_i^2 + b) / 2 v_i Psi", r"$\sum \frac{m_{i} v_{i}^{2} + b}{2} v_{i} \Psi$"),
+        ("sum (m_i v_i^2 + b) / 2 v_i Psi", r"$\sum \dfrac{m_{i} v_{i}^{2} + b}{2} v_{i} \Psi$"),
         (
             "mu = |dev sigma| / p, where p > 0",
-            r"$\mu = \frac{\lvert \operatorname{dev} \sigma \rvert}{p}$, where $p > 0$",
+            r"$\mu = \dfrac{\lvert \operatorname{dev} \sigma \rvert}{p}$, where $p > 0$",
         ),
         ("n_c <f.n>, a = 3, or 1 in a plane", r"$n_{c} \langle f \cdot n \rangle$, $a = 3$, or $1$ in a plane"),
-        ("sqrt(p / rho_p) M^-1", r"$\sqrt{\frac{p}{\rho_{p}}} M^{-1}$"),
+        ("sqrt(p / rho_p) M^-1", r"$\sqrt{\dfrac{p}{\rho_{p}}} M^{-1}$"),
     ],
 )
 def test_formulas_become_mathematics(formula, expected):
