@@ -9,6 +9,7 @@ import sys
 import warnings
 from pathlib import Path
 
+import netCDF4
 import numpy as np
 import pytest
 import xarray as xr
@@ -273,3 +274,22 @@ def test_convert_as_a_job_says(tmp_path, suffix):
     done = CliRunner().invoke(main, ["convert", str(job), "-o", str(tmp_path / f"scene{suffix}")])
     assert done.exit_code == 0, done.output
     assert "weight" in reopen(tmp_path / f"scene{suffix}")
+
+
+def test_labels_are_characters_of_fixed_length(tmp_path):
+    """Texts of any length made the library crash when `open_mfdataset` was called again and again."""
+    ds = steps_of_random_scenes(4)
+    whole = ds.cg.coarse_grain(["density", "velocity"], axes="z", by="species")
+    for t in range(4):
+        whole.isel(time=[t]).cg.save(tmp_path / f"f_{t}.nc")
+    with netCDF4.Dataset(tmp_path / "f_0.nc") as file:
+        assert {file[name].dtype for name in ("phase", "component")} == {np.dtype("S1")}
+    code = f"import xarray as xr, xcg\nfor _ in range(25): xr.open_mfdataset({str(tmp_path / 'f_*.nc')!r}, "
+    code += "combine='nested', concat_dim='time', data_vars='minimal').load()\n"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+    for t in range(4):
+        again = xr.open_dataset(tmp_path / f"f_{t}.nc")
+        xr.testing.assert_identical(again.load(), whole.isel(time=[t]))
+        again.cg.save(tmp_path / "again.nc", overwrite=True)
+        xr.testing.assert_identical(xr.open_dataset(tmp_path / "again.nc").load(), whole.isel(time=[t]))
