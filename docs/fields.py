@@ -77,7 +77,7 @@ def _row(name: str) -> str:
     additive = "yes" if f.additive else ""
     whose = " of the bulk" if f.by_bulk else ""
     average = "as they are" if f.additive else f"by `{f.weight}`{whose}" if f.weight else "anew"
-    unit = re.sub(r"(?<=[a-z])-?\d", lambda power: power[0].translate(RAISED), units_of(f.powers))
+    unit = re.sub(r"\^(-?\d)", lambda power: power[1].translate(RAISED), units_of(f.powers))
     about = f"{f.long_name}<br>{mathematics(f.formula)}"
     star = "" if f.default else " \\*"
     return f"| `{name}`{star} | {about} | {KINDS[f.rank]} | {unit} | {additive} | {average} |\n"

@@ -225,9 +225,9 @@ def test_names_units_and_sources():
     ]  # fmt: skip
     f = ds.cg.coarse_grain(asked, axes="z")
     assert {str(name): f[name].attrs.get("units") for name in f} == {
-        "velocity": "m s-1", "heat": "K", "sum_heat": "K m-3", "content": "K kg m-3", "flux_heat": "K kg m-2 s-1",
-        "variance_heat": "K2", "variance_whirl": "rad2 s-2", "mean_density": "kg m-3", "inner": None,
-        "sum_contact_wear": "(J/m2) m-3", "variance_contact_wear": "(J/m2)2",
+        "velocity": "m s^-1", "heat": "K", "sum_heat": "K m^-3", "content": "K kg m^-3", "flux_heat": "K kg m^-2 s^-1",
+        "variance_heat": "K^2", "variance_whirl": "rad^2 s^-2", "mean_density": "kg m^-3", "inner": None,
+        "sum_contact_wear": "(J/m2) m^-3", "variance_contact_wear": "(J/m2)^2",
     }  # fmt: skip
     assert f.heat.attrs["long_name"] == "mean of temperature of the grain, weighted by mass"
     assert f.heat.attrs["source"] == "variable 'heat' of the particles"

@@ -16,7 +16,7 @@ def test_the_example_runs():
     for block in re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL):
         exec(block, names)
     f = names["f"]
-    assert f.sum_drag_force.attrs["units"] == "N m-3"
+    assert f.sum_drag_force.attrs["units"] == "N m^-3"
     np.testing.assert_allclose(names["per_fluid"] * f.void_fraction, f.sum_drag_force)
     np.testing.assert_allclose(names["slip"] + f.velocity, 1.0)
     np.testing.assert_array_equal(names["ds"]["drag_force"], names["drag"])

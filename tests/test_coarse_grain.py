@@ -450,7 +450,7 @@ def test_labels_and_provenance(tmp_path):
     f = xcg.datasets.random_scene(20).cg.coarse_grain(width=0.8, axes="xz", at={"y": 1.0}, by="species")
     assert f.stress.dims == ("time", "x", "z", "phase", "component", "direction")
     assert f.stress.attrs["units"] == "Pa"
-    assert f.velocity_gradient.attrs["units"] == "s-1"
+    assert f.velocity_gradient.attrs["units"] == "s^-1"
     assert float(f.y) == 1.0
     assert "coarse_grain(width=0.8" in f.attrs["history"]
     f.to_netcdf(tmp_path / "f.nc")

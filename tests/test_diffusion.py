@@ -54,7 +54,7 @@ def test_a_random_walk_diffuses():
     assert float(abs(away).max()) < 4.0
     assert abs(float(m.diffusion_coefficient) - truth.mean()) < 4 * float(m.diffusion_coefficient_error)
     assert float(m.diffusion_coefficient_error) < 0.05 * truth.mean()
-    assert m.self_diffusion.attrs["units"] == "m2 s-1"
+    assert m.self_diffusion.attrs["units"] == "m^2 s^-1"
 
 
 def test_errors_are_those_of_repeated_walks():

@@ -308,10 +308,10 @@ def test_old_fields_take_no_part_of_rotation():
 def test_units():
     f = scene().cg.coarse_grain(NAMES, width=0.9, spacing=1.3)
     units = {name: f[name].attrs["units"] for name in NAMES}
-    assert units["heat_flux"] == units["contact_energy_flux"] == "W m-2"
-    assert units["dissipation_rate"] == units["stress_power"] == units["wall_power"] == "W m-3"
-    assert units["spin_density"] == "kg m-1 s-1"
-    assert units["couple_stress"] == units["spin_flux"] == "kg s-2"
+    assert units["heat_flux"] == units["contact_energy_flux"] == "W m^-2"
+    assert units["dissipation_rate"] == units["stress_power"] == units["wall_power"] == "W m^-3"
+    assert units["spin_density"] == "kg m^-1 s^-1"
+    assert units["couple_stress"] == units["spin_flux"] == "kg s^-2"
     # a scene in other units of length, mass and time: each field changes as its unit says
     ds, (length, mass, time) = scene(), (2.0, 3.0, 0.5)
     powers = {name: VARIABLES[name].powers for name in ds.data_vars if name != "box"} | {"box": (1, 0, 0)}
@@ -396,7 +396,7 @@ def test_residuals_fall_with_the_spacing():
         assert norms[0] > 64 * norms[2], (name, norms)  # third order at least, as the third derivative of Lucy's jumps
         assert norms[2] < 1e-3
     assert b[0].torque_residual.dims == ("time", "x", "y", "z", "component")
-    assert b[0].power_residual.attrs["units"] == "W m-3"
+    assert b[0].power_residual.attrs["units"] == "W m^-3"
 
 
 def moving(dt, seed=1, gravity=(0.3, 0, -1.0)):

@@ -327,7 +327,7 @@ def test_every_quantity_has_a_unit_and_a_name():
         assert {"units", "long_name"} <= set(m[name].attrs), name
     assert m.stress.attrs["units"] == "Pa"
     assert m.d_bar.attrs["units"] == "m"
-    assert m.strain_rate.attrs["units"] == "s-1"
+    assert m.strain_rate.attrs["units"] == "s^-1"
     assert "microstructure(" in m.attrs["history"]
 
 

@@ -133,8 +133,8 @@ def test_its_fields_are_computed_in_one_pass_with_those_of_xcg():
 
 def test_units_are_those_of_the_quantities():
     f = preset(xcg.datasets.random_scene(60), width=0.9)
-    expected = {"density_mixture": "kg m-3", "pressure_xy": "Pa", "total_stress_tensor_xy_dev_mag": "Pa",
-                "shear_rate_tensor_xy_mag": "s-1", "granular_temperature_x": "m2 s-2", "d32": "m",
+    expected = {"density_mixture": "kg m^-3", "pressure_xy": "Pa", "total_stress_tensor_xy_dev_mag": "Pa",
+                "shear_rate_tensor_xy_mag": "s^-1", "granular_temperature_x": "m^2 s^-2", "d32": "m",
                 "inertial_number_Sxy_Py_d32": "1"}  # fmt: skip
     assert {n: f[n].attrs["units"] for n in expected} == expected
 

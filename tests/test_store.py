@@ -277,7 +277,7 @@ def test_convert_as_a_job_says(tmp_path, suffix):
 
 
 def test_labels_are_characters_of_fixed_length(tmp_path):
-    """Texts of any length made the library crash when `open_mfdataset` was called again and again."""
+    """Texts of any length were seen to crash the library when `open_mfdataset` was called again and again."""
     ds = steps_of_random_scenes(4)
     whole = ds.cg.coarse_grain(["density", "velocity"], axes="z", by="species")
     for t in range(4):

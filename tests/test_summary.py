@@ -37,7 +37,7 @@ def test_a_scene_says_where_it_is_from_and_what_was_ignored(opened, tmp_path):
     assert re.fullmatch(r"particles: .*p\.10\.dump to .*p\.20\.dump \(2 files\)", said["files"])
     assert said["ignored"].startswith("particles: ")
     assert {"vx", "vy", "vz"} <= set(said["ignored"].removeprefix("particles: ").split(", "))
-    assert said["gravity"] == "(0, 0, -9.81) m s-2"
+    assert said["gravity"] == "(0, 0, -9.81) m s^-2"
     assert said["units"] == "SI"
     assert said["time"] == "10 to 20"
     assert said["missing"] == "velocity, contact_force"

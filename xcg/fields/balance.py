@@ -87,36 +87,36 @@ def _energy(f: xr.Dataset, divergence: Any, gravity: Any) -> list[xr.DataArray]:
 
 LAWS: dict[str, _Law] = {
     "force": _Law(
-        "N m-3", "residual of the divergence of contact stress",
+        "N m^-3", "residual of the divergence of contact stress",
         ("contact_stress", "contact_force_density", "wall_traction"),
         lambda f, div, g: [div(f.contact_stress), f.contact_force_density, -_traction(f)],
     ),
     "torque": _Law(
-        "N m-2", "residual of the divergence of couple stress",
+        "N m^-2", "residual of the divergence of couple stress",
         ("couple_stress", "torque_density", "contact_couple_density"),
         lambda f, div, g: [div(f.couple_stress), f.torque_density, -f.contact_couple_density],
     ),
     "power": _Law(
-        "W m-3", "residual of the divergence of the contact energy flux",
+        "W m^-3", "residual of the divergence of the contact energy flux",
         ("contact_energy_flux", "contact_power", "dissipation_rate", "wall_power"),
         lambda f, div, g: [div(f.contact_energy_flux), f.contact_power, f.dissipation_rate, -f.wall_power],
     ),
     "mass": _Law(
-        "kg m-3 s-1", "residual of the balance of mass", ("density", "momentum_density"),
+        "kg m^-3 s^-1", "residual of the balance of mass", ("density", "momentum_density"),
         lambda f, div, g: [div(f.momentum_density)], rate="density",
     ),
     "momentum": _Law(
-        "N m-3", "residual of the balance of momentum",
+        "N m^-3", "residual of the balance of momentum",
         ("density", "momentum_density", "velocity", "stress", "wall_traction"),
         _momentum, rate="momentum_density", needs_gravity=True,
     ),
     "spin": _Law(
-        "N m-2", "residual of the balance of spin",
+        "N m^-2", "residual of the balance of spin",
         ("spin_density", "spin_flux", "couple_stress", "contact_couple_density"),
         lambda f, div, g: [div(f.spin_flux + f.couple_stress), -f.contact_couple_density], rate="spin_density",
     ),
     "energy": _Law(
-        "W m-3", "residual of the balance of energy",
+        "W m^-3", "residual of the balance of energy",
         ("kinetic_energy", "kinetic_energy_flux", "contact_energy_flux", "momentum_density", "dissipation_rate",
          "wall_power"),
         _energy, rate="kinetic_energy", needs_gravity=True,

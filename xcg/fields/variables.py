@@ -385,15 +385,15 @@ def _units(quantity: Quantity, weight: str, unit: str | None, system: str) -> st
 
 
 def _times(unit: str, exponent: int, other: str) -> str:
-    """Return the unit of a power of what has one unit, times what has another: ``K kg m-3``."""
+    """Return the unit of a power of what has one unit, times what has another: ``K kg m^-3``."""
     powers: dict[str, int] = {}
     for text, times in ((unit, exponent), (other, 1)):
         for part in text.split() if text != "1" else ():
             found = _UNIT.fullmatch(part)
             if found is None:  # another way to write units
-                return f"({unit}){exponent if exponent > 1 else ''}" + (f" {other}" if other != "1" else "")
+                return f"({unit}){f'^{exponent}' if exponent > 1 else ''}" + (f" {other}" if other != "1" else "")
             powers[found[1]] = powers.get(found[1], 0) + int(found[2] or 1) * times
-    return " ".join(f"{name}{power if power != 1 else ''}" for name, power in powers.items() if power) or "1"
+    return " ".join(f"{name}{f'^{power}' if power != 1 else ''}" for name, power in powers.items() if power) or "1"
 
 
 # --- sums ------------------------------------------------------------------------------------------------

@@ -109,21 +109,21 @@ _NAMED_UNITS = {
     (0, 0, 0): "1",
     (1, 1, -2): "N",
     (-1, 1, -2): "Pa",
-    (-2, 1, -2): "Pa m-1",
-    (0, 1, -3): "W m-2",
-    (-1, 1, -3): "W m-3",
+    (-2, 1, -2): "Pa m^-1",
+    (0, 1, -3): "W m^-2",
+    (-1, 1, -3): "W m^-3",
 }
 
 
 def units_of(powers: tuple[int, int, int], unit_system: str = "SI") -> str:
-    """Return the UDUNITS form of powers of (length, mass, time); "1" for everything in a reduced scene."""
+    """Return the unit of powers of (length, mass, time) as UDUNITS and pint read it; "1" in a reduced scene."""
     if unit_system != "SI":
         return "1"
     if powers in _NAMED_UNITS:
         return _NAMED_UNITS[powers]
     length, mass, time = powers
     parts = [(unit, power) for unit, power in (("kg", mass), ("m", length), ("s", time)) if power]
-    return " ".join(unit if power == 1 else f"{unit}{power}" for unit, power in parts)
+    return " ".join(unit if power == 1 else f"{unit}^{power}" for unit, power in parts)
 
 
 def did_you_mean(word: str, words: Iterable[str], cutoff: float = 0.6) -> str:

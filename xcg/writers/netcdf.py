@@ -64,7 +64,7 @@ def write_netcdf(ds: xr.Dataset, path: Path, encoding: Encoding, *, overwrite: b
     steps = min(steps_in_chunk(ds, over), ds.sizes.get("time", 1))
     packed = {"zlib": True, "complevel": encoding.level, "shuffle": True} if encoding.level else {}
     layout: dict[str, Any] = {name: {**packed, "chunksizes": chunk_shape(ds[name], steps)} for name in over}
-    # Labels are characters of fixed length: texts of any length made the library crash when files were opened again.
+    # Labels are characters of fixed length: netCDF 1.7 was seen to crash on texts of any length.
     layout |= {str(name): {"dtype": "S1"} for name, data in ds.variables.items() if data.dtype.kind in "OUT"}
     # tasks share the processors; a single one has them all
     threads = THREADS if ds.sizes.get("time", 0) <= steps or not over_time(ds) else 1
