@@ -38,7 +38,7 @@ def along_surface(ds: xr.Dataset) -> tuple[xcg.Rotated, float]:
 
 
 def below(ds: xr.Dataset) -> xr.Dataset:
-    """Means over 60 degrees of the drum's lower half, and over its length, by radius."""
+    """Means over 1 rad of the drum's lower half, and over its length, by radius."""
     return ds.cg.coarse_grain(
         ["velocity", "volume_fraction", "velocity_gradient"], frame=xcg.Cylindrical("y"), axes="r", for_averages=True,
         bounds={"r": (0.0, RADIUS), "theta": (np.pi / 2 - 0.5, np.pi / 2 + 0.5)}, spacing=0.0005,
@@ -101,7 +101,7 @@ def main() -> None:
     middle.legend(fontsize=8)
     right.plot(f.r * 1e3, f.velocity.sel(component="theta"))
     right.plot(f.r * 1e3, OMEGA * f.r, "k--", label=r"$\Omega r$")
-    right.set(xlabel="r (mm)", ylabel=r"$V_\theta$ (m/s)", title="Cylindrical, 60 degrees below")
+    right.set(xlabel="r (mm)", ylabel=r"$V_\theta$ (m/s)", title="Cylindrical, 1 rad below")
     right.legend(fontsize=8)
     last.plot(g.r * 1e3, g.volume_fraction)
     last.axvline(25, color="k", lw=0.8)
