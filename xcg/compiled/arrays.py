@@ -1,10 +1,24 @@
-"""What several loops need: sorting by counting, transposing, the nearest image."""
+"""What several loops need: rules of Gauss-Legendre, sorting by counting, transposing, the nearest image."""
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
+from numpy.typing import NDArray
 
 from xcg.compiled._jit import leaf
+
+
+@lru_cache
+def gauss_rules(*orders: int) -> tuple[NDArray, NDArray]:
+    """Points and weights of Gauss-Legendre rules on [0, 1]: those of n points fill the first n places of row n."""
+    points = np.zeros((max(orders) + 1, max(orders)))
+    weights = np.zeros_like(points)
+    for n in orders:
+        x, w = np.polynomial.legendre.leggauss(n)
+        points[n, :n], weights[n, :n] = 0.5 + 0.5 * x, 0.5 * w
+    return points, weights
 
 
 @leaf

@@ -20,6 +20,7 @@ from xcg.compiled.cells import points_in_ball
 from xcg.compiled.reach import BATCH, NODE, OTHER, Q2, WEIGHT, X, Y, Z, batch_reaches, nodes_in_ball, periodic_images
 from xcg.compiled.simd import add4
 from xcg.compiled.smoothing import fill_values
+from xcg.compiled.volumes import mean_over_cell, volumes_in_ball
 
 MASS = 0
 MOMENTUM = 1  # m u: x y z
@@ -78,7 +79,8 @@ class Grains(NamedTuple):
 
 @leaf
 def deposit(
-    grains, nodes, rows, cells, kernel, level, still, meet, by_gradient, cubes, records, lists, moments, reference
+    grains, nodes, rows, cells, volumes, kernel, level, still, meet, by_gradient, cubes, records, lists, moments,
+    reference,
 ):  # fmt: skip
     """Add grains to the nodes within their support.
 
@@ -88,9 +90,10 @@ def deposit(
         The grains.
     nodes : Nodes
         A block of nodes.
-    rows, cells : Rows and None, or None and Cells
-        Where they are: on a mesh, or anywhere. None leaves code out when the loop is compiled, here and below.
-    kernel : KernelCode
+    rows, cells, volumes : Rows, Cells or Volumes, one of them, and None
+        Where they are: on a mesh, or anywhere, or cells of a mesh. None leaves code out when the loop is compiled, here
+        and below.
+    kernel : KernelCode, or CellKernel with volumes
         The smoothing function.
     level : int
         NONE, VELOCITY, FLUCTUATION, CUBIC, LINEAR or SQUARED: how many flow columns are wanted.
@@ -114,7 +117,7 @@ def deposit(
         Reference velocity of each node, NaN where no grain has reached it; set here.
     """
     begin, end, active, period = nodes.begin, nodes.end, nodes.active, nodes.period
-    kind, spread, table, norm = kernel
+    kind, spread, table, norm = kernel.kind, kernel.spread, kernel.table, kernel.norm
     values, numbers = lists
     reach = (1.0 if active[0] else 0.0, 1.0 if active[1] else 0.0, 1.0 if active[2] else 0.0)
     q2, weight, columns = values[Q2], values[WEIGHT], grains.constants.shape[1]
@@ -144,13 +147,16 @@ def deposit(
                             hits = nodes_in_ball(x, y, z, rows, lists)
                         if cells is not None:
                             hits = points_in_ball(x, y, z, cells, lists)
-                        fill_values(kind, spread, table, norm, by_gradient, q2, hits, weight)
+                        if volumes is not None:
+                            hits = volumes_in_ball(x, y, z, volumes, kernel, lists)
+                        else:
+                            fill_values(kind, spread, table, norm, by_gradient, q2, hits, weight)
                         if level > 0:
                             _add_flow(p, records, i, lists, hits, level, still, moments, reference)
                         if cubes is not None:
                             _add_cubes(p, records, i, lists, hits, moments, reference)
                         if meet is not None:
-                            _add_images(p, records[i, WEIGHED], lists, hits, level, meet, kernel, moments)
+                            _add_images(p, records[i, WEIGHED], lists, hits, level, meet, volumes, kernel, moments)
                         for d in range(0, columns, 4):
                             c0, c1 = records[i, GRAIN + d], records[i, GRAIN + d + 1]
                             c2, c3 = records[i, GRAIN + d + 2], records[i, GRAIN + d + 3]
@@ -224,9 +230,9 @@ def _add_cubes(p, records, i, lists, hits, moments, reference):
 
 
 @leaf
-def _add_images(p, mass, lists, hits, level, meet, kernel, moments):
+def _add_images(p, mass, lists, hits, level, meet, volumes, kernel, moments):
     """Add the products of the weight of one image of a grain, at the nodes that it reaches, and of all its others."""
-    kind, spread, table, norm = kernel
+    kind, spread, table, norm = kernel.kind, kernel.spread, kernel.table, kernel.norm
     values, numbers = lists
     q2, other = values[Q2], values[OTHER]
     for image in range(meet.shape[0]):
@@ -234,7 +240,11 @@ def _add_images(p, mass, lists, hits, level, meet, kernel, moments):
         for k in range(hits):
             x, y, z = values[X, k] + move_x, values[Y, k] + move_y, values[Z, k] + move_z
             q2[k] = min(1.0, x * x + y * y + z * z)
-        fill_values(kind, spread, table, norm, None, q2, hits, other)
+            if volumes is not None:
+                mean_over_cell(x, y, z, volumes, kernel, values, other, k)
+                q2[k] = 0.0 if other[k] > 0.0 else 1.0
+        if volumes is None:
+            fill_values(kind, spread, table, norm, None, q2, hits, other)
         for k in range(hits):
             if q2[k] >= 1.0:
                 continue

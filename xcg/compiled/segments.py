@@ -9,13 +9,13 @@ that length.
 """
 
 import math
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled._jit import leaf
+from xcg.compiled.arrays import gauss_rules
 from xcg.compiled.cells import points_around_segment
 from xcg.compiled.contacts import AHEAD, side
 from xcg.compiled.lattice import Reduced
@@ -32,6 +32,7 @@ from xcg.compiled.reach import (
 )
 from xcg.compiled.simd import add4, prefetch
 from xcg.compiled.smoothing import fill_gauss, fill_segments
+from xcg.compiled.volumes import volumes_in_ball
 
 # The rules to choose from, by number of Gauss-Legendre points: an odd number takes as long as the next even one.
 RULES = (2, 4, 6, 8, 10, 12)
@@ -41,21 +42,12 @@ COLLINEAR = 1e-12
 # Below this length (in cutoffs) the closed form loses more digits in its difference than four points leave out.
 SHORT = 1e-4
 SHORT_ORDER = 4
+# Seen from cells, which smooth it once more, a branch is this many Gauss-Legendre points for each cutoff of its length.
+IN_CELL = 6
 # what a segment's record holds
 START, BRANCH, FORCE, GROUP = 0, 3, 6, 9
 SEGMENT = 10
 _LAST = np.uint64(8)
-
-
-@lru_cache
-def gauss_rules(*orders: int) -> tuple[NDArray, NDArray]:
-    """Points and weights of Gauss-Legendre rules on [0, 1]: those of n points fill the first n places of row n."""
-    points = np.zeros((max(orders) + 1, max(orders)))
-    weights = np.zeros_like(points)
-    for n in orders:
-        x, w = np.polynomial.legendre.leggauss(n)
-        points[n, :n], weights[n, :n] = 0.5 + 0.5 * x, 0.5 * w
-    return points, weights
 
 
 GAUSS_POINTS, GAUSS_WEIGHTS = gauss_rules(*RULES)
@@ -212,7 +204,7 @@ class Segments(NamedTuple):
 
 
 @leaf
-def deposit_segments(segments, nodes, rows, cells, kernel, lists, closed, rest, moments):
+def deposit_segments(segments, nodes, rows, cells, volumes, kernel, lists, closed, rest, moments):
     """Add force x branch of each segment to the nodes that its tube of radius 1 reaches.
 
     Parameters
@@ -221,9 +213,10 @@ def deposit_segments(segments, nodes, rows, cells, kernel, lists, closed, rest, 
         The segments.
     nodes : Nodes
         A block of nodes.
-    rows, cells : Rows and None, or None and Cells
-        Where they are: on a mesh, or anywhere. None leaves code out when the loop is compiled, here and below.
-    kernel : KernelCode
+    rows, cells, volumes : Rows, Cells or Volumes, one of them, and None
+        Where they are: on a mesh, or anywhere, or cells of a mesh. None leaves code out when the loop is compiled, here
+        and below.
+    kernel : KernelCode, or CellKernel with volumes
         The smoothing function.
     lists : Lists
         Scratch: in single precision where that is enough for distances and weights; sums are in double.
@@ -235,7 +228,7 @@ def deposit_segments(segments, nodes, rows, cells, kernel, lists, closed, rest, 
         Sums, added to: force component by branch component, row by row.
     """
     begin, end, active, period = nodes.begin, nodes.end, nodes.active, nodes.period
-    kind, spread, table, norm = kernel
+    kind, spread, table, norm = kernel.kind, kernel.spread, kernel.table, kernel.norm
     values, numbers = lists
     records = segments.records
     reach = (1.0 if active[0] else 0.0, 1.0 if active[1] else 0.0, 1.0 if active[2] else 0.0)
@@ -279,11 +272,25 @@ def deposit_segments(segments, nodes, rows, cells, kernel, lists, closed, rest, 
                         hits = nodes_around_segment(x, y, z, bx, by, bz, per_length, rows, lists)
                     if cells is not None:
                         hits = points_around_segment(x, y, z, bx, by, bz, per_length, cells, lists)
-                    if points:
+                    if volumes is not None:
+                        _add_to_volumes(x, y, z, bx, by, bz, length, volumes, kernel, lists, records, i, moments)
+                    elif points:
                         fill_gauss(kind, spread, table, GAUSS_POINTS, GAUSS_WEIGHTS, points, length, along, q2, hits, w)
                     elif closed is not None:
                         fill_segments(kind, spread, table, length, along, q2, hits, w, *closed)
                     _add_dyad(moments, records, i, norm, numbers, w, hits)
+
+
+@leaf
+def _add_to_volumes(x, y, z, bx, by, bz, length, volumes, kernel, lists, records, i, moments):
+    """Add segment i, from a point to that point plus b, to the cells that it reaches: parts of a cutoff at most."""
+    values, numbers = lists
+    weight, parts = values[WEIGHT], max(1, math.ceil(length))
+    for part in range(parts):
+        for g in range(IN_CELL):
+            u = (part + GAUSS_POINTS[IN_CELL, g]) / parts
+            hits = volumes_in_ball(x + u * bx, y + u * by, z + u * bz, volumes, kernel, lists)
+            _add_dyad(moments, records, i, GAUSS_WEIGHTS[IN_CELL, g] / parts, numbers, weight, hits)
 
 
 @leaf

@@ -54,6 +54,20 @@ class KernelCode(NamedTuple):
     norm: float
 
 
+class CellKernel(NamedTuple):
+    """A kernel as loops over cells take it: as `KernelCode`, and integrated over one and over two more axes.
+
+    The last two are any kernels where so many axes are not left.
+    """
+
+    kind: int | None
+    spread: float
+    table: NDArray | None
+    norm: float
+    once: KernelCode
+    twice: KernelCode
+
+
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(32)
 _SQRT2 = math.sqrt(2.0)
 _SQRT_PI_2 = math.sqrt(math.pi / 2)

@@ -59,6 +59,9 @@ def check_walls(request: Request) -> None:
     if request.frame is not None:
         msg = "walls= with frame=: walls are given in the scene's own axes; leave one of them out"
         raise ValueError(msg)
+    if request.sampling == "cell":
+        msg = "walls= with sampling='cell': the accessible fraction is that at a node; leave one of them out"
+        raise ValueError(msg)
     if request.preset is not None:
         msg = f"walls= with preset={request.preset!r}: presets know no accessible volume; leave one of them out"
         raise ValueError(msg)

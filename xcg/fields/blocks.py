@@ -17,10 +17,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from xcg.compiled.cells import Cells
 from xcg.compiled.reach import Lists, Nodes, Rows, lists_for
+from xcg.compiled.volumes import Volumes
 
 T = TypeVar("T")
 R = TypeVar("R")
-Taken: TypeAlias = tuple[Nodes, Rows | None, Cells | None]  # nodes as loops take them
+Taken: TypeAlias = tuple[Nodes, Rows | None, Cells | None, Volumes | None]  # nodes as loops take them
 
 # Sums are made over blocks of about this many nodes, so that memory holds those of a few blocks, not of all nodes.
 BLOCK_NODES = 110_000
@@ -77,12 +78,16 @@ class NodeBlock(Protocol):
 
 @dataclass(frozen=True)
 class MeshBlock:
-    """Nodes low <= (ix, iy, iz) < high of a mesh of a shape, with distances between them (m)."""
+    """Nodes low <= (ix, iy, iz) < high of a mesh of a shape, with distances between them (m).
+
+    `half` is half of the extent of the cells around them (m); 0 along all axes where values are those at the nodes.
+    """
 
     low: tuple[int, int, int]
     high: tuple[int, int, int]
     shape: tuple[int, int, int]
     steps: NDArray
+    half: NDArray
 
     @property
     def count(self) -> int:
@@ -98,18 +103,23 @@ class MeshBlock:
     def nodes(self, origin: NDArray, unit: float, active: NDArray, period: NDArray) -> Taken:
         """Return the nodes as loops take them; the origin is the first node of the mesh."""
         steps = np.where(np.array(self.shape) > 1, self.steps / unit, 1.0)  # that of one node means nothing
-        begin, end = np.array(self.low) * steps, (np.array(self.high) - 1) * steps
+        half = self.half / unit
+        begin, end = np.array(self.low) * steps - half, (np.array(self.high) - 1) * steps + half
         nodes = Nodes(triple(begin), triple(end), triple(active), triple(period))
-        return nodes, Rows(self.low, self.high, triple(steps), triple(1.0 / steps)), None
+        rows = Rows(self.low, self.high, triple(steps), triple(1.0 / steps))
+        if not half.any():
+            return nodes, rows, None, None
+        return nodes, None, None, Volumes(rows, triple(half), triple(np.argsort(half > 0.0, kind="stable")))
 
     def lists(self, taken: Taken, reach: Sequence[float], real: str = "float64") -> Lists:
         """Return scratch to list the nodes that something of this length reaches."""
-        nodes, rows, _ = taken
+        nodes, rows, _, volumes = taken
+        rows = rows if volumes is None else volumes.rows
         assert rows is not None
         return lists_for(rows, nodes.active, reach, real)
 
 
-def mesh_blocks(shape: tuple[int, int, int], steps: NDArray, size: int, threads: int) -> list[MeshBlock]:
+def mesh_blocks(shape: tuple[int, int, int], steps: NDArray, half: NDArray, size: int, threads: int) -> list[MeshBlock]:
     """Cover a mesh with blocks: compact, of at most about `size` nodes.
 
     At least two for each thread, so that none waits for long.
@@ -120,4 +130,4 @@ def mesh_blocks(shape: tuple[int, int, int], steps: NDArray, size: int, threads:
         parts[np.argmax(np.where(parts < shape, np.asarray(shape) / parts / (1, 1, 2), 0.0))] += 1
     edges = [np.linspace(0, n, p + 1).astype(int).tolist() for n, p in zip(shape, parts, strict=True)]
     (x, y, z) = (list(pairwise(ends)) for ends in edges)
-    return [MeshBlock((i[0], j[0], k[0]), (i[1], j[1], k[1]), shape, steps) for i, j, k in product(x, y, z)]
+    return [MeshBlock((i[0], j[0], k[0]), (i[1], j[1], k[1]), shape, steps, half) for i, j, k in product(x, y, z)]

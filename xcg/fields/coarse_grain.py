@@ -216,6 +216,7 @@ def _provenance(ds: xr.Dataset, plan: Plan, call: str) -> dict[str, Any]:
         "size": plan.options.size,
         "temperature": plan.options.temperature,
         **registry.given_options(plan.options),
+        "sampling": "cell" if plan.deposit.grid.half.any() else "node",
         "averaged_axes": plan.deposit.grid.averaged,
         "wrapped_axes": "".join(a for a, wraps in zip(COMPONENTS, plan.options.wrapped, strict=True) if wraps),
     }

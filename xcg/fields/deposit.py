@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,7 @@ from xcg.compiled.segments import (
     deposit_segments,
     list_segments,
 )
-from xcg.compiled.smoothing import KernelCode
+from xcg.compiled.smoothing import CellKernel, KernelCode
 from xcg.fields.blocks import NodeBlock, for_each, triple
 from xcg.fields.grid import Grid
 from xcg.fields.moments import CUTOFF_POWERS, MOMENTS, Moment
@@ -36,6 +37,7 @@ from xcg.scene.lattice import Lattice
 from xcg.scene.schema import ROTATION, Frame
 from xcg.scene.warn import warn_once
 
+AnyKernel: TypeAlias = KernelCode | CellKernel
 # adds one pass to the sums (groups, nodes, columns) at the nodes of a block; the last array is the reference velocity
 _Fill = Callable[[NodeBlock, NDArray, NDArray], None]
 
@@ -80,7 +82,7 @@ class Squared:
     lattice: Lattice
     groups: NDArray
     cutoff: float
-    weights: KernelCode
+    weights: AnyKernel
     active: NDArray
 
 
@@ -293,7 +295,7 @@ class _Deposit:
         for cutoff in np.unique(self.cutoffs).tolist():
             for second in (False, True):
                 segments, longest, more = self._segments(row, *carried, place, second, others, cutoff)
-                reach = 2.0 + longest[:3]
+                reach = self._mesh(cutoff).reach + longest[:3]
                 self._mesh(cutoff).check_reach(reach)
                 batches = batches_of(segments[:, :3])
                 batches += np.array([[-1.0], [1.0]]) * longest[:3]
@@ -345,7 +347,11 @@ class _Deposit:
 
     def _rules(self, longest: float, cutoff: float) -> list[tuple[str, bool, bool]]:
         """Ways to the weights of segments: numbers, whether in closed form as well, and whether in that alone."""
-        if not self.spec.coarse or not self._mesh(cutoff).fits_single(self.spec.limits.max()):
+        if (
+            self.spec.grid.half.any()
+            or not self.spec.coarse
+            or not self._mesh(cutoff).fits_single(self.spec.limits.max())
+        ):
             return [("float64", True, False)]
         by_points = ("float32", False, False)
         return [by_points] if longest <= self.spec.limits.max() else [by_points, ("float64", True, True)]
@@ -422,7 +428,7 @@ class _Deposit:
         images, share = self._images(c.point[contact]), np.where(mixed[contact], 0.5, 1.0)
         return images, images.of(phase), images.of(share), images.of(contact)
 
-    def _kernel(self, cutoff: float) -> KernelCode:
+    def _kernel(self, cutoff: float) -> AnyKernel:
         """Return the kernel of this cutoff, divided by the extent of averaged axes."""
         norm = self.spec.weights.norm * (self.spec.cutoffs[0] / cutoff) ** int(self.active.sum())
         return self.spec.weights._replace(norm=norm * self.scale)
@@ -440,7 +446,7 @@ class _Deposit:
         for cutoff in (self.cutoffs.min(), self.cutoffs.max()):
             mesh = self._mesh(cutoff)
             mesh.check_far(farthest / cutoff + 2.0)
-            mesh.check_reach(np.full(3, 2.0), paired=self.spec.level >= kernel.SQUARED)
+            mesh.check_reach(mesh.reach, paired=self.spec.level >= kernel.SQUARED)
         return spatial_order(position, self.cutoffs.min(), lower, upper, self.active)
 
     def _points(
@@ -463,13 +469,16 @@ class _Deposit:
         beyond = self.lattice if images.row is None else Lattice(np.full(3, np.inf))
         for cutoff in np.unique(cutoffs).tolist():
             rows = order if (cutoffs == cutoff).all() else order[cutoffs[phase[order]] == cutoff]
-            meet = self.lattice.scaled(cutoff).translations(2.0, self.source) if squares else None
-            meet = meet if meet is not None and len(meet) else None
+            mesh, meet = self._mesh(cutoff), None
+            if squares:
+                both_seen = 2.0 + 2.0 * float(np.linalg.norm(mesh.half))
+                meet = self.lattice.scaled(cutoff).translations(both_seen, self.source)
+                meet = meet if len(meet) else None
             batches = (batches_of(position.take(rows, axis=0)) - self.origin) / cutoff
             flow = (velocity, mass, columns, phase)
             grains = kernel.Grains(rows, batches, position, *flow, self.origin, cutoff)
             flags = (level, still, meet, by_gradient, cubes)
-            fill.append(partial(_fill_points, grains, self._mesh(cutoff), self._kernel(cutoff), flags))
+            fill.append(partial(_fill_points, grains, mesh, self._kernel(cutoff), flags))
             if squares:
                 groups, weights = np.flatnonzero(cutoffs == cutoff), self._kernel(cutoff)
                 squared.append(Squared(rows, position, mass, phase, beyond, groups, cutoff, weights, self.active))
@@ -490,16 +499,16 @@ def _of_grains(rows: Mapping[str, Moment]) -> dict[str, Moment]:
 
 
 def _fill_points(
-    grains: kernel.Grains, mesh: Mesh, weights: KernelCode, flags: tuple[int, *tuple[bool | NDArray | None, ...]],
+    grains: kernel.Grains, mesh: Mesh, weights: AnyKernel, flags: tuple[int, *tuple[bool | NDArray | None, ...]],
     block: NodeBlock, sums: NDArray, reference: NDArray,
 ) -> None:  # fmt: skip
     taken = mesh.nodes_of(block)
     records = np.empty((BATCH, sums.shape[2] + kernel.GRAIN))
-    kernel.deposit(grains, *taken, weights, *flags, records, block.lists(taken, [2.0] * 3), sums, reference)
+    kernel.deposit(grains, *taken, weights, *flags, records, block.lists(taken, mesh.reach.tolist()), sums, reference)
 
 
 def _fill_segments(
-    segments: Segments, mesh: Mesh, weights: KernelCode, reach: Sequence[float], real: str, closed: bool, rest: bool,
+    segments: Segments, mesh: Mesh, weights: AnyKernel, reach: Sequence[float], real: str, closed: bool, rest: bool,
     block: NodeBlock, sums: NDArray, _: NDArray,
 ) -> None:  # fmt: skip
     taken = mesh.nodes_of(block)
@@ -618,7 +627,7 @@ class DepositSpec:
     moments : tuple of str
         Names in `MOMENTS` or `own`.
     grid : Grid
-    weights : KernelCode
+    weights : KernelCode, or CellKernel for averages over cells
         The kernel of the first cutoff as seen in the grid's axes.
     cutoffs : tuple of float
         Radius of the support (m) of each group, or one for all.
@@ -636,7 +645,7 @@ class DepositSpec:
 
     moments: tuple[str, ...]
     grid: Grid
-    weights: KernelCode
+    weights: AnyKernel
     cutoffs: tuple[float, ...]
     limits: NDArray
     coarse: bool = False

@@ -69,12 +69,16 @@ class Grid(Protocol):
         """Return the place that loops take others relative to (3,)."""
 
     @property
+    def half(self) -> NDArray:
+        """Half of the extent of the cells that values are averages over (3,); 0 where they are those at the nodes."""
+
+    @property
     def lower(self) -> NDArray:
-        """Lower bounds of the nodes (3,)."""
+        """Lower bounds of the nodes, or of their cells (3,)."""
 
     @property
     def upper(self) -> NDArray:
-        """Upper bounds of the nodes (3,)."""
+        """Upper bounds of the nodes, or of their cells (3,)."""
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -116,6 +120,8 @@ class RegularGrid:
         Distance of nodes along each resolved axis (m).
     fitted : str
         Resolved axes along which the nodes were laid around the particles.
+    cells : bool
+        Whether values are averages over the cells of the nodes, instead of those at the nodes.
     """
 
     axes: str
@@ -124,6 +130,7 @@ class RegularGrid:
     nodes: Mapping[str, NDArray]
     spacing: Mapping[str, float]
     fitted: str = ""
+    cells: bool = False
 
     @property
     def active(self) -> NDArray:
@@ -162,14 +169,19 @@ class RegularGrid:
         return np.array([self.nodes[a][0] if a in self.nodes else self.at.get(a, 0.0) for a in COMPONENTS])
 
     @property
+    def half(self) -> NDArray:
+        """Half of the spacing along resolved axes, where values are averages over cells (3,)."""
+        return np.array([0.5 * self.spacing[a] if self.cells and a in self.nodes else 0.0 for a in COMPONENTS])
+
+    @property
     def lower(self) -> NDArray:
-        """First node (3,)."""
-        return self.origin
+        """First node, or the lower bounds of its cell (3,)."""
+        return self.origin - self.half
 
     @property
     def upper(self) -> NDArray:
-        """Last node (3,)."""
-        return self.origin + (np.array(self.shape) - 1) * self.steps
+        """Last node, or the upper bounds of its cell (3,)."""
+        return self.origin + (np.array(self.shape) - 1) * self.steps + self.half
 
     @property
     def steps(self) -> NDArray:
@@ -189,12 +201,13 @@ class RegularGrid:
 
     def blocks(self, size: int, threads: int) -> Sequence[NodeBlock]:
         """Divide the mesh into boxes."""
-        return mesh_blocks(self.shape, self.steps, size, threads)
+        return mesh_blocks(self.shape, self.steps, self.half, size, threads)
 
     def describe(self) -> dict[str, str]:
         """Say where the nodes are."""
         return {
-            "nodes": " x ".join(f"{len(self.nodes[a])} {a}" for a in self.axes) or "one",
+            "nodes": (" x ".join(f"{len(self.nodes[a])} {a}" for a in self.axes) or "one")
+            + (", averages over their cells" if self.cells and self.axes else ""),
             "fixed": ", ".join(f"{a} = {v:g}" for a, v in self.at.items()) or "none",
         }
 
@@ -251,7 +264,7 @@ def _whole(axis: str, count: float) -> int:
 
 def nodes_along(
     a: str, step: Any, axes: Iterable[str], bounds: Mapping[str, Sequence[float]],
-    automatic: Mapping[str, tuple[float, float]], period: Mapping[str, float], cutoff: float,
+    automatic: Mapping[str, tuple[float, float]], period: Mapping[str, float], cutoff: float, cells: bool = False,
 ) -> tuple[NDArray, float]:  # fmt: skip
     """Nodes along one of the resolved axes, and their distance; arguments as in `make_grid`."""
     if step is None or not (np.isfinite(step) and step > _FINEST * cutoff):
@@ -275,14 +288,17 @@ def nodes_along(
     elif a in period:
         first, count = automatic[a][0], max(1, _whole(a, period[a] / step + 0.5))
         step = period[a] / count
+        first += 0.5 * step if cells else 0.0
     else:
         first, last = automatic[a]
-        count = _whole(a, np.ceil((last - first) / step)) + 1
+        count = _whole(a, np.ceil((last - first) / step))
+        count = max(1, count) if cells else count + 1
         first = 0.5 * (first + last) - 0.5 * (count - 1) * step
-    if count > 1 and step > 2 * cutoff:
+    if count > 1 and step > 2 * cutoff and not cells:
         msg = (
             f"spacing {step:g} along {a!r} is larger than the support of the kernel (2 c = {2 * cutoff:g}): "
-            "particles between nodes are not seen; choose a smaller spacing or a larger width"
+            "particles between nodes are not seen; choose a smaller spacing or a larger width, or "
+            "sampling='cell' for averages over the spacing around each node"
         )
         warn_user(msg)
     return first + step * np.arange(count), float(step)
@@ -298,11 +314,13 @@ def make_grid(
     cutoff: float,
     automatic: Mapping[str, tuple[float, float]],
     period: Mapping[str, float],
+    cells: bool = False,
 ) -> RegularGrid:
     """Place nodes.
 
     Nodes stand at first, first + spacing, ... up to last. A periodic axis without bounds gets nodes that divide
-    its period evenly, so its spacing is the nearest that fits.
+    its period evenly, so its spacing is the nearest that fits. Cells without bounds lie side by side: from edge to edge
+    of a period, and around the particles.
 
     Parameters
     ----------
@@ -316,6 +334,8 @@ def make_grid(
         First and last node of axes without bounds (m); for a periodic axis, the edges of the box.
     period : mapping
         Length of the periodic axes (m).
+    cells : bool
+        Whether values are averages over the cells of the nodes.
 
     Raises
     ------
@@ -327,10 +347,10 @@ def make_grid(
     steps = dict(spacing) if isinstance(spacing, Mapping) else dict.fromkeys(axes, spacing)
     nodes, taken = {}, {}
     for a in axes:
-        nodes[a], taken[a] = nodes_along(a, steps.get(a), axes, bounds, automatic, period, cutoff)
+        nodes[a], taken[a] = nodes_along(a, steps.get(a), axes, bounds, automatic, period, cutoff, cells)
     averaged = "".join(a for a in plane if a not in axes and a not in at)
     fitted = "".join(a for a in axes if a not in bounds and a not in period)
-    grid = RegularGrid(axes, {a: float(v) for a, v in at.items()}, averaged, nodes, taken, fitted)
+    grid = RegularGrid(axes, {a: float(v) for a, v in at.items()}, averaged, nodes, taken, fitted, cells)
     if np.prod([float(n) for n in grid.shape]) > MAX_NODES:
         msg = f"the mesh has {grid.shape} nodes, more than {MAX_NODES}: choose a larger spacing or smaller bounds"
         raise ValueError(msg)

@@ -131,6 +131,7 @@ class Plan:
         return "\n".join(f"{key:9s} {text}" for key, text in lines.items())
 
 
+SAMPLINGS = ("node", "cell")
 _NARROW = 0.1  # widths, in mean diameters, that show single grains only
 
 
@@ -231,7 +232,7 @@ def make_plan(ds: xr.Dataset, request: Request) -> Plan:
     deposit = DepositSpec(
         moments=registry.moments_of(names, options),
         grid=grid,
-        weights=kernels[0].weights(len(grid.seen)),
+        weights=(kernels[0].over_cells if grid.half.any() else kernels[0].weights)(len(grid.seen)),
         cutoffs=tuple(k.cutoff for k in kernels),
         limits=limits,
         coarse=limits.size > 0 and rtol >= SINGLE,
@@ -275,6 +276,7 @@ def _grid(
         cutoff=narrowest,
         automatic=_automatic(ds, setup, edges, max(k.cutoff for k in kernels)),
         period=period,
+        cells=request.sampling == "cell",
     )
 
 
@@ -286,6 +288,11 @@ def _rings(
     assert isinstance(request.frame, Cylindrical)
     if request.gradient == "finite_difference":
         msg = "gradient='finite_difference' takes a mesh along x, y and z, not a cylindrical frame; take another way"
+        raise ValueError(msg)
+    if request.sampling == "cell":
+        msg = (
+            "sampling='cell' takes the cells of a mesh along x, y and z, and a cylindrical frame has none: leave it out"
+        )
         raise ValueError(msg)
     reach = max(k.cutoff for k in kernels)
     automatic = _automatic(ds, setup, edges, reach)
@@ -317,6 +324,12 @@ def _largest_radius(ds: xr.Dataset) -> float:
 
 def _check_pointwise(request: Request) -> None:
     """Refuse what only meshes have."""
+    if request.sampling == "cell":
+        msg = (
+            "sampling='cell' takes averages over the cells of a mesh, and points, which at= has arrays of, have none: "
+            "leave it out, or lay a mesh with axes=, bounds= and spacing="
+        )
+        raise ValueError(msg)
     for name in ("axes", "bounds", "spacing"):
         if getattr(request, name):
             msg = (
@@ -388,11 +401,18 @@ def _options(ds: xr.Dataset, setup: Setup, request: Request) -> Options:
         ("deviatoric", registry.DEVIATORIC),
         ("size", registry.INERTIAL_SIZES),
         ("temperature", registry.TEMPERATURES),
+        ("sampling", SAMPLINGS),
     ):
         value = getattr(request, name)
         if value not in known:
             msg = f"{name}={value!r}: expected one of {', '.join(known)}"
             raise ValueError(msg)
+    if request.sampling == "cell" and request.gradient == "kernel":
+        msg = (
+            "gradient='kernel' is the derivative at a node, and sampling='cell' averages over cells: take "
+            "gradient='least_squares' (the default), or 'finite_difference' between the cells"
+        )
+        raise ValueError(msg)
     size, fluid_viscosity = request.size, request.fluid_viscosity
     for name in ("pressure_dims", "shear_dims"):
         axes = getattr(request, name)

@@ -97,7 +97,7 @@ class PointBlock:
         margin = 1e-9 + 1e-15 * float(np.abs([begin, end]).max())
         x, y, z = place
         cells = Cells(x, y, z, self.start, triple(lower), triple(size), triple(per_size), self.shape, margin)
-        return Nodes(triple(begin), triple(end), triple(active), triple(period)), None, cells
+        return Nodes(triple(begin), triple(end), triple(active), triple(period)), None, cells, None
 
     def lists(self, taken: Taken, reach: Sequence[float], real: str = "float64") -> Lists:
         """Return scratch to list points: all may be in one place."""
@@ -165,6 +165,11 @@ class Points:
     def steps(self) -> NDArray:
         """No spacing (3,)."""
         return np.full(3, np.inf)
+
+    @property
+    def half(self) -> NDArray:
+        """No cells (3,)."""
+        return np.zeros(3)
 
     @property
     def spacing(self) -> dict[str, float]:

@@ -41,8 +41,10 @@ class Mesh:
         That node (m): of a mesh the first.
     steps : array (3,)
         Spacing of a mesh, where one node means nothing and is 1; infinity for points.
+    half : array (3,)
+        Half of the extent of the cells around nodes; 0 where values are those at the nodes.
     lower, upper : array (3,)
-        Bounds of the nodes.
+        Bounds of the nodes, or of their cells.
     active : array (3,)
         Axes along which distance counts.
     period : array (3,)
@@ -57,6 +59,7 @@ class Mesh:
 
     origin: NDArray
     steps: NDArray
+    half: NDArray
     lower: NDArray
     upper: NDArray
     active: NDArray
@@ -71,7 +74,14 @@ class Mesh:
         steps = np.where(np.array(grid.shape) > 1, grid.steps / cutoff, 1.0)
         lower, upper = (grid.lower - grid.origin) / cutoff, (grid.upper - grid.origin) / cutoff
         periods = np.where(grid.active, period, np.inf) / cutoff
-        return cls(grid.origin, steps, lower, upper, grid.active, periods, grid.count, cutoff, source)
+        return cls(
+            grid.origin, steps, grid.half / cutoff, lower, upper, grid.active, periods, grid.count, cutoff, source
+        )
+
+    @property
+    def reach(self) -> NDArray:
+        """How far apart nodes are that see one point (3,)."""
+        return 2.0 + 2.0 * self.half
 
     @property
     def extent(self) -> NDArray:

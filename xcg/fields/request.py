@@ -44,6 +44,10 @@ class SharedOptions:
     bounds : mapping, optional
         First and last node of resolved axes (m). By default the box along periodic axes, and the extent of the
         particles with their supports along the others.
+    sampling : {"node", "cell"}
+        "node" (default) gives fields at the nodes. "cell" gives averages over the cell of each node, which extends half
+        a spacing to every side along resolved axes: for meshes that are coarser than the kernel, as cells side by side
+        count all mass, however large they are. Ratios are ratios of averages, as those of a wider kernel.
     by : str, optional
         An integer variable of the particles, for example "species": adds the dimension ``phase`` with "bulk" first.
         Fluctuations of each phase are about the bulk velocity; contact stress is split at the contact point.
@@ -94,6 +98,7 @@ class SharedOptions:
     spacing: float | Mapping[str, float] | None = None
     axes: str | None = None
     bounds: Mapping[str, Sequence[float]] | None = None
+    sampling: str = "node"
     by: str | None = None
     groups: Sequence[int] | None = None
     extent: Mapping[str, float] | None = None

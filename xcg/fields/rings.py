@@ -116,6 +116,11 @@ class Rings:
         return np.full(3, np.inf)
 
     @property
+    def half(self) -> NDArray:
+        """No cells (3,)."""
+        return np.zeros(3)
+
+    @property
     def coords(self) -> dict[str, xr.Variable]:
         """Coordinates of results."""
         found = {a: xr.Variable(a, x) for a, x in self.nodes.items()}

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from xcg.compiled import segments
 from xcg.compiled import smoothing as codes
-from xcg.compiled.smoothing import LUCY_FULL, SHIFTED, KernelCode
+from xcg.compiled.smoothing import LUCY_FULL, SHIFTED, CellKernel, KernelCode
 from xcg.scene.schema import LONGEST, SHORTEST
 from xcg.scene.sizes import SIZES
 
@@ -123,6 +123,10 @@ class Kernel:
         kind = LUCY_FULL if code == codes.LUCY else code
         norm = self._unit_norm(dimension) / self.cutoff**seen
         return KernelCode(kind, self.spread, self._table(codimension), norm)
+
+    def over_cells(self, seen: int) -> CellKernel:
+        """Return the kernel as loops over cells need it, seen in `seen` of its dimensions."""
+        return CellKernel(*self.weights(seen), *(self.weights(max(1, seen - k)) for k in (1, 2)))
 
     def _sample(self, r: ArrayLike, seen: int | None, derivative: bool) -> NDArray:
         w = self.weights(seen)

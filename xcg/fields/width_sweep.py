@@ -123,7 +123,7 @@ def _with_nodes(ds: xr.Dataset, asked: SweepRequest, widths: Sequence[float], po
         return replace(asked, spacing=spacing)
     placing = Request(
         "number_density", width=widths[-1], at=point, axes=asked.axes, spacing=spacing, kernel=asked.kernel,
-        extent=asked.extent,
+        extent=asked.extent, sampling=asked.sampling,
     )  # fmt: skip
     grid = make_plan(ds, placing).deposit.grid
     nodes = {a: grid.coords[a].to_numpy() for a in grid.axes}

@@ -1,0 +1,176 @@
+"""Means of the kernel over the cells of a mesh: what a node that stands for the volume around it sees of a grain.
+
+A cell is a box about its node. The mean of the kernel over it, ``(1 / V) int Psi(x - o) do``, is a kernel of its own,
+so that sums with it are those of any kernel, counts and squares of weights included.
+
+Along the last of the axes that have an extent the integral is the closed form of a line. Along the others it is by
+Gauss-Legendre points within the part of the cell that the support reaches: over the angle along the chord, which takes
+the root at its end out of the integrand, and on either side of the grain's centre, where the kernel may have a cusp.
+All weights are positive.
+
+Lengths are in units of the cutoff and relative to the first node.
+"""
+
+import math
+from typing import NamedTuple
+
+from xcg.compiled._jit import leaf
+from xcg.compiled.arrays import gauss_rules
+from xcg.compiled.reach import NODE, OF_Y, OF_Y2, OF_Z, OF_Z2, WEIGHT, Rows, X, Y, Z, node_range
+from xcg.compiled.smoothing import segment, value
+
+# Gauss-Legendre points for a part of no length, and for each cutoff of its length: errors are in docs/evaluation.md
+FEWEST, PER_CUTOFF = 3, 5
+_POINTS, _WEIGHTS = gauss_rules(*range(1, FEWEST + PER_CUTOFF + 1))
+_AXES = (X, Y, Z)
+
+
+class Volumes(NamedTuple):
+    """Nodes of a mesh and the cells around them.
+
+    Attributes
+    ----------
+    rows : Rows
+        The nodes.
+    half : tuple of float
+        Half of the cell's extent along each axis; 0 along axes that are not resolved.
+    order : tuple of int
+        The axes, those without an extent first.
+    """
+
+    rows: Rows
+    half: tuple[float, float, float]
+    order: tuple[int, int, int]
+
+
+@leaf
+def _list_points(place, half, radius2, values, at, weight):
+    """Write points, and weights, of the integral over an interval about a place, within a radius about 0.
+
+    An interval without an extent is one point. Returns the number of points.
+    """
+    if half == 0.0:
+        values[at, 0], values[weight, 0] = place, 1.0
+        return 1 if place * place < radius2 else 0
+    radius, count = math.sqrt(radius2), 0
+    lowest, highest = max(place - half, -radius), min(place + half, radius)
+    for low, high in ((lowest, min(highest, 0.0)), (max(lowest, 0.0), highest)):
+        if low < high:
+            many = FEWEST + math.ceil(PER_CUTOFF * min(1.0, high - low))
+            first = math.asin(low / radius)
+            turn = math.asin(high / radius) - first
+            for k in range(many):
+                angle = first + turn * _POINTS[many, k]
+                values[at, count] = radius * math.sin(angle)
+                values[weight, count] = _WEIGHTS[many, k] * turn * radius * math.cos(angle)
+                count += 1
+    return count
+
+
+@leaf
+def _integrals_along(q2, place, half, step, many, kind, spread, table, factor, out, first):
+    """Add to `many` neighbours along an axis, from a place down, the integral of the kernel over the extent of each."""
+    for k in range(many):
+        middle = place - k * step
+        if half > 0.0:
+            out[first + k] += factor * segment(kind, spread, table, q2, middle - half, middle + half)
+        elif q2 + middle * middle < 1.0:
+            out[first + k] += factor * value(kind, spread, table, q2 + middle * middle)
+
+
+@leaf
+def _add_columns(da, half_a, db, half_b, dc, half_c, step, many, kind, spread, table, factor, values, out, first):
+    """Add the integral of the kernel over the cells of `many` nodes of a row along the last axis."""
+    for i in range(_list_points(da, half_a, 1.0, values, OF_Y, OF_Y2)):
+        across2 = values[OF_Y, i] * values[OF_Y, i]
+        for j in range(_list_points(db, half_b, 1.0 - across2, values, OF_Z, OF_Z2)):
+            q2 = across2 + values[OF_Z, j] * values[OF_Z, j]
+            here = factor * values[OF_Y2, i] * values[OF_Z2, j]
+            if q2 < 1.0:
+                _integrals_along(q2, dc, half_c, step, many, kind, spread, table, here, out, first)
+
+
+@leaf
+def _add_row(da, db, dc, many, volumes, kernel, values, out, first):
+    """Add the mean of the kernel over the cells of `many` nodes of a row along the last axis.
+
+    A point minus the first of them is (da, db, dc), in the order of the axes. Where cells cover the whole support along
+    an axis, the marginal takes the place of points there.
+    """
+    kind, spread, table, norm, once, twice = kernel
+    (a, b, c), half = volumes.order, volumes.half
+    half_a, half_b, half_c, step, covered = half[a], half[b], half[c], volumes.rows.steps[c], 0
+    for k in range(3):
+        if half[k] > 0.0:
+            norm /= 2.0 * half[k]
+    if abs(da) + 1.0 <= half_a:
+        da, half_a, covered = 0.0, 0.0, 1
+    if abs(db) + 1.0 <= half_b:
+        db, half_b, covered = 0.0, 0.0, covered + 1
+    if covered == 0:
+        _add_columns(da, half_a, db, half_b, dc, half_c, step, many, kind, spread, table, norm, values, out, first)
+    elif covered == 1:
+        _add_columns(
+            da, half_a, db, half_b, dc, half_c, step, many, once.kind, spread, once.table, norm, values, out, first
+        )
+    else:
+        _add_columns(
+            da, half_a, db, half_b, dc, half_c, step, many, twice.kind, spread, twice.table, norm, values, out, first
+        )
+
+
+@leaf
+def mean_over_cell(x, y, z, volumes, kernel, values, out, k):
+    """Write the mean of the kernel over the cell of a node to place k, for a point minus the node."""
+    offset, (a, b, c) = (x, y, z), volumes.order
+    out[k] = 0.0
+    _add_row(offset[a], offset[b], offset[c], 1, volumes, kernel, values, out, k)
+
+
+@leaf
+def volumes_in_ball(x, y, z, volumes, kernel, lists):
+    """List the nodes whose cells are closer than 1 to a point, and the mean of the kernel over each.
+
+    Parameters
+    ----------
+    x, y, z : float
+        The point.
+    volumes : Volumes
+        Indices are counted within this block.
+    kernel : CellKernel
+        The smoothing function.
+    lists : Lists
+        Written: numbers[NODE], the indices, values[X], values[Y] and values[Z], the point minus the node, and
+        values[WEIGHT], the means.
+
+    Returns
+    -------
+    int
+        Number of nodes listed.
+    """
+    values, numbers = lists.values, lists.numbers
+    (low, high, steps, per_steps), half = volumes.rows, volumes.half
+    place, (a, b, c) = (x, y, z), volumes.order
+    strides = ((high[1] - low[1]) * (high[2] - low[2]), high[2] - low[2], 1)
+    first_a, end_a = node_range(place[a] - half[a] - 1.0, place[a] + half[a] + 1.0, per_steps[a], low[a], high[a])
+    first_b, end_b = node_range(place[b] - half[b] - 1.0, place[b] + half[b] + 1.0, per_steps[b], low[b], high[b])
+    first_c, end_c = node_range(place[c] - half[c] - 1.0, place[c] + half[c] + 1.0, per_steps[c], low[c], high[c])
+    many, hits, weight = end_c - first_c, 0, values[WEIGHT]
+    dc = place[c] - first_c * steps[c]
+    for ia in range(first_a, end_a):
+        da = place[a] - ia * steps[a]
+        for ib in range(first_b, end_b):
+            db = place[b] - ib * steps[b]
+            for k in range(many):
+                weight[hits + k] = 0.0
+            _add_row(da, db, dc, many, volumes, kernel, values, weight, hits)
+            row = (ia - low[a]) * strides[a] + (ib - low[b]) * strides[b]
+            begin = hits
+            for k in range(many):
+                if weight[begin + k] > 0.0:
+                    weight[hits] = weight[begin + k]
+                    values[_AXES[a], hits], values[_AXES[b], hits] = da, db
+                    values[_AXES[c], hits] = dc - k * steps[c]
+                    numbers[NODE, hits] = row + (first_c + k - low[c]) * strides[c]
+                    hits += 1
+    return hits
