@@ -31,6 +31,7 @@ _WRITERS: dict[str, Writer | tuple[str, str]] = {
     ".nc": ("xcg.writers.netcdf", "write_netcdf"),
     ".zarr": ("xcg.writers.zarr", "write_zarr"),
     ".vtkhdf": ("xcg.writers.vtkhdf", "write_vtkhdf"),
+    ".pvd": ("xcg.writers.vti", "write_pvd"),
 }
 
 
@@ -96,7 +97,8 @@ def save(
     path : str or path
         ``*.nc`` for NetCDF 4 (deflate); ``*.zarr`` for a Zarr folder (Zstandard), which is written and read faster,
         by several tasks at a time; ``*.vtkhdf`` for fields and chains, see `to_vtkhdf` in `xcg.writers` `vtkhdf` and
-        `chains`. It appears only when it is whole.
+        `chains`; ``*.pvd`` for fields as images, one file a step, which ParaView before 5.12 reads, too. It appears
+        only when it is whole.
     overwrite : bool
         Replace what is there.
     dtype : {"float32", "float64"}, optional
@@ -127,8 +129,9 @@ def save(
     """
     path = Path(path)
     if path.suffix not in _WRITERS:
-        msg = f"{path}: expected a name that ends with .nc (NetCDF), .zarr (Zarr) or .vtkhdf (VTKHDF)"
-        added = [suffix for suffix in _WRITERS if suffix not in (".nc", ".zarr", ".vtkhdf")]
+        own = {".nc": "NetCDF", ".zarr": "Zarr", ".vtkhdf": "VTKHDF", ".pvd": "images for any ParaView"}
+        msg = f"{path}: expected a name that ends with " + ", ".join(f"{end} ({what})" for end, what in own.items())
+        added = [suffix for suffix in _WRITERS if suffix not in own]
         raise ValueError(msg + (f", or with {', '.join(added)}" if added else ""))
     encoding = Encoding.of(ds, dtype, digits, compression)
     check_target(path, overwrite=overwrite)

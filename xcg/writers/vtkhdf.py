@@ -92,8 +92,8 @@ def write_vtkhdf(ds: xr.Dataset, path: Path, encoding: Encoding, *, overwrite: b
     if "chain_id" in ds:
         chains.to_vtkhdf(ds, path, overwrite=overwrite)
         return
-    fields = encoding.noted(_checked(ds))
-    image = _Image.of(fields)
+    fields = encoding.noted(checked(ds))
+    image = Image.of(fields)
     arrays = arrays_of(fields)
     with whole_file(path, overwrite=overwrite) as part:
         with hdf5_file(part, "w") as file:
@@ -105,7 +105,7 @@ def write_vtkhdf(ds: xr.Dataset, path: Path, encoding: Encoding, *, overwrite: b
 
 
 @dataclass(frozen=True)
-class _Image:
+class Image:
     """Nodes and times: number of nodes, origin and spacing along x, y, z."""
 
     nodes: tuple[int, ...]
@@ -114,12 +114,14 @@ class _Image:
     times: NDArray | None
 
     @classmethod
-    def of(cls, fields: xr.Dataset) -> _Image:
+    def of(cls, fields: xr.Dataset) -> Image:
+        """Find nodes and times of fields."""
         nodes, origin, spacing = zip(*(_axis(fields, axis) for axis in AXES), strict=True)
         return cls(nodes, origin, spacing, _times(fields))
 
     @property
     def temporal(self) -> bool:
+        """Whether there are several steps."""
         return self.times is not None and len(self.times) > 1
 
     def shape(self, components: int) -> tuple[int, ...]:
@@ -139,7 +141,7 @@ class _Array:
     components: int
     dtype: np.dtype[Any]
 
-    def values(self, data: xr.Variable, image: _Image) -> NDArray:
+    def values(self, data: xr.Variable, image: Image) -> NDArray:
         """Values of some steps in the order on disk, time first."""
         if self.phase is not None:
             data = data.isel(phase=self.phase)
@@ -183,7 +185,7 @@ def _storable(dtype: np.dtype[Any]) -> np.dtype[Any] | None:
 # --- checks ----------------------------------------------------------------------------------------------
 
 
-def _checked(fields: xr.Dataset) -> xr.Dataset:
+def checked(fields: xr.Dataset) -> xr.Dataset:
     """Refuse what is no result; put components in the order x, y, z."""
     if not fields.data_vars:
         msg = "fields holds no variables; expected a result of coarse_grain"
@@ -273,7 +275,7 @@ def _times(fields: xr.Dataset) -> NDArray | None:
 # --- the file --------------------------------------------------------------------------------------------
 
 
-def _lay_out(file: h5py.File, fields: xr.Dataset, image: _Image, arrays: list[_Array], encoding: Encoding) -> None:
+def _lay_out(file: h5py.File, fields: xr.Dataset, image: Image, arrays: list[_Array], encoding: Encoding) -> None:
     """Write all but the values."""
     root = file.create_group("VTKHDF")
     root.attrs["Version"] = (2, 0)
@@ -338,7 +340,7 @@ class _Target:
 
     path: Path
     lock: Any
-    image: _Image
+    image: Image
     arrays: Sequence[_Array]
     dims: Mapping[str, tuple[Hashable, ...]]
     encoding: Encoding
@@ -361,7 +363,7 @@ class _Target:
                     target[...] = block[0]
 
 
-def _fill(part: Path, fields: xr.Dataset, image: _Image, arrays: list[_Array], encoding: Encoding) -> None:
+def _fill(part: Path, fields: xr.Dataset, image: Image, arrays: list[_Array], encoding: Encoding) -> None:
     """Write all values."""
     lazy = over_time(fields)
     now = fields.drop_vars(lazy).compute().data_vars

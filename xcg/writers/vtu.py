@@ -69,7 +69,7 @@ def to_vtu(
         _write_step(step.compute(), dim, bare, name, cells=cells, overwrite=overwrite)
     if len(steps) > 1:
         with whole_file(series, overwrite=overwrite) as part:
-            part.write_text(_collection(fields["time"].to_numpy(), names))
+            part.write_text(collection(fields["time"].to_numpy(), names))
     return series
 
 
@@ -148,7 +148,7 @@ def _write_step(step: xr.Dataset, dim: str, bare: Any, path: Path, *, cells: boo
             raise OSError(msg)
 
 
-def _collection(times: NDArray, names: list[Path]) -> str:
+def collection(times: NDArray, names: list[Path]) -> str:
     """ParaView's list of files and their times."""
     rows = "".join(
         f'    <DataSet timestep="{float(time)!r}" part="0" file={quoteattr(name.name)}/>\n'

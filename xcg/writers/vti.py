@@ -1,0 +1,76 @@
+"""ParaView's older formats: an image a step (``.vti``), and the list of them with their times (``.pvd``)."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from xcg.writers.encoding import Encoding
+from xcg.writers.files import check_target, whole_file
+from xcg.writers.vtkhdf import AXES, Image, arrays_of, checked
+from xcg.writers.vtu import collection
+
+
+def write_pvd(ds: xr.Dataset, path: Path, encoding: Encoding, *, overwrite: bool) -> None:
+    """Write fields as ``name.pvd`` and ``name_0000.vti``, ``name_0001.vti``, ... beside it, step after step.
+
+    Raises
+    ------
+    FileExistsError
+        If one of the files exists and `overwrite` is False.
+    ValueError
+        If these are chains, or no image; see `to_vtkhdf`.
+    """
+    if "chain_id" in ds:
+        msg = f"{path}: chains are no image; save them as .vtkhdf, or step by step with to_vtp"
+        raise ValueError(msg)
+    fields = encoding.noted(checked(ds))
+    Image.of(fields)  # what is no image is refused before anything is written
+    lone = "time" not in fields.dims
+    steps = [fields] if lone else [fields.isel(time=[t]) for t in range(fields.sizes["time"])]
+    names = [path.with_name(f"{path.stem}_{t:04d}.vti") for t in range(len(steps))]
+    for name in names:
+        check_target(name, overwrite=overwrite)
+    for step, name in zip(steps, names, strict=True):
+        _write_step(step.compute(), name, encoding, overwrite=overwrite)
+    times = np.zeros(1) if "time" not in fields.coords else np.atleast_1d(fields["time"].to_numpy())
+    with whole_file(path, overwrite=overwrite) as part:
+        part.write_text(collection(times, names))
+
+
+def _write_step(step: xr.Dataset, path: Path, encoding: Encoding, *, overwrite: bool) -> None:
+    from vtkmodules.util.numpy_support import numpy_to_vtk
+    from vtkmodules.vtkCommonCore import vtkDataArray
+    from vtkmodules.vtkCommonDataModel import vtkImageData
+    from vtkmodules.vtkIOXML import vtkXMLImageDataWriter
+
+    frame, image = Image.of(step), vtkImageData()
+    image.SetDimensions(frame.nodes)
+    image.SetOrigin(frame.origin)
+    image.SetSpacing(frame.spacing)
+    for array in arrays_of(step):
+        data = step[array.variable]
+        values = encoding.reduced(np.asarray(array.values(data.variable, frame)))
+        found = numpy_to_vtk(values.reshape(-1, array.components), deep=True)
+        found.SetName(array.name)
+        for k, label in enumerate(_labels(array.components)):
+            found.SetComponentName(k, label)
+        if "units" in data.attrs:
+            found.GetInformation().Set(vtkDataArray.UNITS_LABEL(), str(data.attrs["units"]))
+        image.GetPointData().AddArray(found)
+    writer: Any = vtkXMLImageDataWriter()
+    writer.SetInputData(image)
+    with whole_file(path, overwrite=overwrite) as part:
+        writer.SetFileName(os.fspath(part))
+        if not writer.Write():
+            msg = f"{path}: VTK cannot write it; is the disk full?"
+            raise OSError(msg)
+
+
+def _labels(components: int) -> list[str]:
+    """Names of the components of a vector or a tensor; none of a scalar."""
+    return {3: list(AXES), 9: [a + b for a in AXES for b in AXES]}.get(components, [])
