@@ -16,6 +16,7 @@ import xcg
 from tests import dumps, real_data
 from tests.lammps_forms import binary_step, rows_of, write_netcdf
 from tests.test_mfix import OLD_ASCII, write_by_vtk, write_contacts, write_particles, write_pvd, write_vtp
+from tests.test_vtk_points import write_spheres
 
 ROOT = Path(__file__).parents[2]
 
@@ -133,6 +134,16 @@ def _use_hdf5(folder: Path) -> None:
     }
     path, places = folder / "run.h5", {name: f"/S{{step}}/{word}" for name, word in mapping.items()}
     fields_of(xcg.open_scene(path, contacts=path, engine="hdf5", mapping=places, density=2.0))
+
+
+def _vtu(folder: Path) -> dict[str, bytes]:
+    x = np.array([[0.4, 0.5, 0.5], [0.59, 0.5, 0.5]])
+    write_spheres(folder / "s.1.vtu", x, radii=[0.1, 0.1], id=[0, 1], linVelVec=x)
+    return {"s.1.vtu": (folder / "s.1.vtu").read_bytes()}
+
+
+def _use_vtu(folder: Path) -> None:
+    fields_of(xcg.open_scene(folder / "s.1.vtu", engine="vtk", density=2.0))
 
 
 def _liggghts(folder: Path) -> dict[str, bytes]:
@@ -278,6 +289,7 @@ TARGETS = {
     "yade": Target(_yade, _use_yade),
     "csv": Target(_csv, _use_csv),
     "hdf5": Target(_hdf5, _use_hdf5),
+    "vtu": Target(_vtu, _use_vtu),
     "liggghts": Target(_liggghts, _use_liggghts),
     "mercury": Target(_mercury, _use_mercury),
     "mfix": Target(_mfix, _use_mfix),

@@ -18,6 +18,7 @@ _OWN = {
     "yade": "xcg.readers.yade:Yade",
     "table": "xcg.readers.tabular:Tabular",
     "hdf5": "xcg.readers.hdf5:Hdf5",
+    "vtk": "xcg.readers.vtk_points:Vtk",
 }
 
 

@@ -97,9 +97,9 @@ class Mfix(Engine):
             For files that are missing and skipped, steps dropped because their time occurs twice with other
             content, and particles without ids.
         """
-        refs = _index(paths, options)
-        targets = [_targets(ref.columns, "particle", options, ref.path) for ref in refs]
-        nameless = [ref for ref, target in zip(refs, targets, strict=True) if "particle_id" not in target]
+        refs = index_files(paths, options)
+        found = [targets(ref.columns, "particle", options, ref.path) for ref in refs]
+        nameless = [ref for ref, target in zip(refs, found, strict=True) if "particle_id" not in target]
         if nameless:
             msg = (
                 f"{nameless[0].path}: no array 'Particle_ID', so particles are numbered as they stand: rows "
@@ -117,7 +117,7 @@ class Mfix(Engine):
         SceneError
             Also if ids or forces are not among the arrays.
         """
-        refs = _index(paths, options)
+        refs = index_files(paths, options)
         for ref in refs:
             there = self.contact_variables(ref, options)
             lacking = [name for name in ("contact_i", "contact_j", "contact_force") if name not in there]
@@ -132,14 +132,14 @@ class Mfix(Engine):
 
     def contact_variables(self, ref: StepRef, options: ReadOptions) -> list[str]:
         """List the variables that `read_contacts` returns, from the header alone."""
-        targets = _targets(ref.columns, "contact", options, ref.path)
+        found = targets(ref.columns, "contact", options, ref.path)
         if {_NORMAL, _TANGENTIAL} <= set(ref.columns):
-            targets.setdefault("contact_force", "")
-        return list(targets)
+            found.setdefault("contact_force", "")
+        return list(found)
 
     def ignored_columns(self, ref: StepRef, options: ReadOptions, *, contacts: bool = False) -> list[str]:
         """Arrays of a step that are not read."""
-        read = {*_targets(ref.columns, "contact" if contacts else "particle", options, ref.path).values()}
+        read = {*targets(ref.columns, "contact" if contacts else "particle", options, ref.path).values()}
         if contacts:
             read |= {_NORMAL, _TANGENTIAL, _OVERLAP, _POINT, _LENGTH}
         return [array for array in ref.columns if array not in read]
@@ -157,7 +157,7 @@ class Mfix(Engine):
         SceneError
             If the file is damaged or changed since it was indexed, or ids are too large for Float32.
         """
-        frame, _ = _read(_open(ref), _targets(ref.columns, "particle", options, ref.path))
+        frame, _ = _read(_open(ref), targets(ref.columns, "particle", options, ref.path))
         ids = frame.get("particle_id", np.empty(0))
         if ids.size and ids.max() >= EXACT and len(np.unique(ids)) < len(ids):
             msg = (
@@ -206,7 +206,8 @@ class Mfix(Engine):
 # --- index -----------------------------------------------------------------------------------------------
 
 
-def _index(paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
+def index_files(paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
+    """List the steps of files and collections, each time once."""
     there = _existing(paths, options)
     found = remembered([path for path, _ in there], "vtp", _header)
     refs = []
@@ -286,7 +287,7 @@ def _region(ref: StepRef) -> str:
 # --- names -----------------------------------------------------------------------------------------------
 
 
-def _targets(columns: Sequence[str], dim: str, options: ReadOptions, path: str) -> dict[str, str]:
+def targets(columns: Sequence[str], dim: str, options: ReadOptions, path: str) -> dict[str, str]:
     """Scene names of one dimension and the arrays that they are read from."""
     points = {columns[0]: "position" if dim == "particle" else "contact_point"}
     defaults = points | (PARTICLE_NAMES if dim == "particle" else CONTACT_NAMES)
@@ -299,11 +300,11 @@ def _targets(columns: Sequence[str], dim: str, options: ReadOptions, path: str) 
     if twice:
         msg = f"names= maps several arrays to {sorted(set(twice))}; expected one array a name"
         raise SceneError(msg)
-    targets = {name: array for array, name in given.items()}
+    found = {name: array for array, name in given.items()}
     for array, name in defaults.items():
         if array in columns and array not in options.names:
-            targets.setdefault(name, array)
-    return {name: array for name, array in targets.items() if name not in options.unwanted}
+            found.setdefault(name, array)
+    return {name: array for name, array in found.items() if name not in options.unwanted}
 
 
 def _open(ref: StepRef) -> vtp.Header:
@@ -318,6 +319,11 @@ def _read(header: vtp.Header, targets: Mapping[str, str], extra: Sequence[str] =
     """Arrays by scene name, and all that were read by their name in the file."""
     arrays = vtp.read_arrays(header, [*targets.values(), *extra])
     return {name: arrays[array] for name, array in targets.items()}, arrays
+
+
+def read_arrays(ref: StepRef, wanted: Mapping[str, str]) -> Frame:
+    """Read the arrays of one step by the names of the scene."""
+    return _read(_open(ref), wanted)[0]
 
 
 # --- bodies ----------------------------------------------------------------------------------------------
@@ -350,9 +356,9 @@ class _Rows:
     @classmethod
     def of(cls, ref: StepRef, options: ReadOptions) -> _Rows:
         header = _open(ref)
-        targets = _targets(ref.columns, "contact", options, ref.path)
+        found = targets(ref.columns, "contact", options, ref.path)
         points, more = header.names[0], {_NORMAL, _TANGENTIAL, _OVERLAP, _POINT, _LENGTH}
-        frame, arrays = _read(header, targets, [points, *sorted(more & set(header.names))])
+        frame, arrays = _read(header, found, [points, *sorted(more & set(header.names))])
         if "contact_force" not in frame:
             frame["contact_force"] = arrays[_NORMAL] + arrays[_TANGENTIAL]
         mark = arrays.get(_NORMAL, arrays.get(_OVERLAP, frame["contact_force"]))
@@ -367,7 +373,7 @@ class _Rows:
                 f"found {list(ref.columns)}. Switch them on in the region's output"
             )
             raise SceneError(msg)
-        if targets.get("contact_point") == points and points not in options.names:
+        if found.get("contact_point") == points and points not in options.names:
             frame |= {"contact_point": place, "point_is_middle": ~superquadric}
         frame["row_of_file"] = np.arange(header.points)
         return cls(frame, mark, place, length, superquadric)

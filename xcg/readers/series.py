@@ -88,7 +88,7 @@ def open_scene(
         whose ``fix wall/gran ... contacts`` puts them into columns of the particles, a mapping from names of walls to
         these columns: ``{"side": "f_side[*]"}``, or the names of six columns, force and point. The walls are partners
         -2, -3, ... in their order; see `xcg.select_walls`.
-    engine : {"lammps", "liggghts", "mercury", "mfix", "yade", "table", "hdf5"}, name or Engine, optional
+    engine : {"lammps", "liggghts", "mercury", "mfix", "yade", "table", "hdf5", "vtk"}, name or Engine, optional
         What wrote the files, guessed from their first lines by default; the name of an engine that an installed package
         registers; or a class or object derived from `xcg.readers.Engine`.
     names : mapping, optional

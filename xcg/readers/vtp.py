@@ -139,13 +139,13 @@ def _section(text: str, name: str) -> tuple[int, int] | None:
     return (start, end) if end >= 0 else None
 
 
-def _refuse(path: str, text: str, kind: str) -> None:
-    """Refuse what is not VTK XML of this kind, and documents with entities."""
+def _refuse(path: str, text: str, *kinds: str) -> None:
+    """Refuse what is not VTK XML of one of these kinds, and documents with entities."""
     root = next((attributes for attributes, _ in _tags(text, "VTKFile")), None)
     found = None if root is None else _attributes(root).get("type")
-    if found != kind:
+    if found not in kinds:
         what = "no VTK XML file" if root is None else f"VTK data of type {found!r}"
-        msg = f"{path}: expected VTK XML of type '{kind}', but this is {what}"
+        msg = f"{path}: expected VTK XML of type '{kinds[0]}', but this is {what}"
         raise SceneError(msg)
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
         msg = f"{path}: declares a document type or entities, which VTK files never need; it is not read"
@@ -185,7 +185,7 @@ def _text(path: str) -> tuple[str, str | None, int | None, int]:
 
 
 def read_header(path: str) -> Header:
-    """Read the header of a ``.vtp`` file and check that the file is as long as it says.
+    """Read the header of a ``.vtp`` or ``.vtu`` file, of its points, and check that the file is as long as it says.
 
     Only the first kilobytes are read where data are appended; files with values in the XML (old ASCII output)
     are scanned as a whole, because the names of their arrays are spread over them.
@@ -198,7 +198,7 @@ def read_header(path: str) -> Header:
     text, appended, body, size = _text(path)
     time = _TIME.search(text[:_LONGEST_TAG])
     text = _without_comments(text)
-    _refuse(path, text, "PolyData")
+    _refuse(path, text, "PolyData", "UnstructuredGrid")
     root = _attributes(next(_tags(text, "VTKFile"))[0])
     pieces = [attributes for attributes, _ in _tags(text, "Piece")]
     sections = [_section(text, "Points"), _section(text, "PointData")]

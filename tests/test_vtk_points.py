@@ -1,0 +1,62 @@
+"""VTK files of any code: points as particles or contacts, arrays by name."""
+
+import numpy as np
+import pytest
+from vtkmodules.util.numpy_support import numpy_to_vtk
+from vtkmodules.vtkCommonCore import vtkPoints
+from vtkmodules.vtkCommonDataModel import VTK_VERTEX, vtkUnstructuredGrid
+from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
+
+import xcg
+from tests.test_mfix import write_vtp
+
+X = np.array([[0.0, 0, 0], [0.9, 0, 0], [5, 5, 5]])
+
+
+def write_spheres(path, x=X, mode="Appended", **arrays):
+    """As YADE's VTKRecorder does: a vertex for each sphere."""
+    points, grid = vtkPoints(), vtkUnstructuredGrid()
+    points.SetData(numpy_to_vtk(x, deep=True))
+    grid.SetPoints(points)
+    for k in range(len(x)):
+        grid.InsertNextCell(VTK_VERTEX, 1, [k])
+    for name, values in arrays.items():
+        array = numpy_to_vtk(np.asarray(values, float), deep=True)
+        array.SetName(name)
+        grid.GetPointData().AddArray(array)
+    writer = vtkXMLUnstructuredGridWriter()
+    writer.SetInputData(grid)
+    writer.SetFileName(str(path))
+    getattr(writer, f"SetDataModeTo{mode}")()
+    assert writer.Write()
+
+
+@pytest.mark.parametrize("mode", ["Appended", "Binary", "Ascii"])
+def test_spheres_of_yade(tmp_path, mode):
+    velocity = np.arange(9.0).reshape(3, 3)
+    for step in (100, 2000):
+        write_spheres(
+            tmp_path / f"run-spheres.{step}.vtu", mode=mode, radii=[0.5] * 3, linVelVec=velocity + step, id=[2, 0, 1],
+            own=[7, 8, 9],
+        )  # fmt: skip
+    ds = xcg.open_scene(str(tmp_path / "run-spheres.*.vtu"), density=2.0, names={"own": "heat"})
+    assert ds.attrs["engine"] == "vtk"
+    np.testing.assert_array_equal(ds.step, [100, 2000])
+    np.testing.assert_array_equal(ds.particle_id[0], [0, 1, 2])
+    np.testing.assert_array_equal(ds.position[0], X[[1, 2, 0]])
+    np.testing.assert_array_equal(ds.velocity[1], velocity[[1, 2, 0]] + 2000)
+    np.testing.assert_array_equal(ds.diameter[0], [1, 1, 1])
+    np.testing.assert_array_equal(ds.heat[0], [8, 9, 7])
+
+
+def test_contacts_as_points(tmp_path):
+    """Their points are contact points, also between spheres of different sizes."""
+    write_vtp(tmp_path / "p.vtp", X, id=[1, 2, 3], radius=[0.75, 0.25, 1], v=X, mass=[1, 1, 1])
+    force = np.array([[-1.0, 2, 0]])
+    write_vtp(tmp_path / "c.vtp", [[0.7, 0, 0]], first=[1], second=[2], F=force)
+    names = {"first": "contact_i", "second": "contact_j", "F": "contact_force"}
+    ds = xcg.open_scene(tmp_path / "p.vtp", contacts=tmp_path / "c.vtp", engine="vtk", names=names).load()
+    np.testing.assert_array_equal(ds.contact_force[0], force)
+    np.testing.assert_allclose(ds.contact_point[0], [[0.7, 0, 0]], rtol=1e-7)
+    with pytest.raises(xcg.SceneError, match=r"c\.vtp: contacts lack \['contact_i', 'contact_j', 'contact_force'\]"):
+        xcg.open_scene(tmp_path / "p.vtp", contacts=tmp_path / "c.vtp", engine="vtk")
