@@ -52,17 +52,23 @@ def conform(ds: xr.Dataset) -> xr.Dataset:
     """
     if "position" not in ds or "particle_id" not in ds:
         return ds
-    scene = ds.swap_dims(_renamed(ds))
-    scene = scene.reset_coords([name for name in scene.coords if name in VARIABLES or name in BOX])
+    renamed = _renamed(ds)
+    scene = ds.swap_dims(renamed) if renamed else ds
+    if kept := [name for name in scene.coords if name in VARIABLES or name in BOX]:
+        scene = scene.reset_coords(kept)
     for dim in _taken_away(scene):
         scene = _with_dim(scene, dim)
     scene = _with_components(scene)
-    masked = scene["particle_id"].dtype.kind == "f"
+    masked = scene.variables["particle_id"].dtype.kind == "f"
     changed = {}
     for name in map(str, scene.data_vars):
-        array, row = scene[name], _row_of(scene, name)
+        given, row = scene.variables[name], _row_of(scene, name)
+        floats = given.dtype.kind == "f" and (f"{name}_values" in scene.attrs or (row and row.dtype == "int64"))
+        if not (masked or floats) and (row is None or given.dims == ("time", *row.dims)):
+            continue  # as nearly always
+        array = scene[name]
         found = array if row is None else _with_dims(array, row)
-        if found.dtype.kind == "f" and (f"{name}_values" in scene.attrs or (row and row.dtype == "int64")):
+        if floats:
             found = _mapped(partial(_whole, name=name), found, "int64")
         if masked and "particle" in found.dims and not known_without_reading(scene, name):
             found = _as_measured(found, scene.attrs)
@@ -79,13 +85,14 @@ _LABELS = {"step": "time", "particle_id": "particle"}
 
 def _renamed(ds: xr.Dataset) -> dict[str, str]:
     """Dimensions that go by the name of another coordinate, with the names that tasks know them by."""
-    return {label: dim for label, dim in _LABELS.items() if label in ds.dims and dim not in ds.dims}
+    return {label: dim for label, dim in _LABELS.items() if label in ds.sizes and dim not in ds.sizes}
 
 
 def _taken_away(ds: xr.Dataset) -> list[str]:
     """Dimensions that a selection of one step, one particle or one contact has no more."""
-    rows = {"time": (), "particle": ds["position"].dims, "contact": ds["contact_i"].dims if "contact_i" in ds else None}
-    return [dim for dim, dims in rows.items() if dims is not None and dim not in (dims or ds.dims)]
+    rows = {"time": ds.sizes, "particle": ds.variables["position"].dims}
+    rows |= {"contact": ds.variables["contact_i"].dims} if "contact_i" in ds else {}
+    return [dim for dim, dims in rows.items() if dim not in dims]
 
 
 def _with_dim(ds: xr.Dataset, dim: str) -> xr.Dataset:
@@ -110,8 +117,8 @@ def _row_of(ds: xr.Dataset, name: str) -> Variable | None:
     """Row of the schema of a variable; none for what the user keeps beside the scene."""
     if name in BOX:
         return BOX[name]
-    dims = ds[name].dims
-    row = variable(name, ds[name].dtype, 1 + sum(dim in dims for dim in ("component", "direction")))
+    dims = ds.variables[name].dims
+    row = variable(name, ds.variables[name].dtype, 1 + sum(dim in dims for dim in ("component", "direction")))
     expected = {"time", *row.dims}
     return row if name in VARIABLES or expected <= {*dims} <= expected | {"particle", "contact"} else None
 
@@ -121,15 +128,16 @@ def _as_selected(result: xr.Dataset, ds: xr.Dataset) -> xr.Dataset:
     if "position" not in ds or "particle_id" not in ds:
         return result
     renamed = _renamed(ds)
-    gone = {dim: 0 for dim in _taken_away(ds.swap_dims(renamed)) if dim in result.dims}
-    result = result.isel(gone)
+    taken_away = _taken_away(ds.swap_dims(renamed) if renamed else ds)
+    if gone := {dim: 0 for dim in taken_away if dim in result.sizes}:
+        result = result.isel(gone)
     back = {dim: label for label, dim in renamed.items() if label in result and result[label].dims == (dim,)}
     return result.swap_dims(back) if back else result
 
 
 def _with_components(ds: xr.Dataset) -> xr.Dataset:
     """Order components by their labels."""
-    labels = np.atleast_1d(ds["component"]).tolist() if "component" in ds.coords else list(COMPONENTS)
+    labels = np.atleast_1d(ds.variables["component"]).tolist() if "component" in ds.coords else list(COMPONENTS)
     if sorted(labels) != list(COMPONENTS) or ds.sizes["component"] != len(COMPONENTS):
         msg = (
             f"the scene holds the components {labels}, and all of x, y, z are needed, each once: select components in "

@@ -80,7 +80,7 @@ def mark_measured(ds: xr.Dataset, names: Sequence[str] | None = None) -> xr.Data
 
 def known_without_reading(ds: xr.Dataset, name: str) -> bool:
     """Whether a variable is in memory, or as it was when its attributes were measured."""
-    given = ds[name].variable
+    given = ds.variables[name]
     return isinstance(given._data, np.ndarray) or bool(given.encoding)
 
 
@@ -110,8 +110,9 @@ def edges_of(ds: xr.Dataset) -> dict[str, tuple[float, float]]:
     box changes, the six numbers of the first step are read.
     """
     box, lower, upper = None, ds.attrs.get("box_lower"), ds.attrs.get("box_upper")
-    if "box" in ds and ds["box"].size and (ds["box"].chunks is None or lower is None or upper is None):
-        first = ds["box"].isel(time=0) if "time" in ds["box"].dims else ds["box"]
+    given = ds.variables["box"] if "box" in ds else None
+    if given is not None and given.size and (given.chunks is None or lower is None or upper is None):
+        first = given.isel(time=0) if "time" in given.dims else given
         box = first.transpose("component", "bound").to_numpy()
     elif lower is not None and upper is not None:
         box = np.stack([lower, upper], axis=1)
@@ -122,7 +123,9 @@ def edges_of(ds: xr.Dataset) -> dict[str, tuple[float, float]]:
 
 def box_stays(ds: xr.Dataset) -> bool:
     """Whether the box is the same in all steps; a lazy one is not read, as attributes hold a box that stays."""
-    if "box" not in ds or ds["box"].chunks is not None:
+    if "box" not in ds or ds.variables["box"].chunks is not None:
         return "box_lower" in ds.attrs and "lattice" not in ds
-    parts = [ds[name].transpose("time", ...).to_numpy() for name in BOX if name in ds]
+    if ds.sizes["time"] == 1:
+        return True
+    parts = [ds.variables[name].transpose("time", ...).to_numpy() for name in BOX if name in ds]
     return all(bool((part == part[:1]).all()) for part in parts)

@@ -108,28 +108,39 @@ def with_measures(ds: xr.Dataset) -> xr.Dataset:
     lost = {attr for name in of if not known_without_reading(ds, name) for attr in of[name]} & set(ds.attrs)
     if lost:
         ds = _without_attrs(ds, lost)
-    now = measure_frames(_ends_in_memory(ds, ("particle_id", *of, "mass")))
-    return ds if _within(now, ds.attrs) else ds.assign_attrs(now)
+    ends = _ends_in_memory(ds, ("particle_id", *of, "mass"))
+    return ds if all(_within(frame, ds.attrs) for frame in ends) else ds.assign_attrs(measure_frames(ends))
 
 
 def _ends_in_memory(ds: xr.Dataset, names: Sequence[str]) -> list[Frame]:
     """Give the first and the last step of those variables that are in memory; nothing where the ids are not."""
-    here = [n for n in names if n in ds and "time" in ds[n].dims and isinstance(ds[n].variable._data, np.ndarray)]
+    given = {name: ds.variables[name] for name in names if name in ds.variables}
+    here = {name: v for name, v in given.items() if "time" in v.dims and isinstance(v._data, np.ndarray)}
     if "particle_id" not in here or not ds.sizes["time"]:
         return []
-    ends = {name: ds[name].transpose("time", "particle", ...)[[0, -1]].to_numpy() for name in here}
-    return [{name: a[t][ends["particle_id"][t] != PADDING] for name, a in ends.items()} for t in range(2)]
+    arrays = {name: v.transpose("time", "particle", ...).to_numpy() for name, v in here.items()}
+    found = []
+    for t in sorted({0, ds.sizes["time"] - 1}):
+        valid = arrays["particle_id"][t] != PADDING
+        rows = slice(None) if valid.all() else valid
+        found.append({name: a[t][rows] for name, a in arrays.items()})
+    return found
 
 
-def _within(now: Mapping[str, Any], known: Mapping[Any, Any]) -> bool:
-    """Whether an extent and range of sizes lie inside those that are known, where these are."""
-    for low, high in (("particle_lower", "particle_upper"), ("dmin", "dmax")):
-        if low in now and low in known:
-            small = 1e-9 * np.max(np.abs([known[low], known[high]]))
-            if (now[low] < known[low] - small).any() or (now[high] > known[high] + small).any():
-                return False
-        elif low in now:
+def _within(frame: Frame, known: Mapping[Any, Any]) -> bool:
+    """Whether extent and range of sizes of a frame lie inside those that are known."""
+    for name, low, high in (("position", "particle_lower", "particle_upper"), ("diameter", "dmin", "dmax")):
+        values = frame.get(name)
+        if values is None or not len(values):
+            continue
+        if low not in known:
             return False
+        small = 1e-9 * np.max(np.abs([known[low], known[high]]))
+        for column, lower, upper in zip(
+            values.reshape(len(values), -1).T, np.atleast_1d(known[low]), np.atleast_1d(known[high]), strict=True
+        ):
+            if column.min() < lower - small or column.max() > upper + small:
+                return False
     return True
 
 

@@ -200,19 +200,20 @@ def _filled(
 
 def is_lazy(ds: xr.Dataset, names: Iterable[str]) -> bool:
     """Whether any of these variables is a dask array."""
-    return any(isinstance(ds[name].variable._data, da.Array) for name in names)
+    return any(isinstance(ds.variables[name]._data, da.Array) for name in names)
 
 
 def chunks_in(ds: xr.Dataset, names: Iterable[str]) -> int:
     """How many chunks of time there are to compute, each by a thread of its own; 1 for a scene in memory."""
-    return max(1, *(len(ds[name].variable.chunksizes.get("time", ())) for name in names))
+    lazy = (given for name in names if isinstance((given := ds.variables[name])._data, da.Array))
+    return max((len(given.chunksizes.get("time", ())) for given in lazy), default=1)
 
 
 def _inputs(ds: xr.Dataset, names: Iterable[str]) -> dict[str, Any]:
     """Arrays of the scene, time first, whole along every other dimension."""
     found: dict[str, Any] = {}
     for name in names:
-        given = ds[name].variable
+        given = ds.variables[name]
         array = given.transpose("time", ..., *[d for d in ("component", "direction", "bound") if d in given.dims])
         found[name] = array._data if isinstance(array._data, da.Array) else array.to_numpy()
     lazy = {n: a for n, a in found.items() if isinstance(a, da.Array)}
