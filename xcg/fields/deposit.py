@@ -115,11 +115,11 @@ class Pass:
     @cached_property
     def columns_by_moment(self) -> dict[tuple[str, int], tuple[int, list[float]]]:
         """The column of the array that each column of the moments is, and its factor in each group."""
-        return {
-            (name, column - columns.min()): (column, np.broadcast_to(factor, self.groups).tolist())
-            for name, (columns, factor) in self.moments.items()
-            for column in columns.ravel().tolist()
-        }
+        found = dict[tuple[str, int], tuple[int, list[float]]]()
+        for name, (columns, factor) in self.moments.items():
+            first, factors = columns.min(), np.broadcast_to(factor, self.groups).tolist()
+            found |= {(name, column - first): (column, factors) for column in columns.ravel().tolist()}
+        return found
 
     def turned(self, records: NDArray) -> Iterator[tuple[str, NDArray]]:
         """Moments (components, groups, nodes) from the sums (groups, nodes, columns)."""
@@ -184,6 +184,7 @@ class _Deposit:
         self.others = self.phases + 1  # the last one for walls
         self.cutoffs = np.resize(spec.cutoffs, self.phases)
         self.active = spec.grid.active
+        self._meshes: dict[float, Mesh] = {}
         self.lattice = lattice.seen(self.active, source)
         if lattice.hides_shear(self.active) and any("velocity" in row.variables for row in spec.rows.values()):
             warn_once("hidden shear", f"{source}: {_HIDDEN_SHEAR}")
@@ -435,7 +436,9 @@ class _Deposit:
 
     def _mesh(self, cutoff: float) -> Mesh:
         """Mesh and its surroundings, in cutoffs."""
-        return Mesh.of(self.spec.grid, self.lattice.period, cutoff, self.source)
+        if cutoff not in self._meshes:
+            self._meshes[cutoff] = Mesh.of(self.spec.grid, self.lattice.period, cutoff, self.source)
+        return self._meshes[cutoff]
 
     def _in_space(self, position: NDArray) -> NDArray:
         """Order in space, so that neighbours add to the same nodes while these are in cache."""
@@ -524,8 +527,7 @@ class BlockSums:
     `velocity` (nodes, 3) is what the main pass refers to, `references` what each does; NaN where nothing reaches.
     """
 
-    spec: DepositSpec
-    passes: Sequence[Pass]
+    of: Sums
     filled: Sequence[NDArray]
     velocity: NDArray
     references: Sequence[NDArray]
@@ -549,9 +551,9 @@ class BlockSums:
         """Where column k of a moment of a group is: the number among `arrays`, the column, and a factor."""
         if moment == "reference":
             return 0, k, 1.0
-        number = next(n for n, run in enumerate(self.passes) if moment in run.moments)
-        column, factors = self.passes[number].columns_by_moment[moment, k]
-        return 1 + sum(run.groups for run in self.passes[:number]) + group, column, factors[group]
+        first, run = self.of.pass_by_moment[moment]
+        column, factors = run.columns_by_moment[moment, k]
+        return first + group, column, factors[group]
 
     def moments(self, nodes: slice | NDArray) -> dict[str, NDArray]:
         """Moments of some of the nodes: arrays (phase, node, ...).
@@ -560,17 +562,17 @@ class BlockSums:
         loop over nodes.
         """
         found = {"reference": np.ascontiguousarray(self.reference[nodes].T).T}
-        for run, sums in zip(self.passes, self.filled, strict=True):
+        for run, sums in zip(self.of.passes, self.filled, strict=True):
             found |= self._of_pass(run, sums[:, nodes])
         return found
 
     def _of_pass(self, run: Pass, records: NDArray) -> dict[str, NDArray]:
-        nodes, phases = records.shape[1], max(1, len(self.spec.groups))
+        nodes, phases = records.shape[1], max(1, len(self.of.spec.groups))
         found = {}
         for name, part in run.turned(records):
             if run.groups > phases:  # by phase of the partner
                 part = np.moveaxis(part.reshape(*part.shape[:-2], phases, -1, nodes), -2, 0)
-            if self.spec.by is not None:
+            if self.of.spec.by is not None:
                 bulk = sum(part[..., [k], :] for k in range(phases))  # in this order whatever the number of nodes
                 part = np.concatenate([bulk, part], axis=-2)
             found[name] = part.transpose(part.ndim - 2, part.ndim - 1, *range(part.ndim - 2))
@@ -587,12 +589,21 @@ class Sums:
     spec: DepositSpec
     passes: Sequence[Pass]
 
+    @cached_property
+    def pass_by_moment(self) -> dict[str, tuple[int, Pass]]:
+        """Pass of each moment, and the number of its first group among `BlockSums.arrays`."""
+        found, first = dict[str, tuple[int, Pass]](), 1
+        for run in self.passes:
+            found |= {name: (first, run) for name in run.moments if name not in found}
+            first += run.groups
+        return found
+
     def over(self, block: NodeBlock) -> BlockSums:
         """Compute the sums at the nodes of a block."""
         velocity = np.full((block.count, 3), np.nan)
         references = [np.full_like(velocity, np.nan) if run.apart else velocity for run in self.passes]
         filled = [run(block, own) for run, own in zip(self.passes, references, strict=True)]
-        return BlockSums(self.spec, self.passes, filled, velocity, references)
+        return BlockSums(self, filled, velocity, references)
 
 
 def sums_of_frame(
@@ -653,7 +664,7 @@ class DepositSpec:
     groups: tuple[int, ...] = ()
     own: Mapping[str, Moment] = field(default_factory=dict)
 
-    @property
+    @cached_property
     def rows(self) -> dict[str, Moment]:
         """The moments by name."""
         return {name: self.own.get(name) or MOMENTS[name] for name in self.moments}

@@ -69,7 +69,6 @@ def _compute_step(
     sums = sums_of_frame(frame, plan.deposit, lattice, scale_of(plan, lattice, source), source, threads)
     phases = plan.phases if plan.deposit.by else 1
     rows = {name: a.reshape(grid.count, phases, *a.shape[len(plan.dims) :]) for name, a in out.items()}
-    options = replace(plan.options, wrapped=grid.fills(lattice.axis_periods))  # the box may change
     program = program_for(plan.fields, plan.options, len(plan.deposit.groups))
     traced = program.fields if program else ()
     untraced = tuple(name for name in plan.fields if name not in traced)
@@ -89,6 +88,7 @@ def _compute_step(
 
     def evaluate(fields: tuple[str, ...], found: BlockSums, place: NDArray, nodes: slice | NDArray) -> None:
         """Compute fields of some nodes of a block with NumPy."""
+        options = replace(plan.options, wrapped=grid.fills(lattice.axis_periods))  # the box may change
         for name, values in registry.evaluate(fields, found.moments(nodes), options).items():
             rows[name][place[nodes]] = values.swapaxes(0, 1)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 Function = Callable[[Any, Any, "Options"], Any]
@@ -70,6 +71,11 @@ class Options:
     temperature: str = "unbiased"
     lag: int | None = None
     own: tuple[Any, ...] = ()
+
+    @cached_property
+    def own_rows(self) -> dict[str, Field]:
+        """Rows of the fields that are not those of xcg, by name."""
+        return {one.name: one.row for one in self.own}
 
     @property
     def sliding(self) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -132,7 +133,7 @@ class RegularGrid:
     fitted: str = ""
     cells: bool = False
 
-    @property
+    @cached_property
     def active(self) -> NDArray:
         """Which of the three axes are seen (3,)."""
         return np.array([a in self.seen for a in COMPONENTS])
@@ -147,23 +148,23 @@ class RegularGrid:
         """Resolved axes."""
         return tuple(self.axes)
 
-    @property
+    @cached_property
     def sizes(self) -> tuple[int, ...]:
         """Number of nodes along each resolved axis."""
         return tuple(len(self.nodes[a]) for a in self.axes)
 
-    @property
+    @cached_property
     def seen(self) -> str:
         """Axes along which distance to a node counts: resolved or fixed."""
         return "".join(a for a in COMPONENTS if a in self.nodes or a in self.at)
 
-    @property
+    @cached_property
     def shape(self) -> tuple[int, int, int]:
         """Number of nodes along x, y, z; 1 for axes that are not resolved."""
         nx, ny, nz = (len(self.nodes[a]) if a in self.nodes else 1 for a in COMPONENTS)
         return nx, ny, nz
 
-    @property
+    @cached_property
     def origin(self) -> NDArray:
         """First node (3,)."""
         return np.array([self.nodes[a][0] if a in self.nodes else self.at.get(a, 0.0) for a in COMPONENTS])
@@ -183,7 +184,7 @@ class RegularGrid:
         """Last node, or the upper bounds of its cell (3,)."""
         return self.origin + (np.array(self.shape) - 1) * self.steps + self.half
 
-    @property
+    @cached_property
     def steps(self) -> NDArray:
         """Spacing (3,); 1 along axes that are not resolved."""
         return np.array([self.spacing.get(a, 1.0) for a in COMPONENTS])

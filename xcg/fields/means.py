@@ -89,7 +89,7 @@ def mean_sums(found: BlockSums, block: RingBlock) -> BlockSums:
     cosine, sine = np.cos(block.angle), np.sin(block.angle)
     common: dict[int, tuple[NDArray, NDArray]] = {}
     filled, references = [], []
-    for run, sums, given in zip(found.passes, found.filled, found.references, strict=True):
+    for run, sums, given in zip(found.of.passes, found.filled, found.references, strict=True):
         columns = np.empty(sums.shape[::-1][:1] + sums.shape[:2])
         columns[:, :, block.inner.places] = sums.transpose(2, 0, 1)
         if id(given) not in common:
@@ -104,7 +104,7 @@ def mean_sums(found: BlockSums, block: RingBlock) -> BlockSums:
         filled.append(averaged)
         references.append(reference)
     velocity, _ = common.get(id(found.velocity)) or _common(found.velocity, block, cosine, sine, vector=True)
-    return BlockSums(found.spec, found.passes, filled, velocity, references)
+    return BlockSums(found.of, filled, velocity, references)
 
 
 def _common(

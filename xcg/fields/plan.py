@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -94,9 +94,17 @@ class Plan:
 
     def left_out(self, name: str) -> list[str]:
         """Name the variables of rotation that a field would take and that the scene does not hold."""
-        rows = self.deposit.rows
-        optional = {v for moment in registry.moments_of([name], self.options) for v in rows[moment].optional}
-        return [v for v in ROTATION if v in optional and v not in self.variables]
+        if not self._absent:
+            return []
+        absent = {v for moment in registry.moments_of([name], self.options) for v in self._absent.get(moment, ())}
+        return [v for v in ROTATION if v in absent]
+
+    @cached_property
+    def _absent(self) -> dict[str, set[str]]:
+        """Variables of rotation that the scene does not hold, by the moments that would take them."""
+        absent = set(ROTATION) - set(self.variables)
+        found = {moment: absent & set(row.optional) for moment, row in self.deposit.rows.items()}
+        return {moment: variables for moment, variables in found.items() if variables}
 
     def __str__(self) -> str:
         grid, moments = self.deposit.grid, self.deposit.rows
@@ -139,13 +147,12 @@ def _choose_fields(
     asked: str | Quantity | Sequence[str | Quantity | registry.OwnRow] | None, ds: xr.Dataset, options: Options
 ) -> tuple[tuple[str, ...], tuple[OwnField | registry.OwnRow, ...]]:
     """Names of the fields of a result, and those of them that are quantities of the scene's own variables."""
-    lacking = {name for name, f in registry.FIELDS.items() if f.option and getattr(options, f.option) is None}
     if asked is None:
-        possible = [name for name in registry.listed() if registry.FIELDS[name].default and name not in lacking]
-        here = [name for name in possible if _variables([name], ds, options) <= set(ds.data_vars)]
+        here = _possible(frozenset(map(str, ds.data_vars)), options)
         if not here:
             require_scene(ds, ("mass",), "coarse_grain")
-        return tuple(here), ()
+        return here, ()
+    lacking = _lacking(options)
     given = [asked] if isinstance(asked, (str, Quantity)) else list(asked)
     own = own_fields(given, ds)
     names = [own[k].name if k in own else one for k, one in enumerate(given)]
@@ -166,18 +173,32 @@ def _choose_fields(
     return tuple(dict.fromkeys(map(str, names))), tuple(dict.fromkeys(own.values()))
 
 
-def _variables(fields: Sequence[str], ds: xr.Dataset, options: Options) -> set[str]:
-    """Scene variables that some fields need."""
+def _lacking(options: Options) -> set[str]:
+    """Fields that need an argument which was not given."""
+    return {name for name, f in registry.FIELDS.items() if f.option and getattr(options, f.option) is None}
+
+
+@registry.remembered
+def _possible(here: frozenset[str], options: Options) -> tuple[str, ...]:
+    """Fields by default, of a scene that holds some variables."""
+    lacking = _lacking(options)
+    possible = [name for name in registry.listed() if registry.FIELDS[name].default and name not in lacking]
+    return tuple(name for name in possible if _variables((name,), here, options) <= here)
+
+
+@registry.remembered
+def _variables(fields: tuple[str, ...], here: frozenset[str], options: Options) -> frozenset[str]:
+    """Variables that some fields need, of a scene that holds those that are here."""
     needed = {"position", "particle_id"}
     rows = MOMENTS | own_moments(options.own)
     for name in registry.moments_of(fields, options):
-        needed |= set(rows[name].variables) | (set(rows[name].optional) & set(ds.data_vars))
-        if name == "partners" and "coordination_number" in ds:
+        needed |= set(rows[name].variables) | (set(rows[name].optional) & here)
+        if name == "partners" and "coordination_number" in here:
             needed.add("coordination_number")
         elif rows[name].contacts:
             needed |= set(CONTACT_VARIABLES) - {"contact_normal"}
-            needed |= {"diameter"} & set(ds.data_vars)  # tells contacts that are far from their grains
-    return needed
+            needed |= {"diameter"} & here  # tells contacts that are far from their grains
+    return frozenset(needed)
 
 
 def possible_fields(ds: xr.Dataset, request: Request) -> tuple[str, ...]:
@@ -211,13 +232,14 @@ def make_plan(ds: xr.Dataset, request: Request) -> Plan:
     names, own = _choose_fields(request.fields, ds, options)
     if is_cylindrical(ds):
         check_turns(own)
+    if registered := registry.registered_for(names, replace(options, own=own)):
+        own = (*own, *registered)
     options = replace(options, own=own)
-    options = replace(options, own=(*own, *registry.registered_for(names, options)))
     if request.by_pair:
         names = tuple(dict.fromkeys([*names, "contact_stress_by_pair"]))
     if request.for_averages:
         names = (*names, *needed_for_averages(names, options))
-    variables = _variables(names, ds, options)
+    variables = _variables(names, frozenset(map(str, ds.data_vars)), options)
     require_scene(ds, sorted(variables), f"coarse_grain of {', '.join(names)}")
     kernels = _kernels(ds, request, setup.dimension)
     chosen = max(kernels, key=lambda k: k.cutoff)

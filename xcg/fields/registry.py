@@ -8,10 +8,11 @@ the bulk; fluctuations of every phase are about the velocity of the bulk, so tha
 from __future__ import annotations
 
 from collections import ChainMap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from types import MappingProxyType, SimpleNamespace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, ParamSpec, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,8 @@ from numpy.typing import NDArray
 from xcg.fields.field import Field, Options
 from xcg.fields.rows import contacts, density, displacement, energy, fabric, flow, phases, rheology, rotation
 
+P = ParamSpec("P")
+R = TypeVar("R")
 TOPICS = (density, flow, contacts, fabric, phases, rheology, rotation, energy, displacement)
 _ROWS: dict[str, Field] = {name: row for topic in TOPICS for name, row in topic.ROWS.items()}
 _REGISTERED: dict[str, Field] = {}  # by users, see `xcg.register_field`
@@ -33,13 +36,25 @@ INERTIAL_SIZES = ("d43", *WAYS["_size"][1])
 TEMPERATURES = ("unbiased", *WAYS["fluctuation_density"][1])
 
 
+_FORGET: list[Callable[[], None]] = []
+
+
+def remembered(function: Callable[P, R]) -> Callable[P, R]:
+    """Have equal calls answered at once, until a field is registered."""
+    cached = lru_cache(maxsize=256)(function)
+    _FORGET.append(cached.cache_clear)
+    return cast("Callable[P, R]", cached)
+
+
 def row(name: str, options: Options) -> Field:
     """Return the row of a field, as computed with some options."""
-    for own in options.own:
-        if own.name == name:
-            return own.row
-    option, ways = WAYS.get(name, ("gradient", {}))
-    return ways.get(getattr(options, option), FIELDS[name])
+    if options.own and name in options.own_rows:
+        return options.own_rows[name]
+    usual = _ROWS[name] if name in _ROWS else _REGISTERED[name]
+    if name not in WAYS:
+        return usual
+    option, ways = WAYS[name]
+    return ways.get(getattr(options, option), usual)
 
 
 def whole_grid(options: Options) -> bool:
@@ -99,6 +114,8 @@ class OwnRow:
 def add(name: str, field: Field) -> None:
     """Put the row of a user's field beside the others; in place of a former one of its name."""
     _REGISTERED[name] = field
+    for forget in _FORGET:
+        forget()
 
 
 def registered_for(fields: Iterable[str], options: Options) -> tuple[OwnRow, ...]:
@@ -106,8 +123,13 @@ def registered_for(fields: Iterable[str], options: Options) -> tuple[OwnRow, ...
     return tuple(OwnRow(name, _REGISTERED[name]) for name in order_of(fields, options) if name in _REGISTERED)
 
 
-def order_of(fields: Iterable[str], options: Options) -> list[str]:
+def order_of(fields: Iterable[str], options: Options) -> tuple[str, ...]:
     """All rows needed for some fields, each after what it needs."""
+    return _order_of(tuple(fields), options)
+
+
+@remembered
+def _order_of(fields: tuple[str, ...], options: Options) -> tuple[str, ...]:
     order: list[str] = []
 
     def visit(name: str) -> None:
@@ -118,13 +140,17 @@ def order_of(fields: Iterable[str], options: Options) -> list[str]:
 
     for name in fields:
         visit(name)
-    return order
+    return tuple(order)
 
 
 def moments_of(fields: Iterable[str], options: Options) -> tuple[str, ...]:
     """All moments needed for some fields."""
-    found = dict.fromkeys(s for name in order_of(fields, options) for s in row(name, options).moments)
-    return tuple(found)
+    return _moments_of(tuple(fields), options)
+
+
+@remembered
+def _moments_of(fields: tuple[str, ...], options: Options) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(s for name in order_of(fields, options) for s in row(name, options).moments))
 
 
 def evaluate(fields: Sequence[str], moments: Mapping[str, NDArray], options: Options) -> dict[str, NDArray]:

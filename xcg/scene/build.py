@@ -89,9 +89,9 @@ def to_dataset(
 
 def storable(ds: xr.Dataset) -> xr.Dataset:
     """Have text coordinates stored without a fixed length: no other text is in the specification of Zarr 3."""
-    for name, coordinate in ds.coords.items():
-        if coordinate.dtype.kind == "U":
-            ds[name].encoding["dtype"] = object
+    for name in ds.coords:
+        if ds.variables[name].dtype.kind == "U":
+            ds.variables[name].encoding["dtype"] = object
     return ds
 
 
