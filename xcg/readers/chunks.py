@@ -17,7 +17,8 @@ from xcg.scene.schema import SceneError, variable
 
 Chunks: TypeAlias = int | str | Sequence[int] | Mapping[str, int | str | Sequence[int] | None] | None
 
-_FILES = 1e7  # bytes; a tenth of a second of parsing text
+_TASK = 0.1  # seconds of work that make the scheduling of a task, and the writing of a chunk, small beside it
+_BYTE, _ROW = 1e-8, 1e-6  # seconds to parse a byte of text, and to compute fields of a particle or contact
 _EXPECTED = (
     "expected the number of steps in a chunk, -1 for all, 'auto', None for no dask, or such as {'time': 10}, as the "
     "rows of a step stay together"
@@ -56,14 +57,15 @@ def steps_of_chunks(chunks: Any, series: Series) -> tuple[int, ...]:
 
 
 def _sensible(series: Series) -> int:
-    """Count steps of about `_FILES` bytes of files, whose arrays are no larger than dask wants chunks to be."""
+    """Count steps that make a task of `_TASK` seconds, whose arrays are no larger than dask wants chunks to be."""
     refs = [ref for step in series.steps for ref in (step.particles, *step.contacts)]
     shared = Counter(ref.path for ref in refs)
     read = sum(_bytes(ref, shared[ref.path]) for ref in refs) / len(series.steps)
     held: int = sum(_held(name, dtype, series.particle_rows) for name, dtype in series.particle_types.items())
     held += sum(_held(name, variable(name).dtype, series.contact_rows) for name in series.contact_names)
+    seconds = read * _BYTE + sum(ref.rows for ref in refs) / len(series.steps) * _ROW
     limit = parse_bytes(dask.config.get("array.chunk-size"))
-    return max(1, min(int(np.ceil(_FILES / max(read, 1))), limit // max(held, 1)))
+    return max(1, min(math.ceil(_TASK / max(seconds, 1e-9)), limit // max(held, 1)))
 
 
 def _held(name: str, dtype: Any, rows: int) -> int:

@@ -68,7 +68,7 @@ def open_scene(
     shape: str = "sphere",
     allow_unknown: bool = False,
     missing: str = "raise",
-    chunks: Chunks = 1,
+    chunks: Chunks = "auto",
     on_error: str = "raise",
     **engine_options: Any,
 ) -> xr.Dataset:
@@ -142,10 +142,10 @@ def open_scene(
         What to do about steps of particles without a step of contacts: raise an error that lists them, leave them out
         with a warning, or take them as steps in which nothing touches (MFiX writes no file of contacts then).
     chunks : int, "auto", mapping or None
-        Steps in a chunk, as xarray takes it: a number; -1 for all in one; "auto" for as many as have files of 10 MB
-        together (text is parsed at 100 MB/s, so that a task takes a tenth of a second or more), but no more than
-        dask's ``array.chunk-size`` (128 MiB) of arrays; a mapping such as ``{"time": 10}`` or
-        ``{"time": (10, 5)}``. Rows of a step stay together. None gives arrays without dask, which are read when
+        Steps in a chunk, as xarray takes it: a number; -1 for all in one; "auto" (default) for as many as make a task
+        of a tenth of a second or more, by the rows and bytes that the headers tell, but no more than dask's
+        ``array.chunk-size`` (128 MiB) of arrays: one of 100,000 grains, tens of 1000; a mapping such as
+        ``{"time": 10}`` or ``{"time": (10, 5)}``. Rows of a step stay together. None gives arrays without dask, which are read when
         they are used and then kept.
     on_error : {"raise", "skip"}
         What to do about files that are missing from a list, empty, or garbled or cut off in a header: stop with an

@@ -44,11 +44,13 @@ def chunk_shape(data: xr.DataArray, steps: int) -> tuple[int, ...]:
 
 
 def outline(ds: xr.Dataset, over: Sequence[str], encoding: Encoding) -> xr.Dataset:
-    """Give the same Dataset with zeros that nothing computes in place of what tasks write."""
+    """Give the same Dataset with arrays that nothing computes in place of what tasks write."""
     empty = {}
     for name in over:
         data = ds[name].variable
-        empty[name] = data.copy(data=da.zeros(data.shape, dtype=encoding.type_of(data.dtype), chunks=-1))
+        chunks, tasks = tuple((n,) for n in data.shape), {(f"empty-{name}", *(0,) * data.ndim): None}
+        nothing = da.Array(tasks, f"empty-{name}", chunks, encoding.type_of(data.dtype))
+        empty[name] = data.copy(data=nothing)
     return ds.assign(empty)
 
 
