@@ -16,6 +16,7 @@ import xcg
 from tests import steps_of_random_scenes
 from tests.brute_force import BruteKernel, brute_force
 from xcg.compiled.points import deposit
+from xcg.fields.evaluate import WORTH_SHARING
 
 RATIOS = {"velocity", "effective_count", "particle_density", "coordination_number", "d32",
           "d43", "granular_temperature", "friction_coefficient", "velocity_gradient", "shear_rate",
@@ -398,7 +399,7 @@ def test_threads_and_boxes_leave_every_bit(long, rtol):
     options = {"by": "species", "width": 0.6, "rtol": rtol, "spacing": {a: 0.31 if a == long else 0.7 for a in "xyz"}}
     results = []
     for threads, box in ((1, 65_000), (3, 65_000), (2, 7)):
-        with mock.patch.multiple("xcg.fields.evaluate", THREADS=threads, BLOCK_NODES=box):
+        with mock.patch.multiple("xcg.fields.evaluate", THREADS=threads, BLOCK_NODES=box, WORTH_SHARING=0):
             results.append([ds.cg.coarse_grain(**options), ds.cg.coarse_grain(axes=long, rtol=rtol, width=0.6)])
     for other in results[1:]:
         for one, another in zip(results[0], other, strict=True):
@@ -419,13 +420,13 @@ def test_what_a_fit_leaves_is_what_the_moments_expand_to(axes, gradient):
     assert float(alone.fluctuation_stress.max()) > 1e-3 * size
 
 
-@pytest.mark.parametrize(("steps", "shared"), [(1, True), (2, False)])
-def test_one_lazy_step_uses_all_threads_and_several_take_one_each(steps, shared):
+@pytest.mark.parametrize(("steps", "worth", "shared"), [(1, 0, True), (2, 0, False), (1, WORTH_SHARING, False)])
+def test_one_large_lazy_step_uses_all_threads_and_others_take_one_each(steps, worth, shared):
     one = xcg.datasets.random_scene(60, seed=2)
     times = [one.assign_coords(time=[float(t)], step=("time", [t])) for t in range(steps)]
     lazy = xr.concat(times, "time", combine_attrs="override").chunk(time=1)
     pool = mock.patch("xcg.fields.blocks.ThreadPoolExecutor", wraps=ThreadPoolExecutor)
-    with mock.patch("xcg.fields.evaluate.THREADS", 2), pool as pools:
+    with mock.patch.multiple("xcg.fields.evaluate", THREADS=2, WORTH_SHARING=worth), pool as pools:
         f = lazy.cg.coarse_grain(width=0.8).compute()
     assert pools.called == shared
     for name, values in one.cg.coarse_grain(width=0.8).items():

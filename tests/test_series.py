@@ -92,7 +92,7 @@ def test_scene(series):
     particles, contacts = series
     scene = open_scene(particles, contacts=contacts)
     assert dict(scene.sizes) == {"time": 3, "particle": 3, "contact": 1, "component": 3, "bound": 2}
-    assert all(scene[name].chunks[0] == (1, 1, 1) for name in scene.data_vars if name != "box")
+    assert all(scene[name].chunks[0] == (3,) for name in scene.data_vars if name != "box")
     assert scene["box"].chunks is None
     scene = scene.compute()
     np.testing.assert_array_equal(scene.time, [0, 1, 2])
@@ -164,7 +164,7 @@ def test_particles_do_not_touch_contacts(series, reads):
 
 
 def test_contacts_of_one_step_touch_that_step_only(series, reads):
-    scene = open_scene(series[0], contacts=series[1])
+    scene = open_scene(series[0], contacts=series[1], chunks=1)
     reads.clear()
     scene.contact_force.isel(time=1).compute(scheduler="sync")
     assert reads == {("particles", 10): 1, ("contacts", 10): 1}
@@ -195,14 +195,17 @@ def test_chunks_that_xarray_would_refuse(series, chunks):
 
 def test_automatic_chunks_follow_files_and_memory(tmp_path):
     class Steps(Engine):
+        length = 3_000_000
+
         def index_particles(self, paths, options):
-            return [StepRef(paths[0], rows=100, step=k, length=3_000_000) for k in range(10)]
+            return [StepRef(paths[0], rows=100, step=k, length=self.length) for k in range(10)]
 
         def read_particles(self, ref, options):
             return {"position": np.eye(3)}
 
     path = write(tmp_path / "p.txt", "")
-    assert open_scene(path, engine=Steps, chunks="auto").chunks["time"] == (4, 4, 2)  # 10 MB of files
+    assert open_scene(path, engine=Steps).chunks["time"] == (4, 4, 2)  # 10 MB of files
+    assert open_scene(path, engine=type("Short", (Steps,), {"length": 100})).chunks["time"] == (10,)
     step = 100 * (3 + 1) * 8  # position and id
     with dask.config.set({"array.chunk-size": f"{3 * step + 1}B"}):
         assert open_scene(path, engine=Steps, chunks="auto").chunks["time"] == (3, 3, 3, 1)
@@ -238,7 +241,7 @@ def test_the_graph_travels(series, computing):
 
 
 def test_files_that_changed_are_noticed(series, tmp_path):
-    scene = open_scene(series[0], contacts=series[1])
+    scene = open_scene(series[0], contacts=series[1], chunks=1)
     write(tmp_path / "p.10.dump", dump_text(step=10))
     with pytest.raises(SceneError, match=r"p\.10\.dump \(step 10\): the file has \d+ bytes, but had \d+"):
         scene.position.compute()

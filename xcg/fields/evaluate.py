@@ -51,8 +51,23 @@ def _take_memory(numbers: NDArray) -> None:
     numbers[::_PAGE] = 0.0
 
 
+# Threads share a step of more visits of nodes by grains and contacts than this; for fewer they cost more than they gain.
+# What is done once for a row, and once for a node, takes as long as some visits.
+WORTH_SHARING = 5_000_000
+_ONCE = 30
+
+
+def _threads_for(plan: Plan, arrays: Mapping[str, NDArray], threads: int) -> int:
+    """As many threads as there are, or one where a step is little work."""
+    grid, reach = plan.deposit.grid, 2.0 * max(plan.deposit.cutoffs)
+    along = np.clip(reach / grid.steps, 1.0, grid.shape)[grid.active]
+    rows = sum(arrays[name].shape[1] for name in ("particle_id", "contact_i") if name in arrays)
+    return threads if rows * (along.prod() + _ONCE) + grid.count * _ONCE > WORTH_SHARING else 1
+
+
 def compute_chunk(plan: Plan, threads: int, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
     """Fields of one chunk of time, from padded arrays."""
+    threads = _threads_for(plan, arrays, threads)
     out = {name: np.empty((len(arrays["particle_id"]), *plan.shape(name))) for name in plan.fields}
     for_each([a.reshape(-1) for a in out.values()], _take_memory, threads)
     for t, (frame, lattice, source) in enumerate(steps_in(arrays, plan.setup.periodic)):

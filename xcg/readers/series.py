@@ -145,8 +145,8 @@ def open_scene(
         Steps in a chunk, as xarray takes it: a number; -1 for all in one; "auto" (default) for as many as make a task
         of a tenth of a second or more, by the rows and bytes that the headers tell, but no more than dask's
         ``array.chunk-size`` (128 MiB) of arrays: one of 100,000 grains, tens of 1000; a mapping such as
-        ``{"time": 10}`` or ``{"time": (10, 5)}``. Rows of a step stay together. None gives arrays without dask, which are read when
-        they are used and then kept.
+        ``{"time": 10}`` or ``{"time": (10, 5)}``. Rows of a step stay together. None gives arrays without dask,
+        which are read when they are used and then kept.
     on_error : {"raise", "skip"}
         What to do about files that are missing from a list, empty, or garbled or cut off in a header: stop with an
         error that names the file (default), or leave out what cannot be indexed, with a warning and the attribute

@@ -18,6 +18,8 @@ from xcg.writers.layout import chunk_shape, outline, prepared, steps_in_chunk, w
 
 # Bytes of all variables of the steps that share the files of a Zarr array, where steps are short.
 _SHARD = 64_000_000
+# Chunks that do so are this many at least: putting them into one file costs more time than writing them.
+_FEWEST = 4
 
 
 @dataclass(frozen=True)
@@ -58,4 +60,5 @@ def _steps_in_shard(ds: xr.Dataset, over: Sequence[str]) -> int:
     """How many steps share a file: whole chunks of as many as a task may hold in memory."""
     chunk, count = steps_in_chunk(ds, over), ds.sizes.get("time", 1)
     step = sum(ds[name].nbytes for name in over) / max(1, count)
-    return chunk * max(1, min(int(_SHARD / max(step * chunk, 1.0)), -(-count // chunk)))
+    chunks = min(int(_SHARD / max(step * chunk, 1.0)), -(-count // chunk))
+    return chunk * chunks if chunks >= _FEWEST else chunk
