@@ -51,8 +51,8 @@ def _take_memory(numbers: NDArray) -> None:
     numbers[::_PAGE] = 0.0
 
 
-# Threads share a step of more visits of nodes by grains and contacts than this; for fewer they cost more than they gain.
-# What is done once for a row, and once for a node, takes as long as some visits.
+# Threads share a step of more visits of nodes by grains and contacts than this; for fewer they cost more than they
+# gain. What is done once for a row, and once for a node, takes as long as some visits.
 WORTH_SHARING = 5_000_000
 _ONCE = 30
 
