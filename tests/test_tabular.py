@@ -56,7 +56,7 @@ def test_files_are_the_scene(tmp_path, scene, ending):
         else:
             table.to_csv(path, sep=mark, index=False)
     ds = xcg.open_scene(paths[0], contacts=paths[1], **OPTIONS)
-    assert ds.attrs["engine"] == "tabular"
+    assert ds.attrs["engine"] == "table"
     assert ds.position.chunks[0] == (1, 1, 1)
     check(ds, scene)
     one = xr.open_dataset(paths[0], engine="xcg", **OPTIONS)

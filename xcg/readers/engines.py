@@ -16,7 +16,7 @@ _OWN = {
     "mercury": "xcg.readers.mercury:Mercury",
     "mfix": "xcg.readers.mfix:Mfix",
     "yade": "xcg.readers.yade:Yade",
-    "table": "xcg.readers.tabular:Tabular",
+    "table": "xcg.readers.tabular:Table",
     "hdf5": "xcg.readers.hdf5:Hdf5",
     "vtk": "xcg.readers.vtk_points:Vtk",
 }

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from xcg.readers import columns
 from xcg.readers.engine import ReadOptions, StepRef
-from xcg.readers.tabular import Tabular, clock_of, runs_of
+from xcg.readers.tabular import Table, clock_of, runs_of
 from xcg.scene.build import scene_from_arrays
 from xcg.scene.schema import Frame, SceneError
 
@@ -84,7 +84,7 @@ def _frames(
     data = table if isinstance(table, pd.DataFrame) else pd.DataFrame(table)
     data = data.reset_index(drop=False) if any(data.index.names) else data
     data = data.rename(columns=str)
-    engine, found = Tabular(), {}
+    engine, found = Table(), {}
     clock = clock_of(tuple(data.columns), options.names)
     rows = {word: _numbers(data, name, what) for word, name in clock.items()}
     runs = [np.arange(len(data))]

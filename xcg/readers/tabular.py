@@ -31,7 +31,7 @@ def _slots(known: columns.Slots, *left_out: str) -> columns.Slots:
     return {slot: (slot, *found) for slot, found in known.items() if not slot.startswith(left_out)}
 
 
-class Tabular(Columnar):
+class Table(Columnar):
     """CSV and Parquet."""
 
     OPTIONS = ("timestep",)
