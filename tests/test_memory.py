@@ -16,7 +16,8 @@ FEW, MANY = 4, 32
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
-    return xcg.open_scene(**series.write_vtp_series(tmp_path_factory.mktemp("files"), 2000, MANY))
+    # memory follows the chunk, which is several of such small steps where none is given
+    return xcg.open_scene(**series.write_vtp_series(tmp_path_factory.mktemp("files"), 2000, MANY), chunks=1)
 
 
 def peak(work) -> int:
