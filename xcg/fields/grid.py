@@ -103,6 +103,54 @@ class Grid(Protocol):
         """Say where the nodes are."""
 
 
+class Apart:
+    """What nodes have in common that stand apart: no axis, no spacing, no neighbours, no cells."""
+
+    @property
+    def axes(self) -> str:
+        """No axis x, y or z is a dimension of results."""
+        return ""
+
+    @property
+    def fitted(self) -> str:
+        """No axis follows the particles."""
+        return ""
+
+    @property
+    def count(self: Grid) -> int:
+        """Number of nodes."""
+        return math.prod(self.sizes)
+
+    @property
+    def active(self: Grid) -> NDArray:
+        """Which of the three axes are seen (3,)."""
+        return np.array([a in self.seen for a in COMPONENTS])
+
+    @property
+    def shape(self: Grid) -> tuple[int, int, int]:
+        """Number of nodes, as a row."""
+        return self.count, 1, 1
+
+    @property
+    def steps(self) -> NDArray:
+        """No spacing (3,)."""
+        return np.full(3, np.inf)
+
+    @property
+    def half(self) -> NDArray:
+        """No cells (3,)."""
+        return np.zeros(3)
+
+    @property
+    def spacing(self) -> dict[str, float]:
+        """No spacing."""
+        return {}
+
+    def fills(self, period: NDArray) -> tuple[bool, bool, bool]:
+        """Nodes have no neighbours."""
+        return False, False, False
+
+
 @dataclass(frozen=True)
 class RegularGrid:
     """Nodes on a regular mesh.

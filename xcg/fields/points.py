@@ -18,7 +18,7 @@ from xcg.compiled.arrays import counting_sort_places
 from xcg.compiled.cells import Cells, lists_for_points
 from xcg.compiled.reach import PAD, Lists, Nodes
 from xcg.fields.blocks import BLOCK_NODES, Taken, triple
-from xcg.fields.grid import MAX_NODES, check_axes
+from xcg.fields.grid import MAX_NODES, Apart, check_axes
 from xcg.scene.schema import COMPONENTS
 
 # Cells hold about this many points, but are no wider and no narrower than these shares of the support's radius:
@@ -105,7 +105,7 @@ class PointBlock:
 
 
 @dataclass(frozen=True, eq=False)
-class Points:
+class Points(Apart):
     """Points given by arrays of coordinates, which share dimensions.
 
     Attributes
@@ -132,49 +132,9 @@ class Points:
     parts: tuple[PointBlock, ...]
 
     @property
-    def axes(self) -> str:
-        """No axis is a dimension of results."""
-        return ""
-
-    @property
-    def fitted(self) -> str:
-        """No axis follows the particles."""
-        return ""
-
-    @property
-    def count(self) -> int:
-        """Number of points."""
-        return math.prod(self.sizes)
-
-    @property
-    def active(self) -> NDArray:
-        """Which of the three axes are seen (3,)."""
-        return np.array([a in self.seen for a in COMPONENTS])
-
-    @property
     def seen(self) -> str:
         """Axes along which points have a coordinate."""
         return "".join(a for a in COMPONENTS if a in self.given)
-
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        """Number of points, as a row: they have no neighbours."""
-        return self.count, 1, 1
-
-    @property
-    def steps(self) -> NDArray:
-        """No spacing (3,)."""
-        return np.full(3, np.inf)
-
-    @property
-    def half(self) -> NDArray:
-        """No cells (3,)."""
-        return np.zeros(3)
-
-    @property
-    def spacing(self) -> dict[str, float]:
-        """No spacing."""
-        return {}
 
     @property
     def cuts(self) -> dict[str, tuple[float, float]]:
@@ -185,10 +145,6 @@ class Points:
     def coords(self) -> Mapping[str, xr.Variable]:
         """Coordinates as they were given."""
         return self.given
-
-    def fills(self, period: NDArray) -> tuple[bool, bool, bool]:
-        """Points have no neighbours."""
-        return False, False, False
 
     def blocks(self, size: int, threads: int) -> tuple[PointBlock, ...]:
         """Return the points as they were divided when the plan was made."""

@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 
 from xcg.compiled import THREADS
 from xcg.fields.blocks import BLOCK_NODES
-from xcg.fields.grid import MAX_NODES, nodes_along
+from xcg.fields.grid import MAX_NODES, Apart, nodes_along
 from xcg.fields.means import RingBlock
 from xcg.fields.points import PointBlock
 from xcg.fields.smoothing import Kernel
-from xcg.scene.schema import COMPONENTS
 
 NAMES = {"r": "r", "t": "theta", "z": "z"}  # letters of `axes`, and what else they are called
 _FULL = 2.0 * math.pi
@@ -29,7 +28,7 @@ _BLOCKS = 4  # parts a thread
 
 
 @dataclass(frozen=True, eq=False)
-class Rings:
+class Rings(Apart):
     """Nodes of a cylinder whose axis is z.
 
     Attributes
@@ -61,21 +60,6 @@ class Rings:
     error: float
 
     @property
-    def axes(self) -> str:
-        """No axis x, y or z is a dimension of results."""
-        return ""
-
-    @property
-    def fitted(self) -> str:
-        """No such axis follows the particles."""
-        return ""
-
-    @property
-    def spacing(self) -> dict[str, float]:
-        """No spacing."""
-        return {}
-
-    @property
     def cuts(self) -> dict[str, tuple[float, float]]:
         """No cut across x, y or z."""
         return {}
@@ -91,44 +75,15 @@ class Rings:
         return tuple(map(len, self.nodes.values()))
 
     @property
-    def count(self) -> int:
-        """Number of nodes."""
-        return math.prod(self.sizes)
-
-    @property
     def seen(self) -> str:
         """Axes along which distance counts."""
         return "xy" if self.averaged or not ({"z"} & ({*self.nodes} | {*self.at})) else "xyz"
-
-    @property
-    def active(self) -> NDArray:
-        """Which of the three axes are seen (3,)."""
-        return np.array([a in self.seen for a in COMPONENTS])
-
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        """Number of nodes, as a row."""
-        return self.count, 1, 1
-
-    @property
-    def steps(self) -> NDArray:
-        """No spacing (3,)."""
-        return np.full(3, np.inf)
-
-    @property
-    def half(self) -> NDArray:
-        """No cells (3,)."""
-        return np.zeros(3)
 
     @property
     def coords(self) -> dict[str, xr.Variable]:
         """Coordinates of results."""
         found = {a: xr.Variable(a, x) for a, x in self.nodes.items()}
         return found | {a: xr.Variable((), x) for a, x in self.at.items()}
-
-    def fills(self, period: NDArray) -> tuple[bool, bool, bool]:
-        """Nodes have no neighbours."""
-        return False, False, False
 
     def blocks(self, size: int, threads: int) -> tuple[RingBlock, ...]:
         """Return the nodes as they were divided when the plan was made."""
