@@ -13,7 +13,7 @@ from tests.brute_force import BruteKernel
 from tests.identities import residuals
 from tests.identities.scenes import load
 from xcg.fields.rows import energy, rotation
-from xcg.readers import columns as columns_of_files
+from xcg.readers import table
 from xcg.scene.schema import VARIABLES
 
 NAMES = [*rotation.ROWS, *energy.ROWS]
@@ -477,8 +477,8 @@ def test_rotation_is_read_where_it_is_asked_for(monkeypatch):
     folder = real_data("lammps_plane_shear")
     ds = xcg.open_scene(folder / "particles.*.dump.gz", contacts=folder / "contacts.*.dump.gz", frozen=2)
     asked = []
-    read = columns_of_files.read_table
-    monkeypatch.setattr(columns_of_files, "read_table", lambda *a: asked.append(list(a[1])) or read(*a))
+    parse = table.parse_table
+    monkeypatch.setattr(table, "parse_table", lambda *a: asked.append(list(a[2])) or parse(*a))
     with dask.config.set(scheduler="synchronous"):
         ds.isel(time=[3]).cg.coarse_grain(["density", "velocity"], axes="z").compute()
         assert asked
