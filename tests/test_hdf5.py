@@ -40,7 +40,7 @@ def test_a_group_a_step(tmp_path, scene, place):
     mapping = {name: f"/data/Step{place}/own/{name}" for name in VARIABLES}
     if place == "{step}":
         mapping["time"] = "/data/Step{step}@now"
-    ds = xcg.open_scene(path, contacts=path, mapping=mapping, **OPTIONS)
+    ds = xcg.open_scene(path, contacts=path, mapping=mapping, chunks=1, **OPTIONS)
     assert ds.position.chunks[0] == (1, 1, 1)
     np.testing.assert_array_equal(ds.time, scene.time)
     assert ds.step.values.tolist() == [0, 1, 2] if place == "{time}" else [0, 100, 200]

@@ -75,7 +75,7 @@ def test_binary_particles_with_contacts_in_text_are_lazy(tmp_path):
     for step in (0, 10):
         (tmp_path / f"p.{step}.bin").write_bytes(binary_step(rows, step=step, time=step / 10))
         write(tmp_path / f"c.{step}.dump", pairs_text(step=step, before=f"ITEM: TIME\n{step / 10}\n"))
-    ds = xcg.open_scene(str(tmp_path / "p.*.bin"), contacts=str(tmp_path / "c.*.dump"))
+    ds = xcg.open_scene(str(tmp_path / "p.*.bin"), contacts=str(tmp_path / "c.*.dump"), chunks=1)
     assert ds.position.chunks[0] == (1, 1)
     np.testing.assert_array_equal(ds.contact_force.values[:, 0], [[-9, 1, 0]] * 2)
     xr.testing.assert_identical(

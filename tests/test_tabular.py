@@ -55,7 +55,7 @@ def test_files_are_the_scene(tmp_path, scene, ending):
             table.to_parquet(path, row_group_size=50)
         else:
             table.to_csv(path, sep=mark, index=False)
-    ds = xcg.open_scene(paths[0], contacts=paths[1], **OPTIONS)
+    ds = xcg.open_scene(paths[0], contacts=paths[1], chunks=1, **OPTIONS)
     assert ds.attrs["engine"] == "table"
     assert ds.position.chunks[0] == (1, 1, 1)
     check(ds, scene)
@@ -93,7 +93,7 @@ def test_one_step_a_file_by_the_number_in_its_name(tmp_path):
 def test_a_step_is_read_from_where_it_stands(tmp_path, monkeypatch):
     rows = "".join(f"{k // 100},{k % 100},{k},0,0.5\n" for k in range(1000))
     path = write(tmp_path / "a.csv", "step,x,y,z,radius\n" + rows)
-    ds = xcg.open_scene(path, density=1.0)
+    ds = xcg.open_scene(path, density=1.0, chunks=1)
     read = []
     original = xcg.readers.tabular.delimited.body_of
     monkeypatch.setattr(xcg.readers.tabular.delimited, "body_of", lambda ref: read.append(ref.length) or original(ref))
