@@ -52,6 +52,15 @@ def test_bounds_of_lazy_positions_that_were_changed_are_asked_for(ds):
     lazy.cg.coarse_grain("density", bounds=dict.fromkeys(AXES, (-100, -99)))
 
 
+def test_a_box_does_not_follow_lazy_positions_that_were_changed(ds):
+    """Along open axes it gave the mesh, far from all grains; along periodic ones images are in it."""
+    lazy = ds.chunk(time=1).assign(box=(("time", "component", "bound"), np.tile([-1.0, 5.0], (ds.sizes["time"], 3, 1))))
+    with pytest.raises(ValueError, match=r"axis 'x' has no bounds.*measure\(\)"):
+        moved(lazy, -100).cg.coarse_grain("density")
+    f = moved(lazy.assign_attrs(periodic="xyz"), -100).cg.coarse_grain("density")
+    assert float(f.density.isel(time=0).mean()) > 0
+
+
 def test_positions_that_were_exchanged_under_their_attributes_are_warned_of(ds):
     """`copy(data=...)` keeps all marks: the mesh is the old one, and the sums are not zero in silence."""
     lazy = ds.chunk(time=1)

@@ -29,7 +29,7 @@ from xcg.fields.rings import Rings, make_rings
 from xcg.fields.smoothing import Kernel, as_kernel, choose_width
 from xcg.fields.variables import OwnField, Quantity, check_turns, own_fields, own_moments, rows_of
 from xcg.scene.lattice import Lattice
-from xcg.scene.query import box_stays, edges_of, groups_of, require_scene, setup_of
+from xcg.scene.query import box_stays, edges_of, groups_of, known_without_reading, require_scene, setup_of
 from xcg.scene.schema import BOX, COMPONENTS, CONTACT_VARIABLES, ROTATION, SceneError, Setup, did_you_mean
 from xcg.scene.sizes import layer_depth, with_measures
 from xcg.scene.warn import warn_user
@@ -478,9 +478,11 @@ def _indices(axes: str | None) -> tuple[int, ...] | None:
 def _automatic(
     ds: xr.Dataset, setup: Setup, edges: Mapping[str, tuple[float, float]], cutoff: float
 ) -> dict[str, tuple[float, float]]:
-    """Bounds by default: the period, or the particles' extent with their supports, or the box."""
+    """Bounds by default: the period, or the particles' extent with their supports, or the box they were read with."""
     lower, upper = ds.attrs.get("particle_lower"), ds.attrs.get("particle_upper")
-    found = dict(edges)
+    # a box does not follow positions that were changed
+    follows = known_without_reading(ds, "position")
+    found = {a: ends for a, ends in edges.items() if follows or a in setup.periodic}
     if lower is not None and upper is not None:
         for k, a in enumerate(COMPONENTS):
             if a not in setup.periodic or a not in edges:
