@@ -160,7 +160,7 @@ def fraction_at(points: NDArray, walls: Sequence[Wall], kernel: Kernel, plane: s
     """Share of a kernel about points (n, 3) that is accessible; (n,).
 
     Exact for a single plane within reach. Elsewhere the error is that of the rule for directions: root mean square
-    below 1e-3 and largest below 5e-3, where curves, corners and the node are within a support of each other.
+    up to 1e-3 and largest up to 5e-3, where curves, corners and the node are within a support of each other.
     """
     cutoff = kernel.cutoff
     distance = np.stack([wall.distance(points) for wall in walls])
