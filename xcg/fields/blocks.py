@@ -50,16 +50,23 @@ def triple(values: ArrayLike) -> tuple[Any, Any, Any]:
     return x, y, z
 
 
+class Block(Protocol):
+    """Nodes of the result that are computed at one time."""
+
+    @property
+    def places(self) -> NDArray:
+        """Where the nodes are among all nodes of the result, unsigned (nodes,)."""
+
+    def sums(self, over: Callable[[Any], Any]) -> Any:
+        """Return sums at the nodes, from a function that gives those over a `NodeBlock`."""
+
+
 class NodeBlock(Protocol):
     """Nodes that are filled at one time, as they are neighbours in space."""
 
     @property
     def count(self) -> int:
         """Number of nodes."""
-
-    @property
-    def places(self) -> NDArray:
-        """Where the nodes are among all nodes of the result, unsigned (nodes,)."""
 
     def nodes(self, origin: NDArray, unit: float, active: NDArray, period: NDArray) -> Taken:
         """Return the nodes as loops take them.
@@ -76,8 +83,16 @@ class NodeBlock(Protocol):
         """Return scratch to list those nodes that something of this length (3,), from end to end, reaches."""
 
 
+class OwnNodes:
+    """A block whose nodes are those that are filled."""
+
+    def sums(self, over: Callable[[Any], R]) -> R:
+        """Return sums at the nodes, as they are."""
+        return over(self)
+
+
 @dataclass(frozen=True)
-class MeshBlock:
+class MeshBlock(OwnNodes):
     """Nodes low <= (ix, iy, iz) < high of a mesh of a shape, with distances between them (m).
 
     `half` is half of the extent of the cells around them (m); 0 along all axes where values are those at the nodes.

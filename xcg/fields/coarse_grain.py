@@ -15,7 +15,6 @@ from xcg.fields.field import Field
 from xcg.fields.frames import in_frame, is_cylindrical
 from xcg.fields.plan import Plan, make_plan
 from xcg.fields.request import Request, SharedOptions, takes
-from xcg.fields.rings import Rings
 from xcg.scene.bodies import group_bodies
 from xcg.scene.build import storable
 from xcg.scene.conform import takes_scene
@@ -201,10 +200,9 @@ def about(row: Field, system: str) -> dict[str, str]:
 
 
 def _provenance(ds: xr.Dataset, plan: Plan, call: str) -> dict[str, Any]:
-    grid = plan.deposit.grid
     return {
         **provenance(ds, call),
-        **({"theta_error": grid.error} if isinstance(grid, Rings) else {}),
+        **plan.deposit.grid.attrs,
         "kernel": plan.kernel.name,
         "width": plan.widths if len(plan.widths) > 1 else plan.kernel.width,
         "cutoff": list(plan.deposit.cutoffs) if len(plan.widths) > 1 else plan.kernel.cutoff,

@@ -13,13 +13,11 @@ from numpy.typing import NDArray
 
 from xcg.compiled import THREADS
 from xcg.fields import registry
-from xcg.fields.blocks import BLOCK_NODES, NodeBlock, for_each
+from xcg.fields.blocks import BLOCK_NODES, Block, for_each
 from xcg.fields.deposit import BlockSums, sums_of_frame
 from xcg.fields.grid import check_mesh
-from xcg.fields.means import RingBlock, mean_sums
 from xcg.fields.plan import Plan, scale_of
 from xcg.fields.program import program_for
-from xcg.fields.rings import Rings
 from xcg.scene.frame import steps_in
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import OF_STEP, Frame
@@ -90,11 +88,8 @@ def _compute_step(
 
     reached: list[int] = []
 
-    def fill(part: NodeBlock) -> None:
-        if isinstance(part, RingBlock):
-            found, place = mean_sums(sums.over(part.inner), part), part.places
-        else:
-            found, place = sums.over(part), part.places
+    def fill(part: Block) -> None:
+        found, place = part.sums(sums.over), part.places
         reached.append(found.reached)
         if program and (remaining := program.run(found, place, rows)).size:
             evaluate(traced, found, place, remaining)
@@ -109,10 +104,10 @@ def _compute_step(
 
     whole = registry.whole_grid(plan.options)
     for_each(grid.blocks(grid.count, 1) if whole else grid.blocks(BLOCK_NODES, threads), fill, threads)
-    if isinstance(grid, Rings):  # on the axis r and theta have no direction
+    if grid.undirected.size:
         for name, values in rows.items():
             if registry.row(name, plan.options).rank:
-                values[grid.on_axis] = np.nan
+                values[grid.undirected] = np.nan
     if plan.options.temperature == "unbiased":
         _warn_of_unknown(rows, sum(reached), plan.kernel.width, source)
 

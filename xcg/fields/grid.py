@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.fields.blocks import NodeBlock, mesh_blocks
+from xcg.fields.blocks import Block, mesh_blocks
 from xcg.scene.plausible import _SAMPLE
 from xcg.scene.schema import COMPONENTS
 from xcg.scene.warn import warn_once, warn_user
@@ -96,14 +96,36 @@ class Grid(Protocol):
     def fills(self, period: NDArray) -> tuple[bool, bool, bool]:
         """Tell along which axes the nodes fill a period (3,), so that the last is next to the first."""
 
-    def blocks(self, size: int, threads: int) -> Sequence[NodeBlock]:
+    @property
+    def undirected(self) -> NDArray:
+        """Nodes where the axes of vectors have no direction."""
+
+    @property
+    def attrs(self) -> Mapping[str, float]:
+        """What results tell of the nodes."""
+
+    def blocks(self, size: int, threads: int) -> Sequence[Block]:
         """Divide the nodes into blocks of at most about `size`, for some threads."""
 
     def describe(self) -> dict[str, str]:
         """Say where the nodes are."""
 
 
-class Apart:
+class _SameAxes:
+    """What nodes have in common whose vectors are all along the same axes."""
+
+    @property
+    def undirected(self) -> NDArray:
+        """No node is without directions."""
+        return np.zeros(0, int)
+
+    @property
+    def attrs(self) -> dict[str, float]:
+        """Nothing more is told."""
+        return {}
+
+
+class Apart(_SameAxes):
     """What nodes have in common that stand apart: no axis, no spacing, no neighbours, no cells."""
 
     @property
@@ -152,7 +174,7 @@ class Apart:
 
 
 @dataclass(frozen=True)
-class RegularGrid:
+class RegularGrid(_SameAxes):
     """Nodes on a regular mesh.
 
     Attributes
@@ -248,7 +270,7 @@ class RegularGrid:
         resolved = {a: xr.Variable(a, self.nodes[a]) for a in COMPONENTS if a in self.nodes}
         return resolved | {a: xr.Variable((), value) for a, value in self.at.items()}
 
-    def blocks(self, size: int, threads: int) -> Sequence[NodeBlock]:
+    def blocks(self, size: int, threads: int) -> Sequence[Block]:
         """Divide the mesh into boxes."""
         return mesh_blocks(self.shape, self.steps, self.half, size, threads)
 

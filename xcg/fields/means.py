@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled import points as kernel
-from xcg.compiled.reach import Lists
 from xcg.compiled.rings import ROOM, ring_squares
-from xcg.fields.blocks import Taken
 from xcg.fields.deposit import BlockSums, Pass, Squared
 from xcg.fields.moments import MOMENTS
 from xcg.fields.points import PointBlock
@@ -56,18 +54,9 @@ class RingBlock:
     share: NDArray
     dimension: int
 
-    @property
-    def count(self) -> int:
-        """Number of nodes."""
-        return len(self.places)
-
-    def nodes(self, origin: NDArray, unit: float, active: NDArray, period: NDArray) -> Taken:
-        """Return all angles of the nodes as loops take them."""
-        return self.inner.nodes(origin, unit, active, period)
-
-    def lists(self, taken: Taken, reach: Sequence[float], real: str = "float64") -> Lists:
-        """Return scratch to list these."""
-        return self.inner.lists(taken, reach, real)
+    def sums(self, over: Callable[[PointBlock], BlockSums]) -> BlockSums:
+        """Return sums at the nodes: averages of those at all their angles."""
+        return mean_sums(over(self.inner), self)
 
     @property
     def is_mean(self) -> bool:

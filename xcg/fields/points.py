@@ -17,7 +17,7 @@ from xcg.compiled import THREADS
 from xcg.compiled.arrays import counting_sort_places
 from xcg.compiled.cells import Cells, lists_for_points
 from xcg.compiled.reach import PAD, Lists, Nodes
-from xcg.fields.blocks import BLOCK_NODES, Taken, triple
+from xcg.fields.blocks import BLOCK_NODES, OwnNodes, Taken, triple
 from xcg.fields.grid import MAX_NODES, Apart, check_axes
 from xcg.scene.schema import COMPONENTS
 
@@ -38,7 +38,7 @@ _OF_RESULTS = ("time", "interval", "phase", "other_phase", "component", "directi
 
 
 @dataclass(frozen=True, eq=False)
-class PointBlock:
+class PointBlock(OwnNodes):
     """Points that are neighbours in space, sorted by cell. Lengths are in radii of the support, from an origin on.
 
     Attributes

@@ -60,6 +60,16 @@ class Rings(Apart):
     error: float
 
     @property
+    def undirected(self) -> NDArray:
+        """Nodes on the axis."""
+        return self.on_axis
+
+    @property
+    def attrs(self) -> dict[str, float]:
+        """How exact averages over theta are."""
+        return {"theta_error": self.error}
+
+    @property
     def cuts(self) -> dict[str, tuple[float, float]]:
         """No cut across x, y or z."""
         return {}
