@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from xcg.chains.results import Step, require_chains, steps_of
 from xcg.scene.schema import Frame
-from xcg.writers.files import hdf5_file, whole_file
+from xcg.writers.files import hdf5_file, whole_file, write_by_vtk
 
 if TYPE_CHECKING:
     import h5py
@@ -200,13 +200,7 @@ def to_vtp(fc: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool = Fa
     require_chains(fc, "to_vtp")
     written = []
     for step, target in _targets(fc, _VTK, path):
-        with whole_file(target, overwrite=overwrite) as part:
-            writer = vtkXMLPolyDataWriter()
-            writer.SetFileName(str(part))
-            writer.SetInputData(_polydata(_Mesh.of(step), step.time))
-            if not writer.Write():
-                msg = f"{target}: VTK could not write the file"
-                raise OSError(msg)
+        write_by_vtk(vtkXMLPolyDataWriter(), _polydata(_Mesh.of(step), step.time), target, overwrite=overwrite)
         written.append(target)
     return written
 

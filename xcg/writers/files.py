@@ -64,6 +64,16 @@ def whole_file(path: Path, *, overwrite: bool, room: int = 0) -> Iterator[Path]:
         temporary.discard(part)
 
 
+def write_by_vtk(writer: Any, data: Any, path: Path, *, overwrite: bool) -> None:
+    """Write data by one of VTK's writers to a file that appears when it is whole; errors as of `whole_file`."""
+    with whole_file(path, overwrite=overwrite) as part:
+        writer.SetInputData(data)
+        writer.SetFileName(os.fspath(part))
+        if not writer.Write():
+            msg = f"{path}: VTK cannot write it; is the disk full?"
+            raise OSError(msg)
+
+
 def abandon() -> None:
     """Remove what is being written, and locks, just before the process ends without ado."""
     for path in list(temporary):

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import os
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from xcg.writers.encoding import Encoding
-from xcg.writers.files import check_target, whole_file
+from xcg.writers.files import write_by_vtk
+from xcg.writers.pvd import write_series
 from xcg.writers.vtkhdf import AXES, Image, arrays_of, checked
-from xcg.writers.vtu import collection
 
 
 def write_pvd(ds: xr.Dataset, path: Path, encoding: Encoding, *, overwrite: bool) -> None:
@@ -32,17 +31,11 @@ def write_pvd(ds: xr.Dataset, path: Path, encoding: Encoding, *, overwrite: bool
     Image.of(fields)  # what is no image is refused before anything is written
     lone = "time" not in fields.dims
     steps = [fields] if lone else [fields.isel(time=[t]) for t in range(fields.sizes["time"])]
-    names = [path.with_name(f"{path.stem}_{t:04d}.vti") for t in range(len(steps))]
-    for name in names:
-        check_target(name, overwrite=overwrite)
-    for step, name in zip(steps, names, strict=True):
-        _write_step(step.compute(), name, encoding, overwrite=overwrite)
     times = np.zeros(1) if "time" not in fields.coords else np.atleast_1d(fields["time"].to_numpy())
-    with whole_file(path, overwrite=overwrite) as part:
-        part.write_text(collection(times, names))
+    write_series(steps, times, path, ".vti", partial(_write_step, encoding, overwrite=overwrite), overwrite=overwrite)
 
 
-def _write_step(step: xr.Dataset, path: Path, encoding: Encoding, *, overwrite: bool) -> None:
+def _write_step(encoding: Encoding, step: xr.Dataset, path: Path, *, overwrite: bool) -> None:
     from vtkmodules.util.numpy_support import numpy_to_vtk
     from vtkmodules.vtkCommonCore import vtkDataArray
     from vtkmodules.vtkCommonDataModel import vtkImageData
@@ -62,13 +55,7 @@ def _write_step(step: xr.Dataset, path: Path, encoding: Encoding, *, overwrite: 
         if "units" in data.attrs:
             found.GetInformation().Set(vtkDataArray.UNITS_LABEL(), str(data.attrs["units"]))
         image.GetPointData().AddArray(found)
-    writer: Any = vtkXMLImageDataWriter()
-    writer.SetInputData(image)
-    with whole_file(path, overwrite=overwrite) as part:
-        writer.SetFileName(os.fspath(part))
-        if not writer.Write():
-            msg = f"{path}: VTK cannot write it; is the disk full?"
-            raise OSError(msg)
+    write_by_vtk(vtkXMLImageDataWriter(), image, path, overwrite=overwrite)
 
 
 def _labels(components: int) -> list[str]:

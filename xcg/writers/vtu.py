@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import os
+from functools import partial
 from pathlib import Path
 from typing import Any
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import xarray as xr
@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from xcg.scene.schema import COMPONENTS
 from xcg.scene.vtk_mesh import places_of, read_mesh
-from xcg.writers.files import check_target, whole_file
+from xcg.writers.files import check_target, write_by_vtk
+from xcg.writers.pvd import write_series
 from xcg.writers.vtkhdf import arrays_of
 
 _OTHERS = ("time", "phase", "component", "direction")
@@ -61,15 +62,13 @@ def to_vtu(
     _check_places(fields, dim, places_of(data, centers=cells), mesh)
     bare = _bare_grid(data)
     steps = [fields.isel(time=t) for t in range(fields.sizes["time"])] if "time" in fields.dims else [fields]
-    names = [path] if len(steps) == 1 else [path.with_name(f"{path.stem}_{t:04d}.vtu") for t in range(len(steps))]
-    series = path if len(steps) == 1 else path.with_suffix(".pvd")
-    for name in {*names, series}:
-        check_target(name, overwrite=overwrite)
-    for step, name in zip(steps, names, strict=True):
-        _write_step(step.compute(), dim, bare, name, cells=cells, overwrite=overwrite)
-    if len(steps) > 1:
-        with whole_file(series, overwrite=overwrite) as part:
-            part.write_text(collection(fields["time"].to_numpy(), names))
+    write = partial(_write_step, dim, bare, cells=cells, overwrite=overwrite)
+    if len(steps) == 1:
+        check_target(path, overwrite=overwrite)
+        write(steps[0].compute(), path)
+        return path
+    series = path.with_suffix(".pvd")
+    write_series(steps, fields["time"].to_numpy(), series, ".vtu", write, overwrite=overwrite)
     return series
 
 
@@ -124,7 +123,7 @@ def _bare_grid(mesh: Any) -> Any:
     return grid
 
 
-def _write_step(step: xr.Dataset, dim: str, bare: Any, path: Path, *, cells: bool, overwrite: bool) -> None:
+def _write_step(dim: str, bare: Any, step: xr.Dataset, path: Path, *, cells: bool, overwrite: bool) -> None:
     from vtkmodules.util.numpy_support import numpy_to_vtk
     from vtkmodules.vtkCommonDataModel import vtkUnstructuredGrid
     from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
@@ -139,20 +138,4 @@ def _write_step(step: xr.Dataset, dim: str, bare: Any, path: Path, *, cells: boo
         found = numpy_to_vtk(np.ascontiguousarray(values.reshape(len(values), -1), array.dtype), deep=True)
         found.SetName(array.name)
         target.AddArray(found)
-    writer = vtkXMLUnstructuredGridWriter()
-    writer.SetInputData(grid)
-    with whole_file(path, overwrite=overwrite) as part:
-        writer.SetFileName(os.fspath(part))
-        if not writer.Write():
-            msg = f"{path}: VTK cannot write it; is the disk full?"
-            raise OSError(msg)
-
-
-def collection(times: NDArray, names: list[Path]) -> str:
-    """ParaView's list of files and their times."""
-    rows = "".join(
-        f'    <DataSet timestep="{float(time)!r}" part="0" file={quoteattr(name.name)}/>\n'
-        for time, name in zip(times, names, strict=True)
-    )
-    head = '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n  <Collection>\n'
-    return f"{head}{rows}  </Collection>\n</VTKFile>\n"
+    write_by_vtk(vtkXMLUnstructuredGridWriter(), grid, path, overwrite=overwrite)
