@@ -8,7 +8,7 @@ import runpy
 import textwrap
 from pathlib import Path
 
-from xcg.fields.registry import FIELDS, TOPICS, listed
+from xcg.fields.formulas.registry import FIELDS, TOPICS, listed
 from xcg.scene.schema import units_of
 
 HEAD = """# Fields

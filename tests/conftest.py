@@ -18,7 +18,7 @@ def _own_cache(tmp_path_factory):
 @pytest.fixture(autouse=True)
 def _own_fields():
     """Forget the fields that a test registers."""
-    with mock.patch.dict("xcg.fields.registry._REGISTERED"):
+    with mock.patch.dict("xcg.fields.formulas.registry._REGISTERED"):
         yield
 
 

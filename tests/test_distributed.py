@@ -95,13 +95,13 @@ def test_zarr_by_xarray(client, scene, tmp_path):
 
 
 def _refuse_pools():
-    import xcg.fields.blocks
+    import xcg.fields.sums.blocks
 
     def refuse(*_):
         message = "a task started threads of its own"
         raise AssertionError(message)
 
-    xcg.fields.blocks.ThreadPoolExecutor = refuse
+    xcg.fields.sums.blocks.ThreadPoolExecutor = refuse
 
 
 def test_one_thread_a_task(client, scene):

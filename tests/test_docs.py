@@ -27,7 +27,7 @@ def test_links_lead_somewhere(page):
 
 def test_readme_names_every_field():
     text = (ROOT / "README.md").read_text()
-    from xcg.fields.registry import listed
+    from xcg.fields.formulas.registry import listed
 
     assert [name for name in listed() if f"`{name}`" not in text] == []
 
@@ -68,7 +68,7 @@ def test_formulas_become_mathematics(formula, expected):
 
 def test_all_formulas_are_whole_mathematics():
     from docs.formula import mathematics
-    from xcg.fields.registry import FIELDS, listed
+    from xcg.fields.formulas.registry import FIELDS, listed
 
     for name in listed(registered=False):
         text = mathematics(FIELDS[name].formula)

@@ -12,7 +12,7 @@ from tests import real_data, shared_data
 from tests.brute_force import BruteKernel
 from tests.identities import residuals
 from tests.identities.scenes import load
-from xcg.fields.rows import energy, rotation
+from xcg.fields.formulas.rows import energy, rotation
 from xcg.readers import table
 from xcg.scene.schema import VARIABLES
 

@@ -5,7 +5,7 @@ import warnings
 import numpy as np
 import pytest
 
-from xcg.fields.grid import make_grid
+from xcg.fields.places.grid import make_grid
 from xcg.scene.schema import SceneWarning
 
 

@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 
 import xcg
-from xcg.fields import registry
+from xcg.fields.formulas import registry
 from xcg.scene.schema import VARIABLES, units_of
 
 

@@ -8,8 +8,8 @@ import pytest
 
 import xcg
 from tests import steps_of_random_scenes
-from xcg.fields import program, registry
-from xcg.fields.field import Options
+from xcg.fields.formulas import program, registry
+from xcg.fields.formulas.field import Options
 
 OWN = {
     "deviation": (lambda f, s, o: -f.stress * 0.5 + f.pressure[..., None, None] ** 2, 2, ["stress", "pressure"]),

@@ -8,10 +8,10 @@ import pytest
 import xcg
 from xcg.compiled import fit
 from xcg.compiled import program as kernel
-from xcg.fields import program as program
-from xcg.fields import registry
-from xcg.fields import trace as symbols
-from xcg.fields.field import Options
+from xcg.fields.formulas import program as program
+from xcg.fields.formulas import registry
+from xcg.fields.formulas import trace as symbols
+from xcg.fields.formulas.field import Options
 
 ALL = tuple(name for name in registry.listed() if not (registry.FIELDS[name].option or registry.FIELDS[name].paired))
 

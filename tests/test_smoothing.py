@@ -9,8 +9,8 @@ from scipy.integrate import quad
 import xcg
 from tests.brute_force import BruteKernel
 from xcg.compiled.segments import RULES
-from xcg.fields.quadrature import gauss_limits
-from xcg.fields.smoothing import as_kernel
+from xcg.fields.sums.quadrature import gauss_limits
+from xcg.fields.sums.smoothing import as_kernel
 
 NAMES = ["lucy", "gaussian", "shifted gaussian", "heaviside"]
 SPHERE = {1: 2.0, 2: 2 * np.pi, 3: 4 * np.pi}

@@ -5,8 +5,8 @@ import pytest
 import xarray as xr
 
 import xcg
-from xcg.fields import registry
-from xcg.fields.averages import needed_for_averages
+from xcg.fields.formulas import registry
+from xcg.fields.formulas.averages import needed_for_averages
 
 ALL = {"width": 0.8, "spacing": 1.0}
 

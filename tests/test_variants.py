@@ -6,7 +6,7 @@ import xarray as xr
 
 import xcg
 from tests.brute_force import BruteKernel
-from xcg.fields.registry import GRADIENTS
+from xcg.fields.formulas.registry import GRADIENTS
 
 RATE = np.array([[0.3, 1.0, -0.4], [0.1, -0.2, 0.5], [0.0, 0.7, -0.1]])
 INSIDE = {"bounds": dict.fromkeys("xyz", (1.5, 3.5)), "width": 0.6, "spacing": 0.5}

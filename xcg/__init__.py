@@ -11,24 +11,24 @@ from xcg.chains.search import force_chains
 from xcg.chains.selection import select_chains
 from xcg.chains.tables import chain_table, link_table
 from xcg.chains.tracks import track_chains
-from xcg.fields.averages import profile, time_average
-from xcg.fields.balance import balance
 from xcg.fields.coarse_grain import coarse_grain
-from xcg.fields.correlations import spatial_correlation, time_correlation
-from xcg.fields.diffusion import mean_squared_displacement
-from xcg.fields.displacement import displacement
-from xcg.fields.frames import Cylindrical, Rotated
-from xcg.fields.lammps import lammps_mesh
-from xcg.fields.plots import movie, plot
-from xcg.fields.pysammos import pysammos_mesh
-from xcg.fields.register import register_field
-from xcg.fields.registry import FIELDS
-from xcg.fields.slice_temperature import slice_temperature
-from xcg.fields.smoothing import Gaussian, Heaviside, Kernel, Lucy, register_kernel
-from xcg.fields.surfaces import Cylinder, Plane, Surface
-from xcg.fields.variables import Flux, Mean, Sum, Variance
-from xcg.fields.wall_stress import wall_stress
-from xcg.fields.width_sweep import width_sweep
+from xcg.fields.formulas.averages import profile, time_average
+from xcg.fields.formulas.register import register_field
+from xcg.fields.formulas.registry import FIELDS
+from xcg.fields.formulas.variables import Flux, Mean, Sum, Variance
+from xcg.fields.places.frames import Cylindrical, Rotated
+from xcg.fields.places.surfaces import Cylinder, Plane, Surface
+from xcg.fields.presets.lammps import lammps_mesh
+from xcg.fields.presets.pysammos import pysammos_mesh
+from xcg.fields.studies.balance import balance
+from xcg.fields.studies.correlations import spatial_correlation, time_correlation
+from xcg.fields.studies.diffusion import mean_squared_displacement
+from xcg.fields.studies.displacement import displacement
+from xcg.fields.studies.plots import movie, plot
+from xcg.fields.studies.slice_temperature import slice_temperature
+from xcg.fields.studies.wall_stress import wall_stress
+from xcg.fields.studies.width_sweep import width_sweep
+from xcg.fields.sums.smoothing import Gaussian, Heaviside, Kernel, Lucy, register_kernel
 from xcg.packing.find_contacts import find_contacts
 from xcg.packing.microstructure import microstructure
 from xcg.packing.pairs import find_pairs

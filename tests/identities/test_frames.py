@@ -8,13 +8,15 @@ from hypothesis import strategies as st
 import xcg
 from tests.identities import residuals
 from tests.identities.scenes import OPEN, Case, load, synthetic
-from xcg.fields.moments import MOMENTS
+from xcg.fields.sums.moments import MOMENTS
 from xcg.scene.schema import VARIABLES
 
 REAL = pytest.mark.parametrize("name", list(OPEN))
 # the temperatures along the axes are the diagonal of a tensor, not a vector: they do not turn like one
 ALL = [
-    name for name in xcg.fields.registry.listed() if not xcg.FIELDS[name].option and name != "directional_temperature"
+    name
+    for name in xcg.fields.formulas.registry.listed()
+    if not xcg.FIELDS[name].option and name != "directional_temperature"
 ]
 OBJECTIVE = ["kinetic_stress", "velocity_gradient", "granular_temperature", "fluctuation_stress", "shear_rate"]
 VECTORS = ("position", "velocity", "contact_point", "contact_force", "contact_normal", "angular_velocity")
@@ -30,8 +32,8 @@ def allowed(ds, names):
     """Fields that a scene allows: those of rotation need angular velocities."""
     needs = {"angular_velocity", "moment_of_inertia"} - set(ds.data_vars)
     moments = {name for name, row in MOMENTS.items() if needs & set(row.variables)}
-    options = xcg.fields.registry.Options()
-    return [name for name in names if not moments & set(xcg.fields.registry.moments_of([name], options))]
+    options = xcg.fields.formulas.registry.Options()
+    return [name for name in names if not moments & set(xcg.fields.formulas.registry.moments_of([name], options))]
 
 
 # Turned coordinates are rounded anew, by 1e-16 of their size, ten to a hundred cutoffs.

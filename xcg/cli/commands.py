@@ -21,7 +21,7 @@ import xcg
 from xcg.cli.chains import chains_command
 from xcg.cli.convert import convert_command
 from xcg.cli.messages import plain_messages
-from xcg.fields import registry
+from xcg.fields.formulas import registry
 from xcg.scene.schema import printable, units_of
 from xcg.steps.errors import ON_ERROR
 from xcg.writers.files import abandon
@@ -169,7 +169,7 @@ def info(files: tuple[str, ...], contacts: tuple[str, ...], **options: object) -
 def fields(pysammos: bool) -> None:
     """List all fields, with their units and formulas."""
     if pysammos:
-        from xcg.fields.pysammos import rows
+        from xcg.fields.presets.pysammos import rows
 
         table = [(name, "", row.field.formula) for name, row in rows("xy", "xyz").items()]
     else:

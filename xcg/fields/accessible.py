@@ -19,11 +19,11 @@ import xarray as xr
 from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
-from xcg.fields.averages import per_fraction
+from xcg.fields.formulas.averages import per_fraction
+from xcg.fields.places.surfaces import Plane, Wall
 from xcg.fields.plan import Plan
 from xcg.fields.request import Request
-from xcg.fields.smoothing import Kernel
-from xcg.fields.surfaces import Plane, Wall
+from xcg.fields.sums.smoothing import Kernel
 from xcg.scene.query import edges_of
 from xcg.scene.schema import COMPONENTS
 from xcg.steps.map import is_lazy

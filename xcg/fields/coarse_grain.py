@@ -8,12 +8,13 @@ from typing import Any, TypeVar
 
 import xarray as xr
 
-from xcg.fields import lammps, pysammos, registry
 from xcg.fields.accessible import check_walls, with_accessible
 from xcg.fields.evaluate import evaluate_plan
-from xcg.fields.field import Field
-from xcg.fields.frames import in_frame, is_cylindrical
+from xcg.fields.formulas import registry
+from xcg.fields.formulas.field import Field
+from xcg.fields.places.frames import in_frame, is_cylindrical
 from xcg.fields.plan import Plan, make_plan
+from xcg.fields.presets import lammps, pysammos
 from xcg.fields.request import Request, SharedOptions, takes
 from xcg.scene.bodies import group_bodies
 from xcg.scene.build import storable

@@ -13,21 +13,22 @@ from numpy.typing import NDArray
 
 from xcg.compiled import smoothing as kinds
 from xcg.compiled.segments import RULES
-from xcg.fields import registry
-from xcg.fields.averages import needed_for_averages
-from xcg.fields.blocks import BLOCK_NODES
-from xcg.fields.deposit import DepositSpec
-from xcg.fields.fabric import sliding_contacts
-from xcg.fields.field import Options
-from xcg.fields.frames import Cylindrical, is_cylindrical
-from xcg.fields.grid import Grid, make_grid
-from xcg.fields.moments import MOMENTS, Moment
-from xcg.fields.points import is_pointwise, make_points
-from xcg.fields.quadrature import SINGLE, gauss_limits
+from xcg.fields.formulas import registry
+from xcg.fields.formulas.averages import needed_for_averages
+from xcg.fields.formulas.field import Options
+from xcg.fields.formulas.variables import OwnField, Quantity, check_turns, own_fields, own_moments, rows_of
+from xcg.fields.places.frames import Cylindrical, is_cylindrical
+from xcg.fields.places.grid import make_grid
+from xcg.fields.places.points import is_pointwise, make_points
+from xcg.fields.places.rings import Rings, make_rings
 from xcg.fields.request import Request
-from xcg.fields.rings import Rings, make_rings
-from xcg.fields.smoothing import Kernel, as_kernel, choose_width
-from xcg.fields.variables import OwnField, Quantity, check_turns, own_fields, own_moments, rows_of
+from xcg.fields.sums.blocks import BLOCK_NODES
+from xcg.fields.sums.deposit import DepositSpec
+from xcg.fields.sums.fabric import sliding_contacts
+from xcg.fields.sums.moments import MOMENTS, Moment
+from xcg.fields.sums.nodes import Grid
+from xcg.fields.sums.quadrature import SINGLE, gauss_limits
+from xcg.fields.sums.smoothing import Kernel, as_kernel, choose_width
 from xcg.scene.lattice import Lattice
 from xcg.scene.query import box_stays, edges_of, groups_of, known_without_reading, require_scene, setup_of
 from xcg.scene.schema import BOX, COMPONENTS, CONTACT_VARIABLES, ROTATION, SceneError, Setup, did_you_mean

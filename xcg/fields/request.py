@@ -15,10 +15,10 @@ from typing import Any, Concatenate, ParamSpec, TypeVar, cast, get_type_hints
 
 import xarray as xr
 
-from xcg.fields.frames import Cylindrical, Rotated
-from xcg.fields.smoothing import Kernel
-from xcg.fields.surfaces import Wall
-from xcg.fields.variables import Quantity
+from xcg.fields.formulas.variables import Quantity
+from xcg.fields.places.frames import Cylindrical, Rotated
+from xcg.fields.places.surfaces import Wall
+from xcg.fields.sums.smoothing import Kernel
 
 P = ParamSpec("P")
 A = TypeVar("A")
@@ -88,7 +88,8 @@ class SharedOptions:
         keeps it is taken, from 1e-4 on with weights in single precision. 0 (default) takes the closed form.
     preset : {"pysammos", "lammps"}, optional
         Names and variants of another program; `fields` are then its names. For "pysammos", `shear_dims` is its plane
-        ("xy" by default), see `xcg.fields.pysammos`; "lammps" is ``compute continuum/chunk``, see `xcg.fields.lammps`.
+        ("xy" by default), see `xcg.fields.presets.pysammos`; "lammps" is ``compute continuum/chunk``, see
+        `xcg.fields.presets.lammps`.
     on_error : {"raise", "skip"}
         What to do about a step that cannot be read or computed: stop with its error (default), or leave it NaN, warn
         of it by file and cause when it is computed, and mark it in the coordinate ``skipped`` (time).

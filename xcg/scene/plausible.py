@@ -13,7 +13,7 @@ from xcg.scene.lattice import Lattice
 from xcg.scene.schema import Frame
 from xcg.scene.warn import warn_once
 
-_SAMPLE = 4096  # rows looked at, spread over all
+SAMPLE = 4096  # rows looked at, spread over all
 _FAR = 3.0  # diameters from a centre to a contact point; the ends of rods are as far that are 18 times as long as wide
 _FEW = 20  # contacts that are too few to tell a wrong sign by
 _MOST = 0.9  # share of contacts that pull
@@ -22,7 +22,7 @@ _OFF = 0.1  # largest distance of the ends in a file from the centres, in branch
 
 
 def _sample(rows: int) -> slice:
-    return slice(None, None, max(1, rows // _SAMPLE))
+    return slice(None, None, max(1, rows // SAMPLE))
 
 
 def check_contacts(frame: Frame, lattice: Lattice, source: str) -> None:

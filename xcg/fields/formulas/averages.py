@@ -1,0 +1,280 @@
+"""Statistics of scenes and results: sizes, profiles, averages over time with their standard errors.
+
+Averages of ratios are ratios of averages, by the rule on each field's row in the registry. Sums (`additive` fields)
+are averaged as they are. A ratio, such as a velocity, is averaged with the sum in its denominator as its `weight`:
+this is the ratio of the averaged sums. What is not linear in these (magnitudes, friction, inertial number) is
+computed anew from the averages. The sums have to be in the result beside the ratios: `needed_for_averages` says which
+these are, and an error which are missing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from types import SimpleNamespace
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.fields.formulas import registry
+from xcg.fields.formulas.field import Field, Options
+from xcg.fields.formulas.variables import row_of_result
+from xcg.scene.schema import COMPONENTS
+
+# --- averages of results ---------------------------------------------------------------------------------
+
+# Blocks fewer than this tell too little of their own scatter.
+MIN_BLOCKS = 16
+_SAMPLE = "_sample"
+_NO_RULE = "a rule: give it one with xcg.register_field, or leave it out with drop_vars"
+
+
+def profile(f: xr.Dataset, axis: str) -> xr.Dataset:
+    """Average a result over its other axes, nodes weighing the same, or those of a cylinder by their radius.
+
+    This is for results that are there already; the exact marginal profile, without a mesh along the other axes, is
+    ``coarse_grain(axes=axis)``. Over whole periods or supports the two agree but for the ratios' small parts.
+
+    Parameters
+    ----------
+    f : xarray.Dataset
+        A result of `xcg.coarse_grain`.
+    axis : str
+        The axis to keep.
+
+    Returns
+    -------
+    xarray.Dataset
+        Fields without the other axes; ratios are ratios of averaged sums.
+
+    Raises
+    ------
+    ValueError
+        If the axis is not resolved, or a sum that a ratio needs is not in the result.
+    """
+    axes = [a for a in (*COMPONENTS, "r", "theta") if a in f.dims]
+    if axis not in axes:
+        msg = f"profile({axis!r}): the resolved axes of this result are {axes}"
+        raise ValueError(msg)
+    others = [a for a in axes if a != axis]
+    sums = _to_sums(f, "profile")
+    if "r" in others:  # rings have areas r dr; the axis itself has none
+        sums = sums.sel(r=sums["r"] > 0.0)
+        return _from_sums((sums * sums["r"]).sum(others, skipna=False) / _area(sums, others), f)
+    return _from_sums(sums.mean(others, skipna=False), f)
+
+
+def _area(f: xr.Dataset, dims: Sequence[str]) -> float:
+    """Sum of the radii of all nodes along some dimensions."""
+    return float(f["r"].sum()) * math.prod(f.sizes[d] for d in dims if d != "r")
+
+
+def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) -> xr.Dataset:
+    """Average a result over time, or over moving windows, with standard errors from block averages.
+
+    Steps of a simulation are correlated, so the scatter of single steps over sqrt(n) is too small an error. Means of
+    blocks of 1, 2, 4, ... steps give errors that grow with the block until blocks are independent: the error is that
+    of the smallest block beyond which it no longer grows (Flyvbjerg & Petersen 1989), each value by itself, ratios by
+    the jackknife over blocks of their sums. Where the series is too short to reach that plateau (fewer than 16 blocks
+    left), the last error is a lower bound.
+
+    Parameters
+    ----------
+    f : xarray.Dataset
+        A result of `xcg.coarse_grain` with several steps, weighing the same.
+    window : int, optional
+        Steps in a moving window; all by default.
+    every : int
+        Steps from one window to the next.
+
+    Returns
+    -------
+    xarray.Dataset
+        Means and, under ``<name>_error``, their standard errors; NaN for a single step. Without `time`, or with the
+        mean time of each window.
+
+    Raises
+    ------
+    ValueError
+        If there is no time, the window does not fit, or a sum that a ratio needs is not in the result.
+    """
+    if "time" not in f.dims:
+        msg = "time_average needs a result with the dimension 'time'"
+        raise ValueError(msg)
+    count = f.sizes["time"]
+    for name, value in (("window", window), ("every", every)):
+        if value is not None and (value != int(value) or not 1 <= value <= count):
+            msg = f"{name}={value!r}: expected a number of steps from 1 to {count}"
+            raise ValueError(msg)
+    sums = _to_sums(f.drop_vars("step", errors="ignore"), "time_average")
+    if window is None:
+        samples = sums.rename(time=_SAMPLE).drop_vars(_SAMPLE)
+    else:
+        first = slice(window - 1, None, every)
+        samples = sums.rolling(time=window).construct(_SAMPLE).isel(time=first)
+        middle = f["time"].rolling(time=window).construct(_SAMPLE).mean(_SAMPLE).isel(time=first)
+        samples = samples.assign_coords(time=("time", middle.to_numpy(), f["time"].attrs))
+    mean = _from_sums(samples.mean(_SAMPLE, skipna=False), f)
+    errors = block_errors(samples, _SAMPLE, lambda means: _from_sums(means, f))
+    for name in map(str, list(mean.data_vars)):
+        attrs = {"units": f[name].attrs.get("units", "1"), "long_name": f"standard error of {name}"}
+        mean[f"{name}_error"] = errors[name].assign_attrs(attrs)
+    return mean.assign_attrs(averaged_steps=count if window is None else window)
+
+
+def per_fraction(f: xr.Dataset, fraction: xr.DataArray) -> xr.Dataset:
+    """Divide the sums of a result by a fraction of the volume; ratios of sums stay, other fields follow from the sums.
+
+    Numbers of particles stay, too, and all is NaN where the fraction is.
+    """
+    rows, fraction = _rows_of(f), fraction.drop_attrs()
+    sums = _to_sums(f, "per='accessible'")
+    kept = {"sample_count", *(name for name, row in rows.items() if row is not None and row.weight)}
+    divided = {name: sums[name] if name in kept or "/" in str(name) else sums[name] / fraction for name in sums}
+    out = _from_sums(xr.Dataset(divided), f)
+    known = fraction.notnull()
+    return out.assign({name: f[name].where(known) if name != "sample_count" else f[name] for name in kept & set(rows)})
+
+
+def block_errors(samples: xr.Dataset, dim: str, function: Callable[[xr.Dataset], xr.Dataset]) -> xr.Dataset:
+    """Give standard errors of a function of the mean over samples in a row, which may be correlated.
+
+    They are those of the first size of blocks beyond which they do not grow, see `time_average`.
+    """
+    levels: list[xr.Dataset] = []
+    doubt = []  # relative scatter of each level's error
+    while (count := samples.sizes[dim]) >= 2 and (not levels or count >= MIN_BLOCKS):
+        # jackknife: for sums the scatter over sqrt(n), for functions of sums right to first order
+        without = (count * samples.mean(dim, skipna=False) - samples) / (count - 1)
+        levels.append(function(without).std(dim, ddof=0, skipna=False) * np.sqrt(count - 1))
+        doubt.append(1 / np.sqrt(2 * (count - 1)))
+        samples = samples.coarsen({dim: 2}, boundary="trim").mean()
+    if not levels:
+        return function(samples.mean(dim)) * np.nan
+    found = levels[-1]
+    for k in reversed(range(len(levels) - 1)):
+        flat = levels[k + 1] * (1 - doubt[k + 1]) <= levels[k]
+        for m in range(k + 2, len(levels)):
+            flat = flat & (levels[m] * (1 - doubt[m]) <= levels[k])
+        found = xr.where(flat, levels[k], found)
+    return found
+
+
+def needed_for_averages(names: Iterable[str], options: Options) -> tuple[str, ...]:
+    """Return the fields that have to be in a result beside some others, so that averages of all can be taken."""
+    names = tuple(names)
+    rows = {name: registry.row(name, options) for name in names}
+    return _all_of(_missing(rows, options))
+
+
+def _all_of(missing: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
+    """Return the fields that are missing, each once."""
+    return tuple(dict.fromkeys(need for needs in missing.values() for need in needs if need != _NO_RULE))
+
+
+def _missing(rows: Mapping[str, Field | None], options: Options) -> dict[str, list[str]]:
+    """Fields that averages of each field of a result lack, each named once; None is a field without a row."""
+    here, missing = set(rows), dict[str, list[str]]()
+
+    def follows(name: str) -> bool:
+        """Whether a sum is here, or follows from sums that are."""
+        row = registry.row(name, options)
+        return name in here or bool(row.fields and not row.moments and all(map(follows, row.fields)))
+
+    def obtain(name: str, row: Field | None) -> list[str]:
+        if row is None or (row.moments and not row.additive and not row.weight):
+            return [_NO_RULE]
+        if not row.additive and not row.weight:
+            return [lack for need in row.fields for lack in obtain(need, registry.row(need, options))]
+        wanted = [
+            field for field in (name, row.weight) if field and not (field in here or (row.additive and follows(name)))
+        ]
+        here.update(wanted)
+        return wanted
+
+    for name, row in rows.items():
+        if lacking := list(dict.fromkeys(obtain(name, row))):
+            missing[name] = lacking
+    return missing
+
+
+def _rows_of(f: xr.Dataset) -> dict[str, Field | None]:
+    """Rows of the fields of a result; None for what is no field."""
+    options = registry.options_of(f.attrs)
+    names = map(str, f.data_vars)
+    return {name: registry.row(name, options) if name in registry.FIELDS else row_of_result(f[name]) for name in names}
+
+
+def _to_sums(f: xr.Dataset, purpose: str) -> xr.Dataset:
+    """Quantities that may be averaged: additive fields, and numerator and denominator of each ratio."""
+    rows = _rows_of(f)
+    missing = _missing(rows, registry.options_of(f.attrs))
+    if missing:
+        lacking = "; ".join(f"{name} needs {', '.join(what)}" for name, what in missing.items())
+        msg = f"{purpose} averages ratios through their sums, and some are not in this result: {lacking}"
+        if sums := _all_of(missing):
+            msg += f". Call coarse_grain with for_averages=True, or ask it for {', '.join(sums)} too"
+        raise ValueError(msg)
+    out: dict[str, xr.DataArray] = {}
+    for name, row in rows.items():
+        assert row is not None
+        if row.additive:
+            out[name] = f[name].astype(float)
+        elif row.weight:
+            weight = _of_bulk(f[row.weight], name, purpose) if row.by_bulk else f[row.weight]
+            weight, value = weight.where(f[name].notnull(), 0.0), f[name].fillna(0.0)
+            if row.harmonic:
+                out[f"{name}/top"], out[f"{name}/bottom"] = weight, weight / value.where(weight > 0, 1.0)
+            else:
+                out[f"{name}/top"], out[f"{name}/bottom"] = weight * value, weight
+    return xr.Dataset(out)
+
+
+def _of_bulk(weight: xr.DataArray, name: str, purpose: str) -> xr.DataArray:
+    """Return the bulk's part of the field that weighs another; the whole of it where there are no phases."""
+    if "phase" not in weight.coords:
+        return weight
+    if "bulk" not in np.atleast_1d(weight["phase"].to_numpy()):
+        msg = f"{purpose} averages {name} by the bulk's {weight.name}, which this result lacks: choose phases after it"
+        raise ValueError(msg)
+    return weight.sel(phase="bulk", drop=True) if "phase" in weight.dims else weight
+
+
+def _from_sums(sums: xr.Dataset, f: xr.Dataset) -> xr.Dataset:
+    """Fields of `f` from averaged quantities."""
+    options = registry.options_of(f.attrs)
+    found: dict[str, xr.DataArray] = {}
+    for name in map(str, sums.data_vars):
+        if name.endswith("/top"):
+            ratio, below = name.removesuffix("/top"), sums[name.removesuffix("top") + "bottom"]
+            found[ratio] = sums[name] / below.where(below > 0)
+        elif "/" not in name:
+            found[name] = sums[name]
+
+    out = {name: derive(name, found, options).assign_attrs(f[name].attrs) for name in map(str, f.data_vars)}
+    return xr.Dataset(out, attrs=f.attrs)
+
+
+def derive(name: str, found: dict[str, xr.DataArray], options: Options) -> xr.DataArray:
+    """Give a field that is among those found, or follows from them, and add to them what it took."""
+    if name not in found:
+        row = registry.row(name, options)
+        found[name] = _compute(row, {need: derive(need, found, options) for need in row.fields}, options)
+    return found[name]
+
+
+def _compute(row: Field, needs: Mapping[str, xr.DataArray], options: Options) -> xr.DataArray:
+    """Compute one row of the registry on labelled arrays."""
+
+    def plain(*arrays: NDArray) -> NDArray:
+        with np.errstate(all="ignore"):
+            return row.compute(SimpleNamespace(**dict(zip(needs, arrays, strict=True))), None, options)
+
+    if not needs:
+        return xr.DataArray(plain())
+    tail = ("component", "direction")
+    return xr.apply_ufunc(
+        plain, *needs.values(), input_core_dims=[[d for d in tail if d in v.dims] for v in needs.values()],
+        output_core_dims=[tail[: row.rank]], dask="parallelized", output_dtypes=[float],
+    )  # fmt: skip

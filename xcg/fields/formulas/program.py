@@ -1,0 +1,262 @@
+"""The algebra of fields as a program: traced once, then run over the nodes by one compiled loop."""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache, reduce
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xcg.compiled import program as kernel
+from xcg.compiled.fit import FOUND
+from xcg.compiled.simd import EIGHT
+from xcg.fields.formulas import registry
+from xcg.fields.formulas.field import Options
+from xcg.fields.formulas.trace import Trace, as_symbols
+from xcg.fields.sums.deposit import BlockSums
+from xcg.fields.sums.moments import MOMENTS, Moment
+
+
+@dataclass(frozen=True)
+class Program:
+    """Steps from the moments at a node to its fields.
+
+    Attributes
+    ----------
+    steps : array (n, 4)
+        As `xcg.compiled.program.run` takes them.
+    scratch : array (rows, TILE)
+        Constants in their rows.
+    inputs : tuple of (str, int, int)
+        Moments, of which group, and which of their columns.
+    outputs : tuple of (str, int, int)
+        Fields, the first of the components, and how many: one tensor, vector or scalar.
+    target : array (stores, 9)
+        Rows of these components.
+    fits : int
+        Number of fits.
+    """
+
+    steps: NDArray
+    scratch: NDArray
+    inputs: tuple[tuple[str, int, int], ...]
+    outputs: tuple[tuple[str, int, int], ...]
+    target: NDArray
+    fits: int
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """Names of the fields that it computes."""
+        return tuple(dict.fromkeys(name for name, _, _ in self.outputs))
+
+    def run(self, sums: BlockSums, place: NDArray, out: Mapping[str, NDArray]) -> NDArray:
+        """Compute fields (places, ...) from the moments at some nodes, each to its `place` (nodes,).
+
+        Returns the nodes that are left out: those where a fit takes eigenvectors.
+
+        Raises
+        ------
+        ValueError
+            If an array is not as the loop expects it, which reads and writes by address.
+        """
+        found, arrays = [sums.column(*load) for load in self.inputs], sums.arrays
+        factors = list(dict.fromkeys(factor for _, _, factor in found))
+        widths = [math.prod(a.shape[1:]) for a in arrays]
+        # below the rows that steps use: the factors, and the columns of each array
+        rows = np.cumsum([len(self.scratch), len(factors), *(width + -width % EIGHT for width in widths)]).tolist()
+        scratch = kernel.room_for(rows[-1])
+        scratch[: rows[0]] = self.scratch
+        scratch[rows[0] : rows[1]] = np.reshape(factors, (-1, 1))
+        source = [(rows[1 + number] + column, rows[0] + factors.index(factor)) for number, column, factor in found]
+        nodes, places = len(place), 1 + int(place.max(initial=0))
+        starts = [kernel.address_of(a, nodes, width, "moments") for a, width in zip(arrays, widths, strict=True)]
+        records = list(zip(starts, widths, rows[1:], strict=False))
+        fields = [
+            (
+                kernel.address_of(out[name], places, first + count, name, written=True) + out[name].itemsize * first,
+                math.prod(out[name].shape[1:]),
+                count,
+            )
+            for name, first, count in self.outputs
+        ]
+        singular = np.empty(self.fits * nodes, "uint64")
+        remaining = kernel.run(
+            self.steps, _whole(records, 3), _whole(source, 2), _whole(fields, 3), self.target, place, scratch, singular
+        )
+        return np.unique(singular[:remaining])
+
+
+def _whole(numbers: Sequence[Sequence[int]], width: int) -> NDArray:
+    return np.array(numbers, "uint64").reshape(-1, width)
+
+
+@lru_cache(maxsize=64)
+def program_for(fields: tuple[str, ...], options: Options, groups: int = 0) -> Program | None:
+    """Trace the algebra of some fields, of the bulk and of groups.
+
+    Fields that cannot be traced are left out, and None is returned where all are: those whose formula, or that of a
+    field that they need, takes operations that the loop does not know, or other nodes.
+    """
+    if registry.whole_grid(options):
+        return None
+    record = Trace()
+    rows = MOMENTS | {name: row for one in options.own for name, row in one.moments.items()}
+    wanted = registry.moments_of(fields, options)
+    moments = {name: _moment(record, name, rows[name], groups) for name in wanted}
+    moments["reference"] = record.load("reference", 0, np.arange(3))
+    found = _traced(fields, moments, options)
+    results = {
+        (name, first, count): [record.of(value).number for value in found[name].flat[first : first + count]]
+        for name in fields
+        if name in found
+        for count in [3 ** registry.row(name, options).rank]
+        for first in range(0, found[name].size, count)
+    }
+    return _RegisterAllocation(record.steps, results).program() if results else None
+
+
+def _traced(fields: Sequence[str], moments: Mapping[str, NDArray], options: Options) -> dict[str, Any]:
+    """Symbols of some fields and of what they need, without those that cannot be traced."""
+    found: dict[str, Any] = {}
+    s = SimpleNamespace(**moments)
+    for name in registry.order_of(fields, options):
+        row = registry.row(name, options)
+        if found.keys() >= set(row.fields):
+            try:
+                found[name] = as_symbols(row.compute(SimpleNamespace(**found), s, options))
+            except Exception:  # numbers may do; if not, they give an error that says why
+                continue
+    return found
+
+
+def _moment(record: Trace, name: str, row: Moment, groups: int) -> NDArray:
+    """Symbols of a moment at one node: an array (phase, 1, ...), phase 0 the bulk, the sum over groups."""
+    columns = row.columns
+    if not groups:
+        return record.load(name, 0, columns)[None, None]
+    others = (groups + 1,) if row.paired else ()
+    parts = [record.load(name, group, columns) for group in range(groups * math.prod(others))]
+    each = np.stack(parts).reshape(groups, *others, *columns.shape)
+    return np.stack([reduce(operator.add, each), *each])[:, None]
+
+
+# The steps that lead to the components of each store.
+_Results = Mapping[tuple[str, int, int], Sequence[int]]
+
+
+class _RegisterAllocation:
+    """Puts the steps that lead to some results on rows of numbers, used anew once nothing needs what is in them."""
+
+    def __init__(self, recorded: Sequence[tuple[int, tuple[Any, ...]]], results: _Results) -> None:
+        self.recorded, self.results = recorded, results
+        self.uses = self._count_uses()
+        self.row: dict[int, int] = {}  # where the result of a step is
+        self.kept: set[int] = set()  # rows that are not used anew
+        self.free: list[int] = []
+        self.rows = 0
+        self.steps: list[tuple[int, int, int, int]] = []
+        self.inputs: list[tuple[str, int, int]] = []
+
+    def program(self) -> Program:
+        """Write all steps; what is stored together is stored as soon as it is there."""
+        complete: dict[int, list[tuple[str, int, int]]] = {}
+        for store, numbers in self.results.items():
+            complete.setdefault(max(numbers), []).append(store)
+        stored: list[tuple[str, int, int]] = []
+        constants, target = self._keep_rows(), np.zeros((len(self.results), 9), "uint64")
+        for number in sorted(self.uses):
+            operation, operands = self.recorded[number]
+            if operation == kernel.FIT:
+                rows = [self._at(operand) for operand in operands[1:]]
+                self.steps.append((kernel.FIT, self.row[number], rows[0], operands[0]))
+            elif operation not in (kernel.CONSTANT, kernel.LOAD, kernel.PART):
+                rows = [self._at(operand) for operand in operands]
+                if number not in self.row:
+                    self.row[number] = self._new_row()
+                self.steps.append((operation, self.row[number], rows[0], rows[-1]))
+            for operand in self._operands(number):
+                self._used(operand)
+            for store in complete.get(number, ()):
+                numbers = self.results[store]
+                target[len(stored), : len(numbers)] = [self._at(k) for k in numbers]
+                self.steps.append((kernel.STORE, len(stored), 0, 0))
+                stored.append(store)
+                for k in numbers:
+                    self._used(k)
+        scratch = np.zeros((self.rows, kernel.TILE))
+        for row, value in constants.items():
+            scratch[row] = value
+        steps = _whole(self.steps, 4)
+        fits = int((steps[:, 0] == kernel.FIT).sum())
+        return Program(steps, scratch, tuple(self.inputs), tuple(stored), target, fits)
+
+    def _operands(self, number: int) -> tuple[int, ...]:
+        """Return the steps that a step takes something from."""
+        operation, operands = self.recorded[number]
+        if operation in (kernel.CONSTANT, kernel.LOAD):
+            return ()
+        return operands[1:] if operation in (kernel.FIT, kernel.PART) else operands
+
+    def _count_uses(self) -> Counter[int]:
+        """How often the result of each step is used, for those that lead to the results."""
+        uses = Counter(number for numbers in self.results.values() for number in numbers)
+        waiting = list(uses)
+        while waiting:
+            for operand in self._operands(waiting.pop()):
+                if not uses[operand]:
+                    waiting.append(operand)
+                uses[operand] += 1
+        return uses
+
+    def _keep_rows(self) -> dict[int, float]:
+        """Give rows for good to constants, and to what a fit takes and finds, side by side; returns the constants."""
+        constants = {}
+        for number in sorted(self.uses):
+            operation, operands = self.recorded[number]
+            if operation == kernel.CONSTANT:
+                constants[self.rows] = operands[0]
+                self._keep([number])
+            elif operation == kernel.FIT:
+                self._keep(operands[1:])
+                self.row[number] = self._kept_rows(FOUND)
+            elif operation == kernel.PART:
+                self.row[number] = self.row[operands[1]] + operands[0]
+        return constants
+
+    def _keep(self, numbers: Sequence[int]) -> None:
+        first = self._kept_rows(len(numbers))
+        self.row |= {number: first + k for k, number in enumerate(numbers)}
+
+    def _kept_rows(self, count: int) -> int:
+        first, self.rows = self.rows, self.rows + count
+        self.kept |= {*range(first, self.rows)}
+        return first
+
+    def _new_row(self) -> int:
+        if not self.free:
+            self.free.append(self.rows)
+            self.rows += 1
+        return self.free.pop()
+
+    def _at(self, number: int) -> int:
+        """Row of a result; a column is loaded when it is first needed."""
+        operation, operands = self.recorded[number]
+        if operation == kernel.LOAD and operands not in self.inputs:
+            if number not in self.row:
+                self.row[number] = self._new_row()
+            self.steps.append((kernel.LOAD, self.row[number], len(self.inputs), 0))
+            self.inputs.append(operands)
+        return self.row[number]
+
+    def _used(self, number: int) -> None:
+        """Count a use of a result; after the last its row is free."""
+        self.uses[number] -= 1
+        if not self.uses[number] and self.row[number] not in self.kept:
+            self.free.append(self.row[number])

@@ -1,0 +1,174 @@
+"""Fields of users: their rows are checked, tried out, and put beside those of the registry."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xcg.fields.formulas import registry
+from xcg.fields.formulas.field import Field, Options
+from xcg.fields.formulas.registry import FIELDS
+from xcg.fields.sums.moments import MOMENTS
+from xcg.scene.schema import COMPONENTS, did_you_mean
+
+_COORDINATES = ("time", "step", "skipped", *COMPONENTS, "phase", "other_phase", "component", "direction")
+_PHASES, _NODES = 3, 5  # of the trial: the bulk and two phases; the first node is empty
+
+
+def register_field(
+    name: str,
+    compute: Callable[[Any, Any, Options], NDArray],
+    *,
+    rank: int = 0,
+    powers: Sequence[int] = (0, 0, 0),
+    long_name: str = "",
+    formula: str = "",
+    fields: str | Sequence[str] = (),
+    moments: str | Sequence[str] = (),
+    additive: bool = False,
+    weight: str = "",
+) -> None:
+    """Register a field of one's own, which `coarse_grain` then takes by its name.
+
+    Any NumPy will do. Arithmetic and square roots, element by element, run in the compiled program of the other fields;
+    a formula with anything else runs in NumPy, block by block, with the same bits. `coarse_grain` without names
+    computes the fields of xcg only. A name may be registered again, which replaces the former field.
+
+    Parameters
+    ----------
+    name : str
+        The name for ``fields=`` and in the result.
+    compute : callable
+        ``compute(f, s, o)`` gives the field, an array (phase, node), followed by 3 for a vector, (3, 3) for a tensor.
+        ``f.<name>`` are the fields that it needs, ``s.<name>`` the moments, in the same form, and ``o`` the options
+        (`xcg.fields.formulas.field.Options`), such as the axes ``o.plane`` of the scene. Phase 0 is the bulk. Nodes
+        where nothing reaches hold zeros, and NaN in what is divided by a density.
+    rank : int
+        0 for a scalar, 1 for a vector, 2 for a tensor.
+    powers : tuple of int
+        Powers of (length, mass, time) in its unit: (-1, 1, -2) is a stress (Pa).
+    long_name, formula : str
+        What it is, and its formula as text, for the attributes of the result.
+    fields : str or list of str
+        The fields that it is computed from.
+    moments : str or list of str
+        The moments that it is computed from, names in `xcg.fields.sums.moments.MOMENTS`.
+    additive : bool
+        Whether it is a sum: partial fields of phases add up to the bulk, and averages are means.
+    weight : str
+        For a ratio, the field that weighs its averages: the one in the denominator. A field that is neither additive
+        nor weighted is computed anew from averages of the fields that it needs.
+
+    Raises
+    ------
+    ValueError
+        If the name is taken, what the field needs does not exist, or the formula fails on a trial of a few nodes: it
+        raises, returns another shape, changes what it is given, or gives a node values that depend on other nodes.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import xcg
+    >>> xcg.register_field(
+    ...     "major_stress",
+    ...     lambda f, s, o: np.linalg.eigvalsh(f.stress)[..., -1],
+    ...     fields="stress",
+    ...     powers=(-1, 1, -2),
+    ...     long_name="largest principal stress",
+    ... )
+    >>> f = xcg.datasets.simple_cubic(4).cg.coarse_grain("major_stress", axes="z")
+    >>> f.major_stress.attrs["units"]
+    'Pa'
+    """
+    row = Field(
+        rank, tuple(powers), long_name or str(name).replace("_", " "), formula, compute,  # type: ignore[arg-type]
+        _names(fields), _names(moments), additive=additive, weight=weight, default=False,
+    )  # fmt: skip
+    _check(name, row)
+    row = replace(row, option=next((FIELDS[need].option for need in row.fields if FIELDS[need].option), ""))
+    _try_out(name, row)
+    registry.add(name, row)
+
+
+def _names(given: str | Sequence[str]) -> tuple[str, ...]:
+    return (given,) if isinstance(given, str) else tuple(given)
+
+
+def _refuse(name: Any, why: str) -> NoReturn:
+    msg = f"register_field({name!r}): {why}"
+    raise ValueError(msg)
+
+
+def _check(name: str, row: Field) -> None:
+    own = registry.listed(registered=False)
+    if not isinstance(name, str) or not name.isidentifier() or name.startswith("_"):
+        _refuse(name, "expected a name of letters, digits and underscores, such as 'major_stress'")
+    if name in own or name in _COORDINATES:
+        _refuse(name, f"the name is that of a {'field of xcg' if name in own else 'coordinate'}; choose another")
+    if not callable(row.compute):
+        _refuse(name, f"compute={row.compute!r}: expected a function compute(f, s, o)")
+    if row.rank not in (0, 1, 2):
+        _refuse(name, f"rank={row.rank!r}: expected 0 (scalar), 1 (vector) or 2 (tensor)")
+    if len(row.powers) != 3 or not all(isinstance(power, int) for power in row.powers):
+        _refuse(
+            name, f"powers={row.powers!r}: expected whole powers of (length, mass, time), such as (-1, 1, -2) for Pa"
+        )
+    if not row.fields and not row.moments:
+        _refuse(name, "name the fields= or moments= that it is computed from")
+    for kind, needs, known in (("field", row.fields, registry.listed()), ("moment", row.moments, list(MOMENTS))):
+        for need in needs:
+            if need not in known:
+                hint = did_you_mean(str(need), known) or f"; choose from {', '.join(known)}"
+                _refuse(name, f"it needs the {kind} {need!r}, which does not exist{hint}")
+    if name in registry.order_of(row.fields, Options()):
+        _refuse(name, f"it is needed for {', '.join(row.fields)}, which it needs itself")
+    if row.weight and (row.additive or row.weight not in own or not FIELDS[row.weight].additive):
+        sums = [field for field in own if FIELDS[field].additive and FIELDS[field].rank == 0]
+        _refuse(name, f"weight={row.weight!r}: expected, for a field that is not additive, one of {', '.join(sums)}")
+
+
+def _try_out(name: str, row: Field) -> None:
+    """Compute the field from made-up moments."""
+    options = Options(fluid_viscosity=1.0, own=(registry.OwnRow(name, row),))
+    moments = _made_up(registry.moments_of([name], options))
+    part = {moment: a[..., 2:4, :] if moment == "reference" else a[:, 2:4] for moment, a in moments.items()}
+    try:
+        found = registry.evaluate([*row.fields, name], moments, options)
+        again = registry.evaluate([name], part, options)[name]
+    except Exception as error:
+        why = "its formula fails on a trial of a few nodes, of which one sees no grains (ratios are NaN there)"
+        msg = f"register_field({name!r}): {why}: {type(error).__name__}: {error}"
+        raise ValueError(msg) from error
+    values, expected = np.asarray(found[name]), (_PHASES, _NODES, *(3,) * row.rank)
+    if values.shape != expected or values.dtype.kind not in "biuf":
+        _refuse(
+            name,
+            f"of {_PHASES} phases at {_NODES} nodes its formula gives {values.dtype} {values.shape}; "
+            f"of rank={row.rank} it has to give numbers {expected}",
+        )
+    for need, unchanged in registry.evaluate(row.fields, moments, options).items():
+        if not np.array_equal(found[need], unchanged, equal_nan=True):
+            _refuse(name, f"its formula changes the field {need!r} that it is given; let it work on a copy")
+    if not np.allclose(values[:, 2:4], again, rtol=1e-9, equal_nan=True):
+        _refuse(name, "what its formula gives at a node depends on other nodes, which are computed block by block")
+
+
+def _made_up(names: Sequence[str]) -> dict[str, NDArray]:
+    """Moments (phase, node, ...) of two phases and the bulk, read-only; symmetric tensors are positive."""
+    rng, found = np.random.default_rng(0), {}
+    for name in names:
+        tail = ((_PHASES,) if MOMENTS[name].paired else ()) + MOMENTS[name].shape
+        values = rng.uniform(0.5, 1.5, (_PHASES, _NODES, *tail))
+        if tail[-2:] == (3, 3):
+            values = values + values.swapaxes(-1, -2) + 4 * np.eye(3)
+        values[0] = values[1] + values[2]
+        values[:, 0] = 0.0
+        found[name] = values
+    found["reference"] = rng.uniform(-1.0, 1.0, (_NODES, 3))
+    for values in found.values():
+        values.flags.writeable = False
+    return found

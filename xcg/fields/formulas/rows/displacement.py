@@ -1,0 +1,112 @@
+"""Displacement between two frames, strain and rotation, and the motion that an affine deformation leaves over.
+
+In a scene of displacements (`xcg.displacement`) a grain's displacement stands in the place of its velocity, so that
+means, gradients and fluctuations are those of the flow.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xcg.fields.formulas.algebra import contraction, deviator, ratio, times, trace, transposed
+from xcg.fields.formulas.field import NONE, Field, Options
+
+
+def _strain(f: Any, s: Any, o: Options) -> NDArray:
+    stretch = times(transposed(f.deformation_gradient), f.deformation_gradient)
+    return (stretch - np.eye(3)) / 2
+
+
+def _volumetric_strain(f: Any, s: Any, o: Options) -> NDArray:
+    (a, b, c), (d, e, g), (h, i, j) = (
+        [f.deformation_gradient[..., row, column] for column in range(3)] for row in range(3)
+    )
+    return a * (e * j - g * i) - b * (d * j - g * h) + c * (d * i - e * h) - 1.0
+
+
+def _rotation(f: Any, s: Any, o: Options) -> NDArray:
+    """Return R of F = R U by singular values, NaN where F is not known or turns the inside out (det F <= 0)."""
+    known = (f.volumetric_strain > -1.0)[..., None, None]
+    left, _, right = np.linalg.svd(np.where(known, f.deformation_gradient, np.eye(3)))
+    return np.where(known, left @ right, np.nan)
+
+
+def _rotation_vector(f: Any, s: Any, o: Options) -> NDArray:
+    """Return axis times angle (rad) of the rotation."""
+    from scipy.spatial.transform import Rotation
+
+    turn = f.rotation.reshape(-1, 3, 3)
+    known = np.isfinite(turn).all(axis=(1, 2))
+    found = np.full((len(turn), 3), np.nan)
+    if known.any():
+        found[known] = Rotation.from_matrix(turn[known]).as_rotvec()
+    return found.reshape(f.rotation.shape[:-1])
+
+
+def _nonaffine(f: Any, s: Any, o: Options) -> NDArray:
+    return ratio(f.fluctuation_stress, f._free)
+
+
+def _self_diffusion(f: Any, s: Any, o: Options) -> NDArray:
+    return ratio(f.nonaffine_covariance, 2 * ratio(s.interval, s.number))
+
+
+_ROWS: dict[str, Field] = {
+    "displacement": Field(
+        1, (1, 0, 0), "displacement", "u = sum m_i u_i Psi / rho, u_i = r_i(t + lag) - r_i(t)",
+        lambda f, s, o: f.velocity, fields=("velocity",), weight="density",
+    ),
+    "displacement_gradient": Field(
+        2, NONE, "displacement gradient, du_component / dx_direction", "H, as `velocity_gradient` with u_i for v_i",
+        lambda f, s, o: f.velocity_gradient, fields=("velocity_gradient",), weight="density",
+    ),
+    "deformation_gradient": Field(
+        2, NONE, "deformation gradient", "F = I + H", lambda f, s, o: f.displacement_gradient + np.eye(3),
+        fields=("displacement_gradient",), weight="density",
+    ),
+    "strain": Field(
+        2, NONE, "Green-Lagrange strain, extension positive", "E = (F^T F - I) / 2", _strain,
+        fields=("deformation_gradient",),
+    ),
+    "small_strain": Field(
+        2, NONE, "small strain, extension positive", "epsilon = (H + H^T) / 2",
+        lambda f, s, o: (f.displacement_gradient + transposed(f.displacement_gradient)) / 2,
+        fields=("displacement_gradient",), weight="density",
+    ),
+    "volumetric_strain": Field(
+        0, NONE, "volumetric strain, dilation positive", "det F - 1", _volumetric_strain,
+        fields=("deformation_gradient",),
+    ),
+    "shear_strain": Field(
+        0, NONE, "magnitude of the deviatoric strain", "|dev E| = sqrt(2 dev E : dev E), E - tr(E) / D I",
+        lambda f, s, o: np.sqrt(2 * contraction(deviator(f.strain, o.plane))), fields=("strain",),
+    ),
+    "rotation": Field(
+        2, NONE, "rotation", "R of F = R U, U symmetric and positive; NaN where det F <= 0", _rotation,
+        fields=("deformation_gradient", "volumetric_strain"),
+    ),
+    "rotation_vector": Field(
+        1, NONE, "axis of the rotation, times its angle (rad)", "curl(u) / 2 where it is small", _rotation_vector,
+        fields=("rotation",),
+    ),
+    "nonaffine_covariance": Field(
+        2, (2, 0, 0), "covariance of the displacements about their affine fit",
+        "sum m_i u'_i u'_i Psi / rho_T, u'_i = u_i - u - H (r_i - r_bar)", _nonaffine,
+        fields=("fluctuation_stress", "_free"), weight="fluctuation_density",
+    ),
+    "d2min": Field(
+        0, (2, 0, 0), "mean squared displacement of a grain about the affine fit",
+        "D2min = tr(sum m_i u'_i u'_i Psi) / rho_T", lambda f, s, o: trace(f.nonaffine_covariance, o.plane),
+        fields=("nonaffine_covariance",), weight="fluctuation_density",
+    ),
+    "self_diffusion": Field(
+        2, (2, 0, -1), "self-diffusion of the grains over the interval of the frames",
+        "D = sum m_i u'_i u'_i Psi / (2 rho_T (t' - t))", _self_diffusion, fields=("nonaffine_covariance",),
+        moments=("interval", "number"), weight="fluctuation_density",
+    ),
+}  # fmt: skip
+ROWS = {name: replace(row, option="lag") for name, row in _ROWS.items()}

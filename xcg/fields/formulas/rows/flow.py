@@ -1,0 +1,280 @@
+"""Velocity, its gradient, and the fluctuations about it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xcg.compiled import fit
+from xcg.fields.formulas.algebra import (
+    deviator,
+    dot,
+    double_dot,
+    outer,
+    rate_magnitude,
+    ratio,
+    restricted,
+    times,
+    trace,
+    transposed,
+)
+from xcg.fields.formulas.field import NONE, STRESS, Field, Options
+from xcg.fields.formulas.trace import at_least_zero, trace_fit, where_positive, zero_if_unknown
+
+LINEAR = ("count", "mass", "momentum", "offset", "shear", "spread")
+SQUARES = ("square", "square_offset", "square_spread")
+FITS = ("least_squares", "paper")
+
+
+def _drift(f: Any, s: Any, o: Options) -> NDArray:
+    """V - U: the velocity relative to the node's reference, NaN where there are no grains."""
+    return ratio(s.momentum, s.mass)
+
+
+def _inner(a: NDArray) -> NDArray:
+    """Return an array (phase, node, ...) as (..., phase, node): as loops take it, and as moments lie in memory."""
+    return np.ascontiguousarray(a.transpose(*range(2, a.ndim), 0, 1))
+
+
+def _outer(a: NDArray) -> NDArray:
+    return a.transpose(a.ndim - 2, a.ndim - 1, *range(a.ndim - 2))
+
+
+def _fit(f: Any, s: Any, o: Options, *, about_node: bool = False) -> SimpleNamespace:
+    """Least squares through the grains about their centre of mass, or about the node: G = B M^+."""
+    nodes = s.mass.shape
+    spread = _inner(s.spread)[np.triu_indices(3)]
+    rows = (s.count, s.mass, s.momentum, s.offset, s.shear)
+    sums = np.concatenate([*(_inner(a).reshape(-1, *nodes) for a in rows), spread]).reshape(fit.SUMS, -1)
+    way = trace_fit if sums.dtype == object else fit.fit_gradient
+    found = way(sums, active=o.active, about_node=about_node).reshape(-1, *nodes)
+    parts = np.split(found, (fit.EXPLAINED, fit.DETERMINED, fit.MEAN, fit.INVERSE))
+    gradient, explained, determined, mean, inverse = parts
+    return SimpleNamespace(
+        gradient=_outer(gradient.reshape(3, 3, *nodes)), explained=_outer(explained[fit.SYMMETRIC]),
+        determined=_outer(determined), mean=_outer(mean), inverse=_outer(inverse[fit.SYMMETRIC]),
+    )  # fmt: skip
+
+
+def _kernel_gradient(f: Any, s: Any, o: Options) -> NDArray:
+    return ratio(s.momentum_slope - outer(f._drift, s.mass_slope), s.mass)
+
+
+def _finite_difference(f: Any, s: Any, o: Options) -> NDArray:
+    """Central differences of V between nodes, of second order also at the ends; NaN beside empty nodes.
+
+    It needs all nodes at once, see `whole_grid`.
+    """
+    flat = f._drift + s.reference
+    v = flat.reshape(len(flat), *o.shape, 3)
+    out = np.zeros((*v.shape, 3))
+    for k in range(3):
+        along = np.moveaxis(v, 1 + k, 0)  # a view, as is `slope`
+        slope = np.moveaxis(out[..., k], 1 + k, 0)
+        if not o.active[k]:
+            continue
+        if o.spacing[k] and o.wrapped[k] and len(along) > 2:
+            slope[...] = (np.roll(along, -1, axis=0) - np.roll(along, 1, axis=0)) / (2 * o.spacing[k])
+        elif o.spacing[k] and len(along) > 2:
+            slope[...] = np.gradient(along, o.spacing[k], axis=0, edge_order=2)
+        else:
+            slope[...] = np.nan
+    return out.reshape(*flat.shape, 3)
+
+
+def _fluctuation_stress(f: Any, s: Any, o: Options) -> NDArray:
+    """Sum of m Psi v'' v'' with v'' = u - b - G (x - x_bar), b, G, x_bar the bulk's: expanded in the phase's moments.
+
+    Of the grains that G was fitted to it is what the fit leaves of the kinetic stress, as G M = B.
+    """
+    least_squares = o.gradient in FITS
+    if least_squares and len(s.mass) == 1:
+        return f.kinetic_stress - f._fit.explained
+    # along directions that the grains do not span, the G of a fit is zero
+    g = f._fit.gradient[:1] if least_squares else zero_if_unknown(f.velocity_gradient[:1])
+    unknown = [f._fit.explained[:1, :, 0, 0]]
+    if not least_squares:
+        unknown += [f.velocity_gradient[:1, :, i, j] for i in range(3) for j in range(3)]
+    zero = sum(x - x for x in unknown)  # or NaN
+    # v'' = u - c - G x, and G x, G x x and u G x summed over the grains
+    c = zero_if_unknown(f._drift[:1]) - times(g, f._fit.mean[:1, ..., None])[..., 0]
+    gx, gxx = times(g, s.offset[..., None])[..., 0], times(g, s.spread)
+    ugx, gxgx = times(s.shear, transposed(g)), times(gxx, transposed(g))
+    rest, out = gx - s.momentum, np.empty((3, 3, *s.mass.shape), s.mass.dtype)
+    for i in range(3):
+        for j in range(i, 3):
+            total = s.kinetic[..., i, j] + s.mass * c[..., i] * c[..., j] + gxgx[..., i, j]
+            total = total + c[..., i] * rest[..., j] - ugx[..., i, j] + c[..., j] * rest[..., i] - ugx[..., j, i]
+            out[i, j] = out[j, i] = total + zero
+    return _outer(out)
+
+
+def _kinetic_stress(f: Any, s: Any, o: Options) -> NDArray:
+    """Sum of m Psi (u - b)(u - b) = sum m Psi u u - b p - (p - b sum m Psi) b, with b the mean velocity of the bulk."""
+    b, out = zero_if_unknown(f._drift[:1]), np.empty((3, 3, *s.mass.shape), s.mass.dtype)
+    for i in range(3):
+        rest = s.momentum[..., i] - b[..., i] * s.mass  # nothing but for phases
+        for j in range(i, 3):
+            total = s.kinetic[..., i, j] - b[..., i] * s.momentum[..., j]
+            total -= rest * b[..., j]
+            out[i, j], out[j, i] = total, total
+    return _outer(out)
+
+
+def _about(sums: tuple[NDArray, NDArray, NDArray], a: NDArray, b: NDArray) -> tuple[NDArray, NDArray]:
+    """Return the sums of w (x - a) and of w (x - a)(x - b), from those of w, w x and w x x."""
+    weight, first, second = sums
+    moved = first - weight[..., None] * a
+    return moved, second - outer(a, first) - outer(moved, b)
+
+
+def _taken_by_mean(f: Any, s: Any, o: Options) -> NDArray:
+    """Return the density whose fluctuations the mean velocity of the bulk takes, in each phase: see `_taken_by_fit`."""
+    mass = where_positive(s.mass[:1])
+    return zero_if_unknown(2 * s.square / mass - s.mass * s.square[:1] / (mass * mass))
+
+
+def _taken_by_fit(f: Any, s: Any, o: Options) -> NDArray:
+    """Return the density whose fluctuations the fit takes, in each phase.
+
+    The fit gives grain i the velocity ``sum_j H_ij v_j`` with ``H_ij = w_j (1 / rho + y_i A x_j)``, w = m Psi, x and y
+    relative to x_bar and to the point of the fit, A = M^+. Of independent fluctuations it takes, from the grains i of
+    a phase, ``sum_i w_i (2 H_ii - sum_j H_ij^2)``: for the bulk ``tr(M^-1 sum w^2 phi phi)``, phi = (1, x).
+    """
+    point, inverse = f._fit.mean[:1], f._fit.inverse[:1]
+    centre = zero_if_unknown(ratio(s.offset[:1], s.mass[:1]))
+    squares = s.square, s.square_offset, s.square_spread
+    shift, bulk = _about(tuple(a[:1] for a in squares), centre, centre)
+    if len(s.mass) == 1:
+        return _taken_by_mean(f, s, o) + double_dot(inverse, bulk)
+    _, own = _about(squares, centre, point)
+    first, second = _about((s.mass, s.offset, s.spread), point, point)
+    across = times(inverse, shift[..., None])[..., 0]
+    mean = zero_if_unknown(2 * dot(across, first) / where_positive(s.mass[:1]))
+    shared = double_dot(times(times(inverse, bulk), inverse), second)
+    return _taken_by_mean(f, s, o) + (2 * double_dot(inverse, own) - mean - shared)
+
+
+def _fluctuation_density(f: Any, s: Any, o: Options) -> NDArray:
+    return at_least_zero(s.mass - f._taken)
+
+
+def _free(f: Any, s: Any, o: Options) -> NDArray:
+    """Return the density that a temperature divides by, NaN where it is less than half of that of a mean grain."""
+    enough = where_positive(f.fluctuation_density - 0.5 * ratio(s.mass, s.count))
+    return f.fluctuation_density + (enough - enough)
+
+
+def _temperature(f: Any, s: Any, o: Options) -> NDArray:
+    return ratio(at_least_zero(trace(f.fluctuation_stress, o.plane)), o.dimension * f._free)
+
+
+def _temperature_along(f: Any, s: Any, o: Options) -> NDArray:
+    return ratio(at_least_zero(np.diagonal(f.fluctuation_stress, axis1=-2, axis2=-1)), f._free)
+
+
+def _shear_rate(f: Any, s: Any, o: Options) -> NDArray:
+    rate = restricted(f.shear_rate_tensor, o.shear_axes)
+    return rate_magnitude(deviator(rate, o.shear_axes or o.plane) if o.deviatoric in ("rate", "both") else rate)
+
+
+ROWS: dict[str, Field] = {
+    "momentum_density": Field(
+        1, (-2, 1, -1), "momentum density", "p = sum m_i v_i Psi",
+        lambda f, s, o: s.momentum + s.mass[..., None] * s.reference, moments=("mass", "momentum"), additive=True,
+    ),
+    "velocity": Field(
+        1, (1, 0, -1), "velocity", "V = p / rho",
+        lambda f, s, o: f._drift + s.reference, fields=("_drift",), moments=("mass", "momentum"), weight="density",
+    ),
+    "velocity_gradient": Field(
+        2, (0, 0, -1), "velocity gradient, dV_component / dx_direction",
+        "G = [sum m Psi (v_i - V)(r_i - r_bar)] M^-1, M = sum m Psi (r_i - r_bar)(r_i - r_bar)",
+        lambda f, s, o: f._fit.gradient * f._fit.determined[..., None, :], fields=("_fit",), weight="density",
+    ),
+    "shear_rate_tensor": Field(
+        2, (0, 0, -1), "shear rate tensor", "Gamma = (G + G^T) / 2",
+        lambda f, s, o: (f.velocity_gradient + transposed(f.velocity_gradient)) / 2, fields=("velocity_gradient",),
+        weight="density",
+    ),
+    "shear_rate": Field(
+        0, (0, 0, -1), "shear rate", "|Gamma| = sqrt(2 Gamma:Gamma)", _shear_rate, fields=("shear_rate_tensor",)
+    ),
+    "kinetic_stress": Field(
+        2, STRESS, "kinetic stress", "sigma^k = sum m_i (v_i - V)(v_i - V) Psi",
+        _kinetic_stress, fields=("_drift",), moments=("mass", "momentum", "kinetic"), additive=True,
+    ),
+    "fluctuation_stress": Field(
+        2, STRESS, "kinetic stress about the velocity at the particles",
+        "sum m_i v'_i v'_i Psi, v'_i = v_i - V - G (r_i - r_bar)",
+        _fluctuation_stress, fields=("_fit", "_drift", "velocity_gradient", "kinetic_stress"),
+        moments=(*LINEAR, "kinetic"), additive=True,
+    ),
+    "fluctuation_density": Field(
+        0, (-3, 1, 0), "density of what fluctuates: that of the mixture less what V and G take",
+        "rho_T = rho - tr(P^-1 sum (m_i Psi)^2 p_i p_i), P = sum m_i Psi p_i p_i, p_i = (1, r_i - r_bar)",
+        _fluctuation_density, fields=("_taken",), moments=("mass",), additive=True,
+    ),
+    "granular_temperature": Field(
+        0, (2, 0, -2), "granular temperature", "T = tr(sum m_i v'_i v'_i Psi) / (D rho_T)",
+        _temperature, fields=("fluctuation_stress", "_free"), weight="fluctuation_density",
+    ),
+    "directional_temperature": Field(
+        1, (2, 0, -2), "granular temperature of the fluctuations along each axis",
+        "T_k = sum m_i v'_ik v'_ik Psi / rho_T", _temperature_along, fields=("fluctuation_stress", "_free"),
+        weight="fluctuation_density",
+    ),
+    "effective_count": Field(
+        0, NONE, "effective number of particles, which errors of one step follow from",
+        "N_eff = (sum m_i Psi)^2 / sum (m_i Psi)^2",
+        lambda f, s, o: ratio(s.mass * s.mass, s.square), moments=("mass", "square"), weight="density",
+    ),
+    "_drift": Field(1, (1, 0, -1), "", "V - U", _drift, moments=("mass", "momentum"), listed=False),
+    "_fit": Field(2, (0, 0, -1), "", "B M^+", _fit, fields=("_drift",), moments=LINEAR, listed=False),
+    "_taken": Field(
+        0, (-3, 1, 0), "", "rho - rho_T", _taken_by_fit, fields=("_fit",), moments=(*LINEAR, *SQUARES), listed=False
+    ),
+    "_free": Field(
+        0, (-3, 1, 0), "", "rho_T, where known", _free, fields=("fluctuation_density",), moments=("count", "mass"),
+        listed=False,
+    ),
+}  # fmt: skip
+# other ways to a field: the option that chooses, and the row for each of its values that is not the default
+WAYS: dict[str, tuple[str, dict[str, Field]]] = {
+    "velocity_gradient": ("gradient", {
+        "kernel": replace(
+            ROWS["velocity_gradient"], formula="G = (grad p - V grad rho) / rho", compute=_kernel_gradient,
+            fields=("_drift",), moments=("mass", "momentum", "mass_slope", "momentum_slope"),
+        ),
+        "finite_difference": replace(
+            ROWS["velocity_gradient"], formula="G = [V(r + h) - V(r - h)] / 2 h, h the spacing of the nodes",
+            compute=_finite_difference, fields=("_drift",), moments=("mass", "momentum"),
+        ),
+        "paper": replace(
+            ROWS["velocity_gradient"],
+            formula="G = [sum m Psi (v_i - V)(r_i - r)] M^-1, M = sum m Psi (r_i - r)(r_i - r)",
+        ),
+    }),
+    "_fit": ("gradient", {
+        "paper": replace(ROWS["_fit"], compute=partial(_fit, about_node=True)),
+    }),
+    "fluctuation_stress": ("gradient", {
+        "paper": replace(
+            ROWS["fluctuation_stress"], formula="sum m_i v'_i v'_i Psi, v'_i = v_i - V - G (r_i - r)"
+        ),
+    }),
+    "_taken": ("gradient", dict.fromkeys(
+        ("kernel", "finite_difference"),
+        replace(ROWS["_taken"], compute=_taken_by_mean, fields=(), moments=("mass", "square")),
+    )),
+    "fluctuation_density": ("temperature", {
+        "biased": replace(
+            ROWS["fluctuation_density"], formula="rho_T = rho", compute=lambda f, s, o: s.mass, fields=()
+        ),
+    }),
+}  # fmt: skip

@@ -1,0 +1,39 @@
+"""Phases on each other: forces between them, how they part, and how much of each there is.
+
+Sources: Weinhart, Luding & Thornton (2013), AIP Conf. Proc. 1542; Gray & Thornton (2005), Proc. R. Soc. A 461.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numpy.typing import NDArray
+
+from xcg.fields.formulas.algebra import ratio
+from xcg.fields.formulas.field import NONE, Field, Options
+from xcg.fields.formulas.trace import zero_if_unknown
+
+
+def _segregation_flux(f: Any, s: Any, o: Options) -> NDArray:
+    """Return p_a - rho_a V with both velocities relative to the node's reference."""
+    return s.momentum - s.mass[..., None] * zero_if_unknown(f._drift[:1])
+
+
+ROWS: dict[str, Field] = {
+    "interphase_force": Field(
+        1, (-2, 1, -2), "density of the contact forces of another phase, or of walls, on each phase",
+        "sum_c f_ij Psi(r - c), i in the phase and j in other_phase",
+        lambda f, s, o: s.pair_force, moments=("pair_force",), additive=True, default=False, option="by",
+        paired=True,
+    ),
+    "segregation_flux": Field(
+        1, (-2, 1, -1), "flux of a phase's mass relative to the bulk", "rho_a (V_a - V)",
+        _segregation_flux, fields=("_drift",), moments=("mass", "momentum"), additive=True, default=False,
+        option="by",
+    ),
+    "concentration": Field(
+        0, NONE, "share of a phase in the volume of the grains", "c_a = phi_a / phi",
+        lambda f, s, o: ratio(f.volume_fraction, f.volume_fraction[:1]), fields=("volume_fraction",),
+        weight="volume_fraction", by_bulk=True, default=False, option="by",
+    ),
+}  # fmt: skip

@@ -1,0 +1,80 @@
+"""Stress in whole, pressure, and the numbers of rheology."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xcg.fields.formulas.algebra import deviator, mean_normal, ratio, restricted, stress_magnitude
+from xcg.fields.formulas.field import NONE, STRESS, Field, Options
+from xcg.fields.formulas.trace import where_positive
+
+
+def _shear_stress(f: Any, s: Any, o: Options) -> NDArray:
+    whole = o.deviatoric not in ("stress", "both")
+    return stress_magnitude(restricted(f.stress, o.shear_axes) if whole else f.deviatoric_stress)
+
+
+def _inertial_number(f: Any, s: Any, o: Options) -> NDArray:
+    root = np.sqrt(where_positive(f.pressure))
+    return f.shear_rate * f._size * np.sqrt(f.particle_density) / root
+
+
+def _viscous_number(f: Any, s: Any, o: Options) -> NDArray:
+    return ratio(o.fluid_viscosity * f.shear_rate, f.pressure)
+
+
+ROWS: dict[str, Field] = {
+    "stress": Field(
+        2, STRESS, "stress, compression positive", "sigma = sigma^c + sigma^k",
+        lambda f, s, o: f.contact_stress + f.kinetic_stress, fields=("contact_stress", "kinetic_stress"), additive=True,
+    ),
+    "pressure": Field(
+        0, STRESS, "pressure", "p = tr(sigma) / D",
+        lambda f, s, o: mean_normal(f.stress, o.pressure_axes or o.plane), fields=("stress",), additive=True,
+    ),
+    "deviatoric_stress": Field(
+        2, STRESS, "deviatoric stress", "dev sigma = sigma - tr(sigma) / D I",
+        lambda f, s, o: deviator(restricted(f.stress, o.shear_axes), o.shear_axes or o.plane),
+        fields=("stress",), additive=True,
+    ),
+    "shear_stress": Field(
+        0, STRESS, "magnitude of the deviatoric stress", "|dev sigma| = sqrt(dev sigma : dev sigma / 2)",
+        _shear_stress, fields=("stress", "deviatoric_stress"),
+    ),
+    "friction_coefficient": Field(
+        0, NONE, "friction coefficient", "mu = |dev sigma| / p, where p > 0",
+        lambda f, s, o: ratio(f.shear_stress, f.pressure), fields=("shear_stress", "pressure"),
+    ),
+    "inertial_number": Field(
+        0, NONE, "inertial number", "I = |Gamma| d / sqrt(p / rho_p), d = d43 by default, where p > 0",
+        _inertial_number, fields=("shear_rate", "pressure", "particle_density", "_size"),
+    ),
+    "viscous_number": Field(
+        0, NONE, "viscous number", "J = eta_f |Gamma| / p, where p > 0",
+        _viscous_number, fields=("shear_rate", "pressure"), option="fluid_viscosity",
+    ),
+    "effective_viscosity": Field(
+        0, NONE, "effective viscosity relative to that of the fluid", "eta_s = mu / J = |dev sigma| / (eta_f |Gamma|)",
+        lambda f, s, o: ratio(f.friction_coefficient, f.viscous_number),
+        fields=("friction_coefficient", "viscous_number"), option="fluid_viscosity",
+    ),
+    "_size": Field(0, (1, 0, 0), "", "d43", lambda f, s, o: f.d43, fields=("d43",), listed=False),
+}  # fmt: skip
+
+
+def _size_of_scene(name: str) -> Field:
+    return Field(0, (1, 0, 0), "", name, lambda f, s, o: np.asarray(o.diameter), listed=False)
+
+
+# other ways to a field, as in `xcg.fields.formulas.rows.flow`
+WAYS: dict[str, tuple[str, dict[str, Field]]] = {
+    "_size": ("size", {
+        "d32": replace(ROWS["_size"], formula="d32", compute=lambda f, s, o: f.d32, fields=("d32",)),
+        "d50": _size_of_scene("d50"),
+        "dmax": _size_of_scene("dmax"),
+    }),
+}  # fmt: skip

@@ -1,0 +1,486 @@
+"""Any variable of particles or contacts as a field: its sum, its mean, its variance, and the flux it is carried by.
+
+With q the variable, u a weight and <q> the mean at the node: ``sum u q Psi``, ``<q> = sum u q Psi / sum u Psi``,
+``sum u (q - <q>)^2 Psi / sum u Psi`` and ``sum u (q - <q>)(v - V) Psi``, over particles. Variables of contacts are
+summed at the contact points, each contact once. What is about a mean is summed as velocity is, relative to a value at
+each node, so that nothing large is subtracted from something equally large.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import product
+from typing import Any, ClassVar
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.compiled import points as kernel
+from xcg.fields.formulas import registry
+from xcg.fields.formulas.algebra import ratio
+from xcg.fields.formulas.field import Field, Options
+from xcg.fields.formulas.trace import at_least_zero, zero_if_unknown
+from xcg.fields.sums.moments import Moment
+from xcg.scene.contacts import Contacts
+from xcg.scene.schema import COMPONENTS, Frame, SceneError, did_you_mean, units_of, variable
+
+# symbol, powers of (length, mass, time), and the moment and the field that are its sum
+WEIGHTS = {
+    "mass": ("m", (0, 1, 0), "mass", "density"),
+    "volume": ("V", (3, 0, 0), "volume", "volume_fraction"),
+    "number": ("1", (0, 0, 0), "number", "number_density"),
+}
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """What is asked of a variable: one of `Mean`, `Sum`, `Variance` and `Flux`, for the argument `fields`.
+
+    Parameters
+    ----------
+    variable : str
+        A variable of the scene: a scalar, a vector (``component``) or a tensor (``component``, ``direction``), of
+        particles or of contacts.
+    weight : {"mass", "volume", "number"}, optional
+        What particles count by; contacts count by number.
+    name : str, optional
+        Name of the result.
+
+    Raises
+    ------
+    ValueError
+        If the weight is none of these.
+    """
+
+    variable: str
+    weight: str | None = None
+    name: str | None = None
+
+    usual: ClassVar[str] = "mass"
+    prefix: ClassVar[str] = ""
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.variable, str):
+            msg = f"{type(self).__name__}({self.variable!r}): expected the name of a variable of the scene"
+            raise ValueError(msg)
+        if self.weight is not None and self.weight not in WEIGHTS:
+            msg = f"{self}: weight={self.weight!r}, expected one of {', '.join(WEIGHTS)}"
+            raise ValueError(msg)
+
+
+class Mean(Quantity):
+    """The mean of a variable, ``sum u q Psi / sum u Psi``, in the variable's unit; u is the mass by default.
+
+    The result has the variable's name, or ``mean_<variable>`` where that is the name of a field, as of ``density``.
+    NaN where nothing reaches.
+    """
+
+
+class Sum(Quantity):
+    """The sum of a variable in a unit of volume, ``sum u q Psi``; u is 1 by default: charges sum to their density.
+
+    The result is ``sum_<variable>``.
+    """
+
+    usual = "number"
+    prefix = "sum_"
+
+
+class Variance(Quantity):
+    """The variance of each component of a variable, ``sum u (q - <q>)^2 Psi / sum u Psi``; u is the mass by default.
+
+    The result is ``variance_<variable>``, about the bulk's mean also for phases. NaN where nothing reaches.
+    """
+
+    prefix = "variance_"
+
+
+class Flux(Quantity):
+    """The flux that fluctuations carry, ``sum u (q - <q>)(v - V) Psi``; u is the mass by default.
+
+    The result is ``flux_<variable>``, a vector for a scalar, and for a vector a tensor (``component`` of the variable,
+    ``direction`` of the velocity). The mean and V are the bulk's also for phases, so that partial fluxes add up.
+    """
+
+    prefix = "flux_"
+
+
+KINDS: dict[str, type[Quantity]] = {"mean": Mean, "sum": Sum, "variance": Variance, "flux": Flux}
+_CALL = re.compile(r"\s*(\w+)\s*\(([^()]*)\)\s*")
+
+
+def read_quantity(text: str) -> Quantity | None:
+    """Return what a text such as ``"mean(charge, number)"`` or ``"sum(charge, name=c)"`` asks for; None for a name.
+
+    Raises
+    ------
+    ValueError
+        If the text is a call of something else.
+    """
+    call = _CALL.fullmatch(text)
+    if call is None:
+        return None
+    kind, given = call[1].lower(), [part.strip() for part in call[2].split(",")]
+    named = dict(re.split(r"\s*=\s*", part, maxsplit=1) for part in given if "=" in part)
+    plain = [part for part in given if "=" not in part]
+    if kind not in KINDS or set(named) - {"weight", "name"} or not 0 < len(plain) <= 3:
+        msg = f"{text!r}: expected one of {', '.join(KINDS)} of a variable, such as 'mean(charge, number, name=q)'"
+        msg += "" if kind in KINDS else did_you_mean(kind, KINDS)
+        raise ValueError(msg)
+    return KINDS[kind](**dict(zip(("variable", "weight", "name"), plain, strict=False)), **named)
+
+
+# --- in a plan -------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class OwnField:
+    """A quantity of a scene's variable: what the registry and the deposits know of a field, for this one.
+
+    Attributes
+    ----------
+    quantity : Quantity
+    name : str
+        Of the result.
+    weight : str
+        A key of `WEIGHTS`.
+    rank : int
+        Of the variable: 0 scalar, 1 vector, 2 tensor.
+    at_contacts : bool
+        Whether it is a variable of contacts.
+    units : str
+        Of the result; empty where the variable has none.
+    what : str
+        The variable in words.
+    """
+
+    quantity: Quantity
+    name: str
+    weight: str
+    rank: int
+    at_contacts: bool
+    units: str
+    what: str
+
+    @property
+    def _total(self) -> str:
+        """Name of the moment that weights sum to."""
+        return "contacts" if self.at_contacts else WEIGHTS[self.weight][2]
+
+    @property
+    def _counts(self) -> str:
+        """The field that weighs averages over nodes or steps: that of its weights."""
+        return "contact_number_density" if self.at_contacts else WEIGHTS[self.weight][3]
+
+    @property
+    def _triples(self) -> list[tuple[_Number, _Number, _Number]]:
+        """Numbers whose squares and products are wanted, three a pass."""
+        own: list[_Number] = [(self.quantity.variable, k) for k in range(3**self.rank)]
+        if isinstance(self.quantity, Variance):
+            own += [None] * (-len(own) % 3)
+            return [(own[k], own[k + 1], own[k + 2]) for k in range(0, len(own), 3)]
+        x, y, z = (("velocity", k) for k in range(3))
+        return [triple for q in own for triple in ((q, x, y), (q, z, None))]
+
+    @property
+    def moments(self) -> dict[str, Moment]:
+        """The sums that it needs and that are not in the registry of moments."""
+        symbol = WEIGHTS[self.weight][0]
+        reads = (self.quantity.variable, *(() if self.weight == "number" else (self.weight,)))
+        if isinstance(self.quantity, (Mean, Sum)):
+            column = partial(_weighted, self.quantity.variable, self.weight)
+            times = "" if symbol == "1" else f"{symbol} "
+            row = Moment(reads, f"{times}{self.quantity.variable}", (3,) * self.rank, column=column)
+            found = {f"{self.weight} {self.quantity.variable}": row}
+        else:
+            found = self._relative(reads)
+        return {
+            name: replace(row, contacts=self.at_contacts, at_contacts=self.at_contacts) for name, row in found.items()
+        }
+
+    def _relative(self, reads: tuple[str, ...]) -> dict[str, Moment]:
+        """Return the sums of products, relative to each node."""
+        symbol = WEIGHTS[self.weight][0]
+        return {
+            _name(self.weight, triple): Moment(
+                tuple(dict.fromkeys([*reads, *(part[0] for part in triple if part)])),
+                f"{symbol} (1, q, q q) of {', '.join(_text(part) for part in triple if part)}",
+                (len(_ABOUT),), kernel.FLUCTUATION, kernel.MASS, partial(_numbers, triple, self.weight), layout=_ABOUT,
+                vector=self.rank == 1 and isinstance(self.quantity, Variance),
+            )
+            for triple in self._triples
+        }  # fmt: skip
+
+    @property
+    def row(self) -> Field:
+        """The row that it would have in the registry of fields."""
+        names = tuple(self.moments)
+        u = {"1": ""}.get(WEIGHTS[self.weight][0], f"{WEIGHTS[self.weight][0]}_i ")
+        point = "Psi(r - c)" if self.at_contacts else "Psi"
+        by = "number" if self.at_contacts else self.weight
+        q, kind = self.quantity.variable, type(self.quantity)
+        below = f"sum {u}{point}"
+        mean = f"<q> = sum {u}q {point} / {below}"
+        forms: dict[type[Quantity], tuple[Any, ...]] = {
+            Mean: (f"mean of {self.what}, weighted by {by}", f"sum {u}q {point} / {below}", _mean, (self._total,), ()),
+            Sum: (f"sum of {self.what} in a unit of volume", f"sum {u}q {point}", _sum, (), ()),
+            Variance: (
+                f"variance of {self.what}, weighted by {by}", f"sum {u}(q - <q>)^2 {point} / {below}, {mean}",
+                _variance, (), (),
+            ),
+            Flux: (
+                f"flux of {self.what} by fluctuations of the velocity", f"sum {u}(q - <q>)(v_i - V) {point}, {mean}",
+                _flux, ("mass", "momentum"), ("_drift",),
+            ),
+        }  # fmt: skip
+        long_name, formula, compute, more, fields = forms[kind]
+        return Field(
+            self.rank + (kind is Flux), (0, 0, 0), long_name, f"{formula}, q = {q}",
+            partial(compute, names=names, total=self._total, rank=self.rank), fields=fields, moments=(*names, *more),
+            additive=kind in (Sum, Flux), weight="" if kind in (Sum, Flux) else self._counts, units=self.units,
+            source=f"variable {q!r} of the {'contacts' if self.at_contacts else 'particles'}",
+        )  # fmt: skip
+
+
+def row_of_result(field: xr.DataArray) -> Field | None:
+    """Return what averages have to know of a quantity in a result, from its attributes; None for other fields."""
+    if "source" not in field.attrs:
+        return None
+    weight = str(field.attrs.get("weight", ""))
+    return Field(0, (0, 0, 0), "", "", lambda f, s, o: None, additive=not weight, weight=weight)
+
+
+def own_moments(own: Iterable[OwnField | registry.OwnRow]) -> dict[str, Moment]:
+    """All sums that some quantities need, by name."""
+    return {name: row for one in own for name, row in one.moments.items()}
+
+
+def own_fields(
+    given: Iterable[str | Quantity | registry.OwnRow], ds: xr.Dataset
+) -> dict[int, OwnField | registry.OwnRow]:
+    """Those of the fields asked for that are quantities of a scene's variable, or rows, by their place in the list.
+
+    Names of fields come first: ``"density"`` is the field, and ``Mean("density")`` the mean of the variable.
+
+    Raises
+    ------
+    SceneError, ValueError
+        As `own_field`, or if two have the same name.
+    """
+    found: dict[int, OwnField | registry.OwnRow] = {}
+    for k, one in enumerate(given):
+        if isinstance(one, registry.OwnRow):
+            found[k] = one
+            continue
+        quantity = read_quantity(one) if isinstance(one, str) and one not in registry.FIELDS else one
+        if quantity is None and one in rows_of(ds):
+            quantity = Mean(str(one))
+        if isinstance(quantity, Quantity):
+            found[k] = own_field(quantity, ds)
+    quantities = [own for own in found.values() if isinstance(own, OwnField)]
+    for name in {own.name for own in quantities}:
+        same = dict.fromkeys(own.quantity for own in quantities if own.name == name)
+        if len(same) > 1:
+            msg = f"{' and '.join(map(str, same))} would both be called {name!r}; pass name="
+            raise ValueError(msg)
+    return found
+
+
+def own_field(quantity: Quantity, ds: xr.Dataset) -> OwnField:
+    """Check a quantity against the variable of a scene that it is of. Reads attributes only.
+
+    Raises
+    ------
+    SceneError
+        If the scene has no such variable, or the variable has other dimensions than one of particles or contacts.
+    ValueError
+        If the quantity is not defined for it.
+    """
+    name = quantity.variable
+    if name not in ds.data_vars:
+        msg = f"{quantity}: the scene has no variable {name!r}{did_you_mean(name, rows_of(ds))}; it has {rows_of(ds)}"
+        raise SceneError(msg)
+    found = ds[name]
+    row = variable(name, found.dtype, max(found.ndim - 1, 1))
+    rank = len(row.dims) - 1
+    if set(found.dims) != {"time", *row.dims} or found.dtype.kind not in "fiub":
+        raise SceneError(_wrong_dims(found, row.dims))
+    at_contacts = row.dims[0] == "contact"
+    weight = quantity.weight or ("number" if at_contacts else quantity.usual)
+    if at_contacts and (weight != "number" or isinstance(quantity, Flux)):
+        lack = "velocity" if weight == "number" else weight
+        msg = f"{quantity}: {name!r} is a variable of contacts, which have no {lack}: take Mean, Sum or Variance"
+        raise ValueError(msg)
+    if isinstance(quantity, Flux) and rank == 2:
+        msg = f"{quantity}: {name!r} is a tensor, and its flux would have 27 components; take those of its components"
+        raise ValueError(msg)
+    result = quantity.name or quantity.prefix + name
+    if quantity.name is None and result in registry.FIELDS:
+        result = f"mean_{name}"
+    if result in registry.FIELDS or result in (*COMPONENTS, "time", "step", "phase", "component", "direction"):
+        msg = f"{quantity}: the result cannot be called {result!r}, which is something else in a result; pass name="
+        raise ValueError(msg)
+    return OwnField(
+        quantity, result, weight, rank, at_contacts,
+        units=_units(quantity, weight, found.attrs.get("units"), ds.attrs.get("unit_system", "SI")),
+        what=str(found.attrs.get("long_name", name.replace("_", " "))),
+    )  # fmt: skip
+
+
+def check_turns(own: Iterable[Any]) -> None:
+    """Refuse quantities of which sums cannot be turned from place to place, as a cylindrical frame does.
+
+    Raises
+    ------
+    ValueError
+        If one is a flux, or a variance of tensors.
+    """
+    for one in own:
+        if not isinstance(one, OwnField):
+            continue
+        if isinstance(one.quantity, Flux) or (isinstance(one.quantity, Variance) and one.rank == 2):
+            msg = (
+                f"{one.quantity} is not there in a cylindrical frame: take it in the scene's axes, or Mean, Sum and "
+                "the Variance of scalars and vectors"
+            )
+            raise ValueError(msg)
+
+
+def rows_of(ds: xr.Dataset) -> list[str]:
+    """Names of the variables of particles and contacts."""
+    return [str(name) for name, a in ds.data_vars.items() if {"particle", "contact"} & set(a.dims)]
+
+
+def _wrong_dims(found: xr.DataArray, expected: tuple[str, ...]) -> str:
+    msg = f"{found.name!r} holds {found.dtype} with dimensions {found.dims}"
+    if "contact" in found.dims and expected[0] == "particle":
+        to = f"contact_{found.name}"
+        return f"{msg}: names of variables of contacts begin with 'contact_'; call ds = ds.rename({found.name}={to!r})"
+    if "time" not in found.dims:
+        return f"{msg}: give it time, by ds.assign({found.name}=ds.{found.name}.expand_dims(time=ds.time))"
+    rows = expected[0]
+    return (
+        f"{msg}: expected numbers with ('time', {rows!r}), and 'component' for vectors, or 'component' and 'direction' "
+        "for tensors"
+    )
+
+
+_UNIT = re.compile(r"([^\W\d_]+|%)(?:\^|\*\*)?(-?\d+)?")
+
+
+def _units(quantity: Quantity, weight: str, unit: str | None, system: str) -> str:
+    """Return the unit of a quantity, from that of its variable; empty where the variable has none."""
+    if unit is None or isinstance(quantity, Mean):
+        return unit or ""
+    length, mass, _ = WEIGHTS[weight][1]
+    if isinstance(quantity, Variance):
+        return _times(unit, 2, "1")
+    flux = int(isinstance(quantity, Flux))
+    return _times(unit, 1, units_of((length - 3 + flux, mass, -flux), system))
+
+
+def _times(unit: str, exponent: int, other: str) -> str:
+    """Return the unit of a power of what has one unit, times what has another: ``K kg m^-3``."""
+    powers: dict[str, int] = {}
+    for text, times in ((unit, exponent), (other, 1)):
+        for part in text.split() if text != "1" else ():
+            found = _UNIT.fullmatch(part)
+            if found is None:  # another way to write units
+                return f"({unit}){f'^{exponent}' if exponent > 1 else ''}" + (f" {other}" if other != "1" else "")
+            powers[found[1]] = powers.get(found[1], 0) + int(found[2] or 1) * times
+    return " ".join(f"{name}{f'^{power}' if power != 1 else ''}" for name, power in powers.items() if power) or "1"
+
+
+# --- sums ------------------------------------------------------------------------------------------------
+
+# a component of a variable, numbered row by row; None for zeros
+_Number = tuple[str, int] | None
+# of three numbers a, b, c: the weight; a, b, c; their products aa ab ac bb bc cc
+_ABOUT = (kernel.MASS, *(kernel.MOMENTUM + k for k in range(3)), *(kernel.KINETIC + k for k in range(6)))
+_FIRST, _SQUARES, _PRODUCTS = 1, (4, 7, 9), (5, 6)
+
+
+def _text(part: _Number) -> str:
+    return "0" if part is None else f"{part[0]}[{part[1]}]"
+
+
+def _name(weight: str, triple: Iterable[_Number]) -> str:
+    return f"{weight} about {', '.join(map(_text, triple))}"
+
+
+def _weights(weight: str, frame: Frame, count: int) -> NDArray:
+    return np.ones(count) if weight == "number" else frame[weight]
+
+
+def _weighted(name: str, weight: str, frame: Frame, _: Contacts | None) -> NDArray:
+    q = frame[name]
+    return q * _weights(weight, frame, len(q)).reshape(-1, *(1,) * (q.ndim - 1))
+
+
+def _numbers(triple: Iterable[_Number], weight: str, frame: Frame, _: Contacts | None) -> NDArray:
+    """Weight and three numbers (n, 4)."""
+    count = next(len(frame[part[0]]) for part in triple if part)
+    out = np.zeros((count, 4))
+    out[:, 0] = _weights(weight, frame, count)
+    for k, part in enumerate(triple, start=1):
+        if part is not None:
+            values = frame[part[0]]
+            out[:, k] = values.reshape(count, math.prod(values.shape[1:]))[:, part[1]]
+    return out
+
+
+# --- algebra ---------------------------------------------------------------------------------------------
+
+
+def _sum(f: Any, s: Any, o: Options, *, names: tuple[str], total: str, rank: int) -> NDArray:
+    return getattr(s, names[0])
+
+
+def _mean(f: Any, s: Any, o: Options, *, names: tuple[str], total: str, rank: int) -> NDArray:
+    return ratio(getattr(s, names[0]), getattr(s, total))
+
+
+def _bulk_mean(weight: NDArray, first: NDArray) -> NDArray:
+    """Mean of the bulk, relative to the node's value, 0 where there are no grains."""
+    return zero_if_unknown(ratio(first[:1], weight[:1]))
+
+
+def _variance(f: Any, s: Any, o: Options, *, names: tuple[str, ...], total: str, rank: int) -> NDArray:
+    """Return S u (q - b)^2 / S u, with S u (q - b)^2 = S u q q - b S u q - (S u q - b S u) b."""
+    found = []
+    for name, k in product(names, range(3 if rank else 1)):
+        sums = getattr(s, name)
+        weight, first = sums[..., 0], sums[..., _FIRST + k]
+        b = _bulk_mean(weight, first)
+        squares = sums[..., _SQUARES[k]] - b * first - (first - b * weight) * b
+        found.append(ratio(at_least_zero(squares), weight))
+    return _components(found, rank)
+
+
+def _flux(f: Any, s: Any, o: Options, *, names: tuple[str, ...], total: str, rank: int) -> NDArray:
+    """Return S u (q - b)(v - V) = S u q v - b S u v - V (S u q - b S u).
+
+    V is relative to the velocity that the main pass refers to at the node, which is that of the same grain.
+    """
+    found = []
+    for pair in zip(names[::2], names[1::2], strict=True):
+        (one, other), mean = (getattr(s, name) for name in pair), f._drift[:1]
+        weight, first = one[..., 0], one[..., _FIRST]
+        b = _bulk_mean(weight, first)
+        rest = first - b * weight  # nothing but for phases
+        for axis, (sums, k) in enumerate(((one, 0), (one, 1), (other, 0))):
+            product_of_two, speed = sums[..., _PRODUCTS[k]], sums[..., _FIRST + 1 + k]
+            found.append(product_of_two - b * speed - zero_if_unknown(mean[..., axis]) * rest)
+    return _components(found, rank + 1)
+
+
+def _components(found: list[NDArray], rank: int) -> NDArray:
+    """Fields (phase, node, ...) from their components; nodes run fastest in memory."""
+    shape = (3,) * rank
+    whole = np.stack(found).reshape(*shape, *found[0].shape)
+    return whole.transpose(rank, rank + 1, *range(rank))

@@ -1,0 +1,323 @@
+"""Where fields are evaluated: on meshes of volumes, planes and lines, with the other axes averaged exactly."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.fields.sums.blocks import Block, mesh_blocks
+from xcg.fields.sums.nodes import Grid, SameAxes
+from xcg.scene.plausible import SAMPLE
+from xcg.scene.schema import COMPONENTS
+from xcg.scene.warn import warn_once, warn_user
+
+MAX_NODES = 2**31
+_MOST_OF_ONE_AXIS = 2**27
+_FINEST = 1e-9  # least spacing, in radii of the support
+
+
+@dataclass(frozen=True)
+class RegularGrid(SameAxes):
+    """Nodes on a regular mesh.
+
+    Attributes
+    ----------
+    axes : str
+        Resolved axes, in the order x, y, z.
+    at : dict
+        Coordinate of each fixed axis (m).
+    averaged : str
+        Axes that are integrated over and divided by their extent.
+    nodes : dict
+        Node coordinates along each resolved axis (m).
+    spacing : dict
+        Distance of nodes along each resolved axis (m).
+    fitted : str
+        Resolved axes along which the nodes were laid around the particles.
+    cells : bool
+        Whether values are averages over the cells of the nodes, instead of those at the nodes.
+    """
+
+    axes: str
+    at: Mapping[str, float]
+    averaged: str
+    nodes: Mapping[str, NDArray]
+    spacing: Mapping[str, float]
+    fitted: str = ""
+    cells: bool = False
+
+    @cached_property
+    def active(self) -> NDArray:
+        """Which of the three axes are seen (3,)."""
+        return np.array([a in self.seen for a in COMPONENTS])
+
+    @property
+    def count(self) -> int:
+        """Number of nodes."""
+        return math.prod(self.sizes)
+
+    @property
+    def dims(self) -> tuple[str, ...]:
+        """Resolved axes."""
+        return tuple(self.axes)
+
+    @cached_property
+    def sizes(self) -> tuple[int, ...]:
+        """Number of nodes along each resolved axis."""
+        return tuple(len(self.nodes[a]) for a in self.axes)
+
+    @cached_property
+    def seen(self) -> str:
+        """Axes along which distance to a node counts: resolved or fixed."""
+        return "".join(a for a in COMPONENTS if a in self.nodes or a in self.at)
+
+    @cached_property
+    def shape(self) -> tuple[int, int, int]:
+        """Number of nodes along x, y, z; 1 for axes that are not resolved."""
+        nx, ny, nz = (len(self.nodes[a]) if a in self.nodes else 1 for a in COMPONENTS)
+        return nx, ny, nz
+
+    @cached_property
+    def origin(self) -> NDArray:
+        """First node (3,)."""
+        return np.array([self.nodes[a][0] if a in self.nodes else self.at.get(a, 0.0) for a in COMPONENTS])
+
+    @property
+    def half(self) -> NDArray:
+        """Half of the spacing along resolved axes, where values are averages over cells (3,)."""
+        return np.array([0.5 * self.spacing[a] if self.cells and a in self.nodes else 0.0 for a in COMPONENTS])
+
+    @property
+    def lower(self) -> NDArray:
+        """First node, or the lower bounds of its cell (3,)."""
+        return self.origin - self.half
+
+    @property
+    def upper(self) -> NDArray:
+        """Last node, or the upper bounds of its cell (3,)."""
+        return self.origin + (np.array(self.shape) - 1) * self.steps + self.half
+
+    @cached_property
+    def steps(self) -> NDArray:
+        """Spacing (3,); 1 along axes that are not resolved."""
+        return np.array([self.spacing.get(a, 1.0) for a in COMPONENTS])
+
+    @property
+    def cuts(self) -> dict[str, tuple[float, float]]:
+        """Coordinate of each fixed axis, twice (m)."""
+        return {a: (value, value) for a, value in self.at.items()}
+
+    @property
+    def coords(self) -> dict[str, xr.Variable]:
+        """Nodes of resolved axes, and coordinates of fixed ones."""
+        resolved = {a: xr.Variable(a, self.nodes[a]) for a in COMPONENTS if a in self.nodes}
+        return resolved | {a: xr.Variable((), value) for a, value in self.at.items()}
+
+    def blocks(self, size: int, threads: int) -> Sequence[Block]:
+        """Divide the mesh into boxes."""
+        return mesh_blocks(self.shape, self.steps, self.half, size, threads)
+
+    def describe(self) -> dict[str, str]:
+        """Say where the nodes are."""
+        return {
+            "nodes": (" x ".join(f"{len(self.nodes[a])} {a}" for a in self.axes) or "one")
+            + (", averages over their cells" if self.cells and self.axes else ""),
+            "fixed": ", ".join(f"{a} = {v:g}" for a, v in self.at.items()) or "none",
+        }
+
+    def fills(self, period: NDArray) -> tuple[bool, bool, bool]:
+        """Tell along which axes the nodes fill a period (3,), so that the last is next to the first."""
+        x, y, z = (
+            a in self.nodes and bool(np.isclose(len(self.nodes[a]) * self.spacing[a], period[k], atol=0.0))
+            for k, a in enumerate(COMPONENTS)
+        )
+        return x, y, z
+
+
+def check_axes(name: str, given: Iterable[str], plane: str) -> None:
+    """Refuse axes that the scene does not have."""
+    wrong = [a for a in given if a not in plane]
+    if wrong:
+        msg = f"{name} names {wrong}: the axes of this scene are {', '.join(plane)}"
+        raise ValueError(msg)
+
+
+def _check_mesh_axes(axes: str, at: Mapping[str, float], bounds: Mapping[str, Sequence[float]], plane: str) -> None:
+    for name, given in (("axes", axes), ("at", at), ("bounds", bounds)):
+        check_axes(name, given, plane)
+    if len(set(axes)) != len(axes):
+        msg = f"axes={axes!r} names an axis twice"
+        raise ValueError(msg)
+    both = [a for a in axes if a in at]
+    if both:
+        msg = f"axes={axes!r} and at={dict(at)!r} both name {both}: an axis is either resolved or fixed"
+        raise ValueError(msg)
+    for a, value in at.items():
+        if not np.isfinite(value):
+            msg = f"at[{a!r}]={value!r}: expected one finite coordinate; use axes= with bounds= for several"
+            raise ValueError(msg)
+    loose = [a for a in bounds if a not in axes]
+    if loose:
+        msg = (
+            f"bounds are given for {loose}, but only {list(axes)} are resolved: the fields are averaged (or fixed) "
+            "along the others. Add the axis to axes=, or leave its bounds out; extent= sets the length of an average"
+        )
+        raise ValueError(msg)
+
+
+def _whole(axis: str, count: float) -> int:
+    """Whole number of nodes of one axis, refused before anything is made for too many."""
+    if not count < _MOST_OF_ONE_AXIS:
+        msg = (
+            f"the mesh would have {count:.3g} nodes along {axis!r}, more than {_MOST_OF_ONE_AXIS}: choose a larger "
+            "spacing or smaller bounds. If neither was given, a particle is far astray"
+        )
+        raise ValueError(msg)
+    return int(count)
+
+
+def nodes_along(
+    a: str, step: Any, axes: Iterable[str], bounds: Mapping[str, Sequence[float]],
+    automatic: Mapping[str, tuple[float, float]], period: Mapping[str, float], cutoff: float, cells: bool = False,
+) -> tuple[NDArray, float]:  # fmt: skip
+    """Nodes along one of the resolved axes, and their distance; arguments as in `make_grid`."""
+    if step is None or not (np.isfinite(step) and step > _FINEST * cutoff):
+        msg = (
+            f"spacing along {a!r} is {step!r}: expected a positive distance (m) for each of {list(axes)}, not far "
+            f"below the radius of the support ({cutoff:g} m)"
+        )
+        raise ValueError(msg)
+    if a in bounds:
+        first, last = map(float, bounds[a])
+        if not (np.isfinite(first) and np.isfinite(last) and first <= last):
+            msg = f"bounds[{a!r}]={tuple(bounds[a])!r}: expected (first, last) with first <= last"
+            raise ValueError(msg)
+        count = _whole(a, (last - first) / step * (1 + 1e-12) + 1e-9) + 1
+    elif a not in automatic:
+        msg = (
+            f"axis {a!r} has no bounds: the scene holds neither a box nor the particles' extent, or no longer, as "
+            f"positions were changed. Give bounds={{{a!r}: (first, last)}}, or call ds = ds.cg.measure() first"
+        )
+        raise ValueError(msg)
+    elif a in period:
+        first, count = automatic[a][0], max(1, _whole(a, period[a] / step + 0.5))
+        step = period[a] / count
+        first += 0.5 * step if cells else 0.0
+    else:
+        first, last = automatic[a]
+        count = _whole(a, np.ceil((last - first) / step))
+        count = max(1, count) if cells else count + 1
+        first = 0.5 * (first + last) - 0.5 * (count - 1) * step
+    if count > 1 and step > 2 * cutoff and not cells:
+        msg = (
+            f"spacing {step:g} along {a!r} is larger than the support of the kernel (2 c = {2 * cutoff:g}): "
+            "particles between nodes are not seen; choose a smaller spacing or a larger width, or "
+            "sampling='cell' for averages over the spacing around each node"
+        )
+        warn_user(msg)
+    return first + step * np.arange(count), float(step)
+
+
+def make_grid(
+    axes: str,
+    at: Mapping[str, float],
+    bounds: Mapping[str, Sequence[float]],
+    spacing: float | Mapping[str, float],
+    *,
+    plane: str,
+    cutoff: float,
+    automatic: Mapping[str, tuple[float, float]],
+    period: Mapping[str, float],
+    cells: bool = False,
+) -> RegularGrid:
+    """Place nodes.
+
+    Nodes stand at first, first + spacing, ... up to last. A periodic axis without bounds gets nodes that divide
+    its period evenly, so its spacing is the nearest that fits. Cells without bounds lie side by side: from edge to edge
+    of a period, and around the particles.
+
+    Parameters
+    ----------
+    axes, at, bounds, spacing
+        As in `xcg.coarse_grain`.
+    plane : str
+        The axes that the scene has.
+    cutoff : float
+        Radius of the support (m), for the warning about nodes that are too far apart.
+    automatic : mapping
+        First and last node of axes without bounds (m); for a periodic axis, the edges of the box.
+    period : mapping
+        Length of the periodic axes (m).
+    cells : bool
+        Whether values are averages over the cells of the nodes.
+
+    Raises
+    ------
+    ValueError
+        For unknown axes, bounds on an axis that is not resolved, or a spacing that is not positive.
+    """
+    axes = "".join(sorted(axes)) if set(axes) <= set(COMPONENTS) else axes
+    _check_mesh_axes(axes, at, bounds, plane)
+    steps = dict(spacing) if isinstance(spacing, Mapping) else dict.fromkeys(axes, spacing)
+    nodes, taken = {}, {}
+    for a in axes:
+        nodes[a], taken[a] = nodes_along(a, steps.get(a), axes, bounds, automatic, period, cutoff, cells)
+    averaged = "".join(a for a in plane if a not in axes and a not in at)
+    fitted = "".join(a for a in axes if a not in bounds and a not in period)
+    grid = RegularGrid(axes, {a: float(v) for a, v in at.items()}, averaged, nodes, taken, fitted, cells)
+    if np.prod([float(n) for n in grid.shape]) > MAX_NODES:
+        msg = f"the mesh has {grid.shape} nodes, more than {MAX_NODES}: choose a larger spacing or smaller bounds"
+        raise ValueError(msg)
+    return grid
+
+
+def check_mesh(position: NDArray, grid: Grid, cutoff: float, open_axes: NDArray, source: str) -> None:
+    """Warn where no grain reaches any node, and where grains lie beyond a mesh that was laid around them.
+
+    Parameters
+    ----------
+    position : array (n, 3)
+        Centres (m).
+    grid : Grid
+        The nodes.
+    cutoff : float
+        Radius of the largest support (m).
+    open_axes : array (3,)
+        Axes along which nothing repeats.
+    source : str
+        Names the step.
+    """
+    axes = [k for k, a in enumerate(COMPONENTS) if a in grid.seen and open_axes[k]]
+    if not len(position) or not axes or not grid.count:
+        return
+    first, last = grid.lower, grid.upper
+    parts = (position[start : start + SAMPLE] for start in range(0, len(position), SAMPLE))
+    reached = (np.all([(x[:, k] > first[k] - cutoff) & (x[:, k] < last[k] + cutoff) for k in axes], 0) for x in parts)
+    if not any(some.any() for some in reached):
+        spans = [(COMPONENTS[k], position[:, k].min(), position[:, k].max()) for k in axes]
+        grains = ", ".join(f"{a} from {low:.6g} to {high:.6g}" for a, low, high in spans)
+        nodes = ", ".join(f"{COMPONENTS[k]} from {first[k]:.6g} to {last[k]:.6g}" for k in axes)
+        warn_once(
+            "reach",
+            f"{source}: no grain reaches any node, so that sums are zero: grains lie at {grains}, nodes at {nodes}, "
+            f"and the kernel reaches {cutoff:.4g}; check bounds=, at= and the units of lengths",
+        )
+        return
+    for k in [k for k in axes if COMPONENTS[k] in grid.fitted]:
+        x = position[:, k]
+        low, high = float(x.min()), float(x.max())
+        if low < first[k] + 0.5 * cutoff or high > last[k] - 0.5 * cutoff:
+            a = COMPONENTS[k]
+            warn_once(
+                f"beyond {a}",
+                f"{source}: grains lie at {a} from {low:.6g} to {high:.6g}, and the support of some is cut off by the "
+                f"mesh, which was laid around the first and the last step, from {first[k]:.6g} to {last[k]:.6g}; give "
+                f"bounds={{{a!r}: (first, last)}}, or call ds = ds.cg.measure(), which looks at all steps",
+            )

@@ -1,0 +1,291 @@
+"""Fields at any points: given one by one, sorted in space when the plan is made."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.compiled import THREADS
+from xcg.compiled.arrays import counting_sort_places
+from xcg.compiled.cells import Cells, lists_for_points
+from xcg.compiled.reach import PAD, Lists, Nodes
+from xcg.fields.places.grid import MAX_NODES, check_axes
+from xcg.fields.sums.blocks import BLOCK_NODES, OwnNodes, Taken, triple
+from xcg.fields.sums.nodes import Apart
+from xcg.scene.schema import COMPONENTS
+
+# Cells hold about this many points, but are no wider and no narrower than these shares of the support's radius:
+# measured, see docs/design.md.
+_IN_A_CELL = 24
+_WIDEST, _NARROWEST = 1.0, 0.35
+# They are flat, as the run of points within reach begins and ends with a cell.
+_FLAT = 0.2
+# Cells of a block, besides four for each point: where points are far apart, cells are wider.
+_MOST_CELLS = 1 << 16
+# Points that are divided no further where they are far apart: each grain may look at all of them.
+_FEW = 4096
+# Coordinates (m) whose squares are numbers.
+_FARTHEST = 1e75
+# coordinates of results besides those of the points
+_OF_RESULTS = ("time", "interval", "phase", "other_phase", "component", "direction", "width")
+
+
+@dataclass(frozen=True, eq=False)
+class PointBlock(OwnNodes):
+    """Points that are neighbours in space, sorted by cell. Lengths are in radii of the support, from an origin on.
+
+    Attributes
+    ----------
+    places : array (n,)
+        Where they are among all points, unsigned.
+    position : array (3, n + PAD)
+        The points, 0 along axes that are not seen, and beyond the last.
+    lower, size : array (3,)
+        Lower corner of the cells, and their size.
+    shape : tuple of int
+        Number of cells along each axis.
+    start : array (cells + 1,)
+        First point of each cell, unsigned.
+    unit : float
+        That radius (m).
+    """
+
+    places: NDArray
+    position: NDArray
+    lower: NDArray
+    size: NDArray
+    shape: tuple[int, int, int]
+    start: NDArray
+    unit: float
+
+    @classmethod
+    def of(cls, rows: NDArray, position: NDArray, unit: float) -> PointBlock:
+        """Sort some points (3, n), which have these places (n,) among all."""
+        lower, many = position.min(axis=1), len(rows)
+        extent = position.max(axis=1) - lower
+        spread = extent[extent > _NARROWEST]
+        width = (spread.prod() * _IN_A_CELL / many) ** (1 / max(1, len(spread)))
+        size = np.clip(width, _NARROWEST, _WIDEST) * np.array([1.0, 1.0, _FLAT])
+        while _cells_of(extent, size) > _MOST_CELLS + 4 * many:
+            size[np.argmax(extent / size)] *= 2.0
+        shape = (extent / size).astype(int) + 1
+        x, y, z = (((position[k] - lower[k]) / size[k]).astype("int64") for k in range(3))
+        order, start = _sorted((x * shape[1] + y) * shape[2] + z, math.prod(shape.tolist()))
+        place = np.zeros((3, many + PAD))
+        np.take(position, order, axis=1, out=place[:, :many])
+        return cls(rows[order], place, lower, size, triple(shape), start, unit)
+
+    @property
+    def count(self) -> int:
+        """Number of points."""
+        return len(self.places)
+
+    def nodes(self, origin: NDArray, unit: float, active: NDArray, period: NDArray) -> Taken:
+        """Return the points as loops take them; the origin is theirs."""
+        share = self.unit / unit
+        place = self.position if share == 1.0 else self.position * share
+        begin, end = place[:, : self.count].min(axis=1), place[:, : self.count].max(axis=1)
+        many, lower = np.array(self.shape) > 1, self.lower * share
+        size, per_size = np.where(many, self.size * share, 0.0), np.where(many, 1.0 / (self.size * share), 0.0)
+        margin = 1e-9 + 1e-15 * float(np.abs([begin, end]).max())
+        x, y, z = place
+        cells = Cells(x, y, z, self.start, triple(lower), triple(size), triple(per_size), self.shape, margin)
+        return Nodes(triple(begin), triple(end), triple(active), triple(period)), None, cells, None
+
+    def lists(self, taken: Taken, reach: Sequence[float], real: str = "float64") -> Lists:
+        """Return scratch to list points: all may be in one place."""
+        return lists_for_points(self.count, real)
+
+
+@dataclass(frozen=True, eq=False)
+class Points(Apart):
+    """Points given by arrays of coordinates, which share dimensions.
+
+    Attributes
+    ----------
+    given : mapping
+        Coordinate along each seen axis (m), and further coordinates, as they stand in results.
+    dims, sizes : tuple
+        Dimensions of the points, and their lengths.
+    averaged : str
+        Axes that are integrated over and divided by their extent.
+    origin, lower, upper : array (3,)
+        A point amid the others, and the bounds of all (m).
+    parts : tuple of PointBlock
+        The points, sorted in space.
+    """
+
+    given: Mapping[str, xr.Variable]
+    dims: tuple[str, ...]
+    sizes: tuple[int, ...]
+    averaged: str
+    origin: NDArray
+    lower: NDArray
+    upper: NDArray
+    parts: tuple[PointBlock, ...]
+
+    @property
+    def seen(self) -> str:
+        """Axes along which points have a coordinate."""
+        return "".join(a for a in COMPONENTS if a in self.given)
+
+    @property
+    def cuts(self) -> dict[str, tuple[float, float]]:
+        """Lowest and highest coordinate along each seen axis (m)."""
+        return {a: (float(self.lower[k]), float(self.upper[k])) for k, a in enumerate(COMPONENTS) if a in self.seen}
+
+    @property
+    def coords(self) -> Mapping[str, xr.Variable]:
+        """Coordinates as they were given."""
+        return self.given
+
+    def blocks(self, size: int, threads: int) -> tuple[PointBlock, ...]:
+        """Return the points as they were divided when the plan was made."""
+        return self.parts
+
+    def describe(self) -> dict[str, str]:
+        """Say where the points are."""
+        spans = ", ".join(f"{a} from {low:.6g} to {high:.6g}" for a, (low, high) in self.cuts.items())
+        sizes = " x ".join(f"{size} {dim}" for dim, size in zip(self.dims, self.sizes, strict=True))
+        return {"nodes": f"{sizes}, points with {spans}", "fixed": "none"}
+
+
+def is_pointwise(at: Mapping[str, Any]) -> bool:
+    """Whether coordinates are arrays, so that they name points and not planes."""
+    return any(np.ndim(value) > 0 for value in at.values())
+
+
+def make_points(at: Mapping[str, Any], *, plane: str, cutoff: float) -> Points:
+    """Sort points in space.
+
+    Parameters
+    ----------
+    at : mapping
+        Coordinates (m) along some axes: DataArrays, which broadcast against each other, and numbers.
+    plane : str
+        The axes that the scene has.
+    cutoff : float
+        Radius of the smallest support (m).
+
+    Raises
+    ------
+    ValueError
+        For unknown axes; arrays without names of dimensions, or with those of results; arrays whose labels or sizes
+        differ; coordinates that are not finite.
+    """
+    check_axes("at", at, plane)
+    arrays = _aligned({a: _array(a, at[a]) for a in COMPONENTS if a in at})
+    sizes = {str(dim): size for array in arrays.values() for dim, size in array.sizes.items()}
+    shape = tuple(sizes.values())
+    if math.prod(map(float, shape)) > MAX_NODES:
+        msg = f"at= names {sizes} points, more than {MAX_NODES}: take fewer at a time"
+        raise ValueError(msg)
+    position = np.zeros((3, math.prod(shape)))
+    for a, array in arrays.items():
+        column = array.variable.set_dims(sizes).transpose(*sizes).to_numpy().ravel()
+        lost = np.flatnonzero(~(np.abs(column) < _FARTHEST))
+        if lost.size:
+            where = dict(zip(sizes, (int(k) for k in np.unravel_index(lost[0], shape)), strict=True))
+            msg = f"at[{a!r}] is {column[lost[0]]} at {where}: expected finite coordinates; leave these points out"
+            raise ValueError(msg)
+        position[COMPONENTS.index(a)] = column
+    lower, upper, origin = np.zeros((3, 3))
+    if position.size:
+        lower, upper = position.min(axis=1), position.max(axis=1)
+        origin = np.array([np.partition(x, len(x) // 2)[len(x) // 2] for x in position])
+    most = min(BLOCK_NODES, max(_FEW, position.shape[1] // (2 * THREADS) + 1))
+    place = (position - origin[:, None]) / cutoff
+    divided = _divide(np.arange(position.shape[1], dtype="uint64"), place, most)
+    parts = tuple(PointBlock.of(rows, here, cutoff) for rows, here in divided)
+    averaged = "".join(a for a in plane if a not in arrays)
+    return Points(_coords(arrays), tuple(sizes), shape, averaged, origin, lower, upper, parts)
+
+
+def _array(axis: str, value: Any) -> xr.DataArray:
+    """Return coordinates along an axis as numbers in memory."""
+    if not isinstance(value, xr.DataArray) and np.ndim(value):
+        msg = (
+            f"at[{axis!r}] is a {type(value).__name__} of shape {np.shape(value)}: points are DataArrays, whose named "
+            f"dimensions say which coordinates belong together, such as xr.DataArray(values, dims='point')"
+        )
+        raise ValueError(msg)
+    array = xr.DataArray(value)
+    if array.dtype.kind not in "fiu":
+        msg = f"at[{axis!r}] holds {array.dtype}: expected coordinates (m)"
+        raise ValueError(msg)
+    stacked = [dim for dim in array.dims if isinstance(array.indexes.get(dim), pd.MultiIndex)]
+    array = array.reset_index(stacked).drop_vars([*COMPONENTS, *_OF_RESULTS, "step"], errors="ignore")
+    return array.copy(data=array.to_numpy().astype("float64"))
+
+
+def _aligned(arrays: Mapping[str, xr.DataArray]) -> dict[str, xr.DataArray]:
+    """Refuse arrays that do not belong together, or whose dimensions results have already."""
+    for a, array in arrays.items():
+        # a dimension may be named by the one axis that runs along it, as the nodes of a mesh are
+        taken = [d for d in array.dims if d in COMPONENTS and (d not in arrays or arrays[str(d)].dims != (d,))]
+        taken += [d for d in array.dims if d in _OF_RESULTS]
+        if taken:
+            msg = f"at[{a!r}] has the dimensions {array.dims}: {taken} are other dimensions of results; rename them"
+            raise ValueError(msg)
+    try:
+        return dict(zip(arrays, xr.align(*arrays.values(), join="exact", copy=False), strict=True))
+    except ValueError as error:
+        sizes = {a: dict(array.sizes) for a, array in arrays.items()}
+        msg = f"the coordinates in at= have other sizes or labels along dimensions that they share, {sizes}: {error}"
+        raise ValueError(msg) from error
+
+
+def _coords(arrays: Mapping[str, xr.DataArray]) -> dict[str, xr.Variable]:
+    """Coordinates of the points, and the other coordinates of their arrays."""
+    found = {str(name): c.variable for array in arrays.values() for name, c in array.coords.items()}
+    return found | {a: array.variable for a, array in arrays.items()}
+
+
+def _cells_of(extent: NDArray, size: NDArray | float) -> float:
+    """How many cells of a size cover an extent (3,)."""
+    return float((np.floor(extent / size) + 1.0).prod())
+
+
+def _sorted(key: NDArray, count: int) -> tuple[NDArray, NDArray]:
+    """Order (n,) of things by their keys, 0, ... count - 1, and where each key begins (count + 1,), unsigned."""
+    ends, place, order = np.zeros(count + 1, "int64"), np.empty(len(key), "int64"), np.empty(len(key), "int64")
+    counting_sort_places(key, ends, place)
+    order[place] = np.arange(len(key))
+    return order, np.concatenate([[0], ends[:-1]]).astype("uint64")
+
+
+def _divide(rows: NDArray, position: NDArray, most: int) -> Iterator[tuple[NDArray, NDArray]]:
+    """Divide points (3, n) into parts of at most about `most` that are neighbours in space, as (rows, points).
+
+    Parts whose points are far apart are divided further, so that cells narrower than the support tell them apart.
+    """
+    many = len(rows)
+    if not many:
+        return
+    lower = position.min(axis=1)
+    extent = position.max(axis=1) - lower
+    sparse = many > _FEW and _cells_of(extent, _WIDEST) > _MOST_CELLS + 4 * many
+    if many <= most and not sparse:
+        yield rows, position
+        return
+    wanted, parts = max(2, math.ceil(many / most)), np.ones(3, int)
+    if not (extent > 1e-9).any():  # all in one place
+        for k in np.array_split(np.arange(many), wanted):
+            yield rows[k], position[:, k]
+        return
+    while parts.prod() < wanted:
+        parts[np.argmax(extent / parts)] += 1
+    per_size = parts / np.where(extent > 0.0, extent, np.inf)
+    x, y, z = (np.minimum((position[k] - lower[k]) * per_size[k], parts[k] - 1).astype("int64") for k in range(3))
+    order, start = _sorted((x * parts[1] + y) * parts[2] + z, int(parts.prod()))
+    for first, last in pairwise(start.tolist()):
+        part = order[first:last]
+        yield from _divide(rows[part], position[:, part], most)

@@ -1,0 +1,1 @@
+"""Names and variants of fields in other programs."""

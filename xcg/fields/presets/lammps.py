@@ -1,0 +1,223 @@
+"""LAMMPS' own coarse-graining, ``compute continuum/chunk``: ``coarse_grain(preset="lammps")``.
+
+Its names, with "_" in place of "/" (``stress/contacts/*`` is ``stress_contacts``), its signs (tension is positive), and
+its kernel, the shifted Gaussian of as many dimensions as there are axes. Each is algebra on fields of xcg. What it
+defines in a way of its own, and is not followed, is listed in the documentation. Formulas: documentation of the
+compute (LAMMPS pull request 5092), which follows Goldhirsch (2010).
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial, reduce
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from xcg.fields.formulas import registry
+from xcg.fields.formulas.variables import Quantity
+from xcg.fields.plan import make_plan
+from xcg.fields.request import Request
+from xcg.fields.sums.smoothing import Gaussian, Kernel, as_kernel, choose_width
+from xcg.scene.query import edges_of, require_scene, setup_of
+from xcg.scene.schema import COMPONENTS, did_you_mean, units_of
+
+
+@dataclass(frozen=True)
+class Row:
+    """One of its fields.
+
+    Attributes
+    ----------
+    ours : str
+        The field of xcg that it is made of, and shares its units with.
+    formula : str
+        In names of xcg.
+    compute : callable
+        From ours, and the axes of the scene, to its values.
+    """
+
+    ours: str
+    formula: str
+    compute: Callable[[xr.DataArray, str], xr.DataArray]
+
+
+def _same(ours: str) -> Row:
+    return Row(ours, ours, lambda field, _: field)
+
+
+def _negative(ours: str) -> Row:
+    return Row(ours, f"-{ours}", lambda field, _: -field)
+
+
+def _half_trace(field: xr.DataArray, axes: str) -> xr.DataArray:
+    normal = [field.sel(component=a, direction=a, drop=True) for a in axes]
+    return 0.5 * reduce(operator.add, normal)
+
+
+ROWS: dict[str, Row] = {
+    "density": _same("density"),
+    "volume/fraction": _same("volume_fraction"),
+    "momentum": _same("momentum_density"),
+    "velocity": _same("velocity"),
+    "velocity/grad": _same("velocity_gradient"),
+    "strain/rate": _same("shear_rate_tensor"),
+    "stress": _negative("stress"),
+    "stress/ke": _negative("kinetic_stress"),
+    "stress/contacts": _negative("contact_stress"),
+    "boundary/force": _negative("wall_traction"),
+    "temperature": Row("kinetic_stress", "tr(kinetic_stress) / 2", _half_trace),
+}
+_NOT_FOLLOWED = {
+    "fabric": "it is smeared along branches there, and as the grains are here: take 'fabric' without the preset",
+    "momentum/grad": "there is no such field: take differences of 'momentum'",
+    "natoms": "it counts centres in bins, which are no field",
+}
+# arguments that change none of its fields
+_WITHOUT_EFFECT = ("pressure_dims", "shear_dims", "deviatoric", "size", "temperature", "fluid_viscosity")
+
+
+def _choose(asked: str | Quantity | Sequence[str | Quantity] | None, available: Sequence[str]) -> list[str]:
+    """Its names for a request, with or without ``/*`` and with "_" or "/"; all that `available` fields allow for None.
+
+    Raises
+    ------
+    ValueError
+        For names that are not its, for components, and for what is not followed.
+    """
+    if asked is None:
+        return [name for name, row in ROWS.items() if row.ours in available]
+    known = {name.replace("/", "_"): name for name in (*ROWS, *_NOT_FOLLOWED)}
+    names = []
+    for word in map(str, [asked] if isinstance(asked, (str, Quantity)) else asked):
+        found = known.get(word.removesuffix("/*").replace("/", "_"))
+        if found in ROWS:
+            names.append(found)
+            continue
+        whole, _, parts = word.replace("/", "_").rpartition("_")
+        if found is not None:
+            msg = f"{word!r} is not followed by the preset 'lammps': {_NOT_FOLLOWED[found]}"
+        elif known.get(whole) in ROWS and 0 < len(parts) <= 2 and set(parts) <= set(COMPONENTS):
+            labels = ", ".join(f"{dim}={a!r}" for dim, a in zip(("component", "direction"), parts, strict=False))
+            msg = f"{word!r} is a component: ask for {known[whole]!r} as a whole, and take .sel({labels}) of it"
+        else:
+            listed = ", ".join(repr(name) for name in ROWS)
+            msg = f"unknown field {word!r} of the preset 'lammps': choose from {listed}{did_you_mean(word, ROWS)}"
+        raise ValueError(msg)
+    return list(dict.fromkeys(names))
+
+
+def _from_xcg(f: xr.Dataset, names: Sequence[str], axes: str) -> xr.Dataset:
+    """Compute its fields from a result of `xcg.coarse_grain` that holds what they need."""
+    out = {}
+    for name in names:
+        row = ROWS[name]
+        units = units_of(registry.FIELDS[row.ours].powers, f.attrs["unit_system"])
+        attrs = {"units": units, "long_name": f"{name} of compute continuum/chunk", "formula": row.formula}
+        out[name.replace("/", "_")] = row.compute(f[row.ours], axes).assign_attrs(attrs)
+    return xr.Dataset(out | {"sample_count": f["sample_count"]}, attrs=f.attrs)
+
+
+def _kernel(ds: xr.Dataset, request: Request) -> Kernel:
+    """Its kernel, in as many dimensions as there are axes; another one where that is asked for."""
+    setup = setup_of(ds)
+    axes = setup.plane if request.axes is None and request.at is None else request.axes or ""
+    seen = len({*axes, *(request.at or {})}) or setup.dimension
+    if isinstance(request.width, Mapping):
+        msg = "preset='lammps' has one kernel for all grains: give one width= instead of one for each group"
+        raise ValueError(msg)
+    own = isinstance(request.kernel, Kernel) and request.width is None
+    kernel = request.kernel if request.changed(["kernel"]) else "shifted gaussian"
+    return as_kernel(kernel, None if own else choose_width(request.width, ds.attrs), seen)
+
+
+def translate(ds: xr.Dataset, request: Request) -> tuple[Request, Callable[[xr.Dataset], xr.Dataset]]:
+    """Put a request in its names into names of xcg; the function turns the answer into its fields.
+
+    Raises
+    ------
+    SceneError
+        If `ds` is not a scene.
+    ValueError
+        If names are not its, or an argument is given that changes none of its fields.
+    """
+    idle = request.changed(_WITHOUT_EFFECT)
+    if idle:
+        msg = f"preset='lammps': none of its fields depends on {idle}; leave them out"
+        raise ValueError(msg)
+    require_scene(ds, (), "coarse_grain")
+    gradient = request.gradient if request.changed(["gradient"]) else "finite_difference"
+    own = replace(request, preset=None, gradient=gradient, kernel=_kernel(ds, request), width=None)
+    names = _choose(request.fields, make_plan(ds, replace(own, fields=None)).fields)
+    needed = list(dict.fromkeys(["sample_count", *(ROWS[name].ours for name in names)]))
+    return replace(own, fields=needed), partial(_from_xcg, names=names, axes=setup_of(ds).plane)
+
+
+def lammps_mesh(
+    ds: xr.Dataset,
+    axes: str = "xyz",
+    *,
+    delta: float | Mapping[str, float],
+    cutoff: float,
+    width: float,
+    origin: Mapping[str, float] | None = None,
+) -> dict[str, Any]:
+    """Arguments for `xcg.coarse_grain` that place nodes at the centres of LAMMPS' bins, and take its kernel.
+
+    They are those of ``compute ID all chunk/atom bin/3d x lower delta y lower delta z lower delta units box`` and
+    ``compute ID all continuum/chunk chunkID cutoff width ...``: of bins of equal size from the origin on, and as many
+    as cover the box.
+
+    Parameters
+    ----------
+    ds : xarray.Dataset
+        A scene with a box.
+    axes : str
+        Axes with bins.
+    delta : float or mapping
+        Size of the bins (m), for all axes or by axis.
+    cutoff, width : float
+        Of the kernel (m), as the compute takes them.
+    origin : mapping, optional
+        Where the first bin begins (m), by axis; by default the lower edge of the box.
+
+    Returns
+    -------
+    dict
+        ``axes``, ``bounds``, ``spacing`` and ``kernel``.
+
+    Raises
+    ------
+    ValueError
+        If a size is not positive, or an axis is not one of the scene's or has no finite box.
+
+    Examples
+    --------
+    >>> import xcg
+    >>> ds = xcg.datasets.simple_cubic(10)
+    >>> mesh = xcg.lammps_mesh(ds, "z", delta=2.0, cutoff=1.5, width=0.5)
+    >>> f = ds.cg.coarse_grain(["density", "stress/contacts/*"], preset="lammps", **mesh)
+    >>> dict(f.sizes)["z"]
+    5
+    """
+    require_scene(ds, (), "lammps_mesh")
+    edges, bounds, spacing = edges_of(ds), {}, {}
+    for a in axes:
+        if a not in edges:
+            msg = f"lammps_mesh: the scene has no finite box along {a!r}; bins of LAMMPS cover the box"
+            raise ValueError(msg)
+        step = float(delta[a] if isinstance(delta, Mapping) else delta)
+        if not (np.isfinite(step) and step > 0):
+            msg = f"delta={delta!r}: expected a positive size of bins (m)"
+            raise ValueError(msg)
+        first, last = (origin or {}).get(a, edges[a][0]), edges[a][1]
+        # a box of a whole number of bins has that many, whatever the rounding
+        count = max(1, math.ceil((last - first) / step * (1 - 1e-12)))
+        bounds[a] = (first + 0.5 * step, first + (count - 0.5) * step)
+        spacing[a] = step
+    kernel = Gaussian(width, cutoff=cutoff, shifted=True)
+    return {"axes": axes, "bounds": bounds, "spacing": spacing, "kernel": kernel}

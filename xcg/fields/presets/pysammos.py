@@ -1,0 +1,325 @@
+"""Pysammos's names for fields, its variants of them, and its mesh: ``coarse_grain(preset="pysammos")``.
+
+Its names carry their variant: ``inertial_number_Sxy_Pxy_d32`` takes the shear rate in the plane xy, the pressure
+(sigma_xx + sigma_yy) / 2 and d32. Each is algebra on fields of xcg, so that values are those of the registry. Formulas:
+Pysammos 1.0.0 and its paper (EGUsphere 2026-2591). What differs from it is listed in the documentation.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from typing import Any, cast
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.fields.formulas import algebra, registry
+from xcg.fields.formulas.field import NONE, Field, Options
+from xcg.fields.formulas.trace import at_least_zero, where_positive
+from xcg.fields.formulas.variables import Quantity
+from xcg.fields.plan import possible_fields
+from xcg.fields.request import Request
+from xcg.fields.sums.smoothing import as_kernel, choose_width
+from xcg.scene.query import require_scene, setup_of
+from xcg.scene.schema import COMPONENTS, did_you_mean
+from xcg.scene.sizes import with_measures
+
+_RATE = "shear_rate_tensor"
+
+
+_RENAMED = {
+    "volume_fraction": "volume_fraction",
+    "density_mixture": "density",
+    "density_particle": "particle_density",
+    "d32": "d32",
+    "d43": "d43",
+    "coordination_number": "coordination_number",
+    "momentum_density": "momentum_density",
+    "velocity": "velocity",
+    "velocity_gradient": "velocity_gradient",
+    "kinetic_tensor": "kinetic_stress",
+    "contact_tensor": "contact_stress",
+    "fabric_tensor": "fabric",
+}
+
+
+@dataclass(frozen=True)
+class Formula:
+    """A function of the fields at hand and of further arguments, as the algebra of a row.
+
+    Two of the same are equal, so that a program that was made for one serves the other.
+    """
+
+    function: Callable[..., NDArray]
+    given: tuple[Any, ...]
+
+    def __call__(self, f: Any, s: Any, o: Options) -> NDArray:
+        """Compute the field from others."""
+        return self.function(f, *self.given)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One of its fields.
+
+    Attributes
+    ----------
+    family : str
+        Its key among ``fields_to_export``.
+    field : Field
+        Its units, the fields of xcg that it is made of, and the algebra.
+    """
+
+    family: str
+    field: Field
+
+
+def _magnitude_of_part(
+    f: Any, tensor: str, axes: tuple[int, ...], deviatoric: bool, size: Callable[[NDArray], NDArray]
+) -> NDArray:
+    return size(_part(f, tensor, axes, deviatoric))
+
+
+def _part(f: Any, tensor: str, axes: tuple[int, ...], deviatoric: bool) -> NDArray:
+    """Restriction of a tensor to some axes, or the deviator of that."""
+    part = algebra.restricted(getattr(f, tensor), axes)
+    return algebra.deviator(part, axes) if deviatoric else part
+
+
+def _pressure(f: Any, axes: tuple[int, ...]) -> NDArray:
+    return algebra.mean_normal(f.stress, axes)
+
+
+def _temperature(f: Any, axes: tuple[int, ...]) -> NDArray:
+    # of the whole density: nothing is taken off for the freedoms of the fit
+    return at_least_zero(algebra.mean_normal(f.fluctuation_stress, axes)) / where_positive(f.density)
+
+
+def _inertial(f: Any, plane: tuple[int, ...], axes: tuple[int, ...], size: str) -> NDArray:
+    rate = algebra.rate_magnitude(_part(f, _RATE, plane, deviatoric=True))
+    return rate * getattr(f, size) * np.sqrt(f.particle_density / where_positive(_pressure(f, axes)))
+
+
+def _friction(f: Any, shear: tuple[int, ...], axes: tuple[int, ...], component: bool) -> NDArray:
+    if component:
+        stress = algebra.absolute(f.stress[..., shear[0], shear[1]])
+    else:
+        stress = algebra.stress_magnitude(_part(f, "stress", shear, deviatoric=True))
+    return stress / where_positive(_pressure(f, axes))
+
+
+@lru_cache
+def rows(plane: str, axes: str) -> Mapping[str, Row]:
+    """Its fields by their names.
+
+    Parameters
+    ----------
+    plane : str
+        Two axes, for ``xy`` in the names.
+    axes : str
+        The axes of the scene, for ``xyz``: all three, or those of a layer.
+    """
+    index = {name: tuple(COMPONENTS.index(a) for a in dims) for name, dims in (("xyz", axes), (plane, plane))}
+    index |= {a: (COMPONENTS.index(a),) for a in axes}
+    table: dict[str, Row] = {}
+
+    def add(
+        name: str, family: str, needs: Sequence[str], formula: str, compute: Callable[..., NDArray], *given: Any,
+        rank: int = 0, units: str = "",
+    ) -> None:  # fmt: skip
+        powers = registry.FIELDS[units].powers if units else NONE
+        way = Formula(compute, given)
+        table[name] = Row(family, Field(rank, powers, name.replace("_", " "), formula, way, tuple(needs)))
+
+    for name, ours in _RENAMED.items():
+        add(name, name, (ours,), ours, getattr, ours, rank=registry.FIELDS[ours].rank, units=ours)
+    for dims in ("xyz", plane):
+        for label, tensor, size, formula in (
+            ("total_stress_tensor", "stress", algebra.stress_magnitude, "sqrt(X:X / 2)"),
+            (_RATE, _RATE, algebra.rate_magnitude, "sqrt(2 X:X)"),
+        ):
+            for deviatoric, end, what in (
+                (False, "", f"{label}, restricted to {dims}"),
+                (True, "_dev", f"deviator over {dims}"),
+            ):
+                name, given = f"{label}_{dims}{end}", (tensor, index[dims], deviatoric)
+                add(name, label, (tensor,), what, _part, *given, rank=2, units=tensor)
+                add(f"{name}_mag", label, (tensor,), formula, _magnitude_of_part, *given, size, units=tensor)
+    for dims in ("xyz", plane, *axes):
+        formula = f"mean of sigma_aa, a in {dims}"
+        add(f"pressure_{dims}", "pressure", ("stress",), formula, _pressure, index[dims], units="stress")
+    for dims in ("xyz", *axes):
+        family, formula = "granular_temperature", f"mean of fluctuation_stress_aa / density, a in {dims}"
+        needs = ("fluctuation_stress", "density")
+        add(f"{family}_{dims}", family, needs, formula, _temperature, index[dims], units=family)
+    pressures = ("xyz", plane, plane[1])
+    for diameter in ("d43", "d32"):
+        for dims in pressures:
+            root = f"sqrt(density_particle / pressure_{dims}), pressure > 0"
+            made_of = (_RATE, "particle_density", diameter, "stress")
+            name = f"inertial_number_S{plane}_P{dims}_{diameter}"
+            formula = f"shear_rate_tensor_{plane}_dev_mag {diameter} {root}"
+            add(name, "inertial_number", made_of, formula, _inertial, index[plane], index[dims], diameter)
+    for kind, shear in (("Dxyz", "xyz"), (f"D{plane}", plane), ("01", plane)):
+        for dims in pressures:
+            top = f"|sigma_{plane}|" if kind == "01" else f"total_stress_tensor_{shear}_dev_mag"
+            name, formula = f"frictional_coefficient_{kind}_P{dims}", f"{top} / pressure_{dims}, pressure > 0"
+            ways = (index[shear], index[dims], kind == "01")
+            add(name, "frictional_coefficient", ("stress",), formula, _friction, *ways)
+    return table
+
+
+def choose(
+    asked: str | Quantity | Sequence[str | Quantity] | None, table: Mapping[str, Row], available: Sequence[str]
+) -> list[str]:
+    """Names for a request: names, keys of ``fields_to_export``, or None for all that `available` fields of xcg allow.
+
+    Raises
+    ------
+    ValueError
+        For names that are neither.
+    """
+    if asked is None:
+        return [name for name, row in table.items() if set(row.field.fields) <= set(available)]
+    names: list[str] = []
+    for word in map(str, [asked] if isinstance(asked, (str, Quantity)) else asked):
+        found = [word] if word in table else [name for name, row in table.items() if row.family == word]
+        if not found:
+            known = f"choose from {', '.join(table)}{did_you_mean(word, table)}"
+            msg = f"unknown field {word!r} of the preset 'pysammos': {known}"
+            raise ValueError(msg)
+        names += found
+    return list(dict.fromkeys(names))
+
+
+def plane_of(ds: xr.Dataset, shear_dims: str | None) -> tuple[str, str]:
+    """Plane for ``xy`` in the names, and axes for ``xyz``.
+
+    Raises
+    ------
+    ValueError
+        If `shear_dims` are not two axes of the scene.
+    """
+    axes = setup_of(ds).plane
+    plane = shear_dims or ("xy" if len(axes) == 3 else axes)
+    if len(set(plane)) != 2 or len(plane) != 2 or set(plane) - set(axes):
+        msg = f"shear_dims={shear_dims!r}: the preset 'pysammos' takes a plane, two axes of {axes!r}"
+        raise ValueError(msg)
+    return plane, axes
+
+
+def _in_its_names(f: xr.Dataset, renamed: Mapping[str, Field]) -> xr.Dataset:
+    """Describe those fields of a result that are named alike here and there as it does."""
+    for name, row in renamed.items():
+        f[name].attrs |= {"long_name": row.long_name, "formula": row.formula}
+    return f
+
+
+def translate(ds: xr.Dataset, request: Request) -> tuple[Request, Callable[[xr.Dataset], xr.Dataset]]:
+    """Put a request in its names into names of xcg; the function turns the answer into its fields.
+
+    Raises
+    ------
+    SceneError
+        If `ds` is not a scene.
+    ValueError
+        If a variant is asked for by an argument, or names or plane are wrong.
+    """
+    clash = request.changed(("pressure_dims", "deviatoric", "size", "temperature"))
+    if clash:
+        msg = f"preset='pysammos' has a name for each variant: leave out {clash}, and take the field that you want"
+        raise ValueError(msg)
+    require_scene(ds, (), "coarse_grain")
+    table = rows(*plane_of(ds, request.shear_dims))
+    own = replace(request, preset=None, shear_dims=None, for_averages=False)
+    chosen = {name: table[name].field for name in choose(request.fields, table, possible_fields(ds, own))}
+    same = {name: row for name, row in chosen.items() if row.fields == (name,)}
+    asked = [name if name in same else registry.OwnRow(name, row) for name, row in chosen.items()]
+    # its temperature is per density; other fields do not depend on it
+    own = replace(own, fields=cast(Any, [*asked, "sample_count"]), temperature="biased")
+    return own, partial(_in_its_names, renamed=same)
+
+
+def pysammos_mesh(
+    ds: xr.Dataset,
+    axes: str = "xyz",
+    *,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    at: Mapping[str, float] | None = None,
+    width: float | str | None = None,
+    kernel: str = "lucy",
+) -> dict[str, Any]:
+    """Arguments for `xcg.coarse_grain` that place nodes as Pysammos does.
+
+    It divides the range from first to last into the fewest equal parts that are no longer than c / 2, so that both
+    are nodes. Its automatic range leaves ``2.5 c + 0.5 dmax`` off the extent of the particles on each side, and axes
+    that are not resolved are cut in the middle of that extent.
+
+    Parameters
+    ----------
+    ds : xarray.Dataset
+        A scene with the attributes particle_lower, particle_upper and dmax.
+    axes : str
+        Resolved axes: three, two, or one; those that the scene lacks (one layer) are left out.
+    bounds : mapping, optional
+        First and last node of resolved axes (m), in place of the automatic range.
+    at : mapping, optional
+        Coordinates of axes that are not resolved (m), in place of the middle.
+    width, kernel
+        As in `xcg.coarse_grain`.
+
+    Returns
+    -------
+    dict
+        ``axes``, ``at``, ``bounds``, ``spacing`` (m, by axis), ``width`` (m) and ``kernel``.
+
+    Raises
+    ------
+    ValueError
+        If the scene was not measured, or is too small for the margin of the automatic range.
+
+    Examples
+    --------
+    >>> import xcg
+    >>> ds = xcg.datasets.simple_cubic(10)
+    >>> f = ds.cg.coarse_grain(preset="pysammos", **xcg.pysammos_mesh(ds, "xz"))
+    """
+    ds = with_measures(ds)
+    lacking = [name for name in ("particle_lower", "particle_upper", "dmax") if name not in ds.attrs]
+    if lacking:
+        msg = f"pysammos_mesh needs the attributes {lacking}; call ds = ds.cg.measure() first"
+        raise ValueError(msg)
+    setup = setup_of(ds)
+    chosen = as_kernel(kernel, choose_width(width, ds.attrs), setup.dimension)
+    lower, upper = ([float(x) for x in ds.attrs[f"particle_{end}"]] for end in ("lower", "upper"))
+    extent = {a: (lower[k], upper[k]) for k, a in enumerate(COMPONENTS) if a in setup.plane}
+    resolved = "".join(a for a in axes if a in extent)
+    margin = 2.5 * chosen.cutoff + 0.5 * float(ds.attrs["dmax"])
+    ranges = {a: (extent[a][0] + margin, extent[a][1] - margin) for a in resolved}
+    small = [a for a, (first, last) in ranges.items() if first > last and a not in (bounds or {})]
+    if small:
+        msg = (
+            f"the particles extend less than twice the margin of 2.5 c + 0.5 dmax = {margin:g} along {small}: give "
+            "bounds= yourself, or a smaller width"
+        )
+        raise ValueError(msg)
+    ranges |= {a: ends for a, ends in (bounds or {}).items() if a in extent}
+    middle = {a: 0.5 * (first + last) for a, (first, last) in extent.items() if a not in resolved}
+    return {
+        "axes": resolved,
+        "at": middle | {a: value for a, value in (at or {}).items() if a in extent},
+        "bounds": ranges,
+        "spacing": {a: _spacing(*ends, chosen.cutoff) for a, ends in ranges.items()},
+        "width": chosen.width,
+        "kernel": kernel,
+    }
+
+
+def _spacing(first: float, last: float, cutoff: float) -> float:
+    """Length of the equal parts of a range; half the cutoff for one without a length, which is one node."""
+    length = last - first
+    return length / math.ceil(2 * length / cutoff) if 0 < length < math.inf else cutoff / 2

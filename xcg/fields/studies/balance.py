@@ -1,0 +1,293 @@
+"""Residuals of the balance laws on a mesh: whether mesh and time between frames resolve the flow."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from xcg.fields.coarse_grain import answer, prepare
+from xcg.fields.places.frames import refuse_cylindrical
+from xcg.fields.plan import make_plan
+from xcg.fields.request import SharedOptions, takes
+from xcg.scene.conform import takes_scene
+from xcg.scene.query import require_rising_times
+from xcg.scene.schema import COMPONENTS
+
+OF_PHASES = ("interphase_force", "segregation_flux")  # what phases have besides
+
+
+def _derivative(field: xr.DataArray, axis: str, *, wraps: bool) -> xr.DataArray:
+    """Central difference of fourth order; NaN at the two nodes next to an end, unless the axis wraps."""
+    step = float(field[axis][1] - field[axis][0])
+    nodes = field.sizes[axis]
+    wide = field.pad({axis: 2}, mode="wrap") if wraps else field.pad({axis: 2}, constant_values=np.nan)
+    near, far = (
+        wide.isel({axis: slice(2 + k, nodes + 2 + k)}).drop_vars(axis)
+        - wide.isel({axis: slice(2 - k, nodes + 2 - k)}).drop_vars(axis)
+        for k in (1, 2)
+    )
+    return ((8 * near - far) / (12 * step)).assign_coords({axis: field[axis]})
+
+
+def _divergence(field: xr.DataArray, dim: str, axes: str, wraps: set[str]) -> xr.DataArray:
+    """Sum over the axes of the derivative of the components along `dim`; averaged axes have none."""
+    parts = [_derivative(field.sel({dim: a}, drop=True), a, wraps=a in wraps) for a in axes]
+    return sum(parts[1:], start=parts[0])
+
+
+@dataclass(frozen=True)
+class _Law:
+    """One balance: its terms add up to zero.
+
+    Attributes
+    ----------
+    units, long_name : str
+        Of the residual; reduced scenes have no units.
+    fields : tuple of str
+        What it needs.
+    terms : callable
+        ``terms(f, divergence, gravity)``, all but a rate of change.
+    rate : str
+        The field whose rate of change is one more term, so that it holds between steps.
+    needs_gravity : bool
+        Whether the scene has to say its gravity.
+    """
+
+    units: str
+    long_name: str
+    fields: tuple[str, ...]
+    terms: Callable[[xr.Dataset, Callable[[xr.DataArray], xr.DataArray], xr.DataArray | float], list[xr.DataArray]]
+    rate: str = ""
+    needs_gravity: bool = False
+
+
+def _traction(f: xr.Dataset) -> xr.DataArray:
+    """Return what walls do to the grains, and what other phases do to those of a phase."""
+    return f.interphase_force.sum("other_phase") if "phase" in f.dims else f.wall_traction
+
+
+def _momentum(f: xr.Dataset, divergence: Any, gravity: Any) -> list[xr.DataArray]:
+    velocity = f.velocity.sel(phase="bulk", drop=True) if "phase" in f.dims else f.velocity
+    flux = f.momentum_density * velocity.rename(component="direction") + f.stress
+    if "phase" in f.dims:
+        flux = flux + velocity * f.segregation_flux.rename(component="direction")
+    flux = flux.where(f.density > 0, f.stress)
+    return [divergence(flux), -f.density * gravity, -_traction(f)]
+
+
+def _energy(f: xr.Dataset, divergence: Any, gravity: Any) -> list[xr.DataArray]:
+    weight = (f.momentum_density * gravity).sum("component", skipna=False)
+    flux = f.kinetic_energy_flux + f.contact_energy_flux
+    return [divergence(flux), -weight, f.dissipation_rate, -f.wall_power]
+
+
+LAWS: dict[str, _Law] = {
+    "force": _Law(
+        "N m^-3", "residual of the divergence of contact stress",
+        ("contact_stress", "contact_force_density", "wall_traction"),
+        lambda f, div, g: [div(f.contact_stress), f.contact_force_density, -_traction(f)],
+    ),
+    "torque": _Law(
+        "N m^-2", "residual of the divergence of couple stress",
+        ("couple_stress", "torque_density", "contact_couple_density"),
+        lambda f, div, g: [div(f.couple_stress), f.torque_density, -f.contact_couple_density],
+    ),
+    "power": _Law(
+        "W m^-3", "residual of the divergence of the contact energy flux",
+        ("contact_energy_flux", "contact_power", "dissipation_rate", "wall_power"),
+        lambda f, div, g: [div(f.contact_energy_flux), f.contact_power, f.dissipation_rate, -f.wall_power],
+    ),
+    "mass": _Law(
+        "kg m^-3 s^-1", "residual of the balance of mass", ("density", "momentum_density"),
+        lambda f, div, g: [div(f.momentum_density)], rate="density",
+    ),
+    "momentum": _Law(
+        "N m^-3", "residual of the balance of momentum",
+        ("density", "momentum_density", "velocity", "stress", "wall_traction"),
+        _momentum, rate="momentum_density", needs_gravity=True,
+    ),
+    "spin": _Law(
+        "N m^-2", "residual of the balance of spin",
+        ("spin_density", "spin_flux", "couple_stress", "contact_couple_density"),
+        lambda f, div, g: [div(f.spin_flux + f.couple_stress), -f.contact_couple_density], rate="spin_density",
+    ),
+    "energy": _Law(
+        "W m^-3", "residual of the balance of energy",
+        ("kinetic_energy", "kinetic_energy_flux", "contact_energy_flux", "momentum_density", "dissipation_rate",
+         "wall_power"),
+        _energy, rate="kinetic_energy", needs_gravity=True,
+    ),
+}  # fmt: skip
+USUAL = ("force", "mass", "momentum")
+OF_THE_MIXTURE = ("torque", "power", "spin", "energy")  # contacts between phases are shared, their sides are not
+
+
+@dataclass(frozen=True, kw_only=True)
+class BalanceRequest(SharedOptions):
+    """Arguments of `balance`: every axis must be resolved or averaged, with five nodes or more.
+
+    Parameters
+    ----------
+    width : float or str, optional
+        Half-width w of the kernel (m), or a multiple of a size such as "0.75 d43" (the default). A spacing of a quarter
+        of the width or less resolves the kernel.
+    at : mapping, optional
+        Refused unless empty: no derivative is taken along a fixed axis.
+    of : list of str, optional
+        What is balanced: any of "force", "torque" and "power" at each step, and of "mass", "momentum", "spin" and
+        "energy" between steps. By default force, mass and momentum, as far as the scene allows.
+    """
+
+    width: float | str | None = None
+    at: Mapping[str, float] | None = None
+    of: Sequence[str] | None = None
+
+
+@takes_scene
+@takes(BalanceRequest)
+def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
+    """Residuals of the balances of force, mass and momentum, and of spin and energy, as fields and as norms.
+
+    With div by central differences of fourth order between the nodes,
+
+    - ``force_residual`` = div sigma^c + sum_i F_i Psi - t, at each step: zero for the exact divergence, so that
+      it tells how well the mesh resolves the kernel;
+    - ``torque_residual`` = div C + sum_i T_i Psi - c, likewise, with C the couple stress, T_i the torque of the contact
+      forces on a grain, and c the couple of contact forces at the contact points;
+    - ``power_residual`` = div q_c + sum_i (F_i.v_i + T_i.omega_i) Psi + Gamma - w, likewise, with q_c the contact
+      energy flux, Gamma the dissipation rate and w the power of moving walls;
+    - ``mass_residual`` = d rho/dt + div p, between consecutive steps;
+    - ``momentum_residual`` = d p/dt + div(rho V V + sigma) - rho g - t, between consecutive steps (with g);
+    - ``spin_residual`` = d s/dt + div(sum I omega v Psi + C) - c, likewise, with s the spin density;
+    - ``energy_residual`` = d e/dt + div(sum e_i v_i Psi + q_c) - p.g + Gamma - w, likewise (with g), with e the density
+      of the kinetic energy.
+
+    Rates are differences of two steps, the other terms their mean, so that these fall with the square of the time
+    between the steps; consecutive frames of a usual series are far too far apart.
+
+    With `by`, each phase has its residuals: t is then what walls and the other phases do to it
+    (``interphase_force``), and the flux of its momentum is p_a V + V J_a + sigma_a, with V the bulk's velocity, which
+    its stress is about, and J_a = rho_a (V_a - V) (``segregation_flux``).
+
+    Parameters
+    ----------
+    ds : xarray.Dataset
+        A scene with contacts.
+    {arguments}
+
+    Returns
+    -------
+    xarray.Dataset
+        The residuals (N m-3, N m-2, W m-3, kg m-3 s-1), and for each ``<name>_norm`` (time): its root mean square over
+        the nodes, relative to that of its largest term. Between steps, ``time`` is that in the middle.
+
+    Raises
+    ------
+    SceneError
+        If the scene lacks what the fields need, or its times do not rise.
+    ValueError
+        If an axis is fixed or has fewer than five nodes, if each group has a width of its own, or with a preset; if
+        `of` names what is none of these, what the scene does not tell, or torque, power, spin or energy with `by`.
+
+    Notes
+    -----
+    Source: Goldhirsch (2010), eqs. 4 to 14; walls: Weinhart et al. (2012); spin and energy: Babic (1997).
+    """
+    if asked.at:
+        msg = (
+            f"at= names {list(asked.at)}: no derivative is taken along a fixed axis, or between points; resolve it, or "
+            "leave it out to average"
+        )
+        raise ValueError(msg)
+    if isinstance(asked.width, Mapping):
+        msg = "contacts between grains of different widths exchange momentum at a distance: give one width for all"
+        raise ValueError(msg)
+    if asked.preset is not None:
+        msg = f"preset={asked.preset!r}: the balances are those of fields of xcg; leave it out"
+        raise ValueError(msg)
+    ds, asked = prepare(ds, asked)
+    refuse_cylindrical(ds, "balance")
+    laws = _chosen(ds, asked)
+    needed = [name for law in laws.values() for name in law.fields] + list(OF_PHASES if asked.by else ())
+    request = asked.ask(fields=list(dict.fromkeys(needed)), width=asked.width)
+    plan = make_plan(ds, request)
+    grid = plan.deposit.grid
+    short = [a for a, size in zip(grid.dims, grid.sizes, strict=True) if size < 5]
+    if short:
+        msg = f"axes {short} have fewer than five nodes: differences of fourth order need them; lower spacing="
+        raise ValueError(msg)
+    if ds.sizes["time"] > 1:
+        require_rising_times(ds, "balance")
+    f = answer(ds, request)
+    wraps = {a for a, wrapped in zip(COMPONENTS, plan.options.wrapped, strict=True) if wrapped}
+
+    def divergence(field: xr.DataArray) -> xr.DataArray:
+        return _divergence(field, "direction" if "direction" in field.dims else "component", grid.axes, wraps)
+
+    gravity = _gravity(ds) if "gravity" in ds.attrs else 0.0
+    out: dict[str, xr.DataArray] = {}
+    for balanced, law in laws.items():
+        name, parts = f"{balanced}_residual", law.terms(f, divergence, gravity)
+        if law.rate:
+            parts = [_between_steps(f[law.rate]), *map(_middle, parts)]
+        steps = {"time": "interval"} if law.rate else {}
+        unit, long_name = law.units if plan.setup.unit_system == "SI" else "1", law.long_name
+        residual = sum(parts[1:], start=parts[0]).transpose("time", *plan.dims, ...)
+        valid = residual.notnull()
+        largest = xr.concat([_rms(part.where(valid)) for part in parts], "term").max("term")
+        norm = (_rms(residual) / largest.where(largest > 0)).rename(steps)
+        out[name] = residual.rename(steps).assign_attrs(units=unit, long_name=long_name)
+        out[f"{name}_norm"] = norm.assign_attrs(units="1", long_name=f"{long_name}, relative to its largest term")
+    known = {name: c for residual in out.values() for name, c in residual.coords.items()}
+    coords = {name: known[name] for name in (*f.coords, "interval") if name in known}  # in the order of the fields
+    return xr.Dataset({name: residual.variable for name, residual in out.items()}, coords, f.attrs)
+
+
+def _chosen(ds: xr.Dataset, asked: BalanceRequest) -> dict[str, _Law]:
+    """Balances that are asked for, or the usual ones that the scene allows."""
+    if isinstance(asked.of, str) or not set(asked.of or ()) <= set(LAWS) or asked.of == []:
+        msg = f"of={asked.of!r}: expected a list of any of {', '.join(LAWS)}"
+        raise ValueError(msg)
+    lacking = {name for name, law in LAWS.items() if law.rate and ds.sizes["time"] < 2}
+    lacking |= {name for name, law in LAWS.items() if law.needs_gravity and "gravity" not in ds.attrs}
+    for name in asked.of or ():
+        if name in lacking:
+            msg = f"of={list(asked.of or ())}: the balance of {name} holds between steps"
+            msg += ", and takes the scene's gravity" if LAWS[name].needs_gravity else ""
+            msg += "; open two steps or more" + (", with gravity=" if LAWS[name].needs_gravity else "")
+            raise ValueError(msg)
+        if asked.by is not None and name in OF_THE_MIXTURE:
+            msg = f"of={list(asked.of or ())}: the balance of {name} holds for all grains together; leave out by="
+            raise ValueError(msg)
+    return {name: LAWS[name] for name in (asked.of or (name for name in USUAL if name not in lacking))}
+
+
+def _gravity(ds: xr.Dataset) -> xr.DataArray:
+    return xr.DataArray(np.asarray(ds.attrs["gravity"], float), {"component": list(COMPONENTS)}, "component")
+
+
+def _ends(field: xr.DataArray) -> tuple[xr.DataArray, xr.DataArray, Any]:
+    """Each step but the last, each but the first, and the times in the middle."""
+    bare = field.drop_vars(["time", "step"], errors="ignore")
+    middle = (field.time[:-1].values + field.time[1:].values) / 2
+    return bare.isel(time=slice(None, -1)), bare.isel(time=slice(1, None)), middle
+
+
+def _between_steps(field: xr.DataArray) -> xr.DataArray:
+    """Rate of change from each step to the next, at the time in the middle."""
+    first, second, middle = _ends(field)
+    return ((second - first) / xr.DataArray(np.diff(field.time.values), dims="time")).assign_coords(time=middle)
+
+
+def _middle(field: xr.DataArray) -> xr.DataArray:
+    """Mean of each step and the next, at the time in the middle."""
+    first, second, middle = _ends(field)
+    return ((first + second) / 2).assign_coords(time=middle)
+
+
+def _rms(field: xr.DataArray) -> xr.DataArray:
+    return (field**2).mean([d for d in field.dims if d != "time"]) ** 0.5

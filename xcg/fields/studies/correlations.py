@@ -1,0 +1,348 @@
+"""Correlations of a field in space and in time with errors, and the length and the time over which they last."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.fields.formulas.averages import block_errors
+from xcg.scene.query import evenly_spaced
+from xcg.scene.schema import COMPONENTS
+from xcg.steps.label import format_call, provenance
+
+_TAIL = ("component", "direction")
+_SUMS = ("products", "pairs", "square", "count", "other_square", "other_count")
+
+
+def spatial_correlation(f: xr.Dataset, name: str, other: str | None = None) -> xr.Dataset:
+    """Correlate a field with itself, or with another one, at all distances between the nodes of a mesh.
+
+    ``C(l) = <a'(r) . b'(r + l)> / sqrt(<a'.a'> <b'.b'>)``, with a' and b' the fields less their means over the nodes of
+    each step, and the mean over all pairs of nodes with values and over time. Components of vectors and tensors are
+    summed. Along axes where the mesh spans the period, pairs reach across the edges; along the others they end there.
+    Lazy where the result is, a chunk of time after the other.
+
+    Parameters
+    ----------
+    f : xarray.Dataset
+        A result of `xcg.coarse_grain` with one resolved axis or more.
+    name, other : str
+        Fields in it; `other` is `name` by default. Nodes where one is NaN take no part.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``correlation`` (lag_x, lag_y, lag_z), those axes that are resolved, and ``pairs``, how many pairs of nodes a
+        step has at each lag; ``radial_correlation`` (r), the mean over lags of about the same length; and
+        ``correlation_length`` (m), the distance at which that first falls to 1/e, NaN where it does not. Their
+        standard errors from the scatter over time, ``<name>_error``, as in `time_average`: NaN for a single step.
+
+    Raises
+    ------
+    ValueError
+        If a field is not in the result, the two have other dimensions, or no axis is resolved by two nodes or more at
+        equal distances.
+
+    Notes
+    -----
+    Computed by fast Fourier transforms, open axes padded with zeros (Wiener & Khinchin). The mean that is taken off is
+    that of the nodes, so that the sum over all pairs of a periodic mesh is zero: in a mesh of few correlation lengths
+    C is too low by about the share of the mesh that is correlated. Smearing correlates nodes over the support of the
+    kernel, whatever the grains do.
+
+    Examples
+    --------
+    >>> import xcg
+    >>> f = xcg.datasets.random_scene(400, seed=1).cg.coarse_grain("volume_fraction")
+    >>> c = f.cg.spatial_correlation("volume_fraction")
+    >>> round(float(c.correlation.sel(lag_x=0, lag_y=0, lag_z=0)), 12)
+    1.0
+    """
+    other = name if other is None else other
+    a, b = (_field_of(f, one, "spatial_correlation") for one in (name, other))
+    if set(a.dims) != set(b.dims):
+        msg = (
+            f"{name!r} has the dimensions {a.dims} and {other!r} {b.dims}: correlate components, a vector with a vector"
+        )
+        raise ValueError(msg)
+    axes = [axis for axis in COMPONENTS if a.sizes.get(axis, 0) > 1]
+    if not axes:
+        msg = f"spatial_correlation needs resolved axes of two nodes or more, and {name!r} has the dimensions {a.dims}"
+        raise ValueError(msg)
+    spacing = [evenly_spaced(f[axis].to_numpy(), f"nodes along {axis!r}") for axis in axes]
+    wraps = [axis in str(f.attrs.get("wrapped_axes", "")) for axis in axes]
+    lags = [_lags(a.sizes[axis], wrapped) for axis, wrapped in zip(axes, wraps, strict=True)]
+    length = f[axes[0]].attrs.get("units", "m")
+    coords = {f"lag_{axis}": (f"lag_{axis}", step * lag, {"units": length, "long_name": f"distance along {axis}"})
+              for axis, step, lag in zip(axes, spacing, lags, strict=True)}  # fmt: skip
+    tail = [dim for dim in _TAIL if dim in a.dims]
+    core = [*axes, *tail]
+    sizes = {dim: len(lag) for dim, lag in zip(coords, lags, strict=True)}
+    found = xr.apply_ufunc(
+        _products, a.drop_vars(axes), b.drop_vars(axes), kwargs={"wraps": tuple(wraps), "rank": len(tail)},
+        input_core_dims=[core, core], output_core_dims=[list(coords)] * 2 + [[]] * 4, dask="parallelized",
+        output_dtypes=[float] * 6, dask_gufunc_kwargs={"output_sizes": sizes, "allow_rechunk": True},
+    )  # fmt: skip
+    sums = xr.Dataset(dict(zip(_SUMS, found, strict=True))).assign_coords(coords)
+    radial = _Radial([values for _, values, _ in coords.values()], min(spacing))
+    for sum_ in ("products", "pairs"):
+        sums[f"radial_{sum_}"] = xr.apply_ufunc(
+            radial.add, sums[sum_], input_core_dims=[list(coords)], output_core_dims=[["r"]], dask="parallelized",
+            output_dtypes=[float], dask_gufunc_kwargs={"output_sizes": {"r": len(radial.r)}, "allow_rechunk": True},
+        )  # fmt: skip
+    sums = sums.assign_coords(r=("r", radial.r, {"units": length, "long_name": "distance"}))
+    about = {
+        "correlation": ("1", f"correlation of {name} with {other}"),
+        "radial_correlation": ("1", f"correlation of {name} with {other} by distance"),
+        "correlation_length": (length, "distance at which the correlation falls to 1/e"),
+    }
+    call = format_call("spatial_correlation", {"name": name, "other": other})
+    result = _with_errors(sums, _correlation_in_space, about, f, call)
+    pairs = sums["pairs"].mean("time") if "time" in sums.dims else sums["pairs"]
+    return result.assign(pairs=_labelled(pairs, "1", "pairs of nodes in a step"))
+
+
+def time_correlation(f: xr.Dataset, name: str, max_lag: int | None = None) -> xr.Dataset:
+    """Correlate a field with itself at later times, at each node and over all nodes.
+
+    ``C(tau) = <a'(t) . a'(t + tau)> / <a'.a'>`` with a' the field less its mean over time at the node. Components of
+    vectors and tensors are summed. Lazy where the result is; all steps of some nodes are in memory at once.
+
+    Parameters
+    ----------
+    f : xarray.Dataset
+        A result of `xcg.coarse_grain` with steps at equal distances.
+    name : str
+        A field in it. Steps in which a node is NaN take no part there.
+    max_lag : int, optional
+        The longest lag, in steps; half of the steps by default.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``correlation`` (lag, and the dimensions of the field but time and components), ``mean_correlation`` (lag), that
+        of sums over all nodes, and ``correlation_time`` (s), the time at which it first falls to 1/e, NaN where it does
+        not; ``mean_correlation_error`` and ``correlation_time_error`` from blocks of the times t, as in `time_average`.
+
+    Raises
+    ------
+    SceneError
+        If the steps are not at equal distances.
+    ValueError
+        If the field is not in the result, there are fewer than three steps, or the lag is out of range.
+
+    Notes
+    -----
+    The mean that is taken off is that of the series, so that C is too low by about twice the correlation time over the
+    length of the series.
+    """
+    a = _field_of(f, name, "time_correlation")
+    steps = a.sizes.get("time", 1)
+    if steps < 3:
+        msg = f"time_correlation needs three steps or more, and {name!r} has {steps}"
+        raise ValueError(msg)
+    last = steps // 2 if max_lag is None else max_lag
+    if not isinstance(last, (int, np.integer)) or not 0 < last < steps:
+        msg = f"max_lag={max_lag!r}: expected a number of steps from 1 to {steps - 1}"
+        raise ValueError(msg)
+    interval = evenly_spaced(f["time"].to_numpy(), "times")
+    tail = [dim for dim in _TAIL if dim in a.dims]
+    nodes = [str(dim) for dim in a.dims if dim in COMPONENTS]
+    whole = a.drop_vars(["time", "step"], errors="ignore").transpose("time", ...)
+    if whole.chunks is not None:
+        whole = whole.chunk({"time": -1} | dict.fromkeys(nodes, "auto"))
+    away = whole - whole.mean("time")
+    known = away.notnull().all(tail)
+    away = away.where(known, 0.0)
+    at_nodes, series = [], []
+    for lag in range(last + 1):
+        now, then = slice(0, steps - lag), slice(lag, None)
+        sums = xr.Dataset({
+            "products": (away.isel(time=now) * away.isel(time=then)).sum(tail),
+            "pairs": (known.isel(time=now) & known.isel(time=then)).astype(float),
+        })  # fmt: skip
+        at_nodes.append(sums.sum("time"))
+        series.append(sums.sum(nodes))
+    second = f["time"].attrs.get("units", "s")
+    lags = interval * np.arange(last + 1)
+    coords = {
+        "lag": ("lag", lags, {"units": second, "long_name": "time between the steps"}),
+        "steps": ("lag", np.arange(last + 1), {"long_name": "steps between"}),
+    }
+    sums = xr.concat(at_nodes, "lag")
+    # the last steps have no partner
+    by_time = xr.concat([one.pad(time=(0, lag), constant_values=0.0) for lag, one in enumerate(series)], "lag")
+    by_time = by_time.chunk(time=-1, lag=-1) if by_time.chunks else by_time
+    mean, error, forgets, forgets_error = xr.apply_ufunc(
+        _correlation_in_time, by_time["products"], by_time["pairs"], kwargs={"lags": lags},
+        input_core_dims=[["lag", "time"]] * 2, output_core_dims=[["lag"], ["lag"], [], []], vectorize=True,
+        dask="parallelized", output_dtypes=[float] * 4,
+    )  # fmt: skip
+    what = f"correlation of {name} with itself"
+    about = {
+        "correlation": (_normalised(sums, sums.isel(lag=0)), "1", f"{what} at later times"),
+        "mean_correlation": (mean, "1", f"{what} at later times, over all nodes"),
+        "mean_correlation_error": (error, "1", "standard error of mean_correlation"),
+        "correlation_time": (forgets, second, "time at which the mean correlation falls to 1/e"),
+        "correlation_time_error": (forgets_error, second, "standard error of correlation_time"),
+    }
+    data = {key: _labelled(*entry) for key, entry in about.items()}
+    call = format_call("time_correlation", {"name": name, "max_lag": int(last)})
+    return xr.Dataset(data, attrs=provenance(f, call)).assign_coords(coords)
+
+
+def _field_of(f: xr.Dataset, name: str, purpose: str) -> xr.DataArray:
+    if name not in f.data_vars:
+        msg = f"{purpose}({name!r}): the result has no such field; it has {', '.join(map(str, f.data_vars))}"
+        raise ValueError(msg)
+    return f[name].astype(float)
+
+
+def _labelled(values: xr.DataArray, units: str, long_name: str) -> xr.DataArray:
+    found = values.copy(deep=False)
+    found.attrs = {"units": units, "long_name": long_name}
+    return found
+
+
+def _with_errors(
+    sums: xr.Dataset, function: Any, about: dict[str, tuple[str, str]], f: xr.Dataset, call: str
+) -> xr.Dataset:
+    """Give a function of the mean over time of some sums, and its standard errors."""
+    series = sums if "time" in sums.dims else sums.expand_dims("time")
+    series = series.drop_vars([name for name in series.coords if name not in series.dims or name == "time"])
+    mean, errors = function(series.mean("time")), block_errors(series, "time", function)
+    data = {}
+    for name, (units, long_name) in about.items():
+        data[name] = _labelled(mean[name], units, long_name)
+        data[f"{name}_error"] = _labelled(errors[name], units, f"standard error of {name}")
+    return xr.Dataset(data, attrs=provenance(f, call))
+
+
+# --- in space --------------------------------------------------------------------------------------------
+
+
+def _lags(nodes: int, wrapped: bool) -> NDArray:
+    return np.arange(-(nodes // 2), nodes - nodes // 2) if wrapped else np.arange(1 - nodes, nodes)
+
+
+def _products(a: NDArray, b: NDArray, wraps: Sequence[bool], rank: int) -> tuple[NDArray, ...]:
+    """Sum over pairs of nodes the products of what two fields (..., nodes, components) have beside means.
+
+    Returns
+    -------
+    tuple of array
+        By the names in `_SUMS`: products and numbers of pairs (..., lags), then for each field the sum of its squares
+        and the number of its nodes (...).
+    """
+    from scipy import fft
+
+    axes = tuple(range(-len(wraps), 0))
+    sizes = np.array(a.shape[: a.ndim - rank][-len(wraps) :])
+    padded = [int(n) if wrapped else fft.next_fast_len(2 * int(n) - 1) for n, wrapped in zip(sizes, wraps, strict=True)]
+    fields, known, norms = [], [], []
+    for values in (a, b):
+        flat = np.moveaxis(values.reshape(*values.shape[: values.ndim - rank], -1), -1, 0)
+        here = np.isfinite(flat).all(axis=0)
+        count = here.sum(axis=axes, keepdims=True)
+        mean = np.where(here, flat, 0.0).sum(axis=axes, keepdims=True) / np.maximum(count, 1)
+        away = np.where(here, flat - mean, 0.0)
+        fields.append(fft.rfftn(away, padded, axes))
+        known.append(fft.rfftn(here.astype(float), padded, axes))
+        norms += [(away**2).sum(axis=(0, *axes)), count.reshape(count.shape[: -len(wraps)]).astype(float)]
+    lags = [_lags(int(n), wrapped) for n, wrapped in zip(sizes, wraps, strict=True)]
+    place: Any = np.ix_(*(lag % size for lag, size in zip(lags, padded, strict=True)))
+    products, pairs = (
+        fft.irfftn(one.conj() * other, padded, axes)[(..., *place)] for one, other in (fields, known)
+    )  # fmt: skip
+    return products.sum(axis=0), np.rint(pairs), *norms
+
+
+class _Radial:
+    """Adds up what lags of about the same length have.
+
+    Attributes
+    ----------
+    r : array
+        Mean length of the lags that are added, which are those of a shell as thick as the smallest spacing. The longest
+        is the longest lag along an axis.
+    """
+
+    def __init__(self, lags: Sequence[NDArray], thickness: float) -> None:
+        lengths = np.sqrt(sum(x**2 for x in np.meshgrid(*lags, indexing="ij"))).ravel()
+        shell = np.rint(lengths / thickness).astype(int)
+        self._used = np.flatnonzero(lengths <= max(np.abs(x).max() for x in lags) * (1 + 1e-12))
+        self._used = self._used[np.argsort(shell[self._used], kind="stable")]
+        _, self._first, count = np.unique(shell[self._used], return_index=True, return_counts=True)
+        self.r = np.add.reduceat(lengths[self._used], self._first) / count
+        self._rank = len(lags)
+
+    def add(self, sums: NDArray) -> NDArray:
+        """Return sums (..., r) from those at all lags."""
+        flat = sums.reshape(*sums.shape[: -self._rank], -1)
+        return np.add.reduceat(flat[..., self._used], self._first, axis=-1)
+
+
+def _correlation_in_space(sums: xr.Dataset) -> xr.Dataset:
+    squares = (
+        sums[f"{whose}square"] / sums[f"{whose}count"].where(sums[f"{whose}count"] > 0) for whose in ("", "other_")
+    )
+    one, two = squares
+    scale = np.sqrt((one * two).where(one * two > 0))
+    found = {
+        f"{way}correlation": sums[f"{way}products"] / sums[f"{way}pairs"].where(sums[f"{way}pairs"] > 0) / scale
+        for way in ("", "radial_")
+    }
+    found["correlation_length"] = xr.apply_ufunc(
+        falls_to, found["radial_correlation"], sums["r"], input_core_dims=[["r"]] * 2, dask="parallelized",
+        output_dtypes=[float],
+    )  # fmt: skip
+    return xr.Dataset(found)
+
+
+def falls_to(values: NDArray, at: NDArray, level: float = np.exp(-1.0)) -> NDArray:
+    """Where values (..., n) at rising places (n,) first fall to a level, between neighbours by a straight line.
+
+    NaN where they do not, are not above it at first, or are not known before.
+    """
+    below = ~(values > level)
+    k = below.argmax(axis=-1)[..., None]
+    before = np.maximum(k - 1, 0)
+    (x0, x1), (y0, y1) = (at[before], at[k]), (np.take_along_axis(values, n, axis=-1) for n in (before, k))
+    falls = below.any(axis=-1, keepdims=True) & (k > 0) & np.isfinite(y1)
+    share = (y0 - level) / np.where(falls, y0 - y1, 1.0)
+    return np.where(falls, x0 + share * (x1 - x0), np.nan)[..., 0]
+
+
+# --- in time ---------------------------------------------------------------------------------------------
+
+
+def _normalised(sums: xr.Dataset, squares: xr.Dataset) -> xr.DataArray:
+    square = squares["products"] / squares["pairs"].where(squares["pairs"] > 0)
+    return sums["products"] / sums["pairs"].where(sums["pairs"] > 0) / square.where(square > 0)
+
+
+def _correlation_in_time(products: NDArray, pairs: NDArray, lags: NDArray) -> tuple[NDArray, ...]:
+    """Give correlation (lag,) with its error, and the time to 1/e with its error, from sums (lag, time)."""
+    steps = products.shape[1]
+    whole = xr.Dataset({"products": (("lag", "time"), products), "pairs": (("lag", "time"), pairs)})
+    mean = _by_lag(whole.sum("time"))["correlation"].to_numpy()
+    errors = []
+    for lag in range(len(lags)):
+        part = whole.isel(lag=[0, lag], time=slice(0, steps - lag))
+        errors.append(float(block_errors(part, "time", _by_lag)["correlation"][1]))
+    common = whole.isel(time=slice(0, steps - len(lags) + 1))
+
+    def time_of(sums: xr.Dataset) -> xr.Dataset:
+        found = _by_lag(sums)["correlation"].transpose(..., "lag")
+        return xr.Dataset({"forgets": (found.dims[:-1], falls_to(found.to_numpy(), lags))})
+
+    forgets_error = block_errors(common, "time", time_of)["forgets"].to_numpy()
+    return mean, np.array(errors), falls_to(mean, lags), forgets_error
+
+
+def _by_lag(sums: xr.Dataset) -> xr.Dataset:
+    return xr.Dataset({"correlation": _normalised(sums, sums.isel(lag=0))})

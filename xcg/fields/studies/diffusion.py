@@ -1,0 +1,244 @@
+"""How far grains get in a time: mean squared displacement and self-diffusion, with errors."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.fields.formulas.averages import block_errors
+from xcg.scene.complete import rows_of
+from xcg.scene.conform import takes_scene
+from xcg.scene.frame import phase_of, steps_in, without_frozen
+from xcg.scene.motion import BoxMotion, partners
+from xcg.scene.query import evenly_spaced, groups_of, require_scene, setup_of
+from xcg.scene.schema import COMPONENTS, OF_STEP, units_of
+from xcg.steps.label import format_call, provenance
+from xcg.steps.phase_labels import with_phase_labels
+
+_TENSOR = ("component", "direction")
+
+
+@takes_scene
+def mean_squared_displacement(
+    ds: xr.Dataset,
+    lags: int | Sequence[int] | None = None,
+    *,
+    by: str | None = None,
+    groups: Sequence[int] | None = None,
+    remove_drift: bool = True,
+    fit: Sequence[float] | None = None,
+) -> xr.Dataset:
+    """Mean squared displacement of the grains over several lags, and their self-diffusion (computes, step by step).
+
+    Grains are followed by their ids from step to step, across periodic edges by the image that moves least relative to
+    the box, and each step and the one `lag` steps later are a pair. As many steps as the longest lag are in memory.
+
+    Parameters
+    ----------
+    ds : xarray.Dataset
+        A scene of several steps at equal distances.
+    lags : int or list of int, optional
+        Numbers of steps; one number for all up to it. By default 1, 2, 4, ... up to half of the steps.
+    by : str, optional
+        An integer variable of the particles: adds the dimension ``phase`` with "bulk" first. A grain is of the phase
+        that it has at the first step of a pair.
+    groups : list of int, optional
+        All values of `by`, where they are not known without reading.
+    remove_drift : bool
+        Take off, at each step, the mean displacement of all grains (default).
+    fit : (float, float), optional
+        First and last lag (s) of the range in which the displacement is proportional to the lag, but for a constant:
+        asks for self-diffusion.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``mean_squared_displacement`` (lag, phase), the sum over the axes of the scene, ``displacement_products`` (..,
+        component, direction), the mean of u_a u_b, and ``pair_count``, how many displacements are in them; with `fit`
+        ``self_diffusion`` (phase, component, direction), half of the slope of ``displacement_products`` in a straight
+        line by least squares, and ``diffusion_coefficient``, its trace over the number of dimensions. Standard errors
+        are ``<name>_error``, from blocks of the first steps of pairs as in `time_average`.
+
+    Raises
+    ------
+    SceneError
+        If the steps are not at equal distances, or one has no grain of the step before.
+    ValueError
+        If a lag or the range of the fit does not fit the series.
+
+    Notes
+    -----
+    ``D = lim <u u> / 2 t`` (Einstein 1905). In a box that deforms, displacements are those beside the motion of the
+    box; in a flow that differs from place to place, those of the flow are in them: take ``d2min`` and
+    ``self_diffusion`` of `displacement`, which leave out its linear part. Grains that leave and come back are new ones;
+    frozen ones do not count.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import xcg
+    >>> kicks = 0.1 * np.random.default_rng(1).normal(size=(65, 500, 3))
+    >>> ds = xcg.scene_from_arrays(list(kicks.cumsum(axis=0)), diameter=np.ones((65, 500)), time=np.arange(65.0))
+    >>> m = ds.cg.mean_squared_displacement(4, fit=(1, 4))
+    >>> round(float(m.diffusion_coefficient), 3)  # 0.1^2 / 2
+    0.005
+    """
+    require_scene(ds, (), "mean_squared_displacement")
+    steps = ds.sizes["time"]
+    chosen = _lags(lags, steps)
+    interval = evenly_spaced(ds["time"].to_numpy(), "times")
+    at = interval * np.array(chosen)
+    used = _range(fit, at)
+    known = () if by is None else groups_of(ds, by, groups)
+    sums, counts = _sums(ds, chosen, by, known, remove_drift)
+    phases = ("phase",) if by else ()
+    samples = xr.Dataset(
+        {"sum": (("first", "lag", *phases, *_TENSOR), sums), "count": (("first", "lag", *phases), counts)},
+        {"lag": at} | {dim: list(COMPONENTS) for dim in _TENSOR},
+    )
+    plane = [a for a in COMPONENTS if a in setup_of(ds).plane]
+
+    def means(sums: xr.Dataset) -> xr.Dataset:
+        tensor = sums["sum"] / sums["count"].where(sums["count"] > 0)
+        return xr.Dataset({"displacement_products": tensor, "mean_squared_displacement": _trace(tensor, plane)})
+
+    def slope(sums: xr.Dataset) -> xr.Dataset:
+        away = xr.DataArray(at[used] - at[used].mean(), dims="lag")
+        tensor = means(sums)["displacement_products"].isel(lag=used).drop_vars("lag")
+        tensor = (tensor * away).sum("lag") / (2 * (away**2).sum())
+        return xr.Dataset({"self_diffusion": tensor, "diffusion_coefficient": _trace(tensor, plane) / len(plane)})
+
+    found = means(samples.sum("first"))
+    errors = [
+        block_errors(samples.isel(lag=[k], first=slice(0, steps - lag)), "first", means) for k, lag in enumerate(chosen)
+    ]
+    parts = [(found, xr.concat(errors, "lag"))]
+    if used.size:
+        common = samples.isel(first=slice(0, steps - max(chosen[k] for k in used)))
+        parts.append((slope(samples.sum("first")), block_errors(common, "first", slope)))
+    data = {}
+    for values, error in parts:
+        for name in map(str, values.data_vars):
+            data[name], data[f"{name}_error"] = values[name], error[name]
+    result = xr.Dataset(data).assign(pair_count=samples["count"].sum("first").astype("int64"))
+    given = {"lags": list(chosen), "by": by, "remove_drift": remove_drift, "fit": fit}
+    call = format_call("mean_squared_displacement", {k: v for k, v in given.items() if v is not None})
+    return _label(result.assign_attrs(provenance(ds, call)), chosen, by, known)
+
+
+def _label(result: xr.Dataset, lags: Sequence[int], by: str | None, known: Sequence[int]) -> xr.Dataset:
+    system = result.attrs.get("unit_system", "SI")
+    about = {
+        "mean_squared_displacement": ((2, 0, 0), "mean squared displacement"),
+        "displacement_products": ((2, 0, 0), "mean product of components of the displacement"),
+        "self_diffusion": ((2, 0, -1), "self-diffusion"),
+        "diffusion_coefficient": ((2, 0, -1), "coefficient of self-diffusion"),
+    }
+    for name in map(str, result.data_vars):
+        powers, long_name = about.get(name.removesuffix("_error"), ((0, 0, 0), "number of displacements"))
+        error = "standard error of the " if name.endswith("_error") else ""
+        result[name].attrs = {"units": units_of(powers, system), "long_name": error + long_name}
+    second = {"units": units_of((0, 0, 1), system), "long_name": "time between the steps of a pair"}
+    coords: dict[str, Any] = {
+        "lag": ("lag", result["lag"].to_numpy(), second),
+        "steps": ("lag", list(lags), {"long_name": "steps between"}),
+    }
+    if by:
+        coords["phase"] = ("phase", ["bulk", *map(str, known)], {"long_name": f"phase by {by}"})
+    return with_phase_labels(result.assign_coords(coords))
+
+
+def _trace(tensor: xr.DataArray, plane: Sequence[str]) -> xr.DataArray:
+    parts = [tensor.sel(component=a, direction=a, drop=True) for a in plane]
+    return sum(parts[1:], start=parts[0])
+
+
+def _lags(lags: int | Sequence[int] | None, steps: int) -> list[int]:
+    if lags is None:
+        lags = [2**k for k in range(64) if 2**k <= max(1, steps // 2)]
+    given = list(range(1, lags + 1)) if isinstance(lags, (int, np.integer)) else list(lags)
+    if not given or not all(isinstance(lag, (int, np.integer)) and 0 < lag < steps for lag in given):
+        msg = f"lags={lags!r}: expected numbers of steps from 1 to {steps - 1}, as the scene has {steps} steps"
+        raise ValueError(msg)
+    return sorted({int(lag) for lag in given})
+
+
+def _range(fit: Sequence[float] | None, at: NDArray) -> NDArray:
+    """Give indices of the lags (n,) in the range of the fit."""
+    if fit is None:
+        return np.zeros(0, int)
+    first, last = fit
+    hair = 1e-9 * at[-1]
+    used = np.flatnonzero((at >= first - hair) & (at <= last + hair))
+    if used.size < 2:
+        msg = f"fit={tuple(fit)!r}: expected a range with two lags or more, which are {at.tolist()} (s)"
+        raise ValueError(msg)
+    return used
+
+
+# --- grains on their way ---------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Places:
+    """Where the grains of one step are on their way: places relative to where each was first seen, (n, 3)."""
+
+    ids: NDArray
+    place: NDArray
+    first_seen: NDArray
+    phase: NDArray
+
+
+def _ways(ds: xr.Dataset, by: str | None, known: Sequence[int], remove_drift: bool) -> Iterator[_Places]:
+    """Follow the grains from step to step."""
+    names = [n for n in ("particle_id", "position", "frozen", by, *OF_STEP) if n is not None and n in ds]
+    periodic, before = str(ds.attrs.get("periodic", "")), None
+    for t in range(ds.sizes["time"]):
+        step = ds[names].isel(time=[t]).compute()
+        frame, lattice, source = next(steps_in({name: step[name].to_numpy() for name in names}, periodic))
+        frame = without_frozen(frame)
+        ids, position = frame["particle_id"], frame["position"]
+        place, seen = np.zeros_like(position), np.full(len(ids), t)
+        if before is not None:
+            old, old_frame, old_lattice, old_source = before
+            rows = partners(old_frame, frame, (old_source, source))
+            stay = rows >= 0
+            motion = BoxMotion.between(old_lattice, lattice)
+            moved = motion.relative(old_frame["position"][stay], position[rows[stay]])
+            if remove_drift and len(moved):
+                moved -= moved.mean(axis=0)
+            place[rows[stay]], seen[rows[stay]] = old.place[stay] + moved, old.first_seen[stay]
+        found = _Places(ids, place, seen, phase_of(frame, by, known, source))
+        yield found
+        before = found, frame, lattice, source
+
+
+def _sums(
+    ds: xr.Dataset, lags: Sequence[int], by: str | None, known: Sequence[int], remove_drift: bool
+) -> tuple[NDArray, NDArray]:
+    """Sum u u, and count grains, by first step of the pair, lag, and phase where there are any."""
+    steps, phases = ds.sizes["time"], max(1, len(known))
+    sums, counts = np.zeros((steps, len(lags), phases, 3, 3)), np.zeros((steps, len(lags), phases))
+    recent: deque[_Places] = deque(maxlen=lags[-1] + 1)
+    for t, now in enumerate(_ways(ds, by, known, remove_drift)):
+        recent.append(now)
+        for k, lag in enumerate(lags):
+            if lag > t:
+                continue
+            then = recent[-1 - lag]
+            rows = rows_of(now.ids, then.ids)
+            stay = rows >= 0
+            stay[stay] = now.first_seen[rows[stay]] <= t - lag
+            moved = now.place[rows[stay]] - then.place[stay]
+            for phase in range(phases):
+                of_phase = moved[then.phase[stay] == phase]
+                sums[t - lag, k, phase], counts[t - lag, k, phase] = of_phase.T @ of_phase, len(of_phase)
+    if by is None:
+        return sums[:, :, 0], counts[:, :, 0]
+    return tuple(np.concatenate([a.sum(axis=2, keepdims=True), a], axis=2) for a in (sums, counts))  # type: ignore[return-value]

@@ -1,0 +1,214 @@
+"""The registry of moments, the sums over grains and contacts that fields are algebra on, and what a recipe takes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import partial, reduce
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xcg.compiled import points as kernel
+from xcg.fields.sums import fabric, power
+from xcg.fields.sums.fabric import Column
+from xcg.scene.contacts import Contacts
+from xcg.scene.schema import ROTATION, Frame
+
+
+@dataclass(frozen=True)
+class Moment:
+    """One sum: ``sum_i q_i Psi(r - r_i)`` over grains, or over contacts.
+
+    Attributes
+    ----------
+    variables : tuple of str
+        Scene variables that it needs besides positions.
+    formula : str
+        What is summed.
+    shape : tuple of int
+        Components of the result at a node.
+    level : int
+        Flow columns that the point deposit must keep for it; 0 where it is a column of constants or of contacts.
+    first : int
+        Its first flow column.
+    column : callable, optional
+        ``column(frame, contacts) -> (n, ...)`` for a column of constants.
+        Together with a `level` it gives (n, 4): a weight, and three numbers that take the place of velocity in the flow
+        columns of a pass of their own, so that their squares and products are kept relative to each node.
+    contacts : bool
+        Whether contacts are needed, in whole.
+    at_contacts : bool
+        Whether a row of `column` is a contact, which stands at its contact point, and not a grain.
+    along_branches : bool
+        Whether `column` gives what each side of a contact carries along its branch, (2, contacts, 3) for i and j;
+        without a column that is the force.
+    layout : tuple
+        Columns of the components, counted from the first, where they do not stand one after the other.
+    paired : bool
+        Whether it is summed for each pair of phases, walls being the last of the other phases.
+    optional : tuple of str
+        Variables that are taken where the scene has them.
+    vector : bool
+        Whether the three numbers in the place of velocity are the components of a vector.
+    """
+
+    variables: tuple[str, ...]
+    formula: str
+    shape: tuple[int, ...] = ()
+    level: int = kernel.NONE
+    first: int = 0
+    column: Column | None = None
+    contacts: bool = False
+    at_contacts: bool = False
+    along_branches: bool = False
+    layout: tuple[Any, ...] = ()
+    paired: bool = False
+    optional: tuple[str, ...] = ()
+    vector: bool = True
+
+    @property
+    def columns(self) -> NDArray:
+        """Columns of the components, counted from the first: an array of the moment's shape."""
+        return np.array(self.layout) if self.layout else np.arange(math.prod(self.shape)).reshape(self.shape)
+
+
+def _power(exponent: int) -> Column:
+    return lambda frame, _: reduce(np.multiply, [frame["diameter"]] * exponent)  # many times faster than `**`
+
+
+def _partners(frame: Frame, contacts: Contacts | None) -> NDArray:
+    if "coordination_number" in frame:
+        return frame["coordination_number"]
+    assert contacts is not None
+    return contacts.partners
+
+
+def _fabric(frame: Frame, contacts: Contacts | None) -> NDArray:
+    assert contacts is not None
+    return frame["volume"][:, None] * contacts.normals
+
+
+def _forces(frame: Frame, contacts: Contacts | None) -> NDArray:
+    assert contacts is not None
+    return contacts.forces
+
+
+def _at_contacts(
+    variables: tuple[str, ...], formula: str, column: Column, shape: tuple[int, ...] = (),
+    layout: tuple[Any, ...] = (), optional: tuple[str, ...] = (),
+) -> Moment:  # fmt: skip
+    row = Moment(variables, formula, shape, column=column, contacts=True, at_contacts=True)
+    return replace(row, layout=layout, optional=optional)
+
+
+_SYMMETRIC = ((0, 1, 2), (1, 3, 4), (2, 4, 5))  # kept as six
+_NORMAL = ("contact_normal",)
+_OFFSETS = (0, 4, 8)  # m x and m u x of one direction stand together
+_SHEARS = ((0, 4, 8), (1, 5, 9), (2, 6, 10))
+_MV = ("mass", "velocity")
+_FORCE = ("contact_force",)
+_ABOUT = tuple(range(kernel.COUNT)) + tuple(range(kernel.KINETIC, kernel.SQUARE + 1))
+_I_OMEGA = ("moment_of_inertia", "angular_velocity")
+_power_moment = partial(
+    Moment, (*_FORCE, "velocity"), contacts=True, optional=("angular_velocity", power.WALL_VELOCITY)
+)
+MOMENTS: dict[str, Moment] = {
+    # flow columns, relative to the node: x = r_i - r, u = v_i - U
+    "count": Moment((), "1, where Psi > 0", (), kernel.VELOCITY, kernel.COUNT),
+    "mass": Moment(("mass",), "m", (), kernel.VELOCITY, kernel.MASS),
+    "momentum": Moment(_MV, "m u", (3,), kernel.VELOCITY, kernel.MOMENTUM),
+    "kinetic": Moment(_MV, "m u u", (3, 3), kernel.FLUCTUATION, kernel.KINETIC, layout=_SYMMETRIC),
+    "offset": Moment(("mass",), "m x", (3,), kernel.LINEAR, kernel.OFFSET, layout=_OFFSETS),
+    "shear": Moment(_MV, "m u x", (3, 3), kernel.LINEAR, kernel.SHEAR, layout=_SHEARS),
+    "spread": Moment(("mass",), "m x x", (3, 3), kernel.LINEAR, kernel.SPREAD, layout=_SYMMETRIC),
+    # these with Psi once more
+    "square": Moment(("mass",), "m^2 Psi", (), kernel.FLUCTUATION, kernel.SQUARE),
+    "square_offset": Moment(("mass",), "m^2 Psi x", (3,), kernel.SQUARED, kernel.SQUARE_OFFSET),
+    "square_spread": Moment(("mass",), "m^2 Psi x x", (3, 3), kernel.SQUARED, kernel.SQUARE_SPREAD, layout=_SYMMETRIC),
+    # columns of constants
+    "number": Moment((), "1", column=lambda frame, _: np.ones(len(frame["position"]))),
+    "volume": Moment(("volume",), "V", column=lambda frame, _: frame["volume"]),
+    "size2": Moment(("diameter",), "d^2", column=_power(2)),
+    "size3": Moment(("diameter",), "d^3", column=_power(3)),
+    "size4": Moment(("diameter",), "d^4", column=_power(4)),
+    "interval": Moment(("interval",), "t' - t", column=lambda frame, _: frame["interval"]),
+    "partners": Moment((), "z", column=_partners, contacts=True),
+    "fabric": Moment(
+        ("volume",), "V sum_c n n", (3, 3), column=_fabric, contacts=True, layout=_SYMMETRIC, optional=_NORMAL
+    ),
+    "force": Moment(_FORCE, "sum_c f", (3,), column=_forces, contacts=True),
+    "inertia": Moment(("moment_of_inertia",), "I", column=lambda frame, _: frame["moment_of_inertia"]),
+    "spin": Moment(_I_OMEGA, "I omega", (3,), column=power.spins),
+    "spin_flux": Moment((*_I_OMEGA, "velocity"), "I omega v", (3, 3), column=power.spin_fluxes),
+    "rotational_energy": Moment(_I_OMEGA, "I omega^2 / 2", column=power.rotational_energies),
+    "rotational_energy_flux": Moment(
+        ("velocity",), "I omega^2 v / 2", (3,), column=power.rotational_energy_fluxes, optional=ROTATION
+    ),
+    "some_rotational_energy": Moment((), "I omega^2 / 2", column=power.rotational_energies, optional=ROTATION),
+    "energy": Moment(_MV, "(m v^2 + I omega^2) / 2", column=power.energies, optional=ROTATION),
+    "energy_flux": Moment(_MV, "(m v^2 + I omega^2) v / 2", (3,), column=power.energy_fluxes, optional=ROTATION),
+    "torque": Moment(_FORCE, "sum_c b x f", (3,), column=power.torques, contacts=True),
+    "power": _power_moment("sum_c f.u", column=power.powers),
+    # in passes of their own, relative to the node
+    "rotation": Moment(
+        _I_OMEGA,
+        "I (1, o, o o), (I Psi)^2, o = omega",
+        (11,),
+        kernel.FLUCTUATION,
+        column=power.weighted_rotation,
+        layout=_ABOUT,
+    ),
+    "cubes": Moment(_MV, "m u^2 u", (3,), kernel.CUBIC, kernel.CUBE, column=power.weighted_motion),
+    "bearing": Moment((), "1, where z > 1", column=fabric.bearing, contacts=True),
+    "bearing_partners": Moment((), "z, where z > 1", column=fabric.bearing_partners, contacts=True),
+    # at the contact points
+    "contacts": _at_contacts((), "1", fabric.one_a_contact),
+    "bearing_contacts": _at_contacts((), "1, between grains of z > 1", fabric.bearing_contacts),
+    "sliding_contacts": _at_contacts(_FORCE, "1, where it slides", fabric.none_slides, optional=_NORMAL),
+    "normals": _at_contacts((), "n n", fabric.normals(fabric.one_a_contact), (3, 3), _SYMMETRIC, optional=_NORMAL),
+    "branch_length": _at_contacts((), "l . n", fabric.branch_length, optional=_NORMAL),
+    "branch_normals": _at_contacts(
+        (), "l . n n n", fabric.normals(fabric.branch_length), (3, 3), _SYMMETRIC, optional=_NORMAL
+    ),
+    "normal_force": _at_contacts(_FORCE, "f . n", fabric.normal_force, optional=_NORMAL),
+    "normal_force_normals": _at_contacts(
+        _FORCE, "f . n n n", fabric.normals(fabric.normal_force), (3, 3), _SYMMETRIC, optional=_NORMAL
+    ),
+    "tangential_normals": _at_contacts(_FORCE, "f_t n", fabric.tangential_normals, (3, 3), optional=_NORMAL),
+    "pair_force": Moment(_FORCE, "f, at the contact, by phase of the partner", (3,), contacts=True, paired=True),
+    "contact_couple": Moment(_FORCE, "(b_i - b_j) x f", (3,), column=power.couples, contacts=True, at_contacts=True),
+    "taken_up": _power_moment("-f.(u_i - u_j)", column=power.taken_up, at_contacts=True),
+    "wall_power": _power_moment("f.u of the wall", column=power.of_walls, at_contacts=True),
+    # weighted by grad Psi
+    "mass_slope": Moment(("mass",), "m, with grad Psi", (3,), layout=_OFFSETS),
+    "momentum_slope": Moment(_MV, "m u, with grad Psi", (3, 3), layout=_SHEARS),
+    # along branches, and at walls
+    "contact": Moment(_FORCE, "f a, along the branch", (3, 3), contacts=True, along_branches=True),
+    "strong_contact": Moment(
+        _FORCE,
+        "f a, along the branch, of contacts that push more than the mean",
+        (3, 3),
+        column=fabric.strong_forces,
+        contacts=True,
+        along_branches=True,
+        optional=_NORMAL,
+    ),
+    "pair_contact": Moment(
+        _FORCE,
+        "f a, along the branch, by phase of the partner",
+        (3, 3),
+        contacts=True,
+        along_branches=True,
+        paired=True,
+    ),
+    "couple": Moment(
+        _FORCE, "(b x f) a, along the branch", (3, 3), column=power.torque_of_sides, contacts=True, along_branches=True
+    ),
+    "side_power": _power_moment("(f.u) a, along the branch", (3,), column=power.power_of_sides, along_branches=True),
+    "traction": Moment(_FORCE, "f, at the wall", (3,), contacts=True),
+}
+
+# powers of the cutoff in the flow columns, which the deposit computes with lengths in cutoffs
+CUTOFF_POWERS = {"offset": 1, "shear": 1, "spread": 2, "square_offset": 1, "square_spread": 2}

@@ -1,0 +1,144 @@
+"""What contacts do to the motion of grains: torques, powers, and the velocities of surfaces at the contact points.
+
+With b = c - r from a grain's centre to the contact point, its surface there moves with u = v + omega x b. Branches of
+`Contacts` point the other way, a = -b. The omega parts are left out where a frame holds no angular velocities.
+
+Source: Babic (1997); Goldhirsch (2010), whose identities these sums obey term by term.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xcg.scene.contacts import Contacts
+from xcg.scene.schema import Frame
+
+WALL_VELOCITY = "contact_wall_velocity"
+
+
+def _of(contacts: Contacts | None) -> Contacts:
+    assert contacts is not None
+    return contacts
+
+
+def _dot(a: NDArray, b: NDArray) -> NDArray:
+    """Return a_k b_k of each row."""
+    return np.einsum("ij,ij->i", a, b)
+
+
+def surface_velocities(frame: Frame, contacts: Contacts, *, of_images: bool = False) -> tuple[NDArray, NDArray]:
+    """Velocities of the surfaces of i and j at the contact points (m s-1), (n, 3) each.
+
+    Those of walls are `WALL_VELOCITY` of the frame, or zero. In a sheared box they are those of the particles as they
+    are written, or of the images that touch at the point.
+    """
+    found = []
+    for row, branch in ((contacts.i, contacts.branch_i), (contacts.j, contacts.branch_j)):
+        there, u = row >= 0, frame.get(WALL_VELOCITY, np.zeros((len(row), 3))).copy()
+        u[there] = frame["velocity"][row[there]]
+        if "angular_velocity" in frame:
+            u[there] += np.cross(branch[there], frame["angular_velocity"][row[there]])
+        if of_images:
+            u[there] += contacts.lattice.drift((contacts.point + branch)[there] - frame["position"][row[there]])
+        found.append(u)
+    return found[0], found[1]
+
+
+def velocities_of_walls(frame: Frame, free: Contacts, source: str) -> NDArray:
+    """Velocities (n, 3) of the surfaces that act as walls on the free grains: of grains held in place, or as given."""
+    every = Contacts.of(frame, free.lattice, source)
+    u_i, u_j = surface_velocities(frame, every, of_images=True)
+    return np.where((free.i < 0)[:, None], u_i, u_j)
+
+
+def torques(frame: Frame, contacts: Contacts | None) -> NDArray:
+    """Torque of the contact forces on each particle about its centre, sum of b x f (N m); (particles, 3)."""
+    c = _of(contacts)
+    return c.sum_over_particles(np.cross(c.force, c.branch_i), np.cross(c.force, c.branch_j), -1.0)
+
+
+def powers(frame: Frame, contacts: Contacts | None) -> NDArray:
+    """Power of the contact forces on each particle, sum of f.u = F.v + T.omega (W); (particles,)."""
+    c = _of(contacts)
+    u_i, u_j = surface_velocities(frame, c)
+    return c.sum_over_particles(_dot(c.force, u_i), _dot(c.force, u_j), -1.0)
+
+
+def couples(frame: Frame, contacts: Contacts | None) -> NDArray:
+    """Couple of both forces of each contact, (b_i - b_j) x f (N m); of one force at walls; (contacts, 3)."""
+    c = _of(contacts)
+    return np.cross(c.force, c.branch_i - c.branch_j)
+
+
+def taken_up(frame: Frame, contacts: Contacts | None) -> NDArray:
+    """Power that each contact takes up, -f.(u_i - u_j) (W); (contacts,)."""
+    c = _of(contacts)
+    u_i, u_j = surface_velocities(frame, c, of_images=True)
+    return -_dot(c.force, u_i - u_j)
+
+
+def of_walls(frame: Frame, contacts: Contacts | None) -> NDArray:
+    """Power of the wall in each contact with one, f.u of the wall's velocity (W), else zero; (contacts,)."""
+    c = _of(contacts)
+    u_i, u_j = surface_velocities(frame, c, of_images=True)
+    return np.where(c.j < 0, _dot(c.force, u_j), 0.0) - np.where(c.i < 0, _dot(c.force, u_i), 0.0)
+
+
+def torque_of_sides(frame: Frame, contacts: Contacts | None) -> NDArray:
+    """Torque b x f of each side of each contact (N m); (2, contacts, 3)."""
+    c = _of(contacts)
+    return np.stack([np.cross(c.force, c.branch_i), -np.cross(c.force, c.branch_j)])
+
+
+def power_of_sides(frame: Frame, contacts: Contacts | None) -> NDArray:
+    """Power f.u of each side of each contact (W), as the first of three components; (2, contacts, 3)."""
+    c = _of(contacts)
+    u_i, u_j = surface_velocities(frame, c)
+    out = np.zeros((2, len(c.force), 3))
+    out[0, :, 0], out[1, :, 0] = _dot(c.force, u_i), -_dot(c.force, u_j)
+    return out
+
+
+def energies(frame: Frame, _: Contacts | None) -> NDArray:
+    """Kinetic energy of each particle, (m v^2 + I omega^2) / 2 (J); (particles,)."""
+    v = frame["velocity"]
+    return 0.5 * frame["mass"] * _dot(v, v) + rotational_energies(frame, None)
+
+
+def rotational_energies(frame: Frame, _: Contacts | None) -> NDArray:
+    """Energy of rotation of each particle, I omega^2 / 2 (J); zero without angular velocities; (particles,)."""
+    if not {"angular_velocity", "moment_of_inertia"} <= set(frame):
+        return np.zeros(len(frame["position"]))
+    omega = frame["angular_velocity"]
+    return 0.5 * frame["moment_of_inertia"] * _dot(omega, omega)
+
+
+def energy_fluxes(frame: Frame, _: Contacts | None) -> NDArray:
+    """Kinetic energy times velocity of each particle (W m); (particles, 3)."""
+    return energies(frame, None)[:, None] * frame["velocity"]
+
+
+def rotational_energy_fluxes(frame: Frame, _: Contacts | None) -> NDArray:
+    """Energy of rotation times velocity of each particle (W m); (particles, 3)."""
+    return rotational_energies(frame, None)[:, None] * frame["velocity"]
+
+
+def spins(frame: Frame, _: Contacts | None) -> NDArray:
+    """Spin I omega of each particle (N m s); (particles, 3)."""
+    return frame["moment_of_inertia"][:, None] * frame["angular_velocity"]
+
+
+def spin_fluxes(frame: Frame, _: Contacts | None) -> NDArray:
+    """Spin times velocity of each particle, I omega v (N m2); (particles, 3, 3)."""
+    return spins(frame, None)[:, :, None] * frame["velocity"][:, None, :]
+
+
+def weighted_rotation(frame: Frame, _: Contacts | None) -> NDArray:
+    """Moment of inertia and angular velocity of each particle; (particles, 4)."""
+    return np.column_stack([frame["moment_of_inertia"], frame["angular_velocity"]])
+
+
+def weighted_motion(frame: Frame, _: Contacts | None) -> NDArray:
+    """Mass and velocity of each particle; (particles, 4)."""
+    return np.column_stack([frame["mass"], frame["velocity"]])
