@@ -5,8 +5,8 @@ That is the page docs/fields.md, and the parts of README.md and docs/averages.md
 
 import re
 import runpy
-import textwrap
 from pathlib import Path
+from types import ModuleType
 
 from xcg.fields.formulas.registry import FIELDS, TOPICS, listed
 from xcg.scene.schema import units_of
@@ -63,12 +63,16 @@ def table() -> str:
     parts = [HEAD]
     for topic in TOPICS:
         room = topic.__name__.rpartition(".")[2]
-        title = (topic.__doc__ or room).partition("\n")[0].removesuffix(".")
-        parts.append(f"\n## {title}\n")
+        parts.append(f"\n## {_title(topic)}\n")
         parts.append(f"\nMore: {PAGES[room]}.\n" if room in PAGES else "")
         parts.append(TABLE)
         parts += [_row(name) for name in topic.ROWS if name in shown]
     return "".join([*parts, TAIL])
+
+
+def _title(topic: ModuleType) -> str:
+    """What the fields of a topic are about."""
+    return (topic.__doc__ or "").partition("\n")[0].removesuffix(".")
 
 
 def _row(name: str) -> str:
@@ -84,8 +88,12 @@ def _row(name: str) -> str:
 
 
 def names() -> str:
-    """The list of fields in the README."""
-    return textwrap.fill(", ".join(f"`{name}`" for name in listed(registered=False)) + ".", 120) + "\n"
+    """The table of fields in the README."""
+    shown = set(listed(registered=False))
+    rows = [
+        f"| {_title(topic).partition(':')[0]} | {', '.join(f'`{name}`' for name in topic.ROWS if name in shown)} |\n" for topic in TOPICS
+    ]
+    return "".join(["| fields | names |\n|---|---|\n", *rows])
 
 
 def averages() -> str:
