@@ -90,9 +90,10 @@ def _row(name: str) -> str:
 def names() -> str:
     """The table of fields in the README."""
     shown = set(listed(registered=False))
-    rows = [
-        f"| {_title(topic).partition(':')[0]} | {', '.join(f'`{name}`' for name in topic.ROWS if name in shown)} |\n" for topic in TOPICS
-    ]
+    rows = []
+    for topic in TOPICS:
+        found = ", ".join(f"`{name}`" for name in topic.ROWS if name in shown)
+        rows.append(f"| {_title(topic).partition(':')[0]} | {found} |\n")
     return "".join(["| fields | names |\n|---|---|\n", *rows])
 
 
