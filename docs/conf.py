@@ -1,5 +1,6 @@
 """Sphinx configuration: pip install --group docs --editable . && python -m sphinx -W docs docs/_build."""
 
+import sys
 import urllib.request
 from importlib import metadata
 from pathlib import Path
@@ -16,8 +17,9 @@ extensions = [
     "sphinx.ext.autosummary",
     "sphinx.ext.intersphinx",
     "sphinx.ext.mathjax",
+    "sphinx_gallery.gen_gallery",
 ]
-exclude_patterns = ["_build", "jupyter_execute", "output"]
+exclude_patterns = ["_build", "gallery/**/*.ipynb", "jupyter_execute", "output"]
 default_role = "py:obj"
 templates_path = ["_templates"]
 
@@ -36,6 +38,22 @@ nb_execution_raise_on_error = True
 nb_execution_timeout = 300  # a cell may compile
 numpydoc_show_class_members = False
 autodoc_typehints = "none"
+
+# The gallery: each script of examples/gallery is run and becomes a page; one that has not changed is not run again.
+sys.path.append(str(Path(__file__).parents[1]))
+sphinx_gallery_conf = {
+    "examples_dirs": "../examples/gallery",
+    "gallery_dirs": "gallery",
+    "filename_pattern": r"\.py$",
+    "within_subsection_order": "FileNameSortKey",
+    "reset_modules": ("docs.figures.legible",),
+    "image_srcset": ["2x"],
+    "capture_repr": (),
+    "remove_config_comments": True,
+    "download_all_examples": False,
+    "show_signature": False,
+    "write_computation_times": False,
+}
 
 # Formulas are drawn without a network: MathJax of an installed package is copied into the site.
 MATHJAX = next(path for path in metadata.files("sphinx-mathjax-offline") if path.name == "tex-chtml.js").locate().parent

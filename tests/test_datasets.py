@@ -26,8 +26,8 @@ def test_samples_open_with_contacts():
 
 
 def test_refused(monkeypatch, tmp_path):
-    with pytest.raises(ValueError, match=r"open\('silo'\): the sample data are chute, plane_shear"):
-        xcg.datasets.open("silo")
+    with pytest.raises(ValueError, match=r"open\('sand'\): the sample data are chute, .*plane_shear"):
+        xcg.datasets.open("sand")
     monkeypatch.setattr(xcg.datasets, "_FOLDERS", (tmp_path,))
     with pytest.raises(FileNotFoundError, match="install xcg again"):
         xcg.datasets.open("chute")
@@ -40,6 +40,13 @@ def test_the_wheel_holds_the_samples():
         assert any(t.startswith(f"xcg/data/{sample.folder}") for t in targets)
     for source in held["force-include"]:
         assert (ROOT / source).exists()
+
+
+@pytest.mark.parametrize("name", xcg.datasets._SAMPLES)
+def test_every_sample_opens_and_is_listed(name):
+    assert xcg.datasets.open(name).sizes["particle"] > 0
+    table = (ROOT / "examples" / "data" / "README.md").read_text()
+    assert f'| "{name}" | `{xcg.datasets._SAMPLES[name].folder}` |' in table
 
 
 def test_one_version():

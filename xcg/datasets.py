@@ -21,8 +21,8 @@ class _Sample:
     """Files that come with xcg: in the installed package under ``data``, in a checkout among the examples."""
 
     folder: str
-    particles: str
-    contacts: str
+    particles: str = "particles.dump.gz"
+    contacts: str | None = None
     options: dict[str, Any] = field(default_factory=dict)
 
 
@@ -34,6 +34,7 @@ _SAMPLES = {
         "contacts.00050000.dump.gz",
         {"gravity": (0.4067, 0.0, -0.9135)},
     ),
+    "cooling": _Sample("lammps_cooling"),
     "plane_shear": _Sample("lammps_plane_shear", "particles.*.dump.gz", "contacts.*.dump.gz"),
 }
 _FOLDERS = (Path(__file__).parent / "data", Path(__file__).parents[1] / "examples" / "data")
@@ -45,9 +46,8 @@ def open(name: str, **options: Any) -> xr.Dataset:  # noqa: A001
     Parameters
     ----------
     name : str
-        "chute": one step of 4398 spheres that flow down a rough plane at 24 degrees, of which species 2 is held in
-        place. "plane_shear": 17 steps of spheres that are sheared between two moving walls. Both are of LAMMPS, with
-        contacts, in reduced units.
+        One of the `sample data <../sample_data.html>`_, such as "chute": one step of 4398 spheres that flow down a
+        rough plane.
     **options
         For `xcg.open_scene`.
 
@@ -77,10 +77,8 @@ def open(name: str, **options: Any) -> xr.Dataset:  # noqa: A001
     for folder in _FOLDERS:
         if (folder / sample.folder).is_dir():
             found = folder / sample.folder
-            return open_scene(
-                str(found / sample.particles),
-                **{"contacts": str(found / sample.contacts), **sample.options, **options},
-            )
+            contacts = {"contacts": str(found / sample.contacts)} if sample.contacts else {}
+            return open_scene(str(found / sample.particles), **{**contacts, **sample.options, **options})
     msg = f"open({name!r}): no folder {_FOLDERS[0] / sample.folder}; install xcg again"
     raise FileNotFoundError(msg)
 

@@ -1,0 +1,55 @@
+r"""
+A granular gas that cools: Haff's law
+=====================================
+
+Smooth spheres that lose energy in each collision cool without end: the granular temperature falls as :math:`T = T_0 /
+(1 + t/\tau)^2` (Haff 1983), and kinetic theory says :math:`\tau` without anything to fit.
+
+2000 spheres with a restitution :math:`e = 0.9` start as a gas in equilibrium in a periodic box, with a volume fraction
+of 0.1. The script of the simulation (LAMMPS) is :download:`cooling.in
+<../../../examples/data/lammps_cooling/cooling.in>`.
+"""
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import xcg
+
+ds = xcg.datasets.open("cooling")
+names = ["granular_temperature", "volume_fraction"]
+f = ds.cg.coarse_grain(names, axes="", at={}).compute()  # means of the box
+T, phi = f.granular_temperature, f.volume_fraction
+
+# %%
+# Elastic spheres of diameter :math:`d` and mass :math:`m` collide with the rate :math:`\omega = 4 n d^2 \chi \sqrt{\pi
+# T}`, with :math:`n` the number of spheres per volume and :math:`\chi = (1 - \phi/2) / (1 - \phi)^3` the probability to
+# find two of them in contact (Carnahan & Starling 1969), against that at low density. A collision takes away the share
+# :math:`(1 - e^2)/3` of a sphere's :math:`T`, so that :math:`1/\tau = (1 - e^2)\,\omega_0 / 6`.
+
+e, d = 0.9, 1.0
+n = 6 * phi[0] / (np.pi * d**3)
+chi = (1 - phi[0] / 2) / (1 - phi[0]) ** 3
+tau = float(6 / ((1 - e**2) * 4 * n * d**2 * chi * np.sqrt(np.pi * T[0])))
+law = T[0] / (1 + T.time / tau) ** 2
+
+fig, ax = plt.subplots()
+ax.semilogy(T.time, T, "o", label="coarse-grained")
+ax.semilogy(T.time, law, "k-", label=f"Haff's law, $\\tau$ = {tau:.1f}")
+ax.set(xlabel=r"time ($d / \sqrt{T_0}$)", ylabel=r"granular temperature ($T_0$)")
+ax.legend()
+plt.show()
+
+# %%
+# **Check.** In the law :math:`\sqrt{T_0/T}` is a straight line over time, of slope :math:`1/\tau`:
+
+fitted = 1 / np.polyfit(T.time, np.sqrt(T[0] / T), 1)[0]
+print(f"tau = {fitted:.2f} in the simulation, {tau:.2f} by kinetic theory")
+print(f"largest difference of T from the law: {100 * float(abs(T / law - 1).max()):.1f} %")
+
+# %%
+# The rest is the noise of 2000 grains, and what kinetic theory leaves out: velocities in a cooling gas are not quite
+# Gaussian. A gas that is larger or loses more energy does not stay uniform; then ask for maps (``axes="xz"``), where
+# dense clusters stand out.
+#
+# **For your own data, change** the line that opens them to ``xcg.open_scene("particles.*.dump")``, and ``e``. Where
+# grains are not alike, see :doc:`how a temperature is measured </temperature>`.

@@ -1,0 +1,46 @@
+"""Scripts of the gallery run, agree with physics as well as they say, and have the form of the others."""
+
+import re
+import runpy
+from pathlib import Path
+
+import matplotlib as mpl
+import pytest
+
+mpl.use("agg")
+ROOT = Path(__file__).parents[1]
+SCRIPTS = sorted((ROOT / "examples" / "gallery").glob("*/*.py"))
+
+# measured, expected, and how far apart they are at most as a share of the expected: names that the script defines
+CHECKS = {
+    "cooling_gas": ("fitted", "tau", 0.02),
+}
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
+def test_agrees_with_physics(script):
+    from matplotlib import pyplot as plt
+
+    try:
+        names = runpy.run_path(str(script))
+        assert plt.get_fignums(), "no picture"
+        for figure in map(plt.figure, plt.get_fignums()):
+            for ax in figure.axes:
+                assert ax.get_label() == "<colorbar>" or (ax.get_xlabel() and ax.get_ylabel()), "axes without a name"
+    finally:
+        plt.close("all")
+    measured, expected, share = CHECKS[script.stem]
+    assert float(names[measured]) == pytest.approx(float(names[expected]), rel=share)
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
+def test_has_the_form_of_the_others(script):
+    """A title, the script of the simulation, a check, and what to change for other data; data that come with xcg."""
+    text = script.read_text()
+    assert re.match(r'r?"""\n(.+)\n=+\n', text)
+    for path in re.findall(r":download:`[^<`]+<([^>]+)>`", text):
+        assert (ROOT / "docs" / "gallery" / script.parent.name / path).resolve().is_file(), path
+    for wanted in (":download:", "xcg.datasets.open(", "**Check.**", "**For your own data, change**"):
+        assert wanted in text, wanted
+    for page in re.findall(r":doc:`[^<`]+<(/[^>]+)>`", text):
+        assert (ROOT / "docs" / f"{page[1:]}.md").is_file(), page
