@@ -3,6 +3,7 @@
 Run from the root of the repository, on a machine that does nothing else::
 
     python -m docs.speed [--particles 100000] [--large 1000000]
+    python -m docs.speed --against HEAD~1  # which case moved beyond noise; ends with 1 where one became slower
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import argparse
 from functools import partial
 from pathlib import Path
 
+from docs import against
 from docs.accuracy import fastest, machine
 from tests.benchmarks import cases
 
@@ -73,7 +75,10 @@ def main() -> None:
     parser.add_argument("--particles", type=int, default=100_000, help="grains of the packing (default 100000)")
     parser.add_argument("--large", type=int, default=1_000_000, help="grains of the large one; 0 leaves it out")
     parser.add_argument("--repeats", type=int, default=5, help="times that each case is run (default 5)")
+    parser.add_argument("--against", metavar="COMMIT", help="compare with the package of a commit, and write nothing")
     given = parser.parse_args()
+    if given.against:
+        raise SystemExit(against.compare(given.against, given.particles, max(given.repeats, against.fewest())))
     lines = ["| " + " | ".join(COLUMNS) + " |", "|---" * len(COLUMNS) + "|"]
     lines += rows(cases.CASES, given.particles, given.repeats)
     cases.packing.cache_clear()
