@@ -24,7 +24,9 @@ share the nodes of one step in memory (over space), or take a step each of a laz
 result are the same. Times are the least of {repeats} ({few} for a million grains) after one to warm up, the cases
 taking turns, from a scene in memory to labelled fields; peak memory is that of a fresh process that reads the scene
 from a file (a lazy scene step by step) and does the job once, with Python and its libraries ({base:.0f} MB) in it.
-*Data* are scene and fields together. Made, on {machine}, by
+*Data* are scene and fields together. The dumps are text with six digits, two files of 7 MB and 22 MB for each 100,000
+grains, particles and contacts; their time is that of opening, parsing, sorting, checking and contact points. Made, on
+{machine}, by
 
 ```bash
 python -m docs.speed --particles {particles} --large {large} --repeats {repeats}

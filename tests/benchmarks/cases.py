@@ -15,6 +15,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
@@ -44,7 +45,9 @@ class Case:
         return packing(round(self.share * particles), self.steps)
 
     def run(self, ds: xr.Dataset) -> xr.Dataset | None:
-        with mock.patch("xcg.fields.evaluate.THREADS", self.threads):
+        with ExitStack() as few:
+            for module in ("xcg.fields.evaluate", "xcg.readers.table"):
+                few.enter_context(mock.patch(f"{module}.THREADS", self.threads))
             return self.work(ds)
 
     @property
@@ -77,12 +80,31 @@ def end_to_end(ds: xr.Dataset) -> None:
         f.cg.to_vtkhdf(Path(folder) / "fields.vtkhdf")
 
 
+def parse(ds: xr.Dataset) -> xr.Dataset:
+    """A pair of LAMMPS' dumps to a scene in memory."""
+    with mock.patch.dict(os.environ, XCG_INDEX_CACHE="0"):
+        return xcg.open_scene(**dumps(ds.sizes["particle"])).compute(scheduler="synchronous")
+
+
+@cache
+def dumps(particles: int) -> dict[str, str]:
+    """Arguments for `xcg.open_scene` of the packing as text, which another process writes: it takes much memory."""
+    folder = temporary_folder()
+    fresh(DUMPS, folder, str(particles))
+    return {"particles": f"{folder}/p.0.dump", "contacts": f"{folder}/c.0.dump"}
+
+
 @cache
 def pair(particles: int) -> dict[str, Any]:
     """Arguments for `xcg.open_scene` of the packing as files, which are there as long as the process."""
+    return write_vtp_series(Path(temporary_folder()) / "pair", particles, 1)
+
+
+def temporary_folder() -> str:
+    """A new folder, which goes when the process ends."""
     folder = tempfile.mkdtemp()
     atexit.register(shutil.rmtree, folder)
-    return write_vtp_series(Path(folder) / "pair", particles, 1)
+    return folder
 
 
 SUMS = ["volume_fraction", "contact_stress"]
@@ -97,11 +119,13 @@ CASES = [
     Case("contact stress alone", partial(fields, names=["contact_stress"])),
     Case("from a pair of .vtp to NetCDF and VTKHDF", end_to_end),
     Case("from a pair of .vtp to NetCDF and VTKHDF", end_to_end, threads=2),
+    Case("a pair of dumps of LAMMPS to a scene in memory", parse),
+    Case("a pair of dumps of LAMMPS to a scene in memory", parse, threads=2),
     Case("volume fraction and contact stress, spacing w", partial(fields, names=SUMS), share=0.1),
     Case("volume fraction and contact stress, spacing w/2", partial(fields, names=SUMS, refined=2), share=0.1),
     Case("volume fraction and contact stress, spacing w/4", partial(fields, names=SUMS, refined=4), share=0.1),
 ]
-LARGE = [CASES[0], CASES[1], CASES[6]]  # those worth a million grains
+LARGE = [CASES[0], CASES[1], CASES[6], CASES[10], CASES[11]]  # those worth a million grains
 
 
 # --- in a fresh process ----------------------------------------------------------------------------------
@@ -115,6 +139,11 @@ RESIDENT = """
 for line in open("/proc/self/status"):
     if line.startswith("VmHWM"):
         print(line.split()[1])
+"""
+DUMPS = """
+import sys
+from tests.benchmarks.series import packings, write_dumps
+write_dumps(sys.argv[1], packings(int(sys.argv[2]), 1)[0], 0)
 """
 PEAK = """
 import sys

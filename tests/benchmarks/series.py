@@ -125,6 +125,12 @@ def dump_texts(ds: xr.Dataset, step: int) -> tuple[str, str]:
     return dump_text(particles, step=step, before=time, box=box), pairs_text(contacts, step=step, before=time, box=box)
 
 
+def write_dumps(folder: str | Path, ds: xr.Dataset, step: int) -> None:
+    """Write the two files of a step."""
+    for kind, text in zip("pc", dump_texts(ds, step), strict=True):
+        Path(folder, f"{kind}.{step}.dump").write_text(text)
+
+
 def fstat_text(ds: xr.Dataset) -> str:
     """The contacts of a step as MercuryDPM writes them, with 17 digits."""
     one = ds.isel(time=0)

@@ -1,10 +1,11 @@
 """The float64 nearest to a decimal number.
 
-Digits are read eight at a time. A number of up to 19 digits is a whole number m times a power of ten. Where both are
-exact in float64, one product or quotient gives the nearest number; else 128 bits of the product of m and a power of
-five do, by the algorithm of Eisel and Lemire (D. Lemire, Number parsing at a gigabyte per second, Software: Practice
-and Experience 51, 1700, 2021). What this does not decide is left to the caller: subnormal numbers, numbers halfway
-between two, infinities, longer numbers whose further digits matter, and words that are no numbers.
+Digits are read eight at a time, and a word of up to eight characters, point and all, at once. A number of up to 19
+digits is a whole number m times a power of ten. Where both are exact in float64, one product or quotient gives the
+nearest number; else 128 bits of the product of m and a power of five do, by the algorithm of Eisel and Lemire (D.
+Lemire, Number parsing at a gigabyte per second, Software: Practice and Experience 51, 1700, 2021). What this does not
+decide is left to the caller: subnormal numbers, numbers halfway between two, infinities, longer numbers whose further
+digits matter, and words that are no numbers.
 
 Whole numbers whose bits are shifted are typed (`np.uint64`), because a signed one beside them makes both float64.
 """
@@ -101,6 +102,32 @@ def _not_digits(digits):
 
 
 @inlined
+def _points(characters):
+    """Bits of which the lowest is the highest bit of the first byte that holds a point; 0 without a point."""
+    differs = characters ^ _POINTS
+    return (differs - _ONES) & ~differs & _TOP
+
+
+@inlined
+def _short(text, at, count):
+    """Read one to eight characters, digits with or without a point, as m 10^power; tell whether that is what they are.
+
+    The point is taken out, and the digits before it move up by a byte.
+    """
+    unused = _U(8 * (8 - count))
+    characters = load8(text, at)
+    digits = (characters ^ _ZEROS) << unused
+    points = _points(characters << unused)
+    power = np.int64(0)
+    if points:
+        first = (points & (~points + _ONE)) >> _U(7)  # the lowest bit of the byte of the point
+        power = -np.int64(leading_zeros(first) >> _U(3))
+        digits = (digits & (first - _ONE)) << _EIGHT | digits & ~((first << _EIGHT) - _ONE)
+    known = _not_digits(digits) & _TOP == _U(0) and (count > 1 or points == _U(0))
+    return _whole(digits), power, known
+
+
+@inlined
 def _usual(text, at, end):
     """Read digits with a point and an exponent of two digits as m 10^power; tell whether that is what they are.
 
@@ -115,9 +142,10 @@ def _usual(text, at, end):
         if tail & _U(0xDF) == 69 and (sign == 43 or sign == 45) and 0 <= tens <= 9 and 0 <= ones <= 9:  # "e-05"
             power = 10 * tens + ones if sign == 43 else -10 * tens - ones
             end -= 4
-    differs = load8(text, at) ^ _POINTS
-    points = (differs - _ONES) & ~differs & _TOP  # the lowest bit set is that of the first point
-    before = min(np.int64(trailing_zeros(points) >> _U(3)), end - at)
+    if 1 <= end - at <= 8:
+        m, shift, known = _short(text, at, end - at)
+        return m, power + shift, known
+    before = min(np.int64(trailing_zeros(_points(load8(text, at))) >> _U(3)), end - at)
     after = end - at - before - 1  # -1 without a point
     if before + max(after, 0) < 1 or (after >= 0 and before == 8):
         return _U(0), 0, False

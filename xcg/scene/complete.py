@@ -19,6 +19,7 @@ _SAME_FORCE, _SAME_POINT = 1e-4, 0.05
 _MOST_CONTACTS_A_PAIR = 64  # of equal force, that are compared with each other
 _HAIR = 1e-9  # rounding of positions, as a share of the distances between them
 _SAME_BRANCH = 0.25  # a branch that is off by more of its length is another vector; it may be a time step old
+_BLOCK = 1 << 14  # contacts whose points are derived together, in the cache of the processor
 REPEAT = "repeat the box once or more along that axis, or simulate a larger one"
 
 
@@ -230,11 +231,8 @@ def complete_contacts(
         raise SceneError(msg)
     derived = np.asarray(frame.get("point_is_middle", np.full(len(i), "contact_point" not in given)))
     if derived.any() or "contact_point" not in given:
-        points = given.get("contact_point", np.empty((len(i), 3))).copy()
-        some = {name: values[derived] for name, values in given.items()} | {"row_of_file": number[derived]}
-        those = None if seen is None else seen[derived]
-        points[derived] = _contact_points(some, particles, row_i[derived], row_j[derived], those, lattice, source)
-        given["contact_point"] = points
+        contacts = given | {"row_of_file": number}
+        given["contact_point"] = _derive_points(contacts, derived, particles, row_i, row_j, seen, lattice, source)
     rows, pair = repeated_pairs(i, j)
     if not rows.size:
         return given
@@ -318,6 +316,34 @@ def unit_vectors(vector: NDArray) -> NDArray:
     return np.divide(vector, length, out=np.zeros_like(vector), where=length > 0)
 
 
+def _derive_points(
+    contacts: Frame, derived: NDArray, particles: Frame, row_i: NDArray, row_j: NDArray, seen: NDArray | None,
+    lattice: Lattice, source: str,
+) -> NDArray:  # fmt: skip
+    """Contact points (n, 3), those of `derived` contacts (n,) from the spheres; by blocks that stay in the cache."""
+    points = contacts["contact_point"].copy() if "contact_point" in contacts else np.empty((len(row_i), 3))
+    wanted = None if derived.all() else np.flatnonzero(derived)
+    for first in range(0, len(row_i) if wanted is None else len(wanted), _BLOCK):
+        some = slice(first, first + _BLOCK) if wanted is None else wanted[first : first + _BLOCK]
+        block = {name: values[some] for name, values in contacts.items()}
+        branch = None if seen is None else seen[some]
+        try:
+            points[some] = _contact_points(block, particles, row_i[some], row_j[some], branch, lattice, source)
+        except _OtherBranchesError:
+            warn_once(
+                "branches of contacts",
+                f"{source}: branches of contacts are not the vectors from j to i between the positions, or cross an "
+                "edge that is not periodic, and the shortest are taken; drop them with names={'dx': None, ...} if they "
+                "are something else",
+            )
+            return _derive_points(contacts, derived, particles, row_i, row_j, None, lattice, source)
+    return points
+
+
+class _OtherBranchesError(Exception):
+    """Branches that the data hold are not those between the positions."""
+
+
 def _contact_points(
     contacts: Frame, particles: Frame, row_i: NDArray, row_j: NDArray, seen: NDArray | None, lattice: Lattice,
     source: str,
@@ -348,9 +374,10 @@ def _contact_points(
             msg = f"{source}: contact row {contacts['row_of_file'][row]} ({pair}) {what}"
             raise SceneError(msg)
 
-    branch = _branches(position[i] - position[j], radius[i] + radius[j], seen, lattice, refuse, source)
-    points[both] = contact_points(position[i], branch, radius[i], radius[j])
-    for side in (position[i] - points[both], position[i] - points[both] - branch):
+    centre, radius_i, radius_j = position[i], radius[i], radius[j]
+    branch = _branches(centre - position[j], radius_i + radius_j, seen, lattice, refuse)
+    points[both] = found = contact_points(centre, branch, radius_i, radius_j)
+    for side in (centre - found, centre - found - branch):
         refuse(
             np.flatnonzero(lattice.is_halfway(side, _HAIR)),
             f"is half a period away from a centre, where both of its sides are one place; {REPEAT}",
@@ -363,20 +390,14 @@ def _contact_points(
 
 
 def _branches(
-    apart: NDArray, touching: NDArray, seen: NDArray | None, lattice: Lattice, refuse: Callable[[NDArray, str], None],
-    source: str,
+    apart: NDArray, touching: NDArray, seen: NDArray | None, lattice: Lattice, refuse: Callable[[NDArray, str], None]
 ) -> NDArray:  # fmt: skip
     """Images of vectors (n, 3) from j to i that touch at `touching` (n,): nearest to what was `seen`, or shortest."""
     if seen is not None:
         branch = lattice.shortest(apart, seen)
         if (np.linalg.norm(branch - seen, axis=1) <= _SAME_BRANCH * np.linalg.norm(seen, axis=1)).all():
             return branch
-        warn_once(
-            "branches of contacts",
-            f"{source}: branches of contacts are not the vectors from j to i between the positions, or cross an edge "
-            "that is not periodic, and the shortest are taken; drop them with names={'dx': None, ...} if they are "
-            "something else",
-        )
+        raise _OtherBranchesError
     branch = lattice.shortest(apart)
     rows, _ = lattice.within(branch, np.maximum(np.linalg.norm(branch, axis=1), touching) * (1 + _HAIR))
     refuse(
