@@ -159,6 +159,7 @@ def test_parts_cover_all_points_once(many, scene):
         np.testing.assert_array_equal(np.sort(places), np.arange(grid.count))
         for part in grid.parts:
             assert part.start[-1] == part.count
+            assert (np.diff(part.places[part.order].astype(int)) > 0).all()
             assert len(part.start) <= points._MOST_CELLS + 4 * part.count + 1
             for k, a in enumerate("xyz"):
                 back = part.position[k, : part.count] * part.unit + grid.origin[k]

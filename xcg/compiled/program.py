@@ -65,7 +65,7 @@ def address_of(numbers: NDArray, rows: int, width: int, name: str, *, written: b
 
 
 @leaf
-def run(steps, records, source, fields, target, place, scratch, singular):
+def run(steps, records, source, fields, target, place, order, tile, scratch, singular):
     """Do the steps of a program for all nodes.
 
     Parameters
@@ -82,7 +82,11 @@ def run(steps, records, source, fields, target, place, scratch, singular):
     target : (stores, 9)
         Rows of the components.
     place : (nodes,)
-        Place of each node in the fields.
+        Place of each node in the fields, in the order in which nodes are taken.
+    order : (nodes,) or None
+        Which record is that of each node; None where records are in that order, which leaves code out.
+    tile : int
+        Address of scratch for as many records as a tile has nodes, and eight numbers more, of the largest width.
     scratch : (rows, TILE)
         Holds constants and factors.
     singular : (any,)
@@ -97,7 +101,12 @@ def run(steps, records, source, fields, target, place, scratch, singular):
     for first in range(0, place.size, TILE):
         many = min(TILE, place.size - first)
         for n in range(records.shape[0]):
-            unread += _transpose_records(records[n, 0], records[n, 1], records[n, 2], first, many, place.size, scratch)
+            address, width, row = records[n, 0], records[n, 1], records[n, 2]
+            if order is None:
+                unread += _transpose_records(address, width, row, first, many, place.size, scratch)
+            else:
+                unread += _gather_records(address, width, order, first, many, tile)
+                _transpose_records(tile, width, row, 0, many, TILE + EIGHT, scratch)
         for step in range(steps.shape[0]):
             operation, r, a, b = steps[step, 0], steps[step, 1], steps[step, 2], steps[step, 3]
             if operation == STORE:
@@ -131,6 +140,25 @@ def run(steps, records, source, fields, target, place, scratch, singular):
     store_fence()
     scratch[0, 0] = unread
     return left
+
+
+@leaf
+def _gather_records(address, width, order, first, many, tile):
+    """Copy some records (nodes, width) side by side; returns the sum of one number in each line of memory.
+
+    Lines are first read without waiting for any of them.
+    """
+    read = 0.0
+    for k in range(many):
+        begin = order[first + k] * width
+        for c in range(np.uint64(0), width, np.uint64(EIGHT)):
+            read += load_number(address, begin + c)
+        read += load_number(address, begin + width - np.uint64(1))
+    for k in range(many):
+        begin, to = order[first + k] * width, k * width
+        for c in range(width):
+            store_number(tile, to + c, load_number(address, begin + c))
+    return read
 
 
 @leaf

@@ -91,7 +91,7 @@ def _compute_step(
     def fill(part: Block) -> None:
         found, place = part.sums(sums.over), part.places
         reached.append(found.reached)
-        if program and (remaining := program.run(found, place, rows)).size:
+        if program and (remaining := program.run(found, place, rows, part.order)).size:
             evaluate(traced, found, place, remaining)
         if untraced:
             evaluate(untraced, found, place, slice(None))

@@ -56,8 +56,10 @@ class Program:
         """Names of the fields that it computes."""
         return tuple(dict.fromkeys(name for name, _, _ in self.outputs))
 
-    def run(self, sums: BlockSums, place: NDArray, out: Mapping[str, NDArray]) -> NDArray:
+    def run(self, sums: BlockSums, place: NDArray, out: Mapping[str, NDArray], order: NDArray | None = None) -> NDArray:
         """Compute fields (places, ...) from the moments at some nodes, each to its `place` (nodes,).
+
+        They are taken in an `order` (nodes,), such as that of their places: memory is then written line by line.
 
         Returns the nodes that are left out: those where a fit takes eigenvectors.
 
@@ -86,11 +88,12 @@ class Program:
             )
             for name, first, count in self.outputs
         ]
-        singular = np.empty(self.fits * nodes, "uint64")
-        remaining = kernel.run(
-            self.steps, _whole(records, 3), _whole(source, 2), _whole(fields, 3), self.target, place, scratch, singular
-        )
-        return np.unique(singular[:remaining])
+        singular, tile = np.empty(self.fits * nodes, "uint64"), np.empty((kernel.TILE + EIGHT) * max(widths))
+        lists = _whole(records, 3), _whole(source, 2), _whole(fields, 3)
+        to = place if order is None else place[order]
+        remaining = kernel.run(self.steps, *lists, self.target, to, order, tile.ctypes.data, scratch, singular)
+        left = np.unique(singular[:remaining])
+        return left if order is None else order[left]
 
 
 def _whole(numbers: Sequence[Sequence[int]], width: int) -> NDArray:

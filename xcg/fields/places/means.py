@@ -53,6 +53,7 @@ class RingBlock:
     angle: NDArray
     share: NDArray
     dimension: int
+    order = None
 
     def sums(self, over: Callable[[PointBlock], BlockSums]) -> BlockSums:
         """Return sums at the nodes: averages of those at all their angles."""

@@ -46,6 +46,8 @@ class PointBlock(OwnNodes):
     ----------
     places : array (n,)
         Where they are among all points, unsigned.
+    order : array (n,)
+        Their order by these places, unsigned.
     position : array (3, n + PAD)
         The points, 0 along axes that are not seen, and beyond the last.
     lower, size : array (3,)
@@ -59,6 +61,7 @@ class PointBlock(OwnNodes):
     """
 
     places: NDArray
+    order: NDArray
     position: NDArray
     lower: NDArray
     size: NDArray
@@ -68,7 +71,7 @@ class PointBlock(OwnNodes):
 
     @classmethod
     def of(cls, rows: NDArray, position: NDArray, unit: float) -> PointBlock:
-        """Sort some points (3, n), which have these places (n,) among all."""
+        """Sort some points (3, n), which have these places (n,) among all, in ascending order."""
         lower, many = position.min(axis=1), len(rows)
         extent = position.max(axis=1) - lower
         spread = extent[extent > _NARROWEST]
@@ -78,10 +81,10 @@ class PointBlock(OwnNodes):
             size[np.argmax(extent / size)] *= 2.0
         shape = (extent / size).astype(int) + 1
         x, y, z = (((position[k] - lower[k]) / size[k]).astype("int64") for k in range(3))
-        order, start = _sorted((x * shape[1] + y) * shape[2] + z, math.prod(shape.tolist()))
+        order, rank, start = _sorted((x * shape[1] + y) * shape[2] + z, math.prod(shape.tolist()))
         place = np.zeros((3, many + PAD))
         np.take(position, order, axis=1, out=place[:, :many])
-        return cls(rows[order], place, lower, size, triple(shape), start, unit)
+        return cls(rows[order], rank, place, lower, size, triple(shape), start, unit)
 
     @property
     def count(self) -> int:
@@ -254,12 +257,15 @@ def _cells_of(extent: NDArray, size: NDArray | float) -> float:
     return float((np.floor(extent / size) + 1.0).prod())
 
 
-def _sorted(key: NDArray, count: int) -> tuple[NDArray, NDArray]:
-    """Order (n,) of things by their keys, 0, ... count - 1, and where each key begins (count + 1,), unsigned."""
-    ends, place, order = np.zeros(count + 1, "int64"), np.empty(len(key), "int64"), np.empty(len(key), "int64")
-    counting_sort_places(key, ends, place)
-    order[place] = np.arange(len(key))
-    return order, np.concatenate([[0], ends[:-1]]).astype("uint64")
+def _sorted(key: NDArray, count: int) -> tuple[NDArray, NDArray, NDArray]:
+    """Order (n,) of things by their keys, 0, ... count - 1, the rank of each in it, and where keys begin (count + 1,).
+
+    All are unsigned. Things of one key keep their order.
+    """
+    ends, rank, order = np.zeros(count + 1, "int64"), np.empty(len(key), "int64"), np.empty(len(key), "uint64")
+    counting_sort_places(key, ends, rank)
+    order[rank] = np.arange(len(key))
+    return order, rank.view("uint64"), np.concatenate([[0], ends[:-1]]).astype("uint64")
 
 
 def _divide(rows: NDArray, position: NDArray, most: int) -> Iterator[tuple[NDArray, NDArray]]:
@@ -285,7 +291,7 @@ def _divide(rows: NDArray, position: NDArray, most: int) -> Iterator[tuple[NDArr
         parts[np.argmax(extent / parts)] += 1
     per_size = parts / np.where(extent > 0.0, extent, np.inf)
     x, y, z = (np.minimum((position[k] - lower[k]) * per_size[k], parts[k] - 1).astype("int64") for k in range(3))
-    order, start = _sorted((x * parts[1] + y) * parts[2] + z, int(parts.prod()))
+    order, _, start = _sorted((x * parts[1] + y) * parts[2] + z, int(parts.prod()))
     for first, last in pairwise(start.tolist()):
         part = order[first:last]
         yield from _divide(rows[part], position[:, part], most)

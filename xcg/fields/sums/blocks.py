@@ -57,6 +57,10 @@ class Block(Protocol):
     def places(self) -> NDArray:
         """Where the nodes are among all nodes of the result, unsigned (nodes,)."""
 
+    @property
+    def order(self) -> NDArray | None:
+        """Order of the nodes by their places, unsigned (nodes,); None where they are in order."""
+
     def sums(self, over: Callable[[Any], Any]) -> Any:
         """Return sums at the nodes, from a function that gives those over a `NodeBlock`."""
 
@@ -103,6 +107,7 @@ class MeshBlock(OwnNodes):
     shape: tuple[int, int, int]
     steps: NDArray
     half: NDArray
+    order = None
 
     @property
     def count(self) -> int:
