@@ -115,10 +115,10 @@ def test_walls_and_partners_that_are_not_there():
     assert ds.contact_j.values.tolist() == [[-1, -2, -1, 8]]
 
 
-@pytest.mark.parametrize("span", [50, 2**40])
+@pytest.mark.parametrize("span", [50, 2**20, 2**40])
 def test_repeated_pairs_are_those_of_a_loop(span):
     rng = np.random.default_rng(0)
-    ids = np.concatenate([[0, span], rng.integers(0, span, 8)])
+    ids = np.concatenate([[0, span], rng.integers(0, span, 8)]) - 7
     i, j = rng.choice(ids, (2, 60))
     rows, number = repeated_pairs(i, j)
     found = {frozenset(rows[number == k].tolist()) for k in np.unique(number)}
@@ -126,6 +126,17 @@ def test_repeated_pairs_are_those_of_a_loop(span):
     for row, pair in enumerate(zip(i.tolist(), j.tolist(), strict=True)):
         by_pair.setdefault(frozenset(pair), []).append(row)
     assert found == {frozenset(same) for same in by_pair.values() if len(same) > 1}
+
+
+@pytest.mark.parametrize("apart", [1, 2**20, 2**40])
+def test_one_repeated_pair_among_many_is_found(apart):
+    i, j = (ids.ravel() for ids in np.meshgrid(np.arange(-3, 30), np.arange(40, 80)))
+    order = np.random.default_rng(0).permutation(i.size)
+    i, j = i[order] * apart, j[order] * apart
+    assert not repeated_pairs(i, j)[0].size
+    rows, number = repeated_pairs(np.append(i, j[77]), np.append(j, i[77]))
+    assert rows.tolist() == [77, i.size]
+    assert number[0] == number[1]
 
 
 def test_many_rows_of_one_pair_are_bounded_work():

@@ -19,6 +19,22 @@ def add_rows(row, sign, values, out):
 
 
 @leaf
+def a_pair_twice(ends, partner, last):
+    """Tell whether any group of rows has one partner twice; `partner` (n,) holds those of group after group.
+
+    Group k ends before ``ends[k]``. Of each partner, `last` holds the group that had it last, and no group before.
+    """
+    n = 0
+    for k in range(ends.size):
+        while n < ends[k]:
+            if last[partner[n]] == k:
+                return True
+            last[partner[n]] = k
+            n += 1
+    return False
+
+
+@leaf
 def k_core(row_i, row_j, weight, least, degree, kept):
     """Find the k-core: take out rows of fewer than `least` partners, again and again, until all that stay have as many.
 

@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from xcg.compiled.arrays import counting_sort_places
+from xcg.compiled.contacts import a_pair_twice
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import LONGEST, SHORTEST, Frame, SceneError, Setup, variable
 from xcg.scene.warn import warn_once
@@ -17,6 +19,7 @@ HINTS = ("wrapped_branch", "point_is_middle", "row_of_file")
 # six digits, and their points by no more than this share of the distance from the centre.
 _SAME_FORCE, _SAME_POINT = 1e-4, 0.05
 _MOST_CONTACTS_A_PAIR = 64  # of equal force, that are compared with each other
+_DENSE = 16  # ids are looked up in a table where they span no more numbers than this for each contact
 _HAIR = 1e-9  # rounding of positions, as a share of the distances between them
 _SAME_BRANCH = 0.25  # a branch that is off by more of its length is another vector; it may be a time step old
 _BLOCK = 1 << 14  # contacts whose points are derived together, in the cache of the processor
@@ -246,23 +249,33 @@ def complete_contacts(
 def repeated_pairs(i: NDArray, j: NDArray) -> tuple[NDArray, NDArray]:
     """Rows of the contacts of all pairs that have more than one, pair after pair, and a number for the pair of each.
 
-    Which of the two comes first makes no difference. Spheres touch once, and one sort then tells that there are none.
+    Which of the two comes first makes no difference. Spheres touch once, and one look at all pairs tells that there are
+    none.
     """
+    none = np.empty(0, int), np.empty(0, int)
+    if not len(i):
+        return none
     low, high = np.minimum(i, j), np.maximum(i, j)
-    if not len(low):
-        return np.empty(0, int), np.empty(0, int)
-    span = int(high.max()) - int(high.min()) + 1
-    if (int(low.max()) - int(low.min()) + 1) * span < 2**62:
-        key = (low - low.min()) * span + (high - high.min())
-        ordered = np.sort(key)
-        if (ordered[1:] != ordered[:-1]).all():
-            return np.empty(0, int), np.empty(0, int)
-        order = np.argsort(key, kind="stable")
+    lows, highs = (int(ids.max()) - int(ids.min()) + 1 for ids in (low, high))
+    if max(lows, highs) <= _DENSE * len(i):
+        low, high = low - low.min(), high - high.min()
+        if not _any_repeated(low, high, lows, highs):
+            return none
+    if lows * highs < 2**62:
+        order = np.argsort((low - low.min()) * highs + (high - high.min()), kind="stable")
     else:
         order = np.lexsort((high, low))
     same = (low[order[1:]] == low[order[:-1]]) & (high[order[1:]] == high[order[:-1]])
     inside = np.append(same, False) | np.insert(same, 0, False)
     return order[inside], np.insert(np.cumsum(~same), 0, 0)[inside]
+
+
+def _any_repeated(low: NDArray, high: NDArray, lows: int, highs: int) -> bool:
+    """Tell whether any pair of numbers below `lows` and `highs` stands more than once."""
+    ends, place, partner = np.zeros(lows + 1, "int64"), np.empty_like(low), np.empty_like(high)
+    counting_sort_places(low, ends, place)
+    partner[place] = high
+    return a_pair_twice(ends[:-1], partner, np.full(highs, -1))
 
 
 def _copies(contacts: Frame, rows: NDArray, pair: NDArray, centre: NDArray, lattice: Lattice, source: str) -> NDArray:
