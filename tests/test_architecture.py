@@ -53,7 +53,7 @@ for name in ("xarray", "dask", "pandas", "vtk"):
 
 
 def test_import_defers_what_is_heavy():
-    heavy = ("vtk", "vtkmodules", "matplotlib", "sklearn", "h5py", "click")
+    heavy = ("vtk", "vtkmodules", "matplotlib", "sklearn", "h5py", "click", "dask", "numba", "scipy")
     done = run(f"import sys, xcg; print([m for m in {heavy} if m in sys.modules])")
     assert done.stdout.strip() == "[]", done.stdout + done.stderr
 
@@ -68,7 +68,7 @@ def test_the_list_of_files_is_the_architecture(folder, floors):
 
 def _imports():
     """Pairs (module, module that it imports), each as its path of names below xcg."""
-    for path in sorted(PACKAGE.rglob("*.py")):
+    for path in sorted([*PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.pyi")]):
         own = path.relative_to(PACKAGE).with_suffix("").parts
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "xcg":
@@ -118,3 +118,20 @@ def test_no_module_imports_itself_in_a_circle():
 def test_completion_shows_public_names_only():
     done = run("import xcg; print(set(dir(xcg)) == set(xcg.__all__) | {'__version__'}, sorted(dir(xcg)))")
     assert done.stdout.startswith("True"), done.stdout + done.stderr
+
+
+def test_names_are_loaded_from_where_editors_are_told():
+    done = run("import runpy, xcg; print(sorted(runpy.run_path(xcg.__file__ + 'i')['__all__']) == xcg.__all__)")
+    assert done.stdout.strip() == "True", done.stdout + done.stderr
+    done = run("import xcg; print({name for name in xcg.__all__ if getattr(xcg, name, None) is None})")
+    assert done.stdout.strip() == "set()", done.stdout + done.stderr
+
+
+def test_other_names_are_refused():
+    done = run("import xcg; xcg.schema")
+    assert "AttributeError: module 'xcg' has no attribute 'schema'" in done.stderr
+
+
+def test_every_dataset_has_the_accessor_once_the_package_is_imported():
+    done = run("import xarray as xr, xcg; print(type(xr.Dataset().cg).__name__)")
+    assert done.stdout.strip() == "CoarseGrainAccessor", done.stdout + done.stderr

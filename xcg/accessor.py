@@ -78,7 +78,6 @@ class Method(Generic[P, R]):
 _SUMMARIES = {SCENE: summary_of_scene, RESULT: summary_of_result, CHAINS: summary_of_chains}
 
 
-@xr.register_dataset_accessor("cg")
 class CoarseGrainAccessor:
     """Fields and force chains of a scene, and saving of them: functions of `xcg` as methods.
 

@@ -17,6 +17,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 import xcg
+from xcg.fields.formulas import registry
 
 # Sixth order, in steps of STEP cutoffs. Smooth parts are then exact to rounding, of order 1e-15 / STEP = 5e-12. Lucy's
 # kernel has two continuous derivatives: a grain whose rim lies between the nodes of the stencil leaves up to
@@ -336,7 +337,7 @@ def periodicity(ds: xr.Dataset, width: float, points: NDArray, seed: int = 0) ->
     vector = np.where([a in ds.attrs["plane"] for a in "xyz"], vector, 0.0)
     skipped = ("friction_coefficient", "inertial_number")
     fields = [
-        name for name in xcg.fields.formulas.registry.listed() if name not in skipped and not xcg.FIELDS[name].option
+        name for name in registry.listed() if name not in skipped and not xcg.FIELDS[name].option
     ]
     here = at_points(ds, fields, points, width=width)
     there = at_points(shifted(ds, vector), fields, points + vector, width=width)

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 import xcg
 from tests.identities import residuals
 from tests.identities.scenes import OPEN, Case, load, synthetic
+from xcg.fields.formulas import registry
 from xcg.fields.sums.moments import MOMENTS
 from xcg.scene.schema import VARIABLES
 
@@ -15,7 +16,7 @@ REAL = pytest.mark.parametrize("name", list(OPEN))
 # the temperatures along the axes are the diagonal of a tensor, not a vector: they do not turn like one
 ALL = [
     name
-    for name in xcg.fields.formulas.registry.listed()
+    for name in registry.listed()
     if not xcg.FIELDS[name].option and name != "directional_temperature"
 ]
 OBJECTIVE = ["kinetic_stress", "velocity_gradient", "granular_temperature", "fluctuation_stress", "shear_rate"]
@@ -32,8 +33,8 @@ def allowed(ds, names):
     """Fields that a scene allows: those of rotation need angular velocities."""
     needs = {"angular_velocity", "moment_of_inertia"} - set(ds.data_vars)
     moments = {name for name, row in MOMENTS.items() if needs & set(row.variables)}
-    options = xcg.fields.formulas.registry.Options()
-    return [name for name in names if not moments & set(xcg.fields.formulas.registry.moments_of([name], options))]
+    options = registry.Options()
+    return [name for name in names if not moments & set(registry.moments_of([name], options))]
 
 
 # Turned coordinates are rounded anew, by 1e-16 of their size, ten to a hundred cutoffs.

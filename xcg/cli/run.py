@@ -28,7 +28,7 @@ from xcg.scene.phases import assign_phases, find_phases
 from xcg.scene.schema import SceneError, did_you_mean
 from xcg.steps.errors import collecting, listen_for_skips
 from xcg.steps.label import name_skipped
-from xcg.steps.map import SKIPPED
+from xcg.steps.skip import SKIPPED
 from xcg.writers.encoding import Encoding
 from xcg.writers.files import leftovers, whole_file
 from xcg.writers.lock import locked

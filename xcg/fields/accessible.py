@@ -8,12 +8,10 @@ fractions over points on them, because the marginal is the kernel integrated ove
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
-import dask
-import dask.array as da
 import numpy as np
 import xarray as xr
 from numpy.polynomial.legendre import leggauss
@@ -102,7 +100,7 @@ def with_accessible(f: xr.Dataset, ds: xr.Dataset, plan: Plan, request: Request,
         points[:, COMPONENTS.index(a)] = values.to_numpy().ravel()
     averaged = _averaged(plan, walls, edges_of(ds))
     compute = partial(_fractions, points, walls, kernel, plan.setup.plane, averaged, shape)
-    chi: Any = da.from_delayed(dask.delayed(compute)(), shape, float) if is_lazy(f, wanted) else compute()
+    chi = _later(compute, shape) if is_lazy(f, wanted) else compute()
     field = xr.DataArray(chi, dims=nodes[0].dims if nodes else ()).expand_dims(time=f.sizes["time"])
     about = {"units": "1", "long_name": "share of the kernel on the accessible side of the walls", "source": "walls"}
     about["formula"] = "chi = int Psi(r - r') dr' over the accessible side"
@@ -112,6 +110,14 @@ def with_accessible(f: xr.Dataset, ds: xr.Dataset, plan: Plan, request: Request,
         note = "per accessible volume where a sum: balances of mass and momentum hold for fields per volume"
         f = per.assign_attrs(per="accessible", per_note=note)
     return f[list(wanted)].assign(accessible_fraction=field).assign_attrs(walls="\n".join(map(repr, walls)))
+
+
+def _later(compute: Callable[[], NDArray], shape: tuple[int, ...]) -> Any:
+    """Array that is computed when it is needed."""
+    import dask.array as da  # slow to import
+    from dask.delayed import delayed
+
+    return da.from_delayed(delayed(compute)(), shape, float)
 
 
 def _averaged(plan: Plan, walls: Sequence[Wall], edges: Mapping[str, tuple[float, float]]) -> dict[int, NDArray]:

@@ -10,13 +10,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from operator import itemgetter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import dask.array as da
 import numpy as np
 from dask.blockwise import blockwise
 from dask.highlevelgraph import HighLevelGraph
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import dask.array as da
 
 
 def picked(
@@ -35,6 +37,8 @@ def picked(
     shape : tuple of int
         Shape of one step.
     """
+    import dask.array as da  # slow to import, and writers of arrays in memory take this module, too
+
     axes = tuple(range(1 + len(shape)))
     picks: Any = blockwise(
         itemgetter(name), key, axes, layer, (0,), numblocks={layer: (len(chunks),)}, new_axes=dict.fromkeys(axes[1:], 1)

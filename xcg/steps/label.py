@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from xcg.scene.build import storable
 from xcg.scene.schema import COMPONENTS, Variable, units_of
-from xcg.steps.map import SKIPPED, Result
+from xcg.steps.skip import SKIPPED, Result
 
 # attributes of a scene that hold for its results, too
 ABOUT = (

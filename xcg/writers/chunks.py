@@ -12,10 +12,9 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import dask
-import dask.array as da
 import numpy as np
 import xarray as xr
 from dask.callbacks import Callback
@@ -26,6 +25,9 @@ from xarray.backends.locks import get_dask_scheduler, get_write_lock
 
 from xcg.steps.graph import Gathered
 from xcg.steps.progress import Progress, shown
+
+if TYPE_CHECKING:
+    import dask.array as da  # slow to import
 
 # writes some steps of variables, time first, by name
 Write: TypeAlias = Callable[[Mapping[str, NDArray], slice], None]

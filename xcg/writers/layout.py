@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import dask.array as da
 import numpy as np
 import xarray as xr
 
@@ -45,6 +44,8 @@ def chunk_shape(data: xr.DataArray, steps: int) -> tuple[int, ...]:
 
 def outline(ds: xr.Dataset, over: Sequence[str], encoding: Encoding) -> xr.Dataset:
     """Give the same Dataset with arrays that nothing computes in place of what tasks write."""
+    import dask.array as da  # slow to import
+
     empty = {}
     for name in over:
         data = ds[name].variable

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from dask.array.reductions import cumreduction
 from numpy.typing import NDArray
 
 from xcg.compiled import THREADS
@@ -28,7 +27,8 @@ from xcg.scene.schema import COMPONENTS, OF_STEP, PADDING, did_you_mean, units_o
 from xcg.scene.sizes import with_measures
 from xcg.steps.errors import check_on_error
 from xcg.steps.label import format_call, mark_skipped
-from xcg.steps.map import Compute, Result, chunks_in, map_over_time
+from xcg.steps.map import chunks_in, map_over_time
+from xcg.steps.skip import Compute, Result
 
 # what else may be asked for: fields of the grains where they are in the first of two frames
 BESIDE = ("sample_count", "centre_offset", "density", "volume_fraction", "number_density", "effective_count",
@@ -274,9 +274,11 @@ def _with_box(f: xr.Dataset, ds: xr.Dataset, motion: xr.Dataset) -> dict[str, xr
 def _composed(steps: xr.DataArray) -> xr.DataArray:
     """Products F_n ... F_2 F_1 of tensors along time, one chunk of time after the other."""
     steps = steps.transpose("time", ..., "component", "direction")
-    whole = _products(steps.data, axis=0) if steps.chunks is None else cumreduction(
-        _products, lambda before, now: now @ before, np.eye(3), steps.data, axis=0
-    )  # fmt: skip
+    if steps.chunks is None:
+        return steps.copy(data=_products(steps.data, axis=0))
+    from dask.array.reductions import cumreduction  # slow to import
+
+    whole = cumreduction(_products, lambda before, now: now @ before, np.eye(3), steps.data, axis=0)
     return steps.copy(data=whole)
 
 
