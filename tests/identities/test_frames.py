@@ -14,11 +14,7 @@ from xcg.scene.schema import VARIABLES
 
 REAL = pytest.mark.parametrize("name", list(OPEN))
 # the temperatures along the axes are the diagonal of a tensor, not a vector: they do not turn like one
-ALL = [
-    name
-    for name in registry.listed()
-    if not xcg.FIELDS[name].option and name != "directional_temperature"
-]
+ALL = [name for name in registry.listed() if not xcg.FIELDS[name].option and name != "directional_temperature"]
 OBJECTIVE = ["kinetic_stress", "velocity_gradient", "granular_temperature", "fluctuation_stress", "shear_rate"]
 VECTORS = ("position", "velocity", "contact_point", "contact_force", "contact_normal", "angular_velocity")
 # what a mirror turns once more: vectors along axes of rotation, and their fluxes
