@@ -168,6 +168,18 @@ def test_segment_integrals(name, dimension, seen):
         np.testing.assert_allclose(closed, truth, rtol=0, atol=tolerance * largest)
 
 
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+@pytest.mark.parametrize("dimension", [1, 3])
+def test_segments_of_a_gaussian_keep_their_digits_far_out(dimension, side):
+    """Relative to each value, on either side of the segment: 1e-22 of the peak at ten widths."""
+    kernel, end = xcg.Gaussian(1.0, cutoff=12.0, dimension=dimension), 0.9 * np.eye(dimension)[0]
+    points = (0.45 + side * np.array([[1.0], [2.0], [5.0], [8.0], [10.0]])) * np.eye(dimension)[0]
+    closed, truth = kernel.segment(points, 0 * end, end), _gauss(kernel.value, points, end)
+    assert (truth > 0.0).all()
+    assert truth[-1] < 1e-18 * truth[0]
+    np.testing.assert_allclose(closed, truth, rtol=1e-12)
+
+
 def _gauss(value, points, end, panels=200):
     x, w = np.polynomial.legendre.leggauss(8)
     u = ((np.arange(panels)[:, None] + 0.5 + 0.5 * x) / panels).reshape(-1, 1)

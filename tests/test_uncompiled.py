@@ -152,7 +152,7 @@ def all_fields():
 
 
 def test_python_gives_the_bits_of_compiled_code(tmp_path):
-    """Kernels of polynomials and roots; exp, log and erf come from the same library of C here and there."""
+    """Kernels of polynomials, roots, exp and erf; log and arcs come from the same library of C here and there."""
     path = tmp_path / "fields.npz"
     code = f"""
 import numba, numpy as np

@@ -24,7 +24,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.compiled._jit import jit, leaf
+from xcg.compiled._jit import inlined, jit, leaf
+from xcg.compiled.elementary import erf, erfcx, exp, expm1
 from xcg.compiled.reach import padded
 
 # codes of the kernels
@@ -154,32 +155,35 @@ def _lucy_plane(h2, t):
 _SERIES = 25  # terms that reach rounding for arguments up to 1
 
 
-@leaf
-def _above_edge(spread, q2):
-    """P: close to the rim, where a difference has no digits, and far from it, where expm1 may overflow."""
-    s2 = spread * spread
-    y, edge = 0.5 * (1.0 - q2) / s2, math.exp(-0.5 / s2)
-    return edge * math.expm1(y) if y < 1.0 else math.exp(-0.5 * q2 / s2) - edge
+@inlined
+def _above_edge(per_s2, q2):
+    """P of the spread s, with per_s2 = 1 / s^2: a product, as a difference has no digits close to the rim."""
+    return -exp(-0.5 * per_s2 * q2) * expm1(-0.5 * per_s2 * (1.0 - q2))
+
+
+@inlined
+def _along_line(per_s2, q2):
+    """Integral of the Gaussian, without its value at the cutoff taken off, over a line at squared distance q2."""
+    half = math.sqrt(0.5 * per_s2 * max(0.0, 1.0 - q2))
+    return 2.0 * _SQRT_PI_2 / math.sqrt(per_s2) * erf(half) * exp(-0.5 * per_s2 * q2)
 
 
 @leaf
 def _shifted_value(kind, spread, q2):
-    """P, L1 or L2, each with its last digits up to the rim: series take the place of differences that cancel there."""
-    if kind == GAUSSIAN:
-        return _above_edge(spread, q2)
+    """L1 or L2, each with its last digits up to the rim: series take the place of differences that cancel there."""
     s2 = spread * spread
     y = 0.5 * (1.0 - q2) / s2
-    edge, peak = math.exp(-0.5 / s2), math.exp(-0.5 * q2 / s2)
+    edge = exp(-0.5 / s2)
     if kind == GAUSSIAN + 1:
         x = math.sqrt(y)
-        total = _SQRT_PI_2 * peak * math.erf(x) - _SQRT2 * x * edge
+        total = _SQRT_PI_2 * exp(-0.5 * q2 / s2) * erf(x) - _SQRT2 * x * edge
         if y < 1.0:  # sqrt(pi) exp(x^2) erf(x) = 2 x sum (2 x^2)^n / (2 n + 1)!!, less its first term
             term, total = _SQRT2 * x * edge, 0.0
             for n in range(1, _SERIES):
                 term *= 2.0 * y / (2.0 * n + 1.0)
                 total += term
         return 2.0 * spread * total
-    total = peak - edge * (1.0 + y)
+    total = exp(-0.5 * q2 / s2) - edge * (1.0 + y)
     if y < 1.0:  # the series of exp, less its first two terms
         term, total = edge * y, 0.0
         for n in range(2, _SERIES):
@@ -191,23 +195,10 @@ def _shifted_value(kind, spread, q2):
 @leaf
 def _shifted_gradient(kind, spread, q2):
     """As `gradient`: exact up to the rim, where the value ends at zero and its slope jumps in codimension 0."""
-    s2 = spread * spread
+    per_s2 = 1.0 / (spread * spread)
     if kind == GAUSSIAN + 2:
-        return -2.0 * math.pi * _above_edge(spread, q2)
-    slope = -math.exp(-0.5 * q2 / s2) / s2
-    if kind == GAUSSIAN:
-        return slope
-    return 2.0 * spread * _SQRT_PI_2 * math.erf(math.sqrt(1.0 - q2) / (_SQRT2 * spread)) * slope
-
-
-@leaf
-def _shifted_antiderivative(kind, spread, h2, t):
-    """As `_antiderivative`, of codimension 0 and 2: that of the Gaussian less that of its value at the cutoff."""
-    s2 = spread * spread
-    line, edge = spread * _SQRT_PI_2 * math.erf(t / (_SQRT2 * spread)), math.exp(-0.5 / s2)
-    if kind == GAUSSIAN:
-        return line * math.exp(-0.5 * h2 / s2) - edge * t
-    return 2.0 * math.pi * s2 * (line - edge * t) - edge * math.pi * (t - t * t * t / 3.0)
+        return -2.0 * math.pi * _above_edge(per_s2, q2)
+    return -per_s2 * (exp(-0.5 * per_s2 * q2) if kind == GAUSSIAN else _along_line(per_s2, q2))
 
 
 # --- value and gradient ----------------------------------------------------------------------------------
@@ -220,19 +211,19 @@ def value(kind, spread, table, q2):
         q = math.sqrt(q2)
         p = 1.0 - q
         return p * p * p * (1.0 + 3.0 * q)
+    per_s2 = 1.0 / (spread * spread)
     if table is SHIFTED:
-        return _shifted_value(kind, spread, q2)
+        return _above_edge(per_s2, q2) if kind == GAUSSIAN else _shifted_value(kind, spread, q2)
     if kind == LUCY + 1:
         return _lucy_line_value(q2, False)
     if kind == LUCY + 2:
         return 2.0 * math.pi * _lucy_plane_value(q2)
     if kind == GAUSSIAN:
-        return math.exp(-0.5 * q2 / (spread * spread))
+        return exp(-0.5 * per_s2 * q2)
     if kind == GAUSSIAN + 1:
-        half = math.erf(math.sqrt(1.0 - q2) / (_SQRT2 * spread))
-        return 2.0 * spread * _SQRT_PI_2 * half * math.exp(-0.5 * q2 / (spread * spread))
+        return _along_line(per_s2, q2)
     if kind == GAUSSIAN + 2:
-        return 2.0 * math.pi * spread * spread * _above_edge(spread, q2)
+        return 2.0 * math.pi * spread * spread * _above_edge(per_s2, q2)
     if kind == HEAVISIDE:
         return 1.0
     if kind == HEAVISIDE + 1:
@@ -260,7 +251,7 @@ def gradient(kind, spread, table, q2):
     if kind in (GAUSSIAN, GAUSSIAN + 1):
         return -value(kind, spread, table, q2) / (spread * spread)
     if kind == GAUSSIAN + 2:
-        return -2.0 * math.pi * math.exp(-0.5 * q2 / (spread * spread))
+        return -2.0 * math.pi * exp(-0.5 * q2 / (spread * spread))
     if kind == HEAVISIDE:
         return 0.0
     if kind == HEAVISIDE + 1:
@@ -290,25 +281,37 @@ def _antiderivative(kind, spread, table, h2, t):
     """Integral of the value over 0 < s < t along a line at distance h, for 0 <= t <= sqrt(1 - h^2)."""
     if kind is LUCY_FULL:
         return _lucy_line(h2, t)
-    if table is SHIFTED:
-        return _shifted_antiderivative(kind, spread, h2, t)
     if kind == LUCY + 1:
         return _lucy_plane(h2, t)
     if kind == LUCY + 2:  # seen in one dimension, where every line runs through the point: h = 0
         t2 = t * t
         return 2.0 * math.pi * t * (0.1 + t2 * (-1.0 / 6.0 + t2 * (0.3 - 4.0 / 15.0 * t + t2 / 14.0)))
-    if kind == GAUSSIAN:
-        return spread * _SQRT_PI_2 * math.erf(t / (_SQRT2 * spread)) * math.exp(-0.5 * h2 / (spread * spread))
-    if kind == GAUSSIAN + 2:
-        s2 = spread * spread
-        flat = t * math.exp(-0.5 / s2)
-        return 2.0 * math.pi * s2 * (spread * _SQRT_PI_2 * math.erf(t / (_SQRT2 * spread)) - flat)
-    if kind == HEAVISIDE:
-        return t
     if kind == HEAVISIDE + 1:
         half2 = 1.0 - h2
         return t * math.sqrt(max(0.0, half2 - t * t)) + half2 * math.atan2(t, math.sqrt(max(0.0, half2 - t * t)))
-    return math.pi * (t - t * t * t / 3.0)  # HEAVISIDE + 2
+    bell, flat, cube = _parts_of_line(kind, spread, table)
+    if bell > 0.0:
+        bell *= spread * _SQRT_PI_2 * erf(t / (_SQRT2 * spread)) * exp(-0.5 * h2 / (spread * spread))
+    return bell + flat * t + cube * t * t * t
+
+
+@inlined
+def _parts_of_line(kind, spread, table):
+    """Factors of the Gaussian, of 1 and of 3 t^2 in the value along a line at distance t from its foot.
+
+    For a Gaussian or Heaviside of codimension 0, or of codimension 2, which is seen in one dimension, where every line
+    runs through the point.
+    """
+    s2 = spread * spread
+    edge = exp(-0.5 / s2)
+    if kind == GAUSSIAN:
+        return 1.0, -edge if table is SHIFTED else 0.0, 0.0
+    if kind == GAUSSIAN + 2:
+        disc = math.pi * edge if table is SHIFTED else 0.0
+        return 2.0 * math.pi * s2, -2.0 * math.pi * s2 * edge - disc, disc / 3.0
+    if kind == HEAVISIDE:
+        return 0.0, 1.0, 0.0
+    return 0.0, math.pi, -math.pi / 3.0  # HEAVISIDE + 2
 
 
 @leaf
@@ -347,7 +350,7 @@ def segment(kind, spread, table, h2, t0, t1):
 
 @leaf
 def fill_values(kind, spread, table, norm, by_gradient, q2, count, out):
-    """Write norm x value, or gradient unless that is None, at `count` squared distances; Lucy's loop vectorises."""
+    """Write norm x value, or gradient unless that is None, at `count` squared distances, in loops that vectorise."""
     if by_gradient is not None:
         for k in range(count):
             out[k] = norm * gradient(kind, spread, table, q2[k])
@@ -356,6 +359,13 @@ def fill_values(kind, spread, table, norm, by_gradient, q2, count, out):
             q = math.sqrt(q2[k])
             p = 1.0 - q
             out[k] = norm * (p * p * p * (1.0 + 3.0 * q))
+    elif kind == GAUSSIAN:
+        per_s2 = 1.0 / (spread * spread)
+        for k in range(padded(count)):
+            out[k] = norm * (_above_edge(per_s2, q2[k]) if table is SHIFTED else exp(-0.5 * per_s2 * q2[k]))
+    elif kind == HEAVISIDE:
+        for k in range(padded(count)):
+            out[k] = norm
     else:
         for k in range(count):
             out[k] = norm * value(kind, spread, table, q2[k])
@@ -409,12 +419,47 @@ def fill_segments(kind, spread, table, length, along, q2, count, out, ratio, bit
     """
     if kind is LUCY_FULL:
         _fill_lucy_lines(1.0 / length, length, along, q2, count, out, ratio, bits, exponent)
+    elif GAUSSIAN <= kind < TABLE and kind not in (GAUSSIAN + 1, HEAVISIDE + 1):
+        _fill_chords(kind, spread, table, 1.0 / length, length, along, q2, count, out)
     else:
         for k in range(count):
             h2 = max(0.0, q2[k] - along[k] * along[k])
             out[k] = 0.0
             if h2 < 1.0:
                 out[k] = segment(kind, spread, table, h2, -along[k], length - along[k]) / length
+
+
+@leaf
+def _fill_chords(kind, spread, table, per_length, length, along, q2, count, out):
+    """As `_antiderivative` at both ends of the clipped segment, for kinds of `_parts_of_line`.
+
+    Differences of error functions are those of their complements, which keep their digits far out.
+    """
+    bell, flat, cube = _parts_of_line(kind, spread, table)
+    per_2s2 = 0.5 / (spread * spread)
+    root, bell = math.sqrt(per_2s2), bell * spread * _SQRT_PI_2
+    for k in range(padded(count)):
+        a, b, _ = _clipped(q2[k], along[k], length)
+        out[k] = per_length * (flat * (b - a) + cube * (b * b * b - a * a * a))
+    if bell > 0.0:
+        bell *= per_length
+        for k in range(padded(count)):
+            a, b, h2 = _clipped(q2[k], along[k], length)
+            a, b = -min(b, -a), max(b, -a)  # mirrored where more of it lies before the foot: now b >= 0
+            from_a = exp(-per_2s2 * (h2 + a * a)) * erfcx(root * abs(a))
+            from_b = exp(-per_2s2 * (h2 + b * b)) * erfcx(root * b)
+            if a < 0.0:
+                from_a = 2.0 * exp(-per_2s2 * h2) - from_a
+            out[k] += bell * (from_a - from_b)
+
+
+@inlined
+def _clipped(q2, along, length):
+    """Where a segment begins and ends within the support, from the foot of a node, and the foot's squared distance."""
+    h2 = max(0.0, q2 - along * along)
+    half = math.sqrt(max(0.0, 1.0 - h2))
+    begin = max(-along, -half)
+    return begin, max(begin, min(length - along, half)), h2
 
 
 @leaf
@@ -426,11 +471,7 @@ def _fill_lucy_lines(per_length, length, along, q2, count, out, ratio, bits, exp
     """
     room = padded(count)
     for k in range(room):
-        t = along[k]
-        h2 = max(0.0, q2[k] - t * t)
-        half = math.sqrt(max(0.0, 1.0 - h2))
-        a, b = max(-t, -half), min(length - t, half)
-        b = max(a, b)
+        a, b, h2 = _clipped(q2[k], along[k], length)
         a2, b2 = a * a, b * b
         r0, r1 = math.sqrt(h2 + a2), math.sqrt(h2 + b2)
         h4 = h2 * h2
