@@ -7,7 +7,7 @@ import pytest
 
 import xcg
 from tests.networks import network
-from xcg.compiled.eigen import principal
+from xcg.compiled.eigen import principal, principal_of_any
 
 EXAMPLES = Path(__file__).parents[1] / "examples" / "data"
 
@@ -127,3 +127,47 @@ def test_eigenvalues():
     scale = np.abs(d).max(axis=1, keepdims=True)
     np.testing.assert_allclose(values / scale, np.sort(d)[:, ::-1] / scale, atol=1e-14)
     np.testing.assert_allclose(np.einsum("nki,nli->nkl", vectors, vectors), np.tile(np.eye(3), (300, 1, 1)), atol=1e-14)
+
+
+def _pairs_of(matrix):
+    values, vectors = np.empty(matrix.shape[:2]), np.empty(matrix.shape)
+    principal_of_any(matrix, values, vectors)
+    np.testing.assert_allclose(np.linalg.norm(vectors, axis=2), np.where(np.isnan(values), np.nan, 1.0), atol=1e-14)
+    size = np.maximum(np.abs(matrix).max(axis=(1, 2)), 1e-300)[:, None, None]
+    turned = np.einsum("nij,nkj->nki", matrix, vectors)
+    np.testing.assert_allclose(turned / size, values[:, :, None] * vectors / size, atol=1e-14)
+    return values, vectors
+
+
+def test_eigenvalues_of_any_matrix():
+    """Those of LAPACK, largest first, and the vectors that belong to them; NaN where two are complex."""
+    rng = np.random.default_rng(0)
+    matrix = rng.normal(size=(600, 3, 3)) * 10.0 ** rng.integers(-8, 8, (600, 1, 1))
+    matrix[300:] += 3 * matrix[300:].transpose(0, 2, 1)
+    matrix[:100, 2] = matrix[:100, :, 2] = 0.0  # of a layer
+    values, _ = _pairs_of(matrix)
+    known = np.linalg.eigvals(matrix)
+    known = -np.sort(-np.where(np.imag(known) == 0, np.real(known), np.nan), axis=1)
+    assert 50 < np.isnan(known).any(axis=1).sum() < 500
+    size = np.abs(matrix).max(axis=(1, 2))[:, None]
+    np.testing.assert_allclose(values / size, known / size, atol=1e-12)
+
+
+def test_equal_eigenvalues_are_real():
+    """One contact gives a dyad: its stress along the force, and zero twice, which rounding must not make complex."""
+    rng = np.random.default_rng(1)
+    force, branch = rng.normal(size=(2, 500, 3))
+    values, vectors = _pairs_of(force[:, :, None] * branch[:, None])
+    dot, size = (force * branch).sum(axis=1), np.linalg.norm(force, axis=1) * np.linalg.norm(branch, axis=1)
+    expected = -np.sort(-np.stack([dot, 0 * dot, 0 * dot], axis=1), axis=1)
+    np.testing.assert_allclose(values / size[:, None], expected / size[:, None], atol=1e-12)
+    clear = np.abs(dot) > 0.01 * size
+    along = np.where((dot > 0)[:, None], vectors[:, 0], vectors[:, 2])
+    np.testing.assert_allclose(
+        np.abs((along * force).sum(axis=1) / np.linalg.norm(force, axis=1))[clear], 1, atol=1e-12
+    )
+    values, vectors = _pairs_of(np.stack([np.diag(d) for d in ([3.0, 1, 2], [1, 1, 1], [2, 1, 2], [0, 0, 0])]))
+    np.testing.assert_allclose(values, [[3, 2, 1], [1, 1, 1], [2, 2, 1], [0, 0, 0]], rtol=1e-15)
+    np.testing.assert_array_equal(np.abs(vectors).sum(axis=1), 1)  # the axes, each of them once
+    few = np.eye(3, k=1)  # one eigenvector for all three eigenvalues
+    _pairs_of(np.stack([few, few.T, few * [[1], [0], [0]], few.T * [[0], [1], [0]], few.T * [[0], [0], [1]]]))

@@ -10,7 +10,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.compiled.eigen import principal
+from xcg.compiled.contacts import blank_rows_of_zeros, scale_tensors
+from xcg.compiled.eigen import principal, principal_of_any
 from xcg.scene.conform import takes_scene
 from xcg.scene.contacts import Contacts
 from xcg.scene.frame import particle_rows, steps_in
@@ -105,14 +106,10 @@ class StressRule:
     def evaluate(self, frame: Frame, contacts: Contacts, lattice: Lattice, source: str) -> Frame:
         """Stress of each particle of a frame, and its principal values, by name."""
         stress = contacts.dyads
-        stress /= self.volumes(frame, lattice, source)[:, None, None]
-        if self.symmetric:
-            stress = 0.5 * (stress + stress.transpose(0, 2, 1))
-            values, vectors = np.empty((len(stress), 3)), np.empty((len(stress), 3, 3))
-            principal(stress, values, vectors)
-        else:
-            values, vectors = _principal_of_raw(stress)
-        vectors[~stress.any(axis=(1, 2))] = np.nan
+        values, vectors = np.empty((len(stress), 3)), np.empty((len(stress), 3, 3))
+        scale_tensors(stress, self.volumes(frame, lattice, source), self.symmetric)
+        (principal if self.symmetric else principal_of_any)(stress, values, vectors)
+        blank_rows_of_zeros(stress, vectors)
         return {
             "stress": stress,
             "principal_stress": values,
@@ -123,16 +120,6 @@ class StressRule:
 
 
 _CONTACTS = (*(name for name in CONTACT_VARIABLES if name != "contact_normal"), "contact_force")
-
-
-def _principal_of_raw(stress: NDArray) -> tuple[NDArray, NDArray]:
-    """Real eigenvalues, largest first, and right eigenvectors of matrices that are not symmetric; NaN where complex."""
-    values, columns = np.linalg.eig(stress)
-    real = np.where(np.imag(values) == 0, np.real(values), np.nan)
-    order = np.argsort(-real, axis=1)  # NaN last
-    vectors = np.take_along_axis(np.real(columns).transpose(0, 2, 1), order[:, :, None], axis=1)
-    real = np.take_along_axis(real, order, axis=1)
-    return real, np.where(np.isnan(real)[:, :, None], np.nan, vectors)
 
 
 def carries(result: Mapping[str, NDArray]) -> NDArray:

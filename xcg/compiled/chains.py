@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from xcg.compiled._jit import jit
-from xcg.compiled.eigen import descending, diagonalise
+from xcg.compiled.eigen import principal
 
 UNSEEN, TOO_SHORT = -1, -2
 # A straight chain has no plane: its second extent is below this share of the first (variances, so 1e-5 in length).
@@ -294,8 +294,10 @@ def describe_chains(members, first, place, stress, links, lengths, edges, branch
         Axes of the largest and smallest extent, the largest component positive; the normal of a straight chain
         is NaN. Set here.
     """
-    spread, axes, centre = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3)
-    for k in range(lengths.size):
+    count = lengths.size
+    spread, extent, axes = np.zeros((count, 3, 3)), np.empty((count, 3)), np.empty((count, 3, 3))
+    centre = np.zeros(3)
+    for k in range(count):
         size = first[k + 1] - first[k]
         lengths[k], edges[k], branches[k], mean[k] = size, 0, 0, 0.0
         centre[:] = 0.0
@@ -306,18 +308,17 @@ def describe_chains(members, first, place, stress, links, lengths, edges, branch
             for a in range(3):
                 centre[a] += (place[p, a] - place[members[first[k]], a]) / size
         edges[k] //= 2
-        spread[:] = 0.0
         for p in members[first[k] : first[k + 1]]:
             for a in range(3):
                 for b in range(3):
-                    spread[a, b] += (place[p, a] - place[members[first[k]], a] - centre[a]) * (
+                    spread[k, a, b] += (place[p, a] - place[members[first[k]], a] - centre[a]) * (
                         place[p, b] - place[members[first[k]], b] - centre[b]
                     )
-        diagonalise(spread, axes)
-        largest, middle, smallest = descending(spread)
-        _fold(axes[:, largest], orientation[k])
-        _fold(axes[:, smallest], normal[k])
-        if spread[middle, middle] <= _STRAIGHT * spread[largest, largest]:
+    principal(spread, extent, axes)
+    for k in range(count):
+        _fold(axes[k, 0], orientation[k])
+        _fold(axes[k, 2], normal[k])
+        if extent[k, 1] <= _STRAIGHT * extent[k, 0]:
             normal[k] = math.nan
 
 

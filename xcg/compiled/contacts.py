@@ -1,5 +1,7 @@
 """Loops over contacts and the rows of their particles: sums by row, vectors between rows, the k-core of a network."""
 
+import math
+
 from xcg.compiled._jit import leaf
 from xcg.compiled.arrays import nearest_image
 from xcg.compiled.lattice import nearest_of
@@ -77,6 +79,31 @@ def add_dyads(row, sign, a, b, out):
             for i in range(3):
                 for j in range(3):
                     out[row[n], i, j] += sign * a[n, i] * b[n, j]
+
+
+@leaf
+def scale_tensors(tensor, divisor, symmetric):
+    """Divide tensors (n, 3, 3) by numbers (n,), and take their symmetric part if that is asked for, in place."""
+    for n in range(tensor.shape[0]):
+        for i in range(3):
+            for j in range(3):
+                tensor[n, i, j] /= divisor[n]
+        if symmetric:
+            for i in range(2):
+                for j in range(i + 1, 3):
+                    tensor[n, i, j] = tensor[n, j, i] = 0.5 * (tensor[n, i, j] + tensor[n, j, i])
+
+
+@leaf
+def blank_rows_of_zeros(tensor, out):
+    """Write NaN to those tensors of `out` (n, 3, 3) whose twins in `tensor` are zero."""
+    for n in range(tensor.shape[0]):
+        largest = 0.0
+        for i in range(3):
+            for j in range(3):
+                largest = max(largest, abs(tensor[n, i, j]))
+        if largest == 0.0:
+            out[n] = math.nan
 
 
 @leaf
