@@ -5,6 +5,7 @@ import subprocess
 import sys
 import warnings
 from pathlib import Path
+from unittest import mock
 
 import numba
 import numpy as np
@@ -107,6 +108,24 @@ def test_numbers_by_their_address(store):
             fence()
             simd.store_fence.py_func()
             assert memory[index] == value
+
+
+@pytest.mark.parametrize("compresses", sorted({False, simd._COMPRESSES}))
+@pytest.mark.parametrize("dtype", ["float64", "float32", "int32"])
+def test_numbers_that_are_kept(dtype, compresses):
+    rng = np.random.default_rng(10)
+    with mock.patch.object(simd, "_COMPRESSES", compresses):
+        keep = compiled(simd.keep8, 8)
+        for many in range(1, 17):
+            before, tests = np.arange(100).astype(dtype).reshape(2, 50), 2 * rng.random(16)
+            by_compiler, by_python, k = before.copy(), before.copy(), 8 * (many > 8)
+            count = keep(by_compiler, 1, 3, 0, 20, tests, k, many)
+            assert simd.keep8.py_func(by_python, 1, 3, 0, 20, tests, k, many) == count
+            kept = [20 + n for n in range(min(8, many - k)) if tests[k + n] < 1.0]
+            assert by_compiler[1, 3 : 3 + count].tolist() == by_python[1, 3 : 3 + count].tolist() == kept
+            by_compiler[1, 3 + count : 11] = before[1, 3 + count : 11]
+            by_compiler[1, 3 : 3 + count] = before[1, 3 : 3 + count]
+            assert_same_bits(by_compiler, before)
 
 
 def test_eight_rows_transposed():

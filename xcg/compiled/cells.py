@@ -3,7 +3,7 @@
 The twins of `nodes_in_ball` and `nodes_around_segment` for points that form no mesh. Lengths are in units of the
 cutoff, as for a mesh. Cells are numbered ``(ix ny + iy) nz + iz``, and points are sorted by the cell that they are in,
 so that the points of neighbouring cells along z are one run. The distances of a run are computed in a loop that the
-compiler turns into vector instructions; then the numbers of those within reach are written, without a branch, and last
+compiler turns into vector instructions; then the numbers of those within reach are written, eight at a time, and last
 comes what the lists hold of them.
 """
 
@@ -14,7 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled._jit import leaf
-from xcg.compiled.reach import ALONG, LISTS, NODE, NUMBERS, PAD, Q2, ROW2, ROW_DOT, ROW_Y, Lists, X, Y, Z, padded
+from xcg.compiled.reach import ALONG, LISTS, NODE, NUMBERS, PAD, Q2, ROW, ROW2, ROW_DOT, ROW_Y, Lists, X, Y, Z, padded
+from xcg.compiled.simd import EIGHT, keep8
+
+_EIGHT = np.uint64(EIGHT)
 
 
 class Cells(NamedTuple):
@@ -46,9 +49,11 @@ class Cells(NamedTuple):
 
 
 def lists_for_points(count: int, real: str = "float64") -> Lists:
-    """Make lists for up to `count` points."""
+    """Make lists for up to `count` points; the integers come with a table of their numbers."""
     room = padded(count) + PAD
-    return Lists(np.zeros((LISTS, room), real), np.zeros((NUMBERS, room), "int32"))
+    numbers = np.zeros((NUMBERS, room), "int32")
+    numbers[ROW] = np.arange(room)
+    return Lists(np.zeros((LISTS, room), real), numbers)
 
 
 @leaf
@@ -93,9 +98,8 @@ def points_in_ball(x, y, z, cells, lists):
             for k in range(np.uint64(padded(many))):
                 a, b, c = x - px[first + k], y - py[first + k], z - pz[first + k]
                 q2[k] = a * a + b * b + c * c
-            for k in range(many):
-                numbers[NODE, hits] = first + k
-                hits += np.uint64(q2[k] < 1.0)
+            for k in range(np.uint64(0), many, _EIGHT):
+                hits += keep8(numbers, NODE, hits, ROW, first + k, q2, k, many)
     for k in range(hits):
         n = np.uint64(numbers[NODE, k])
         a, b, c = x - px[n], y - py[n], z - pz[n]
@@ -144,8 +148,8 @@ def points_around_segment(x, y, z, bx, by, bz, per_length, cells, lists):
                 r2, foot = a * a + b * b + c * c, a * ex + b * ey + c * ez
                 past = foot - min(length, max(zero, foot))
                 q2[k], along[k], away[k] = r2, foot, r2 - foot * foot + past * past
-            for k in range(many):
-                numbers[NODE, hits] = first + k
-                values[Q2, hits], values[ALONG, hits] = q2[k], along[k]
-                hits += np.uint64(away[k] < 1.0)
+            for k in range(np.uint64(0), many, _EIGHT):
+                keep8(values, Q2, hits, ROW2, k, away, k, many)
+                keep8(values, ALONG, hits, ROW_DOT, k, away, k, many)
+                hits += keep8(numbers, NODE, hits, ROW, first + k, away, k, many)
     return np.int64(hits)

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from llvmlite import ir
+from llvmlite import binding, ir
 from numba import types
 from numba.core import cgutils, config
 from numba.extending import intrinsic
@@ -160,6 +160,65 @@ def ramp8(lists, to, squares, at, first, step, origin, factor):
     d = (real(first) + np.arange(EIGHT, dtype=real)) * real(step) - real(origin)
     lists[to, at : at + EIGHT] = real(factor) * d
     lists[squares, at : at + EIGHT] = d * d
+
+
+def _compresses() -> bool:
+    """Whether this processor, and this LLVM, move the chosen numbers of a vector to its front in one instruction."""
+    try:
+        features = binding.get_host_cpu_features()
+    except RuntimeError:  # unknown
+        return False
+    return binding.llvm_version_info >= (19,) and bool(features.get("avx512vl"))
+
+
+_COMPRESSES = _compresses()
+
+
+def _keep8(typingctx, lists, to, at, row, first, tests, k, many):
+    def generate(context, builder, signature, args):
+        place, _ = typed(context, builder, signature, args)
+        short, byte = ir.IntType(32), ir.IntType(8)
+        test, align = pointer_to(context, builder, signature.args[5], args[5], [place(6)], EIGHT)
+        values = builder.load(test, align=align)
+        near = builder.fcmp_ordered("<", values, ir.Constant(values.type, [1.0] * EIGHT))
+        left = builder.trunc(builder.sub(place(7), place(6)), short)
+        lanes = ir.Constant(ir.VectorType(short, EIGHT), list(range(EIGHT)))
+        near = builder.and_(near, builder.icmp_unsigned("<", lanes, _vector(builder, [left] * EIGHT)))
+        source, align = pointer_to(context, builder, signature.args[0], args[0], [place(3), place(4)], EIGHT)
+        target, _ = pointer_to(context, builder, signature.args[0], args[0], [place(1), place(2)], EIGHT)
+        numbers = builder.load(source, align=align)
+        if _COMPRESSES:
+            number = signature.args[0].dtype
+            kind = f"{'i' if isinstance(number, types.Integer) else 'f'}{number.bitwidth}"
+            of = ir.FunctionType(numbers.type, [numbers.type, near.type, numbers.type])
+            name = f"llvm.experimental.vector.compress.v{EIGHT}{kind}"
+            compress = cgutils.get_or_insert_function(builder.module, of, name)
+            zeros = ir.Constant(numbers.type, None)
+            builder.store(builder.call(compress, [numbers, near, zeros]), target, align=align)
+            count = cgutils.get_or_insert_function(builder.module, ir.FunctionType(byte, [byte]), "llvm.ctpop.i8")
+            return builder.zext(builder.call(count, [builder.bitcast(near, byte)]), ir.IntType(64))
+        found = ir.Constant(ir.IntType(64), 0)
+        start = builder.bitcast(target, numbers.type.element.as_pointer())
+        for lane in range(EIGHT):  # what is not kept is overwritten by the next
+            index = ir.Constant(short, lane)
+            builder.store(builder.extract_element(numbers, index), builder.gep(start, [found]), align=align)
+            found = builder.add(found, builder.zext(builder.extract_element(near, index), found.type))
+        return found
+
+    return types.uint64(lists, to, at, row, first, tests, k, many), generate
+
+
+@compiled_as(_keep8)
+def keep8(lists, to, at, row, first, tests, k, many):
+    """Write some of ``lists[row, first : first + 8]`` to ``lists[to]``, from `at` on: where ``tests[k : k + 8] < 1``.
+
+    From the `many`-th test on none is written. Returns how many were; memory that follows them is spoilt, up to eight
+    numbers from `at` on.
+    """
+    near = (tests[k : k + EIGHT] < 1.0)[: int(many) - int(k)]
+    kept = lists[row, first : first + EIGHT][: len(near)][near]
+    lists[to, at : at + len(kept)] = kept
+    return np.uint64(len(kept))
 
 
 def _prefetch(typingctx, array, row):
