@@ -9,6 +9,7 @@ from vtkmodules.vtkIOXML import vtkXMLImageDataReader
 import xcg
 from tests import steps_of_random_scenes
 from xcg.readers.vtp import read_collection
+from xcg.writers import vti
 
 
 def read(path):
@@ -61,3 +62,33 @@ def test_what_is_no_image_is_refused(tmp_path):
     with pytest.raises(ValueError, match="dimensions"):
         scene.cg.save(tmp_path / "f.pvd")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_shorter_series_takes_the_place_of_a_longer_one(tmp_path):
+    """Steps that only the old list names go; files of other names stay."""
+    f = steps_of_random_scenes(4).cg.coarse_grain("density", axes="z", spacing=1.0)
+    other = tmp_path / "f_0009.vti"
+    other.write_text("mine")
+    f.cg.save(tmp_path / "f.pvd")
+    f.isel(time=[0, 3]).cg.save(tmp_path / "f.pvd", overwrite=True)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["f.pvd", "f_0000.vti", "f_0001.vti", other.name]
+    assert [time for _, time in read_collection(str(tmp_path / "f.pvd"))] == f.time.values[[0, 3]].tolist()
+
+
+def test_a_series_that_cannot_be_finished_leaves_the_old_one(tmp_path, monkeypatch):
+    """Until all new steps are written, list and steps are the old ones; nothing hidden is left."""
+    f = steps_of_random_scenes(3).cg.coarse_grain("density", axes="z", spacing=1.0)
+    f.cg.save(tmp_path / "f.pvd")
+    before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
+    write = vti.write_by_vtk
+
+    def fail(writer, data, path, **more):
+        if path.name == "f_0002.vti":
+            msg = "full"
+            raise OSError(msg)
+        write(writer, data, path, **more)
+
+    monkeypatch.setattr(vti, "write_by_vtk", fail)
+    with pytest.raises(OSError, match="full"):
+        (2 * f).cg.save(tmp_path / "f.pvd", overwrite=True)
+    assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before

@@ -53,7 +53,7 @@ def whole_file(path: Path, *, overwrite: bool, room: int = 0) -> Iterator[Path]:
         if room:
             _reserve(part, room)
         yield part
-        _publish(part, path, overwrite=overwrite)
+        publish(part, path, overwrite=overwrite)
     except (OSError, RuntimeError) as error:  # netCDF4 raises RuntimeError
         problem = _cannot_write(path, error)
         if problem is None:
@@ -181,7 +181,7 @@ def hdf5_file(path: Path, mode: str) -> Iterator[h5py.File]:
         sink.check()
 
 
-def _publish(part: Path, path: Path, *, overwrite: bool) -> None:
+def publish(part: Path, path: Path, *, overwrite: bool) -> None:
     """Give a whole file its name, once its bytes are on the disk."""
     with open(part, "rb+") as file:
         os.fsync(file.fileno())

@@ -31,17 +31,43 @@ def whole_folder(path: Path, *, overwrite: bool) -> Iterator[Path]:
         aside = path.with_name(f".{path.name}.replaced")
         _recover(path, aside)
         check_target(path, overwrite=overwrite)
-        part = part_of(path)
-        temporary.add(part)
-        try:
+        with _part(path) as part:
             yield part
             if overwrite and path.exists():
                 path.rename(aside)
             _publish(part, path, aside)
             remove(aside)
-        finally:
-            _remove_for_good(part)
-            temporary.discard(part)
+
+
+@contextmanager
+def hidden_folder(path: Path) -> Iterator[Path]:
+    """Give a new folder beside `path` for files that are not whole yet; it goes in the end.
+
+    So does what a process left that was killed.
+
+    Raises
+    ------
+    FileExistsError
+        If another process is writing `path`.
+    """
+    with locked(path.with_name(f".{path.name}.lock"), str(path)):
+        for left in leftovers(path):
+            remove(left)
+        with _part(path) as part:
+            part.mkdir()
+            yield part
+
+
+@contextmanager
+def _part(path: Path) -> Iterator[Path]:
+    """Give a temporary name beside `path`; what stands there in the end is removed."""
+    part = part_of(path)
+    temporary.add(part)
+    try:
+        yield part
+    finally:
+        _remove_for_good(part)
+        temporary.discard(part)
 
 
 def _recover(path: Path, aside: Path) -> None:
