@@ -6,17 +6,19 @@ import gzip
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
 
 import dask
 import h5py
 import numpy as np
+import pandas as pd
 
 import xcg
 from tests import dumps, real_data
 from tests.lammps_forms import binary_step, rows_of, write_netcdf
 from tests.test_mfix import OLD_ASCII, write_by_vtk, write_contacts, write_particles, write_pvd, write_vtp
-from tests.test_vtk_points import write_spheres
+from tests.test_vtk_points import write_lines, write_spheres
 
 ROOT = Path(__file__).parents[2]
 
@@ -112,6 +114,19 @@ def _use_csv(folder: Path) -> None:
     fields_of(xcg.open_scene(folder / "p.csv", contacts=folder / "c.csv", engine="table", density=2.0))
 
 
+def _parquet(folder: Path) -> dict[str, bytes]:
+    grains = {"time": [0.0, 0, 1, 1], "id": [0, 1, 0, 1], "x": [0.4, 0.59, 0.4, 0.59], "y": [0.5] * 4, "z": [0.5] * 4,
+              "vx": [1.0] * 4, "vy": [0.0] * 4, "vz": [0.0] * 4, "radius": [0.1] * 4}  # fmt: skip
+    pairs = {"time": [0.0, 1.0], "id1": [0, 0], "id2": [1, 1], "fx": [1.0, 2.0], "fy": [0.0] * 2, "fz": [3.0] * 2}
+    for name, table in (("p", grains), ("c", pairs)):
+        pd.DataFrame(table).to_parquet(folder / f"{name}.parquet")
+    return {name: (folder / name).read_bytes() for name in ("p.parquet", "c.parquet")}
+
+
+def _use_parquet(folder: Path) -> None:
+    fields_of(xcg.open_scene(folder / "p.parquet", contacts=folder / "c.parquet", engine="table", density=2.0))
+
+
 def _hdf5(folder: Path) -> dict[str, bytes]:
     with h5py.File(folder / "run.h5", "w") as file:
         for k in range(2):
@@ -139,11 +154,13 @@ def _use_hdf5(folder: Path) -> None:
 def _vtu(folder: Path) -> dict[str, bytes]:
     x = np.array([[0.4, 0.5, 0.5], [0.59, 0.5, 0.5]])
     write_spheres(folder / "s.1.vtu", x, radii=[0.1, 0.1], id=[0, 1], linVelVec=x)
-    return {"s.1.vtu": (folder / "s.1.vtu").read_bytes()}
+    write_lines(folder / "c.1.vtp", [x], "Binary", first=[0], second=[1], F=[[1.0, 2, 3]])
+    return {name: (folder / name).read_bytes() for name in ("s.1.vtu", "c.1.vtp")}
 
 
 def _use_vtu(folder: Path) -> None:
-    fields_of(xcg.open_scene(folder / "s.1.vtu", engine="vtk", density=2.0))
+    names = {"first": "contact_i", "second": "contact_j", "F": "contact_force"}
+    fields_of(xcg.open_scene(folder / "s.1.vtu", contacts=folder / "c.1.vtp", engine="vtk", names=names, density=2.0))
 
 
 def _liggghts(folder: Path) -> dict[str, bytes]:
@@ -292,6 +309,7 @@ TARGETS = {
     "vtu": Target(_vtu, _use_vtu),
     "liggghts": Target(_liggghts, _use_liggghts),
     "mercury": Target(_mercury, _use_mercury),
+    **({"parquet": Target(_parquet, _use_parquet)} if find_spec("pyarrow") else {}),
     "mfix": Target(_mfix, _use_mfix),
     "vtp": Target(_vtp, _use_vtp),
     "ini": Target(_ini, _use_job("config.ini"), frozenset({"job/P_0150.vtp"})),

@@ -19,7 +19,9 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,11 +64,20 @@ CONTACT_NAMES = {
 }
 _NORMAL, _TANGENTIAL, _OVERLAP = "FORCE_CHAIN_FN", "FORCE_CHAIN_FT", "FORCE_CHAIN_OVERLAP"
 _POINT, _LENGTH = "FORCE_CHAIN_CONTACT_POINT", "FORCE_CHAIN_LENGTH"
+LINES = "lines"  # kind of a step whose contacts are lines
 _SHAPES = "SQP_"  # begins the names of the shapes that files of superquadrics list
 
 
 class Mfix(Engine):
-    """Region output of MFiX-DEM."""
+    """Region output of MFiX-DEM.
+
+    Attributes
+    ----------
+    READS_LINES : bool
+        Whether contacts may be lines, with arrays of cells.
+    """
+
+    READS_LINES: ClassVar[bool] = False
 
     def recognises(self, path: str) -> bool:
         """Tell whether this is a VTK PolyData file or a collection of them."""
@@ -98,7 +109,7 @@ class Mfix(Engine):
             content, and particles without ids.
         """
         refs = index_files(paths, options)
-        found = [targets(ref.columns, "particle", options, ref.path) for ref in refs]
+        found = [targets(ref, "particle", options) for ref in refs]
         nameless = [ref for ref, target in zip(refs, found, strict=True) if "particle_id" not in target]
         if nameless:
             msg = (
@@ -117,7 +128,7 @@ class Mfix(Engine):
         SceneError
             Also if ids or forces are not among the arrays.
         """
-        refs = index_files(paths, options)
+        refs = index_files(paths, options, lines=self.READS_LINES)
         for ref in refs:
             there = self.contact_variables(ref, options)
             lacking = [name for name in ("contact_i", "contact_j", "contact_force") if name not in there]
@@ -132,14 +143,14 @@ class Mfix(Engine):
 
     def contact_variables(self, ref: StepRef, options: ReadOptions) -> list[str]:
         """List the variables that `read_contacts` returns, from the header alone."""
-        found = targets(ref.columns, "contact", options, ref.path)
+        found = targets(ref, "contact", options)
         if {_NORMAL, _TANGENTIAL} <= set(ref.columns):
             found.setdefault("contact_force", "")
         return list(found)
 
     def ignored_columns(self, ref: StepRef, options: ReadOptions, *, contacts: bool = False) -> list[str]:
         """Arrays of a step that are not read."""
-        read = {*targets(ref.columns, "contact" if contacts else "particle", options, ref.path).values()}
+        read = {*targets(ref, "contact" if contacts else "particle", options).values()}
         if contacts:
             read |= {_NORMAL, _TANGENTIAL, _OVERLAP, _POINT, _LENGTH}
         return [array for array in ref.columns if array not in read]
@@ -157,7 +168,7 @@ class Mfix(Engine):
         SceneError
             If the file is damaged or changed since it was indexed, or ids are too large for Float32.
         """
-        frame, _ = _read(_open(ref), targets(ref.columns, "particle", options, ref.path))
+        frame, _ = _read(_open(ref), targets(ref, "particle", options))
         ids = frame.get("particle_id", np.empty(0))
         if ids.size and ids.max() >= EXACT and len(np.unique(ids)) < len(ids):
             msg = (
@@ -206,10 +217,10 @@ class Mfix(Engine):
 # --- index -----------------------------------------------------------------------------------------------
 
 
-def index_files(paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
-    """List the steps of files and collections, each time once."""
+def index_files(paths: Sequence[str], options: ReadOptions, *, lines: bool = False) -> list[StepRef]:
+    """List the steps of files and collections, each time once; of lines where files hold some and they are wanted."""
     there = _existing(paths, options)
-    found = remembered([path for path, _ in there], "vtp", _header)
+    found = remembered([path for path, _ in there], f"vtp {lines=}", partial(_header, lines=lines))
     refs = []
     for number, ((path, listed), steps) in enumerate(zip(there, found, strict=True)):
         digits = re.findall(r"\d+", os.path.basename(path).removesuffix(".vtp"))
@@ -218,10 +229,11 @@ def index_files(paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
     return _once(refs)
 
 
-def _header(path: str) -> list[StepRef]:
+def _header(path: str, *, lines: bool) -> list[StepRef]:
     """Tell the one step of a file from its header."""
-    header = vtp.read_header(path)
-    return [StepRef(path, rows=header.points, time=header.time, columns=header.names, size=header.size)]
+    header = vtp.read_header(path, lines=lines)
+    kind = LINES if header.of_lines else ""
+    return [StepRef(path, rows=header.rows, time=header.time, columns=header.names, size=header.size, kind=kind)]
 
 
 def _existing(paths: Sequence[str], options: ReadOptions) -> list[tuple[str, float | None]]:
@@ -287,9 +299,10 @@ def _region(ref: StepRef) -> str:
 # --- names -----------------------------------------------------------------------------------------------
 
 
-def targets(columns: Sequence[str], dim: str, options: ReadOptions, path: str) -> dict[str, str]:
+def targets(ref: StepRef, dim: str, options: ReadOptions) -> dict[str, str]:
     """Scene names of one dimension and the arrays that they are read from."""
-    points = {columns[0]: "position" if dim == "particle" else "contact_point"}
+    columns, path = ref.columns, ref.path
+    points = {} if ref.kind == LINES else {columns[0]: "position" if dim == "particle" else "contact_point"}
     defaults = points | (PARTICLE_NAMES if dim == "particle" else CONTACT_NAMES)
     given = {a: name for a, name in options.names.items() if name is not None and variable(name).dims[0] == dim}
     absent = [array for array in given if array not in columns]
@@ -308,8 +321,8 @@ def targets(columns: Sequence[str], dim: str, options: ReadOptions, path: str) -
 
 
 def _open(ref: StepRef) -> vtp.Header:
-    header = vtp.read_header(ref.path)
-    if (header.points, header.names) != (ref.rows, ref.columns) or (ref.size and header.size != ref.size):
+    header = vtp.read_header(ref.path, lines=ref.kind == LINES)
+    if (header.rows, header.names) != (ref.rows, ref.columns) or (ref.size and header.size != ref.size):
         msg = f"{ref.path}: the file changed after the scene was opened; open the scene again"
         raise SceneError(msg)
     return header
@@ -356,14 +369,14 @@ class _Rows:
     @classmethod
     def of(cls, ref: StepRef, options: ReadOptions) -> _Rows:
         header = _open(ref)
-        found = targets(ref.columns, "contact", options, ref.path)
+        found = targets(ref, "contact", options)
         points, more = header.names[0], {_NORMAL, _TANGENTIAL, _OVERLAP, _POINT, _LENGTH}
         frame, arrays = _read(header, found, [points, *sorted(more & set(header.names))])
         if "contact_force" not in frame:
             frame["contact_force"] = arrays[_NORMAL] + arrays[_TANGENTIAL]
         mark = arrays.get(_NORMAL, arrays.get(_OVERLAP, frame["contact_force"]))
-        place, length = arrays[points], arrays.get(_LENGTH, np.zeros(header.points))
-        superquadric = np.zeros(header.points, bool)
+        place, length = arrays[points], arrays.get(_LENGTH, np.zeros(header.rows))
+        superquadric = np.zeros(header.rows, bool)
         if {_POINT, _LENGTH} <= set(arrays):
             superquadric = of_superquadrics(place, arrays[_POINT], length)
             place = np.where(superquadric[:, None], arrays[_POINT], place)
@@ -375,7 +388,7 @@ class _Rows:
             raise SceneError(msg)
         if found.get("contact_point") == points and points not in options.names:
             frame |= {"contact_point": place, "point_is_middle": ~superquadric}
-        frame["row_of_file"] = np.arange(header.points)
+        frame["row_of_file"] = np.arange(header.rows)
         return cls(frame, mark, place, length, superquadric)
 
 

@@ -1,4 +1,4 @@
-"""VTK PolyData and unstructured grids of any code: a point for each particle or contact, arrays by ``names=``."""
+"""VTK PolyData and unstructured grids of any code: a point for each particle, a point or a line for each contact."""
 
 from __future__ import annotations
 
@@ -29,7 +29,9 @@ _KNOWN = {
 
 
 class Vtk(mfix.Mfix):
-    """Points of any code; files, times and series are those of MFiX."""
+    """Points and lines of any code, arrays by ``names=``; files, times and series are those of MFiX."""
+
+    READS_LINES = True
 
     def recognises(self, path: str) -> bool:
         """Tell unstructured grids; PolyData is taken for that of MFiX where no engine is named."""
@@ -43,7 +45,7 @@ class Vtk(mfix.Mfix):
         """List the steps of particles, one a file."""
         refs = mfix.index_files(paths, options)
         for ref in refs:
-            mfix.targets(ref.columns, "particle", _named(ref, options), ref.path)
+            mfix.targets(ref, "particle", _named(ref, options))
         return refs
 
     def read_particles(self, ref: StepRef, options: ReadOptions) -> Frame:
@@ -51,8 +53,8 @@ class Vtk(mfix.Mfix):
         return super().read_particles(ref, _named(ref, options))
 
     def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
-        """Read the contacts of one step as they stand: points are contact points."""
-        return mfix.read_arrays(ref, mfix.targets(ref.columns, "contact", options, ref.path))
+        """Read the contacts of one step as they stand: points are contact points, those of lines follow from radii."""
+        return mfix.read_arrays(ref, mfix.targets(ref, "contact", options))
 
     def ignored_columns(self, ref: StepRef, options: ReadOptions, *, contacts: bool = False) -> list[str]:
         """Arrays of a step that are not read."""

@@ -22,6 +22,7 @@ from xcg.scene.schema import SceneError
 _HEAD = 1 << 14  # headers of MFiX take 2 to 5 kB
 _LONGEST_TAG = 4096
 _MOST_COMPONENTS = 100
+_OTHER_CELLS = ("Cells", "Verts", "Strips", "Polys")
 _TYPES = {f"{kind}{bits}": f"{letter}{bits // 8}" for kind, letter, all_bits in (
     ("Int", "i", (8, 16, 32, 64)), ("UInt", "u", (8, 16, 32, 64)), ("Float", "f", (32, 64)),
 ) for bits in all_bits}  # fmt: skip
@@ -66,29 +67,37 @@ class Header:
         The file.
     size : int
         Its size in bytes.
-    points : int
-        Number of points.
+    rows : int
+        Number of points, or of lines.
     time : float or None
         Physical time (s) from the comment that MFiX writes.
     arrays : tuple of Array
-        The coordinates of the points, then the arrays of point data.
+        The coordinates of the points, then the arrays of point data; or the arrays of the lines.
     encoding : Encoding
         Byte order, type of lengths, and compression.
     field_names : tuple of str
         Names of the arrays that belong to no point.
+    of_lines : bool
+        Whether rows are lines.
     """
 
     path: str
     size: int
-    points: int
+    rows: int
     time: float | None
     arrays: tuple[Array, ...]
     encoding: Encoding
     field_names: tuple[str, ...] = ()
+    of_lines: bool = False
+
+    @property
+    def what(self) -> str:
+        """How many rows there are, in words."""
+        return f"{self.rows} {'lines' if self.of_lines else 'points'}"
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the arrays; the first one is that of the points."""
+        """Names of the arrays; the first one of points is that of their coordinates."""
         return tuple(array.name for array in self.arrays)
 
 
@@ -184,8 +193,10 @@ def _text(path: str) -> tuple[str, str | None, int | None, int]:
     return text.decode("latin-1"), encoding, marker + 1 if marker >= 0 else None, size
 
 
-def read_header(path: str) -> Header:
+def read_header(path: str, *, lines: bool = False) -> Header:
     """Read the header of a ``.vtp`` or ``.vtu`` file, of its points, and check that the file is as long as it says.
+
+    Where `lines` are wanted and cells have arrays, rows are lines, and the arrays those of cells.
 
     Only the first kilobytes are read where data are appended; files with values in the XML (old ASCII output)
     are scanned as a whole, because the names of their arrays are spread over them.
@@ -193,14 +204,16 @@ def read_header(path: str) -> Header:
     Raises
     ------
     SceneError
-        If this is no VTK PolyData of one piece, or shorter than its header promises.
+        If this is no VTK PolyData of one piece, or shorter than its header promises; or lines are wanted, and there are
+        cells of other kinds beside them.
     """
     text, appended, body, size = _text(path)
     time = _TIME.search(text[:_LONGEST_TAG])
     text = _without_comments(text)
     _refuse(path, text, "PolyData", "UnstructuredGrid")
     root = _attributes(next(_tags(text, "VTKFile"))[0])
-    pieces = [attributes for attributes, _ in _tags(text, "Piece")]
+    pieces = [_attributes(attributes) for attributes, _ in _tags(text, "Piece")]
+    of_lines = lines and len(pieces) == 1 and _has_lines(text, pieces[0], path)
     sections = [_section(text, "Points"), _section(text, "PointData")]
     if len(pieces) != 1 or sections[0] is None or (sections[1] is None and "<PointData" in text):
         msg = (
@@ -213,21 +226,35 @@ def read_header(path: str) -> Header:
         msg = f"{path}: its XML is damaged: elements do not close in the order in which they open; leave the file out"
         raise SceneError(msg)
     encoding = _encoding(root, path)
-    points = _whole(_attributes(pieces[0]).get("NumberOfPoints"), "NumberOfPoints", path)
+    counted, sections = ("NumberOfLines", [_section(text, "CellData")]) if of_lines else ("NumberOfPoints", sections)
+    rows = _whole(pieces[0].get(counted), counted, path)
     tags = [(_attributes(tag), end) for s in sections if s for tag, end in _tags(text, "DataArray", *s)]
     if any(tag.get("format") == "appended" for tag, _ in tags) and (appended not in ("raw", "base64") or not body):
         msg = f"{path}: its header names appended data, but none follows; the file was cut short, leave it out"
         raise SceneError(msg)
     arrays = tuple(_array(tag, path, text, end, (appended or "", body or 0, size)) for tag, end in tags)
-    if not arrays or arrays[0].components != 3:
+    if not of_lines and (not arrays or arrays[0].components != 3):
         msg = f"{path}: its points have no array with three components; the file is not by MFiX, or damaged"
         raise SceneError(msg)
     section = _section(text, "FieldData")
     named = tuple(_attributes(tag).get("Name", "") for tag, _ in _tags(text, "DataArray", *section)) if section else ()
-    header = Header(path, size, points, _time(time[1]) if time else None, arrays, encoding, named)
+    header = Header(path, size, rows, _time(time[1]) if time else None, arrays, encoding, named, of_lines)
     for array in arrays:
         _check_size(header, array)
     return header
+
+
+def _has_lines(text: str, piece: dict[str, str], path: str) -> bool:
+    """Whether the arrays of cells are those of lines, of which there may be none; false where there are no arrays."""
+    section = _section(text, "CellData")
+    if section is None or not any(_tags(text, "DataArray", *section)):
+        return False
+    lines = _whole(piece.get("NumberOfLines", "0"), "NumberOfLines", path)
+    others = [kind for kind in _OTHER_CELLS if _whole(piece.get(f"NumberOf{kind}", "0"), f"NumberOf{kind}", path)]
+    if lines and others:
+        msg = f"{path}: holds {' and '.join(others)} beside Lines; write the contacts, as lines, to files of their own"
+        raise SceneError(msg)
+    return not others
 
 
 def _encoding(root: dict[str, str], path: str) -> Encoding:
@@ -274,12 +301,12 @@ def _type(header: Header, array: Array) -> np.dtype[np.generic]:
 
 def _check_size(header: Header, array: Array) -> None:
     """Compare what the header promises with the bytes that there are."""
-    values, room = header.points * array.components, max(0, array.stop - array.start)
+    values, room = header.rows * array.components, max(0, array.stop - array.start)
     needed = 2 * values - 1 if array.form == "ascii" else values * _type(header, array).itemsize
     there = room if array.form == "ascii" else header.encoding.room(room * 3 // 4 if array.form == "base64" else room)
     if needed > there:
         msg = (
-            f"{header.path}: its header promises {header.points} points, for which '{array.name}' needs {needed} "
+            f"{header.path}: its header promises {header.what}, for which '{array.name}' needs {needed} "
             f"bytes, but {there} follow in the {header.size} of the file; it was cut short, or is still being "
             "written. Leave it out, or write it again"
         )
@@ -310,12 +337,12 @@ def read_arrays(header: Header, names: Sequence[str]) -> dict[str, NDArray[np.fl
     for array in header.arrays:
         if array.name not in names or array.name in result:
             continue
-        shape = (header.points, array.components) if array.components > 1 else (header.points,)
+        shape = (header.rows, array.components) if array.components > 1 else (header.rows,)
         try:
             result[array.name] = _read(header, array).reshape(shape)
         except DataError as error:
             msg = (
-                f"{header.path}: '{array.name}' is not as its header says, which promises {header.points} points: "
+                f"{header.path}: '{array.name}' is not as its header says, which promises {header.what}: "
                 f"{error}; leave the file out, or write it again"
             )
             raise SceneError(msg) from None
@@ -323,7 +350,7 @@ def read_arrays(header: Header, names: Sequence[str]) -> dict[str, NDArray[np.fl
 
 
 def _read(header: Header, array: Array) -> NDArray[np.float64]:
-    count = header.points * array.components
+    count = header.rows * array.components
     if not count:
         return np.empty(0)
     with open(header.path, "rb") as file:
