@@ -13,7 +13,13 @@ SCRIPTS = sorted((ROOT / "examples" / "gallery").glob("*/*.py"))
 
 # measured, expected, and how far apart they are at most as a share of the expected: names that the script defines
 CHECKS = {
+    "bedload": ("carried", "load", 0.02),
+    "chute_profiles": ("carried", "load", 0.002),
     "cooling_gas": ("fitted", "tau", 0.02),
+    "dense_suspension": ("jammed", "measured", 0.03),
+    "glued_spheres": ("carried", "load", 0.001),
+    "impact": ("contact", "expected", 0.01),
+    "segregation": ("mass", "expected", 1e-4),
 }
 
 

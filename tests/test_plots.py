@@ -52,6 +52,20 @@ def test_a_map_shows_the_field_with_arrows_of_the_flow(result):
     assert ax.figure.axes[1].get_ylabel() == "volume fraction"
 
 
+def test_a_map_over_radius_and_height():
+    """r is across, z up, and arrows have the components along both."""
+    ds = xcg.datasets.random_scene(60, seed=1, periodic="", gravity=(0, 0, -1))
+    frame = xcg.Cylindrical(origin=(2.5, 2.5, 0))
+    ends = {"r": (0.0, 2.0), "z": (1.0, 4.0)}
+    f = ds.cg.coarse_grain(["density", "velocity"], axes="rz", frame=frame, bounds=ends, width=1.0, spacing=0.5)
+    ax = f.cg.plot("density")
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("r [m]", "z [m]")
+    mesh, arrows = ax.collections
+    np.testing.assert_array_equal(mesh.get_array(), f.density.isel(time=-1).transpose("z", "r"))
+    rise = f.velocity.isel(time=-1).sel(component="z").transpose("z", "r")
+    np.testing.assert_array_equal(arrows.V.reshape(rise.shape)[:, 1:], rise[:, 1:])  # on the axis r has no direction
+
+
 def test_a_map_of_a_vector_is_its_magnitude_and_one_of_both_signs_is_white_at_zero(result):
     _, f = result
     (mesh, _) = f.cg.plot("velocity").collections
@@ -122,7 +136,7 @@ def test_refused(result, tmp_path):
         f.cg.plot("density", component="x")
     with pytest.raises(ValueError, match=r"at={'y': 1.0}: the axes of this result are x, z"):
         f.cg.plot(at={"y": 1.0})
-    with pytest.raises(ValueError, match="plot draws along one or two of x, y, z"):
+    with pytest.raises(ValueError, match="plot draws along one or two of r, x, y, z"):
         f.isel(x=0, z=0).cg.plot()
     with pytest.raises(ValueError, match=r"ends with \.gif or \.mp4"):
         f.cg.movie(tmp_path / "f.avi")

@@ -28,6 +28,12 @@ class _Sample:
 
 # what the wheel holds stands in pyproject.toml
 _SAMPLES = {
+    "bedload": _Sample(
+        "lammps_bedload",
+        "particles.*.dump.gz",
+        "contacts.*.dump.gz",
+        {"frozen": 2, "gravity": (0.0, 0.0, -5.886), "names": {"v_fx": "drag", "v_fz": None}},
+    ),
     "chute": _Sample(
         "lammps_chute",
         "particles.00050000.dump.gz",
@@ -35,7 +41,26 @@ _SAMPLES = {
         {"gravity": (0.4067, 0.0, -0.9135)},
     ),
     "cooling": _Sample("lammps_cooling"),
+    "glued": _Sample(
+        "lammps_glued",
+        contacts="contacts.dump.gz",
+        options={
+            "names": {"mol": "body_id"},
+            "walls": {"floor": "f_floor[*]"},
+            "gravity": (0.258819, 0.0, -0.965926),
+        },
+    ),
+    "impact": _Sample(
+        "lammps_impact",
+        "particles.*.dump.gz",
+        "contacts.*.dump.gz",
+        {"walls": {"floor": "f_floor[*]"}, "gravity": (0.0, 0.0, -9.81), "names": {"fz": "force_z"}},
+    ),
     "plane_shear": _Sample("lammps_plane_shear", "particles.*.dump.gz", "contacts.*.dump.gz"),
+    "segregation": _Sample("lammps_segregation", "particles.*.dump.gz", options={"frozen": 2}),
+    "suspension": _Sample(
+        "lammps_suspension", "particles.*.dump.gz", "contacts.*.dump.gz", {"shear_rate": {"xy": 1.0}}
+    ),
 }
 _FOLDERS = (Path(__file__).parent / "data", Path(__file__).parents[1] / "examples" / "data")
 

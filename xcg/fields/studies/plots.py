@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 ARROWS = 20  # along the longer axis of a map
 _ARROW = "arrow_"
+_AXES = ("r", *COMPONENTS)  # in the order in which maps have them across and up
 ERROR = "_error"  # what `time_average` adds to the name of a field
 
 
@@ -219,7 +220,7 @@ def _part(
     cut = _slice(f, at)
     axes = _axes(cut)
     if not 1 <= len(axes) <= 2 or "point" in cut.dims:
-        msg = f"plot draws along one or two of x, y, z; the dimensions of this result are {', '.join(map(str, f.dims))}"
+        msg = f"plot draws along one or two of r, x, y, z; the dimensions of this result are {', '.join(map(str, f.dims))}"
         raise ValueError(msg)
     value = cut[name]
     if "direction" in value.dims and (component is None or direction is None):
@@ -279,7 +280,7 @@ def _one_step(part: xr.Dataset, time: int, phase: int | str | None) -> xr.Datase
 
 
 def _axes(f: xr.Dataset) -> list[str]:
-    return [a for a in COMPONENTS if a in f.dims]
+    return [a for a in _AXES if a in f.dims]
 
 
 def _limits(steps: list[xr.DataArray]) -> tuple[float, float]:
@@ -365,13 +366,13 @@ def _named(value: xr.DataArray, name: str) -> str:
 
 def _label(value: xr.DataArray, name: str) -> str:
     unit = str(value.attrs.get("units", "")).removesuffix("1").strip()
-    text = name if name in COMPONENTS else _named(value, name)
+    text = name if name in _AXES else _named(value, name)
     return f"{text} [{unit}]" if unit else text
 
 
 def _title(picture: xr.Dataset) -> str:
     """Tell when, and where a result was cut."""
-    said = [a for a in ("time", "phase", *COMPONENTS) if a in picture.coords and not picture[a].ndim]
+    said = [a for a in ("time", "phase", *_AXES) if a in picture.coords and not picture[a].ndim]
     parts = []
     for name in said:
         value, unit = picture[name].item(), str(picture[name].attrs.get("units", "")).removesuffix("1")
