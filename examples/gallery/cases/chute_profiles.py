@@ -64,9 +64,8 @@ ax.legend()
 plt.show()
 
 carried, load = float(stress.sel(z=5)), float(above[1].sel(z=5))
-print(
-    f"at z = 5 contacts carry {carried:.2f}; weight and acceleration above make {load:.2f}, weight {above[0].sel(z=5):.2f}"
-)
+at_5 = f"{load:.2f} with accelerations, {above[0].sel(z=5):.2f} by weight alone"
+print(f"at z = 5 contacts carry {carried:.2f}; what is above makes {at_5}")
 
 # %%
 # The two agree to the 0.1 % that half a time step between forces and velocities costs. Below :math:`z = 2` the spheres

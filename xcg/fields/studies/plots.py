@@ -220,7 +220,7 @@ def _part(
     cut = _slice(f, at)
     axes = _axes(cut)
     if not 1 <= len(axes) <= 2 or "point" in cut.dims:
-        msg = f"plot draws along one or two of r, x, y, z; the dimensions of this result are {', '.join(map(str, f.dims))}"
+        msg = f"plot draws along one or two of r, x, y, z; this result has the dimensions {', '.join(map(str, f.dims))}"
         raise ValueError(msg)
     value = cut[name]
     if "direction" in value.dims and (component is None or direction is None):
