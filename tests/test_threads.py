@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from xcg.fields.sums.blocks import for_each
+from xcg.compiled.threads import for_each
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3, 8])

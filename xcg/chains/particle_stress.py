@@ -10,8 +10,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.compiled import THREADS
 from xcg.compiled.contacts import blank_rows_of_zeros, scale_tensors
 from xcg.compiled.eigen import principal, principal_of_any
+from xcg.compiled.threads import for_parts
 from xcg.scene.conform import takes_scene
 from xcg.scene.contacts import Contacts
 from xcg.scene.frame import particle_rows, steps_in
@@ -20,9 +22,11 @@ from xcg.scene.query import edges_of, require_scene, setup_of
 from xcg.scene.schema import CONTACT_VARIABLES, OF_STEP, VARIABLES, Frame, SceneError, Variable
 from xcg.scene.sizes import layer_depth
 from xcg.steps.label import empty_results, label, results_of
-from xcg.steps.map import map_over_time
+from xcg.steps.map import chunks_in, map_over_time
 
 VOLUMES = ("particle", "disc")
+# Fewer particles than this are not worth a second thread.
+PARTICLES_A_THREAD = 20_000
 # Eigenvalues below this share of the whole tensor are rounding.
 ROUNDING = 1e-12
 
@@ -85,9 +89,10 @@ class StressRule:
         size = ("diameter",) if self.disc else ("volume",)
         return tuple(dict.fromkeys(("particle_id", *_CONTACTS, *size, *self.spheres)))
 
-    def contacts(self, frame: Frame, lattice: Lattice, source: str) -> Contacts:
-        """Join the contacts of a frame to its particles."""
-        contacts = Contacts.of(frame, lattice, source)
+    def contacts(self, frame: Frame, lattice: Lattice, source: str, threads: int) -> Contacts:
+        """Join the contacts of a frame to its particles; threads share a step of many."""
+        threads = min(threads, 1 + len(frame["particle_id"]) // PARTICLES_A_THREAD)
+        contacts = Contacts.of(frame, lattice, source, threads)
         return contacts.with_overlaps(frame["diameter"], frame["overlap"]) if self.spheres else contacts
 
     def volumes(self, frame: Frame, lattice: Lattice, source: str) -> NDArray:
@@ -107,9 +112,15 @@ class StressRule:
         """Stress of each particle of a frame, and its principal values, by name."""
         stress = contacts.dyads
         values, vectors = np.empty((len(stress), 3)), np.empty((len(stress), 3, 3))
-        scale_tensors(stress, self.volumes(frame, lattice, source), self.symmetric)
-        (principal if self.symmetric else principal_of_any)(stress, values, vectors)
-        blank_rows_of_zeros(stress, vectors)
+        volumes, axes_of = self.volumes(frame, lattice, source), principal if self.symmetric else principal_of_any
+
+        def write(first: int, last: int) -> None:
+            some = slice(first, last)
+            scale_tensors(stress[some], volumes[some], self.symmetric)
+            axes_of(stress[some], values[some], vectors[some])
+            blank_rows_of_zeros(stress[some], vectors[some])
+
+        for_parts(len(stress), write, contacts.threads)
         return {
             "stress": stress,
             "principal_stress": values,
@@ -183,17 +194,19 @@ def particle_stress(
     """
     rule = StressRule.of(ds, "particle_stress", symmetric=symmetric, volume=volume)
     names = [*rule.variables, *(name for name in OF_STEP if name in ds)]
-    arrays = map_over_time(ds, names, partial(_compute, rule), results_of(RESULTS, ds.sizes), "particle-stress",
-                           on_error)  # fmt: skip
+    threads = THREADS if chunks_in(ds, names) == 1 else 1
+    arrays = map_over_time(
+        ds, names, partial(_compute, rule, threads), results_of(RESULTS, ds.sizes), "particle-stress", on_error
+    )
     return label(ds, RESULTS, arrays, f"particle_stress(symmetric={symmetric}, volume={volume!r})")
 
 
-def _compute(rule: StressRule, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
+def _compute(rule: StressRule, threads: int, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
     """Stress of the particles of one chunk of time, from padded arrays."""
     ids = arrays["particle_id"]
     out = empty_results(RESULTS, {"particle": ids.shape[1]}, len(ids)) | {"particle_id": ids}
     for t, (frame, lattice, source) in enumerate(steps_in(arrays, rule.periodic)):
-        rows, contacts = particle_rows(ids[t]), rule.contacts(frame, lattice, source)
+        rows, contacts = particle_rows(ids[t]), rule.contacts(frame, lattice, source, threads)
         for name, values in rule.evaluate(frame, contacts, lattice, source).items():
             out[name][t][rows] = values
     return out

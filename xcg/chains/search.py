@@ -13,14 +13,16 @@ from numpy.typing import NDArray
 from xcg.chains.particle_stress import StressRule, carries
 from xcg.chains.regions import Region
 from xcg.chains.results import CHAINS, COPIED, RESULTS, result_sizes, statistics_of
+from xcg.compiled import THREADS
 from xcg.compiled import chains as kernel
+from xcg.compiled.threads import for_parts
 from xcg.scene.conform import takes_scene
 from xcg.scene.frame import particle_rows, steps_in
 from xcg.scene.lattice import Lattice
 from xcg.scene.query import require_scene
 from xcg.scene.schema import BOX, OF_STEP, PADDING, Frame
 from xcg.steps.label import empty_results, label, results_of
-from xcg.steps.map import map_over_time
+from xcg.steps.map import chunks_in, map_over_time
 
 ALGORITHMS = ("branching", "peters2005")
 # Angles that exceed alpha by less (radians) count as equal to it, stresses that fall short of the threshold by less
@@ -168,15 +170,16 @@ def force_chains(
     }  # fmt: skip
     sizes = result_sizes(ds.sizes["particle"], ds.sizes["contact"], rule.min_length)
     names = [*rule.variables, *(name for name in ("frozen", "time", *OF_STEP) if name in ds)]
-    arrays = map_over_time(ds, names, partial(_compute, rule), results_of(RESULTS, sizes), "force-chains",
-                           on_error)  # fmt: skip
+    threads = THREADS if chunks_in(ds, names) == 1 else 1
+    arrays = map_over_time(
+        ds, names, partial(_compute, rule, threads), results_of(RESULTS, sizes), "force-chains", on_error
+    )
     call = ", ".join(f"{name}={value!r}" for name, value in given.items() if value is not None)
-    result = label(ds, RESULTS, arrays, f"force_chains({call})")
     lengths = rule.min_length + np.arange(sizes["length"])
-    result = result.assign_coords(length=("length", lengths, {"units": "1", "long_name": "particles of a chain"}))
-    for name in BOX.keys() & ds:
-        result[name] = ds[name].variable
-    return result.assign_attrs(alpha=float(alpha), min_length=rule.min_length, algorithm=algorithm)
+    further = {name: ds.variables[name] for name in BOX if name in ds}
+    further["length"] = xr.Variable("length", lengths, {"units": "1", "long_name": "particles of a chain"})
+    about = {"alpha": float(alpha), "min_length": rule.min_length, "algorithm": algorithm}
+    return label(ds, RESULTS, arrays, f"force_chains({call})", further, **about)
 
 
 def _rule(
@@ -215,14 +218,14 @@ def _rule(
     return SearchRule(stress, cosine, threshold, int(min_length), algorithm == "peters2005", one_sided, region)
 
 
-def _compute(rule: SearchRule, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
+def _compute(rule: SearchRule, threads: int, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
     """Chains of one chunk of time, from padded arrays."""
     ids, keys = arrays["particle_id"], arrays["contact_i"]
     sizes = result_sizes(ids.shape[1], keys.shape[1], rule.min_length)
     out = empty_results({n: row for n, row in RESULTS.items() if n not in COPIED}, sizes, len(ids))
     for t, (frame, lattice, source) in enumerate(steps_in(arrays, rule.stress.periodic)):
         time = float(arrays["time"][t]) if "time" in arrays else 0.0
-        found = find_chains(rule, frame, lattice, time, source)
+        found = find_chains(rule, frame, lattice, time, source, threads)
         count = len(found["chain_particles"])
         rows = {"particle": particle_rows(ids[t]), "contact": keys[t] != PADDING, "chain": slice(count)}
         for name, values in found.items():
@@ -232,9 +235,12 @@ def _compute(rule: SearchRule, arrays: Mapping[str, NDArray]) -> dict[str, NDArr
     return out | {name: arrays[name] for name in COPIED}
 
 
-def find_chains(rule: SearchRule, frame: Frame, lattice: Lattice, time: float, source: str) -> Frame:
-    """Chains of one frame: arrays by particle, by contact and by chain, by the names in `RESULTS`."""
-    contacts = rule.stress.contacts(frame, lattice, source)
+def find_chains(rule: SearchRule, frame: Frame, lattice: Lattice, time: float, source: str, threads: int = 1) -> Frame:
+    """Chains of one frame: arrays by particle, by contact and by chain, by the names in `RESULTS`.
+
+    Threads share the stress and the test of contacts; the search itself, of links alone, is one thread's.
+    """
+    contacts = rule.stress.contacts(frame, lattice, source, threads)
     stress = rule.stress.evaluate(frame, contacts, lattice, source)
     major, onward = stress["major_stress"], np.nan_to_num(stress["major_direction"])
     qualifies = rule.qualifies(frame, stress, time, lattice)
@@ -242,7 +248,12 @@ def find_chains(rule: SearchRule, frame: Frame, lattice: Lattice, time: float, s
     branch = contacts.between
 
     aligned = np.empty(len(i), bool)
-    kernel.aligned_contacts(i, j, branch, onward, qualifies, rule.cosine, aligned)
+
+    def test(first: int, last: int) -> None:
+        some = slice(first, last)
+        kernel.aligned_contacts(i[some], j[some], branch[some], onward, qualifies, rule.cosine, aligned[some])
+
+    for_parts(len(i), test, contacts.threads)
     start, contact = kernel.rows_of_contacts(i, j, aligned, particles)
     seeds = np.flatnonzero(qualifies)
     chain, parent = np.full(particles, kernel.UNSEEN), np.full(particles, kernel.UNSEEN)

@@ -9,7 +9,9 @@ import math
 import numpy as np
 
 from xcg.compiled._jit import jit
+from xcg.compiled.contacts import AHEAD
 from xcg.compiled.eigen import principal
+from xcg.compiled.simd import prefetch
 
 UNSEEN, TOO_SHORT = -1, -2
 # A straight chain has no plane: its second extent is below this share of the first (variances, so 1e-5 in length).
@@ -38,6 +40,9 @@ def aligned_contacts(i, j, branch, direction, qualifies, cosine, aligned):
         Set here.
     """
     for c in range(i.size):
+        later = min(c + AHEAD, i.size - 1)
+        prefetch(direction, i[later])
+        prefetch(direction, j[later])
         p, q = i[c], j[c]
         aligned[c] = False
         if p < 0 or q < 0 or not (qualifies[p] and qualifies[q]):

@@ -72,13 +72,18 @@ def k_core(row_i, row_j, weight, least, degree, kept):
 
 
 @leaf
-def add_dyads(row, sign, a, b, out):
-    """Add sign a b, (n, 3) each, to the rows of out (m, 3, 3) that `row` (n,) names; negative rows are left out."""
+def add_dyads(row, sign, a, b, first, out):
+    """Add sign a b, (n, 3) each, to the rows that `row` (n,) names, of which out (m, 3, 3) are those from `first` on.
+
+    Rows before and after those of `out` are left out: threads that share the rows need not wait for each other.
+    """
     for n in range(row.size):
-        if row[n] >= 0:
+        prefetch(out, row[min(n + AHEAD, row.size - 1)] - first)
+        m = row[n] - first
+        if row[n] >= 0 and 0 <= m < out.shape[0]:
             for i in range(3):
                 for j in range(3):
-                    out[row[n], i, j] += sign * a[n, i] * b[n, j]
+                    out[m, i, j] += sign * a[n, i] * b[n, j]
 
 
 @leaf
@@ -147,6 +152,7 @@ def side(position, row, point, n, period, lattice):
 def sides(row, position, point, period, lattice, out):
     """Write the vectors (n, 3) from contact points to the centres of some rows, see `side`."""
     for n in range(row.size):
+        prefetch(position, row[min(n + AHEAD, row.size - 1)])
         out[n, 0], out[n, 1], out[n, 2] = side(position, row[n], point, n, period, lattice)
 
 

@@ -62,13 +62,15 @@ def locate(position, level, corner, period, lower, inverse, cells, first_cell, w
 
 
 @jit
-def write_records(place, wrapped, radius, records, row):
+def write_records(place, wrapped, radius, first, records, row):
     """Write particles to their places among all, sorted by cell.
 
     Parameters
     ----------
     place : (n,)
         Place of each particle.
+    first : int
+        Row of the first of these particles.
     records : (n, 4)
         x, y, z, radius in the order of the cells, set here.
     row : (n,)
@@ -78,7 +80,7 @@ def write_records(place, wrapped, radius, records, row):
         at = place[i]
         records[at, 0], records[at, 1], records[at, 2] = wrapped[i, 0], wrapped[i, 1], wrapped[i, 2]
         records[at, 3] = radius[i]
-        row[at] = i
+        row[at] = first + i
 
 
 @jit
@@ -203,26 +205,45 @@ def _grown(buffer, least):
 
 
 @jit
-def sort_pairs(left, right, row, pairs):
-    """Pairs of records as pairs of rows, the lower row first, sorted: two counting sorts, linear in rows + pairs.
+def rows_of_pairs(left, right, row):
+    """Turn pairs of records into pairs of rows, the lower row `left`, in place; `row` (n,) is that of each record."""
+    for n in range(left.size):
+        i, j = row[left[n]], row[right[n]]
+        left[n], right[n] = min(i, j), max(i, j)
+
+
+@jit
+def sort_pairs(low, high, rows, first, last, pairs):
+    """Write the pairs whose lower row is of a range to their places among all that are sorted, by both rows.
+
+    Two counting sorts, linear in rows + pairs.
 
     Parameters
     ----------
-    left, right : (m,)
-        Pairs of records.
-    row : (n,)
-        Row of each record.
+    low, high : (m,)
+        Lower and higher row of all pairs.
+    rows : int
+        Number of rows.
+    first, last : int
+        The range of lower rows.
     pairs : (m, 2)
-        Set here.
+        Those of the range are set here.
     """
-    low, high, place = np.empty(left.size, row.dtype), np.empty(left.size, row.dtype), np.empty(left.size, np.int64)
-    for n in range(left.size):
-        i, j = row[left[n]], row[right[n]]
-        low[n], high[n] = min(i, j), max(i, j)
-    counting_sort_places(high, np.zeros(row.size + 1, np.int64), place)
-    low_by_high, high_by_high = np.empty(left.size, row.dtype), np.empty(left.size, row.dtype)
-    for n in range(left.size):
-        low_by_high[place[n]], high_by_high[place[n]] = low[n], high[n]
-    counting_sort_places(low_by_high, np.zeros(row.size + 1, np.int64), place)
-    for n in range(left.size):
-        pairs[place[n], 0], pairs[place[n], 1] = low_by_high[n], high_by_high[n]
+    before, count = 0, 0
+    for n in range(low.size):
+        before += low[n] < first
+        count += first <= low[n] < last
+    own_low, own_high, place = np.empty(count, low.dtype), np.empty(count, low.dtype), np.empty(count, np.int64)
+    count = 0
+    for n in range(low.size):
+        if first <= low[n] < last:
+            own_low[count], own_high[count] = low[n] - first, high[n]
+            count += 1
+    counting_sort_places(own_high, np.zeros(rows + 1, np.int64), place)
+    low_by_high, high_by_high = np.empty(count, low.dtype), np.empty(count, low.dtype)
+    for n in range(count):
+        low_by_high[place[n]], high_by_high[place[n]] = own_low[n], own_high[n]
+    counting_sort_places(low_by_high, np.zeros(last - first + 1, np.int64), place)
+    for n in range(count):
+        at = before + place[n]
+        pairs[at, 0], pairs[at, 1] = low_by_high[n] + first, high_by_high[n]

@@ -12,11 +12,12 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.compiled import THREADS
+from xcg.compiled.threads import for_each
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.program import program_for
 from xcg.fields.places.grid import check_mesh
 from xcg.fields.plan import Plan, scale_of
-from xcg.fields.sums.blocks import BLOCK_NODES, Block, for_each
+from xcg.fields.sums.blocks import BLOCK_NODES, Block
 from xcg.fields.sums.deposit import BlockSums, sums_of_frame
 from xcg.scene.frame import steps_in
 from xcg.scene.lattice import Lattice

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from xcg.compiled import pairs as kernel
 from xcg.compiled.arrays import counting_sort_places
+from xcg.compiled.threads import for_parts
 
 # Largest over smallest radius within a level, where the caller gives no number of levels. A level costs each smaller
 # particle four or five runs of cells (20 ns each), a wide level more tests (2 ns each): between 2.5 and 4 the search
@@ -127,8 +128,9 @@ class CellLists:
 
     @classmethod
     def of(
-        cls, position: NDArray, radius: NDArray, corner: NDArray, period: NDArray, *, skin: float, levels: int | None
-    ) -> CellLists:
+        cls, position: NDArray, radius: NDArray, corner: NDArray, period: NDArray, *, skin: float, levels: int | None,
+        threads: int = 1,
+    ) -> CellLists:  # fmt: skip
         """Sort particles into `levels` levels (None: as many as their sizes ask for)."""
         # a layer is sorted along y, so that runs of cells stay long
         axes = [2, 0, 1] if np.ptp(position[:, 2]) <= 2 * radius.max() + skin else [0, 1, 2]
@@ -140,24 +142,26 @@ class CellLists:
         chosen = Levels.of(largest, members, lower, upper, period, skin, slack)
         count = len(position)
         wrapped, cell = np.empty((count, 3)), np.empty(count, "int64")
-        kernel.locate(
-            position,
-            level,
-            corner,
-            period,
-            chosen.lower,
-            chosen.inverse,
-            chosen.cells,
-            chosen.first_cell,
-            wrapped,
-            cell,
-        )
+
+        def locate(first: int, last: int) -> None:
+            some = slice(first, last)
+            kernel.locate(
+                position[some], level[some], corner, period, chosen.lower, chosen.inverse, chosen.cells,
+                chosen.first_cell, wrapped[some], cell[some],
+            )  # fmt: skip
+
+        for_parts(count, locate, threads)
         # the sort leaves where each cell ends, and the next begins
         starts, place = np.zeros(chosen.total + 2, "int32"), np.empty(count, "int64")
         counting_sort_places(cell, starts[1:], place)
         starts = starts[:-1]
         records, row = np.empty((count, 4)), np.empty(count, "int32")
-        kernel.write_records(place, wrapped, radius, records, row)
+
+        def write(first: int, last: int) -> None:
+            some = slice(first, last)
+            kernel.write_records(place[some], wrapped[some], radius[some], first, records, row)
+
+        for_parts(count, write, threads)
         first_record = np.concatenate([[0], np.cumsum(members)])
         return cls(chosen, records, row, first_record, starts, period, skin, slack)
 

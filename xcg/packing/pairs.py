@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xcg.compiled import THREADS
-from xcg.compiled.pairs import sort_pairs
+from xcg.compiled.pairs import rows_of_pairs, sort_pairs
+from xcg.compiled.threads import for_parts
 from xcg.packing.cells import CellLists
 from xcg.scene.box import box_array, with_lattice
 from xcg.scene.contacts import MOST_A_PARTICLE, MOST_PAIRS
@@ -124,32 +124,29 @@ def _near(
     threads: int | None, most: int | None,
 ) -> NDArray:  # fmt: skip
     """Pairs of spheres in a box with periods along the axes, or none."""
-    lists = CellLists.of(centres, radii, corner, period, skin=skin, levels=1 if method == "linked-cell" else levels)
     workers = threads or min(THREADS, 1 + len(centres) // PARTICLES_A_THREAD)
+    levels = 1 if method == "linked-cell" else levels
+    lists = CellLists.of(centres, radii, corner, period, skin=skin, levels=levels, threads=workers)
     most = max(MOST_PAIRS, MOST_A_PARTICLE * len(centres), most or 0)
     counts = [0]
 
-    def find(first: int, last: int) -> tuple[NDArray, NDArray, int]:
-        part = lists.find(first, last, most - sum(counts))
-        counts.append(len(part[0]))
-        return part
+    def find(first: int, last: int) -> tuple[NDArray, NDArray]:
+        left, right, _ = lists.find(first, last, most - sum(counts))
+        counts.append(len(left))
+        rows_of_pairs(left, right, lists.row)
+        return left, right
 
-    if workers == 1:
-        found = [find(0, len(centres))]
-    else:
-        # more parts than threads, as large particles take longer than small ones
-        cuts = np.linspace(0, len(centres), 8 * workers + 1, dtype=int)
-        with ThreadPoolExecutor(workers) as pool:
-            found = list(pool.map(find, cuts[:-1], cuts[1:]))
+    # more parts than threads, as large particles take longer than small ones
+    found = for_parts(len(centres), find, workers, each=8)
     if sum(counts) > most:
         msg = (
             f"more than {most} pairs of near particles among {len(centres)}: positions coincide, or diameters or skin= "
             "are too large for their unit. Where so many are meant, give most= (max_contacts= of find_contacts)"
         )
         raise SceneError(msg)
-    left, right = (np.concatenate([part[side] for part in found]) for side in (0, 1))
-    pairs = np.empty((len(left), 2), "int64")
-    sort_pairs(left, right, lists.row, pairs)
+    low, high = (np.concatenate([part[side] for part in found]) for side in (0, 1))
+    pairs = np.empty((len(low), 2), "int64")
+    for_parts(len(centres), lambda first, last: sort_pairs(low, high, len(centres), first, last, pairs), workers)
     return pairs
 
 

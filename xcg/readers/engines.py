@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
+from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
 
 from xcg.readers.engine import Engine
@@ -25,7 +27,7 @@ _OWN = {
 def engine_table() -> dict[str, EntryPoint]:
     """List the engines by name; those of this package come first, and first when files are recognised."""
     found = {name: EntryPoint(name, place, GROUP) for name, place in _OWN.items()}
-    for entry in entry_points(group=GROUP):
+    for entry in _installed(tuple(sys.path)):
         taken = found.setdefault(entry.name, entry)
         if taken.value != entry.value:
             warn_user(
@@ -33,6 +35,12 @@ def engine_table() -> dict[str, EntryPoint]:
                 f"{entry.value}, as engine="
             )
     return found
+
+
+@lru_cache(maxsize=1)
+def _installed(places: tuple[str, ...]) -> tuple[EntryPoint, ...]:
+    """Engines of the packages in these places; to find them, a file of each package there is read."""
+    return tuple(entry_points(group=GROUP))
 
 
 def all_engines() -> Iterator[Engine]:

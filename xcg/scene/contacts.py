@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from xcg.compiled.arrays import counting_sort_places
 from xcg.compiled.contacts import add_dyads, add_rows, add_unit_squares, between, k_core, sides
 from xcg.compiled.lattice import Reduced
+from xcg.compiled.threads import for_parts
 from xcg.scene.complete import repeated_pairs, rows_of, unit_vectors
 from xcg.scene.lattice import Lattice
 from xcg.scene.plausible import check_contacts
@@ -45,6 +46,8 @@ class Contacts:
         Unit vector from j to i, where the data hold it.
     given_branches : tuple of array (n, 3) or None
         Branches of i and j, where they are known better than from centres and contact points.
+    threads : int
+        Threads that share the loops over contacts; results do not depend on it.
     """
 
     i: NDArray
@@ -57,9 +60,10 @@ class Contacts:
     key_j: NDArray
     given_normal: NDArray | None
     given_branches: tuple[NDArray, NDArray] | None = None
+    threads: int = 1
 
     @classmethod
-    def of(cls, frame: Frame, lattice: Lattice, source: str = "scene") -> Contacts:
+    def of(cls, frame: Frame, lattice: Lattice, source: str = "scene", threads: int = 1) -> Contacts:
         """Join the contacts of a frame to the rows of its particles; `source` names the step in warnings."""
         check_contacts(frame, lattice, source)
         ids, position = frame["particle_id"], frame["position"]
@@ -68,7 +72,7 @@ class Contacts:
         normal = frame.get("contact_normal")
         # contacts found from positions without a stiffness have no forces
         force = frame["contact_force"] if "contact_force" in frame else np.zeros_like(point)
-        return cls(row_i, row_j, force, point, position, lattice, key_i, key_j, normal)
+        return cls(row_i, row_j, force, point, position, lattice, key_i, key_j, normal, threads=threads)
 
     @cached_property
     def branches(self) -> tuple[NDArray, NDArray]:
@@ -85,8 +89,12 @@ class Contacts:
 
     def _sides(self, row: NDArray) -> NDArray:
         """Vectors (n, 3) from the contact points to one particle of each contact, zero where it is not there."""
-        out = np.empty_like(self.point)
-        sides(row, self.position, self.point, *self.periods, out)
+        out, periods = np.empty_like(self.point), self.periods
+
+        def write(first: int, last: int) -> None:
+            sides(row[first:last], self.position, self.point[first:last], *periods, out[first:last])
+
+        for_parts(len(row), write, self.threads)
         return out
 
     @property
@@ -130,8 +138,13 @@ class Contacts:
         """
         if self.given_branches is not None:
             return self.branch_i - self.branch_j
-        out = np.empty_like(self.point)
-        between(self.i, self.j, self.position, self.point, *self.periods, out)
+        out, periods = np.empty_like(self.point), self.periods
+
+        def write(first: int, last: int) -> None:
+            some = slice(first, last)
+            between(self.i[some], self.j[some], self.position, self.point[some], *periods, out[some])
+
+        for_parts(len(out), write, self.threads)
         return out
 
     @cached_property
@@ -217,9 +230,13 @@ class Contacts:
     @property
     def dyads(self) -> NDArray:
         """Sum over contacts of f a for each particle, force times branch (J); shape (particles, 3, 3)."""
-        total = np.zeros((len(self.position), 3, 3))
-        add_dyads(self.i, 1.0, self.force, self.branch_i, total)
-        add_dyads(self.j, -1.0, self.force, self.branch_j, total)
+        total, (branch_i, branch_j) = np.zeros((len(self.position), 3, 3)), self.branches
+
+        def add(first: int, last: int) -> None:
+            add_dyads(self.i, 1.0, self.force, branch_i, first, total[first:last])
+            add_dyads(self.j, -1.0, self.force, branch_j, first, total[first:last])
+
+        for_parts(len(total), add, self.threads)
         return total
 
     @property

@@ -38,20 +38,31 @@ def empty_results(variables: Mapping[str, Variable], sizes: Mapping[Any, int], s
     return {name: np.full((steps, *_shape(row, sizes)), row.fill, row.dtype) for name, row in variables.items()}
 
 
-def label(ds: xr.Dataset, variables: Mapping[str, Variable], arrays: Mapping[str, Any], call: str) -> xr.Dataset:
-    """Label arrays, time first, as a result of the scene `ds`."""
+def label(
+    ds: xr.Dataset,
+    variables: Mapping[str, Variable],
+    arrays: Mapping[str, Any],
+    call: str,
+    further: Mapping[str, xr.Variable] | None = None,
+    **attrs: Any,
+) -> xr.Dataset:
+    """Label arrays, time first, as a result of the scene `ds`; with further variables, coordinates by their dimension.
+
+    All go into the Dataset as it is made: what is assigned to one afterwards costs nearly as much as making it.
+    """
     system = ds.attrs.get("unit_system", "SI")
     data = {}
     for name, array in arrays.items():
         if name == SKIPPED:
             continue
         row = variables[name]
-        attrs = {"units": units_of(row.powers, system), "long_name": row.long_name}
-        data[name] = xr.Variable(("time", *row.dims), array, attrs)
+        about = {"units": units_of(row.powers, system), "long_name": row.long_name}
+        data[name] = xr.Variable(("time", *row.dims), array, about)
+    data |= further or {}
     coords: dict[str, Any] = {name: ds[name].variable for name in ("time", "step") if name in ds.coords}
     used = {dim for variable in data.values() for dim in variable.dims}
     coords |= {dim: (dim, values) for dim, values in AXES.items() if dim in used}
-    return mark_skipped(storable(xr.Dataset(data, coords, provenance(ds, call))), arrays)
+    return mark_skipped(storable(xr.Dataset(data, coords, provenance(ds, call) | attrs)), arrays)
 
 
 def mark_skipped(result: xr.Dataset, arrays: Mapping[str, Any]) -> xr.Dataset:

@@ -12,7 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.compiled import THREADS
-from xcg.fields.sums.blocks import for_each
+from xcg.compiled.threads import for_each
 from xcg.writers.chunks import lock_for, over_time
 from xcg.writers.encoding import Encoding, deflated
 from xcg.writers.files import hdf5_file, whole_file

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise, product
 from typing import Any, Protocol, TypeAlias, TypeVar
@@ -19,29 +18,11 @@ from xcg.compiled.cells import Cells
 from xcg.compiled.reach import Lists, Nodes, Rows, lists_for
 from xcg.compiled.volumes import Volumes
 
-T = TypeVar("T")
 R = TypeVar("R")
 Taken: TypeAlias = tuple[Nodes, Rows | None, Cells | None, Volumes | None]  # nodes as loops take them
 
 # Sums are made over blocks of about this many nodes, so that memory holds those of a few blocks, not of all nodes.
 BLOCK_NODES = 110_000
-
-
-def for_each(items: Sequence[T], do: Callable[[T], R], threads: int) -> list[R]:
-    """Do something with each item, in turn or by several threads; return what it gave, raise an error of theirs.
-
-    The calling thread is one of them, from the last item on, as it has more memory at hand: see docs/design.md.
-    """
-    if threads == 1 or len(items) < 2:
-        return [do(item) for item in items]
-    with ThreadPoolExecutor(threads - 1) as pool:
-        others = [pool.submit(do, item) for item in items]
-        try:
-            own = {k: do(items[k]) for k in reversed(range(len(items))) if others[k].cancel()}
-            return [own[k] if k in own else other.result() for k, other in enumerate(others)]
-        finally:
-            for other in others:
-                other.cancel()
 
 
 def triple(values: ArrayLike) -> tuple[Any, Any, Any]:

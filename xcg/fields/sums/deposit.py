@@ -26,7 +26,8 @@ from xcg.compiled.segments import (
     list_segments,
 )
 from xcg.compiled.smoothing import CellKernel, KernelCode
-from xcg.fields.sums.blocks import NodeBlock, for_each, triple
+from xcg.compiled.threads import for_each
+from xcg.fields.sums.blocks import NodeBlock, triple
 from xcg.fields.sums.moments import CUTOFF_POWERS, MOMENTS, Moment
 from xcg.fields.sums.nodes import Grid
 from xcg.fields.sums.power import WALL_VELOCITY, velocities_of_walls
