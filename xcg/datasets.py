@@ -10,7 +10,6 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.readers.series import open_scene
 from xcg.scene.build import scene_from_arrays
 from xcg.scene.lattice import images_within, minimum_image
 from xcg.scene.schema import COMPONENTS
@@ -98,6 +97,8 @@ def open(name: str, **options: Any) -> xr.Dataset:  # noqa: A001
     if name not in _SAMPLES:
         msg = f"open({name!r}): the sample data are {', '.join(_SAMPLES)}; files of your own open with xcg.open_scene"
         raise ValueError(msg)
+    from xcg.readers.series import open_scene  # and with it dask, which scenes in memory do without
+
     sample = _SAMPLES[name]
     for folder in _FOLDERS:
         if (folder / sample.folder).is_dir():

@@ -140,6 +140,18 @@ for line in open("/proc/self/status"):
     if line.startswith("VmHWM"):
         print(line.split()[1])
 """
+SMALL_STEPS = """
+import sys, time
+import dask, xcg
+from tests.benchmarks.series import write_gzipped_dumps
+folder, particles, steps, threads = sys.argv[1], *map(int, sys.argv[2:])
+ds = xcg.open_scene(**write_gzipped_dumps(folder, particles, steps), density=2500.0)
+with dask.config.set(scheduler="threads", num_workers=threads):
+    for name, part in (("first", ds.isel(time=[0])), ("all", ds)):
+        begin = time.perf_counter(), time.process_time()
+        part.cg.coarse_grain().cg.save(f"{folder}/{name}.zarr")
+print(time.perf_counter() - begin[0], time.process_time() - begin[1])
+"""
 DUMPS = """
 import sys
 from tests.benchmarks.series import packings, write_dumps
@@ -173,6 +185,17 @@ def first_result() -> tuple[float, float]:
             fresh(FIRST, NUMBA_CACHE_DIR=folder)
             took.append(time.perf_counter() - begin)
     return took[0], took[1]
+
+
+def small_steps(particles: int, steps: int, threads: int) -> tuple[float, float]:
+    """Seconds and processor seconds a step, of a series of gzipped dumps to a Zarr folder of all fields.
+
+    In a process of its own, after a first step.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        took = fresh(SMALL_STEPS, folder, *map(str, (particles, steps, threads)), XCG_INDEX_CACHE="0")
+    seconds, busy = map(float, took.split())
+    return seconds / steps, busy / steps
 
 
 def peak_memory(case: Case, particles: int) -> float:

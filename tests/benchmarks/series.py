@@ -7,6 +7,7 @@ take no more room than four. Every step is still opened, read and parsed on its 
 from __future__ import annotations
 
 import base64
+import gzip
 import os
 import zlib
 from pathlib import Path
@@ -129,6 +130,19 @@ def write_dumps(folder: str | Path, ds: xr.Dataset, step: int) -> None:
     """Write the two files of a step."""
     for kind, text in zip("pc", dump_texts(ds, step), strict=True):
         Path(folder, f"{kind}.{step}.dump").write_text(text)
+
+
+def write_gzipped_dumps(folder: str | Path, particles: int, steps: int) -> dict[str, str]:
+    """A series of one packing, a pair of gzipped files a step: arguments for `xcg.open_scene`."""
+    (ds,) = packings(particles, 1)
+    texts = dict(zip("pc", dump_texts(ds, 0), strict=True))
+    for kind, text in texts.items():
+        begin, rest = text.split("ITEM: TIMESTEP\n0\n")
+        for step in range(steps):
+            begins = begin.replace("ITEM: TIME\n0\n", f"ITEM: TIME\n{0.1 * step:g}\n")
+            data = gzip.compress(f"{begins}ITEM: TIMESTEP\n{step}\n{rest}".encode(), 1)
+            Path(folder, f"{kind}.{step}.dump.gz").write_bytes(data)
+    return {"particles": f"{folder}/p.*.dump.gz", "contacts": f"{folder}/c.*.dump.gz"}
 
 
 def fstat_text(ds: xr.Dataset) -> str:

@@ -95,10 +95,10 @@ def size_of_content(path: str) -> int:
         head = file.read(_LOOKED_AT)
         file.seek(max(0, size - 4))
         told = int.from_bytes(file.read(4), "little")
-    member = zlib.decompressobj(31)
+    member = _first_of("isal.isal_zlib", "zlib").decompressobj(31)
     try:
         found = len(member.decompress(head, _MOST_FOUND))
-    except zlib.error:
+    except errors():
         return -1
     taken = len(head) - len(member.unconsumed_tail) - len(member.unused_data)
     whole = taken == size if member.eof else found * size <= _UNEVEN * told * taken

@@ -114,6 +114,9 @@ class Lattice:
 
     @cached_property
     def _dual(self) -> NDArray:
+        if self.vectors is None:
+            periodic = np.isfinite(self.period)
+            return np.diag(1.0 / self.period)[periodic]
         return np.ascontiguousarray(np.linalg.pinv(self.basis).T).reshape(-1, 3)
 
     def shortest(self, vector: NDArray, to: NDArray | None = None) -> NDArray:
@@ -134,6 +137,8 @@ class Lattice:
 
     def translations(self, length: float, source: str = "scene") -> NDArray:
         """All lattice vectors (m, 3) shorter than a length, but for zero."""
+        if self.vectors is None and length <= self.period.min():
+            return np.zeros((0, 3))
         most = np.ceil(length * np.linalg.norm(self._dual, axis=1))
         numbers = _numbers(-most, most, source)
         found = numbers[numbers.any(axis=1)] @ self.basis
