@@ -41,7 +41,14 @@ COLUMNS = ("case", "grains", "threads", "time a step (s)", "us a grain and step"
 FIRST = """
 From the start of a process to all fields of 1000 grains: {cold:.1f} s with nothing compiled, {warm:.1f} s from the
 second time on, as compiled code is kept on disk.
+
+Many small steps, from gzipped dumps of LAMMPS, a pair of files a step, to a Zarr folder of all fields (milliseconds a
+step, after a first one; processor time is that of all threads):
+
+| steps | grains | threads | time | processor time |
+|---|---|---|---|---|
 """
+SMALL = [(1000, 1000), (200, 10_000)]  # steps, and grains in each
 
 
 def rows(jobs: list[cases.Case], particles: int, repeats: int) -> list[str]:
@@ -72,6 +79,13 @@ def row(case: cases.Case, particles: int, seconds: float) -> str:
     return line
 
 
+def small_row(steps: int, grains: int, threads: int) -> str:
+    seconds, busy = cases.small_steps(grains, steps, threads)
+    line = f"| {steps:,} | {grains:,} | {threads} | {1e3 * seconds:.1f} | {1e3 * busy:.1f} |"
+    print(line, flush=True)
+    return line
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--particles", type=int, default=100_000, help="grains of the packing (default 100000)")
@@ -86,11 +100,13 @@ def main() -> None:
     cases.packing.cache_clear()
     if given.large:
         lines += rows(cases.LARGE, given.large, FEW)
+    small = [small_row(steps, grains, threads) for steps, grains in SMALL for threads in (1, 2)]
     cold, warm = cases.first_result()
     count = len(cases.CASES[0].run(cases.packing(400)).data_vars)
     base = int(cases.fresh("import xcg\n" + cases.RESIDENT)) / 1000
     head = HEAD.format(count=count, base=base, few=FEW, machine=machine().replace("one of ", ""), **vars(given))
     text = head + "\n".join(lines) + "\n" + FIRST.format(cold=cold, warm=warm)
+    text += "\n".join(small) + "\n"
     Path(__file__).with_name("speed.md").write_text(text)
 
 

@@ -379,3 +379,13 @@ def test_bodies_across_a_sheared_edge_have_the_velocity_of_one_place():
     bodies = one.assign(body_id=(("time", "particle"), body[None])).cg.group_bodies("body_id").isel(time=0)
     at = int(np.flatnonzero(bodies.particle_id.values == 3)[0])
     np.testing.assert_allclose(bodies.velocity[at, 0], RATE * (bodies.position[at, 1] - LOW[1]), atol=1e-12)
+
+
+@pytest.mark.parametrize("periodic", ["xyz", "xz", ""])
+@pytest.mark.parametrize("length", [3.9, 4.0, 4.1, 9.0])
+def test_images_of_straight_boxes_nearer_than_a_length(periodic, length):
+    lattice = lattice_of(cell_of(), periodic)
+    numbers = NUMBERS * [axis in periodic for axis in "xyz"]
+    moves = np.unique(numbers[numbers.any(axis=1)] * LENGTHS, axis=0)
+    expected = moves[(moves**2).sum(axis=1) < length**2]
+    assert sorted(map(tuple, lattice.translations(length))) == sorted(map(tuple, expected))
