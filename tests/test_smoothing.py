@@ -180,6 +180,23 @@ def test_segments_of_a_gaussian_keep_their_digits_far_out(dimension, side):
     np.testing.assert_allclose(closed, truth, rtol=1e-12)
 
 
+@pytest.mark.parametrize("ratio", [1.5, 3.0, 10.0])
+@pytest.mark.parametrize("length", [0.2, 0.9, 2.5])
+def test_segments_of_the_marginal_of_a_gaussian_of_any_cutoff(ratio, length):
+    """They take quadrature, with points enough for any width and length (in cutoffs)."""
+    kernel, rng = xcg.Gaussian(1.0, cutoff=ratio, dimension=3, shifted=True), np.random.default_rng(3)
+    end = length * ratio * np.array([0.6, 0.8])
+    points = rng.uniform(-1.0, 1.0, (200, 2)) * ratio + rng.uniform(0.0, 1.0, (200, 1)) * end
+    truth = _gauss(lambda r: kernel.value(r, 2), points, end)
+    np.testing.assert_allclose(kernel.segment(points, 0 * end, end), truth, rtol=0, atol=1e-11 * truth.max())
+
+
+def test_profiles_that_are_not_smooth_are_told():
+    """With the error that their values have, and where."""
+    with pytest.warns(xcg.SceneWarning, match=r"kernel 'step'.*of its largest value, worst at q=0\.[45]"):
+        xcg.register_kernel("step", lambda q: np.where(q < 0.496, 1.0, 0.2))
+
+
 def _gauss(value, points, end, panels=200):
     x, w = np.polynomial.legendre.leggauss(8)
     u = ((np.arange(panels)[:, None] + 0.5 + 0.5 * x) / panels).reshape(-1, 1)

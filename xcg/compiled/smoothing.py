@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled._jit import inlined, jit, leaf
+from xcg.compiled.arrays import gauss_rules
 from xcg.compiled.elementary import erf, erfcx, exp, expm1
 from xcg.compiled.reach import padded
 
@@ -43,8 +44,8 @@ class KernelCode(NamedTuple):
         Code + codimension, `TABLE` alone, or `LUCY_FULL`.
     spread : float
         Width over cutoff, which a Gaussian needs.
-    table : (2, intervals, degree + 1), or None
-        Chebyshev series of a `TABLE`, see `_interpolate`; `SHIFTED` for that Gaussian; any array for other kinds.
+    table : (2, intervals, PIECE), or None
+        Polynomials of a `TABLE`, see `_interpolate`; `SHIFTED` for that Gaussian; any array for other kinds.
     norm : float
         Factor to the values.
     """
@@ -69,6 +70,10 @@ class CellKernel(NamedTuple):
     twice: KernelCode
 
 
+PIECE = 8  # coefficients of a piece of a table: a line of cache
+_POWERS = tuple(np.uint64(k) for k in range(PIECE))
+_FEW, _MANY = 20, 48  # points of a line integral on one side of a node, for short branches and others
+_LINE_POINTS, _LINE_WEIGHTS = gauss_rules(_FEW, _MANY)
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(32)
 _SQRT2 = math.sqrt(2.0)
 _SQRT_PI_2 = math.sqrt(math.pi / 2)
@@ -261,16 +266,20 @@ def gradient(kind, spread, table, q2):
     return _interpolate(table, 1, q2)
 
 
-@leaf
+@inlined
 def _interpolate(table, row, q2):
-    """Chebyshev series on equal intervals of q, by Clenshaw's recurrence; table (2, intervals, degree + 1)."""
+    """Polynomials on equal intervals of q, highest power first; table (2, intervals, PIECE)."""
     x = math.sqrt(q2) * table.shape[1]
-    k = min(int(x), table.shape[1] - 1)
+    k = np.uint64(min(x, table.shape[1] - 1.0))
     y = 2.0 * (x - k) - 1.0
-    b1, b2 = 0.0, 0.0
-    for j in range(table.shape[2] - 1, 0, -1):
-        b1, b2 = 2.0 * y * b1 - b2 + table[row, k, j], b1
-    return y * b1 - b2 + table[row, k, 0]
+    total = table[row, k, _POWERS[0]]
+    total = total * y + table[row, k, _POWERS[1]]
+    total = total * y + table[row, k, _POWERS[2]]
+    total = total * y + table[row, k, _POWERS[3]]
+    total = total * y + table[row, k, _POWERS[4]]
+    total = total * y + table[row, k, _POWERS[5]]
+    total = total * y + table[row, k, _POWERS[6]]
+    return total * y + table[row, k, _POWERS[7]]
 
 
 # --- integral along a segment ----------------------------------------------------------------------------
@@ -421,6 +430,8 @@ def fill_segments(kind, spread, table, length, along, q2, count, out, ratio, bit
         _fill_lucy_lines(1.0 / length, length, along, q2, count, out, ratio, bits, exponent)
     elif GAUSSIAN <= kind < TABLE and kind not in (GAUSSIAN + 1, HEAVISIDE + 1):
         _fill_chords(kind, spread, table, 1.0 / length, length, along, q2, count, out)
+    elif kind >= TABLE or kind == GAUSSIAN + 1:
+        _fill_quadrature(kind, spread, table, 1.0 / length, length, along, q2, count, out, ratio)
     else:
         for k in range(count):
             h2 = max(0.0, q2[k] - along[k] * along[k])
@@ -451,6 +462,56 @@ def _fill_chords(kind, spread, table, per_length, length, along, q2, count, out)
             if a < 0.0:
                 from_a = 2.0 * exp(-per_2s2 * h2) - from_a
             out[k] += bell * (from_a - from_b)
+
+
+@leaf
+def _fill_quadrature(kind, spread, table, per_length, length, along, q2, count, out, last):
+    """As `_quadrature`, over t = h' 2 v / (1 + v^2) with h' half of the chord, node by node in loops that vectorise.
+
+    `along` and `q2` are overwritten, and `last` is scratch. Points crowd about the foot of the node, where a kernel may
+    have a cusp, on either side of it; a Gaussian on a short branch takes one side from end to end.
+    """
+    short = length <= min(1.0, 3.0 * spread)
+    order, (first, end) = _FEW if short else _MANY, (0, 1) if short and kind < TABLE else (1, 3)
+    per_s2 = 1.0 / (spread * spread)
+    edge = 2.0 * exp(-0.5 * per_s2) if table is SHIFTED else 0.0
+    for k in range(padded(count)):
+        a, b, h2 = _clipped(q2[k], along[k], length)
+        half2 = max(0.0, 1.0 - h2)
+        half = math.sqrt(half2)
+        a, b = min(a, half), min(b, half)
+        along[k] = a / (half + math.sqrt(max(0.0, half2 - a * a)) + _TINY)
+        last[k] = b / (half + math.sqrt(max(0.0, half2 - b * b)) + _TINY)
+        q2[k], out[k] = h2, 0.0
+    for side in range(first, end):
+        for g in range(order):
+            x, weight = _LINE_POINTS[order, g], 2.0 * per_length * _LINE_WEIGHTS[order, g]
+            if side:
+                x, weight = x * x, 2.0 * x * weight
+            if table is SHIFTED or kind < TABLE:
+                for k in range(padded(count)):
+                    r2, half, share = _crossing(along[k], last[k], q2[k], x, side)
+                    out[k] += weight * share * (_along_line(per_s2, r2) - edge * half)
+            else:
+                for k in range(count):
+                    r2, half, share = _crossing(along[k], last[k], q2[k], x, side)
+                    out[k] += weight * share * _interpolate(table, 0, r2)
+
+
+@inlined
+def _crossing(first, last, h2, x, side):
+    """Where a line is at a share x of its way: squared distance, half of the chord across there, and its weight.
+
+    The way is from end to end, or, of what lies before (side 1) or behind the foot (side 2), away from the foot.
+    """
+    if side == 1:
+        first, last = max(0.0, first), max(0.0, last)
+    elif side == 2:
+        first, last = max(0.0, -last), max(0.0, -first)
+    half, v = math.sqrt(max(0.0, 1.0 - h2)), first + x * (last - first)
+    turn = 1.0 / (1.0 + v * v)
+    t, across = 2.0 * half * v * turn, half * (1.0 - v * v) * turn
+    return min(1.0, h2 + t * t), across, (last - first) * across * turn
 
 
 @inlined
