@@ -9,8 +9,8 @@ Where a fluid is viscous enough for inertia not to matter, a suspension is told 
 = 0.32 + 0.38 / (1 + 0.005 / J)`.
 
 400 frictional spheres are sheared at five volume fractions, six steps each, in a box that turns with the shear. The
-fluid is there as a drag only, towards the mean flow, as strong as in a dense suspension at rest (van der Hoef et al.
-2005). The script of the simulation (LAMMPS) is :download:`suspension.in
+fluid is there as a drag only, towards the mean flow, as strong as on spheres at rest that are as dense (van der Hoef et
+al. 2005). The script of the simulation (LAMMPS) is :download:`suspension.in
 <../../../examples/data/lammps_suspension/suspension.in>`.
 """
 
@@ -38,6 +38,9 @@ ax.plot(curve, 0.585 / (1 + np.sqrt(curve)), "k-", label="Boyer et al. 2011")
 ax.set(xscale="log", xlabel="viscous number $J$", ylabel=r"volume fraction $\phi$")
 ax.legend()
 plt.show()
+
+# %%
+# What contacts add to the viscosity, against the part of the measured one that is theirs:
 
 fig, ax = plt.subplots()
 ax.errorbar(J, eta, yerr=m.effective_viscosity_error, fmt="o", label="coarse-grained")

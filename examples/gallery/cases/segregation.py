@@ -66,10 +66,9 @@ S = (rise.diff("time") / driven.diff("time")).values
 print("S from step to step:", S.round(2), f"Schlick et al.: {0.26 * np.log(2):.2f}")
 
 # %%
-# The first step is higher, as the layer also expands when it starts. Then the grains part half as fast as in Schlick et
-# al., whose flows are thin and near a surface; under the pressure of a deep layer segregation is slower (Fry et al.
-# 2018). Later the number falls, as diffusion stirs back what has parted: it is then no longer the flux of segregation
-# alone.
+# In the first step, when the layer starts from rest and expands, it is higher. Then the grains part half as fast as in
+# Schlick et al., whose flows are thin and near a surface; under pressure segregation is slower (Fry et al. 2018). Later
+# the number falls, as diffusion stirs back what has parted: it is then no longer the flux of segregation alone.
 #
 # **For your own data, change** the line that opens them to ``xcg.open_scene("particles.*.dump")``, and ``edges``, or
 # let ``ds.cg.find_phases()`` find how many sizes there are. ``"segregation_flux"`` is the flux itself, and with
