@@ -106,6 +106,14 @@ def test_moving_windows():
     np.testing.assert_allclose(f.cg.time_average(window=2, every=2).time, [0.05, 0.25, 0.45])
 
 
+def test_moving_windows_of_a_lazy_result():
+    """Fields that follow from tensors are computed anew in each window, lazily as in memory."""
+    f = series(30).chunk(time=30).cg.coarse_grain("friction_coefficient", axes="y", width=1.0, for_averages=True)
+    lazy = f.cg.time_average(window=6, every=6)
+    assert lazy.chunks
+    xr.testing.assert_allclose(lazy.compute(), f.compute().cg.time_average(window=6, every=6))
+
+
 def as_result(values, **more):
     """A result of one node whose density is a given series."""
     attrs = {"units": "kg m-3"}

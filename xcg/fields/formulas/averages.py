@@ -111,10 +111,10 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
     if window is None:
         samples = sums.rename(time=_SAMPLE).drop_vars(_SAMPLE)
     else:
-        first = slice(window - 1, None, every)
-        samples = sums.rolling(time=window).construct(_SAMPLE).isel(time=first)
-        middle = f["time"].rolling(time=window).construct(_SAMPLE).mean(_SAMPLE).isel(time=first)
-        samples = samples.assign_coords(time=("time", middle.to_numpy(), f["time"].attrs))
+        steps = np.arange(0, count - window + 1, every)[:, None] + np.arange(window)
+        samples = sums.drop_vars("time").isel(time=xr.DataArray(steps, dims=("time", _SAMPLE)))
+        middle = f["time"].to_numpy()[steps].mean(axis=1)
+        samples = samples.assign_coords(time=("time", middle, f["time"].attrs))
     mean = _from_sums(samples.mean(_SAMPLE, skipna=False), f)
     errors = block_errors(samples, _SAMPLE, lambda means: _from_sums(means, f))
     for name in map(str, list(mean.data_vars)):
