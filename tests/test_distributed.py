@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import dask
 import h5py
 import numpy as np
@@ -125,3 +127,14 @@ def test_few_tasks_a_step(scene):
     f = scene.cg.coarse_grain(["density", "stress", "velocity"])
     (optimized,) = dask.optimize(f)
     assert len(dict(optimized.__dask_graph__())) <= STEPS * (3 + len(f))
+
+
+@pytest.mark.parametrize("on_error", ["raise", "skip"])
+def test_what_all_tasks_share_travels_once(scene, on_error):
+    """Points of a result are in the graph once, not in each task."""
+    count = 20_000
+    line = xr.DataArray(np.linspace(0.0, 1.0, count), dims="point")
+    f = scene.cg.coarse_grain("density", at={"x": line, "y": line, "z": line}, on_error=on_error)
+    graph = dict(f.density.data.__dask_graph__())
+    large = [key for key, task in graph.items() if len(pickle.dumps(task)) > 8 * count]
+    assert len(large) == 1, large

@@ -5,7 +5,7 @@ A scene in memory does without this module, as dask.array takes as long to impor
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from itertools import pairwise
 from typing import Any
@@ -36,11 +36,13 @@ def lazy_results(
     fixed = {n: a for n, a in arrays.items() if n not in lazy}
     name = f"{label}-{tokenize(compute, arrays, on_error)}"
     chunks = next(iter(lazy.values())).chunks[0]
+    # a key of its own, so that what all tasks share, such as a million points, travels to a worker once
+    call = f"call-{name}"
     if SKIPPED in results:
-        tasks = _guarded_tasks(name, partial(guarded, compute, results), numbers, lazy, fixed, chunks)
+        tasks = {call: partial(guarded, compute, results), **_guarded_tasks(name, call, numbers, lazy, fixed, chunks)}
         graph = HighLevelGraph({name: tasks}, {name: set()})
     else:
-        tasks = _tasks(name, compute, lazy, fixed, chunks)
+        tasks = {call: compute, **_tasks(name, call, lazy, fixed, chunks)}
         graph = HighLevelGraph.from_collections(name, tasks, list(lazy.values()))
     return {
         result: picked(graph, name, result, f"{result}-{name}", chunks, shape, dtype)
@@ -57,20 +59,20 @@ def _in_chunks(inputs: Mapping[str, xr.Variable]) -> dict[str, Any]:
 
 
 def _tasks(
-    name: str, compute: Compute, lazy: Mapping[str, da.Array], fixed: Mapping[str, NDArray], chunks: Sequence[int]
+    name: str, call: str, lazy: Mapping[str, da.Array], fixed: Mapping[str, NDArray], chunks: Sequence[int]
 ) -> dict[Any, Any]:
     """One task a chunk of time, which computes all results."""
     gathered = Gathered.of(lazy)
     tasks = {}
     for t, (start, stop) in enumerate(pairwise(np.cumsum([0, *chunks]).tolist())):
         here = {n: a[start:stop] for n, a in fixed.items()}
-        tasks[name, t] = (partial(_compute_chunk, compute, gathered, here), *gathered.keys(t))
+        tasks[name, t] = (partial(_compute_chunk, gathered, here), call, *gathered.keys(t))
     return tasks
 
 
 def _guarded_tasks(
     name: str,
-    compute: Callable[..., dict[str, NDArray]],
+    call: str,
     numbers: NDArray | None,
     lazy: Mapping[str, da.Array],
     fixed: Mapping[str, NDArray],
@@ -83,11 +85,17 @@ def _guarded_tasks(
         keys = {of: (a.name, t, *(0,) * (a.ndim - 1)) for of, a in lazy.items()}
         part, _ = cull(below, list(keys.values()))
         these = None if numbers is None else numbers[start:stop]
-        tasks[name, t] = (partial(compute, these, part, keys, {n: a[start:stop] for n, a in fixed.items()}),)
+        here = {n: a[start:stop] for n, a in fixed.items()}
+        tasks[name, t] = (partial(_compute_guarded, these, part, keys, here), call)
     return tasks
 
 
 def _compute_chunk(
-    compute: Compute, gathered: Gathered, fixed: Mapping[str, NDArray], *given: Any
+    gathered: Gathered, fixed: Mapping[str, NDArray], compute: Compute, *given: Any
 ) -> dict[str, NDArray]:
     return compute({**gathered.take(given), **fixed})
+
+
+def _compute_guarded(*arguments: Any) -> dict[str, NDArray]:
+    *chunk, compute = arguments
+    return compute(*chunk)
