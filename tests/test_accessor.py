@@ -1,7 +1,9 @@
 """The accessor shows what its functions take, offers what fits, and says what was meant."""
 
+import gc
 import inspect
 import pydoc
+import weakref
 from dataclasses import dataclass
 
 import numpy as np
@@ -169,3 +171,17 @@ def test_completion_by_jedi(scene):
     (signature, *_) = jedi.Interpreter("ds.cg.coarse_grain(", [{"ds": scene}]).get_signatures()
     assert [p.name for p in signature.params] == list(inspect.signature(scene.cg.coarse_grain).parameters)
     assert [c.name for c in jedi.Interpreter("ds.cg.width_sweep(thr", [{"ds": scene}]).complete()] == ["threshold="]
+
+
+def test_a_dataset_goes_when_nobody_holds_it():
+    """Its arrays do not wait for Python to look for circles of references."""
+    gc.disable()
+    try:
+        ds = xcg.datasets.random_scene(20)
+        f = ds.cg.coarse_grain("density", axes="z")
+        assert "density" in str(f.cg)
+        held = [weakref.ref(ds), weakref.ref(f)]
+        del ds, f
+        assert [ref() for ref in held] == [None, None]
+    finally:
+        gc.enable()

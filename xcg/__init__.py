@@ -36,6 +36,16 @@ def __dir__() -> list[str]:
     return [*__all__, "__version__"]
 
 
-@xr.register_dataset_accessor("cg")
-def _accessor(ds: xr.Dataset) -> Any:
-    return import_module("xcg.accessor").CoarseGrainAccessor(ds)
+class _Accessor:
+    """``ds.cg``, made anew at each use.
+
+    An accessor that xarray registers is kept by its Dataset, which it holds in turn: arrays of a Dataset that nobody
+    needs any more would stay until Python looks for such circles.
+    """
+
+    def __get__(self, ds: xr.Dataset | None, kind: type) -> Any:
+        accessor = import_module("xcg.accessor").CoarseGrainAccessor
+        return accessor if ds is None else accessor(ds)
+
+
+xr.Dataset.cg = _Accessor()  # type: ignore[attr-defined]
