@@ -46,7 +46,8 @@ def test_the_wheel_holds_the_samples():
 def test_every_sample_opens_and_is_listed(name):
     assert xcg.datasets.open(name).sizes["particle"] > 0
     table = (ROOT / "examples" / "data" / "README.md").read_text()
-    assert f'| "{name}" | `{xcg.datasets._SAMPLES[name].folder}` |' in table
+    (row,) = (line for line in table.splitlines() if f"| `{xcg.datasets._SAMPLES[name].folder}` |" in line)
+    assert f'"{name}"' in row
 
 
 def test_one_version():

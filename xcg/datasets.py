@@ -33,12 +33,14 @@ _SAMPLES = {
         "contacts.*.dump.gz",
         {"frozen": 2, "gravity": (0.0, 0.0, -5.886), "names": {"v_fx": "drag", "v_fz": None}},
     ),
+    "biaxial": _Sample("lammps_biaxial", "particles.*.dump.gz", "contacts.*.dump.gz"),
     "chute": _Sample(
         "lammps_chute",
         "particles.00050000.dump.gz",
         "contacts.00050000.dump.gz",
         {"gravity": (0.4067, 0.0, -0.9135)},
     ),
+    **{f"column_{a}": _Sample("lammps_column", f"particles_{a}.dump.gz") for a in ("0.5", "1", "2", "4", "8")},
     "cooling": _Sample("lammps_cooling"),
     "glued": _Sample(
         "lammps_glued",
@@ -55,10 +57,26 @@ _SAMPLES = {
         "contacts.*.dump.gz",
         {"walls": {"floor": "f_floor[*]"}, "gravity": (0.0, 0.0, -9.81), "names": {"fz": "force_z"}},
     ),
-    "plane_shear": _Sample("lammps_plane_shear", "particles.*.dump.gz", "contacts.*.dump.gz"),
     "segregation": _Sample("lammps_segregation", "particles.*.dump.gz", options={"frozen": 2}),
     "suspension": _Sample(
         "lammps_suspension", "particles.*.dump.gz", "contacts.*.dump.gz", {"shear_rate": {"xy": 1.0}}
+    ),
+    **{f"hopper_{width}": _Sample("lammps_hopper", f"particles_{width}.dump.gz") for width in (4, 5, 6)},
+    "mixing_drum": _Sample("lammps_mixing"),
+    "plane_shear": _Sample("lammps_plane_shear", "particles.*.dump.gz", "contacts.*.dump.gz"),
+    **{
+        f"shear_cell_{rate}": _Sample(
+            "lammps_shear_cell",
+            f"particles_{rate}.dump.gz",
+            f"contacts_{rate}.dump.gz",
+            {"shear_rate": {"xy": float(rate)}},
+        )
+        for rate in ("0.02", "0.03", "0.05", "0.1", "0.2", "0.3")
+    },
+    "silo": _Sample(
+        "lammps_silo",
+        contacts="contacts.dump.gz",
+        options={"walls": {"side": "f_side[*]", "floor": "f_floor[*]"}, "gravity": (0.0, 0.0, -9.81)},
     ),
 }
 _FOLDERS = (Path(__file__).parent / "data", Path(__file__).parents[1] / "examples" / "data")

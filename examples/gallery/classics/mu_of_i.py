@@ -1,0 +1,66 @@
+r"""
+Friction of a shear flow: mu(I)
+===============================
+
+In plane shear at the rate :math:`\dot\gamma` under the normal stress :math:`P`, the ratio :math:`\mu` of shear to
+normal stress depends on the inertial number alone, :math:`I = \dot\gamma \sqrt{m/P}` for discs of mass :math:`m` per
+length. Da Cruz et al. (2005) found :math:`\mu = 0.25 + 1.1\,I` for such discs below :math:`I = 0.2`, between rough
+walls; Jop, Forterre & Pouliquen (2006) write :math:`\mu = \mu_s + (\mu_2 - \mu_s) / (1 + I_0/I)`.
+
+400 discs with a friction of 0.4 are sheared without walls, at six rates and an imposed normal stress of 1. The script
+of the simulation (LAMMPS) is :download:`shear_cell.in <../../../examples/data/lammps_shear_cell/shear_cell.in>`.
+"""
+
+import matplotlib.pyplot as plt
+import numpy as np
+from scipy.optimize import curve_fit
+
+import xcg
+
+rates = [0.02, 0.03, 0.05, 0.1, 0.2, 0.3]
+number, mu, error = [], [], []
+for rate in rates:
+    ds = xcg.datasets.open(f"shear_cell_{rate}")
+    f = ds.cg.coarse_grain(["stress", "shear_rate"], axes="y", spacing=1.0).mean("y").compute()
+    P = f.stress.sel(component="y", direction="y")
+    shear = -f.stress.sel(component="x", direction="y")
+    number.append(float(f.shear_rate.mean() * np.sqrt(ds.mass.mean() / P.mean())))
+    mu.append(float(shear.mean() / P.mean()))
+    error.append(float((shear - mu[-1] * P).std() / P.mean() / np.sqrt(P.size - 1)))
+
+
+def jop(I, mu_s, mu_2, I_0):
+    return mu_s + (mu_2 - mu_s) / (1 + I_0 / I)
+
+
+(mu_s, mu_2, I_0), _ = curve_fit(jop, number, mu, (0.25, 0.8, 0.3), sigma=error)
+da_cruz = 0.25 + 1.1 * np.array(number)
+
+fig, ax = plt.subplots()
+I = np.geomspace(0.01, 0.4, 100)
+ax.errorbar(number, mu, error, fmt="o", label="simulation")
+ax.semilogx(I, jop(I, mu_s, mu_2, I_0), "k-", label="form of Jop et al., fitted")
+ax.semilogx(I[I < 0.25], 0.25 + 1.1 * I[I < 0.25], "k--", label="da Cruz et al.")
+ax.set(xlabel="inertial number I", ylabel=r"$\mu$", xticks=[0.01, 0.1], xticklabels=["0.01", "0.1"])
+ax.legend()
+plt.show()
+
+# %%
+# **Check.** How far the points are from the published line, and which numbers the fit has:
+
+above = float(np.mean(mu - da_cruz))
+measured, expected = float(np.mean(mu)), float(np.mean(da_cruz))
+print("mu", [f"{m:.3f} +- {e:.3f}" for m, e in zip(mu, error, strict=True)])
+print(f"on average {above:.3f} above da Cruz et al.")
+print(f"mu_s = {mu_s:.2f}, mu_2 = {mu_2:.2f}, I_0 = {I_0:.2f}")
+
+# %%
+# The rise is the published one, and so is the limit of slow flow within its error, but all points lie above the line by
+# a seventh. Errors are those of 16 steps and do not explain it; what does is not known. The published flow is between
+# walls, this one has none, and its normal stress swings about the imposed one by a tenth. Fields agree with the stress
+# that LAMMPS prints, to its digits.
+#
+# **For your own data, change** the list of runs to your files, one for each rate, or take the profile of one flow in
+# which :math:`I` varies: ``f.friction_coefficient`` over ``f.inertial_number``. The latter takes :math:`\rho_p d^2` for
+# the mass per length. ``shear_rate=`` is needed where steps of a tilting box are far apart, and stands in the sample's
+# options here.
