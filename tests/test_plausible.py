@@ -247,6 +247,16 @@ def test_a_normal_part_that_is_taken_for_the_force_is_pointed_at(tmp_path):
     assert "names={'c_2[4]': 'normal_force_x', 'c_2[7]': 'tangential_force_x', ...}" in text
 
 
+def test_so_is_one_without_branches(tmp_path):
+    """The centres tell the branches; the last columns that nobody wanted are the first guess."""
+    names = {column: name for column, name in WHOLE.items() if "branch" not in name}
+    with pytest.warns(xcg.SceneWarning) as said:
+        opened(tmp_path, 2.0, names).compute()
+    text = only(said)
+    assert "columns c_2[1] c_2[2] c_2[3] c_2[7] c_2[8] c_2[9] are not read" in text
+    assert "names={'c_2[4]': 'normal_force_x', 'c_2[7]': 'tangential_force_x', ...}" in text
+
+
 def test_forces_that_are_whole_are_not(tmp_path):
     dropped = WHOLE | {f"c_2[{k}]": None for k in (7, 8, 9)}
     opened(tmp_path, 2.0, dropped).compute()  # said not to be wanted

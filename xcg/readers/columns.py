@@ -19,10 +19,9 @@ from numpy.typing import NDArray
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.table import read_table
 from xcg.readers.text import source_of
-from xcg.scene.plausible import is_central
 from xcg.scene.schema import COMPONENTS, Frame, SceneError, variable
 from xcg.scene.walls import FIRST_WALL
-from xcg.scene.warn import warn_once, warn_user
+from xcg.scene.warn import warn_user
 
 Slots: TypeAlias = Mapping[str, Sequence[str]]
 """Columns that fill each slot by themselves, the preferred first."""
@@ -140,21 +139,20 @@ _WORDS_OF_COMPUTES = (
 )
 
 
-def warn_of_partial_force(ref: StepRef, contacts: Frame, filled: Mapping[str, str], options: ReadOptions) -> None:
-    """Warn where what is taken for the whole force lies along all branches, beside columns that nobody wanted.
+def unread_by_number(ref: StepRef, filled: Mapping[str, str], options: ReadOptions) -> str:
+    """Say which columns without a name of their own stand unread beside a whole force, and how to map them; or nothing.
 
-    Forces without friction lie along the branches, too; but who has these has no further columns in most cases, and
-    says what they are otherwise.
+    Where that force lies along all branches, they may hold its tangential part. Forces without friction lie along the
+    branches, too; but who has these has no further columns in most cases, and says what they are otherwise.
     """
     left = [name for name in ref.columns if _RAW.fullmatch(name) and name not in (*filled.values(), *options.names)]
-    if "contact_force_x" in filled and len(left) >= len(COMPONENTS) and is_central(contacts):
-        mapping = f"{{{filled['contact_force_x']!r}: 'normal_force_x', {left[0]!r}: 'tangential_force_x', ...}}"
-        warn_once(
-            "partial force",
-            f"{source_of(ref)}: all contact forces lie along the branches, as normal parts do, and columns "
-            f"{' '.join(left)} are not read: if the tangential part is among them, say names={mapping}, and the two "
-            f"are added up; otherwise drop them by names={{{left[0]!r}: None, ...}}",
-        )
+    if "contact_force_x" not in filled or len(left) < len(COMPONENTS):
+        return ""
+    mapping = f"{{{filled['contact_force_x']!r}: 'normal_force_x', {left[-3]!r}: 'tangential_force_x', ...}}"
+    return (
+        f"columns {' '.join(left)} are not read: if the tangential part is among them, say names={mapping}, and the "
+        f"two are added up; otherwise drop them by names={{{left[0]!r}: None, ...}}"
+    )
 
 
 def _axes(filled: Mapping[str, str], slot: str) -> list[str]:

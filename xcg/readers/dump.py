@@ -29,7 +29,7 @@ from xcg.readers.text import (
     source_of,
     uncompressed_size,
 )
-from xcg.scene.schema import COMPONENTS, Frame, SceneError
+from xcg.scene.schema import COMPONENTS, SceneError
 from xcg.steps import errors as errors
 
 
@@ -44,11 +44,9 @@ class Dumps(Columnar):
         columns.warn_of_ignored(refs[0], self.particle_columns(refs[0], options), columns.PARTICLE_SLOTS, options)
         return refs
 
-    def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
-        """Parse the contacts of one step."""
-        contacts = super().read_contacts(ref, options)
-        columns.warn_of_partial_force(ref, contacts, self.contact_columns(ref, options), options)
-        return contacts
+    def unread_forces(self, ref: StepRef, options: ReadOptions) -> str:
+        """Say which columns may hold the rest of the contact forces; "" where none do."""
+        return columns.unread_by_number(ref, self.contact_columns(ref, options), options)
 
     def read_columns(
         self, ref: StepRef, wanted: Iterable[str], rows: int | None, options: ReadOptions

@@ -196,6 +196,10 @@ class Engine(ABC):
         msg = f"walls={dict(options.walls)!r}: the engine '{self.name}' reads no walls from columns of particles"
         raise SceneError(msg)
 
+    def unread_forces(self, ref: StepRef, options: ReadOptions) -> str:
+        """Say which columns may hold the rest of the contact forces, and what to do then; "" where none do."""
+        return ""
+
     def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
         """Read the contacts of one step, of n rows at most ``ref.rows``.
 

@@ -43,6 +43,10 @@ class Lammps(dump.Dumps):
         """Return the contacts with walls of a step; each grain may touch each wall once."""
         return replace(ref, kind=_WALLS, rows=ref.rows * len(columns.wall_columns(ref, options)))
 
+    def unread_forces(self, ref: StepRef, options: ReadOptions) -> str:
+        """Say which columns may hold the rest of the contact forces; "" where none do."""
+        return "" if ref.kind == _WALLS else super().unread_forces(ref, options)
+
     def contact_variables(self, ref: StepRef, options: ReadOptions) -> list[str]:
         """Names of the variables that `read_contacts` returns."""
         return list(columns.WALL_CONTACTS) if ref.kind == _WALLS else super().contact_variables(ref, options)

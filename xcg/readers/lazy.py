@@ -19,9 +19,9 @@ from xcg.readers.text import source_of
 from xcg.scene.complete import HINTS, complete_contacts, complete_particles
 from xcg.scene.frame import frame_of, stack
 from xcg.scene.lattice import Lattice
-from xcg.scene.plausible import check_ends
+from xcg.scene.plausible import check_ends, is_central
 from xcg.scene.schema import ROTATION, VARIABLES, Frame, SceneError, Setup, variable
-from xcg.scene.warn import Once
+from xcg.scene.warn import Once, warn_once
 from xcg.steps import errors as errors
 from xcg.steps.graph import picked
 
@@ -110,6 +110,11 @@ class Source:
                 complete_contacts(raw, particles, lattice, self.setup, source_of(ref), allow_unknown=self.allow_unknown)
             )
             _require(parts[-1], names, ref)
+            unread = self.engine.unread_forces(ref, self.options)
+            if unread and is_central(parts[-1], particles, lattice):
+                with self.once.active():
+                    what = "all contact forces lie along the branches, as normal parts do"
+                    warn_once("partial force", f"{source_of(ref)}: {what}, and {unread}")
         if not parts:  # nothing touches
             return _nothing({name: variable(name).dtype for name in names})
         if len(parts) == 1:

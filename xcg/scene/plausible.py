@@ -17,7 +17,7 @@ SAMPLE = 4096  # rows looked at, spread over all
 _FAR = 3.0  # diameters from a centre to a contact point; the ends of rods are as far that are 18 times as long as wide
 _FEW = 20  # contacts that are too few to tell a wrong sign by
 _MOST = 0.9  # share of contacts that pull
-_CENTRAL = 1e-4  # sine of the angle between forces of six digits and their branches
+_CENTRAL = 1e-2  # sine of the angle between forces and branches, from positions of six digits
 _OFF = 0.1  # largest distance of the ends in a file from the centres, in branches
 
 
@@ -72,14 +72,15 @@ def check_contacts(frame: Frame, lattice: Lattice, source: str) -> None:
         )
 
 
-def is_central(contacts: Frame) -> bool:
-    """Whether all forces lie along the branches that the data hold; False where there are none, or few contacts."""
-    if "contact_branch" not in contacts or len(contacts["contact_branch"]) < _FEW:
-        return False
-    some = _sample(len(contacts["contact_branch"]))
-    branch, force = contacts["contact_branch"][some], contacts["contact_force"][some]
+def is_central(contacts: Frame, particles: Frame, lattice: Lattice) -> bool:
+    """Whether all forces between particles lie along the line of their centres; False for few contacts."""
+    some = _sample(len(contacts["contact_i"]))
+    i, j = (rows_of(particles["particle_id"], contacts[name][some]) for name in ("contact_i", "contact_j"))
+    pairs = (i >= 0) & (j >= 0)
+    branch = lattice.shortest(particles["position"][i[pairs]] - particles["position"][j[pairs]])
+    force = contacts["contact_force"][some][pairs]
     across = _lengths(np.cross(branch, force))
-    return bool((across <= _CENTRAL * _lengths(branch) * _lengths(force)).all())
+    return len(force) >= _FEW and bool((across <= _CENTRAL * _lengths(branch) * _lengths(force)).all())
 
 
 def check_ends(raw: Frame, particles: Frame, lattice: Lattice, source: str) -> None:
