@@ -65,15 +65,13 @@ def check_walls(request: Request) -> None:
         raise ValueError(msg)
 
 
-def with_accessible(f: xr.Dataset, ds: xr.Dataset, plan: Plan, request: Request, wanted: Sequence[str]) -> xr.Dataset:
+def with_accessible(f: xr.Dataset, ds: xr.Dataset, plan: Plan, request: Request) -> xr.Dataset:
     """Add the accessible fraction to a result, and divide by it where that is asked for.
 
     Parameters
     ----------
     f : xarray.Dataset
         The result, with the sums that averages need.
-    wanted : sequence of str
-        Fields of the result that were asked for.
 
     Raises
     ------
@@ -100,7 +98,7 @@ def with_accessible(f: xr.Dataset, ds: xr.Dataset, plan: Plan, request: Request,
         points[:, COMPONENTS.index(a)] = values.to_numpy().ravel()
     averaged = _averaged(plan, walls, edges_of(ds))
     compute = partial(_fractions, points, walls, kernel, plan.setup.plane, averaged, shape)
-    chi = _later(compute, shape) if is_lazy(f, wanted) else compute()
+    chi = _later(compute, shape) if is_lazy(f, plan.fields) else compute()
     field = xr.DataArray(chi, dims=nodes[0].dims if nodes else ()).expand_dims(time=f.sizes["time"])
     about = {"units": "1", "long_name": "share of the kernel on the accessible side of the walls", "source": "walls"}
     about["formula"] = "chi = int Psi(r - r') dr' over the accessible side"
@@ -109,6 +107,7 @@ def with_accessible(f: xr.Dataset, ds: xr.Dataset, plan: Plan, request: Request,
         per = per_fraction(f, field.where(field >= LEAST))
         note = "per accessible volume where a sum: balances of mass and momentum hold for fields per volume"
         f = per.assign_attrs(per="accessible", per_note=note)
+    wanted = plan.fields if request.for_averages else plan.asked
     return f[list(wanted)].assign(accessible_fraction=field).assign_attrs(walls="\n".join(map(repr, walls)))
 
 

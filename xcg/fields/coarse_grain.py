@@ -127,13 +127,10 @@ def answer(ds: xr.Dataset, request: Request) -> xr.Dataset:
     call = format_call("coarse_grain", given)
     request, rename = _in_own_names(ds, request)
     plan = make_plan(ds, request)
-    wanted = plan.fields
-    if request.per is not None:
-        plan = make_plan(ds, replace(request, for_averages=True))
     arrays = evaluate_plan(ds, plan, request.on_error)
     result = label_fields(ds, plan, arrays, call)
     if request.walls is not None:
-        result = with_accessible(result, ds, plan, request, wanted)
+        result = with_accessible(result, ds, plan, request)
     return rename(mark_skipped(result, arrays))
 
 

@@ -43,6 +43,8 @@ class Plan:
     Attributes
     ----------
     fields : tuple of str
+        What is computed: what was asked for, and what averages of it need where they are to be taken.
+    asked : tuple of str
         What was asked for.
     variables : tuple of str
         What is read from the scene.
@@ -63,6 +65,7 @@ class Plan:
     """
 
     fields: tuple[str, ...]
+    asked: tuple[str, ...]
     variables: tuple[str, ...]
     deposit: DepositSpec
     options: Options
@@ -238,7 +241,8 @@ def make_plan(ds: xr.Dataset, request: Request) -> Plan:
     options = replace(options, own=own)
     if request.by_pair:
         names = tuple(dict.fromkeys([*names, "contact_stress_by_pair"]))
-    if request.for_averages:
+    asked = names
+    if request.for_averages or request.per is not None:
         names = (*names, *needed_for_averages(names, options))
     variables = _variables(names, frozenset(map(str, ds.data_vars)), options)
     require_scene(ds, sorted(variables), f"coarse_grain of {', '.join(names)}")
@@ -272,7 +276,7 @@ def make_plan(ds: xr.Dataset, request: Request) -> Plan:
     extra |= {"frozen"} & set(ds.data_vars)
     read = [n for n in ds.data_vars if n in variables | extra]
     return Plan(
-        fields=names, variables=tuple(map(str, read)), deposit=deposit, options=options, kernel=chosen,
+        fields=names, asked=asked, variables=tuple(map(str, read)), deposit=deposit, options=options, kernel=chosen,
         extent=_extents(grid, request.extent or {}, edges, tilted="lattice" in ds),
         depth=layer_depth(ds, setup, edges), setup=setup, rtol=rtol,
     )  # fmt: skip
