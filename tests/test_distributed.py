@@ -97,13 +97,13 @@ def test_zarr_by_xarray(client, scene, tmp_path):
 
 
 def _refuse_pools():
-    import xcg.fields.sums.blocks
+    import xcg.compiled.threads
 
     def refuse(*_):
         message = "a task started threads of its own"
         raise AssertionError(message)
 
-    xcg.fields.sums.blocks.ThreadPoolExecutor = refuse
+    xcg.compiled.threads.ThreadPoolExecutor = refuse
 
 
 def test_one_thread_a_task(client, scene):
