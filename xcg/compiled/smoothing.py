@@ -72,7 +72,7 @@ class CellKernel(NamedTuple):
 
 PIECE = 8  # coefficients of a piece of a table: a line of cache
 _POWERS = tuple(np.uint64(k) for k in range(PIECE))
-_FEW, _MANY = 20, 48  # points of a line integral on one side of a node, for short branches and others
+_FEW, _MANY = 24, 48  # points of a line integral on one side of a node, for short branches and others
 _LINE_POINTS, _LINE_WEIGHTS = gauss_rules(_FEW, _MANY)
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(32)
 _SQRT2 = math.sqrt(2.0)
@@ -471,7 +471,7 @@ def _fill_quadrature(kind, spread, table, per_length, length, along, q2, count, 
     `along` and `q2` are overwritten, and `last` is scratch. Points crowd about the foot of the node, where a kernel may
     have a cusp, on either side of it; a Gaussian on a short branch takes one side from end to end.
     """
-    short = length <= min(1.0, 3.0 * spread)
+    short = length <= min(0.7, 2.1 * spread)
     order, (first, end) = _FEW if short else _MANY, (0, 1) if short and kind < TABLE else (1, 3)
     per_s2 = 1.0 / (spread * spread)
     edge = 2.0 * exp(-0.5 * per_s2) if table is SHIFTED else 0.0
