@@ -6,10 +6,13 @@ import gc
 import tracemalloc
 
 import dask
+import numpy as np
 import pytest
 
 import xcg
 from tests.benchmarks import series
+from xcg.scene.complete import rows_of
+from xcg.scene.frame import stack
 
 FEW, MANY = 4, 32
 
@@ -58,3 +61,42 @@ def test_a_graph_holds_no_data(scene):
 
     f = scene.cg.coarse_grain(["density", "stress"])
     assert len(cloudpickle.dumps(f.__dask_graph__())) < 10_000 * MANY
+
+
+@pytest.fixture(scope="module")
+def packing():
+    return xcg.datasets.dense_packing(20_000)
+
+
+@pytest.mark.parametrize("shuffled", [False, True], ids=["sorted", "shuffled"])
+def test_a_scene_is_built_in_little_more_memory_than_it_takes(packing, shuffled, monkeypatch):
+    monkeypatch.setattr("xcg.scene.complete._BLOCK", 256)  # contact points are derived in blocks
+    names = ["particle_id", "position", "velocity", "diameter", "species", "contact_i", "contact_j", "contact_force"]
+    given = {name: packing[name].to_numpy()[0] for name in names}
+    if shuffled:
+        rows = np.random.default_rng(0).permutation(packing.sizes["particle"])
+        given |= {name: given[name][rows] for name in names if not name.startswith("contact")}
+    given |= {"box": packing.box.to_numpy()[0], "periodic": "xyz", "density": 2500.0}
+    built = []
+    most = peak(lambda: built.append(xcg.scene_from_arrays(**given)))
+    assert most < 1.3 * built[0].nbytes
+    assert not any(np.shares_memory(built[0][name].to_numpy(), given[name]) for name in names)
+
+
+def test_passes_of_a_step_take_little_beside_their_records(packing):
+    def work():
+        packing.cg.coarse_grain(width=4.0, spacing=4.0)
+
+    work()  # whatever is compiled and imported once
+    records = 80 * packing.sizes["contact"] + 8 * 12 * packing.sizes["particle"]
+    assert peak(work) < 1.6 * records
+
+
+def test_what_is_in_order_is_not_copied():
+    ids, wanted = np.arange(5), np.array([3, 0, 4])
+    assert rows_of(ids, wanted) is wanted
+    assert rows_of(ids, np.array([3, -2, 5])).tolist() == [3, -1, -1]
+    frame = {"particle_id": ids, "position": np.zeros((5, 3))}
+    one, padded = stack([frame], list(frame), 5), stack([frame], list(frame), 6)
+    assert np.shares_memory(one["position"], frame["position"])
+    assert padded["particle_id"].tolist() == [[0, 1, 2, 3, 4, -1]]

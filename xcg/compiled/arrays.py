@@ -38,6 +38,18 @@ def counting_sort_places(key, start, place):
 
 
 @leaf
+def counting_sort_order(key, start, order):
+    """Write which thing comes first, second, ... (n,) by its key, as `counting_sort_places` writes the places."""
+    for n in range(key.size):
+        start[key[n] + 1] += 1
+    for k in range(start.size - 1):
+        start[k + 1] += start[k]
+    for n in range(key.size):
+        order[start[key[n]]] = n
+        start[key[n]] += 1
+
+
+@leaf
 def transpose_columns(records, column, factor, out):
     """Write columns of records (p, n, c), times a factor for each p, nodes last: each record is read once, in order.
 

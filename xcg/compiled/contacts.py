@@ -21,6 +21,23 @@ def add_rows(row, sign, values, out):
 
 
 @leaf
+def partners_by_lower(row_i, row_j, least, ends, partner):
+    """Group pairs by the lower of their numbers, and write the higher ones (n,), group after group, as numbers from 0.
+
+    `least` is the lowest number of all. ``ends`` (numbers + 1,) is zeros before; afterwards group k ends before
+    ``ends[k]``.
+    """
+    for n in range(row_i.size):
+        ends[min(row_i[n], row_j[n]) - least + 1] += 1
+    for k in range(ends.size - 1):
+        ends[k + 1] += ends[k]
+    for n in range(row_i.size):
+        low = min(row_i[n], row_j[n]) - least
+        partner[ends[low]] = max(row_i[n], row_j[n]) - least
+        ends[low] += 1
+
+
+@leaf
 def a_pair_twice(ends, partner, last):
     """Tell whether any group of rows has one partner twice; `partner` (n,) holds those of group after group.
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled._jit import leaf
-from xcg.compiled.arrays import counting_sort_places
+from xcg.compiled.arrays import counting_sort_order
 from xcg.compiled.simd import EIGHT, add_scalar8, fill8, ramp8
 
 PAD = 16  # loops over lists run to a multiple of this: what is left over would be done one by one
@@ -274,12 +274,26 @@ def nodes_around_segment(x, y, z, bx, by, bz, per_length, rows, lists):
     return hits
 
 
-def batches_of(position: NDArray) -> NDArray:
-    """Lowest and highest place, (runs, 2, 3), of each run of `BATCH` rows of position (m, 3)."""
-    first = np.arange(0, len(position), BATCH)
-    columns = [np.ascontiguousarray(x) for x in position.T]
-    bounds = [[extreme.reduceat(x, first) for x in columns] for extreme in (np.minimum, np.maximum)]
-    return np.array(bounds).transpose(2, 0, 1).copy()
+@leaf
+def _bounds_of_batches(records, rows, bounds):
+    for n in range(records.shape[0] if rows is None else rows.size):
+        row = n if rows is None else rows[n]
+        batch = bounds[n // BATCH]
+        for k in range(3):
+            x = records[row, k]
+            batch[0, k] = min(x, batch[0, k])
+            batch[1, k] = max(x, batch[1, k])
+
+
+def batches_of(records: NDArray, rows: NDArray | None = None) -> NDArray:
+    """Lowest and highest place, (runs, 2, 3), of each run of `BATCH` records, or of the records of some rows.
+
+    Records (m, c) begin with the place.
+    """
+    bounds = np.empty((-(-len(records if rows is None else rows) // BATCH), 2, 3))
+    bounds[:, 0], bounds[:, 1] = np.inf, -np.inf
+    _bounds_of_batches(records, rows, bounds)
+    return bounds
 
 
 @leaf
@@ -295,6 +309,17 @@ def batch_reaches(batches, batch, begin, end, active, period):
     return reaches
 
 
+@leaf
+def _cells_in_pencils(position, lower, sizes, along_x, pencils_z, cell):
+    """Write the number of the cell (n,) of each point: pencil by pencil, and there layer by layer along x."""
+    for n in range(position.shape[0]):
+        x = np.int64((position[n, 0] - lower[0]) / sizes[0])
+        y = np.int64((position[n, 1] - lower[1]) / sizes[1])
+        z = np.int64((position[n, 2] - lower[2]) / sizes[2])
+        pencil = y // PENCIL * pencils_z + z // PENCIL
+        cell[n] = ((pencil * along_x + x) * PENCIL + y % PENCIL) * PENCIL + z % PENCIL
+
+
 def spatial_order(position: NDArray, size: float, lower: NDArray, upper: NDArray, active: NDArray) -> NDArray:
     """Order points (n, 3) by cells of a size (larger where points are few), in pencils along x.
 
@@ -307,10 +332,7 @@ def spatial_order(position: NDArray, size: float, lower: NDArray, upper: NDArray
         sizes[np.argmax(extent / sizes)] *= 2.0  # a few grains are far astray
     cells = (extent / sizes).astype(int) + 1
     pencils_y, pencils_z = ((cells[1:] - 1) // PENCIL + 1).tolist()
-    x, y, z = ((position - lower) / np.where(active, sizes, np.inf)).astype("int64").T
-    pencil = y // PENCIL * pencils_z + z // PENCIL
-    cell = ((pencil * cells[0] + x) * PENCIL + y % PENCIL) * PENCIL + z % PENCIL
-    place, order = np.empty(count, "int64"), np.empty(count, "int64")
-    counting_sort_places(cell, np.zeros(pencils_y * pencils_z * int(cells[0]) * PENCIL * PENCIL + 1, "int64"), place)
-    order[place] = np.arange(count)
+    cell, order = np.empty(count, "int64"), np.empty(count, "int64")
+    _cells_in_pencils(position, lower, np.where(active, sizes, np.inf), int(cells[0]), pencils_z, cell)
+    counting_sort_order(cell, np.zeros(pencils_y * pencils_z * int(cells[0]) * PENCIL * PENCIL + 1, "int64"), order)
     return order

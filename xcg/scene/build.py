@@ -262,17 +262,18 @@ def scene_from_arrays(
         if contact_names:
             frame = _prefix(steps, contact_names, "contact_i", t)
             contacts.append(complete_contacts(frame, particles[-1], images, setup, source, allow_unknown=allow_unknown))
-    arrays: Frame = {}
+    measured, arrays = measure_frames(particles), Frame()
     for frames, key in ((particles, "particle_id"), (contacts, "contact_i")):
-        if frames:
-            arrays |= stack(frames, list(frames[0]), max(len(f[key]) for f in frames))
+        rows = max((len(f[key]) for f in frames), default=0)
+        for name in list(frames[0]) if frames else ():  # so that no more than one variable is there twice
+            arrays |= stack([{name: frame.pop(name)} for frame in frames], [name], rows)
     return to_dataset(
         arrays,
         time=times,
         step=numbers,
         box=domain,
         setup=setup,
-        measured=measure_frames(particles),
+        measured=measured,
     )
 
 

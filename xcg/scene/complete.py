@@ -7,8 +7,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from xcg.compiled.arrays import counting_sort_places
-from xcg.compiled.contacts import a_pair_twice
+from xcg.compiled.contacts import a_pair_twice, partners_by_lower
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import LONGEST, SHORTEST, Frame, SceneError, Setup, variable
 from xcg.scene.warn import warn_once
@@ -44,7 +43,7 @@ def _check_rows(frame: Frame, dim: str, source: str) -> None:
 
 
 def _typed(frame: Mapping[str, ArrayLike], setup: Setup, source: str) -> Frame:
-    """Give arrays their types and the scene's units."""
+    """Give arrays their types and the scene's units; what is returned is shared with nobody."""
     typed: Frame = {}
     for name, values in frame.items():
         array = np.asarray(values)
@@ -55,9 +54,10 @@ def _typed(frame: Mapping[str, ArrayLike], setup: Setup, source: str) -> Frame:
                 msg = f"{source}: '{name}' must hold whole numbers, but row {bad} is {array.flat[bad]!r}"
                 raise SceneError(msg)
             array = np.rint(array)
-        array = array.astype(row.dtype)
+        typed[name] = array.astype(row.dtype, order="C")
         factor = setup.factor(row.powers)
-        typed[name] = array if factor == 1.0 else array * factor
+        if factor != 1.0:
+            typed[name] *= factor
     return typed
 
 
@@ -90,18 +90,19 @@ def complete_particles(frame: Mapping[str, ArrayLike], setup: Setup, source: str
     ids = given.setdefault("particle_id", np.arange(count, dtype="int64"))
     _check_rows(given, "particle", source)
     if count:
-        order = np.argsort(ids, kind="stable")
-        if (order[1:] != order[:-1] + 1).any():
-            given = {name: values[order] for name, values in given.items()}
+        order = None if (ids[1:] > ids[:-1]).all() else np.argsort(ids, kind="stable")
+        if order is not None:
+            for name in given:  # one after the other, as each is there twice for a while
+                given[name] = given[name][order]
             ids = given["particle_id"]
-        repeated = np.flatnonzero(ids[1:] == ids[:-1])
-        if repeated.size:
-            rows = order[repeated[0] : repeated[0] + 2]
-            twice = f"particle id {ids[repeated[0]]} occurs twice (rows {rows[0]} and {rows[1]})"
-            msg = f"{source}: {twice}; ids must be unique"
-            raise SceneError(msg)
+            repeated = np.flatnonzero(ids[1:] == ids[:-1])
+            if repeated.size:
+                rows = order[repeated[0] : repeated[0] + 2]
+                twice = f"particle id {ids[repeated[0]]} occurs twice (rows {rows[0]} and {rows[1]})"
+                msg = f"{source}: {twice}; ids must be unique"
+                raise SceneError(msg)
         if ids[0] < 0:
-            negative = f"particle id {ids[0]} in row {order[0]} is negative"
+            negative = f"particle id {ids[0]} in row {0 if order is None else order[0]} is negative"
             msg = f"{source}: {negative}; negative ids are kept for walls and padding"
             raise SceneError(msg)
     for name in ("diameter", "density", "mass", "volume", "moment_of_inertia"):
@@ -146,12 +147,13 @@ def _complete_size_and_mass(frame: Frame, setup: Setup) -> None:
 
 
 def rows_of(ids: NDArray, wanted: NDArray) -> NDArray:
-    """Row of each wanted id among sorted ids, -1 where it is not there."""
+    """Row of each wanted id among sorted ids, -1 where it is not there; `wanted` itself where that is the same."""
     if not len(ids):
         return np.full(len(wanted), -1)
     if ids[-1] - ids[0] + 1 == len(ids):  # no gaps: nothing to search for
-        row = wanted - ids[0]
-        return np.where((row >= 0) & (row < len(ids)), row, -1)
+        row = wanted - ids[0] if ids[0] else wanted
+        known = (row >= 0) & (row < len(ids))
+        return row if known.all() else np.where(known, row, -1)
     row = np.minimum(np.searchsorted(ids, wanted), len(ids) - 1)
     return np.where(ids[row] == wanted, row, -1)
 
@@ -206,8 +208,8 @@ def complete_contacts(
         raise SceneError(msg)
     _check_rows(given, "contact", source)
     seen = given.pop("contact_branch", None)
-    number = np.asarray(frame.get("row_of_file", np.arange(len(given["contact_i"]))))
     i, j = given["contact_i"], given["contact_j"]
+    number: NDArray | range = np.asarray(frame["row_of_file"]) if "row_of_file" in frame else range(len(i))
     ids = particles["particle_id"]
     row_i, row_j = rows_of(ids, i), rows_of(ids, j)
     self_contact = np.flatnonzero(i == j)
@@ -234,15 +236,15 @@ def complete_contacts(
         raise SceneError(msg)
     derived = np.asarray(frame.get("point_is_middle", np.full(len(i), "contact_point" not in given)))
     if derived.any() or "contact_point" not in given:
-        contacts = given | {"row_of_file": number}
-        given["contact_point"] = _derive_points(contacts, derived, particles, row_i, row_j, seen, lattice, source)
+        given["contact_point"] = _derive_points(given, number, derived, particles, row_i, row_j, seen, lattice, source)
+    del row_i, row_j, unknown, derived
     rows, pair = repeated_pairs(i, j)
     if not rows.size:
         return given
-    there, centre = np.where(row_i >= 0, row_i, row_j)[rows], given["contact_point"][rows]
+    there, other = rows_of(ids, i[rows]), rows_of(ids, j[rows])
+    there, centre = np.where(there >= 0, there, other), given["contact_point"][rows]
     centre[there >= 0] = particles["position"][there[there >= 0]]
-    contacts = given | {"row_of_file": number}
-    copy = _copies(contacts, rows, pair, centre, lattice, source)
+    copy = _copies(given, number, rows, pair, centre, lattice, source)
     return {name: np.delete(values, copy, axis=0) for name, values in given.items()} if copy.size else given
 
 
@@ -255,12 +257,12 @@ def repeated_pairs(i: NDArray, j: NDArray) -> tuple[NDArray, NDArray]:
     none = np.empty(0, int), np.empty(0, int)
     if not len(i):
         return none
+    least, most = min(i.min(), j.min()), max(i.max(), j.max())
+    count = int(most) - int(least) + 1
+    if count <= _DENSE * len(i) and not _any_repeated(i, j, least, count):
+        return none
     low, high = np.minimum(i, j), np.maximum(i, j)
     lows, highs = (int(ids.max()) - int(ids.min()) + 1 for ids in (low, high))
-    if max(lows, highs) <= _DENSE * len(i):
-        low, high = low - low.min(), high - high.min()
-        if not _any_repeated(low, high, lows, highs):
-            return none
     if lows * highs < 2**62:
         order = np.argsort((low - low.min()) * highs + (high - high.min()), kind="stable")
     else:
@@ -270,21 +272,25 @@ def repeated_pairs(i: NDArray, j: NDArray) -> tuple[NDArray, NDArray]:
     return order[inside], np.insert(np.cumsum(~same), 0, 0)[inside]
 
 
-def _any_repeated(low: NDArray, high: NDArray, lows: int, highs: int) -> bool:
-    """Tell whether any pair of numbers below `lows` and `highs` stands more than once."""
-    ends, place, partner = np.zeros(lows + 1, "int64"), np.empty_like(low), np.empty_like(high)
-    counting_sort_places(low, ends, place)
-    partner[place] = high
-    return a_pair_twice(ends[:-1], partner, np.full(highs, -1))
+def _any_repeated(i: NDArray, j: NDArray, least: int, count: int) -> bool:
+    """Tell whether any pair of the `count` numbers from `least` on stands more than once."""
+    ends, partner = np.zeros(count + 1, "int64"), np.empty_like(i)
+    partners_by_lower(i, j, least, ends, partner)
+    return a_pair_twice(ends[:-1], partner, np.full(count, -1))
 
 
-def _copies(contacts: Frame, rows: NDArray, pair: NDArray, centre: NDArray, lattice: Lattice, source: str) -> NDArray:
+def _copies(
+    contacts: Frame, number: NDArray | range, rows: NDArray, pair: NDArray, centre: NDArray, lattice: Lattice,
+    source: str,
+) -> NDArray:  # fmt: skip
     """Rows that list a contact again: the same force, from either side, at the same point.
 
     Contacts of one pair are sorted by the size of the force, so that those of one contact stand near each other.
 
     Parameters
     ----------
+    number
+        Rows of the file, for messages.
     rows, pair : array (n,)
         Contacts of pairs that have more than one, see `repeated_pairs`.
     centre : array (n, 3)
@@ -313,7 +319,7 @@ def _copies(contacts: Frame, rows: NDArray, pair: NDArray, centre: NDArray, latt
         copy[other[np.where(turned, opposite, same)]] = True
         wrong = turned & same & ~opposite
         if wrong.any():
-            first, second = contacts["row_of_file"][[rows[one[wrong][0]], rows[other[wrong][0]]]]
+            first, second = number[rows[one[wrong][0]]], number[rows[other[wrong][0]]]
             msg = (
                 f"{source}: contact rows {first} and {second} list one contact from both sides with the same force, "
                 f"{force[one[wrong][0]]}, so that both sides cancel; contact_force is that on contact_i: turn "
@@ -330,8 +336,8 @@ def unit_vectors(vector: NDArray) -> NDArray:
 
 
 def _derive_points(
-    contacts: Frame, derived: NDArray, particles: Frame, row_i: NDArray, row_j: NDArray, seen: NDArray | None,
-    lattice: Lattice, source: str,
+    contacts: Frame, number: NDArray | range, derived: NDArray, particles: Frame, row_i: NDArray, row_j: NDArray,
+    seen: NDArray | None, lattice: Lattice, source: str,
 ) -> NDArray:  # fmt: skip
     """Contact points (n, 3), those of `derived` contacts (n,) from the spheres; by blocks that stay in the cache."""
     points = contacts["contact_point"].copy() if "contact_point" in contacts else np.empty((len(row_i), 3))
@@ -339,6 +345,8 @@ def _derive_points(
     for first in range(0, len(row_i) if wanted is None else len(wanted), _BLOCK):
         some = slice(first, first + _BLOCK) if wanted is None else wanted[first : first + _BLOCK]
         block = {name: values[some] for name, values in contacts.items()}
+        of_file = isinstance(some, slice) or not isinstance(number, range)  # else rows are their own numbers
+        block["row_of_file"] = np.asarray(number[some] if of_file else some)
         branch = None if seen is None else seen[some]
         try:
             points[some] = _contact_points(block, particles, row_i[some], row_j[some], branch, lattice, source)
@@ -349,7 +357,7 @@ def _derive_points(
                 "edge that is not periodic, and the shortest are taken; drop them with names={'dx': None, ...} if they "
                 "are something else",
             )
-            return _derive_points(contacts, derived, particles, row_i, row_j, None, lattice, source)
+            return _derive_points(contacts, number, derived, particles, row_i, row_j, None, lattice, source)
     return points
 
 

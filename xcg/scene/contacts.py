@@ -20,6 +20,7 @@ from xcg.scene.schema import Frame
 
 # Contacts are those of spheres where the branches are as spheres have them, to this share of the radius.
 SPHERES = 1e-2
+_BLOCK = 1 << 14  # contacts whose normals are computed together, in the cache of the processor
 # Partners from which a grain may bear load, with friction (Thornton 2000).
 BEARING = 2
 
@@ -100,7 +101,8 @@ class Contacts:
     @property
     def first_row(self) -> NDArray:
         """The first particle of each contact that is there; negative where none is; (n,)."""
-        return np.where(self.i >= 0, self.i, self.j)
+        here = self.i >= 0
+        return self.i if here.all() else np.where(here, self.i, self.j)
 
     @property
     def branch_i(self) -> NDArray:
@@ -128,6 +130,13 @@ class Contacts:
         branch_i, branch_j = self.branch_i.copy(), self.branch_j.copy()
         branch_i[both[spheres]], branch_j[both[spheres]] = branches[0][spheres], branches[1][spheres]
         return replace(self, given_branches=(branch_i, branch_j))
+
+    def some(self, rows: slice) -> Contacts:
+        """Return some of the contacts, as views."""
+        normal = None if self.given_normal is None else self.given_normal[rows]
+        branches = None if self.given_branches is None else (self.given_branches[0][rows], self.given_branches[1][rows])
+        own = {name: getattr(self, name)[rows] for name in ("i", "j", "force", "point", "key_i", "key_j")}
+        return replace(self, **own, given_normal=normal, given_branches=branches)
 
     @property
     def between(self) -> NDArray:
@@ -171,7 +180,7 @@ class Contacts:
             add_rows(row, sign, values.reshape(len(row), width), total)
         return total.reshape(len(self.position), *on_i.shape[1:])
 
-    @cached_property
+    @property
     def first(self) -> NDArray:
         """1 for the first contact of each pair, 0 for further ones (bodies may touch in several places).
 
@@ -197,7 +206,8 @@ class Contacts:
     @cached_property
     def partners(self) -> NDArray:
         """Number of contact partners of each particle, walls included; several contacts with one count once."""
-        return self.sum_over_particles(self.first, self.first)
+        first = self.first
+        return self.sum_over_particles(first, first)
 
     @cached_property
     def bearing(self) -> NDArray:
@@ -223,8 +233,9 @@ class Contacts:
     def normals(self) -> NDArray:
         """Sum over contacts of n n for each particle (particles, 6): xx xy xz yy yz zz."""
         total = np.zeros((len(self.position), 6))
-        along = self.between if self.given_normal is None else self.given_normal
-        add_unit_squares(self.i, self.j, along, total)
+        for first in range(0, len(self.i), _BLOCK):
+            some = self.some(slice(first, first + _BLOCK))
+            add_unit_squares(some.i, some.j, some.between if some.given_normal is None else some.given_normal, total)
         return total
 
     @property

@@ -13,10 +13,13 @@ from xcg.scene.schema import BOX, OF_STEP, PADDING, Frame, SceneError, variable
 
 
 def stack(frames: Sequence[Frame], names: Sequence[str], rows: int) -> Frame:
-    """Stack frames along a new first axis, padded to `rows` rows."""
+    """Stack frames along a new first axis, padded to `rows` rows; one frame that fills them is not copied."""
     stacked = {}
     for name in names:
         row = variable(name, frames[0][name].dtype, frames[0][name].ndim)
+        if len(frames) == 1 and len(frames[0][name]) == rows:
+            stacked[name] = np.ascontiguousarray(frames[0][name], row.dtype)[None]
+            continue
         out = np.full((len(frames), *row.shape(rows)), row.fill, row.dtype)
         for t, frame in enumerate(frames):
             out[t, : len(frame[name])] = frame[name]

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -299,7 +299,7 @@ class _Deposit:
                 segments, longest, more = self._segments(row, *carried, place, second, others, cutoff)
                 reach = self._mesh(cutoff).reach + longest[:3]
                 self._mesh(cutoff).check_reach(reach)
-                batches = batches_of(segments[:, :3])
+                batches = batches_of(segments)
                 batches += np.array([[-1.0], [1.0]]) * longest[:3]
                 for real, closed, rest in self._rules(longest[3], cutoff):
                     way = Segments(segments, self.spec.limits, batches), self._mesh(cutoff), self._kernel(cutoff)
@@ -328,7 +328,8 @@ class _Deposit:
         more = list_segments(rows, on_j, second, place, others, self.cutoffs, cutoff, self.origin, segments, longest)
         mesh = self._mesh(cutoff)
         mesh.check_far(longest[:3])
-        row, shift = np.arange(len(segments)), np.zeros(3)
+        row: Any = slice(None)
+        shift = np.zeros(3)
         if self.lattice.vectors is not None:
             start = segments[:, :BRANCH] * cutoff + self.origin
             row, shift, drifts = self._near_mesh(start, (1.0 + longest[3]) * cutoff)
@@ -478,7 +479,7 @@ class _Deposit:
                 both_seen = 2.0 + 2.0 * float(np.linalg.norm(mesh.half))
                 meet = self.lattice.scaled(cutoff).translations(both_seen, self.source)
                 meet = meet if len(meet) else None
-            batches = (batches_of(position.take(rows, axis=0)) - self.origin) / cutoff
+            batches = (batches_of(position, rows) - self.origin) / cutoff
             flow = (velocity, mass, columns, phase)
             grains = kernel.Grains(rows, batches, position, *flow, self.origin, cutoff)
             flags = (level, still, meet, by_gradient, cubes)

@@ -87,7 +87,9 @@ def _partners(frame: Frame, contacts: Contacts | None) -> NDArray:
 
 def _fabric(frame: Frame, contacts: Contacts | None) -> NDArray:
     assert contacts is not None
-    return frame["volume"][:, None] * contacts.normals
+    total = contacts.normals
+    total *= frame["volume"][:, None]
+    return total
 
 
 def _forces(frame: Frame, contacts: Contacts | None) -> NDArray:
