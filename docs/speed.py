@@ -49,6 +49,12 @@ step, after a first one; processor time is that of all threads):
 |---|---|---|---|---|
 """
 SMALL = [(1000, 1000), (200, 10_000)]  # steps, and grains in each
+FIRST_CALL = """
+The first call of a process, with compiled code on disk, all fields of {grains:,} grains, rtol = 1e-3, on one thread:
+{first:.2f} s of processor time in the program and {first_system:.2f} s in the system, which hands out memory; the next
+call {next:.2f} s and {next_system:.2f} s. On a virtual machine the system takes longer for memory that the host has to
+find first, see [design](design.md#memory-comes-from-numpy-large-arrays-first).
+"""
 
 
 def rows(jobs: list[cases.Case], particles: int, repeats: int) -> list[str]:
@@ -86,6 +92,14 @@ def small_row(steps: int, grains: int, threads: int) -> str:
     return line
 
 
+def first_call(grains: int) -> str:
+    """Say what the first call of a process takes beside the next one."""
+    (first, first_system), (second, second_system) = cases.first_call(cases.CASES[0], grains)
+    return FIRST_CALL.format(
+        grains=grains, first=first, first_system=first_system, next=second, next_system=second_system
+    )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--particles", type=int, default=100_000, help="grains of the packing (default 100000)")
@@ -107,6 +121,7 @@ def main() -> None:
     head = HEAD.format(count=count, base=base, few=FEW, machine=machine().replace("one of ", ""), **vars(given))
     text = head + "\n".join(lines) + "\n" + FIRST.format(cold=cold, warm=warm)
     text += "\n".join(small) + "\n"
+    text += first_call(given.large or given.particles)
     Path(__file__).with_name("speed.md").write_text(text)
 
 

@@ -164,6 +164,17 @@ from tests.benchmarks import cases
 case = cases.CASES[int(sys.argv[2])]
 case.run(xr.load_dataset(sys.argv[1]) if case.steps == 1 else xr.open_dataset(sys.argv[1], chunks={"time": 1}))
 """
+TWICE = """
+import os, sys
+import xarray as xr
+from tests.benchmarks import cases
+case, ds = cases.CASES[int(sys.argv[2])], xr.load_dataset(sys.argv[1])
+for _ in range(2):
+    begin = os.times()
+    case.run(ds)
+    end = os.times()
+    print(end.user - begin.user, end.system - begin.system)
+"""
 
 
 def fresh(code: str, *arguments: str, **environment: str) -> str:
@@ -198,9 +209,19 @@ def small_steps(particles: int, steps: int, threads: int) -> tuple[float, float]
     return seconds / steps, busy / steps
 
 
+def first_call(case: Case, particles: int) -> list[list[float]]:
+    """Seconds that the processor and the system take for the first call of a process, and for the next one."""
+    return [[float(seconds) for seconds in line.split()] for line in _with_scene(TWICE, case, particles).splitlines()]
+
+
 def peak_memory(case: Case, particles: int) -> float:
     """Largest resident memory of a process that reads the scene and does the job (MB); on Linux only."""
+    return int(_with_scene(PEAK + RESIDENT, case, particles)) / 1000
+
+
+def _with_scene(code: str, case: Case, particles: int) -> str:
+    """What a process prints that is given the scene as a file, and the number of the case."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "scene.nc"
         case.scene(particles).to_netcdf(path)
-        return int(fresh(PEAK + RESIDENT, str(path), str(CASES.index(case)))) / 1000
+        return fresh(code, str(path), str(CASES.index(case)))
