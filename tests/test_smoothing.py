@@ -329,6 +329,19 @@ def test_registered_kernel_coarse_grains():
     assert np.isfinite(f.contact_stress).all()
 
 
+@pytest.mark.parametrize("kernel", [*NAMES, "wendland"])
+def test_nodes_on_the_rim_of_a_marginal(kernel):
+    """A grain as far away as the support reaches, where its squared distance is rounded to above that."""
+    x, z = 10.7, 23.6
+    assert ((x - 9.5) / 2.0) ** 2 + ((z - 22.0) / 2.0) ** 2 > 1.0
+    ds = xcg.scene_from_arrays([[x, 2.0, z]], diameter=[1.0], density=1.0, box=[[0, 20], [0, 4], [0, 34]], periodic="y")
+    width = xcg.Lucy(1.0).cutoff / as_kernel(kernel, 1.0, 3).cutoff
+    mesh = {"axes": "xz", "bounds": {"x": (0, 18), "z": (6, 24)}, "spacing": 0.5}
+    f = ds.cg.coarse_grain("volume_fraction", kernel=kernel, width=width, **mesh)
+    assert np.isfinite(f.volume_fraction).all()
+    assert abs(f.volume_fraction.sel(x=9.5, z=22.0).item()) < 1e-2 * float(f.volume_fraction.max())
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [

@@ -359,10 +359,13 @@ def segment(kind, spread, table, h2, t0, t1):
 
 @leaf
 def fill_values(kind, spread, table, norm, by_gradient, q2, count, out):
-    """Write norm x value, or gradient unless that is None, at `count` squared distances, in loops that vectorise."""
+    """Write norm x value, or gradient unless that is None, at `count` squared distances, in loops that vectorise.
+
+    At the rim rounding may leave a squared distance above 1, where the roots of chords are not numbers.
+    """
     if by_gradient is not None:
         for k in range(count):
-            out[k] = norm * gradient(kind, spread, table, q2[k])
+            out[k] = norm * gradient(kind, spread, table, min(q2[k], 1.0))
     elif kind is LUCY_FULL:
         for k in range(padded(count)):
             q = math.sqrt(q2[k])
@@ -377,7 +380,7 @@ def fill_values(kind, spread, table, norm, by_gradient, q2, count, out):
             out[k] = norm
     else:
         for k in range(count):
-            out[k] = norm * value(kind, spread, table, q2[k])
+            out[k] = norm * value(kind, spread, table, min(q2[k], 1.0))
 
 
 @leaf

@@ -69,8 +69,9 @@ ax.legend()
 plt.show()
 
 # %%
-# Both numbers are within what is published; three slots and six steps each leave some tenths in :math:`k`. The rate of
-# dilation is largest above the edges of the slot, and at the surface falling grains join the packing.
+# Both are near what is published, and the law is a straight line within the errors; three slots and five or six steps
+# each leave some tenths in :math:`k`. The rate of dilation is largest above the edges of the slot; at the surface
+# falling grains join the packing.
 #
 # **For your own data, change** ``runs`` to your files, and ``18 * L`` to the area over which the profile is averaged.
 # Where grains do not come back, the rate is that of the first steps, before the silo is empty.
