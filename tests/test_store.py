@@ -52,7 +52,7 @@ def test_a_scene_comes_back(tmp_path, suffix, lazy):
     assert {name: np.asarray(v).tolist() for name, v in ds.attrs.items()} == {
         name: np.asarray(v).tolist() for name, v in again.attrs.items()
     }
-    assert again["position"].chunks[0] == (1, 1, 1, 1)
+    assert again["position"].chunks[0] == ((1, 1, 1, 1) if suffix == ".nc" else (4,))  # short steps share a file
     assert sorted(path.name for path in tmp_path.iterdir()) == [saved.name]
 
 

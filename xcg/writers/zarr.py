@@ -6,7 +6,6 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import xarray as xr
 from numpy.typing import NDArray
@@ -16,10 +15,10 @@ from xcg.writers.encoding import Encoding
 from xcg.writers.folders import whole_folder
 from xcg.writers.layout import chunk_shape, outline, prepared, steps_in_chunk, write_all
 
-# Bytes of all variables of the steps that share the files of a Zarr array, where steps are short.
-_SHARD = 64_000_000
-# Chunks that do so are this many at least: putting them into one file costs more time than writing them.
-_FEWEST = 4
+# Bytes of a chunk of a variable, on average, where steps are shorter: a small file takes more time than its numbers.
+_CHUNK = 2_000_000
+# Bytes of the chunks of all variables, which one task holds.
+_TOGETHER = 64_000_000
 
 
 @dataclass(frozen=True)
@@ -42,23 +41,18 @@ def write_zarr(ds: xr.Dataset, path: Path, encoding: Encoding, *, overwrite: boo
     BloscCodec = extra("zarr.codecs", "zarr", "writing Zarr").BloscCodec
     ds, over = prepared(ds, encoding)
     packed = [BloscCodec(cname="zstd", clevel=encoding.level, shuffle="shuffle")] if encoding.level else []
-    chunk, shard = steps_in_chunk(ds, over), _steps_in_shard(ds, over)
-    layout: dict[str, Any] = {}
-    for name in over:
-        layout[name] = {"chunks": chunk_shape(ds[name], chunk), "compressors": packed}
-        if shard > chunk:
-            layout[name]["shards"] = (shard, *ds[name].shape[1:])
+    steps = _steps_together(ds, over)
+    layout = {name: {"chunks": chunk_shape(ds[name], steps), "compressors": packed} for name in over}
     with whole_folder(path, overwrite=overwrite) as part:
         with warnings.catch_warnings():
             # What xarray looks for first when it opens a store; programs that do not know it pass over it.
             warnings.filterwarnings("ignore", "Consolidated metadata is currently not part")
             outline(ds, over, encoding).to_zarr(part, encoding=layout, zarr_format=3, consolidated=True, compute=False)
-        write_all(ds, over, _Zarr(part, encoding), shard)
+        write_all(ds, over, _Zarr(part, encoding), steps)
 
 
-def _steps_in_shard(ds: xr.Dataset, over: Sequence[str]) -> int:
-    """How many steps share a file: whole chunks of as many as a task may hold in memory."""
-    chunk, count = steps_in_chunk(ds, over), ds.sizes.get("time", 1)
-    step = sum(ds[name].nbytes for name in over) / max(1, count)
-    chunks = min(int(_SHARD / max(step * chunk, 1.0)), -(-count // chunk))
-    return chunk * chunks if chunks >= _FEWEST else chunk
+def _steps_together(ds: xr.Dataset, over: Sequence[str]) -> int:
+    """How many steps share a chunk: whole chunks of the Dataset, as many as are worth a file each."""
+    chunk, count = steps_in_chunk(ds, over), max(1, ds.sizes.get("time", 1))
+    size = max(1.0, chunk * sum(ds[name].nbytes for name in over) / count)
+    return chunk * max(1, min(int(min(len(over) * _CHUNK, _TOGETHER) / size), -(-count // chunk)))
