@@ -191,9 +191,12 @@ def test_segments_of_the_marginal_of_a_gaussian_of_any_cutoff(ratio, length):
     np.testing.assert_allclose(kernel.segment(points, 0 * end, end), truth, rtol=0, atol=2e-13 * truth.max())
 
 
+_MANY_POINTS = np.polynomial.legendre.leggauss(300)
+
+
 def _over_angle(kernel, point, end):
     """Mean of a kernel along a segment from 0, by many points over the angle along the chord."""
-    x, w = np.polynomial.legendre.leggauss(300)
+    x, w = _MANY_POINTS
     whole = np.linalg.norm(end)
     foot = point @ end / whole
     across2 = point @ point - foot**2
