@@ -68,3 +68,30 @@ def test_bodies_need_ids_and_masses():
         ds.cg.group_bodies("clump")
     spheres = ds.assign(body_id=xr.full_like(ds.body_id, -1)).cg.group_bodies()
     np.testing.assert_array_equal(spheres.position, ds.position)
+
+
+def test_bodies_keep_their_species_and_what_holds_them():
+    given = {"species": [1, 1, 2, 2, 3], "frozen": [1, 1, 0, 0, 0]}
+    b = dimers(**given).cg.group_bodies().isel(time=0)
+    assert b.particle_id.values[:3].tolist() == [3, 7, 22]
+    assert b.species.values[:3].tolist() == [2, 1, 3]
+    assert b.frozen.values[:3].tolist() == [0, 1, 0]
+
+
+@pytest.mark.parametrize("name", ["species", "frozen"])
+def test_spheres_of_a_body_are_alike(name):
+    ds = dimers(**{name: [1, 1, 0, 1, 0]})
+    with pytest.raises(xcg.SceneError, match=rf"spheres 12 and 13 are of one body \(3\) and differ in {name} \(0, 1\)"):
+        ds.cg.group_bodies()
+
+
+def test_molecule_0_of_lammps_is_none(tmp_path):
+    """Spheres of no molecule are bodies of their own, not one large one."""
+    path = tmp_path / "p.dump"
+    rows = ["1 0 1 1 1 1 1", "2 5 3 3 3 1 1", "3 5 4 3 3 1 1", "4 0 8 8 8 1 1"]
+    box = "ITEM: BOX BOUNDS ff ff ff\n0 10\n0 10\n0 10\n"
+    head = f"ITEM: UNITS\nsi\nITEM: TIME\n0\nITEM: TIMESTEP\n0\nITEM: NUMBER OF ATOMS\n4\n{box}"
+    path.write_text(head + "ITEM: ATOMS id mol x y z radius mass\n" + "\n".join(rows) + "\n")
+    ds = xcg.open_scene(path)
+    assert ds.body_id.values[0].tolist() == [-1, 5, 5, -1]
+    assert ds.cg.group_bodies().compute().mass.values[0].tolist()[:3] == [2.0, 1.0, 1.0]

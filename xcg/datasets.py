@@ -46,7 +46,6 @@ _SAMPLES = {
         "lammps_glued",
         contacts="contacts.dump.gz",
         options={
-            "names": {"mol": "body_id"},
             "walls": {"floor": "f_floor[*]"},
             "gravity": (0.258819, 0.0, -0.965926),
         },

@@ -38,7 +38,7 @@ def _vector(slot: str, *templates: str) -> dict[str, tuple[str, ...]]:
 PARTICLE_SLOTS: Slots = {
     "particle_id": ("id",),
     "species": ("type",),
-    "body_id": (),
+    "body_id": ("mol",),
     "frozen": (),
     "coordination_number": (),
     **_vector("position", "?", "?u"),
@@ -252,6 +252,8 @@ def particles_from(ref: StepRef, columns: Mapping[str, str], options: ReadOption
     if "radius" in frame:
         radius = frame.pop("radius")
         frame.setdefault("diameter", 2 * radius)
+    if columns.get("body_id") == "mol":  # LAMMPS' molecule 0 is none
+        frame["body_id"] = np.where(frame["body_id"] == 0, -1, frame["body_id"])
     return frame
 
 

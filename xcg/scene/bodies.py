@@ -16,7 +16,8 @@ from xcg.scene.query import require_scene, setup_of
 from xcg.scene.schema import BOX, PADDING, SceneError, units_of, variable
 from xcg.scene.sizes import measure
 
-_PARTICLES = ("particle_id", "position", "velocity", "diameter", "density", "mass", "volume")
+_SHARED = ("species", "frozen")  # by all spheres of a body
+_PARTICLES = ("particle_id", "position", "velocity", "diameter", "density", "mass", "volume", *_SHARED)
 _CONTACTS = ("contact_i", "contact_j", "contact_force", "contact_point", "contact_normal", "overlap")
 _MISSING = -2  # a partner that is not in the scene counts as a wall
 
@@ -28,7 +29,8 @@ def group_bodies(ds: xr.Dataset, by_body: str = "body_id") -> xr.Dataset:
     A body has the mass and volume of its spheres together, their centre of mass (components joined across periodic
     edges), its velocity ``S m v / S m``, and the diameter of a sphere of its volume. Contacts become those of bodies at
     the same points, with the same forces; contacts inside a body are dropped. Components that overlap count twice,
-    unless their masses and volumes in the scene already allow for it.
+    unless their masses and volumes in the scene already allow for it. The spheres of a body are of one species, and all
+    frozen or none. Angular velocities are left out, as moments of inertia of bodies are not known.
 
     Parameters
     ----------
@@ -46,7 +48,8 @@ def group_bodies(ds: xr.Dataset, by_body: str = "body_id") -> xr.Dataset:
     Raises
     ------
     SceneError
-        If the scene lacks masses or the variable, or the variable is not an integer.
+        If the scene lacks masses or the variable, the variable is not an integer, or the spheres of a body differ in
+        ``species`` or ``frozen``.
     """
     require_scene(ds, ("mass", by_body), "group_bodies")
     if ds[by_body].dtype.kind not in "iu" or "particle" not in ds[by_body].dims:
@@ -104,7 +107,8 @@ def _over_time(
         valid = particle_rows(given["particle_id"][at])
         frame = {name: given[name][at][valid] for name in names if name not in {*contacts, *BOX}}
         box = {name: given[name][at] for name in BOX if name in given}
-        bodies, id_of_row = _bodies(frame, Lattice.of(box, periodic, f"group_bodies, frame {at}"))
+        source = f"group_bodies, frame {at}"
+        bodies, id_of_row = _bodies(frame, Lattice.of(box, periodic, source), source)
         for name in made:
             out[name][at][: len(bodies["particle_id"])] = bodies[name]
         if contacts:
@@ -120,7 +124,7 @@ def _over_time(
     return tuple(out.values())
 
 
-def _bodies(frame: dict[str, NDArray], lattice: Lattice) -> tuple[dict[str, NDArray], NDArray]:
+def _bodies(frame: dict[str, NDArray], lattice: Lattice, source: str) -> tuple[dict[str, NDArray], NDArray]:
     """Bodies of one frame, and the body's id of each sphere."""
     ids, body = frame["particle_id"], frame["body"]
     own = body < 0
@@ -148,4 +152,17 @@ def _bodies(frame: dict[str, NDArray], lattice: Lattice) -> tuple[dict[str, NDAr
     for name in ("density", "diameter"):
         if name in frame and name not in bodies:
             bodies[name] = frame[name][first]
+    for name in _SHARED:
+        if name in frame:
+            bodies[name] = frame[name][first]
+            differ = frame[name] != bodies[name][group]
+            if differ.any():
+                other = differ.argmax()
+                one = first[group[other]]
+                msg = (
+                    f"{source}: spheres {ids[one]} and {ids[other]} are of one body ({identity[one]}) and differ in "
+                    f"{name} ({frame[name][one]}, {frame[name][other]}): give single spheres a negative body, or leave the "
+                    f"variable out: ds.drop_vars({name!r})"
+                )
+                raise SceneError(msg)
     return bodies, identity
