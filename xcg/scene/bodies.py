@@ -161,8 +161,8 @@ def _bodies(frame: dict[str, NDArray], lattice: Lattice, source: str) -> tuple[d
                 one = first[group[other]]
                 msg = (
                     f"{source}: spheres {ids[one]} and {ids[other]} are of one body ({identity[one]}) and differ in "
-                    f"{name} ({frame[name][one]}, {frame[name][other]}): give single spheres a negative body, or leave the "
-                    f"variable out: ds.drop_vars({name!r})"
+                    f"{name} ({frame[name][one]}, {frame[name][other]}): give single spheres a negative body, or "
+                    f"leave the variable out: ds.drop_vars({name!r})"
                 )
                 raise SceneError(msg)
     return bodies, identity
