@@ -141,7 +141,7 @@ def memory(folder: Path, counts: Sequence[int], forms: Sequence[str]) -> None:
 
 def reading(folder: Path, particles: int) -> None:
     """Speed of parsers and of whole steps, on one core."""
-    from xcg.readers import vtp
+    from xcg.readers.files import vtp
 
     folder.mkdir(parents=True, exist_ok=True)
     (ds,) = series.packings(particles, 1)
@@ -158,10 +158,10 @@ def reading(folder: Path, particles: int) -> None:
 
 def parsing(folder: Path, particles: int) -> None:
     """Speed of reading text, plain and compressed, by one thread and by two; of other parsers; and of the fields."""
-    from xcg.readers import text
-    from xcg.readers.compressed import _zstd
-    from xcg.readers.lammps import Lammps
-    from xcg.readers.mercury import Mercury
+    from xcg.readers.codes.lammps import Lammps
+    from xcg.readers.codes.mercury import Mercury
+    from xcg.readers.files import text
+    from xcg.readers.files.compressed import _zstd
 
     folder.mkdir(parents=True, exist_ok=True)
     (ds,) = series.packings(particles, 1)
@@ -184,7 +184,7 @@ def parsing(folder: Path, particles: int) -> None:
             ]
             one = processor(read[0])
             unpacked = processor(lambda ref=ref: deque(text.body_of(ref), 0))
-            with mock.patch("xcg.readers.table.THREADS", 2):
+            with mock.patch("xcg.readers.files.table.THREADS", 2):
                 alone, both = fastest(read, 5)
             rows.append([f"{kind} of {engine.name}{suffix}", f"{size:.0f}", f"{size / unpacked:.0f}",
                          f"{size / one:.0f}", f"{alone / both:.2f}", f"{one:.2f}"])  # fmt: skip

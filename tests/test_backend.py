@@ -11,7 +11,7 @@ import xcg
 from tests.benchmarks import series
 from xcg.readers import indexed
 from xcg.readers.backend import SceneBackend
-from xcg.readers.mfix import Mfix
+from xcg.readers.codes.mfix import Mfix
 
 STEPS = 4
 

@@ -7,7 +7,8 @@ import pytest
 
 import xcg
 from tests import dumps
-from xcg.readers import index, text
+from xcg.readers import index
+from xcg.readers.files import text
 
 
 def test_a_last_column_of_text(tmp_path):

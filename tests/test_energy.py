@@ -13,7 +13,7 @@ from tests.brute_force import BruteKernel
 from tests.identities import residuals
 from tests.identities.scenes import load
 from xcg.fields.formulas.rows import energy, rotation
-from xcg.readers import table
+from xcg.readers.files import table
 from xcg.scene.schema import VARIABLES
 
 NAMES = [*rotation.ROWS, *energy.ROWS]

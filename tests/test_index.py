@@ -12,11 +12,11 @@ import pytest
 
 from tests import shared_data
 from tests.dumps import dump_text, write, write_series
-from xcg.readers import dump, mfix
+from xcg.readers.codes import dump, mfix
+from xcg.readers.codes.lammps import Lammps
+from xcg.readers.codes.mfix import Mfix
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.index import remembered
-from xcg.readers.lammps import Lammps
-from xcg.readers.mfix import Mfix
 from xcg.readers.series import open_scene
 
 

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 
 from tests import shared_data
 from tests.dumps import ATOMS, PAIR_ROWS, PAIRS, ROWS, dump_text, pairs_text, write
-from xcg.readers import dump
+from xcg.readers.codes import dump
+from xcg.readers.codes.lammps import Lammps
 from xcg.readers.engine import ReadOptions
-from xcg.readers.lammps import Lammps
+from xcg.readers.files.table import parse_table
 from xcg.readers.series import open_scene
-from xcg.readers.table import parse_table
 from xcg.scene.schema import SceneError, SceneWarning
 
 lammps = Lammps()
@@ -87,7 +87,7 @@ def test_many_steps_in_one_file(tmp_path, name):
 
 
 def test_steps_are_found_across_blocks(tmp_path, monkeypatch):
-    from xcg.readers import text
+    from xcg.readers.files import text
 
     path = str(write(tmp_path / "all.dump", [dump_text(step=k) for k in range(5)]))
     whole = lammps.index_particles([path], DEFAULTS)

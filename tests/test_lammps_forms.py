@@ -10,9 +10,9 @@ import xcg
 from tests import real_data
 from tests.dumps import dump_text, pairs_text, write
 from tests.lammps_forms import BOX, COLUMNS, binary_step, rows_of, write_netcdf
-from xcg.readers.classic_netcdf import ClassicFile
+from xcg.readers.codes.lammps import Lammps
 from xcg.readers.engine import ReadOptions
-from xcg.readers.lammps import Lammps
+from xcg.readers.files.classic_netcdf import ClassicFile
 
 lammps = Lammps()
 DEFAULTS = ReadOptions()

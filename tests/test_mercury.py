@@ -5,8 +5,8 @@ import pytest
 
 from tests import real_data
 from tests.dumps import write
+from xcg.readers.codes.mercury import Mercury, read_restart
 from xcg.readers.engine import ReadOptions
-from xcg.readers.mercury import Mercury, read_restart
 from xcg.readers.series import open_scene
 from xcg.scene.schema import SceneError
 

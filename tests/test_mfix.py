@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from tests import shared_data
-from xcg.readers import vtp
+from xcg.readers.codes.mfix import Mfix
 from xcg.readers.engine import ReadOptions
-from xcg.readers.mfix import Mfix
+from xcg.readers.files import vtp
 from xcg.scene.lattice import minimum_image
 from xcg.scene.schema import SceneError, SceneWarning
 

@@ -14,9 +14,9 @@ from tests import shared_data
 from tests.test_mfix import read_contacts, write_contacts, write_vtp
 from xcg.cli import main
 from xcg.packing.pairs import find_pairs
-from xcg.readers import vtp
+from xcg.readers.codes.mfix import Mfix
 from xcg.readers.engine import ReadOptions
-from xcg.readers.mfix import Mfix
+from xcg.readers.files import vtp
 from xcg.scene.lattice import minimum_image
 from xcg.scene.schema import SceneError, SceneWarning
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from xcg.compiled import text
-from xcg.readers.table import parse_table
+from xcg.readers.files.table import parse_table
 from xcg.scene.schema import SceneError
 
 ROOT = Path(__file__).parents[1]

@@ -95,8 +95,10 @@ def test_a_step_is_read_from_where_it_stands(tmp_path, monkeypatch):
     path = write(tmp_path / "a.csv", "step,x,y,z,radius\n" + rows)
     ds = xcg.open_scene(path, density=1.0, chunks=1)
     read = []
-    original = xcg.readers.tabular.delimited.body_of
-    monkeypatch.setattr(xcg.readers.tabular.delimited, "body_of", lambda ref: read.append(ref.length) or original(ref))
+    original = xcg.readers.codes.tabular.delimited.body_of
+    monkeypatch.setattr(
+        xcg.readers.codes.tabular.delimited, "body_of", lambda ref: read.append(ref.length) or original(ref)
+    )
     assert ds.position.isel(time=-1, particle=5).values.tolist() == [5, 905, 0]
     assert read == [sum(len(f"9,{k},{k + 900},0,0.5\n") for k in range(100))]
 
@@ -149,7 +151,7 @@ def test_parquet_says_what_to_install(tmp_path, monkeypatch):
         return original(name, *rest)
 
     original = importlib.import_module
-    monkeypatch.setattr("xcg.readers.parquet.importlib.import_module", no_pyarrow)
+    monkeypatch.setattr("xcg.readers.files.parquet.importlib.import_module", no_pyarrow)
     (tmp_path / "a.parquet").write_bytes(b"PAR1")
     with pytest.raises(xcg.SceneError, match=r"pip install 'xcg\[parquet\]'"):
         xcg.open_scene(tmp_path / "a.parquet")

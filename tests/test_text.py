@@ -11,12 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.dumps import ATOMS, dump_text, write
-from xcg.readers import compressed, text
-from xcg.readers import table as table_module
+from xcg.readers.codes.lammps import Lammps
 from xcg.readers.engine import ReadOptions
-from xcg.readers.lammps import Lammps
+from xcg.readers.files import compressed, text
+from xcg.readers.files import table as table_module
+from xcg.readers.files.table import parse_table
 from xcg.readers.series import open_scene
-from xcg.readers.table import parse_table
 from xcg.scene.schema import SceneError
 
 lammps = Lammps()

@@ -8,7 +8,7 @@ from vtkmodules.vtkIOXML import vtkXMLImageDataReader
 
 import xcg
 from tests import steps_of_random_scenes
-from xcg.readers.vtp import read_collection
+from xcg.readers.files.vtp import read_collection
 from xcg.writers import vti
 
 

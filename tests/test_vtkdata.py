@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.benchmarks import series
-from xcg.readers import vtkdata, vtp
+from xcg.readers.files import vtkdata, vtp
 from xcg.scene.schema import SceneError
 
 # --- base64 ----------------------------------------------------------------------------------------------

@@ -46,7 +46,7 @@ class Case:
 
     def run(self, ds: xr.Dataset) -> xr.Dataset | None:
         with ExitStack() as few:
-            for module in ("xcg.fields.evaluate", "xcg.readers.table"):
+            for module in ("xcg.fields.evaluate", "xcg.readers.files.table"):
                 few.enter_context(mock.patch(f"{module}.THREADS", self.threads))
             return self.work(ds)
 

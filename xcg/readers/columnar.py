@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from xcg.readers import columns
 from xcg.readers.engine import Engine, ReadOptions, StepRef
-from xcg.readers.table import read_table
+from xcg.readers.files.table import read_table
 from xcg.scene.schema import Frame
 
 

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.readers.engine import ReadOptions, StepRef
-from xcg.readers.table import read_table
-from xcg.readers.text import source_of
+from xcg.readers.files.table import read_table
+from xcg.readers.files.text import source_of
 from xcg.scene.schema import COMPONENTS, Frame, SceneError, variable
 from xcg.scene.walls import FIRST_WALL
 from xcg.scene.warn import warn_user

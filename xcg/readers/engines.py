@@ -13,14 +13,14 @@ from xcg.scene.warn import warn_user
 
 GROUP = "xcg.readers"
 _OWN = {
-    "lammps": "xcg.readers.lammps:Lammps",
-    "liggghts": "xcg.readers.liggghts:Liggghts",
-    "mercury": "xcg.readers.mercury:Mercury",
-    "mfix": "xcg.readers.mfix:Mfix",
-    "yade": "xcg.readers.yade:Yade",
-    "table": "xcg.readers.tabular:Table",
-    "hdf5": "xcg.readers.hdf5:Hdf5",
-    "vtk": "xcg.readers.vtk_points:Vtk",
+    "lammps": "xcg.readers.codes.lammps:Lammps",
+    "liggghts": "xcg.readers.codes.liggghts:Liggghts",
+    "mercury": "xcg.readers.codes.mercury:Mercury",
+    "mfix": "xcg.readers.codes.mfix:Mfix",
+    "yade": "xcg.readers.codes.yade:Yade",
+    "table": "xcg.readers.codes.tabular:Table",
+    "hdf5": "xcg.readers.codes.hdf5:Hdf5",
+    "vtk": "xcg.readers.codes.vtk_points:Vtk",
 }
 
 

@@ -12,8 +12,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.readers import columns
+from xcg.readers.codes.tabular import Table, clock_of, runs_of
 from xcg.readers.engine import ReadOptions, StepRef
-from xcg.readers.tabular import Table, clock_of, runs_of
 from xcg.scene.build import scene_from_arrays
 from xcg.scene.schema import Frame, SceneError
 

@@ -15,7 +15,7 @@ from dask.base import tokenize
 from dask.highlevelgraph import HighLevelGraph
 
 from xcg.readers.engine import Engine, ReadOptions, StepRef
-from xcg.readers.text import source_of
+from xcg.readers.files.text import source_of
 from xcg.scene.complete import HINTS, complete_contacts, complete_particles
 from xcg.scene.frame import frame_of, stack
 from xcg.scene.lattice import Lattice

@@ -11,7 +11,7 @@ from xml.sax.saxutils import quoteattr
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.readers.vtp import read_collection
+from xcg.readers.files.vtp import read_collection
 from xcg.scene.schema import SceneError
 from xcg.writers.files import check_target, publish, whole_file
 from xcg.writers.folders import hidden_folder

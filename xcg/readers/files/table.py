@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from xcg.compiled import THREADS
 from xcg.compiled.text import BEYOND, REST, read_rows
 from xcg.readers.engine import ReadOptions, StepRef
-from xcg.readers.text import PIECE, body_of, source_of, whole_lines
+from xcg.readers.files.text import PIECE, body_of, source_of, whole_lines
 from xcg.scene.schema import SceneError
 
 SHARED = 1 << 22  # bytes from which on a table is worth the threads

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from xcg.compiled import THREADS
 from xcg.readers.engine import ReadOptions, StepRef
-from xcg.readers.table import SHARED, parse_table
-from xcg.readers.text import PIECE, Scanner, body_of, most_text, open_binary, source_of
+from xcg.readers.files.table import SHARED, parse_table
+from xcg.readers.files.text import PIECE, Scanner, body_of, most_text, open_binary, source_of
 from xcg.scene.schema import SceneError
 
 _SEPARATORS = "\t;,"

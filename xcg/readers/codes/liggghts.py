@@ -10,7 +10,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from xcg.readers import columns, dump
+from xcg.readers import columns
+from xcg.readers.codes import dump
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.scene.schema import COMPONENTS, Frame
 

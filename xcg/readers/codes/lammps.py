@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from xcg.readers import columns, dump
+from xcg.readers import columns
+from xcg.readers.codes import dump
 from xcg.readers.engine import ReadOptions, StepRef
-from xcg.readers.text import source_of
+from xcg.readers.files.text import source_of
 from xcg.scene.schema import Frame
 from xcg.scene.warn import warn_user
 

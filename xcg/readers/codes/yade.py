@@ -19,8 +19,8 @@ import numpy as np
 from xcg.readers import columns
 from xcg.readers.columnar import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
+from xcg.readers.files.text import Scanner, check_rows, first_lines, most_text, open_binary
 from xcg.readers.index import remembered
-from xcg.readers.text import Scanner, check_rows, first_lines, most_text, open_binary
 from xcg.scene.schema import COMPONENTS, SceneError
 from xcg.steps import errors as errors
 

@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.readers.engine import ReadOptions, StepRef
-from xcg.readers.text import source_of
+from xcg.readers.files.text import source_of
 from xcg.scene.schema import SceneError
 
 
 @dataclass(frozen=True)
 class Table:
-    """What the metadata of a file and its columns of times tell; see `xcg.readers.delimited.Table`."""
+    """What the metadata of a file and its columns of times tell; see `xcg.readers.files.delimited.Table`."""
 
     columns: tuple[str, ...]
     rows: int

@@ -13,13 +13,13 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.readers import columns, lammps_binary, lammps_netcdf
+from xcg.readers import columns
+from xcg.readers.codes import lammps_binary, lammps_netcdf
+from xcg.readers.codes.lammps_box import with_bounds
 from xcg.readers.columnar import Columnar
-from xcg.readers.compressed import compression, most_from
 from xcg.readers.engine import ReadOptions, StepRef
-from xcg.readers.index import remembered
-from xcg.readers.lammps_box import with_bounds
-from xcg.readers.text import (
+from xcg.readers.files.compressed import compression, most_from
+from xcg.readers.files.text import (
     Scanner,
     check_rows,
     first_lines,
@@ -29,6 +29,7 @@ from xcg.readers.text import (
     source_of,
     uncompressed_size,
 )
+from xcg.readers.index import remembered
 from xcg.scene.schema import COMPONENTS, SceneError
 from xcg.steps import errors as errors
 

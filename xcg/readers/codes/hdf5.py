@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from xcg.readers import columns
 from xcg.readers.columnar import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
+from xcg.readers.files.text import source_of
 from xcg.readers.index import remembered
-from xcg.readers.text import source_of
 from xcg.scene.schema import COMPONENTS, SceneError, did_you_mean
 from xcg.steps import errors as errors
 

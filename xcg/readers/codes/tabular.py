@@ -16,9 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.readers import columns, delimited, parquet
+from xcg.readers import columns
 from xcg.readers.columnar import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
+from xcg.readers.files import delimited, parquet
 from xcg.readers.index import remembered
 from xcg.scene.schema import SceneError
 from xcg.steps import errors as errors

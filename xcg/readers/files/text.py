@@ -9,8 +9,8 @@ from contextlib import contextmanager
 from typing import BinaryIO
 
 from xcg.compiled.text import BEYOND
-from xcg.readers.compressed import compression, errors, forward, open_compressed, size_of_content
 from xcg.readers.engine import StepRef
+from xcg.readers.files.compressed import compression, errors, forward, open_compressed, size_of_content
 from xcg.scene.schema import SceneError
 
 _FIRST_BLOCK, _BLOCK = 1 << 16, 1 << 22  # small first, as the header is often all that is wanted

@@ -19,9 +19,9 @@ from typing import BinaryIO, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.readers.codes.lammps_box import with_bounds
 from xcg.readers.engine import StepRef
-from xcg.readers.lammps_box import with_bounds
-from xcg.readers.text import source_of
+from xcg.readers.files.text import source_of
 from xcg.scene.schema import COMPONENTS, SceneError
 
 _MARKS = {struct.pack(f"{order}q", -len(word)) + word: order for order in "<>" for word in (b"DUMPCUSTOM", b"DUMPATOM")}

@@ -16,11 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.readers import columns
-from xcg.readers.compressed import most_from
 from xcg.readers.engine import Engine, ReadOptions, StepRef
-from xcg.readers.index import remembered
-from xcg.readers.table import parse_table, read_table
-from xcg.readers.text import (
+from xcg.readers.files.compressed import most_from
+from xcg.readers.files.table import parse_table, read_table
+from xcg.readers.files.text import (
     Scanner,
     check_rows,
     first_lines,
@@ -28,6 +27,7 @@ from xcg.readers.text import (
     open_binary,
     source_of,
 )
+from xcg.readers.index import remembered
 from xcg.scene.schema import COMPONENTS, Frame, SceneError
 from xcg.steps import errors as errors
 

@@ -10,7 +10,7 @@ What its contacts hold was checked on its output, against the positions of the p
   whose damping outweighs repulsion, where it points the other way. Of superquadrics it is another direction. So it is
   not read as the normal.
 - Contacts are one time step older than positions, so a point may lie a period away from a particle i that just crossed.
-- Many contacts stand twice: see `xcg.readers.mfix_contacts`.
+- Many contacts stand twice: see `xcg.readers.codes.mfix_contacts`.
 """
 
 from __future__ import annotations
@@ -26,10 +26,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.readers import vtp
-from xcg.readers.engine import Engine, ReadOptions, StepRef
-from xcg.readers.index import remembered
-from xcg.readers.mfix_contacts import (
+from xcg.readers.codes.mfix_contacts import (
     EXACT,
     both_sides_once,
     distances_of_twins,
@@ -37,6 +34,9 @@ from xcg.readers.mfix_contacts import (
     of_superquadrics,
     periods_of,
 )
+from xcg.readers.engine import Engine, ReadOptions, StepRef
+from xcg.readers.files import vtp
+from xcg.readers.index import remembered
 from xcg.scene.schema import Frame, SceneError, variable
 from xcg.scene.warn import warn_user
 from xcg.steps import errors as errors

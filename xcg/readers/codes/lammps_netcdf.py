@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.readers.classic_netcdf import ClassicFile
-from xcg.readers.classic_netcdf import begins as begins
 from xcg.readers.engine import StepRef
-from xcg.readers.text import source_of
+from xcg.readers.files.classic_netcdf import ClassicFile
+from xcg.readers.files.classic_netcdf import begins as begins
+from xcg.readers.files.text import source_of
 from xcg.scene.schema import COMPONENTS, SceneError
 
 # names of vectors, and those of their components in dumps of text

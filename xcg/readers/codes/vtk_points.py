@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from xcg.readers import mfix
+from xcg.readers.codes import mfix
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.scene.schema import Frame
 
