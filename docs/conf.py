@@ -1,5 +1,6 @@
 """Sphinx configuration: pip install --group docs --editable . && python -m sphinx -W docs docs/_build."""
 
+import re
 import sys
 import urllib.request
 from importlib import metadata
@@ -90,6 +91,11 @@ def shorten_methods(app, what, name, obj, options, lines):
         del lines[1:]
 
 
+def link_gallery(app, docname, source):
+    """Let links to scripts of the gallery lead to their pages; where the repository is read, they lead to the scripts."""
+    source[0] = re.sub(r"\(\.\./examples/gallery/([\w/]+)\.py\)", r"(gallery/\1.rst)", source[0])
+
+
 def copy_mathjax(app, error):
     """Copy the part of MathJax that draws formulas with fonts of its own (2 of 24 MB)."""
     if error is None and app.builder.format == "html":
@@ -99,5 +105,6 @@ def copy_mathjax(app, error):
 
 
 def setup(app):
+    app.connect("source-read", link_gallery)
     app.connect("build-finished", copy_mathjax)
     app.connect("autodoc-process-docstring", shorten_methods, priority=1)  # before numpydoc
