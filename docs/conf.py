@@ -54,6 +54,7 @@ sphinx_gallery_conf = {
     "download_all_examples": False,
     "show_signature": False,
     "write_computation_times": False,
+    "min_reported_time": float("inf"),
 }
 
 # Formulas are drawn without a network: MathJax of an installed package is copied into the site.
@@ -91,9 +92,20 @@ def shorten_methods(app, what, name, obj, options, lines):
         del lines[1:]
 
 
-def link_gallery(app, docname, source):
-    """Let links to scripts of the gallery lead to their pages; where the repository is read, they lead to the scripts."""
-    source[0] = re.sub(r"\(\.\./examples/gallery/([\w/]+)\.py\)", r"(gallery/\1.rst)", source[0])
+# What has a page here, and is a file where the repository is read
+PAGES = {
+    "examples/gallery": "docs/gallery/index.rst",
+    "CHANGELOG.md": "docs/changes.md",
+    "CONTRIBUTING.md": "docs/contributing.md",
+}
+
+
+def link_pages(app, *names_and_text):
+    """Let links to files of the repository lead to the pages that show them: scripts of the gallery, the README's list."""
+    text = names_and_text[-1]
+    text[0] = re.sub(r"\(\.\./examples/gallery/([\w/]+)\.py\)", r"(gallery/\1.rst)", text[0])
+    for path, page in PAGES.items():
+        text[0] = text[0].replace(f"]({path})", f"]({page})")
 
 
 def copy_mathjax(app, error):
@@ -105,6 +117,7 @@ def copy_mathjax(app, error):
 
 
 def setup(app):
-    app.connect("source-read", link_gallery)
+    app.connect("source-read", link_pages)
+    app.connect("include-read", link_pages)
     app.connect("build-finished", copy_mathjax)
     app.connect("autodoc-process-docstring", shorten_methods, priority=1)  # before numpydoc
