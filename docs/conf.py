@@ -101,7 +101,7 @@ PAGES = {
 
 
 def link_pages(app, *names_and_text):
-    """Let links to files of the repository lead to the pages that show them: scripts of the gallery, the README's list."""
+    """Let links to scripts of the gallery, and those of the README's list, lead to the pages that show them."""
     text = names_and_text[-1]
     text[0] = re.sub(r"\(\.\./examples/gallery/([\w/]+)\.py\)", r"(gallery/\1.rst)", text[0])
     for path, page in PAGES.items():

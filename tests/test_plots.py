@@ -10,6 +10,7 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 import pytest
+import xarray as xr
 
 import xcg
 from xcg.steps.progress import shown
@@ -30,8 +31,6 @@ def result():
     """Three steps of random grains; those of the second are twice as fast, of the third four times."""
     ds = xcg.datasets.random_scene(200, seed=3)
     steps = [ds.assign(velocity=2.0**k * ds.velocity).assign_coords(time=[float(k)]) for k in range(3)]
-    import xarray as xr
-
     scene = xr.concat(steps, "time", data_vars="all", coords="minimal", compat="override", join="override")
     fields = ["volume_fraction", "velocity", "stress", "density"]
     return scene, scene.cg.coarse_grain(fields, axes="xz", at={"y": 2.5}, width=1.0).compute()
@@ -64,6 +63,45 @@ def test_a_map_over_radius_and_height():
     np.testing.assert_array_equal(mesh.get_array(), f.density.isel(time=-1).transpose("z", "r"))
     rise = f.velocity.isel(time=-1).sel(component="z").transpose("z", "r")
     np.testing.assert_array_equal(arrows.V.reshape(rise.shape)[:, 1:], rise[:, 1:])  # on the axis r has no direction
+
+
+def test_a_map_over_radius_and_angle_lies_in_the_plane_of_the_circle():
+    """In a drum that turns as one body the arrows are at right angles to the radius, as long as it is."""
+    ds = xcg.datasets.random_scene(400, seed=1, periodic="z")
+    around = ds.position - xr.DataArray([2.5, 2.5, 0.0], dims="component")
+    spin = xr.DataArray([[0.0, -1, 0], [1, 0, 0], [0, 0, 0]], dims=("component", "c"))
+    ds = ds.assign(velocity=xr.dot(spin, around.rename(component="c"), dim="c").transpose(*ds.position.dims))
+    frame = xcg.Cylindrical(origin=(2.5, 2.5, 0))
+    f = ds.cg.coarse_grain(["density", "velocity"], axes="rt", frame=frame, bounds={"r": (0, 2)}, width=0.6).compute()
+    ax = f.cg.plot("density")
+    assert (ax.get_xlabel(), ax.get_ylabel()) == (r"$r\,\cos\theta$ [m]", r"$r\,\sin\theta$ [m]")
+    mesh, arrows = ax.collections
+    np.testing.assert_array_equal(mesh.get_array(), f.density.isel(time=-1).transpose("theta", "r"))
+    corner = mesh.get_coordinates()
+    first, last = f.theta.to_numpy()[[0, -1]]
+    np.testing.assert_allclose(np.hypot(*corner[:, -1].T), f.r[-1] + (f.r[1] - f.r[0]) / 2)  # the rim
+    np.testing.assert_allclose(np.arctan2(*corner[0, -1, ::-1]), first - (2 * np.pi - last) / 2, atol=1e-12)
+    flow, place = np.stack([arrows.U, arrows.V], -1), arrows.get_offsets()
+    known = np.isfinite(flow).all(-1)
+    assert known.sum() > 100
+    across = np.stack([-place[known, 1], place[known, 0]], -1)
+    size = np.linalg.norm(flow[known], axis=-1)
+    # the mean velocity is that of the grains' centre, which is some way beside the node
+    assert np.mean((flow[known] * across).sum(-1) / size / np.linalg.norm(across, axis=-1)) > 0.95
+    with pytest.raises(ValueError, match="draws along one or two of r, theta, x, y, z"):
+        f.isel(r=1, theta=2).cg.plot("density")
+
+
+def test_a_cylindrical_wall_is_unrolled():
+    ds = xcg.datasets.open("silo")
+    side = xcg.Cylinder((0, 0, 0), (0, 0, 1), radius=0.025, low=0.0, high=0.24)
+    f = ds.cg.wall_stress(side, 0.01, walls="side").compute()
+    ax = f.cg.plot("normal_traction")
+    (mesh,) = ax.collections
+    np.testing.assert_array_equal(mesh.get_array(), f.normal_traction[0].transpose("z", "theta"))
+    assert (ax.get_xlabel(), ax.get_aspect()) == ("theta [rad]", "auto")
+    with pytest.raises(ValueError, match=r"f\.sel\(along=...\)"):
+        f.cg.plot("shear_traction")
 
 
 def test_a_map_of_a_vector_is_its_magnitude_and_one_of_both_signs_is_white_at_zero(result):
@@ -136,7 +174,7 @@ def test_refused(result, tmp_path):
         f.cg.plot("density", component="x")
     with pytest.raises(ValueError, match=r"at={'y': 1.0}: the axes of this result are x, z"):
         f.cg.plot(at={"y": 1.0})
-    with pytest.raises(ValueError, match="plot draws along one or two of r, x, y, z"):
+    with pytest.raises(ValueError, match="plot draws along one or two of r, theta, x, y, z"):
         f.isel(x=0, z=0).cg.plot()
     with pytest.raises(ValueError, match=r"ends with \.gif or \.mp4"):
         f.cg.movie(tmp_path / "f.avi")

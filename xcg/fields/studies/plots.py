@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 ARROWS = 20  # along the longer axis of a map
 _ARROW = "arrow_"
-_AXES = ("r", *COMPONENTS)  # in the order in which maps have them across and up
+_AXES = ("r", "theta", *COMPONENTS)  # in the order in which maps have them across and up
 ERROR = "_error"  # what `time_average` adds to the name of a field
 
 
@@ -43,8 +43,9 @@ def plot(
 
     Profiles show one line for each component of a vector or for each phase, and a band of one standard error on both
     sides where the result has errors (`time_average`). The axis z stands upright. Maps show numbers as colours, white
-    where the field is unknown, and the mean flow as arrows. A map of a vector shows its magnitude. Of a volume, the
-    slice in the middle of its shortest axis is drawn.
+    where the field is unknown, and the mean flow as arrows. A map of a vector shows its magnitude. A map over r and
+    theta lies in the plane of the circle; one over theta and z, such as a cylindrical wall, is unrolled and has no
+    arrows. Of a volume, the slice in the middle of its shortest axis is drawn.
 
     Parameters
     ----------
@@ -55,7 +56,8 @@ def plot(
     time : int
         Which step, by position; the last one by default.
     component, direction : str, optional
-        "x", "y" or "z": the part of a vector or tensor to draw. A tensor needs both.
+        "x", "y" or "z" (of a cylinder "r", "theta" or "z"): the part of a vector or tensor to draw. A tensor needs
+        both.
     phase : int or str, optional
         Which phase; the bulk by default in maps, all phases in profiles.
     at : mapping, optional
@@ -220,11 +222,17 @@ def _part(
     cut = _slice(f, at)
     axes = _axes(cut)
     if not 1 <= len(axes) <= 2 or "point" in cut.dims:
-        msg = f"plot draws along one or two of r, x, y, z; this result has the dimensions {', '.join(map(str, f.dims))}"
+        drawn = ", ".join(_AXES)
+        msg = f"plot draws along one or two of {drawn}; this result has the dimensions {', '.join(map(str, f.dims))}"
         raise ValueError(msg)
     value = cut[name]
     if "direction" in value.dims and (component is None or direction is None):
         msg = f"{name} is a tensor: name a part of it, for example component='x', direction='z'"
+        raise ValueError(msg)
+    spare = set(value.dims) - {*axes, "time", "phase", "component", "direction"}
+    if len(axes) == 2 and spare:
+        dim = str(min(spare, key=str))
+        msg = f"a map of {name} needs one value of its dimension {dim!r}: select it first, f.sel({dim}=...)"
         raise ValueError(msg)
     wanted = {"component": component, "direction": direction}
     chosen = {dim: label for dim, label in wanted.items() if label is not None}
@@ -234,7 +242,8 @@ def _part(
     if len(axes) == 2:
         if "component" in found[name].dims:
             arrows = name if arrows else None
-        if arrows and arrows in cut and cut[arrows].dims[-1:] == ("component",):
+        unrolled = axes == ["theta", "z"]  # an angle and a length: arrows would have no direction
+        if arrows and not unrolled and arrows in cut and cut[arrows].dims[-1:] == ("component",):
             for axis in axes:
                 found[f"{_ARROW}{axis}"] = cut[arrows].sel(component=axis, drop=True)
         if "component" in found[name].dims:
@@ -344,20 +353,58 @@ def _draw_map(
 ) -> Any:
     across, up = axes
     value = picture[name].transpose(up, across)
+    if axes == ["r", "theta"]:
+        return _draw_circle(picture, value, ax, colours, fastest)
     mesh = ax.pcolormesh(picture[across], picture[up], value, shading="nearest", **colours)
     if fastest > 0:
         every = max(1, round(max(picture.sizes[a] for a in axes) / ARROWS))
         some = picture.isel({a: slice(every // 2, None, every) for a in axes})
         along, rise = (some[f"{_ARROW}{a}"].transpose(up, across) for a in axes)
         apart = min((float(some[a][1] - some[a][0]) for a in axes if some.sizes[a] > 1), default=1.0)
-        ax.quiver(
-            some[across], some[up], along, rise, pivot="mid", color="white", edgecolor="black", linewidth=0.5,
-            angles="xy", scale_units="xy", scale=fastest / apart, width=0.006,
-        )  # fmt: skip
-    ax.set_aspect("equal")
+        _draw_arrows(ax, some[across], some[up], along, rise, fastest / apart)
+    ax.set_aspect("auto" if across == "theta" else "equal")
     ax.set_xlabel(_label(picture[across], across))
     ax.set_ylabel(_label(picture[up], up))
     return mesh
+
+
+def _draw_circle(picture: xr.Dataset, value: xr.DataArray, ax: Axes, colours: Mapping[str, Any], fastest: float) -> Any:
+    """Draw a map over r and theta in the plane of the circle, with arrows on a grid of squares."""
+    r, theta = picture["r"].to_numpy(), picture["theta"].to_numpy()
+    rim, turn = _edges(r).clip(0), _edges(theta)[:, None]
+    mesh = ax.pcolormesh(rim * np.cos(turn), rim * np.sin(turn), value, **colours)
+    if fastest > 0:
+        apart = 2 * rim[-1] / ARROWS
+        line = np.arange(-rim[-1] + apart / 2, rim[-1], apart)
+        x, y = (a.ravel() for a in np.meshgrid(line, line))
+        away, angle = np.hypot(x, y), np.mod(np.arctan2(y, x) - turn[0], 2 * np.pi) + turn[0]
+        inside = (away >= rim[0]) & (away <= rim[-1]) & (angle <= turn[-1])
+        x, y, away, angle = (a[inside] for a in (x, y, away, angle))
+        there = {"r": xr.DataArray(away, dims="arrow"), "theta": xr.DataArray(angle, dims="arrow")}
+        outward, around = (picture[f"{_ARROW}{a}"].sel(there, method="nearest").to_numpy() for a in ("r", "theta"))
+        along = outward * np.cos(angle) - around * np.sin(angle)
+        rise = outward * np.sin(angle) + around * np.cos(angle)
+        _draw_arrows(ax, x, y, along, rise, fastest / apart)
+    ax.set_aspect("equal")
+    unit = _label(picture["r"], "r").removeprefix("r")
+    ax.set_xlabel(rf"$r\,\cos\theta${unit}")
+    ax.set_ylabel(rf"$r\,\sin\theta${unit}")
+    return mesh
+
+
+def _draw_arrows(ax: Axes, x: Any, y: Any, along: Any, rise: Any, scale: float) -> None:
+    ax.quiver(
+        x, y, along, rise, pivot="mid", color="white", edgecolor="black", linewidth=0.5,
+        angles="xy", scale_units="xy", scale=scale, width=0.006,
+    )  # fmt: skip
+
+
+def _edges(nodes: np.ndarray) -> np.ndarray:
+    """Find the ends of the cells around nodes."""
+    if nodes.size < 2:
+        return np.repeat(nodes, 2)
+    middle = 0.5 * (nodes[1:] + nodes[:-1])
+    return np.concatenate([[2 * nodes[0] - middle[0]], middle, [2 * nodes[-1] - middle[-1]]])
 
 
 def _named(value: xr.DataArray, name: str) -> str:
