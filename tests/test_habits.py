@@ -57,6 +57,15 @@ def test_quantities_convert(scene):
     np.testing.assert_allclose(density.pint.magnitude, f.density / 1000, rtol=1e-15)
 
 
+def test_quantities_are_saved_as_numbers(scene, tmp_path):
+    pytest.importorskip("pint_xarray")
+    f = scene.cg.coarse_grain(["density"], axes="z").pint.quantify()
+    with pytest.raises(TypeError, match=r"density.*: expected plain numbers.*dequantify"):
+        f.cg.save(tmp_path / "f.nc")
+    f.pint.dequantify(format="~C").cg.save(tmp_path / "f.nc")
+    assert xr.open_dataset(tmp_path / "f.nc").density.attrs["units"] == "kg/m**3"
+
+
 @pytest.mark.parametrize("ending", ["nc", "zarr"])
 def test_results_reopen_with_their_accessor(scene, tmp_path, ending):
     f = scene.cg.coarse_grain(["density", "velocity", "stress"], axes="xz")

@@ -87,8 +87,8 @@ def save(
     A lazy Dataset is computed and written one chunk of time after the other by one task each, where xarray's own
     `to_netcdf` and `to_zarr` make one a variable. So it takes thousands of steps; and it may run on a cluster of
     processes that see the same folder. While one step is written, others are computed and compressed. A chunk on disk
-    holds the steps of a chunk of the Dataset (one, where it is in memory); a file of a Zarr array holds several chunks
-    where steps are short. Padding of steps with fewer rows takes hardly any room, as it compresses away.
+    holds the steps of a chunk of the Dataset (one, where it is in memory), or more of them in Zarr where steps are
+    short. Padding of steps with fewer rows takes hardly any room, as it compresses away.
 
     Parameters
     ----------
@@ -124,6 +124,8 @@ def save(
         If it exists and `overwrite` is False, or another process is writing the same Zarr folder.
     ImportError
         If Zarr is not installed.
+    TypeError
+        If variables are quantities of pint.
     ValueError
         If the name ends otherwise, or `dtype`, `digits` or `compression` is none of those above.
     """
@@ -133,6 +135,13 @@ def save(
         msg = f"{path}: expected a name that ends with " + ", ".join(f"{end} ({what})" for end, what in own.items())
         added = [suffix for suffix in _WRITERS if suffix not in own]
         raise ValueError(msg + (f", or with {', '.join(added)}" if added else ""))
+    with_units = [str(name) for name, v in ds.variables.items() if type(v._data).__module__.startswith("pint")]
+    if with_units:
+        msg = (
+            f"{', '.join(with_units)}: expected plain numbers, not quantities of pint; "
+            "ds.pint.dequantify(format='~C') keeps the units as attributes"
+        )
+        raise TypeError(msg)
     encoding = Encoding.of(ds, dtype, digits, compression)
     check_target(path, overwrite=overwrite)
     writer = _WRITERS[path.suffix]
