@@ -6,10 +6,16 @@ one that computes weights. Ways to the kinetic moments are xcg's own loop, calle
 
 from __future__ import annotations
 
+import atexit
+import ctypes
 import inspect
 import math
+import shutil
+import subprocess
+import tempfile
 from collections.abc import Callable
 from functools import cache
+from pathlib import Path
 from types import FunctionType
 from typing import Any
 
@@ -20,6 +26,7 @@ from numpy.typing import NDArray
 from xcg.compiled.points import MASS, MOMENTUM, VELOCITY, deposit
 
 jit = numba.njit(nogil=True, error_model="numpy")  # as in xcg, but for the cache on disk
+IN_C = Path(__file__).parents[1] / "tests" / "benchmarks" / "multiply_add.c"
 _ARGUMENTS = list(inspect.signature(deposit.py_func).parameters)
 
 # --- weights ---------------------------------------------------------------------------------------------
@@ -191,3 +198,24 @@ def multiply_add(sums, weights, factors):
         first = int(room * (i / items))
         for k in range(size):
             sums[first + k] += weights[k] * factors[i]
+
+
+@cache
+def multiply_add_in_c() -> Callable[[NDArray, NDArray, NDArray], None] | None:
+    """The same loop in C, by the compiler of the machine; None where it has none."""
+    compiler = shutil.which("cc")
+    if compiler is None:
+        return None
+    folder = tempfile.mkdtemp()
+    atexit.register(shutil.rmtree, folder)
+    library = f"{folder}/multiply_add.so"
+    flags = ["-O3", "-march=native", "-shared", "-fPIC"]
+    subprocess.run([compiler, *flags, str(IN_C), "-o", library], check=True)
+    compiled = ctypes.CDLL(library).multiply_add
+    compiled.argtypes = [*[np.ctypeslib.ndpointer(float)] * 3, *[ctypes.c_long] * 3]
+    compiled.restype = None
+
+    def run(sums: NDArray, weights: NDArray, factors: NDArray) -> None:
+        compiled(sums, weights, factors, sums.size - weights.size, weights.size, factors.size)
+
+    return run

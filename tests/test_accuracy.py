@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import xcg
-from docs import accuracy
+from docs import accuracy, alternatives
 
 PARTICLES = 2000
 
@@ -148,3 +148,16 @@ def test_dense_packing(particles, contacts):
         branch = x[i] - x[j] - box * np.rint((x[i] - x[j]) / box)
         assert np.linalg.norm(branch, axis=1).max() < 1.3 * 2.0
         assert len(np.unique(np.sort(np.stack([i, j]), axis=0), axis=1).T) == len(i)
+
+
+def test_the_floor_in_c_is_the_floor():
+    """Both loops add the same: what they are compared by is the same work."""
+    in_c = alternatives.multiply_add_in_c()
+    if in_c is None:
+        pytest.skip("no C compiler")
+    rng = np.random.default_rng(5)
+    weights, factors = rng.normal(size=37), rng.normal(size=101)
+    sums = np.zeros(400), np.zeros(400)
+    for loop, out in zip((alternatives.multiply_add, in_c), sums, strict=True):
+        loop(out, weights, factors)
+    np.testing.assert_allclose(sums[1], sums[0], rtol=1e-12, atol=1e-12)
