@@ -141,7 +141,7 @@ def relative(values: NDArray, exact: NDArray) -> float:
 def captured(target: str, call: Callable[[], Any]) -> list[tuple[Any, ...]]:
     """Arguments with which a call enters a loop, each time for all nodes at once."""
     original = {POINTS: deposit, SEGMENTS: deposit_segments}[target]
-    one_box = mock.patch("xcg.fields.evaluate.BLOCK_NODES", sys.maxsize)
+    one_box = mock.patch("xcg.fields.plan.BLOCK_NODES", sys.maxsize)
     with mock.patch(target, wraps=original) as loop, one_box:
         call()
     return [each.args for each in loop.call_args_list]

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import map_coordinates
 
 import xcg
 from docs import accuracy, alternatives
@@ -105,6 +106,33 @@ def test_marginals_are_exact_and_meshes_are_not(errors):
         assert error[series, "marginal"] < 1e-13
         assert 1e-4 < error[series, "mesh w"] < 0.1
         assert error[series, "mesh w/4"] < 0.1 * error[series, "mesh w"]
+
+
+@pytest.mark.parametrize("name", ["volume_fraction", "contact_stress"])
+def test_what_interpolation_between_nodes_costs(name):
+    """What docs/evaluation.md says of finer meshes."""
+    ds = accuracy.packing(PARTICLES)
+    box = ds.attrs["box_upper"]
+    count = np.rint(box / accuracy.WIDTH)
+
+    def field(refined):
+        spacing = dict(zip("xyz", box / (refined * count), strict=True))
+        return ds.cg.coarse_grain(name, width=accuracy.WIDTH, spacing=spacing)[name].values[0]
+
+    fine = field(4)
+    error = {}
+    for refined in (1, 2):
+        coarse = field(refined)
+        places = np.indices(fine.shape[:3]) * (refined / 4)
+        for order in (1, 3):
+            between = np.empty_like(fine)
+            for k in np.ndindex(fine.shape[3:]):
+                map_coordinates(coarse[..., *k], places, between[..., *k], order=order, mode="grid-wrap")
+            error[refined, order] = accuracy.relative(between, fine)
+    assert 0.2 < error[1, 1] < 0.4
+    assert 0.05 < error[1, 3] < 0.2
+    assert 0.05 < error[2, 1] < 0.2
+    assert 0.005 < error[2, 3] < 0.02
 
 
 def test_velocity_at_grains_is_the_field_there():

@@ -264,7 +264,7 @@ def test_blocks_threads_and_chunks_have_the_same_bits(scene, monkeypatch):
     names = [*SUMS, "granular_temperature"]
     options = {"sampling": "cell", "spacing": 1.2, "width": 0.5}
     whole = scene.cg.coarse_grain(names, **options)
-    monkeypatch.setattr("xcg.fields.evaluate.BLOCK_NODES", 7)
+    monkeypatch.setattr("xcg.fields.plan.BLOCK_NODES", 7)
     for name, parts in scene.cg.coarse_grain(names, **options).items():
         np.testing.assert_array_equal(parts, whole[name], name)
     lazy = scene.chunk(time=1).cg.coarse_grain(names, **options)

@@ -17,6 +17,7 @@ from tests import steps_of_random_scenes
 from tests.brute_force import BruteKernel, brute_force
 from xcg.compiled.points import deposit
 from xcg.fields.evaluate import WORTH_SHARING
+from xcg.fields.sums.blocks import BLOCK_NODES
 
 RATIOS = {"velocity", "effective_count", "particle_density", "coordination_number", "d32",
           "d43", "granular_temperature", "friction_coefficient", "velocity_gradient", "shear_rate",
@@ -351,6 +352,17 @@ def test_plan_pickles_and_explains():
     assert "contact_i" not in str(ds.cg.explain("density"))
 
 
+def test_blocks_are_smaller_where_a_grain_reaches_many_nodes():
+    """Their sums then take 10 MB, instead of 40 and more."""
+    ds = xcg.datasets.random_scene(20)
+    bounds = dict.fromkeys("xyz", (0.0, 40.0))
+    coarse, fine = (ds.cg.explain(width=0.8, spacing=0.8 / k, bounds=bounds) for k in (1, 4))
+    of_one_field = ds.cg.explain("density", width=0.8, spacing=0.2, bounds=bounds)
+    assert coarse.block_nodes == of_one_field.block_nodes == BLOCK_NODES
+    assert fine.block_nodes < 0.3 * BLOCK_NODES
+    assert "memory    10 MB of sums a thread" in str(fine)
+
+
 def test_explain_knows_bodies_and_presets():
     ds = xcg.datasets.random_scene(20)
     ds = ds.assign(body_id=(ds.particle_id.dims, np.arange(20)[None] // 2))
@@ -399,7 +411,8 @@ def test_threads_and_boxes_leave_every_bit(long, rtol):
     options = {"by": "species", "width": 0.6, "rtol": rtol, "spacing": {a: 0.31 if a == long else 0.7 for a in "xyz"}}
     results = []
     for threads, box in ((1, 65_000), (3, 65_000), (2, 7)):
-        with mock.patch.multiple("xcg.fields.evaluate", THREADS=threads, BLOCK_NODES=box, WORTH_SHARING=0):
+        blocks = mock.patch("xcg.fields.plan.BLOCK_NODES", box)
+        with blocks, mock.patch.multiple("xcg.fields.evaluate", THREADS=threads, WORTH_SHARING=0):
             results.append([ds.cg.coarse_grain(**options), ds.cg.coarse_grain(axes=long, rtol=rtol, width=0.6)])
     for other in results[1:]:
         for one, another in zip(results[0], other, strict=True):

@@ -17,7 +17,7 @@ from xcg.fields.formulas import registry
 from xcg.fields.formulas.program import program_for
 from xcg.fields.places.grid import check_mesh
 from xcg.fields.plan import Plan, scale_of
-from xcg.fields.sums.blocks import BLOCK_NODES, Block
+from xcg.fields.sums.blocks import Block
 from xcg.fields.sums.deposit import BlockSums, sums_of_frame
 from xcg.scene.frame import steps_in
 from xcg.scene.lattice import Lattice
@@ -58,10 +58,8 @@ _ONCE = 30
 
 def _threads_for(plan: Plan, arrays: Mapping[str, NDArray], threads: int) -> int:
     """As many threads as there are, or one where a step is little work."""
-    grid, reach = plan.deposit.grid, 2.0 * max(plan.deposit.cutoffs)
-    along = np.clip(reach / grid.steps, 1.0, grid.shape)[grid.active]
     rows = sum(arrays[name].shape[1] for name in ("particle_id", "contact_i") if name in arrays)
-    return threads if rows * (along.prod() + _ONCE) + grid.count * _ONCE > WORTH_SHARING else 1
+    return threads if rows * (plan.reached + _ONCE) + plan.deposit.grid.count * _ONCE > WORTH_SHARING else 1
 
 
 def compute_chunk(plan: Plan, threads: int, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
@@ -104,7 +102,7 @@ def _compute_step(
             rows[name][place[nodes]] = values.swapaxes(0, 1)
 
     whole = registry.whole_grid(plan.options)
-    for_each(grid.blocks(grid.count, 1) if whole else grid.blocks(BLOCK_NODES, threads), fill, threads)
+    for_each(grid.blocks(grid.count, 1) if whole else grid.blocks(plan.block_nodes, threads), fill, threads)
     if grid.undirected.size:
         for name, values in rows.items():
             if registry.row(name, plan.options).rank:

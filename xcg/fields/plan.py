@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -12,6 +13,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.compiled import smoothing as kinds
+from xcg.compiled.points import LINEAR
 from xcg.compiled.segments import RULES
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.averages import needed_for_averages
@@ -22,7 +24,7 @@ from xcg.fields.places.grid import make_grid
 from xcg.fields.places.points import is_pointwise, make_points
 from xcg.fields.places.rings import Rings, make_rings
 from xcg.fields.request import Request
-from xcg.fields.sums.blocks import BLOCK_NODES
+from xcg.fields.sums.blocks import BLOCK_NODES, nodes_of_block
 from xcg.fields.sums.deposit import DepositSpec
 from xcg.fields.sums.fabric import sliding_contacts
 from xcg.fields.sums.moments import MOMENTS, Moment
@@ -110,17 +112,42 @@ class Plan:
         found = {moment: absent & set(row.optional) for moment, row in self.deposit.rows.items()}
         return {moment: variables for moment, variables in found.items() if variables}
 
+    @property
+    def reached(self) -> float:
+        """Nodes in the box around the support of a grain."""
+        grid, reach = self.deposit.grid, 2.0 * max(self.deposit.cutoffs)
+        return float(np.clip(reach / grid.steps, 1.0, grid.shape)[grid.active].prod())
+
+    @cached_property
+    def block_nodes(self) -> int:
+        """Nodes that are computed at one time."""
+        return nodes_of_block(BLOCK_NODES, self.reached, self._numbers)
+
+    @property
+    def _numbers(self) -> int:
+        """How many numbers are summed at a node."""
+        return max(1, self.phases - 1) * sum(sum(columns) for columns in self._columns.values())
+
+    @cached_property
+    def _columns(self) -> dict[str, list[int]]:
+        """Columns of each pass, by what it goes over."""
+        moments = self.deposit.rows.values()
+        constants = [m for m in moments if m.column and not m.level and not m.along_branches]
+        grains = self.deposit.level + sum(math.prod(m.shape) for m in constants if not m.at_contacts)
+        points = sum(math.prod(m.shape) for m in constants if m.at_contacts)
+        return {
+            "particles": [grains] if grains else [],
+            "slopes": [LINEAR] if any(name.endswith("_slope") for name in self.deposit.moments) else [],
+            "contacts": [9 for m in moments if m.along_branches],
+            "contact points": [points] if points else [],
+            "means": [m.level for m in moments if m.column and m.level],
+        }
+
     def __str__(self) -> str:
         grid, moments = self.deposit.grid, self.deposit.rows
-        constants = [m for m in moments.values() if m.column and not m.level and not m.along_branches]
-        columns = self.deposit.level + sum(int(np.prod(m.shape)) for m in constants if not m.at_contacts)
-        points = sum(int(np.prod(m.shape)) for m in constants if m.at_contacts)
-        relative = [m.level for m in moments.values() if m.column and m.level]
-        slopes = any(m.endswith("_slope") for m in self.deposit.moments)
-        contact = 9 * sum(m.along_branches for m in moments.values())
-        outputs = sum(int(np.prod(self.shape(name))) for name in self.fields)
-        width = columns + points + sum(relative) + contact + slopes * 29
-        sums = min(grid.count, BLOCK_NODES) * max(1, self.phases - 1) * width
+        passes = {over: len(columns) for over, columns in self._columns.items()}
+        outputs = sum(math.prod(self.shape(name)) for name in self.fields)
+        sums = min(grid.count, self.block_nodes) * self._numbers
         own = f"; widths by group {[float(f'{w:.4g}') for w in self.widths]}" if len(self.widths) > 1 else ""
         rules = "closed form"
         if len(self.deposit.limits):
@@ -134,10 +161,11 @@ class Plan:
             "averaged": ", ".join(f"{a} ({self.extent[a] or 'box'})" for a in grid.averaged) or "none",
             "kernel": f"{self.kernel!r}, seen in {len(grid.seen)} of {self.kernel.dimension} dimensions{own}",
             "sums": ", ".join(f"{m} ({row.formula})" for m, row in moments.items()),
-            "passes": f"{int(columns > 0)} over particles, {int(slopes)} with grad Psi, {contact // 9} over contacts"
-            + (f", {int(points > 0)} over contact points" if points else "")
-            + (f", {len(relative)} relative to means" if relative else ""),
-            "contacts": f"{rules} (rtol = {self.rtol:g})" if contact else "not read for stress",
+            "passes": f"{passes['particles']} over particles, {passes['slopes']} with grad Psi, "
+            f"{passes['contacts']} over contacts"
+            + (f", {passes['contact points']} over contact points" if passes["contact points"] else "")
+            + (f", {passes['means']} relative to means" if passes["means"] else ""),
+            "contacts": f"{rules} (rtol = {self.rtol:g})" if passes["contacts"] else "not read for stress",
             "memory": f"{8 * sums / 1e6:.3g} MB of sums a thread and {8 * outputs / 1e6:.3g} MB of fields a step",
         }
         return "\n".join(f"{key:9s} {text}" for key, text in lines.items())
