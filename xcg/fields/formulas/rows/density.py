@@ -14,7 +14,7 @@ ROWS: dict[str, Field] = {
         0, NONE, "volume fraction", "phi = sum V_i Psi", lambda f, s, o: s.volume, moments=("volume",), additive=True
     ),
     "void_fraction": Field(
-        0, NONE, "volume fraction of what is between the grains", "epsilon = 1 - phi",
+        0, NONE, "void fraction", "epsilon = 1 - phi",
         lambda f, s, o: 1.0 - f.volume_fraction, fields=("volume_fraction",), default=False,
     ),
     "density": Field(
