@@ -24,7 +24,7 @@ from xcg.fields.places.grid import make_grid
 from xcg.fields.places.points import is_pointwise, make_points
 from xcg.fields.places.rings import Rings, make_rings
 from xcg.fields.request import Request
-from xcg.fields.sums.blocks import BLOCK_NODES, nodes_of_block
+from xcg.fields.sums.blocks import BLOCK_NODES, FINE, nodes_in_cache
 from xcg.fields.sums.deposit import DepositSpec
 from xcg.fields.sums.fabric import sliding_contacts
 from xcg.fields.sums.moments import MOMENTS, Moment
@@ -112,7 +112,7 @@ class Plan:
         found = {moment: absent & set(row.optional) for moment, row in self.deposit.rows.items()}
         return {moment: variables for moment, variables in found.items() if variables}
 
-    @property
+    @cached_property
     def reached(self) -> float:
         """Nodes in the box around the support of a grain."""
         grid, reach = self.deposit.grid, 2.0 * max(self.deposit.cutoffs)
@@ -121,7 +121,7 @@ class Plan:
     @cached_property
     def block_nodes(self) -> int:
         """Nodes that are computed at one time."""
-        return nodes_of_block(BLOCK_NODES, self.reached, self._numbers)
+        return BLOCK_NODES if self.reached <= FINE else min(BLOCK_NODES, nodes_in_cache(self._numbers))
 
     @property
     def _numbers(self) -> int:

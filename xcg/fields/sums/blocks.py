@@ -23,26 +23,15 @@ Taken: TypeAlias = tuple[Nodes, Rows | None, Cells | None, Volumes | None]  # no
 
 # Sums are made over blocks of about this many nodes, so that memory holds those of a few blocks, not of all nodes.
 BLOCK_NODES = 110_000
-# Where a grain reaches more nodes than this, sums have left the cache when the next grain comes to the same nodes: a
-# block is then so small that its sums take no more memory than this (bytes), but has this many nodes at least.
-_FINE, _CACHED, _FEWEST = 1000, 10_000_000, 10_000
+# Where there are more nodes than this in the box around a grain's support, sums have left the cache when the next grain
+# comes to the same nodes: blocks then have so few that their sums stay there.
+FINE = 1000
+_CACHED, _FEWEST = 10_000_000, 10_000  # bytes; nodes, however many numbers each has
 
 
-def nodes_of_block(most: int, reached: float, numbers: int) -> int:
-    """Return how many nodes a block shall have.
-
-    Parameters
-    ----------
-    most : int
-        No more than these.
-    reached : float
-        Nodes in the box around the support of a grain.
-    numbers : int
-        How many numbers are summed at a node.
-    """
-    if reached <= _FINE:
-        return most
-    return min(most, max(_FEWEST, _CACHED // (8 * max(1, numbers))))
+def nodes_in_cache(numbers: int) -> int:
+    """Return how many nodes have sums that stay in cache, of so many numbers each."""
+    return max(_FEWEST, _CACHED // (8 * max(1, numbers)))
 
 
 def triple(values: ArrayLike) -> tuple[Any, Any, Any]:
