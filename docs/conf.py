@@ -94,6 +94,7 @@ def shorten_methods(app, what, name, obj, options, lines):
 
 # What has a page here, and is a file where the repository is read
 PAGES = {
+    "../gallery": "gallery/index.rst",
     "../examples/gallery": "gallery/index.rst",
     "examples/gallery": "docs/gallery/index.rst",
     "CHANGELOG.md": "docs/changes.md",
