@@ -365,7 +365,7 @@ def test_blocks_are_smaller_where_a_grain_reaches_many_nodes():
 
 def test_explain_knows_bodies_and_presets():
     ds = xcg.datasets.random_scene(20)
-    ds = ds.assign(body_id=(ds.particle_id.dims, np.arange(20)[None] // 2))
+    ds = ds.drop_vars("species").assign(body_id=(ds.particle_id.dims, np.arange(20)[None] // 2))
     assert "volume_fraction" in str(ds.cg.explain("volume_fraction", by_body="body_id", width=1.0))
     with pytest.raises(xcg.SceneError, match="body"):
         ds.cg.explain("volume_fraction", by_body="no_body")
