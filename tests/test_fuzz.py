@@ -125,26 +125,29 @@ def test_jobs_that_are_refused(tmp_path, old, new, message):
 # --- hostile calls ---------------------------------------------------------------------------------------
 
 
-def test_a_thousand_hostile_calls_under_bounds_checks():
-    """In a process of its own, with all indices checked: results or errors of the package, nothing else."""
-    env = os.environ | {"NUMBA_BOUNDSCHECK": "1", "XCG_JIT_CACHE": "0"}
+@pytest.fixture(scope="module")
+def checked(tmp_path_factory):
+    """Environment in which all indices are checked; loops that check them are kept apart from those that do not."""
+    return os.environ | {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path_factory.mktemp("checked"))}
+
+
+def test_a_thousand_hostile_calls_under_bounds_checks(checked):
+    """In a process of its own: results or errors of the package, nothing else."""
     command = [sys.executable, "-m", "tests.fuzz.calls", "--count", "1000"]
-    done = subprocess.run(command, env=env, cwd=ROOT, capture_output=True, text=True, check=False)
+    done = subprocess.run(command, env=checked, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"{done.stdout[-3000:]}\nlast call: {done.stderr[-500:]}"
     counts = json.loads(done.stdout.splitlines()[-1])
     assert counts["computed"] > 300, counts
     assert counts["refused"] > 300, counts
 
 
-def test_fields_under_bounds_checks():
-    env = os.environ | {"NUMBA_BOUNDSCHECK": "1", "XCG_JIT_CACHE": "0"}
-    chosen = ["tests/test_program.py", "-x", "-q"]
-    done = subprocess.run([sys.executable, "-m", "pytest", *chosen], env=env, cwd=ROOT, capture_output=True, text=True,
-                          check=False)  # fmt: skip
+def test_fields_under_bounds_checks(checked):
+    command = [sys.executable, "-m", "pytest", "tests/test_program.py", "-x", "-q"]
+    done = subprocess.run(command, env=checked, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout[-3000:]
 
 
-def test_bounds_checks_find_an_index_beyond_its_array():
+def test_bounds_checks_find_an_index_beyond_its_array(checked):
     """Also in the instructions that are written by hand."""
     code = """
 import numpy as np, numba
@@ -168,6 +171,7 @@ for call in (lambda: beyond(np.zeros((2, 16)), 1, 9), lambda: beyond(np.zeros((2
     except IndexError as error:
         print(error)
 """
-    env = os.environ | {"NUMBA_BOUNDSCHECK": "1", "XCG_JIT_CACHE": "0"}
-    done = subprocess.run([sys.executable, "-c", code], env=env, cwd=ROOT, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=checked, cwd=ROOT, capture_output=True, text=True, check=False
+    )
     assert done.stdout.count("out of bounds") == 3, done.stdout + done.stderr
