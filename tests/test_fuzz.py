@@ -131,14 +131,14 @@ def checked(tmp_path_factory):
     return os.environ | {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path_factory.mktemp("checked"))}
 
 
-def test_a_thousand_hostile_calls_under_bounds_checks(checked):
+def test_hostile_calls_under_bounds_checks(checked):
     """In a process of its own: results or errors of the package, nothing else."""
-    command = [sys.executable, "-m", "tests.fuzz.calls", "--count", "1000"]
+    command = [sys.executable, "-m", "tests.fuzz.calls", "--count", "500"]
     done = subprocess.run(command, env=checked, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"{done.stdout[-3000:]}\nlast call: {done.stderr[-500:]}"
     counts = json.loads(done.stdout.splitlines()[-1])
-    assert counts["computed"] > 300, counts
-    assert counts["refused"] > 300, counts
+    assert counts["computed"] > 150, counts
+    assert counts["refused"] > 150, counts
 
 
 def test_fields_under_bounds_checks(checked):
