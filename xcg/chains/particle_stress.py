@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from xcg.compiled import THREADS
 from xcg.compiled.contacts import blank_rows_of_zeros, scale_tensors
 from xcg.compiled.eigen import principal, principal_of_any
-from xcg.compiled.threads import for_parts
+from xcg.compiled.threads import for_parts, worth
 from xcg.scene.conform import takes_scene
 from xcg.scene.contacts import Contacts
 from xcg.scene.frame import particle_rows, steps_in
@@ -22,11 +22,9 @@ from xcg.scene.query import edges_of, require_scene, setup_of
 from xcg.scene.schema import CONTACT_VARIABLES, OF_STEP, VARIABLES, Frame, SceneError, Variable
 from xcg.scene.sizes import layer_depth
 from xcg.steps.label import empty_results, label, results_of
-from xcg.steps.map import chunks_in, map_over_time
+from xcg.steps.map import map_over_time, threads_a_chunk
 
 VOLUMES = ("particle", "disc")
-# Fewer particles than this are not worth a second thread.
-PARTICLES_A_THREAD = 20_000
 # Eigenvalues below this share of the whole tensor are rounding.
 ROUNDING = 1e-12
 
@@ -91,8 +89,7 @@ class StressRule:
 
     def contacts(self, frame: Frame, lattice: Lattice, source: str, threads: int) -> Contacts:
         """Join the contacts of a frame to its particles; threads share a step of many."""
-        threads = min(threads, 1 + len(frame["particle_id"]) // PARTICLES_A_THREAD)
-        contacts = Contacts.of(frame, lattice, source, threads)
+        contacts = Contacts.of(frame, lattice, source, worth(len(frame["particle_id"]), threads))
         return contacts.with_overlaps(frame["diameter"], frame["overlap"]) if self.spheres else contacts
 
     def volumes(self, frame: Frame, lattice: Lattice, source: str) -> NDArray:
@@ -194,7 +191,7 @@ def particle_stress(
     """
     rule = StressRule.of(ds, "particle_stress", symmetric=symmetric, volume=volume)
     names = [*rule.variables, *(name for name in OF_STEP if name in ds)]
-    threads = THREADS if chunks_in(ds, names) == 1 else 1
+    threads = threads_a_chunk(ds, names, THREADS)
     arrays = map_over_time(
         ds, names, partial(_compute, rule, threads), results_of(RESULTS, ds.sizes), "particle-stress", on_error
     )

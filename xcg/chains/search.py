@@ -22,7 +22,7 @@ from xcg.scene.lattice import Lattice
 from xcg.scene.query import require_scene
 from xcg.scene.schema import BOX, OF_STEP, PADDING, Frame
 from xcg.steps.label import empty_results, label, results_of
-from xcg.steps.map import chunks_in, map_over_time
+from xcg.steps.map import map_over_time, threads_a_chunk
 
 ALGORITHMS = ("branching", "peters2005")
 # Angles that exceed alpha by less (radians) count as equal to it, stresses that fall short of the threshold by less
@@ -170,7 +170,7 @@ def force_chains(
     }  # fmt: skip
     sizes = result_sizes(ds.sizes["particle"], ds.sizes["contact"], rule.min_length)
     names = [*rule.variables, *(name for name in ("frozen", "time", *OF_STEP) if name in ds)]
-    threads = THREADS if chunks_in(ds, names) == 1 else 1
+    threads = threads_a_chunk(ds, names, THREADS)
     arrays = map_over_time(
         ds, names, partial(_compute, rule, threads), results_of(RESULTS, sizes), "force-chains", on_error
     )

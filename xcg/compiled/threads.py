@@ -7,6 +7,13 @@ from typing import TypeVar
 
 T = TypeVar("T")
 R = TypeVar("R")
+# Fewer particles than this are not worth a second thread.
+PARTICLES_A_THREAD = 20_000
+
+
+def worth(particles: int, threads: int) -> int:
+    """How many of some threads are worth starting for the particles of one step."""
+    return min(threads, 1 + particles // PARTICLES_A_THREAD)
 
 
 def for_each(items: Sequence[T], do: Callable[[T], R], threads: int) -> list[R]:

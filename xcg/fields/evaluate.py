@@ -23,14 +23,14 @@ from xcg.scene.frame import steps_in
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import OF_STEP, Frame
 from xcg.scene.warn import warn_once
-from xcg.steps.map import chunks_in, map_over_time
+from xcg.steps.map import map_over_time, threads_a_chunk
 
 
 def evaluate_plan(ds: xr.Dataset, plan: Plan, on_error: str) -> dict[str, Any]:
     """Arrays of the plan's fields (time, axes, phase, ...), lazy where the scene is."""
     names = [*plan.variables, *(name for name in OF_STEP if name in ds)]
     results = {field: (plan.shape(field), "float64") for field in plan.fields}
-    threads = THREADS if chunks_in(ds, names) == 1 else 1
+    threads = threads_a_chunk(ds, names, THREADS)
     return map_over_time(ds, names, partial(compute_chunk, plan, threads), results, "coarse-grain", on_error)
 
 

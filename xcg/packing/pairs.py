@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from xcg.compiled import THREADS
 from xcg.compiled.pairs import rows_of_pairs, sort_pairs
-from xcg.compiled.threads import for_parts
+from xcg.compiled.threads import for_parts, worth
 from xcg.packing.cells import CellLists
 from xcg.scene.box import box_array, with_lattice
 from xcg.scene.contacts import MOST_A_PARTICLE, MOST_PAIRS
@@ -17,10 +17,6 @@ from xcg.scene.lattice import Lattice
 from xcg.scene.schema import SceneError
 
 METHODS = ("hierarchical", "linked-cell")
-
-
-# Fewer particles than this are not worth a second thread.
-PARTICLES_A_THREAD = 20_000
 
 
 def find_pairs(
@@ -124,7 +120,7 @@ def _near(
     threads: int | None, most: int | None,
 ) -> NDArray:  # fmt: skip
     """Pairs of spheres in a box with periods along the axes, or none."""
-    workers = threads or min(THREADS, 1 + len(centres) // PARTICLES_A_THREAD)
+    workers = threads or worth(len(centres), THREADS)
     levels = 1 if method == "linked-cell" else levels
     lists = CellLists.of(centres, radii, corner, period, skin=skin, levels=levels, threads=workers)
     most = max(MOST_PAIRS, MOST_A_PARTICLE * len(centres), most or 0)

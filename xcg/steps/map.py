@@ -82,10 +82,10 @@ def is_lazy(ds: xr.Dataset, names: Iterable[str]) -> bool:
     return any(_chunked(ds.variables[name]) for name in names)
 
 
-def chunks_in(ds: xr.Dataset, names: Iterable[str]) -> int:
-    """How many chunks of time there are to compute, each by a thread of its own; 1 for a scene in memory."""
+def threads_a_chunk(ds: xr.Dataset, names: Iterable[str], threads: int) -> int:
+    """How many of some threads a chunk of time gets: all, where there is one or none; else chunks have one each."""
     lazy = (given for name in names if _chunked(given := ds.variables[name]))
-    return max((len(given.chunksizes.get("time", ())) for given in lazy), default=1)
+    return threads if all(len(given.chunksizes.get("time", ())) <= 1 for given in lazy) else 1
 
 
 def _chunked(given: xr.Variable) -> bool:

@@ -27,7 +27,7 @@ from xcg.scene.schema import COMPONENTS, OF_STEP, PADDING, did_you_mean, units_o
 from xcg.scene.sizes import with_measures
 from xcg.steps.errors import check_on_error
 from xcg.steps.label import format_call, mark_skipped
-from xcg.steps.map import chunks_in, map_over_time
+from xcg.steps.map import map_over_time, threads_a_chunk
 from xcg.steps.skip import Compute, Result
 
 # what else may be asked for: fields of the grains where they are in the first of two frames
@@ -200,7 +200,7 @@ def _between_frames(
     later = {f"{name}{_LATER}": ds[name].variable[{"time": slice(lag, None)}].to_base_variable() for name in both}
     read = list(dict.fromkeys([*(name for name in plan.variables if name not in _MADE), *both]))
     pairs = first.assign(later)
-    threads = THREADS if chunks_in(pairs, [*read, *later]) == 1 else 1
+    threads = threads_a_chunk(pairs, [*read, *later], THREADS)
     compute = _Pairs(plan.setup.periodic, partial(compute_chunk, plan, threads))
     results = {field: (plan.shape(field), "float64") for field in plan.fields} | _MOTION
     arrays = map_over_time(pairs, [*read, *later], compute, results, "displacement", asked.on_error)
