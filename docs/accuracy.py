@@ -63,9 +63,9 @@ class Panel:
     measure: str
     timed: str
     ways: Sequence[Way]
-    floors: Mapping[str, Callable[[], Any]] = field(default_factory=dict)  # what no way can be faster than
     legend: str = "lower left"
     headroom: float = 100.0  # factor above the largest error, for labels
+    floors: Mapping[str, Callable[[], Any]] = field(default_factory=dict)  # what no way can be faster than
 
 
 # --- scenes and exact values -----------------------------------------------------------------------------
@@ -184,7 +184,9 @@ def contact_stress(particles: int) -> Panel:
         )
     ways.append(way("rtol 0", "closed form", 0.0, default=True))
     (args,) = captured(SEGMENTS, lambda: stress(0.0))
-    return Panel("(a) contact stress", "|error| / max |sigma|", "loop over contacts", ways, floors(SEGMENTS, args))
+    return Panel(
+        "(a) contact stress", "|error| / max |sigma|", "loop over contacts", ways, floors=floors(SEGMENTS, args)
+    )
 
 
 def volume_fraction(particles: int) -> Panel:
@@ -212,7 +214,7 @@ def volume_fraction(particles: int) -> Panel:
     ):
         ways += [way(f"{bins} bins", series, make(bins)) for bins in (10**2, 10**3, 10**4, 10**5)]
     return Panel(
-        "(b) volume fraction", "|error| / max phi", "loop over grains", ways, floors(POINTS, args), "lower right"
+        "(b) volume fraction", "|error| / max phi", "loop over grains", ways, "lower right", floors=floors(POINTS, args)
     )
 
 

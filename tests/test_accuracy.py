@@ -35,6 +35,9 @@ def test_every_panel_has_a_default_in_each_group_of_ways(make):
     groups = {way.group for way in panel.ways}
     assert {way.group for way in panel.ways if way.default} == groups
     assert all(np.isfinite(way.error) for way in panel.ways)
+    points, floors = accuracy.measure(panel, PARTICLES, 1)
+    assert [point.way for point in points] == list(panel.ways)
+    assert floors.keys() == panel.floors.keys()
 
 
 def test_contact_stress_keeps_its_promise(errors):
