@@ -25,10 +25,10 @@ from xcg.fields.places.points import is_pointwise, make_points
 from xcg.fields.places.rings import Rings, make_rings
 from xcg.fields.request import Request
 from xcg.fields.sums.blocks import BLOCK_NODES, FINE, nodes_in_cache
-from xcg.fields.sums.deposit import DepositSpec
 from xcg.fields.sums.fabric import sliding_contacts
 from xcg.fields.sums.moments import MOMENTS, Moment
 from xcg.fields.sums.nodes import Grid
+from xcg.fields.sums.passes import DepositSpec
 from xcg.fields.sums.quadrature import SINGLE, gauss_limits
 from xcg.fields.sums.smoothing import Kernel, as_kernel, choose_width
 from xcg.scene.lattice import Lattice

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from xcg.compiled import points as kernel
 from xcg.compiled.rings import ROOM, ring_squares
 from xcg.fields.places.points import PointBlock
-from xcg.fields.sums.deposit import BlockSums, Pass, Squared
 from xcg.fields.sums.moments import MOMENTS
+from xcg.fields.sums.passes import BlockSums, Pass, Squared
 
 _TO_TURN = (  # flow columns that are vectors and tensors, and the level from which they are there
     (kernel.VELOCITY, "momentum"),

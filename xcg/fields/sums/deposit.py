@@ -1,18 +1,17 @@
-"""Sums over grains and contacts at the nodes: from a frame to its moments, block by block."""
+"""Sums over grains and contacts at the nodes: from a frame to the passes that make them."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled import points as kernel
-from xcg.compiled.arrays import transpose_columns
 from xcg.compiled.reach import BATCH, batches_of, spatial_order
 from xcg.compiled.segments import (
     BRANCH,
@@ -25,11 +24,10 @@ from xcg.compiled.segments import (
     deposit_segments,
     list_segments,
 )
-from xcg.compiled.smoothing import CellKernel, KernelCode
 from xcg.compiled.threads import for_each
 from xcg.fields.sums.blocks import NodeBlock, triple
 from xcg.fields.sums.moments import CUTOFF_POWERS, MOMENTS, Moment
-from xcg.fields.sums.nodes import Grid
+from xcg.fields.sums.passes import AnyKernel, DepositSpec, Fill, Pass, Squared, Sums, of_grains
 from xcg.fields.sums.power import WALL_VELOCITY, velocities_of_walls
 from xcg.fields.sums.reach import Mesh
 from xcg.scene.contacts import Contacts
@@ -37,10 +35,6 @@ from xcg.scene.frame import check_finite, phase_of, without_frozen
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import ROTATION, Frame
 from xcg.scene.warn import warn_once
-
-AnyKernel: TypeAlias = KernelCode | CellKernel
-# adds one pass to the sums (groups, nodes, columns) at the nodes of a block; the last array is the reference velocity
-_Fill = Callable[[NodeBlock, NDArray, NDArray], None]
 
 _HIDDEN_SHEAR = (
     "the box is sheared across an axis that is averaged, along which velocities of images differ; each grain counts "
@@ -56,87 +50,6 @@ def _side_by_side(parts: Sequence[NDArray], count: int) -> NDArray:
         out[:, first : first + values.shape[1]] = values
         first += values.shape[1]
     return out
-
-
-@dataclass(frozen=True, eq=False)
-class Squared:
-    """Grains of one cutoff the squares of whose weights are summed.
-
-    Attributes
-    ----------
-    rows : array (n,)
-        Which of the places they are.
-    position, mass, phase : array (m, 3), (m,), (m,)
-        Places, weights and groups of all.
-    lattice : Lattice
-        Periodic images beyond these places.
-    groups : array
-        Groups of this cutoff.
-    cutoff, weights, active
-        The kernel, and the axes that it is seen in.
-    """
-
-    rows: NDArray
-    position: NDArray
-    mass: NDArray
-    phase: NDArray
-    lattice: Lattice
-    groups: NDArray
-    cutoff: float
-    weights: AnyKernel
-    active: NDArray
-
-
-@dataclass(frozen=True)
-class Pass:
-    """One pass over grains or segments, prepared: its array is (groups, nodes, columns), filled by one loop a cutoff.
-
-    `moments` says which columns of that array each moment is made of (those of a symmetric tensor name six of them
-    nine times), with a factor, or one for each phase. A pass that is `apart` has a reference of its own. The first
-    `level` of its columns are flow columns; the numbers in the place of velocity may be no `vector`. `squared` are the
-    grains whose weights are squared in them.
-    """
-
-    groups: int
-    columns: int
-    fill: Sequence[_Fill]
-    moments: Mapping[str, tuple[NDArray, float | NDArray]]
-    apart: bool = False
-    level: int = 0
-    vector: bool = True
-    squared: Sequence[Squared] = ()
-
-    @cached_property
-    def _rows(self) -> tuple[NDArray, NDArray]:
-        """Column (r,) and factor (r, groups) of each component of the moments, one after the other."""
-        columns = np.concatenate([columns.ravel() for columns, _ in self.moments.values()])
-        factors = [np.broadcast_to(factor, (columns.size, self.groups)) for columns, factor in self.moments.values()]
-        return columns.astype("uint64"), np.concatenate(factors)
-
-    @cached_property
-    def columns_by_moment(self) -> dict[tuple[str, int], tuple[int, list[float]]]:
-        """The column of the array that each column of the moments is, and its factor in each group."""
-        found = dict[tuple[str, int], tuple[int, list[float]]]()
-        for name, (columns, factor) in self.moments.items():
-            first, factors = columns.min(), np.broadcast_to(factor, self.groups).tolist()
-            found |= {(name, column - first): (column, factors) for column in columns.ravel().tolist()}
-        return found
-
-    def turned(self, records: NDArray) -> Iterator[tuple[str, NDArray]]:
-        """Moments (components, groups, nodes) from the sums (groups, nodes, columns)."""
-        column, factor = self._rows
-        out, first = np.empty((column.size, *records.shape[:2])), 0
-        transpose_columns(records, column, factor, out)
-        for name, (columns, _) in self.moments.items():
-            yield name, out[first : first + columns.size].reshape(*columns.shape, *out.shape[1:])
-            first += columns.size
-
-    def __call__(self, block: NodeBlock, reference: NDArray) -> NDArray:
-        """Compute the sums at the nodes of a block, relative to a reference that is set where it is not a number."""
-        sums = np.zeros((self.groups, len(reference), self.columns))
-        for fill in self.fill:
-            fill(block, sums, reference)
-        return sums
 
 
 @dataclass(frozen=True)
@@ -199,7 +112,7 @@ class _Deposit:
             check_finite(name, self.frame, self.source)
         wanted = self.spec.rows
         ways = [  # the calling thread begins with the last: contacts take more memory than grains
-            (self._grains, _of_grains(wanted)),
+            (self._grains, of_grains(wanted)),
             (self._relative, {name for name, row in wanted.items() if row.level and row.column}),
             (self._at_contacts, {name for name, row in wanted.items() if row.at_contacts and not row.level}),
             (self._between_phases, wanted.keys() & {"pair_force"}),
@@ -249,7 +162,7 @@ class _Deposit:
 
     def _grains(self) -> list[Pass]:
         """Flow columns and columns of constants."""
-        wanted = _of_grains(self.spec.rows)
+        wanted = of_grains(self.spec.rows)
         constants = {name: self._column(row, self.grains) for name, row in wanted.items() if row.column}
         count = len(self.grains.position)
         # a column that is the same for all grains, as those of one size are, is a multiple of their number
@@ -293,7 +206,7 @@ class _Deposit:
     def _branches(self, name: str, row: Moment, place: NDArray) -> Pass:
         """Branches of the contacts in the order that `place` says, each with its force or what is in its place."""
         others, carried = self.others if row.paired else 0, self._carried(row, self.frame)
-        fill: list[_Fill] = []
+        fill: list[Fill] = []
         for cutoff in np.unique(self.cutoffs).tolist():
             for second in (False, True):
                 segments, longest, more = self._segments(row, *carried, place, second, others, cutoff)
@@ -497,12 +410,6 @@ def _alike(drifts: NDArray) -> Iterator[tuple[NDArray, NDArray]]:
         yield drift, (drifts == drift).all(axis=1)
 
 
-def _of_grains(rows: Mapping[str, Moment]) -> dict[str, Moment]:
-    """Moments of the main pass over grains: flow columns, or columns of constants."""
-    elsewhere = {name for name, row in rows.items() if row.at_contacts or row.along_branches}
-    return {name: row for name, row in rows.items() if name not in elsewhere and bool(row.level) != bool(row.column)}
-
-
 def _fill_points(
     grains: kernel.Grains, mesh: Mesh, weights: AnyKernel, flags: tuple[int, *tuple[bool | NDArray | None, ...]],
     block: NodeBlock, sums: NDArray, reference: NDArray,
@@ -520,92 +427,6 @@ def _fill_segments(
     lists = block.lists(taken, reach, real)
     scratch = closed_for(lists.values.shape[1]) if closed else None
     deposit_segments(segments, *taken, weights, lists, scratch, rest, sums)
-
-
-@dataclass(frozen=True)
-class BlockSums:
-    """Sums at the nodes of one block, each pass (groups, nodes, columns), and what they refer to.
-
-    `velocity` (nodes, 3) is what the main pass refers to, `references` what each does; NaN where nothing reaches.
-    """
-
-    of: Sums
-    filled: Sequence[NDArray]
-    velocity: NDArray
-    references: Sequence[NDArray]
-
-    @cached_property
-    def reference(self) -> NDArray:
-        """The velocity that sums refer to, zero where nothing reaches."""
-        return np.where(np.isnan(self.velocity), 0.0, self.velocity)
-
-    @property
-    def reached(self) -> int:
-        """How many nodes grains with flow columns reach."""
-        return len(self.velocity) - int(np.isnan(self.velocity[:, 0]).sum())
-
-    @property
-    def arrays(self) -> list[NDArray]:
-        """The reference velocity, and the sums of each pass and group: arrays (nodes, columns)."""
-        return [self.reference, *(group for sums in self.filled for group in sums)]
-
-    def column(self, moment: str, group: int, k: int) -> tuple[int, int, float]:
-        """Where column k of a moment of a group is: the number among `arrays`, the column, and a factor."""
-        if moment == "reference":
-            return 0, k, 1.0
-        first, run = self.of.pass_by_moment[moment]
-        column, factors = run.columns_by_moment[moment, k]
-        return first + group, column, factors[group]
-
-    def moments(self, nodes: slice | NDArray) -> dict[str, NDArray]:
-        """Moments of some of the nodes: arrays (phase, node, ...).
-
-        Phase 0 is the bulk, the sum over groups. Nodes run fastest in memory, so that algebra on small tensors is a
-        loop over nodes.
-        """
-        found = {"reference": np.ascontiguousarray(self.reference[nodes].T).T}
-        for run, sums in zip(self.of.passes, self.filled, strict=True):
-            found |= self._of_pass(run, sums[:, nodes])
-        return found
-
-    def _of_pass(self, run: Pass, records: NDArray) -> dict[str, NDArray]:
-        nodes, phases = records.shape[1], max(1, len(self.of.spec.groups))
-        found = {}
-        for name, part in run.turned(records):
-            if run.groups > phases:  # by phase of the partner
-                part = np.moveaxis(part.reshape(*part.shape[:-2], phases, -1, nodes), -2, 0)
-            if self.of.spec.by is not None:
-                bulk = sum(part[..., [k], :] for k in range(phases))  # in this order whatever the number of nodes
-                part = np.concatenate([bulk, part], axis=-2)
-            found[name] = part.transpose(part.ndim - 2, part.ndim - 1, *range(part.ndim - 2))
-        return found
-
-
-@dataclass(frozen=True)
-class Sums:
-    """The sums of one frame, prepared: computed for one block of nodes after the other, in any order or at once.
-
-    A node's sums have one order whatever the block, so that their bits are the same.
-    """
-
-    spec: DepositSpec
-    passes: Sequence[Pass]
-
-    @cached_property
-    def pass_by_moment(self) -> dict[str, tuple[int, Pass]]:
-        """Pass of each moment, and the number of its first group among `BlockSums.arrays`."""
-        found, first = dict[str, tuple[int, Pass]](), 1
-        for run in self.passes:
-            found |= {name: (first, run) for name in run.moments if name not in found}
-            first += run.groups
-        return found
-
-    def over(self, block: NodeBlock) -> BlockSums:
-        """Compute the sums at the nodes of a block."""
-        velocity = np.full((block.count, 3), np.nan)
-        references = [np.full_like(velocity, np.nan) if run.apart else velocity for run in self.passes]
-        filled = [run(block, own) for run, own in zip(self.passes, references, strict=True)]
-        return BlockSums(self, filled, velocity, references)
 
 
 def sums_of_frame(
@@ -629,49 +450,3 @@ def sums_of_frame(
         Threads that prepare passes.
     """
     return Sums(spec, _Deposit(frame, spec, lattice, scale, source).passes(threads))
-
-
-@dataclass(frozen=True)
-class DepositSpec:
-    """What the deposits need besides a frame: which sums, where, how smeared.
-
-    Attributes
-    ----------
-    moments : tuple of str
-        Names in `MOMENTS` or `own`.
-    grid : Grid
-    weights : KernelCode, or CellKernel for averages over cells
-        The kernel of the first cutoff as seen in the grid's axes.
-    cutoffs : tuple of float
-        Radius of the support (m) of each group, or one for all.
-    limits : array
-        Longest branch (cutoffs) for 2, 4, ... Gauss-Legendre points; empty for closed forms.
-    coarse : bool
-        Whether single precision is enough for the weights of quadrature.
-    by : str or None
-        Integer particle variable that divides the grains into phases.
-    groups : tuple of int
-        Its values, one phase each.
-    own : mapping
-        Moments of the caller's own variables.
-    """
-
-    moments: tuple[str, ...]
-    grid: Grid
-    weights: AnyKernel
-    cutoffs: tuple[float, ...]
-    limits: NDArray
-    coarse: bool = False
-    by: str | None = None
-    groups: tuple[int, ...] = ()
-    own: Mapping[str, Moment] = field(default_factory=dict)
-
-    @cached_property
-    def rows(self) -> dict[str, Moment]:
-        """The moments by name."""
-        return {name: self.own.get(name) or MOMENTS[name] for name in self.moments}
-
-    @property
-    def level(self) -> int:
-        """Flow columns that the pass over grains takes."""
-        return max((row.level for row in _of_grains(self.rows).values()), default=kernel.NONE)

@@ -1,0 +1,242 @@
+"""Passes over one frame: what they sum at the nodes, and the sums that they give, block by block."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xcg.compiled.arrays import transpose_columns
+from xcg.compiled.points import NONE
+from xcg.compiled.smoothing import CellKernel, KernelCode
+from xcg.fields.sums.blocks import NodeBlock
+from xcg.fields.sums.moments import MOMENTS, Moment
+from xcg.fields.sums.nodes import Grid
+from xcg.scene.lattice import Lattice
+
+AnyKernel: TypeAlias = KernelCode | CellKernel
+# adds one pass to the sums (groups, nodes, columns) at the nodes of a block; the last array is the reference velocity
+Fill: TypeAlias = Callable[[NodeBlock, NDArray, NDArray], None]
+
+
+@dataclass(frozen=True)
+class DepositSpec:
+    """What the deposits need besides a frame: which sums, where, how smeared.
+
+    Attributes
+    ----------
+    moments : tuple of str
+        Names in `MOMENTS` or `own`.
+    grid : Grid
+    weights : KernelCode, or CellKernel for averages over cells
+        The kernel of the first cutoff as seen in the grid's axes.
+    cutoffs : tuple of float
+        Radius of the support (m) of each group, or one for all.
+    limits : array
+        Longest branch (cutoffs) for 2, 4, ... Gauss-Legendre points; empty for closed forms.
+    coarse : bool
+        Whether single precision is enough for the weights of quadrature.
+    by : str or None
+        Integer particle variable that divides the grains into phases.
+    groups : tuple of int
+        Its values, one phase each.
+    own : mapping
+        Moments of the caller's own variables.
+    """
+
+    moments: tuple[str, ...]
+    grid: Grid
+    weights: AnyKernel
+    cutoffs: tuple[float, ...]
+    limits: NDArray
+    coarse: bool = False
+    by: str | None = None
+    groups: tuple[int, ...] = ()
+    own: Mapping[str, Moment] = field(default_factory=dict)
+
+    @cached_property
+    def rows(self) -> dict[str, Moment]:
+        """The moments by name."""
+        return {name: self.own.get(name) or MOMENTS[name] for name in self.moments}
+
+    @property
+    def level(self) -> int:
+        """Flow columns that the pass over grains takes."""
+        return max((row.level for row in of_grains(self.rows).values()), default=NONE)
+
+
+def of_grains(rows: Mapping[str, Moment]) -> dict[str, Moment]:
+    """Moments of the main pass over grains: flow columns, or columns of constants."""
+    elsewhere = {name for name, row in rows.items() if row.at_contacts or row.along_branches}
+    return {name: row for name, row in rows.items() if name not in elsewhere and bool(row.level) != bool(row.column)}
+
+
+@dataclass(frozen=True, eq=False)
+class Squared:
+    """Grains of one cutoff the squares of whose weights are summed.
+
+    Attributes
+    ----------
+    rows : array (n,)
+        Which of the places they are.
+    position, mass, phase : array (m, 3), (m,), (m,)
+        Places, weights and groups of all.
+    lattice : Lattice
+        Periodic images beyond these places.
+    groups : array
+        Groups of this cutoff.
+    cutoff, weights, active
+        The kernel, and the axes that it is seen in.
+    """
+
+    rows: NDArray
+    position: NDArray
+    mass: NDArray
+    phase: NDArray
+    lattice: Lattice
+    groups: NDArray
+    cutoff: float
+    weights: AnyKernel
+    active: NDArray
+
+
+@dataclass(frozen=True)
+class Pass:
+    """One pass over grains or segments, prepared: its array is (groups, nodes, columns), filled by one loop a cutoff.
+
+    `moments` says which columns of that array each moment is made of (those of a symmetric tensor name six of them
+    nine times), with a factor, or one for each phase. A pass that is `apart` has a reference of its own. The first
+    `level` of its columns are flow columns; the numbers in the place of velocity may be no `vector`. `squared` are the
+    grains whose weights are squared in them.
+    """
+
+    groups: int
+    columns: int
+    fill: Sequence[Fill]
+    moments: Mapping[str, tuple[NDArray, float | NDArray]]
+    apart: bool = False
+    level: int = 0
+    vector: bool = True
+    squared: Sequence[Squared] = ()
+
+    @cached_property
+    def _rows(self) -> tuple[NDArray, NDArray]:
+        """Column (r,) and factor (r, groups) of each component of the moments, one after the other."""
+        columns = np.concatenate([columns.ravel() for columns, _ in self.moments.values()])
+        factors = [np.broadcast_to(factor, (columns.size, self.groups)) for columns, factor in self.moments.values()]
+        return columns.astype("uint64"), np.concatenate(factors)
+
+    @cached_property
+    def columns_by_moment(self) -> dict[tuple[str, int], tuple[int, list[float]]]:
+        """The column of the array that each column of the moments is, and its factor in each group."""
+        found = dict[tuple[str, int], tuple[int, list[float]]]()
+        for name, (columns, factor) in self.moments.items():
+            first, factors = columns.min(), np.broadcast_to(factor, self.groups).tolist()
+            found |= {(name, column - first): (column, factors) for column in columns.ravel().tolist()}
+        return found
+
+    def turned(self, records: NDArray) -> Iterator[tuple[str, NDArray]]:
+        """Moments (components, groups, nodes) from the sums (groups, nodes, columns)."""
+        column, factor = self._rows
+        out, first = np.empty((column.size, *records.shape[:2])), 0
+        transpose_columns(records, column, factor, out)
+        for name, (columns, _) in self.moments.items():
+            yield name, out[first : first + columns.size].reshape(*columns.shape, *out.shape[1:])
+            first += columns.size
+
+    def __call__(self, block: NodeBlock, reference: NDArray) -> NDArray:
+        """Compute the sums at the nodes of a block, relative to a reference that is set where it is not a number."""
+        sums = np.zeros((self.groups, len(reference), self.columns))
+        for fill in self.fill:
+            fill(block, sums, reference)
+        return sums
+
+
+@dataclass(frozen=True)
+class BlockSums:
+    """Sums at the nodes of one block, each pass (groups, nodes, columns), and what they refer to.
+
+    `velocity` (nodes, 3) is what the main pass refers to, `references` what each does; NaN where nothing reaches.
+    """
+
+    of: Sums
+    filled: Sequence[NDArray]
+    velocity: NDArray
+    references: Sequence[NDArray]
+
+    @cached_property
+    def reference(self) -> NDArray:
+        """The velocity that sums refer to, zero where nothing reaches."""
+        return np.where(np.isnan(self.velocity), 0.0, self.velocity)
+
+    @property
+    def reached(self) -> int:
+        """How many nodes grains with flow columns reach."""
+        return len(self.velocity) - int(np.isnan(self.velocity[:, 0]).sum())
+
+    @property
+    def arrays(self) -> list[NDArray]:
+        """The reference velocity, and the sums of each pass and group: arrays (nodes, columns)."""
+        return [self.reference, *(group for sums in self.filled for group in sums)]
+
+    def column(self, moment: str, group: int, k: int) -> tuple[int, int, float]:
+        """Where column k of a moment of a group is: the number among `arrays`, the column, and a factor."""
+        if moment == "reference":
+            return 0, k, 1.0
+        first, run = self.of.pass_by_moment[moment]
+        column, factors = run.columns_by_moment[moment, k]
+        return first + group, column, factors[group]
+
+    def moments(self, nodes: slice | NDArray) -> dict[str, NDArray]:
+        """Moments of some of the nodes: arrays (phase, node, ...).
+
+        Phase 0 is the bulk, the sum over groups. Nodes run fastest in memory, so that algebra on small tensors is a
+        loop over nodes.
+        """
+        found = {"reference": np.ascontiguousarray(self.reference[nodes].T).T}
+        for run, sums in zip(self.of.passes, self.filled, strict=True):
+            found |= self._of_pass(run, sums[:, nodes])
+        return found
+
+    def _of_pass(self, run: Pass, records: NDArray) -> dict[str, NDArray]:
+        nodes, phases = records.shape[1], max(1, len(self.of.spec.groups))
+        found = {}
+        for name, part in run.turned(records):
+            if run.groups > phases:  # by phase of the partner
+                part = np.moveaxis(part.reshape(*part.shape[:-2], phases, -1, nodes), -2, 0)
+            if self.of.spec.by is not None:
+                bulk = sum(part[..., [k], :] for k in range(phases))  # in this order whatever the number of nodes
+                part = np.concatenate([bulk, part], axis=-2)
+            found[name] = part.transpose(part.ndim - 2, part.ndim - 1, *range(part.ndim - 2))
+        return found
+
+
+@dataclass(frozen=True)
+class Sums:
+    """The sums of one frame, prepared: computed for one block of nodes after the other, in any order or at once.
+
+    A node's sums have one order whatever the block, so that their bits are the same.
+    """
+
+    spec: DepositSpec
+    passes: Sequence[Pass]
+
+    @cached_property
+    def pass_by_moment(self) -> dict[str, tuple[int, Pass]]:
+        """Pass of each moment, and the number of its first group among `BlockSums.arrays`."""
+        found, first = dict[str, tuple[int, Pass]](), 1
+        for run in self.passes:
+            found |= {name: (first, run) for name in run.moments if name not in found}
+            first += run.groups
+        return found
+
+    def over(self, block: NodeBlock) -> BlockSums:
+        """Compute the sums at the nodes of a block."""
+        velocity = np.full((block.count, 3), np.nan)
+        references = [np.full_like(velocity, np.nan) if run.apart else velocity for run in self.passes]
+        filled = [run(block, own) for run, own in zip(self.passes, references, strict=True)]
+        return BlockSums(self, filled, velocity, references)
