@@ -9,8 +9,9 @@ Where a fluid is viscous enough for inertia not to matter, a suspension is told 
 = 0.32 + 0.38 / (1 + 0.005 / J)`.
 
 400 frictional spheres are sheared at five volume fractions, six steps each, in a box that turns with the shear. The
-fluid is there as a drag only, towards the mean flow, as strong as on spheres at rest that are as dense (van der Hoef et
-al. 2005). The script of the simulation (LAMMPS) is :download:`suspension.in
+fluid is there as a drag only, towards the mean flow. The drag is Stokes' on a single sphere times :math:`(1 - \phi)
+[10 \phi / (1 - \phi)^2 + (1 - \phi)^2 (1 + 1.5 \sqrt\phi)]`, as van der Hoef, Beetstra & Kuipers (2005) computed it
+for spheres at rest. The script of the simulation (LAMMPS) is :download:`suspension.in
 <../../../examples/data/lammps_suspension/suspension.in>`.
 """
 
@@ -61,11 +62,11 @@ print("mu_c  =", (0.32 + 0.38 / (1 + 0.005 / J)).round(2).values)
 
 # %%
 # At the same viscous number the volume fraction is within 0.04 of the measured one, and the friction within a third of
-# what is ascribed to contacts. The rest is the fluid that is not there: a drag does not push grains apart that come
-# close, so that between the ends of the curve the pressure is too low by a factor of two to three. And the fluid's own
-# share of the stress, :math:`J + \frac 5 2 \phi_m \sqrt J` of friction in Boyer et al., is in no force between grains;
-# add it to compare with a rheometer. With Stokes' drag on a single sphere, which is ten times weaker, the pressure was
-# about eight times lower.
+# what is ascribed to contacts. What is missing is the rest of the fluid. A drag does not push grains apart that come close, so that
+# between the ends of the curve the pressure is too low by a factor of two to three. The fluid's own share of the stress,
+# :math:`J + \frac 5 2 \phi_m \sqrt J` of friction in Boyer et al., is in no force between grains; add it to compare with
+# a rheometer. With Stokes' drag alone, which is about ten times weaker at :math:`\phi = 0.5`, the pressure was about
+# eight times lower.
 #
 # **For your own data, change** the line that opens them to ``xcg.open_scene("particles.*.dump",
 # contacts="contacts.*.dump")``, the viscosity, and the axes of ``options``: the first is the flow, ``pressure_dims``
