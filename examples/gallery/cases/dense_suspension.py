@@ -62,11 +62,11 @@ print("mu_c  =", (0.32 + 0.38 / (1 + 0.005 / J)).round(2).values)
 
 # %%
 # At the same viscous number the volume fraction is within 0.04 of the measured one, and the friction within a third of
-# what is ascribed to contacts. What is missing is the rest of the fluid. A drag does not push grains apart that come close, so that
-# between the ends of the curve the pressure is too low by a factor of two to three. The fluid's own share of the stress,
-# :math:`J + \frac 5 2 \phi_m \sqrt J` of friction in Boyer et al., is in no force between grains; add it to compare with
-# a rheometer. With Stokes' drag alone, which is about ten times weaker at :math:`\phi = 0.5`, the pressure was about
-# eight times lower.
+# what is ascribed to contacts. What is missing is the rest of the fluid. A drag does not push grains apart that come
+# close, so that between the ends of the curve the pressure is too low by a factor of two to three. The fluid's own
+# share of the stress, :math:`J + \frac 5 2 \phi_m \sqrt J` of friction in Boyer et al., is in no force between grains;
+# add it to compare with a rheometer. With Stokes' drag alone, which is about ten times weaker at :math:`\phi = 0.5`,
+# the pressure was about eight times lower.
 #
 # **For your own data, change** the line that opens them to ``xcg.open_scene("particles.*.dump",
 # contacts="contacts.*.dump")``, the viscosity, and the axes of ``options``: the first is the flow, ``pressure_dims``

@@ -21,15 +21,16 @@ f = ds.cg.coarse_grain(names, axes="", at={}).compute()  # means of the box
 T, phi = f.granular_temperature, f.volume_fraction
 
 # %%
-# Each sphere of diameter :math:`d` in a gas of elastic spheres collides at the rate :math:`\omega = 4 n d^2 \chi \sqrt{\pi
-# T}` (Enskog; Chapman & Cowling 1970), with :math:`n` the number of spheres per volume. The factor :math:`\chi = (1 -
-# \phi/2) / (1 - \phi)^3` is how much more often two spheres touch than at low density (Carnahan & Starling 1969).
+# Each sphere of diameter :math:`d` in a gas of elastic spheres collides at the rate :math:`\omega = 4 n d^2 \chi
+# \sqrt{\pi T}` (Enskog; Chapman & Cowling 1970), with :math:`n` the number of spheres per volume. The factor
+# :math:`\chi = (1 - \phi/2) / (1 - \phi)^3` is how much more often two spheres touch than at low density (Carnahan &
+# Starling 1969).
 #
-# Two spheres that collide come closer at a speed :math:`v_n` along the line of their centres, whose mean square over all
-# collisions is :math:`4 T`. A collision takes the energy :math:`m (1 - e^2) v_n^2 / 4`, half of it from each sphere. That
-# is the share :math:`(1 - e^2)/3` of the mean energy of a sphere, :math:`3 m T / 2`, so :math:`\dot T = -(1 - e^2)\,
-# \omega\, T / 3`. As :math:`\omega` is proportional to :math:`\sqrt T`, the solution is Haff's law with :math:`1/\tau =
-# (1 - e^2)\,\omega_0 / 6`.
+# Two spheres collide with a relative velocity :math:`v_n` along the line of their centres. Over all collisions the mean
+# of :math:`v_n^2` is :math:`4 T`. A collision takes the energy :math:`m (1 - e^2) v_n^2 / 4`, half of it from each
+# sphere. That is the share :math:`(1 - e^2)/3` of the mean energy of a sphere, :math:`3 m T / 2`, so :math:`\dot T =
+# -(1 - e^2)\, \omega\, T / 3`. As :math:`\omega` is proportional to :math:`\sqrt T`, the solution is Haff's law with
+# :math:`1/\tau = (1 - e^2)\,\omega_0 / 6`.
 
 e, d = 0.9, 1.0
 n = 6 * phi[0] / (np.pi * d**3)

@@ -55,13 +55,13 @@ print(f"on average {above:.3f} above da Cruz et al.")
 print(f"mu_s = {mu_s:.2f}, mu_2 = {mu_2:.2f}, I_0 = {I_0:.2f}")
 
 # %%
-# The rise is the published one, and so is the limit of slow flow within its error, but all points lie above the line, by
-# a seventh on average. Errors are those of 12 steps and do not explain it; what does is not known. The published flow is
-# between walls, this one has none, and its normal stress swings about the imposed one by a tenth.
+# The rise is the published one, and so is the limit of slow flow within its error, but all points lie above the line,
+# by a seventh on average. Errors are those of 12 steps and do not explain it; what does is not known. The published
+# flow is between walls, this one has none, and its normal stress swings about the imposed one by a tenth.
 #
-# The engine is not the cause. The mean contact stress of the box (``axes="", at={}``) is the stress that LAMMPS prints
-# for the same step: to 2e-9 of the normal stress where the files hold ten digits, and to 1e-3 with the three to four
-# digits of the sample.
+# Coarse-graining is not the cause. The mean contact stress of the box (``axes="", at={}``) is the stress that LAMMPS
+# prints for the same step: to 2e-9 of the normal stress where the files hold ten digits, and to about 1e-3 with the
+# three to four digits of the sample.
 #
 # **For your own data, change** the list of runs to your files, one for each rate, or take the profile of one flow in
 # which :math:`I` varies: ``f.friction_coefficient`` over ``f.inertial_number``. The latter takes :math:`\rho_p d^2` for

@@ -4,9 +4,9 @@ Discharge of a silo: Beverloo's law
 
 Grains flow out of a silo at a rate that does not depend on how full it is, and that grows faster than the area of the
 outlet. Beverloo et al. (1961) found the power 5/2 of the diameter for a round hole. For a slot of width :math:`D` and
-length :math:`L` the rate is :math:`W = C \rho \sqrt g L (D - k d)^{3/2}`, with :math:`C = 1.03` (Myers & Sellers, quoted
-by Nedderman, Tüzün, Savage & Houlsby, *Chem. Eng. Sci.* 37 (1982) 1597) and :math:`k` between 1 and 2. On their way
-grains move apart.
+length :math:`L` the rate is :math:`W = C \rho \sqrt g L (D - k d)^{3/2}`, with :math:`C = 1.03` (Myers & Sellers,
+quoted by Nedderman, Tüzün, Savage & Houlsby, *Chem. Eng. Sci.* 37 (1982) 1597) and :math:`k` between 1 and 2. On their
+way grains move apart.
 
 1300 spheres flow through slots of 4, 5 and 6 diameters, and come back at the top. The script of the simulation (LAMMPS)
 is :download:`hopper.in <../../../examples/data/lammps_hopper/hopper.in>`; diameter, mass and gravity are 1.

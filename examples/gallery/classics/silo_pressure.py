@@ -4,9 +4,9 @@ Pressure in a silo: Janssen's law
 
 The side of a silo carries most of what is in it, so that the pressure stops growing with depth (Janssen 1895). A layer
 in a cylinder of radius :math:`R` pushes against the side with the pressure :math:`K \sigma_{zz}`, and the side holds it
-by the share :math:`\mu_w` of that. The forces on a layer of thickness :math:`dh` balance if :math:`\pi R^2 d\sigma_{zz} =
-\pi R^2 \rho g\, dh - 2 \pi R\, \mu_w K \sigma_{zz}\, dh`, with :math:`\rho` the density. So :math:`\sigma_{zz} = \rho g
-\ell\,(1 - e^{-h/\ell})` at the depth :math:`h`, with :math:`\ell = R / 2 K \mu_w`.
+by the share :math:`\mu_w` of that. The forces on a layer of thickness :math:`dh` balance if :math:`\pi R^2 d\sigma_{zz}
+= \pi R^2 \rho g\, dh - 2 \pi R\, \mu_w K \sigma_{zz}\, dh`, with :math:`\rho` the density. So :math:`\sigma_{zz} = \rho
+g \ell\,(1 - e^{-h/\ell})` at the depth :math:`h`, with :math:`\ell = R / 2 K \mu_w`.
 
 3800 spheres fill a cylinder to 4.6 times its diameter, and its floor went down a little, so that they slid along the
 side. The script of the simulation (LAMMPS) is :download:`silo.in <../../../examples/data/lammps_silo/silo.in>`.
