@@ -12,7 +12,7 @@ import pytest
 
 from tests import shared_data
 from tests.dumps import dump_text, write, write_series
-from xcg.readers.codes import dump, mfix
+from xcg.readers.codes import dump, vtk_steps
 from xcg.readers.codes.lammps import Lammps
 from xcg.readers.codes.mfix import Mfix
 from xcg.readers.engine import ReadOptions, StepRef
@@ -170,6 +170,6 @@ def test_real_output(tmp_path, monkeypatch, engine, folder, pattern):
     settle(tmp_path)
     paths = sorted(map(str, tmp_path.iterdir()))
     first = engine.index_particles(paths, ReadOptions())
-    for module, scan in ((dump, "_steps"), (mfix, "_header")):
+    for module, scan in ((dump, "_steps"), (vtk_steps, "_header")):
         monkeypatch.setattr(module, scan, lambda *_, **__: pytest.fail("headers are read again"))
     assert engine.index_particles(paths, ReadOptions()) == first

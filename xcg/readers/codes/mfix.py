@@ -15,13 +15,9 @@ What its contacts hold was checked on its output, against the positions of the p
 
 from __future__ import annotations
 
-import os
-import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,10 +30,10 @@ from xcg.readers.codes.mfix_contacts import (
     of_superquadrics,
     periods_of,
 )
+from xcg.readers.codes.vtk_steps import list_steps, open_step, read_arrays, targets
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files import vtp
-from xcg.readers.index import remembered
-from xcg.scene.schema import Frame, SceneError, variable
+from xcg.scene.schema import Frame, SceneError
 from xcg.scene.warn import warn_user
 from xcg.steps import errors as errors
 
@@ -64,20 +60,11 @@ CONTACT_NAMES = {
 }
 _NORMAL, _TANGENTIAL, _OVERLAP = "FORCE_CHAIN_FN", "FORCE_CHAIN_FT", "FORCE_CHAIN_OVERLAP"
 _POINT, _LENGTH = "FORCE_CHAIN_CONTACT_POINT", "FORCE_CHAIN_LENGTH"
-LINES = "lines"  # kind of a step whose contacts are lines
 _SHAPES = "SQP_"  # begins the names of the shapes that files of superquadrics list
 
 
 class Mfix(Engine):
-    """Region output of MFiX-DEM.
-
-    Attributes
-    ----------
-    READS_LINES : bool
-        Whether contacts may be lines, with arrays of cells.
-    """
-
-    READS_LINES: ClassVar[bool] = False
+    """Region output of MFiX-DEM."""
 
     def recognises(self, path: str) -> bool:
         """Tell whether this is a VTK PolyData file or a collection of them."""
@@ -108,8 +95,8 @@ class Mfix(Engine):
             For files that are missing and skipped, steps dropped because their time occurs twice with other
             content, and particles without ids.
         """
-        refs = index_files(paths, options)
-        found = [targets(ref, "particle", options) for ref in refs]
+        refs = list_steps(paths, options)
+        found = [targets(ref, "particle", options, PARTICLE_NAMES) for ref in refs]
         nameless = [ref for ref, target in zip(refs, found, strict=True) if "particle_id" not in target]
         if nameless:
             msg = (
@@ -128,7 +115,7 @@ class Mfix(Engine):
         SceneError
             Also if ids or forces are not among the arrays.
         """
-        refs = index_files(paths, options, lines=self.READS_LINES)
+        refs = list_steps(paths, options)
         for ref in refs:
             there = self.contact_variables(ref, options)
             lacking = [name for name in ("contact_i", "contact_j", "contact_force") if name not in there]
@@ -143,14 +130,15 @@ class Mfix(Engine):
 
     def contact_variables(self, ref: StepRef, options: ReadOptions) -> list[str]:
         """List the variables that `read_contacts` returns, from the header alone."""
-        found = targets(ref, "contact", options)
+        found = targets(ref, "contact", options, CONTACT_NAMES)
         if {_NORMAL, _TANGENTIAL} <= set(ref.columns):
             found.setdefault("contact_force", "")
         return list(found)
 
     def ignored_columns(self, ref: StepRef, options: ReadOptions, *, contacts: bool = False) -> list[str]:
         """Arrays of a step that are not read."""
-        read = {*targets(ref, "contact" if contacts else "particle", options).values()}
+        dim, known = ("contact", CONTACT_NAMES) if contacts else ("particle", PARTICLE_NAMES)
+        read = {*targets(ref, dim, options, known).values()}
         if contacts:
             read |= {_NORMAL, _TANGENTIAL, _OVERLAP, _POINT, _LENGTH}
         return [array for array in ref.columns if array not in read]
@@ -168,7 +156,7 @@ class Mfix(Engine):
         SceneError
             If the file is damaged or changed since it was indexed, or ids are too large for Float32.
         """
-        frame, _ = _read(_open(ref), targets(ref, "particle", options))
+        frame = read_arrays(ref, targets(ref, "particle", options, PARTICLE_NAMES))
         ids = frame.get("particle_id", np.empty(0))
         if ids.size and ids.max() >= EXACT and len(np.unique(ids)) < len(ids):
             msg = (
@@ -214,134 +202,6 @@ class Mfix(Engine):
         return _periods(_Rows.of(ref, options))
 
 
-# --- index -----------------------------------------------------------------------------------------------
-
-
-def index_files(paths: Sequence[str], options: ReadOptions, *, lines: bool = False) -> list[StepRef]:
-    """List the steps of files and collections, each time once; of lines where files hold some and they are wanted."""
-    there = _existing(paths, options)
-    found = remembered([path for path, _ in there], f"vtp {lines=}", partial(_header, lines=lines))
-    refs = []
-    for number, ((path, listed), steps) in enumerate(zip(there, found, strict=True)):
-        digits = re.findall(r"\d+", os.path.basename(path).removesuffix(".vtp"))
-        for ref in steps:  # one, or none where the file is at fault
-            refs.append(replace(ref, time=_time(ref.time, listed), step=int(digits[-1]) if digits else number))
-    return _once(refs)
-
-
-def _header(path: str, *, lines: bool) -> list[StepRef]:
-    """Tell the one step of a file from its header."""
-    header = vtp.read_header(path, lines=lines)
-    kind = LINES if header.of_lines else ""
-    return [StepRef(path, rows=header.rows, time=header.time, columns=header.names, size=header.size, kind=kind)]
-
-
-def _existing(paths: Sequence[str], options: ReadOptions) -> list[tuple[str, float | None]]:
-    """Files with their listed times: collections expanded, missing files refused or skipped."""
-    missing = options.extra.get("missing", "raise")
-    if missing not in ("raise", "skip"):
-        msg = f"missing={missing!r}: expected 'raise' or 'skip'"
-        raise SceneError(msg)
-    listed: list[tuple[str, float | None]] = []
-    for path in map(str, paths):
-        try:
-            listed += vtp.read_collection(path) if path.endswith(".pvd") and Path(path).exists() else [(path, None)]
-        except errors.FAULTS as error:
-            if not errors.record_fault(path, error):
-                raise
-    there = [entry for entry in listed if os.path.isfile(entry[0])]  # a pipe would be waited for
-    # MFiX lists its last frame twice: a copy that is gone is not missed.
-    times = {time for _, time in there if time is not None}
-    gone = [path for path, time in listed if not os.path.isfile(path) and time not in times]
-    if gone:
-        shown = f"{len(gone)} of {len(listed)} files do not exist: {', '.join(gone)}"
-        if missing == "raise" or not there:
-            way_out = "pass missing='skip' to go on with the others" if there else "check the path"
-            msg = f"{shown}; restore them, or {way_out}"
-            raise SceneError(msg)
-        warn_user(f"{shown}; they are skipped")
-    return there
-
-
-def _time(own: float | None, listed: float | None) -> float | None:
-    """Time of a step: the file's own, unless the collection says otherwise (it prints seven digits)."""
-    if own is None or listed is None:
-        return own if listed is None else listed
-    return own if np.isclose(own, listed, rtol=1e-6, atol=0) else listed
-
-
-def _once(refs: Sequence[StepRef]) -> list[StepRef]:
-    """Drop steps whose time was there before: MFiX writes its last frame twice."""
-    kept: dict[object, StepRef] = {}
-    other = []
-    for ref in refs:
-        first = kept.setdefault(ref.path if ref.time is None else ref.time, ref)
-        if first is ref:
-            continue
-        if _region(first) != _region(ref):
-            msg = (
-                f"{first.path} and {ref.path} are of the same time, {ref.time} s, but of different regions; "
-                "open one region at a time"
-            )
-            raise SceneError(msg)
-        if (first.rows, first.size) != (ref.rows, ref.size):
-            other.append(ref.path)
-    if other:
-        msg = f"dropped, as an earlier file holds the same time (though not the same data): {', '.join(other)}"
-        warn_user(msg)
-    return list(kept.values())
-
-
-def _region(ref: StepRef) -> str:
-    return re.sub(r"\d+(?=\D*$)", "", Path(ref.path).stem)
-
-
-# --- names -----------------------------------------------------------------------------------------------
-
-
-def targets(ref: StepRef, dim: str, options: ReadOptions) -> dict[str, str]:
-    """Scene names of one dimension and the arrays that they are read from."""
-    columns, path = ref.columns, ref.path
-    points = {} if ref.kind == LINES else {columns[0]: "position" if dim == "particle" else "contact_point"}
-    defaults = points | (PARTICLE_NAMES if dim == "particle" else CONTACT_NAMES)
-    given = {a: name for a, name in options.names.items() if name is not None and variable(name).dims[0] == dim}
-    absent = [array for array in given if array not in columns]
-    if absent:
-        msg = f"{path}: names= maps {absent}, which are not in this file; it holds {list(columns)}"
-        raise SceneError(msg)
-    twice = [name for name in given.values() if list(given.values()).count(name) > 1]
-    if twice:
-        msg = f"names= maps several arrays to {sorted(set(twice))}; expected one array a name"
-        raise SceneError(msg)
-    found = {name: array for array, name in given.items()}
-    for array, name in defaults.items():
-        if array in columns and array not in options.names:
-            found.setdefault(name, array)
-    return {name: array for name, array in found.items() if name not in options.unwanted}
-
-
-def _open(ref: StepRef) -> vtp.Header:
-    header = vtp.read_header(ref.path, lines=ref.kind == LINES)
-    if (header.rows, header.names) != (ref.rows, ref.columns) or (ref.size and header.size != ref.size):
-        msg = f"{ref.path}: the file changed after the scene was opened; open the scene again"
-        raise SceneError(msg)
-    return header
-
-
-def _read(header: vtp.Header, targets: Mapping[str, str], extra: Sequence[str] = ()) -> tuple[Frame, Frame]:
-    """Arrays by scene name, and all that were read by their name in the file."""
-    arrays = vtp.read_arrays(header, [*targets.values(), *extra])
-    return {name: arrays[array] for name, array in targets.items()}, arrays
-
-
-def read_arrays(ref: StepRef, wanted: Mapping[str, str]) -> Frame:
-    """Read the arrays of one step by the names of the scene."""
-    return _read(_open(ref), wanted)[0]
-
-
-# --- bodies ----------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class _Rows:
     """Contacts of a file as they stand.
@@ -368,10 +228,11 @@ class _Rows:
 
     @classmethod
     def of(cls, ref: StepRef, options: ReadOptions) -> _Rows:
-        header = _open(ref)
-        found = targets(ref, "contact", options)
+        header = open_step(ref)
+        found = targets(ref, "contact", options, CONTACT_NAMES)
         points, more = header.names[0], {_NORMAL, _TANGENTIAL, _OVERLAP, _POINT, _LENGTH}
-        frame, arrays = _read(header, found, [points, *sorted(more & set(header.names))])
+        arrays = vtp.read_arrays(header, [*found.values(), points, *sorted(more & set(header.names))])
+        frame: Frame = {name: arrays[array] for name, array in found.items()}
         if "contact_force" not in frame:
             frame["contact_force"] = arrays[_NORMAL] + arrays[_TANGENTIAL]
         mark = arrays.get(_NORMAL, arrays.get(_OVERLAP, frame["contact_force"]))

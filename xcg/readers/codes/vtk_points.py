@@ -3,35 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
-from xcg.readers.codes import mfix
-from xcg.readers.engine import ReadOptions, StepRef
-from xcg.scene.schema import Frame
+from xcg.readers.codes.vtk_steps import list_steps, read_arrays, targets
+from xcg.readers.engine import Engine, ReadOptions, StepRef
+from xcg.scene.schema import Frame, SceneError
 
-# Arrays that other codes write for spheres: YADE's VTKRecorder, LIGGGHTS' dump custom/vtk, and what many call them.
-_KNOWN = {
+# Arrays of spheres as YADE's VTKRecorder, LIGGGHTS' dump custom/vtk and many others call them.
+_PARTICLE_NAMES = {
     "radii": "radius",
     "radius": "radius",
+    "Radius": "radius",
     "diameter": "diameter",
+    "Diameter": "diameter",
     "linVelVec": "velocity",
     "v": "velocity",
     "velocity": "velocity",
+    "Velocity": "velocity",
     "angVelVec": "angular_velocity",
     "omega": "angular_velocity",
     "mass": "mass",
+    "Mass": "mass",
     "density": "density",
+    "Density": "density",
     "id": "particle_id",
     "materialId": "species",
     "type": "species",
 }
 
 
-class Vtk(mfix.Mfix):
-    """Points and lines of any code, arrays by ``names=``; files, times and series are those of MFiX."""
-
-    READS_LINES = True
+class Vtk(Engine):
+    """Points and lines of any code, one step a file; arrays by ``names=``."""
 
     def recognises(self, path: str) -> bool:
         """Tell unstructured grids; PolyData is taken for that of MFiX where no engine is named."""
@@ -42,29 +44,48 @@ class Vtk(mfix.Mfix):
         return b"<VTKFile" in head and b"UnstructuredGrid" in head
 
     def index_particles(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
-        """List the steps of particles, one a file."""
-        refs = mfix.index_files(paths, options)
+        """List the steps of particles from the headers of files, or of the ``.pvd`` collections that name them."""
+        refs = list_steps(paths, options)
         for ref in refs:
-            mfix.targets(ref, "particle", _named(ref, options))
+            targets(ref, "particle", options, _PARTICLE_NAMES)
         return refs
 
-    def read_particles(self, ref: StepRef, options: ReadOptions) -> Frame:
-        """Read the particles of one step."""
-        return super().read_particles(ref, _named(ref, options))
+    def index_contacts(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
+        """List the steps of contacts, which are points, or lines where a file holds any.
 
-    def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
-        """Read the contacts of one step as they stand: points are contact points, those of lines follow from radii."""
-        return mfix.read_arrays(ref, mfix.targets(ref, "contact", options))
+        Raises
+        ------
+        SceneError
+            If ids or forces are not among the arrays.
+        """
+        refs = list_steps(paths, options, lines=True)
+        for ref in refs:
+            there = self.contact_variables(ref, options)
+            lacking = [name for name in ("contact_i", "contact_j", "contact_force") if name not in there]
+            if lacking:
+                msg = (
+                    f"{ref.path}: contacts lack {lacking}; found {list(ref.columns)}. Say which arrays they are, as in "
+                    "names={'...': 'contact_i'}"
+                )
+                raise SceneError(msg)
+        return refs
+
+    def contact_variables(self, ref: StepRef, options: ReadOptions) -> list[str]:
+        """List the variables that `read_contacts` returns, from the header alone."""
+        return list(targets(ref, "contact", options, {}))
 
     def ignored_columns(self, ref: StepRef, options: ReadOptions, *, contacts: bool = False) -> list[str]:
         """Arrays of a step that are not read."""
-        return super().ignored_columns(ref, options if contacts else _named(ref, options), contacts=contacts)
+        found = targets(ref, "contact", options, {}) if contacts else targets(ref, "particle", options, _PARTICLE_NAMES)
+        return [array for array in ref.columns if array not in found.values()]
 
+    def read_particles(self, ref: StepRef, options: ReadOptions) -> Frame:
+        """Read the particles of one step."""
+        frame = read_arrays(ref, targets(ref, "particle", options, _PARTICLE_NAMES))
+        if "radius" in frame:
+            frame.setdefault("diameter", 2 * frame.pop("radius"))
+        return frame
 
-def _named(ref: StepRef, options: ReadOptions) -> ReadOptions:
-    """Add what is known by itself to what the caller says, unless something else has that name already."""
-    names = dict(options.names)
-    for array, name in _KNOWN.items():
-        if array in ref.columns and array not in names and name not in names.values():
-            names[array] = name
-    return replace(options, names=names)
+    def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
+        """Read the contacts of one step as they stand: points are contact points, those of lines follow from radii."""
+        return read_arrays(ref, targets(ref, "contact", options, {}))

@@ -1,0 +1,139 @@
+"""Steps of VTK's files: one a file, of points or lines, in lists of files, globs and ``.pvd`` collections."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from xcg.readers.engine import ReadOptions, StepRef
+from xcg.readers.files import vtp
+from xcg.readers.index import remembered
+from xcg.scene.schema import Frame, SceneError, variable
+from xcg.scene.warn import warn_user
+from xcg.steps import errors as errors
+
+LINES = "lines"  # kind of a step whose contacts are lines
+
+
+def list_steps(paths: Sequence[str], options: ReadOptions, *, lines: bool = False) -> list[StepRef]:
+    """List the steps of files and collections, each time once; of lines where files hold some and they are wanted."""
+    there = _existing(paths, options)
+    found = remembered([path for path, _ in there], f"vtp {lines=}", partial(_header, lines=lines))
+    refs = []
+    for number, ((path, listed), steps) in enumerate(zip(there, found, strict=True)):
+        digits = re.findall(r"\d+", os.path.basename(path).removesuffix(".vtp"))
+        for ref in steps:  # one, or none where the file is at fault
+            refs.append(replace(ref, time=_time(ref.time, listed), step=int(digits[-1]) if digits else number))
+    return _once(refs)
+
+
+def _header(path: str, *, lines: bool) -> list[StepRef]:
+    """Tell the one step of a file from its header."""
+    header = vtp.read_header(path, lines=lines)
+    kind = LINES if header.of_lines else ""
+    return [StepRef(path, rows=header.rows, time=header.time, columns=header.names, size=header.size, kind=kind)]
+
+
+def _existing(paths: Sequence[str], options: ReadOptions) -> list[tuple[str, float | None]]:
+    """Files with their listed times: collections expanded, missing files refused or skipped."""
+    missing = options.extra.get("missing", "raise")
+    if missing not in ("raise", "skip"):
+        msg = f"missing={missing!r}: expected 'raise' or 'skip'"
+        raise SceneError(msg)
+    listed: list[tuple[str, float | None]] = []
+    for path in map(str, paths):
+        try:
+            listed += vtp.read_collection(path) if path.endswith(".pvd") and Path(path).exists() else [(path, None)]
+        except errors.FAULTS as error:
+            if not errors.record_fault(path, error):
+                raise
+    there = [entry for entry in listed if os.path.isfile(entry[0])]  # a pipe would be waited for
+    # MFiX lists its last frame twice: a copy that is gone is not missed.
+    times = {time for _, time in there if time is not None}
+    gone = [path for path, time in listed if not os.path.isfile(path) and time not in times]
+    if gone:
+        shown = f"{len(gone)} of {len(listed)} files do not exist: {', '.join(gone)}"
+        if missing == "raise" or not there:
+            way_out = "pass missing='skip' to go on with the others" if there else "check the path"
+            msg = f"{shown}; restore them, or {way_out}"
+            raise SceneError(msg)
+        warn_user(f"{shown}; they are skipped")
+    return there
+
+
+def _time(own: float | None, listed: float | None) -> float | None:
+    """Time of a step: the file's own, unless the collection says otherwise (it prints seven digits)."""
+    if own is None or listed is None:
+        return own if listed is None else listed
+    return own if np.isclose(own, listed, rtol=1e-6, atol=0) else listed
+
+
+def _once(refs: Sequence[StepRef]) -> list[StepRef]:
+    """Drop steps whose time was there before: MFiX writes its last frame twice."""
+    kept: dict[object, StepRef] = {}
+    other = []
+    for ref in refs:
+        first = kept.setdefault(ref.path if ref.time is None else ref.time, ref)
+        if first is ref:
+            continue
+        if _region(first) != _region(ref):
+            msg = (
+                f"{first.path} and {ref.path} are of the same time, {ref.time} s, but of different regions; "
+                "open one region at a time"
+            )
+            raise SceneError(msg)
+        if (first.rows, first.size) != (ref.rows, ref.size):
+            other.append(ref.path)
+    if other:
+        msg = f"dropped, as an earlier file holds the same time (though not the same data): {', '.join(other)}"
+        warn_user(msg)
+    return list(kept.values())
+
+
+def _region(ref: StepRef) -> str:
+    return re.sub(r"\d+(?=\D*$)", "", Path(ref.path).stem)
+
+
+def targets(ref: StepRef, dim: str, options: ReadOptions, known: Mapping[str, str]) -> dict[str, str]:
+    """Scene names of one dimension and the arrays that they are read from.
+
+    Arrays are `known` by their name, unless `options` say otherwise; the first of two for the same name is taken.
+    """
+    columns, path = ref.columns, ref.path
+    points = {} if ref.kind == LINES else {columns[0]: "position" if dim == "particle" else "contact_point"}
+    defaults = points | dict(known)
+    given = {a: name for a, name in options.names.items() if name is not None and variable(name).dims[0] == dim}
+    absent = [array for array in given if array not in columns]
+    if absent:
+        msg = f"{path}: names= maps {absent}, which are not in this file; it holds {list(columns)}"
+        raise SceneError(msg)
+    twice = [name for name in given.values() if list(given.values()).count(name) > 1]
+    if twice:
+        msg = f"names= maps several arrays to {sorted(set(twice))}; expected one array a name"
+        raise SceneError(msg)
+    found = {name: array for array, name in given.items()}
+    for array, name in defaults.items():
+        if array in columns and array not in options.names:
+            found.setdefault(name, array)
+    return {name: array for name, array in found.items() if name not in options.unwanted}
+
+
+def open_step(ref: StepRef) -> vtp.Header:
+    """Read the header of a step again, which has to be as it was."""
+    header = vtp.read_header(ref.path, lines=ref.kind == LINES)
+    if (header.rows, header.names) != (ref.rows, ref.columns) or (ref.size and header.size != ref.size):
+        msg = f"{ref.path}: the file changed after the scene was opened; open the scene again"
+        raise SceneError(msg)
+    return header
+
+
+def read_arrays(ref: StepRef, wanted: Mapping[str, str]) -> Frame:
+    """Read the arrays of one step by the names of the scene."""
+    arrays = vtp.read_arrays(open_step(ref), [*wanted.values()])
+    return {name: arrays[array] for name, array in wanted.items()}
