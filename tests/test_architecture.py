@@ -41,7 +41,7 @@ INSIDE = {
         ["columnar"],
         ["codes"],
         ["engines", "lazy"],
-        ["chunks", "indexed"],
+        ["chunks", "indexed", "pairs", "units"],
         ["series"],
         ["backend", "from_table", "live"],
         ["__init__"],

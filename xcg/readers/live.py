@@ -14,7 +14,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.readers.columns import WALL_CONTACTS
-from xcg.readers.series import UNIT_SYSTEMS
+from xcg.readers.units import UNIT_SYSTEMS
 from xcg.scene.build import scene_from_arrays
 from xcg.scene.complete import contact_points, rows_of
 from xcg.scene.schema import COMPONENTS, SceneError

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 import os
-from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
@@ -20,7 +19,9 @@ from xcg.readers.engines import all_engines, engine_table, load_engine
 from xcg.readers.files.text import source_of
 from xcg.readers.indexed import indexed_arrays
 from xcg.readers.lazy import Series, Source, Step, lazy_arrays, read_step
+from xcg.readers.pairs import one_series, pair_steps
 from xcg.readers.paths import PathLike, expand_paths
+from xcg.readers.units import names_no_units, not_against_headers, units_of_headers
 from xcg.scene.box import box_array, in_unit, with_lattice
 from xcg.scene.build import to_dataset
 from xcg.scene.complete import complete_particles
@@ -31,15 +32,6 @@ from xcg.scene.walls import named_walls
 from xcg.scene.warn import warn_user
 from xcg.steps import errors as errors
 from xcg.steps.errors import FAULTS, check_on_error, collecting, raising
-
-# Factors to SI of the unit systems that headers name.
-UNIT_SYSTEMS: dict[str, Mapping[str, float] | str | None] = {
-    "si": None,
-    "lj": "reduced",
-    "cgs": {"length": 1e-2, "mass": 1e-3},
-    "micro": {"length": 1e-6, "mass": 1e-15, "time": 1e-6},
-    "nano": {"length": 1e-9, "mass": 1e-21, "time": 1e-9},
-}
 
 _RECOVERY_STEPS = 10  # files of contacts that are read for a period, where files do not tell it
 
@@ -226,7 +218,7 @@ def open_scene(
         indexed = _index(reader, files, options, [what for what, given in said.items() if given is None])
         if left_out and missing == "empty":
             _refuse_guesses(left_out, files)
-        steps = _pair(indexed, times, "skip" if missing == "raise" and left_out else missing)
+        steps = pair_steps(indexed, times, "skip" if missing == "raise" and left_out else missing)
         if in_columns:
             beside = [reader.wall_step(step.particles, options) for step in steps]
             steps = [replace(step, contacts=(*step.contacts, ref)) for step, ref in zip(steps, beside, strict=True)]
@@ -242,7 +234,7 @@ def open_scene(
     if periodic is not None and box is None and first.box is None:
         periodic = _within(flat, periodic)  # no file tells the period across a layer, and nothing depends on it
     setup = Setup.make(
-        units=_units(reader, indexed) if units is None else _not_against_headers(units, indexed),
+        units=units_of_headers(reader, indexed) if units is None else not_against_headers(units, indexed),
         gravity=gravity,
         dimension=dimension,
         plane=plane,
@@ -277,7 +269,7 @@ def open_scene(
     if not clock:
         said_nothing = "number of the time step, as the files do not tell the time (give timestep= or times=)"
         scene["time"].attrs.update(units="1", long_name=said_nothing)
-    if units is None and _names_no_units(reader, indexed):
+    if units is None and names_no_units(reader, indexed):
         scene.attrs["assumed_units"] = "SI"
     scene.attrs |= _origin(reader, files, options, steps) | about_walls
     if left_out:
@@ -381,7 +373,7 @@ def _check_options(engine: Engine, engine_options: Mapping[str, Any]) -> None:
             raise SceneError(msg)
 
 
-# --- the index: checks over a series ---------------------------------------------------------------------
+# --- the index ------------------------------------------------------------------------------------------
 
 
 def _index(
@@ -401,7 +393,7 @@ def _index(
             msg = f"{kind}: no step in {', '.join(paths[:3])}{', ...' if len(paths) > 3 else ''}"
             raise SceneError(msg)
         same = [what for what in from_headers if kind == "particles" or what in ("units", "time")]
-        indexed[kind] = _one_series(refs, same)
+        indexed[kind] = one_series(refs, same)
     columns = {column for refs in indexed.values() for column in refs[0].columns}
     unknown = sorted(set(options.names) - columns)
     if unknown and columns:
@@ -425,185 +417,7 @@ def _stamped(refs: Iterable[StepRef], engine: Engine) -> list[StepRef]:
     return stamped
 
 
-def _one_series(refs: list[StepRef], same: Sequence[str]) -> list[StepRef]:
-    """Return the steps of one kind, all or an error; where faults are tolerated, those like most of them."""
-    pattern = refs[0]
-    if errors.is_collecting():
-        often = Counter(ref.columns for ref in refs).most_common(1)[0][0]
-        pattern = next(ref for ref in refs if ref.columns == often)
-    kept = []
-    for ref in refs:
-        try:
-            _check_same(pattern, ref, same)
-        except SceneError as error:
-            if not errors.record_fault(source_of(ref), error):
-                raise
-        else:
-            kept.append(ref)
-    return kept
-
-
-def _check_same(first: StepRef, ref: StepRef, what: Sequence[str]) -> None:
-    """Refuse a step that differs in kind from the first of its series; say all that differs."""
-    problems = [f"column '{name}' is in the first only" for name in first.columns if name not in ref.columns]
-    problems += [f"column '{name}' is in the second only" for name in ref.columns if name not in first.columns]
-    for name in what:
-        one, other = getattr(first, name), getattr(ref, name)
-        if (one is None) != (other is None):
-            problems.append(f"the {name} is in the {'second' if one is None else 'first'} only")
-        elif name in ("periodic", "units") and one != other:
-            problems.append(f"{name}: {one!r} became {other!r} (the argument {name}= overrides both)")
-    if problems:
-        msg = f"{source_of(first)} and {source_of(ref)} do not make one series: {'; '.join(problems)}"
-        raise SceneError(msg)
-
-
-# --- particles with their contacts -----------------------------------------------------------------------
-
-
-def _pair(indexed: Mapping[str, list[StepRef]], times: ArrayLike | None, missing: str) -> list[Step]:
-    """Order the steps of particles by time, each with its contacts."""
-    refs = indexed["particles"]
-    known: list[float | None] = [ref.time for ref in refs]
-    if times is not None:
-        given = np.asarray(times, float)
-        if given.shape != (len(refs),) or not np.isfinite(given).all():
-            msg = f"times has shape {given.shape}: expected {len(refs)} finite numbers, one a step of particles"
-            raise SceneError(msg)
-        known = given.tolist()
-    steps = _in_order([Step(ref, (), time) for ref, time in zip(refs, known, strict=True)], "particles")
-    for kind in ("contacts", "walls"):
-        if kind in indexed:
-            steps = _join(steps, kind, indexed[kind], missing)
-    return steps
-
-
-def _in_order(steps: list[Step], kind: str) -> list[Step]:
-    """Sort by time (by number where there is none), and of equal ones keep the last."""
-    unique: dict[float, Step] = {}
-    for step in steps:
-        key = step.particles.step if step.time is None else step.time
-        if key in unique:
-            old, new = source_of(unique[key].particles), source_of(step.particles)
-            warn_user(f"{kind}: {old} is left out, as {new} is of the same time (if it is not, give times=)")
-        unique[key] = step
-    return [unique[key] for key in sorted(unique)]
-
-
-def _join(steps: list[Step], kind: str, refs: list[StepRef], missing: str) -> list[Step]:
-    """Give each step its contacts: of the same time where both have one, else of the same number."""
-    others = [step.particles for step in _in_order([Step(ref, (), ref.time) for ref in refs], kind)]
-    timed = others[0].time is not None and steps[0].particles.time is not None
-    partner = _same_time(steps, others) if timed else _same_number(steps, others)
-    paired = [(step, row) for step, row in zip(steps, partner, strict=True) if row >= 0]
-    lacking = [step.particles for step, row in zip(steps, partner, strict=True) if row < 0]
-    unused = [ref for row, ref in enumerate(others) if row not in partner]
-    if lacking and (missing == "raise" or not paired):
-        same = "time" if timed else "step number"
-        msg = (
-            f"{kind}: none of the same {same} for {len(lacking)} of {len(steps)} steps of the particles "
-            f"({_some(lacking)}); there are {_some(others)}. Give the files that are missing, or leave such "
-            "steps out with missing='skip'; if nothing touches in them, pass missing='empty'"
-        )
-        raise SceneError(msg)
-    if missing == "empty":
-        paired = list(zip(steps, partner, strict=True))
-    elif lacking:
-        warn_user(f"{len(lacking)} of {len(steps)} steps have no {kind} and are left out: {_some(lacking)}")
-    if unused:
-        warn_user(f"{len(unused)} steps of {kind} have no particles and are left out: {_some(unused)}")
-    _warn_of_boxes([(step, others[row]) for step, row in paired if row >= 0], kind)
-    return [replace(step, contacts=(*step.contacts, *([others[row]] if row >= 0 else []))) for step, row in paired]
-
-
-def _warn_of_boxes(pairs: Sequence[tuple[Step, StepRef]], kind: str) -> None:
-    """Warn of contacts in files with another box than that of the particles, along axes that may be periodic."""
-    for step, ref in pairs:
-        own, other = step.particles.box, ref.box
-        if own is None or other is None:
-            continue
-        for k, a in enumerate(COMPONENTS):
-            period = own[k][1] - own[k][0]
-            if a in (step.particles.periodic or COMPONENTS) and not np.allclose(own[k], other[k], 0, 1e-4 * period):
-                warn_user(
-                    f"{kind}: the box of {source_of(ref)} is {list(other[k])} along {a!r}, and that of the particles "
-                    f"({source_of(step.particles)}) is {list(own[k])}, which is taken: are both of one run?"
-                )
-                return
-
-
-def _same_number(steps: Sequence[Step], others: Sequence[StepRef]) -> list[int]:
-    if others[-1].step < 0 and len(others) == len(steps):  # files that tell neither, in their order
-        return list(range(len(others)))
-    rows = {ref.step: row for row, ref in enumerate(others)}
-    return [rows.get(step.particles.step, -1) for step in steps]
-
-
-def _same_time(steps: Sequence[Step], others: Sequence[StepRef]) -> list[int]:
-    """Find the contacts nearest in time, -1 where they are further than a thousandth of the interval."""
-    wanted = np.array([step.particles.time for step in steps], float)
-    there = np.array([ref.time for ref in others], float)
-    far = 1e-3 * np.diff(np.sort(wanted)).min() if len(wanted) > 1 else 1e-6 * abs(wanted[0])
-    nearest = [int(np.argmin(np.abs(there - time))) for time in wanted]
-    return [row if abs(there[row] - time) <= far else -1 for row, time in zip(nearest, wanted, strict=True)]
-
-
-def _some(refs: Sequence[StepRef]) -> str:
-    return ", ".join([*(source_of(ref) for ref in refs[:3]), *(["..."] if len(refs) > 3 else [])])
-
-
 # --- what holds for the whole scene ----------------------------------------------------------------------
-
-
-def _names_no_units(engine: Engine, indexed: Mapping[str, Sequence[StepRef]]) -> bool:
-    """Whether files could name their units, and do not."""
-    return bool(engine.UNNAMED_UNITS) and all(refs[0].units is None for refs in indexed.values())
-
-
-def _units(engine: Engine, indexed: Mapping[str, Sequence[StepRef]]) -> Mapping[str, float] | str | None:
-    """Units as the headers name them; SI where they do not."""
-    named = {refs[0].units: source_of(refs[0]) for refs in indexed.values() if refs[0].units is not None}
-    if len(named) > 1:
-        found = ", ".join(f"{system!r} in {name}" for system, name in named.items())
-        msg = f"headers name different unit systems ({found}); give the factors to SI with units="
-        raise SceneError(msg)
-    for system, name in named.items():
-        if system not in UNIT_SYSTEMS:
-            msg = (
-                f"{name}: the header names the unit system {system!r}, known are {', '.join(UNIT_SYSTEMS)}; "
-                "give the factors to SI, for example units={'length': 1e-10, 'mass': 1e-3, 'time': 1e-15}"
-            )
-            raise SceneError(msg)
-        return UNIT_SYSTEMS[system]
-    if _names_no_units(engine, indexed):
-        warn_user(
-            f"{source_of(indexed['particles'][0])}: the header does not name the units, and SI is taken; say "
-            f"units='SI', 'reduced' (LAMMPS's lj) or factors such as {{'length': 1e-3}}, or {engine.UNNAMED_UNITS}"
-        )
-    return None
-
-
-def _not_against_headers(units: Mapping[str, float] | str, indexed: Mapping[str, Sequence[StepRef]]) -> Any:
-    """Refuse units other than those that the headers name.
-
-    Factors may give reduced units (lj) a scale, and numbers in SI may be taken as scaled ones: none of them changes.
-    """
-    given = Setup.make(units=units)
-    for refs in indexed.values():
-        system = refs[0].units
-        scaled = (system == "lj" and isinstance(units, Mapping)) or (system == "si" and units == "reduced")
-        if system not in UNIT_SYSTEMS or scaled:
-            continue
-        named = Setup.make(units=UNIT_SYSTEMS[system])
-        if given.unit_system != named.unit_system or not np.allclose(given.scales, named.scales, rtol=1e-12, atol=0):
-            way_out = (
-                "give factors to SI, for example units={'length': 1.0, 'mass': 1.0, 'time': 1.0}"
-                if system == "lj"
-                else "leave units= out, or change 'ITEM: UNITS' in the files if it is wrong"
-            )
-            msg = f"units={units!r}, but the header of {source_of(refs[0])} names the unit system {system!r}: {way_out}"
-            raise SceneError(msg)
-    return units
 
 
 def _flat_plane(frames: Sequence[Frame]) -> str | None:

@@ -1,0 +1,141 @@
+"""Steps of one series: all of one kind, in order, and those of particles each with its contacts."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from xcg.readers.engine import StepRef
+from xcg.readers.files.text import source_of
+from xcg.readers.lazy import Step
+from xcg.scene.schema import COMPONENTS, SceneError
+from xcg.scene.warn import warn_user
+from xcg.steps import errors as errors
+
+
+def one_series(refs: list[StepRef], same: Sequence[str]) -> list[StepRef]:
+    """Return the steps of one kind, all or an error; where faults are tolerated, those like most of them."""
+    pattern = refs[0]
+    if errors.is_collecting():
+        often = Counter(ref.columns for ref in refs).most_common(1)[0][0]
+        pattern = next(ref for ref in refs if ref.columns == often)
+    kept = []
+    for ref in refs:
+        try:
+            _check_same(pattern, ref, same)
+        except SceneError as error:
+            if not errors.record_fault(source_of(ref), error):
+                raise
+        else:
+            kept.append(ref)
+    return kept
+
+
+def _check_same(first: StepRef, ref: StepRef, what: Sequence[str]) -> None:
+    """Refuse a step that differs in kind from the first of its series; say all that differs."""
+    problems = [f"column '{name}' is in the first only" for name in first.columns if name not in ref.columns]
+    problems += [f"column '{name}' is in the second only" for name in ref.columns if name not in first.columns]
+    for name in what:
+        one, other = getattr(first, name), getattr(ref, name)
+        if (one is None) != (other is None):
+            problems.append(f"the {name} is in the {'second' if one is None else 'first'} only")
+        elif name in ("periodic", "units") and one != other:
+            problems.append(f"{name}: {one!r} became {other!r} (the argument {name}= overrides both)")
+    if problems:
+        msg = f"{source_of(first)} and {source_of(ref)} do not make one series: {'; '.join(problems)}"
+        raise SceneError(msg)
+
+
+def pair_steps(indexed: Mapping[str, list[StepRef]], times: ArrayLike | None, missing: str) -> list[Step]:
+    """Order the steps of particles by time, each with its contacts."""
+    refs = indexed["particles"]
+    known: list[float | None] = [ref.time for ref in refs]
+    if times is not None:
+        given = np.asarray(times, float)
+        if given.shape != (len(refs),) or not np.isfinite(given).all():
+            msg = f"times has shape {given.shape}: expected {len(refs)} finite numbers, one a step of particles"
+            raise SceneError(msg)
+        known = given.tolist()
+    steps = _in_order([Step(ref, (), time) for ref, time in zip(refs, known, strict=True)], "particles")
+    for kind in ("contacts", "walls"):
+        if kind in indexed:
+            steps = _join(steps, kind, indexed[kind], missing)
+    return steps
+
+
+def _in_order(steps: list[Step], kind: str) -> list[Step]:
+    """Sort by time (by number where there is none), and of equal ones keep the last."""
+    unique: dict[float, Step] = {}
+    for step in steps:
+        key = step.particles.step if step.time is None else step.time
+        if key in unique:
+            old, new = source_of(unique[key].particles), source_of(step.particles)
+            warn_user(f"{kind}: {old} is left out, as {new} is of the same time (if it is not, give times=)")
+        unique[key] = step
+    return [unique[key] for key in sorted(unique)]
+
+
+def _join(steps: list[Step], kind: str, refs: list[StepRef], missing: str) -> list[Step]:
+    """Give each step its contacts: of the same time where both have one, else of the same number."""
+    others = [step.particles for step in _in_order([Step(ref, (), ref.time) for ref in refs], kind)]
+    timed = others[0].time is not None and steps[0].particles.time is not None
+    partner = _same_time(steps, others) if timed else _same_number(steps, others)
+    paired = [(step, row) for step, row in zip(steps, partner, strict=True) if row >= 0]
+    lacking = [step.particles for step, row in zip(steps, partner, strict=True) if row < 0]
+    unused = [ref for row, ref in enumerate(others) if row not in partner]
+    if lacking and (missing == "raise" or not paired):
+        same = "time" if timed else "step number"
+        msg = (
+            f"{kind}: none of the same {same} for {len(lacking)} of {len(steps)} steps of the particles "
+            f"({_some(lacking)}); there are {_some(others)}. Give the files that are missing, or leave such "
+            "steps out with missing='skip'; if nothing touches in them, pass missing='empty'"
+        )
+        raise SceneError(msg)
+    if missing == "empty":
+        paired = list(zip(steps, partner, strict=True))
+    elif lacking:
+        warn_user(f"{len(lacking)} of {len(steps)} steps have no {kind} and are left out: {_some(lacking)}")
+    if unused:
+        warn_user(f"{len(unused)} steps of {kind} have no particles and are left out: {_some(unused)}")
+    _warn_of_boxes([(step, others[row]) for step, row in paired if row >= 0], kind)
+    return [replace(step, contacts=(*step.contacts, *([others[row]] if row >= 0 else []))) for step, row in paired]
+
+
+def _warn_of_boxes(pairs: Sequence[tuple[Step, StepRef]], kind: str) -> None:
+    """Warn of contacts in files with another box than that of the particles, along axes that may be periodic."""
+    for step, ref in pairs:
+        own, other = step.particles.box, ref.box
+        if own is None or other is None:
+            continue
+        for k, a in enumerate(COMPONENTS):
+            period = own[k][1] - own[k][0]
+            if a in (step.particles.periodic or COMPONENTS) and not np.allclose(own[k], other[k], 0, 1e-4 * period):
+                warn_user(
+                    f"{kind}: the box of {source_of(ref)} is {list(other[k])} along {a!r}, and that of the particles "
+                    f"({source_of(step.particles)}) is {list(own[k])}, which is taken: are both of one run?"
+                )
+                return
+
+
+def _same_number(steps: Sequence[Step], others: Sequence[StepRef]) -> list[int]:
+    if others[-1].step < 0 and len(others) == len(steps):  # files that tell neither, in their order
+        return list(range(len(others)))
+    rows = {ref.step: row for row, ref in enumerate(others)}
+    return [rows.get(step.particles.step, -1) for step in steps]
+
+
+def _same_time(steps: Sequence[Step], others: Sequence[StepRef]) -> list[int]:
+    """Find the contacts nearest in time, -1 where they are further than a thousandth of the interval."""
+    wanted = np.array([step.particles.time for step in steps], float)
+    there = np.array([ref.time for ref in others], float)
+    far = 1e-3 * np.diff(np.sort(wanted)).min() if len(wanted) > 1 else 1e-6 * abs(wanted[0])
+    nearest = [int(np.argmin(np.abs(there - time))) for time in wanted]
+    return [row if abs(there[row] - time) <= far else -1 for row, time in zip(nearest, wanted, strict=True)]
+
+
+def _some(refs: Sequence[StepRef]) -> str:
+    return ", ".join([*(source_of(ref) for ref in refs[:3]), *(["..."] if len(refs) > 3 else [])])
