@@ -146,6 +146,38 @@ def test_turned_scenes_have_turned_fields_whatever_the_scene(seed, angle, azimut
         assert_transforms(Case(case.name, case.ds, case.width, points), matrix)
 
 
+SUMS = ["density", "momentum_density", "kinetic_stress", "contact_stress", "fabric", "contact_force_density"]
+
+
+@settings(deadline=None, max_examples=15)
+@given(
+    seed=st.integers(0, 10_000), angle=st.floats(0, 6.3), azimuth=st.floats(0, 6.3), polar=st.floats(0, 3.1),
+    place=st.tuples(*[st.floats(-1, 1)] * 3), axes=st.sampled_from(["r", "rt", "rz", "rtz"]),
+    part=st.none() | st.tuples(st.floats(-3, 3), st.floats(0.3, 6)),
+)  # fmt: skip
+def test_cylinders_turn_with_the_scene(seed, angle, azimuth, polar, place, axes, part):
+    """About any line, in volumes and averaged over theta and z, over a circle or a part of it."""
+    case = synthetic(seed, 40, "", 3, 3.0)
+    matrix = rotation((np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)), angle)
+    centre = case.ds.position.values[0].mean(axis=0) + case.width * np.array(place)
+    bounds = {"r": (0.0, 3 * case.width), "z": (-2 * case.width, 2 * case.width)}
+    if part:
+        bounds["theta"] = (part[0], part[0] + part[1])
+
+    def fields(ds, turn):
+        frame = xcg.Cylindrical(turn[:, 2], origin=turn @ centre, x=turn[:, 0])
+        wanted = {a: limits for a, limits in bounds.items() if a == "theta" or a in axes}
+        return ds.cg.coarse_grain(
+            SUMS, frame=frame, axes=axes, bounds=wanted, width=case.width, extent={} if "z" in axes else {"z": 1.0},
+            spacing={"r": case.width, "theta": 1.0, "z": case.width},
+        )  # fmt: skip
+
+    here, there = fields(case.ds, np.eye(3)), fields(turned(case.ds, matrix), matrix)
+    for name in SUMS:
+        size = float(np.abs(here[name]).max())
+        np.testing.assert_allclose(there[name], here[name], rtol=0, atol=1e-10 * size, err_msg=name)
+
+
 @REAL
 @pytest.mark.parametrize("order", [(1, 2, 0), (2, 1, 0)], ids=str)
 def test_axes_have_no_order(name, order):
