@@ -39,8 +39,8 @@ the loops are stands under [kernels and widths](accuracy.md).
 FEW = 2  # times that each large case is run
 COLUMNS = ("case", "grains", "threads", "time a step (s)", "us a grain and step", "peak memory (MB)", "data (MB)")
 FIRST = """
-From the start of a process to all fields of 1000 grains: {cold:.1f} s with nothing compiled, {warm:.1f} s from the
-second time on, as compiled code is kept on disk.
+From the start of a process to all fields of 1000 grains that are given as arrays: {cold:.1f} s with nothing compiled,
+{warm:.1f} s from the second time on (the least of four), as compiled code is kept on disk.
 
 Many small steps, from gzipped dumps of LAMMPS, a pair of files a step, to a Zarr folder of all fields (milliseconds a
 step, after a first one; processor time is that of all threads):
