@@ -534,10 +534,10 @@ class Times:
 
 HEAD = """# Speed against accuracy
 
-Error against time per particle, for every choice that xcg makes between ways to the same field: down is more
-exact, left is faster. Errors of different fields cannot be compared, so each has its panel. The grey line is
-the Pareto front: the ways that no other way beats in both (times within 3 % of each other count as equal in the
-tables). xcg's default is ringed. Made, on {machine}, by
+A field can be computed in several ways. The chart shows the error of each way over its time per particle: down is
+more exact, left is faster, and a ring marks xcg's default. Errors of different fields cannot be compared, so each
+field has a panel. The grey line is the *front*: no other way is both faster and more exact than those on it (in the
+tables, times within 3 % of each other count as equal). Made, on {machine}, by
 
 ```bash
 python -m docs.accuracy --particles {particles} --repeats {repeats}
@@ -547,17 +547,17 @@ python -m docs.accuracy --particles {particles} --repeats {repeats}
 
 The scene is `xcg.datasets.dense_packing`: {particles} spheres at a volume fraction of 0.6 with three contacts
 each, nodes w = 0.75 d apart, Lucy's kernel, one thread. Times are the least of {repeats}, the ways of a panel
-taking turns: of the loop that differs in (a) and (b), of the whole call of `coarse_grain`, from a scene in
-memory to labelled fields, in the others. What is exact comes from elsewhere: sums over all grains straight from
-the definition, and composite 64-point quadrature of every branch (`tests/brute_force.py`). Errors are the
-largest over components and nodes, 96 random ones in (a) to (c) and three heights in (f), unless it says
-otherwise. The alternatives (`docs/alternatives.py`) are xcg's own loops with one thing exchanged.
+taking turns. In (a) and (b) they are of the loop that differs, in the others of the whole call of `coarse_grain`,
+from a scene in memory to labelled fields. Errors are against other code (`tests/brute_force.py`): sums over all
+grains straight from the definition, and 64-point quadrature of pieces of every branch. They are the largest over
+components and nodes, 96 random nodes in (a) to (c) and three heights in (f), unless it says otherwise. The
+alternatives (`docs/alternatives.py`) are xcg's own loops with one thing exchanged.
 
-The floors in (a) and (b) are bare multiply-adds, as many as there are: a grain or branch that reaches N nodes adds to
-N times K sums, of which 8 are loaded, added to and stored in an instruction of AVX-512, 128 bytes. At one
-store a cycle of 3 GHz this is N K / 24 ns; what is measured is more, as sums come from the second cache. To find the
-nodes and their weights is what lies between floor and loop. Other programs' rules are on the chart: Pysammos looks
-weights up in 1000 bins; the closed form is what MercuryCG and LAMMPS take.
+The floors in (a) and (b) are the time that the additions alone would take. A grain or branch that reaches N nodes
+adds to N times K sums, and an instruction of AVX-512 loads, adds to and stores eight of them. At one store a cycle
+of 3 GHz this is N K / 24 ns; the measured floor is higher, as sums come from the second cache. The loop takes longer
+because it has to find the nodes and their weights. The ways of other programs are on the chart: Pysammos looks
+weights up in 1000 bins, MercuryCG and LAMMPS take the closed form.
 {tests}
 """
 TESTS = "What does not depend on the clock is held by tests (`tests/test_accuracy.py`)."
@@ -565,12 +565,13 @@ TESTS = "What does not depend on the clock is held by tests (`tests/test_accurac
 
 def says_contact_stress(x: Times) -> str:
     return f"""**Default: the closed form (`rtol=0`).** It takes {x("rtol 0", "2 points")} times as long as two
-Gauss points and {x("rtol 0", "12 points")} times as long as twelve, and is exact to rounding: the
-identities of the theory hold on what it gives, and who does not ask gets no error. A looser `rtol` buys time,
-through weights in single precision: 1e-3 takes {x("rtol 1e-3", "rtol 0")} of the time of the closed form, and
-1e-4 {x("rtol 1e-4", "rtol 0")}. A rule of an odd number of points takes as long as the next even one. From 1e-5
-on the planner itself takes the closed form at this width. The errors of `rtol` stay below what was asked, by a
-factor of ten and more: the promise holds for the worst node of every single branch, and a node sees a hundred.
+Gauss points and {x("rtol 0", "12 points")} times as long as twelve, and is exact to rounding, so that the
+identities of the theory hold for the fields. A larger `rtol` saves time, also because weights are then in single
+precision: 1e-3 takes {x("rtol 1e-3", "rtol 0")} of the time of the closed form, and 1e-4
+{x("rtol 1e-4", "rtol 0")}. A rule of an odd number of points takes as long as the next even one. At this width
+xcg takes the closed form for 1e-5 and less, because it is faster than the points needed. The errors are ten times
+smaller than `rtol` and more, because `rtol` bounds the error of each branch at its worst node, and a node sees a
+hundred branches.
 """
 
 
@@ -579,45 +580,47 @@ def says_volume_fraction(x: Times) -> str:
 table: {x("1000 bins", "evaluated", "table, rounded down")} times as long with the distance rounded down into
 1000 bins, as Pysammos does, for an error of 0.3 %, and {x("1000 bins", "evaluated", "table, interpolated")}
 with interpolation. More bins are more exact and no cheaper. Weights in single precision take
-{x("single precision", "evaluated")} times as long, for an error of 1e-7; they are not the default since
+{x("single precision", "evaluated")} times as long, for an error of 1e-7. They are not the default, because
 identities would then hold to seven digits instead of fifteen.
 """
 
 
 def says_kinetic_stress(x: Times) -> str:
     return f"""**Default: one pass, velocities relative to the first grain that reaches a node.** The sum of m v
-v less rho V V loses the square of V / v': six digits at 1e3, twelve at 1e6. Two passes, V first and then the
-sums about it, keep all digits, at {x("two passes", "relative to the node", "V / v' = 1e+06")} times the time of
-the default, which keeps them in one. Raw moments take
-{x("raw moments", "relative to the node", "V / v' = 1e+06")} times as long as the default, little to win for
-digits that go without a word.
+v less rho V V (raw moments) loses digits with the square of V / v': six at 1e3, twelve at 1e6. Two passes, V first
+and then the sums about it, keep all digits, at
+{x("two passes", "relative to the node", "V / v' = 1e+06")} times the time of the default, which keeps them in one
+pass. Raw moments take {x("raw moments", "relative to the node", "V / v' = 1e+06")} times as long as the default, so
+they save little and lose digits without a warning.
 """
 
 
 def says_temperature(x: Times) -> str:
     return f"""**Default: the velocity at each grain by linear extrapolation from the node, with the
-least-squares gradient.** In shear without fluctuations the temperature is zero. About the velocity of the node
-it is not: that is the part of sigma^k that grows as w^2. V evaluated at the grains leaves less, as V(r) is that
-of the grains' centre of mass; extrapolation by least squares leaves rounding, as nothing else does, at
-{x("linear, least squares", "V at the node", "shear alone")} times the time of the fluctuations about the node.
+least-squares gradient.** In shear without fluctuations the temperature is zero. If fluctuations are taken about the
+velocity at the node, the shear contributes in proportion to w^2. If they are taken about V evaluated at the grains,
+less is left, because V(r) is the velocity at the grains' centre of mass. Only extrapolation by least squares gives
+zero, to rounding. It takes {x("linear, least squares", "V at the node", "shear alone")} times as long as
+fluctuations about the node.
 
-**Fluctuations that are independent from grain to grain** leave every way an error at one node. A node sees some
-16 grains, with unequal weights worth about seven; a mean takes one degree of freedom of them away, a fit four,
-and the velocity at a grain is to a good part the grain's own. All of them count as motion of the flow what was
-fluctuation. The default knows how much its fit takes and divides by what is left, so that its **mean is right at
-every width**, as the table below has it: the mean of the temperature found over that put in. Per density
-(`temperature="biased"`) the same fluctuations give a third at this width and 7 % too little at twice it; about
-the node the temperature grows with w without end. More in [granular temperature](temperature.md).
+**Where fluctuations are independent from grain to grain**, every way has an error at one node. A node sees some 16
+grains with unequal weights, which tell as much as seven equal ones. A mean velocity follows one part in seven of
+their fluctuations, a fit of four numbers more than half, and V evaluated at a grain is largely the velocity of that
+grain. What the mean flow follows is missing from the temperature. The default knows how much its fit follows and
+divides by what is left, so its **mean is right at every width**: the table below has the mean of the temperature
+over the true one. Divided by the density instead (`temperature="biased"`), the same fluctuations give a third at this
+width and 7 % too little at twice it. Taken about the node, the temperature grows with w without limit. More in
+[granular temperature](temperature.md).
 """
 
 
 def says_velocity_gradient(x: Times) -> str:
     return f"""**Default: least squares through the grains.** It is exact in uniform shear. The kernel gradient
-is the exact derivative of the field V(r), which itself is rough at this width: V(r) belongs to the grains'
-centre of mass, and that wanders about the node. Differences on the mesh converge to that same derivative as the
-mesh is refined (w/2), so refining makes them worse; on a coarse mesh they average a little, and take
-{x("mesh w", "least squares")} of the time, for an error of some percent. `gradient="kernel"` is there for
-balances, where the derivative of the field is what is wanted.
+is the exact derivative of the field V(r), but that field is rough at this width: V(r) is the velocity at the grains'
+centre of mass, which is now on one side of the node, now on another. Differences on the mesh converge to the same
+derivative, so refining the mesh (w/2) makes them worse. On a coarse mesh they smooth a little, and take
+{x("mesh w", "least squares")} of the time, with an error of some percent. `gradient="kernel"` is there for balances,
+which need the derivative of the field.
 """
 
 
@@ -625,7 +628,8 @@ def says_profiles(x: Times) -> str:
     return f"""**Default: the exact marginal.** It is faster and exact: a mesh of spacing w takes
 {x("mesh w", "marginal", "density")} times as long for the density and
 {x("mesh w", "marginal", "contact stress")} for the contact stress and is off by up to 1 %; one of w/4 takes
-{x("mesh w/4", "marginal", "contact stress")} times as long. Here the box is periodic, the best case for a mesh.
+{x("mesh w/4", "marginal", "contact stress")} times as long. The box is periodic here, which is the best case for a
+mesh.
 """
 
 
@@ -637,15 +641,15 @@ TEMPERATURES = """Mean temperature over that of the fluctuations put in, by widt
 """
 RATES = """## Kernels and widths
 
-Time a particle of the loop alone, closed forms, spacing of nodes equal to the width; then millions of *node
-updates* per second: one grain or contact that adds all its columns to one node, finding the node and its weight
-included. Beside them what bare multiply-adds reach, ``sums[k] += weight[k] * factor`` over as many consecutive
-numbers, with neither nodes to find nor weights to compute nor gaps between rows of nodes.
+Each cell has three numbers. The first is the time for each particle in the loop alone, with closed forms and nodes
+one width apart. The second is how many million *node updates* a second that is: one update adds all columns of one
+grain or contact to one node, and includes finding the node and its weight. The third, after "of", is how many
+updates bare additions reach, ``sums[k] += weight[k] * factor`` over as many consecutive numbers.
 
-**Default: Lucy.** Its value is a polynomial of the distance and its segment integral polynomials and one
-logarithm, which vectorise; the Gaussian takes an exponential a node and two error functions a branch, and
-reaches three times as many nodes at the same width. The Heaviside is cheapest since it reaches fewest nodes,
-each of which then sees few grains.
+**Default: Lucy.** Its value is a polynomial of the distance, its integral along a branch polynomials and one
+logarithm, and both run as vector instructions. The Gaussian takes exponentials and error functions, and reaches three
+times as many nodes at the same width. The Heaviside is the fastest because it reaches the fewest nodes, each of which
+then sees few grains.
 """
 
 MARKERS = "osD^v"
