@@ -2,40 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import xarray as xr
 
 from xcg.fields.accessible import check_walls, with_accessible
 from xcg.fields.evaluate import evaluate_plan
-from xcg.fields.formulas import registry
-from xcg.fields.formulas.field import Field
+from xcg.fields.kept import prepare_call
 from xcg.fields.places.frames import in_frame, is_cylindrical
 from xcg.fields.plan import Plan, make_plan
 from xcg.fields.presets import lammps, pysammos
 from xcg.fields.request import Request, SharedOptions, takes
+from xcg.fields.results import filled
 from xcg.scene.bodies import group_bodies
-from xcg.scene.build import storable
 from xcg.scene.conform import takes_scene
-from xcg.scene.schema import COMPONENTS, units_of
 from xcg.scene.sizes import with_measures
 from xcg.steps.errors import check_on_error
-from xcg.steps.label import format_call, mark_skipped, provenance
-from xcg.steps.phase_labels import with_phase_labels
+from xcg.steps.label import format_call, mark_skipped
 
 # names of other programs: from a request in them to one in names of xcg, and what turns its answer into theirs
 PRESETS: dict[str, Callable[[xr.Dataset, Request], tuple[Request, Callable[[xr.Dataset], xr.Dataset]]]] = {
     "pysammos": pysammos.translate,
     "lammps": lammps.translate,
 }
-_CYLINDRICAL: dict[str, dict[str, str]] = {
-    "r": {"long_name": "distance from the axis"},
-    "theta": {"units": "rad", "long_name": "angle about the axis"},
-    "z": {"long_name": "position along the axis", "axis": "Z"},
-}
-_AXES = {*COMPONENTS, *_CYLINDRICAL}
 Asked = TypeVar("Asked", bound=SharedOptions)
 
 
@@ -126,9 +117,9 @@ def answer(ds: xr.Dataset, request: Request) -> xr.Dataset:
     given = {k: v for k, v in (request.given() | framed).items() if k != "on_error" or skips}
     call = format_call("coarse_grain", given)
     request, rename = _in_own_names(ds, request)
-    plan = make_plan(ds, request)
+    plan, empty = prepare_call(ds, request)
     arrays = evaluate_plan(ds, plan, request.on_error)
-    result = label_fields(ds, plan, arrays, call)
+    result = filled(empty, ds, plan, arrays, call)
     if request.walls is not None:
         result = with_accessible(result, ds, plan, request)
     return rename(mark_skipped(result, arrays))
@@ -159,64 +150,3 @@ def _in_own_names(ds: xr.Dataset, request: Request) -> tuple[Request, Callable[[
         msg = f"preset={request.preset!r}: expected {' or '.join(map(repr, PRESETS))}"
         raise ValueError(msg)
     return PRESETS[request.preset](ds, request)
-
-
-def label_fields(ds: xr.Dataset, plan: Plan, arrays: Mapping[str, Any], call: str) -> xr.Dataset:
-    """Label what a plan gave as a result of the scene."""
-    system = plan.setup.unit_system
-    length = units_of((1, 0, 0), system)
-    coords: dict[str, Any] = {name: ds[name].variable for name in ("time", "step") if name in ds.coords}
-    for name, coord in plan.deposit.grid.coords.items():
-        attrs = {"units": length, "long_name": f"position along {name}", "axis": name.upper()}
-        if is_cylindrical(ds):
-            attrs = _CYLINDRICAL[name] | ({} if name == "theta" else {"units": length})
-        coords[name] = (coord.dims, coord, attrs | coord.attrs if name in _AXES else coord.attrs)
-    if plan.deposit.by:
-        attrs = {"long_name": f"phase by {plan.deposit.by}"}
-        coords["phase"] = ("phase", ["bulk", *map(str, plan.deposit.groups)], attrs)
-    data = {}
-    for name in plan.fields:
-        row = registry.row(name, plan.options)
-        tail = ("component", "direction")[: row.rank]
-        coords |= {dim: (dim, list(_CYLINDRICAL) if is_cylindrical(ds) else list(COMPONENTS)) for dim in tail}
-        if row.paired:
-            tail = ("other_phase", *tail)
-            coords["other_phase"] = ("other_phase", [*map(str, plan.deposit.groups), "wall"])
-        attrs = about(row, system)
-        if lacking := plan.left_out(name):
-            attrs["comment"] = f"without rotation, as the scene holds no {' and no '.join(lacking)}"
-        data[name] = (("time", *plan.dims, *tail), arrays[name], attrs)
-    return with_phase_labels(storable(xr.Dataset(data, coords, _provenance(ds, plan, call))))
-
-
-def about(row: Field, system: str) -> dict[str, str]:
-    """Attributes of a field in a result."""
-    units = units_of(row.powers, system) if row.units is None else row.units
-    found = {"units": units, "long_name": row.long_name, "formula": row.formula, "source": row.source}
-    found |= {"weight": row.weight} if row.source else {}  # what averages of fields without a row need
-    return {key: text for key, text in found.items() if text}
-
-
-def _provenance(ds: xr.Dataset, plan: Plan, call: str) -> dict[str, Any]:
-    return {
-        **provenance(ds, call),
-        **plan.deposit.grid.attrs,
-        "kernel": plan.kernel.name,
-        "width": plan.widths if len(plan.widths) > 1 else plan.kernel.width,
-        "cutoff": list(plan.deposit.cutoffs) if len(plan.widths) > 1 else plan.kernel.cutoff,
-        "kernel_dimension": plan.kernel.dimension,
-        "rtol": plan.rtol,
-        "gradient": plan.options.gradient,
-        "pressure_dims": _axes(plan.options.pressure_axes or plan.options.plane),
-        "deviatoric": plan.options.deviatoric,
-        "size": plan.options.size,
-        "temperature": plan.options.temperature,
-        **registry.given_options(plan.options),
-        "sampling": "cell" if plan.deposit.grid.half.any() else "node",
-        "averaged_axes": plan.deposit.grid.averaged,
-        "wrapped_axes": "".join(a for a, wraps in zip(COMPONENTS, plan.options.wrapped, strict=True) if wraps),
-    }
-
-
-def _axes(indices: Sequence[int]) -> str:
-    return "".join(COMPONENTS[k] for k in indices)

@@ -250,7 +250,11 @@ def make_plan(ds: xr.Dataset, request: Request) -> Plan:
         If an argument is wrong.
     """
     require_scene(ds, (), "coarse_grain")
-    ds = with_measures(ds)
+    return plan_measured(with_measures(ds), request)
+
+
+def plan_measured(ds: xr.Dataset, request: Request) -> Plan:
+    """Plan as `make_plan`, of a scene whose sizes and extent are known to hold."""
     setup = setup_of(ds)
     options = _options(ds, setup, request)
     rtol, by = request.rtol, request.by

@@ -39,10 +39,15 @@ TEMPERATURES = ("unbiased", *WAYS["fluctuation_density"][1])
 _FORGET: list[Callable[[], None]] = []
 
 
+def on_register(forget: Callable[[], None]) -> None:
+    """Have something forgotten when a field is registered."""
+    _FORGET.append(forget)
+
+
 def remembered(function: Callable[P, R]) -> Callable[P, R]:
     """Have equal calls answered at once, until a field is registered."""
     cached = lru_cache(maxsize=256)(function)
-    _FORGET.append(cached.cache_clear)
+    on_register(cached.cache_clear)
     return cast("Callable[P, R]", cached)
 
 

@@ -12,13 +12,14 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.compiled import THREADS
-from xcg.fields.coarse_grain import about, label_fields, prepare
+from xcg.fields.coarse_grain import prepare
 from xcg.fields.evaluate import compute_chunk
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.averages import derive, needed_for_averages
 from xcg.fields.places.frames import refuse_cylindrical
 from xcg.fields.plan import make_plan
 from xcg.fields.request import Request, takes
+from xcg.fields.results import about, filled, layout
 from xcg.scene.conform import takes_scene
 from xcg.scene.frame import steps_in
 from xcg.scene.motion import BoxMotion, partners
@@ -204,7 +205,7 @@ def _between_frames(
     compute = _Pairs(plan.setup.periodic, partial(compute_chunk, plan, threads))
     results = {field: (plan.shape(field), "float64") for field in plan.fields} | _MOTION
     arrays = map_over_time(pairs, [*read, *later], compute, results, "displacement", asked.on_error)
-    f = mark_skipped(label_fields(scene, plan, arrays, call), arrays)
+    f = mark_skipped(filled(layout(scene, plan), scene, plan, arrays, call), arrays)
     times = ds["time"].to_numpy()
     second = units_of((0, 0, 1), plan.setup.unit_system)
     coords = {

@@ -383,12 +383,22 @@ def as_kernel(kernel: str | Kernel, width: float | None, dimension: int) -> Kern
             msg = f"kernel={kernel!r} has its own width; leave width= out"
             raise ValueError(msg)
         return kernel.in_dimension(dimension)
+    return kind_of(kernel)(width, dimension=dimension)
+
+
+def kind_of(name: str) -> Callable[..., Kernel]:
+    """Return what makes kernels of this name.
+
+    Raises
+    ------
+    ValueError
+        If there is none.
+    """
     try:
-        kind = _NAMED[str(kernel).lower()]
+        return _NAMED[str(name).lower()]
     except KeyError:
-        msg = f"kernel={kernel!r}: expected one of {sorted(_NAMED)} or a kernel object such as xcg.Lucy(width=0.01)"
+        msg = f"kernel={name!r}: expected one of {sorted(_NAMED)} or a kernel object such as xcg.Lucy(width=0.01)"
         raise ValueError(msg) from None
-    return kind(width, dimension=dimension)
 
 
 def choose_width(width: float | str | None, attrs: Mapping[Any, Any]) -> float:
