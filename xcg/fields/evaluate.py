@@ -30,7 +30,7 @@ from xcg.steps.map import map_over_time, threads_a_chunk
 def evaluate_plan(ds: xr.Dataset, plan: Plan, on_error: str) -> dict[str, Any]:
     """Arrays of the plan's fields (time, axes, phase, ...), lazy where the scene is."""
     names = [*plan.variables, *(name for name in OF_STEP if name in ds)]
-    results = {field: (plan.shape(field), "float64") for field in plan.fields}
+    results = {field: (plan.shapes[field], "float64") for field in plan.fields}
     threads = threads_a_chunk(ds, names, THREADS)
     return map_over_time(ds, names, partial(compute_chunk, plan, threads), results, "coarse-grain", on_error)
 
@@ -66,7 +66,7 @@ def _threads_for(plan: Plan, arrays: Mapping[str, NDArray], threads: int) -> int
 def compute_chunk(plan: Plan, threads: int, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
     """Fields of one chunk of time, from padded arrays."""
     threads = _threads_for(plan, arrays, threads)
-    out = {name: np.empty((len(arrays["particle_id"]), *plan.shape(name))) for name in plan.fields}
+    out = {name: np.empty((len(arrays["particle_id"]), *plan.shapes[name])) for name in plan.fields}
     for_each([a.reshape(-1) for a in out.values()], _take_memory, threads)
     for t, (frame, lattice, source) in enumerate(steps_in(arrays, plan.setup.periodic)):
         _compute_step(plan, frame, lattice, source, threads, {name: a[t, ...] for name, a in out.items()})

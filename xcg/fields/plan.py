@@ -92,8 +92,12 @@ class Plan:
         """Width of each group (m), or one for all."""
         return [self.kernel.spread * cutoff for cutoff in self.deposit.cutoffs]
 
-    def shape(self, name: str) -> tuple[int, ...]:
-        """Shape of one step of a field."""
+    @cached_property
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """Shape of one step of each field."""
+        return {name: self._shape(name) for name in self.fields}
+
+    def _shape(self, name: str) -> tuple[int, ...]:
         phases = (self.phases,) if self.deposit.by else ()
         row = registry.row(name, self.options)
         return (*self.deposit.grid.sizes, *phases, *((self.phases,) if row.paired else ()), *(3,) * row.rank)
@@ -146,7 +150,7 @@ class Plan:
     def __str__(self) -> str:
         grid, moments = self.deposit.grid, self.deposit.rows
         passes = {over: len(columns) for over, columns in self._columns.items()}
-        outputs = sum(math.prod(self.shape(name)) for name in self.fields)
+        outputs = sum(map(math.prod, self.shapes.values()))
         sums = min(grid.count, self.block_nodes) * self._numbers
         own = f"; widths by group {[float(f'{w:.4g}') for w in self.widths]}" if len(self.widths) > 1 else ""
         rules = "closed form"

@@ -27,7 +27,8 @@ _AXES = {*COMPONENTS, *_CYLINDRICAL}
 
 def times_of(ds: xr.Dataset) -> dict[str, xr.Variable]:
     """Coordinates along time of a scene, which its results have, too."""
-    return {name: ds[name].variable for name in ("time", "step") if name in ds.coords}
+    coords = ds.coords
+    return {name: ds.variables[name] for name in ("time", "step") if name in coords}
 
 
 def layout(ds: xr.Dataset, plan: Plan) -> xr.Dataset:
@@ -54,7 +55,7 @@ def layout(ds: xr.Dataset, plan: Plan) -> xr.Dataset:
         attrs = about(row, system)
         if lacking := plan.left_out(name):
             attrs["comment"] = f"without rotation, as the scene holds no {' and no '.join(lacking)}"
-        numbers = np.broadcast_to(np.nan, (ds.sizes["time"], *plan.shape(name)))
+        numbers = np.broadcast_to(np.nan, (ds.sizes["time"], *plan.shapes[name]))
         data[name] = xr.Variable(("time", *plan.dims, *tail), numbers, attrs)
     return with_phase_labels(storable(xr.Dataset(data, coords)))
 

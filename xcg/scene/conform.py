@@ -31,11 +31,14 @@ Task = Callable[Concatenate[xr.Dataset, P], R]
 
 def takes_scene(task: Task[P, R]) -> Task[P, R]:
     """Have a task take any selection of a scene; its result has those dimensions that the selection has."""
-    signature = inspect.signature(task)
+    signature, forms = inspect.signature(task), set[tuple[int, frozenset[str]]]()
 
     @wraps(task)
     def call(ds: xr.Dataset, *args: P.args, **options: P.kwargs) -> R:
-        check_arguments(task.__name__, signature, (ds, *args), options)
+        form = len(args), frozenset(options)  # which says it all, and binding takes as long as a small sum
+        if form not in forms:
+            check_arguments(task.__name__, signature, (ds, *args), options)
+            forms.add(form)
         result: Any = task(conform(ds), *args, **options)
         return cast(R, _as_selected(result, ds) if isinstance(result, xr.Dataset) else result)
 
@@ -137,7 +140,8 @@ def _as_selected(result: xr.Dataset, ds: xr.Dataset) -> xr.Dataset:
 
 def _with_components(ds: xr.Dataset) -> xr.Dataset:
     """Order components by their labels."""
-    labels = np.atleast_1d(ds.variables["component"]).tolist() if "component" in ds.coords else list(COMPONENTS)
+    given = ds.variables["component"].to_numpy() if "component" in ds.coords else list(COMPONENTS)
+    labels = np.atleast_1d(given).tolist()
     if sorted(labels) != list(COMPONENTS) or ds.sizes["component"] != len(COMPONENTS):
         msg = (
             f"the scene holds the components {labels}, and all of x, y, z are needed, each once: select components in "

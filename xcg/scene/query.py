@@ -84,6 +84,11 @@ def known_without_reading(ds: xr.Dataset, name: str) -> bool:
     return isinstance(given._data, np.ndarray) or bool(given.encoding)
 
 
+def numbers_of(given: xr.Variable) -> NDArray:
+    """Return the array of a variable, at once where it is in memory: xarray looks for other kinds of arrays first."""
+    return given._data if isinstance(given._data, np.ndarray) else given.to_numpy()
+
+
 def groups_of(ds: xr.Dataset, by: str, groups: Sequence[int] | None) -> tuple[int, ...]:
     """Values of an integer variable of the particles, sorted: given, or known without reading."""
     if by not in ds or ds[by].dtype.kind not in "iu" or "particle" not in ds[by].dims:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from xcg.scene.conform import takes_scene
 from xcg.scene.frame import frame_of
-from xcg.scene.query import known_without_reading, mark_measured, require_scene
+from xcg.scene.query import known_without_reading, mark_measured, numbers_of, require_scene
 from xcg.scene.schema import COMPONENTS, MAX_GROUPS, PADDING, Frame, SceneError, Setup, units_of
 
 SIZES = ("d43", "d32", "d50", "drms", "dmin", "dmax")
@@ -123,7 +123,9 @@ def _ends_in_memory(ds: xr.Dataset, names: Sequence[str]) -> list[Frame]:
     here = {name: v for name, v in given.items() if "time" in v.dims and isinstance(v._data, np.ndarray)}
     if "particle_id" not in here or not ds.sizes["time"]:
         return []
-    arrays = {name: v.transpose("time", "particle", ...).to_numpy() for name, v in here.items()}
+    order = "time", "particle"
+    ordered = {name: v if v.dims[:2] == order else v.transpose(*order, ...) for name, v in here.items()}
+    arrays = {name: numbers_of(v) for name, v in ordered.items()}
     found = []
     for t in sorted({0, ds.sizes["time"] - 1}):
         valid = arrays["particle_id"][t] != PADDING

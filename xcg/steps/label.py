@@ -85,7 +85,7 @@ def name_skipped(result: xr.Dataset) -> xr.Dataset:
 
 def format_call(function: str, given: Mapping[str, Any]) -> str:
     """Write a call on one line, arrays by their shape."""
-    shown = {k: f"<array {np.shape(v)}>" if np.ndim(v) and hasattr(v, "dtype") else repr(v) for k, v in given.items()}
+    shown = {k: f"<array {np.shape(v)}>" if hasattr(v, "dtype") and np.ndim(v) else repr(v) for k, v in given.items()}
     return f"{function}({', '.join(f'{k}={v}' for k, v in shown.items())})"
 
 

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from functools import partial
+from collections.abc import Hashable, Iterable, Mapping
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.scene.query import numbers_of
 from xcg.scene.warn import Once
 from xcg.steps.errors import check_on_error
 from xcg.steps.skip import SKIPPED, Compute, Result, guarded
@@ -56,7 +57,7 @@ def map_over_time(
         from xcg.steps.tasks import lazy_results  # and with it dask
 
         return lazy_results(inputs, compute, results, label, numbers, on_error)
-    arrays = {name: given.to_numpy() for name, given in inputs.items()}
+    arrays = {name: numbers_of(given) for name, given in inputs.items()}
     return guarded(compute, results, numbers, {}, {}, arrays) if skip else compute(arrays)
 
 
@@ -67,7 +68,15 @@ def _said_once(once: Once, compute: Compute, arrays: Mapping[str, NDArray]) -> d
 
 
 def _time_first(given: xr.Variable) -> xr.Variable:
-    return given.transpose("time", ..., *[d for d in ("component", "direction", "bound") if d in given.dims])
+    order = _order(given.dims)
+    return given if order == given.dims else given.transpose(*order)
+
+
+@cache
+def _order(dims: tuple[Hashable, ...]) -> tuple[Hashable, ...]:
+    """Dimensions of a step in the order of tasks."""
+    last = [dim for dim in ("component", "direction", "bound") if dim in dims]
+    return ("time", *(dim for dim in dims if dim not in ("time", *last)), *last)
 
 
 def _numbers(ds: xr.Dataset) -> NDArray | None:

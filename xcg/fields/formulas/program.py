@@ -7,7 +7,7 @@ import operator
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, reduce
+from functools import cached_property, lru_cache, reduce
 from types import SimpleNamespace
 from typing import Any
 
@@ -51,10 +51,17 @@ class Program:
     target: NDArray
     fits: int
 
-    @property
+    @cached_property
     def fields(self) -> tuple[str, ...]:
         """Names of the fields that it computes."""
         return tuple(dict.fromkeys(name for name, _, _ in self.outputs))
+
+    @cached_property
+    def _loads(self) -> tuple[list[tuple[str, int]], NDArray, NDArray]:
+        """Moments and groups of the inputs, each once, which of them each input is of, and of which column."""
+        moments = list(dict.fromkeys((moment, group) for moment, group, _ in self.inputs))
+        which = [moments.index((moment, group)) for moment, group, _ in self.inputs]
+        return moments, np.array(which, "intp"), np.array([column for _, _, column in self.inputs], "uint64")
 
     def run(self, sums: BlockSums, place: NDArray, out: Mapping[str, NDArray], order: NDArray | None = None) -> NDArray:
         """Compute fields (places, ...) from the moments at some nodes, each to its `place` (nodes,).
@@ -68,7 +75,8 @@ class Program:
         ValueError
             If an array is not as the loop expects it, which reads and writes by address.
         """
-        found, arrays = [sums.column(*load) for load in self.inputs], sums.arrays
+        moments, which, column = self._loads
+        found, arrays = [sums.where(*moment) for moment in moments], sums.arrays
         factors = list(dict.fromkeys(factor for _, _, factor in found))
         widths = [math.prod(a.shape[1:]) for a in arrays]
         # below the rows that steps use: the factors, and the columns of each array
@@ -76,7 +84,9 @@ class Program:
         scratch = kernel.room_for(rows[-1])
         scratch[: rows[0]] = self.scratch
         scratch[rows[0] : rows[1]] = np.reshape(factors, (-1, 1))
-        source = [(rows[1 + number] + column, rows[0] + factors.index(factor)) for number, column, factor in found]
+        begin = [(rows[1 + number] + first, rows[0] + factors.index(factor)) for number, first, factor in found]
+        source = _whole(begin, 2)[which]
+        source[:, 0] += column
         nodes, places = len(place), 1 + int(place.max(initial=0))
         starts = [kernel.address_of(a, nodes, width, "moments") for a, width in zip(arrays, widths, strict=True)]
         records = list(zip(starts, widths, rows[1:], strict=False))
@@ -89,7 +99,7 @@ class Program:
             for name, first, count in self.outputs
         ]
         singular, tile = np.empty(self.fits * nodes, "uint64"), np.empty((kernel.TILE + EIGHT) * max(widths))
-        lists = _whole(records, 3), _whole(source, 2), _whole(fields, 3)
+        lists = _whole(records, 3), source, _whole(fields, 3)
         to = place if order is None else place[order]
         remaining = kernel.run(self.steps, *lists, self.target, to, order, tile.ctypes.data, scratch, singular)
         left = np.unique(singular[:remaining])

@@ -203,7 +203,7 @@ def _between_frames(
     pairs = first.assign(later)
     threads = threads_a_chunk(pairs, [*read, *later], THREADS)
     compute = _Pairs(plan.setup.periodic, partial(compute_chunk, plan, threads))
-    results = {field: (plan.shape(field), "float64") for field in plan.fields} | _MOTION
+    results = {field: (plan.shapes[field], "float64") for field in plan.fields} | _MOTION
     arrays = map_over_time(pairs, [*read, *later], compute, results, "displacement", asked.on_error)
     f = mark_skipped(filled(layout(scene, plan), scene, plan, arrays, call), arrays)
     times = ds["time"].to_numpy()

@@ -27,7 +27,7 @@ from xcg.compiled.segments import (
 from xcg.compiled.threads import for_each
 from xcg.fields.sums.blocks import NodeBlock, triple
 from xcg.fields.sums.moments import CUTOFF_POWERS, MOMENTS, Moment
-from xcg.fields.sums.passes import AnyKernel, DepositSpec, Fill, Pass, Squared, Sums, of_grains
+from xcg.fields.sums.passes import AnyKernel, DepositSpec, Fill, Pass, Squared, Sums
 from xcg.fields.sums.power import WALL_VELOCITY, velocities_of_walls
 from xcg.fields.sums.reach import Mesh
 from xcg.scene.contacts import Contacts
@@ -97,6 +97,7 @@ class _Deposit:
         self.phases = max(1, len(spec.groups))
         self.others = self.phases + 1  # the last one for walls
         self.cutoffs = np.resize(spec.cutoffs, self.phases)
+        self.distinct = sorted(set(self.cutoffs.tolist()))
         self.active = spec.grid.active
         self._meshes: dict[float, Mesh] = {}
         self.lattice = lattice.seen(self.active, source)
@@ -112,7 +113,7 @@ class _Deposit:
             check_finite(name, self.frame, self.source)
         wanted = self.spec.rows
         ways = [  # the calling thread begins with the last: contacts take more memory than grains
-            (self._grains, of_grains(wanted)),
+            (self._grains, self.spec.of_grains),
             (self._relative, {name for name, row in wanted.items() if row.level and row.column}),
             (self._at_contacts, {name for name, row in wanted.items() if row.at_contacts and not row.level}),
             (self._between_phases, wanted.keys() & {"pair_force"}),
@@ -162,7 +163,7 @@ class _Deposit:
 
     def _grains(self) -> list[Pass]:
         """Flow columns and columns of constants."""
-        wanted = of_grains(self.spec.rows)
+        wanted = self.spec.of_grains
         constants = {name: self._column(row, self.grains) for name, row in wanted.items() if row.column}
         count = len(self.grains.position)
         # a column that is the same for all grains, as those of one size are, is a multiple of their number
@@ -207,7 +208,7 @@ class _Deposit:
         """Branches of the contacts in the order that `place` says, each with its force or what is in its place."""
         others, carried = self.others if row.paired else 0, self._carried(row, self.frame)
         fill: list[Fill] = []
-        for cutoff in np.unique(self.cutoffs).tolist():
+        for cutoff in self.distinct:
             for second in (False, True):
                 segments, longest, more = self._segments(row, *carried, place, second, others, cutoff)
                 reach = self._mesh(cutoff).reach + longest[:3]
@@ -381,11 +382,12 @@ class _Deposit:
         columns = _side_by_side(constants, len(position))
         # where nothing moves, columns with u are zero without adding them
         still = True if level and (velocity == velocity[:1]).all() else None
-        squares = any(np.isin(columns[columns < level], kernel.SQUARES).any() for columns, _ in moments.values())
+        kept = {column for column in kernel.SQUARES if column < level}
+        squares = not all(kept.isdisjoint(columns.ravel().tolist()) for columns, _ in moments.values())
         cubes = True if level == kernel.CUBIC else None
         fill, squared, cutoffs = [], [], np.repeat(self.cutoffs, others)
         beyond = self.lattice if images.row is None else Lattice(np.full(3, np.inf))
-        for cutoff in np.unique(cutoffs).tolist():
+        for cutoff in self.distinct if len(position) or squares else ():
             rows = order if (cutoffs == cutoff).all() else order[cutoffs[phase[order]] == cutoff]
             mesh, meet = self._mesh(cutoff), None
             if squares:

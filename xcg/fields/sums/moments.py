@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import partial, reduce
+from functools import cached_property, partial, reduce
 from typing import Any
 
 import numpy as np
@@ -68,10 +68,12 @@ class Moment:
     optional: tuple[str, ...] = ()
     vector: bool = True
 
-    @property
+    @cached_property
     def columns(self) -> NDArray:
-        """Columns of the components, counted from the first: an array of the moment's shape."""
-        return np.array(self.layout) if self.layout else np.arange(math.prod(self.shape)).reshape(self.shape)
+        """Columns of the components, counted from the first: an array of the moment's shape, read-only."""
+        found = np.array(self.layout) if self.layout else np.arange(math.prod(self.shape)).reshape(self.shape)
+        found.flags.writeable = False
+        return found
 
 
 def _power(exponent: int) -> Column:

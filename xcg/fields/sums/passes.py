@@ -63,16 +63,17 @@ class DepositSpec:
         """The moments by name."""
         return {name: self.own.get(name) or MOMENTS[name] for name in self.moments}
 
-    @property
+    @cached_property
+    def of_grains(self) -> dict[str, Moment]:
+        """Moments of the main pass over grains: flow columns, or columns of constants."""
+        elsewhere = {name for name, row in self.rows.items() if row.at_contacts or row.along_branches}
+        rows = {name: row for name, row in self.rows.items() if name not in elsewhere}
+        return {name: row for name, row in rows.items() if bool(row.level) != bool(row.column)}
+
+    @cached_property
     def level(self) -> int:
         """Flow columns that the pass over grains takes."""
-        return max((row.level for row in of_grains(self.rows).values()), default=NONE)
-
-
-def of_grains(rows: Mapping[str, Moment]) -> dict[str, Moment]:
-    """Moments of the main pass over grains: flow columns, or columns of constants."""
-    elsewhere = {name for name, row in rows.items() if row.at_contacts or row.along_branches}
-    return {name: row for name, row in rows.items() if name not in elsewhere and bool(row.level) != bool(row.column)}
+        return max((row.level for row in self.of_grains.values()), default=NONE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,13 +132,15 @@ class Pass:
         return columns.astype("uint64"), np.concatenate(factors)
 
     @cached_property
-    def columns_by_moment(self) -> dict[tuple[str, int], tuple[int, list[float]]]:
-        """The column of the array that each column of the moments is, and its factor in each group."""
-        found = dict[tuple[str, int], tuple[int, list[float]]]()
-        for name, (columns, factor) in self.moments.items():
-            first, factors = columns.min(), np.broadcast_to(factor, self.groups).tolist()
-            found |= {(name, column - first): (column, factors) for column in columns.ravel().tolist()}
-        return found
+    def first_columns(self) -> dict[str, tuple[int, list[float]]]:
+        """The first column of each moment in the array, from which its others are counted, and a factor by group."""
+        return {
+            name: (
+                min(columns.ravel().tolist()),
+                [factor] * self.groups if isinstance(factor, float) else np.broadcast_to(factor, self.groups).tolist(),
+            )
+            for name, (columns, factor) in self.moments.items()
+        }
 
     def turned(self, records: NDArray) -> Iterator[tuple[str, NDArray]]:
         """Moments (components, groups, nodes) from the sums (groups, nodes, columns)."""
@@ -183,12 +186,12 @@ class BlockSums:
         """The reference velocity, and the sums of each pass and group: arrays (nodes, columns)."""
         return [self.reference, *(group for sums in self.filled for group in sums)]
 
-    def column(self, moment: str, group: int, k: int) -> tuple[int, int, float]:
-        """Where column k of a moment of a group is: the number among `arrays`, the column, and a factor."""
+    def where(self, moment: str, group: int) -> tuple[int, int, float]:
+        """Where a moment of a group is: the number among `arrays`, its first column there, and a factor."""
         if moment == "reference":
-            return 0, k, 1.0
+            return 0, 0, 1.0
         first, run = self.of.pass_by_moment[moment]
-        column, factors = run.columns_by_moment[moment, k]
+        column, factors = run.first_columns[moment]
         return first + group, column, factors[group]
 
     def moments(self, nodes: slice | NDArray) -> dict[str, NDArray]:
