@@ -126,3 +126,17 @@ def test_nothing_is_read(ds):
     unread = lazy.assign(position=(lazy.position.dims, da.map_blocks(refuse, lazy.position.data, dtype=float)))
     with pytest.raises(ValueError, match="as positions were changed"):
         unread.cg.explain("density")
+
+
+def test_sizes_stay_where_only_places_were_changed(ds):
+    frames = [xcg.Rotated(z=(1, 1, 3)), xcg.Cylindrical("z")]
+    width = ds.cg.explain("density").kernel.width
+    middle = ds.isel(time=[0, -1]).cg.measure().cg.explain("density").kernel.width
+    assert abs(middle / width - 1) > 1e-3  # sizes of the first and last step are not those of all
+    for scene in (ds, ds.chunk(time=1), ds.isel(time=[1]), moved(ds, -0.8)):
+        assert scene.cg.explain("density", axes="", at=dict.fromkeys(AXES, 0.0)).kernel.width == width
+        f = scene.cg.coarse_grain("density", axes="x", at={"y": 0.0, "z": 0.0}, frame=frames[0], bounds={"x": (0, 1)})
+        assert f.attrs["width"] == width
+        assert f.attrs["size_diameter"] == ds.attrs["d43"]
+        f = scene.cg.coarse_grain("density", axes="r", at={"z": 0.0}, frame=frames[1], bounds={"r": (0, 1)})
+        assert f.attrs["width"] == width

@@ -73,7 +73,8 @@ def _joined(parts: Sequence[NDArray]) -> NDArray:
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
-_ATTRIBUTES = {"position": ("particle_lower", "particle_upper"), "diameter": SIZES}
+_RANGES = {"position": ("particle_lower", "particle_upper"), "diameter": ("dmin", "dmax")}
+_ATTRIBUTES = {"position": _RANGES["position"], "diameter": SIZES}
 
 
 def measure(ds: xr.Dataset) -> xr.Dataset:
@@ -106,15 +107,20 @@ def with_measures(ds: xr.Dataset) -> xr.Dataset:
     """Return the scene with such sizes and extent as its attributes as hold for its particles. Nothing is read.
 
     Variables may have been replaced since they were measured. Those in memory are looked at: where grains of the first
-    or the last step lie outside the extent or the range of sizes, these steps are measured anew. Attributes of lazy
-    variables that were computed from others are left out.
+    or the last step lie outside the extent, the extent of these steps is measured anew, and the sizes where diameters
+    lie outside their range: places say nothing of sizes. Attributes of lazy variables that were computed from others
+    are left out.
     """
     of = {name: attrs for name, attrs in _ATTRIBUTES.items() if name in ds}
     lost = {attr for name in of if not known_without_reading(ds, name) for attr in of[name]} & set(ds.attrs)
     if lost:
         ds = _without_attrs(ds, lost)
     ends = _ends_in_memory(ds, ("particle_id", *of, "mass"))
-    return ds if all(_within(frame, ds.attrs) for frame in ends) else ds.assign_attrs(measure_frames(ends))
+    outside = {attr for name in of for attr in of[name] if not all(_within(name, frame, ds.attrs) for frame in ends)}
+    if outside:
+        measured = measure_frames(ends)
+        ds = ds.assign_attrs({attr: measured[attr] for attr in outside & set(measured)})
+    return ds
 
 
 def _ends_in_memory(ds: xr.Dataset, names: Sequence[str]) -> list[Frame]:
@@ -134,21 +140,21 @@ def _ends_in_memory(ds: xr.Dataset, names: Sequence[str]) -> list[Frame]:
     return found
 
 
-def _within(frame: Frame, known: Mapping[Any, Any]) -> bool:
-    """Whether extent and range of sizes of a frame lie inside those that are known."""
-    for name, low, high in (("position", "particle_lower", "particle_upper"), ("diameter", "dmin", "dmax")):
-        values = frame.get(name)
-        if values is None or not len(values):
-            continue
-        if low not in known:
-            return False
-        small = 1e-9 * np.max(np.abs([known[low], known[high]]))
+def _within(name: str, frame: Frame, known: Mapping[Any, Any]) -> bool:
+    """Whether positions or diameters of a frame lie inside the range of them that is known."""
+    values = frame.get(name)
+    if values is None or not len(values):
+        return True
+    low, high = _RANGES[name]
+    if low not in known:
+        return False
+    small = 1e-9 * np.max(np.abs([known[low], known[high]]))
+    return all(
+        column.min() >= lower - small and column.max() <= upper + small
         for column, lower, upper in zip(
             values.reshape(len(values), -1).T, np.atleast_1d(known[low]), np.atleast_1d(known[high]), strict=True
-        ):
-            if column.min() < lower - small or column.max() > upper + small:
-                return False
-    return True
+        )
+    )
 
 
 def layer_depth(ds: xr.Dataset, setup: Setup, edges: Mapping[str, tuple[float, float]]) -> float | str | None:

@@ -75,7 +75,7 @@ def turn_scene(ds: xr.Dataset, axes: NDArray, origin: NDArray) -> xr.Dataset:
 def _mapped(function: Any, values: xr.DataArray, dims: Sequence[str]) -> xr.DataArray:
     return xr.apply_ufunc(
         function, values, input_core_dims=[list(dims)], output_core_dims=[list(dims)], dask="parallelized",
-        keep_attrs=True, output_dtypes=[float],
+        keep_attrs=True, output_dtypes=[float], dask_gufunc_kwargs={"allow_rechunk": True},
     ).transpose(*values.dims)  # fmt: skip
 
 
