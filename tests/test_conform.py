@@ -240,10 +240,45 @@ def test_what_cannot_be_told_is_refused(scene, what):
         WRONG[what](scene).cg.coarse_grain(**MESH)
 
 
+NOT_FINITE = {
+    r"'velocity' of particle 0 is \[.*nan": lambda s: s.assign(velocity=s.velocity.where(s.particle_id != 0)),
+    r"'position' of particle 7 is \[.*nan": lambda s: s.assign(position=s.position.where(s.particle_id != 7)),
+    "'mass' of particle 3 is inf": lambda s: s.assign(mass=s.mass.where(s.particle_id != 3, np.inf)),
+    "'contact_force' of contact row 0 is": lambda s: s.assign(contact_force=s.contact_force / 0),
+    "'contact_point' of contact row": lambda s: s.assign(contact_point=s.contact_point.where(s.contact_point > 1)),
+}
+
+
+@pytest.mark.parametrize("lazy", [False, True])
+@pytest.mark.parametrize("what", NOT_FINITE)
+def test_variables_that_were_assigned_are_finite_or_refused(scene, what, lazy):
+    with np.errstate(all="ignore"), pytest.raises(SceneError, match=what):
+        NOT_FINITE[what](scene.chunk(time=1) if lazy else scene).cg.coarse_grain(**MESH).compute()
+
+
 def test_what_was_spread_too_far_is_refused_before_it_is_read(scene, monkeypatch):
     monkeypatch.setattr("xcg.scene.conform._MOST_SPREAD", 1000)
     with pytest.raises(SceneError, match=r"ds\.map"):
         xcg.coarse_grain(scene.chunk(time=1).where(scene.species == 1), **MESH)
+
+
+def test_data_in_rows_that_are_marked_as_padding_are_refused():
+    at = {"position": [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], "diameter": [1.0, 1.0], "density": 2.0}
+    with pytest.raises(SceneError, match=r"row 0 has 'particle_id' -1.*'position': number particles from 0 on"):
+        xcg.scene_from_arrays(**at, particle_id=[-1, 0])
+    force = {"contact_force": np.ones((2, 3)), "contact_point": np.zeros((2, 3))}
+    with pytest.raises(SceneError, match=r"row 1 has 'contact_i' -1.*a wall must stand as 'contact_j'"):
+        xcg.scene_from_arrays(**at, contact_i=[0, -1], contact_j=[1, 0], **force)
+    padded = at | {"position": [[0.0, 0.0, 0.0], [np.nan] * 3], "particle_id": [5, -1]}
+    assert xcg.scene_from_arrays(**padded).sizes["particle"] == 1
+    assert xcg.scene_from_arrays(**at, contact_i=[0, -1], contact_j=[1, -1], **force).sizes["contact"] == 1
+
+
+def test_components_in_several_chunks_are_turned(scene):
+    asked = {"fields": ["velocity", "contact_stress"], "at": {"x": 1.0, "y": 1.0, "z": 1.0}, "width": 0.8, "axes": ""}
+    asked["frame"] = xcg.Rotated(z=(1, 1, 3))
+    f = scene.chunk(component=2, particle=7).cg.coarse_grain(**asked)
+    xr.testing.assert_identical(f.compute().drop_attrs(), scene.cg.coarse_grain(**asked).drop_attrs())
 
 
 def test_masked_arrays_are_refused():

@@ -257,10 +257,10 @@ def scene_from_arrays(
     particles, contacts = [], []
     for t in range(total):
         source = f"step {t}" if total > 1 else "scene"
-        particles.append(complete_particles(_prefix(steps, particle_names, "particle_id", t), setup, source))
+        particles.append(complete_particles(_prefix(steps, particle_names, "particle_id", t, source), setup, source))
         images = Lattice.of({name: values[t] for name, values in domain.items()}, setup.periodic, source)
         if contact_names:
-            frame = _prefix(steps, contact_names, "contact_i", t)
+            frame = _prefix(steps, contact_names, "contact_i", t, source)
             contacts.append(complete_contacts(frame, particles[-1], images, setup, source, allow_unknown=allow_unknown))
     measured, arrays = measure_frames(particles), Frame()
     for frames, key in ((particles, "particle_id"), (contacts, "contact_i")):
@@ -304,17 +304,26 @@ def _refuse_misspelt(names: Iterable[str]) -> None:
             raise SceneError(msg)
 
 
-def _prefix(steps: Mapping[str, list[NDArray]], names: Sequence[str], key: str, t: int) -> Frame:
-    """Drop the rows of step t that `key` marks as padding."""
+def _prefix(steps: Mapping[str, list[NDArray]], names: Sequence[str], key: str, t: int, source: str) -> Frame:
+    """Drop the rows of step t that `key` marks as padding; refuse rows that have its mark and are none."""
     frame = {name: steps[name][t] for name in names}
-    if key in frame:
-        valid = frame[key] != PADDING
-        if not valid.all():
-            frame = {name: values[valid] for name, values in frame.items()}
-    return frame
+    if key not in frame:
+        return frame
+    valid = frame[key] != PADDING
+    if valid.all():
+        return frame
+    other, what = _NOT_PADDING[key]
+    there = frame.get(other, np.empty(0))
+    held = there != PADDING if other == "contact_j" else np.isfinite(there.reshape(len(there), -1)).any(axis=1)
+    if len(held) == len(valid) and (held & ~valid).any():
+        row = int(np.flatnonzero(held & ~valid)[0])
+        msg = f"{source}: row {row} has {key!r} {PADDING}, which marks a row without data, and has {other!r}: {what}"
+        raise SceneError(msg)
+    return {name: values[valid] for name, values in frame.items()}
 
 
-# --- reading a scene -------------------------------------------------------------------------------------
-
-
-# --- do measured attributes still hold? ------------------------------------------------------------------
+# what rows of padding have not, and what to do where they have it
+_NOT_PADDING = {
+    "particle_id": ("position", "number particles from 0 on, or fill rows without data with NaN"),
+    "contact_i": ("contact_j", "a wall must stand as 'contact_j', with the force on the particle as 'contact_force'"),
+}

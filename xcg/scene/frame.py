@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.scene.lattice import Lattice
-from xcg.scene.schema import BOX, OF_STEP, PADDING, Frame, SceneError, variable
+from xcg.scene.schema import BOX, OF_STEP, PADDING, VARIABLES, Frame, SceneError, variable
 
 
 def stack(frames: Sequence[Frame], names: Sequence[str], rows: int) -> Frame:
@@ -25,6 +25,10 @@ def stack(frames: Sequence[Frame], names: Sequence[str], rows: int) -> Frame:
             out[t, : len(frame[name])] = frame[name]
         stacked[name] = out
     return stacked
+
+
+# what only some contacts have: walls have velocities
+_MAY_BE_UNKNOWN = ("contact_wall_velocity",)
 
 
 def particle_rows(ids: NDArray, source: str = "scene") -> slice | NDArray:
@@ -52,7 +56,13 @@ def particle_rows(ids: NDArray, source: str = "scene") -> slice | NDArray:
 
 
 def frame_of(arrays: Mapping[str, NDArray], t: int, source: str = "scene") -> Frame:
-    """One frame of padded arrays: the rows of step `t` that are not padding, particles by id."""
+    """One frame of padded arrays: the rows of step `t` that are not padding, particles by id.
+
+    Raises
+    ------
+    SceneError
+        If an id occurs twice, or a variable of scenes is not finite in one of these rows.
+    """
     rows: dict[str, Any] = {}
     if "particle_id" in arrays:
         rows["particle"] = particle_rows(arrays["particle_id"][t], source)
@@ -65,15 +75,18 @@ def frame_of(arrays: Mapping[str, NDArray], t: int, source: str = "scene") -> Fr
         row = variable(name, values.dtype, values.ndim - 1)
         if row.dims[0] in rows:  # in the types of compiled loops: netCDF-3 holds bytes the other way round
             found[name] = values[t][rows[row.dims[0]]].astype(row.dtype, copy=False)
+    for name in found:
+        if name in VARIABLES and name not in _MAY_BE_UNKNOWN:
+            check_finite(name, found, source)
     return found
 
 
 def check_finite(name: str, frame: Frame, source: str) -> None:
     """Refuse a variable that is not finite in a row that is not padding, as one that was assigned may be."""
-    bad = np.argwhere(~np.isfinite(frame[name]))
-    if not bad.size:
+    finite = np.isfinite(frame[name])
+    if finite.all():
         return
-    row = int(bad[0][0])
+    row = int(np.argwhere(~finite)[0][0])
     at_contacts = variable(name).dims[0] == "contact"
     whose = f"contact row {row}" if at_contacts else f"particle {frame['particle_id'][row]}"
     msg = (
