@@ -13,20 +13,23 @@ from xcg.scene.schema import units_of
 
 HEAD = """# Fields
 
-What `ds.cg.coarse_grain([...])` takes by name. Psi is the kernel, the sums run over all grains (and their periodic
-images) whose support reaches the node; [theory](theory.md) explains the formulas, [variants](variants.md) has other
-definitions. Vectors have the dimension `component`; tensors have `component` (of the force or velocity) and `direction`
-(of the face or derivative), so that `stress.sel(component="x", direction="z")` is sigma_xz. Compression is positive.
-*Additive* fields of the phases add up to the bulk. The last column says how a field is [averaged](averages.md): sums as
-they are, ratios weighted by a sum, the rest anew from averages. [Your own fields](own_fields.md) are taken by name as
-well, and so is [any variable of the scene](own_fields.md#any-variable).
-Those with a star are computed only where they are asked for by name, all others also without any names. Fields from
-`displacement` on compare two frames: [`ds.cg.displacement`](displacement.md) takes them instead.
+`ds.cg.coarse_grain([...])` takes these fields by name, and without names all that have no star. Psi is the kernel, and
+sums run over all grains and periodic images that reach the node. [Theory](theory.md) explains the formulas,
+[variants](variants.md) has other definitions. [Your own fields](own_fields.md) are taken by name as well, and so is
+[any variable of the scene](own_fields.md#any-variable). Fields from `displacement` on compare two steps, and
+[`ds.cg.displacement`](displacement.md) takes their names instead.
 
-Sums are zero where nothing reaches. Ratios are NaN there, and `sample_count` says how many grains a node saw. A
-velocity gradient is NaN along directions that the grains at a node do not span; a temperature is NaN where a linear
-fit through the grains leaves less than half of a mean grain over (`fluctuation_density`, rho_T). Friction coefficient
-and inertial number are NaN where p <= 0.
+- Vectors have the dimension `component`. Tensors have `component` (of the force or velocity) and `direction` (of the
+  face or derivative), so `stress.sel(component="x", direction="z")` is sigma_xz. Compression is positive.
+- The *additive* fields of all phases add up to that of the bulk.
+- The last column says how a field is [averaged](averages.md): sums as they are, ratios weighted by a sum, all others
+  computed anew from averages.
+- Sums are zero at nodes that no grain reaches, and ratios are NaN there. `sample_count` says how many grains reach a
+  node.
+- A velocity gradient is NaN along directions that the grains at a node do not span. A temperature is NaN where the
+  grains are too few for its [correction](theory.md): where rho_T (`fluctuation_density`) is less than half of what one
+  grain contributes to rho on average.
+- Friction coefficient and inertial number are NaN where p <= 0.
 
 In a one-layer scene D = 2, and traces run over the two axes of the plane.
 """
