@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 import xcg
-from xcg.compiled import simd
+from xcg.compiled import near, simd
+from xcg.compiled.reach import ALONG, LISTS, NODE, NUMBERS, Q2, X, Y, Z
 
 ROOT = Path(__file__).parents[1]
 
@@ -126,6 +127,48 @@ def test_numbers_that_are_kept(dtype, compresses):
             by_compiler[1, 3 + count : 11] = before[1, 3 + count : 11]
             by_compiler[1, 3 : 3 + count] = before[1, 3 : 3 + count]
             assert_same_bits(by_compiler, before)
+
+
+@pytest.mark.parametrize("compresses", sorted({False, simd._COMPRESSES}))
+@pytest.mark.parametrize("real", ["float64", "float32", None])
+def test_points_that_are_near(real, compresses):
+    """Both forms of what lists points write the same bits, of the points that are near, and nothing before them."""
+    rng = np.random.default_rng(11)
+    px, py, pz = points = rng.uniform(-1, 1, (3, 64))
+    place, e = np.array([0.1, -0.2, 0.3]), np.array([0.6, 0.0, 0.8])
+    along, of_place = np.clip((points.T - place) @ e, 0.0, 0.5), real is None
+    away = np.linalg.norm(points.T - place - (0.0 if of_place else along[:, None] * e), axis=1)
+    # whether the last digit counts is not the point here
+    points[:, abs(away - 1.0) < 1e-5] = 9.0
+    away[abs(away - 1.0) < 1e-5] = 9.0
+    with mock.patch.object(simd, "_COMPRESSES", compresses):
+        instruction, others = near.list_near_place, tuple(place)
+        if not of_place:
+            instruction, others = near.list_near_segment, (*place, *e, 0.5)
+        call, rows = compiled(instruction, 8 + len(others)), (X, Y, Z, Q2) if of_place else (Q2, ALONG)
+        lanes = near.VECTOR // np.dtype(real or "float64").itemsize
+        for left in (-1, 0, 1, 5, 8, 11, 16, 40):
+            found = []
+            for run in (call, instruction.py_func):
+                lists = np.zeros((LISTS, 40), real or "float64"), np.zeros((NUMBERS, 40), "int32")
+                count = int(run(*lists, np.uint64(3), px, py, pz, np.uint64(20), np.int64(left), *others))
+                for row in rows:
+                    lists[0][row, 3 + count :] = 0.0
+                lists[1][NODE, 3 + count :] = 0
+                found.append(lists)
+            for one, other in zip(*found, strict=True):
+                assert_same_bits(one, other)
+            expected = [n for n in range(20, 20 + max(0, min(left, lanes))) if away[n] < 1.0]
+            assert found[0][1][NODE, 3 : 3 + count].tolist() == expected
+            assert not found[0][1][NODE, :3].any()
+            q2 = ((points[:, expected] - place[:, None]) ** 2).sum(axis=0)
+            np.testing.assert_allclose(found[0][0][Q2, 3 : 3 + count], q2, rtol=1e-5)
+            if of_place:
+                for row, a, b in zip((X, Y, Z), place, points, strict=True):
+                    assert_same_bits(found[0][0][row, 3 : 3 + count], a - b[expected])
+            else:
+                foot = (points[:, expected].T - place) @ e
+                np.testing.assert_allclose(found[0][0][ALONG, 3 : 3 + count], foot, atol=1e-6)
 
 
 def test_eight_rows_transposed():

@@ -2,22 +2,27 @@
 
 The twins of `nodes_in_ball` and `nodes_around_segment` for points that form no mesh. Lengths are in units of the
 cutoff, as for a mesh. Cells are numbered ``(ix ny + iy) nz + iz``, and points are sorted by the cell that they are in,
-so that the points of neighbouring cells along z are one run. The distances of a run are computed in a loop that the
-compiler turns into vector instructions; then the numbers of those within reach are written, eight at a time, and last
-comes what the lists hold of them.
+so that the points of neighbouring cells along z are one run. As for a mesh it is first computed how far each row of
+cells is reached, for all rows at once; then the points of the runs are looked at, as many at a time as a vector holds.
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled._jit import leaf
-from xcg.compiled.reach import ALONG, LISTS, NODE, NUMBERS, PAD, Q2, ROW, ROW2, ROW_DOT, ROW_Y, Lists, X, Y, Z, padded
-from xcg.compiled.simd import EIGHT, keep8
+from xcg.compiled.arrays import counting_sort_places
+from xcg.compiled.near import VECTOR, list_near_place, list_near_segment
+from xcg.compiled.reach import FIRST, LISTS, MANY, NUMBERS, OF_Y, OF_Y2, PAD, ROW, ROW2, ROW_DOT, Lists, padded
+from xcg.compiled.simd import EIGHT, add_scalar8, keep8
 
 _EIGHT = np.uint64(EIGHT)
+END = MANY  # a row of cells has the first cell that is reached, and one past the last
+# What rounding of single precision may move a distance by, relative to the largest squared one.
+_ROUNDING = 2e-6
 
 
 class Cells(NamedTuple):
@@ -48,11 +53,46 @@ class Cells(NamedTuple):
     margin: float
 
 
-def lists_for_points(count: int, real: str = "float64") -> Lists:
-    """Make lists for up to `count` points; the integers come with a table of their numbers."""
-    room = padded(count) + PAD
+@leaf
+def sort_by_cell(x, y, z, rows, lower, per_size, shape, start, cell, rank, position, sorted_rows):
+    """Sort points by the cell that they are in; those of one cell keep their order.
+
+    Parameters
+    ----------
+    x, y, z, rows : (n,)
+        The points, and a number that each has.
+    lower, per_size, shape : tuple
+        As those of `Cells`.
+    start : (cells + 2,)
+        Zeros; written: the first point of each cell, and twice the number of points.
+    cell, rank : (n,)
+        Written: the cell of each point, and its place among all.
+    position, sorted_rows : (3, n or more), (n,)
+        Written: the points and their numbers, sorted.
+    """
+    last_x, last_y, last_z = shape[0] - 1, shape[1] - 1, shape[2] - 1
+    for n in range(x.size):
+        ix = min(last_x, np.int64((x[n] - lower[0]) * per_size[0]))
+        iy = min(last_y, np.int64((y[n] - lower[1]) * per_size[1]))
+        iz = min(last_z, np.int64((z[n] - lower[2]) * per_size[2]))
+        cell[n] = (ix * shape[1] + iy) * shape[2] + iz
+    counting_sort_places(cell, start[1:], rank)
+    for n in range(x.size):
+        to = rank[n]
+        position[0, to], position[1, to], position[2, to], sorted_rows[to] = x[n], y[n], z[n], rows[n]
+
+
+def lists_for_points(cells: Cells, reach: Sequence[float], real: str = "float64") -> Lists:
+    """Make lists of points for anything that reaches this far, from end to end: all points may be in one place.
+
+    The integers come with a table of the numbers of the first cells of rows.
+    """
+    rows = 1
+    for far, per_size, count in zip(reach[:2], cells.per_size[:2], cells.shape[:2], strict=True):
+        rows *= min(count, int(far * per_size) + 3)
+    room = padded(max(len(cells.x) - PAD, rows)) + PAD
     numbers = np.zeros((NUMBERS, room), "int32")
-    numbers[ROW] = np.arange(room)
+    numbers[OF_Y] = np.arange(room) * cells.shape[2]
     return Lists(np.zeros((LISTS, room), real), numbers)
 
 
@@ -74,37 +114,50 @@ def _beyond(x, k, lower, size, per_size, margin):
 
 
 @leaf
+def _keep_rows(count, lists):
+    """Keep the rows of cells that are closer than 1, of those that are listed; returns how many are left."""
+    values, numbers = lists.values, lists.numbers
+    tests, kept = values[ROW2], np.uint64(0)
+    for k in range(0, count, EIGHT):
+        keep8(numbers, FIRST, kept, FIRST, k, tests, k, count)
+        kept += keep8(numbers, END, kept, END, k, tests, k, count)
+    return kept
+
+
+@leaf
 def points_in_ball(x, y, z, cells, lists):
     """List the points of some cells that are closer than 1 to a place, as `nodes_in_ball` does."""
     values, numbers = lists.values, lists.numbers
     px, py, pz, start, margin = cells.x, cells.y, cells.z, cells.start, cells.margin
-    lower, size, per_size, shape = cells.lower, cells.size, cells.per_size, cells.shape
-    q2, reach, hits = values[ROW2], 1.0 + margin, np.uint64(0)
-    x0, x1 = _cell_range(x - reach, x + reach, lower[0], per_size[0], shape[0])
-    y0, y1 = _cell_range(y - reach, y + reach, lower[1], per_size[1], shape[1])
+    lower, size, per_size, (nx, ny, nz) = cells.lower, cells.size, cells.per_size, cells.shape
+    reach, hits = 1.0 + margin, np.uint64(0)
+    x0, x1 = _cell_range(x - reach, x + reach, lower[0], per_size[0], nx)
+    y0, y1 = _cell_range(y - reach, y + reach, lower[1], per_size[1], ny)
+    for j in range(y1 - y0):
+        dy = _beyond(y, y0 + j, lower[1], size[1], per_size[1], margin)
+        values[OF_Y2, j] = dy * dy
+    count = 0
     for ix in range(x0, x1):
         dx = _beyond(x, ix, lower[0], size[0], per_size[0], margin)
-        for iy in range(y0, y1):
-            dy = _beyond(y, iy, lower[1], size[1], per_size[1], margin)
-            rest = 1.0 - dx * dx - dy * dy
-            if rest <= 0.0:
-                continue
-            half = math.sqrt(rest) + margin
-            z0, z1 = _cell_range(z - half, z + half, lower[2], per_size[2], shape[2])
-            if z0 >= z1:
-                continue
-            row = (ix * shape[1] + iy) * shape[2]
-            first, many = start[row + z0], start[row + z1] - start[row + z0]
-            for k in range(np.uint64(padded(many))):
-                a, b, c = x - px[first + k], y - py[first + k], z - pz[first + k]
-                q2[k] = a * a + b * b + c * c
-            for k in range(np.uint64(0), many, _EIGHT):
-                hits += keep8(numbers, NODE, hits, ROW, first + k, q2, k, many)
-    for k in range(hits):
-        n = np.uint64(numbers[NODE, k])
-        a, b, c = x - px[n], y - py[n], z - pz[n]
-        values[X, k], values[Y, k], values[Z, k] = a, b, c
-        values[Q2, k] = a * a + b * b + c * c
+        for j in range(0, y1 - y0, EIGHT):
+            add_scalar8(values, ROW2, count + j, dx * dx, OF_Y2, j)
+            add_scalar8(numbers, ROW, count + j, (ix * ny + y0) * nz, OF_Y, j)
+        count += y1 - y0
+    here, last = (z - lower[2]) * per_size[2], nz - 1.0
+    for k in range(padded(count)):
+        half = (math.sqrt(max(0.0, 1.0 - values[ROW2, k])) + margin) * per_size[2]
+        begin, end = np.floor(here - half), np.floor(here + half)
+        numbers[FIRST, k] = numbers[ROW, k] + np.int32(min(last + 1.0, max(0.0, begin)))
+        numbers[END, k] = numbers[ROW, k] + np.int32(min(last, max(-1.0, end)) + 1.0)
+    for k in range(_keep_rows(count, lists)):
+        first, end = start[numbers[FIRST, k]], start[numbers[END, k]]
+        left = np.int64(end - first)
+        while True:
+            hits += list_near_place(values, numbers, hits, px, py, pz, first, left, x, y, z)
+            left -= EIGHT
+            if left <= 0:
+                break
+            first += _EIGHT
     return np.int64(hits)
 
 
@@ -116,40 +169,53 @@ def points_around_segment(x, y, z, bx, by, bz, per_length, cells, lists):
     """
     values, numbers = lists.values, lists.numbers
     px, py, pz, start, margin = cells.x, cells.y, cells.z, cells.start, cells.margin
-    lower, size, per_size, shape = cells.lower, cells.size, cells.per_size, cells.shape
-    q2, along, away, hits = values[ROW2], values[ROW_DOT], values[ROW_Y], np.uint64(0)
-    real = values.dtype.type
-    zero, length = real(0.0), real(math.sqrt(bx * bx + by * by + bz * bz))
-    ex, ey, ez, reach = real(bx * per_length), real(by * per_length), real(bz * per_length), 1.0 + margin
-    x0, x1 = _cell_range(x + min(0.0, bx) - reach, x + max(0.0, bx) + reach, lower[0], per_size[0], shape[0])
-    y0, y1 = _cell_range(y + min(0.0, by) - reach, y + max(0.0, by) + reach, lower[1], per_size[1], shape[1])
-    corner = 0.5 * math.sqrt(size[0] * size[0] + size[1] * size[1])
+    lower, size, per_size, (nx, ny, nz) = cells.lower, cells.size, cells.per_size, cells.shape
+    reach, length, hits = 1.0 + margin, math.sqrt(bx * bx + by * by + bz * bz), np.uint64(0)
+    x0, x1 = _cell_range(x + min(0.0, bx) - reach, x + max(0.0, bx) + reach, lower[0], per_size[0], nx)
+    y0, y1 = _cell_range(y + min(0.0, by) - reach, y + max(0.0, by) + reach, lower[1], per_size[1], ny)
     # an axis with one cell tells nothing of distances
     across_x, across_y = bx if per_size[0] > 0.0 else 0.0, by if per_size[1] > 0.0 else 0.0
     across2 = across_x * across_x + across_y * across_y
-    per_across2 = 1.0 / across2 if across2 > 0.0 else 0.0
+    for j in range(y1 - y0):
+        dy = lower[1] + (y0 + j + 0.5) * size[1] - y if per_size[1] > 0.0 else 0.0
+        values[OF_Y, j], values[OF_Y2, j] = dy * across_y, dy * dy
+    count = 0
     for ix in range(x0, x1):
         dx = lower[0] + (ix + 0.5) * size[0] - x if per_size[0] > 0.0 else 0.0
-        for iy in range(y0, y1):
-            dy = lower[1] + (iy + 0.5) * size[1] - y if per_size[1] > 0.0 else 0.0
-            u = min(1.0, max(0.0, (dx * across_x + dy * across_y) * per_across2))
-            away_x, away_y = dx - u * across_x, dy - u * across_y
-            nearest = max(0.0, math.sqrt(away_x * away_x + away_y * away_y) - corner - margin)
-            if nearest >= 1.0:
-                continue
-            half = math.sqrt(1.0 - nearest * nearest) + margin
-            z0, z1 = _cell_range(z + min(0.0, bz) - half, z + max(0.0, bz) + half, lower[2], per_size[2], shape[2])
-            if z0 >= z1:
-                continue
-            row = (ix * shape[1] + iy) * shape[2]
-            first, many = start[row + z0], start[row + z1] - start[row + z0]
-            for k in range(np.uint64(padded(many))):
-                a, b, c = real(px[first + k] - x), real(py[first + k] - y), real(pz[first + k] - z)
-                r2, foot = a * a + b * b + c * c, a * ex + b * ey + c * ez
-                past = foot - min(length, max(zero, foot))
-                q2[k], along[k], away[k] = r2, foot, r2 - foot * foot + past * past
-            for k in range(np.uint64(0), many, _EIGHT):
-                keep8(values, Q2, hits, ROW2, k, away, k, many)
-                keep8(values, ALONG, hits, ROW_DOT, k, away, k, many)
-                hits += keep8(numbers, NODE, hits, ROW, first + k, away, k, many)
+        for j in range(0, y1 - y0, EIGHT):
+            add_scalar8(values, ROW2, count + j, dx * dx, OF_Y2, j)
+            add_scalar8(values, ROW_DOT, count + j, dx * across_x, OF_Y, j)
+            add_scalar8(numbers, ROW, count + j, (ix * ny + y0) * nz, OF_Y, j)
+        count += y1 - y0
+    real = values.dtype.type
+    zero, one, two = real(0.0), real(1.0), real(2.0)
+    far = 3.0 + 2.0 * length + size[0] + size[1]
+    slack = margin + _ROUNDING * far * far
+    corner = real(0.5 * math.sqrt(size[0] * size[0] + size[1] * size[1]) + slack)
+    c2, per_c2 = real(across2), real(1.0 / across2 if across2 > 0.0 else 0.0)
+    # cells are counted from that of the start, so that few digits are enough
+    here = (z - lower[2]) * per_size[2]
+    base = math.floor(here)
+    low, high = here - base + (min(0.0, bz) - slack) * per_size[2], here - base + (max(0.0, bz) + slack) * per_size[2]
+    low, high, lowest, highest, per = real(low), real(high), real(-base), real(nz - 1 - base), real(per_size[2])
+    for k in range(padded(count)):
+        row2, dot = values[ROW2, k], values[ROW_DOT, k]
+        u = min(one, max(zero, dot * per_c2))
+        nearest = max(zero, np.sqrt(max(zero, row2 + u * (u * c2 - two * dot))) - corner)
+        half = np.sqrt(max(zero, one - nearest * nearest)) * per
+        begin, end = np.floor(low - half), np.floor(high + half)
+        values[ROW2, k] = nearest
+        numbers[FIRST, k] = numbers[ROW, k] + base + np.int32(min(highest + one, max(lowest, begin)))
+        numbers[END, k] = numbers[ROW, k] + base + np.int32(min(highest, max(lowest - one, end)) + one)
+    ex, ey, ez, length = real(bx * per_length), real(by * per_length), real(bz * per_length), real(length)
+    lanes = np.uint64(VECTOR // values.itemsize)
+    for k in range(_keep_rows(count, lists)):
+        first, end = start[numbers[FIRST, k]], start[numbers[END, k]]
+        left = np.int64(end - first)
+        while True:
+            hits += list_near_segment(values, numbers, hits, px, py, pz, first, left, x, y, z, ex, ey, ez, length)
+            left -= np.int64(lanes)
+            if left <= 0:
+                break
+            first += lanes
     return np.int64(hits)

@@ -58,7 +58,8 @@ def pointer_to(context, builder, array_type, array, indices, lanes):
     return builder.bitcast(pointer, ir.VectorType(number, lanes).as_pointer()), context.get_abi_sizeof(number)
 
 
-def _vector(builder, values):
+def vector_of(builder, values):
+    """Put numbers side by side."""
     out = ir.Constant(ir.VectorType(values[0].type, len(values)), ir.Undefined)
     for k, value in enumerate(values):
         out = builder.insert_element(out, value, ir.Constant(ir.IntType(32), k))
@@ -82,7 +83,7 @@ def _add4(typingctx, records, group, row, first, weight, a, b, c, d):
         place, value = typed(context, builder, signature, args)
         source = [place(1), place(2), place(3)]
         pointer, align = pointer_to(context, builder, signature.args[0], args[0], source, FOUR)
-        weights, columns = _vector(builder, [value(4)] * FOUR), _vector(builder, [value(k) for k in range(5, 9)])
+        weights, columns = vector_of(builder, [value(4)] * FOUR), vector_of(builder, [value(k) for k in range(5, 9)])
         sums = builder.fadd(builder.load(pointer, align=align), builder.fmul(weights, columns))
         builder.store(sums, pointer, align=align)
         return context.get_dummy_value()
@@ -101,7 +102,7 @@ def _fill8(typingctx, lists, row, at, value):
     def generate(context, builder, signature, args):
         place, number = typed(context, builder, signature, args)
         pointer, align = pointer_to(context, builder, signature.args[0], args[0], [place(1), place(2)], EIGHT)
-        builder.store(_vector(builder, [number(3)] * EIGHT), pointer, align=align)
+        builder.store(vector_of(builder, [number(3)] * EIGHT), pointer, align=align)
         return context.get_dummy_value()
 
     return types.void(lists, row, at, value), generate
@@ -119,7 +120,7 @@ def _add_scalar8(typingctx, lists, row, at, value, table, first):
         source, align = pointer_to(context, builder, signature.args[0], args[0], [place(4), place(5)], EIGHT)
         target, _ = pointer_to(context, builder, signature.args[0], args[0], [place(1), place(2)], EIGHT)
         add = builder.add if isinstance(signature.args[0].dtype, types.Integer) else builder.fadd
-        sums = add(_vector(builder, [number(3)] * EIGHT), builder.load(source, align=align))
+        sums = add(vector_of(builder, [number(3)] * EIGHT), builder.load(source, align=align))
         builder.store(sums, target, align=align)
         return context.get_dummy_value()
 
@@ -137,7 +138,7 @@ def _ramp8(typingctx, lists, to, squares, at, first, step, origin, factor):
         place, number = typed(context, builder, signature, args)
         target, align = pointer_to(context, builder, signature.args[0], args[0], [place(1), place(3)], EIGHT)
         square, _ = pointer_to(context, builder, signature.args[0], args[0], [place(2), place(3)], EIGHT)
-        begin, step, origin, factor = (_vector(builder, [number(k)] * EIGHT) for k in range(4, 8))
+        begin, step, origin, factor = (vector_of(builder, [number(k)] * EIGHT) for k in range(4, 8))
         number_type = context.get_data_type(signature.args[0].dtype)
         ramp = ir.Constant(
             ir.VectorType(number_type, EIGHT), [ir.Constant(number_type, float(k)) for k in range(EIGHT)]
@@ -174,36 +175,55 @@ def _compresses() -> bool:
 _COMPRESSES = _compresses()
 
 
+def lanes_before(builder, left, lanes):
+    """Mask of the first `left` lanes, a signed number of 64 bits."""
+    short = ir.IntType(32)
+    number = ir.Constant(ir.VectorType(short, lanes), list(range(lanes)))
+    return builder.icmp_signed("<", number, vector_of(builder, [builder.trunc(left, short)] * lanes))
+
+
+def write_kept(context, builder, near, at, kept):
+    """Write the lanes of vectors where a mask is set to arrays, from a place on; returns how many lanes there are.
+
+    `kept` are (type of the array, array, row, vector). Memory that follows is spoilt, up to as many numbers as lanes.
+    """
+    lanes, whole = near.type.count, ir.IntType(64)
+    bits, found = ir.IntType(lanes), [ir.Constant(whole, 0)]
+    for lane in range(0 if _COMPRESSES else lanes):
+        index = ir.Constant(ir.IntType(32), lane)
+        found.append(builder.add(found[-1], builder.zext(builder.extract_element(near, index), whole)))
+    for array_type, array, row, vector in kept:
+        target, align = pointer_to(context, builder, array_type, array, [row, at], lanes)
+        if _COMPRESSES:
+            number = array_type.dtype
+            kind = f"{'i' if isinstance(number, types.Integer) else 'f'}{number.bitwidth}"
+            of = ir.FunctionType(vector.type, [vector.type, near.type, vector.type])
+            name = f"llvm.experimental.vector.compress.v{lanes}{kind}"
+            compress = cgutils.get_or_insert_function(builder.module, of, name)
+            zeros = ir.Constant(vector.type, None)
+            builder.store(builder.call(compress, [vector, near, zeros]), target, align=align)
+        else:
+            start = builder.bitcast(target, vector.type.element.as_pointer())
+            for lane in range(lanes):  # what is not kept is overwritten by the next
+                value = builder.extract_element(vector, ir.Constant(ir.IntType(32), lane))
+                builder.store(value, builder.gep(start, [found[lane]]), align=align)
+    if not _COMPRESSES:
+        return found[-1]
+    count = cgutils.get_or_insert_function(builder.module, ir.FunctionType(bits, [bits]), f"llvm.ctpop.i{lanes}")
+    return builder.zext(builder.call(count, [builder.bitcast(near, bits)]), whole)
+
+
 def _keep8(typingctx, lists, to, at, row, first, tests, k, many):
     def generate(context, builder, signature, args):
         place, _ = typed(context, builder, signature, args)
-        short, byte = ir.IntType(32), ir.IntType(8)
+        array_type, array = signature.args[0], args[0]
         test, align = pointer_to(context, builder, signature.args[5], args[5], [place(6)], EIGHT)
         values = builder.load(test, align=align)
         near = builder.fcmp_ordered("<", values, ir.Constant(values.type, [1.0] * EIGHT))
-        left = builder.trunc(builder.sub(place(7), place(6)), short)
-        lanes = ir.Constant(ir.VectorType(short, EIGHT), list(range(EIGHT)))
-        near = builder.and_(near, builder.icmp_unsigned("<", lanes, _vector(builder, [left] * EIGHT)))
-        source, align = pointer_to(context, builder, signature.args[0], args[0], [place(3), place(4)], EIGHT)
-        target, _ = pointer_to(context, builder, signature.args[0], args[0], [place(1), place(2)], EIGHT)
-        numbers = builder.load(source, align=align)
-        if _COMPRESSES:
-            number = signature.args[0].dtype
-            kind = f"{'i' if isinstance(number, types.Integer) else 'f'}{number.bitwidth}"
-            of = ir.FunctionType(numbers.type, [numbers.type, near.type, numbers.type])
-            name = f"llvm.experimental.vector.compress.v{EIGHT}{kind}"
-            compress = cgutils.get_or_insert_function(builder.module, of, name)
-            zeros = ir.Constant(numbers.type, None)
-            builder.store(builder.call(compress, [numbers, near, zeros]), target, align=align)
-            count = cgutils.get_or_insert_function(builder.module, ir.FunctionType(byte, [byte]), "llvm.ctpop.i8")
-            return builder.zext(builder.call(count, [builder.bitcast(near, byte)]), ir.IntType(64))
-        found = ir.Constant(ir.IntType(64), 0)
-        start = builder.bitcast(target, numbers.type.element.as_pointer())
-        for lane in range(EIGHT):  # what is not kept is overwritten by the next
-            index = ir.Constant(short, lane)
-            builder.store(builder.extract_element(numbers, index), builder.gep(start, [found]), align=align)
-            found = builder.add(found, builder.zext(builder.extract_element(near, index), found.type))
-        return found
+        near = builder.and_(near, lanes_before(builder, builder.sub(place(7), place(6)), EIGHT))
+        source, align = pointer_to(context, builder, array_type, array, [place(3), place(4)], EIGHT)
+        kept = [(array_type, array, place(1), builder.load(source, align=align))]
+        return write_kept(context, builder, near, place(2), kept)
 
     return types.uint64(lists, to, at, row, first, tests, k, many), generate
 
@@ -213,7 +233,7 @@ def keep8(lists, to, at, row, first, tests, k, many):
     """Write some of ``lists[row, first : first + 8]`` to ``lists[to]``, from `at` on: where ``tests[k : k + 8] < 1``.
 
     From the `many`-th test on none is written. Returns how many were; memory that follows them is spoilt, up to eight
-    numbers from `at` on.
+    numbers from `at` on. `to` may be `row` where `at` is not beyond `first`.
     """
     near = (tests[k : k + EIGHT] < 1.0)[: int(many) - int(k)]
     kept = lists[row, first : first + EIGHT][: len(near)][near]

@@ -14,9 +14,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.compiled import THREADS
-from xcg.compiled.arrays import counting_sort_places
-from xcg.compiled.cells import Cells, lists_for_points
+from xcg.compiled.cells import Cells, lists_for_points, sort_by_cell
 from xcg.compiled.reach import PAD, Lists, Nodes
+from xcg.compiled.threads import for_each
 from xcg.fields.places.grid import MAX_NODES, check_axes
 from xcg.fields.sums.blocks import BLOCK_NODES, OwnNodes, Taken, triple
 from xcg.fields.sums.nodes import Apart
@@ -50,8 +50,8 @@ class PointBlock(OwnNodes):
         Their order by these places, unsigned.
     position : array (3, n + PAD)
         The points, 0 along axes that are not seen, and beyond the last.
-    lower, size : array (3,)
-        Lower corner of the cells, and their size.
+    lower, upper, size : array (3,)
+        Bounds of the points, where the cells begin, and size of the cells.
     shape : tuple of int
         Number of cells along each axis.
     start : array (cells + 1,)
@@ -64,6 +64,7 @@ class PointBlock(OwnNodes):
     order: NDArray
     position: NDArray
     lower: NDArray
+    upper: NDArray
     size: NDArray
     shape: tuple[int, int, int]
     start: NDArray
@@ -72,19 +73,16 @@ class PointBlock(OwnNodes):
     @classmethod
     def of(cls, rows: NDArray, position: NDArray, unit: float) -> PointBlock:
         """Sort some points (3, n), which have these places (n,) among all, in ascending order."""
-        lower, many = position.min(axis=1), len(rows)
-        extent = position.max(axis=1) - lower
+        lower, upper, many = position.min(axis=1), position.max(axis=1), len(rows)
+        extent = upper - lower
         spread = extent[extent > _NARROWEST]
         width = (spread.prod() * _IN_A_CELL / many) ** (1 / max(1, len(spread)))
         size = np.clip(width, _NARROWEST, _WIDEST) * np.array([1.0, 1.0, _FLAT])
         while _cells_of(extent, size) > _MOST_CELLS + 4 * many:
             size[np.argmax(extent / size)] *= 2.0
         shape = (extent / size).astype(int) + 1
-        x, y, z = (((position[k] - lower[k]) / size[k]).astype("int64") for k in range(3))
-        order, rank, start = _sorted((x * shape[1] + y) * shape[2] + z, math.prod(shape.tolist()))
-        place = np.zeros((3, many + PAD))
-        np.take(position, order, axis=1, out=place[:, :many])
-        return cls(rows[order], rank, place, lower, size, triple(shape), start, unit)
+        start, rank, place, rows = _sorted(rows, position, lower, 1.0 / size, shape)
+        return cls(rows, rank, place, lower, upper, size, triple(shape), start, unit)
 
     @property
     def count(self) -> int:
@@ -95,17 +93,19 @@ class PointBlock(OwnNodes):
         """Return the points as loops take them; the origin is theirs."""
         share = self.unit / unit
         place = self.position if share == 1.0 else self.position * share
-        begin, end = place[:, : self.count].min(axis=1), place[:, : self.count].max(axis=1)
-        many, lower = np.array(self.shape) > 1, self.lower * share
+        begin, end = self.lower * share, self.upper * share
+        many = np.array(self.shape) > 1
         size, per_size = np.where(many, self.size * share, 0.0), np.where(many, 1.0 / (self.size * share), 0.0)
         margin = 1e-9 + 1e-15 * float(np.abs([begin, end]).max())
         x, y, z = place
-        cells = Cells(x, y, z, self.start, triple(lower), triple(size), triple(per_size), self.shape, margin)
+        cells = Cells(x, y, z, self.start, triple(begin), triple(size), triple(per_size), self.shape, margin)
         return Nodes(triple(begin), triple(end), triple(active), triple(period)), None, cells, None
 
     def lists(self, taken: Taken, reach: Sequence[float], real: str = "float64") -> Lists:
-        """Return scratch to list points: all may be in one place."""
-        return lists_for_points(self.count, real)
+        """Return scratch to list the points that something of this length reaches."""
+        _, _, cells, _ = taken
+        assert cells is not None
+        return lists_for_points(cells, reach, real)
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,8 +194,8 @@ def make_points(at: Mapping[str, Any], *, plane: str, cutoff: float) -> Points:
     position = np.zeros((3, math.prod(shape)))
     for a, array in arrays.items():
         column = array.variable.set_dims(sizes).transpose(*sizes).to_numpy().ravel()
-        lost = np.flatnonzero(~(np.abs(column) < _FARTHEST))
-        if lost.size:
+        if column.size and not -_FARTHEST < column.min() <= column.max() < _FARTHEST:
+            lost = np.flatnonzero(~(np.abs(column) < _FARTHEST))
             where = dict(zip(sizes, (int(k) for k in np.unravel_index(lost[0], shape)), strict=True))
             msg = f"at[{a!r}] is {column[lost[0]]} at {where}: expected finite coordinates; leave these points out"
             raise ValueError(msg)
@@ -207,7 +207,7 @@ def make_points(at: Mapping[str, Any], *, plane: str, cutoff: float) -> Points:
     most = min(BLOCK_NODES, max(_FEW, position.shape[1] // (2 * THREADS) + 1))
     place = (position - origin[:, None]) / cutoff
     divided = _divide(np.arange(position.shape[1], dtype="uint64"), place, most)
-    parts = tuple(PointBlock.of(rows, here, cutoff) for rows, here in divided)
+    parts = tuple(for_each(list(divided), lambda part: PointBlock.of(*part, cutoff), THREADS))
     averaged = "".join(a for a in plane if a not in arrays)
     return Points(_coords(arrays), tuple(sizes), shape, averaged, origin, lower, upper, parts)
 
@@ -257,15 +257,21 @@ def _cells_of(extent: NDArray, size: NDArray | float) -> float:
     return float((np.floor(extent / size) + 1.0).prod())
 
 
-def _sorted(key: NDArray, count: int) -> tuple[NDArray, NDArray, NDArray]:
-    """Order (n,) of things by their keys, 0, ... count - 1, the rank of each in it, and where keys begin (count + 1,).
+def _sorted(
+    rows: NDArray, position: NDArray, lower: NDArray, per_size: NDArray, shape: NDArray
+) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+    """Sort points (3, n) by cell; points of one cell keep their order.
 
-    All are unsigned. Things of one key keep their order.
+    Returns the first point of each cell (cells + 1,), the place of each point among the sorted ones (n,), these
+    (3, n + PAD), with zeros beyond the last, and their rows. Whole numbers are unsigned.
     """
-    ends, rank, order = np.zeros(count + 1, "int64"), np.empty(len(key), "int64"), np.empty(len(key), "uint64")
-    counting_sort_places(key, ends, rank)
-    order[rank] = np.arange(len(key))
-    return order, rank.view("uint64"), np.concatenate([[0], ends[:-1]]).astype("uint64")
+    many, count = len(rows), math.prod(shape.tolist())
+    start, cell, rank = np.zeros(count + 2, "int64"), np.empty(many, "int64"), np.empty(many, "int64")
+    place, sorted_rows = np.empty((3, many + PAD)), np.empty_like(rows)
+    place[:, many:] = 0.0
+    cells = triple(lower), triple(per_size), triple(shape)
+    sort_by_cell(*position, rows, *cells, start, cell, rank, place, sorted_rows)
+    return start[:-1].view("uint64"), rank.view("uint64"), place, sorted_rows
 
 
 def _divide(rows: NDArray, position: NDArray, most: int) -> Iterator[tuple[NDArray, NDArray]]:
@@ -290,8 +296,6 @@ def _divide(rows: NDArray, position: NDArray, most: int) -> Iterator[tuple[NDArr
     while parts.prod() < wanted:
         parts[np.argmax(extent / parts)] += 1
     per_size = parts / np.where(extent > 0.0, extent, np.inf)
-    x, y, z = (np.minimum((position[k] - lower[k]) * per_size[k], parts[k] - 1).astype("int64") for k in range(3))
-    order, _, start = _sorted((x * parts[1] + y) * parts[2] + z, int(parts.prod()))
+    start, _, position, rows = _sorted(rows, position, lower, per_size, parts)
     for first, last in pairwise(start.tolist()):
-        part = order[first:last]
-        yield from _divide(rows[part], position[:, part], most)
+        yield from _divide(rows[first:last], position[:, first:last], most)
