@@ -3,6 +3,7 @@
 Run from the root of the repository, on a machine that does nothing else::
 
     python -m docs.speed [--particles 100000] [--large 1000000]
+    python -m docs.speed --only "ten nodes"  # rows of the cases with these words, and writes nothing
     python -m docs.speed --against HEAD~1  # which case moved beyond noise; ends with 1 where one became slower
 """
 
@@ -106,7 +107,11 @@ def main() -> None:
     parser.add_argument("--large", type=int, default=1_000_000, help="grains of the large one; 0 leaves it out")
     parser.add_argument("--repeats", type=int, default=5, help="times that each case is run (default 5)")
     parser.add_argument("--against", metavar="COMMIT", help="compare with the package of a commit, and write nothing")
+    parser.add_argument("--only", metavar="WORDS", help="print rows of the cases with these words, and write nothing")
     given = parser.parse_args()
+    if given.only:
+        rows([case for case in cases.CASES if given.only in case.name], given.particles, given.repeats)
+        return
     if given.against:
         raise SystemExit(against.compare(given.against, given.particles, max(given.repeats, against.fewest())))
     lines = ["| " + " | ".join(COLUMNS) + " |", "|---" * len(COLUMNS) + "|"]

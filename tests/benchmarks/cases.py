@@ -8,6 +8,7 @@ each, one chunk of time, of a lazy scene.
 from __future__ import annotations
 
 import atexit
+import math
 import os
 import shutil
 import subprocess
@@ -47,7 +48,7 @@ class Case:
 
     def run(self, ds: xr.Dataset) -> xr.Dataset | None:
         with ExitStack() as few:
-            for module in ("xcg.fields.evaluate", "xcg.readers.files.table"):
+            for module in ("xcg.fields.evaluate", "xcg.fields.places.points", "xcg.readers.files.table"):
                 with suppress(ImportError, AttributeError):  # another commit may not have it
                     few.enter_context(mock.patch(f"{module}.THREADS", self.threads))
             return self.work(ds)
@@ -66,11 +67,27 @@ def packing(particles: int, steps: int = 1) -> xr.Dataset:
     return xr.concat(times, "time", combine_attrs="override").chunk(time=1)
 
 
-def fields(ds: xr.Dataset, names: list[str] | None = None, rtol: float = 0.0, refined: int = 1) -> xr.Dataset:
+def fields(ds: xr.Dataset, names: list[str] | None = None, rtol: float = 0.0, refined: float = 1) -> xr.Dataset:
     """Fields in memory; a lazy scene is computed by as many threads as it has steps."""
     spacing = 0.75 * ds.attrs["d43"] / refined
     f = ds.cg.coarse_grain(names, width=WIDTH, spacing=spacing, rtol=rtol)
     return f.compute(scheduler="threads", num_workers=ds.sizes["time"])
+
+
+def at_points(ds: xr.Dataset, shuffled: bool = False) -> xr.Dataset:
+    """All fields at the nodes of a mesh, given as points."""
+    at = nodes_as_points(ds.sizes["particle"], shuffled)
+    return ds.cg.coarse_grain(width=WIDTH, at=at, rtol=1e-3)
+
+
+@cache
+def nodes_as_points(particles: int, shuffled: bool) -> dict[str, xr.DataArray]:
+    """Nodes of a mesh around the packing, ten for each grain, in its order or in any."""
+    ds = packing(particles)
+    mesh = ds.chunk().cg.coarse_grain("density", width=WIDTH, spacing=0.75 * ds.attrs["d43"] / TEN_NODES)
+    order = np.random.default_rng(0).permutation(math.prod(mesh.density.shape)) if shuffled else slice(None)
+    columns = np.meshgrid(*(mesh[a].to_numpy() for a in "xyz"), indexing="ij")
+    return {a: xr.DataArray(x.ravel()[order], dims="point") for a, x in zip("xyz", columns, strict=True)}
 
 
 def end_to_end(ds: xr.Dataset) -> None:
@@ -110,6 +127,7 @@ def temporary_folder() -> str:
 
 
 SUMS = ["volume_fraction", "contact_stress"]
+TEN_NODES = 1.7  # w over the spacing at which the packing has ten nodes for each grain
 CASES = [
     Case("all fields, rtol = 1e-3", partial(fields, rtol=1e-3)),
     Case("all fields, rtol = 1e-3", partial(fields, rtol=1e-3), threads=2),
@@ -126,6 +144,9 @@ CASES = [
     Case("volume fraction and contact stress, spacing w", partial(fields, names=SUMS), share=0.1),
     Case("volume fraction and contact stress, spacing w/2", partial(fields, names=SUMS, refined=2), share=0.1),
     Case("volume fraction and contact stress, spacing w/4", partial(fields, names=SUMS, refined=4), share=0.1),
+    Case("all fields, rtol = 1e-3, ten nodes a grain", partial(fields, rtol=1e-3, refined=TEN_NODES)),
+    Case("all fields, rtol = 1e-3, ten nodes a grain as points", at_points),
+    Case("all fields, rtol = 1e-3, ten nodes a grain as points in random order", partial(at_points, shuffled=True)),
 ]
 LARGE = [CASES[0], CASES[1], CASES[6], CASES[10], CASES[11]]  # those worth a million grains
 
