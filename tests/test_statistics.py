@@ -261,3 +261,38 @@ def test_nodes_that_are_empty_at_times():
     assert a.velocity.sel(component="x").values[[0, 2]].tolist() == [1.0, 3.0]  # not halved by the empty step
     assert np.isnan(a.velocity.values[1]).all()
     assert a.sample_count.values.tolist() == [0.5, 0, 0.5]
+
+
+def test_components_in_any_order_have_the_same_averages():
+    f = series(3).cg.coarse_grain(["stress", "shear_stress", "shear_rate"], **ALL, shear_dims="xz", for_averages=True)
+    turned = f.sel(component=["z", "x", "y"], direction=["y", "z", "x"])
+    for average in (lambda f: f.cg.time_average(), lambda f: f.cg.profile("z")):
+        got, expected = average(turned), average(f)
+        assert set(got.data_vars) == set(expected.data_vars)
+        for name in expected.data_vars:
+            labels = {dim: list("xyz") for dim in ("component", "direction") if dim in expected[name].dims}
+            np.testing.assert_allclose(got[name].sel(labels), expected[name], rtol=1e-9, atol=1e-15)
+
+
+def test_fields_that_need_all_components_are_not_averaged_from_some():
+    f = series(3).cg.coarse_grain(["velocity", "stress", "shear_stress"], **ALL, for_averages=True)
+    for part in (f.sel(component="x"), f.sel(component=["x", "y"]), f.sel(direction="z")):
+        for average in (lambda f: f.cg.time_average(), lambda f: f.cg.profile("z")):
+            with pytest.raises(ValueError, match=r"computes shear_stress anew .* select after it"):
+                average(part)
+    x = f.sel(component="x").drop_vars("shear_stress").cg.time_average()
+    np.testing.assert_array_equal(x.velocity, f.cg.time_average().velocity.sel(component="x"))
+
+
+def test_standard_errors_are_not_averaged():
+    f = series(3).cg.coarse_grain(["velocity", "density"], **ALL).cg.time_average()
+    with pytest.raises(
+        ValueError, match=r"no mean of standard errors \(velocity_error, density_error\): call it before"
+    ):
+        f.cg.profile("z")
+
+
+def test_averages_of_stacked_nodes_warn_of_nothing():
+    f = series(3).cg.coarse_grain("density", **ALL)
+    stacked = f.stack(node=("x", "y", "z")).cg.time_average()  # warnings are errors in the tests
+    xr.testing.assert_identical(stacked.density_error.unstack("node"), f.cg.time_average().density_error)

@@ -117,10 +117,13 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
         samples = samples.assign_coords(time=("time", middle, f["time"].attrs))
     mean = _from_sums(samples.mean(_SAMPLE, skipna=False), f)
     errors = block_errors(samples, _SAMPLE, lambda means: _from_sums(means, f))
-    for name in map(str, list(mean.data_vars)):
-        attrs = {"units": f[name].attrs.get("units", "1"), "long_name": f"standard error of {name}"}
-        mean[f"{name}_error"] = errors[name].assign_attrs(attrs)
-    return mean.assign_attrs(averaged_steps=count if window is None else window)
+    beside = {}
+    for name in map(str, mean.data_vars):
+        beside[f"{name}_error"] = errors[name].variable.copy(deep=False)  # without coordinates, which are the mean's
+        beside[f"{name}_error"].attrs = {
+            "units": f[name].attrs.get("units", "1"), "long_name": f"standard error of {name}"
+        }  # fmt: skip
+    return mean.assign(beside).assign_attrs(averaged_steps=count if window is None else window)
 
 
 def per_fraction(f: xr.Dataset, fraction: xr.DataArray) -> xr.Dataset:
@@ -209,6 +212,11 @@ def _rows_of(f: xr.Dataset) -> dict[str, Field | None]:
 def _to_sums(f: xr.Dataset, purpose: str) -> xr.Dataset:
     """Quantities that may be averaged: additive fields, and numerator and denominator of each ratio."""
     rows = _rows_of(f)
+    if errors := [
+        name for name, row in rows.items() if row is None and name.removesuffix("_error") in {*rows} - {name}
+    ]:
+        msg = f"{purpose} takes no mean of standard errors ({', '.join(errors)}): call it before time_average"
+        raise ValueError(msg)
     missing = _missing(rows, registry.options_of(f.attrs))
     if missing:
         lacking = "; ".join(f"{name} needs {', '.join(what)}" for name, what in missing.items())
@@ -216,6 +224,7 @@ def _to_sums(f: xr.Dataset, purpose: str) -> xr.Dataset:
         if sums := _all_of(missing):
             msg += f". Call coarse_grain with for_averages=True, or ask it for {', '.join(sums)} too"
         raise ValueError(msg)
+    f = _with_components(f, rows, purpose)
     out: dict[str, xr.DataArray] = {}
     for name, row in rows.items():
         assert row is not None
@@ -229,6 +238,35 @@ def _to_sums(f: xr.Dataset, purpose: str) -> xr.Dataset:
             else:
                 out[f"{name}/top"], out[f"{name}/bottom"] = weight * value, weight
     return xr.Dataset(out)
+
+
+def _with_components(f: xr.Dataset, rows: Mapping[str, Field | None], purpose: str) -> xr.Dataset:
+    """Put components in the order that formulas expect; refuse to compute a field anew from some of them."""
+    options = registry.options_of(f.attrs)
+
+    def of_tensors(name: str) -> bool:
+        """Whether a field is computed anew from vectors or tensors."""
+        row = registry.row(name, options)
+        if row.additive or row.weight:
+            return row.rank > 0
+        return any(map(of_tensors, row.fields))
+
+    for dim in ("component", "direction"):
+        held = np.atleast_1d(f[dim].to_numpy()).tolist() if dim in f.coords else []
+        whole = next((axes for axes in (COMPONENTS, ("r", "theta", "z")) if set(held) == set(axes)), None)
+        if whole and held != list(whole):
+            f = f.sel({dim: list(whole)})
+        if whole or not held:
+            continue
+        anew = [n for n, row in rows.items() if row and not (row.additive or row.weight) and of_tensors(n)]
+        if anew:
+            msg = (
+                f"{purpose} computes {', '.join(anew)} anew from averaged vectors and tensors, of which this result "
+                f"has the {dim} {', '.join(map(str, held))} alone: select after it, or leave these fields out with "
+                "drop_vars"
+            )
+            raise ValueError(msg)
+    return f
 
 
 def _of_bulk(weight: xr.DataArray, name: str, purpose: str) -> xr.DataArray:
