@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 from click.testing import CliRunner
 from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkIOHDF import vtkHDFReader
@@ -106,6 +107,20 @@ def test_temporal_vtkhdf_equals_vtp(tmp_path, sheared):
         for there, here in zip(content(reader.GetOutput()), content(read_vtp(vtp)), strict=True):
             np.testing.assert_equal(there, here)
         assert reader.GetTimeValue() == pytest.approx(float(sheared.time[t]))
+
+
+def test_components_in_any_order_make_the_same_files(tmp_path, sheared):
+    turned = sheared.sel(component=["z", "x", "y"])
+    for write in ("to_csv", "to_vtp"):
+        paths = (
+            getattr(sheared.cg, write)(tmp_path / f"{write}_a_{{step}}"),
+            getattr(turned.cg, write)(tmp_path / f"{write}_b_{{step}}"),
+        )
+        for one, other in zip(*paths, strict=True):
+            assert one.read_bytes() == other.read_bytes()
+    xr.testing.assert_equal(turned.cg.chain_table().to_xarray(), sheared.cg.chain_table().to_xarray())
+    with pytest.raises(xcg.SceneError, match="holds the components"):
+        sheared.sel(component=["x", "y"]).cg.to_csv(tmp_path / "some_{step}.csv")
 
 
 def test_links_across_the_boundary_end_at_an_image(tmp_path, sheared):

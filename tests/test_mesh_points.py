@@ -100,6 +100,15 @@ def test_fields_go_back_onto_the_mesh(scene, mesh, tmp_path, centers, lazy):
             np.testing.assert_array_equal(found, expected.reshape(-1, components))
 
 
+def test_components_in_any_order_make_the_same_file(scene, mesh, tmp_path):
+    f = scene.cg.coarse_grain(["velocity", "contact_stress"], at=xcg.mesh_points(mesh))
+    f.cg.to_vtu(mesh, tmp_path / "as_it_is.vtu")
+    f.sel(component=["z", "x", "y"], direction=["y", "z", "x"]).cg.to_vtu(mesh, tmp_path / "turned.vtu")
+    assert (tmp_path / "as_it_is.vtu").read_bytes() == (tmp_path / "turned.vtu").read_bytes()
+    with pytest.raises(ValueError, match=r"'component' of .*'velocity'\] holds \['x', 'y'\], expected x, y and z"):
+        f.sel(component=["x", "y"]).cg.to_vtu(mesh, tmp_path / "some.vtu")
+
+
 def test_several_steps_are_a_series(scene, mesh, tmp_path):
     ds = xr.concat([scene, scene.assign(position=scene.position + 1).assign_coords(time=[2.5])], "time")
     f = ds.cg.coarse_grain("density", at=xcg.mesh_points(mesh))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from xcg.chains.particle_stress import RESULTS as STRESSES
 from xcg.scene.complete import rows_of
+from xcg.scene.conform import with_components
 from xcg.scene.frame import particle_rows
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import BOX, PADDING, VARIABLES, Frame, SceneError, Variable
@@ -143,6 +144,7 @@ class Step:
 
 def steps_of(fc: xr.Dataset, names: Sequence[str]) -> Iterator[Step]:
     """Yield the steps of a result one after the other, each computed on its own."""
+    fc = with_components(fc)
     if "time" not in fc.dims:
         fc = fc.expand_dims("time")
     names = [*dict.fromkeys(("particle_id", "contact_i", *names))]

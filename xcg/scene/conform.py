@@ -61,7 +61,7 @@ def conform(ds: xr.Dataset) -> xr.Dataset:
         scene = scene.reset_coords(kept)
     for dim in _taken_away(scene):
         scene = _with_dim(scene, dim)
-    scene = _with_components(scene)
+    scene = with_components(scene)
     masked = scene.variables["particle_id"].dtype.kind == "f"
     changed = {}
     for name in map(str, scene.data_vars):
@@ -138,8 +138,14 @@ def _as_selected(result: xr.Dataset, ds: xr.Dataset) -> xr.Dataset:
     return result.swap_dims(back) if back else result
 
 
-def _with_components(ds: xr.Dataset) -> xr.Dataset:
-    """Order components by their labels."""
+def with_components(ds: xr.Dataset) -> xr.Dataset:
+    """Order components by their labels.
+
+    Raises
+    ------
+    SceneError
+        If some are missing.
+    """
     given = ds.variables["component"].to_numpy() if "component" in ds.coords else list(COMPONENTS)
     labels = np.atleast_1d(given).tolist()
     if sorted(labels) != list(COMPONENTS) or ds.sizes["component"] != len(COMPONENTS):

@@ -200,6 +200,11 @@ def checked(fields: xr.Dataset) -> xr.Dataset:
                 "as NetCDF or Zarr, or on their mesh with to_vtu"
             )
             raise ValueError(msg)
+    return with_components(fields)
+
+
+def with_components(fields: xr.Dataset) -> xr.Dataset:
+    """Put components in the order x, y, z; refuse vectors and tensors that lack some."""
     for dim in ("component", "direction"):
         if dim not in fields.sizes:
             continue

@@ -15,7 +15,7 @@ from xcg.scene.schema import COMPONENTS
 from xcg.scene.vtk_mesh import places_of, read_mesh
 from xcg.writers.files import check_target, write_by_vtk
 from xcg.writers.pvd import write_series
-from xcg.writers.vtkhdf import arrays_of
+from xcg.writers.vtkhdf import arrays_of, with_components
 
 _OTHERS = ("time", "phase", "component", "direction")
 _CLOSE = 1e-6  # of the mesh's size: single precision of files
@@ -51,13 +51,14 @@ def to_vtu(
     FileExistsError, FileNotFoundError
         If a file exists and `overwrite` is False, or a file or folder is not there.
     ValueError
-        If the fields are not at the points or cells of this mesh: another number of them, or other places.
+        If the fields are not at the points or cells of this mesh: another number of them, or other places; or if some
+        components of vectors are missing.
     """
     path = Path(path)
     if path.suffix != ".vtu":
         msg = f"{path}: expected a name that ends with .vtu"
         raise ValueError(msg)
-    data = read_mesh(mesh)
+    fields, data = with_components(fields), read_mesh(mesh)
     dim, cells = _place_of(fields, data, mesh)
     _check_places(fields, dim, places_of(data, centers=cells), mesh)
     bare = _bare_grid(data)
