@@ -164,6 +164,7 @@ def test_results_of_one_plan_share_nothing_that_can_be_changed(scene: xr.Dataset
         given.encoding["dtype"] = "float32"
     first.attrs.clear()
     first["velocity"].values[:] = 0.0
+    first["step"].values[:] = 99  # which is a plain array, as coordinates of points are
     for name in ("x", "component", "time"):  # which pandas holds
         with pytest.raises(ValueError, match="read-only"):
             first[name].values[0] = first[name].values[-1]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 from dataclasses import dataclass, field
+from threading import Lock
 from typing import TypeVar
 
 import xarray as xr
@@ -37,6 +38,7 @@ class _Kept:
 
 
 _kept: dict[Hashable, _Kept] = {}
+_changing = Lock()
 registry.on_register(_kept.clear)
 
 
@@ -85,6 +87,7 @@ def _key_of_variable(given: xr.Variable) -> Hashable:
 
 def _keep(things: dict[Hashable, T], key: Hashable, thing: T, most: int) -> None:
     """Keep one more thing, and no more than there may be: the oldest goes."""
-    while len(things) >= most:
-        things.pop(next(iter(things)), None)
-    things[key] = thing
+    with _changing:
+        while len(things) >= most:
+            things.pop(next(iter(things)), None)
+        things[key] = thing

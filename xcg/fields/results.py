@@ -62,7 +62,8 @@ def layout(ds: xr.Dataset, plan: Plan) -> xr.Dataset:
 
 def filled(empty: xr.Dataset, ds: xr.Dataset, plan: Plan, arrays: Mapping[str, Any], call: str) -> xr.Dataset:
     """Fill a layout with what a plan gave, as a result of the scene."""
-    result = empty.copy(data={name: arrays[name] for name in plan.fields})
+    # coordinates are copied, as those of the layout are those of all its results
+    result = empty.copy(deep=True, data={name: arrays[name] for name in plan.fields})
     result.attrs = _provenance(ds, plan, call)
     return result
 
