@@ -564,3 +564,9 @@ def test_preferred_width_and_spacing():
     # periodic axes divide the period evenly
     step = float(f.x[1] - f.x[0])
     assert step * f.sizes["x"] == pytest.approx(5.0)
+
+
+def test_only_fields_that_lack_something_are_named():
+    ds = xcg.scene_from_arrays(np.eye(3), velocity=np.eye(3), diameter=np.ones(3), density=1.0)
+    with pytest.raises(xcg.SceneError, match=r"coarse_grain of stress, pressure needs \['contact_force', 'contact_i'"):
+        ds.cg.coarse_grain(["density", "stress", "velocity", "pressure"])

@@ -15,6 +15,7 @@ import xarray as xr
 
 from tests import shared_data
 from tests.dumps import ATOMS, BOX, ROWS, dump_text, pairs_text, write, write_series
+from xcg.datasets import simple_cubic
 from xcg.readers import Engine, StepRef
 from xcg.readers.codes.lammps import Lammps
 from xcg.readers.paths import expand_paths, natural_key
@@ -73,10 +74,12 @@ def test_lists_keep_their_order(tmp_path):
         ("empty/*.dump", "the folder '.*empty' holds no files"),
         ("**/nothing", "no file matches this pattern"),
         ("empty", "is a folder; give the files in it"),
+        ("saved.zarr", r"saved.zarr' is a Zarr folder; .* open by xarray.open_dataset\("),
     ],
 )
 def test_paths_that_lead_nowhere(tmp_path, path, match):
     (tmp_path / "empty").mkdir()
+    (tmp_path / "saved.zarr").mkdir()
     for name in ("particles.10.dump", "contacts.10.dump"):
         write(tmp_path / name, "")
     with pytest.raises(FileNotFoundError, match=match):
@@ -540,6 +543,9 @@ def test_wrong_arguments(series, tmp_path):
         open_scene(path, names={"c_cn": "coordination_number"})
     with pytest.raises(SceneError, match=r"no engine recognises .*x\.txt; name one with engine=: lammps, lig"):
         open_scene(write(tmp_path / "x.txt", "hello\n"))
+    simple_cubic(2).cg.save(tmp_path / "scene.nc")
+    with pytest.raises(SceneError, match=r"no engine recognises .*scene\.nc; .* open by xarray\.open_dataset\("):
+        open_scene(tmp_path / "scene.nc")
 
 
 def test_vtk_is_imported_only_when_needed():

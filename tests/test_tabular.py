@@ -90,6 +90,19 @@ def test_one_step_a_file_by_the_number_in_its_name(tmp_path):
     np.testing.assert_array_equal(ds.position[:, 0, 0], [2, 10])
 
 
+def test_files_without_numbers_are_steps_from_zero_on(tmp_path):
+    names = ["one.csv", "two.csv"]
+    for name in names:
+        write(tmp_path / name, f"x,y,z,radius\n{len(name)},0,0,0.5\n1,0,0,0.5\n")
+        write(tmp_path / f"contacts_of_{name}", "id1,id2,fx,fy,fz\n0,1,-1,0,0\n")
+    for count in (1, 2):
+        contacts = [tmp_path / f"contacts_of_{name}" for name in names[:count]]
+        ds = xcg.open_scene([tmp_path / name for name in names[:count]], contacts=contacts, density=1.0, timestep=0.5)
+        np.testing.assert_array_equal(ds.step, np.arange(count))
+        np.testing.assert_array_equal(ds.time, 0.5 * np.arange(count))
+        assert (ds.contact_force.isel(contact=0, component=0) == -1).all()
+
+
 def test_a_step_is_read_from_where_it_stands(tmp_path, monkeypatch):
     rows = "".join(f"{k // 100},{k % 100},{k},0,0.5\n" for k in range(1000))
     path = write(tmp_path / "a.csv", "step,x,y,z,radius\n" + rows)

@@ -280,8 +280,10 @@ def plan_measured(ds: xr.Dataset, request: Request) -> Plan:
     asked = names
     if request.for_averages or request.per is not None:
         names = (*names, *needed_for_averages(names, options))
-    variables = _variables(names, frozenset(map(str, ds.data_vars)), options)
-    require_scene(ds, sorted(variables), f"coarse_grain of {', '.join(names)}")
+    held = frozenset(map(str, ds.data_vars))
+    variables = _variables(names, held, options)
+    lacking = [] if variables <= held else [name for name in names if not _variables((name,), held, options) <= held]
+    require_scene(ds, sorted(variables), f"coarse_grain of {', '.join(lacking)}")
     kernels = _kernels(ds, request, setup.dimension)
     chosen = max(kernels, key=lambda k: k.cutoff)
     _warn_of_width(min(k.width for k in kernels), ds.attrs.get("dmin" if isinstance(request.width, Mapping) else "d43"))

@@ -20,6 +20,10 @@ def natural_key(path: str) -> list[tuple[int, int, str]]:
     return [(1, int(part), part) if part.isdecimal() else (0, 0, part) for part in re.split(r"(\d+)", path)]
 
 
+# what to do with what is no output of a code, but was saved by this package
+SAVED = "scenes and fields that xcg saved open by xarray.open_dataset(path, chunks={}), and have .cg there"
+
+
 def expand_paths(paths: PathLike | Iterable[PathLike], argument: str) -> list[str]:
     """List the files that a path, a glob or a list of them means.
 
@@ -55,6 +59,9 @@ def _expand(path: str, argument: str) -> list[str]:
     if os.path.isfile(path):
         return [path]
     if os.path.isdir(path):
+        if os.path.splitext(os.path.abspath(path))[1].lower() == ".zarr":
+            msg = f"{argument}={path!r} is a Zarr folder; {SAVED}"
+            raise FileNotFoundError(msg)
         pattern = os.path.join(path, "*.dump")
         msg = f"{argument}={path!r} is a folder; give the files in it, for example {pattern!r}"
         raise FileNotFoundError(msg)

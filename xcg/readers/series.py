@@ -20,7 +20,7 @@ from xcg.readers.files.text import source_of
 from xcg.readers.indexed import indexed_arrays
 from xcg.readers.lazy import Series, Source, Step, lazy_arrays, read_step
 from xcg.readers.pairs import one_series, pair_steps
-from xcg.readers.paths import PathLike, expand_paths
+from xcg.readers.paths import SAVED, PathLike, expand_paths
 from xcg.readers.units import names_no_units, not_against_headers, units_of_headers
 from xcg.scene.box import box_array, in_unit, with_lattice
 from xcg.scene.build import to_dataset
@@ -258,6 +258,8 @@ def open_scene(
     series = Series(source, steps, domain, types, contact_names)
     arrays = indexed_arrays(series) if chunks is None else lazy_arrays(series, steps_of_chunks(chunks, series))
     numbers = [step.particles.step for step in steps]
+    if max(numbers) < 0:  # neither files nor their names tell any
+        numbers = list(range(len(steps)))
     scene = to_dataset(
         arrays,
         time=numbers if time is None else time,
@@ -350,6 +352,8 @@ def _guess_engine(files: Mapping[str, Sequence[str]]) -> Engine:
         f"no engine recognises {' with '.join(firsts)}; name one with engine=: {', '.join(engine_table())}. For other "
         "formats, xcg.scene_from_arrays takes arrays, and engine= a reader of your own (docs/own_readers.md)"
     )
+    if any(path.lower().endswith(".nc") for path in firsts):
+        msg += f"; {SAVED}"
     raise SceneError(msg)
 
 

@@ -112,7 +112,11 @@ def _index(paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
     numbered = [ref if ref.step >= 0 else replace(ref, step=k - len(refs)) for k, ref in enumerate(refs)]
     if timestep is None:
         return numbered
-    return [ref if ref.time is not None else replace(ref, time=ref.step * float(str(timestep))) for ref in numbered]
+    first = min(numbered[0].step, 0)
+    return [
+        ref if ref.time is not None else replace(ref, time=(ref.step - first) * float(str(timestep)))
+        for ref in numbered
+    ]
 
 
 def _steps(path: str, given: Mapping[str, str | None]) -> Iterator[StepRef]:
