@@ -20,7 +20,7 @@ from xcg.fields.request import Request
 from xcg.fields.results import layout, times_of
 from xcg.fields.sums.smoothing import kind_of
 from xcg.scene.outline import NoKeyError, key_of, outline
-from xcg.scene.query import groups_of, require_scene
+from xcg.scene.query import groups_of, numbers_of, require_scene
 from xcg.scene.sizes import with_measures
 from xcg.scene.warn import warnings_given
 
@@ -82,7 +82,7 @@ def _key(ds: xr.Dataset, request: Request) -> Hashable:
 
 
 def _key_of_variable(given: xr.Variable) -> Hashable:
-    return key_of([given.to_numpy(), given.attrs, given.encoding])
+    return key_of([numbers_of(given), given.attrs, given.encoding])
 
 
 def _keep(things: dict[Hashable, T], key: Hashable, thing: T, most: int) -> None:

@@ -10,7 +10,7 @@ import inspect
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, MISSING, Field, dataclass, fields
-from functools import wraps
+from functools import cache, wraps
 from typing import Any, Concatenate, ParamSpec, TypeVar, cast, get_type_hints
 
 import xarray as xr
@@ -168,14 +168,16 @@ class Request(SharedOptions):
 
     def given(self) -> dict[str, Any]:
         """Arguments that are not None."""
-        values = {field.name: getattr(self, field.name) for field in arguments(type(self))}
-        return {name: value for name, value in values.items() if value is not None}
+        kind: Any = type(self)
+        values = ((field.name, getattr(self, field.name)) for field in arguments(kind))
+        return {name: value for name, value in values if value is not None}
 
 
-def arguments(request: Any) -> list[Field[Any]]:
+@cache
+def arguments(request: Any) -> tuple[Field[Any], ...]:
     """Fields of a class of requests in the order of a call: by position, its own, those of all."""
     shared = {field.name for field in fields(SharedOptions)}
-    return sorted(fields(request), key=lambda field: (field.kw_only, field.name in shared))
+    return tuple(sorted(fields(request), key=lambda field: (field.kw_only, field.name in shared)))
 
 
 def takes(request: Callable[P, A]) -> Callable[[Callable[[xr.Dataset, A], R]], Callable[Concatenate[xr.Dataset, P], R]]:

@@ -146,8 +146,11 @@ def with_components(ds: xr.Dataset) -> xr.Dataset:
     SceneError
         If some are missing.
     """
-    given = ds.variables["component"].to_numpy() if "component" in ds.coords else list(COMPONENTS)
-    labels = np.atleast_1d(given).tolist()
+    index = ds.xindexes.get("component")
+    if index is not None:  # as nearly always
+        labels = index.to_pandas_index().tolist()
+    else:
+        labels = np.atleast_1d(ds.variables["component"]).tolist() if "component" in ds.coords else list(COMPONENTS)
     if sorted(labels) != list(COMPONENTS) or ds.sizes["component"] != len(COMPONENTS):
         msg = (
             f"the scene holds the components {labels}, and all of x, y, z are needed, each once: select components in "

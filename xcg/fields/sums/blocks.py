@@ -135,6 +135,8 @@ def mesh_blocks(shape: tuple[int, int, int], steps: NDArray, half: NDArray, size
     At least two for each thread, so that none waits for long.
     """
     parts, wanted = np.ones(3, int), max(math.ceil(math.prod(shape) / size), 2 * threads if threads > 1 else 1)
+    if wanted == 1:
+        return [MeshBlock((0, 0, 0), shape, shape, steps, half)]
     while parts.prod() < min(wanted, math.prod(shape)):
         # rows of nodes run along the last axis: cut them later
         parts[np.argmax(np.where(parts < shape, np.asarray(shape) / parts / (1, 1, 2), 0.0))] += 1

@@ -137,7 +137,7 @@ class Pass:
         return {
             name: (
                 min(columns.ravel().tolist()),
-                [factor] * self.groups if isinstance(factor, float) else np.broadcast_to(factor, self.groups).tolist(),
+                [factor] * self.groups if isinstance(factor, float) else factor.tolist(),
             )
             for name, (columns, factor) in self.moments.items()
         }
