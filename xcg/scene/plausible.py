@@ -59,7 +59,7 @@ def check_contacts(frame: Frame, lattice: Lattice, source: str) -> None:
                 "they are of another step or box, ids are mixed up, or positions were changed without contact_point",
             )
             return
-    if force is None:
+    if force is None or len(point) < _FEW:
         return
     along = np.einsum("ij,ij->i", force[some], np.where(rows[0][:, None] >= 0, branches[0], -branches[1]))
     pulling, pushing = int((along < 0).sum()), int((along > 0).sum())
