@@ -173,6 +173,17 @@ def test_results_of_one_plan_share_nothing_that_can_be_changed(scene: xr.Dataset
         assert_same(found, want)
 
 
+def test_coordinates_of_one_scene_are_not_those_of_another(scene: xr.Dataset) -> None:
+    twin, at = scene.copy(deep=True), {"x": 1.0, "y": 2.0}
+    new = twin.cg.coarse_grain(NAMES, at=at)
+    kept._kept.clear()
+    first = scene.cg.coarse_grain(NAMES, at=at)
+    scene["step"].values[:] = 5
+    for name in ("step", "x", "y"):
+        first[name].values[...] = 7
+    assert_same(twin.cg.coarse_grain(NAMES, at=at), new)
+
+
 def test_no_array_is_kept_alive() -> None:
     scene = xcg.datasets.random_scene(30)
     f = scene.cg.coarse_grain(NAMES)

@@ -35,7 +35,8 @@ def layout(ds: xr.Dataset, plan: Plan) -> xr.Dataset:
     """Return the result of a plan without its numbers, of which no array is made, and without attributes of its own."""
     system = plan.setup.unit_system
     length = units_of((1, 0, 0), system)
-    coords: dict[str, Any] = dict(times_of(ds))
+    # those of the scene may be changed in place
+    coords: dict[str, Any] = {name: given.copy() for name, given in times_of(ds).items()}
     for name, coord in plan.deposit.grid.coords.items():
         attrs = {"units": length, "long_name": f"position along {name}", "axis": name.upper()}
         if is_cylindrical(ds):
@@ -62,8 +63,11 @@ def layout(ds: xr.Dataset, plan: Plan) -> xr.Dataset:
 
 def filled(empty: xr.Dataset, ds: xr.Dataset, plan: Plan, arrays: Mapping[str, Any], call: str) -> xr.Dataset:
     """Fill a layout with what a plan gave, as a result of the scene."""
-    # coordinates are copied, as those of the layout are those of all its results
-    result = empty.copy(deep=True, data={name: arrays[name] for name in plan.fields})
+    result = empty.copy(data={name: arrays[name] for name in plan.fields})
+    indexes = result.xindexes  # whose labels are read-only; all results of the layout share them
+    for name in result.coords:
+        if name not in indexes:
+            result.variables[name].data = result.variables[name].data.copy()
     result.attrs = _provenance(ds, plan, call)
     return result
 
