@@ -570,3 +570,25 @@ def test_only_fields_that_lack_something_are_named():
     ds = xcg.scene_from_arrays(np.eye(3), velocity=np.eye(3), diameter=np.ones(3), density=1.0)
     with pytest.raises(xcg.SceneError, match=r"coarse_grain of stress, pressure needs \['contact_force', 'contact_i'"):
         ds.cg.coarse_grain(["density", "stress", "velocity", "pressure"])
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"spacing": [1, 1, 1]}, r"spacing=\[1, 1, 1\]: expected a distance \(m\), or one by axis"),
+        ({"spacing": "1"}, "spacing='1': expected a distance"),
+        ({"width": np.array([1.0])}, r"width=array.* expected a length \(m\), a multiple of a size"),
+        ({"bounds": [(0, 1)] * 3}, "bounds=.* expected first and last node by axis"),
+        ({"extent": 1.0, "axes": "z"}, "extent=1.0: expected a length"),
+        ({"at": 1.0}, "at=1.0: expected a coordinate"),
+        ({"by": ["species"]}, r"by=\['species'\]: expected the name of a variable"),
+        ({"frame": "z"}, r"frame='z': expected xcg.Rotated\(...\) or xcg.Cylindrical\(...\)"),
+    ],
+)
+def test_arguments_of_another_form_are_told(wrong, message):
+    ds = xcg.datasets.simple_cubic(3)
+    for call in (ds.cg.coarse_grain, ds.cg.explain):
+        with pytest.raises(ValueError, match=message):
+            call("density", **wrong)
+    f = ds.cg.coarse_grain("density", axes="z", width=xr.DataArray(1.0), spacing=np.float32(0.5))
+    assert f.attrs["width"] == 1.0

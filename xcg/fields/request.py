@@ -13,12 +13,30 @@ from dataclasses import KW_ONLY, MISSING, Field, dataclass, fields
 from functools import cache, wraps
 from typing import Any, Concatenate, ParamSpec, TypeVar, cast, get_type_hints
 
+import numpy as np
 import xarray as xr
 
 from xcg.fields.formulas.variables import Quantity
 from xcg.fields.places.frames import Cylindrical, Rotated
 from xcg.fields.places.surfaces import Wall
 from xcg.fields.sums.smoothing import Kernel
+
+# what arguments are, where another form would be taken for something else, or end in an error about arrays
+_FORMS: dict[str, tuple[Callable[[Any], bool], str]] = {
+    "spacing": (
+        lambda value: isinstance(value, Mapping) or (np.ndim(value) == 0 and not isinstance(value, str)),
+        "a distance (m), or one by axis such as {'x': 0.01, 'z': 0.005}",
+    ),
+    "width": (
+        lambda value: isinstance(value, Mapping) or np.ndim(value) == 0,
+        "a length (m), a multiple of a size such as '0.75 d43', or one of these by group",
+    ),
+    "bounds": (lambda value: isinstance(value, Mapping), "first and last node by axis, such as {'z': (0.0, 0.1)}"),
+    "extent": (lambda value: isinstance(value, Mapping), "a length (m) by axis, such as {'y': 0.1}"),
+    "at": (lambda value: isinstance(value, Mapping), "a coordinate (m) by axis, such as {'y': 0.0}"),
+    "by": (lambda value: isinstance(value, str), "the name of a variable of the particles, such as 'species'"),
+    "frame": (lambda value: isinstance(value, (Rotated, Cylindrical)), "xcg.Rotated(...) or xcg.Cylindrical(...)"),
+}
 
 P = ParamSpec("P")
 A = TypeVar("A")
@@ -118,6 +136,13 @@ class SharedOptions:
     preset: str | None = None
     on_error: str = "raise"
 
+    def __post_init__(self) -> None:
+        for name, (fits, expected) in _FORMS.items():
+            value = getattr(self, name, None)
+            if not (value is None or fits(value)):
+                msg = f"{name}={value!r}: expected {expected}"
+                raise ValueError(msg)
+
     def ask(self, **own: Any) -> Request:
         """Ask `coarse_grain` with these options, and with arguments of its own."""
         return Request(**own, **{field.name: getattr(self, field.name) for field in fields(SharedOptions)})
@@ -130,9 +155,9 @@ class Request(SharedOptions):
     Parameters
     ----------
     fields : str, quantity, or list of these, optional
-        Names in the registry (`xcg.FIELDS`), by default all that the scene's variables allow; names of other variables
-        of the scene, for their means; and `xcg.Mean`, `xcg.Sum`, `xcg.Variance` or `xcg.Flux` of any variable. Only
-        what these need is read and summed.
+        Names of fields, see `xcg.FIELDS` (those that begin with an underscore are parts of others), by default all that
+        the scene's variables allow; names of other variables of the scene, for their means; and `xcg.Mean`, `xcg.Sum`,
+        `xcg.Variance` or `xcg.Flux` of any variable. Only what these need is read and summed.
     width : float, str or mapping, optional
         Half-width w of the kernel (m), or a multiple of a size such as "0.75 d43" (the default). With `by`, a mapping
         gives each group its own, for very polydisperse scenes: ``{1: 1e-3, 2: "0.75 d43"}``. Every grain, and its
