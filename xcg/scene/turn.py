@@ -117,7 +117,8 @@ def _with_box(ds: xr.Dataset, axes: NDArray, origin: NDArray) -> xr.Dataset:
         found["lattice"] = xr.apply_ufunc(
             partial(_lattice, axes=axes, rows=rows, repeats=repeats), ds["box"],
             input_core_dims=[["component", "bound"]], output_core_dims=[["vector", "component"]],
-            dask="parallelized", output_dtypes=[float], dask_gufunc_kwargs={"output_sizes": {"vector": 3}},
+            dask="parallelized", output_dtypes=[float],
+            dask_gufunc_kwargs={"output_sizes": {"vector": 3}, "allow_rechunk": True},
         ).assign_coords(vector=list(VECTORS))  # fmt: skip
     return ds.assign(found).drop_attrs(deep=False).assign_attrs(attrs)
 
