@@ -266,3 +266,11 @@ def test_the_page_runs(monkeypatch):
     assert abs(m.diffusion_coefficient - 0.00125 * 299 / 300) < 4 * m.diffusion_coefficient_error
     slope = m.mean_squared_displacement.differentiate("lag")
     assert slope[0] < 0.5 * slope[-1]
+
+
+def test_times_that_are_durations_are_refused():
+    ds = xcg.datasets.random_scene(30).isel(time=[0, 0, 0, 0]).assign_coords(time=np.arange(4).astype("m8[ns]"))
+    f = ds.cg.coarse_grain("density", axes="z")
+    for call in (lambda: f.cg.time_correlation("density"), lambda: ds.cg.mean_squared_displacement(lags=[1])):
+        with pytest.raises(xcg.SceneError, match=r"times as numbers \(s\), and these are timedelta64"):
+            call()

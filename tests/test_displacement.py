@@ -347,6 +347,7 @@ def test_turned_inside_out_is_no_rotation():
         (lambda ds: ds, {"per": "accessible"}, ValueError, "per='accessible': there is none"),
         (lambda ds: ds, {"preset": "pysammos"}, ValueError, "preset='pysammos': there is none"),
         (lambda ds: ds.isel(time=[1, 0]), {}, xcg.SceneError, "times that rise"),
+        (lambda ds: ds.assign_coords(time=np.arange(6).astype("m8[ns]")), {}, xcg.SceneError, "times as numbers (s)"),
         (lambda ds: ds.assign(particle_id=ds.particle_id + 0.5), {}, xcg.SceneError, "'particle_id' holds"),
         (lambda ds: ds.drop_vars("particle_id"), {}, xcg.SceneError, "needs ['particle_id']"),
         (lambda ds: ds.drop_vars("mass"), {}, xcg.SceneError, "needs ['mass']"),

@@ -293,3 +293,11 @@ def test_labels_are_characters_of_fixed_length(tmp_path):
         xr.testing.assert_identical(again.load(), whole.isel(time=[t]))
         again.cg.save(tmp_path / "again.nc", overwrite=True)
         xr.testing.assert_identical(xr.open_dataset(tmp_path / "again.nc").load(), whole.isel(time=[t]))
+
+
+@pytest.mark.parametrize("suffix", [".nc", ".zarr"])
+def test_a_series_without_steps_is_saved(tmp_path, suffix):
+    f = xcg.datasets.simple_cubic(3).cg.coarse_grain("density", axes="z").isel(time=slice(0, 0))
+    f.cg.save(tmp_path / f"f{suffix}")
+    with xr.open_dataset(tmp_path / f"f{suffix}", engine="zarr" if suffix == ".zarr" else None) as again:
+        assert again.sizes == f.sizes

@@ -30,8 +30,16 @@ def require_scene(ds: xr.Dataset, names: Sequence[str], purpose: str) -> None:
         raise SceneError(msg)
 
 
+def _require_numbers(times: NDArray, purpose: str) -> None:
+    """Refuse dates and durations of NumPy, whose numbers are nanoseconds or the like."""
+    if times.dtype.kind not in "fiu":
+        msg = f"{purpose}: expected times as numbers (s), and these are {times.dtype}; ds.assign_coords(time=seconds)"
+        raise SceneError(msg)
+
+
 def check_times(time: NDArray, purpose: str, way_out: str) -> None:
     """Refuse times (t,) that are not finite or do not rise from step to step; the message says which."""
+    _require_numbers(time, purpose)
     late = np.flatnonzero(~(time[1:] > time[:-1]))
     if not np.isfinite(time).all() or late.size:
         found = f"{time[late[0] + 1]!r} follows {time[late[0]]!r} at index {late[0] + 1}" if late.size else f"{time}"
@@ -46,6 +54,7 @@ def require_rising_times(ds: xr.Dataset, purpose: str) -> None:
 
 def evenly_spaced(values: NDArray, what: str) -> float:
     """Return the distance of numbers that rise by equal steps; refuse others, as `what`."""
+    _require_numbers(values, what)
     steps = np.diff(values)
     if not (steps > 0).all() or not np.allclose(steps, steps[0], rtol=1e-4, atol=0.0):
         msg = f"{what} at equal distances are needed, and these are {steps.min():.6g} to {steps.max():.6g} apart"

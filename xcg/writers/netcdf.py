@@ -61,7 +61,7 @@ class _Hdf5:
 def write_netcdf(ds: xr.Dataset, path: Path, encoding: Encoding, *, overwrite: bool, room: int = 0) -> None:
     """Write NetCDF under any name; `room` as in `xcg.writers.files.whole_file`."""
     ds, over = prepared(ds, encoding)
-    steps = min(steps_in_chunk(ds, over), ds.sizes.get("time", 1))
+    steps = max(1, min(steps_in_chunk(ds, over), ds.sizes.get("time", 1)))
     packed = {"zlib": True, "complevel": encoding.level, "shuffle": True} if encoding.level else {}
     layout: dict[str, Any] = {name: {**packed, "chunksizes": chunk_shape(ds[name], steps)} for name in over}
     # Labels are characters of fixed length: netCDF 1.7 was seen to crash on texts of any length.
