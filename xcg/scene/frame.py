@@ -27,10 +27,6 @@ def stack(frames: Sequence[Frame], names: Sequence[str], rows: int) -> Frame:
     return stacked
 
 
-# what only some contacts have: walls have velocities
-_MAY_BE_UNKNOWN = ("contact_wall_velocity",)
-
-
 def particle_rows(ids: NDArray, source: str = "scene") -> slice | NDArray:
     """Rows of the particles of one padded step, by id: a slice where they are sorted already.
 
@@ -76,7 +72,7 @@ def frame_of(arrays: Mapping[str, NDArray], t: int, source: str = "scene") -> Fr
         if row.dims[0] in rows:  # in the types of compiled loops: netCDF-3 holds bytes the other way round
             found[name] = values[t][rows[row.dims[0]]].astype(row.dtype, copy=False)
     for name in found:
-        if name in VARIABLES and name not in _MAY_BE_UNKNOWN:
+        if name in VARIABLES:
             check_finite(name, found, source)
     return found
 
