@@ -33,7 +33,7 @@ from xcg.fields.sums.reach import Mesh
 from xcg.scene.contacts import Contacts
 from xcg.scene.frame import check_finite, phase_of, without_frozen
 from xcg.scene.lattice import Lattice
-from xcg.scene.schema import ROTATION, Frame
+from xcg.scene.schema import Frame
 from xcg.scene.warn import warn_once
 
 _HIDDEN_SHEAR = (
@@ -109,7 +109,7 @@ class _Deposit:
     def passes(self, threads: int) -> list[Pass]:
         """All passes that the recipe takes; threads prepare one each."""
         asked = {name for row in self.spec.own.values() for name in row.variables}
-        for name in asked | ({*ROTATION, WALL_VELOCITY} & set(self.frame)):
+        for name in asked:  # variables of scenes were checked with their frame
             check_finite(name, self.frame, self.source)
         wanted = self.spec.rows
         ways = [  # the calling thread begins with the last: contacts take more memory than grains
