@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 import xcg
 from docs import alternatives
+from tests import planning
 from tests.brute_force import BruteKernel
 from xcg.compiled.points import deposit
 from xcg.compiled.segments import BRANCH, RULES, deposit_segments
@@ -141,8 +142,7 @@ def relative(values: NDArray, exact: NDArray) -> float:
 def captured(target: str, call: Callable[[], Any]) -> list[tuple[Any, ...]]:
     """Arguments with which a call enters a loop, each time for all nodes at once."""
     original = {POINTS: deposit, SEGMENTS: deposit_segments}[target]
-    one_box = mock.patch("xcg.fields.plan.BLOCK_NODES", sys.maxsize)
-    with mock.patch(target, wraps=original) as loop, one_box:
+    with mock.patch(target, wraps=original) as loop, planning(BLOCK_NODES=sys.maxsize):
         call()
     return [each.args for each in loop.call_args_list]
 
@@ -176,7 +176,7 @@ def contact_stress(particles: int) -> Panel:
         limits = np.where(np.array(RULES) == order, np.inf, 0.0)
         # the others lie among those of `rtol`
         label = {RULES[0]: "right", RULES[-1]: "below"}.get(order, "")
-        with mock.patch("xcg.fields.plan.gauss_limits", return_value=limits):
+        with planning(gauss_limits=lambda *_, limits=limits: limits):
             ways.append(way(f"{order} points", "Gauss-Legendre, all contacts", 1.0, label))
     for exponent in range(1, 5):  # from 1e-5 on the rule is the closed form for branches of this length
         ways.append(

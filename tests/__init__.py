@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -24,6 +28,13 @@ def real_data(name: str) -> Path:
     root = Path(__file__).parents[1]
     shipped = [root / "tests" / "data" / name, root / "examples" / "data" / name]
     return next((path for path in shipped if path.exists()), None) or shared_data(name)
+
+
+@contextmanager
+def planning(**replaced: Any) -> Iterator[None]:
+    """Plan with other names in `xcg.fields.plan`, such as constants; plans of before and after are not taken."""
+    with mock.patch.dict("xcg.fields.kept._kept", clear=True), mock.patch.multiple("xcg.fields.plan", **replaced):
+        yield
 
 
 def steps_of_random_scenes(count: int) -> xr.Dataset:

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from numpy.polynomial.legendre import leggauss
 
 import xcg
+from tests import planning
 
 KERNELS = ["lucy", "gaussian", "shifted gaussian", "heaviside"]
 SUMS = ["density", "momentum_density", "kinetic_stress", "contact_stress"]
@@ -260,12 +261,12 @@ def test_cells_lie_side_by_side(scene):
     assert "averages over their cells" in str(scene.cg.explain("density", sampling="cell", axes="z"))
 
 
-def test_blocks_threads_and_chunks_have_the_same_bits(scene, monkeypatch):
+def test_blocks_threads_and_chunks_have_the_same_bits(scene):
     names = [*SUMS, "granular_temperature"]
     options = {"sampling": "cell", "spacing": 1.2, "width": 0.5}
     whole = scene.cg.coarse_grain(names, **options)
-    monkeypatch.setattr("xcg.fields.plan.BLOCK_NODES", 7)
-    for name, parts in scene.cg.coarse_grain(names, **options).items():
-        np.testing.assert_array_equal(parts, whole[name], name)
-    lazy = scene.chunk(time=1).cg.coarse_grain(names, **options)
-    np.testing.assert_array_equal(lazy.density, whole.density)
+    with planning(BLOCK_NODES=7):
+        for name, parts in scene.cg.coarse_grain(names, **options).items():
+            np.testing.assert_array_equal(parts, whole[name], name)
+        lazy = scene.chunk(time=1).cg.coarse_grain(names, **options)
+        np.testing.assert_array_equal(lazy.density, whole.density)

@@ -13,7 +13,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import xcg
-from tests import steps_of_random_scenes
+from tests import planning, steps_of_random_scenes
 from tests.brute_force import BruteKernel, brute_force
 from xcg.compiled.points import deposit
 from xcg.fields.evaluate import WORTH_SHARING
@@ -411,8 +411,7 @@ def test_threads_and_boxes_leave_every_bit(long, rtol):
     options = {"by": "species", "width": 0.6, "rtol": rtol, "spacing": {a: 0.31 if a == long else 0.7 for a in "xyz"}}
     results = []
     for threads, box in ((1, 65_000), (3, 65_000), (2, 7)):
-        blocks = mock.patch("xcg.fields.plan.BLOCK_NODES", box)
-        with blocks, mock.patch.multiple("xcg.fields.evaluate", THREADS=threads, WORTH_SHARING=0):
+        with planning(BLOCK_NODES=box), mock.patch.multiple("xcg.fields.evaluate", THREADS=threads, WORTH_SHARING=0):
             results.append([ds.cg.coarse_grain(**options), ds.cg.coarse_grain(axes=long, rtol=rtol, width=0.6)])
     for other in results[1:]:
         for one, another in zip(results[0], other, strict=True):

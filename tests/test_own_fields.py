@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import xcg
-from tests import steps_of_random_scenes
+from tests import planning, steps_of_random_scenes
 from xcg.fields.formulas import program, registry
 from xcg.fields.formulas.field import Options
 
@@ -41,7 +41,7 @@ def test_both_ways_give_the_same_bits(options):
     names = [*OWN, *registry.listed(registered=False)]
     names = [name for name in names if not registry.FIELDS[name].option]
     module = sys.modules["xcg.fields.evaluate"]
-    with mock.patch("xcg.fields.plan.BLOCK_NODES", 40), mock.patch.object(module, "THREADS", 2):
+    with planning(BLOCK_NODES=40), mock.patch.object(module, "THREADS", 2):
         mixed = ds.cg.coarse_grain(names, width=0.6, **options)
     with mock.patch.object(module, "program_for", return_value=None):
         plain = ds.cg.coarse_grain(names, width=0.6, **options)
