@@ -58,7 +58,10 @@ def layout(ds: xr.Dataset, plan: Plan) -> xr.Dataset:
             attrs["comment"] = f"without rotation, as the scene holds no {' and no '.join(lacking)}"
         numbers = np.broadcast_to(np.nan, (ds.sizes["time"], *plan.shapes[name]))
         data[name] = xr.Variable(("time", *plan.dims, *tail), numbers, attrs)
-    return with_phase_labels(storable(xr.Dataset(data, coords)))
+    empty = with_phase_labels(storable(xr.Dataset(data, coords)))
+    for labels in empty.indexes.values():
+        labels.values.flags.writeable = False  # all results share them, and pandas before 3 would let them be changed
+    return empty
 
 
 def filled(empty: xr.Dataset, ds: xr.Dataset, plan: Plan, arrays: Mapping[str, Any], call: str) -> xr.Dataset:
