@@ -59,8 +59,9 @@ def layout(ds: xr.Dataset, plan: Plan) -> xr.Dataset:
         numbers = np.broadcast_to(np.nan, (ds.sizes["time"], *plan.shapes[name]))
         data[name] = xr.Variable(("time", *plan.dims, *tail), numbers, attrs)
     empty = with_phase_labels(storable(xr.Dataset(data, coords)))
-    for labels in empty.indexes.values():
-        labels.values.flags.writeable = False  # all results share them, and pandas before 3 would let them be changed
+    for index in empty.indexes.values():
+        if isinstance(index.values, np.ndarray):
+            index.values.flags.writeable = False  # all results share it, and pandas before 3 lets it be changed
     return empty
 
 
