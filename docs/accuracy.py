@@ -179,9 +179,7 @@ def contact_stress(particles: int) -> Panel:
         with planning(gauss_limits=lambda *_, limits=limits: limits):
             ways.append(way(f"{order} points", "Gauss-Legendre, all contacts", 1.0, label))
     for exponent in range(1, 5):  # from 1e-5 on the rule is the closed form for branches of this length
-        ways.append(
-            way(f"rtol 1e-{exponent}", "rule by branch length", 10.0**-exponent, "left" if exponent < 4 else "right")
-        )
+        ways.append(way(f"rtol 1e-{exponent}", "rule by branch length", 10.0**-exponent, "left"))
     ways.append(way("rtol 0", "closed form", 0.0, default=True))
     (args,) = captured(SEGMENTS, lambda: stress(0.0))
     return Panel(
@@ -213,9 +211,7 @@ def volume_fraction(particles: int) -> Panel:
         ("table, interpolated", alternatives.interpolated_table),
     ):
         ways += [way(f"{bins} bins", series, make(bins)) for bins in (10**2, 10**3, 10**4, 10**5)]
-    return Panel(
-        "(b) volume fraction", "|error| / max phi", "loop over grains", ways, "lower right", floors=floors(POINTS, args)
-    )
+    return Panel("(b) volume fraction", "|error| / max phi", "loop over grains", ways, floors=floors(POINTS, args))
 
 
 def kinetic_stress(particles: int) -> Panel:
@@ -580,7 +576,7 @@ def says_volume_fraction(x: Times) -> str:
 table: {x("1000 bins", "evaluated", "table, rounded down")} times as long with the distance rounded down into
 1000 bins, as Pysammos does, for an error of 0.3 %, and {x("1000 bins", "evaluated", "table, interpolated")}
 with interpolation. More bins are more exact and no cheaper. Weights in single precision take
-{x("single precision", "evaluated")} times as long, for an error of 1e-7. They are not the default, because
+{x("single precision", "evaluated")} of the time, for an error of 1e-7. They are not the default, because
 identities would then hold to seven digits instead of fifteen.
 """
 
@@ -590,7 +586,7 @@ def says_kinetic_stress(x: Times) -> str:
 v less rho V V (raw moments) loses digits with the square of V / v': six at 1e3, twelve at 1e6. Two passes, V first
 and then the sums about it, keep all digits, at
 {x("two passes", "relative to the node", "V / v' = 1e+06")} times the time of the default, which keeps them in one
-pass. Raw moments take {x("raw moments", "relative to the node", "V / v' = 1e+06")} times as long as the default, so
+pass. Raw moments take {x("raw moments", "relative to the node", "V / v' = 1e+06")} of the time of the default, so
 they save little and lose digits without a warning.
 """
 
