@@ -3,6 +3,7 @@
 import dask
 import numpy as np
 import pytest
+import xarray as xr
 
 import xcg
 
@@ -32,6 +33,21 @@ def test_mesh_of_a_selection_is_that_of_its_first_step(lazy):
             np.testing.assert_array_equal(f.x, expected.x)
             np.testing.assert_array_equal(f.z, expected.z)
             np.testing.assert_allclose(f.density[0], expected.density[0], rtol=1e-12)
+
+
+@pytest.mark.parametrize("lazy", [False, True])
+def test_axes_that_keep_their_period_have_neighbours_across_its_edges(lazy):
+    """One axis of three is stretched: differences along the others go on across the edges."""
+    ds = xcg.datasets.random_scene(150, seed=1, edge=6.0)
+    box = np.array([[[0.0, 6.0], [0.0, 6.0], [0.0, 6.0 + t]] for t in range(3)])
+    ds = xr.concat([ds] * 3, "time").assign(box=(("time", "component", "bound"), box), time=[0.0, 1.0, 2.0])
+    ds = ds.drop_attrs(deep=False).assign_attrs({k: v for k, v in ds.attrs.items() if not k.startswith("box_")})
+    ds = ds.chunk({"time": 1}).assign(box=ds.box) if lazy else ds
+    f = ds.cg.coarse_grain(["velocity", "velocity_gradient"], axes="xz", width=1.2, gradient="finite_difference")
+    assert f.attrs["wrapped_axes"] == "x"
+    v, step = f.velocity, float(f.x[1] - f.x[0])
+    want = (v.isel(x=1) - v.isel(x=-1)) / (2 * step)
+    np.testing.assert_allclose(f.velocity_gradient.isel(x=0).sel(direction="x"), want, rtol=1e-9)
 
 
 def test_a_box_that_stays_is_not_read_for_the_mesh():

@@ -32,7 +32,15 @@ from xcg.fields.sums.passes import DepositSpec
 from xcg.fields.sums.quadrature import SINGLE, gauss_limits
 from xcg.fields.sums.smoothing import Kernel, as_kernel, choose_width
 from xcg.scene.lattice import Lattice
-from xcg.scene.query import box_stays, edges_of, groups_of, known_without_reading, require_scene, setup_of
+from xcg.scene.query import (
+    axes_that_stay,
+    box_stays,
+    edges_of,
+    groups_of,
+    known_without_reading,
+    require_scene,
+    setup_of,
+)
 from xcg.scene.schema import BOX, COMPONENTS, CONTACT_VARIABLES, ROTATION, SceneError, Setup, did_you_mean
 from xcg.scene.sizes import layer_depth, with_measures
 from xcg.scene.warn import warn_user
@@ -306,7 +314,7 @@ def plan_measured(ds: xr.Dataset, request: Request) -> Plan:
         own=own_moments(own) | _with_friction(options.friction),
     )
     x, y, z = (grid.spacing.get(a, 0.0) for a in COMPONENTS)
-    wrapped = grid.fills(_lasting_periods(ds, setup, period)) if box_stays(ds) else (False,) * 3
+    wrapped = grid.fills(_lasting_periods(ds, setup, period))
     options = replace(
         options, active=tuple(grid.active.tolist()), shape=grid.shape, spacing=(x, y, z), wrapped=wrapped
     )  # fmt: skip
@@ -422,9 +430,12 @@ def _warn_of_width(width: float, diameter: Any) -> None:
 
 
 def _lasting_periods(ds: xr.Dataset, setup: Setup, period: Mapping[str, float]) -> NDArray:
-    """Period (3,) along each axis alone, infinity where there is none; of a box that is the same in all steps."""
+    """Period (3,) along each axis alone, infinity where there is none that is the same in all steps."""
     if "lattice" not in ds:
-        return np.array([period.get(a, np.inf) for a in COMPONENTS])
+        lasting = axes_that_stay(ds)
+        return np.array([period.get(a, np.inf) if a in lasting else np.inf for a in COMPONENTS])
+    if not box_stays(ds):
+        return np.full(3, np.inf)
     box = {name: ds[name].isel(time=0).transpose(*row.dims).to_numpy() for name, row in BOX.items() if name in ds}
     return Lattice.of(box, setup.periodic).axis_periods
 

@@ -135,6 +135,16 @@ def edges_of(ds: xr.Dataset) -> dict[str, tuple[float, float]]:
     return {a: (float(low), float(high)) for a, (low, high) in zip(COMPONENTS, box, strict=True) if high - low < np.inf}
 
 
+def axes_that_stay(ds: xr.Dataset) -> str:
+    """Axes along which the edges of a box that is not tilted are the same in all steps; see `box_stays`."""
+    if box_stays(ds):
+        return "".join(COMPONENTS)
+    if "box" not in ds or ds.variables["box"].chunks is not None:
+        return ""
+    box = ds.variables["box"].transpose("time", "component", ...).to_numpy()
+    return "".join(a for a, edges in zip(COMPONENTS, box.swapaxes(0, 1), strict=True) if (edges == edges[:1]).all())
+
+
 def box_stays(ds: xr.Dataset) -> bool:
     """Whether the box is the same in all steps; a lazy one is not read, as attributes hold a box that stays."""
     if "box" not in ds or ds.variables["box"].chunks is not None:
