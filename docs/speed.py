@@ -55,7 +55,7 @@ The first call of a process, with compiled code on disk, all fields of {grains:,
 {first:.2f} s of processor time in the program and {first_system:.2f} s in the system, which hands out memory; the next
 call {next:.2f} s and {next_system:.2f} s. On a virtual machine the system takes longer for memory that the host has to
 find first, see [design](design.md#memory-comes-from-numpy-large-arrays-first). Rows of a million
-grains above that are far from the next call here hold such time of the system, too.
+grains above that are far from the next call here probably hold such time of the system, too.
 """
 
 
