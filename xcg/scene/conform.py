@@ -9,7 +9,7 @@ order of rows is looked after where frames are made (`xcg.scene.frame.frame_of`)
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial, wraps
 from typing import Any, Concatenate, ParamSpec, TypeVar, cast
 
@@ -146,18 +146,30 @@ def with_components(ds: xr.Dataset) -> xr.Dataset:
     SceneError
         If some are missing.
     """
-    index = ds.xindexes.get("component")
-    if index is not None:  # as nearly always
-        labels = index.to_pandas_index().tolist()
-    else:
-        labels = np.atleast_1d(ds.variables["component"]).tolist() if "component" in ds.coords else list(COMPONENTS)
-    if sorted(labels) != list(COMPONENTS) or ds.sizes["component"] != len(COMPONENTS):
+    found = in_order(ds, "component", COMPONENTS)
+    if found is None:
         msg = (
-            f"the scene holds the components {labels}, and all of x, y, z are needed, each once: select components in "
-            "the results, and axes with axes= and at="
+            f"the scene holds the components {labels_along(ds, 'component')}, and all of x, y, z are needed, each "
+            "once: select components in the results, and axes with axes= and at="
         )
         raise SceneError(msg)
-    return ds if labels == list(COMPONENTS) else ds.sel(component=list(COMPONENTS))
+    return found
+
+
+def in_order(ds: xr.Dataset, dim: str, axes: Sequence[str]) -> xr.Dataset | None:
+    """Put the labels of a dimension in the order of some axes; None where it does not hold all of them, each once."""
+    labels = labels_along(ds, dim)
+    if sorted(map(str, labels)) != sorted(axes) or ds.sizes.get(dim) != len(axes):
+        return None
+    return ds if labels == list(axes) else ds.sel({dim: list(axes)})
+
+
+def labels_along(ds: xr.Dataset, dim: str) -> list[Any]:
+    """Labels along a dimension of components, x, y and z where there are none."""
+    index = ds.xindexes.get(dim)
+    if index is not None:  # as nearly always
+        return index.to_pandas_index().tolist()
+    return np.atleast_1d(ds.variables[dim]).tolist() if dim in ds.coords else list(COMPONENTS)
 
 
 def _with_dims(array: xr.DataArray, row: Variable) -> xr.DataArray:

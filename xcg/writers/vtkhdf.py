@@ -17,6 +17,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import DTypeLike, NDArray
 
+from xcg.scene.conform import in_order, labels_along
 from xcg.writers import chains
 from xcg.writers.chunks import lock_for, over_time, write_chunks
 from xcg.writers.encoding import Encoding
@@ -208,17 +209,17 @@ def with_components(fields: xr.Dataset) -> xr.Dataset:
     for dim in ("component", "direction"):
         if dim not in fields.sizes:
             continue
-        labels = list(fields[dim].to_numpy()) if dim in fields.coords else list(AXES)
-        if sorted(map(str, labels)) != list(AXES) or fields.sizes[dim] != 3:
+        ordered = in_order(fields, dim, AXES)
+        if ordered is None:
             users = sorted(str(name) for name, data in fields.data_vars.items() if dim in data.dims)
-            found = list(map(str, labels)) if dim in fields.coords else f"{fields.sizes[dim]} entries"
+            labels = list(map(str, labels_along(fields, dim)))
+            found = labels if dim in fields.coords else f"{fields.sizes[dim]} entries"
             msg = (
                 f"'{dim}' of {users} holds {found}, expected x, y and z; keep all three, or write one of "
                 f"them with fields.sel({dim}='x')"
             )
             raise ValueError(msg)
-        if labels != list(AXES):
-            fields = fields.sel({dim: list(AXES)})
+        fields = ordered
     return fields
 
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Field, Options
 from xcg.fields.formulas.variables import row_of_result
+from xcg.scene.conform import in_order, labels_along
 from xcg.scene.schema import COMPONENTS
 
 # --- averages of results ---------------------------------------------------------------------------------
@@ -252,17 +253,18 @@ def _with_components(f: xr.Dataset, rows: Mapping[str, Field | None], purpose: s
         return any(map(of_tensors, row.fields))
 
     for dim in ("component", "direction"):
-        held = np.atleast_1d(f[dim].to_numpy()).tolist() if dim in f.coords else []
-        whole = next((axes for axes in (COMPONENTS, ("r", "theta", "z")) if set(held) == set(axes)), None)
-        if whole and held != list(whole):
-            f = f.sel({dim: list(whole)})
-        if whole or not held:
+        if dim not in f.coords:
+            continue
+        ordered = (in_order(f, dim, axes) for axes in (COMPONENTS, ("r", "theta", "z")))
+        if (whole := next((found for found in ordered if found is not None), None)) is not None:
+            f = whole
             continue
         anew = [n for n, row in rows.items() if row and not (row.additive or row.weight) and of_tensors(n)]
         if anew:
+            held = ", ".join(map(str, labels_along(f, dim)))
             msg = (
                 f"{purpose} computes {', '.join(anew)} anew from averaged vectors and tensors, of which this result "
-                f"has the {dim} {', '.join(map(str, held))} alone: select after it, or leave these fields out with "
+                f"has the {dim} {held} alone: select after it, or leave these fields out with "
                 "drop_vars"
             )
             raise ValueError(msg)

@@ -30,7 +30,7 @@ from xcg.readers.codes.mfix_contacts import (
     of_superquadrics,
     periods_of,
 )
-from xcg.readers.codes.vtk_steps import list_steps, open_step, read_arrays, targets
+from xcg.readers.codes.vtk_steps import list_steps, open_step, read_particle_arrays, require_contacts, targets
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files import vtp
 from xcg.scene.schema import Frame, SceneError
@@ -61,6 +61,10 @@ CONTACT_NAMES = {
 _NORMAL, _TANGENTIAL, _OVERLAP = "FORCE_CHAIN_FN", "FORCE_CHAIN_FT", "FORCE_CHAIN_OVERLAP"
 _POINT, _LENGTH = "FORCE_CHAIN_CONTACT_POINT", "FORCE_CHAIN_LENGTH"
 _SHAPES = "SQP_"  # begins the names of the shapes that files of superquadrics list
+_ADVICE = (
+    "Expected FORCE_CHAIN_GLOBAL_ID1 and _ID2, and FORCE_CHAIN_FC (or FORCE_CHAIN_FN and FORCE_CHAIN_FT): switch them "
+    "on in the region's output, or map others with names={'...': 'contact_i'}"
+)
 
 
 class Mfix(Engine):
@@ -117,15 +121,7 @@ class Mfix(Engine):
         """
         refs = list_steps(paths, options)
         for ref in refs:
-            there = self.contact_variables(ref, options)
-            lacking = [name for name in ("contact_i", "contact_j", "contact_force") if name not in there]
-            if lacking:
-                msg = (
-                    f"{ref.path}: contacts lack {lacking}; expected FORCE_CHAIN_GLOBAL_ID1 and _ID2, and "
-                    f"FORCE_CHAIN_FC (or FORCE_CHAIN_FN and FORCE_CHAIN_FT), found {list(ref.columns)}. Switch "
-                    "them on in the region's output, or map others with names={'...': 'contact_i'}"
-                )
-                raise SceneError(msg)
+            require_contacts(ref, self.contact_variables(ref, options), _ADVICE)
         return refs
 
     def contact_variables(self, ref: StepRef, options: ReadOptions) -> list[str]:
@@ -156,7 +152,7 @@ class Mfix(Engine):
         SceneError
             If the file is damaged or changed since it was indexed, or ids are too large for Float32.
         """
-        frame = read_arrays(ref, targets(ref, "particle", options, PARTICLE_NAMES))
+        frame = read_particle_arrays(ref, targets(ref, "particle", options, PARTICLE_NAMES))
         ids = frame.get("particle_id", np.empty(0))
         if ids.size and ids.max() >= EXACT and len(np.unique(ids)) < len(ids):
             msg = (
@@ -165,8 +161,6 @@ class Mfix(Engine):
                 "drop the ids with names={'Particle_ID': None}"
             )
             raise SceneError(msg)
-        if "radius" in frame:
-            frame.setdefault("diameter", 2 * frame.pop("radius"))
         return frame
 
     def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:

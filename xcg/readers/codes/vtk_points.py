@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from xcg.readers.codes.vtk_steps import list_steps, read_arrays, targets
+from xcg.readers.codes.vtk_steps import list_steps, read_arrays, read_particle_arrays, require_contacts, targets
 from xcg.readers.engine import Engine, ReadOptions, StepRef
-from xcg.scene.schema import Frame, SceneError
+from xcg.scene.schema import Frame
 
 # Arrays of spheres as YADE's VTKRecorder, LIGGGHTS' dump custom/vtk and many others call them.
 _PARTICLE_NAMES = {
@@ -30,6 +30,7 @@ _PARTICLE_NAMES = {
     "materialId": "species",
     "type": "species",
 }
+_ADVICE = "Say which arrays they are, as in names={'...': 'contact_i'}"
 
 
 class Vtk(Engine):
@@ -60,14 +61,7 @@ class Vtk(Engine):
         """
         refs = list_steps(paths, options, lines=True)
         for ref in refs:
-            there = self.contact_variables(ref, options)
-            lacking = [name for name in ("contact_i", "contact_j", "contact_force") if name not in there]
-            if lacking:
-                msg = (
-                    f"{ref.path}: contacts lack {lacking}; found {list(ref.columns)}. Say which arrays they are, as in "
-                    "names={'...': 'contact_i'}"
-                )
-                raise SceneError(msg)
+            require_contacts(ref, self.contact_variables(ref, options), _ADVICE)
         return refs
 
     def contact_variables(self, ref: StepRef, options: ReadOptions) -> list[str]:
@@ -81,10 +75,7 @@ class Vtk(Engine):
 
     def read_particles(self, ref: StepRef, options: ReadOptions) -> Frame:
         """Read the particles of one step."""
-        frame = read_arrays(ref, targets(ref, "particle", options, _PARTICLE_NAMES))
-        if "radius" in frame:
-            frame.setdefault("diameter", 2 * frame.pop("radius"))
-        return frame
+        return read_particle_arrays(ref, targets(ref, "particle", options, _PARTICLE_NAMES))
 
     def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
         """Read the contacts of one step as they stand: points are contact points, those of lines follow from radii."""

@@ -137,3 +137,19 @@ def read_arrays(ref: StepRef, wanted: Mapping[str, str]) -> Frame:
     """Read the arrays of one step by the names of the scene."""
     arrays = vtp.read_arrays(open_step(ref), [*wanted.values()])
     return {name: arrays[array] for name, array in wanted.items()}
+
+
+def read_particle_arrays(ref: StepRef, wanted: Mapping[str, str]) -> Frame:
+    """Read those of particles, whose radii become diameters."""
+    frame = read_arrays(ref, wanted)
+    if "radius" in frame:
+        frame.setdefault("diameter", 2 * frame.pop("radius"))
+    return frame
+
+
+def require_contacts(ref: StepRef, there: Sequence[str], advice: str) -> None:
+    """Refuse contacts without ids or forces; the advice is a sentence."""
+    lacking = [name for name in ("contact_i", "contact_j", "contact_force") if name not in there]
+    if lacking:
+        msg = f"{ref.path}: contacts lack {lacking}; found {list(ref.columns)}. {advice}"
+        raise SceneError(msg)
