@@ -43,6 +43,7 @@ INSIDE = {
         ["codes"],
         ["engines", "lazy"],
         ["chunks", "indexed", "pairs", "units"],
+        ["saved"],
         ["series"],
         ["backend", "from_table", "live"],
         ["__init__"],

@@ -249,6 +249,80 @@ def test_names_say_what_is_written(tmp_path):
     assert xcg.save(ds.cg.force_chains(), tmp_path / "c.vtkhdf").exists()
 
 
+# --- opened as files of a code are -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("chunks", "expected"), [(None, None), (2, (2, 2, 1)), (-1, (5,)), ({"time": (1, 4)}, (1, 4)), ("auto", (5,))]
+)
+def test_open_scene_takes_it(tmp_path, suffix, chunks, expected):
+    ds = steps_of_random_scenes(5)
+    saved = ds.cg.save(tmp_path / f"scene{suffix}")
+    again = xcg.open_scene(saved, chunks=chunks)
+    assert_same_bits(ds, again)
+    assert again["position"].chunks == (
+        None if chunks is None else (expected, *((n,) for n in ds["position"].shape[1:]))
+    )
+    fields = again.cg.coarse_grain("stress")
+    assert fields.chunks.get("time") == expected
+    assert_same_bits(ds.cg.coarse_grain("stress"), fields.compute())
+
+
+def test_chunks_of_long_series_are_those_of_the_file(tmp_path, monkeypatch):
+    saved = steps_of_random_scenes(7).chunk(time=2).cg.save(tmp_path / "scene.nc")
+    monkeypatch.setattr("xcg.readers.chunks._TASK", 1e-9)
+    assert xcg.open_scene(saved).chunks["time"] == (2, 2, 2, 1)
+    monkeypatch.setattr(
+        "xcg.readers.chunks._TASK", 3 * 1e-6 * sum(xcg.open_scene(saved).sizes[d] for d in ("particle", "contact"))
+    )
+    assert xcg.open_scene(saved).chunks["time"] == (4, 3)
+
+
+@pytest.mark.parametrize(
+    ("given", "named"),
+    [({"contacts": "c.*.dump"}, "contacts"), ({"density": 2.0}, "density"), ({"timestep": 0.5}, "timestep"),
+     ({"box": np.array([[0, 1]] * 3)}, "box"), ({"missing": "skip"}, "missing"),
+     ({"allow_unknown": True}, "allow_unknown")],
+)  # fmt: skip
+def test_what_describes_files_is_refused_beside_it(tmp_path, suffix, given, named):
+    saved = steps_of_random_scenes(1).cg.save(tmp_path / f"scene{suffix}")
+    with pytest.raises(xcg.SceneError, match=rf"scene\{suffix} is a scene that xcg saved, which takes no {named}="):
+        xcg.open_scene(saved, **given)
+
+
+def test_what_is_no_scene_is_refused(tmp_path, suffix):
+    fields = steps_of_random_scenes(1).cg.coarse_grain("density").cg.save(tmp_path / f"fields{suffix}")
+    with pytest.raises(xcg.SceneError, match=rf"fields\{suffix} is no scene that xcg saved \(it holds density\)"):
+        xcg.open_scene(fields)
+    broken = tmp_path / f"broken{suffix}"
+    if suffix == ".zarr":
+        broken.mkdir()
+    else:
+        broken.write_bytes(fields.read_bytes()[:512])
+    with pytest.raises(xcg.SceneError, match=rf"broken\{suffix}: cannot be opened as "):
+        xcg.open_scene(broken)
+
+
+def test_commands_take_it(tmp_path, suffix):
+    ds = steps_of_random_scenes(2)
+    saved = str(ds.cg.save(tmp_path / f"scene{suffix}"))
+    told = CliRunner().invoke(main, ["info", saved])
+    assert told.exit_code == 0, told.output
+    assert told.output.strip() == repr(xcg.open_scene(saved).cg)
+    chains = CliRunner().invoke(main, ["chains", saved, "--csv", str(tmp_path / "c_{step}.csv")])
+    assert chains.exit_code == 0, chains.output
+    assert len(list(tmp_path.glob("c_*.csv"))) == 2
+    job = tmp_path / "job.toml"
+    job.write_text(f'[scene]\nparticles = "scene{suffix}"\n[fields]\nfields = ["stress"]\n[output]\nfolder = "out"\n')
+    done = CliRunner().invoke(main, ["run", str(job)])
+    assert done.exit_code == 0, done.output
+    with xr.open_dataset(tmp_path / "out" / "fields.nc") as found:
+        np.testing.assert_array_equal(found["stress"], ds.cg.coarse_grain("stress")["stress"])
+    back = CliRunner().invoke(main, ["convert", saved, "-o", str(tmp_path / "again.zarr")])
+    assert back.exit_code == 0, back.output
+    assert_same_bits(ds, reopen(tmp_path / "again.zarr"))
+
+
 # --- the command line ------------------------------------------------------------------------------------
 
 

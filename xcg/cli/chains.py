@@ -28,7 +28,7 @@ def _threshold(context: click.Context, parameter: click.Parameter, value: str | 
 
 @click.command("chains")
 @click.argument("particles", nargs=-1, required=True)
-@click.option("--contacts", required=True, multiple=True, help="Contact files: a path or a quoted pattern; repeatable.")
+@click.option("--contacts", "-c", multiple=True, help="Contact files: a path or a quoted pattern; repeatable.")
 @click.option("--walls", multiple=True, help="Files of contacts with walls, where they are apart.")
 @click.option("--engine", help="The code that wrote the files; guessed by default.")
 @click.option("--periodic", help="Periodic axes, for example xy.")
@@ -70,14 +70,14 @@ def chains_command(
     "chains_{step}.vtp"
     """
     said: dict[str, Any] = {"engine": engine, "periodic": periodic, "on_error": on_error}
+    if contacts:
+        said["contacts"] = list(contacts)
     if walls:
         said["walls"] = list(walls)
     if frozen:
         said["frozen"] = list(frozen)
     with plain_messages(quiet=False):
-        scene = open_scene(
-            list(particles), contacts=list(contacts), **{k: v for k, v in said.items() if v is not None}
-        )  # fmt: skip
+        scene = open_scene(list(particles), **{k: v for k, v in said.items() if v is not None})
         fc = force_chains(scene, alpha, threshold, min_length, algorithm=algorithm, symmetric=not raw,
                           on_error=on_error).compute()  # fmt: skip
         click.echo(statistics_table(fc))

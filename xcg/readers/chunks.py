@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, TypeAlias
 
 import dask
@@ -26,7 +27,12 @@ _EXPECTED = (
 
 
 def steps_of_chunks(chunks: Any, series: Series) -> tuple[int, ...]:
-    """Numbers of steps in the chunks of a series.
+    """Numbers of steps in the chunks of a series."""
+    return chunk_sizes(chunks, len(series.steps), partial(_sensible, series))
+
+
+def chunk_sizes(chunks: Any, count: int, sensible: Callable[[], int]) -> tuple[int, ...]:
+    """Numbers of steps in the chunks of `count` steps; "auto" takes as many a chunk as `sensible` says.
 
     Raises
     ------
@@ -34,14 +40,13 @@ def steps_of_chunks(chunks: Any, series: Series) -> tuple[int, ...]:
         If this is nothing that xarray takes, or cuts other dimensions than time.
     """
     msg = f"chunks={chunks!r}: {_EXPECTED}"
-    count = len(series.steps)
     if isinstance(chunks, Mapping):
         if any(dim != "time" and size not in (None, -1) for dim, size in chunks.items()):
             raise SceneError(msg)
         chunks = chunks.get("time")
         chunks = 1 if chunks is None else chunks
     if isinstance(chunks, str) and chunks == "auto":
-        chunks = _sensible(series)
+        chunks = sensible()
     sizes = np.atleast_1d(np.asarray(chunks))
     if sizes.dtype.kind not in "iu" or sizes.ndim != 1:
         raise SceneError(msg)
@@ -63,9 +68,14 @@ def _sensible(series: Series) -> int:
     read = sum(_bytes(ref, shared[ref.path]) for ref in refs) / len(series.steps)
     held: int = sum(_held(name, dtype, series.particle_rows) for name, dtype in series.particle_types.items())
     held += sum(_held(name, variable(name).dtype, series.contact_rows) for name in series.contact_names)
-    seconds = read * _BYTE + sum(ref.rows for ref in refs) / len(series.steps) * _ROW
+    rows = sum(ref.rows for ref in refs) / len(series.steps)
+    return steps_in_a_task(rows, held, read * _BYTE)
+
+
+def steps_in_a_task(rows: float, held: int, seconds: float = 0.0) -> int:
+    """Count steps that make a sensible task, of so many rows and bytes in memory each, which take `seconds` to read."""
     limit = parse_bytes(dask.config.get("array.chunk-size"))
-    return max(1, min(math.ceil(_TASK / max(seconds, 1e-9)), limit // max(held, 1)))
+    return max(1, min(math.ceil(_TASK / max(seconds + rows * _ROW, 1e-9)), limit // max(held, 1)))
 
 
 def _held(name: str, dtype: Any, rows: int) -> int:

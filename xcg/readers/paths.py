@@ -20,10 +20,6 @@ def natural_key(path: str) -> list[tuple[int, int, str]]:
     return [(1, int(part), part) if part.isdecimal() else (0, 0, part) for part in re.split(r"(\d+)", path)]
 
 
-# what to do with what is no output of a code, but was saved by this package
-SAVED = "scenes and fields that xcg saved open by xarray.open_dataset(path, chunks={}), and have .cg there"
-
-
 def expand_paths(paths: PathLike | Iterable[PathLike], argument: str) -> list[str]:
     """List the files that a path, a glob or a list of them means.
 
@@ -60,7 +56,7 @@ def _expand(path: str, argument: str) -> list[str]:
         return [path]
     if os.path.isdir(path):
         if os.path.splitext(os.path.abspath(path))[1].lower() == ".zarr":
-            msg = f"{argument}={path!r} is a Zarr folder; {SAVED}"
+            msg = f"{argument}={path!r} is a Zarr folder, which is opened alone, as a scene that xcg saved"
             raise FileNotFoundError(msg)
         pattern = os.path.join(path, "*.dump")
         msg = f"{argument}={path!r} is a folder; give the files in it, for example {pattern!r}"

@@ -20,7 +20,8 @@ from xcg.readers.files.text import source_of
 from xcg.readers.indexed import indexed_arrays
 from xcg.readers.lazy import Series, Source, Step, lazy_arrays, read_step
 from xcg.readers.pairs import one_series, pair_steps
-from xcg.readers.paths import SAVED, PathLike, expand_paths
+from xcg.readers.paths import PathLike, expand_paths
+from xcg.readers.saved import open_saved, saved_path
 from xcg.readers.units import names_no_units, not_against_headers, units_of_headers
 from xcg.scene.box import box_array, in_unit, with_lattice
 from xcg.scene.build import to_dataset
@@ -34,6 +35,7 @@ from xcg.steps import errors as errors
 from xcg.steps.errors import FAULTS, check_on_error, collecting, raising
 
 _RECOVERY_STEPS = 10  # files of contacts that are read for a period, where files do not tell it
+_OF_SAVED = ("particles", "chunks", "on_error", "engine_options")  # what a scene that was saved takes
 
 Paths = PathLike | Iterable[PathLike]
 
@@ -72,7 +74,8 @@ def open_scene(
     Parameters
     ----------
     particles : path, glob or list of them
-        Files with particles. Globs are sorted by the numbers in the names (9 before 10).
+        Files with particles. Globs are sorted by the numbers in the names (9 before 10). Or one scene that xcg saved
+        (``.zarr`` or ``.nc``), beside which there are `chunks` and `on_error` only.
     contacts : path, glob or list of them, optional
         Files with contacts.
     walls : path, glob or list of them, or mapping, optional
@@ -201,6 +204,10 @@ def open_scene(
     ...     names={"c_nc": "coordination_number", "c_1[1]": "contact_i", "c_1[2]": "contact_j"},
     ... )  # doctest: +SKIP
     """
+    given = locals()
+    if engine is None and (saved := saved_path(particles)):
+        _refuse_beside(saved, given)
+        return open_saved(saved, chunks)
     if missing not in ("raise", "skip", "empty"):
         msg = f"missing={missing!r}: expected 'raise', 'skip' or 'empty'"
         raise SceneError(msg)
@@ -298,6 +305,22 @@ def _origin(
     return {name: printable(text) for name, text in said.items() if text}
 
 
+def _refuse_beside(saved: str, given: Mapping[str, Any]) -> None:
+    """Refuse what describes files of a code beside a scene that has it all."""
+    parameters = inspect.signature(open_scene).parameters.values()
+    described = [*given["engine_options"]]
+    for name, default in ((p.name, p.default) for p in parameters if p.name not in _OF_SAVED):
+        plain = isinstance(given[name], (str, bool))
+        if given[name] is not default and not (plain and given[name] == default):
+            described.append(name)
+    if described:
+        msg = (
+            f"{saved} is a scene that xcg saved, which takes no {described[0]}=; give it where the files of the code "
+            "are opened, before they are saved"
+        )
+        raise SceneError(msg)
+
+
 # --- what cannot be opened -------------------------------------------------------------------------------
 
 
@@ -352,8 +375,6 @@ def _guess_engine(files: Mapping[str, Sequence[str]]) -> Engine:
         f"no engine recognises {' with '.join(firsts)}; name one with engine=: {', '.join(engine_table())}. For other "
         "formats, xcg.scene_from_arrays takes arrays, and engine= a reader of your own (docs/own_readers.md)"
     )
-    if any(path.lower().endswith(".nc") for path in firsts):
-        msg += f"; {SAVED}"
     raise SceneError(msg)
 
 
