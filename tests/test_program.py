@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import xcg
-from xcg.compiled import fit
 from xcg.compiled import program as kernel
 from xcg.fields.formulas import program as program
 from xcg.fields.formulas import registry
@@ -60,17 +59,17 @@ def test_any_number_of_nodes(nodes):
     assert_same(played, plain)
 
 
-def test_nodes_that_a_fit_leaves_to_eigenvectors_are_filled():
+def test_fits_by_eigenvectors_are_those_of_the_loop():
     """Grains almost in a plane: neither clearly flat nor clearly spread."""
     ds = xcg.datasets.random_scene(200, seed=3)
     z = 1.0 + 1e-3 * (ds.position.isel(component=2) - 1.0)
     thin = ds.assign(position=ds.position.where(ds.component != "z", z))
-    names, careful = ["velocity_gradient", "granular_temperature"], fit.fit_gradient
-    played, plain, _ = played_and_plain(thin, names, width=0.6)
-    with mock.patch.object(fit, "fit_gradient", wraps=careful) as left:
-        thin.cg.coarse_grain(names, width=0.6)
-    assert left.called
+    names, options = ["velocity_gradient", "granular_temperature"], {"width": 0.6}
+    played, plain, _ = played_and_plain(thin, names, **options)
     assert_same(played, plain)
+    with mock.patch.object(registry, "evaluate") as by_numpy:
+        thin.cg.coarse_grain(names, **options)
+    assert not by_numpy.called
     assert bool(np.isfinite(played.velocity_gradient).any())
 
 
@@ -86,7 +85,7 @@ def test_differences_between_nodes_are_left_to_the_registry():
 
 
 def test_phases_of_few_grains():
-    """Fits of several phases leave the same node out, which is then filled once."""
+    """Fits of several phases take eigenvectors at the same nodes."""
     ds = xcg.datasets.random_scene(40, seed=6)
     ds["species"] = ("time", "particle"), np.arange(40)[None] % 8
     assert_same(*played_and_plain(ds, width=0.5, by="species")[:2])

@@ -4,15 +4,55 @@ import math
 
 import numpy as np
 
-from xcg.compiled._jit import jit, leaf
+from xcg.compiled._jit import inlined, jit, leaf
 from xcg.compiled.simd import TILE
 
 # Parts of a pair of complex eigenvalues below this share of the matrix are rounding of a real pair.
 _IMAGINARY = 1e-14
+# A matrix is diagonal where squares off the diagonal are below this share of those on it; a handful of sweeps.
+_DIAGONAL, _MOST_SWEEPS = 1e-40, 12
 _MOST_STEPS = 100  # of Newton's method; a handful, but where all eigenvalues are nearly zero
 
 
-# --- symmetric: Jacobi's rotations, of as many matrices at a time as there are numbers in an instruction ---
+# --- symmetric: Jacobi's rotations, of one matrix ---
+
+
+@inlined
+def _turn(pp, qq, pq):
+    """Cosine and sine of the turn of axes p and q after which their entry `pq`, not zero, vanishes."""
+    ratio = (qq - pp) / (2.0 * pq)
+    t = math.copysign(1.0, ratio) / (abs(ratio) + math.sqrt(ratio * ratio + 1.0))
+    c = 1.0 / math.sqrt(t * t + 1.0)
+    return c, t * c
+
+
+@leaf
+def _rotated(pp, qq, pq, rp, rq, p, q):
+    """Entries pp, qq, rp and rq of a matrix, and its axes p and q (3,), turned so that the entry pq vanishes."""
+    if pq == 0.0:
+        return pp, qq, rp, rq, p, q
+    c, s = _turn(pp, qq, pq)
+    t = s / c
+    turned_p = c * p[0] - s * q[0], c * p[1] - s * q[1], c * p[2] - s * q[2]
+    turned_q = s * p[0] + c * q[0], s * p[1] + c * q[1], s * p[2] + c * q[2]
+    return pp - t * pq, qq + t * pq, c * rp - s * rq, s * rp + c * rq, turned_p, turned_q
+
+
+@leaf
+def principal_of_one(xx, xy, xz, yy, yz, zz):
+    """Eigenvalues of a symmetric matrix, in any order, and the unit eigenvector (3,) of each."""
+    a, b, c = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+    for _ in range(_MOST_SWEEPS):
+        if not xy * xy + xz * xz + yz * yz > _DIAGONAL * (xx * xx + yy * yy + zz * zz):
+            break
+        xx, yy, xz, yz, a, b = _rotated(xx, yy, xy, xz, yz, a, b)
+        xx, zz, xy, yz, a, c = _rotated(xx, zz, xz, 0.0, yz, a, c)
+        yy, zz, xy, xz, b, c = _rotated(yy, zz, yz, xy, 0.0, b, c)
+        yz = 0.0
+    return (xx, yy, zz), (a, b, c)
+
+
+# --- symmetric: of as many matrices at a time as there are numbers in an instruction ---
 
 
 @leaf
@@ -21,7 +61,7 @@ def _unfinished(matrix, turns):
     some = False
     for n in range(TILE):
         off = matrix[0, 1, n] ** 2 + matrix[0, 2, n] ** 2 + matrix[1, 2, n] ** 2
-        turns[n] = not off <= 1e-40 * (matrix[0, 0, n] ** 2 + matrix[1, 1, n] ** 2 + matrix[2, 2, n] ** 2)
+        turns[n] = not off <= _DIAGONAL * (matrix[0, 0, n] ** 2 + matrix[1, 1, n] ** 2 + matrix[2, 2, n] ** 2)
         some |= turns[n]
     return some
 
@@ -30,11 +70,9 @@ def _unfinished(matrix, turns):
 def _rotate(matrix, vectors, p, q, turns, cosine, sine):
     """Turn the axes p and q of the marked matrices (3, 3, TILE) so that their entries p, q vanish."""
     for n in range(TILE):
-        ratio = (matrix[q, q, n] - matrix[p, p, n]) / (2.0 * matrix[p, q, n])
-        t = math.copysign(1.0, ratio) / (abs(ratio) + math.sqrt(ratio * ratio + 1.0))
-        c = 1.0 / math.sqrt(t * t + 1.0)
+        c, s = _turn(matrix[p, p, n], matrix[q, q, n], matrix[p, q, n])
         turn = turns[n] & (matrix[p, q, n] != 0.0)
-        cosine[n], sine[n] = (c, t * c) if turn else (1.0, 0.0)
+        cosine[n], sine[n] = (c, s) if turn else (1.0, 0.0)
     for k in range(3):
         for n in range(TILE):
             a, b = matrix[k, p, n], matrix[k, q, n]
@@ -85,7 +123,7 @@ def principal(tensor, values, vectors):
         axes[:] = 0.0
         for k in range(3):
             axes[k, k] = 1.0
-        for _ in range(12):
+        for _ in range(_MOST_SWEEPS):
             if not _unfinished(matrix, turns):
                 break
             for p in range(2):

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled._jit import leaf
+from xcg.compiled.eigen import principal_of_one
 
 # Above this share of the largest possible determinant the explicit inverse is exact to a few hundred ulp.
 _WELL_CONDITIONED = 1e-3
@@ -26,7 +27,6 @@ _SPANNED = 1.0 - 1e-6
 COUNT, MASS, MOMENTUM, OFFSET, SHEAR, SPREAD, SUMS = 0, 1, 2, 5, 8, 17, 23
 GRADIENT, EXPLAINED, DETERMINED, MEAN, INVERSE, FOUND = 0, 9, 15, 18, 21, 27
 SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
-_SIX = np.triu_indices(3)
 
 
 def fit_gradient(sums: NDArray, *, active: Sequence[bool], about_node: bool) -> NDArray:
@@ -51,14 +51,11 @@ def fit_gradient(sums: NDArray, *, active: Sequence[bool], about_node: bool) -> 
         each axis follows from the grains, or the axis is not active, else NaN. x_bar (3), zero where no grains are.
         M^+ (6).
     """
-    rows, singular = np.empty((SUMS + FOUND, sums.shape[1])), np.empty(sums.shape[1], "uint64")
+    rows = np.empty((SUMS + FOUND, sums.shape[1]))
     rows[:SUMS] = sums
     begin, end, flags = (np.uint64(k) for k in (0, SUMS, flags_of(active, about_node)))
-    singular = singular[: fit_rows(rows, begin, end, rows.shape[1], flags, singular)]
-    found = rows[SUMS:]
-    if singular.size:
-        found[:, singular] = _fit_few(sums[:, singular], active=active, about_node=about_node)
-    return found
+    fit_rows(rows, begin, end, rows.shape[1], flags)
+    return rows[SUMS:]
 
 
 def flags_of(active: Sequence[bool], about_node: bool) -> int:
@@ -88,11 +85,30 @@ def _moved(shear, u, offsets):
 
 
 @leaf
-def fit_rows(rows, first, found, many, flags, singular):
-    """Fit where grains clearly span all active axes, a plane, a line or nothing.
+def _inverse_of_rank(xx, xy, xz, yy, yz, zz, rounding):
+    """Rank of a symmetric matrix, the part of each axis (3,) that its range spans, and its pseudo-inverse (6,)."""
+    rank, spanned, inverse = 0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    values, axes = principal_of_one(xx, xy, xz, yy, yz, zz)
+    least = max(_RANK_THRESHOLD * max(values), rounding)
+    for k in range(3):
+        if values[k] > least:
+            x, y, z = axes[k]
+            rank, scale = rank + 1, 1.0 / values[k]
+            spanned = spanned[0] + x * x, spanned[1] + y * y, spanned[2] + z * z
+            inverse = (
+                inverse[0] + scale * x * x, inverse[1] + scale * x * y, inverse[2] + scale * x * z,
+                inverse[3] + scale * y * y, inverse[4] + scale * y * z, inverse[5] + scale * z * z,
+            )  # fmt: skip
+    return rank, spanned, inverse
 
-    The pseudo-inverse of M is adj M / det M, with adj M the matrix of cofactors; M / (tr M)^2 on a line; and
-    (tr M (1 - N) - M) / tr adj M in a plane of normal n, where N = n n = adj M / tr adj M. The other nodes are listed.
+
+@leaf
+def fit_rows(rows, first, found, many, flags):
+    """Fit at each node, as `fit_gradient` says.
+
+    The pseudo-inverse of M is adj M / det M where grains clearly span all active axes, with adj M the matrix of
+    cofactors; M / (tr M)^2 on a line; and (tr M (1 - N) - M) / tr adj M in a plane of normal n, where
+    N = n n = adj M / tr adj M. Where they span none of these clearly it follows from eigenvectors.
 
     Parameters
     ----------
@@ -102,13 +118,6 @@ def fit_rows(rows, first, found, many, flags, singular):
         Number of nodes.
     flags : int
         See `flags_of`.
-    singular : (nodes,)
-        Written: nodes that are left to `_fit_few`.
-
-    Returns
-    -------
-    int
-        Number of nodes in `singular`.
     """
     active_x, active_y, active_z, about_node = flags & 1 != 0, flags & 2 != 0, flags & 4 != 0, flags & 8 != 0
     full = int(active_x) + int(active_y) + int(active_z)
@@ -118,7 +127,6 @@ def fit_rows(rows, first, found, many, flags, singular):
     gradient, explained = found + np.uint64(GRADIENT), found + np.uint64(EXPLAINED)
     determined, mean, three = found + np.uint64(DETERMINED), found + np.uint64(MEAN), np.uint64(3)
     inverse = found + np.uint64(INVERSE)
-    left = 0
     for n in range(many):
         mass = rows[of_mass, n]
         per_mass = 1.0 / mass if mass > 0.0 else 0.0
@@ -159,9 +167,8 @@ def fit_rows(rows, first, found, many, flags, singular):
             c00, c01, c02 = scale * (size * px - xx), scale * (across * c01 - xy), scale * (across * c02 - xz)
             c11, c12, c22 = scale * (size * py - yy), scale * (across * c12 - yz), scale * (size * pz - zz)
         else:
-            singular[left] = n
-            left += 1
-            continue
+            xx, yy, zz = xx if active_x else 0.0, yy if active_y else 0.0, zz if active_z else 0.0
+            rank, (px, py, pz), (c00, c01, c02, c11, c12, c22) = _inverse_of_rank(xx, xy, xz, yy, yz, zz, rounding)
         # where offsets are all zero the spread that stands for theirs has an inverse too, which is none of M^+
         _put_three(rows, inverse, n, (c00 if active_x else 0.0, c01, c02))
         _put_three(rows, inverse + three, n, (c11 if active_y else 0.0, c12, c22 if active_z else 0.0))
@@ -188,31 +195,3 @@ def fit_rows(rows, first, found, many, flags, singular):
         known = 1.0 if rows[count, n] > rank + 1 else np.nan
         _put_three(rows, explained, n, (known * _dot(g0, b0), known * _dot(g0, b1), known * _dot(g0, b2)))
         _put_three(rows, explained + three, n, (known * _dot(g1, b1), known * _dot(g1, b2), known * _dot(g2, b2)))
-    return left
-
-
-def _fit_few(sums: NDArray, *, active: Sequence[bool], about_node: bool) -> NDArray:
-    """Fit by eigenvectors, where grains lie close to a plane or a line."""
-    count, mass, momentum, offset = sums[COUNT], sums[MASS], sums[MOMENTUM:OFFSET], sums[OFFSET:SHEAR]
-    shear, spread = sums[SHEAR:SPREAD].reshape(3, 3, -1), sums[SPREAD:][SYMMETRIC]
-    there = mass > 0.0
-    drift, mean = (np.divide(a, mass, out=np.zeros_like(a), where=there) for a in (momentum, offset))
-    if about_node:
-        mean[:] = 0.0
-    matrix = np.moveaxis(spread - mean[:, None] * offset, -1, 0)
-    damaged = ~np.isfinite(matrix).all(axis=(1, 2))
-    values, vectors = np.linalg.eigh(np.where(damaged[:, None, None], 0.0, matrix))
-    rounding = _ROUNDING * np.trace(spread)
-    least = np.where(values.sum(axis=1) > rounding, np.maximum(_RANK_THRESHOLD * values[:, 2], rounding), np.inf)
-    spanned = values > least[:, None]
-    scaled = vectors * np.divide(1.0, values, out=np.zeros_like(values), where=spanned)[:, None]
-    # (M M^+)_jj is the part of the axis that the grains span
-    projection = (vectors**2 * spanned[:, None]).sum(axis=2).T
-    determined = there & (~np.reshape(active, (3, 1)) | (projection > _SPANNED))
-    moved = np.moveaxis(shear - drift[:, None] * offset, -1, 0)
-    inverse = scaled @ vectors.swapaxes(1, 2)
-    gradient = moved @ inverse
-    explained, inverse = (gradient @ moved.swapaxes(1, 2))[:, *_SIX], inverse[:, *_SIX]
-    explained[count <= spanned.sum(axis=1) + 1] = np.nan
-    determined = np.where(determined, 1.0, np.nan)
-    return np.concatenate([gradient.reshape(-1, 9).T, explained.T, determined, mean, inverse.T])

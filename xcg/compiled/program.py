@@ -65,7 +65,7 @@ def address_of(numbers: NDArray, rows: int, width: int, name: str, *, written: b
 
 
 @leaf
-def run(steps, records, source, fields, target, place, order, tile, scratch, singular):
+def run(steps, records, source, fields, target, place, order, tile, scratch):
     """Do the steps of a program for all nodes.
 
     Parameters
@@ -89,15 +89,8 @@ def run(steps, records, source, fields, target, place, order, tile, scratch, sin
         Address of scratch for as many records as a tile has nodes, and eight numbers more, of the largest width.
     scratch : (rows, TILE)
         Holds constants and factors.
-    singular : (any,)
-        Written: nodes that a `FIT` leaves to others, room for all from each of them.
-
-    Returns
-    -------
-    int
-        How many there are in `singular`.
     """
-    left, unread = 0, 0.0
+    unread = 0.0
     for first in range(0, place.size, TILE):
         many = min(TILE, place.size - first)
         for n in range(records.shape[0]):
@@ -115,10 +108,7 @@ def run(steps, records, source, fields, target, place, order, tile, scratch, sin
                 else:
                     _store_apart(fields[r, 0], fields[r, 1], fields[r, 2], target[r], place, first, many, scratch)
             elif operation == FIT:
-                found = fit_rows(scratch, a, r, many, b, singular[left:])
-                for k in range(left, left + found):
-                    singular[k] += first
-                left += found
+                fit_rows(scratch, a, r, many, b)
             elif operation == LOAD:
                 row_product(scratch, r, source[a, 0], source[a, 1])
             elif operation == ADD:
@@ -139,7 +129,6 @@ def run(steps, records, source, fields, target, place, order, tile, scratch, sin
                 nan_to_zero(scratch, r, a, a)
     store_fence()
     scratch[0, 0] = unread
-    return left
 
 
 @leaf

@@ -19,7 +19,6 @@ from xcg.fields.places.grid import check_mesh
 from xcg.fields.plan import Plan, scale_of
 from xcg.fields.sums.blocks import Block
 from xcg.fields.sums.deposit import sums_of_frame
-from xcg.fields.sums.passes import BlockSums
 from xcg.scene.frame import steps_in
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import OF_STEP, Frame
@@ -91,16 +90,12 @@ def _compute_step(
     def fill(part: Block) -> None:
         found, place = part.sums(sums.over), part.places
         reached.append(found.reached)
-        if program and (remaining := program.run(found, place, rows, part.order)).size:
-            evaluate(traced, found, place, remaining)
-        if untraced:
-            evaluate(untraced, found, place, slice(None))
-
-    def evaluate(fields: tuple[str, ...], found: BlockSums, place: NDArray, nodes: slice | NDArray) -> None:
-        """Compute fields of some nodes of a block with NumPy."""
-        options = replace(plan.options, wrapped=grid.fills(lattice.axis_periods))  # the box may change
-        for name, values in registry.evaluate(fields, found.moments(nodes), options).items():
-            rows[name][place[nodes]] = values.swapaxes(0, 1)
+        if program:
+            program.run(found, place, rows, part.order)
+        if untraced:  # with NumPy
+            options = replace(plan.options, wrapped=grid.fills(lattice.axis_periods))  # the box may change
+            for name, values in registry.evaluate(untraced, found.moments, options).items():
+                rows[name][place] = values.swapaxes(0, 1)
 
     whole = registry.whole_grid(plan.options)
     for_each(grid.blocks(grid.count, 1) if whole else grid.blocks(plan.block_nodes, threads), fill, threads)

@@ -40,8 +40,6 @@ class Program:
         Fields, the first of the components, and how many: one tensor, vector or scalar.
     target : array (stores, 9)
         Rows of these components.
-    fits : int
-        Number of fits.
     """
 
     steps: NDArray
@@ -49,7 +47,6 @@ class Program:
     inputs: tuple[tuple[str, int, int], ...]
     outputs: tuple[tuple[str, int, int], ...]
     target: NDArray
-    fits: int
 
     @cached_property
     def fields(self) -> tuple[str, ...]:
@@ -63,12 +60,10 @@ class Program:
         which = [moments.index((moment, group)) for moment, group, _ in self.inputs]
         return moments, np.array(which, "intp"), np.array([column for _, _, column in self.inputs], "uint64")
 
-    def run(self, sums: BlockSums, place: NDArray, out: Mapping[str, NDArray], order: NDArray | None = None) -> NDArray:
+    def run(self, sums: BlockSums, place: NDArray, out: Mapping[str, NDArray], order: NDArray | None = None) -> None:
         """Compute fields (places, ...) from the moments at some nodes, each to its `place` (nodes,).
 
         They are taken in an `order` (nodes,), such as that of their places: memory is then written line by line.
-
-        Returns the nodes that are left out: those where a fit takes eigenvectors.
 
         Raises
         ------
@@ -98,12 +93,10 @@ class Program:
             )
             for name, first, count in self.outputs
         ]
-        singular, tile = np.empty(self.fits * nodes, "uint64"), np.empty((kernel.TILE + EIGHT) * max(widths))
+        tile = np.empty((kernel.TILE + EIGHT) * max(widths))
         lists = _whole(records, 3), source, _whole(fields, 3)
         to = place if order is None else place[order]
-        remaining = kernel.run(self.steps, *lists, self.target, to, order, tile.ctypes.data, scratch, singular)
-        left = np.unique(singular[:remaining])
-        return left if order is None else order[left]
+        kernel.run(self.steps, *lists, self.target, to, order, tile.ctypes.data, scratch)
 
 
 def _whole(numbers: Sequence[Sequence[int]], width: int) -> NDArray:
@@ -206,9 +199,7 @@ class _RegisterAllocation:
         scratch = np.zeros((self.rows, kernel.TILE))
         for row, value in constants.items():
             scratch[row] = value
-        steps = _whole(self.steps, 4)
-        fits = int((steps[:, 0] == kernel.FIT).sum())
-        return Program(steps, scratch, tuple(self.inputs), tuple(stored), target, fits)
+        return Program(_whole(self.steps, 4), scratch, tuple(self.inputs), tuple(stored), target)
 
     def _operands(self, number: int) -> tuple[int, ...]:
         """Return the steps that a step takes something from."""

@@ -194,15 +194,16 @@ class BlockSums:
         column, factors = run.first_columns[moment]
         return first + group, column, factors[group]
 
-    def moments(self, nodes: slice | NDArray) -> dict[str, NDArray]:
-        """Moments of some of the nodes: arrays (phase, node, ...).
+    @property
+    def moments(self) -> dict[str, NDArray]:
+        """Moments at the nodes: arrays (phase, node, ...).
 
         Phase 0 is the bulk, the sum over groups. Nodes run fastest in memory, so that algebra on small tensors is a
         loop over nodes.
         """
-        found = {"reference": np.ascontiguousarray(self.reference[nodes].T).T}
+        found = {"reference": np.ascontiguousarray(self.reference.T).T}
         for run, sums in zip(self.of.passes, self.filled, strict=True):
-            found |= self._of_pass(run, sums[:, nodes])
+            found |= self._of_pass(run, sums)
         return found
 
     def _of_pass(self, run: Pass, records: NDArray) -> dict[str, NDArray]:
