@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 import subprocess
 import sys
 import warnings
@@ -13,6 +14,7 @@ import netCDF4
 import numpy as np
 import pytest
 import xarray as xr
+import zarr
 from click.testing import CliRunner
 
 import xcg
@@ -132,6 +134,31 @@ def test_an_error_leaves_nothing(tmp_path, suffix):
     with pytest.raises(xcg.SceneError, match="open it again"):
         xcg.save(ds, target / f"scene{suffix}")
     assert list(target.iterdir()) == []
+
+
+@pytest.mark.parametrize("options", [{}, {"dtype": "float32", "compression": 0}, {"digits": 3, "compression": 0}])
+@pytest.mark.parametrize("lazy", [False, True])
+def test_chunks_are_as_zarr_writes_them(tmp_path, monkeypatch, lazy, options):
+    """The same files with the same bytes, also where a chunk is blank, or reaches beyond the last step."""
+    monkeypatch.setattr("xcg.writers.zarr._steps_together", lambda ds, over: 2)
+    f = steps_of_random_scenes(5).cg.coarse_grain(["density", "granular_temperature", "stress"], axes="z")
+    f["density"][:4] = np.nan
+    f["count"] = ("time", "z"), np.zeros((5, f.sizes["z"]), int)
+    f["count"][4, 0] = 7
+    f["chosen"] = "time", np.linspace(0, 1, 5) > 0.5
+    saved = xcg.save(f.chunk(time=2) if lazy else f, tmp_path / "own.zarr", **options)
+    other = shutil.copytree(saved, tmp_path / "other.zarr")
+    one, two = zarr.open_group(saved, mode="r"), zarr.open_group(other, mode="r+")
+    for name in f.data_vars:
+        assert np.allclose(one[name], f[name], rtol=1e-3 if options else 0.0, atol=0.0, equal_nan=True), name
+        for chunk in Path(other, name).glob("c.*"):
+            chunk.unlink()
+        for first in range(0, 5, 2):
+            two[name][first : first + 2] = one[name][first : first + 2]
+    files = [{str(p.relative_to(top)): p.read_bytes() for p in top.rglob("*") if p.is_file()} for top in (saved, other)]
+    assert files[0] == files[1]
+    chunks = {name: sum(file.startswith(f"{name}/c.") for file in files[0]) for name in f.data_vars}
+    assert chunks["stress"] > chunks["density"] == chunks["count"] == 1
 
 
 # --- Zarr: stores that are replaced, killed writers, two writers -----------------------------------------

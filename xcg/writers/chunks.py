@@ -7,7 +7,7 @@ xarray's own writers make one a variable. Tasks find the file by its name, so th
 from __future__ import annotations
 
 import uuid
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import partial
 from itertools import pairwise
@@ -29,8 +29,8 @@ from xcg.steps.progress import Progress, shown
 if TYPE_CHECKING:
     import dask.array as da  # slow to import
 
-# writes some steps of variables, time first, by name
-Write: TypeAlias = Callable[[Mapping[str, NDArray], slice], None]
+# writes some steps of variables by name: arrays with time first, one or more that follow each other
+Write: TypeAlias = Callable[[Mapping[str, Sequence[NDArray]], slice], None]
 
 _WRITES = "write-"  # names of tasks that write begin like this
 
@@ -101,8 +101,12 @@ def same_chunks(ds: xr.Dataset) -> dict[str, da.Array]:
 def _take_and_write(write: Write, gathered: Gathered, steps: slice, *given: Any) -> None:
     a_chunk = len(gathered.sources)
     parts = [gathered.take(given[first : first + a_chunk]) for first in range(0, len(given), a_chunk)]
-    together = parts[0] if len(parts) == 1 else {n: np.concatenate([part[n] for part in parts]) for n in parts[0]}
-    write(together, steps)
+    write({name: [part[name] for part in parts] for name in parts[0]}, steps)
+
+
+def joined(parts: Sequence[NDArray]) -> NDArray:
+    """Give arrays that follow each other as one, which is no copy where there is one."""
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def _wait(_: Any) -> None:

@@ -60,5 +60,5 @@ def write_all(ds: xr.Dataset, over: Sequence[str], write: Write, steps: int) -> 
     now = {name: ds[name].to_numpy() for name in over if ds[name].chunks is None}
     for first in range(0, ds.sizes["time"] if now else 0, steps):
         part = slice(first, min(first + steps, ds.sizes["time"]))
-        write({name: values[part] for name, values in now.items()}, part)
+        write({name: [values[part]] for name, values in now.items()}, part)
     write_chunks(ds, write, steps)

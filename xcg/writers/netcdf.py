@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from xcg.compiled import THREADS
 from xcg.compiled.threads import for_each
-from xcg.writers.chunks import lock_for, over_time
+from xcg.writers.chunks import joined, lock_for, over_time
 from xcg.writers.encoding import Encoding, deflated
 from xcg.writers.files import hdf5_file, whole_file
 from xcg.writers.layout import chunk_shape, outline, prepared, steps_in_chunk, write_all
@@ -33,7 +33,8 @@ class _Hdf5:
     steps: int  # in a chunk on disk
     threads: int
 
-    def __call__(self, values: Mapping[str, NDArray], steps: slice) -> None:
+    def __call__(self, parts: Mapping[str, Sequence[NDArray]], steps: slice) -> None:
+        values = {name: joined(part) for name, part in parts.items()}
         ready = dict(zip(values, for_each(list(values.values()), self._packed, self.threads), strict=True))
         with self.lock, hdf5_file(self.path, "r+") as file:
             for name, chunks in ready.items():

@@ -19,7 +19,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from xcg.scene.conform import in_order, labels_along
 from xcg.writers import chains
-from xcg.writers.chunks import lock_for, over_time, write_chunks
+from xcg.writers.chunks import joined, lock_for, over_time, write_chunks
 from xcg.writers.encoding import Encoding
 from xcg.writers.files import hdf5_file, whole_file
 
@@ -351,14 +351,14 @@ class _Target:
     dims: Mapping[str, tuple[Hashable, ...]]
     encoding: Encoding
 
-    def __call__(self, values: Mapping[str, NDArray], steps: slice) -> None:
-        """Write variables that are in `values`, whole or some steps of them."""
+    def __call__(self, parts: Mapping[str, Sequence[NDArray]], steps: slice) -> None:
+        """Write variables that are in `parts`, whole or some steps of them."""
         ready = {
             array.name: self.encoding.reduced(
-                array.values(xr.Variable(self.dims[array.variable], values[array.variable]), self.image)
+                array.values(xr.Variable(self.dims[array.variable], joined(parts[array.variable])), self.image)
             )
             for array in self.arrays
-            if array.variable in values
+            if array.variable in parts
         }
         with self.lock, hdf5_file(self.path, "r+") as file:
             for name, block in ready.items():
@@ -377,5 +377,5 @@ def _fill(part: Path, fields: xr.Dataset, image: Image, arrays: list[_Array], en
     dims |= {name: fields[name].transpose("time", ...).dims for name in lazy}
     write = _Target(part, lock_for(part), image, arrays, dims, encoding)
     for name, data in now.items():
-        write({str(name): data.to_numpy()}, slice(None))
+        write({str(name): [data.to_numpy()]}, slice(None))
     write_chunks(fields, write)

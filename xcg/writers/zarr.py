@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import json
+import os
+import sys
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.scene.extras import extra
+from xcg.writers.chunks import joined
 from xcg.writers.encoding import Encoding
+from xcg.writers.files import part_of
 from xcg.writers.folders import whole_folder
 from xcg.writers.layout import chunk_shape, outline, prepared, steps_in_chunk, write_all
 
@@ -21,19 +28,89 @@ _CHUNK = 2_000_000
 _TOGETHER = 64_000_000
 
 
+# Chunks of one variable are files in one folder: by default each has up to six folders of its own, and making these
+# takes longer than writing small chunks.
+_KEYS = {"name": "default", "separator": "."}
+
+
+@dataclass(frozen=True)
+class _Plain:
+    """Chunks that hold the numbers of a variable as they are in memory, as Zarr has them where nothing is compressed.
+
+    Attributes
+    ----------
+    dtype : dtype
+        Of the numbers.
+    shape : tuple of int
+        Of a chunk, which has some steps and is whole along other dimensions.
+    fill : number
+        What the last chunk holds beyond the last step. A chunk that holds nothing else has no file.
+    """
+
+    dtype: np.dtype[Any]
+    shape: tuple[int, ...]
+    fill: float
+
+    @classmethod
+    def of(cls, folder: Path) -> _Plain | None:
+        """Read the metadata of a variable; None where its chunks are something else."""
+        said = json.loads((folder / "zarr.json").read_text())
+        dtype, fill = said["data_type"], said["fill_value"]
+        as_they_are = [{"name": "bytes", "configuration": {"endian": sys.byteorder}}]
+        known = dtype in ("float32", "float64", "int64") and (fill == "NaN" or not isinstance(fill, str))
+        if (
+            not known
+            or said["codecs"] != as_they_are
+            or said["chunk_key_encoding"]["configuration"] != {"separator": "."}
+        ):
+            return None
+        return cls(np.dtype(dtype), tuple(said["chunk_grid"]["configuration"]["chunk_shape"]), float(fill))
+
+    def write(self, folder: Path, parts: Sequence[NDArray], first: int) -> None:
+        """Write the chunk that begins with a step; its file appears when it is whole."""
+        file = folder / ".".join(["c", str(first // self.shape[0]), *("0" for _ in self.shape[1:])])
+        if all(map(self._is_blank, parts)):
+            file.unlink(missing_ok=True)
+            return
+        missing = self.shape[0] - sum(map(len, parts))
+        beyond = [np.full((missing, *self.shape[1:]), self.fill)] if missing else []
+        part = part_of(file)
+        with open(part, "xb") as opened:
+            for values in (*parts, *beyond):
+                opened.write(np.ascontiguousarray(values, self.dtype).data)
+        os.replace(part, file)
+
+    def _is_blank(self, values: NDArray) -> bool:
+        """Whether there is nothing but what stands for no value; zeros of another sign are something else."""
+        for some in (values.reshape(-1)[:1], values):  # a first look is enough for nearly all
+            blank = np.isnan(some) if np.isnan(self.fill) else (some == self.fill) & ~np.signbit(some)
+            if not blank.all():
+                return False
+        return True
+
+
 @dataclass(frozen=True)
 class _Zarr:
-    """A Zarr folder, which tasks write to side by side: each has files of its own."""
+    """A Zarr folder, which tasks write to side by side: each has files of its own.
+
+    Plain chunks are written here. Others are left to zarr, which copies each and hands it to a thread.
+    """
 
     path: Path
     encoding: Encoding
+    plain: Mapping[str, _Plain]
 
-    def __call__(self, values: Mapping[str, NDArray], steps: slice) -> None:
+    def __call__(self, parts: Mapping[str, Sequence[NDArray]], steps: slice) -> None:
         import zarr
 
-        group = zarr.open_group(self.path, mode="r+")
-        for name, array in values.items():
-            group[name][steps] = self.encoding.reduced(array)
+        group = None
+        for name, given in parts.items():
+            ready = [self.encoding.reduced(values) for values in given]
+            if name in self.plain:
+                self.plain[name].write(self.path / name, ready, steps.start)
+                continue
+            group = group or zarr.open_group(self.path, mode="r+")
+            group[name][steps] = joined(ready)
 
 
 def write_zarr(ds: xr.Dataset, path: Path, encoding: Encoding, *, overwrite: bool) -> None:
@@ -42,13 +119,15 @@ def write_zarr(ds: xr.Dataset, path: Path, encoding: Encoding, *, overwrite: boo
     ds, over = prepared(ds, encoding)
     packed = [BloscCodec(cname="zstd", clevel=encoding.level, shuffle="shuffle")] if encoding.level else []
     steps = _steps_together(ds, over)
-    layout = {name: {"chunks": chunk_shape(ds[name], steps), "compressors": packed} for name in over}
+    how = {"compressors": packed, "chunk_key_encoding": _KEYS}
+    layout = {name: {"chunks": chunk_shape(ds[name], steps), **how} for name in over}
     with whole_folder(path, overwrite=overwrite) as part:
         with warnings.catch_warnings():
             # What xarray looks for first when it opens a store; programs that do not know it pass over it.
             warnings.filterwarnings("ignore", "Consolidated metadata is currently not part")
             outline(ds, over, encoding).to_zarr(part, encoding=layout, zarr_format=3, consolidated=True, compute=False)
-        write_all(ds, over, _Zarr(part, encoding), steps)
+        plain = {name: found for name in over if (found := _Plain.of(part / name))}
+        write_all(ds, over, _Zarr(part, encoding, plain), steps)
 
 
 def _steps_together(ds: xr.Dataset, over: Sequence[str]) -> int:
