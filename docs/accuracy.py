@@ -36,7 +36,7 @@ WIDTH = 0.75  # diameters, which are 1
 CUTOFF = 2 * WIDTH
 RATE = 1.0  # of the uniform shear
 POINTS = "xcg.compiled.points.deposit"
-SEGMENTS = "xcg.fields.sums.deposit.deposit_segments"
+SEGMENTS = "xcg.fields.sums.segments.deposit_segments"
 ROUNDING = 1e-15  # smaller errors are drawn here
 
 

@@ -1,0 +1,165 @@
+"""One step as its passes need it: its rows, where they and their images stand, and meshes and kernels by cutoff."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xcg.compiled.points import SQUARED
+from xcg.compiled.reach import spatial_order
+from xcg.fields.sums.blocks import triple
+from xcg.fields.sums.moments import Moment
+from xcg.fields.sums.passes import AnyKernel, DepositSpec
+from xcg.fields.sums.power import WALL_VELOCITY, velocities_of_walls
+from xcg.fields.sums.reach import Mesh
+from xcg.scene.contacts import Contacts
+from xcg.scene.frame import phase_of, without_frozen
+from xcg.scene.lattice import Lattice
+from xcg.scene.schema import Frame
+from xcg.scene.warn import warn_once
+
+_HIDDEN_SHEAR = (
+    "the box is sheared across an axis that is averaged, along which velocities of images differ; each grain counts "
+    "once, with its velocity as it is written, so that results depend on how grains are wrapped; resolve that axis"
+)
+
+
+@dataclass(frozen=True)
+class Images:
+    """Where rows of the data stand.
+
+    Periodic images along axes are found node by node. In boxes that are tilted, or whose images move, each image is a
+    place of its own.
+
+    Attributes
+    ----------
+    position : array (m, 3)
+    order : array (m,)
+        Their order in space.
+    row : array (m,) or None
+        Row of each; None where that is the place's own number.
+    drift : array (m, 3) or None
+        How fast each moves relative to the row's velocity (m/s); None where none does.
+    """
+
+    position: NDArray
+    order: NDArray
+    row: NDArray | None = None
+    drift: NDArray | None = None
+
+    def of(self, values: NDArray) -> NDArray:
+        """Values (m, ...) at the places from those of the rows."""
+        return values if self.row is None else values[self.row]
+
+
+class Step:
+    """One frame, what is wanted of it, and what several passes share."""
+
+    def __init__(self, frame: Frame, spec: DepositSpec, lattice: Lattice, scale: float, source: str) -> None:
+        self.frame = without_frozen(frame)
+        self.spec, self.scale, self.source = spec, scale, source
+        self.position = np.ascontiguousarray(self.frame["position"])
+        self.count = len(self.position)
+        self.phase = phase_of(self.frame, spec.by, spec.groups, source)
+        self.contacts = Contacts.of(self.frame, lattice, source) if "contact_i" in self.frame else None
+        if self.contacts and any(WALL_VELOCITY in row.optional for row in spec.rows.values()) and "frozen" in frame:
+            self.frame[WALL_VELOCITY] = velocities_of_walls(frame, self.contacts, source)
+        self.velocity = np.ascontiguousarray(self.frame.get("velocity", np.zeros((self.count, 3))))
+        self.mass = np.ascontiguousarray(self.frame.get("mass", np.ones(self.count)))
+        self.phases = max(1, len(spec.groups))
+        self.others = self.phases + 1  # the last one for walls
+        self.cutoffs = np.resize(spec.cutoffs, self.phases)
+        self.distinct = sorted(set(self.cutoffs.tolist()))
+        self.active = spec.grid.active
+        self._meshes: dict[float, Mesh] = {}
+        self.lattice = lattice.seen(self.active, source)
+        if lattice.hides_shear(self.active) and any("velocity" in row.variables for row in spec.rows.values()):
+            warn_once("hidden shear", f"{source}: {_HIDDEN_SHEAR}")
+        self.origin = triple(self.spec.grid.origin)
+        self.grains = self.images(self.position)
+
+    def images(self, position: NDArray) -> Images:
+        """Where rows of the data stand: at these positions, and where a box is tilted at all images near the mesh."""
+        if self.lattice.vectors is None:
+            return Images(position, self.in_space(position))
+        row, shift, drift = self.near_mesh(position, self.cutoffs.max())
+        position = position[row] + shift
+        return Images(position, self.in_space(position), row, drift if drift.any() else None)
+
+    def near_mesh(self, position: NDArray, reach: float) -> tuple[NDArray, NDArray, NDArray]:
+        """Images of positions no further than `reach` (m) from the nodes, see `Lattice.images`."""
+        first, last = self.spec.grid.lower, self.spec.grid.upper
+        low, high = np.where(self.active, first - reach, -np.inf), np.where(self.active, last + reach, np.inf)
+        return self.lattice.images(position, low, high, self.source)
+
+    def column(self, row: Moment, at: Images, contact: NDArray | None = None) -> NDArray:
+        """Columns (n, q) of a moment: its values at the grains, or of the contacts that stand at places."""
+        assert row.column is not None
+        which = at.row if contact is None else contact
+        values = row.column(self.frame, self.contacts)
+        values = (values if which is None else values[which]).reshape(len(at.position), math.prod(values.shape[1:]))
+        if at.drift is not None and which is not None and "velocity" in row.variables:
+            # images that move alike take one call, as a grain's value may be a sum over its contacts
+            for drift, here in alike(at.drift):
+                found = row.column(self.moving(drift), self.contacts)
+                values[here] = found[which[here]].reshape(-1, values.shape[1])
+        return values
+
+    def moving(self, drift: NDArray) -> Frame:
+        """Give all grains another velocity more: the frame as it is in images that drift."""
+        return self.frame | {"velocity": self.frame["velocity"] + drift}
+
+    @property
+    def flow(self) -> tuple[NDArray, NDArray]:
+        """Velocity (n, 3) and mass (n,) of the grains and their images."""
+        velocity = self.grains.of(self.velocity)
+        return velocity if self.grains.drift is None else velocity + self.grains.drift, self.grains.of(self.mass)
+
+    @cached_property
+    def contact_points(self) -> tuple[Images, NDArray, NDArray, NDArray]:
+        """Where contacts are, the phase of each place, its share in the contact, and the row of that; (n,).
+
+        A contact between two phases is half one's and half the other's, so that phases add up to the bulk.
+        """
+        c = self.contacts
+        assert c is not None
+        first = np.flatnonzero(c.first_row >= 0)
+        mixed = (c.i >= 0) & (c.j >= 0) & (self.phase[c.i] != self.phase[c.j])
+        contact = np.concatenate([first, np.flatnonzero(mixed)])
+        phase = np.concatenate([self.phase[c.first_row[first]], self.phase[c.j[mixed]]])
+        images, share = self.images(c.point[contact]), np.where(mixed[contact], 0.5, 1.0)
+        return images, images.of(phase), images.of(share), images.of(contact)
+
+    def kernel(self, cutoff: float) -> AnyKernel:
+        """Return the kernel of this cutoff, divided by the extent of averaged axes."""
+        norm = self.spec.weights.norm * (self.spec.cutoffs[0] / cutoff) ** int(self.active.sum())
+        return self.spec.weights._replace(norm=norm * self.scale)
+
+    def mesh(self, cutoff: float) -> Mesh:
+        """Mesh and its surroundings, in cutoffs."""
+        if cutoff not in self._meshes:
+            self._meshes[cutoff] = Mesh.of(self.spec.grid, self.lattice.period, cutoff, self.source)
+        return self._meshes[cutoff]
+
+    def in_space(self, position: NDArray) -> NDArray:
+        """Order in space, so that neighbours add to the same nodes while these are in cache."""
+        if not len(position):
+            return np.zeros(0, "int64")
+        lower, upper = (np.array([extreme(x) for x in position.T]) for extreme in (np.min, np.max))
+        farthest = np.maximum(np.abs(lower - self.origin), np.abs(upper - self.origin))
+        for cutoff in (self.cutoffs.min(), self.cutoffs.max()):
+            mesh = self.mesh(cutoff)
+            mesh.check_far(farthest / cutoff + 2.0)
+            mesh.check_reach(mesh.reach, paired=self.spec.level >= SQUARED)
+        return spatial_order(position, self.cutoffs.min(), lower, upper, self.active)
+
+
+def alike(drifts: NDArray) -> Iterator[tuple[NDArray, NDArray]]:
+    """Each velocity among drifts (n, 3), and which of them are that; (n,)."""
+    for drift in np.unique(drifts, axis=0):
+        yield drift, (drifts == drift).all(axis=1)
