@@ -18,6 +18,7 @@ from xcg.scene.conform import takes_scene
 from xcg.scene.contacts import Contacts
 from xcg.scene.frame import particle_rows, steps_in
 from xcg.scene.lattice import Lattice
+from xcg.scene.numbers import is_positive
 from xcg.scene.query import edges_of, require_scene, setup_of
 from xcg.scene.schema import CONTACT_VARIABLES, OF_STEP, VARIABLES, Frame, SceneError, Variable
 from xcg.scene.sizes import layer_depth
@@ -100,7 +101,7 @@ class StressRule:
         assert thickness is not None  # checked when the rule was made
         if isinstance(thickness, str):
             thickness = lattice.length(thickness)
-            if not (np.isfinite(thickness) and thickness > 0):
+            if not is_positive(thickness):
                 msg = f"{source}: the layer is as thick as the box along {self.thickness!r}, which is not finite"
                 raise SceneError(msg)
         return np.pi / 4 * frame["diameter"] ** 2 * thickness

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.scene.lattice import Lattice
+from xcg.scene.numbers import floats
 from xcg.scene.schema import Frame
 
 
@@ -70,7 +71,7 @@ class _Outside(Region):
 
 
 def _vector(name: str, given: Sequence[float], *, finite: bool = True) -> tuple[float, float, float]:
-    vector = np.asarray(given, float)
+    vector = floats(given)
     if vector.shape != (3,) or np.isnan(vector).any() or (finite and not np.isfinite(vector).all()):
         msg = f"{name}={given!r}: expected three {'finite ' if finite else ''}numbers (x, y, z)"
         raise ValueError(msg)

@@ -19,6 +19,7 @@ from xcg.compiled.threads import for_parts
 from xcg.scene.conform import takes_scene
 from xcg.scene.frame import particle_rows, steps_in
 from xcg.scene.lattice import Lattice
+from xcg.scene.numbers import is_finite, is_positive, is_whole
 from xcg.scene.query import require_scene
 from xcg.scene.schema import BOX, OF_STEP, PADDING, Frame
 from xcg.steps.label import empty_results, label, results_of
@@ -194,16 +195,16 @@ def _rule(
     volume: str,
 ) -> SearchRule:
     """Check the arguments of `force_chains` and the scene, without reading any of it."""
-    if not 0 < alpha <= 90:
+    if not (is_positive(alpha) and alpha <= 90):
         msg = f"alpha={alpha!r}: expected an angle in degrees above 0 and up to 90, for example 45"
         raise ValueError(msg)
     if isinstance(threshold, str) and threshold != "mean":
         msg = f"threshold={threshold!r}: expected None, 'mean', or a stress (Pa)"
         raise ValueError(msg)
-    if not isinstance(threshold, str) and threshold is not None and not np.isfinite(threshold):
+    if not isinstance(threshold, str) and threshold is not None and not is_finite(threshold):
         msg = f"threshold={threshold!r}: expected a finite stress (Pa), 'mean', or None for no threshold"
         raise ValueError(msg)
-    if int(min_length) != min_length or min_length < 2:
+    if not is_whole(min_length, 2):
         msg = f"min_length={min_length!r}: expected a whole number of particles, 2 or more"
         raise ValueError(msg)
     if algorithm not in ALGORITHMS:

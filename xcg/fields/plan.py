@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any
@@ -32,6 +32,7 @@ from xcg.fields.sums.passes import DepositSpec
 from xcg.fields.sums.quadrature import SINGLE, gauss_limits
 from xcg.fields.sums.smoothing import Kernel, as_kernel, choose_width
 from xcg.scene.lattice import Lattice
+from xcg.scene.numbers import is_finite, is_positive
 from xcg.scene.query import (
     axes_that_stay,
     box_stays,
@@ -197,7 +198,7 @@ def _choose_fields(
             require_scene(ds, ("mass",), "coarse_grain")
         return here, ()
     lacking = _lacking(options)
-    given = [asked] if isinstance(asked, (str, Quantity)) else list(asked)
+    given = list(asked) if isinstance(asked, Iterable) and not isinstance(asked, str) else [asked]
     own = own_fields(given, ds)
     names = [own[k].name if k in own else one for k, one in enumerate(given)]
     unknown = [name for name in names if name not in registry.listed() and name not in {o.name for o in own.values()}]
@@ -273,7 +274,7 @@ def plan_measured(ds: xr.Dataset, request: Request) -> Plan:
     if request.by_pair and by is None:
         msg = "by_pair=True divides contact stress by pairs of phases: say which with by=, for example by='species'"
         raise ValueError(msg)
-    if not (np.isfinite(rtol) and rtol >= 0):
+    if not (is_finite(rtol) and rtol >= 0):
         msg = f"rtol={rtol!r}: expected 0 (closed form) or a positive number such as 1e-3"
         raise ValueError(msg)
     options = replace(options, by=by)
@@ -495,7 +496,7 @@ def _options(ds: xr.Dataset, setup: Setup, request: Request) -> Options:
         if axes is not None and (not axes or set(axes) - set(setup.plane) or len(set(axes)) < len(axes)):
             msg = f"{name}={axes!r}: expected some of the scene's axes {setup.plane!r}, each once"
             raise ValueError(msg)
-    if fluid_viscosity is not None and not (np.isfinite(fluid_viscosity) and fluid_viscosity > 0):
+    if fluid_viscosity is not None and not is_positive(fluid_viscosity):
         msg = f"fluid_viscosity={fluid_viscosity!r}: expected a positive viscosity (Pa s), such as 1e-3 for water"
         raise ValueError(msg)
     if request.friction is not None and not (np.isfinite(request.friction) and request.friction >= 0):
@@ -578,7 +579,7 @@ def _extents(
                 f"integral is divided by, extent={{{a!r}: length}}, or resolve or fix the axis (axes=, at=)"
             )
             raise ValueError(msg)
-        if length is not None and not (np.isfinite(length) and length > 0):
+        if length is not None and not is_positive(length):
             msg = f"extent[{a!r}]={length!r}: expected a positive length (m)"
             raise ValueError(msg)
         found[a] = None if length is None else float(length)

@@ -15,6 +15,7 @@ from xcg.scene.complete import REPEAT, contact_points
 from xcg.scene.conform import takes_scene
 from xcg.scene.frame import stack, steps_in
 from xcg.scene.lattice import Lattice
+from xcg.scene.numbers import is_positive
 from xcg.scene.query import require_scene, setup_of
 from xcg.scene.schema import OF_STEP, Frame, SceneError, Setup, units_of, variable
 from xcg.steps.label import format_call, provenance
@@ -50,7 +51,7 @@ class Stiffness:
     def __post_init__(self) -> None:
         linear, hertz = self.k_n is not None, self.E is not None or self.nu is not None
         whole = self.E is not None and self.nu is not None
-        positive = all(v is None or (np.isfinite(v) and v > 0) for v in (self.k_n, self.E))
+        positive = all(v is None or is_positive(v) for v in (self.k_n, self.E))
         if (linear and hertz) or (hertz and not whole) or not positive or not -1 < (self.nu or 0.0) <= 0.5:
             msg = (
                 f"k_n={self.k_n!r}, E={self.E!r}, nu={self.nu!r}: expected k_n > 0 (N m-1) for linear springs, or both "

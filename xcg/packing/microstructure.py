@@ -18,6 +18,7 @@ from xcg.scene.conform import takes_scene
 from xcg.scene.contacts import Contacts
 from xcg.scene.frame import phase_of, steps_in, without_frozen
 from xcg.scene.lattice import Lattice
+from xcg.scene.numbers import floats, is_positive
 from xcg.scene.query import edges_of, groups_of, require_rising_times, require_scene, setup_of
 from xcg.scene.schema import BOX, COMPONENTS, OF_STEP, Frame, SceneError, Setup, did_you_mean, units_of
 from xcg.scene.sizes import layer_depth
@@ -414,7 +415,7 @@ def _check(min_contacts: int, rattlers: str, max_connectivity: int, strain: str)
 
 
 def _check_mixing(cell: float | None, weight: str, neighbours: int | None) -> None:
-    if cell is not None and not (np.isfinite(cell) and cell > 0):
+    if cell is not None and not is_positive(cell):
         msg = f"cell={cell!r}: expected the edge of a cell (m), such as three diameters"
         raise ValueError(msg)
     if weight not in ("number", "volume"):
@@ -426,7 +427,7 @@ def _check_mixing(cell: float | None, weight: str, neighbours: int | None) -> No
 
 
 def _force_bins(edges: ArrayLike | None) -> NDArray:
-    bins = FORCE_BINS if edges is None else np.asarray(edges, float)
+    bins = FORCE_BINS if edges is None else floats(edges)
     if bins.ndim != 1 or len(bins) < 2 or not ((np.diff(bins) > 0).all() and bins[0] >= 0):
         msg = f"force_bins={edges!r}: expected at least two increasing edges of f / <f>, such as np.logspace(-3, 1, 41)"
         raise ValueError(msg)

@@ -14,6 +14,7 @@ from xcg.packing.cells import CellLists
 from xcg.scene.box import box_array, with_lattice
 from xcg.scene.contacts import MOST_A_PARTICLE, MOST_PAIRS
 from xcg.scene.lattice import Lattice
+from xcg.scene.numbers import is_finite
 from xcg.scene.schema import SceneError
 
 METHODS = ("hierarchical", "linked-cell")
@@ -175,7 +176,7 @@ def check_search(skin: float, method: str, levels: int | None, threads: int | No
     if method not in METHODS:
         msg = f"method={method!r}: expected one of {', '.join(map(repr, METHODS))}"
         raise ValueError(msg)
-    if not (np.isfinite(skin) and skin >= 0):
+    if not (is_finite(skin) and skin >= 0):
         msg = f"skin={skin!r}: expected 0 or the width of a gap that still counts as a contact (m)"
         raise ValueError(msg)
     for name, value in (("levels", levels), ("threads", threads)):

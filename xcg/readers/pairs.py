@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from xcg.readers.engine import StepRef
 from xcg.readers.files.text import source_of
 from xcg.readers.lazy import Step
+from xcg.scene.numbers import floats
 from xcg.scene.schema import COMPONENTS, SceneError
 from xcg.scene.warn import warn_user
 from xcg.steps import errors as errors
@@ -55,7 +56,7 @@ def pair_steps(indexed: Mapping[str, list[StepRef]], times: ArrayLike | None, mi
     refs = indexed["particles"]
     known: list[float | None] = [ref.time for ref in refs]
     if times is not None:
-        given = np.asarray(times, float)
+        given = floats(times)
         if given.shape != (len(refs),) or not np.isfinite(given).all():
             msg = f"times has shape {given.shape}: expected {len(refs)} finite numbers, one a step of particles"
             raise SceneError(msg)

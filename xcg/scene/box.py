@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xcg.scene.lattice import same_vectors
+from xcg.scene.numbers import floats
 from xcg.scene.schema import COMPONENTS, SceneError
 from xcg.scene.warn import warn_user
 
@@ -27,7 +28,7 @@ def box_array(box: ArrayLike | Mapping[str, Sequence[float]], steps: int) -> NDA
             msg = f"box has keys {sorted(wrong)}: expected {_BOX_FORMS}"
             raise SceneError(msg)
         box = [box.get(axis, (-np.inf, np.inf)) for axis in COMPONENTS]
-    edges = np.asarray(box, float)
+    edges = floats(box)
     if edges.shape not in ((3, 2), (steps, 3, 2)):
         msg = f"box has shape {edges.shape}: expected {_BOX_FORMS}, or one such array a step"
         raise SceneError(msg)
@@ -40,8 +41,8 @@ def box_array(box: ArrayLike | Mapping[str, Sequence[float]], steps: int) -> NDA
 def in_unit(lattice: ArrayLike | Mapping[str, ArrayLike] | None, unit: float) -> Any:
     """Vectors or tilts as the caller gave them, times a unit of length."""
     if isinstance(lattice, Mapping):
-        return {name: np.asarray(tilt, float) * unit for name, tilt in lattice.items()}
-    return None if lattice is None else np.asarray(lattice, float) * unit
+        return {name: floats(tilt) * unit for name, tilt in lattice.items()}
+    return None if lattice is None else floats(lattice) * unit
 
 
 def with_lattice(
@@ -106,7 +107,7 @@ def _entries(edges: NDArray, given: Mapping[str, ArrayLike], name: str, per: int
         raise SceneError(msg)
     for key, values in given.items():
         i, j = (COMPONENTS.index(axis) for axis in key)
-        numbers = np.asarray(values, float)
+        numbers = floats(values)
         length = edges[:, j, 1] - edges[:, j, 0] if per else 1.0
         if numbers.shape not in ((), (len(edges),)) or not np.isfinite(numbers * length).all():
             msg = f"{name}[{key!r}]={values!r}: expected a finite number, or one for each of {len(edges)} steps"
@@ -122,7 +123,7 @@ def _vectors(edges: NDArray, lattice: ArrayLike | Mapping[str, ArrayLike], perio
         vectors = _entries(edges, lattice, "lattice")
         vectors[:, range(3), range(3)] = lengths
         return vectors
-    vectors = np.asarray(lattice, float)
+    vectors = floats(lattice)
     if vectors.shape not in ((3, 3), (len(edges), 3, 3)):
         msg = f"lattice has shape {vectors.shape}: expected {_TILT_FORMS}"
         raise SceneError(msg)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from xcg.scene.conform import takes_scene
 from xcg.scene.extras import extra
+from xcg.scene.numbers import floats, is_whole
 from xcg.scene.query import mark_measured, require_scene
 from xcg.scene.schema import PADDING, SceneError
 
@@ -66,7 +67,7 @@ def find_phases(ds: xr.Dataset, max_phases: int = 8, *, steps: int = 5, seed: in
     """
     require_scene(ds, ("diameter", "density"), "find_phases")
     for name, value in (("max_phases", max_phases), ("steps", steps)):
-        if value != int(value) or value < 1:
+        if not is_whole(value, 1):
             msg = f"{name}={value!r}: expected a whole number, 1 or more"
             raise ValueError(msg)
     count = ds.sizes["time"]
@@ -131,7 +132,7 @@ def assign_phases(
         raise ValueError(msg)
     if edges is not None:
         require_scene(ds, ("diameter",), "assign_phases")
-        rising = np.asarray(edges, float)
+        rising = floats(edges)
         if rising.ndim != 1 or not np.isfinite(rising).all() or not (np.diff(rising) > 0).all():
             msg = f"edges={edges!r}: expected diameters (m) that rise, such as [0.002, 0.004]"
             raise ValueError(msg)

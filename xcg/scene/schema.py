@@ -15,6 +15,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.scene.numbers import floats, is_positive
+
 COMPONENTS = ("x", "y", "z")
 PADDING = -1
 MAX_GROUPS = 100
@@ -199,7 +201,7 @@ class Setup:
             raise SceneError(msg)
         for name in ("density", "thickness"):
             value = getattr(self, name)
-            if value is not None and not (np.isfinite(value) and value > 0):
+            if value is not None and not is_positive(value):
                 msg = f"{name}={value!r}: expected a positive number"
                 raise SceneError(msg)
         if self.shape == "disc" and self.thickness is None:
@@ -222,7 +224,7 @@ class Setup:
             unit_system = "reduced"
         elif isinstance(units, Mapping):
             wrong = set(units) - {"length", "mass", "time"}
-            if wrong or not all(np.isfinite(v) and v > 0 for v in units.values()):
+            if wrong or not all(is_positive(v) for v in units.values()):
                 msg = (
                     f"units={dict(units)!r}: expected positive factors to SI for any of 'length' (m), 'mass' (kg) "
                     "and 'time' (s), for example units={'length': 1e-3}"
@@ -233,7 +235,7 @@ class Setup:
             msg = f"units={units!r}: expected None (SI), 'reduced', or factors like {{'length': 1e-3}}"
             raise SceneError(msg)
         if gravity is not None:
-            vector = np.asarray(gravity, float)
+            vector = floats(gravity)
             if vector.shape != (3,) or not np.isfinite(vector).all():
                 msg = f"gravity={gravity!r}: expected three finite components, for example (0, 0, -9.81)"
                 raise SceneError(msg)

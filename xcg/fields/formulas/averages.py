@@ -21,6 +21,7 @@ from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Field, Options
 from xcg.fields.formulas.variables import row_of_result
 from xcg.scene.conform import in_order, labels_along
+from xcg.scene.numbers import is_whole
 from xcg.scene.schema import COMPONENTS
 
 # --- averages of results ---------------------------------------------------------------------------------
@@ -105,7 +106,7 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
         raise ValueError(msg)
     count = f.sizes["time"]
     for name, value in (("window", window), ("every", every)):
-        if value is not None and (value != int(value) or not 1 <= value <= count):
+        if value is not None and not is_whole(value, 1, count):
             msg = f"{name}={value!r}: expected a number of steps from 1 to {count}"
             raise ValueError(msg)
     sums = _to_sums(f.drop_vars("step", errors="ignore"), "time_average")

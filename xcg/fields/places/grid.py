@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from xcg.fields.sums.blocks import Block, mesh_blocks
 from xcg.fields.sums.nodes import Grid, SameAxes
+from xcg.scene.numbers import floats, is_finite
 from xcg.scene.plausible import SAMPLE
 from xcg.scene.schema import COMPONENTS
 from xcg.scene.warn import warn_once, warn_user
@@ -160,7 +161,7 @@ def _check_mesh_axes(axes: str, at: Mapping[str, float], bounds: Mapping[str, Se
         msg = f"axes={axes!r} and at={dict(at)!r} both name {both}: an axis is either resolved or fixed"
         raise ValueError(msg)
     for a, value in at.items():
-        if not np.isfinite(value):
+        if not is_finite(value):
             msg = f"at[{a!r}]={value!r}: expected one finite coordinate; use axes= with bounds= for several"
             raise ValueError(msg)
     loose = [a for a in bounds if a not in axes]
@@ -188,17 +189,18 @@ def nodes_along(
     automatic: Mapping[str, tuple[float, float]], period: Mapping[str, float], cutoff: float, cells: bool = False,
 ) -> tuple[NDArray, float]:  # fmt: skip
     """Nodes along one of the resolved axes, and their distance; arguments as in `make_grid`."""
-    if step is None or not (np.isfinite(step) and step > _FINEST * cutoff):
+    if not (is_finite(step) and step > _FINEST * cutoff):
         msg = (
             f"spacing along {a!r} is {step!r}: expected a positive distance (m) for each of {list(axes)}, not far "
             f"below the radius of the support ({cutoff:g} m)"
         )
         raise ValueError(msg)
     if a in bounds:
-        first, last = map(float, bounds[a])
-        if not (np.isfinite(first) and np.isfinite(last) and first <= last):
-            msg = f"bounds[{a!r}]={tuple(bounds[a])!r}: expected (first, last) with first <= last"
+        ends = floats(bounds[a])
+        if ends.shape != (2,) or not np.isfinite(ends).all() or ends[0] > ends[1]:
+            msg = f"bounds[{a!r}]={bounds[a]!r}: expected (first, last) with first <= last"
             raise ValueError(msg)
+        first, last = ends.tolist()
         count = _whole(a, (last - first) / step * (1 + 1e-12) + 1e-9) + 1
     elif a not in automatic:
         msg = (
@@ -263,6 +265,9 @@ def make_grid(
     ValueError
         For unknown axes, bounds on an axis that is not resolved, or a spacing that is not positive.
     """
+    if not isinstance(axes, Iterable):
+        msg = f"axes={axes!r}: expected any of {plane!r}, such as {plane[-1]!r}"
+        raise ValueError(msg)
     axes = "".join(sorted(axes)) if set(axes) <= set(COMPONENTS) else axes
     _check_mesh_axes(axes, at, bounds, plane)
     steps = dict(spacing) if isinstance(spacing, Mapping) else dict.fromkeys(axes, spacing)

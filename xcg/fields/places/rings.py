@@ -19,6 +19,7 @@ from xcg.fields.places.points import PointBlock
 from xcg.fields.sums.blocks import BLOCK_NODES
 from xcg.fields.sums.nodes import Apart
 from xcg.fields.sums.smoothing import Kernel
+from xcg.scene.numbers import is_finite
 
 NAMES = {"r": "r", "t": "theta", "z": "z"}  # letters of `axes`, and what else they are called
 _FULL = 2.0 * math.pi
@@ -160,7 +161,7 @@ def make_rings(
     if loose := [a for a in bounds if a not in resolved and (a != "theta" or a in fixed)]:
         msg = f"bounds are given for {loose}, which are not resolved: add them to axes=, or leave their bounds out"
         raise ValueError(msg)
-    if not all(np.isfinite(x) for x in fixed.values()) or fixed.get("r", 0.0) < 0.0:
+    if not all(is_finite(x) for x in fixed.values()) or fixed.get("r", 0.0) < 0.0:
         msg = f"at={dict(at)!r}: expected finite coordinates, and none below zero for r"
         raise ValueError(msg)
     steps = dict(spacing) if isinstance(spacing, Mapping) else {"r": spacing, "z": spacing}

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xcg.compiled import triangles as loops
+from xcg.scene.numbers import floats, is_positive
 from xcg.scene.schema import COMPONENTS
 from xcg.scene.vtk_mesh import read_mesh
 
@@ -98,10 +99,7 @@ class Wall(ABC):
 
 
 def _vector(name: str, given: Any) -> NDArray:
-    try:
-        vector = np.asarray(given, float)
-    except (TypeError, ValueError):
-        vector = np.empty(0)
+    vector = floats(given)
     if vector.shape != (3,) or not np.isfinite(vector).all():
         msg = f"{name}={given!r}: expected three finite numbers (x, y, z)"
         raise ValueError(msg)
@@ -141,13 +139,11 @@ def _centres(low: float, high: float, spacing: float, what: str) -> NDArray:
 
 
 def _check_bounds(name: str, given: Any) -> tuple[float, float]:
-    try:
-        low, high = map(float, given)
-    except (TypeError, ValueError):
-        low = high = math.nan
-    if not (np.isfinite(low) and np.isfinite(high) and low < high):
+    ends = floats(given)
+    if ends.shape != (2,) or not np.isfinite(ends).all() or ends[0] >= ends[1]:
         msg = f"{name}={given!r}: expected (first, last) with first < last (m)"
         raise ValueError(msg)
+    low, high = ends.tolist()
     return low, high
 
 
@@ -430,7 +426,7 @@ class Surface(Wall):
                 raise ValueError(msg)
             name = os.fspath(vertices)
             vertices, triangles = _read(name)
-        if not (np.isfinite(scale) and scale > 0):
+        if not is_positive(scale):
             msg = f"scale={scale!r}: expected a positive factor"
             raise ValueError(msg)
         points = np.asarray(vertices, float) * scale

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from functools import partial, reduce
 from typing import Any
 
-import numpy as np
 import xarray as xr
 
 from xcg.fields.formulas import registry
@@ -23,6 +22,7 @@ from xcg.fields.formulas.variables import Quantity
 from xcg.fields.plan import make_plan
 from xcg.fields.request import Request
 from xcg.fields.sums.smoothing import Gaussian, Kernel, as_kernel, choose_width
+from xcg.scene.numbers import is_positive
 from xcg.scene.query import edges_of, require_scene, setup_of
 from xcg.scene.schema import COMPONENTS, did_you_mean, units_of
 
@@ -210,8 +210,8 @@ def lammps_mesh(
         if a not in edges:
             msg = f"lammps_mesh: the scene has no finite box along {a!r}; bins of LAMMPS cover the box"
             raise ValueError(msg)
-        step = float(delta[a] if isinstance(delta, Mapping) else delta)
-        if not (np.isfinite(step) and step > 0):
+        step = delta[a] if isinstance(delta, Mapping) else delta
+        if not is_positive(step):
             msg = f"delta={delta!r}: expected a positive size of bins (m)"
             raise ValueError(msg)
         first, last = (origin or {}).get(a, edges[a][0]), edges[a][1]

@@ -5,7 +5,7 @@ Both are coarser than `xcg.coarse_grain` and are here for comparison with what w
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from xcg.scene.build import storable
 from xcg.scene.conform import takes_scene
 from xcg.scene.frame import steps_in
+from xcg.scene.numbers import floats, is_positive, is_whole
 from xcg.scene.query import edges_of, require_scene, setup_of
 from xcg.scene.schema import COMPONENTS, OF_STEP, SceneError, units_of
 from xcg.scene.sizes import with_measures
@@ -99,11 +100,11 @@ def slice_temperature(
         bounds = edges_of(ds).get(axis)
     elif bounds is None and "particle_lower" in ds.attrs:
         bounds = (float(ds.attrs["particle_lower"][k]), float(ds.attrs["particle_upper"][k]))
-    given = _floats(width, *(bounds if isinstance(bounds, Iterable) else ()))
-    if len(given) != 3 or not np.isfinite(given).all() or given[0] <= 0 or given[1] > given[2]:
+    ends = floats(bounds)
+    if not is_positive(width) or ends.shape != (2,) or not np.isfinite(ends).all() or ends[0] > ends[1]:
         msg = f"width={width!r}, bounds={bounds!r}: expected a positive width and rising bounds (m)"
         raise ValueError(msg)
-    width, *bounds = given
+    width, bounds = float(width), ends.tolist()
     if method == "bins":
         count = max(1, _whole(np.ceil((bounds[1] - bounds[0]) / width - 1e-9)))
         nodes = bounds[0] + width * (np.arange(count) + 0.5)
@@ -111,10 +112,11 @@ def slice_temperature(
         limits = (bounds[0] - hair, bounds[0] + count * width - 2 * hair)
         function = partial(_bins, axis=k, dims=[*map(COMPONENTS.index, setup.plane)], edges=bounds[0], width=width)
     else:
-        (step,) = _floats(width / 2 if spacing is None else spacing) or [np.nan]
-        if not (np.isfinite(step) and step > 0 and isinstance(planes, int | np.integer) and planes >= 0):
+        step = width / 2 if spacing is None else spacing
+        if not (is_positive(step) and is_whole(planes, 0)):
             msg = f"spacing={spacing!r}, planes={planes!r}: expected a positive distance (m) and a number of planes"
             raise ValueError(msg)
+        step = float(step)
         nodes = bounds[0] + step * np.arange(_whole((bounds[1] - bounds[0]) / step + 1e-9, 2 * planes + 1) + 1)
         limits = (nodes[0] - width / 2, nodes[-1] + width / 2)
         function = partial(_planes, axis=k, dims=[*map(COMPONENTS.index, setup.plane)], sides=planes, width=width)
@@ -152,14 +154,6 @@ def slice_temperature(
     attrs = {"slice_width": width, "method": method}
     result = storable(xr.Dataset(out, {**coords, "component": list(COMPONENTS)}, attrs))
     return mark_skipped(result, found)
-
-
-def _floats(*values: Any) -> list[float]:
-    """Floats of values; nothing where one is no number."""
-    try:
-        return [float(value) for value in values]
-    except (TypeError, ValueError, OverflowError):
-        return []
 
 
 def _whole(count: float, planes: int = 1) -> int:

@@ -19,6 +19,7 @@ from xcg.scene.conform import takes_scene
 from xcg.scene.contacts import Contacts
 from xcg.scene.frame import steps_in, without_frozen
 from xcg.scene.lattice import Lattice
+from xcg.scene.numbers import is_positive
 from xcg.scene.query import edges_of, require_scene, setup_of
 from xcg.scene.schema import COMPONENTS, OF_STEP, Setup, units_of
 from xcg.scene.sizes import with_measures
@@ -124,7 +125,7 @@ def wall_stress(
     own = isinstance(kernel, Kernel) and width is None
     smooth = as_kernel(kernel, None if own else choose_width(width, ds.attrs), 2)
     for name, value in (("spacing", spacing), ("within", within)):
-        if value is not None and not (np.isfinite(value) and value > 0):
+        if value is not None and not is_positive(value):
             msg = f"{name}={value!r}: expected a positive length (m)"
             raise ValueError(msg)
     cells = surface.cells(*_box_of_grains(ds, setup), smooth.width / 2 if spacing is None else float(spacing))

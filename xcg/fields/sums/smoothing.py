@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from xcg.compiled import segments
 from xcg.compiled import smoothing as codes
 from xcg.compiled.smoothing import LUCY_FULL, SHIFTED, CellKernel, KernelCode
+from xcg.scene.numbers import is_positive
 from xcg.scene.schema import LONGEST, SHORTEST
 from xcg.scene.sizes import SIZES
 from xcg.scene.warn import warn_user
@@ -430,7 +431,7 @@ def choose_width(width: float | str | None, attrs: Mapping[Any, Any]) -> float:
             )
             raise ValueError(msg)
         width = multiple * float(attrs[size])
-    if not (np.isfinite(width) and width > 0):
+    if not is_positive(width):
         msg = f"width={width!r}: expected a positive length (m); the usual choice is 0.75 mean diameters"
         raise ValueError(msg)
     return float(width)

@@ -30,6 +30,7 @@ from xcg.readers.files.text import (
     uncompressed_size,
 )
 from xcg.readers.index import remembered
+from xcg.scene.numbers import is_positive
 from xcg.scene.schema import COMPONENTS, SceneError
 from xcg.steps import errors as errors
 
@@ -110,7 +111,7 @@ def index_dumps(paths: Sequence[str], options: ReadOptions, *, atoms: bool) -> l
         errors.raise_recorded()
     if timestep is None:
         return refs
-    if not isinstance(timestep, (int, float)) or not (np.isfinite(timestep) and timestep > 0):
+    if not is_positive(timestep):
         msg = f"timestep={timestep!r}: expected a positive number, the time between two steps of the simulation"
         raise SceneError(msg)
     return [ref if ref.time is not None else replace(ref, time=ref.step * float(timestep)) for ref in refs]

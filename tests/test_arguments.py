@@ -1,0 +1,94 @@
+"""Texts and other things in the place of numbers are refused by a message that names the argument."""
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import xcg
+from xcg.scene.numbers import floats, is_finite, is_positive, is_whole
+
+DUMP = Path(__file__).parents[1] / "examples/data/lammps_chute/particles.00050000.dump.gz"
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return xcg.datasets.random_scene(30)
+
+
+@pytest.mark.parametrize(
+    ("options", "match"),
+    [
+        ({"axes": "xz", "at": {"y": "0.1"}}, r"at\['y'\]='0.1': expected one finite coordinate"),
+        ({"bounds": {"x": ("0", "1")}}, r"bounds\['x'\]=\('0', '1'\): expected \(first, last\)"),
+        ({"bounds": {"x": 1.0}}, r"bounds\['x'\]=1.0: expected \(first, last\)"),
+        ({"spacing": "0.1"}, "spacing='0.1': expected a distance"),
+        ({"spacing": {"x": "a", "y": 1.0, "z": 1.0}}, "spacing along 'x' is 'a': expected a positive distance"),
+        ({"rtol": "0.001"}, "rtol='0.001': expected 0 "),
+        ({"axes": 3}, "axes=3: expected any of 'xyz'"),
+        ({"fields": 3}, r"unknown fields \[3\]"),
+        ({"axes": "z", "extent": {"x": "1", "y": 1.0}}, r"extent\['x'\]='1': expected a positive length"),
+    ],
+)
+def test_of_coarse_grain(scene, options, match):
+    with pytest.raises(ValueError, match=match):
+        scene.cg.coarse_grain(**{"fields": "density", **options})
+
+
+@pytest.mark.parametrize(
+    ("call", "match"),
+    [
+        (lambda ds: ds.cg.force_chains(alpha="45"), "alpha='45': expected an angle"),
+        (lambda ds: ds.cg.force_chains(threshold=[1.0]), r"threshold=\[1.0\]: expected a finite stress"),
+        (lambda ds: ds.cg.force_chains(min_length="3"), "min_length='3': expected a whole number"),
+        (lambda ds: ds.cg.find_phases(max_phases="2"), "max_phases='2': expected a whole number"),
+        (lambda ds: ds.cg.assign_phases(edges=["a"]), r"edges=\['a'\]: expected diameters"),
+        (
+            lambda ds: ds.cg.coarse_grain("density").cg.time_average(window="2"),
+            "window='2': expected a number of steps",
+        ),
+        (lambda ds: ds.cg.slice_temperature("z", bounds=("a", 1)), r"width=.*bounds=\('a', 1\): expected a positive"),
+        (lambda ds: ds.cg.slice_temperature("z", spacing="a"), "spacing='a', planes=.*: expected a positive distance"),
+        (lambda ds: xcg.Plane(point=("a", 0, 0), normal=(0, 0, 1)), r"point=\('a', 0, 0\): expected three finite"),
+    ],
+)
+def test_of_other_calls(scene, call, match):
+    with pytest.raises(ValueError, match=match):
+        call(scene)
+
+
+@pytest.mark.parametrize(
+    ("options", "match"),
+    [
+        ({"density": "2500"}, "density='2500': expected a positive number"),
+        ({"thickness": "a"}, "thickness='a': expected a positive number"),
+        ({"gravity": "down"}, "gravity='down': expected three finite components"),
+        ({"gravity": ["a", 0, 0]}, r"gravity=\['a', 0, 0\]: expected three finite components"),
+        ({"box": [["a", 1]] * 3}, "box has shape .*: expected six numbers"),
+        ({"box": {"x": ("a", "b")}}, "box has shape .*: expected six numbers"),
+        ({"units": {"length": "mm"}}, r"units=\{'length': 'mm'\}: expected positive factors"),
+        ({"lattice": {"xy": "a"}}, r"lattice\['xy'\]=.*: expected a finite number"),
+        ({"times": ["now"]}, "times has shape .*: expected 1 finite numbers"),
+        ({"frozen": "wall"}, "frozen='wall': expected the number of a species"),
+        ({"timestep": "a"}, "timestep='a': expected a positive number"),
+    ],
+)
+def test_of_files(options, match):
+    with pytest.raises(xcg.SceneError, match=match):
+        xcg.open_scene(DUMP, **options)
+
+
+def test_numbers_are_told_from_texts():
+    for number in (2, 2.0, np.float32(2), np.array(2), Fraction(2), True + 1):
+        assert is_whole(number, 1, 2)
+        assert not is_whole(number, 3)
+        assert is_positive(number)
+    for other in ("2", b"2", None, [2.0], np.array(["2"]), {"x": 2}, 2j, object(), "abc", np.nan, np.inf, 10**400):
+        assert not is_finite(other)
+    assert not is_whole(2.5, 1)
+    assert not is_positive(0.0)
+    np.testing.assert_array_equal(floats([1, 2.5]), [1.0, 2.5])
+    for other in ([1, "2"], [[1], [2, 3]], ["a"], np.array([1, "2"], object)):
+        assert floats(other).ndim == 0
+        assert np.isnan(floats(other))
