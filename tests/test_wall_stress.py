@@ -9,7 +9,7 @@ import pytest
 
 import xcg
 from tests.test_walls import DATA, GRAVITY, SUMS, WALLS
-from xcg.fields.places.surfaces import Wall
+from xcg.fields.places.surfaces.wall import Wall
 
 DIAMETER = 1.0
 FLOOR = xcg.Plane((0, 0, 0), (0, 0, 1))

@@ -15,7 +15,9 @@ from xcg.fields.formulas.register import register_field
 from xcg.fields.formulas.registry import FIELDS
 from xcg.fields.formulas.variables import Flux, Mean, Sum, Variance
 from xcg.fields.places.frames import Cylindrical, Rotated
-from xcg.fields.places.surfaces import Cylinder, Plane, Surface
+from xcg.fields.places.surfaces.cylinder import Cylinder
+from xcg.fields.places.surfaces.plane import Plane
+from xcg.fields.places.surfaces.triangles import Surface
 from xcg.fields.presets.lammps import lammps_mesh
 from xcg.fields.presets.pysammos import pysammos_mesh
 from xcg.fields.studies.balance import balance

@@ -18,7 +18,7 @@ import xarray as xr
 
 from xcg.fields.formulas.variables import Quantity
 from xcg.fields.places.frames import Cylindrical, Rotated
-from xcg.fields.places.surfaces import Wall
+from xcg.fields.places.surfaces.wall import Wall
 from xcg.fields.sums.smoothing import Kernel
 
 # what arguments are, where another form would be taken for something else, or end in an error about arrays

@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.fields.places.surfaces import Cells, Wall
+from xcg.fields.places.surfaces.wall import Cells, Wall
 from xcg.fields.sums.smoothing import Kernel, as_kernel, choose_width
 from xcg.scene.build import storable
 from xcg.scene.conform import takes_scene

@@ -1,0 +1,1 @@
+"""Walls as geometry: planes, cylinders and triangulated surfaces."""

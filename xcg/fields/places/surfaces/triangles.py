@@ -1,0 +1,145 @@
+"""A triangulated surface as a wall, of a file or of arrays."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from xcg.compiled import triangles as loops
+from xcg.fields.places.surfaces.wall import Cells, Wall
+from xcg.scene.numbers import is_positive
+from xcg.scene.schema import COMPONENTS
+from xcg.scene.vtk_mesh import read_mesh
+
+_FILES = (".stl", ".obj", ".ply", ".vtp", ".vtk")
+
+
+class Surface(Wall):
+    """A surface of triangles, closed or open.
+
+    Parameters
+    ----------
+    vertices : path or array (n, 3)
+        A file (``.stl``, ``.ply``, ``.obj``, ``.vtp``, ``.vtk``, by VTK's readers), or corners (m).
+    triangles : array of int (m, 3), optional
+        Rows of the corners of each triangle, counterclockwise seen from the grains.
+    flip : bool
+        Turn the normals round, where those of the file point away from the grains.
+    scale : float
+        Factor from the file's unit of length to that of the scene.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If the file is of another kind or holds no triangle, or corners are missing, not finite or in one line.
+    """
+
+    def __init__(
+        self, vertices: str | os.PathLike[str] | ArrayLike, triangles: ArrayLike | None = None, *, flip: bool = False,
+        scale: float = 1.0,
+    ) -> None:  # fmt: skip
+        name = "vertices"
+        if isinstance(vertices, str | os.PathLike):
+            if triangles is not None:
+                msg = "triangles= belongs to vertices as an array; a file holds its own"
+                raise ValueError(msg)
+            name = os.fspath(vertices)
+            vertices, triangles = _read(name)
+        if not is_positive(scale):
+            msg = f"scale={scale!r}: expected a positive factor"
+            raise ValueError(msg)
+        points = np.asarray(vertices, float) * scale
+        rows = np.asarray(np.empty((0, 3)) if triangles is None else triangles)
+        if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
+            msg = f"{name}: expected finite corners (n, 3), got an array {points.shape}"
+            raise ValueError(msg)
+        if rows.ndim != 2 or rows.shape[1] != 3 or not len(rows) or rows.dtype.kind not in "iu":
+            msg = f"{name}: expected triangles, whole numbers (m, 3), got an array {rows.shape} of {rows.dtype}"
+            raise ValueError(msg)
+        if rows.min() < 0 or rows.max() >= len(points):
+            msg = f"{name}: triangles name corners {rows.min()} to {rows.max()}, and there are {len(points)}"
+            raise ValueError(msg)
+        corners = points[rows[:, ::-1] if flip else rows]
+        twice = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        size = np.linalg.norm(twice, axis=1)
+        if not (size > 0).any():
+            msg = f"{name}: all triangles have no area"
+            raise ValueError(msg)
+        self.corners = np.ascontiguousarray(corners[size > 0])  # slivers without an area have no normal
+        self.area = size[size > 0] / 2
+        self.normals = twice[size > 0] / size[size > 0, None]
+        self.centre = self.corners.mean(axis=1)
+        self._radius = np.linalg.norm(self.corners - self.centre[:, None], axis=2).max(axis=1)
+
+    def __repr__(self) -> str:
+        return f"Surface({len(self.area)} triangles, {self.area.sum():g} m2)"
+
+    def _nearest(self, points: NDArray) -> tuple[NDArray, NDArray]:
+        """Signed distance (n,), and the number of the nearest triangle (n,)."""
+        distance, triangle = np.empty(len(points)), np.empty(len(points), "int64")
+        points = np.ascontiguousarray(points, "float64")
+        loops.nearest(points, self.corners, self.normals, self.centre, self._radius, np.empty(3), distance, triangle)
+        return distance, triangle
+
+    def distance(self, points: NDArray) -> NDArray:
+        """Distance of points."""
+        return self._nearest(points)[0]
+
+    def normals_at(self, points: NDArray) -> NDArray:
+        """Return normals."""
+        return self.normals[self._nearest(points)[1]]
+
+    def crossings(self, points: NDArray, directions: NDArray, reach: float) -> NDArray:
+        """Where rays cross."""
+        out = np.full((*directions.shape[:2], loops.MOST_CROSSINGS), np.inf)
+        given = (np.ascontiguousarray(a, "float64") for a in (points, directions))
+        most = loops.crossings(*given, float(reach), self.corners, self.centre, self._radius, out)
+        return out[..., : max(1, most)]
+
+    def varies(self, axis: int) -> bool:
+        """Whether a shift along an axis matters."""
+        return True
+
+    def span(self, axis: int) -> tuple[float, float]:
+        """Lowest and highest coordinate of its corners."""
+        return float(self.corners[..., axis].min()), float(self.corners[..., axis].max())
+
+    def cells(self, lower: NDArray, upper: NDArray, spacing: float) -> Cells:
+        """Its triangles."""
+        coords = {"triangle": (np.arange(len(self.area)), "number of the triangle")}
+        return Cells(("triangle",), coords, self.centre, self.area, COMPONENTS)
+
+    def in_surface(self, points: NDArray, vectors: NDArray) -> tuple[NDArray, NDArray]:
+        """Parts of vectors across the nearest triangles, and the rest."""
+        normal = self.normals_at(points)
+        across = (vectors * normal).sum(axis=1)
+        return across, vectors - across[:, None] * normal
+
+
+def _read(path: str) -> tuple[NDArray, NDArray]:
+    """Corners and triangles of a file."""
+    suffix = os.path.splitext(path)[1].lower()
+    if suffix not in _FILES:
+        msg = f"{path}: expected a surface in {', '.join(_FILES)}, or arrays of corners and triangles"
+        raise ValueError(msg)
+    mesh = read_mesh(path, empty=True)
+
+    from vtkmodules.util.numpy_support import vtk_to_numpy  # VTK is slow to import
+    from vtkmodules.vtkFiltersCore import vtkTriangleFilter
+
+    faces = vtkTriangleFilter()
+    if mesh.IsA("vtkPolyData"):
+        faces.SetInputData(mesh)
+        faces.PassLinesOff()
+        faces.PassVertsOff()
+        faces.Update()
+    data = faces.GetOutput()
+    if not data.GetNumberOfPolys():
+        msg = f"{path}: holds no triangle; is it a surface?"
+        raise ValueError(msg)
+    rows = vtk_to_numpy(data.GetPolys().GetConnectivityArray()).reshape(-1, 3)
+    return vtk_to_numpy(data.GetPoints().GetData()).astype(float), rows.astype("int64")
