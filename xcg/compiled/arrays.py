@@ -64,4 +64,10 @@ def transpose_columns(records, column, factor, out):
 @leaf
 def nearest_image(d, period):
     """Nearest image of a distance along one axis; the period is infinite along axes that are not periodic."""
-    return d - period * np.rint(d / period) if np.isfinite(period) else d
+    return image_near(d, 0.0, period)
+
+
+@leaf
+def image_near(d, to, period):
+    """Image of a distance along one axis that is nearest to another distance, see `nearest_image`."""
+    return d - period * np.rint((d - to) / period) if np.isfinite(period) else d

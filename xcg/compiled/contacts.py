@@ -3,7 +3,7 @@
 import math
 
 from xcg.compiled._jit import leaf
-from xcg.compiled.arrays import nearest_image
+from xcg.compiled.arrays import image_near, nearest_image
 from xcg.compiled.lattice import nearest_of
 from xcg.compiled.simd import prefetch
 
@@ -183,3 +183,82 @@ def between(row_i, row_j, position, point, period, lattice, out):
         ax, ay, az = side(position, row_i[n], point, n, period, lattice)
         bx, by, bz = side(position, row_j[n], point, n, period, lattice)
         out[n, 0], out[n, 1], out[n, 2] = ax - bx, ay - by, az - bz
+
+
+@leaf
+def touching_points(row_i, row_j, position, diameter, seen, same, period, hair, out):
+    """Write the points (n, 3) where spheres touch, up to the first pair that needs a closer look; return its number.
+
+    Such a pair lacks a sphere; or touches in other images as well; or has a side that is half a period long, to a share
+    `hair` of that. Where branches (n, 3) were `seen`, images are those nearest to them, and a pair needs a closer look
+    if its branch is off by more than a share `same` of its length.
+    """
+    for n in range(row_i.size):
+        later = min(n + AHEAD, row_i.size - 1)
+        prefetch(position, row_i[later])
+        prefetch(position, row_j[later])
+        i, j = row_i[n], row_j[n]
+        if i < 0 or j < 0:
+            return n
+        near_x, near_y, near_z = (0.0, 0.0, 0.0) if seen is None else (seen[n, 0], seen[n, 1], seen[n, 2])
+        x = image_near(position[i, 0] - position[j, 0], near_x, period[0])
+        y = image_near(position[i, 1] - position[j, 1], near_y, period[1])
+        z = image_near(position[i, 2] - position[j, 2], near_z, period[2])
+        length, radius_i, radius_j = _length(x, y, z), diameter[i] / 2, diameter[j] / 2
+        if seen is None:
+            reach = max(length, radius_i + radius_j) * (1 + hair)
+            if period[0] - abs(x) < reach or period[1] - abs(y) < reach or period[2] - abs(z) < reach:
+                return n
+        elif not _length(x - near_x, y - near_y, z - near_z) <= same * _length(near_x, near_y, near_z):
+            return n
+        share = (length + radius_i - radius_j) / (2 * (length if length > 0 else 1.0))
+        for k, along in enumerate((x, y, z)):
+            out[n, k] = position[i, k] - share * along
+            side, half = position[i, k] - out[n, k], 0.5 * (1 - hair) * period[k]
+            if abs(side) >= half or abs(side - along) >= half:
+                return n
+    return row_i.size
+
+
+@leaf
+def _length(x, y, z):
+    return math.sqrt(x * x + y * y + z * z)
+
+
+@leaf
+def far_and_pulling(row_i, row_j, every, position, diameter, point, force, period, lattice, far):
+    """Look at every so many contacts: how many points are far from a centre, and how many forces on i pull and push.
+
+    Parameters
+    ----------
+    diameter : array (particles,) or None
+        Nothing is far without it.
+    force : array (n, 3) or None
+        Nothing pulls or pushes without it.
+    far : float
+        Distance in diameters of the larger grain.
+
+    Returns
+    -------
+    far, first, most, pulling, pushing
+        Numbers of contacts; the first that is far, and its distance in diameters.
+    """
+    count, first, most, pulling, pushing = 0, -1, 0.0, 0, 0
+    for n in range(0, row_i.size, every):
+        i, j = row_i[n], row_j[n]
+        x, y, z = side(position, i, point, n, period, lattice)
+        to_x, to_y, to_z = side(position, j, point, n, period, lattice)
+        if diameter is not None:
+            larger = max(diameter[i] if i >= 0 else 0.0, diameter[j] if j >= 0 else 0.0)
+            distance = max(_length(x, y, z), _length(to_x, to_y, to_z)) / larger if larger > 0.0 else 0.0
+            if distance > far:
+                count += 1
+                if first < 0:
+                    first, most = n, distance
+        if force is not None:
+            if i < 0:
+                x, y, z = -to_x, -to_y, -to_z
+            along = force[n, 0] * x + force[n, 1] * y + force[n, 2] * z
+            pulling += along < 0.0
+            pushing += along > 0.0
+    return count, first, most, pulling, pushing

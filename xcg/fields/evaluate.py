@@ -24,6 +24,7 @@ from xcg.scene.lattice import Lattice
 from xcg.scene.schema import OF_STEP, Frame
 from xcg.scene.warn import warn_once
 from xcg.steps.map import map_over_time, threads_a_chunk
+from xcg.steps.memory import empty_arrays
 
 
 def evaluate_plan(ds: xr.Dataset, plan: Plan, on_error: str) -> dict[str, Any]:
@@ -65,7 +66,7 @@ def _threads_for(plan: Plan, arrays: Mapping[str, NDArray], threads: int) -> int
 def compute_chunk(plan: Plan, threads: int, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
     """Fields of one chunk of time, from padded arrays."""
     threads = _threads_for(plan, arrays, threads)
-    out = {name: np.empty((len(arrays["particle_id"]), *plan.shapes[name])) for name in plan.fields}
+    out = empty_arrays({name: (len(arrays["particle_id"]), *plan.shapes[name]) for name in plan.fields})
     for_each([a.reshape(-1) for a in out.values()], _take_memory, threads)
     for t, (frame, lattice, source) in enumerate(steps_in(arrays, plan.setup.periodic)):
         _compute_step(plan, frame, lattice, source, threads, {name: a[t, ...] for name, a in out.items()})

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from xcg.compiled.contacts import a_pair_twice, partners_by_lower
+from xcg.compiled.contacts import a_pair_twice, partners_by_lower, touching_points
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import LONGEST, SHORTEST, Frame, SceneError, Setup, variable
 from xcg.scene.warn import warn_once
@@ -344,10 +344,14 @@ def _derive_points(
     wanted = None if derived.all() else np.flatnonzero(derived)
     for first in range(0, len(row_i) if wanted is None else len(wanted), _BLOCK):
         some = slice(first, first + _BLOCK) if wanted is None else wanted[first : first + _BLOCK]
+        branch = None if seen is None else seen[some]
+        found = _plain_points(particles, row_i[some], row_j[some], branch, lattice)
+        if found is not None:
+            points[some] = found
+            continue
         block = {name: values[some] for name, values in contacts.items()}
         of_file = isinstance(some, slice) or not isinstance(number, range)  # else rows are their own numbers
         block["row_of_file"] = np.asarray(number[some] if of_file else some)
-        branch = None if seen is None else seen[some]
         try:
             points[some] = _contact_points(block, particles, row_i[some], row_j[some], branch, lattice, source)
         except _OtherBranchesError:
@@ -359,6 +363,18 @@ def _derive_points(
             )
             return _derive_points(contacts, number, derived, particles, row_i, row_j, None, lattice, source)
     return points
+
+
+def _plain_points(
+    particles: Frame, row_i: NDArray, row_j: NDArray, seen: NDArray | None, lattice: Lattice
+) -> NDArray | None:  # fmt: skip
+    """Points where spheres touch in a box with edges along the axes; None if a pair is left to `_contact_points`."""
+    if lattice.reduced is not None or "diameter" not in particles:
+        return None
+    points, (period, _) = np.empty((len(row_i), 3)), lattice.for_loops
+    of_particles = particles["position"], particles["diameter"]
+    plain = touching_points(row_i, row_j, *of_particles, seen, _SAME_BRANCH, period, _HAIR, points)
+    return points if plain == len(row_i) else None
 
 
 class _OtherBranchesError(Exception):

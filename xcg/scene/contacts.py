@@ -66,10 +66,10 @@ class Contacts:
     @classmethod
     def of(cls, frame: Frame, lattice: Lattice, source: str = "scene", threads: int = 1) -> Contacts:
         """Join the contacts of a frame to the rows of its particles; `source` names the step in warnings."""
-        check_contacts(frame, lattice, source)
         ids, position = frame["particle_id"], frame["position"]
         key_i, key_j, point = frame["contact_i"], frame["contact_j"], frame["contact_point"]
         row_i, row_j = rows_of(ids, key_i), rows_of(ids, key_j)
+        check_contacts(frame, row_i, row_j, lattice, source)
         normal = frame.get("contact_normal")
         # contacts found from positions without a stiffness have no forces
         force = frame["contact_force"] if "contact_force" in frame else np.zeros_like(point)
@@ -85,8 +85,7 @@ class Contacts:
     @property
     def periods(self) -> tuple[tuple[float, float, float], Reduced | None]:
         """Periods along the axes, and the lattice of other boxes, as compiled loops take them."""
-        x, y, z = self.lattice.period.tolist()
-        return (x, y, z), self.lattice.reduced
+        return self.lattice.for_loops
 
     def _sides(self, row: NDArray) -> NDArray:
         """Vectors (n, 3) from the contact points to one particle of each contact, zero where it is not there."""

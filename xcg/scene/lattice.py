@@ -112,6 +112,12 @@ class Lattice:
         around = around.reshape(3 ** len(self.vectors) - 1, len(self.vectors)) @ self.vectors
         return Reduced(np.ascontiguousarray(self.vectors), self._dual, around)
 
+    @property
+    def for_loops(self) -> tuple[tuple[float, float, float], Reduced | None]:
+        """Periods along the axes, and the lattice of other boxes, as compiled loops take them."""
+        x, y, z = self.period.tolist()
+        return (x, y, z), self.reduced
+
     @cached_property
     def _dual(self) -> NDArray:
         if self.vectors is None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.compiled.contacts import far_and_pulling
 from xcg.scene.complete import rows_of
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import Frame
@@ -21,49 +22,44 @@ _CENTRAL = 1e-2  # sine of the angle between forces and branches, from positions
 _OFF = 0.1  # largest distance of the ends in a file from the centres, in branches
 
 
+def _every(rows: int) -> int:
+    return max(1, rows // SAMPLE)
+
+
 def _sample(rows: int) -> slice:
-    return slice(None, None, max(1, rows // SAMPLE))
+    return slice(None, None, _every(rows))
 
 
-def check_contacts(frame: Frame, lattice: Lattice, source: str) -> None:
+def check_contacts(frame: Frame, row_i: NDArray, row_j: NDArray, lattice: Lattice, source: str) -> None:
     """Warn of contact points far from the centres of their grains, and of contacts that pull nearly throughout.
 
     Parameters
     ----------
     frame : Frame
         Particles and contacts of one step.
+    row_i, row_j : array (contacts,)
+        Rows of the partners among the particles, negative where they are not there.
     lattice : Lattice
         Periodic images.
     source : str
         Names the step.
     """
-    if not len(frame["position"]) or not len(frame["contact_i"]):
+    if not len(frame["position"]) or not len(row_i):
         return
-    some = _sample(len(frame["contact_i"]))
-    keys = frame["contact_i"][some], frame["contact_j"][some]
-    rows = [rows_of(frame["particle_id"], key) for key in keys]
-    point, force = frame["contact_point"][some], frame.get("contact_force")
-    branches = [lattice.shortest(frame["position"][row] - point) for row in rows]
-    if "diameter" in frame:
-        there = [row >= 0 for row in rows]
-        larger = np.maximum(*(frame["diameter"][row] * known for row, known in zip(rows, there, strict=True)))
-        farthest = np.maximum(*(_lengths(b) * known for b, known in zip(branches, there, strict=True)))
-        farthest = np.divide(farthest, larger, out=np.zeros_like(farthest), where=larger > 0)
-        far = np.flatnonzero(farthest > _FAR)
-        if far.size:
-            i, j = (key[far[0]] for key in keys)
-            warn_once(
-                "far contacts",
-                f"{source}: {far.size} of {len(point)} contacts looked at lie more than {_FAR:g} diameters from the "
-                f"centre of a particle of theirs ({farthest[far[0]]:.3g} diameters for contact_i={i}, contact_j={j}): "
-                "they are of another step or box, ids are mixed up, or positions were changed without contact_point",
-            )
-            return
-    if force is None or len(point) < _FEW:
-        return
-    along = np.einsum("ij,ij->i", force[some], np.where(rows[0][:, None] >= 0, branches[0], -branches[1]))
-    pulling, pushing = int((along < 0).sum()), int((along > 0).sum())
-    if pulling + pushing >= _FEW and pulling > _MOST * (pulling + pushing):
+    every = _every(len(row_i))
+    looked = len(range(0, len(row_i), every))
+    of_frame = (frame.get("diameter"), frame["contact_point"], frame.get("contact_force"))
+    rows = row_i, row_j, every, frame["position"]
+    far, first, farthest, pulling, pushing = far_and_pulling(*rows, *of_frame, *lattice.for_loops, _FAR)
+    if far:
+        i, j = frame["contact_i"][first], frame["contact_j"][first]
+        warn_once(
+            "far contacts",
+            f"{source}: {far} of {looked} contacts looked at lie more than {_FAR:g} diameters from the "
+            f"centre of a particle of theirs ({farthest:.3g} diameters for contact_i={i}, contact_j={j}): "
+            "they are of another step or box, ids are mixed up, or positions were changed without contact_point",
+        )
+    elif pulling + pushing >= _FEW and pulling > _MOST * (pulling + pushing):
         warn_once(
             "tension",
             f"{source}: {pulling} of {pulling + pushing} contacts looked at pull their particles together, so that "

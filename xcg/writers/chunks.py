@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from xarray.backends.locks import get_dask_scheduler, get_write_lock
 
 from xcg.steps.graph import Gathered
+from xcg.steps.memory import memory_is_kept
 from xcg.steps.progress import Progress, shown
 
 if TYPE_CHECKING:
@@ -67,7 +68,7 @@ def write_chunks(ds: xr.Dataset, write: Write, steps: int = 1) -> None:
     if not arrays:
         return
     graph, name = graph_of(arrays, write, steps)
-    with _config():
+    with _config(), memory_is_kept():
         Delayed(name, graph).compute()
 
 
