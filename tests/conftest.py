@@ -1,10 +1,13 @@
 from __future__ import annotations
 
+from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from unittest import mock
 
 import pytest
+
+from xcg.readers.codes.lammps import Lammps
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -28,3 +31,18 @@ def computing():
     with ProcessPoolExecutor(1, get_context("spawn")) as pool:
         processes = {"scheduler": "processes", "pool": pool}
         yield lambda name: processes if name == "processes" else {"scheduler": name, "num_workers": 2}
+
+
+@pytest.fixture
+def reads(monkeypatch):
+    """Count the bodies that the LAMMPS engine parses, by kind and step."""
+    counts: Counter = Counter()
+    for kind in ("particles", "contacts"):
+        original = getattr(Lammps, f"read_{kind}")
+
+        def counted(self, ref, options, kind=kind, original=original):
+            counts[kind, ref.step] += 1
+            return original(self, ref, options)
+
+        monkeypatch.setattr(Lammps, f"read_{kind}", counted)
+    return counts

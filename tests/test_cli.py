@@ -168,6 +168,12 @@ def test_the_period_is_asked_for_where_it_cannot_be_recovered(series):
     assert float(ds.box.values[0, 0] @ [-1, 1]) == pytest.approx(1.0, rel=1e-6)
 
 
+@pytest.fixture
+def a_chunk_a_step(monkeypatch):
+    monkeypatch.setattr("xcg.readers.chunks._TASK", 0.0)
+
+
+@pytest.mark.usefixtures("a_chunk_a_step")
 def test_a_run_resumes(few):
     job = read_config(few / "config.ini")
     steps = run_job(job, jobs=1)
@@ -186,6 +192,7 @@ def test_a_run_resumes(few):
     assert not list((few / "PysammosCG").glob(".*"))
 
 
+@pytest.mark.usefixtures("a_chunk_a_step")
 def test_another_job_does_not_resume(few):
     steps = run_job(read_config(few / "config.ini"), jobs=1)
     with pytest.warns(xcg.SceneWarning, match="recovered"):

@@ -37,6 +37,7 @@ JOB = """
 particles = "p.*.dump"
 engine = "lammps"
 timestep = 0.1
+chunks = 1
 [fields]
 fields = ["density", "velocity"]
 width = 1.0
@@ -124,6 +125,16 @@ def test_finished_steps_are_not_computed_again(job):
     next(steps)
     assert before.items() <= {p.name: p.stat().st_mtime_ns for p in parts.glob("fields.*.nc")}.items()
     steps.close()
+
+
+def test_chunks_are_computed_once(job, reads):
+    job.write_text(JOB.replace("chunks = 1", "chunks = 6").replace("[output]", '[slices]\naxis = "z"\n[output]'))
+    done = list(run_job(read_config(job), jobs=2))
+    assert done == [(0, 20), (12, 20), (20, 20)]
+    of_ends, of_fields_and_slices = 1, 2
+    assert {step for _, step in reads} == set(range(STEPS))
+    for (_, step), count in reads.items():
+        assert count <= of_fields_and_slices + (of_ends if step in (0, STEPS - 1) else 0)
 
 
 def test_resume_never_starts_over(job):

@@ -5,7 +5,6 @@ import pickle
 import subprocess
 import sys
 import warnings
-from collections import Counter
 from pathlib import Path
 
 import dask
@@ -16,7 +15,6 @@ import xarray as xr
 from tests import shared_data
 from tests.dumps import ATOMS, BOX, ROWS, dump_text, pairs_text, write, write_series
 from xcg.readers import Engine, StepRef
-from xcg.readers.codes.lammps import Lammps
 from xcg.readers.paths import expand_paths, natural_key
 from xcg.readers.series import open_scene
 from xcg.scene.schema import SceneError, SceneWarning
@@ -26,21 +24,6 @@ from xcg.scene.schema import SceneError, SceneWarning
 def series(tmp_path):
     """Three steps in files of their own, with times 0, 1, 2."""
     return write_series(tmp_path, before="ITEM: TIME\n{time}\n")
-
-
-@pytest.fixture
-def reads(monkeypatch):
-    """Count the bodies that the LAMMPS engine parses, by kind and step."""
-    counts: Counter = Counter()
-    for kind in ("particles", "contacts"):
-        original = getattr(Lammps, f"read_{kind}")
-
-        def counted(self, ref, options, kind=kind, original=original):
-            counts[kind, ref.step] += 1
-            return original(self, ref, options)
-
-        monkeypatch.setattr(Lammps, f"read_{kind}", counted)
-    return counts
 
 
 # --- paths -----------------------------------------------------------------------------------------------

@@ -95,7 +95,7 @@ def main() -> None:
 @click.option("--resume", is_flag=True, help="Go on with a run of this very job, or find it done; never start over.")
 @click.option("--on-error", type=click.Choice(ON_ERROR), help="Steps that cannot be read: stop, or leave them out.")
 @click.option("--dashboard", is_flag=True, help="Watch dask at work in a browser (needs distributed and bokeh).")
-@click.option("--jobs", "-j", type=click.IntRange(1), help="Steps at the same time; all processors by default.")
+@click.option("--jobs", "-j", type=click.IntRange(1), help="Chunks of time at once; all processors by default.")
 @click.option("--dry-run", is_flag=True, help="Say what would be done.")
 def run(
     config: str,

@@ -5,12 +5,14 @@ from __future__ import annotations
 import glob
 import hashlib
 import inspect
+import json
 import os
 import shutil
 import uuid
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack
 from importlib.metadata import version
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -119,7 +121,7 @@ def run_job(
         Refuse to start anew where an interrupted run was of another job or other input, and be content where this
         job has ended already.
     jobs : int, optional
-        Steps at the same time; as many as there are processors by default.
+        Chunks of time at the same time; as many as there are processors by default.
 
     Raises
     ------
@@ -153,7 +155,7 @@ def run_job(
             return
         yield from _compute(parts, series, jobs or os.cpu_count() or 1)
         for name, data in series.items():
-            _assemble(job, name, [parts / f"{name}.{t}.nc" for t in range(data.sizes["time"])])
+            _assemble(job, name, [_part(parts, name, steps) for steps in _chunks([data])])
         done = parts.with_name(f"{parts.name}.{uuid.uuid4().hex[:8]}")
         parts.rename(done)  # at once, so that no half of it is taken for a run to go on with
         shutil.rmtree(done)
@@ -200,23 +202,35 @@ def _made_by(path: Path) -> str | None:
     return found.decode() if isinstance(found, bytes) else found
 
 
+def _chunks(series: Iterable[xr.Dataset]) -> list[slice]:
+    """List the steps of each chunk of time; a task computes a whole chunk, whatever is asked of it."""
+    edges = [{0, *np.cumsum(data.chunks["time"]).tolist()} for data in series]
+    return [slice(first, end) for first, end in pairwise(sorted(set.intersection(*edges)))]
+
+
+def _part(parts: Path, name: str, steps: slice) -> Path:
+    return parts / f"{name}.{steps.start}-{steps.stop}.nc"
+
+
 def _compute(parts: Path, series: Mapping[str, xr.Dataset], batch: int) -> Iterator[tuple[int, int]]:
-    """Write the steps that are not there, some at a time."""
-    count = next(iter(series.values())).sizes["time"]
-    todo = [t for t in range(count) if not all((parts / f"{name}.{t}.nc").exists() for name in series)]
-    yield count - len(todo), count
+    """Write the chunks of time that are not there, some at a time."""
+    chunks = _chunks(series.values())
+    todo = [steps for steps in chunks if not all(_part(parts, name, steps).exists() for name in series)]
+    count, left = chunks[-1].stop, sum(steps.stop - steps.start for steps in todo)
+    yield count - left, count
     for first in range(0, len(todo), batch):
         some = todo[first : first + batch]
         for name, data in series.items():
             with listen_for_skips() as causes:
-                computed = data.isel(time=some).compute()
-            for k, t in enumerate(some):
-                step = computed.isel(time=[k])
-                cause = causes.get(int(step["step"].item())) if "step" in step.coords else None
-                step = step if cause is None else step.assign_attrs({_BECAUSE: cause})
-                with whole_file(parts / f"{name}.{t}.nc", overwrite=True, room=step.nbytes + _HEADER) as path:
-                    step.to_netcdf(path, engine="netcdf4")
-        yield count - len(todo) + first + len(some), count
+                computed = dask.compute(*(data.isel(time=steps) for steps in some))
+            for steps, chunk in zip(some, computed, strict=True):
+                numbers = chunk["step"].to_numpy().tolist() if "step" in chunk.coords else []
+                here = {str(number): causes[number] for number in numbers if number in causes}
+                marked = chunk.assign_attrs({_BECAUSE: json.dumps(here)}) if here else chunk
+                with whole_file(_part(parts, name, steps), overwrite=True, room=chunk.nbytes + _HEADER) as path:
+                    marked.to_netcdf(path, engine="netcdf4")
+        left -= sum(steps.stop - steps.start for steps in some)
+        yield count - left, count
 
 
 def _signature(job: Job) -> str:
@@ -251,13 +265,13 @@ def _vtkhdf_paths(job: Job, fields: xr.Dataset) -> list[Path]:
 
 
 def _assemble(job: Job, name: str, parts: list[Path]) -> None:
-    """One file with all steps, and VTKHDF, from the files of the steps."""
+    """One file with all steps, and VTKHDF, from the files of the chunks."""
     from xcg.writers.vtkhdf import to_vtkhdf
 
     opened = [xr.open_dataset(path, chunks={}) for path in parts]
     try:
-        failed = [step for step in opened if _BECAUSE in step.attrs]
-        causes = [f"step {step['step'].to_numpy()[0]}: {step.attrs.pop(_BECAUSE)}" for step in failed]
+        failed = [json.loads(chunk.attrs.pop(_BECAUSE)) for chunk in opened if _BECAUSE in chunk.attrs]
+        causes = [f"step {step}: {cause}" for chunk in failed for step, cause in chunk.items()]
         whole = xr.concat(opened, "time", data_vars="all", coords="minimal", compat="override", join="override",
                           combine_attrs="override")  # fmt: skip
         if SKIPPED in whole.coords:
@@ -272,8 +286,8 @@ def _assemble(job: Job, name: str, parts: list[Path]) -> None:
             return
         paths = _vtkhdf_paths(job, whole)
         if job.vtkhdf == "steps":
-            for path, step in zip(paths, opened, strict=True):
-                to_vtkhdf(step, path, overwrite=True, **job.encoding)
+            for t, path in enumerate(paths):
+                to_vtkhdf(whole.isel(time=[t]), path, overwrite=True, **job.encoding)
         elif paths:
             to_vtkhdf(whole, paths[0], overwrite=True, **job.encoding)
     finally:
