@@ -148,7 +148,7 @@ def test_symbols_have_no_value_yet():
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (lambda a: a.astype("float32"), "float32"),
+        (lambda a: np.zeros_like(a, "float32"), "float32"),
         (lambda a: np.asfortranarray(a), "one after the other"),
         (lambda a: a[:-1], r"\(\d, 9\) numbers or more"),
         (lambda a: a[:, :, :2].copy(), r"\(\d, 9\) numbers or more"),

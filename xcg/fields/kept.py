@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 from dataclasses import dataclass, field
-from threading import Lock
-from typing import TypeVar
 
 import xarray as xr
 
@@ -18,13 +16,13 @@ from xcg.fields.places.frames import is_cylindrical
 from xcg.fields.plan import Plan, plan_measured
 from xcg.fields.request import Request
 from xcg.fields.results import layout, times_of
+from xcg.fields.sums.kept import Kept
 from xcg.fields.sums.smoothing import kind_of
 from xcg.scene.outline import NoKeyError, key_of, outline
 from xcg.scene.query import groups_of, numbers_of, require_scene
 from xcg.scene.sizes import with_measures
 from xcg.scene.warn import warnings_given
 
-T = TypeVar("T")
 _PLANS, _LAYOUTS = 32, 4  # that are kept, and of each plan
 _LONGEST = 10_000  # nodes along an axis, of plans that are kept
 
@@ -34,11 +32,10 @@ class _Kept:
     """A plan, and the layouts of its results by their times."""
 
     plan: Plan
-    layouts: dict[Hashable, xr.Dataset] = field(default_factory=dict)
+    layouts: Kept[xr.Dataset] = field(default_factory=lambda: Kept(_LAYOUTS))
 
 
-_kept: dict[Hashable, _Kept] = {}
-_changing = Lock()
+_kept: Kept[_Kept] = Kept(_PLANS)
 registry.on_register(_kept.clear)
 
 
@@ -63,12 +60,8 @@ def prepare_call(ds: xr.Dataset, request: Request) -> tuple[Plan, xr.Dataset]:
         found = _Kept(plan_measured(ds, request))
         # where planning warned, an equal call has to warn, too
         if warnings_given() == before and max(found.plan.deposit.grid.sizes, default=1) <= _LONGEST:
-            _keep(_kept, key, found, _PLANS)
-    empty = found.layouts.get(times)
-    if empty is None:
-        empty = layout(ds, found.plan)
-        _keep(found.layouts, times, empty, _LAYOUTS)
-    return found.plan, empty
+            _kept.keep(key, found)
+    return found.plan, found.layouts.or_new(times, lambda: layout(ds, found.plan))
 
 
 def _key(ds: xr.Dataset, request: Request) -> Hashable:
@@ -83,11 +76,3 @@ def _key(ds: xr.Dataset, request: Request) -> Hashable:
 
 def _key_of_variable(given: xr.Variable) -> Hashable:
     return key_of([numbers_of(given), given.attrs, given.encoding])
-
-
-def _keep(things: dict[Hashable, T], key: Hashable, thing: T, most: int) -> None:
-    """Keep one more thing, and no more than there may be: the oldest goes."""
-    with _changing:
-        while len(things) >= most:
-            things.pop(next(iter(things)), None)
-        things[key] = thing

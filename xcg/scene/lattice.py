@@ -6,7 +6,7 @@ sheared, an image moves with ``n_a da/dt + n_b db/dt + n_c dc/dt`` relative to i
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -75,6 +75,12 @@ class Lattice:
         cell = np.zeros((3, 3))
         cell[axes] = vectors
         return cls(np.full(3, np.inf), edges, *_reduced(vectors, rates), cell)
+
+    @property
+    def key(self) -> Hashable:
+        """What two lattices share only if they have the same images, which move alike, by the same vectors."""
+        given = self.period, self.vectors, self.rates, self.cell
+        return tuple(None if numbers is None else numbers.tobytes() for numbers in given)
 
     @property
     def lengths(self) -> NDArray:

@@ -6,7 +6,7 @@ import math
 import operator
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache, reduce
 from types import SimpleNamespace
 from typing import Any
@@ -20,11 +20,14 @@ from xcg.compiled.simd import EIGHT
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Options
 from xcg.fields.formulas.trace import Trace, as_symbols
+from xcg.fields.sums.kept import Kept
 from xcg.fields.sums.moments import MOMENTS, Moment
-from xcg.fields.sums.passes import BlockSums
+from xcg.fields.sums.passes import BlockSums, Layout
+
+_LAYOUTS = 8  # of sums, whose loads are kept
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Program:
     """Steps from the moments at a node to its fields.
 
@@ -47,18 +50,12 @@ class Program:
     inputs: tuple[tuple[str, int, int], ...]
     outputs: tuple[tuple[str, int, int], ...]
     target: NDArray
+    _loads: Kept[_Loads] = field(default_factory=lambda: Kept(_LAYOUTS), compare=False)
 
     @cached_property
     def fields(self) -> tuple[str, ...]:
         """Names of the fields that it computes."""
         return tuple(dict.fromkeys(name for name, _, _ in self.outputs))
-
-    @cached_property
-    def _loads(self) -> tuple[list[tuple[str, int]], NDArray, NDArray]:
-        """Moments and groups of the inputs, each once, which of them each input is of, and of which column."""
-        moments = list(dict.fromkeys((moment, group) for moment, group, _ in self.inputs))
-        which = [moments.index((moment, group)) for moment, group, _ in self.inputs]
-        return moments, np.array(which, "intp"), np.array([column for _, _, column in self.inputs], "uint64")
 
     def run(self, sums: BlockSums, place: NDArray, out: Mapping[str, NDArray], order: NDArray | None = None) -> None:
         """Compute fields (places, ...) from the moments at some nodes, each to its `place` (nodes,).
@@ -70,33 +67,67 @@ class Program:
         ValueError
             If an array is not as the loop expects it, which reads and writes by address.
         """
-        moments, which, column = self._loads
-        found, arrays = [sums.where(*moment) for moment in moments], sums.arrays
-        factors = list(dict.fromkeys(factor for _, _, factor in found))
-        widths = [math.prod(a.shape[1:]) for a in arrays]
-        # below the rows that steps use: the factors, and the columns of each array
-        rows = np.cumsum([len(self.scratch), len(factors), *(width + -width % EIGHT for width in widths)]).tolist()
-        scratch = kernel.room_for(rows[-1])
-        scratch[: rows[0]] = self.scratch
-        scratch[rows[0] : rows[1]] = np.reshape(factors, (-1, 1))
-        begin = [(rows[1 + number] + first, rows[0] + factors.index(factor)) for number, first, factor in found]
-        source = _whole(begin, 2)[which]
-        source[:, 0] += column
+        layouts, arrays = sums.of.layouts, sums.arrays
+        loads = self._loads.or_new(layouts, lambda: _Loads.of(self, layouts))
+        scratch = kernel.room_for(loads.rows[-1])
+        scratch[: len(loads.constants)] = loads.constants
         nodes, places = len(place), 1 + int(place.max(initial=0))
-        starts = [kernel.address_of(a, nodes, width, "moments") for a, width in zip(arrays, widths, strict=True)]
-        records = list(zip(starts, widths, rows[1:], strict=False))
-        fields = [
-            (
-                kernel.address_of(out[name], places, first + count, name, written=True) + out[name].itemsize * first,
-                math.prod(out[name].shape[1:]),
-                count,
-            )
-            for name, first, count in self.outputs
+        records = [
+            (kernel.address_of(a, nodes, width, "moments"), width, row)
+            for a, width, row in zip(arrays, loads.widths, loads.rows, strict=False)
         ]
-        tile = np.empty((kernel.TILE + EIGHT) * max(widths))
-        lists = _whole(records, 3), source, _whole(fields, 3)
+        fields = []
+        for name, begin, count in self.outputs:
+            first = kernel.address_of(out[name], places, begin + count, name, written=True)
+            fields.append((first + out[name].itemsize * begin, math.prod(out[name].shape[1:]), count))
+        tile = np.empty((kernel.TILE + EIGHT) * max(loads.widths))
         to = place if order is None else place[order]
-        kernel.run(self.steps, *lists, self.target, to, order, tile.ctypes.data, scratch)
+        lists = _whole(records, 3), loads.source, _whole(fields, 3), self.target
+        kernel.run(self.steps, *lists, to, order, tile.ctypes.data, scratch)
+
+
+@dataclass(frozen=True)
+class _Loads:
+    """Where a program finds its inputs in the sums of some passes.
+
+    Attributes
+    ----------
+    source : array (loads, 2)
+        Rows of the scratch: of the column, and of a factor.
+    widths, rows : list of int
+        Columns of the reference velocity and of each group of each pass, and the row where they begin; the last row is
+        that where they end.
+    constants : array (rows, TILE)
+        Rows before these: those of the program, and factors.
+    """
+
+    source: NDArray
+    widths: list[int]
+    rows: list[int]
+    constants: NDArray
+
+    @classmethod
+    def of(cls, program: Program, layouts: Sequence[Layout]) -> _Loads:
+        """Look up the moments that a program loads."""
+        found, widths = dict[str, tuple[int, Layout]](), [3]
+        for layout in layouts:
+            for name in layout.moments:
+                found.setdefault(name, (len(widths), layout))
+            widths += [layout.columns] * layout.groups
+        source, factors = [], []
+        for moment, group, column in program.inputs:
+            number, first, factor = 0, 0, 1.0
+            if moment != "reference":
+                number, layout = found[moment]
+                number, (first, factor) = number + group, layout.where(moment, group)
+            if factor not in factors:
+                factors.append(factor)
+            source.append((number, first + column, factors.index(factor)))
+        own = len(program.scratch)
+        rows = np.cumsum([own + len(factors), *(width + -width % EIGHT for width in widths)]).tolist()
+        constants = np.concatenate([program.scratch, np.tile(np.reshape(factors, (-1, 1)), kernel.TILE)])
+        places = [(rows[number] + column, own + factor) for number, column, factor in source]
+        return cls(_whole(places, 2), widths, rows, constants)
 
 
 def _whole(numbers: Sequence[Sequence[int]], width: int) -> NDArray:

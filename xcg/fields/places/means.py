@@ -12,7 +12,7 @@ from xcg.compiled import points as kernel
 from xcg.compiled.rings import ROOM, ring_squares
 from xcg.fields.places.points import PointBlock
 from xcg.fields.sums.moments import MOMENTS
-from xcg.fields.sums.passes import BlockSums, Pass, Squared
+from xcg.fields.sums.passes import BlockSums, Layout, Squared
 
 _TO_TURN = (  # flow columns that are vectors and tensors, and the level from which they are there
     (kernel.VELOCITY, "momentum"),
@@ -82,15 +82,16 @@ def mean_sums(found: BlockSums, block: RingBlock) -> BlockSums:
     for run, sums, given in zip(found.of.passes, found.filled, found.references, strict=True):
         columns = np.empty(sums.shape[::-1][:1] + sums.shape[:2])
         columns[:, :, block.inner.places] = sums.transpose(2, 0, 1)
+        layout = run.layout
         if id(given) not in common:
-            common[id(given)] = _common(given, block, cosine, sine, vector=run.vector)
+            common[id(given)] = _common(given, block, cosine, sine, vector=layout.vector)
         reference, difference = common[id(given)]
-        _turn(run, columns, cosine, sine)
-        if run.level:
-            _shift(run.level, columns, difference)
+        _turn(layout, columns, cosine, sine)
+        if layout.level:
+            _shift(layout.level, columns, difference)
         averaged = np.ascontiguousarray(block.mean(columns).transpose(1, 2, 0))
         for squared in run.squared if block.is_mean else ():
-            _square(run, squared, block, averaged)
+            _square(layout, squared, block, averaged)
         filled.append(averaged)
         references.append(reference)
     velocity, _ = common.get(id(found.velocity)) or _common(found.velocity, block, cosine, sine, vector=True)
@@ -116,14 +117,14 @@ def _turned(x: NDArray, y: NDArray, z: NDArray, cosine: NDArray, sine: NDArray) 
     return cosine * x + sine * y, cosine * y - sine * x, z
 
 
-def _turn(run: Pass, columns: NDArray, cosine: NDArray, sine: NDArray) -> None:
+def _turn(layout: Layout, columns: NDArray, cosine: NDArray, sine: NDArray) -> None:
     """Turn all vectors and tensors of a pass into (r, theta, z), in place; columns are (columns, groups, angles)."""
-    parts = [_FLOW[name] for level, name in _TO_TURN if run.level >= level and run.vector]
-    if run.level == kernel.CUBIC:
+    parts = [_FLOW[name] for level, name in _TO_TURN if layout.level >= level and layout.vector]
+    if layout.level == kernel.CUBIC:
         parts.append(_FLOW["cubes"])
-    elif run.level >= kernel.LINEAR:
+    elif layout.level >= kernel.LINEAR:
         parts = [part for part in parts if part is not _FLOW["cubes"]]
-    parts += [own for own, _ in run.moments.values() if own.ndim and own.min() >= run.level]
+    parts += [own for own, _ in layout.moments.values() if own.ndim and own.min() >= layout.level]
     for part in parts:
         tensor = columns[part]
         for axis in range(part.ndim):
@@ -151,7 +152,7 @@ def _shift(level: int, columns: NDArray, d: NDArray) -> None:
     columns[_FLOW["momentum"]] = momentum + mass * d
 
 
-def _square(run: Pass, squared: Squared, block: RingBlock, averaged: NDArray) -> None:
+def _square(layout: Layout, squared: Squared, block: RingBlock, averaged: NDArray) -> None:
     """Put what fits over whole rings take of each grain in the place of what those at single angles take."""
     seen_z = bool(squared.active[2])
     low, high = block.rings.min(axis=0) - squared.cutoff, block.rings.max(axis=0) + squared.cutoff
@@ -167,14 +168,14 @@ def _square(run: Pass, squared: Squared, block: RingBlock, averaged: NDArray) ->
         near &= (position[:, 2] > low[1]) & (position[:, 2] < high[1])
     row = row[near]
     grains = position[near], squared.mass[row], squared.phase[row]
-    out = np.zeros((run.groups, len(block.places), 10))
+    out = np.zeros((layout.groups, len(block.places), 10))
     scratch = np.zeros((5, int(np.diff(block.start).max()) + ROOM))
     ring_squares(
         grains, squared.weights, squared.cutoff, block.rings, block.start, block.angle, block.share, seen_z,
         block.dimension, scratch, np.zeros((4, 3)), out,
     )  # fmt: skip
     columns = [kernel.SQUARE]
-    if run.level >= kernel.SQUARED:
+    if layout.level >= kernel.SQUARED:
         columns += [*range(kernel.SQUARE_OFFSET, kernel.SQUARE_OFFSET + 3)]
         columns += [*range(kernel.SQUARE_SPREAD, kernel.SQUARE_SPREAD + 6)]
     groups = squared.groups

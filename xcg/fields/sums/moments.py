@@ -75,6 +75,11 @@ class Moment:
         found.flags.writeable = False
         return found
 
+    @cached_property
+    def width(self) -> int:
+        """How many columns there are."""
+        return 1 + int(self.columns.max(initial=-1))
+
 
 def _power(exponent: int) -> Column:
     return lambda frame, _: reduce(np.multiply, [frame["diameter"]] * exponent)  # many times faster than `**`

@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled.arrays import transpose_columns
-from xcg.compiled.points import NONE
+from xcg.compiled.points import NONE, SQUARES
 from xcg.compiled.smoothing import CellKernel, KernelCode
-from xcg.fields.sums.blocks import NodeBlock
+from xcg.fields.sums.blocks import NodeBlock, triple
+from xcg.fields.sums.kept import Kept
 from xcg.fields.sums.moments import MOMENTS, Moment
 from xcg.fields.sums.nodes import Grid
 from xcg.scene.lattice import Lattice
@@ -21,6 +22,8 @@ from xcg.scene.lattice import Lattice
 AnyKernel: TypeAlias = KernelCode | CellKernel
 # adds one pass to the sums (groups, nodes, columns) at the nodes of a block; the last array is the reference velocity
 Fill: TypeAlias = Callable[[NodeBlock, NDArray, NDArray], None]
+# boxes whose surroundings are kept, and layouts of passes
+_BOXES, _LAYOUTS = 4, 32
 
 
 @dataclass(frozen=True)
@@ -59,9 +62,48 @@ class DepositSpec:
     own: Mapping[str, Moment] = field(default_factory=dict)
 
     @cached_property
+    def surroundings(self) -> Kept[Any]:
+        """What is kept for boxes, see `xcg.fields.sums.surroundings`."""
+        return Kept(_BOXES)
+
+    @cached_property
+    def layouts(self) -> Kept[Layout]:
+        """What is kept of passes."""
+        return Kept(_LAYOUTS)
+
+    @cached_property
+    def phases(self) -> int:
+        """Number of groups, or 1."""
+        return max(1, len(self.groups))
+
+    @cached_property
+    def others(self) -> int:
+        """Groups of partners, the last one for walls."""
+        return self.phases + 1
+
+    @cached_property
+    def by_phase(self) -> NDArray:
+        """Cutoff of each phase (m)."""
+        return np.resize(self.cutoffs, self.phases)
+
+    @cached_property
+    def distinct(self) -> list[float]:
+        """Cutoffs, each once, from the smallest to the largest (m)."""
+        return sorted(set(self.cutoffs))
+
+    @cached_property
+    def origin(self) -> tuple[float, float, float]:
+        """Place that loops take others relative to (m)."""
+        return triple(self.grid.origin)
+
+    @cached_property
     def rows(self) -> dict[str, Moment]:
         """The moments by name."""
         return {name: self.own.get(name) or MOMENTS[name] for name in self.moments}
+
+    def takes(self, variable: str) -> bool:
+        """Tell whether any moment takes a variable."""
+        return any(variable in (*row.variables, *row.optional) for row in self.rows.values())
 
     @cached_property
     def of_grains(self) -> dict[str, Moment]:
@@ -105,24 +147,36 @@ class Squared:
     active: NDArray
 
 
-@dataclass(frozen=True)
-class Pass:
-    """One pass over grains or segments, prepared: its array is (groups, nodes, columns), filled by one loop a cutoff.
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """What a pass sums at a node: what the columns of its array (groups, nodes, columns) are.
 
-    `moments` says which columns of that array each moment is made of (those of a symmetric tensor name six of them
-    nine times), with a factor, or one for each phase. A pass that is `apart` has a reference of its own. The first
-    `level` of its columns are flow columns; the numbers in the place of velocity may be no `vector`. `squared` are the
-    grains whose weights are squared in them.
+    Attributes
+    ----------
+    groups, columns : int
+    moments : mapping
+        Columns that each moment is made of (those of a symmetric tensor name six of them nine times), with a factor, or
+        one for each group.
+    level : int
+        How many columns are flow columns; they are the first ones.
+    apart : bool
+        Whether it has a reference of its own.
+    vector : bool
+        Whether the numbers in the place of velocity are the components of a vector.
     """
 
     groups: int
     columns: int
-    fill: Sequence[Fill]
     moments: Mapping[str, tuple[NDArray, float | NDArray]]
+    level: int = NONE
     apart: bool = False
-    level: int = 0
     vector: bool = True
-    squared: Sequence[Squared] = ()
+
+    @cached_property
+    def squares(self) -> bool:
+        """Whether any moment is one of squares of weights."""
+        kept = {column for column in SQUARES if column < self.level}
+        return not all(kept.isdisjoint(columns.ravel().tolist()) for columns, _ in self.moments.values())
 
     @cached_property
     def _rows(self) -> tuple[NDArray, NDArray]:
@@ -131,16 +185,10 @@ class Pass:
         factors = [np.broadcast_to(factor, (columns.size, self.groups)) for columns, factor in self.moments.values()]
         return columns.astype("uint64"), np.concatenate(factors)
 
-    @cached_property
-    def first_columns(self) -> dict[str, tuple[int, list[float]]]:
-        """The first column of each moment in the array, from which its others are counted, and a factor by group."""
-        return {
-            name: (
-                min(columns.ravel().tolist()),
-                [factor] * self.groups if isinstance(factor, float) else factor.tolist(),
-            )
-            for name, (columns, factor) in self.moments.items()
-        }
+    def where(self, moment: str, group: int) -> tuple[int, float]:
+        """Return the first column of a moment, from which its others are counted, and its factor for a group."""
+        columns, factor = self.moments[moment]
+        return int(columns.min()), factor if isinstance(factor, float) else float(factor[group])
 
     def turned(self, records: NDArray) -> Iterator[tuple[str, NDArray]]:
         """Moments (components, groups, nodes) from the sums (groups, nodes, columns)."""
@@ -151,9 +199,21 @@ class Pass:
             yield name, out[first : first + columns.size].reshape(*columns.shape, *out.shape[1:])
             first += columns.size
 
+
+@dataclass(frozen=True, eq=False)
+class Pass:
+    """One pass over grains or segments, prepared: its array is filled by one loop a cutoff.
+
+    `squared` are the grains whose weights are squared in it.
+    """
+
+    layout: Layout
+    fill: Sequence[Fill]
+    squared: Sequence[Squared] = ()
+
     def __call__(self, block: NodeBlock, reference: NDArray) -> NDArray:
         """Compute the sums at the nodes of a block, relative to a reference that is set where it is not a number."""
-        sums = np.zeros((self.groups, len(reference), self.columns))
+        sums = np.zeros((self.layout.groups, len(reference), self.layout.columns))
         for fill in self.fill:
             fill(block, sums, reference)
         return sums
@@ -186,14 +246,6 @@ class BlockSums:
         """The reference velocity, and the sums of each pass and group: arrays (nodes, columns)."""
         return [self.reference, *(group for sums in self.filled for group in sums)]
 
-    def where(self, moment: str, group: int) -> tuple[int, int, float]:
-        """Where a moment of a group is: the number among `arrays`, its first column there, and a factor."""
-        if moment == "reference":
-            return 0, 0, 1.0
-        first, run = self.of.pass_by_moment[moment]
-        column, factors = run.first_columns[moment]
-        return first + group, column, factors[group]
-
     @property
     def moments(self) -> dict[str, NDArray]:
         """Moments at the nodes: arrays (phase, node, ...).
@@ -203,14 +255,14 @@ class BlockSums:
         """
         found = {"reference": np.ascontiguousarray(self.reference.T).T}
         for run, sums in zip(self.of.passes, self.filled, strict=True):
-            found |= self._of_pass(run, sums)
+            found |= self._of_pass(run.layout, sums)
         return found
 
-    def _of_pass(self, run: Pass, records: NDArray) -> dict[str, NDArray]:
-        nodes, phases = records.shape[1], max(1, len(self.of.spec.groups))
+    def _of_pass(self, layout: Layout, records: NDArray) -> dict[str, NDArray]:
+        nodes, phases = records.shape[1], self.of.spec.phases
         found = {}
-        for name, part in run.turned(records):
-            if run.groups > phases:  # by phase of the partner
+        for name, part in layout.turned(records):
+            if layout.groups > phases:  # by phase of the partner
                 part = np.moveaxis(part.reshape(*part.shape[:-2], phases, -1, nodes), -2, 0)
             if self.of.spec.by is not None:
                 bulk = sum(part[..., [k], :] for k in range(phases))  # in this order whatever the number of nodes
@@ -230,17 +282,13 @@ class Sums:
     passes: Sequence[Pass]
 
     @cached_property
-    def pass_by_moment(self) -> dict[str, tuple[int, Pass]]:
-        """Pass of each moment, and the number of its first group among `BlockSums.arrays`."""
-        found, first = dict[str, tuple[int, Pass]](), 1
-        for run in self.passes:
-            found |= {name: (first, run) for name in run.moments if name not in found}
-            first += run.groups
-        return found
+    def layouts(self) -> tuple[Layout, ...]:
+        """Layouts of the passes."""
+        return tuple(run.layout for run in self.passes)
 
     def over(self, block: NodeBlock) -> BlockSums:
         """Compute the sums at the nodes of a block."""
         velocity = np.full((block.count, 3), np.nan)
-        references = [np.full_like(velocity, np.nan) if run.apart else velocity for run in self.passes]
+        references = [np.full_like(velocity, np.nan) if run.layout.apart else velocity for run in self.passes]
         filled = [run(block, own) for run, own in zip(self.passes, references, strict=True)]
         return BlockSums(self, filled, velocity, references)

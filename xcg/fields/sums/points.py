@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from xcg.compiled import points as kernel
 from xcg.compiled.reach import BATCH, batches_of
 from xcg.fields.sums.blocks import NodeBlock
-from xcg.fields.sums.moments import CUTOFF_POWERS, MOMENTS
-from xcg.fields.sums.passes import AnyKernel, Pass, Squared
+from xcg.fields.sums.moments import CUTOFF_POWERS, MOMENTS, Moment
+from xcg.fields.sums.passes import AnyKernel, DepositSpec, Layout, Pass, Squared
 from xcg.fields.sums.reach import Mesh
 from xcg.fields.sums.step import Images, Step
 from xcg.scene.lattice import Lattice
@@ -20,37 +20,41 @@ from xcg.scene.lattice import Lattice
 
 def grains(step: Step) -> list[Pass]:
     """Flow columns and columns of constants."""
-    wanted = step.spec.of_grains
-    constants = {name: step.column(row, step.grains) for name, row in wanted.items() if row.column}
-    count = len(step.grains.position)
+    at = step.grains
+    constants = {name: step.column(row, at) for name, row in step.spec.of_grains.items() if row.column}
     # a column that is the same for all grains, as those of one size are, is a multiple of their number
-    same = {name: float(q[0, 0]) for name, q in constants.items() if count and q.shape[1] == 1 and (q == q[0]).all()}
-    constants = {name: q for name, q in constants.items() if name not in same}
+    same = {name: float(q[0, 0]) for name, q in constants.items() if q.shape[1] == 1 and len(q) and _is_one_row(q)}
+    columns = [q for name, q in constants.items() if name not in same]
     if same:
-        constants["number"] = np.ones((count, 1))
-    level, moments = step.spec.level, dict[str, tuple[NDArray, float | NDArray]]()
-    for name, row in wanted.items():
+        columns.append(np.ones((len(at.position), 1)))
+    layout = step.spec.layouts.or_new(("grains", *same.items()), lambda: _layout_of_grains(step.spec, same))
+    return [_pass(step, layout, at, *step.flow, at.of(step.phase), columns)]
+
+
+def _layout_of_grains(spec: DepositSpec, same: Mapping[str, float]) -> Layout:
+    """Flow columns come first, then those of constants that are not the same for all, then the number of grains."""
+    moments, first = dict[str, tuple[NDArray, float | NDArray]](), spec.level
+    for name, row in spec.of_grains.items():
         if row.level:
             power = CUTOFF_POWERS.get(name, 0)
-            moments[name] = (row.first + row.columns, step.cutoffs**power if power else 1.0)
-    first = level
-    for name, values in constants.items():
-        moments[name] = (first + (wanted.get(name) or MOMENTS[name]).columns, 1.0)
-        first += values.shape[1]
-    for name, value in same.items():
-        moments[name] = (moments["number"][0], value)
-    columns = list(constants.values())
-    return [_points(step, moments, step.grains, *step.flow, columns, level, step.grains.of(step.phase))]
+            moments[name] = (row.first + row.columns, spec.by_phase**power if power else 1.0)
+        elif name not in same:
+            moments[name] = (first + row.columns, 1.0)
+            first += row.width
+    number = first + MOMENTS["number"].columns
+    moments |= {name: (number, value) for name, value in same.items()}
+    return Layout(spec.phases, _padded(first + bool(same)), moments, spec.level)
 
 
 def slopes(step: Step) -> list[Pass]:
     """Flow columns weighted by grad Psi."""
+    spec = step.spec
     moments = {
-        name: (MOMENTS[flow].first + MOMENTS[flow].columns, -1 / step.cutoffs)
+        name: (MOMENTS[flow].first + MOMENTS[flow].columns, -1 / spec.by_phase)
         for name, flow in (("mass_slope", "offset"), ("momentum_slope", "shear"))
     }
-    phase = step.grains.of(step.phase)
-    return [_points(step, moments, step.grains, *step.flow, [], kernel.LINEAR, phase, by_gradient=True)]
+    layout = spec.layouts.or_new("slopes", lambda: Layout(spec.phases, kernel.LINEAR, moments, kernel.LINEAR))
+    return [_pass(step, layout, step.grains, *step.flow, step.grains.of(step.phase), by_gradient=True)]
 
 
 def relative(step: Step) -> list[Pass]:
@@ -68,9 +72,9 @@ def relative(step: Step) -> list[Pass]:
             values = step.column(row, images)
         weight, numbers = np.ascontiguousarray(values[:, 0]), np.ascontiguousarray(values[:, 1:])
         moments = {name: (row.first + row.columns, 1.0)}
-        passes.append(
-            _points(step, moments, images, numbers, weight, [], row.level, phase, apart=True, vector=row.vector)
-        )
+        new = partial(Layout, step.spec.phases, row.level, moments, row.level, apart=True, vector=row.vector)
+        layout = step.spec.layouts.or_new(("relative", name), new)
+        passes.append(_pass(step, layout, images, numbers, weight, phase))
     return passes
 
 
@@ -78,92 +82,99 @@ def at_contacts(step: Step) -> list[Pass]:
     """Columns of constants at the contact points."""
     rows = {name: row for name, row in step.spec.rows.items() if row.at_contacts and not row.level}
     images, phase, share, contact = step.contact_points
-    moments, columns, first = {}, [], 0
-    for name, row in rows.items():
-        columns.append(step.column(row, images, contact) * share[:, None])
-        moments[name] = (first + row.columns, 1.0)
-        first += columns[-1].shape[1]
-    none = np.zeros((len(share), 3))
-    return [_points(step, moments, images, none, share, columns, kernel.NONE, phase)]
+    columns = [step.column(row, images, contact) * share[:, None] for row in rows.values()]
+    return [_constants(step, "contact points", rows, images, phase, columns)]
 
 
 def between_phases(step: Step) -> list[Pass]:
     """Sum the forces of other phases and of walls on the grains of each phase, at the contact points."""
     c = step.contacts
     assert c is not None
-    phase = np.append(step.phase, step.phases)  # row -1 is that of a wall
+    phase, others = np.append(step.phase, step.spec.phases), step.spec.others  # row -1 is that of a wall
     sides = []
     for row, partner, sign in ((c.i, c.j, 1.0), (c.j, c.i, -1.0)):
         # inside a phase both sides add up to nothing
         at = np.flatnonzero((row >= 0) & (phase[row] != phase[partner]))
-        sides.append((c.point[at], phase[row[at]] * step.others + phase[partner[at]], sign * c.force[at]))
+        sides.append((c.point[at], phase[row[at]] * others + phase[partner[at]], sign * c.force[at]))
     point, pair, force = (np.concatenate(parts) for parts in zip(*sides, strict=True))
-    moments = {"pair_force": (MOMENTS["pair_force"].columns, 1.0)}
-    images = step.images(point)
-    none, force, pair = np.zeros((len(images.position), 3)), images.of(force), images.of(pair)
-    return [_points(step, moments, images, none, none[:, 0], [force], kernel.NONE, pair, others=step.others)]
+    images, moment = step.images(point), {"pair_force": MOMENTS["pair_force"]}
+    return [_constants(step, "pairs", moment, images, images.of(pair), [images.of(force)], others)]
 
 
 def at_walls(step: Step) -> list[Pass]:
     """Sum the forces of walls, at the contact points."""
     assert step.contacts is not None
     at, point, force = step.contacts.at_walls
-    moments = {"traction": (MOMENTS["traction"].columns, 1.0)}
-    images = step.images(point)
-    none = np.zeros((len(images.position), 3))
-    phase = images.of(step.phase[at])
-    return [_points(step, moments, images, none, none[:, 0], [images.of(force)], kernel.NONE, phase)]
+    images, moment = step.images(point), {"traction": MOMENTS["traction"]}
+    return [_constants(step, "walls", moment, images, images.of(step.phase[at]), [images.of(force)])]
 
 
-def _points(
-    step: Step, moments: Mapping[str, tuple[NDArray, float | NDArray]], images: Images, velocity: NDArray,
-    mass: NDArray, constants: Sequence[NDArray], level: int, phase: NDArray,
-    *, by_gradient: bool | None = None, apart: bool = False, others: int = 1,
-    vector: bool = True,
+def _constants(
+    step: Step, over: str, rows: Mapping[str, Moment], images: Images, phase: NDArray, columns: Sequence[NDArray],
+    others: int = 1,
 ) -> Pass:  # fmt: skip
-    """Prepare grains, or other points, with their flow columns up to `level` and columns of constants.
+    """Prepare places with columns of constants alone, those of the moments one after the other."""
+
+    def layout() -> Layout:
+        firsts = np.cumsum([0, *(row.width for row in rows.values())]).tolist()
+        moments = {name: (first + row.columns, 1.0) for first, (name, row) in zip(firsts, rows.items(), strict=False)}
+        return Layout(step.spec.phases * others, _padded(firsts[-1]), moments)
+
+    still = np.zeros((len(images.position), 3))
+    return _pass(step, step.spec.layouts.or_new(over, layout), images, still, still[:, 0], phase, columns, others)
+
+
+def _pass(
+    step: Step, layout: Layout, images: Images, velocity: NDArray, mass: NDArray, phase: NDArray,
+    constants: Sequence[NDArray] = (), others: int = 1, *, by_gradient: bool | None = None,
+) -> Pass:  # fmt: skip
+    """Prepare grains, or other points, with their flow columns and columns of constants.
 
     With `others`, `phase` is the number of a pair of phases, the first times `others` plus the second.
     """
-    position, order = images.position, images.order
-    columns = _side_by_side(constants, len(position))
+    spec, around, position, level = step.spec, step.surroundings, images.position, layout.level
+    columns = _side_by_side(constants, len(position), layout.columns - level)
     # where nothing moves, columns with u are zero without adding them
-    still = True if level and (velocity == velocity[:1]).all() else None
-    kept = {column for column in kernel.SQUARES if column < level}
-    squares = not all(kept.isdisjoint(columns.ravel().tolist()) for columns, _ in moments.values())
+    still = True if level and _is_one_row(velocity) else None
     cubes = True if level == kernel.CUBIC else None
-    fill, squared, cutoffs = [], [], np.repeat(step.cutoffs, others)
     beyond = step.lattice if images.row is None else Lattice(np.full(3, np.inf))
-    for cutoff in step.distinct if len(position) or squares else ():
-        rows = order if (cutoffs == cutoff).all() else order[cutoffs[phase[order]] == cutoff]
-        mesh, meet = step.mesh(cutoff), None
-        if squares:
-            both_seen = 2.0 + 2.0 * float(np.linalg.norm(mesh.half))
-            meet = step.lattice.scaled(cutoff).translations(both_seen, step.source)
-            meet = meet if len(meet) else None
-        batches = (batches_of(position, rows) - step.origin) / cutoff
-        flow = (velocity, mass, columns, phase)
-        grains = kernel.Grains(rows, batches, position, *flow, step.origin, cutoff)
-        flags = (level, still, meet, by_gradient, cubes)
-        fill.append(partial(_fill_points, grains, mesh, step.kernel(cutoff), flags))
-        if squares:
-            groups, weights = np.flatnonzero(cutoffs == cutoff), step.kernel(cutoff)
-            squared.append(Squared(rows, position, mass, phase, beyond, groups, cutoff, weights, step.active))
-    count, width = step.phases * others, level + columns.shape[1]
-    return Pass(count, width, fill, moments, apart, level, vector, squared)
+    fill, squared = [], []
+    for cutoff in spec.distinct if len(position) or layout.squares else ():
+        rows, groups = images.order, None
+        if len(spec.distinct) > 1:
+            groups = np.repeat(spec.by_phase == cutoff, others)
+            rows = rows[groups[phase[rows]]]
+        meet = around.meet(cutoff, step.source) if layout.squares else None
+        batches = (batches_of(position, rows) - spec.origin) / cutoff
+        grains = kernel.Grains(rows, batches, position, velocity, mass, columns, phase, spec.origin, cutoff)
+        mesh, weights = around.meshes[cutoff], around.kernels[cutoff]
+        fill.append(partial(_fill, grains, mesh, weights, (level, still, meet, by_gradient, cubes)))
+        if layout.squares:
+            of = np.arange(layout.groups) if groups is None else np.flatnonzero(groups)
+            squared.append(Squared(rows, position, mass, phase, beyond, of, cutoff, weights, spec.grid.active))
+    return Pass(layout, fill, squared)
 
 
-def _side_by_side(parts: Sequence[NDArray], count: int) -> NDArray:
-    """Columns (count, ...) side by side, and zeros up to a multiple of four, as the loop adds four at a time."""
-    width = sum(values.shape[1] for values in parts)
-    out, first = np.zeros((count, width + -width % 4)), 0
+def _is_one_row(values: NDArray) -> bool:
+    """Whether all rows (n, k) are the same, or there are none."""
+    return not len(values) or (values[0].tolist() == values[-1].tolist() and bool((values == values[0]).all()))
+
+
+def _padded(columns: int) -> int:
+    """Return the next multiple of four, as the loop adds four at a time."""
+    return columns + -columns % 4
+
+
+def _side_by_side(parts: Sequence[NDArray], count: int, width: int) -> NDArray:
+    """Columns (count, ...) side by side, and zeros up to a width."""
+    out, first = np.zeros((count, width)), 0
     for values in parts:
         out[:, first : first + values.shape[1]] = values
         first += values.shape[1]
     return out
 
 
-def _fill_points(
+def _fill(
     grains: kernel.Grains, mesh: Mesh, weights: AnyKernel, flags: tuple[int, *tuple[bool | NDArray | None, ...]],
     block: NodeBlock, sums: NDArray, reference: NDArray,
 ) -> None:  # fmt: skip

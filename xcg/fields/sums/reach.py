@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,8 +55,6 @@ class Mesh:
         Number of nodes.
     cutoff : float
         The unit of length (m).
-    source : str
-        Names the step in messages.
     """
 
     origin: NDArray
@@ -66,19 +66,16 @@ class Mesh:
     period: NDArray
     nodes: int
     cutoff: float
-    source: str
 
     @classmethod
-    def of(cls, grid: Grid, period: NDArray, cutoff: float, source: str) -> Mesh:
+    def of(cls, grid: Grid, period: NDArray, cutoff: float) -> Mesh:
         """Take over a grid and the periods of the scene (m)."""
         steps = np.where(np.array(grid.shape) > 1, grid.steps / cutoff, 1.0)
         lower, upper = (grid.lower - grid.origin) / cutoff, (grid.upper - grid.origin) / cutoff
         periods = np.where(grid.active, period, np.inf) / cutoff
-        return cls(
-            grid.origin, steps, grid.half / cutoff, lower, upper, grid.active, periods, grid.count, cutoff, source
-        )
+        return cls(grid.origin, steps, grid.half / cutoff, lower, upper, grid.active, periods, grid.count, cutoff)
 
-    @property
+    @cached_property
     def reach(self) -> NDArray:
         """How far apart nodes are that see one point (3,)."""
         return 2.0 + 2.0 * self.half
@@ -92,18 +89,21 @@ class Mesh:
         """Return a block of nodes as the loops take it."""
         return block.nodes(self.origin, self.cutoff, self.active, self.period)
 
-    def check_far(self, farthest: NDArray) -> None:
-        """Refuse places (3,) too far from the first node to be numbered, or not finite; damaged files hold them."""
-        for k in np.flatnonzero(self.active):
-            if not farthest[k] < _FAR:
+    def check_far(self, farthest: Sequence[float] | NDArray, source: str) -> None:
+        """Refuse places (3,) too far from the first node to be numbered, or not finite; damaged files hold them.
+
+        Here and below, `source` names the step in messages.
+        """
+        for k in range(3):
+            if self.active[k] and not farthest[k] < _FAR:
                 msg = (
-                    f"{self.source}: a particle or contact reaches {farthest[k] * self.cutoff:.3g} m from the mesh "
+                    f"{source}: a particle or contact reaches {farthest[k] * self.cutoff:.3g} m from the mesh "
                     f"along '{COMPONENTS[k]}', where coordinates have no digits left; the file is damaged, or its "
                     "units are others"
                 )
                 raise SceneError(msg)
 
-    def check_reach(self, reach: NDArray, *, paired: bool = False) -> None:
+    def check_reach(self, reach: NDArray, source: str, *, paired: bool = False) -> None:
         """Refuse supports (3,), from end to end, of more nodes or periodic images than can be counted, or than end.
 
         `paired` says that images of one grain are multiplied with each other.
@@ -112,7 +112,7 @@ class Mesh:
         for k in np.flatnonzero(self.active):
             if not (self.extent[k] < _FAR and (reach[k] + self.extent[k]) / self.steps[k] < _FAR):
                 msg = (
-                    f"{self.source}: along '{COMPONENTS[k]}' the mesh is {self.extent[k] * self.cutoff:.3g} m long "
+                    f"{source}: along '{COMPONENTS[k]}' the mesh is {self.extent[k] * self.cutoff:.3g} m long "
                     f"with nodes {self.steps[k] * self.cutoff:.3g} m apart, and the radius of the support is "
                     f"{self.cutoff:.3g} m; choose a width and a spacing that are closer to each other"
                 )
@@ -123,7 +123,7 @@ class Mesh:
             images = over_mesh
             k = images.argmax()
             msg = (
-                f"{self.source}: the box is so small that a particle or contact reaches the mesh in "
+                f"{source}: the box is so small that a particle or contact reaches the mesh in "
                 f"{images.prod():.3g} periodic images (along '{COMPONENTS[k]}' the period is "
                 f"{self.period[k] * self.cutoff:.3g} m, and the reach {reach[k] * self.cutoff:.3g} m); the box or a "
                 "contact in the file is damaged, or the kernel is too wide"
@@ -138,7 +138,7 @@ class Mesh:
         """Tell whether branches with these largest components (3,) must be cut."""
         return bool(longest[self.active].max(initial=0.0) > _LONG)
 
-    def cut(self, segments: NDArray, ends: NDArray) -> NDArray:
+    def cut(self, segments: NDArray, ends: NDArray, source: str) -> NDArray:
         """Cut long branches where nothing beyond reaches the mesh; those that never come near it are left out.
 
         Parameters
@@ -148,6 +148,8 @@ class Mesh:
         ends : array (2, n, 3)
             The contact point and the partner's centre of each segment (m). The branch of a segment leads to one of
             them, which has digits that the difference from a far start has lost.
+        source : str
+            Names the step.
 
         Returns
         -------
@@ -174,7 +176,7 @@ class Mesh:
         longest = np.array([*sizes.max(axis=0, initial=0.0), np.sqrt((sizes**2).sum(axis=1).max(initial=0.0))])
         if not longest[:3][self.active].max() < _TOO_LONG:
             msg = (
-                f"{self.source}: a contact is {longest[:3][self.active].max() * self.cutoff:.3g} m long within the "
+                f"{source}: a contact is {longest[:3][self.active].max() * self.cutoff:.3g} m long within the "
                 f"mesh or a periodic box, more than {_TOO_LONG:.0f} supports of the kernel; its particles are not in "
                 "touch: check the ids and units of the contacts, or choose a larger width"
             )

@@ -23,7 +23,7 @@ from xcg.compiled.segments import (
 )
 from xcg.fields.sums.blocks import NodeBlock
 from xcg.fields.sums.moments import Moment
-from xcg.fields.sums.passes import AnyKernel, Fill, Pass
+from xcg.fields.sums.passes import AnyKernel, Fill, Layout, Pass
 from xcg.fields.sums.reach import Mesh
 from xcg.fields.sums.step import Step, alike
 from xcg.scene.schema import Frame
@@ -41,21 +41,25 @@ def along_branches(step: Step) -> list[Pass]:
 
 def _branches(step: Step, name: str, row: Moment, place: NDArray) -> Pass:
     """Branches of the contacts in the order that `place` says, each with its force or what is in its place."""
-    others, carried = step.others if row.paired else 0, _carried(step, row, step.frame)
+    spec, around = step.spec, step.surroundings
+    others, carried = spec.others if row.paired else 0, _carried(step, row, step.frame)
     fill: list[Fill] = []
-    for cutoff in step.distinct:
+    for cutoff in spec.distinct:
+        mesh = around.meshes[cutoff]
         for second in (False, True):
             segments, longest, more = _segments(step, row, *carried, place, second, others, cutoff)
-            reach = step.mesh(cutoff).reach + longest[:3]
-            step.mesh(cutoff).check_reach(reach)
+            reach = mesh.reach + longest[:3]
+            mesh.check_reach(reach, step.source)
             batches = batches_of(segments)
             batches += np.array([[-1.0], [1.0]]) * longest[:3]
             for real, closed, rest in _rules(step, longest[3], cutoff):
-                way = Segments(segments, step.spec.limits, batches), step.mesh(cutoff), step.kernel(cutoff)
+                way = Segments(segments, spec.limits, batches), mesh, around.kernels[cutoff]
                 fill.append(partial(_fill_segments, *way, reach.tolist(), real, closed, rest))
             if not more:
                 break
-    return Pass(step.phases * max(others, 1), 9, fill, {name: (row.columns, 1.0)})
+    groups = spec.phases * max(others, 1)
+    new = partial(Layout, groups, 9, {name: (row.columns, 1.0)})
+    return Pass(spec.layouts.or_new(("branches", name), new), fill)
 
 
 def _carried(step: Step, row: Moment, frame: Frame) -> tuple[NDArray, NDArray | None]:
@@ -76,13 +80,15 @@ def _segments(
     assert c is not None
     segments, longest = np.empty((len(place), SEGMENT)), np.empty(4)
     rows = ContactRows(c.i, c.j, c.point, on_i, step.position, step.phase, *c.periods)
-    more = list_segments(rows, on_j, second, place, others, step.cutoffs, cutoff, step.origin, segments, longest)
-    mesh = step.mesh(cutoff)
-    mesh.check_far(longest[:3])
+    more = list_segments(
+        rows, on_j, second, place, others, step.spec.by_phase, cutoff, step.spec.origin, segments, longest
+    )
+    mesh = step.surroundings.meshes[cutoff]
+    mesh.check_far(longest[:3], step.source)
     row: Any = slice(None)
     shift = np.zeros(3)
     if step.lattice.vectors is not None:
-        start = segments[:, :BRANCH] * cutoff + step.origin
+        start = segments[:, :BRANCH] * cutoff + step.spec.origin
         row, shift, drifts = step.near_mesh(start, (1.0 + longest[3]) * cutoff)
         segments = segments[row]
         segments[:, :BRANCH] += shift / cutoff
@@ -90,19 +96,23 @@ def _segments(
             on_i, on_j = _carried(step, moment, step.moving(drift))
             moving, _ = np.empty((len(place), SEGMENT)), np.empty(4)
             rows = rows._replace(on_i=on_i)
-            list_segments(rows, on_j, second, place, others, step.cutoffs, cutoff, step.origin, moving, _)
+            list_segments(rows, on_j, second, place, others, step.spec.by_phase, cutoff, step.spec.origin, moving, _)
             segments[here, FORCE:GROUP] = moving[row[here], FORCE:GROUP]
     if mesh.too_long(longest[:3]):
         contact = np.argsort(place)
         partner = (c.i if second else np.where(c.i >= 0, c.j, c.i))[contact]
         ends = [points[row] + shift for points in (c.point[contact], step.position[partner])]
-        longest = mesh.cut(segments, np.array(ends))
+        longest = mesh.cut(segments, np.array(ends), step.source)
     return segments, longest, more
 
 
 def _rules(step: Step, longest: float, cutoff: float) -> list[tuple[str, bool, bool]]:
     """Ways to the weights of segments: numbers, whether in closed form as well, and whether in that alone."""
-    if step.spec.grid.half.any() or not step.spec.coarse or not step.mesh(cutoff).fits_single(step.spec.limits.max()):
+    if (
+        step.spec.grid.half.any()
+        or not step.spec.coarse
+        or not step.surroundings.meshes[cutoff].fits_single(step.spec.limits.max())
+    ):
         return [("float64", True, False)]
     by_points = ("float32", False, False)
     return [by_points] if longest <= step.spec.limits.max() else [by_points, ("float64", True, True)]

@@ -1,4 +1,4 @@
-"""One step as its passes need it: its rows, where they and their images stand, and meshes and kernels by cutoff."""
+"""One step as its passes need it: its rows, and where they and their images stand."""
 
 from __future__ import annotations
 
@@ -10,13 +10,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.compiled.points import SQUARED
-from xcg.compiled.reach import spatial_order
-from xcg.fields.sums.blocks import triple
+from xcg.compiled.reach import bounds_of, spatial_order
 from xcg.fields.sums.moments import Moment
-from xcg.fields.sums.passes import AnyKernel, DepositSpec
+from xcg.fields.sums.passes import DepositSpec
 from xcg.fields.sums.power import WALL_VELOCITY, velocities_of_walls
-from xcg.fields.sums.reach import Mesh
+from xcg.fields.sums.surroundings import Surroundings
 from xcg.scene.contacts import Contacts
 from xcg.scene.frame import phase_of, without_frozen
 from xcg.scene.lattice import Lattice
@@ -62,39 +60,35 @@ class Step:
 
     def __init__(self, frame: Frame, spec: DepositSpec, lattice: Lattice, scale: float, source: str) -> None:
         self.frame = without_frozen(frame)
-        self.spec, self.scale, self.source = spec, scale, source
+        self.spec, self.source = spec, source
         self.position = np.ascontiguousarray(self.frame["position"])
         self.count = len(self.position)
         self.phase = phase_of(self.frame, spec.by, spec.groups, source)
         self.contacts = Contacts.of(self.frame, lattice, source) if "contact_i" in self.frame else None
-        if self.contacts and any(WALL_VELOCITY in row.optional for row in spec.rows.values()) and "frozen" in frame:
+        if self.contacts and spec.takes(WALL_VELOCITY) and "frozen" in frame:
             self.frame[WALL_VELOCITY] = velocities_of_walls(frame, self.contacts, source)
-        self.velocity = np.ascontiguousarray(self.frame.get("velocity", np.zeros((self.count, 3))))
-        self.mass = np.ascontiguousarray(self.frame.get("mass", np.ones(self.count)))
-        self.phases = max(1, len(spec.groups))
-        self.others = self.phases + 1  # the last one for walls
-        self.cutoffs = np.resize(spec.cutoffs, self.phases)
-        self.distinct = sorted(set(self.cutoffs.tolist()))
-        self.active = spec.grid.active
-        self._meshes: dict[float, Mesh] = {}
-        self.lattice = lattice.seen(self.active, source)
-        if lattice.hides_shear(self.active) and any("velocity" in row.variables for row in spec.rows.values()):
+        velocity, mass = self.frame.get("velocity"), self.frame.get("mass")
+        self.velocity = np.zeros((self.count, 3)) if velocity is None else np.ascontiguousarray(velocity)
+        self.mass = np.ones(self.count) if mass is None else np.ascontiguousarray(mass)
+        self.surroundings = Surroundings.of(spec, lattice, scale, source)
+        self.lattice = self.surroundings.lattice
+        if lattice.hides_shear(spec.grid.active) and spec.takes("velocity"):
             warn_once("hidden shear", f"{source}: {_HIDDEN_SHEAR}")
-        self.origin = triple(self.spec.grid.origin)
         self.grains = self.images(self.position)
 
     def images(self, position: NDArray) -> Images:
         """Where rows of the data stand: at these positions, and where a box is tilted at all images near the mesh."""
         if self.lattice.vectors is None:
             return Images(position, self.in_space(position))
-        row, shift, drift = self.near_mesh(position, self.cutoffs.max())
+        row, shift, drift = self.near_mesh(position, self.spec.distinct[-1])
         position = position[row] + shift
         return Images(position, self.in_space(position), row, drift if drift.any() else None)
 
     def near_mesh(self, position: NDArray, reach: float) -> tuple[NDArray, NDArray, NDArray]:
         """Images of positions no further than `reach` (m) from the nodes, see `Lattice.images`."""
         first, last = self.spec.grid.lower, self.spec.grid.upper
-        low, high = np.where(self.active, first - reach, -np.inf), np.where(self.active, last + reach, np.inf)
+        active = self.spec.grid.active
+        low, high = np.where(active, first - reach, -np.inf), np.where(active, last + reach, np.inf)
         return self.lattice.images(position, low, high, self.source)
 
     def column(self, row: Moment, at: Images, contact: NDArray | None = None) -> NDArray:
@@ -135,28 +129,15 @@ class Step:
         images, share = self.images(c.point[contact]), np.where(mixed[contact], 0.5, 1.0)
         return images, images.of(phase), images.of(share), images.of(contact)
 
-    def kernel(self, cutoff: float) -> AnyKernel:
-        """Return the kernel of this cutoff, divided by the extent of averaged axes."""
-        norm = self.spec.weights.norm * (self.spec.cutoffs[0] / cutoff) ** int(self.active.sum())
-        return self.spec.weights._replace(norm=norm * self.scale)
-
-    def mesh(self, cutoff: float) -> Mesh:
-        """Mesh and its surroundings, in cutoffs."""
-        if cutoff not in self._meshes:
-            self._meshes[cutoff] = Mesh.of(self.spec.grid, self.lattice.period, cutoff, self.source)
-        return self._meshes[cutoff]
-
     def in_space(self, position: NDArray) -> NDArray:
         """Order in space, so that neighbours add to the same nodes while these are in cache."""
         if not len(position):
             return np.zeros(0, "int64")
-        lower, upper = (np.array([extreme(x) for x in position.T]) for extreme in (np.min, np.max))
-        farthest = np.maximum(np.abs(lower - self.origin), np.abs(upper - self.origin))
-        for cutoff in (self.cutoffs.min(), self.cutoffs.max()):
-            mesh = self.mesh(cutoff)
-            mesh.check_far(farthest / cutoff + 2.0)
-            mesh.check_reach(mesh.reach, paired=self.spec.level >= SQUARED)
-        return spatial_order(position, self.cutoffs.min(), lower, upper, self.active)
+        lower, upper = bounds_of(position)
+        farthest = [max(abs(a - o), abs(b - o)) for a, b, o in zip(lower, upper, self.spec.origin, strict=True)]
+        for cutoff in {self.spec.distinct[0], self.spec.distinct[-1]}:
+            self.surroundings.meshes[cutoff].check_far([x / cutoff + 2.0 for x in farthest], self.source)
+        return spatial_order(position, self.spec.distinct[0], np.array(lower), np.array(upper), self.spec.grid.active)
 
 
 def alike(drifts: NDArray) -> Iterator[tuple[NDArray, NDArray]]:
