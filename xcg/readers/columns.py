@@ -161,8 +161,10 @@ def _axes(filled: Mapping[str, str], slot: str) -> list[str]:
 
 def _stacked(values: Mapping[str, NDArray], slot: str) -> NDArray:
     """Vector (n, 3) from its components; 0 for one that is not there."""
-    zero = np.zeros(len(next(iter(values.values()))))
-    return np.stack([values.get(f"{slot}_{axis}", zero) for axis in COMPONENTS], axis=1)
+    vector = np.empty((len(next(iter(values.values()))), 3))
+    for k, axis in enumerate(COMPONENTS):
+        vector[:, k] = values.get(f"{slot}_{axis}", 0.0)
+    return vector
 
 
 _SUSPECT = re.compile("wall|force", re.IGNORECASE)

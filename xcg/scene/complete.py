@@ -49,11 +49,12 @@ def _typed(frame: Mapping[str, ArrayLike], setup: Setup, source: str) -> Frame:
         array = np.asarray(values)
         row = variable(name, array.dtype, array.ndim)
         if row.dtype == "int64" and array.dtype.kind == "f":
-            if array.size and not (np.isfinite(array).all() and (array == np.rint(array)).all()):
+            whole = np.rint(array)
+            if array.size and not (np.isfinite(array).all() and (array == whole).all()):
                 bad = int(np.flatnonzero(~np.isfinite(array) | (array != np.rint(array)))[0])
                 msg = f"{source}: '{name}' must hold whole numbers, but row {bad} is {array.flat[bad]!r}"
                 raise SceneError(msg)
-            array = np.rint(array)
+            array = whole
         typed[name] = array.astype(row.dtype, order="C")
         factor = setup.factor(row.powers)
         if factor != 1.0:

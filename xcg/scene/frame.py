@@ -20,9 +20,10 @@ def stack(frames: Sequence[Frame], names: Sequence[str], rows: int) -> Frame:
         if len(frames) == 1 and len(frames[0][name]) == rows:
             stacked[name] = np.ascontiguousarray(frames[0][name], row.dtype)[None]
             continue
-        out = np.full((len(frames), *row.shape(rows)), row.fill, row.dtype)
+        out = np.empty((len(frames), *row.shape(rows)), row.dtype)
         for t, frame in enumerate(frames):
             out[t, : len(frame[name])] = frame[name]
+            out[t, len(frame[name]) :] = row.fill
         stacked[name] = out
     return stacked
 

@@ -65,15 +65,15 @@ def errors() -> tuple[type[Exception], ...]:
     return (EOFError, zlib.error, gzip.BadGzipFile, *further)
 
 
-def open_compressed(path: str) -> BinaryIO:
-    """Open a compressed file for reading what it holds.
+def open_compressed(path: str, kind: str = "") -> BinaryIO:
+    """Open a compressed file for reading what it holds; `kind` is that of `compression`, where it is known.
 
     Raises
     ------
     SceneError
         If what unpacks it is not installed.
     """
-    if compression(path) == "gzip":
+    if (kind or compression(path)) == "gzip":
         return cast(BinaryIO, _gzip().open(path, "rb"))
     zstd = _zstd()
     if zstd is None:

@@ -6,7 +6,6 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,8 +64,13 @@ def parse_table(
     """
     places = np.array([columns.index(column) for column in wanted], np.int64)
     pieces = (body[at : at + PIECE] for at in range(0, len(body), PIECE)) if isinstance(body, bytes) else body
-    results = _in_order(whole_lines(pieces, name), partial(_parse, len(columns), places), threads)
     table, filled = np.empty((len(wanted), rows or 0)), 0
+    at_once = threads == 1 and rows is not None  # then rows go to their places, with no copy
+
+    def parse(block: bytes) -> tuple[NDArray, bool]:
+        return _parse(len(columns), places, block, *((table, filled) if at_once else ()))
+
+    results = _in_order(whole_lines(pieces, name), parse, threads)
     for block, (numbers, whole) in results:
         end = filled + numbers.shape[1]
         if rows is not None and end + (not whole) > rows:
@@ -80,7 +84,8 @@ def parse_table(
             raise SceneError(msg)
         if end > table.shape[1]:
             table = np.concatenate([table, np.empty((len(wanted), end))], axis=1)
-        table[:, filled:end] = numbers
+        if not at_once:
+            table[:, filled:end] = numbers
         filled = end
     if rows is not None and filled < rows:
         msg = (
@@ -108,25 +113,31 @@ def _in_order(blocks: Iterable[bytes], work: Callable, threads: int) -> Iterator
             yield last, result.result()
 
 
-def _parse(columns: int, places: NDArray, block: bytes) -> tuple[NDArray, bool]:
-    """Parse the rows of a block, (wanted, rows), and tell whether that is all of it or one of its rows is at fault."""
+def _parse(
+    columns: int, places: NDArray, block: bytes, out: NDArray | None = None, first: int = 0
+) -> tuple[NDArray, bool]:
+    """Parse the rows of a block, (wanted, rows), and tell whether that is all of it or one of its rows is at fault.
+
+    They go to `out` from row `first` on, where that is given, and surplus rows are at fault.
+    """
     text, size = np.frombuffer(block, np.uint8), len(block) - BEYOND
-    out = np.empty((len(places), size // (2 * columns) + 1))  # a digit and a space for each value
+    if out is None:
+        out = np.empty((len(places), size // (2 * columns) + 1))  # a digit and a space for each value
     edges, lines = np.empty(text.size + 2 * columns + 2, np.int32), np.empty(text.size, np.int32)
     left = np.empty((len(places) + _LEFT, len(REST)), np.int64)
-    row = done = 0
+    row, done = first, 0
     while done < size:
         with np.errstate(over="ignore"):  # where nothing is compiled, NumPy warns of bits that products lose
             rows, passed, count = read_rows(text[done:], size - done + 1, columns, places, out, row, edges, lines, left)
         for at, place, start, stop in left[:count].tolist():
             value = _number(block[done + start : done + stop])
             if math.isnan(value):
-                return out[:, :at], False
+                return out[:, first:at], False
             out[place, at] = value
         if passed == 0:
-            return out[:, :row], False
+            return out[:, first:row], False
         row, done = row + rows, done + passed
-    return out[:, :row], True
+    return out[:, first:row], True
 
 
 def _number(word: bytes) -> float:

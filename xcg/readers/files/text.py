@@ -34,7 +34,8 @@ def open_binary(path: str) -> Iterator[BinaryIO]:
     SceneError
         While it is open, if the compressed data are damaged or end early.
     """
-    with _damage_named(path), open_compressed(path) if compression(path) else open(path, "rb") as stream:
+    kind = compression(path)
+    with _damage_named(path), open_compressed(path, kind) if kind else open(path, "rb") as stream:
         yield stream
 
 
@@ -193,7 +194,7 @@ def body_of(ref: StepRef) -> Iterator[bytes]:
             "values; the file is damaged. Leave it out, or write it again"
         )
         raise SceneError(msg)
-    waits = compression(ref.path) and not ref.alone
+    waits = not ref.alone and compression(ref.path)
     with _damage_named(ref.path), forward(ref.path, ref.offset) if waits else open_binary(ref.path) as stream:
         if ref.offset:
             stream.seek(ref.offset)
