@@ -17,6 +17,7 @@ from xcg.scene.frame import particle_rows
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import BOX, PADDING, VARIABLES, Frame, SceneError, Variable
 from xcg.scene.summary import Summary, rows_of_origin
+from xcg.steps.each import each_step
 
 _NONE, _PRESSURE = (0, 0, 0), (-1, 1, -2)
 COPIED = ("particle_id", "position", "diameter", "contact_i", "contact_j", "contact_force")
@@ -143,13 +144,13 @@ class Step:
 
 
 def steps_of(fc: xr.Dataset, names: Sequence[str]) -> Iterator[Step]:
-    """Yield the steps of a result one after the other, each computed on its own."""
+    """Yield the steps of a result one after the other, each chunk of time computed once."""
     fc = with_components(fc)
     if "time" not in fc.dims:
         fc = fc.expand_dims("time")
     names = [*dict.fromkeys(("particle_id", "contact_i", *names))]
-    for t in range(fc.sizes["time"]):
-        step = fc[[*names, *(BOX.keys() & set(fc.data_vars))]].isel(time=t).compute()
+    for t, one in enumerate(each_step(fc[[*names, *(BOX.keys() & set(fc.data_vars))]])):
+        step = one.isel(time=0)
         valid = step.contact_i.to_numpy() != PADDING
         rows: dict[str, Any] = {"particle": particle_rows(step.particle_id.to_numpy()), "contact": valid}
         arrays = {}

@@ -9,10 +9,9 @@ import json
 import os
 import shutil
 import uuid
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from importlib.metadata import version
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +27,7 @@ from xcg.readers.paths import expand_paths
 from xcg.readers.series import open_scene
 from xcg.scene.phases import assign_phases, find_phases
 from xcg.scene.schema import SceneError, did_you_mean
+from xcg.steps.each import chunks_of_time, each_step
 from xcg.steps.errors import collecting, listen_for_skips
 from xcg.steps.label import name_skipped
 from xcg.steps.skip import SKIPPED
@@ -153,9 +153,10 @@ def run_job(
             count = next(iter(series.values())).sizes["time"]
             yield count, count
             return
-        yield from _compute(parts, series, jobs or os.cpu_count() or 1)
-        for name, data in series.items():
-            _assemble(job, name, [_part(parts, name, steps) for steps in _chunks([data])])
+        chunks = chunks_of_time(series.values())
+        yield from _compute(parts, series, chunks, jobs or os.cpu_count() or 1)
+        for name in series:
+            _assemble(job, name, [_part(parts, name, steps) for steps in chunks])
         done = parts.with_name(f"{parts.name}.{uuid.uuid4().hex[:8]}")
         parts.rename(done)  # at once, so that no half of it is taken for a run to go on with
         shutil.rmtree(done)
@@ -202,19 +203,14 @@ def _made_by(path: Path) -> str | None:
     return found.decode() if isinstance(found, bytes) else found
 
 
-def _chunks(series: Iterable[xr.Dataset]) -> list[slice]:
-    """List the steps of each chunk of time; a task computes a whole chunk, whatever is asked of it."""
-    edges = [{0, *np.cumsum(data.chunks["time"]).tolist()} for data in series]
-    return [slice(first, end) for first, end in pairwise(sorted(set.intersection(*edges)))]
-
-
 def _part(parts: Path, name: str, steps: slice) -> Path:
     return parts / f"{name}.{steps.start}-{steps.stop}.nc"
 
 
-def _compute(parts: Path, series: Mapping[str, xr.Dataset], batch: int) -> Iterator[tuple[int, int]]:
+def _compute(
+    parts: Path, series: Mapping[str, xr.Dataset], chunks: Sequence[slice], batch: int
+) -> Iterator[tuple[int, int]]:
     """Write the chunks of time that are not there, some at a time."""
-    chunks = _chunks(series.values())
     todo = [steps for steps in chunks if not all(_part(parts, name, steps).exists() for name in series)]
     count, left = chunks[-1].stop, sum(steps.stop - steps.start for steps in todo)
     yield count - left, count
@@ -286,8 +282,8 @@ def _assemble(job: Job, name: str, parts: list[Path]) -> None:
             return
         paths = _vtkhdf_paths(job, whole)
         if job.vtkhdf == "steps":
-            for t, path in enumerate(paths):
-                to_vtkhdf(whole.isel(time=[t]), path, overwrite=True, **job.encoding)
+            for step, path in zip(each_step(whole), paths, strict=True):
+                to_vtkhdf(step, path, overwrite=True, **job.encoding)
         elif paths:
             to_vtkhdf(whole, paths[0], overwrite=True, **job.encoding)
     finally:

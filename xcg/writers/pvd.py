@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
+import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from xcg.readers.files.vtp import read_collection
 from xcg.scene.schema import SceneError
+from xcg.steps.each import each_step
 from xcg.writers.files import check_target, publish, whole_file
 from xcg.writers.folders import hidden_folder
 
 
 def write_series(
-    steps: Sequence[xr.Dataset], times: NDArray, path: Path, suffix: str,
-    write: Callable[[xr.Dataset, Path], None], *, overwrite: bool,
-) -> None:  # fmt: skip
+    fields: xr.Dataset, path: Path, suffix: str, write: Callable[[xr.Dataset, Path], None], *, overwrite: bool
+) -> None:
     """Compute and write steps one by one, as ``name_0000`` and so on with a suffix, and their list as ``name.pvd``.
 
     All steps are written, in a hidden folder, before the first of them gets its name. An old list goes before its steps
@@ -29,10 +29,8 @@ def write_series(
 
     Parameters
     ----------
-    steps : sequence of xarray.Dataset
-        What `write` is given, computed, with the name of its file.
-    times : array (steps,)
-        Their times.
+    fields : xarray.Dataset
+        `write` is given each of its steps, computed, with the name of its file.
     path : Path
         The list.
     suffix : str
@@ -45,7 +43,8 @@ def write_series(
     FileExistsError, FileNotFoundError
         If a file exists and `overwrite` is False, or the folder is not there; before anything is written.
     """
-    names = [path.with_name(f"{path.stem}_{t:04d}{suffix}") for t in range(len(steps))]
+    times = np.atleast_1d(fields["time"].to_numpy()) if "time" in fields.coords else np.zeros(1)
+    names = [path.with_name(f"{path.stem}_{t:04d}{suffix}") for t in range(len(times))]
     for name in (*names, path):
         check_target(name, overwrite=overwrite)
     rows = "".join(
@@ -54,8 +53,8 @@ def write_series(
     )
     head = '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n  <Collection>\n'
     with hidden_folder(path) as folder:
-        for step, name in zip(steps, names, strict=True):
-            write(step.compute(), folder / name.name)
+        for step, name in zip(each_step(fields), names, strict=True):
+            write(step, folder / name.name)
         old = _steps_of(path, suffix)
         check_target(path, overwrite=overwrite)
         path.unlink(missing_ok=True)

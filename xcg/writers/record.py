@@ -21,6 +21,7 @@ from xcg.scene.build import storable
 from xcg.scene.conform import takes_scene
 from xcg.scene.query import check_times
 from xcg.scene.schema import COMPONENTS, SceneError
+from xcg.steps.each import each_step
 from xcg.writers.encoding import Encoding
 from xcg.writers.files import check_target, part_of, remove, whole_file
 from xcg.writers.lock import locked
@@ -171,8 +172,7 @@ class Recorder:
         SceneError
             If it is not later than what is there, or its fields have other names, nodes or kernels.
         """
-        for k in range(ds.sizes.get("time", 1)):
-            one = ds.isel(time=slice(k, k + 1)) if "time" in ds.dims else ds
+        for one in each_step(ds):
             self._add(_fields(one, self._request) if "position" in ds else one)
 
     def _add(self, fields: xr.Dataset) -> None:

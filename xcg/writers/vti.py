@@ -29,10 +29,7 @@ def write_pvd(ds: xr.Dataset, path: Path, encoding: Encoding, *, overwrite: bool
         raise ValueError(msg)
     fields = encoding.noted(checked(ds))
     Image.of(fields)  # what is no image is refused before anything is written
-    lone = "time" not in fields.dims
-    steps = [fields] if lone else [fields.isel(time=[t]) for t in range(fields.sizes["time"])]
-    times = np.zeros(1) if "time" not in fields.coords else np.atleast_1d(fields["time"].to_numpy())
-    write_series(steps, times, path, ".vti", partial(_write_step, encoding, overwrite=overwrite), overwrite=overwrite)
+    write_series(fields, path, ".vti", partial(_write_step, encoding, overwrite=overwrite), overwrite=overwrite)
 
 
 def _write_step(encoding: Encoding, step: xr.Dataset, path: Path, *, overwrite: bool) -> None:

@@ -62,14 +62,13 @@ def to_vtu(
     dim, cells = _place_of(fields, data, mesh)
     _check_places(fields, dim, places_of(data, centers=cells), mesh)
     bare = _bare_grid(data)
-    steps = [fields.isel(time=t) for t in range(fields.sizes["time"])] if "time" in fields.dims else [fields]
     write = partial(_write_step, dim, bare, cells=cells, overwrite=overwrite)
-    if len(steps) == 1:
+    if fields.sizes.get("time", 1) == 1:
         check_target(path, overwrite=overwrite)
-        write(steps[0].compute(), path)
+        write(fields.compute(), path)
         return path
     series = path.with_suffix(".pvd")
-    write_series(steps, fields["time"].to_numpy(), series, ".vtu", write, overwrite=overwrite)
+    write_series(fields, series, ".vtu", write, overwrite=overwrite)
     return series
 
 
@@ -129,6 +128,7 @@ def _write_step(dim: str, bare: Any, step: xr.Dataset, path: Path, *, cells: boo
     from vtkmodules.vtkCommonDataModel import vtkUnstructuredGrid
     from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
 
+    step = step.isel(time=0) if "time" in step.dims else step
     grid = vtkUnstructuredGrid()
     grid.ShallowCopy(bare)
     target = grid.GetCellData() if cells else grid.GetPointData()

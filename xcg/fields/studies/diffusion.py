@@ -18,6 +18,7 @@ from xcg.scene.frame import phase_of, steps_in, without_frozen
 from xcg.scene.motion import BoxMotion, partners
 from xcg.scene.query import evenly_spaced, groups_of, require_scene, setup_of
 from xcg.scene.schema import COMPONENTS, OF_STEP, units_of
+from xcg.steps.each import each_step
 from xcg.steps.label import format_call, provenance
 from xcg.steps.phase_labels import with_phase_labels
 
@@ -199,8 +200,7 @@ def _ways(ds: xr.Dataset, by: str | None, known: Sequence[int], remove_drift: bo
     """Follow the grains from step to step."""
     names = [n for n in ("particle_id", "position", "frozen", by, *OF_STEP) if n is not None and n in ds]
     periodic, before = str(ds.attrs.get("periodic", "")), None
-    for t in range(ds.sizes["time"]):
-        step = ds[names].isel(time=[t]).compute()
+    for t, step in enumerate(each_step(ds[names])):
         frame, lattice, source = next(steps_in({name: step[name].to_numpy() for name in names}, periodic))
         frame = without_frozen(frame)
         ids, position = frame["particle_id"], frame["position"]

@@ -13,6 +13,7 @@ import xarray as xr
 
 from xcg.scene.extras import extra
 from xcg.scene.schema import COMPONENTS
+from xcg.steps.each import each_step
 from xcg.steps.progress import shown
 
 if TYPE_CHECKING:
@@ -169,8 +170,8 @@ def movie(
     # a step has to be computed and drawn
     with shown(2 * count, progress, what="frames") as bar:
         steps = []
-        for k in range(count):
-            steps.append(_one_step(part, k, phase).compute())
+        for k, step in enumerate(each_step(part)):
+            steps.append(_one_step(step, 0, phase))
             bar.update(k + 1)
         low, high = _limits([step[name] for step in steps])
         fastest = max(_fastest(step) for step in steps)
