@@ -23,6 +23,7 @@ from dask.highlevelgraph import HighLevelGraph
 from numpy.typing import NDArray
 from xarray.backends.locks import get_dask_scheduler, get_write_lock
 
+from xcg.steps.each import chunks_of_time
 from xcg.steps.graph import Gathered
 from xcg.steps.memory import memory_is_kept
 from xcg.steps.progress import Progress, shown
@@ -92,10 +93,7 @@ def graph_of(arrays: Mapping[str, da.Array], write: Write, steps: int = 1) -> tu
 def same_chunks(ds: xr.Dataset) -> dict[str, da.Array]:
     """Lazy arrays, time first, in chunks of time that cut none of theirs, so that every chunk is computed once."""
     arrays = {str(name): data.transpose("time", ...).data for name, data in ds.data_vars.items()}
-    edges: set[int] = set(range(ds.sizes.get("time", 0) + 1))
-    for array in arrays.values():
-        edges &= {0, *np.cumsum(array.chunks[0]).tolist()}
-    sizes = tuple(np.diff(sorted(edges)).tolist())
+    sizes = tuple(steps.stop - steps.start for steps in chunks_of_time([ds])) if arrays else ()
     return {name: a.rechunk({0: sizes, **dict.fromkeys(range(1, a.ndim), -1)}) for name, a in arrays.items()}
 
 
