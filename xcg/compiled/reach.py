@@ -275,18 +275,6 @@ def nodes_around_segment(x, y, z, bx, by, bz, per_length, rows, lists):
 
 
 @leaf
-def bounds_of(position):
-    """Lowest and highest coordinates, (3,) each, of points (n, 3); infinity and minus that of none."""
-    inf = np.inf
-    x0, y0, z0, x1, y1, z1 = inf, inf, inf, -inf, -inf, -inf
-    for n in range(position.shape[0]):
-        x, y, z = position[n, 0], position[n, 1], position[n, 2]
-        x0, y0, z0 = min(x, x0), min(y, y0), min(z, z0)
-        x1, y1, z1 = max(x, x1), max(y, y1), max(z, z1)
-    return (x0, y0, z0), (x1, y1, z1)
-
-
-@leaf
 def _bounds_of_batches(records, rows, bounds):
     for n in range(records.shape[0] if rows is None else rows.size):
         row = n if rows is None else rows[n]

@@ -67,7 +67,7 @@ def compute_chunk(plan: Plan, threads: int, arrays: Mapping[str, NDArray]) -> di
     """Fields of one chunk of time, from padded arrays."""
     threads = _threads_for(plan, arrays, threads)
     out = empty_arrays({name: (len(arrays["particle_id"]), *plan.shapes[name]) for name in plan.fields})
-    for_each([a.reshape(-1) for a in out.values()], _take_memory, threads)
+    for_each([a.reshape(-1) for a in out.values() if a.size > _PAGE], _take_memory, threads)
     for t, (frame, lattice, source) in enumerate(steps_in(arrays, plan.setup.periodic)):
         _compute_step(plan, frame, lattice, source, threads, {name: a[t, ...] for name, a in out.items()})
     return out

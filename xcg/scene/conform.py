@@ -9,8 +9,8 @@ order of rows is looked after where frames are made (`xcg.scene.frame.frame_of`)
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial, wraps
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from functools import cache, partial, wraps
 from typing import Any, Concatenate, ParamSpec, TypeVar, cast
 
 import numpy as np
@@ -65,7 +65,8 @@ def conform(ds: xr.Dataset) -> xr.Dataset:
     masked = scene.variables["particle_id"].dtype.kind == "f"
     changed = {}
     for name in map(str, scene.data_vars):
-        given, row = scene.variables[name], _row_of(scene, name)
+        given = scene.variables[name]
+        row = _row_of(name, given.dims, given.dtype)
         floats = given.dtype.kind == "f" and (f"{name}_values" in scene.attrs or (row and row.dtype == "int64"))
         if not (masked or floats) and (row is None or given.dims == ("time", *row.dims)):
             continue  # as nearly always
@@ -116,12 +117,12 @@ def _with_dim(ds: xr.Dataset, dim: str) -> xr.Dataset:
     return ds.assign(found)
 
 
-def _row_of(ds: xr.Dataset, name: str) -> Variable | None:
+@cache
+def _row_of(name: str, dims: tuple[Hashable, ...], dtype: np.dtype) -> Variable | None:
     """Row of the schema of a variable; none for what the user keeps beside the scene."""
     if name in BOX:
         return BOX[name]
-    dims = ds.variables[name].dims
-    row = variable(name, ds.variables[name].dtype, 1 + sum(dim in dims for dim in ("component", "direction")))
+    row = variable(name, dtype, 1 + sum(dim in dims for dim in ("component", "direction")))
     expected = {"time", *row.dims}
     return row if name in VARIABLES or expected <= {*dims} <= expected | {"particle", "contact"} else None
 

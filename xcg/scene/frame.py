@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.compiled.arrays import all_finite
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import BOX, OF_STEP, PADDING, VARIABLES, Frame, SceneError, variable
 
@@ -80,10 +81,9 @@ def frame_of(arrays: Mapping[str, NDArray], t: int, source: str = "scene") -> Fr
 
 def check_finite(name: str, frame: Frame, source: str) -> None:
     """Refuse a variable that is not finite in a row that is not padding, as one that was assigned may be."""
-    finite = np.isfinite(frame[name])
-    if finite.all():
+    if frame[name].dtype != np.float64 or all_finite(np.ascontiguousarray(frame[name]).reshape(-1)):
         return
-    row = int(np.argwhere(~finite)[0][0])
+    row = int(np.argwhere(~np.isfinite(frame[name]))[0][0])
     at_contacts = variable(name).dims[0] == "contact"
     whose = f"contact row {row}" if at_contacts else f"particle {frame['particle_id'][row]}"
     msg = (

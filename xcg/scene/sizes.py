@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.compiled.arrays import bounds_of
 from xcg.scene.conform import takes_scene
 from xcg.scene.frame import frame_of
 from xcg.scene.query import known_without_reading, mark_measured, numbers_of, require_scene
@@ -116,7 +117,7 @@ def with_measures(ds: xr.Dataset) -> xr.Dataset:
     if lost:
         ds = _without_attrs(ds, lost)
     ends = _ends_in_memory(ds, ("particle_id", *of, "mass"))
-    outside = {attr for name in of for attr in of[name] if not all(_within(name, frame, ds.attrs) for frame in ends)}
+    outside = {attr for name in of if not all(_within(name, frame, ds.attrs) for frame in ends) for attr in of[name]}
     if outside:
         measured = measure_frames(ends)
         ds = ds.assign_attrs({attr: measured[attr] for attr in outside & set(measured)})
@@ -148,13 +149,14 @@ def _within(name: str, frame: Frame, known: Mapping[Any, Any]) -> bool:
     low, high = _RANGES[name]
     if low not in known:
         return False
-    small = 1e-9 * np.max(np.abs([known[low], known[high]]))
-    return all(
-        column.min() >= lower - small and column.max() <= upper + small
-        for column, lower, upper in zip(
-            values.reshape(len(values), -1).T, np.atleast_1d(known[low]), np.atleast_1d(known[high]), strict=True
-        )
-    )
+    if values.ndim == 1:
+        lowest, highest = (float(values.min()),), (float(values.max()),)
+    else:
+        lowest, highest = bounds_of(np.ascontiguousarray(values, "float64"))
+    lower, upper = (np.ravel(known[end]).tolist() for end in (low, high))
+    small = 1e-9 * max(map(abs, (*lower, *upper)))
+    inside = zip(lowest, highest, lower, upper, strict=True)
+    return all(first >= least - small and last <= most + small for first, last, least, most in inside)
 
 
 def layer_depth(ds: xr.Dataset, setup: Setup, edges: Mapping[str, tuple[float, float]]) -> float | str | None:

@@ -12,7 +12,7 @@ from itertools import pairwise, product
 from typing import Any, Protocol, TypeAlias, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from xcg.compiled.cells import Cells
 from xcg.compiled.reach import Lists, Nodes, Rows, lists_for
@@ -34,9 +34,9 @@ def nodes_in_cache(numbers: int) -> int:
     return max(_FEWEST, _CACHED // (8 * max(1, numbers)))
 
 
-def triple(values: ArrayLike) -> tuple[Any, Any, Any]:
+def triple(values: NDArray | Sequence[Any]) -> tuple[Any, Any, Any]:
     """Return three numbers, one for each axis, as loops take them."""
-    x, y, z = np.asarray(values).tolist()
+    x, y, z = values.tolist() if isinstance(values, np.ndarray) else values
     return x, y, z
 
 
@@ -102,24 +102,28 @@ class MeshBlock(OwnNodes):
     @property
     def count(self) -> int:
         """Number of nodes."""
-        return math.prod(np.subtract(self.high, self.low).tolist())
+        return math.prod(high - low for low, high in zip(self.low, self.high, strict=True))
 
     @property
     def places(self) -> NDArray:
         """Where the nodes are among all nodes of the mesh, numbered row by row."""
+        if self.count == math.prod(self.shape):
+            return np.arange(self.count, dtype="uint64")
         x, y, z = (np.arange(low, high, dtype="uint64") for low, high in zip(self.low, self.high, strict=True))
         return ((x[:, None, None] * self.shape[1] + y[:, None]) * self.shape[2] + z).ravel()
 
     def nodes(self, origin: NDArray, unit: float, active: NDArray, period: NDArray) -> Taken:
         """Return the nodes as loops take them; the origin is the first node of the mesh."""
-        steps = np.where(np.array(self.shape) > 1, self.steps / unit, 1.0)  # that of one node means nothing
-        half = self.half / unit
-        begin, end = np.array(self.low) * steps - half, (np.array(self.high) - 1) * steps + half
+        half = [length / unit for length in self.half.tolist()]
+        # the step of one node means nothing
+        steps = [step / unit if n > 1 else 1.0 for n, step in zip(self.shape, self.steps.tolist(), strict=True)]
+        begin = [low * step - h for low, step, h in zip(self.low, steps, half, strict=True)]
+        end = [(high - 1) * step + h for high, step, h in zip(self.high, steps, half, strict=True)]
         nodes = Nodes(triple(begin), triple(end), triple(active), triple(period))
-        rows = Rows(self.low, self.high, triple(steps), triple(1.0 / steps))
-        if not half.any():
+        rows = Rows(self.low, self.high, triple(steps), triple([1.0 / step for step in steps]))
+        if not any(half):
             return nodes, rows, None, None
-        return nodes, None, None, Volumes(rows, triple(half), triple(np.argsort(half > 0.0, kind="stable")))
+        return nodes, None, None, Volumes(rows, triple(half), triple(sorted(range(3), key=lambda k: half[k] > 0.0)))
 
     def lists(self, taken: Taken, reach: Sequence[float], real: str = "float64") -> Lists:
         """Return scratch to list the nodes that something of this length reaches."""

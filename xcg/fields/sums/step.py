@@ -10,7 +10,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.compiled.reach import bounds_of, spatial_order
+from xcg.compiled.arrays import bounds_of
+from xcg.compiled.reach import spatial_order
 from xcg.fields.sums.moments import Moment
 from xcg.fields.sums.passes import DepositSpec
 from xcg.fields.sums.power import WALL_VELOCITY, velocities_of_walls
