@@ -37,9 +37,23 @@ def counting_sort_places(key, start, place):
         start[k] += 1
 
 
+def short_integers(most: int) -> str:
+    """Return the type of whole numbers up to `most`: of four bytes if they are enough."""
+    return "int32" if most < 2**31 else "int64"
+
+
+def counting_sort(key: NDArray, keys: int) -> NDArray:
+    """Return which thing comes first, second, ... (n,) by its key (n,), a whole number below `keys`, in its type.
+
+    Things of one key keep their order.
+    """
+    order = np.empty_like(key)
+    _counting_sort_order(key, np.zeros(keys + 1, order.dtype), order)
+    return order
+
+
 @leaf
-def counting_sort_order(key, start, order):
-    """Write which thing comes first, second, ... (n,) by its key, as `counting_sort_places` writes the places."""
+def _counting_sort_order(key, start, order):
     for n in range(key.size):
         start[key[n] + 1] += 1
     for k in range(start.size - 1):
@@ -91,4 +105,6 @@ def nearest_image(d, period):
 @leaf
 def image_near(d, to, period):
     """Image of a distance along one axis that is nearest to another distance, see `nearest_image`."""
+    if abs(d - to) < 0.49 * period:  # most are: no division
+        return d
     return d - period * np.rint((d - to) / period) if np.isfinite(period) else d

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled._jit import leaf
-from xcg.compiled.arrays import counting_sort_order
+from xcg.compiled.arrays import counting_sort, short_integers
 from xcg.compiled.simd import EIGHT, add_scalar8, fill8, ramp8
 
 PAD = 16  # loops over lists run to a multiple of this: what is left over would be done one by one
@@ -310,6 +310,13 @@ def batch_reaches(batches, batch, begin, end, active, period):
 
 
 @leaf
+def batches_in_reach(batches, begin, end, active, period, reaches):
+    """Write for each of `batches_of` (r,) whether it reaches nodes, as `batch_reaches` tells."""
+    for batch in range(batches.shape[0]):
+        reaches[batch] = batch_reaches(batches, batch, begin, end, active, period)
+
+
+@leaf
 def _cells_in_pencils(position, lower, sizes, along_x, pencils_z, cell):
     """Write the number of the cell (n,) of each point: pencil by pencil, and there layer by layer along x."""
     for n in range(position.shape[0]):
@@ -332,7 +339,7 @@ def spatial_order(position: NDArray, size: float, lower: NDArray, upper: NDArray
         sizes[np.argmax(extent / sizes)] *= 2.0  # a few grains are far astray
     cells = (extent / sizes).astype(int) + 1
     pencils_y, pencils_z = ((cells[1:] - 1) // PENCIL + 1).tolist()
-    cell, order = np.empty(count, "int64"), np.empty(count, "int64")
+    keys = pencils_y * pencils_z * int(cells[0]) * PENCIL * PENCIL
+    cell = np.empty(count, short_integers(max(keys, count)))
     _cells_in_pencils(position, lower, np.where(active, sizes, np.inf), int(cells[0]), pencils_z, cell)
-    counting_sort_order(cell, np.zeros(pencils_y * pencils_z * int(cells[0]) * PENCIL * PENCIL + 1, "int64"), order)
-    return order
+    return counting_sort(cell, keys)

@@ -14,14 +14,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.compiled._jit import leaf
+from xcg.compiled._jit import inlined, leaf
 from xcg.compiled.arrays import gauss_rules
 from xcg.compiled.cells import points_around_segment
-from xcg.compiled.contacts import AHEAD, side
+from xcg.compiled.contacts import side
 from xcg.compiled.lattice import Reduced
 from xcg.compiled.reach import (
     ALONG,
-    BATCH,
     NODE,
     Q2,
     WEIGHT,
@@ -44,9 +43,12 @@ SHORT = 1e-4
 SHORT_ORDER = 4
 # Seen from cells, which smooth it once more, a branch is this many Gauss-Legendre points for each cutoff of its length.
 IN_CELL = 6
+# Contacts so many places ahead are prefetched, and the particles of those that are nearer.
+FAR_AHEAD, AHEAD = 24, 8
 # what a segment's record holds
 START, BRANCH, FORCE, GROUP = 0, 3, 6, 9
 SEGMENT = 10
+RUN = 64  # segments, neighbours in space, that are passed over together, or listed together
 _LAST = np.uint64(8)
 
 
@@ -94,8 +96,8 @@ class ContactRows(NamedTuple):
 
 
 @leaf
-def list_segments(contacts, on_j, second, place, others, cutoffs, cutoff, origin, segments, longest):
-    """List one segment a contact: of its first particle that is there, or `second`, of its partner.
+def list_segments(contacts, on_j, second, others, cutoffs, cutoff, origin, rows, segments, longest):
+    """List one segment for each of some contacts: of its first particle that is there, or `second`, of its partner.
 
     Each side of a contact runs from its particle's centre to the contact point. Both sides are one segment, of the
     first, where they carry opposite vectors, lie on one line, on opposite sides of the point, and in one phase.
@@ -109,8 +111,6 @@ def list_segments(contacts, on_j, second, place, others, cutoffs, cutoff, origin
         is compiled.
     second : bool
         Whether the segments of the partners are wanted.
-    place : (n,)
-        Where in the list each contact's segment goes.
     others : int
         0, or the number of phases of partners, the last one for partners that are no row: groups are then phases by
         phases of the partner.
@@ -120,9 +120,11 @@ def list_segments(contacts, on_j, second, place, others, cutoffs, cutoff, origin
         The one whose segments are listed, and their unit of length.
     origin : tuple
         Of the starts.
-    segments : (n, SEGMENT)
+    rows : (k,)
+        Which contacts, in the order of the list.
+    segments : (k, SEGMENT)
         Written: START, BRANCH from the segment's end to its start, and FORCE on the particle (or what the side carries
-        in its place) times the cutoff, three each, and GROUP, -1 where there is no segment.
+        in its place) times the cutoff, three each, and GROUP, or where there is no segment, -1 as GROUP alone.
     longest : (4,)
         Written: the largest component along x, y, z, and length, of a branch; NaN if any is.
 
@@ -131,50 +133,112 @@ def list_segments(contacts, on_j, second, place, others, cutoffs, cutoff, origin
     bool
         Whether any contact has a second segment.
     """
-    row_i, row_j, point, on_i, position, phase, wrap, lattice = contacts
-    per_cutoff, more = 1.0 / cutoff, False
-    most_x, most_y, most_z, most2 = 0.0, 0.0, 0.0, 0.0
-    for n in range(place.size):
-        later = min(n + AHEAD, place.size - 1)
-        prefetch(position, row_i[later])
-        prefetch(position, row_j[later])
-        prefetch(segments, place[later])
-        prefetch(phase, row_i[later])
-        prefetch(phase, row_j[later])
-        i, j, k, sign = row_i[n], row_j[n], place[n], cutoff
-        ax, ay, az = side(position, i, point, n, wrap, lattice)
-        bx, by, bz = side(position, j, point, n, wrap, lattice)
-        two = i >= 0 and j >= 0
-        if on_j is None and two and phase[i] == phase[j] and _on_one_line(ax, ay, az, bx, by, bz):
-            ax, ay, az, two = ax - bx, ay - by, az - bz, False
+    position, phase = contacts.position, contacts.phase
+    per_cutoff, more, last, most = 1.0 / cutoff, False, rows.size - 1, (0.0, 0.0, 0.0, 0.0)
+    for k in range(rows.size):
+        far = rows[min(k + FAR_AHEAD, last)]
+        prefetch(contacts.on_i, far)
+        _prefetch(contacts, far, rows[min(k + AHEAD, last)])
+        n = rows[k]
+        i, j, two, ax, ay, az = _side(contacts, n, on_j is None, second)
         more = more or two
-        carried = on_i
-        if i < 0 or second:
-            i, j, ax, ay, az = j, i, bx, by, bz
+        segments[k, GROUP] = -1.0
+        if i < 0 or (second and not two) or cutoffs[phase[i]] != cutoff:
+            continue
+        for c in range(3):
+            segments[k, START + c] = (position[i, c] - origin[c]) * per_cutoff
+        x, y, z = ax * per_cutoff, ay * per_cutoff, az * per_cutoff
+        segments[k, BRANCH], segments[k, BRANCH + 1], segments[k, BRANCH + 2] = x, y, z
+        carried, sign = contacts.on_i, cutoff
+        if second or contacts.row_i[n] < 0:
             if on_j is None:
                 sign = -cutoff
             else:
                 carried = on_j
-        # a place that stays empty is at one of the particles all the same
-        here = i if i >= 0 else j
-        segments[k, GROUP] = -1.0
-        for c in range(3):
-            segments[k, START + c] = (position[here, c] - origin[c]) * per_cutoff if here >= 0 else 0.0
-        if i < 0 or (second and not two) or cutoffs[phase[i]] != cutoff:
-            continue
-        x, y, z = ax * per_cutoff, ay * per_cutoff, az * per_cutoff
-        segments[k, BRANCH], segments[k, BRANCH + 1], segments[k, BRANCH + 2] = x, y, z
         segments[k, FORCE], segments[k, FORCE + 1] = sign * carried[n, 0], sign * carried[n, 1]
         segments[k, FORCE + 2] = sign * carried[n, 2]
         partner = others - 1 if j < 0 else phase[j]
         segments[k, GROUP] = phase[i] * others + partner if others else phase[i]
-        most_x, most_y, most_z = max(most_x, abs(x)), max(most_y, abs(y)), max(most_z, abs(z))
-        length2 = x * x + y * y + z * z
-        most2 = most2 if length2 <= most2 or math.isnan(most2) else length2
-    longest[0], longest[1], longest[2], longest[3] = most_x, most_y, most_z, math.sqrt(most2)
-    if math.isnan(most2):
-        longest[:] = most2
+        most = _longer(most, x, y, z)
+    _write_longest(most, longest)
     return more
+
+
+@leaf
+def measure_segments(contacts, on_j, second, others, cutoffs, cutoff, origin, rows, bounds, longest):
+    """Write what `bounds_of_segments` tells of the segments that `list_segments` would list, and the longest branch.
+
+    Other arguments, and what is returned, are as there.
+    """
+    position, phase = contacts.position, contacts.phase
+    per_cutoff, more, last, most = 1.0 / cutoff, False, rows.size - 1, (0.0, 0.0, 0.0, 0.0)
+    for k in range(rows.size):
+        _prefetch(contacts, rows[min(k + FAR_AHEAD, last)], rows[min(k + AHEAD, last)])
+        i, _, two, ax, ay, az = _side(contacts, rows[k], on_j is None, second)
+        more = more or two
+        if i < 0 or (second and not two) or cutoffs[phase[i]] != cutoff:
+            continue
+        x, y, z = ax * per_cutoff, ay * per_cutoff, az * per_cutoff
+        _widen(bounds[k // RUN], 0, (position[i, 0] - origin[0]) * per_cutoff, x)
+        _widen(bounds[k // RUN], 1, (position[i, 1] - origin[1]) * per_cutoff, y)
+        _widen(bounds[k // RUN], 2, (position[i, 2] - origin[2]) * per_cutoff, z)
+        most = _longer(most, x, y, z)
+    _write_longest(most, longest)
+    return more
+
+
+@inlined
+def _prefetch(contacts, far, later):
+    """Ask for a contact, and for the particles of another one, which was asked for before."""
+    prefetch(contacts.row_i, far)
+    prefetch(contacts.row_j, far)
+    prefetch(contacts.point, far)
+    prefetch(contacts.position, contacts.row_i[later])
+    prefetch(contacts.position, contacts.row_j[later])
+    prefetch(contacts.phase, contacts.row_i[later])
+    prefetch(contacts.phase, contacts.row_j[later])
+
+
+@inlined
+def _side(contacts, n, opposite, second):
+    """Particle and partner of a segment of contact n, whether it has two segments, and the branch.
+
+    `opposite` tells that the sides carry opposite vectors.
+    """
+    row_i, row_j, point, _, position, phase, wrap, lattice = contacts
+    i, j = row_i[n], row_j[n]
+    ax, ay, az = side(position, i, point, n, wrap, lattice)
+    bx, by, bz = side(position, j, point, n, wrap, lattice)
+    two = i >= 0 and j >= 0
+    if opposite and two and phase[i] == phase[j] and _on_one_line(ax, ay, az, bx, by, bz):
+        ax, ay, az, two = ax - bx, ay - by, az - bz, False
+    if i < 0 or second:
+        i, j, ax, ay, az = j, i, bx, by, bz
+    return i, j, two, ax, ay, az
+
+
+@inlined
+def _longer(most, x, y, z):
+    """Largest components, and squared length, of the branches so far and one more; the last is NaN if any is."""
+    length2 = x * x + y * y + z * z
+    most2 = most[3] if length2 <= most[3] or math.isnan(most[3]) else length2
+    return max(most[0], abs(x)), max(most[1], abs(y)), max(most[2], abs(z)), most2
+
+
+@inlined
+def _write_longest(most, longest):
+    """Write what `_longer` found, with the length in place of its square."""
+    for k in range(3):
+        longest[k] = math.nan if math.isnan(most[3]) else most[k]
+    longest[3] = math.sqrt(most[3])
+
+
+@inlined
+def _widen(bounds, k, start, branch):
+    """Widen bounds (2, 3) along axis k to hold a segment."""
+    end = start - branch
+    bounds[0, k] = min(start, end, bounds[0, k])
+    bounds[1, k] = max(start, end, bounds[1, k])
 
 
 @leaf
@@ -183,6 +247,28 @@ def _on_one_line(ax, ay, az, bx, by, bz):
     cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
     area2, most = cx * cx + cy * cy + cz * cz, (ax * ax + ay * ay + az * az) * (bx * bx + by * by + bz * bz)
     return ax * bx + ay * by + az * bz <= 0.0 and area2 <= COLLINEAR * COLLINEAR * most
+
+
+@leaf
+def _bounds_of_segments(records, bounds):
+    for n in range(records.shape[0]):
+        if records[n, GROUP] >= 0.0:
+            for k in range(3):
+                _widen(bounds[n // RUN], k, records[n, START + k], records[n, BRANCH + k])
+
+
+def no_bounds(count: int) -> NDArray:
+    """Bounds (runs, 2, 3) of the runs of so many segments before any is known."""
+    bounds = np.empty((-(-count // RUN), 2, 3))
+    bounds[:, 0], bounds[:, 1] = np.inf, -np.inf
+    return bounds
+
+
+def bounds_of_segments(records: NDArray) -> NDArray:
+    """Lowest and highest place, (runs, 2, 3), of each run of `RUN` segments."""
+    bounds = no_bounds(len(records))
+    _bounds_of_segments(records, bounds)
+    return bounds
 
 
 class Segments(NamedTuple):
@@ -194,13 +280,13 @@ class Segments(NamedTuple):
         As from `list_segments`; lengths in cutoffs, starts relative to the first node.
     limits : (k,)
         Longest branch for which each of the first k `RULES` is accurate enough; empty for the closed form.
-    batches : (r, 2, 3)
-        Bounds of each batch of segments, see `batches_of`.
+    bounds : (r, 2, 3)
+        Bounds of each run of segments, see `bounds_of_segments`: those out of reach are passed over.
     """
 
     records: NDArray
     limits: NDArray
-    batches: NDArray
+    bounds: NDArray
 
 
 @leaf
@@ -235,8 +321,8 @@ def deposit_segments(segments, nodes, rows, cells, volumes, kernel, lists, close
     along, q2, w = values[ALONG], values[Q2], values[WEIGHT]
     here = True
     for i in range(records.shape[0]):
-        if i % BATCH == 0:
-            here = batch_reaches(segments.batches, i // BATCH, begin, end, active, period)
+        if i % RUN == 0:
+            here = batch_reaches(segments.bounds, i // RUN, begin, end, active, period)
         if not here or records[i, GROUP] < 0.0:
             continue
         x0 = records[i, START] if active[0] else 0.0

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.compiled.arrays import counting_sort_places
+from xcg.compiled.arrays import counting_sort, short_integers
 from xcg.compiled.contacts import add_dyads, add_rows, add_unit_squares, between, k_core, sides
 from xcg.compiled.lattice import Reduced
 from xcg.compiled.threads import for_parts
@@ -264,12 +264,15 @@ class Contacts:
             np.concatenate([self.force[wall_j], -self.force[wall_i]]),
         )
 
-    def places(self, rank: NDArray) -> NDArray:
-        """Place of each contact among all, by the rank (particles,) of its first particle that is there; (n,)."""
-        place = np.empty_like(self.i)
-        key = np.append(rank, rank.size)[self.first_row]  # those of no particle come last
-        counting_sort_places(key, np.zeros(rank.size + 2, "int64"), place)
-        return place
+    def in_order_of(self, order: NDArray) -> NDArray:
+        """Return the contacts in the order that their first particles have in an order (particles,) of these; (n,).
+
+        Those of no particle come last.
+        """
+        keys = len(order) + 1
+        rank = np.full(keys, len(order), short_integers(max(keys, len(self.i))))  # row -1 is that of no particle
+        rank[order] = np.arange(len(order), dtype=rank.dtype)
+        return counting_sort(rank[self.first_row], keys)
 
 
 # --- who is near whom ------------------------------------------------------------------------------------

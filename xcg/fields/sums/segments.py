@@ -4,24 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.compiled.reach import batches_of
-from xcg.compiled.segments import (
-    BRANCH,
-    FORCE,
-    GROUP,
-    SEGMENT,
-    ContactRows,
-    Segments,
-    closed_for,
-    deposit_segments,
-    list_segments,
-)
+from xcg.compiled.segments import BRANCH, FORCE, GROUP, ContactRows, closed_for, deposit_segments
+from xcg.fields.sums import branches
 from xcg.fields.sums.blocks import NodeBlock
+from xcg.fields.sums.branches import Branches
 from xcg.fields.sums.moments import Moment
 from xcg.fields.sums.passes import AnyKernel, Fill, Layout, Pass
 from xcg.fields.sums.reach import Mesh
@@ -33,27 +23,23 @@ def along_branches(step: Step) -> list[Pass]:
     """Sum what contacts carry, along their branches."""
     assert step.contacts is not None
     order = step.in_space(step.position) if step.grains.row is not None else step.grains.order
-    rank = np.empty_like(order)
-    rank[order] = np.arange(step.count)
-    place = step.contacts.places(rank)
-    return [_branches(step, name, row, place) for name, row in step.spec.rows.items() if row.along_branches]
+    contacts = step.contacts.in_order_of(order)
+    return [_branches(step, name, row, contacts) for name, row in step.spec.rows.items() if row.along_branches]
 
 
-def _branches(step: Step, name: str, row: Moment, place: NDArray) -> Pass:
-    """Branches of the contacts in the order that `place` says, each with its force or what is in its place."""
+def _branches(step: Step, name: str, row: Moment, contacts: NDArray) -> Pass:
+    """Branches of the contacts, in an order in space, each with its force or what is in its place."""
     spec, around = step.spec, step.surroundings
     others, carried = spec.others if row.paired else 0, _carried(step, row, step.frame)
     fill: list[Fill] = []
     for cutoff in spec.distinct:
         mesh = around.meshes[cutoff]
         for second in (False, True):
-            segments, longest, more = _segments(step, row, *carried, place, second, others, cutoff)
+            segments, longest, more = _segments(step, row, *carried, contacts, second, others, cutoff)
             reach = mesh.reach + longest[:3]
             mesh.check_reach(reach, step.source)
-            batches = batches_of(segments)
-            batches += np.array([[-1.0], [1.0]]) * longest[:3]
             for real, closed, rest in _rules(step, longest[3], cutoff):
-                way = Segments(segments, spec.limits, batches), mesh, around.kernels[cutoff]
+                way = segments, mesh, around.kernels[cutoff]
                 fill.append(partial(_fill_segments, *way, reach.tolist(), real, closed, rest))
             if not more:
                 break
@@ -72,38 +58,38 @@ def _carried(step: Step, row: Moment, frame: Frame) -> tuple[NDArray, NDArray | 
 
 
 def _segments(
-    step: Step, moment: Moment, on_i: NDArray, on_j: NDArray | None, place: NDArray, second: bool, others: int,
+    step: Step, moment: Moment, on_i: NDArray, on_j: NDArray | None, contacts: NDArray, second: bool, others: int,
     cutoff: float,
-) -> tuple[NDArray, NDArray, bool]:  # fmt: skip
-    """Segments of the first or second particles of the contacts, the longest, and whether there are second ones."""
+) -> tuple[Branches, NDArray, bool]:  # fmt: skip
+    """Segments of the first or second particles of contacts, the longest, and whether there are second ones."""
     c = step.contacts
     assert c is not None
-    segments, longest = np.empty((len(place), SEGMENT)), np.empty(4)
+    mesh, tilted, limits = step.surroundings.meshes[cutoff], step.lattice.vectors is not None, step.spec.limits
     rows = ContactRows(c.i, c.j, c.point, on_i, step.position, step.phase, *c.periods)
-    more = list_segments(
-        rows, on_j, second, place, others, step.spec.by_phase, cutoff, step.spec.origin, segments, longest
-    )
-    mesh = step.surroundings.meshes[cutoff]
+    listing = rows, on_j, second, others, step.spec.by_phase, cutoff, step.spec.origin
+    if len(contacts) > branches.MOST_LISTED_ONCE and not tilted:
+        bounds, longest, more = branches.measure(listing, contacts)
+        if not mesh.too_long(longest[:3]):
+            mesh.check_far(longest[:3], step.source)
+            return branches.ListedAnew(listing, contacts, bounds, limits), longest, more
+    segments, longest, more = branches.list_some(listing, contacts)
     mesh.check_far(longest[:3], step.source)
-    row: Any = slice(None)
     shift = np.zeros(3)
-    if step.lattice.vectors is not None:
-        start = segments[:, :BRANCH] * cutoff + step.spec.origin
-        row, shift, drifts = step.near_mesh(start, (1.0 + longest[3]) * cutoff)
-        segments = segments[row]
+    if tilted:
+        used = np.flatnonzero(segments[:, GROUP] >= 0.0)
+        start = segments[used, :BRANCH] * cutoff + step.spec.origin
+        image, shift, drifts = step.near_mesh(start, (1.0 + longest[3]) * cutoff)
+        segments, contacts = segments[used[image]], contacts[used[image]]
         segments[:, :BRANCH] += shift / cutoff
         for drift, here in alike(drifts) if "velocity" in moment.variables and drifts.any() else ():
             on_i, on_j = _carried(step, moment, step.moving(drift))
-            moving, _ = np.empty((len(place), SEGMENT)), np.empty(4)
-            rows = rows._replace(on_i=on_i)
-            list_segments(rows, on_j, second, place, others, step.spec.by_phase, cutoff, step.spec.origin, moving, _)
-            segments[here, FORCE:GROUP] = moving[row[here], FORCE:GROUP]
+            moving, _, _ = branches.list_some((rows._replace(on_i=on_i), on_j, *listing[2:]), contacts[here])
+            segments[here, FORCE:GROUP] = moving[:, FORCE:GROUP]
     if mesh.too_long(longest[:3]):
-        contact = np.argsort(place)
-        partner = (c.i if second else np.where(c.i >= 0, c.j, c.i))[contact]
-        ends = [points[row] + shift for points in (c.point[contact], step.position[partner])]
+        partner = (c.i if second else np.where(c.i >= 0, c.j, c.i))[contacts]
+        ends = [points + shift for points in (c.point[contacts], step.position[partner])]
         longest = mesh.cut(segments, np.array(ends), step.source)
-    return segments, longest, more
+    return branches.ListedOnce.of(segments, limits), longest, more
 
 
 def _rules(step: Step, longest: float, cutoff: float) -> list[tuple[str, bool, bool]]:
@@ -119,10 +105,11 @@ def _rules(step: Step, longest: float, cutoff: float) -> list[tuple[str, bool, b
 
 
 def _fill_segments(
-    segments: Segments, mesh: Mesh, weights: AnyKernel, reach: Sequence[float], real: str, closed: bool, rest: bool,
+    segments: Branches, mesh: Mesh, weights: AnyKernel, reach: Sequence[float], real: str, closed: bool, rest: bool,
     block: NodeBlock, sums: NDArray, _: NDArray,
 ) -> None:  # fmt: skip
     taken = mesh.nodes_of(block)
     lists = block.lists(taken, reach, real)
     scratch = closed_for(lists.values.shape[1]) if closed else None
-    deposit_segments(segments, *taken, weights, lists, scratch, rest, sums)
+    for some in segments.near(taken[0]):
+        deposit_segments(some, *taken, weights, lists, scratch, rest, sums)
