@@ -24,7 +24,7 @@ class _Hdf5:
     """A NetCDF 4 file, which is an HDF5 file: opened and closed by every task, one at a time.
 
     The HDF5 library lets in one thread at a time. So chunks are rounded and compressed before, and it is given their
-    bytes.
+    bytes, which it would copy otherwise.
     """
 
     path: Path
@@ -45,17 +45,17 @@ class _Hdf5:
                     place = (steps.start + k * self.steps, *(0,) * (values[name].ndim - 1))
                     file[name].id.write_direct_chunk(place, chunk)
 
-    def _packed(self, values: NDArray) -> NDArray | list[bytes]:
-        """Numbers as they are, or the bytes of whole chunks, the last of which may reach beyond the end."""
+    def _packed(self, values: NDArray) -> NDArray | list[Any]:
+        """Bytes of whole chunks of numbers, the last of which may reach beyond the end; anything else as it is."""
         values = self.encoding.reduced(values)
-        if not self.encoding.level or values.dtype.kind not in "fiu":
+        if values.dtype.kind not in "fiu" or not values.dtype.isnative:
             return values
         packed = []
         for first in range(0, len(values), self.steps):
             part = values[first : first + self.steps]
             if len(part) < self.steps:
                 part = np.concatenate([part, np.zeros((self.steps - len(part), *part.shape[1:]), part.dtype)])
-            packed.append(deflated(part, self.encoding.level))
+            packed.append(deflated(part, self.encoding.level) if self.encoding.level else np.ascontiguousarray(part))
         return packed
 
 
