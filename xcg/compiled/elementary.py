@@ -1,12 +1,15 @@
-"""exp and erf by arithmetic alone, without branches: loops that call them become vector instructions.
+"""exp, erf and logarithms by arithmetic alone, without branches: loops that take them become vector instructions.
 
 Each is compiled into the loop that calls it. Compiled or not they give the same bits, on every machine.
 `tests/test_elementary.py` measures the errors stated here.
 """
 
-from xcg.compiled._jit import inlined
+import math
+
+from xcg.compiled._jit import inlined, leaf
 from xcg.compiled.simd import low_bits_as_exponent
 
+_SQRT2, _LN2 = math.sqrt(2.0), math.log(2.0)
 _PER_LN2 = 1.4426950408889634
 # ln 2 in two parts: whole numbers below 2^11 times the first one are exact
 _LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
@@ -97,3 +100,30 @@ def erf(x):
     p = p * s - 0.37612638903183543
     p = p * s + 1.1283791670955126
     return x * p if x < 1.0 else 1.0 - exp(-s) * erfcx(x)
+
+
+@leaf
+def add_logarithms(ratio, bits, exponent, factor, room, out):
+    """Add ``factor * log(ratio)``, for ratios from 1 on, to the first `room` numbers of an array.
+
+    Logarithms are right to 2e-16 + 3 ulp.
+    `bits` is the memory of `ratio` as integers, which are overwritten, and `exponent` is scratch (integers).
+    """
+    for k in range(room):  # floats and integers of one memory in separate loops, or none of them vectorises
+        exponent[k] = (bits[k] >> 52) - 1023
+        bits[k] = (bits[k] & 0x000FFFFFFFFFFFFF) | 0x3FF0000000000000
+    for k in range(room):
+        m = ratio[k]  # mantissa, in [1, 2)
+        f = (m - _SQRT2) / (m + _SQRT2)
+        f2 = f * f
+        series = 1.0 / 19.0
+        series = series * f2 + 1.0 / 17.0
+        series = series * f2 + 1.0 / 15.0
+        series = series * f2 + 1.0 / 13.0
+        series = series * f2 + 1.0 / 11.0
+        series = series * f2 + 1.0 / 9.0
+        series = series * f2 + 1.0 / 7.0
+        series = series * f2 + 1.0 / 5.0
+        series = series * f2 + 1.0 / 3.0
+        series = series * f2 + 1.0
+        out[k] += factor[k] * (_LN2 * (exponent[k] + 0.5) + 2.0 * f * series)

@@ -29,6 +29,7 @@ from xcg.compiled.reach import (
     padded,
     periodic_images,
 )
+from xcg.compiled.shells import SCRATCH
 from xcg.compiled.simd import add4, prefetch
 from xcg.compiled.smoothing import fill_gauss, fill_segments
 from xcg.compiled.volumes import volumes_in_ball
@@ -392,14 +393,14 @@ def _add_dyad(moments, records, i, norm, numbers, w, hits):
         moments[p, n, _LAST] += v * (f2 * a2)
 
 
-def closed_for(room: int) -> tuple[NDArray, NDArray, NDArray]:
-    """Scratch of the closed form of this length: the same memory as floats and as integers, and integers."""
+def closed_for(room: int) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+    """Scratch of the closed form of this length: the same memory as floats and as integers, integers, and rows."""
     ratio = np.zeros(room)
-    return ratio, ratio.view("int64"), np.zeros(room, "int64")
+    return ratio, ratio.view("int64"), np.zeros(room, "int64"), np.zeros((SCRATCH, room))
 
 
 def mean_along(
-    points: NDArray, end: NDArray, order: int, kind: int | None, spread: float, table: NDArray | None
+    points: NDArray, end: NDArray, order: int, kind: int | None, spread: float | None, table: NDArray | None
 ) -> NDArray:
     """Mean of the kernel over the segment from 0 to `end` (m,), seen from points (n, m), all in cutoffs."""
     length = math.sqrt((end * end).sum())
@@ -409,7 +410,13 @@ def mean_along(
 
 
 def _means(
-    length: float, order: int, along: NDArray, q2: NDArray, kind: int | None, spread: float, table: NDArray | None
+    length: float,
+    order: int,
+    along: NDArray,
+    q2: NDArray,
+    kind: int | None,
+    spread: float | None,
+    table: NDArray | None,
 ) -> NDArray:
     """Mean of the kernel over one segment, seen from many nodes."""
     count, room = along.size, padded(along.size)
@@ -423,7 +430,7 @@ def _means(
 
 
 def largest_error(
-    length: float, order: int, rows: int, kind: int | None, spread: float, table: NDArray | None
+    length: float, order: int, rows: int, kind: int | None, spread: float | None, table: NDArray | None
 ) -> float:
     """Largest error of a rule over node positions about a segment, relative to the segment's largest value.
 

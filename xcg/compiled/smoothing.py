@@ -14,8 +14,10 @@ Powers of q integrate to polynomials and logarithms: for Lucy see `_lucy_line` a
 
 A kind is one of these, the code of a kernel + its codimension. The kind of Lucy's kernel itself, in codimension 0, is
 `LUCY_FULL`, which is None: the compiler tells None from a number by its type, and leaves all other kernels out of the
-loops that most scenes take, which then compile in half the time. In the same way a Gaussian whose table is `SHIFTED`,
-which is None, has its value at the cutoff taken off, and no other kernel compiles anything of it.
+loops that most scenes take, which then compile in half the time. In the same way the table of most kernels is `PLAIN`,
+which is None: nothing is compiled for them of a Gaussian whose value at the cutoff is taken off, which has any array
+for a table, nor of registered kernels, whose spread is `TABULATED`, also None. (The compiler leaves out what follows a
+test for None only where an argument is None: so functions for tables begin with a test of their own.)
 """
 
 import math
@@ -26,13 +28,15 @@ from numpy.typing import NDArray
 
 from xcg.compiled._jit import inlined, jit, leaf
 from xcg.compiled.arrays import gauss_rules
-from xcg.compiled.elementary import erf, erfcx, exp, expm1
+from xcg.compiled.elementary import add_logarithms, erf, erfcx, exp, expm1
 from xcg.compiled.reach import padded
+from xcg.compiled.shells import RADIUS, along_marginal, along_shells, fill_shells
 
 # codes of the kernels
 LUCY, GAUSSIAN, HEAVISIDE, TABLE = 0, 3, 6, 9
 LUCY_FULL = None
-SHIFTED = None  # in place of a table
+PLAIN = None  # in place of a table
+TABULATED = None  # in place of a spread
 
 
 class KernelCode(NamedTuple):
@@ -41,17 +45,18 @@ class KernelCode(NamedTuple):
     Attributes
     ----------
     kind : int or None
-        Code + codimension, `TABLE` alone, or `LUCY_FULL`.
-    spread : float
-        Width over cutoff, which a Gaussian needs.
-    table : (2, intervals, PIECE), or None
-        Polynomials of a `TABLE`, see `_interpolate`; `SHIFTED` for that Gaussian; any array for other kinds.
+        Code + codimension, or `LUCY_FULL`.
+    spread : float or None
+        Width over cutoff, which a Gaussian needs; `TABULATED` for a `TABLE`.
+    table : (3, intervals, PIECE), or None
+        Polynomials of a `TABLE`, see `_interpolate`, and its `SHELLS`; any array for a shifted Gaussian; `PLAIN` for
+        other kinds.
     norm : float
         Factor to the values.
     """
 
     kind: int | None
-    spread: float
+    spread: float | None
     table: NDArray | None
     norm: float
 
@@ -63,7 +68,7 @@ class CellKernel(NamedTuple):
     """
 
     kind: int | None
-    spread: float
+    spread: float | None
     table: NDArray | None
     norm: float
     once: KernelCode
@@ -71,13 +76,15 @@ class CellKernel(NamedTuple):
 
 
 PIECE = 8  # coefficients of a piece of a table: a line of cache
+# Of a table: shells of the value, or in codimension 1 those that its marginal takes (`xcg.compiled.shells`). Without
+# any, lines are left to quadrature.
+SHELLS = 2
 _POWERS = tuple(np.uint64(k) for k in range(PIECE))
 _FEW, _MANY = 24, 48  # points of a line integral on one side of a node, for short branches and others
 _LINE_POINTS, _LINE_WEIGHTS = gauss_rules(_FEW, _MANY)
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(32)
 _SQRT2 = math.sqrt(2.0)
 _SQRT_PI_2 = math.sqrt(math.pi / 2)
-_LN2 = math.log(2.0)
 _TINY = 1e-290  # keeps the logarithm finite on the segment itself, where its factor h^4 is zero
 
 # --- Lucy: P = 1 - 6 q^2 + 8 q^3 - 3 q^4 = (1 - q)^3 (1 + 3 q) -------------------------------------------
@@ -216,9 +223,13 @@ def value(kind, spread, table, q2):
         q = math.sqrt(q2)
         p = 1.0 - q
         return p * p * p * (1.0 + 3.0 * q)
+    if spread is TABULATED:
+        return _interpolate(table, 0, q2)
+    if table is not PLAIN:
+        if kind == GAUSSIAN:
+            return _above_edge(1.0 / (spread * spread), q2)
+        return _shifted_value(kind, spread, q2)
     per_s2 = 1.0 / (spread * spread)
-    if table is SHIFTED:
-        return _above_edge(per_s2, q2) if kind == GAUSSIAN else _shifted_value(kind, spread, q2)
     if kind == LUCY + 1:
         return _lucy_line_value(q2, False)
     if kind == LUCY + 2:
@@ -233,9 +244,7 @@ def value(kind, spread, table, q2):
         return 1.0
     if kind == HEAVISIDE + 1:
         return 2.0 * math.sqrt(1.0 - q2)
-    if kind == HEAVISIDE + 2:
-        return math.pi * (1.0 - q2)
-    return _interpolate(table, 0, q2)
+    return math.pi * (1.0 - q2)  # HEAVISIDE + 2
 
 
 @leaf
@@ -247,7 +256,9 @@ def gradient(kind, spread, table, q2):
     if kind is LUCY_FULL:
         p = 1.0 - math.sqrt(q2)
         return -12.0 * p * p
-    if table is SHIFTED:
+    if spread is TABULATED:
+        return _interpolate(table, 1, q2)
+    if table is not PLAIN:
         return _shifted_gradient(kind, spread, q2)
     if kind == LUCY + 1:
         return _lucy_line_value(q2, True)
@@ -261,14 +272,14 @@ def gradient(kind, spread, table, q2):
         return 0.0
     if kind == HEAVISIDE + 1:
         return -2.0 / math.sqrt(1.0 - q2)
-    if kind == HEAVISIDE + 2:
-        return -2.0 * math.pi
-    return _interpolate(table, 1, q2)
+    return -2.0 * math.pi  # HEAVISIDE + 2
 
 
 @inlined
 def _interpolate(table, row, q2):
-    """Polynomials on equal intervals of q, highest power first; table (2, intervals, PIECE)."""
+    """Polynomials on equal intervals of q, highest power first; table (3, intervals, PIECE)."""
+    if table is PLAIN:
+        return 0.0
     x = math.sqrt(q2) * table.shape[1]
     k = np.uint64(min(x, table.shape[1] - 1.0))
     y = 2.0 * (x - k) - 1.0
@@ -283,6 +294,12 @@ def _interpolate(table, row, q2):
 
 
 # --- integral along a segment ----------------------------------------------------------------------------
+
+
+@inlined
+def has_shells(table):
+    """Whether lines through the kernel of a table have the closed form of shells."""
+    return table[SHELLS, RADIUS, 0] > 0.0
 
 
 @leaf
@@ -314,9 +331,9 @@ def _parts_of_line(kind, spread, table):
     s2 = spread * spread
     edge = exp(-0.5 / s2)
     if kind == GAUSSIAN:
-        return 1.0, -edge if table is SHIFTED else 0.0, 0.0
+        return 1.0, 0.0 if table is PLAIN else -edge, 0.0
     if kind == GAUSSIAN + 2:
-        disc = math.pi * edge if table is SHIFTED else 0.0
+        disc = 0.0 if table is PLAIN else math.pi * edge
         return 2.0 * math.pi * s2, -2.0 * math.pi * s2 * edge - disc, disc / 3.0
     if kind == HEAVISIDE:
         return 0.0, 1.0, 0.0
@@ -341,13 +358,26 @@ def _quadrature(kind, spread, table, h2, t0, t1):
 
 
 @leaf
+def _tabulated_segment(kind, table, h2, t0, t1):
+    if table is PLAIN:
+        return 0.0
+    if not has_shells(table):
+        return _quadrature(kind, TABULATED, table, h2, t0, t1)
+    if kind == TABLE + 1:
+        return along_marginal(table[SHELLS], h2, t0, t1)
+    return along_shells(table[SHELLS], h2, t0, t1)
+
+
+@leaf
 def segment(kind, spread, table, h2, t0, t1):
     """Integral of the value along a line at distance h from t0 to t1 (h^2 < 1, t0 < t1), exact to rounding."""
     half = math.sqrt(1.0 - h2)
     t0, t1 = max(t0, -half), min(t1, half)
     if t1 <= t0:
         return 0.0
-    if kind is not LUCY_FULL and (kind == GAUSSIAN + 1 or kind >= TABLE):
+    if spread is TABULATED:
+        return _tabulated_segment(kind, table, h2, t0, t1)
+    if kind is not LUCY_FULL and kind == GAUSSIAN + 1:
         return _quadrature(kind, spread, table, h2, t0, t1)
     lower = _antiderivative(kind, spread, table, h2, abs(t0))
     upper = _antiderivative(kind, spread, table, h2, abs(t1))
@@ -371,10 +401,13 @@ def fill_values(kind, spread, table, norm, by_gradient, q2, count, out):
             q = math.sqrt(q2[k])
             p = 1.0 - q
             out[k] = norm * (p * p * p * (1.0 + 3.0 * q))
+    elif spread is TABULATED:
+        for k in range(count):
+            out[k] = norm * _interpolate(table, 0, min(q2[k], 1.0))
     elif kind == GAUSSIAN:
         per_s2 = 1.0 / (spread * spread)
         for k in range(padded(count)):
-            out[k] = norm * (_above_edge(per_s2, q2[k]) if table is SHIFTED else exp(-0.5 * per_s2 * q2[k]))
+            out[k] = norm * (exp(-0.5 * per_s2 * q2[k]) if table is PLAIN else _above_edge(per_s2, q2[k]))
     elif kind == HEAVISIDE:
         for k in range(padded(count)):
             out[k] = norm
@@ -424,23 +457,43 @@ def fill_gauss(kind, spread, table, points, weights, order, length, along, q2, c
 
 
 @leaf
-def fill_segments(kind, spread, table, length, along, q2, count, out, ratio, bits, exponent):
+def fill_segments(kind, spread, table, length, along, q2, count, out, ratio, bits, exponent, rows):
     """Write the mean of the value over segments, in closed form, seen from `count` nodes.
 
-    `ratio` and `bits` are scratch, the same memory as floats and as integers, and `exponent` (integers).
+    `ratio` and `bits` are scratch, the same memory as floats and as integers, `exponent` (integers), and `rows`, see
+    `xcg.compiled.shells`.
     """
     if kind is LUCY_FULL:
         _fill_lucy_lines(1.0 / length, length, along, q2, count, out, ratio, bits, exponent)
-    elif GAUSSIAN <= kind < TABLE and kind not in (GAUSSIAN + 1, HEAVISIDE + 1):
-        _fill_chords(kind, spread, table, 1.0 / length, length, along, q2, count, out)
-    elif kind >= TABLE or kind == GAUSSIAN + 1:
+    elif spread is TABULATED:
+        _fill_tabulated(kind, table, length, along, q2, count, out, ratio, bits, exponent, rows)
+    elif kind == GAUSSIAN + 1:
         _fill_quadrature(kind, spread, table, 1.0 / length, length, along, q2, count, out, ratio)
+    elif kind >= GAUSSIAN and kind != HEAVISIDE + 1:
+        _fill_chords(kind, spread, table, 1.0 / length, length, along, q2, count, out)
     else:
-        for k in range(count):
-            h2 = max(0.0, q2[k] - along[k] * along[k])
-            out[k] = 0.0
-            if h2 < 1.0:
-                out[k] = segment(kind, spread, table, h2, -along[k], length - along[k]) / length
+        _fill_one_by_one(kind, spread, table, length, along, q2, count, out)
+
+
+@leaf
+def _fill_tabulated(kind, table, length, along, q2, count, out, ratio, bits, exponent, rows):
+    if table is PLAIN:
+        return
+    if not has_shells(table):
+        _fill_quadrature(kind, TABULATED, table, 1.0 / length, length, along, q2, count, out, ratio)
+    elif kind == TABLE + 1:
+        _fill_one_by_one(kind, TABULATED, table, length, along, q2, count, out)
+    else:
+        fill_shells(table[SHELLS], 1.0 / length, length, along, q2, count, out, ratio, bits, exponent, rows)
+
+
+@leaf
+def _fill_one_by_one(kind, spread, table, length, along, q2, count, out):
+    for k in range(count):
+        h2 = max(0.0, q2[k] - along[k] * along[k])
+        out[k] = 0.0
+        if h2 < 1.0:
+            out[k] = segment(kind, spread, table, h2, -along[k], length - along[k]) / length
 
 
 @leaf
@@ -474,10 +527,14 @@ def _fill_quadrature(kind, spread, table, per_length, length, along, q2, count, 
     `along` and `q2` are overwritten, and `last` is scratch. Points crowd about the foot of the node, where a kernel may
     have a cusp, on either side of it; a Gaussian on a short branch takes one side from end to end.
     """
-    short = length <= min(0.7, 2.1 * spread)
-    order, (first, end) = _FEW if short else _MANY, (0, 1) if short and kind < TABLE else (1, 3)
-    per_s2 = 1.0 / (spread * spread)
-    edge = 2.0 * exp(-0.5 * per_s2) if table is SHIFTED else 0.0
+    if spread is TABULATED:
+        short, first, end = length <= 0.7, 1, 3
+    else:
+        short = length <= min(0.7, 2.1 * spread)
+        first, end = (0, 1) if short else (1, 3)
+        per_s2 = 1.0 / (spread * spread)
+        edge = 0.0 if table is PLAIN else 2.0 * exp(-0.5 * per_s2)
+    order = _FEW if short else _MANY
     for k in range(padded(count)):
         a, b, h2 = _clipped(q2[k], along[k], length)
         half2 = max(0.0, 1.0 - h2)
@@ -491,14 +548,14 @@ def _fill_quadrature(kind, spread, table, per_length, length, along, q2, count, 
             x, weight = _LINE_POINTS[order, g], 2.0 * per_length * _LINE_WEIGHTS[order, g]
             if side:
                 x, weight = x * x, 2.0 * x * weight
-            if table is SHIFTED or kind < TABLE:
-                for k in range(padded(count)):
-                    r2, half, share = _crossing(along[k], last[k], q2[k], x, side)
-                    out[k] += weight * share * (_along_line(per_s2, r2) - edge * half)
-            else:
+            if spread is TABULATED:
                 for k in range(count):
                     r2, half, share = _crossing(along[k], last[k], q2[k], x, side)
                     out[k] += weight * share * _interpolate(table, 0, r2)
+            else:
+                for k in range(padded(count)):
+                    r2, half, share = _crossing(along[k], last[k], q2[k], x, side)
+                    out[k] += weight * share * (_along_line(per_s2, r2) - edge * half)
 
 
 @inlined
@@ -547,24 +604,7 @@ def _fill_lucy_lines(per_length, length, along, q2, count, out, ratio, bits, exp
         both, apart = r0 + r1, b - a
         ratio[k] = (both + apart + _TINY) / (max(0.0, both - apart) + _TINY)
         q2[k] = 3.0 * per_length * h4
-    for k in range(room):  # floats and integers of one memory in separate loops, or none of them vectorises
-        exponent[k] = (bits[k] >> 52) - 1023
-        bits[k] = (bits[k] & 0x000FFFFFFFFFFFFF) | 0x3FF0000000000000
-    for k in range(room):
-        m = ratio[k]  # mantissa, in [1, 2)
-        f = (m - _SQRT2) / (m + _SQRT2)
-        f2 = f * f
-        series = 1.0 / 19.0
-        series = series * f2 + 1.0 / 17.0
-        series = series * f2 + 1.0 / 15.0
-        series = series * f2 + 1.0 / 13.0
-        series = series * f2 + 1.0 / 11.0
-        series = series * f2 + 1.0 / 9.0
-        series = series * f2 + 1.0 / 7.0
-        series = series * f2 + 1.0 / 5.0
-        series = series * f2 + 1.0 / 3.0
-        series = series * f2 + 1.0
-        out[k] += q2[k] * (_LN2 * (exponent[k] + 0.5) + 2.0 * f * series)
+    add_logarithms(ratio, bits, exponent, q2, room, out)
 
 
 # --- arrays of points ------------------------------------------------------------------------------------

@@ -15,17 +15,19 @@ from xcg.fields.sums.smoothing import Kernel
 SINGLE = 1e-4
 
 
-def _quicker(kind: int | None, rtol: float) -> tuple[int, ...]:
+def _quicker(kind: int | None, spread: float | None, table: NDArray | None, rtol: float) -> tuple[int, ...]:
     """Gauss-Legendre rules that take less time than the closed form, by the kernel as it is seen, and the precision."""
     if kind is kinds.LUCY_FULL:
         return RULES if rtol >= SINGLE else RULES[:2]
-    # registered kernels have no closed form but a long quadrature; marginals take more time a point than a polynomial
-    return RULES if kind >= kinds.TABLE else RULES[:1]
+    if spread is kinds.TABULATED:
+        # closed forms of shells take less time than two points, but in planes more than twelve
+        return () if kind != kinds.TABLE + 1 and kinds.has_shells(table) else RULES
+    return RULES[:1]  # marginals take more time a point than a polynomial
 
 
 @lru_cache(maxsize=64)
 def _limits(
-    kind: int | None, spread: float, table: bytes | None, table_shape: tuple[int, ...], seen: int, rtol: float
+    kind: int | None, spread: float | None, table: bytes | None, table_shape: tuple[int, ...], seen: int, rtol: float
 ) -> NDArray:
     """Longest branch (cutoffs) for which each rule keeps to `rtol`, measured against the closed form.
 
@@ -39,7 +41,7 @@ def _limits(
         return largest_error(length, order, rows, kind, spread, array) <= 0.95 * rtol
 
     limits, limit = [], 0.0
-    for order in _quicker(kind, rtol):
+    for order in _quicker(kind, spread, array, rtol):
         for length in np.geomspace(1e-3, 8, 61):
             if length <= limit or kept(length, order):  # shorter ones are left to the order before
                 limit = max(limit, length)

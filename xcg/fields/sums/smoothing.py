@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Callable, Mapping
-from functools import lru_cache, partial
+from functools import partial
 from itertools import accumulate
 from typing import Any
 
@@ -18,15 +18,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from xcg.compiled import segments
 from xcg.compiled import smoothing as codes
-from xcg.compiled.smoothing import LUCY_FULL, SHIFTED, CellKernel, KernelCode
+from xcg.compiled.smoothing import LUCY_FULL, PLAIN, CellKernel, KernelCode
+from xcg.fields.sums.profiles import check_table, profile_integral, table_of
 from xcg.scene.numbers import is_positive
 from xcg.scene.schema import LONGEST, SHORTEST
 from xcg.scene.sizes import SIZES
-from xcg.scene.warn import warn_user
 
-_NO_TABLE = np.zeros((2, 1, codes.PIECE))
-_INTERVALS = 64  # of the table of a registered kernel
-_MOST_ERROR = 1e-10  # of its values, relative to the largest
+_SHIFTED = np.zeros((3, 1, codes.PIECE))  # any array
 
 
 class Kernel:
@@ -108,14 +106,14 @@ class Kernel:
         raise NotImplementedError
 
     def _table(self, codimension: int) -> NDArray | None:
-        return _NO_TABLE
+        return PLAIN
 
     def weights(self, seen: int | None = None) -> KernelCode:
         """Return the kernel as the loops need it, seen in `seen` of its dimensions (all by default)."""
         dimension = self.dimension or 3
         seen = dimension if seen is None else seen
         if seen == 0:  # averaged over every axis: each grain counts in full
-            return KernelCode(codes.HEAVISIDE, 1.0, _NO_TABLE, 1.0)
+            return KernelCode(codes.HEAVISIDE, 1.0, PLAIN, 1.0)
         codimension = dimension - seen
         if not 0 <= codimension <= 2:
             msg = (
@@ -123,10 +121,11 @@ class Kernel:
                 f"{max(seen, 1)} to {min(seen + 2, 3)}"
             )
             raise ValueError(msg)
-        code = codes.TABLE if self.code == codes.TABLE else self.code + codimension
+        code = self.code + codimension
         kind = LUCY_FULL if code == codes.LUCY else code
         norm = self._unit_norm(dimension) / self.cutoff**seen
-        return KernelCode(kind, self.spread, self._table(codimension), norm)
+        spread = codes.TABULATED if self.code == codes.TABLE else self.spread
+        return KernelCode(kind, spread, self._table(codimension), norm)
 
     def over_cells(self, seen: int) -> CellKernel:
         """Return the kernel as loops over cells need it, seen in `seen` of its dimensions."""
@@ -236,7 +235,7 @@ class Gaussian(Kernel):
         """Any cutoff is allowed."""
 
     def _table(self, codimension: int) -> NDArray | None:
-        return SHIFTED if self.shifted else _NO_TABLE
+        return _SHIFTED if self.shifted else PLAIN
 
     def _unit_norm(self, dimension: int) -> float:
         s = self.spread
@@ -304,17 +303,17 @@ def register_kernel(
     ValueError
         If the profile is not finite or has no positive integral.
     """
-    if not np.isfinite(_profile_integral(profile, 3)) or _profile_integral(profile, 3) <= 0:
+    if not np.isfinite(profile_integral(profile, 3)) or profile_integral(profile, 3) <= 0:
         msg = f"the profile of kernel {name!r} must be finite on [0, 1) with a positive integral"
         raise ValueError(msg)
 
-    _check_table(name, profile)
+    check_table(name, profile)
 
     def unit_norm(self: Kernel, dimension: int) -> float:
-        return 1 / _profile_integral(profile, dimension)
+        return 1 / profile_integral(profile, dimension)
 
     def table(self: Kernel, codimension: int) -> NDArray:
-        return _table_of(profile, codimension)
+        return table_of(profile, codimension)
 
     members: dict[str, Any] = {
         "__doc__": f"The kernel registered as {name!r}.",
@@ -323,52 +322,6 @@ def register_kernel(
     }  # fmt: skip
     kind = _NAMED[name.lower()] = type(name.title(), (Kernel,), members)
     return kind
-
-
-@lru_cache
-def _profile_integral(profile: Callable[[NDArray], NDArray], dimension: int) -> float:
-    from scipy.integrate import quad  # slow to import, and only registered kernels need it
-
-    sphere = {1: 2.0, 2: 2 * math.pi, 3: 4 * math.pi}[dimension]
-    return sphere * quad(lambda q: float(profile(np.asarray(q))) * q ** (dimension - 1), 0, 1, epsabs=1e-14)[0]
-
-
-def _check_table(name: str, profile: Callable[[NDArray], NDArray]) -> None:
-    """Warn where a profile is not smooth enough for its table: at places between those that the table goes through."""
-    table, intervals = _table_of(profile, 0), _INTERVALS
-    q = np.linspace(0.0, 1.0, 11 * intervals, endpoint=False)
-    exact = np.array([float(profile(np.asarray(x))) for x in q])
-    error = np.abs(codes.sample(codes.TABLE, 1.0, table, q, False) - exact) / np.abs(exact).max()
-    if error.max() > _MOST_ERROR:
-        warn_user(
-            f"kernel {name!r}: sums use its profile to {error.max():.1e} of its largest value, worst at "
-            f"q={q[error.argmax()]:.3g}; a profile that is smooth, or has its kinks at multiples of 1/{intervals}, is "
-            f"kept to {_MOST_ERROR:g}"
-        )
-
-
-@lru_cache
-def _table_of(profile: Callable[[NDArray], NDArray], codimension: int) -> NDArray:
-    """Polynomials of the value and of its derivative / q on equal intervals, integrated over `codimension` axes."""
-    from scipy.integrate import quad
-
-    def value(q: float) -> float:
-        if codimension == 0:
-            return float(profile(np.asarray(q)))
-        if codimension == 1:
-            return 2 * quad(lambda z: float(profile(np.hypot(q, z))), 0, math.sqrt(1 - q * q), epsabs=1e-14)[0]
-        return 2 * math.pi * quad(lambda r: float(profile(np.asarray(r))) * r, q, 1, epsabs=1e-14)[0]
-
-    degree, table = codes.PIECE - 1, np.zeros((2, _INTERVALS, codes.PIECE))
-    for k in range(_INTERVALS):
-        domain = (k / _INTERVALS, (k + 1) / _INTERVALS)
-        series = np.polynomial.Chebyshev.interpolate(np.vectorize(value), degree, domain)
-        points = 0.5 * (domain[0] + domain[1]) + 0.5 / _INTERVALS * np.polynomial.chebyshev.chebpts1(codes.PIECE)
-        slope = np.polynomial.Chebyshev.fit(points, series.deriv()(points) / points, degree, domain)
-        for row, coefficients in enumerate((series.coef, slope.coef)):
-            powers = np.polynomial.chebyshev.cheb2poly(coefficients)
-            table[row, k, codes.PIECE - len(powers) :] = powers[::-1]
-    return table
 
 
 def as_kernel(kernel: str | Kernel, width: float | None, dimension: int) -> Kernel:

@@ -1,0 +1,188 @@
+"""Tables of the profiles of registered kernels: polynomials for values at points, and for integrals along lines.
+
+Values, marginals and derivatives are polynomials on equal intervals. Lines take *shells*, a few polynomials within
+radii of their own, whose integrals are closed forms (`xcg.compiled.shells`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import lru_cache, partial
+
+import numpy as np
+from numpy.polynomial import Chebyshev, Polynomial
+from numpy.typing import NDArray
+
+from xcg.compiled import smoothing as codes
+from xcg.compiled.shells import AT_ONCE, FIRST, POWERS, RADIUS, along_shells
+from xcg.scene.warn import warn_user
+
+Profile = Callable[[NDArray], NDArray]
+Shells = list[tuple[float, Polynomial]]  # radii, and polynomials of q
+
+_Q = Polynomial([0.0, 1.0])
+
+_INTERVALS = 64
+_MOST_ERROR = 1e-10  # of values at points, relative to the largest
+_SHELL_ERROR = 1e-12  # of the polynomials of shells, relative to the largest value
+# Sums of the sizes of a polynomial's terms, relative to the largest value: rounding is as many times that of a value.
+_LARGEST_TERMS = 5e3
+_NEARLY = 0.97
+_BISECTED = 1e-12
+_DEGREES = (3, 5, 7, 9, 11, 13, 15, 19, 23)
+
+
+def _value(profile: Profile, q: float) -> float:
+    return float(profile(np.asarray(q)))
+
+
+def _values(profile: Profile, q: NDArray) -> NDArray:
+    """Values of a profile, of one that takes numbers only, too."""
+    try:
+        return np.broadcast_to(np.asarray(profile(q), float), q.shape)
+    except (TypeError, ValueError):
+        return np.array([_value(profile, x) for x in q])
+
+
+def _integral(function: Callable[[float], float], begin: float, end: float) -> float:
+    from scipy.integrate import quad  # slow to import, and only few kernels need it
+
+    return quad(function, begin, end, epsabs=1e-14, epsrel=1e-13, limit=500)[0]
+
+
+@lru_cache
+def profile_integral(profile: Profile, dimension: int) -> float:
+    """Integral of a profile over the unit ball of this many dimensions."""
+    sphere = {1: 2.0, 2: 2 * math.pi, 3: 4 * math.pi}[dimension]
+    shells = _shells(profile)
+    if shells:
+        return sphere * sum((shell * _Q ** (dimension - 1)).integ()(radius) for radius, shell in shells)
+    return sphere * _integral(lambda q: _value(profile, q) * q ** (dimension - 1), 0.0, 1.0)
+
+
+def check_table(name: str, profile: Profile) -> None:
+    """Warn where a profile is not smooth enough for its table: at places between those that the table goes through."""
+    table, intervals = table_of(profile, 0), _INTERVALS
+    q = np.linspace(0.0, 1.0, 11 * intervals, endpoint=False)
+    exact = _values(profile, q)
+    error = np.abs(codes.sample(codes.TABLE, codes.TABULATED, table, q, False) - exact) / np.abs(exact).max()
+    if error.max() > _MOST_ERROR:
+        warn_user(
+            f"kernel {name!r}: sums use its profile to {error.max():.1e} of its largest value, worst at "
+            f"q={q[error.argmax()]:.3g}; a profile that is smooth, or has its kinks at multiples of 1/{intervals}, is "
+            f"kept to {_MOST_ERROR:g}"
+        )
+
+
+@lru_cache
+def table_of(profile: Profile, codimension: int) -> NDArray:
+    """Polynomials of the value and of its derivative / q on equal intervals, integrated over `codimension` axes.
+
+    With them come the shells that lines take, where there are any.
+    """
+    shells = _shells(profile)
+    lines, planes = _columns(shells), _beyond(shells, 2.0 * math.pi)
+
+    def value(q: float) -> float:
+        half = math.sqrt(1.0 - q * q)
+        if codimension == 1:
+            if shells:
+                return along_shells(lines, q * q, -half, half)
+            return 2.0 * _integral(lambda z: _value(profile, math.hypot(q, z)), 0.0, half)
+        if codimension == 2:
+            if shells:
+                return sum(plane(q) for radius, plane in planes if q < radius)
+            return 2.0 * math.pi * _integral(lambda r: _value(profile, r) * r, q, 1.0)
+        return _value(profile, q)
+
+    degree, table = codes.PIECE - 1, np.zeros((3, _INTERVALS, codes.PIECE))
+    for k in range(_INTERVALS):
+        domain = (k / _INTERVALS, (k + 1) / _INTERVALS)
+        series = Chebyshev.interpolate(np.vectorize(value), degree, domain)
+        points = 0.5 * (domain[0] + domain[1]) + 0.5 / _INTERVALS * np.polynomial.chebyshev.chebpts1(codes.PIECE)
+        slope = Chebyshev.fit(points, series.deriv()(points) / points, degree, domain)
+        for row, coefficients in enumerate((series.coef, slope.coef)):
+            powers = np.polynomial.chebyshev.cheb2poly(coefficients)
+            table[row, k, codes.PIECE - len(powers) :] = powers[::-1]
+    table[codes.SHELLS] = (lines, _columns(_beyond(shells, 1.0)), _columns(planes))[codimension]
+    return table
+
+
+# --- shells ----------------------------------------------------------------------------------------------
+
+
+def _columns(shells: Shells) -> NDArray:
+    """Shells as compiled loops take them, zeros in the place of those that there are not."""
+    columns = np.zeros((_INTERVALS, codes.PIECE))
+    for k, (radius, shell) in enumerate(shells):
+        powers = len(shell.coef)
+        columns[RADIUS, k], columns[POWERS, k] = radius, AT_ONCE * math.ceil(powers / AT_ONCE)
+        columns[FIRST : FIRST + powers, k] = shell.integ().coef[1:]
+    return columns
+
+
+def _beyond(shells: Shells, factor: float) -> Shells:
+    """Integral of each shell times q, from q on outwards, and times a factor."""
+    return [(radius, (-factor * shell * _Q).integ(lbnd=radius)) for radius, shell in shells]
+
+
+def _shells(profile: Profile) -> Shells:
+    """Shells of a profile; none where too many are needed."""
+    pieces = _pieces(profile)
+    outer = [piece for _, piece in pieces[1:]] + [Polynomial([0.0])]
+    return [(radius, piece - beyond) for (radius, piece), beyond in zip(pieces, outer, strict=False)]
+
+
+@lru_cache
+def _pieces(profile: Profile) -> Shells:
+    """Polynomials of a profile, each up to a radius, from the middle outwards; none where too many are needed."""
+    largest = np.abs(_values(profile, np.linspace(0.0, 1.0, 11 * _INTERVALS, endpoint=False))).max()
+    pieces: Shells = []
+    begin = 0.0 if np.isfinite(largest) else 1.0
+    while begin < 1.0 - _BISECTED and len(pieces) < codes.PIECE:
+        fits = partial(_fit, profile, largest, begin)
+        end, piece = _farthest(fits, begin, _DEGREES)
+        # nearly as far with the fewest powers: what lies beyond a kink takes many
+        nearly = begin + _NEARLY * (end - begin)
+        lowest = next((degree for degree in _DEGREES if piece and fits(nearly, (degree,))), _DEGREES[-1])
+        fewest = _farthest(fits, begin, (lowest,))
+        end, piece = fewest if fewest[1] else (end, piece)
+        if piece is None:
+            return []
+        pieces.append((end, piece))
+        begin = end + _BISECTED if end < 1.0 else end  # beyond a jump
+    return pieces if begin == 1.0 else []
+
+
+def _farthest(
+    fits: Callable[[float, tuple[int, ...]], Polynomial | None], begin: float, degrees: tuple[int, ...]
+) -> tuple[float, Polynomial | None]:
+    """Largest radius up to which there is a polynomial of one of these degrees, and that polynomial."""
+    piece, end, failed = fits(1.0, degrees), begin, 1.0
+    if piece is not None:
+        return 1.0, piece
+    while failed - end > _BISECTED:
+        middle = 0.5 * (end + failed)
+        found = fits(middle, degrees)
+        if found is None:
+            failed = middle
+        else:
+            end, piece = middle, found
+    return end, piece
+
+
+def _fit(profile: Profile, largest: float, begin: float, end: float, degrees: tuple[int, ...]) -> Polynomial | None:
+    """Polynomial of the lowest of these degrees that is as good as shells must be between two radii, or None."""
+    inside = np.linspace(begin, end, 8 + math.ceil(11 * _INTERVALS * (end - begin)), endpoint=False)
+    near_ends = 0.5 * (begin + end) + 0.5 * (end - begin) * np.polynomial.chebyshev.chebpts1(4 * _DEGREES[-1])
+    places = np.concatenate([inside, near_ends, [end * (1.0 - 1e-14)]])
+    exact = _values(profile, places)
+    for degree in degrees:
+        series = Chebyshev.interpolate(partial(_values, profile), degree, (begin, end))
+        if np.abs(series(places) - exact).max() <= _SHELL_ERROR * largest:
+            polynomial = series.convert(kind=Polynomial)
+            error = np.abs(polynomial(places) - exact).max()  # with the rounding of its terms
+            terms = np.abs(polynomial.coef) @ end ** np.arange(len(polynomial.coef))
+            return polynomial if error <= _SHELL_ERROR * largest and terms <= _LARGEST_TERMS * largest else None
+    return None
