@@ -33,13 +33,15 @@ from xcg.compiled.simd import (
     ZERO_IF_UNKNOWN, FIT, PART,
 ) = range(13)  # fmt: skip
 THREE = np.uint64(3)
+_NUMBER = np.dtype("float64")
+BYTES = _NUMBER.itemsize
 _LINE = 64  # bytes of a line of the cache
 
 
 def room_for(rows: int) -> NDArray:
     """Make zeros (rows, TILE) that begin with a line of the cache: all steps take a seventh longer across two lines."""
-    spare = np.zeros(rows * TILE + _LINE // 8)
-    first = -spare.ctypes.data % _LINE // 8
+    spare = np.zeros(rows * TILE + _LINE // BYTES)
+    first = -spare.ctypes.data % _LINE // BYTES
     return spare[first : first + rows * TILE].reshape(rows, TILE)
 
 
@@ -53,7 +55,7 @@ def address_of(numbers: NDArray, rows: int, width: int, name: str, *, written: b
     """
     flags = numbers.flags
     fits = len(numbers) >= rows and math.prod(numbers.shape[1:]) >= width
-    if numbers.dtype != np.float64 or not (flags.c_contiguous and flags.aligned and fits):
+    if numbers.dtype != _NUMBER or not (flags.c_contiguous and flags.aligned and fits):
         msg = (
             f"{name!r}: expected ({rows}, {width}) numbers or more, float64 and one after the other in memory; this is "
             f"an array {numbers.shape} of {numbers.dtype} with strides {numbers.strides}"

@@ -327,19 +327,22 @@ def _cells_in_pencils(position, lower, sizes, along_x, pencils_z, cell):
         cell[n] = ((pencil * along_x + x) * PENCIL + y % PENCIL) * PENCIL + z % PENCIL
 
 
-def spatial_order(position: NDArray, size: float, lower: NDArray, upper: NDArray, active: NDArray) -> NDArray:
+def spatial_order(
+    position: NDArray, size: float, lower: Sequence[float], upper: Sequence[float], active: Sequence[bool]
+) -> NDArray:
     """Order points (n, 3) by cells of a size (larger where points are few), in pencils along x.
 
     `lower` and `upper` are their bounds. Points of one pencil add to few nodes at a time, which stay in cache. The
     order is stable, so that sums have one order only.
     """
-    count = len(position)
-    extent, sizes = np.where(active, upper - lower, 0.0), np.full(3, size)
-    while (extent / sizes + PENCIL).prod() > max(MOST_CELLS, 4.0 * count):
-        sizes[np.argmax(extent / sizes)] *= 2.0  # a few grains are far astray
-    cells = (extent / sizes).astype(int) + 1
-    pencils_y, pencils_z = ((cells[1:] - 1) // PENCIL + 1).tolist()
-    keys = pencils_y * pencils_z * int(cells[0]) * PENCIL * PENCIL
+    count, sizes = len(position), [size, size, size]
+    extent = [high - low if counts else 0.0 for low, high, counts in zip(lower, upper, active, strict=True)]
+    while math.prod(e / s + PENCIL for e, s in zip(extent, sizes, strict=True)) > max(MOST_CELLS, 4.0 * count):
+        sizes[max(range(3), key=lambda k: extent[k] / sizes[k])] *= 2.0  # a few grains are far astray
+    along_x, along_y, along_z = (int(e / s) + 1 for e, s in zip(extent, sizes, strict=True))
+    pencils_y, pencils_z = (along_y - 1) // PENCIL + 1, (along_z - 1) // PENCIL + 1
+    keys = pencils_y * pencils_z * along_x * PENCIL * PENCIL
     cell = np.empty(count, short_integers(max(keys, count)))
-    _cells_in_pencils(position, lower, np.where(active, sizes, np.inf), int(cells[0]), pencils_z, cell)
+    x, y, z = (s if counts else math.inf for s, counts in zip(sizes, active, strict=True))
+    _cells_in_pencils(position, tuple(lower), (x, y, z), along_x, pencils_z, cell)
     return counting_sort(cell, keys)

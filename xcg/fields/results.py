@@ -32,7 +32,7 @@ def times_of(ds: xr.Dataset) -> dict[str, xr.Variable]:
 
 
 def layout(ds: xr.Dataset, plan: Plan) -> xr.Dataset:
-    """Return the result of a plan without its numbers, of which no array is made, and without attributes of its own."""
+    """Return the result of a plan without its numbers, of which no array is made; its attributes are the plan's."""
     system = plan.setup.unit_system
     length = units_of((1, 0, 0), system)
     # those of the scene may be changed in place
@@ -58,7 +58,7 @@ def layout(ds: xr.Dataset, plan: Plan) -> xr.Dataset:
             attrs["comment"] = f"without rotation, as the scene holds no {' and no '.join(lacking)}"
         numbers = np.broadcast_to(np.nan, (ds.sizes["time"], *plan.shapes[name]))
         data[name] = xr.Variable(("time", *plan.dims, *tail), numbers, attrs)
-    empty = with_phase_labels(storable(xr.Dataset(data, coords)))
+    empty = with_phase_labels(storable(xr.Dataset(data, coords))).assign_attrs(_choices(plan))
     for index in empty.indexes.values():
         if isinstance(index.values, np.ndarray):
             index.values.flags.writeable = False  # all results share it, and pandas before 3 lets it be changed
@@ -72,7 +72,8 @@ def filled(empty: xr.Dataset, ds: xr.Dataset, plan: Plan, arrays: Mapping[str, A
     for name in result.coords:
         if name not in indexes:
             result.variables[name].data = result.variables[name].data.copy()
-    result.attrs = _provenance(ds, plan, call)
+    of_plan = {name: list(value) if isinstance(value, list) else value for name, value in empty.attrs.items()}
+    result.attrs = provenance(ds, call) | of_plan
     return result
 
 
@@ -84,9 +85,8 @@ def about(row: Field, system: str) -> dict[str, str]:
     return {key: text for key, text in found.items() if text}
 
 
-def _provenance(ds: xr.Dataset, plan: Plan, call: str) -> dict[str, Any]:
+def _choices(plan: Plan) -> dict[str, Any]:
     return {
-        **provenance(ds, call),
         **plan.deposit.grid.attrs,
         "kernel": plan.kernel.name,
         "width": plan.widths if len(plan.widths) > 1 else plan.kernel.width,

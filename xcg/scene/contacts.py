@@ -130,13 +130,6 @@ class Contacts:
         branch_i[both[spheres]], branch_j[both[spheres]] = branches[0][spheres], branches[1][spheres]
         return replace(self, given_branches=(branch_i, branch_j))
 
-    def some(self, rows: slice) -> Contacts:
-        """Return some of the contacts, as views."""
-        normal = None if self.given_normal is None else self.given_normal[rows]
-        branches = None if self.given_branches is None else (self.given_branches[0][rows], self.given_branches[1][rows])
-        own = {name: getattr(self, name)[rows] for name in ("i", "j", "force", "point", "key_i", "key_j")}
-        return replace(self, **own, given_normal=normal, given_branches=branches)
-
     @property
     def between(self) -> NDArray:
         """From j to i, ``r_i - r_j`` (m), or between the contact point and the only particle that is there; (n, 3).
@@ -146,14 +139,12 @@ class Contacts:
         """
         if self.given_branches is not None:
             return self.branch_i - self.branch_j
-        out, periods = np.empty_like(self.point), self.periods
-
-        def write(first: int, last: int) -> None:
-            some = slice(first, last)
-            between(self.i[some], self.j[some], self.position, self.point[some], *periods, out[some])
-
-        for_parts(len(out), write, self.threads)
+        out = np.empty_like(self.point)
+        for_parts(len(out), lambda first, last: self._write_between(slice(first, last), out[first:last]), self.threads)
         return out
+
+    def _write_between(self, some: slice, out: NDArray) -> None:
+        between(self.i[some], self.j[some], self.position, self.point[some], *self.periods, out)
 
     @cached_property
     def normal(self) -> NDArray:
@@ -231,10 +222,17 @@ class Contacts:
     @property
     def normals(self) -> NDArray:
         """Sum over contacts of n n for each particle (particles, 6): xx xy xz yy yz zz."""
-        total = np.zeros((len(self.position), 6))
+        total, given = np.zeros((len(self.position), 6)), self.given_normal
+        if given is None and self.given_branches is not None:
+            given = self.between
         for first in range(0, len(self.i), _BLOCK):
-            some = self.some(slice(first, first + _BLOCK))
-            add_unit_squares(some.i, some.j, some.between if some.given_normal is None else some.given_normal, total)
+            some = slice(first, first + _BLOCK)
+            if given is None:
+                along = np.empty_like(self.point[some])
+                self._write_between(some, along)
+            else:
+                along = given[some]
+            add_unit_squares(self.i[some], self.j[some], along, total)
         return total
 
     @property

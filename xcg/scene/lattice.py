@@ -194,6 +194,8 @@ class Lattice:
     @property
     def open_axes(self) -> NDArray:
         """Axes (3,) along which nothing repeats."""
+        if self.vectors is None:
+            return np.isinf(self.period)
         return ~(np.abs(self.basis) > _SAME * np.abs(self.basis).max(initial=0.0)).any(axis=0)
 
     @cached_property

@@ -53,6 +53,11 @@ class Program:
     _loads: Kept[_Loads] = field(default_factory=lambda: Kept(_LAYOUTS), compare=False)
 
     @cached_property
+    def _widths(self) -> dict[str, int]:
+        """How many numbers of each field are stored for a place."""
+        return {name: max(begin + count for one, begin, count in self.outputs if one == name) for name in self.fields}
+
+    @cached_property
     def fields(self) -> tuple[str, ...]:
         """Names of the fields that it computes."""
         return tuple(dict.fromkeys(name for name, _, _ in self.outputs))
@@ -76,10 +81,13 @@ class Program:
             (kernel.address_of(a, nodes, width, "moments"), width, row)
             for a, width, row in zip(arrays, loads.widths, loads.rows, strict=False)
         ]
-        fields = []
+        starts, fields = dict[str, tuple[int, int]](), []
+        for name, width in self._widths.items():
+            address = kernel.address_of(out[name], places, width, name, written=True)
+            starts[name] = address, math.prod(out[name].shape[1:])
         for name, begin, count in self.outputs:
-            first = kernel.address_of(out[name], places, begin + count, name, written=True)
-            fields.append((first + out[name].itemsize * begin, math.prod(out[name].shape[1:]), count))
+            first, width = starts[name]
+            fields.append((first + kernel.BYTES * begin, width, count))
         tile = np.empty((kernel.TILE + EIGHT) * max(loads.widths))
         to = place if order is None else place[order]
         lists = _whole(records, 3), loads.source, _whole(fields, 3), self.target

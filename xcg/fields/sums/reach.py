@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -94,8 +95,8 @@ class Mesh:
 
         Here and below, `source` names the step in messages.
         """
-        for k in range(3):
-            if self.active[k] and not farthest[k] < _FAR:
+        for k, _ in self._along_active:
+            if not farthest[k] < _FAR:
                 msg = (
                     f"{source}: a particle or contact reaches {farthest[k] * self.cutoff:.3g} m from the mesh "
                     f"along '{COMPONENTS[k]}', where coordinates have no digits left; the file is damaged, or its "
@@ -109,34 +110,40 @@ class Mesh:
         `paired` says that images of one grain are multiplied with each other.
         """
         most = _MOST_PAIRED if paired else _MOST_IMAGES
-        for k in np.flatnonzero(self.active):
-            if not (self.extent[k] < _FAR and (reach[k] + self.extent[k]) / self.steps[k] < _FAR):
+        images, over_mesh = [1.0, 1.0, 1.0], [1.0, 1.0, 1.0]
+        for k, (extent, step, period) in self._along_active:
+            if not (extent < _FAR and (reach[k] + extent) / step < _FAR):
                 msg = (
-                    f"{source}: along '{COMPONENTS[k]}' the mesh is {self.extent[k] * self.cutoff:.3g} m long "
-                    f"with nodes {self.steps[k] * self.cutoff:.3g} m apart, and the radius of the support is "
+                    f"{source}: along '{COMPONENTS[k]}' the mesh is {extent * self.cutoff:.3g} m long "
+                    f"with nodes {step * self.cutoff:.3g} m apart, and the radius of the support is "
                     f"{self.cutoff:.3g} m; choose a width and a spacing that are closer to each other"
                 )
                 raise SceneError(msg)
-        images = np.where(self.active, reach / self.period + 1.0, 1.0)
-        over_mesh = np.where(self.active, (reach + self.extent) / self.period + 1.0, 1.0)
-        if not (images.prod() <= most and over_mesh.prod() <= _MOST_OVER_MESH + self.nodes * images.prod()):
-            images = over_mesh
-            k = images.argmax()
+            images[k], over_mesh[k] = float(reach[k]) / period + 1.0, (float(reach[k]) + extent) / period + 1.0
+        one, all_nodes = math.prod(images), math.prod(over_mesh)
+        if not (one <= most and all_nodes <= _MOST_OVER_MESH + self.nodes * one):
+            k = int(np.argmax(over_mesh))
             msg = (
                 f"{source}: the box is so small that a particle or contact reaches the mesh in "
-                f"{images.prod():.3g} periodic images (along '{COMPONENTS[k]}' the period is "
+                f"{all_nodes:.3g} periodic images (along '{COMPONENTS[k]}' the period is "
                 f"{self.period[k] * self.cutoff:.3g} m, and the reach {reach[k] * self.cutoff:.3g} m); the box or a "
                 "contact in the file is damaged, or the kernel is too wide"
             )
             raise SceneError(msg)
 
+    @cached_property
+    def _along_active(self) -> list[tuple[int, list[float]]]:
+        """Active axes, with extent, spacing and period along each."""
+        numbers = np.column_stack([self.extent, self.steps, self.period]).tolist()
+        return [(k, numbers[k]) for k in range(3) if self.active[k]]
+
     def fits_single(self, longest: float) -> bool:
         """Tell whether single precision is enough to number the nodes that a branch of this length reaches."""
-        return bool(((longest + 2.0) / self.steps[self.active] < _SINGLE).all())
+        return all((longest + 2.0) / step < _SINGLE for _, (_, step, _) in self._along_active)
 
     def too_long(self, longest: NDArray) -> bool:
         """Tell whether branches with these largest components (3,) must be cut."""
-        return bool(longest[self.active].max(initial=0.0) > _LONG)
+        return any(longest[k] > _LONG for k, _ in self._along_active)
 
     def cut(self, segments: NDArray, ends: NDArray, source: str) -> NDArray:
         """Cut long branches where nothing beyond reaches the mesh; those that never come near it are left out.

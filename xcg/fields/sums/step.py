@@ -138,7 +138,7 @@ class Step:
         farthest = [max(abs(a - o), abs(b - o)) for a, b, o in zip(lower, upper, self.spec.origin, strict=True)]
         for cutoff in {self.spec.distinct[0], self.spec.distinct[-1]}:
             self.surroundings.meshes[cutoff].check_far([x / cutoff + 2.0 for x in farthest], self.source)
-        return spatial_order(position, self.spec.distinct[0], np.array(lower), np.array(upper), self.spec.grid.active)
+        return spatial_order(position, self.spec.distinct[0], lower, upper, self.spec.grid.active.tolist())
 
 
 def alike(drifts: NDArray) -> Iterator[tuple[NDArray, NDArray]]:
