@@ -434,6 +434,7 @@ def test_fewer_points_for_shorter_branches_and_looser_promises():
     assert gauss_limits(as_kernel("wendland", 0.5, 3), 3, 1e-5).size == 0
     assert gauss_limits(as_kernel("wendland", 0.5, 3), 1, 1e-5).size == 0
     assert gauss_limits(as_kernel("wendland", 0.5, 3), 2, 1e-5).size == 6
+    assert gauss_limits(as_kernel("quintic spline", 0.5, 3), 3, 1e-5).size == 1
     assert gauss_limits(as_kernel("bump", 0.5, 3), 3, 1e-5).size == 6
     # two points at branch / c = 1/3 leave 1.6e-3 in typical scenes; nowhere twice as much
     assert gauss_limits(kernel, 3, 3.0 * 1.6e-3)[0] > 1 / 3

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from xcg.compiled import smoothing as kinds
 from xcg.compiled.segments import RULES, largest_error
+from xcg.compiled.shells import RADIUS
 from xcg.fields.sums.smoothing import Kernel
 
 # From this promise on, weights are computed in single precision, which rounds them to 1e-6 of the largest.
@@ -19,9 +20,10 @@ def _quicker(kind: int | None, spread: float | None, table: NDArray | None, rtol
     """Gauss-Legendre rules that take less time than the closed form, by the kernel as it is seen, and the precision."""
     if kind is kinds.LUCY_FULL:
         return RULES if rtol >= SINGLE else RULES[:2]
-    if spread is kinds.TABULATED:
-        # closed forms of shells take less time than two points, but in planes more than twelve
-        return () if kind != kinds.TABLE + 1 and kinds.has_shells(table) else RULES
+    if spread is kinds.TABULATED and table is not None:
+        # closed forms of one or two shells take less time than two points, of more than four; in planes more than twelve
+        shells = np.count_nonzero(table[kinds.SHELLS, RADIUS])
+        return RULES if kind == kinds.TABLE + 1 or shells == 0 else RULES[: 0 if shells <= 2 else 1]
     return RULES[:1]  # marginals take more time a point than a polynomial
 
 

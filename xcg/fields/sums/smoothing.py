@@ -288,7 +288,7 @@ def register_kernel(
         ``P(q)`` for an array q = r / c in [0, 1); it need not be normalised. Values, marginals and gradients are
         kept as polynomials of degree 7 on 64 intervals: where P is smooth and ends at zero, values to 1e-11 and
         derivatives to 1e-7 of the largest. A warning says where values of P itself are off by more than 1e-10.
-        Integrals along segments are closed forms, right to 1e-12 of the largest value (and to rounding over the
+        Integrals along segments are closed forms, right to a few 1e-12 of the largest value (and to rounding over the
         length of segments below a tenth of c), where up to eight polynomials of q, each between two radii, are P to
         1e-12. They are found here. Other profiles, such as one that ends like a root, take a long quadrature.
     ratio : float
