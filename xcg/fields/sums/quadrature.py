@@ -21,7 +21,7 @@ def _quicker(kind: int | None, spread: float | None, table: NDArray | None, rtol
     if kind is kinds.LUCY_FULL:
         return RULES if rtol >= SINGLE else RULES[:2]
     if spread is kinds.TABULATED and table is not None:
-        # closed forms of one or two shells take less time than two points, of more than four; in planes more than twelve
+        # closed forms of one or two shells take less time than two points, of three less than four; not so in planes
         shells = np.count_nonzero(table[kinds.SHELLS, RADIUS])
         return RULES if kind == kinds.TABLE + 1 or shells == 0 else RULES[: 0 if shells <= 2 else 1]
     return RULES[:1]  # marginals take more time a point than a polynomial
