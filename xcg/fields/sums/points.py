@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,15 +21,22 @@ from xcg.scene.lattice import Lattice
 
 def grains(step: Step) -> list[Pass]:
     """Flow columns and columns of constants."""
-    at = step.grains
-    constants = {name: step.column(row, at) for name, row in step.spec.of_grains.items() if row.column}
+    at, rows = step.grains, {name: row for name, row in step.spec.of_grains.items() if row.column}
     # a column that is the same for all grains, as those of one size are, is a multiple of their number
-    same = {name: float(q[0, 0]) for name, q in constants.items() if q.shape[1] == 1 and len(q) and _is_one_row(q)}
-    columns = [q for name, q in constants.items() if name not in same]
-    if same:
-        columns.append(np.ones((len(at.position), 1)))
+    single, same = dict[str, NDArray](), dict[str, float]()
+    for name, row in rows.items():
+        if row.width == 1:
+            values = step.column(row, at)
+            if len(values) and _is_one_row(values):
+                same[name] = float(values[0, 0])
+            else:
+                single[name] = values
+    number = [np.ones((len(at.position), 1))] if same else []
+    # what is wide is made when it is written beside the others
+    rest = {name: row for name, row in rows.items() if name not in same}
+    columns = (single.pop(name) if name in single else step.column(row, at) for name, row in rest.items())
     layout = step.spec.layouts.or_new(("grains", *same.items()), lambda: _layout_of_grains(step.spec, same))
-    return [_pass(step, layout, at, *step.flow, at.of(step.phase), columns)]
+    return [_pass(step, layout, at, *step.flow, at.of(step.phase), chain(columns, number))]
 
 
 def _layout_of_grains(spec: DepositSpec, same: Mapping[str, float]) -> Layout:
@@ -126,7 +134,7 @@ def _constants(
 
 def _pass(
     step: Step, layout: Layout, images: Images, velocity: NDArray, mass: NDArray, phase: NDArray,
-    constants: Sequence[NDArray] = (), others: int = 1, *, by_gradient: bool | None = None,
+    constants: Iterable[NDArray] = (), others: int = 1, *, by_gradient: bool | None = None,
 ) -> Pass:  # fmt: skip
     """Prepare grains, or other points, with their flow columns and columns of constants.
 
@@ -165,12 +173,13 @@ def _padded(columns: int) -> int:
     return columns + -columns % 4
 
 
-def _side_by_side(parts: Sequence[NDArray], count: int, width: int) -> NDArray:
+def _side_by_side(parts: Iterable[NDArray], count: int, width: int) -> NDArray:
     """Columns (count, ...) side by side, and zeros up to a width."""
     out, first = np.zeros((count, width)), 0
     for values in parts:
         out[:, first : first + values.shape[1]] = values
         first += values.shape[1]
+        del values  # before the next are made
     return out
 
 
