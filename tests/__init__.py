@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -13,6 +13,7 @@ import pytest
 import xarray as xr
 
 import xcg
+from xcg.fields.planning import make, plan
 
 
 def shared_data(name: str) -> Path:
@@ -32,8 +33,12 @@ def real_data(name: str) -> Path:
 
 @contextmanager
 def planning(**replaced: Any) -> Iterator[None]:
-    """Plan with other names in `xcg.fields.plan`, such as constants; plans of before and after are not taken."""
-    with mock.patch.dict("xcg.fields.kept._kept", clear=True), mock.patch.multiple("xcg.fields.plan", **replaced):
+    """Plan with other names in `xcg.fields.planning`, such as constants; plans of before and after are not taken."""
+    with ExitStack() as patched:
+        patched.enter_context(mock.patch.dict("xcg.fields.kept._kept", clear=True))
+        for name, value in replaced.items():
+            (home,) = (module for module in (make, plan) if name in vars(module))
+            patched.enter_context(mock.patch.object(home, name, value))
         yield
 
 

@@ -28,7 +28,7 @@ INSIDE = {
         ["sums"],
         ["places", "formulas"],
         ["request"],
-        ["plan"],
+        ["planning"],
         ["results"],
         ["evaluate", "kept", "accessible", "presets"],
         ["coarse_grain"],

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from xcg.fields.formulas.averages import per_fraction
 from xcg.fields.places.surfaces.plane import Plane
 from xcg.fields.places.surfaces.wall import Wall
-from xcg.fields.plan import Plan
+from xcg.fields.planning.plan import Plan
 from xcg.fields.request import Request
 from xcg.fields.sums.smoothing import Kernel
 from xcg.scene.query import edges_of

@@ -12,7 +12,8 @@ from xcg.fields.accessible import check_walls, with_accessible
 from xcg.fields.evaluate import evaluate_plan
 from xcg.fields.kept import prepare_call
 from xcg.fields.places.frames import in_frame, is_cylindrical
-from xcg.fields.plan import Plan, make_plan
+from xcg.fields.planning.make import make_plan
+from xcg.fields.planning.plan import Plan
 from xcg.fields.presets import lammps, pysammos
 from xcg.fields.request import Request, SharedOptions, takes
 from xcg.fields.results import filled

@@ -13,7 +13,8 @@ import xarray as xr
 
 from xcg.fields.formulas import registry
 from xcg.fields.places.frames import is_cylindrical
-from xcg.fields.plan import Plan, plan_measured
+from xcg.fields.planning.make import plan_measured
+from xcg.fields.planning.plan import Plan
 from xcg.fields.request import Request
 from xcg.fields.results import layout, times_of
 from xcg.fields.sums.kept import Kept

@@ -11,7 +11,7 @@ import xarray as xr
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Field
 from xcg.fields.places.frames import is_cylindrical
-from xcg.fields.plan import Plan
+from xcg.fields.planning.plan import Plan
 from xcg.scene.build import storable
 from xcg.scene.schema import COMPONENTS, units_of
 from xcg.steps.label import provenance

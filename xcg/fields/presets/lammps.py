@@ -19,7 +19,7 @@ import xarray as xr
 
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.variables import Quantity
-from xcg.fields.plan import make_plan
+from xcg.fields.planning.make import make_plan
 from xcg.fields.request import Request
 from xcg.fields.sums.smoothing import Gaussian, Kernel, as_kernel, choose_width
 from xcg.scene.numbers import is_positive

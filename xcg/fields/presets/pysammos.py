@@ -21,7 +21,7 @@ from xcg.fields.formulas import algebra, registry
 from xcg.fields.formulas.field import NONE, Field, Options
 from xcg.fields.formulas.trace import at_least_zero, where_positive
 from xcg.fields.formulas.variables import Quantity
-from xcg.fields.plan import possible_fields
+from xcg.fields.planning.choices import possible_fields
 from xcg.fields.request import Request
 from xcg.fields.sums.smoothing import as_kernel, choose_width
 from xcg.scene.query import require_scene, setup_of

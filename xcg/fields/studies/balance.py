@@ -11,7 +11,7 @@ import xarray as xr
 
 from xcg.fields.coarse_grain import answer, prepare
 from xcg.fields.places.frames import refuse_cylindrical
-from xcg.fields.plan import make_plan
+from xcg.fields.planning.make import make_plan
 from xcg.fields.request import SharedOptions, takes
 from xcg.scene.conform import takes_scene
 from xcg.scene.query import require_rising_times

@@ -17,7 +17,7 @@ from xcg.fields.evaluate import compute_chunk
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.averages import derive, needed_for_averages
 from xcg.fields.places.frames import refuse_cylindrical
-from xcg.fields.plan import make_plan
+from xcg.fields.planning.make import make_plan
 from xcg.fields.request import Request, takes
 from xcg.fields.results import about, filled, layout
 from xcg.scene.conform import takes_scene

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from xcg.fields.coarse_grain import answer, prepare
 from xcg.fields.formulas.variables import Quantity
 from xcg.fields.places.frames import refuse_cylindrical
-from xcg.fields.plan import make_plan
+from xcg.fields.planning.make import make_plan
 from xcg.fields.request import Request, SharedOptions, takes
 from xcg.fields.sums.smoothing import choose_width
 from xcg.scene.conform import takes_scene

@@ -1,0 +1,148 @@
+"""Which fields are meant, which variables they take, and the choices of their algebra."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import xarray as xr
+
+from xcg.fields.formulas import registry
+from xcg.fields.formulas.field import Options
+from xcg.fields.formulas.variables import OwnField, Quantity, own_fields, own_moments, rows_of
+from xcg.fields.request import Request
+from xcg.fields.sums.fabric import sliding_contacts
+from xcg.fields.sums.moments import MOMENTS, Moment
+from xcg.scene.numbers import is_positive
+from xcg.scene.query import (
+    require_scene,
+    setup_of,
+)
+from xcg.scene.schema import COMPONENTS, CONTACT_VARIABLES, Setup, did_you_mean
+
+SAMPLINGS = ("node", "cell")
+
+
+def possible_fields(ds: xr.Dataset, request: Request) -> tuple[str, ...]:
+    """Name the fields that a request without names is answered with: those that the scene's variables allow."""
+    options = replace(options_of(ds, setup_of(ds), request), by=request.by)
+    return choose_fields(None, ds, options)[0]
+
+
+def choose_fields(
+    asked: str | Quantity | Sequence[str | Quantity | registry.OwnRow] | None, ds: xr.Dataset, options: Options
+) -> tuple[tuple[str, ...], tuple[OwnField | registry.OwnRow, ...]]:
+    """Names of the fields of a result, and those of them that are quantities of the scene's own variables."""
+    if asked is None:
+        here = _possible(frozenset(map(str, ds.data_vars)), options)
+        if not here:
+            require_scene(ds, ("mass",), "coarse_grain")
+        return here, ()
+    lacking = lacking_fields(options)
+    given = list(asked) if isinstance(asked, Iterable) and not isinstance(asked, str) else [asked]
+    own = own_fields(given, ds)
+    names = [own[k].name if k in own else one for k, one in enumerate(given)]
+    unknown = [name for name in names if name not in registry.listed() and name not in {o.name for o in own.values()}]
+    if unknown or not names:
+        more = [name for name in rows_of(ds) if name not in registry.FIELDS]
+        msg = f"unknown fields {unknown}: choose from {', '.join(registry.listed())}"
+        msg += f", or a variable of the scene: {', '.join(more)}"
+        msg += "".join(did_you_mean(str(name), [*registry.listed(), *more]) for name in unknown)
+        raise ValueError(msg)
+    for name in names:
+        if name in lacking:
+            option = registry.FIELDS[name].option
+            msg = f"{name} needs the argument {option}="
+            if option == "lag":
+                msg = f"{name} compares two frames: call ds.cg.displacement({name!r}) instead of coarse_grain"
+            raise ValueError(msg)
+    return tuple(dict.fromkeys(map(str, names))), tuple(dict.fromkeys(own.values()))
+
+
+def lacking_fields(options: Options) -> set[str]:
+    """Fields that need an argument which was not given."""
+    return {name for name, f in registry.FIELDS.items() if f.option and getattr(options, f.option) is None}
+
+
+@registry.remembered
+def _possible(here: frozenset[str], options: Options) -> tuple[str, ...]:
+    """Fields by default, of a scene that holds some variables."""
+    lacking = lacking_fields(options)
+    possible = [name for name in registry.listed() if registry.FIELDS[name].default and name not in lacking]
+    return tuple(name for name in possible if variables_of((name,), here, options) <= here)
+
+
+@registry.remembered
+def variables_of(fields: tuple[str, ...], here: frozenset[str], options: Options) -> frozenset[str]:
+    """Variables that some fields need, of a scene that holds those that are here."""
+    needed = {"position", "particle_id"}
+    rows = MOMENTS | own_moments(options.own)
+    for name in registry.moments_of(fields, options):
+        needed |= set(rows[name].variables) | (set(rows[name].optional) & here)
+        if name == "partners" and "coordination_number" in here:
+            needed.add("coordination_number")
+        elif rows[name].contacts:
+            needed |= set(CONTACT_VARIABLES) - {"contact_normal"}
+            needed |= {"diameter"} & here  # tells contacts that are far from their grains
+    return frozenset(needed)
+
+
+def options_of(ds: xr.Dataset, setup: Setup, request: Request) -> Options:
+    """Check the choices of the algebra."""
+    for name, known in (
+        ("gradient", registry.GRADIENTS),
+        ("deviatoric", registry.DEVIATORIC),
+        ("size", registry.INERTIAL_SIZES),
+        ("temperature", registry.TEMPERATURES),
+        ("sampling", SAMPLINGS),
+    ):
+        value = getattr(request, name)
+        if value not in known:
+            msg = f"{name}={value!r}: expected one of {', '.join(known)}"
+            raise ValueError(msg)
+    if request.sampling == "cell" and request.gradient == "kernel":
+        msg = (
+            "gradient='kernel' is the derivative at a node, and sampling='cell' averages over cells: take "
+            "gradient='least_squares' (the default), or 'finite_difference' between the cells"
+        )
+        raise ValueError(msg)
+    size, fluid_viscosity = request.size, request.fluid_viscosity
+    for name in ("pressure_dims", "shear_dims"):
+        axes = getattr(request, name)
+        if axes is not None and (not axes or set(axes) - set(setup.plane) or len(set(axes)) < len(axes)):
+            msg = f"{name}={axes!r}: expected some of the scene's axes {setup.plane!r}, each once"
+            raise ValueError(msg)
+    if fluid_viscosity is not None and not is_positive(fluid_viscosity):
+        msg = f"fluid_viscosity={fluid_viscosity!r}: expected a positive viscosity (Pa s), such as 1e-3 for water"
+        raise ValueError(msg)
+    if request.friction is not None and not (np.isfinite(request.friction) and request.friction >= 0):
+        msg = f"friction={request.friction!r}: expected a coefficient of friction, such as 0.5"
+        raise ValueError(msg)
+    if size in ("d50", "dmax") and size not in ds.attrs:
+        msg = f"size={size!r} is an attribute that the scene does not hold; call ds = ds.cg.measure() first"
+        raise ValueError(msg)
+    return Options(
+        plane=tuple(COMPONENTS.index(a) for a in setup.plane),
+        gradient=request.gradient,
+        pressure_axes=_indices(request.pressure_dims),
+        shear_axes=_indices(request.shear_dims),
+        deviatoric=request.deviatoric,
+        size=size,
+        diameter=float(ds.attrs.get(size, np.nan)),
+        fluid_viscosity=fluid_viscosity,
+        friction=request.friction,
+        temperature=request.temperature,
+        lag=ds.attrs.get("lag"),
+    )
+
+
+def with_friction(friction: float | None) -> dict[str, Moment]:
+    """Return the moment that takes the coefficient of friction, with it."""
+    name = "sliding_contacts"
+    return {} if friction is None else {name: replace(MOMENTS[name], column=partial(sliding_contacts, friction))}
+
+
+def _indices(axes: str | None) -> tuple[int, ...] | None:
+    return None if axes is None else tuple(COMPONENTS.index(a) for a in axes)
