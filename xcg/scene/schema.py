@@ -8,6 +8,7 @@ on its own, without padding, is a *frame*: a plain ``dict`` from the names below
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
@@ -248,7 +249,7 @@ class Setup:
 
     def factor(self, powers: tuple[int, int, int]) -> float:
         """Factor from the data's units to the scene's, for powers of (length, mass, time)."""
-        return float(np.prod([scale**power for scale, power in zip(self.scales, powers, strict=True)]))
+        return float(math.prod(scale**power for scale, power in zip(self.scales, powers, strict=True)))
 
 
 CONTACT_VARIABLES = ("position", "contact_i", "contact_j", "contact_point", "contact_normal")

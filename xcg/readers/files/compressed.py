@@ -14,6 +14,7 @@ import threading
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
 from typing import Any, BinaryIO, cast
 
 from xcg.scene.schema import SceneError
@@ -40,6 +41,7 @@ def most_from(path: str) -> int:
     return os.path.getsize(path) * (_KINDS[kind][1] if kind else 1)
 
 
+@cache
 def _first_of(*names: str) -> Any:
     """Give the first of some modules that is installed, None if none of them is."""
     for name in names:
