@@ -16,6 +16,7 @@ import xcg
 from xcg.fields import kept
 from xcg.fields.kept import prepare_call
 from xcg.fields.request import Request
+from xcg.steps.label import _layouts
 
 NAMES = ["volume_fraction", "velocity", "stress"]
 
@@ -211,3 +212,71 @@ def test_lazy_scenes_are_planned_anew(scene: xr.Dataset) -> None:
     kept._kept.clear()
     lazy.cg.coarse_grain(NAMES, axes="z")
     assert not kept._kept
+
+
+# --- layouts of force chains and stresses of particles ----------------------------------------------------
+
+
+@pytest.fixture
+def _no_layouts() -> Iterator[None]:
+    _layouts.clear()
+    yield
+    _layouts.clear()
+
+
+def chains_made_anew(ds: xr.Dataset, **options: Any) -> xr.Dataset:
+    _layouts.clear()
+    return ds.cg.force_chains(**options)
+
+
+OF_CHAINS: list[Callable[[xr.Dataset], Any]] = [
+    lambda ds: None,
+    lambda ds: ds.attrs.update(unit_system="lj"),
+    lambda ds: ds["time"].attrs.update(units="ms"),
+    lambda ds: ds["box"].attrs.update(comment="it moved"),
+    lambda ds: ds["box"].values.__setitem__((0, 0, 1), 6.0),
+    lambda ds: ds["contact_force"].values.__imul__(2.0),
+    lambda ds: ds["position"].values.__setitem__((0, 0), 0.25),
+]
+
+
+@pytest.mark.usefixtures("_no_layouts")
+@pytest.mark.parametrize("change", OF_CHAINS)
+def test_chains_of_kept_layouts_are_those_of_new_ones(scene: xr.Dataset, change: Callable[[xr.Dataset], Any]) -> None:
+    """In each bit, and in what they tell, whatever is changed in the scene between two calls."""
+    scene.cg.force_chains()
+    assert len(_layouts) == 1
+    change(scene)
+    found = scene.cg.force_chains()
+    assert_same(found, chains_made_anew(scene))
+
+
+@pytest.mark.usefixtures("_no_layouts")
+def test_times_and_sizes_have_layouts_of_their_own(scene: xr.Dataset) -> None:
+    later = scene.assign_coords(time=scene.time + 1.0)
+    for ds in (scene, later, xcg.datasets.random_scene(31, seed=3)):
+        for options in ({}, {"min_length": 4}):
+            ds.cg.force_chains(**options)
+            found = ds.cg.force_chains(**options)
+            assert_same(found, chains_made_anew(ds, **options))
+    stress = scene.cg.particle_stress()
+    assert_same(scene.cg.particle_stress(), stress)
+    assert "chain_id" not in stress
+
+
+@pytest.mark.usefixtures("_no_layouts")
+def test_chains_do_not_share_what_can_be_changed(scene: xr.Dataset) -> None:
+    """What is done to one result is not seen in the next: numbers, attributes, coordinates."""
+    first = scene.cg.force_chains()
+    expected = first.copy(deep=True)
+    second = scene.cg.force_chains()
+    for name in second.data_vars:
+        if name not in scene:  # those of the scene are its own
+            second[name].values[...] = 7
+        second[name].attrs["units"] = "none"
+    second.attrs["alpha"] = 0.0
+    for name in second.coords:
+        second[name].attrs["long_name"] = "none"
+        if second[name].values.flags.writeable and name not in second.indexes:
+            second[name].values[...] = second[name].values[::-1]
+    assert_same(scene.cg.force_chains(), expected)

@@ -16,13 +16,14 @@ from xcg.fields.places.frames import is_cylindrical
 from xcg.fields.planning.make import plan_measured
 from xcg.fields.planning.plan import Plan
 from xcg.fields.request import Request
-from xcg.fields.results import layout, times_of
-from xcg.fields.sums.kept import Kept
+from xcg.fields.results import layout
 from xcg.fields.sums.smoothing import kind_of
+from xcg.scene.kept import Kept
 from xcg.scene.outline import NoKeyError, key_of, outline
-from xcg.scene.query import groups_of, numbers_of, require_scene
+from xcg.scene.query import groups_of, require_scene
 from xcg.scene.sizes import with_measures
 from xcg.scene.warn import warnings_given
+from xcg.steps.label import key_of_variable, times_of
 
 _PLANS, _LAYOUTS = 32, 4  # that are kept, and of each plan
 _LONGEST = 10_000  # nodes along an axis, of plans that are kept
@@ -51,7 +52,7 @@ def prepare_call(ds: xr.Dataset, request: Request) -> tuple[Plan, xr.Dataset]:
     require_scene(ds, (), "coarse_grain")
     ds = with_measures(ds)
     try:
-        key, times = _key(ds, request), tuple(_key_of_variable(given) for given in times_of(ds).values())
+        key, times = _key(ds, request), tuple(key_of_variable(given) for given in times_of(ds).values())
     except (NoKeyError, ValueError):  # planning tells what is wrong
         plan = plan_measured(ds, request)
         return plan, layout(ds, plan)
@@ -73,7 +74,3 @@ def _key(ds: xr.Dataset, request: Request) -> Hashable:
     kernel = kind_of(request.kernel) if isinstance(request.kernel, str) else None  # names may be registered anew
     groups = None if request.by is None else groups_of(ds, request.by, request.groups)
     return outline(ds), key_of(vars(request)), kernel, groups
-
-
-def _key_of_variable(given: xr.Variable) -> Hashable:
-    return key_of([numbers_of(given), given.attrs, given.encoding])

@@ -14,7 +14,7 @@ from xcg.fields.places.frames import is_cylindrical
 from xcg.fields.planning.plan import Plan
 from xcg.scene.build import storable
 from xcg.scene.schema import COMPONENTS, units_of
-from xcg.steps.label import provenance
+from xcg.steps.label import provenance, read_only_labels, times_of, with_numbers
 from xcg.steps.phase_labels import with_phase_labels
 
 _CYLINDRICAL: dict[str, dict[str, str]] = {
@@ -23,12 +23,6 @@ _CYLINDRICAL: dict[str, dict[str, str]] = {
     "z": {"long_name": "position along the axis", "axis": "Z"},
 }
 _AXES = {*COMPONENTS, *_CYLINDRICAL}
-
-
-def times_of(ds: xr.Dataset) -> dict[str, xr.Variable]:
-    """Coordinates along time of a scene, which its results have, too."""
-    coords = ds.coords
-    return {name: ds.variables[name] for name in ("time", "step") if name in coords}
 
 
 def layout(ds: xr.Dataset, plan: Plan) -> xr.Dataset:
@@ -58,20 +52,12 @@ def layout(ds: xr.Dataset, plan: Plan) -> xr.Dataset:
             attrs["comment"] = f"without rotation, as the scene holds no {' and no '.join(lacking)}"
         numbers = np.broadcast_to(np.nan, (ds.sizes["time"], *plan.shapes[name]))
         data[name] = xr.Variable(("time", *plan.dims, *tail), numbers, attrs)
-    empty = with_phase_labels(storable(xr.Dataset(data, coords))).assign_attrs(_choices(plan))
-    for index in empty.indexes.values():
-        if isinstance(index.values, np.ndarray):
-            index.values.flags.writeable = False  # all results share it, and pandas before 3 lets it be changed
-    return empty
+    return read_only_labels(with_phase_labels(storable(xr.Dataset(data, coords))).assign_attrs(_choices(plan)))
 
 
 def filled(empty: xr.Dataset, ds: xr.Dataset, plan: Plan, arrays: Mapping[str, Any], call: str) -> xr.Dataset:
     """Fill a layout with what a plan gave, as a result of the scene."""
-    result = empty.copy(data={name: arrays[name] for name in plan.fields})
-    indexes = result.xindexes  # whose labels are read-only; all results of the layout share them
-    for name in result.coords:
-        if name not in indexes:
-            result.variables[name].data = result.variables[name].data.copy()
+    result = with_numbers(empty, {name: arrays[name] for name in plan.fields})
     of_plan = {name: list(value) if isinstance(value, list) else value for name, value in empty.attrs.items()}
     result.attrs = provenance(ds, call) | of_plan
     return result

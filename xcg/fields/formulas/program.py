@@ -20,9 +20,9 @@ from xcg.compiled.simd import EIGHT
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Options
 from xcg.fields.formulas.trace import Trace, as_symbols
-from xcg.fields.sums.kept import Kept
 from xcg.fields.sums.moments import MOMENTS, Moment
 from xcg.fields.sums.passes import BlockSums, Layout
+from xcg.scene.kept import Kept
 
 _LAYOUTS = 8  # of sums, whose loads are kept
 

@@ -14,9 +14,9 @@ from xcg.compiled.arrays import transpose_columns
 from xcg.compiled.points import NONE, SQUARES
 from xcg.compiled.smoothing import CellKernel, KernelCode
 from xcg.fields.sums.blocks import NodeBlock, triple
-from xcg.fields.sums.kept import Kept
 from xcg.fields.sums.moments import MOMENTS, Moment
 from xcg.fields.sums.nodes import Grid
+from xcg.scene.kept import Kept
 from xcg.scene.lattice import Lattice
 
 AnyKernel: TypeAlias = KernelCode | CellKernel

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled.points import SQUARED
-from xcg.fields.sums.kept import Kept
 from xcg.fields.sums.passes import AnyKernel, DepositSpec
 from xcg.fields.sums.reach import Mesh
+from xcg.scene.kept import Kept
 from xcg.scene.lattice import Lattice
 
 _CUTOFFS = 64  # whose images are kept
