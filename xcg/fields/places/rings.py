@@ -19,7 +19,9 @@ from xcg.fields.places.points import PointBlock
 from xcg.fields.sums.blocks import BLOCK_NODES
 from xcg.fields.sums.nodes import Apart
 from xcg.fields.sums.smoothing import Kernel
+from xcg.scene.kept import Kept
 from xcg.scene.numbers import is_finite
+from xcg.scene.outline import NoKeyError, key_of
 
 NAMES = {"r": "r", "t": "theta", "z": "z"}  # letters of `axes`, and what else they are called
 _FULL = 2.0 * math.pi
@@ -27,6 +29,7 @@ _FEWEST = 8  # angles of a ring: vectors and tensors turn once and twice on it
 _PANEL = 8  # Gauss-Legendre points of a panel of a part of a circle
 _FINEST = 128  # angles a radius of the support: where the error of a kernel that jumps is not met
 _BLOCKS = 4  # parts a thread
+_steps: Kept[tuple[float, float]] = Kept(32)  # of kernels that were asked for before
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,6 +218,14 @@ def angular_step(kernel: Kernel, seen: int, error: float) -> tuple[float, float]
     The error of the trapezoidal rule on a line through the support, at any distance from its middle and with its nodes
     anywhere, is at most this share of the integral over the line through the middle.
     """
+    try:
+        key = key_of([kernel, seen, error])
+    except NoKeyError:  # a kernel of a class from elsewhere
+        return _angular_step(kernel, seen, error)
+    return _steps.or_new(key, lambda: _angular_step(kernel, seen, error))
+
+
+def _angular_step(kernel: Kernel, seen: int, error: float) -> tuple[float, float]:
     offset, shift = np.linspace(0.0, 0.98, 41), (np.arange(32) + 0.5) / 32
 
     def sums(step: float, starts: NDArray) -> NDArray:
