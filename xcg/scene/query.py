@@ -95,7 +95,9 @@ def known_without_reading(ds: xr.Dataset, name: str) -> bool:
 
 def numbers_of(given: xr.Variable) -> NDArray:
     """Return the array of a variable, at once where it is in memory: xarray looks for other kinds of arrays first."""
-    return given._data if isinstance(given._data, np.ndarray) else given.to_numpy()
+    if isinstance(given._data, np.ndarray):
+        return given._data
+    return given.values if isinstance(given, xr.IndexVariable) else given.to_numpy()
 
 
 def groups_of(ds: xr.Dataset, by: str, groups: Sequence[int] | None) -> tuple[int, ...]:
