@@ -136,15 +136,16 @@ def list_segments(contacts, on_j, second, others, cutoffs, cutoff, origin, rows,
     """
     position, phase = contacts.position, contacts.phase
     per_cutoff, more, last, most = 1.0 / cutoff, False, rows.size - 1, (0.0, 0.0, 0.0, 0.0)
+    alone = cutoffs.size == 1  # phases are not looked at where there is one
     for k in range(rows.size):
         far = rows[min(k + FAR_AHEAD, last)]
         prefetch(contacts.on_i, far)
-        _prefetch(contacts, far, rows[min(k + AHEAD, last)])
+        _prefetch(contacts, far, rows[min(k + AHEAD, last)], alone)
         n = rows[k]
-        i, j, two, ax, ay, az = _side(contacts, n, on_j is None, second)
+        i, j, two, ax, ay, az = _side(contacts, n, on_j is None, second, alone)
         more = more or two
         segments[k, GROUP] = -1.0
-        if i < 0 or (second and not two) or cutoffs[phase[i]] != cutoff:
+        if i < 0 or (second and not two) or (not alone and cutoffs[phase[i]] != cutoff):
             continue
         for c in range(3):
             segments[k, START + c] = (position[i, c] - origin[c]) * per_cutoff
@@ -158,8 +159,10 @@ def list_segments(contacts, on_j, second, others, cutoffs, cutoff, origin, rows,
                 carried = on_j
         segments[k, FORCE], segments[k, FORCE + 1] = sign * carried[n, 0], sign * carried[n, 1]
         segments[k, FORCE + 2] = sign * carried[n, 2]
-        partner = others - 1 if j < 0 else phase[j]
-        segments[k, GROUP] = phase[i] * others + partner if others else phase[i]
+        segments[k, GROUP] = 0.0
+        if others or not alone:
+            partner = others - 1 if j < 0 else phase[j]
+            segments[k, GROUP] = phase[i] * others + partner if others else phase[i]
         most = _longer(most, x, y, z)
     _write_longest(most, longest)
     return more
@@ -173,11 +176,12 @@ def measure_segments(contacts, on_j, second, others, cutoffs, cutoff, origin, ro
     """
     position, phase = contacts.position, contacts.phase
     per_cutoff, more, last, most = 1.0 / cutoff, False, rows.size - 1, (0.0, 0.0, 0.0, 0.0)
+    alone = cutoffs.size == 1  # phases are not looked at where there is one
     for k in range(rows.size):
-        _prefetch(contacts, rows[min(k + FAR_AHEAD, last)], rows[min(k + AHEAD, last)])
-        i, _, two, ax, ay, az = _side(contacts, rows[k], on_j is None, second)
+        _prefetch(contacts, rows[min(k + FAR_AHEAD, last)], rows[min(k + AHEAD, last)], alone)
+        i, _, two, ax, ay, az = _side(contacts, rows[k], on_j is None, second, alone)
         more = more or two
-        if i < 0 or (second and not two) or cutoffs[phase[i]] != cutoff:
+        if i < 0 or (second and not two) or (not alone and cutoffs[phase[i]] != cutoff):
             continue
         x, y, z = ax * per_cutoff, ay * per_cutoff, az * per_cutoff
         _widen(bounds[k // RUN], 0, (position[i, 0] - origin[0]) * per_cutoff, x)
@@ -189,29 +193,30 @@ def measure_segments(contacts, on_j, second, others, cutoffs, cutoff, origin, ro
 
 
 @inlined
-def _prefetch(contacts, far, later):
+def _prefetch(contacts, far, later, alone):
     """Ask for a contact, and for the particles of another one, which was asked for before."""
     prefetch(contacts.row_i, far)
     prefetch(contacts.row_j, far)
     prefetch(contacts.point, far)
     prefetch(contacts.position, contacts.row_i[later])
     prefetch(contacts.position, contacts.row_j[later])
-    prefetch(contacts.phase, contacts.row_i[later])
-    prefetch(contacts.phase, contacts.row_j[later])
+    if not alone:
+        prefetch(contacts.phase, contacts.row_i[later])
+        prefetch(contacts.phase, contacts.row_j[later])
 
 
 @inlined
-def _side(contacts, n, opposite, second):
+def _side(contacts, n, opposite, second, alone):
     """Particle and partner of a segment of contact n, whether it has two segments, and the branch.
 
-    `opposite` tells that the sides carry opposite vectors.
+    `opposite` tells that the sides carry opposite vectors, `alone` that there is one phase.
     """
     row_i, row_j, point, _, position, phase, wrap, lattice = contacts
     i, j = row_i[n], row_j[n]
     ax, ay, az = side(position, i, point, n, wrap, lattice)
     bx, by, bz = side(position, j, point, n, wrap, lattice)
     two = i >= 0 and j >= 0
-    if opposite and two and phase[i] == phase[j] and _on_one_line(ax, ay, az, bx, by, bz):
+    if opposite and two and (alone or phase[i] == phase[j]) and _on_one_line(ax, ay, az, bx, by, bz):
         ax, ay, az, two = ax - bx, ay - by, az - bz, False
     if i < 0 or second:
         i, j, ax, ay, az = j, i, bx, by, bz
