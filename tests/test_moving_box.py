@@ -180,3 +180,14 @@ def test_balance_does_not_wrap_where_nodes_no_longer_fill_the_box():
     assert np.isnan(ends).all()
     same, _ = steps_of(edges=(10.0, 10.0))
     assert same.cg.balance(**options).force_residual.notnull().all()
+
+
+def test_each_step_has_the_images_of_its_own_box():
+    """Steps of equal boxes share what follows from them; a step with another box has its own."""
+    ds, _ = steps_of((10.0, 8.0, 10.0))
+    options = {"width": 1.0, "bounds": dict.fromkeys("xyz", (0.0, 8.0)), "spacing": 1.6}
+    together = ds.cg.coarse_grain(["density", "stress"], **options)
+    for t in range(3):
+        alone = ds.isel(time=[t]).cg.coarse_grain(["density", "stress"], **options)
+        for name in ("density", "stress"):
+            np.testing.assert_array_equal(together[name][t], alone[name][0])
