@@ -106,12 +106,14 @@ def seconds(process: subprocess.Popen[str], case: int) -> float:
     return float(answer)
 
 
-def compare(commit: str, particles: int, turns: int) -> bool:
-    """Print how each case changed; tell whether any became slower."""
+def compare(commit: str, particles: int, turns: int, words: str = "") -> bool:
+    """Print how each case with these words changed; tell whether any became slower."""
     slower = False
     with commit_folder(commit) as folder, worker(folder, particles) as old, worker(ROOT, particles) as new:
         print(f"| case | {commit} (s) | here (s) | ratio | {CONFIDENCE:.0%} limits | |\n|---|---|---|---|---|---|")
         for number, case in enumerate(cases.CASES):
+            if words not in case.name:
+                continue
             name = f"{case.name}, {case.threads} thread{case.over and 's'}{case.over}"
             first = [seconds(process, number) for process in (old, new)]  # compiles, and is not counted
             if not np.isfinite(first).all():

@@ -108,13 +108,14 @@ def main() -> None:
     parser.add_argument("--large", type=int, default=1_000_000, help="grains of the large one; 0 leaves it out")
     parser.add_argument("--repeats", type=int, default=5, help="times that each case is run (default 5)")
     parser.add_argument("--against", metavar="COMMIT", help="compare with the package of a commit, and write nothing")
-    parser.add_argument("--only", metavar="WORDS", help="print rows of the cases with these words, and write nothing")
+    parser.add_argument("--only", metavar="WORDS", help="only cases with these words; write nothing")
     given = parser.parse_args()
+    if given.against:
+        turns = max(given.repeats, against.fewest())
+        raise SystemExit(against.compare(given.against, given.particles, turns, given.only or ""))
     if given.only:
         rows([case for case in cases.CASES if given.only in case.name], given.particles, given.repeats)
         return
-    if given.against:
-        raise SystemExit(against.compare(given.against, given.particles, max(given.repeats, against.fewest())))
     lines = ["| " + " | ".join(COLUMNS) + " |", "|---" * len(COLUMNS) + "|"]
     lines += rows(cases.CASES, given.particles, given.repeats)
     cases.packing.cache_clear()

@@ -13,7 +13,6 @@ import pytest
 import xarray as xr
 
 import xcg
-from xcg.fields.planning import make, plan
 
 
 def shared_data(name: str) -> Path:
@@ -34,6 +33,8 @@ def real_data(name: str) -> Path:
 @contextmanager
 def planning(**replaced: Any) -> Iterator[None]:
     """Plan with other names in `xcg.fields.planning`, such as constants; plans of before and after are not taken."""
+    from xcg.fields.planning import make, plan  # other commits, whose speed is compared, may lack them
+
     with ExitStack() as patched:
         patched.enter_context(mock.patch.dict("xcg.fields.kept._kept", clear=True))
         for name, value in replaced.items():
