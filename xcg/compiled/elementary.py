@@ -6,7 +6,7 @@ Each is compiled into the loop that calls it. Compiled or not they give the same
 
 import math
 
-from xcg.compiled._jit import inlined, leaf
+from xcg.compiled._jit import inlined
 from xcg.compiled.simd import low_bits_as_exponent
 
 _SQRT2, _LN2 = math.sqrt(2.0), math.log(2.0)
@@ -102,7 +102,7 @@ def erf(x):
     return x * p if x < 1.0 else 1.0 - exp(-s) * erfcx(x)
 
 
-@leaf
+@inlined
 def add_logarithms(ratio, bits, exponent, factor, room, out):
     """Add ``factor * log(ratio)``, for ratios from 1 on, to the first `room` numbers of an array.
 
