@@ -2,12 +2,14 @@ from __future__ import annotations
 
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
+from itertools import product
 from multiprocessing import get_context
 from unittest import mock
 
 import pytest
 
 from xcg.readers.codes.lammps import Lammps
+from xcg.readers.codes.mfix import Mfix
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -35,14 +37,14 @@ def computing():
 
 @pytest.fixture
 def reads(monkeypatch):
-    """Count the bodies that the LAMMPS engine parses, by kind and step."""
+    """Count the bodies that the engines of LAMMPS and MFiX read, by kind and step."""
     counts: Counter = Counter()
-    for kind in ("particles", "contacts"):
-        original = getattr(Lammps, f"read_{kind}")
+    for engine, kind in product((Lammps, Mfix), ("particles", "contacts")):
+        original = getattr(engine, f"read_{kind}")
 
         def counted(self, ref, options, kind=kind, original=original):
             counts[kind, ref.step] += 1
             return original(self, ref, options)
 
-        monkeypatch.setattr(Lammps, f"read_{kind}", counted)
+        monkeypatch.setattr(engine, f"read_{kind}", counted)
     return counts

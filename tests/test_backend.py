@@ -1,7 +1,6 @@
 """Scenes as xarray opens other files: `xr.open_dataset` with the backend, and arrays without dask."""
 
 import pickle
-from collections import Counter
 
 import numpy as np
 import pytest
@@ -11,7 +10,6 @@ import xcg
 from tests.benchmarks import series
 from xcg.readers import indexed
 from xcg.readers.backend import SceneBackend
-from xcg.readers.codes.mfix import Mfix
 
 STEPS = 4
 
@@ -20,21 +18,6 @@ STEPS = 4
 def files(tmp_path):
     """Arguments of `xcg.open_scene` for a series."""
     return series.write_vtp_series(tmp_path, 60, STEPS, base=3)
-
-
-@pytest.fixture
-def reads(monkeypatch):
-    """Count the bodies that are read, by kind and step."""
-    counts: Counter = Counter()
-    for kind in ("particles", "contacts"):
-        original = getattr(Mfix, f"read_{kind}")
-
-        def counted(self, ref, options, kind=kind, original=original):
-            counts[kind, ref.step] += 1
-            return original(self, ref, options)
-
-        monkeypatch.setattr(Mfix, f"read_{kind}", counted)
-    return counts
 
 
 def opened(files, **options):

@@ -27,7 +27,7 @@ from xcg.scene.box import box_array, in_unit, with_lattice
 from xcg.scene.build import to_dataset
 from xcg.scene.complete import complete_particles
 from xcg.scene.lattice import Lattice
-from xcg.scene.numbers import floats, is_whole
+from xcg.scene.numbers import floats
 from xcg.scene.schema import COMPONENTS, VARIABLES, Frame, SceneError, Setup, did_you_mean, printable
 from xcg.scene.sizes import measure_frames
 from xcg.scene.walls import named_walls
@@ -518,8 +518,8 @@ def _recovered_box(
 def _frozen_species(frozen: int | Sequence[int] | None, raw: Mapping[StepRef, Frame]) -> tuple[int, ...] | None:
     if frozen is None:
         return None
-    given = np.atleast_1d(floats(frozen))
-    if not all(is_whole(number, 0) for number in given):
+    given = np.atleast_1d(floats(frozen)).tolist()
+    if not all(number.is_integer() for number in given):
         msg = f"frozen={frozen!r}: expected the number of a species, or several"
         raise SceneError(msg)
     species = tuple(int(number) for number in given)
