@@ -84,9 +84,9 @@ def test_axes_that_are_not_given_follow(given, want):
         ({}, "one or two"),
         ({"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}, "one or two"),
         ({"z": (0, 0, 0)}, "not all zero"),
-        ({"z": (0, np.nan, 1)}, "not all zero"),
+        ({"z": (0, np.nan, 1)}, r"z=\(0, nan, 1\): expected three finite numbers"),
         ({"z": (0, 1)}, "three finite numbers"),
-        ({"z": (0, 0, 1), "origin": (0, np.inf, 0)}, "coordinates"),
+        ({"z": (0, 0, 1), "origin": (0, np.inf, 0)}, r"origin=\(0, inf, 0\): expected three finite numbers"),
         ({"z": (0, 0, 1), "x": (0, 0, -2)}, "parallel"),
     ],
 )

@@ -189,7 +189,7 @@ def test_surfaces_from_files(tmp_path):
     ("make", "message"),
     [
         (lambda: xcg.Plane((0, 0), (0, 0, 1)), "point="),
-        (lambda: xcg.Plane((0, 0, 0), (0, 0, 0)), "not zero"),
+        (lambda: xcg.Plane((0, 0, 0), (0, 0, 0)), "not all zero"),
         (lambda: xcg.Plane((0, 0, 0), (0, 0, 1), bounds=((1, 0), (0, 1))), r"bounds\[0\]"),
         (lambda: xcg.Plane((0, 0, 0), (0, 0, 1), bounds=3), "two pairs"),
         (lambda: xcg.Cylinder((0, 0, 0), (0, 0, 1), -1.0), "radius=-1"),

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.scene.lattice import Lattice
-from xcg.scene.numbers import floats
+from xcg.scene.numbers import is_positive, vector
 from xcg.scene.schema import Frame
 
 
@@ -70,12 +70,9 @@ class _Outside(Region):
         return ~self.region.contains(frame, time, lattice)
 
 
-def _vector(name: str, given: Sequence[float], *, finite: bool = True) -> tuple[float, float, float]:
-    vector = floats(given)
-    if vector.shape != (3,) or np.isnan(vector).any() or (finite and not np.isfinite(vector).all()):
-        msg = f"{name}={given!r}: expected three {'finite ' if finite else ''}numbers (x, y, z)"
-        raise ValueError(msg)
-    return (float(vector[0]), float(vector[1]), float(vector[2]))
+def _three(name: str, given: Sequence[float], *, infinite: bool = False) -> tuple[float, float, float]:
+    x, y, z = vector(name, given, infinite=infinite).tolist()
+    return x, y, z
 
 
 def _offset(frame: Frame, time: float, velocity: Sequence[float], follow: int | None) -> NDArray | None:
@@ -90,7 +87,7 @@ def _check_motion(velocity: Sequence[float], follow: int | None) -> tuple[float,
     if follow is not None and np.any(velocity):
         msg = f"velocity={velocity!r} and follow={follow!r}: expected one of the two"
         raise ValueError(msg)
-    return _vector("velocity", velocity)
+    return _three("velocity", velocity)
 
 
 @dataclass(frozen=True)
@@ -118,7 +115,7 @@ class Box(Region):
     follow: int | None = None
 
     def __post_init__(self) -> None:
-        lower, upper = _vector("lower", self.lower, finite=False), _vector("upper", self.upper, finite=False)
+        lower, upper = _three("lower", self.lower, infinite=True), _three("upper", self.upper, infinite=True)
         if not all(a <= b for a, b in zip(lower, upper, strict=True)):
             msg = f"lower={lower}, upper={upper}: expected every lower edge below the upper"
             raise ValueError(msg)
@@ -171,11 +168,11 @@ class Sphere(Region):
     follow: int | None = None
 
     def __post_init__(self) -> None:
-        if not self.radius > 0:
+        if not is_positive(self.radius):
             msg = f"radius={self.radius!r}: expected a positive length (m)"
             raise ValueError(msg)
         object.__setattr__(self, "velocity", _check_motion(self.velocity, self.follow))
-        object.__setattr__(self, "centre", _vector("centre", self.centre))
+        object.__setattr__(self, "centre", _three("centre", self.centre))
 
     def contains(self, frame: Frame, time: float, lattice: Lattice) -> NDArray:
         """Tell which particles have their centre inside."""

@@ -37,3 +37,37 @@ def is_positive(value: Any) -> TypeGuard[float]:
 def is_whole(value: Any, least: int, most: float = math.inf) -> bool:
     """Whether this is one whole number in a range."""
     return is_finite(value) and float(value).is_integer() and least <= value <= most
+
+
+def vector(name: str, given: Any, *, infinite: bool = False, error: type[ValueError] = ValueError) -> NDArray:
+    """Check three finite numbers (3,), or infinite ones where these mean something; `name` is the caller's for them."""
+    values = floats(given)
+    if values.shape != (3,) or np.isnan(values).any() or not (infinite or np.isfinite(values).all()):
+        msg = f"{name}={given!r}: expected three {'' if infinite else 'finite '}numbers (x, y, z)"
+        raise error(msg)
+    return values
+
+
+def unit_vector(name: str, given: Any) -> NDArray:
+    """Check three finite numbers that are not all zero, and make their length one; (3,)."""
+    values = vector(name, given)
+    if not values.any():
+        msg = f"{name}={given!r}: expected a direction, three finite numbers (x, y, z) that are not all zero"
+        raise ValueError(msg)
+    return unit(values)
+
+
+def unit(values: NDArray) -> NDArray:
+    """Make the length of a vector (3,) one, whatever it is: squares of its largest component would not be finite."""
+    values = values / np.abs(values).max()
+    return np.asarray(values / np.linalg.norm(values))
+
+
+def rising_pair(name: str, given: Any, *, equal: bool = False) -> tuple[float, float]:
+    """Check two finite numbers of which the second is larger, or `equal` to the first where that is allowed."""
+    ends = floats(given)
+    if ends.shape != (2,) or not np.isfinite(ends).all() or ends[0] > ends[1] or (ends[0] == ends[1] and not equal):
+        msg = f"{name}={given!r}: expected (first, last) with first {'<=' if equal else '<'} last"
+        raise ValueError(msg)
+    low, high = ends.tolist()
+    return low, high

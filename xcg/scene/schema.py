@@ -16,7 +16,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.scene.numbers import floats, is_positive
+from xcg.scene.numbers import is_positive, vector
 
 COMPONENTS = ("x", "y", "z")
 PADDING = -1
@@ -236,11 +236,8 @@ class Setup:
             msg = f"units={units!r}: expected None (SI), 'reduced', or factors like {{'length': 1e-3}}"
             raise SceneError(msg)
         if gravity is not None:
-            vector = floats(gravity)
-            if vector.shape != (3,) or not np.isfinite(vector).all():
-                msg = f"gravity={gravity!r}: expected three finite components, for example (0, 0, -9.81)"
-                raise SceneError(msg)
-            gravity = (float(vector[0]), float(vector[1]), float(vector[2]))
+            x, y, z = vector("gravity", gravity, error=SceneError).tolist()
+            gravity = (x, y, z)
         plane = plane or ("xyz" if dimension == 3 else "xy")
         given["periodic"] = "".join(axis for axis in COMPONENTS if axis in (given.get("periodic") or "")) + "".join(
             sorted(set(given.get("periodic") or "") - set(COMPONENTS))

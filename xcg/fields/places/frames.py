@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.scene.numbers import is_positive, unit, unit_vector, vector
 from xcg.scene.schema import COMPONENTS
 from xcg.scene.turn import turn_scene
 
@@ -62,8 +63,9 @@ class Rotated:
         if len(given) not in (1, 2):
             msg = f"{self}: expected one or two of the axes x, y, z; the others follow from right angles"
             raise ValueError(msg)
-        for name in (*given, "origin"):
-            numbers(f"{type(self).__name__}({name}=)", getattr(self, name), direction=name != "origin")
+        for name in given:
+            unit_vector(name, getattr(self, name))
+        vector("origin", self.origin)
         if len(given) == 2 and self._second(*self._order(given)) is None:
             msg = f"{self}: the axes {' and '.join(given)} are parallel; they are to be at right angles"
             raise ValueError(msg)
@@ -75,7 +77,7 @@ class Rotated:
         first, others = given[0], given[1:] or [a for a in "zxy" if a != given[0]]
         second, beside = next((a, part) for a in others if (part := self._second(first, a)) is not None)
         (third,) = {*COMPONENTS} - {first, second}
-        found = {first: _unit(self._given(first)), second: beside}
+        found = {first: unit(self._given(first)), second: beside}
         after = {a: COMPONENTS[(k + 1) % 3] for k, a in enumerate(COMPONENTS)}
         found[third] = np.cross(found[after[third]], found[after[after[third]]])
         return np.array([found[a] for a in COMPONENTS]) + 0.0
@@ -91,9 +93,9 @@ class Rotated:
 
     def _second(self, first: str, second: str) -> NDArray | None:
         """Part of an axis at a right angle to the first; None where they are parallel."""
-        one, other = _unit(self._given(first)), _unit(self._given(second))
+        one, other = unit(self._given(first)), unit(self._given(second))
         part = other - (other @ one) * one
-        return _unit(part - (part @ one) * one) if np.linalg.norm(part) > _PARALLEL else None
+        return unit(part - (part @ one) * one) if np.linalg.norm(part) > _PARALLEL else None
 
 
 @dataclass(frozen=True)
@@ -147,7 +149,9 @@ class Cylindrical:
         if isinstance(self.axis, str) and self.axis not in COMPONENTS:
             msg = f"{self}: expected 'x', 'y', 'z' or a direction as its axis"
             raise ValueError(msg)
-        if not (np.isfinite(self.error) and self.error > 0):
+        if not isinstance(self.axis, str):
+            unit_vector("axis", self.axis)
+        if not is_positive(self.error):
             msg = f"{self}: expected a positive error, such as 1e-3"
             raise ValueError(msg)
         _ = self.rotated
@@ -159,21 +163,6 @@ class Cylindrical:
         given = Rotated(z=tuple(np.asarray(z, float).tolist()), x=self.x, origin=self.origin)
         along_x = self.x is None and Rotated(z=given.z).axes[2] @ np.eye(3)[0] > 1.0 - _PARALLEL**2
         return Rotated(z=given.z, x=(0.0, 1.0, 0.0), origin=self.origin) if along_x else given
-
-
-def numbers(name: str, given: Any, *, direction: bool) -> NDArray:
-    """Check three finite numbers, which are a direction or a place."""
-    values = np.asarray(given, float) if np.ndim(given) == 1 and np.shape(given) == (3,) else np.full(3, np.nan)
-    if not np.isfinite(values).all() or (direction and not values.any()):
-        what = "three finite numbers, not all zero" if direction else "three finite coordinates (m)"
-        msg = f"{name} is {given!r}: expected {what}"
-        raise ValueError(msg)
-    return values
-
-
-def _unit(vector: NDArray) -> NDArray:
-    vector = vector / np.abs(vector).max()
-    return np.asarray(vector / np.linalg.norm(vector))
 
 
 def in_frame(ds: xr.Dataset, frame: Rotated | Cylindrical) -> xr.Dataset:

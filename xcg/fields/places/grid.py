@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from xcg.fields.sums.blocks import Block, mesh_blocks
 from xcg.fields.sums.nodes import Grid, SameAxes
-from xcg.scene.numbers import floats, is_finite
+from xcg.scene.numbers import is_finite, rising_pair
 from xcg.scene.plausible import SAMPLE
 from xcg.scene.schema import COMPONENTS
 from xcg.scene.warn import warn_once, warn_user
@@ -196,11 +196,7 @@ def nodes_along(
         )
         raise ValueError(msg)
     if a in bounds:
-        ends = floats(bounds[a])
-        if ends.shape != (2,) or not np.isfinite(ends).all() or ends[0] > ends[1]:
-            msg = f"bounds[{a!r}]={bounds[a]!r}: expected (first, last) with first <= last"
-            raise ValueError(msg)
-        first, last = ends.tolist()
+        first, last = rising_pair(f"bounds[{a!r}]", bounds[a], equal=True)
         count = _whole(a, (last - first) / step * (1 + 1e-12) + 1e-9) + 1
     elif a not in automatic:
         msg = (

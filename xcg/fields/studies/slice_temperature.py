@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from xcg.scene.build import storable
 from xcg.scene.conform import takes_scene
 from xcg.scene.frame import steps_in
-from xcg.scene.numbers import floats, is_positive, is_whole
+from xcg.scene.numbers import is_positive, is_whole, rising_pair
 from xcg.scene.query import edges_of, require_scene, setup_of
 from xcg.scene.schema import COMPONENTS, OF_STEP, SceneError, units_of
 from xcg.scene.sizes import with_measures
@@ -100,11 +100,10 @@ def slice_temperature(
         bounds = edges_of(ds).get(axis)
     elif bounds is None and "particle_lower" in ds.attrs:
         bounds = (float(ds.attrs["particle_lower"][k]), float(ds.attrs["particle_upper"][k]))
-    ends = floats(bounds)
-    if not is_positive(width) or ends.shape != (2,) or not np.isfinite(ends).all() or ends[0] > ends[1]:
-        msg = f"width={width!r}, bounds={bounds!r}: expected a positive width and rising bounds (m)"
+    if not is_positive(width):
+        msg = f"width={width!r}: expected a positive width (m)"
         raise ValueError(msg)
-    width, bounds = float(width), ends.tolist()
+    width, bounds = float(width), rising_pair("bounds", bounds, equal=True)
     if method == "bins":
         count = max(1, _whole(np.ceil((bounds[1] - bounds[0]) / width - 1e-9)))
         nodes = bounds[0] + width * (np.arange(count) + 0.5)

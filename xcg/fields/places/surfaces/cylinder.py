@@ -15,11 +15,9 @@ from xcg.fields.places.surfaces.geometry import (
     cell_centres,
     corners,
     frame_about,
-    rising_pair,
-    unit_vector,
-    vector,
 )
 from xcg.fields.places.surfaces.wall import Cells, Wall
+from xcg.scene.numbers import is_positive, rising_pair, unit_vector, vector
 
 
 @dataclass(frozen=True)
@@ -57,7 +55,7 @@ class Cylinder(Wall):
     def __post_init__(self) -> None:
         vector("point", self.point)
         unit_vector("direction", self.direction)
-        if not (isinstance(self.radius, int | float | np.number) and 0 < self.radius < np.inf):
+        if not is_positive(self.radius):
             msg = f"radius={self.radius!r}: expected a positive length (m)"
             raise ValueError(msg)
         if self.low is not None and self.high is not None:

@@ -1,34 +1,11 @@
-"""Vectors, frames and cells that shapes of walls are made of."""
+"""Frames and cells that shapes of walls are made of."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.scene.numbers import floats
-
 _MOST_CELLS = 2**24
-
-
-def vector(name: str, given: Any) -> NDArray:
-    """Check three finite numbers (3,), which `name` stands for in messages."""
-    values = floats(given)
-    if values.shape != (3,) or not np.isfinite(values).all():
-        msg = f"{name}={given!r}: expected three finite numbers (x, y, z)"
-        raise ValueError(msg)
-    return values
-
-
-def unit_vector(name: str, given: Any) -> NDArray:
-    """Check three finite numbers that are not all zero, and make their length one; (3,)."""
-    along = vector(name, given)
-    length = np.linalg.norm(along)
-    if not length > 0:
-        msg = f"{name}={given!r}: expected a direction, not zero"
-        raise ValueError(msg)
-    return along / length
 
 
 def axis_of(direction: NDArray) -> int | None:
@@ -54,16 +31,6 @@ def cell_centres(low: float, high: float, spacing: float, what: str) -> NDArray:
         raise ValueError(msg)
     count = max(1, round((high - low) / spacing))
     return low + (high - low) * (np.arange(count) + 0.5) / count
-
-
-def rising_pair(name: str, given: Any) -> tuple[float, float]:
-    """Check two finite numbers of which the second is larger."""
-    ends = floats(given)
-    if ends.shape != (2,) or not np.isfinite(ends).all() or ends[0] >= ends[1]:
-        msg = f"{name}={given!r}: expected (first, last) with first < last (m)"
-        raise ValueError(msg)
-    low, high = ends.tolist()
-    return low, high
 
 
 def corners(lower: NDArray, upper: NDArray) -> NDArray:

@@ -16,11 +16,9 @@ from xcg.fields.places.surfaces.geometry import (
     cell_centres,
     corners,
     frame_about,
-    rising_pair,
-    unit_vector,
-    vector,
 )
 from xcg.fields.places.surfaces.wall import Cells, Wall
+from xcg.scene.numbers import rising_pair, unit_vector, vector
 from xcg.scene.schema import COMPONENTS
 
 
