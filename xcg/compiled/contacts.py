@@ -2,7 +2,7 @@
 
 import math
 
-from xcg.compiled._jit import leaf
+from xcg.compiled._jit import inlined, leaf
 from xcg.compiled.arrays import image_near, nearest_image
 from xcg.compiled.lattice import nearest_of
 from xcg.compiled.simd import prefetch
@@ -185,6 +185,17 @@ def between(row_i, row_j, position, point, period, lattice, out):
         out[n, 0], out[n, 1], out[n, 2] = ax - bx, ay - by, az - bz
 
 
+def share_of_i(length, radius_i, radius_j):
+    """Share of branches r_i - r_j from the centre of i to where spheres touch, ``R_i - overlap / 2`` of the length.
+
+    Of numbers in loops, and of arrays in NumPy; a length is not zero.
+    """
+    return (length + radius_i - radius_j) / (2 * length)
+
+
+_share_of_i = inlined(share_of_i)
+
+
 @leaf
 def touching_points(row_i, row_j, position, diameter, seen, same, period, hair, out):
     """Write the points (n, 3) where spheres touch, up to the first pair that needs a closer look; return its number.
@@ -211,7 +222,7 @@ def touching_points(row_i, row_j, position, diameter, seen, same, period, hair, 
                 return n
         elif not _length(x - near_x, y - near_y, z - near_z) <= same * _length(near_x, near_y, near_z):
             return n
-        share = (length + radius_i - radius_j) / (2 * (length if length > 0 else 1.0))
+        share = _share_of_i(length if length > 0 else 1.0, radius_i, radius_j)
         for k, along in enumerate((x, y, z)):
             out[n, k] = position[i, k] - share * along
             side, half = position[i, k] - out[n, k], 0.5 * (1 - hair) * period[k]

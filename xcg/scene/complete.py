@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from xcg.compiled.contacts import a_pair_twice, partners_by_lower, touching_points
+from xcg.compiled.contacts import a_pair_twice, partners_by_lower, share_of_i, touching_points
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import LONGEST, SHORTEST, Frame, SceneError, Setup, variable
 from xcg.scene.warn import warn_once
@@ -369,7 +369,11 @@ def _derive_points(
 def _plain_points(
     particles: Frame, row_i: NDArray, row_j: NDArray, seen: NDArray | None, lattice: Lattice
 ) -> NDArray | None:  # fmt: skip
-    """Points where spheres touch in a box with edges along the axes; None if a pair is left to `_contact_points`."""
+    """Points where spheres touch in a box with edges along the axes; None if a pair is left to `_contact_points`.
+
+    A loop finds them in less than a tenth of the time. It knows neither tilted boxes nor partners that are not in the
+    scene, and has no messages: `_contact_points` has all these.
+    """
     if lattice.reduced is not None or "diameter" not in particles:
         return None
     points, (period, _) = np.empty((len(row_i), 3)), lattice.for_loops
@@ -449,5 +453,5 @@ def _branches(
 def contact_points(position_i: NDArray, branch: NDArray, radius_i: NDArray, radius_j: NDArray) -> NDArray:
     """Points on the branches r_i - r_j of spheres, ``R_i - overlap / 2`` from the centre of i."""
     length = np.linalg.norm(branch, axis=1)
-    share = (length + radius_i - radius_j) / (2 * np.where(length > 0, length, 1.0))
+    share = share_of_i(np.where(length > 0, length, 1.0), radius_i, radius_j)
     return position_i - share[:, None] * branch
