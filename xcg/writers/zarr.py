@@ -23,9 +23,9 @@ from xcg.writers.folders import whole_folder
 from xcg.writers.layout import chunk_shape, outline, prepared, steps_in_chunk, write_all
 
 # Bytes of a chunk of a variable, on average, where steps are shorter: a small file takes more time than its numbers.
-_CHUNK = 2_000_000
+_CHUNK = 4_000_000
 # Bytes of the chunks of all variables, which one task holds.
-_TOGETHER = 64_000_000
+_TOGETHER = 128_000_000
 
 
 # Chunks of one variable are files in one folder: by default each has up to six folders of its own, and making these
