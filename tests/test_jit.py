@@ -1,12 +1,18 @@
 """Compiled code on disk: used again, made anew where it is stale or damaged, and never needed."""
 
+import gc
 import os
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import numba
 import pytest
+
+from tests.loops import compiled
+from xcg.compiled._jit import leaf
+from xcg.compiled.fit import _dot
 
 COMPILED = Path(__file__).parents[1] / "xcg" / "compiled"
 INNER = """from xcg.compiled._jit import jit
@@ -113,3 +119,39 @@ def test_an_index_that_cannot_be_replaced(used):
 
 def test_it_can_be_turned_off(used):
     assert call(used, XCG_JIT_CACHE="0") == (4, 0)
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
+def test_what_is_compiled_for_loops_is_not_called_from_python():
+    along = 1.0, 2.0, 3.0
+    assert compiled(_dot)(along, along) == 14.0
+    with pytest.raises(TypeError, match=r"_dot is compiled for loops; from Python, call _dot\.py_func"):
+        _dot(along, along)
+    assert _dot.py_func(along, along) == 14.0
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
+@pytest.mark.parametrize("on", [True, False])
+def test_collection_of_garbage_waits_for_the_compiler_alone(on):
+    during = []
+
+    @numba.extending.intrinsic
+    def looked(context):
+        during.append(gc.isenabled())
+        return numba.int64(), lambda context, builder, signature, args: context.get_constant(numba.int64, 2)
+
+    @leaf
+    def fails(x):
+        return x.no_such_attribute
+
+    was_on = gc.isenabled()
+    try:
+        (gc.enable if on else gc.disable)()
+        assert numba.njit(lambda: looked())() == 2
+        assert not any(during)
+        assert gc.isenabled() == on
+        with pytest.raises(numba.TypingError):
+            fails(1)
+        assert gc.isenabled() == on
+    finally:
+        (gc.enable if was_on else gc.disable)()

@@ -11,6 +11,7 @@ from scipy.integrate import quad
 
 import xcg
 from tests.brute_force import BruteKernel
+from tests.loops import compiled, uncompiled
 from xcg.compiled import shells
 from xcg.compiled.segments import RULES, closed_for
 from xcg.compiled.smoothing import SHELLS, has_shells
@@ -338,9 +339,9 @@ def test_kernels_of_few_polynomials_have_closed_forms():
     for name in OWN:
         for seen in (1, 2, 3):
             w = as_kernel(name, 1.0, 3).weights(seen)
-            assert has_shells(w.table)
+            assert compiled(has_shells)(w.table)
     w = as_kernel("bump", 1.0, 3).weights(3)
-    assert not has_shells(w.table)
+    assert not compiled(has_shells)(w.table)
 
     def one_by_one(q):
         return math.exp(-2 * q) if q < 0.37 else math.exp(-2 * q) - 0.1
@@ -348,7 +349,7 @@ def test_kernels_of_few_polynomials_have_closed_forms():
     with pytest.warns(xcg.SceneWarning, match="worst at q=0.3[67]"):
         kernel = xcg.register_kernel("one by one", one_by_one)(cutoff=1.0)
     w, point, end = kernel.weights(3), np.array([0.1, 0.2, 0.3]), np.array([0.6, 0.0, 0.1])
-    assert has_shells(w.table)
+    assert compiled(has_shells)(w.table)
     found = kernel.segment([point], 0 * end, end)[0] / w.norm
     assert found == pytest.approx(line_through(one_by_one, (0.37,), point, end), rel=1e-10)
 
@@ -357,7 +358,7 @@ def test_shells_without_the_compiler_have_the_same_bits():
     columns = as_kernel("quintic spline", 0.5, 3).weights(3).table[SHELLS]
     rng, found = np.random.default_rng(0), []
     along, q2 = rng.uniform(-0.8, 1.4, 64), rng.uniform(0.0, 3.0, 64)
-    for fill in (shells.fill_shells, shells.fill_shells.py_func):
+    for fill in (compiled(shells.fill_shells), uncompiled(shells.fill_shells)):
         out = np.empty(64)
         fill(columns, 1 / 0.6, 0.6, along, np.maximum(q2, along**2), 60, out, *closed_for(64))
         found.append(out)
@@ -365,7 +366,8 @@ def test_shells_without_the_compiler_have_the_same_bits():
     for h2, t0, t1 in rng.uniform(0.0, 1.0, (20, 3)):
         args = (columns, h2, min(t0, t1) - 0.4, max(t0, t1))
         for line in (shells.along_shells, shells.along_marginal):
-            assert line(*args) == pytest.approx(line.py_func(*args), abs=1e-14)  # two libraries' logarithms
+            by_python = uncompiled(line)(*args)
+            assert compiled(line)(*args) == pytest.approx(by_python, abs=1e-14)  # logarithms of two libraries
 
 
 @pytest.mark.parametrize("sampling", ["node", "cell"])

@@ -9,6 +9,7 @@ beside the sources, else in the user's cache, and nowhere if none of them can be
 that off, for example where machines of different kinds share an installation.
 """
 
+import gc
 import hashlib
 import os
 import pickle
@@ -18,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numba
+from numba.core import event
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.serialize import dumps
 
@@ -80,7 +82,28 @@ class _Cache(FunctionCache):
             self.disable()
 
 
-def jit(function: Callable, **options: Any) -> Callable:
+class _WithoutCollection(event.Listener):
+    """Python's collector of garbage waits while Numba compiles: it would look through all that is used, many times."""
+
+    def __init__(self) -> None:
+        self._depth, self._was_on = 0, False
+
+    def on_start(self, _: event.Event) -> None:
+        if not self._depth:
+            self._was_on = gc.isenabled()
+            gc.disable()
+        self._depth += 1
+
+    def on_end(self, _: event.Event) -> None:
+        self._depth -= 1
+        if self._was_on and not self._depth:
+            gc.enable()
+
+
+event.register("numba:compile", _WithoutCollection())  # one thread compiles at a time
+
+
+def jit(function: Callable, **options: Any) -> Any:
     """Compile a loop; under ``NUMBA_DISABLE_JIT=1`` it stays the Python function that it is."""
     # the wrapper for callers in C would take a tenth of the time
     compiled = numba.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options)(function)
@@ -98,6 +121,20 @@ def leaf(function: Callable) -> Callable:
     return jit(function, _nrt=False)
 
 
+def inner(function: Callable, **options: Any) -> Any:
+    """Compile a `leaf` that only loops call: the wrapper for calls from Python would take an eighth of the time."""
+    compiled = jit(function, _nrt=False, no_cpython_wrapper=True, **options)
+
+    def refuse(*_: Any, **__: Any) -> None:
+        msg = f"{function.__name__} is compiled for loops; from Python, call {function.__name__}.py_func"
+        raise TypeError(msg)
+
+    if compiled is not function:  # what is compiled is kept for loops alone: a call from Python would end the process
+        compiled.add_overload = lambda result: compiled.overloads.update({tuple(result.signature.args): result})
+        compiled._compile_for_args = refuse
+    return compiled
+
+
 def inlined(function: Callable) -> Callable:
-    """Compile a short function of a `leaf` into the loop that calls it, where a call would take as long as itself."""
-    return jit(function, _nrt=False, forceinline=True)
+    """Compile a short `inner` function into the loop that calls it, where a call would take as long as itself."""
+    return inner(function, forceinline=True)

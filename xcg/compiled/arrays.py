@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.compiled._jit import leaf
+from xcg.compiled._jit import inner, leaf
 
 
 @lru_cache
@@ -102,7 +102,7 @@ def nearest_image(d, period):
     return image_near(d, 0.0, period)
 
 
-@leaf
+@inner
 def image_near(d, to, period):
     """Image of a distance along one axis that is nearest to another distance, see `nearest_image`."""
     if abs(d - to) < 0.49 * period:  # most are: no division

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.compiled._jit import leaf
+from xcg.compiled._jit import inner, leaf
 from xcg.compiled.arrays import counting_sort_places
 from xcg.compiled.near import VECTOR, list_near_place, list_near_segment
 from xcg.compiled.reach import FIRST, LISTS, MANY, NUMBERS, OF_Y, OF_Y2, PAD, ROW, ROW2, ROW_DOT, Lists, padded
@@ -96,7 +96,7 @@ def lists_for_points(cells: Cells, reach: Sequence[float], real: str = "float64"
     return Lists(np.zeros((LISTS, room), real), numbers)
 
 
-@leaf
+@inner
 def _cell_range(low, high, lower, per_size, count):
     """First and one past the last of the cells that meet an interval."""
     first = math.floor(min(max((low - lower) * per_size, 0.0), float(count)))
@@ -104,7 +104,7 @@ def _cell_range(low, high, lower, per_size, count):
     return first, last + 1
 
 
-@leaf
+@inner
 def _beyond(x, k, lower, size, per_size, margin):
     """How far a place is at least from cell k of an axis; nothing where there is one cell only."""
     if per_size == 0.0:
@@ -113,7 +113,7 @@ def _beyond(x, k, lower, size, per_size, margin):
     return max(0.0, max(low - x, x - low - size) - margin)
 
 
-@leaf
+@inner
 def _keep_rows(count, lists):
     """Keep the rows of cells that are closer than 1, of those that are listed; returns how many are left."""
     values, numbers = lists.values, lists.numbers
@@ -124,7 +124,7 @@ def _keep_rows(count, lists):
     return kept
 
 
-@leaf
+@inner
 def points_in_ball(x, y, z, cells, lists):
     """List the points of some cells that are closer than 1 to a place, as `nodes_in_ball` does."""
     values, numbers = lists.values, lists.numbers
@@ -161,7 +161,7 @@ def points_in_ball(x, y, z, cells, lists):
     return np.int64(hits)
 
 
-@leaf
+@inner
 def points_around_segment(x, y, z, bx, by, bz, per_length, cells, lists):
     """List the points closer than 1 to the segment from a place to that place plus b, as `nodes_around_segment` does.
 

@@ -2,7 +2,7 @@
 
 import math
 
-from xcg.compiled._jit import inlined, leaf
+from xcg.compiled._jit import inlined, inner, leaf
 from xcg.compiled.arrays import image_near, nearest_image
 from xcg.compiled.lattice import nearest_of
 from xcg.compiled.simd import prefetch
@@ -231,7 +231,7 @@ def touching_points(row_i, row_j, position, diameter, seen, same, period, hair, 
     return row_i.size
 
 
-@leaf
+@inner
 def _length(x, y, z):
     return math.sqrt(x * x + y * y + z * z)
 

@@ -12,7 +12,7 @@ Whole numbers whose bits are shifted are typed (`np.uint64`), because a signed o
 
 import numpy as np
 
-from xcg.compiled._jit import inlined, leaf
+from xcg.compiled._jit import inlined, inner
 from xcg.compiled.bits import high_product, leading_zeros, load8, trailing_zeros
 
 _U = np.uint64
@@ -52,7 +52,7 @@ def _fives():
 _FIVES = _fives()
 
 
-@leaf
+@inner
 def _nearest(m, power):
     """Find the float64 nearest to m 10^power, and whether it is known; m is a uint64 and not 0."""
     if power < _LEAST or power > _LARGEST:
@@ -164,7 +164,7 @@ def _usual(text, at, end):
     return m, power, wrong & _TOP == _U(0)
 
 
-@leaf
+@inner
 def _any(text, at, end):
     """Read any decimal number as m 10^power; tell whether further digits follow m, and whether it is one at all."""
     m, digits, power = _U(0), 0, np.int64(0)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from xcg.compiled._jit import inlined, jit, leaf
+from xcg.compiled._jit import inlined, inner, jit
 from xcg.compiled.simd import TILE
 
 # Parts of a pair of complex eigenvalues below this share of the matrix are rounding of a real pair.
@@ -26,7 +26,7 @@ def _turn(pp, qq, pq):
     return c, t * c
 
 
-@leaf
+@inner
 def _rotated(pp, qq, pq, rp, rq, p, q):
     """Entries pp, qq, rp and rq of a matrix, and its axes p and q (3,), turned so that the entry pq vanishes."""
     if pq == 0.0:
@@ -38,7 +38,7 @@ def _rotated(pp, qq, pq, rp, rq, p, q):
     return pp - t * pq, qq + t * pq, c * rp - s * rq, s * rp + c * rq, turned_p, turned_q
 
 
-@leaf
+@inner
 def principal_of_one(xx, xy, xz, yy, yz, zz):
     """Eigenvalues of a symmetric matrix, in any order, and the unit eigenvector (3,) of each."""
     a, b, c = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
@@ -55,7 +55,7 @@ def principal_of_one(xx, xy, xz, yy, yz, zz):
 # --- symmetric: of as many matrices at a time as there are numbers in an instruction ---
 
 
-@leaf
+@inner
 def _unfinished(matrix, turns):
     """Mark the matrices (3, 3, TILE) that are not diagonal yet; tell whether there are any."""
     some = False
@@ -66,7 +66,7 @@ def _unfinished(matrix, turns):
     return some
 
 
-@leaf
+@inner
 def _rotate(matrix, vectors, p, q, turns, cosine, sine):
     """Turn the axes p and q of the marked matrices (3, 3, TILE) so that their entries p, q vanish."""
     for n in range(TILE):
@@ -87,7 +87,7 @@ def _rotate(matrix, vectors, p, q, turns, cosine, sine):
             vectors[k, p, n], vectors[k, q, n] = cosine[n] * a - sine[n] * b, sine[n] * a + cosine[n] * b
 
 
-@leaf
+@inner
 def _descending(matrix, n):
     """Places of the diagonal entries of matrix n from the largest to the smallest; all three, NaN or not."""
     first = 0
@@ -140,7 +140,7 @@ def principal(tensor, values, vectors):
 # --- not symmetric: one real eigenvalue that is apart from the others, and then those of a 2x2 matrix ---
 
 
-@leaf
+@inner
 def _root_apart(linear, constant):
     """Find the largest root of ``x^3 + linear x = constant >= 0``: the others are at least as far from it as zero is.
 
@@ -158,7 +158,7 @@ def _root_apart(linear, constant):
     return root
 
 
-@leaf
+@inner
 def _null_vector(matrix, shift, vector):
     """Write the unit vector that a matrix less `shift` x identity maps to zero: the longest product of two rows."""
     most = 0.0
@@ -181,7 +181,7 @@ def _null_vector(matrix, shift, vector):
         vector[k] /= math.sqrt(most)
 
 
-@leaf
+@inner
 def _reflect(vector, matrix, reflection, product):
     """Turn a matrix by the reflection that leads from the first axis to a unit vector, or to its opposite."""
     vector[0] += math.copysign(1.0, vector[0])
@@ -230,7 +230,7 @@ def principal_of_any(tensor, values, vectors):
         _write_pairs(matrix, reflection, mean, size, values[n], vectors[n])
 
 
-@leaf
+@inner
 def _write_pairs(matrix, reflection, mean, size, values, vectors):
     """Write eigenvalues and eigenvectors of a matrix whose first axis is an eigenvector, turned back and scaled."""
     apart, middle, half = matrix[0, 0], 0.5 * (matrix[1, 1] + matrix[2, 2]), 0.5 * (matrix[1, 1] - matrix[2, 2])

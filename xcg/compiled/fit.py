@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.compiled._jit import leaf
+from xcg.compiled._jit import inner, leaf
 from xcg.compiled.eigen import principal_of_one
 
 # Above this share of the largest possible determinant the explicit inverse is exact to a few hundred ulp.
@@ -63,7 +63,7 @@ def flags_of(active: Sequence[bool], about_node: bool) -> int:
     return sum(1 << k for k, on in enumerate((*active, about_node)) if on)
 
 
-@leaf
+@inner
 def _dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
@@ -73,18 +73,18 @@ def _three(rows, first, n):
     return rows[first, n], rows[first + np.uint64(1), n], rows[first + np.uint64(2), n]
 
 
-@leaf
+@inner
 def _put_three(rows, first, n, values):
     rows[first, n], rows[first + np.uint64(1), n], rows[first + np.uint64(2), n] = values
 
 
-@leaf
+@inner
 def _moved(shear, u, offsets):
     """One row of B, from the sums of m Psi u x of one component."""
     return shear[0] - u * offsets[0], shear[1] - u * offsets[1], shear[2] - u * offsets[2]
 
 
-@leaf
+@inner
 def _inverse_of_rank(xx, xy, xz, yy, yz, zz, rounding):
     """Rank of a symmetric matrix, the part of each axis (3,) that its range spans, and its pseudo-inverse (6,)."""
     rank, spanned, inverse = 0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

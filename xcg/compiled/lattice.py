@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.compiled._jit import leaf
+from xcg.compiled._jit import inner, leaf
 
 
 class Reduced(NamedTuple):
@@ -26,7 +26,7 @@ class Reduced(NamedTuple):
     around: NDArray
 
 
-@leaf
+@inner
 def nearest_of(x, y, z, lattice):
     """Shortest image of a vector: that of the rounded coordinates, or one around it, as the basis is reduced."""
     vectors, dual, around = lattice

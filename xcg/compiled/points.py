@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.compiled._jit import leaf
+from xcg.compiled._jit import inner, leaf
 from xcg.compiled.cells import points_in_ball
 from xcg.compiled.reach import BATCH, NODE, OTHER, Q2, WEIGHT, X, Y, Z, batch_reaches, nodes_in_ball, periodic_images
 from xcg.compiled.simd import add4
@@ -164,7 +164,7 @@ def deposit(
                                 add4(moments, p, numbers[NODE, k], level + d, weight[k], c0, c1, c2, c3)
 
 
-@leaf
+@inner
 def _list_grains(rows, grains, records):
     """Put together what is needed of some grains, which is spread over memory: all of it is asked for at once."""
     per_cutoff, origin = 1.0 / grains.cutoff, grains.origin
@@ -179,7 +179,7 @@ def _list_grains(rows, grains, records):
             records[i, GRAIN + k] = constants[n, k]
 
 
-@leaf
+@inner
 def _add_flow(p, records, i, lists, hits, level, still, moments, reference):
     """Add one grain to the flow columns of the nodes that it reaches."""
     mass, vx, vy, vz = records[i, WEIGHED], records[i, SPEED], records[i, SPEED + 1], records[i, SPEED + 2]
@@ -218,7 +218,7 @@ def _add_flow(p, records, i, lists, hits, level, still, moments, reference):
                 add4(moments, p, n, SQUARE_SPREAD + 3, w, wy * y, wy * z, wz * z, 0.0)
 
 
-@leaf
+@inner
 def _add_cubes(p, records, i, lists, hits, moments, reference):
     """Add m |u|^2 u of one grain to the nodes that it reaches."""
     mass, vx, vy, vz = records[i, WEIGHED], records[i, SPEED], records[i, SPEED + 1], records[i, SPEED + 2]
@@ -229,7 +229,7 @@ def _add_cubes(p, records, i, lists, hits, moments, reference):
         add4(moments, p, n, CUBE, values[WEIGHT, k] * mass * (ux * ux + uy * uy + uz * uz), ux, uy, uz, 0.0)
 
 
-@leaf
+@inner
 def _add_images(p, mass, lists, hits, level, meet, volumes, kernel, moments):
     """Add the products of the weight of one image of a grain, at the nodes that it reaches, and of all its others."""
     kind, spread, table, norm = kernel.kind, kernel.spread, kernel.table, kernel.norm

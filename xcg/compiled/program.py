@@ -6,7 +6,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.compiled._jit import leaf
+from xcg.compiled._jit import inner, leaf
 from xcg.compiled.fit import fit_rows
 from xcg.compiled.simd import (
     EIGHT,
@@ -136,7 +136,7 @@ def run(steps, records, source, fields, target, place, order, tile, scratch):
     scratch[0, 0] = unread
 
 
-@leaf
+@inner
 def _gather_records(address, width, order, first, many, tile):
     """Copy some records (nodes, width) side by side; returns the sum of one number in each line of memory.
 
@@ -155,7 +155,7 @@ def _gather_records(address, width, order, first, many, tile):
     return read
 
 
-@leaf
+@inner
 def _transpose_records(address, width, row, first, many, nodes, scratch):
     """Write the columns of some records (nodes, width) to rows; returns the sum of one number in each line of memory.
 
@@ -175,7 +175,7 @@ def _transpose_records(address, width, row, first, many, nodes, scratch):
     return read
 
 
-@leaf
+@inner
 def _store(address, width, row, place, first, many, scratch):
     """Store the components of a field (places, width), 1, 3 or 9, from their rows."""
     x, y, z = row[0], row[1], row[2]
@@ -194,7 +194,7 @@ def _store(address, width, row, place, first, many, scratch):
             _store_three(address, to + THREE + THREE, scratch[zx, k], scratch[zy, k], scratch[zz, k])
 
 
-@leaf
+@inner
 def _store_apart(address, width, components, row, place, first, many, scratch):
     """Store some of the `width` numbers that a field holds for a place, through the caches, as there are gaps."""
     for c in range(components):
@@ -203,7 +203,7 @@ def _store_apart(address, width, components, row, place, first, many, scratch):
             store_number(address, width * place[first + k] + c, scratch[x, k])
 
 
-@leaf
+@inner
 def _store_three(address, to, x, y, z):
     store_nontemporal(address, to, x)
     store_nontemporal(address, to + np.uint64(1), y)

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.compiled._jit import leaf
+from xcg.compiled._jit import inner, leaf
 from xcg.compiled.arrays import counting_sort, short_integers
 from xcg.compiled.simd import EIGHT, add_scalar8, fill8, ramp8
 
@@ -83,7 +83,7 @@ class Lists(NamedTuple):
     numbers: NDArray
 
 
-@leaf
+@inner
 def periodic_images(x, low, high, first, last, period):
     """First and last periodic image of an interval [x + low, x + high] that meets the nodes in [first, last]."""
     if x + high - period < first and x + low + period > last:  # nearly all: no more than the interval itself
@@ -91,7 +91,7 @@ def periodic_images(x, low, high, first, last, period):
     return math.ceil((first - x - high) / period), math.floor((last - x - low) / period)
 
 
-@leaf
+@inner
 def node_range(low, high, per_step, begin, end):
     """First and one past the last of the nodes begin, ... end - 1 that lie within [low, high]."""
     first = max(begin, math.ceil(low * per_step))
@@ -121,7 +121,7 @@ def lists_for(rows: Rows, active: Sequence[bool], reach: Sequence[float], real: 
     return Lists(np.zeros((LISTS, room), real), numbers)
 
 
-@leaf
+@inner
 def nodes_in_ball(x, y, z, rows, lists):
     """List the nodes of a mesh closer than 1 to a point.
 
@@ -186,7 +186,7 @@ def nodes_in_ball(x, y, z, rows, lists):
     return hits
 
 
-@leaf
+@inner
 def nodes_around_segment(x, y, z, bx, by, bz, per_length, rows, lists):
     """List the nodes of a mesh closer than 1 to the segment from a point to that point plus b.
 
@@ -296,7 +296,7 @@ def batches_of(records: NDArray, rows: NDArray | None = None) -> NDArray:
     return bounds
 
 
-@leaf
+@inner
 def batch_reaches(batches, batch, begin, end, active, period):
     """Whether anything of one of `batches_of`, or an image of it, is closer than 1 to nodes from `begin` to `end`."""
     reaches = True

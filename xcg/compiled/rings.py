@@ -2,13 +2,13 @@
 
 import math
 
-from xcg.compiled._jit import leaf
+from xcg.compiled._jit import inner, leaf
 from xcg.compiled.smoothing import fill_values
 
 ROOM = 8  # numbers beyond the last that `fill_values` may write
 
 
-@leaf
+@inner
 def _first_from(angle, first, last, low):
     """First of the angles first <= k < last, which rise, that is not below a limit."""
     while first < last:

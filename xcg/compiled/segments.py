@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.compiled._jit import inlined, leaf
+from xcg.compiled._jit import inlined, inner, leaf
 from xcg.compiled.arrays import gauss_rules
 from xcg.compiled.cells import points_around_segment
 from xcg.compiled.contacts import side
@@ -56,7 +56,7 @@ _LAST = np.uint64(8)
 GAUSS_POINTS, GAUSS_WEIGHTS = gauss_rules(*RULES)
 
 
-@leaf
+@inner
 def choose_order(length, limits):
     """Fewest points among `RULES` whose error bound holds up to this length; 0, the closed form, where none does."""
     if length < SHORT:
@@ -141,7 +141,7 @@ def list_segments(contacts, on_j, second, others, cutoffs, cutoff, origin, rows,
         far = rows[min(k + FAR_AHEAD, last)]
         prefetch(contacts.on_i, far)
         _prefetch(contacts, far, rows[min(k + AHEAD, last)], alone)
-        n = rows[k]
+        n = np.int64(rows[k])
         i, j, two, ax, ay, az = _side(contacts, n, on_j is None, second, alone)
         more = more or two
         segments[k, GROUP] = -1.0
@@ -179,7 +179,7 @@ def measure_segments(contacts, on_j, second, others, cutoffs, cutoff, origin, ro
     alone = cutoffs.size == 1  # phases are not looked at where there is one
     for k in range(rows.size):
         _prefetch(contacts, rows[min(k + FAR_AHEAD, last)], rows[min(k + AHEAD, last)], alone)
-        i, _, two, ax, ay, az = _side(contacts, rows[k], on_j is None, second, alone)
+        i, _, two, ax, ay, az = _side(contacts, np.int64(rows[k]), on_j is None, second, alone)
         more = more or two
         if i < 0 or (second and not two) or (not alone and cutoffs[phase[i]] != cutoff):
             continue
@@ -247,7 +247,7 @@ def _widen(bounds, k, start, branch):
     bounds[1, k] = max(start, end, bounds[1, k])
 
 
-@leaf
+@inner
 def _on_one_line(ax, ay, az, bx, by, bz):
     """Whether two vectors point opposite ways along one line."""
     cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
@@ -373,7 +373,7 @@ def deposit_segments(segments, nodes, rows, cells, volumes, kernel, lists, close
                     _add_dyad(moments, records, i, norm, numbers, w, hits)
 
 
-@leaf
+@inner
 def _add_to_volumes(x, y, z, bx, by, bz, length, volumes, kernel, lists, records, i, moments):
     """Add segment i, from a point to that point plus b, to the cells that it reaches: parts of a cutoff at most."""
     values, numbers = lists
@@ -385,7 +385,7 @@ def _add_to_volumes(x, y, z, bx, by, bz, length, volumes, kernel, lists, records
             _add_dyad(moments, records, i, GAUSS_WEIGHTS[IN_CELL, g] / parts, numbers, weight, hits)
 
 
-@leaf
+@inner
 def _add_dyad(moments, records, i, norm, numbers, w, hits):
     """Add weight x norm x force x branch of segment i to the nine columns of each node."""
     p = np.uint64(records[i, GROUP])

@@ -17,7 +17,7 @@ import math
 
 import numpy as np
 
-from xcg.compiled._jit import leaf
+from xcg.compiled._jit import inner, leaf
 from xcg.compiled.elementary import add_logarithms
 from xcg.compiled.reach import padded
 
@@ -125,7 +125,7 @@ def along_marginal(shells, h2, t0, t1):
     return total
 
 
-@leaf
+@inner
 def _marginal_to(shells, j, h2, t):
     """Integral of the marginal of one shell over 0 < s < t, an odd function of t.
 

@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.compiled._jit import inlined, jit, leaf
+from xcg.compiled._jit import inlined, inner, jit, leaf
 from xcg.compiled.arrays import gauss_rules
 from xcg.compiled.elementary import add_logarithms, erf, erfcx, exp, expm1
 from xcg.compiled.reach import padded
@@ -90,13 +90,13 @@ _TINY = 1e-290  # keeps the logarithm finite on the segment itself, where its fa
 # --- Lucy: P = 1 - 6 q^2 + 8 q^3 - 3 q^4 = (1 - q)^3 (1 + 3 q) -------------------------------------------
 
 
-@leaf
+@inner
 def _log_term(h2, t):
     """Inverse hyperbolic sine of t / h, and zero on the line itself, where its factor h^2 or h^4 vanishes."""
     return 0.0 if h2 < 1e-280 else math.log((t + math.sqrt(h2 + t * t)) / math.sqrt(h2))
 
 
-@leaf
+@inner
 def _lucy_line(h2, t):
     """Integral of P(sqrt(h^2 + s^2)) over 0 < s < t, for h^2 + t^2 <= 1."""
     t2 = t * t
@@ -111,7 +111,7 @@ _RIM = 0.5
 _RIM_NODES, _RIM_WEIGHTS = np.polynomial.legendre.leggauss(12)
 
 
-@leaf
+@inner
 def _lucy_line_value(q2, by_gradient):
     """L1(q), or its derivative divided by q."""
     half2 = 1.0 - q2
@@ -130,7 +130,7 @@ def _lucy_line_value(q2, by_gradient):
     return half * total
 
 
-@leaf
+@inner
 def _lucy_plane_value(q2):
     """L2(q) / 2 pi = integral of P(r) r over q < r < 1."""
     q = math.sqrt(q2)
@@ -138,7 +138,7 @@ def _lucy_plane_value(q2):
     return square * square * (0.1 + 0.4 * q + 0.5 * q2)
 
 
-@leaf
+@inner
 def _lucy_plane(h2, t):
     """Integral of L1(sqrt(h^2 + s^2)) over 0 < s < t, for h^2 + t^2 <= 1.
 
@@ -180,7 +180,7 @@ def _along_line(per_s2, q2):
     return 2.0 * _SQRT_PI_2 / math.sqrt(per_s2) * erf(half) * exp(-0.5 * per_s2 * q2)
 
 
-@leaf
+@inner
 def _shifted_value(kind, spread, q2):
     """L1 or L2, each with its last digits up to the rim: series take the place of differences that cancel there."""
     s2 = spread * spread
@@ -204,7 +204,7 @@ def _shifted_value(kind, spread, q2):
     return 2.0 * math.pi * s2 * total
 
 
-@leaf
+@inner
 def _shifted_gradient(kind, spread, q2):
     """As `gradient`: exact up to the rim, where the value ends at zero and its slope jumps in codimension 0."""
     per_s2 = 1.0 / (spread * spread)
@@ -302,7 +302,7 @@ def has_shells(table):
     return table[SHELLS, RADIUS, 0] > 0.0
 
 
-@leaf
+@inner
 def _antiderivative(kind, spread, table, h2, t):
     """Integral of the value over 0 < s < t along a line at distance h, for 0 <= t <= sqrt(1 - h^2)."""
     if kind is LUCY_FULL:
@@ -340,7 +340,7 @@ def _parts_of_line(kind, spread, table):
     return 0.0, math.pi, -math.pi / 3.0  # HEAVISIDE + 2
 
 
-@leaf
+@inner
 def _quadrature(kind, spread, table, h2, t0, t1):
     """Gauss-Legendre over the angle along the chord, which takes the root at its end out of the integrand."""
     half = math.sqrt(1.0 - h2)
@@ -357,7 +357,7 @@ def _quadrature(kind, spread, table, h2, t0, t1):
     return total
 
 
-@leaf
+@inner
 def _tabulated_segment(kind, table, h2, t0, t1):
     if table is PLAIN:
         return 0.0
@@ -387,7 +387,7 @@ def segment(kind, spread, table, h2, t0, t1):
 # --- many nodes at once ----------------------------------------------------------------------------------
 
 
-@leaf
+@inner
 def fill_values(kind, spread, table, norm, by_gradient, q2, count, out):
     """Write norm x value, or gradient unless that is None, at `count` squared distances, in loops that vectorise.
 
@@ -416,7 +416,7 @@ def fill_values(kind, spread, table, norm, by_gradient, q2, count, out):
             out[k] = norm * value(kind, spread, table, min(q2[k], 1.0))
 
 
-@leaf
+@inner
 def _at(kind, spread, table, r2):
     """Value at any squared distance, zero from 1 on; Lucy's in the precision of `r2` and without a branch."""
     if kind is LUCY_FULL:
@@ -475,7 +475,7 @@ def fill_segments(kind, spread, table, length, along, q2, count, out, ratio, bit
         _fill_one_by_one(kind, spread, table, length, along, q2, count, out)
 
 
-@leaf
+@inner
 def _fill_tabulated(kind, table, length, along, q2, count, out, ratio, bits, exponent, rows):
     if table is PLAIN:
         return
@@ -487,7 +487,7 @@ def _fill_tabulated(kind, table, length, along, q2, count, out, ratio, bits, exp
         fill_shells(table[SHELLS], 1.0 / length, length, along, q2, count, out, ratio, bits, exponent, rows)
 
 
-@leaf
+@inner
 def _fill_one_by_one(kind, spread, table, length, along, q2, count, out):
     for k in range(count):
         h2 = max(0.0, q2[k] - along[k] * along[k])
@@ -496,7 +496,7 @@ def _fill_one_by_one(kind, spread, table, length, along, q2, count, out):
             out[k] = segment(kind, spread, table, h2, -along[k], length - along[k]) / length
 
 
-@leaf
+@inner
 def _fill_chords(kind, spread, table, per_length, length, along, q2, count, out):
     """As `_antiderivative` at both ends of the clipped segment, for kinds of `_parts_of_line`.
 
@@ -520,7 +520,7 @@ def _fill_chords(kind, spread, table, per_length, length, along, q2, count, out)
             out[k] += bell * (from_a - from_b)
 
 
-@leaf
+@inner
 def _fill_quadrature(kind, spread, table, per_length, length, along, q2, count, out, last):
     """As `_quadrature`, over t = h' 2 v / (1 + v^2) with h' half of the chord, node by node in loops that vectorise.
 
@@ -583,7 +583,7 @@ def _clipped(q2, along, length):
     return begin, max(begin, min(length - along, half)), h2
 
 
-@leaf
+@inner
 def _fill_lucy_lines(per_length, length, along, q2, count, out, ratio, bits, exponent):
     """As `_lucy_line` at both ends of the clipped segment, in loops that vectorise.
 

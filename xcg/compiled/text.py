@@ -5,7 +5,7 @@ Words are found 64 bytes at a time, and those of other columns are not looked at
 
 import numpy as np
 
-from xcg.compiled._jit import leaf
+from xcg.compiled._jit import inner, leaf
 from xcg.compiled.bits import BLOCK, newlines, trailing_zeros, white
 from xcg.compiled.decimal import number
 
@@ -15,7 +15,7 @@ REST = ("row", "place among the wanted", "first byte", "byte after it")  # of wo
 _ONE, _LAST = np.uint64(1), np.uint64(BLOCK - 1)
 
 
-@leaf
+@inner
 def find_words(text, size, edges, lines):
     """Find the words and lines of a text that ends with white space: where words begin and end, in turn, and lines end.
 

@@ -1,12 +1,12 @@
 """Loops over the triangles of a surface: the nearest one, and where rays cross."""
 
-from xcg.compiled._jit import leaf
+from xcg.compiled._jit import inner, leaf
 
 MOST_CROSSINGS = 16  # of one ray; further ones are left out
 _TIE = 1e-9
 
 
-@leaf
+@inner
 def _place(point, corner, place):
     """Put the point of a triangle (3, 3) that is nearest to a point into `place`; after Ericson (2005), 5.1.5."""
     d1, d2, d3, d4, d5, d6 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0

@@ -14,7 +14,7 @@ Lengths are in units of the cutoff and relative to the first node.
 import math
 from typing import NamedTuple
 
-from xcg.compiled._jit import leaf
+from xcg.compiled._jit import inner
 from xcg.compiled.arrays import gauss_rules
 from xcg.compiled.reach import NODE, OF_Y, OF_Y2, OF_Z, OF_Z2, WEIGHT, Rows, X, Y, Z, node_range
 from xcg.compiled.smoothing import segment, value
@@ -43,7 +43,7 @@ class Volumes(NamedTuple):
     order: tuple[int, int, int]
 
 
-@leaf
+@inner
 def _list_points(place, half, radius2, values, at, weight):
     """Write points, and weights, of the integral over an interval about a place, within a radius about 0.
 
@@ -67,7 +67,7 @@ def _list_points(place, half, radius2, values, at, weight):
     return count
 
 
-@leaf
+@inner
 def _integrals_along(q2, place, half, step, many, kind, spread, table, factor, out, first):
     """Add to `many` neighbours along an axis, from a place down, the integral of the kernel over the extent of each."""
     for k in range(many):
@@ -78,7 +78,7 @@ def _integrals_along(q2, place, half, step, many, kind, spread, table, factor, o
             out[first + k] += factor * value(kind, spread, table, q2 + middle * middle)
 
 
-@leaf
+@inner
 def _add_columns(da, half_a, db, half_b, dc, half_c, step, many, kind, spread, table, factor, values, out, first):
     """Add the integral of the kernel over the cells of `many` nodes of a row along the last axis."""
     for i in range(_list_points(da, half_a, 1.0, values, OF_Y, OF_Y2)):
@@ -90,7 +90,7 @@ def _add_columns(da, half_a, db, half_b, dc, half_c, step, many, kind, spread, t
                 _integrals_along(q2, dc, half_c, step, many, kind, spread, table, here, out, first)
 
 
-@leaf
+@inner
 def _add_row(da, db, dc, many, volumes, kernel, values, out, first):
     """Add the mean of the kernel over the cells of `many` nodes of a row along the last axis.
 
@@ -119,7 +119,7 @@ def _add_row(da, db, dc, many, volumes, kernel, values, out, first):
         )
 
 
-@leaf
+@inner
 def mean_over_cell(x, y, z, volumes, kernel, values, out, k):
     """Write the mean of the kernel over the cell of a node to place k, for a point minus the node."""
     offset, (a, b, c) = (x, y, z), volumes.order
@@ -127,7 +127,7 @@ def mean_over_cell(x, y, z, volumes, kernel, values, out, k):
     _add_row(offset[a], offset[b], offset[c], 1, volumes, kernel, values, out, k)
 
 
-@leaf
+@inner
 def volumes_in_ball(x, y, z, volumes, kernel, lists):
     """List the nodes whose cells are closer than 1 to a point, and the mean of the kernel over each.
 
