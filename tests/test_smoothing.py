@@ -39,6 +39,11 @@ def narrow_gaussian(q):
     return np.exp(-12.5 * q**2)
 
 
+def short(q):
+    """Zero from three quarters of the cutoff on."""
+    return np.maximum(0.0, 1 - (q / 0.75) ** 2) ** 3
+
+
 def bump(q):
     """Smooth, but not analytic at the rim: too many polynomials would be needed for shells."""
     return np.exp(-1 / (1 - q**2))
@@ -48,6 +53,7 @@ xcg.register_kernel("wendland", wendland, ratio=2.0, smoothness=2)
 xcg.register_kernel("cubic spline", cubic_spline, ratio=2.0, smoothness=2)
 xcg.register_kernel("quintic spline", quintic_spline, ratio=2.0, smoothness=4)
 xcg.register_kernel("narrow gaussian", narrow_gaussian, ratio=5.0, smoothness=-1)
+xcg.register_kernel("short", short, ratio=2.0, smoothness=2)
 xcg.register_kernel("bump", bump, ratio=2.0, smoothness=2)
 
 
@@ -239,6 +245,7 @@ OWN = {
     "cubic spline": (cubic_spline, (1 / 2,)),
     "quintic spline": (quintic_spline, (1 / 3, 2 / 3)),
     "narrow gaussian": (narrow_gaussian, ()),
+    "short": (short, (3 / 4,)),
 }
 
 
@@ -334,6 +341,44 @@ def test_stress_of_registered_kernels_balances_forces(name, seen):
     np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance * kernel.value(0.0, seen))
 
 
+BUILT_IN = {
+    "lucy": (xcg.Lucy, lambda q: 1 - 6 * q**2 + 8 * q**3 - 3 * q**4),
+    "gaussian": (xcg.Gaussian, lambda q: np.exp(-4.5 * q**2)),
+    "shifted": (lambda **given: xcg.Gaussian(**given, shifted=True), lambda q: np.expm1(4.5 * (1 - q**2))),
+    "heaviside": (xcg.Heaviside, lambda q: 1.0 + 0.0 * q),
+}
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+@pytest.mark.parametrize(("dimension", "seen"), SEEN)
+def test_kernels_registered_by_their_profiles_are_those_of_their_own_loops(name, dimension, seen):
+    """Up to the cutoff, where some jump, so that their marginals end like the root of the distance to it."""
+    make, profile = BUILT_IN[name]
+    own = make(cutoff=1.0, dimension=dimension)
+    same = xcg.register_kernel("same", profile)(cutoff=1.0, dimension=dimension)
+    r, peak = np.concatenate([np.linspace(0.0, 0.99, 40), 1 - np.geomspace(1e-9, 1e-2, 15)]), own.value(0.0, seen)
+    # odd powers of q have logarithms at r = 0 in their marginals
+    tolerance = 1e-10 if name == "lucy" else 1e-12
+    np.testing.assert_allclose(same.value(r, seen), own.value(r, seen), rtol=0, atol=tolerance * peak)
+    if name != "heaviside":  # whose marginal's slope is that of the jump, which is left out
+        slope = own.derivative(r, seen)
+        tolerance = 1e-6 if name == "lucy" else 1e-9
+        np.testing.assert_allclose(same.derivative(r, seen), slope, rtol=0, atol=tolerance * np.abs(slope).max())
+    for points, end in random_segments(seen, seen, 20):
+        tolerance = 1e-11 * max(1.0, 0.1 / np.linalg.norm(end))
+        found, expected = (kernel.segment(points, 0 * end, end) for kernel in (same, own))
+        np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance * peak)
+
+
+def test_profiles_may_be_objects_that_change():
+    """Each registration is of the profile as it then is, and one need not have a hash."""
+    parabola = np.poly1d([-1.0, 0.0, 1.0])
+    first = xcg.register_kernel("changing", parabola)(cutoff=1.0)
+    assert first.value(0.5) == pytest.approx(0.75 * 15 / (8 * np.pi))
+    parabola[2] = 0.0
+    assert xcg.register_kernel("changing", parabola)(cutoff=1.0).value(0.5) == pytest.approx(3 / (4 * np.pi))
+
+
 def test_kernels_of_few_polynomials_have_closed_forms():
     """Those that are polynomials between any radii, or nearly so; one that jumps; one that takes single numbers."""
     for name in OWN:
@@ -386,6 +431,10 @@ def test_profiles_that_are_not_smooth_are_told():
     """With the error that their values have, and where."""
     with pytest.warns(xcg.SceneWarning, match=r"kernel 'step'.*of its largest value, worst at q=0\.[45]"):
         xcg.register_kernel("step", lambda q: np.where(q < 0.496, 1.0, 0.2))
+    with pytest.warns(xcg.SceneWarning, match=r"kernel 'step': its profile jumps at q=0\.5, and where planes"):
+        xcg.register_kernel("step", lambda q: np.where(q < 0.5, 1.0, 0.2))
+    with pytest.warns(xcg.SceneWarning, match=r"profile to \d\.\de-08 of its largest value"):  # and nothing else
+        xcg.register_kernel("single", lambda q: ((1 - q**2) ** 2).astype("float32"))
 
 
 def _gauss(value, points, end, panels=200):
@@ -535,6 +584,7 @@ def test_nodes_on_the_rim_of_a_marginal(kernel):
         (lambda: xcg.Lucy(1.0, dimension=1).weights(3), "cannot be seen in 3"),
         (lambda: as_kernel(xcg.Lucy(1.0), 2.0, 3), "has its own width"),
         (lambda: xcg.register_kernel("none", lambda q: 0 * q), "positive integral"),
+        (lambda: xcg.register_kernel("pole", lambda q: np.where(q > 0, 1 / np.maximum(q, 1e-300), np.inf)), "at q=0"),
     ],
 )
 def test_bad_kernels(make, message):

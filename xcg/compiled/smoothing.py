@@ -49,7 +49,7 @@ class KernelCode(NamedTuple):
     spread : float or None
         Width over cutoff, which a Gaussian needs; `TABULATED` for a `TABLE`.
     table : (3, intervals, PIECE), or None
-        Polynomials of a `TABLE`, see `_interpolate`, and its `SHELLS`; any array for a shifted Gaussian; `PLAIN` for
+        Polynomials of a `TABLE`, see `_tabulated`, and its `SHELLS`; any array for a shifted Gaussian; `PLAIN` for
         other kinds.
     norm : float
         Factor to the values.
@@ -224,7 +224,7 @@ def value(kind, spread, table, q2):
         p = 1.0 - q
         return p * p * p * (1.0 + 3.0 * q)
     if spread is TABULATED:
-        return _interpolate(table, 0, q2)
+        return _tabulated(kind, table, 0, q2)
     if table is not PLAIN:
         if kind == GAUSSIAN:
             return _above_edge(1.0 / (spread * spread), q2)
@@ -257,7 +257,7 @@ def gradient(kind, spread, table, q2):
         p = 1.0 - math.sqrt(q2)
         return -12.0 * p * p
     if spread is TABULATED:
-        return _interpolate(table, 1, q2)
+        return _tabulated(kind, table, 1, q2)
     if table is not PLAIN:
         return _shifted_gradient(kind, spread, q2)
     if kind == LUCY + 1:
@@ -273,6 +273,13 @@ def gradient(kind, spread, table, q2):
     if kind == HEAVISIDE + 1:
         return -2.0 / math.sqrt(1.0 - q2)
     return -2.0 * math.pi  # HEAVISIDE + 2
+
+
+@inlined
+def _tabulated(kind, table, row, q2):
+    """Value (row 0), or derivative divided by q (row 1). In codimension 1 both end like the chord, sqrt(1 - q^2)."""
+    found = _interpolate(table, row, q2)
+    return math.sqrt(1.0 - q2) * found if kind == TABLE + 1 else found
 
 
 @inlined
@@ -403,7 +410,7 @@ def fill_values(kind, spread, table, norm, by_gradient, q2, count, out):
             out[k] = norm * (p * p * p * (1.0 + 3.0 * q))
     elif spread is TABULATED:
         for k in range(count):
-            out[k] = norm * _interpolate(table, 0, min(q2[k], 1.0))
+            out[k] = norm * _tabulated(kind, table, 0, min(q2[k], 1.0))
     elif kind == GAUSSIAN:
         per_s2 = 1.0 / (spread * spread)
         for k in range(padded(count)):
@@ -551,7 +558,7 @@ def _fill_quadrature(kind, spread, table, per_length, length, along, q2, count, 
             if spread is TABULATED:
                 for k in range(count):
                     r2, half, share = _crossing(along[k], last[k], q2[k], x, side)
-                    out[k] += weight * share * _interpolate(table, 0, r2)
+                    out[k] += weight * share * (half if kind == TABLE + 1 else 1.0) * _interpolate(table, 0, r2)
             else:
                 for k in range(padded(count)):
                     r2, half, share = _crossing(along[k], last[k], q2[k], x, side)

@@ -28,6 +28,7 @@ _MOST_ERROR = 1e-10  # of values at points, relative to the largest
 _SHELL_ERROR = 1e-12  # of the polynomials of shells, relative to the largest value
 # Sums of the sizes of a polynomial's terms, relative to the largest value: rounding is as many times that of a value.
 _LARGEST_TERMS = 5e3
+_JUMP = 1e-6  # between two shells, relative to the largest value
 _NEARLY = 0.97
 _BISECTED = 1e-12
 _DEGREES = (3, 5, 7, 9, 11, 13, 15, 19, 23)
@@ -48,7 +49,8 @@ def _values(profile: Profile, q: NDArray) -> NDArray:
 def _integral(function: Callable[[float], float], begin: float, end: float) -> float:
     from scipy.integrate import quad  # slow to import, and only few kernels need it
 
-    return quad(function, begin, end, epsabs=1e-14, epsrel=1e-13, limit=500)[0]
+    # with its full output it does not warn, of profiles of fewer digits: `check_table` tells how far they are off
+    return quad(function, begin, end, epsabs=1e-14, epsrel=1e-13, limit=500, full_output=1)[0]
 
 
 @lru_cache
@@ -62,34 +64,49 @@ def profile_integral(profile: Profile, dimension: int) -> float:
 
 
 def check_table(name: str, profile: Profile) -> None:
-    """Warn where a profile is not smooth enough for its table: at places between those that the table goes through."""
-    table, intervals = table_of(profile, 0), _INTERVALS
-    q = np.linspace(0.0, 1.0, 11 * intervals, endpoint=False)
+    """Refuse a profile that is not finite, and warn where it is not smooth enough for its tables.
+
+    Values are looked at in places between those that the table goes through.
+    """
+    q = np.linspace(0.0, 1.0, 11 * _INTERVALS, endpoint=False)
     exact = _values(profile, q)
-    error = np.abs(codes.sample(codes.TABLE, codes.TABULATED, table, q, False) - exact) / np.abs(exact).max()
-    if error.max() > _MOST_ERROR:
+    if not np.isfinite(exact).all():
+        msg = f"the profile of kernel {name!r} must be finite on [0, 1): it is not at q={q[~np.isfinite(exact)][0]:.3g}"
+        raise ValueError(msg)
+    largest = np.abs(exact).max()
+    found = codes.sample(codes.TABLE, codes.TABULATED, table_of(profile, 0), q, False)
+    error = np.abs(found - exact)
+    if error.max() > _MOST_ERROR * largest:
         warn_user(
-            f"kernel {name!r}: sums use its profile to {error.max():.1e} of its largest value, worst at "
-            f"q={q[error.argmax()]:.3g}; a profile that is smooth, or has its kinks at multiples of 1/{intervals}, is "
+            f"kernel {name!r}: sums use its profile to {error.max() / largest:.1e} of its largest value, worst at "
+            f"q={q[error.argmax()]:.3g}; a profile that is smooth, or has its kinks at multiples of 1/{_INTERVALS}, is "
             f"kept to {_MOST_ERROR:g}"
         )
+        return
+    for radius, shell in _shells(profile)[:-1]:  # each is the profile's jump there
+        if abs(shell(radius)) > _JUMP * largest:
+            warn_user(
+                f"kernel {name!r}: its profile jumps at q={radius:.3g}, and where planes show it (an axis of three "
+                f"averaged), sums take values within 1/{_INTERVALS} of there that are off by up to 3 % of the jump"
+            )
 
 
 @lru_cache
 def table_of(profile: Profile, codimension: int) -> NDArray:
     """Polynomials of the value and of its derivative / q on equal intervals, integrated over `codimension` axes.
 
-    With them come the shells that lines take, where there are any.
+    In codimension 1 both are over half of the chord, sqrt(1 - q^2). With them come the shells that lines take, where
+    there are any.
     """
     shells = _shells(profile)
     lines, planes = _columns(shells), _beyond(shells, 2.0 * math.pi)
 
     def value(q: float) -> float:
         half = math.sqrt(1.0 - q * q)
-        if codimension == 1:
+        if codimension == 1:  # over the half chord, as `smoothing` takes it: to the rim it is as smooth as the profile
             if shells:
-                return along_shells(lines, q * q, -half, half)
-            return 2.0 * _integral(lambda z: _value(profile, math.hypot(q, z)), 0.0, half)
+                return along_shells(lines, q * q, -half, half) / half
+            return 2.0 * _integral(lambda z: _value(profile, math.hypot(q, z)), 0.0, half) / half
         if codimension == 2:
             if shells:
                 return sum(plane(q) for radius, plane in planes if q < radius)
@@ -97,13 +114,15 @@ def table_of(profile: Profile, codimension: int) -> NDArray:
         return _value(profile, q)
 
     degree, table = codes.PIECE - 1, np.zeros((3, _INTERVALS, codes.PIECE))
-    for k in range(_INTERVALS):
-        domain = (k / _INTERVALS, (k + 1) / _INTERVALS)
-        series = Chebyshev.interpolate(np.vectorize(value), degree, domain)
-        points = 0.5 * (domain[0] + domain[1]) + 0.5 / _INTERVALS * np.polynomial.chebyshev.chebpts1(codes.PIECE)
-        slope = Chebyshev.fit(points, series.deriv()(points) / points, degree, domain)
-        for row, coefficients in enumerate((series.coef, slope.coef)):
-            powers = np.polynomial.chebyshev.cheb2poly(coefficients)
+    domains = [(k / _INTERVALS, (k + 1) / _INTERVALS) for k in range(_INTERVALS)]
+    pieces = [Chebyshev.interpolate(np.vectorize(value), degree, domain) for domain in domains]
+    for k, (domain, series) in enumerate(zip(domains, pieces, strict=True)):
+        q = 0.5 * (domain[0] + domain[1]) + 0.5 / _INTERVALS * np.polynomial.chebyshev.chebpts1(codes.PIECE)
+        slope = series.deriv()(q) / q
+        if codimension == 1:  # the slope of the chord times this; what a jump at the cutoff adds is left out
+            slope -= (series(q) - pieces[-1](1.0)) / (1.0 - q * q)
+        for row, values in enumerate((series, Chebyshev.fit(q, slope, degree, domain))):
+            powers = np.polynomial.chebyshev.cheb2poly(values.coef)
             table[row, k, codes.PIECE - len(powers) :] = powers[::-1]
     table[codes.SHELLS] = (lines, _columns(_beyond(shells, 1.0)), _columns(planes))[codimension]
     return table
@@ -118,7 +137,7 @@ def _columns(shells: Shells) -> NDArray:
     for k, (radius, shell) in enumerate(shells):
         powers = len(shell.coef)
         columns[RADIUS, k], columns[POWERS, k] = radius, AT_ONCE * math.ceil(powers / AT_ONCE)
-        columns[FIRST : FIRST + powers, k] = shell.integ().coef[1:]
+        columns[FIRST : FIRST + powers, k] = shell.coef / np.arange(1, powers + 1)
     return columns
 
 
