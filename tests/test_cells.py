@@ -64,6 +64,12 @@ def test_cells_hold_all_mass_and_momentum(scene, kernel, mesh):
     np.testing.assert_allclose(found, momentum, rtol=0, atol=10 * tolerance * np.abs(momentum).max())
 
 
+def test_negative_parts_of_a_kernel_count(scene):
+    xcg.register_kernel("negative", lambda q: (1 - q**2) ** 2 * (1 - 1.5 * q**2))
+    found = total(scene, "density", kernel="negative", spacing=0.7, width=1.0)
+    assert found == pytest.approx(scene.mass.values.sum(), rel=MASS)
+
+
 @pytest.mark.parametrize(
     "mesh",
     [{"spacing": 1.5}, {"spacing": 100.0}, {"axes": "xz", "spacing": 2.5}, {"axes": "z", "spacing": 0.5}],

@@ -6,7 +6,7 @@ so that sums with it are those of any kernel, counts and squares of weights incl
 Along the last of the axes that have an extent the integral is the closed form of a line. Along the others it is by
 Gauss-Legendre points within the part of the cell that the support reaches: over the angle along the chord, which takes
 the root at its end out of the integrand, and on either side of the grain's centre, where the kernel may have a cusp.
-All weights are positive.
+Weights of these points are positive.
 
 Lengths are in units of the cutoff and relative to the first node.
 """
@@ -23,6 +23,8 @@ from xcg.compiled.smoothing import segment, value
 FEWEST, PER_CUTOFF = 3, 5
 _POINTS, _WEIGHTS = gauss_rules(*range(1, FEWEST + PER_CUTOFF + 1))
 _AXES = (X, Y, Z)
+# Of integrals, in units of the norm: kernels may have negative parts, and those that have none are zero at their rim.
+_ROUNDING = 1e-12
 
 
 class Volumes(NamedTuple):
@@ -155,7 +157,7 @@ def volumes_in_ball(x, y, z, volumes, kernel, lists):
     first_a, end_a = node_range(place[a] - half[a] - 1.0, place[a] + half[a] + 1.0, per_steps[a], low[a], high[a])
     first_b, end_b = node_range(place[b] - half[b] - 1.0, place[b] + half[b] + 1.0, per_steps[b], low[b], high[b])
     first_c, end_c = node_range(place[c] - half[c] - 1.0, place[c] + half[c] + 1.0, per_steps[c], low[c], high[c])
-    many, hits, weight = end_c - first_c, 0, values[WEIGHT]
+    many, hits, weight, least = end_c - first_c, 0, values[WEIGHT], -_ROUNDING * kernel.norm
     dc = place[c] - first_c * steps[c]
     for ia in range(first_a, end_a):
         da = place[a] - ia * steps[a]
@@ -167,7 +169,7 @@ def volumes_in_ball(x, y, z, volumes, kernel, lists):
             row = (ia - low[a]) * strides[a] + (ib - low[b]) * strides[b]
             begin = hits
             for k in range(many):
-                if weight[begin + k] > 0.0:
+                if weight[begin + k] > 0.0 or weight[begin + k] < least:
                     weight[hits] = weight[begin + k]
                     values[_AXES[a], hits], values[_AXES[b], hits] = da, db
                     values[_AXES[c], hits] = dc - k * steps[c]

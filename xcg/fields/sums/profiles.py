@@ -135,9 +135,10 @@ def _columns(shells: Shells) -> NDArray:
     """Shells as compiled loops take them, zeros in the place of those that there are not."""
     columns = np.zeros((_INTERVALS, codes.PIECE))
     for k, (radius, shell) in enumerate(shells):
-        powers = len(shell.coef)
+        coefficients = np.asarray(shell.coef, float)
+        powers = len(coefficients)
         columns[RADIUS, k], columns[POWERS, k] = radius, AT_ONCE * math.ceil(powers / AT_ONCE)
-        columns[FIRST : FIRST + powers, k] = shell.coef / np.arange(1, powers + 1)
+        columns[FIRST : FIRST + powers, k] = coefficients / np.arange(1, powers + 1)
     return columns
 
 
