@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 import xcg
 from tests.brute_force import BruteKernel
-from xcg.cli.config import read_config
-from xcg.cli.run import run_job
+from xcg.jobs.config import read_config
+from xcg.jobs.run import run_job
 
 WIDTH = 0.12
 N, CONTACTS = 60, 90

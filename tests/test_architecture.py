@@ -19,7 +19,7 @@ FLOORS = [
     ["datasets", "writers"],
     ["accessor"],
     ["__init__"],
-    ["cli"],
+    ["jobs"],
 ]
 
 # floors within the largest rooms

@@ -13,7 +13,7 @@ from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
 import xcg
 from tests import shared_data
 from tests.networks import fork, nine_particles, read_fcf
-from xcg.cli.chains import chains_command
+from xcg_start.chains import chains
 
 BIAXIAL = Path(__file__).parents[1] / "examples" / "data" / "lammps_biaxial2d"
 
@@ -189,7 +189,7 @@ def test_several_steps_need_several_names(tmp_path, sheared):
 
 
 def run(*arguments):
-    return CliRunner().invoke(chains_command, list(map(str, arguments)))
+    return CliRunner().invoke(chains, list(map(str, arguments)))
 
 
 def test_command(tmp_path, sheared):

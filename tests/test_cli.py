@@ -1,5 +1,8 @@
 """The command line: Pysammos's configuration and TOML, output read back, resumed runs, exit codes."""
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import h5py
@@ -12,16 +15,18 @@ import xcg
 from tests import shared_data
 from tests.test_mfix import write_contacts, write_particles, write_vtp
 from tests.test_vtkhdf import read
-from xcg.cli import main
-from xcg.cli.config import read_config
-from xcg.cli.run import run_job
+from xcg.chains.search import ALGORITHMS
+from xcg.jobs.config import read_config
+from xcg.jobs.run import run_job
+from xcg.steps.errors import ON_ERROR
+from xcg_start.group import group
 
 ROOT = Path(__file__).parents[1]
 EXAMPLE = (ROOT / "examples" / "config.ini").read_text()
 
 
 def xcg_run(*words, code=0):
-    done = CliRunner().invoke(main, [str(w) for w in words])
+    done = CliRunner().invoke(group, [str(w) for w in words])
     assert done.exit_code == code, done.output + repr(done.exception)
     return done.output
 
@@ -336,3 +341,40 @@ def test_info_and_fields(tmp_path):
     assert "inertial_number_Sxy_Pxy_d32" in xcg_run("fields", "--pysammos")
     (tmp_path / "nonsense.txt").write_text("?")
     assert "no engine recognises" in xcg_run("info", tmp_path / "nonsense.txt", code=1)
+
+
+# --- help ------------------------------------------------------------------------------------------------
+
+
+def said_by(*words, **environment):
+    """Run the command in a process of its own, which tells the modules that it has loaded after what it says."""
+    code = """
+import atexit, sys
+heavy = ("xcg", "xarray", "numpy", "numba", "dask")
+atexit.register(lambda: print("loaded", [name for name in heavy if name in sys.modules]))
+from xcg_start import main
+main()
+"""
+    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=True,
+                          env=os.environ | {"PYTHONPATH": str(ROOT)} | environment)  # fmt: skip
+    return done.stdout
+
+
+@pytest.mark.parametrize("words", [(), *((name,) for name in group.commands)], ids=" ".join)
+def test_help_loads_no_library(words):
+    said = said_by(*words, "--help")
+    assert said.startswith(" ".join(("Usage: xcg", *words, "[OPTIONS]")))
+    assert said.endswith("\nloaded []\n")
+
+
+def test_completion_loads_no_library():
+    said = said_by(_XCG_COMPLETE="bash_complete", COMP_WORDS="xcg chains --algorithm ", COMP_CWORD="3")
+    assert said == "plain,branching\nplain,peters2005\nloaded []\n"
+
+
+def test_the_line_takes_what_the_library_takes():
+    def taken(command, option):
+        return next(tuple(p.type.choices) for p in group.commands[command].params if p.name == option)
+
+    assert taken("run", "on_error") == taken("chains", "on_error") == ON_ERROR
+    assert taken("chains", "algorithm") == ALGORITHMS

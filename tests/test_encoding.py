@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 import xcg
 from tests import steps_of_random_scenes
 from tests.dumps import write_series
-from xcg.cli import main
 from xcg.writers.encoding import Encoding, deflated
+from xcg_start.group import group
 
 
 def reopen(path):
@@ -139,11 +139,11 @@ def test_the_command_line_takes_them(tmp_path):
         '[scene]\nparticles = "p.*.dump"\ncontacts = "c.*.dump"\n[fields]\nfields = ["density"]\n'
         '[output]\nfolder = "out"\ndigits = 3\nvtkhdf = "temporal"\n'
     )
-    done = CliRunner().invoke(main, ["run", "--quiet", str(job)])
+    done = CliRunner().invoke(group, ["run", "--quiet", str(job)])
     assert done.exit_code == 0, done.output
     assert "3 significant digits" in xr.open_dataset(tmp_path / "out" / "fields.nc").density.attrs["precision"]
     job.write_text(job.read_text().replace("digits = 3", "digits = 99"))
-    done = CliRunner().invoke(main, ["run", "--quiet", str(job)])
+    done = CliRunner().invoke(group, ["run", "--quiet", str(job)])
     assert done.exit_code == 1
     assert "digits=99" in done.output
 

@@ -13,8 +13,8 @@ from click.testing import CliRunner
 import xcg
 from tests import dumps
 from tests.test_mfix import write_contacts, write_particles
-from xcg.cli import main
 from xcg.steps.errors import SkippedStep
+from xcg_start.group import group
 
 STEPS = (0, 10, 20, 30, 40)
 
@@ -185,7 +185,7 @@ def test_messages_hold_nothing_that_a_terminal_obeys(folder):
         xcg.open_scene(folder / "p.10.dump")
     with pytest.warns(xcg.SceneWarning) as said:
         opened(folder, on_error="skip")
-    command = CliRunner().invoke(main, ["info", str(folder / "p.10.dump")])
+    command = CliRunner().invoke(group, ["info", str(folder / "p.10.dump")])
     for text in (str(error.value), " ".join(str(w.message) for w in said), command.output):
         assert SHOWN in text
         assert all(c.isprintable() or c == "\n" for c in text)

@@ -20,8 +20,8 @@ import xarray as xr
 import xcg
 from tests import dumps
 from tests.test_cli import xcg_run
-from xcg.cli.config import read_config
-from xcg.cli.run import run_job
+from xcg.jobs.config import read_config
+from xcg.jobs.run import run_job
 from xcg.steps.errors import SkippedStep
 from xcg.steps.progress import Progress
 from xcg.writers.files import whole_file
@@ -65,7 +65,7 @@ def job(tmp_path):
 
 
 def start(job: Path, *words: str, before="", **options) -> subprocess.Popen:
-    code = f"{before}\nimport sys; from xcg.cli import main; main(prog_name='xcg')"
+    code = f"{before}\nimport sys; from xcg_start import main; main()"
     command = [sys.executable, "-c", code, "run", str(job), *words]
     env = os.environ | {"PYTHONPATH": str(ROOT)}
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=env, **options)

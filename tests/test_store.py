@@ -20,8 +20,8 @@ from click.testing import CliRunner
 import xcg
 from tests import real_data, steps_of_random_scenes
 from tests.dumps import write_series
-from xcg.cli import main
 from xcg.writers.folders import whole_folder
+from xcg_start.group import group
 
 
 def reopen(path):
@@ -334,19 +334,19 @@ def test_what_is_no_scene_is_refused(tmp_path, suffix):
 def test_commands_take_it(tmp_path, suffix):
     ds = steps_of_random_scenes(2)
     saved = str(ds.cg.save(tmp_path / f"scene{suffix}"))
-    told = CliRunner().invoke(main, ["info", saved])
+    told = CliRunner().invoke(group, ["info", saved])
     assert told.exit_code == 0, told.output
     assert told.output.strip() == repr(xcg.open_scene(saved).cg)
-    chains = CliRunner().invoke(main, ["chains", saved, "--csv", str(tmp_path / "c_{step}.csv")])
+    chains = CliRunner().invoke(group, ["chains", saved, "--csv", str(tmp_path / "c_{step}.csv")])
     assert chains.exit_code == 0, chains.output
     assert len(list(tmp_path.glob("c_*.csv"))) == 2
     job = tmp_path / "job.toml"
     job.write_text(f'[scene]\nparticles = "scene{suffix}"\n[fields]\nfields = ["stress"]\n[output]\nfolder = "out"\n')
-    done = CliRunner().invoke(main, ["run", str(job)])
+    done = CliRunner().invoke(group, ["run", str(job)])
     assert done.exit_code == 0, done.output
     with xr.open_dataset(tmp_path / "out" / "fields.nc") as found:
         np.testing.assert_array_equal(found["stress"], ds.cg.coarse_grain("stress")["stress"])
-    back = CliRunner().invoke(main, ["convert", saved, "-o", str(tmp_path / "again.zarr")])
+    back = CliRunner().invoke(group, ["convert", saved, "-o", str(tmp_path / "again.zarr")])
     assert back.exit_code == 0, back.output
     assert_same_bits(ds, reopen(tmp_path / "again.zarr"))
 
@@ -358,14 +358,14 @@ def test_convert(tmp_path, suffix):
     particles, contacts = write_series(tmp_path)
     target = tmp_path / f"scene{suffix}"
     command = ["convert", particles, "-c", contacts, "-o", str(target), "--periodic", "x", "--timestep", "0.5"]
-    done = CliRunner().invoke(main, command)
+    done = CliRunner().invoke(group, command)
     assert done.exit_code == 0, done.output
     assert "3 steps" in done.output
     assert_same_bits(xcg.open_scene(particles, contacts=contacts, periodic="x", timestep=0.5), reopen(target))
-    again = CliRunner().invoke(main, command)
+    again = CliRunner().invoke(group, command)
     assert again.exit_code == 1
     assert "exists" in again.output
-    assert CliRunner().invoke(main, [*command, "--overwrite"]).exit_code == 0
+    assert CliRunner().invoke(group, [*command, "--overwrite"]).exit_code == 0
 
 
 def test_convert_as_a_job_says(tmp_path, suffix):
@@ -373,7 +373,7 @@ def test_convert_as_a_job_says(tmp_path, suffix):
     job = tmp_path / "job.toml"
     text = '[scene]\nparticles = "p.*.dump"\ncontacts = "c.*.dump"\nnames = { mass = "weight" }\ndensity = 2.0\n'
     job.write_text(text)
-    done = CliRunner().invoke(main, ["convert", str(job), "-o", str(tmp_path / f"scene{suffix}")])
+    done = CliRunner().invoke(group, ["convert", str(job), "-o", str(tmp_path / f"scene{suffix}")])
     assert done.exit_code == 0, done.output
     assert "weight" in reopen(tmp_path / f"scene{suffix}")
 

@@ -278,8 +278,8 @@ vtkhdf = "temporal"
 
 def _use_job(name: str) -> Callable[[Path], None]:
     def use(folder: Path) -> None:
-        from xcg.cli.config import read_config
-        from xcg.cli.run import run_job
+        from xcg.jobs.config import read_config
+        from xcg.jobs.run import run_job
 
         warnings.simplefilter("ignore")
         before = {p for p in folder.rglob("*") if not p.is_relative_to(folder / "job")}

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import xarray as xr
 
-from xcg.cli.job import Job, _of_type, _on_error, _plain_name
-from xcg.cli.pysammos_ini import _ini
+from xcg.jobs.job import Job, _of_type, _on_error, _plain_name
+from xcg.jobs.pysammos_ini import _ini
 from xcg.scene.schema import SceneError
 from xcg.writers.encoding import Encoding
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from xcg.cli.job import Job, _on_error
+from xcg.jobs.job import Job, _on_error
 from xcg.scene.schema import COMPONENTS, SceneError
 from xcg.scene.warn import warn_user
 

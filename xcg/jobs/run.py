@@ -19,10 +19,10 @@ import dask
 import numpy as np
 import xarray as xr
 
-from xcg.cli.job import Job
 from xcg.fields.coarse_grain import coarse_grain
 from xcg.fields.presets.pysammos import pysammos_mesh
 from xcg.fields.studies.slice_temperature import slice_temperature
+from xcg.jobs.job import Job
 from xcg.readers.paths import expand_paths
 from xcg.readers.series import open_scene
 from xcg.scene.phases import assign_phases, find_phases

@@ -9,12 +9,15 @@ from contextlib import contextmanager
 
 import click
 
-from xcg.scene.schema import SceneWarning, printable
+# what xcg.steps.errors and xcg.chains.search take, which are not imported for help; a test compares them
+ON_ERROR = ("raise", "skip")
+ALGORITHMS = ("branching", "peters2005")
 
 
 @contextmanager
 def plain_messages(quiet: bool) -> Iterator[None]:
     """Show warnings as one line each, and errors of data without a traceback."""
+    from xcg.scene.schema import SceneWarning, printable
 
     def show(message: Warning | str, *_: object, **__: object) -> None:
         if not quiet:

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
-import xarray as xr
 
-from xcg.chains.search import ALGORITHMS, force_chains
-from xcg.cli.messages import plain_messages
-from xcg.readers.series import open_scene
-from xcg.steps.errors import ON_ERROR
-from xcg.steps.label import name_skipped
-from xcg.writers.files import whole_file
+from xcg_start.messages import ALGORITHMS, ON_ERROR, plain_messages
+from xcg_start.scene import said, takes_files
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 def _threshold(context: click.Context, parameter: click.Parameter, value: str | None) -> float | str | None:
@@ -26,13 +24,8 @@ def _threshold(context: click.Context, parameter: click.Parameter, value: str | 
         raise click.BadParameter(msg) from None
 
 
-@click.command("chains")
-@click.argument("particles", nargs=-1, required=True)
-@click.option("--contacts", "-c", multiple=True, help="Contact files: a path or a quoted pattern; repeatable.")
-@click.option("--walls", multiple=True, help="Files of contacts with walls, where they are apart.")
-@click.option("--engine", help="The code that wrote the files; guessed by default.")
-@click.option("--periodic", help="Periodic axes, for example xy.")
-@click.option("--frozen", type=int, multiple=True, help="Species that are held in place; repeatable.")
+@click.command()
+@takes_files
 @click.option("--alpha", default=45.0, show_default=True, help="Largest angle between stress and branch (degrees).")
 @click.option("--threshold", callback=_threshold, help="Least major stress: a number (Pa), or mean.")
 @click.option("--min-length", default=3, show_default=True, help="Least number of particles of a chain.")
@@ -45,13 +38,9 @@ def _threshold(context: click.Context, parameter: click.Parameter, value: str | 
 @click.option("--overwrite", is_flag=True, help="Replace files that exist.")
 @click.option("--on-error", type=click.Choice(ON_ERROR), default=ON_ERROR[0], show_default=True,
               help="Steps that cannot be read: stop, or leave them out.")  # fmt: skip
-def chains_command(
-    particles: tuple[str, ...],
-    contacts: tuple[str, ...],
-    walls: tuple[str, ...],
-    engine: str | None,
-    periodic: str | None,
-    frozen: tuple[int, ...],
+def chains(
+    files: tuple[str, ...],
+    *,
     alpha: float,
     threshold: float | str | None,
     min_length: int,
@@ -63,21 +52,20 @@ def chains_command(
     netcdf: Path | None,
     overwrite: bool,
     on_error: str,
+    **options: Any,
 ) -> None:
-    """Find force chains in PARTICLES and print their statistics.
+    """Find force chains in FILES and print their statistics.
 
     For example: xcg chains "particles.*.dump" --contacts "contacts.*.dump" --csv "chains_{step}.csv" --vtp
     "chains_{step}.vtp"
     """
-    said: dict[str, Any] = {"engine": engine, "periodic": periodic, "on_error": on_error}
-    if contacts:
-        said["contacts"] = list(contacts)
-    if walls:
-        said["walls"] = list(walls)
-    if frozen:
-        said["frozen"] = list(frozen)
+    from xcg.chains.search import force_chains
+    from xcg.readers.series import open_scene
+    from xcg.steps.label import name_skipped
+    from xcg.writers.files import whole_file
+
     with plain_messages(quiet=False):
-        scene = open_scene(list(particles), **{k: v for k, v in said.items() if v is not None})
+        scene = open_scene(list(files), on_error=on_error, **said(options))
         fc = force_chains(scene, alpha, threshold, min_length, algorithm=algorithm, symmetric=not raw,
                           on_error=on_error).compute()  # fmt: skip
         click.echo(statistics_table(fc))
@@ -96,14 +84,14 @@ def _refuse_existing(path: Path, overwrite: bool) -> None:
 
 
 def _write(fc: xr.Dataset, csv: Path | None, vtp: Path | None, vtkhdf: Path | None, *, overwrite: bool) -> None:
-    from xcg.writers import chains
+    from xcg.writers import chains as written
 
     if csv:
-        chains.to_csv(fc, csv, overwrite=overwrite)
+        written.to_csv(fc, csv, overwrite=overwrite)
     if vtp:
-        chains.to_vtp(fc, vtp, overwrite=overwrite)
+        written.to_vtp(fc, vtp, overwrite=overwrite)
     if vtkhdf:
-        chains.to_vtkhdf(fc, vtkhdf, overwrite=overwrite)
+        written.to_vtkhdf(fc, vtkhdf, overwrite=overwrite)
 
 
 def statistics_table(fc: xr.Dataset) -> str:

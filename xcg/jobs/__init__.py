@@ -1,0 +1,1 @@
+"""Jobs from files to files, as configurations describe them."""
