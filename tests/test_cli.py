@@ -1,5 +1,6 @@
 """The command line: Pysammos's configuration and TOML, output read back, resumed runs, exit codes."""
 
+import gzip
 import os
 import subprocess
 import sys
@@ -160,6 +161,15 @@ def test_steps_without_contact_files(series):
     # the first step may be the empty one
     (series / "VTU/FC_0150.vtp").unlink()
     assert "contact_force" in xcg.open_scene(str(series / "VTU/DES_*.vtp"), missing="empty", **options)
+
+
+def test_compressed_files_are_among_those_of_a_configuration(series):
+    plain = read_config(series / "config.ini").scene
+    last = series / "VTU/FC_0152.vtp"
+    last.with_name("FC_0152.vtp.gz").write_bytes(gzip.compress(last.read_bytes()))
+    assert read_config(series / "config.ini").scene == plain
+    last.unlink()
+    assert read_config(series / "config.ini").scene["contacts"] == [plain["contacts"][0], f"{last}.gz"]
 
 
 def test_the_period_is_asked_for_where_it_cannot_be_recovered(series):

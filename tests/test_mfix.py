@@ -1,10 +1,13 @@
 from __future__ import annotations
 
+import gzip
 from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 
+import xcg
 from tests import shared_data
 from xcg.readers.codes.mfix import Mfix
 from xcg.readers.engine import ReadOptions
@@ -491,3 +494,75 @@ def write_by_vtk(path: Path, mode="Appended", compressor="ZLib", header=32, rows
     writer.SetBlockSize(4096)
     writer.Write()
     return path
+
+
+# --- compressed files ------------------------------------------------------------------------------------
+
+
+def pack(path: Path, *, members=1, keep=False) -> Path:
+    """Compress a file in so many members one after the other, as `gzip` and `cat` do."""
+    data = path.read_bytes()
+    parts = [data[len(data) * k // members : len(data) * (k + 1) // members] for k in range(members)]
+    packed = path.with_name(path.name + ".gz")
+    packed.write_bytes(b"".join(map(gzip.compress, parts)))
+    if not keep:
+        path.unlink()
+    return packed
+
+
+@pytest.mark.parametrize("members", [1, 3])
+@pytest.mark.parametrize("form", ["mfix", "old", "AppendedRaw", "Appended", "Binary", "Ascii"])
+def test_packed_files_hold_what_they_hold(tmp_path, form, members):
+    path = tmp_path / "P_0007.vtp"
+    if form == "mfix":
+        write_particles(path, Velocity=np.arange(9.0).reshape(3, 3))
+    elif form == "old":
+        path.write_text(OLD_ASCII)
+    else:
+        write_by_vtk(path, form)
+    plain = xcg.open_scene(path, density=1.0).load()
+    packed = xcg.open_scene(pack(path, members=members), density=1.0).load()
+    xr.testing.assert_identical(packed.drop_attrs(), plain.drop_attrs())
+    assert packed.attrs["engine"] == "mfix"
+    assert "P_0007.vtp.gz" in packed.attrs["files"]
+
+
+def test_a_packed_series(tmp_path):
+    for number in (2, 10):
+        write_particles(tmp_path / f"P_{number}.vtp", time=number / 10)
+        write_contacts(tmp_path / f"FC_{number}.vtp", [1], [2], [number, 0, 0], time=number / 10)
+    kinds = {"particles": "P_*.vtp", "contacts": "FC_*.vtp"}
+    lists = {"particles": {f"P_{n}.vtp": n / 10 for n in (2, 10)}, "contacts": {f"FC_{n}.vtp": n / 10 for n in (2, 10)}}
+    for kind, files in lists.items():
+        write_pvd(tmp_path / f"{kind}.pvd", files)
+
+    def opened(**names):
+        return xcg.open_scene(**{kind: tmp_path / name for kind, name in names.items()}, density=1.0)
+
+    plain = opened(**kinds).load().drop_attrs()
+    for path in tmp_path.glob("*.vtp"):
+        pack(path)
+    by_glob = opened(**{kind: f"{name}.gz" for kind, name in kinds.items()})
+    assert by_glob.step.values.tolist() == [2, 10]
+    xr.testing.assert_identical(by_glob.load().drop_attrs(), plain)
+    by_list = {kind: f"{kind}.pvd" for kind in kinds}  # which name the files as they were written
+    xr.testing.assert_identical(opened(**by_list).load().drop_attrs(), plain)
+    for name in by_list.values():
+        pack(tmp_path / name)
+    by_packed_list = opened(**{kind: f"{name}.gz" for kind, name in by_list.items()})
+    xr.testing.assert_identical(by_packed_list.load().drop_attrs(), plain)
+
+
+def test_a_file_beside_its_packed_one_is_one_step(tmp_path):
+    packed = pack(write_particles(tmp_path / "P_0001.vtp"), keep=True)
+    with pytest.warns(SceneWarning, match=r"an earlier file holds the same time .*P_0001\.vtp\.gz"):
+        ds = xcg.open_scene([tmp_path / "P_0001.vtp", packed], density=1.0)
+    assert ds.sizes["time"] == 1
+
+
+@pytest.mark.parametrize("share", [0.3, 0.95])
+def test_packed_files_that_were_cut_off(tmp_path, share):
+    path = pack(write_by_vtk(tmp_path / "P_0001.vtp", "AppendedRaw"))
+    path.write_bytes(path.read_bytes()[: int(share * path.stat().st_size)])
+    with pytest.raises(SceneError, match=r"P_0001\.vtp\.gz: .*(damaged or cut off|cut short)"):
+        xcg.open_scene(path, density=1.0).load()

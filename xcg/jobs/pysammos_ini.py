@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from xcg.jobs.job import Job, _on_error
+from xcg.readers.files.compressed import plain_name
 from xcg.scene.schema import COMPONENTS, SceneError
 from xcg.scene.warn import warn_user
 
@@ -160,15 +161,15 @@ def _ini(path: Path) -> Job:
 
 
 def _files(folder: Path, prefix: str, steps: _Section, *, required: bool) -> list[str]:
-    """Files ``<prefix><number>.vtp`` whose numbers are t0, t0 + dt, ... tf."""
+    """Files ``<prefix><number>.vtp``, compressed or not, whose numbers are t0, t0 + dt, ... tf."""
     start, stop, stride = (steps.whole(key) for key in ("t0", "tf", "dt"))
     at = folder / prefix
     parent, stem = (at, "") if prefix.endswith("/") else (at.parent, at.name)
-    found = {}
-    for file in parent.glob("*.vtp") if parent.is_dir() else ():
-        match = re.fullmatch(re.escape(stem) + r"(\d+)\.vtp", file.name)
+    found: dict[int, str] = {}
+    for file in sorted(parent.iterdir()) if parent.is_dir() else ():  # those that are not compressed come first
+        match = re.fullmatch(re.escape(stem) + r"(\d+)\.vtp", plain_name(file.name))
         if match:
-            found[int(match[1])] = str(file)
+            found.setdefault(int(match[1]), str(file))
     chosen = [
         number
         for number in sorted(found)

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +29,7 @@ from xcg.readers.codes.mfix_contacts import (
     of_superquadrics,
     periods_of,
 )
-from xcg.readers.codes.vtk_steps import list_steps, open_step, read_particle_arrays, require_contacts, targets
+from xcg.readers.codes.vtk_steps import is_vtk, list_steps, open_step, read_particle_arrays, require_contacts, targets
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files import vtp
 from xcg.scene.schema import Frame, SceneError
@@ -72,11 +71,7 @@ class Mfix(Engine):
 
     def recognises(self, path: str) -> bool:
         """Tell whether this is a VTK PolyData file or a collection of them."""
-        if Path(path).suffix not in (".vtp", ".pvd"):
-            return False
-        with open(path, "rb") as file:
-            head = file.read(1024)
-        return b"<VTKFile" in head and (b"PolyData" in head or b"Collection" in head)
+        return is_vtk(path, (".vtp", ".pvd"), b"PolyData", b"Collection")
 
     def index_particles(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
         """List the steps of particles from the headers of ``.vtp`` files.

@@ -20,6 +20,7 @@ from xcg.readers import columns
 from xcg.readers.columnar import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.files import delimited, parquet
+from xcg.readers.files.compressed import plain_name
 from xcg.readers.index import remembered
 from xcg.scene.schema import SceneError
 from xcg.steps import errors as errors
@@ -79,8 +80,8 @@ class Table(Columnar):
 
 def _form(path: str) -> Any:
     """Give the module that reads files of this name."""
-    endings = [ending.lower() for ending in Path(path).suffixes if ending.lower() not in (".gz", ".zst")]
-    return {".csv": delimited, ".tsv": delimited, ".parquet": parquet}.get(endings[-1] if endings else "")
+    ending = Path(plain_name(path)).suffix.lower()
+    return {".csv": delimited, ".tsv": delimited, ".parquet": parquet}.get(ending)
 
 
 def clock_of(names: Sequence[str], given: Mapping[str, str | None]) -> dict[str, str]:

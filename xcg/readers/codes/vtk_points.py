@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
-from xcg.readers.codes.vtk_steps import list_steps, read_arrays, read_particle_arrays, require_contacts, targets
+from xcg.readers.codes.vtk_steps import is_vtk, list_steps, read_arrays, read_particle_arrays, require_contacts, targets
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.scene.schema import Frame
 
@@ -38,11 +37,7 @@ class Vtk(Engine):
 
     def recognises(self, path: str) -> bool:
         """Tell unstructured grids; PolyData is taken for that of MFiX where no engine is named."""
-        if Path(path).suffix != ".vtu":
-            return False
-        with open(path, "rb") as file:
-            head = file.read(1024)
-        return b"<VTKFile" in head and b"UnstructuredGrid" in head
+        return is_vtk(path, (".vtu",), b"UnstructuredGrid")
 
     def index_particles(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
         """List the steps of particles from the headers of files, or of the ``.pvd`` collections that name them."""

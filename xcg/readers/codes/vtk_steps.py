@@ -13,6 +13,8 @@ import numpy as np
 
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.files import vtp
+from xcg.readers.files.compressed import ENDINGS, plain_name
+from xcg.readers.files.text import open_binary
 from xcg.readers.index import remembered
 from xcg.scene.schema import Frame, SceneError, variable
 from xcg.scene.warn import warn_user
@@ -21,13 +23,22 @@ from xcg.steps import errors as errors
 LINES = "lines"  # kind of a step whose contacts are lines
 
 
+def is_vtk(path: str, suffixes: Sequence[str], *kinds: bytes) -> bool:
+    """Tell VTK's files by their suffix, before that of a compression, and by the kinds that their beginning names."""
+    if Path(plain_name(path)).suffix not in suffixes:
+        return False
+    with open_binary(path) as file:
+        head = file.read(1024)
+    return b"<VTKFile" in head and any(kind in head for kind in kinds)
+
+
 def list_steps(paths: Sequence[str], options: ReadOptions, *, lines: bool = False) -> list[StepRef]:
     """List the steps of files and collections, each time once; of lines where files hold some and they are wanted."""
     there = _existing(paths, options)
     found = remembered([path for path, _ in there], f"vtp {lines=}", partial(_header, lines=lines))
     refs = []
     for number, ((path, listed), steps) in enumerate(zip(there, found, strict=True)):
-        digits = re.findall(r"\d+", os.path.basename(path).removesuffix(".vtp"))
+        digits = re.findall(r"\d+", os.path.basename(path))
         for ref in steps:  # one, or none where the file is at fault
             refs.append(replace(ref, time=_time(ref.time, listed), step=int(digits[-1]) if digits else number))
     return _once(refs)
@@ -49,10 +60,12 @@ def _existing(paths: Sequence[str], options: ReadOptions) -> list[tuple[str, flo
     listed: list[tuple[str, float | None]] = []
     for path in map(str, paths):
         try:
-            listed += vtp.read_collection(path) if path.endswith(".pvd") and Path(path).exists() else [(path, None)]
+            is_list = plain_name(path).endswith(".pvd") and Path(path).exists()
+            listed += vtp.read_collection(path) if is_list else [(path, None)]
         except errors.FAULTS as error:
             if not errors.record_fault(path, error):
                 raise
+    listed = [(_packed(path), time) for path, time in listed]
     there = [entry for entry in listed if os.path.isfile(entry[0])]  # a pipe would be waited for
     # MFiX lists its last frame twice: a copy that is gone is not missed.
     times = {time for _, time in there if time is not None}
@@ -65,6 +78,12 @@ def _existing(paths: Sequence[str], options: ReadOptions) -> list[tuple[str, flo
             raise SceneError(msg)
         warn_user(f"{shown}; they are skipped")
     return there
+
+
+def _packed(path: str) -> str:
+    """Name the file, or the compressed one in its place where it was packed after a list named it."""
+    beside = [path + ending for ending in ENDINGS if os.path.isfile(path + ending)]
+    return path if os.path.isfile(path) or not beside else beside[0]
 
 
 def _time(own: float | None, listed: float | None) -> float | None:
@@ -97,7 +116,7 @@ def _once(refs: Sequence[StepRef]) -> list[StepRef]:
 
 
 def _region(ref: StepRef) -> str:
-    return re.sub(r"\d+(?=\D*$)", "", Path(ref.path).stem)
+    return re.sub(r"\d+(?=\D*$)", "", Path(plain_name(ref.path)).stem)
 
 
 def targets(ref: StepRef, dim: str, options: ReadOptions, known: Mapping[str, str]) -> dict[str, str]:

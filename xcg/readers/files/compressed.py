@@ -21,6 +21,7 @@ from xcg.scene.schema import SceneError
 
 # the first bytes, and how many bytes one can stand for: deflate repeats 258, Zstandard 128 KiB in a block of four bytes
 _KINDS = {"gzip": (b"\x1f\x8b", 1032), "zstd": (b"\x28\xb5\x2f\xfd", 1 << 15)}
+ENDINGS = (".gz", ".zst")  # of the names of compressed files
 _MOST_WAITING = 8  # open files; each thread that reads a series keeps one
 _LOOKED_AT, _MOST_FOUND = 1 << 16, 1 << 24  # bytes of a file, and of what they hold
 _UNEVEN = 1.2  # parts of one table are compressed alike, to this factor
@@ -33,6 +34,12 @@ def compression(path: str) -> str:
     with open(path, "rb") as file:
         head = file.read(4)
     return next((kind for kind, (magic, _) in _KINDS.items() if head.startswith(magic)), "")
+
+
+def plain_name(path: str) -> str:
+    """Name of a file without the ending of its compression, if it has one."""
+    name = os.path.basename(path)
+    return name[: name.rindex(".")] if name.lower().endswith(ENDINGS) else name
 
 
 def most_from(path: str) -> int:

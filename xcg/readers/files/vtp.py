@@ -10,17 +10,22 @@ import os
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import BinaryIO
 from xml.sax.saxutils import unescape
 
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.readers.files.text import most_text, open_binary, uncompressed_size
 from xcg.readers.files.vtkdata import COMPRESSORS, DataError, Encoding, parse_text, read_base64, read_raw
 from xcg.scene.schema import SceneError
 
 _HEAD = 1 << 14  # headers of MFiX take 2 to 5 kB
 _LONGEST_TAG = 4096
+_LONGEST_LIST = 1 << 28  # bytes of a collection
+_BLOCK = 1 << 20
 _MOST_COMPONENTS = 100
 _OTHER_CELLS = ("Cells", "Verts", "Strips", "Polys")
 _TYPES = {f"{kind}{bits}": f"{letter}{bits // 8}" for kind, letter, all_bits in (
@@ -46,7 +51,7 @@ class Array:
     form : str
         "raw" or "base64", "ascii".
     start, stop : int
-        Bytes of the file where its data begin, and where they end at the latest.
+        Bytes of the file, unpacked where it is compressed, where its data begin, and where they end at the latest.
     """
 
     name: str
@@ -66,7 +71,7 @@ class Header:
     path : str
         The file.
     size : int
-        Its size in bytes.
+        Its size in bytes, as it is on the disk.
     rows : int
         Number of points, or of lines.
     time : float or None
@@ -180,12 +185,18 @@ def _nested(text: str) -> bool:
 
 
 def _text(path: str) -> tuple[str, str | None, int | None, int]:
-    """Text before the appended data, their encoding (None without any), where they start, file size."""
-    with open(path, "rb") as file:
-        size = os.fstat(file.fileno()).st_size
+    """Text before the appended data, their encoding (None without any), where they start, size of it all unpacked."""
+    most, size = most_text(path), uncompressed_size(path)
+    with open_binary(path) as file:
         head = file.read(_HEAD)
-        while b"<AppendedData" not in head[:-256] and b"<VTKFile" in head and (more := file.read(len(head))):
+        while b"<AppendedData" not in head[:-256] and b"<VTKFile" in head and len(head) < most:
+            more = file.read(len(head))
+            if not more:
+                break
             head += more
+        if size < 0:  # a compressed file that does not tell it
+            size = len(head) + sum(map(len, iter(partial(file.read, _BLOCK), b"")))
+    size = int(min(size, most))
     text, tag, rest = head.partition(b"<AppendedData")
     opening = rest.partition(b">")[0]
     encoding = _attributes(opening.decode("latin-1")).get("encoding", "raw") if tag else None
@@ -238,7 +249,8 @@ def read_header(path: str, *, lines: bool = False) -> Header:
         raise SceneError(msg)
     section = _section(text, "FieldData")
     named = tuple(_attributes(tag).get("Name", "") for tag, _ in _tags(text, "DataArray", *section)) if section else ()
-    header = Header(path, size, rows, _time(time[1]) if time else None, arrays, encoding, named, of_lines)
+    clock = _time(time[1]) if time else None
+    header = Header(path, os.path.getsize(path), rows, clock, arrays, encoding, named, of_lines)
     for array in arrays:
         _check_size(header, array)
     return header
@@ -307,7 +319,7 @@ def _check_size(header: Header, array: Array) -> None:
     if needed > there:
         msg = (
             f"{header.path}: its header promises {header.what}, for which '{array.name}' needs {needed} "
-            f"bytes, but {there} follow in the {header.size} of the file; it was cut short, or is still being "
+            f"bytes, but {there} follow in the {array.stop} of the file; it was cut short, or is still being "
             "written. Leave it out, or write it again"
         )
         raise SceneError(msg)
@@ -333,32 +345,32 @@ def read_arrays(header: Header, names: Sequence[str]) -> dict[str, NDArray[np.fl
     SceneError
         If the file changed since its header was read, or its body does not match the header.
     """
-    result = {}
-    for array in header.arrays:
-        if array.name not in names or array.name in result:
-            continue
-        shape = (header.rows, array.components) if array.components > 1 else (header.rows,)
-        try:
-            result[array.name] = _read(header, array).reshape(shape)
-        except DataError as error:
-            msg = (
-                f"{header.path}: '{array.name}' is not as its header says, which promises {header.what}: "
-                f"{error}; leave the file out, or write it again"
-            )
-            raise SceneError(msg) from None
+    result: dict[str, NDArray[np.float64]] = {}
+    with open_binary(header.path) as file:  # once, as a compressed file can be read from the front only
+        for array in header.arrays:
+            if array.name not in names or array.name in result:
+                continue
+            shape = (header.rows, array.components) if array.components > 1 else (header.rows,)
+            try:
+                result[array.name] = _read(file, header, array).reshape(shape)
+            except DataError as error:
+                msg = (
+                    f"{header.path}: '{array.name}' is not as its header says, which promises {header.what}: "
+                    f"{error}; leave the file out, or write it again"
+                )
+                raise SceneError(msg) from None
     return result
 
 
-def _read(header: Header, array: Array) -> NDArray[np.float64]:
+def _read(file: BinaryIO, header: Header, array: Array) -> NDArray[np.float64]:
     count = header.rows * array.components
     if not count:
         return np.empty(0)
-    with open(header.path, "rb") as file:
-        if array.form == "ascii":
-            file.seek(array.start)
-            return parse_text(file.read(array.stop - array.start), array.kind, count)
-        read = read_base64 if array.form == "base64" else read_raw
-        return read(file, array.start, header.encoding, _type(header, array), count)
+    if array.form == "ascii":
+        file.seek(array.start)
+        return parse_text(file.read(array.stop - array.start), array.kind, count)
+    read = read_base64 if array.form == "base64" else read_raw
+    return read(file, array.start, header.encoding, _type(header, array), count)
 
 
 def read_collection(path: str) -> list[tuple[str, float | None]]:
@@ -369,7 +381,8 @@ def read_collection(path: str) -> list[tuple[str, float | None]]:
     SceneError
         If this is no collection, or it names nothing.
     """
-    text = _without_comments(Path(path).read_text(encoding="utf-8", errors="replace"))
+    with open_binary(path) as file:
+        text = _without_comments(file.read(_LONGEST_LIST).decode("utf-8", "replace"))
     _refuse(path, text, "Collection")
     entries = []
     for tag in (_attributes(tag) for tag, _ in _tags(text, "DataSet")):
