@@ -186,6 +186,14 @@ def test_coordinates_of_one_scene_are_not_those_of_another(scene: xr.Dataset) ->
     assert_same(twin.cg.coarse_grain(NAMES, at=at), new)
 
 
+def test_steps_without_times_are_counted() -> None:
+    places = np.random.default_rng(0).uniform(0.0, 5.0, (2, 20, 3))
+    ds = xcg.scene_from_arrays(list(places), diameter=[np.full(20, 0.5)] * 2, density=1.0).drop_vars(["time", "step"])
+    for part in (ds, ds.isel(time=[1]), ds):
+        f = part.cg.coarse_grain("density", width=2.0, at={"x": 2.5, "y": 2.5, "z": 2.5})
+        assert f.density.shape == (part.sizes["time"],)
+
+
 def test_no_array_is_kept_alive() -> None:
     scene = xcg.datasets.random_scene(30)
     f = scene.cg.coarse_grain(NAMES)

@@ -52,7 +52,7 @@ def prepare_call(ds: xr.Dataset, request: Request) -> tuple[Plan, xr.Dataset]:
     require_scene(ds, (), "coarse_grain")
     ds = with_measures(ds)
     try:
-        key, times = _key(ds, request), tuple(key_of_variable(given) for given in times_of(ds).values())
+        key, times = _key(ds, request), (ds.sizes["time"], *(key_of_variable(given) for given in times_of(ds).values()))
     except (NoKeyError, ValueError):  # planning tells what is wrong
         plan = plan_measured(ds, request)
         return plan, layout(ds, plan)
