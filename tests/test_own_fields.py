@@ -30,7 +30,7 @@ def register_all():
 def test_numpy_computes_what_is_not_traced():
     register_all()
     names = (*OWN, "stress", "velocity_gradient")
-    assert set(program.program_for(names, Options()).fields) == {*TRACED, "stress", "velocity_gradient"}
+    assert set(program.program_for(names, Options()).widths) == {*TRACED, "stress", "velocity_gradient"}
     assert program.program_for(("cube",), Options()) is None
 
 

@@ -115,7 +115,7 @@ def test_all_fields_of_the_registry_are_traced(gradient, groups):
     options = Options(gradient=gradient, fluid_viscosity=1e-3)
     names = tuple(name for name in registry.listed() if groups or not registry.FIELDS[name].paired)
     # rotations take singular values, and follow from the deformation gradient when that is whole
-    assert set(program.program_for(names, options, groups).fields) == set(names) - {"rotation", "rotation_vector"}
+    assert set(program.program_for(names, options, groups).widths) == set(names) - {"rotation", "rotation_vector"}
 
 
 def test_negation_is_traced_to_the_bit():

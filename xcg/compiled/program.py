@@ -1,7 +1,6 @@
 """The algebra at the nodes, step by step, over a few nodes at a time so that all intermediate results stay in cache."""
 
 import ctypes
-import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,28 +44,23 @@ def room_for(rows: int) -> NDArray:
     return spare[first : first + rows * TILE].reshape(rows, TILE)
 
 
-def address_of(numbers: NDArray, rows: int, width: int, name: str, *, written: bool = False) -> int:
-    """Address of an array (rows, width), or larger, that a loop reads or writes by address, where nothing is checked.
+def address_of(numbers: NDArray, rows: int, width: int, name: str) -> int:
+    """Address of an array (rows, width), or with more rows, that a loop works on by address, where nothing is checked.
 
     Raises
     ------
     ValueError
         If the loop would read or write other memory, or other numbers.
     """
-    flags = numbers.flags
-    fits = len(numbers) >= rows and math.prod(numbers.shape[1:]) >= width
-    if numbers.dtype != _NUMBER or not (flags.c_contiguous and flags.aligned and fits):
+    fits = len(numbers) >= rows and numbers.size == len(numbers) * width
+    if not (fits and numbers.dtype == _NUMBER and numbers.flags.carray):
         msg = (
-            f"{name!r}: expected ({rows}, {width}) numbers or more, float64 and one after the other in memory; this is "
-            f"an array {numbers.shape} of {numbers.dtype} with strides {numbers.strides}"
+            f"{name!r}: expected ({rows}, {width}) numbers or more, float64 and one after the other in memory that can "
+            f"be written to; this is an array {numbers.shape} of {numbers.dtype} with strides {numbers.strides}"
+            f"{'' if numbers.flags.writeable else ', which is read-only'}"
         )
         raise ValueError(msg)
-    if written and not flags.writeable:
-        msg = f"{name!r}: expected an array that can be written to"
-        raise ValueError(msg)
-    if not (numbers.size and flags.writeable):
-        return numbers.ctypes.data
-    return ctypes.addressof(ctypes.c_char.from_buffer(numbers.data))  # in a third of the time
+    return ctypes.addressof(ctypes.c_char.from_buffer(numbers)) if numbers.size else 0
 
 
 @leaf

@@ -69,21 +69,20 @@ def compute_chunk(plan: Plan, threads: int, arrays: Mapping[str, NDArray]) -> di
     out = empty_arrays({name: (len(arrays["particle_id"]), *plan.shapes[name]) for name in plan.fields})
     for_each([a.reshape(-1) for a in out.values() if a.size > _PAGE], _take_memory, threads)
     for t, (frame, lattice, source) in enumerate(steps_in(arrays, plan.setup.periodic)):
-        _compute_step(plan, frame, lattice, source, threads, {name: a[t, ...] for name, a in out.items()})
+        rows = {name: a[t, ...].reshape(plan.rows[name]) for name, a in out.items()}
+        _compute_step(plan, frame, lattice, source, threads, rows)
     return out
 
 
 def _compute_step(
-    plan: Plan, frame: Frame, lattice: Lattice, source: str, threads: int, out: Mapping[str, NDArray]
+    plan: Plan, frame: Frame, lattice: Lattice, source: str, threads: int, rows: Mapping[str, NDArray]
 ) -> None:
-    """Compute the fields of one step into arrays (axes, phase, ...)."""
+    """Compute the fields of one step into arrays (nodes, phase, ...)."""
     grid = plan.deposit.grid
     check_mesh(frame["position"], grid, max(plan.deposit.cutoffs), lattice.open_axes, source)
     sums = sums_of_frame(frame, plan.deposit, lattice, scale_of(plan, lattice, source), source, threads)
-    phases = plan.phases if plan.deposit.by else 1
-    rows = {name: a.reshape(grid.count, phases, *a.shape[len(plan.dims) :]) for name, a in out.items()}
     program = program_for(plan.fields, plan.options, len(plan.deposit.groups))
-    traced = program.fields if program else ()
+    traced = program.widths if program else ()
     untraced = tuple(name for name in plan.fields if name not in traced)
 
     reached: list[int] = []

@@ -53,14 +53,17 @@ class Program:
     _loads: Kept[_Loads] = field(default_factory=lambda: Kept(_LAYOUTS), compare=False)
 
     @cached_property
-    def _widths(self) -> dict[str, int]:
-        """How many numbers of each field are stored for a place."""
-        return {name: max(begin + count for one, begin, count in self.outputs if one == name) for name in self.fields}
+    def widths(self) -> dict[str, int]:
+        """How many numbers of each field, which it computes, are stored for a place."""
+        fields = dict.fromkeys(name for name, _, _ in self.outputs)
+        return {name: max(begin + count for one, begin, count in self.outputs if one == name) for name in fields}
 
     @cached_property
-    def fields(self) -> tuple[str, ...]:
-        """Names of the fields that it computes."""
-        return tuple(dict.fromkeys(name for name, _, _ in self.outputs))
+    def _stores(self) -> tuple[NDArray, NDArray]:
+        """Which field each store is of, and (stores, 3): its first byte, the field's numbers for a place, its own."""
+        numbers = {name: number for number, name in enumerate(self.widths)}
+        stores = [(kernel.BYTES * begin, self.widths[name], count) for name, begin, count in self.outputs]
+        return np.array([numbers[name] for name, _, _ in self.outputs]), _whole(stores, 3)
 
     def run(self, sums: BlockSums, place: NDArray, out: Mapping[str, NDArray], order: NDArray | None = None) -> None:
         """Compute fields (places, ...) from the moments at some nodes, each to its `place` (nodes,).
@@ -81,16 +84,13 @@ class Program:
             (kernel.address_of(a, nodes, width, "moments"), width, row)
             for a, width, row in zip(arrays, loads.widths, loads.rows, strict=False)
         ]
-        starts, fields = dict[str, tuple[int, int]](), []
-        for name, width in self._widths.items():
-            address = kernel.address_of(out[name], places, width, name, written=True)
-            starts[name] = address, math.prod(out[name].shape[1:])
-        for name, begin, count in self.outputs:
-            first, width = starts[name]
-            fields.append((first + kernel.BYTES * begin, width, count))
+        which, stores = self._stores
+        begins = [kernel.address_of(out[name], places, width, name) for name, width in self.widths.items()]
+        fields = stores.copy()
+        fields[:, 0] += np.array(begins, "uint64")[which]
         tile = np.empty((kernel.TILE + EIGHT) * max(loads.widths))
         to = place if order is None else place[order]
-        lists = _whole(records, 3), loads.source, _whole(fields, 3), self.target
+        lists = _whole(records, 3), loads.source, fields, self.target
         kernel.run(self.steps, *lists, to, order, tile.ctypes.data, scratch)
 
 

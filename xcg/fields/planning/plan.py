@@ -79,6 +79,12 @@ class Plan:
         """Shape of one step of each field."""
         return {name: self._shape(name) for name in self.fields}
 
+    @cached_property
+    def rows(self) -> dict[str, tuple[int, ...]]:
+        """Shape of one step of each field as (nodes, phases, ...)."""
+        nodes, dims = (self.deposit.grid.count, self.phases if self.deposit.by else 1), len(self.dims)
+        return {name: (*nodes, *shape[dims:]) for name, shape in self.shapes.items()}
+
     def _shape(self, name: str) -> tuple[int, ...]:
         phases = (self.phases,) if self.deposit.by else ()
         row = registry.row(name, self.options)
