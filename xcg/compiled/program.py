@@ -60,7 +60,7 @@ def address_of(numbers: NDArray, rows: int, width: int, name: str) -> int:
             f"{'' if numbers.flags.writeable else ', which is read-only'}"
         )
         raise ValueError(msg)
-    return ctypes.addressof(ctypes.c_char.from_buffer(numbers)) if numbers.size else 0
+    return ctypes.addressof(ctypes.c_char.from_buffer(numbers.data)) if numbers.size else 0
 
 
 @leaf

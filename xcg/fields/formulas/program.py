@@ -19,7 +19,7 @@ from xcg.compiled.fit import FOUND
 from xcg.compiled.simd import EIGHT
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Options
-from xcg.fields.formulas.trace import Trace, as_symbols
+from xcg.fields.formulas.trace import Trace, as_symbols, zero_if_unknown
 from xcg.fields.sums.moments import MOMENTS, Moment
 from xcg.fields.sums.passes import BlockSums, Layout
 from xcg.scene.kept import Kept
@@ -155,7 +155,7 @@ def program_for(fields: tuple[str, ...], options: Options, groups: int = 0) -> P
     rows = MOMENTS | {name: row for one in options.own for name, row in one.moments.items()}
     wanted = registry.moments_of(fields, options)
     moments = {name: _moment(record, name, rows[name], groups) for name in wanted}
-    moments["reference"] = record.load("reference", 0, np.arange(3))
+    moments["reference"] = zero_if_unknown(record.load("reference", 0, np.arange(3)))
     found = _traced(fields, moments, options)
     results = {
         (name, first, count): [record.of(value).number for value in found[name].flat[first : first + count]]

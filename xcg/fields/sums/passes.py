@@ -231,11 +231,6 @@ class BlockSums:
     velocity: NDArray
     references: Sequence[NDArray]
 
-    @cached_property
-    def reference(self) -> NDArray:
-        """The velocity that sums refer to, zero where nothing reaches."""
-        return np.where(np.isnan(self.velocity), 0.0, self.velocity)
-
     @property
     def reached(self) -> int:
         """How many nodes grains with flow columns reach."""
@@ -243,8 +238,8 @@ class BlockSums:
 
     @property
     def arrays(self) -> list[NDArray]:
-        """The reference velocity, and the sums of each pass and group: arrays (nodes, columns)."""
-        return [self.reference, *(group for sums in self.filled for group in sums)]
+        """The velocity that sums refer to, and the sums of each pass and group: arrays (nodes, columns)."""
+        return [self.velocity, *(group for sums in self.filled for group in sums)]
 
     @property
     def moments(self) -> dict[str, NDArray]:
@@ -253,7 +248,8 @@ class BlockSums:
         Phase 0 is the bulk, the sum over groups. Nodes run fastest in memory, so that algebra on small tensors is a
         loop over nodes.
         """
-        found = {"reference": np.ascontiguousarray(self.reference.T).T}
+        reference = np.where(np.isnan(self.velocity), 0.0, self.velocity)
+        found = {"reference": np.ascontiguousarray(reference.T).T}
         for run, sums in zip(self.of.passes, self.filled, strict=True):
             found |= self._of_pass(run.layout, sums)
         return found
