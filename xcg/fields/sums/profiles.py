@@ -24,11 +24,12 @@ Shells = list[tuple[float, Polynomial]]  # radii, and polynomials of q
 _Q = Polynomial([0.0, 1.0])
 
 _INTERVALS = 64
+_PLACES = np.linspace(0.0, 1.0, 11 * _INTERVALS, endpoint=False)  # where profiles are looked at
 _MOST_ERROR = 1e-10  # of values at points, relative to the largest
 _SHELL_ERROR = 1e-12  # of the polynomials of shells, relative to the largest value
 # Sums of the sizes of a polynomial's terms, relative to the largest value: rounding is as many times that of a value.
 _LARGEST_TERMS = 5e3
-_JUMP = 1e-6  # between two shells, relative to the largest value
+_JUMP, _AT_END = 1e-4, 1.0 - 1e-12  # relative to the largest value; where the last jump shows
 _NEARLY = 0.97
 _BISECTED = 1e-12
 _DEGREES = (3, 5, 7, 9, 11, 13, 15, 19, 23)
@@ -44,6 +45,11 @@ def _values(profile: Profile, q: NDArray) -> NDArray:
         return np.broadcast_to(np.asarray(profile(q), float), q.shape)
     except (TypeError, ValueError):
         return np.array([_value(profile, x) for x in q])
+
+
+def _largest(profile: Profile) -> float:
+    """Largest absolute value of a profile."""
+    return float(np.abs(_values(profile, _PLACES)).max())
 
 
 def _integral(function: Callable[[float], float], begin: float, end: float) -> float:
@@ -68,27 +74,33 @@ def check_table(name: str, profile: Profile) -> None:
 
     Values are looked at in places between those that the table goes through.
     """
-    q = np.linspace(0.0, 1.0, 11 * _INTERVALS, endpoint=False)
-    exact = _values(profile, q)
+    exact = _values(profile, _PLACES)
     if not np.isfinite(exact).all():
-        msg = f"the profile of kernel {name!r} must be finite on [0, 1): it is not at q={q[~np.isfinite(exact)][0]:.3g}"
+        wrong = _PLACES[~np.isfinite(exact)][0]
+        msg = f"the profile of kernel {name!r} must be finite on [0, 1): it is not at q={wrong:.3g}"
         raise ValueError(msg)
-    largest = np.abs(exact).max()
-    found = codes.sample(codes.TABLE, codes.TABULATED, table_of(profile, 0), q, False)
-    error = np.abs(found - exact)
+    largest = _largest(profile)
+    error = np.abs(codes.sample(codes.TABLE, codes.TABULATED, table_of(profile, 0), _PLACES, False) - exact)
     if error.max() > _MOST_ERROR * largest:
         warn_user(
             f"kernel {name!r}: sums use its profile to {error.max() / largest:.1e} of its largest value, worst at "
-            f"q={q[error.argmax()]:.3g}; a profile that is smooth, or has its kinks at multiples of 1/{_INTERVALS}, is "
-            f"kept to {_MOST_ERROR:g}"
+            f"q={_PLACES[error.argmax()]:.3g}; a profile that is smooth, or has its kinks at multiples of "
+            f"1/{_INTERVALS}, is kept to {_MOST_ERROR:g}"
         )
         return
-    for radius, shell in _shells(profile)[:-1]:  # each is the profile's jump there
-        if abs(shell(radius)) > _JUMP * largest:
-            warn_user(
-                f"kernel {name!r}: its profile jumps at q={radius:.3g}, and where planes show it (an axis of three "
-                f"averaged), sums take values within 1/{_INTERVALS} of there that are off by up to 3 % of the jump"
-            )
+    inside = [radius for radius in jumps_of(profile) if radius < 1.0]
+    if inside:
+        warn_user(
+            f"kernel {name!r}: its profile jumps at q={inside[0]:.3g}, and where one axis is averaged, sums take "
+            f"values within 1/{_INTERVALS} of there that are off by up to 3 % of the jump"
+        )
+
+
+def jumps_of(profile: Profile) -> list[float]:
+    """Radii at which a profile jumps, the cutoff among them; without shells no others are known."""
+    # each shell ends with the jump of the profile
+    ends = [(radius, float(shell(radius))) for radius, shell in _shells(profile)] or [(1.0, _value(profile, _AT_END))]
+    return [radius for radius, jump in ends if abs(jump) > _JUMP * _largest(profile)]
 
 
 @lru_cache
@@ -157,7 +169,7 @@ def _shells(profile: Profile) -> Shells:
 @lru_cache
 def _pieces(profile: Profile) -> Shells:
     """Polynomials of a profile, each up to a radius, from the middle outwards; none where too many are needed."""
-    largest = np.abs(_values(profile, np.linspace(0.0, 1.0, 11 * _INTERVALS, endpoint=False))).max()
+    largest = _largest(profile)
     pieces: Shells = []
     begin = 0.0 if np.isfinite(largest) else 1.0
     while begin < 1.0 - _BISECTED and len(pieces) < codes.PIECE:

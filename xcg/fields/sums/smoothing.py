@@ -19,10 +19,11 @@ from numpy.typing import ArrayLike, NDArray
 from xcg.compiled import segments
 from xcg.compiled import smoothing as codes
 from xcg.compiled.smoothing import LUCY_FULL, PLAIN, CellKernel, KernelCode
-from xcg.fields.sums.profiles import check_table, profile_integral, table_of
+from xcg.fields.sums.profiles import check_table, jumps_of, profile_integral, table_of
 from xcg.scene.numbers import is_positive
 from xcg.scene.schema import LONGEST, SHORTEST
 from xcg.scene.sizes import SIZES
+from xcg.scene.warn import warn_user
 
 _SHIFTED = np.zeros((3, 1, codes.PIECE))  # any array
 
@@ -295,7 +296,8 @@ def register_kernel(
     ratio : float
         Cutoff over width.
     smoothness : int
-        Continuous derivatives of the kernel, the cutoff included; from 1 on the kernel gradient is allowed.
+        Continuous derivatives of the kernel, the cutoff included, and -1 for one that jumps; from 1 on the kernel
+        gradient is exact.
 
     Returns
     -------
@@ -312,6 +314,13 @@ def register_kernel(
     if not profile_integral(profile, 3) > 0:
         msg = f"the profile of kernel {name!r} must have a positive integral"
         raise ValueError(msg)
+    jumps = jumps_of(profile)
+    if jumps and smoothness >= 0:
+        warn_user(
+            f"kernel {name!r}: smoothness={smoothness}, but its profile jumps at q={jumps[-1]:.3g}; it is taken for "
+            "one that jumps: give smoothness=-1, or a profile without jumps that ends at zero"
+        )
+        smoothness = -1
 
     def unit_norm(self: Kernel, dimension: int) -> float:
         return 1 / profile_integral(profile, dimension)
