@@ -147,13 +147,20 @@ def read_only_labels(layout: xr.Dataset) -> xr.Dataset:
     return layout
 
 
-def with_numbers(layout: xr.Dataset, arrays: Mapping[str, Any]) -> xr.Dataset:
-    """Copy a layout, with these arrays and coordinates of its own; only labels of indexes are shared."""
-    result = layout.copy(data=arrays)
-    indexes = result.xindexes
-    for name in result.coords:
-        if name not in indexes:
-            result.variables[name].data = result.variables[name].data.copy()
+def with_numbers(layout: xr.Dataset, arrays: Mapping[Any, Any]) -> xr.Dataset:
+    """Copy a layout, with these arrays and coordinates of its own; only indexes are shared.
+
+    `Dataset.copy` makes all indexes anew, which takes half of its time.
+    """
+    result, indexes = layout.drop_encoding(), layout.xindexes
+    variables = result.variables
+    for name, given in layout.variables.items():
+        if given.encoding:
+            variables[name].encoding = given.encoding
+        if name in arrays:
+            variables[name].data = arrays[name]
+        elif name not in indexes:
+            variables[name].data = given.data.copy()
     return result
 
 

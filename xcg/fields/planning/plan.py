@@ -167,9 +167,9 @@ def scale_of(plan: Plan, lattice: Lattice, source: str) -> float:
     """1 / (extents of the averaged axes x thickness of the layer) for one step."""
     given = {**plan.extent, **({plan.depth: None} if isinstance(plan.depth, str) else {})}
     lengths = [length for length in given.values() if length is not None]
-    of_box = np.array([a in given and given[a] is None for a in COMPONENTS])
-    if of_box.any():
-        lengths.append(lattice.extent(of_box))
+    of_box = [a in given and given[a] is None for a in COMPONENTS]
+    if any(of_box):
+        lengths.append(lattice.extent(np.array(of_box)))
         if not (np.isfinite(lengths[-1]) and lengths[-1] > 0):
             lattice.seen(plan.deposit.grid.active, source)  # which may say more
             axes = " and ".join(repr(a) for a, averaged in zip(COMPONENTS, of_box, strict=True) if averaged)
@@ -180,4 +180,4 @@ def scale_of(plan: Plan, lattice: Lattice, source: str) -> float:
             raise SceneError(msg)
     if isinstance(plan.depth, float):
         lengths.append(plan.depth)
-    return 1.0 / float(np.prod(lengths))
+    return 1.0 / math.prod(lengths)
