@@ -16,10 +16,7 @@ from xcg.fields.request import Request
 from xcg.fields.sums.fabric import sliding_contacts
 from xcg.fields.sums.moments import MOMENTS, Moment
 from xcg.scene.numbers import is_positive
-from xcg.scene.query import (
-    require_scene,
-    setup_of,
-)
+from xcg.scene.query import require_scene, setup_of
 from xcg.scene.schema import COMPONENTS, CONTACT_VARIABLES, Setup, did_you_mean
 
 SAMPLINGS = ("node", "cell")

@@ -19,12 +19,7 @@ from xcg.fields.sums.nodes import Grid
 from xcg.fields.sums.smoothing import Kernel, as_kernel, choose_width
 from xcg.scene.lattice import Lattice
 from xcg.scene.numbers import is_positive
-from xcg.scene.query import (
-    axes_that_stay,
-    box_stays,
-    groups_of,
-    known_without_reading,
-)
+from xcg.scene.query import axes_that_stay, box_stays, groups_of, known_without_reading
 from xcg.scene.schema import BOX, COMPONENTS, Setup
 from xcg.scene.warn import warn_user
 

@@ -9,6 +9,7 @@ import xarray as xr
 
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.averages import needed_for_averages
+from xcg.fields.formulas.field import Options
 from xcg.fields.formulas.variables import check_turns, own_moments
 from xcg.fields.places.frames import is_cylindrical
 from xcg.fields.planning.choices import choose_fields, options_of, variables_of, with_friction
@@ -26,13 +27,8 @@ from xcg.fields.request import Request
 from xcg.fields.sums.passes import DepositSpec
 from xcg.fields.sums.quadrature import SINGLE, gauss_limits
 from xcg.scene.numbers import is_finite
-from xcg.scene.query import (
-    edges_of,
-    groups_of,
-    require_scene,
-    setup_of,
-)
-from xcg.scene.schema import COMPONENTS
+from xcg.scene.query import edges_of, groups_of, require_scene, setup_of
+from xcg.scene.schema import COMPONENTS, Setup
 from xcg.scene.sizes import layer_depth, with_measures
 
 
@@ -52,31 +48,12 @@ def make_plan(ds: xr.Dataset, request: Request) -> Plan:
 
 def plan_measured(ds: xr.Dataset, request: Request) -> Plan:
     """Plan as `make_plan`, of a scene whose sizes and extent are known to hold."""
-    setup = setup_of(ds)
-    options = options_of(ds, setup, request)
-    rtol, by = request.rtol, request.by
-    if request.by_pair and by is None:
-        msg = "by_pair=True divides contact stress by pairs of phases: say which with by=, for example by='species'"
-        raise ValueError(msg)
+    setup, rtol, by = setup_of(ds), request.rtol, request.by
     if not (is_finite(rtol) and rtol >= 0):
         msg = f"rtol={rtol!r}: expected 0 (closed form) or a positive number such as 1e-3"
         raise ValueError(msg)
-    options = replace(options, by=by)
-    names, own = choose_fields(request.fields, ds, options)
-    if is_cylindrical(ds):
-        check_turns(own)
-    if registered := registry.registered_for(names, replace(options, own=own)):
-        own = (*own, *registered)
-    options = replace(options, own=own)
-    if request.by_pair:
-        names = tuple(dict.fromkeys([*names, "contact_stress_by_pair"]))
-    asked = names
-    if request.for_averages or request.per is not None:
-        names = (*names, *needed_for_averages(names, options))
-    held = frozenset(map(str, ds.data_vars))
-    variables = variables_of(names, held, options)
-    lacking = [] if variables <= held else [name for name in names if not variables_of((name,), held, options) <= held]
-    require_scene(ds, sorted(variables), f"coarse_grain of {', '.join(lacking)}")
+    names, asked, options = _fields_and_options(ds, setup, request)
+    variables = _held_variables(ds, names, options)
     kernels = kernels_of(ds, request, setup.dimension)
     chosen = max(kernels, key=lambda k: k.cutoff)
     warn_of_width(min(k.width for k in kernels), ds.attrs.get("dmin" if isinstance(request.width, Mapping) else "d43"))
@@ -96,7 +73,7 @@ def plan_measured(ds: xr.Dataset, request: Request) -> Plan:
         coarse=limits.size > 0 and rtol >= SINGLE,
         by=by,
         groups=() if by is None else groups_of(ds, by, request.groups),
-        own=own_moments(own) | with_friction(options.friction),
+        own=own_moments(options.own) | with_friction(options.friction),
     )
     x, y, z = (grid.spacing.get(a, 0.0) for a in COMPONENTS)
     wrapped = grid.fills(lasting_periods(ds, setup, period))
@@ -111,3 +88,32 @@ def plan_measured(ds: xr.Dataset, request: Request) -> Plan:
         extent=extents_of(grid, request.extent or {}, edges, tilted="lattice" in ds),
         depth=layer_depth(ds, setup, edges), setup=setup, rtol=rtol,
     )  # fmt: skip
+
+
+def _fields_and_options(
+    ds: xr.Dataset, setup: Setup, request: Request
+) -> tuple[tuple[str, ...], tuple[str, ...], Options]:
+    """Fields that are computed, those of them that were asked for, and the choices of their algebra."""
+    if request.by_pair and request.by is None:
+        msg = "by_pair=True divides contact stress by pairs of phases: say which with by=, for example by='species'"
+        raise ValueError(msg)
+    options = replace(options_of(ds, setup, request), by=request.by)
+    names, own = choose_fields(request.fields, ds, options)
+    if is_cylindrical(ds):
+        check_turns(own)
+    options = replace(options, own=(*own, *registry.registered_for(names, replace(options, own=own))))
+    if request.by_pair:
+        names = tuple(dict.fromkeys([*names, "contact_stress_by_pair"]))
+    asked = names
+    if request.for_averages or request.per is not None:
+        names = (*names, *needed_for_averages(names, options))
+    return names, asked, options
+
+
+def _held_variables(ds: xr.Dataset, names: tuple[str, ...], options: Options) -> frozenset[str]:
+    """Variables that some fields take, all of which the scene holds."""
+    held = frozenset(map(str, ds.data_vars))
+    variables = variables_of(names, held, options)
+    lacking = [] if variables <= held else [name for name in names if not variables_of((name,), held, options) <= held]
+    require_scene(ds, sorted(variables), f"coarse_grain of {', '.join(lacking)}")
+    return variables

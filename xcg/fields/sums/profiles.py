@@ -30,8 +30,8 @@ _SHELL_ERROR = 1e-12  # of the polynomials of shells, relative to the largest va
 # Sums of the sizes of a polynomial's terms, relative to the largest value: rounding is as many times that of a value.
 _LARGEST_TERMS = 5e3
 _JUMP, _AT_END = 1e-4, 1.0 - 1e-12  # relative to the largest value; where the last jump shows
-_NEARLY = 0.97
-_BISECTED = 1e-12
+_NEARLY = 0.97  # of the way that a piece may reach: as far as this the lowest degree is taken
+_BISECTED = 1e-12  # to which ends of pieces are found
 _DEGREES = (3, 5, 7, 9, 11, 13, 15, 19, 23)
 
 

@@ -60,7 +60,7 @@ class Surroundings:
         return cls(lattice, meshes, kernels)
 
     def meet(self, cutoff: float, source: str) -> NDArray | None:
-        """Ways (m, 3), in cutoffs, from an image to all others that may reach a node with it; None for none."""
+        """Return translations (m, 3), in cutoffs, between images of a grain that reach one node; None where none do."""
         found = self._others.or_new(cutoff, lambda: self._translations(cutoff, source))
         return found if len(found) else None
 
