@@ -206,6 +206,23 @@ def test_command(tmp_path, sheared):
     assert "pass --overwrite" in again.output
 
 
+def test_no_chain_is_written_where_a_name_is_taken(tmp_path, sheared):
+    steps = sheared.step.values.tolist()
+    (tmp_path / f"f_{steps[-1]}.vtp").touch()
+    with pytest.raises(FileExistsError, match=rf"f_{steps[-1]}\.vtp exists"):
+        sheared.cg.to_vtp(tmp_path / "f_{step}.vtp")
+    same = sheared.assign_coords(step=("time", [7] * len(steps)))
+    with pytest.raises(ValueError, match=r"f_7\.csv is the name of several steps, whose numbers are equal"):
+        same.cg.to_csv(tmp_path / "f_{step}.csv", overwrite=True)
+    files = [BIAXIAL / "particles.*.gz", "--contacts", BIAXIAL / "contacts.*.gz", "--periodic", "x"]
+    names = {"--netcdf": "f.nc", "--csv": "f_{step}.csv", "--vtp": "f_{step}.vtp"}
+    done = run(*files, *(word for option, name in names.items() for word in (option, tmp_path / name)))
+    assert done.exit_code == 1
+    assert "pass --overwrite" in done.output
+    assert "median" not in done.output  # nothing is computed
+    assert [p.name for p in tmp_path.iterdir()] == [f"f_{steps[-1]}.vtp"]
+
+
 def test_command_says_what_is_wrong():
     files = [BIAXIAL / "particles.*.gz", "--contacts", BIAXIAL / "contacts.*.gz", "--periodic", "x"]
     assert "expected an angle in degrees" in run(*files, "--alpha", 100).output

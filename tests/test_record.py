@@ -13,6 +13,7 @@ import pytest
 import xarray as xr
 
 import xcg
+from tests import dumps
 
 FIELDS = ["density", "velocity", "stress", "sample_count"]
 OPTIONS = {"axes": "xz", "width": 0.8, "spacing": 1.0}
@@ -77,6 +78,16 @@ def test_lazy_scenes_of_many_steps(path):
     with xcg.record(path, "density", bounds={"z": (-2.0, 7.0)}, **OPTIONS) as live:
         live.append(series.chunk({"time": 2}))
         assert live.steps == 4
+
+
+def test_only_what_fields_need_is_read(path):
+    dumps.write_series(path.parent, (0, 10, 20))
+    damaged = path.parent / "c.10.dump"
+    damaged.write_text(damaged.read_text().replace("-9", "oops"))
+    ds = xcg.open_scene(str(path.parent / "p.*.dump"), contacts=str(path.parent / "c.*.dump"))
+    with xcg.record(path, "density", axes="z") as live:
+        live.append(ds)
+        assert live.steps == 3
 
 
 def test_continues_where_it_stopped(path):

@@ -20,6 +20,8 @@ from click.testing import CliRunner
 import xcg
 from tests import real_data, steps_of_random_scenes
 from tests.dumps import write_series
+from xcg.jobs.config import read_config
+from xcg.jobs.run import run_job
 from xcg.writers.folders import whole_folder
 from xcg_start.group import group
 
@@ -316,6 +318,48 @@ def test_what_describes_files_is_refused_beside_it(tmp_path, suffix, given, name
     saved = steps_of_random_scenes(1).cg.save(tmp_path / f"scene{suffix}")
     with pytest.raises(xcg.SceneError, match=rf"scene\{suffix} is a scene that xcg saved, which takes no {named}="):
         xcg.open_scene(saved, **given)
+
+
+@pytest.mark.parametrize("name", ["scene.nc4", "scene.h5", "scene.HDF5", "a scene [1] é.nc", "a scene [1] é.zarr"])
+def test_names_that_a_scene_may_have(tmp_path, name):
+    ds = steps_of_random_scenes(2)
+    saved = ds.cg.save(tmp_path / ("saved.zarr" if name.endswith("zarr") else "saved.nc"))
+    saved.rename(tmp_path / name)
+    assert_same_bits(ds, xcg.open_scene(tmp_path / name))
+    job = tmp_path / "job.toml"
+    job.write_text(f'[scene]\nparticles = "{name}"\n[fields]\nfields = "density"\naxes = "z"\n')
+    assert sum(done for done, _ in [*run_job(read_config(job))][-1:]) == 2
+
+
+def test_patterns_find_one_scene(tmp_path, suffix):
+    ds = steps_of_random_scenes(2)
+    saved = [ds.cg.save(tmp_path / f"scene{n}{suffix}") for n in (1, 2)]
+    assert_same_bits(ds, xcg.open_scene(tmp_path / f"scene1*{suffix}"))
+    for several in (saved, tmp_path / f"scene*{suffix}"):
+        with pytest.raises(xcg.SceneError, match=r"scene1.* is a scene that xcg saved, .* open the 2"):
+            xcg.open_scene(several)
+
+
+def test_on_error_is_checked_beside_it(tmp_path, suffix):
+    saved = steps_of_random_scenes(1).cg.save(tmp_path / f"scene{suffix}")
+    with pytest.raises(ValueError, match="on_error='never'"):
+        xcg.open_scene(saved, on_error="never")
+
+
+@pytest.mark.parametrize("lazy", [False, True])
+@pytest.mark.parametrize(
+    "values",
+    [np.array(["2020-01-01", "2020-01-03"], "M8[ns]"), np.array([1, 5], "m8[s]").astype("m8[ns]"),
+     np.array(["sand", "müll"]), np.array(["sand", "müll"], object)],
+    ids=["dates", "spans", "texts", "objects"],
+)  # fmt: skip
+def test_what_is_no_number_comes_back(tmp_path, suffix, lazy, values):
+    ds = steps_of_random_scenes(2).assign(extra=("time", values)).assign_coords(when=("time", values))
+    saved = (ds.chunk(time=1) if lazy else ds).cg.save(tmp_path / f"scene{suffix}")
+    again = xcg.open_scene(saved)
+    for name in ("extra", "when"):
+        assert again[name].values.tolist() == values.tolist()
+    assert_same_bits(ds.drop_vars(["extra", "when"]), again.drop_vars(["extra", "when"]))
 
 
 def test_what_is_no_scene_is_refused(tmp_path, suffix):

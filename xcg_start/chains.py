@@ -62,36 +62,29 @@ def chains(
     from xcg.chains.search import force_chains
     from xcg.readers.series import open_scene
     from xcg.steps.label import name_skipped
-    from xcg.writers.files import whole_file
+    from xcg.writers.chains import targets, to_csv, to_vtkhdf, to_vtp
+    from xcg.writers.files import check_target, whole_file
 
     with plain_messages(quiet=False):
         scene = open_scene(list(files), on_error=on_error, **said(options))
         fc = force_chains(scene, alpha, threshold, min_length, algorithm=algorithm, symmetric=not raw,
-                          on_error=on_error).compute()  # fmt: skip
+                          on_error=on_error)  # fmt: skip
+        # names are looked at before anything is computed or written
+        for path in filter(None, (netcdf, vtkhdf)):
+            check_target(path, overwrite=overwrite)
+        for path in filter(None, (csv, vtp)):
+            targets(fc, path, overwrite=overwrite)
+        fc = name_skipped(fc.compute())
         click.echo(statistics_table(fc))
         if netcdf:
-            _refuse_existing(netcdf, overwrite)
-            fc = name_skipped(fc)
             with whole_file(netcdf, overwrite=overwrite, room=fc.nbytes) as part:
                 fc.to_netcdf(part, engine="netcdf4")
-        _write(fc, csv, vtp, vtkhdf, overwrite=overwrite)
-
-
-def _refuse_existing(path: Path, overwrite: bool) -> None:
-    if path.exists() and not overwrite:
-        msg = f"{path} exists; choose another name, or pass --overwrite to replace it"
-        raise FileExistsError(msg)
-
-
-def _write(fc: xr.Dataset, csv: Path | None, vtp: Path | None, vtkhdf: Path | None, *, overwrite: bool) -> None:
-    from xcg.writers import chains as written
-
-    if csv:
-        written.to_csv(fc, csv, overwrite=overwrite)
-    if vtp:
-        written.to_vtp(fc, vtp, overwrite=overwrite)
-    if vtkhdf:
-        written.to_vtkhdf(fc, vtkhdf, overwrite=overwrite)
+        if csv:
+            to_csv(fc, csv, overwrite=overwrite)
+        if vtp:
+            to_vtp(fc, vtp, overwrite=overwrite)
+        if vtkhdf:
+            to_vtkhdf(fc, vtkhdf, overwrite=overwrite)
 
 
 def statistics_table(fc: xr.Dataset) -> str:

@@ -30,7 +30,8 @@ def plain_messages(quiet: bool) -> Iterator[None]:
         try:
             yield
         except (ValueError, OSError, ImportError) as error:
-            raise click.ClickException(printable(str(error))) from error
+            said = str(error).replace("overwrite=True", "--overwrite")  # what the line calls it
+            raise click.ClickException(printable(said)) from error
         except MemoryError as error:
             msg = (
                 f"not enough memory ({error}); take fewer steps at a time (--jobs 1), fewer fields, or a larger spacing"

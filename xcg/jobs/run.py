@@ -178,7 +178,7 @@ def _begin(parts: Path, targets: list[Path], mark: str, *, overwrite: bool, resu
     if there and not (overwrite or begun):
         msg = f"{there[0]} exists; choose another output folder or name, or overwrite it (--overwrite)"
         raise FileExistsError(msg)
-    for old in parts.parent.glob(f"{parts.name}.*"):
+    for old in parts.parent.glob(f"{glob.escape(parts.name)}.*"):
         shutil.rmtree(old, ignore_errors=True)
     for target in targets:
         for left in leftovers(target):
@@ -235,7 +235,7 @@ def _signature(job: Job) -> str:
     for key in ("particles", "contacts", "walls", "restart"):
         given = job.scene.get(key, [])
         for path in [given] if isinstance(given, str) else given:
-            paths += expand_paths([path], key) if glob.has_magic(path) else [path]
+            paths += expand_paths([path], key) if glob.has_magic(path) and not Path(path).exists() else [path]
     states = [(p, os.stat(p).st_mtime_ns, os.stat(p).st_size) for p in paths if Path(p).exists()]
     text = repr(job) + repr(states) + version("xcg")
     return hashlib.sha256(text.encode()).hexdigest()

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import glob
 import os
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import xarray as xr
@@ -14,20 +16,49 @@ from xcg.readers.paths import PathLike
 from xcg.scene.schema import SceneError
 
 _HDF5 = b"\x89HDF"  # how NetCDF 4 begins; codes write the classic formats
+_OF_HDF5 = (".h5", ".hdf5")  # which may hold anything
+_SUFFIXES = (".zarr", ".nc", ".nc4", *_OF_HDF5)
+_OF_SCENES = {"particle_id", "position", "time"}
 
 
 def saved_path(particles: PathLike | Iterable[PathLike]) -> str | None:
-    """Path of the Zarr folder or NetCDF 4 file that is given in place of the files of a code; None for other files."""
+    """Path of the Zarr folder or NetCDF 4 file that is given in place of the files of a code; None for other files.
+
+    Raises
+    ------
+    SceneError
+        If there are more files beside it.
+    """
     paths = [particles] if isinstance(particles, (str, os.PathLike)) else particles
-    if not isinstance(paths, Sequence) or len(paths) != 1:
+    if not isinstance(paths, Sequence) or not paths or Path(paths[0]).suffix.lower() not in _SUFFIXES:
         return None
-    path = Path(paths[0]).expanduser()
-    if path.suffix.lower() == ".zarr":
-        return str(path) if path.is_dir() else None
-    if path.suffix.lower() != ".nc" or not path.is_file():
-        return None
+    given = [os.path.expanduser(os.fspath(path)) for path in paths]
+    found = [path for one in given for path in ([one] if os.path.exists(one) else sorted(glob.glob(one)))]
+    saved = [path for path in found if _may_be_saved(Path(path))]
+    if saved and len(found) > 1:
+        msg = (
+            f"{saved[0]} is a scene that xcg saved, which is opened alone; open the {len(found)} files one by one, and "
+            "join their scenes by xarray.concat(scenes, 'time')"
+        )
+        raise SceneError(msg)
+    return saved[0] if saved else None
+
+
+def _may_be_saved(path: Path) -> bool:
+    """Whether this is a Zarr folder, a NetCDF 4 file, or an HDF5 file with a scene as xarray writes it."""
+    suffix = path.suffix.lower()
+    if suffix == ".zarr" or not path.is_file():
+        return suffix == ".zarr" and path.is_dir()
     with path.open("rb") as file:
-        return str(path) if file.read(len(_HDF5)) == _HDF5 else None
+        if file.read(len(_HDF5)) != _HDF5:
+            return False
+    if suffix not in _OF_HDF5:
+        return True
+    import h5py
+
+    with suppress(OSError), h5py.File(path) as held:
+        return held.keys() >= _OF_SCENES
+    return False
 
 
 def open_saved(path: str, chunks: Chunks) -> xr.Dataset:
@@ -44,7 +75,7 @@ def open_saved(path: str, chunks: Chunks) -> xr.Dataset:
     except (OSError, ValueError, KeyError) as error:
         msg = f"{path}: cannot be opened as {engine} ({type(error).__name__}: {error})"
         raise SceneError(msg) from error
-    if not {"particle_id", "position", "time"} <= ds.variables.keys():
+    if not ds.variables.keys() >= _OF_SCENES:
         held = ", ".join(map(str, list(ds.data_vars)[:5])) or "nothing"
         ds.close()
         msg = f"{path} is no scene that xcg saved (it holds {held}); xarray.open_dataset opens fields and other data"

@@ -76,7 +76,8 @@ def open_scene(
     ----------
     particles : path, glob or list of them
         Files with particles. Globs are sorted by the numbers in the names (9 before 10). Or one scene that xcg saved
-        (``.zarr`` or ``.nc``), beside which there are `chunks` and `on_error` only.
+        (``.zarr``, or ``.nc``, which may be called ``.nc4``, ``.h5`` or ``.hdf5``), beside which there are `chunks` and
+        `on_error` only.
     contacts : path, glob or list of them, optional
         Files with contacts.
     walls : path, glob or list of them, or mapping, optional
@@ -206,7 +207,8 @@ def open_scene(
     ... )  # doctest: +SKIP
     """
     given = locals()
-    if engine is None and (saved := saved_path(particles)):
+    tolerate = collecting if check_on_error(on_error) == "skip" else raising
+    if engine is None and "mapping" not in engine_options and (saved := saved_path(particles)):
         _refuse_beside(saved, given)
         return open_saved(saved, chunks)
     if missing not in ("raise", "skip", "empty"):
@@ -215,7 +217,6 @@ def open_scene(
     in_columns = dict(walls) if isinstance(walls, Mapping) else {}
     about_walls = named_walls(in_columns) if in_columns else {}
     kinds = {"particles": particles, "contacts": contacts, "walls": None if isinstance(walls, Mapping) else walls}
-    tolerate = collecting if check_on_error(on_error) == "skip" else raising
     with tolerate() as left_out:
         files = {kind: expand_paths(paths, kind) for kind, paths in kinds.items() if paths is not None}
         reader = load_engine(engine or _guess_engine(files))

@@ -88,10 +88,10 @@ def to_dataset(
 
 
 def storable(ds: xr.Dataset) -> xr.Dataset:
-    """Have text coordinates stored without a fixed length: no other text is in the specification of Zarr 3."""
-    for name in ds.coords:
-        if ds.variables[name].dtype.kind == "U":
-            ds.variables[name].encoding["dtype"] = object
+    """Have texts stored without a fixed length: no other text is in the specification of Zarr 3."""
+    for values in ds.variables.values():
+        if values.dtype.kind == "U":
+            values.encoding["dtype"] = object
     return ds
 
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from xcg.chains.results import Step, require_chains, steps_of
 from xcg.scene.schema import Frame
-from xcg.writers.files import hdf5_file, whole_file, write_by_vtk
+from xcg.writers.files import check_target, hdf5_file, whole_file, write_by_vtk
 
 if TYPE_CHECKING:
     import h5py
@@ -62,20 +62,19 @@ def to_csv(fc: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool = Fa
     SceneError
         If `fc` is not a result of `force_chains`.
     FileExistsError
-        If a file exists and `overwrite` is False.
+        If a file exists and `overwrite` is False; before any step is computed.
     FileNotFoundError
         If its folder does not exist.
     ValueError
-        If there are several steps and `path` is one name.
+        If there are several steps and `path` is one name for some of them.
     """
     require_chains(fc, "to_csv")
-    written = []
-    for step, target in _targets(fc, _FCF, path):
+    files = targets(fc, path, overwrite=overwrite)
+    for step, file in zip(steps_of(fc, _FCF), files, strict=True):
         lines = [FCF_COLUMNS, *_fcf_rows(step.arrays)]
-        with whole_file(target, overwrite=overwrite) as part:
+        with whole_file(file, overwrite=overwrite) as part:
             part.write_text("\n".join(lines) + "\n")
-        written.append(target)
-    return written
+    return files
 
 
 def _fcf_rows(arrays: Frame) -> Iterator[str]:
@@ -97,14 +96,21 @@ def _fcf_rows(arrays: Frame) -> Iterator[str]:
         yield f"{arrays['particle_id'][p]},{source},{arrays['chain_id'][p]},{stress},{link},"
 
 
-def _targets(fc: xr.Dataset, names: tuple[str, ...], path: str | os.PathLike[str]) -> Iterator[tuple[Step, Path]]:
-    """Yield each step and the file that it goes to."""
-    pattern = os.fspath(path)
-    if fc.sizes.get("time", 1) > 1 and "{step}" not in pattern:
-        msg = f"path={pattern!r} is one file, and there are {fc.sizes['time']} steps; put {{step}} into the name"
+def targets(fc: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool) -> list[Path]:
+    """Name the file of each step, and refuse names that are taken, before any step is computed; errors as `to_csv`."""
+    pattern, count = os.fspath(path), fc.sizes.get("time", 1)
+    if count > 1 and "{step}" not in pattern:
+        msg = f"path={pattern!r} is one file, and there are {count} steps; put {{step}} into the name"
         raise ValueError(msg)
-    for step in steps_of(fc, names):
-        yield step, Path(pattern.replace("{step}", str(step.number)))
+    numbers = np.atleast_1d(fc["step"].to_numpy()).tolist() if "step" in fc.coords else range(count)
+    files = [Path(pattern.replace("{step}", str(number))) for number in numbers]
+    if len(set(files)) < count:
+        twice = next(file for file in files if files.count(file) > 1)
+        msg = f"{twice} is the name of several steps, whose numbers are equal; give others by assign_coords(step=...)"
+        raise ValueError(msg)
+    for file in files:
+        check_target(file, overwrite=overwrite)
+    return files
 
 
 # --- points and lines ------------------------------------------------------------------------------------
@@ -189,20 +195,19 @@ def to_vtp(fc: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool = Fa
     SceneError
         If `fc` is not a result of `force_chains`.
     FileExistsError
-        If a file exists and `overwrite` is False.
+        If a file exists and `overwrite` is False; before any step is computed.
     FileNotFoundError
         If its folder does not exist.
     ValueError
-        If there are several steps and `path` is one name.
+        If there are several steps and `path` is one name for some of them.
     """
     from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter
 
     require_chains(fc, "to_vtp")
-    written = []
-    for step, target in _targets(fc, _VTK, path):
-        write_by_vtk(vtkXMLPolyDataWriter(), _polydata(_Mesh.of(step), step.time), target, overwrite=overwrite)
-        written.append(target)
-    return written
+    files = targets(fc, path, overwrite=overwrite)
+    for step, file in zip(steps_of(fc, _VTK), files, strict=True):
+        write_by_vtk(vtkXMLPolyDataWriter(), _polydata(_Mesh.of(step), step.time), file, overwrite=overwrite)
+    return files
 
 
 def _polydata(mesh: _Mesh, time: float) -> Any:

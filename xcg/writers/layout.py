@@ -13,11 +13,13 @@ from xcg.writers.encoding import Encoding
 
 
 def prepared(ds: xr.Dataset, encoding: Encoding) -> tuple[xr.Dataset, list[str]]:
-    """Give a Dataset as it is written, and the names of its variables over time, which are written step by step."""
+    """Give a Dataset as it is written, and the names of its numbers over time, which are written step by step."""
     ds = encoding.noted(storable(ds.drop_encoding()))
-    over = [str(name) for name, data in ds.data_vars.items() if "time" in data.dims and data.size]
+    # texts and dates are left to xarray, which writes them as something else
+    numbers = {name: data for name, data in ds.data_vars.items() if data.dtype.kind in "biufc"}
+    over = [str(name) for name, data in numbers.items() if "time" in data.dims and data.size]
     ds = ds.assign({name: ds[name].variable.transpose("time", ...) for name in over})
-    # What tasks do not write, as coordinates, is small.
+    # what tasks do not write, as coordinates, is small
     ds = ds.assign({n: v.compute() for n, v in ds.variables.items() if v.chunks is not None and n not in over})
     return _aligned(ds, over), over
 

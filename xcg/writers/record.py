@@ -21,7 +21,7 @@ from xcg.scene.build import storable
 from xcg.scene.conform import takes_scene
 from xcg.scene.query import check_times
 from xcg.scene.schema import COMPONENTS, SceneError
-from xcg.steps.each import each_step
+from xcg.steps.each import chunks_of_time, each_step
 from xcg.writers.encoding import Encoding
 from xcg.writers.files import check_target, part_of, remove, whole_file
 from xcg.writers.lock import locked
@@ -172,8 +172,10 @@ class Recorder:
         SceneError
             If it is not later than what is there, or its fields have other names, nodes or kernels.
         """
-        for one in each_step(ds):
-            self._add(_fields(one, self._request) if "position" in ds else one)
+        for part in [ds.isel(time=steps) for steps in chunks_of_time([ds])] if "time" in ds.dims else [ds]:
+            # fields first: of a lazy scene they need only some variables
+            for one in each_step(_fields(part, self._request) if "position" in ds else part):
+                self._add(one)
 
     def _add(self, fields: xr.Dataset) -> None:
         fields = _one_step(fields)
