@@ -109,8 +109,8 @@ def _compute_step(
 
 def _warn_of_unknown(rows: Mapping[str, NDArray], reached: int, width: float, source: str) -> None:
     """Warn where most of the nodes that grains reach have no temperature."""
-    for name in _TEMPERATURES.keys() & set(rows):
-        known = int(np.isfinite(rows[name].reshape(len(rows[name]), -1)[:, 0]).sum())
+    for name in (name for name in _TEMPERATURES if name in rows):
+        known = np.count_nonzero(np.isfinite(rows[name].reshape(len(rows[name]), -1)[:, 0]))
         if 2 * known < reached:
             msg = (
                 f"{source}: of {reached} nodes that grains reach {known} have a {_TEMPERATURES[name]}; the others see "

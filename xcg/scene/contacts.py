@@ -255,7 +255,8 @@ class Contacts:
     @property
     def at_walls(self) -> tuple[NDArray, NDArray, NDArray]:
         """Particle row, contact point (m) and force on the particle (N) of the contacts with walls."""
-        wall_j, wall_i = (self.j < 0) & (self.i >= 0), (self.i < 0) & (self.j >= 0)
+        walls = np.flatnonzero((self.i < 0) != (self.j < 0))  # few, if any
+        wall_j, wall_i = walls[self.j[walls] < 0], walls[self.i[walls] < 0]
         return (
             np.concatenate([self.i[wall_j], self.j[wall_i]]),
             np.concatenate([self.point[wall_j], self.point[wall_i]]),

@@ -37,7 +37,7 @@ def particle_rows(ids: NDArray, source: str = "scene") -> slice | NDArray:
     SceneError
         If an id occurs twice.
     """
-    count = int((ids != PADDING).sum())
+    count = np.count_nonzero(ids != PADDING)
     if (ids[:count] != PADDING).all() and (ids[1:count] > ids[: max(count - 1, 0)]).all():
         return slice(0, count)
     rows = np.flatnonzero(ids != PADDING)
@@ -66,7 +66,7 @@ def frame_of(arrays: Mapping[str, NDArray], t: int, source: str = "scene") -> Fr
         rows["particle"] = particle_rows(arrays["particle_id"][t], source)
     if "contact_i" in arrays:
         valid = arrays["contact_i"][t] != PADDING
-        count = int(valid.sum())
+        count = np.count_nonzero(valid)
         rows["contact"] = slice(0, count) if valid[:count].all() else valid
     found: Frame = {}
     for name, values in arrays.items():

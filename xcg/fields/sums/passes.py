@@ -234,7 +234,7 @@ class BlockSums:
     @property
     def reached(self) -> int:
         """How many nodes grains with flow columns reach."""
-        return len(self.velocity) - int(np.isnan(self.velocity[:, 0]).sum())
+        return int(np.count_nonzero(~np.isnan(self.velocity[:, 0])))
 
     @property
     def arrays(self) -> list[NDArray]:
