@@ -494,6 +494,18 @@ def test_no_particles_at_all():
     assert np.isnan(f.velocity).all()
 
 
+@pytest.mark.parametrize("none", ["selected", "free"])
+def test_contacts_of_no_particle_add_nothing(none):
+    """As where a selection leaves a step without grains, but its contacts; or where all grains are frozen."""
+    ds = xcg.datasets.random_scene(20)
+    frozen = ds["particle_id"].copy(data=np.ones((1, 20), "int64"))
+    ds = ds.isel(particle=slice(0, 0)) if none == "selected" else ds.assign(frozen=frozen)
+    names = ["contact_number_density", "interphase_force", "stress", "couple_stress", "heat_flux", "dissipation_rate"]
+    f = ds.cg.coarse_grain(names, by="species", groups=(1, 2), axes="z", width=1.0, bounds={"z": (0, 5)})
+    for name in names:
+        assert not f[name].any(), name
+
+
 def test_fields_that_the_scene_allows_are_the_default():
     ds = xcg.datasets.random_scene(20)
     bare = ds.drop_vars([n for n in ds.data_vars if str(n).startswith("contact")] + ["velocity"])

@@ -47,12 +47,15 @@ _PAGE = 4096 // 8  # numbers in a page of memory
 
 
 def _take_memory(numbers: NDArray) -> None:
-    """Write to every page at the start, while what was freed a moment ago is at hand: see docs/design.md."""
+    """Write to every page, so that the system gives the memory now, which is quick just after other memory was freed.
+
+    See docs/design.md.
+    """
     numbers[::_PAGE] = 0.0
 
 
 # Threads share a step of more visits of nodes by grains and contacts than this; for fewer they cost more than they
-# gain. What is done once for a row, and once for a node, takes as long as some visits.
+# gain. What is done once for each grain or contact, or for each node, takes as long as `_ONCE` visits.
 WORTH_SHARING = 5_000_000
 _ONCE = 30
 

@@ -61,6 +61,8 @@ class Step:
 
     def __init__(self, frame: Frame, spec: DepositSpec, lattice: Lattice, scale: float, source: str) -> None:
         self.frame = without_frozen(frame)
+        if not len(self.frame["position"]):
+            frame = self.frame = {name: values[:0] for name, values in self.frame.items()}  # nor contacts of theirs
         self.spec, self.source = spec, source
         self.position = np.ascontiguousarray(self.frame["position"])
         self.count = len(self.position)
