@@ -25,7 +25,7 @@ fig, axes = plt.subplots(2, 2, sharex=True, sharey=True, figsize=(5.2, 5.6))
 for ax, step in zip(axes.flat, (0, 1, 4, 8), strict=True):
     share = f.concentration.sel(phase=2).isel(time=step)
     image = ax.pcolormesh(f.x, f.z, share.transpose("z", "x"), cmap="coolwarm", vmin=0, vmax=1)
-    ax.set(title=f"{float(turns[step]):.2g} turns", aspect="equal", xlabel="x (d)", ylabel="z (d)")
+    ax.set(title=f"N = {float(turns[step]):.2g}", aspect="equal", xlabel="x (d)", ylabel="z (d)")
     ax.label_outer()
 fig.colorbar(image, ax=axes, label="share of those on the right", location="bottom")
 plt.show()
