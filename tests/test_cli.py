@@ -14,7 +14,7 @@ from click.testing import CliRunner
 
 import xcg
 from tests import shared_data
-from tests.test_mfix import write_contacts, write_particles, write_vtp
+from tests.test_mfix import write_contacts, write_particles, write_pvd, write_vtp
 from tests.test_vtkhdf import read
 from xcg.chains.search import ALGORITHMS
 from xcg.jobs.config import read_config
@@ -312,6 +312,29 @@ def test_faults_are_named_and_exit_with_1(series, values, message):
     (series / "config.ini").write_text(changed((series / "config.ini").read_text(), **values))
     said = xcg_run("run", series / "config.ini", code=1)
     assert message in " ".join(said.split())
+
+
+def test_messages_call_arguments_what_the_line_calls_them(tmp_path):
+    one = write_particles(tmp_path / "P_0001.vtp", Velocity=np.zeros((3, 3)), Density=np.ones(3))
+    pvd = write_pvd(tmp_path / "P.pvd", {"P_0001.vtp": "0.1", "P_0002.vtp": "0.2"})
+    assert "or pass --missing skip to go on" in " ".join(xcg_run("info", pvd, code=1).split())
+    assert "contacts= for" not in xcg_run("chains", one, code=1)
+    assert "giving --contacts for fields of contacts and --density where" in xcg_run("chains", one, code=1)
+    assert "alpha=100.0: expected an angle" in xcg_run("chains", one, "--alpha", 100, code=1)
+    (tmp_path / "there.nc").touch()
+    assert "or pass --overwrite to replace it" in xcg_run("convert", one, "-o", tmp_path / "there.nc", code=1)
+    text = '[scene]\nparticles = "P.pvd"\n'
+    (tmp_path / "job.toml").write_text(text)  # where an argument is a key
+    assert "or pass missing='skip' to go on" in " ".join(xcg_run("run", tmp_path / "job.toml", code=1).split())
+
+
+def test_a_dry_run_names_all_that_would_be_computed(tmp_path):
+    xcg.datasets.random_scene(50).cg.save(tmp_path / "scene.nc")
+    text = '[scene]\nparticles = "scene.nc"\n[fields]\nfields = "density"\n[slices]\naxis = "z"\n'
+    (tmp_path / "job.toml").write_text(text)
+    said = xcg_run("run", tmp_path / "job.toml", "--dry-run")
+    assert "\ndensity, " in said
+    assert "temperature_Kamrin" in said
 
 
 def test_usage_errors_exit_with_2(tmp_path):

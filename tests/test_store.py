@@ -63,7 +63,7 @@ def test_a_scene_comes_back(tmp_path, suffix, lazy):
 def test_everything_works_on_it(tmp_path, suffix):
     ds = steps_of_random_scenes(2)
     again = reopen(ds.cg.save(tmp_path / f"scene{suffix}"))
-    assert sorted(repr(again.cg).replace(",", " ").split()) == sorted(repr(ds.cg).replace(",", " ").split())
+    assert repr(again.cg) == repr(ds.cg)
     for options in ({}, {"axes": "z", "by": "species"}, {"axes": "xz", "at": {"y": 1.0}, "width": "0.5 d32"}):
         assert_same_bits(ds.cg.coarse_grain(**options), again.cg.coarse_grain(**options).compute())
     assert_same_bits(ds.cg.force_chains(), again.cg.force_chains().compute())
@@ -380,7 +380,7 @@ def test_commands_take_it(tmp_path, suffix):
     saved = str(ds.cg.save(tmp_path / f"scene{suffix}"))
     told = CliRunner().invoke(group, ["info", saved])
     assert told.exit_code == 0, told.output
-    assert told.output.strip() == repr(xcg.open_scene(saved).cg)
+    assert told.output.strip() == repr(xcg.open_scene(saved).cg) == repr(ds.cg)
     chains = CliRunner().invoke(group, ["chains", saved, "--csv", str(tmp_path / "c_{step}.csv")])
     assert chains.exit_code == 0, chains.output
     assert len(list(tmp_path.glob("c_*.csv"))) == 2

@@ -47,5 +47,4 @@ def convert(
         save(
             ds, output, overwrite=overwrite, dtype=dtype, digits=digits, compression=compression, progress=not quiet
         )  # fmt: skip
-    reader = "open_zarr" if output.suffix == ".zarr" else "open_dataset"
-    click.echo(f"{ds.sizes['time']} steps in {output}; open it with xarray.{reader}({str(output)!r})")
+    click.echo(f"{ds.sizes['time']} steps in {output}; open it with xcg.open_scene({str(output)!r})")

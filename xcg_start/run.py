@@ -63,8 +63,8 @@ def run(
         if on_error is not None:
             job = replace(job, on_error=on_error)
         if dry_run:
-            scene, fields, _ = open_job(job)
-            names = ", ".join(map(str, fields.data_vars))
+            scene, *results = open_job(job)
+            names = ", ".join(str(name) for result in results if result is not None for name in result.data_vars)
             click.echo(printable(f"{scene.cg!r}\n{names}\ninto {job.folder}/{job.name}*"))
             return
         with _dashboard(jobs) if dashboard else nullcontext():

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from xcg.scene.query import edges_of
-from xcg.scene.schema import BOX, COMPONENTS, printable, units_of, variable
+from xcg.scene.schema import BOX, COMPONENTS, VARIABLES, printable, units_of, variable
 
 _WIDTH = 11  # of labels
 
@@ -44,7 +44,9 @@ def summary_of_scene(ds: xr.Dataset) -> Summary:
     """Tell what a scene holds, and what is missing, without reading it."""
     steps, particles, contacts = (ds.sizes.get(dim, 1) for dim in ("time", "particle", "contact"))
     contacts = contacts if "contact_i" in ds else 0
-    names = {dim: [n for n in map(str, ds.variables) if n not in BOX and variable(n).dims[0] == dim] for dim in _ROWS}
+    # one order, whatever that of a file is
+    there = [name for name in dict.fromkeys([*VARIABLES, *map(str, ds.variables)]) if name in ds.variables]
+    names = {dim: [n for n in there if n not in BOX and variable(n).dims[0] == dim] for dim in _ROWS}
     own = {
         dim: [n for n in names[dim] if n not in ds.dims and (n in ds.data_vars or n == dim + "_id")] for dim in _ROWS
     }
