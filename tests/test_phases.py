@@ -61,6 +61,7 @@ def test_same_size_other_density_and_three_phases():
     ds = scene(d, rho).cg.find_phases()
     np.testing.assert_array_equal(ds.phase.values[0], 1 + kind)
     assert phases(scene(d, rho), max_phases=1) == [1]
+    assert phases(scene(d, rho), max_phases=3.0, steps=1.0) == [1, 2, 3]
 
 
 def test_grains_that_enter_and_leave_keep_their_phase():

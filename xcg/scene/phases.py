@@ -71,7 +71,7 @@ def find_phases(ds: xr.Dataset, max_phases: int = 8, *, steps: int = 5, seed: in
             msg = f"{name}={value!r}: expected a whole number, 1 or more"
             raise ValueError(msg)
     count = ds.sizes["time"]
-    some = np.unique(np.linspace(0, count - 1, min(steps, count)).round().astype(int))
+    some = np.unique(np.linspace(0, count - 1, min(int(steps), count)).round().astype(int))
     read = ds[["diameter", "density"]].isel(time=some).compute()
     properties = np.stack([read[name].to_numpy().ravel() for name in ("diameter", "density")], axis=1)
     properties = properties[np.isfinite(properties).all(axis=1)]

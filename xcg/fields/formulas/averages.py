@@ -113,7 +113,8 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
     if window is None:
         samples = sums.rename(time=_SAMPLE).drop_vars(_SAMPLE)
     else:
-        steps = np.arange(0, count - window + 1, every)[:, None] + np.arange(window)
+        window = int(window)
+        steps = np.arange(0, count - window + 1, int(every))[:, None] + np.arange(window)
         samples = sums.drop_vars("time").isel(time=xr.DataArray(steps, dims=("time", _SAMPLE)))
         middle = f["time"].to_numpy()[steps].mean(axis=1)
         samples = samples.assign_coords(time=("time", middle, f["time"].attrs))
