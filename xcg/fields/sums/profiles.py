@@ -107,37 +107,38 @@ def jumps_of(profile: Profile) -> list[float]:
 def table_of(profile: Profile, codimension: int) -> NDArray:
     """Polynomials of the value and of its derivative / q on equal intervals, integrated over `codimension` axes.
 
-    In codimension 1 both are over half of the chord, sqrt(1 - q^2). With them come the shells that lines take, where
-    there are any.
+    In codimension 1 both are over half of the chord, sqrt(1 - q^2), as loops take them: what is left is as smooth up to
+    the cutoff as the profile. With them come the shells that lines take, where there are any.
     """
-    shells = _shells(profile)
-    lines, planes = _columns(shells), _beyond(shells, 2.0 * math.pi)
-
-    def value(q: float) -> float:
-        half = math.sqrt(1.0 - q * q)
-        if codimension == 1:  # over the half chord, as `smoothing` takes it: to the rim it is as smooth as the profile
-            if shells:
-                return along_shells(lines, q * q, -half, half) / half
-            return 2.0 * _integral(lambda z: _value(profile, math.hypot(q, z)), 0.0, half) / half
-        if codimension == 2:
-            if shells:
-                return sum(plane(q) for radius, plane in planes if q < radius)
-            return 2.0 * math.pi * _integral(lambda r: _value(profile, r) * r, q, 1.0)
-        return _value(profile, q)
-
     degree, table = codes.PIECE - 1, np.zeros((3, _INTERVALS, codes.PIECE))
     domains = [(k / _INTERVALS, (k + 1) / _INTERVALS) for k in range(_INTERVALS)]
-    pieces = [Chebyshev.interpolate(np.vectorize(value), degree, domain) for domain in domains]
+    value = np.vectorize(partial(_integrated, profile, codimension))
+    pieces = [Chebyshev.interpolate(value, degree, domain) for domain in domains]
     for k, (domain, series) in enumerate(zip(domains, pieces, strict=True)):
         q = 0.5 * (domain[0] + domain[1]) + 0.5 / _INTERVALS * np.polynomial.chebyshev.chebpts1(codes.PIECE)
         slope = series.deriv()(q) / q
-        if codimension == 1:  # the slope of the chord times this; what a jump at the cutoff adds is left out
+        if codimension == 1:  # with the slope of the chord; what a jump at the cutoff adds is left out
             slope -= (series(q) - pieces[-1](1.0)) / (1.0 - q * q)
         for row, values in enumerate((series, Chebyshev.fit(q, slope, degree, domain))):
             powers = np.polynomial.chebyshev.cheb2poly(values.coef)
             table[row, k, codes.PIECE - len(powers) :] = powers[::-1]
-    table[codes.SHELLS] = (lines, _columns(_beyond(shells, 1.0)), _columns(planes))[codimension]
+    shells = _shells(profile)
+    table[codes.SHELLS] = _columns((shells, _beyond(shells, 1.0), _beyond(shells, 2.0 * math.pi))[codimension])
     return table
+
+
+def _integrated(profile: Profile, codimension: int, q: float) -> float:
+    """Profile at q, integrated over a line, over half of the chord; or over a plane (codimension 2)."""
+    shells, half = _shells(profile), math.sqrt(1.0 - q * q)
+    if codimension == 1:
+        if shells:
+            return along_shells(_columns(shells), q * q, -half, half) / half
+        return 2.0 * _integral(lambda z: _value(profile, math.hypot(q, z)), 0.0, half) / half
+    if codimension == 2:
+        if shells:
+            return sum(plane(q) for radius, plane in _beyond(shells, 2.0 * math.pi) if q < radius)
+        return 2.0 * math.pi * _integral(lambda r: _value(profile, r) * r, q, 1.0)
+    return _value(profile, q)
 
 
 # --- shells ----------------------------------------------------------------------------------------------
@@ -159,14 +160,15 @@ def _beyond(shells: Shells, factor: float) -> Shells:
     return [(radius, (-factor * shell * _Q).integ(lbnd=radius)) for radius, shell in shells]
 
 
+@lru_cache
 def _shells(profile: Profile) -> Shells:
     """Shells of a profile; none where too many are needed."""
     pieces = _pieces(profile)
     outer = [piece for _, piece in pieces[1:]] + [Polynomial([0.0])]
-    return [(radius, piece - beyond) for (radius, piece), beyond in zip(pieces, outer, strict=False)]
+    shells = [(radius, piece - beyond) for (radius, piece), beyond in zip(pieces, outer, strict=False)]
+    return [(radius, shell) for radius, shell in shells if shell.coef.any()]
 
 
-@lru_cache
 def _pieces(profile: Profile) -> Shells:
     """Polynomials of a profile, each up to a radius, from the middle outwards; none where too many are needed."""
     largest = _largest(profile)
