@@ -48,7 +48,8 @@ def map_over_time(
         NumPy or dask arrays by the names in `results`, and ``skipped`` where steps may be.
     """
     compute = partial(_said_once, Once(), compute)
-    inputs = {name: _time_first(ds.variables[name]) for name in names}
+    variables = ds.variables
+    inputs = {name: _time_first(variables[name]) for name in names}
     skip = check_on_error(on_error) == "skip"
     numbers = _numbers(ds) if skip else None
     if skip:
@@ -88,12 +89,14 @@ def _numbers(ds: xr.Dataset) -> NDArray | None:
 
 def is_lazy(ds: xr.Dataset, names: Iterable[str]) -> bool:
     """Whether any of these variables is a dask array."""
-    return any(_chunked(ds.variables[name]) for name in names)
+    variables = ds.variables
+    return any(_chunked(variables[name]) for name in names)
 
 
 def threads_a_chunk(ds: xr.Dataset, names: Iterable[str], threads: int) -> int:
     """How many of some threads a chunk of time gets: all, where there is one or none; else chunks have one each."""
-    lazy = (given for name in names if _chunked(given := ds.variables[name]))
+    variables = ds.variables
+    lazy = (given for name in names if _chunked(given := variables[name]))
     return threads if all(len(given.chunksizes.get("time", ())) <= 1 for given in lazy) else 1
 
 

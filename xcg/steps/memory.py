@@ -68,7 +68,6 @@ memory_is_kept = _kept.while_writing
 
 def empty_arrays(shapes: Mapping[str, tuple[int, ...]]) -> dict[str, NDArray]:
     """Make arrays of numbers of these shapes, with anything in them."""
-    sizes = {name: 8 * math.prod(shape) for name, shape in shapes.items()}
-    if not _kept or sum(sizes.values()) > _MOST:
+    if not _kept or 8 * sum(map(math.prod, shapes.values())) > _MOST:
         return {name: np.empty(shape) for name, shape in shapes.items()}
-    return {name: _kept.take(sizes[name]).view("float64").reshape(shape) for name, shape in shapes.items()}
+    return {name: _kept.take(8 * math.prod(shape)).view("float64").reshape(shape) for name, shape in shapes.items()}
