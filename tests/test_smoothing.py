@@ -598,6 +598,13 @@ def test_nodes_on_the_rim_of_a_marginal(kernel):
         (lambda: xcg.Lucy(1.0, dimension=1).weights(3), "cannot be seen in 3"),
         (lambda: as_kernel(xcg.Lucy(1.0), 2.0, 3), "has its own width"),
         (lambda: xcg.register_kernel("none", lambda q: 0 * q), "positive integral"),
+        (lambda: xcg.register_kernel("Lucy", lambda q: 1 - q), "'Lucy'.*a kernel of xcg"),
+        (lambda: xcg.register_kernel("shifted gaussian", lambda q: 1 - q), "a kernel of xcg"),
+        (lambda: xcg.register_kernel(2, lambda q: 1 - q), "expected a name"),
+        (lambda: xcg.register_kernel("a tent", [1.0, 0.0]), "expected a function"),
+        (lambda: xcg.register_kernel("a tent", lambda q: 1 - q, ratio=-1.0), "ratio=-1.0"),
+        (lambda: xcg.register_kernel("a tent", lambda q: 1 - q, ratio=0), "ratio=0"),
+        (lambda: xcg.register_kernel("a tent", lambda q: 1 - q, smoothness=1.5), "smoothness=1.5"),
         (lambda: xcg.register_kernel("pole", lambda q: np.where(q > 0, 1 / np.maximum(q, 1e-300), np.inf)), "at q=0"),
     ],
 )

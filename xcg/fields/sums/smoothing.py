@@ -20,7 +20,7 @@ from xcg.compiled import segments
 from xcg.compiled import smoothing as codes
 from xcg.compiled.smoothing import LUCY_FULL, PLAIN, CellKernel, KernelCode
 from xcg.fields.sums.profiles import check_table, jumps_of, profile_integral, table_of
-from xcg.scene.numbers import is_positive
+from xcg.scene.numbers import is_positive, is_whole
 from xcg.scene.schema import LONGEST, SHORTEST
 from xcg.scene.sizes import SIZES
 from xcg.scene.warn import warn_user
@@ -274,6 +274,7 @@ _NAMED: dict[str, Callable[..., Kernel]] = {
     _SHIFTED_GAUSSIAN: partial(Gaussian, shifted=True),
     "heaviside": Heaviside,
 }
+_OF_THE_PACKAGE = frozenset(_NAMED)
 
 
 def register_kernel(
@@ -284,7 +285,8 @@ def register_kernel(
     Parameters
     ----------
     name : str
-        The name for ``kernel=``.
+        The name for ``kernel=``. It may be registered again, which replaces the former kernel; names of kernels of
+        the package are refused.
     profile : callable
         ``P(q)`` for an array q = r / c in [0, 1); it need not be normalised. Values, marginals and gradients are
         kept as polynomials of degree 7 on 64 intervals: where P is smooth, values to 1e-11 and derivatives to 1e-7 of
@@ -307,8 +309,10 @@ def register_kernel(
     Raises
     ------
     ValueError
-        If the profile is not finite from 0 on, below 1, or has no positive integral.
+        If the name is that of a kernel of the package, the ratio or the smoothness is none, or the profile is not
+        finite from 0 on, below 1, or has no positive integral.
     """
+    _check_registration(name, profile, ratio, smoothness)
     profile = partial(profile)  # an object for each registration, as what is kept of profiles goes by them
     check_table(name, profile)
     if not profile_integral(profile, 3) > 0:
@@ -335,6 +339,26 @@ def register_kernel(
     }  # fmt: skip
     kind = _NAMED[name.lower()] = type(name.title(), (Kernel,), members)
     return kind
+
+
+def _check_registration(name: Any, profile: Any, ratio: Any, smoothness: Any) -> None:
+    """Refuse what makes no kernel, before its profile is looked at."""
+    if not isinstance(name, str) or not name.strip():
+        msg = f"register_kernel({name!r}): expected a name, such as 'tent'"
+    elif name.lower() in _OF_THE_PACKAGE:
+        msg = f"register_kernel({name!r}): the name is that of a kernel of xcg; choose another"
+    elif not callable(profile):
+        msg = f"register_kernel({name!r}): profile={profile!r}, expected a function P(q) of q = r / c in [0, 1)"
+    elif not is_positive(ratio):
+        msg = f"register_kernel({name!r}): ratio={ratio!r}, expected a positive number, cutoff over width"
+    elif not is_whole(smoothness, -1):
+        msg = (
+            f"register_kernel({name!r}): smoothness={smoothness!r}, expected the number of continuous derivatives, or "
+            "-1 for a kernel that jumps"
+        )
+    else:
+        return
+    raise ValueError(msg)
 
 
 def as_kernel(kernel: str | Kernel, width: float | None, dimension: int) -> Kernel:
