@@ -15,6 +15,15 @@ def ratio(a: NDArray, b: NDArray) -> NDArray:
     return a / where_positive(b).reshape(b.shape + (1,) * (a.ndim - b.ndim))
 
 
+def mean_of(sums: NDArray, weights: NDArray) -> NDArray:
+    """Return the mean of what grains have, from sums over them; NaN where both are zero, as where nothing reaches.
+
+    Weights are below zero where parts of the kernel are. The mean that belongs to them is p / rho there, too: what is
+    about it, such as the kinetic stress, is then what the balances ask for.
+    """
+    return sums / weights.reshape(weights.shape + (1,) * (sums.ndim - weights.ndim))
+
+
 def absolute(x: NDArray) -> NDArray:
     """Return |x|; NaN stays NaN."""
     return at_least_zero(x) + at_least_zero(-x)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from xcg.compiled import points as kernel
 from xcg.fields.formulas import registry
-from xcg.fields.formulas.algebra import ratio
+from xcg.fields.formulas.algebra import mean_of
 from xcg.fields.formulas.field import Field, Options
 from xcg.fields.formulas.trace import at_least_zero, zero_if_unknown
 from xcg.fields.sums.moments import Moment
@@ -442,12 +442,12 @@ def _sum(f: Any, s: Any, o: Options, *, names: tuple[str], total: str, rank: int
 
 
 def _mean(f: Any, s: Any, o: Options, *, names: tuple[str], total: str, rank: int) -> NDArray:
-    return ratio(getattr(s, names[0]), getattr(s, total))
+    return mean_of(getattr(s, names[0]), getattr(s, total))
 
 
 def _bulk_mean(weight: NDArray, first: NDArray) -> NDArray:
     """Mean of the bulk, relative to the node's value, 0 where there are no grains."""
-    return zero_if_unknown(ratio(first[:1], weight[:1]))
+    return zero_if_unknown(mean_of(first[:1], weight[:1]))
 
 
 def _variance(f: Any, s: Any, o: Options, *, names: tuple[str, ...], total: str, rank: int) -> NDArray:
@@ -458,7 +458,7 @@ def _variance(f: Any, s: Any, o: Options, *, names: tuple[str, ...], total: str,
         weight, first = sums[..., 0], sums[..., _FIRST + k]
         b = _bulk_mean(weight, first)
         squares = sums[..., _SQUARES[k]] - b * first - (first - b * weight) * b
-        found.append(ratio(at_least_zero(squares), weight))
+        found.append(at_least_zero(mean_of(squares, weight)))
     return _components(found, rank)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from xcg.fields.formulas.algebra import ratio
+from xcg.fields.formulas.algebra import mean_of
 from xcg.fields.formulas.field import NONE, STRESS, Field
 
 ROWS: dict[str, Field] = {
@@ -29,7 +29,7 @@ ROWS: dict[str, Field] = {
     ),
     "coordination_number": Field(
         0, NONE, "coordination number", "Z = sum z_i Psi / n",
-        lambda f, s, o: ratio(s.partners, s.number), moments=("partners", "number"), weight="number_density",
+        lambda f, s, o: mean_of(s.partners, s.number), moments=("partners", "number"), weight="number_density",
     ),
     "contact_number_density": Field(
         0, (-3, 0, 0), "number density of contacts", "n_c = sum_c Psi(r - c)",

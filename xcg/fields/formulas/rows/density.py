@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from xcg.fields.formulas.algebra import ratio
+from xcg.fields.formulas.algebra import mean_of
 from xcg.fields.formulas.field import NONE, Field
 
 ROWS: dict[str, Field] = {
@@ -23,23 +23,23 @@ ROWS: dict[str, Field] = {
     ),
     "particle_density": Field(
         0, (-3, 1, 0), "density of the particles' material", "rho_p = rho / phi",
-        lambda f, s, o: ratio(f.density, f.volume_fraction), fields=("density", "volume_fraction"),
+        lambda f, s, o: mean_of(f.density, f.volume_fraction), fields=("density", "volume_fraction"),
         weight="volume_fraction",
     ),
     "centre_offset": Field(
         1, (1, 0, 0), "centre of mass of the grains at the node, from the node",
         "r_bar - r = sum m_i (r_i - r) Psi / rho",
-        lambda f, s, o: ratio(s.offset, s.mass), moments=("offset", "mass"), weight="density", default=False,
+        lambda f, s, o: mean_of(s.offset, s.mass), moments=("offset", "mass"), weight="density", default=False,
     ),
     "number_density": Field(
         0, (-3, 0, 0), "number density", "n = sum Psi", lambda f, s, o: s.number, moments=("number",), additive=True
     ),
     "d32": Field(
         0, (1, 0, 0), "surface-weighted mean diameter", "d32 = sum d_i^3 Psi / sum d_i^2 Psi",
-        lambda f, s, o: ratio(s.size3, s.size2), moments=("size2", "size3"), weight="volume_fraction", harmonic=True,
+        lambda f, s, o: mean_of(s.size3, s.size2), moments=("size2", "size3"), weight="volume_fraction", harmonic=True,
     ),
     "d43": Field(
         0, (1, 0, 0), "volume-weighted mean diameter", "d43 = sum d_i^4 Psi / sum d_i^3 Psi",
-        lambda f, s, o: ratio(s.size4, s.size3), moments=("size3", "size4"), weight="volume_fraction",
+        lambda f, s, o: mean_of(s.size4, s.size3), moments=("size3", "size4"), weight="volume_fraction",
     ),
 }  # fmt: skip

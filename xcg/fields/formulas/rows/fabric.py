@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.fields.formulas.algebra import contraction, deviator, ratio, restricted, transposed
+from xcg.fields.formulas.algebra import contraction, deviator, mean_of, ratio, restricted, transposed
 from xcg.fields.formulas.field import NONE, STRESS, Field, Options
 
 
@@ -66,12 +66,12 @@ ROWS: dict[str, Field] = {
     ),
     "contact_fabric": Field(
         2, NONE, "mean of the contacts' normals", "Phi = sum_c n n Psi(r - c) / n_c",
-        lambda f, s, o: ratio(s.normals, s.contacts), moments=("normals", "contacts"),
+        lambda f, s, o: mean_of(s.normals, s.contacts), moments=("normals", "contacts"),
         weight="contact_number_density", default=False,
     ),
     "branch_fabric": Field(
         2, NONE, "normals, weighted by the branch length", "X_b = sum_c l n n Psi(r - c) / sum_c l Psi(r - c)",
-        lambda f, s, o: ratio(s.branch_normals, s.branch_length), moments=("branch_normals", "branch_length"),
+        lambda f, s, o: mean_of(s.branch_normals, s.branch_length), moments=("branch_normals", "branch_length"),
         weight="branch_length_density", default=False,
     ),
     "normal_force_fabric": Field(
@@ -128,7 +128,7 @@ ROWS: dict[str, Field] = {
     ),
     "mechanical_coordination_number": Field(
         0, NONE, "coordination number of grains that may bear load", "Z_mech = sum z_i Psi / sum Psi over z_i > 1",
-        lambda f, s, o: ratio(s.bearing_partners, s.bearing), moments=("bearing_partners", "bearing"),
+        lambda f, s, o: mean_of(s.bearing_partners, s.bearing), moments=("bearing_partners", "bearing"),
         weight="bearing_number_density", default=False,
     ),
     "redundancy_number": Field(

@@ -15,6 +15,7 @@ from xcg.fields.formulas.algebra import (
     deviator,
     dot,
     double_dot,
+    mean_of,
     outer,
     rate_magnitude,
     ratio,
@@ -33,7 +34,7 @@ FITS = ("least_squares", "paper")
 
 def _drift(f: Any, s: Any, o: Options) -> NDArray:
     """V - U: the velocity relative to the node's reference, NaN where there are no grains."""
-    return ratio(s.momentum, s.mass)
+    return mean_of(s.momentum, s.mass)
 
 
 def _inner(a: NDArray) -> NDArray:
@@ -62,7 +63,7 @@ def _fit(f: Any, s: Any, o: Options, *, about_node: bool = False) -> SimpleNames
 
 
 def _kernel_gradient(f: Any, s: Any, o: Options) -> NDArray:
-    return ratio(s.momentum_slope - outer(f._drift, s.mass_slope), s.mass)
+    return mean_of(s.momentum_slope - outer(f._drift, s.mass_slope), s.mass)
 
 
 def _finite_difference(f: Any, s: Any, o: Options) -> NDArray:
@@ -147,7 +148,7 @@ def _taken_by_fit(f: Any, s: Any, o: Options) -> NDArray:
     a phase, ``sum_i w_i (2 H_ii - sum_j H_ij^2)``: for the bulk ``tr(M^-1 sum w^2 phi phi)``, phi = (1, x).
     """
     point, inverse = f._fit.mean[:1], f._fit.inverse[:1]
-    centre = zero_if_unknown(ratio(s.offset[:1], s.mass[:1]))
+    centre = zero_if_unknown(mean_of(s.offset[:1], s.mass[:1]))
     squares = s.square, s.square_offset, s.square_spread
     shift, bulk = _about(tuple(a[:1] for a in squares), centre, centre)
     if len(s.mass) == 1:

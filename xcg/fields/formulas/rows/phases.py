@@ -9,7 +9,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from xcg.fields.formulas.algebra import ratio
+from xcg.fields.formulas.algebra import mean_of
 from xcg.fields.formulas.field import NONE, Field, Options
 from xcg.fields.formulas.trace import zero_if_unknown
 
@@ -33,7 +33,7 @@ ROWS: dict[str, Field] = {
     ),
     "concentration": Field(
         0, NONE, "share of a phase in the volume of the grains", "c_a = phi_a / phi",
-        lambda f, s, o: ratio(f.volume_fraction, f.volume_fraction[:1]), fields=("volume_fraction",),
+        lambda f, s, o: mean_of(f.volume_fraction, f.volume_fraction[:1]), fields=("volume_fraction",),
         weight="volume_fraction", by_bulk=True, default=False, option="by",
     ),
 }  # fmt: skip

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.fields.formulas.algebra import outer, ratio
+from xcg.fields.formulas.algebra import mean_of, outer, ratio
 from xcg.fields.formulas.field import STRESS, Field, Options
 from xcg.fields.formulas.trace import at_least_zero, where_positive, zero_if_unknown
 
@@ -24,7 +24,7 @@ def _fluctuation(f: Any, s: Any, o: Options) -> NDArray:
     """Sum of I Psi (o - b)(o - b), with b the mean of the bulk, expanded as the kinetic stress is."""
     weight, first = s.rotation[..., _WEIGHT], s.rotation[..., _FIRST]
     second = np.stack([np.stack([s.rotation[..., k] for k in row], axis=-1) for row in _SECOND], axis=-2)
-    b = zero_if_unknown(ratio(first[:1], weight[:1]))
+    b = zero_if_unknown(mean_of(first[:1], weight[:1]))
     return second - outer(b, first) - outer(first - b * weight[..., None], b)
 
 
@@ -61,7 +61,8 @@ ROWS: dict[str, Field] = {
     ),
     "spin": Field(
         1, (0, 0, -1), "mean angular velocity of the grains", "omega = sum I_i omega_i Psi / sum I_i Psi",
-        lambda f, s, o: ratio(s.spin, s.inertia), moments=("spin", "inertia"), weight="inertia_density", default=False,
+        lambda f, s, o: mean_of(s.spin, s.inertia), moments=("spin", "inertia"), weight="inertia_density",
+        default=False,
     ),
     "spin_flux": Field(
         2, (0, 1, -2), "flux of spin that moving grains carry", "sum I_i omega_i v_i Psi",
