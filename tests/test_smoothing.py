@@ -439,6 +439,22 @@ def test_profiles_that_are_not_smooth_are_told():
         xcg.register_kernel("single", lambda q: ((1 - q**2) ** 2).astype("float32"))
 
 
+def test_quadratures_along_contacts_tell_their_error():
+    """Of a table of 17 numbers, which has more kinks than shells are made of."""
+    places = np.linspace(0.0, 1.0, 17)
+
+    def table(q):
+        return np.interp(q, places, (1 - places) ** 2)
+
+    with pytest.warns(xcg.SceneWarning) as told:
+        kernel = xcg.register_kernel("table", table)(cutoff=1.0)
+    off = float(re.search(r"quadratures, which are off by (\S+) of the largest", str(told[0].message))[1])
+    end = np.array([1.6, 0.0, 0.0])
+    points = np.column_stack([np.full(12, 0.8), np.linspace(0.0, 0.59, 12), np.zeros(12)])
+    error = np.abs(kernel.segment(points, 0 * end, end) / kernel.weights(3).norm - _gauss(table, points, end, 2000))
+    assert 0.1 * off < 1.6 * error.max() < 3.0 * off
+
+
 @pytest.mark.parametrize(
     ("profile", "place"), [(lambda q: np.exp(-4.5 * q**2), "1"), (lambda q: np.where(q < 0.75, 1 - q, 0.0), r"0\.75")]
 )

@@ -15,6 +15,7 @@ from numpy.polynomial import Chebyshev, Polynomial
 from numpy.typing import NDArray
 
 from xcg.compiled import smoothing as codes
+from xcg.compiled.segments import mean_along
 from xcg.compiled.shells import AT_ONCE, FIRST, POWERS, RADIUS, along_shells
 from xcg.scene.warn import warn_user
 
@@ -26,6 +27,7 @@ _Q = Polynomial([0.0, 1.0])
 _INTERVALS = 64
 _PLACES = np.linspace(0.0, 1.0, 11 * _INTERVALS, endpoint=False)  # where profiles are looked at
 _MOST_ERROR = 1e-10  # of values at points, relative to the largest
+_MOST_LINE_ERROR, _PANELS = 1e-7, 2000  # of quadratures along chords; and parts of these that tell it
 _SHELL_ERROR = 1e-12  # of the polynomials of shells, relative to the largest value
 # Sums of the sizes of a polynomial's terms, relative to the largest value: rounding is as many times that of a value.
 _LARGEST_TERMS = 5e3
@@ -94,6 +96,28 @@ def check_table(name: str, profile: Profile) -> None:
             f"kernel {name!r}: its profile jumps at q={inside[0]:.3g}, and where one axis is averaged, sums take "
             f"values within 1/{_INTERVALS} of there that are off by up to 3 % of the jump"
         )
+
+    if not _shells(profile) and (off := _line_error(profile)) > _MOST_LINE_ERROR:
+        warn_user(
+            f"kernel {name!r}: its profile takes more than {codes.PIECE} polynomials between radii, so that integrals "
+            f"along contacts are quadratures, which are off by {off:.1e} of the largest value; a profile with fewer "
+            "kinks has closed forms"
+        )
+
+
+def _line_error(profile: Profile) -> float:
+    """Error of quadratures along chords of the support, relative to the largest value of the profile."""
+    x, weights = np.polynomial.legendre.leggauss(4)
+    share = (np.arange(_PANELS)[:, None] + 0.5 + 0.5 * x) / _PANELS
+    largest = 0.0
+    for distance in np.linspace(0.0, 0.96, 13):
+        half = math.sqrt(1.0 - distance * distance)
+        radii = np.hypot(distance, half * (2.0 * share - 1.0))
+        exact = 0.5 * (_values(profile, radii.ravel()).reshape(radii.shape) @ weights).mean()
+        chord = np.array([[half, distance]]), np.array([2.0 * half, 0.0])
+        found = mean_along(*chord, 0, codes.TABLE, codes.TABULATED, table_of(profile, 0))
+        largest = max(largest, abs(float(found[0]) - exact))
+    return largest / _largest(profile)
 
 
 def jumps_of(profile: Profile) -> list[float]:
