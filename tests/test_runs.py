@@ -18,7 +18,7 @@ import pytest
 import xarray as xr
 
 import xcg
-from tests import dumps
+from tests import dumps, steps_of_random_scenes
 from tests.test_cli import xcg_run
 from xcg.jobs.config import read_config
 from xcg.jobs.run import run_job
@@ -149,6 +149,21 @@ def test_resume_never_starts_over(job):
     assert "20 of 20 steps are there" in xcg_run("run", job, "--resume")
     job.write_text(JOB.replace("spacing = 0.75", "spacing = 1.0"))
     assert "exists; choose another" in xcg_run("run", job, "--resume", code=1)
+
+
+def test_resume_sees_what_changed_in_a_folder(tmp_path):
+    scene = steps_of_random_scenes(3).chunk(time=1).cg.save(tmp_path / "scene.zarr")
+    job = tmp_path / "job.toml"
+    job.write_text('[scene]\nparticles = "scene.zarr"\nchunks = 1\n[fields]\nfields = "density"\naxes = "z"\n')
+    steps = run_job(read_config(job), jobs=1)
+    next(steps)
+    next(steps)
+    steps.close()
+    chunk = next((scene / "position").glob("c*"))
+    before = scene.stat().st_mtime_ns
+    os.utime(chunk, ns=(chunk.stat().st_atime_ns, chunk.stat().st_mtime_ns + 10**9))  # as where it is written anew
+    assert scene.stat().st_mtime_ns == before
+    assert "files changed" in " ".join(xcg_run("run", job, "--resume", code=1).split())
 
 
 # --- stopped ---------------------------------------------------------------------------------------------

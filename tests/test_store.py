@@ -10,6 +10,7 @@ import sys
 import warnings
 from pathlib import Path
 
+import h5py
 import netCDF4
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from tests import real_data, steps_of_random_scenes
 from tests.dumps import write_series
 from xcg.jobs.config import read_config
 from xcg.jobs.run import run_job
+from xcg.steps.errors import SkippedStep
 from xcg.writers.folders import whole_folder
 from xcg_start.group import group
 
@@ -338,6 +340,33 @@ def test_patterns_find_one_scene(tmp_path, suffix):
     for several in (saved, tmp_path / f"scene*{suffix}"):
         with pytest.raises(xcg.SceneError, match=r"scene1.* is a scene that xcg saved, .* open the 2"):
             xcg.open_scene(several)
+
+
+def test_a_damaged_chunk_is_named_and_skipped(tmp_path):
+    ds = steps_of_random_scenes(4)
+    saved = ds.chunk(time=1).cg.save(tmp_path / "scene.nc", compression=1)
+    with h5py.File(saved) as file:
+        chunk = file["position"].id.get_chunk_info(1)
+    held = bytearray(saved.read_bytes())
+    held[chunk.byte_offset : chunk.byte_offset + chunk.size] = bytes(chunk.size)
+    saved.write_bytes(held)
+    again = xcg.open_scene(saved, chunks=1)
+    said = r"scene\.nc: 'position' cannot be read at the steps 1 to 1 \(RuntimeError: .*\); it is damaged"
+    with pytest.raises(xcg.SceneError, match=said):
+        again.cg.coarse_grain("density", axes="z").compute()
+    with pytest.warns(SkippedStep, match=f"step 1 is skipped: .*{said}"):
+        f = again.cg.coarse_grain("density", axes="z", on_error="skip").compute()
+    assert f.skipped.values.tolist() == [False, True, False, False]
+    whole = ds.cg.coarse_grain("density", axes="z")
+    np.testing.assert_array_equal(f.density[[0, 2, 3]], whole.density[[0, 2, 3]])
+
+
+def test_steps_and_boxes_are_in_memory(tmp_path, suffix):
+    ds = steps_of_random_scenes(2)
+    ds = ds.assign_coords(tag=("particle", np.arange(ds.sizes["particle"])))
+    again = xcg.open_scene(ds.cg.save(tmp_path / f"scene{suffix}"))
+    assert {name for name, values in again.variables.items() if values.chunks is None} == {*again.coords, "box"}
+    assert_same_bits(ds, again)
 
 
 def test_on_error_is_checked_beside_it(tmp_path, suffix):

@@ -13,8 +13,8 @@ import click
 # what xcg.steps.errors and xcg.chains.search take, which are not imported for help; a test compares them
 ON_ERROR = ("raise", "skip")
 ALGORITHMS = ("branching", "peters2005")
-# missing='skip', overwrite=True, contacts=; but not alpha=100.0, which quotes what was given
-_ARGUMENT = re.compile(r"\b(\w+)=(?:'(\w+)'|True\b|(?=[\s?:;,.)]|$))")
+# missing='skip', overwrite=True, contacts=; but not alpha=100.0 or on_error='x': expected, which quote what was given
+_ARGUMENT = re.compile(r"\b(\w+)=(?:'(\w+)'(?!:)|True\b|(?=[\s?:;,.)]|$))")
 
 
 @contextmanager

@@ -236,7 +236,9 @@ def _signature(job: Job) -> str:
         given = job.scene.get(key, [])
         for path in [given] if isinstance(given, str) else given:
             paths += expand_paths([path], key) if glob.has_magic(path) and not Path(path).exists() else [path]
-    states = [(p, os.stat(p).st_mtime_ns, os.stat(p).st_size) for p in paths if Path(p).exists()]
+    # a folder of Zarr keeps its own time when one of its files changes
+    files = [file for path in map(Path, paths) for file in (path, *sorted(path.rglob("*"))) if file.exists()]
+    states = [(str(file), file.stat().st_mtime_ns, file.stat().st_size) for file in files]
     text = repr(job) + repr(states) + version("xcg")
     return hashlib.sha256(text.encode()).hexdigest()
 

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import glob
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import xarray as xr
 from dask.base import tokenize
+from numpy.typing import NDArray
 
 from xcg.readers.chunks import Chunks, chunk_sizes, steps_in_a_task
 from xcg.readers.paths import PathLike
-from xcg.scene.schema import SceneError
+from xcg.scene.schema import BOX, SceneError
 
 _HDF5 = b"\x89HDF"  # how NetCDF 4 begins; codes write the classic formats
 _OF_HDF5 = (".h5", ".hdf5")  # which may hold anything
@@ -72,7 +75,9 @@ def open_saved(path: str, chunks: Chunks) -> xr.Dataset:
     engine = "zarr" if path.lower().endswith(".zarr") else "netcdf4"
     try:
         ds = xr.open_dataset(path, engine=engine, cache=chunks is None)
-    except (OSError, ValueError, KeyError) as error:
+        for name in {*ds.coords, *(BOX.keys() & ds.keys())}:  # numbers of steps and boxes, by which faults are told
+            ds.variables[name].load()
+    except (OSError, RuntimeError, ValueError, KeyError) as error:
         msg = f"{path}: cannot be opened as {engine} ({type(error).__name__}: {error})"
         raise SceneError(msg) from error
     if not ds.variables.keys() >= _OF_SCENES:
@@ -83,8 +88,45 @@ def open_saved(path: str, chunks: Chunks) -> xr.Dataset:
     if chunks is None:
         return ds
     sizes = chunk_sizes(chunks, ds.sizes["time"], lambda: _sensible(ds))
-    whole = {str(dim): sizes if dim == "time" else -1 for dim in ds.dims}
-    return ds.chunk(whole, token=tokenize(path, os.stat(path).st_mtime_ns))
+    whole: dict[Hashable, Any] = {dim: sizes if dim == "time" else -1 for dim in ds.dims}
+    token = tokenize(path, os.stat(path).st_mtime_ns)
+    lazy = {
+        name: _lazy(values.variable, f"{path}: '{name}'", whole, f"{name}-{token}")
+        for name, values in ds.data_vars.items()
+        if name not in BOX
+    }
+    return ds.assign(lazy)
+
+
+def _lazy(values: xr.Variable, named: str, chunks: Mapping[Hashable, Any], key: str) -> xr.Variable:
+    """Give a lazy variable whose faults name it; xarray's own tell neither the file nor the variable."""
+    import dask.array as da  # slow to import
+
+    array = da.from_array(_Read(values, named), tuple(chunks[dim] for dim in values.dims), key, asarray=False)
+    return values.copy(data=array)
+
+
+@dataclass(frozen=True)
+class _Read:
+    """A variable of a file, read where it is indexed; `named` names both in errors."""
+
+    values: xr.Variable
+    named: str
+
+    shape = property(lambda self: self.values.shape)
+    dtype = property(lambda self: self.values.dtype)
+    ndim = property(lambda self: self.values.ndim)
+
+    def __getitem__(self, key: Any) -> NDArray:
+        try:
+            return self.values[key].to_numpy()
+        except (OSError, RuntimeError, ValueError, KeyError) as error:
+            steps = key[0] if "time" in self.values.dims[:1] else slice(None)
+            msg = (
+                f"{self.named} cannot be read at the steps {steps.start or 0} to {(steps.stop or self.shape[0]) - 1} "
+                f"({type(error).__name__}: {error}); it is damaged, or gone: save the scene again"
+            )
+            raise SceneError(msg) from error
 
 
 def _sensible(ds: xr.Dataset) -> int:
