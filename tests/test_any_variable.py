@@ -465,3 +465,12 @@ def test_own_variables_of_a_series_may_be_stacks_or_lists():
     assert ds.t.dims == ("time", "particle", "component", "direction")
     one = xcg.scene_from_arrays(position[0], q=np.zeros((1, 3)), w=np.ones((3, 3)))
     assert one.q.dims == ("time", "particle", "component") or one.q.sizes["particle"] == 3
+
+
+def test_names_of_contacts_are_theirs():
+    given = {"diameter": np.ones(3), "density": 1.0}
+    with pytest.raises(xcg.SceneError, match=r"'contact_heat' is a variable of contacts.*there are none"):
+        xcg.scene_from_arrays(np.eye(3) * 5, contact_heat=np.ones(3), **given)
+    ds = xcg.datasets.random_scene(20).assign(contact_heat=(("time", "particle"), np.ones((1, 20))))
+    with pytest.raises(xcg.SceneError, match=r"holds .*names that begin with 'contact_'.* another name"):
+        ds.cg.coarse_grain("contact_heat")

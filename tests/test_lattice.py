@@ -389,3 +389,16 @@ def test_images_of_straight_boxes_nearer_than_a_length(periodic, length):
     moves = np.unique(numbers[numbers.any(axis=1)] * LENGTHS, axis=0)
     expected = moves[(moves**2).sum(axis=1) < length**2]
     assert sorted(map(tuple, lattice.translations(length))) == sorted(map(tuple, expected))
+
+
+@pytest.mark.parametrize(
+    ("tilt", "axes", "said"),
+    [({"xy": 1.0}, "xz", "along y are shifted along x,"), ({"xy": 1.0}, "x", "along y are shifted along x,")],
+)
+def test_the_axes_of_a_tilt_are_named(tilt, axes, said):
+    ds = xcg.scene_from_arrays(
+        np.ones((1, 3)), diameter=[1.0], density=1.0, velocity=np.zeros((1, 3)), box=[[0, 5]] * 3, periodic="xyz",
+        lattice=tilt, shear_rate={},
+    )  # fmt: skip
+    with pytest.raises(xcg.SceneError, match=said):
+        ds.cg.coarse_grain("density", axes=axes, width=1.0)

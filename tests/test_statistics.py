@@ -297,3 +297,8 @@ def test_averages_of_stacked_nodes_warn_of_nothing():
     f = series(3).cg.coarse_grain("density", **ALL)
     stacked = f.stack(node=("x", "y", "z")).cg.time_average()  # warnings are errors in the tests
     xr.testing.assert_identical(stacked.density_error.unstack("node"), f.cg.time_average().density_error)
+
+
+def test_a_scene_has_no_averages():
+    with pytest.raises(ValueError, match="this is a scene: call time_average on what its coarse_grain returns"):
+        xcg.datasets.random_scene(20).cg.time_average()

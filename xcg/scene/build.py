@@ -130,6 +130,12 @@ def _split_own(name: str, values: Any, rows: Sequence[int]) -> list[NDArray]:
     array = np.asarray(values)
     if len(rows) == 1 and array.shape[:1] == (rows[0],):
         return [array]
+    if name.startswith("contact_") and not any(rows):
+        msg = (
+            f"{name!r} is a variable of contacts, as its name begins with 'contact_', and there are none: give them as "
+            "contact_i= and contact_j=, or give a variable of particles another name"
+        )
+        raise SceneError(msg)
     msg = (
         f"{name!r} has shape {np.shape(values) if isinstance(values, np.ndarray) else (len(values), '...')}: expected "
         f"(n,), (n, 3) or (n, 3, 3) for a step, with n = {', '.join(map(str, rows[:3]))}{', ...' * (len(rows) > 3)}, "

@@ -249,8 +249,9 @@ class Lattice:
         vectors, rates, apart = self._along(active)
         flat, rates = (vectors * active)[apart], rates[apart]
         if not _independent(flat):
-            shown = "".join(a for a, is_seen in zip(COMPONENTS, active, strict=True) if is_seen)
-            hidden = "".join(a for a, is_seen in zip(COMPONENTS, active, strict=True) if not is_seen)
+            tilted = vectors[(vectors * active).any(axis=1) & (vectors * ~active).any(axis=1)].any(axis=0)
+            shown = [a for a, leads in zip(COMPONENTS, tilted & active, strict=True) if leads]
+            hidden = [a for a, leads in zip(COMPONENTS, tilted & ~active, strict=True) if leads]
             msg = (
                 f"{source}: the box is tilted, so that its images along {' and '.join(hidden)} are shifted along "
                 f"{' and '.join(shown)}, and an average along {' and '.join(hidden)} alone does not exist; resolve "

@@ -214,6 +214,9 @@ def _rows_of(f: xr.Dataset) -> dict[str, Field | None]:
 
 def _to_sums(f: xr.Dataset, purpose: str) -> xr.Dataset:
     """Quantities that may be averaged: additive fields, and numerator and denominator of each ratio."""
+    if "particle" in f.dims:
+        msg = f"{purpose} averages fields, and this is a scene: call {purpose} on what its coarse_grain returns"
+        raise ValueError(msg)
     rows = _rows_of(f)
     if errors := [
         name for name, row in rows.items() if row is None and name.removesuffix("_error") in {*rows} - {name}

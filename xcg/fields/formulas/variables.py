@@ -361,6 +361,8 @@ def _wrong_dims(found: xr.DataArray, expected: tuple[str, ...]) -> str:
     if "contact" in found.dims and expected[0] == "particle":
         to = f"contact_{found.name}"
         return f"{msg}: names of variables of contacts begin with 'contact_'; call ds = ds.rename({found.name}={to!r})"
+    if "particle" in found.dims and expected[0] == "contact":
+        return f"{msg}: names that begin with 'contact_' are for contacts; give it another name, by ds.rename"
     if "time" not in found.dims:
         return f"{msg}: give it time, by ds.assign({found.name}=ds.{found.name}.expand_dims(time=ds.time))"
     rows = expected[0]

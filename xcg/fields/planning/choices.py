@@ -41,8 +41,11 @@ def choose_fields(
     given = list(asked) if isinstance(asked, Iterable) and not isinstance(asked, str) else [asked]
     own = own_fields(given, ds)
     names = [own[k].name if k in own else one for k, one in enumerate(given)]
+    if not names:
+        msg = f"fields={asked!r}: expected at least one; leave it out for all that the scene allows"
+        raise ValueError(msg)
     unknown = [name for name in names if name not in registry.listed() and name not in {o.name for o in own.values()}]
-    if unknown or not names:
+    if unknown:
         more = [name for name in rows_of(ds) if name not in registry.FIELDS]
         msg = f"unknown fields {unknown}: choose from {', '.join(registry.listed())}"
         msg += f", or a variable of the scene: {', '.join(more)}"

@@ -97,6 +97,9 @@ def _fields_and_options(
     if request.by_pair and request.by is None:
         msg = "by_pair=True divides contact stress by pairs of phases: say which with by=, for example by='species'"
         raise ValueError(msg)
+    if request.groups is not None and request.by is None:
+        msg = f"groups={request.groups!r} are the values of an integer variable of the particles: say which with by="
+        raise ValueError(msg)
     options = replace(options_of(ds, setup, request), by=request.by)
     names, own = choose_fields(request.fields, ds, options)
     if is_cylindrical(ds):

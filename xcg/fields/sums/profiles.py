@@ -94,7 +94,8 @@ def check_table(name: str, profile: Profile) -> None:
     if inside:
         warn_user(
             f"kernel {name!r}: its profile jumps at q={inside[0]:.3g}, and where one axis is averaged, sums take "
-            f"values within 1/{_INTERVALS} of there that are off by up to 3 % of the jump"
+            f"values within 1/{_INTERVALS} of there that are off by up to 3 % of the jump; averages over cells "
+            "(sampling='cell') together are off by up to 1 % of a grain"
         )
 
     if not _shells(profile) and (off := _line_error(profile)) > _MOST_LINE_ERROR:
