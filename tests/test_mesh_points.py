@@ -124,6 +124,25 @@ def test_several_steps_are_a_series(scene, mesh, tmp_path):
     f.cg.to_vtu(mesh, tmp_path / "out.vtu", overwrite=True)
 
 
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda f: f.drop_vars("time"), "dimension 'time' has no coordinate; assign one"),
+        (
+            lambda f: f.assign_coords(time=np.array(["2020", "2021"], "M8[ns]")),
+            "'time' holds .*2020.*; expected",
+        ),
+        (lambda f: f.isel(time=[1, 0]), "'time' goes from 2.5 to .* expected to rise"),
+    ],
+)
+def test_a_series_needs_times(scene, mesh, tmp_path, change, message):
+    ds = xr.concat([scene, scene.assign_coords(time=[2.5])], "time")
+    f = ds.cg.coarse_grain("density", at=xcg.mesh_points(mesh))
+    with pytest.raises(ValueError, match=message):
+        change(f).cg.to_vtu(mesh, tmp_path / "out.vtu")
+    assert [p.name for p in tmp_path.iterdir()] == [mesh.name]
+
+
 def test_fields_of_another_mesh_are_refused(scene, mesh, tmp_path):
     at = xcg.mesh_points(mesh)
     f = scene.cg.coarse_grain("density", at=at)

@@ -16,6 +16,7 @@ from xcg.scene.schema import SceneError
 from xcg.steps.each import each_step
 from xcg.writers.files import check_target, publish, whole_file
 from xcg.writers.folders import hidden_folder
+from xcg.writers.vtkhdf import times_of
 
 
 def write_series(
@@ -42,8 +43,11 @@ def write_series(
     ------
     FileExistsError, FileNotFoundError
         If a file exists and `overwrite` is False, or the folder is not there; before anything is written.
+    ValueError
+        If times are no numbers that rise; likewise.
     """
-    times = np.atleast_1d(fields["time"].to_numpy()) if "time" in fields.coords else np.zeros(1)
+    known = times_of(fields)
+    times = np.zeros(1) if known is None else known
     names = [path.with_name(f"{path.stem}_{t:04d}{suffix}") for t in range(len(times))]
     for name in (*names, path):
         check_target(name, overwrite=overwrite)

@@ -118,7 +118,7 @@ class Image:
     def of(cls, fields: xr.Dataset) -> Image:
         """Find nodes and times of fields."""
         nodes, origin, spacing = zip(*(_axis(fields, axis) for axis in AXES), strict=True)
-        return cls(nodes, origin, spacing, _times(fields))
+        return cls(nodes, origin, spacing, times_of(fields))
 
     @property
     def temporal(self) -> bool:
@@ -260,7 +260,7 @@ def _axis(fields: xr.Dataset, axis: str) -> tuple[int, float, float]:
     return nodes.size, float(nodes[0]), float(spacing)
 
 
-def _times(fields: xr.Dataset) -> NDArray | None:
+def times_of(fields: xr.Dataset) -> NDArray | None:
     """Return the times of the steps, None for a result that knows no time."""
     if "time" not in fields.sizes:
         return _numbers(fields, "time").reshape(1) if "time" in fields.coords else None

@@ -52,7 +52,7 @@ def to_vtu(
         If a file exists and `overwrite` is False, or a file or folder is not there.
     ValueError
         If the fields are not at the points or cells of this mesh: another number of them, or other places; or if some
-        components of vectors are missing.
+        components of vectors are missing, or times are no numbers that rise.
     """
     path = Path(path)
     if path.suffix != ".vtu":
