@@ -163,5 +163,7 @@ def test_a_format_of_ones_own(tmp_path):
         xcg.register_writer(".nc", write_text)
     with pytest.raises(ValueError, match="with its dot"):
         xcg.register_writer("txt", write_text)
+    with pytest.raises(ValueError, match="write=3: expected a function"):
+        xcg.register_writer(".none", 3)
     with pytest.raises(ValueError, match=r"\.txt"):
         xcg.save(f, tmp_path / "f.tex")

@@ -49,7 +49,7 @@ def register_writer(suffix: str, write: Writer) -> None:
     Raises
     ------
     ValueError
-        If the suffix has no dot, or is taken.
+        If the suffix has no dot, or is taken, or what should write is no function.
 
     Examples
     --------
@@ -65,6 +65,9 @@ def register_writer(suffix: str, write: Writer) -> None:
         raise ValueError(msg)
     if suffix in _WRITERS and _WRITERS[suffix] != write:
         msg = f"suffix={suffix!r} is taken; choose another one"
+        raise ValueError(msg)
+    if not callable(write):
+        msg = f"write={write!r}: expected a function write(ds, path, encoding, overwrite=...)"
         raise ValueError(msg)
     _WRITERS[suffix] = write
 
