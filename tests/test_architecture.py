@@ -20,6 +20,7 @@ FLOORS = [
     ["accessor"],
     ["__init__"],
     ["jobs"],
+    ["cli"],
 ]
 
 # floors within the largest rooms

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 import xcg
 from tests import steps_of_random_scenes
 from tests.dumps import write_series
+from xcg.cli.commands import group
 from xcg.writers.encoding import Encoding, deflated
-from xcg_start.group import group
 
 
 def reopen(path):

@@ -6,8 +6,8 @@ from typing import Any
 
 import click
 
-from xcg_start.messages import plain_messages
-from xcg_start.scene import said, takes_files
+from xcg.cli.messages import plain_messages
+from xcg.cli.scene import said, takes_files
 
 
 @click.command()

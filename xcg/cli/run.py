@@ -10,8 +10,8 @@ from dataclasses import replace
 
 import click
 
-from xcg_start.messages import ON_ERROR, plain_messages
-from xcg_start.stop import last_words
+from xcg.cli.messages import ON_ERROR, plain_messages
+from xcg_start import last_words
 
 
 @contextmanager

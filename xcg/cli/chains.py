@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from xcg_start.messages import ALGORITHMS, ON_ERROR, plain_messages
-from xcg_start.scene import said, takes_files
+from xcg.cli.messages import ALGORITHMS, ON_ERROR, plain_messages
+from xcg.cli.scene import said, takes_files
 
 if TYPE_CHECKING:
     import xarray as xr

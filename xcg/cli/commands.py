@@ -2,11 +2,11 @@
 
 import click
 
-from xcg_start.chains import chains
-from xcg_start.convert import convert
-from xcg_start.fields import fields
-from xcg_start.info import info
-from xcg_start.run import run
+from xcg.cli.chains import chains
+from xcg.cli.convert import convert
+from xcg.cli.fields import fields
+from xcg.cli.info import info
+from xcg.cli.run import run
 
 
 @click.group(commands=[chains, convert, fields, info, run], context_settings={"help_option_names": ["-h", "--help"]})

@@ -1,4 +1,10 @@
-"""The end of a command by Ctrl-C."""
+"""The command ``xcg`` from its first moment on: Ctrl-C is looked after before libraries are loaded.
+
+This module stands beside the package, as importing any part of the package loads them.
+
+Exit codes: 0 done, 1 the job or its data are at fault (the message says what), 2 the command line is, 130 stopped by
+Ctrl-C.
+"""
 
 import os
 import signal
@@ -25,3 +31,18 @@ def stop(*_: object) -> None:
     except (OSError, RuntimeError):  # interrupted while it prints
         pass
     os._exit(128 + signal.SIGINT)
+
+
+def main() -> None:
+    """Run the command; it ends at once, and without a traceback, when it is interrupted."""
+    signal.signal(signal.SIGINT, stop)
+    from xcg.cli.commands import group
+
+    try:
+        group(prog_name="xcg")
+    except SystemExit as end:
+        if isinstance(end.code, int) and end.code:  # threads would be waited for, a file of a full disk closed again
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(end.code)
+        raise
