@@ -62,6 +62,16 @@ def test_a_scene_comes_back(tmp_path, suffix, lazy):
     assert sorted(path.name for path in tmp_path.iterdir()) == [saved.name]
 
 
+def test_hdf5_is_netcdf_by_another_name(tmp_path):
+    ds = steps_of_random_scenes(2)
+    for what in (ds, ds.cg.coarse_grain("density", axes="z")):
+        assert_same_bits(what, reopen(what.cg.save(tmp_path / "saved.h5", overwrite=True)))
+    with h5py.File(tmp_path / "saved.h5") as file:
+        assert "density" in file
+    ds.cg.save(tmp_path / "scene.h5")
+    assert_same_bits(ds, xcg.open_scene(tmp_path / "scene.h5"))
+
+
 def test_everything_works_on_it(tmp_path, suffix):
     ds = steps_of_random_scenes(2)
     again = reopen(ds.cg.save(tmp_path / f"scene{suffix}"))

@@ -11,6 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import xarray as xr
+
 import xcg
 
 ROOT = Path(__file__).parents[1]
@@ -100,6 +102,8 @@ def test_a_class_travels_to_other_processes(tmp_path, site):
     code = (
         (site / "grit_tools.py").read_text()
         + """
+import xarray as xr
+
 import xcg
 for engine in (Grit, Grit()):
     ds = xcg.open_scene("grains_*.txt", contacts="forces_*.txt", engine=engine, density=2500)
@@ -147,6 +151,10 @@ def test_engines_at_fault_are_named(tmp_path):
         def index_particles(self, paths, options):
             return paths
 
+    class Bare(Points):
+        def read_particles(self, ref, options):
+            return np.load(ref.path)
+
     class Half(Engine):
         def index_particles(self, paths, options):
             return []
@@ -162,6 +170,7 @@ def test_engines_at_fault_are_named(tmp_path):
     np.testing.assert_array_equal(xcg.open_scene(path, engine=Asks(1)).position[0], np.eye(4, 3))
     for engine, message in [
         (Fewer, r"p\.npy.*4 rows, but its index promised 3"),
+        (Bare, r"p\.npy.*'bare' gives particles as ndarray; expected a dict of arrays"),
         (Paths, "'paths' lists .* as a step; expected a list of xcg.readers.StepRef"),
         (Half, "Half.*read_particles"),
         (Asks, "Asks.*without arguments"),
@@ -275,3 +284,5 @@ def test_means_of_a_kernel_with_negative_parts():
         for name, values in ratios.items():
             found = f[name].sel(phase=phase).values
             np.testing.assert_allclose(found, values, rtol=1e-6, atol=1e-6 * np.nanmedian(np.abs(values)))
+    steps = ds.cg.coarse_grain(["density", "velocity", "heat"], width=0.7, kernel="with negative parts", **at)
+    xr.testing.assert_allclose(xcg.time_average(steps).drop_vars("sample_count"), steps.isel(time=0, drop=True))

@@ -39,7 +39,14 @@ def read_step(engine: Engine, options: ReadOptions, ref: StepRef, *, contacts: b
     """Parse one body in the file's units."""
     if ref.size:
         _check_unchanged(ref)
-    return engine.read_contacts(ref, options) if contacts else engine.read_particles(ref, options)
+    found = engine.read_contacts(ref, options) if contacts else engine.read_particles(ref, options)
+    if not isinstance(found, Mapping):
+        msg = (
+            f"{source_of(ref)}: the engine {engine.name!r} gives {'contacts' if contacts else 'particles'} as "
+            f"{type(found).__name__}; expected a dict of arrays by the names of variables, such as 'position'"
+        )
+        raise SceneError(msg)
+    return found
 
 
 def _check_unchanged(ref: StepRef) -> None:

@@ -29,6 +29,7 @@ class Writer(Protocol):
 # by suffix: a writer, or its module and name, which is imported when it is needed
 _WRITERS: dict[str, Writer | tuple[str, str]] = {
     ".nc": ("xcg.writers.netcdf", "write_netcdf"),
+    ".h5": ("xcg.writers.netcdf", "write_netcdf"),
     ".zarr": ("xcg.writers.zarr", "write_zarr"),
     ".vtkhdf": ("xcg.writers.vtkhdf", "write_vtkhdf"),
     ".pvd": ("xcg.writers.vti", "write_pvd"),
@@ -82,7 +83,7 @@ def save(
     compression: int | None = None,
     progress: bool | None = None,
 ) -> Path:
-    """Write a scene or a result, as the name says: NetCDF (``.nc``), Zarr (``.zarr``) or VTKHDF (``.vtkhdf``).
+    """Write a scene or a result, as the name says: NetCDF, HDF5, Zarr or VTKHDF.
 
     A scene that is opened again with ``xr.open_dataset(path, chunks={})`` or ``xr.open_zarr(path)`` is the same to the
     last bit, and `ds.cg` works on it. It opens at once, and is read several times as fast as the text it came from.
@@ -98,10 +99,10 @@ def save(
     ds : xarray.Dataset
         A scene or a result, lazy or in memory.
     path : str or path
-        ``*.nc`` for NetCDF 4 (deflate); ``*.zarr`` for a Zarr folder (Zstandard), which is written and read faster,
-        by several tasks at a time; ``*.vtkhdf`` for fields and chains, see `to_vtkhdf` in `xcg.writers` `vtkhdf` and
-        `chains`; ``*.pvd`` for fields as images, one file a step, which ParaView before 5.12 reads, too. It appears
-        only when it is whole.
+        ``*.nc`` for NetCDF 4 (deflate), or ``*.h5`` for the same file, which is HDF5; ``*.zarr`` for a Zarr folder
+        (Zstandard), which is written and read faster, by several tasks at a time; ``*.vtkhdf`` for fields and chains,
+        see `to_vtkhdf` in `xcg.writers` `vtkhdf` and `chains`; ``*.pvd`` for fields as images, one file a step, which
+        ParaView before 5.12 reads, too. It appears only when it is whole.
     overwrite : bool
         Replace what is there.
     dtype : {"float32", "float64"}, optional
@@ -134,7 +135,7 @@ def save(
     """
     path = Path(path)
     if path.suffix not in _WRITERS:
-        own = {".nc": "NetCDF", ".zarr": "Zarr", ".vtkhdf": "VTKHDF", ".pvd": "images for any ParaView"}
+        own = {".nc": "NetCDF", ".h5": "HDF5", ".zarr": "Zarr", ".vtkhdf": "VTKHDF", ".pvd": "images for any ParaView"}
         msg = f"{path}: expected a name that ends with " + ", ".join(f"{end} ({what})" for end, what in own.items())
         added = [suffix for suffix in _WRITERS if suffix not in own]
         raise ValueError(msg + (f", or with {', '.join(added)}" if added else ""))

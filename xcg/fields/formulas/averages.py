@@ -240,7 +240,7 @@ def _to_sums(f: xr.Dataset, purpose: str) -> xr.Dataset:
             weight = _of_bulk(f[row.weight], name, purpose) if row.by_bulk else f[row.weight]
             weight, value = weight.where(f[name].notnull(), 0.0), f[name].fillna(0.0)
             if row.harmonic:
-                out[f"{name}/top"], out[f"{name}/bottom"] = weight, weight / value.where(weight > 0, 1.0)
+                out[f"{name}/top"], out[f"{name}/bottom"] = weight, weight / value.where(weight != 0, 1.0)
             else:
                 out[f"{name}/top"], out[f"{name}/bottom"] = weight * value, weight
     return xr.Dataset(out)
@@ -293,7 +293,7 @@ def _from_sums(sums: xr.Dataset, f: xr.Dataset) -> xr.Dataset:
     for name in map(str, sums.data_vars):
         if name.endswith("/top"):
             ratio, below = name.removesuffix("/top"), sums[name.removesuffix("top") + "bottom"]
-            found[ratio] = sums[name] / below.where(below > 0)
+            found[ratio] = sums[name] / below.where(below != 0)
         elif "/" not in name:
             found[name] = sums[name]
 
