@@ -11,8 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import xarray as xr
-
 import xcg
 
 ROOT = Path(__file__).parents[1]
@@ -285,4 +283,6 @@ def test_means_of_a_kernel_with_negative_parts():
             found = f[name].sel(phase=phase).values
             np.testing.assert_allclose(found, values, rtol=1e-6, atol=1e-6 * np.nanmedian(np.abs(values)))
     steps = ds.cg.coarse_grain(["density", "velocity", "heat"], width=0.7, kernel="with negative parts", **at)
-    xr.testing.assert_allclose(xcg.time_average(steps).drop_vars("sample_count"), steps.isel(time=0, drop=True))
+    mean = xcg.time_average(steps)
+    for name in ("density", "velocity", "heat"):
+        np.testing.assert_allclose(mean[name], steps[name].isel(time=0), rtol=1e-12)
