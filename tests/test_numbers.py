@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.loops import compiled
 from xcg.compiled import text
 from xcg.readers.files.table import parse_table
 from xcg.scene.schema import SceneError
@@ -117,7 +118,7 @@ def test_few_are_left_to_python(most):
         word = f"{rng.gauss(0, 1) * 10.0 ** rng.randint(-9, 9):.{most}g}".encode()
         data = np.full(len(word) + text.BEYOND, 10, np.uint8)
         data[: len(word)] = np.frombuffer(word, np.uint8)
-        value, known = text.number(data, 0, len(word))
+        value, known = compiled(text.number)(data, 0, len(word))
         assert known
         assert value == float(word)
 

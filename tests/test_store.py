@@ -134,7 +134,7 @@ def test_refusals(tmp_path, suffix):
     with pytest.raises(FileExistsError, match="overwrite=True"):
         xcg.save(ds, path)
     assert_same_bits(ds, reopen(xcg.save(ds, path, overwrite=True)))
-    with pytest.raises(ValueError, match=r"ends with \.nc \(NetCDF\), \.zarr"):
+    with pytest.raises(ValueError, match=r"ends with \.nc \(NetCDF\), \.h5 \(HDF5\), \.zarr"):
         xcg.save(ds, tmp_path / "scene.csv")
     with pytest.raises(FileNotFoundError, match="create it first"):
         xcg.save(ds, tmp_path / "none" / f"scene{suffix}")

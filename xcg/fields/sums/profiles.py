@@ -72,7 +72,7 @@ def profile_integral(profile: Profile, dimension: int) -> float:
 
 
 def check_table(name: str, profile: Profile) -> None:
-    """Refuse a profile that is not finite, and warn where it is not smooth enough for its tables.
+    """Refuse a profile that is not finite or has no positive integral, and warn where it is not smooth enough for its tables.
 
     Values are looked at in places between those that the table goes through.
     """
@@ -80,6 +80,9 @@ def check_table(name: str, profile: Profile) -> None:
     if not np.isfinite(exact).all():
         wrong = _PLACES[~np.isfinite(exact)][0]
         msg = f"the profile of kernel {name!r} must be finite on [0, 1): it is not at q={wrong:.3g}"
+        raise ValueError(msg)
+    if not profile_integral(profile, 3) > 0:
+        msg = f"the profile of kernel {name!r} must have a positive integral"
         raise ValueError(msg)
     largest = _largest(profile)
     error = np.abs(codes.sample(codes.TABLE, codes.TABULATED, table_of(profile, 0), _PLACES, False) - exact)

@@ -316,9 +316,6 @@ def register_kernel(
     _check_registration(name, profile, ratio, smoothness)
     profile = partial(profile)  # an object for each registration, as what is kept of profiles goes by them
     check_table(name, profile)
-    if not profile_integral(profile, 3) > 0:
-        msg = f"the profile of kernel {name!r} must have a positive integral"
-        raise ValueError(msg)
     jumps = jumps_of(profile)
     if jumps and smoothness >= 0:
         warn_user(
