@@ -72,7 +72,7 @@ def profile_integral(profile: Profile, dimension: int) -> float:
 
 
 def check_table(name: str, profile: Profile) -> None:
-    """Refuse a profile that is not finite or has no positive integral, and warn where it is not smooth enough for its tables.
+    """Refuse profiles that are not finite or have no positive integral; warn of those that their tables do not hold.
 
     Values are looked at in places between those that the table goes through.
     """
