@@ -49,6 +49,7 @@ def _values(profile: Profile, q: NDArray) -> NDArray:
         return np.array([_value(profile, x) for x in q])
 
 
+@lru_cache
 def _largest(profile: Profile) -> float:
     """Largest absolute value of a profile."""
     return float(np.abs(_values(profile, _PLACES)).max())
@@ -100,7 +101,6 @@ def check_table(name: str, profile: Profile) -> None:
             f"values within 1/{_INTERVALS} of there that are off by up to 3 % of the jump; averages over cells "
             "(sampling='cell') together are off by up to 1 % of a grain"
         )
-
     if not _shells(profile) and (off := _line_error(profile)) > _MOST_LINE_ERROR:
         warn_user(
             f"kernel {name!r}: its profile takes more than {codes.PIECE} polynomials between radii, so that integrals "
@@ -140,7 +140,7 @@ def table_of(profile: Profile, codimension: int) -> NDArray:
     """
     degree, table = codes.PIECE - 1, np.zeros((3, _INTERVALS, codes.PIECE))
     domains = [(k / _INTERVALS, (k + 1) / _INTERVALS) for k in range(_INTERVALS)]
-    value = np.vectorize(partial(_integrated, profile, codimension))
+    value = np.vectorize(_integrated(profile, codimension))
     pieces = [Chebyshev.interpolate(value, degree, domain) for domain in domains]
     for k, (domain, series) in enumerate(zip(domains, pieces, strict=True)):
         q = 0.5 * (domain[0] + domain[1]) + 0.5 / _INTERVALS * np.polynomial.chebyshev.chebpts1(codes.PIECE)
@@ -155,18 +155,25 @@ def table_of(profile: Profile, codimension: int) -> NDArray:
     return table
 
 
-def _integrated(profile: Profile, codimension: int, q: float) -> float:
-    """Profile at q, integrated over a line, over half of the chord; or over a plane (codimension 2)."""
-    shells, half = _shells(profile), math.sqrt(1.0 - q * q)
+def _integrated(profile: Profile, codimension: int) -> Callable[[float], float]:
+    """Profile as a function of q, integrated over a line, over half of the chord; or over a plane (codimension 2)."""
+    shells = _shells(profile)
+    if codimension == 1 and shells:
+        columns = _columns(shells)
+        return lambda q: along_shells(columns, q * q, -_half(q), _half(q)) / _half(q)
     if codimension == 1:
-        if shells:
-            return along_shells(_columns(shells), q * q, -half, half) / half
-        return 2.0 * _integral(lambda z: _value(profile, math.hypot(q, z)), 0.0, half) / half
+        return lambda q: 2.0 * _integral(lambda z: _value(profile, math.hypot(q, z)), 0.0, _half(q)) / _half(q)
+    if codimension == 2 and shells:
+        planes = _beyond(shells, 2.0 * math.pi)
+        return lambda q: sum(plane(q) for radius, plane in planes if q < radius)
     if codimension == 2:
-        if shells:
-            return sum(plane(q) for radius, plane in _beyond(shells, 2.0 * math.pi) if q < radius)
-        return 2.0 * math.pi * _integral(lambda r: _value(profile, r) * r, q, 1.0)
-    return _value(profile, q)
+        return lambda q: 2.0 * math.pi * _integral(lambda r: _value(profile, r) * r, q, 1.0)
+    return partial(_value, profile)
+
+
+def _half(q: float) -> float:
+    """Half of the chord of the unit sphere at this distance from its middle."""
+    return math.sqrt(1.0 - q * q)
 
 
 # --- shells ----------------------------------------------------------------------------------------------
