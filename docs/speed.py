@@ -44,18 +44,23 @@ From the start of a process to all fields of 1000 grains that are given as array
 {warm:.1f} s from the second time on (the least of four), as compiled code is kept on disk.
 
 Many small steps, from gzipped dumps of LAMMPS, a pair of files a step, to a Zarr folder of all fields (milliseconds a
-step, after a first one; processor time is that of all threads):
+step, after a first one; processor time is that of all threads, in the program and in the system). A new file takes
+pages of the system. A virtual machine may have to ask its host for these, which takes several times as long as
+computing; *at hand* are pages that a process gave back a moment before
+([design](design.md#memory-comes-from-numpy-large-arrays-first)).
 
-| steps | grains | threads | time | processor time |
-|---|---|---|---|---|
+| steps | grains | threads | pages | time | program | system |
+|---|---|---|---|---|---|---|
 """
 SMALL = [(1000, 1000), (200, 10_000)]  # steps, and grains in each
+PAGES = {"as they come": 0.0, "at hand": 6e9}
 FIRST_CALL = """
-The first call of a process, with compiled code on disk, all fields of {grains:,} grains, rtol = 1e-3, on one thread:
-{first:.2f} s of processor time in the program and {first_system:.2f} s in the system, which hands out memory; the next
-call {next:.2f} s and {next_system:.2f} s. On a virtual machine the system takes longer for memory that the host has to
-find first, see [design](design.md#memory-comes-from-numpy-large-arrays-first). Rows of a million
-grains above that are far from the next call here probably hold such time of the system, too.
+The first call of a process, and the next one, with compiled code on disk, all fields of {grains:,} grains, rtol = 1e-3,
+on one thread (seconds of processor time; rows of a million grains above that are far from the next call here probably
+hold time of the system, too):
+
+| pages | first: program | system | next: program | system | first / next |
+|---|---|---|---|---|---|
 """
 
 
@@ -82,24 +87,25 @@ def row(case: cases.Case, particles: int, seconds: float) -> str:
         f"{1e6 * seconds / grains:.2f}",
         f"{peak:.0f}",
     )
-    line = "| " + " | ".join(map(str, (*cells, size))) + " |"
+    return table_row(*cells, size)
+
+
+def small_row(steps: int, grains: int, threads: int, pages: str) -> str:
+    took = cases.small_steps(grains, steps, threads, PAGES[pages])
+    return table_row(f"{steps:,}", f"{grains:,}", threads, pages, *(f"{1e3 * seconds:.1f}" for seconds in took))
+
+
+def first_row(grains: int, pages: str) -> str:
+    """What the first call of a process takes beside the next one."""
+    first, following = cases.first_call(cases.CASES[0], grains, PAGES[pages])
+    times = (f"{seconds:.2f}" for seconds in (*first, *following))
+    return table_row(pages, *times, f"{sum(first) / sum(following):.2f}")
+
+
+def table_row(*cells: object) -> str:
+    line = "| " + " | ".join(map(str, cells)) + " |"
     print(line, flush=True)
     return line
-
-
-def small_row(steps: int, grains: int, threads: int) -> str:
-    seconds, busy = cases.small_steps(grains, steps, threads)
-    line = f"| {steps:,} | {grains:,} | {threads} | {1e3 * seconds:.1f} | {1e3 * busy:.1f} |"
-    print(line, flush=True)
-    return line
-
-
-def first_call(grains: int) -> str:
-    """Say what the first call of a process takes beside the next one."""
-    (first, first_system), (second, second_system) = cases.first_call(cases.CASES[0], grains)
-    return FIRST_CALL.format(
-        grains=grains, first=first, first_system=first_system, next=second, next_system=second_system
-    )
 
 
 def main() -> None:
@@ -121,14 +127,15 @@ def main() -> None:
     cases.packing.cache_clear()
     if given.large:
         lines += rows(cases.LARGE, given.large, FEW)
-    small = [small_row(steps, grains, threads) for steps, grains in SMALL for threads in (1, 2)]
+    small = [small_row(*size, threads, pages) for size in SMALL for threads in (1, 2) for pages in PAGES]
+    calls = [first_row(given.large or given.particles, pages) for pages in PAGES]
     cold, warm = cases.first_result()
     count = len(cases.CASES[0].run(cases.packing(400)).data_vars)
     base = int(cases.fresh("import xcg\n" + cases.RESIDENT)) / 1000
     head = HEAD.format(count=count, base=base, few=FEW, machine=machine().replace("one of ", ""), **vars(given))
     text = head + "\n".join(lines) + "\n" + FIRST.format(cold=cold, warm=warm)
     text += "\n".join(small) + "\n"
-    text += first_call(given.large or given.particles)
+    text += FIRST_CALL.format(grains=given.large or given.particles) + "\n".join(calls) + "\n"
     Path(__file__).with_name("speed.md").write_text(text)
 
 
