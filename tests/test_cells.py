@@ -64,6 +64,27 @@ def test_cells_hold_all_mass_and_momentum(scene, kernel, mesh):
     np.testing.assert_allclose(found, momentum, rtol=0, atol=10 * tolerance * np.abs(momentum).max())
 
 
+@pytest.mark.parametrize("spacing", [0.6, 3.0])
+@pytest.mark.parametrize(
+    ("profile", "error"),
+    [
+        (lambda q: np.where(q < 0.5, 1 - 6 * q**2 * (1 - q), 2 * (1 - q) ** 3), 1e-6),  # cubic spline
+        (lambda q: np.where(q < 0.4, 1.0, (1 - q) / 0.6), 1e-5),  # a kink
+        (lambda q: np.where(q < 0.6, 1.0, 0.25), 1e-6),  # a jump
+        (lambda q: np.where(q < 0.3, 1.0, 0.0), 1e-6),  # nothing beyond
+        (lambda q: 1.0 - np.floor(7.5 * q) / 8.0, 1e-6),  # as many jumps as there may be
+    ],
+    ids=["spline", "kink", "jump", "core", "stairs"],
+)
+@pytest.mark.filterwarnings("ignore:kernel 'rims'", "ignore:.*jumps")
+def test_polynomials_that_meet_inside_lose_no_mass(profile, error, spacing):
+    xcg.register_kernel("rims", profile, smoothness=-1)
+    scene = xcg.datasets.random_scene(1, seed=3)
+    for axes in ("xyz", "xz"):
+        found = total(scene, "density", kernel="rims", width=1.0, spacing=spacing, axes=axes)
+        np.testing.assert_allclose(found, scene.mass.sum(), rtol=error)
+
+
 def test_negative_parts_of_a_kernel_count(scene):
     xcg.register_kernel("negative", lambda q: (1 - q**2) ** 2 * (1 - 1.5 * q**2))
     found = total(scene, "density", kernel="negative", spacing=0.7, width=1.0)

@@ -64,13 +64,15 @@ class KernelCode(NamedTuple):
 class CellKernel(NamedTuple):
     """A kernel as loops over cells take it: as `KernelCode`, and integrated over one and over two more axes.
 
-    The last two are any kernels where so many axes are not left.
+    The last two are any kernels where so many axes are not left. `rims` are the radii over the cutoff, rising, at
+    which it is not smooth; the last is that of its support.
     """
 
     kind: int | None
     spread: float | None
     table: NDArray | None
     norm: float
+    rims: NDArray
     once: KernelCode
     twice: KernelCode
 

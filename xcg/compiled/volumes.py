@@ -6,7 +6,8 @@ so that sums with it are those of any kernel, counts and squares of weights incl
 Along the last of the axes that have an extent the integral is the closed form of a line. Along the others it is by
 Gauss-Legendre points within the part of the cell that the support reaches: over the angle along the chord, which takes
 the root at its end out of the integrand, and on either side of the grain's centre, where the kernel may have a cusp.
-Weights of these points are positive.
+Kernels that are not smooth at radii within the support, their *rims*, take points between each two of them. Weights of
+these points are positive.
 
 Lengths are in units of the cutoff and relative to the first node.
 """
@@ -19,9 +20,9 @@ from xcg.compiled.arrays import gauss_rules
 from xcg.compiled.reach import NODE, OF_Y, OF_Y2, OF_Z, OF_Z2, WEIGHT, Rows, X, Y, Z, node_range
 from xcg.compiled.smoothing import segment, value
 
-# Gauss-Legendre points for a part of no length, and for each cutoff of its length: errors are in docs/evaluation.md
-FEWEST, PER_CUTOFF = 3, 5
-_POINTS, _WEIGHTS = gauss_rules(*range(1, FEWEST + PER_CUTOFF + 1))
+# Gauss-Legendre points for a part of no length, and more for one from rim to rim: errors are in docs/evaluation.md
+FEWEST, PER_RIM = 3, 5
+_POINTS, _WEIGHTS = gauss_rules(*range(1, FEWEST + PER_RIM + 1))
 _AXES = (X, Y, Z)
 # Of integrals, in units of the norm: kernels may have negative parts, and those that have none are zero at their rim.
 _ROUNDING = 1e-12
@@ -46,19 +47,20 @@ class Volumes(NamedTuple):
 
 
 @inner
-def _list_points(place, half, radius2, values, at, weight):
-    """Write points, and weights, of the integral over an interval about a place, within a radius about 0.
+def _list_points(place, half, inner2, outer2, apart, values, at, weight):
+    """Write points, and weights, of the integral over an interval about a place, between two squared distances from 0.
 
-    An interval without an extent is one point. Returns the number of points.
+    The number of points rises with the length, over the root of how far apart two rims are, as there is less to follow
+    between close ones. An interval without an extent is one point. Returns the number of points.
     """
     if half == 0.0:
         values[at, 0], values[weight, 0] = place, 1.0
-        return 1 if place * place < radius2 else 0
-    radius, count = math.sqrt(radius2), 0
+        return 1 if inner2 <= place * place < outer2 else 0
+    nearest, radius, count = math.sqrt(inner2), math.sqrt(outer2), 0
     lowest, highest = max(place - half, -radius), min(place + half, radius)
-    for low, high in ((lowest, min(highest, 0.0)), (max(lowest, 0.0), highest)):
+    for low, high in ((lowest, min(highest, -nearest)), (max(lowest, nearest), highest)):
         if low < high:
-            many = FEWEST + math.ceil(PER_CUTOFF * min(1.0, high - low))
+            many = FEWEST + math.ceil(PER_RIM * min(1.0, (high - low) / math.sqrt(apart)))
             first = math.asin(low / radius)
             turn = math.asin(high / radius) - first
             for k in range(many):
@@ -81,15 +83,24 @@ def _integrals_along(q2, place, half, step, many, kind, spread, table, factor, o
 
 
 @inner
-def _add_columns(da, half_a, db, half_b, dc, half_c, step, many, kind, spread, table, factor, values, out, first):
+def _add_columns(da, half_a, db, half_b, dc, half_c, step, many, kind, spread, table, rims, norm, values, out, at):
     """Add the integral of the kernel over the cells of `many` nodes of a row along the last axis."""
-    for i in range(_list_points(da, half_a, 1.0, values, OF_Y, OF_Y2)):
-        across2 = values[OF_Y, i] * values[OF_Y, i]
-        for j in range(_list_points(db, half_b, 1.0 - across2, values, OF_Z, OF_Z2)):
-            q2 = across2 + values[OF_Z, j] * values[OF_Z, j]
-            here = factor * values[OF_Y2, i] * values[OF_Z2, j]
-            if q2 < 1.0:
-                _integrals_along(q2, dc, half_c, step, many, kind, spread, table, here, out, first)
+    nearest = 0.0
+    for farthest in rims:
+        apart = farthest - nearest
+        for i in range(_list_points(da, half_a, nearest * nearest, farthest * farthest, apart, values, OF_Y, OF_Y2)):
+            across2, inner, inner2 = values[OF_Y, i] * values[OF_Y, i], 0.0, 0.0
+            for rim in rims:
+                outer2 = rim * rim - across2
+                if outer2 > 0.0:
+                    for j in range(_list_points(db, half_b, inner2, outer2, rim - inner, values, OF_Z, OF_Z2)):
+                        q2 = across2 + values[OF_Z, j] * values[OF_Z, j]
+                        here = norm * values[OF_Y2, i] * values[OF_Z2, j]
+                        if q2 < 1.0:
+                            _integrals_along(q2, dc, half_c, step, many, kind, spread, table, here, out, at)
+                    inner2 = outer2
+                inner = rim
+        nearest = farthest
 
 
 @inner
@@ -99,7 +110,7 @@ def _add_row(da, db, dc, many, volumes, kernel, values, out, first):
     A point minus the first of them is (da, db, dc), in the order of the axes. Where cells cover the whole support along
     an axis, the marginal takes the place of points there.
     """
-    kind, spread, table, norm, once, twice = kernel
+    kind, spread, table, norm, rims, once, twice = kernel
     (a, b, c), half = volumes.order, volumes.half
     half_a, half_b, half_c, step, covered = half[a], half[b], half[c], volumes.rows.steps[c], 0
     for k in range(3):
@@ -109,16 +120,13 @@ def _add_row(da, db, dc, many, volumes, kernel, values, out, first):
         da, half_a, covered = 0.0, 0.0, 1
     if abs(db) + 1.0 <= half_b:
         db, half_b, covered = 0.0, 0.0, covered + 1
+    cells = da, half_a, db, half_b, dc, half_c, step, many
     if covered == 0:
-        _add_columns(da, half_a, db, half_b, dc, half_c, step, many, kind, spread, table, norm, values, out, first)
+        _add_columns(*cells, kind, spread, table, rims, norm, values, out, first)
     elif covered == 1:
-        _add_columns(
-            da, half_a, db, half_b, dc, half_c, step, many, once.kind, spread, once.table, norm, values, out, first
-        )
+        _add_columns(*cells, once.kind, spread, once.table, rims, norm, values, out, first)
     else:
-        _add_columns(
-            da, half_a, db, half_b, dc, half_c, step, many, twice.kind, spread, twice.table, norm, values, out, first
-        )
+        _add_columns(*cells, twice.kind, spread, twice.table, rims, norm, values, out, first)
 
 
 @inner

@@ -98,8 +98,7 @@ def check_table(name: str, profile: Profile) -> None:
     if inside:
         warn_user(
             f"kernel {name!r}: its profile jumps at q={inside[0]:.3g}, and where one axis is averaged, sums take "
-            f"values within 1/{_INTERVALS} of there that are off by up to 3 % of the jump; averages over cells "
-            "(sampling='cell') together are off by up to 1 % of a grain"
+            f"values within 1/{_INTERVALS} of there that are off by up to 3 % of the jump"
         )
     if not _shells(profile) and (off := _line_error(profile)) > _MOST_LINE_ERROR:
         warn_user(
@@ -129,6 +128,11 @@ def jumps_of(profile: Profile) -> list[float]:
     # each shell ends with the jump of the profile
     ends = [(radius, float(shell(radius))) for radius, shell in _shells(profile)] or [(1.0, _value(profile, _AT_END))]
     return [radius for radius, jump in ends if abs(jump) > _JUMP * _largest(profile)]
+
+
+def rims_of(profile: Profile) -> list[float]:
+    """Radii at which polynomials of a profile meet, and that of its support; without shells this one alone."""
+    return [radius for radius, _ in _shells(profile)] or [1.0]
 
 
 @lru_cache

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from xcg.compiled import segments
 from xcg.compiled import smoothing as codes
 from xcg.compiled.smoothing import LUCY_FULL, PLAIN, CellKernel, KernelCode
-from xcg.fields.sums.profiles import check_table, jumps_of, profile_integral, table_of
+from xcg.fields.sums.profiles import check_table, jumps_of, profile_integral, rims_of, table_of
 from xcg.scene.numbers import is_positive, is_whole
 from xcg.scene.schema import LONGEST, SHORTEST
 from xcg.scene.sizes import SIZES
@@ -109,6 +109,10 @@ class Kernel:
     def _table(self, codimension: int) -> NDArray | None:
         return PLAIN
 
+    def _rims(self) -> list[float]:
+        """Radii over the cutoff at which the profile is not smooth, the last that of the support."""
+        return [1.0]
+
     def weights(self, seen: int | None = None) -> KernelCode:
         """Return the kernel as the loops need it, seen in `seen` of its dimensions (all by default)."""
         dimension = self.dimension or 3
@@ -130,7 +134,8 @@ class Kernel:
 
     def over_cells(self, seen: int) -> CellKernel:
         """Return the kernel as loops over cells need it, seen in `seen` of its dimensions."""
-        return CellKernel(*self.weights(seen), *(self.weights(max(1, seen - k)) for k in (1, 2)))
+        rims = np.array(self._rims())
+        return CellKernel(*self.weights(seen), rims, *(self.weights(max(1, seen - k)) for k in (1, 2)))
 
     def _sample(self, r: ArrayLike, seen: int | None, derivative: bool) -> NDArray:
         w = self.weights(seen)
@@ -330,10 +335,13 @@ def register_kernel(
     def table(self: Kernel, codimension: int) -> NDArray:
         return table_of(profile, codimension)
 
+    def rims(self: Kernel) -> list[float]:
+        return rims_of(profile)
+
     members: dict[str, Any] = {
         "__doc__": f"The kernel registered as {name!r}.",
         "name": name, "code": codes.TABLE, "ratio": ratio, "smoothness": smoothness,
-        "_unit_norm": unit_norm, "_table": table,
+        "_unit_norm": unit_norm, "_table": table, "_rims": rims,
     }  # fmt: skip
     kind = _NAMED[name.lower()] = type(name.title(), (Kernel,), members)
     return kind
