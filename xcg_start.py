@@ -6,6 +6,7 @@ Exit codes: 0 done, 1 the job or its data are at fault (the message says what), 
 Ctrl-C.
 """
 
+import gc
 import os
 import signal
 import sys
@@ -45,4 +46,5 @@ def main() -> None:
             sys.stdout.flush()
             sys.stderr.flush()
             os._exit(end.code)
+        gc.freeze()  # else Python looks through all objects of all libraries before it ends, for half a second
         raise

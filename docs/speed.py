@@ -41,7 +41,8 @@ FEW = 2  # times that each large case is run
 COLUMNS = ("case", "grains", "threads", "time a step (s)", "us a grain and step", "peak memory (MB)", "data (MB)")
 FIRST = """
 From the start of a process to all fields of 1000 grains that are given as arrays: {cold:.1f} s with nothing compiled,
-{warm:.1f} s from the second time on (the least of four), as compiled code is kept on disk.
+{warm:.1f} s from the second time on (the least of four), as compiled code is kept on disk; importing the libraries that
+it stands on takes {libraries:.1f} s of it (Numba and what it loads of SciPy, xarray with pandas, dask).
 
 Many small steps, from gzipped dumps of LAMMPS, a pair of files a step, to a Zarr folder of all fields (milliseconds a
 step, after a first one; processor time is that of all threads, in the program and in the system). A new file takes
@@ -130,10 +131,11 @@ def main() -> None:
     small = [small_row(*size, threads, pages) for size in SMALL for threads in (1, 2) for pages in PAGES]
     calls = [first_row(given.large or given.particles, pages) for pages in PAGES]
     cold, warm = cases.first_result()
+    libraries = cases.libraries()
     count = len(cases.CASES[0].run(cases.packing(400)).data_vars)
     base = int(cases.fresh("import xcg\n" + cases.RESIDENT)) / 1000
     head = HEAD.format(count=count, base=base, few=FEW, machine=machine().replace("one of ", ""), **vars(given))
-    text = head + "\n".join(lines) + "\n" + FIRST.format(cold=cold, warm=warm)
+    text = head + "\n".join(lines) + "\n" + FIRST.format(cold=cold, warm=warm, libraries=libraries)
     text += "\n".join(small) + "\n"
     text += FIRST_CALL.format(grains=given.large or given.particles) + "\n".join(calls) + "\n"
     Path(__file__).with_name("speed.md").write_text(text)

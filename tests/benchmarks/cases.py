@@ -154,11 +154,18 @@ LARGE = [CASES[0], CASES[1], CASES[6], CASES[10], CASES[11]]  # those worth a mi
 # --- in a fresh process ----------------------------------------------------------------------------------
 
 FIRST = """
-import sys
+import sys, time
 import numpy as np
 import xcg
 with np.load(sys.argv[1]) as arrays:
     xcg.scene_from_arrays(density=2500.0, periodic="xyz", **arrays).cg.coarse_grain()
+print(time.time())
+"""
+LIBRARIES = """
+import time
+import dask.array, numba, xarray
+numba.core.registry.cpu_target.target_context.refresh()  # as the first loop that is loaded does
+print(time.time())
 """
 GIVEN = ("position", "diameter", "velocity", "contact_i", "contact_j", "contact_force", "contact_point", "box")
 # the high-water mark of this process alone: that of getrusage starts from the parent's
@@ -226,17 +233,25 @@ def fresh(code: str, *arguments: str, **environment: str) -> str:
 def first_result() -> tuple[float, float]:
     """Seconds from the start of a process to all fields of 1000 grains, from arrays: with nothing compiled, and later.
 
-    Later is the least of four.
+    Later is the least of four. The end of the process, which Python takes half a second for, is not in it.
     """
     took = []
     with tempfile.TemporaryDirectory() as folder:
         arrays = str(Path(folder) / "arrays.npz")
         np.savez(arrays, **{name: packing(1000)[name].values[0] for name in GIVEN})
         for _ in range(5):
-            begin = time.perf_counter()
-            fresh(FIRST, arrays, NUMBA_CACHE_DIR=folder)
-            took.append(time.perf_counter() - begin)
+            begin = time.time()
+            took.append(float(fresh(FIRST, arrays, NUMBA_CACHE_DIR=folder)) - begin)
     return took[0], min(took[1:])
+
+
+def libraries() -> float:
+    """Seconds from the start of a process until the libraries of a first result are loaded; the least of four."""
+    took = []
+    for _ in range(4):
+        begin = time.time()
+        took.append(float(fresh(LIBRARIES)) - begin)
+    return min(took)
 
 
 def small_steps(particles: int, steps: int, threads: int, at_hand: float = 0) -> tuple[float, float, float]:
