@@ -101,3 +101,19 @@ def test_bad_requests():
         ds.cg.balance(axes="x", at={"y": 1.0, "z": 1.0})
     with pytest.raises(ValueError, match="fewer than five"):
         ds.cg.balance(width=1.0, spacing=2.0)
+
+
+@pytest.mark.parametrize("by", [None, "species"])
+def test_momentum_is_balanced_where_parts_of_the_kernel_are_negative(by):
+    xcg.register_kernel("negative parts", lambda q: (1 - q**2) ** 4 * (1 - 3 * q**2), smoothness=3)
+    rng, dt = np.random.default_rng(1), 1e-5
+    position, velocity = (np.c_[x, np.zeros(25)] for x in (rng.uniform(0, 5, (25, 2)), rng.normal(size=(25, 2))))
+    ds = xcg.scene_from_arrays(
+        [position, position + dt * velocity], velocity=[velocity] * 2, diameter=np.ones((2, 25)), density=1.0,
+        species=[np.arange(25) % 2] * 2, time=[0.0, dt], box=[[0, 5]] * 3, periodic="xy", dimension=2,
+        gravity=(0, 0, 0), contact_i=[[0]] * 2, contact_j=[[1]] * 2, contact_force=np.zeros((2, 1, 3)),
+        contact_point=np.zeros((2, 1, 3)),
+    )  # fmt: skip
+    options = {"kernel": "negative parts", "width": 0.7, "spacing": 0.05, "by": by}
+    assert float(ds.cg.coarse_grain("density", **options).density.min()) < 0
+    assert float(ds.cg.balance(**options).momentum_residual_norm.item()) < 1e-3

@@ -75,7 +75,7 @@ def _momentum(f: xr.Dataset, divergence: Any, gravity: Any) -> list[xr.DataArray
     flux = f.momentum_density * velocity.rename(component="direction") + f.stress
     if "phase" in f.dims:
         flux = flux + velocity * f.segregation_flux.rename(component="direction")
-    flux = flux.where(f.density > 0, f.stress)
+    flux = flux.where(f.density != 0, f.stress)  # below zero where parts of a kernel are
     return [divergence(flux), -f.density * gravity, -_traction(f)]
 
 
