@@ -302,3 +302,13 @@ def test_averages_of_stacked_nodes_warn_of_nothing():
 def test_a_scene_has_no_averages():
     with pytest.raises(ValueError, match="this is a scene: call time_average on what its coarse_grain returns"):
         xcg.datasets.random_scene(20).cg.time_average()
+
+
+@pytest.mark.parametrize("unknown", [3, 32])
+def test_what_has_no_mean_has_no_error(unknown):
+    values = np.random.default_rng(1).normal(size=(33, 4))
+    values[unknown, 2] = np.nan
+    f = xr.Dataset({"density": (("time", "z"), values)}, {"time": np.arange(33.0), "z": np.arange(4.0)})
+    average = f.cg.time_average()
+    assert np.isnan(average.density.values).tolist() == [False, False, True, False]
+    assert np.isnan(average.density_error.values).tolist() == [False, False, True, False]

@@ -122,7 +122,8 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
     errors = block_errors(samples, _SAMPLE, lambda means: _from_sums(means, f))
     beside = {}
     for name in map(str, mean.data_vars):
-        beside[f"{name}_error"] = errors[name].variable.copy(deep=False)  # without coordinates, which are the mean's
+        # without coordinates, which are the mean's; of blocks that leave out an unknown step there may be an error
+        beside[f"{name}_error"] = errors[name].variable.where(mean[name].variable.notnull())
         beside[f"{name}_error"].attrs = {
             "units": f[name].attrs.get("units", "1"), "long_name": f"standard error of {name}"
         }  # fmt: skip
