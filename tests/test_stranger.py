@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import xcg
+from xcg.readers import Engine, StepRef
 
 ROOT = Path(__file__).parents[1]
 
@@ -103,6 +104,7 @@ def test_a_class_travels_to_other_processes(tmp_path, site):
 import xarray as xr
 
 import xcg
+from xcg.readers import Engine, StepRef
 for engine in (Grit, Grit()):
     ds = xcg.open_scene("grains_*.txt", contacts="forces_*.txt", engine=engine, density=2500)
     print(float(ds.contact_force.sum().compute(scheduler="processes", num_workers=1)))
@@ -286,3 +288,58 @@ def test_means_of_a_kernel_with_negative_parts():
     mean = xcg.time_average(steps)
     for name in ("density", "velocity", "heat"):
         np.testing.assert_allclose(mean[name], steps[name].isel(time=0), rtol=1e-12)
+
+
+# --- what readers get wrong ------------------------------------------------------------------------------
+
+
+def reader(step=None, **changed):
+    """A reader of three grains, of which some arrays, or something of the step, are others."""
+    particles = {"particle_id": [3, 1, 2], "position": np.eye(3), "velocity": np.ones((3, 3)), "diameter": np.ones(3)}
+
+    class Own(Engine):
+        """Three grains."""
+
+        def recognises(self, path):
+            return False
+
+        def index_particles(self, paths, options):
+            return [StepRef(**({"path": paths[0], "rows": 3, "time": 0.0} | (step or {})))]
+
+        def read_particles(self, ref, options):
+            return particles | changed
+
+    return Own
+
+
+def opened(tmp_path, engine):
+    (tmp_path / "own.txt").touch()
+    return xcg.open_scene(tmp_path / "own.txt", engine=engine, density=1.0).compute()
+
+
+def test_readers_may_give_lists(tmp_path):
+    step = {"box": [[0, 2], [0, 3], [0, 4]], "gravity": np.array([0.0, 0.0, -9.81]), "periodic": "x"}
+    velocity = [[3, 3, 3], [1, 1, 1], [2, 2, 2]]
+    ds = opened(tmp_path, reader(step, position=np.eye(3).tolist(), velocity=velocity, charge=[6, 4, 5]))
+    assert ds.velocity.values[0, :, 0].tolist() == [1, 2, 3]
+    assert ds.charge.values[0].tolist() == [4, 5, 6]
+    assert ds.box.values[0].tolist() == step["box"]
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"velocity": np.ma.masked_equal(np.eye(3), 1)}, "'velocity' is a masked array with 3 masked values"),
+        ({"velocity": 1j * np.eye(3)}, "'velocity' holds complex128, expected real numbers"),
+        ({"particle_id": ["a", "b", "c"]}, "'particle_id' holds <U1, expected real numbers"),
+        ({"velocity": [[1, 2, 3], [1, 2], [1, 2, 3]]}, "gives values that are no array"),
+        ({"position": 3.0}, "no positions"),
+        ({"step": {"box": [0, 1]}}, r"gives a step box=\(0, 1\)"),
+        ({"step": {"gravity": (0, 0)}}, r"gives a step gravity=\(0, 0\)"),
+        ({"step": {"periodic": (True, True, False)}}, r"gives a step periodic=\(True"),
+        ({"step": {"time": "0.1", "rows": -1}}, "gives a step rows=-1, time='0.1'"),
+    ],
+)
+def test_what_readers_give_is_checked(tmp_path, changed, told):
+    with pytest.raises(xcg.SceneError, match=rf"own.txt.*{told}"):
+        opened(tmp_path, reader(**changed))

@@ -5,9 +5,15 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import Any, ClassVar
+
+import numpy as np
 
 from xcg.scene.schema import Frame, SceneError
+
+
+def _tuples(values: Any) -> Any:
+    return tuple(_tuples(v) for v in values) if isinstance(values, list) else values
 
 
 @dataclass(frozen=True)
@@ -67,6 +73,13 @@ class StepRef:
     gravity: tuple[float, float, float] | None = None
     kind: str = ""
     alone: bool = False
+
+    def __post_init__(self) -> None:
+        """Make tuples of lists and arrays, as steps are hashed."""
+        for name in ("box", "lattice", "gravity", "columns"):
+            value = getattr(self, name)
+            if value is not None and not (type(value) is tuple and all(type(v) is not list for v in value)):
+                object.__setattr__(self, name, _tuples(np.asarray(value).tolist()))
 
 
 @dataclass(frozen=True)

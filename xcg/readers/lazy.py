@@ -46,7 +46,11 @@ def read_step(engine: Engine, options: ReadOptions, ref: StepRef, *, contacts: b
             f"{type(found).__name__}; expected a dict of arrays by the names of variables, such as 'position'"
         )
         raise SceneError(msg)
-    return found
+    try:  # engines of users give lists and tables, too; masked arrays stay so, to be refused
+        return {str(name): found[name] if name in HINTS else np.asanyarray(found[name]) for name in found}
+    except ValueError as error:
+        msg = f"{source_of(ref)}: the engine {engine.name!r} gives values that are no array ({error})"
+        raise SceneError(msg) from None
 
 
 def _check_unchanged(ref: StepRef) -> None:

@@ -415,7 +415,7 @@ def _index(
     """
     indexed: dict[str, list[StepRef]] = {}
     for kind, paths in files.items():
-        refs = _stamped(getattr(reader, f"index_{kind}")(paths, options), reader)
+        refs = _stamped(getattr(reader, f"index_{kind}")(paths, options) or [], reader)
         if not refs:
             msg = f"{kind}: no step in {', '.join(paths[:3])}{', ...' if len(paths) > 3 else ''}"
             raise SceneError(msg)
@@ -430,6 +430,17 @@ def _index(
     return indexed
 
 
+_FITS: Mapping[str, Callable[[Any], bool]] = {  # what engines of users may get wrong in a StepRef
+    "rows": lambda v: isinstance(v, (int, np.integer)) and bool(v >= 0),
+    "time": lambda v: v is None or isinstance(v, (int, float, np.number)),
+    "step": lambda v: isinstance(v, (int, np.integer)),
+    "box": lambda v: v is None or np.shape(v) == (3, 2),
+    "lattice": lambda v: v is None or np.shape(v) == (3, 3),
+    "gravity": lambda v: v is None or len(v) == 3,
+    "periodic": lambda v: v is None or isinstance(v, str),
+}
+
+
 def _stamped(refs: Iterable[StepRef], engine: Engine) -> list[StepRef]:
     """Give each step the size and time of modification of its file, where the engine did not."""
     state = cache(os.stat)
@@ -437,6 +448,13 @@ def _stamped(refs: Iterable[StepRef], engine: Engine) -> list[StepRef]:
     for ref in refs:
         if not isinstance(ref, StepRef):
             msg = f"the engine '{engine.name}' lists {ref!r} as a step; expected a list of xcg.readers.StepRef"
+            raise SceneError(msg)
+        wrong = [f"{name}={getattr(ref, name)!r}" for name, fits in _FITS.items() if not fits(getattr(ref, name))]
+        if wrong:
+            msg = (
+                f"{ref.path}: the engine '{engine.name}' gives a step {', '.join(wrong)}, which is of another type or "
+                "shape than xcg.readers.StepRef says"
+            )
             raise SceneError(msg)
         known = ref.size or ref.modified
         now = None if known else state(ref.path)

@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from xcg.scene.box import box_array, in_unit, with_lattice
-from xcg.scene.complete import complete_contacts, complete_particles
+from xcg.scene.complete import complete_contacts, complete_particles, refuse_mask
 from xcg.scene.frame import stack
 from xcg.scene.lattice import Lattice
 from xcg.scene.query import check_times, mark_measured
@@ -95,20 +95,10 @@ def storable(ds: xr.Dataset) -> xr.Dataset:
     return ds
 
 
-def _refuse_mask(name: str, values: Any) -> None:
-    """Refuse masked values: what stands below the mask would count."""
-    if np.ma.is_masked(values):
-        msg = (
-            f"'{name}' is a masked array with {np.ma.count_masked(values)} masked values; leave out such rows of all "
-            "variables, by giving a list of steps of different length, or fill them"
-        )
-        raise SceneError(msg)
-
-
 def _split_steps(name: str, values: Any) -> list[NDArray]:
     """Arrays of one step each, from one step, a stack of steps, or a list of steps of different length."""
     for part in values if isinstance(values, (list, tuple)) else [values]:
-        _refuse_mask(name, part)
+        refuse_mask(name, part)
     if isinstance(values, (list, tuple)) and len(values) and np.ndim(values[0]) == len(variable(name).dims):
         return [np.asarray(v) for v in values]
     array = np.asarray(values)
@@ -124,7 +114,7 @@ def _split_steps(name: str, values: Any) -> list[NDArray]:
 def _split_own(name: str, values: Any, rows: Sequence[int]) -> list[NDArray]:
     """As `_split_steps`, for a scalar, vector or tensor of the caller's own; `rows` of each step tell which it is."""
     for part in values if isinstance(values, (list, tuple)) else [values]:
-        _refuse_mask(name, part)
+        refuse_mask(name, part)
     if len(values) == len(rows) and all(np.shape(v)[:1] == (n,) for v, n in zip(values, rows, strict=True)):
         return [np.asarray(v) for v in values]
     array = np.asarray(values)
@@ -247,7 +237,7 @@ def scene_from_arrays(
         msg = f"variables have different numbers of steps: {counts}"
         raise SceneError(msg)
     total = counts["position"]
-    _refuse_mask("time", time)
+    refuse_mask("time", time)
     times = np.arange(total, dtype=float) if time is None else np.atleast_1d(np.asarray(time, float)) * setup.scales[2]
     numbers = np.arange(total) if step is None else np.atleast_1d(step)
     for name, values in (("time", times), ("step", numbers)):

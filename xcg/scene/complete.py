@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -42,10 +43,21 @@ def _check_rows(frame: Frame, dim: str, source: str) -> None:
         raise SceneError(msg)
 
 
+def refuse_mask(name: str, values: Any, where: str = "") -> None:
+    """Refuse masked values: what stands below the mask would count."""
+    if np.ma.is_masked(values):
+        msg = (
+            f"{where}'{name}' is a masked array with {np.ma.count_masked(values)} masked values; leave out such rows "
+            "of all variables (steps may differ in length), or fill them"
+        )
+        raise SceneError(msg)
+
+
 def _typed(frame: Mapping[str, ArrayLike], setup: Setup, source: str) -> Frame:
     """Give arrays their types and the scene's units; what is returned is shared with nobody."""
     typed: Frame = {}
     for name, values in frame.items():
+        refuse_mask(name, values, f"{source}: ")
         array = np.asarray(values)
         row = variable(name, array.dtype, array.ndim)
         if row.dtype == "int64" and array.dtype.kind == "f":
@@ -55,7 +67,13 @@ def _typed(frame: Mapping[str, ArrayLike], setup: Setup, source: str) -> Frame:
                 msg = f"{source}: '{name}' must hold whole numbers, but row {bad} is {array.flat[bad]!r}"
                 raise SceneError(msg)
             array = whole
-        typed[name] = array.astype(row.dtype, order="C")
+        try:
+            if array.dtype.kind in "cmM":  # NumPy would make numbers of them
+                raise TypeError
+            typed[name] = array.astype(row.dtype, order="C")
+        except (TypeError, ValueError):
+            msg = f"{source}: '{name}' holds {array.dtype}, expected real numbers; give each text a number of its own"
+            raise SceneError(msg) from None
         factor = setup.factor(row.powers)
         if factor != 1.0:
             typed[name] *= factor
@@ -84,7 +102,7 @@ def complete_particles(frame: Mapping[str, ArrayLike], setup: Setup, source: str
         If an array has the wrong shape or is not finite, an id occurs twice, or a size or mass is not positive.
     """
     given = _typed(frame, setup, source)
-    if "position" not in given:
+    if not np.ndim(given.get("position", 0.0)):
         msg = f"{source}: no positions; expected a variable 'position' with three components"
         raise SceneError(msg)
     count = len(given["position"])
