@@ -120,6 +120,15 @@ def test_traction_times_area_is_the_sum_of_the_forces(name, width):
     np.testing.assert_array_equal(lazy.traction.to_numpy(), f.traction.to_numpy())
 
 
+def test_kernels_with_negative_parts_lose_no_force_between_coarse_cells():
+    xcg.register_kernel("negative parts", lambda q: (1 - q**2) ** 4 * (1 - 3 * q**2), smoothness=3)
+    place = np.random.default_rng(5).uniform(0, 6, (300, 3)) * [1, 1, 0]
+    ds = touching(place, np.ones((300, 3)), box=[[0, 6], [0, 6], [0, 2]], periodic="xy")
+    for kernel in ("lucy", "negative parts"):
+        f = ds.cg.wall_stress(FLOOR, 0.9, spacing=2.0, kernel=kernel)
+        np.testing.assert_allclose(sums(f)[2], f.wall_force, rtol=1e-11)
+
+
 def test_walls_of_the_silo_carry_its_weight():
     ds = xcg.open_scene(DATA / "particles.dump.gz", walls=WALLS).compute()
     side = ds.cg.wall_stress(xcg.Cylinder((0, 0, 0), (0, 0, 1), 0.025, low=0, high=0.24), walls="side")

@@ -217,6 +217,7 @@ def _smear(task: _Task, point: NDArray, values: NDArray, lattice: Lattice) -> ND
     weight = task.kernel.value(distance) * cells.area[cell]
     total = np.bincount(contact, weight, len(point))
     alone = np.flatnonzero(total <= 0)
+    weight[total[contact] <= 0] = 0.0  # below zero where the kernel is
     cell = np.concatenate([cell, tree.query(point[alone])[1]])
     contact, weight = np.concatenate([contact, alone]), np.concatenate([weight, np.ones(len(alone))])
     total[alone] = 1.0
