@@ -425,3 +425,29 @@ if __name__ == "__main__":
         [sys.executable, str(tmp_path / "killed.py")], capture_output=True, text=True, env=env, timeout=120, check=False
     )
     assert "skipped 0 same True" in done.stdout, done.stdout + done.stderr[-2000:]
+
+
+def test_fields_without_a_file_are_an_error(job):
+    plain = job.read_text().replace('vtkhdf = "temporal"', "netcdf = false")
+    job.write_text(plain)
+    for options in ([], ["--dry-run"]):
+        assert "no file for fields (netcdf or vtkhdf" in xcg_run("run", job, *options, code=1)
+    job.write_text(plain + '[slices]\naxis = "z"\nwidth = 3.0\n')
+    xcg_run("run", job, "-q")
+    assert [path.name for path in (job.parent / "out").iterdir()] == ["fields_slices.nc"]
+
+
+def test_walls_of_a_job_may_be_columns(tmp_path):
+    data = ROOT / "examples" / "data" / "lammps_silo"
+    walls = {"side": "f_side[*]", "floor": "f_floor[*]"}
+    table = ", ".join(f'{name} = "{columns}"' for name, columns in walls.items())
+    job = tmp_path / "job.toml"
+    job.write_text(
+        f'[scene]\nparticles = "{data}/particles.dump.gz"\nwalls = {{ {table} }}\n[fields]\n'
+        'fields = ["wall_traction"]\naxes = "z"\nextent = { x = 1.0, y = 1.0 }\n'
+    )
+    xcg_run("run", job, "-q")
+    ds = xcg.open_scene(data / "particles.dump.gz", walls=walls)
+    expected = ds.cg.coarse_grain("wall_traction", axes="z", extent={"x": 1.0, "y": 1.0}).compute()
+    with xr.open_dataset(tmp_path / "xcg-output" / "fields.nc") as found:
+        np.testing.assert_array_equal(found.wall_traction, expected.wall_traction)

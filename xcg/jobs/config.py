@@ -79,6 +79,8 @@ def _toml(path: Path) -> Job:
         raise SceneError(msg)
     scene = dict(data["scene"])
     for name in set(_PATHS) & set(scene):
+        if name == "walls" and isinstance(scene[name], dict):  # columns of the particles, by names of walls
+            continue
         several = [scene[name]] if isinstance(scene[name], str) else scene[name]
         if not isinstance(several, list) or not all(isinstance(p, str) and "\0" not in p for p in several):
             msg = f"{path}: {name} = {several!r} in [scene]: expected a path, a pattern, or a list of them"

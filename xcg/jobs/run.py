@@ -77,6 +77,13 @@ def _opened(job: Job) -> tuple[xr.Dataset, xr.Dataset, xr.Dataset | None]:
     if job.mesh is not None:
         options |= pysammos_mesh(ds, **job.mesh)
     fields = coarse_grain(ds, **options) if options.get("fields", True) else xr.Dataset()
+    if not (job.netcdf or job.vtkhdf):  # fields that no file takes are not computed
+        fields = xr.Dataset()
+    if job.slices is None and not fields.data_vars:
+        msg = (
+            "nothing to do: no slice is asked for, and no field, or no file for fields (netcdf or vtkhdf of the output)"
+        )
+        raise SceneError(msg)
     return ds, fields, None if job.slices is None else _slices(ds, job)
 
 
@@ -137,9 +144,6 @@ def run_job(
     series = {"fields": fields} if fields.data_vars else {}
     if slices is not None:
         series["slices"] = slices
-    if not series:
-        msg = "nothing to do: no field and no slice is asked for"
-        raise SceneError(msg)
     series = {name: data.assign_attrs({_JOB: mark}) for name, data in series.items()}
     job.folder.mkdir(parents=True, exist_ok=True)
     stems = [job.name] if "fields" in series else []
@@ -234,6 +238,8 @@ def _signature(job: Job) -> str:
     paths: list[str] = []
     for key in ("particles", "contacts", "walls", "restart"):
         given = job.scene.get(key, [])
+        if isinstance(given, dict):  # walls that are columns of the particles
+            continue
         for path in [given] if isinstance(given, str) else given:
             paths += expand_paths([path], key) if glob.has_magic(path) and not Path(path).exists() else [path]
     # a folder of Zarr keeps its own time when one of its files changes
