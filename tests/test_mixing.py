@@ -181,3 +181,30 @@ def test_nothing_to_mix_and_bad_requests():
             ds.cg.microstructure("lacey_index", by="species", **options)
     one = scene([[1.0, 1, 1]], [1], box=BOX).cg.microstructure(MIXING, by="species")
     assert np.isnan(one.nearest_neighbour_index).all()
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+@pytest.mark.parametrize("count", [3, 14])
+def test_neighbours_across_the_edges_of_a_tilted_box(dimension, count):
+    """The nearest image of each other grain, as many as there may be: of a box of 15 grains and of one of 60."""
+    for total in (15, 60):
+        rng = np.random.default_rng(total)
+        vectors = np.array([[4.0, 0.0, 0.0], [1.7, 3.0, 0.0], [-1.1, 1.3, 5.0]])
+        if dimension == 2:
+            vectors[2] = [0.0, 0.0, 5.0]
+        place = rng.random((total, 3)) * ([1, 1, 1] if dimension == 3 else [1, 1, 0])
+        position, species = place @ vectors, rng.integers(1, 3, total)
+        ds = scene(
+            position, species, box=[[0, 4], [0, 3], [0, 5]], lattice=vectors, periodic="xyz"[:dimension],
+            dimension=dimension,
+        )  # fmt: skip
+        found = ds.cg.microstructure("nearest_neighbour_index", by="species", neighbours=count)
+        numbers = np.array(list(itertools.product(range(-4, 5), repeat=dimension)))
+        images = position[:, None] + numbers @ vectors[:dimension]
+        distance = np.linalg.norm(position[:, None, None] - images, axis=-1).min(axis=-1)
+        np.fill_diagonal(distance, np.inf)
+        nearest = np.argsort(distance, axis=1)[:, :count]
+        unlike = (species[nearest] != species[:, None]).mean(axis=1)
+        alike = np.bincount(species)[species]
+        expected = unlike.sum() / ((total - alike) / (total - 1)).sum()
+        assert found.nearest_neighbour_index.sel(phase="bulk").item() == pytest.approx(expected, rel=1e-12)

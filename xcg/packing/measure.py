@@ -85,7 +85,7 @@ class Measure:
             volume, here = self._volume(bounds, lattice.edges), frame
             if "velocity" in frame:
                 here = frame | {"velocity": frame["velocity"] + lattice.drift(position - frame["position"])}
-            mixture = self._mixture(bounds, lattice, frame, position, inside, phase)
+            mixture = self._mixture(bounds, lattice, frame, position, inside, phase, source)
             for p in range(self.phases):
                 member = inside if p == 0 else inside & (phase == p - 1)
                 sample = _sample(self, here, position, contacts, shared, member, volume)
@@ -95,6 +95,7 @@ class Measure:
 
     def _mixture(
         self, bounds: Bounds, lattice: Lattice, frame: Frame, position: NDArray, inside: NDArray, phase: NDArray,
+        source: str,
     ) -> Mixture | None:  # fmt: skip
         """Grains of a region by phase, where quantities need them; without bounds or box it is as large as they are."""
         if not any(QUANTITIES[name].of_phases for name in self.names):
@@ -107,10 +108,19 @@ class Measure:
             lower = np.where(np.isfinite(lower), lower, x.min(axis=0))
             upper = np.where(np.isfinite(upper), upper, x.max(axis=0))
         lengths = np.where(upper > lower, upper - lower, 1.0)
+        whole = np.isclose(lengths, lattice.lengths[axes], rtol=1e-9)
+
+        def images(reach: float) -> tuple[NDArray, NDArray]:
+            low, high = position[inside].min(axis=0), position[inside].max(axis=0)
+            low[axes] = np.minimum(low[axes], lower) - np.where(whole, reach, 0.0)
+            high[axes] = np.maximum(high[axes], upper) + np.where(whole, reach, 0.0)
+            row, shift, _ = lattice.images(position[inside], low, high, source)
+            return row, (position[inside][row] + shift)[:, axes] - lower
+
         d43 = float(ratio((size**4).sum(), (size**3).sum()))
         return Mixture(
             x - lower, phase[inside], frame["volume"][inside] if self.by_volume else np.ones(len(x)), lengths,
-            np.isclose(lengths, lattice.axis_periods[axes], rtol=1e-9), self.cell or CELL * d43, self.neighbours,
+            whole, self.cell or CELL * d43, self.neighbours, None if lattice.vectors is None else images,
         )  # fmt: skip
 
     def _volume(self, bounds: Bounds, box: NDArray | None) -> float:

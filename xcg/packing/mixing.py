@@ -19,6 +19,7 @@ Flow; entropy: Schutyser et al. (2001), Biotechnol. Bioeng. 75, 666.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -46,6 +47,9 @@ class Mixture:
         Edge of the cells (m), about.
     neighbours : int
         Nearest neighbours that are looked at.
+    images : callable, optional
+        In a box that is tilted: takes a distance, and gives all images that are no further from the region, as rows of
+        the grains and positions; the grains themselves are among them.
     """
 
     position: NDArray
@@ -55,6 +59,7 @@ class Mixture:
     wraps: NDArray
     cell: float
     neighbours: int
+    images: Callable[[float], tuple[NDArray, NDArray]] | None = None
 
     @cached_property
     def cells(self) -> NDArray:
@@ -120,11 +125,15 @@ class Mixture:
         from scipy.spatial import cKDTree
 
         count = min(self.neighbours, len(self.phase) - 1)
+        if self.images is not None:
+            return self._unlike_of(_nearest(self.position, self.lengths, count, self.images))
         tree = cKDTree(self.position, boxsize=np.where(self.wraps, self.lengths, 0.0))
         near = np.asarray(tree.query(self.position, count + 1)[1])
         own = near == np.arange(len(near))[:, None]
         own[~own.any(axis=1), -1] = True  # coincident grains may push the grain itself out of the list
-        others = near[~own].reshape(len(near), count)
+        return self._unlike_of(near[~own].reshape(len(near), count))
+
+    def _unlike_of(self, others: NDArray) -> NDArray:
         return np.asarray((self.phase[others] != self.phase[:, None]).mean(axis=1))
 
     def neighbour_index(self, which: int) -> float:
@@ -136,6 +145,29 @@ class Mixture:
         number = members.sum(axis=1)
         expected = float((number * (count - number)).sum()) / (count - 1)
         return _ratio(float(self.unlike[members.any(axis=0)].sum()), expected)
+
+
+def _nearest(
+    position: NDArray, lengths: NDArray, count: int, images: Callable[[float], tuple[NDArray, NDArray]]
+) -> NDArray:
+    """Rows of the nearest others of each grain (n, count), each of them once, whichever image is the nearest."""
+    from scipy.spatial import cKDTree
+
+    own = np.arange(len(position))[:, None]
+    reach, looked_at = float((lengths.prod() * count / len(position)) ** (1 / len(lengths))), 2 * count + 2
+    while True:
+        rows, places = images(reach)
+        looked_at = min(looked_at, len(rows))
+        distance, near = cKDTree(places).query(position, range(1, looked_at + 1))
+        found = rows[near]
+        fresh = found != own
+        for k in range(looked_at):
+            fresh[:, k] &= (found[:, :k] != found[:, k, None]).all(axis=1)
+        first = np.argsort(~fresh, axis=1, kind="stable")[:, :count]
+        # images further away than these are not among those that were looked at
+        if (np.take_along_axis(fresh, first, 1) & (np.take_along_axis(distance, first, 1) <= reach)).all():
+            return np.take_along_axis(found, first, 1)
+        reach, looked_at = 2 * reach, 2 * looked_at
 
 
 def _entropy(share: NDArray) -> NDArray:
