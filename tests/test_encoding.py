@@ -36,6 +36,15 @@ def test_rounding_keeps_its_promise(numbers, digits):
     assert Encoding(digits=digits).reduced(rounded).tobytes() == rounded.tobytes()
 
 
+@pytest.mark.parametrize("digits", range(1, 8))
+def test_single_precision_keeps_the_promise_of_the_note(digits):
+    values = 10.0 ** np.random.default_rng(digits).uniform(-6, 6, 100_000)
+    encoding = Encoding(dtype="float32", digits=digits)
+    told = encoding.noted(xr.Dataset({"a": ("time", values)})).a.attrs["precision"]
+    error = np.abs(encoding.reduced(values).astype("float64") / values - 1).max()
+    assert error <= float(told.split()[-1]) <= max(0.5 * 10.0**-digits, 6e-8) * 1.001
+
+
 def test_rounding_takes_no_more_digits_than_are_asked_for():
     values = np.random.default_rng(0).uniform(1, 10, 1000)
     worst = [np.abs(Encoding(digits=d).reduced(values) / values - 1).max() for d in range(1, 8)]

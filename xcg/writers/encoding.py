@@ -17,6 +17,7 @@ from numpy.typing import DTypeLike, NDArray
 from xcg.compiled.digits import round_bits, shuffle_bytes
 
 _MANTISSA = {4: 23, 8: 52}  # bits, by the bytes of a number
+_SINGLE = 2.0**-24  # relative error of a number in single precision
 _MOST_DIGITS = {4: 7, 8: 15}
 _ISAL_LEVELS = 3  # beyond, its compression is that of zlib
 
@@ -77,15 +78,16 @@ class Encoding:
     def reduced(self, values: NDArray) -> NDArray:
         """Numbers in their type on disk, rounded to the digits that are kept.
 
-        The relative error of rounding is at most ``0.5 * 10**-digits``: ``ceil(digits * log2(10))`` bits of the
-        mantissa are kept, and the rest is rounded to nearest even. NaN and infinity stay what they are.
+        The relative error of rounding is at most ``0.5 * 10**-digits``, or that of single precision where it is larger:
+        ``ceil(digits * log2(10))`` bits of the mantissa are kept (one more for six digits in single precision), and the
+        rest is rounded to nearest even. NaN and infinity stay what they are.
         """
         kind = self.type_of(values.dtype)
         if values.dtype.kind != "f" or (kind == values.dtype and self.digits is None):
             return values
         out = np.array(values, dtype=kind, order="C", copy=True)
-        drop = 0 if self.digits is None else _MANTISSA[kind.itemsize] - math.ceil(self.digits * math.log2(10))
-        if drop > 0:
+        bits = self.digits and _bits(self.digits, twice=kind.itemsize < values.itemsize)
+        if bits and (drop := _MANTISSA[kind.itemsize] - bits) > 0:
             whole = np.dtype(f"u{kind.itemsize}")
             special = np.array(np.inf, kind).view(whole)[()]
             round_bits(out.reshape(-1).view(whole), whole.type(drop), special)
@@ -95,9 +97,16 @@ class Encoding:
         """Say on each variable how it was rounded."""
         if self.digits is None:
             return ds
-        note = f"rounded to {self.digits} significant digits: relative error of at most {0.5 * 10.0**-self.digits:g}"
+        error = max(0.5 * 10.0**-self.digits, _SINGLE if self.dtype == "float32" else 0.0)
+        note = f"rounded to {self.digits} significant digits: relative error of at most {error:.2g}"
         floats = {name: data for name, data in ds.data_vars.items() if data.dtype.kind == "f" and "time" in data.dims}
         return ds.assign({name: data.assign_attrs(precision=note) for name, data in floats.items()})
+
+
+def _bits(digits: int, *, twice: bool) -> int:
+    """Bits of the mantissa that the digits take; `twice` where numbers are rounded to single precision before."""
+    share = 10.0**-digits - (2 * _SINGLE if twice else 0.0)  # twice the error that is left for these bits
+    return math.ceil(-math.log2(share)) if share > 0 else _MANTISSA[4]
 
 
 def _compressor(level: int) -> Any:
