@@ -159,7 +159,7 @@ def _nearest(
         rows, places = images(reach)
         looked_at = min(looked_at, len(rows))
         distance, near = cKDTree(places).query(position, range(1, looked_at + 1))
-        found = rows[near]
+        distance, found = np.asarray(distance), rows[near]
         fresh = found != own
         for k in range(looked_at):
             fresh[:, k] &= (found[:, :k] != found[:, k, None]).all(axis=1)
