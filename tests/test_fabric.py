@@ -263,6 +263,15 @@ def test_redundancy_of_a_lattice():
         ds.cg.coarse_grain("redundancy_number", friction=-1)
 
 
+@pytest.mark.parametrize("lattice", [xcg.datasets.simple_cubic, xcg.datasets.face_centred_cubic])
+def test_of_equal_forces_none_is_strong(lattice):
+    """Normal forces that are the same but for rounding, on either side of their mean."""
+    ds = lattice(5, diameter=0.1, force=0.1)
+    f = ds.cg.coarse_grain([*SPLIT, "contact_stress"], axes="z", width=0.1)
+    assert not f.strong_contact_stress.any()
+    np.testing.assert_array_equal(f.weak_contact_stress, f.contact_stress)
+
+
 def test_strong_contacts_push_more_than_the_mean():
     force = np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 4.0], [-9.0, 0, 0]])  # the last one pulls
     normal = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 0]])

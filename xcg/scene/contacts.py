@@ -160,7 +160,10 @@ class Contacts:
     def strong(self) -> NDArray:
         """Whether each contact pushes more than the mean of all contacts that push; (n,)."""
         push = (self.normal_force > 0) & (self.first_row >= 0)
-        return push & (self.normal_force > self.normal_force[push].mean()) if push.any() else push
+        if not push.any():
+            return push
+        # a hair more, so that of equal forces none is strong by rounding
+        return push & (self.normal_force > self.normal_force[push].mean() * (1 + 1e-12))
 
     def sum_over_particles(self, on_i: NDArray, on_j: NDArray, sign_j: float = 1.0) -> NDArray:
         """Sum what contacts give to their particles, `on_i` and `sign_j` x `on_j`; (n, ...) to (particles, ...)."""
