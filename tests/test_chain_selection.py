@@ -88,3 +88,19 @@ def test_wrong_arguments():
         fc.cg.select_chains(EVERYWHERE, of="most")
     with pytest.raises(ValueError, match="nothing to select by"):
         fc.cg.select_chains()
+
+
+@pytest.mark.parametrize(
+    ("call", "told"),
+    [
+        (lambda fc: fc.cg.select_chains(min_stress="high"), "min_stress='high': expected a finite stress"),
+        (lambda fc: fc.cg.select_chains(min_stress=np.nan), "min_stress=nan: expected a finite stress"),
+        (lambda fc: fc.cg.select_chains((0, 1)), r"region=\(0, 1\): expected xcg.Box"),
+        (lambda fc: fc.cg.track_chains(overlap="half"), "overlap='half': expected a share"),
+        (lambda fc: fc.isel(time=[]).cg.chain_table(), "chain_table needs one step or more"),
+        (lambda fc: fc.isel(time=[]).cg.link_table(), "link_table needs one step or more"),
+    ],
+)
+def test_wrong_arguments_are_named(call, told):
+    with pytest.raises(ValueError, match=told):
+        call(three_chains().chunk(time=1))

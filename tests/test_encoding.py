@@ -176,3 +176,23 @@ def test_a_format_of_ones_own(tmp_path):
         xcg.register_writer(".none", 3)
     with pytest.raises(ValueError, match=r"\.txt"):
         xcg.save(f, tmp_path / "f.tex")
+
+
+def test_a_folder_in_the_place_of_a_file_is_said_before_computing(tmp_path):
+    def fail(values):
+        raise AssertionError
+
+    f = xcg.datasets.random_scene(50, seed=1).chunk(time=1).cg.coarse_grain("density", axes="z")
+    for name in ("f.nc", "f.h5", "f.vtkhdf"):
+        (tmp_path / name).mkdir()
+        lazy = f.assign(density=f.density.copy(data=f.density.data.map_blocks(fail, meta=np.empty((0, 0)))))
+        with pytest.raises(IsADirectoryError, match=f"{name} is a folder, .* choose another name"):
+            lazy.cg.save(tmp_path / name, overwrite=True)
+        assert not list((tmp_path / name).iterdir())
+
+
+def test_scenes_are_no_images(tmp_path):
+    for name in ("s.vtkhdf", "s.pvd"):
+        with pytest.raises(ValueError, match="particles and contacts are no dimensions of an image"):
+            xcg.datasets.random_scene(50, seed=1).cg.save(tmp_path / name)
+    assert not list(tmp_path.iterdir())

@@ -14,6 +14,7 @@ from xcg.chains.regions import Region
 from xcg.chains.results import CHAINS, MEMBERS, STATISTICS, require_chains, result_sizes, statistics_of
 from xcg.scene.conform import takes_scene
 from xcg.scene.frame import particle_rows, steps_in
+from xcg.scene.numbers import is_finite
 from xcg.scene.schema import OF_STEP
 from xcg.steps.label import label, results_of
 from xcg.steps.map import map_over_time
@@ -72,6 +73,12 @@ def select_chains(
         raise ValueError(msg)
     if region is None and min_stress is None:
         msg = "nothing to select by: give region= (xcg.Box, xcg.Sphere), min_stress= (Pa), or both"
+        raise ValueError(msg)
+    if region is not None and not isinstance(region, Region):
+        msg = f"region={region!r}: expected xcg.Box(lower, upper), xcg.Sphere(centre, radius), or a combination"
+        raise ValueError(msg)
+    if min_stress is not None and not is_finite(min_stress):
+        msg = f"min_stress={min_stress!r}: expected a finite stress (Pa), or None"
         raise ValueError(msg)
     condition = _Condition(region, min_stress, of, fc.attrs.get("periodic", ""), int(fc.attrs.get("min_length", 3)))
     changed = MEMBERS | CHAINS | STATISTICS

@@ -7,7 +7,7 @@ import pandas as pd
 import xarray as xr
 
 from xcg.chains.results import CHAINS, require_chains, steps_of
-from xcg.scene.schema import COMPONENTS
+from xcg.scene.schema import COMPONENTS, SceneError
 
 
 def chain_table(fc: xr.Dataset) -> pd.DataFrame:
@@ -22,9 +22,10 @@ def chain_table(fc: xr.Dataset) -> pd.DataFrame:
     Raises
     ------
     SceneError
-        If `fc` is not a result of `force_chains`.
+        If `fc` is not a result of `force_chains`, or has no step.
     """
     require_chains(fc, "chain_table")
+    _require_steps(fc, "chain_table")
     tables = []
     for step in steps_of(fc, list(CHAINS)):
         chain = np.flatnonzero(step.arrays["chain_particles"] > 0)
@@ -53,9 +54,10 @@ def link_table(fc: xr.Dataset) -> pd.DataFrame:
     Raises
     ------
     SceneError
-        If `fc` is not a result of `force_chains`.
+        If `fc` is not a result of `force_chains`, or has no step.
     """
     require_chains(fc, "link_table")
+    _require_steps(fc, "link_table")
     tables = []
     for step in steps_of(fc, ["link_chain", "contact_j", "contact_force", "major_stress"]):
         contact, i, j = step.links()
@@ -72,3 +74,10 @@ def link_table(fc: xr.Dataset) -> pd.DataFrame:
         }
         tables.append(pd.DataFrame(columns))
     return pd.concat(tables, ignore_index=True)
+
+
+def _require_steps(fc: xr.Dataset, purpose: str) -> None:
+    """Refuse a result that a selection left without steps."""
+    if not fc.sizes.get("time", 1):
+        msg = f"{purpose} needs one step or more, and these chains have none: check how steps were selected"
+        raise SceneError(msg)

@@ -43,10 +43,15 @@ def whole_file(path: Path, *, overwrite: bool, room: int = 0) -> Iterator[Path]:
         If the file exists and `overwrite` is False, at the start or in the end.
     FileNotFoundError
         If its folder does not exist.
+    IsADirectoryError
+        If it is a folder.
     OSError
         If it cannot be written, as where the disk is full. Nothing is left behind then.
     """
     check_target(path, overwrite=overwrite)
+    if path.is_dir():  # said before all is computed
+        msg = f"{path} is a folder, and a file is not put in its place; choose another name, or remove the folder"
+        raise IsADirectoryError(msg)
     part = part_of(path)
     temporary.add(part)
     try:

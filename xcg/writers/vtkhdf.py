@@ -191,6 +191,11 @@ def checked(fields: xr.Dataset) -> xr.Dataset:
     if not fields.data_vars:
         msg = "fields holds no variables; expected a result of coarse_grain"
         raise ValueError(msg)
+    if {"particle", "contact"} & set(fields.dims):
+        msg = (
+            "particles and contacts are no dimensions of an image: save scenes, and results by grain, as NetCDF or Zarr"
+        )
+        raise ValueError(msg)
     known = {*_ON_DISK, "phase"}
     for name, data in fields.data_vars.items():
         unknown = sorted(map(str, set(data.dims) - known))
