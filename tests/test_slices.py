@@ -90,3 +90,15 @@ def test_whole_numbers_beyond_64_bits(method):
     wide = xcg.slice_temperature(ds, width=2**64 - 1, bounds=(0, 2**64), method=method)
     as_float = xcg.slice_temperature(ds, width=2.0**64, bounds=(0.0, 2.0**64), method=method)
     xr.testing.assert_equal(wide, as_float)
+
+
+@pytest.mark.parametrize("method", ["planes", "bins"])
+@pytest.mark.parametrize("tilt", [0.0, 1.3])
+def test_slices_wider_than_the_period_count_each_grain_once(method, tilt):
+    place = np.random.default_rng(1).uniform(0, 4, (20, 3))
+    ds = xcg.scene_from_arrays(
+        place, velocity=place, diameter=np.full(20, 0.5), density=1.0, box=[[0, 4]] * 3, periodic="xyz",
+        lattice={"xz": tilt},
+    )  # fmt: skip
+    s = xcg.slice_temperature(ds, "z", method=method, width=8.0, bounds=(0.0, 8.0), planes=40)
+    assert (s.sample_count == 20).all()

@@ -171,6 +171,7 @@ def _over_time(
     out = np.empty((len(arrays[weight]), len(nodes), 5))
     for t, (frame, box, source) in enumerate(steps_in(arrays, periodic)):
         lattice, position, velocity = box.seen(np.arange(3) == axis, source), frame["position"], frame["velocity"]
+        row = np.arange(len(position))
         if lattice.vectors is not None:  # every image stands for itself, as its velocity may be another
             reach = 0.5 * frame[weight].max(initial=0.0) * (weight == "diameter")
             low, high = (
@@ -180,7 +181,7 @@ def _over_time(
             row, shift, drift = lattice.images(position, low, high, source)
             frame = {weight: frame[weight][row]}
             position, velocity = position[row] + shift, velocity[row] + drift
-        out[t] = function(position, velocity, frame[weight], nodes, period=float(lattice.period[axis]))
+        out[t] = function(position, velocity, frame[weight], nodes, row=row, period=float(lattice.period[axis]))
     return {_TABLE: out}
 
 
@@ -193,7 +194,7 @@ def _images_between(x: NDArray, low: float, high: float, period: float) -> NDArr
 
 def _bins(
     position: NDArray, velocity: NDArray, mass: NDArray, nodes: NDArray, *, axis: int, dims: list[int], edges: float,
-    width: float, period: float,
+    width: float, row: NDArray, period: float,
 ) -> NDArray:  # fmt: skip
     out = np.full((len(nodes), 5), np.nan)
     hair = _HAIR * width  # edges are known to rounding only
@@ -203,7 +204,7 @@ def _bins(
         images = _images_between(position[:, axis], edges + k * width - hair, edges + (k + 1) * width + end, period)
         here = images > 0
         m, v = (images * mass)[here], velocity[here]
-        out[k, 4] = len(m)
+        out[k, 4] = len(np.unique(row[here]))
         if len(m):
             out[k, 1:4] = (m @ v) / m.sum()
         if len(m) > 1:
@@ -213,7 +214,7 @@ def _bins(
 
 def _planes(
     position: NDArray, velocity: NDArray, diameter: NDArray, nodes: NDArray, *, axis: int, dims: list[int], sides: int,
-    width: float, period: float,
+    width: float, row: NDArray, period: float,
 ) -> NDArray:  # fmt: skip
     x, radius, grain = position[:, axis], diameter / 2, np.arange(len(position))
     reach = radius.max(initial=0.0)
@@ -247,7 +248,7 @@ def _planes(
             if (area > 0).sum() > 1:  # one grain has no fluctuation about itself
                 energy += share * (area @ (v - mean)[:, dims] ** 2).sum()
                 shared += share * area.sum()
-        out[k, 4] = seen.sum()
+        out[k, 4] = len(np.unique(row[seen]))
         if total > 0:
             out[k, 1:4] = momentum / total
         if shared > 0:
