@@ -411,3 +411,37 @@ def test_the_line_takes_what_the_library_takes():
 
     assert taken("run", "on_error") == taken("chains", "on_error") == ON_ERROR
     assert taken("chains", "algorithm") == ALGORITHMS
+
+
+def selected(step):
+    """Steps of a scene as xarray leaves them: one without a dimension of time, none, and by their numbers."""
+    ds = xcg.datasets.open("plane_shear", frozen=2).isel(time=slice(0, 4))
+    return {"one": ds.isel(time=2), "none": ds.isel(time=[]), "step": ds.swap_dims(time="step")}[step]
+
+
+@pytest.mark.parametrize("suffix", ["zarr", "nc"])
+@pytest.mark.parametrize("step", ["one", "none", "step"])
+def test_selected_steps_open_again_once_saved(tmp_path, suffix, step):
+    ds = selected(step)
+    path = ds.cg.save(tmp_path / f"s.{suffix}")
+    expected = ds.compute().cg.coarse_grain(["density", "stress"], axes="z", width=1.0)
+    for chunks in ("auto", None, 3, -1):
+        again = xcg.open_scene(path, chunks=chunks)
+        found = again.cg.coarse_grain(["density", "stress"], axes="z", width=1.0).compute()
+        xr.testing.assert_equal(found, expected)
+        assert f"scene of {ds.time.size} steps" in repr(again.cg)
+
+
+def test_commands_take_a_step_that_was_saved_alone(tmp_path):
+    path = selected("one").cg.save(tmp_path / "one.zarr")
+    job = tmp_path / "job.toml"
+    job.write_text('[scene]\nparticles = "one.zarr"\n[fields]\nfields = ["density"]\naxes = "z"\nwidth = 1.0\n')
+    xcg_run("run", job, "-q")
+    expected = selected("one").cg.coarse_grain("density", axes="z", width=1.0).compute()
+    with xr.open_dataset(tmp_path / "xcg-output" / "fields.nc") as found:
+        np.testing.assert_array_equal(found.density[0], expected.density)
+    xcg_run("convert", path, "-o", tmp_path / "again.nc")
+    assert xcg.open_scene(tmp_path / "again.nc").time.values == expected.time.values[None]
+    assert str(int(expected.step)) in xcg_run("chains", path)
+    selected("none").cg.save(tmp_path / "one.zarr", overwrite=True)
+    assert "the scene has no steps" in xcg_run("run", job, "--overwrite", code=1)

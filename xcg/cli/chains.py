@@ -61,12 +61,13 @@ def chains(
     """
     from xcg.chains.search import force_chains
     from xcg.readers.series import open_scene
+    from xcg.scene.conform import conform
     from xcg.steps.label import name_skipped
     from xcg.writers.chains import targets, to_csv, to_vtkhdf, to_vtp
     from xcg.writers.files import check_target, whole_file
 
     with plain_messages(quiet=False):
-        scene = open_scene(list(files), on_error=on_error, **said(options))
+        scene = conform(open_scene(list(files), on_error=on_error, **said(options)))
         fc = force_chains(scene, alpha, threshold, min_length, algorithm=algorithm, symmetric=not raw,
                           on_error=on_error)  # fmt: skip
         # names are looked at before anything is computed or written

@@ -38,12 +38,13 @@ def convert(
     """
     from xcg.jobs.config import read_config
     from xcg.readers.series import open_scene
+    from xcg.scene.conform import conform
     from xcg.writers.save import save
 
     with plain_messages(quiet=False):
         is_job = len(files) == 1 and Path(files[0]).suffix.lower() in (".toml", ".ini")
         scene = read_config(files[0]).scene if is_job else {"particles": list(files)}
-        ds = open_scene(**scene | said(options))
+        ds = conform(open_scene(**scene | said(options)))  # a step that was saved alone gets its time
         save(
             ds, output, overwrite=overwrite, dtype=dtype, digits=digits, compression=compression, progress=not quiet
         )  # fmt: skip

@@ -25,6 +25,7 @@ from xcg.fields.studies.slice_temperature import slice_temperature
 from xcg.jobs.job import Job
 from xcg.readers.paths import expand_paths
 from xcg.readers.series import open_scene
+from xcg.scene.conform import conform
 from xcg.scene.phases import assign_phases, find_phases
 from xcg.scene.schema import SceneError, did_you_mean
 from xcg.steps.each import chunks_of_time, each_step
@@ -58,7 +59,10 @@ def open_job(job: Job) -> tuple[xr.Dataset, xr.Dataset, xr.Dataset | None]:
 
 
 def _opened(job: Job) -> tuple[xr.Dataset, xr.Dataset, xr.Dataset | None]:
-    ds = open_scene(**{**job.scene, "on_error": job.on_error})
+    ds = conform(open_scene(**{**job.scene, "on_error": job.on_error}))  # a step that was saved alone gets its time
+    if not ds.sizes["time"]:
+        msg = "nothing to do: the scene has no steps"
+        raise SceneError(msg)
     options = {**job.fields, "on_error": job.on_error}
     if job.phases is not None:
         assigned = {"edges", "mapping", "by"} & set(job.phases)

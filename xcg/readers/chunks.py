@@ -55,7 +55,7 @@ def chunk_sizes(chunks: Any, count: int, sensible: Callable[[], int]) -> tuple[i
             msg = f"chunks={chunks!r}: expected positive numbers that add up to the {count} steps"
             raise SceneError(msg)
         return tuple(sizes.tolist())
-    size = count if sizes[0] == -1 else int(sizes[0])
+    size = max(1, count) if sizes[0] == -1 else int(sizes[0])
     if size < 1:
         raise SceneError(msg)
     return tuple(min(size, count - start) for start in range(0, count, size))

@@ -87,8 +87,9 @@ def open_saved(path: str, chunks: Chunks) -> xr.Dataset:
         raise SceneError(msg)
     if chunks is None:
         return ds
-    sizes = chunk_sizes(chunks, ds.sizes["time"], lambda: _sensible(ds))
-    whole: dict[Hashable, Any] = {dim: sizes if dim == "time" else -1 for dim in ds.dims}
+    of_time = next(iter(ds["time"].dims), None)  # None for a step that was selected alone, "step" after swap_dims
+    sizes = chunk_sizes(chunks, ds["time"].size, lambda: _sensible(ds)) or (0,)  # there may be no step
+    whole: dict[Hashable, Any] = {dim: sizes if dim == of_time else -1 for dim in ds.dims}
     token = tokenize(path, os.stat(path).st_mtime_ns)
     lazy = {
         name: _lazy(values.variable, f"{path}: '{name}'", whole, f"{name}-{token}")
@@ -133,5 +134,5 @@ def _sensible(ds: xr.Dataset) -> int:
     """Count steps of a sensible chunk: whole chunks of the file."""
     rows = sum(ds.sizes.get(dim, 0) for dim in ("particle", "contact"))
     on_disk: int = ds["position"].encoding.get("preferred_chunks", {}).get("time", 1)
-    steps = steps_in_a_task(rows, ds.nbytes // max(1, ds.sizes["time"]))
+    steps = steps_in_a_task(rows, ds.nbytes // max(1, ds["time"].size))
     return -(-steps // on_disk) * on_disk

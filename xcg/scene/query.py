@@ -128,7 +128,7 @@ def edges_of(ds: xr.Dataset) -> dict[str, tuple[float, float]]:
     box, lower, upper = None, ds.attrs.get("box_lower"), ds.attrs.get("box_upper")
     given = ds.variables["box"] if "box" in ds else None
     if given is not None and given.size and (given.chunks is None or lower is None or upper is None):
-        first = given.isel(time=0) if "time" in given.dims else given
+        first = given.isel({dim: 0 for dim in given.dims if dim not in ("component", "bound")})  # "step", too
         box = first.transpose("component", "bound").to_numpy()
     elif lower is not None and upper is not None:
         box = np.stack([lower, upper], axis=1)

@@ -42,7 +42,8 @@ class Summary:
 
 def summary_of_scene(ds: xr.Dataset) -> Summary:
     """Tell what a scene holds, and what is missing, without reading it."""
-    steps, particles, contacts = (ds.sizes.get(dim, 1) for dim in ("time", "particle", "contact"))
+    steps = ds["time"].size if "time" in ds.coords else ds.sizes.get("time", 1)  # also by other dimensions
+    particles, contacts = (ds.sizes.get(dim, 1) for dim in ("particle", "contact"))
     contacts = contacts if "contact_i" in ds else 0
     # one order, whatever that of a file is
     there = [name for name in dict.fromkeys([*VARIABLES, *map(str, ds.variables)]) if name in ds.variables]
