@@ -151,6 +151,20 @@ def test_an_error_leaves_nothing(tmp_path, suffix):
     assert list(target.iterdir()) == []
 
 
+def test_a_folder_of_other_things_is_not_replaced(tmp_path):
+    folder = tmp_path / "results.zarr"
+    folder.mkdir()
+    ds = steps_of_random_scenes(1)
+    xcg.save(ds, folder, overwrite=True)  # an empty one
+    xcg.save(ds, folder, overwrite=True)  # one of Zarr
+    other = tmp_path / "thesis.zarr"
+    other.mkdir()
+    (other / "thesis.tex").write_text("years of work")
+    with pytest.raises(FileExistsError, match="without Zarr data"):
+        xcg.save(ds, other, overwrite=True)
+    assert (other / "thesis.tex").read_text() == "years of work"
+
+
 @pytest.mark.parametrize("options", [{}, {"dtype": "float32", "compression": 0}, {"digits": 3, "compression": 0}])
 @pytest.mark.parametrize("lazy", [False, True])
 def test_chunks_are_as_zarr_writes_them(tmp_path, monkeypatch, lazy, options):

@@ -31,6 +31,7 @@ _TOGETHER = 128_000_000
 # Chunks of one variable are files in one folder: by default each has up to six folders of its own, and making these
 # takes longer than writing small chunks.
 _KEYS = {"name": "default", "separator": "."}
+_ZARR = ("zarr.json", ".zgroup", ".zarray")  # what folders of Zarr have, of format 3 and 2
 
 
 @dataclass(frozen=True)
@@ -121,6 +122,7 @@ def write_zarr(ds: xr.Dataset, path: Path, encoding: Encoding, *, overwrite: boo
     steps = _steps_together(ds, over)
     how = {"compressors": packed, "chunk_key_encoding": _KEYS}
     layout = {name: {"chunks": chunk_shape(ds[name], steps), **how} for name in over}
+    _spare_other_folders(path)
     with whole_folder(path, overwrite=overwrite) as part:
         with warnings.catch_warnings():
             # What xarray looks for first when it opens a store; programs that do not know it pass over it.
@@ -128,6 +130,13 @@ def write_zarr(ds: xr.Dataset, path: Path, encoding: Encoding, *, overwrite: boo
             outline(ds, over, encoding).to_zarr(part, encoding=layout, zarr_format=3, consolidated=True, compute=False)
         plain = {name: found for name in over if (found := _Plain.of(part / name))}
         write_all(ds, over, _Zarr(part, encoding, plain), steps)
+
+
+def _spare_other_folders(path: Path) -> None:
+    """Refuse to replace a folder that holds anything but Zarr data."""
+    if path.is_dir() and any(path.iterdir()) and not any((path / name).exists() for name in _ZARR):
+        msg = f"{path} is a folder without Zarr data, and is not replaced; choose another name, or remove it"
+        raise FileExistsError(msg)
 
 
 def _steps_together(ds: xr.Dataset, over: Sequence[str]) -> int:
