@@ -12,6 +12,7 @@ PACKAGE = Path(__file__).parents[1] / "xcg"
 # floors from the ground up; a room imports only from lower floors, so that the wings of one floor know nothing of each
 # other
 FLOORS = [
+    ["stubs"],
     ["compiled"],
     ["scene"],
     ["steps"],
@@ -154,3 +155,22 @@ def test_other_names_are_refused():
 def test_every_dataset_has_the_accessor_once_the_package_is_imported():
     done = run("import xarray as xr, xcg; print(type(xr.Dataset().cg).__name__)")
     assert done.stdout.strip() == "CoarseGrainAccessor", done.stdout + done.stderr
+
+
+def test_a_method_loads_the_rooms_that_it_passes():
+    rooms = ("chains", "packing", "readers", "writers", "datasets", "fields.studies")
+    code = (
+        "import sys, xarray as xr, xcg; xr.Dataset().cg.coarse_grain; print('xcg.fields.coarse_grain' in sys.modules, "
+    )
+    done = run(code + f"[m for m in sys.modules if m.startswith(tuple('xcg.' + room for room in {rooms}))])")
+    assert done.stdout.strip() == "True []", done.stdout + done.stderr
+
+
+def test_editors_are_told_of_each_method():
+    told, has = (
+        {target.id for node in ast.walk(ast.parse((PACKAGE / file).read_text())) if isinstance(node, ast.ClassDef)
+         and node.name == "CoarseGrainAccessor" for line in node.body if isinstance(line, ast.Assign)
+         for target in line.targets if isinstance(target, ast.Name)}
+        for file in ("accessor.pyi", "accessor.py")
+    )  # fmt: skip
+    assert told == has != set()

@@ -4,19 +4,16 @@ A name of the package is loaded when it is first used. Where it stands says ``__
 checkers see plain imports.
 """
 
-import ast
 from importlib import import_module
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 import xarray as xr
 
+from xcg.stubs import homes
+
 __version__ = version("xcg")
-_IMPORTS = [
-    node for node in ast.parse(Path(__file__).with_suffix(".pyi").read_bytes()).body if isinstance(node, ast.ImportFrom)
-]
-_HOMES = {alias.name: node.module for node in _IMPORTS for alias in node.names}
+_HOMES = homes(__file__)
 __all__ = sorted(_HOMES)
 
 

@@ -1,0 +1,86 @@
+"""Where functions stand that are methods of `ds.cg`: read by editors and type checkers, and by `xcg/accessor.py`."""
+
+from collections.abc import Callable
+from typing import Concatenate, Generic, ParamSpec, TypeVar, overload
+
+import xarray as xr
+
+from xcg.chains.particle_stress import particle_stress
+from xcg.chains.plots import plot_chains, plot_lengths, plot_rose
+from xcg.chains.search import force_chains
+from xcg.chains.selection import select_chains
+from xcg.chains.tables import chain_table, link_table
+from xcg.chains.tracks import track_chains
+from xcg.fields.coarse_grain import coarse_grain, explain
+from xcg.fields.formulas.averages import profile, time_average
+from xcg.fields.studies.balance import balance
+from xcg.fields.studies.correlations import spatial_correlation, time_correlation
+from xcg.fields.studies.diffusion import mean_squared_displacement
+from xcg.fields.studies.displacement import displacement
+from xcg.fields.studies.plots import movie, plot
+from xcg.fields.studies.slice_temperature import slice_temperature
+from xcg.fields.studies.wall_stress import wall_stress
+from xcg.fields.studies.width_sweep import width_sweep
+from xcg.packing.find_contacts import find_contacts
+from xcg.packing.microstructure import microstructure
+from xcg.scene.bodies import group_bodies
+from xcg.scene.phases import assign_phases, find_phases, plot_phases
+from xcg.scene.sizes import measure, size_statistics
+from xcg.scene.walls import select_walls
+from xcg.writers.chains import to_csv, to_vtp
+from xcg.writers.save import save
+from xcg.writers.vtkhdf import to_vtkhdf
+from xcg.writers.vtu import to_vtu
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+def kind_of(ds: xr.Dataset) -> str: ...
+
+class Method(Generic[P, R]):
+    def __init__(self, function: Callable[Concatenate[xr.Dataset, P], R]) -> None: ...
+    @overload
+    def __get__(self, accessor: None, owner: type) -> Callable[Concatenate[xr.Dataset, P], R]: ...
+    @overload
+    def __get__(self, accessor: CoarseGrainAccessor, owner: type) -> Callable[P, R]: ...
+
+class CoarseGrainAccessor:
+    def __init__(self, ds: xr.Dataset) -> None: ...
+    def _repr_html_(self) -> str: ...
+    coarse_grain = Method(coarse_grain)
+    explain = Method(explain)
+    displacement = Method(displacement)
+    mean_squared_displacement = Method(mean_squared_displacement)
+    width_sweep = Method(width_sweep)
+    balance = Method(balance)
+    slice_temperature = Method(slice_temperature)
+    wall_stress = Method(wall_stress)
+    find_contacts = Method(find_contacts)
+    microstructure = Method(microstructure)
+    particle_stress = Method(particle_stress)
+    force_chains = Method(force_chains)
+    measure = Method(measure)
+    size_statistics = Method(size_statistics)
+    group_bodies = Method(group_bodies)
+    find_phases = Method(find_phases)
+    assign_phases = Method(assign_phases)
+    plot_phases = Method(plot_phases)
+    select_walls = Method(select_walls)
+    profile = Method(profile)
+    time_average = Method(time_average)
+    spatial_correlation = Method(spatial_correlation)
+    time_correlation = Method(time_correlation)
+    plot = Method(plot)
+    movie = Method(movie)
+    select_chains = Method(select_chains)
+    track_chains = Method(track_chains)
+    chain_table = Method(chain_table)
+    link_table = Method(link_table)
+    plot_chains = Method(plot_chains)
+    plot_lengths = Method(plot_lengths)
+    plot_rose = Method(plot_rose)
+    to_csv = Method(to_csv)
+    to_vtp = Method(to_vtp)
+    to_vtkhdf = Method(to_vtkhdf)
+    to_vtu = Method(to_vtu)
+    save = Method(save)
