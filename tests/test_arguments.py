@@ -87,6 +87,20 @@ def test_of_files(options, match):
         xcg.open_scene(DUMP, **options)
 
 
+def test_numbers_of_data_are_told_as_they_are_written():
+    given = {"position": np.eye(3), "diameter": np.ones(3), "density": 1.0}
+    for options, match in (
+        ({"diameter": np.array([1, -0.5, 1])}, "'diameter' of particle 1 is -0.5; expected"),
+        ({"particle_id": np.array([0, 1.5, 2])}, "row 1 is 1.5$"),
+        (
+            {"position": [np.eye(3)] * 2, "diameter": np.ones((2, 3)), "time": [1.0, 0.5]},
+            r"and 0.5 follows 1.0 at index 1",
+        ),
+    ):
+        with pytest.raises(xcg.SceneError, match=match):
+            xcg.scene_from_arrays(**(given | options))
+
+
 def test_numbers_are_told_from_texts():
     for number in (2, 2.0, np.float32(2), np.array(2), Fraction(2), True + 1):
         assert is_whole(number, 1, 2)

@@ -199,6 +199,38 @@ def test_labels_may_stand_for_rows(scene, lazy):
     assert scene.set_coords(["particle_id", "box", "position"]).cg.width_sweep([0.6, 0.8, 1.0], "density").density.any()
 
 
+def test_results_by_the_number_of_the_step_are_those_by_time(scene, tmp_path):
+    """What follows from results whose steps go by their numbers, as from those of a scene that has them."""
+    steps = xr.concat([scene, scene.assign_coords(time=scene.time + 0.2, step=scene.step + 2)], "time")
+    f = steps.cg.coarse_grain(**MESH, for_averages=True)
+    g = steps.swap_dims(time="step").cg.coarse_grain(**MESH, for_averages=True)
+    assert "step" in g.dims
+    xr.testing.assert_equal(g.cg.time_average(), f.cg.time_average())
+    for method in ("spatial_correlation", "time_correlation"):
+        found, expected = (getattr(one.cg, method)("volume_fraction") for one in (g, f))
+        xr.testing.assert_equal(found, expected)
+    assert str(g.cg).startswith("result of 4 steps on")
+    f.cg.save(tmp_path / "f.vtkhdf")
+    g.cg.save(tmp_path / "g.vtkhdf")
+    assert (tmp_path / "g.vtkhdf").stat().st_size == (tmp_path / "f.vtkhdf").stat().st_size
+    f.cg.save(tmp_path / "f.pvd")
+    g.cg.save(tmp_path / "g.pvd")
+    assert len([*tmp_path.glob("g_*.vti")]) == 4
+    assert (tmp_path / "g_0003.vti").read_bytes() == (tmp_path / "f_0003.vti").read_bytes()
+
+
+def test_chains_by_the_number_of_the_step_are_those_by_time(scene, tmp_path):
+    fc = scene.cg.force_chains(min_length=2)
+    by_number = scene.swap_dims(time="step").cg.force_chains(min_length=2)
+    assert by_number.chain_count.dims == ("step",)
+    for table in ("chain_table", "link_table"):
+        assert getattr(by_number.cg, table)().equals(getattr(fc.cg, table)())
+    xr.testing.assert_equal(by_number.cg.track_chains(), fc.cg.track_chains())
+    files = [one.cg.to_csv(tmp_path / f"{name}_{{step}}.csv") for name, one in (("f", fc), ("g", by_number))]
+    assert [f.read_bytes() for f in files[0]] == [g.read_bytes() for g in files[1]]
+    assert str(by_number.cg) == str(fc.cg)
+
+
 def test_no_particles_at_all_are_no_fault(scene):
     for none in (scene.isel(particle=[]), scene.chunk(time=1).isel(particle=[])):
         assert (none.cg.coarse_grain("density", width=0.8).density == 0).all()

@@ -180,6 +180,18 @@ def test_refused(result, tmp_path):
         f.cg.movie(tmp_path / "f.avi")
     with pytest.raises(ValueError, match="movie needs a result with the dimension 'time'"):
         f.isel(time=0).cg.movie(tmp_path / "f.gif")
+    with pytest.raises(ValueError, match=r"component='q': expected one of x, y, z$"):
+        f.cg.plot("velocity", component="q")
+    for wrong in (3, -4, 0.5, "last"):
+        with pytest.raises(ValueError, match=f"time={wrong!r}: expected the position of a step, from -3 to 2"):
+            f.cg.plot("density", time=wrong)
+    with pytest.raises(ValueError, match="phase=1: the result has no dimension 'phase'"):
+        f.cg.plot("density", phase=1)
+    by_species = xcg.datasets.random_scene(20).cg.coarse_grain("density", axes="z", by="species", width=1.0)
+    for draw in (by_species.cg.plot, lambda *a, **k: by_species.cg.movie(tmp_path / "f.gif", *a, **k)):
+        with pytest.raises(ValueError, match=r"phase=9: expected one of bulk, 1, 2$"):
+            draw("density", phase=9)
+    assert not [*tmp_path.iterdir()]
 
 
 def test_a_movie_without_ffmpeg(result, tmp_path, monkeypatch):

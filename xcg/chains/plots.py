@@ -9,6 +9,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.chains.results import Step, require_chains, steps_of
+from xcg.scene.conform import step_at, with_time
 from xcg.scene.extras import extra
 from xcg.scene.schema import COMPONENTS
 
@@ -107,7 +108,7 @@ def plot_lengths(fc: xr.Dataset, *, ax: Axes | None = None) -> Axes:
     """
     require_chains(fc, "plot_lengths")
     ax = ax or _current_axes()
-    steps = fc[["length_share", "chain_count"]].compute()
+    steps = with_time(fc[["length_share", "chain_count"]]).compute()
     steps = steps if "time" in steps.dims else steps.expand_dims("time")
     share, count = steps["length_share"].transpose("time", "length").to_numpy(), steps["chain_count"].to_numpy()
     length = fc["length"].to_numpy()
@@ -182,7 +183,7 @@ def _current_axes() -> Axes:
 
 
 def _step(fc: xr.Dataset, time: int, names: list[str]) -> Step:
-    (step,) = steps_of(fc.isel(time=[time]) if "time" in fc.dims else fc, names)
+    (step,) = steps_of(step_at(fc, time, "time"), names)
     return step
 
 

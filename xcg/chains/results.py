@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from xcg.chains.particle_stress import RESULTS as STRESSES
 from xcg.scene.complete import rows_of
-from xcg.scene.conform import with_components
+from xcg.scene.conform import with_components, with_time
 from xcg.scene.frame import particle_rows
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import BOX, PADDING, VARIABLES, Frame, SceneError, Variable
@@ -107,6 +107,7 @@ def require_chains(fc: xr.Dataset, purpose: str) -> None:
 
 def summary_of_chains(fc: xr.Dataset) -> Summary:
     """Tell what a result of `force_chains` holds, without computing it."""
+    fc = with_time(fc)
     sizes = ", ".join(f"{fc.sizes[dim]} {dim}" for dim in ("time", "particle", "contact") if dim in fc.sizes)
     rule = ", ".join(f"{name} = {fc.attrs[name]}" for name in ("alpha", "min_length", "algorithm") if name in fc.attrs)
     kinds = (("particles", MEMBERS), ("chains", CHAINS), ("steps", STATISTICS))
@@ -145,7 +146,7 @@ class Step:
 
 def steps_of(fc: xr.Dataset, names: Sequence[str]) -> Iterator[Step]:
     """Yield the steps of a result one after the other, each chunk of time computed once."""
-    fc = with_components(fc)
+    fc = with_time(with_components(fc))
     if "time" not in fc.dims:
         fc = fc.expand_dims("time")
     names = [*dict.fromkeys(("particle_id", "contact_i", *names))]

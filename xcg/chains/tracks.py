@@ -7,6 +7,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.chains.results import require_chains, steps_of
+from xcg.scene.conform import with_time
 from xcg.scene.numbers import is_positive
 from xcg.scene.query import require_rising_times
 from xcg.scene.schema import units_of
@@ -42,6 +43,7 @@ def track_chains(fc: xr.Dataset, overlap: float = 0.5) -> xr.Dataset:
         If `overlap` is out of range.
     """
     require_chains(fc, "track_chains")
+    fc = with_time(fc)
     if not (is_positive(overlap) and overlap <= 1):
         msg = f"overlap={overlap!r}: expected a share above 0 and up to 1, for example 0.5"
         raise ValueError(msg)

@@ -64,7 +64,7 @@ def _typed(frame: Mapping[str, ArrayLike], setup: Setup, source: str) -> Frame:
             whole = np.rint(array)
             if array.size and not (np.isfinite(array).all() and (array == whole).all()):
                 bad = int(np.flatnonzero(~np.isfinite(array) | (array != np.rint(array)))[0])
-                msg = f"{source}: '{name}' must hold whole numbers, but row {bad} is {array.flat[bad]!r}"
+                msg = f"{source}: '{name}' must hold whole numbers, but row {bad} is {array.flat[bad]}"
                 raise SceneError(msg)
             array = whole
         try:
@@ -128,7 +128,7 @@ def complete_particles(frame: Mapping[str, ArrayLike], setup: Setup, source: str
         may_be_zero = name in ("mass", "moment_of_inertia")
         if name in given and (given[name] <= 0).any() and not (may_be_zero and (given[name] >= 0).all()):
             bad = int(np.flatnonzero(given[name] <= 0)[0])
-            msg = f"{source}: '{name}' of particle {ids[bad]} is {given[name][bad]!r}; expected a positive number"
+            msg = f"{source}: '{name}' of particle {ids[bad]} is {given[name][bad]}; expected a positive number"
             raise SceneError(msg)
     _complete_size_and_mass(given, setup)
     if "diameter" in given:

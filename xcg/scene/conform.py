@@ -18,6 +18,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.scene.arguments import check_arguments
+from xcg.scene.numbers import is_whole
 from xcg.scene.query import MEASURED, known_without_reading
 from xcg.scene.schema import BOX, COMPONENTS, PADDING, VARIABLES, SceneError, Variable, variable
 from xcg.scene.warn import Once
@@ -125,6 +126,30 @@ def _row_of(name: str, dims: tuple[Hashable, ...], dtype: np.dtype) -> Variable 
     row = variable(name, dtype, 1 + sum(dim in dims for dim in ("component", "direction")))
     expected = {"time", *row.dims}
     return row if name in VARIABLES or expected <= {*dims} <= expected | {"particle", "contact"} else None
+
+
+def with_time(ds: xr.Dataset) -> xr.Dataset:
+    """Name the dimension of the steps "time" where it goes by their numbers (``swap_dims(time="step")``)."""
+    numbered = "step" in ds.sizes and "time" not in ds.sizes and "time" in ds.coords
+    return ds.swap_dims(step="time") if numbered else ds
+
+
+def step_at(ds: xr.Dataset, position: int, name: str) -> xr.Dataset:
+    """Select a step by its position, which is the argument `name`; what has no steps is one.
+
+    Raises
+    ------
+    ValueError
+        If there is no such step.
+    """
+    ds = with_time(ds)
+    if "time" not in ds.sizes:
+        return ds
+    count = ds.sizes["time"]
+    if not is_whole(position, -count, count - 1):
+        msg = f"{name}={position!r}: expected the position of a step, from {-count} to {count - 1}"
+        raise ValueError(msg)
+    return ds.isel(time=int(position))
 
 
 def _as_selected(result: xr.Dataset, ds: xr.Dataset) -> xr.Dataset:

@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.scene.conform import takes_scene
+from xcg.scene.conform import step_at, takes_scene
 from xcg.scene.extras import extra
 from xcg.scene.numbers import floats, is_whole
 from xcg.scene.query import mark_measured, require_scene
@@ -154,9 +154,16 @@ def plot_phases(ds: xr.Dataset, step: int = 0) -> Figure:
     Returns
     -------
     matplotlib.figure.Figure
+
+    Raises
+    ------
+    SceneError
+        If the scene lacks sizes, densities or phases.
+    ValueError
+        If there is no such step.
     """
     require_scene(ds, ("diameter", "density", "phase"), "plot_phases")
-    frame = ds[["diameter", "density", "phase"]].isel(time=step).compute()
+    frame = step_at(ds[["diameter", "density", "phase"]], step, "step").compute()
     scores = np.atleast_1d(ds.attrs.get("phase_scores", []))
     plt = extra("matplotlib.pyplot", "plot", "drawing")
     figure, axes = plt.subplots(1, 2 if len(scores) else 1, figsize=(9 if len(scores) else 5, 4), layout="constrained")

@@ -42,7 +42,7 @@ def check_times(time: NDArray, purpose: str, way_out: str) -> None:
     _require_numbers(time, purpose)
     late = np.flatnonzero(~(time[1:] > time[:-1]))
     if not np.isfinite(time).all() or late.size:
-        found = f"{time[late[0] + 1]!r} follows {time[late[0]]!r} at index {late[0] + 1}" if late.size else f"{time}"
+        found = f"{time[late[0] + 1]} follows {time[late[0]]} at index {late[0] + 1}" if late.size else f"{time}"
         msg = f"{purpose} needs finite times that rise from step to step, and {found}; {way_out}"
         raise SceneError(msg)
 

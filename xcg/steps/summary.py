@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
+from xcg.scene.conform import with_time
 from xcg.scene.schema import COMPONENTS
 from xcg.scene.summary import Summary, rows_of_origin
 
@@ -16,6 +17,7 @@ def summary_of_result(ds: xr.Dataset) -> Summary:
             "neither a scene nor a result: no 'position', no coordinates",
             [("variables", ", ".join(map(str, ds.data_vars)) or "none")],
         )
+    ds = with_time(ds)
     axes = [a for a in COMPONENTS if a in ds.dims]
     nodes = " x ".join(f"{ds.sizes[a]} {a}" for a in axes)
     steps = f"{ds.sizes['time']} steps" if "time" in ds.dims else "one step" if "time" in ds.coords else "all times"

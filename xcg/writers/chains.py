@@ -13,6 +13,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from xcg.chains.results import Step, require_chains, steps_of
+from xcg.scene.conform import with_time
 from xcg.scene.schema import Frame
 from xcg.writers.files import check_target, hdf5_file, whole_file, write_by_vtk
 
@@ -98,7 +99,7 @@ def _fcf_rows(arrays: Frame) -> Iterator[str]:
 
 def targets(fc: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool) -> list[Path]:
     """Name the file of each step, and refuse names that are taken, before any step is computed; errors as `to_csv`."""
-    pattern, count = os.fspath(path), fc.sizes.get("time", 1)
+    pattern, count = os.fspath(path), with_time(fc).sizes.get("time", 1)
     if count > 1 and "{step}" not in pattern:
         msg = f"path={pattern!r} is one file, and there are {count} steps; put {{step}} into the name"
         raise ValueError(msg)

@@ -17,7 +17,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import DTypeLike, NDArray
 
-from xcg.scene.conform import in_order, labels_along
+from xcg.scene.conform import in_order, labels_along, with_time
 from xcg.writers import chains
 from xcg.writers.chunks import joined, lock_for, over_time, write_chunks
 from xcg.writers.encoding import Encoding
@@ -196,6 +196,7 @@ def checked(fields: xr.Dataset) -> xr.Dataset:
             "particles and contacts are no dimensions of an image: save scenes, and results by grain, as NetCDF or Zarr"
         )
         raise ValueError(msg)
+    fields = with_time(fields)
     known = {*_ON_DISK, "phase"}
     for name, data in fields.data_vars.items():
         unknown = sorted(map(str, set(data.dims) - known))

@@ -11,6 +11,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.scene.conform import with_time
 from xcg.scene.schema import COMPONENTS
 from xcg.scene.vtk_mesh import places_of, read_mesh
 from xcg.writers.files import check_target, write_by_vtk
@@ -58,7 +59,7 @@ def to_vtu(
     if path.suffix != ".vtu":
         msg = f"{path}: expected a name that ends with .vtu"
         raise ValueError(msg)
-    fields, data = with_components(fields), read_mesh(mesh)
+    fields, data = with_time(with_components(fields)), read_mesh(mesh)
     dim, cells = _place_of(fields, data, mesh)
     _check_places(fields, dim, places_of(data, centers=cells), mesh)
     bare = _bare_grid(data)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Field, Options
 from xcg.fields.formulas.variables import row_of_result
-from xcg.scene.conform import in_order, labels_along
+from xcg.scene.conform import in_order, labels_along, with_time
 from xcg.scene.numbers import is_whole
 from xcg.scene.schema import COMPONENTS
 
@@ -101,6 +101,7 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
     ValueError
         If there is no time, the window does not fit, or a sum that a ratio needs is not in the result.
     """
+    f = with_time(f)
     if "time" not in f.dims:
         msg = "time_average needs a result with the dimension 'time'"
         raise ValueError(msg)

@@ -10,6 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.fields.formulas.averages import block_errors
+from xcg.scene.conform import with_time
 from xcg.scene.query import evenly_spaced
 from xcg.scene.schema import COMPONENTS
 from xcg.steps.label import format_call, provenance
@@ -62,7 +63,7 @@ def spatial_correlation(f: xr.Dataset, name: str, other: str | None = None) -> x
     >>> round(float(c.correlation.sel(lag_x=0, lag_y=0, lag_z=0)), 12)
     1.0
     """
-    other = name if other is None else other
+    f, other = with_time(f), name if other is None else other
     a, b = (_field_of(f, one, "spatial_correlation") for one in (name, other))
     if set(a.dims) != set(b.dims):
         msg = (
@@ -140,6 +141,7 @@ def time_correlation(f: xr.Dataset, name: str, max_lag: int | None = None) -> xr
     The mean that is taken off is that of the series, so that C is too low by about twice the correlation time over the
     length of the series.
     """
+    f = with_time(f)
     a = _field_of(f, name, "time_correlation")
     steps = a.sizes.get("time", 1)
     if steps < 3:

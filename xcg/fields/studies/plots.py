@@ -6,11 +6,12 @@ import os
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import xarray as xr
 
+from xcg.scene.conform import step_at, with_time
 from xcg.scene.extras import extra
 from xcg.scene.schema import COMPONENTS
 from xcg.steps.each import each_step
@@ -18,6 +19,8 @@ from xcg.steps.progress import shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+T = TypeVar("T", xr.Dataset, xr.DataArray)
 
 ARROWS = 20  # along the longer axis of a map
 _ARROW = "arrow_"
@@ -91,7 +94,7 @@ def plot(
     >>> f.cg.plot("pressure")  # doctest: +SKIP
     """
     pyplot = extra("matplotlib.pyplot", "plot", "drawing")
-    part = _part(f, field, component, direction, at, arrows)
+    part = _part(with_time(f), field, component, direction, at, arrows)
     picture = _one_step(part, time, phase).compute()
     ax = ax or pyplot.gca()
     name, axes = picture.attrs["drawn"], _axes(picture)
@@ -157,6 +160,7 @@ def movie(
     if path.suffix not in (".gif", ".mp4"):
         msg = f"{path}: expected a name that ends with .gif or .mp4"
         raise ValueError(msg)
+    f = with_time(f)
     if "time" not in f.dims:
         msg = "movie needs a result with the dimension 'time'; draw a single step with plot"
         raise ValueError(msg)
@@ -261,7 +265,9 @@ def _component(value: xr.DataArray, name: str, chosen: Mapping[str, str]) -> xr.
     if not chosen:
         return value
     part = f"{_named(value, name)}, {''.join(chosen.values())}"
-    return value.sel(chosen, drop=True).assign_attrs(value.attrs, long_name=part)
+    for dim, label in chosen.items():
+        value = _labelled(value, dim, label).drop_vars(dim)
+    return value.assign_attrs(value.attrs, long_name=part)
 
 
 def _slice(f: xr.Dataset, at: Mapping[str, float] | None) -> xr.Dataset:
@@ -280,13 +286,22 @@ def _slice(f: xr.Dataset, at: Mapping[str, float] | None) -> xr.Dataset:
 
 def _one_step(part: xr.Dataset, time: int, phase: int | str | None) -> xr.Dataset:
     """Select a step, and of maps a phase."""
-    if "time" in part.dims:
-        part = part.isel(time=time)
-    if "phase" not in part.dims:
-        return part
-    if phase is None and len(_axes(part)) == 2:
+    part = step_at(part, time, "time")
+    if phase is None and "phase" in part.dims and len(_axes(part)) == 2:
         phase = "bulk"
-    return part if phase is None else part.sel(phase=phase)
+    return part if phase is None else _labelled(part, "phase", phase)
+
+
+def _labelled(part: T, dim: str, label: int | str) -> T:
+    """Select by a label, and refuse one that the result does not have."""
+    if dim not in part.dims:
+        msg = f"{dim}={label!r}: the result has no dimension {dim!r}"
+        raise ValueError(msg)
+    labels = list(map(str, part[dim].to_numpy()))
+    if str(label) not in labels:
+        msg = f"{dim}={label!r}: expected one of {', '.join(labels)}"
+        raise ValueError(msg)
+    return part.isel({dim: labels.index(str(label))})
 
 
 def _axes(f: xr.Dataset) -> list[str]:

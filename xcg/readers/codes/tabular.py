@@ -149,7 +149,7 @@ def runs_of(clock: Mapping[str, NDArray], rows: int, path: str) -> list[tuple[in
         if not fit.all():
             row = int(np.argmin(fit))
             expected = "0, 1, 2, ..." if what == "step" else "numbers"
-            msg = f"{path}: the {what} of row {row} is {values[row]!r}; expected {expected}"
+            msg = f"{path}: the {what} of row {row} is {values[row]}; expected {expected}"
             raise SceneError(msg)
     if not rows:
         msg = f"{path}: no rows follow the names of the columns"
