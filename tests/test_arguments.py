@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import xcg
 from xcg.scene.numbers import floats, is_finite, is_positive, is_whole
@@ -31,6 +32,8 @@ def scene():
         ({"fields": []}, r"fields=\[\]: expected at least one"),
         ({"groups": [1]}, r"groups=\[1\] are the values of .* say which with by="),
         ({"axes": "z", "extent": {"x": "1", "y": 1.0}}, r"extent\['x'\]='1': expected a positive length"),
+        ({"width": True}, "width=True: expected a positive length"),
+        ({"friction": "0.5"}, "friction='0.5': expected a coefficient of friction"),
     ],
 )
 def test_of_coarse_grain(scene, options, match):
@@ -55,6 +58,8 @@ def test_of_coarse_grain(scene, options, match):
         (lambda ds: ds.cg.slice_temperature("z", width="a"), "^width='a': expected a positive width"),
         (lambda ds: xcg.Sphere((0, 0, 0), "1"), "radius='1': expected a positive length"),
         (lambda ds: xcg.Rotated(z=("0", 0, 1)), r"z=\('0', 0, 1\): expected three finite numbers"),
+        (lambda ds: xcg.Gaussian("0.5"), "width='0.5': expected a positive length"),
+        (lambda ds: xcg.Lucy(cutoff=True), "cutoff=True: expected a positive length"),
         (lambda ds: xcg.Rotated(z="up"), "z='up': expected three finite numbers"),
         (lambda ds: xcg.Cylindrical(axis=("a", 0, 0)), r"axis=\('a', 0, 0\): expected three finite numbers"),
         (lambda ds: xcg.Cylindrical(error="small"), "error='small'.*: expected a positive error"),
@@ -108,9 +113,16 @@ def test_numbers_are_told_from_texts():
         assert is_positive(number)
     for other in ("2", b"2", None, [2.0], np.array(["2"]), {"x": 2}, 2j, object(), "abc", np.nan, np.inf, 10**400):
         assert not is_finite(other)
+    for other in (True, np.False_, np.array(True)):
+        assert not is_finite(other)
+        assert not is_whole(other, 0)
     assert not is_whole(2.5, 1)
     assert not is_positive(0.0)
     np.testing.assert_array_equal(floats([1, 2.5]), [1.0, 2.5])
     for other in ([1, "2"], [[1], [2, 3]], ["a"], np.array([1, "2"], object)):
         assert floats(other).ndim == 0
         assert np.isnan(floats(other))
+
+
+def test_friction_is_left_out_by_fields_that_do_not_take_it(scene):
+    xr.testing.assert_equal(scene.cg.coarse_grain("density", friction=0.5), scene.cg.coarse_grain("density"))

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 
 def floats(given: Any) -> NDArray[np.float64]:
-    """Numbers as an array; NaN, without dimensions, where they are texts or anything else that is no number."""
+    """Numbers as an array; NaN, without dimensions, where they are texts, booleans or anything else that is none."""
     try:
         values = np.asarray(given)
-        numeric = values.dtype.kind in "biuf" or (values.dtype.kind == "O" and not _holds_text(values))
+        numeric = values.dtype.kind in "iuf" or (values.dtype.kind == "O" and not _holds_text(values))
         return values.astype("float64") if numeric else np.full((), np.nan)
     except (TypeError, ValueError, OverflowError):
         return np.full((), np.nan)

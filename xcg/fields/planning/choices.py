@@ -15,7 +15,7 @@ from xcg.fields.formulas.variables import OwnField, Quantity, own_fields, own_mo
 from xcg.fields.request import Request
 from xcg.fields.sums.fabric import sliding_contacts
 from xcg.fields.sums.moments import MOMENTS, Moment
-from xcg.scene.numbers import is_positive
+from xcg.scene.numbers import is_finite, is_positive
 from xcg.scene.query import require_scene, setup_of
 from xcg.scene.schema import COMPONENTS, CONTACT_VARIABLES, Setup, did_you_mean
 
@@ -117,7 +117,7 @@ def options_of(ds: xr.Dataset, setup: Setup, request: Request) -> Options:
     if fluid_viscosity is not None and not is_positive(fluid_viscosity):
         msg = f"fluid_viscosity={fluid_viscosity!r}: expected a positive viscosity (Pa s), such as 1e-3 for water"
         raise ValueError(msg)
-    if request.friction is not None and not (np.isfinite(request.friction) and request.friction >= 0):
+    if request.friction is not None and not (is_finite(request.friction) and request.friction >= 0):
         msg = f"friction={request.friction!r}: expected a coefficient of friction, such as 0.5"
         raise ValueError(msg)
     if size in ("d50", "dmax") and size not in ds.attrs:

@@ -61,11 +61,13 @@ def plan_measured(ds: xr.Dataset, request: Request) -> Plan:
     period = {a: edges[a][1] - edges[a][0] for a in setup.periodic if a in edges}
     grid = nodes_of(ds, request, setup, kernels, edges, period)
     warn_of_cuts(grid, {a: edges[a] for a in period}, chosen.cutoff)
-    if request.gradient == "kernel" and {"mass_slope", "momentum_slope"} & set(registry.moments_of(names, options)):
+    moments = registry.moments_of(names, options)
+    if request.gradient == "kernel" and {"mass_slope", "momentum_slope"} & set(moments):
         check_differentiable(chosen, len(grid.seen))
     limits = gauss_limits(chosen, len(grid.seen), rtol)
+    own = own_moments(options.own) | with_friction(options.friction)
     deposit = DepositSpec(
-        moments=registry.moments_of(names, options),
+        moments=moments,
         grid=grid,
         weights=(kernels[0].over_cells if grid.half.any() else kernels[0].weights)(len(grid.seen)),
         cutoffs=tuple(k.cutoff for k in kernels),
@@ -73,7 +75,7 @@ def plan_measured(ds: xr.Dataset, request: Request) -> Plan:
         coarse=limits.size > 0 and rtol >= SINGLE,
         by=by,
         groups=() if by is None else groups_of(ds, by, request.groups),
-        own=own_moments(options.own) | with_friction(options.friction),
+        own={name: row for name, row in own.items() if name in moments},
     )
     x, y, z = (grid.spacing.get(a, 0.0) for a in COMPONENTS)
     wrapped = grid.fills(lasting_periods(ds, setup, period))

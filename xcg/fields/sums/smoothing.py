@@ -20,7 +20,7 @@ from xcg.compiled import segments
 from xcg.compiled import smoothing as codes
 from xcg.compiled.smoothing import LUCY_FULL, PLAIN, CellKernel, KernelCode
 from xcg.fields.sums.profiles import check_table, jumps_of, profile_integral, rims_of, table_of
-from xcg.scene.numbers import is_positive, is_whole
+from xcg.scene.numbers import is_finite, is_positive, is_whole
 from xcg.scene.schema import LONGEST, SHORTEST
 from xcg.scene.sizes import SIZES
 from xcg.scene.warn import warn_user
@@ -58,7 +58,7 @@ class Kernel:
             msg = f"{type(self).__name__} needs width= or cutoff= (in metres)"
             raise ValueError(msg)
         for name, given in (("width", width), ("cutoff", cutoff)):
-            if given is not None and not SHORTEST <= given <= LONGEST:
+            if given is not None and not (is_finite(given) and SHORTEST <= given <= LONGEST):
                 msg = (
                     f"{name}={given!r}: expected a positive length, from {SHORTEST:g} to {LONGEST:g} m; the usual "
                     "choice is 0.75 mean diameters"
