@@ -429,3 +429,10 @@ def test_polydisperse_packing_at_100_kpa():
     # Hertz forces from positions alone give the pressure back
     estimated = ds.cg.find_contacts(E=2e8, nu=0.2).cg.microstructure("mean_stress").compute()
     np.testing.assert_allclose(estimated.mean_stress, m.mean_stress, rtol=0.05)
+
+
+def test_a_scene_without_steps_has_results_without_steps():
+    ds = xcg.datasets.dense_packing(50)
+    assert ds.isel(time=[]).cg.microstructure().sizes == {**ds.cg.microstructure().sizes, "time": 0}
+    with pytest.raises(xcg.SceneError, match="find_contacts: the scene has no step"):
+        ds.isel(time=[]).cg.find_contacts()

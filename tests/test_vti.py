@@ -92,3 +92,12 @@ def test_a_series_that_cannot_be_finished_leaves_the_old_one(tmp_path, monkeypat
     with pytest.raises(OSError, match="full"):
         (2 * f).cg.save(tmp_path / "f.pvd", overwrite=True)
     assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
+
+
+def test_folders_are_not_replaced_by_files(tmp_path):
+    fields = xcg.datasets.random_scene(20).cg.coarse_grain("density")
+    for name in ("f.pvd", "g_0000.vti"):
+        (tmp_path / name).mkdir()
+        with pytest.raises(IsADirectoryError, match=f"{name} is a folder, and a file is not put in its place"):
+            fields.cg.save(tmp_path / f"{name[0]}.pvd", overwrite=True)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["f.pvd", "g_0000.vti"]

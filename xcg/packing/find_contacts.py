@@ -207,8 +207,8 @@ def find_contacts(
     Raises
     ------
     SceneError
-        If the scene has no diameters; on computing, if a step has more than `max_contacts`, or a grain touches its own
-        image across a periodic axis.
+        If the scene has no diameters, or no step; on computing, if a step has more than `max_contacts`, or a grain
+        touches its own image across a periodic axis.
     ValueError
         If an argument is wrong.
 
@@ -226,6 +226,9 @@ def find_contacts(
     """
     given = {k: v for k, v in locals().items() if k != "ds" and v is not None}
     require_scene(ds, ("diameter",), "find_contacts")
+    if not ds.sizes["time"]:
+        msg = "find_contacts: the scene has no step; select one at least"
+        raise SceneError(msg)
     check_search(skin, method, levels)
     if max_contacts is not None and not (isinstance(max_contacts, (int, np.integer)) and max_contacts >= 0):
         msg = f"max_contacts={max_contacts!r}: expected a whole number of rows, or None"

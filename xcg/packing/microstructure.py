@@ -360,7 +360,8 @@ def _with_series(
     result = measured
     if "box" in ds and (set(STRAIN) & set(names) or _is(rate, "box")):
         lengths = (ds["box"].isel(bound=1) - ds["box"].isel(bound=0)).sel(component=list(setup.plane))
-        stretch = xr.ufuncs.log(lengths / lengths.isel(time=0, drop=True))
+        first = lengths.isel(time=0, drop=True) if lengths.sizes["time"] else lengths
+        stretch = xr.ufuncs.log(lengths / first)
         total, axial = stretch.sum("component", skipna=False), stretch.sel(component=axis, drop=True)
         for name, logarithm in (("volumetric_strain", total), ("axial_strain", axial)):
             values = 0.0 - logarithm if strain == "logarithmic" else 1 - xr.ufuncs.exp(logarithm)

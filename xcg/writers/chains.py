@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from xcg.chains.results import Step, require_chains, steps_of
 from xcg.scene.conform import with_time
 from xcg.scene.schema import Frame
-from xcg.writers.files import check_target, hdf5_file, whole_file, write_by_vtk
+from xcg.writers.files import check_file, hdf5_file, whole_file, write_by_vtk
 
 if TYPE_CHECKING:
     import h5py
@@ -110,7 +110,7 @@ def targets(fc: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool) ->
         msg = f"{twice} is the name of several steps, whose numbers are equal; give others by assign_coords(step=...)"
         raise ValueError(msg)
     for file in files:
-        check_target(file, overwrite=overwrite)
+        check_file(file, overwrite=overwrite)
     return files
 
 

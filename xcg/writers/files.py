@@ -48,10 +48,7 @@ def whole_file(path: Path, *, overwrite: bool, room: int = 0) -> Iterator[Path]:
     OSError
         If it cannot be written, as where the disk is full. Nothing is left behind then.
     """
-    check_target(path, overwrite=overwrite)
-    if path.is_dir():  # said before all is computed
-        msg = f"{path} is a folder, and a file is not put in its place; choose another name, or remove the folder"
-        raise IsADirectoryError(msg)
+    check_file(path, overwrite=overwrite)
     part = part_of(path)
     temporary.add(part)
     try:
@@ -93,6 +90,14 @@ def check_target(path: Path, *, overwrite: bool) -> None:
     if not path.parent.is_dir():
         msg = f"{path}: the folder {path.parent} does not exist; create it first"
         raise FileNotFoundError(msg)
+
+
+def check_file(path: Path, *, overwrite: bool) -> None:
+    """Refuse a name as `check_target`, and that of a folder: said before all is computed."""
+    check_target(path, overwrite=overwrite)
+    if path.is_dir():
+        msg = f"{path} is a folder, and a file is not put in its place; choose another name, or remove the folder"
+        raise IsADirectoryError(msg)
 
 
 def exists_message(path: Path) -> str:

@@ -14,7 +14,7 @@ import xarray as xr
 from xcg.readers.files.vtp import read_collection
 from xcg.scene.schema import SceneError
 from xcg.steps.each import each_step
-from xcg.writers.files import check_target, publish, whole_file
+from xcg.writers.files import check_file, check_target, publish, whole_file
 from xcg.writers.folders import hidden_folder
 from xcg.writers.vtkhdf import times_of
 
@@ -43,6 +43,8 @@ def write_series(
     ------
     FileExistsError, FileNotFoundError
         If a file exists and `overwrite` is False, or the folder is not there; before anything is written.
+    IsADirectoryError
+        If a name is that of a folder; likewise.
     ValueError
         If times are no numbers that rise; likewise.
     """
@@ -50,7 +52,7 @@ def write_series(
     times = np.zeros(1) if known is None else known
     names = [path.with_name(f"{path.stem}_{t:04d}{suffix}") for t in range(len(times))]
     for name in (*names, path):
-        check_target(name, overwrite=overwrite)
+        check_file(name, overwrite=overwrite)
     rows = "".join(
         f'    <DataSet timestep="{float(time)!r}" part="0" file={quoteattr(name.name)}/>\n'
         for time, name in zip(times, names, strict=True)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from xcg.scene.conform import with_time
 from xcg.scene.schema import COMPONENTS
 from xcg.scene.vtk_mesh import places_of, read_mesh
-from xcg.writers.files import check_target, write_by_vtk
+from xcg.writers.files import check_file, write_by_vtk
 from xcg.writers.pvd import write_series
 from xcg.writers.vtkhdf import arrays_of, with_components
 
@@ -65,7 +65,7 @@ def to_vtu(
     bare = _bare_grid(data)
     write = partial(_write_step, dim, bare, cells=cells, overwrite=overwrite)
     if fields.sizes.get("time", 1) == 1:
-        check_target(path, overwrite=overwrite)
+        check_file(path, overwrite=overwrite)
         write(fields.compute(), path)
         return path
     series = path.with_suffix(".pvd")
