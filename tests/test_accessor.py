@@ -185,3 +185,11 @@ def test_a_dataset_goes_when_nobody_holds_it():
         assert [ref() for ref in held] == [None, None]
     finally:
         gc.enable()
+
+
+@pytest.mark.parametrize("given", ["particles.dump", 3, xr.DataArray([1.0])])
+def test_what_is_no_scene_is_told(given):
+    with pytest.raises(
+        TypeError, match=f"coarse_grain: expected a scene.*, not {type(given).__name__}; files are opened"
+    ):
+        xcg.coarse_grain(given)

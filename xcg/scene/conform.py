@@ -36,6 +36,9 @@ def takes_scene(task: Task[P, R]) -> Task[P, R]:
 
     @wraps(task)
     def call(ds: xr.Dataset, *args: P.args, **options: P.kwargs) -> R:
+        if not isinstance(ds, xr.Dataset):
+            msg = f"{task.__name__}: expected a scene, an xarray.Dataset, not {type(ds).__name__}; files are opened by "
+            raise TypeError(msg + "xcg.open_scene, arrays by xcg.scene_from_arrays")
         form = len(args), frozenset(options)  # which says it all, and binding takes as long as a small sum
         if form not in forms:
             check_arguments(task.__name__, signature, (ds, *args), options)
