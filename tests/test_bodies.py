@@ -81,8 +81,25 @@ def test_bodies_keep_their_species_and_what_holds_them():
 @pytest.mark.parametrize("name", ["species", "frozen"])
 def test_spheres_of_a_body_are_alike(name):
     ds = dimers(**{name: [1, 1, 0, 1, 0]})
-    with pytest.raises(xcg.SceneError, match=rf"spheres 12 and 13 are of one body \(3\) and differ in {name} \(0, 1\)"):
+    message = (
+        rf"^group_bodies, frame 0 of its chunk: spheres 12 and 13 are of one body \(3\) and differ in {name} \(0, 1\)"
+    )
+    with pytest.raises(xcg.SceneError, match=message):
         ds.cg.group_bodies()
+
+
+def test_sizes_of_bodies_of_a_lazy_scene_are_measured_or_given():
+    lazy = dimers(box=[[0, 10.0], [-np.inf, np.inf], [-np.inf, np.inf]]).chunk(time=1)
+    options = {"axes": "y", "extent": {"z": 9.0}, "by_body": "body_id"}
+    for given, lacking in (({}, "needs the attribute 'd43'"), ({"width": 1.0}, "axis 'y' has no bounds")):
+        with pytest.raises(
+            ValueError, match=rf"{lacking}.*group_bodies\(\.\.\.\)\.cg\.measure\(\) in place of by_body="
+        ):
+            lazy.cg.coarse_grain("density", **given, **options)
+    whole = lazy.compute().cg.coarse_grain("density", **options)
+    measured = lazy.cg.group_bodies().cg.measure()
+    del options["by_body"]
+    xr.testing.assert_equal(measured.cg.coarse_grain("density", **options).compute(), whole)
 
 
 def test_molecule_0_of_lammps_is_none(tmp_path):

@@ -1,5 +1,6 @@
 """Generated pages are what their scripts write, and links in the documentation lead somewhere."""
 
+import inspect
 import pkgutil
 import re
 import runpy
@@ -17,12 +18,42 @@ def test_table_of_fields_is_current():
         assert path.read_text() == text, "run python docs/fields.py"
 
 
+def anchors_of(path):
+    """Anchors that Sphinx makes of the headings of a page."""
+    text = re.sub(r"```.*?```", "", path.read_text(), flags=re.DOTALL)
+    titles = [re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", title) for title in re.findall(r"^#+ (.*)$", text, re.MULTILINE)]
+    return {re.sub(r"[^\w\- ]", "", title.strip().lower()).replace(" ", "-") for title in titles}
+
+
 @pytest.mark.parametrize("page", ["README.md", *(f"docs/{p.name}" for p in (ROOT / "docs").glob("*.md"))])
 def test_links_lead_somewhere(page):
     path = ROOT / page
-    for target in re.findall(r"\]\(([^)#]+)", path.read_text()):
+    for target, anchor in re.findall(r"\]\(([^)#\s]*)#?([^)\s]*)\)", path.read_text()):
         if not target.startswith("http"):
-            assert (path.parent / target).exists(), f"{page} links to {target}"
+            there = path.parent / target if target else path
+            assert there.exists(), f"{page} links to {target}"
+            assert not anchor or anchor in anchors_of(there), f"{page} links to {target}#{anchor}"
+
+
+def test_entries_of_the_glossary_are_whole():
+    _, entries = (ROOT / "docs" / "glossary.md").read_text().split("{.glossary}\n")
+    for entry in entries.strip().split("\n\n"):
+        term, first, *rest = entry.split("\n")
+        assert not term.startswith((":", " "))
+        assert " : " not in term
+        assert first.startswith(": "), term
+        assert all(line.startswith("  ") for line in rest), term
+
+
+def test_every_function_has_an_example_on_a_page():
+    import xcg
+
+    pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
+    blocks = "".join(code for page in pages for code in re.findall(r"```.*?\n(.*?)```", page.read_text(), re.DOTALL))
+    functions = [n for n in xcg.__all__ if inspect.isfunction(getattr(xcg, n))]
+    methods = [n for n in dir(xcg.CoarseGrainAccessor) if not n.startswith("_")]
+    assert [n for n in functions if not re.search(rf"\.{n}\(", blocks)] == []
+    assert [n for n in methods if not re.search(rf"\.cg\.{n}\(", blocks)] == []
 
 
 def test_readme_names_every_field():

@@ -98,7 +98,8 @@ class SharedOptions:
         of a dense packing at the default width, and a tenth of that of a gas.
     by_body : str, optional
         An integer variable of the particles that says which body each component sphere belongs to, for example
-        "body_id": bodies are coarse-grained instead of spheres, see `xcg.group_bodies`.
+        "body_id": bodies are coarse-grained instead of spheres, see `xcg.group_bodies`. Sizes and extent of the bodies
+        of a lazy scene are not known: `width` and `bounds` have to be given then.
     frame : Rotated or Cylindrical, optional
         Axes of one's own choice, in which everything else in the request and in the result is then meant.
     rtol : float

@@ -43,7 +43,8 @@ def group_bodies(ds: xr.Dataset, by_body: str = "body_id") -> xr.Dataset:
     -------
     xarray.Dataset
         A scene whose particles are the bodies, sorted by id. Spheres of their own get ids above those of the bodies.
-        Sizes and extent in the attributes of a lazy scene stay those of the spheres until ``ds.cg.measure()``.
+        Sizes and extent of the bodies of a lazy scene are not known: call ``ds.cg.measure()``, which reads it, or
+        give width and bounds.
 
     Raises
     ------
@@ -107,7 +108,7 @@ def _over_time(
         valid = particle_rows(given["particle_id"][at])
         frame = {name: given[name][at][valid] for name in names if name not in {*contacts, *BOX}}
         box = {name: given[name][at] for name in BOX if name in given}
-        source = f"group_bodies, frame {at}"
+        source = f"group_bodies, frame {at[0]} of its chunk" if at else "group_bodies"
         bodies, id_of_row = _bodies(frame, Lattice.of(box, periodic, source), source)
         for name in made:
             out[name][at][: len(bodies["particle_id"])] = bodies[name]

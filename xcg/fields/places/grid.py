@@ -201,7 +201,8 @@ def nodes_along(
     elif a not in automatic:
         msg = (
             f"axis {a!r} has no bounds: the scene holds neither a box nor the particles' extent, or no longer, as "
-            f"positions were changed. Give bounds={{{a!r}: (first, last)}}, or call ds = ds.cg.measure() first"
+            f"positions were changed. Give bounds={{{a!r}: (first, last)}}, or call ds = ds.cg.measure() first "
+            "(of bodies: ds = ds.cg.group_bodies(...).cg.measure() in place of by_body=)"
         )
         raise ValueError(msg)
     elif a in period:

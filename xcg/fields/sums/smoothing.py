@@ -423,7 +423,8 @@ def choose_width(width: float | str | None, attrs: Mapping[Any, Any]) -> float:
         if size not in attrs:
             msg = (
                 f"width={width!r} needs the attribute {size!r}, which the scene does not hold, or no longer, as "
-                "diameters were changed; give width= in metres, or call ds = ds.cg.measure() first"
+                "diameters were changed; give width= in metres, or call ds = ds.cg.measure() first (of bodies: "
+                "ds = ds.cg.group_bodies(...).cg.measure() in place of by_body=)"
             )
             raise ValueError(msg)
         width = multiple * float(attrs[size])

@@ -1,4 +1,4 @@
-"""YADE: text by scripts of its users (docs/yade.md has one) and by ``yade.export``.
+"""YADE: text by scripts of its users (docs/other_codes.md has one) and by ``yade.export``.
 
 Lines of comments come first. The last one names the columns; ``fn(3)`` stands for three of them. One before it may tell
 the time, the number of the step and the cell: ``# time 0.5 step 1000 cell h00 h01 ... h22``, whose columns are the

@@ -80,7 +80,7 @@ ROWS: dict[str, Field] = {
     ),
     "contact_heat_flux": Field(
         1, _FLUX, "flux of energy through contacts relative to the mean flow",
-        "q_c - V.sigma^c: as q_c, with u - V in place of u",
+        "q_c - V.sigma^c, which is q_c with u - V in place of u",
         _contact_heat_flux, fields=("contact_energy_flux", "contact_stress", "_drift"), moments=("mass", "momentum"),
         additive=True, default=False,
     ),

@@ -85,7 +85,8 @@ ROWS: dict[str, Field] = {
         weight="normal_force_density", default=False,
     ),
     "contact_anisotropy": Field(
-        0, NONE, "anisotropy of the contacts", "a_c = sqrt(3/2 a:a), a = 15/2 dev Phi (2D: sqrt(a:a / 2), 4 dev Phi)",
+        0, NONE, "anisotropy of the contacts",
+        "a_c = sqrt(3/2 a:a), a = 15/2 dev Phi, 2D: sqrt(a:a / 2), a = 4 dev Phi",
         lambda f, s, o: _anisotropy(f.contact_fabric, _NORMAL, o), fields=("contact_fabric",), default=False,
     ),
     "branch_anisotropy": Field(
