@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import xcg
 from tests.test_walls import DATA, GRAVITY, SUMS, WALLS
@@ -118,6 +119,18 @@ def test_traction_times_area_is_the_sum_of_the_forces(name, width):
     lazy = ds.chunk(time=1).cg.wall_stress(wall, width, spacing=0.5)
     assert lazy.traction.chunks is not None
     np.testing.assert_array_equal(lazy.traction.to_numpy(), f.traction.to_numpy())
+
+
+def test_averages_over_time_are_means_of_the_steps():
+    plates = [touching(plate(), np.tile([0.5 * k, 0, k + 1], (144, 1)), time=[float(k)]) for k in range(8)]
+    scene = xr.concat(plates, "time", data_vars="all", coords="minimal", compat="override", join="override")
+    f = scene.cg.wall_stress(xcg.Plane((0, 0, 0), (0, 0, 1), bounds=((0, 12), (0, 12))), width=1.0)
+    mean = f.cg.time_average()
+    for name in f.data_vars:
+        np.testing.assert_allclose(mean[name], f[name].mean("time"), rtol=1e-12, err_msg=name)
+        assert f"{name}_error" in mean
+    assert (mean.normal_traction_error > 0).all()
+    np.testing.assert_allclose(f.cg.profile("x").normal_traction, f.normal_traction.mean("y"), rtol=1e-12)
 
 
 def test_kernels_with_negative_parts_lose_no_force_between_coarse_cells():

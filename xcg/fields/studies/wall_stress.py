@@ -244,8 +244,9 @@ def _label(ds: xr.Dataset, task: _Task, found: Mapping[str, Any]) -> xr.Dataset:
         "wall_force": (("component",), newton, "force of the grains on the wall"),
         "wall_contacts": ((), "1", "number of contacts with the wall"),
     }
+    of_forces = {"source": "contact_force"}  # sums over contacts, which averages take as they are
     data = {
-        name: (("time", *dims), found[name], {"units": unit, "long_name": text})
+        name: (("time", *dims), found[name], {"units": unit, "long_name": text, **of_forces})
         for name, (dims, unit, text) in rows.items()
     }
     return storable(xr.Dataset(data, coords))
