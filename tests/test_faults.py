@@ -93,6 +93,20 @@ def test_a_fault_while_computing_in_memory(folder):
     assert np.isnan(f.density.values).all(axis=1).tolist() == [False, True, False, False, False]
 
 
+@pytest.mark.parametrize("lazy", [False, True])
+def test_steps_with_the_number_of_a_skipped_one_stay(lazy):
+    """As in scenes of two runs that were joined, whose steps have the same numbers."""
+    one = xcg.datasets.random_scene(20, seed=1)
+    steps = [one.assign_coords(time=[float(k)]) for k in range(4)]
+    ds = xr.concat(steps, "time", data_vars="all", coords="minimal", compat="override", join="override")
+    ds = ds.assign_coords(step=("time", [0, 1, 1, 0])).assign(position=ds.position.where(ds.time != 1))
+    with pytest.warns(SkippedStep):
+        f = (ds.chunk(time=4) if lazy else ds).cg.coarse_grain("density", width=1.0, on_error="skip").compute()
+    assert f.skipped.values.tolist() == [False, True, False, False]
+    np.testing.assert_array_equal(f.density[2], f.density[0])
+    assert f.density[0].sum() > 0
+
+
 def test_programming_errors_are_never_skipped(folder):
     from xcg.steps.map import map_over_time
 

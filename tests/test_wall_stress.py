@@ -130,6 +130,11 @@ def test_averages_over_time_are_means_of_the_steps():
         np.testing.assert_allclose(mean[name], f[name].mean("time"), rtol=1e-12, err_msg=name)
         assert f"{name}_error" in mean
     assert (mean.normal_traction_error > 0).all()
+    damaged = scene.assign(contact_force=scene.contact_force.where(scene.time != 2.0))
+    with pytest.warns(xcg.SkippedStep):
+        f_damaged = damaged.cg.wall_stress(xcg.Plane((0, 0, 0), (0, 0, 1)), width=1.0, on_error="skip").compute()
+    assert f_damaged.wall_contacts.values.tolist() == [144, 144, -1, *[144] * 5]
+    assert np.isnan(f_damaged.cg.time_average().wall_contacts)
     np.testing.assert_allclose(f.cg.profile("x").normal_traction, f.normal_traction.mean("y"), rtol=1e-12)
 
 

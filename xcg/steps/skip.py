@@ -51,8 +51,9 @@ def guarded(
         except FAULTS:
             pass  # find out which step it is
     found: dict[int, dict[str, NDArray]] = {}
+    unread = set(faults)  # a step that cannot be computed says nothing of others with its number
     for t, number in enumerate(named.tolist()):
-        if number in faults:
+        if number in unread:
             continue
         try:
             found[t] = compute({of: a[t : t + 1] for of, a in arrays.items()})

@@ -23,6 +23,7 @@ from xcg.fields.formulas.variables import row_of_result
 from xcg.scene.conform import in_order, labels_along, with_time
 from xcg.scene.numbers import is_whole
 from xcg.scene.schema import COMPONENTS
+from xcg.steps.skip import SKIPPED
 
 # --- averages of results ---------------------------------------------------------------------------------
 
@@ -237,7 +238,8 @@ def _to_sums(f: xr.Dataset, purpose: str) -> xr.Dataset:
     for name, row in rows.items():
         assert row is not None
         if row.additive:
-            out[name] = f[name].astype(float)
+            value = f[name].astype(float)
+            out[name] = value.where(~f[SKIPPED]) if SKIPPED in f.coords else value  # whole numbers of such steps are -1
         elif row.weight:
             weight = _of_bulk(f[row.weight], name, purpose) if row.by_bulk else f[row.weight]
             weight, value = weight.where(f[name].notnull(), 0.0), f[name].fillna(0.0)
