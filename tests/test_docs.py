@@ -35,6 +35,14 @@ def test_links_lead_somewhere(page):
             assert not anchor or anchor in anchors_of(there), f"{page} links to {target}#{anchor}"
 
 
+def test_page_on_scale_counts_the_fields():
+    import xcg
+
+    f = xcg.datasets.random_scene(20).cg.coarse_grain(axes="z", width=1.0)
+    components = sum(field.isel(time=0, z=0).size for field in f.data_vars.values())
+    assert f"All {len(f.data_vars)} fields have {components} components" in (ROOT / "docs" / "scale.md").read_text()
+
+
 def test_entries_of_the_glossary_are_whole():
     _, entries = (ROOT / "docs" / "glossary.md").read_text().split("{.glossary}\n")
     for entry in entries.strip().split("\n\n"):
