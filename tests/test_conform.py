@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import xarray as xr
+from dask.callbacks import Callback
 
 import xcg
 from tests import steps_of_random_scenes
@@ -217,6 +218,22 @@ def test_results_by_the_number_of_the_step_are_those_by_time(scene, tmp_path):
     g.cg.save(tmp_path / "g.pvd")
     assert len([*tmp_path.glob("g_*.vti")]) == 4
     assert (tmp_path / "g_0003.vti").read_bytes() == (tmp_path / "f_0003.vti").read_bytes()
+
+
+@pytest.mark.parametrize("suffix", [".nc", ".zarr"])
+def test_results_by_the_number_of_the_step_are_computed_once_to_be_saved(scene, tmp_path, suffix):
+    lazy = scene.chunk(time=1)
+    f = lazy.cg.coarse_grain(**MESH)
+    g = lazy.swap_dims(time="step").cg.coarse_grain(**MESH)
+    tasks = []
+    with Callback(pretask=lambda key, graph, state: tasks.append(str(key))):
+        f.compute()
+        once, tasks = len([key for key in tasks if "coarse" in key]), []
+        g.cg.save(tmp_path / f"g{suffix}")
+    assert once > 0
+    assert len([key for key in tasks if "coarse" in key]) == once
+    with xr.open_dataset(tmp_path / f"g{suffix}") as saved:
+        xr.testing.assert_equal(saved.load(), g.compute())
 
 
 def test_chains_by_the_number_of_the_step_are_those_by_time(scene, tmp_path):
