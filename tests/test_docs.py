@@ -71,6 +71,17 @@ def test_readme_names_every_field():
     assert [name for name in listed() if f"`{name}`" not in text] == []
 
 
+def test_glossary_is_a_list_of_terms():
+    text = (ROOT / "docs" / "glossary.md").read_text().partition("{.glossary}\n")[2]
+    terms = []
+    for entry in text.strip().split("\n\n"):
+        term, meaning, *rest = entry.split("\n")
+        assert meaning.startswith(": "), entry
+        assert all(line.startswith("  ") for line in rest), entry
+        terms.append(term)
+    assert terms == sorted(terms, key=str.lower)
+
+
 def test_every_public_name_has_a_page():
     import xcg
 
