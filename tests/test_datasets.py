@@ -4,6 +4,7 @@ import re
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import xcg
@@ -23,6 +24,18 @@ def test_samples_open_with_contacts():
     middle = p.cg.time_average().sel(z=slice(3, 8))
     assert (middle.stress.sel(component="x", direction="z") < 0).all()
     assert float(middle.velocity.sel(component="x").differentiate("z").mean()) > 0.2
+
+
+@pytest.mark.parametrize("name", ["biaxial", "column_2", "shear_cell_0.1"])
+def test_discs_are_discs(name):
+    ds = xcg.datasets.open(name)
+    density = ds.density.where(ds.particle_id >= 0)
+    assert float(abs(density - 4 / np.pi).max()) < 1e-3  # m = 1 at d = 1, thickness 1
+    area = (np.pi / 4 * ds.diameter**2).sum("particle")
+    box = ds.box.diff("bound").squeeze("bound")
+    share = area / (box.sel(component="x") * box.sel(component="y"))
+    found = ds.cg.microstructure("volume_fraction").volume_fraction
+    assert found.values == pytest.approx(share.values, rel=1e-12)
 
 
 def test_refused(monkeypatch, tmp_path):

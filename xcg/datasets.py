@@ -25,6 +25,8 @@ class _Sample:
     options: dict[str, Any] = field(default_factory=dict)
 
 
+_DISCS = {"shape": "disc", "thickness": 1.0}  # dumps hold radii and masses, and not of which shape
+
 # what the wheel holds stands in pyproject.toml
 _SAMPLES = {
     "bedload": _Sample(
@@ -33,14 +35,17 @@ _SAMPLES = {
         "contacts.*.dump.gz",
         {"frozen": 2, "gravity": (0.0, 0.0, -5.886), "names": {"v_fx": "drag", "v_fz": None}},
     ),
-    "biaxial": _Sample("lammps_biaxial", "particles.*.dump.gz", "contacts.*.dump.gz"),
+    "biaxial": _Sample("lammps_biaxial", "particles.*.dump.gz", "contacts.*.dump.gz", _DISCS),
     "chute": _Sample(
         "lammps_chute",
         "particles.00050000.dump.gz",
         "contacts.00050000.dump.gz",
         {"gravity": (0.4067, 0.0, -0.9135)},
     ),
-    **{f"column_{a}": _Sample("lammps_column", f"particles_{a}.dump.gz") for a in ("0.5", "1", "2", "4", "8")},
+    **{
+        f"column_{a}": _Sample("lammps_column", f"particles_{a}.dump.gz", options=_DISCS)
+        for a in ("0.5", "1", "2", "4", "8")
+    },
     "cooling": _Sample("lammps_cooling"),
     "glued": _Sample(
         "lammps_glued",
@@ -68,7 +73,7 @@ _SAMPLES = {
             "lammps_shear_cell",
             f"particles_{rate}.dump.gz",
             f"contacts_{rate}.dump.gz",
-            {"shear_rate": {"xy": float(rate)}},
+            {**_DISCS, "shear_rate": {"xy": float(rate)}},
         )
         for rate in ("0.02", "0.03", "0.05", "0.1", "0.2", "0.3")
     },
