@@ -33,9 +33,10 @@ def phases(ds, **options):
         RNG.normal(0.003, 0.0003, 2000).clip(1e-4),
         RNG.uniform(0.002, 0.004, 2000),
         RNG.lognormal(-6, 0.1, 2000),
+        np.random.default_rng(5).lognormal(-6, 0.6, 2000),
         np.full(300, 0.003) * (1 + 1e-7 * RNG.normal(size=300)),
     ],
-    ids=["monodisperse", "narrow normal", "normal", "uniform", "lognormal", "single precision"],
+    ids=["monodisperse", "narrow normal", "normal", "uniform", "lognormal", "wide lognormal", "single precision"],
 )
 def test_one_distribution_is_one_phase(diameter):
     ds = scene(diameter).cg.find_phases()
@@ -53,6 +54,12 @@ def test_two_sizes_are_two_phases(noise, share):
     ds = scene(diameter).cg.find_phases()
     np.testing.assert_array_equal(ds.phase.values[0], 1 + large)
     np.testing.assert_allclose(ds.attrs["phase_diameter"], [0.002, 0.004], rtol=0.01)
+
+
+def test_sizes_five_standard_deviations_apart_are_two_phases():
+    normal = np.random.default_rng(6).normal(size=(2, 1000))
+    for apart, expected in ((3, [1]), (5, [1, 2])):
+        assert phases(scene(0.003 + 1e-4 * np.concatenate([normal[0], apart + normal[1]]))) == expected
 
 
 def test_same_size_other_density_and_three_phases():
