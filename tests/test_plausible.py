@@ -291,3 +291,24 @@ def test_the_summary_says_which_units_were_assumed(tmp_path):
     assert "assumed" not in str(xcg.open_scene(path, units="SI").cg)
     named = dumps.write(tmp_path / "named.dump", dumps.dump_text())
     assert "assumed" not in str(xcg.open_scene(named).cg)
+
+
+# --- discs -----------------------------------------------------------------------------------------------
+
+
+def test_discs_that_are_taken_for_spheres():
+    rng = np.random.default_rng(1)
+    position = np.column_stack([rng.uniform(0, 9, (50, 2)), np.zeros(50)])
+    d = rng.uniform(0.8, 1.2, 50)
+    with pytest.warns(xcg.SceneWarning, match="as those of discs, .* give shape='disc' and thickness=") as said:
+        xcg.scene_from_arrays(position, diameter=d, mass=2.0 * d**2, dimension=2)
+    only(said)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        xcg.scene_from_arrays(position, diameter=d, mass=2.0 * d**2, dimension=2, shape="disc", thickness=1.0)
+        xcg.scene_from_arrays(position, diameter=d, mass=2.0 * d**3, dimension=2)
+        xcg.scene_from_arrays(position, diameter=np.ones(50), mass=np.ones(50), dimension=2)
+        xcg.datasets.open("shear_cell_0.1")
+    with pytest.warns(xcg.SceneWarning, match="as those of discs") as said:
+        xcg.datasets.open("shear_cell_0.1", shape="sphere", thickness=None)
+    only(said)

@@ -14,6 +14,7 @@ from xcg.scene.box import box_array, in_unit, with_lattice
 from xcg.scene.complete import complete_contacts, complete_particles, refuse_mask
 from xcg.scene.frame import stack
 from xcg.scene.lattice import Lattice
+from xcg.scene.plausible import check_shape
 from xcg.scene.query import check_times, mark_measured
 from xcg.scene.schema import (
     BOX,
@@ -258,6 +259,8 @@ def scene_from_arrays(
         if contact_names:
             frame = _prefix(steps, contact_names, "contact_i", t, source)
             contacts.append(complete_contacts(frame, particles[-1], images, setup, source, allow_unknown=allow_unknown))
+    if particles:
+        check_shape(particles[0], setup)
     measured, arrays = measure_frames(particles), Frame()
     for frames, key in ((particles, "particle_id"), (contacts, "contact_i")):
         rows = max((len(f[key]) for f in frames), default=0)

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from xcg.compiled.contacts import far_and_pulling
 from xcg.scene.complete import rows_of
 from xcg.scene.lattice import Lattice
-from xcg.scene.schema import Frame
-from xcg.scene.warn import warn_once
+from xcg.scene.schema import Frame, Setup
+from xcg.scene.warn import warn_once, warn_user
 
 SAMPLE = 4096  # rows looked at, spread over all
 _FAR = 3.0  # diameters from a centre to a contact point; the ends of rods are as far that are 18 times as long as wide
@@ -20,6 +20,36 @@ _FEW = 20  # contacts that are too few to tell a wrong sign by
 _MOST = 0.9  # share of contacts that pull
 _CENTRAL = 1e-2  # sine of the angle between forces and branches, from positions of six digits
 _OFF = 0.1  # largest distance of the ends in a file from the centres, in branches
+
+_SAME = 2e-3  # scatter of masses over d^2, from sizes and masses of four digits
+_VARIED = 0.02  # scatter of diameters that tells d^2 from d^3
+
+
+def check_shape(frame: Frame, setup: Setup) -> None:
+    """Warn where grains of one layer are taken for spheres, and their masses are those of discs.
+
+    Parameters
+    ----------
+    frame : Frame
+        Particles of one step, completed.
+    setup : Setup
+        Arguments of the scene.
+    """
+    if setup.dimension != 2 or setup.shape != "sphere" or not {"mass", "diameter", "volume"} <= set(frame):
+        return
+    some = _sample(len(frame["position"]))
+    d, mass, volume = (np.asarray(frame[name][some], float) for name in ("diameter", "mass", "volume"))
+    if (
+        len(d) < _FEW
+        or np.std(d) < _VARIED * np.mean(d)
+        or not np.allclose(volume, np.pi / 6 * d**3, rtol=1e-6, atol=0)
+    ):
+        return
+    if np.std(mass / d**2) < _SAME * np.mean(mass / d**2):
+        warn_user(
+            "masses go with the square of the diameter, as those of discs, and volumes and densities are taken to be "
+            "those of spheres: give shape='disc' and thickness="
+        )
 
 
 def _every(rows: int) -> int:
