@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -32,14 +32,8 @@ def real_data(name: str) -> Path:
 
 @contextmanager
 def planning(**replaced: Any) -> Iterator[None]:
-    """Plan with other names in `xcg.fields.planning`, such as constants; plans of before and after are not taken."""
-    from xcg.fields.planning import make, plan  # other commits, whose speed is compared, may lack them
-
-    with ExitStack() as patched:
-        patched.enter_context(mock.patch.dict("xcg.fields.kept._kept", clear=True))
-        for name, value in replaced.items():
-            (home,) = (module for module in (make, plan) if name in vars(module))
-            patched.enter_context(mock.patch.object(home, name, value))
+    """Plan with other constants in `xcg.fields.plan`."""
+    with mock.patch.multiple("xcg.fields.plan", **replaced):
         yield
 
 

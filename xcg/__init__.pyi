@@ -38,9 +38,9 @@ from xcg.readers.mesh_points import mesh_points
 from xcg.readers.series import open_scene
 from xcg.scene.bodies import group_bodies
 from xcg.scene.build import scene_from_arrays
+from xcg.scene.measure import measure, size_statistics
 from xcg.scene.phases import assign_phases, find_phases, plot_phases
 from xcg.scene.schema import SceneError, SceneWarning
-from xcg.scene.sizes import measure, size_statistics
 from xcg.scene.walls import select_walls
 from xcg.steps.errors import SkippedStep
 from xcg.writers.record import Recorder, record

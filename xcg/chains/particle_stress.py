@@ -16,12 +16,11 @@ from xcg.compiled.eigen import principal, principal_of_any
 from xcg.compiled.threads import for_parts, worth
 from xcg.scene.conform import takes_scene
 from xcg.scene.contacts import Contacts
+from xcg.scene.description import describe, require_scene
 from xcg.scene.frame import particle_rows, steps_in
 from xcg.scene.lattice import Lattice
 from xcg.scene.numbers import is_positive
-from xcg.scene.query import edges_of, require_scene, setup_of
 from xcg.scene.schema import CONTACT_VARIABLES, OF_STEP, VARIABLES, Frame, SceneError, Variable
-from xcg.scene.sizes import layer_depth
 from xcg.steps.label import empty_results, label, results_of
 from xcg.steps.map import map_over_time, threads_a_chunk
 
@@ -77,8 +76,8 @@ class StressRule:
             raise ValueError(msg)
         disc = volume == "disc"
         require_scene(ds, (*_CONTACTS, "diameter" if disc else "volume"), purpose)
-        setup = setup_of(ds)
-        thickness = layer_depth(ds, setup, edges_of(ds)) if disc else None
+        scene = describe(ds)
+        setup, thickness = scene.setup, scene.layer_depth if disc else None
         given = tuple(name for name in ("diameter", "overlap", "contact_normal") if name in ds)
         return cls(setup.periodic, symmetric, disc, thickness, given if {"diameter", "overlap"} <= set(given) else ())
 

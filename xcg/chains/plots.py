@@ -9,9 +9,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.chains.results import Step, require_chains, steps_of
-from xcg.scene.conform import step_at, with_time
 from xcg.scene.extras import extra
 from xcg.scene.schema import COMPONENTS
+from xcg.scene.times import step_at, with_time
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

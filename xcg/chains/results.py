@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from xcg.chains.particle_stress import RESULTS as STRESSES
 from xcg.scene.complete import rows_of
-from xcg.scene.conform import with_components, with_time
+from xcg.scene.conform import with_components
 from xcg.scene.frame import particle_rows
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import BOX, PADDING, VARIABLES, Frame, SceneError, Variable
 from xcg.scene.summary import Summary, rows_of_origin
+from xcg.scene.times import with_time
 from xcg.steps.each import each_step
 
 _NONE, _PRESSURE = (0, 0, 0), (-1, 1, -2)

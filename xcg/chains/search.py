@@ -17,10 +17,10 @@ from xcg.compiled import THREADS
 from xcg.compiled import chains as kernel
 from xcg.compiled.threads import for_parts
 from xcg.scene.conform import takes_scene
+from xcg.scene.description import require_scene
 from xcg.scene.frame import particle_rows, steps_in
 from xcg.scene.lattice import Lattice
 from xcg.scene.numbers import is_finite, is_positive, is_whole
-from xcg.scene.query import require_scene
 from xcg.scene.schema import BOX, OF_STEP, PADDING, Frame
 from xcg.steps.label import empty_results, label, results_of
 from xcg.steps.map import map_over_time, threads_a_chunk

@@ -7,10 +7,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.chains.results import require_chains, steps_of
-from xcg.scene.conform import with_time
 from xcg.scene.numbers import is_positive
-from xcg.scene.query import require_rising_times
 from xcg.scene.schema import units_of
+from xcg.scene.times import require_rising_times, with_time
 from xcg.steps.label import provenance
 
 

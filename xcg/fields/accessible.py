@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from xcg.fields.formulas.averages import per_fraction
 from xcg.fields.places.surfaces.plane import Plane
 from xcg.fields.places.surfaces.wall import Wall
-from xcg.fields.planning.plan import Plan
+from xcg.fields.plan import Plan
 from xcg.fields.request import Request
 from xcg.fields.sums.smoothing import Kernel
-from xcg.scene.query import edges_of
+from xcg.scene.description import Description
 from xcg.scene.schema import COMPONENTS
 from xcg.steps.map import is_lazy
 
@@ -66,7 +66,7 @@ def check_walls(request: Request) -> None:
         raise ValueError(msg)
 
 
-def with_accessible(f: xr.Dataset, ds: xr.Dataset, plan: Plan, request: Request) -> xr.Dataset:
+def with_accessible(f: xr.Dataset, scene: Description, plan: Plan, request: Request) -> xr.Dataset:
     """Add the accessible fraction to a result, and divide by it where that is asked for.
 
     Parameters
@@ -97,7 +97,7 @@ def with_accessible(f: xr.Dataset, ds: xr.Dataset, plan: Plan, request: Request)
     points = np.zeros((int(np.prod(shape)), 3))
     for a, values in zip(seen, nodes, strict=True):
         points[:, COMPONENTS.index(a)] = values.to_numpy().ravel()
-    averaged = _averaged(plan, walls, edges_of(ds))
+    averaged = _averaged(plan, walls, scene.edges)
     compute = partial(_fractions, points, walls, kernel, plan.setup.plane, averaged, shape)
     chi = _later(compute, shape) if is_lazy(f, plan.fields) else compute()
     field = xr.DataArray(chi, dims=nodes[0].dims if nodes else ()).expand_dims(time=f.sizes["time"])

@@ -10,28 +10,25 @@ import xarray as xr
 
 from xcg.fields.accessible import check_walls, with_accessible
 from xcg.fields.evaluate import evaluate_plan
-from xcg.fields.kept import prepare_call
+from xcg.fields.labels import labelled
 from xcg.fields.places.frames import in_frame, is_cylindrical
-from xcg.fields.planning.make import make_plan
-from xcg.fields.planning.plan import Plan
+from xcg.fields.plan import Plan, make_plan
 from xcg.fields.presets import lammps, pysammos
 from xcg.fields.request import Request, SharedOptions, takes
-from xcg.fields.results import filled
 from xcg.scene.bodies import group_bodies
-from xcg.scene.conform import takes_scene
+from xcg.scene.description import Description, describe
 from xcg.scene.sizes import with_measures
 from xcg.steps.errors import check_on_error
 from xcg.steps.label import format_call, mark_skipped
 
 # names of other programs: from a request in them to one in names of xcg, and what turns its answer into theirs
-PRESETS: dict[str, Callable[[xr.Dataset, Request], tuple[Request, Callable[[xr.Dataset], xr.Dataset]]]] = {
+PRESETS: dict[str, Callable[[Description, Request], tuple[Request, Callable[[xr.Dataset], xr.Dataset]]]] = {
     "pysammos": pysammos.translate,
     "lammps": lammps.translate,
 }
 Asked = TypeVar("Asked", bound=SharedOptions)
 
 
-@takes_scene
 @takes(Request)
 def coarse_grain(ds: xr.Dataset, request: Request) -> xr.Dataset:
     """Coarse-grain a scene to continuum fields.
@@ -73,7 +70,6 @@ def coarse_grain(ds: xr.Dataset, request: Request) -> xr.Dataset:
     return answer(ds, request)
 
 
-@takes_scene
 @takes(Request)
 def explain(ds: xr.Dataset, request: Request) -> Plan:
     """Plan what `coarse_grain` with the same arguments will do, without doing it; printing the plan explains it.
@@ -105,8 +101,9 @@ def explain(ds: xr.Dataset, request: Request) -> Plan:
     ...
     """
     ds, request = prepare(ds, request)
-    request, _ = _in_own_names(ds, request)
-    return make_plan(ds, request)
+    scene = describe(ds, request.by)
+    request, _ = _in_own_names(scene, request)
+    return make_plan(scene, request)
 
 
 def answer(ds: xr.Dataset, request: Request) -> xr.Dataset:
@@ -117,12 +114,13 @@ def answer(ds: xr.Dataset, request: Request) -> xr.Dataset:
     skips = check_on_error(request.on_error) == "skip"
     given = {k: v for k, v in (request.given() | framed).items() if k != "on_error" or skips}
     call = format_call("coarse_grain", given)
-    request, rename = _in_own_names(ds, request)
-    plan, empty = prepare_call(ds, request)
+    scene = describe(ds, request.by)
+    request, rename = _in_own_names(scene, request)
+    plan = make_plan(scene, request)
     arrays = evaluate_plan(ds, plan, request.on_error)
-    result = filled(empty, ds, plan, arrays, call)
+    result = labelled(scene, plan, arrays, call)
     if request.walls is not None:
-        result = with_accessible(result, ds, plan, request)
+        result = with_accessible(result, scene, plan, request)
     return rename(mark_skipped(result, arrays))
 
 
@@ -143,11 +141,11 @@ def prepare(ds: xr.Dataset, asked: Asked) -> tuple[xr.Dataset, Asked]:
     return ds, asked
 
 
-def _in_own_names(ds: xr.Dataset, request: Request) -> tuple[Request, Callable[[xr.Dataset], xr.Dataset]]:
+def _in_own_names(scene: Description, request: Request) -> tuple[Request, Callable[[xr.Dataset], xr.Dataset]]:
     """Give the request in names of xcg, and what turns its answer into what was asked for."""
     if request.preset is None:
         return request, lambda result: result
     if request.preset not in PRESETS:
         msg = f"preset={request.preset!r}: expected {' or '.join(map(repr, PRESETS))}"
         raise ValueError(msg)
-    return PRESETS[request.preset](ds, request)
+    return PRESETS[request.preset](scene, request)

@@ -16,7 +16,7 @@ from xcg.compiled.threads import for_each
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.program import program_for
 from xcg.fields.places.grid import check_mesh
-from xcg.fields.planning.plan import Plan, scale_of
+from xcg.fields.plan import Plan, scale_of
 from xcg.fields.sums.blocks import Block
 from xcg.fields.sums.deposit import sums_of_frame
 from xcg.scene.frame import steps_in

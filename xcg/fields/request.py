@@ -20,6 +20,7 @@ from xcg.fields.formulas.variables import Quantity
 from xcg.fields.places.frames import Cylindrical, Rotated
 from xcg.fields.places.surfaces.wall import Wall
 from xcg.fields.sums.smoothing import Kernel
+from xcg.scene.conform import as_selected, conformed
 
 # what arguments are, where another form would be taken for something else, or end in an error about arrays
 _FORMS: dict[str, tuple[Callable[[Any], bool], str]] = {
@@ -207,15 +208,17 @@ def arguments(request: Any) -> tuple[Field[Any], ...]:
 
 
 def takes(request: Callable[P, A]) -> Callable[[Callable[[xr.Dataset, A], R]], Callable[Concatenate[xr.Dataset, P], R]]:
-    """Give a function of a Dataset and a request the arguments that the request is made of.
+    """Decorate a function of a scene and a request: it takes the arguments that the request is made of.
 
-    Signature, annotations and docstring, where ``{arguments}`` stands for the parameters, tell of the arguments.
+    It takes any selection of a scene, as functions with `takes_scene` do. Signature and annotations are those of the
+    arguments, and ``{arguments}`` in the docstring is replaced by their descriptions.
     """
 
     def decorate(function: Callable[[xr.Dataset, A], R]) -> Callable[Concatenate[xr.Dataset, P], R]:
         @wraps(function)
         def call(ds: xr.Dataset, *args: P.args, **options: P.kwargs) -> R:
-            return function(ds, request(*args, **options))
+            scene = conformed(function.__name__, signature, ds, args, options)
+            return as_selected(function(scene, request(*args, **options)), ds)
 
         parameters = [inspect.Parameter("ds", inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation="xr.Dataset")]
         for field in arguments(request):
@@ -224,7 +227,9 @@ def takes(request: Callable[P, A]) -> Callable[[Callable[[xr.Dataset, A], R]], C
             parameters.append(inspect.Parameter(field.name, kind, default=default, annotation=field.type))
         hints = {"ds": xr.Dataset, **get_type_hints(request), "return": get_type_hints(function)["return"]}
         shown = cast(Any, call)
-        shown.__signature__ = inspect.Signature(parameters, return_annotation=function.__annotations__["return"])
+        signature = shown.__signature__ = inspect.Signature(
+            parameters, return_annotation=function.__annotations__["return"]
+        )
         shown.__annotations__ = {name: hints[name] for name in (*(p.name for p in parameters), "return")}
         if function.__doc__:  # there is none under python -OO
             meanings = _meanings(request)

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from xcg.packing.pairs import check_search, pairs_of
 from xcg.scene.complete import REPEAT, contact_points
 from xcg.scene.conform import takes_scene
+from xcg.scene.description import describe, require_scene
 from xcg.scene.frame import stack, steps_in
 from xcg.scene.lattice import Lattice
 from xcg.scene.numbers import is_positive
-from xcg.scene.query import require_scene, setup_of
 from xcg.scene.schema import OF_STEP, Frame, SceneError, Setup, units_of, variable
 from xcg.steps.label import format_call, provenance
 from xcg.steps.map import is_lazy, map_over_time
@@ -233,7 +233,7 @@ def find_contacts(
     if max_contacts is not None and not (isinstance(max_contacts, (int, np.integer)) and max_contacts >= 0):
         msg = f"max_contacts={max_contacts!r}: expected a whole number of rows, or None"
         raise ValueError(msg)
-    setup = setup_of(ds)
+    setup = describe(ds).setup
     read = [name for name in (*READ, *OPTIONAL) if name in ds]
     lazy = is_lazy(ds, read)
     most = max_contacts

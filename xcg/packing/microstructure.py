@@ -13,10 +13,10 @@ from xcg.packing.measure import Bounds, Measure
 from xcg.packing.quantities import CONTACTS, QUANTITIES, TENSOR
 from xcg.scene.build import storable
 from xcg.scene.conform import takes_scene
+from xcg.scene.description import describe, require_scene
 from xcg.scene.numbers import floats, is_positive
-from xcg.scene.query import edges_of, groups_of, require_rising_times, require_scene, setup_of
 from xcg.scene.schema import BOX, COMPONENTS, OF_STEP, did_you_mean, units_of
-from xcg.scene.sizes import layer_depth
+from xcg.scene.times import require_rising_times
 from xcg.steps.label import format_call, mark_skipped, provenance
 from xcg.steps.map import map_over_time
 from xcg.steps.phase_labels import with_phase_labels
@@ -189,7 +189,8 @@ def microstructure(
     require_scene(ds, (), "microstructure")
     _check(min_contacts, rattlers, max_connectivity, strain)
     _check_mixing(cell, mixing_weight, neighbours)
-    setup, regions = setup_of(ds), _regions(bounds)
+    scene, regions = describe(ds, by), _regions(bounds)
+    setup = scene.setup
     rate = _rate_source(ds, strain_rate)
     names = _choose(ds, quantities, rate, by)
     if axis is not None and axis not in setup.plane:
@@ -200,7 +201,7 @@ def microstructure(
     require_scene(ds, sorted(needed), f"microstructure ({', '.join(names)})")
     measure = Measure(
         names=measured, setup=setup, regions=tuple(regions.values()), by=by,
-        groups=() if by is None else groups_of(ds, by, groups), depth=layer_depth(ds, setup, edges_of(ds)),
+        groups=() if by is None else scene.groups(by, groups), depth=scene.layer_depth,
         min_contacts=int(min_contacts), iterative=rattlers == "iterative", max_connectivity=int(max_connectivity),
         force_bins=_force_bins(force_bins), cell=cell, by_volume=mixing_weight == "volume",
         neighbours=neighbours or NEIGHBOURS[setup.dimension],
@@ -356,7 +357,7 @@ def _with_series(
     given: Mapping[str, Any],
 ) -> xr.Dataset:  # fmt: skip
     """Add what takes the whole series: strains, the strain rate of the box, inertial numbers."""
-    setup = setup_of(ds)
+    setup = describe(ds).setup
     result = measured
     if "box" in ds and (set(STRAIN) & set(names) or _is(rate, "box")):
         lengths = (ds["box"].isel(bound=1) - ds["box"].isel(bound=0)).sel(component=list(setup.plane))

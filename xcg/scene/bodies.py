@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from xcg.scene.complete import rows_of
 from xcg.scene.conform import takes_scene
+from xcg.scene.description import describe, require_scene
 from xcg.scene.frame import particle_rows
 from xcg.scene.lattice import Lattice
-from xcg.scene.query import require_scene, setup_of
+from xcg.scene.measure import measure
 from xcg.scene.schema import BOX, PADDING, SceneError, units_of, variable
-from xcg.scene.sizes import measure
 
 _SHARED = ("species", "frozen")  # by all spheres of a body
 _PARTICLES = ("particle_id", "position", "velocity", "diameter", "density", "mass", "volume", *_SHARED)
@@ -66,7 +66,7 @@ def group_bodies(ds: xr.Dataset, by_body: str = "body_id") -> xr.Dataset:
         whole = ds[name].chunk(dict.fromkeys(core, -1)) if ds[name].chunks is not None else ds[name]
         inputs.append(whole)
         dims.append([str(d) for d in core])
-    setup = setup_of(ds)
+    setup = describe(ds).setup
     names = [*particles, "body", *contacts, *box]
     outputs = [*made, *contacts]
     out_dims = [list(variable(name, _dtype(name)).dims) for name in outputs]

@@ -15,7 +15,6 @@ from xcg.scene.complete import complete_contacts, complete_particles, refuse_mas
 from xcg.scene.frame import stack
 from xcg.scene.lattice import Lattice
 from xcg.scene.plausible import check_shape
-from xcg.scene.query import check_times, mark_measured
 from xcg.scene.schema import (
     BOX,
     COMPONENTS,
@@ -29,7 +28,8 @@ from xcg.scene.schema import (
     units_of,
     variable,
 )
-from xcg.scene.sizes import measure_frames
+from xcg.scene.sizes import mark_measured, measure_frames
+from xcg.scene.times import check_times
 
 # --- many frames: the Dataset ----------------------------------------------------------------------------
 

@@ -17,10 +17,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.scene.arguments import check_arguments
-from xcg.scene.numbers import is_whole
-from xcg.scene.query import MEASURED, known_without_reading
-from xcg.scene.schema import BOX, COMPONENTS, PADDING, VARIABLES, SceneError, Variable, variable
+from xcg.scene.schema import BOX, COMPONENTS, PADDING, VARIABLES, SceneError, Variable, did_you_mean, variable
+from xcg.scene.sizes import MEASURED, known_without_reading
 from xcg.scene.warn import Once
 
 _MOST_SPREAD = 2**27  # values a step of a variable that was spread over the rows of others: 1 GB
@@ -31,22 +29,44 @@ Task = Callable[Concatenate[xr.Dataset, P], R]
 
 
 def takes_scene(task: Task[P, R]) -> Task[P, R]:
-    """Have a task take any selection of a scene; its result has those dimensions that the selection has."""
-    signature, forms = inspect.signature(task), set[tuple[int, frozenset[str]]]()
+    """Decorate a function of a scene: it takes any selection of one, and its result has the selection's dimensions."""
+    signature = inspect.signature(task)
 
     @wraps(task)
     def call(ds: xr.Dataset, *args: P.args, **options: P.kwargs) -> R:
-        if not isinstance(ds, xr.Dataset):
-            msg = f"{task.__name__}: expected a scene, an xarray.Dataset, not {type(ds).__name__}; files are opened by "
-            raise TypeError(msg + "xcg.open_scene, arrays by xcg.scene_from_arrays")
-        form = len(args), frozenset(options)  # which says it all, and binding takes as long as a small sum
-        if form not in forms:
-            check_arguments(task.__name__, signature, (ds, *args), options)
-            forms.add(form)
-        result: Any = task(conform(ds), *args, **options)
-        return cast(R, _as_selected(result, ds) if isinstance(result, xr.Dataset) else result)
+        scene = conformed(task.__name__, signature, ds, args, options)
+        return as_selected(task(scene, *args, **options), ds)
 
     return cast("Task[P, R]", call)
+
+
+def conformed(
+    name: str, signature: inspect.Signature, ds: xr.Dataset, args: Sequence[Any], options: Mapping[str, Any]
+) -> xr.Dataset:
+    """Check the arguments of a call, and bring its scene to the form that tasks read.
+
+    Raises
+    ------
+    TypeError
+        If `ds` is no Dataset, or an argument is unknown, missing or one too many.
+    SceneError
+        As `conform`.
+    """
+    if not isinstance(ds, xr.Dataset):
+        raise TypeError(
+            f"{name}: expected a scene, an xarray.Dataset, not {type(ds).__name__}; files are opened by "
+            "xcg.open_scene, arrays by xcg.scene_from_arrays"
+        )
+    known = signature.parameters
+    open_ended = any(p.kind is inspect.Parameter.VAR_KEYWORD for p in known.values())
+    for word in options:
+        if word not in known and not open_ended:
+            raise TypeError(f"{name}() got an unexpected keyword argument {word!r}{did_you_mean(word, known)}")
+    try:
+        signature.bind(ds, *args, **options)
+    except TypeError as error:
+        raise TypeError(f"{name}(): {error}") from None
+    return conform(ds)
 
 
 def conform(ds: xr.Dataset) -> xr.Dataset:
@@ -131,40 +151,17 @@ def _row_of(name: str, dims: tuple[Hashable, ...], dtype: np.dtype) -> Variable 
     return row if name in VARIABLES or expected <= {*dims} <= expected | {"particle", "contact"} else None
 
 
-def with_time(ds: xr.Dataset) -> xr.Dataset:
-    """Name the dimension of the steps "time" where it goes by their numbers (``swap_dims(time="step")``)."""
-    numbered = "step" in ds.sizes and "time" not in ds.sizes and "time" in ds.coords
-    return ds.swap_dims(step="time") if numbered else ds
-
-
-def step_at(ds: xr.Dataset, position: int, name: str) -> xr.Dataset:
-    """Select a step by its position, which is the argument `name`; what has no steps is one.
-
-    Raises
-    ------
-    ValueError
-        If there is no such step.
-    """
-    ds = with_time(ds)
-    if "time" not in ds.sizes:
-        return ds
-    count = ds.sizes["time"]
-    if not is_whole(position, -count, count - 1):
-        msg = f"{name}={position!r}: expected the position of a step, from {-count} to {count - 1}"
-        raise ValueError(msg)
-    return ds.isel(time=int(position))
-
-
-def _as_selected(result: xr.Dataset, ds: xr.Dataset) -> xr.Dataset:
-    """Take the dimensions away that a selection has no more, and name the others as it does."""
-    if "position" not in ds or "particle_id" not in ds:
+def as_selected(result: R, ds: xr.Dataset) -> R:
+    """Take the dimensions away that a selection has no more, and name the others as it does; of a Dataset only."""
+    if not isinstance(result, xr.Dataset) or "position" not in ds or "particle_id" not in ds:
         return result
     renamed = _renamed(ds)
     taken_away = _taken_away(ds.swap_dims(renamed) if renamed else ds)
+    selected: xr.Dataset = result
     if gone := {dim: 0 for dim in taken_away if dim in result.sizes}:
-        result = result.isel(gone)
-    back = {dim: label for label, dim in renamed.items() if label in result and result[label].dims == (dim,)}
-    return result.swap_dims(back) if back else result
+        selected = selected.isel(gone)
+    back = {dim: label for label, dim in renamed.items() if label in selected and selected[label].dims == (dim,)}
+    return cast(R, selected.swap_dims(back) if back else selected)
 
 
 def with_components(ds: xr.Dataset) -> xr.Dataset:

@@ -14,11 +14,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.scene.conform import step_at, takes_scene
+from xcg.scene.conform import takes_scene
+from xcg.scene.description import require_scene
 from xcg.scene.extras import extra
 from xcg.scene.numbers import floats, is_whole
-from xcg.scene.query import mark_measured, require_scene
 from xcg.scene.schema import PADDING, SceneError
+from xcg.scene.sizes import mark_measured
+from xcg.scene.times import step_at
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
-from xcg.scene.query import edges_of
+from xcg.scene.description import describe
 from xcg.scene.schema import BOX, COMPONENTS, VARIABLES, printable, units_of, variable
 
 _WIDTH = 11  # of labels
@@ -101,7 +101,7 @@ def _box(ds: xr.Dataset) -> str:
     """Edges of the box where they are known without reading."""
     if "box" in ds and ds["box"].chunks is not None and "box_lower" not in ds.attrs:
         return "changes with time"
-    edges = edges_of(ds)
+    edges = describe(ds).edges
     unit = units_of((1, 0, 0), ds.attrs.get("unit_system", "SI")).removesuffix("1")
     text = ", ".join(f"{a} {edges[a][0]:.6g} to {edges[a][1]:.6g}" for a in COMPONENTS if a in edges)
     text += ", tilted" * ("lattice" in ds) + ", with images that move" * ("lattice_velocity" in ds)

@@ -11,8 +11,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.scene.query import known_without_reading, mark_measured
 from xcg.scene.schema import COMPONENTS, VECTORS, SceneError
+from xcg.scene.sizes import known_without_reading, mark_measured
 
 _PLACES = ("position", "contact_point")
 _LATTICE = ("lattice", "lattice_velocity")

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from xcg.scene.conform import takes_scene
-from xcg.scene.query import require_scene
+from xcg.scene.description import require_scene
 from xcg.scene.schema import PADDING, SceneError, did_you_mean
 
 Walls: TypeAlias = str | int | Sequence[str | int]

@@ -13,10 +13,11 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.scene.build import storable
+from xcg.scene.description import Description
 from xcg.scene.kept import Kept
 from xcg.scene.outline import NoKeyError, key_of
-from xcg.scene.query import numbers_of
 from xcg.scene.schema import COMPONENTS, Variable, units_of
+from xcg.scene.sizes import numbers_of
 from xcg.steps.skip import SKIPPED, Result
 
 # attributes of a scene that hold for its results, too
@@ -193,7 +194,7 @@ def _version() -> str:
     return version("xcg")  # which is read from a file
 
 
-def provenance(ds: xr.Dataset, call: str) -> dict[str, Any]:
+def provenance(ds: xr.Dataset | Description, call: str) -> dict[str, Any]:
     """Attributes of a result: what holds for the scene, then its history with the time, the version and the call."""
     stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     line = f"{stamp} xcg {_version()}: {call}"

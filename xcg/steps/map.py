@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.scene.query import numbers_of
+from xcg.scene.sizes import numbers_of
 from xcg.scene.warn import Once
 from xcg.steps.errors import check_on_error
 from xcg.steps.skip import SKIPPED, Compute, Result, guarded
@@ -47,8 +47,7 @@ def map_over_time(
     dict
         NumPy or dask arrays by the names in `results`, and ``skipped`` where steps may be.
     """
-    compute = partial(_said_once, Once(), compute)
-    variables = ds.variables
+    once, variables = Once(), ds.variables
     inputs = {name: _time_first(variables[name]) for name in names}
     skip = check_on_error(on_error) == "skip"
     numbers = _numbers(ds) if skip else None
@@ -57,13 +56,14 @@ def map_over_time(
     if is_lazy(ds, inputs):
         from xcg.steps.tasks import lazy_results  # and with it dask
 
-        return lazy_results(inputs, compute, results, label, numbers, on_error)
+        return lazy_results(inputs, partial(_with_warnings_once, once, compute), results, label, numbers, on_error)
     arrays = {name: numbers_of(given) for name, given in inputs.items()}
-    return guarded(compute, results, numbers, {}, {}, arrays) if skip else compute(arrays)
+    with once.active():
+        return guarded(compute, results, numbers, {}, {}, arrays) if skip else compute(arrays)
 
 
-def _said_once(once: Once, compute: Compute, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
-    """Compute a chunk, with what `xcg.scene.warn.warn_once` says said once for all chunks."""
+def _with_warnings_once(once: Once, compute: Compute, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
+    """Compute a chunk; warnings of `xcg.scene.warn.warn_once` are given once for all chunks."""
     with once.active():
         return compute(arrays)
 

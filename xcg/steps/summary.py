@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from xcg.scene.conform import with_time
 from xcg.scene.schema import COMPONENTS
 from xcg.scene.summary import Summary, rows_of_origin
+from xcg.scene.times import with_time
 
 
 def summary_of_result(ds: xr.Dataset) -> Summary:

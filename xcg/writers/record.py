@@ -19,8 +19,8 @@ from xcg.fields.request import Request
 from xcg.fields.sums.smoothing import Kernel
 from xcg.scene.build import storable
 from xcg.scene.conform import takes_scene
-from xcg.scene.query import check_times
 from xcg.scene.schema import COMPONENTS, SceneError
+from xcg.scene.times import check_times
 from xcg.steps.each import chunks_of_time, each_step
 from xcg.writers.encoding import Encoding
 from xcg.writers.files import check_target, part_of, remove, whole_file

@@ -17,7 +17,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import DTypeLike, NDArray
 
-from xcg.scene.conform import in_order, labels_along, with_time
+from xcg.scene.conform import in_order, labels_along
+from xcg.scene.times import with_time
 from xcg.writers import chains
 from xcg.writers.chunks import joined, lock_for, over_time, write_chunks
 from xcg.writers.encoding import Encoding

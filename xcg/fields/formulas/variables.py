@@ -27,6 +27,7 @@ from xcg.fields.formulas.field import Field, Options
 from xcg.fields.formulas.trace import at_least_zero, zero_if_unknown
 from xcg.fields.sums.moments import Moment
 from xcg.scene.contacts import Contacts
+from xcg.scene.description import Column, Description
 from xcg.scene.schema import COMPONENTS, Frame, SceneError, did_you_mean, units_of, variable
 
 # symbol, powers of (length, mass, time), and the moment and the field that are its sum
@@ -261,7 +262,7 @@ def own_moments(own: Iterable[OwnField | registry.OwnRow]) -> dict[str, Moment]:
 
 
 def own_fields(
-    given: Iterable[str | Quantity | registry.OwnRow], ds: xr.Dataset
+    given: Iterable[str | Quantity | registry.OwnRow], scene: Description
 ) -> dict[int, OwnField | registry.OwnRow]:
     """Those of the fields asked for that are quantities of a scene's variable, or rows, by their place in the list.
 
@@ -278,10 +279,10 @@ def own_fields(
             found[k] = one
             continue
         quantity = read_quantity(one) if isinstance(one, str) and one not in registry.FIELDS else one
-        if quantity is None and one in rows_of(ds):
+        if quantity is None and one in scene.rows:
             quantity = Mean(str(one))
         if isinstance(quantity, Quantity):
-            found[k] = own_field(quantity, ds)
+            found[k] = own_field(quantity, scene)
     quantities = [own for own in found.values() if isinstance(own, OwnField)]
     for name in {own.name for own in quantities}:
         same = dict.fromkeys(own.quantity for own in quantities if own.name == name)
@@ -291,7 +292,7 @@ def own_fields(
     return found
 
 
-def own_field(quantity: Quantity, ds: xr.Dataset) -> OwnField:
+def own_field(quantity: Quantity, scene: Description) -> OwnField:
     """Check a quantity against the variable of a scene that it is of. Reads attributes only.
 
     Raises
@@ -302,14 +303,14 @@ def own_field(quantity: Quantity, ds: xr.Dataset) -> OwnField:
         If the quantity is not defined for it.
     """
     name = quantity.variable
-    if name not in ds.data_vars:
-        msg = f"{quantity}: the scene has no variable {name!r}{did_you_mean(name, rows_of(ds))}; it has {rows_of(ds)}"
+    if name not in scene.columns:
+        msg = f"{quantity}: the scene has no variable {name!r}{did_you_mean(name, scene.rows)}; it has {scene.rows}"
         raise SceneError(msg)
-    found = ds[name]
-    row = variable(name, found.dtype, max(found.ndim - 1, 1))
+    found = scene.columns[name]
+    row = variable(name, "int64" if found.kind in "iu" else "float64", max(len(found.dims) - 1, 1))
     rank = len(row.dims) - 1
-    if set(found.dims) != {"time", *row.dims} or found.dtype.kind not in "fiub":
-        raise SceneError(_wrong_dims(found, row.dims))
+    if set(found.dims) != {"time", *row.dims} or found.kind not in "fiub":
+        raise SceneError(_wrong_dims(name, found, row.dims))
     at_contacts = row.dims[0] == "contact"
     weight = quantity.weight or ("number" if at_contacts else quantity.usual)
     if at_contacts and (weight != "number" or isinstance(quantity, Flux)):
@@ -327,8 +328,8 @@ def own_field(quantity: Quantity, ds: xr.Dataset) -> OwnField:
         raise ValueError(msg)
     return OwnField(
         quantity, result, weight, rank, at_contacts,
-        units=_units(quantity, weight, found.attrs.get("units"), ds.attrs.get("unit_system", "SI")),
-        what=str(found.attrs.get("long_name", name.replace("_", " "))),
+        units=_units(quantity, weight, found.units, scene.setup.unit_system),
+        what=found.long_name or name.replace("_", " "),
     )  # fmt: skip
 
 
@@ -351,20 +352,15 @@ def check_turns(own: Iterable[Any]) -> None:
             raise ValueError(msg)
 
 
-def rows_of(ds: xr.Dataset) -> list[str]:
-    """Names of the variables of particles and contacts."""
-    return [str(name) for name, a in ds.data_vars.items() if {"particle", "contact"} & set(a.dims)]
-
-
-def _wrong_dims(found: xr.DataArray, expected: tuple[str, ...]) -> str:
-    msg = f"{found.name!r} holds {found.dtype} with dimensions {found.dims}"
+def _wrong_dims(name: str, found: Column, expected: tuple[str, ...]) -> str:
+    msg = f"{name!r} holds NumPy's type {found.kind!r} with dimensions {found.dims}"
     if "contact" in found.dims and expected[0] == "particle":
-        to = f"contact_{found.name}"
-        return f"{msg}: names of variables of contacts begin with 'contact_'; call ds = ds.rename({found.name}={to!r})"
+        to = f"contact_{name}"
+        return f"{msg}: names of variables of contacts begin with 'contact_'; call ds = ds.rename({name}={to!r})"
     if "particle" in found.dims and expected[0] == "contact":
         return f"{msg}: names that begin with 'contact_' are for contacts; give it another name, by ds.rename"
     if "time" not in found.dims:
-        return f"{msg}: give it time, by ds.assign({found.name}=ds.{found.name}.expand_dims(time=ds.time))"
+        return f"{msg}: give it time, by ds.assign({name}=ds.{name}.expand_dims(time=ds.time))"
     rows = expected[0]
     return (
         f"{msg}: expected numbers with ('time', {rows!r}), and 'component' for vectors, or 'component' and 'direction' "

@@ -19,11 +19,11 @@ import xarray as xr
 
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.variables import Quantity
-from xcg.fields.planning.make import make_plan
+from xcg.fields.plan import make_plan
 from xcg.fields.request import Request
 from xcg.fields.sums.smoothing import Gaussian, Kernel, as_kernel, choose_width
+from xcg.scene.description import Description, describe, require_scene
 from xcg.scene.numbers import is_positive
-from xcg.scene.query import edges_of, require_scene, setup_of
 from xcg.scene.schema import COMPONENTS, did_you_mean, units_of
 
 
@@ -122,9 +122,9 @@ def _from_xcg(f: xr.Dataset, names: Sequence[str], axes: str) -> xr.Dataset:
     return xr.Dataset(out | {"sample_count": f["sample_count"]}, attrs=f.attrs)
 
 
-def _kernel(ds: xr.Dataset, request: Request) -> Kernel:
+def _kernel(scene: Description, request: Request) -> Kernel:
     """Its kernel, in as many dimensions as there are axes; another one where that is asked for."""
-    setup = setup_of(ds)
+    setup = scene.setup
     axes = setup.plane if request.axes is None and request.at is None else request.axes or ""
     seen = len({*axes, *(request.at or {})}) or setup.dimension
     if isinstance(request.width, Mapping):
@@ -132,16 +132,16 @@ def _kernel(ds: xr.Dataset, request: Request) -> Kernel:
         raise ValueError(msg)
     own = isinstance(request.kernel, Kernel) and request.width is None
     kernel = request.kernel if request.changed(["kernel"]) else "shifted gaussian"
-    return as_kernel(kernel, None if own else choose_width(request.width, ds.attrs), seen)
+    return as_kernel(kernel, None if own else choose_width(request.width, scene.sizes), seen)
 
 
-def translate(ds: xr.Dataset, request: Request) -> tuple[Request, Callable[[xr.Dataset], xr.Dataset]]:
+def translate(scene: Description, request: Request) -> tuple[Request, Callable[[xr.Dataset], xr.Dataset]]:
     """Put a request in its names into names of xcg; the function turns the answer into its fields.
 
     Raises
     ------
     SceneError
-        If `ds` is not a scene.
+        If it is not a scene.
     ValueError
         If names are not its, or an argument is given that changes none of its fields.
     """
@@ -149,12 +149,12 @@ def translate(ds: xr.Dataset, request: Request) -> tuple[Request, Callable[[xr.D
     if idle:
         msg = f"preset='lammps': none of its fields depends on {idle}; leave them out"
         raise ValueError(msg)
-    require_scene(ds, (), "coarse_grain")
+    scene.require((), "coarse_grain")
     gradient = request.gradient if request.changed(["gradient"]) else "finite_difference"
-    own = replace(request, preset=None, gradient=gradient, kernel=_kernel(ds, request), width=None)
-    names = _choose(request.fields, make_plan(ds, replace(own, fields=None)).fields)
+    own = replace(request, preset=None, gradient=gradient, kernel=_kernel(scene, request), width=None)
+    names = _choose(request.fields, make_plan(scene, replace(own, fields=None)).fields)
     needed = list(dict.fromkeys(["sample_count", *(ROWS[name].ours for name in names)]))
-    return replace(own, fields=needed), partial(_from_xcg, names=names, axes=setup_of(ds).plane)
+    return replace(own, fields=needed), partial(_from_xcg, names=names, axes=scene.setup.plane)
 
 
 def lammps_mesh(
@@ -205,7 +205,7 @@ def lammps_mesh(
     5
     """
     require_scene(ds, (), "lammps_mesh")
-    edges, bounds, spacing = edges_of(ds), {}, {}
+    edges, bounds, spacing = describe(ds).edges, {}, {}
     for a in axes:
         if a not in edges:
             msg = f"lammps_mesh: the scene has no finite box along {a!r}; bins of LAMMPS cover the box"

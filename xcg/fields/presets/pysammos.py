@@ -17,16 +17,15 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.fields.choices import possible_fields
 from xcg.fields.formulas import algebra, registry
 from xcg.fields.formulas.field import NONE, Field, Options
 from xcg.fields.formulas.trace import at_least_zero, where_positive
 from xcg.fields.formulas.variables import Quantity
-from xcg.fields.planning.choices import possible_fields
 from xcg.fields.request import Request
 from xcg.fields.sums.smoothing import as_kernel, choose_width
-from xcg.scene.query import require_scene, setup_of
+from xcg.scene.description import Description, describe
 from xcg.scene.schema import COMPONENTS, did_you_mean
-from xcg.scene.sizes import with_measures
 
 _RATE = "shear_rate_tensor"
 
@@ -196,7 +195,7 @@ def choose(
     return list(dict.fromkeys(names))
 
 
-def plane_of(ds: xr.Dataset, shear_dims: str | None) -> tuple[str, str]:
+def plane_of(scene: Description, shear_dims: str | None) -> tuple[str, str]:
     """Plane for ``xy`` in the names, and axes for ``xyz``.
 
     Raises
@@ -204,7 +203,7 @@ def plane_of(ds: xr.Dataset, shear_dims: str | None) -> tuple[str, str]:
     ValueError
         If `shear_dims` are not two axes of the scene.
     """
-    axes = setup_of(ds).plane
+    axes = scene.setup.plane
     plane = shear_dims or ("xy" if len(axes) == 3 else axes)
     if len(set(plane)) != 2 or len(plane) != 2 or set(plane) - set(axes):
         msg = f"shear_dims={shear_dims!r}: the preset 'pysammos' takes a plane, two axes of {axes!r}"
@@ -219,13 +218,13 @@ def _in_its_names(f: xr.Dataset, renamed: Mapping[str, Field]) -> xr.Dataset:
     return f
 
 
-def translate(ds: xr.Dataset, request: Request) -> tuple[Request, Callable[[xr.Dataset], xr.Dataset]]:
+def translate(scene: Description, request: Request) -> tuple[Request, Callable[[xr.Dataset], xr.Dataset]]:
     """Put a request in its names into names of xcg; the function turns the answer into its fields.
 
     Raises
     ------
     SceneError
-        If `ds` is not a scene.
+        If it is not a scene.
     ValueError
         If a variant is asked for by an argument, or names or plane are wrong.
     """
@@ -233,10 +232,10 @@ def translate(ds: xr.Dataset, request: Request) -> tuple[Request, Callable[[xr.D
     if clash:
         msg = f"preset='pysammos' has a name for each variant: leave out {clash}, and take the field that you want"
         raise ValueError(msg)
-    require_scene(ds, (), "coarse_grain")
-    table = rows(*plane_of(ds, request.shear_dims))
+    scene.require((), "coarse_grain")
+    table = rows(*plane_of(scene, request.shear_dims))
     own = replace(request, preset=None, shear_dims=None, for_averages=False)
-    chosen = {name: table[name].field for name in choose(request.fields, table, possible_fields(ds, own))}
+    chosen = {name: table[name].field for name in choose(request.fields, table, possible_fields(scene, own))}
     same = {name: row for name, row in chosen.items() if row.fields == (name,)}
     asked = [name if name in same else registry.OwnRow(name, row) for name, row in chosen.items()]
     # its temperature is per density; other fields do not depend on it
@@ -288,17 +287,15 @@ def pysammos_mesh(
     >>> ds = xcg.datasets.simple_cubic(10)
     >>> f = ds.cg.coarse_grain(preset="pysammos", **xcg.pysammos_mesh(ds, "xz"))
     """
-    ds = with_measures(ds)
-    lacking = [name for name in ("particle_lower", "particle_upper", "dmax") if name not in ds.attrs]
-    if lacking:
-        msg = f"pysammos_mesh needs the attributes {lacking}; call ds = ds.cg.measure() first"
-        raise ValueError(msg)
-    setup = setup_of(ds)
-    chosen = as_kernel(kernel, choose_width(width, ds.attrs), setup.dimension)
-    lower, upper = ([float(x) for x in ds.attrs[f"particle_{end}"]] for end in ("lower", "upper"))
-    extent = {a: (lower[k], upper[k]) for k, a in enumerate(COMPONENTS) if a in setup.plane}
+    scene = describe(ds)
+    if scene.corners is None or "dmax" not in scene.sizes:
+        raise ValueError("pysammos_mesh needs the extent and the largest diameter; call ds = ds.cg.measure() first")
+    setup = scene.setup
+    chosen = as_kernel(kernel, choose_width(width, scene.sizes), setup.dimension)
+    corners = zip(COMPONENTS, *scene.corners, strict=True)
+    extent = {a: (first, last) for a, first, last in corners if a in setup.plane}
     resolved = "".join(a for a in axes if a in extent)
-    margin = 2.5 * chosen.cutoff + 0.5 * float(ds.attrs["dmax"])
+    margin = 2.5 * chosen.cutoff + 0.5 * scene.sizes["dmax"]
     ranges = {a: (extent[a][0] + margin, extent[a][1] - margin) for a in resolved}
     small = [a for a, (first, last) in ranges.items() if first > last and a not in (bounds or {})]
     if small:

@@ -11,11 +11,11 @@ import xarray as xr
 
 from xcg.fields.coarse_grain import answer, prepare
 from xcg.fields.places.frames import refuse_cylindrical
-from xcg.fields.planning.make import make_plan
+from xcg.fields.plan import make_plan
 from xcg.fields.request import SharedOptions, takes
-from xcg.scene.conform import takes_scene
-from xcg.scene.query import require_rising_times
+from xcg.scene.description import describe
 from xcg.scene.schema import COMPONENTS
+from xcg.scene.times import require_rising_times
 
 OF_PHASES = ("interphase_force", "segregation_flux")  # what phases have besides
 
@@ -147,7 +147,6 @@ class BalanceRequest(SharedOptions):
     of: Sequence[str] | None = None
 
 
-@takes_scene
 @takes(BalanceRequest)
 def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
     """Residuals of the balances of force, mass and momentum, and of spin and energy, as fields and as norms.
@@ -214,7 +213,7 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
     laws = _chosen(ds, asked)
     needed = [name for law in laws.values() for name in law.fields] + list(OF_PHASES if asked.by else ())
     request = asked.ask(fields=list(dict.fromkeys(needed)), width=asked.width)
-    plan = make_plan(ds, request)
+    plan = make_plan(describe(ds, request.by), request)
     grid = plan.deposit.grid
     short = [a for a, size in zip(grid.dims, grid.sizes, strict=True) if size < 5]
     if short:

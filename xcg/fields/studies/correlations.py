@@ -10,9 +10,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.fields.formulas.averages import block_errors
-from xcg.scene.conform import with_time
-from xcg.scene.query import evenly_spaced
 from xcg.scene.schema import COMPONENTS
+from xcg.scene.times import evenly_spaced, with_time
 from xcg.steps.label import format_call, provenance
 
 _TAIL = ("component", "direction")

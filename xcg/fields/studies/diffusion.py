@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from xcg.fields.formulas.averages import block_errors
 from xcg.scene.complete import rows_of
 from xcg.scene.conform import takes_scene
+from xcg.scene.description import describe, require_scene
 from xcg.scene.frame import phase_of, steps_in, without_frozen
 from xcg.scene.motion import BoxMotion, partners
-from xcg.scene.query import evenly_spaced, groups_of, require_scene, setup_of
 from xcg.scene.schema import COMPONENTS, OF_STEP, units_of
+from xcg.scene.times import evenly_spaced
 from xcg.steps.each import each_step
 from xcg.steps.label import format_call, provenance
 from xcg.steps.phase_labels import with_phase_labels
@@ -96,14 +97,15 @@ def mean_squared_displacement(
     interval = evenly_spaced(ds["time"].to_numpy(), "times")
     at = interval * np.array(chosen)
     used = _range(fit, at)
-    known = () if by is None else groups_of(ds, by, groups)
+    scene = describe(ds, by)
+    known = () if by is None else scene.groups(by, groups)
     sums, counts = _sums(ds, chosen, by, known, remove_drift)
     phases = ("phase",) if by else ()
     samples = xr.Dataset(
         {"sum": (("first", "lag", *phases, *_TENSOR), sums), "count": (("first", "lag", *phases), counts)},
         {"lag": at} | {dim: list(COMPONENTS) for dim in _TENSOR},
     )
-    plane = [a for a in COMPONENTS if a in setup_of(ds).plane]
+    plane = [a for a in COMPONENTS if a in scene.setup.plane]
 
     def means(sums: xr.Dataset) -> xr.Dataset:
         tensor = sums["sum"] / sums["count"].where(sums["count"] > 0)

@@ -16,16 +16,16 @@ from xcg.fields.coarse_grain import prepare
 from xcg.fields.evaluate import compute_chunk
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.averages import derive, needed_for_averages
+from xcg.fields.labels import about, labelled
 from xcg.fields.places.frames import refuse_cylindrical
-from xcg.fields.planning.make import make_plan
+from xcg.fields.plan import make_plan
 from xcg.fields.request import Request, takes
-from xcg.fields.results import about, filled, layout
-from xcg.scene.conform import takes_scene
+from xcg.scene.description import describe, require_scene
 from xcg.scene.frame import steps_in
 from xcg.scene.motion import BoxMotion, partners
-from xcg.scene.query import box_stays, require_rising_times, require_scene
 from xcg.scene.schema import COMPONENTS, OF_STEP, PADDING, did_you_mean, units_of
 from xcg.scene.sizes import with_measures
+from xcg.scene.times import require_rising_times
 from xcg.steps.errors import check_on_error
 from xcg.steps.label import format_call, mark_skipped
 from xcg.steps.map import map_over_time, threads_a_chunk
@@ -64,7 +64,6 @@ class DisplacementRequest(Request):
     accumulate: bool = False
 
 
-@takes_scene
 @takes(DisplacementRequest)
 def displacement(ds: xr.Dataset, asked: DisplacementRequest) -> xr.Dataset:
     """Coarse-grain the displacement between frames: strain, rotation, and what an affine deformation leaves over.
@@ -123,7 +122,7 @@ def displacement(ds: xr.Dataset, asked: DisplacementRequest) -> xr.Dataset:
     if asked.accumulate:
         refuse_cylindrical(ds, "displacement(accumulate=True)")
         ds, asked = ds.isel(time=slice(None, None, asked.lag)), replace(asked, lag=1)
-    moves = bool(ds.attrs.get("periodic")) and not box_stays(ds)
+    moves = bool(ds.attrs.get("periodic")) and not describe(ds).box_lasts
     if moves and "frame" in ds.attrs:
         msg = "displacements in a box that changes are found in the scene's own axes: leave frame= out"
         raise ValueError(msg)
@@ -195,7 +194,8 @@ def _between_frames(
     # displacements relative to the box are the same in all images
     first = ds.drop_vars([*contacts, "lattice_velocity"], errors="ignore").isel(time=slice(0, count))
     # a plan looks at names only: what stands for displacements and intervals comes with the frames
-    scene = first.assign(velocity=first["position"], interval=first["mass"]).assign_attrs(lag=lag)
+    moved = first.assign(velocity=first["position"], interval=first["mass"]).assign_attrs(lag=lag)
+    scene = describe(moved, asked.by)
     plan = make_plan(scene, asked.ask(fields=names, width=asked.width, at=asked.at))
     both = ["particle_id", "position", "time", *(name for name in OF_STEP if name in ds and name != "lattice_velocity")]
     later = {f"{name}{_LATER}": ds[name].variable[{"time": slice(lag, None)}].to_base_variable() for name in both}
@@ -205,7 +205,7 @@ def _between_frames(
     compute = _Pairs(plan.setup.periodic, partial(compute_chunk, plan, threads))
     results = {field: (plan.shapes[field], "float64") for field in plan.fields} | _MOTION
     arrays = map_over_time(pairs, [*read, *later], compute, results, "displacement", asked.on_error)
-    f = mark_skipped(filled(layout(scene, plan), scene, plan, arrays, call), arrays)
+    f = mark_skipped(labelled(scene, plan, arrays, call), arrays)
     times = ds["time"].to_numpy()
     second = units_of((0, 0, 1), plan.setup.unit_system)
     coords = {

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 import xarray as xr
 
-from xcg.scene.conform import step_at, with_time
 from xcg.scene.extras import extra
 from xcg.scene.schema import COMPONENTS
+from xcg.scene.times import step_at, with_time
 from xcg.steps.each import each_step
 from xcg.steps.progress import shown
 

@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 
 from xcg.scene.build import storable
 from xcg.scene.conform import takes_scene
+from xcg.scene.description import describe, require_scene
 from xcg.scene.frame import steps_in
 from xcg.scene.numbers import is_positive, is_whole, rising_pair
-from xcg.scene.query import edges_of, require_scene, setup_of
 from xcg.scene.schema import COMPONENTS, OF_STEP, SceneError, units_of
-from xcg.scene.sizes import with_measures
 from xcg.steps.label import mark_skipped
 from xcg.steps.map import map_over_time
 
@@ -88,18 +87,18 @@ def slice_temperature(
         msg = f"method={method!r}: expected 'planes' (overlapping slices) or 'bins'"
         raise ValueError(msg)
     require_scene(ds, ("velocity", weight), "slice_temperature")
-    ds = with_measures(ds)
-    setup = setup_of(ds)
+    scene = describe(ds)
+    setup = scene.setup
     if not isinstance(axis, str) or axis not in setup.plane or len(axis) != 1:
         msg = f"axis={axis!r}: expected one of the scene's axes {setup.plane!r}"
         raise ValueError(msg)
     k = COMPONENTS.index(axis)
     if width is None:
-        width = float(ds.attrs.get("d43", np.nan))
+        width = scene.sizes.get("d43", np.nan)
     if bounds is None and axis in setup.periodic:
-        bounds = edges_of(ds).get(axis)
-    elif bounds is None and "particle_lower" in ds.attrs:
-        bounds = (float(ds.attrs["particle_lower"][k]), float(ds.attrs["particle_upper"][k]))
+        bounds = scene.edges.get(axis)
+    elif bounds is None and scene.corners is not None:
+        bounds = scene.corners[0][k], scene.corners[1][k]
     if not is_positive(width):
         msg = f"width={width!r}: expected a positive width (m)"
         raise ValueError(msg)
@@ -126,7 +125,7 @@ def slice_temperature(
         nodes=nodes,
         axis=k,
         limits=limits,
-        periodic=setup.periodic if "lattice" in ds else axis if axis in setup.periodic else "",
+        periodic=setup.periodic if scene.tilted else axis if axis in setup.periodic else "",
     )
     names = [
         "particle_id",

@@ -17,12 +17,11 @@ from xcg.fields.sums.smoothing import Kernel, as_kernel, choose_width
 from xcg.scene.build import storable
 from xcg.scene.conform import takes_scene
 from xcg.scene.contacts import Contacts
+from xcg.scene.description import Description, describe, require_scene
 from xcg.scene.frame import steps_in, without_frozen
 from xcg.scene.lattice import Lattice
 from xcg.scene.numbers import is_positive
-from xcg.scene.query import edges_of, require_scene, setup_of
 from xcg.scene.schema import COMPONENTS, OF_STEP, Setup, units_of
-from xcg.scene.sizes import with_measures
 from xcg.scene.walls import Walls, select_walls
 from xcg.scene.warn import warn_once
 from xcg.steps.label import format_call, mark_skipped, provenance
@@ -120,15 +119,15 @@ def wall_stress(
         raise ValueError(msg)
     if walls is not None:
         ds = select_walls(ds, walls)
-    ds = with_measures(ds)
-    setup = setup_of(ds)
+    scene = describe(ds)
+    setup = scene.setup
     own = isinstance(kernel, Kernel) and width is None
-    smooth = as_kernel(kernel, None if own else choose_width(width, ds.attrs), 2)
+    smooth = as_kernel(kernel, None if own else choose_width(width, scene.sizes), 2)
     for name, value in (("spacing", spacing), ("within", within)):
         if value is not None and not is_positive(value):
             msg = f"{name}={value!r}: expected a positive length (m)"
             raise ValueError(msg)
-    cells = surface.cells(*_box_of_grains(ds, setup), smooth.width / 2 if spacing is None else float(spacing))
+    cells = surface.cells(*_box_of_grains(scene), smooth.width / 2 if spacing is None else float(spacing))
     task = _Task(surface, cells, smooth, smooth.width if within is None else float(within), setup)
     axes = len(cells.axes)
     results = {
@@ -146,17 +145,17 @@ def wall_stress(
     return mark_skipped(result, found)
 
 
-def _box_of_grains(ds: xr.Dataset, setup: Setup) -> tuple[NDArray, NDArray]:
+def _box_of_grains(scene: Description) -> tuple[NDArray, NDArray]:
     """Corners of what the grains fill: the period along periodic axes, else the centres with half a diameter."""
-    lower, upper = ds.attrs.get("particle_lower"), ds.attrs.get("particle_upper")
-    edges = edges_of(ds)
-    if lower is None or upper is None:
-        lower, upper = (np.array([edges.get(a, (0.0, 0.0))[k] for a in COMPONENTS]) for k in (0, 1))
-    room = 0.5 * float(ds.attrs.get("dmax", 0.0))
-    low, high = np.asarray(lower, float) - room, np.asarray(upper, float) + room
-    for k, a in enumerate(COMPONENTS):
-        if a in setup.periodic and a in edges:
-            low[k], high[k] = edges[a]
+    edges = scene.edges
+    low, high = (np.array([edges.get(a, (0.0, 0.0))[k] for a in COMPONENTS]) for k in (0, 1))
+    if scene.corners is not None:
+        low, high = map(np.array, scene.corners)
+    room = 0.5 * scene.sizes.get("dmax", 0.0)
+    low, high = low - room, high + room
+    for a in scene.periods:
+        k = COMPONENTS.index(a)
+        low[k], high[k] = edges[a]
     return low, high
 
 

@@ -13,11 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 from xcg.fields.coarse_grain import answer, prepare
 from xcg.fields.formulas.variables import Quantity
 from xcg.fields.places.frames import refuse_cylindrical
-from xcg.fields.planning.make import make_plan
+from xcg.fields.plan import make_plan
 from xcg.fields.request import Request, SharedOptions, takes
 from xcg.fields.sums.smoothing import choose_width
-from xcg.scene.conform import takes_scene
-from xcg.scene.sizes import with_measures
+from xcg.scene.description import describe
 
 THRESHOLD = 0.1
 
@@ -64,7 +63,6 @@ class SweepRequest(SharedOptions):
     threshold: float = THRESHOLD
 
 
-@takes_scene
 @takes(SweepRequest)
 def width_sweep(ds: xr.Dataset, asked: SweepRequest) -> xr.Dataset:
     """Coarse-grain with several widths, and find the plateau of each field.
@@ -89,7 +87,7 @@ def width_sweep(ds: xr.Dataset, asked: SweepRequest) -> xr.Dataset:
     ValueError
         If there are fewer than three different widths, or an argument of `coarse_grain` is wrong.
     """
-    measured = with_measures(ds).attrs
+    measured = describe(ds).sizes
     lengths = sorted({choose_width(width, measured) for width in asked.widths})
     if len(lengths) < 3:
         msg = f"widths={list(asked.widths)!r}: expected three or more different widths, to tell a slope"
@@ -125,7 +123,7 @@ def _with_nodes(ds: xr.Dataset, asked: SweepRequest, widths: Sequence[float], po
         "number_density", width=widths[-1], at=point, axes=asked.axes, spacing=spacing, kernel=asked.kernel,
         extent=asked.extent, sampling=asked.sampling,
     )  # fmt: skip
-    grid = make_plan(ds, placing).deposit.grid
+    grid = make_plan(describe(ds), placing).deposit.grid
     nodes = {a: grid.coords[a].to_numpy() for a in grid.axes}
     return replace(asked, spacing=spacing, bounds={a: (float(x[0]), float(x[-1])) for a, x in nodes.items()})
 

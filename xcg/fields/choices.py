@@ -6,47 +6,43 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 
-import numpy as np
-import xarray as xr
-
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Options
-from xcg.fields.formulas.variables import OwnField, Quantity, own_fields, own_moments, rows_of
+from xcg.fields.formulas.variables import OwnField, Quantity, own_fields, own_moments
 from xcg.fields.request import Request
 from xcg.fields.sums.fabric import sliding_contacts
 from xcg.fields.sums.moments import MOMENTS, Moment
+from xcg.scene.description import Description
 from xcg.scene.numbers import is_finite, is_positive
-from xcg.scene.query import require_scene, setup_of
-from xcg.scene.schema import COMPONENTS, CONTACT_VARIABLES, Setup, did_you_mean
+from xcg.scene.schema import COMPONENTS, CONTACT_VARIABLES, did_you_mean
 
 SAMPLINGS = ("node", "cell")
 
 
-def possible_fields(ds: xr.Dataset, request: Request) -> tuple[str, ...]:
-    """Name the fields that a request without names is answered with: those that the scene's variables allow."""
-    options = replace(options_of(ds, setup_of(ds), request), by=request.by)
-    return choose_fields(None, ds, options)[0]
+def possible_fields(scene: Description, request: Request) -> tuple[str, ...]:
+    """Return the names of the fields that the scene's variables allow: those of a request without names."""
+    return choose_fields(None, scene, options_of(scene, request))[0]
 
 
 def choose_fields(
-    asked: str | Quantity | Sequence[str | Quantity | registry.OwnRow] | None, ds: xr.Dataset, options: Options
+    asked: str | Quantity | Sequence[str | Quantity | registry.OwnRow] | None, scene: Description, options: Options
 ) -> tuple[tuple[str, ...], tuple[OwnField | registry.OwnRow, ...]]:
     """Names of the fields of a result, and those of them that are quantities of the scene's own variables."""
     if asked is None:
-        here = _possible(frozenset(map(str, ds.data_vars)), options)
+        here = _possible(scene.names, options)
         if not here:
-            require_scene(ds, ("mass",), "coarse_grain")
+            scene.require(("mass",), "coarse_grain")
         return here, ()
     lacking = lacking_fields(options)
     given = list(asked) if isinstance(asked, Iterable) and not isinstance(asked, str) else [asked]
-    own = own_fields(given, ds)
+    own = own_fields(given, scene)
     names = [own[k].name if k in own else one for k, one in enumerate(given)]
     if not names:
         msg = f"fields={asked!r}: expected at least one; leave it out for all that the scene allows"
         raise ValueError(msg)
     unknown = [name for name in names if name not in registry.listed() and name not in {o.name for o in own.values()}]
     if unknown:
-        more = [name for name in rows_of(ds) if name not in registry.FIELDS]
+        more = [name for name in scene.rows if name not in registry.FIELDS]
         msg = f"unknown fields {unknown}: choose from {', '.join(registry.listed())}"
         msg += f", or a variable of the scene: {', '.join(more)}"
         msg += "".join(did_you_mean(str(name), [*registry.listed(), *more]) for name in unknown)
@@ -89,7 +85,7 @@ def variables_of(fields: tuple[str, ...], here: frozenset[str], options: Options
     return frozenset(needed)
 
 
-def options_of(ds: xr.Dataset, setup: Setup, request: Request) -> Options:
+def options_of(scene: Description, request: Request) -> Options:
     """Check the choices of the algebra."""
     for name, known in (
         ("gradient", registry.GRADIENTS),
@@ -108,7 +104,7 @@ def options_of(ds: xr.Dataset, setup: Setup, request: Request) -> Options:
             "gradient='least_squares' (the default), or 'finite_difference' between the cells"
         )
         raise ValueError(msg)
-    size, fluid_viscosity = request.size, request.fluid_viscosity
+    setup, size, fluid_viscosity = scene.setup, request.size, request.fluid_viscosity
     for name in ("pressure_dims", "shear_dims"):
         axes = getattr(request, name)
         if axes is not None and (not axes or set(axes) - set(setup.plane) or len(set(axes)) < len(axes)):
@@ -120,7 +116,7 @@ def options_of(ds: xr.Dataset, setup: Setup, request: Request) -> Options:
     if request.friction is not None and not (is_finite(request.friction) and request.friction >= 0):
         msg = f"friction={request.friction!r}: expected a coefficient of friction, such as 0.5"
         raise ValueError(msg)
-    if size in ("d50", "dmax") and size not in ds.attrs:
+    if size in ("d50", "dmax") and size not in scene.sizes:
         msg = f"size={size!r} is an attribute that the scene does not hold; call ds = ds.cg.measure() first"
         raise ValueError(msg)
     return Options(
@@ -130,11 +126,12 @@ def options_of(ds: xr.Dataset, setup: Setup, request: Request) -> Options:
         shear_axes=_indices(request.shear_dims),
         deviatoric=request.deviatoric,
         size=size,
-        diameter=float(ds.attrs.get(size, np.nan)),
+        diameter=scene.sizes.get(size, float("nan")),
         fluid_viscosity=fluid_viscosity,
         friction=request.friction,
         temperature=request.temperature,
-        lag=ds.attrs.get("lag"),
+        lag=scene.lag,
+        by=request.by,
     )
 
 

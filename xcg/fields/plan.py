@@ -1,22 +1,37 @@
-"""What one call of `coarse_grain` will do, as an object that travels to the tasks that do it."""
+"""From what is asked for to what will be done: a plan of one call, which travels to the tasks that carry it out."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from xcg.compiled.points import LINEAR
 from xcg.compiled.segments import RULES
+from xcg.fields.choices import choose_fields, options_of, variables_of, with_friction
 from xcg.fields.formulas import registry
+from xcg.fields.formulas.averages import needed_for_averages
 from xcg.fields.formulas.field import Options
+from xcg.fields.formulas.variables import check_turns, own_moments
+from xcg.fields.layout import (
+    check_differentiable,
+    extents_of,
+    kernels_of,
+    nodes_of,
+    warn_of_cuts,
+    warn_of_width,
+)
+from xcg.fields.request import Request
 from xcg.fields.sums.blocks import BLOCK_NODES, FINE, nodes_in_cache
 from xcg.fields.sums.passes import DepositSpec
+from xcg.fields.sums.quadrature import SINGLE, gauss_limits
 from xcg.fields.sums.smoothing import Kernel
+from xcg.scene.description import Description
 from xcg.scene.lattice import Lattice
+from xcg.scene.numbers import is_finite
 from xcg.scene.schema import COMPONENTS, ROTATION, SceneError, Setup
 
 
@@ -181,3 +196,86 @@ def scale_of(plan: Plan, lattice: Lattice, source: str) -> float:
     if isinstance(plan.depth, float):
         lengths.append(plan.depth)
     return 1.0 / math.prod(lengths)
+
+
+def make_plan(scene: Description, request: Request) -> Plan:
+    """Plan what a request takes, of grains and fields of xcg.
+
+    Raises
+    ------
+    SceneError
+        If the scene lacks variables that the fields need.
+    ValueError
+        If an argument is wrong.
+    """
+    scene.require((), "coarse_grain")
+    rtol, by = request.rtol, request.by
+    if not (is_finite(rtol) and rtol >= 0):
+        raise ValueError(f"rtol={rtol!r}: expected 0 (closed form) or a positive number such as 1e-3")
+    names, asked, options = _fields_and_options(scene, request)
+    variables = _held_variables(scene, names, options)
+    kernels = kernels_of(scene, request)
+    widest = max(kernels, key=lambda k: k.cutoff)
+    size = scene.sizes.get("dmin" if isinstance(request.width, Mapping) else "d43")
+    warn_of_width(min(k.width for k in kernels), size)
+    grid = nodes_of(scene, request, kernels)
+    warn_of_cuts(grid, scene, widest.cutoff)
+    moments = registry.moments_of(names, options)
+    if request.gradient == "kernel" and {"mass_slope", "momentum_slope"} & set(moments):
+        check_differentiable(widest, len(grid.seen))
+    limits = gauss_limits(widest, len(grid.seen), rtol)
+    own = own_moments(options.own) | with_friction(options.friction)
+    deposit = DepositSpec(
+        moments=moments,
+        grid=grid,
+        weights=(kernels[0].over_cells if grid.half.any() else kernels[0].weights)(len(grid.seen)),
+        cutoffs=tuple(k.cutoff for k in kernels),
+        limits=limits,
+        coarse=limits.size > 0 and rtol >= SINGLE,
+        by=by,
+        groups=() if by is None else scene.groups(by, request.groups),
+        own={name: row for name, row in own.items() if name in moments},
+    )
+    x, y, z = (grid.spacing.get(a, 0.0) for a in COMPONENTS)
+    options = replace(
+        options, active=tuple(grid.active.tolist()), shape=grid.shape, spacing=(x, y, z),
+        wrapped=grid.fills(np.array(scene.lasting_periods)),
+    )  # fmt: skip
+    read = variables | ({by} if by else set()) | ({"frozen"} & scene.names)
+    return Plan(
+        fields=names, asked=asked, variables=tuple(n for n in scene.columns if n in read), deposit=deposit,
+        options=options, kernel=widest, extent=extents_of(grid, request.extent or {}, scene),
+        depth=scene.layer_depth, setup=scene.setup, rtol=rtol,
+    )  # fmt: skip
+
+
+def _fields_and_options(scene: Description, request: Request) -> tuple[tuple[str, ...], tuple[str, ...], Options]:
+    """Fields that are computed, those of them that were asked for, and the choices of their algebra."""
+    if request.by_pair and request.by is None:
+        raise ValueError(
+            "by_pair=True divides contact stress by pairs of phases: say which with by=, for example by='species'"
+        )
+    if request.groups is not None and request.by is None:
+        raise ValueError(
+            f"groups={request.groups!r} are the values of an integer variable of the particles: say which with by="
+        )
+    options = options_of(scene, request)
+    names, own = choose_fields(request.fields, scene, options)
+    if scene.cylindrical:
+        check_turns(own)
+    options = replace(options, own=(*own, *registry.registered_for(names, replace(options, own=own))))
+    if request.by_pair:
+        names = tuple(dict.fromkeys([*names, "contact_stress_by_pair"]))
+    asked = names
+    if request.for_averages or request.per is not None:
+        names = (*names, *needed_for_averages(names, options))
+    return names, asked, options
+
+
+def _held_variables(scene: Description, names: tuple[str, ...], options: Options) -> frozenset[str]:
+    """Return the variables that some fields take. Raise SceneError unless the scene holds all of them."""
+    held = scene.names
+    variables = variables_of(names, held, options)
+    lacking = [] if variables <= held else [name for name in names if not variables_of((name,), held, options) <= held]
+    scene.require(sorted(variables), f"coarse_grain of {', '.join(lacking)}")
+    return variables

@@ -5,16 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
 import xarray as xr
 
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Field
-from xcg.fields.places.frames import is_cylindrical
-from xcg.fields.planning.plan import Plan
+from xcg.fields.plan import Plan
 from xcg.scene.build import storable
+from xcg.scene.description import Description
 from xcg.scene.schema import COMPONENTS, units_of
-from xcg.steps.label import provenance, read_only_labels, times_of, with_numbers
+from xcg.steps.label import provenance
 from xcg.steps.phase_labels import with_phase_labels
 
 _CYLINDRICAL: dict[str, dict[str, str]] = {
@@ -25,15 +24,15 @@ _CYLINDRICAL: dict[str, dict[str, str]] = {
 _AXES = {*COMPONENTS, *_CYLINDRICAL}
 
 
-def layout(ds: xr.Dataset, plan: Plan) -> xr.Dataset:
-    """Return the result of a plan without its numbers, of which no array is made; its attributes are the plan's."""
+def labelled(scene: Description, plan: Plan, arrays: Mapping[str, Any], call: str) -> xr.Dataset:
+    """Return arrays of the plan's fields as a result of the scene, with dimensions, coordinates, units and history."""
     system = plan.setup.unit_system
     length = units_of((1, 0, 0), system)
     # those of the scene may be changed in place
-    coords: dict[str, Any] = {name: given.copy() for name, given in times_of(ds).items()}
+    coords: dict[str, Any] = {name: given.copy() for name, given in scene.times.items()}
     for name, coord in plan.deposit.grid.coords.items():
         attrs = {"units": length, "long_name": f"position along {name}", "axis": name.upper()}
-        if is_cylindrical(ds):
+        if scene.cylindrical:
             attrs = _CYLINDRICAL[name] | ({} if name == "theta" else {"units": length})
         coords[name] = (coord.dims, coord, attrs | coord.attrs if name in _AXES else coord.attrs)
     if plan.deposit.by:
@@ -43,24 +42,16 @@ def layout(ds: xr.Dataset, plan: Plan) -> xr.Dataset:
     for name in plan.fields:
         row = registry.row(name, plan.options)
         tail = ("component", "direction")[: row.rank]
-        coords |= {dim: (dim, list(_CYLINDRICAL) if is_cylindrical(ds) else list(COMPONENTS)) for dim in tail}
+        coords |= {dim: (dim, list(_CYLINDRICAL) if scene.cylindrical else list(COMPONENTS)) for dim in tail}
         if row.paired:
             tail = ("other_phase", *tail)
             coords["other_phase"] = ("other_phase", [*map(str, plan.deposit.groups), "wall"])
         attrs = about(row, system)
         if lacking := plan.left_out(name):
             attrs["comment"] = f"without rotation, as the scene holds no {' and no '.join(lacking)}"
-        numbers = np.broadcast_to(np.nan, (ds.sizes["time"], *plan.shapes[name]))
-        data[name] = xr.Variable(("time", *plan.dims, *tail), numbers, attrs)
-    return read_only_labels(with_phase_labels(storable(xr.Dataset(data, coords))).assign_attrs(_choices(plan)))
-
-
-def filled(empty: xr.Dataset, ds: xr.Dataset, plan: Plan, arrays: Mapping[str, Any], call: str) -> xr.Dataset:
-    """Fill a layout with what a plan gave, as a result of the scene."""
-    result = with_numbers(empty, {name: arrays[name] for name in plan.fields})
-    of_plan = {name: list(value) if isinstance(value, list) else value for name, value in empty.attrs.items()}
-    result.attrs = provenance(ds, call) | of_plan
-    return result
+        data[name] = xr.Variable(("time", *plan.dims, *tail), arrays[name], attrs)
+    result = with_phase_labels(storable(xr.Dataset(data, coords)))
+    return result.assign_attrs(provenance(scene, call) | _choices(plan))
 
 
 def about(row: Field, system: str) -> dict[str, str]:

@@ -1,0 +1,274 @@
+"""Description of a scene: what planning, labels and messages know of it, found once and without reading lazy data."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.scene.lattice import Lattice
+from xcg.scene.schema import BOX, COMPONENTS, SceneError, Setup
+from xcg.scene.sizes import SIZES, known_without_reading, with_measures
+
+
+@dataclass(frozen=True)
+class Column:
+    """Variable of a scene as its Dataset declares it: dimensions, NumPy's letter of its type, unit, name in words."""
+
+    dims: tuple[str, ...]
+    kind: str
+    units: str | None
+    long_name: str | None
+
+
+@dataclass(frozen=True)
+class Description:
+    """What a call knows of a scene. Equal for a scene in memory and the same one in chunks.
+
+    Attributes
+    ----------
+    columns : mapping
+        Variables by name.
+    steps : int
+        Number of steps.
+    setup : Setup
+        Periodic axes, gravity, dimension, plane and thickness, unit system.
+    edges : mapping
+        Edges of the box of the first step (m), along the axes where it is finite.
+    lasting_periods : tuple of float
+        Period along x, y, z (m); infinite where there is none that is the same in all steps.
+    box_lasts : bool
+        Whether the box is the same in all steps.
+    tilted : bool
+        Whether the edges of the box are not along x, y and z.
+    sizes : mapping
+        Diameters of `xcg.scene.sizes.SIZES` that are known (m).
+    corners : tuple, optional
+        Lowest and highest coordinates of the particles' centres (m), where they are known.
+    in_box : bool
+        Whether positions are those that the box was read with.
+    values : mapping
+        Values of the integer variable that divides the particles into groups, where they are known.
+    cylindrical : bool
+        Whether axes x, y, z are those of a cylindrical frame.
+    radius : float
+        Distance of the outermost particle from the axis of that frame (m); NaN without one.
+    lag : int, optional
+        Frames to the later one, in a scene of displacements.
+    attrs, times : mapping
+        Attributes, and coordinates along time, which results have, too.
+    """
+
+    columns: Mapping[str, Column]
+    steps: int
+    setup: Setup
+    edges: Mapping[str, tuple[float, float]]
+    lasting_periods: tuple[float, float, float]
+    box_lasts: bool
+    tilted: bool
+    sizes: Mapping[str, float]
+    corners: tuple[tuple[float, ...], tuple[float, ...]] | None
+    in_box: bool
+    values: Mapping[str, tuple[int, ...]]
+    cylindrical: bool
+    radius: float
+    lag: int | None
+    attrs: Mapping[str, Any] = field(compare=False, repr=False)
+    times: Mapping[str, xr.Variable] = field(compare=False, repr=False)
+
+    @cached_property
+    def names(self) -> frozenset[str]:
+        """Names of the variables."""
+        return frozenset(self.columns)
+
+    @cached_property
+    def rows(self) -> list[str]:
+        """Names of the variables of particles and contacts."""
+        return [name for name, column in self.columns.items() if {"particle", "contact"} & set(column.dims)]
+
+    @cached_property
+    def periods(self) -> dict[str, float]:
+        """Period of the first step along the periodic axes (m)."""
+        return {a: self.edges[a][1] - self.edges[a][0] for a in self.setup.periodic if a in self.edges}
+
+    @property
+    def layer_depth(self) -> float | str | None:
+        """Thickness of a layer (m), or the axis whose box extent it is; None in three dimensions.
+
+        Raises
+        ------
+        SceneError
+            If it is not known.
+        """
+        setup = self.setup
+        if setup.dimension == 3 or setup.thickness is not None:
+            return setup.thickness if setup.dimension == 2 else None
+        (across,) = set(COMPONENTS) - set(setup.plane)
+        if across in self.edges:
+            return across
+        if "dmax" in self.sizes:
+            return self.sizes["dmax"]
+        raise SceneError(
+            "a one-layer scene needs its thickness: give thickness= when opening it, or a box that is finite across it"
+        )
+
+    def require(self, names: Sequence[str], purpose: str) -> None:
+        """Raise SceneError unless the scene holds these variables; the message lists all that are missing."""
+        _require(self.columns, list(self.columns), names, purpose)
+
+    def groups(self, by: str, groups: Sequence[int] | None = None) -> tuple[int, ...]:
+        """Return the values of an integer variable of the particles, sorted: given, or known without reading.
+
+        Raises
+        ------
+        ValueError
+            If there is no such variable, or its values are not known.
+        """
+        whole = [name for name, column in self.columns.items() if column.kind in "iu" and "particle" in column.dims]
+        if by not in whole:
+            shown = [name for name in whole if name != "particle_id"]
+            raise ValueError(f"by={by!r}: expected an integer variable of the particles; this scene has {shown}")
+        found = self.values.get(by, ()) if groups is None else groups
+        if not found:
+            raise ValueError(
+                f"by={by!r}: its values are not known without reading the series; pass groups= with all that occur"
+            )
+        return tuple(sorted({int(group) for group in found}))
+
+
+def describe(ds: xr.Dataset, by: str | None = None) -> Description:
+    """Describe a scene that was brought to its form by `xcg.scene.conform`, with the values of the variable `by`.
+
+    Nothing is read, but the six numbers of the first box where a lazy box changes.
+    """
+    ds = with_measures(ds)
+    setup, edges = _setup(ds), _edges(ds)
+    corners = [
+        tuple(np.ravel(ds.attrs[end]).tolist()) for end in ("particle_lower", "particle_upper") if end in ds.attrs
+    ]
+    cylindrical = ds.attrs.get("frame") == "cylindrical"
+    return Description(
+        columns={str(name): _column(given.variable) for name, given in ds.data_vars.items()},
+        steps=ds.sizes.get("time", 1),
+        setup=setup,
+        edges=edges,
+        lasting_periods=_lasting_periods(ds, setup, edges),
+        box_lasts=_box_lasts(ds),
+        tilted="lattice" in ds,
+        sizes={name: float(ds.attrs[name]) for name in SIZES if name in ds.attrs},
+        corners=(corners[0], corners[1]) if len(corners) == 2 else None,
+        in_box="position" in ds and known_without_reading(ds, "position"),
+        values={} if by is None else _values(ds, by),
+        cylindrical=cylindrical,
+        radius=_largest_radius(ds) if cylindrical else float("nan"),
+        lag=ds.attrs.get("lag"),
+        attrs=ds.attrs,
+        times={name: ds.variables[name] for name in ("time", "step") if name in ds.coords},
+    )
+
+
+def require_scene(ds: xr.Dataset, names: Sequence[str], purpose: str) -> None:
+    """Raise SceneError unless `ds` is a scene and holds these variables; the message lists all that are missing."""
+    _require(ds.variables, list(ds.data_vars), names, purpose)
+
+
+def _require(held: Container[Any], shown: Sequence[Any], names: Sequence[str], purpose: str) -> None:
+    if missing := {name for name in ("position", "particle_id", *names) if name not in held}:
+        raise SceneError(
+            f"{purpose} needs {sorted(missing)}, which this Dataset does not hold (it has "
+            f"{sorted(map(str, shown))}); open it with xcg.open_scene or build it with xcg.scene_from_arrays, "
+            "giving contacts= for fields of contacts and density= where files hold no mass"
+        )
+
+
+def _column(given: xr.Variable) -> Column:
+    texts = (None if (text := given.attrs.get(name)) is None else str(text) for name in ("units", "long_name"))
+    return Column(tuple(map(str, given.dims)), given.dtype.kind, *texts)
+
+
+def _setup(ds: xr.Dataset) -> Setup:
+    gravity = ds.attrs.get("gravity")
+    setup = Setup.make(
+        periodic=ds.attrs.get("periodic", ""),
+        gravity=None if gravity is None else np.asarray(gravity, float).tolist(),
+        dimension=int(ds.attrs.get("dimension", 3)),
+        plane=ds.attrs.get("plane"),
+        thickness=ds.attrs.get("thickness"),
+    )
+    return replace(setup, unit_system=ds.attrs.get("unit_system", "SI"))
+
+
+def _values(ds: xr.Dataset, by: str) -> dict[str, tuple[int, ...]]:
+    """Values of an integer variable of the particles: those in memory, or the attributes that were measured."""
+    if by not in ds or ds[by].dtype.kind not in "iu" or "particle" not in ds[by].dims:
+        return {}
+    if isinstance(ds[by].variable._data, np.ndarray):
+        valid = ds["particle_id"].to_numpy() >= 0
+        return {by: tuple(np.unique(ds[by].transpose(*ds["particle_id"].dims).to_numpy()[valid]).tolist())}
+    return {by: tuple(np.ravel(ds.attrs.get(f"{by}_values", [])).tolist())} if known_without_reading(ds, by) else {}
+
+
+def _edges(ds: xr.Dataset) -> dict[str, tuple[float, float]]:
+    """Edges of the first box: of one in memory; of a lazy one the attributes, which hold a box that does not change."""
+    box, lower, upper = None, ds.attrs.get("box_lower"), ds.attrs.get("box_upper")
+    given = ds.variables["box"] if "box" in ds else None
+    if given is not None and given.size and (given.chunks is None or lower is None or upper is None):
+        first = given.isel({dim: 0 for dim in given.dims if dim not in ("component", "bound")})  # "step", too
+        box = first.transpose("component", "bound").to_numpy()
+    elif lower is not None and upper is not None:
+        box = np.stack([lower, upper], axis=1)
+    if box is None:
+        return {}
+    return {a: (float(low), float(high)) for a, (low, high) in zip(COMPONENTS, box, strict=True) if high - low < np.inf}
+
+
+def _lasting_periods(
+    ds: xr.Dataset, setup: Setup, edges: Mapping[str, tuple[float, float]]
+) -> tuple[float, float, float]:
+    if "lattice" not in ds:
+        lasting = _lasting_axes(ds)
+        periods = [edges[a][1] - edges[a][0] if a in setup.periodic and a in edges else np.inf for a in COMPONENTS]
+        x, y, z = (period if a in lasting else np.inf for a, period in zip(COMPONENTS, periods, strict=True))
+    elif _box_lasts(ds):
+        box = {name: ds[name].isel(time=0).transpose(*row.dims).to_numpy() for name, row in BOX.items() if name in ds}
+        x, y, z = Lattice.of(box, setup.periodic).axis_periods.tolist()
+    else:
+        x = y = z = np.inf
+    return x, y, z
+
+
+def _lasting_axes(ds: xr.Dataset) -> str:
+    """Axes along which the edges of a box that is not tilted are the same in all steps."""
+    if _box_lasts(ds):
+        return "".join(COMPONENTS)
+    if "box" not in ds or ds.variables["box"].chunks is not None:
+        return ""
+    box = ds.variables["box"].transpose("time", "component", ...).to_numpy()
+    return "".join(a for a, edges in zip(COMPONENTS, box.swapaxes(0, 1), strict=True) if (edges == edges[:1]).all())
+
+
+def _box_lasts(ds: xr.Dataset) -> bool:
+    """Whether the box is the same in all steps; a lazy one is not read, as attributes hold a box that lasts."""
+    if "box" not in ds or ds.variables["box"].chunks is not None:
+        return "box_lower" in ds.attrs and "lattice" not in ds
+    if ds.sizes.get("time", 1) == 1:
+        return True
+    parts = [ds.variables[name].transpose("time", ...).to_numpy() for name in BOX if name in ds]
+    return all(bool((part == part[:1]).all()) for part in parts)
+
+
+def _largest_radius(ds: xr.Dataset) -> float:
+    """Distance from the axis z of the outermost grain of the first and last step; of the corners of a lazy scene."""
+    position = ds["position"]
+    if isinstance(position.variable._data, np.ndarray):
+        ends: NDArray = position.transpose("time", "particle", "component")[[0, -1]].to_numpy()
+        return float(np.nanmax(np.hypot(ends[..., 0], ends[..., 1])))
+    if "particle_lower" not in ds.attrs:
+        return float("nan")
+    far = np.maximum(np.abs(ds.attrs["particle_lower"]), np.abs(ds.attrs["particle_upper"]))
+    return float(np.hypot(far[0], far[1]))
