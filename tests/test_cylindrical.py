@@ -7,8 +7,6 @@ import pytest
 import xarray as xr
 
 import xcg
-from xcg.fields.places import rings
-from xcg.fields.sums.smoothing import as_kernel
 
 SUMS = ["density", "momentum_density", "contact_stress", "fabric", "contact_force_density", "couple_stress"]
 OMEGA = 0.7
@@ -285,21 +283,3 @@ def test_frames_that_are_none():
             getattr(scene().cg, call)(
                 frame=xcg.Cylindrical(), **({"widths": [1, 2, 3]} if call == "width_sweep" else {})
             )
-
-
-def test_distances_of_angles_are_kept_for_equal_kernels_only():
-    """Of kernels that differ in anything, name registered anew or not, they are those that are found without."""
-
-    def kernels():
-        for power in (2, 3):
-            xcg.register_kernel("angles", lambda q, n=power: (1 - q * q) ** n)
-            yield as_kernel("angles", 0.5, 3)
-        yield from (xcg.Lucy(0.5, dimension=3), xcg.Lucy(0.6, dimension=3), xcg.Lucy(0.5, dimension=2))
-        yield from (xcg.Gaussian(0.5, dimension=3), xcg.Gaussian(0.5, dimension=3, shifted=True))
-
-    rings._steps.clear()
-    asked = [(kernel, seen, error) for kernel in kernels() for seen in (1, 2) for error in (1e-2, 1e-4)]
-    for _ in range(2):
-        for kernel, seen, error in asked:
-            assert rings.angular_step(kernel, seen, error) == rings._angular_step(kernel, seen, error)
-    assert len(rings._steps) == len(asked)

@@ -14,8 +14,6 @@ from tests.benchmarks import series
 from xcg.fields.sums import branches
 from xcg.scene.complete import rows_of
 from xcg.scene.frame import stack
-from xcg.steps import memory
-from xcg.steps.memory import empty_arrays, memory_is_kept
 
 FEW, MANY = 4, 32
 
@@ -56,33 +54,6 @@ def test_memory_does_not_grow_with_the_series(scene, tmp_path, suffix, what, mon
         few, many = peak(lambda: save(FEW)), peak(lambda: save(MANY))
     assert few > step  # the measurement sees the arrays
     assert many < few + 4 * step, f"{(many - few) / step:.1f} more steps in memory for {MANY - FEW} more in the series"
-
-
-def test_memory_of_results_serves_the_next_ones():
-    """Not before the last view of an array is gone, nor after all is written."""
-
-    def results():
-        return empty_arrays({"a": (3, 4), "b": (2,)})["a"]
-
-    def place(array):
-        return array.__array_interface__["data"][0]
-
-    with memory_is_kept():
-        one = results()
-        first, view = place(one), one.T[1:]
-        view[:] = 1.0
-        del one
-        two = results()
-        two[:] = 2.0
-        assert (view == 1.0).all()
-        second = place(two)
-        del view, two
-        assert {place(a) for a in [results(), results()]} == {first, second}
-        kept = results()
-    assert not memory._kept._waiting
-    kept[:] = 3.0
-    del kept
-    assert not memory._kept._waiting
 
 
 def test_a_graph_holds_no_data(scene):

@@ -20,8 +20,7 @@ __all__ = sorted(_HOMES)
 def __getattr__(name: str) -> Any:
     """Load a public name."""
     if name not in _HOMES:
-        msg = f"module 'xcg' has no attribute {name!r}"
-        raise AttributeError(msg)
+        raise AttributeError(f"module 'xcg' has no attribute {name!r}")
     home = _HOMES[name]
     found = import_module(f"xcg.{name}") if home == "xcg" else getattr(import_module(home), name)
     globals()[name] = found

@@ -117,8 +117,9 @@ def open(name: str, **options: Any) -> xr.Dataset:  # noqa: A001
     4398
     """
     if name not in _SAMPLES:
-        msg = f"open({name!r}): the sample data are {', '.join(_SAMPLES)}; files of your own open with xcg.open_scene"
-        raise ValueError(msg)
+        raise ValueError(
+            f"open({name!r}): the sample data are {', '.join(_SAMPLES)}; files of your own open with xcg.open_scene"
+        )
     from xcg.readers.series import open_scene  # and with it dask, which scenes in memory do without
 
     sample = _SAMPLES[name]
@@ -127,8 +128,7 @@ def open(name: str, **options: Any) -> xr.Dataset:  # noqa: A001
             found = folder / sample.folder
             contacts = {"contacts": str(found / sample.contacts)} if sample.contacts else {}
             return open_scene(str(found / sample.particles), **{**contacts, **sample.options, **options})
-    msg = f"open({name!r}): no folder {_FOLDERS[0] / sample.folder}; install xcg again"
-    raise FileNotFoundError(msg)
+    raise FileNotFoundError(f"open({name!r}): no folder {_FOLDERS[0] / sample.folder}; install xcg again")
 
 
 _FCC = np.array([[0.0, 0.0, 0.0], [0.5, 0.5, 0.0], [0.5, 0.0, 0.5], [0.0, 0.5, 0.5]])
@@ -179,8 +179,7 @@ def _bonded(
 
     reach, period = bond * (1 + 1e-6), np.full(3, edge)
     if edge <= reach:
-        msg = f"the edge of the lattice is {edge:g}, where grains touch their own images: take more cells"
-        raise ValueError(msg)
+        raise ValueError(f"the edge of the lattice is {edge:g}, where grains touch their own images: take more cells")
     pairs = cKDTree(position % edge, boxsize=period).query_pairs(reach, output_type="ndarray")
     branch = minimum_image(position[pairs[:, 0]] - position[pairs[:, 1]], period)
     rows, branch = images_within(branch, np.full(len(pairs), reach), period)

@@ -65,15 +65,15 @@ class StressRule:
 
     def __post_init__(self) -> None:
         if self.disc and self.thickness is None:
-            msg = "volume='disc' is for one-layer scenes, and this one has dimension=3; leave volume= out"
-            raise SceneError(msg)
+            raise SceneError("volume='disc' is for one-layer scenes, and this one has dimension=3; leave volume= out")
 
     @classmethod
     def of(cls, ds: xr.Dataset, purpose: str, *, symmetric: bool, volume: str) -> StressRule:
         """Check that a scene holds what the stress needs, without reading any of it."""
         if volume not in VOLUMES:
-            msg = f"volume={volume!r}: expected 'particle' (the scene's volumes) or 'disc' (pi d^2/4 x thickness)"
-            raise ValueError(msg)
+            raise ValueError(
+                f"volume={volume!r}: expected 'particle' (the scene's volumes) or 'disc' (pi d^2/4 x thickness)"
+            )
         disc = volume == "disc"
         require_scene(ds, (*_CONTACTS, "diameter" if disc else "volume"), purpose)
         scene = describe(ds)
@@ -101,8 +101,9 @@ class StressRule:
         if isinstance(thickness, str):
             thickness = lattice.length(thickness)
             if not is_positive(thickness):
-                msg = f"{source}: the layer is as thick as the box along {self.thickness!r}, which is not finite"
-                raise SceneError(msg)
+                raise SceneError(
+                    f"{source}: the layer is as thick as the box along {self.thickness!r}, which is not finite"
+                )
         return np.pi / 4 * frame["diameter"] ** 2 * thickness
 
     def evaluate(self, frame: Frame, contacts: Contacts, lattice: Lattice, source: str) -> Frame:

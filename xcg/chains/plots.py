@@ -50,11 +50,11 @@ def plot_chains(
     """
     require_chains(fc, "plot_chains")
     if int(fc.attrs.get("dimension", 3)) != 2:
-        msg = "plot_chains draws one-layer scenes, and this one has dimension=3; write it with .cg.to_vtp for ParaView"
-        raise ValueError(msg)
+        raise ValueError(
+            "plot_chains draws one-layer scenes, and this one has dimension=3; write it with .cg.to_vtp for ParaView"
+        )
     if colour not in COLOURS:
-        msg = f"colour={colour!r}: expected one of {COLOURS}"
-        raise ValueError(msg)
+        raise ValueError(f"colour={colour!r}: expected one of {COLOURS}")
     collections = extra("matplotlib.collections", "plot", "drawing")
     plane = [COMPONENTS.index(axis) for axis in fc.attrs.get("plane", "xy")]
     step = _step(
@@ -153,13 +153,11 @@ def plot_rose(
     """
     require_chains(fc, "plot_rose")
     if bins < 2 or bins % 2:
-        msg = f"bins={bins!r}: expected an even number of petals, as every link points both ways"
-        raise ValueError(msg)
+        raise ValueError(f"bins={bins!r}: expected an even number of petals, as every link points both ways")
     flat = int(fc.attrs.get("dimension", 3)) == 2
     plane = plane or (fc.attrs.get("plane", "xy") if flat else "xz")
     if len(plane) != 2 or len(set(plane) & set(COMPONENTS)) != 2:
-        msg = f"plane={plane!r}: expected two axes, for example 'xz'"
-        raise ValueError(msg)
+        raise ValueError(f"plane={plane!r}: expected two axes, for example 'xz'")
     if ax is None:
         ax = extra("matplotlib.pyplot", "plot", "drawing").subplot(projection="polar")
     step = _step(fc, time, ["position", "link_chain", "contact_j", "contact_force"])

@@ -85,8 +85,7 @@ def _offset(frame: Frame, time: float, velocity: Sequence[float], follow: int | 
 
 def _check_motion(velocity: Sequence[float], follow: int | None) -> tuple[float, float, float]:
     if follow is not None and np.any(velocity):
-        msg = f"velocity={velocity!r} and follow={follow!r}: expected one of the two"
-        raise ValueError(msg)
+        raise ValueError(f"velocity={velocity!r} and follow={follow!r}: expected one of the two")
     return _three("velocity", velocity)
 
 
@@ -117,8 +116,7 @@ class Box(Region):
     def __post_init__(self) -> None:
         lower, upper = _three("lower", self.lower, infinite=True), _three("upper", self.upper, infinite=True)
         if not all(a <= b for a, b in zip(lower, upper, strict=True)):
-            msg = f"lower={lower}, upper={upper}: expected every lower edge below the upper"
-            raise ValueError(msg)
+            raise ValueError(f"lower={lower}, upper={upper}: expected every lower edge below the upper")
         object.__setattr__(self, "velocity", _check_motion(self.velocity, self.follow))
         object.__setattr__(self, "lower", lower)
         object.__setattr__(self, "upper", upper)
@@ -169,8 +167,7 @@ class Sphere(Region):
 
     def __post_init__(self) -> None:
         if not is_positive(self.radius):
-            msg = f"radius={self.radius!r}: expected a positive length (m)"
-            raise ValueError(msg)
+            raise ValueError(f"radius={self.radius!r}: expected a positive length (m)")
         object.__setattr__(self, "velocity", _check_motion(self.velocity, self.follow))
         object.__setattr__(self, "centre", _three("centre", self.centre))
 

@@ -100,10 +100,9 @@ def require_chains(fc: xr.Dataset, purpose: str) -> None:
     """
     missing = [name for name in ("chain_id", "link_chain", "particle_id") if name not in fc]
     if missing:
-        msg = (
+        raise SceneError(
             f"{purpose} needs {missing}, which this Dataset does not hold; call it on a result of ds.cg.force_chains()"
         )
-        raise SceneError(msg)
 
 
 def summary_of_chains(fc: xr.Dataset) -> Summary:

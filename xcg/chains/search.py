@@ -196,23 +196,19 @@ def _rule(
 ) -> SearchRule:
     """Check the arguments of `force_chains` and the scene, without reading any of it."""
     if not (is_positive(alpha) and alpha <= 90):
-        msg = f"alpha={alpha!r}: expected an angle in degrees above 0 and up to 90, for example 45"
-        raise ValueError(msg)
+        raise ValueError(f"alpha={alpha!r}: expected an angle in degrees above 0 and up to 90, for example 45")
     if isinstance(threshold, str) and threshold != "mean":
-        msg = f"threshold={threshold!r}: expected None, 'mean', or a stress (Pa)"
-        raise ValueError(msg)
+        raise ValueError(f"threshold={threshold!r}: expected None, 'mean', or a stress (Pa)")
     if not isinstance(threshold, str) and threshold is not None and not is_finite(threshold):
-        msg = f"threshold={threshold!r}: expected a finite stress (Pa), 'mean', or None for no threshold"
-        raise ValueError(msg)
+        raise ValueError(f"threshold={threshold!r}: expected a finite stress (Pa), 'mean', or None for no threshold")
     if not is_whole(min_length, 2):
-        msg = f"min_length={min_length!r}: expected a whole number of particles, 2 or more"
-        raise ValueError(msg)
+        raise ValueError(f"min_length={min_length!r}: expected a whole number of particles, 2 or more")
     if algorithm not in ALGORITHMS:
-        msg = f"algorithm={algorithm!r}: expected one of {ALGORITHMS}"
-        raise ValueError(msg)
+        raise ValueError(f"algorithm={algorithm!r}: expected one of {ALGORITHMS}")
     if region is not None and not isinstance(region, Region):
-        msg = f"region={region!r}: expected xcg.Box(lower, upper), xcg.Sphere(centre, radius), or a combination"
-        raise ValueError(msg)
+        raise ValueError(
+            f"region={region!r}: expected xcg.Box(lower, upper), xcg.Sphere(centre, radius), or a combination"
+        )
     stress = StressRule.of(ds, "force_chains", symmetric=symmetric, volume=volume)
     require_scene(ds, ("diameter",), "force_chains")
     cosine = max(0.0, float(np.cos(np.deg2rad(alpha) + _ANGLE)))

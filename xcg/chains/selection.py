@@ -69,17 +69,15 @@ def select_chains(
     """
     require_chains(fc, "select_chains")
     if of not in OF:
-        msg = f"of={of!r}: expected 'any' or 'all' of a chain's particles"
-        raise ValueError(msg)
+        raise ValueError(f"of={of!r}: expected 'any' or 'all' of a chain's particles")
     if region is None and min_stress is None:
-        msg = "nothing to select by: give region= (xcg.Box, xcg.Sphere), min_stress= (Pa), or both"
-        raise ValueError(msg)
+        raise ValueError("nothing to select by: give region= (xcg.Box, xcg.Sphere), min_stress= (Pa), or both")
     if region is not None and not isinstance(region, Region):
-        msg = f"region={region!r}: expected xcg.Box(lower, upper), xcg.Sphere(centre, radius), or a combination"
-        raise ValueError(msg)
+        raise ValueError(
+            f"region={region!r}: expected xcg.Box(lower, upper), xcg.Sphere(centre, radius), or a combination"
+        )
     if min_stress is not None and not is_finite(min_stress):
-        msg = f"min_stress={min_stress!r}: expected a finite stress (Pa), or None"
-        raise ValueError(msg)
+        raise ValueError(f"min_stress={min_stress!r}: expected a finite stress (Pa), or None")
     condition = _Condition(region, min_stress, of, fc.attrs.get("periodic", ""), int(fc.attrs.get("min_length", 3)))
     changed = MEMBERS | CHAINS | STATISTICS
     names = [*(name for name in (*_GRAINS, "time") if name in fc), *MEMBERS, *CHAINS]

@@ -79,5 +79,4 @@ def link_table(fc: xr.Dataset) -> pd.DataFrame:
 def _require_steps(fc: xr.Dataset, purpose: str) -> None:
     """Refuse a result that a selection left without steps."""
     if not fc.sizes.get("time", 1):
-        msg = f"{purpose} needs one step or more, and these chains have none: check how steps were selected"
-        raise SceneError(msg)
+        raise SceneError(f"{purpose} needs one step or more, and these chains have none: check how steps were selected")

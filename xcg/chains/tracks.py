@@ -44,11 +44,11 @@ def track_chains(fc: xr.Dataset, overlap: float = 0.5) -> xr.Dataset:
     require_chains(fc, "track_chains")
     fc = with_time(fc)
     if not (is_positive(overlap) and overlap <= 1):
-        msg = f"overlap={overlap!r}: expected a share above 0 and up to 1, for example 0.5"
-        raise ValueError(msg)
+        raise ValueError(f"overlap={overlap!r}: expected a share above 0 and up to 1, for example 0.5")
     if "time" not in fc.dims:
-        msg = "the chains have no time dimension, expected several steps; keep it when selecting: fc.isel(time=[0, 1])"
-        raise ValueError(msg)
+        raise ValueError(
+            "the chains have no time dimension, expected several steps; keep it when selecting: fc.isel(time=[0, 1])"
+        )
     require_rising_times(fc, "track_chains")
     chains, steps = fc.sizes["chain"], fc.sizes["time"]
     track = np.full((steps, chains), -1)

@@ -20,8 +20,7 @@ def _threshold(context: click.Context, parameter: click.Parameter, value: str | 
     try:
         return float(value)
     except ValueError:
-        msg = f"{value!r} is neither 'mean' nor a stress"
-        raise click.BadParameter(msg) from None
+        raise click.BadParameter(f"{value!r} is neither 'mean' nor a stress") from None
 
 
 @click.command()

@@ -38,10 +38,9 @@ def plain_messages(quiet: bool) -> Iterator[None]:
         except (ValueError, OSError, ImportError) as error:
             raise click.ClickException(printable(_as_options(str(error), options))) from error
         except MemoryError as error:
-            msg = (
+            raise click.ClickException(
                 f"not enough memory ({error}); take fewer steps at a time (--jobs 1), fewer fields, or a larger spacing"
-            )
-            raise click.ClickException(msg) from error
+            ) from error
 
 
 def _as_options(message: str, options: Mapping[str, str]) -> str:

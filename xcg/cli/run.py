@@ -21,8 +21,9 @@ def _dashboard(jobs: int | None) -> Iterator[None]:
         import bokeh  # noqa: F401
         from distributed import Client
     except ImportError as error:
-        msg = f"--dashboard needs {error.name}, which is not installed; pip install distributed bokeh"
-        raise click.ClickException(msg) from None
+        raise click.ClickException(
+            f"--dashboard needs {error.name}, which is not installed; pip install distributed bokeh"
+        ) from None
     with Client(
         processes=False, n_workers=1, threads_per_worker=jobs or os.cpu_count(), dashboard_address=":0"
     ) as client:
@@ -82,8 +83,7 @@ def run(
                 for done, _ in steps:
                     bar.update(done)
             except OSError as error:
-                msg = f"{error}\n{kept()}"
-                raise click.ClickException(msg) from error
+                raise click.ClickException(f"{error}\n{kept()}") from error
             finally:
                 last_words.remove(kept)
                 bar.end()

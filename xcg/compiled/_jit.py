@@ -48,8 +48,7 @@ class _Checked(CompileResultCacheImpl):
     def rebuild(self, target_context: Any, payload: tuple[bytes, bytes]) -> Any:
         digest, data = payload
         if hashlib.sha256(data).digest() != digest:
-            msg = "the compiled code is damaged"
-            raise ValueError(msg)
+            raise ValueError("the compiled code is damaged")
         return super().rebuild(target_context, pickle.loads(data))
 
 
@@ -126,8 +125,7 @@ def inner(function: Callable, **options: Any) -> Any:
     compiled = jit(function, _nrt=False, no_cpython_wrapper=True, **options)
 
     def refuse(*_: Any, **__: Any) -> None:
-        msg = f"{function.__name__} is compiled for loops; from Python, call {function.__name__}.py_func"
-        raise TypeError(msg)
+        raise TypeError(f"{function.__name__} is compiled for loops; from Python, call {function.__name__}.py_func")
 
     if compiled is not function:  # what is compiled is kept for loops alone: a call from Python would end the process
         compiled.add_overload = lambda result: compiled.overloads.update({tuple(result.signature.args): result})

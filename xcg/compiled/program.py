@@ -54,12 +54,11 @@ def address_of(numbers: NDArray, rows: int, width: int, name: str) -> int:
     """
     fits = len(numbers) >= rows and numbers.size == len(numbers) * width
     if not (fits and numbers.dtype == _NUMBER and numbers.flags.carray):
-        msg = (
+        raise ValueError(
             f"{name!r}: expected ({rows}, {width}) numbers or more, float64 and one after the other in memory that can "
             f"be written to; this is an array {numbers.shape} of {numbers.dtype} with strides {numbers.strides}"
             f"{'' if numbers.flags.writeable else ', which is read-only'}"
         )
-        raise ValueError(msg)
     return ctypes.addressof(ctypes.c_char.from_buffer(numbers.data)) if numbers.size else 0
 
 

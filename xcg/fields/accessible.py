@@ -44,26 +44,24 @@ def check_walls(request: Request) -> None:
         If an argument is wrong.
     """
     if request.per not in (None, "accessible"):
-        msg = f"per={request.per!r}: expected 'accessible', or None for fields per volume"
-        raise ValueError(msg)
+        raise ValueError(f"per={request.per!r}: expected 'accessible', or None for fields per volume")
     if request.walls is None:
         if request.per is not None:
-            msg = "per='accessible' needs walls=, for example walls=[xcg.Plane((0, 0, 0), (0, 0, 1))]"
-            raise ValueError(msg)
+            raise ValueError("per='accessible' needs walls=, for example walls=[xcg.Plane((0, 0, 0), (0, 0, 1))]")
         return
     walls = request.walls if isinstance(request.walls, Sequence) and not isinstance(request.walls, str) else [None]
     if not walls or not all(isinstance(wall, Wall) for wall in walls):
-        msg = f"walls={request.walls!r}: expected a list of xcg.Plane, xcg.Cylinder and xcg.Surface"
-        raise ValueError(msg)
+        raise ValueError(f"walls={request.walls!r}: expected a list of xcg.Plane, xcg.Cylinder and xcg.Surface")
     if request.frame is not None:
-        msg = "walls= with frame=: walls are given in the scene's own axes; leave one of them out"
-        raise ValueError(msg)
+        raise ValueError("walls= with frame=: walls are given in the scene's own axes; leave one of them out")
     if request.sampling == "cell":
-        msg = "walls= with sampling='cell': the accessible fraction is that at a node; leave one of them out"
-        raise ValueError(msg)
+        raise ValueError(
+            "walls= with sampling='cell': the accessible fraction is that at a node; leave one of them out"
+        )
     if request.preset is not None:
-        msg = f"walls= with preset={request.preset!r}: presets know no accessible volume; leave one of them out"
-        raise ValueError(msg)
+        raise ValueError(
+            f"walls= with preset={request.preset!r}: presets know no accessible volume; leave one of them out"
+        )
 
 
 def with_accessible(f: xr.Dataset, scene: Description, plan: Plan, request: Request) -> xr.Dataset:
@@ -82,15 +80,14 @@ def with_accessible(f: xr.Dataset, scene: Description, plan: Plan, request: Requ
     """
     walls, kernel = tuple(request.walls or ()), plan.kernel
     if len(plan.widths) > 1:
-        msg = "walls= take one width for all groups, as the accessible fraction is that of one kernel"
-        raise ValueError(msg)
+        raise ValueError("walls= take one width for all groups, as the accessible fraction is that of one kernel")
     if kernel.dimension != plan.setup.dimension:
-        msg = f"walls= take kernels of the scene's dimension ({plan.setup.dimension}), not {kernel!r}"
-        raise ValueError(msg)
+        raise ValueError(f"walls= take kernels of the scene's dimension ({plan.setup.dimension}), not {kernel!r}")
     layer = [a for a in COMPONENTS if a not in plan.setup.plane]
     if any(wall.varies(COMPONENTS.index(a)) for wall in walls for a in layer):
-        msg = f"the scene is one layer across {layer[0]!r}: expected walls that are the same all along {layer[0]!r}"
-        raise ValueError(msg)
+        raise ValueError(
+            f"the scene is one layer across {layer[0]!r}: expected walls that are the same all along {layer[0]!r}"
+        )
     seen = [a for a in plan.setup.plane if a not in plan.deposit.grid.averaged]
     nodes = xr.broadcast(*(f[a].drop_vars(f[a].coords) for a in seen)) if seen else ()
     shape = nodes[0].shape if nodes else ()
@@ -134,11 +131,10 @@ def _averaged(plan: Plan, walls: Sequence[Wall], edges: Mapping[str, tuple[float
         low = low - cutoff if np.isfinite(low) else bounds[0]
         high = high + cutoff if np.isfinite(high) else bounds[1]
         if not (np.isfinite(low) and np.isfinite(high) and low < high):
-            msg = (
+            raise ValueError(
                 f"fields are averaged along {a!r}, where the walls differ, and neither they nor a box bound the space "
                 f"that is accessible: give the scene a box, or resolve or fix the axis (axes=, at=)"
             )
-            raise ValueError(msg)
         extent = plan.extent[a] or edges[a][1] - edges[a][0]
         count = max(1, int(np.ceil((high - low) / cutoff * _STEPS)))
         place = low + (high - low) * (np.arange(count) + 0.5) / count

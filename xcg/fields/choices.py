@@ -38,8 +38,7 @@ def choose_fields(
     own = own_fields(given, scene)
     names = [own[k].name if k in own else one for k, one in enumerate(given)]
     if not names:
-        msg = f"fields={asked!r}: expected at least one; leave it out for all that the scene allows"
-        raise ValueError(msg)
+        raise ValueError(f"fields={asked!r}: expected at least one; leave it out for all that the scene allows")
     unknown = [name for name in names if name not in registry.listed() and name not in {o.name for o in own.values()}]
     if unknown:
         more = [name for name in scene.rows if name not in registry.FIELDS]
@@ -96,29 +95,25 @@ def options_of(scene: Description, request: Request) -> Options:
     ):
         value = getattr(request, name)
         if value not in known:
-            msg = f"{name}={value!r}: expected one of {', '.join(known)}"
-            raise ValueError(msg)
+            raise ValueError(f"{name}={value!r}: expected one of {', '.join(known)}")
     if request.sampling == "cell" and request.gradient == "kernel":
-        msg = (
+        raise ValueError(
             "gradient='kernel' is the derivative at a node, and sampling='cell' averages over cells: take "
             "gradient='least_squares' (the default), or 'finite_difference' between the cells"
         )
-        raise ValueError(msg)
     setup, size, fluid_viscosity = scene.setup, request.size, request.fluid_viscosity
     for name in ("pressure_dims", "shear_dims"):
         axes = getattr(request, name)
         if axes is not None and (not axes or set(axes) - set(setup.plane) or len(set(axes)) < len(axes)):
-            msg = f"{name}={axes!r}: expected some of the scene's axes {setup.plane!r}, each once"
-            raise ValueError(msg)
+            raise ValueError(f"{name}={axes!r}: expected some of the scene's axes {setup.plane!r}, each once")
     if fluid_viscosity is not None and not is_positive(fluid_viscosity):
-        msg = f"fluid_viscosity={fluid_viscosity!r}: expected a positive viscosity (Pa s), such as 1e-3 for water"
-        raise ValueError(msg)
+        raise ValueError(
+            f"fluid_viscosity={fluid_viscosity!r}: expected a positive viscosity (Pa s), such as 1e-3 for water"
+        )
     if request.friction is not None and not (is_finite(request.friction) and request.friction >= 0):
-        msg = f"friction={request.friction!r}: expected a coefficient of friction, such as 0.5"
-        raise ValueError(msg)
+        raise ValueError(f"friction={request.friction!r}: expected a coefficient of friction, such as 0.5")
     if size in ("d50", "dmax") and size not in scene.sizes:
-        msg = f"size={size!r} is an attribute that the scene does not hold; call ds = ds.cg.measure() first"
-        raise ValueError(msg)
+        raise ValueError(f"size={size!r} is an attribute that the scene does not hold; call ds = ds.cg.measure() first")
     return Options(
         plane=tuple(COMPONENTS.index(a) for a in setup.plane),
         gradient=request.gradient,

@@ -146,6 +146,5 @@ def _in_own_names(scene: Description, request: Request) -> tuple[Request, Callab
     if request.preset is None:
         return request, lambda result: result
     if request.preset not in PRESETS:
-        msg = f"preset={request.preset!r}: expected {' or '.join(map(repr, PRESETS))}"
-        raise ValueError(msg)
+        raise ValueError(f"preset={request.preset!r}: expected {' or '.join(map(repr, PRESETS))}")
     return PRESETS[request.preset](scene, request)

@@ -24,7 +24,6 @@ from xcg.scene.lattice import Lattice
 from xcg.scene.schema import OF_STEP, Frame
 from xcg.scene.warn import warn_once
 from xcg.steps.map import map_over_time, threads_a_chunk
-from xcg.steps.memory import empty_arrays
 
 
 def evaluate_plan(ds: xr.Dataset, plan: Plan, on_error: str) -> dict[str, Any]:
@@ -69,7 +68,7 @@ def _threads_for(plan: Plan, arrays: Mapping[str, NDArray], threads: int) -> int
 def compute_chunk(plan: Plan, threads: int, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
     """Fields of one chunk of time, from padded arrays."""
     threads = _threads_for(plan, arrays, threads)
-    out = empty_arrays({name: (len(arrays["particle_id"]), *plan.shapes[name]) for name in plan.fields})
+    out = {name: np.empty((len(arrays["particle_id"]), *plan.shapes[name])) for name in plan.fields}
     for_each([a.reshape(-1) for a in out.values() if a.size > _PAGE], _take_memory, threads)
     for t, (frame, lattice, source) in enumerate(steps_in(arrays, plan.setup.periodic)):
         rows = {name: a[t, ...].reshape(plan.rows[name]) for name, a in out.items()}
@@ -85,6 +84,7 @@ def _compute_step(
     check_mesh(frame["position"], grid, max(plan.deposit.cutoffs), lattice.open_axes, source)
     sums = sums_of_frame(frame, plan.deposit, lattice, scale_of(plan, lattice, source), source, threads)
     program = program_for(plan.fields, plan.options, len(plan.deposit.groups))
+    loads = program.loads(sums.layouts) if program else None
     traced = program.widths if program else ()
     untraced = tuple(name for name in plan.fields if name not in traced)
 
@@ -93,8 +93,8 @@ def _compute_step(
     def fill(part: Block) -> None:
         found, place = part.sums(sums.over), part.places
         reached.append(found.reached)
-        if program:
-            program.run(found, place, rows, part.order)
+        if program and loads:
+            program.run(loads, found, place, rows, part.order)
         if untraced:  # with NumPy
             options = replace(plan.options, wrapped=grid.fills(lattice.axis_periods))  # the box may change
             for name, values in registry.evaluate(untraced, found.moments, options).items():

@@ -48,13 +48,13 @@ def _rings(scene: Description, request: Request, kernels: Sequence[Kernel]) -> R
     """Lay the nodes of a cylinder."""
     assert isinstance(request.frame, Cylindrical)
     if request.gradient == "finite_difference":
-        msg = "gradient='finite_difference' takes a mesh along x, y and z, not a cylindrical frame; take another way"
-        raise ValueError(msg)
+        raise ValueError(
+            "gradient='finite_difference' takes a mesh along x, y and z, not a cylindrical frame; take another way"
+        )
     if request.sampling == "cell":
-        msg = (
+        raise ValueError(
             "sampling='cell' takes the cells of a mesh along x, y and z, and a cylindrical frame has none: leave it out"
         )
-        raise ValueError(msg)
     setup, reach = scene.setup, max(k.cutoff for k in kernels)
     automatic = _automatic(scene, reach)
     if {"x", "y"} <= set(automatic):
@@ -77,25 +77,22 @@ def _rings(scene: Description, request: Request, kernels: Sequence[Kernel]) -> R
 def _check_pointwise(request: Request) -> None:
     """Refuse what only meshes have."""
     if request.sampling == "cell":
-        msg = (
+        raise ValueError(
             "sampling='cell' takes averages over the cells of a mesh, and points, which at= has arrays of, have none: "
             "leave it out, or lay a mesh with axes=, bounds= and spacing="
         )
-        raise ValueError(msg)
     for name in ("axes", "bounds", "spacing"):
         if getattr(request, name):
-            msg = (
+            raise ValueError(
                 f"{name}={getattr(request, name)!r} lays a mesh, and at= has arrays, which name points: leave it out "
                 "(axes that at= does not name are averaged), or give the nodes along an axis as one more array of at=, "
                 "such as xr.DataArray(z, dims='z'), which broadcasts against the others"
             )
-            raise ValueError(msg)
     if request.gradient == "finite_difference":
-        msg = (
+        raise ValueError(
             "gradient='finite_difference' takes differences between the nodes of a mesh, and points have no "
             "neighbours: take gradient='least_squares' (the default) or 'kernel'"
         )
-        raise ValueError(msg)
 
 
 def _automatic(scene: Description, cutoff: float) -> dict[str, tuple[float, float]]:
@@ -114,20 +111,17 @@ def extents_of(grid: Grid, extent: Mapping[str, float], scene: Description) -> d
     """Length of each averaged axis (m), None for that of the box of each step."""
     loose = [a for a in extent if a not in grid.averaged]
     if loose:
-        msg = f"extent names {loose}, but the averaged axes are {list(grid.averaged)}: leave it out"
-        raise ValueError(msg)
+        raise ValueError(f"extent names {loose}, but the averaged axes are {list(grid.averaged)}: leave it out")
     found: dict[str, float | None] = {}
     for a in grid.averaged:
         length = extent.get(a)
         if length is None and a not in scene.edges and not scene.tilted:
-            msg = (
+            raise ValueError(
                 f"fields are averaged along {a!r}, and the scene has no finite box there: give the length that the "
                 f"integral is divided by, extent={{{a!r}: length}}, or resolve or fix the axis (axes=, at=)"
             )
-            raise ValueError(msg)
         if length is not None and not is_positive(length):
-            msg = f"extent[{a!r}]={length!r}: expected a positive length (m)"
-            raise ValueError(msg)
+            raise ValueError(f"extent[{a!r}]={length!r}: expected a positive length (m)")
         found[a] = None if length is None else float(length)
     return found
 
@@ -139,13 +133,13 @@ def kernels_of(scene: Description, request: Request) -> list[Kernel]:
         has_own = isinstance(kernel, Kernel) and width is None
         return [as_kernel(kernel, None if has_own else choose_width(width, scene.sizes), dimension)]
     if by is None or not isinstance(kernel, str):
-        msg = f"width={dict(width)!r} gives each group its own: name the groups' variable with by=, and a kernel"
-        raise ValueError(msg)
+        raise ValueError(
+            f"width={dict(width)!r} gives each group its own: name the groups' variable with by=, and a kernel"
+        )
     own = {str(group): value for group, value in width.items()}
     known = scene.groups(by, request.groups)
     if set(own) != {str(g) for g in known}:
-        msg = f"width={dict(width)!r}: expected a width for each of the groups {list(known)} of {by!r}"
-        raise ValueError(msg)
+        raise ValueError(f"width={dict(width)!r}: expected a width for each of the groups {list(known)} of {by!r}")
     return [as_kernel(kernel, choose_width(own[str(g)], scene.sizes), dimension) for g in known]
 
 
@@ -178,8 +172,9 @@ def warn_of_cuts(grid: Grid, scene: Description, reach: float) -> None:
 def check_differentiable(kernel: Kernel, seen: int) -> None:
     """Refuse gradients of a kernel that has none, and warn where it jumps."""
     if kernel.code == kinds.HEAVISIDE:
-        msg = "gradient='kernel' needs a kernel that is differentiable: Heaviside is not; take gradient='least_squares'"
-        raise ValueError(msg)
+        raise ValueError(
+            "gradient='kernel' needs a kernel that is differentiable: Heaviside is not; take gradient='least_squares'"
+        )
     if kernel.smoothness == 0:
         msg = (
             f"the {kernel.name} kernel is continuous, but its slope jumps at its cutoff: its gradient is exact almost "

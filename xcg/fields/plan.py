@@ -188,11 +188,10 @@ def scale_of(plan: Plan, lattice: Lattice, source: str) -> float:
         if not (np.isfinite(lengths[-1]) and lengths[-1] > 0):
             lattice.seen(plan.deposit.grid.active, source)  # which may say more
             axes = " and ".join(repr(a) for a, averaged in zip(COMPONENTS, of_box, strict=True) if averaged)
-            msg = (
+            raise SceneError(
                 f"{source}: fields are averaged along {axes}, and the box of this step is not finite there; give the "
                 "length that the integral is divided by (extent=)"
             )
-            raise SceneError(msg)
     if isinstance(plan.depth, float):
         lengths.append(plan.depth)
     return 1.0 / math.prod(lengths)

@@ -142,8 +142,7 @@ class SharedOptions:
         for name, (fits, expected) in _FORMS.items():
             value = getattr(self, name, None)
             if not (value is None or fits(value)):
-                msg = f"{name}={value!r}: expected {expected}"
-                raise ValueError(msg)
+                raise ValueError(f"{name}={value!r}: expected {expected}")
 
     def ask(self, **own: Any) -> Request:
         """Ask `coarse_grain` with these options, and with arguments of its own."""

@@ -30,16 +30,15 @@ def read_config(path: str | Path) -> Job:
     """
     path = Path(path)
     if not path.exists():
-        msg = f"{path} does not exist"
-        raise FileNotFoundError(msg)
+        raise FileNotFoundError(f"{path} does not exist")
     try:
         return _toml(path) if path.suffix.lower() == ".toml" else _ini(path)
     except UnicodeDecodeError as error:
-        msg = f"{path}: is no text in UTF-8 ({error.reason} at byte {error.start})"
-        raise SceneError(msg) from None
+        raise SceneError(f"{path}: is no text in UTF-8 ({error.reason} at byte {error.start})") from None
     except (TypeError, AttributeError, RecursionError) as error:  # tables where values should be, and the like
-        msg = f"{path}: cannot be understood ({error}); see the form of a job in the documentation"
-        raise SceneError(msg) from None
+        raise SceneError(
+            f"{path}: cannot be understood ({error}); see the form of a job in the documentation"
+        ) from None
 
 
 # --- TOML ------------------------------------------------------------------------------------------------
@@ -53,38 +52,34 @@ def _toml(path: Path) -> Job:
     try:
         data = tomllib.loads(path.read_text(encoding="utf-8"))
     except tomllib.TOMLDecodeError as error:
-        msg = f"{path}: {error}"
-        raise SceneError(msg) from None
+        raise SceneError(f"{path}: {error}") from None
     on_error = _on_error(str(path), data.pop("on_error", "raise"))
     unknown = [name for name in data if name not in _TABLES or not isinstance(data[name], dict)]
     if unknown or "particles" not in data.get("scene", {}):
         tables = ", ".join(_TABLES)
-        msg = f"{path}: expected the tables {tables} with scene.particles, and on_error; found {sorted(data)}"
-        raise SceneError(msg)
+        raise SceneError(
+            f"{path}: expected the tables {tables} with scene.particles, and on_error; found {sorted(data)}"
+        )
     output = data.get("output", {})
     wrong = [name for name in output if name not in _OUTPUT]
     if wrong:
-        msg = f"{path}: [output] has {wrong}; expected any of {', '.join(_OUTPUT)}"
-        raise SceneError(msg)
+        raise SceneError(f"{path}: [output] has {wrong}; expected any of {', '.join(_OUTPUT)}")
     _of_type(path, "output", output, {"folder": str, "name": str, "netcdf": bool, "vtkhdf": (str, bool)})
     encoding = {name: output[name] for name in ("dtype", "digits", "compression") if name in output}
     try:
         Encoding.of(xr.Dataset(), **encoding)
     except (TypeError, ValueError) as error:
-        msg = f"{path}: [output] has {error}"
-        raise SceneError(msg) from None
+        raise SceneError(f"{path}: [output] has {error}") from None
     vtkhdf = output.get("vtkhdf", "")
     if vtkhdf not in ("steps", "temporal", "", False):
-        msg = f"{path}: vtkhdf={vtkhdf!r} in [output]: expected 'steps', 'temporal' or false"
-        raise SceneError(msg)
+        raise SceneError(f"{path}: vtkhdf={vtkhdf!r} in [output]: expected 'steps', 'temporal' or false")
     scene = dict(data["scene"])
     for name in set(_PATHS) & set(scene):
         if name == "walls" and isinstance(scene[name], dict):  # columns of the particles, by names of walls
             continue
         several = [scene[name]] if isinstance(scene[name], str) else scene[name]
         if not isinstance(several, list) or not all(isinstance(p, str) and "\0" not in p for p in several):
-            msg = f"{path}: {name} = {several!r} in [scene]: expected a path, a pattern, or a list of them"
-            raise SceneError(msg)
+            raise SceneError(f"{path}: {name} = {several!r} in [scene]: expected a path, a pattern, or a list of them")
         scene[name] = [str(path.parent / p) for p in several]
     phases = data.get("phases")
     if phases and "mapping" in phases:  # keys of TOML are text
@@ -94,8 +89,9 @@ def _toml(path: Path) -> Job:
                 raise ValueError
             phases = phases | {"mapping": mapping}
         except ValueError:
-            msg = f"{path}: mapping = {phases['mapping']!r} in [phases]: expected numbers of types and of phases"
-            raise SceneError(msg) from None
+            raise SceneError(
+                f"{path}: mapping = {phases['mapping']!r} in [phases]: expected numbers of types and of phases"
+            ) from None
     fields = dict(data.get("fields", {}))
     if phases is not None:
         fields.setdefault("by", "phase")

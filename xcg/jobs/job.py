@@ -62,15 +62,15 @@ def _of_type(path: Path, table: str, values: Mapping[str, Any], kinds: Mapping[s
     for name, kind in kinds.items():
         if name in values and not isinstance(values[name], kind):
             expected = " or ".join(k.__name__ for k in (kind if isinstance(kind, tuple) else (kind,)))
-            msg = f"{path}: {name} = {values[name]!r} in [{table}]: expected {expected}"
-            raise SceneError(msg)
+            raise SceneError(f"{path}: {name} = {values[name]!r} in [{table}]: expected {expected}")
 
 
 def _plain_name(path: Path, name: str) -> str:
     """Refuse a name of output that leads out of its folder."""
     if not name or name.startswith(".") or set(name) & set("/\\\0") or len(name) > 200:
-        msg = f"{path}: name = {name[:60]!r} in [output]: expected the name of a file without its folder and suffix"
-        raise SceneError(msg)
+        raise SceneError(
+            f"{path}: name = {name[:60]!r} in [output]: expected the name of a file without its folder and suffix"
+        )
     return name
 
 
@@ -78,5 +78,4 @@ def _on_error(source: str, value: str) -> str:
     try:
         return check_on_error(value)
     except ValueError as error:
-        msg = f"{source}: {error}"
-        raise SceneError(msg) from None
+        raise SceneError(f"{source}: {error}") from None

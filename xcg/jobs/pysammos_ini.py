@@ -75,8 +75,7 @@ class _Section:
         try:
             return kind(text)
         except (KeyError, ValueError):
-            msg = f"{self.source} {key} = {text}: expected {expected}"
-            raise SceneError(msg) from None
+            raise SceneError(f"{self.source} {key} = {text}: expected {expected}") from None
 
     def number(self, key: str) -> float | None:
         return self._typed(key, float, "a number or None")
@@ -92,8 +91,7 @@ class _Section:
     def needed(self, key: str) -> str:
         found = self.get(key)
         if found is None:
-            msg = f"{self.source} lacks {key}"
-            raise SceneError(msg)
+            raise SceneError(f"{self.source} lacks {key}")
         return found
 
     def warn_of_the_rest(self) -> None:
@@ -110,8 +108,7 @@ def _ini(path: Path) -> Job:
     try:
         parser.read_string(path.read_text(encoding="utf-8"), source=str(path))
     except configparser.Error as error:
-        msg = f"{path}: {error}"
-        raise SceneError(msg) from None
+        raise SceneError(f"{path}: {error}") from None
     names = ("paths", "timesteps", "smoothing_function", "flags", "key_mapping", "grid_info", "fields_to_export",
              "output_options")  # fmt: skip
     unknown = [name for name in parser.sections() if name not in names]
@@ -179,8 +176,9 @@ def _files(folder: Path, prefix: str, steps: _Section, *, required: bool) -> lis
     ]
     if required and not chosen:
         there = f"numbers there: {', '.join(map(str, sorted(found)))}" if found else "there are none of that name"
-        msg = f"{steps.source}: no file {at}<number>.vtp with t0={start}, tf={stop}, dt={stride}; {there}"
-        raise FileNotFoundError(msg)
+        raise FileNotFoundError(
+            f"{steps.source}: no file {at}<number>.vtp with t0={start}, tf={stop}, dt={stride}; {there}"
+        )
     return [found[number] for number in chosen]
 
 
@@ -212,8 +210,7 @@ def _names(section: _Section, particles: str, contacts: list[str]) -> dict[str, 
 def _kernel(section: _Section) -> tuple[str, str]:
     text = section.get("type") or "Lucy"
     if text.lower() not in KERNELS:
-        msg = f"{section.source} type = {text}: expected Lucy, Gaussian or HeavySide"
-        raise SceneError(msg)
+        raise SceneError(f"{section.source} type = {text}: expected Lucy, Gaussian or HeavySide")
     return KERNELS[text.lower()]
 
 
@@ -222,8 +219,9 @@ def _mesh(section: _Section) -> dict[str, Any]:
     dimension = section.whole("grid_dimension")
     axes = section.get("grid_axes") or "xyz"
     if set(axes) - set(COMPONENTS) or (dimension is not None and dimension != len(set(axes))):
-        msg = f"{section.source} grid_dimension = {dimension}, grid_axes = {axes}: expected as many axes of x, y, z"
-        raise SceneError(msg)
+        raise SceneError(
+            f"{section.source} grid_dimension = {dimension}, grid_axes = {axes}: expected as many axes of x, y, z"
+        )
     ends = {a: (section.number(f"{a}_min"), section.number(f"{a}_max")) for a in COMPONENTS}
     cuts = {a: section.number(f"{a}_transect") for a in COMPONENTS}
     if section.flag("automatic_grid"):
@@ -232,8 +230,9 @@ def _mesh(section: _Section) -> dict[str, Any]:
     for a in axes:
         low, high = ends[a]
         if low is None or high is None:
-            msg = f"{section.source}: {a}_min and {a}_max are needed with grid_axes = {axes} and automatic_grid = False"
-            raise SceneError(msg)
+            raise SceneError(
+                f"{section.source}: {a}_min and {a}_max are needed with grid_axes = {axes} and automatic_grid = False"
+            )
         bounds[a] = (low, high)
     at = {a: cut for a, cut in cuts.items() if a not in axes and cut is not None}
     return {"axes": axes, "bounds": bounds, "at": at}
@@ -243,6 +242,5 @@ def _fields(section: _Section) -> tuple[list[str], dict[str, Any] | None]:
     chosen = [name for name in FAMILIES if section.flag(name)]
     slices = {"axis": "y"} if section.flag(SLICES) else None
     if not chosen and slices is None:
-        msg = f"{section.source}: nothing is True; switch on any of {', '.join((*FAMILIES, SLICES))}"
-        raise SceneError(msg)
+        raise SceneError(f"{section.source}: nothing is True; switch on any of {', '.join((*FAMILIES, SLICES))}")
     return chosen, slices

@@ -54,15 +54,15 @@ def open_job(job: Job) -> tuple[xr.Dataset, xr.Dataset, xr.Dataset | None]:
         return _opened(job)
     except (TypeError, KeyError, AttributeError, IndexError, OverflowError) as error:
         # arguments come from a file, where any type can stand for any other
-        msg = f"the job cannot be set up ({type(error).__name__}: {error}); check the types of what its file says"
-        raise SceneError(msg) from error
+        raise SceneError(
+            f"the job cannot be set up ({type(error).__name__}: {error}); check the types of what its file says"
+        ) from error
 
 
 def _opened(job: Job) -> tuple[xr.Dataset, xr.Dataset, xr.Dataset | None]:
     ds = conform(open_scene(**{**job.scene, "on_error": job.on_error}))  # a step that was saved alone gets its time
     if not ds.sizes["time"]:
-        msg = "nothing to do: the scene has no steps"
-        raise SceneError(msg)
+        raise SceneError("nothing to do: the scene has no steps")
     options = {**job.fields, "on_error": job.on_error}
     if job.phases is not None:
         assigned = {"edges", "mapping", "by"} & set(job.phases)
@@ -84,10 +84,9 @@ def _opened(job: Job) -> tuple[xr.Dataset, xr.Dataset, xr.Dataset | None]:
     if not (job.netcdf or job.vtkhdf):  # fields that no file takes are not computed
         fields = xr.Dataset()
     if job.slices is None and not fields.data_vars:
-        msg = (
+        raise SceneError(
             "nothing to do: no slice is asked for, and no field, or no file for fields (netcdf or vtkhdf of the output)"
         )
-        raise SceneError(msg)
     return ds, fields, None if job.slices is None else _slices(ds, job)
 
 
@@ -95,8 +94,7 @@ def _check_arguments(function: Callable[..., Any], given: Mapping[str, Any], tab
     known = [name for name in inspect.signature(function).parameters if name != "ds"]
     wrong = sorted(set(given) - set(known))
     if wrong:
-        msg = f"[{table}] has {wrong}; expected any of {', '.join(known)}{did_you_mean(wrong[0], known)}"
-        raise SceneError(msg)
+        raise SceneError(f"[{table}] has {wrong}; expected any of {', '.join(known)}{did_you_mean(wrong[0], known)}")
 
 
 def _slices(ds: xr.Dataset, job: Job) -> xr.Dataset:
@@ -178,14 +176,12 @@ def _begin(parts: Path, targets: list[Path], mark: str, *, overwrite: bool, resu
         if targets and there == targets and all(_made_by(path) == mark for path in targets):
             return False
         if (parts / "job").exists():
-            msg = (
+            raise SceneError(
                 f"{parts} is of a run whose job or input was another: files changed, or were added, since; start over "
                 "without --resume, or with --overwrite"
             )
-            raise SceneError(msg)
     if there and not (overwrite or begun):
-        msg = f"{there[0]} exists; choose another output folder or name, or overwrite it (--overwrite)"
-        raise FileExistsError(msg)
+        raise FileExistsError(f"{there[0]} exists; choose another output folder or name, or overwrite it (--overwrite)")
     for old in parts.parent.glob(f"{glob.escape(parts.name)}.*"):
         shutil.rmtree(old, ignore_errors=True)
     for target in targets:

@@ -53,11 +53,10 @@ class Stiffness:
         whole = self.E is not None and self.nu is not None
         positive = all(v is None or is_positive(v) for v in (self.k_n, self.E))
         if (linear and hertz) or (hertz and not whole) or not positive or not -1 < (self.nu or 0.0) <= 0.5:
-            msg = (
+            raise ValueError(
                 f"k_n={self.k_n!r}, E={self.E!r}, nu={self.nu!r}: expected k_n > 0 (N m-1) for linear springs, or both "
                 "E > 0 (Pa) and -1 < nu <= 0.5 for Hertz contacts, or none of them"
             )
-            raise ValueError(msg)
 
     @property
     def given(self) -> bool:
@@ -123,11 +122,10 @@ class Search:
         rows, branch = lattice.within(lattice.shortest(position[i] - position[j]), reach)
         i, j = i[rows], j[rows]
         if self.most is not None and len(i) > self.most:
-            msg = (
+            raise SceneError(
                 f"{source}: {len(i)} contacts among {len(ids)} particles, more than the {self.most} rows set aside; "
                 f"pass max_contacts={len(i)} or more to find_contacts, or load the scene first with ds.load()"
             )
-            raise SceneError(msg)
         length = np.linalg.norm(branch, axis=1)
         normal = np.divide(branch, length[:, None], out=np.zeros_like(branch), where=length[:, None] > 0)
         overlap = radius[i] + radius[j] - length
@@ -150,12 +148,11 @@ class Search:
         period, direction = lattice.closest
         if diameter.max(initial=0.0) + self.skin > period:
             row = int(np.argmax(diameter))
-            msg = (
+            raise SceneError(
                 f"{source}: particle {ids[row]} of diameter {diameter[row]:g} touches its own image (skin "
                 f"{self.skin:g}), as the period {direction} is {period:g}, and a contact with itself "
                 f"has no place in a scene; {REPEAT}"
             )
-            raise SceneError(msg)
 
 
 @takes_scene
@@ -227,12 +224,10 @@ def find_contacts(
     given = {k: v for k, v in locals().items() if k != "ds" and v is not None}
     require_scene(ds, ("diameter",), "find_contacts")
     if not ds.sizes["time"]:
-        msg = "find_contacts: the scene has no step; select one at least"
-        raise SceneError(msg)
+        raise SceneError("find_contacts: the scene has no step; select one at least")
     check_search(skin, method, levels)
     if max_contacts is not None and not (isinstance(max_contacts, (int, np.integer)) and max_contacts >= 0):
-        msg = f"max_contacts={max_contacts!r}: expected a whole number of rows, or None"
-        raise ValueError(msg)
+        raise ValueError(f"max_contacts={max_contacts!r}: expected a whole number of rows, or None")
     setup = describe(ds).setup
     read = [name for name in (*READ, *OPTIONAL) if name in ds]
     lazy = is_lazy(ds, read)

@@ -142,12 +142,11 @@ def _images_in(bounds: Bounds, position: NDArray, lattice: Lattice, source: str)
             first[k], high = bounds[axis]
             period = lattice.lengths[k]
             if high - first[k] > period * (1 + 1e-9):
-                msg = (
+                raise SceneError(
                     f"{source}: the region reaches from {first[k]:g} to {high:g} along {axis!r}, further than the "
                     f"period {period:g}, and would hold grains twice; take narrower bounds, or none along "
                     f"{axis!r} for the whole period"
                 )
-                raise SceneError(msg)
     for start in (corner, first):  # grains of the box stay as they are where bounds are in it, too
         position = lattice.wrapped(position, start, source)
     for k, axis in enumerate(COMPONENTS):

@@ -194,8 +194,7 @@ def microstructure(
     rate = _rate_source(ds, strain_rate)
     names = _choose(ds, quantities, rate, by)
     if axis is not None and axis not in setup.plane:
-        msg = f"axis={axis!r}: expected one of {', '.join(setup.plane)}"
-        raise ValueError(msg)
+        raise ValueError(f"axis={axis!r}: expected one of {', '.join(setup.plane)}")
     measured = _measured(names, rate)
     needed = {variable for name in measured for variable in QUANTITIES[name].needs}
     require_scene(ds, sorted(needed), f"microstructure ({', '.join(names)})")
@@ -220,31 +219,27 @@ def microstructure(
 def _check(min_contacts: int, rattlers: str, max_connectivity: int, strain: str) -> None:
     for name, value in (("min_contacts", min_contacts), ("max_connectivity", max_connectivity)):
         if not (isinstance(value, (int, np.integer)) and value >= 1):
-            msg = f"{name}={value!r}: expected a whole number of at least 1"
-            raise ValueError(msg)
+            raise ValueError(f"{name}={value!r}: expected a whole number of at least 1")
     for name, choice, known in (("rattlers", rattlers, ("count", "iterative")), ("strain", strain, STRAINS)):
         if choice not in known:
-            msg = f"{name}={choice!r}: expected one of {', '.join(map(repr, known))}"
-            raise ValueError(msg)
+            raise ValueError(f"{name}={choice!r}: expected one of {', '.join(map(repr, known))}")
 
 
 def _check_mixing(cell: float | None, weight: str, neighbours: int | None) -> None:
     if cell is not None and not is_positive(cell):
-        msg = f"cell={cell!r}: expected the edge of a cell (m), such as three diameters"
-        raise ValueError(msg)
+        raise ValueError(f"cell={cell!r}: expected the edge of a cell (m), such as three diameters")
     if weight not in ("number", "volume"):
-        msg = f"mixing_weight={weight!r}: expected 'number' or 'volume'"
-        raise ValueError(msg)
+        raise ValueError(f"mixing_weight={weight!r}: expected 'number' or 'volume'")
     if neighbours is not None and not (isinstance(neighbours, (int, np.integer)) and neighbours >= 1):
-        msg = f"neighbours={neighbours!r}: expected a whole number of at least 1"
-        raise ValueError(msg)
+        raise ValueError(f"neighbours={neighbours!r}: expected a whole number of at least 1")
 
 
 def _force_bins(edges: ArrayLike | None) -> NDArray:
     bins = FORCE_BINS if edges is None else floats(edges)
     if bins.ndim != 1 or len(bins) < 2 or not ((np.diff(bins) > 0).all() and bins[0] >= 0):
-        msg = f"force_bins={edges!r}: expected at least two increasing edges of f / <f>, such as np.logspace(-3, 1, 41)"
-        raise ValueError(msg)
+        raise ValueError(
+            f"force_bins={edges!r}: expected at least two increasing edges of f / <f>, such as np.logspace(-3, 1, 41)"
+        )
     return bins
 
 
@@ -255,11 +250,10 @@ def _regions(bounds: Bounds | Mapping[str, Bounds] | None) -> dict[str, Bounds]:
     for region in regions.values():
         for axis, edges in region.items():
             if axis not in COMPONENTS or np.shape(edges) != (2,) or not float(edges[0]) < float(edges[1]):
-                msg = (
+                raise ValueError(
                     f"bounds={bounds!r}: expected (low, high) for axes x, y or z, for example {{'z': (0.0, 0.1)}}, "
                     "or several such mappings by name of the region"
                 )
-                raise ValueError(msg)
     return regions
 
 
@@ -269,14 +263,15 @@ def _rate_source(ds: xr.Dataset, given: str | float | xr.DataArray | None) -> st
         return "box" if "box" in ds and "lattice" not in ds and ds.sizes.get("time", 0) > 1 else "velocity"
     if isinstance(given, str):
         if given not in ("box", "velocity"):
-            msg = f"strain_rate={given!r}: expected a rate (s-1), 'box' or 'velocity'"
-            raise ValueError(msg)
+            raise ValueError(f"strain_rate={given!r}: expected a rate (s-1), 'box' or 'velocity'")
         if given == "box" and ("box" not in ds or ds.sizes.get("time", 0) < 2):
-            msg = "strain_rate='box' needs a box and at least two steps; give the rate (s-1), or take 'velocity'"
-            raise ValueError(msg)
+            raise ValueError(
+                "strain_rate='box' needs a box and at least two steps; give the rate (s-1), or take 'velocity'"
+            )
         if given == "box" and "lattice" in ds:
-            msg = "strain_rate='box' is that of edges along x, y and z, and this box is tilted; take 'velocity'"
-            raise ValueError(msg)
+            raise ValueError(
+                "strain_rate='box' is that of edges along x, y and z, and this box is tilted; take 'velocity'"
+            )
         return given
     return given if isinstance(given, xr.DataArray) else xr.DataArray(float(given))
 
@@ -290,12 +285,10 @@ def _choose(
         unknown = [name for name in names if name not in NAMES]
         if unknown or not names:
             suggestions = "".join(did_you_mean(name, NAMES) for name in unknown)
-            msg = f"unknown quantities {unknown}: choose from {', '.join(NAMES)}{suggestions}"
-            raise ValueError(msg)
+            raise ValueError(f"unknown quantities {unknown}: choose from {', '.join(NAMES)}{suggestions}")
         mixing = [name for name in names if name in QUANTITIES and QUANTITIES[name].of_phases]
         if mixing and by is None:
-            msg = f"{', '.join(mixing)}: say which phases are mixed with by=, for example by='species'"
-            raise ValueError(msg)
+            raise ValueError(f"{', '.join(mixing)}: say which phases are mixed with by=, for example by='species'")
         if set(names) & set(STRAIN) and "box" not in ds:
             require_scene(ds, ("box",), "strain of the box")
         return tuple(dict.fromkeys(names))

@@ -136,11 +136,10 @@ def _near(
     # more parts than threads, as large particles take longer than small ones
     found = for_parts(len(centres), find, workers, each=8)
     if sum(counts) > most:
-        msg = (
+        raise SceneError(
             f"more than {most} pairs of near particles among {len(centres)}: positions coincide, or diameters or skin= "
             "are too large for their unit. Where so many are meant, give most= (max_contacts= of find_contacts)"
         )
-        raise SceneError(msg)
     low, high = (np.concatenate([part[side] for part in found]) for side in (0, 1))
     pairs = np.empty((len(low), 2), "int64")
     for_parts(len(centres), lambda first, last: sort_pairs(low, high, len(centres), first, last, pairs), workers)
@@ -153,19 +152,17 @@ def _spheres(position: ArrayLike, radius: ArrayLike) -> tuple[NDArray, NDArray]:
     if centres.size == 0:
         centres = centres.reshape(0, 3)
     if centres.ndim != 2 or centres.shape[1] not in (2, 3) or radii.shape != (len(centres),):
-        msg = (
+        raise SceneError(
             f"position has shape {np.shape(position)} and radius {np.shape(radius)}: expected (n, 3), or (n, 2) for a "
             "plane, and (n,)"
         )
-        raise SceneError(msg)
     wrong = ~(np.isfinite(centres).all(axis=1) & np.isfinite(radii) & (radii >= 0))
     if wrong.any():
         row = int(np.flatnonzero(wrong)[0])
-        msg = (
+        raise SceneError(
             f"particle {row} has position {centres[row]} and radius {radii[row]} ({int(wrong.sum())} such rows): "
             "expected finite coordinates and a radius of at least 0; repair or drop these rows"
         )
-        raise SceneError(msg)
     if centres.shape[1] == 2:
         centres = np.column_stack([centres, np.zeros(len(centres))])
     return np.ascontiguousarray(centres), radii
@@ -174,12 +171,9 @@ def _spheres(position: ArrayLike, radius: ArrayLike) -> tuple[NDArray, NDArray]:
 def check_search(skin: float, method: str, levels: int | None, threads: int | None = None) -> None:
     """Refuse options of the search that are not as expected."""
     if method not in METHODS:
-        msg = f"method={method!r}: expected one of {', '.join(map(repr, METHODS))}"
-        raise ValueError(msg)
+        raise ValueError(f"method={method!r}: expected one of {', '.join(map(repr, METHODS))}")
     if not (is_finite(skin) and skin >= 0):
-        msg = f"skin={skin!r}: expected 0 or the width of a gap that still counts as a contact (m)"
-        raise ValueError(msg)
+        raise ValueError(f"skin={skin!r}: expected 0 or the width of a gap that still counts as a contact (m)")
     for name, value in (("levels", levels), ("threads", threads)):
         if value is not None and not (isinstance(value, (int, np.integer)) and value >= 1):
-            msg = f"{name}={value!r}: expected a whole number of at least 1, or None to let it be chosen"
-            raise ValueError(msg)
+            raise ValueError(f"{name}={value!r}: expected a whole number of at least 1, or None to let it be chosen")

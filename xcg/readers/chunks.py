@@ -52,8 +52,7 @@ def chunk_sizes(chunks: Any, count: int, sensible: Callable[[], int]) -> tuple[i
         raise SceneError(msg)
     if np.ndim(chunks):
         if (sizes < 1).any() or sizes.sum() != count:
-            msg = f"chunks={chunks!r}: expected positive numbers that add up to the {count} steps"
-            raise SceneError(msg)
+            raise SceneError(f"chunks={chunks!r}: expected positive numbers that add up to the {count} steps")
         return tuple(sizes.tolist())
     size = max(1, count) if sizes[0] == -1 else int(sizes[0])
     if size < 1:

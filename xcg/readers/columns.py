@@ -94,18 +94,18 @@ def assign(ref: StepRef, slots: Slots, options: ReadOptions) -> dict[str, str]:
     for taken, count in Counter(slot for slot in given.values() if slot is not None).items():
         if count > 1:
             both = " and ".join(repr(column) for column in given if given[column] == taken)
-            msg = (
+            raise SceneError(
                 f"{source_of(ref)}: names maps {both} to {taken!r}, and only one of them can be; map the others to None"
             )
-            raise SceneError(msg)
     for column, slot in given.items():
         if slot is not None and slot not in PARTICLE_SLOTS and slot not in CONTACT_SLOTS:
             prefix = "contact_" if slot.startswith("contact_") else ""  # which all slots of contacts share
             alike = [word.removeprefix(prefix) for word in slots if word.startswith(prefix)]
             close = [prefix + word for word in difflib.get_close_matches(slot.removeprefix(prefix), alike, 3, 0.8)]
             if close:
-                msg = f"names={{{column!r}: {slot!r}}}: unknown; did you mean {' or '.join(map(repr, close))}?"
-                raise SceneError(msg)
+                raise SceneError(
+                    f"names={{{column!r}: {slot!r}}}: unknown; did you mean {' or '.join(map(repr, close))}?"
+                )
     mine = {slot: column for column, slot in given.items() if slot is not None and slot in slots}
     displaced = tuple(rival for first, rival in _RIVALS if any(slot.startswith(first) for slot in mine))
     free = [column for column in ref.columns if column not in given]
@@ -261,8 +261,9 @@ def particles_from(ref: StepRef, columns: Mapping[str, str], options: ReadOption
 
 def _edges(ref: StepRef) -> tuple[tuple[float, float], ...]:
     if ref.box is None:
-        msg = f"{source_of(ref)}: positions are in fractions of the box, and the header holds no 'BOX BOUNDS'"
-        raise SceneError(msg)
+        raise SceneError(
+            f"{source_of(ref)}: positions are in fractions of the box, and the header holds no 'BOX BOUNDS'"
+        )
     return ref.box
 
 
@@ -291,12 +292,11 @@ def contact_columns(ref: StepRef, slots: Slots, options: ReadOptions) -> dict[st
         raise _lacks(ref, "contact force", "contact_force_x")
     if there["contact_force"] and there["tangential_force"] and not there["normal_force"]:
         total, part = filled["contact_force_x"], filled["tangential_force_x"]
-        msg = (
+        raise SceneError(
             f"{source_of(ref)}: is '{total}' the whole contact force or its normal part, beside the tangential "
             f"'{part}'? Say names={{'{total}': 'normal_force_x', ...}} to add the two up, or "
             f"names={{'{part}': None, ...}} to take the first alone"
         )
-        raise SceneError(msg)
     used = ("contact_force",) if there["contact_force"] else ("normal_force", "tangential_force")
     unused = tuple(set(_FORCES) - set(used))
     own = {
@@ -363,11 +363,10 @@ def wall_columns(ref: StepRef, options: ReadOptions) -> dict[str, list[str]]:
         lacking = [column for column in found[wall] if column not in ref.columns]
         if (isinstance(given, str) and "*" not in given) or len(found[wall]) != len(_FORCE_AND_POINT) or lacking:
             there = f"; it has no {' '.join(lacking)}, but {' '.join(ref.columns)}" if lacking else ""
-            msg = (
+            raise SceneError(
                 f"{source_of(ref)}: walls={{{wall!r}: {given!r}}}: expected the columns of a 'fix wall/gran ... "
                 f"contacts', such as 'f_{wall}[*]', or names of six columns, force and point{there}"
             )
-            raise SceneError(msg)
     return found
 
 
@@ -388,8 +387,7 @@ def _check_ids(ref: StepRef, ids: NDArray) -> None:
     """Refuse ids that ``dump local`` cut to six digits, as it does unless told otherwise."""
     large = ids[ids >= 1e6]
     if len(large) > 10 and (large % 10 == 0).all():
-        msg = (
+        raise SceneError(
             f"{source_of(ref)}: ids above a million all end in 0, as they were written with six digits; write "
             "the file anew with 'dump_modify ... format float %.10g'"
         )
-        raise SceneError(msg)

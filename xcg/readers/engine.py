@@ -196,18 +196,19 @@ class Engine(ABC):
 
     def index_contacts(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
         """List the steps in files with contacts, from headers alone; see `index_particles`."""
-        msg = f"contacts=: the engine '{self.name}' reads particles only"
-        raise SceneError(msg)
+        raise SceneError(f"contacts=: the engine '{self.name}' reads particles only")
 
     def index_walls(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
         """List the steps in files with contacts with walls, where these are kept apart; `read_contacts` reads them."""
-        msg = f"walls=: the engine '{self.name}' reads contacts with walls among the others; give contacts= only"
-        raise SceneError(msg)
+        raise SceneError(
+            f"walls=: the engine '{self.name}' reads contacts with walls among the others; give contacts= only"
+        )
 
     def wall_step(self, ref: StepRef, options: ReadOptions) -> StepRef:
         """Return the contacts with walls that stand in columns of a step of particles, for `read_contacts`."""
-        msg = f"walls={dict(options.walls)!r}: the engine '{self.name}' reads no walls from columns of particles"
-        raise SceneError(msg)
+        raise SceneError(
+            f"walls={dict(options.walls)!r}: the engine '{self.name}' reads no walls from columns of particles"
+        )
 
     def unread_forces(self, ref: StepRef, options: ReadOptions) -> str:
         """Say which columns may hold the rest of the contact forces, and what to do then; "" where none do."""
@@ -227,8 +228,7 @@ class Engine(ABC):
         SceneError
             If the body does not fit its header.
         """
-        msg = f"contacts=: the engine '{self.name}' does not read contacts"
-        raise SceneError(msg)
+        raise SceneError(f"contacts=: the engine '{self.name}' does not read contacts")
 
     def contact_variables(self, ref: StepRef, options: ReadOptions) -> Sequence[str]:
         """Names of what `read_contacts` returns; told from the header where that is quicker than reading the step."""

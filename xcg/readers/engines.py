@@ -65,21 +65,17 @@ def load_engine(engine: str | Engine | type[Engine]) -> Engine:
         try:
             return given()
         except TypeError as error:
-            msg = f"engine={engine!r}: no object can be made of it without arguments ({error})"
-            raise SceneError(msg) from None
+            raise SceneError(f"engine={engine!r}: no object can be made of it without arguments ({error})") from None
     if not isinstance(given, Engine):
-        msg = f"engine={engine!r}: expected a name, or a class or object derived from xcg.readers.Engine"
-        raise SceneError(msg)
+        raise SceneError(f"engine={engine!r}: expected a name, or a class or object derived from xcg.readers.Engine")
     return given
 
 
 def _load(name: str) -> object:
     table = engine_table()
     if name not in table:
-        msg = f"engine={name!r}: expected one of {', '.join(table)}{did_you_mean(name, table)}"
-        raise SceneError(msg)
+        raise SceneError(f"engine={name!r}: expected one of {', '.join(table)}{did_you_mean(name, table)}")
     try:
         return table[name].load()
     except (ImportError, AttributeError) as error:
-        msg = f"the engine {name!r} ({table[name].value}) cannot be imported: {error}"
-        raise SceneError(msg) from error
+        raise SceneError(f"the engine {name!r} ({table[name].value}) cannot be imported: {error}") from error

@@ -65,8 +65,9 @@ def scene_from_table(
         touching = _frames(contacts, "contacts", said, contacts=True)
         unknown = sorted(set(touching) - set(steps))
         if unknown:
-            msg = f"contacts: rows of {unknown[0]}, and no particles of that time or step; there are {steps[:3]}"
-            raise SceneError(msg)
+            raise SceneError(
+                f"contacts: rows of {unknown[0]}, and no particles of that time or step; there are {steps[:3]}"
+            )
         empty = {name: values[:0] for name, values in next(iter(touching.values()))[1].items()}
         given |= _stacked([touching[key][1] if key in touching else empty for key in steps])
     position = given.pop("position")
@@ -113,5 +114,4 @@ def _numbers(data: pd.DataFrame, name: str, what: str) -> NDArray:
     try:
         return data[name].to_numpy(dtype="float64", na_value=np.nan)
     except (TypeError, ValueError) as error:
-        msg = f"{what}: column {name!r} holds other things than numbers ({error})"
-        raise SceneError(msg) from None
+        raise SceneError(f"{what}: column {name!r} holds other things than numbers ({error})") from None

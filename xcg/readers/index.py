@@ -82,8 +82,7 @@ def _counted(path: str, steps: Iterable[StepRef]) -> Iterator[StepRef]:
     """Pass steps on, and refuse a file of more than can be kept in memory and in a graph."""
     for number, step in enumerate(steps):
         if number == _MOST_STEPS:
-            msg = f"{path}: more than {_MOST_STEPS} steps in one file; split it, or thin it out"
-            raise SceneError(msg)
+            raise SceneError(f"{path}: more than {_MOST_STEPS} steps in one file; split it, or thin it out")
         yield step
 
 

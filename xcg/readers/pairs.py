@@ -47,8 +47,7 @@ def _check_same(first: StepRef, ref: StepRef, what: Sequence[str]) -> None:
         elif name in ("periodic", "units") and one != other:
             problems.append(f"{name}: {one!r} became {other!r} (the argument {name}= overrides both)")
     if problems:
-        msg = f"{source_of(first)} and {source_of(ref)} do not make one series: {'; '.join(problems)}"
-        raise SceneError(msg)
+        raise SceneError(f"{source_of(first)} and {source_of(ref)} do not make one series: {'; '.join(problems)}")
 
 
 def pair_steps(indexed: Mapping[str, list[StepRef]], times: ArrayLike | None, missing: str) -> list[Step]:
@@ -58,8 +57,9 @@ def pair_steps(indexed: Mapping[str, list[StepRef]], times: ArrayLike | None, mi
     if times is not None:
         given = floats(times)
         if given.shape != (len(refs),) or not np.isfinite(given).all():
-            msg = f"times has shape {given.shape}: expected {len(refs)} finite numbers, one a step of particles"
-            raise SceneError(msg)
+            raise SceneError(
+                f"times has shape {given.shape}: expected {len(refs)} finite numbers, one a step of particles"
+            )
         known = given.tolist()
     steps = _in_order([Step(ref, (), time) for ref, time in zip(refs, known, strict=True)], "particles")
     for kind in ("contacts", "walls"):
@@ -90,12 +90,11 @@ def _join(steps: list[Step], kind: str, refs: list[StepRef], missing: str) -> li
     unused = [ref for row, ref in enumerate(others) if row not in partner]
     if lacking and (missing == "raise" or not paired):
         same = "time" if timed else "step number"
-        msg = (
+        raise SceneError(
             f"{kind}: none of the same {same} for {len(lacking)} of {len(steps)} steps of the particles "
             f"({_some(lacking)}); there are {_some(others)}. Give the files that are missing, or leave such "
             "steps out with missing='skip'; if nothing touches in them, pass missing='empty'"
         )
-        raise SceneError(msg)
     if missing == "empty":
         paired = list(zip(steps, partner, strict=True))
     elif lacking:

@@ -46,8 +46,7 @@ def expand_paths(paths: PathLike | Iterable[PathLike], argument: str) -> list[st
                 raise
     if not found:
         errors.raise_recorded()
-        msg = f"{argument}=[]: expected at least one file"
-        raise FileNotFoundError(msg)
+        raise FileNotFoundError(f"{argument}=[]: expected at least one file")
     return list(dict.fromkeys(found))
 
 
@@ -56,19 +55,18 @@ def _expand(path: str, argument: str) -> list[str]:
         return [path]
     if os.path.isdir(path):
         if os.path.splitext(os.path.abspath(path))[1].lower() == ".zarr":
-            msg = f"{argument}={path!r} is a Zarr folder, which is opened alone, as a scene that xcg saved"
-            raise FileNotFoundError(msg)
+            raise FileNotFoundError(
+                f"{argument}={path!r} is a Zarr folder, which is opened alone, as a scene that xcg saved"
+            )
         pattern = os.path.join(path, "*.dump")
-        msg = f"{argument}={path!r} is a folder; give the files in it, for example {pattern!r}"
-        raise FileNotFoundError(msg)
+        raise FileNotFoundError(f"{argument}={path!r} is a folder; give the files in it, for example {pattern!r}")
     if glob.has_magic(path):
         files = [file for file in glob.glob(path, recursive=True) if os.path.isfile(file)]
         if files:
             return sorted(files, key=natural_key)
     folder, name = os.path.split(path)
     problem = "no file matches this pattern" if glob.has_magic(path) else "no such file"
-    msg = f"{argument}={path!r}: {problem}{_what_is_there(folder or '.', name)}"
-    raise FileNotFoundError(msg)
+    raise FileNotFoundError(f"{argument}={path!r}: {problem}{_what_is_there(folder or '.', name)}")
 
 
 def _what_is_there(folder: str, name: str) -> str:

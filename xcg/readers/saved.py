@@ -39,11 +39,10 @@ def saved_path(particles: PathLike | Iterable[PathLike]) -> str | None:
     found = [path for one in given for path in ([one] if os.path.exists(one) else sorted(glob.glob(one)))]
     saved = [path for path in found if _may_be_saved(Path(path))]
     if saved and len(found) > 1:
-        msg = (
+        raise SceneError(
             f"{saved[0]} is a scene that xcg saved, which is opened alone; open the {len(found)} files one by one, and "
             "join their scenes by xarray.concat(scenes, 'time')"
         )
-        raise SceneError(msg)
     return saved[0] if saved else None
 
 
@@ -78,13 +77,13 @@ def open_saved(path: str, chunks: Chunks) -> xr.Dataset:
         for name in {*ds.coords, *(BOX.keys() & ds.keys())}:  # numbers of steps and boxes, by which faults are told
             ds.variables[name].load()
     except (OSError, RuntimeError, ValueError, KeyError) as error:
-        msg = f"{path}: cannot be opened as {engine} ({type(error).__name__}: {error})"
-        raise SceneError(msg) from error
+        raise SceneError(f"{path}: cannot be opened as {engine} ({type(error).__name__}: {error})") from error
     if not ds.variables.keys() >= _OF_SCENES:
         held = ", ".join(map(str, list(ds.data_vars)[:5])) or "nothing"
         ds.close()
-        msg = f"{path} is no scene that xcg saved (it holds {held}); xarray.open_dataset opens fields and other data"
-        raise SceneError(msg)
+        raise SceneError(
+            f"{path} is no scene that xcg saved (it holds {held}); xarray.open_dataset opens fields and other data"
+        )
     if chunks is None:
         return ds
     of_time = next(iter(ds["time"].dims), None)  # None for a step that was selected alone, "step" after swap_dims
@@ -123,11 +122,10 @@ class _Read:
             return self.values[key].to_numpy()
         except (OSError, RuntimeError, ValueError, KeyError) as error:
             steps = key[0] if "time" in self.values.dims[:1] else slice(None)
-            msg = (
+            raise SceneError(
                 f"{self.named} cannot be read at the steps {steps.start or 0} to {(steps.stop or self.shape[0]) - 1} "
                 f"({type(error).__name__}: {error}); it is damaged, or gone: save the scene again"
-            )
-            raise SceneError(msg) from error
+            ) from error
 
 
 def _sensible(ds: xr.Dataset) -> int:

@@ -213,8 +213,7 @@ def open_scene(
         _refuse_beside(saved, given)
         return open_saved(saved, chunks)
     if missing not in ("raise", "skip", "empty"):
-        msg = f"missing={missing!r}: expected 'raise', 'skip' or 'empty'"
-        raise SceneError(msg)
+        raise SceneError(f"missing={missing!r}: expected 'raise', 'skip' or 'empty'")
     in_columns = dict(walls) if isinstance(walls, Mapping) else {}
     about_walls = named_walls(in_columns) if in_columns else {}
     kinds = {"particles": particles, "contacts": contacts, "walls": None if isinstance(walls, Mapping) else walls}
@@ -318,11 +317,10 @@ def _refuse_beside(saved: str, given: Mapping[str, Any]) -> None:
         if given[name] is not default and not (plain and given[name] == default):
             described.append(name)
     if described:
-        msg = (
+        raise SceneError(
             f"{saved} is a scene that xcg saved, which takes no {described[0]}=; give it where the files of the code "
             "are opened, before they are saved"
         )
-        raise SceneError(msg)
 
 
 # --- what cannot be opened -------------------------------------------------------------------------------
@@ -338,11 +336,10 @@ def _refuse_guesses(left_out: Mapping[str, str], files: Mapping[str, Sequence[st
     contacts = [path for kind in ("contacts", "walls") for path in files.get(kind, ())]
     damaged = [place for place in left_out if any(place.startswith(path) for path in contacts)]
     if damaged:
-        msg = (
+        raise SceneError(
             f"{left_out[damaged[0]]} -- With missing='empty' its step would count as one without contacts: take "
             "missing='skip' to leave out steps without contacts, or repair or remove the file"
         )
-        raise SceneError(msg)
 
 
 def _ends(
@@ -375,11 +372,10 @@ def _guess_engine(files: Mapping[str, Sequence[str]]) -> Engine:
     for engine in all_engines():
         if all(engine.recognises(path) for path in firsts):
             return engine
-    msg = (
+    raise SceneError(
         f"no engine recognises {' with '.join(firsts)}; name one with engine=: {', '.join(engine_table())}. For other "
         "formats, xcg.scene_from_arrays takes arrays, and engine= a reader of your own (docs/own_readers.md)"
     )
-    raise SceneError(msg)
 
 
 def _first_whole(paths: Sequence[str]) -> str:
@@ -398,8 +394,7 @@ def _check_options(engine: Engine, engine_options: Mapping[str, Any]) -> None:
     for option in engine_options:
         if option not in engine.OPTIONS:
             likely = did_you_mean(option, [*inspect.signature(open_scene).parameters, *engine.OPTIONS])
-            msg = f"open_scene has no argument {option!r} for the engine '{engine.name}'{likely}"
-            raise SceneError(msg)
+            raise SceneError(f"open_scene has no argument {option!r} for the engine '{engine.name}'{likely}")
 
 
 # --- the index ------------------------------------------------------------------------------------------
@@ -419,16 +414,14 @@ def _index(
     for kind, paths in files.items():
         refs = _stamped(getattr(reader, f"index_{kind}")(paths, options) or [], reader)
         if not refs:
-            msg = f"{kind}: no step in {', '.join(paths[:3])}{', ...' if len(paths) > 3 else ''}"
-            raise SceneError(msg)
+            raise SceneError(f"{kind}: no step in {', '.join(paths[:3])}{', ...' if len(paths) > 3 else ''}")
         same = [what for what in from_headers if kind == "particles" or what in ("units", "time")]
         indexed[kind] = one_series(refs, same)
     columns = {column for refs in indexed.values() for column in refs[0].columns}
     unknown = sorted(set(options.names) - columns)
     if unknown and columns:
         likely = did_you_mean(unknown[0], columns)
-        msg = f"names={{{unknown[0]!r}: ...}}: not among the columns {' '.join(sorted(columns))}{likely}"
-        raise SceneError(msg)
+        raise SceneError(f"names={{{unknown[0]!r}: ...}}: not among the columns {' '.join(sorted(columns))}{likely}")
     return indexed
 
 
@@ -449,15 +442,15 @@ def _stamped(refs: Iterable[StepRef], engine: Engine) -> list[StepRef]:
     stamped = []
     for ref in refs:
         if not isinstance(ref, StepRef):
-            msg = f"the engine '{engine.name}' lists {ref!r} as a step; expected a list of xcg.readers.StepRef"
-            raise SceneError(msg)
+            raise SceneError(
+                f"the engine '{engine.name}' lists {ref!r} as a step; expected a list of xcg.readers.StepRef"
+            )
         wrong = [f"{name}={getattr(ref, name)!r}" for name, fits in _FITS.items() if not fits(getattr(ref, name))]
         if wrong:
-            msg = (
+            raise SceneError(
                 f"{ref.path}: the engine '{engine.name}' gives a step {', '.join(wrong)}, which is of another type or "
                 "shape than xcg.readers.StepRef says"
             )
-            raise SceneError(msg)
         known = ref.size or ref.modified
         now = None if known else state(ref.path)
         stamped.append(replace(ref, size=now.st_size, modified=now.st_mtime_ns) if now else ref)
@@ -541,15 +534,13 @@ def _frozen_species(frozen: int | Sequence[int] | None, raw: Mapping[StepRef, Fr
         return None
     given = np.atleast_1d(floats(frozen)).tolist()
     if not all(number.is_integer() for number in given):
-        msg = f"frozen={frozen!r}: expected the number of a species, or several"
-        raise SceneError(msg)
+        raise SceneError(f"frozen={frozen!r}: expected the number of a species, or several")
     species = tuple(int(number) for number in given)
     there = np.unique(np.concatenate([frame.get("species", np.empty(0)) for frame in raw.values()]))
     absent = sorted(set(species) - set(there.tolist()))
     if absent:
         found = ", ".join(str(int(number)) for number in there) or "none"
-        msg = f"frozen={frozen!r}: no particle is of species {absent[0]}; there are {found}"
-        raise SceneError(msg)
+        raise SceneError(f"frozen={frozen!r}: no particle is of species {absent[0]}; there are {found}")
     return species
 
 

@@ -32,15 +32,13 @@ def units_of_headers(engine: Engine, indexed: Mapping[str, Sequence[StepRef]]) -
     named = {refs[0].units: source_of(refs[0]) for refs in indexed.values() if refs[0].units is not None}
     if len(named) > 1:
         found = ", ".join(f"{system!r} in {name}" for system, name in named.items())
-        msg = f"headers name different unit systems ({found}); give the factors to SI with units="
-        raise SceneError(msg)
+        raise SceneError(f"headers name different unit systems ({found}); give the factors to SI with units=")
     for system, name in named.items():
         if system not in UNIT_SYSTEMS:
-            msg = (
+            raise SceneError(
                 f"{name}: the header names the unit system {system!r}, known are {', '.join(UNIT_SYSTEMS)}; "
                 "give the factors to SI, for example units={'length': 1e-10, 'mass': 1e-3, 'time': 1e-15}"
             )
-            raise SceneError(msg)
         return UNIT_SYSTEMS[system]
     if names_no_units(engine, indexed):
         warn_user(
@@ -68,6 +66,7 @@ def not_against_headers(units: Mapping[str, float] | str, indexed: Mapping[str, 
                 if system == "lj"
                 else "leave units= out, or change 'ITEM: UNITS' in the files if it is wrong"
             )
-            msg = f"units={units!r}, but the header of {source_of(refs[0])} names the unit system {system!r}: {way_out}"
-            raise SceneError(msg)
+            raise SceneError(
+                f"units={units!r}, but the header of {source_of(refs[0])} names the unit system {system!r}: {way_out}"
+            )
     return units

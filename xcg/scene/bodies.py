@@ -54,8 +54,9 @@ def group_bodies(ds: xr.Dataset, by_body: str = "body_id") -> xr.Dataset:
     """
     require_scene(ds, ("mass", by_body), "group_bodies")
     if ds[by_body].dtype.kind not in "iu" or "particle" not in ds[by_body].dims:
-        msg = f"by_body={by_body!r} holds {ds[by_body].dtype}: expected an integer variable of the particles"
-        raise SceneError(msg)
+        raise SceneError(
+            f"by_body={by_body!r} holds {ds[by_body].dtype}: expected an integer variable of the particles"
+        )
     particles = [name for name in _PARTICLES if name in ds]
     contacts = [name for name in _CONTACTS if name in ds and "contact_i" in ds]
     made = [*particles, *(name for name in ("volume", "diameter") if name not in particles and "volume" in ds)]
@@ -160,10 +161,9 @@ def _bodies(frame: dict[str, NDArray], lattice: Lattice, source: str) -> tuple[d
             if differ.any():
                 other = differ.argmax()
                 one = first[group[other]]
-                msg = (
+                raise SceneError(
                     f"{source}: spheres {ids[one]} and {ids[other]} are of one body ({identity[one]}) and differ in "
                     f"{name} ({frame[name][one]}, {frame[name][other]}): give single spheres a negative body, or "
                     f"leave the variable out: ds.drop_vars({name!r})"
                 )
-                raise SceneError(msg)
     return bodies, identity

@@ -25,16 +25,13 @@ def box_array(box: ArrayLike | Mapping[str, Sequence[float]], steps: int) -> NDA
     if isinstance(box, Mapping):
         wrong = set(box) - set(COMPONENTS)
         if wrong:
-            msg = f"box has keys {sorted(wrong)}: expected {_BOX_FORMS}"
-            raise SceneError(msg)
+            raise SceneError(f"box has keys {sorted(wrong)}: expected {_BOX_FORMS}")
         box = [box.get(axis, (-np.inf, np.inf)) for axis in COMPONENTS]
     edges = floats(box)
     if edges.shape not in ((3, 2), (steps, 3, 2)):
-        msg = f"box has shape {edges.shape}: expected {_BOX_FORMS}, or one such array a step"
-        raise SceneError(msg)
+        raise SceneError(f"box has shape {edges.shape}: expected {_BOX_FORMS}, or one such array a step")
     if not (edges[..., 0] < edges[..., 1]).all():
-        msg = f"box={box!r}: the lower edge of every axis must lie below the upper edge"
-        raise SceneError(msg)
+        raise SceneError(f"box={box!r}: the lower edge of every axis must lie below the upper edge")
     return np.broadcast_to(edges, (steps, 3, 2)).copy()
 
 
@@ -75,18 +72,18 @@ def with_lattice(
     """
     if edges is None:
         if lattice is not None or shear_rate:
-            msg = f"lattice={lattice!r}, shear_rate={shear_rate!r}: give the edges without the tilt, too (box=)"
-            raise SceneError(msg)
+            raise SceneError(
+                f"lattice={lattice!r}, shear_rate={shear_rate!r}: give the edges without the tilt, too (box=)"
+            )
         return {}
     found = {"box": edges}
     if lattice is None:
         if shear_rate and any(np.any(rate) for rate in shear_rate.values()):
-            msg = (
+            raise SceneError(
                 f"shear_rate={dict(shear_rate)!r}: where images are, along the shear, is not known from edges; give "
                 f"the tilt at each step as well: lattice={{{next(iter(shear_rate))!r}: tilts}}, in Lees-Edwards boxes "
                 "the offset of the images"
             )
-            raise SceneError(msg)
         return found
     vectors = _vectors(edges, lattice, periodic)
     rates = _rates(vectors, periodic, time) if shear_rate is None else _entries(edges, shear_rate, "shear_rate", per=1)
@@ -103,15 +100,17 @@ def _entries(edges: NDArray, given: Mapping[str, ArrayLike], name: str, per: int
     wrong = set(given) - set(_SHEARS) if isinstance(given, Mapping) else {repr(given)}
     out = np.zeros((len(edges), 3, 3))
     if wrong:
-        msg = f"{name} names {sorted(wrong)}: expected a mapping from any of {', '.join(_SHEARS)} to numbers"
-        raise SceneError(msg)
+        raise SceneError(
+            f"{name} names {sorted(wrong)}: expected a mapping from any of {', '.join(_SHEARS)} to numbers"
+        )
     for key, values in given.items():
         i, j = (COMPONENTS.index(axis) for axis in key)
         numbers = floats(values)
         length = edges[:, j, 1] - edges[:, j, 0] if per else 1.0
         if numbers.shape not in ((), (len(edges),)) or not np.isfinite(numbers * length).all():
-            msg = f"{name}[{key!r}]={values!r}: expected a finite number, or one for each of {len(edges)} steps"
-            raise SceneError(msg)
+            raise SceneError(
+                f"{name}[{key!r}]={values!r}: expected a finite number, or one for each of {len(edges)} steps"
+            )
         out[:, j, i] = numbers * length
     return out
 
@@ -125,18 +124,16 @@ def _vectors(edges: NDArray, lattice: ArrayLike | Mapping[str, ArrayLike], perio
         return vectors
     vectors = floats(lattice)
     if vectors.shape not in ((3, 3), (len(edges), 3, 3)):
-        msg = f"lattice has shape {vectors.shape}: expected {_TILT_FORMS}"
-        raise SceneError(msg)
+        raise SceneError(f"lattice has shape {vectors.shape}: expected {_TILT_FORMS}")
     vectors = np.broadcast_to(vectors, (len(edges), 3, 3)).copy()
     for axis in periodic:
         k = COMPONENTS.index(axis)
         off = np.flatnonzero(~(np.abs(vectors[:, k, k] - lengths[:, k]) <= 1e-9 * lengths[:, k]))
         if off.size:
-            msg = (
+            raise SceneError(
                 f"lattice vector {'abc'[k]} is {vectors[off[0], k].tolist()}, and the box without its tilt is "
                 f"{lengths[off[0], k]:g} long along {axis!r}: expected that as its component along {axis!r}"
             )
-            raise SceneError(msg)
         vectors[:, k, k] = lengths[:, k]
     return vectors
 

@@ -108,8 +108,9 @@ def _split_steps(name: str, values: Any) -> list[NDArray]:
         return [array]
     if array.ndim == dims + 1:
         return list(array)
-    msg = f"'{name}' has shape {array.shape}: expected {dims} dimensions for one step, or {dims + 1} with time first"
-    raise SceneError(msg)
+    raise SceneError(
+        f"'{name}' has shape {array.shape}: expected {dims} dimensions for one step, or {dims + 1} with time first"
+    )
 
 
 def _split_own(name: str, values: Any, rows: Sequence[int]) -> list[NDArray]:
@@ -122,17 +123,15 @@ def _split_own(name: str, values: Any, rows: Sequence[int]) -> list[NDArray]:
     if len(rows) == 1 and array.shape[:1] == (rows[0],):
         return [array]
     if name.startswith("contact_") and not any(rows):
-        msg = (
+        raise SceneError(
             f"{name!r} is a variable of contacts, as its name begins with 'contact_', and there are none: give them as "
             "contact_i= and contact_j=, or give a variable of particles another name"
         )
-        raise SceneError(msg)
-    msg = (
+    raise SceneError(
         f"{name!r} has shape {np.shape(values) if isinstance(values, np.ndarray) else (len(values), '...')}: expected "
         f"(n,), (n, 3) or (n, 3, 3) for a step, with n = {', '.join(map(str, rows[:3]))}{', ...' * (len(rows) > 3)}, "
         f"and one such array for each of {len(rows)} steps"
     )
-    raise SceneError(msg)
 
 
 def scene_from_arrays(
@@ -235,16 +234,14 @@ def scene_from_arrays(
         steps[name] = _split_own(name, given[name], [len(one) for one in steps.get(key, [])])
     counts = {name: len(values) for name, values in steps.items()}
     if len(set(counts.values())) > 1:
-        msg = f"variables have different numbers of steps: {counts}"
-        raise SceneError(msg)
+        raise SceneError(f"variables have different numbers of steps: {counts}")
     total = counts["position"]
     refuse_mask("time", time)
     times = np.arange(total, dtype=float) if time is None else np.atleast_1d(np.asarray(time, float)) * setup.scales[2]
     numbers = np.arange(total) if step is None else np.atleast_1d(step)
     for name, values in (("time", times), ("step", numbers)):
         if values.shape != (total,):
-            msg = f"{name}= has shape {values.shape}: expected one value for each of the {total} steps"
-            raise SceneError(msg)
+            raise SceneError(f"{name}= has shape {values.shape}: expected one value for each of the {total} steps")
     check_times(times, "a scene", "sort the steps, and leave out those that stand twice")
     length = setup.scales[0]
     edges = None if box is None else box_array(box, total) * length
@@ -316,8 +313,9 @@ def _prefix(steps: Mapping[str, list[NDArray]], names: Sequence[str], key: str, 
     held = there != PADDING if other == "contact_j" else np.isfinite(there.reshape(len(there), -1)).any(axis=1)
     if len(held) == len(valid) and (held & ~valid).any():
         row = int(np.flatnonzero(held & ~valid)[0])
-        msg = f"{source}: row {row} has {key!r} {PADDING}, which marks a row without data, and has {other!r}: {what}"
-        raise SceneError(msg)
+        raise SceneError(
+            f"{source}: row {row} has {key!r} {PADDING}, which marks a row without data, and has {other!r}: {what}"
+        )
     return {name: values[valid] for name, values in frame.items()}
 
 

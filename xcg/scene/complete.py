@@ -39,18 +39,18 @@ def _check_rows(frame: Frame, dim: str, source: str) -> None:
             bad = int(np.argwhere(~np.isfinite(values))[0][0])
             problems.append(f"'{name}' is not finite in row {bad}: {values[bad]}")
     if problems:
-        msg = f"{source}: " + "; ".join(problems) + ". Every row must hold finite numbers: repair or drop it."
-        raise SceneError(msg)
+        raise SceneError(
+            f"{source}: " + "; ".join(problems) + ". Every row must hold finite numbers: repair or drop it."
+        )
 
 
 def refuse_mask(name: str, values: Any, where: str = "") -> None:
     """Refuse masked values: what stands below the mask would count."""
     if np.ma.is_masked(values):
-        msg = (
+        raise SceneError(
             f"{where}'{name}' is a masked array with {np.ma.count_masked(values)} masked values; leave out such rows "
             "of all variables (steps may differ in length), or fill them"
         )
-        raise SceneError(msg)
 
 
 def _typed(frame: Mapping[str, ArrayLike], setup: Setup, source: str) -> Frame:
@@ -64,16 +64,16 @@ def _typed(frame: Mapping[str, ArrayLike], setup: Setup, source: str) -> Frame:
             whole = np.rint(array)
             if array.size and not (np.isfinite(array).all() and (array == whole).all()):
                 bad = int(np.flatnonzero(~np.isfinite(array) | (array != np.rint(array)))[0])
-                msg = f"{source}: '{name}' must hold whole numbers, but row {bad} is {array.flat[bad]}"
-                raise SceneError(msg)
+                raise SceneError(f"{source}: '{name}' must hold whole numbers, but row {bad} is {array.flat[bad]}")
             array = whole
         try:
             if array.dtype.kind in "cmM":  # NumPy would make numbers of them
                 raise TypeError
             typed[name] = array.astype(row.dtype, order="C")
         except (TypeError, ValueError):
-            msg = f"{source}: '{name}' holds {array.dtype}, expected real numbers; give each text a number of its own"
-            raise SceneError(msg) from None
+            raise SceneError(
+                f"{source}: '{name}' holds {array.dtype}, expected real numbers; give each text a number of its own"
+            ) from None
         factor = setup.factor(row.powers)
         if factor != 1.0:
             typed[name] *= factor
@@ -103,8 +103,7 @@ def complete_particles(frame: Mapping[str, ArrayLike], setup: Setup, source: str
     """
     given = _typed(frame, setup, source)
     if not np.ndim(given.get("position", 0.0)):
-        msg = f"{source}: no positions; expected a variable 'position' with three components"
-        raise SceneError(msg)
+        raise SceneError(f"{source}: no positions; expected a variable 'position' with three components")
     count = len(given["position"])
     ids = given.setdefault("particle_id", np.arange(count, dtype="int64"))
     _check_rows(given, "particle", source)
@@ -118,27 +117,25 @@ def complete_particles(frame: Mapping[str, ArrayLike], setup: Setup, source: str
             if repeated.size:
                 rows = order[repeated[0] : repeated[0] + 2]
                 twice = f"particle id {ids[repeated[0]]} occurs twice (rows {rows[0]} and {rows[1]})"
-                msg = f"{source}: {twice}; ids must be unique"
-                raise SceneError(msg)
+                raise SceneError(f"{source}: {twice}; ids must be unique")
         if ids[0] < 0:
             negative = f"particle id {ids[0]} in row {0 if order is None else order[0]} is negative"
-            msg = f"{source}: {negative}; negative ids are kept for walls and padding"
-            raise SceneError(msg)
+            raise SceneError(f"{source}: {negative}; negative ids are kept for walls and padding")
     for name in ("diameter", "density", "mass", "volume", "moment_of_inertia"):
         may_be_zero = name in ("mass", "moment_of_inertia")
         if name in given and (given[name] <= 0).any() and not (may_be_zero and (given[name] >= 0).all()):
             bad = int(np.flatnonzero(given[name] <= 0)[0])
-            msg = f"{source}: '{name}' of particle {ids[bad]} is {given[name][bad]}; expected a positive number"
-            raise SceneError(msg)
+            raise SceneError(
+                f"{source}: '{name}' of particle {ids[bad]} is {given[name][bad]}; expected a positive number"
+            )
     _complete_size_and_mass(given, setup)
     if "diameter" in given:
         beyond = np.flatnonzero(~((given["diameter"] >= SHORTEST) & (given["diameter"] <= LONGEST)))
         if beyond.size:
-            msg = (
+            raise SceneError(
                 f"{source}: 'diameter' of particle {ids[beyond[0]]} is {given['diameter'][beyond[0]]:.3g} m, expected "
                 f"{SHORTEST:g} to {LONGEST:g} m; check the units, and the volume or mass that it follows from"
             )
-            raise SceneError(msg)
     return given
 
 
@@ -223,8 +220,7 @@ def complete_contacts(
         given["contact_normal"] = unit_vectors(lattice.shortest(branch))
     missing = [name for name in ("contact_i", "contact_j", "contact_force") if name not in given]
     if missing:
-        msg = f"{source}: contacts lack {missing}; map the file's names to these with names={{...}}"
-        raise SceneError(msg)
+        raise SceneError(f"{source}: contacts lack {missing}; map the file's names to these with names={{...}}")
     _check_rows(given, "contact", source)
     seen = given.pop("contact_branch", None)
     i, j = given["contact_i"], given["contact_j"]
@@ -234,25 +230,24 @@ def complete_contacts(
     self_contact = np.flatnonzero(i == j)
     if self_contact.size:
         row = self_contact[0]
-        msg = (
+        raise SceneError(
             f"{source}: contact row {number[row]} joins particle {i[row]} with itself; drop such rows. If it "
             f"touches its own image, {REPEAT}"
         )
-        raise SceneError(msg)
     if (i < 0).any():
         row = int(np.flatnonzero(i < 0)[0])
-        msg = f"{source}: contact row {number[row]} has id {i[row]} as 'contact_i'; a wall must stand as 'contact_j'"
-        raise SceneError(msg)
+        raise SceneError(
+            f"{source}: contact row {number[row]} has id {i[row]} as 'contact_i'; a wall must stand as 'contact_j'"
+        )
     unknown = (row_i < 0) | ((row_j < 0) & (j >= 0))
     if unknown.any() and not allow_unknown:
         row = int(np.flatnonzero(unknown)[0])
         name, value = ("contact_i", i[row]) if row_i[row] < 0 else ("contact_j", j[row])
-        msg = (
+        raise SceneError(
             f"{source}: contact row {number[row]} has {name}={value}, and no particle has this id "
             f"({int(unknown.sum())} such rows); check that particles and contacts are of the same step, or pass "
             "allow_unknown=True to treat unknown partners as walls"
         )
-        raise SceneError(msg)
     derived = np.asarray(frame.get("point_is_middle", np.full(len(i), "contact_point" not in given)))
     if derived.any() or "contact_point" not in given:
         given["contact_point"] = _derive_points(given, number, derived, particles, row_i, row_j, seen, lattice, source)
@@ -339,12 +334,11 @@ def _copies(
         wrong = turned & same & ~opposite
         if wrong.any():
             first, second = number[rows[one[wrong][0]]], number[rows[other[wrong][0]]]
-            msg = (
+            raise SceneError(
                 f"{source}: contact rows {first} and {second} list one contact from both sides with the same force, "
                 f"{force[one[wrong][0]]}, so that both sides cancel; contact_force is that on contact_i: turn "
                 "the sign of one of them, or list each contact once"
             )
-            raise SceneError(msg)
     return rows[copy]
 
 
@@ -412,15 +406,15 @@ def _contact_points(
     alone = (row_i < 0) | (row_j < 0)
     if alone.any() and not {"contact_point", "overlap"} <= set(contacts):
         row = int(np.flatnonzero(alone)[0])
-        msg = (
+        raise SceneError(
             f"{source}: contact row {contacts['row_of_file'][row]} (i={contacts['contact_i'][row]}, "
             f"j={contacts['contact_j'][row]}) has no contact point, and none follows without both spheres; give "
             "'contact_point' for contacts with walls"
         )
-        raise SceneError(msg)
     if "diameter" not in particles:
-        msg = f"{source}: contact points follow from diameters, but the particles have none; give one of the two"
-        raise SceneError(msg)
+        raise SceneError(
+            f"{source}: contact points follow from diameters, but the particles have none; give one of the two"
+        )
     position, radius = particles["position"], particles["diameter"] / 2
     points = contacts.get("contact_point", np.empty((len(row_i), 3))).copy()
     both, only = np.flatnonzero(~alone), np.flatnonzero(alone & (np.maximum(row_i, row_j) >= 0))
@@ -431,8 +425,7 @@ def _contact_points(
         if wrong.size:
             row = both[wrong[0]]
             pair = f"i={contacts['contact_i'][row]}, j={contacts['contact_j'][row]}"
-            msg = f"{source}: contact row {contacts['row_of_file'][row]} ({pair}) {what}"
-            raise SceneError(msg)
+            raise SceneError(f"{source}: contact row {contacts['row_of_file'][row]} ({pair}) {what}")
 
     centre, radius_i, radius_j = position[i], radius[i], radius[j]
     branch = _branches(centre - position[j], radius_i + radius_j, seen, lattice, refuse)

@@ -174,11 +174,10 @@ def with_components(ds: xr.Dataset) -> xr.Dataset:
     """
     found = in_order(ds, "component", COMPONENTS)
     if found is None:
-        msg = (
+        raise SceneError(
             f"the scene holds the components {labels_along(ds, 'component')}, and all of x, y, z are needed, each "
             "once: select components in the results, and axes with axes= and at="
         )
-        raise SceneError(msg)
     return found
 
 
@@ -207,12 +206,11 @@ def _with_dims(array: xr.DataArray, row: Variable) -> xr.DataArray:
         return array if array.dims == expected else array.transpose(*expected)
     size = array.size / max(array.sizes.get("time", 1), 1)
     if lacking or not set(spread) <= {"particle", "contact"} or not 0 < size <= _MOST_SPREAD:
-        msg = (
+        raise SceneError(
             f"'{array.name}' has the dimensions {dict(array.sizes)}, expected {expected}. Where xarray's 'where' or "
             "'concat' spread it over rows that are not its own, select by ds.map(lambda v: v.where(chosen) if "
             "'particle' in v.dims else v), and join with data_vars='minimal'"
         )
-        raise SceneError(msg)
     for dim in spread:
         whole = array.chunk({dim: -1}) if array.chunks is not None else array
         array = _mapped(partial(_same, name=str(array.name), dim=dim), whole, array.dtype, dim)
@@ -259,11 +257,10 @@ def _same(values: NDArray, name: str, dim: str) -> NDArray:
     """Take the one value along the last axis, NaN aside."""
     low, high = np.fmin.reduce(values, axis=-1), np.fmax.reduce(values, axis=-1)
     if (low < high).any():
-        msg = (
+        raise SceneError(
             f"'{name}' differs along '{dim}', as where parts with other contacts or boxes are joined by xr.concat "
             "(build the joined scene with xcg.scene_from_arrays), or where 'where' puts other values than NaN into rows"
         )
-        raise SceneError(msg)
     return low
 
 
@@ -271,6 +268,5 @@ def _whole(values: NDArray, name: str) -> NDArray:
     """Whole numbers from floats, NaN as padding."""
     padded = np.where(np.isnan(values), PADDING, values)
     if (padded != np.rint(padded)).any():
-        msg = f"'{name}' holds {padded[padded != np.rint(padded)][0]!r}, expected whole numbers"
-        raise SceneError(msg)
+        raise SceneError(f"'{name}' holds {padded[padded != np.rint(padded)][0]!r}, expected whole numbers")
     return padded.astype("int64")

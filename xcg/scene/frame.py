@@ -45,11 +45,10 @@ def particle_rows(ids: NDArray, source: str = "scene") -> slice | NDArray:
     twice = np.flatnonzero(np.diff(ids[rows]) == 0)
     if twice.size:
         one, other = rows[twice[0] : twice[0] + 2]
-        msg = (
+        raise SceneError(
             f"{source}: particle id {ids[one]} occurs twice (rows {one} and {other}); ids must be unique: select parts "
             "that do not overlap before they are joined, or give the particles of one part other ids"
         )
-        raise SceneError(msg)
     return rows
 
 
@@ -86,11 +85,10 @@ def check_finite(name: str, frame: Frame, source: str) -> None:
     row = int(np.argwhere(~np.isfinite(frame[name]))[0][0])
     at_contacts = variable(name).dims[0] == "contact"
     whose = f"contact row {row}" if at_contacts else f"particle {frame['particle_id'][row]}"
-    msg = (
+    raise SceneError(
         f"{source}: {name!r} of {whose} is {frame[name][row]}; every row must hold finite numbers: repair it, or leave "
         "the row out of the scene"
     )
-    raise SceneError(msg)
 
 
 def phase_of(frame: Frame, by: str | None, groups: Sequence[int], source: str) -> NDArray:
@@ -102,11 +100,10 @@ def phase_of(frame: Frame, by: str | None, groups: Sequence[int], source: str) -
     row = np.minimum(np.searchsorted(known, values), len(known) - 1)
     strange = np.flatnonzero(known[row] != values)
     if strange.size:
-        msg = (
+        raise SceneError(
             f"{source}: particle {frame['particle_id'][strange[0]]} has {by}={values[strange[0]]}, which is not among "
             f"the groups {list(groups)}; pass groups= with every value that occurs"
         )
-        raise SceneError(msg)
     return row
 
 

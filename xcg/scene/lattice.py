@@ -6,7 +6,7 @@ sheared, an image moves with ``n_a da/dt + n_b db/dt + n_c dc/dt`` relative to i
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -63,11 +63,10 @@ class Lattice:
         vectors = np.asarray(given, float)[axes]
         lengths = np.linalg.norm(vectors, axis=1)
         if not (np.isfinite(vectors).all() and np.isfinite(rates).all() and _volume(vectors) > 1e-12 * lengths.prod()):
-            msg = (
+            raise SceneError(
                 f"{source}: the lattice vectors of the periodic axes {periodic!r} are {vectors.tolist()} (m), moving "
                 f"with {rates.tolist()} (m/s); expected finite vectors that span a volume"
             )
-            raise SceneError(msg)
         straight = np.zeros((len(axes), 3))
         straight[range(len(axes)), axes] = lengths
         if edges is not None and not rates.any() and (vectors == straight).all():
@@ -75,12 +74,6 @@ class Lattice:
         cell = np.zeros((3, 3))
         cell[axes] = vectors
         return cls(np.full(3, np.inf), edges, *_reduced(vectors, rates), cell)
-
-    @property
-    def key(self) -> Hashable:
-        """What two lattices share only if they have the same images, which move alike, by the same vectors."""
-        given = self.period, self.vectors, self.rates, self.cell
-        return tuple(None if numbers is None else numbers.tobytes() for numbers in given)
 
     @property
     def lengths(self) -> NDArray:
@@ -227,8 +220,9 @@ class Lattice:
             # along this axis only its own vector leads, so that wrapping along the others leaves it as it is
             free = next((k for k in reversed(left) if cell[k, k] and not any(cell[j, k] for j in left if j != k)), None)
             if free is None:
-                msg = f"{source}: the lattice {cell.tolist()} has no axis that one of its vectors leads along alone"
-                raise SceneError(msg)
+                raise SceneError(
+                    f"{source}: the lattice {cell.tolist()} has no axis that one of its vectors leads along alone"
+                )
             left.remove(free)
             x = position[:, free]
             position -= np.floor((x - first[free]) / cell[free, free])[:, None] * cell[free]
@@ -252,12 +246,11 @@ class Lattice:
             tilted = vectors[(vectors * active).any(axis=1) & (vectors * ~active).any(axis=1)].any(axis=0)
             shown = [a for a, leads in zip(COMPONENTS, tilted & active, strict=True) if leads]
             hidden = [a for a, leads in zip(COMPONENTS, tilted & ~active, strict=True) if leads]
-            msg = (
+            raise SceneError(
                 f"{source}: the box is tilted, so that its images along {' and '.join(hidden)} are shifted along "
                 f"{' and '.join(shown)}, and an average along {' and '.join(hidden)} alone does not exist; resolve "
                 f"more axes (axes={self._resolvable(active)!r}) and average the result"
             )
-            raise SceneError(msg)
         return Lattice(self.period, self.edges, *_reduced(flat, rates))
 
     def hides_shear(self, active: NDArray) -> bool:
@@ -347,11 +340,10 @@ def _periods(edges: NDArray | None, axes: list[int], source: str) -> NDArray:
         lengths[k] = np.nan if edges is None else edges[k, 1] - edges[k, 0]
         if not (np.isfinite(lengths[k]) and lengths[k] > 0):
             axis = COMPONENTS[k]
-            msg = (
+            raise SceneError(
                 f"{source}: axis '{axis}' is periodic, but the box has no finite extent along it; give its edges, "
                 f"for example box={{'{axis}': (0.0, 0.1)}}"
             )
-            raise SceneError(msg)
     return lengths
 
 
@@ -368,11 +360,10 @@ def _independent(vectors: NDArray) -> bool:
 def _numbers(low: NDArray, high: NDArray, source: str) -> NDArray:
     """All rows of whole numbers (m, k) from `low` to `high` (k,)."""
     if not np.prod(high - low + 1) <= _MOST_IMAGES:
-        msg = (
+        raise SceneError(
             f"{source}: the box is so small that {np.prod(high - low + 1):.3g} periodic images are within reach; it is "
             "damaged, or the kernel is too wide"
         )
-        raise SceneError(msg)
     axes = [np.arange(first, last + 1) for first, last in zip(low, high, strict=True)]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(low)) if axes else np.zeros((1, 0))
 

@@ -66,9 +66,8 @@ def partners(first: Frame, later: Frame, sources: tuple[str, str]) -> NDArray:
     """
     rows = rows_of(later["particle_id"], first["particle_id"])
     if len(rows) and (rows < 0).all():
-        msg = (
+        raise SceneError(
             f"{sources[0]} and {sources[1]} have no particle id in common: grains are followed by ids that stay the "
             "same from step to step; choose a smaller lag, or open the files with names= for the column of such ids"
         )
-        raise SceneError(msg)
     return rows

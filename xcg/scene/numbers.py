@@ -43,8 +43,7 @@ def vector(name: str, given: Any, *, infinite: bool = False, error: type[ValueEr
     """Check three finite numbers (3,), or infinite ones where these mean something; `name` is the caller's for them."""
     values = floats(given)
     if values.shape != (3,) or np.isnan(values).any() or not (infinite or np.isfinite(values).all()):
-        msg = f"{name}={given!r}: expected three {'' if infinite else 'finite '}numbers (x, y, z)"
-        raise error(msg)
+        raise error(f"{name}={given!r}: expected three {'' if infinite else 'finite '}numbers (x, y, z)")
     return values
 
 
@@ -52,8 +51,9 @@ def unit_vector(name: str, given: Any) -> NDArray:
     """Check three finite numbers that are not all zero, and make their length one; (3,)."""
     values = vector(name, given)
     if not values.any():
-        msg = f"{name}={given!r}: expected a direction, three finite numbers (x, y, z) that are not all zero"
-        raise ValueError(msg)
+        raise ValueError(
+            f"{name}={given!r}: expected a direction, three finite numbers (x, y, z) that are not all zero"
+        )
     return unit(values)
 
 
@@ -67,7 +67,6 @@ def rising_pair(name: str, given: Any, *, equal: bool = False) -> tuple[float, f
     """Check two finite numbers of which the second is larger, or `equal` to the first where that is allowed."""
     ends = floats(given)
     if ends.shape != (2,) or not np.isfinite(ends).all() or ends[0] > ends[1] or (ends[0] == ends[1] and not equal):
-        msg = f"{name}={given!r}: expected (first, last) with first {'<=' if equal else '<'} last"
-        raise ValueError(msg)
+        raise ValueError(f"{name}={given!r}: expected (first, last) with first {'<=' if equal else '<'} last")
     low, high = ends.tolist()
     return low, high

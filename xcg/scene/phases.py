@@ -71,16 +71,14 @@ def find_phases(ds: xr.Dataset, max_phases: int = 8, *, steps: int = 5, seed: in
     require_scene(ds, ("diameter", "density"), "find_phases")
     for name, value in (("max_phases", max_phases), ("steps", steps)):
         if not is_whole(value, 1):
-            msg = f"{name}={value!r}: expected a whole number, 1 or more"
-            raise ValueError(msg)
+            raise ValueError(f"{name}={value!r}: expected a whole number, 1 or more")
     count = ds.sizes["time"]
     some = np.unique(np.linspace(0, count - 1, min(int(steps), count)).round().astype(int))
     read = ds[["diameter", "density"]].isel(time=some).compute()
     properties = np.stack([read[name].to_numpy().ravel() for name in ("diameter", "density")], axis=1)
     properties = properties[np.isfinite(properties).all(axis=1)]
     if not len(properties):
-        msg = f"find_phases: no grains in steps {some.tolist()}; give phases by assign_phases(edges=[...])"
-        raise SceneError(msg)
+        raise SceneError(f"find_phases: no grains in steps {some.tolist()}; give phases by assign_phases(edges=[...])")
     mean = properties.mean(axis=0)
     scale = np.maximum(properties.std(axis=0), NOISE * np.abs(mean))
     labels, scores = _cluster((properties - mean) / scale, int(max_phases), seed)
@@ -131,21 +129,20 @@ def assign_phases(
         Unless one of `edges` and `mapping` is given, or if edges do not rise.
     """
     if (edges is None) == (mapping is None):
-        msg = "assign_phases takes one of edges=[...] (diameters between phases) and mapping={type: phase}"
-        raise ValueError(msg)
+        raise ValueError("assign_phases takes one of edges=[...] (diameters between phases) and mapping={type: phase}")
     if edges is not None:
         require_scene(ds, ("diameter",), "assign_phases")
         rising = floats(edges)
         if rising.ndim != 1 or not np.isfinite(rising).all() or not (np.diff(rising) > 0).all():
-            msg = f"edges={edges!r}: expected diameters (m) that rise, such as [0.002, 0.004]"
-            raise ValueError(msg)
+            raise ValueError(f"edges={edges!r}: expected diameters (m) that rise, such as [0.002, 0.004]")
         found = _by_properties(ds, ("diameter",), partial(_between, edges=rising), f"between {rising.tolist()}")
         return mark_measured(found, ["phase"]).assign_attrs(phase_values=np.arange(1, len(rising) + 2))
     require_scene(ds, (by,), "assign_phases")
     table = {int(value): int(phase) for value, phase in (mapping or {}).items()}
     if not table or min(table.values()) < 0:
-        msg = f"mapping={mapping!r}: expected phases that are not negative, for example {{1: 1, 2: 1, 3: 2}}"
-        raise ValueError(msg)
+        raise ValueError(
+            f"mapping={mapping!r}: expected phases that are not negative, for example {{1: 1, 2: 1, 3: 2}}"
+        )
     found = _by_properties(ds, (by,), partial(_mapped, table=table, name=by), f"from {by} by {table}")
     return mark_measured(found, ["phase"]).assign_attrs(phase_values=np.unique(list(table.values())))
 
@@ -252,7 +249,6 @@ def _between(diameter: NDArray, *, edges: NDArray) -> NDArray:
 def _mapped(values: NDArray, *, table: Mapping[int, int], name: str) -> NDArray:
     unknown = sorted(set(np.unique(values).tolist()) - set(table))
     if unknown:
-        msg = f"mapping={dict(table)!r} lacks {name}={unknown}, which grains have; add all that occur"
-        raise SceneError(msg)
+        raise SceneError(f"mapping={dict(table)!r} lacks {name}={unknown}, which grains have; add all that occur")
     found, row = np.unique(values, return_inverse=True)
     return np.array([table[int(value)] for value in found], "int64")[row]

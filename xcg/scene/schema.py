@@ -189,25 +189,20 @@ class Setup:
 
     def __post_init__(self) -> None:
         if set(self.periodic) - set(COMPONENTS):
-            msg = f"periodic={self.periodic!r}: expected any of 'x', 'y', 'z', for example periodic='xy'"
-            raise SceneError(msg)
+            raise SceneError(f"periodic={self.periodic!r}: expected any of 'x', 'y', 'z', for example periodic='xy'")
         if self.dimension not in (2, 3) or len(self.plane) != self.dimension or set(self.plane) - set(COMPONENTS):
-            msg = (
+            raise SceneError(
                 f"dimension={self.dimension!r} with plane={self.plane!r}: expected dimension=3, "
                 "or dimension=2 with the two axes of the plane, for example plane='xy'"
             )
-            raise SceneError(msg)
         if self.shape not in ("sphere", "disc"):
-            msg = f"shape={self.shape!r}: expected 'sphere' or 'disc'"
-            raise SceneError(msg)
+            raise SceneError(f"shape={self.shape!r}: expected 'sphere' or 'disc'")
         for name in ("density", "thickness"):
             value = getattr(self, name)
             if value is not None and not is_positive(value):
-                msg = f"{name}={value!r}: expected a positive number"
-                raise SceneError(msg)
+                raise SceneError(f"{name}={value!r}: expected a positive number")
         if self.shape == "disc" and self.thickness is None:
-            msg = "discs need thickness=: their volume is pi d^2/4 times the thickness of the layer"
-            raise SceneError(msg)
+            raise SceneError("discs need thickness=: their volume is pi d^2/4 times the thickness of the layer")
 
     @classmethod
     def make(
@@ -226,15 +221,13 @@ class Setup:
         elif isinstance(units, Mapping):
             wrong = set(units) - {"length", "mass", "time"}
             if wrong or not all(is_positive(v) for v in units.values()):
-                msg = (
+                raise SceneError(
                     f"units={dict(units)!r}: expected positive factors to SI for any of 'length' (m), 'mass' (kg) "
                     "and 'time' (s), for example units={'length': 1e-3}"
                 )
-                raise SceneError(msg)
             scales = (units.get("length", 1.0), units.get("mass", 1.0), units.get("time", 1.0))
         elif units is not None and str(units).upper() != "SI":
-            msg = f"units={units!r}: expected None (SI), 'reduced', or factors like {{'length': 1e-3}}"
-            raise SceneError(msg)
+            raise SceneError(f"units={units!r}: expected None (SI), 'reduced', or factors like {{'length': 1e-3}}")
         if gravity is not None:
             x, y, z = vector("gravity", gravity, error=SceneError).tolist()
             gravity = (x, y, z)

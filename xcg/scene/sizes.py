@@ -101,6 +101,7 @@ MEASURED_ATTRIBUTES = {"position": _RANGES["position"], "diameter": SIZES}
 
 
 def without_attrs(ds: xr.Dataset, names: Collection[str]) -> xr.Dataset:
+    """Return the scene without some of its attributes."""
     return ds.drop_attrs(deep=False).assign_attrs({k: v for k, v in ds.attrs.items() if k not in names})
 
 

@@ -13,8 +13,9 @@ from xcg.scene.schema import SceneError
 def _require_numbers(times: NDArray, purpose: str) -> None:
     """Refuse dates and durations of NumPy, whose numbers are nanoseconds or the like."""
     if times.dtype.kind not in "fiu":
-        msg = f"{purpose}: expected times as numbers (s), and these are {times.dtype}; ds.assign_coords(time=seconds)"
-        raise SceneError(msg)
+        raise SceneError(
+            f"{purpose}: expected times as numbers (s), and these are {times.dtype}; ds.assign_coords(time=seconds)"
+        )
 
 
 def check_times(time: NDArray, purpose: str, way_out: str) -> None:
@@ -23,8 +24,7 @@ def check_times(time: NDArray, purpose: str, way_out: str) -> None:
     late = np.flatnonzero(~(time[1:] > time[:-1]))
     if not np.isfinite(time).all() or late.size:
         found = f"{time[late[0] + 1]} follows {time[late[0]]} at index {late[0] + 1}" if late.size else f"{time}"
-        msg = f"{purpose} needs finite times that rise from step to step, and {found}; {way_out}"
-        raise SceneError(msg)
+        raise SceneError(f"{purpose} needs finite times that rise from step to step, and {found}; {way_out}")
 
 
 def require_rising_times(ds: xr.Dataset, purpose: str) -> None:
@@ -37,8 +37,9 @@ def evenly_spaced(values: NDArray, what: str) -> float:
     _require_numbers(values, what)
     steps = np.diff(values)
     if not (steps > 0).all() or not np.allclose(steps, steps[0], rtol=1e-4, atol=0.0):
-        msg = f"{what} at equal distances are needed, and these are {steps.min():.6g} to {steps.max():.6g} apart"
-        raise SceneError(msg)
+        raise SceneError(
+            f"{what} at equal distances are needed, and these are {steps.min():.6g} to {steps.max():.6g} apart"
+        )
     return float((values[-1] - values[0]) / len(steps))
 
 
@@ -61,6 +62,5 @@ def step_at(ds: xr.Dataset, position: int, name: str) -> xr.Dataset:
         return ds
     count = ds.sizes["time"]
     if not is_whole(position, -count, count - 1):
-        msg = f"{name}={position!r}: expected the position of a step, from {-count} to {count - 1}"
-        raise ValueError(msg)
+        raise ValueError(f"{name}={position!r}: expected the position of a step, from {-count} to {count - 1}")
     return ds.isel(time=int(position))

@@ -44,11 +44,10 @@ def turn_scene(ds: xr.Dataset, axes: NDArray, origin: NDArray) -> xr.Dataset:
         a for a, row in zip(COMPONENTS, axes, strict=True) if not any(abs(row[k]) > 1.0 - _SAME for k in across)
     )
     if across and len(plane) != len(COMPONENTS) - len(across):
-        msg = (
+        raise SceneError(
             f"the scene is a layer in the plane {ds.attrs['plane']!r}, and the axes {axes.tolist()} lead out of it: "
             "turn it about the axis across its plane"
         )
-        raise SceneError(msg)
     found = {}
     for name in map(str, ds.data_vars):
         dims = [dim for dim in ("component", "direction") if dim in ds[name].dims]

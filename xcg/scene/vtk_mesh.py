@@ -36,11 +36,9 @@ def read_mesh(path: str | os.PathLike[str], *, empty: bool = False) -> Any:
     """
     path = Path(path)
     if path.suffix.lower() not in READERS:
-        msg = f"{path}: expected a mesh in {', '.join(READERS)}"
-        raise ValueError(msg)
+        raise ValueError(f"{path}: expected a mesh in {', '.join(READERS)}")
     if not path.is_file():
-        msg = f"{path}: there is no such file"
-        raise FileNotFoundError(msg)
+        raise FileNotFoundError(f"{path}: there is no such file")
     module, name = READERS[path.suffix.lower()]
     reader = getattr(importlib.import_module(f"vtkmodules.{module}"), name)()
     problems: list[str] = []
@@ -56,8 +54,7 @@ def read_mesh(path: str | os.PathLike[str], *, empty: bool = False) -> Any:
     reader.Update()
     mesh = reader.GetOutput()
     if problems or mesh is None or not (empty or mesh.GetNumberOfPoints()):
-        msg = f"{path}: VTK reads no points from it" + "".join(f"; {problem}" for problem in problems[:1])
-        raise ValueError(msg)
+        raise ValueError(f"{path}: VTK reads no points from it" + "".join(f"; {problem}" for problem in problems[:1]))
     return mesh
 
 

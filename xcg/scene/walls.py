@@ -28,8 +28,7 @@ def named_walls(names: Iterable[str]) -> dict[str, Any]:
     names = list(names)
     wrong = [name for name in names if not isinstance(name, str) or len(name.split()) != 1]
     if wrong:
-        msg = f"walls: {wrong[0]!r} is no name of a wall: expected a word without blanks"
-        raise SceneError(msg)
+        raise SceneError(f"walls: {wrong[0]!r} is no name of a wall: expected a word without blanks")
     return {"wall_names": " ".join(names), "wall_ids": FIRST_WALL - np.arange(len(names))}
 
 
@@ -53,14 +52,13 @@ def numbers_of_walls(ds: xr.Dataset, walls: Walls) -> tuple[int, ...]:
     for wall in given:
         if isinstance(wall, str) and wall not in known:
             there = f"the walls of this scene are {', '.join(known)}" if known else "no wall of this scene has a name"
-            msg = f"walls: {wall!r} is unknown, {there}{did_you_mean(wall, known)}; or give numbers as in contact_j"
-            raise ValueError(msg)
+            raise ValueError(
+                f"walls: {wall!r} is unknown, {there}{did_you_mean(wall, known)}; or give numbers as in contact_j"
+            )
         if not isinstance(wall, str) and not (isinstance(wall, int | np.integer) and wall < 0):
-            msg = f"walls: {wall!r} is no wall: expected names, or negative numbers as in contact_j"
-            raise ValueError(msg)
+            raise ValueError(f"walls: {wall!r} is no wall: expected names, or negative numbers as in contact_j")
     if not given:
-        msg = "walls: none is given; expected names, or negative numbers as in contact_j"
-        raise ValueError(msg)
+        raise ValueError("walls: none is given; expected names, or negative numbers as in contact_j")
     return tuple(dict.fromkeys(known[wall] if isinstance(wall, str) else int(wall) for wall in given))
 
 

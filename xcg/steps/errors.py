@@ -38,8 +38,9 @@ class SkippedStep(SceneWarning):
 def check_on_error(on_error: str) -> str:
     """Refuse what is no choice of `on_error`."""
     if on_error not in ON_ERROR:
-        msg = f"on_error={on_error!r}: expected 'raise' (stop at the first error) or 'skip' (go on without the step)"
-        raise ValueError(msg)
+        raise ValueError(
+            f"on_error={on_error!r}: expected 'raise' (stop at the first error) or 'skip' (go on without the step)"
+        )
     return on_error
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import version
@@ -14,10 +14,7 @@ from numpy.typing import NDArray
 
 from xcg.scene.build import storable
 from xcg.scene.description import Description
-from xcg.scene.kept import Kept
-from xcg.scene.outline import NoKeyError, key_of
 from xcg.scene.schema import COMPONENTS, Variable, units_of
-from xcg.scene.sizes import numbers_of
 from xcg.steps.skip import SKIPPED, Result
 
 # attributes of a scene that hold for its results, too
@@ -25,8 +22,6 @@ ABOUT = (
     "Conventions", "engine", "files", "periodic", "gravity", "unit_system", "dimension", "plane", "skipped_files",
     "frame", "frame_axes", "frame_origin",
 )  # fmt: skip
-_LAYOUTS = 16  # of results, that are kept
-_layouts: Kept[xr.Dataset] = Kept(_LAYOUTS)
 AXES = {"component": list(COMPONENTS), "direction": list(COMPONENTS), "principal": [1, 2, 3]}
 
 
@@ -54,115 +49,29 @@ def label(
 ) -> xr.Dataset:
     """Label arrays, time first, as a result of the scene `ds`; with further variables, coordinates by their dimension.
 
-    All go into the Dataset as it is made: what is assigned to one afterwards costs nearly as much as making it. Results
-    in memory are copies of a layout that is kept, with other arrays, which takes a third of making one.
+    All go into the Dataset as it is made: what is assigned to one afterwards costs nearly as much as making it.
     """
-    further = further or {}
-    numbers = {name: array for name, array in arrays.items() if name != SKIPPED}
-    data = {name: given for name, given in further.items() if name not in given.dims}
-    try:
-        key = _key(ds, variables, numbers, further)
-    except NoKeyError:
-        result = _lay_out(ds, variables, numbers, further)
-    else:
-
-        def layout() -> xr.Dataset:
-            blank = {
-                name: xr.Variable(given.dims, _blank(given), given.attrs, given.encoding)
-                for name, given in data.items()
-            }
-            numberless = {name: _blank(array) for name, array in numbers.items()}
-            return read_only_labels(_lay_out(ds, variables, numberless, {**further, **blank}))
-
-        own = {name: numbers_of(given) for name, given in data.items()}
-        result = with_numbers(_layouts.or_new(key, layout), numbers | own)
+    system = ds.attrs.get("unit_system", "SI")
+    data = {}
+    for name, array in arrays.items():
+        if name != SKIPPED:
+            row = variables[name]
+            about = {"units": units_of(row.powers, system), "long_name": row.long_name}
+            data[name] = xr.Variable(("time", *row.dims), array, about)
+    data |= further or {}
+    # those of the scene may be changed in place
+    coords: dict[str, Any] = {name: given.copy() for name, given in times_of(ds).items()}
+    used = {dim for given in data.values() for dim in given.dims}
+    coords |= {dim: (dim, values) for dim, values in AXES.items() if dim in used}
+    result = storable(xr.Dataset(data, coords))
     result.attrs = provenance(ds, call) | attrs
     return mark_skipped(result, arrays)
-
-
-def _key(
-    ds: xr.Dataset, variables: Mapping[str, Variable], arrays: Mapping[str, Any], further: Mapping[str, xr.Variable]
-) -> Hashable:
-    """Return all that the layout of a result is made from.
-
-    Raises
-    ------
-    NoKeyError
-        If an array is lazy, or labels have no key.
-    """
-    if not all(isinstance(array, np.ndarray) for array in arrays.values()):
-        msg = "the result is lazy"
-        raise NoKeyError(msg)
-    rows = tuple((name, variables[name], array.shape, array.dtype) for name, array in arrays.items())
-    labels = tuple((name, key_of_variable(given)) for name, given in times_of(ds).items())
-    others = tuple(
-        (name, given.dims, key_of_variable(given) if name in given.dims else (given.shape, given.dtype, *_notes(given)))
-        for name, given in further.items()
-    )
-    return key_of(ds.attrs.get("unit_system", "SI")), rows, labels, others
-
-
-def _notes(given: xr.Variable) -> tuple[Hashable, Hashable]:
-    return key_of(given.attrs), key_of(given.encoding)
-
-
-def key_of_variable(given: xr.Variable) -> Hashable:
-    """Return the key of a variable with its numbers and attributes, see `xcg.scene.outline.key_of`."""
-    return key_of(numbers_of(given)), *_notes(given)
 
 
 def times_of(ds: xr.Dataset) -> dict[str, xr.Variable]:
     """Coordinates along time of a scene, which its results have, too."""
     coords = ds.coords
     return {name: ds.variables[name] for name in ("time", "step") if name in coords}
-
-
-def _blank(array: Any) -> NDArray:
-    """Array of this shape and type that takes no memory."""
-    return np.broadcast_to(np.zeros((), array.dtype), array.shape)
-
-
-def _lay_out(
-    ds: xr.Dataset, variables: Mapping[str, Variable], arrays: Mapping[str, Any], further: Mapping[str, xr.Variable]
-) -> xr.Dataset:
-    system = ds.attrs.get("unit_system", "SI")
-    data = {}
-    for name, array in arrays.items():
-        row = variables[name]
-        data[name] = xr.Variable(
-            ("time", *row.dims), array, {"units": units_of(row.powers, system), "long_name": row.long_name}
-        )
-    data |= further
-    # those of the scene may be changed in place
-    coords: dict[str, Any] = {name: given.copy() for name, given in times_of(ds).items()}
-    used = {dim for variable in data.values() for dim in variable.dims}
-    coords |= {dim: (dim, values) for dim, values in AXES.items() if dim in used}
-    return storable(xr.Dataset(data, coords))
-
-
-def read_only_labels(layout: xr.Dataset) -> xr.Dataset:
-    """Forbid to change the labels of indexes, which all results of a layout share: pandas before 3 allows it."""
-    for index in layout.indexes.values():
-        if isinstance(index.values, np.ndarray):
-            index.values.flags.writeable = False
-    return layout
-
-
-def with_numbers(layout: xr.Dataset, arrays: Mapping[Any, Any]) -> xr.Dataset:
-    """Copy a layout, with these arrays and coordinates of its own; only indexes are shared.
-
-    `Dataset.copy` makes all indexes anew, which takes half of its time.
-    """
-    result, indexes = layout.drop_encoding(), layout.xindexes
-    variables = result.variables
-    for name, given in layout.variables.items():
-        if given.encoding:
-            variables[name].encoding = given.encoding
-        if name in arrays:
-            variables[name].data = arrays[name]
-        elif name not in indexes:
-            variables[name].data = given.data.copy()
-    return result
 
 
 def mark_skipped(result: xr.Dataset, arrays: Mapping[str, Any]) -> xr.Dataset:

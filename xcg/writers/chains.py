@@ -101,14 +101,14 @@ def targets(fc: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool) ->
     """Name the file of each step, and refuse names that are taken, before any step is computed; errors as `to_csv`."""
     pattern, count = os.fspath(path), with_time(fc).sizes.get("time", 1)
     if count > 1 and "{step}" not in pattern:
-        msg = f"path={pattern!r} is one file, and there are {count} steps; put {{step}} into the name"
-        raise ValueError(msg)
+        raise ValueError(f"path={pattern!r} is one file, and there are {count} steps; put {{step}} into the name")
     numbers = np.atleast_1d(fc["step"].to_numpy()).tolist() if "step" in fc.coords else range(count)
     files = [Path(pattern.replace("{step}", str(number))) for number in numbers]
     if len(set(files)) < count:
         twice = next(file for file in files if files.count(file) > 1)
-        msg = f"{twice} is the name of several steps, whose numbers are equal; give others by assign_coords(step=...)"
-        raise ValueError(msg)
+        raise ValueError(
+            f"{twice} is the name of several steps, whose numbers are equal; give others by assign_coords(step=...)"
+        )
     for file in files:
         check_file(file, overwrite=overwrite)
     return files

@@ -25,7 +25,6 @@ from xarray.backends.locks import get_dask_scheduler, get_write_lock
 
 from xcg.steps.each import chunks_of_time
 from xcg.steps.graph import Gathered
-from xcg.steps.memory import memory_is_kept
 from xcg.steps.progress import Progress, shown
 
 if TYPE_CHECKING:
@@ -69,7 +68,7 @@ def write_chunks(ds: xr.Dataset, write: Write, steps: int = 1) -> None:
     if not arrays:
         return
     graph, name = graph_of(arrays, write, steps)
-    with _config(), memory_is_kept():
+    with _config():
         Delayed(name, graph).compute()
 
 

@@ -57,15 +57,12 @@ class Encoding:
         """
         kind = None if dtype is None else np.dtype(dtype).name
         if kind not in (None, "float32", "float64"):
-            msg = f"dtype={dtype!r}: expected 'float32' or 'float64'"
-            raise ValueError(msg)
+            raise ValueError(f"dtype={dtype!r}: expected 'float32' or 'float64'")
         most = _MOST_DIGITS[4 if kind == "float32" else 8]
         if digits is not None and not (isinstance(digits, int) and 1 <= digits <= most):
-            msg = f"digits={digits!r}: expected a whole number from 1 to {most} for {kind or 'float64'}"
-            raise ValueError(msg)
+            raise ValueError(f"digits={digits!r}: expected a whole number from 1 to {most} for {kind or 'float64'}")
         if compression is not None and compression not in range(10):
-            msg = f"compression={compression!r}: expected a level from 1 to 9, or 0 for none"
-            raise ValueError(msg)
+            raise ValueError(f"compression={compression!r}: expected a level from 1 to 9, or 0 for none")
         if compression is None:  # see the table in docs/saving.md
             padded = "particle" in ds.dims or "contact" in ds.dims
             compression = int(padded or digits is not None or kind == "float32")

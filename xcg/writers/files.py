@@ -72,8 +72,7 @@ def write_by_vtk(writer: Any, data: Any, path: Path, *, overwrite: bool) -> None
         writer.SetInputData(data)
         writer.SetFileName(os.fspath(part))
         if not writer.Write():
-            msg = f"{path}: VTK cannot write it; is the disk full?"
-            raise OSError(msg)
+            raise OSError(f"{path}: VTK cannot write it; is the disk full?")
 
 
 def abandon() -> None:
@@ -88,16 +87,16 @@ def check_target(path: Path, *, overwrite: bool) -> None:
     if path.exists() and not overwrite:
         raise FileExistsError(exists_message(path))
     if not path.parent.is_dir():
-        msg = f"{path}: the folder {path.parent} does not exist; create it first"
-        raise FileNotFoundError(msg)
+        raise FileNotFoundError(f"{path}: the folder {path.parent} does not exist; create it first")
 
 
 def check_file(path: Path, *, overwrite: bool) -> None:
     """Refuse a name as `check_target`, and that of a folder: said before all is computed."""
     check_target(path, overwrite=overwrite)
     if path.is_dir():
-        msg = f"{path} is a folder, and a file is not put in its place; choose another name, or remove the folder"
-        raise IsADirectoryError(msg)
+        raise IsADirectoryError(
+            f"{path} is a folder, and a file is not put in its place; choose another name, or remove the folder"
+        )
 
 
 def exists_message(path: Path) -> str:

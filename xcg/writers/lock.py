@@ -45,11 +45,10 @@ def _take(path: Path, what: str) -> int:
         if not _try_lock(file):
             holder = os.read(file, 32).decode("ascii", "replace").strip()
             os.close(file)
-            msg = (
+            raise FileExistsError(
                 f"{what} is being written by another run{f' (process {holder})' if holder else ''}; wait for it to "
                 "end, or choose another output folder or name"
             )
-            raise FileExistsError(msg)
         if _is_at(file, path):
             os.ftruncate(file, 0)
             os.write(file, str(os.getpid()).encode())

@@ -128,8 +128,7 @@ class Recorder:
 
     def __init__(self, path: Path, request: Request, encoding: Encoding, *, overwrite: bool) -> None:
         if path.suffix not in _FORMATS:
-            msg = f"{path}: expected a name that ends with .nc (NetCDF) or .zarr (Zarr)"
-            raise ValueError(msg)
+            raise ValueError(f"{path}: expected a name that ends with .nc (NetCDF) or .zarr (Zarr)")
         check_target(path, overwrite=True)
         self.path, self.steps = path, 0
         self._request, self._encoding, self._overwrite = request, encoding, overwrite
@@ -148,8 +147,9 @@ class Recorder:
     def _continue(self) -> None:
         with xr.open_dataset(self.path, chunks=None, engine="zarr" if self.path.suffix == ".zarr" else None) as there:
             if "time" not in there.dims:
-                msg = f"{self.path}: this is no record of fields over time; pass overwrite=True to replace it"
-                raise SceneError(msg)
+                raise SceneError(
+                    f"{self.path}: this is no record of fields over time; pass overwrite=True to replace it"
+                )
             self._remember(there)
 
     def _remember(self, fields: xr.Dataset) -> None:
@@ -218,8 +218,7 @@ def _one_step(fields: xr.Dataset) -> xr.Dataset:
     if "time" in fields.dims:
         return fields.transpose("time", ...)
     if "time" not in fields.coords:
-        msg = "what is recorded needs the coordinate 'time'"
-        raise SceneError(msg)
+        raise SceneError("what is recorded needs the coordinate 'time'")
     step = {"step": ("time", [fields["step"].item()], fields["step"].attrs)} if "step" in fields.coords else {}
     return fields.expand_dims("time").assign_coords(step)
 
@@ -254,8 +253,9 @@ def _check(before: xr.Dataset, fields: xr.Dataset, path: Path) -> None:
         if not np.array_equal(before.attrs.get(name, ""), fields.attrs.get(name, "")):
             problems.append(f"{name} is {fields.attrs.get(name)!r} instead of {before.attrs.get(name)!r}")
     if problems:
-        msg = f"{path}: this step is not like those that are there: {'; '.join(problems)}; record it in another file"
-        raise SceneError(msg)
+        raise SceneError(
+            f"{path}: this step is not like those that are there: {'; '.join(problems)}; record it in another file"
+        )
 
 
 def _alike(one: xr.DataArray, other: xr.DataArray) -> bool:

@@ -62,14 +62,11 @@ def register_writer(suffix: str, write: Writer) -> None:
     >>> xcg.register_writer(".csv", write_csv)
     """
     if not suffix.startswith(".") or len(suffix) < 2:
-        msg = f"suffix={suffix!r}: expected the end of a name with its dot, such as '.csv'"
-        raise ValueError(msg)
+        raise ValueError(f"suffix={suffix!r}: expected the end of a name with its dot, such as '.csv'")
     if suffix in _WRITERS and _WRITERS[suffix] != write:
-        msg = f"suffix={suffix!r} is taken; choose another one"
-        raise ValueError(msg)
+        raise ValueError(f"suffix={suffix!r} is taken; choose another one")
     if not callable(write):
-        msg = f"write={write!r}: expected a function write(ds, path, encoding, overwrite=...)"
-        raise ValueError(msg)
+        raise ValueError(f"write={write!r}: expected a function write(ds, path, encoding, overwrite=...)")
     _WRITERS[suffix] = write
 
 
@@ -141,11 +138,10 @@ def save(
         raise ValueError(msg + (f", or with {', '.join(added)}" if added else ""))
     with_units = [str(name) for name, v in ds.variables.items() if type(v._data).__module__.startswith("pint")]
     if with_units:
-        msg = (
+        raise TypeError(
             f"{', '.join(with_units)}: expected plain numbers, not quantities of pint; "
             "ds.pint.dequantify(format='~C') keeps the units as attributes"
         )
-        raise TypeError(msg)
     encoding = Encoding.of(ds, dtype, digits, compression)
     check_target(path, overwrite=overwrite)
     writer = _WRITERS[path.suffix]

@@ -25,8 +25,7 @@ def write_pvd(ds: xr.Dataset, path: Path, encoding: Encoding, *, overwrite: bool
         If these are chains, or no image; see `to_vtkhdf`.
     """
     if "chain_id" in ds:
-        msg = f"{path}: chains are no image; save them as .vtkhdf, or step by step with to_vtp"
-        raise ValueError(msg)
+        raise ValueError(f"{path}: chains are no image; save them as .vtkhdf, or step by step with to_vtp")
     fields = encoding.noted(checked(ds))
     Image.of(fields)  # what is no image is refused before anything is written
     write_series(fields, path, ".vti", partial(_write_step, encoding, overwrite=overwrite), overwrite=overwrite)

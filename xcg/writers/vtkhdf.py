@@ -161,8 +161,9 @@ def arrays_of(fields: xr.Dataset) -> list[_Array]:
         components = 3 ** len({"component", "direction"} & set(data.dims))
         dtype = _storable(data.dtype)
         if dtype is None:
-            msg = f"'{name}' holds {data.dtype}, expected numbers; leave it out with fields.drop_vars('{name}')"
-            raise ValueError(msg)
+            raise ValueError(
+                f"'{name}' holds {data.dtype}, expected numbers; leave it out with fields.drop_vars('{name}')"
+            )
         if "phase" not in data.dims:
             arrays.append(_Array(str(name), str(name), None, components, dtype))
             continue
@@ -172,8 +173,9 @@ def arrays_of(fields: xr.Dataset) -> list[_Array]:
     names = [array.name for array in arrays]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
-        msg = f"several arrays would be named {twice}; rename the variables or phases that lead to these names"
-        raise ValueError(msg)
+        raise ValueError(
+            f"several arrays would be named {twice}; rename the variables or phases that lead to these names"
+        )
     return arrays
 
 
@@ -190,24 +192,21 @@ def _storable(dtype: np.dtype[Any]) -> np.dtype[Any] | None:
 def checked(fields: xr.Dataset) -> xr.Dataset:
     """Refuse what is no result; put components in the order x, y, z."""
     if not fields.data_vars:
-        msg = "fields holds no variables; expected a result of coarse_grain"
-        raise ValueError(msg)
+        raise ValueError("fields holds no variables; expected a result of coarse_grain")
     if {"particle", "contact"} & set(fields.dims):
-        msg = (
+        raise ValueError(
             "particles and contacts are no dimensions of an image: save scenes, and results by grain, as NetCDF or Zarr"
         )
-        raise ValueError(msg)
     fields = with_time(fields)
     known = {*_ON_DISK, "phase"}
     for name, data in fields.data_vars.items():
         unknown = sorted(map(str, set(data.dims) - known))
         if unknown:
-            msg = (
+            raise ValueError(
                 f"'{name}' has the dimensions {unknown}, expected some of {sorted(known)}; select or average "
                 f"over them, or leave it out with fields.drop_vars('{name}'). Fields at points are no image: save them "
                 "as NetCDF or Zarr, or on their mesh with to_vtu"
             )
-            raise ValueError(msg)
     return with_components(fields)
 
 
@@ -221,11 +220,10 @@ def with_components(fields: xr.Dataset) -> xr.Dataset:
             users = sorted(str(name) for name, data in fields.data_vars.items() if dim in data.dims)
             labels = list(map(str, labels_along(fields, dim)))
             found = labels if dim in fields.coords else f"{fields.sizes[dim]} entries"
-            msg = (
+            raise ValueError(
                 f"'{dim}' of {users} holds {found}, expected x, y and z; keep all three, or write one of "
                 f"them with fields.sel({dim}='x')"
             )
-            raise ValueError(msg)
         fields = ordered
     return fields
 
@@ -233,13 +231,11 @@ def with_components(fields: xr.Dataset) -> xr.Dataset:
 def _numbers(fields: xr.Dataset, name: str) -> NDArray:
     """Return a coordinate as finite numbers."""
     if name not in fields.coords:
-        msg = f"dimension '{name}' has no coordinate; assign one with fields.assign_coords({name}=...)"
-        raise ValueError(msg)
+        raise ValueError(f"dimension '{name}' has no coordinate; assign one with fields.assign_coords({name}=...)")
     values = fields[name].to_numpy()
     if values.dtype.kind not in "fiu" or not np.isfinite(values).all():
         bad = values.ravel()[0] if values.dtype.kind not in "fiu" else values[~np.isfinite(values)][0]
-        msg = f"coordinate '{name}' holds {bad!r}; expected finite numbers"
-        raise ValueError(msg)
+        raise ValueError(f"coordinate '{name}' holds {bad!r}; expected finite numbers")
     return values.astype("float64")
 
 
@@ -250,20 +246,18 @@ def _axis(fields: xr.Dataset, axis: str) -> tuple[int, float, float]:
         return 1, float(_numbers(fields, axis)) if fixed else 0.0, 1.0
     nodes = _numbers(fields, axis)
     if not nodes.size:
-        msg = f"dimension '{axis}' has no nodes; expected at least one"
-        raise ValueError(msg)
+        raise ValueError(f"dimension '{axis}' has no nodes; expected at least one")
     if nodes.size == 1:
         return 1, float(nodes[0]), 1.0
     spacing = (nodes[-1] - nodes[0]) / (nodes.size - 1)
     even = nodes[0] + spacing * np.arange(nodes.size)
     if not (spacing > 0 and np.abs(nodes - even).max() <= 1e-6 * spacing):
         row = int(np.argmax(np.abs(nodes - even)))
-        msg = (
+        raise ValueError(
             f"coordinate '{axis}' is not evenly spaced and rising: node {row} is at {nodes[row]}, expected "
             f"{even[row]}; an image needs even spacing: use fields.sortby('{axis}') or "
             f"fields.interp({axis}=np.linspace(...)), or write NetCDF"
         )
-        raise ValueError(msg)
     return nodes.size, float(nodes[0]), float(spacing)
 
 
@@ -273,15 +267,13 @@ def times_of(fields: xr.Dataset) -> NDArray | None:
         return _numbers(fields, "time").reshape(1) if "time" in fields.coords else None
     times = _numbers(fields, "time")
     if not times.size:
-        msg = "fields has no time steps (the size of 'time' is 0); expected at least one"
-        raise ValueError(msg)
+        raise ValueError("fields has no time steps (the size of 'time' is 0); expected at least one")
     if not (np.diff(times) > 0).all():
         row = int(np.argmin(np.diff(times))) + 1
-        msg = (
+        raise ValueError(
             f"'time' goes from {times[row - 1]} to {times[row]} at step {row}, expected to rise; use "
             "fields.sortby('time'), and drop_duplicates('time') where times occur twice"
         )
-        raise ValueError(msg)
     return times
 
 

@@ -57,8 +57,7 @@ def to_vtu(
     """
     path = Path(path)
     if path.suffix != ".vtu":
-        msg = f"{path}: expected a name that ends with .vtu"
-        raise ValueError(msg)
+        raise ValueError(f"{path}: expected a name that ends with .vtu")
     fields, data = with_time(with_components(fields)), read_mesh(mesh)
     dim, cells = _place_of(fields, data, mesh)
     _check_places(fields, dim, places_of(data, centers=cells), mesh)
@@ -77,20 +76,19 @@ def _place_of(fields: xr.Dataset, mesh: Any, path: str | os.PathLike[str]) -> tu
     """Dimension of the points, and whether they are cells of the mesh."""
     dims = [str(dim) for dim in fields.dims if dim not in _OTHERS]
     if len(dims) != 1:
-        msg = f"the fields have the dimensions {dims} beside {', '.join(_OTHERS)}: expected one, that of its points"
-        raise ValueError(msg)
+        raise ValueError(
+            f"the fields have the dimensions {dims} beside {', '.join(_OTHERS)}: expected one, that of its points"
+        )
     without = [str(name) for name, data in fields.data_vars.items() if dims[0] not in data.dims]
     if without or not fields.data_vars:
-        msg = f"{without or 'fields'} holds nothing at the points: leave it out with fields.drop_vars"
-        raise ValueError(msg)
+        raise ValueError(f"{without or 'fields'} holds nothing at the points: leave it out with fields.drop_vars")
     size, counts = fields.sizes[dims[0]], {"point": mesh.GetNumberOfPoints(), "cell": mesh.GetNumberOfCells()}
     fits = [kind for kind, count in counts.items() if count == size and dims[0] in (kind, *({dims[0]} - set(counts)))]
     if len(fits) != 1:
-        msg = (
+        raise ValueError(
             f"{os.fspath(path)} has {counts['point']} points and {counts['cell']} cells, and the fields have {size} "
             f"along {dims[0]!r}: take them at=xcg.mesh_points(...) of it, or name the dimension 'point' or 'cell'"
         )
-        raise ValueError(msg)
     return dims[0], fits == ["cell"]
 
 
@@ -103,11 +101,10 @@ def _check_places(fields: xr.Dataset, dim: str, places: NDArray, path: str | os.
             if not away.max() <= _CLOSE * size:
                 row = int(away.argmax())
                 found = np.broadcast_to(fields[a].to_numpy(), len(places))[row]
-                msg = (
+                raise ValueError(
                     f"{os.fspath(path)}: the field's {dim} {row} is at {a} = {found:.9g}, and that of the mesh at "
                     f"{places[row, k]:.9g}: the fields are those of another mesh, or in another order"
                 )
-                raise ValueError(msg)
 
 
 def _bare_grid(mesh: Any) -> Any:

@@ -135,8 +135,9 @@ def write_zarr(ds: xr.Dataset, path: Path, encoding: Encoding, *, overwrite: boo
 def _spare_other_folders(path: Path) -> None:
     """Refuse to replace a folder that holds anything but Zarr data."""
     if path.is_dir() and any(path.iterdir()) and not any((path / name).exists() for name in _ZARR):
-        msg = f"{path} is a folder without Zarr data, and is not replaced; choose another name, or remove it"
-        raise FileExistsError(msg)
+        raise FileExistsError(
+            f"{path} is a folder without Zarr data, and is not replaced; choose another name, or remove it"
+        )
 
 
 def _steps_together(ds: xr.Dataset, over: Sequence[str]) -> int:

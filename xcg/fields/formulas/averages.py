@@ -59,8 +59,7 @@ def profile(f: xr.Dataset, axis: str) -> xr.Dataset:
     """
     axes = [a for a in (*COMPONENTS, "r", "theta") if a in f.dims]
     if axis not in axes:
-        msg = f"profile({axis!r}): the resolved axes of this result are {axes}"
-        raise ValueError(msg)
+        raise ValueError(f"profile({axis!r}): the resolved axes of this result are {axes}")
     others = [a for a in axes if a != axis]
     sums = _to_sums(f, "profile")
     if "r" in others:  # rings have areas r dr; the axis itself has none
@@ -105,13 +104,11 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
     """
     f = with_time(f)
     if "time" not in f.dims:
-        msg = "time_average needs a result with the dimension 'time'"
-        raise ValueError(msg)
+        raise ValueError("time_average needs a result with the dimension 'time'")
     count = f.sizes["time"]
     for name, value in (("window", window), ("every", every)):
         if value is not None and not is_whole(value, 1, count):
-            msg = f"{name}={value!r}: expected a number of steps from 1 to {count}"
-            raise ValueError(msg)
+            raise ValueError(f"{name}={value!r}: expected a number of steps from 1 to {count}")
     sums = _to_sums(f.drop_vars("step", errors="ignore"), "time_average")
     if window is None:
         samples = sums.rename(time=_SAMPLE).drop_vars(_SAMPLE)
@@ -219,14 +216,16 @@ def _rows_of(f: xr.Dataset) -> dict[str, Field | None]:
 def _to_sums(f: xr.Dataset, purpose: str) -> xr.Dataset:
     """Quantities that may be averaged: additive fields, and numerator and denominator of each ratio."""
     if "particle" in f.dims:
-        msg = f"{purpose} averages fields, and this is a scene: call {purpose} on what its coarse_grain returns"
-        raise ValueError(msg)
+        raise ValueError(
+            f"{purpose} averages fields, and this is a scene: call {purpose} on what its coarse_grain returns"
+        )
     rows = _rows_of(f)
     if errors := [
         name for name, row in rows.items() if row is None and name.removesuffix("_error") in {*rows} - {name}
     ]:
-        msg = f"{purpose} takes no mean of standard errors ({', '.join(errors)}): call it before time_average"
-        raise ValueError(msg)
+        raise ValueError(
+            f"{purpose} takes no mean of standard errors ({', '.join(errors)}): call it before time_average"
+        )
     missing = _missing(rows, registry.options_of(f.attrs))
     if missing:
         lacking = "; ".join(f"{name} needs {', '.join(what)}" for name, what in missing.items())
@@ -272,12 +271,11 @@ def _with_components(f: xr.Dataset, rows: Mapping[str, Field | None], purpose: s
         anew = [n for n, row in rows.items() if row and not (row.additive or row.weight) and of_tensors(n)]
         if anew:
             held = ", ".join(map(str, labels_along(f, dim)))
-            msg = (
+            raise ValueError(
                 f"{purpose} computes {', '.join(anew)} anew from averaged vectors and tensors, of which this result "
                 f"has the {dim} {held} alone: select after it, or leave these fields out with "
                 "drop_vars"
             )
-            raise ValueError(msg)
     return f
 
 
@@ -286,8 +284,9 @@ def _of_bulk(weight: xr.DataArray, name: str, purpose: str) -> xr.DataArray:
     if "phase" not in weight.coords:
         return weight
     if "bulk" not in np.atleast_1d(weight["phase"].to_numpy()):
-        msg = f"{purpose} averages {name} by the bulk's {weight.name}, which this result lacks: choose phases after it"
-        raise ValueError(msg)
+        raise ValueError(
+            f"{purpose} averages {name} by the bulk's {weight.name}, which this result lacks: choose phases after it"
+        )
     return weight.sel(phase="bulk", drop=True) if "phase" in weight.dims else weight
 
 

@@ -6,7 +6,7 @@ import math
 import operator
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property, lru_cache, reduce
 from types import SimpleNamespace
 from typing import Any
@@ -22,9 +22,6 @@ from xcg.fields.formulas.field import Options
 from xcg.fields.formulas.trace import Trace, as_symbols, zero_if_unknown
 from xcg.fields.sums.moments import MOMENTS, Moment
 from xcg.fields.sums.passes import BlockSums, Layout
-from xcg.scene.kept import Kept
-
-_LAYOUTS = 8  # of sums, whose loads are kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +47,6 @@ class Program:
     inputs: tuple[tuple[str, int, int], ...]
     outputs: tuple[tuple[str, int, int], ...]
     target: NDArray
-    _loads: Kept[_Loads] = field(default_factory=lambda: Kept(_LAYOUTS), compare=False)
 
     @cached_property
     def widths(self) -> dict[str, int]:
@@ -65,7 +61,13 @@ class Program:
         stores = [(kernel.BYTES * begin, self.widths[name], count) for name, begin, count in self.outputs]
         return np.array([numbers[name] for name, _, _ in self.outputs]), _whole(stores, 3)
 
-    def run(self, sums: BlockSums, place: NDArray, out: Mapping[str, NDArray], order: NDArray | None = None) -> None:
+    def loads(self, layouts: Sequence[Layout]) -> Loads:
+        """Look up where the sums of some passes hold the moments that the program loads."""
+        return Loads.of(self, layouts)
+
+    def run(
+        self, loads: Loads, sums: BlockSums, place: NDArray, out: Mapping[str, NDArray], order: NDArray | None = None
+    ) -> None:
         """Compute fields (places, ...) from the moments at some nodes, each to its `place` (nodes,).
 
         They are taken in an `order` (nodes,), such as that of their places: memory is then written line by line.
@@ -75,8 +77,7 @@ class Program:
         ValueError
             If an array is not as the loop expects it, which reads and writes by address.
         """
-        layouts, arrays = sums.of.layouts, sums.arrays
-        loads = self._loads.or_new(layouts, lambda: _Loads.of(self, layouts))
+        arrays = sums.arrays
         scratch = kernel.room_for(loads.rows[-1])
         scratch[: len(loads.constants)] = loads.constants
         nodes, places = len(place), 1 + int(place.max(initial=0))
@@ -95,7 +96,7 @@ class Program:
 
 
 @dataclass(frozen=True)
-class _Loads:
+class Loads:
     """Where a program finds its inputs in the sums of some passes.
 
     Attributes
@@ -115,7 +116,7 @@ class _Loads:
     constants: NDArray
 
     @classmethod
-    def of(cls, program: Program, layouts: Sequence[Layout]) -> _Loads:
+    def of(cls, program: Program, layouts: Sequence[Layout]) -> Loads:
         """Look up the moments that a program loads."""
         found, widths = dict[str, tuple[int, Layout]](), [3]
         for layout in layouts:

@@ -99,8 +99,7 @@ def _names(given: str | Sequence[str]) -> tuple[str, ...]:
 
 
 def _refuse(name: Any, why: str) -> NoReturn:
-    msg = f"register_field({name!r}): {why}"
-    raise ValueError(msg)
+    raise ValueError(f"register_field({name!r}): {why}")
 
 
 def _check(name: str, row: Field) -> None:
@@ -141,8 +140,7 @@ def _try_out(name: str, row: Field) -> None:
         again = registry.evaluate([name], part, options)[name]
     except Exception as error:
         why = "its formula fails on a trial of a few nodes, of which one sees no grains (ratios are NaN there)"
-        msg = f"register_field({name!r}): {why}: {type(error).__name__}: {error}"
-        raise ValueError(msg) from error
+        raise ValueError(f"register_field({name!r}): {why}: {type(error).__name__}: {error}") from error
     values, expected = np.asarray(found[name]), (_PHASES, _NODES, *(3,) * row.rank)
     if values.shape != expected or values.dtype.kind not in "biuf":
         _refuse(

@@ -84,13 +84,11 @@ class Symbol:
 
     def __pow__(self, exponent: int) -> Symbol:
         if exponent != 2:
-            msg = f"power {exponent}: only squares are known"
-            raise UnknownOperation(msg)
+            raise UnknownOperation(f"power {exponent}: only squares are known")
         return self * self
 
     def _no_value(self, *others: Any) -> NoReturn:
-        msg = "the value of a symbol is not known while steps are written down"
-        raise UnknownOperation(msg)
+        raise UnknownOperation("the value of a symbol is not known while steps are written down")
 
     __bool__ = __float__ = __int__ = __index__ = _no_value
     __eq__ = __ne__ = __lt__ = __le__ = __gt__ = __ge__ = _no_value
@@ -119,16 +117,16 @@ class Symbols(np.ndarray):
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
         if method != "__call__" or ufunc not in _ARITHMETIC or options.keys() - {"out"}:
-            msg = f"{ufunc.__name__}: only {', '.join(sorted(known.__name__ for known in _ARITHMETIC))} are known"
-            raise UnknownOperation(msg)
+            raise UnknownOperation(
+                f"{ufunc.__name__}: only {', '.join(sorted(known.__name__ for known in _ARITHMETIC))} are known"
+            )
         if "out" in options:
             options["out"] = tuple(map(_plain, options["out"]))
         return as_symbols(ufunc(*map(_plain, inputs), **options))
 
     def __array_function__(self, function: Any, types: Any, args: Any, options: Any) -> Any:
         if function not in _PLACEMENT:
-            msg = f"{function.__name__} is not known"
-            raise UnknownOperation(msg)
+            raise UnknownOperation(f"{function.__name__} is not known")
         return as_symbols(super().__array_function__(function, types, args, options))
 
 

@@ -67,11 +67,9 @@ class Quantity:
 
     def __post_init__(self) -> None:
         if not isinstance(self.variable, str):
-            msg = f"{type(self).__name__}({self.variable!r}): expected the name of a variable of the scene"
-            raise ValueError(msg)
+            raise ValueError(f"{type(self).__name__}({self.variable!r}): expected the name of a variable of the scene")
         if self.weight is not None and self.weight not in WEIGHTS:
-            msg = f"{self}: weight={self.weight!r}, expected one of {', '.join(WEIGHTS)}"
-            raise ValueError(msg)
+            raise ValueError(f"{self}: weight={self.weight!r}, expected one of {', '.join(WEIGHTS)}")
 
 
 class Mean(Quantity):
@@ -287,8 +285,7 @@ def own_fields(
     for name in {own.name for own in quantities}:
         same = dict.fromkeys(own.quantity for own in quantities if own.name == name)
         if len(same) > 1:
-            msg = f"{' and '.join(map(str, same))} would both be called {name!r}; pass name="
-            raise ValueError(msg)
+            raise ValueError(f"{' and '.join(map(str, same))} would both be called {name!r}; pass name=")
     return found
 
 
@@ -304,8 +301,9 @@ def own_field(quantity: Quantity, scene: Description) -> OwnField:
     """
     name = quantity.variable
     if name not in scene.columns:
-        msg = f"{quantity}: the scene has no variable {name!r}{did_you_mean(name, scene.rows)}; it has {scene.rows}"
-        raise SceneError(msg)
+        raise SceneError(
+            f"{quantity}: the scene has no variable {name!r}{did_you_mean(name, scene.rows)}; it has {scene.rows}"
+        )
     found = scene.columns[name]
     row = variable(name, "int64" if found.kind in "iu" else "float64", max(len(found.dims) - 1, 1))
     rank = len(row.dims) - 1
@@ -315,17 +313,20 @@ def own_field(quantity: Quantity, scene: Description) -> OwnField:
     weight = quantity.weight or ("number" if at_contacts else quantity.usual)
     if at_contacts and (weight != "number" or isinstance(quantity, Flux)):
         lack = "velocity" if weight == "number" else weight
-        msg = f"{quantity}: {name!r} is a variable of contacts, which have no {lack}: take Mean, Sum or Variance"
-        raise ValueError(msg)
+        raise ValueError(
+            f"{quantity}: {name!r} is a variable of contacts, which have no {lack}: take Mean, Sum or Variance"
+        )
     if isinstance(quantity, Flux) and rank == 2:
-        msg = f"{quantity}: {name!r} is a tensor, and its flux would have 27 components; take those of its components"
-        raise ValueError(msg)
+        raise ValueError(
+            f"{quantity}: {name!r} is a tensor, and its flux would have 27 components; take those of its components"
+        )
     result = quantity.name or quantity.prefix + name
     if quantity.name is None and result in registry.FIELDS:
         result = f"mean_{name}"
     if result in registry.FIELDS or result in (*COMPONENTS, "time", "step", "phase", "component", "direction"):
-        msg = f"{quantity}: the result cannot be called {result!r}, which is something else in a result; pass name="
-        raise ValueError(msg)
+        raise ValueError(
+            f"{quantity}: the result cannot be called {result!r}, which is something else in a result; pass name="
+        )
     return OwnField(
         quantity, result, weight, rank, at_contacts,
         units=_units(quantity, weight, found.units, scene.setup.unit_system),
@@ -345,11 +346,10 @@ def check_turns(own: Iterable[Any]) -> None:
         if not isinstance(one, OwnField):
             continue
         if isinstance(one.quantity, Flux) or (isinstance(one.quantity, Variance) and one.rank == 2):
-            msg = (
+            raise ValueError(
                 f"{one.quantity} is not there in a cylindrical frame: take it in the scene's axes, or Mean, Sum and "
                 "the Variance of scalars and vectors"
             )
-            raise ValueError(msg)
 
 
 def _wrong_dims(name: str, found: Column, expected: tuple[str, ...]) -> str:

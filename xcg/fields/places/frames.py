@@ -61,14 +61,12 @@ class Rotated:
     def __post_init__(self) -> None:
         given = [a for a in COMPONENTS if getattr(self, a) is not None]
         if len(given) not in (1, 2):
-            msg = f"{self}: expected one or two of the axes x, y, z; the others follow from right angles"
-            raise ValueError(msg)
+            raise ValueError(f"{self}: expected one or two of the axes x, y, z; the others follow from right angles")
         for name in given:
             unit_vector(name, getattr(self, name))
         vector("origin", self.origin)
         if len(given) == 2 and self._second(*self._order(given)) is None:
-            msg = f"{self}: the axes {' and '.join(given)} are parallel; they are to be at right angles"
-            raise ValueError(msg)
+            raise ValueError(f"{self}: the axes {' and '.join(given)} are parallel; they are to be at right angles")
 
     @property
     def axes(self) -> NDArray:
@@ -147,13 +145,11 @@ class Cylindrical:
 
     def __post_init__(self) -> None:
         if isinstance(self.axis, str) and self.axis not in COMPONENTS:
-            msg = f"{self}: expected 'x', 'y', 'z' or a direction as its axis"
-            raise ValueError(msg)
+            raise ValueError(f"{self}: expected 'x', 'y', 'z' or a direction as its axis")
         if not isinstance(self.axis, str):
             unit_vector("axis", self.axis)
         if not is_positive(self.error):
-            msg = f"{self}: expected a positive error, such as 1e-3"
-            raise ValueError(msg)
+            raise ValueError(f"{self}: expected a positive error, such as 1e-3")
         _ = self.rotated
 
     @property
@@ -177,8 +173,7 @@ def in_frame(ds: xr.Dataset, frame: Rotated | Cylindrical) -> xr.Dataset:
 def refuse_cylindrical(ds: xr.Dataset, call: str) -> None:
     """Refuse a cylindrical frame where it has no meaning."""
     if is_cylindrical(ds):
-        msg = f"{call} takes axes at right angles: frame=xcg.Rotated, not xcg.Cylindrical"
-        raise ValueError(msg)
+        raise ValueError(f"{call} takes axes at right angles: frame=xcg.Rotated, not xcg.Cylindrical")
 
 
 def is_cylindrical(ds: xr.Dataset) -> bool:

@@ -146,41 +146,35 @@ def check_axes(name: str, given: Iterable[str], plane: str) -> None:
     """Refuse axes that the scene does not have."""
     wrong = [a for a in given if a not in plane]
     if wrong:
-        msg = f"{name} names {wrong}: the axes of this scene are {', '.join(plane)}"
-        raise ValueError(msg)
+        raise ValueError(f"{name} names {wrong}: the axes of this scene are {', '.join(plane)}")
 
 
 def _check_mesh_axes(axes: str, at: Mapping[str, float], bounds: Mapping[str, Sequence[float]], plane: str) -> None:
     for name, given in (("axes", axes), ("at", at), ("bounds", bounds)):
         check_axes(name, given, plane)
     if len(set(axes)) != len(axes):
-        msg = f"axes={axes!r} names an axis twice"
-        raise ValueError(msg)
+        raise ValueError(f"axes={axes!r} names an axis twice")
     both = [a for a in axes if a in at]
     if both:
-        msg = f"axes={axes!r} and at={dict(at)!r} both name {both}: an axis is either resolved or fixed"
-        raise ValueError(msg)
+        raise ValueError(f"axes={axes!r} and at={dict(at)!r} both name {both}: an axis is either resolved or fixed")
     for a, value in at.items():
         if not is_finite(value):
-            msg = f"at[{a!r}]={value!r}: expected one finite coordinate; use axes= with bounds= for several"
-            raise ValueError(msg)
+            raise ValueError(f"at[{a!r}]={value!r}: expected one finite coordinate; use axes= with bounds= for several")
     loose = [a for a in bounds if a not in axes]
     if loose:
-        msg = (
+        raise ValueError(
             f"bounds are given for {loose}, but only {list(axes)} are resolved: the fields are averaged (or fixed) "
             "along the others. Add the axis to axes=, or leave its bounds out; extent= sets the length of an average"
         )
-        raise ValueError(msg)
 
 
 def _whole(axis: str, count: float) -> int:
     """Whole number of nodes of one axis, refused before anything is made for too many."""
     if not count < _MOST_OF_ONE_AXIS:
-        msg = (
+        raise ValueError(
             f"the mesh would have {count:.3g} nodes along {axis!r}, more than {_MOST_OF_ONE_AXIS}: choose a larger "
             "spacing or smaller bounds. If neither was given, a particle is far astray"
         )
-        raise ValueError(msg)
     return int(count)
 
 
@@ -190,21 +184,19 @@ def nodes_along(
 ) -> tuple[NDArray, float]:  # fmt: skip
     """Nodes along one of the resolved axes, and their distance; arguments as in `make_grid`."""
     if not (is_finite(step) and step > _FINEST * cutoff):
-        msg = (
+        raise ValueError(
             f"spacing along {a!r} is {step!r}: expected a positive distance (m) for each of {list(axes)}, not far "
             f"below the radius of the support ({cutoff:g} m)"
         )
-        raise ValueError(msg)
     if a in bounds:
         first, last = rising_pair(f"bounds[{a!r}]", bounds[a], equal=True)
         count = _whole(a, (last - first) / step * (1 + 1e-12) + 1e-9) + 1
     elif a not in automatic:
-        msg = (
+        raise ValueError(
             f"axis {a!r} has no bounds: the scene holds neither a box nor the particles' extent, or no longer, as "
             f"positions were changed. Give bounds={{{a!r}: (first, last)}}, or call ds = ds.cg.measure() first "
             "(of bodies: ds = ds.cg.group_bodies(...).cg.measure() in place of by_body=)"
         )
-        raise ValueError(msg)
     elif a in period:
         first, count = automatic[a][0], max(1, _whole(a, period[a] / step + 0.5))
         step = period[a] / count
@@ -263,8 +255,7 @@ def make_grid(
         For unknown axes, bounds on an axis that is not resolved, or a spacing that is not positive.
     """
     if not isinstance(axes, Iterable):
-        msg = f"axes={axes!r}: expected any of {plane!r}, such as {plane[-1]!r}"
-        raise ValueError(msg)
+        raise ValueError(f"axes={axes!r}: expected any of {plane!r}, such as {plane[-1]!r}")
     axes = "".join(sorted(axes)) if set(axes) <= set(COMPONENTS) else axes
     _check_mesh_axes(axes, at, bounds, plane)
     steps = dict(spacing) if isinstance(spacing, Mapping) else dict.fromkeys(axes, spacing)
@@ -275,8 +266,9 @@ def make_grid(
     fitted = "".join(a for a in axes if a not in bounds and a not in period)
     grid = RegularGrid(axes, {a: float(v) for a, v in at.items()}, averaged, nodes, taken, fitted, cells)
     if np.prod([float(n) for n in grid.shape]) > MAX_NODES:
-        msg = f"the mesh has {grid.shape} nodes, more than {MAX_NODES}: choose a larger spacing or smaller bounds"
-        raise ValueError(msg)
+        raise ValueError(
+            f"the mesh has {grid.shape} nodes, more than {MAX_NODES}: choose a larger spacing or smaller bounds"
+        )
     return grid
 
 

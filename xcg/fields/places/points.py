@@ -189,16 +189,16 @@ def make_points(at: Mapping[str, Any], *, plane: str, cutoff: float) -> Points:
     sizes = {str(dim): size for array in arrays.values() for dim, size in array.sizes.items()}
     shape = tuple(sizes.values())
     if math.prod(map(float, shape)) > MAX_NODES:
-        msg = f"at= names {sizes} points, more than {MAX_NODES}: take fewer at a time"
-        raise ValueError(msg)
+        raise ValueError(f"at= names {sizes} points, more than {MAX_NODES}: take fewer at a time")
     position = np.zeros((3, math.prod(shape)))
     for a, array in arrays.items():
         column = array.variable.set_dims(sizes).transpose(*sizes).to_numpy().ravel()
         if column.size and not -_FARTHEST < column.min() <= column.max() < _FARTHEST:
             lost = np.flatnonzero(~(np.abs(column) < _FARTHEST))
             where = dict(zip(sizes, (int(k) for k in np.unravel_index(lost[0], shape)), strict=True))
-            msg = f"at[{a!r}] is {column[lost[0]]} at {where}: expected finite coordinates; leave these points out"
-            raise ValueError(msg)
+            raise ValueError(
+                f"at[{a!r}] is {column[lost[0]]} at {where}: expected finite coordinates; leave these points out"
+            )
         position[COMPONENTS.index(a)] = column
     lower, upper, origin = np.zeros((3, 3))
     if position.size:
@@ -215,15 +215,13 @@ def make_points(at: Mapping[str, Any], *, plane: str, cutoff: float) -> Points:
 def _array(axis: str, value: Any) -> xr.DataArray:
     """Return coordinates along an axis as numbers in memory."""
     if not isinstance(value, xr.DataArray) and np.ndim(value):
-        msg = (
+        raise ValueError(
             f"at[{axis!r}] is a {type(value).__name__} of shape {np.shape(value)}: points are DataArrays, whose named "
             f"dimensions say which coordinates belong together, such as xr.DataArray(values, dims='point')"
         )
-        raise ValueError(msg)
     array = xr.DataArray(value)
     if array.dtype.kind not in "fiu":
-        msg = f"at[{axis!r}] holds {array.dtype}: expected coordinates (m)"
-        raise ValueError(msg)
+        raise ValueError(f"at[{axis!r}] holds {array.dtype}: expected coordinates (m)")
     stacked = [dim for dim in array.dims if isinstance(array.indexes.get(dim), pd.MultiIndex)]
     array = array.reset_index(stacked).drop_vars([*COMPONENTS, *_OF_RESULTS, "step"], errors="ignore")
     return array.copy(data=array.to_numpy().astype("float64"))
@@ -236,14 +234,16 @@ def _aligned(arrays: Mapping[str, xr.DataArray]) -> dict[str, xr.DataArray]:
         taken = [d for d in array.dims if d in COMPONENTS and (d not in arrays or arrays[str(d)].dims != (d,))]
         taken += [d for d in array.dims if d in _OF_RESULTS]
         if taken:
-            msg = f"at[{a!r}] has the dimensions {array.dims}: {taken} are other dimensions of results; rename them"
-            raise ValueError(msg)
+            raise ValueError(
+                f"at[{a!r}] has the dimensions {array.dims}: {taken} are other dimensions of results; rename them"
+            )
     try:
         return dict(zip(arrays, xr.align(*arrays.values(), join="exact", copy=False), strict=True))
     except ValueError as error:
         sizes = {a: dict(array.sizes) for a, array in arrays.items()}
-        msg = f"the coordinates in at= have other sizes or labels along dimensions that they share, {sizes}: {error}"
-        raise ValueError(msg) from error
+        raise ValueError(
+            f"the coordinates in at= have other sizes or labels along dimensions that they share, {sizes}: {error}"
+        ) from error
 
 
 def _coords(arrays: Mapping[str, xr.DataArray]) -> dict[str, xr.Variable]:

@@ -19,9 +19,7 @@ from xcg.fields.places.points import PointBlock
 from xcg.fields.sums.blocks import BLOCK_NODES
 from xcg.fields.sums.nodes import Apart
 from xcg.fields.sums.smoothing import Kernel
-from xcg.scene.kept import Kept
 from xcg.scene.numbers import is_finite
-from xcg.scene.outline import NoKeyError, key_of
 
 NAMES = {"r": "r", "t": "theta", "z": "z"}  # letters of `axes`, and what else they are called
 _FULL = 2.0 * math.pi
@@ -29,7 +27,6 @@ _FEWEST = 8  # angles of a ring: vectors and tensors turn once and twice on it
 _PANEL = 8  # Gauss-Legendre points of a panel of a part of a circle
 _FINEST = 128  # angles a radius of the support: where the error of a kernel that jumps is not met
 _BLOCKS = 4  # parts a thread
-_steps: Kept[tuple[float, float]] = Kept(32)  # of kernels that were asked for before
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,29 +141,28 @@ def make_rings(
     letters = "rtz" if "z" in plane else "rt"
     known = [NAMES[a] for a in letters]
     if set(axes) - set(letters) or len(set(axes)) < len(axes):
-        msg = f"axes={axes!r}: in a cylindrical frame of this scene expected letters of {letters!r} (t is theta)"
-        raise ValueError(msg)
+        raise ValueError(
+            f"axes={axes!r}: in a cylindrical frame of this scene expected letters of {letters!r} (t is theta)"
+        )
     resolved = [NAMES[a] for a in letters if a in axes]
     for name, given in (("at", at), ("bounds", bounds)):
         if wrong := [a for a in given if a not in known]:
-            msg = f"{name} names {wrong}: the axes of this frame are {', '.join(known)}"
-            raise ValueError(msg)
+            raise ValueError(f"{name} names {wrong}: the axes of this frame are {', '.join(known)}")
     if any(np.ndim(x) for x in at.values()):
-        msg = "at= has arrays, which name points: give these in the axes of the scene or of xcg.Rotated"
-        raise ValueError(msg)
+        raise ValueError("at= has arrays, which name points: give these in the axes of the scene or of xcg.Rotated")
     fixed = {a: float(at[a]) for a in known if a in at}
     if both := [a for a in resolved if a in fixed]:
-        msg = f"axes={axes!r} and at={dict(at)!r} both name {both}: an axis is either resolved or fixed"
-        raise ValueError(msg)
+        raise ValueError(f"axes={axes!r} and at={dict(at)!r} both name {both}: an axis is either resolved or fixed")
     if "r" not in resolved and "r" not in fixed:
-        msg = "a cylindrical frame takes r: resolve it (axes='r', 'rz', 'rtz', ...) or fix it (at={'r': ...})"
-        raise ValueError(msg)
+        raise ValueError(
+            "a cylindrical frame takes r: resolve it (axes='r', 'rz', 'rtz', ...) or fix it (at={'r': ...})"
+        )
     if loose := [a for a in bounds if a not in resolved and (a != "theta" or a in fixed)]:
-        msg = f"bounds are given for {loose}, which are not resolved: add them to axes=, or leave their bounds out"
-        raise ValueError(msg)
+        raise ValueError(
+            f"bounds are given for {loose}, which are not resolved: add them to axes=, or leave their bounds out"
+        )
     if not all(is_finite(x) for x in fixed.values()) or fixed.get("r", 0.0) < 0.0:
-        msg = f"at={dict(at)!r}: expected finite coordinates, and none below zero for r"
-        raise ValueError(msg)
+        raise ValueError(f"at={dict(at)!r}: expected finite coordinates, and none below zero for r")
     steps = dict(spacing) if isinstance(spacing, Mapping) else {"r": spacing, "z": spacing}
     nodes: dict[str, NDArray] = {}
     limits: dict[str, Sequence[float]] = dict(bounds)
@@ -175,13 +171,13 @@ def make_rings(
             limits["r"] = 0.0, math.ceil(automatic["r"][1] / steps["r"]) * steps["r"]
         nodes["r"], _ = nodes_along("r", steps.get("r"), resolved, limits, automatic, {}, kernel.cutoff)
         if nodes["r"][0] < 0.0:
-            msg = f"bounds['r']={tuple(bounds['r'])!r}: expected radii, none below zero"
-            raise ValueError(msg)
+            raise ValueError(f"bounds['r']={tuple(bounds['r'])!r}: expected radii, none below zero")
     radii = nodes.get("r", np.array([fixed.get("r", 0.0)]))
     low, high = map(float, bounds.get("theta", (0.0, _FULL)))
     if not 0.0 < high - low <= _FULL * (1 + 1e-12):
-        msg = f"bounds['theta']=({low!r}, {high!r}): expected two angles (rad), not further apart than a circle"
-        raise ValueError(msg)
+        raise ValueError(
+            f"bounds['theta']=({low!r}, {high!r}): expected two angles (rad), not further apart than a circle"
+        )
     if "theta" in resolved:
         widest = max(float(radii.max()), kernel.cutoff)
         along = steps.get("theta", steps["r"] / widest if "r" in steps else None)
@@ -202,8 +198,9 @@ def make_rings(
         rules = [[_circle(r, step) if whole else _part(r, step, low, high)] for r in radii]
     count = sum(len(share) for rule in rules for _, share in rule) * len(heights)
     if count > MAX_NODES:
-        msg = f"averages over theta would take {count} places, more than {MAX_NODES}: choose a larger spacing or error"
-        raise ValueError(msg)
+        raise ValueError(
+            f"averages over theta would take {count} places, more than {MAX_NODES}: choose a larger spacing or error"
+        )
     origin = np.array([0.0, 0.0, heights[len(heights) // 2]])
     top = float(radii.max())
     lower, upper = np.array([-top, -top, heights.min()]), np.array([top, top, heights.max()])
@@ -218,14 +215,6 @@ def angular_step(kernel: Kernel, seen: int, error: float) -> tuple[float, float]
     The error of the trapezoidal rule on a line through the support, at any distance from its middle and with its nodes
     anywhere, is at most this share of the integral over the line through the middle.
     """
-    try:
-        key = key_of([kernel, seen, error])
-    except NoKeyError:  # a kernel of a class from elsewhere
-        return _angular_step(kernel, seen, error)
-    return _steps.or_new(key, lambda: _angular_step(kernel, seen, error))
-
-
-def _angular_step(kernel: Kernel, seen: int, error: float) -> tuple[float, float]:
     offset, shift = np.linspace(0.0, 0.98, 41), (np.arange(32) + 0.5) / 32
 
     def sums(step: float, starts: NDArray) -> NDArray:

@@ -128,8 +128,7 @@ def _kernel(scene: Description, request: Request) -> Kernel:
     axes = setup.plane if request.axes is None and request.at is None else request.axes or ""
     seen = len({*axes, *(request.at or {})}) or setup.dimension
     if isinstance(request.width, Mapping):
-        msg = "preset='lammps' has one kernel for all grains: give one width= instead of one for each group"
-        raise ValueError(msg)
+        raise ValueError("preset='lammps' has one kernel for all grains: give one width= instead of one for each group")
     own = isinstance(request.kernel, Kernel) and request.width is None
     kernel = request.kernel if request.changed(["kernel"]) else "shifted gaussian"
     return as_kernel(kernel, None if own else choose_width(request.width, scene.sizes), seen)
@@ -147,8 +146,7 @@ def translate(scene: Description, request: Request) -> tuple[Request, Callable[[
     """
     idle = request.changed(_WITHOUT_EFFECT)
     if idle:
-        msg = f"preset='lammps': none of its fields depends on {idle}; leave them out"
-        raise ValueError(msg)
+        raise ValueError(f"preset='lammps': none of its fields depends on {idle}; leave them out")
     scene.require((), "coarse_grain")
     gradient = request.gradient if request.changed(["gradient"]) else "finite_difference"
     own = replace(request, preset=None, gradient=gradient, kernel=_kernel(scene, request), width=None)
@@ -208,12 +206,10 @@ def lammps_mesh(
     edges, bounds, spacing = describe(ds).edges, {}, {}
     for a in axes:
         if a not in edges:
-            msg = f"lammps_mesh: the scene has no finite box along {a!r}; bins of LAMMPS cover the box"
-            raise ValueError(msg)
+            raise ValueError(f"lammps_mesh: the scene has no finite box along {a!r}; bins of LAMMPS cover the box")
         step = delta[a] if isinstance(delta, Mapping) else delta
         if not is_positive(step):
-            msg = f"delta={delta!r}: expected a positive size of bins (m)"
-            raise ValueError(msg)
+            raise ValueError(f"delta={delta!r}: expected a positive size of bins (m)")
         first, last = (origin or {}).get(a, edges[a][0]), edges[a][1]
         # a box of a whole number of bins has that many, whatever the rounding
         count = max(1, math.ceil((last - first) / step * (1 - 1e-12)))

@@ -189,8 +189,7 @@ def choose(
         found = [word] if word in table else [name for name, row in table.items() if row.family == word]
         if not found:
             known = f"choose from {', '.join(table)}{did_you_mean(word, table)}"
-            msg = f"unknown field {word!r} of the preset 'pysammos': {known}"
-            raise ValueError(msg)
+            raise ValueError(f"unknown field {word!r} of the preset 'pysammos': {known}")
         names += found
     return list(dict.fromkeys(names))
 
@@ -206,8 +205,7 @@ def plane_of(scene: Description, shear_dims: str | None) -> tuple[str, str]:
     axes = scene.setup.plane
     plane = shear_dims or ("xy" if len(axes) == 3 else axes)
     if len(set(plane)) != 2 or len(plane) != 2 or set(plane) - set(axes):
-        msg = f"shear_dims={shear_dims!r}: the preset 'pysammos' takes a plane, two axes of {axes!r}"
-        raise ValueError(msg)
+        raise ValueError(f"shear_dims={shear_dims!r}: the preset 'pysammos' takes a plane, two axes of {axes!r}")
     return plane, axes
 
 
@@ -230,8 +228,9 @@ def translate(scene: Description, request: Request) -> tuple[Request, Callable[[
     """
     clash = request.changed(("pressure_dims", "deviatoric", "size", "temperature"))
     if clash:
-        msg = f"preset='pysammos' has a name for each variant: leave out {clash}, and take the field that you want"
-        raise ValueError(msg)
+        raise ValueError(
+            f"preset='pysammos' has a name for each variant: leave out {clash}, and take the field that you want"
+        )
     scene.require((), "coarse_grain")
     table = rows(*plane_of(scene, request.shear_dims))
     own = replace(request, preset=None, shear_dims=None, for_averages=False)
@@ -299,11 +298,10 @@ def pysammos_mesh(
     ranges = {a: (extent[a][0] + margin, extent[a][1] - margin) for a in resolved}
     small = [a for a, (first, last) in ranges.items() if first > last and a not in (bounds or {})]
     if small:
-        msg = (
+        raise ValueError(
             f"the particles extend less than twice the margin of 2.5 c + 0.5 dmax = {margin:g} along {small}: give "
             "bounds= yourself, or a smaller width"
         )
-        raise ValueError(msg)
     ranges |= {a: ends for a, ends in (bounds or {}).items() if a in extent}
     middle = {a: 0.5 * (first + last) for a, (first, last) in extent.items() if a not in resolved}
     return {

@@ -197,17 +197,16 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
     Source: Goldhirsch (2010), eqs. 4 to 14; walls: Weinhart et al. (2012); spin and energy: Babic (1997).
     """
     if asked.at:
-        msg = (
+        raise ValueError(
             f"at= names {list(asked.at)}: no derivative is taken along a fixed axis, or between points; resolve it, or "
             "leave it out to average"
         )
-        raise ValueError(msg)
     if isinstance(asked.width, Mapping):
-        msg = "contacts between grains of different widths exchange momentum at a distance: give one width for all"
-        raise ValueError(msg)
+        raise ValueError(
+            "contacts between grains of different widths exchange momentum at a distance: give one width for all"
+        )
     if asked.preset is not None:
-        msg = f"preset={asked.preset!r}: the balances are those of fields of xcg; leave it out"
-        raise ValueError(msg)
+        raise ValueError(f"preset={asked.preset!r}: the balances are those of fields of xcg; leave it out")
     ds, asked = prepare(ds, asked)
     refuse_cylindrical(ds, "balance")
     laws = _chosen(ds, asked)
@@ -217,8 +216,9 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
     grid = plan.deposit.grid
     short = [a for a, size in zip(grid.dims, grid.sizes, strict=True) if size < 5]
     if short:
-        msg = f"axes {short} have fewer than five nodes: differences of fourth order need them; lower spacing="
-        raise ValueError(msg)
+        raise ValueError(
+            f"axes {short} have fewer than five nodes: differences of fourth order need them; lower spacing="
+        )
     if ds.sizes["time"] > 1:
         require_rising_times(ds, "balance")
     f = answer(ds, request)
@@ -249,8 +249,7 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
 def _chosen(ds: xr.Dataset, asked: BalanceRequest) -> dict[str, _Law]:
     """Balances that are asked for, or the usual ones that the scene allows."""
     if isinstance(asked.of, str) or not set(asked.of or ()) <= set(LAWS) or asked.of == []:
-        msg = f"of={asked.of!r}: expected a list of any of {', '.join(LAWS)}"
-        raise ValueError(msg)
+        raise ValueError(f"of={asked.of!r}: expected a list of any of {', '.join(LAWS)}")
     lacking = {name for name, law in LAWS.items() if law.rate and ds.sizes["time"] < 2}
     lacking |= {name for name, law in LAWS.items() if law.needs_gravity and "gravity" not in ds.attrs}
     for name in asked.of or ():
@@ -260,8 +259,9 @@ def _chosen(ds: xr.Dataset, asked: BalanceRequest) -> dict[str, _Law]:
             msg += "; open two steps or more" + (", with gravity=" if LAWS[name].needs_gravity else "")
             raise ValueError(msg)
         if asked.by is not None and name in OF_THE_MIXTURE:
-            msg = f"of={list(asked.of or ())}: the balance of {name} holds for all grains together; leave out by="
-            raise ValueError(msg)
+            raise ValueError(
+                f"of={list(asked.of or ())}: the balance of {name} holds for all grains together; leave out by="
+            )
     return {name: LAWS[name] for name in (asked.of or (name for name in USUAL if name not in lacking))}
 
 

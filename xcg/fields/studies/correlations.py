@@ -65,14 +65,14 @@ def spatial_correlation(f: xr.Dataset, name: str, other: str | None = None) -> x
     f, other = with_time(f), name if other is None else other
     a, b = (_field_of(f, one, "spatial_correlation") for one in (name, other))
     if set(a.dims) != set(b.dims):
-        msg = (
+        raise ValueError(
             f"{name!r} has the dimensions {a.dims} and {other!r} {b.dims}: correlate components, a vector with a vector"
         )
-        raise ValueError(msg)
     axes = [axis for axis in COMPONENTS if a.sizes.get(axis, 0) > 1]
     if not axes:
-        msg = f"spatial_correlation needs resolved axes of two nodes or more, and {name!r} has the dimensions {a.dims}"
-        raise ValueError(msg)
+        raise ValueError(
+            f"spatial_correlation needs resolved axes of two nodes or more, and {name!r} has the dimensions {a.dims}"
+        )
     spacing = [evenly_spaced(f[axis].to_numpy(), f"nodes along {axis!r}") for axis in axes]
     wraps = [axis in str(f.attrs.get("wrapped_axes", "")) for axis in axes]
     lags = [_lags(a.sizes[axis], wrapped) for axis, wrapped in zip(axes, wraps, strict=True)]
@@ -144,12 +144,10 @@ def time_correlation(f: xr.Dataset, name: str, max_lag: int | None = None) -> xr
     a = _field_of(f, name, "time_correlation")
     steps = a.sizes.get("time", 1)
     if steps < 3:
-        msg = f"time_correlation needs three steps or more, and {name!r} has {steps}"
-        raise ValueError(msg)
+        raise ValueError(f"time_correlation needs three steps or more, and {name!r} has {steps}")
     last = steps // 2 if max_lag is None else max_lag
     if not isinstance(last, (int, np.integer)) or not 0 < last < steps:
-        msg = f"max_lag={max_lag!r}: expected a number of steps from 1 to {steps - 1}"
-        raise ValueError(msg)
+        raise ValueError(f"max_lag={max_lag!r}: expected a number of steps from 1 to {steps - 1}")
     interval = evenly_spaced(f["time"].to_numpy(), "times")
     tail = [dim for dim in _TAIL if dim in a.dims]
     nodes = [str(dim) for dim in a.dims if dim in COMPONENTS]
@@ -198,8 +196,9 @@ def time_correlation(f: xr.Dataset, name: str, max_lag: int | None = None) -> xr
 
 def _field_of(f: xr.Dataset, name: str, purpose: str) -> xr.DataArray:
     if name not in f.data_vars:
-        msg = f"{purpose}({name!r}): the result has no such field; it has {', '.join(map(str, f.data_vars))}"
-        raise ValueError(msg)
+        raise ValueError(
+            f"{purpose}({name!r}): the result has no such field; it has {', '.join(map(str, f.data_vars))}"
+        )
     return f[name].astype(float)
 
 

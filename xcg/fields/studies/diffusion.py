@@ -167,8 +167,9 @@ def _lags(lags: int | Sequence[int] | None, steps: int) -> list[int]:
         lags = [2**k for k in range(64) if 2**k <= max(1, steps // 2)]
     given = list(range(1, lags + 1)) if isinstance(lags, (int, np.integer)) else list(lags)
     if not given or not all(isinstance(lag, (int, np.integer)) and 0 < lag < steps for lag in given):
-        msg = f"lags={lags!r}: expected numbers of steps from 1 to {steps - 1}, as the scene has {steps} steps"
-        raise ValueError(msg)
+        raise ValueError(
+            f"lags={lags!r}: expected numbers of steps from 1 to {steps - 1}, as the scene has {steps} steps"
+        )
     return sorted({int(lag) for lag in given})
 
 
@@ -180,8 +181,7 @@ def _range(fit: Sequence[float] | None, at: NDArray) -> NDArray:
     hair = 1e-9 * at[-1]
     used = np.flatnonzero((at >= first - hair) & (at <= last + hair))
     if used.size < 2:
-        msg = f"fit={tuple(fit)!r}: expected a range with two lags or more, which are {at.tolist()} (s)"
-        raise ValueError(msg)
+        raise ValueError(f"fit={tuple(fit)!r}: expected a range with two lags or more, which are {at.tolist()} (s)")
     return used
 
 

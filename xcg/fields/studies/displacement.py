@@ -124,8 +124,7 @@ def displacement(ds: xr.Dataset, asked: DisplacementRequest) -> xr.Dataset:
         ds, asked = ds.isel(time=slice(None, None, asked.lag)), replace(asked, lag=1)
     moves = bool(ds.attrs.get("periodic")) and not describe(ds).box_lasts
     if moves and "frame" in ds.attrs:
-        msg = "displacements in a box that changes are found in the scene's own axes: leave frame= out"
-        raise ValueError(msg)
+        raise ValueError("displacements in a box that changes are found in the scene's own axes: leave frame= out")
     options = registry.options_of({**ds.attrs, "gradient": asked.gradient, "temperature": asked.temperature})
     options = replace(options, lag=asked.lag)
     if asked.for_averages:
@@ -153,15 +152,12 @@ def _names(ds: xr.Dataset, asked: DisplacementRequest) -> tuple[str, ...]:
     """Check what is asked for, and give the names of the fields."""
     frames, lag = ds.sizes.get("time", 1), asked.lag
     if not isinstance(lag, (int, np.integer)) or isinstance(lag, bool) or lag < 1:
-        msg = f"lag={lag!r}: expected a number of frames, 1 for the next"
-        raise ValueError(msg)
+        raise ValueError(f"lag={lag!r}: expected a number of frames, 1 for the next")
     if lag >= frames:
-        msg = f"lag={lag!r}: the scene has {frames} frames, and displacements need lag + 1 or more of them"
-        raise ValueError(msg)
+        raise ValueError(f"lag={lag!r}: the scene has {frames} frames, and displacements need lag + 1 or more of them")
     for name, no in (("preset", None), ("by_pair", False), ("walls", None), ("per", None)):
         if getattr(asked, name) != no:
-            msg = f"{name}={getattr(asked, name)!r}: there is none of displacements; leave it out"
-            raise ValueError(msg)
+            raise ValueError(f"{name}={getattr(asked, name)!r}: there is none of displacements; leave it out")
     require_rising_times(ds, "displacement")
     known = [name for name in registry.listed() if registry.FIELDS[name].option == "lag"]
     ours = [name for name in known if registry.FIELDS[name].default]
@@ -177,8 +173,9 @@ def _names(ds: xr.Dataset, asked: DisplacementRequest) -> tuple[str, ...]:
         if asked.fields is None:
             names = total
         if wrong := [name for name in names if name not in total]:
-            msg = f"accumulate=True composes deformation gradients: {wrong} do not follow from one; take {total}"
-            raise ValueError(msg)
+            raise ValueError(
+                f"accumulate=True composes deformation gradients: {wrong} do not follow from one; take {total}"
+            )
     return tuple(dict.fromkeys(names))
 
 

@@ -158,16 +158,15 @@ def movie(
     """
     path = Path(path)
     if path.suffix not in (".gif", ".mp4"):
-        msg = f"{path}: expected a name that ends with .gif or .mp4"
-        raise ValueError(msg)
+        raise ValueError(f"{path}: expected a name that ends with .gif or .mp4")
     f = with_time(f)
     if "time" not in f.dims:
-        msg = "movie needs a result with the dimension 'time'; draw a single step with plot"
-        raise ValueError(msg)
+        raise ValueError("movie needs a result with the dimension 'time'; draw a single step with plot")
     animation = extra("matplotlib.animation", "plot", "a movie")
     if path.suffix == ".mp4" and not animation.writers.is_available("ffmpeg"):
-        msg = f"{path}: mp4 needs the program ffmpeg (apt install ffmpeg, or conda install ffmpeg); or write a .gif"
-        raise OSError(msg)
+        raise OSError(
+            f"{path}: mp4 needs the program ffmpeg (apt install ffmpeg, or conda install ffmpeg); or write a .gif"
+        )
     part = _part(f, field, component, direction, at, arrows)
     count = part.sizes["time"]
     name = part.attrs["drawn"]
@@ -222,23 +221,21 @@ def _part(
     """Select the numbers to draw, its errors and arrows of all steps and phases; ``attrs["drawn"]`` is its name."""
     name = field or next((str(n) for n in f.data_vars if n != "sample_count"), None)
     if name is None or name not in f:
-        msg = f"plot({name!r}): the result has {', '.join(map(str, f.data_vars)) or 'no fields'}"
-        raise ValueError(msg)
+        raise ValueError(f"plot({name!r}): the result has {', '.join(map(str, f.data_vars)) or 'no fields'}")
     cut = _slice(f, at)
     axes = _axes(cut)
     if not 1 <= len(axes) <= 2 or "point" in cut.dims:
         drawn = ", ".join(_AXES)
-        msg = f"plot draws along one or two of {drawn}; this result has the dimensions {', '.join(map(str, f.dims))}"
-        raise ValueError(msg)
+        raise ValueError(
+            f"plot draws along one or two of {drawn}; this result has the dimensions {', '.join(map(str, f.dims))}"
+        )
     value = cut[name]
     if "direction" in value.dims and (component is None or direction is None):
-        msg = f"{name} is a tensor: name a part of it, for example component='x', direction='z'"
-        raise ValueError(msg)
+        raise ValueError(f"{name} is a tensor: name a part of it, for example component='x', direction='z'")
     spare = set(value.dims) - {*axes, "time", "phase", "component", "direction"}
     if len(axes) == 2 and spare:
         dim = str(min(spare, key=str))
-        msg = f"a map of {name} needs one value of its dimension {dim!r}: select it first, f.sel({dim}=...)"
-        raise ValueError(msg)
+        raise ValueError(f"a map of {name} needs one value of its dimension {dim!r}: select it first, f.sel({dim}=...)")
     wanted = {"component": component, "direction": direction}
     chosen = {dim: label for dim, label in wanted.items() if label is not None}
     found = {name: _component(value, name, chosen)}
@@ -260,8 +257,7 @@ def _part(
 def _component(value: xr.DataArray, name: str, chosen: Mapping[str, str]) -> xr.DataArray:
     for dim in chosen:
         if dim not in value.dims:
-            msg = f"{dim}={chosen[dim]!r}: {name} has no dimension {dim!r}"
-            raise ValueError(msg)
+            raise ValueError(f"{dim}={chosen[dim]!r}: {name} has no dimension {dim!r}")
     if not chosen:
         return value
     part = f"{_named(value, name)}, {''.join(chosen.values())}"
@@ -274,8 +270,7 @@ def _slice(f: xr.Dataset, at: Mapping[str, float] | None) -> xr.Dataset:
     """Cut a result where it is asked for, and a volume through the middle of its shortest axis."""
     wrong = sorted(set(at or ()) - set(_axes(f)))
     if wrong:
-        msg = f"at={dict(at or {})!r}: the axes of this result are {', '.join(_axes(f)) or 'none'}"
-        raise ValueError(msg)
+        raise ValueError(f"at={dict(at or {})!r}: the axes of this result are {', '.join(_axes(f)) or 'none'}")
     cut = f.sel(at, method="nearest") if at else f
     axes = _axes(cut)
     if len(axes) < 3:
@@ -295,12 +290,10 @@ def _one_step(part: xr.Dataset, time: int, phase: int | str | None) -> xr.Datase
 def _labelled(part: T, dim: str, label: int | str) -> T:
     """Select by a label, and refuse one that the result does not have."""
     if dim not in part.dims:
-        msg = f"{dim}={label!r}: the result has no dimension {dim!r}"
-        raise ValueError(msg)
+        raise ValueError(f"{dim}={label!r}: the result has no dimension {dim!r}")
     labels = list(map(str, part[dim].to_numpy()))
     if str(label) not in labels:
-        msg = f"{dim}={label!r}: expected one of {', '.join(labels)}"
-        raise ValueError(msg)
+        raise ValueError(f"{dim}={label!r}: expected one of {', '.join(labels)}")
     return part.isel({dim: labels.index(str(label))})
 
 

@@ -84,14 +84,12 @@ def slice_temperature(
     """
     weight = {"planes": "diameter", "bins": "mass"}.get(method)
     if weight is None:
-        msg = f"method={method!r}: expected 'planes' (overlapping slices) or 'bins'"
-        raise ValueError(msg)
+        raise ValueError(f"method={method!r}: expected 'planes' (overlapping slices) or 'bins'")
     require_scene(ds, ("velocity", weight), "slice_temperature")
     scene = describe(ds)
     setup = scene.setup
     if not isinstance(axis, str) or axis not in setup.plane or len(axis) != 1:
-        msg = f"axis={axis!r}: expected one of the scene's axes {setup.plane!r}"
-        raise ValueError(msg)
+        raise ValueError(f"axis={axis!r}: expected one of the scene's axes {setup.plane!r}")
     k = COMPONENTS.index(axis)
     if width is None:
         width = scene.sizes.get("d43", np.nan)
@@ -100,8 +98,7 @@ def slice_temperature(
     elif bounds is None and scene.corners is not None:
         bounds = scene.corners[0][k], scene.corners[1][k]
     if not is_positive(width):
-        msg = f"width={width!r}: expected a positive width (m)"
-        raise ValueError(msg)
+        raise ValueError(f"width={width!r}: expected a positive width (m)")
     width, bounds = float(width), rising_pair("bounds", bounds, equal=True)
     if method == "bins":
         count = max(1, _whole(np.ceil((bounds[1] - bounds[0]) / width - 1e-9)))
@@ -112,8 +109,9 @@ def slice_temperature(
     else:
         step = width / 2 if spacing is None else spacing
         if not (is_positive(step) and is_whole(planes, 0)):
-            msg = f"spacing={spacing!r}, planes={planes!r}: expected a positive distance (m) and a number of planes"
-            raise ValueError(msg)
+            raise ValueError(
+                f"spacing={spacing!r}, planes={planes!r}: expected a positive distance (m) and a number of planes"
+            )
         step = float(step)
         nodes = bounds[0] + step * np.arange(_whole((bounds[1] - bounds[0]) / step + 1e-9, 2 * planes + 1) + 1)
         limits = (nodes[0] - width / 2, nodes[-1] + width / 2)
@@ -157,8 +155,9 @@ def slice_temperature(
 def _whole(count: float, planes: int = 1) -> int:
     """Whole number of slices, refused before anything is made for too many."""
     if not (count + 1) * planes < _MOST:
-        msg = f"{count + 1:.3g} slices of {planes} planes are more than {_MOST} planes: choose larger or fewer ones"
-        raise ValueError(msg)
+        raise ValueError(
+            f"{count + 1:.3g} slices of {planes} planes are more than {_MOST} planes: choose larger or fewer ones"
+        )
     return int(count)
 
 
@@ -218,8 +217,9 @@ def _planes(
     x, radius, grain = position[:, axis], diameter / 2, np.arange(len(position))
     reach = radius.max(initial=0.0)
     if not reach < _MOST_PERIODS * period:
-        msg = f"a grain of diameter {2 * reach:.3g} m reaches over more than {_MOST_PERIODS} periods of {period:.3g} m"
-        raise SceneError(msg)
+        raise SceneError(
+            f"a grain of diameter {2 * reach:.3g} m reaches over more than {_MOST_PERIODS} periods of {period:.3g} m"
+        )
     if np.isfinite(period):  # planes and grains are taken to [0, period), and images as far as grains reach beyond it
         images = period * np.arange(-np.ceil(reach / period), np.ceil(reach / period) + 1)
         grain = np.tile(grain, len(images))

@@ -115,8 +115,7 @@ def wall_stress(
     call = format_call("wall_stress", {"surface": surface, "width": width, "walls": walls, "within": within})
     require_scene(ds, _NEEDS, "wall_stress")
     if not isinstance(surface, Wall):
-        msg = f"surface={surface!r}: expected an xcg.Plane, xcg.Cylinder or xcg.Surface"
-        raise ValueError(msg)
+        raise ValueError(f"surface={surface!r}: expected an xcg.Plane, xcg.Cylinder or xcg.Surface")
     if walls is not None:
         ds = select_walls(ds, walls)
     scene = describe(ds)
@@ -125,8 +124,7 @@ def wall_stress(
     smooth = as_kernel(kernel, None if own else choose_width(width, scene.sizes), 2)
     for name, value in (("spacing", spacing), ("within", within)):
         if value is not None and not is_positive(value):
-            msg = f"{name}={value!r}: expected a positive length (m)"
-            raise ValueError(msg)
+            raise ValueError(f"{name}={value!r}: expected a positive length (m)")
     cells = surface.cells(*_box_of_grains(scene), smooth.width / 2 if spacing is None else float(spacing))
     task = _Task(surface, cells, smooth, smooth.width if within is None else float(within), setup)
     axes = len(cells.axes)

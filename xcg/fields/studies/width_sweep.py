@@ -32,8 +32,9 @@ def _points(at: Mapping[str, ArrayLike | xr.DataArray] | None) -> tuple[list[Map
         return [{axis: float(values) for axis, values in columns.items()}], False
     shapes = {axis: values.shape for axis, values in columns.items()}
     if len(set(shapes.values())) > 1 or any(len(shape) != 1 for shape in shapes.values()):
-        msg = f"at has shapes {shapes}: expected one number an axis, or lists of the same length, one entry a point"
-        raise ValueError(msg)
+        raise ValueError(
+            f"at has shapes {shapes}: expected one number an axis, or lists of the same length, one entry a point"
+        )
     rows = zip(*columns.values(), strict=True)
     return [dict(zip(columns, map(float, row), strict=True)) for row in rows], True
 
@@ -90,8 +91,7 @@ def width_sweep(ds: xr.Dataset, asked: SweepRequest) -> xr.Dataset:
     measured = describe(ds).sizes
     lengths = sorted({choose_width(width, measured) for width in asked.widths})
     if len(lengths) < 3:
-        msg = f"widths={list(asked.widths)!r}: expected three or more different widths, to tell a slope"
-        raise ValueError(msg)
+        raise ValueError(f"widths={list(asked.widths)!r}: expected three or more different widths, to tell a slope")
     points, several = _points(asked.at)
     ds, asked = prepare(ds, asked)
     refuse_cylindrical(ds, "width_sweep")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,14 +16,11 @@ from xcg.compiled.smoothing import CellKernel, KernelCode
 from xcg.fields.sums.blocks import NodeBlock, triple
 from xcg.fields.sums.moments import MOMENTS, Moment
 from xcg.fields.sums.nodes import Grid
-from xcg.scene.kept import Kept
 from xcg.scene.lattice import Lattice
 
 AnyKernel: TypeAlias = KernelCode | CellKernel
 # adds one pass to the sums (groups, nodes, columns) at the nodes of a block; the last array is the reference velocity
 Fill: TypeAlias = Callable[[NodeBlock, NDArray, NDArray], None]
-# boxes whose surroundings are kept, and layouts of passes
-_BOXES, _LAYOUTS = 4, 32
 
 
 @dataclass(frozen=True)
@@ -60,16 +57,6 @@ class DepositSpec:
     by: str | None = None
     groups: tuple[int, ...] = ()
     own: Mapping[str, Moment] = field(default_factory=dict)
-
-    @cached_property
-    def surroundings(self) -> Kept[Any]:
-        """What is kept for boxes, see `xcg.fields.sums.surroundings`."""
-        return Kept(_BOXES)
-
-    @cached_property
-    def layouts(self) -> Kept[Layout]:
-        """What is kept of passes."""
-        return Kept(_LAYOUTS)
 
     @cached_property
     def phases(self) -> int:

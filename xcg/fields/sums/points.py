@@ -35,7 +35,7 @@ def grains(step: Step) -> list[Pass]:
     # what is wide is made when it is written beside the others
     rest = {name: row for name, row in rows.items() if name not in same}
     columns = (single.pop(name) if name in single else step.column(row, at) for name, row in rest.items())
-    layout = step.spec.layouts.or_new(("grains", *same.items()), lambda: _layout_of_grains(step.spec, same))
+    layout = _layout_of_grains(step.spec, same)
     return [_pass(step, layout, at, *step.flow, at.of(step.phase), chain(columns, number))]
 
 
@@ -61,7 +61,7 @@ def slopes(step: Step) -> list[Pass]:
         name: (MOMENTS[flow].first + MOMENTS[flow].columns, -1 / spec.by_phase)
         for name, flow in (("mass_slope", "offset"), ("momentum_slope", "shear"))
     }
-    layout = spec.layouts.or_new("slopes", lambda: Layout(spec.phases, kernel.LINEAR, moments, kernel.LINEAR))
+    layout = Layout(spec.phases, kernel.LINEAR, moments, kernel.LINEAR)
     return [_pass(step, layout, step.grains, *step.flow, step.grains.of(step.phase), by_gradient=True)]
 
 
@@ -80,8 +80,7 @@ def relative(step: Step) -> list[Pass]:
             values = step.column(row, images)
         weight, numbers = np.ascontiguousarray(values[:, 0]), np.ascontiguousarray(values[:, 1:])
         moments = {name: (row.first + row.columns, 1.0)}
-        new = partial(Layout, step.spec.phases, row.level, moments, row.level, apart=True, vector=row.vector)
-        layout = step.spec.layouts.or_new(("relative", name), new)
+        layout = Layout(step.spec.phases, row.level, moments, row.level, apart=True, vector=row.vector)
         passes.append(_pass(step, layout, images, numbers, weight, phase))
     return passes
 
@@ -91,7 +90,7 @@ def at_contacts(step: Step) -> list[Pass]:
     rows = {name: row for name, row in step.spec.rows.items() if row.at_contacts and not row.level}
     images, phase, share, contact = step.contact_points
     columns = [step.column(row, images, contact) * share[:, None] for row in rows.values()]
-    return [_constants(step, "contact points", rows, images, phase, columns)]
+    return [_constants(step, rows, images, phase, columns)]
 
 
 def between_phases(step: Step) -> list[Pass]:
@@ -106,7 +105,7 @@ def between_phases(step: Step) -> list[Pass]:
         sides.append((c.point[at], phase[row[at]] * others + phase[partner[at]], sign * c.force[at]))
     point, pair, force = (np.concatenate(parts) for parts in zip(*sides, strict=True))
     images, moment = step.images(point), {"pair_force": MOMENTS["pair_force"]}
-    return [_constants(step, "pairs", moment, images, images.of(pair), [images.of(force)], others)]
+    return [_constants(step, moment, images, images.of(pair), [images.of(force)], others)]
 
 
 def at_walls(step: Step) -> list[Pass]:
@@ -114,22 +113,18 @@ def at_walls(step: Step) -> list[Pass]:
     assert step.contacts is not None
     at, point, force = step.contacts.at_walls
     images, moment = step.images(point), {"traction": MOMENTS["traction"]}
-    return [_constants(step, "walls", moment, images, images.of(step.phase[at]), [images.of(force)])]
+    return [_constants(step, moment, images, images.of(step.phase[at]), [images.of(force)])]
 
 
 def _constants(
-    step: Step, over: str, rows: Mapping[str, Moment], images: Images, phase: NDArray, columns: Sequence[NDArray],
+    step: Step, rows: Mapping[str, Moment], images: Images, phase: NDArray, columns: Sequence[NDArray],
     others: int = 1,
 ) -> Pass:  # fmt: skip
     """Prepare places with columns of constants alone, those of the moments one after the other."""
-
-    def layout() -> Layout:
-        firsts = np.cumsum([0, *(row.width for row in rows.values())]).tolist()
-        moments = {name: (first + row.columns, 1.0) for first, (name, row) in zip(firsts, rows.items(), strict=False)}
-        return Layout(step.spec.phases * others, _padded(firsts[-1]), moments)
-
-    still = np.zeros((len(images.position), 3))
-    return _pass(step, step.spec.layouts.or_new(over, layout), images, still, still[:, 0], phase, columns, others)
+    firsts = np.cumsum([0, *(row.width for row in rows.values())]).tolist()
+    moments = {name: (first + row.columns, 1.0) for first, (name, row) in zip(firsts, rows.items(), strict=False)}
+    layout, still = Layout(step.spec.phases * others, _padded(firsts[-1]), moments), np.zeros((len(images.position), 3))
+    return _pass(step, layout, images, still, still[:, 0], phase, columns, others)
 
 
 def _pass(

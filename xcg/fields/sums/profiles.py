@@ -80,11 +80,9 @@ def check_table(name: str, profile: Profile) -> None:
     exact = _values(profile, _PLACES)
     if not np.isfinite(exact).all():
         wrong = _PLACES[~np.isfinite(exact)][0]
-        msg = f"the profile of kernel {name!r} must be finite on [0, 1): it is not at q={wrong:.3g}"
-        raise ValueError(msg)
+        raise ValueError(f"the profile of kernel {name!r} must be finite on [0, 1): it is not at q={wrong:.3g}")
     if not profile_integral(profile, 3) > 0:
-        msg = f"the profile of kernel {name!r} must have a positive integral"
-        raise ValueError(msg)
+        raise ValueError(f"the profile of kernel {name!r} must have a positive integral")
     largest = _largest(profile)
     error = np.abs(codes.sample(codes.TABLE, codes.TABULATED, table_of(profile, 0), _PLACES, False) - exact)
     if error.max() > _MOST_ERROR * largest:

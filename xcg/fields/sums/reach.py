@@ -97,12 +97,11 @@ class Mesh:
         """
         for k, _ in self._along_active:
             if not farthest[k] < _FAR:
-                msg = (
+                raise SceneError(
                     f"{source}: a particle or contact reaches {farthest[k] * self.cutoff:.3g} m from the mesh "
                     f"along '{COMPONENTS[k]}', where coordinates have no digits left; the file is damaged, or its "
                     "units are others"
                 )
-                raise SceneError(msg)
 
     def check_reach(self, reach: NDArray, source: str, *, paired: bool = False) -> None:
         """Refuse supports (3,), from end to end, of more nodes or periodic images than can be counted, or than end.
@@ -113,23 +112,21 @@ class Mesh:
         images, over_mesh = [1.0, 1.0, 1.0], [1.0, 1.0, 1.0]
         for k, (extent, step, period) in self._along_active:
             if not (extent < _FAR and (reach[k] + extent) / step < _FAR):
-                msg = (
+                raise SceneError(
                     f"{source}: along '{COMPONENTS[k]}' the mesh is {extent * self.cutoff:.3g} m long "
                     f"with nodes {step * self.cutoff:.3g} m apart, and the radius of the support is "
                     f"{self.cutoff:.3g} m; choose a width and a spacing that are closer to each other"
                 )
-                raise SceneError(msg)
             images[k], over_mesh[k] = float(reach[k]) / period + 1.0, (float(reach[k]) + extent) / period + 1.0
         one, all_nodes = math.prod(images), math.prod(over_mesh)
         if not (one <= most and all_nodes <= _MOST_OVER_MESH + self.nodes * one):
             k = int(np.argmax(over_mesh))
-            msg = (
+            raise SceneError(
                 f"{source}: the box is so small that a particle or contact reaches the mesh in "
                 f"{all_nodes:.3g} periodic images (along '{COMPONENTS[k]}' the period is "
                 f"{self.period[k] * self.cutoff:.3g} m, and the reach {reach[k] * self.cutoff:.3g} m); the box or a "
                 "contact in the file is damaged, or the kernel is too wide"
             )
-            raise SceneError(msg)
 
     @cached_property
     def _along_active(self) -> list[tuple[int, list[float]]]:
@@ -182,12 +179,11 @@ class Mesh:
         sizes = np.abs(segments[used[segments[used, GROUP] >= 0.0], _BRANCHES])
         longest = np.array([*sizes.max(axis=0, initial=0.0), np.sqrt((sizes**2).sum(axis=1).max(initial=0.0))])
         if not longest[:3][self.active].max() < _TOO_LONG:
-            msg = (
+            raise SceneError(
                 f"{source}: a contact is {longest[:3][self.active].max() * self.cutoff:.3g} m long within the "
                 f"mesh or a periodic box, more than {_TOO_LONG:.0f} supports of the kernel; its particles are not in "
                 "touch: check the ids and units of the contacts, or choose a larger width"
             )
-            raise SceneError(msg)
         return longest
 
     def _part_near(self, start: NDArray, end: NDArray, axes: NDArray) -> tuple[NDArray, NDArray, NDArray]:

@@ -44,8 +44,7 @@ def _branches(step: Step, name: str, row: Moment, contacts: NDArray) -> Pass:
             if not more:
                 break
     groups = spec.phases * max(others, 1)
-    new = partial(Layout, groups, 9, {name: (row.columns, 1.0)})
-    return Pass(spec.layouts.or_new(("branches", name), new), fill)
+    return Pass(Layout(groups, 9, {name: (row.columns, 1.0)}), fill)
 
 
 def _carried(step: Step, row: Moment, frame: Frame) -> tuple[NDArray, NDArray | None]:

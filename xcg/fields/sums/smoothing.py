@@ -55,18 +55,15 @@ class Kernel:
         self, width: float | None = None, *, cutoff: float | None = None, dimension: int | None = None
     ) -> None:
         if width is None and cutoff is None:
-            msg = f"{type(self).__name__} needs width= or cutoff= (in metres)"
-            raise ValueError(msg)
+            raise ValueError(f"{type(self).__name__} needs width= or cutoff= (in metres)")
         for name, given in (("width", width), ("cutoff", cutoff)):
             if given is not None and not (is_finite(given) and SHORTEST <= given <= LONGEST):
-                msg = (
+                raise ValueError(
                     f"{name}={given!r}: expected a positive length, from {SHORTEST:g} to {LONGEST:g} m; the usual "
                     "choice is 0.75 mean diameters"
                 )
-                raise ValueError(msg)
         if dimension not in (None, 1, 2, 3):
-            msg = f"dimension={dimension!r}: expected 1, 2 or 3"
-            raise ValueError(msg)
+            raise ValueError(f"dimension={dimension!r}: expected 1, 2 or 3")
         self.width = float(width if width is not None else cutoff / self.ratio)  # type: ignore[operator]
         self.cutoff = float(cutoff if cutoff is not None else self.ratio * self.width)
         self.dimension = dimension
@@ -74,11 +71,10 @@ class Kernel:
 
     def _check_ratio(self) -> None:
         if not math.isclose(self.cutoff, self.ratio * self.width, rel_tol=1e-9):
-            msg = (
+            raise ValueError(
                 f"width={self.width} and cutoff={self.cutoff} contradict each other: the {self.name} kernel has "
                 f"cutoff = {self.ratio:g} width; give one of them"
             )
-            raise ValueError(msg)
 
     def __repr__(self) -> str:
         dimension = "" if self.dimension is None else f", dimension={self.dimension}"
@@ -121,11 +117,10 @@ class Kernel:
             return KernelCode(codes.HEAVISIDE, 1.0, PLAIN, 1.0)
         codimension = dimension - seen
         if not 0 <= codimension <= 2:
-            msg = (
+            raise ValueError(
                 f"a {dimension}D {self.name} kernel cannot be seen in {seen} dimensions; use a kernel of dimension "
                 f"{max(seen, 1)} to {min(seen + 2, 3)}"
             )
-            raise ValueError(msg)
         code = self.code + codimension
         kind = LUCY_FULL if code == codes.LUCY else code
         norm = self._unit_norm(dimension) / self.cutoff**seen
@@ -169,8 +164,7 @@ class Kernel:
             If `order` is not a whole number from 0 on.
         """
         if not isinstance(order, int | np.integer) or order < 0:
-            msg = f"order={order!r}: expected a number of Gauss-Legendre points, or 0 for the closed form"
-            raise ValueError(msg)
+            raise ValueError(f"order={order!r}: expected a number of Gauss-Legendre points, or 0 for the closed form")
         r = np.atleast_2d(np.asarray(points, float))
         w = self.weights(r.shape[1])
         return w.norm * segments.mean_along(
@@ -377,8 +371,7 @@ def as_kernel(kernel: str | Kernel, width: float | None, dimension: int) -> Kern
     """
     if isinstance(kernel, Kernel):
         if width is not None:
-            msg = f"kernel={kernel!r} has its own width; leave width= out"
-            raise ValueError(msg)
+            raise ValueError(f"kernel={kernel!r} has its own width; leave width= out")
         return kernel.in_dimension(dimension)
     return kind_of(kernel)(width, dimension=dimension)
 
@@ -394,8 +387,9 @@ def kind_of(name: str) -> Callable[..., Kernel]:
     try:
         return _NAMED[str(name).lower()]
     except KeyError:
-        msg = f"kernel={name!r}: expected one of {sorted(_NAMED)} or a kernel object such as xcg.Lucy(width=0.01)"
-        raise ValueError(msg) from None
+        raise ValueError(
+            f"kernel={name!r}: expected one of {sorted(_NAMED)} or a kernel object such as xcg.Lucy(width=0.01)"
+        ) from None
 
 
 def choose_width(width: float | str | None, attrs: Mapping[Any, Any]) -> float:
@@ -409,8 +403,7 @@ def choose_width(width: float | str | None, attrs: Mapping[Any, Any]) -> float:
     if width is None:
         width = "0.75 d43"
     if isinstance(width, Mapping):
-        msg = f"width={dict(width)!r}: expected one width here, not one for each group"
-        raise ValueError(msg)
+        raise ValueError(f"width={dict(width)!r}: expected one width here, not one for each group")
     if isinstance(width, str):
         factor, _, size = width.rpartition(" ")
         try:
@@ -418,17 +411,16 @@ def choose_width(width: float | str | None, attrs: Mapping[Any, Any]) -> float:
         except ValueError:
             multiple = np.nan
         if size not in SIZES or not np.isfinite(multiple):
-            msg = f"width={width!r}: expected a length in metres or a multiple of {', '.join(SIZES)} such as '0.75 d43'"
-            raise ValueError(msg)
+            raise ValueError(
+                f"width={width!r}: expected a length in metres or a multiple of {', '.join(SIZES)} such as '0.75 d43'"
+            )
         if size not in attrs:
-            msg = (
+            raise ValueError(
                 f"width={width!r} needs the attribute {size!r}, which the scene does not hold, or no longer, as "
                 "diameters were changed; give width= in metres, or call ds = ds.cg.measure() first (of bodies: "
                 "ds = ds.cg.group_bodies(...).cg.measure() in place of by_body=)"
             )
-            raise ValueError(msg)
         width = multiple * float(attrs[size])
     if not is_positive(width):
-        msg = f"width={width!r}: expected a positive length (m); the usual choice is 0.75 mean diameters"
-        raise ValueError(msg)
+        raise ValueError(f"width={width!r}: expected a positive length (m); the usual choice is 0.75 mean diameters")
     return float(width)

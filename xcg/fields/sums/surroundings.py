@@ -11,10 +11,7 @@ from numpy.typing import NDArray
 from xcg.compiled.points import SQUARED
 from xcg.fields.sums.passes import AnyKernel, DepositSpec
 from xcg.fields.sums.reach import Mesh
-from xcg.scene.kept import Kept
 from xcg.scene.lattice import Lattice
-
-_CUTOFFS = 64  # whose images are kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,21 +31,17 @@ class Surroundings:
     lattice: Lattice
     meshes: Mapping[float, Mesh]
     kernels: Mapping[float, AnyKernel]
-    _others: Kept[NDArray] = field(default_factory=lambda: Kept(_CUTOFFS))
+    _others: dict[float, NDArray] = field(default_factory=dict)
 
     @classmethod
     def of(cls, spec: DepositSpec, lattice: Lattice, scale: float, source: str) -> Surroundings:
-        """Return those of a box, and kernels times a scale, as they were made for an earlier step if it had them, too.
+        """Return those of a box, and kernels times a scale.
 
         Raises
         ------
         SceneError
             If the box is too small, or has no images as seen along some axes.
         """
-        return spec.surroundings.or_new((lattice.key, scale), lambda: cls._new(spec, lattice, scale, source))
-
-    @classmethod
-    def _new(cls, spec: DepositSpec, lattice: Lattice, scale: float, source: str) -> Surroundings:
         lattice = replace(lattice.seen(spec.grid.active, source), edges=None)  # which are a part of the scene
         meshes = {cutoff: Mesh.of(spec.grid, lattice.period, cutoff) for cutoff in spec.distinct}
         for cutoff in {spec.distinct[0], spec.distinct[-1]}:
@@ -61,9 +54,8 @@ class Surroundings:
 
     def meet(self, cutoff: float, source: str) -> NDArray | None:
         """Return translations (m, 3), in cutoffs, between images of a grain that reach one node; None where none do."""
-        found = self._others.or_new(cutoff, lambda: self._translations(cutoff, source))
+        if cutoff not in self._others:
+            both_seen = 2.0 + 2.0 * float(np.linalg.norm(self.meshes[cutoff].half))
+            self._others[cutoff] = self.lattice.scaled(cutoff).translations(both_seen, source)
+        found = self._others[cutoff]
         return found if len(found) else None
-
-    def _translations(self, cutoff: float, source: str) -> NDArray:
-        both_seen = 2.0 + 2.0 * float(np.linalg.norm(self.meshes[cutoff].half))
-        return self.lattice.scaled(cutoff).translations(both_seen, source)

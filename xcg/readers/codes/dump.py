@@ -112,8 +112,9 @@ def index_dumps(paths: Sequence[str], options: ReadOptions, *, atoms: bool) -> l
     if timestep is None:
         return refs
     if not is_positive(timestep):
-        msg = f"timestep={timestep!r}: expected a positive number, the time between two steps of the simulation"
-        raise SceneError(msg)
+        raise SceneError(
+            f"timestep={timestep!r}: expected a positive number, the time between two steps of the simulation"
+        )
     return [ref if ref.time is not None else replace(ref, time=ref.step * float(timestep)) for ref in refs]
 
 
@@ -124,8 +125,9 @@ def _steps(path: str, *, atoms: bool) -> Iterator[StepRef]:
     elif atoms:
         yield from form.steps_of(path)
     else:
-        msg = f"{path}: LAMMPS writes particles in this form, and contacts as text; is this a file for particles=?"
-        raise SceneError(msg)
+        raise SceneError(
+            f"{path}: LAMMPS writes particles in this form, and contacts as text; is this a file for particles=?"
+        )
 
 
 def _steps_of_text(path: str, *, atoms: bool) -> Iterator[StepRef]:
@@ -176,11 +178,11 @@ def _header(scanner: Scanner, path: str, *, atoms: bool) -> StepRef | None:
             continue
         if not line.startswith("ITEM:"):
             before = f"before byte {scanner.offset}"
-            msg = f"{path}: expected a line that begins with 'ITEM:' {before}, found {line.strip()[:60]!r}"
-            raise SceneError(msg)
+            raise SceneError(f"{path}: expected a line that begins with 'ITEM:' {before}, found {line.strip()[:60]!r}")
         if scanner.offset - start > _LONGEST_HEADER:
-            msg = f"{path}: the header that begins at byte {start} has no end in {_LONGEST_HEADER} bytes; it is damaged"
-            raise SceneError(msg)
+            raise SceneError(
+                f"{path}: the header that begins at byte {start} has no end in {_LONGEST_HEADER} bytes; it is damaged"
+            )
         item = line.removeprefix("ITEM:").strip()
         if _is_body(item):
             _check_header(ref, item.split(), atoms=atoms)
@@ -188,8 +190,7 @@ def _header(scanner: Scanner, path: str, *, atoms: bool) -> StepRef | None:
         ref = _box(ref, scanner, item) if item.startswith("BOX BOUNDS") else _value(ref, scanner, item)
     if ref is empty:
         return None
-    msg = f"{path}: the header of step {ref.step} is cut off; leave out the step or the file"
-    raise SceneError(msg)
+    raise SceneError(f"{path}: the header of step {ref.step} is cut off; leave out the step or the file")
 
 
 _LONGEST_HEADER = 1 << 20  # bytes
@@ -217,8 +218,7 @@ def _value(ref: StepRef, scanner: Scanner, item: str) -> StepRef:
             raise ValueError
         return replace(ref, step=number) if item == "TIMESTEP" else replace(ref, rows=number)
     except ValueError:
-        msg = f"{ref.path}: {value[:60]!r} follows 'ITEM: {item}', expected a number"
-        raise SceneError(msg) from None
+        raise SceneError(f"{ref.path}: {value[:60]!r} follows 'ITEM: {item}', expected a number") from None
 
 
 def _check_header(ref: StepRef, words: list[str], *, atoms: bool) -> None:
@@ -244,11 +244,10 @@ def _box(ref: StepRef, scanner: Scanner, item: str) -> StepRef:
     flags = item.split()[2:]
     lines = [scanner.line().decode("utf-8", "replace").split() for _ in COMPONENTS]
     if "abc" in flags:
-        msg = (
+        raise SceneError(
             f"{ref.path}: the box is written by vectors in any direction ('{item}'); write it by tilts, which LAMMPS "
             "does after 'dump_modify ... triclinic/general no'"
         )
-        raise SceneError(msg)
     tilted, flags = flags[:3] == ["xy", "xz", "yz"], [flag for flag in flags if flag not in ("xy", "xz", "yz")]
     try:
         low, high, *tilts = np.array([[_finite(word) for word in line] for line in lines]).T
@@ -259,8 +258,7 @@ def _box(ref: StepRef, scanner: Scanner, item: str) -> StepRef:
         what = "three lines of " + (
             "three numbers, the bounds and a tilt" if tilted else "two numbers, the lower first"
         )
-        msg = f"{ref.path}: {lines} follow 'ITEM: {item}', expected {what}"
-        raise SceneError(msg) from None
+        raise SceneError(f"{ref.path}: {lines} follow 'ITEM: {item}', expected {what}") from None
     if len(flags) != len(COMPONENTS):
         return ref  # old files do not say what is periodic
     periodic = "".join(axis for axis, flag in zip(COMPONENTS, flags, strict=True) if flag == "pp")

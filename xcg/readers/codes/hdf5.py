@@ -94,18 +94,19 @@ def _mapping(options: ReadOptions) -> dict[str, str]:
     given = options.extra.get("mapping")
     example = "mapping={'position': '/Step{time}/Particles/Position', ...}"
     if not isinstance(given, Mapping) or not given:
-        msg = f"engine='hdf5' needs to be told where variables are: {example}; h5ls -r lists what a file holds"
-        raise SceneError(msg)
+        raise SceneError(
+            f"engine='hdf5' needs to be told where variables are: {example}; h5ls -r lists what a file holds"
+        )
     slots = {**columns.PARTICLE_SLOTS, **columns.CONTACT_SLOTS}
     known = {*slots, *(slot[:-2] for slot in slots if slot.endswith("_x")), "time"}
     for name, path in given.items():
         if not isinstance(path, str) or sum(path.count(place) for place in _PLACES) > 1:
-            msg = f"mapping={{{name!r}: {path!r}}}: expected a path with at most one '{{time}}' or '{{step}}'"
-            raise SceneError(msg)
+            raise SceneError(
+                f"mapping={{{name!r}: {path!r}}}: expected a path with at most one '{{time}}' or '{{step}}'"
+            )
         likely = "" if name in known else did_you_mean(name, known, 0.85)
         if likely:
-            msg = f"mapping={{{name!r}: ...}}: no variable of scenes has this name{likely}"
-            raise SceneError(msg)
+            raise SceneError(f"mapping={{{name!r}: ...}}: no variable of scenes has this name{likely}")
     return dict(given)
 
 
@@ -123,8 +124,7 @@ def _index(paths: Sequence[str], options: ReadOptions, *, contacts: bool) -> lis
     mine = {name: path for name, path in places.items() if name != "time" and _of_contacts(name) is contacts}
     one = _ONE[contacts]
     if one not in mine and f"{one}_x" not in mine:
-        msg = f"mapping= lacks {one!r}; it has {', '.join(places)}"
-        raise SceneError(msg)
+        raise SceneError(f"mapping= lacks {one!r}; it has {', '.join(places)}")
     found = remembered(paths, f"hdf5 {mine} {places.get('time')}", partial(_steps, mine=mine, time=places.get("time")))
     refs = [ref for steps in found for ref in steps]
     if not refs:
@@ -174,8 +174,7 @@ def _numbers_of_groups(file: h5py.File, path: str, place: str) -> list[tuple[str
             continue
     if not numbers:
         there = ", ".join(list(parent)[:5]) or "nothing"
-        msg = f"{file.filename}: no name like {parts[at]!r} in {parent.name!r}, which holds {there}"
-        raise SceneError(msg)
+        raise SceneError(f"{file.filename}: no name like {parts[at]!r} in {parent.name!r}, which holds {there}")
     return sorted(numbers, key=lambda entry: entry[1])
 
 
@@ -187,13 +186,13 @@ def _with_columns(file: h5py.File, ref: StepRef, mine: Mapping[str, str]) -> Ste
         shape = _dataset(file, _filled(path, ref)).shape[ref.kind == _STACKED :]
         if not (len(shape) == 1 or (len(shape) == 2 and shape[1] in (2, 3))):
             filled = _filled(path, ref)
-            msg = f"{source_of(ref)}: {filled!r} has the shape {shape} a step, expected (n,), (n, 2) or (n, 3)"
-            raise SceneError(msg)
+            raise SceneError(
+                f"{source_of(ref)}: {filled!r} has the shape {shape} a step, expected (n,), (n, 2) or (n, 3)"
+            )
         names += [name] if len(shape) == 1 else [f"{name}_{axis}" for axis in COMPONENTS[: shape[1]]]
         rows[_filled(path, ref)] = shape[0]
     if len(set(rows.values())) > 1:
-        msg = f"{source_of(ref)}: datasets have different numbers of rows: {rows}"
-        raise SceneError(msg)
+        raise SceneError(f"{source_of(ref)}: datasets have different numbers of rows: {rows}")
     return replace(ref, columns=tuple(names), rows=next(iter(rows.values())))
 
 
@@ -206,8 +205,7 @@ def _time(file: h5py.File, path: str | None, ref: StepRef) -> float | None:
     place = ref.offset if ref.kind == _STACKED and len(value) > 1 else 0
     number = float(value[place]) if place < len(value) and value.dtype.kind in "fiu" else np.nan
     if not np.isfinite(number):
-        msg = f"{source_of(ref)}: {_filled(path, ref)!r} does not hold the time of this step"
-        raise SceneError(msg)
+        raise SceneError(f"{source_of(ref)}: {_filled(path, ref)!r} does not hold the time of this step")
     return number
 
 
@@ -227,8 +225,9 @@ def _opened(path: str) -> Iterator[h5py.File]:
     except (OSError, RuntimeError, KeyError, ValueError, TypeError, OverflowError) as error:
         if isinstance(error, FileNotFoundError):
             raise
-        msg = f"{path}: cannot be read as HDF5 ({str(error)[:200]}); leave the file out, or write it again"
-        raise SceneError(msg) from None
+        raise SceneError(
+            f"{path}: cannot be read as HDF5 ({str(error)[:200]}); leave the file out, or write it again"
+        ) from None
 
 
 def _dataset(file: h5py.File, path: str) -> h5py.Dataset:
@@ -241,14 +240,13 @@ def _dataset(file: h5py.File, path: str) -> h5py.Dataset:
             parent = parent.rpartition("/")[0]
         group = file[parent or "/"]
         there = ", ".join(list(group)[:8]) if isinstance(group, h5py.Group) else ""
-        msg = f"{file.filename}: no dataset {path!r}; {parent or '/'!r} holds {there or 'no others'}"
-        raise SceneError(msg)
+        raise SceneError(f"{file.filename}: no dataset {path!r}; {parent or '/'!r} holds {there or 'no others'}")
     if found.dtype.kind not in "fiub":
-        msg = f"{file.filename}: {path!r} holds {found.dtype}, expected numbers"
-        raise SceneError(msg)
+        raise SceneError(f"{file.filename}: {path!r} holds {found.dtype}, expected numbers")
     if found.nbytes > _PACKED * found.id.get_storage_size() + _SLACK:
-        msg = f"{file.filename}: {path!r} promises {found.nbytes} bytes, and {found.id.get_storage_size()} are stored"
-        raise SceneError(msg)
+        raise SceneError(
+            f"{file.filename}: {path!r} promises {found.nbytes} bytes, and {found.id.get_storage_size()} are stored"
+        )
     return found
 
 
@@ -258,6 +256,5 @@ def _values(file: h5py.File, path: str, ref: StepRef, part: int | None) -> NDArr
     selection = (*((ref.offset,) if ref.kind == _STACKED else ()), slice(None), *(() if part is None else (part,)))
     values = np.asarray(data[selection], "float64")
     if values.shape != (ref.rows,):
-        msg = f"{source_of(ref)}: {path!r} has the shape {data.shape}, and {ref.rows} rows were promised"
-        raise SceneError(msg)
+        raise SceneError(f"{source_of(ref)}: {path!r} has the shape {data.shape}, and {ref.rows} rows were promised")
     return values

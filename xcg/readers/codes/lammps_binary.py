@@ -48,8 +48,9 @@ class _Header:
         self.order = "<"
 
     def refuse(self, problem: str) -> NoReturn:
-        msg = f"{self.path}: the header at byte {self.start} {problem}; leave the file out, or write it anew"
-        raise SceneError(msg) from None
+        raise SceneError(
+            f"{self.path}: the header at byte {self.start} {problem}; leave the file out, or write it anew"
+        ) from None
 
     def bytes(self, count: int) -> bytes:
         found = self.file.read(count)
@@ -136,11 +137,10 @@ def _end_of_blocks(file: BinaryIO, ref: StepRef, size: int) -> int:
         values += count
         file.seek(end)
     if values != ref.rows * wide:
-        msg = (
+        raise SceneError(
             f"{source_of(ref)}: its header promises {ref.rows} rows of {wide} values, and {values} values follow; "
             "leave the file out, or write it anew"
         )
-        raise SceneError(msg)
     return file.tell()
 
 
@@ -166,8 +166,7 @@ def read_columns(ref: StepRef, wanted: Iterable[str]) -> dict[str, NDArray]:
     while at < len(body):
         count = struct.unpack_from(f"{order}i", body, at)[0] if at + 4 <= len(body) else -1
         if count < 0 or count % wide or at + 4 + 8 * count > len(body):
-            msg = f"{source_of(ref)}: the file changed after the scene was opened; open it again"
-            raise SceneError(msg)
+            raise SceneError(f"{source_of(ref)}: the file changed after the scene was opened; open it again")
         blocks.append(np.frombuffer(body, f"{order}f8", count, at + 4).reshape(-1, wide))
         at += 4 + 8 * count
     rows = np.concatenate(blocks) if blocks else np.empty((0, wide))

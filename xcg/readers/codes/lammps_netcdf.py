@@ -107,8 +107,7 @@ def read_columns(ref: StepRef, wanted: Iterable[str]) -> dict[str, NDArray]:
     file = ClassicFile(ref.path)
     places = _places(file)
     if tuple(places) != ref.columns or ref.offset >= file.records:
-        msg = f"{source_of(ref)}: the file changed after the scene was opened; open it again"
-        raise SceneError(msg)
+        raise SceneError(f"{source_of(ref)}: the file changed after the scene was opened; open it again")
     arrays = {
         name: file.read(name, ref.offset) for name in {places[column][0] for column in wanted} | {"id"} & {*places}
     }

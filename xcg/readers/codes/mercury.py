@@ -99,11 +99,10 @@ class Mercury(Engine):
         if restart and restart.density and "species" in frame and not {"density", "mass"} & set(frame):
             unknown = set(np.unique(frame["species"])) - set(restart.density)
             if unknown:
-                msg = (
+                raise SceneError(
                     f"{source_of(ref)}: species {min(unknown):g} is not in {restart.path}, which knows "
                     f"{sorted(restart.density)}; name the restart file of this run with restart="
                 )
-                raise SceneError(msg)
             kinds, kind = np.unique(frame["species"], return_inverse=True)
             frame["density"] = np.array([restart.density[k] for k in kinds])[kind]
         return frame
@@ -142,11 +141,10 @@ def _data_steps(path: str) -> Iterator[StepRef]:
                 continue
             header = _header(line.decode("utf-8", "replace"))
             if header is None:
-                msg = (
+                raise SceneError(
                     f"{path}: expected a header 'N t xmin ymin zmin xmax ymax zmax' (2D: without z) before "
                     f"byte {scanner.offset}, found {line[:60]!r}. The file is cut short, or is damaged"
                 )
-                raise SceneError(msg)
             rows, time, *edges = header
             axes = len(edges) // 2
             box = [*zip(edges[:axes], edges[axes:], strict=True), (-np.inf, np.inf)][:3]
@@ -161,10 +159,9 @@ def _data_steps(path: str) -> Iterator[StepRef]:
             check_rows(ref, most_from(path) - ref.offset)
             for row in range(ref.rows):
                 if not scanner.line():
-                    msg = (
+                    raise SceneError(
                         f"{path} (time {time:g}): {row} rows, but the header says {ref.rows}: the file is cut off here"
                     )
-                    raise SceneError(msg)
             yield replace(ref, length=scanner.offset - ref.offset)
 
 
@@ -206,8 +203,7 @@ def _comments(scanner: Scanner, path: str) -> str:
         return ""
     words = lines[0].removeprefix("#").split()
     if not all(line.startswith("#") for line in lines) or not words or not _is_float(words[0]):
-        msg = f"{path}: expected three lines with '#' and the time in the first, found {lines[0][:60]!r}"
-        raise SceneError(msg)
+        raise SceneError(f"{path}: expected three lines with '#' and the time in the first, found {lines[0][:60]!r}")
     return words[0]
 
 
@@ -276,6 +272,5 @@ def _numbers_after(words: Sequence[str], word: str, count: int, path: str) -> li
         found = []
     if len(found) != count or not np.isfinite(found).all():
         expected = "a number" if count == 1 else "three numbers"
-        msg = f"{path}: expected {expected} after {word!r} in {' '.join(words[:12])[:120]!r}"
-        raise SceneError(msg)
+        raise SceneError(f"{path}: expected {expected} after {word!r} in {' '.join(words[:12])[:120]!r}")
     return found

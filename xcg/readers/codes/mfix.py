@@ -150,12 +150,11 @@ class Mfix(Engine):
         frame = read_particle_arrays(ref, targets(ref, "particle", options, PARTICLE_NAMES))
         ids = frame.get("particle_id", np.empty(0))
         if ids.size and ids.max() >= EXACT and len(np.unique(ids)) < len(ids):
-            msg = (
+            raise SceneError(
                 f"{ref.path}: particle ids from {EXACT} on occur more than once, because MFiX writes ids as "
                 "Float32, which holds whole numbers up to there only; write a region with fewer particles, or "
                 "drop the ids with names={'Particle_ID': None}"
             )
-            raise SceneError(msg)
         return frame
 
     def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
@@ -231,11 +230,10 @@ class _Rows:
             superquadric = of_superquadrics(place, arrays[_POINT], length)
             place = np.where(superquadric[:, None], arrays[_POINT], place)
         elif any(name.startswith(_SHAPES) for name in header.field_names):
-            msg = (
+            raise SceneError(
                 f"{ref.path}: contacts of superquadrics need {_POINT} and {_LENGTH}, which tell where they touch; "
                 f"found {list(ref.columns)}. Switch them on in the region's output"
             )
-            raise SceneError(msg)
         if found.get("contact_point") == points and points not in options.names:
             frame |= {"contact_point": place, "point_is_middle": ~superquadric}
         frame["row_of_file"] = np.arange(header.rows)

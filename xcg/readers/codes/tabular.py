@@ -149,15 +149,14 @@ def runs_of(clock: Mapping[str, NDArray], rows: int, path: str) -> list[tuple[in
         if not fit.all():
             row = int(np.argmin(fit))
             expected = "0, 1, 2, ..." if what == "step" else "numbers"
-            msg = f"{path}: the {what} of row {row} is {values[row]}; expected {expected}"
-            raise SceneError(msg)
+            raise SceneError(f"{path}: the {what} of row {row} is {values[row]}; expected {expected}")
     if not rows:
-        msg = f"{path}: no rows follow the names of the columns"
-        raise SceneError(msg)
+        raise SceneError(f"{path}: no rows follow the names of the columns")
     edges = [0, *(np.flatnonzero(np.diff(key)) + 1).tolist(), rows]
     firsts = key[edges[:-1]]
     if len(np.unique(firsts)) < len(firsts):
         twice = next(value for k, value in enumerate(firsts) if value in firsts[:k])
-        msg = f"{path}: rows of the {next(iter(clock))} {twice!r} stand apart from each other; sort the table by it"
-        raise SceneError(msg)
+        raise SceneError(
+            f"{path}: rows of the {next(iter(clock))} {twice!r} stand apart from each other; sort the table by it"
+        )
     return list(pairwise(edges))

@@ -55,8 +55,7 @@ def _existing(paths: Sequence[str], options: ReadOptions) -> list[tuple[str, flo
     """Files with their listed times: collections expanded, missing files refused or skipped."""
     missing = options.extra.get("missing", "raise")
     if missing not in ("raise", "skip"):
-        msg = f"missing={missing!r}: expected 'raise' or 'skip'"
-        raise SceneError(msg)
+        raise SceneError(f"missing={missing!r}: expected 'raise' or 'skip'")
     listed: list[tuple[str, float | None]] = []
     for path in map(str, paths):
         try:
@@ -74,8 +73,7 @@ def _existing(paths: Sequence[str], options: ReadOptions) -> list[tuple[str, flo
         shown = f"{len(gone)} of {len(listed)} files do not exist: {', '.join(gone)}"
         if missing == "raise" or not there:
             way_out = "pass missing='skip' to go on with the others" if there else "check the path"
-            msg = f"{shown}; restore them, or {way_out}"
-            raise SceneError(msg)
+            raise SceneError(f"{shown}; restore them, or {way_out}")
         warn_user(f"{shown}; they are skipped")
     return there
 
@@ -102,11 +100,10 @@ def _once(refs: Sequence[StepRef]) -> list[StepRef]:
         if first is ref:
             continue
         if _region(first) != _region(ref):
-            msg = (
+            raise SceneError(
                 f"{first.path} and {ref.path} are of the same time, {ref.time} s, but of different regions; "
                 "open one region at a time"
             )
-            raise SceneError(msg)
         if (first.rows, first.size) != (ref.rows, ref.size):
             other.append(ref.path)
     if other:
@@ -130,12 +127,10 @@ def targets(ref: StepRef, dim: str, options: ReadOptions, known: Mapping[str, st
     given = {a: name for a, name in options.names.items() if name is not None and variable(name).dims[0] == dim}
     absent = [array for array in given if array not in columns]
     if absent:
-        msg = f"{path}: names= maps {absent}, which are not in this file; it holds {list(columns)}"
-        raise SceneError(msg)
+        raise SceneError(f"{path}: names= maps {absent}, which are not in this file; it holds {list(columns)}")
     twice = [name for name in given.values() if list(given.values()).count(name) > 1]
     if twice:
-        msg = f"names= maps several arrays to {sorted(set(twice))}; expected one array a name"
-        raise SceneError(msg)
+        raise SceneError(f"names= maps several arrays to {sorted(set(twice))}; expected one array a name")
     found = {name: array for array, name in given.items()}
     for array, name in defaults.items():
         if array in columns and array not in options.names:
@@ -147,8 +142,7 @@ def open_step(ref: StepRef) -> vtp.Header:
     """Read the header of a step again, which has to be as it was."""
     header = vtp.read_header(ref.path, lines=ref.kind == LINES)
     if (header.rows, header.names) != (ref.rows, ref.columns) or (ref.size and header.size != ref.size):
-        msg = f"{ref.path}: the file changed after the scene was opened; open the scene again"
-        raise SceneError(msg)
+        raise SceneError(f"{ref.path}: the file changed after the scene was opened; open the scene again")
     return header
 
 
@@ -170,5 +164,4 @@ def require_contacts(ref: StepRef, there: Sequence[str], advice: str) -> None:
     """Refuse contacts without ids or forces; the advice is a sentence."""
     lacking = [name for name in ("contact_i", "contact_j", "contact_force") if name not in there]
     if lacking:
-        msg = f"{ref.path}: contacts lack {lacking}; found {list(ref.columns)}. {advice}"
-        raise SceneError(msg)
+        raise SceneError(f"{ref.path}: contacts lack {lacking}; found {list(ref.columns)}. {advice}")

@@ -98,16 +98,18 @@ def _steps(path: str) -> Iterator[StepRef]:
             elif words:
                 names = _names(words)
         if not names or len(set(names)) != len(names):
-            msg = f"{path}: expected a comment that names each column once, such as '# id x y z r', found {names}"
-            raise SceneError(msg)
+            raise SceneError(
+                f"{path}: expected a comment that names each column once, such as '# id x y z r', found {names}"
+            )
         ref = StepRef(path, 0, columns=names, offset=scanner.offset)
         length, rows, last = 0, 0, b"\n"
         for piece in filter(None, scanner.until(b"#")):
             length, rows, last = length + len(piece), rows + piece.count(b"\n"), piece
         rows += not last.endswith(b"\n")
         if scanner.line():
-            msg = f"{path}: a comment stands between rows at byte {scanner.offset}; expected one step a file"
-            raise SceneError(msg)
+            raise SceneError(
+                f"{path}: a comment stands between rows at byte {scanner.offset}; expected one step a file"
+            )
     ref = replace(ref, rows=rows, length=length, **{"step": int(digits[-1]) if digits else -1} | told)
     check_rows(ref, length)
     yield ref
@@ -140,15 +142,15 @@ def _told(words: Sequence[str], path: str) -> dict[str, Any]:
         if step is not None and not 0 <= step < 2**63:
             raise ValueError
     except (ValueError, OverflowError):
-        msg = f"{path}: {' '.join(words)[:80]!r}: expected '# time 0.5 step 1000 cell' and nine numbers, row by row"
-        raise SceneError(msg) from None
+        raise SceneError(
+            f"{path}: {' '.join(words)[:80]!r}: expected '# time 0.5 step 1000 cell' and nine numbers, row by row"
+        ) from None
     told: dict[str, Any] = {"time": numbers["time"][0], **({} if step is None else {"step": step})}
     if "cell" in numbers:
         vectors = np.reshape(numbers["cell"], (3, 3)).T
         edges = np.diag(vectors)
         if not (edges > 0).all():
-            msg = f"{path}: the cell has the diagonal {edges.tolist()}, expected positive lengths"
-            raise SceneError(msg)
+            raise SceneError(f"{path}: the cell has the diagonal {edges.tolist()}, expected positive lengths")
         told |= {"periodic": "xyz", "box": tuple((0.0, edge) for edge in edges.tolist())}
         if np.abs(vectors - np.diag(edges)).max() > _SHEARED * edges.max():
             told["lattice"] = tuple(map(tuple, vectors.tolist()))

@@ -91,8 +91,7 @@ class ClassicFile:
 
     def refuse(self, problem: str) -> NoReturn:
         """Raise an error that names the file."""
-        msg = f"{self.path}: the file {problem}. Leave it out, or write it again"
-        raise SceneError(msg) from None
+        raise SceneError(f"{self.path}: the file {problem}. Leave it out, or write it again") from None
 
     def _bytes(self, count: int) -> bytes:
         found = self._file.read(count)

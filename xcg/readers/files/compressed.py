@@ -86,8 +86,9 @@ def open_compressed(path: str, kind: str = "") -> BinaryIO:
         return cast(BinaryIO, _gzip().open(path, "rb"))
     zstd = _zstd()
     if zstd is None:
-        msg = f"{path}: to unpack Zstandard's files, Python before 3.14 needs a package; pip install 'xcg[zstd]'"
-        raise SceneError(msg)
+        raise SceneError(
+            f"{path}: to unpack Zstandard's files, Python before 3.14 needs a package; pip install 'xcg[zstd]'"
+        )
     return cast(BinaryIO, zstd.open(path, "rb"))
 
 

@@ -66,8 +66,9 @@ def scan(path: str, clock_of: Callable[[Sequence[str]], Mapping[str, str]]) -> T
         twice = [name for name, count in Counter(names).items() if count > 1]
         if not line or twice or len(names) > _MOST_COLUMNS or all(map(_is_number, names)):
             why = f"{twice[0]!r} twice" if twice else repr(line[:60])
-            msg = f"{path}: expected a first line that names each column once, such as 'x,y,z,radius', found {why}"
-            raise SceneError(msg)
+            raise SceneError(
+                f"{path}: expected a first line that names each column once, such as 'x,y,z,radius', found {why}"
+            )
         lines = _Lines(scanner.offset, shortest=3 if first.endswith(b"\r\n") else 2)
         pieces = lines.passed(_pieces(scanner))
         wanted = sorted(set(clock_of(names).values()))
@@ -79,8 +80,7 @@ def scan(path: str, clock_of: Callable[[Sequence[str]], Mapping[str, str]]) -> T
                 pass
     starts = lines.starts()
     if wanted and len(clock[wanted[0]]) != len(starts) - 1:
-        msg = f"{path}: lines of blanks only stand between rows; remove them"
-        raise SceneError(msg)
+        raise SceneError(f"{path}: lines of blanks only stand between rows; remove them")
     return Table(names, len(starts) - 1, clock, starts, separator)
 
 

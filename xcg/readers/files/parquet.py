@@ -36,16 +36,18 @@ def _opened(path: str) -> Iterator[Any]:
     try:
         pyarrow, parquet = importlib.import_module("pyarrow"), importlib.import_module("pyarrow.parquet")
     except ImportError:
-        msg = f"{path}: reading Parquet needs the package pyarrow: pip install 'xcg[parquet]', or write CSV"
-        raise SceneError(msg) from None
+        raise SceneError(
+            f"{path}: reading Parquet needs the package pyarrow: pip install 'xcg[parquet]', or write CSV"
+        ) from None
     try:
         with parquet.ParquetFile(path) as file:
             yield file
     except (pyarrow.ArrowException, OSError) as error:
         if isinstance(error, FileNotFoundError):
             raise
-        msg = f"{path}: cannot be read as Parquet ({str(error)[:200]}); leave the file out, or write it again"
-        raise SceneError(msg) from None
+        raise SceneError(
+            f"{path}: cannot be read as Parquet ({str(error)[:200]}); leave the file out, or write it again"
+        ) from None
 
 
 def scan(path: str, clock_of: Callable[[Sequence[str]], Mapping[str, str]]) -> Table:
@@ -67,8 +69,9 @@ def read_columns(ref: StepRef, wanted: Sequence[str], options: ReadOptions) -> d
         at = first - int(edges[groups[0]]) if groups else 0
         table = table.slice(at, ref.rows)
         if table.num_rows != ref.rows:
-            msg = f"{source_of(ref)}: {table.num_rows} rows, but its metadata promise {ref.rows}; the file is damaged"
-            raise SceneError(msg)
+            raise SceneError(
+                f"{source_of(ref)}: {table.num_rows} rows, but its metadata promise {ref.rows}; the file is damaged"
+            )
         return {name: _numbers(table, name, source_of(ref)) for name in wanted}
 
 
@@ -76,10 +79,8 @@ def _numbers(table: Any, name: str, source: str) -> NDArray:
     column = table.column(name)
     if column.null_count:
         row = int(np.argmax(column.is_null().to_numpy(zero_copy_only=False)))
-        msg = f"{source}: row {row} has no value in column '{name}', expected a number"
-        raise SceneError(msg)
+        raise SceneError(f"{source}: row {row} has no value in column '{name}', expected a number")
     try:
         return np.asarray(column.to_numpy(), "float64")
     except (TypeError, ValueError):
-        msg = f"{source}: column '{name}' holds {column.type}, expected numbers"
-        raise SceneError(msg) from None
+        raise SceneError(f"{source}: column '{name}' holds {column.type}, expected numbers") from None

@@ -75,24 +75,21 @@ def parse_table(
         end = filled + numbers.shape[1]
         if rows is not None and end + (not whole) > rows:
             surplus = _lines(block)[rows - filled]
-            msg = f"{name}: more rows than the {rows} that the header says; row {rows} is {_shown(surplus)}"
-            raise SceneError(msg)
+            raise SceneError(f"{name}: more rows than the {rows} that the header says; row {rows} is {_shown(surplus)}")
         if not whole:
             line, *more = _lines(block)[numbers.shape[1] :]
             last = not more and not any(following.strip() for following, _ in results)
-            msg = f"{name}: row {end} {_fault(line, columns, wanted, last=last)}"
-            raise SceneError(msg)
+            raise SceneError(f"{name}: row {end} {_fault(line, columns, wanted, last=last)}")
         if end > table.shape[1]:
             table = np.concatenate([table, np.empty((len(wanted), end))], axis=1)
         if not at_once:
             table[:, filled:end] = numbers
         filled = end
     if rows is not None and filled < rows:
-        msg = (
+        raise SceneError(
             f"{name}: {filled} rows, but the header says {rows}: row {filled} is missing, as when writing was stopped; "
             "write the file anew, or leave the step out"
         )
-        raise SceneError(msg)
     return {column: table[place, :filled] for place, column in enumerate(wanted)}
 
 

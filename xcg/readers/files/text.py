@@ -45,8 +45,9 @@ def _damage_named(path: str) -> Iterator[None]:
     try:
         yield
     except errors() as error:
-        msg = f"{path}: its compressed data are damaged or cut off ({error}); leave the file out, or write it again"
-        raise SceneError(msg) from None
+        raise SceneError(
+            f"{path}: its compressed data are damaged or cut off ({error}); leave the file out, or write it again"
+        ) from None
 
 
 def uncompressed_size(path: str) -> int:
@@ -73,11 +74,10 @@ def check_rows(ref: StepRef, room: int) -> None:
         If there are far fewer bytes than a digit and a space for each value.
     """
     if 2 * ref.rows * len(ref.columns) > room + _SMALL:
-        msg = (
+        raise SceneError(
             f"{source_of(ref)}: its header promises {ref.rows} rows of {len(ref.columns)} values, but only {room} "
             "bytes follow; the file was cut short or is damaged. Leave it out, or write it again"
         )
-        raise SceneError(msg)
 
 
 def is_one_table(path: str, first: int, rows: int, marker: bytes) -> bool:
@@ -132,24 +132,25 @@ class Scanner:
         self._at = end
         self.offset += len(taken)
         if self.offset > self._most:
-            msg = f"{self._name}: its compressed bytes stand for more than {self._most:.3g}; it is no table of numbers"
-            raise SceneError(msg)
+            raise SceneError(
+                f"{self._name}: its compressed bytes stand for more than {self._most:.3g}; it is no table of numbers"
+            )
         return taken
 
     def line(self) -> bytes:
         """Return the next line with its end, or nothing at the end of the stream."""
         while (end := self._data.find(b"\n", self._at)) < 0:
             if len(self._data) - self._at > _LONGEST_LINE:
-                msg = f"{self._name}: no end of a line in {_LONGEST_LINE} bytes after byte {self.offset}; it is no text"
-                raise SceneError(msg)
+                raise SceneError(
+                    f"{self._name}: no end of a line in {_LONGEST_LINE} bytes after byte {self.offset}; it is no text"
+                )
             if not self._more():
                 return self._take(len(self._data))
         self._blank = 0 if self._data[self._at : end].strip() else self._blank + 1
         if self._blank > _MOST_BLANK:
-            msg = (
+            raise SceneError(
                 f"{self._name}: more than {_MOST_BLANK} lines before byte {self.offset} are blank; the file is damaged"
             )
-            raise SceneError(msg)
         return self._take(end + 1)
 
     def until(self, marker: bytes) -> Iterator[bytes]:
@@ -189,11 +190,10 @@ def body_of(ref: StepRef) -> Iterator[bytes]:
         it than was known.
     """
     if ref.length < 0 or (ref.rows and ref.length > _LONGEST_VALUE * (ref.rows + 1) * (len(ref.columns) + 1) + _BLOCK):
-        msg = (
+        raise SceneError(
             f"{source_of(ref)}: {ref.length} bytes follow a header that promises {ref.rows} rows of {len(ref.columns)} "
             "values; the file is damaged. Leave it out, or write it again"
         )
-        raise SceneError(msg)
     waits = not ref.alone and compression(ref.path)
     with _damage_named(ref.path), forward(ref.path, ref.offset) if waits else open_binary(ref.path) as stream:
         if ref.offset:
@@ -203,12 +203,11 @@ def body_of(ref: StepRef) -> Iterator[bytes]:
             missing -= len(piece)
             yield piece
         if ref.alone and stream.read(1):
-            msg = (
+            raise SceneError(
                 f"{source_of(ref)}: more follows what was taken for the only step of the file, as where gzipped files "
                 "were put one after the other; give the file a name without the number of the step, and it is read "
                 "through"
             )
-            raise SceneError(msg)
 
 
 def whole_lines(pieces: Iterable[bytes], name: str) -> Iterator[bytes]:
@@ -227,8 +226,7 @@ def whole_lines(pieces: Iterable[bytes], name: str) -> Iterator[bytes]:
             begun.clear()
         begun.append(piece[end:])
         if sum(map(len, begun)) > _LONGEST_LINE:
-            msg = f"{name}: a line has no end in {_LONGEST_LINE} bytes; the file is damaged, leave it out"
-            raise SceneError(msg)
+            raise SceneError(f"{name}: a line has no end in {_LONGEST_LINE} bytes; the file is damaged, leave it out")
     yield b"".join([*begun, _BLANK])
 
 

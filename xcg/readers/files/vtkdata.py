@@ -60,13 +60,11 @@ def parse_text(text: bytes, kind: str, count: int) -> NDArray[np.float64]:
     """Parse numbers that stand in the XML itself."""
     tokens = text.split()
     if len(tokens) != count:
-        msg = f"it holds {len(tokens)} numbers, not {count}"
-        raise DataError(msg)
+        raise DataError(f"it holds {len(tokens)} numbers, not {count}")
     try:
         values = np.array(tokens, "S").astype("float64") if tokens else np.empty(0)
     except ValueError:
-        msg = "it holds something else than numbers"
-        raise DataError(msg) from None
+        raise DataError("it holds something else than numbers") from None
     if kind == "Float32":
         with np.errstate(over="ignore"):  # infinity is refused where values are checked
             values = values.astype("float32").astype("float64")
@@ -93,8 +91,7 @@ def read_base64(
         try:
             return memoryview(pybase64.b64decode(file.read(_encoded(number)), validate=True))
         except binascii.Error:
-            msg = "its base64 data are damaged"
-            raise DataError(msg) from None
+            raise DataError("its base64 data are damaged") from None
 
     def decoded(first: int, number: int) -> Data:
         skip = first % 3
@@ -120,19 +117,16 @@ def _values(
     else:
         (found,) = _numbers(head(0, encoding.prefix.itemsize), encoding, 1)
         if found != wanted:
-            msg = f"its block holds {found} bytes, not {wanted}"
-            raise DataError(msg)
+            raise DataError(f"its block holds {found} bytes, not {wanted}")
         raw = head(encoding.prefix.itemsize, wanted)
     if len(raw) != wanted:
-        msg = f"its block ends after {len(raw)} of {wanted} bytes"
-        raise DataError(msg)
+        raise DataError(f"its block ends after {len(raw)} of {wanted} bytes")
     return np.frombuffer(raw, dtype).astype("float64")
 
 
 def _numbers(raw: Data, encoding: Encoding, count: int) -> list[int]:
     if len(raw) != count * encoding.prefix.itemsize:
-        msg = "its block lies beyond the end of the file"
-        raise DataError(msg)
+        raise DataError("its block lies beyond the end of the file")
     return [int(number) for number in np.frombuffer(raw, encoding.prefix)]
 
 
@@ -145,8 +139,7 @@ def _uncompressed(head: Take, data: Take, encoding: Encoding, wanted: int, lengt
     whole = number - (last > 0)
     # parts of no size at all would be unpacked without a limit
     if not 0 < number <= wanted or whole * size + last != wanted or (whole and not size):
-        msg = f"its block holds {number} parts of {size} bytes, not {wanted} bytes"
-        raise DataError(msg)
+        raise DataError(f"its block holds {number} parts of {size} bytes, not {wanted} bytes")
     sizes = _numbers(head(3 * width, number * width), encoding, number)
     packed = memoryview(
         data(length((3 + number) * width), sum(sizes) if sum(sizes) <= encoding.room(wanted) + 4096 else 0)
@@ -156,8 +149,7 @@ def _uncompressed(head: Take, data: Take, encoding: Encoding, wanted: int, lengt
         expected = size if k < whole else last
         part = _inflate(packed[at : at + taken], encoding.compressor, expected)
         if len(part) != expected:
-            msg = f"part {k} of its block does not unpack to {expected} bytes"
-            raise DataError(msg)
+            raise DataError(f"part {k} of its block does not unpack to {expected} bytes")
         parts.append(part)
         at += taken
     return b"".join(parts)

@@ -117,8 +117,9 @@ def _whole(text: str | None, what: str, path: str) -> int:
     except ValueError:
         number = -1
     if not 0 <= number < 1 << 62:
-        msg = f"{path}: {what} is {(text or '')[:60]!r} in its header; expected a whole number. Leave the file out"
-        raise SceneError(msg)
+        raise SceneError(
+            f"{path}: {what} is {(text or '')[:60]!r} in its header; expected a whole number. Leave the file out"
+        )
     return number
 
 
@@ -159,11 +160,9 @@ def _refuse(path: str, text: str, *kinds: str) -> None:
     found = None if root is None else _attributes(root).get("type")
     if found not in kinds:
         what = "no VTK XML file" if root is None else f"VTK data of type {found!r}"
-        msg = f"{path}: expected VTK XML of type '{kinds[0]}', but this is {what}"
-        raise SceneError(msg)
+        raise SceneError(f"{path}: expected VTK XML of type '{kinds[0]}', but this is {what}")
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
-        msg = f"{path}: declares a document type or entities, which VTK files never need; it is not read"
-        raise SceneError(msg)
+        raise SceneError(f"{path}: declares a document type or entities, which VTK files never need; it is not read")
 
 
 def _nested(text: str) -> bool:
@@ -227,26 +226,26 @@ def read_header(path: str, *, lines: bool = False) -> Header:
     of_lines = lines and len(pieces) == 1 and _has_lines(text, pieces[0], path)
     sections = [_section(text, "Points"), _section(text, "PointData")]
     if len(pieces) != 1 or sections[0] is None or (sections[1] is None and "<PointData" in text):
-        msg = (
+        raise SceneError(
             f"{path}: its header has {len(pieces)} pieces and {sum(s is not None for s in sections)} of the "
             "two sections Points and PointData, expected one piece with both; the file was cut short, or is "
             "not by MFiX"
         )
-        raise SceneError(msg)
     if not _nested(text):
-        msg = f"{path}: its XML is damaged: elements do not close in the order in which they open; leave the file out"
-        raise SceneError(msg)
+        raise SceneError(
+            f"{path}: its XML is damaged: elements do not close in the order in which they open; leave the file out"
+        )
     encoding = _encoding(root, path)
     counted, sections = ("NumberOfLines", [_section(text, "CellData")]) if of_lines else ("NumberOfPoints", sections)
     rows = _whole(pieces[0].get(counted), counted, path)
     tags = [(_attributes(tag), end) for s in sections if s for tag, end in _tags(text, "DataArray", *s)]
     if any(tag.get("format") == "appended" for tag, _ in tags) and (appended not in ("raw", "base64") or not body):
-        msg = f"{path}: its header names appended data, but none follows; the file was cut short, leave it out"
-        raise SceneError(msg)
+        raise SceneError(
+            f"{path}: its header names appended data, but none follows; the file was cut short, leave it out"
+        )
     arrays = tuple(_array(tag, path, text, end, (appended or "", body or 0, size)) for tag, end in tags)
     if not of_lines and (not arrays or arrays[0].components != 3):
-        msg = f"{path}: its points have no array with three components; the file is not by MFiX, or damaged"
-        raise SceneError(msg)
+        raise SceneError(f"{path}: its points have no array with three components; the file is not by MFiX, or damaged")
     section = _section(text, "FieldData")
     named = tuple(_attributes(tag).get("Name", "") for tag, _ in _tags(text, "DataArray", *section)) if section else ()
     clock = _time(time[1]) if time else None
@@ -264,8 +263,9 @@ def _has_lines(text: str, piece: dict[str, str], path: str) -> bool:
     lines = _whole(piece.get("NumberOfLines", "0"), "NumberOfLines", path)
     others = [kind for kind in _OTHER_CELLS if _whole(piece.get(f"NumberOf{kind}", "0"), f"NumberOf{kind}", path)]
     if lines and others:
-        msg = f"{path}: holds {' and '.join(others)} beside Lines; write the contacts, as lines, to files of their own"
-        raise SceneError(msg)
+        raise SceneError(
+            f"{path}: holds {' and '.join(others)} beside Lines; write the contacts, as lines, to files of their own"
+        )
     return not others
 
 
@@ -273,8 +273,7 @@ def _encoding(root: dict[str, str], path: str) -> Encoding:
     order = ">" if root.get("byte_order") == "BigEndian" else "<"
     compressor = root.get("compressor", "")
     if compressor and compressor not in COMPRESSORS:
-        msg = f"{path}: is compressed by {compressor[:60]!r}; expected one of {', '.join(COMPRESSORS)}"
-        raise SceneError(msg)
+        raise SceneError(f"{path}: is compressed by {compressor[:60]!r}; expected one of {', '.join(COMPRESSORS)}")
     return Encoding(order, np.dtype(f"{order}u{8 if root.get('header_type') == 'UInt64' else 4}"), compressor)
 
 
@@ -291,12 +290,12 @@ def _array(tag: dict[str, str], path: str, text: str, end: int, appended: tuple[
     name = tag.get("Name", "Points").encode("latin-1", "replace").decode("utf-8", "replace")
     kind, form, body = tag.get("type", ""), *appended[:2]
     if kind not in _TYPES:
-        msg = f"{path}: array '{name}' has type {kind!r}; expected one of {sorted(_TYPES)}"
-        raise SceneError(msg)
+        raise SceneError(f"{path}: array '{name}' has type {kind!r}; expected one of {sorted(_TYPES)}")
     components = _whole(tag.get("NumberOfComponents", "1"), f"NumberOfComponents of '{name}'", path)
     if not 1 <= components <= _MOST_COMPONENTS:
-        msg = f"{path}: '{name}' has {components} components; expected 1 to {_MOST_COMPONENTS}. Leave the file out"
-        raise SceneError(msg)
+        raise SceneError(
+            f"{path}: '{name}' has {components} components; expected 1 to {_MOST_COMPONENTS}. Leave the file out"
+        )
     if tag.get("format") == "appended":
         offset = _whole(tag.get("offset"), f"the offset of '{name}'", path)
         return Array(name, components, kind, form, body + offset, appended[2])
@@ -317,12 +316,11 @@ def _check_size(header: Header, array: Array) -> None:
     needed = 2 * values - 1 if array.form == "ascii" else values * _type(header, array).itemsize
     there = room if array.form == "ascii" else header.encoding.room(room * 3 // 4 if array.form == "base64" else room)
     if needed > there:
-        msg = (
+        raise SceneError(
             f"{header.path}: its header promises {header.what}, for which '{array.name}' needs {needed} "
             f"bytes, but {there} follow in the {array.stop} of the file; it was cut short, or is still being "
             "written. Leave it out, or write it again"
         )
-        raise SceneError(msg)
 
 
 def read_arrays(header: Header, names: Sequence[str]) -> dict[str, NDArray[np.float64]]:
@@ -354,11 +352,10 @@ def read_arrays(header: Header, names: Sequence[str]) -> dict[str, NDArray[np.fl
             try:
                 result[array.name] = _read(file, header, array).reshape(shape)
             except DataError as error:
-                msg = (
+                raise SceneError(
                     f"{header.path}: '{array.name}' is not as its header says, which promises {header.what}: "
                     f"{error}; leave the file out, or write it again"
-                )
-                raise SceneError(msg) from None
+                ) from None
     return result
 
 
@@ -389,6 +386,7 @@ def read_collection(path: str) -> list[tuple[str, float | None]]:
         if tag.get("file") and "\0" not in tag["file"]:
             entries.append((str(Path(path).parent / tag["file"]), _time(tag.get("timestep", ""))))
     if not entries:
-        msg = f"{path}: this collection names no files; expected entries like <DataSet timestep=... file=.../>"
-        raise SceneError(msg)
+        raise SceneError(
+            f"{path}: this collection names no files; expected entries like <DataSet timestep=... file=.../>"
+        )
     return entries

@@ -51,8 +51,7 @@ class Cylinder(Wall):
         vector("point", self.point)
         unit_vector("direction", self.direction)
         if not is_positive(self.radius):
-            msg = f"radius={self.radius!r}: expected a positive length (m)"
-            raise ValueError(msg)
+            raise ValueError(f"radius={self.radius!r}: expected a positive length (m)")
         if self.low is not None and self.high is not None:
             rising_pair("(low, high)", (self.low, self.high))
 

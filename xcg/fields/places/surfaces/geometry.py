@@ -27,8 +27,9 @@ def cell_centres(low: float, high: float, spacing: float, what: str) -> NDArray:
     if not (
         np.isfinite(low) and np.isfinite(high) and low < high and spacing > 0 and (high - low) / spacing < _MOST_CELLS
     ):
-        msg = f"cells along {what} from {low} to {high}, {spacing} apart: expected rising bounds and a positive spacing"
-        raise ValueError(msg)
+        raise ValueError(
+            f"cells along {what} from {low} to {high}, {spacing} apart: expected rising bounds and a positive spacing"
+        )
     count = max(1, round((high - low) / spacing))
     return low + (high - low) * (np.arange(count) + 0.5) / count
 

@@ -130,6 +130,5 @@ def _pairs(bounds: Any) -> tuple[Any, Any]:
     try:
         first, second = bounds
     except (TypeError, ValueError):
-        msg = f"bounds={bounds!r}: expected two pairs, ((first, last), (first, last))"
-        raise ValueError(msg) from None
+        raise ValueError(f"bounds={bounds!r}: expected two pairs, ((first, last), (first, last))") from None
     return first, second

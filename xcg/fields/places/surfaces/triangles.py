@@ -45,30 +45,28 @@ class Surface(Wall):
         name = "vertices"
         if isinstance(vertices, str | os.PathLike):
             if triangles is not None:
-                msg = "triangles= belongs to vertices as an array; a file holds its own"
-                raise ValueError(msg)
+                raise ValueError("triangles= belongs to vertices as an array; a file holds its own")
             name = os.fspath(vertices)
             vertices, triangles = _read(name)
         if not is_positive(scale):
-            msg = f"scale={scale!r}: expected a positive factor"
-            raise ValueError(msg)
+            raise ValueError(f"scale={scale!r}: expected a positive factor")
         points = np.asarray(vertices, float) * scale
         rows = np.asarray(np.empty((0, 3)) if triangles is None else triangles)
         if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
-            msg = f"{name}: expected finite corners (n, 3), got an array {points.shape}"
-            raise ValueError(msg)
+            raise ValueError(f"{name}: expected finite corners (n, 3), got an array {points.shape}")
         if rows.ndim != 2 or rows.shape[1] != 3 or not len(rows) or rows.dtype.kind not in "iu":
-            msg = f"{name}: expected triangles, whole numbers (m, 3), got an array {rows.shape} of {rows.dtype}"
-            raise ValueError(msg)
+            raise ValueError(
+                f"{name}: expected triangles, whole numbers (m, 3), got an array {rows.shape} of {rows.dtype}"
+            )
         if rows.min() < 0 or rows.max() >= len(points):
-            msg = f"{name}: triangles name corners {rows.min()} to {rows.max()}, and there are {len(points)}"
-            raise ValueError(msg)
+            raise ValueError(
+                f"{name}: triangles name corners {rows.min()} to {rows.max()}, and there are {len(points)}"
+            )
         corners = points[rows[:, ::-1] if flip else rows]
         twice = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         size = np.linalg.norm(twice, axis=1)
         if not (size > 0).any():
-            msg = f"{name}: all triangles have no area"
-            raise ValueError(msg)
+            raise ValueError(f"{name}: all triangles have no area")
         self.corners = np.ascontiguousarray(corners[size > 0])  # slivers without an area have no normal
         self.area = size[size > 0] / 2
         self.normals = twice[size > 0] / size[size > 0, None]
@@ -124,8 +122,7 @@ def _read(path: str) -> tuple[NDArray, NDArray]:
     """Corners and triangles of a file."""
     suffix = os.path.splitext(path)[1].lower()
     if suffix not in _FILES:
-        msg = f"{path}: expected a surface in {', '.join(_FILES)}, or arrays of corners and triangles"
-        raise ValueError(msg)
+        raise ValueError(f"{path}: expected a surface in {', '.join(_FILES)}, or arrays of corners and triangles")
     mesh = read_mesh(path, empty=True)
 
     from vtkmodules.util.numpy_support import vtk_to_numpy  # VTK is slow to import
@@ -139,7 +136,6 @@ def _read(path: str) -> tuple[NDArray, NDArray]:
         faces.Update()
     data = faces.GetOutput()
     if not data.GetNumberOfPolys():
-        msg = f"{path}: holds no triangle; is it a surface?"
-        raise ValueError(msg)
+        raise ValueError(f"{path}: holds no triangle; is it a surface?")
     rows = vtk_to_numpy(data.GetPolys().GetConnectivityArray()).reshape(-1, 3)
     return vtk_to_numpy(data.GetPoints().GetData()).astype(float), rows.astype("int64")
