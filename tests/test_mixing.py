@@ -1,6 +1,7 @@
 """Indices of mixing: limits in closed form, means over all arrangements, and sums written out."""
 
 import itertools
+import re
 
 import numpy as np
 import pytest
@@ -43,6 +44,22 @@ def test_a_checkerboard_is_more_than_random():
     # 8 cells of 64 grains: S_0^2 = 1/4 and S_r^2 = 7/63/4 for each phase, so 1 / (1 - 1/9)
     assert m["lacey_index"] == pytest.approx(9 / 8, rel=1e-14)
     assert m["nearest_neighbour_index"] == pytest.approx(63 / 32, rel=1e-14)
+
+
+def test_cells_below_a_grain_have_no_index_and_a_warning_names_a_cell():
+    x = lattice()
+    ds = scene(x, 1 + (x - 0.5).sum(axis=1).astype(int) % 2, box=BOX, periodic="xyz")
+    text = r"lacey_index is NaN: no cell of edge 0.5 holds more than one of the 64 grains"
+    with pytest.warns(xcg.SceneWarning, match=text) as found:
+        m = ds.cg.microstructure("lacey_index", by="species", cell=0.5).compute()
+    assert np.isnan(m.lacey_index).all()
+    (warning,) = found  # one for all phases
+    cell = float(re.search(r"take cell=([\d.]+) or more", str(warning.message))[1])
+    assert cell < 2.1  # of 8 grains each
+    assert np.isfinite(ds.cg.microstructure("lacey_index", by="species", cell=cell).lacey_index).all()
+    few = scene(x[:3], [1, 1, 2], box=BOX)
+    with pytest.warns(xcg.SceneWarning, match="the region holds too few grains"):
+        few.cg.microstructure("lacey_index", by="species", cell=0.5).compute()
 
 
 def test_halves_are_apart():
@@ -159,7 +176,8 @@ def test_three_phases_and_time():
     m = ds.chunk(time=1).cg.microstructure(MIXING, by="species", cell=1.0, groups=[1, 2, 3])
     assert m.lacey_index.chunks is not None
     # cells of one grain hold one phase, whatever the mixture: the index tells nothing, and is 0 / 0
-    assert np.isnan(m.lacey_index).all()
+    with pytest.warns(xcg.SceneWarning, match="no cell of edge 1 holds more than one"):
+        assert np.isnan(m.lacey_index).all()
     m = ds.cg.microstructure(MIXING, by="species", cell=2.0)
     assert m.lacey_index.dims == ("time", "phase")
     assert float(m.lacey_index.sel(phase="bulk")[0]) > float(m.lacey_index.sel(phase="bulk")[1])

@@ -20,11 +20,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+
+from xcg.scene.warn import warn_once
+
+ENOUGH = 5  # grains in a cell, on average, that a warning recommends
 
 
 @dataclass(frozen=True)
@@ -108,9 +112,22 @@ class Mixture:
         return float((len(weight) - 1) / (count - 1) * count * spread.sum() / self.weight.sum() ** 2)
 
     def lacey(self, which: int) -> float:
-        """Lacey's index."""
+        """Lacey's index; NaN, with a warning, where no cell holds two grains, as all arrangements are then alike."""
         apart = self.segregated_variance(which)
+        if apart > 0 and self.cells.max() + 1 == len(self.phase):
+            warn_once("cells below a grain", self._too_small())
+            return math.nan
         return _ratio(apart - self.variance(which), apart - self.random_variance(which))
+
+    def _too_small(self) -> str:
+        """Return a warning that recommends the smallest cell that holds `ENOUGH` grains on average."""
+        count, edge = len(self.phase), self.cell
+        message = f"lacey_index is NaN: no cell of edge {self.cell:g} holds more than one of the {count} grains; "
+        if count < ENOUGH:
+            return message + "the region holds too few grains for an index of mixing"
+        while (replace(self, cell=edge).cells.max() + 1) * ENOUGH > count:
+            edge = float(f"{1.3 * edge:.2g}")
+        return message + f"take cell={edge:g} or more, which holds at least {ENOUGH} grains on average"
 
     def entropy(self, which: int) -> float:
         """Return the mean entropy of the cells over that of the region: 0 apart, 1 the same in all cells."""
