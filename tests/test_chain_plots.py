@@ -30,6 +30,19 @@ def test_plot_chains(colour):
     # the strongest links are the thickest
     assert np.argmax(links.get_linewidths()) in (0, 1)
     ax.figure.canvas.draw()
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("x [m]", "y [m]")
+    if colour == "stress":
+        assert links.colorbar.ax.get_ylabel() == "most compressive principal stress [Pa]"
+
+
+def test_pictures_have_figures_of_their_own():
+    """They do not paint over the current one."""
+    fc = fork().cg.force_chains()
+    mine = plt.figure().add_subplot()
+    drawn = [fc.cg.plot_chains(), fc.cg.plot_lengths(), fc.cg.plot_rose(), fc.cg.plot_rose()]
+    assert not [*mine.collections, *mine.lines, *mine.patches]
+    assert len({ax.figure for ax in [mine, *drawn]}) == 5
+    assert drawn[2].name == "polar"
 
 
 def test_plot_lengths():

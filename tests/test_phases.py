@@ -121,6 +121,8 @@ def test_plot_of_clusters_and_scores():
     left, right = figure.axes
     assert [t.get_text() for t in left.get_legend().get_texts()] == ["1", "2"]
     assert right.get_ylabel() == "mean silhouette"
+    assert left.get_xlabel() == "diameter [m]"
+    assert left.get_ylabel().replace("\n", " ") == "density of the particle's material [kg m$^{-3}$]"
     assert right.lines[0].get_xydata()[0].tolist() == [2.0, 1.0]
     with pytest.raises(ValueError, match="step=1: expected the position of a step, from -1 to 0"):
         scene(np.repeat([0.002, 0.004], 50)).cg.find_phases().cg.plot_phases(step=1)

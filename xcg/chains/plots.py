@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.chains.results import Step, require_chains, steps_of
+from xcg.scene.drawing import label_of, new_axes, set_label, with_unit
 from xcg.scene.extras import extra
 from xcg.scene.schema import COMPONENTS
 from xcg.scene.times import step_at, with_time
@@ -20,8 +21,9 @@ COLOURS = ("stress", "chain")
 
 
 def plot_chains(
-    fc: xr.Dataset, *, time: int = 0, colour: str = "stress", grains: bool = True, ax: Axes | None = None
-) -> Axes:
+    fc: xr.Dataset, *, time: int = 0, colour: Literal["stress", "chain"] = "stress", grains: bool = True,
+    ax: Axes | None = None,
+) -> Axes:  # fmt: skip
     """Draw the chains of one step of a one-layer scene: links over grains, line width by force.
 
     Parameters
@@ -30,12 +32,12 @@ def plot_chains(
         A result of `force_chains`; its scene has ``dimension=2``.
     time : int
         Which step, by position.
-    colour : str
-        "stress" (default), the mean major stress of the two particles of a link, or "chain".
+    colour : {"stress", "chain"}
+        Of the links: the mean major stress of the two particles of a link, or one colour a chain.
     grains : bool
         Draw the particles, those of chains darker.
     ax : matplotlib.axes.Axes, optional
-        Where to draw; the current axes by default.
+        Where to draw; a new figure by default.
 
     Returns
     -------
@@ -61,7 +63,7 @@ def plot_chains(
         fc, time, ["position", "diameter", "chain_id", "link_chain", "contact_j", "contact_force", "major_stress"]
     )
     arrays = step.arrays
-    ax = ax or _current_axes()
+    ax = new_axes() if ax is None else ax
     position, diameter = arrays["position"][:, plane], arrays["diameter"]
     if grains:
         shade = np.where(arrays["chain_id"] >= 0, "0.8", "0.93")
@@ -83,19 +85,25 @@ def plot_chains(
     else:
         j = step.links()[2]
         lines.set_array(0.5 * (arrays["major_stress"][i] + arrays["major_stress"][j]))
-        unit = fc["major_stress"].attrs.get("units", "")
-        ax.figure.colorbar(lines, ax=ax, label=f"major stress [{unit}]", shrink=0.8)
+        bar = ax.figure.colorbar(lines, ax=ax, shrink=0.8)
+        set_label(bar.ax.yaxis, label_of(fc["major_stress"], "major_stress"))
     ax.add_collection(lines)
     ax.set_aspect("equal")
     ax.autoscale_view()
-    names = [COMPONENTS[k] for k in plane]
-    ax.set_xlabel(names[0])
-    ax.set_ylabel(names[1])
+    for axis, k in ((ax.xaxis, plane[0]), (ax.yaxis, plane[1])):
+        set_label(axis, with_unit(COMPONENTS[k], fc["position"].attrs.get("units", "")))
     return ax
 
 
 def plot_lengths(fc: xr.Dataset, *, ax: Axes | None = None) -> Axes:
     """Draw P(c), the share of chains that have c particles, of each step (grey) and of all (blue).
+
+    Parameters
+    ----------
+    fc : xarray.Dataset
+        A result of `force_chains`.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw; a new figure by default.
 
     Returns
     -------
@@ -107,7 +115,7 @@ def plot_lengths(fc: xr.Dataset, *, ax: Axes | None = None) -> Axes:
         If `fc` is not a result of `force_chains`.
     """
     require_chains(fc, "plot_lengths")
-    ax = ax or _current_axes()
+    ax = new_axes() if ax is None else ax
     steps = with_time(fc[["length_share", "chain_count"]]).compute()
     steps = steps if "time" in steps.dims else steps.expand_dims("time")
     share, count = steps["length_share"].transpose("time", "length").to_numpy(), steps["chain_count"].to_numpy()
@@ -117,8 +125,8 @@ def plot_lengths(fc: xr.Dataset, *, ax: Axes | None = None) -> Axes:
     total = count @ share / max(count.sum(), 1)
     ax.plot(length[total > 0], total[total > 0], "o", ms=4, color="C0")
     ax.set_yscale("log")
-    ax.set_xlabel("length c [particles]")
-    ax.set_ylabel("P(c)")
+    set_label(ax.xaxis, "length $c$ [particles]")
+    set_label(ax.yaxis, "share of chains $P(c)$")
     return ax
 
 
@@ -138,7 +146,7 @@ def plot_rose(
     plane : str, optional
         The two axes that directions are projected on; those of the layer, or "xz" in 3D.
     ax : matplotlib.axes.Axes, optional
-        Polar axes; new ones by default.
+        Polar axes; those of a new figure by default.
 
     Returns
     -------
@@ -158,9 +166,8 @@ def plot_rose(
     plane = plane or (fc.attrs.get("plane", "xy") if flat else "xz")
     if len(plane) != 2 or len(set(plane) & set(COMPONENTS)) != 2:
         raise ValueError(f"plane={plane!r}: expected two axes, for example 'xz'")
-    if ax is None:
-        ax = extra("matplotlib.pyplot", "plot", "drawing").subplot(projection="polar")
     step = _step(fc, time, ["position", "link_chain", "contact_j", "contact_force"])
+    ax = new_axes("polar") if ax is None else ax
     contact, _, branch = _links(step)
     along, up = (branch[:, COMPONENTS.index(axis)] for axis in plane)
     angle = np.arctan2(up, along) % np.pi
@@ -174,10 +181,6 @@ def plot_rose(
     ax.set_yticklabels([])
     ax.set_xticks(np.deg2rad([0, 90, 180, 270]), [plane[0], plane[1], f"-{plane[0]}", f"-{plane[1]}"])
     return ax
-
-
-def _current_axes() -> Axes:
-    return cast("Axes", extra("matplotlib.pyplot", "plot", "drawing").gca())
 
 
 def _step(fc: xr.Dataset, time: int, names: list[str]) -> Step:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from xcg.scene.conform import takes_scene
 from xcg.scene.description import require_scene
+from xcg.scene.drawing import label_of, set_label
 from xcg.scene.extras import extra
 from xcg.scene.numbers import floats, is_whole
 from xcg.scene.schema import PADDING, SceneError
@@ -173,7 +174,8 @@ def plot_phases(ds: xr.Dataset, step: int = 0) -> Figure:
         left.scatter(frame["diameter"].to_numpy()[here], frame["density"].to_numpy()[here], s=8, label=f"{value}")
     if "phase_diameter" in ds.attrs:
         left.plot(ds.attrs["phase_diameter"], ds.attrs["phase_density"], "k+", ms=12)
-    left.set(xlabel="diameter", ylabel="density")
+    set_label(left.xaxis, label_of(ds["diameter"], "diameter"))
+    set_label(left.yaxis, label_of(ds["density"], "density"))
     left.legend(title="phase")
     if len(scores):
         right = axes[1]

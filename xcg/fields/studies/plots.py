@@ -6,11 +6,13 @@ import os
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
+from xcg.scene.drawing import label_of, new_axes, set_label, unit_text
 from xcg.scene.extras import extra
 from xcg.scene.schema import COMPONENTS
 from xcg.scene.times import step_at, with_time
@@ -22,7 +24,15 @@ if TYPE_CHECKING:
 
 T = TypeVar("T", xr.Dataset, xr.DataArray)
 
+Shading = Literal["smooth", "flat"]
+SHADINGS = ("smooth", "flat")
+
 ARROWS = 20  # along the longer axis of a map
+AT_REST = 0.1  # of the speed whose arrow fills its place: slower ones have no arrow
+FASTEST = 98  # percentile of that speed, so that single grains do not make all other arrows short
+BESIDE = 0.8  # of the width that is left of a map beside its colour bar, about
+BOTH_SIGNS = 0.1  # of the larger end of a field, which the smaller one has where colours are about zero
+SMOOTH = 400  # cells along an axis of a smooth map
 _ARROW = "arrow_"
 _AXES = ("r", "theta", *COMPONENTS)  # in the order in which maps have them across and up
 ERROR = "_error"  # what `time_average` adds to the name of a field
@@ -37,7 +47,8 @@ def plot(
     direction: str | None = None,
     phase: int | str | None = None,
     at: Mapping[str, float] | None = None,
-    arrows: str | None = "velocity",
+    arrows: str | None = "auto",
+    shading: Shading = "smooth",
     ax: Axes | None = None,
     cmap: str | None = None,
     vmin: float | None = None,
@@ -47,9 +58,10 @@ def plot(
 
     Profiles show one line for each component of a vector or for each phase, and a band of one standard error on both
     sides where the result has errors (`time_average`). The axis z stands upright. Maps show numbers as colours, white
-    where the field is unknown, and the mean flow as arrows. A map of a vector shows its magnitude. A map over r and
-    theta lies in the plane of the circle; one over theta and z, such as a cylindrical wall, is unrolled and has no
-    arrows. Of a volume, the slice in the middle of its shortest axis is drawn.
+    where the field is unknown. A map of a vector shows its magnitude, and its direction as arrows, which are left out
+    where they would be dots (below a tenth of the 98th percentile of all). A map over r and theta lies in the plane of
+    the circle; one over theta and z, such as a cylindrical wall, is unrolled and has no arrows. Of a volume, the slice
+    in the middle of its shortest axis is drawn.
 
     Parameters
     ----------
@@ -67,14 +79,19 @@ def plot(
     at : mapping, optional
         Where a volume is cut, for example ``{"y": 10.0}`` (m; the nearest nodes are drawn).
     arrows : str, optional
-        The vector field that arrows show on maps, where the result has it; None for no arrows.
+        The vector field that arrows show on a map. By default a map of a vector shows that vector ("auto"), and other
+        maps have no arrows; None for no arrows.
+    shading : {"smooth", "flat"}
+        "smooth" interpolates linearly between the nodes of a map that are known; "flat" gives each node one colour.
     ax : matplotlib.axes.Axes, optional
-        Where to draw; the current axes by default.
+        Where to draw; a new figure by default.
     cmap : str, optional
-        Colours of a map, by the names of matplotlib; by default "viridis", or "RdBu_r" with white for zero where the
-        field has both signs.
+        Colours of a map, by the names of matplotlib. By default "viridis", or "RdBu_r" with white for zero where both
+        signs matter: of the 2nd and the 98th percentile of the numbers that are not zero one is negative, one is
+        positive, and the smaller is at least a tenth of the larger.
     vmin, vmax : float, optional
-        Ends of the colours of a map; the smallest and largest number by default.
+        Ends of the colours of a map; the smallest and largest number by default. If both signs matter, one end is minus
+        the other.
 
     Returns
     -------
@@ -85,7 +102,7 @@ def plot(
     ImportError
         If matplotlib is not installed.
     ValueError
-        If the result has no such field, no axes to draw along, or a part has to be named.
+        If the result has no such field, no axes to draw along, or a part has to be named, or an argument is wrong.
 
     Examples
     --------
@@ -93,17 +110,19 @@ def plot(
     >>> f = xcg.datasets.random_scene().cg.coarse_grain(axes="xz", at={"y": 2.5}, width=1.0)
     >>> f.cg.plot("pressure")  # doctest: +SKIP
     """
-    pyplot = extra("matplotlib.pyplot", "plot", "drawing")
+    extra("matplotlib.pyplot", "plot", "drawing")
+    _check_shading(shading)
     part = _part(with_time(f), field, component, direction, at, arrows)
     picture = _one_step(part, time, phase).compute()
-    ax = ax or pyplot.gca()
+    ax = new_axes() if ax is None else ax
     name, axes = picture.attrs["drawn"], _axes(picture)
     if len(axes) == 1:
         _draw_profile(picture, name, axes[0], ax)
     else:
-        colours = _colours(*_limits([picture[name]]), cmap, vmin, vmax)
-        mesh = _draw_map(picture, name, axes, ax, colours, _fastest(picture))
-        ax.figure.colorbar(mesh, ax=ax, label=_label(picture[name], name))
+        values = _known([picture[name]])
+        colours = _colours(values, cmap, vmin, vmax)
+        mesh = _draw_map(picture, name, axes, ax, colours, _fastest(picture), shading)
+        _draw_colour_bar(picture, name, mesh, values)
     ax.set_title(_title(picture))
     return ax
 
@@ -117,7 +136,8 @@ def movie(
     direction: str | None = None,
     phase: int | str | None = None,
     at: Mapping[str, float] | None = None,
-    arrows: str | None = "velocity",
+    arrows: str | None = "auto",
+    shading: Shading = "smooth",
     fps: float = 10.0,
     dpi: float = 120.0,
     progress: bool | None = None,
@@ -133,7 +153,7 @@ def movie(
         A result with several steps, lazy or in memory. What is drawn of all steps is held in memory.
     path : str or path
         ``*.gif``, or ``*.mp4``, which needs the program ffmpeg. A file of this name is replaced.
-    field, component, direction, phase, at, arrows, cmap, vmin, vmax
+    field, component, direction, phase, at, arrows, shading, cmap, vmin, vmax
         As in `plot`; the ends of the colours are those of all steps.
     fps : float
         Steps in a second.
@@ -159,6 +179,7 @@ def movie(
     path = Path(path)
     if path.suffix not in (".gif", ".mp4"):
         raise ValueError(f"{path}: expected a name that ends with .gif or .mp4")
+    _check_shading(shading)
     f = with_time(f)
     if "time" not in f.dims:
         raise ValueError("movie needs a result with the dimension 'time'; draw a single step with plot")
@@ -176,9 +197,10 @@ def movie(
         for k, step in enumerate(each_step(part)):
             steps.append(_one_step(step, 0, phase))
             bar.update(k + 1)
-        low, high = _limits([step[name] for step in steps])
+        values = _known([step[name] for step in steps])
+        low, high = _ends(values)
         fastest = max(_fastest(step) for step in steps)
-        colours = _colours(low, high, cmap, vmin, vmax)
+        colours = _colours(values, cmap, vmin, vmax)
         figure = extra("matplotlib.figure", "plot", "a movie").Figure(figsize=(7, 5), layout="constrained")
         ax = figure.add_subplot()
         axes = _axes(steps[0])
@@ -190,9 +212,9 @@ def movie(
                 margin = 0.05 * (high - low)
                 (ax.set_xlim if axes[0] == "z" else ax.set_ylim)(low - margin, high + margin)
             else:
-                mesh = _draw_map(steps[k], name, axes, ax, colours, fastest)
+                mesh = _draw_map(steps[k], name, axes, ax, colours, fastest, shading)
                 if k == 0 and len(figure.axes) == 1:
-                    figure.colorbar(mesh, ax=ax, label=_label(steps[k][name], name))
+                    _draw_colour_bar(steps[k], name, mesh, values)
             ax.set_title(_title(steps[k]))
             bar.update(count + k + 1)
 
@@ -242,10 +264,14 @@ def _part(
     if len(axes) == 1 and f"{name}{ERROR}" in cut:
         found[f"{name}{ERROR}"] = _component(cut[f"{name}{ERROR}"], name, chosen)
     if len(axes) == 2:
-        if "component" in found[name].dims:
-            arrows = name if arrows else None
         unrolled = axes == ["theta", "z"]  # an angle and a length: arrows would have no direction
-        if arrows and not unrolled and arrows in cut and cut[arrows].dims[-1:] == ("component",):
+        if arrows == "auto":
+            arrows = name if "component" in found[name].dims and not unrolled else None
+        if arrows is not None:
+            if unrolled or arrows not in cut or cut[arrows].dims[-1:] != ("component",):
+                raise ValueError(
+                    f"arrows={arrows!r}: expected a vector field of the result, on a map that is not unrolled"
+                )
             for axis in axes:
                 found[f"{_ARROW}{axis}"] = cut[arrows].sel(component=axis, drop=True)
         if "component" in found[name].dims:
@@ -301,35 +327,53 @@ def _axes(f: xr.Dataset) -> list[str]:
     return [a for a in _AXES if a in f.dims]
 
 
-def _limits(steps: list[xr.DataArray]) -> tuple[float, float]:
-    """Smallest and largest number of all steps, apart."""
+def _check_shading(shading: str) -> None:
+    if shading not in SHADINGS:
+        raise ValueError(f"shading={shading!r}: expected one of {', '.join(map(repr, SHADINGS))}")
+
+
+def _known(steps: list[xr.DataArray]) -> NDArray:
+    """Return the finite numbers of all steps."""
     values = np.concatenate([step.to_numpy().ravel() for step in steps])
-    values = values[np.isfinite(values)]
+    return values[np.isfinite(values)]
+
+
+def _ends(values: NDArray) -> tuple[float, float]:
+    """Return the smallest and the largest number; two that differ, whatever the numbers."""
     if not values.size:
         return 0.0, 1.0
     low, high = float(values.min()), float(values.max())
     return (low, high) if low < high else (low - 0.5, high + 0.5)
 
 
-def _colours(low: float, high: float, cmap: str | None, vmin: float | None, vmax: float | None) -> dict[str, Any]:
-    """Colours as they are asked for; by default from low to high, or about zero where a field has both signs."""
-    both = low < 0 < high and vmin is None and vmax is None
-    if both:
-        high = max(-low, high)
-        low = -high
-    return {
-        "cmap": cmap or ("RdBu_r" if both else "viridis"),
-        "vmin": low if vmin is None else vmin,
-        "vmax": high if vmax is None else vmax,
-    }
+def _has_both_signs(values: NDArray) -> bool:
+    """Whether both signs matter: neither is a trace beside the other, by percentiles of what is not zero."""
+    values = values[values != 0]
+    if not values.size:
+        return False
+    low, high = np.percentile(values, (2, 98))
+    return bool(low < 0 < high and min(-low, high) >= BOTH_SIGNS * max(-low, high))
+
+
+def _colours(values: NDArray, cmap: str | None, vmin: float | None, vmax: float | None) -> dict[str, Any]:
+    """Return colours and their ends as asked for; by default of all numbers, about zero where both signs matter."""
+    low, high = _ends(values)
+    end = vmax if vmax is not None else -vmin if vmin is not None else max(-low, high)
+    if end > 0 and _has_both_signs(values):
+        low, high = -end, end
+    low, high = low if vmin is None else vmin, high if vmax is None else vmax
+    about_zero = low == -high and _has_both_signs(values)
+    return {"cmap": cmap or ("RdBu_r" if about_zero else "viridis"), "vmin": low, "vmax": high}
 
 
 def _fastest(picture: xr.Dataset) -> float:
-    """Length of the longest arrow."""
+    """Return the speed whose arrow is as long as arrows are apart."""
     parts = [picture[name].to_numpy() for name in picture if str(name).startswith(_ARROW)]
     if not parts:
         return 0.0
-    return float(np.nanmax(np.hypot(*parts), initial=0.0, where=np.isfinite(parts).all(axis=0)))
+    size = np.hypot(*parts)
+    size = size[np.isfinite(size)]
+    return float(np.percentile(size, FASTEST)) if size.size else 0.0
 
 
 # --- drawing ---------------------------------------------------------------------------------------------
@@ -350,38 +394,45 @@ def _draw_profile(picture: xr.Dataset, name: str, axis: str, ax: Axes) -> None:
             e = errors.isel(line=k).to_numpy()
             fill = ax.fill_betweenx if upright else ax.fill_between
             fill(nodes, y - e, y + e, color=line.get_color(), alpha=0.25, lw=0)
-    along, across = _label(picture[axis], axis), _label(value, name)
-    ax.set_xlabel(across if upright else along)
-    ax.set_ylabel(along if upright else across)
+    along, across = label_of(picture[axis], axis), label_of(value, name)
+    set_label(ax.xaxis, across if upright else along)
+    set_label(ax.yaxis, along if upright else across)
     if others:
         ax.legend(title=", ".join(map(str, others)))
 
 
 def _draw_map(
-    picture: xr.Dataset, name: str, axes: list[str], ax: Axes, colours: Mapping[str, Any], fastest: float
-) -> Any:
+    picture: xr.Dataset, name: str, axes: list[str], ax: Axes, colours: Mapping[str, Any], fastest: float,
+    shading: Shading,
+) -> Any:  # fmt: skip
     across, up = axes
+    picture = picture.sortby(axes)
     value = picture[name].transpose(up, across)
     if axes == ["r", "theta"]:
-        return _draw_circle(picture, value, ax, colours, fastest)
-    mesh = ax.pcolormesh(picture[across], picture[up], value, shading="nearest", **colours)
+        return _draw_circle(picture, value, ax, colours, fastest, shading)
+    x, y, values = _cells(value, shading)
+    mesh = ax.pcolormesh(x, y, values, rasterized=shading == "smooth", **colours)
     if fastest > 0:
         every = max(1, round(max(picture.sizes[a] for a in axes) / ARROWS))
         some = picture.isel({a: slice(every // 2, None, every) for a in axes})
-        along, rise = (some[f"{_ARROW}{a}"].transpose(up, across) for a in axes)
+        along, rise = (some[f"{_ARROW}{a}"].transpose(up, across).to_numpy() for a in axes)
         apart = min((float(some[a][1] - some[a][0]) for a in axes if some.sizes[a] > 1), default=1.0)
-        _draw_arrows(ax, some[across], some[up], along, rise, fastest / apart)
+        _draw_arrows(ax, *np.meshgrid(some[across], some[up]), along, rise, fastest, apart)
     ax.set_aspect("auto" if across == "theta" else "equal")
-    ax.set_xlabel(_label(picture[across], across))
-    ax.set_ylabel(_label(picture[up], up))
+    set_label(ax.xaxis, label_of(picture[across], across))
+    set_label(ax.yaxis, label_of(picture[up], up))
     return mesh
 
 
-def _draw_circle(picture: xr.Dataset, value: xr.DataArray, ax: Axes, colours: Mapping[str, Any], fastest: float) -> Any:
+def _draw_circle(
+    picture: xr.Dataset, value: xr.DataArray, ax: Axes, colours: Mapping[str, Any], fastest: float, shading: Shading
+) -> Any:
     """Draw a map over r and theta in the plane of the circle, with arrows on a grid of squares."""
-    r, theta = picture["r"].to_numpy(), picture["theta"].to_numpy()
-    rim, turn = _edges(r).clip(0), _edges(theta)[:, None]
-    mesh = ax.pcolormesh(rim * np.cos(turn), rim * np.sin(turn), value, **colours)
+    rim, turn, values = _cells(value, shading)
+    rim = rim.clip(0)
+    mesh = ax.pcolormesh(
+        rim * np.cos(turn[:, None]), rim * np.sin(turn[:, None]), values, rasterized=shading == "smooth", **colours
+    )
     if fastest > 0:
         apart = 2 * rim[-1] / ARROWS
         line = np.arange(-rim[-1] + apart / 2, rim[-1], apart)
@@ -393,19 +444,65 @@ def _draw_circle(picture: xr.Dataset, value: xr.DataArray, ax: Axes, colours: Ma
         outward, around = (picture[f"{_ARROW}{a}"].sel(there, method="nearest").to_numpy() for a in ("r", "theta"))
         along = outward * np.cos(angle) - around * np.sin(angle)
         rise = outward * np.sin(angle) + around * np.cos(angle)
-        _draw_arrows(ax, x, y, along, rise, fastest / apart)
+        _draw_arrows(ax, x, y, along, rise, fastest, apart)
     ax.set_aspect("equal")
-    unit = _label(picture["r"], "r").removeprefix("r")
-    ax.set_xlabel(rf"$r\,\cos\theta${unit}")
-    ax.set_ylabel(rf"$r\,\sin\theta${unit}")
+    unit = label_of(picture["r"], "r").removeprefix("r")
+    set_label(ax.xaxis, rf"$r\,\cos\theta${unit}")
+    set_label(ax.yaxis, rf"$r\,\sin\theta${unit}")
     return mesh
 
 
-def _draw_arrows(ax: Axes, x: Any, y: Any, along: Any, rise: Any, scale: float) -> None:
+def _draw_arrows(ax: Axes, x: Any, y: Any, along: Any, rise: Any, fastest: float, apart: float) -> None:
+    """Draw arrows, those of the fastest as long as they are apart, and none where there is next to no motion."""
+    there = np.hypot(along, rise) >= AT_REST * fastest
     ax.quiver(
-        x, y, along, rise, pivot="mid", color="white", edgecolor="black", linewidth=0.5,
-        angles="xy", scale_units="xy", scale=scale, width=0.006,
+        x[there], y[there], along[there], rise[there], pivot="mid", color="white", edgecolor="black", linewidth=0.5,
+        angles="xy", scale_units="xy", scale=fastest / apart, width=0.006,
     )  # fmt: skip
+
+
+def _draw_colour_bar(picture: xr.Dataset, name: str, mesh: Any, values: NDArray) -> None:
+    """Draw the colour bar of a map, with a point at an end that numbers exceed."""
+    low, high = mesh.get_clim()
+    above, below = bool((values > high).any()), bool((values < low).any())
+    extend = "both" if above and below else "max" if above else "min" if below else "neither"
+    ax = mesh.axes
+    room = ax.get_position(original=True).transformed(ax.figure.transSubfigure)
+    tall = BESIDE * room.width * ax.get_data_ratio() / room.height if ax.get_aspect() == 1 else 1.0
+    bar = ax.figure.colorbar(mesh, ax=ax, extend=extend, shrink=min(1.0, tall))
+    bar.formatter.set_powerlimits((-3, 4))
+    bar.formatter.set_useMathText(True)
+    set_label(bar.ax.yaxis, label_of(picture[name], name))
+
+
+def _cells(value: xr.DataArray, shading: Shading) -> tuple[NDArray, NDArray, NDArray]:
+    """Return the edges of the cells to draw, across and up, and the number in each of them.
+
+    A smooth map has cells finer than the nodes. Their numbers are interpolated linearly between the nodes that are
+    known; a cell is unknown where the nearest node is.
+    """
+    up, across = (value[dim].to_numpy() for dim in value.dims)
+    numbers = value.to_numpy()
+    if shading == "flat":
+        return _edges(across), _edges(up), numbers
+    known = np.isfinite(numbers)
+    x, near_x, weight_x = _finer(across, None)
+    y, near_y, weight_y = _finer(up, 2 * np.pi if value.dims[0] == "theta" else None)
+    top = weight_y @ np.where(known, numbers, 0.0) @ weight_x.T
+    bottom = weight_y @ known.astype(float) @ weight_x.T
+    return x, y, np.where(known[np.ix_(near_y, near_x)], top / np.where(bottom > 0, bottom, 1.0), np.nan)
+
+
+def _finer(nodes: NDArray, period: float | None) -> tuple[NDArray, NDArray, NDArray]:
+    """Divide the cells of nodes into parts: edges (m + 1,), nearest nodes (m,), and weights of the nodes (m, n)."""
+    count = len(nodes)
+    parts = -(-SMOOTH // count)
+    edges = np.interp(np.arange(count * parts + 1) / parts, np.arange(count + 1), _edges(nodes))
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    if period is not None and edges[-1] - edges[0] < period * (1 - 1e-9):
+        period = None  # a sector of the circle
+    weights = np.stack([np.interp(middle, nodes, unit, period=period) for unit in np.eye(count)], axis=1)
+    return edges, np.repeat(np.arange(count), parts), weights
 
 
 def _edges(nodes: np.ndarray) -> np.ndarray:
@@ -420,18 +517,12 @@ def _named(value: xr.DataArray, name: str) -> str:
     return str(value.attrs.get("long_name", name.replace("_", " ")))
 
 
-def _label(value: xr.DataArray, name: str) -> str:
-    unit = str(value.attrs.get("units", "")).removesuffix("1").strip()
-    text = name if name in _AXES else _named(value, name)
-    return f"{text} [{unit}]" if unit else text
-
-
 def _title(picture: xr.Dataset) -> str:
     """Tell when, and where a result was cut."""
     said = [a for a in ("time", "phase", *_AXES) if a in picture.coords and not picture[a].ndim]
     parts = []
     for name in said:
-        value, unit = picture[name].item(), str(picture[name].attrs.get("units", "")).removesuffix("1")
+        value, unit = picture[name].item(), unit_text(str(picture[name].attrs.get("units", "")))
         text = f"{value:.4g}" if isinstance(value, float) else str(value)
         parts.append(f"{name} = {text} {unit}".rstrip())
     return ", ".join(parts)
