@@ -12,8 +12,8 @@ import pytest
 import xcg
 from tests.benchmarks import series
 from xcg.fields.sums import branches
-from xcg.scene.complete import rows_of
 from xcg.scene.frame import stack
+from xcg.scene.repeats import rows_of
 
 FEW, MANY = 4, 32
 

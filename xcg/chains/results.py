@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.chains.particle_stress import RESULTS as STRESSES
-from xcg.scene.complete import rows_of
+from xcg.scene.repeats import rows_of
 from xcg.scene.conform import with_components
 from xcg.scene.frame import particle_rows
 from xcg.scene.lattice import Lattice

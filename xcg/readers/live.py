@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from xcg.readers.columns import WALL_CONTACTS
 from xcg.readers.units import UNIT_SYSTEMS
 from xcg.scene.build import scene_from_arrays
-from xcg.scene.complete import contact_points, rows_of
+from xcg.scene.complete import contact_points
+from xcg.scene.repeats import rows_of
 from xcg.scene.schema import COMPONENTS, SceneError
 from xcg.scene.walls import FIRST_WALL, named_walls
 

@@ -29,7 +29,7 @@ from xcg.scene.complete import complete_particles
 from xcg.scene.lattice import Lattice
 from xcg.scene.numbers import floats
 from xcg.scene.plausible import check_shape
-from xcg.scene.schema import COMPONENTS, VARIABLES, Frame, SceneError, Setup, did_you_mean, printable
+from xcg.scene.schema import COMPONENTS, VARIABLES, Frame, SceneError, Setup, Sides, did_you_mean, printable
 from xcg.scene.sizes import measure_frames
 from xcg.scene.walls import named_walls
 from xcg.scene.warn import warn_user
@@ -63,6 +63,7 @@ def open_scene(
     thickness: float | None = None,
     shape: str = "sphere",
     allow_unknown: bool = False,
+    sides: Sides = "mean",
     missing: str = "raise",
     chunks: Chunks = "auto",
     on_error: str = "raise",
@@ -136,6 +137,10 @@ def open_scene(
         How volume follows from diameter.
     allow_unknown : bool
         Take contacts with ids that are not among the particles as contacts with a wall.
+    sides : {"mean", "first", "separate"}
+        What becomes of contacts that are listed from both sides, (i, j, f) and (j, i, -f'), with f' up to a quarter
+        from f and points up to a quarter of the smaller radius apart: one contact with the mean of both sides
+        (default), or as the first row has it, with a warning; or two. Up to 1e-4 they are always one.
     missing : {"raise", "skip", "empty"}
         What to do about steps of particles without a step of contacts: raise an error that lists them, leave them out
         with a warning, or take them as steps in which nothing touches (MFiX writes no file of contacts then).
@@ -250,6 +255,7 @@ def open_scene(
         thickness=thickness,
         shape=shape,
         density=density,
+        sides=sides,
         periodic=_within(plane, first.periodic or "") if periodic is None else periodic,
     )
     if gravity is None and first.gravity is not None:

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.scene.complete import rows_of
+from xcg.scene.repeats import rows_of
 from xcg.scene.conform import takes_scene
 from xcg.scene.description import describe, require_scene
 from xcg.scene.frame import particle_rows

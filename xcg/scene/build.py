@@ -24,6 +24,7 @@ from xcg.scene.schema import (
     Frame,
     SceneError,
     Setup,
+    Sides,
     did_you_mean,
     units_of,
     variable,
@@ -83,6 +84,7 @@ def to_dataset(
         "unit_system": setup.unit_system,
         **({} if setup.gravity is None else {"gravity": np.asarray(setup.gravity)}),
         **({} if setup.thickness is None else {"thickness": setup.thickness}),
+        **({"sides": setup.sides} if "contact_i" in data else {}),
         **measured,
     }
     return mark_measured(storable(xr.Dataset(data, coords, about)))
@@ -151,6 +153,7 @@ def scene_from_arrays(
     density: ArrayLike | None = None,
     units: Mapping[str, float] | str | None = None,
     allow_unknown: bool = False,
+    sides: Sides = "mean",
     **variables: Any,
 ) -> xr.Dataset:
     """Build a scene from arrays in memory.
@@ -193,6 +196,10 @@ def scene_from_arrays(
         Factors from the data's units to SI, for example ``{"length": 1e-3}``; "reduced" for scaled data.
     allow_unknown : bool
         Take contacts with ids that are not among the particles as contacts with a wall.
+    sides : {"mean", "first", "separate"}
+        What becomes of contacts that are listed from both sides, (i, j, f) and (j, i, -f'), with f' up to a quarter
+        from f and points up to a quarter of the smaller radius apart: one contact with the mean of both sides
+        (default), or as the first row has it, with a warning; or two. Up to 1e-4 they are always one.
     **variables
         Other variables by their scene name: ``velocity``, ``diameter``, ``mass``, ``volume``, ``particle_id``,
         ``species``, ``contact_i``, ``contact_j``, ``contact_force``, ``contact_point``, ... In a periodic box of less
@@ -222,7 +229,7 @@ def scene_from_arrays(
     one_density = density if density is not None and _is_one_number(density) else None
     setup = Setup.make(
         units=units, gravity=gravity, dimension=dimension, plane=plane, periodic=periodic, thickness=thickness,
-        shape=shape, density=one_density,
+        shape=shape, density=one_density, sides=sides,
     )  # fmt: skip
     given = {"position": position, **variables}
     if density is not None and one_density is None:

@@ -8,18 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from xcg.compiled.contacts import a_pair_twice, partners_by_lower, share_of_i, touching_points
+from xcg.compiled.contacts import share_of_i, touching_points
 from xcg.scene.lattice import Lattice
+from xcg.scene.repeats import rows_of, without_repeats
 from xcg.scene.schema import LONGEST, SHORTEST, Frame, SceneError, Setup, variable
 from xcg.scene.warn import warn_once
 
 # What readers say of contacts besides variables of the scene.
 HINTS = ("wrapped_branch", "point_is_middle", "row_of_file")
-# Rows of one pair are one contact where their forces differ by no more than this share of their size, as in files of
-# six digits, and their points by no more than this share of the distance from the centre.
-_SAME_FORCE, _SAME_POINT = 1e-4, 0.05
-_MOST_CONTACTS_A_PAIR = 64  # of equal force, that are compared with each other
-_DENSE = 16  # ids are looked up in a table where they span no more numbers than this for each contact
 _HAIR = 1e-9  # rounding of positions, as a share of the distances between them
 _SAME_BRANCH = 0.25  # a branch that is off by more of its length is another vector; it may be a time step old
 _BLOCK = 1 << 14  # contacts whose points are derived together, in the cache of the processor
@@ -162,18 +158,6 @@ def _complete_size_and_mass(frame: Frame, setup: Setup) -> None:
         frame["moment_of_inertia"] = frame["mass"] * frame["diameter"] ** 2 / (8 if setup.shape == "disc" else 10)
 
 
-def rows_of(ids: NDArray, wanted: NDArray) -> NDArray:
-    """Row of each wanted id among sorted ids, -1 where it is not there; `wanted` itself where that is the same."""
-    if not len(ids):
-        return np.full(len(wanted), -1)
-    if ids[-1] - ids[0] + 1 == len(ids):  # no gaps: nothing to search for
-        row = wanted - ids[0] if ids[0] else wanted
-        known = (row >= 0) & (row < len(ids))
-        return row if known.all() else np.where(known, row, -1)
-    row = np.minimum(np.searchsorted(ids, wanted), len(ids) - 1)
-    return np.where(ids[row] == wanted, row, -1)
-
-
 def complete_contacts(
     frame: Mapping[str, ArrayLike],
     particles: Frame,
@@ -189,8 +173,7 @@ def complete_contacts(
     ``overlap = R_i + R_j - |r_i - r_j|`` and ``r_i - r_j`` the image nearest to the branch that the data hold, or else
     the shortest one.
 
-    A contact that is listed twice, as a copy or from both sides as (i, j, f) and (j, i, -f), is taken once. Several
-    contacts of one pair, which differ in force or place, all stay.
+    Contacts that are listed again are taken once, see `xcg.scene.repeats.without_repeats`.
 
     Parameters
     ----------
@@ -252,94 +235,7 @@ def complete_contacts(
     if derived.any() or "contact_point" not in given:
         given["contact_point"] = _derive_points(given, number, derived, particles, row_i, row_j, seen, lattice, source)
     del row_i, row_j, unknown, derived
-    rows, pair = repeated_pairs(i, j)
-    if not rows.size:
-        return given
-    there, other = rows_of(ids, i[rows]), rows_of(ids, j[rows])
-    there, centre = np.where(there >= 0, there, other), given["contact_point"][rows]
-    centre[there >= 0] = particles["position"][there[there >= 0]]
-    copy = _copies(given, number, rows, pair, centre, lattice, source)
-    return {name: np.delete(values, copy, axis=0) for name, values in given.items()} if copy.size else given
-
-
-def repeated_pairs(i: NDArray, j: NDArray) -> tuple[NDArray, NDArray]:
-    """Rows of the contacts of all pairs that have more than one, pair after pair, and a number for the pair of each.
-
-    Which of the two comes first makes no difference. Spheres touch once, and one look at all pairs tells that there are
-    none.
-    """
-    none = np.empty(0, int), np.empty(0, int)
-    if not len(i):
-        return none
-    least, most = min(i.min(), j.min()), max(i.max(), j.max())
-    count = int(most) - int(least) + 1
-    if count <= _DENSE * len(i) and not _any_repeated(i, j, least, count):
-        return none
-    low, high = np.minimum(i, j), np.maximum(i, j)
-    lows, highs = (int(ids.max()) - int(ids.min()) + 1 for ids in (low, high))
-    if lows * highs < 2**62:
-        order = np.argsort((low - low.min()) * highs + (high - high.min()), kind="stable")
-    else:
-        order = np.lexsort((high, low))
-    same = (low[order[1:]] == low[order[:-1]]) & (high[order[1:]] == high[order[:-1]])
-    inside = np.append(same, False) | np.insert(same, 0, False)
-    return order[inside], np.insert(np.cumsum(~same), 0, 0)[inside]
-
-
-def _any_repeated(i: NDArray, j: NDArray, least: int, count: int) -> bool:
-    """Tell whether any pair of the `count` numbers from `least` on stands more than once."""
-    ends, partner = np.zeros(count + 1, "int64"), np.empty_like(i)
-    partners_by_lower(i, j, least, ends, partner)
-    return a_pair_twice(ends[:-1], partner, np.full(count, -1))
-
-
-def _copies(
-    contacts: Frame, number: NDArray | range, rows: NDArray, pair: NDArray, centre: NDArray, lattice: Lattice,
-    source: str,
-) -> NDArray:  # fmt: skip
-    """Rows that list a contact again: the same force, from either side, at the same point.
-
-    Contacts of one pair are sorted by the size of the force, so that those of one contact stand near each other.
-
-    Parameters
-    ----------
-    number
-        Rows of the file, for messages.
-    rows, pair : array (n,)
-        Contacts of pairs that have more than one, see `repeated_pairs`.
-    centre : array (n, 3)
-        Centre of a particle of each (m), from which the distance of points is judged.
-    """
-    order = np.lexsort((np.linalg.norm(contacts["contact_force"][rows], axis=1), pair))
-    rows, pair, centre = rows[order], pair[order], centre[order]
-    point = contacts["contact_point"][rows]
-    mirrored = contacts["contact_i"][rows] > contacts["contact_j"][rows]
-    force = contacts["contact_force"][rows]
-    size = np.linalg.norm(force, axis=1)
-    reach = _SAME_POINT * np.linalg.norm(lattice.shortest(point - centre), axis=1)
-    copy = np.zeros(len(rows), bool)
-    for distance in range(1, min(len(rows), _MOST_CONTACTS_A_PAIR)):
-        near = (pair[distance:] == pair[:-distance]) & ~copy[distance:]
-        near &= size[distance:] - size[:-distance] <= _SAME_FORCE * size[distance:]
-        one = np.flatnonzero(near)
-        if not one.size:
-            break
-        other = one + distance
-        together = np.linalg.norm(lattice.shortest(point[one] - point[other]), axis=1) <= reach[other]
-        one, other = one[together], other[together]
-        turned, least = mirrored[one] != mirrored[other], _SAME_FORCE * size[other]
-        same = np.linalg.norm(force[one] - force[other], axis=1) <= least
-        opposite = np.linalg.norm(force[one] + force[other], axis=1) <= least
-        copy[other[np.where(turned, opposite, same)]] = True
-        wrong = turned & same & ~opposite
-        if wrong.any():
-            first, second = number[rows[one[wrong][0]]], number[rows[other[wrong][0]]]
-            raise SceneError(
-                f"{source}: contact rows {first} and {second} list one contact from both sides with the same force, "
-                f"{force[one[wrong][0]]}, so that both sides cancel; contact_force is that on contact_i: turn "
-                "the sign of one of them, or list each contact once"
-            )
-    return rows[copy]
+    return without_repeats(given, number, particles, lattice, setup.sides, source)
 
 
 def unit_vectors(vector: NDArray) -> NDArray:

@@ -13,7 +13,8 @@ from xcg.compiled.arrays import counting_sort, short_integers
 from xcg.compiled.contacts import add_dyads, add_rows, add_unit_squares, between, k_core, sides
 from xcg.compiled.lattice import Reduced
 from xcg.compiled.threads import for_parts
-from xcg.scene.complete import repeated_pairs, rows_of, unit_vectors
+from xcg.scene.complete import unit_vectors
+from xcg.scene.repeats import repeated_pairs, rows_of
 from xcg.scene.lattice import Lattice
 from xcg.scene.plausible import check_contacts
 from xcg.scene.schema import Frame

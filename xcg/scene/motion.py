@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.scene.complete import rows_of
+from xcg.scene.repeats import rows_of
 from xcg.scene.lattice import Lattice, same_vectors
 from xcg.scene.schema import Frame, SceneError
 

@@ -11,7 +11,7 @@ import difflib
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,8 @@ MAX_GROUPS = 100
 SHORTEST, LONGEST = 1e-75, 1e75  # m; powers of lengths between these are numbers, too
 
 Frame: TypeAlias = dict[str, NDArray]
+# what becomes of contacts that are listed from both sides, see `xcg.scene.repeats`
+Sides: TypeAlias = Literal["mean", "first", "separate"]
 
 
 def printable(text: str) -> str:
@@ -175,6 +177,8 @@ class Setup:
         Factors from the data's units of (length, mass, time) to those of the scene.
     unit_system : str
         "SI" or "reduced".
+    sides : str
+        "mean", "first" or "separate": what becomes of contacts that are listed from both sides.
     """
 
     periodic: str = ""
@@ -186,6 +190,7 @@ class Setup:
     density: float | None = None
     scales: tuple[float, float, float] = (1.0, 1.0, 1.0)
     unit_system: str = "SI"
+    sides: Sides = "mean"
 
     def __post_init__(self) -> None:
         if set(self.periodic) - set(COMPONENTS):
@@ -197,6 +202,8 @@ class Setup:
             )
         if self.shape not in ("sphere", "disc"):
             raise SceneError(f"shape={self.shape!r}: expected 'sphere' or 'disc'")
+        if self.sides not in get_args(Sides):
+            raise SceneError(f"sides={self.sides!r}: expected one of {', '.join(map(repr, get_args(Sides)))}")
         for name in ("density", "thickness"):
             value = getattr(self, name)
             if value is not None and not is_positive(value):

@@ -59,6 +59,7 @@ def summary_of_scene(ds: xr.Dataset) -> Summary:
             *rows_of_origin(ds),
             *((f"{dim}s", ", ".join(own[dim]) or "none") for dim in _ROWS),
             ("missing", ", ".join(missing) or "nothing"),
+            ("both sides", _SIDES.get(str(ds.attrs.get("sides")), "")),
             ("sizes", sizes or "not measured"),
             ("box", _box(ds)),
             ("periodic", f"{ds.attrs.get('periodic') or 'no axis'}; dimension {ds.attrs.get('dimension', 3)}"),
@@ -67,6 +68,11 @@ def summary_of_scene(ds: xr.Dataset) -> Summary:
 
 
 _ROWS = ("particle", "contact")
+_SIDES = {
+    "mean": "contacts listed from both sides are one, with the mean of both",
+    "first": "contacts listed from both sides are one, as the first row has it",
+    "separate": "contacts listed from both sides, with forces not quite opposite, are two",
+}
 
 
 def rows_of_origin(ds: xr.Dataset) -> list[tuple[str, str]]:

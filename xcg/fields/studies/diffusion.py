@@ -12,7 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.fields.formulas.averages import block_errors
-from xcg.scene.complete import rows_of
+from xcg.scene.repeats import rows_of
 from xcg.scene.conform import takes_scene
 from xcg.scene.description import describe, require_scene
 from xcg.scene.frame import phase_of, steps_in, without_frozen
