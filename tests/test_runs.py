@@ -23,7 +23,7 @@ from tests.test_cli import xcg_run
 from xcg.jobs.config import read_config
 from xcg.jobs.run import run_job
 from xcg.steps.errors import SkippedStep
-from xcg.steps.progress import Progress
+from xcg.steps.progress import shown
 from xcg.writers.files import whole_file
 from xcg.writers.lock import locked
 
@@ -359,26 +359,24 @@ class Stream:
 
 
 @pytest.mark.parametrize("terminal", [True, False])
-def test_progress(terminal):
-    now, stream = [0.0], Stream(terminal)
-    bar = Progress(100, 10, stream, clock=lambda: now[0])
-    for done in range(11, 101):
-        now[0] += 2.0
-        bar.update(done)
-    bar.end()
+def test_progress(terminal, monkeypatch):
+    stream = Stream(terminal)
+    monkeypatch.setattr(sys, "stderr", stream)
+    with shown(100, True, done=10) as bar:
+        for _ in range(90):
+            bar.update()
     if terminal:
-        assert "[##########--------------------] 35 of 100 steps, 0.5 steps/s, 0:02:10 left" in stream.text
-        assert stream.text.endswith("100 of 100 steps, 0.5 steps/s, 0:00:00 left\n")
+        assert "[###---------------------------] 10 of 100 steps, " in stream.text
+        assert re.search(r"\[#{30}\] 100 of 100 steps, .* steps/s, 00:00 left\n$", stream.text)
     else:
         lines = stream.text.splitlines()
-        assert lines[0] == "20 of 100 steps, 0.5 steps/s, 0:02:40 left"
-        assert len(lines) == 9
+        assert [line.split(",")[0] for line in lines] == [f"{n} of 100 steps" for n in range(20, 101, 10)]
+        assert re.fullmatch(r"20 of 100 steps, .* steps/s, \d\d:\d\d left", lines[0])
         assert "\r" not in stream.text
-    silent = Stream(terminal)
-    bar = Progress(10, 0, silent, quiet=True)
-    bar.update(10)
-    bar.end()
-    assert not silent.text
+    stream.text = ""
+    with shown(10, False) as bar:
+        bar.update(10)
+    assert not stream.text
 
 
 def test_dashboard_without_distributed(job, monkeypatch):

@@ -8,23 +8,11 @@ from importlib import import_module
 from importlib.metadata import version
 from typing import Any
 
+import lazy_loader
 import xarray as xr
 
-from xcg.stubs import homes
-
 __version__ = version("xcg")
-_HOMES = homes(__file__)
-__all__ = sorted(_HOMES)
-
-
-def __getattr__(name: str) -> Any:
-    """Load a public name."""
-    if name not in _HOMES:
-        raise AttributeError(f"module 'xcg' has no attribute {name!r}")
-    home = _HOMES[name]
-    found = import_module(f"xcg.{name}") if home == "xcg" else getattr(import_module(home), name)
-    globals()[name] = found
-    return found
+__getattr__, _, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 
 def __dir__() -> list[str]:

@@ -1,50 +1,50 @@
 """Where each public name stands: read by editors and type checkers, and by `xcg/__init__.py`, which loads it."""
 
-from xcg import datasets, readers
-from xcg.accessor import CoarseGrainAccessor
-from xcg.chains.particle_stress import particle_stress
-from xcg.chains.plots import plot_chains, plot_lengths, plot_rose
-from xcg.chains.regions import Box, Region, Sphere
-from xcg.chains.search import force_chains
-from xcg.chains.selection import select_chains
-from xcg.chains.tables import chain_table, link_table
-from xcg.chains.tracks import track_chains
-from xcg.fields.coarse_grain import coarse_grain
-from xcg.fields.formulas.averages import profile, time_average
-from xcg.fields.formulas.register import register_field
-from xcg.fields.formulas.registry import FIELDS
-from xcg.fields.formulas.variables import Flux, Mean, Sum, Variance
-from xcg.fields.places.frames import Cylindrical, Rotated
-from xcg.fields.places.surfaces.cylinder import Cylinder
-from xcg.fields.places.surfaces.plane import Plane
-from xcg.fields.places.surfaces.triangles import Surface
-from xcg.fields.presets.lammps import lammps_mesh
-from xcg.fields.presets.pysammos import pysammos_mesh
-from xcg.fields.studies.balance import balance
-from xcg.fields.studies.correlations import spatial_correlation, time_correlation
-from xcg.fields.studies.diffusion import mean_squared_displacement
-from xcg.fields.studies.displacement import displacement
-from xcg.fields.studies.plots import movie, plot
-from xcg.fields.studies.slice_temperature import slice_temperature
-from xcg.fields.studies.wall_stress import wall_stress
-from xcg.fields.studies.width_sweep import width_sweep
-from xcg.fields.sums.smoothing import Gaussian, Heaviside, Kernel, Lucy, register_kernel
-from xcg.packing.find_contacts import find_contacts
-from xcg.packing.microstructure import microstructure
-from xcg.packing.pairs import find_pairs
-from xcg.readers.from_table import scene_from_table
-from xcg.readers.live import scene_from_lammps
-from xcg.readers.mesh_points import mesh_points
-from xcg.readers.series import open_scene
-from xcg.scene.bodies import group_bodies
-from xcg.scene.build import scene_from_arrays
-from xcg.scene.measure import measure, size_statistics
-from xcg.scene.phases import assign_phases, find_phases, plot_phases
-from xcg.scene.schema import SceneError, SceneWarning
-from xcg.scene.walls import select_walls
-from xcg.steps.errors import SkippedStep
-from xcg.writers.record import Recorder, record
-from xcg.writers.save import register_writer, save
+from . import datasets, readers
+from .accessor import CoarseGrainAccessor
+from .chains.particle_stress import particle_stress
+from .chains.plots import plot_chains, plot_lengths, plot_rose
+from .chains.regions import Box, Region, Sphere
+from .chains.search import force_chains
+from .chains.selection import select_chains
+from .chains.tables import chain_table, link_table
+from .chains.tracks import track_chains
+from .fields.coarse_grain import coarse_grain
+from .fields.formulas.averages import profile, time_average
+from .fields.formulas.register import register_field
+from .fields.formulas.registry import FIELDS
+from .fields.formulas.variables import Flux, Mean, Sum, Variance
+from .fields.places.frames import Cylindrical, Rotated
+from .fields.places.surfaces.cylinder import Cylinder
+from .fields.places.surfaces.plane import Plane
+from .fields.places.surfaces.triangles import Surface
+from .fields.presets.lammps import lammps_mesh
+from .fields.presets.pysammos import pysammos_mesh
+from .fields.studies.balance import balance
+from .fields.studies.correlations import spatial_correlation, time_correlation
+from .fields.studies.diffusion import mean_squared_displacement
+from .fields.studies.displacement import displacement
+from .fields.studies.plots import movie, plot
+from .fields.studies.slice_temperature import slice_temperature
+from .fields.studies.wall_stress import wall_stress
+from .fields.studies.width_sweep import width_sweep
+from .fields.sums.smoothing import Gaussian, Heaviside, Kernel, Lucy, register_kernel
+from .packing.find_contacts import find_contacts
+from .packing.microstructure import microstructure
+from .packing.pairs import find_pairs
+from .readers.from_table import scene_from_table
+from .readers.live import scene_from_lammps
+from .readers.mesh_points import mesh_points
+from .readers.series import open_scene
+from .scene.bodies import group_bodies
+from .scene.build import scene_from_arrays
+from .scene.measure import measure, size_statistics
+from .scene.phases import assign_phases, find_phases, plot_phases
+from .scene.schema import SceneError, SceneWarning
+from .scene.walls import select_walls
+from .steps.errors import SkippedStep
+from .writers.record import Recorder, record
+from .writers.save import register_writer, save
 
 __version__: str
 __all__ = [

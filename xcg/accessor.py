@@ -1,7 +1,7 @@
 """The accessor `ds.cg`: its methods are the functions of the package that take a Dataset first.
 
-A function is loaded when its method is first used. Where it stands says ``accessor.pyi``, so that editors and type
-checkers know its arguments.
+A function is loaded when its method is first used. ``accessor.pyi`` imports it, so that editors and type checkers know
+its arguments.
 """
 
 from __future__ import annotations
@@ -13,10 +13,7 @@ from typing import Any
 
 import xarray as xr
 
-from xcg.stubs import homes
-
 SCENE, RESULT, CHAINS = "scene", "result", "chains"
-_HOMES = homes(__file__)
 _SUMMARIES = {
     SCENE: ("xcg.scene.summary", "summary_of_scene"),
     RESULT: ("xcg.steps.summary", "summary_of_result"),
@@ -40,18 +37,20 @@ class Method:
 
     Parameters
     ----------
+    module : str
+        Where the function is.
     *kinds : str
         Kinds of Datasets that it is offered for.
     """
 
-    def __init__(self, *kinds: str) -> None:
-        self.kinds = kinds
+    def __init__(self, module: str, *kinds: str) -> None:
+        self.module, self.kinds = module, kinds
 
     def __set_name__(self, owner: type, name: str) -> None:
         self.name = name
 
     def __get__(self, accessor: CoarseGrainAccessor | None, owner: type) -> Callable:
-        function = _load(_HOMES[self.name], self.name)
+        function = _load(self.module, self.name)
         return function if accessor is None else MethodType(function, accessor._ds)
 
 
@@ -78,43 +77,43 @@ class CoarseGrainAccessor:
     def _summary(self) -> Any:
         return _load(*_SUMMARIES[kind_of(self._ds)])(self._ds)
 
-    coarse_grain = Method(SCENE)
-    explain = Method(SCENE)
-    displacement = Method(SCENE)
-    mean_squared_displacement = Method(SCENE)
-    width_sweep = Method(SCENE)
-    balance = Method(SCENE)
-    slice_temperature = Method(SCENE)
-    wall_stress = Method(SCENE)
-    find_contacts = Method(SCENE)
-    microstructure = Method(SCENE)
-    particle_stress = Method(SCENE)
-    force_chains = Method(SCENE)
-    measure = Method(SCENE)
-    size_statistics = Method(SCENE)
-    group_bodies = Method(SCENE)
-    find_phases = Method(SCENE)
-    assign_phases = Method(SCENE)
-    plot_phases = Method(SCENE)
-    select_walls = Method(SCENE)
+    coarse_grain = Method("xcg.fields.coarse_grain", SCENE)
+    explain = Method("xcg.fields.coarse_grain", SCENE)
+    displacement = Method("xcg.fields.studies.displacement", SCENE)
+    mean_squared_displacement = Method("xcg.fields.studies.diffusion", SCENE)
+    width_sweep = Method("xcg.fields.studies.width_sweep", SCENE)
+    balance = Method("xcg.fields.studies.balance", SCENE)
+    slice_temperature = Method("xcg.fields.studies.slice_temperature", SCENE)
+    wall_stress = Method("xcg.fields.studies.wall_stress", SCENE)
+    find_contacts = Method("xcg.packing.find_contacts", SCENE)
+    microstructure = Method("xcg.packing.microstructure", SCENE)
+    particle_stress = Method("xcg.chains.particle_stress", SCENE)
+    force_chains = Method("xcg.chains.search", SCENE)
+    measure = Method("xcg.scene.measure", SCENE)
+    size_statistics = Method("xcg.scene.measure", SCENE)
+    group_bodies = Method("xcg.scene.bodies", SCENE)
+    find_phases = Method("xcg.scene.phases", SCENE)
+    assign_phases = Method("xcg.scene.phases", SCENE)
+    plot_phases = Method("xcg.scene.phases", SCENE)
+    select_walls = Method("xcg.scene.walls", SCENE)
 
-    profile = Method(RESULT)
-    time_average = Method(RESULT)
-    spatial_correlation = Method(RESULT)
-    time_correlation = Method(RESULT)
-    plot = Method(RESULT)
-    movie = Method(RESULT)
+    profile = Method("xcg.fields.formulas.averages", RESULT)
+    time_average = Method("xcg.fields.formulas.averages", RESULT)
+    spatial_correlation = Method("xcg.fields.studies.correlations", RESULT)
+    time_correlation = Method("xcg.fields.studies.correlations", RESULT)
+    plot = Method("xcg.fields.studies.plots", RESULT)
+    movie = Method("xcg.fields.studies.plots", RESULT)
 
-    select_chains = Method(CHAINS)
-    track_chains = Method(CHAINS)
-    chain_table = Method(CHAINS)
-    link_table = Method(CHAINS)
-    plot_chains = Method(CHAINS)
-    plot_lengths = Method(CHAINS)
-    plot_rose = Method(CHAINS)
-    to_csv = Method(CHAINS)
-    to_vtp = Method(CHAINS)
+    select_chains = Method("xcg.chains.selection", CHAINS)
+    track_chains = Method("xcg.chains.tracks", CHAINS)
+    chain_table = Method("xcg.chains.tables", CHAINS)
+    link_table = Method("xcg.chains.tables", CHAINS)
+    plot_chains = Method("xcg.chains.plots", CHAINS)
+    plot_lengths = Method("xcg.chains.plots", CHAINS)
+    plot_rose = Method("xcg.chains.plots", CHAINS)
+    to_csv = Method("xcg.writers.chains", CHAINS)
+    to_vtp = Method("xcg.writers.chains", CHAINS)
 
-    to_vtkhdf = Method(RESULT, CHAINS)
-    to_vtu = Method(RESULT)
-    save = Method(SCENE, RESULT, CHAINS)
+    to_vtkhdf = Method("xcg.writers.vtkhdf", RESULT, CHAINS)
+    to_vtu = Method("xcg.writers.vtu", RESULT)
+    save = Method("xcg.writers.save", SCENE, RESULT, CHAINS)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
@@ -57,7 +56,7 @@ def run(
     from xcg.jobs.config import read_config
     from xcg.jobs.run import open_job, run_job
     from xcg.scene.schema import printable
-    from xcg.steps.progress import Progress
+    from xcg.steps.progress import shown
 
     with plain_messages(quiet):
         job = read_config(config)
@@ -73,19 +72,18 @@ def run(
             done, count = next(steps)
             if done and not quiet:
                 click.echo(f"{done} of {count} steps are there from an earlier run", err=True)
-            bar = Progress(count, done, sys.stderr, quiet=quiet)
 
             def kept() -> str:
                 return f"{done} of {count} steps are kept; the same command goes on from there"
 
             last_words.append(kept)
             try:
-                for done, _ in steps:
-                    bar.update(done)
+                with shown(count, not quiet, done=done) as bar:
+                    for done, _ in steps:
+                        bar.update(done - bar.n)
             except OSError as error:
                 raise click.ClickException(f"{error}\n{kept()}") from error
             finally:
                 last_words.remove(kept)
-                bar.end()
     if not quiet:
         click.echo(printable(f"{count} steps in {job.folder}"))

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import dask
 import numpy as np
 import xarray as xr
-from dask.callbacks import Callback
 from dask.delayed import Delayed
 from dask.highlevelgraph import HighLevelGraph
 from numpy.typing import NDArray
@@ -25,7 +24,7 @@ from xarray.backends.locks import get_dask_scheduler, get_write_lock
 
 from xcg.steps.each import chunks_of_time
 from xcg.steps.graph import Gathered
-from xcg.steps.progress import Progress, shown
+from xcg.steps.progress import CountTasks, shown
 
 if TYPE_CHECKING:
     import dask.array as da  # slow to import
@@ -113,26 +112,9 @@ def _wait(_: Any) -> None:
 
 @contextmanager
 def telling(ds: xr.Dataset, progress: bool | None) -> Iterator[None]:
-    """Tell how many steps are written; `progress` as in `xcg.steps.progress.shown`. Tasks on a cluster are not seen."""
-    count = ds.sizes.get("time", 1)
-    with shown(count, progress) as bar, _Told(bar, count):
+    """Show how many steps are written; `progress` as in `xcg.steps.progress.shown`. Tasks on a cluster are not seen."""
+    with shown(ds.sizes.get("time", 1), progress) as bar, CountTasks(bar, _writes):
         yield
-
-
-class _Told(Callback):
-    """Count the tasks that write."""
-
-    def __init__(self, bar: Progress, steps: int) -> None:
-        super().__init__(start=self._begin, posttask=self._end)
-        self._bar, self._steps, self._done, self._tasks = bar, steps, 0, 1
-
-    def _begin(self, graph: Mapping[Any, Any]) -> None:
-        self._tasks = max(1, sum(map(_writes, graph)))
-
-    def _end(self, key: Any, *_: Any) -> None:
-        if _writes(key):
-            self._done += 1
-            self._bar.update(self._steps * self._done // self._tasks)
 
 
 def _writes(key: Any) -> bool:

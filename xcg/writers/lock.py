@@ -9,8 +9,10 @@ from __future__ import annotations
 import errno
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+
+from filelock import FileLock, Timeout
 
 from xcg.writers.files import temporary
 
@@ -29,68 +31,31 @@ def locked(path: Path, what: str) -> Iterator[None]:
     OSError
         If a symbolic link has its name.
     """
-    file = _take(path, what)
-    temporary.add(path)
+    lock = FileLock(path, thread_local=False)
     try:
-        yield
-    finally:
-        path.unlink(missing_ok=True)  # before it is closed, so that nobody locks a file without a name
-        temporary.discard(path)
-        os.close(file)
-
-
-def _take(path: Path, what: str) -> int:
-    while True:
-        file = _open(path)
-        if not _try_lock(file):
-            holder = os.read(file, 32).decode("ascii", "replace").strip()
-            os.close(file)
-            raise FileExistsError(
-                f"{what} is being written by another run{f' (process {holder})' if holder else ''}; wait for it to "
-                "end, or choose another output folder or name"
-            )
-        if _is_at(file, path):
-            os.ftruncate(file, 0)
-            os.write(file, str(os.getpid()).encode())
-            return file
-        os.close(file)  # its owner removed it in between
-
-
-def _open(path: Path) -> int:
-    """Open the file, never another one that a link of its name leads to: its content is overwritten."""
-    if path.is_symlink():
-        raise OSError(errno.ELOOP, "is a symbolic link, where a lock is expected; remove it", str(path))
-    return os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
-
-
-def _is_at(file: int, path: Path) -> bool:
-    """Whether the open file is still the one of this name."""
-    try:
-        return os.path.samestat(os.fstat(file), os.lstat(path))
-    except FileNotFoundError:
-        return False
-
-
-def _try_lock(file: int) -> bool:
-    try:
-        import fcntl
-    except ImportError:  # Windows
-        return _try_lock_elsewhere(file)
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
+        lock.acquire(blocking=False)
+    except Timeout:
+        holder = path.read_bytes()[:32].decode("ascii", "replace").strip() if path.is_file() else ""
+        raise FileExistsError(
+            f"{what} is being written by another run{f' (process {holder})' if holder else ''}; wait for it to end, or "
+            "choose another output folder or name"
+        ) from None
     except OSError as error:
+        if path.is_symlink():
+            message = "is a symbolic link, where a lock is expected; remove it"
+            raise OSError(errno.ELOOP, message, str(path)) from error
         if error.errno not in _NO_LOCKS:
             raise
-    return True
-
-
-def _try_lock_elsewhere(file: int) -> bool:
-    import msvcrt
-
+    temporary.add(path)
     try:
-        msvcrt.locking(file, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]
-    except OSError:
-        return False
-    return True
+        with suppress(OSError), open(path, "w", opener=_no_link) as file:
+            file.write(str(os.getpid()))
+        yield
+    finally:
+        path.unlink(missing_ok=True)  # before it is released, so that nobody locks a file without a name
+        temporary.discard(path)
+        lock.release()
+
+
+def _no_link(path: str, flags: int) -> int:
+    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0), 0o644)

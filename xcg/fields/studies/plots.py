@@ -194,9 +194,9 @@ def movie(
     # a step has to be computed and drawn
     with shown(2 * count, progress, what="frames") as bar:
         steps = []
-        for k, step in enumerate(each_step(part)):
+        for step in each_step(part):
             steps.append(_one_step(step, 0, phase))
-            bar.update(k + 1)
+            bar.update()
         values = _known([step[name] for step in steps])
         low, high = _ends(values)
         fastest = max(_fastest(step) for step in steps)
@@ -216,7 +216,7 @@ def movie(
                 if k == 0 and len(figure.axes) == 1:
                     _draw_colour_bar(steps[k], name, mesh, values)
             ax.set_title(_title(steps[k]))
-            bar.update(count + k + 1)
+            bar.update()
 
         film = animation.FuncAnimation(figure, draw, frames=count, init_func=lambda: None)
         part_of_file = path.with_name(f".{path.stem}.part{path.suffix}")
