@@ -30,7 +30,7 @@ def test_plot_chains(colour):
     # the strongest links are the thickest
     assert np.argmax(links.get_linewidths()) in (0, 1)
     ax.figure.canvas.draw()
-    assert (ax.get_xlabel(), ax.get_ylabel()) == ("x [m]", "y [m]")
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("$x$ [m]", "$y$ [m]")
     if colour == "stress":
         assert links.colorbar.ax.get_ylabel() == "most compressive principal stress [Pa]"
 

@@ -52,7 +52,7 @@ def test_a_map_shows_the_field_with_arrows_of_the_flow(result):
     np.testing.assert_array_equal(arrows.U, shown_arrows[moving][:, 0])
     np.testing.assert_array_equal(arrows.V, shown_arrows[moving][:, 2])
     assert ax.get_title() == "time = 1, y = 2.5 m"
-    assert (ax.get_xlabel(), ax.get_ylabel()) == ("x [m]", "z [m]")
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("$x$ [m]", "$z$ [m]")
     assert ax.figure.axes[1].get_ylabel() == "volume fraction"
 
 
@@ -63,7 +63,7 @@ def test_a_map_over_radius_and_height():
     ends = {"r": (0.0, 2.0), "z": (1.0, 4.0)}
     f = ds.cg.coarse_grain(["density", "velocity"], axes="rz", frame=frame, bounds=ends, width=1.0, spacing=0.5)
     ax = f.cg.plot("density", arrows="velocity", shading="flat")
-    assert (ax.get_xlabel(), ax.get_ylabel()) == ("r [m]", "z [m]")
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("$r$ [m]", "$z$ [m]")
     mesh, arrows = ax.collections
     np.testing.assert_array_equal(mesh.get_array(), f.density.isel(time=-1).transpose("z", "r"))
     flow = f.velocity.isel(time=-1)
@@ -145,7 +145,7 @@ def test_a_volume_is_cut_through_the_middle_of_its_shortest_axis_or_where_it_is_
     )
     plt.figure()
     ax = f.cg.plot(at={"x": 2.0})
-    assert (ax.get_xlabel(), ax.get_ylabel()) == ("y [m]", "z [m]")
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("$y$ [m]", "$z$ [m]")
 
 
 def test_phases_are_lines_of_a_profile():

@@ -9,7 +9,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.chains.results import Step, require_chains, steps_of
-from xcg.scene.drawing import label_of, new_axes, set_label, with_unit
+from xcg.scene.drawing import add_colour_bar, label_of, new_axes, set_label, with_unit
 from xcg.scene.extras import extra
 from xcg.scene.schema import COMPONENTS
 from xcg.scene.times import step_at, with_time
@@ -85,13 +85,12 @@ def plot_chains(
     else:
         j = step.links()[2]
         lines.set_array(0.5 * (arrays["major_stress"][i] + arrays["major_stress"][j]))
-        bar = ax.figure.colorbar(lines, ax=ax, shrink=0.8)
-        set_label(bar.ax.yaxis, label_of(fc["major_stress"], "major_stress"))
+        add_colour_bar(lines, ax, label_of(fc["major_stress"], "major_stress"), shrink=0.8)
     ax.add_collection(lines)
     ax.set_aspect("equal")
     ax.autoscale_view()
     for axis, k in ((ax.xaxis, plane[0]), (ax.yaxis, plane[1])):
-        set_label(axis, with_unit(COMPONENTS[k], fc["position"].attrs.get("units", "")))
+        set_label(axis, with_unit(f"${COMPONENTS[k]}$", fc["position"].attrs.get("units", "")))
     return ax
 
 
@@ -179,7 +178,7 @@ def plot_rose(
         np.concatenate([middle, middle + np.pi]), petals, width=2 * np.pi / bins, color="C3", edgecolor="white", lw=0.5
     )
     ax.set_yticklabels([])
-    ax.set_xticks(np.deg2rad([0, 90, 180, 270]), [plane[0], plane[1], f"-{plane[0]}", f"-{plane[1]}"])
+    ax.set_xticks(np.deg2rad([0, 90, 180, 270]), [f"${sign}{axis}$" for sign in ("", "-") for axis in plane])
     return ax
 
 

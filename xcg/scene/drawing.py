@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import textwrap
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import xarray as xr
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
 
-_SYMBOLS = {"x": "x", "y": "y", "z": "z", "r": "r", "theta": r"$\theta$"}  # of axes
+_SYMBOLS = {"x": "$x$", "y": "$y$", "z": "$z$", "r": "$r$", "theta": r"$\theta$"}  # of axes
 # powers as UDUNITS has them: "m^-1", "m**-1" and "m-1"
 _POWER = re.compile(r"(?:\^|\*\*)\(?([+-]?[\d.]+)\)?|(?<=[^\W\d_])([+-]?\d+)(?![\w.])")
 _UNIT = re.compile(r"\[[^\]]*\]$")
@@ -58,6 +58,14 @@ def set_label(axis: Axis, text: str) -> None:
             return
         broken = textwrap.fill(whole, -(-len(whole) // lines), break_long_words=False, break_on_hyphens=False)
         axis.set_label_text(broken.replace("\0", " "))
+
+
+def add_colour_bar(drawn: Any, ax: Axes, text: str, **options: Any) -> None:
+    """Add a labelled colour bar beside axes; `options` are those of matplotlib."""
+    bar = ax.figure.colorbar(drawn, ax=ax, **options)
+    bar.formatter.set_powerlimits((-3, 4))
+    bar.formatter.set_useMathText(True)
+    set_label(bar.ax.yaxis, text)
 
 
 def new_axes(projection: str | None = None) -> Axes:

@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.scene.drawing import label_of, new_axes, set_label, unit_text
+from xcg.scene.drawing import add_colour_bar, label_of, new_axes, set_label, unit_text
 from xcg.scene.extras import extra
 from xcg.scene.schema import COMPONENTS
 from xcg.scene.times import step_at, with_time
@@ -446,7 +446,7 @@ def _draw_circle(
         rise = outward * np.sin(angle) + around * np.cos(angle)
         _draw_arrows(ax, x, y, along, rise, fastest, apart)
     ax.set_aspect("equal")
-    unit = label_of(picture["r"], "r").removeprefix("r")
+    unit = label_of(picture["r"], "r").removeprefix("$r$")
     set_label(ax.xaxis, rf"$r\,\cos\theta${unit}")
     set_label(ax.yaxis, rf"$r\,\sin\theta${unit}")
     return mesh
@@ -469,10 +469,7 @@ def _draw_colour_bar(picture: xr.Dataset, name: str, mesh: Any, values: NDArray)
     ax = mesh.axes
     room = ax.get_position(original=True).transformed(ax.figure.transSubfigure)
     tall = BESIDE * room.width * ax.get_data_ratio() / room.height if ax.get_aspect() == 1 else 1.0
-    bar = ax.figure.colorbar(mesh, ax=ax, extend=extend, shrink=min(1.0, tall))
-    bar.formatter.set_powerlimits((-3, 4))
-    bar.formatter.set_useMathText(True)
-    set_label(bar.ax.yaxis, label_of(picture[name], name))
+    add_colour_bar(mesh, ax, label_of(picture[name], name), extend=extend, shrink=min(1.0, tall))
 
 
 def _cells(value: xr.DataArray, shading: Shading) -> tuple[NDArray, NDArray, NDArray]:
