@@ -38,8 +38,6 @@ def draw(fc: xr.Dataset, path: Path) -> None:
     figure = plt.figure(figsize=(12, 6.2), layout="constrained")
     grid = figure.add_gridspec(2, 3, width_ratios=[1.25, 1.25, 1])
     ax = fc.cg.plot_chains(time=-1, ax=figure.add_subplot(grid[:, :2]))
-    ax.set_xlabel("x [m]")
-    ax.set_ylabel("y [m]")
     ax.set_title("chains of the last step, line width by force")
     fc.cg.plot_lengths(ax=figure.add_subplot(grid[0, 2]))
     rose = fc.cg.plot_rose(time=-1, ax=figure.add_subplot(grid[1, 2], projection="polar"))

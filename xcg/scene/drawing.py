@@ -63,8 +63,9 @@ def set_label(axis: Axis, text: str) -> None:
 def add_colour_bar(drawn: Any, ax: Axes, text: str, **options: Any) -> None:
     """Add a labelled colour bar beside axes; `options` are those of matplotlib."""
     bar = ax.figure.colorbar(drawn, ax=ax, **options)
-    bar.formatter.set_powerlimits((-3, 4))
-    bar.formatter.set_useMathText(True)
+    powers: Any = bar.formatter
+    powers.set_powerlimits((-3, 4))
+    powers.set_useMathText(True)
     set_label(bar.ax.yaxis, text)
 
 

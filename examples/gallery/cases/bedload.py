@@ -26,7 +26,7 @@ z = 1e3 * m.z
 speed = m.velocity.sel(component="x")
 fig, ax = plt.subplots()
 ax.semilogx(speed.where(speed > 3e-5), z, "o-", ms=4)
-ax.set(xlabel="velocity $V_x$ (m/s)", ylabel="height $z$ (mm)")
+ax.set(xlabel="velocity $V_x$ [m s$^{-1}$]", ylabel="height $z$ [mm]")
 plt.show()
 
 # %%
@@ -48,7 +48,7 @@ for axis, sign, load in (("z", 1, weight), ("x", -1, drag)):
         sign * stress.sel(component=axis), z, xerr=error.sel(component=axis), fmt="o", ms=3, errorevery=5,
         color=line.get_color(), label=rf"${'-' * (sign < 0)}\sigma_{{{axis}z}}$",
     )  # fmt: skip
-ax.set(xlabel="stress (Pa)", ylabel="height $z$ (mm)", xlim=(0, 50))
+ax.set(xlabel="stress [Pa]", ylabel="height $z$ [mm]", xlim=(0, 50))
 ax.legend()
 plt.show()
 

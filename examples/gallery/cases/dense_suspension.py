@@ -46,7 +46,7 @@ plt.show()
 fig, ax = plt.subplots()
 ax.errorbar(J, eta, yerr=m.effective_viscosity_error, fmt="o", label="coarse-grained")
 ax.plot(curve, mu_c / curve, "k-", label="contacts, Boyer et al.")
-ax.set(xscale="log", yscale="log", xlabel="viscous number $J$", ylabel=r"viscosity $\eta_s$ ($\eta_f$)")
+ax.set(xscale="log", yscale="log", xlabel="viscous number $J$", ylabel=r"viscosity $\eta_s$ [$\eta_f$]")
 ax.legend()
 plt.show()
 

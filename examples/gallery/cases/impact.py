@@ -24,7 +24,7 @@ sphere = ds.isel(particle=-1).compute()
 fig, ax = plt.subplots()
 f.sel(phase=1).cg.plot("pressure", ax=ax, arrows=None)
 ax.add_patch(plt.Circle((0, float(sphere.position[0, 2])), 0.005, fill=False, lw=2))
-ax.set(title="1 ms after the start", xlim=(0, 0.016), ylim=(0, 0.032), xlabel="radius $r$ (m)", ylabel="height $z$ (m)")
+ax.set(title="1 ms after the start", xlim=(0, 0.016), ylim=(0, 0.032), xlabel="radius $r$ [m]", ylabel="height $z$ [m]")
 plt.show()
 
 # %%

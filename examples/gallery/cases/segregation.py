@@ -26,7 +26,7 @@ c = large.concentration.where(bulk.volume_fraction > 0.2)
 
 fig, ax = plt.subplots()
 c.plot(x="time", ax=ax, vmin=0, vmax=1, cmap="RdYlBu", cbar_kwargs={"label": "share of large grains"})
-ax.set(xlabel=r"time ($\sqrt{d / g}$)", ylabel="height $z$ ($d$)", ylim=(0, 22))
+ax.set(xlabel=r"time [$\sqrt{d / g}$]", ylabel="height $z$ [$d$]", ylim=(0, 22))
 plt.show()
 
 # %%
@@ -36,7 +36,7 @@ plt.show()
 fig, ax = plt.subplots()
 for k, style in ((0, ":"), (4, "--"), (8, "-")):
     ax.plot(c.isel(time=k), c.z, f"C0{style}", label=f"t = {float(c.time[k]):.0f}")
-ax.set(xlabel="share of large grains", ylabel="height $z$ ($d$)", xlim=(0, 1), ylim=(0, 22))
+ax.set(xlabel="share of large grains", ylabel="height $z$ [$d$]", xlim=(0, 1), ylim=(0, 22))
 ax.legend()
 plt.show()
 

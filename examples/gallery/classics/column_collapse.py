@@ -31,8 +31,8 @@ h = height(ds)
 fig, ax = plt.subplots()
 for step, shade in zip((0, 2, 3, 8), np.linspace(0.7, 0, 4), strict=True):
     ax.plot(h.x, h.isel(time=step), color=str(shade), label=f"{float(ds.time[step]):.0f}")
-ax.set(xlabel="x (d)", ylabel="height (d)", xlim=(0, 160), ylim=0)
-ax.legend(title=r"time ($\sqrt{d/g}$)")
+ax.set(xlabel="$x$ [$d$]", ylabel="height [$d$]", xlim=(0, 160), ylim=0)
+ax.legend(title=r"time [$\sqrt{d/g}$]")
 plt.show()
 
 # %%
@@ -51,7 +51,7 @@ fig, ax = plt.subplots()
 ax.loglog(aspects, runout, "o", label="simulation")
 for (power, start), some in ((low, aspects[:3]), (tall, aspects[2:])):
     ax.loglog(some, np.exp(start) * some**power, "-", label=f"{np.exp(start):.1f} $a^{{{power:.2f}}}$")
-ax.set(xlabel="aspect ratio a", ylabel="run-out / width", xticks=aspects, xticklabels=["0.5", "1", "2", "4", "8"])
+ax.set(xlabel="aspect ratio $a$", ylabel="run-out / width", xticks=aspects, xticklabels=["0.5", "1", "2", "4", "8"])
 ax.minorticks_off()
 ax.legend()
 plt.show()

@@ -41,7 +41,7 @@ law = T[0] / (1 + T.time / tau) ** 2
 fig, ax = plt.subplots()
 ax.semilogy(T.time, T, "o", label="coarse-grained")
 ax.semilogy(T.time, law, "k-", label=f"Haff's law, $\\tau$ = {tau:.1f}")
-ax.set(xlabel=r"time ($d / \sqrt{T_0}$)", ylabel=r"granular temperature ($T_0$)")
+ax.set(xlabel=r"time [$d / \sqrt{T_0}$]", ylabel=r"granular temperature [$T_0$]")
 ax.legend()
 plt.show()
 

@@ -18,14 +18,14 @@ import xcg
 ds = xcg.datasets.open("mixing_drum", gravity=(0, 0, -1))
 turns = ds.time * 0.05 / (2 * np.pi)  # angular velocity 0.05
 
-f = ds.cg.coarse_grain("concentration", axes="xz", by="species", width=1.0).compute()
+f = ds.cg.coarse_grain("concentration", axes="xz", by="species", width=1.0, spacing=0.25).compute()
 lacey = ds.cg.microstructure("lacey_index", by="species", cell=3.0).lacey_index.sel(phase="bulk")
 
 fig, axes = plt.subplots(2, 2, sharex=True, sharey=True, figsize=(5.2, 5.6))
 for ax, step in zip(axes.flat, (0, 1, 4, 8), strict=True):
     share = f.concentration.sel(phase=2).isel(time=step)
     image = ax.pcolormesh(f.x, f.z, share.transpose("z", "x"), cmap="coolwarm", vmin=0, vmax=1)
-    ax.set(title=f"N = {float(turns[step]):.2g}", aspect="equal", xlabel="x (d)", ylabel="z (d)")
+    ax.set(title=f"$N$ = {float(turns[step]):.2g}", aspect="equal", xlabel="$x$ [$d$]", ylabel="$z$ [$d$]")
     ax.label_outer()
 fig.colorbar(image, ax=axes, label="share of those on the right", location="bottom")
 plt.show()
@@ -38,8 +38,8 @@ rate = np.polyfit(turns, -np.log(1 - lacey), 1)[0]
 
 fig, ax = plt.subplots()
 ax.plot(turns, lacey, "o", label="simulation")
-ax.plot(turns, 1 - np.exp(-rate * turns), "k-", label=f"1 - exp(-N / {1 / rate:.1f})")
-ax.set(xlabel="turns N", ylabel="Lacey's index of mixing", ylim=(-0.05, 1))
+ax.plot(turns, 1 - np.exp(-rate * turns), "k-", label=f"1 - exp(-$N$ / {1 / rate:.1f})")
+ax.set(xlabel="turns $N$", ylabel="Lacey's index of mixing", ylim=(-0.05, 1))
 ax.legend()
 plt.show()
 

@@ -27,10 +27,9 @@ f = f.cg.time_average().compute()
 v = f.velocity.where(f.volume_fraction > 0.1)
 
 fig, ax = plt.subplots()
-speed = -v.sel(component="z")
-image = ax.pcolormesh(f.x, f.z, speed.transpose("z", "x"), vmin=0, vmax=2)
-fig.colorbar(image, label=r"downward velocity ($\sqrt{gd}$)", extend="max")
-ax.set(xlabel="x (d)", ylabel="z (d)", aspect="equal")
+speed = (-v.sel(component="z")).assign_attrs(long_name="downward velocity", units=r"$\sqrt{gd}$")
+speed.to_dataset(name="speed").cg.plot(ax=ax, vmin=0, vmax=2)
+ax.set(xlabel="$x$ [$d$]", ylabel="$z$ [$d$]", aspect="equal")
 plt.show()
 
 # %%
@@ -39,9 +38,9 @@ plt.show()
 dilation = sum(f.velocity_gradient.sel(component=c, direction=c) for c in "xz").where(f.volume_fraction > 0.1)
 
 fig, ax = plt.subplots()
-image = ax.pcolormesh(f.x, f.z, dilation.transpose("z", "x"), vmin=-0.4, vmax=0.4, cmap="RdBu_r")
-fig.colorbar(image, label=r"rate of dilation ($\sqrt{g/d}$)", extend="both")
-ax.set(xlabel="x (d)", ylabel="z (d)", aspect="equal")
+dilation = dilation.assign_attrs(long_name="rate of dilation", units=r"$\sqrt{g/d}$")
+dilation.to_dataset(name="dilation").cg.plot(ax=ax, vmin=-0.4, vmax=0.4)
+ax.set(xlabel="$x$ [$d$]", ylabel="$z$ [$d$]", aspect="equal")
 plt.show()
 
 # %%
@@ -65,7 +64,7 @@ fig, ax = plt.subplots()
 D = np.linspace(2, 6.5, 50)
 ax.errorbar(slots, rate, error, fmt="o", label="simulation")
 ax.plot(D, (slope * (D - k)).clip(0) ** 1.5, "k-", label=f"C = {C:.2f}, k = {k:.2f}")
-ax.set(xlabel="width of the slot D (d)", ylabel=r"rate ($m\sqrt{g/d}$)")
+ax.set(xlabel="width of the slot $D$ [$d$]", ylabel=r"rate [$m\sqrt{g/d}$]")
 ax.legend()
 plt.show()
 

@@ -47,7 +47,7 @@ ax.plot(sigma_zz / 1e3, f.z * 1e3, label=r"$\sigma_{zz}$ of the grains")
 ax.plot(wall.normal_traction / 1e3, wall.z * 1e3, label="pressure on the side")
 ax.plot(janssen / 1e3, f.z * 1e3, "k--", label="Janssen")
 ax.plot(rho * g * (z_top - f.z) / 1e3, f.z * 1e3, "k:", label="weight above")
-ax.set(xlabel="stress (kPa)", ylabel="z (mm)", xlim=(0, 3.5), ylim=(0, 245))
+ax.set(xlabel="stress [kPa]", ylabel="$z$ [mm]", xlim=(0, 3.5), ylim=(0, 245))
 ax.legend()
 plt.show()
 
