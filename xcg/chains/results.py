@@ -11,10 +11,10 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.chains.particle_stress import RESULTS as STRESSES
-from xcg.scene.repeats import rows_of
 from xcg.scene.conform import with_components
 from xcg.scene.frame import particle_rows
 from xcg.scene.lattice import Lattice
+from xcg.scene.repeats import rows_of
 from xcg.scene.schema import BOX, PADDING, VARIABLES, Frame, SceneError, Variable
 from xcg.scene.summary import Summary, rows_of_origin
 from xcg.scene.times import with_time
@@ -115,7 +115,7 @@ def summary_of_chains(fc: xr.Dataset) -> Summary:
     return Summary.of(f"force chains of {sizes} (largest step)", [("rule", rule), *held, *rows_of_origin(fc)])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Step:
     """One step of a result, in memory.
 

@@ -121,7 +121,7 @@ def options_of(scene: Description, request: Request) -> Options:
         shear_axes=_indices(request.shear_dims),
         deviatoric=request.deviatoric,
         size=size,
-        diameter=scene.sizes.get(size, float("nan")),
+        diameter=scene.sizes.get(size),
         fluid_viscosity=fluid_viscosity,
         friction=request.friction,
         temperature=request.temperature,

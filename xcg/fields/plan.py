@@ -35,7 +35,7 @@ from xcg.scene.numbers import is_finite
 from xcg.scene.schema import COMPONENTS, ROTATION, SceneError, Setup
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Plan:
     """What one call of `coarse_grain` will do; printing it explains it.
 

@@ -25,7 +25,7 @@ CROWDED = 2.5  # particles in a cube of the reach
 CELLS_A_PARTICLE = 8
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Levels:
     """Cells of all levels, from small particles to large.
 
@@ -94,7 +94,7 @@ def _reach_for(scaled: NDArray, count: float) -> float:
     return float(scaled[-1]) if len(scaled) else 0.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CellLists:
     """Particles sorted into the cells of their levels, ready for the search.
 

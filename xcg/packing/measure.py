@@ -23,7 +23,7 @@ NOT_A_RATTLER = {3: 4, 2: 3}
 CELL = 3.0  # edge of the cells that concentrations are sampled in, in mean diameters d43
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Measure:
     """All that measuring a frame needs besides the frame.
 

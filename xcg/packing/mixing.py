@@ -31,7 +31,7 @@ from xcg.scene.warn import warn_once
 ENOUGH = 5  # grains in a cell, on average, that a warning recommends
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Mixture:
     """The grains of a region by phase.
 

@@ -8,12 +8,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.scene.repeats import rows_of
 from xcg.scene.conform import takes_scene
 from xcg.scene.description import describe, require_scene
 from xcg.scene.frame import particle_rows
 from xcg.scene.lattice import Lattice
 from xcg.scene.measure import measure
+from xcg.scene.repeats import rows_of
 from xcg.scene.schema import BOX, PADDING, SceneError, units_of, variable
 
 _SHARED = ("species", "frozen")  # by all spheres of a body

@@ -14,9 +14,9 @@ from xcg.compiled.contacts import add_dyads, add_rows, add_unit_squares, between
 from xcg.compiled.lattice import Reduced
 from xcg.compiled.threads import for_parts
 from xcg.scene.complete import unit_vectors
-from xcg.scene.repeats import repeated_pairs, rows_of
 from xcg.scene.lattice import Lattice
 from xcg.scene.plausible import check_contacts
+from xcg.scene.repeats import repeated_pairs, rows_of
 from xcg.scene.schema import Frame
 
 # Contacts are those of spheres where the branches are as spheres have them, to this share of the radius.
@@ -26,7 +26,7 @@ _BLOCK = 1 << 14  # contacts whose normals are computed together, in the cache o
 BEARING = 2
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Contacts:
     """Contacts by row of their particles.
 

@@ -21,7 +21,7 @@ _SAME = 1e-9  # rounding of lattice vectors, as a share of the longest
 _MOST_IMAGES = 20_000  # lattice translations that are looked at
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Lattice:
     """Periodic images of one step.
 

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.scene.repeats import rows_of
 from xcg.scene.lattice import Lattice, same_vectors
+from xcg.scene.repeats import rows_of
 from xcg.scene.schema import Frame, SceneError
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class BoxMotion:
     """The displacement ``shift + gradient r`` that a box imposes on what it holds: zero along axes that are open.
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled.contacts import far_and_pulling
-from xcg.scene.repeats import rows_of
 from xcg.scene.lattice import Lattice
+from xcg.scene.repeats import rows_of
 from xcg.scene.schema import Frame, Setup
 from xcg.scene.warn import warn_once, warn_user
 

@@ -117,7 +117,7 @@ def targets(fc: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool) ->
 # --- points and lines ------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Mesh:
     """Points, lines between them, and values on both."""
 

@@ -106,7 +106,7 @@ def write_vtkhdf(ds: xr.Dataset, path: Path, encoding: Encoding, *, overwrite: b
 # --- what is written -------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Image:
     """Nodes and times: number of nodes, origin and spacing along x, y, z."""
 

@@ -36,8 +36,8 @@ class Options:
         Which magnitudes are those of deviators: of "stress", "rate", "both" or "neither".
     size : str
         The diameter in the inertial number: "d43", "d32", or "d50", "dmax" of the whole scene.
-    diameter : float
-        d50 or dmax of the scene (m), where `size` names one of them.
+    diameter : float, optional
+        The diameter that `size` names, of the whole scene (m); None where it is not known.
     fluid_viscosity : float, optional
         Viscosity of the fluid between the grains (Pa s).
     friction : float, optional
@@ -64,7 +64,7 @@ class Options:
     shear_axes: tuple[int, ...] | None = None
     deviatoric: str = "stress"
     size: str = "d43"
-    diameter: float = float("nan")
+    diameter: float | None = None
     fluid_viscosity: float | None = None
     friction: float | None = None
     by: str | None = None

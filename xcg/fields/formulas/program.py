@@ -95,7 +95,7 @@ class Program:
         kernel.run(self.steps, *lists, to, order, tile.ctypes.data, scratch)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Loads:
     """Where a program finds its inputs in the sums of some passes.
 

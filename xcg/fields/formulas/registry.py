@@ -74,7 +74,7 @@ def given_options(options: Options) -> dict[str, Any]:
         found["shear_dims"] = "".join("xyz"[k] for k in options.shear_axes)
     if options.fluid_viscosity is not None:
         found["fluid_viscosity"] = options.fluid_viscosity
-    if np.isfinite(options.diameter):
+    if options.diameter is not None:
         found["size_diameter"] = options.diameter
     if options.lag is not None:
         found["lag"] = options.lag
@@ -96,7 +96,7 @@ def options_of(attrs: Mapping[Any, Any]) -> Options:
         deviatoric=str(attrs.get("deviatoric", "stress")),
         size=str(attrs.get("size", "d43")),
         temperature=str(attrs.get("temperature", "biased")),
-        diameter=float(attrs.get("size_diameter", np.nan)),
+        diameter=float(attrs["size_diameter"]) if "size_diameter" in attrs else None,
         fluid_viscosity=None if viscosity is None else float(viscosity),
         lag=None if lag is None else int(lag),
     )

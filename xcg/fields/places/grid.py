@@ -24,7 +24,7 @@ _MOST_OF_ONE_AXIS = 2**27
 _FINEST = 1e-9  # least spacing, in radii of the support
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RegularGrid(SameAxes):
     """Nodes on a regular mesh.
 

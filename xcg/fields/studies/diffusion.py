@@ -12,11 +12,11 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.fields.formulas.averages import block_errors
-from xcg.scene.repeats import rows_of
 from xcg.scene.conform import takes_scene
 from xcg.scene.description import describe, require_scene
 from xcg.scene.frame import phase_of, steps_in, without_frozen
 from xcg.scene.motion import BoxMotion, partners
+from xcg.scene.repeats import rows_of
 from xcg.scene.schema import COMPONENTS, OF_STEP, units_of
 from xcg.scene.times import evenly_spaced
 from xcg.steps.each import each_step
@@ -188,7 +188,7 @@ def _range(fit: Sequence[float] | None, at: NDArray) -> NDArray:
 # --- grains on their way ---------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Places:
     """Where the grains of one step are on their way: places relative to where each was first seen, (n, 3)."""
 

@@ -85,7 +85,7 @@ class OwnNodes:
         return over(self)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class MeshBlock(OwnNodes):
     """Nodes low <= (ix, iy, iz) < high of a mesh of a shape, with distances between them (m).
 

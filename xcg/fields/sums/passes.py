@@ -23,7 +23,7 @@ AnyKernel: TypeAlias = KernelCode | CellKernel
 Fill: TypeAlias = Callable[[NodeBlock, NDArray, NDArray], None]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class DepositSpec:
     """What the deposits need besides a frame: which sums, where, how smeared.
 
@@ -206,7 +206,7 @@ class Pass:
         return sums
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class BlockSums:
     """Sums at the nodes of one block, each pass (groups, nodes, columns), and what they refer to.
 
@@ -254,7 +254,7 @@ class BlockSums:
         return found
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Sums:
     """The sums of one frame, prepared: computed for one block of nodes after the other, in any order or at once.
 

@@ -34,7 +34,7 @@ _BRANCHES = slice(BRANCH, FORCE)
 _MARGIN = 2.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Mesh:
     """Nodes and their surroundings as the loops see them: lengths in cutoffs, places relative to one of the nodes.
 

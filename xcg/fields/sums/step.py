@@ -28,7 +28,7 @@ _HIDDEN_SHEAR = (
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Images:
     """Where rows of the data stand.
 

@@ -190,7 +190,7 @@ class Mfix(Engine):
         return _periods(_Rows.of(ref, options))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Rows:
     """Contacts of a file as they stand.
 

@@ -19,7 +19,7 @@ _SEPARATORS = "\t;,"
 _MOST_COLUMNS = 1000
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Table:
     """What one pass through a file tells.
 

@@ -16,7 +16,7 @@ from xcg.readers.files.text import source_of
 from xcg.scene.schema import SceneError
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Table:
     """What the metadata of a file and its columns of times tell; see `xcg.readers.files.delimited.Table`."""
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 Bounds = tuple[tuple[float, float], tuple[float, float]]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Cells:
     """Cells of a surface.
 
