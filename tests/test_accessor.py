@@ -136,9 +136,13 @@ def test_too_many_arguments(scene):
 @pytest.mark.parametrize(
     ("method", "given", "message"),
     [
-        ("coarse_grain", "densty", "unknown fields .*did you mean 'density'"),
+        (
+            "coarse_grain",
+            "densty",
+            r"^unknown field 'densty'; did you mean 'density'\? Others are listed by xcg.FIELDS",
+        ),
         ("explain", ["velocty", "density"], "did you mean 'velocity'"),
-        ("microstructure", "mean_stres", "unknown quantities .*did you mean 'mean_stress'"),
+        ("microstructure", "mean_stres", "unknown quantity 'mean_stres'; did you mean 'mean_stress'"),
     ],
 )
 def test_misspelt_names(scene, method, given, message):

@@ -28,7 +28,7 @@ def scene():
         ({"spacing": {"x": "a", "y": 1.0, "z": 1.0}}, "spacing along 'x' is 'a': expected a positive distance"),
         ({"rtol": "0.001"}, "rtol='0.001': expected 0 "),
         ({"axes": 3}, "axes=3: expected any of 'xyz'"),
-        ({"fields": 3}, r"unknown fields \[3\]"),
+        ({"fields": 3}, "unknown field 3"),
         ({"fields": []}, r"fields=\[\]: expected at least one"),
         ({"groups": [1]}, r"groups=\[1\] are the values of .* say which with by="),
         ({"axes": "z", "extent": {"x": "1", "y": 1.0}}, r"extent\['x'\]='1': expected a positive length"),

@@ -89,7 +89,7 @@ def test_options_and_variables(files):
     ds = opened(files, reader="mfix", drop_variables=["velocity", "nothing"], density=100.0, gravity=(0, 0, -9.81))
     assert "velocity" not in ds
     assert ds.attrs["gravity"].tolist() == [0, 0, -9.81]
-    with pytest.raises(xcg.SceneError, match="engine='mfx': expected one of lammps"):
+    with pytest.raises(xcg.SceneError, match="unknown engine 'mfx'; did you mean 'mfix'"):
         opened(files, reader="mfx")
     with pytest.raises(xcg.SceneError, match=r"no argument 'graviti' .*did you mean 'gravity'"):
         opened(files, graviti=(0, 0, 1))

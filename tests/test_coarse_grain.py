@@ -531,7 +531,7 @@ def test_given_coordination_number_is_used():
         ({"width": -1.0}, "expected a positive"),
         ({"width": float("nan")}, "expected a positive"),
         ({"width": "0.75 d44"}, "multiple of d43, d32, d50"),
-        ({"fields": "densty"}, "unknown fields"),
+        ({"fields": "densty"}, "unknown field"),
         ({"kernel": "cubic"}, "expected one of"),
         ({"axes": "xq"}, "axes names"),
         ({"axes": "z", "bounds": {"x": (0, 1)}}, "bounds are given for"),

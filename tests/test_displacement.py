@@ -341,7 +341,7 @@ def test_turned_inside_out_is_no_rotation():
         (lambda ds: ds, {"lag": 1.5}, ValueError, "lag=1.5: expected a number of frames"),
         (lambda ds: ds, {"lag": "two"}, ValueError, "lag='two': expected a number of frames"),
         (lambda ds: ds, {"lag": True}, ValueError, "lag=True: expected a number of frames"),
-        (lambda ds: ds, {"fields": "velocity"}, ValueError, "no fields ['velocity']"),
+        (lambda ds: ds, {"fields": "velocity"}, ValueError, "unknown field of displacements 'velocity'"),
         (lambda ds: ds, {"fields": ["strian"]}, ValueError, "did you mean 'strain'"),
         (lambda ds: ds, {"fields": ["d2min"], "accumulate": True}, ValueError, "['d2min'] do not follow from one"),
         (lambda ds: ds, {"per": "accessible"}, ValueError, "per='accessible': there is none"),

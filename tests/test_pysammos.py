@@ -164,7 +164,7 @@ def test_lazy_phases_and_bad_requests():
     assert "velocity" in preset(bare, width=0.9)
     assert "pressure_xy" not in preset(bare, width=0.9)
     for options, message in (
-        ({"fields": "densty"}, "unknown field 'densty' of the preset"),
+        ({"fields": "densty"}, "preset='pysammos': unknown field 'densty'"),
         ({"size": "d32"}, "has a name for each variant"),
         ({"shear_dims": "x"}, "two axes of 'xyz'"),
     ):

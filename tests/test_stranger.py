@@ -80,7 +80,9 @@ except xcg.SceneError as error:
     told = "[2.5, 4.5, 6.5] 0.002\n[0.0, 0.5] [0.003, 0.005]\n"
     shown = run(code, site, tmp_path)
     assert shown.startswith(2 * told)
-    assert shown.endswith("mfix, yade, table, hdf5, vtk, grit; did you mean 'grit'?\n")
+    assert shown.endswith(
+        "; did you mean 'grit'? Expected one of lammps, liggghts, mercury, mfix, yade, table, hdf5, vtk, grit\n"
+    )
 
 
 def test_xarray_opens_files_of_that_package(tmp_path, site):

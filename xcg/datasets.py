@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from xcg.scene.build import scene_from_arrays
 from xcg.scene.lattice import images_within, minimum_image
-from xcg.scene.schema import COMPONENTS
+from xcg.scene.schema import COMPONENTS, unknown
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ _SAMPLES = {
         "lammps_chute",
         "particles.00050000.dump.gz",
         "contacts.00050000.dump.gz",
-        {"gravity": (0.4067, 0.0, -0.9135)},
+        {"gravity": (0.4067, 0.0, -0.9135), "names": {"fz": "force_z"}},  # the total force on each grain
     ),
     **{
         f"column_{a}": _Sample("lammps_column", f"particles_{a}.dump.gz", options=_DISCS)
@@ -65,9 +65,14 @@ _SAMPLES = {
     "suspension": _Sample(
         "lammps_suspension", "particles.*.dump.gz", "contacts.*.dump.gz", {"shear_rate": {"xy": 1.0}}
     ),
-    **{f"hopper_{width}": _Sample("lammps_hopper", f"particles_{width}.dump.gz") for width in (4, 5, 6)},
-    "mixing_drum": _Sample("lammps_mixing"),
-    "plane_shear": _Sample("lammps_plane_shear", "particles.*.dump.gz", "contacts.*.dump.gz"),
+    **{
+        f"hopper_{width}": _Sample(
+            "lammps_hopper", f"particles_{width}.dump.gz", options={"density": 6 / np.pi, "gravity": (0.0, 0.0, -1.0)}
+        )
+        for width in (4, 5, 6)
+    },
+    "mixing_drum": _Sample("lammps_mixing", options={"gravity": (0.0, 0.0, -1.0)}),
+    "plane_shear": _Sample("lammps_plane_shear", "particles.*.dump.gz", "contacts.*.dump.gz", {"frozen": 2}),
     **{
         f"shear_cell_{rate}": _Sample(
             "lammps_shear_cell",
@@ -117,9 +122,8 @@ def open(name: str, **options: Any) -> xr.Dataset:  # noqa: A001
     4398
     """
     if name not in _SAMPLES:
-        raise ValueError(
-            f"open({name!r}): the sample data are {', '.join(_SAMPLES)}; files of your own open with xcg.open_scene"
-        )
+        listed = f"samples are {', '.join(_SAMPLES)}; files of your own open with xcg.open_scene"
+        raise ValueError(unknown("sample", name, _SAMPLES, listed))
     from xcg.readers.series import open_scene  # and with it dask, which scenes in memory do without
 
     sample = _SAMPLES[name]

@@ -14,7 +14,7 @@ from xcg.fields.sums.fabric import sliding_contacts
 from xcg.fields.sums.moments import MOMENTS, Moment
 from xcg.scene.description import Description
 from xcg.scene.numbers import is_finite, is_positive
-from xcg.scene.schema import COMPONENTS, CONTACT_VARIABLES, did_you_mean
+from xcg.scene.schema import COMPONENTS, CONTACT_VARIABLES, unknown
 
 SAMPLINGS = ("node", "cell")
 
@@ -39,13 +39,10 @@ def choose_fields(
     names = [own[k].name if k in own else one for k, one in enumerate(given)]
     if not names:
         raise ValueError(f"fields={asked!r}: expected at least one; leave it out for all that the scene allows")
-    unknown = [name for name in names if name not in registry.listed() and name not in {o.name for o in own.values()}]
-    if unknown:
-        more = [name for name in scene.rows if name not in registry.FIELDS]
-        msg = f"unknown fields {unknown}: choose from {', '.join(registry.listed())}"
-        msg += f", or a variable of the scene: {', '.join(more)}"
-        msg += "".join(did_you_mean(str(name), [*registry.listed(), *more]) for name in unknown)
-        raise ValueError(msg)
+    known, ours = [*registry.listed(), *scene.rows], {o.name for o in own.values()}
+    for name in names:
+        if name not in registry.listed() and name not in ours:
+            raise ValueError(unknown("field", name, known, "others are listed by xcg.FIELDS and by ds.data_vars"))
     for name in names:
         if name in lacking:
             option = registry.FIELDS[name].option

@@ -27,7 +27,7 @@ from xcg.readers.paths import expand_paths
 from xcg.readers.series import open_scene
 from xcg.scene.conform import conform
 from xcg.scene.phases import assign_phases, find_phases
-from xcg.scene.schema import SceneError, did_you_mean
+from xcg.scene.schema import SceneError, unknown
 from xcg.steps.each import chunks_of_time, each_step
 from xcg.steps.errors import collecting, listen_for_skips
 from xcg.steps.label import name_skipped
@@ -94,7 +94,7 @@ def _check_arguments(function: Callable[..., Any], given: Mapping[str, Any], tab
     known = [name for name in inspect.signature(function).parameters if name != "ds"]
     wrong = sorted(set(given) - set(known))
     if wrong:
-        raise SceneError(f"[{table}] has {wrong}; expected any of {', '.join(known)}{did_you_mean(wrong[0], known)}")
+        raise SceneError(f"[{table}]: {unknown('option', wrong[0], known)}")
 
 
 def _slices(ds: xr.Dataset, job: Job) -> xr.Dataset:

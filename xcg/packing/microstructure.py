@@ -15,7 +15,7 @@ from xcg.scene.build import storable
 from xcg.scene.conform import takes_scene
 from xcg.scene.description import describe, require_scene
 from xcg.scene.numbers import floats, is_positive
-from xcg.scene.schema import BOX, COMPONENTS, OF_STEP, did_you_mean, units_of
+from xcg.scene.schema import BOX, COMPONENTS, OF_STEP, units_of, unknown
 from xcg.scene.times import require_rising_times
 from xcg.steps.label import format_call, mark_skipped, provenance
 from xcg.steps.map import map_over_time
@@ -282,10 +282,11 @@ def _choose(
     """Names that were asked for, or all that the scene allows."""
     if asked is not None:
         names = [asked] if isinstance(asked, str) else list(asked)
-        unknown = [name for name in names if name not in NAMES]
-        if unknown or not names:
-            suggestions = "".join(did_you_mean(name, NAMES) for name in unknown)
-            raise ValueError(f"unknown quantities {unknown}: choose from {', '.join(NAMES)}{suggestions}")
+        if not names:
+            raise ValueError(f"quantities={asked!r}: expected at least one; leave it out for all that the scene allows")
+        for name in names:
+            if name not in NAMES:
+                raise ValueError(unknown("quantity", name, NAMES, "others are listed on the page on microstructure"))
         mixing = [name for name in names if name in QUANTITIES and QUANTITIES[name].of_phases]
         if mixing and by is None:
             raise ValueError(f"{', '.join(mixing)}: say which phases are mixed with by=, for example by='species'")

@@ -8,7 +8,7 @@ from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
 
 from xcg.readers.engine import Engine
-from xcg.scene.schema import SceneError, did_you_mean
+from xcg.scene.schema import SceneError, unknown
 from xcg.scene.warn import warn_user
 
 GROUP = "xcg.readers"
@@ -74,7 +74,7 @@ def load_engine(engine: str | Engine | type[Engine]) -> Engine:
 def _load(name: str) -> object:
     table = engine_table()
     if name not in table:
-        raise SceneError(f"engine={name!r}: expected one of {', '.join(table)}{did_you_mean(name, table)}")
+        raise SceneError(unknown("engine", name, table))
     try:
         return table[name].load()
     except (ImportError, AttributeError) as error:

@@ -29,7 +29,7 @@ from xcg.scene.complete import complete_particles
 from xcg.scene.lattice import Lattice
 from xcg.scene.numbers import floats
 from xcg.scene.plausible import check_shape
-from xcg.scene.schema import COMPONENTS, VARIABLES, Frame, SceneError, Setup, Sides, did_you_mean, printable
+from xcg.scene.schema import COMPONENTS, VARIABLES, Frame, SceneError, Setup, Sides, did_you_mean, printable, unknown
 from xcg.scene.sizes import measure_frames
 from xcg.scene.walls import named_walls
 from xcg.scene.warn import warn_user
@@ -424,10 +424,10 @@ def _index(
         same = [what for what in from_headers if kind == "particles" or what in ("units", "time")]
         indexed[kind] = one_series(refs, same)
     columns = {column for refs in indexed.values() for column in refs[0].columns}
-    unknown = sorted(set(options.names) - columns)
-    if unknown and columns:
-        likely = did_you_mean(unknown[0], columns)
-        raise SceneError(f"names={{{unknown[0]!r}: ...}}: not among the columns {' '.join(sorted(columns))}{likely}")
+    absent = sorted(set(options.names) - columns)
+    if absent and columns:
+        listed = f"columns are {' '.join(sorted(columns))}"
+        raise SceneError(f"names={{{absent[0]!r}: ...}}: {unknown('column', absent[0], columns, listed)}")
     return indexed
 
 

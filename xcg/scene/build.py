@@ -122,7 +122,7 @@ def _split_own(name: str, values: Any, rows: Sequence[int]) -> list[NDArray]:
     if len(values) == len(rows) and all(np.shape(v)[:1] == (n,) for v, n in zip(values, rows, strict=True)):
         return [np.asarray(v) for v in values]
     array = np.asarray(values)
-    if len(rows) == 1 and array.shape[:1] == (rows[0],):
+    if rows and set(rows) == {len(array)} and (len(rows) == 1 or not name.startswith("contact_")):
         return [array]
     if name.startswith("contact_") and not any(rows):
         raise SceneError(
@@ -159,7 +159,8 @@ def scene_from_arrays(
     """Build a scene from arrays in memory.
 
     Every variable may be one step ``(n, ...)``, a stack of steps ``(t, n, ...)``, or a list of steps of
-    different length. Mass, volume, density, diameter and contact points that are missing are completed
+    different length. Variables of particles that do not change, such as diameters, may be given once for all steps
+    where rows, or ids, are the same in all of them. Mass, volume, density, diameter and contact points that are missing are completed
     (`complete_particles`, `complete_contacts`).
 
     Parameters
@@ -239,10 +240,8 @@ def scene_from_arrays(
     for name in (name for name in given if name not in VARIABLES):
         key = "position" if variable(name).dims[0] == "particle" else "contact_i"
         steps[name] = _split_own(name, given[name], [len(one) for one in steps.get(key, [])])
-    counts = {name: len(values) for name, values in steps.items()}
-    if len(set(counts.values())) > 1:
-        raise SceneError(f"variables have different numbers of steps: {counts}")
-    total = counts["position"]
+    total = len(steps["position"])
+    _repeat_what_stays(steps, total)
     refuse_mask("time", time)
     times = np.arange(total, dtype=float) if time is None else np.atleast_1d(np.asarray(time, float)) * setup.scales[2]
     numbers = np.arange(total) if step is None else np.atleast_1d(step)
@@ -278,6 +277,34 @@ def scene_from_arrays(
         setup=setup,
         measured=measured,
     )
+
+
+def _repeat_what_stays(steps: dict[str, list[NDArray]], total: int) -> None:
+    """Take variables of particles that are given for one step for all steps, whose rows are the same particles.
+
+    Raises
+    ------
+    SceneError
+        If rows or ids differ from step to step, or variables have other numbers of steps.
+    """
+    for name in [name for name, values in steps.items() if len(values) != total]:
+        counts = {other: len(values) for other, values in steps.items()}
+        if len(steps[name]) != 1 or variable(name).dims[0] != "particle":
+            raise SceneError(f"variables have different numbers of steps: {counts}")
+        rows = {len(values) for values in steps["position"]}
+        if rows != {len(steps[name][0])}:
+            raise SceneError(
+                f"{name!r} is given once for {total} steps, and the steps have {sorted(rows)} particles: give a list of "
+                "one array for each step"
+            )
+        ids = steps.get("particle_id", [])
+        changed = [t for t, one in enumerate(ids) if not np.array_equal(one, ids[0])]
+        if changed:
+            raise SceneError(
+                f"{name!r} is given once for {total} steps, and the ids of step {changed[0]} are not those of step 0: "
+                "give a list of one array for each step, in the order of its ids"
+            )
+        steps[name] = steps[name] * total
 
 
 def _is_one_number(values: Any) -> bool:

@@ -137,6 +137,22 @@ def did_you_mean(word: str, words: Iterable[str], cutoff: float = 0.6) -> str:
     return f"; did you mean {close[0]!r}?" if close else ""
 
 
+def unknown(what: str, word: object, known: Iterable[object], listed: str = "") -> str:
+    """Return a message about a name that does not exist: the most similar one first, then those there are.
+
+    Parameters
+    ----------
+    what : str
+        What it was to be, such as "field".
+    listed : str
+        Where long lists are found, in place of all names.
+    """
+    names = [str(name) for name in known]
+    rest = listed or f"expected one of {', '.join(names)}"
+    hint = did_you_mean(str(word), names)
+    return f"unknown {what} {word!r}" + (f"{hint} {rest[0].upper()}{rest[1:]}" if hint else f"; {rest}")
+
+
 def variable(name: str, dtype: Any = "float64", ndim: int = 1) -> Variable:
     """Return the row of a scene variable.
 

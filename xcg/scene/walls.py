@@ -10,7 +10,7 @@ import xarray as xr
 
 from xcg.scene.conform import takes_scene
 from xcg.scene.description import require_scene
-from xcg.scene.schema import PADDING, SceneError, did_you_mean
+from xcg.scene.schema import PADDING, SceneError, unknown
 
 Walls: TypeAlias = str | int | Sequence[str | int]
 
@@ -52,9 +52,7 @@ def numbers_of_walls(ds: xr.Dataset, walls: Walls) -> tuple[int, ...]:
     for wall in given:
         if isinstance(wall, str) and wall not in known:
             there = f"the walls of this scene are {', '.join(known)}" if known else "no wall of this scene has a name"
-            raise ValueError(
-                f"walls: {wall!r} is unknown, {there}{did_you_mean(wall, known)}; or give numbers as in contact_j"
-            )
+            raise ValueError(unknown("wall", wall, known, f"{there}; or give numbers as in contact_j"))
         if not isinstance(wall, str) and not (isinstance(wall, int | np.integer) and wall < 0):
             raise ValueError(f"walls: {wall!r} is no wall: expected names, or negative numbers as in contact_j")
     if not given:

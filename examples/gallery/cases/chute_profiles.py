@@ -18,7 +18,7 @@ from scipy.optimize import curve_fit
 
 import xcg
 
-ds = xcg.datasets.open("chute", names={"fz": "force_z"})  # the total force on each grain, for the check
+ds = xcg.datasets.open("chute")  # with force_z, the total force on each grain, for the check
 wanted = ["density", "volume_fraction", "velocity", "inertial_number", "contact_stress", xcg.Sum("force_z")]
 f = ds.cg.coarse_grain(wanted, axes="z", bounds={"z": (0, 25)}, spacing=0.25).isel(time=0).compute()
 V = f.velocity.sel(component="x")

@@ -15,7 +15,7 @@ import numpy as np
 
 import xcg
 
-ds = xcg.datasets.open("mixing_drum", gravity=(0, 0, -1))
+ds = xcg.datasets.open("mixing_drum")
 turns = ds.time * 0.05 / (2 * np.pi)  # angular velocity 0.05
 
 f = ds.cg.coarse_grain("concentration", axes="xz", by="species", width=1.0, spacing=0.25).compute()

@@ -18,7 +18,7 @@ import numpy as np
 import xcg
 
 slots, L = np.array([4, 5, 6]), 4.0
-runs = {D: xcg.datasets.open(f"hopper_{D}", density=6 / np.pi) for D in slots}
+runs = {D: xcg.datasets.open(f"hopper_{D}") for D in slots}
 
 names = ["velocity", "volume_fraction", "velocity_gradient"]
 inside = {"x": (0, 18), "z": (6, 24)}

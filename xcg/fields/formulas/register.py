@@ -13,7 +13,7 @@ from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Field, Options
 from xcg.fields.formulas.registry import FIELDS
 from xcg.fields.sums.moments import MOMENTS
-from xcg.scene.schema import COMPONENTS, did_you_mean
+from xcg.scene.schema import COMPONENTS, unknown
 
 _COORDINATES = ("time", "step", "skipped", *COMPONENTS, "phase", "other_phase", "component", "direction")
 _PHASES, _NODES = 3, 5  # of the trial: the bulk and two phases; the first node is empty
@@ -118,11 +118,13 @@ def _check(name: str, row: Field) -> None:
         )
     if not row.fields and not row.moments:
         _refuse(name, "name the fields= or moments= that it is computed from")
-    for kind, needs, known in (("field", row.fields, registry.listed()), ("moment", row.moments, list(MOMENTS))):
+    for kind, needs, known, where in (
+        ("field", row.fields, registry.listed(), "xcg.FIELDS"),
+        ("moment", row.moments, list(MOMENTS), "xcg.fields.sums.moments.MOMENTS"),
+    ):
         for need in needs:
             if need not in known:
-                hint = did_you_mean(str(need), known) or f"; choose from {', '.join(known)}"
-                _refuse(name, f"it needs the {kind} {need!r}, which does not exist{hint}")
+                _refuse(name, f"it needs an {unknown(kind, need, known, f'{kind}s are in {where}')}")
     if name in registry.order_of(row.fields, Options()):
         _refuse(name, f"it is needed for {', '.join(row.fields)}, which it needs itself")
     if row.weight and (row.additive or row.weight not in own or not FIELDS[row.weight].additive):

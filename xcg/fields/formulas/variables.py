@@ -28,7 +28,7 @@ from xcg.fields.formulas.trace import at_least_zero, zero_if_unknown
 from xcg.fields.sums.moments import Moment
 from xcg.scene.contacts import Contacts
 from xcg.scene.description import Column, Description
-from xcg.scene.schema import COMPONENTS, Frame, SceneError, did_you_mean, units_of, variable
+from xcg.scene.schema import COMPONENTS, Frame, SceneError, did_you_mean, units_of, unknown, variable
 
 # symbol, powers of (length, mass, time), and the moment and the field that are its sum
 WEIGHTS = {
@@ -128,9 +128,9 @@ def read_quantity(text: str) -> Quantity | None:
     named = dict(re.split(r"\s*=\s*", part, maxsplit=1) for part in given if "=" in part)
     plain = [part for part in given if "=" not in part]
     if kind not in KINDS or set(named) - {"weight", "name"} or not 0 < len(plain) <= 3:
-        msg = f"{text!r}: expected one of {', '.join(KINDS)} of a variable, such as 'mean(charge, number, name=q)'"
-        msg += "" if kind in KINDS else did_you_mean(kind, KINDS)
-        raise ValueError(msg)
+        hint = "" if kind in KINDS else did_you_mean(kind, KINDS)
+        forms = f"expected one of {', '.join(KINDS)} of a variable, such as 'mean(charge, number, name=q)'"
+        raise ValueError(f"{text!r}{hint}: {forms}")
     return KINDS[kind](**dict(zip(("variable", "weight", "name"), plain, strict=False)), **named)
 
 
@@ -301,9 +301,7 @@ def own_field(quantity: Quantity, scene: Description) -> OwnField:
     """
     name = quantity.variable
     if name not in scene.columns:
-        raise SceneError(
-            f"{quantity}: the scene has no variable {name!r}{did_you_mean(name, scene.rows)}; it has {scene.rows}"
-        )
+        raise SceneError(f"{quantity}: {unknown('variable', name, scene.rows)}")
     found = scene.columns[name]
     row = variable(name, "int64" if found.kind in "iu" else "float64", max(len(found.dims) - 1, 1))
     rank = len(row.dims) - 1

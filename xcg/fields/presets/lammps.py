@@ -24,7 +24,7 @@ from xcg.fields.request import Request
 from xcg.fields.sums.smoothing import Gaussian, Kernel, as_kernel, choose_width
 from xcg.scene.description import Description, describe, require_scene
 from xcg.scene.numbers import is_positive
-from xcg.scene.schema import COMPONENTS, did_you_mean, units_of
+from xcg.scene.schema import COMPONENTS, units_of, unknown
 
 
 @dataclass(frozen=True)
@@ -105,8 +105,7 @@ def _choose(asked: str | Quantity | Sequence[str | Quantity] | None, available: 
             labels = ", ".join(f"{dim}={a!r}" for dim, a in zip(("component", "direction"), parts, strict=False))
             msg = f"{word!r} is a component: ask for {known[whole]!r} as a whole, and take .sel({labels}) of it"
         else:
-            listed = ", ".join(repr(name) for name in ROWS)
-            msg = f"unknown field {word!r} of the preset 'lammps': choose from {listed}{did_you_mean(word, ROWS)}"
+            msg = f"preset='lammps': {unknown('field', word, ROWS)}"
         raise ValueError(msg)
     return list(dict.fromkeys(names))
 

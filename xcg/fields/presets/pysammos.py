@@ -25,7 +25,7 @@ from xcg.fields.formulas.variables import Quantity
 from xcg.fields.request import Request
 from xcg.fields.sums.smoothing import as_kernel, choose_width
 from xcg.scene.description import Description, describe
-from xcg.scene.schema import COMPONENTS, did_you_mean
+from xcg.scene.schema import COMPONENTS, unknown
 
 _RATE = "shear_rate_tensor"
 
@@ -188,8 +188,8 @@ def choose(
     for word in map(str, [asked] if isinstance(asked, (str, Quantity)) else asked):
         found = [word] if word in table else [name for name, row in table.items() if row.family == word]
         if not found:
-            known = f"choose from {', '.join(table)}{did_you_mean(word, table)}"
-            raise ValueError(f"unknown field {word!r} of the preset 'pysammos': {known}")
+            listed = "the documentation lists them on the page on Pysammos"
+            raise ValueError(f"preset='pysammos': {unknown('field', word, table, listed)}")
         names += found
     return list(dict.fromkeys(names))
 

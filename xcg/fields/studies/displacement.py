@@ -23,7 +23,7 @@ from xcg.fields.request import Request, takes
 from xcg.scene.description import describe, require_scene
 from xcg.scene.frame import steps_in
 from xcg.scene.motion import BoxMotion, partners
-from xcg.scene.schema import COMPONENTS, OF_STEP, PADDING, did_you_mean, units_of
+from xcg.scene.schema import COMPONENTS, OF_STEP, PADDING, units_of, unknown
 from xcg.scene.sizes import with_measures
 from xcg.scene.times import require_rising_times
 from xcg.steps.errors import check_on_error
@@ -163,11 +163,11 @@ def _names(ds: xr.Dataset, asked: DisplacementRequest) -> tuple[str, ...]:
     ours = [name for name in known if registry.FIELDS[name].default]
     given = ["sample_count", *ours] if asked.fields is None else asked.fields
     names = [str(name) for name in ([given] if isinstance(given, str) else given)]  # type: ignore[union-attr]
-    unknown = [name for name in names if name not in (*known, *BESIDE)]
-    if unknown or not names:
-        msg = f"displacement has no fields {unknown}: choose from {', '.join((*known, *BESIDE))}"
-        msg += "".join(did_you_mean(str(name), known) for name in unknown)
-        raise ValueError(msg)
+    if not names:
+        raise ValueError(f"fields={asked.fields!r}: expected at least one; leave it out for all of displacements")
+    for name in names:
+        if name not in (*known, *BESIDE):
+            raise ValueError(unknown("field of displacements", name, (*known, *BESIDE)))
     if asked.accumulate:
         total = [name for name in known if _TOTAL in registry.order_of([name], registry.Options())]
         if asked.fields is None:

@@ -67,9 +67,7 @@ ROWS: dict[str, Field] = {
 
 
 def _size_of_scene(name: str) -> Field:
-    return Field(
-        0, (1, 0, 0), "", name, lambda f, s, o: np.asarray(o.diameter or np.nan), listed=False
-    )
+    return Field(0, (1, 0, 0), "", name, lambda f, s, o: np.asarray(o.diameter or np.nan), listed=False)
 
 
 # other ways to a field, as in `xcg.fields.formulas.rows.flow`

@@ -1,0 +1,69 @@
+"""One traceback, one error: no error of a call has an internal one as its context."""
+
+import inspect
+import warnings
+
+import pytest
+
+import xcg
+from xcg.accessor import CoarseGrainAccessor, Method
+
+WRONG = ["nonsense", -3.5, {"nonsense": 1}, ["nonsense"]]
+FREE = {"args", "kwargs", "options", "ax", "title", "mapping", "scheme"}
+
+
+def scene():
+    return xcg.datasets.random_scene(30, seed=1)
+
+
+KINDS = {
+    "scene": scene,
+    "result": lambda: scene().cg.coarse_grain(["density", "velocity"], axes="xz", width=1.0, spacing=1.0),
+    "chains": lambda: scene().cg.force_chains(),
+}
+METHODS = [
+    (kind, name)
+    for name, method in vars(CoarseGrainAccessor).items()
+    if isinstance(method, Method)
+    for kind in method.kinds
+    if not name.startswith(("plot", "movie", "save", "to_"))
+]
+
+
+def internal(error: BaseException) -> BaseException | None:
+    """Return the error that a reader of the traceback sees above this one without being told why."""
+    while error is not None:
+        if error.__context__ is not None and not error.__suppress_context__ and error.__cause__ is None:
+            return error.__context__
+        error = error.__cause__
+    return None
+
+
+def _internal_error(method, arguments):
+    try:
+        method(**arguments)
+    except Exception as error:
+        return internal(error)
+    return None
+
+
+@pytest.mark.parametrize("lazy", [False, True], ids=["eager", "lazy"])
+@pytest.mark.parametrize(("kind", "name"), METHODS)
+def test_wrong_arguments_raise_one_error(kind, name, lazy):
+    ds = KINDS[kind]()
+    ds = ds.chunk(time=1) if lazy else ds
+    method = getattr(ds.cg, name)
+    for parameter in inspect.signature(method).parameters.values():
+        if parameter.name in FREE or parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
+            continue
+        for wrong in WRONG:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                above = _internal_error(method, {parameter.name: wrong})
+            assert above is None, f"{name}({parameter.name}={wrong!r}): {above!r}"
+
+
+def test_a_misspelt_field_of_a_lazy_scene_has_no_context():
+    with pytest.raises(ValueError, match="did you mean 'velocity'") as caught:
+        scene().chunk(time=1).cg.coarse_grain("velocty")
+    assert caught.value.__context__ is None
