@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import sys
 import tomllib
@@ -248,6 +249,16 @@ def test_a_colour_bar_is_as_high_as_its_map():
         assert bar.get_window_extent().height == pytest.approx(ax.get_window_extent().height, rel=0.15)
 
 
+def test_numbers_below_a_narrow_map_do_not_touch():
+    f = plane(np.arange(96.0).reshape(24, 4))
+    ax = f.assign_coords(x=0.02 * (f.x - 2), z=0.01 * f.z).cg.plot()
+    ax.figure.canvas.draw()
+    low, high = ax.get_xlim()
+    drawn = [t.label1.get_window_extent() for t in ax.xaxis.get_major_ticks() if low <= t.get_loc() <= high]
+    assert drawn
+    assert all(a.x1 < b.x0 for a, b in itertools.pairwise(drawn))
+
+
 def test_pictures_have_figures_of_their_own(result):
     """They do not paint over the current one."""
     _, f = result
@@ -307,6 +318,15 @@ def test_the_label_of_each_field_has_its_whole_unit_and_fits_the_picture(name):
         corners = axis.figure.bbox.get_points()
         assert (label.get_points()[0] >= corners[0]).all()
         assert (label.get_points()[1] <= corners[1]).all()
+
+
+def test_what_is_derived_has_a_label_of_its_own(result):
+    _, f = result
+    bar = f.cg.plot("velocity").collections[0].colorbar.ax
+    assert raised(bar.get_ylabel()) == "magnitude of velocity [m s⁻¹]"
+    mean = f.cg.profile("z").cg.time_average()
+    assert raised(mean.cg.plot("velocity", component="x").get_xlabel()) == "velocity, x [m s⁻¹]"
+    assert raised(mean.cg.plot("velocity_error").get_xlabel()) == "standard error of velocity [m s⁻¹]"
 
 
 def test_labels_of_fields_of_users_have_their_units():

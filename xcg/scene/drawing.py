@@ -48,16 +48,15 @@ def set_label(axis: Axis, text: str) -> None:
 
     The axis has the length that it has now. A unit in brackets at the end stays in one line.
     """
-    axis.set_label_text(text)
     axis.axes.apply_aspect()
     side = "width" if axis is axis.axes.xaxis else "height"
     length = getattr(axis.axes.get_window_extent(), side)
     whole = _UNIT.sub(lambda unit: unit[0].replace(" ", "\0"), text)
-    for lines in range(2, whole.count(" ") + 2):
+    for letters in range(len(whole), 0, -1):
+        broken = textwrap.fill(whole, letters, break_long_words=False, break_on_hyphens=False)
+        axis.set_label_text(broken.replace("\0", " "))
         if getattr(axis.label.get_window_extent(), side) <= length:
             return
-        broken = textwrap.fill(whole, -(-len(whole) // lines), break_long_words=False, break_on_hyphens=False)
-        axis.set_label_text(broken.replace("\0", " "))
 
 
 def add_colour_bar(drawn: Any, ax: Axes, text: str, **options: Any) -> None:

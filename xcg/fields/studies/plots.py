@@ -30,6 +30,7 @@ SHADINGS = ("smooth", "flat")
 ARROWS = 20  # along the longer axis of a map
 AT_REST = 0.1  # of the speed whose arrow fills its place: slower ones have no arrow
 FASTEST = 98  # percentile of that speed, so that single grains do not make all other arrows short
+NARROW = 2.0  # inches of a map, in which numbers below it may run into each other
 BESIDE = 0.8  # of the width that is left of a map beside its colour bar, about
 BOTH_SIGNS = 0.1  # of the larger end of a field, which the smaller one has where colours are about zero
 SMOOTH = 400  # cells along an axis of a smooth map
@@ -419,6 +420,10 @@ def _draw_map(
         apart = min((float(some[a][1] - some[a][0]) for a in axes if some.sizes[a] > 1), default=1.0)
         _draw_arrows(ax, *np.meshgrid(some[across], some[up]), along, rise, fastest, apart)
     ax.set_aspect("auto" if across == "theta" else "equal")
+    ax.apply_aspect()
+    wide = ax.get_window_extent().width / ax.figure.dpi
+    if wide < NARROW:
+        ax.xaxis.set_major_locator(extra("matplotlib.ticker", "plot", "drawing").MaxNLocator(max(1, int(1.5 * wide))))
     set_label(ax.xaxis, label_of(picture[across], across))
     set_label(ax.yaxis, label_of(picture[up], up))
     return mesh
