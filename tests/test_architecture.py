@@ -137,6 +137,39 @@ def test_no_module_imports_itself_in_a_circle():
         visit(module, ())
 
 
+# pairs of names that are not twins, in rooms that are still being joined
+NOT_TWINS = {
+    "chains", "chunks", "contacts", "displacement", "fabric", "lammps", "layout", "measure", "pairs", "phases", "plots",
+    "points", "run", "summary",
+}  # fmt: skip
+NAMED_TWICE = {"Encoding", "Method", "Step", "Table", "Variable", "_Lines", "_Zarr"}
+
+
+def test_modules_of_one_name_are_a_module_and_its_loops():
+    homes = {}
+    for path in PACKAGE.rglob("[a-z]*.py"):
+        homes.setdefault(path.stem, []).append(path.parent.name)
+    shared = {name: rooms for name, rooms in homes.items() if len(rooms) > 1}
+    others = {name for name, rooms in shared.items() if len(rooms) > 2 or "compiled" not in rooms}
+    assert others <= NOT_TWINS, {name: shared[name] for name in others - NOT_TWINS}
+
+
+def test_classes_have_names_of_their_own():
+    seen, twice = set(), set()
+    for path in PACKAGE.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ClassDef):
+                (twice if node.name in seen else seen).add(node.name)
+    assert twice <= NAMED_TWICE, twice - NAMED_TWICE
+
+
+def test_kernel_means_the_smoothing_function_alone():
+    for path in PACKAGE.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import | ast.ImportFrom):
+                assert "kernel" not in {alias.asname for alias in node.names}, path
+
+
 def test_completion_shows_public_names_only():
     done = run("import xcg; print(set(dir(xcg)) == set(xcg.__all__) | {'__version__'}, sorted(dir(xcg)))")
     assert done.stdout.startswith("True"), done.stdout + done.stderr

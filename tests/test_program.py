@@ -17,7 +17,7 @@ ALL = tuple(name for name in registry.listed() if not (registry.FIELDS[name].opt
 
 def played_and_plain(ds, *fields, **options):
     """The same fields by the program, and by the registry on arrays; how often the program was run."""
-    with mock.patch.object(program.kernel, "run", wraps=program.kernel.run) as run:
+    with mock.patch.object(program.loops, "run", wraps=program.loops.run) as run:
         played = ds.cg.coarse_grain(*fields, **options)
     with mock.patch("xcg.fields.evaluate.program_for", return_value=None):
         return played, ds.cg.coarse_grain(*fields, **options), run.call_count

@@ -14,7 +14,7 @@ from xcg.chains.particle_stress import StressRule, carries
 from xcg.chains.regions import Region
 from xcg.chains.results import CHAINS, COPIED, RESULTS, result_sizes, statistics_of
 from xcg.compiled import THREADS
-from xcg.compiled import chains as kernel
+from xcg.compiled import chains as loops
 from xcg.compiled.threads import for_parts
 from xcg.scene.conform import takes_scene
 from xcg.scene.description import require_scene
@@ -248,29 +248,29 @@ def find_chains(rule: SearchRule, frame: Frame, lattice: Lattice, time: float, s
 
     def test(first: int, last: int) -> None:
         some = slice(first, last)
-        kernel.aligned_contacts(i[some], j[some], branch[some], onward, qualifies, rule.cosine, aligned[some])
+        loops.aligned_contacts(i[some], j[some], branch[some], onward, qualifies, rule.cosine, aligned[some])
 
     for_parts(len(i), test, contacts.threads)
-    start, contact = kernel.rows_of_contacts(i, j, aligned, particles)
+    start, contact = loops.rows_of_contacts(i, j, aligned, particles)
     seeds = np.flatnonzero(qualifies)
-    chain, parent = np.full(particles, kernel.UNSEEN), np.full(particles, kernel.UNSEEN)
+    chain, parent = np.full(particles, loops.UNSEEN), np.full(particles, loops.UNSEEN)
     members, first = np.empty(particles, int), np.empty(particles + 1, int)
-    place, link = frame["position"].copy(), np.full(len(i), kernel.UNSEEN)
+    place, link = frame["position"].copy(), np.full(len(i), loops.UNSEEN)
     found = (chain, parent, members, first, onward, place, link)
     if rule.linear:
         seeds = seeds[np.argsort(-major[seeds], kind="stable")]
-        count = kernel.linear_chains(i, j, branch, start, contact, seeds, rule.min_length, *found)
+        count = loops.linear_chains(i, j, branch, start, contact, seeds, rule.min_length, *found)
     else:
-        count = kernel.branching_chains(
+        count = loops.branching_chains(
             i, j, branch, start, contact, seeds, rule.one_sided, rule.min_length, *found
         )  # fmt: skip
     links = np.empty(particles, int)
-    kernel.count_links(i, j, start, contact, link, links)
+    loops.count_links(i, j, start, contact, link, links)
 
     by_chain = {name: values[0] for name, values in empty_results(CHAINS, {"chain": count}, 1).items()}
-    kernel.describe_chains(members, first, place, major, links, *by_chain.values())
-    dropped = chain == kernel.TOO_SHORT
-    chain[dropped] = parent[dropped] = kernel.UNSEEN
+    loops.describe_chains(members, first, place, major, links, *by_chain.values())
+    dropped = chain == loops.TOO_SHORT
+    chain[dropped] = parent[dropped] = loops.UNSEEN
     return by_chain | {
         "chain_id": chain,
         "parent_id": np.where(parent >= 0, frame["particle_id"][parent], -1),

@@ -25,7 +25,7 @@ END = MANY  # a row of cells has the first cell that is reached, and one past th
 _ROUNDING = 2e-6
 
 
-class Cells(NamedTuple):
+class PointCells(NamedTuple):
     """Points of a block in cells.
 
     Attributes
@@ -62,7 +62,7 @@ def sort_by_cell(x, y, z, rows, lower, per_size, shape, start, cell, rank, posit
     x, y, z, rows : (n,)
         The points, and a number that each has.
     lower, per_size, shape : tuple
-        As those of `Cells`.
+        As those of `PointCells`.
     start : (cells + 2,)
         Zeros; written: the first point of each cell, and twice the number of points.
     cell, rank : (n,)
@@ -82,7 +82,7 @@ def sort_by_cell(x, y, z, rows, lower, per_size, shape, start, cell, rank, posit
         position[0, to], position[1, to], position[2, to], sorted_rows[to] = x[n], y[n], z[n], rows[n]
 
 
-def lists_for_points(cells: Cells, reach: Sequence[float], real: str = "float64") -> Lists:
+def lists_for_points(cells: PointCells, reach: Sequence[float], real: str = "float64") -> Lists:
     """Make lists of points for anything that reaches this far, from end to end: all points may be in one place.
 
     The integers come with a table of the numbers of the first cells of rows.

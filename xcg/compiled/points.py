@@ -90,7 +90,7 @@ def deposit(
         The grains.
     nodes : Nodes
         A block of nodes.
-    rows, cells, volumes : Rows, Cells or Volumes, one of them, and None
+    rows, cells, volumes : Rows, PointCells or Volumes, one of them, and None
         Where they are: on a mesh, or anywhere, or cells of a mesh. None leaves code out when the loop is compiled, here
         and below.
     kernel : KernelCode, or CellKernel with volumes

@@ -40,7 +40,7 @@ MOST_CELLS = 1 << 20
 class Nodes(NamedTuple):
     """A block of nodes that is filled, and what surrounds it: tuples of one entry for each axis.
 
-    Where its nodes are say `Rows` of a mesh, or `xcg.compiled.cells.Cells` of points that form none. Loops take both,
+    `Rows` of a mesh, or `xcg.compiled.cells.PointCells` of other points, hold the places of its nodes. Loops take both,
     one of which is None, which leaves its code out when they are compiled.
 
     Attributes

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.compiled import pairs as kernel
+from xcg.compiled import pairs as loops
 from xcg.compiled.arrays import counting_sort_places
 from xcg.compiled.threads import for_parts
 
@@ -145,7 +145,7 @@ class CellLists:
 
         def locate(first: int, last: int) -> None:
             some = slice(first, last)
-            kernel.locate(
+            loops.locate(
                 position[some], level[some], corner, period, chosen.lower, chosen.inverse, chosen.cells,
                 chosen.first_cell, wrapped[some], cell[some],
             )  # fmt: skip
@@ -159,7 +159,7 @@ class CellLists:
 
         def write(first: int, last: int) -> None:
             some = slice(first, last)
-            kernel.write_records(place[some], wrapped[some], radius[some], first, records, row)
+            loops.write_records(place[some], wrapped[some], radius[some], first, records, row)
 
         for_parts(count, write, threads)
         first_record = np.concatenate([[0], np.cumsum(members)])
@@ -169,7 +169,7 @@ class CellLists:
         """Pairs of the records from `first` to `last`, of more than `most` only some, and the distances that took."""
         capacity = 4 * (last - first) + 64
         at = self.levels
-        left, right, found, tested = kernel.find(
+        left, right, found, tested = loops.find(
             first, last, self.records, self.first_record, at.first_cell, self.starts, at.lower, at.inverse, at.cells,
             at.largest, self.period, at.fold, self.skin, self.slack, most,
             np.empty(capacity, "int32"), np.empty(capacity, "int32"),

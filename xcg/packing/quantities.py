@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 
 @dataclass(frozen=True)
-class Quantity:
+class PackingQuantity:
     """One quantity.
 
     Attributes
@@ -157,72 +157,72 @@ def _d_bar(s: Any) -> float:
     return ratio((s.volume * s.diameter)[bearing].sum(), s.volume[bearing].sum())
 
 
-def _of_phases(long_name: str, formula: str, compute: Callable[[Any], Any]) -> Quantity:
-    return Quantity(long_name, formula, compute, needs=("diameter", "volume"), of_phases=True)
+def _of_phases(long_name: str, formula: str, compute: Callable[[Any], Any]) -> PackingQuantity:
+    return PackingQuantity(long_name, formula, compute, needs=("diameter", "volume"), of_phases=True)
 
 
 _PER_RATIO = ("force_ratio",)
-QUANTITIES: dict[str, Quantity] = {
-    "particle_count": Quantity("number of particles", "N", lambda s: s.count),
-    "contact_count": Quantity("number of contacts", "N_c = sum w_c", lambda s: s.weight.sum(), needs=CONTACTS),
-    "volume_fraction": Quantity(
+QUANTITIES: dict[str, PackingQuantity] = {
+    "particle_count": PackingQuantity("number of particles", "N", lambda s: s.count),
+    "contact_count": PackingQuantity("number of contacts", "N_c = sum w_c", lambda s: s.weight.sum(), needs=CONTACTS),
+    "volume_fraction": PackingQuantity(
         "packing fraction", "sum V_i / V", lambda s: ratio(s.volume.sum(), s.region_volume), needs=("volume",)
     ),
-    "coordination_number": Quantity(
+    "coordination_number": PackingQuantity(
         "coordination number", "Z = sum z_i / N", lambda s: ratio(s.partners.sum(), s.count), needs=CONTACTS
     ),
-    "mechanical_coordination_number": Quantity(
+    "mechanical_coordination_number": PackingQuantity(
         "mechanical coordination number", "Z_mech = sum z_i / N over z_i >= m", _mechanical, needs=CONTACTS
     ),
-    "rattler_count": Quantity(
+    "rattler_count": PackingQuantity(
         "number of rattlers", "N of z_i < D + 1", lambda s: s.count - s.held.sum(), needs=CONTACTS
     ),
-    "non_rattler_fraction": Quantity(
+    "non_rattler_fraction": PackingQuantity(
         "fraction of particles that are no rattlers", "f_NR = 1 - rattlers / N",
         lambda s: ratio(s.held.sum(), s.count), needs=CONTACTS,
     ),
-    "connectivity": Quantity(
+    "connectivity": PackingQuantity(
         "fraction of particles by number of contact partners", "N(z_i = z) / N", _connectivity,
         dims=("partners",), needs=CONTACTS,
     ),
-    "mean_normal_force": Quantity(
+    "mean_normal_force": PackingQuantity(
         "mean normal force of contacts that push", "<f> = <f_c . n_c>, f_c . n_c > 0", lambda s: s.mean_force,
         (1, 1, -2), needs=FORCES,
     ),
-    "normal_force_pdf": Quantity(
+    "normal_force_pdf": PackingQuantity(
         "probability density of the normal force over its mean", "p(f / <f>)", _force_pdf, dims=_PER_RATIO, needs=FORCES
     ),
-    "normal_force_count": Quantity(
+    "normal_force_count": PackingQuantity(
         "number of contacts by normal force over its mean", "N_c(f / <f>)", _force_count, dims=_PER_RATIO, needs=FORCES
     ),
-    "fabric": Quantity("fabric tensor", "F = <n n>", _fabric, dims=TENSOR, needs=CONTACTS),
-    "fabric_anisotropy": Quantity(
+    "fabric": PackingQuantity("fabric tensor", "F = <n n>", _fabric, dims=TENSOR, needs=CONTACTS),
+    "fabric_anisotropy": PackingQuantity(
         "anisotropy of the fabric", "sqrt(3/2 a:a), a = 15/2 dev F (2D: sqrt(a:a / 2), a = 4 dev F)", _anisotropy,
         needs=CONTACTS,
     ),
-    "stress": Quantity(
+    "stress": PackingQuantity(
         "contact stress, compression positive", "sum f_ij a_ij / V", _stress, _STRESS, dims=TENSOR, needs=FORCES
     ),
-    "mean_stress": Quantity("mean stress", "p' = tr sigma / D", _mean_stress, _STRESS, needs=FORCES),
-    "deviator_stress": Quantity(
+    "mean_stress": PackingQuantity("mean stress", "p' = tr sigma / D", _mean_stress, _STRESS, needs=FORCES),
+    "deviator_stress": PackingQuantity(
         "deviator stress", "q = sqrt(3/2 s:s), s = dev sigma (2D: sqrt(2 s:s))", _deviator_stress, _STRESS, needs=FORCES
     ),
-    "stress_ratio": Quantity(
+    "stress_ratio": PackingQuantity(
         "stress ratio", "eta = q / p'", lambda s: ratio(_deviator_stress(s), _mean_stress(s)), needs=FORCES
     ),
-    "d_max": Quantity("largest diameter", "max d_i", _d_max, (1, 0, 0), needs=("diameter",)),
-    "d50": Quantity(
+    "d_max": PackingQuantity("largest diameter", "max d_i", _d_max, (1, 0, 0), needs=("diameter",)),
+    "d50": PackingQuantity(
         "diameter below which half of the volume lies", "d50", _d50, (1, 0, 0), needs=("diameter", "volume")
     ),
-    "d_bar": Quantity(
+    "d_bar": PackingQuantity(
         "volume-weighted mean diameter of particles that bear load", "sum V_i d_i / sum V_i over z_i >= m", _d_bar,
         (1, 0, 0), needs=("diameter", "volume", *CONTACTS),
     ),
-    "particle_density": Quantity(
+    "particle_density": PackingQuantity(
         "density of the particles' material", "sum m_i / sum V_i", lambda s: ratio(s.mass.sum(), s.volume.sum()),
         (-3, 1, 0), needs=("mass", "volume"),
     ),
-    "strain_rate": Quantity(
+    "strain_rate": PackingQuantity(
         "deviatoric strain rate", "sqrt(2/3 e:e), e = dev strain rate (2D: sqrt(2 e:e))", _velocity_rate, (0, 0, -1),
         needs=("velocity",),
     ),

@@ -160,8 +160,8 @@ def scene_from_arrays(
 
     Every variable may be one step ``(n, ...)``, a stack of steps ``(t, n, ...)``, or a list of steps of
     different length. Variables of particles that do not change, such as diameters, may be given once for all steps
-    where rows, or ids, are the same in all of them. Mass, volume, density, diameter and contact points that are missing are completed
-    (`complete_particles`, `complete_contacts`).
+    where rows, or ids, are the same in all of them. Mass, volume, density, diameter and contact points that are missing
+    are completed (`complete_particles`, `complete_contacts`).
 
     Parameters
     ----------
@@ -294,8 +294,8 @@ def _repeat_what_stays(steps: dict[str, list[NDArray]], total: int) -> None:
         rows = {len(values) for values in steps["position"]}
         if rows != {len(steps[name][0])}:
             raise SceneError(
-                f"{name!r} is given once for {total} steps, and the steps have {sorted(rows)} particles: give a list of "
-                "one array for each step"
+                f"{name!r} is given once for {total} steps, and the steps have {sorted(rows)} particles: give a list "
+                "of one array for each step"
             )
         ids = steps.get("particle_id", [])
         changed = [t for t, one in enumerate(ids) if not np.array_equal(one, ids[0])]

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.compiled import program as kernel
+from xcg.compiled import program as loops
 from xcg.compiled.fit import FOUND
 from xcg.compiled.simd import EIGHT
 from xcg.fields.formulas import registry
@@ -58,7 +58,7 @@ class Program:
     def _stores(self) -> tuple[NDArray, NDArray]:
         """Which field each store is of, and (stores, 3): its first byte, the field's numbers for a place, its own."""
         numbers = {name: number for number, name in enumerate(self.widths)}
-        stores = [(kernel.BYTES * begin, self.widths[name], count) for name, begin, count in self.outputs]
+        stores = [(loops.BYTES * begin, self.widths[name], count) for name, begin, count in self.outputs]
         return np.array([numbers[name] for name, _, _ in self.outputs]), _whole(stores, 3)
 
     def loads(self, layouts: Sequence[Layout]) -> Loads:
@@ -78,21 +78,21 @@ class Program:
             If an array is not as the loop expects it, which reads and writes by address.
         """
         arrays = sums.arrays
-        scratch = kernel.room_for(loads.rows[-1])
+        scratch = loops.room_for(loads.rows[-1])
         scratch[: len(loads.constants)] = loads.constants
         nodes, places = len(place), 1 + int(place.max(initial=0))
         records = [
-            (kernel.address_of(a, nodes, width, "moments"), width, row)
+            (loops.address_of(a, nodes, width, "moments"), width, row)
             for a, width, row in zip(arrays, loads.widths, loads.rows, strict=False)
         ]
         which, stores = self._stores
-        begins = [kernel.address_of(out[name], places, width, name) for name, width in self.widths.items()]
+        begins = [loops.address_of(out[name], places, width, name) for name, width in self.widths.items()]
         fields = stores.copy()
         fields[:, 0] += np.array(begins, "uint64")[which]
-        tile = np.empty((kernel.TILE + EIGHT) * max(loads.widths))
+        tile = np.empty((loops.TILE + EIGHT) * max(loads.widths))
         to = place if order is None else place[order]
         lists = _whole(records, 3), loads.source, fields, self.target
-        kernel.run(self.steps, *lists, to, order, tile.ctypes.data, scratch)
+        loops.run(self.steps, *lists, to, order, tile.ctypes.data, scratch)
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +134,7 @@ class Loads:
             source.append((number, first + column, factors.index(factor)))
         own = len(program.scratch)
         rows = np.cumsum([own + len(factors), *(width + -width % EIGHT for width in widths)]).tolist()
-        constants = np.concatenate([program.scratch, np.tile(np.reshape(factors, (-1, 1)), kernel.TILE)])
+        constants = np.concatenate([program.scratch, np.tile(np.reshape(factors, (-1, 1)), loops.TILE)])
         places = [(rows[number] + column, own + factor) for number, column, factor in source]
         return cls(_whole(places, 2), widths, rows, constants)
 
@@ -219,10 +219,10 @@ class _RegisterAllocation:
         constants, target = self._keep_rows(), np.zeros((len(self.results), 9), "uint64")
         for number in sorted(self.uses):
             operation, operands = self.recorded[number]
-            if operation == kernel.FIT:
+            if operation == loops.FIT:
                 rows = [self._at(operand) for operand in operands[1:]]
-                self.steps.append((kernel.FIT, self.row[number], rows[0], operands[0]))
-            elif operation not in (kernel.CONSTANT, kernel.LOAD, kernel.PART):
+                self.steps.append((loops.FIT, self.row[number], rows[0], operands[0]))
+            elif operation not in (loops.CONSTANT, loops.LOAD, loops.PART):
                 rows = [self._at(operand) for operand in operands]
                 if number not in self.row:
                     self.row[number] = self._new_row()
@@ -232,11 +232,11 @@ class _RegisterAllocation:
             for store in complete.get(number, ()):
                 numbers = self.results[store]
                 target[len(stored), : len(numbers)] = [self._at(k) for k in numbers]
-                self.steps.append((kernel.STORE, len(stored), 0, 0))
+                self.steps.append((loops.STORE, len(stored), 0, 0))
                 stored.append(store)
                 for k in numbers:
                     self._used(k)
-        scratch = np.zeros((self.rows, kernel.TILE))
+        scratch = np.zeros((self.rows, loops.TILE))
         for row, value in constants.items():
             scratch[row] = value
         return Program(_whole(self.steps, 4), scratch, tuple(self.inputs), tuple(stored), target)
@@ -244,9 +244,9 @@ class _RegisterAllocation:
     def _operands(self, number: int) -> tuple[int, ...]:
         """Return the steps that a step takes something from."""
         operation, operands = self.recorded[number]
-        if operation in (kernel.CONSTANT, kernel.LOAD):
+        if operation in (loops.CONSTANT, loops.LOAD):
             return ()
-        return operands[1:] if operation in (kernel.FIT, kernel.PART) else operands
+        return operands[1:] if operation in (loops.FIT, loops.PART) else operands
 
     def _count_uses(self) -> Counter[int]:
         """How often the result of each step is used, for those that lead to the results."""
@@ -264,13 +264,13 @@ class _RegisterAllocation:
         constants = {}
         for number in sorted(self.uses):
             operation, operands = self.recorded[number]
-            if operation == kernel.CONSTANT:
+            if operation == loops.CONSTANT:
                 constants[self.rows] = operands[0]
                 self._keep([number])
-            elif operation == kernel.FIT:
+            elif operation == loops.FIT:
                 self._keep(operands[1:])
                 self.row[number] = self._kept_rows(FOUND)
-            elif operation == kernel.PART:
+            elif operation == loops.PART:
                 self.row[number] = self.row[operands[1]] + operands[0]
         return constants
 
@@ -292,10 +292,10 @@ class _RegisterAllocation:
     def _at(self, number: int) -> int:
         """Row of a result; a column is loaded when it is first needed."""
         operation, operands = self.recorded[number]
-        if operation == kernel.LOAD and operands not in self.inputs:
+        if operation == loops.LOAD and operands not in self.inputs:
             if number not in self.row:
                 self.row[number] = self._new_row()
-            self.steps.append((kernel.LOAD, self.row[number], len(self.inputs), 0))
+            self.steps.append((loops.LOAD, self.row[number], len(self.inputs), 0))
             self.inputs.append(operands)
         return self.row[number]
 

@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.compiled import program as kernel
+from xcg.compiled import program as loops
 from xcg.compiled.fit import FOUND, flags_of
 
 
@@ -37,11 +37,11 @@ class Trace:
 
     def of(self, value: Any) -> Symbol:
         """Return a symbol for a value that may be a number."""
-        return value if isinstance(value, Symbol) else self.add(kernel.CONSTANT, float(value))
+        return value if isinstance(value, Symbol) else self.add(loops.CONSTANT, float(value))
 
     def load(self, name: str, group: int, columns: NDArray) -> NDArray:
         """Return symbols for the moment of a group of grains that is made of these columns."""
-        loads = [self.add(kernel.LOAD, name, group, int(column)) for column in columns.ravel()]
+        loads = [self.add(loops.LOAD, name, group, int(column)) for column in columns.ravel()]
         return _array(loads, columns.shape)
 
 
@@ -55,27 +55,27 @@ class Symbol:
 
     def _with(self, operation: int, left: Any, right: Any) -> Symbol:
         numbers = [self.record.of(value).number for value in (left, right)]
-        if operation in (kernel.ADD, kernel.MULTIPLY):  # the order of two does not matter, to the last bit
+        if operation in (loops.ADD, loops.MULTIPLY):  # the order of two does not matter, to the last bit
             numbers.sort()
         return self.record.add(operation, *numbers)
 
     def __add__(self, other: Any) -> Symbol:
-        return self._with(kernel.ADD, self, other)
+        return self._with(loops.ADD, self, other)
 
     def __sub__(self, other: Any) -> Symbol:
-        return self._with(kernel.SUBTRACT, self, other)
+        return self._with(loops.SUBTRACT, self, other)
 
     def __rsub__(self, other: Any) -> Symbol:
-        return self._with(kernel.SUBTRACT, other, self)
+        return self._with(loops.SUBTRACT, other, self)
 
     def __mul__(self, other: Any) -> Symbol:
-        return self._with(kernel.MULTIPLY, self, other)
+        return self._with(loops.MULTIPLY, self, other)
 
     def __truediv__(self, other: Any) -> Symbol:
-        return self._with(kernel.DIVIDE, self, other)
+        return self._with(loops.DIVIDE, self, other)
 
     def __rtruediv__(self, other: Any) -> Symbol:
-        return self._with(kernel.DIVIDE, other, self)
+        return self._with(loops.DIVIDE, other, self)
 
     __radd__, __rmul__ = __add__, __mul__
 
@@ -100,7 +100,7 @@ class Symbol:
 
     def sqrt(self) -> Symbol:
         """Return the square root; `np.sqrt` of an array of symbols calls it."""
-        return self.alone(kernel.SQUARE_ROOT)
+        return self.alone(loops.SQUARE_ROOT)
 
 
 # What gives the same bits on symbols as on numbers: arithmetic element by element, and putting elements elsewhere. Sums
@@ -152,8 +152,8 @@ def _each(array: NDArray, operation: int) -> NDArray:
 def trace_fit(sums: NDArray, *, active: Sequence[bool], about_node: bool) -> NDArray:
     """As `xcg.compiled.fit.fit_gradient`, for symbols."""
     record, flags = sums[0, 0].record, flags_of(active, about_node)
-    fits = [record.add(kernel.FIT, flags, *(symbol.number for symbol in column)) for column in sums.T]
-    found = [record.add(kernel.PART, k, one.number) for k in range(FOUND) for one in fits]
+    fits = [record.add(loops.FIT, flags, *(symbol.number for symbol in column)) for column in sums.T]
+    found = [record.add(loops.PART, k, one.number) for k in range(FOUND) for one in fits]
     return _array(found, (FOUND, len(fits)))
 
 
@@ -162,14 +162,14 @@ def trace_fit(sums: NDArray, *, active: Sequence[bool], about_node: bool) -> NDA
 
 def where_positive(x: NDArray) -> NDArray:
     """Return x where it is positive, NaN elsewhere."""
-    return _each(x, kernel.WHERE_POSITIVE) if x.dtype == object else np.where(x > 0, x, np.nan)
+    return _each(x, loops.WHERE_POSITIVE) if x.dtype == object else np.where(x > 0, x, np.nan)
 
 
 def at_least_zero(x: NDArray) -> NDArray:
     """Return the larger of x and 0; NaN stays NaN."""
-    return _each(x, kernel.AT_LEAST_ZERO) if x.dtype == object else np.maximum(x, 0.0)
+    return _each(x, loops.AT_LEAST_ZERO) if x.dtype == object else np.maximum(x, 0.0)
 
 
 def zero_if_unknown(x: NDArray) -> NDArray:
     """Return x, 0 where it is NaN."""
-    return _each(x, kernel.ZERO_IF_UNKNOWN) if x.dtype == object else np.where(np.isnan(x), 0.0, x)
+    return _each(x, loops.ZERO_IF_UNKNOWN) if x.dtype == object else np.where(np.isnan(x), 0.0, x)

@@ -20,7 +20,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.compiled import points as kernel
+from xcg.compiled import points as loops
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.algebra import mean_of
 from xcg.fields.formulas.field import Field, Options
@@ -209,7 +209,7 @@ class OwnField:
             _name(self.weight, triple): Moment(
                 tuple(dict.fromkeys([*reads, *(part[0] for part in triple if part)])),
                 f"{symbol} (1, q, q q) of {', '.join(_text(part) for part in triple if part)}",
-                (len(_ABOUT),), kernel.FLUCTUATION, kernel.MASS, partial(_numbers, triple, self.weight), layout=_ABOUT,
+                (len(_ABOUT),), loops.FLUCTUATION, loops.MASS, partial(_numbers, triple, self.weight), layout=_ABOUT,
                 vector=self.rank == 1 and isinstance(self.quantity, Variance),
             )
             for triple in self._triples
@@ -397,7 +397,7 @@ def _times(unit: str, exponent: int, other: str) -> str:
 # a component of a variable, numbered row by row; None for zeros
 _Number = tuple[str, int] | None
 # of three numbers a, b, c: the weight; a, b, c; their products aa ab ac bb bc cc
-_ABOUT = (kernel.MASS, *(kernel.MOMENTUM + k for k in range(3)), *(kernel.KINETIC + k for k in range(6)))
+_ABOUT = (loops.MASS, *(loops.MOMENTUM + k for k in range(3)), *(loops.KINETIC + k for k in range(6)))
 _FIRST, _SQUARES, _PRODUCTS = 1, (4, 7, 9), (5, 6)
 
 

@@ -8,20 +8,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.compiled import points as kernel
+from xcg.compiled import points as loops
 from xcg.compiled.rings import ROOM, ring_squares
 from xcg.fields.places.points import PointBlock
 from xcg.fields.sums.moments import MOMENTS
 from xcg.fields.sums.passes import BlockSums, Layout, Squared
 
 _TO_TURN = (  # flow columns that are vectors and tensors, and the level from which they are there
-    (kernel.VELOCITY, "momentum"),
-    (kernel.FLUCTUATION, "kinetic"),
-    (kernel.LINEAR, "offset"),
-    (kernel.LINEAR, "shear"),
-    (kernel.LINEAR, "spread"),
-    (kernel.SQUARED, "square_offset"),
-    (kernel.SQUARED, "square_spread"),
+    (loops.VELOCITY, "momentum"),
+    (loops.FLUCTUATION, "kinetic"),
+    (loops.LINEAR, "offset"),
+    (loops.LINEAR, "shear"),
+    (loops.LINEAR, "spread"),
+    (loops.SQUARED, "square_offset"),
+    (loops.SQUARED, "square_spread"),
 )
 _FLOW = {name: MOMENTS[name].first + MOMENTS[name].columns for name in (*(n for _, n in _TO_TURN), "cubes")}
 
@@ -120,9 +120,9 @@ def _turned(x: NDArray, y: NDArray, z: NDArray, cosine: NDArray, sine: NDArray) 
 def _turn(layout: Layout, columns: NDArray, cosine: NDArray, sine: NDArray) -> None:
     """Turn all vectors and tensors of a pass into (r, theta, z), in place; columns are (columns, groups, angles)."""
     parts = [_FLOW[name] for level, name in _TO_TURN if layout.level >= level and layout.vector]
-    if layout.level == kernel.CUBIC:
+    if layout.level == loops.CUBIC:
         parts.append(_FLOW["cubes"])
-    elif layout.level >= kernel.LINEAR:
+    elif layout.level >= loops.LINEAR:
         parts = [part for part in parts if part is not _FLOW["cubes"]]
     parts += [own for own, _ in layout.moments.values() if own.ndim and own.min() >= layout.level]
     for part in parts:
@@ -136,10 +136,10 @@ def _turn(layout: Layout, columns: NDArray, cosine: NDArray, sine: NDArray) -> N
 def _shift(level: int, columns: NDArray, d: NDArray) -> None:
     """Take flow columns from u to u + d, in place; d is (3, angles)."""
     d = d[:, None]
-    mass, momentum = columns[kernel.MASS], columns[_FLOW["momentum"]]
-    if level >= kernel.FLUCTUATION:
+    mass, momentum = columns[loops.MASS], columns[_FLOW["momentum"]]
+    if level >= loops.FLUCTUATION:
         kinetic = columns[_FLOW["kinetic"]]
-        if level == kernel.CUBIC:
+        if level == loops.CUBIC:
             along = (momentum * d).sum(axis=0)
             square = (d * d).sum(axis=0)
             columns[_FLOW["cubes"]] += (
@@ -147,7 +147,7 @@ def _shift(level: int, columns: NDArray, d: NDArray) -> None:
                 + square * mass * d
             )  # fmt: skip
         columns[_FLOW["kinetic"]] = kinetic + momentum[:, None] * d + d[:, None] * momentum + mass * d[:, None] * d
-    if level >= kernel.LINEAR:
+    if level >= loops.LINEAR:
         columns[_FLOW["shear"]] += d[:, None] * columns[_FLOW["offset"]]
     columns[_FLOW["momentum"]] = momentum + mass * d
 
@@ -174,10 +174,10 @@ def _square(layout: Layout, squared: Squared, block: RingBlock, averaged: NDArra
         grains, squared.weights, squared.cutoff, block.rings, block.start, block.angle, block.share, seen_z,
         block.dimension, scratch, np.zeros((4, 3)), out,
     )  # fmt: skip
-    columns = [kernel.SQUARE]
-    if layout.level >= kernel.SQUARED:
-        columns += [*range(kernel.SQUARE_OFFSET, kernel.SQUARE_OFFSET + 3)]
-        columns += [*range(kernel.SQUARE_SPREAD, kernel.SQUARE_SPREAD + 6)]
+    columns = [loops.SQUARE]
+    if layout.level >= loops.SQUARED:
+        columns += [*range(loops.SQUARE_OFFSET, loops.SQUARE_OFFSET + 3)]
+        columns += [*range(loops.SQUARE_SPREAD, loops.SQUARE_SPREAD + 6)]
     groups = squared.groups
     for k, column in enumerate(columns):
         averaged[groups, :, column] = out[groups, :, k]

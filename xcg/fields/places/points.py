@@ -14,7 +14,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.compiled import THREADS
-from xcg.compiled.cells import Cells, lists_for_points, sort_by_cell
+from xcg.compiled.cells import PointCells, lists_for_points, sort_by_cell
 from xcg.compiled.reach import PAD, Lists, Nodes
 from xcg.compiled.threads import for_each
 from xcg.fields.places.grid import MAX_NODES, check_axes
@@ -98,7 +98,7 @@ class PointBlock(OwnNodes):
         size, per_size = np.where(many, self.size * share, 0.0), np.where(many, 1.0 / (self.size * share), 0.0)
         margin = 1e-9 + 1e-15 * float(np.abs([begin, end]).max())
         x, y, z = place
-        cells = Cells(x, y, z, self.start, triple(begin), triple(size), triple(per_size), self.shape, margin)
+        cells = PointCells(x, y, z, self.start, triple(begin), triple(size), triple(per_size), self.shape, margin)
         return Nodes(triple(begin), triple(end), triple(active), triple(period)), None, cells, None
 
     def lists(self, taken: Taken, reach: Sequence[float], real: str = "float64") -> Lists:

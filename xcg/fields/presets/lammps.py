@@ -28,7 +28,7 @@ from xcg.scene.schema import COMPONENTS, units_of, unknown
 
 
 @dataclass(frozen=True)
-class Row:
+class LammpsRow:
     """One of its fields.
 
     Attributes
@@ -46,12 +46,12 @@ class Row:
     compute: Callable[[xr.DataArray, str], xr.DataArray]
 
 
-def _same(ours: str) -> Row:
-    return Row(ours, ours, lambda field, _: field)
+def _same(ours: str) -> LammpsRow:
+    return LammpsRow(ours, ours, lambda field, _: field)
 
 
-def _negative(ours: str) -> Row:
-    return Row(ours, f"-{ours}", lambda field, _: -field)
+def _negative(ours: str) -> LammpsRow:
+    return LammpsRow(ours, f"-{ours}", lambda field, _: -field)
 
 
 def _half_trace(field: xr.DataArray, axes: str) -> xr.DataArray:
@@ -59,7 +59,7 @@ def _half_trace(field: xr.DataArray, axes: str) -> xr.DataArray:
     return 0.5 * reduce(operator.add, normal)
 
 
-ROWS: dict[str, Row] = {
+ROWS: dict[str, LammpsRow] = {
     "density": _same("density"),
     "volume/fraction": _same("volume_fraction"),
     "momentum": _same("momentum_density"),
@@ -70,7 +70,7 @@ ROWS: dict[str, Row] = {
     "stress/ke": _negative("kinetic_stress"),
     "stress/contacts": _negative("contact_stress"),
     "boundary/force": _negative("wall_traction"),
-    "temperature": Row("kinetic_stress", "tr(kinetic_stress) / 2", _half_trace),
+    "temperature": LammpsRow("kinetic_stress", "tr(kinetic_stress) / 2", _half_trace),
 }
 _NOT_FOLLOWED = {
     "fabric": "it is smeared along branches there, and as the grains are here: take 'fabric' without the preset",

@@ -62,7 +62,7 @@ class Formula:
 
 
 @dataclass(frozen=True)
-class Row:
+class PysammosRow:
     """One of its fields.
 
     Attributes
@@ -112,7 +112,7 @@ def _friction(f: Any, shear: tuple[int, ...], axes: tuple[int, ...], component: 
 
 
 @lru_cache
-def rows(plane: str, axes: str) -> Mapping[str, Row]:
+def rows(plane: str, axes: str) -> Mapping[str, PysammosRow]:
     """Its fields by their names.
 
     Parameters
@@ -124,7 +124,7 @@ def rows(plane: str, axes: str) -> Mapping[str, Row]:
     """
     index = {name: tuple(COMPONENTS.index(a) for a in dims) for name, dims in (("xyz", axes), (plane, plane))}
     index |= {a: (COMPONENTS.index(a),) for a in axes}
-    table: dict[str, Row] = {}
+    table: dict[str, PysammosRow] = {}
 
     def add(
         name: str, family: str, needs: Sequence[str], formula: str, compute: Callable[..., NDArray], *given: Any,
@@ -132,7 +132,7 @@ def rows(plane: str, axes: str) -> Mapping[str, Row]:
     ) -> None:  # fmt: skip
         powers = registry.FIELDS[units].powers if units else NONE
         way = Formula(compute, given)
-        table[name] = Row(family, Field(rank, powers, name.replace("_", " "), formula, way, tuple(needs)))
+        table[name] = PysammosRow(family, Field(rank, powers, name.replace("_", " "), formula, way, tuple(needs)))
 
     for name, ours in _RENAMED.items():
         add(name, name, (ours,), ours, getattr, ours, rank=registry.FIELDS[ours].rank, units=ours)
@@ -173,7 +173,7 @@ def rows(plane: str, axes: str) -> Mapping[str, Row]:
 
 
 def choose(
-    asked: str | Quantity | Sequence[str | Quantity] | None, table: Mapping[str, Row], available: Sequence[str]
+    asked: str | Quantity | Sequence[str | Quantity] | None, table: Mapping[str, PysammosRow], available: Sequence[str]
 ) -> list[str]:
     """Names for a request: names, keys of ``fields_to_export``, or None for all that `available` fields of xcg allow.
 

@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.fields.places.surfaces.wall import Cells, Wall
+from xcg.fields.places.surfaces.wall import SurfaceCells, Wall
 from xcg.fields.sums.smoothing import Kernel, as_kernel, choose_width
 from xcg.scene.build import storable
 from xcg.scene.conform import takes_scene
@@ -36,7 +36,7 @@ class _Task:
     """What the traction on a surface needs besides a step."""
 
     surface: Wall
-    cells: Cells
+    cells: SurfaceCells
     kernel: Kernel
     within: float
     setup: Setup

@@ -14,12 +14,12 @@ from typing import Any, Protocol, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.compiled.cells import Cells
+from xcg.compiled.cells import PointCells
 from xcg.compiled.reach import Lists, Nodes, Rows, lists_for
 from xcg.compiled.volumes import Volumes
 
 R = TypeVar("R")
-Taken: TypeAlias = tuple[Nodes, Rows | None, Cells | None, Volumes | None]  # nodes as loops take them
+Taken: TypeAlias = tuple[Nodes, Rows | None, PointCells | None, Volumes | None]  # nodes as loops take them
 
 # Sums are made over blocks of about this many nodes, so that memory holds those of a few blocks, not of all nodes.
 BLOCK_NODES = 110_000

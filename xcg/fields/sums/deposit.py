@@ -6,7 +6,7 @@ from xcg.compiled.threads import for_each
 from xcg.fields.sums import points
 from xcg.fields.sums.passes import DepositSpec, Sums
 from xcg.fields.sums.segments import along_branches
-from xcg.fields.sums.step import Step
+from xcg.fields.sums.step import StepRows
 from xcg.scene.frame import check_finite
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import Frame
@@ -32,7 +32,7 @@ def sums_of_frame(
     threads : int
         Threads that prepare passes.
     """
-    step = Step(frame, spec, lattice, scale, source)
+    step = StepRows(frame, spec, lattice, scale, source)
     for name in {name for row in spec.own.values() for name in row.variables}:
         check_finite(name, step.frame, source)  # variables of scenes were checked with their frame
     rows = spec.rows

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.compiled import points as kernel
+from xcg.compiled import points as loops
 from xcg.fields.sums import fabric, power
 from xcg.fields.sums.fabric import Column
 from xcg.scene.contacts import Contacts
@@ -57,7 +57,7 @@ class Moment:
     variables: tuple[str, ...]
     formula: str
     shape: tuple[int, ...] = ()
-    level: int = kernel.NONE
+    level: int = loops.NONE
     first: int = 0
     column: Column | None = None
     contacts: bool = False
@@ -118,24 +118,24 @@ _OFFSETS = (0, 4, 8)  # m x and m u x of one direction stand together
 _SHEARS = ((0, 4, 8), (1, 5, 9), (2, 6, 10))
 _MV = ("mass", "velocity")
 _FORCE = ("contact_force",)
-_ABOUT = tuple(range(kernel.COUNT)) + tuple(range(kernel.KINETIC, kernel.SQUARE + 1))
+_ABOUT = tuple(range(loops.COUNT)) + tuple(range(loops.KINETIC, loops.SQUARE + 1))
 _I_OMEGA = ("moment_of_inertia", "angular_velocity")
 _power_moment = partial(
     Moment, (*_FORCE, "velocity"), contacts=True, optional=("angular_velocity", power.WALL_VELOCITY)
 )
 MOMENTS: dict[str, Moment] = {
     # flow columns, relative to the node: x = r_i - r, u = v_i - U
-    "count": Moment((), "1, where Psi > 0", (), kernel.VELOCITY, kernel.COUNT),
-    "mass": Moment(("mass",), "m", (), kernel.VELOCITY, kernel.MASS),
-    "momentum": Moment(_MV, "m u", (3,), kernel.VELOCITY, kernel.MOMENTUM),
-    "kinetic": Moment(_MV, "m u u", (3, 3), kernel.FLUCTUATION, kernel.KINETIC, layout=_SYMMETRIC),
-    "offset": Moment(("mass",), "m x", (3,), kernel.LINEAR, kernel.OFFSET, layout=_OFFSETS),
-    "shear": Moment(_MV, "m u x", (3, 3), kernel.LINEAR, kernel.SHEAR, layout=_SHEARS),
-    "spread": Moment(("mass",), "m x x", (3, 3), kernel.LINEAR, kernel.SPREAD, layout=_SYMMETRIC),
+    "count": Moment((), "1, where Psi > 0", (), loops.VELOCITY, loops.COUNT),
+    "mass": Moment(("mass",), "m", (), loops.VELOCITY, loops.MASS),
+    "momentum": Moment(_MV, "m u", (3,), loops.VELOCITY, loops.MOMENTUM),
+    "kinetic": Moment(_MV, "m u u", (3, 3), loops.FLUCTUATION, loops.KINETIC, layout=_SYMMETRIC),
+    "offset": Moment(("mass",), "m x", (3,), loops.LINEAR, loops.OFFSET, layout=_OFFSETS),
+    "shear": Moment(_MV, "m u x", (3, 3), loops.LINEAR, loops.SHEAR, layout=_SHEARS),
+    "spread": Moment(("mass",), "m x x", (3, 3), loops.LINEAR, loops.SPREAD, layout=_SYMMETRIC),
     # these with Psi once more
-    "square": Moment(("mass",), "m^2 Psi", (), kernel.FLUCTUATION, kernel.SQUARE),
-    "square_offset": Moment(("mass",), "m^2 Psi x", (3,), kernel.SQUARED, kernel.SQUARE_OFFSET),
-    "square_spread": Moment(("mass",), "m^2 Psi x x", (3, 3), kernel.SQUARED, kernel.SQUARE_SPREAD, layout=_SYMMETRIC),
+    "square": Moment(("mass",), "m^2 Psi", (), loops.FLUCTUATION, loops.SQUARE),
+    "square_offset": Moment(("mass",), "m^2 Psi x", (3,), loops.SQUARED, loops.SQUARE_OFFSET),
+    "square_spread": Moment(("mass",), "m^2 Psi x x", (3, 3), loops.SQUARED, loops.SQUARE_SPREAD, layout=_SYMMETRIC),
     # columns of constants
     "number": Moment((), "1", column=lambda frame, _: np.ones(len(frame["position"]))),
     "volume": Moment(("volume",), "V", column=lambda frame, _: frame["volume"]),
@@ -165,11 +165,11 @@ MOMENTS: dict[str, Moment] = {
         _I_OMEGA,
         "I (1, o, o o), (I Psi)^2, o = omega",
         (11,),
-        kernel.FLUCTUATION,
+        loops.FLUCTUATION,
         column=power.weighted_rotation,
         layout=_ABOUT,
     ),
-    "cubes": Moment(_MV, "m u^2 u", (3,), kernel.CUBIC, kernel.CUBE, column=power.weighted_motion),
+    "cubes": Moment(_MV, "m u^2 u", (3,), loops.CUBIC, loops.CUBE, column=power.weighted_motion),
     "bearing": Moment((), "1, where z > 1", column=fabric.bearing, contacts=True),
     "bearing_partners": Moment((), "z, where z > 1", column=fabric.bearing_partners, contacts=True),
     # at the contact points

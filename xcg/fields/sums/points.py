@@ -9,17 +9,17 @@ from itertools import chain
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.compiled import points as kernel
+from xcg.compiled import points as loops
 from xcg.compiled.reach import BATCH, batches_of
 from xcg.fields.sums.blocks import NodeBlock
 from xcg.fields.sums.moments import CUTOFF_POWERS, MOMENTS, Moment
 from xcg.fields.sums.passes import AnyKernel, DepositSpec, Layout, Pass, Squared
 from xcg.fields.sums.reach import Mesh
-from xcg.fields.sums.step import Images, Step
+from xcg.fields.sums.step import Images, StepRows
 from xcg.scene.lattice import Lattice
 
 
-def grains(step: Step) -> list[Pass]:
+def grains(step: StepRows) -> list[Pass]:
     """Flow columns and columns of constants."""
     at, rows = step.grains, {name: row for name, row in step.spec.of_grains.items() if row.column}
     # a column that is the same for all grains, as those of one size are, is a multiple of their number
@@ -54,18 +54,18 @@ def _layout_of_grains(spec: DepositSpec, same: Mapping[str, float]) -> Layout:
     return Layout(spec.phases, _padded(first + bool(same)), moments, spec.level)
 
 
-def slopes(step: Step) -> list[Pass]:
+def slopes(step: StepRows) -> list[Pass]:
     """Flow columns weighted by grad Psi."""
     spec = step.spec
     moments = {
         name: (MOMENTS[flow].first + MOMENTS[flow].columns, -1 / spec.by_phase)
         for name, flow in (("mass_slope", "offset"), ("momentum_slope", "shear"))
     }
-    layout = Layout(spec.phases, kernel.LINEAR, moments, kernel.LINEAR)
+    layout = Layout(spec.phases, loops.LINEAR, moments, loops.LINEAR)
     return [_pass(step, layout, step.grains, *step.flow, step.grains.of(step.phase), by_gradient=True)]
 
 
-def relative(step: Step) -> list[Pass]:
+def relative(step: StepRows) -> list[Pass]:
     """Numbers in the place of velocity, so that they are kept relative to each node: a pass for each three."""
     passes = []
     for name, row in step.spec.rows.items():
@@ -85,7 +85,7 @@ def relative(step: Step) -> list[Pass]:
     return passes
 
 
-def at_contacts(step: Step) -> list[Pass]:
+def at_contacts(step: StepRows) -> list[Pass]:
     """Columns of constants at the contact points."""
     rows = {name: row for name, row in step.spec.rows.items() if row.at_contacts and not row.level}
     images, phase, share, contact = step.contact_points
@@ -93,7 +93,7 @@ def at_contacts(step: Step) -> list[Pass]:
     return [_constants(step, rows, images, phase, columns)]
 
 
-def between_phases(step: Step) -> list[Pass]:
+def between_phases(step: StepRows) -> list[Pass]:
     """Sum the forces of other phases and of walls on the grains of each phase, at the contact points."""
     c = step.contacts
     assert c is not None
@@ -108,7 +108,7 @@ def between_phases(step: Step) -> list[Pass]:
     return [_constants(step, moment, images, images.of(pair), [images.of(force)], others)]
 
 
-def at_walls(step: Step) -> list[Pass]:
+def at_walls(step: StepRows) -> list[Pass]:
     """Sum the forces of walls, at the contact points."""
     assert step.contacts is not None
     at, point, force = step.contacts.at_walls
@@ -117,7 +117,7 @@ def at_walls(step: Step) -> list[Pass]:
 
 
 def _constants(
-    step: Step, rows: Mapping[str, Moment], images: Images, phase: NDArray, columns: Sequence[NDArray],
+    step: StepRows, rows: Mapping[str, Moment], images: Images, phase: NDArray, columns: Sequence[NDArray],
     others: int = 1,
 ) -> Pass:  # fmt: skip
     """Prepare places with columns of constants alone, those of the moments one after the other."""
@@ -128,7 +128,7 @@ def _constants(
 
 
 def _pass(
-    step: Step, layout: Layout, images: Images, velocity: NDArray, mass: NDArray, phase: NDArray,
+    step: StepRows, layout: Layout, images: Images, velocity: NDArray, mass: NDArray, phase: NDArray,
     constants: Iterable[NDArray] = (), others: int = 1, *, by_gradient: bool | None = None,
 ) -> Pass:  # fmt: skip
     """Prepare grains, or other points, with their flow columns and columns of constants.
@@ -139,7 +139,7 @@ def _pass(
     columns = _side_by_side(constants, len(position), layout.columns - level)
     # where nothing moves, columns with u are zero without adding them
     still = True if level and _is_one_row(velocity) else None
-    cubes = True if level == kernel.CUBIC else None
+    cubes = True if level == loops.CUBIC else None
     beyond = step.lattice if images.row is None else Lattice(np.full(3, np.inf))
     fill, squared = [], []
     for cutoff in spec.distinct if len(position) or layout.squares else ():
@@ -149,7 +149,7 @@ def _pass(
             rows = rows[groups[phase[rows]]]
         meet = around.meet(cutoff, step.source) if layout.squares else None
         batches = (batches_of(position, rows) - spec.origin) / cutoff
-        grains = kernel.Grains(rows, batches, position, velocity, mass, columns, phase, spec.origin, cutoff)
+        grains = loops.Grains(rows, batches, position, velocity, mass, columns, phase, spec.origin, cutoff)
         mesh, weights = around.meshes[cutoff], around.kernels[cutoff]
         fill.append(partial(_fill, grains, mesh, weights, (level, still, meet, by_gradient, cubes)))
         if layout.squares:
@@ -179,9 +179,9 @@ def _side_by_side(parts: Iterable[NDArray], count: int, width: int) -> NDArray:
 
 
 def _fill(
-    grains: kernel.Grains, mesh: Mesh, weights: AnyKernel, flags: tuple[int, *tuple[bool | NDArray | None, ...]],
+    grains: loops.Grains, mesh: Mesh, weights: AnyKernel, flags: tuple[int, *tuple[bool | NDArray | None, ...]],
     block: NodeBlock, sums: NDArray, reference: NDArray,
 ) -> None:  # fmt: skip
     taken = mesh.nodes_of(block)
-    records = np.empty((BATCH, sums.shape[2] + kernel.GRAIN))
-    kernel.deposit(grains, *taken, weights, *flags, records, block.lists(taken, mesh.reach.tolist()), sums, reference)
+    records = np.empty((BATCH, sums.shape[2] + loops.GRAIN))
+    loops.deposit(grains, *taken, weights, *flags, records, block.lists(taken, mesh.reach.tolist()), sums, reference)

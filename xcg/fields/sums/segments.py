@@ -15,11 +15,11 @@ from xcg.fields.sums.branches import Branches
 from xcg.fields.sums.moments import Moment
 from xcg.fields.sums.passes import AnyKernel, Fill, Layout, Pass
 from xcg.fields.sums.reach import Mesh
-from xcg.fields.sums.step import Step, alike
+from xcg.fields.sums.step import StepRows, alike
 from xcg.scene.schema import Frame
 
 
-def along_branches(step: Step) -> list[Pass]:
+def along_branches(step: StepRows) -> list[Pass]:
     """Sum what contacts carry, along their branches."""
     assert step.contacts is not None
     order = step.in_space(step.position) if step.grains.row is not None else step.grains.order
@@ -27,7 +27,7 @@ def along_branches(step: Step) -> list[Pass]:
     return [_branches(step, name, row, contacts) for name, row in step.spec.rows.items() if row.along_branches]
 
 
-def _branches(step: Step, name: str, row: Moment, contacts: NDArray) -> Pass:
+def _branches(step: StepRows, name: str, row: Moment, contacts: NDArray) -> Pass:
     """Branches of the contacts, in an order in space, each with its force or what is in its place."""
     spec, around = step.spec, step.surroundings
     others, carried = spec.others if row.paired else 0, _carried(step, row, step.frame)
@@ -47,7 +47,7 @@ def _branches(step: Step, name: str, row: Moment, contacts: NDArray) -> Pass:
     return Pass(Layout(groups, 9, {name: (row.columns, 1.0)}), fill)
 
 
-def _carried(step: Step, row: Moment, frame: Frame) -> tuple[NDArray, NDArray | None]:
+def _carried(step: StepRows, row: Moment, frame: Frame) -> tuple[NDArray, NDArray | None]:
     """Vectors (n, 3) that the sides of i and of j carry; None where those of j are the opposite."""
     assert step.contacts is not None
     if row.column is None:
@@ -57,7 +57,7 @@ def _carried(step: Step, row: Moment, frame: Frame) -> tuple[NDArray, NDArray | 
 
 
 def _segments(
-    step: Step, moment: Moment, on_i: NDArray, on_j: NDArray | None, contacts: NDArray, second: bool, others: int,
+    step: StepRows, moment: Moment, on_i: NDArray, on_j: NDArray | None, contacts: NDArray, second: bool, others: int,
     cutoff: float,
 ) -> tuple[Branches, NDArray, bool]:  # fmt: skip
     """Segments of the first or second particles of contacts, the longest, and whether there are second ones."""
@@ -91,7 +91,7 @@ def _segments(
     return branches.ListedOnce.of(segments, limits), longest, more
 
 
-def _rules(step: Step, longest: float, cutoff: float) -> list[tuple[str, bool, bool]]:
+def _rules(step: StepRows, longest: float, cutoff: float) -> list[tuple[str, bool, bool]]:
     """Ways to the weights of segments: numbers, whether in closed form as well, and whether in that alone."""
     if (
         step.spec.grid.half.any()

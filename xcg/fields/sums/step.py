@@ -56,7 +56,7 @@ class Images:
         return values if self.row is None else values[self.row]
 
 
-class Step:
+class StepRows:
     """One frame, what is wanted of it, and what several passes share."""
 
     def __init__(self, frame: Frame, spec: DepositSpec, lattice: Lattice, scale: float, source: str) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.fields.places.surfaces.geometry import axis_of, cell_centres, corners, frame_about
-from xcg.fields.places.surfaces.wall import Cells, Wall
+from xcg.fields.places.surfaces.wall import SurfaceCells, Wall
 from xcg.scene.numbers import is_positive, rising_pair, unit_vector, vector
 
 
@@ -106,7 +106,7 @@ class Cylinder(Wall):
             return -np.inf, np.inf
         return float(self.point[axis]) - self.radius, float(self.point[axis]) + self.radius
 
-    def cells(self, lower: NDArray, upper: NDArray, spacing: float) -> Cells:
+    def cells(self, lower: NDArray, upper: NDArray, spacing: float) -> SurfaceCells:
         """Cells in theta and along the axis."""
         reached = self._from_axis(corners(lower, upper))[:, 2]
         low = float(reached.min()) if self.low is None else float(self.low)
@@ -120,7 +120,7 @@ class Cylinder(Wall):
         size = 2 * np.pi * self.radius / len(theta) * (high - low) / len(along)
         coords = {"theta": (theta, "angle about the axis"), "z": (along, "position along the axis, from its point")}
         bounds = ((0.0, 2 * np.pi), (low, high))
-        return Cells(("theta", "z"), coords, centre, np.full(len(centre), size), ("theta", "z"), bounds)
+        return SurfaceCells(("theta", "z"), coords, centre, np.full(len(centre), size), ("theta", "z"), bounds)
 
     def in_surface(self, points: NDArray, vectors: NDArray) -> tuple[NDArray, NDArray]:
         """Parts of vectors across the side, around it and along the axis."""
@@ -129,7 +129,7 @@ class Cylinder(Wall):
         normal = self._sign * (vectors * radial).sum(axis=1)
         return normal, np.stack([(vectors * around).sum(axis=1), vectors @ axis], axis=1)
 
-    def covers(self, points: NDArray, cells: Cells) -> NDArray:
+    def covers(self, points: NDArray, cells: SurfaceCells) -> NDArray:
         """Which points are between the ends."""
         assert cells.bounds is not None
         low, high = cells.bounds[1]

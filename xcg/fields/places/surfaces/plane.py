@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.fields.places.surfaces.geometry import axis_of, cell_centres, corners, frame_about
-from xcg.fields.places.surfaces.wall import Cells, Wall
+from xcg.fields.places.surfaces.wall import SurfaceCells, Wall
 from xcg.scene.numbers import rising_pair, unit_vector, vector
 from xcg.scene.schema import COMPONENTS
 
@@ -99,7 +99,7 @@ class Plane(Wall):
     def _coordinates(self, points: NDArray) -> NDArray:
         return np.stack([(points - self._origin) @ axis for axis in self._frame[1:]], axis=1)
 
-    def cells(self, lower: NDArray, upper: NDArray, spacing: float) -> Cells:
+    def cells(self, lower: NDArray, upper: NDArray, spacing: float) -> SurfaceCells:
         """Cells of a rectangle."""
         if self.bounds is None:
             reached = self._coordinates(corners(lower, upper))
@@ -111,14 +111,14 @@ class Plane(Wall):
         centre = self._origin + first[:, None] * self._frame[1] + second[:, None] * self._frame[2]
         size = math.prod((high - low) / len(side) for (low, high), side in zip(bounds, sides, strict=True))
         coords = {dim: (side, f"position along {dim}") for dim, side in zip(self._dims, sides, strict=True)}
-        return Cells(self._dims, coords, centre, np.full(len(centre), size), self._dims, (bounds[0], bounds[1]))
+        return SurfaceCells(self._dims, coords, centre, np.full(len(centre), size), self._dims, (bounds[0], bounds[1]))
 
     def in_surface(self, points: NDArray, vectors: NDArray) -> tuple[NDArray, NDArray]:
         """Parts of vectors across and along the plane."""
         normal, *along = self._frame
         return vectors @ normal, np.stack([vectors @ axis for axis in along], axis=1)
 
-    def covers(self, points: NDArray, cells: Cells) -> NDArray:
+    def covers(self, points: NDArray, cells: SurfaceCells) -> NDArray:
         """Which points are over the cells."""
         assert cells.bounds is not None
         low, high = np.transpose(cells.bounds)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from xcg.compiled import triangles as loops
-from xcg.fields.places.surfaces.wall import Cells, Wall
+from xcg.fields.places.surfaces.wall import SurfaceCells, Wall
 from xcg.scene.numbers import is_positive
 from xcg.scene.schema import COMPONENTS
 from xcg.scene.vtk_mesh import read_mesh
@@ -106,10 +106,10 @@ class Surface(Wall):
         """Lowest and highest coordinate of its corners."""
         return float(self.corners[..., axis].min()), float(self.corners[..., axis].max())
 
-    def cells(self, lower: NDArray, upper: NDArray, spacing: float) -> Cells:
+    def cells(self, lower: NDArray, upper: NDArray, spacing: float) -> SurfaceCells:
         """Its triangles."""
         coords = {"triangle": (np.arange(len(self.area)), "number of the triangle")}
-        return Cells(("triangle",), coords, self.centre, self.area, COMPONENTS)
+        return SurfaceCells(("triangle",), coords, self.centre, self.area, COMPONENTS)
 
     def in_surface(self, points: NDArray, vectors: NDArray) -> tuple[NDArray, NDArray]:
         """Parts of vectors across the nearest triangles, and the rest."""

@@ -18,7 +18,7 @@ Bounds = tuple[tuple[float, float], tuple[float, float]]
 
 
 @dataclass(frozen=True, eq=False)
-class Cells:
+class SurfaceCells:
     """Cells of a surface.
 
     Attributes
@@ -76,13 +76,13 @@ class Wall(ABC):
         """Lowest and highest coordinate that is accessible along an axis (m), infinite where it has no end."""
 
     @abstractmethod
-    def cells(self, lower: NDArray, upper: NDArray, spacing: float) -> Cells:
+    def cells(self, lower: NDArray, upper: NDArray, spacing: float) -> SurfaceCells:
         """Cells of about this size (m), where the surface has no end as far as a box (3,), (3,) reaches."""
 
     @abstractmethod
     def in_surface(self, points: NDArray, vectors: NDArray) -> tuple[NDArray, NDArray]:
         """Split vectors (n, 3) at points: normal part (n,), and what is along the axes of `cells` (n, 2 or 3)."""
 
-    def covers(self, points: NDArray, cells: Cells) -> NDArray:
+    def covers(self, points: NDArray, cells: SurfaceCells) -> NDArray:
         """Tell which points (n, 3) near the surface are over its cells."""
         return np.ones(len(points), bool)
