@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from xcg.compiled import smoothing as kinds
+from xcg.fields.formulas import registry
+from xcg.fields.formulas.field import Options
 from xcg.fields.places.frames import Cylindrical
 from xcg.fields.places.grid import make_grid
 from xcg.fields.places.points import is_pointwise, make_points
@@ -105,6 +107,33 @@ def _automatic(scene: Description, cutoff: float) -> dict[str, tuple[float, floa
             if a not in periodic or a not in scene.edges:
                 found[a] = low - cutoff, high + cutoff
     return found
+
+
+def averaged_gradient(scene: Description, request: Request) -> str:
+    """Return what is known of derivatives along averaged axes, see `xcg.fields.formulas.field.Options`."""
+    plane, at = scene.setup.plane, request.at or {}
+    axes = plane if request.axes is None and request.at is None else request.axes or ""
+    averaged = [a for a in plane if a not in axes and a not in at]
+    if "lattice_velocity" in scene.columns and any(a in scene.setup.periodic for a in averaged):
+        return "box"
+    lost = averaged == list(plane) and not set(plane) <= set(scene.setup.periodic) and not scene.cylindrical
+    return "unknown" if lost else "zero"
+
+
+def warn_of_unknown_gradient(fields: Sequence[str], options: Options) -> None:
+    """Warn of fields that follow from a velocity gradient which is not known."""
+
+    def takes_gradient(name: str) -> bool:
+        if name in ("velocity_gradient", "fluctuation_stress"):  # whose fluctuations are then about the mean
+            return name == "velocity_gradient"
+        return any(map(takes_gradient, registry.row(name, options).fields))
+
+    lost = [name for name in fields if takes_gradient(name)]
+    if options.averaged_gradient == "unknown" and lost:
+        warn_user(
+            f"{', '.join(lost)}: NaN, as no axis is resolved or fixed, and so the velocity has no neighbours to differ "
+            "from: resolve the axis that it varies along, axes='z' for example, and average the result"
+        )
 
 
 def extents_of(grid: Grid, extent: Mapping[str, float], scene: Description) -> dict[str, float | None]:

@@ -17,11 +17,13 @@ from xcg.fields.formulas.averages import needed_for_averages
 from xcg.fields.formulas.field import Options
 from xcg.fields.formulas.variables import check_turns, own_moments
 from xcg.fields.layout import (
+    averaged_gradient,
     check_differentiable,
     extents_of,
     kernels_of,
     nodes_of,
     warn_of_cuts,
+    warn_of_unknown_gradient,
     warn_of_width,
 )
 from xcg.fields.request import Request
@@ -212,6 +214,7 @@ def make_plan(scene: Description, request: Request) -> Plan:
     if not (is_finite(rtol) and rtol >= 0):
         raise ValueError(f"rtol={rtol!r}: expected 0 (closed form) or a positive number such as 1e-3")
     names, asked, options = _fields_and_options(scene, request)
+    warn_of_unknown_gradient(asked, options)
     variables = _held_variables(scene, names, options)
     kernels = kernels_of(scene, request)
     widest = max(kernels, key=lambda k: k.cutoff)
@@ -258,7 +261,7 @@ def _fields_and_options(scene: Description, request: Request) -> tuple[tuple[str
         raise ValueError(
             f"groups={request.groups!r} are the values of an integer variable of the particles: say which with by="
         )
-    options = options_of(scene, request)
+    options = replace(options_of(scene, request), averaged_gradient=averaged_gradient(scene, request))
     names, own = choose_fields(request.fields, scene, options)
     if scene.cylindrical:
         check_turns(own)

@@ -253,12 +253,19 @@ class Lattice:
             )
         return Lattice(self.period, self.edges, *_reduced(flat, rates))
 
-    def hides_shear(self, active: NDArray) -> bool:
-        """Whether images along averaged axes, those not active (3,), move at other velocities."""
-        if self.vectors is None:
-            return False
-        _, rates, apart = self._along(active)
-        return bool(rates[~apart].any())
+    def gradient_along(self, axes: NDArray) -> NDArray | None:
+        """Velocity gradient (3, 3) of moving images, its columns of some axes (3,); None where it is zero (s-1)."""
+        if self.vectors is None or self.rates is None or not self.rates.any():
+            return None
+        gradient = (np.linalg.pinv(self.given) @ (self.numbers(self.given) @ self.rates)).T * axes
+        return gradient if gradient.any() else None
+
+    @property
+    def middle(self) -> NDArray:
+        """Middle of the box (3,), 0 along axes where it is not finite (m)."""
+        if self.edges is None:
+            return np.zeros(3)
+        return np.where(np.isfinite(self.edges).all(axis=1), self.edges.mean(axis=1), 0.0)
 
     def _along(self, active: NDArray) -> tuple[NDArray, NDArray, NDArray]:
         """Vectors that some axes (3,) tell apart, if any are, their rates, and which of them lead along these axes."""

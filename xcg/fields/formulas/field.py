@@ -48,6 +48,9 @@ class Options:
         "unbiased", or "biased": per density, whatever the fit takes.
     lag : int, optional
         Frames from each frame to that which it is compared with; given in scenes of displacements.
+    averaged_gradient : str
+        Derivatives along averaged axes: "zero", "box" (those of a sheared box), or "unknown", as no axis is resolved or
+        fixed and an averaged one is not periodic.
     own : tuple
         Fields that are not those of xcg, each with a `name`, its `row`, and `moments` by name: of the scene's own
         variables, see `xcg.fields.formulas.variables.OwnField`, and those that users registered, see `OwnRow`. What
@@ -70,6 +73,7 @@ class Options:
     by: str | None = None
     temperature: str = "unbiased"
     lag: int | None = None
+    averaged_gradient: str = "zero"
     own: tuple[Any, ...] = ()
 
     @cached_property

@@ -56,10 +56,12 @@ def row(name: str, options: Options) -> Field:
     if options.own and name in options.own_rows:
         return options.own_rows[name]
     usual = _ROWS[name] if name in _ROWS else _REGISTERED[name]
-    if name not in WAYS:
-        return usual
-    option, ways = WAYS[name]
-    return ways.get(getattr(options, option), usual)
+    if name in WAYS:
+        option, ways = WAYS[name]
+        usual = ways.get(getattr(options, option), usual)
+    if name == "velocity_gradient" and options.averaged_gradient != "zero":
+        return flow.with_averaged_axes(usual, options.averaged_gradient)
+    return usual
 
 
 def whole_grid(options: Options) -> bool:

@@ -99,6 +99,11 @@ def _fabric(frame: Frame, contacts: Contacts | None) -> NDArray:
     return total
 
 
+def _weighted_box_gradient(frame: Frame, _: Contacts | None) -> NDArray:
+    mass = frame["mass"][:, None, None]
+    return mass * frame["box_gradient"] if "box_gradient" in frame else np.zeros((len(mass), 3, 3))
+
+
 def _forces(frame: Frame, contacts: Contacts | None) -> NDArray:
     assert contacts is not None
     return contacts.forces
@@ -142,6 +147,9 @@ MOMENTS: dict[str, Moment] = {
     "size2": Moment(("diameter",), "d^2", column=_power(2)),
     "size3": Moment(("diameter",), "d^3", column=_power(3)),
     "size4": Moment(("diameter",), "d^4", column=_power(4)),
+    "box_gradient": Moment(
+        ("mass",), "m, times the gradient along averaged axes of a sheared box", (3, 3), column=_weighted_box_gradient
+    ),
     "interval": Moment(("interval",), "t' - t", column=lambda frame, _: frame["interval"]),
     "partners": Moment((), "z", column=_partners, contacts=True),
     "fabric": Moment(

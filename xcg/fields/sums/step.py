@@ -23,9 +23,10 @@ from xcg.scene.schema import Frame
 from xcg.scene.warn import warn_once
 
 _HIDDEN_SHEAR = (
-    "the box is sheared across an axis that is averaged, along which velocities of images differ; each grain counts "
-    "once, with its velocity as it is written, so that results depend on how grains are wrapped; resolve that axis"
+    "the box is sheared across an axis that is averaged, and {names} take velocities at contacts as they are written, "
+    "so that they depend on how grains are wrapped; resolve that axis"
 )
+_AT_ONE_PLACE = "taken_up"  # relative velocities, which are those of the images that touch
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,9 +76,24 @@ class StepRows:
         self.mass = np.ones(self.count) if mass is None else np.ascontiguousarray(mass)
         self.surroundings = Surroundings.of(spec, lattice, scale, source)
         self.lattice = self.surroundings.lattice
-        if lattice.hides_shear(spec.grid.active) and spec.takes("velocity"):
-            warn_once("hidden shear", f"{source}: {_HIDDEN_SHEAR}")
+        self.of_grains = self._without_hidden_shear(lattice)
         self.grains = self.images(self.position)
+
+    def _without_hidden_shear(self, lattice: Lattice) -> Frame:
+        """Return the frame with velocities relative to the motion that a sheared box imposes along averaged axes.
+
+        They are those in the middle of the box, for every image of a grain, as images along these axes are one.
+        """
+        gradient = lattice.gradient_along(~self.spec.grid.active)
+        if gradient is None:
+            return self.frame
+        rows = self.spec.rows.items()
+        names = [name for name, row in rows if row.contacts and "velocity" in row.variables and name != _AT_ONE_PLACE]
+        if names:
+            warn_once("hidden shear", f"{self.source}: {_HIDDEN_SHEAR.format(names=', '.join(names))}")
+        self.velocity = self.velocity - (self.position - lattice.middle) @ gradient.T
+        of_box = np.broadcast_to(gradient, (self.count, 3, 3))
+        return {**self.frame, "velocity": self.velocity, "box_gradient": of_box}
 
     def images(self, position: NDArray) -> Images:
         """Where rows of the data stand: at these positions, and where a box is tilted at all images near the mesh."""
@@ -98,12 +114,13 @@ class StepRows:
         """Columns (n, q) of a moment: its values at the grains, or of the contacts that stand at places."""
         assert row.column is not None
         which = at.row if contact is None else contact
-        values = row.column(self.frame, self.contacts)
+        frame = self.frame if row.contacts else self.of_grains
+        values = row.column(frame, self.contacts)
         values = (values if which is None else values[which]).reshape(len(at.position), math.prod(values.shape[1:]))
         if at.drift is not None and which is not None and "velocity" in row.variables:
             # images that move alike take one call, as a grain's value may be a sum over its contacts
             for drift, here in alike(at.drift):
-                found = row.column(self.moving(drift), self.contacts)
+                found = row.column(frame | {"velocity": frame["velocity"] + drift}, self.contacts)
                 values[here] = found[which[here]].reshape(-1, values.shape[1])
         return values
 

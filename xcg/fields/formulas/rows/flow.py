@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -24,7 +24,7 @@ from xcg.fields.formulas.algebra import (
     trace,
     transposed,
 )
-from xcg.fields.formulas.field import NONE, STRESS, Field, Options
+from xcg.fields.formulas.field import NONE, STRESS, Field, Function, Options
 from xcg.fields.formulas.trace import at_least_zero, trace_fit, where_positive, zero_if_unknown
 
 LINEAR = ("count", "mass", "momentum", "offset", "shear", "spread")
@@ -64,6 +64,23 @@ def _fit(f: Any, s: Any, o: Options, *, about_node: bool = False) -> SimpleNames
 
 def _kernel_gradient(f: Any, s: Any, o: Options) -> NDArray:
     return mean_of(s.momentum_slope - outer(f._drift, s.mass_slope), s.mass)
+
+
+def _with_box_gradient(f: Any, s: Any, o: Options, *, along_seen: Function) -> NDArray:
+    return along_seen(f, s, o) + mean_of(s.box_gradient, s.mass)
+
+
+def _unknown(f: Any, s: Any, o: Options, *, along_seen: Function) -> NDArray:
+    return along_seen(f, s, o) + np.nan
+
+
+@lru_cache
+def with_averaged_axes(gradient: Field, kind: str) -> Field:
+    """Return a row of the velocity gradient with its derivatives along averaged axes: "box", or "unknown"."""
+    if kind == "unknown":
+        return replace(gradient, compute=partial(_unknown, along_seen=gradient.compute))
+    moments = tuple(dict.fromkeys([*gradient.moments, "mass", "box_gradient"]))
+    return replace(gradient, compute=partial(_with_box_gradient, along_seen=gradient.compute), moments=moments)
 
 
 def _finite_difference(f: Any, s: Any, o: Options) -> NDArray:
