@@ -31,7 +31,7 @@ INSIDE = {
         ["request"],
         ["choices", "layout"],
         ["plan"],
-        ["labels", "evaluate", "accessible", "presets"],
+        ["labels", "evaluate", "accessible", "presets", "mesh_size"],
         ["coarse_grain"],
         ["studies"],
         ["__init__"],

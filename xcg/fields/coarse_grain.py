@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import TypeVar
 
 import xarray as xr
@@ -11,6 +12,7 @@ import xarray as xr
 from xcg.fields.accessible import check_walls, with_accessible
 from xcg.fields.evaluate import evaluate_plan
 from xcg.fields.labels import labelled
+from xcg.fields.mesh_size import make_plan_of_size
 from xcg.fields.places.frames import in_frame, is_cylindrical
 from xcg.fields.plan import Plan, make_plan
 from xcg.fields.presets import lammps, pysammos
@@ -116,7 +118,7 @@ def answer(ds: xr.Dataset, request: Request) -> xr.Dataset:
     call = format_call("coarse_grain", given)
     scene = describe(ds, request.by)
     request, rename = _in_own_names(scene, request)
-    plan = make_plan(scene, request)
+    plan = make_plan_of_size(ds, scene, partial(make_plan, scene, request))
     arrays = evaluate_plan(ds, plan, request.on_error)
     result = labelled(scene, plan, arrays, call)
     if request.walls is not None:

@@ -82,7 +82,8 @@ def _compute_step(
     """Compute the fields of one step into arrays (nodes, phase, ...)."""
     grid = plan.deposit.grid
     check_mesh(frame["position"], grid, max(plan.deposit.cutoffs), lattice.open_axes, source)
-    sums = sums_of_frame(frame, plan.deposit, lattice, scale_of(plan, lattice, source), source, threads)
+    scale = scale_of(plan, lattice, source)
+    sums = sums_of_frame(frame, plan.deposit, lattice, scale, source, threads)
     program = program_for(plan.fields, plan.options, len(plan.deposit.groups))
     loads = program.loads(sums.layouts) if program else None
     traced = program.widths if program else ()
@@ -108,6 +109,25 @@ def _compute_step(
                 values[grid.undirected] = np.nan
     if plan.options.temperature == "unbiased":
         _warn_of_unknown(rows, sum(reached), plan.kernel.width, source)
+    if "volume_fraction" in rows and rows["volume_fraction"].max(initial=0.0) > 1.0:
+        _warn_of_fraction(plan, rows["volume_fraction"], frame["volume"].max(initial=0.0) * scale, source)
+
+
+def _warn_of_fraction(plan: Plan, fraction: NDArray, largest: float, source: str) -> None:
+    """Warn of a volume fraction (nodes, phases) above 1, where the volume of the `largest` grain may be the cause."""
+    node = int(fraction.max(axis=1).argmax())
+    grid, kernel = plan.deposit.grid, plan.kernel
+    index = dict(zip(grid.dims, np.unravel_index(node, grid.sizes), strict=True))
+    coords = {name: coord.isel({dim: index[str(dim)] for dim in coord.dims}) for name, coord in grid.coords.items()}
+    place = ", ".join(f"{name} = {float(coord):.4g}" for name, coord in coords.items()) or "the only node"
+    alone = largest * float(kernel.value(np.zeros(1), int(grid.active.sum()))[0])
+    cause = "grains overlap, or their sizes, or the length of an average (extent=, thickness=), are not right"
+    if alone > 0.5:
+        cause = (
+            f"the kernel is narrower than the largest grains, one of which alone adds up to {alone:.3g}: increase "
+            f"width= (it is {kernel.width:.3g}), or give each group its own with by= and width={{group: width}}"
+        )
+    warn_once("volume fraction", f"{source}: the volume fraction is {fraction.max():.3g} at {place}: {cause}")
 
 
 def _warn_of_unknown(rows: Mapping[str, NDArray], reached: int, width: float, source: str) -> None:

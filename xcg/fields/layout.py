@@ -172,15 +172,16 @@ def kernels_of(scene: Description, request: Request) -> list[Kernel]:
     return [as_kernel(kernel, choose_width(own[str(g)], scene.sizes), dimension) for g in known]
 
 
-def warn_of_width(width: float, diameter: Any) -> None:
-    """Warn of a kernel that sees single grains."""
-    if diameter is not None and width < _NARROW * diameter:
-        msg = (
-            f"width={width:.4g} is {width / diameter:.2g} of the grains' diameter ({diameter:.4g}): the kernel sees "
+def warn_of_width(width: float, diameter: float | None, whose: str) -> bool:
+    """Warn of a kernel that sees single grains, and return whether it does."""
+    narrow = diameter is not None and width < _NARROW * diameter
+    if narrow and diameter is not None:
+        warn_user(
+            f"width={width:.4g} is {width / diameter:.2g} of the diameter of {whose} ({diameter:.4g}): the kernel sees "
             "the inside of single grains, and no field of a continuum (volume fractions far above 1); the usual choice "
             "is 0.75 mean diameters, see the page on width"
         )
-        warn_user(msg)
+    return narrow
 
 
 def warn_of_cuts(grid: Grid, scene: Description, reach: float) -> None:

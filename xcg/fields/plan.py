@@ -218,8 +218,11 @@ def make_plan(scene: Description, request: Request) -> Plan:
     variables = _held_variables(scene, names, options)
     kernels = kernels_of(scene, request)
     widest = max(kernels, key=lambda k: k.cutoff)
-    size = scene.sizes.get("dmin" if isinstance(request.width, Mapping) else "d43")
-    warn_of_width(min(k.width for k in kernels), size)
+    narrowest, sizes = min(k.width for k in kernels), scene.sizes
+    if isinstance(request.width, Mapping):
+        warn_of_width(narrowest, sizes.get("dmin"), "the smallest grains")
+    elif not warn_of_width(narrowest, sizes.get("d43"), "the grains"):
+        warn_of_width(narrowest, sizes.get("dmax"), "the largest grains")
     grid = nodes_of(scene, request, kernels)
     warn_of_cuts(grid, scene, widest.cutoff)
     moments = registry.moments_of(names, options)

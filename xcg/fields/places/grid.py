@@ -168,12 +168,16 @@ def _check_mesh_axes(axes: str, at: Mapping[str, float], bounds: Mapping[str, Se
         )
 
 
+class MeshTooLargeError(ValueError):
+    """A mesh has more nodes than loops count, or than there is memory for."""
+
+
 def _whole(axis: str, count: float) -> int:
-    """Whole number of nodes of one axis, refused before anything is made for too many."""
+    """Return the number of nodes of one axis as an integer. Raise MeshTooLargeError for too many."""
     if not count < _MOST_OF_ONE_AXIS:
-        raise ValueError(
+        raise MeshTooLargeError(
             f"the mesh would have {count:.3g} nodes along {axis!r}, more than {_MOST_OF_ONE_AXIS}: choose a larger "
-            "spacing or smaller bounds. If neither was given, a particle is far astray"
+            "spacing or smaller bounds"
         )
     return int(count)
 
@@ -266,8 +270,8 @@ def make_grid(
     fitted = "".join(a for a in axes if a not in bounds and a not in period)
     grid = RegularGrid(axes, {a: float(v) for a, v in at.items()}, averaged, nodes, taken, fitted, cells)
     if np.prod([float(n) for n in grid.shape]) > MAX_NODES:
-        raise ValueError(
-            f"the mesh has {grid.shape} nodes, more than {MAX_NODES}: choose a larger spacing or smaller bounds"
+        raise MeshTooLargeError(
+            f"the mesh would have {grid.shape} nodes, more than {MAX_NODES}: choose a larger spacing or smaller bounds"
         )
     return grid
 
