@@ -9,7 +9,6 @@ from pathlib import Path
 from types import ModuleType
 
 from xcg.fields.formulas.registry import FIELDS, TOPICS, listed
-from xcg.scene.schema import units_of
 
 HEAD = """# Fields
 
@@ -84,7 +83,7 @@ def _row(name: str) -> str:
     additive = "yes" if f.additive else ""
     whose = " of the bulk" if f.by_bulk else ""
     average = "as they are" if f.additive else f"by `{f.weight}`{whose}" if f.weight else "anew"
-    unit = re.sub(r"\^(-?\d)", lambda power: power[1].translate(RAISED), units_of(f.powers))
+    unit = re.sub(r"\^(-?\d)", lambda power: power[1].translate(RAISED), f.units)
     about = f"{f.long_name}<br>{mathematics(f.formula)}"
     star = "" if f.default else " \\*"
     return f"| `{name}`{star} | {about} | {KINDS[f.rank]} | {unit} | {additive} | {average} |\n"

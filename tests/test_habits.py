@@ -8,8 +8,10 @@ import pytest
 import xarray as xr
 
 import xcg
+from xcg.chains.results import RESULTS
 from xcg.fields.formulas import registry
-from xcg.scene.schema import VARIABLES, units_of
+from xcg.packing.quantities import QUANTITIES
+from xcg.scene.schema import BOX, VARIABLES, powers_of, units_in, units_of
 
 
 @pytest.fixture(scope="module")
@@ -17,16 +19,33 @@ def scene():
     return xcg.datasets.random_scene(60, seed=1)
 
 
+TABLES = (registry.FIELDS, VARIABLES, BOX, QUANTITIES, RESULTS)
+
+
+def test_units_as_text_are_those_of_their_powers():
+    for row in (row for table in TABLES for row in table.values()):
+        assert units_of(powers_of(row.units)) == row.units == units_in(row.units, "SI"), row
+        assert units_in(row.units, "reduced") == "1"
+
+
+@pytest.mark.parametrize(("text", "powers"), [
+    ("1", (0, 0, 0)), ("kg m^-3", (-3, 1, 0)), ("m**2 s-2", (2, 0, -2)), ("J s^-1 m^-3", (-1, 1, -3)),
+    ("N m^-1 m^-1", (-1, 1, -2)),
+])  # fmt: skip
+def test_units_are_read_in_the_notations_of_udunits_and_pint(text, powers):
+    assert powers_of(text) == powers
+
+
 def test_pint_reads_all_units():
     pint = pytest.importorskip("pint")
     units = pint.UnitRegistry()
     base = {"kg": (0, 1, 0), "m": (1, 0, 0), "s": (0, 0, 1)}
-    for row in (*registry.FIELDS.values(), *VARIABLES.values()):
-        found = units.Quantity(1.0, units_of(row.powers)).to_base_units()
+    for row in (row for table in TABLES for row in table.values()):
+        found = units.Quantity(1.0, row.units).to_base_units()
         assert found.magnitude == 1
         expected = units.Quantity(1.0, "")
         for symbol, power in base.items():
-            expected = expected * units.Quantity(1.0, symbol) ** int(np.dot(power, row.powers))
+            expected = expected * units.Quantity(1.0, symbol) ** int(np.dot(power, powers_of(row.units)))
         assert found.units == expected.units, row
 
 

@@ -105,6 +105,9 @@ RIGHT = {"compute": lambda f, s, o: f.density, "fields": "density"}
     ("own", {"compute": 3.0}, r"compute=3.0: expected a function"),
     ("own", {"rank": 3}, r"rank=3: expected 0 \(scalar\)"),
     ("own", {"powers": (1, 2)}, r"powers=\(1, 2\): expected whole powers"),
+    ("own", {"powers": (0, 0, 1), "units": "s"}, r"units='s' and powers=\(0, 0, 1\) both give its unit"),
+    ("own", {"units": "kg/m3"}, "units='kg/m3': expected '1' or a product of kg, m, s, N, Pa, J, W"),
+    ("own", {"units": "bar"}, "units='bar': expected '1' or a product of"),
     ("own", {"fields": ()}, "name the fields= or moments="),
     ("own", {"fields": "densty"}, "it needs an unknown field 'densty'; did you mean 'density'"),
     ("own", {"fields": "_fit"}, "it needs an unknown field '_fit'; fields are in xcg.FIELDS"),
@@ -129,3 +132,15 @@ def test_a_field_cannot_need_itself():
     xcg.register_field("second", lambda f, s, o: f.first, fields="first")
     with pytest.raises(ValueError, match="needs itself"):
         xcg.register_field("first", lambda f, s, o: f.second, fields="second")
+
+
+@pytest.mark.parametrize("unit", [
+    {"units": "kg m^-1 s^-2"}, {"units": "J m-3"}, {"units": "Pa"}, {"powers": (-1, 1, -2)},
+])  # fmt: skip
+def test_a_unit_is_given_as_text_or_as_powers(unit):
+    xcg.register_field("own", lambda f, s, o: f.pressure, fields="pressure", **unit)
+    assert xcg.FIELDS["own"].powers == xcg.FIELDS["pressure"].powers == (-1, 1, -2)
+    ds = xcg.datasets.random_scene(40, seed=1)
+    assert ds.cg.coarse_grain("own", axes="z").own.attrs["units"] == unit.get("units", "Pa")
+    reduced = ds.assign_attrs(unit_system="reduced")
+    assert reduced.cg.coarse_grain("own", axes="z").own.attrs["units"] == "1"

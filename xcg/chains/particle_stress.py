@@ -28,14 +28,13 @@ VOLUMES = ("particle", "disc")
 # Eigenvalues below this share of the whole tensor are rounding.
 ROUNDING = 1e-12
 
-_PRESSURE = (-1, 1, -2)
 RESULTS: dict[str, Variable] = {
     "particle_id": VARIABLES["particle_id"],
-    "stress": Variable(("particle", "component", "direction"), _PRESSURE, "stress of the particle"),
-    "principal_stress": Variable(("particle", "principal"), _PRESSURE, "principal stresses, most compressive first"),
-    "principal_direction": Variable(("particle", "principal", "component"), (0, 0, 0), "principal directions"),
-    "major_stress": Variable(("particle",), _PRESSURE, "most compressive principal stress"),
-    "major_direction": Variable(("particle", "component"), (0, 0, 0), "direction of the major stress"),
+    "stress": Variable(("particle", "component", "direction"), "Pa", "stress of the particle"),
+    "principal_stress": Variable(("particle", "principal"), "Pa", "principal stresses, most compressive first"),
+    "principal_direction": Variable(("particle", "principal", "component"), "1", "principal directions"),
+    "major_stress": Variable(("particle",), "Pa", "most compressive principal stress"),
+    "major_direction": Variable(("particle", "component"), "1", "direction of the major stress"),
 }
 
 

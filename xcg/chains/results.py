@@ -20,7 +20,6 @@ from xcg.scene.summary import Summary, rows_of_origin
 from xcg.scene.times import with_time
 from xcg.steps.each import each_step
 
-_NONE, _PRESSURE = (0, 0, 0), (-1, 1, -2)
 COPIED = ("particle_id", "position", "diameter", "contact_i", "contact_j", "contact_force")
 
 
@@ -41,30 +40,30 @@ class Statistic:
 
 
 _OF_LENGTHS: dict[str, Statistic] = {
-    "length_mean": Statistic(Variable((), _NONE, "mean length of the chains (particles)"), np.mean),
-    "length_median": Statistic(Variable((), _NONE, "median length of the chains (particles)"), np.median),
-    "length_min": Statistic(Variable((), _NONE, "shortest chain (particles)"), np.min),
-    "length_max": Statistic(Variable((), _NONE, "longest chain (particles)"), np.max),
+    "length_mean": Statistic(Variable((), "1", "mean length of the chains (particles)"), np.mean),
+    "length_median": Statistic(Variable((), "1", "median length of the chains (particles)"), np.median),
+    "length_min": Statistic(Variable((), "1", "shortest chain (particles)"), np.min),
+    "length_max": Statistic(Variable((), "1", "longest chain (particles)"), np.max),
 }
 STATISTICS: dict[str, Variable] = {
-    "chain_count": Variable((), _NONE, "number of chains", "int64"),
+    "chain_count": Variable((), "1", "number of chains", "int64"),
     **{name: row.variable for name, row in _OF_LENGTHS.items()},
-    "length_share": Variable(("length",), _NONE, "share of the chains that have this length, P(c)"),
+    "length_share": Variable(("length",), "1", "share of the chains that have this length, P(c)"),
 }
 CHAINS: dict[str, Variable] = {
-    "chain_particles": Variable(("chain",), _NONE, "length of the chain: its particles", "int64"),
-    "chain_links": Variable(("chain",), _NONE, "links of the chain", "int64"),
-    "chain_branchings": Variable(("chain",), _NONE, "branching points of the chain", "int64"),
-    "chain_stress": Variable(("chain",), _PRESSURE, "mean major stress of the chain's particles"),
-    "chain_orientation": Variable(("chain", "component"), _NONE, "axis of the chain's largest extent"),
-    "chain_normal": Variable(("chain", "component"), _NONE, "normal of the chain's best-fit plane"),
+    "chain_particles": Variable(("chain",), "1", "length of the chain: its particles", "int64"),
+    "chain_links": Variable(("chain",), "1", "links of the chain", "int64"),
+    "chain_branchings": Variable(("chain",), "1", "branching points of the chain", "int64"),
+    "chain_stress": Variable(("chain",), "Pa", "mean major stress of the chain's particles"),
+    "chain_orientation": Variable(("chain", "component"), "1", "axis of the chain's largest extent"),
+    "chain_normal": Variable(("chain", "component"), "1", "normal of the chain's best-fit plane"),
 }
 MEMBERS: dict[str, Variable] = {
-    "chain_id": Variable(("particle",), _NONE, "chain of the particle, -1 for none", "int64"),
-    "parent_id": Variable(("particle",), _NONE, "id of the particle it was reached from, -1 for a seed", "int64"),
-    "links": Variable(("particle",), _NONE, "links of the particle", "int64"),
-    "branching": Variable(("particle",), _NONE, "1 where the particle has more than two links", "int64"),
-    "link_chain": Variable(("contact",), _NONE, "chain that the contact is a link of, -1 for none", "int64"),
+    "chain_id": Variable(("particle",), "1", "chain of the particle, -1 for none", "int64"),
+    "parent_id": Variable(("particle",), "1", "id of the particle it was reached from, -1 for a seed", "int64"),
+    "links": Variable(("particle",), "1", "links of the particle", "int64"),
+    "branching": Variable(("particle",), "1", "1 where the particle has more than two links", "int64"),
+    "link_chain": Variable(("contact",), "1", "chain that the contact is a link of, -1 for none", "int64"),
 }
 RESULTS: dict[str, Variable] = (
     {name: VARIABLES[name] for name in COPIED}

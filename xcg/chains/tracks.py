@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from xcg.chains.results import require_chains, steps_of
 from xcg.scene.numbers import is_positive
-from xcg.scene.schema import units_of
+from xcg.scene.schema import units_in
 from xcg.scene.times import require_rising_times, with_time
 from xcg.steps.label import provenance
 
@@ -78,7 +78,7 @@ def track_chains(fc: xr.Dataset, overlap: float = 0.5) -> xr.Dataset:
             last[k] = t
             seen[k] += 1
         before = now
-    second = units_of((0, 0, 1), fc.attrs.get("unit_system", "SI"))
+    second = units_in("s", fc.attrs.get("unit_system", "SI"))
     birth, end = times[np.array(first, int)], times[np.array(last, int)]
     data = {
         "track_id": (("time", "chain"), track, {"long_name": "track of the chain, -1 where there is none"}),

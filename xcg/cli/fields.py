@@ -11,12 +11,11 @@ def fields(pysammos: bool) -> None:
     """List all fields, with their units and formulas."""
     from xcg.fields.formulas import registry
     from xcg.fields.presets.pysammos import rows
-    from xcg.scene.schema import units_of
 
     if pysammos:
         table = [(name, "", row.field.formula) for name, row in rows("xy", "xyz").items()]
     else:
-        table = [(name, units_of(registry.FIELDS[name].powers), registry.FIELDS[name].formula)
+        table = [(name, registry.FIELDS[name].units, registry.FIELDS[name].formula)
                  for name in registry.listed()]  # fmt: skip
     wide = max(len(name) for name, _, _ in table)
     for name, unit, formula in table:

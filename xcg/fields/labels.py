@@ -12,7 +12,7 @@ from xcg.fields.formulas.field import Field
 from xcg.fields.plan import Plan
 from xcg.scene.build import storable
 from xcg.scene.description import Description
-from xcg.scene.schema import COMPONENTS, units_of
+from xcg.scene.schema import COMPONENTS, units_in
 from xcg.steps.label import provenance
 from xcg.steps.phase_labels import with_phase_labels
 
@@ -27,7 +27,7 @@ _AXES = {*COMPONENTS, *_CYLINDRICAL}
 def labelled(scene: Description, plan: Plan, arrays: Mapping[str, Any], call: str) -> xr.Dataset:
     """Return arrays of the plan's fields as a result of the scene, with dimensions, coordinates, units and history."""
     system = plan.setup.unit_system
-    length = units_of((1, 0, 0), system)
+    length = units_in("m", system)
     # those of the scene may be changed in place
     coords: dict[str, Any] = {name: given.copy() for name, given in scene.times.items()}
     for name, coord in plan.deposit.grid.coords.items():
@@ -56,7 +56,7 @@ def labelled(scene: Description, plan: Plan, arrays: Mapping[str, Any], call: st
 
 def about(row: Field, system: str) -> dict[str, str]:
     """Attributes of a field in a result."""
-    units = units_of(row.powers, system) if row.units is None else row.units
+    units = row.units if row.source else units_in(row.units, system)  # a scene's own variables may have any unit
     found = {"units": units, "long_name": row.long_name, "formula": row.formula, "source": row.source}
     found |= {"weight": row.weight} if row.source else {}  # what averages of fields without a row need
     return {key: text for key, text in found.items() if text}

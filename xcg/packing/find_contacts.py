@@ -17,7 +17,7 @@ from xcg.scene.description import describe, require_scene
 from xcg.scene.frame import stack, steps_in
 from xcg.scene.lattice import Lattice
 from xcg.scene.numbers import is_positive
-from xcg.scene.schema import OF_STEP, Frame, SceneError, Setup, units_of, variable
+from xcg.scene.schema import OF_STEP, Frame, SceneError, Setup, units_in, variable
 from xcg.steps.label import format_call, provenance
 from xcg.steps.map import is_lazy, map_over_time
 
@@ -246,7 +246,7 @@ def _label(ds: xr.Dataset, arrays: Mapping[str, Any], search: Search, given: Map
     data = {}
     for name, values in arrays.items():
         row = variable(name)
-        attrs = {"units": units_of(row.powers, search.setup.unit_system), "long_name": row.long_name}
+        attrs = {"units": units_in(row.units, search.setup.unit_system), "long_name": row.long_name}
         if name == "contact_force":
             attrs["estimated"] = f"normal force from the overlap of spheres: {search.stiffness}"
         data[name] = xr.Variable(("time", *row.dims), values, attrs)

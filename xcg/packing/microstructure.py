@@ -15,7 +15,7 @@ from xcg.scene.build import storable
 from xcg.scene.conform import takes_scene
 from xcg.scene.description import describe, require_scene
 from xcg.scene.numbers import floats, is_positive
-from xcg.scene.schema import BOX, COMPONENTS, OF_STEP, units_of, unknown
+from xcg.scene.schema import BOX, COMPONENTS, OF_STEP, units_in, unknown
 from xcg.scene.times import require_rising_times
 from xcg.steps.label import format_call, mark_skipped, provenance
 from xcg.steps.map import map_over_time
@@ -335,7 +335,7 @@ def _label(ds: xr.Dataset, arrays: Mapping[str, Any], measure: Measure, regions:
     data = {}
     for name in measure.names if arrays else ():
         row, values = QUANTITIES[name], arrays[name]
-        attrs = {"units": units_of(row.powers, system), "long_name": row.long_name, "formula": row.formula}
+        attrs = {"units": units_in(row.units, system), "long_name": row.long_name, "formula": row.formula}
         data[name] = xr.Variable(("time", "region", "phase", *row.dims), values, attrs)
     used = {dim for variable in data.values() for dim in variable.dims} | {"time"}
     coords = {name: c for name, c in coords.items() if not isinstance(c, tuple) or c[0] in used}
@@ -369,7 +369,7 @@ def _with_series(
             rate = _deviatoric(whole.differentiate("time"), len(setup.plane))
     if isinstance(rate, xr.DataArray):
         attrs = {
-            "units": units_of((0, 0, -1), setup.unit_system),
+            "units": units_in("s^-1", setup.unit_system),
             "long_name": QUANTITIES["strain_rate"].long_name,
             "formula": QUANTITIES["strain_rate"].formula,
         }

@@ -38,8 +38,8 @@ class PackingQuantity:
         For the attributes and the documentation.
     compute : callable
         ``compute(s)`` for a `SimpleNamespace` with the sample, see above.
-    powers : tuple of int
-        Powers of (length, mass, time) of its unit.
+    units : str
+        SI unit.
     dims : tuple of str
         Dimensions besides time, region and phase.
     needs : tuple of str
@@ -51,7 +51,7 @@ class PackingQuantity:
     long_name: str
     formula: str
     compute: Callable[[Any], Any]
-    powers: tuple[int, int, int] = (0, 0, 0)
+    units: str = "1"
     dims: tuple[str, ...] = ()
     needs: tuple[str, ...] = ()
     of_phases: bool = False
@@ -60,7 +60,6 @@ class PackingQuantity:
 CONTACTS = ("contact_i", "contact_j", "contact_point")
 FORCES = (*CONTACTS, "contact_force")
 TENSOR = ("component", "direction")
-_STRESS = (-1, 1, -2)
 
 
 def ratio(a: Any, b: float) -> Any:
@@ -187,7 +186,7 @@ QUANTITIES: dict[str, PackingQuantity] = {
     ),
     "mean_normal_force": PackingQuantity(
         "mean normal force of contacts that push", "<f> = <f_c . n_c>, f_c . n_c > 0", lambda s: s.mean_force,
-        (1, 1, -2), needs=FORCES,
+        units="N", needs=FORCES,
     ),
     "normal_force_pdf": PackingQuantity(
         "probability density of the normal force over its mean", "p(f / <f>)", _force_pdf, dims=_PER_RATIO, needs=FORCES
@@ -201,29 +200,30 @@ QUANTITIES: dict[str, PackingQuantity] = {
         needs=CONTACTS,
     ),
     "stress": PackingQuantity(
-        "contact stress, compression positive", "sum f_ij a_ij / V", _stress, _STRESS, dims=TENSOR, needs=FORCES
+        "contact stress, compression positive", "sum f_ij a_ij / V", _stress, units="Pa", dims=TENSOR, needs=FORCES
     ),
-    "mean_stress": PackingQuantity("mean stress", "p' = tr sigma / D", _mean_stress, _STRESS, needs=FORCES),
+    "mean_stress": PackingQuantity("mean stress", "p' = tr sigma / D", _mean_stress, units="Pa", needs=FORCES),
     "deviator_stress": PackingQuantity(
-        "deviator stress", "q = sqrt(3/2 s:s), s = dev sigma (2D: sqrt(2 s:s))", _deviator_stress, _STRESS, needs=FORCES
+        "deviator stress", "q = sqrt(3/2 s:s), s = dev sigma (2D: sqrt(2 s:s))", _deviator_stress, units="Pa",
+        needs=FORCES,
     ),
     "stress_ratio": PackingQuantity(
         "stress ratio", "eta = q / p'", lambda s: ratio(_deviator_stress(s), _mean_stress(s)), needs=FORCES
     ),
-    "d_max": PackingQuantity("largest diameter", "max d_i", _d_max, (1, 0, 0), needs=("diameter",)),
+    "d_max": PackingQuantity("largest diameter", "max d_i", _d_max, units="m", needs=("diameter",)),
     "d50": PackingQuantity(
-        "diameter below which half of the volume lies", "d50", _d50, (1, 0, 0), needs=("diameter", "volume")
+        "diameter below which half of the volume lies", "d50", _d50, units="m", needs=("diameter", "volume")
     ),
     "d_bar": PackingQuantity(
         "volume-weighted mean diameter of particles that bear load", "sum V_i d_i / sum V_i over z_i >= m", _d_bar,
-        (1, 0, 0), needs=("diameter", "volume", *CONTACTS),
+        units="m", needs=("diameter", "volume", *CONTACTS),
     ),
     "particle_density": PackingQuantity(
         "density of the particles' material", "sum m_i / sum V_i", lambda s: ratio(s.mass.sum(), s.volume.sum()),
-        (-3, 1, 0), needs=("mass", "volume"),
+        units="kg m^-3", needs=("mass", "volume"),
     ),
     "strain_rate": PackingQuantity(
-        "deviatoric strain rate", "sqrt(2/3 e:e), e = dev strain rate (2D: sqrt(2 e:e))", _velocity_rate, (0, 0, -1),
+        "deviatoric strain rate", "sqrt(2/3 e:e), e = dev strain rate (2D: sqrt(2 e:e))", _velocity_rate, units="s^-1",
         needs=("velocity",),
     ),
     "lacey_index": _of_phases(

@@ -14,7 +14,7 @@ from xcg.scene.frame import particle_rows
 from xcg.scene.lattice import Lattice
 from xcg.scene.measure import measure
 from xcg.scene.repeats import rows_of
-from xcg.scene.schema import BOX, PADDING, SceneError, units_of, variable
+from xcg.scene.schema import BOX, PADDING, SceneError, units_in, variable
 
 _SHARED = ("species", "frozen")  # by all spheres of a body
 _PARTICLES = ("particle_id", "position", "velocity", "diameter", "density", "mass", "volume", *_SHARED)
@@ -79,7 +79,7 @@ def group_bodies(ds: xr.Dataset, by_body: str = "body_id") -> xr.Dataset:
     data = {}
     for name, array in zip(outputs, arrays if len(outputs) > 1 else [arrays], strict=True):
         row = variable(name)
-        data[name] = array.assign_attrs(units=units_of(row.powers, setup.unit_system), long_name=row.long_name)
+        data[name] = array.assign_attrs(units=units_in(row.units, setup.unit_system), long_name=row.long_name)
     data |= {name: ds[name] for name in BOX if name in ds}
     line = f"xcg: group_bodies({by_body!r})"
     attrs = {name: value for name, value in ds.attrs.items() if not str(name).endswith("_values")}

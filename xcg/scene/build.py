@@ -26,7 +26,7 @@ from xcg.scene.schema import (
     Setup,
     Sides,
     did_you_mean,
-    units_of,
+    units_in,
     variable,
 )
 from xcg.scene.sizes import mark_measured, measure_frames
@@ -58,10 +58,10 @@ def to_dataset(
     data = {}
     for name, values in arrays.items():
         row = variable(name, values.dtype, values.ndim - 1)
-        attrs = {"units": units_of(row.powers, setup.unit_system), "long_name": row.long_name}
+        attrs = {"units": units_in(row.units, setup.unit_system), "long_name": row.long_name}
         data[name] = xr.Variable(("time", *row.dims), values, attrs)
     for name, values in box.items():
-        attrs = {"units": units_of(BOX[name].powers, setup.unit_system), "long_name": BOX[name].long_name}
+        attrs = {"units": units_in(BOX[name].units, setup.unit_system), "long_name": BOX[name].long_name}
         data[name] = xr.Variable(("time", *BOX[name].dims), values, attrs)
     second = "s" if setup.unit_system == "SI" else "1"
     coords = {

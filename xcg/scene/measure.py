@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from xcg.scene.conform import takes_scene
 from xcg.scene.description import require_scene
 from xcg.scene.frame import frame_of
-from xcg.scene.schema import units_of
+from xcg.scene.schema import units_in
 from xcg.scene.sizes import MEASURED_ATTRIBUTES, SIZES, mark_measured, measure_frames, sizes_of, without_attrs
 
 
@@ -76,7 +76,7 @@ def size_statistics(ds: xr.Dataset) -> xr.Dataset:
         _sizes_of_rows, *inputs, input_core_dims=[["particle"]] * 2, output_core_dims=[["size"]],
         dask="parallelized", output_dtypes=[float], dask_gufunc_kwargs={"output_sizes": {"size": len(SIZES)}},
     )  # fmt: skip
-    units = units_of((1, 0, 0), ds.attrs.get("unit_system", "SI"))
+    units = units_in("m", ds.attrs.get("unit_system", "SI"))
     out = {
         name: table.isel(size=k).assign_attrs(units=units, long_name=_SIZE_NAMES[name]) for k, name in enumerate(SIZES)
     }

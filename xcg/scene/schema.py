@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias, get_args
@@ -24,6 +25,7 @@ MAX_GROUPS = 100
 SHORTEST, LONGEST = 1e-75, 1e75  # m; powers of lengths between these are numbers, too
 
 Frame: TypeAlias = dict[str, NDArray]
+Powers: TypeAlias = tuple[int, int, int]  # of length, mass, time
 # what becomes of contacts that are listed from both sides, see `xcg.scene.repeats`
 Sides: TypeAlias = Literal["mean", "first", "separate"]
 
@@ -56,12 +58,17 @@ class SceneWarning(_Printable, UserWarning):
 
 @dataclass(frozen=True)
 class Variable:
-    """One variable of the scene: dimensions besides time, powers of (length, mass, time), kind."""
+    """One variable of the scene: dimensions besides time, SI unit, kind."""
 
     dims: tuple[str, ...]
-    powers: tuple[int, int, int]
+    units: str
     long_name: str
     dtype: str = "float64"
+
+    @property
+    def powers(self) -> Powers:
+        """Powers of (length, mass, time) of the unit."""
+        return powers_of(self.units)
 
     @property
     def fill(self) -> float | int:
@@ -76,59 +83,92 @@ class Variable:
 _PARTICLE = ("particle",)
 _CONTACT = ("contact",)
 VARIABLES: dict[str, Variable] = {
-    "particle_id": Variable(_PARTICLE, (0, 0, 0), "identifier of the particle", "int64"),
-    "position": Variable((*_PARTICLE, "component"), (1, 0, 0), "position of the particle centre"),
-    "velocity": Variable((*_PARTICLE, "component"), (1, 0, -1), "velocity of the particle"),
-    "angular_velocity": Variable((*_PARTICLE, "component"), (0, 0, -1), "angular velocity of the particle"),
-    "diameter": Variable(_PARTICLE, (1, 0, 0), "diameter"),
-    "density": Variable(_PARTICLE, (-3, 1, 0), "density of the particle's material"),
-    "mass": Variable(_PARTICLE, (0, 1, 0), "mass"),
-    "volume": Variable(_PARTICLE, (3, 0, 0), "volume"),
-    "moment_of_inertia": Variable(_PARTICLE, (2, 1, 0), "moment of inertia about the centre"),
-    "species": Variable(_PARTICLE, (0, 0, 0), "species", "int64"),
-    "body_id": Variable(_PARTICLE, (0, 0, 0), "identifier of the body that the particle is glued to", "int64"),
-    "frozen": Variable(_PARTICLE, (0, 0, 0), "1 where the particle is held in place and acts as a wall", "int64"),
-    "coordination_number": Variable(_PARTICLE, (0, 0, 0), "number of contact partners"),
-    "contact_i": Variable(_CONTACT, (0, 0, 0), "id of the particle that the force acts on", "int64"),
-    "contact_j": Variable(_CONTACT, (0, 0, 0), "id of its partner; negative for a wall", "int64"),
-    "contact_force": Variable((*_CONTACT, "component"), (1, 1, -2), "contact force on particle i"),
-    "contact_point": Variable((*_CONTACT, "component"), (1, 0, 0), "contact point"),
-    "contact_normal": Variable((*_CONTACT, "component"), (0, 0, 0), "unit normal from j to i"),
-    "contact_wall_velocity": Variable((*_CONTACT, "component"), (1, 0, -1), "velocity of the wall at the contact"),
-    "overlap": Variable(_CONTACT, (1, 0, 0), "overlap"),
+    "particle_id": Variable(_PARTICLE, "1", "identifier of the particle", "int64"),
+    "position": Variable((*_PARTICLE, "component"), "m", "position of the particle centre"),
+    "velocity": Variable((*_PARTICLE, "component"), "m s^-1", "velocity of the particle"),
+    "angular_velocity": Variable((*_PARTICLE, "component"), "s^-1", "angular velocity of the particle"),
+    "diameter": Variable(_PARTICLE, "m", "diameter"),
+    "density": Variable(_PARTICLE, "kg m^-3", "density of the particle's material"),
+    "mass": Variable(_PARTICLE, "kg", "mass"),
+    "volume": Variable(_PARTICLE, "m^3", "volume"),
+    "moment_of_inertia": Variable(_PARTICLE, "kg m^2", "moment of inertia about the centre"),
+    "species": Variable(_PARTICLE, "1", "species", "int64"),
+    "body_id": Variable(_PARTICLE, "1", "identifier of the body that the particle is glued to", "int64"),
+    "frozen": Variable(_PARTICLE, "1", "1 where the particle is held in place and acts as a wall", "int64"),
+    "coordination_number": Variable(_PARTICLE, "1", "number of contact partners"),
+    "contact_i": Variable(_CONTACT, "1", "id of the particle that the force acts on", "int64"),
+    "contact_j": Variable(_CONTACT, "1", "id of its partner; negative for a wall", "int64"),
+    "contact_force": Variable((*_CONTACT, "component"), "N", "contact force on particle i"),
+    "contact_point": Variable((*_CONTACT, "component"), "m", "contact point"),
+    "contact_normal": Variable((*_CONTACT, "component"), "1", "unit normal from j to i"),
+    "contact_wall_velocity": Variable((*_CONTACT, "component"), "m s^-1", "velocity of the wall at the contact"),
+    "overlap": Variable(_CONTACT, "m", "overlap"),
     # an input only: it says on which side of a grain the contact point is, and is not kept
-    "contact_branch": Variable((*_CONTACT, "component"), (1, 0, 0), "vector from j to i, in the image that touches"),
+    "contact_branch": Variable((*_CONTACT, "component"), "m", "vector from j to i, in the image that touches"),
 }
 # Read only where they are asked for, as few fields need them.
 ROTATION = ("angular_velocity", "moment_of_inertia")
 # the domain of a step; the lattice is there where edges are not along x, y and z, its velocity where images move
 BOX: dict[str, Variable] = {
-    "box": Variable(("component", "bound"), (1, 0, 0), "edges of the domain"),
-    "lattice": Variable(("vector", "component"), (1, 0, 0), "vectors a, b, c to the next periodic images"),
-    "lattice_velocity": Variable(("vector", "component"), (1, 0, -1), "rate at which the lattice vectors change"),
+    "box": Variable(("component", "bound"), "m", "edges of the domain"),
+    "lattice": Variable(("vector", "component"), "m", "vectors a, b, c to the next periodic images"),
+    "lattice_velocity": Variable(("vector", "component"), "m s^-1", "rate at which the lattice vectors change"),
 }
 OF_STEP = (*BOX, "step")  # what tasks take of a step besides its rows
 VECTORS = ("a", "b", "c")
 
-_NAMED_UNITS = {
-    (0, 0, 0): "1",
-    (1, 1, -2): "N",
-    (-1, 1, -2): "Pa",
-    (-2, 1, -2): "Pa m^-1",
-    (0, 1, -3): "W m^-2",
-    (-1, 1, -3): "W m^-3",
-}
+_UNITS: dict[str, Powers] = {
+    "kg": (0, 1, 0), "m": (1, 0, 0), "s": (0, 0, 1), "N": (1, 1, -2), "Pa": (-1, 1, -2), "J": (2, 1, -2),
+    "W": (2, 1, -3),
+}  # fmt: skip
+_FACTOR = re.compile(r"([^\W\d_]+|%)(?:\^|\*\*)?(-?\d+)?")
 
 
-def units_of(powers: tuple[int, int, int], unit_system: str = "SI") -> str:
-    """Return the unit of powers of (length, mass, time) as UDUNITS and pint read it; "1" in a reduced scene."""
-    if unit_system != "SI":
-        return "1"
-    if powers in _NAMED_UNITS:
-        return _NAMED_UNITS[powers]
+def units_in(units: str, unit_system: str) -> str:
+    """Return an SI unit as results of a scene have it: "1" in a reduced scene."""
+    return units if unit_system == "SI" else "1"
+
+
+def units_of(powers: Powers) -> str:
+    """Return the SI unit of powers of (length, mass, time), as UDUNITS and pint read it."""
     length, mass, time = powers
-    parts = [(unit, power) for unit, power in (("kg", mass), ("m", length), ("s", time)) if power]
-    return " ".join(unit if power == 1 else f"{unit}^{power}" for unit, power in parts)
+    return _NAMED_UNITS.get(powers) or product_of_units({"kg": mass, "m": length, "s": time})
+
+
+def powers_of(units: str) -> Powers:
+    """Return the powers of (length, mass, time) of an SI unit such as "kg m^-3" or "Pa"; the inverse of `units_of`.
+
+    Raises
+    ------
+    ValueError
+        If it is not a product of known units.
+    """
+    factors = factors_of_unit(units)
+    if factors is None or not factors.keys() <= _UNITS.keys():
+        raise ValueError(
+            f"units={units!r}: expected '1' or a product of {', '.join(_UNITS)} with whole powers, such as 'kg m^-3'"
+        )
+    length, mass, time = (sum(power * _UNITS[name][k] for name, power in factors.items()) for k in range(3))
+    return length, mass, time
+
+
+def factors_of_unit(units: str) -> dict[str, int] | None:
+    """Return the power of each factor of a unit such as "K kg m^-3", "K kg m-3" or "1"; None for another notation."""
+    factors: dict[str, int] = {}
+    for part in units.split() if units != "1" else ():
+        found = _FACTOR.fullmatch(part)
+        if found is None:
+            return None
+        factors[found[1]] = factors.get(found[1], 0) + int(found[2] or 1)
+    return factors
+
+
+def product_of_units(factors: Mapping[str, int]) -> str:
+    """Return the unit with some factors and powers; "1" without any."""
+    return " ".join(f"{name}{f'^{power}' if power != 1 else ''}" for name, power in factors.items() if power) or "1"
+
+
+_NAMED_UNITS = {powers_of(units): units for units in ("N", "Pa", "Pa m^-1", "W m^-2", "W m^-3")}
 
 
 def did_you_mean(word: str, words: Iterable[str], cutoff: float = 0.6) -> str:
@@ -163,7 +203,7 @@ def variable(name: str, dtype: Any = "float64", ndim: int = 1) -> Variable:
         return VARIABLES[name]
     kind = "int64" if np.issubdtype(dtype, np.integer) else "float64"
     dims = ("contact" if name.startswith("contact_") else "particle", "component", "direction")
-    return Variable(dims[:ndim], (0, 0, 0), name.replace("_", " "), kind)
+    return Variable(dims[:ndim], "1", name.replace("_", " "), kind)
 
 
 # --- what files do not say -------------------------------------------------------------------------------
@@ -260,7 +300,7 @@ class Setup:
         )
         return cls(gravity=gravity, dimension=dimension, plane=plane, scales=scales, unit_system=unit_system, **given)
 
-    def factor(self, powers: tuple[int, int, int]) -> float:
+    def factor(self, powers: Powers) -> float:
         """Factor from the data's units to the scene's, for powers of (length, mass, time)."""
         return float(math.prod(scale**power for scale, power in zip(self.scales, powers, strict=True)))
 

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from xcg.scene.description import describe
-from xcg.scene.schema import BOX, COMPONENTS, VARIABLES, printable, units_of, variable
+from xcg.scene.schema import BOX, COMPONENTS, VARIABLES, printable, units_in, variable
 
 _WIDTH = 11  # of labels
 
@@ -80,7 +80,7 @@ def rows_of_origin(ds: xr.Dataset) -> list[tuple[str, str]]:
     gravity = ds.attrs.get("gravity")
     system, skipped = ds.attrs.get("unit_system"), str(ds.attrs.get("skipped_files", ""))
     pull = "" if gravity is None else ", ".join(f"{g:.6g}" for g in np.atleast_1d(gravity))
-    unit = units_of((1, 0, -2), system or "SI").removesuffix("1")
+    unit = units_in("m s^-2", system or "SI").removesuffix("1")
     assumed = " (assumed: the files do not name them)" if "assumed_units" in ds.attrs else ""
     return [
         ("engine", str(ds.attrs.get("engine", ""))),
@@ -108,7 +108,7 @@ def _box(ds: xr.Dataset) -> str:
     if "box" in ds and ds["box"].chunks is not None and "box_lower" not in ds.attrs:
         return "changes with time"
     edges = describe(ds).edges
-    unit = units_of((1, 0, 0), ds.attrs.get("unit_system", "SI")).removesuffix("1")
+    unit = units_in("m", ds.attrs.get("unit_system", "SI")).removesuffix("1")
     text = ", ".join(f"{a} {edges[a][0]:.6g} to {edges[a][1]:.6g}" for a in COMPONENTS if a in edges)
     text += ", tilted" * ("lattice" in ds) + ", with images that move" * ("lattice_velocity" in ds)
     changes = "box" in ds and "box_lower" not in ds.attrs and ds["box"].sizes.get("time", 1) > 1

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from xcg.scene.build import storable
 from xcg.scene.description import Description
-from xcg.scene.schema import COMPONENTS, Variable, units_of
+from xcg.scene.schema import COMPONENTS, Variable, units_in
 from xcg.steps.skip import SKIPPED, Result
 
 # attributes of a scene that hold for its results, too
@@ -56,7 +56,7 @@ def label(
     for name, array in arrays.items():
         if name != SKIPPED:
             row = variables[name]
-            about = {"units": units_of(row.powers, system), "long_name": row.long_name}
+            about = {"units": units_in(row.units, system), "long_name": row.long_name}
             data[name] = xr.Variable(("time", *row.dims), array, about)
     data |= further or {}
     # those of the scene may be changed in place

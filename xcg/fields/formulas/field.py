@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+from xcg.scene.schema import Powers, powers_of
+
 Function = Callable[[Any, Any, "Options"], Any]
 
 
@@ -92,7 +94,7 @@ class Options:
         return len(self.plane)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Field:
     """One field.
 
@@ -100,8 +102,8 @@ class Field:
     ----------
     rank : int
         0 scalar, 1 vector (``component``), 2 tensor (``component``, ``direction``).
-    powers : tuple of int
-        Powers of (length, mass, time) of its unit.
+    units : str
+        SI unit, such as "kg m^-3" or "Pa"; of a quantity with a `source` any unit, or empty.
     long_name, formula : str
         For the attributes and the table of the documentation.
     compute : callable
@@ -126,15 +128,13 @@ class Field:
         An attribute of `Options` that has to be given for it.
     paired : bool
         Whether it has the dimension ``other_phase``.
-    units : str, optional
-        Its unit, where powers of length, mass and time do not make it; empty where it is not known.
     source : str
         The variable of the scene that it is made of, where it is not one that all scenes have.
     """
 
-    rank: int
-    powers: tuple[int, int, int]
-    long_name: str
+    rank: int = 0
+    units: str = "1"
+    long_name: str = ""
     formula: str
     compute: Function
     fields: tuple[str, ...] = ()
@@ -147,10 +147,9 @@ class Field:
     default: bool = True
     option: str = ""
     paired: bool = False
-    units: str | None = None
     source: str = ""
 
-
-# powers of (length, mass, time) that many rows share
-NONE = (0, 0, 0)
-STRESS = (-1, 1, -2)
+    @property
+    def powers(self) -> Powers:
+        """Powers of (length, mass, time) of the unit."""
+        return powers_of(self.units)

@@ -13,7 +13,7 @@ from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Field, Options
 from xcg.fields.formulas.registry import FIELDS
 from xcg.fields.sums.moments import MOMENTS
-from xcg.scene.schema import COMPONENTS, unknown
+from xcg.scene.schema import COMPONENTS, powers_of, units_of, unknown
 
 _COORDINATES = ("time", "step", "skipped", *COMPONENTS, "phase", "other_phase", "component", "direction")
 _PHASES, _NODES = 3, 5  # of the trial: the bulk and two phases; the first node is empty
@@ -24,7 +24,8 @@ def register_field(
     compute: Callable[[Any, Any, Options], NDArray],
     *,
     rank: int = 0,
-    powers: Sequence[int] = (0, 0, 0),
+    units: str | None = None,
+    powers: Sequence[int] | None = None,
     long_name: str = "",
     formula: str = "",
     fields: str | Sequence[str] = (),
@@ -49,8 +50,10 @@ def register_field(
         where nothing reaches hold zeros, and NaN in what is divided by a density.
     rank : int
         0 for a scalar, 1 for a vector, 2 for a tensor.
-    powers : tuple of int
-        Powers of (length, mass, time) in its unit: (-1, 1, -2) is a stress (Pa).
+    units : str, optional
+        SI unit, a product of m, kg, s, N, Pa, J and W, such as "Pa" or "kg m^-3"; "1" by default.
+    powers : tuple of int, optional
+        Powers of (length, mass, time) of the unit instead of its name: (-1, 1, -2) is Pa.
     long_name, formula : str
         What it is, and its formula as text, for the attributes of the result.
     fields : str or list of str
@@ -77,7 +80,7 @@ def register_field(
     ...     "major_stress",
     ...     lambda f, s, o: np.linalg.eigvalsh(f.stress)[..., -1],
     ...     fields="stress",
-    ...     powers=(-1, 1, -2),
+    ...     units="Pa",
     ...     long_name="largest principal stress",
     ... )
     >>> f = xcg.datasets.simple_cubic(4).cg.coarse_grain("major_stress", axes="z")
@@ -85,8 +88,9 @@ def register_field(
     'Pa'
     """
     row = Field(
-        rank, tuple(powers), long_name or str(name).replace("_", " "), formula, compute,  # type: ignore[arg-type]
-        _names(fields), _names(moments), additive=additive, weight=weight, default=False,
+        rank=rank, units=_unit(name, units, powers), long_name=long_name or str(name).replace("_", " "),
+        formula=formula, compute=compute, fields=_names(fields), moments=_names(moments), additive=additive,
+        weight=weight, default=False,
     )  # fmt: skip
     _check(name, row)
     row = replace(row, option=next((FIELDS[need].option for need in row.fields if FIELDS[need].option), ""))
@@ -96,6 +100,24 @@ def register_field(
 
 def _names(given: str | Sequence[str]) -> tuple[str, ...]:
     return (given,) if isinstance(given, str) else tuple(given)
+
+
+def _unit(name: Any, units: str | None, powers: Sequence[int] | None) -> str:
+    """Return the unit of a field, given as text or as powers."""
+    if units is not None and powers is not None:
+        _refuse(name, f"units={units!r} and powers={powers!r} both give its unit; pass one of them")
+    if powers is not None:
+        if len(powers) != 3 or not all(isinstance(power, int) for power in powers):
+            _refuse(
+                name, f"powers={powers!r}: expected whole powers of (length, mass, time), such as (-1, 1, -2) for Pa"
+            )
+        length, mass, time = powers
+        return units_of((length, mass, time))
+    try:
+        powers_of(units or "1")
+    except ValueError as error:
+        _refuse(name, str(error))
+    return units or "1"
 
 
 def _refuse(name: Any, why: str) -> NoReturn:
@@ -112,10 +134,6 @@ def _check(name: str, row: Field) -> None:
         _refuse(name, f"compute={row.compute!r}: expected a function compute(f, s, o)")
     if row.rank not in (0, 1, 2):
         _refuse(name, f"rank={row.rank!r}: expected 0 (scalar), 1 (vector) or 2 (tensor)")
-    if len(row.powers) != 3 or not all(isinstance(power, int) for power in row.powers):
-        _refuse(
-            name, f"powers={row.powers!r}: expected whole powers of (length, mass, time), such as (-1, 1, -2) for Pa"
-        )
     if not row.fields and not row.moments:
         _refuse(name, "name the fields= or moments= that it is computed from")
     for kind, needs, known, where in (

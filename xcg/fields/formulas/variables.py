@@ -28,13 +28,25 @@ from xcg.fields.formulas.trace import at_least_zero, zero_if_unknown
 from xcg.fields.sums.moments import Moment
 from xcg.scene.contacts import Contacts
 from xcg.scene.description import Column, Description
-from xcg.scene.schema import COMPONENTS, Frame, SceneError, did_you_mean, units_of, unknown, variable
+from xcg.scene.schema import (
+    COMPONENTS,
+    Frame,
+    SceneError,
+    did_you_mean,
+    factors_of_unit,
+    powers_of,
+    product_of_units,
+    units_in,
+    units_of,
+    unknown,
+    variable,
+)
 
-# symbol, powers of (length, mass, time), and the moment and the field that are its sum
+# symbol, unit, and the moment and the field that are its sum
 WEIGHTS = {
-    "mass": ("m", (0, 1, 0), "mass", "density"),
-    "volume": ("V", (3, 0, 0), "volume", "volume_fraction"),
-    "number": ("1", (0, 0, 0), "number", "number_density"),
+    "mass": ("m", "kg", "mass", "density"),
+    "volume": ("V", "m^3", "volume", "volume_fraction"),
+    "number": ("1", "1", "number", "number_density"),
 }
 
 
@@ -239,9 +251,9 @@ class OwnField:
         }  # fmt: skip
         long_name, formula, compute, more, fields = forms[kind]
         return Field(
-            self.rank + (kind is Flux), (0, 0, 0), long_name, f"{formula}, q = {q}",
-            partial(compute, names=names, total=self._total, rank=self.rank), fields=fields, moments=(*names, *more),
-            additive=kind in (Sum, Flux), weight="" if kind in (Sum, Flux) else self._counts, units=self.units,
+            rank=self.rank + (kind is Flux), units=self.units, long_name=long_name, formula=f"{formula}, q = {q}",
+            compute=partial(compute, names=names, total=self._total, rank=self.rank), fields=fields,
+            moments=(*names, *more), additive=kind in (Sum, Flux), weight="" if kind in (Sum, Flux) else self._counts,
             source=f"variable {q!r} of the {'contacts' if self.at_contacts else 'particles'}",
         )  # fmt: skip
 
@@ -251,7 +263,7 @@ def row_of_result(field: xr.DataArray) -> Field | None:
     if "source" not in field.attrs:
         return None
     weight = str(field.attrs.get("weight", ""))
-    return Field(0, (0, 0, 0), "", "", lambda f, s, o: None, additive=not weight, weight=weight)
+    return Field(formula="", compute=lambda f, s, o: None, additive=not weight, weight=weight)
 
 
 def own_moments(own: Iterable[OwnField | registry.OwnRow]) -> dict[str, Moment]:
@@ -366,30 +378,24 @@ def _wrong_dims(name: str, found: Column, expected: tuple[str, ...]) -> str:
     )
 
 
-_UNIT = re.compile(r"([^\W\d_]+|%)(?:\^|\*\*)?(-?\d+)?")
-
-
 def _units(quantity: Quantity, weight: str, unit: str | None, system: str) -> str:
     """Return the unit of a quantity, from that of its variable; empty where the variable has none."""
     if unit is None or isinstance(quantity, Mean):
         return unit or ""
-    length, mass, _ = WEIGHTS[weight][1]
+    length, mass, _ = powers_of(WEIGHTS[weight][1])
     if isinstance(quantity, Variance):
         return _times(unit, 2, "1")
     flux = int(isinstance(quantity, Flux))
-    return _times(unit, 1, units_of((length - 3 + flux, mass, -flux), system))
+    return _times(unit, 1, units_in(units_of((length - 3 + flux, mass, -flux)), system))
 
 
 def _times(unit: str, exponent: int, other: str) -> str:
     """Return the unit of a power of what has one unit, times what has another: ``K kg m^-3``."""
-    powers: dict[str, int] = {}
-    for text, times in ((unit, exponent), (other, 1)):
-        for part in text.split() if text != "1" else ():
-            found = _UNIT.fullmatch(part)
-            if found is None:  # another way to write units
-                return f"({unit}){f'^{exponent}' if exponent > 1 else ''}" + (f" {other}" if other != "1" else "")
-            powers[found[1]] = powers.get(found[1], 0) + int(found[2] or 1) * times
-    return " ".join(f"{name}{f'^{power}' if power != 1 else ''}" for name, power in powers.items() if power) or "1"
+    factors, others = factors_of_unit(unit), factors_of_unit(other) or {}
+    if factors is None:  # another notation
+        return f"({unit}){f'^{exponent}' if exponent > 1 else ''}" + (f" {other}" if other != "1" else "")
+    names = [*factors, *(name for name in others if name not in factors)]
+    return product_of_units({name: exponent * factors.get(name, 0) + others.get(name, 0) for name in names})
 
 
 # --- sums ------------------------------------------------------------------------------------------------

@@ -24,7 +24,7 @@ from xcg.fields.request import Request
 from xcg.fields.sums.smoothing import Gaussian, Kernel, as_kernel, choose_width
 from xcg.scene.description import Description, describe, require_scene
 from xcg.scene.numbers import is_positive
-from xcg.scene.schema import COMPONENTS, units_of, unknown
+from xcg.scene.schema import COMPONENTS, units_in, unknown
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ def _from_xcg(f: xr.Dataset, names: Sequence[str], axes: str) -> xr.Dataset:
     out = {}
     for name in names:
         row = ROWS[name]
-        units = units_of(registry.FIELDS[row.ours].powers, f.attrs["unit_system"])
+        units = units_in(registry.FIELDS[row.ours].units, f.attrs["unit_system"])
         attrs = {"units": units, "long_name": f"{name} of compute continuum/chunk", "formula": row.formula}
         out[name.replace("/", "_")] = row.compute(f[row.ours], axes).assign_attrs(attrs)
     return xr.Dataset(out | {"sample_count": f["sample_count"]}, attrs=f.attrs)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from xcg.fields.choices import possible_fields
 from xcg.fields.formulas import algebra, registry
-from xcg.fields.formulas.field import NONE, Field, Options
+from xcg.fields.formulas.field import Field, Options
 from xcg.fields.formulas.trace import at_least_zero, where_positive
 from xcg.fields.formulas.variables import Quantity
 from xcg.fields.request import Request
@@ -128,14 +128,16 @@ def rows(plane: str, axes: str) -> Mapping[str, PysammosRow]:
 
     def add(
         name: str, family: str, needs: Sequence[str], formula: str, compute: Callable[..., NDArray], *given: Any,
-        rank: int = 0, units: str = "",
+        rank: int = 0, like: str = "",
     ) -> None:  # fmt: skip
-        powers = registry.FIELDS[units].powers if units else NONE
-        way = Formula(compute, given)
-        table[name] = PysammosRow(family, Field(rank, powers, name.replace("_", " "), formula, way, tuple(needs)))
+        row = Field(
+            rank=rank, units=registry.FIELDS[like].units if like else "1", long_name=name.replace("_", " "),
+            formula=formula, compute=Formula(compute, given), fields=tuple(needs),
+        )  # fmt: skip
+        table[name] = PysammosRow(family, row)
 
     for name, ours in _RENAMED.items():
-        add(name, name, (ours,), ours, getattr, ours, rank=registry.FIELDS[ours].rank, units=ours)
+        add(name, name, (ours,), ours, getattr, ours, rank=registry.FIELDS[ours].rank, like=ours)
     for dims in ("xyz", plane):
         for label, tensor, size, formula in (
             ("total_stress_tensor", "stress", algebra.stress_magnitude, "sqrt(X:X / 2)"),
@@ -146,15 +148,15 @@ def rows(plane: str, axes: str) -> Mapping[str, PysammosRow]:
                 (True, "_dev", f"deviator over {dims}"),
             ):
                 name, given = f"{label}_{dims}{end}", (tensor, index[dims], deviatoric)
-                add(name, label, (tensor,), what, _part, *given, rank=2, units=tensor)
-                add(f"{name}_mag", label, (tensor,), formula, _magnitude_of_part, *given, size, units=tensor)
+                add(name, label, (tensor,), what, _part, *given, rank=2, like=tensor)
+                add(f"{name}_mag", label, (tensor,), formula, _magnitude_of_part, *given, size, like=tensor)
     for dims in ("xyz", plane, *axes):
         formula = f"mean of sigma_aa, a in {dims}"
-        add(f"pressure_{dims}", "pressure", ("stress",), formula, _pressure, index[dims], units="stress")
+        add(f"pressure_{dims}", "pressure", ("stress",), formula, _pressure, index[dims], like="stress")
     for dims in ("xyz", *axes):
         family, formula = "granular_temperature", f"mean of fluctuation_stress_aa / density, a in {dims}"
         needs = ("fluctuation_stress", "density")
-        add(f"{family}_{dims}", family, needs, formula, _temperature, index[dims], units=family)
+        add(f"{family}_{dims}", family, needs, formula, _temperature, index[dims], like=family)
     pressures = ("xyz", plane, plane[1])
     for diameter in ("d43", "d32"):
         for dims in pressures:

@@ -17,7 +17,7 @@ from xcg.scene.description import describe, require_scene
 from xcg.scene.frame import phase_of, steps_in, without_frozen
 from xcg.scene.motion import BoxMotion, partners
 from xcg.scene.repeats import rows_of
-from xcg.scene.schema import COMPONENTS, OF_STEP, units_of
+from xcg.scene.schema import COMPONENTS, OF_STEP, units_in
 from xcg.scene.times import evenly_spaced
 from xcg.steps.each import each_step
 from xcg.steps.label import format_call, provenance
@@ -138,16 +138,16 @@ def mean_squared_displacement(
 def _label(result: xr.Dataset, lags: Sequence[int], by: str | None, known: Sequence[int]) -> xr.Dataset:
     system = result.attrs.get("unit_system", "SI")
     about = {
-        "mean_squared_displacement": ((2, 0, 0), "mean squared displacement"),
-        "displacement_products": ((2, 0, 0), "mean product of components of the displacement"),
-        "self_diffusion": ((2, 0, -1), "self-diffusion"),
-        "diffusion_coefficient": ((2, 0, -1), "coefficient of self-diffusion"),
+        "mean_squared_displacement": ("m^2", "mean squared displacement"),
+        "displacement_products": ("m^2", "mean product of components of the displacement"),
+        "self_diffusion": ("m^2 s^-1", "self-diffusion"),
+        "diffusion_coefficient": ("m^2 s^-1", "coefficient of self-diffusion"),
     }
     for name in map(str, result.data_vars):
-        powers, long_name = about.get(name.removesuffix("_error"), ((0, 0, 0), "number of displacements"))
+        units, long_name = about.get(name.removesuffix("_error"), ("1", "number of displacements"))
         error = "standard error of the " if name.endswith("_error") else ""
-        result[name].attrs = {"units": units_of(powers, system), "long_name": error + long_name}
-    second = {"units": units_of((0, 0, 1), system), "long_name": "time between the steps of a pair"}
+        result[name].attrs = {"units": units_in(units, system), "long_name": error + long_name}
+    second = {"units": units_in("s", system), "long_name": "time between the steps of a pair"}
     coords: dict[str, Any] = {
         "lag": ("lag", result["lag"].to_numpy(), second),
         "steps": ("lag", list(lags), {"long_name": "steps between"}),

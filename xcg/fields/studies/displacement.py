@@ -23,7 +23,7 @@ from xcg.fields.request import Request, takes
 from xcg.scene.description import describe, require_scene
 from xcg.scene.frame import steps_in
 from xcg.scene.motion import BoxMotion, partners
-from xcg.scene.schema import COMPONENTS, OF_STEP, PADDING, units_of, unknown
+from xcg.scene.schema import COMPONENTS, OF_STEP, PADDING, units_in, unknown
 from xcg.scene.sizes import with_measures
 from xcg.scene.times import require_rising_times
 from xcg.steps.errors import check_on_error
@@ -204,7 +204,7 @@ def _between_frames(
     arrays = map_over_time(pairs, [*read, *later], compute, results, "displacement", asked.on_error)
     f = mark_skipped(labelled(scene, plan, arrays, call), arrays)
     times = ds["time"].to_numpy()
-    second = units_of((0, 0, 1), plan.setup.unit_system)
+    second = units_in("s", plan.setup.unit_system)
     coords = {
         "interval": (times[lag:] - times[:count], {"units": second, "long_name": "time to the later frame"}),
         "left": (arrays["left"], {"long_name": "number of grains that are not in the later frame"}),

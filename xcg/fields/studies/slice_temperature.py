@@ -18,7 +18,7 @@ from xcg.scene.conform import takes_scene
 from xcg.scene.description import describe, require_scene
 from xcg.scene.frame import steps_in
 from xcg.scene.numbers import is_positive, is_whole, rising_pair
-from xcg.scene.schema import COMPONENTS, OF_STEP, SceneError, units_of
+from xcg.scene.schema import COMPONENTS, OF_STEP, SceneError, units_in
 from xcg.steps.label import mark_skipped
 from xcg.steps.map import map_over_time
 
@@ -137,14 +137,14 @@ def slice_temperature(
     coords: dict[Any, Any] = {name: ds[name].variable for name in ("time", "step") if name in ds.coords}
     table = xr.DataArray(found[_TABLE], coords, ("time", axis, "_column"))
     system = setup.unit_system
-    length = units_of((1, 0, 0), system)
+    length = units_in("m", system)
     coords |= {axis: (axis, nodes, {"units": length, "long_name": f"position along {axis}", "axis": axis.upper()})}
     velocity = table.isel(_column=slice(1, 4)).rename(_column="component")
     out = {
         "granular_temperature": table.isel(_column=0).assign_attrs(
-            units=units_of((2, 0, -2), system), long_name=f"granular temperature in slices ({method})"
+            units=units_in("m^2 s^-2", system), long_name=f"granular temperature in slices ({method})"
         ),
-        "velocity": velocity.assign_attrs(units=units_of((1, 0, -1), system), long_name="velocity of the slice"),
+        "velocity": velocity.assign_attrs(units=units_in("m s^-1", system), long_name="velocity of the slice"),
         "sample_count": table.isel(_column=4).assign_attrs(units="1", long_name="number of particles in the slice"),
     }
     attrs = {"slice_width": width, "method": method}

@@ -21,14 +21,13 @@ from xcg.scene.description import Description, describe, require_scene
 from xcg.scene.frame import steps_in, without_frozen
 from xcg.scene.lattice import Lattice
 from xcg.scene.numbers import is_positive
-from xcg.scene.schema import COMPONENTS, OF_STEP, Setup, units_of
+from xcg.scene.schema import COMPONENTS, OF_STEP, Setup, units_in
 from xcg.scene.walls import Walls, select_walls
 from xcg.scene.warn import warn_once
 from xcg.steps.label import format_call, mark_skipped, provenance
 from xcg.steps.map import map_over_time
 
 _NEEDS = ("contact_i", "contact_j", "contact_force", "contact_point")
-_STRESS = (-1, 1, -2)
 
 
 @dataclass(frozen=True)
@@ -224,12 +223,12 @@ def _smear(task: _Task, point: NDArray, values: NDArray, lattice: Lattice) -> ND
 
 def _label(ds: xr.Dataset, task: _Task, found: Mapping[str, Any]) -> xr.Dataset:
     cells, system = task.cells, task.setup.unit_system
-    length, stress, newton = (units_of(p, system) for p in ((1, 0, 0), _STRESS, (1, 1, -2)))
+    length, stress, newton = (units_in(unit, system) for unit in ("m", "Pa", "N"))
     coords: dict[str, Any] = {name: ds[name].variable for name in ("time", "step") if name in ds.coords}
     for dim, (values, text) in cells.coords.items():
         unit = {"theta": "rad", "triangle": "1"}.get(dim, length)
         coords[dim] = (dim, values, {"units": unit, "long_name": text})
-    area = {"units": units_of((2, 0, 0), system), "long_name": "area of the cell"}
+    area = {"units": units_in("m^2", system), "long_name": "area of the cell"}
     coords["area"] = (cells.dims, cells.area.reshape(cells.shape), area)
     place = {"units": length, "long_name": "centre of the cell"}
     coords["centre"] = ((*cells.dims, "component"), cells.centre.reshape(*cells.shape, 3), place)

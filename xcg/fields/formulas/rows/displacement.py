@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.fields.formulas.algebra import contraction, deviator, ratio, times, trace, transposed
-from xcg.fields.formulas.field import NONE, Field, Options
+from xcg.fields.formulas.field import Field, Options
 
 
 def _strain(f: Any, s: Any, o: Options) -> NDArray:
@@ -57,56 +57,59 @@ def _self_diffusion(f: Any, s: Any, o: Options) -> NDArray:
 
 _ROWS: dict[str, Field] = {
     "displacement": Field(
-        1, (1, 0, 0), "displacement", "u = sum m_i u_i Psi / rho, u_i = r_i(t + lag) - r_i(t)",
-        lambda f, s, o: f.velocity, fields=("velocity",), weight="density",
+        rank=1, units="m", long_name="displacement", formula="u = sum m_i u_i Psi / rho, u_i = r_i(t + lag) - r_i(t)",
+        compute=lambda f, s, o: f.velocity, fields=("velocity",), weight="density",
     ),
     "displacement_gradient": Field(
-        2, NONE, "displacement gradient, du_component / dx_direction", "H, as `velocity_gradient` with u_i for v_i",
-        lambda f, s, o: f.velocity_gradient, fields=("velocity_gradient",), weight="density",
+        rank=2, long_name="displacement gradient, du_component / dx_direction",
+        formula="H, as `velocity_gradient` with u_i for v_i", compute=lambda f, s, o: f.velocity_gradient,
+        fields=("velocity_gradient",), weight="density",
     ),
     "deformation_gradient": Field(
-        2, NONE, "deformation gradient", "F = I + H", lambda f, s, o: f.displacement_gradient + np.eye(3),
-        fields=("displacement_gradient",), weight="density",
+        rank=2, long_name="deformation gradient", formula="F = I + H",
+        compute=lambda f, s, o: f.displacement_gradient + np.eye(3), fields=("displacement_gradient",),
+        weight="density",
     ),
     "strain": Field(
-        2, NONE, "Green-Lagrange strain, extension positive", "E = (F^T F - I) / 2", _strain,
+        rank=2, long_name="Green-Lagrange strain, extension positive", formula="E = (F^T F - I) / 2", compute=_strain,
         fields=("deformation_gradient",),
     ),
     "small_strain": Field(
-        2, NONE, "small strain, extension positive", "epsilon = (H + H^T) / 2",
-        lambda f, s, o: (f.displacement_gradient + transposed(f.displacement_gradient)) / 2,
+        rank=2, long_name="small strain, extension positive", formula="epsilon = (H + H^T) / 2",
+        compute=lambda f, s, o: (f.displacement_gradient + transposed(f.displacement_gradient)) / 2,
         fields=("displacement_gradient",), weight="density",
     ),
     "volumetric_strain": Field(
-        0, NONE, "volumetric strain, dilation positive", "det F - 1", _volumetric_strain,
+        long_name="volumetric strain, dilation positive", formula="det F - 1", compute=_volumetric_strain,
         fields=("deformation_gradient",),
     ),
     "shear_strain": Field(
-        0, NONE, "magnitude of the deviatoric strain", "|dev E| = sqrt(2 dev E : dev E), E - tr(E) / D I",
-        lambda f, s, o: np.sqrt(2 * contraction(deviator(f.strain, o.plane))), fields=("strain",),
+        long_name="magnitude of the deviatoric strain", formula="|dev E| = sqrt(2 dev E : dev E), E - tr(E) / D I",
+        compute=lambda f, s, o: np.sqrt(2 * contraction(deviator(f.strain, o.plane))), fields=("strain",),
     ),
     "rotation": Field(
-        2, NONE, "rotation", "R of F = R U, U symmetric and positive; NaN where det F <= 0", _rotation,
-        fields=("deformation_gradient", "volumetric_strain"),
+        rank=2, long_name="rotation", formula="R of F = R U, U symmetric and positive; NaN where det F <= 0",
+        compute=_rotation, fields=("deformation_gradient", "volumetric_strain"),
     ),
     "rotation_vector": Field(
-        1, NONE, "axis of the rotation, times its angle (rad)", "curl(u) / 2 where it is small", _rotation_vector,
-        fields=("rotation",),
+        rank=1, long_name="axis of the rotation, times its angle (rad)", formula="curl(u) / 2 where it is small",
+        compute=_rotation_vector, fields=("rotation",),
     ),
     "nonaffine_covariance": Field(
-        2, (2, 0, 0), "covariance of the displacements about their affine fit",
-        "sum m_i u'_i u'_i Psi / rho_T, u'_i = u_i - u - H (r_i - r_bar)", _nonaffine,
+        rank=2, units="m^2", long_name="covariance of the displacements about their affine fit",
+        formula="sum m_i u'_i u'_i Psi / rho_T, u'_i = u_i - u - H (r_i - r_bar)", compute=_nonaffine,
         fields=("fluctuation_stress", "_free"), weight="fluctuation_density",
     ),
     "d2min": Field(
-        0, (2, 0, 0), "mean squared displacement of a grain about the affine fit",
-        "D2min = tr(sum m_i u'_i u'_i Psi) / rho_T", lambda f, s, o: trace(f.nonaffine_covariance, o.plane),
-        fields=("nonaffine_covariance",), weight="fluctuation_density",
+        units="m^2", long_name="mean squared displacement of a grain about the affine fit",
+        formula="D2min = tr(sum m_i u'_i u'_i Psi) / rho_T",
+        compute=lambda f, s, o: trace(f.nonaffine_covariance, o.plane), fields=("nonaffine_covariance",),
+        weight="fluctuation_density",
     ),
     "self_diffusion": Field(
-        2, (2, 0, -1), "self-diffusion of the grains over the interval of the frames",
-        "D = sum m_i u'_i u'_i Psi / (2 rho_T (t' - t))", _self_diffusion, fields=("nonaffine_covariance",),
-        moments=("interval", "number"), weight="fluctuation_density",
+        rank=2, units="m^2 s^-1", long_name="self-diffusion of the grains over the interval of the frames",
+        formula="D = sum m_i u'_i u'_i Psi / (2 rho_T (t' - t))", compute=_self_diffusion,
+        fields=("nonaffine_covariance",), moments=("interval", "number"), weight="fluctuation_density",
     ),
 }  # fmt: skip
 ROWS = {name: replace(row, option="lag") for name, row in _ROWS.items()}

@@ -7,10 +7,8 @@ from typing import Any
 from numpy.typing import NDArray
 
 from xcg.fields.formulas.algebra import dot, double_dot, times, trace
-from xcg.fields.formulas.field import STRESS, Field, Options
+from xcg.fields.formulas.field import Field, Options
 from xcg.fields.formulas.trace import zero_if_unknown
-
-_DENSITY, _FLUX, _POWER = STRESS, (0, 1, -3), (-1, 1, -3)  # J m-3 is Pa; W m-2; W m-3
 
 
 def _bulk(f: Any, s: Any) -> NDArray:
@@ -45,67 +43,70 @@ def _contact_heat_flux(f: Any, s: Any, o: Options) -> NDArray:
 
 ROWS: dict[str, Field] = {
     "kinetic_energy": Field(
-        0, _DENSITY, "density of the kinetic energy", "e = sum (m_i v_i^2 + I_i omega_i^2) / 2 Psi",
-        lambda f, s, o: s.energy, moments=("energy",), additive=True, default=False,
+        units="Pa", long_name="density of the kinetic energy", formula="e = sum (m_i v_i^2 + I_i omega_i^2) / 2 Psi",
+        compute=lambda f, s, o: s.energy, moments=("energy",), additive=True, default=False,
     ),
     "mean_kinetic_energy": Field(
-        0, _DENSITY, "density of the kinetic energy of the mean flow", "rho V^2 / 2",
-        _mean_energy, fields=("_drift",), moments=("mass", "momentum"), additive=True, default=False,
+        units="Pa", long_name="density of the kinetic energy of the mean flow", formula="rho V^2 / 2",
+        compute=_mean_energy, fields=("_drift",), moments=("mass", "momentum"), additive=True, default=False,
     ),
     "fluctuating_kinetic_energy": Field(
-        0, _DENSITY, "density of the kinetic energy of fluctuations about V", "tr(sigma^k) / 2",
-        lambda f, s, o: 0.5 * trace(f.kinetic_stress, (0, 1, 2)), fields=("kinetic_stress",), additive=True,
+        units="Pa", long_name="density of the kinetic energy of fluctuations about V", formula="tr(sigma^k) / 2",
+        compute=lambda f, s, o: 0.5 * trace(f.kinetic_stress, (0, 1, 2)), fields=("kinetic_stress",), additive=True,
         default=False,
     ),
     "rotational_kinetic_energy": Field(
-        0, _DENSITY, "density of the kinetic energy of rotation", "sum I_i omega_i^2 / 2 Psi",
-        lambda f, s, o: s.rotational_energy, moments=("rotational_energy",), additive=True, default=False,
+        units="Pa", long_name="density of the kinetic energy of rotation", formula="sum I_i omega_i^2 / 2 Psi",
+        compute=lambda f, s, o: s.rotational_energy, moments=("rotational_energy",), additive=True, default=False,
     ),
     "kinetic_energy_flux": Field(
-        1, _FLUX, "flux of kinetic energy that moving grains carry",
-        "sum (m_i v_i^2 + I_i omega_i^2) / 2 v_i Psi",
-        lambda f, s, o: s.energy_flux, moments=("energy_flux",), additive=True, default=False,
+        rank=1, units="W m^-2", long_name="flux of kinetic energy that moving grains carry",
+        formula="sum (m_i v_i^2 + I_i omega_i^2) / 2 v_i Psi", compute=lambda f, s, o: s.energy_flux,
+        moments=("energy_flux",), additive=True, default=False,
     ),
     "contact_energy_flux": Field(
-        1, _FLUX, "flux of energy through contacts",
-        "q_c = sum_c (f.u) a int_0^1 Psi(r - r_i + s a) ds, both sides, u = v_i + omega_i x b, a = -b = r_i - c",
-        lambda f, s, o: s.side_power, moments=("side_power",), additive=True, default=False,
+        rank=1, units="W m^-2", long_name="flux of energy through contacts",
+        formula="q_c = sum_c (f.u) a int_0^1 Psi(r - r_i + s a) ds, both sides, "
+        "u = v_i + omega_i x b, a = -b = r_i - c",
+        compute=lambda f, s, o: s.side_power, moments=("side_power",), additive=True, default=False,
     ),
     "kinetic_heat_flux": Field(
-        1, _FLUX, "flux of the energy of fluctuations that moving grains carry",
-        "sum (m_i v'_i^2 + I_i omega_i^2) / 2 v'_i Psi, v' = v_i - V",
-        _kinetic_heat_flux, fields=("_drift",),
+        rank=1, units="W m^-2", long_name="flux of the energy of fluctuations that moving grains carry",
+        formula="sum (m_i v'_i^2 + I_i omega_i^2) / 2 v'_i Psi, v' = v_i - V", compute=_kinetic_heat_flux,
+        fields=("_drift",),
         moments=("mass", "momentum", "kinetic", "cubes", "some_rotational_energy", "rotational_energy_flux"),
         additive=True, default=False,
     ),
     "contact_heat_flux": Field(
-        1, _FLUX, "flux of energy through contacts relative to the mean flow",
-        "q_c - V.sigma^c, which is q_c with u - V in place of u",
-        _contact_heat_flux, fields=("contact_energy_flux", "contact_stress", "_drift"), moments=("mass", "momentum"),
-        additive=True, default=False,
+        rank=1, units="W m^-2", long_name="flux of energy through contacts relative to the mean flow",
+        formula="q_c - V.sigma^c, which is q_c with u - V in place of u", compute=_contact_heat_flux,
+        fields=("contact_energy_flux", "contact_stress", "_drift"), moments=("mass", "momentum"), additive=True,
+        default=False,
     ),
     "heat_flux": Field(
-        1, _FLUX, "flux of the energy of fluctuations, by moving grains and through contacts",
-        "q = kinetic_heat_flux + contact_heat_flux",
-        lambda f, s, o: f.kinetic_heat_flux + f.contact_heat_flux, fields=("kinetic_heat_flux", "contact_heat_flux"),
-        additive=True, default=False,
+        rank=1, units="W m^-2", long_name="flux of the energy of fluctuations, by moving grains and through contacts",
+        formula="q = kinetic_heat_flux + contact_heat_flux",
+        compute=lambda f, s, o: f.kinetic_heat_flux + f.contact_heat_flux,
+        fields=("kinetic_heat_flux", "contact_heat_flux"), additive=True, default=False,
     ),
     "stress_power": Field(
-        0, _POWER, "power of the stress on the mean flow: what fluctuations gain", "-sigma : G, G of the bulk",
-        lambda f, s, o: -double_dot(f.velocity_gradient[:1], f.stress), fields=("stress", "velocity_gradient"),
-        additive=True, default=False,
+        units="W m^-3", long_name="power of the stress on the mean flow: what fluctuations gain",
+        formula="-sigma : G, G of the bulk", compute=lambda f, s, o: -double_dot(f.velocity_gradient[:1], f.stress),
+        fields=("stress", "velocity_gradient"), additive=True, default=False,
     ),
     "contact_power": Field(
-        0, _POWER, "power of contact forces on the grains", "sum_i Psi sum_c f.u = sum_i Psi (F.v_i + T.omega_i)",
-        lambda f, s, o: s.power, moments=("power",), additive=True, default=False,
+        units="W m^-3", long_name="power of contact forces on the grains",
+        formula="sum_i Psi sum_c f.u = sum_i Psi (F.v_i + T.omega_i)", compute=lambda f, s, o: s.power,
+        moments=("power",), additive=True, default=False,
     ),
     "dissipation_rate": Field(
-        0, _POWER, "power that contacts take up: dissipated, or stored while they are loaded",
-        "Gamma = -sum_c f_ij.(u_i - u_j) Psi(r - c)",
-        lambda f, s, o: s.taken_up, moments=("taken_up",), additive=True, default=False,
+        units="W m^-3", long_name="power that contacts take up: dissipated, or stored while they are loaded",
+        formula="Gamma = -sum_c f_ij.(u_i - u_j) Psi(r - c)", compute=lambda f, s, o: s.taken_up, moments=("taken_up",),
+        additive=True, default=False,
     ),
     "wall_power": Field(
-        0, _POWER, "power of moving walls on the grains", "sum_w f_iw.u_w Psi(r - c_iw), u_w of the wall",
-        lambda f, s, o: s.wall_power, moments=("wall_power",), additive=True, default=False,
+        units="W m^-3", long_name="power of moving walls on the grains",
+        formula="sum_w f_iw.u_w Psi(r - c_iw), u_w of the wall", compute=lambda f, s, o: s.wall_power,
+        moments=("wall_power",), additive=True, default=False,
     ),
 }  # fmt: skip

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.fields.formulas.algebra import contraction, deviator, mean_of, ratio, restricted, transposed
-from xcg.fields.formulas.field import NONE, STRESS, Field, Options
+from xcg.fields.formulas.field import Field, Options
 
 
 def _anisotropy(tensor: NDArray, factor: tuple[float, float], o: Options) -> NDArray:
@@ -57,56 +57,60 @@ def _redundancy_with_sliding(f: Any, s: Any, o: Options) -> NDArray:
 
 ROWS: dict[str, Field] = {
     "branch_length_density": Field(
-        0, (-2, 0, 0), "length of branches in a unit of volume", "sum_c l Psi(r - c)",
-        lambda f, s, o: s.branch_length, moments=("branch_length",), additive=True, default=False,
+        units="m^-2", long_name="length of branches in a unit of volume", formula="sum_c l Psi(r - c)",
+        compute=lambda f, s, o: s.branch_length, moments=("branch_length",), additive=True, default=False,
     ),
     "normal_force_density": Field(
-        0, (-2, 1, -2), "sum of normal forces in a unit of volume", "sum_c f.n Psi(r - c)",
-        lambda f, s, o: s.normal_force, moments=("normal_force",), additive=True, default=False,
+        units="Pa m^-1", long_name="sum of normal forces in a unit of volume", formula="sum_c f.n Psi(r - c)",
+        compute=lambda f, s, o: s.normal_force, moments=("normal_force",), additive=True, default=False,
     ),
     "contact_fabric": Field(
-        2, NONE, "mean of the contacts' normals", "Phi = sum_c n n Psi(r - c) / n_c",
-        lambda f, s, o: mean_of(s.normals, s.contacts), moments=("normals", "contacts"),
+        rank=2, long_name="mean of the contacts' normals", formula="Phi = sum_c n n Psi(r - c) / n_c",
+        compute=lambda f, s, o: mean_of(s.normals, s.contacts), moments=("normals", "contacts"),
         weight="contact_number_density", default=False,
     ),
     "branch_fabric": Field(
-        2, NONE, "normals, weighted by the branch length", "X_b = sum_c l n n Psi(r - c) / sum_c l Psi(r - c)",
-        lambda f, s, o: mean_of(s.branch_normals, s.branch_length), moments=("branch_normals", "branch_length"),
+        rank=2, long_name="normals, weighted by the branch length",
+        formula="X_b = sum_c l n n Psi(r - c) / sum_c l Psi(r - c)",
+        compute=lambda f, s, o: mean_of(s.branch_normals, s.branch_length), moments=("branch_normals", "branch_length"),
         weight="branch_length_density", default=False,
     ),
     "normal_force_fabric": Field(
-        2, NONE, "normals, weighted by the normal force", "X_n = sum_c f.n n n Psi(r - c) / sum_c f.n Psi(r - c)",
-        lambda f, s, o: ratio(s.normal_force_normals, s.normal_force), moments=("normal_force_normals", "normal_force"),
-        weight="normal_force_density", default=False,
+        rank=2, long_name="normals, weighted by the normal force",
+        formula="X_n = sum_c f.n n n Psi(r - c) / sum_c f.n Psi(r - c)",
+        compute=lambda f, s, o: ratio(s.normal_force_normals, s.normal_force),
+        moments=("normal_force_normals", "normal_force"), weight="normal_force_density", default=False,
     ),
     "tangential_force_fabric": Field(
-        2, NONE, "tangential forces by normal", "X_t = sum_c f_t n Psi(r - c) / sum_c f.n Psi(r - c)",
-        lambda f, s, o: ratio(s.tangential_normals, s.normal_force), moments=("tangential_normals", "normal_force"),
-        weight="normal_force_density", default=False,
+        rank=2, long_name="tangential forces by normal", formula="X_t = sum_c f_t n Psi(r - c) / sum_c f.n Psi(r - c)",
+        compute=lambda f, s, o: ratio(s.tangential_normals, s.normal_force),
+        moments=("tangential_normals", "normal_force"), weight="normal_force_density", default=False,
     ),
     "contact_anisotropy": Field(
-        0, NONE, "anisotropy of the contacts",
-        "a_c = sqrt(3/2 a:a), a = 15/2 dev Phi, 2D: sqrt(a:a / 2), a = 4 dev Phi",
-        lambda f, s, o: _anisotropy(f.contact_fabric, _NORMAL, o), fields=("contact_fabric",), default=False,
+        long_name="anisotropy of the contacts",
+        formula="a_c = sqrt(3/2 a:a), a = 15/2 dev Phi, 2D: sqrt(a:a / 2), a = 4 dev Phi",
+        compute=lambda f, s, o: _anisotropy(f.contact_fabric, _NORMAL, o), fields=("contact_fabric",), default=False,
     ),
     "branch_anisotropy": Field(
-        0, NONE, "anisotropy of the branch lengths", "a_b, from a = 15/2 dev (X_b - Phi), 2D: 4 dev (X_b - Phi)",
-        lambda f, s, o: _anisotropy(f.branch_fabric - f.contact_fabric, _NORMAL, o),
+        long_name="anisotropy of the branch lengths",
+        formula="a_b, from a = 15/2 dev (X_b - Phi), 2D: 4 dev (X_b - Phi)",
+        compute=lambda f, s, o: _anisotropy(f.branch_fabric - f.contact_fabric, _NORMAL, o),
         fields=("branch_fabric", "contact_fabric"), default=False,
     ),
     "normal_force_anisotropy": Field(
-        0, NONE, "anisotropy of the normal forces", "a_n, from a = 15/2 dev (X_n - Phi), 2D: 4 dev (X_n - Phi)",
-        lambda f, s, o: _anisotropy(f.normal_force_fabric - f.contact_fabric, _NORMAL, o),
+        long_name="anisotropy of the normal forces",
+        formula="a_n, from a = 15/2 dev (X_n - Phi), 2D: 4 dev (X_n - Phi)",
+        compute=lambda f, s, o: _anisotropy(f.normal_force_fabric - f.contact_fabric, _NORMAL, o),
         fields=("normal_force_fabric", "contact_fabric"), default=False,
     ),
     "tangential_force_anisotropy": Field(
-        0, NONE, "anisotropy of the tangential forces", "a_t, from a = 5 dev X_t, 2D: 4 dev X_t",
-        lambda f, s, o: _anisotropy(f.tangential_force_fabric, _TANGENTIAL, o), fields=("tangential_force_fabric",),
-        default=False,
+        long_name="anisotropy of the tangential forces", formula="a_t, from a = 5 dev X_t, 2D: 4 dev X_t",
+        compute=lambda f, s, o: _anisotropy(f.tangential_force_fabric, _TANGENTIAL, o),
+        fields=("tangential_force_fabric",), default=False,
     ),
     "fabric_stress": Field(
-        2, STRESS, "stress that the tensors of contacts give back", "n_c <f.n> <l> (X_n + X_b - Phi + X_t)",
-        _fabric_stress,
+        rank=2, units="Pa", long_name="stress that the tensors of contacts give back",
+        formula="n_c <f.n> <l> (X_n + X_b - Phi + X_t)", compute=_fabric_stress,
         fields=(
             "normal_force_density", "branch_length_density", "contact_number_density", "normal_force_fabric",
             "branch_fabric", "contact_fabric", "tangential_force_fabric",
@@ -114,28 +118,31 @@ ROWS: dict[str, Field] = {
         default=False,
     ),
     "strong_contact_stress": Field(
-        2, STRESS, "contact stress of contacts that push more than the mean of the step",
-        "sigma^c of contacts with f.n > <f.n>, the mean over all contacts with f.n > 0",
-        lambda f, s, o: s.strong_contact, moments=("strong_contact",), additive=True, default=False,
+        rank=2, units="Pa", long_name="contact stress of contacts that push more than the mean of the step",
+        formula="sigma^c of contacts with f.n > <f.n>, the mean over all contacts with f.n > 0",
+        compute=lambda f, s, o: s.strong_contact, moments=("strong_contact",), additive=True, default=False,
     ),
     "weak_contact_stress": Field(
-        2, STRESS, "contact stress of all other contacts", "sigma^c less that of strong contacts",
-        lambda f, s, o: f.contact_stress - f.strong_contact_stress, fields=("contact_stress", "strong_contact_stress"),
-        additive=True, default=False,
+        rank=2, units="Pa", long_name="contact stress of all other contacts",
+        formula="sigma^c less that of strong contacts",
+        compute=lambda f, s, o: f.contact_stress - f.strong_contact_stress,
+        fields=("contact_stress", "strong_contact_stress"), additive=True, default=False,
     ),
     "bearing_number_density": Field(
-        0, (-3, 0, 0), "number density of grains that may bear load", "sum Psi over z_i > 1",
-        lambda f, s, o: s.bearing, moments=("bearing",), additive=True, default=False,
+        units="m^-3", long_name="number density of grains that may bear load", formula="sum Psi over z_i > 1",
+        compute=lambda f, s, o: s.bearing, moments=("bearing",), additive=True, default=False,
     ),
     "mechanical_coordination_number": Field(
-        0, NONE, "coordination number of grains that may bear load", "Z_mech = sum z_i Psi / sum Psi over z_i > 1",
-        lambda f, s, o: mean_of(s.bearing_partners, s.bearing), moments=("bearing_partners", "bearing"),
+        long_name="coordination number of grains that may bear load",
+        formula="Z_mech = sum z_i Psi / sum Psi over z_i > 1",
+        compute=lambda f, s, o: mean_of(s.bearing_partners, s.bearing), moments=("bearing_partners", "bearing"),
         weight="bearing_number_density", default=False,
     ),
     "redundancy_number": Field(
-        0, NONE, "constraints of contacts over degrees of freedom of grains that may bear load",
-        "sum_c (D - (D - 1) s_c) Psi(r - c) / (D (D + 1) / 2 sum Psi), s_c = 1 if |f_t| = friction f.n, over z_i > 1",
-        _redundancy, moments=("bearing_contacts", "bearing"), weight="bearing_number_density", default=False,
+        long_name="constraints of contacts over degrees of freedom of grains that may bear load",
+        formula="sum_c (D - (D - 1) s_c) Psi(r - c) / (D (D + 1) / 2 sum Psi), "
+        "s_c = 1 if |f_t| = friction f.n, over z_i > 1",
+        compute=_redundancy, moments=("bearing_contacts", "bearing"), weight="bearing_number_density", default=False,
     ),
 }  # fmt: skip
 

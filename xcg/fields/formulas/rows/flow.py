@@ -24,7 +24,7 @@ from xcg.fields.formulas.algebra import (
     trace,
     transposed,
 )
-from xcg.fields.formulas.field import NONE, STRESS, Field, Function, Options
+from xcg.fields.formulas.field import Field, Function, Options
 from xcg.fields.formulas.trace import at_least_zero, trace_fit, where_positive, zero_if_unknown
 
 LINEAR = ("count", "mass", "momentum", "offset", "shear", "spread")
@@ -203,63 +203,70 @@ def _shear_rate(f: Any, s: Any, o: Options) -> NDArray:
 
 ROWS: dict[str, Field] = {
     "momentum_density": Field(
-        1, (-2, 1, -1), "momentum density", "p = sum m_i v_i Psi",
-        lambda f, s, o: s.momentum + s.mass[..., None] * s.reference, moments=("mass", "momentum"), additive=True,
+        rank=1, units="kg m^-2 s^-1", long_name="momentum density", formula="p = sum m_i v_i Psi",
+        compute=lambda f, s, o: s.momentum + s.mass[..., None] * s.reference, moments=("mass", "momentum"),
+        additive=True,
     ),
     "velocity": Field(
-        1, (1, 0, -1), "velocity", "V = p / rho",
-        lambda f, s, o: f._drift + s.reference, fields=("_drift",), moments=("mass", "momentum"), weight="density",
-    ),
-    "velocity_gradient": Field(
-        2, (0, 0, -1), "velocity gradient, dV_component / dx_direction",
-        "G = [sum m Psi (v_i - V)(r_i - r_bar)] M^-1, M = sum m Psi (r_i - r_bar)(r_i - r_bar)",
-        lambda f, s, o: f._fit.gradient * f._fit.determined[..., None, :], fields=("_fit",), weight="density",
-    ),
-    "shear_rate_tensor": Field(
-        2, (0, 0, -1), "shear rate tensor", "Gamma = (G + G^T) / 2",
-        lambda f, s, o: (f.velocity_gradient + transposed(f.velocity_gradient)) / 2, fields=("velocity_gradient",),
+        rank=1, units="m s^-1", long_name="velocity", formula="V = p / rho",
+        compute=lambda f, s, o: f._drift + s.reference, fields=("_drift",), moments=("mass", "momentum"),
         weight="density",
     ),
+    "velocity_gradient": Field(
+        rank=2, units="s^-1", long_name="velocity gradient, dV_component / dx_direction",
+        formula="G = [sum m Psi (v_i - V)(r_i - r_bar)] M^-1, M = sum m Psi (r_i - r_bar)(r_i - r_bar)",
+        compute=lambda f, s, o: f._fit.gradient * f._fit.determined[..., None, :], fields=("_fit",), weight="density",
+    ),
+    "shear_rate_tensor": Field(
+        rank=2, units="s^-1", long_name="shear rate tensor", formula="Gamma = (G + G^T) / 2",
+        compute=lambda f, s, o: (f.velocity_gradient + transposed(f.velocity_gradient)) / 2,
+        fields=("velocity_gradient",), weight="density",
+    ),
     "shear_rate": Field(
-        0, (0, 0, -1), "shear rate", "|Gamma| = sqrt(2 Gamma:Gamma)", _shear_rate, fields=("shear_rate_tensor",)
+        units="s^-1", long_name="shear rate", formula="|Gamma| = sqrt(2 Gamma:Gamma)", compute=_shear_rate,
+        fields=("shear_rate_tensor",),
     ),
     "kinetic_stress": Field(
-        2, STRESS, "kinetic stress", "sigma^k = sum m_i (v_i - V)(v_i - V) Psi",
-        _kinetic_stress, fields=("_drift",), moments=("mass", "momentum", "kinetic"), additive=True,
+        rank=2, units="Pa", long_name="kinetic stress", formula="sigma^k = sum m_i (v_i - V)(v_i - V) Psi",
+        compute=_kinetic_stress, fields=("_drift",), moments=("mass", "momentum", "kinetic"), additive=True,
     ),
     "fluctuation_stress": Field(
-        2, STRESS, "kinetic stress about the velocity at the particles",
-        "sum m_i v'_i v'_i Psi, v'_i = v_i - V - G (r_i - r_bar)",
-        _fluctuation_stress, fields=("_fit", "_drift", "velocity_gradient", "kinetic_stress"),
-        moments=(*LINEAR, "kinetic"), additive=True,
+        rank=2, units="Pa", long_name="kinetic stress about the velocity at the particles",
+        formula="sum m_i v'_i v'_i Psi, v'_i = v_i - V - G (r_i - r_bar)", compute=_fluctuation_stress,
+        fields=("_fit", "_drift", "velocity_gradient", "kinetic_stress"), moments=(*LINEAR, "kinetic"), additive=True,
     ),
     "fluctuation_density": Field(
-        0, (-3, 1, 0), "density of what fluctuates: that of the mixture less what V and G take",
-        "rho_T = rho - tr(P^-1 sum (m_i Psi)^2 p_i p_i), P = sum m_i Psi p_i p_i, p_i = (1, r_i - r_bar)",
-        _fluctuation_density, fields=("_taken",), moments=("mass",), additive=True,
+        units="kg m^-3", long_name="density of what fluctuates: that of the mixture less what V and G take",
+        formula="rho_T = rho - tr(P^-1 sum (m_i Psi)^2 p_i p_i), P = sum m_i Psi p_i p_i, p_i = (1, r_i - r_bar)",
+        compute=_fluctuation_density, fields=("_taken",), moments=("mass",), additive=True,
     ),
     "granular_temperature": Field(
-        0, (2, 0, -2), "granular temperature", "T = tr(sum m_i v'_i v'_i Psi) / (D rho_T)",
-        _temperature, fields=("fluctuation_stress", "_free"), weight="fluctuation_density",
+        units="m^2 s^-2", long_name="granular temperature", formula="T = tr(sum m_i v'_i v'_i Psi) / (D rho_T)",
+        compute=_temperature, fields=("fluctuation_stress", "_free"), weight="fluctuation_density",
     ),
     "directional_temperature": Field(
-        1, (2, 0, -2), "granular temperature of the fluctuations along each axis",
-        "T_k = sum m_i v'_ik v'_ik Psi / rho_T", _temperature_along, fields=("fluctuation_stress", "_free"),
-        weight="fluctuation_density",
+        rank=1, units="m^2 s^-2", long_name="granular temperature of the fluctuations along each axis",
+        formula="T_k = sum m_i v'_ik v'_ik Psi / rho_T", compute=_temperature_along,
+        fields=("fluctuation_stress", "_free"), weight="fluctuation_density",
     ),
     "effective_count": Field(
-        0, NONE, "effective number of particles, which errors of one step follow from",
-        "N_eff = (sum m_i Psi)^2 / sum (m_i Psi)^2",
-        lambda f, s, o: ratio(s.mass * s.mass, s.square), moments=("mass", "square"), weight="density",
+        long_name="effective number of particles, which errors of one step follow from",
+        formula="N_eff = (sum m_i Psi)^2 / sum (m_i Psi)^2", compute=lambda f, s, o: ratio(s.mass * s.mass, s.square),
+        moments=("mass", "square"), weight="density",
     ),
-    "_drift": Field(1, (1, 0, -1), "", "V - U", _drift, moments=("mass", "momentum"), listed=False),
-    "_fit": Field(2, (0, 0, -1), "", "B M^+", _fit, fields=("_drift",), moments=LINEAR, listed=False),
+    "_drift": Field(
+        rank=1, units="m s^-1", formula="V - U", compute=_drift, moments=("mass", "momentum"), listed=False
+    ),
+    "_fit": Field(
+        rank=2, units="s^-1", formula="B M^+", compute=_fit, fields=("_drift",), moments=LINEAR, listed=False
+    ),
     "_taken": Field(
-        0, (-3, 1, 0), "", "rho - rho_T", _taken_by_fit, fields=("_fit",), moments=(*LINEAR, *SQUARES), listed=False
+        units="kg m^-3", formula="rho - rho_T", compute=_taken_by_fit, fields=("_fit",), moments=(*LINEAR, *SQUARES),
+        listed=False,
     ),
     "_free": Field(
-        0, (-3, 1, 0), "", "rho_T, where known", _free, fields=("fluctuation_density",), moments=("count", "mass"),
-        listed=False,
+        units="kg m^-3", formula="rho_T, where known", compute=_free, fields=("fluctuation_density",),
+        moments=("count", "mass"), listed=False,
     ),
 }  # fmt: skip
 # other ways to a field: the option that chooses, and the row for each of its values that is not the default

@@ -10,7 +10,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from xcg.fields.formulas.algebra import mean_of
-from xcg.fields.formulas.field import NONE, Field, Options
+from xcg.fields.formulas.field import Field, Options
 from xcg.fields.formulas.trace import zero_if_unknown
 
 
@@ -21,19 +21,18 @@ def _segregation_flux(f: Any, s: Any, o: Options) -> NDArray:
 
 ROWS: dict[str, Field] = {
     "interphase_force": Field(
-        1, (-2, 1, -2), "density of the contact forces of another phase, or of walls, on each phase",
-        "sum_c f_ij Psi(r - c), i in the phase and j in other_phase",
-        lambda f, s, o: s.pair_force, moments=("pair_force",), additive=True, default=False, option="by",
-        paired=True,
+        rank=1, units="Pa m^-1", long_name="density of the contact forces of another phase, or of walls, on each phase",
+        formula="sum_c f_ij Psi(r - c), i in the phase and j in other_phase", compute=lambda f, s, o: s.pair_force,
+        moments=("pair_force",), additive=True, default=False, option="by", paired=True,
     ),
     "segregation_flux": Field(
-        1, (-2, 1, -1), "flux of a phase's mass relative to the bulk", "rho_a (V_a - V)",
-        _segregation_flux, fields=("_drift",), moments=("mass", "momentum"), additive=True, default=False,
-        option="by",
+        rank=1, units="kg m^-2 s^-1", long_name="flux of a phase's mass relative to the bulk",
+        formula="rho_a (V_a - V)", compute=_segregation_flux, fields=("_drift",), moments=("mass", "momentum"),
+        additive=True, default=False, option="by",
     ),
     "concentration": Field(
-        0, NONE, "share of a phase in the volume of the grains", "c_a = phi_a / phi",
-        lambda f, s, o: mean_of(f.volume_fraction, f.volume_fraction[:1]), fields=("volume_fraction",),
+        long_name="share of a phase in the volume of the grains", formula="c_a = phi_a / phi",
+        compute=lambda f, s, o: mean_of(f.volume_fraction, f.volume_fraction[:1]), fields=("volume_fraction",),
         weight="volume_fraction", by_bulk=True, default=False, option="by",
     ),
 }  # fmt: skip

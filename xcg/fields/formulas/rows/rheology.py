@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.fields.formulas.algebra import deviator, mean_normal, ratio, restricted, stress_magnitude
-from xcg.fields.formulas.field import NONE, STRESS, Field, Options
+from xcg.fields.formulas.field import Field, Options
 from xcg.fields.formulas.trace import where_positive
 
 
@@ -29,45 +29,48 @@ def _viscous_number(f: Any, s: Any, o: Options) -> NDArray:
 
 ROWS: dict[str, Field] = {
     "stress": Field(
-        2, STRESS, "stress, compression positive", "sigma = sigma^c + sigma^k",
-        lambda f, s, o: f.contact_stress + f.kinetic_stress, fields=("contact_stress", "kinetic_stress"), additive=True,
+        rank=2, units="Pa", long_name="stress, compression positive", formula="sigma = sigma^c + sigma^k",
+        compute=lambda f, s, o: f.contact_stress + f.kinetic_stress, fields=("contact_stress", "kinetic_stress"),
+        additive=True,
     ),
     "pressure": Field(
-        0, STRESS, "pressure", "p = tr(sigma) / D",
-        lambda f, s, o: mean_normal(f.stress, o.pressure_axes or o.plane), fields=("stress",), additive=True,
+        units="Pa", long_name="pressure", formula="p = tr(sigma) / D",
+        compute=lambda f, s, o: mean_normal(f.stress, o.pressure_axes or o.plane), fields=("stress",), additive=True,
     ),
     "deviatoric_stress": Field(
-        2, STRESS, "deviatoric stress", "dev sigma = sigma - tr(sigma) / D I",
-        lambda f, s, o: deviator(restricted(f.stress, o.shear_axes), o.shear_axes or o.plane),
+        rank=2, units="Pa", long_name="deviatoric stress", formula="dev sigma = sigma - tr(sigma) / D I",
+        compute=lambda f, s, o: deviator(restricted(f.stress, o.shear_axes), o.shear_axes or o.plane),
         fields=("stress",), additive=True,
     ),
     "shear_stress": Field(
-        0, STRESS, "magnitude of the deviatoric stress", "|dev sigma| = sqrt(dev sigma : dev sigma / 2)",
-        _shear_stress, fields=("stress", "deviatoric_stress"),
+        units="Pa", long_name="magnitude of the deviatoric stress",
+        formula="|dev sigma| = sqrt(dev sigma : dev sigma / 2)", compute=_shear_stress,
+        fields=("stress", "deviatoric_stress"),
     ),
     "friction_coefficient": Field(
-        0, NONE, "friction coefficient", "mu = |dev sigma| / p, where p > 0",
-        lambda f, s, o: ratio(f.shear_stress, f.pressure), fields=("shear_stress", "pressure"),
+        long_name="friction coefficient", formula="mu = |dev sigma| / p, where p > 0",
+        compute=lambda f, s, o: ratio(f.shear_stress, f.pressure), fields=("shear_stress", "pressure"),
     ),
     "inertial_number": Field(
-        0, NONE, "inertial number", "I = |Gamma| d / sqrt(p / rho_p), d = d43 by default, where p > 0",
-        _inertial_number, fields=("shear_rate", "pressure", "particle_density", "_size"),
+        long_name="inertial number", formula="I = |Gamma| d / sqrt(p / rho_p), d = d43 by default, where p > 0",
+        compute=_inertial_number, fields=("shear_rate", "pressure", "particle_density", "_size"),
     ),
     "viscous_number": Field(
-        0, NONE, "viscous number", "J = eta_f |Gamma| / p, where p > 0",
-        _viscous_number, fields=("shear_rate", "pressure"), option="fluid_viscosity",
+        long_name="viscous number", formula="J = eta_f |Gamma| / p, where p > 0", compute=_viscous_number,
+        fields=("shear_rate", "pressure"), option="fluid_viscosity",
     ),
     "effective_viscosity": Field(
-        0, NONE, "effective viscosity relative to that of the fluid", "eta_s = mu / J = |dev sigma| / (eta_f |Gamma|)",
-        lambda f, s, o: ratio(f.friction_coefficient, f.viscous_number),
+        long_name="effective viscosity relative to that of the fluid",
+        formula="eta_s = mu / J = |dev sigma| / (eta_f |Gamma|)",
+        compute=lambda f, s, o: ratio(f.friction_coefficient, f.viscous_number),
         fields=("friction_coefficient", "viscous_number"), option="fluid_viscosity",
     ),
-    "_size": Field(0, (1, 0, 0), "", "d43", lambda f, s, o: f.d43, fields=("d43",), listed=False),
+    "_size": Field(units="m", formula="d43", compute=lambda f, s, o: f.d43, fields=("d43",), listed=False),
 }  # fmt: skip
 
 
 def _size_of_scene(name: str) -> Field:
-    return Field(0, (1, 0, 0), "", name, lambda f, s, o: np.asarray(o.diameter or np.nan), listed=False)
+    return Field(units="m", formula=name, compute=lambda f, s, o: np.asarray(o.diameter or np.nan), listed=False)
 
 
 # other ways to a field, as in `xcg.fields.formulas.rows.flow`

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.fields.formulas.algebra import mean_of, outer, ratio
-from xcg.fields.formulas.field import STRESS, Field, Options
+from xcg.fields.formulas.field import Field, Options
 from xcg.fields.formulas.trace import at_least_zero, where_positive, zero_if_unknown
 
 # of the moment "rotation": I, I o and I o o (xx xy xz yy yz zz) with o relative to the node, and (I Psi)^2
@@ -48,54 +48,57 @@ def _temperature(f: Any, s: Any, o: Options) -> NDArray:
 
 ROWS: dict[str, Field] = {
     "vorticity": Field(
-        1, (0, 0, -1), "vorticity, twice the rate at which the flow turns", "curl V, of the velocity gradient G",
-        _vorticity, fields=("velocity_gradient",), weight="density", default=False,
+        rank=1, units="s^-1", long_name="vorticity, twice the rate at which the flow turns",
+        formula="curl V, of the velocity gradient G", compute=_vorticity, fields=("velocity_gradient",),
+        weight="density", default=False,
     ),
     "inertia_density": Field(
-        0, (-1, 1, 0), "density of the moments of inertia", "sum I_i Psi",
-        lambda f, s, o: s.inertia, moments=("inertia",), additive=True, default=False,
+        units="kg m^-1", long_name="density of the moments of inertia", formula="sum I_i Psi",
+        compute=lambda f, s, o: s.inertia, moments=("inertia",), additive=True, default=False,
     ),
     "spin_density": Field(
-        1, (-1, 1, -1), "density of the spin", "sum I_i omega_i Psi",
-        lambda f, s, o: s.spin, moments=("spin",), additive=True, default=False,
+        rank=1, units="kg m^-1 s^-1", long_name="density of the spin", formula="sum I_i omega_i Psi",
+        compute=lambda f, s, o: s.spin, moments=("spin",), additive=True, default=False,
     ),
     "spin": Field(
-        1, (0, 0, -1), "mean angular velocity of the grains", "omega = sum I_i omega_i Psi / sum I_i Psi",
-        lambda f, s, o: mean_of(s.spin, s.inertia), moments=("spin", "inertia"), weight="inertia_density",
-        default=False,
+        rank=1, units="s^-1", long_name="mean angular velocity of the grains",
+        formula="omega = sum I_i omega_i Psi / sum I_i Psi", compute=lambda f, s, o: mean_of(s.spin, s.inertia),
+        moments=("spin", "inertia"), weight="inertia_density", default=False,
     ),
     "spin_flux": Field(
-        2, (0, 1, -2), "flux of spin that moving grains carry", "sum I_i omega_i v_i Psi",
-        lambda f, s, o: s.spin_flux, moments=("spin_flux",), additive=True, default=False,
+        rank=2, units="kg s^-2", long_name="flux of spin that moving grains carry", formula="sum I_i omega_i v_i Psi",
+        compute=lambda f, s, o: s.spin_flux, moments=("spin_flux",), additive=True, default=False,
     ),
     "spin_fluctuation": Field(
-        2, STRESS, "fluctuations of the angular velocity, twice their energy",
-        "sum I_i omega'_i omega'_i Psi, omega' = omega_i - omega",
-        _fluctuation, moments=("rotation",), additive=True, default=False,
+        rank=2, units="Pa", long_name="fluctuations of the angular velocity, twice their energy",
+        formula="sum I_i omega'_i omega'_i Psi, omega' = omega_i - omega", compute=_fluctuation, moments=("rotation",),
+        additive=True, default=False,
     ),
     "fluctuation_inertia": Field(
-        0, (-1, 1, 0), "inertia of what fluctuates: all less what the mean takes",
-        "I_T = sum I_i Psi - sum (I_i Psi)^2 / sum I_i Psi",
-        _fluctuation_inertia, moments=("rotation",), additive=True, default=False,
+        units="kg m^-1", long_name="inertia of what fluctuates: all less what the mean takes",
+        formula="I_T = sum I_i Psi - sum (I_i Psi)^2 / sum I_i Psi", compute=_fluctuation_inertia,
+        moments=("rotation",), additive=True, default=False,
     ),
     "rotational_temperature": Field(
-        0, (2, 0, -2), "rotational temperature",
-        "tr(sum I_i omega'_i omega'_i Psi) / (D_r rho) sum I_i Psi / I_T, D_r = 3, or 1 in a plane",
-        _temperature, fields=("spin_fluctuation", "fluctuation_inertia", "inertia_density", "density", "sample_count"),
-        default=False,
+        units="m^2 s^-2", long_name="rotational temperature",
+        formula="tr(sum I_i omega'_i omega'_i Psi) / (D_r rho) sum I_i Psi / I_T, D_r = 3, or 1 in a plane",
+        compute=_temperature,
+        fields=("spin_fluctuation", "fluctuation_inertia", "inertia_density", "density", "sample_count"), default=False,
     ),
     "torque_density": Field(
-        1, STRESS, "density of the torques of contact forces on the grains", "sum_i Psi sum_c b x f, b = c - r_i",
-        lambda f, s, o: s.torque, moments=("torque",), additive=True, default=False,
+        rank=1, units="Pa", long_name="density of the torques of contact forces on the grains",
+        formula="sum_i Psi sum_c b x f, b = c - r_i", compute=lambda f, s, o: s.torque, moments=("torque",),
+        additive=True, default=False,
     ),
     "contact_couple_density": Field(
-        1, STRESS, "couple of contact forces at the contact points: antisymmetric part of the contact stress",
-        "sum_c (b_i - b_j) x f_ij Psi(r - c)",
-        lambda f, s, o: s.contact_couple, moments=("contact_couple",), additive=True, default=False,
+        rank=1, units="Pa",
+        long_name="couple of contact forces at the contact points: antisymmetric part of the contact stress",
+        formula="sum_c (b_i - b_j) x f_ij Psi(r - c)", compute=lambda f, s, o: s.contact_couple,
+        moments=("contact_couple",), additive=True, default=False,
     ),
     "couple_stress": Field(
-        2, (0, 1, -2), "couple stress: flux of spin through contacts",
-        "sum_c (b x f) a int_0^1 Psi(r - r_i + s a) ds, both sides, a = r_i - c = -b",
-        lambda f, s, o: s.couple, moments=("couple",), additive=True, default=False,
+        rank=2, units="kg s^-2", long_name="couple stress: flux of spin through contacts",
+        formula="sum_c (b x f) a int_0^1 Psi(r - r_i + s a) ds, both sides, a = r_i - c = -b",
+        compute=lambda f, s, o: s.couple, moments=("couple",), additive=True, default=False,
     ),
 }  # fmt: skip
