@@ -169,7 +169,7 @@ def test_a_folder_of_other_things_is_not_replaced(tmp_path):
 @pytest.mark.parametrize("lazy", [False, True])
 def test_chunks_are_as_zarr_writes_them(tmp_path, monkeypatch, lazy, options):
     """The same files with the same bytes, also where a chunk is blank, or reaches beyond the last step."""
-    monkeypatch.setattr("xcg.writers.zarr._steps_together", lambda ds, over: 2)
+    monkeypatch.setattr("xcg.writers.zarr._steps_together", lambda layout: 2)
     f = steps_of_random_scenes(5).cg.coarse_grain(["density", "granular_temperature", "stress"], axes="z")
     f["density"][:4] = np.nan
     f["count"] = ("time", "z"), np.zeros((5, f.sizes["z"]), int)
@@ -272,7 +272,7 @@ def test_a_store_that_cannot_take_its_place_leaves_the_old_one(tmp_path, monkeyp
     real = Path.rename
 
     def rename(self, other):
-        if self.suffix == ".part":
+        if self.parent.suffix == ".part":
             raise OSError(errno.EIO, "broken")
         return real(self, other)
 

@@ -69,21 +69,24 @@ def run(
             return
         with _dashboard(jobs) if dashboard else nullcontext():
             steps = run_job(job, overwrite=overwrite, resume=resume, jobs=jobs)
-            done, count = next(steps)
-            if done and not quiet:
-                click.echo(f"{done} of {count} steps are there from an earlier run", err=True)
+            done = 0
 
             def kept() -> str:
-                return f"{done} of {count} steps are kept; the same command goes on from there"
+                return f"{done} steps are kept; the same command goes on from there"
 
-            last_words.append(kept)
             try:
+                done, count = next(steps)
+                if done and not quiet:
+                    click.echo(f"{done} of {count} steps are there from an earlier run", err=True)
+                last_words.append(kept)
                 with shown(count, not quiet, done=done) as bar:
                     for done, _ in steps:
                         bar.update(done - bar.n)
             except OSError as error:
+                if error.errno is not None:  # not of a full disk
+                    raise
                 raise click.ClickException(f"{error}\n{kept()}") from error
             finally:
-                last_words.remove(kept)
+                last_words.clear()
     if not quiet:
         click.echo(printable(f"{count} steps in {job.folder}"))

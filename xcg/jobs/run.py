@@ -1,17 +1,18 @@
-"""A job from files to files: one step after the other, each written as soon as it is there, so that a run resumes."""
+"""A job from files to files, which resumes: each step is written as soon as it is computed."""
 
 from __future__ import annotations
 
 import glob
 import hashlib
 import inspect
-import json
 import os
 import shutil
-import uuid
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Generator, Iterator, Mapping
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import version
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -28,18 +29,16 @@ from xcg.readers.series import open_scene
 from xcg.scene.conform import conform
 from xcg.scene.phases import assign_phases, find_phases
 from xcg.scene.schema import SceneError, unknown
-from xcg.steps.each import chunks_of_time, each_step
-from xcg.steps.errors import collecting, listen_for_skips
-from xcg.steps.label import name_skipped
+from xcg.steps.errors import collecting
 from xcg.steps.skip import SKIPPED
 from xcg.writers.encoding import Encoding
-from xcg.writers.files import leftovers, whole_file
-from xcg.writers.lock import locked
-from xcg.writers.netcdf import write_netcdf
+from xcg.writers.files import publish
+from xcg.writers.netcdf import NETCDF
+from xcg.writers.resume import Mismatch
+from xcg.writers.store import Format, Layout, Parts, joined, write_files
+from xcg.writers.vtkhdf import VTKHDF, write_vtkhdf
 
 _JOB = "job"  # attribute of the output: which job made it
-_BECAUSE = "skipped_because"
-_HEADER = 1 << 16  # bytes of a NetCDF file besides its values
 
 
 def open_job(job: Job) -> tuple[xr.Dataset, xr.Dataset, xr.Dataset | None]:
@@ -117,8 +116,8 @@ def run_job(
 ) -> Iterator[tuple[int, int]]:
     """Run a job, yielding the number of steps done and to do after each batch; the files are whole at the end.
 
-    Steps are kept in a hidden folder until all are there. A run that was interrupted goes on where it was, unless the
-    job or its input changed.
+    Files are written step by step in a hidden folder until all steps are there. A run that was interrupted goes on
+    where it was, unless the job or its input changed.
 
     Parameters
     ----------
@@ -143,56 +142,113 @@ def run_job(
     """
     _, fields, slices = open_job(job)
     mark = _signature(job)
-    series = {"fields": fields} if fields.data_vars else {}
+    series = {job.name: fields} if fields.data_vars else {}
     if slices is not None:
-        series["slices"] = slices
-    series = {name: data.assign_attrs({_JOB: mark}) for name, data in series.items()}
+        series[_slices_name(job)] = slices
     job.folder.mkdir(parents=True, exist_ok=True)
-    stems = [job.name] if "fields" in series else []
-    stems += [_slices_name(job)] if slices is not None else []
-    with ExitStack() as held:
-        for stem in stems:
-            held.enter_context(locked(job.folder / f".{stem}.lock", f"{job.folder / stem}"))
-        targets = list(_targets(job, fields, slices))
-        parts = job.folder / f".{job.name}.parts"
-        if not _begin(parts, targets, mark, overwrite=overwrite, resume=resume):
-            count = next(iter(series.values())).sizes["time"]
-            yield count, count
-            return
-        chunks = chunks_of_time(series.values())
-        yield from _compute(parts, series, chunks, jobs or os.cpu_count() or 1)
-        for name in series:
-            _assemble(job, name, [_part(parts, name, steps) for steps in chunks])
-        done = parts.with_name(f"{parts.name}.{uuid.uuid4().hex[:8]}")
-        parts.rename(done)  # at once, so that no half of it is taken for a run to go on with
-        shutil.rmtree(done)
-
-
-def _begin(parts: Path, targets: list[Path], mark: str, *, overwrite: bool, resume: bool) -> bool:
-    """Make the folder of steps, or keep the one that is there; False where the job has ended already."""
-    begun = (parts / "job").exists() and (parts / "job").read_text() == mark
+    outputs = [_Output(job, stem, data.assign_attrs({_JOB: mark})) for stem, data in series.items()]
+    count = next(iter(series.values())).sizes["time"]
+    targets = [path for output in outputs for path in output.paths()]
+    begun = any((output.work / "state.json").exists() for output in outputs)
     there = [path for path in targets if path.exists()]
-    if resume and not begun and not overwrite:
-        if targets and there == targets and all(_made_by(path) == mark for path in targets):
-            return False
-        if (parts / "job").exists():
-            raise SceneError(
-                f"{parts} is of a run whose job or input was another: files changed, or were added, since; start over "
-                "without --resume, or with --overwrite"
-            )
+    if resume and not (begun or overwrite) and there == targets and all(_made_by(path) == mark for path in targets):
+        yield count, count
+        return
     if there and not (overwrite or begun):
-        raise FileExistsError(f"{there[0]} exists; choose another output folder or name, or overwrite it (--overwrite)")
-    for old in parts.parent.glob(f"{glob.escape(parts.name)}.*"):
-        shutil.rmtree(old, ignore_errors=True)
-    for target in targets:
-        for left in leftovers(target):
-            left.unlink(missing_ok=True)
-    if not begun:
-        shutil.rmtree(parts, ignore_errors=True)
-        parts.mkdir()
-        with whole_file(parts / "job", overwrite=True) as path:
-            path.write_text(mark)
-    return True
+        raise _exists(there[0])
+    try:
+        yield from _run(outputs, count, jobs, mark)
+    except Mismatch as error:
+        if resume and not overwrite:
+            raise SceneError(
+                f"{error.folder} is of a run whose job or input was another: files changed, or were added, since; "
+                "start over without --resume, or with --overwrite"
+            ) from error
+        if there and not overwrite:
+            raise _exists(there[0]) from None
+        for output in outputs:
+            shutil.rmtree(output.work, ignore_errors=True)
+        yield from _run(outputs, count, jobs, mark)
+
+
+def _exists(path: Path) -> FileExistsError:
+    return FileExistsError(f"{path} exists; choose another output folder or name, or overwrite it (--overwrite)")
+
+
+def _run(outputs: list[_Output], count: int, jobs: int | None, mark: str) -> Iterator[tuple[int, int]]:
+    """Write all outputs side by side, a batch of chunks each in turn."""
+    with ExitStack() as held:
+        runs = [held.enter_context(closing(output.write(mark, jobs or os.cpu_count() or 1))) for output in outputs]
+        done = dict(enumerate(map(next, runs)))
+        yield min(done.values()), count
+        for numbers in zip_longest(*runs):
+            done |= {k: number for k, number in enumerate(numbers) if number is not None}
+            yield min(done.values()), count
+
+
+@dataclass(frozen=True)
+class _Output:
+    """A Dataset, and the files that a job wants of it; their names begin with `stem`."""
+
+    job: Job
+    stem: str
+    ds: xr.Dataset
+
+    @property
+    def work(self) -> Path:
+        return self.job.folder / f".{self.stem}.begun"
+
+    def _files(self) -> dict[Path, Format]:
+        netcdf = {self.job.folder / f"{self.stem}{self.job.suffix}": NETCDF}
+        if self.stem != self.job.name:  # slices are no image
+            return netcdf
+        vtkhdf = {self.job.folder / f"{self.stem}.vtkhdf": VTKHDF} if self.job.vtkhdf == "temporal" else {}
+        return (netcdf if self.job.netcdf else {}) | vtkhdf
+
+    def _images(self) -> list[Path]:
+        """Files of one step each."""
+        if self.stem != self.job.name or self.job.vtkhdf != "steps":
+            return []
+        return [self.job.folder / f"{self.stem}_{int(step):04d}.vtkhdf" for step in self.ds["step"].to_numpy()]
+
+    def paths(self) -> list[Path]:
+        return [*self._files(), *self._images()]
+
+    def write(self, mark: str, batch: int) -> Generator[int, None, None]:
+        encoding, files, images = Encoding.of(self.ds, **self.job.encoding), self._files(), self._images()
+        if images:
+            begin, whole = partial(_Images, [path.name for path in images]), partial(_whole_images, images)
+            files[self.job.folder / f"{self.stem}.images"] = Format("VTKHDF by steps", begin, whole=whole)
+        return write_files(self.ds, files, encoding, overwrite=True, work=self.work, mark=mark, batch=batch)
+
+
+class _Images:
+    """VTKHDF files of one step each, in a folder."""
+
+    def __init__(self, files: list[str], layout: Layout, folder: Path, begun: bool) -> None:
+        folder.mkdir(exist_ok=True)
+        names = [name for name in layout.over if name in layout.ds.data_vars]
+        self._ds = layout.ds.drop_vars(layout.over)
+        self._about = {name: (layout.ds[name].dims, layout.ds[name].attrs) for name in names}
+        self._encoding, self._paths = layout.encoding, [folder / file for file in files]
+
+    def __call__(self, parts: Parts, steps: slice) -> None:
+        """Write the files of these steps."""
+        values = {name: (dims, joined(parts[name]), attrs) for name, (dims, attrs) in self._about.items()}
+        some = self._ds.isel(time=steps).assign(values)
+        for t, path in enumerate(self._paths[steps]):
+            write_vtkhdf(some.isel(time=[t]), path, self._encoding, overwrite=True)
+
+    def describe(self, attrs: Mapping[str, Any]) -> None:
+        """Add nothing: images say nothing of other steps."""
+
+
+@contextmanager
+def _whole_images(images: list[Path], path: Path, *, overwrite: bool, part: Path) -> Iterator[Path]:
+    """Give the files in the folder `part` their names in the end."""
+    yield part
+    for image in images:
+        publish(part / image.name, image, overwrite=overwrite)
 
 
 def _made_by(path: Path) -> str | None:
@@ -205,32 +261,6 @@ def _made_by(path: Path) -> str | None:
     except OSError:
         return None
     return found.decode() if isinstance(found, bytes) else found
-
-
-def _part(parts: Path, name: str, steps: slice) -> Path:
-    return parts / f"{name}.{steps.start}-{steps.stop}.nc"
-
-
-def _compute(
-    parts: Path, series: Mapping[str, xr.Dataset], chunks: Sequence[slice], batch: int
-) -> Iterator[tuple[int, int]]:
-    """Write the chunks of time that are not there, some at a time."""
-    todo = [steps for steps in chunks if not all(_part(parts, name, steps).exists() for name in series)]
-    count, left = chunks[-1].stop, sum(steps.stop - steps.start for steps in todo)
-    yield count - left, count
-    for first in range(0, len(todo), batch):
-        some = todo[first : first + batch]
-        for name, data in series.items():
-            with listen_for_skips() as causes:
-                computed = dask.compute(*(data.isel(time=steps) for steps in some))
-            for steps, chunk in zip(some, computed, strict=True):
-                numbers = chunk["step"].to_numpy().tolist() if "step" in chunk.coords else []
-                here = {str(number): causes[number] for number in numbers if number in causes}
-                marked = chunk.assign_attrs({_BECAUSE: json.dumps(here)}) if here else chunk
-                with whole_file(_part(parts, name, steps), overwrite=True, room=chunk.nbytes + _HEADER) as path:
-                    marked.to_netcdf(path, engine="netcdf4")
-        left -= sum(steps.stop - steps.start for steps in some)
-        yield count - left, count
 
 
 def _signature(job: Job) -> str:
@@ -249,51 +279,5 @@ def _signature(job: Job) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _targets(job: Job, fields: xr.Dataset, slices: xr.Dataset | None) -> Iterator[Path]:
-    if fields.data_vars:
-        if job.netcdf:
-            yield job.folder / f"{job.name}{job.suffix}"
-        yield from _vtkhdf_paths(job, fields)
-    if slices is not None:
-        yield job.folder / f"{_slices_name(job)}{job.suffix}"
-
-
 def _slices_name(job: Job) -> str:
     return "CG_GranularTemperature_slices" if job.suffix == ".h5" else f"{job.name}_slices"
-
-
-def _vtkhdf_paths(job: Job, fields: xr.Dataset) -> list[Path]:
-    if job.vtkhdf == "steps":
-        return [job.folder / f"{job.name}_{int(step):04d}.vtkhdf" for step in fields["step"].to_numpy()]
-    return [job.folder / f"{job.name}.vtkhdf"] if job.vtkhdf else []
-
-
-def _assemble(job: Job, name: str, parts: list[Path]) -> None:
-    """One file with all steps, and VTKHDF, from the files of the chunks."""
-    from xcg.writers.vtkhdf import to_vtkhdf
-
-    opened = [xr.open_dataset(path, chunks={}) for path in parts]
-    try:
-        failed = [json.loads(chunk.attrs.pop(_BECAUSE)) for chunk in opened if _BECAUSE in chunk.attrs]
-        causes = [f"step {step}: {cause}" for chunk in failed for step, cause in chunk.items()]
-        whole = xr.concat(opened, "time", data_vars="all", coords="minimal", compat="override", join="override",
-                          combine_attrs="override")  # fmt: skip
-        if SKIPPED in whole.coords:
-            whole = name_skipped(whole.assign_coords({SKIPPED: whole[SKIPPED].compute()}))
-        if causes:
-            whole = whole.assign_attrs({_BECAUSE: "\n".join(causes)})
-        stem = job.name if name == "fields" else _slices_name(job)
-        if job.netcdf or name == "slices":
-            file = job.folder / f"{stem}{job.suffix}"
-            write_netcdf(whole, file, Encoding.of(whole, **job.encoding), overwrite=True, room=whole.nbytes + _HEADER)
-        if name == "slices":
-            return
-        paths = _vtkhdf_paths(job, whole)
-        if job.vtkhdf == "steps":
-            for step, path in zip(each_step(whole), paths, strict=True):
-                to_vtkhdf(step, path, overwrite=True, **job.encoding)
-        elif paths:
-            to_vtkhdf(whole, paths[0], overwrite=True, **job.encoding)
-    finally:
-        for data in opened:
-            data.close()

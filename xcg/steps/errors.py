@@ -119,6 +119,11 @@ def listen_for_skips() -> Iterator[dict[int, str]]:
         _listeners.remove(found)
 
 
+def skips_heard() -> dict[int, str]:
+    """Faults of the steps that were skipped in this process while somebody listens."""
+    return {step: cause for listener in list(_listeners) for step, cause in listener.items()}
+
+
 def warn_of(faults: Mapping[int, str]) -> None:
     """Warn of every step that was skipped."""
     for step, cause in faults.items():

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import errno
 import glob
-import io
 import os
 import shutil
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    import h5py
+from typing import Any
 
 # Files and folders that go when their writers end; `abandon` removes them where writers cannot.
 temporary: set[Path] = set()
@@ -24,7 +20,7 @@ _LITTLE = 1 << 20  # bytes; a disk with less is full
 
 
 @contextmanager
-def whole_file(path: Path, *, overwrite: bool, room: int = 0) -> Iterator[Path]:
+def whole_file(path: Path, *, overwrite: bool, room: int = 0, part: Path | None = None) -> Iterator[Path]:
     """Give a temporary name beside `path` to write to; rename it in the end, or remove it after an error.
 
     Parameters
@@ -36,6 +32,8 @@ def whole_file(path: Path, *, overwrite: bool, room: int = 0) -> Iterator[Path]:
     room : int
         Bytes that it will take, if known: they are asked of the disk first, because the NetCDF library does not
         recover from a disk that fills while it writes.
+    part : Path, optional
+        Name to write to instead, which stays after an error.
 
     Raises
     ------
@@ -49,21 +47,24 @@ def whole_file(path: Path, *, overwrite: bool, room: int = 0) -> Iterator[Path]:
         If it cannot be written, as where the disk is full. Nothing is left behind then.
     """
     check_file(path, overwrite=overwrite)
-    part = part_of(path)
-    temporary.add(part)
+    own = part is None
+    part = part or part_of(path)
+    if own:
+        temporary.add(part)
     try:
         if room:
-            _reserve(part, room)
+            reserve(part, room)
         yield part
         publish(part, path, overwrite=overwrite)
     except (OSError, RuntimeError) as error:  # netCDF4 raises RuntimeError
-        problem = _cannot_write(path, error)
+        problem = _cannot_write(path, error, "" if part.parent.suffix == ".begun" else ", and nothing was left behind")
         if problem is None:
             raise
         raise problem from error
     finally:
-        part.unlink(missing_ok=True)
-        temporary.discard(part)
+        if own:
+            part.unlink(missing_ok=True)
+            temporary.discard(part)
 
 
 def write_by_vtk(writer: Any, data: Any, path: Path, *, overwrite: bool) -> None:
@@ -122,7 +123,7 @@ def leftovers(path: Path) -> list[Path]:
     return list(path.parent.glob(f".{glob.escape(path.name)}.{'[0-9a-f]' * 8}.part"))
 
 
-def _reserve(part: Path, room: int) -> None:
+def reserve(part: Path, room: int) -> None:
     """Take room on the disk, and give it back."""
     if not hasattr(os, "posix_fallocate"):
         if shutil.disk_usage(part.parent).free < room:
@@ -131,63 +132,6 @@ def _reserve(part: Path, room: int) -> None:
     with open(part, "wb") as file:
         os.posix_fallocate(file.fileno(), 0, room)
     part.unlink()
-
-
-class Sink(io.FileIO):
-    """A file for the HDF5 library, which crashes after a write that failed: from a full disk on, data are lost instead.
-
-    Attributes
-    ----------
-    problem : OSError or None
-        The first error; `check` raises it.
-    """
-
-    def __init__(self, path: Path, mode: str) -> None:
-        super().__init__(path, mode)
-        self.problem: OSError | None = None
-
-    def write(self, data: Any) -> int:
-        """Write all of the data, or remember why not."""
-        view, at = memoryview(data).cast("B"), 0
-        try:
-            while self.problem is None and at < len(view):
-                at += super().write(view[at:]) or 0
-        except OSError as error:
-            self.problem = error
-        return len(view)
-
-    def readinto(self, buffer: Any) -> int:
-        """Read; zeros in place of what was lost."""
-        view = memoryview(buffer).cast("B")
-        got = super().readinto(view) or 0
-        if self.problem is not None and got < len(view):
-            view[got:] = bytes(len(view) - got)
-            return len(view)
-        return got
-
-    def truncate(self, size: int | None = None) -> int:
-        """Change the size, or remember why not."""
-        try:
-            return super().truncate(size)
-        except OSError as error:
-            self.problem = self.problem or error
-        return size or 0
-
-    def check(self) -> None:
-        """Raise the first error that occurred."""
-        if self.problem is not None:
-            raise self.problem
-
-
-@contextmanager
-def hdf5_file(path: Path, mode: str) -> Iterator[h5py.File]:
-    """Open an HDF5 file to make it ("w") or to write into it ("r+"); what the disk refused is raised in the end."""
-    import h5py  # slow to import
-
-    with Sink(path, {"w": "wb+", "r+": "rb+"}[mode]) as sink:
-        with h5py.File(sink, mode) as file:
-            yield file
-        sink.check()
 
 
 def publish(part: Path, path: Path, *, overwrite: bool) -> None:
@@ -206,7 +150,7 @@ def publish(part: Path, path: Path, *, overwrite: bool) -> None:
     os.replace(part, path)
 
 
-def _cannot_write(path: Path, error: Exception) -> OSError | None:
+def _cannot_write(path: Path, error: Exception, left: str) -> OSError | None:
     """Say plainly that a file cannot be written; None where the error is another one."""
     number = getattr(error, "errno", None)
     free = _LITTLE
@@ -215,9 +159,9 @@ def _cannot_write(path: Path, error: Exception) -> OSError | None:
     text = str(error)
     if number in _FULL or free < _LITTLE:
         full = "a file may not be larger here" if number == errno.EFBIG else "the disk is full"
-        msg = f"{path}: {full} ({free / 1e6:.0f} MB free), and nothing was left behind; make room and run again"
+        msg = f"{path}: {full} ({free / 1e6:.0f} MB free){left}; make room and run again"
         return OSError(msg)
     if isinstance(error, RuntimeError) and "HDF" in text:
-        msg = f"{path}: cannot be written ({error}), and nothing was left behind; is the disk full or out of reach?"
+        msg = f"{path}: cannot be written ({error}){left}; is the disk full or out of reach?"
         return OSError(msg)
     return None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 from xcg.writers.files import check_target, exists_message, leftovers, part_of, remove, temporary
@@ -12,12 +12,13 @@ from xcg.writers.lock import locked
 
 
 @contextmanager
-def whole_folder(path: Path, *, overwrite: bool) -> Iterator[Path]:
+def whole_folder(path: Path, *, overwrite: bool, part: Path | None = None) -> Iterator[Path]:
     """Give a temporary name beside `path` to make a folder at; rename it in the end, or remove it after an error.
 
     What it replaces is put aside before, and removed after. So one of both is there whole at any moment, if need be
     under the name ``.<name>.replaced``: where a process was killed in between, the next writer gives it its name back,
-    and removes what such a process left. Only the writer that holds the lock ``.<name>.lock`` does any of this.
+    and removes what such a process left. Only the writer that holds the lock ``.<name>.lock`` does any of this. `part`
+    is a name to make it at instead, which stays after an error.
 
     Raises
     ------
@@ -29,9 +30,9 @@ def whole_folder(path: Path, *, overwrite: bool) -> Iterator[Path]:
     check_target(path, overwrite=overwrite)
     with locked(path.with_name(f".{path.name}.lock"), str(path)):
         aside = path.with_name(f".{path.name}.replaced")
-        _recover(path, aside)
+        _recover(path, aside, part)
         check_target(path, overwrite=overwrite)
-        with _part(path) as part:
+        with _part(path) if part is None else nullcontext(part) as part:
             yield part
             if overwrite and path.exists():
                 path.rename(aside)
@@ -66,16 +67,17 @@ def _part(path: Path) -> Iterator[Path]:
     try:
         yield part
     finally:
-        _remove_for_good(part)
+        remove_for_good(part)
         temporary.discard(part)
 
 
-def _recover(path: Path, aside: Path) -> None:
+def _recover(path: Path, aside: Path, work: Path | None) -> None:
     """Finish what a writer that was killed left half done."""
     if aside.exists() and not path.exists():
         aside.rename(path)
     for left in (aside, *leftovers(path)):
-        remove(left)
+        if work is None or left not in work.parents:
+            remove(left)
 
 
 def _publish(part: Path, path: Path, aside: Path) -> None:
@@ -90,7 +92,7 @@ def _publish(part: Path, path: Path, aside: Path) -> None:
         raise
 
 
-def _remove_for_good(folder: Path) -> None:
+def remove_for_good(folder: Path) -> None:
     """Remove a folder that tasks may write to for another moment, as they do after one of them failed."""
     for _ in range(100):
         if not folder.exists():

@@ -25,6 +25,8 @@ from xcg.steps.each import chunks_of_time, each_step
 from xcg.writers.encoding import Encoding
 from xcg.writers.files import check_target, part_of, remove, whole_file
 from xcg.writers.lock import locked
+from xcg.writers.store import write_file
+from xcg.writers.zarr import ZARR
 
 _CDF5: Any = "NETCDF3_64BIT_DATA"  # which xarray hands on, though its annotations do not list it
 # attributes that tell fields of one kind from those of another
@@ -87,9 +89,7 @@ class _Zarr:
         self.path = path
 
     def create(self, first: xr.Dataset, *, overwrite: bool) -> None:
-        from xcg.writers.zarr import write_zarr
-
-        write_zarr(first, self.path, Encoding(level=1), overwrite=overwrite)
+        write_file(first, self.path, Encoding(level=1), ZARR, overwrite=overwrite)
 
     def append(self, values: dict[str, np.ndarray], at: int) -> None:
         import zarr

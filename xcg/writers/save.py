@@ -10,9 +10,9 @@ from typing import Protocol
 import xarray as xr
 from numpy.typing import DTypeLike
 
-from xcg.writers.chunks import telling
 from xcg.writers.encoding import Encoding
 from xcg.writers.files import check_target
+from xcg.writers.store import Format, write_file
 
 
 class Writer(Protocol):
@@ -26,12 +26,12 @@ class Writer(Protocol):
         """Write a Dataset."""
 
 
-# by suffix: a writer, or its module and name, which is imported when it is needed
+# by suffix: a writer, or the module and name of a writer or `Format`, which is imported when it is needed
 _WRITERS: dict[str, Writer | tuple[str, str]] = {
-    ".nc": ("xcg.writers.netcdf", "write_netcdf"),
-    ".h5": ("xcg.writers.netcdf", "write_netcdf"),
-    ".zarr": ("xcg.writers.zarr", "write_zarr"),
-    ".vtkhdf": ("xcg.writers.vtkhdf", "write_vtkhdf"),
+    ".nc": ("xcg.writers.netcdf", "NETCDF"),
+    ".h5": ("xcg.writers.netcdf", "NETCDF"),
+    ".zarr": ("xcg.writers.zarr", "ZARR"),
+    ".vtkhdf": ("xcg.writers.vtkhdf", "VTKHDF"),
     ".pvd": ("xcg.writers.vti", "write_pvd"),
 }
 
@@ -78,6 +78,7 @@ def save(
     dtype: DTypeLike | None = None,
     digits: int | None = None,
     compression: int | None = None,
+    resume: bool = False,
     progress: bool | None = None,
 ) -> Path:
     """Write a scene or a result, as the name says: NetCDF, HDF5, Zarr or VTKHDF.
@@ -110,6 +111,10 @@ def save(
     compression : int, optional
         Level of compression, 1 (fastest) to 9, or 0 for none. By default 1 for scenes, and for fields of fewer digits
         or single precision; none for fields of full precision, which become a fifth smaller only.
+    resume : bool
+        Continue a file that an earlier call of this kind began, of the same scene, by the same call, and that was
+        interrupted: steps that are complete are kept. Until the file is whole, it is in a hidden folder beside it,
+        ``.<name>.begun``, which stays when the call fails or its process ends. For NetCDF, HDF5, Zarr and VTKHDF.
     progress : bool, optional
         Tell how far it is on the standard error: always or never. By default in a terminal or notebook where it takes
         longer than two seconds. Only lazy variables are counted, and not those that a cluster computes.
@@ -125,10 +130,13 @@ def save(
         If it exists and `overwrite` is False, or another process is writing the same Zarr folder.
     ImportError
         If Zarr is not installed.
+    SceneError
+        If the file to resume was begun for another scene or by another call; the message says what differs.
     TypeError
         If variables are quantities of pint.
     ValueError
-        If the name ends otherwise, or `dtype`, `digits` or `compression` is none of those above.
+        If the name ends otherwise, `resume` is asked for in another format, or `dtype`, `digits` or `compression` is
+        none of those above.
     """
     path = Path(path)
     if path.suffix not in _WRITERS:
@@ -145,7 +153,13 @@ def save(
     encoding = Encoding.of(ds, dtype, digits, compression)
     check_target(path, overwrite=overwrite)
     writer = _WRITERS[path.suffix]
-    write: Writer = getattr(importlib.import_module(writer[0]), writer[1]) if isinstance(writer, tuple) else writer
-    with telling(ds, progress):
-        write(ds, path, encoding, overwrite=overwrite)
+    found = getattr(importlib.import_module(writer[0]), writer[1]) if isinstance(writer, tuple) else writer
+    if isinstance(found, Format) and not (found.name == "VTKHDF" and "chain_id" in ds):
+        write_file(ds, path, encoding, found, overwrite=overwrite, resume=resume, progress=progress)
+        return path
+    if resume:
+        raise ValueError(f"{path}: resume=True continues scenes and fields in .nc, .h5, .zarr and .vtkhdf only")
+    if isinstance(found, Format):
+        found = importlib.import_module("xcg.writers.vtkhdf").write_vtkhdf
+    found(ds, path, encoding, overwrite=overwrite)
     return path

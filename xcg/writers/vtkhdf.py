@@ -8,8 +8,9 @@ VTK does not report the time; it stands in ``Steps/Values`` all the same.
 from __future__ import annotations
 
 import os
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,16 +21,16 @@ from numpy.typing import DTypeLike, NDArray
 from xcg.scene.conform import in_order, labels_along
 from xcg.scene.times import with_time
 from xcg.writers import chains
-from xcg.writers.chunks import joined, lock_for, over_time, write_chunks
 from xcg.writers.encoding import Encoding
-from xcg.writers.files import hdf5_file, whole_file
+from xcg.writers.hdf5 import Array, Hdf5, hdf5_file
+from xcg.writers.store import Format, Layout, write_file
 
 if TYPE_CHECKING:
     import h5py
 
 AXES = ("x", "y", "z")
 _ON_DISK = ("time", "z", "y", "x", "component", "direction")  # x runs fastest among nodes
-_BLOCK = 1 << 22  # bytes of one compressed block on disk
+_BLOCK = 1 << 22  # bytes of a chunk on disk, of one step
 
 
 def to_vtkhdf(
@@ -93,14 +94,8 @@ def write_vtkhdf(ds: xr.Dataset, path: Path, encoding: Encoding, *, overwrite: b
     """Write fields as an image, chains as poly data."""
     if "chain_id" in ds:
         chains.to_vtkhdf(ds, path, overwrite=overwrite)
-        return
-    fields = encoding.noted(checked(ds))
-    image = Image.of(fields)
-    arrays = arrays_of(fields)
-    with whole_file(path, overwrite=overwrite) as part:
-        with hdf5_file(part, "w") as file:
-            _lay_out(file, fields, image, arrays, encoding)
-        _fill(part, fields, image, arrays, encoding)
+    else:
+        write_file(ds, path, encoding, VTKHDF, overwrite=overwrite)
 
 
 # --- what is written -------------------------------------------------------------------------------------
@@ -280,8 +275,30 @@ def times_of(fields: xr.Dataset) -> NDArray | None:
 # --- the file --------------------------------------------------------------------------------------------
 
 
-def _lay_out(file: h5py.File, fields: xr.Dataset, image: Image, arrays: list[_Array], encoding: Encoding) -> None:
-    """Write all but the values."""
+def _begin(layout: Layout, path: Path, begun: bool) -> Hdf5:
+    image, rows = Image.of(layout.ds), arrays_of(layout.ds)
+    found = []
+    for row in rows:
+        chunk = _blocks(image.shape(row.components), row.dtype.itemsize, layout.steps if image.temporal else 0)
+        values = partial(_on_disk, row, layout.ds[row.variable].dims, image)
+        found.append(Array(f"VTKHDF/PointData/{row.name}", row.variable, chunk, values, image.temporal))
+    if not begun:
+        with hdf5_file(path, "w") as file:
+            _lay_out(file, layout, image, rows, [array.chunk for array in found])
+    over = [array for array in found if array.variable in layout.over]
+    return Hdf5.of(path, over, layout.encoding, layout.threads, "xcg")
+
+
+def _on_disk(row: _Array, dims: tuple[Hashable, ...], image: Image, values: NDArray) -> NDArray:
+    found = row.values(xr.Variable(dims, values), image)
+    return found if image.temporal else found[0]
+
+
+def _lay_out(
+    file: h5py.File, layout: Layout, image: Image, arrays: list[_Array], chunks: list[tuple[int, ...]]
+) -> None:
+    """Write all but the values over time."""
+    fields, encoding = layout.ds, layout.encoding
     root = file.create_group("VTKHDF")
     root.attrs["Version"] = (2, 0)
     root.attrs["Type"] = np.bytes_("ImageData")  # the reader takes ASCII of fixed length only
@@ -290,15 +307,14 @@ def _lay_out(file: h5py.File, fields: xr.Dataset, image: Image, arrays: list[_Ar
     root.attrs["Spacing"] = image.spacing
     root.attrs["Direction"] = np.eye(3).ravel()
     data = root.create_group("PointData")
-    for array in arrays:
-        shape = image.shape(array.components)
-        blocks: dict[str, Any] = {}
-        dtype = encoding.type_of(array.dtype)
-        if encoding.level:
-            chunks = _disk_blocks(shape, dtype.itemsize, image.temporal)
-            blocks = {"chunks": chunks, "compression": "gzip", "compression_opts": encoding.level, "shuffle": True}
-        target = data.create_dataset(array.name, shape, dtype, **blocks)
+    packed = {"compression": "gzip", "compression_opts": encoding.level, "shuffle": True} if encoding.level else {}
+    for array, chunk in zip(arrays, chunks, strict=True):
+        shape, dtype = image.shape(array.components), encoding.type_of(array.dtype)
+        target = data.create_dataset(array.name, shape, dtype, chunks=chunk, **packed)
         _describe(target, fields[array.variable].attrs)
+        if array.variable not in layout.over:
+            values = encoding.reduced(array.values(fields[array.variable].variable, image))
+            target[...] = values if image.temporal else values[0]
     if image.times is not None:
         steps = root.create_group("Steps")
         steps.attrs["NSteps"] = len(image.times)
@@ -310,15 +326,13 @@ def _lay_out(file: h5py.File, fields: xr.Dataset, image: Image, arrays: list[_Ar
     _describe(file.create_group("xcg"), fields.attrs)
 
 
-def _disk_blocks(shape: tuple[int, ...], itemsize: int, temporal: bool) -> tuple[int, ...]:
-    """Shape of compressed blocks: slabs of one step; many steps together where a step is small."""
-    block = list(shape)
-    first = 1 if temporal and len(shape) > 1 else 0
-    slab = itemsize * int(np.prod(shape[first + 1 :]))
-    block[first] = int(np.clip(_BLOCK // slab, 1, shape[first]))
-    if first:
-        step = itemsize * int(np.prod(shape[1:]))
-        block[0] = int(np.clip((1 << 16) // step, 1, shape[0]))
+def _blocks(shape: tuple[int, ...], itemsize: int, steps: int) -> tuple[int, ...]:
+    """Shape of the chunks on disk: some steps (0 where time is no axis), cut into slabs where these are large."""
+    block = [min(steps, shape[0]), *shape[1:]] if steps else list(shape)
+    first = 1 if steps else 0
+    if first < len(block):
+        slab = itemsize * int(np.prod(block[:first])) * int(np.prod(block[first + 1 :]))
+        block[first] = int(np.clip(_BLOCK // slab, 1, shape[first]))
     return tuple(block)
 
 
@@ -336,45 +350,4 @@ def _describe(target: Any, attrs: Mapping[Any, Any]) -> None:
             target.attrs[str(key)] = str(value)
 
 
-# --- its values ------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class _Target:
-    """Where values go: the file, its arrays, and the lock that lets one task at a time in."""
-
-    path: Path
-    lock: Any
-    image: Image
-    arrays: Sequence[_Array]
-    dims: Mapping[str, tuple[Hashable, ...]]
-    encoding: Encoding
-
-    def __call__(self, parts: Mapping[str, Sequence[NDArray]], steps: slice) -> None:
-        """Write variables that are in `parts`, whole or some steps of them."""
-        ready = {
-            array.name: self.encoding.reduced(
-                array.values(xr.Variable(self.dims[array.variable], joined(parts[array.variable])), self.image)
-            )
-            for array in self.arrays
-            if array.variable in parts
-        }
-        with self.lock, hdf5_file(self.path, "r+") as file:
-            for name, block in ready.items():
-                target = file["VTKHDF/PointData"][name]
-                if self.image.temporal:
-                    target[steps] = block
-                else:
-                    target[...] = block[0]
-
-
-def _fill(part: Path, fields: xr.Dataset, image: Image, arrays: list[_Array], encoding: Encoding) -> None:
-    """Write all values."""
-    lazy = over_time(fields)
-    now = fields.drop_vars(lazy).compute().data_vars
-    dims = {str(name): data.dims for name, data in now.items()}
-    dims |= {name: fields[name].transpose("time", ...).dims for name in lazy}
-    write = _Target(part, lock_for(part), image, arrays, dims, encoding)
-    for name, data in now.items():
-        write({str(name): [data.to_numpy()]}, slice(None))
-    write_chunks(fields, write)
+VTKHDF = Format("VTKHDF", _begin, check=lambda ds: checked(ds))

@@ -6,21 +6,20 @@ import json
 import os
 import sys
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.scene.extras import extra
-from xcg.writers.chunks import joined
 from xcg.writers.encoding import Encoding
 from xcg.writers.files import part_of
 from xcg.writers.folders import whole_folder
-from xcg.writers.layout import chunk_shape, outline, prepared, steps_in_chunk, write_all
+from xcg.writers.store import Format, Layout, Parts, joined
 
 # Bytes of a chunk of a variable, on average, where steps are shorter: a small file takes more time than its numbers.
 _CHUNK = 4_000_000
@@ -31,6 +30,7 @@ _TOGETHER = 128_000_000
 # Chunks of one variable are files in one folder: by default each has up to six folders of its own, and making these
 # takes longer than writing small chunks.
 _KEYS = {"name": "default", "separator": "."}
+_NOT_STANDARD = "Consolidated metadata is currently not part"
 _ZARR = ("zarr.json", ".zgroup", ".zarray")  # what folders of Zarr have, of format 3 and 2
 
 
@@ -101,7 +101,7 @@ class _Zarr:
     encoding: Encoding
     plain: Mapping[str, _Plain]
 
-    def __call__(self, parts: Mapping[str, Sequence[NDArray]], steps: slice) -> None:
+    def __call__(self, parts: Parts, steps: slice) -> None:
         import zarr
 
         group = None
@@ -113,35 +113,48 @@ class _Zarr:
             group = group or zarr.open_group(self.path, mode="r+")
             group[name][steps] = joined(ready)
 
+    def describe(self, attrs: Mapping[str, Any]) -> None:
+        """Add attributes."""
+        import zarr
 
-def write_zarr(ds: xr.Dataset, path: Path, encoding: Encoding, *, overwrite: bool) -> None:
-    """Write a Zarr folder."""
+        plain = {name: np.asarray(value).tolist() for name, value in attrs.items()}
+        zarr.open_group(self.path, mode="r+", use_consolidated=False).attrs.update(plain)
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", _NOT_STANDARD)
+            zarr.consolidate_metadata(self.path)
+
+
+def _begin(layout: Layout, path: Path, begun: bool) -> _Zarr:
     BloscCodec = extra("zarr.codecs", "zarr", "writing Zarr").BloscCodec
-    ds, over = prepared(ds, encoding)
-    packed = [BloscCodec(cname="zstd", clevel=encoding.level, shuffle="shuffle")] if encoding.level else []
-    steps = _steps_together(ds, over)
+    level = layout.encoding.level
+    packed = [BloscCodec(cname="zstd", clevel=level, shuffle="shuffle")] if level else []
     how = {"compressors": packed, "chunk_key_encoding": _KEYS}
-    layout = {name: {"chunks": chunk_shape(ds[name], steps), **how} for name in over}
-    _spare_other_folders(path)
-    with whole_folder(path, overwrite=overwrite) as part:
+    if not begun:
+        each = {name: {"chunks": layout.chunk_shape(name), **how} for name in layout.over}
         with warnings.catch_warnings():
             # What xarray looks for first when it opens a store; programs that do not know it pass over it.
-            warnings.filterwarnings("ignore", "Consolidated metadata is currently not part")
-            outline(ds, over, encoding).to_zarr(part, encoding=layout, zarr_format=3, consolidated=True, compute=False)
-        plain = {name: found for name in over if (found := _Plain.of(part / name))}
-        write_all(ds, over, _Zarr(part, encoding, plain), steps)
+            warnings.filterwarnings("ignore", _NOT_STANDARD)
+            layout.outline().to_zarr(path, mode="w", encoding=each, zarr_format=3, consolidated=True, compute=False)
+    plain = {name: found for name in layout.over if (found := _Plain.of(path / name))}
+    return _Zarr(path, layout.encoding, plain)
 
 
-def _spare_other_folders(path: Path) -> None:
-    """Refuse to replace a folder that holds anything but Zarr data."""
+@contextmanager
+def _whole(path: Path, *, overwrite: bool, part: Path) -> Iterator[Path]:
+    """As `whole_folder`; refuse to replace a folder that holds anything but Zarr data."""
     if path.is_dir() and any(path.iterdir()) and not any((path / name).exists() for name in _ZARR):
         raise FileExistsError(
             f"{path} is a folder without Zarr data, and is not replaced; choose another name, or remove it"
         )
+    with whole_folder(path, overwrite=overwrite, part=part):
+        yield part
 
 
-def _steps_together(ds: xr.Dataset, over: Sequence[str]) -> int:
+def _steps_together(layout: Layout) -> int:
     """How many steps share a chunk: whole chunks of the Dataset, as many as are worth a file each."""
-    chunk, count = steps_in_chunk(ds, over), max(1, ds.sizes.get("time", 1))
-    size = max(1.0, chunk * sum(ds[name].nbytes for name in over) / count)
-    return chunk * max(1, min(int(min(len(over) * _CHUNK, _TOGETHER) / size), -(-count // chunk)))
+    chunk, count = layout.steps, max(1, layout.ds.sizes.get("time", 1))
+    size = max(1.0, chunk * sum(layout.ds[name].nbytes for name in layout.over) / count)
+    return chunk * max(1, min(int(min(len(layout.over) * _CHUNK, _TOGETHER) / size), -(-count // chunk)))
+
+
+ZARR = Format("Zarr", _begin, together=lambda layout: _steps_together(layout), whole=_whole)

@@ -1,0 +1,349 @@
+"""Writing Datasets step by step, in one way for all formats, and continuing what was interrupted.
+
+One task a chunk of time computes, encodes and writes all variables of it, and keeps none. So memory holds the chunks
+that are being worked on, every input file is parsed once, and a scheduler has one task where xarray's own writers make
+one a variable. Tasks find the file by its name, so that they may run in any process.
+"""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence, Set
+from contextlib import AbstractContextManager, ExitStack, nullcontext
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
+
+import dask
+import numpy as np
+import xarray as xr
+from dask.delayed import Delayed
+from dask.highlevelgraph import HighLevelGraph
+from numpy.typing import NDArray
+from xarray.backends.locks import get_dask_scheduler, get_write_lock
+
+from xcg.compiled import THREADS
+from xcg.scene.build import storable
+from xcg.steps.each import chunks_of_time
+from xcg.steps.errors import listen_for_skips, skips_heard
+from xcg.steps.graph import Gathered
+from xcg.steps.progress import CountTasks, shown
+from xcg.steps.skip import SKIPPED
+from xcg.writers.encoding import Encoding
+from xcg.writers.files import check_target, whole_file
+from xcg.writers.resume import Log, state_of, work_folder
+
+if TYPE_CHECKING:
+    import dask.array as da  # slow to import
+
+# variables by name: arrays with time first, one or more that follow each other
+Parts: TypeAlias = Mapping[str, Sequence[NDArray]]
+_WRITES = "write-"  # names of tasks that write begin like this
+
+
+class Store(Protocol):
+    """A file or folder that is laid out, and takes the values of some steps; tasks call it, so it must pickle."""
+
+    def __call__(self, parts: Parts, steps: slice) -> None:
+        """Write the values of these steps."""
+
+    def describe(self, attrs: Mapping[str, Any]) -> None:
+        """Add attributes that are known in the end."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """A Dataset as it is written.
+
+    Attributes
+    ----------
+    ds : xarray.Dataset
+        What is written.
+    over : list of str
+        Numbers over time, which are written step by step.
+    encoding : Encoding
+        How they are stored.
+    steps : int
+        Steps in a chunk on disk.
+    """
+
+    ds: xr.Dataset
+    over: list[str]
+    encoding: Encoding
+    steps: int
+
+    @classmethod
+    def of(cls, ds: xr.Dataset, encoding: Encoding, together: Callable[[Layout], int] | None = None) -> Layout:
+        """Prepare a Dataset; `together` chooses the steps in a chunk on disk, by default those in a chunk of it."""
+        ds = encoding.noted(storable(ds.drop_encoding()))
+        # texts and dates are left to xarray, which writes them as something else; coordinates in memory are small
+        numbers = {
+            name: v for name, v in ds.variables.items() if v.dtype.kind in "biufc" and "time" in v.dims and v.size
+        }
+        over = [str(name) for name, v in numbers.items() if name in ds.data_vars or v.chunks is not None]
+        ds = _with(ds, {name: ds.variables[name].transpose("time", ...) for name in over})
+        rest = {n: v for n, v in ds.variables.items() if v.chunks is not None and n not in over}
+        ds = _aligned(_with(ds, dask.compute(rest)[0]), over)  # at once, as one task computes all fields of a step
+        chunks = (ds.variables[name].chunksizes["time"][0] for name in over if ds.variables[name].chunks is not None)
+        layout = cls(ds, over, encoding, max(1, min(max(chunks, default=1), ds.sizes.get("time", 1))))
+        return layout if together is None else replace(layout, steps=together(layout))
+
+    @property
+    def lazy(self) -> list[str]:
+        """Names of the variables that tasks compute."""
+        return [name for name in self.over if self.ds.variables[name].chunks is not None]
+
+    @property
+    def threads(self) -> int:
+        """Threads of a task: tasks share the processors; a single one has them all."""
+        return 1 if self.lazy and self.ds.sizes["time"] > self.steps else THREADS
+
+    def chunk_shape(self, name: str) -> tuple[int, ...]:
+        """Shape of the chunks on disk of a variable over time, whole along other dimensions."""
+        return tuple(self.steps if dim == "time" else n for dim, n in self.ds[name].sizes.items())
+
+    def outline(self) -> xr.Dataset:
+        """Give the same Dataset with arrays that nothing computes in place of what tasks write."""
+        import dask.array as da  # slow to import
+
+        empty = {}
+        for name in self.over:
+            data = self.ds[name].variable
+            chunks, tasks = tuple((n,) for n in data.shape), {(f"empty-{name}", *(0,) * data.ndim): None}
+            nothing = da.Array(tasks, f"empty-{name}", chunks, self.encoding.type_of(data.dtype))
+            empty[name] = data.copy(data=nothing)
+        return _with(self.ds, empty)
+
+
+def _with(ds: xr.Dataset, variables: Mapping[Any, xr.Variable]) -> xr.Dataset:
+    """Replace variables, coordinates by coordinates."""
+    coords = {name: v for name, v in variables.items() if name in ds.coords}
+    return ds.assign({name: v for name, v in variables.items() if name not in coords}).assign_coords(coords)
+
+
+def _aligned(ds: xr.Dataset, over: Sequence[str]) -> xr.Dataset:
+    """Give all lazy variables the same even chunks of time, so that no two tasks write to one chunk on disk."""
+    lazy = [name for name in over if ds.variables[name].chunks is not None]
+    sizes = {ds.variables[name].chunksizes["time"] for name in lazy}
+    if all(len(set(s[:-1])) < 2 and s[-1] <= s[0] for s in sizes) and len(sizes) < 2:
+        return ds
+    steps = int(np.lcm.reduce([s[0] for s in sizes]))
+    return _with(ds, {name: ds[name].variable.chunk({"time": steps}) for name in lazy})
+
+
+@dataclass(frozen=True)
+class Format:
+    """What tells one format from another.
+
+    Attributes
+    ----------
+    name : str
+        Its name.
+    begin : callable
+        ``begin(layout, path, begun)`` lays out a file, unless it is `begun`, and returns its `Store`.
+    check : callable
+        Refuses a Dataset that the format cannot hold, and brings it into its form.
+    together : callable, optional
+        See `Layout.of`.
+    whole : callable
+        Context that gives a whole file its name, as `whole_file`.
+    """
+
+    name: str
+    begin: Callable[[Layout, Path, bool], Store]
+    check: Callable[[xr.Dataset], xr.Dataset] = lambda ds: ds
+    together: Callable[[Layout], int] | None = None
+    whole: Callable[..., AbstractContextManager[Path]] = whole_file
+
+
+def lock_for(path: Path) -> AbstractContextManager[Any]:
+    """Lock that lets one task at a time write to a file, whichever scheduler runs them."""
+    with _config():
+        return get_write_lock(str(path))
+
+
+def _config() -> AbstractContextManager[Any]:
+    """Have threads write where dask's own scheduler of processes is set: these cannot share a lock."""
+    return dask.config.set(scheduler="threads") if get_dask_scheduler() == "multiprocessing" else nullcontext()
+
+
+def joined(parts: Sequence[NDArray]) -> NDArray:
+    """Give arrays that follow each other as one, which is no copy where there is one."""
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+
+# --- one or several files from one computation -----------------------------------------------------------
+
+
+def write_file(
+    ds: xr.Dataset,
+    path: Path,
+    encoding: Encoding,
+    kind: Format,
+    *,
+    overwrite: bool,
+    resume: bool = False,
+    progress: bool | None = False,
+) -> None:
+    """Write one file; `progress` as in `xcg.steps.progress.shown`, where tasks on a cluster are not seen."""
+    work = path.with_name(f".{path.name}.begun") if resume else None
+    steps = write_files(ds, {path: kind}, encoding, overwrite=overwrite, work=work)
+    done = next(steps)
+    with shown(ds.sizes.get("time", 1), progress, done=done) as bar, CountTasks(bar, _writes):
+        for _ in steps:
+            pass
+
+
+def write_files(
+    ds: xr.Dataset,
+    files: Mapping[Path, Format],
+    encoding: Encoding,
+    *,
+    overwrite: bool = False,
+    work: Path | None = None,
+    mark: str = "",
+    batch: int | None = None,
+) -> Generator[int, None, None]:
+    """Write files, whose values are computed once for all of them, and yield the number of steps that are done.
+
+    The first number is that of steps from an earlier run, the others come after each batch.
+
+    Parameters
+    ----------
+    ds : xarray.Dataset
+        A scene or a result.
+    files : mapping
+        Files with their formats.
+    encoding : Encoding
+        How numbers are stored.
+    overwrite : bool
+        Replace files that exist.
+    work : Path, optional
+        Hidden folder for what is not whole yet, which stays after an error and is continued by the next run. By default
+        a temporary one.
+    mark : str
+        Tells this run from others of the same Dataset.
+    batch : int, optional
+        Chunks of time between two reports; by default all.
+
+    Raises
+    ------
+    FileExistsError
+        If a file exists and `overwrite` is False, or another run is writing.
+    Mismatch
+        If `work` is of another Dataset or call.
+    """
+    for path in files:
+        check_target(path, overwrite=overwrite)
+    state = state_of(ds, encoding, [kind.name for kind in files.values()], mark)
+    together = None
+    for kind in files.values():
+        ds, together = kind.check(ds), kind.together
+    layout = Layout.of(ds, encoding, together)
+    with ExitStack() as held:
+        folder = held.enter_context(work_folder(work, next(iter(files), None)))
+        log = Log(folder)
+        begun = log.is_begun(state | {"steps in a chunk": str(layout.steps)})
+        stores: list[Store] = []
+        for path, kind in files.items():
+            part = folder / path.name
+            held.enter_context(kind.whole(path, overwrite=overwrite, part=part))
+            stores.append(kind.begin(layout, part, begun))
+        if not begun:
+            log.begin(state | {"steps in a chunk": str(layout.steps)})
+        write = _Task(tuple(stores), log, _numbers(layout.ds))
+        with listen_for_skips():
+            yield from _fill(layout, write, batch)
+        if skipped := log.skipped():
+            steps = _numbers(layout.ds)[list(skipped)]
+            because = [f"step {n}: {cause}" for n, cause in zip(steps, skipped.values(), strict=True) if cause]
+            for store in stores:
+                store.describe({"skipped_steps": steps, "skipped_because": "\n".join(because)})
+
+
+def _numbers(ds: xr.Dataset) -> NDArray:
+    return ds["step"].to_numpy() if "step" in ds.coords else np.arange(ds.sizes.get("time", 1))
+
+
+@dataclass(frozen=True)
+class _Task:
+    """Writes the values of some steps to all stores, and notes that they are there."""
+
+    stores: tuple[Store, ...]
+    log: Log
+    numbers: NDArray
+
+    def __call__(self, parts: Parts, steps: slice, *, noted: bool = True) -> None:
+        for store in self.stores:
+            store(parts, steps)
+        if noted:
+            skipped = np.flatnonzero(joined(parts[SKIPPED])) + steps.start if SKIPPED in parts else ()
+            causes = skips_heard()
+            self.log.add(steps, {int(t): causes.get(int(self.numbers[t]), "") for t in skipped})
+
+
+def _fill(layout: Layout, write: _Task, batch: int | None) -> Iterator[int]:
+    """Write what is not there: from memory, `layout.steps` at a time, and the rest by tasks."""
+    ds, done = layout.ds, write.log.steps()
+    yield sum(stop - first for first, stop in done)
+    now = {name: ds[name].to_numpy() for name in layout.over if ds.variables[name].chunks is None}
+    arrays = same_chunks(ds[layout.lazy])
+    for first in range(0, ds.sizes["time"] if now else 0, layout.steps):
+        part = slice(first, min(first + layout.steps, ds.sizes["time"]))
+        if (part.start, part.stop) in done or (arrays and done):  # what is in memory was written before the tasks
+            continue
+        write({name: [values[part]] for name, values in now.items()}, part, noted=not arrays)
+    if not arrays:
+        return
+    graph, layer, waits = graph_of(arrays, write, layout.steps, done, batch)
+    for wait in waits:
+        with _config():
+            Delayed(wait, graph, layer=layer).compute()
+        yield sum(stop - first for first, stop in write.log.steps())
+
+
+def graph_of(
+    arrays: Mapping[str, da.Array], write: _Task, steps: int, done: Set[tuple[int, int]], batch: int | None
+) -> tuple[HighLevelGraph, str, list[str]]:
+    """Graph of the tasks that write arrays of the same chunks, its last layer, and keys that wait for each batch."""
+    gathered = Gathered.of(arrays)
+    token = uuid.uuid4().hex
+    edges = np.cumsum([0, *next(iter(arrays.values())).chunks[0]]).tolist()
+    firsts = [0]  # chunks that the tasks begin with
+    for t, edge in enumerate(edges):
+        if edge - edges[firsts[-1]] >= steps and t < len(edges) - 1:
+            firsts.append(t)
+    tasks: dict[Any, Any] = {}
+    for first, end in pairwise([*firsts, len(edges) - 1]):
+        if (edges[first], edges[end]) not in done:
+            keys = [key for t in range(first, end) for key in gathered.keys(t)]
+            task = partial(_take_and_write, write, gathered, slice(edges[first], edges[end]))
+            tasks[_WRITES + token, first] = (task, *keys)
+    todo, waits = list(tasks), []
+    for first in range(0, len(todo), batch or len(todo) or 1):
+        waits.append(f"wait-{token}-{first}")
+        tasks[waits[-1]] = (_wait, todo[first : first + (batch or len(todo))])
+    return HighLevelGraph.from_collections(_WRITES + token, tasks, list(arrays.values())), _WRITES + token, waits
+
+
+def same_chunks(ds: xr.Dataset) -> dict[str, da.Array]:
+    """Lazy arrays, time first, in chunks of time that cut none of theirs, so that every chunk is computed once."""
+    arrays = {str(name): data.transpose("time", ...).data for name, data in ds.variables.items() if data.chunks}
+    sizes = tuple(steps.stop - steps.start for steps in chunks_of_time([ds])) if arrays else ()
+    return {name: a.rechunk({0: sizes, **dict.fromkeys(range(1, a.ndim), -1)}) for name, a in arrays.items()}
+
+
+def _take_and_write(write: _Task, gathered: Gathered, steps: slice, *given: Any) -> None:
+    a_chunk = len(gathered.sources)
+    parts = [gathered.take(given[first : first + a_chunk]) for first in range(0, len(given), a_chunk)]
+    write({name: [part[name] for part in parts] for name in parts[0]}, steps)
+
+
+def _wait(_: Any) -> None:
+    """Depend on all tasks that write."""
+
+
+def _writes(key: Any) -> bool:
+    return isinstance(key, tuple) and str(key[0]).startswith(_WRITES)
