@@ -35,7 +35,7 @@ from xcg.writers.encoding import Encoding
 from xcg.writers.files import publish
 from xcg.writers.netcdf import NETCDF
 from xcg.writers.resume import Mismatch
-from xcg.writers.store import Format, Layout, Parts, joined, write_files
+from xcg.writers.store import Format, Parts, StoreLayout, joined, write_files
 from xcg.writers.vtkhdf import VTKHDF, write_vtkhdf
 
 _JOB = "job"  # attribute of the output: which job made it
@@ -225,7 +225,7 @@ class _Output:
 class _Images:
     """VTKHDF files of one step each, in a folder."""
 
-    def __init__(self, files: list[str], layout: Layout, folder: Path, begun: bool) -> None:
+    def __init__(self, files: list[str], layout: StoreLayout, folder: Path, begun: bool) -> None:
         folder.mkdir(exist_ok=True)
         names = [name for name in layout.over if name in layout.ds.data_vars]
         self._ds = layout.ds.drop_vars(layout.over)

@@ -54,7 +54,7 @@ class Store(Protocol):
 
 
 @dataclass(frozen=True)
-class Layout:
+class StoreLayout:
     """A Dataset as it is written.
 
     Attributes
@@ -75,7 +75,9 @@ class Layout:
     steps: int
 
     @classmethod
-    def of(cls, ds: xr.Dataset, encoding: Encoding, together: Callable[[Layout], int] | None = None) -> Layout:
+    def of(
+        cls, ds: xr.Dataset, encoding: Encoding, together: Callable[[StoreLayout], int] | None = None
+    ) -> StoreLayout:
         """Prepare a Dataset; `together` chooses the steps in a chunk on disk, by default those in a chunk of it."""
         ds = encoding.noted(storable(ds.drop_encoding()))
         # texts and dates are left to xarray, which writes them as something else; coordinates in memory are small
@@ -146,15 +148,15 @@ class Format:
     check : callable
         Refuses a Dataset that the format cannot hold, and brings it into its form.
     together : callable, optional
-        See `Layout.of`.
+        See `StoreLayout.of`.
     whole : callable
         Context that gives a whole file its name, as `whole_file`.
     """
 
     name: str
-    begin: Callable[[Layout, Path, bool], Store]
+    begin: Callable[[StoreLayout, Path, bool], Store]
     check: Callable[[xr.Dataset], xr.Dataset] = lambda ds: ds
-    together: Callable[[Layout], int] | None = None
+    together: Callable[[StoreLayout], int] | None = None
     whole: Callable[..., AbstractContextManager[Path]] = whole_file
 
 
@@ -241,7 +243,7 @@ def write_files(
     together = None
     for kind in files.values():
         ds, together = kind.check(ds), kind.together
-    layout = Layout.of(ds, encoding, together)
+    layout = StoreLayout.of(ds, encoding, together)
     with ExitStack() as held:
         folder = held.enter_context(work_folder(work, next(iter(files), None)))
         log = Log(folder)
@@ -253,7 +255,7 @@ def write_files(
             stores.append(kind.begin(layout, part, begun))
         if not begun:
             log.begin(state | {"steps in a chunk": str(layout.steps)})
-        write = _Task(tuple(stores), log, _numbers(layout.ds))
+        write = _WriteTask(tuple(stores), log, _numbers(layout.ds))
         with listen_for_skips():
             yield from _fill(layout, write, batch)
         if skipped := log.skipped():
@@ -268,7 +270,7 @@ def _numbers(ds: xr.Dataset) -> NDArray:
 
 
 @dataclass(frozen=True)
-class _Task:
+class _WriteTask:
     """Writes the values of some steps to all stores, and notes that they are there."""
 
     stores: tuple[Store, ...]
@@ -284,7 +286,7 @@ class _Task:
             self.log.add(steps, {int(t): causes.get(int(self.numbers[t]), "") for t in skipped})
 
 
-def _fill(layout: Layout, write: _Task, batch: int | None) -> Iterator[int]:
+def _fill(layout: StoreLayout, write: _WriteTask, batch: int | None) -> Iterator[int]:
     """Write what is not there: from memory, `layout.steps` at a time, and the rest by tasks."""
     ds, done = layout.ds, write.log.steps()
     yield sum(stop - first for first, stop in done)
@@ -305,7 +307,7 @@ def _fill(layout: Layout, write: _Task, batch: int | None) -> Iterator[int]:
 
 
 def graph_of(
-    arrays: Mapping[str, da.Array], write: _Task, steps: int, done: Set[tuple[int, int]], batch: int | None
+    arrays: Mapping[str, da.Array], write: _WriteTask, steps: int, done: Set[tuple[int, int]], batch: int | None
 ) -> tuple[HighLevelGraph, str, list[str]]:
     """Graph of the tasks that write arrays of the same chunks, its last layer, and keys that wait for each batch."""
     gathered = Gathered.of(arrays)
@@ -335,7 +337,7 @@ def same_chunks(ds: xr.Dataset) -> dict[str, da.Array]:
     return {name: a.rechunk({0: sizes, **dict.fromkeys(range(1, a.ndim), -1)}) for name, a in arrays.items()}
 
 
-def _take_and_write(write: _Task, gathered: Gathered, steps: slice, *given: Any) -> None:
+def _take_and_write(write: _WriteTask, gathered: Gathered, steps: slice, *given: Any) -> None:
     a_chunk = len(gathered.sources)
     parts = [gathered.take(given[first : first + a_chunk]) for first in range(0, len(given), a_chunk)]
     write({name: [part[name] for part in parts] for name in parts[0]}, steps)

@@ -22,8 +22,8 @@ from xcg.scene.conform import in_order, labels_along
 from xcg.scene.times import with_time
 from xcg.writers import chains
 from xcg.writers.encoding import Encoding
-from xcg.writers.hdf5 import Array, Hdf5, hdf5_file
-from xcg.writers.store import Format, Layout, write_file
+from xcg.writers.hdf5_store import Hdf5Store, StoredArray, hdf5_file
+from xcg.writers.store import Format, StoreLayout, write_file
 
 if TYPE_CHECKING:
     import h5py
@@ -275,18 +275,18 @@ def times_of(fields: xr.Dataset) -> NDArray | None:
 # --- the file --------------------------------------------------------------------------------------------
 
 
-def _begin(layout: Layout, path: Path, begun: bool) -> Hdf5:
+def _begin(layout: StoreLayout, path: Path, begun: bool) -> Hdf5Store:
     image, rows = Image.of(layout.ds), arrays_of(layout.ds)
     found = []
     for row in rows:
         chunk = _blocks(image.shape(row.components), row.dtype.itemsize, layout.steps if image.temporal else 0)
         values = partial(_on_disk, row, layout.ds[row.variable].dims, image)
-        found.append(Array(f"VTKHDF/PointData/{row.name}", row.variable, chunk, values, image.temporal))
+        found.append(StoredArray(f"VTKHDF/PointData/{row.name}", row.variable, chunk, values, image.temporal))
     if not begun:
         with hdf5_file(path, "w") as file:
             _lay_out(file, layout, image, rows, [array.chunk for array in found])
     over = [array for array in found if array.variable in layout.over]
-    return Hdf5.of(path, over, layout.encoding, layout.threads, "xcg")
+    return Hdf5Store.of(path, over, layout.encoding, layout.threads, "xcg")
 
 
 def _on_disk(row: _Array, dims: tuple[Hashable, ...], image: Image, values: NDArray) -> NDArray:
@@ -295,7 +295,7 @@ def _on_disk(row: _Array, dims: tuple[Hashable, ...], image: Image, values: NDAr
 
 
 def _lay_out(
-    file: h5py.File, layout: Layout, image: Image, arrays: list[_Array], chunks: list[tuple[int, ...]]
+    file: h5py.File, layout: StoreLayout, image: Image, arrays: list[_Array], chunks: list[tuple[int, ...]]
 ) -> None:
     """Write all but the values over time."""
     fields, encoding = layout.ds, layout.encoding

@@ -19,7 +19,7 @@ from xcg.scene.extras import extra
 from xcg.writers.encoding import Encoding
 from xcg.writers.files import part_of
 from xcg.writers.folders import whole_folder
-from xcg.writers.store import Format, Layout, Parts, joined
+from xcg.writers.store import Format, Parts, StoreLayout, joined
 
 # Bytes of a chunk of a variable, on average, where steps are shorter: a small file takes more time than its numbers.
 _CHUNK = 4_000_000
@@ -124,7 +124,7 @@ class _Zarr:
             zarr.consolidate_metadata(self.path)
 
 
-def _begin(layout: Layout, path: Path, begun: bool) -> _Zarr:
+def _begin(layout: StoreLayout, path: Path, begun: bool) -> _Zarr:
     BloscCodec = extra("zarr.codecs", "zarr", "writing Zarr").BloscCodec
     level = layout.encoding.level
     packed = [BloscCodec(cname="zstd", clevel=level, shuffle="shuffle")] if level else []
@@ -150,7 +150,7 @@ def _whole(path: Path, *, overwrite: bool, part: Path) -> Iterator[Path]:
         yield part
 
 
-def _steps_together(layout: Layout) -> int:
+def _steps_together(layout: StoreLayout) -> int:
     """How many steps share a chunk: whole chunks of the Dataset, as many as are worth a file each."""
     chunk, count = layout.steps, max(1, layout.ds.sizes.get("time", 1))
     size = max(1.0, chunk * sum(layout.ds[name].nbytes for name in layout.over) / count)

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Array:
+class StoredArray:
     """An array in a file.
 
     Attributes
@@ -51,18 +51,18 @@ class Array:
 
 
 @dataclass(frozen=True)
-class Hdf5:
+class Hdf5Store:
     """Arrays of an HDF5 file that is laid out; `root` is the group of its attributes."""
 
     path: Path
     lock: Any
-    arrays: tuple[Array, ...]
+    arrays: tuple[StoredArray, ...]
     encoding: Encoding
     threads: int
     root: str = "/"
 
     @classmethod
-    def of(cls, path: Path, arrays: list[Array], encoding: Encoding, threads: int, root: str = "/") -> Hdf5:
+    def of(cls, path: Path, arrays: list[StoredArray], encoding: Encoding, threads: int, root: str = "/") -> Hdf5Store:
         """Take a lock for the file, and bring it into the state after the last task that ended."""
         recover(path)
         return cls(path, lock_for(path), tuple(arrays), encoding, threads, root)
@@ -86,7 +86,7 @@ class Hdf5:
         with self.lock, hdf5_file(self.path, "r+", journal=True) as file:
             file[self.root].attrs.update(attrs)
 
-    def _packed(self, array: Array, values: NDArray) -> NDArray | list[tuple[tuple[int, ...], Any]]:
+    def _packed(self, array: StoredArray, values: NDArray) -> NDArray | list[tuple[tuple[int, ...], Any]]:
         """Bytes of whole chunks and their places; values as they are where the library has to convert them."""
         values = self.encoding.reduced(values if array.values is None else array.values(values))
         values = values.view("i1") if values.dtype.kind == "b" else values
