@@ -13,7 +13,7 @@ from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
 import xcg
 from tests import shared_data
 from tests.networks import fork, nine_particles, read_fcf
-from xcg.cli.chains import chains
+from xcg.cli import chains
 
 BIAXIAL = Path(__file__).parents[1] / "examples" / "data" / "lammps_biaxial2d"
 

@@ -17,7 +17,7 @@ from tests import shared_data
 from tests.test_mfix import write_contacts, write_particles, write_pvd, write_vtp
 from tests.test_vtkhdf import read
 from xcg.chains.search import ALGORITHMS
-from xcg.cli.commands import group
+from xcg.cli import group
 from xcg.jobs.config import read_config
 from xcg.jobs.run import run_job
 from xcg.steps.errors import ON_ERROR
@@ -385,7 +385,7 @@ def said_by(*words, **environment):
 import atexit, sys
 heavy = ("numba", "dask", "scipy", "vtkmodules", "h5py", "netCDF4", "zarr", "xcg.jobs", "xcg.readers.series")
 atexit.register(lambda: print("loaded", [name for name in heavy if name in sys.modules]))
-from xcg_start import main
+from xcg.cli import main
 main()
 """
     done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=True,

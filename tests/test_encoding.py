@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 import xcg
 from tests import steps_of_random_scenes
 from tests.dumps import write_series
-from xcg.cli.commands import group
+from xcg.cli import group
 from xcg.writers.encoding import Encoding, deflated
 
 

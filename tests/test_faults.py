@@ -13,7 +13,7 @@ from click.testing import CliRunner
 import xcg
 from tests import dumps
 from tests.test_mfix import write_contacts, write_particles
-from xcg.cli.commands import group
+from xcg.cli import group
 from xcg.steps.errors import SkippedStep
 
 STEPS = (0, 10, 20, 30, 40)

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 import xcg
 from tests import shared_data
 from tests.test_mfix import read_contacts, write_contacts, write_vtp
-from xcg.cli.commands import group
+from xcg.cli import group
 from xcg.packing.pairs import find_pairs
 from xcg.readers.codes.mfix import Mfix
 from xcg.readers.engine import ReadOptions

@@ -65,7 +65,7 @@ def job(tmp_path):
 
 
 def start(job: Path, *words: str, before="", **options) -> subprocess.Popen:
-    code = f"{before}\nimport sys; from xcg_start import main; main()"
+    code = f"{before}\nimport sys; from xcg.cli import main; main()"
     command = [sys.executable, "-c", code, "run", str(job), *words]
     env = os.environ | {"PYTHONPATH": str(ROOT)}
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=env, **options)
@@ -192,10 +192,10 @@ def test_ctrl_c(job):
 
 
 def test_ctrl_c_while_libraries_are_loaded(tmp_path):
-    (tmp_path / "xarray.py").write_text("import os, signal, time; os.kill(os.getpid(), signal.SIGINT); time.sleep(60)")
+    (tmp_path / "numba.py").write_text("import os, signal, time; os.kill(os.getpid(), signal.SIGINT); time.sleep(60)")
     module, function = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]["xcg"].split(":")
     done = subprocess.run(
-        [sys.executable, "-c", f"from {module} import {function}; {function}()", "fields"], capture_output=True,
+        [sys.executable, "-c", f"from {module} import {function}; {function}()", "info", __file__], capture_output=True,
         text=True, env=os.environ | {"PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}"}, timeout=120, check=False,
     )  # fmt: skip
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "\nstopped\n")

@@ -21,7 +21,7 @@ from click.testing import CliRunner
 import xcg
 from tests import real_data, steps_of_random_scenes
 from tests.dumps import write_series
-from xcg.cli.commands import group
+from xcg.cli import group
 from xcg.jobs.config import read_config
 from xcg.jobs.run import run_job
 from xcg.steps.errors import SkippedStep

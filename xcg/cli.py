@@ -1,0 +1,374 @@
+"""The command line.
+
+Functions import what a command does when it is done, so that help comes soon.
+
+Exit codes: 0 done, 1 the job or its data are at fault (the message says what), 2 the command line is, 130 stopped by
+Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import re
+import signal
+import sys
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, nullcontext
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+
+# What a command that is stopped has to say.
+last_words: list[Callable[[], str]] = []
+
+
+def stop(*_: object) -> None:
+    """End the process at once.
+
+    An exception would unwind through libraries that do not expect it (a lock of xarray's, taken and not noted, then
+    stops the run for ever), and threads that compute a step would be waited for. All files can stand an end like this.
+    """
+    abandon = getattr(sys.modules.get("xcg.writers.files"), "abandon", None)  # while it is not loaded nothing is begun
+    if abandon is not None:
+        abandon()
+    said = "".join(f"\n{words()}" for words in last_words)
+    try:
+        sys.stderr.write(f"\nstopped{said}\n")
+        sys.stderr.flush()
+    except (OSError, RuntimeError):  # interrupted while it prints
+        pass
+    os._exit(128 + signal.SIGINT)
+
+
+# what xcg.steps.errors and xcg.chains.search take, which are not imported for help; a test compares them
+ON_ERROR = ("raise", "skip")
+ALGORITHMS = ("branching", "peters2005")
+# missing='skip', overwrite=True, contacts=; but not alpha=100.0 or on_error='x': expected, which quote what was given
+_ARGUMENT = re.compile(r"\b(\w+)=(?:'(\w+)'(?!:)|True\b|(?=[\s?:;,.)]|$))")
+
+
+@contextmanager
+def plain_messages(quiet: bool) -> Iterator[None]:
+    """Show warnings as one line each, and errors of data without a traceback."""
+    from xcg.scene.schema import SceneWarning, printable
+
+    taken = click.get_current_context().command.params  # here, as threads that warn have no context
+    options = {str(p.name): max(p.opts, key=len) for p in taken if isinstance(p, click.Option)}
+
+    def show(message: Warning | str, *_: object, **__: object) -> None:
+        if not quiet:
+            start = "\r\x1b[K" if sys.stderr.isatty() else ""  # over the bar, which is drawn again
+            click.echo(f"{start}warning: {printable(_as_options(str(message), options))}", err=True)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", SceneWarning)
+        warnings.showwarning = show
+        try:
+            yield
+        except (ValueError, OSError, ImportError) as error:
+            raise click.ClickException(printable(_as_options(str(error), options))) from error
+        except MemoryError as error:
+            raise click.ClickException(
+                f"not enough memory ({error}); take fewer steps at a time (--jobs 1), fewer fields, or a larger spacing"
+            ) from error
+
+
+def _as_options(message: str, options: Mapping[str, str]) -> str:
+    """Call arguments of the library what the line calls them: ``missing='skip'`` is ``--missing skip`` there."""
+
+    def called(found: re.Match) -> str:
+        name, value = found.groups()
+        return " ".join(filter(None, (options[name], value))) if name in options else found[0]
+
+    return _ARGUMENT.sub(called, message)
+
+
+_OPTIONS = (
+    click.argument("files", nargs=-1, required=True),
+    click.option("--contacts", "-c", multiple=True, help="Files with contacts: a path or quoted pattern; repeatable."),
+    click.option("--walls", multiple=True, help="Files with contacts of walls, where they are apart; repeatable."),
+    click.option("--engine", help="The code that wrote the files; guessed by default."),
+    click.option("--periodic", help="Periodic axes, such as xy."),
+    click.option("--density", type=float, help="Density of the material, where files hold no mass."),
+    click.option("--timestep", type=float, help="Time between steps of the simulation, where files do not tell it."),
+    click.option("--frozen", type=int, multiple=True, help="Species that are held in place; repeatable."),
+    click.option("--missing", type=click.Choice(["raise", "skip", "empty"]), help="Particles without contacts."),
+)
+
+
+def takes_files(command: Callable) -> Callable:
+    """Give a command the argument ``files`` and the options of `open_scene`; as keywords, None or () if not said."""
+    for option in reversed(_OPTIONS):
+        command = option(command)
+    return command
+
+
+def said(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Keep the options that were said, as arguments of `open_scene`."""
+    return {name: list(v) if isinstance(v, tuple) else v for name, v in options.items() if v not in (None, ())}
+
+
+def _threshold(context: click.Context, parameter: click.Parameter, value: str | None) -> float | str | None:
+    if value is None or value == "mean":
+        return value
+    try:
+        return float(value)
+    except ValueError:
+        raise click.BadParameter(f"{value!r} is neither 'mean' nor a stress") from None
+
+
+@click.command()
+@takes_files
+@click.option("--alpha", default=45.0, show_default=True, help="Largest angle between stress and branch (degrees).")
+@click.option("--threshold", callback=_threshold, help="Least major stress: a number (Pa), or mean.")
+@click.option("--min-length", default=3, show_default=True, help="Least number of particles of a chain.")
+@click.option("--algorithm", type=click.Choice(ALGORITHMS), default=ALGORITHMS[0], show_default=True)
+@click.option("--raw", is_flag=True, help="Do not symmetrise the stress (as Force Chain Finder).")
+@click.option("--csv", type=click.Path(path_type=Path), help="CSV of Force Chain Finder; {step} for several steps.")
+@click.option("--vtp", type=click.Path(path_type=Path), help="VTK PolyData; {step} for several steps.")
+@click.option("--vtkhdf", type=click.Path(path_type=Path), help="All steps as one temporal VTKHDF file.")
+@click.option("--netcdf", type=click.Path(path_type=Path), help="The whole result as NetCDF.")
+@click.option("--overwrite", is_flag=True, help="Replace files that exist.")
+@click.option("--on-error", type=click.Choice(ON_ERROR), default=ON_ERROR[0], show_default=True,
+              help="Steps that cannot be read: stop, or leave them out.")  # fmt: skip
+def chains(
+    files: tuple[str, ...],
+    *,
+    alpha: float,
+    threshold: float | str | None,
+    min_length: int,
+    algorithm: str,
+    raw: bool,
+    csv: Path | None,
+    vtp: Path | None,
+    vtkhdf: Path | None,
+    netcdf: Path | None,
+    overwrite: bool,
+    on_error: str,
+    **options: Any,
+) -> None:
+    """Find force chains in FILES and print their statistics.
+
+    For example: xcg chains "particles.*.dump" --contacts "contacts.*.dump" --csv "chains_{step}.csv" --vtp
+    "chains_{step}.vtp"
+    """
+    from xcg.chains.search import force_chains
+    from xcg.readers.series import open_scene
+    from xcg.scene.conform import conform
+    from xcg.steps.label import name_skipped
+    from xcg.writers.chains import targets, to_csv, to_vtkhdf, to_vtp
+    from xcg.writers.files import check_target, whole_file
+
+    with plain_messages(quiet=False):
+        scene = conform(open_scene(list(files), on_error=on_error, **said(options)))
+        fc = force_chains(scene, alpha, threshold, min_length, algorithm=algorithm, symmetric=not raw,
+                          on_error=on_error)  # fmt: skip
+        # names are looked at before anything is computed or written
+        for path in filter(None, (netcdf, vtkhdf)):
+            check_target(path, overwrite=overwrite)
+        for path in filter(None, (csv, vtp)):
+            targets(fc, path, overwrite=overwrite)
+        fc = name_skipped(fc.compute())
+        click.echo(statistics_table(fc))
+        if netcdf:
+            with whole_file(netcdf, overwrite=overwrite, room=fc.nbytes) as part:
+                fc.to_netcdf(part, engine="netcdf4")
+        if csv:
+            to_csv(fc, csv, overwrite=overwrite)
+        if vtp:
+            to_vtp(fc, vtp, overwrite=overwrite)
+        if vtkhdf:
+            to_vtkhdf(fc, vtkhdf, overwrite=overwrite)
+
+
+def statistics_table(fc: xr.Dataset) -> str:
+    """Count and lengths of the chains of each step, as text."""
+    names = ["chain_count", "length_mean", "length_median", "length_min", "length_max"]
+    heads = "".join(f"{head:>9s}" for head in ("chains", "mean", "median", "min", "max"))
+    lines = [f"{'step':>10s}{'time':>12s}{heads}"]
+    for t in range(fc.sizes["time"]):
+        step = fc.isel(time=t)
+        values = "".join(f"{step[name].item():9.4g}" for name in names)
+        lines.append(f"{step['step'].item():10d}{step['time'].item():12.5g}{values}")
+    return "\n".join(lines)
+
+
+@click.command()
+@takes_files
+@click.option("--output", "-o", required=True, type=click.Path(path_type=Path), help="scene.nc or scene.zarr.")
+@click.option("--chunks", type=int, help="Steps in a chunk on disk; one by default.")
+@click.option("--dtype", type=click.Choice(["float32", "float64"]), help="Type of numbers on disk.")
+@click.option("--digits", type=click.IntRange(1, 15), help="Significant digits to keep; all by default.")
+@click.option("--compression", type=click.IntRange(0, 9), help="Level of compression, 0 for none; 1 by default.")
+@click.option("--overwrite", is_flag=True, help="Replace output that is there.")
+@click.option("--quiet", "-q", is_flag=True, help="No progress bar.")
+def convert(
+    files: tuple[str, ...],
+    output: Path,
+    *,
+    dtype: str | None,
+    digits: int | None,
+    compression: int | None,
+    overwrite: bool,
+    quiet: bool,
+    **options: Any,
+) -> None:
+    """Convert FILES of a DEM code to NetCDF or Zarr, which open at once.
+
+    FILES are those with particles, or one job (TOML or Pysammos's config.ini) whose scene is meant. For example:
+    xcg convert "particles.*.dump" -c "contacts.*.dump" -o scene.zarr
+    """
+    from xcg.jobs.config import read_config
+    from xcg.readers.series import open_scene
+    from xcg.scene.conform import conform
+    from xcg.writers.save import save
+
+    with plain_messages(quiet=False):
+        is_job = len(files) == 1 and Path(files[0]).suffix.lower() in (".toml", ".ini")
+        scene = read_config(files[0]).scene if is_job else {"particles": list(files)}
+        ds = conform(open_scene(**scene | said(options)))  # a step that was saved alone gets its time
+        save(
+            ds, output, overwrite=overwrite, dtype=dtype, digits=digits, compression=compression, progress=not quiet
+        )  # fmt: skip
+    click.echo(f"{ds.sizes['time']} steps in {output}; open it with xcg.open_scene({str(output)!r})")
+
+
+@click.command()
+@click.option("--pysammos", is_flag=True, help="The names of the preset 'pysammos'.")
+def fields(pysammos: bool) -> None:
+    """List all fields, with their units and formulas."""
+    from xcg.fields.formulas import registry
+    from xcg.fields.presets.pysammos import rows
+
+    if pysammos:
+        table = [(name, "", row.field.formula) for name, row in rows("xy", "xyz").items()]
+    else:
+        table = [(name, registry.FIELDS[name].units, registry.FIELDS[name].formula)
+                 for name in registry.listed()]  # fmt: skip
+    wide = max(len(name) for name, _, _ in table)
+    for name, unit, formula in table:
+        click.echo(f"{name:{wide}}  {unit:12}  {formula}")
+
+
+@click.command()
+@takes_files
+def info(files: tuple[str, ...], **options: Any) -> None:
+    """Tell what FILES of a DEM code hold, and what is missing.
+
+    For example: xcg info "particles.*.dump" -c "contacts.*.dump"
+    """
+    from xcg.readers.series import open_scene
+
+    with plain_messages(quiet=False):
+        click.echo(repr(open_scene(list(files), **said(options)).cg))
+
+
+@contextmanager
+def _dashboard(jobs: int | None) -> Iterator[None]:
+    """Run dask's tasks on a local cluster, and say where it can be watched."""
+    try:
+        import bokeh  # noqa: F401
+        from distributed import Client
+    except ImportError as error:
+        raise click.ClickException(
+            f"--dashboard needs {error.name}, which is not installed; pip install distributed bokeh"
+        ) from None
+    with Client(
+        processes=False, n_workers=1, threads_per_worker=jobs or os.cpu_count(), dashboard_address=":0"
+    ) as client:
+        click.echo(f"dashboard: {client.dashboard_link}", err=True)
+        yield
+
+
+@click.command()
+@click.argument("config", type=click.Path(exists=True, dir_okay=False))
+@click.option("--quiet", "-q", is_flag=True, help="No progress bar, no warnings.")
+@click.option("--overwrite", is_flag=True, help="Replace output that is there.")
+@click.option("--resume", is_flag=True, help="Go on with a run of this very job, or find it done; never start over.")
+@click.option("--on-error", type=click.Choice(ON_ERROR), help="Steps that cannot be read: stop, or leave them out.")
+@click.option("--dashboard", is_flag=True, help="Watch dask at work in a browser (needs distributed and bokeh).")
+@click.option("--jobs", "-j", type=click.IntRange(1), help="Chunks of time at once; all processors by default.")
+@click.option("--dry-run", is_flag=True, help="Say what would be done.")
+def run(
+    config: str,
+    quiet: bool,
+    overwrite: bool,
+    resume: bool,
+    on_error: str | None,
+    dashboard: bool,
+    jobs: int | None,
+    dry_run: bool,
+) -> None:
+    """Run a job: Pysammos's config.ini as it stands, or TOML.
+
+    An interrupted run goes on where it was.
+    """
+    from xcg.jobs.config import read_config
+    from xcg.jobs.run import open_job, run_job
+    from xcg.scene.schema import printable
+    from xcg.steps.progress import shown
+
+    with plain_messages(quiet):
+        job = read_config(config)
+        if on_error is not None:
+            job = replace(job, on_error=on_error)
+        if dry_run:
+            scene, *results = open_job(job)
+            names = ", ".join(str(name) for result in results if result is not None for name in result.data_vars)
+            click.echo(printable(f"{scene.cg!r}\n{names}\ninto {job.folder}/{job.name}*"))
+            return
+        with _dashboard(jobs) if dashboard else nullcontext():
+            steps = run_job(job, overwrite=overwrite, resume=resume, jobs=jobs)
+            done = 0
+
+            def kept() -> str:
+                return f"{done} steps are kept; the same command goes on from there"
+
+            try:
+                done, count = next(steps)
+                if done and not quiet:
+                    click.echo(f"{done} of {count} steps are there from an earlier run", err=True)
+                last_words.append(kept)
+                with shown(count, not quiet, done=done) as bar:
+                    for done, _ in steps:
+                        bar.update(done - bar.n)
+            except OSError as error:
+                if error.errno is not None:  # not of a full disk
+                    raise
+                raise click.ClickException(f"{error}\n{kept()}") from error
+            finally:
+                last_words.clear()
+    if not quiet:
+        click.echo(printable(f"{count} steps in {job.folder}"))
+
+
+@click.group(commands=[chains, convert, fields, info, run], context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="xcg")
+def group() -> None:
+    """Continuum fields from granular simulations."""
+
+
+def main() -> None:
+    """Run the command; it ends at once, and without a traceback, when it is interrupted."""
+    signal.signal(signal.SIGINT, stop)
+    try:
+        group(prog_name="xcg")
+    except SystemExit as end:
+        if isinstance(end.code, int) and end.code:  # threads would be waited for, a file of a full disk closed again
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(end.code)
+        gc.freeze()  # else Python looks through all objects of all libraries before it ends, for half a second
+        raise
+
+
+if __name__ == "__main__":
+    main()
