@@ -17,10 +17,40 @@ from numpy.typing import NDArray
 
 from xcg.compiled._jit import inner, leaf
 from xcg.compiled.cells import points_in_ball
-from xcg.compiled.reach import BATCH, NODE, OTHER, Q2, WEIGHT, X, Y, Z, batch_reaches, nodes_in_ball, periodic_images
+from xcg.compiled.reach import (
+    BATCH,
+    NODE,
+    OTHER,
+    Q2,
+    WEIGHT,
+    Lists,
+    X,
+    Y,
+    Z,
+    batch_reaches,
+    nodes_in_ball,
+    periodic_images,
+)
 from xcg.compiled.simd import add4
 from xcg.compiled.smoothing import fill_values
 from xcg.compiled.volumes import mean_over_cell, volumes_in_ball
+
+
+def reference_deposit(place, velocity, mass, constants, node, value):
+    """Sum grains (n, ...) at one node (3,) as `deposit` does at many: flow columns up to SQUARED, and constants.
+
+    Lengths are in cutoffs, averaged axes are zero, and `value` is the kernel at distances (n,) below 1.
+    """
+    seen = ((place - node) ** 2).sum(axis=1) < 1.0
+    x, u, six = (place - node)[seen], (velocity - velocity[seen][:1])[seen], np.triu_indices(3)
+    weight = value(np.sqrt((x * x).sum(axis=1)))
+    w = weight * mass[seen]
+    kinetic, spread = np.einsum("n,ni,nj", w, u, u)[six], np.einsum("n,ni,nj", w, x, x)[six]
+    linear = np.einsum("n,nj,ni->ji", w, x, np.column_stack([np.ones(len(u)), u]))
+    squared = (w * w) @ x, np.einsum("n,ni,nj", w * w, x, x)[six]
+    flow = [[w.sum()], w @ u, [seen.sum()], kinetic, [w @ w], linear.ravel(), spread, *squared, [0.0]]
+    return np.concatenate(flow), weight @ constants[seen]
+
 
 MASS = 0
 MOMENTUM = 1  # m u: x y z
@@ -77,11 +107,18 @@ class Grains(NamedTuple):
     cutoff: float
 
 
+class Scratch(NamedTuple):
+    """Memory of the loop: lists of nodes, and of each grain PLACE and SPEED, three each, WEIGHED, GROUP and constants.
+
+    `records` are (BATCH, GRAIN + q or more).
+    """
+
+    lists: Lists
+    records: NDArray
+
+
 @leaf
-def deposit(
-    grains, nodes, rows, cells, volumes, kernel, level, still, meet, by_gradient, cubes, records, lists, moments,
-    reference,
-):  # fmt: skip
+def deposit(grains, nodes, kernel, level, still, meet, by_gradient, scratch, moments, reference):
     """Add grains to the nodes within their support.
 
     Parameters
@@ -90,9 +127,6 @@ def deposit(
         The grains.
     nodes : Nodes
         A block of nodes.
-    rows, cells, volumes : Rows, PointCells or Volumes, one of them, and None
-        Where they are: on a mesh, or anywhere, or cells of a mesh. None leaves code out when the loop is compiled, here
-        and below.
     kernel : KernelCode, or CellKernel with volumes
         The smoothing function.
     level : int
@@ -105,12 +139,8 @@ def deposit(
         velocities are beyond that of the flow: in the squares of weights they count as one grain.
     by_gradient : True or None
         Weigh by derivative / distance instead of the value.
-    cubes : True or None
-        Whether the columns of CUBIC are wanted; LINEAR has others in their place.
-    records : (BATCH, GRAIN + q or more)
-        Scratch: of each grain PLACE and SPEED, three each, WEIGHED, GROUP, and its constants.
-    lists : Lists
-        Scratch.
+    scratch : Scratch
+        Written.
     moments : (phases, nodes of the block, level + q)
         Sums, added to.
     reference : (nodes of the block, 3)
@@ -118,6 +148,7 @@ def deposit(
     """
     begin, end, active, period = nodes.begin, nodes.end, nodes.active, nodes.period
     kind, spread, table, norm = kernel.kind, kernel.spread, kernel.table, kernel.norm
+    lists, records = scratch
     values, numbers = lists
     reach = (1.0 if active[0] else 0.0, 1.0 if active[1] else 0.0, 1.0 if active[2] else 0.0)
     q2, weight, columns = values[Q2], values[WEIGHT], grains.constants.shape[1]
@@ -142,26 +173,35 @@ def deposit(
                     y = y0 + image_y * period[1] if image_y else y0
                     for image_z in range(first_z, last_z + 1):
                         z = z0 + image_z * period[2] if image_z else z0
-                        hits = 0
-                        if rows is not None:
-                            hits = nodes_in_ball(x, y, z, rows, lists)
-                        if cells is not None:
-                            hits = points_in_ball(x, y, z, cells, lists)
-                        if volumes is not None:
-                            hits = volumes_in_ball(x, y, z, volumes, kernel, lists)
-                        else:
+                        hits = _list_nodes(x, y, z, nodes.rows, nodes.cells, nodes.volumes, kernel, lists)
+                        if nodes.volumes is None:
                             fill_values(kind, spread, table, norm, by_gradient, q2, hits, weight)
                         if level > 0:
                             _add_flow(p, records, i, lists, hits, level, still, moments, reference)
-                        if cubes is not None:
+                        if level == CUBIC:
                             _add_cubes(p, records, i, lists, hits, moments, reference)
                         if meet is not None:
-                            _add_images(p, records[i, WEIGHED], lists, hits, level, meet, volumes, kernel, moments)
+                            _add_images(
+                                p, records[i, WEIGHED], lists, hits, level, meet, nodes.volumes, kernel, moments
+                            )
                         for d in range(0, columns, 4):
                             c0, c1 = records[i, GRAIN + d], records[i, GRAIN + d + 1]
                             c2, c3 = records[i, GRAIN + d + 2], records[i, GRAIN + d + 3]
                             for k in range(hits):
                                 add4(moments, p, numbers[NODE, k], level + d, weight[k], c0, c1, c2, c3)
+
+
+@inner
+def _list_nodes(x, y, z, rows, cells, volumes, kernel, lists):
+    """List the nodes that a grain at a place reaches; of cells with their weights."""
+    hits = 0
+    if rows is not None:
+        hits = nodes_in_ball(x, y, z, rows, lists)
+    if cells is not None:
+        hits = points_in_ball(x, y, z, cells, lists)
+    if volumes is not None:
+        hits = volumes_in_ball(x, y, z, volumes, kernel, lists)
+    return hits
 
 
 @inner

@@ -11,7 +11,7 @@ Indices are unsigned, as signed ones are looked at for counting from the end.
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,9 +40,6 @@ MOST_CELLS = 1 << 20
 class Nodes(NamedTuple):
     """A block of nodes that is filled, and what surrounds it: tuples of one entry for each axis.
 
-    `Rows` of a mesh, or `xcg.compiled.cells.PointCells` of other points, hold the places of its nodes. Loops take both,
-    one of which is None, which leaves its code out when they are compiled.
-
     Attributes
     ----------
     begin, end : tuple of float
@@ -51,12 +48,18 @@ class Nodes(NamedTuple):
         Whether distance along an axis counts.
     period : tuple of float
         Period, infinity where there is none.
+    rows, cells, volumes : Rows, PointCells or Volumes, one of them, and None
+        The nodes themselves: of a mesh, points anywhere, or cells of a mesh. None leaves code out when a loop is
+        compiled.
     """
 
     begin: tuple[float, float, float]
     end: tuple[float, float, float]
     active: tuple[bool, bool, bool]
     period: tuple[float, float, float]
+    rows: Any = None
+    cells: Any = None
+    volumes: Any = None
 
 
 class Rows(NamedTuple):

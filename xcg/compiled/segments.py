@@ -34,6 +34,27 @@ from xcg.compiled.simd import add4, prefetch
 from xcg.compiled.smoothing import fill_gauss, fill_segments
 from xcg.compiled.volumes import volumes_in_ball
 
+
+def reference_deposit_segments(start, branch, force, node, active, value):
+    """Sum segments (n, 3) at one node (3,) as `deposit_segments` does at many: force x branch, (3, 3).
+
+    Lengths are in cutoffs; `active` (3,) are the axes that are seen, and `value` is the kernel at distances below 1.
+    """
+    total, (x, weights) = np.zeros((3, 3)), (rule[48] for rule in gauss_rules(48))
+    for begin, along, carried in zip(start, branch, force, strict=True):
+        away, length = (begin - node)[active], np.linalg.norm(along[active])
+        foot = away @ along[active] / length
+        h2 = away @ away - foot * foot
+        half = np.sqrt(max(0.0, 1.0 - h2))
+        first, last = np.arcsin(np.clip([-foot, length - foot] / half, -1.0, 1.0)) if half else (0.0, 0.0)
+        for low, high in ((first, min(last, 0.0)), (max(first, 0.0), last)):  # angles on either side of the foot
+            if low < high:
+                q = np.sqrt(h2 + (half * np.sin(low + (high - low) * x)) ** 2)
+                mean = (high - low) / length * half * weights @ (value(q) * np.cos(low + (high - low) * x))
+                total += mean * np.outer(carried, along)
+    return total
+
+
 # The rules to choose from, by number of Gauss-Legendre points: an odd number takes as long as the next even one.
 RULES = (2, 4, 6, 8, 10, 12)
 # Branches closer to one line than this (sine of their angle) share one segment from centre to centre; the
@@ -296,7 +317,7 @@ class Segments(NamedTuple):
 
 
 @leaf
-def deposit_segments(segments, nodes, rows, cells, volumes, kernel, lists, closed, rest, moments):
+def deposit_segments(segments, nodes, kernel, lists, closed, rest, moments):
     """Add force x branch of each segment to the nodes that its tube of radius 1 reaches.
 
     Parameters
@@ -305,15 +326,13 @@ def deposit_segments(segments, nodes, rows, cells, volumes, kernel, lists, close
         The segments.
     nodes : Nodes
         A block of nodes.
-    rows, cells, volumes : Rows, PointCells or Volumes, one of them, and None
-        Where they are: on a mesh, or anywhere, or cells of a mesh. None leaves code out when the loop is compiled, here
-        and below.
     kernel : KernelCode, or CellKernel with volumes
         The smoothing function.
     lists : Lists
         Scratch: in single precision where that is enough for distances and weights; sums are in double.
     closed : tuple or None
-        Scratch for the closed form, see `closed_for`; None leaves out the segments that need it.
+        Scratch for the closed form, see `closed_for`; None leaves out the segments that need it, and their code when
+        the loop is compiled.
     rest : bool
         Leave out all other segments.
     moments : (groups, nodes of the block, 9)
@@ -359,14 +378,12 @@ def deposit_segments(segments, nodes, rows, cells, volumes, kernel, lists, close
                 y = y0 + image_y * period[1] if image_y else y0
                 for image_z in range(first_z, last_z + 1):
                     z = z0 + image_z * period[2] if image_z else z0
-                    hits = 0
-                    if rows is not None:
-                        hits = nodes_around_segment(x, y, z, bx, by, bz, per_length, rows, lists)
-                    if cells is not None:
-                        hits = points_around_segment(x, y, z, bx, by, bz, per_length, cells, lists)
-                    if volumes is not None:
-                        _add_to_volumes(x, y, z, bx, by, bz, length, volumes, kernel, lists, records, i, moments)
-                    elif points:
+                    if nodes.volumes is not None:
+                        segment = x, y, z, bx, by, bz
+                        _add_to_volumes(segment, length, nodes.volumes, kernel, lists, records, i, moments)
+                        continue
+                    hits = _list_nodes(x, y, z, bx, by, bz, per_length, nodes.rows, nodes.cells, lists)
+                    if points:
                         fill_gauss(kind, spread, table, GAUSS_POINTS, GAUSS_WEIGHTS, points, length, along, q2, hits, w)
                     elif closed is not None:
                         fill_segments(kind, spread, table, length, along, q2, hits, w, *closed)
@@ -374,8 +391,22 @@ def deposit_segments(segments, nodes, rows, cells, volumes, kernel, lists, close
 
 
 @inner
-def _add_to_volumes(x, y, z, bx, by, bz, length, volumes, kernel, lists, records, i, moments):
+def _list_nodes(x, y, z, bx, by, bz, per_length, rows, cells, lists):
+    """List the nodes that a segment, from a point to that point plus b, reaches."""
+    hits = 0
+    if rows is not None:
+        hits = nodes_around_segment(x, y, z, bx, by, bz, per_length, rows, lists)
+    if cells is not None:
+        hits = points_around_segment(x, y, z, bx, by, bz, per_length, cells, lists)
+    return hits
+
+
+@inner
+def _add_to_volumes(segment, length, volumes, kernel, lists, records, i, moments):
     """Add segment i, from a point to that point plus b, to the cells that it reaches: parts of a cutoff at most."""
+    if volumes is None:
+        return
+    x, y, z, bx, by, bz = segment
     values, numbers = lists
     weight, parts = values[WEIGHT], max(1, math.ceil(length))
     for part in range(parts):

@@ -18,7 +18,7 @@ from xcg.compiled.cells import PointCells, lists_for_points, sort_by_cell
 from xcg.compiled.reach import PAD, Lists, Nodes
 from xcg.compiled.threads import for_each
 from xcg.fields.places.grid import MAX_NODES, check_axes
-from xcg.fields.sums.blocks import BLOCK_NODES, OwnNodes, Taken, triple
+from xcg.fields.sums.blocks import BLOCK_NODES, OwnNodes, triple
 from xcg.fields.sums.nodes import Apart
 from xcg.scene.schema import COMPONENTS
 
@@ -89,7 +89,7 @@ class PointBlock(OwnNodes):
         """Number of points."""
         return len(self.places)
 
-    def nodes(self, origin: NDArray, unit: float, active: NDArray, period: NDArray) -> Taken:
+    def nodes(self, origin: NDArray, unit: float, active: NDArray, period: NDArray) -> Nodes:
         """Return the points as loops take them; the origin is theirs."""
         share = self.unit / unit
         place = self.position if share == 1.0 else self.position * share
@@ -99,13 +99,11 @@ class PointBlock(OwnNodes):
         margin = 1e-9 + 1e-15 * float(np.abs([begin, end]).max())
         x, y, z = place
         cells = PointCells(x, y, z, self.start, triple(begin), triple(size), triple(per_size), self.shape, margin)
-        return Nodes(triple(begin), triple(end), triple(active), triple(period)), None, cells, None
+        return Nodes(triple(begin), triple(end), triple(active), triple(period), cells=cells)
 
-    def lists(self, taken: Taken, reach: Sequence[float], real: str = "float64") -> Lists:
+    def lists(self, nodes: Nodes, reach: Sequence[float], real: str = "float64") -> Lists:
         """Return scratch to list the points that something of this length reaches."""
-        _, _, cells, _ = taken
-        assert cells is not None
-        return lists_for_points(cells, reach, real)
+        return lists_for_points(nodes.cells, reach, real)
 
 
 @dataclass(frozen=True, eq=False)

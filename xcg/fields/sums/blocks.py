@@ -9,17 +9,15 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product
-from typing import Any, Protocol, TypeAlias, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.compiled.cells import PointCells
 from xcg.compiled.reach import Lists, Nodes, Rows, lists_for
 from xcg.compiled.volumes import Volumes
 
 R = TypeVar("R")
-Taken: TypeAlias = tuple[Nodes, Rows | None, PointCells | None, Volumes | None]  # nodes as loops take them
 
 # Sums are made over blocks of about this many nodes, so that memory holds those of a few blocks, not of all nodes.
 BLOCK_NODES = 110_000
@@ -62,7 +60,7 @@ class NodeBlock(Protocol):
     def count(self) -> int:
         """Number of nodes."""
 
-    def nodes(self, origin: NDArray, unit: float, active: NDArray, period: NDArray) -> Taken:
+    def nodes(self, origin: NDArray, unit: float, active: NDArray, period: NDArray) -> Nodes:
         """Return the nodes as loops take them.
 
         Parameters
@@ -73,7 +71,7 @@ class NodeBlock(Protocol):
             Axes along which distance counts, and periods in the unit.
         """
 
-    def lists(self, taken: Taken, reach: Sequence[float], real: str = "float64") -> Lists:
+    def lists(self, nodes: Nodes, reach: Sequence[float], real: str = "float64") -> Lists:
         """Return scratch to list those nodes that something of this length (3,), from end to end, reaches."""
 
 
@@ -112,24 +110,21 @@ class MeshBlock(OwnNodes):
         x, y, z = (np.arange(low, high, dtype="uint64") for low, high in zip(self.low, self.high, strict=True))
         return ((x[:, None, None] * self.shape[1] + y[:, None]) * self.shape[2] + z).ravel()
 
-    def nodes(self, origin: NDArray, unit: float, active: NDArray, period: NDArray) -> Taken:
+    def nodes(self, origin: NDArray, unit: float, active: NDArray, period: NDArray) -> Nodes:
         """Return the nodes as loops take them; the origin is the first node of the mesh."""
         half = [length / unit for length in self.half.tolist()]
         # the step of one node means nothing
         steps = [step / unit if n > 1 else 1.0 for n, step in zip(self.shape, self.steps.tolist(), strict=True)]
         begin = [low * step - h for low, step, h in zip(self.low, steps, half, strict=True)]
         end = [(high - 1) * step + h for high, step, h in zip(self.high, steps, half, strict=True)]
-        nodes = Nodes(triple(begin), triple(end), triple(active), triple(period))
         rows = Rows(self.low, self.high, triple(steps), triple([1.0 / step for step in steps]))
-        if not any(half):
-            return nodes, rows, None, None
-        return nodes, None, None, Volumes(rows, triple(half), triple(sorted(range(3), key=lambda k: half[k] > 0.0)))
+        volumes = Volumes(rows, triple(half), triple(sorted(range(3), key=lambda k: half[k] > 0.0)))
+        of = {"volumes": volumes} if any(half) else {"rows": rows}
+        return Nodes(triple(begin), triple(end), triple(active), triple(period), **of)
 
-    def lists(self, taken: Taken, reach: Sequence[float], real: str = "float64") -> Lists:
+    def lists(self, nodes: Nodes, reach: Sequence[float], real: str = "float64") -> Lists:
         """Return scratch to list the nodes that something of this length reaches."""
-        nodes, rows, _, volumes = taken
-        rows = rows if volumes is None else volumes.rows
-        assert rows is not None
+        rows = nodes.rows if nodes.volumes is None else nodes.volumes.rows
         return lists_for(rows, nodes.active, reach, real)
 
 

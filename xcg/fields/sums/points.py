@@ -139,7 +139,6 @@ def _pass(
     columns = _side_by_side(constants, len(position), layout.columns - level)
     # where nothing moves, columns with u are zero without adding them
     still = True if level and _is_one_row(velocity) else None
-    cubes = True if level == loops.CUBIC else None
     beyond = step.lattice if images.row is None else Lattice(np.full(3, np.inf))
     fill, squared = [], []
     for cutoff in spec.distinct if len(position) or layout.squares else ():
@@ -151,7 +150,7 @@ def _pass(
         batches = (batches_of(position, rows) - spec.origin) / cutoff
         grains = loops.Grains(rows, batches, position, velocity, mass, columns, phase, spec.origin, cutoff)
         mesh, weights = around.meshes[cutoff], around.kernels[cutoff]
-        fill.append(partial(_fill, grains, mesh, weights, (level, still, meet, by_gradient, cubes)))
+        fill.append(partial(_fill, grains, mesh, weights, (level, still, meet, by_gradient)))
         if layout.squares:
             of = np.arange(layout.groups) if groups is None else np.flatnonzero(groups)
             squared.append(Squared(rows, position, mass, phase, beyond, of, cutoff, weights, spec.grid.active))
@@ -182,6 +181,7 @@ def _fill(
     grains: loops.Grains, mesh: Mesh, weights: AnyKernel, flags: tuple[int, *tuple[bool | NDArray | None, ...]],
     block: NodeBlock, sums: NDArray, reference: NDArray,
 ) -> None:  # fmt: skip
-    taken = mesh.nodes_of(block)
+    nodes = mesh.nodes_of(block)
     records = np.empty((BATCH, sums.shape[2] + loops.GRAIN))
-    loops.deposit(grains, *taken, weights, *flags, records, block.lists(taken, mesh.reach.tolist()), sums, reference)
+    scratch = loops.Scratch(block.lists(nodes, mesh.reach.tolist()), records)
+    loops.deposit(grains, nodes, weights, *flags, scratch, sums, reference)

@@ -10,8 +10,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.compiled.reach import Nodes
 from xcg.compiled.segments import BRANCH, FORCE, GROUP
-from xcg.fields.sums.blocks import NodeBlock, Taken
+from xcg.fields.sums.blocks import NodeBlock
 from xcg.fields.sums.nodes import Grid
 from xcg.scene.schema import COMPONENTS, SceneError
 
@@ -86,7 +87,7 @@ class Mesh:
         """From the lowest node to the highest (3,)."""
         return self.upper - self.lower
 
-    def nodes_of(self, block: NodeBlock) -> Taken:
+    def nodes_of(self, block: NodeBlock) -> Nodes:
         """Return a block of nodes as the loops take it."""
         return block.nodes(self.origin, self.cutoff, self.active, self.period)
 

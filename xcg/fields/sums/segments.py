@@ -107,8 +107,8 @@ def _fill_segments(
     segments: Branches, mesh: Mesh, weights: AnyKernel, reach: Sequence[float], real: str, closed: bool, rest: bool,
     block: NodeBlock, sums: NDArray, _: NDArray,
 ) -> None:  # fmt: skip
-    taken = mesh.nodes_of(block)
-    lists = block.lists(taken, reach, real)
+    nodes = mesh.nodes_of(block)
+    lists = block.lists(nodes, reach, real)
     scratch = closed_for(lists.values.shape[1]) if closed else None
-    for some in segments.near(taken[0]):
-        deposit_segments(some, *taken, weights, lists, scratch, rest, sums)
+    for some in segments.near(nodes):
+        deposit_segments(some, nodes, weights, lists, scratch, rest, sums)
