@@ -2,13 +2,21 @@
 
 from fractions import Fraction
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
 import xarray as xr
 
 import xcg
+from xcg.fields.coarse_grain import PRESETS
+from xcg.fields.formulas.field import Deviatoric, Gradient, InertialSize, Options, Temperature
+from xcg.fields.formulas.registry import WAYS
+from xcg.fields.formulas.variables import WEIGHTS, Weight
+from xcg.fields.request import Per, Preset, Sampling
+from xcg.fields.sums.smoothing import KernelName
 from xcg.scene.numbers import floats, is_finite, is_positive, is_whole
+from xcg.steps.errors import OnError
 
 DUMP = Path(__file__).parents[1] / "examples/data/lammps_chute/particles.00050000.dump.gz"
 
@@ -126,3 +134,26 @@ def test_numbers_are_told_from_texts():
 
 def test_friction_is_left_out_by_fields_that_do_not_take_it(scene):
     xr.testing.assert_equal(scene.cg.coarse_grain("density", friction=0.5), scene.cg.coarse_grain("density"))
+
+
+def test_choices_in_annotations_are_those_that_are_taken():
+    """Each list of choices is a Literal; tables that a choice is looked up in have a row for each."""
+    ways = {option: set[str]() for option in ("gradient", "size", "temperature")}
+    for option, rows in WAYS.values():
+        ways.get(option, set()).update(rows)
+    for option, known in (("gradient", Gradient), ("size", InertialSize), ("temperature", Temperature)):
+        assert getattr(Options(), option) == get_args(known)[0]
+        assert ways[option] == set(get_args(known)[1:])
+    assert set(PRESETS) == set(get_args(Preset))
+    assert set(WEIGHTS) == set(get_args(Weight))
+    for name in get_args(KernelName):
+        assert xcg.datasets.simple_cubic(3).cg.coarse_grain("density", axes="z", kernel=name).density.notnull().all()
+
+
+@pytest.mark.parametrize(("name", "choices"), [
+    ("gradient", Gradient), ("deviatoric", Deviatoric), ("size", InertialSize), ("temperature", Temperature),
+    ("sampling", Sampling), ("preset", Preset), ("per", Per), ("on_error", OnError),
+])  # fmt: skip
+def test_a_wrong_choice_names_those_there_are(name, choices):
+    with pytest.raises(ValueError, match="(?s)" + ".*".join((f"{name}='other'", *get_args(choices)))):
+        xcg.datasets.simple_cubic(3).cg.coarse_grain("density", axes="z", **{name: "other"})

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import get_args
 
 import h5py
 import numpy as np
@@ -16,7 +17,7 @@ import xcg
 from tests import shared_data
 from tests.test_mfix import write_contacts, write_particles, write_pvd, write_vtp
 from tests.test_vtkhdf import read
-from xcg.chains.search import ALGORITHMS
+from xcg.chains.search import Algorithm
 from xcg.cli import group
 from xcg.jobs.config import read_config
 from xcg.jobs.run import run_job
@@ -410,7 +411,7 @@ def test_the_line_takes_what_the_library_takes():
         return next(tuple(p.type.choices) for p in group.commands[command].params if p.name == option)
 
     assert taken("run", "on_error") == taken("chains", "on_error") == ON_ERROR
-    assert taken("chains", "algorithm") == ALGORITHMS
+    assert taken("chains", "algorithm") == get_args(Algorithm)
 
 
 def selected(step):

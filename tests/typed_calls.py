@@ -2,7 +2,7 @@
 
 import xarray as xr
 
-from xcg import CoarseGrainAccessor, coarse_grain, width_sweep
+from xcg import CoarseGrainAccessor, Mean, coarse_grain, open_scene, width_sweep
 
 
 def use(ds: xr.Dataset) -> None:
@@ -12,6 +12,21 @@ def use(ds: xr.Dataset) -> None:
     path.cg.save("velocity.nc")
     coarse_grain(ds, widht=1.0)  # type: ignore[call-arg]
     CoarseGrainAccessor(ds).coarse_grain(widht=1.0)  # type: ignore[call-arg]
+    coarse_grain(ds, sampling="cells")  # type: ignore[arg-type]
+    coarse_grain(ds, gradient="least squares")  # type: ignore[arg-type]
+    coarse_grain(ds, deviatoric="none")  # type: ignore[arg-type]
+    coarse_grain(ds, size="d10")  # type: ignore[arg-type]
+    coarse_grain(ds, temperature="none")  # type: ignore[arg-type]
+    coarse_grain(ds, preset="liggghts", per="grain")  # type: ignore[arg-type]
+    CoarseGrainAccessor(ds).displacement(on_error="ignore")  # type: ignore[arg-type]
+    CoarseGrainAccessor(ds).microstructure(rattlers="leave")  # type: ignore[arg-type]
+    CoarseGrainAccessor(ds).find_contacts(method="brute force")  # type: ignore[arg-type]
+    CoarseGrainAccessor(ds).force_chains(algorithm="peters", threshold="median")  # type: ignore[arg-type]
+    CoarseGrainAccessor(ds).particle_stress(volume="sphere")  # type: ignore[arg-type]
+    CoarseGrainAccessor(ds).slice_temperature(method="slices")  # type: ignore[arg-type]
+    open_scene("particles.*", shape="disk", missing="leave")  # type: ignore[arg-type]
+    Mean("density", weight="masses")  # type: ignore[arg-type]
+    coarse_grain(ds, kernel="my own", sampling="cell", gradient="paper", per="accessible", on_error="skip")
     CoarseGrainAccessor(ds).balance("density")  # type: ignore[call-arg]
     CoarseGrainAccessor(ds).force_chains(alpha="a")  # type: ignore[arg-type]
     path = CoarseGrainAccessor(ds).explain()  # type: ignore[assignment]

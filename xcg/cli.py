@@ -18,12 +18,15 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
 if TYPE_CHECKING:
     import xarray as xr
+
+    from xcg.chains.search import Algorithm
+    from xcg.steps.errors import OnError
 
 
 # What a command that is stopped has to say.
@@ -116,9 +119,11 @@ def said(options: Mapping[str, Any]) -> dict[str, Any]:
     return {name: list(v) if isinstance(v, tuple) else v for name, v in options.items() if v not in (None, ())}
 
 
-def _threshold(context: click.Context, parameter: click.Parameter, value: str | None) -> float | str | None:
-    if value is None or value == "mean":
-        return value
+def _threshold(context: click.Context, parameter: click.Parameter, value: str | None) -> float | Literal["mean"] | None:
+    if value is None:
+        return None
+    if value == "mean":
+        return "mean"
     try:
         return float(value)
     except ValueError:
@@ -143,16 +148,16 @@ def chains(
     files: tuple[str, ...],
     *,
     alpha: float,
-    threshold: float | str | None,
+    threshold: float | Literal["mean"] | None,
     min_length: int,
-    algorithm: str,
+    algorithm: Algorithm,
     raw: bool,
     csv: Path | None,
     vtp: Path | None,
     vtkhdf: Path | None,
     netcdf: Path | None,
     overwrite: bool,
-    on_error: str,
+    on_error: OnError,
     **options: Any,
 ) -> None:
     """Find force chains in FILES and print their statistics.
@@ -302,7 +307,7 @@ def run(
     quiet: bool,
     overwrite: bool,
     resume: bool,
-    on_error: str | None,
+    on_error: OnError | None,
     dashboard: bool,
     jobs: int | None,
     dry_run: bool,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 import xarray as xr
@@ -21,10 +22,11 @@ from xcg.scene.frame import particle_rows, steps_in
 from xcg.scene.lattice import Lattice
 from xcg.scene.numbers import is_positive
 from xcg.scene.schema import CONTACT_VARIABLES, OF_STEP, VARIABLES, Frame, SceneError, Variable
+from xcg.steps.errors import OnError
 from xcg.steps.label import empty_results, label, results_of
 from xcg.steps.map import map_over_time, threads_a_chunk
 
-VOLUMES = ("particle", "disc")
+Volumes: TypeAlias = Literal["particle", "disc"]
 # Eigenvalues below this share of the whole tensor are rounding.
 ROUNDING = 1e-12
 
@@ -69,7 +71,7 @@ class StressRule:
     @classmethod
     def of(cls, ds: xr.Dataset, purpose: str, *, symmetric: bool, volume: str) -> StressRule:
         """Check that a scene holds what the stress needs, without reading any of it."""
-        if volume not in VOLUMES:
+        if volume not in get_args(Volumes):
             raise ValueError(
                 f"volume={volume!r}: expected 'particle' (the scene's volumes) or 'disc' (pi d^2/4 x thickness)"
             )
@@ -138,7 +140,7 @@ def carries(result: Mapping[str, NDArray]) -> NDArray:
 
 @takes_scene
 def particle_stress(
-    ds: xr.Dataset, *, symmetric: bool = True, volume: str = "particle", on_error: str = "raise"
+    ds: xr.Dataset, *, symmetric: bool = True, volume: Volumes = "particle", on_error: OnError = "raise"
 ) -> xr.Dataset:
     """Stress tensor of each particle from its contacts, with principal stresses and directions.
 

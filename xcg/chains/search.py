@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.chains.particle_stress import StressRule, carries
+from xcg.chains.particle_stress import StressRule, Volumes, carries
 from xcg.chains.regions import Region
 from xcg.chains.results import CHAINS, COPIED, RESULTS, result_sizes, statistics_of
 from xcg.compiled import THREADS
@@ -22,10 +23,11 @@ from xcg.scene.frame import particle_rows, steps_in
 from xcg.scene.lattice import Lattice
 from xcg.scene.numbers import is_finite, is_positive, is_whole
 from xcg.scene.schema import BOX, OF_STEP, PADDING, Frame
+from xcg.steps.errors import OnError
 from xcg.steps.label import empty_results, label, results_of
 from xcg.steps.map import map_over_time, threads_a_chunk
 
-ALGORITHMS = ("branching", "peters2005")
+Algorithm: TypeAlias = Literal["branching", "peters2005"]
 # Angles that exceed alpha by less (radians) count as equal to it, stresses that fall short of the threshold by less
 # than this share of it likewise: both are known to rounding only.
 _ANGLE = 1e-9
@@ -56,7 +58,7 @@ class SearchRule:
 
     stress: StressRule
     cosine: float
-    threshold: float | str | None
+    threshold: float | Literal["mean"] | None
     min_length: int
     linear: bool
     one_sided: bool
@@ -85,15 +87,15 @@ class SearchRule:
 def force_chains(
     ds: xr.Dataset,
     alpha: float = 45.0,
-    threshold: float | str | None = None,
+    threshold: float | Literal["mean"] | None = None,
     min_length: int = 3,
     *,
-    algorithm: str = "branching",
+    algorithm: Algorithm = "branching",
     one_sided: bool = False,
     region: Region | None = None,
     symmetric: bool = True,
-    volume: str = "particle",
-    on_error: str = "raise",
+    volume: Volumes = "particle",
+    on_error: OnError = "raise",
 ) -> xr.Dataset:
     """Find the force chains of each step of a scene.
 
@@ -186,13 +188,13 @@ def force_chains(
 def _rule(
     ds: xr.Dataset,
     alpha: float,
-    threshold: float | str | None,
+    threshold: float | Literal["mean"] | None,
     min_length: int,
-    algorithm: str,
+    algorithm: Algorithm,
     one_sided: bool,
     region: Region | None,
     symmetric: bool,
-    volume: str,
+    volume: Volumes,
 ) -> SearchRule:
     """Check the arguments of `force_chains` and the scene, without reading any of it."""
     if not (is_positive(alpha) and alpha <= 90):
@@ -203,8 +205,8 @@ def _rule(
         raise ValueError(f"threshold={threshold!r}: expected a finite stress (Pa), 'mean', or None for no threshold")
     if not is_whole(min_length, 2):
         raise ValueError(f"min_length={min_length!r}: expected a whole number of particles, 2 or more")
-    if algorithm not in ALGORITHMS:
-        raise ValueError(f"algorithm={algorithm!r}: expected one of {ALGORITHMS}")
+    if algorithm not in get_args(Algorithm):
+        raise ValueError(f"algorithm={algorithm!r}: expected one of {get_args(Algorithm)}")
     if region is not None and not isinstance(region, Region):
         raise ValueError(
             f"region={region!r}: expected xcg.Box(lower, upper), xcg.Sphere(centre, radius), or a combination"

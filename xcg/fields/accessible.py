@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import xarray as xr
@@ -21,7 +21,7 @@ from xcg.fields.formulas.averages import per_fraction
 from xcg.fields.places.surfaces.plane import Plane
 from xcg.fields.places.surfaces.wall import Wall
 from xcg.fields.plan import Plan
-from xcg.fields.request import Request
+from xcg.fields.request import Per, Request
 from xcg.fields.sums.smoothing import Kernel
 from xcg.scene.description import Description
 from xcg.scene.schema import COMPONENTS
@@ -43,7 +43,7 @@ def check_walls(request: Request) -> None:
     ValueError
         If an argument is wrong.
     """
-    if request.per not in (None, "accessible"):
+    if request.per not in (None, *get_args(Per)):
         raise ValueError(f"per={request.per!r}: expected 'accessible', or None for fields per volume")
     if request.walls is None:
         if request.per is not None:

@@ -5,18 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import get_args
 
 from xcg.fields.formulas import registry
-from xcg.fields.formulas.field import Options
+from xcg.fields.formulas.field import Deviatoric, Gradient, InertialSize, Options, Temperature
 from xcg.fields.formulas.variables import OwnField, Quantity, own_fields, own_moments
-from xcg.fields.request import Request
+from xcg.fields.request import Request, Sampling
 from xcg.fields.sums.fabric import sliding_contacts
 from xcg.fields.sums.moments import MOMENTS, Moment
 from xcg.scene.description import Description
 from xcg.scene.numbers import is_finite, is_positive
 from xcg.scene.schema import COMPONENTS, CONTACT_VARIABLES, unknown
-
-SAMPLINGS = ("node", "cell")
 
 
 def possible_fields(scene: Description, request: Request) -> tuple[str, ...]:
@@ -84,15 +83,15 @@ def variables_of(fields: tuple[str, ...], here: frozenset[str], options: Options
 def options_of(scene: Description, request: Request) -> Options:
     """Check the choices of the algebra."""
     for name, known in (
-        ("gradient", registry.GRADIENTS),
-        ("deviatoric", registry.DEVIATORIC),
-        ("size", registry.INERTIAL_SIZES),
-        ("temperature", registry.TEMPERATURES),
-        ("sampling", SAMPLINGS),
+        ("gradient", Gradient),
+        ("deviatoric", Deviatoric),
+        ("size", InertialSize),
+        ("temperature", Temperature),
+        ("sampling", Sampling),
     ):
         value = getattr(request, name)
-        if value not in known:
-            raise ValueError(f"{name}={value!r}: expected one of {', '.join(known)}")
+        if value not in get_args(known):
+            raise ValueError(f"{name}={value!r}: expected one of {', '.join(get_args(known))}")
     if request.sampling == "cell" and request.gradient == "kernel":
         raise ValueError(
             "gradient='kernel' is the derivative at a node, and sampling='cell' averages over cells: take "

@@ -16,7 +16,7 @@ from xcg.fields.mesh_size import make_plan_of_size
 from xcg.fields.places.frames import in_frame, is_cylindrical
 from xcg.fields.plan import Plan, make_plan
 from xcg.fields.presets import lammps, pysammos
-from xcg.fields.request import Request, SharedOptions, takes
+from xcg.fields.request import Preset, Request, SharedOptions, takes
 from xcg.scene.bodies import group_bodies
 from xcg.scene.description import Description, describe
 from xcg.scene.sizes import with_measures
@@ -24,7 +24,7 @@ from xcg.steps.errors import check_on_error
 from xcg.steps.label import format_call, mark_skipped
 
 # names of other programs: from a request in them to one in names of xcg, and what turns its answer into theirs
-PRESETS: dict[str, Callable[[Description, Request], tuple[Request, Callable[[xr.Dataset], xr.Dataset]]]] = {
+PRESETS: dict[Preset, Callable[[Description, Request], tuple[Request, Callable[[xr.Dataset], xr.Dataset]]]] = {
     "pysammos": pysammos.translate,
     "lammps": lammps.translate,
 }

@@ -23,10 +23,11 @@ from xcg.scene.frame import steps_in
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import OF_STEP, Frame
 from xcg.scene.warn import warn_once
+from xcg.steps.errors import OnError
 from xcg.steps.map import map_over_time, threads_a_chunk
 
 
-def evaluate_plan(ds: xr.Dataset, plan: Plan, on_error: str) -> dict[str, Any]:
+def evaluate_plan(ds: xr.Dataset, plan: Plan, on_error: OnError) -> dict[str, Any]:
     """Arrays of the plan's fields (time, axes, phase, ...), lazy where the scene is."""
     names = [*plan.variables, *(name for name in OF_STEP if name in ds)]
     results = {field: (plan.shapes[field], "float64") for field in plan.fields}

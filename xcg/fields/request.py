@@ -11,16 +11,18 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, MISSING, Field, dataclass, fields
 from functools import cache, wraps
-from typing import Any, Concatenate, ParamSpec, TypeVar, cast, get_type_hints
+from typing import Any, Concatenate, Literal, ParamSpec, TypeAlias, TypeVar, cast, get_type_hints
 
 import numpy as np
 import xarray as xr
 
+from xcg.fields.formulas.field import Deviatoric, Gradient, InertialSize, Temperature
 from xcg.fields.formulas.variables import Quantity
 from xcg.fields.places.frames import Cylindrical, Rotated
 from xcg.fields.places.surfaces.wall import Wall
-from xcg.fields.sums.smoothing import Kernel
+from xcg.fields.sums.smoothing import Kernel, KernelName
 from xcg.scene.conform import as_selected, conformed
+from xcg.steps.errors import OnError
 
 # what arguments are, where another form would be taken for something else, or end in an error about arrays
 _FORMS: dict[str, tuple[Callable[[Any], bool], str]] = {
@@ -39,6 +41,9 @@ _FORMS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "frame": (lambda value: isinstance(value, (Rotated, Cylindrical)), "xcg.Rotated(...) or xcg.Cylindrical(...)"),
 }
 
+Sampling: TypeAlias = Literal["node", "cell"]
+Preset: TypeAlias = Literal["pysammos", "lammps"]
+Per: TypeAlias = Literal["accessible"]
 P = ParamSpec("P")
 A = TypeVar("A")
 R = TypeVar("R")
@@ -115,28 +120,28 @@ class SharedOptions:
         of it by file and cause when it is computed, and mark it in the coordinate ``skipped`` (time).
     """
 
-    kernel: str | Kernel = "lucy"
+    kernel: KernelName | str | Kernel = "lucy"
     spacing: float | Mapping[str, float] | None = None
     axes: str | None = None
     bounds: Mapping[str, Sequence[float]] | None = None
-    sampling: str = "node"
+    sampling: Sampling = "node"
     by: str | None = None
     groups: Sequence[int] | None = None
     extent: Mapping[str, float] | None = None
-    gradient: str = "least_squares"
+    gradient: Gradient = "least_squares"
     pressure_dims: str | None = None
     shear_dims: str | None = None
-    deviatoric: str = "stress"
-    size: str = "d43"
+    deviatoric: Deviatoric = "stress"
+    size: InertialSize = "d43"
     fluid_viscosity: float | None = None
     friction: float | None = None
     by_pair: bool = False
-    temperature: str = "unbiased"
+    temperature: Temperature = "unbiased"
     by_body: str | None = None
     frame: Rotated | Cylindrical | None = None
     rtol: float = 0.0
-    preset: str | None = None
-    on_error: str = "raise"
+    preset: Preset | None = None
+    on_error: OnError = "raise"
 
     def __post_init__(self) -> None:
         for name, (fits, expected) in _FORMS.items():
@@ -184,7 +189,7 @@ class Request(SharedOptions):
     width: float | str | Mapping[int, float | str] | None = None
     at: Mapping[str, float | xr.DataArray] | None = None
     walls: Sequence[Wall] | None = None
-    per: str | None = None
+    per: Per | None = None
     for_averages: bool = False
 
     def changed(self, names: Sequence[str]) -> list[str]:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from xcg.scene.schema import SceneError
-from xcg.steps.errors import check_on_error
+from xcg.steps.errors import OnError, check_on_error
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Job:
     vtkhdf: str = ""
     suffix: str = ".nc"
     encoding: dict[str, Any] = field(default_factory=dict)
-    on_error: str = "raise"
+    on_error: OnError = "raise"
 
 
 def _of_type(path: Path, table: str, values: Mapping[str, Any], kinds: Mapping[str, type | tuple[type, ...]]) -> None:
@@ -74,7 +74,7 @@ def _plain_name(path: Path, name: str) -> str:
     return name
 
 
-def _on_error(source: str, value: str) -> str:
+def _on_error(source: str, value: str) -> OnError:
     try:
         return check_on_error(value)
     except ValueError as error:

@@ -22,7 +22,7 @@ import xarray as xr
 
 from xcg.fields.coarse_grain import coarse_grain
 from xcg.fields.presets.pysammos import pysammos_mesh
-from xcg.fields.studies.slice_temperature import slice_temperature
+from xcg.fields.studies.slice_temperature import SliceMethod, slice_temperature
 from xcg.jobs.job import Job
 from xcg.readers.paths import expand_paths
 from xcg.readers.series import open_scene
@@ -100,7 +100,7 @@ def _slices(ds: xr.Dataset, job: Job) -> xr.Dataset:
     options = {"on_error": job.on_error, **(job.slices or {})}
     _check_arguments(slice_temperature, options, "slices")
     options.pop("method", None)
-    label = {"planes": "Kamrin", "bins": "LAMMPS"}
+    label: dict[SliceMethod, str] = {"planes": "Kamrin", "bins": "LAMMPS"}
     both: list[xr.Dataset] = []
     axis = options.get("axis", "z")
     for method, name in label.items():

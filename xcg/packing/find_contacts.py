@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.packing.pairs import check_search, pairs_of
+from xcg.packing.pairs import PairMethod, check_search, pairs_of
 from xcg.scene.complete import REPEAT, contact_points
 from xcg.scene.conform import takes_scene
 from xcg.scene.description import describe, require_scene
@@ -87,7 +87,7 @@ class Search:
     setup: Setup
     stiffness: Stiffness
     skin: float
-    method: str
+    method: PairMethod
     levels: int | None
     most: int | None
     threads: int | None
@@ -159,7 +159,7 @@ class Search:
 def find_contacts(
     ds: xr.Dataset,
     *,
-    method: str = "hierarchical",
+    method: PairMethod = "hierarchical",
     levels: int | None = None,
     skin: float = 0.0,
     k_n: float | None = None,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 import xarray as xr
@@ -17,13 +17,17 @@ from xcg.scene.description import describe, require_scene
 from xcg.scene.numbers import floats, is_positive
 from xcg.scene.schema import BOX, COMPONENTS, OF_STEP, units_in, unknown
 from xcg.scene.times import require_rising_times
+from xcg.steps.errors import OnError
 from xcg.steps.label import format_call, mark_skipped, provenance
 from xcg.steps.map import map_over_time
 from xcg.steps.phase_labels import with_phase_labels
 
 NEIGHBOURS = {3: 12, 2: 6}  # nearest ones that are looked at
 FORCE_BINS = np.logspace(-4, 2, 61)
-STRAINS = ("logarithmic", "engineering")
+RattlerRule: TypeAlias = Literal["count", "iterative"]
+StrainMeasure: TypeAlias = Literal["logarithmic", "engineering"]
+RateSource: TypeAlias = Literal["box", "velocity"]
+MixingWeight: TypeAlias = Literal["number", "volume"]
 
 
 # quantities of the whole series: strains, and the size that each inertial number takes
@@ -44,16 +48,16 @@ def microstructure(
     groups: Sequence[int] | None = None,
     bounds: Bounds | Mapping[str, Bounds] | None = None,
     min_contacts: int = 2,
-    rattlers: str = "count",
+    rattlers: RattlerRule = "count",
     max_connectivity: int = 63,
     force_bins: ArrayLike | None = None,
-    strain_rate: str | float | xr.DataArray | None = None,
-    strain: str = "logarithmic",
+    strain_rate: RateSource | float | xr.DataArray | None = None,
+    strain: StrainMeasure = "logarithmic",
     axis: str | None = None,
     cell: float | None = None,
-    mixing_weight: str = "number",
+    mixing_weight: MixingWeight = "number",
     neighbours: int | None = None,
-    on_error: str = "raise",
+    on_error: OnError = "raise",
 ) -> xr.Dataset:
     r"""Measure the microstructure of a packing, for each time, and for each region or phase.
 
@@ -220,15 +224,15 @@ def _check(min_contacts: int, rattlers: str, max_connectivity: int, strain: str)
     for name, value in (("min_contacts", min_contacts), ("max_connectivity", max_connectivity)):
         if not (isinstance(value, (int, np.integer)) and value >= 1):
             raise ValueError(f"{name}={value!r}: expected a whole number of at least 1")
-    for name, choice, known in (("rattlers", rattlers, ("count", "iterative")), ("strain", strain, STRAINS)):
-        if choice not in known:
-            raise ValueError(f"{name}={choice!r}: expected one of {', '.join(map(repr, known))}")
+    for name, choice, known in (("rattlers", rattlers, RattlerRule), ("strain", strain, StrainMeasure)):
+        if choice not in get_args(known):
+            raise ValueError(f"{name}={choice!r}: expected one of {', '.join(map(repr, get_args(known)))}")
 
 
 def _check_mixing(cell: float | None, weight: str, neighbours: int | None) -> None:
     if cell is not None and not is_positive(cell):
         raise ValueError(f"cell={cell!r}: expected the edge of a cell (m), such as three diameters")
-    if weight not in ("number", "volume"):
+    if weight not in get_args(MixingWeight):
         raise ValueError(f"mixing_weight={weight!r}: expected 'number' or 'volume'")
     if neighbours is not None and not (isinstance(neighbours, (int, np.integer)) and neighbours >= 1):
         raise ValueError(f"neighbours={neighbours!r}: expected a whole number of at least 1")
@@ -262,7 +266,7 @@ def _rate_source(ds: xr.Dataset, given: str | float | xr.DataArray | None) -> st
     if given is None:
         return "box" if "box" in ds and "lattice" not in ds and ds.sizes.get("time", 0) > 1 else "velocity"
     if isinstance(given, str):
-        if given not in ("box", "velocity"):
+        if given not in get_args(RateSource):
             raise ValueError(f"strain_rate={given!r}: expected a rate (s-1), 'box' or 'velocity'")
         if given == "box" and ("box" not in ds or ds.sizes.get("time", 0) < 2):
             raise ValueError(

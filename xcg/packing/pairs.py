@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,7 +18,7 @@ from xcg.scene.lattice import Lattice
 from xcg.scene.numbers import is_finite
 from xcg.scene.schema import SceneError
 
-METHODS = ("hierarchical", "linked-cell")
+PairMethod: TypeAlias = Literal["hierarchical", "linked-cell"]
 
 
 def find_pairs(
@@ -28,7 +29,7 @@ def find_pairs(
     *,
     lattice: ArrayLike | Mapping[str, ArrayLike] | None = None,
     skin: float = 0.0,
-    method: str = "hierarchical",
+    method: PairMethod = "hierarchical",
     levels: int | None = None,
     threads: int | None = None,
     most: int | None = None,
@@ -170,8 +171,8 @@ def _spheres(position: ArrayLike, radius: ArrayLike) -> tuple[NDArray, NDArray]:
 
 def check_search(skin: float, method: str, levels: int | None, threads: int | None = None) -> None:
     """Refuse options of the search that are not as expected."""
-    if method not in METHODS:
-        raise ValueError(f"method={method!r}: expected one of {', '.join(map(repr, METHODS))}")
+    if method not in get_args(PairMethod):
+        raise ValueError(f"method={method!r}: expected one of {', '.join(map(repr, get_args(PairMethod)))}")
     if not (is_finite(skin) and skin >= 0):
         raise ValueError(f"skin={skin!r}: expected 0 or the width of a gap that still counts as a contact (m)")
     for name, value in (("levels", levels), ("threads", threads)):

@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
-from typing import Any
+from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 import xarray as xr
@@ -29,17 +29,32 @@ from xcg.scene.complete import complete_particles
 from xcg.scene.lattice import Lattice
 from xcg.scene.numbers import floats
 from xcg.scene.plausible import check_shape
-from xcg.scene.schema import COMPONENTS, VARIABLES, Frame, SceneError, Setup, Sides, did_you_mean, printable, unknown
+from xcg.scene.schema import (
+    COMPONENTS,
+    VARIABLES,
+    Frame,
+    SceneError,
+    Setup,
+    Shape,
+    Sides,
+    did_you_mean,
+    printable,
+    unknown,
+)
 from xcg.scene.sizes import measure_frames
 from xcg.scene.walls import named_walls
 from xcg.scene.warn import warn_user
 from xcg.steps import errors as errors
-from xcg.steps.errors import FAULTS, check_on_error, collecting, raising
+from xcg.steps.errors import FAULTS, OnError, check_on_error, collecting, raising
 
 _RECOVERY_STEPS = 10  # files of contacts that are read for a period, where files do not tell it
 _OF_SAVED = ("particles", "chunks", "on_error", "engine_options")  # what a scene that was saved takes
 
 Paths = PathLike | Iterable[PathLike]
+
+
+# what becomes of steps of particles without contacts
+Missing: TypeAlias = Literal["raise", "skip", "empty"]
 
 
 def open_scene(
@@ -61,12 +76,12 @@ def open_scene(
     dimension: int | None = None,
     plane: str | None = None,
     thickness: float | None = None,
-    shape: str = "sphere",
+    shape: Shape = "sphere",
     allow_unknown: bool = False,
     sides: Sides = "mean",
-    missing: str = "raise",
+    missing: Missing = "raise",
     chunks: Chunks = "auto",
-    on_error: str = "raise",
+    on_error: OnError = "raise",
     **engine_options: Any,
 ) -> xr.Dataset:
     """Open the output of a DEM code as a lazy scene.
@@ -217,7 +232,7 @@ def open_scene(
     if engine is None and "mapping" not in engine_options and (saved := saved_path(particles)):
         _refuse_beside(saved, given)
         return open_saved(saved, chunks)
-    if missing not in ("raise", "skip", "empty"):
+    if missing not in get_args(Missing):
         raise SceneError(f"missing={missing!r}: expected 'raise', 'skip' or 'empty'")
     in_columns = dict(walls) if isinstance(walls, Mapping) else {}
     about_walls = named_walls(in_columns) if in_columns else {}

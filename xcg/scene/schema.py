@@ -27,6 +27,7 @@ SHORTEST, LONGEST = 1e-75, 1e75  # m; powers of lengths between these are number
 Frame: TypeAlias = dict[str, NDArray]
 Powers: TypeAlias = tuple[int, int, int]  # of length, mass, time
 # what becomes of contacts that are listed from both sides, see `xcg.scene.repeats`
+Shape: TypeAlias = Literal["sphere", "disc"]
 Sides: TypeAlias = Literal["mean", "first", "separate"]
 
 
@@ -242,7 +243,7 @@ class Setup:
     dimension: int = 3
     plane: str = "xyz"
     thickness: float | None = None
-    shape: str = "sphere"
+    shape: Shape = "sphere"
     density: float | None = None
     scales: tuple[float, float, float] = (1.0, 1.0, 1.0)
     unit_system: str = "SI"
@@ -256,7 +257,7 @@ class Setup:
                 f"dimension={self.dimension!r} with plane={self.plane!r}: expected dimension=3, "
                 "or dimension=2 with the two axes of the plane, for example plane='xy'"
             )
-        if self.shape not in ("sphere", "disc"):
+        if self.shape not in get_args(Shape):
             raise SceneError(f"shape={self.shape!r}: expected 'sphere' or 'disc'")
         if self.sides not in get_args(Sides):
             raise SceneError(f"sides={self.sides!r}: expected one of {', '.join(map(repr, get_args(Sides)))}")

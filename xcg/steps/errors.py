@@ -5,12 +5,13 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, Literal, TypeAlias, get_args
 
 from xcg.scene.schema import SceneError, SceneWarning, printable
 from xcg.scene.warn import warn_user
 
-ON_ERROR = ("raise", "skip")
+OnError: TypeAlias = Literal["raise", "skip"]
+ON_ERROR: tuple[OnError, ...] = get_args(OnError)
 
 # Faults of data and of files; anything else is an error of a program and is never skipped.
 FAULTS = (ValueError, OSError, EOFError, ArithmeticError)
@@ -35,7 +36,7 @@ class SkippedStep(SceneWarning):
         return f"step {self.step} is skipped: {self.cause}"
 
 
-def check_on_error(on_error: str) -> str:
+def check_on_error(on_error: str) -> OnError:
     """Refuse what is no choice of `on_error`."""
     if on_error not in ON_ERROR:
         raise ValueError(

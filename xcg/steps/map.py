@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from xcg.scene.sizes import numbers_of
 from xcg.scene.warn import Once
-from xcg.steps.errors import check_on_error
+from xcg.steps.errors import OnError, check_on_error
 from xcg.steps.skip import SKIPPED, Compute, Result, guarded
 
 
@@ -22,7 +22,7 @@ def map_over_time(
     compute: Compute,
     results: Mapping[str, Result],
     label: str,
-    on_error: str = "raise",
+    on_error: OnError = "raise",
 ) -> dict[str, Any]:
     """Arrays of all results, time first: computed if the scene is in memory, else one task a chunk of time.
 

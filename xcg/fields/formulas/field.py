@@ -5,10 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 from xcg.scene.schema import Powers, powers_of
 
+# choices of the algebra, the default first
+Gradient: TypeAlias = Literal["least_squares", "kernel", "finite_difference", "paper"]
+Deviatoric: TypeAlias = Literal["stress", "rate", "both", "neither"]
+InertialSize: TypeAlias = Literal["d43", "d32", "d50", "dmax"]
+Temperature: TypeAlias = Literal["unbiased", "biased"]
 Function = Callable[[Any, Any, "Options"], Any]
 
 

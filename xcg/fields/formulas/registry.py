@@ -30,12 +30,6 @@ FIELDS: Mapping[str, Field] = MappingProxyType(ChainMap(_REGISTERED, _ROWS))
 # Other ways to a field: the option that chooses, and the row for each of its values that is not the default.
 WAYS = flow.WAYS | rheology.WAYS | fabric.WAYS
 
-DEVIATORIC = ("stress", "rate", "both", "neither")
-GRADIENTS = ("least_squares", *WAYS["velocity_gradient"][1])
-INERTIAL_SIZES = ("d43", *WAYS["_size"][1])
-TEMPERATURES = ("unbiased", *WAYS["fluctuation_density"][1])
-
-
 _FORGET: list[Callable[[], None]] = []
 
 

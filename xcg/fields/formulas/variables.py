@@ -14,7 +14,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
 import xarray as xr
@@ -42,8 +42,9 @@ from xcg.scene.schema import (
     variable,
 )
 
+Weight: TypeAlias = Literal["mass", "volume", "number"]
 # symbol, unit, and the moment and the field that are its sum
-WEIGHTS = {
+WEIGHTS: dict[Weight, tuple[str, str, str, str]] = {
     "mass": ("m", "kg", "mass", "density"),
     "volume": ("V", "m^3", "volume", "volume_fraction"),
     "number": ("1", "1", "number", "number_density"),
@@ -71,10 +72,10 @@ class Quantity:
     """
 
     variable: str
-    weight: str | None = None
+    weight: Weight | None = None
     name: str | None = None
 
-    usual: ClassVar[str] = "mass"
+    usual: ClassVar[Weight] = "mass"
     prefix: ClassVar[str] = ""
 
     def __post_init__(self) -> None:
@@ -137,13 +138,13 @@ def read_quantity(text: str) -> Quantity | None:
     if call is None:
         return None
     kind, given = call[1].lower(), [part.strip() for part in call[2].split(",")]
-    named = dict(re.split(r"\s*=\s*", part, maxsplit=1) for part in given if "=" in part)
-    plain = [part for part in given if "=" not in part]
+    named: dict[str, Any] = dict(re.split(r"\s*=\s*", part, maxsplit=1) for part in given if "=" in part)
+    plain: list[Any] = [part for part in given if "=" not in part]
     if kind not in KINDS or set(named) - {"weight", "name"} or not 0 < len(plain) <= 3:
         hint = "" if kind in KINDS else did_you_mean(kind, KINDS)
         forms = f"expected one of {', '.join(KINDS)} of a variable, such as 'mean(charge, number, name=q)'"
         raise ValueError(f"{text!r}{hint}: {forms}")
-    return KINDS[kind](**dict(zip(("variable", "weight", "name"), plain, strict=False)), **named)
+    return KINDS[kind](*plain, **named)
 
 
 # --- in a plan -------------------------------------------------------------------------------------------
@@ -172,7 +173,7 @@ class OwnField:
 
     quantity: Quantity
     name: str
-    weight: str
+    weight: Weight
     rank: int
     at_contacts: bool
     units: str
@@ -378,7 +379,7 @@ def _wrong_dims(name: str, found: Column, expected: tuple[str, ...]) -> str:
     )
 
 
-def _units(quantity: Quantity, weight: str, unit: str | None, system: str) -> str:
+def _units(quantity: Quantity, weight: Weight, unit: str | None, system: str) -> str:
     """Return the unit of a quantity, from that of its variable; empty where the variable has none."""
     if unit is None or isinstance(quantity, Mean):
         return unit or ""

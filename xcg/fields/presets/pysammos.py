@@ -23,7 +23,7 @@ from xcg.fields.formulas.field import Field, Options
 from xcg.fields.formulas.trace import at_least_zero, where_positive
 from xcg.fields.formulas.variables import Quantity
 from xcg.fields.request import Request
-from xcg.fields.sums.smoothing import as_kernel, choose_width
+from xcg.fields.sums.smoothing import KernelName, as_kernel, choose_width
 from xcg.scene.description import Description, describe
 from xcg.scene.schema import COMPONENTS, unknown
 
@@ -251,7 +251,7 @@ def pysammos_mesh(
     bounds: Mapping[str, tuple[float, float]] | None = None,
     at: Mapping[str, float] | None = None,
     width: float | str | None = None,
-    kernel: str = "lucy",
+    kernel: KernelName | str = "lucy",
 ) -> dict[str, Any]:
     """Arguments for `xcg.coarse_grain` that place nodes as Pysammos does.
 

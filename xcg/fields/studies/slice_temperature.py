@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 import xarray as xr
@@ -19,6 +19,7 @@ from xcg.scene.description import describe, require_scene
 from xcg.scene.frame import steps_in
 from xcg.scene.numbers import is_positive, is_whole, rising_pair
 from xcg.scene.schema import COMPONENTS, OF_STEP, SceneError, units_in
+from xcg.steps.errors import OnError
 from xcg.steps.label import mark_skipped
 from xcg.steps.map import map_over_time
 
@@ -28,17 +29,20 @@ _MOST_PERIODS = 1000  # that a grain may reach over
 _MOST = 1 << 20  # planes of all slices, each a step of a loop
 
 
+SliceMethod: TypeAlias = Literal["planes", "bins"]
+
+
 @takes_scene
 def slice_temperature(
     ds: xr.Dataset,
     axis: str = "z",
     *,
-    method: str = "planes",
+    method: SliceMethod = "planes",
     width: float | None = None,
     spacing: float | None = None,
     bounds: Sequence[float] | None = None,
     planes: int = 5,
-    on_error: str = "raise",
+    on_error: OnError = "raise",
 ) -> xr.Dataset:
     """Granular temperature and velocity in slices across an axis, lazy where the scene is.
 

@@ -13,7 +13,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.fields.places.surfaces.wall import SurfaceCells, Wall
-from xcg.fields.sums.smoothing import Kernel, as_kernel, choose_width
+from xcg.fields.sums.smoothing import Kernel, KernelName, as_kernel, choose_width
 from xcg.scene.build import storable
 from xcg.scene.conform import takes_scene
 from xcg.scene.contacts import Contacts
@@ -24,6 +24,7 @@ from xcg.scene.numbers import is_positive
 from xcg.scene.schema import COMPONENTS, OF_STEP, Setup, units_in
 from xcg.scene.walls import Walls, select_walls
 from xcg.scene.warn import warn_once
+from xcg.steps.errors import OnError
 from xcg.steps.label import format_call, mark_skipped, provenance
 from xcg.steps.map import map_over_time
 
@@ -48,10 +49,10 @@ def wall_stress(
     width: float | str | None = None,
     *,
     walls: Walls | None = None,
-    kernel: str | Kernel = "lucy",
+    kernel: KernelName | str | Kernel = "lucy",
     spacing: float | None = None,
     within: float | None = None,
-    on_error: str = "raise",
+    on_error: OnError = "raise",
 ) -> xr.Dataset:
     """Traction of the grains on a wall, as a field on its surface; lazy where the scene is.
 

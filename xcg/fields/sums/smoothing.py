@@ -11,7 +11,7 @@ import operator
 from collections.abc import Callable, Mapping
 from functools import partial
 from itertools import accumulate
-from typing import Any
+from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -267,13 +267,14 @@ class Heaviside(Kernel):
         return {1: 1 / 2, 2: 1 / math.pi, 3: 3 / (4 * math.pi)}[dimension]
 
 
+KernelName: TypeAlias = Literal["lucy", "gaussian", "shifted gaussian", "heaviside"]
 _NAMED: dict[str, Callable[..., Kernel]] = {
     "lucy": Lucy,
     "gaussian": Gaussian,
     _SHIFTED_GAUSSIAN: partial(Gaussian, shifted=True),
     "heaviside": Heaviside,
 }
-_OF_THE_PACKAGE = frozenset(_NAMED)
+_OF_THE_PACKAGE = frozenset(get_args(KernelName))
 
 
 def register_kernel(
