@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import xcg
-from xcg.compiled import near, simd
+from xcg.compiled import cells, simd
 from xcg.compiled.reach import ALONG, LISTS, NODE, NUMBERS, Q2, X, Y, Z
 
 ROOT = Path(__file__).parents[1]
@@ -142,11 +142,11 @@ def test_points_that_are_near(real, compresses):
     points[:, abs(away - 1.0) < 1e-5] = 9.0
     away[abs(away - 1.0) < 1e-5] = 9.0
     with mock.patch.object(simd, "_COMPRESSES", compresses):
-        instruction, others = near.list_near_place, tuple(place)
+        instruction, others = cells.list_near_place, tuple(place)
         if not of_place:
-            instruction, others = near.list_near_segment, (*place, *e, 0.5)
+            instruction, others = cells.list_near_segment, (*place, *e, 0.5)
         call, rows = compiled(instruction, 8 + len(others)), (X, Y, Z, Q2) if of_place else (Q2, ALONG)
-        lanes = near.VECTOR // np.dtype(real or "float64").itemsize
+        lanes = cells.VECTOR // np.dtype(real or "float64").itemsize
         for left in (-1, 0, 1, 5, 8, 11, 16, 40):
             found = []
             for run in (call, instruction.py_func):

@@ -1,8 +1,9 @@
-"""What several loops need: rules of Gauss-Legendre, sorting by counting, transposing, bounds, the nearest image."""
+"""What several loops need: rules of Gauss-Legendre, sorting, transposing, rounding, bounds, the minimum image."""
 
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,3 +109,79 @@ def image_near(d, to, period):
     if abs(d - to) < 0.49 * period:  # most are: no division
         return d
     return d - period * np.rint((d - to) / period) if np.isfinite(period) else d
+
+
+class Reduced(NamedTuple):
+    """A lattice by its shortest vectors.
+
+    Attributes
+    ----------
+    vectors : (k, 3)
+        Minkowski-reduced basis.
+    dual : (k, 3)
+        Its reciprocal: ``dual @ (n @ vectors)`` is n.
+    around : (m, 3)
+        All sums of these vectors with factors -1, 0 and 1, but for zero.
+    """
+
+    vectors: NDArray
+    dual: NDArray
+    around: NDArray
+
+
+@inner
+def nearest_of(x, y, z, lattice):
+    """Shortest image of a vector: that of the rounded coordinates, or one around it, as the basis is reduced."""
+    vectors, dual, around = lattice
+    to_x, to_y, to_z = x, y, z
+    for k in range(vectors.shape[0]):
+        number = np.rint(dual[k, 0] * x + dual[k, 1] * y + dual[k, 2] * z)
+        to_x -= number * vectors[k, 0]
+        to_y -= number * vectors[k, 1]
+        to_z -= number * vectors[k, 2]
+    least, best = to_x * to_x + to_y * to_y + to_z * to_z, -1
+    for k in range(around.shape[0]):
+        image_x, image_y, image_z = to_x + around[k, 0], to_y + around[k, 1], to_z + around[k, 2]
+        length2 = image_x * image_x + image_y * image_y + image_z * image_z
+        if length2 < least:
+            least, best = length2, k
+    if best < 0:
+        return to_x, to_y, to_z
+    return to_x + around[best, 0], to_y + around[best, 1], to_z + around[best, 2]
+
+
+@leaf
+def nearest_images(vector, lattice, out):
+    """Write the shortest image of each vector (n, 3), see `nearest_of`."""
+    for n in range(vector.shape[0]):
+        out[n, 0], out[n, 1], out[n, 2] = nearest_of(vector[n, 0], vector[n, 1], vector[n, 2], lattice)
+
+
+_BLOCK = 4096  # numbers that stay in the processor's first cache while their bytes are taken apart
+
+
+@leaf
+def round_bits(bits, drop, special):
+    """Round floating-point numbers, given as integers (n,), to nearest even without their last `drop` bits.
+
+    Numbers whose bits `special` are all set are infinite or NaN and stay as they are.
+    """
+    one = bits.dtype.type(1)
+    half, mask = (one << (drop - one)) - one, ~((one << drop) - one)
+    for n in range(bits.size):
+        x = bits[n]
+        if x & special != special:
+            bits[n] = (x + half + ((x >> drop) & one)) & mask
+
+
+@leaf
+def shuffle_bytes(numbers, out):
+    """Write the lowest bytes of unsigned integers (n,), then their second bytes, ...: out (bytes of a number, n)."""
+    eight, byte = numbers.dtype.type(8), numbers.dtype.type(255)
+    for first in range(0, numbers.size, _BLOCK):
+        end = min(first + _BLOCK, numbers.size)
+        shift = numbers.dtype.type(0)
+        for k in range(out.shape[0]):
+            for n in range(first, end):
+                out[k, n] = np.uint8((numbers[n] >> shift) & byte)
+            shift += eight

@@ -3,8 +3,7 @@
 import math
 
 from xcg.compiled._jit import inlined, inner, leaf
-from xcg.compiled.arrays import image_near, nearest_image
-from xcg.compiled.lattice import nearest_of
+from xcg.compiled.arrays import image_near, nearest_image, nearest_of
 from xcg.compiled.simd import prefetch
 
 AHEAD = 16  # the particles of the contact so many places ahead are prefetched

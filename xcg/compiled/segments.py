@@ -15,10 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled._jit import inlined, inner, leaf
-from xcg.compiled.arrays import gauss_rules
+from xcg.compiled.arrays import Reduced, gauss_rules
 from xcg.compiled.cells import points_around_segment
 from xcg.compiled.contacts import side
-from xcg.compiled.lattice import Reduced
 from xcg.compiled.reach import (
     ALONG,
     NODE,

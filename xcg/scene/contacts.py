@@ -9,9 +9,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.compiled.arrays import counting_sort, short_integers
+from xcg.compiled.arrays import Reduced, counting_sort, short_integers
 from xcg.compiled.contacts import add_dyads, add_rows, add_unit_squares, between, k_core, sides
-from xcg.compiled.lattice import Reduced
 from xcg.compiled.threads import for_parts
 from xcg.scene.complete import unit_vectors
 from xcg.scene.lattice import Lattice

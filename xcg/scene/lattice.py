@@ -14,7 +14,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.compiled.lattice import Reduced, nearest_images
+from xcg.compiled.arrays import Reduced, nearest_images
 from xcg.scene.schema import COMPONENTS, SceneError
 
 _SAME = 1e-9  # rounding of lattice vectors, as a share of the longest

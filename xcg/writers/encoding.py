@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import DTypeLike, NDArray
 
-from xcg.compiled.digits import round_bits, shuffle_bytes
+from xcg.compiled.arrays import round_bits, shuffle_bytes
 
 _MANTISSA = {4: 23, 8: 52}  # bits, by the bytes of a number
 _SINGLE = 2.0**-24  # relative error of a number in single precision
