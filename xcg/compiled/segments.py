@@ -18,6 +18,7 @@ from xcg.compiled._jit import inlined, inner, leaf
 from xcg.compiled.arrays import Reduced, gauss_rules
 from xcg.compiled.cells import points_around_segment
 from xcg.compiled.contacts import side
+from xcg.compiled.lines import fill_segments
 from xcg.compiled.reach import (
     ALONG,
     NODE,
@@ -30,7 +31,7 @@ from xcg.compiled.reach import (
 )
 from xcg.compiled.shells import SCRATCH
 from xcg.compiled.simd import add4, prefetch
-from xcg.compiled.smoothing import fill_gauss, fill_segments
+from xcg.compiled.smoothing import fill_gauss
 from xcg.compiled.volumes import volumes_in_ball
 
 

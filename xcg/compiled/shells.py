@@ -35,7 +35,7 @@ _TINY = 1e-290  # keeps quotients finite where both ends are at the node
 def fill_shells(shells, per_length, length, along, q2, count, out, ratio, bits, exponent, rows):
     """Write the mean of the shells over segments, seen from `count` nodes, in loops that vectorise.
 
-    Arguments are those of `xcg.compiled.smoothing.fill_segments`.
+    Arguments are those of `xcg.compiled.lines.fill_segments`.
     """
     room = padded(count)
     for k in range(room):

@@ -17,8 +17,9 @@ from typing import NamedTuple
 
 from xcg.compiled._jit import inner
 from xcg.compiled.arrays import gauss_rules
+from xcg.compiled.lines import segment
 from xcg.compiled.reach import NODE, OF_Y, OF_Y2, OF_Z, OF_Z2, WEIGHT, Rows, X, Y, Z, node_range
-from xcg.compiled.smoothing import segment, value
+from xcg.compiled.smoothing import value
 
 # Gauss-Legendre points for a part of no length, and more for one from rim to rim: errors are in docs/evaluation.md
 FEWEST, PER_RIM = 3, 5

@@ -1,0 +1,244 @@
+"""Integrals of kernels along lines, at one node and at many.
+
+A segment at distance h from a point, running from t0 to t1 along its own line, contributes the integral of the value at
+sqrt(h^2 + t^2) over t. Kinds, spreads and tables are those of `xcg.compiled.smoothing`.
+"""
+
+import math
+
+import numpy as np
+
+from xcg.compiled._jit import inlined, inner, leaf
+from xcg.compiled.arrays import gauss_rules
+from xcg.compiled.elementary import erf, erfcx, exp
+from xcg.compiled.lucy import TINY, clipped, fill_lucy_lines, lucy_line, lucy_plane
+from xcg.compiled.reach import padded
+from xcg.compiled.shells import RADIUS, along_marginal, along_shells, fill_shells
+from xcg.compiled.smoothing import (
+    GAUSSIAN,
+    HEAVISIDE,
+    LUCY,
+    LUCY_FULL,
+    PLAIN,
+    SHELLS,
+    SQRT2,
+    SQRT_PI_2,
+    TABLE,
+    TABULATED,
+    along_line,
+    interpolate,
+    value,
+)
+
+_FEW, _MANY = 24, 48  # points of a line integral on one side of a node, for short branches and others
+_LINE_POINTS, _LINE_WEIGHTS = gauss_rules(_FEW, _MANY)
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(32)
+
+
+@inlined
+def has_shells(table):
+    """Whether lines through the kernel of a table have the closed form of shells."""
+    return table[SHELLS, RADIUS, 0] > 0.0
+
+
+@inner
+def _antiderivative(kind, spread, table, h2, t):
+    """Integral of the value over 0 < s < t along a line at distance h, for 0 <= t <= sqrt(1 - h^2)."""
+    if kind is LUCY_FULL:
+        return lucy_line(h2, t)
+    if kind == LUCY + 1:
+        return lucy_plane(h2, t)
+    if kind == LUCY + 2:  # seen in one dimension, where every line runs through the point: h = 0
+        t2 = t * t
+        return 2.0 * math.pi * t * (0.1 + t2 * (-1.0 / 6.0 + t2 * (0.3 - 4.0 / 15.0 * t + t2 / 14.0)))
+    if kind == HEAVISIDE + 1:
+        half2 = 1.0 - h2
+        return t * math.sqrt(max(0.0, half2 - t * t)) + half2 * math.atan2(t, math.sqrt(max(0.0, half2 - t * t)))
+    bell, flat, cube = _parts_of_line(kind, spread, table)
+    if bell > 0.0:
+        bell *= spread * SQRT_PI_2 * erf(t / (SQRT2 * spread)) * exp(-0.5 * h2 / (spread * spread))
+    return bell + flat * t + cube * t * t * t
+
+
+@inlined
+def _parts_of_line(kind, spread, table):
+    """Factors of the Gaussian, of 1 and of 3 t^2 in the value along a line at distance t from its foot.
+
+    For a Gaussian or Heaviside of codimension 0, or of codimension 2, which is seen in one dimension, where every line
+    runs through the point.
+    """
+    s2 = spread * spread
+    edge = exp(-0.5 / s2)
+    if kind == GAUSSIAN:
+        return 1.0, 0.0 if table is PLAIN else -edge, 0.0
+    if kind == GAUSSIAN + 2:
+        disc = 0.0 if table is PLAIN else math.pi * edge
+        return 2.0 * math.pi * s2, -2.0 * math.pi * s2 * edge - disc, disc / 3.0
+    if kind == HEAVISIDE:
+        return 0.0, 1.0, 0.0
+    return 0.0, math.pi, -math.pi / 3.0  # HEAVISIDE + 2
+
+
+@inner
+def _quadrature(kind, spread, table, h2, t0, t1):
+    """Gauss-Legendre over the angle along the chord, which takes the root at its end out of the integrand."""
+    half = math.sqrt(1.0 - h2)
+    a0, a1 = math.asin(max(-1.0, t0 / half)), math.asin(min(1.0, t1 / half))
+    total = 0.0
+    for lower, upper in ((a0, min(a1, 0.0)), (max(a0, 0.0), a1)):
+        if upper > lower:
+            mean, span = 0.5 * (upper + lower), 0.5 * (upper - lower)
+            for g in range(_NODES.size):
+                angle = mean + span * _NODES[g]
+                t = half * math.sin(angle)
+                q2 = min(h2 + t * t, 1.0)
+                total += span * _WEIGHTS[g] * half * math.cos(angle) * value(kind, spread, table, q2)
+    return total
+
+
+@inner
+def _tabulated_segment(kind, table, h2, t0, t1):
+    if table is PLAIN:
+        return 0.0
+    if not has_shells(table):
+        return _quadrature(kind, TABULATED, table, h2, t0, t1)
+    if kind == TABLE + 1:
+        return along_marginal(table[SHELLS], h2, t0, t1)
+    return along_shells(table[SHELLS], h2, t0, t1)
+
+
+@leaf
+def segment(kind, spread, table, h2, t0, t1):
+    """Integral of the value along a line at distance h from t0 to t1 (h^2 < 1, t0 < t1), exact to rounding."""
+    half = math.sqrt(1.0 - h2)
+    t0, t1 = max(t0, -half), min(t1, half)
+    if t1 <= t0:
+        return 0.0
+    if spread is TABULATED:
+        return _tabulated_segment(kind, table, h2, t0, t1)
+    if kind is not LUCY_FULL and kind == GAUSSIAN + 1:
+        return _quadrature(kind, spread, table, h2, t0, t1)
+    lower = _antiderivative(kind, spread, table, h2, abs(t0))
+    upper = _antiderivative(kind, spread, table, h2, abs(t1))
+    return (upper if t1 >= 0.0 else -upper) - (lower if t0 >= 0.0 else -lower)
+
+
+# --- many nodes at once ----------------------------------------------------------------------------------
+
+
+@leaf
+def fill_segments(kind, spread, table, length, along, q2, count, out, ratio, bits, exponent, rows):
+    """Write the mean of the value over segments, in closed form, seen from `count` nodes.
+
+    `ratio` and `bits` are scratch, the same memory as floats and as integers, `exponent` (integers), and `rows`, see
+    `xcg.compiled.shells`.
+    """
+    if kind is LUCY_FULL:
+        fill_lucy_lines(1.0 / length, length, along, q2, count, out, ratio, bits, exponent)
+    elif spread is TABULATED:
+        _filltabulated(kind, table, length, along, q2, count, out, ratio, bits, exponent, rows)
+    elif kind == GAUSSIAN + 1:
+        _fill_quadrature(kind, spread, table, 1.0 / length, length, along, q2, count, out, ratio)
+    elif kind >= GAUSSIAN and kind != HEAVISIDE + 1:
+        _fill_chords(kind, spread, table, 1.0 / length, length, along, q2, count, out)
+    else:
+        _fill_one_by_one(kind, spread, table, length, along, q2, count, out)
+
+
+@inner
+def _filltabulated(kind, table, length, along, q2, count, out, ratio, bits, exponent, rows):
+    if table is PLAIN:
+        return
+    if not has_shells(table):
+        _fill_quadrature(kind, TABULATED, table, 1.0 / length, length, along, q2, count, out, ratio)
+    elif kind == TABLE + 1:
+        _fill_one_by_one(kind, TABULATED, table, length, along, q2, count, out)
+    else:
+        fill_shells(table[SHELLS], 1.0 / length, length, along, q2, count, out, ratio, bits, exponent, rows)
+
+
+@inner
+def _fill_one_by_one(kind, spread, table, length, along, q2, count, out):
+    for k in range(count):
+        h2 = max(0.0, q2[k] - along[k] * along[k])
+        out[k] = 0.0
+        if h2 < 1.0:
+            out[k] = segment(kind, spread, table, h2, -along[k], length - along[k]) / length
+
+
+@inner
+def _fill_chords(kind, spread, table, per_length, length, along, q2, count, out):
+    """As `_antiderivative` at both ends of the clipped segment, for kinds of `_parts_of_line`.
+
+    Differences of error functions are those of their complements, which keep their digits far out.
+    """
+    bell, flat, cube = _parts_of_line(kind, spread, table)
+    per_2s2 = 0.5 / (spread * spread)
+    root, bell = math.sqrt(per_2s2), bell * spread * SQRT_PI_2
+    for k in range(padded(count)):
+        a, b, _ = clipped(q2[k], along[k], length)
+        out[k] = per_length * (flat * (b - a) + cube * (b * b * b - a * a * a))
+    if bell > 0.0:
+        bell *= per_length
+        for k in range(padded(count)):
+            a, b, h2 = clipped(q2[k], along[k], length)
+            a, b = -min(b, -a), max(b, -a)  # mirrored where more of it lies before the foot: now b >= 0
+            from_a = exp(-per_2s2 * (h2 + a * a)) * erfcx(root * abs(a))
+            from_b = exp(-per_2s2 * (h2 + b * b)) * erfcx(root * b)
+            if a < 0.0:
+                from_a = 2.0 * exp(-per_2s2 * h2) - from_a
+            out[k] += bell * (from_a - from_b)
+
+
+@inner
+def _fill_quadrature(kind, spread, table, per_length, length, along, q2, count, out, last):
+    """As `_quadrature`, over t = h' 2 v / (1 + v^2) with h' half of the chord, node by node in loops that vectorise.
+
+    `along` and `q2` are overwritten, and `last` is scratch. Points crowd about the foot of the node, where a kernel may
+    have a cusp, on either side of it; a Gaussian on a short branch takes one side from end to end.
+    """
+    if spread is TABULATED:
+        short, first, end = length <= 0.7, 1, 3
+    else:
+        short = length <= min(0.7, 2.1 * spread)
+        first, end = (0, 1) if short else (1, 3)
+        per_s2 = 1.0 / (spread * spread)
+        edge = 0.0 if table is PLAIN else 2.0 * exp(-0.5 * per_s2)
+    order = _FEW if short else _MANY
+    for k in range(padded(count)):
+        a, b, h2 = clipped(q2[k], along[k], length)
+        half2 = max(0.0, 1.0 - h2)
+        half = math.sqrt(half2)
+        a, b = min(a, half), min(b, half)
+        along[k] = a / (half + math.sqrt(max(0.0, half2 - a * a)) + TINY)
+        last[k] = b / (half + math.sqrt(max(0.0, half2 - b * b)) + TINY)
+        q2[k], out[k] = h2, 0.0
+    for side in range(first, end):
+        for g in range(order):
+            x, weight = _LINE_POINTS[order, g], 2.0 * per_length * _LINE_WEIGHTS[order, g]
+            if side:
+                x, weight = x * x, 2.0 * x * weight
+            if spread is TABULATED:
+                for k in range(count):
+                    r2, half, share = _crossing(along[k], last[k], q2[k], x, side)
+                    out[k] += weight * share * (half if kind == TABLE + 1 else 1.0) * interpolate(table, 0, r2)
+            else:
+                for k in range(padded(count)):
+                    r2, half, share = _crossing(along[k], last[k], q2[k], x, side)
+                    out[k] += weight * share * (along_line(per_s2, r2) - edge * half)
+
+
+@inlined
+def _crossing(first, last, h2, x, side):
+    """Where a line is at a share x of its way: squared distance, half of the chord across there, and its weight.
+
+    The way is from end to end, or, of what lies before (side 1) or behind the foot (side 2), away from the foot.
+    """
+    if side == 1:
+        first, last = max(0.0, first), max(0.0, last)
+    elif side == 2:
+        first, last = max(0.0, -last), max(0.0, -first)
+    half, v = math.sqrt(max(0.0, 1.0 - h2)), first + x * (last - first)
+    turn = 1.0 / (1.0 + v * v)
+    t, across = 2.0 * half * v * turn, half * (1.0 - v * v) * turn
+    return min(1.0, h2 + t * t), across, (last - first) * across * turn
