@@ -14,7 +14,7 @@ from xcg.fields.formulas.field import Deviatoric, Gradient, InertialSize, Option
 from xcg.fields.formulas.registry import WAYS
 from xcg.fields.formulas.variables import WEIGHTS, Weight
 from xcg.fields.request import Per, Preset, Sampling
-from xcg.fields.sums.smoothing import KernelName
+from xcg.fields.sums.kernels import KernelName
 from xcg.scene.numbers import floats, is_finite, is_positive, is_whole
 from xcg.steps.errors import OnError
 

@@ -17,7 +17,7 @@ from tests import planning, steps_of_random_scenes
 from tests.brute_force import BruteKernel, brute_force
 from xcg.compiled.points import deposit
 from xcg.fields.evaluate import WORTH_SHARING
-from xcg.fields.sums.blocks import BLOCK_NODES
+from xcg.fields.sums.nodes import BLOCK_NODES
 
 RATIOS = {"velocity", "effective_count", "particle_density", "coordination_number", "d32",
           "d43", "granular_temperature", "friction_coefficient", "velocity_gradient", "shear_rate",

@@ -8,7 +8,7 @@ import xarray as xr
 
 import xcg
 from tests import planning
-from xcg.fields.sums import branches
+from xcg.fields.sums import segments
 
 SCENES = {
     "periodic": {"particles": 260},
@@ -45,13 +45,13 @@ def same_bits(one, other):
 def anew(found):
     """List few contacts at a time, of any number; `found` gets those that are listed."""
 
-    def near(self, nodes, listed=branches.ListedAnew.near):
+    def near(self, nodes, listed=segments.ListedAnew.near):
         for some in listed(self, nodes):
             found.append(len(some.records))
             yield some
 
-    return mock.patch.multiple(branches, MOST_LISTED_ONCE=0, _TOGETHER=2), mock.patch.object(
-        branches.ListedAnew, "near", near
+    return mock.patch.multiple(segments, MOST_LISTED_ONCE=0, _TOGETHER=2), mock.patch.object(
+        segments.ListedAnew, "near", near
     )
 
 
@@ -66,7 +66,7 @@ def test_segments_listed_anew_have_the_same_bits(scene, call):
     some, told = anew(found)
     with planning(BLOCK_NODES=300), few, some, told:
         same_bits(kept, scene.cg.coarse_grain(**given))
-    assert max(found) <= 2 * branches.RUN
+    assert max(found) <= 2 * segments.RUN
     assert len(found) > 1
 
 

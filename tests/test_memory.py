@@ -11,7 +11,7 @@ import pytest
 
 import xcg
 from tests.benchmarks import series
-from xcg.fields.sums import branches
+from xcg.fields.sums import segments
 from xcg.scene.frame import stack
 from xcg.scene.repeats import rows_of
 
@@ -95,14 +95,14 @@ def test_passes_of_a_step_take_little_beside_their_records(packing):
 
 def test_steps_of_many_contacts_do_not_keep_their_segments(packing, monkeypatch):
     """Of the eighty bytes that a segment takes; its share in the bounds of a run is one."""
-    monkeypatch.setattr(branches, "_TOGETHER", 4)
+    monkeypatch.setattr(segments, "_TOGETHER", 4)
 
     def work():
         packing.cg.coarse_grain("contact_stress", width=4.0, spacing=4.0)
 
     work()
     kept = peak(work)
-    monkeypatch.setattr(branches, "MOST_LISTED_ONCE", 0)
+    monkeypatch.setattr(segments, "MOST_LISTED_ONCE", 0)
     work()
     saved = (kept - peak(work)) / packing.sizes["contact"]
     assert saved > 70

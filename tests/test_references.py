@@ -14,8 +14,8 @@ from xcg.compiled.segments import (
     deposit_segments,
     reference_deposit_segments,
 )
-from xcg.fields.sums.blocks import MeshBlock
-from xcg.fields.sums.smoothing import kind_of
+from xcg.fields.sums.kernels import kind_of
+from xcg.fields.sums.nodes import MeshBlock
 
 xcg.register_kernel("reference spline", lambda q: (1 - q) ** 4 * (1 + 4 * q), ratio=2.0, smoothness=2)
 KERNELS = ["lucy", "gaussian", "shifted gaussian", "heaviside", "reference spline"]

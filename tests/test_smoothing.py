@@ -17,8 +17,8 @@ from xcg.compiled import shells
 from xcg.compiled.lines import has_shells
 from xcg.compiled.segments import RULES, closed_for
 from xcg.compiled.smoothing import SHELLS
+from xcg.fields.sums.kernels import as_kernel
 from xcg.fields.sums.quadrature import gauss_limits
-from xcg.fields.sums.smoothing import as_kernel
 
 NAMES = ["lucy", "gaussian", "shifted gaussian", "heaviside"]
 SPHERE = {1: 2.0, 2: 2 * np.pi, 3: 4 * np.pi}

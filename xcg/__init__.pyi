@@ -28,7 +28,7 @@ from .fields.studies.plots import movie, plot
 from .fields.studies.slice_temperature import slice_temperature
 from .fields.studies.wall_stress import wall_stress
 from .fields.studies.width_sweep import width_sweep
-from .fields.sums.smoothing import Gaussian, Heaviside, Kernel, Lucy, register_kernel
+from .fields.sums.kernels import Gaussian, Heaviside, Kernel, Lucy, register_kernel
 from .packing.find_contacts import find_contacts
 from .packing.microstructure import microstructure
 from .packing.pairs import find_pairs

@@ -22,7 +22,7 @@ from xcg.fields.places.surfaces.plane import Plane
 from xcg.fields.places.surfaces.wall import Wall
 from xcg.fields.plan import Plan
 from xcg.fields.request import Per, Request
-from xcg.fields.sums.smoothing import Kernel
+from xcg.fields.sums.kernels import Kernel
 from xcg.scene.description import Description
 from xcg.scene.schema import COMPONENTS
 from xcg.steps.map import is_lazy

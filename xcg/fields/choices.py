@@ -11,7 +11,7 @@ from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Deviatoric, Gradient, InertialSize, Options, Temperature
 from xcg.fields.formulas.variables import OwnField, Quantity, own_fields, own_moments
 from xcg.fields.request import Request, Sampling
-from xcg.fields.sums.fabric import sliding_contacts
+from xcg.fields.sums.contact_moments import sliding_contacts
 from xcg.fields.sums.moments import MOMENTS, Moment
 from xcg.scene.description import Description
 from xcg.scene.numbers import is_finite, is_positive

@@ -17,8 +17,8 @@ from xcg.fields.formulas import registry
 from xcg.fields.formulas.program import program_for
 from xcg.fields.places.grid import check_mesh
 from xcg.fields.plan import Plan, scale_of
-from xcg.fields.sums.blocks import Block
 from xcg.fields.sums.deposit import sums_of_frame
+from xcg.fields.sums.nodes import Block
 from xcg.scene.frame import steps_in
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import OF_STEP, Frame

@@ -13,8 +13,8 @@ from xcg.fields.places.grid import make_grid
 from xcg.fields.places.points import is_pointwise, make_points
 from xcg.fields.places.rings import Rings, make_rings
 from xcg.fields.request import Request
+from xcg.fields.sums.kernels import Kernel, as_kernel, choose_width
 from xcg.fields.sums.nodes import Grid
-from xcg.fields.sums.smoothing import Kernel, as_kernel, choose_width
 from xcg.scene.description import Description
 from xcg.scene.numbers import is_positive
 from xcg.scene.schema import COMPONENTS

@@ -27,10 +27,10 @@ from xcg.fields.layout import (
     warn_of_width,
 )
 from xcg.fields.request import Request
-from xcg.fields.sums.blocks import BLOCK_NODES, FINE, nodes_in_cache
+from xcg.fields.sums.kernels import Kernel
+from xcg.fields.sums.nodes import BLOCK_NODES, FINE, nodes_in_cache
 from xcg.fields.sums.passes import DepositSpec
 from xcg.fields.sums.quadrature import SINGLE, gauss_limits
-from xcg.fields.sums.smoothing import Kernel
 from xcg.scene.description import Description
 from xcg.scene.lattice import Lattice
 from xcg.scene.numbers import is_finite

@@ -20,7 +20,7 @@ from xcg.fields.formulas.field import Deviatoric, Gradient, InertialSize, Temper
 from xcg.fields.formulas.variables import Quantity
 from xcg.fields.places.frames import Cylindrical, Rotated
 from xcg.fields.places.surfaces.wall import Wall
-from xcg.fields.sums.smoothing import Kernel, KernelName
+from xcg.fields.sums.kernels import Kernel, KernelName
 from xcg.scene.conform import as_selected, conformed
 from xcg.steps.errors import OnError
 

@@ -16,7 +16,7 @@ from numpy.typing import DTypeLike
 
 from xcg.fields.coarse_grain import answer
 from xcg.fields.request import Request
-from xcg.fields.sums.smoothing import Kernel
+from xcg.fields.sums.kernels import Kernel
 from xcg.scene.build import storable
 from xcg.scene.conform import takes_scene
 from xcg.scene.schema import COMPONENTS, SceneError

@@ -20,8 +20,9 @@ from xcg.compiled.simd import EIGHT
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Options
 from xcg.fields.formulas.trace import Trace, as_symbols, zero_if_unknown
+from xcg.fields.sums.deposit import BlockSums
 from xcg.fields.sums.moments import MOMENTS, Moment
-from xcg.fields.sums.passes import BlockSums, Layout
+from xcg.fields.sums.passes import Layout
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,8 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.fields.sums.blocks import Block, mesh_blocks
-from xcg.fields.sums.nodes import Grid, SameAxes
+from xcg.fields.sums.nodes import Block, Grid, SameAxes, mesh_blocks
 from xcg.scene.numbers import is_finite, rising_pair
 from xcg.scene.plausible import SAMPLE
 from xcg.scene.schema import COMPONENTS

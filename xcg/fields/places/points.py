@@ -18,8 +18,7 @@ from xcg.compiled.cells import PointCells, lists_for_points, sort_by_cell
 from xcg.compiled.reach import PAD, Lists, Nodes
 from xcg.compiled.threads import for_each
 from xcg.fields.places.grid import MAX_NODES, check_axes
-from xcg.fields.sums.blocks import BLOCK_NODES, OwnNodes, triple
-from xcg.fields.sums.nodes import Apart
+from xcg.fields.sums.nodes import BLOCK_NODES, Apart, OwnNodes, triple
 from xcg.scene.schema import COMPONENTS
 
 # Cells hold about this many points, but are no wider and no narrower than these shares of the support's radius:

@@ -16,9 +16,8 @@ from xcg.compiled import THREADS
 from xcg.fields.places.grid import MAX_NODES, nodes_along
 from xcg.fields.places.means import RingBlock
 from xcg.fields.places.points import PointBlock
-from xcg.fields.sums.blocks import BLOCK_NODES
-from xcg.fields.sums.nodes import Apart
-from xcg.fields.sums.smoothing import Kernel
+from xcg.fields.sums.kernels import Kernel
+from xcg.fields.sums.nodes import BLOCK_NODES, Apart
 from xcg.scene.numbers import is_finite
 
 NAMES = {"r": "r", "t": "theta", "z": "z"}  # letters of `axes`, and what else they are called

@@ -21,7 +21,7 @@ from xcg.fields.formulas import registry
 from xcg.fields.formulas.variables import Quantity
 from xcg.fields.plan import make_plan
 from xcg.fields.request import Request
-from xcg.fields.sums.smoothing import Gaussian, Kernel, as_kernel, choose_width
+from xcg.fields.sums.kernels import Gaussian, Kernel, as_kernel, choose_width
 from xcg.scene.description import Description, describe, require_scene
 from xcg.scene.numbers import is_positive
 from xcg.scene.schema import COMPONENTS, units_in, unknown

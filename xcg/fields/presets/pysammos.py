@@ -23,7 +23,7 @@ from xcg.fields.formulas.field import Field, Options
 from xcg.fields.formulas.trace import at_least_zero, where_positive
 from xcg.fields.formulas.variables import Quantity
 from xcg.fields.request import Request
-from xcg.fields.sums.smoothing import KernelName, as_kernel, choose_width
+from xcg.fields.sums.kernels import KernelName, as_kernel, choose_width
 from xcg.scene.description import Description, describe
 from xcg.scene.schema import COMPONENTS, unknown
 

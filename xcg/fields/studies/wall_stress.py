@@ -13,7 +13,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.fields.places.surfaces.wall import SurfaceCells, Wall
-from xcg.fields.sums.smoothing import Kernel, KernelName, as_kernel, choose_width
+from xcg.fields.sums.kernels import Kernel, KernelName, as_kernel, choose_width
 from xcg.scene.build import storable
 from xcg.scene.conform import takes_scene
 from xcg.scene.contacts import Contacts

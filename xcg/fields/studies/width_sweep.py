@@ -15,7 +15,7 @@ from xcg.fields.formulas.variables import Quantity
 from xcg.fields.places.frames import refuse_cylindrical
 from xcg.fields.plan import make_plan
 from xcg.fields.request import Request, SharedOptions, takes
-from xcg.fields.sums.smoothing import choose_width
+from xcg.fields.sums.kernels import choose_width
 from xcg.scene.description import describe
 
 THRESHOLD = 0.1

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled import points as loops
-from xcg.fields.sums import fabric, power
-from xcg.fields.sums.fabric import Column
+from xcg.fields.sums import contact_moments
+from xcg.fields.sums.contact_moments import Column
 from xcg.scene.contacts import Contacts
 from xcg.scene.schema import ROTATION, Frame
 
@@ -126,7 +126,7 @@ _FORCE = ("contact_force",)
 _ABOUT = tuple(range(loops.COUNT)) + tuple(range(loops.KINETIC, loops.SQUARE + 1))
 _I_OMEGA = ("moment_of_inertia", "angular_velocity")
 _power_moment = partial(
-    Moment, (*_FORCE, "velocity"), contacts=True, optional=("angular_velocity", power.WALL_VELOCITY)
+    Moment, (*_FORCE, "velocity"), contacts=True, optional=("angular_velocity", contact_moments.WALL_VELOCITY)
 )
 MOMENTS: dict[str, Moment] = {
     # flow columns, relative to the node: x = r_i - r, u = v_i - U
@@ -157,47 +157,55 @@ MOMENTS: dict[str, Moment] = {
     ),
     "force": Moment(_FORCE, "sum_c f", (3,), column=_forces, contacts=True),
     "inertia": Moment(("moment_of_inertia",), "I", column=lambda frame, _: frame["moment_of_inertia"]),
-    "spin": Moment(_I_OMEGA, "I omega", (3,), column=power.spins),
-    "spin_flux": Moment((*_I_OMEGA, "velocity"), "I omega v", (3, 3), column=power.spin_fluxes),
-    "rotational_energy": Moment(_I_OMEGA, "I omega^2 / 2", column=power.rotational_energies),
+    "spin": Moment(_I_OMEGA, "I omega", (3,), column=contact_moments.spins),
+    "spin_flux": Moment((*_I_OMEGA, "velocity"), "I omega v", (3, 3), column=contact_moments.spin_fluxes),
+    "rotational_energy": Moment(_I_OMEGA, "I omega^2 / 2", column=contact_moments.rotational_energies),
     "rotational_energy_flux": Moment(
-        ("velocity",), "I omega^2 v / 2", (3,), column=power.rotational_energy_fluxes, optional=ROTATION
+        ("velocity",), "I omega^2 v / 2", (3,), column=contact_moments.rotational_energy_fluxes, optional=ROTATION
     ),
-    "some_rotational_energy": Moment((), "I omega^2 / 2", column=power.rotational_energies, optional=ROTATION),
-    "energy": Moment(_MV, "(m v^2 + I omega^2) / 2", column=power.energies, optional=ROTATION),
-    "energy_flux": Moment(_MV, "(m v^2 + I omega^2) v / 2", (3,), column=power.energy_fluxes, optional=ROTATION),
-    "torque": Moment(_FORCE, "sum_c b x f", (3,), column=power.torques, contacts=True),
-    "power": _power_moment("sum_c f.u", column=power.powers),
+    "some_rotational_energy": Moment(
+        (), "I omega^2 / 2", column=contact_moments.rotational_energies, optional=ROTATION
+    ),
+    "energy": Moment(_MV, "(m v^2 + I omega^2) / 2", column=contact_moments.energies, optional=ROTATION),
+    "energy_flux": Moment(
+        _MV, "(m v^2 + I omega^2) v / 2", (3,), column=contact_moments.energy_fluxes, optional=ROTATION
+    ),
+    "torque": Moment(_FORCE, "sum_c b x f", (3,), column=contact_moments.torques, contacts=True),
+    "power": _power_moment("sum_c f.u", column=contact_moments.powers),
     # in passes of their own, relative to the node
     "rotation": Moment(
         _I_OMEGA,
         "I (1, o, o o), (I Psi)^2, o = omega",
         (11,),
         loops.FLUCTUATION,
-        column=power.weighted_rotation,
+        column=contact_moments.weighted_rotation,
         layout=_ABOUT,
     ),
-    "cubes": Moment(_MV, "m u^2 u", (3,), loops.CUBIC, loops.CUBE, column=power.weighted_motion),
-    "bearing": Moment((), "1, where z > 1", column=fabric.bearing, contacts=True),
-    "bearing_partners": Moment((), "z, where z > 1", column=fabric.bearing_partners, contacts=True),
+    "cubes": Moment(_MV, "m u^2 u", (3,), loops.CUBIC, loops.CUBE, column=contact_moments.weighted_motion),
+    "bearing": Moment((), "1, where z > 1", column=contact_moments.bearing, contacts=True),
+    "bearing_partners": Moment((), "z, where z > 1", column=contact_moments.bearing_partners, contacts=True),
     # at the contact points
-    "contacts": _at_contacts((), "1", fabric.one_a_contact),
-    "bearing_contacts": _at_contacts((), "1, between grains of z > 1", fabric.bearing_contacts),
-    "sliding_contacts": _at_contacts(_FORCE, "1, where it slides", fabric.none_slides, optional=_NORMAL),
-    "normals": _at_contacts((), "n n", fabric.normals(fabric.one_a_contact), (3, 3), _SYMMETRIC, optional=_NORMAL),
-    "branch_length": _at_contacts((), "l . n", fabric.branch_length, optional=_NORMAL),
+    "contacts": _at_contacts((), "1", contact_moments.one_a_contact),
+    "bearing_contacts": _at_contacts((), "1, between grains of z > 1", contact_moments.bearing_contacts),
+    "sliding_contacts": _at_contacts(_FORCE, "1, where it slides", contact_moments.none_slides, optional=_NORMAL),
+    "normals": _at_contacts(
+        (), "n n", contact_moments.normals(contact_moments.one_a_contact), (3, 3), _SYMMETRIC, optional=_NORMAL
+    ),
+    "branch_length": _at_contacts((), "l . n", contact_moments.branch_length, optional=_NORMAL),
     "branch_normals": _at_contacts(
-        (), "l . n n n", fabric.normals(fabric.branch_length), (3, 3), _SYMMETRIC, optional=_NORMAL
+        (), "l . n n n", contact_moments.normals(contact_moments.branch_length), (3, 3), _SYMMETRIC, optional=_NORMAL
     ),
-    "normal_force": _at_contacts(_FORCE, "f . n", fabric.normal_force, optional=_NORMAL),
+    "normal_force": _at_contacts(_FORCE, "f . n", contact_moments.normal_force, optional=_NORMAL),
     "normal_force_normals": _at_contacts(
-        _FORCE, "f . n n n", fabric.normals(fabric.normal_force), (3, 3), _SYMMETRIC, optional=_NORMAL
+        _FORCE, "f . n n n", contact_moments.normals(contact_moments.normal_force), (3, 3), _SYMMETRIC, optional=_NORMAL
     ),
-    "tangential_normals": _at_contacts(_FORCE, "f_t n", fabric.tangential_normals, (3, 3), optional=_NORMAL),
+    "tangential_normals": _at_contacts(_FORCE, "f_t n", contact_moments.tangential_normals, (3, 3), optional=_NORMAL),
     "pair_force": Moment(_FORCE, "f, at the contact, by phase of the partner", (3,), contacts=True, paired=True),
-    "contact_couple": Moment(_FORCE, "(b_i - b_j) x f", (3,), column=power.couples, contacts=True, at_contacts=True),
-    "taken_up": _power_moment("-f.(u_i - u_j)", column=power.taken_up, at_contacts=True),
-    "wall_power": _power_moment("f.u of the wall", column=power.of_walls, at_contacts=True),
+    "contact_couple": Moment(
+        _FORCE, "(b_i - b_j) x f", (3,), column=contact_moments.couples, contacts=True, at_contacts=True
+    ),
+    "taken_up": _power_moment("-f.(u_i - u_j)", column=contact_moments.taken_up, at_contacts=True),
+    "wall_power": _power_moment("f.u of the wall", column=contact_moments.of_walls, at_contacts=True),
     # weighted by grad Psi
     "mass_slope": Moment(("mass",), "m, with grad Psi", (3,), layout=_OFFSETS),
     "momentum_slope": Moment(_MV, "m u, with grad Psi", (3, 3), layout=_SHEARS),
@@ -207,7 +215,7 @@ MOMENTS: dict[str, Moment] = {
         _FORCE,
         "f a, along the branch, of contacts that push more than the mean",
         (3, 3),
-        column=fabric.strong_forces,
+        column=contact_moments.strong_forces,
         contacts=True,
         along_branches=True,
         optional=_NORMAL,
@@ -221,9 +229,16 @@ MOMENTS: dict[str, Moment] = {
         paired=True,
     ),
     "couple": Moment(
-        _FORCE, "(b x f) a, along the branch", (3, 3), column=power.torque_of_sides, contacts=True, along_branches=True
+        _FORCE,
+        "(b x f) a, along the branch",
+        (3, 3),
+        column=contact_moments.torque_of_sides,
+        contacts=True,
+        along_branches=True,
     ),
-    "side_power": _power_moment("(f.u) a, along the branch", (3,), column=power.power_of_sides, along_branches=True),
+    "side_power": _power_moment(
+        "(f.u) a, along the branch", (3,), column=contact_moments.power_of_sides, along_branches=True
+    ),
     "traction": Moment(_FORCE, "f, at the wall", (3,), contacts=True),
 }
 

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from xcg.compiled.arrays import transpose_columns
 from xcg.compiled.points import NONE, SQUARES
 from xcg.compiled.smoothing import CellKernel, KernelCode
-from xcg.fields.sums.blocks import NodeBlock, triple
 from xcg.fields.sums.moments import MOMENTS, Moment
-from xcg.fields.sums.nodes import Grid
+from xcg.fields.sums.nodes import Grid, NodeBlock, triple
 from xcg.scene.lattice import Lattice
 
 AnyKernel: TypeAlias = KernelCode | CellKernel
@@ -204,74 +203,3 @@ class Pass:
         for fill in self.fill:
             fill(block, sums, reference)
         return sums
-
-
-@dataclass(frozen=True, eq=False)
-class BlockSums:
-    """Sums at the nodes of one block, each pass (groups, nodes, columns), and what they refer to.
-
-    `velocity` (nodes, 3) is what the main pass refers to, `references` what each does; NaN where nothing reaches.
-    """
-
-    of: Sums
-    filled: Sequence[NDArray]
-    velocity: NDArray
-    references: Sequence[NDArray]
-
-    @property
-    def reached(self) -> int:
-        """How many nodes grains with flow columns reach."""
-        return int(np.count_nonzero(~np.isnan(self.velocity[:, 0])))
-
-    @property
-    def arrays(self) -> list[NDArray]:
-        """The velocity that sums refer to, and the sums of each pass and group: arrays (nodes, columns)."""
-        return [self.velocity, *(group for sums in self.filled for group in sums)]
-
-    @property
-    def moments(self) -> dict[str, NDArray]:
-        """Moments at the nodes: arrays (phase, node, ...).
-
-        Phase 0 is the bulk, the sum over groups. Nodes run fastest in memory, so that algebra on small tensors is a
-        loop over nodes.
-        """
-        reference = np.where(np.isnan(self.velocity), 0.0, self.velocity)
-        found = {"reference": np.ascontiguousarray(reference.T).T}
-        for run, sums in zip(self.of.passes, self.filled, strict=True):
-            found |= self._of_pass(run.layout, sums)
-        return found
-
-    def _of_pass(self, layout: Layout, records: NDArray) -> dict[str, NDArray]:
-        nodes, phases = records.shape[1], self.of.spec.phases
-        found = {}
-        for name, part in layout.turned(records):
-            if layout.groups > phases:  # by phase of the partner
-                part = np.moveaxis(part.reshape(*part.shape[:-2], phases, -1, nodes), -2, 0)
-            if self.of.spec.by is not None:
-                bulk = sum(part[..., [k], :] for k in range(phases))  # in this order whatever the number of nodes
-                part = np.concatenate([bulk, part], axis=-2)
-            found[name] = part.transpose(part.ndim - 2, part.ndim - 1, *range(part.ndim - 2))
-        return found
-
-
-@dataclass(frozen=True, eq=False)
-class Sums:
-    """The sums of one frame, prepared: computed for one block of nodes after the other, in any order or at once.
-
-    A node's sums have one order whatever the block, so that their bits are the same.
-    """
-
-    spec: DepositSpec
-    passes: Sequence[Pass]
-
-    @cached_property
-    def layouts(self) -> tuple[Layout, ...]:
-        """Layouts of the passes."""
-        return tuple(run.layout for run in self.passes)
-
-    def over(self, block: NodeBlock) -> BlockSums:
-        """Compute the sums at the nodes of a block."""
-        velocity = np.full((block.count, 3), np.nan)
-        references = [np.full_like(velocity, np.nan) if run.layout.apart else velocity for run in self.passes]
-        filled = [run(block, own) for run, own in zip(self.passes, references, strict=True)]
-        return BlockSums(self, filled, velocity, references)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from xcg.compiled import smoothing as kinds
 from xcg.compiled.segments import RULES, largest_error
 from xcg.compiled.shells import RADIUS
-from xcg.fields.sums.smoothing import Kernel
+from xcg.fields.sums.kernels import Kernel
 
 # From this promise on, weights are computed in single precision, which rounds them to 1e-6 of the largest.
 SINGLE = 1e-4

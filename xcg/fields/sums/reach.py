@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from xcg.compiled.reach import Nodes
 from xcg.compiled.segments import BRANCH, FORCE, GROUP
-from xcg.fields.sums.blocks import NodeBlock
-from xcg.fields.sums.nodes import Grid
+from xcg.fields.sums.nodes import Grid, NodeBlock
 from xcg.scene.schema import COMPONENTS, SceneError
 
 # Beyond this many cutoffs from the mesh, or spacings, places cannot be told apart, and cells and nodes not be counted.

@@ -2,21 +2,105 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
+from typing import Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.compiled.segments import BRANCH, FORCE, GROUP, ContactRows, closed_for, deposit_segments
-from xcg.fields.sums import branches
-from xcg.fields.sums.blocks import NodeBlock
-from xcg.fields.sums.branches import Branches
+from xcg.compiled.reach import Nodes, batches_in_reach
+from xcg.compiled.segments import (
+    BRANCH,
+    FORCE,
+    GROUP,
+    RUN,
+    SEGMENT,
+    ContactRows,
+    Segments,
+    bounds_of_segments,
+    closed_for,
+    deposit_segments,
+    list_segments,
+    measure_segments,
+    no_bounds,
+)
 from xcg.fields.sums.moments import Moment
+from xcg.fields.sums.nodes import NodeBlock
 from xcg.fields.sums.passes import AnyKernel, Fill, Layout, Pass
 from xcg.fields.sums.reach import Mesh
 from xcg.fields.sums.step import StepRows, alike
 from xcg.scene.schema import Frame
+
+# Segments of more contacts than this are not kept, as each takes 80 bytes.
+MOST_LISTED_ONCE = 1 << 22
+# Runs that are listed at one time, so that their segments stay in cache.
+_TOGETHER = 256
+
+# the first arguments of `list_segments`, up to the origin
+Listing: TypeAlias = tuple[
+    ContactRows, NDArray | None, bool, int, NDArray, float, tuple[float, float, float]
+]  # fmt: skip
+
+
+class Branches(Protocol):
+    """Segments of contacts, in an order that is the same for all blocks of nodes."""
+
+    def near(self, nodes: Nodes) -> Iterator[Segments]:
+        """All segments that reach a block of nodes, some at a time."""
+
+
+@dataclass(frozen=True, eq=False)
+class ListedOnce:
+    """Segments that stay in memory, some of which may be out of reach."""
+
+    segments: Segments
+
+    @classmethod
+    def of(cls, records: NDArray, limits: NDArray) -> ListedOnce:
+        """Keep records of segments; `limits` are those of `Segments`."""
+        return cls(Segments(records, limits, bounds_of_segments(records)))
+
+    def near(self, nodes: Nodes) -> Iterator[Segments]:
+        """All segments."""
+        yield self.segments
+
+
+@dataclass(frozen=True, eq=False)
+class ListedAnew:
+    """Segments of which the bounds alone stay in memory."""
+
+    listing: Listing
+    contacts: NDArray
+    bounds: NDArray
+    limits: NDArray
+
+    def near(self, nodes: Nodes) -> Iterator[Segments]:
+        """Segments of the runs that reach a block of nodes, listed again."""
+        reaches = np.empty(len(self.bounds), bool)
+        batches_in_reach(self.bounds, nodes.begin, nodes.end, nodes.active, nodes.period, reaches)
+        runs = np.flatnonzero(reaches)
+        for first in range(0, len(runs), _TOGETHER):
+            some = runs[first : first + _TOGETHER]
+            places = (RUN * some[:, None] + np.arange(RUN)).ravel()
+            contacts = self.contacts[places[places < len(self.contacts)]]  # the last run may be shorter
+            records, _, _ = list_some(self.listing, contacts)
+            yield Segments(records, self.limits, self.bounds[some])
+
+
+def list_some(listing: Listing, contacts: NDArray) -> tuple[NDArray, NDArray, bool]:
+    """List the segments of some contacts: records, the longest (4,), and whether any contact has a second segment."""
+    records, longest = np.empty((len(contacts), SEGMENT)), np.empty(4)
+    more = list_segments(*listing, contacts, records, longest)
+    return records, longest, more
+
+
+def measure(listing: Listing, contacts: NDArray) -> tuple[NDArray, NDArray, bool]:
+    """Measure the segments of some contacts: bounds of runs, the longest, and whether any has a second segment."""
+    bounds, longest = no_bounds(len(contacts)), np.empty(4)
+    more = measure_segments(*listing, contacts, bounds, longest)
+    return bounds, longest, more
 
 
 def along_branches(step: StepRows) -> list[Pass]:
@@ -66,12 +150,12 @@ def _segments(
     mesh, tilted, limits = step.surroundings.meshes[cutoff], step.lattice.vectors is not None, step.spec.limits
     rows = ContactRows(c.i, c.j, c.point, on_i, step.position, step.phase, *c.periods)
     listing = rows, on_j, second, others, step.spec.by_phase, cutoff, step.spec.origin
-    if len(contacts) > branches.MOST_LISTED_ONCE and not tilted:
-        bounds, longest, more = branches.measure(listing, contacts)
+    if len(contacts) > MOST_LISTED_ONCE and not tilted:
+        bounds, longest, more = measure(listing, contacts)
         if not mesh.too_long(longest[:3]):
             mesh.check_far(longest[:3], step.source)
-            return branches.ListedAnew(listing, contacts, bounds, limits), longest, more
-    segments, longest, more = branches.list_some(listing, contacts)
+            return ListedAnew(listing, contacts, bounds, limits), longest, more
+    segments, longest, more = list_some(listing, contacts)
     mesh.check_far(longest[:3], step.source)
     shift = np.zeros(3)
     if tilted:
@@ -82,13 +166,13 @@ def _segments(
         segments[:, :BRANCH] += shift / cutoff
         for drift, here in alike(drifts) if "velocity" in moment.variables and drifts.any() else ():
             on_i, on_j = _carried(step, moment, step.moving(drift))
-            moving, _, _ = branches.list_some((rows._replace(on_i=on_i), on_j, *listing[2:]), contacts[here])
+            moving, _, _ = list_some((rows._replace(on_i=on_i), on_j, *listing[2:]), contacts[here])
             segments[here, FORCE:GROUP] = moving[:, FORCE:GROUP]
     if mesh.too_long(longest[:3]):
         partner = (c.i if second else np.where(c.i >= 0, c.j, c.i))[contacts]
         ends = [points + shift for points in (c.point[contacts], step.position[partner])]
         longest = mesh.cut(segments, np.array(ends), step.source)
-    return branches.ListedOnce.of(segments, limits), longest, more
+    return ListedOnce.of(segments, limits), longest, more
 
 
 def _rules(step: StepRows, longest: float, cutoff: float) -> list[tuple[str, bool, bool]]:

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from xcg.compiled import segments
 from xcg.compiled import smoothing as codes
 from xcg.compiled.smoothing import LUCY_FULL, PLAIN, CellKernel, KernelCode
-from xcg.fields.sums.profiles import check_table, jumps_of, profile_integral, rims_of, table_of
+from xcg.fields.sums.tables import check_table, jumps_of, profile_integral, rims_of, table_of
 from xcg.scene.numbers import is_finite, is_positive, is_whole
 from xcg.scene.schema import LONGEST, SHORTEST
 from xcg.scene.sizes import SIZES
@@ -345,21 +345,20 @@ def register_kernel(
 def _check_registration(name: Any, profile: Any, ratio: Any, smoothness: Any) -> None:
     """Refuse what makes no kernel, before its profile is looked at."""
     if not isinstance(name, str) or not name.strip():
-        msg = f"register_kernel({name!r}): expected a name, such as 'tent'"
-    elif name.lower() in _OF_THE_PACKAGE:
-        msg = f"register_kernel({name!r}): the name is that of a kernel of xcg; choose another"
-    elif not callable(profile):
-        msg = f"register_kernel({name!r}): profile={profile!r}, expected a function P(q) of q = r / c in [0, 1)"
-    elif not is_positive(ratio):
-        msg = f"register_kernel({name!r}): ratio={ratio!r}, expected a positive number, cutoff over width"
-    elif not is_whole(smoothness, -1):
-        msg = (
+        raise ValueError(f"register_kernel({name!r}): expected a name, such as 'tent'")
+    if name.lower() in _OF_THE_PACKAGE:
+        raise ValueError(f"register_kernel({name!r}): the name is that of a kernel of xcg; choose another")
+    if not callable(profile):
+        raise ValueError(
+            f"register_kernel({name!r}): profile={profile!r}, expected a function P(q) of q = r / c in [0, 1)"
+        )
+    if not is_positive(ratio):
+        raise ValueError(f"register_kernel({name!r}): ratio={ratio!r}, expected a positive number, cutoff over width")
+    if not is_whole(smoothness, -1):
+        raise ValueError(
             f"register_kernel({name!r}): smoothness={smoothness!r}, expected the number of continuous derivatives, or "
             "-1 for a kernel that jumps"
         )
-    else:
-        return
-    raise ValueError(msg)
 
 
 def as_kernel(kernel: str | Kernel, width: float | None, dimension: int) -> Kernel:
