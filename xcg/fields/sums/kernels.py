@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from xcg.compiled import segments
 from xcg.compiled import smoothing as codes
 from xcg.compiled.smoothing import LUCY_FULL, PLAIN, CellKernel, KernelCode
-from xcg.fields.sums.tables import check_table, jumps_of, profile_integral, rims_of, table_of
+from xcg.fields.sums.kernel_tables import check_table, jumps_of, profile_integral, rims_of, table_of
 from xcg.scene.numbers import is_finite, is_positive, is_whole
 from xcg.scene.schema import LONGEST, SHORTEST
 from xcg.scene.sizes import SIZES
