@@ -1,5 +1,8 @@
 """The algebra, traced and run by one loop, gives what the registry gives on arrays, to the bit."""
 
+from itertools import product
+from types import SimpleNamespace
+from typing import get_args
 from unittest import mock
 
 import numpy as np
@@ -10,7 +13,8 @@ from xcg.compiled import program as kernel
 from xcg.fields.formulas import program as program
 from xcg.fields.formulas import registry
 from xcg.fields.formulas import trace as symbols
-from xcg.fields.formulas.field import Options
+from xcg.fields.formulas.field import Gradient, Options, Temperature
+from xcg.fields.formulas.register import _made_up
 
 ALL = tuple(name for name in registry.listed() if not (registry.FIELDS[name].option or registry.FIELDS[name].paired))
 
@@ -172,3 +176,38 @@ def test_arrays_that_are_read_by_address_are_checked():
         kernel.address_of(np.zeros((5, 4))[::2], 3, 4, "moments")
     numbers = np.zeros((5, 4))
     assert kernel.address_of(numbers, 5, 4, "moments") == numbers.ctypes.data
+
+
+def test_rows_name_what_their_formulas_take():
+    """A formula runs on exactly the fields and moments that its row names; without any one of them it fails."""
+    rows, needed = {}, {}
+    for gradient, deviatoric, temperature, friction, size in product(
+        get_args(Gradient), ("stress", "neither"), get_args(Temperature), (None, 0.5), ("d43", "d32", "d50")
+    ):
+        options = Options(
+            gradient=gradient, deviatoric=deviatoric, temperature=temperature, friction=friction, size=size,
+            diameter=1.0, shape=(5, 1, 1), spacing=(1.0, 0.0, 0.0), fluid_viscosity=1.0, by="species", lag=1,
+        )  # fmt: skip
+        names = list(registry._ROWS)
+        for phases in (slice(0, 1), slice(None)):  # formulas may differ for the bulk alone
+            made_up = _made_up(registry.moments_of(names, options))
+            s = {name: a if name == "reference" else a[phases] for name, a in made_up.items()}
+            f = registry.evaluate(registry.order_of(names, options), s, options)
+            for name in names:
+                row = registry.row(name, options)
+                rows[id(row)] = row
+                taken = needed.setdefault(id(row), set())
+                with np.errstate(all="ignore"):
+                    row.compute(some(f, row.fields), some(s, (*row.moments, "reference")), options)
+                    for need in {*row.fields, *row.moments} - taken:
+                        fields, moments = ([n for n in kind if n != need] for kind in (row.fields, row.moments))
+                        try:
+                            row.compute(some(f, fields), some(s, (*moments, "reference")), options)
+                        except AttributeError:
+                            taken.add(need)
+    for key, row in rows.items():
+        assert needed[key] == {*row.fields, *row.moments}, row.formula
+
+
+def some(values, names):
+    return SimpleNamespace(**{name: values[name] for name in names})

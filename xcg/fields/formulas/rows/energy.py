@@ -80,8 +80,7 @@ ROWS: dict[str, Field] = {
     "contact_heat_flux": Field(
         rank=1, units="W m^-2", long_name="flux of energy through contacts relative to the mean flow",
         formula="q_c - V.sigma^c, which is q_c with u - V in place of u", compute=_contact_heat_flux,
-        fields=("contact_energy_flux", "contact_stress", "_drift"), moments=("mass", "momentum"), additive=True,
-        default=False,
+        fields=("contact_energy_flux", "contact_stress", "_drift"), additive=True, default=False,
     ),
     "heat_flux": Field(
         rank=1, units="W m^-2", long_name="flux of the energy of fluctuations, by moving grains and through contacts",

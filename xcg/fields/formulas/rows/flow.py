@@ -209,8 +209,7 @@ ROWS: dict[str, Field] = {
     ),
     "velocity": Field(
         rank=1, units="m s^-1", long_name="velocity", formula="V = p / rho",
-        compute=lambda f, s, o: f._drift + s.reference, fields=("_drift",), moments=("mass", "momentum"),
-        weight="density",
+        compute=lambda f, s, o: f._drift + s.reference, fields=("_drift",), weight="density",
     ),
     "velocity_gradient": Field(
         rank=2, units="s^-1", long_name="velocity gradient, dV_component / dx_direction",
@@ -233,7 +232,8 @@ ROWS: dict[str, Field] = {
     "fluctuation_stress": Field(
         rank=2, units="Pa", long_name="kinetic stress about the velocity at the particles",
         formula="sum m_i v'_i v'_i Psi, v'_i = v_i - V - G (r_i - r_bar)", compute=_fluctuation_stress,
-        fields=("_fit", "_drift", "velocity_gradient", "kinetic_stress"), moments=(*LINEAR, "kinetic"), additive=True,
+        fields=("_fit", "_drift", "velocity_gradient", "kinetic_stress"), moments=(*LINEAR[1:], "kinetic"),
+        additive=True,
     ),
     "fluctuation_density": Field(
         units="kg m^-3", long_name="density of what fluctuates: that of the mixture less what V and G take",
@@ -258,10 +258,11 @@ ROWS: dict[str, Field] = {
         rank=1, units="m s^-1", formula="V - U", compute=_drift, moments=("mass", "momentum"), listed=False
     ),
     "_fit": Field(
-        rank=2, units="s^-1", formula="B M^+", compute=_fit, fields=("_drift",), moments=LINEAR, listed=False
+        rank=2, units="s^-1", formula="B M^+", compute=_fit, moments=LINEAR, listed=False
     ),
     "_taken": Field(
-        units="kg m^-3", formula="rho - rho_T", compute=_taken_by_fit, fields=("_fit",), moments=(*LINEAR, *SQUARES),
+        units="kg m^-3", formula="rho - rho_T", compute=_taken_by_fit, fields=("_fit",),
+        moments=("mass", "offset", "spread", *SQUARES),
         listed=False,
     ),
     "_free": Field(
@@ -274,11 +275,11 @@ WAYS: dict[str, tuple[str, dict[str, Field]]] = {
     "velocity_gradient": ("gradient", {
         "kernel": replace(
             ROWS["velocity_gradient"], formula="G = (grad p - V grad rho) / rho", compute=_kernel_gradient,
-            fields=("_drift",), moments=("mass", "momentum", "mass_slope", "momentum_slope"),
+            fields=("_drift",), moments=("mass", "mass_slope", "momentum_slope"),
         ),
         "finite_difference": replace(
             ROWS["velocity_gradient"], formula="G = [V(r + h) - V(r - h)] / 2 h, h the spacing of the nodes",
-            compute=_finite_difference, fields=("_drift",), moments=("mass", "momentum"),
+            compute=_finite_difference, fields=("_drift",), moments=(),
         ),
         "paper": replace(
             ROWS["velocity_gradient"],
@@ -290,7 +291,8 @@ WAYS: dict[str, tuple[str, dict[str, Field]]] = {
     }),
     "fluctuation_stress": ("gradient", {
         "paper": replace(
-            ROWS["fluctuation_stress"], formula="sum m_i v'_i v'_i Psi, v'_i = v_i - V - G (r_i - r)"
+            ROWS["fluctuation_stress"], formula="sum m_i v'_i v'_i Psi, v'_i = v_i - V - G (r_i - r)",
+            fields=("_fit", "_drift", "kinetic_stress"),
         ),
     }),
     "_taken": ("gradient", dict.fromkeys(
