@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from xcg.compiled import THREADS
 from xcg.compiled.threads import for_each
 from xcg.fields.formulas import registry
-from xcg.fields.formulas.program import program_for
+from xcg.fields.formulas.program import Loads, program_for
 from xcg.fields.places.grid import check_mesh
 from xcg.fields.plan import Plan, scale_of
 from xcg.fields.sums.deposit import sums_of_frame
@@ -86,15 +86,15 @@ def _compute_step(
     scale = scale_of(plan, lattice, source)
     sums = sums_of_frame(frame, plan.deposit, lattice, scale, source, threads)
     program = program_for(plan.fields, plan.options, len(plan.deposit.groups))
-    loads = program.loads(sums.layouts) if program else None
+    loads = Loads.of(program, [run.layout for run in sums.passes]) if program else None
     traced = program.widths if program else ()
     untraced = tuple(name for name in plan.fields if name not in traced)
 
     reached: list[int] = []
 
     def fill(part: Block) -> None:
-        found, place = part.sums(sums.over), part.places
-        reached.append(found.reached)
+        found, place = sums.over(part), part.places
+        reached.append(int(np.count_nonzero(~np.isnan(found.velocity[:, 0]))))
         if program and loads:
             program.run(loads, found, place, rows, part.order)
         if untraced:  # with NumPy

@@ -62,10 +62,6 @@ class Program:
         stores = [(loops.BYTES * begin, self.widths[name], count) for name, begin, count in self.outputs]
         return np.array([numbers[name] for name, _, _ in self.outputs]), _whole(stores, 3)
 
-    def loads(self, layouts: Sequence[Layout]) -> Loads:
-        """Look up where the sums of some passes hold the moments that the program loads."""
-        return Loads.of(self, layouts)
-
     def run(
         self, loads: Loads, sums: BlockSums, place: NDArray, out: Mapping[str, NDArray], order: NDArray | None = None
     ) -> None:
@@ -78,7 +74,7 @@ class Program:
         ValueError
             If an array is not as the loop expects it, which reads and writes by address.
         """
-        arrays = sums.arrays
+        arrays = [sums.velocity, *(group for filled in sums.filled for group in filled)]
         scratch = loops.room_for(loads.rows[-1])
         scratch[: len(loads.constants)] = loads.constants
         nodes, places = len(place), 1 + int(place.max(initial=0))
@@ -129,7 +125,9 @@ class Loads:
             number, first, factor = 0, 0, 1.0
             if moment != "reference":
                 number, layout = found[moment]
-                number, (first, factor) = number + group, layout.where(moment, group)
+                columns, each = layout.moments[moment]
+                number, first = number + group, int(columns.min())
+                factor = each if isinstance(each, float) else float(each[group])
             if factor not in factors:
                 factors.append(factor)
             source.append((number, first + column, factors.index(factor)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,9 +55,9 @@ class RingBlock:
     dimension: int
     order = None
 
-    def sums(self, over: Callable[[PointBlock], BlockSums]) -> BlockSums:
+    def averages(self, found: BlockSums) -> BlockSums:
         """Return sums at the nodes: averages of those at all their angles."""
-        return mean_sums(over(self.inner), self)
+        return mean_sums(found, self)
 
     @property
     def is_mean(self) -> bool:

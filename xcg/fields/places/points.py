@@ -18,7 +18,7 @@ from xcg.compiled.cells import PointCells, lists_for_points, sort_by_cell
 from xcg.compiled.reach import PAD, Lists, Nodes
 from xcg.compiled.threads import for_each
 from xcg.fields.places.grid import MAX_NODES, check_axes
-from xcg.fields.sums.nodes import BLOCK_NODES, Apart, OwnNodes, triple
+from xcg.fields.sums.nodes import BLOCK_NODES, Apart, SameAxes, triple
 from xcg.scene.schema import COMPONENTS
 
 # Cells hold about this many points, but are no wider and no narrower than these shares of the support's radius:
@@ -38,7 +38,7 @@ _OF_RESULTS = ("time", "interval", "phase", "other_phase", "component", "directi
 
 
 @dataclass(frozen=True, eq=False)
-class PointBlock(OwnNodes):
+class PointBlock:
     """Points that are neighbours in space, sorted by cell. Lengths are in radii of the support, from an origin on.
 
     Attributes
@@ -68,6 +68,7 @@ class PointBlock(OwnNodes):
     shape: tuple[int, int, int]
     start: NDArray
     unit: float
+    inner = None
 
     @classmethod
     def of(cls, rows: NDArray, position: NDArray, unit: float) -> PointBlock:
@@ -106,7 +107,7 @@ class PointBlock(OwnNodes):
 
 
 @dataclass(frozen=True, eq=False)
-class Points(Apart):
+class Points(Apart, SameAxes):
     """Points given by arrays of coordinates, which share dimensions.
 
     Attributes

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,16 +31,6 @@ class BlockSums:
     filled: Sequence[NDArray]
     velocity: NDArray
     references: Sequence[NDArray]
-
-    @property
-    def reached(self) -> int:
-        """How many nodes grains with flow columns reach."""
-        return int(np.count_nonzero(~np.isnan(self.velocity[:, 0])))
-
-    @property
-    def arrays(self) -> list[NDArray]:
-        """The velocity that sums refer to, and the sums of each pass and group: arrays (nodes, columns)."""
-        return [self.velocity, *(group for sums in self.filled for group in sums)]
 
     @property
     def moments(self) -> dict[str, NDArray]:
@@ -78,17 +68,18 @@ class Sums:
     spec: DepositSpec
     passes: Sequence[Pass]
 
-    @cached_property
-    def layouts(self) -> tuple[Layout, ...]:
-        """Layouts of the passes."""
-        return tuple(run.layout for run in self.passes)
-
-    def over(self, block: NodeBlock) -> BlockSums:
-        """Compute the sums at the nodes of a block."""
-        velocity = np.full((block.count, 3), np.nan)
-        references = [np.full_like(velocity, np.nan) if run.layout.apart else velocity for run in self.passes]
-        filled = [run(block, own) for run, own in zip(self.passes, references, strict=True)]
-        return BlockSums(self, filled, velocity, references)
+    def over(self, block: Any) -> BlockSums:
+        """Compute the sums at the nodes of a `Block`: they are filled, or averages of its `inner` nodes that are."""
+        nodes: NodeBlock = block.inner or block
+        velocity = np.full((nodes.count, 3), np.nan)
+        filled, references = [], []
+        for run in self.passes:
+            references.append(np.full_like(velocity, np.nan) if run.layout.apart else velocity)
+            filled.append(np.zeros((run.layout.groups, nodes.count, run.layout.columns)))
+            for fill in run.fill:
+                fill(nodes, filled[-1], references[-1])
+        found = BlockSums(self, filled, velocity, references)
+        return block.averages(found) if block.inner else found
 
 
 def sums_of_frame(

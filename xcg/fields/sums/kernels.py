@@ -49,6 +49,7 @@ class Kernel:
     name = ""
     code = 0  # of the loops
     ratio = 1.0  # cutoff / width
+    _any_ratio = False  # whether another one may be given
     smoothness = -1  # continuous derivatives
 
     def __init__(
@@ -66,11 +67,8 @@ class Kernel:
             raise ValueError(f"dimension={dimension!r}: expected 1, 2 or 3")
         self.width = float(width if width is not None else cutoff / self.ratio)  # type: ignore[operator]
         self.cutoff = float(cutoff if cutoff is not None else self.ratio * self.width)
-        self.dimension = dimension
-        self._check_ratio()
-
-    def _check_ratio(self) -> None:
-        if not math.isclose(self.cutoff, self.ratio * self.width, rel_tol=1e-9):
+        self.dimension, self.spread = dimension, self.width / self.cutoff
+        if not self._any_ratio and not math.isclose(self.cutoff, self.ratio * self.width, rel_tol=1e-9):
             raise ValueError(
                 f"width={self.width} and cutoff={self.cutoff} contradict each other: the {self.name} kernel has "
                 f"cutoff = {self.ratio:g} width; give one of them"
@@ -87,11 +85,6 @@ class Kernel:
         twin = object.__new__(type(self))
         twin.__dict__ |= self.__dict__ | {"dimension": dimension}
         return twin
-
-    @property
-    def spread(self) -> float:
-        """Width over cutoff."""
-        return self.width / self.cutoff
 
     @property
     def differentiable(self) -> bool:
@@ -213,7 +206,7 @@ class Gaussian(Kernel):
         As `Kernel`.
     """
 
-    name, code, ratio = "gaussian", codes.GAUSSIAN, 3.0
+    name, code, ratio, _any_ratio = "gaussian", codes.GAUSSIAN, 3.0, True
 
     def __init__(
         self,
@@ -230,9 +223,6 @@ class Gaussian(Kernel):
 
     def __repr__(self) -> str:
         return super().__repr__().replace(")", ", shifted=True)" if self.shifted else ")")
-
-    def _check_ratio(self) -> None:
-        """Any cutoff is allowed."""
 
     def _table(self, codimension: int) -> NDArray | None:
         return _SHIFTED if self.shifted else PLAIN

@@ -7,9 +7,10 @@ time, as several chunks share the processors.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product
+from types import MappingProxyType
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -52,8 +53,9 @@ class Block(Protocol):
     def order(self) -> NDArray | None:
         """Order of the nodes by their places, unsigned (nodes,); None where they are in order."""
 
-    def sums(self, over: Callable[[Any], Any]) -> Any:
-        """Return sums at the nodes, from a function that gives those over a `NodeBlock`."""
+    @property
+    def inner(self) -> NodeBlock | None:
+        """The nodes that are filled, where `averages` of these make those of the block; else it is one itself."""
 
 
 class NodeBlock(Protocol):
@@ -78,16 +80,8 @@ class NodeBlock(Protocol):
         """Return scratch to list those nodes that something of this length (3,), from end to end, reaches."""
 
 
-class OwnNodes:
-    """A block whose nodes are those that are filled."""
-
-    def sums(self, over: Callable[[Any], R]) -> R:
-        """Return sums at the nodes, as they are."""
-        return over(self)
-
-
 @dataclass(frozen=True, eq=False)
-class MeshBlock(OwnNodes):
+class MeshBlock:
     """Nodes low <= (ix, iy, iz) < high of a mesh of a shape, with distances between them (m).
 
     `half` is half of the extent of the cells around them (m); 0 along all axes where values are those at the nodes.
@@ -98,7 +92,7 @@ class MeshBlock(OwnNodes):
     shape: tuple[int, int, int]
     steps: NDArray
     half: NDArray
-    order = None
+    order = inner = None
 
     @property
     def count(self) -> int:
@@ -239,29 +233,16 @@ class Grid(Protocol):
 class SameAxes:
     """What nodes have in common whose vectors are all along the same axes."""
 
-    @property
-    def undirected(self) -> NDArray:
-        """No node is without directions."""
-        return np.zeros(0, int)
-
-    @property
-    def attrs(self) -> dict[str, float]:
-        """Nothing more is told."""
-        return {}
+    undirected = np.zeros(0, int)
+    attrs: Mapping[str, float] = MappingProxyType({})
 
 
-class Apart(SameAxes):
+class Apart:
     """What nodes have in common that stand apart: no axis, no spacing, no neighbours, no cells."""
 
-    @property
-    def axes(self) -> str:
-        """No axis x, y or z is a dimension of results."""
-        return ""
-
-    @property
-    def fitted(self) -> str:
-        """No axis follows the particles."""
-        return ""
+    axes = fitted = ""
+    steps, half = np.full(3, np.inf), np.zeros(3)
+    spacing: Mapping[str, float] = MappingProxyType({})
 
     @property
     def count(self: Grid) -> int:
@@ -277,21 +258,6 @@ class Apart(SameAxes):
     def shape(self: Grid) -> tuple[int, int, int]:
         """Number of nodes, as a row."""
         return self.count, 1, 1
-
-    @property
-    def steps(self) -> NDArray:
-        """No spacing (3,)."""
-        return np.full(3, np.inf)
-
-    @property
-    def half(self) -> NDArray:
-        """No cells (3,)."""
-        return np.zeros(3)
-
-    @property
-    def spacing(self) -> dict[str, float]:
-        """No spacing."""
-        return {}
 
     def fills(self, period: NDArray) -> tuple[bool, bool, bool]:
         """Nodes have no neighbours."""

@@ -22,7 +22,7 @@ AnyKernel: TypeAlias = KernelCode | CellKernel
 Fill: TypeAlias = Callable[[NodeBlock, NDArray, NDArray], None]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class DepositSpec:
     """What the deposits need besides a frame: which sums, where, how smeared.
 
@@ -45,6 +45,10 @@ class DepositSpec:
         Its values, one phase each.
     own : mapping
         Moments of the caller's own variables.
+
+    Other attributes follow from these: `phases`, the number of groups or 1; `by_phase`, the cutoff of each (m);
+    `distinct`, each cutoff once, rising; `origin`, the place that loops take others relative to (m); `rows`, the
+    moments by name; `of_grains`, those of the main pass over grains, and `level`, the flow columns of that pass.
     """
 
     moments: tuple[str, ...]
@@ -57,51 +61,21 @@ class DepositSpec:
     groups: tuple[int, ...] = ()
     own: Mapping[str, Moment] = field(default_factory=dict)
 
-    @cached_property
-    def phases(self) -> int:
-        """Number of groups, or 1."""
-        return max(1, len(self.groups))
-
-    @cached_property
-    def others(self) -> int:
-        """Groups of partners, the last one for walls."""
-        return self.phases + 1
-
-    @cached_property
-    def by_phase(self) -> NDArray:
-        """Cutoff of each phase (m)."""
-        return np.resize(self.cutoffs, self.phases)
-
-    @cached_property
-    def distinct(self) -> list[float]:
-        """Cutoffs, each once, from the smallest to the largest (m)."""
-        return sorted(set(self.cutoffs))
-
-    @cached_property
-    def origin(self) -> tuple[float, float, float]:
-        """Place that loops take others relative to (m)."""
-        return triple(self.grid.origin)
-
-    @cached_property
-    def rows(self) -> dict[str, Moment]:
-        """The moments by name."""
-        return {name: self.own.get(name) or MOMENTS[name] for name in self.moments}
+    def __post_init__(self) -> None:
+        self.phases = max(1, len(self.groups))
+        self.others = self.phases + 1  # groups of partners, the last one for walls
+        self.by_phase = np.resize(self.cutoffs, self.phases)
+        self.distinct = sorted(set(self.cutoffs))
+        self.origin = triple(self.grid.origin)
+        self.rows = {name: self.own.get(name) or MOMENTS[name] for name in self.moments}
+        elsewhere = {name for name, row in self.rows.items() if row.at_contacts or row.along_branches}
+        here = {name: row for name, row in self.rows.items() if name not in elsewhere}
+        self.of_grains = {name: row for name, row in here.items() if bool(row.level) != bool(row.column)}
+        self.level = max((row.level for row in self.of_grains.values()), default=NONE)
 
     def takes(self, variable: str) -> bool:
         """Tell whether any moment takes a variable."""
         return any(variable in (*row.variables, *row.optional) for row in self.rows.values())
-
-    @cached_property
-    def of_grains(self) -> dict[str, Moment]:
-        """Moments of the main pass over grains: flow columns, or columns of constants."""
-        elsewhere = {name for name, row in self.rows.items() if row.at_contacts or row.along_branches}
-        rows = {name: row for name, row in self.rows.items() if name not in elsewhere}
-        return {name: row for name, row in rows.items() if bool(row.level) != bool(row.column)}
-
-    @cached_property
-    def level(self) -> int:
-        """Flow columns that the pass over grains takes."""
-        return max((row.level for row in self.of_grains.values()), default=NONE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,11 +145,6 @@ class Layout:
         factors = [np.broadcast_to(factor, (columns.size, self.groups)) for columns, factor in self.moments.values()]
         return columns.astype("uint64"), np.concatenate(factors)
 
-    def where(self, moment: str, group: int) -> tuple[int, float]:
-        """Return the first column of a moment, from which its others are counted, and its factor for a group."""
-        columns, factor = self.moments[moment]
-        return int(columns.min()), factor if isinstance(factor, float) else float(factor[group])
-
     def turned(self, records: NDArray) -> Iterator[tuple[str, NDArray]]:
         """Moments (components, groups, nodes) from the sums (groups, nodes, columns)."""
         column, factor = self._rows
@@ -188,7 +157,7 @@ class Layout:
 
 @dataclass(frozen=True, eq=False)
 class Pass:
-    """One pass over grains or segments, prepared: its array is filled by one loop a cutoff.
+    """One pass over grains or segments, prepared: each `fill` is a loop for one cutoff, which adds to its array.
 
     `squared` are the grains whose weights are squared in it.
     """
@@ -196,10 +165,3 @@ class Pass:
     layout: Layout
     fill: Sequence[Fill]
     squared: Sequence[Squared] = ()
-
-    def __call__(self, block: NodeBlock, reference: NDArray) -> NDArray:
-        """Compute the sums at the nodes of a block, relative to a reference that is set where it is not a number."""
-        sums = np.zeros((self.layout.groups, len(reference), self.layout.columns))
-        for fill in self.fill:
-            fill(block, sums, reference)
-        return sums

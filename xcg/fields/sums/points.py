@@ -135,7 +135,7 @@ def _pass(
 
     With `others`, `phase` is the number of a pair of phases, the first times `others` plus the second.
     """
-    spec, around, position, level = step.spec, step.surroundings, images.position, layout.level
+    spec, position, level = step.spec, images.position, layout.level
     columns = _side_by_side(constants, len(position), layout.columns - level)
     # where nothing moves, columns with u are zero without adding them
     still = True if level and _is_one_row(velocity) else None
@@ -146,10 +146,10 @@ def _pass(
         if len(spec.distinct) > 1:
             groups = np.repeat(spec.by_phase == cutoff, others)
             rows = rows[groups[phase[rows]]]
-        meet = around.meet(cutoff, step.source) if layout.squares else None
+        meet = step.translations(cutoff) if layout.squares else None
         batches = (batches_of(position, rows) - spec.origin) / cutoff
         grains = loops.Grains(rows, batches, position, velocity, mass, columns, phase, spec.origin, cutoff)
-        mesh, weights = around.meshes[cutoff], around.kernels[cutoff]
+        mesh, weights = step.meshes[cutoff], step.kernels[cutoff]
         fill.append(partial(_fill, grains, mesh, weights, (level, still, meet, by_gradient)))
         if layout.squares:
             of = np.arange(layout.groups) if groups is None else np.flatnonzero(groups)
@@ -181,7 +181,7 @@ def _fill(
     grains: loops.Grains, mesh: Mesh, weights: AnyKernel, flags: tuple[int, *tuple[bool | NDArray | None, ...]],
     block: NodeBlock, sums: NDArray, reference: NDArray,
 ) -> None:  # fmt: skip
-    nodes = mesh.nodes_of(block)
+    nodes = block.nodes(mesh.origin, mesh.cutoff, mesh.active, mesh.period)
     records = np.empty((BATCH, sums.shape[2] + loops.GRAIN))
     scratch = loops.Scratch(block.lists(nodes, mesh.reach.tolist()), records)
     loops.deposit(grains, nodes, weights, *flags, scratch, sums, reference)

@@ -5,14 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.compiled.reach import Nodes
 from xcg.compiled.segments import BRANCH, FORCE, GROUP
-from xcg.fields.sums.nodes import Grid, NodeBlock
+from xcg.fields.sums.nodes import Grid
 from xcg.scene.schema import COMPONENTS, SceneError
 
 # Beyond this many cutoffs from the mesh, or spacings, places cannot be told apart, and cells and nodes not be counted.
@@ -34,7 +32,7 @@ _BRANCHES = slice(BRANCH, FORCE)
 _MARGIN = 2.0
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Mesh:
     """Nodes and their surroundings as the loops see them: lengths in cutoffs, places relative to one of the nodes.
 
@@ -76,19 +74,10 @@ class Mesh:
         periods = np.where(grid.active, period, np.inf) / cutoff
         return cls(grid.origin, steps, grid.half / cutoff, lower, upper, grid.active, periods, grid.count, cutoff)
 
-    @cached_property
-    def reach(self) -> NDArray:
-        """How far apart nodes are that see one point (3,)."""
-        return 2.0 + 2.0 * self.half
-
-    @property
-    def extent(self) -> NDArray:
-        """From the lowest node to the highest (3,)."""
-        return self.upper - self.lower
-
-    def nodes_of(self, block: NodeBlock) -> Nodes:
-        """Return a block of nodes as the loops take it."""
-        return block.nodes(self.origin, self.cutoff, self.active, self.period)
+    def __post_init__(self) -> None:
+        self.reach = 2.0 + 2.0 * self.half  # how far apart nodes are that see one point (3,)
+        numbers = np.column_stack([self.upper - self.lower, self.steps, self.period]).tolist()
+        self._along_active = [(k, numbers[k]) for k in range(3) if self.active[k]]  # extent, spacing and period
 
     def check_far(self, farthest: Sequence[float] | NDArray, source: str) -> None:
         """Refuse places (3,) too far from the first node to be numbered, or not finite; damaged files hold them.
@@ -127,12 +116,6 @@ class Mesh:
                 f"{self.period[k] * self.cutoff:.3g} m, and the reach {reach[k] * self.cutoff:.3g} m); the box or a "
                 "contact in the file is damaged, or the kernel is too wide"
             )
-
-    @cached_property
-    def _along_active(self) -> list[tuple[int, list[float]]]:
-        """Active axes, with extent, spacing and period along each."""
-        numbers = np.column_stack([self.extent, self.steps, self.period]).tolist()
-        return [(k, numbers[k]) for k in range(3) if self.active[k]]
 
     def fits_single(self, longest: float) -> bool:
         """Tell whether single precision is enough to number the nodes that a branch of this length reaches."""

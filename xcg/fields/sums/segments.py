@@ -113,17 +113,17 @@ def along_branches(step: StepRows) -> list[Pass]:
 
 def _branches(step: StepRows, name: str, row: Moment, contacts: NDArray) -> Pass:
     """Branches of the contacts, in an order in space, each with its force or what is in its place."""
-    spec, around = step.spec, step.surroundings
+    spec = step.spec
     others, carried = spec.others if row.paired else 0, _carried(step, row, step.frame)
     fill: list[Fill] = []
     for cutoff in spec.distinct:
-        mesh = around.meshes[cutoff]
+        mesh = step.meshes[cutoff]
         for second in (False, True):
             segments, longest, more = _segments(step, row, *carried, contacts, second, others, cutoff)
             reach = mesh.reach + longest[:3]
             mesh.check_reach(reach, step.source)
             for real, closed, rest in _rules(step, longest[3], cutoff):
-                way = segments, mesh, around.kernels[cutoff]
+                way = segments, mesh, step.kernels[cutoff]
                 fill.append(partial(_fill_segments, *way, reach.tolist(), real, closed, rest))
             if not more:
                 break
@@ -147,7 +147,7 @@ def _segments(
     """Segments of the first or second particles of contacts, the longest, and whether there are second ones."""
     c = step.contacts
     assert c is not None
-    mesh, tilted, limits = step.surroundings.meshes[cutoff], step.lattice.vectors is not None, step.spec.limits
+    mesh, tilted, limits = step.meshes[cutoff], step.lattice.vectors is not None, step.spec.limits
     rows = ContactRows(c.i, c.j, c.point, on_i, step.position, step.phase, *c.periods)
     listing = rows, on_j, second, others, step.spec.by_phase, cutoff, step.spec.origin
     if len(contacts) > MOST_LISTED_ONCE and not tilted:
@@ -177,11 +177,7 @@ def _segments(
 
 def _rules(step: StepRows, longest: float, cutoff: float) -> list[tuple[str, bool, bool]]:
     """Ways to the weights of segments: numbers, whether in closed form as well, and whether in that alone."""
-    if (
-        step.spec.grid.half.any()
-        or not step.spec.coarse
-        or not step.surroundings.meshes[cutoff].fits_single(step.spec.limits.max())
-    ):
+    if step.spec.grid.half.any() or not step.spec.coarse or not step.meshes[cutoff].fits_single(step.spec.limits.max()):
         return [("float64", True, False)]
     by_points = ("float32", False, False)
     return [by_points] if longest <= step.spec.limits.max() else [by_points, ("float64", True, True)]
@@ -191,7 +187,7 @@ def _fill_segments(
     segments: Branches, mesh: Mesh, weights: AnyKernel, reach: Sequence[float], real: str, closed: bool, rest: bool,
     block: NodeBlock, sums: NDArray, _: NDArray,
 ) -> None:  # fmt: skip
-    nodes = mesh.nodes_of(block)
+    nodes = block.nodes(mesh.origin, mesh.cutoff, mesh.active, mesh.period)
     lists = block.lists(nodes, reach, real)
     scratch = closed_for(lists.values.shape[1]) if closed else None
     for some in segments.near(nodes):

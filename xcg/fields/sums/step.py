@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -22,54 +22,6 @@ from xcg.scene.frame import phase_of, without_frozen
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import Frame
 from xcg.scene.warn import warn_once
-
-
-@dataclass(frozen=True, eq=False)
-class Surroundings:
-    """Nodes and kernels of a recipe by cutoff, in a box.
-
-    Attributes
-    ----------
-    lattice : Lattice
-        Periodic images, as seen along the axes of the nodes.
-    meshes : dict
-        Mesh and its surroundings, in cutoffs.
-    kernels : dict
-        The kernel, divided by the extent of averaged axes.
-    """
-
-    lattice: Lattice
-    meshes: Mapping[float, Mesh]
-    kernels: Mapping[float, AnyKernel]
-    _others: dict[float, NDArray] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, spec: DepositSpec, lattice: Lattice, scale: float, source: str) -> Surroundings:
-        """Return those of a box, and kernels times a scale.
-
-        Raises
-        ------
-        SceneError
-            If the box is too small, or has no images as seen along some axes.
-        """
-        lattice = replace(lattice.seen(spec.grid.active, source), edges=None)  # which are a part of the scene
-        meshes = {cutoff: Mesh.of(spec.grid, lattice.period, cutoff) for cutoff in spec.distinct}
-        for cutoff in {spec.distinct[0], spec.distinct[-1]}:
-            meshes[cutoff].check_reach(meshes[cutoff].reach, source, paired=spec.level >= SQUARED)
-        kernels, seen = {}, int(spec.grid.active.sum())
-        for cutoff in spec.distinct:
-            norm = spec.weights.norm * (spec.cutoffs[0] / cutoff) ** seen
-            kernels[cutoff] = spec.weights._replace(norm=norm * scale)
-        return cls(lattice, meshes, kernels)
-
-    def meet(self, cutoff: float, source: str) -> NDArray | None:
-        """Return translations (m, 3), in cutoffs, between images of a grain that reach one node; None where none do."""
-        if cutoff not in self._others:
-            both_seen = 2.0 + 2.0 * float(np.linalg.norm(self.meshes[cutoff].half))
-            self._others[cutoff] = self.lattice.scaled(cutoff).translations(both_seen, source)
-        found = self._others[cutoff]
-        return found if len(found) else None
-
 
 _HIDDEN_SHEAR = (
     "the box is sheared across an axis that is averaged, and {names} take velocities at contacts as they are written, "
@@ -107,7 +59,28 @@ class Images:
 
 
 class StepRows:
-    """One frame, what is wanted of it, and what several passes share."""
+    """One frame, what is wanted of it, and what several passes share.
+
+    Attributes
+    ----------
+    frame : Frame
+        Variables of the step, without frozen grains.
+    spec : DepositSpec
+    position, velocity, mass, phase : array (n, 3), (n, 3), (n,), (n,)
+    contacts : Contacts, optional
+    lattice : Lattice
+        Periodic images, as seen along the axes of the nodes.
+    meshes : dict
+        Nodes and what surrounds them, by cutoff, in cutoffs.
+    kernels : dict
+        The kernel by cutoff, times `scale`, which divides by the extent of averaged axes.
+    grains : Images
+
+    Raises
+    ------
+    SceneError
+        If the box is too small, or has no images as seen along some axes.
+    """
 
     def __init__(self, frame: Frame, spec: DepositSpec, lattice: Lattice, scale: float, source: str) -> None:
         self.frame = without_frozen(frame)
@@ -123,8 +96,14 @@ class StepRows:
         velocity, mass = self.frame.get("velocity"), self.frame.get("mass")
         self.velocity = np.zeros((self.count, 3)) if velocity is None else np.ascontiguousarray(velocity)
         self.mass = np.ones(self.count) if mass is None else np.ascontiguousarray(mass)
-        self.surroundings = Surroundings.of(spec, lattice, scale, source)
-        self.lattice = self.surroundings.lattice
+        self.lattice = replace(lattice.seen(spec.grid.active, source), edges=None)  # which are a part of the scene
+        self.meshes = {cutoff: Mesh.of(spec.grid, self.lattice.period, cutoff) for cutoff in spec.distinct}
+        self.kernels, seen = dict[float, AnyKernel](), int(spec.grid.active.sum())
+        for cutoff, mesh in self.meshes.items():
+            if cutoff in (spec.distinct[0], spec.distinct[-1]):
+                mesh.check_reach(mesh.reach, source, paired=spec.level >= SQUARED)
+            norm = spec.weights.norm * (spec.cutoffs[0] / cutoff) ** seen
+            self.kernels[cutoff] = spec.weights._replace(norm=norm * scale)
         self.of_grains = self._without_hidden_shear(lattice)
         self.grains = self.images(self.position)
 
@@ -158,6 +137,12 @@ class StepRows:
         active = self.spec.grid.active
         low, high = np.where(active, first - reach, -np.inf), np.where(active, last + reach, np.inf)
         return self.lattice.images(position, low, high, self.source)
+
+    def translations(self, cutoff: float) -> NDArray | None:
+        """Return translations (m, 3), in cutoffs, between images of a grain that reach one node; None where none do."""
+        both_seen = 2.0 + 2.0 * float(np.linalg.norm(self.meshes[cutoff].half))
+        found = self.lattice.scaled(cutoff).translations(both_seen, self.source)
+        return found if len(found) else None
 
     def column(self, row: Moment, at: Images, contact: NDArray | None = None) -> NDArray:
         """Columns (n, q) of a moment: its values at the grains, or of the contacts that stand at places."""
@@ -205,7 +190,7 @@ class StepRows:
         lower, upper = bounds_of(position)
         farthest = [max(abs(a - o), abs(b - o)) for a, b, o in zip(lower, upper, self.spec.origin, strict=True)]
         for cutoff in {self.spec.distinct[0], self.spec.distinct[-1]}:
-            self.surroundings.meshes[cutoff].check_far([x / cutoff + 2.0 for x in farthest], self.source)
+            self.meshes[cutoff].check_far([x / cutoff + 2.0 for x in farthest], self.source)
         return spatial_order(position, self.spec.distinct[0], lower, upper, self.spec.grid.active.tolist())
 
 
