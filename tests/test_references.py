@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 import xcg
+from xcg.compiled.lines import closed_for
 from xcg.compiled.points import CUBE, CUBIC, GRAIN, SQUARED, Grains, Scratch, deposit, reference_deposit
 from xcg.compiled.reach import BATCH, batches_of
 from xcg.compiled.segments import (
     SEGMENT,
     Segments,
     bounds_of_segments,
-    closed_for,
     deposit_segments,
     reference_deposit_segments,
 )

@@ -14,8 +14,8 @@ import xcg
 from tests.brute_force import BruteKernel
 from tests.loops import compiled, uncompiled
 from xcg.compiled import shells
-from xcg.compiled.lines import has_shells
-from xcg.compiled.segments import RULES, closed_for
+from xcg.compiled.lines import closed_for, has_shells
+from xcg.compiled.segments import RULES
 from xcg.compiled.smoothing import SHELLS
 from xcg.fields.sums.kernels import as_kernel
 from xcg.fields.sums.quadrature import gauss_limits

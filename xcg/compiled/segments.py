@@ -18,7 +18,7 @@ from xcg.compiled._jit import inlined, inner, leaf
 from xcg.compiled.arrays import Reduced, gauss_rules
 from xcg.compiled.cells import points_around_segment
 from xcg.compiled.contacts import side
-from xcg.compiled.lines import fill_segments
+from xcg.compiled.lines import SHORT, SHORT_ORDER, fill_segments
 from xcg.compiled.reach import (
     ALONG,
     NODE,
@@ -26,10 +26,8 @@ from xcg.compiled.reach import (
     WEIGHT,
     batch_reaches,
     nodes_around_segment,
-    padded,
     periodic_images,
 )
-from xcg.compiled.shells import SCRATCH
 from xcg.compiled.simd import add4, prefetch
 from xcg.compiled.smoothing import fill_gauss
 from xcg.compiled.volumes import volumes_in_ball
@@ -60,9 +58,6 @@ RULES = (2, 4, 6, 8, 10, 12)
 # Branches closer to one line than this (sine of their angle) share one segment from centre to centre; the
 # contact point is then off that line by no more than the rounding of its coordinates.
 COLLINEAR = 1e-12
-# Below this length (in cutoffs) the closed form loses more digits in its difference than four points leave out.
-SHORT = 1e-4
-SHORT_ORDER = 4
 # Seen from cells, which smooth it once more, a branch is this many Gauss-Legendre points for each cutoff of its length.
 IN_CELL = 6
 # Contacts so many places ahead are prefetched, and the particles of those that are nearer.
@@ -331,7 +326,7 @@ def deposit_segments(segments, nodes, kernel, lists, closed, rest, moments):
     lists : Lists
         Scratch: in single precision where that is enough for distances and weights; sums are in double.
     closed : tuple or None
-        Scratch for the closed form, see `closed_for`; None leaves out the segments that need it, and their code when
+        Scratch for the closed form, see `closed_for` in `lines`; None leaves out segments that need it, and code when
         the loop is compiled.
     rest : bool
         Leave out all other segments.
@@ -427,54 +422,3 @@ def _add_dyad(moments, records, i, norm, numbers, w, hits):
         add4(moments, p, n, 0, v, f0 * a0, f0 * a1, f0 * a2, f1 * a0)
         add4(moments, p, n, 4, v, f1 * a1, f1 * a2, f2 * a0, f2 * a1)
         moments[p, n, _LAST] += v * (f2 * a2)
-
-
-def closed_for(room: int) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-    """Scratch of the closed form of this length: the same memory as floats and as integers, integers, and rows."""
-    ratio = np.zeros(room)
-    return ratio, ratio.view("int64"), np.zeros(room, "int64"), np.zeros((SCRATCH, room))
-
-
-def mean_along(
-    points: NDArray, end: NDArray, order: int, kind: int | None, spread: float | None, table: NDArray | None
-) -> NDArray:
-    """Mean of the kernel over the segment from 0 to `end` (m,), seen from points (n, m), all in cutoffs."""
-    length = math.sqrt((end * end).sum())
-    along = points @ end / length if length > 0.0 else np.zeros(len(points))
-    rule = SHORT_ORDER if length < SHORT and order == 0 else order
-    return _means(length, rule, along, (points * points).sum(axis=1), kind, spread, table)
-
-
-def _means(
-    length: float,
-    order: int,
-    along: NDArray,
-    q2: NDArray,
-    kind: int | None,
-    spread: float | None,
-    table: NDArray | None,
-) -> NDArray:
-    """Mean of the kernel over one segment, seen from many nodes."""
-    count, room = along.size, padded(along.size)
-    lists = np.zeros((3, room))
-    lists[0, :count], lists[1, :count] = along, q2
-    if order:
-        fill_gauss(kind, spread, table, *gauss_rules(order), order, length, *lists[:2], count, lists[2])
-    else:
-        fill_segments(kind, spread, table, length, *lists[:2], count, lists[2], *closed_for(room))
-    return lists[2, :count]
-
-
-def largest_error(
-    length: float, order: int, rows: int, kind: int | None, spread: float | None, table: NDArray | None
-) -> float:
-    """Largest error of a rule over node positions about a segment, relative to the segment's largest value.
-
-    Scans `rows` distances from the segment's line and 4 `rows` places along it (one row, h = 0, sees one dimension).
-    """
-    columns = 4 * max(rows, 32)
-    along = np.tile(-1.0 + (length + 2.0) * np.arange(columns + 1) / columns, rows)
-    q2 = along**2 + np.repeat((np.arange(rows) / rows) ** 2, columns + 1)
-    exact = _means(length, 0, along, q2, kind, spread, table)
-    rule = _means(length, order, along, q2, kind, spread, table)
-    return float(np.abs(rule - exact).max() / exact.max())

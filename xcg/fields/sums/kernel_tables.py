@@ -15,7 +15,7 @@ from numpy.polynomial import Chebyshev, Polynomial
 from numpy.typing import NDArray
 
 from xcg.compiled import smoothing as codes
-from xcg.compiled.segments import mean_along
+from xcg.compiled.lines import mean_along
 from xcg.compiled.shells import AT_ONCE, FIRST, POWERS, RADIUS, along_shells
 from xcg.scene.warn import warn_user
 

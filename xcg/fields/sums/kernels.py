@@ -16,8 +16,8 @@ from typing import Any, Literal, TypeAlias, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from xcg.compiled import segments
 from xcg.compiled import smoothing as codes
+from xcg.compiled.lines import mean_along
 from xcg.compiled.smoothing import LUCY_FULL, PLAIN, CellKernel, KernelCode
 from xcg.fields.sums.kernel_tables import check_table, jumps_of, profile_integral, rims_of, table_of
 from xcg.scene.numbers import is_finite, is_positive, is_whole
@@ -160,7 +160,7 @@ class Kernel:
             raise ValueError(f"order={order!r}: expected a number of Gauss-Legendre points, or 0 for the closed form")
         r = np.atleast_2d(np.asarray(points, float))
         w = self.weights(r.shape[1])
-        return w.norm * segments.mean_along(
+        return w.norm * mean_along(
             (r - np.asarray(start, float)) / self.cutoff,
             (np.asarray(end, float) - np.asarray(start, float)) / self.cutoff,
             order,

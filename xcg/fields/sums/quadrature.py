@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled import smoothing as kinds
-from xcg.compiled.segments import RULES, largest_error
+from xcg.compiled.lines import largest_error
+from xcg.compiled.segments import RULES
 from xcg.compiled.shells import RADIUS
 from xcg.fields.sums.kernels import Kernel
 

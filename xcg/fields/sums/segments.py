@@ -10,6 +10,7 @@ from typing import Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.compiled.lines import closed_for
 from xcg.compiled.reach import Nodes, batches_in_reach
 from xcg.compiled.segments import (
     BRANCH,
@@ -20,7 +21,6 @@ from xcg.compiled.segments import (
     ContactRows,
     Segments,
     bounds_of_segments,
-    closed_for,
     deposit_segments,
     list_segments,
     measure_segments,
