@@ -320,7 +320,7 @@ def test_messages_call_arguments_what_the_line_calls_them(tmp_path):
     pvd = write_pvd(tmp_path / "P.pvd", {"P_0001.vtp": "0.1", "P_0002.vtp": "0.2"})
     assert "or pass --missing skip to go on" in " ".join(xcg_run("info", pvd, code=1).split())
     assert "contacts= for" not in xcg_run("chains", one, code=1)
-    assert "giving --contacts for fields of contacts and --density where" in xcg_run("chains", one, code=1)
+    assert "'contact_point']: give --contacts (this Dataset holds" in xcg_run("chains", one, code=1)
     assert "alpha=100.0: expected an angle" in xcg_run("chains", one, "--alpha", 100, code=1)
     (tmp_path / "there.nc").touch()
     assert "or pass --overwrite to replace it" in xcg_run("convert", one, "-o", tmp_path / "there.nc", code=1)

@@ -91,7 +91,8 @@ def _as_options(message: str, options: Mapping[str, str]) -> str:
         name, value = found.groups()
         return " ".join(filter(None, (options[name], value))) if name in options else found[0]
 
-    return _ARGUMENT.sub(called, message)
+    plain = message.replace(" to xcg.open_scene or xcg.scene_from_arrays", "")
+    return _ARGUMENT.sub(called, plain)
 
 
 _OPTIONS = (

@@ -179,10 +179,11 @@ def require_scene(ds: xr.Dataset, names: Sequence[str], purpose: str) -> None:
 
 def _require(held: Container[Any], shown: Sequence[Any], names: Sequence[str], purpose: str) -> None:
     if missing := {name for name in ("position", "particle_id", *names) if name not in held}:
+        ways = ["contacts="] * any(name.startswith("contact_") for name in missing)
+        ways += ["density="] * bool(missing & {"mass", "density", "moment_of_inertia"})
         raise SceneError(
-            f"{purpose} needs {sorted(missing)}, which this Dataset does not hold (it has "
-            f"{sorted(map(str, shown))}); open it with xcg.open_scene or build it with xcg.scene_from_arrays, "
-            "giving contacts= for fields of contacts and density= where files hold no mass"
+            f"{purpose} needs {sorted(missing)}: give {' and '.join(ways) or 'them'} to xcg.open_scene or "
+            f"xcg.scene_from_arrays (this Dataset holds {', '.join(map(str, shown)) or 'nothing'})"
         )
 
 
