@@ -186,7 +186,7 @@ def test_the_period_is_asked_for_where_it_cannot_be_recovered(series):
 
 @pytest.fixture
 def a_chunk_a_step(monkeypatch):
-    monkeypatch.setattr("xcg.readers.chunks._TASK", 0.0)
+    monkeypatch.setattr("xcg.readers.lazy._TASK", 0.0)
 
 
 @pytest.mark.usefixtures("a_chunk_a_step")

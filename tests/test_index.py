@@ -12,7 +12,8 @@ import pytest
 
 from tests import shared_data
 from tests.dumps import dump_text, write, write_series
-from xcg.readers.codes import dump, vtk_steps
+from xcg.readers.codes import dump
+from xcg.readers.codes import vtk as vtk_steps
 from xcg.readers.codes.lammps import Lammps
 from xcg.readers.codes.mfix import Mfix
 from xcg.readers.engine import ReadOptions, StepRef

@@ -326,10 +326,10 @@ def test_open_scene_takes_it(tmp_path, suffix, chunks, expected):
 
 def test_chunks_of_long_series_are_those_of_the_file(tmp_path, monkeypatch):
     saved = steps_of_random_scenes(7).chunk(time=2).cg.save(tmp_path / "scene.nc")
-    monkeypatch.setattr("xcg.readers.chunks._TASK", 1e-9)
+    monkeypatch.setattr("xcg.readers.lazy._TASK", 1e-9)
     assert xcg.open_scene(saved).chunks["time"] == (2, 2, 2, 1)
     monkeypatch.setattr(
-        "xcg.readers.chunks._TASK", 3 * 1e-6 * sum(xcg.open_scene(saved).sizes[d] for d in ("particle", "contact"))
+        "xcg.readers.lazy._TASK", 3 * 1e-6 * sum(xcg.open_scene(saved).sizes[d] for d in ("particle", "contact"))
     )
     assert xcg.open_scene(saved).chunks["time"] == (4, 3)
 

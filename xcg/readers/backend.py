@@ -10,8 +10,7 @@ from typing import Any
 import xarray as xr
 from xarray.backends import BackendEntrypoint
 
-from xcg.readers.engine import Engine
-from xcg.readers.engines import all_engines
+from xcg.readers.engine import Engine, all_engines
 from xcg.readers.paths import PathLike
 from xcg.readers.series import open_scene
 from xcg.steps.errors import FAULTS

@@ -1,9 +1,4 @@
-"""From columns of files to variables of the scene.
-
-A *slot* is what a column can be: a variable of the scene (``species``), a component of one (``velocity_x``),
-or an ingredient of one (``radius``, ``scaled_x``, ``normal_force_x``). Each engine lists which columns fill a
-slot by themselves; ``names={column: slot}`` of the caller comes first.
-"""
+"""Columns of files: which variable of a scene each becomes, and frames made of them."""
 
 from __future__ import annotations
 
@@ -11,12 +6,12 @@ import difflib
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import TypeAlias
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.readers.engine import ReadOptions, StepRef
+from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files.table import read_table
 from xcg.readers.files.text import source_of
 from xcg.scene.schema import COMPONENTS, Frame, SceneError, variable
@@ -391,3 +386,53 @@ def _check_ids(ref: StepRef, ids: NDArray) -> None:
             f"{source_of(ref)}: ids above a million all end in 0, as they were written with six digits; write "
             "the file anew with 'dump_modify ... format float %.10g'"
         )
+
+
+class Columnar(Engine):
+    """An engine of files that hold columns of numbers; it lists their steps, and reads columns by name.
+
+    Attributes
+    ----------
+    PARTICLE_SLOTS, CONTACT_SLOTS : mapping
+        Columns that are taken for variables of the scene without ``names=``, see `xcg.readers.columns`.
+    NEEDS_ID : bool
+        Whether particles must have a column of ids; else the number of the row is the id where there is none.
+    """
+
+    PARTICLE_SLOTS: ClassVar[Slots] = PARTICLE_SLOTS
+    CONTACT_SLOTS: ClassVar[Slots] = CONTACT_SLOTS
+    NEEDS_ID: ClassVar[bool] = True
+
+    def read_columns(
+        self, ref: StepRef, wanted: Iterable[str], rows: int | None, options: ReadOptions
+    ) -> dict[str, NDArray]:
+        """Read columns (rows,) of one step by their names in the file; texts of numbers between blanks by default."""
+        return read_table(ref, wanted, rows, options)
+
+    def particle_columns(self, ref: StepRef, options: ReadOptions) -> dict[str, str]:
+        """Find the columns that particles are read from."""
+        slots = self.PARTICLE_SLOTS
+        if not self.NEEDS_ID and "particle_id" not in assign(ref, slots, options):
+            slots = {slot: found for slot, found in slots.items() if slot != "particle_id"}
+        return particle_columns(ref, slots, options)
+
+    def contact_columns(self, ref: StepRef, options: ReadOptions) -> dict[str, str]:
+        """Find the columns that contacts are read from."""
+        return contact_columns(ref, self.CONTACT_SLOTS, options)
+
+    def contact_variables(self, ref: StepRef, options: ReadOptions) -> list[str]:
+        """Names of the variables that `read_contacts` returns."""
+        return contact_names(self.contact_columns(ref, options))
+
+    def read_particles(self, ref: StepRef, options: ReadOptions) -> Frame:
+        """Read the particles of one step."""
+        return particles_from(ref, self.particle_columns(ref, options), options, self.read_columns)
+
+    def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
+        """Read the contacts of one step."""
+        return contacts_from(ref, self.contact_columns(ref, options), options, self.read_columns)
+
+    def ignored_columns(self, ref: StepRef, options: ReadOptions, *, contacts: bool = False) -> list[str]:
+        """Columns of a step that are not read."""
+        read = self.contact_columns(ref, options) if contacts else self.particle_columns(ref, options)
+        return [column for column in ref.columns if column not in read.values()]

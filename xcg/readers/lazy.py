@@ -1,18 +1,27 @@
-"""The dask graph of a scene: one task parses the particles of a chunk, one its contacts, others pick."""
+"""Lazy arrays of a series: which steps make a chunk, and the tasks that read and complete them."""
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Mapping, Sequence
+import threading
+from collections import Counter
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import accumulate
-from typing import Any
+from typing import Any, TypeAlias
 
+import dask
 import dask.array as da
 import numpy as np
 from dask.base import tokenize
 from dask.highlevelgraph import HighLevelGraph
+from dask.utils import parse_bytes
+from numpy.typing import DTypeLike, NDArray
+from xarray.backends import BackendArray
+from xarray.core import indexing
 
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files.text import source_of
@@ -24,6 +33,76 @@ from xcg.scene.schema import ROTATION, VARIABLES, Frame, SceneError, Setup, vari
 from xcg.scene.warn import Once, warn_once
 from xcg.steps import errors as errors
 from xcg.steps.graph import picked
+
+Chunks: TypeAlias = int | str | Sequence[int] | Mapping[str, int | str | Sequence[int] | None] | None
+
+_TASK = 0.1  # seconds of work that make the scheduling of a task, and the writing of a chunk, small beside it
+_BYTE, _ROW = 1e-8, 1e-6  # seconds to parse a byte of text, and to compute fields of a particle or contact
+_EXPECTED = (
+    "expected the number of steps in a chunk, -1 for all, 'auto', None for no dask, or such as {'time': 10}, as the "
+    "rows of a step stay together"
+)
+
+
+def steps_of_chunks(chunks: Any, series: Series) -> tuple[int, ...]:
+    """Numbers of steps in the chunks of a series."""
+    return chunk_sizes(chunks, len(series.steps), partial(_sensible, series))
+
+
+def chunk_sizes(chunks: Any, count: int, sensible: Callable[[], int]) -> tuple[int, ...]:
+    """Numbers of steps in the chunks of `count` steps; "auto" takes as many a chunk as `sensible` says.
+
+    Raises
+    ------
+    SceneError
+        If this is nothing that xarray takes, or cuts other dimensions than time.
+    """
+    msg = f"chunks={chunks!r}: {_EXPECTED}"
+    if isinstance(chunks, Mapping):
+        if any(dim != "time" and size not in (None, -1) for dim, size in chunks.items()):
+            raise SceneError(msg)
+        chunks = chunks.get("time")
+        chunks = 1 if chunks is None else chunks
+    if isinstance(chunks, str) and chunks == "auto":
+        chunks = sensible()
+    sizes = np.atleast_1d(np.asarray(chunks))
+    if sizes.dtype.kind not in "iu" or sizes.ndim != 1:
+        raise SceneError(msg)
+    if np.ndim(chunks):
+        if (sizes < 1).any() or sizes.sum() != count:
+            raise SceneError(f"chunks={chunks!r}: expected positive numbers that add up to the {count} steps")
+        return tuple(sizes.tolist())
+    size = max(1, count) if sizes[0] == -1 else int(sizes[0])
+    if size < 1:
+        raise SceneError(msg)
+    return tuple(min(size, count - start) for start in range(0, count, size))
+
+
+def _sensible(series: Series) -> int:
+    """Count steps that make a task of `_TASK` seconds, whose arrays are no larger than dask wants chunks to be."""
+    refs = [ref for step in series.steps for ref in (step.particles, *step.contacts)]
+    shared = Counter(ref.path for ref in refs)
+    read = sum(_bytes(ref, shared[ref.path]) for ref in refs) / len(series.steps)
+    held: int = sum(_held(name, dtype, series.particle_rows) for name, dtype in series.particle_types.items())
+    held += sum(_held(name, variable(name).dtype, series.contact_rows) for name in series.contact_names)
+    rows = sum(ref.rows for ref in refs) / len(series.steps)
+    return steps_in_a_task(rows, held, read * _BYTE)
+
+
+def steps_in_a_task(rows: float, held: int, seconds: float = 0.0) -> int:
+    """Count steps that make a sensible task, of so many rows and bytes in memory each, which take `seconds` to read."""
+    limit = parse_bytes(dask.config.get("array.chunk-size"))
+    return max(1, min(math.ceil(_TASK / max(seconds + rows * _ROW, 1e-9)), limit // max(held, 1)))
+
+
+def _held(name: str, dtype: Any, rows: int) -> int:
+    """Bytes of one step of a variable in memory."""
+    return math.prod(variable(name, dtype).shape(rows)) * np.dtype(dtype).itemsize
+
+
+def _bytes(ref: StepRef, steps: int) -> float:
+    """Bytes of a body, as its header tells, else its share of the file."""
+    return ref.length or ref.size / steps
 
 
 @dataclass(frozen=True)
@@ -274,3 +353,83 @@ def _array(graph: HighLevelGraph, layer: str, name: str, dtype: Any, rows: int, 
     """Lazy array of one variable out of the frames that the tasks of a layer return."""
     key = f"{name}-{layer.removeprefix('read-')}"
     return picked(graph, layer, name, key, sizes, variable(name, dtype).shape(rows), dtype)
+
+
+_KEPT, _MOST_KEPT = 2, 1 << 28  # steps that are always kept, and bytes up to which more of them are
+
+_recent: dict[Hashable, Future[Frame]] = {}  # the one that was used last comes last
+_lock = threading.Lock()
+
+
+def indexed_arrays(series: Series) -> dict[str, indexing.MemoryCachedArray]:
+    """Arrays (time first, padded) of all variables, which are kept once they are loaded whole."""
+    series = replace(series, source=series.source.taking_threads(len(series.steps) == 1))  # dask may wrap the arrays
+    token = series.token()
+    shapes = {name: (dtype, series.particle_rows) for name, dtype in series.particle_types.items()}
+    shapes |= {name: (variable(name).dtype, series.contact_rows) for name in series.contact_names}
+    return {
+        name: indexing.MemoryCachedArray(indexing.LazilyIndexedArray(_Variable(series, token, name, dtype, rows)))
+        for name, (dtype, rows) in shapes.items()
+    }
+
+
+class _Variable(BackendArray):
+    """One variable of all steps."""
+
+    def __init__(self, series: Series, token: str, name: str, dtype: DTypeLike, rows: int) -> None:
+        self.series, self.token, self.name = series, token, name
+        self.dtype = np.dtype(dtype)
+        self.shape = (len(series.steps), *variable(name, dtype).shape(rows))
+
+    def __getitem__(self, key: indexing.ExplicitIndexer) -> Any:
+        return indexing.explicit_indexing_adapter(key, self.shape, indexing.IndexingSupport.OUTER_1VECTOR, self._values)
+
+    def _values(self, key: tuple[Any, ...]) -> NDArray:
+        wanted = np.arange(self.shape[0])[key[0]]
+        parts = [self._step(int(t))[key[1:]] for t in np.atleast_1d(wanted)]
+        if wanted.ndim == 0:
+            return parts[0].copy()
+        return np.stack(parts) if parts else np.empty((0, *np.empty(self.shape[1:], self.dtype)[key[1:]].shape))
+
+    def _step(self, t: int) -> NDArray:
+        series, one = self.series, slice(t, t + 1)
+
+        def particles() -> Frame:
+            return read_particle_chunk(series.source, series.steps[one], series.particle_types, series.particle_rows)
+
+        def contacts() -> Frame:
+            boxes = {name: values[one] for name, values in series.boxes.items()}
+            beside = _kept((self.token, t, "particles"), particles)
+            return read_contact_chunk(
+                series.source, series.steps[one], series.contact_names, series.contact_rows, boxes, beside
+            )
+
+        if self.name in series.particle_types:
+            return _kept((self.token, t, "particles"), particles)[self.name][0]
+        return _kept((self.token, t, "contacts"), contacts)[self.name][0]
+
+
+def _kept(key: Hashable, read: Callable[[], Frame]) -> Frame:
+    """Read a step, or give what was read; threads that want the same step wait for the first of them."""
+    with _lock:
+        there = _recent.pop(key, None)
+        future = _recent[key] = there or Future()
+        held = [(old, _size(other)) for old, other in reversed(_recent.items())]
+        for k in range(_KEPT, len(held)):
+            if sum(size for _, size in held[: k + 1]) > _MOST_KEPT:
+                del _recent[held[k][0]]
+    if there is None:
+        try:
+            future.set_result(read())
+        except BaseException as error:
+            future.set_exception(error)
+            with _lock:
+                _recent.pop(key, None)
+    return future.result()
+
+
+def _size(future: Future[Frame]) -> int:
+    """Bytes of a step; 0 while it is being read."""
+    if not future.done() or future.exception() is not None:
+        return 0
+    return sum(array.nbytes for array in future.result().values())

@@ -14,7 +14,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.readers.columns import WALL_CONTACTS
-from xcg.readers.units import UNIT_SYSTEMS
+from xcg.readers.paths import UNIT_SYSTEMS
 from xcg.scene.build import scene_from_arrays
 from xcg.scene.complete import contact_points
 from xcg.scene.repeats import rows_of

@@ -14,7 +14,7 @@ import xarray as xr
 from dask.base import tokenize
 from numpy.typing import NDArray
 
-from xcg.readers.chunks import Chunks, chunk_sizes, steps_in_a_task
+from xcg.readers.lazy import Chunks, chunk_sizes, steps_in_a_task
 from xcg.readers.paths import PathLike
 from xcg.scene.schema import BOX, SceneError
 

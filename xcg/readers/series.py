@@ -13,16 +13,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from xcg.readers.chunks import Chunks, steps_of_chunks
-from xcg.readers.engine import Engine, ReadOptions, StepRef
-from xcg.readers.engines import all_engines, engine_table, load_engine
+from xcg.readers.engine import Engine, ReadOptions, StepRef, all_engines, engine_table, load_engine
 from xcg.readers.files.text import source_of
-from xcg.readers.indexed import indexed_arrays
-from xcg.readers.lazy import Series, Source, Step, lazy_arrays, read_step
+from xcg.readers.lazy import Chunks, Series, Source, Step, indexed_arrays, lazy_arrays, read_step, steps_of_chunks
 from xcg.readers.pairs import one_series, pair_steps
-from xcg.readers.paths import PathLike, expand_paths
+from xcg.readers.paths import PathLike, expand_paths, names_no_units, not_against_headers, units_of_headers
 from xcg.readers.saved import open_saved, saved_path
-from xcg.readers.units import names_no_units, not_against_headers, units_of_headers
 from xcg.scene.box import box_array, in_unit, with_lattice
 from xcg.scene.build import to_dataset
 from xcg.scene.complete import complete_particles

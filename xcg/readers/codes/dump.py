@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from xcg.readers import columns
 from xcg.readers.codes import lammps_binary, lammps_netcdf
-from xcg.readers.codes.lammps_box import with_bounds
-from xcg.readers.columnar import Columnar
+from xcg.readers.codes.lammps_binary import with_bounds
+from xcg.readers.columns import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.files.compressed import compression, most_from
 from xcg.readers.files.text import (

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.readers import columns
-from xcg.readers.columnar import Columnar
+from xcg.readers.columns import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.files.text import source_of
 from xcg.readers.index import remembered

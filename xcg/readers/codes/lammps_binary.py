@@ -1,28 +1,42 @@
-"""Binary dumps of LAMMPS (``dump custom`` or ``dump atom``, ``*.bin``), whose headers name their columns (since 2020).
-
-A step is the number of letters of "DUMPCUSTOM" or "DUMPATOM", negative (int64); these letters; 1 (int32), which tells
-the order of bytes; the revision of the format; step and number of atoms (int64); whether the box is tilted; its six
-boundaries, 0 for periodic; its bounds (float64), with tilts where there are any; the number of columns; the units, time
-and names of the columns, each with its length before it. Then follow blocks of rows, one from each process: the number
-of values, and the values (float64).
-"""
+"""Binary dumps of LAMMPS, and the box of its headers: bounds and tilts."""
 
 from __future__ import annotations
 
 import math
 import os
 import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import BinaryIO, NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from xcg.readers.codes.lammps_box import with_bounds
 from xcg.readers.engine import StepRef
 from xcg.readers.files.text import source_of
 from xcg.scene.schema import COMPONENTS, SceneError
+
+
+def with_bounds(ref: StepRef, low: ArrayLike, high: ArrayLike, tilts: Sequence[float] | None) -> StepRef:
+    """Give a step its box, from lower and upper bounds (3,), which are those of the tilted box, and xy, xz, yz.
+
+    Raises
+    ------
+    ValueError
+        If a lower edge is not below the upper one.
+    """
+    low, high = np.asarray(low, float), np.asarray(high, float)
+    lattice = None
+    if tilts is not None:
+        xy, xz, yz = tilts
+        low = low - [min(0.0, xy, xz, xy + xz), min(0.0, yz), 0.0]
+        high = high - [max(0.0, xy, xz, xy + xz), max(0.0, yz), 0.0]
+        x, y, z = (high - low).tolist()
+        lattice = ((x, 0.0, 0.0), (xy, y, 0.0), (xz, yz, z))
+    if not (low < high).all():
+        raise ValueError
+    return replace(ref, box=tuple(zip(low.tolist(), high.tolist(), strict=True)), lattice=lattice)
+
 
 _MARKS = {struct.pack(f"{order}q", -len(word)) + word: order for order in "<>" for word in (b"DUMPCUSTOM", b"DUMPATOM")}
 _LONGEST_MARK = max(map(len, _MARKS))

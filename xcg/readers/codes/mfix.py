@@ -29,7 +29,7 @@ from xcg.readers.codes.mfix_contacts import (
     of_superquadrics,
     periods_of,
 )
-from xcg.readers.codes.vtk_steps import is_vtk, list_steps, open_step, read_particle_arrays, require_contacts, targets
+from xcg.readers.codes.vtk import is_vtk, list_steps, open_step, read_particle_arrays, require_contacts, targets
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files import vtp
 from xcg.scene.schema import Frame, SceneError

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.readers import columns
-from xcg.readers.columnar import Columnar
+from xcg.readers.columns import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.files import delimited, parquet
 from xcg.readers.files.compressed import plain_name

@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from xcg.readers import columns
-from xcg.readers.columnar import Columnar
+from xcg.readers.columns import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.files.text import Scanner, check_rows, first_lines, most_text, open_binary
 from xcg.readers.index import remembered
