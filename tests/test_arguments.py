@@ -16,7 +16,7 @@ from xcg.fields.formulas.variables import WEIGHTS, Weight
 from xcg.fields.request import Per, Preset, Sampling
 from xcg.fields.sums.kernels import KernelName
 from xcg.scene.numbers import floats, is_finite, is_positive, is_whole
-from xcg.steps.errors import OnError
+from xcg.steps.faults import OnError
 
 DUMP = Path(__file__).parents[1] / "examples/data/lammps_chute/particles.00050000.dump.gz"
 

@@ -21,7 +21,7 @@ from xcg.chains.search import Algorithm
 from xcg.cli import group
 from xcg.jobs.config import read_config
 from xcg.jobs.run import run_job
-from xcg.steps.errors import ON_ERROR
+from xcg.steps.faults import ON_ERROR
 
 ROOT = Path(__file__).parents[1]
 EXAMPLE = (ROOT / "examples" / "config.ini").read_text()

@@ -6,7 +6,7 @@ import xarray as xr
 
 import xcg
 from tests.dumps import write_series
-from xcg.steps.each import chunks_of_time, each_step
+from xcg.steps.mapping import chunks_of_time, each_step
 
 
 def lazy(**chunks):

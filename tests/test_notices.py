@@ -10,8 +10,8 @@ import pytest
 
 import xcg
 from xcg.scene.warn import Once, warn_once, warn_user
-from xcg.steps.errors import SkippedStep
-from xcg.steps.map import map_over_time
+from xcg.steps.faults import SkippedStep
+from xcg.steps.mapping import map_over_time
 
 
 def line_of(record, text):

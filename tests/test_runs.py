@@ -22,10 +22,9 @@ from tests import dumps, steps_of_random_scenes
 from tests.test_cli import xcg_run
 from xcg.jobs.config import read_config
 from xcg.jobs.run import run_job
-from xcg.steps.errors import SkippedStep
+from xcg.steps.faults import SkippedStep
 from xcg.steps.progress import shown
-from xcg.writers.files import whole_file
-from xcg.writers.lock import locked
+from xcg.writers.files import locked, whole_file
 
 ROOT = Path(__file__).parents[1]
 FULL = bool(os.environ.get("XCG_FULL"))
@@ -219,7 +218,7 @@ def test_a_second_run_is_refused(job):
 
 def test_a_lock_ends_with_its_process(tmp_path):
     code = f"""
-import time; from pathlib import Path; from xcg.writers.lock import locked
+import time; from pathlib import Path; from xcg.writers.files import locked
 with locked(Path({str(tmp_path / "lock")!r}), "it"):
     print("held", flush=True); time.sleep(60)
 """

@@ -24,8 +24,8 @@ from tests.dumps import write_series
 from xcg.cli import group
 from xcg.jobs.config import read_config
 from xcg.jobs.run import run_job
-from xcg.steps.errors import SkippedStep
-from xcg.writers.folders import whole_folder
+from xcg.steps.faults import SkippedStep
+from xcg.writers.files import whole_folder
 
 
 def reopen(path):
@@ -197,7 +197,8 @@ KILLED = """
 import os, sys
 from pathlib import Path
 import xcg
-from xcg.writers import files, folders
+from xcg.writers import files
+from xcg.writers import files as folders
 when, target = sys.argv[1:]
 real, count = Path.rename, [0]
 

@@ -4,10 +4,9 @@ from . import datasets, readers
 from .accessor import CoarseGrainAccessor
 from .chains.particle_stress import particle_stress
 from .chains.plots import plot_chains, plot_lengths, plot_rose
-from .chains.regions import Box, Region, Sphere
+from .chains.results import chain_table, link_table
 from .chains.search import force_chains
-from .chains.selection import select_chains
-from .chains.tables import chain_table, link_table
+from .chains.selection import Box, Region, Sphere, select_chains
 from .chains.tracks import track_chains
 from .fields.coarse_grain import coarse_grain
 from .fields.formulas.averages import profile, time_average
@@ -42,7 +41,7 @@ from .scene.measure import measure, size_statistics
 from .scene.phases import assign_phases, find_phases, plot_phases
 from .scene.schema import SceneError, SceneWarning
 from .scene.walls import select_walls
-from .steps.errors import SkippedStep
+from .steps.faults import SkippedStep
 from .writers.record import Recorder, record
 from .writers.save import register_writer, save
 

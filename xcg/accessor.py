@@ -16,7 +16,7 @@ import xarray as xr
 SCENE, RESULT, CHAINS = "scene", "result", "chains"
 _SUMMARIES = {
     SCENE: ("xcg.scene.summary", "summary_of_scene"),
-    RESULT: ("xcg.steps.summary", "summary_of_result"),
+    RESULT: ("xcg.steps.labels", "summary_of_result"),
     CHAINS: ("xcg.chains.results", "summary_of_chains"),
 }
 
@@ -106,8 +106,8 @@ class CoarseGrainAccessor:
 
     select_chains = Method("xcg.chains.selection", CHAINS)
     track_chains = Method("xcg.chains.tracks", CHAINS)
-    chain_table = Method("xcg.chains.tables", CHAINS)
-    link_table = Method("xcg.chains.tables", CHAINS)
+    chain_table = Method("xcg.chains.results", CHAINS)
+    link_table = Method("xcg.chains.results", CHAINS)
     plot_chains = Method("xcg.chains.plots", CHAINS)
     plot_lengths = Method("xcg.chains.plots", CHAINS)
     plot_rose = Method("xcg.chains.plots", CHAINS)

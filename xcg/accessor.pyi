@@ -7,9 +7,9 @@ import xarray as xr
 
 from xcg.chains.particle_stress import particle_stress
 from xcg.chains.plots import plot_chains, plot_lengths, plot_rose
+from xcg.chains.results import chain_table, link_table
 from xcg.chains.search import force_chains
 from xcg.chains.selection import select_chains
-from xcg.chains.tables import chain_table, link_table
 from xcg.chains.tracks import track_chains
 from xcg.fields.coarse_grain import coarse_grain, explain
 from xcg.fields.formulas.averages import profile, time_average

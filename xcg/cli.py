@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from xcg.chains.search import Algorithm
-    from xcg.steps.errors import OnError
+    from xcg.steps.faults import OnError
 
 
 # What a command that is stopped has to say.
@@ -51,7 +51,7 @@ def stop(*_: object) -> None:
     os._exit(128 + signal.SIGINT)
 
 
-# what xcg.steps.errors and xcg.chains.search take, which are not imported for help; a test compares them
+# what xcg.steps.faults and xcg.chains.search take, which are not imported for help; a test compares them
 ON_ERROR = ("raise", "skip")
 ALGORITHMS = ("branching", "peters2005")
 # missing='skip', overwrite=True, contacts=; but not alpha=100.0 or on_error='x': expected, which quote what was given
@@ -169,7 +169,7 @@ def chains(
     from xcg.chains.search import force_chains
     from xcg.readers.series import open_scene
     from xcg.scene.conform import conform
-    from xcg.steps.label import name_skipped
+    from xcg.steps.labels import name_skipped
     from xcg.writers.chains import targets, to_csv, to_vtkhdf, to_vtp
     from xcg.writers.files import check_target, whole_file
 

@@ -22,9 +22,9 @@ from xcg.scene.frame import particle_rows, steps_in
 from xcg.scene.lattice import Lattice
 from xcg.scene.numbers import is_positive
 from xcg.scene.schema import CONTACT_VARIABLES, OF_STEP, VARIABLES, Frame, SceneError, Variable
-from xcg.steps.errors import OnError
-from xcg.steps.label import empty_results, label, results_of
-from xcg.steps.map import map_over_time, threads_a_chunk
+from xcg.steps.faults import OnError
+from xcg.steps.labels import empty_results, label, results_of
+from xcg.steps.mapping import map_over_time, threads_a_chunk
 
 Volumes: TypeAlias = Literal["particle", "disc"]
 # Eigenvalues below this share of the whole tensor are rounding.

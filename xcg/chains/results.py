@@ -1,4 +1,4 @@
-"""Results of the search for force chains: their variables, and how to read them step by step."""
+"""Results of force chains: their variables and statistics, steps of them, and tables."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
@@ -15,10 +16,10 @@ from xcg.scene.conform import with_components
 from xcg.scene.frame import particle_rows
 from xcg.scene.lattice import Lattice
 from xcg.scene.repeats import rows_of
-from xcg.scene.schema import BOX, PADDING, VARIABLES, Frame, SceneError, Variable
+from xcg.scene.schema import BOX, COMPONENTS, PADDING, VARIABLES, Frame, SceneError, Variable
 from xcg.scene.summary import Summary, rows_of_origin
 from xcg.scene.times import with_time
-from xcg.steps.each import each_step
+from xcg.steps.mapping import each_step
 
 COPIED = ("particle_id", "position", "diameter", "contact_i", "contact_j", "contact_force")
 
@@ -162,3 +163,75 @@ def steps_of(fc: xr.Dataset, names: Sequence[str]) -> Iterator[Step]:
         box = {name: step[name].transpose(*row.dims).to_numpy() for name, row in BOX.items() if name in step}
         lattice = Lattice.of(box, fc.attrs.get("periodic", ""), f"step {number}")
         yield Step(arrays, float(step["time"]) if "time" in step.coords else 0.0, number, lattice)
+
+
+def chain_table(fc: xr.Dataset) -> pd.DataFrame:
+    """Table of all chains (computes, one step at a time).
+
+    Returns
+    -------
+    pandas.DataFrame
+        One row a chain and step: ``time``, ``step``, ``chain``, ``particles``, ``links``, ``branchings``, ``stress``
+        (Pa), ``orientation_x`` ... and ``normal_x`` ....
+
+    Raises
+    ------
+    SceneError
+        If `fc` is not a result of `force_chains`, or has no step.
+    """
+    require_chains(fc, "chain_table")
+    _require_steps(fc, "chain_table")
+    tables = []
+    for step in steps_of(fc, list(CHAINS)):
+        chain = np.flatnonzero(step.arrays["chain_particles"] > 0)
+        columns = {"time": step.time, "step": step.number, "chain": chain}
+        for name, row in CHAINS.items():
+            values = step.arrays[name][chain]
+            short = name.removeprefix("chain_")
+            if "component" in row.dims:
+                columns |= {f"{short}_{axis}": values[:, k] for k, axis in enumerate(COMPONENTS)}
+            else:
+                columns[short] = values
+        tables.append(pd.DataFrame(columns))
+    return pd.concat(tables, ignore_index=True)
+
+
+def link_table(fc: xr.Dataset) -> pd.DataFrame:
+    """Table of all links (computes, one step at a time).
+
+    Returns
+    -------
+    pandas.DataFrame
+        One row a link and step: ``time``, ``step``, ``chain``, ``contact`` (its row among the contacts of the step),
+        ``particle_i`` and ``particle_j`` (ids), ``force`` (magnitude, N) and ``stress`` (mean major stress of the two
+        particles, Pa).
+
+    Raises
+    ------
+    SceneError
+        If `fc` is not a result of `force_chains`, or has no step.
+    """
+    require_chains(fc, "link_table")
+    _require_steps(fc, "link_table")
+    tables = []
+    for step in steps_of(fc, ["link_chain", "contact_j", "contact_force", "major_stress"]):
+        contact, i, j = step.links()
+        major = step.arrays["major_stress"]
+        columns = {
+            "time": step.time,
+            "step": step.number,
+            "chain": step.arrays["link_chain"][contact],
+            "contact": contact,
+            "particle_i": step.arrays["contact_i"][contact],
+            "particle_j": step.arrays["contact_j"][contact],
+            "force": np.linalg.norm(step.arrays["contact_force"][contact], axis=1),
+            "stress": 0.5 * (major[i] + major[j]),
+        }
+        tables.append(pd.DataFrame(columns))
+    return pd.concat(tables, ignore_index=True)
+
+
+def _require_steps(fc: xr.Dataset, purpose: str) -> None:
+    """Refuse a result that a selection left without steps."""
+    if not fc.sizes.get("time", 1):
+        raise SceneError(f"{purpose} needs one step or more, and these chains have none: check how steps were selected")

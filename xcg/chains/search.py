@@ -12,8 +12,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.chains.particle_stress import StressRule, Volumes, carries
-from xcg.chains.regions import Region
 from xcg.chains.results import CHAINS, COPIED, RESULTS, result_sizes, statistics_of
+from xcg.chains.selection import Region
 from xcg.compiled import THREADS
 from xcg.compiled import chains as loops
 from xcg.compiled.threads import for_parts
@@ -23,9 +23,9 @@ from xcg.scene.frame import particle_rows, steps_in
 from xcg.scene.lattice import Lattice
 from xcg.scene.numbers import is_finite, is_positive, is_whole
 from xcg.scene.schema import BOX, OF_STEP, PADDING, Frame
-from xcg.steps.errors import OnError
-from xcg.steps.label import empty_results, label, results_of
-from xcg.steps.map import map_over_time, threads_a_chunk
+from xcg.steps.faults import OnError
+from xcg.steps.labels import empty_results, label, results_of
+from xcg.steps.mapping import map_over_time, threads_a_chunk
 
 Algorithm: TypeAlias = Literal["branching", "peters2005"]
 # Angles that exceed alpha by less (radians) count as equal to it, stresses that fall short of the threshold by less

@@ -10,7 +10,7 @@ from xcg.chains.results import require_chains, steps_of
 from xcg.scene.numbers import is_positive
 from xcg.scene.schema import units_in
 from xcg.scene.times import require_rising_times, with_time
-from xcg.steps.label import provenance
+from xcg.steps.labels import provenance
 
 
 def track_chains(fc: xr.Dataset, overlap: float = 0.5) -> xr.Dataset:

@@ -25,7 +25,7 @@ from xcg.fields.request import Per, Request
 from xcg.fields.sums.kernels import Kernel
 from xcg.scene.description import Description
 from xcg.scene.schema import COMPONENTS
-from xcg.steps.map import is_lazy
+from xcg.steps.mapping import is_lazy
 
 LEAST = 0.01  # of the kernel; nodes that see less have no fields per accessible volume
 _POLAR, _TURNS = 12, 24  # rays: directions towards and away from the nearest wall, and around its normal

@@ -11,8 +11,8 @@ import xarray as xr
 
 from xcg.fields.accessible import check_walls, with_accessible
 from xcg.fields.evaluate import evaluate_plan
-from xcg.fields.labels import labelled
 from xcg.fields.mesh_size import make_plan_of_size
+from xcg.fields.output import labelled
 from xcg.fields.places.frames import in_frame, is_cylindrical
 from xcg.fields.plan import Plan, make_plan
 from xcg.fields.presets import lammps, pysammos
@@ -20,8 +20,8 @@ from xcg.fields.request import Preset, Request, SharedOptions, takes
 from xcg.scene.bodies import group_bodies
 from xcg.scene.description import Description, describe
 from xcg.scene.sizes import with_measures
-from xcg.steps.errors import check_on_error
-from xcg.steps.label import format_call, mark_skipped
+from xcg.steps.faults import check_on_error
+from xcg.steps.labels import format_call, mark_skipped
 
 # names of other programs: from a request in them to one in names of xcg, and what turns its answer into theirs
 PRESETS: dict[Preset, Callable[[Description, Request], tuple[Request, Callable[[xr.Dataset], xr.Dataset]]]] = {

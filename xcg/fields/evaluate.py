@@ -23,8 +23,8 @@ from xcg.scene.frame import steps_in
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import OF_STEP, Frame
 from xcg.scene.warn import warn_once
-from xcg.steps.errors import OnError
-from xcg.steps.map import map_over_time, threads_a_chunk
+from xcg.steps.faults import OnError
+from xcg.steps.mapping import map_over_time, threads_a_chunk
 
 
 def evaluate_plan(ds: xr.Dataset, plan: Plan, on_error: OnError) -> dict[str, Any]:

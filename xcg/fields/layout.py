@@ -113,7 +113,7 @@ def averaged_gradient(scene: Description, request: Request) -> str:
     """Return what is known of derivatives along averaged axes, see `xcg.fields.formulas.field.Options`."""
     plane, at = scene.setup.plane, request.at or {}
     axes = plane if request.axes is None and request.at is None else request.axes or ""
-    averaged = [a for a in plane if a not in axes and a not in at]
+    averaged = [a for a in plane if isinstance(axes, str) and a not in axes and a not in at]
     if "lattice_velocity" in scene.columns and any(a in scene.setup.periodic for a in averaged):
         return "box"
     lost = averaged == list(plane) and not set(plane) <= set(scene.setup.periodic) and not scene.cylindrical

@@ -22,7 +22,7 @@ from xcg.fields.places.frames import Cylindrical, Rotated
 from xcg.fields.places.surfaces.wall import Wall
 from xcg.fields.sums.kernels import Kernel, KernelName
 from xcg.scene.conform import as_selected, conformed
-from xcg.steps.errors import OnError
+from xcg.steps.faults import OnError
 
 # what arguments are, where another form would be taken for something else, or end in an error about arrays
 _FORMS: dict[str, tuple[Callable[[Any], bool], str]] = {

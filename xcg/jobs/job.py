@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from xcg.scene.schema import SceneError
-from xcg.steps.errors import OnError, check_on_error
+from xcg.steps.faults import OnError, check_on_error
 
 
 @dataclass(frozen=True)

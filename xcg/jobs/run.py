@@ -29,8 +29,7 @@ from xcg.readers.series import open_scene
 from xcg.scene.conform import conform
 from xcg.scene.phases import assign_phases, find_phases
 from xcg.scene.schema import SceneError, unknown
-from xcg.steps.errors import collecting
-from xcg.steps.skip import SKIPPED
+from xcg.steps.faults import SKIPPED, collecting
 from xcg.writers.encoding import Encoding
 from xcg.writers.files import publish
 from xcg.writers.netcdf import NETCDF

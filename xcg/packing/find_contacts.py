@@ -18,8 +18,8 @@ from xcg.scene.frame import stack, steps_in
 from xcg.scene.lattice import Lattice
 from xcg.scene.numbers import is_positive
 from xcg.scene.schema import OF_STEP, Frame, SceneError, Setup, units_in, variable
-from xcg.steps.label import format_call, provenance
-from xcg.steps.map import is_lazy, map_over_time
+from xcg.steps.labels import format_call, provenance
+from xcg.steps.mapping import is_lazy, map_over_time
 
 READ = ("particle_id", "position", "diameter")
 # Pairs of these are left out: two frozen grains are one wall, and grains of one body are glued.

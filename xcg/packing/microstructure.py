@@ -17,10 +17,9 @@ from xcg.scene.description import describe, require_scene
 from xcg.scene.numbers import floats, is_positive
 from xcg.scene.schema import BOX, COMPONENTS, OF_STEP, units_in, unknown
 from xcg.scene.times import require_rising_times
-from xcg.steps.errors import OnError
-from xcg.steps.label import format_call, mark_skipped, provenance
-from xcg.steps.map import map_over_time
-from xcg.steps.phase_labels import with_phase_labels
+from xcg.steps.faults import OnError
+from xcg.steps.labels import format_call, mark_skipped, provenance, with_phase_labels
+from xcg.steps.mapping import map_over_time
 
 NEIGHBOURS = {3: 12, 2: 6}  # nearest ones that are looked at
 FORCE_BINS = np.logspace(-4, 2, 61)

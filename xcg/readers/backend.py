@@ -13,7 +13,7 @@ from xarray.backends import BackendEntrypoint
 from xcg.readers.engine import Engine, all_engines
 from xcg.readers.paths import PathLike
 from xcg.readers.series import open_scene
-from xcg.steps.errors import FAULTS
+from xcg.steps.faults import FAULTS
 
 _OF_XARRAY = ("particles", "engine", "chunks", "engine_options")  # called otherwise there
 

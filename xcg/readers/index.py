@@ -20,7 +20,7 @@ from typing import Any
 
 from xcg.readers.engine import StepRef
 from xcg.scene.schema import SceneError
-from xcg.steps import errors as errors
+from xcg.steps import faults as errors
 
 _VERSION = 3  # of the entries; raise it when headers are read in another way
 _SETTLED = 2e9  # ns: a file that was modified just now may change again without another time stamp

@@ -31,7 +31,7 @@ from xcg.scene.lattice import Lattice
 from xcg.scene.plausible import check_ends, is_central
 from xcg.scene.schema import ROTATION, VARIABLES, Frame, SceneError, Setup, variable
 from xcg.scene.warn import Once, warn_once
-from xcg.steps import errors as errors
+from xcg.steps import faults as errors
 from xcg.steps.graph import picked
 
 Chunks: TypeAlias = int | str | Sequence[int] | Mapping[str, int | str | Sequence[int] | None] | None

@@ -15,7 +15,7 @@ from xcg.readers.lazy import Step
 from xcg.scene.numbers import floats
 from xcg.scene.schema import COMPONENTS, SceneError
 from xcg.scene.warn import warn_user
-from xcg.steps import errors as errors
+from xcg.steps import faults as errors
 
 
 def one_series(refs: list[StepRef], same: Sequence[str]) -> list[StepRef]:

@@ -16,7 +16,7 @@ from xcg.readers.engine import Engine, StepRef
 from xcg.readers.files.text import source_of
 from xcg.scene.schema import SceneError, Setup
 from xcg.scene.warn import warn_user
-from xcg.steps import errors as errors
+from xcg.steps import faults as errors
 
 PathLike: TypeAlias = str | os.PathLike[str]
 

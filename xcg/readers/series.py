@@ -40,8 +40,8 @@ from xcg.scene.schema import (
 from xcg.scene.sizes import measure_frames
 from xcg.scene.walls import named_walls
 from xcg.scene.warn import warn_user
-from xcg.steps import errors as errors
-from xcg.steps.errors import FAULTS, OnError, check_on_error, collecting, raising
+from xcg.steps import faults as errors
+from xcg.steps.faults import FAULTS, OnError, check_on_error, collecting, raising
 
 _RECOVERY_STEPS = 10  # files of contacts that are read for a period, where files do not tell it
 _OF_SAVED = ("particles", "chunks", "on_error", "engine_options")  # what a scene that was saved takes
@@ -150,7 +150,7 @@ def open_scene(
         Take contacts with ids that are not among the particles as contacts with a wall.
     sides : {"mean", "first", "separate"}
         What becomes of contacts that are listed from both sides, (i, j, f) and (j, i, -f'), with f' up to a quarter
-        from f and points up to a quarter of the smaller radius apart: one contact with the mean of both sides
+        from f and points up to 0.15 of the smaller radius apart: one contact with the mean of both sides
         (default), or as the first row has it, with a warning; or two. Up to 1e-4 they are always one.
     missing : {"raise", "skip", "empty"}
         What to do about steps of particles without a step of contacts: raise an error that lists them, leave them out

@@ -200,7 +200,7 @@ def scene_from_arrays(
         Take contacts with ids that are not among the particles as contacts with a wall.
     sides : {"mean", "first", "separate"}
         What becomes of contacts that are listed from both sides, (i, j, f) and (j, i, -f'), with f' up to a quarter
-        from f and points up to a quarter of the smaller radius apart: one contact with the mean of both sides
+        from f and points up to 0.15 of the smaller radius apart: one contact with the mean of both sides
         (default), or as the first row has it, with a warning; or two. Up to 1e-4 they are always one.
     **variables
         Other variables by their scene name: ``velocity``, ``diameter``, ``mass``, ``volume``, ``particle_id``,

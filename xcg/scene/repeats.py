@@ -17,7 +17,7 @@ _MOST_CONTACTS_A_PAIR = 64  # of equal force, that are compared with each other
 _DENSE = 16  # ids are looked up in a table where they span no more numbers than this for each contact
 # Rows from both sides are one contact where their forces differ from opposite ones by no more than this share of the
 # larger, or of a hundredth of the mean force of such rows, and their points by this share of the smaller radius.
-_OPPOSITE, _SMALL_FORCE, _ONE_PLACE = 0.25, 0.01, 0.25
+_OPPOSITE, _SMALL_FORCE, _ONE_PLACE = 0.25, 0.01, 0.15
 # what turns its sign with the side
 _OF_SIDE = ("contact_force", "contact_normal")
 
@@ -29,7 +29,7 @@ def without_repeats(
 
     Copies, (i, j, f) twice, and rows that list a contact from both sides, (i, j, f) and (j, i, -f), are one contact
     where forces agree to 1e-4 and points to a twentieth of the distance from the centre. Rows from both sides whose
-    forces are opposite to a quarter of the larger, and whose points are no more than a quarter of the smaller radius
+    forces are opposite to a quarter of the larger, and whose points are no more than 0.15 of the smaller radius
     apart, are one contact unless `sides` is "separate": with the mean of both forces, points, normals and overlaps for
     "mean", or as the row that comes first for "first". Other variables are those of the first row. A warning states
     how many, and how far they differ. Other contacts of one pair, which differ in force or place, all stay.

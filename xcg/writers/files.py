@@ -1,4 +1,4 @@
-"""Files that appear only when they are whole."""
+"""Files and folders that appear under their final names only when they are whole, and locks during writing."""
 
 from __future__ import annotations
 
@@ -6,11 +6,14 @@ import errno
 import glob
 import os
 import shutil
+import time
 import uuid
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Any
+
+from filelock import FileLock, Timeout
 
 # Files and folders that go when their writers end; `abandon` removes them where writers cannot.
 temporary: set[Path] = set()
@@ -165,3 +168,138 @@ def _cannot_write(path: Path, error: Exception, left: str) -> OSError | None:
         msg = f"{path}: cannot be written ({error}){left}; is the disk full or out of reach?"
         return OSError(msg)
     return None
+
+
+@contextmanager
+def whole_folder(path: Path, *, overwrite: bool, part: Path | None = None) -> Iterator[Path]:
+    """Give a temporary name beside `path` to make a folder at; rename it in the end, or remove it after an error.
+
+    What it replaces is put aside before, and removed after. So one of both is there whole at any moment, if need be
+    under the name ``.<name>.replaced``: where a process was killed in between, the next writer gives it its name back,
+    and removes what such a process left. Only the writer that holds the lock ``.<name>.lock`` does any of this. `part`
+    is a name to make it at instead, which stays after an error.
+
+    Raises
+    ------
+    FileExistsError
+        If `path` exists and `overwrite` is False, at the start or in the end, or another process is writing it.
+    FileNotFoundError
+        If the folder that it is to stand in does not exist.
+    """
+    check_target(path, overwrite=overwrite)
+    with locked(path.with_name(f".{path.name}.lock"), str(path)):
+        aside = path.with_name(f".{path.name}.replaced")
+        _recover(path, aside, part)
+        check_target(path, overwrite=overwrite)
+        with _part(path) if part is None else nullcontext(part) as part:
+            yield part
+            if overwrite and path.exists():
+                path.rename(aside)
+            _publish(part, path, aside)
+            remove(aside)
+
+
+@contextmanager
+def hidden_folder(path: Path) -> Iterator[Path]:
+    """Give a new folder beside `path` for files that are not whole yet; it goes in the end.
+
+    So does what a process left that was killed.
+
+    Raises
+    ------
+    FileExistsError
+        If another process is writing `path`.
+    """
+    with locked(path.with_name(f".{path.name}.lock"), str(path)):
+        for left in leftovers(path):
+            remove(left)
+        with _part(path) as part:
+            part.mkdir()
+            yield part
+
+
+@contextmanager
+def _part(path: Path) -> Iterator[Path]:
+    """Give a temporary name beside `path`; what stands there in the end is removed."""
+    part = part_of(path)
+    temporary.add(part)
+    try:
+        yield part
+    finally:
+        remove_for_good(part)
+        temporary.discard(part)
+
+
+def _recover(path: Path, aside: Path, work: Path | None) -> None:
+    """Finish what a writer that was killed left half done."""
+    if aside.exists() and not path.exists():
+        aside.rename(path)
+    for left in (aside, *leftovers(path)):
+        if work is None or left not in work.parents:
+            remove(left)
+
+
+def _publish(part: Path, path: Path, aside: Path) -> None:
+    """Give a whole folder its name; renaming fails where a folder that is not empty has it."""
+    try:
+        part.rename(path)
+    except OSError as error:
+        if path.exists():
+            raise FileExistsError(exists_message(path)) from error
+        if aside.exists():
+            aside.rename(path)
+        raise
+
+
+def remove_for_good(folder: Path) -> None:
+    """Remove a folder that tasks may write to for another moment, as they do after one of them failed."""
+    for _ in range(100):
+        if not folder.exists():
+            return
+        remove(folder)
+        time.sleep(0.05)
+
+
+# What file systems without locks answer, as some of clusters; runs are not held apart there.
+_NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP}
+
+
+@contextmanager
+def locked(path: Path, what: str) -> Iterator[None]:
+    """Hold a lock on a file, which is made for it and removed in the end.
+
+    Raises
+    ------
+    FileExistsError
+        If another process holds it; the message names the process.
+    OSError
+        If a symbolic link has its name.
+    """
+    lock = FileLock(path, thread_local=False)
+    try:
+        lock.acquire(blocking=False)
+    except Timeout:
+        holder = path.read_bytes()[:32].decode("ascii", "replace").strip() if path.is_file() else ""
+        raise FileExistsError(
+            f"{what} is being written by another run{f' (process {holder})' if holder else ''}; wait for it to end, or "
+            "choose another output folder or name"
+        ) from None
+    except OSError as error:
+        if path.is_symlink():
+            message = "is a symbolic link, where a lock is expected; remove it"
+            raise OSError(errno.ELOOP, message, str(path)) from error
+        if error.errno not in _NO_LOCKS:
+            raise
+    temporary.add(path)
+    try:
+        with suppress(OSError), open(path, "w", opener=_no_link) as file:
+            file.write(str(os.getpid()))
+        yield
+    finally:
+        path.unlink(missing_ok=True)  # before it is released, so that nobody locks a file without a name
+        temporary.discard(path)
+        lock.release()
+
+
+def _no_link(path: str, flags: int) -> int:
+    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0), 0o644)

@@ -21,10 +21,9 @@ from xcg.scene.build import storable
 from xcg.scene.conform import takes_scene
 from xcg.scene.schema import COMPONENTS, SceneError
 from xcg.scene.times import check_times
-from xcg.steps.each import chunks_of_time, each_step
+from xcg.steps.mapping import chunks_of_time, each_step
 from xcg.writers.encoding import Encoding
-from xcg.writers.files import check_target, part_of, remove, whole_file
-from xcg.writers.lock import locked
+from xcg.writers.files import check_target, locked, part_of, remove, whole_file
 from xcg.writers.store import write_file
 from xcg.writers.zarr import ZARR
 

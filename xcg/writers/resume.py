@@ -18,9 +18,7 @@ from dask.base import tokenize
 
 from xcg.scene.schema import SceneError
 from xcg.writers.encoding import Encoding
-from xcg.writers.files import part_of, temporary
-from xcg.writers.folders import remove_for_good
-from xcg.writers.lock import locked
+from xcg.writers.files import locked, part_of, remove_for_good, temporary
 
 
 class Mismatch(SceneError):

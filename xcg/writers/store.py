@@ -26,11 +26,10 @@ from xarray.backends.locks import get_dask_scheduler, get_write_lock
 
 from xcg.compiled import THREADS
 from xcg.scene.build import storable
-from xcg.steps.each import chunks_of_time
-from xcg.steps.errors import listen_for_skips, skips_heard
+from xcg.steps.faults import SKIPPED, listen_for_skips, skips_heard
 from xcg.steps.graph import Gathered
+from xcg.steps.mapping import chunks_of_time
 from xcg.steps.progress import CountTasks, shown
-from xcg.steps.skip import SKIPPED
 from xcg.writers.encoding import Encoding
 from xcg.writers.files import check_target, whole_file
 from xcg.writers.resume import Log, state_of, work_folder

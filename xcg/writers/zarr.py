@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from xcg.scene.extras import extra
 from xcg.writers.encoding import Encoding
-from xcg.writers.files import part_of
-from xcg.writers.folders import whole_folder
+from xcg.writers.files import part_of, whole_folder
 from xcg.writers.store import Format, Parts, StoreLayout, joined
 
 # Bytes of a chunk of a variable, on average, where steps are shorter: a small file takes more time than its numbers.

@@ -24,7 +24,7 @@ from xcg.scene.conform import in_order, labels_along
 from xcg.scene.numbers import is_whole
 from xcg.scene.schema import COMPONENTS
 from xcg.scene.times import with_time
-from xcg.steps.skip import SKIPPED
+from xcg.steps.faults import SKIPPED
 
 # --- averages of results ---------------------------------------------------------------------------------
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from xcg.fields.formulas.averages import block_errors
 from xcg.scene.schema import COMPONENTS
 from xcg.scene.times import evenly_spaced, with_time
-from xcg.steps.label import format_call, provenance
+from xcg.steps.labels import format_call, provenance
 
 _TAIL = ("component", "direction")
 _SUMS = ("products", "pairs", "square", "count", "other_square", "other_count")

@@ -19,9 +19,8 @@ from xcg.scene.motion import BoxMotion, partners
 from xcg.scene.repeats import rows_of
 from xcg.scene.schema import COMPONENTS, OF_STEP, units_in
 from xcg.scene.times import evenly_spaced
-from xcg.steps.each import each_step
-from xcg.steps.label import format_call, provenance
-from xcg.steps.phase_labels import with_phase_labels
+from xcg.steps.labels import format_call, provenance, with_phase_labels
+from xcg.steps.mapping import each_step
 
 _TENSOR = ("component", "direction")
 

@@ -16,7 +16,7 @@ from xcg.fields.coarse_grain import prepare
 from xcg.fields.evaluate import compute_chunk
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.averages import derive, needed_for_averages
-from xcg.fields.labels import about, labelled
+from xcg.fields.output import about, labelled
 from xcg.fields.places.frames import refuse_cylindrical
 from xcg.fields.plan import make_plan
 from xcg.fields.request import Request, takes
@@ -26,10 +26,9 @@ from xcg.scene.motion import BoxMotion, partners
 from xcg.scene.schema import COMPONENTS, OF_STEP, PADDING, units_in, unknown
 from xcg.scene.sizes import with_measures
 from xcg.scene.times import require_rising_times
-from xcg.steps.errors import check_on_error
-from xcg.steps.label import format_call, mark_skipped
-from xcg.steps.map import map_over_time, threads_a_chunk
-from xcg.steps.skip import Compute, Result
+from xcg.steps.faults import Compute, Result, check_on_error
+from xcg.steps.labels import format_call, mark_skipped
+from xcg.steps.mapping import map_over_time, threads_a_chunk
 
 # what else may be asked for: fields of the grains where they are in the first of two frames
 BESIDE = ("sample_count", "centre_offset", "density", "volume_fraction", "number_density", "effective_count",

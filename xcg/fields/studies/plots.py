@@ -16,7 +16,7 @@ from xcg.scene.drawing import add_colour_bar, label_of, new_axes, set_label, uni
 from xcg.scene.extras import extra
 from xcg.scene.schema import COMPONENTS
 from xcg.scene.times import step_at, with_time
-from xcg.steps.each import each_step
+from xcg.steps.mapping import each_step
 from xcg.steps.progress import shown
 
 if TYPE_CHECKING:

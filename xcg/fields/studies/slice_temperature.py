@@ -19,9 +19,9 @@ from xcg.scene.description import describe, require_scene
 from xcg.scene.frame import steps_in
 from xcg.scene.numbers import is_positive, is_whole, rising_pair
 from xcg.scene.schema import COMPONENTS, OF_STEP, SceneError, units_in
-from xcg.steps.errors import OnError
-from xcg.steps.label import mark_skipped
-from xcg.steps.map import map_over_time
+from xcg.steps.faults import OnError
+from xcg.steps.labels import mark_skipped
+from xcg.steps.mapping import map_over_time
 
 _TABLE = "slices"  # temperature, velocity (3) and count, in columns
 _HAIR = 1e-9  # rounding of edges, as a share of the width

@@ -24,9 +24,9 @@ from xcg.scene.numbers import is_positive
 from xcg.scene.schema import COMPONENTS, OF_STEP, Setup, units_in
 from xcg.scene.walls import Walls, select_walls
 from xcg.scene.warn import warn_once
-from xcg.steps.errors import OnError
-from xcg.steps.label import format_call, mark_skipped, provenance
-from xcg.steps.map import map_over_time
+from xcg.steps.faults import OnError
+from xcg.steps.labels import format_call, mark_skipped, provenance
+from xcg.steps.mapping import map_over_time
 
 _NEEDS = ("contact_i", "contact_j", "contact_force", "contact_point")
 

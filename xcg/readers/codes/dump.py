@@ -32,7 +32,7 @@ from xcg.readers.files.text import (
 from xcg.readers.index import remembered
 from xcg.scene.numbers import is_positive
 from xcg.scene.schema import COMPONENTS, SceneError
-from xcg.steps import errors as errors
+from xcg.steps import faults as errors
 
 
 class Dumps(Columnar):

@@ -23,7 +23,7 @@ from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.files.text import source_of
 from xcg.readers.index import remembered
 from xcg.scene.schema import COMPONENTS, SceneError, did_you_mean
-from xcg.steps import errors as errors
+from xcg.steps import faults as errors
 
 if TYPE_CHECKING:
     import h5py

@@ -29,7 +29,7 @@ from xcg.readers.files.text import (
 )
 from xcg.readers.index import remembered
 from xcg.scene.schema import COMPONENTS, Frame, SceneError
-from xcg.steps import errors as errors
+from xcg.steps import faults as errors
 
 _ROW_3D = (
     "x", "y", "z", "vx", "vy", "vz", "radius", "alpha", "beta", "gamma", "omx", "omy", "omz", "species",

@@ -34,7 +34,6 @@ from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files import vtp
 from xcg.scene.schema import Frame, SceneError
 from xcg.scene.warn import warn_user
-from xcg.steps import errors as errors
 
 # The first of two arrays for the same name is taken.
 PARTICLE_NAMES = {

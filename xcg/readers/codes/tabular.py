@@ -23,7 +23,7 @@ from xcg.readers.files import delimited, parquet
 from xcg.readers.files.compressed import plain_name
 from xcg.readers.index import remembered
 from xcg.scene.schema import SceneError
-from xcg.steps import errors as errors
+from xcg.steps import faults as errors
 
 _CLOCK = ("time", "step")
 

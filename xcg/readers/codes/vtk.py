@@ -18,7 +18,7 @@ from xcg.readers.files.text import open_binary
 from xcg.readers.index import remembered
 from xcg.scene.schema import Frame, SceneError, variable
 from xcg.scene.warn import warn_user
-from xcg.steps import errors as errors
+from xcg.steps import faults as errors
 
 LINES = "lines"  # kind of a step whose contacts are lines
 

@@ -22,7 +22,7 @@ from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.files.text import Scanner, check_rows, first_lines, most_text, open_binary
 from xcg.readers.index import remembered
 from xcg.scene.schema import COMPONENTS, SceneError
-from xcg.steps import errors as errors
+from xcg.steps import faults as errors
 
 _MOST_COMMENTS = 1000
 _MOST_COMPONENTS = 9

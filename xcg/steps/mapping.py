@@ -1,9 +1,10 @@
-"""One function over all chunks of time: at once for arrays in memory, as one dask task a chunk for lazy ones."""
+"""One function over all chunks of time: at once in memory, as one dask task a chunk for lazy scenes."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Mapping
+from collections.abc import Hashable, Iterable, Iterator, Mapping
 from functools import cache, partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,7 @@ from numpy.typing import NDArray
 
 from xcg.scene.sizes import numbers_of
 from xcg.scene.warn import Once
-from xcg.steps.errors import OnError, check_on_error
-from xcg.steps.skip import SKIPPED, Compute, Result, guarded
+from xcg.steps.faults import SKIPPED, Compute, OnError, Result, check_on_error, guarded
 
 
 def map_over_time(
@@ -54,7 +54,7 @@ def map_over_time(
     if skip:
         results = dict(results) | {SKIPPED: ((), "bool")}
     if is_lazy(ds, inputs):
-        from xcg.steps.tasks import lazy_results  # and with it dask
+        from xcg.steps.graph import lazy_results  # and with it dask
 
         return lazy_results(inputs, partial(_with_warnings_once, once, compute), results, label, numbers, on_error)
     arrays = {name: numbers_of(given) for name, given in inputs.items()}
@@ -103,3 +103,29 @@ def threads_a_chunk(ds: xr.Dataset, names: Iterable[str], threads: int) -> int:
 def _chunked(given: xr.Variable) -> bool:
     # NumPy first: xarray takes a tenth of a millisecond to say that an array has no chunks
     return not isinstance(given._data, np.ndarray) and given.chunks is not None
+
+
+def chunks_of_time(series: Iterable[xr.Dataset]) -> list[slice]:
+    """List the steps of each chunk of time, which cuts no chunk of any variable; single steps where none is lazy.
+
+    A task computes a whole chunk, whatever part of it is asked for.
+    """
+    edges = [set(range(ds.sizes["time"] + 1)) for ds in series]
+    for ds in series:
+        edges += [
+            {0, *np.cumsum(values.chunks[values.get_axis_num("time")]).tolist()}
+            for values in ds.variables.values()
+            if values.chunks is not None and "time" in values.dims
+        ]
+    return [slice(first, end) for first, end in pairwise(sorted(set.intersection(*edges)))]
+
+
+def each_step(ds: xr.Dataset) -> Iterator[xr.Dataset]:
+    """Compute the steps of a Dataset, each with a time dimension of one; all of it where it has no time."""
+    if "time" not in ds.dims:
+        yield ds.compute()
+        return
+    for steps in chunks_of_time([ds]):
+        chunk = ds.isel(time=steps).compute()
+        for t in range(chunk.sizes["time"]):
+            yield chunk.isel(time=[t])

@@ -13,8 +13,7 @@ from xcg.fields.plan import Plan
 from xcg.scene.build import storable
 from xcg.scene.description import Description
 from xcg.scene.schema import COMPONENTS, units_in
-from xcg.steps.label import provenance
-from xcg.steps.phase_labels import with_phase_labels
+from xcg.steps.labels import provenance, with_phase_labels
 
 _CYLINDRICAL: dict[str, dict[str, str]] = {
     "r": {"long_name": "distance from the axis"},

@@ -1,0 +1,216 @@
+"""Labels of results: dimensions, units, coordinates, phases, provenance, and a summary."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from functools import cache
+from importlib.metadata import version
+from typing import Any, Self
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+from xarray.indexes import PandasIndex
+
+from xcg.scene.build import storable
+from xcg.scene.description import Description
+from xcg.scene.schema import COMPONENTS, Variable, units_in
+from xcg.scene.summary import Summary, rows_of_origin
+from xcg.scene.times import with_time
+from xcg.steps.faults import SKIPPED, Result
+
+# attributes of a scene that hold for its results, too
+ABOUT = (
+    "Conventions", "engine", "files", "periodic", "gravity", "unit_system", "dimension", "plane", "skipped_files",
+    "frame", "frame_axes", "frame_origin",
+)  # fmt: skip
+AXES = {"component": list(COMPONENTS), "direction": list(COMPONENTS), "principal": [1, 2, 3]}
+
+
+def _shape(row: Variable, sizes: Mapping[Any, int]) -> tuple[int, ...]:
+    return tuple(3 if dim in AXES else sizes[dim] for dim in row.dims)
+
+
+def results_of(variables: Mapping[str, Variable], sizes: Mapping[Any, int]) -> dict[str, Result]:
+    """Shape of one step, and type, of each variable."""
+    return {name: (_shape(row, sizes), row.dtype) for name, row in variables.items()}
+
+
+def empty_results(variables: Mapping[str, Variable], sizes: Mapping[Any, int], steps: int) -> dict[str, NDArray]:
+    """Arrays of padding, time first."""
+    return {name: np.full((steps, *_shape(row, sizes)), row.fill, row.dtype) for name, row in variables.items()}
+
+
+def label(
+    ds: xr.Dataset,
+    variables: Mapping[str, Variable],
+    arrays: Mapping[str, Any],
+    call: str,
+    further: Mapping[str, xr.Variable] | None = None,
+    **attrs: Any,
+) -> xr.Dataset:
+    """Label arrays, time first, as a result of the scene `ds`; with further variables, coordinates by their dimension.
+
+    All go into the Dataset as it is made: what is assigned to one afterwards costs nearly as much as making it.
+    """
+    system = ds.attrs.get("unit_system", "SI")
+    data = {}
+    for name, array in arrays.items():
+        if name != SKIPPED:
+            row = variables[name]
+            about = {"units": units_in(row.units, system), "long_name": row.long_name}
+            data[name] = xr.Variable(("time", *row.dims), array, about)
+    data |= further or {}
+    # those of the scene may be changed in place
+    coords: dict[str, Any] = {name: given.copy() for name, given in times_of(ds).items()}
+    used = {dim for given in data.values() for dim in given.dims}
+    coords |= {dim: (dim, values) for dim, values in AXES.items() if dim in used}
+    result = storable(xr.Dataset(data, coords))
+    result.attrs = provenance(ds, call) | attrs
+    return mark_skipped(result, arrays)
+
+
+def times_of(ds: xr.Dataset) -> dict[str, xr.Variable]:
+    """Coordinates along time of a scene, which its results have, too."""
+    coords = ds.coords
+    return {name: ds.variables[name] for name in ("time", "step") if name in coords}
+
+
+def mark_skipped(result: xr.Dataset, arrays: Mapping[str, Any]) -> xr.Dataset:
+    """Say which steps were skipped, where they may be: the coordinate ``skipped``, and once known, an attribute."""
+    if SKIPPED not in arrays:
+        return result
+    long_name = "whether the step was left out, as it could not be read or computed"
+    result = result.assign_coords({SKIPPED: ("time", arrays[SKIPPED], {"long_name": long_name})})
+    return name_skipped(result)
+
+
+def name_skipped(result: xr.Dataset) -> xr.Dataset:
+    """List the steps that were skipped in the attribute ``skipped_steps``, if that is known and there are any."""
+    skipped = result.coords.get(SKIPPED)
+    if skipped is None or skipped.chunks is not None or not skipped.to_numpy().any():
+        return result
+    numbers = result["step"].to_numpy() if "step" in result.coords else np.arange(result.sizes["time"])
+    return result.assign_attrs(skipped_steps=numbers[skipped.to_numpy()])
+
+
+def format_call(function: str, given: Mapping[str, Any]) -> str:
+    """Write a call on one line, arrays by their shape."""
+    shown = {k: f"<array {np.shape(v)}>" if hasattr(v, "dtype") and np.ndim(v) else repr(v) for k, v in given.items()}
+    return f"{function}({', '.join(f'{k}={v}' for k, v in shown.items())})"
+
+
+@cache
+def _version() -> str:
+    return version("xcg")  # which is read from a file
+
+
+def provenance(ds: xr.Dataset | Description, call: str) -> dict[str, Any]:
+    """Attributes of a result: what holds for the scene, then its history with the time, the version and the call."""
+    stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    line = f"{stamp} xcg {_version()}: {call}"
+    earlier = ds.attrs.get("history")
+    kept = {name: ds.attrs[name] for name in ABOUT if name in ds.attrs}
+    return kept | {"history": line if earlier is None else f"{earlier}\n{line}"}
+
+
+PHASES = ("phase", "other_phase")
+
+
+class PhaseLabels(pd.Index):
+    """Text in which ``1`` finds "1": ``f.sel(phase=1)`` is ``f.sel(phase="1")``.
+
+    It is a pandas index that xarray keeps inside its own, as its index of calendars is. So results align with those
+    that were opened from files, which have the same labels as plain text.
+    """
+
+    def __new__(cls, data: ArrayLike, name: Any = None, **_: Any) -> Self:
+        """Take labels as they come; pandas calls this, too."""
+        return cls._simple_new(np.array(data, dtype=object), name)  # type: ignore[attr-defined]
+
+    def get_loc(self, key: Any) -> Any:
+        """Place of one label."""
+        return super().get_loc(_as_text(key))
+
+    def get_indexer(self, target: Any, *args: Any, **options: Any) -> Any:
+        """Places of several labels, -1 where there is none."""
+        labels = pd.Index([_as_text(label) for label in target], dtype=object)
+        return super().get_indexer(labels, *args, **options)
+
+    def slice_indexer(self, start: Any = None, end: Any = None, step: int | None = None) -> Any:
+        """Places from one label to another."""
+        return super().slice_indexer(_as_text(start), _as_text(end), step)
+
+
+def _as_text(label: Any) -> Any:
+    return str(label) if isinstance(label, (int, np.integer)) and not isinstance(label, bool) else label
+
+
+def with_phase_labels(result: xr.Dataset) -> xr.Dataset:
+    """Have phases of a result found by whole numbers, too."""
+    for dim in PHASES:
+        if dim in result.dims and dim in result.coords:
+            plain = result[dim].variable
+            index = PandasIndex(PhaseLabels(plain.to_numpy(), dim), dim, coord_dtype=plain.dtype)
+            result = result.assign_coords(xr.Coordinates.from_xindex(index))
+            result[dim].attrs, result[dim].encoding = plain.attrs, plain.encoding
+    return result
+
+
+def summary_of_result(ds: xr.Dataset) -> Summary:
+    """Tell what a result holds, also one that was averaged, sliced, or opened from a file, without computing it."""
+    if not {"history", "kernel"} & set(ds.attrs) and not {"time", "phase", *COMPONENTS} & set(map(str, ds.coords)):
+        return Summary.of(
+            "neither a scene nor a result: no 'position', no coordinates",
+            [("variables", ", ".join(map(str, ds.data_vars)) or "none")],
+        )
+    ds = with_time(ds)
+    axes = [a for a in COMPONENTS if a in ds.dims]
+    nodes = " x ".join(f"{ds.sizes[a]} {a}" for a in axes)
+    steps = f"{ds.sizes['time']} steps" if "time" in ds.dims else "one step" if "time" in ds.coords else "all times"
+    along = ", ".join(str(ds.attrs.get("averaged_axes", "")))
+    over = ds.attrs.get("averaged_steps")
+    averaged = [f"along {along}"] * bool(along) + [f"over {over} steps"] * (over is not None)
+    known = {*COMPONENTS, "time", "phase", "other_phase", "component", "direction", "principal"}
+    return Summary.of(
+        f"result of {steps}" + (f" on {nodes} nodes" if nodes else ""),
+        [
+            ("fields", ", ".join(map(str, ds.data_vars)) or "none"),
+            *((a, _nodes(ds[a])) for a in axes),
+            ("fixed", ", ".join(f"{a} = {float(ds[a]):.6g}" for a in COMPONENTS if a in ds.coords and not ds[a].ndim)),
+            ("averaged", ", ".join(averaged)),
+            *((dim, _labels(ds, dim)) for dim in ("phase", "other_phase") if dim in ds.coords),
+            *((str(dim), str(size)) for dim, size in ds.sizes.items() if dim not in known),
+            ("kernel", _kernel(ds)),
+            *rows_of_origin(ds),
+            ("history", str(ds.attrs.get("history", "")).rpartition("\n")[2]),
+        ],
+    )
+
+
+def _labels(ds: xr.Dataset, dim: str) -> str:
+    return ", ".join(map(str, np.atleast_1d(ds[dim].to_numpy())))
+
+
+def _nodes(axis: xr.DataArray) -> str:
+    """Name ends and spacing of the nodes along an axis; no spacing where it varies."""
+    nodes = axis.to_numpy()
+    unit = str(axis.attrs.get("units", "")).removesuffix("1")
+    if not nodes.size:
+        return "no nodes"
+    steps = np.diff(nodes)
+    even = steps.size and np.allclose(steps, steps[0], rtol=1e-6, atol=0)
+    ends = f"{nodes[0]:.6g} to {nodes[-1]:.6g}" if steps.size else f"{nodes[0]:.6g}"
+    text = f"{ends} {unit}".rstrip()
+    return f"{text}, spacing {steps[0]:.6g}" if even else text
+
+
+def _kernel(ds: xr.Dataset) -> str:
+    """Tell name, width and cutoff; one of each for groups that have their own."""
+    if "kernel" not in ds.attrs:
+        return ""
+    lengths = ((name, np.atleast_1d(ds.attrs[name])) for name in ("width", "cutoff") if name in ds.attrs)
+    shown = (f"{name} {' and '.join(f'{value:.6g}' for value in values)}" for name, values in lengths)
+    return ", ".join([str(ds.attrs["kernel"]), *shown])
