@@ -12,7 +12,7 @@ PACKAGE = Path(__file__).parents[1] / "xcg"
 # floors from the ground up; a room imports only from lower floors, so that the wings of one floor know nothing of each
 # other
 FLOORS = [
-    ["compiled"],
+    ["compiled", "common"],
     ["scene"],
     ["steps"],
     ["fields", "packing", "chains", "readers"],

@@ -9,13 +9,13 @@ import pytest
 import xarray as xr
 
 import xcg
+from xcg.common.checks import floats, is_finite, is_positive, is_whole
 from xcg.fields.coarse_grain import PRESETS
 from xcg.fields.formulas.field import Deviatoric, Gradient, InertialSize, Options, Temperature
 from xcg.fields.formulas.registry import WAYS
 from xcg.fields.formulas.variables import WEIGHTS, Weight
 from xcg.fields.request import Per, Preset, Sampling
 from xcg.fields.sums.kernels import KernelName
-from xcg.scene.numbers import floats, is_finite, is_positive, is_whole
 from xcg.steps.faults import OnError
 
 DUMP = Path(__file__).parents[1] / "examples/data/lammps_chute/particles.00050000.dump.gz"

@@ -5,8 +5,8 @@ import warnings
 import numpy as np
 import pytest
 
+from xcg.common.messages import SceneWarning
 from xcg.fields.places.grid import make_grid
-from xcg.scene.schema import SceneWarning
 
 
 def grid(axes="x", *, at=None, bounds=None, spacing=1.0, plane="xyz", cutoff=10.0, automatic=None, period=None):

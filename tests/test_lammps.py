@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 
 from tests import shared_data
 from tests.dumps import ATOMS, PAIR_ROWS, PAIRS, ROWS, dump_text, pairs_text, write
+from xcg.common.messages import SceneError, SceneWarning
 from xcg.readers.codes import dump
 from xcg.readers.codes.lammps import Lammps
 from xcg.readers.engine import ReadOptions
 from xcg.readers.files.table import parse_table
 from xcg.readers.series import open_scene
-from xcg.scene.schema import SceneError, SceneWarning
 
 lammps = Lammps()
 

@@ -5,11 +5,11 @@ import pytest
 
 from tests import shared_data
 from tests.dumps import dump_text, pairs_text, write
+from xcg.common.messages import SceneError
 from xcg.readers.codes.liggghts import Liggghts
 from xcg.readers.engine import ReadOptions
 from xcg.readers.series import open_scene
 from xcg.scene.lattice import minimum_image
-from xcg.scene.schema import SceneError
 
 liggghts = Liggghts()
 

@@ -5,10 +5,10 @@ import pytest
 
 from tests import real_data
 from tests.dumps import write
+from xcg.common.messages import SceneError
 from xcg.readers.codes.mercury import Mercury, read_restart
 from xcg.readers.engine import ReadOptions
 from xcg.readers.series import open_scene
-from xcg.scene.schema import SceneError
 
 mercury = Mercury()
 

@@ -13,12 +13,12 @@ import xcg
 from tests import shared_data
 from tests.test_mfix import read_contacts, write_contacts, write_vtp
 from xcg.cli import group
+from xcg.common.messages import SceneError, SceneWarning
 from xcg.packing.pairs import find_pairs
 from xcg.readers.codes.mfix import Mfix
 from xcg.readers.engine import ReadOptions
 from xcg.readers.files import vtp
 from xcg.scene.lattice import minimum_image
-from xcg.scene.schema import SceneError, SceneWarning
 
 mfix = Mfix()
 

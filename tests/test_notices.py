@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import xcg
-from xcg.scene.warn import Once, warn_once, warn_user
+from xcg.common.messages import Once, warn_once, warn_user
 from xcg.steps.faults import SkippedStep
 from xcg.steps.mapping import map_over_time
 

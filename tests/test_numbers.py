@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from tests.loops import compiled
+from xcg.common.messages import SceneError
 from xcg.compiled import text
 from xcg.readers.files.table import parse_table
-from xcg.scene.schema import SceneError
 
 ROOT = Path(__file__).parents[1]
 

@@ -9,7 +9,7 @@ import xarray as xr
 import xcg
 from tests import dumps
 from xcg.scene.lattice import Lattice, minimum_image
-from xcg.scene.plausible import check_ends
+from xcg.scene.sanity import check_ends
 
 CONTACT_FIELDS = ["contact_stress"]
 

@@ -14,7 +14,7 @@ import pytest
 import xarray as xr
 
 import xcg
-from xcg.scene.drawing import unit_text
+from xcg.common.drawing import unit_text
 from xcg.scene.schema import units_of
 from xcg.steps.progress import shown
 

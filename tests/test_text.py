@@ -11,13 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.dumps import ATOMS, dump_text, write
+from xcg.common.messages import SceneError
 from xcg.readers.codes.lammps import Lammps
 from xcg.readers.engine import ReadOptions
 from xcg.readers.files import compressed, text
 from xcg.readers.files import table as table_module
 from xcg.readers.files.table import parse_table
 from xcg.readers.series import open_scene
-from xcg.scene.schema import SceneError
 
 lammps = Lammps()
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from tests.benchmarks import series
+from xcg.common.messages import SceneError
 from xcg.readers.files import vtkdata, vtp
-from xcg.scene.schema import SceneError
 
 # --- base64 ----------------------------------------------------------------------------------------------
 

@@ -8,6 +8,7 @@ from .chains.results import chain_table, link_table
 from .chains.search import force_chains
 from .chains.selection import Box, Region, Sphere, select_chains
 from .chains.tracks import track_chains
+from .common.messages import SceneError, SceneWarning
 from .fields.coarse_grain import coarse_grain
 from .fields.formulas.averages import profile, time_average
 from .fields.formulas.register import register_field
@@ -39,7 +40,6 @@ from .scene.bodies import group_bodies
 from .scene.build import scene_from_arrays
 from .scene.measure import measure, size_statistics
 from .scene.phases import assign_phases, find_phases, plot_phases
-from .scene.schema import SceneError, SceneWarning
 from .scene.walls import select_walls
 from .steps.faults import SkippedStep
 from .writers.record import Recorder, record

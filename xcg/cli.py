@@ -61,7 +61,7 @@ _ARGUMENT = re.compile(r"\b(\w+)=(?:'(\w+)'(?!:)|True\b|(?=[\s?:;,.)]|$))")
 @contextmanager
 def plain_messages(quiet: bool) -> Iterator[None]:
     """Show warnings as one line each, and errors of data without a traceback."""
-    from xcg.scene.schema import SceneWarning, printable
+    from xcg.common.messages import SceneWarning, printable
 
     taken = click.get_current_context().command.params  # here, as threads that warn have no context
     options = {str(p.name): max(p.opts, key=len) for p in taken if isinstance(p, click.Option)}
@@ -317,9 +317,9 @@ def run(
 
     An interrupted run goes on where it was.
     """
+    from xcg.common.messages import printable
     from xcg.jobs.config import read_config
     from xcg.jobs.run import open_job, run_job
-    from xcg.scene.schema import printable
     from xcg.steps.progress import shown
 
     with plain_messages(quiet):

@@ -10,9 +10,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.common.messages import unknown
 from xcg.scene.build import scene_from_arrays
 from xcg.scene.lattice import images_within, minimum_image
-from xcg.scene.schema import COMPONENTS, unknown
+from xcg.scene.schema import COMPONENTS
 
 
 @dataclass(frozen=True)

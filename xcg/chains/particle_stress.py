@@ -11,6 +11,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.common.checks import is_positive
+from xcg.common.messages import SceneError
 from xcg.compiled import THREADS
 from xcg.compiled.contacts import blank_rows_of_zeros, scale_tensors
 from xcg.compiled.eigen import principal, principal_of_any
@@ -20,8 +22,7 @@ from xcg.scene.contacts import Contacts
 from xcg.scene.description import describe, require_scene
 from xcg.scene.frame import particle_rows, steps_in
 from xcg.scene.lattice import Lattice
-from xcg.scene.numbers import is_positive
-from xcg.scene.schema import CONTACT_VARIABLES, OF_STEP, VARIABLES, Frame, SceneError, Variable
+from xcg.scene.schema import CONTACT_VARIABLES, OF_STEP, VARIABLES, Frame, Variable
 from xcg.steps.faults import OnError
 from xcg.steps.labels import empty_results, label, results_of
 from xcg.steps.mapping import map_over_time, threads_a_chunk

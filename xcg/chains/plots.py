@@ -9,8 +9,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.chains.results import Step, require_chains, steps_of
-from xcg.scene.drawing import add_colour_bar, label_of, new_axes, set_label, with_unit
-from xcg.scene.extras import extra
+from xcg.common.checks import extra
+from xcg.common.drawing import add_colour_bar, label_of, new_axes, set_label, with_unit
 from xcg.scene.schema import COMPONENTS
 from xcg.scene.times import step_at, with_time
 

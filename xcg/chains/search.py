@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from xcg.chains.particle_stress import StressRule, Volumes, carries
 from xcg.chains.results import CHAINS, COPIED, RESULTS, result_sizes, statistics_of
 from xcg.chains.selection import Region
+from xcg.common.checks import is_finite, is_positive, is_whole
 from xcg.compiled import THREADS
 from xcg.compiled import chains as loops
 from xcg.compiled.threads import for_parts
@@ -21,7 +22,6 @@ from xcg.scene.conform import takes_scene
 from xcg.scene.description import require_scene
 from xcg.scene.frame import particle_rows, steps_in
 from xcg.scene.lattice import Lattice
-from xcg.scene.numbers import is_finite, is_positive, is_whole
 from xcg.scene.schema import BOX, OF_STEP, PADDING, Frame
 from xcg.steps.faults import OnError
 from xcg.steps.labels import empty_results, label, results_of

@@ -7,7 +7,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.chains.results import require_chains, steps_of
-from xcg.scene.numbers import is_positive
+from xcg.common.checks import is_positive
 from xcg.scene.schema import units_in
 from xcg.scene.times import require_rising_times, with_time
 from xcg.steps.labels import provenance

@@ -7,6 +7,8 @@ from dataclasses import replace
 from functools import partial
 from typing import get_args
 
+from xcg.common.checks import is_finite, is_positive
+from xcg.common.messages import unknown
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Deviatoric, Gradient, InertialSize, Options, Temperature
 from xcg.fields.formulas.variables import OwnField, Quantity, own_fields, own_moments
@@ -14,8 +16,7 @@ from xcg.fields.request import Request, Sampling
 from xcg.fields.sums.contact_moments import sliding_contacts
 from xcg.fields.sums.moments import MOMENTS, Moment
 from xcg.scene.description import Description
-from xcg.scene.numbers import is_finite, is_positive
-from xcg.scene.schema import COMPONENTS, CONTACT_VARIABLES, unknown
+from xcg.scene.schema import COMPONENTS, CONTACT_VARIABLES
 
 
 def possible_fields(scene: Description, request: Request) -> tuple[str, ...]:

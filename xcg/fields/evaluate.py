@@ -11,6 +11,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.common.messages import warn_once
 from xcg.compiled import THREADS
 from xcg.compiled.threads import for_each
 from xcg.fields.formulas import registry
@@ -22,7 +23,6 @@ from xcg.fields.sums.nodes import Block
 from xcg.scene.frame import steps_in
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import OF_STEP, Frame
-from xcg.scene.warn import warn_once
 from xcg.steps.faults import OnError
 from xcg.steps.mapping import map_over_time, threads_a_chunk
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from xcg.common.checks import is_positive
+from xcg.common.messages import warn_user
 from xcg.compiled import smoothing as kinds
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Options
@@ -16,9 +18,7 @@ from xcg.fields.request import Request
 from xcg.fields.sums.kernels import Kernel, as_kernel, choose_width
 from xcg.fields.sums.nodes import Grid
 from xcg.scene.description import Description
-from xcg.scene.numbers import is_positive
 from xcg.scene.schema import COMPONENTS
-from xcg.scene.warn import warn_user
 
 _NARROW = 0.1  # widths, in mean diameters, that show single grains only
 

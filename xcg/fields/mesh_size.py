@@ -11,11 +11,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.common.messages import warn_user
 from xcg.fields.places.grid import MeshTooLargeError, RegularGrid
 from xcg.fields.plan import Plan
 from xcg.scene.description import Description
 from xcg.scene.schema import COMPONENTS, PADDING
-from xcg.scene.warn import warn_user
 
 _MANY = 1000  # nodes a particle, of a mesh that was laid around the particles
 _LARGE = 1_000_000  # nodes, of such a mesh, below which nothing is said

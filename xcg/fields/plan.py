@@ -9,6 +9,8 @@ from functools import cached_property
 
 import numpy as np
 
+from xcg.common.checks import is_finite
+from xcg.common.messages import SceneError
 from xcg.compiled.points import LINEAR
 from xcg.compiled.segments import RULES
 from xcg.fields.choices import choose_fields, options_of, variables_of, with_friction
@@ -33,8 +35,7 @@ from xcg.fields.sums.passes import DepositSpec
 from xcg.fields.sums.quadrature import SINGLE, gauss_limits
 from xcg.scene.description import Description
 from xcg.scene.lattice import Lattice
-from xcg.scene.numbers import is_finite
-from xcg.scene.schema import COMPONENTS, ROTATION, SceneError, Setup
+from xcg.scene.schema import COMPONENTS, ROTATION, Setup
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import xarray as xr
 
+from xcg.common.messages import SceneError
 from xcg.jobs.job import Job, _of_type, _on_error, _plain_name
 from xcg.jobs.pysammos_ini import _ini
-from xcg.scene.schema import SceneError
 from xcg.writers.encoding import Encoding
 
 

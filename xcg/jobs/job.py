@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from xcg.scene.schema import SceneError
+from xcg.common.messages import SceneError
 from xcg.steps.faults import OnError, check_on_error
 
 

@@ -8,10 +8,10 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from xcg.common.messages import SceneError, warn_user
 from xcg.jobs.job import Job, _on_error
 from xcg.readers.files.compressed import plain_name
-from xcg.scene.schema import COMPONENTS, SceneError
-from xcg.scene.warn import warn_user
+from xcg.scene.schema import COMPONENTS
 
 # key_mapping: its keys and our variables
 KEYS = {

@@ -20,6 +20,7 @@ import dask
 import numpy as np
 import xarray as xr
 
+from xcg.common.messages import SceneError, unknown
 from xcg.fields.coarse_grain import coarse_grain
 from xcg.fields.presets.pysammos import pysammos_mesh
 from xcg.fields.studies.slice_temperature import SliceMethod, slice_temperature
@@ -28,7 +29,6 @@ from xcg.readers.paths import expand_paths
 from xcg.readers.series import open_scene
 from xcg.scene.conform import conform
 from xcg.scene.phases import assign_phases, find_phases
-from xcg.scene.schema import SceneError, unknown
 from xcg.steps.faults import SKIPPED, collecting
 from xcg.writers.encoding import Encoding
 from xcg.writers.files import publish

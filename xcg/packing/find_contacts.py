@@ -10,14 +10,15 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.common.checks import is_positive
+from xcg.common.messages import SceneError
 from xcg.packing.pairs import PairMethod, check_search, pairs_of
 from xcg.scene.complete import REPEAT, contact_points
 from xcg.scene.conform import takes_scene
 from xcg.scene.description import describe, require_scene
 from xcg.scene.frame import stack, steps_in
 from xcg.scene.lattice import Lattice
-from xcg.scene.numbers import is_positive
-from xcg.scene.schema import OF_STEP, Frame, SceneError, Setup, units_in, variable
+from xcg.scene.schema import OF_STEP, Frame, Setup, units_in, variable
 from xcg.steps.labels import format_call, provenance
 from xcg.steps.mapping import is_lazy, map_over_time
 

@@ -9,12 +9,13 @@ from types import SimpleNamespace
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.common.messages import SceneError
 from xcg.packing.mixing import Mixture
 from xcg.packing.quantities import QUANTITIES, ratio
 from xcg.scene.contacts import Contacts
 from xcg.scene.frame import phase_of, steps_in, without_frozen
 from xcg.scene.lattice import Lattice
-from xcg.scene.schema import COMPONENTS, Frame, SceneError, Setup
+from xcg.scene.schema import COMPONENTS, Frame, Setup
 
 Bounds = Mapping[str, Sequence[float]]
 

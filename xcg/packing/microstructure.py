@@ -9,13 +9,14 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
+from xcg.common.checks import floats, is_positive
+from xcg.common.messages import unknown
 from xcg.packing.measure import Bounds, Measure
 from xcg.packing.quantities import CONTACTS, QUANTITIES, TENSOR
 from xcg.scene.build import storable
 from xcg.scene.conform import takes_scene
 from xcg.scene.description import describe, require_scene
-from xcg.scene.numbers import floats, is_positive
-from xcg.scene.schema import BOX, COMPONENTS, OF_STEP, units_in, unknown
+from xcg.scene.schema import BOX, COMPONENTS, OF_STEP, units_in
 from xcg.scene.times import require_rising_times
 from xcg.steps.faults import OnError
 from xcg.steps.labels import format_call, mark_skipped, provenance, with_phase_labels

@@ -26,7 +26,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.scene.warn import warn_once
+from xcg.common.messages import warn_once
 
 ENOUGH = 5  # grains in a cell, on average, that a warning recommends
 

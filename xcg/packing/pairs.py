@@ -8,6 +8,8 @@ from typing import Literal, TypeAlias, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from xcg.common.checks import is_finite
+from xcg.common.messages import SceneError
 from xcg.compiled import THREADS
 from xcg.compiled.pairs import rows_of_pairs, sort_pairs
 from xcg.compiled.threads import for_parts, worth
@@ -15,8 +17,6 @@ from xcg.packing.cells import CellLists
 from xcg.scene.box import box_array, with_lattice
 from xcg.scene.contacts import MOST_A_PARTICLE, MOST_PAIRS
 from xcg.scene.lattice import Lattice
-from xcg.scene.numbers import is_finite
-from xcg.scene.schema import SceneError
 
 PairMethod: TypeAlias = Literal["hierarchical", "linked-cell"]
 

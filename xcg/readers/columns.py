@@ -11,12 +11,12 @@ from typing import ClassVar, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.common.messages import SceneError, warn_user
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files.table import read_table
 from xcg.readers.files.text import source_of
-from xcg.scene.schema import COMPONENTS, Frame, SceneError, variable
+from xcg.scene.schema import COMPONENTS, Frame, variable
 from xcg.scene.walls import FIRST_WALL
-from xcg.scene.warn import warn_user
 
 Slots: TypeAlias = Mapping[str, Sequence[str]]
 """Columns that fill each slot by themselves, the preferred first."""

@@ -12,8 +12,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from xcg.scene.schema import Frame, SceneError, unknown
-from xcg.scene.warn import warn_user
+from xcg.common.messages import SceneError, unknown, warn_user
+from xcg.scene.schema import Frame
 
 
 def _tuples(values: Any) -> Any:

@@ -18,8 +18,8 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
+from xcg.common.messages import SceneError
 from xcg.readers.engine import StepRef
-from xcg.scene.schema import SceneError
 from xcg.steps import faults as errors
 
 _VERSION = 3  # of the entries; raise it when headers are read in another way

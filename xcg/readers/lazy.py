@@ -23,14 +23,14 @@ from numpy.typing import DTypeLike, NDArray
 from xarray.backends import BackendArray
 from xarray.core import indexing
 
+from xcg.common.messages import Once, SceneError, warn_once
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files.text import source_of
 from xcg.scene.complete import HINTS, complete_contacts, complete_particles
 from xcg.scene.frame import frame_of, stack
 from xcg.scene.lattice import Lattice
-from xcg.scene.plausible import check_ends, is_central
-from xcg.scene.schema import ROTATION, VARIABLES, Frame, SceneError, Setup, variable
-from xcg.scene.warn import Once, warn_once
+from xcg.scene.sanity import check_ends, is_central
+from xcg.scene.schema import ROTATION, VARIABLES, Frame, Setup, variable
 from xcg.steps import faults as errors
 from xcg.steps.graph import picked
 

@@ -13,12 +13,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.common.messages import SceneError
 from xcg.readers.columns import WALL_CONTACTS
 from xcg.readers.paths import UNIT_SYSTEMS
 from xcg.scene.build import scene_from_arrays
 from xcg.scene.complete import contact_points
 from xcg.scene.repeats import rows_of
-from xcg.scene.schema import COMPONENTS, SceneError
+from xcg.scene.schema import COMPONENTS
 from xcg.scene.walls import FIRST_WALL, named_walls
 
 _ATOM, _LOCAL = 1, 2  # styles, and

@@ -6,8 +6,8 @@ import os
 
 import xarray as xr
 
+from xcg.common.vtk_mesh import places_of, read_mesh
 from xcg.scene.schema import COMPONENTS
-from xcg.scene.vtk_mesh import places_of, read_mesh
 
 
 def mesh_points(path: str | os.PathLike[str], *, centers: bool = False) -> dict[str, xr.DataArray]:

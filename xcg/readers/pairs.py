@@ -9,12 +9,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from xcg.common.checks import floats
+from xcg.common.messages import SceneError, warn_user
 from xcg.readers.engine import StepRef
 from xcg.readers.files.text import source_of
 from xcg.readers.lazy import Step
-from xcg.scene.numbers import floats
-from xcg.scene.schema import COMPONENTS, SceneError
-from xcg.scene.warn import warn_user
+from xcg.scene.schema import COMPONENTS
 from xcg.steps import faults as errors
 
 

@@ -12,10 +12,10 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from xcg.common.messages import SceneError, warn_user
 from xcg.readers.engine import Engine, StepRef
 from xcg.readers.files.text import source_of
-from xcg.scene.schema import SceneError, Setup
-from xcg.scene.warn import warn_user
+from xcg.scene.schema import Setup
 from xcg.steps import faults as errors
 
 PathLike: TypeAlias = str | os.PathLike[str]

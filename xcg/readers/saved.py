@@ -14,9 +14,10 @@ import xarray as xr
 from dask.base import tokenize
 from numpy.typing import NDArray
 
+from xcg.common.messages import SceneError
 from xcg.readers.lazy import Chunks, chunk_sizes, steps_in_a_task
 from xcg.readers.paths import PathLike
-from xcg.scene.schema import BOX, SceneError
+from xcg.scene.schema import BOX
 
 _HDF5 = b"\x89HDF"  # how NetCDF 4 begins; codes write the classic formats
 _OF_HDF5 = (".h5", ".hdf5")  # which may hold anything

@@ -13,6 +13,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
+from xcg.common.checks import floats
+from xcg.common.messages import SceneError, did_you_mean, printable, unknown, warn_user
 from xcg.readers.engine import Engine, ReadOptions, StepRef, all_engines, engine_table, load_engine
 from xcg.readers.files.text import source_of
 from xcg.readers.lazy import Chunks, Series, Source, Step, indexed_arrays, lazy_arrays, read_step, steps_of_chunks
@@ -23,23 +25,10 @@ from xcg.scene.box import box_array, in_unit, with_lattice
 from xcg.scene.build import to_dataset
 from xcg.scene.complete import complete_particles
 from xcg.scene.lattice import Lattice
-from xcg.scene.numbers import floats
-from xcg.scene.plausible import check_shape
-from xcg.scene.schema import (
-    COMPONENTS,
-    VARIABLES,
-    Frame,
-    SceneError,
-    Setup,
-    Shape,
-    Sides,
-    did_you_mean,
-    printable,
-    unknown,
-)
+from xcg.scene.sanity import check_shape
+from xcg.scene.schema import COMPONENTS, VARIABLES, Frame, Setup, Shape, Sides
 from xcg.scene.sizes import measure_frames
 from xcg.scene.walls import named_walls
-from xcg.scene.warn import warn_user
 from xcg.steps import faults as errors
 from xcg.steps.faults import FAULTS, OnError, check_on_error, collecting, raising
 

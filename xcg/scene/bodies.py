@@ -8,13 +8,14 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.common.messages import SceneError
 from xcg.scene.conform import takes_scene
 from xcg.scene.description import describe, require_scene
 from xcg.scene.frame import particle_rows
 from xcg.scene.lattice import Lattice
 from xcg.scene.measure import measure
 from xcg.scene.repeats import rows_of
-from xcg.scene.schema import BOX, PADDING, SceneError, units_in, variable
+from xcg.scene.schema import BOX, PADDING, units_in, variable
 
 _SHARED = ("species", "frozen")  # by all spheres of a body
 _PARTICLES = ("particle_id", "position", "velocity", "diameter", "density", "mass", "volume", *_SHARED)

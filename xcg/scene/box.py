@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from xcg.common.checks import floats
+from xcg.common.messages import SceneError, warn_user
 from xcg.scene.lattice import same_vectors
-from xcg.scene.numbers import floats
-from xcg.scene.schema import COMPONENTS, SceneError
-from xcg.scene.warn import warn_user
+from xcg.scene.schema import COMPONENTS
 
 _BOX_FORMS = "six numbers as [[x0, x1], [y0, y1], [z0, z1]], or a mapping {'x': (x0, x1), ...}"
 _TILT_FORMS = "the vectors a, b, c as an array (3, 3), one such array a step, or tilts such as {'xy': 0.01} (m)"

@@ -10,11 +10,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
+from xcg.common.messages import SceneError, did_you_mean
 from xcg.scene.box import box_array, in_unit, with_lattice
 from xcg.scene.complete import complete_contacts, complete_particles, refuse_mask
 from xcg.scene.frame import stack
 from xcg.scene.lattice import Lattice
-from xcg.scene.plausible import check_shape
+from xcg.scene.sanity import check_shape
 from xcg.scene.schema import (
     BOX,
     COMPONENTS,
@@ -22,11 +23,9 @@ from xcg.scene.schema import (
     VARIABLES,
     VECTORS,
     Frame,
-    SceneError,
     Setup,
     Shape,
     Sides,
-    did_you_mean,
     units_in,
     variable,
 )

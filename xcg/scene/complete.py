@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from xcg.common.messages import SceneError, warn_once
 from xcg.compiled.contacts import share_of_i, touching_points
 from xcg.scene.lattice import Lattice
 from xcg.scene.repeats import rows_of, without_repeats
-from xcg.scene.schema import LONGEST, SHORTEST, Frame, SceneError, Setup, variable
-from xcg.scene.warn import warn_once
+from xcg.scene.schema import LONGEST, SHORTEST, Frame, Setup, variable
 
 # What readers say of contacts besides variables of the scene.
 HINTS = ("wrapped_branch", "point_is_middle", "row_of_file")

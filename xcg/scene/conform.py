@@ -17,9 +17,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.scene.schema import BOX, COMPONENTS, PADDING, VARIABLES, SceneError, Variable, did_you_mean, variable
+from xcg.common.messages import Once, SceneError, did_you_mean
+from xcg.scene.schema import BOX, COMPONENTS, PADDING, VARIABLES, Variable, variable
 from xcg.scene.sizes import MEASURED, known_without_reading
-from xcg.scene.warn import Once
 
 _MOST_SPREAD = 2**27  # values a step of a variable that was spread over the rows of others: 1 GB
 

@@ -11,8 +11,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.common.messages import SceneError
 from xcg.scene.lattice import Lattice
-from xcg.scene.schema import BOX, COMPONENTS, SceneError, Setup
+from xcg.scene.schema import BOX, COMPONENTS, Setup
 from xcg.scene.sizes import SIZES, known_without_reading, with_measures
 
 

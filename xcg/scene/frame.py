@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.common.messages import SceneError
 from xcg.compiled.arrays import all_finite
 from xcg.scene.lattice import Lattice
-from xcg.scene.schema import BOX, OF_STEP, PADDING, VARIABLES, Frame, SceneError, variable
+from xcg.scene.schema import BOX, OF_STEP, PADDING, VARIABLES, Frame, variable
 
 
 def stack(frames: Sequence[Frame], names: Sequence[str], rows: int) -> Frame:

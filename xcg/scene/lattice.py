@@ -14,8 +14,9 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.common.messages import SceneError
 from xcg.compiled.arrays import Reduced, nearest_images
-from xcg.scene.schema import COMPONENTS, SceneError
+from xcg.scene.schema import COMPONENTS
 
 _SAME = 1e-9  # rounding of lattice vectors, as a share of the longest
 _MOST_IMAGES = 20_000  # lattice translations that are looked at

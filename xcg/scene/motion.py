@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.common.messages import SceneError
 from xcg.scene.lattice import Lattice, same_vectors
 from xcg.scene.repeats import rows_of
-from xcg.scene.schema import Frame, SceneError
+from xcg.scene.schema import Frame
 
 
 @dataclass(frozen=True, eq=False)

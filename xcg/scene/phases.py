@@ -14,12 +14,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.common.checks import extra, floats, is_whole
+from xcg.common.drawing import label_of, set_label
+from xcg.common.messages import SceneError
 from xcg.scene.conform import takes_scene
 from xcg.scene.description import require_scene
-from xcg.scene.drawing import label_of, set_label
-from xcg.scene.extras import extra
-from xcg.scene.numbers import floats, is_whole
-from xcg.scene.schema import PADDING, SceneError
+from xcg.scene.schema import PADDING
 from xcg.scene.sizes import mark_measured
 from xcg.scene.times import step_at
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.common.messages import SceneError, warn_once
 from xcg.compiled.contacts import a_pair_twice, partners_by_lower
 from xcg.scene.lattice import Lattice
-from xcg.scene.schema import Frame, SceneError, Sides
-from xcg.scene.warn import warn_once
+from xcg.scene.schema import Frame, Sides
 
 # Rows of one pair are one contact where their forces differ by no more than this share of their size, as in files of
 # six digits, and their points by no more than this share of the distance from the centre.

@@ -7,17 +7,17 @@ on its own, without padding, is a *frame*: a plain ``dict`` from the names below
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.scene.numbers import is_positive, vector
+from xcg.common.checks import is_positive, vector
+from xcg.common.messages import SceneError
 
 COMPONENTS = ("x", "y", "z")
 PADDING = -1
@@ -29,29 +29,6 @@ Powers: TypeAlias = tuple[int, int, int]  # of length, mass, time
 # what becomes of contacts that are listed from both sides, see `xcg.scene.repeats`
 Shape: TypeAlias = Literal["sphere", "disc"]
 Sides: TypeAlias = Literal["mean", "first", "separate"]
-
-
-def printable(text: str) -> str:
-    """Write what a terminal would obey or hide, as codes for colours or the title of its window, as escapes.
-
-    Messages quote files, and files may come from strangers.
-    """
-    return "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text)
-
-
-class _Printable(Exception):
-    """Keeps its message printable."""
-
-    def __init__(self, *args: object) -> None:
-        super().__init__(*(printable(a) if isinstance(a, str) else a for a in args))
-
-
-class SceneError(_Printable, ValueError):
-    """Something in the DEM data is missing, contradictory or not finite."""
-
-
-class SceneWarning(_Printable, UserWarning):
-    """Something in the data or the request is probably not what was meant."""
 
 
 # --- names, dimensions, units ----------------------------------------------------------------------------
@@ -170,28 +147,6 @@ def product_of_units(factors: Mapping[str, int]) -> str:
 
 
 _NAMED_UNITS = {powers_of(units): units for units in ("N", "Pa", "Pa m^-1", "W m^-2", "W m^-3")}
-
-
-def did_you_mean(word: str, words: Iterable[str], cutoff: float = 0.6) -> str:
-    """Suggest the most similar of some words, as the end of a message; nothing where none is similar."""
-    close = difflib.get_close_matches(word, list(words), 1, cutoff)
-    return f"; did you mean {close[0]!r}?" if close else ""
-
-
-def unknown(what: str, word: object, known: Iterable[object], listed: str = "") -> str:
-    """Return a message about a name that does not exist: the most similar one first, then those there are.
-
-    Parameters
-    ----------
-    what : str
-        What it was to be, such as "field".
-    listed : str
-        Where long lists are found, in place of all names.
-    """
-    names = [str(name) for name in known]
-    rest = listed or f"expected one of {', '.join(names)}"
-    hint = did_you_mean(str(word), names)
-    return f"unknown {what} {word!r}" + (f"{hint} {rest[0].upper()}{rest[1:]}" if hint else f"; {rest}")
 
 
 def variable(name: str, dtype: Any = "float64", ndim: int = 1) -> Variable:

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
+from xcg.common.messages import printable
 from xcg.scene.description import describe
-from xcg.scene.schema import BOX, COMPONENTS, VARIABLES, printable, units_in, variable
+from xcg.scene.schema import BOX, COMPONENTS, VARIABLES, units_in, variable
 
 _WIDTH = 11  # of labels
 

@@ -6,8 +6,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.scene.numbers import is_whole
-from xcg.scene.schema import SceneError
+from xcg.common.checks import is_whole
+from xcg.common.messages import SceneError
 
 
 def _require_numbers(times: NDArray, purpose: str) -> None:

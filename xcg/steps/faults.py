@@ -10,8 +10,8 @@ from typing import Any, Literal, TypeAlias, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.scene.schema import PADDING, SceneError, SceneWarning, printable
-from xcg.scene.warn import warn_user
+from xcg.common.messages import SceneError, SceneWarning, printable, warn_user
+from xcg.scene.schema import PADDING
 
 OnError: TypeAlias = Literal["raise", "skip"]
 ON_ERROR: tuple[OnError, ...] = get_args(OnError)

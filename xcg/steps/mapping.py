@@ -11,8 +11,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.common.messages import Once
 from xcg.scene.sizes import numbers_of
-from xcg.scene.warn import Once
 from xcg.steps.faults import SKIPPED, Compute, OnError, Result, check_on_error, guarded
 
 
@@ -63,7 +63,7 @@ def map_over_time(
 
 
 def _with_warnings_once(once: Once, compute: Compute, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
-    """Compute a chunk; warnings of `xcg.scene.warn.warn_once` are given once for all chunks."""
+    """Compute a chunk; warnings of `xcg.common.messages.warn_once` are given once for all chunks."""
     with once.active():
         return compute(arrays)
 

@@ -12,8 +12,8 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 import xarray as xr
 
+from xcg.common.messages import SceneError
 from xcg.readers.files.vtp import read_collection
-from xcg.scene.schema import SceneError
 from xcg.steps.mapping import each_step
 from xcg.writers.encoding import Encoding
 from xcg.writers.files import check_file, check_target, hidden_folder, publish, whole_file, write_by_vtk

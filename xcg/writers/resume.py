@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 from dask.base import tokenize
 
-from xcg.scene.schema import SceneError
+from xcg.common.messages import SceneError
 from xcg.writers.encoding import Encoding
 from xcg.writers.files import locked, part_of, remove_for_good, temporary
 

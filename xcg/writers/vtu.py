@@ -11,9 +11,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.common.vtk_mesh import places_of, read_mesh
 from xcg.scene.schema import COMPONENTS
 from xcg.scene.times import with_time
-from xcg.scene.vtk_mesh import places_of, read_mesh
 from xcg.writers.files import check_file, write_by_vtk
 from xcg.writers.pvd import write_series
 from xcg.writers.vtkhdf import arrays_of, with_components

@@ -17,11 +17,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.common.checks import is_whole
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Field, Options
 from xcg.fields.formulas.variables import row_of_result
 from xcg.scene.conform import in_order, labels_along
-from xcg.scene.numbers import is_whole
 from xcg.scene.schema import COMPONENTS
 from xcg.scene.times import with_time
 from xcg.steps.faults import SKIPPED

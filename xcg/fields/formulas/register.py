@@ -9,11 +9,12 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.common.messages import unknown
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Field, Options
 from xcg.fields.formulas.registry import FIELDS
 from xcg.fields.sums.moments import MOMENTS
-from xcg.scene.schema import COMPONENTS, powers_of, units_of, unknown
+from xcg.scene.schema import COMPONENTS, powers_of, units_of
 
 _COORDINATES = ("time", "step", "skipped", *COMPONENTS, "phase", "other_phase", "component", "direction")
 _PHASES, _NODES = 3, 5  # of the trial: the bulk and two phases; the first node is empty

@@ -20,6 +20,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.common.messages import SceneError, did_you_mean, unknown
 from xcg.compiled import points as loops
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.algebra import mean_of
@@ -31,14 +32,11 @@ from xcg.scene.description import Column, Description
 from xcg.scene.schema import (
     COMPONENTS,
     Frame,
-    SceneError,
-    did_you_mean,
     factors_of_unit,
     powers_of,
     product_of_units,
     units_in,
     units_of,
-    unknown,
     variable,
 )
 

@@ -10,9 +10,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.scene.numbers import is_positive, unit, unit_vector, vector
+from xcg.common.checks import is_positive, unit, unit_vector, vector
+from xcg.scene.rotate import turn_scene
 from xcg.scene.schema import COMPONENTS
-from xcg.scene.turn import turn_scene
 
 CYLINDRICAL = "cylindrical"
 _PARALLEL = 1e-6  # sine of the smallest angle between two axes that are given

@@ -12,11 +12,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.common.checks import is_finite, rising_pair
+from xcg.common.messages import warn_once, warn_user
 from xcg.fields.sums.nodes import Block, Grid, SameAxes, mesh_blocks
-from xcg.scene.numbers import is_finite, rising_pair
-from xcg.scene.plausible import SAMPLE
+from xcg.scene.sanity import SAMPLE
 from xcg.scene.schema import COMPONENTS
-from xcg.scene.warn import warn_once, warn_user
 
 MAX_NODES = 2**31
 _MOST_OF_ONE_AXIS = 2**27

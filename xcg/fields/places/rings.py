@@ -12,13 +12,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.common.checks import is_finite
 from xcg.compiled import THREADS
 from xcg.fields.places.grid import MAX_NODES, nodes_along
 from xcg.fields.places.means import RingBlock
 from xcg.fields.places.points import PointBlock
 from xcg.fields.sums.kernels import Kernel
 from xcg.fields.sums.nodes import BLOCK_NODES, Apart
-from xcg.scene.numbers import is_finite
 
 NAMES = {"r": "r", "t": "theta", "z": "z"}  # letters of `axes`, and what else they are called
 _FULL = 2.0 * math.pi

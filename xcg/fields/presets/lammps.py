@@ -17,14 +17,15 @@ from typing import Any
 
 import xarray as xr
 
+from xcg.common.checks import is_positive
+from xcg.common.messages import unknown
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.variables import Quantity
 from xcg.fields.plan import make_plan
 from xcg.fields.request import Request
 from xcg.fields.sums.kernels import Gaussian, Kernel, as_kernel, choose_width
 from xcg.scene.description import Description, describe, require_scene
-from xcg.scene.numbers import is_positive
-from xcg.scene.schema import COMPONENTS, units_in, unknown
+from xcg.scene.schema import COMPONENTS, units_in
 
 
 @dataclass(frozen=True)

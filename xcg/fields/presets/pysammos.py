@@ -17,6 +17,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.common.messages import unknown
 from xcg.fields.choices import possible_fields
 from xcg.fields.formulas import algebra, registry
 from xcg.fields.formulas.field import Field, Options
@@ -25,7 +26,7 @@ from xcg.fields.formulas.variables import Quantity
 from xcg.fields.request import Request
 from xcg.fields.sums.kernels import KernelName, as_kernel, choose_width
 from xcg.scene.description import Description, describe
-from xcg.scene.schema import COMPONENTS, unknown
+from xcg.scene.schema import COMPONENTS
 
 _RATE = "shear_rate_tensor"
 

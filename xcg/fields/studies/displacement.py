@@ -11,6 +11,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.common.messages import unknown
 from xcg.compiled import THREADS
 from xcg.fields.coarse_grain import prepare
 from xcg.fields.evaluate import compute_chunk
@@ -23,7 +24,7 @@ from xcg.fields.request import Request, takes
 from xcg.scene.description import describe, require_scene
 from xcg.scene.frame import steps_in
 from xcg.scene.motion import BoxMotion, partners
-from xcg.scene.schema import COMPONENTS, OF_STEP, PADDING, units_in, unknown
+from xcg.scene.schema import COMPONENTS, OF_STEP, PADDING, units_in
 from xcg.scene.sizes import with_measures
 from xcg.scene.times import require_rising_times
 from xcg.steps.faults import Compute, Result, check_on_error

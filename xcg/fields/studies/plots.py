@@ -12,8 +12,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.scene.drawing import add_colour_bar, label_of, new_axes, set_label, unit_text
-from xcg.scene.extras import extra
+from xcg.common.checks import extra
+from xcg.common.drawing import add_colour_bar, label_of, new_axes, set_label, unit_text
 from xcg.scene.schema import COMPONENTS
 from xcg.scene.times import step_at, with_time
 from xcg.steps.mapping import each_step

@@ -13,12 +13,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.common.checks import is_positive, is_whole, rising_pair
+from xcg.common.messages import SceneError
 from xcg.scene.build import storable
 from xcg.scene.conform import takes_scene
 from xcg.scene.description import describe, require_scene
 from xcg.scene.frame import steps_in
-from xcg.scene.numbers import is_positive, is_whole, rising_pair
-from xcg.scene.schema import COMPONENTS, OF_STEP, SceneError, units_in
+from xcg.scene.schema import COMPONENTS, OF_STEP, units_in
 from xcg.steps.faults import OnError
 from xcg.steps.labels import mark_skipped
 from xcg.steps.mapping import map_over_time

@@ -12,6 +12,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.common.checks import is_positive
+from xcg.common.messages import warn_once
 from xcg.fields.places.surfaces.wall import SurfaceCells, Wall
 from xcg.fields.sums.kernels import Kernel, KernelName, as_kernel, choose_width
 from xcg.scene.build import storable
@@ -20,10 +22,8 @@ from xcg.scene.contacts import Contacts
 from xcg.scene.description import Description, describe, require_scene
 from xcg.scene.frame import steps_in, without_frozen
 from xcg.scene.lattice import Lattice
-from xcg.scene.numbers import is_positive
 from xcg.scene.schema import COMPONENTS, OF_STEP, Setup, units_in
 from xcg.scene.walls import Walls, select_walls
-from xcg.scene.warn import warn_once
 from xcg.steps.faults import OnError
 from xcg.steps.labels import format_call, mark_skipped, provenance
 from xcg.steps.mapping import map_over_time

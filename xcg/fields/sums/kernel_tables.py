@@ -14,10 +14,10 @@ import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial
 from numpy.typing import NDArray
 
+from xcg.common.messages import warn_user
 from xcg.compiled import smoothing as codes
 from xcg.compiled.lines import mean_along
 from xcg.compiled.shells import AT_ONCE, FIRST, POWERS, RADIUS, along_shells
-from xcg.scene.warn import warn_user
 
 Profile = Callable[[NDArray], NDArray]
 Shells = list[tuple[float, Polynomial]]  # radii, and polynomials of q

@@ -16,14 +16,14 @@ from typing import Any, Literal, TypeAlias, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from xcg.common.checks import is_finite, is_positive, is_whole
+from xcg.common.messages import warn_user
 from xcg.compiled import smoothing as codes
 from xcg.compiled.lines import mean_along
 from xcg.compiled.smoothing import LUCY_FULL, PLAIN, CellKernel, KernelCode
 from xcg.fields.sums.kernel_tables import check_table, jumps_of, profile_integral, rims_of, table_of
-from xcg.scene.numbers import is_finite, is_positive, is_whole
 from xcg.scene.schema import LONGEST, SHORTEST
 from xcg.scene.sizes import SIZES
-from xcg.scene.warn import warn_user
 
 _SHIFTED = np.zeros((3, 1, codes.PIECE))  # any array
 

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.common.messages import SceneError
 from xcg.compiled.segments import BRANCH, FORCE, GROUP
 from xcg.fields.sums.nodes import Grid
-from xcg.scene.schema import COMPONENTS, SceneError
+from xcg.scene.schema import COMPONENTS
 
 # Beyond this many cutoffs from the mesh, or spacings, places cannot be told apart, and cells and nodes not be counted.
 _FAR = 2.0**50

@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.common.messages import warn_once
 from xcg.compiled.arrays import bounds_of
 from xcg.compiled.points import SQUARED
 from xcg.compiled.reach import spatial_order
@@ -21,7 +22,6 @@ from xcg.scene.contacts import Contacts
 from xcg.scene.frame import phase_of, without_frozen
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import Frame
-from xcg.scene.warn import warn_once
 
 _HIDDEN_SHEAR = (
     "the box is sheared across an axis that is averaged, and {names} take velocities at contacts as they are written, "

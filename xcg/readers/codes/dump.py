@@ -13,6 +13,8 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.common.checks import is_positive
+from xcg.common.messages import SceneError
 from xcg.readers import columns
 from xcg.readers.codes import lammps_binary, lammps_netcdf
 from xcg.readers.codes.lammps_binary import with_bounds
@@ -30,8 +32,7 @@ from xcg.readers.files.text import (
     uncompressed_size,
 )
 from xcg.readers.index import remembered
-from xcg.scene.numbers import is_positive
-from xcg.scene.schema import COMPONENTS, SceneError
+from xcg.scene.schema import COMPONENTS
 from xcg.steps import faults as errors
 
 

@@ -17,12 +17,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.common.messages import SceneError, did_you_mean
 from xcg.readers import columns
 from xcg.readers.columns import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.files.text import source_of
 from xcg.readers.index import remembered
-from xcg.scene.schema import COMPONENTS, SceneError, did_you_mean
+from xcg.scene.schema import COMPONENTS
 from xcg.steps import faults as errors
 
 if TYPE_CHECKING:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from xcg.common.messages import warn_user
 from xcg.readers import columns
 from xcg.readers.codes import dump
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.files.text import source_of
 from xcg.scene.schema import Frame
-from xcg.scene.warn import warn_user
 
 _WALLS = "walls"  # kind of a step whose contacts stand in columns of the particles
 

@@ -12,9 +12,10 @@ from typing import BinaryIO, NoReturn
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from xcg.common.messages import SceneError
 from xcg.readers.engine import StepRef
 from xcg.readers.files.text import source_of
-from xcg.scene.schema import COMPONENTS, SceneError
+from xcg.scene.schema import COMPONENTS
 
 
 def with_bounds(ref: StepRef, low: ArrayLike, high: ArrayLike, tilts: Sequence[float] | None) -> StepRef:

@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.common.messages import SceneError
 from xcg.readers.engine import StepRef
 from xcg.readers.files.classic_netcdf import ClassicFile
 from xcg.readers.files.classic_netcdf import begins as begins
 from xcg.readers.files.text import source_of
-from xcg.scene.schema import COMPONENTS, SceneError
+from xcg.scene.schema import COMPONENTS
 
 # names of vectors, and those of their components in dumps of text
 _VECTORS = {

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.common.messages import SceneError
 from xcg.readers import columns
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files.compressed import most_from
@@ -28,7 +29,7 @@ from xcg.readers.files.text import (
     source_of,
 )
 from xcg.readers.index import remembered
-from xcg.scene.schema import COMPONENTS, Frame, SceneError
+from xcg.scene.schema import COMPONENTS, Frame
 from xcg.steps import faults as errors
 
 _ROW_3D = (

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.common.messages import SceneError, warn_user
 from xcg.readers.codes.mfix_contacts import (
     EXACT,
     both_sides_once,
@@ -32,8 +33,7 @@ from xcg.readers.codes.mfix_contacts import (
 from xcg.readers.codes.vtk import is_vtk, list_steps, open_step, read_particle_arrays, require_contacts, targets
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files import vtp
-from xcg.scene.schema import Frame, SceneError
-from xcg.scene.warn import warn_user
+from xcg.scene.schema import Frame
 
 # The first of two arrays for the same name is taken.
 PARTICLE_NAMES = {

@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.common.messages import SceneError
 from xcg.readers import columns
 from xcg.readers.columns import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.files import delimited, parquet
 from xcg.readers.files.compressed import plain_name
 from xcg.readers.index import remembered
-from xcg.scene.schema import SceneError
 from xcg.steps import faults as errors
 
 _CLOCK = ("time", "step")

@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
+from xcg.common.messages import SceneError, warn_user
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files import vtp
 from xcg.readers.files.compressed import ENDINGS, plain_name
 from xcg.readers.files.text import open_binary
 from xcg.readers.index import remembered
-from xcg.scene.schema import Frame, SceneError, variable
-from xcg.scene.warn import warn_user
+from xcg.scene.schema import Frame, variable
 from xcg.steps import faults as errors
 
 LINES = "lines"  # kind of a step whose contacts are lines

@@ -16,12 +16,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from xcg.common.messages import SceneError
 from xcg.readers import columns
 from xcg.readers.columns import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.files.text import Scanner, check_rows, first_lines, most_text, open_binary
 from xcg.readers.index import remembered
-from xcg.scene.schema import COMPONENTS, SceneError
+from xcg.scene.schema import COMPONENTS
 from xcg.steps import faults as errors
 
 _MOST_COMMENTS = 1000

@@ -15,7 +15,7 @@ from typing import BinaryIO, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.scene.schema import SceneError
+from xcg.common.messages import SceneError
 
 _TYPES = dict(enumerate(("i1", "S1", ">i2", ">i4", ">f4", ">f8", "u1", ">u2", ">u4", ">i8", ">u8"), 1))
 _MOST = 10_000  # dimensions, variables, or attributes of one of them

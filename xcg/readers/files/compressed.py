@@ -17,7 +17,7 @@ from contextlib import contextmanager, suppress
 from functools import cache
 from typing import Any, BinaryIO, cast
 
-from xcg.scene.schema import SceneError
+from xcg.common.messages import SceneError
 
 # the first bytes, and how many bytes one can stand for: deflate repeats 258, Zstandard 128 KiB in a block of four bytes
 _KINDS = {"gzip": (b"\x1f\x8b", 1032), "zstd": (b"\x28\xb5\x2f\xfd", 1 << 15)}

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.common.messages import SceneError
 from xcg.compiled import THREADS
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.files.table import SHARED, parse_table
 from xcg.readers.files.text import PIECE, Scanner, body_of, most_text, open_binary, source_of
-from xcg.scene.schema import SceneError
 
 _SEPARATORS = "\t;,"
 _MOST_COLUMNS = 1000

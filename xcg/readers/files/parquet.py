@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.common.messages import SceneError
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.files.text import source_of
-from xcg.scene.schema import SceneError
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,11 +10,11 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.common.messages import SceneError
 from xcg.compiled import THREADS
 from xcg.compiled.text import BEYOND, REST, read_rows
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.files.text import PIECE, body_of, source_of, whole_lines
-from xcg.scene.schema import SceneError
 
 SHARED = 1 << 22  # bytes from which on a table is worth the threads
 _LEFT = 1024  # words of a block that are read by Python at a time

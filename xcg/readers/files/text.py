@@ -8,10 +8,10 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import BinaryIO
 
+from xcg.common.messages import SceneError
 from xcg.compiled.text import BEYOND
 from xcg.readers.engine import StepRef
 from xcg.readers.files.compressed import compression, errors, forward, open_compressed, size_of_content
-from xcg.scene.schema import SceneError
 
 _FIRST_BLOCK, _BLOCK = 1 << 16, 1 << 22  # small first, as the header is often all that is wanted
 _LONGEST_LINE = 1 << 20  # bytes; a file of one endless line (or a few compressed kilobytes of one) is no text

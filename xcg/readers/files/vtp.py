@@ -18,9 +18,9 @@ from xml.sax.saxutils import unescape
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.common.messages import SceneError
 from xcg.readers.files.text import most_text, open_binary, uncompressed_size
 from xcg.readers.files.vtkdata import COMPRESSORS, DataError, Encoding, parse_text, read_base64, read_raw
-from xcg.scene.schema import SceneError
 
 _HEAD = 1 << 14  # headers of MFiX take 2 to 5 kB
 _LONGEST_TAG = 4096

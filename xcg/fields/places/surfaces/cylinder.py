@@ -10,9 +10,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.common.checks import is_positive, rising_pair, unit_vector, vector
 from xcg.fields.places.surfaces.geometry import axis_of, cell_centres, corners, frame_about
 from xcg.fields.places.surfaces.wall import SurfaceCells, Wall
-from xcg.scene.numbers import is_positive, rising_pair, unit_vector, vector
 
 
 @dataclass(frozen=True)

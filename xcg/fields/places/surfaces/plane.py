@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.common.checks import rising_pair, unit_vector, vector
 from xcg.fields.places.surfaces.geometry import axis_of, cell_centres, corners, frame_about
 from xcg.fields.places.surfaces.wall import SurfaceCells, Wall
-from xcg.scene.numbers import rising_pair, unit_vector, vector
 from xcg.scene.schema import COMPONENTS
 
 

@@ -7,11 +7,11 @@ import os
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from xcg.common.checks import is_positive
+from xcg.common.vtk_mesh import read_mesh
 from xcg.compiled import triangles as loops
 from xcg.fields.places.surfaces.wall import SurfaceCells, Wall
-from xcg.scene.numbers import is_positive
 from xcg.scene.schema import COMPONENTS
-from xcg.scene.vtk_mesh import read_mesh
 
 _FILES = (".stl", ".obj", ".ply", ".vtp", ".vtk")
 

@@ -1,17 +1,62 @@
-"""Warnings: at the line of the user's program that asked, and once a call, whatever steps and threads find them."""
+"""Errors and warnings: their classes and words, at the line of the user's program, once a call."""
 
 from __future__ import annotations
 
+import difflib
 import sys
 import threading
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 from typing import Any, ClassVar
 from uuid import uuid4
 
-from xcg.scene.schema import SceneWarning
+
+def printable(text: str) -> str:
+    """Write what a terminal would obey or hide, as codes for colours or the title of its window, as escapes.
+
+    Messages quote files, and files may come from strangers.
+    """
+    return "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text)
+
+
+class _Printable(Exception):
+    """Keeps its message printable."""
+
+    def __init__(self, *args: object) -> None:
+        super().__init__(*(printable(a) if isinstance(a, str) else a for a in args))
+
+
+class SceneError(_Printable, ValueError):
+    """Something in the DEM data is missing, contradictory or not finite."""
+
+
+class SceneWarning(_Printable, UserWarning):
+    """Something in the data or the request is probably not what was meant."""
+
+
+def did_you_mean(word: str, words: Iterable[str], cutoff: float = 0.6) -> str:
+    """Suggest the most similar of some words, as the end of a message; nothing where none is similar."""
+    close = difflib.get_close_matches(word, list(words), 1, cutoff)
+    return f"; did you mean {close[0]!r}?" if close else ""
+
+
+def unknown(what: str, word: object, known: Iterable[object], listed: str = "") -> str:
+    """Return a message about a name that does not exist: the most similar one first, then those there are.
+
+    Parameters
+    ----------
+    what : str
+        What it was to be, such as "field".
+    listed : str
+        Where long lists are found, in place of all names.
+    """
+    names = [str(name) for name in known]
+    rest = listed or f"expected one of {', '.join(names)}"
+    hint = did_you_mean(str(word), names)
+    return f"unknown {what} {word!r}" + (f"{hint} {rest[0].upper()}{rest[1:]}" if hint else f"; {rest}")
+
 
 # Packages whose lines stand between a line of the user's program and the one that warns.
 _BETWEEN = {

@@ -1,18 +1,15 @@
-"""What a colleague would point at: data of a step that can be computed but are hardly what was meant.
-
-Everything here warns, once a call, and looks at a few thousand rows of a step at most where all would take time.
-"""
+"""Warnings about implausible input: attractive contacts, distant contact points, discs read as spheres."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.common.messages import warn_once, warn_user
 from xcg.compiled.contacts import far_and_pulling
 from xcg.scene.lattice import Lattice
 from xcg.scene.repeats import rows_of
 from xcg.scene.schema import Frame, Setup
-from xcg.scene.warn import warn_once, warn_user
 
 SAMPLE = 4096  # rows looked at, spread over all
 _FAR = 3.0  # diameters from a centre to a contact point; the ends of rods are as far that are 18 times as long as wide

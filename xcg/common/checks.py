@@ -1,7 +1,8 @@
-"""Numbers as callers give them, told from texts and all else that is none."""
+"""Checks of numbers as callers give them, and of packages that not everyone has."""
 
 from __future__ import annotations
 
+import importlib
 import math
 from typing import Any, TypeGuard
 
@@ -70,3 +71,27 @@ def rising_pair(name: str, given: Any, *, equal: bool = False) -> tuple[float, f
         raise ValueError(f"{name}={given!r}: expected (first, last) with first {'<=' if equal else '<'} last")
     low, high = ends.tolist()
     return low, high
+
+
+def extra(module: str, name: str, purpose: str) -> Any:
+    """Import a module of an optional package.
+
+    Parameters
+    ----------
+    module : str
+        What to import, for example ``matplotlib.pyplot``.
+    name : str
+        The extra of xcg that holds its package (``project.optional-dependencies`` in pyproject.toml).
+    purpose : str
+        What it is needed for, as the subject of a sentence.
+
+    Raises
+    ------
+    ImportError
+        If it is not installed.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        msg = f"{purpose} needs {error.name or module}, which is not installed: pip install 'xcg[{name}]'"
+        raise ImportError(msg, name=error.name) from error

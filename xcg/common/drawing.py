@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import xarray as xr
 
-from xcg.scene.extras import extra
+from xcg.common.checks import extra
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

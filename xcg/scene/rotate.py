@@ -11,7 +11,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.scene.schema import COMPONENTS, VECTORS, SceneError
+from xcg.common.messages import SceneError
+from xcg.scene.schema import COMPONENTS, VECTORS
 from xcg.scene.sizes import known_without_reading, mark_measured
 
 _PLACES = ("position", "contact_point")
