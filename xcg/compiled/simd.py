@@ -20,6 +20,8 @@ from numba import types
 from numba.core import cgutils, config
 from numba.extending import intrinsic
 
+from xcg.compiled._jit import inner
+
 FOUR, EIGHT = 4, 8
 TILE = 64  # nodes that the algebra is done for at a time
 
@@ -278,65 +280,60 @@ def low_bits_as_exponent(number):
 # --- rows of as many numbers as a tile has nodes ---------------------------------------------------------
 
 
-def _of_rows(emit: Callable, compute: Callable) -> Any:
-    """Return what writes a row of an array (rows, TILE), number by number from one or two others.
-
-    Both are functions of two rows: `emit` writes the instructions for eight numbers of each, and `compute` takes and
-    returns arrays.
-    """
-
-    def of_rows(typingctx, rows, to, a, b):
-        def generate(context, builder, signature, args):
-            place, _ = typed(context, builder, signature, args)
-            first = ir.Constant(ir.IntType(64), 0)
-            starts = [
-                pointer_to(context, builder, signature.args[0], args[0], [place(n), first], EIGHT) for n in (1, 2, 3)
-            ]
-            align = starts[0][1]
-            for k in range(TILE // EIGHT):
-                target, *sources = (builder.gep(start, [ir.Constant(ir.IntType(64), k)]) for start, _ in starts)
-                values = emit(builder, *(builder.load(pointer, align=align) for pointer in sources))
-                builder.store(values, target, align=align)
-            return context.get_dummy_value()
-
-        return types.void(rows, to, a, b), generate
-
-    @compiled_as(of_rows)
-    def row_of(rows, to, a, b):
-        with np.errstate(all="ignore"):
-            rows[to] = compute(rows[a], rows[b])
-
-    return row_of
+@inner
+def row_sum(rows, to, a, b):
+    """``rows[to] = rows[a] + rows[b]``."""
+    for k in range(TILE):
+        rows[to, np.uint64(k)] = rows[a, np.uint64(k)] + rows[b, np.uint64(k)]
 
 
-def _all(value: float) -> ir.Constant:
-    return ir.Constant(ir.VectorType(ir.DoubleType(), EIGHT), [value] * EIGHT)
+@inner
+def row_difference(rows, to, a, b):
+    """``rows[to] = rows[a] - rows[b]``."""
+    for k in range(TILE):
+        rows[to, np.uint64(k)] = rows[a, np.uint64(k)] - rows[b, np.uint64(k)]
 
 
-def _root(builder, a, _):
-    of = ir.FunctionType(a.type, [a.type])
-    return builder.call(cgutils.get_or_insert_function(builder.module, of, f"llvm.sqrt.v{EIGHT}f64"), [a])
+@inner
+def row_product(rows, to, a, b):
+    """``rows[to] = rows[a] * rows[b]``."""
+    for k in range(TILE):
+        rows[to, np.uint64(k)] = rows[a, np.uint64(k)] * rows[b, np.uint64(k)]
 
 
-# ``rows[to] = rows[a] + rows[b]``, ...
-row_sum = _of_rows(lambda builder, a, b: builder.fadd(a, b), np.add)
-row_difference = _of_rows(lambda builder, a, b: builder.fsub(a, b), np.subtract)
-row_product = _of_rows(lambda builder, a, b: builder.fmul(a, b), np.multiply)
-row_quotient = _of_rows(lambda builder, a, b: builder.fdiv(a, b), np.divide)
-# of `a` alone: square roots; NaN where it is not positive; 0 where it is negative; 0 where it is NaN
-row_root = _of_rows(_root, lambda a, _: np.sqrt(a))
-nan_unless_positive = _of_rows(
-    lambda builder, a, _: builder.select(builder.fcmp_ordered(">", a, _all(0.0)), a, _all(math.nan)),
-    lambda a, _: np.where(a > 0.0, a, np.nan),
-)
-clip_at_zero = _of_rows(
-    lambda builder, a, _: builder.select(builder.fcmp_ordered("<", a, _all(0.0)), _all(0.0), a),
-    lambda a, _: np.where(a < 0.0, 0.0, a),
-)
-nan_to_zero = _of_rows(
-    lambda builder, a, _: builder.select(builder.fcmp_ordered("==", a, a), a, _all(0.0)),
-    lambda a, _: np.where(np.isnan(a), 0.0, a),
-)
+@inner
+def row_quotient(rows, to, a, b):
+    """``rows[to] = rows[a] / rows[b]``."""
+    for k in range(TILE):
+        rows[to, np.uint64(k)] = rows[a, np.uint64(k)] / rows[b, np.uint64(k)]
+
+
+@inner
+def row_root(rows, to, a, b):
+    """``rows[to] = sqrt(rows[a])``."""
+    for k in range(TILE):
+        rows[to, np.uint64(k)] = np.sqrt(rows[a, np.uint64(k)])
+
+
+@inner
+def nan_unless_positive(rows, to, a, b):
+    """``rows[to] = rows[a] where that is positive, else NaN``."""
+    for k in range(TILE):
+        rows[to, np.uint64(k)] = rows[a, np.uint64(k)] if rows[a, np.uint64(k)] > 0.0 else math.nan
+
+
+@inner
+def clip_at_zero(rows, to, a, b):
+    """``rows[to] = rows[a] where that is not negative, else 0``."""
+    for k in range(TILE):
+        rows[to, np.uint64(k)] = 0.0 if rows[a, np.uint64(k)] < 0.0 else rows[a, np.uint64(k)]
+
+
+@inner
+def nan_to_zero(rows, to, a, b):
+    """``rows[to] = rows[a] where that is a number, else 0``."""
+    for k in range(TILE):
+        rows[to, np.uint64(k)] = rows[a, np.uint64(k)] if rows[a, np.uint64(k)] == rows[a, np.uint64(k)] else 0.0
 
 
 # --- memory that is named by its address -----------------------------------------------------------------
