@@ -22,7 +22,7 @@ def for_each(items: Sequence[T], do: Callable[[T], R], threads: int) -> list[R]:
     The calling thread is one of them, from the last item on, as it has more memory at hand: see docs/design.md.
     """
     if threads == 1 or len(items) < 2:
-        return [do(item) for item in items]
+        return list(map(do, items))
     with ThreadPoolExecutor(threads - 1) as pool:
         others = [pool.submit(do, item) for item in items]
         try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from inspect import unwrap
 from typing import TypeVar
 
 import xarray as xr
@@ -69,7 +70,24 @@ def coarse_grain(ds: xr.Dataset, request: Request) -> xr.Dataset:
     >>> f.volume_fraction.dims
     ('time', 'z')
     """
-    return answer(ds, request)
+    check_walls(request)
+    framed = {"frame": request.frame} if request.frame is not None else {}
+    ds, request = prepare(ds, request)
+    skips = check_on_error(request.on_error) == "skip"
+    given = {k: v for k, v in (request.given() | framed).items() if k != "on_error" or skips}
+    call = format_call("coarse_grain", given)
+    scene = describe(ds, request.by)
+    request, rename = _in_own_names(scene, request)
+    plan = make_plan_of_size(ds, scene, partial(make_plan, scene, request))
+    arrays = evaluate_plan(ds, plan, request.on_error)
+    result = labelled(scene, plan, arrays, call)
+    if request.walls is not None:
+        result = with_accessible(result, scene, plan, request)
+    return rename(mark_skipped(result, arrays))
+
+
+# of a scene that is conformed, and a request: for functions that are made of it
+answer: Callable[[xr.Dataset, Request], xr.Dataset] = unwrap(coarse_grain)
 
 
 @takes(Request)
@@ -106,24 +124,6 @@ def explain(ds: xr.Dataset, request: Request) -> Plan:
     scene = describe(ds, request.by)
     request, _ = _in_own_names(scene, request)
     return make_plan(scene, request)
-
-
-def answer(ds: xr.Dataset, request: Request) -> xr.Dataset:
-    """Give what a request asks for."""
-    check_walls(request)
-    framed = {"frame": request.frame} if request.frame is not None else {}
-    ds, request = prepare(ds, request)
-    skips = check_on_error(request.on_error) == "skip"
-    given = {k: v for k, v in (request.given() | framed).items() if k != "on_error" or skips}
-    call = format_call("coarse_grain", given)
-    scene = describe(ds, request.by)
-    request, rename = _in_own_names(scene, request)
-    plan = make_plan_of_size(ds, scene, partial(make_plan, scene, request))
-    arrays = evaluate_plan(ds, plan, request.on_error)
-    result = labelled(scene, plan, arrays, call)
-    if request.walls is not None:
-        result = with_accessible(result, scene, plan, request)
-    return rename(mark_skipped(result, arrays))
 
 
 def prepare(ds: xr.Dataset, asked: Asked) -> tuple[xr.Dataset, Asked]:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -52,73 +51,44 @@ class RegularGrid(SameAxes):
     spacing: Mapping[str, float]
     fitted: str = ""
     cells: bool = False
+    # what `Grid` says of all nodes, which follows from these
+    dims: tuple[str, ...] = field(init=False)
+    sizes: tuple[int, ...] = field(init=False)
+    count: int = field(init=False)
+    seen: str = field(init=False)
+    active: NDArray = field(init=False)
+    shape: tuple[int, int, int] = field(init=False)
+    steps: NDArray = field(init=False)
+    half: NDArray = field(init=False)
+    origin: NDArray = field(init=False)
+    lower: NDArray = field(init=False)
+    upper: NDArray = field(init=False)
+    cuts: Mapping[str, tuple[float, float]] = field(init=False)
+    coords: Mapping[str, xr.Variable] = field(init=False)
 
-    @cached_property
-    def active(self) -> NDArray:
-        """Which of the three axes are seen (3,)."""
-        return np.array([a in self.seen for a in COMPONENTS])
-
-    @property
-    def count(self) -> int:
-        """Number of nodes."""
-        return math.prod(self.sizes)
-
-    @property
-    def dims(self) -> tuple[str, ...]:
-        """Resolved axes."""
-        return tuple(self.axes)
-
-    @cached_property
-    def sizes(self) -> tuple[int, ...]:
-        """Number of nodes along each resolved axis."""
-        return tuple(len(self.nodes[a]) for a in self.axes)
-
-    @cached_property
-    def seen(self) -> str:
-        """Axes along which distance to a node counts: resolved or fixed."""
-        return "".join(a for a in COMPONENTS if a in self.nodes or a in self.at)
-
-    @cached_property
-    def shape(self) -> tuple[int, int, int]:
-        """Number of nodes along x, y, z; 1 for axes that are not resolved."""
-        nx, ny, nz = (len(self.nodes[a]) if a in self.nodes else 1 for a in COMPONENTS)
-        return nx, ny, nz
-
-    @cached_property
-    def origin(self) -> NDArray:
-        """First node (3,)."""
-        return np.array([self.nodes[a][0] if a in self.nodes else self.at.get(a, 0.0) for a in COMPONENTS])
-
-    @property
-    def half(self) -> NDArray:
-        """Half of the spacing along resolved axes, where values are averages over cells (3,)."""
-        return np.array([0.5 * self.spacing[a] if self.cells and a in self.nodes else 0.0 for a in COMPONENTS])
-
-    @property
-    def lower(self) -> NDArray:
-        """First node, or the lower bounds of its cell (3,)."""
-        return self.origin - self.half
-
-    @property
-    def upper(self) -> NDArray:
-        """Last node, or the upper bounds of its cell (3,)."""
-        return self.origin + (np.array(self.shape) - 1) * self.steps + self.half
-
-    @cached_property
-    def steps(self) -> NDArray:
-        """Spacing (3,); 1 along axes that are not resolved."""
-        return np.array([self.spacing.get(a, 1.0) for a in COMPONENTS])
-
-    @property
-    def cuts(self) -> dict[str, tuple[float, float]]:
-        """Coordinate of each fixed axis, twice (m)."""
-        return {a: (value, value) for a, value in self.at.items()}
-
-    @property
-    def coords(self) -> dict[str, xr.Variable]:
-        """Nodes of resolved axes, and coordinates of fixed ones."""
-        resolved = {a: xr.Variable(a, self.nodes[a]) for a in COMPONENTS if a in self.nodes}
-        return resolved | {a: xr.Variable((), value) for a, value in self.at.items()}
+    def __post_init__(self) -> None:
+        nodes, at = self.nodes, self.at
+        shape = tuple(len(nodes[a]) if a in nodes else 1 for a in COMPONENTS)
+        steps = np.array([self.spacing.get(a, 1.0) for a in COMPONENTS])
+        half = np.array([0.5 * self.spacing[a] if self.cells and a in nodes else 0.0 for a in COMPONENTS])
+        origin = np.array([nodes[a][0] if a in nodes else at.get(a, 0.0) for a in COMPONENTS])
+        coords = {a: xr.Variable(a, nodes[a]) for a in COMPONENTS if a in nodes}
+        for name, value in {
+            "dims": tuple(self.axes),
+            "sizes": tuple(len(nodes[a]) for a in self.axes),
+            "count": math.prod(shape),
+            "seen": "".join(a for a in COMPONENTS if a in nodes or a in at),
+            "active": np.array([a in nodes or a in at for a in COMPONENTS]),
+            "shape": shape,
+            "steps": steps,
+            "half": half,
+            "origin": origin,
+            "lower": origin - half,
+            "upper": origin + (np.array(shape) - 1) * steps + half,
+            "cuts": {a: (place, place) for a, place in at.items()},
+            "coords": coords | {a: xr.Variable((), place) for a, place in at.items()},
+        }.items():
+            object.__setattr__(self, name, value)
 
     def blocks(self, size: int, threads: int) -> Sequence[Block]:
         """Divide the mesh into boxes."""
