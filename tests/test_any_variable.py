@@ -266,7 +266,7 @@ def test_what_is_wrong_is_said():
         ("men(heat)", "did you mean 'mean'"),
         ("mean(heat, weight=mess)", "expected one of mass, volume, number"),
         ("mean(heat, wait=mass)", "expected one of mean, sum"),
-        ("nothing", "or a variable of the scene: "),
+        ("nothing", "others are listed by xcg.FIELDS and by ds.data_vars"),
         (xcg.Flux("contact_wear"), "contacts, which have no velocity"),
         (xcg.Mean("contact_wear", "mass"), "contacts, which have no mass"),
         (xcg.Flux("inner"), "27 components"),

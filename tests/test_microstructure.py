@@ -386,7 +386,7 @@ def test_without_a_box_volumes_are_unknown_and_bounds_give_them():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"quantities": "porosity"}, "unknown quantities"),
+        ({"quantities": "porosity"}, "unknown quantity .porosity."),
         ({"min_contacts": 0}, "min_contacts=0"),
         ({"rattlers": "often"}, "'count', 'iterative'"),
         ({"strain": "true"}, "'logarithmic', 'engineering'"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import TypeAlias
 
@@ -73,8 +73,11 @@ class DepositSpec:
         self.of_grains = {name: row for name, row in here.items() if bool(row.level) != bool(row.column)}
         self.level = max((row.level for row in self.of_grains.values()), default=NONE)
 
+    def __reduce__(self) -> tuple[Any, ...]:  # moments travel by their names, as functions of theirs do not pickle
+        return type(self), tuple(getattr(self, one.name) for one in fields(self))
+
     def takes(self, variable: str) -> bool:
-        """Tell whether any moment takes a variable."""
+        """Return whether any moment takes a variable."""
         return any(variable in (*row.variables, *row.optional) for row in self.rows.values())
 
 
