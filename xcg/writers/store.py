@@ -268,7 +268,7 @@ def _numbers(ds: xr.Dataset) -> NDArray:
     return ds["step"].to_numpy() if "step" in ds.coords else np.arange(ds.sizes.get("time", 1))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _WriteTask:
     """Writes the values of some steps to all stores, and notes that they are there."""
 
