@@ -357,12 +357,33 @@ def test_a_movie_has_a_frame_a_step(result, tmp_path, axes):
     assert [p.name for p in tmp_path.iterdir()] == ["f.gif"]
 
 
+def test_the_part_of_a_tensor_that_is_suggested_lies_in_the_layer():
+    p = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    arrays = {"velocity": p, "diameter": np.ones(2), "density": 1.0}
+    ds = xcg.scene_from_arrays(p, **arrays, dimension=2, plane="xy", thickness=1.0)
+    f = ds.cg.coarse_grain("kinetic_stress", axes="x", extent={"y": 1.0})
+    with pytest.raises(ValueError, match="for example component='x', direction='y'"):
+        f.cg.plot()
+    f.cg.plot(component="x", direction="y")
+
+
 def test_refused(result, tmp_path):
-    _, f = result
+    scene, f = result
     with pytest.raises(ValueError, match=r"stress is a tensor: name a part of it, for example component='x'"):
         f.cg.plot("stress")
-    with pytest.raises(ValueError, match=r"plot\('presure'\): the result has volume_fraction, velocity"):
-        f.cg.plot("presure")
+    with pytest.raises(
+        ValueError, match=r"plot\('velocty'\): the result has volume_fraction, .*; did you mean 'velocity'"
+    ):
+        f.cg.plot("velocty")
+    with pytest.raises(ValueError, match=r"plot\('pressure'\): the result has .*; name 'pressure' in coarse_grain"):
+        f.cg.plot("pressure")
+    with pytest.raises(ValueError, match=r"this is a scene: .*coarse_grain\(\.\.\.\)\.cg\.plot"):
+        scene.cg.plot("velocity")
+    with pytest.raises(TypeError, match="component=0: expected a name, one of x, y, z"):
+        f.cg.plot("velocity", component=0)
+    with pytest.raises(ValueError, match=r"xarray draws others, such as f\['density'\]\.plot\.line\(x='time'\)"):
+        f.isel(x=0, z=0).cg.plot("density")
+    f.isel(x=0, z=0)["density"].plot.line(x="time")
     with pytest.raises(ValueError, match=r"component='x': density has no dimension 'component'"):
         f.cg.plot("density", component="x")
     with pytest.raises(ValueError, match=r"at={'y': 1.0}: the axes of this result are x, z"):

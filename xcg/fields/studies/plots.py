@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from xcg.common.checks import extra
 from xcg.common.drawing import add_colour_bar, label_of, new_axes, set_label, unit_text
+from xcg.common.messages import did_you_mean
+from xcg.fields.formulas.registry import FIELDS
 from xcg.scene.schema import COMPONENTS
 from xcg.scene.times import step_at, with_time
 from xcg.steps.mapping import each_step
@@ -243,18 +245,36 @@ def _part(
 ) -> xr.Dataset:
     """Select the numbers to draw, its errors and arrows of all steps and phases; ``attrs["drawn"]`` is its name."""
     name = field or next((str(n) for n in f.data_vars if n != "sample_count"), None)
+    if "particle_id" in f:
+        raise ValueError(
+            "plot draws results, and this is a scene: draw fields of it, ds.cg.coarse_grain(...).cg.plot()"
+        )
     if name is None or name not in f:
-        raise ValueError(f"plot({name!r}): the result has {', '.join(map(str, f.data_vars)) or 'no fields'}")
+        fields = list(map(str, f.data_vars))
+        raise ValueError(
+            f"plot({name!r}): the result has {', '.join(fields) or 'no fields'}"
+            + (
+                f"; name {name!r} in coarse_grain to get it, or to learn what the scene lacks for it"
+                if name in FIELDS
+                else did_you_mean(str(name), fields)
+            )
+        )
     cut = _slice(f, at)
     axes = _axes(cut)
     if not 1 <= len(axes) <= 2 or "point" in cut.dims:
-        drawn = ", ".join(_AXES)
+        drawn, dims = ", ".join(_AXES), [str(dim) for dim in cut[name].dims if dim not in ("component", "direction")]
+        own = next((dim for dim in dims if dim not in ("time", "phase")), dims[0] if dims else None)
+        step = ".isel(time=-1)" if "time" in dims and own != "time" else ""
         raise ValueError(
             f"plot draws along one or two of {drawn}; this result has the dimensions {', '.join(map(str, f.dims))}"
+            + (f"; xarray draws others, such as f[{name!r}]{step}.plot.line(x={own!r})" if own else "")
         )
     value = cut[name]
     if "direction" in value.dims and (component is None or direction is None):
-        raise ValueError(f"{name} is a tensor: name a part of it, for example component='x', direction='z'")
+        labels = [str(label) for label in value["component"].values if str(label) in f.attrs.get("plane", _AXES)]
+        raise ValueError(
+            f"{name} is a tensor: name a part of it, for example component={labels[0]!r}, direction={labels[-1]!r}"
+        )
     spare = set(value.dims) - {*axes, "time", "phase", "component", "direction"}
     if len(axes) == 2 and spare:
         dim = str(min(spare, key=str))
@@ -282,7 +302,9 @@ def _part(
 
 
 def _component(value: xr.DataArray, name: str, chosen: Mapping[str, str]) -> xr.DataArray:
-    for dim in chosen:
+    for dim, label in chosen.items():
+        if not isinstance(label, str):
+            raise TypeError(f"{dim}={label!r}: expected a name, one of {', '.join(map(str, value[dim].values))}")
         if dim not in value.dims:
             raise ValueError(f"{dim}={chosen[dim]!r}: {name} has no dimension {dim!r}")
     if not chosen:
