@@ -92,6 +92,15 @@ def test_grains_that_enter_and_leave_keep_their_phase():
     np.testing.assert_allclose(f.density.sel(phase="bulk"), f.density.sel(phase=["1", "2"]).sum("phase"))
 
 
+def test_an_edge_beyond_all_diameters_warns():
+    ds = scene(np.array([0.001, 0.002, 0.004]))
+    for edge in (0.0005, 4.0):
+        with pytest.warns(xcg.SceneWarning, match=r"outside the diameters that were measured, 0\.001 to 0\.004"):
+            phase = ds.cg.assign_phases(edges=[edge]).phase
+        assert len(np.unique(phase)) == 1
+    assert len(np.unique(ds.cg.assign_phases(edges=[0.004]).phase)) == 2  # an edge belongs to the phase above
+
+
 def test_phases_by_edges_and_by_type():
     ds = scene(np.array([0.001, 0.002, 0.003, 0.004]), species=np.array([4, 4, 6, 9]))
     assert ds.cg.assign_phases(edges=[0.002, 0.0035]).phase.values[0].tolist() == [1, 2, 2, 3]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from xcg.common.checks import extra, floats, is_whole
 from xcg.common.drawing import label_of, set_label
-from xcg.common.messages import SceneError
+from xcg.common.messages import SceneError, warn_user
 from xcg.scene.conform import takes_scene
 from xcg.scene.description import require_scene
 from xcg.scene.schema import PADDING
@@ -96,6 +96,18 @@ def find_phases(ds: xr.Dataset, max_phases: int = 8, *, steps: int = 5, seed: in
     )
 
 
+def _warn_of_empty(edges: NDArray, attrs: Mapping[Any, Any]) -> None:
+    """Warn where an edge leaves all grains on one side, by the smallest and largest diameters as measured."""
+    if not {"dmin", "dmax"} <= set(attrs):
+        return
+    smallest, largest = float(attrs["dmin"]), float(attrs["dmax"])
+    if beyond := [edge for edge in edges.tolist() if not smallest < edge <= largest]:
+        warn_user(
+            f"edges={beyond}: outside the diameters that were measured, {smallest:.6g} to {largest:.6g}, so that a "
+            "phase has no grains; check the unit of the edges"
+        )
+
+
 @takes_scene
 def assign_phases(
     ds: xr.Dataset,
@@ -136,6 +148,7 @@ def assign_phases(
         rising = floats(edges)
         if rising.ndim != 1 or not np.isfinite(rising).all() or not (np.diff(rising) > 0).all():
             raise ValueError(f"edges={edges!r}: expected diameters (m) that rise, such as [0.002, 0.004]")
+        _warn_of_empty(rising, ds.attrs)
         found = _by_properties(ds, ("diameter",), partial(_between, edges=rising), f"between {rising.tolist()}")
         return mark_measured(found, ["phase"]).assign_attrs(phase_values=np.arange(1, len(rising) + 2))
     require_scene(ds, (by,), "assign_phases")
