@@ -369,7 +369,7 @@ def test_toml(tmp_path):
 def test_info_and_fields(tmp_path):
     write_particles(tmp_path / "P_0001.vtp", Velocity=np.zeros((3, 3)), Density=np.ones(3))
     said = xcg_run("info", tmp_path / "P_0001.vtp")
-    assert "scene of 1 steps with up to 3 particles" in said
+    assert "scene of 1 step with up to 3 particles" in said
     assert "missing:   contact_force" in said
     assert "granular_temperature" in xcg_run("fields")
     assert "inertial_number_Sxy_Pxy_d32" in xcg_run("fields", "--pysammos")

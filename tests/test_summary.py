@@ -54,6 +54,16 @@ def test_it_stays_with_selections_and_files(opened, tmp_path, suffix):
     assert rows(again)["time"] == said["time"]
 
 
+def test_labels_are_one_word_and_counts_agree_with_nouns():
+    arrays = {"diameter": np.ones(2), "density": 1.0, "contact_i": [0], "contact_j": [1]}
+    ds = xcg.scene_from_arrays(np.eye(3)[:2], **arrays, contact_force=np.ones((1, 3)))
+    said = rows(ds)  # a row that does not match would raise
+    assert said["sides"].startswith("contacts listed from both sides")
+    assert said["title"].startswith("scene of 1 step with")
+    f = ds.cg.coarse_grain("number_density", axes="x", extent={"y": 1.0, "z": 1.0})
+    assert rows(f)["title"].startswith("result of 1 step on")
+
+
 def test_names_in_files_are_made_printable(tmp_path):
     codes = "c_\x1b[31m"
     dumps.write(tmp_path / "p.10.dump", dumps.dump_text(columns=dumps.ATOMS.replace(" vx ", f" {codes} ")

@@ -55,12 +55,12 @@ def summary_of_scene(ds: xr.Dataset) -> Summary:
     missing = [name for name in ("velocity", "diameter", "mass", "contact_force") if name not in ds]
     sizes = ", ".join(f"{k} = {ds.attrs[k]:.6g}" for k in ("dmin", "d50", "d43", "dmax") if k in ds.attrs)
     return Summary.of(
-        f"scene of {steps} steps with up to {particles} particles and {contacts} contacts",
+        f"scene of {steps} step{'s' * (steps != 1)} with up to {particles} particles and {contacts} contacts",
         [
             *rows_of_origin(ds),
             *((f"{dim}s", ", ".join(own[dim]) or "none") for dim in _ROWS),
             ("missing", ", ".join(missing) or "nothing"),
-            ("both sides", _SIDES.get(str(ds.attrs.get("sides")), "")),
+            ("sides", _SIDES.get(str(ds.attrs.get("sides")), "")),
             ("sizes", sizes or "not measured"),
             ("box", _box(ds)),
             ("periodic", f"{ds.attrs.get('periodic') or 'no axis'}; dimension {ds.attrs.get('dimension', 3)}"),

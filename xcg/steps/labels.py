@@ -169,7 +169,10 @@ def summary_of_result(ds: xr.Dataset) -> Summary:
     ds = with_time(ds)
     axes = [a for a in COMPONENTS if a in ds.dims]
     nodes = " x ".join(f"{ds.sizes[a]} {a}" for a in axes)
-    steps = f"{ds.sizes['time']} steps" if "time" in ds.dims else "one step" if "time" in ds.coords else "all times"
+    count = ds.sizes.get("time", 1)
+    steps = (
+        f"{count} step{'s' * (count != 1)}" if "time" in ds.dims else "one step" if "time" in ds.coords else "all times"
+    )
     along = ", ".join(str(ds.attrs.get("averaged_axes", "")))
     over = ds.attrs.get("averaged_steps")
     averaged = [f"along {along}"] * bool(along) + [f"over {over} steps"] * (over is not None)
