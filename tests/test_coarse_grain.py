@@ -534,6 +534,8 @@ def test_given_coordination_number_is_used():
         ({"fields": "densty"}, "unknown field"),
         ({"kernel": "cubic"}, "expected one of"),
         ({"axes": "xq"}, "axes names"),
+        ({"axes": "x,y"}, "write names without commas or spaces, such as 'xy'"),
+        ({"fields": "vel"}, "unknown field 'vel'; did you mean 'velocity'"),
         ({"axes": "z", "bounds": {"x": (0, 1)}}, "bounds are given for"),
         ({"axes": "xz", "at": {"x": 0.0}}, "both name"),
         ({"axes": "x", "spacing": -1.0}, "expected a positive distance"),
@@ -581,6 +583,25 @@ def test_only_fields_that_lack_something_are_named():
     ds = xcg.scene_from_arrays(np.eye(3), velocity=np.eye(3), diameter=np.ones(3), density=1.0)
     with pytest.raises(xcg.SceneError, match=r"coarse_grain of stress, pressure needs \['contact_force', 'contact_i'"):
         ds.cg.coarse_grain(["density", "stress", "velocity", "pressure"])
+
+
+def test_what_to_do_where_something_is_missing():
+    ds = xcg.scene_from_arrays(np.eye(3), diameter=np.ones(3))
+    with pytest.raises(xcg.SceneError, match=r"contacts= to xcg\.open_scene \(contact_i=.*ds\.cg\.find_contacts"):
+        ds.cg.microstructure(["coordination_number"])
+    with pytest.raises(xcg.SceneError, match=r"needs \['mass'\]: give density= to"):
+        ds.cg.coarse_grain("density")
+    with pytest.raises(xcg.SceneError, match=r"needs \['velocity'\]: give velocity= to xcg\.scene_from_arrays"):
+        ds.assign(mass=ds.diameter).cg.coarse_grain("velocity")
+    touching = ds.assign(mass=ds.diameter, velocity=ds.position).cg.find_contacts(skin=1.0)
+    with pytest.raises(
+        xcg.SceneError, match=r"needs \['contact_force'\]: ds\.cg\.find_contacts\(k_n=\.\.\.\) estimates"
+    ):
+        touching.cg.coarse_grain("stress")
+    with pytest.raises(xcg.SceneError, match=r"call it on a scene, .*not on a result"):
+        ds.cg.coarse_grain("number_density").cg.coarse_grain("number_density")
+    with pytest.raises(ValueError, match=r"by='species': .* this scene has none; ds\.cg\.assign_phases"):
+        ds.cg.coarse_grain("number_density", by="species")
 
 
 @pytest.mark.parametrize(

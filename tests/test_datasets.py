@@ -40,6 +40,8 @@ def test_discs_are_discs(name):
 
 
 def test_refused(monkeypatch, tmp_path):
+    with pytest.raises(ValueError, match=r"unknown sample 'drum'; did you mean 'mixing_drum'\?"):
+        xcg.datasets.open("drum")
     with pytest.raises(ValueError, match=r"unknown sample 'shute'; did you mean 'chute'\? Samples are .*plane_shear"):
         xcg.datasets.open("shute")
     monkeypatch.setattr(xcg.datasets, "_FOLDERS", (tmp_path,))

@@ -151,6 +151,18 @@ def test_radii_are_half_of_diameters():
         xcg.scene_from_arrays(np.zeros((2, 3)), radius=np.ones(2))
 
 
+def test_contacts_are_given_as_one_array_for_each_variable():
+    with pytest.raises(xcg.SceneError, match=r"'contacts' is neither .*; did you mean contact_i=, contact_j="):
+        xcg.scene_from_arrays(np.zeros((2, 3)), contacts={})
+
+
+def test_shapes_that_beginners_give():
+    with pytest.raises(xcg.SceneError, match=r"add a column of zeros for z and give dimension=2\)$"):
+        xcg.scene_from_arrays(np.zeros((5, 2)))
+    with pytest.raises(xcg.SceneError, match=r"'diameter' has shape \(\): .*numpy\.full\(n, 0\.1\)"):
+        xcg.scene_from_arrays(np.zeros((5, 3)), diameter=0.1)
+
+
 @pytest.mark.parametrize("name", ["temperature", "diameter_2", "charge", "species2", "moisture", "velocity_x", "age"])
 def test_variables_of_the_user(name):
     assert name in xcg.scene_from_arrays(np.zeros((2, 3)), **{name: np.ones(2)})

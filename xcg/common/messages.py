@@ -43,7 +43,7 @@ def did_you_mean(word: str, words: Iterable[str], cutoff: float = 0.6) -> str:
 
 
 def unknown(what: str, word: object, known: Iterable[object], listed: str = "") -> str:
-    """Return a message about a name that does not exist: the most similar one first, then those there are.
+    """Return a message about a name that does not exist: the most similar or one that contains it first, then all.
 
     Parameters
     ----------
@@ -54,7 +54,8 @@ def unknown(what: str, word: object, known: Iterable[object], listed: str = "") 
     """
     names = [str(name) for name in known]
     rest = listed or f"expected one of {', '.join(names)}"
-    hint = did_you_mean(str(word), names)
+    longer = sorted((name for name in names if len(str(word)) > 2 and str(word) in name), key=len)
+    hint = did_you_mean(str(word), names) or (f"; did you mean {longer[0]!r}?" if longer else "")
     return f"unknown {what} {word!r}" + (f"{hint} {rest[0].upper()}{rest[1:]}" if hint else f"; {rest}")
 
 

@@ -111,7 +111,8 @@ def _split_steps(name: str, values: Any) -> list[NDArray]:
     if array.ndim == dims + 1:
         return list(array)
     raise SceneError(
-        f"'{name}' has shape {array.shape}: expected {dims} dimensions for one step, or {dims + 1} with time first"
+        f"'{name}' has shape {array.shape}: expected {dims} dimension{'s' * (dims > 1)} for one step, or {dims + 1} "
+        f"with time first{'' if array.ndim else f'; where all are equal, give numpy.full(n, {array})'}"
     )
 
 
@@ -313,7 +314,11 @@ def _is_one_number(values: Any) -> bool:
 
 
 # What others have in place of a variable of scenes, and how that follows.
-_OTHER_NAMES = {"radius": "diameter = 2 radius", "radii": "diameter = 2 radii"}
+_OTHER_NAMES = {
+    "radius": "diameter = 2 radius",
+    "radii": "diameter = 2 radii",
+    "contacts": "contact_i=, contact_j=, contact_force= and contact_point=, an array for each",
+}
 
 
 def _refuse_misspelt(names: Iterable[str]) -> None:

@@ -30,14 +30,15 @@ def _check_rows(frame: Frame, dim: str, source: str) -> None:
     for name, values in frame.items():
         expected = variable(name, values.dtype, values.ndim).shape(rows)
         if values.shape != expected:
-            problems.append(f"'{name}' has shape {values.shape}, expected {expected}")
+            flat = values.shape == (rows, 2) and expected == (rows, 3)
+            hint = " (of a layer, add a column of zeros for z and give dimension=2)" if flat else ""
+            problems.append(f"'{name}' has shape {values.shape}, expected {expected}{hint}")
         elif values.dtype.kind == "f" and not np.isfinite(values).all():
             bad = int(np.argwhere(~np.isfinite(values))[0][0])
             problems.append(f"'{name}' is not finite in row {bad}: {values[bad]}")
     if problems:
-        raise SceneError(
-            f"{source}: " + "; ".join(problems) + ". Every row must hold finite numbers: repair or drop it."
-        )
+        repair = ". Every row must hold finite numbers: repair or drop it." if "not finite" in str(problems) else ""
+        raise SceneError(f"{source}: {'; '.join(problems)}{repair}")
 
 
 def refuse_mask(name: str, values: Any, where: str = "") -> None:

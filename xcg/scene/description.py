@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -133,7 +133,10 @@ class Description:
         whole = [name for name, column in self.columns.items() if column.kind in "iu" and "particle" in column.dims]
         if by not in whole:
             shown = [name for name in whole if name != "particle_id"]
-            raise ValueError(f"by={by!r}: expected an integer variable of the particles; this scene has {shown}")
+            raise ValueError(
+                f"by={by!r}: expected an integer variable of the particles; this scene has "
+                f"{', '.join(shown) or 'none'}; ds.cg.assign_phases(edges=[...]) makes 'phase' from diameters"
+            )
         found = self.values.get(by, ()) if groups is None else groups
         if not found:
             raise ValueError(
@@ -180,12 +183,27 @@ def require_scene(ds: xr.Dataset, names: Sequence[str], purpose: str) -> None:
 
 def _require(held: Container[Any], shown: Sequence[Any], names: Sequence[str], purpose: str) -> None:
     if missing := {name for name in ("position", "particle_id", *names) if name not in held}:
-        ways = ["contacts="] * any(name.startswith("contact_") for name in missing)
-        ways += ["density="] * bool(missing & {"mass", "density", "moment_of_inertia"})
         raise SceneError(
-            f"{purpose} needs {sorted(missing)}: give {' and '.join(ways) or 'them'} to xcg.open_scene or "
-            f"xcg.scene_from_arrays (this Dataset holds {', '.join(map(str, shown)) or 'nothing'})"
+            f"{purpose} needs {sorted(missing)}: {_way_to(missing)} "
+            f"(this Dataset holds {', '.join(map(str, shown)) or 'nothing'})"
         )
+
+
+def _way_to(missing: Set[str]) -> str:
+    """Return what to do where these variables are missing, as the middle of a message."""
+    if {"position", "particle_id"} <= missing:
+        return "call it on a scene, from xcg.open_scene or xcg.scene_from_arrays, not on a result or another Dataset"
+    if missing == {"contact_force"}:
+        return "ds.cg.find_contacts(k_n=...) estimates forces, and contacts= of xcg.open_scene reads them"
+    ways = []
+    if any(name.startswith("contact_") for name in missing):
+        ways.append("contacts= to xcg.open_scene (contact_i=, contact_j=, contact_force= to xcg.scene_from_arrays)")
+    if missing & {"mass", "density", "moment_of_inertia"}:
+        ways.append("density= to xcg.open_scene or xcg.scene_from_arrays")
+    if others := sorted(missing & {"position", "particle_id", "velocity", "diameter", "angular_velocity"}):
+        ways.append(f"{', '.join(f'{name}=' for name in others)} to xcg.scene_from_arrays, or files that hold them")
+    found = "; where files have no contacts, ds.cg.find_contacts() finds them" if "contact_i" in missing else ""
+    return f"give {', and '.join(ways) or 'them to xcg.open_scene or xcg.scene_from_arrays'}{found}"
 
 
 def _column(given: xr.Variable) -> Column:

@@ -113,9 +113,10 @@ class RegularGrid(SameAxes):
 
 def check_axes(name: str, given: Iterable[str], plane: str) -> None:
     """Refuse axes that the scene does not have."""
-    wrong = [a for a in given if a not in plane]
-    if wrong:
-        raise ValueError(f"{name} names {wrong}: the axes of this scene are {', '.join(plane)}")
+    if wrong := [a for a in given if a not in plane]:
+        layer = " (one layer, dimension=2)" if len(plane) == 2 else ""
+        joined = f"; write names without commas or spaces, such as {plane[:2]!r}" if {",", " "} & set(wrong) else ""
+        raise ValueError(f"{name} names {wrong}: the axes of this scene are {', '.join(plane)}{layer}{joined}")
 
 
 def _check_mesh_axes(axes: str, at: Mapping[str, float], bounds: Mapping[str, Sequence[float]], plane: str) -> None:

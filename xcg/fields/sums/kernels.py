@@ -407,8 +407,8 @@ def choose_width(width: float | str | None, attrs: Mapping[Any, Any]) -> float:
         if size not in attrs:
             raise ValueError(
                 f"width={width!r} needs the attribute {size!r}, which the scene does not hold, or no longer, as "
-                "diameters were changed; give width= in metres, or call ds = ds.cg.measure() first (of bodies: "
-                "ds = ds.cg.group_bodies(...).cg.measure() in place of by_body=)"
+                "diameters were changed; give width= in metres, or, where there are diameters, call "
+                "ds = ds.cg.measure() first (of bodies: ds = ds.cg.group_bodies(...).cg.measure() in place of by_body=)"
             )
         width = multiple * float(attrs[size])
     if not is_positive(width):
