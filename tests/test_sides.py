@@ -72,8 +72,21 @@ def test_stress_and_counts_are_those_of_the_mean_of_both_sides(scene, eps):
 def test_rows_with_forces_that_are_far_from_opposite_stay_two(scene, eps):
     contacts = listed(scene)
     both, _ = from_both_sides(contacts, eps, np.random.default_rng(2))
-    found = rebuild(scene, both)
+    with pytest.warns(SceneWarning, match=r"contacts are listed from both sides with forces that differ by more"):
+        found = rebuild(scene, both)
     assert (found.contact_i.values >= 0).sum() == 2 * len(contacts["contact_i"])
+    rebuild(scene, both, sides="separate")  # without a warning
+
+
+def test_unlike_sides_name_both_forces():
+    force = np.array([[2.0, 0, 0], [-3.0, 0, 0]])
+    with pytest.warns(
+        SceneWarning, match=r"1 contacts .* \[2\. 0\. 0\.\] on particle 0 and \[-3\. +0\. +0\.\] on particle 1"
+    ):
+        xcg.scene_from_arrays(
+            [[0.0, 0, 0], [1, 0, 0]], diameter=[1.0, 1.0], density=1.0, contact_i=[0, 1], contact_j=[1, 0],
+            contact_force=force,
+        )  # fmt: skip
 
 
 def test_the_warning_has_the_number_and_the_mismatch(scene):

@@ -58,7 +58,9 @@ def without_repeats(
     copy = _copies(contacts, number, rows, pair, centre, lattice, source)
     dropped = rows[copy]
     if sides != "separate":
-        first, second, apart = _mirrored(contacts, rows[~copy], pair[~copy], centre[~copy], lattice)
+        first, second, apart, unlike = _mirrored(contacts, rows[~copy], pair[~copy], centre[~copy], lattice)
+        if unlike.size:
+            _warn_of_unlike(contacts, unlike, source)
         if first.size:
             _warn_of_mirrored(apart, sides, source)
             contacts = _with_means(contacts, first, second, lattice) if sides == "mean" else contacts
@@ -157,16 +159,17 @@ def _copies(
 
 def _mirrored(
     contacts: Frame, rows: NDArray, pair: NDArray, centre: NDArray, lattice: Lattice
-) -> tuple[NDArray, NDArray, NDArray]:
+) -> tuple[NDArray, NDArray, NDArray, NDArray]:
     """Rows that list one contact from both sides, the first one first, and by how much their forces differ; (m,) each.
 
-    Differences are shares of the larger force. Arguments are those of `_copies`, without copies.
+    Differences are shares of the larger force. Last come rows at one place whose forces differ by more, and that are
+    no contact with a third one (k, 2). Arguments are those of `_copies`, without copies.
     """
     point, force = contacts["contact_point"][rows], contacts["contact_force"][rows]
     turned = contacts["contact_i"][rows] > contacts["contact_j"][rows]
     size, radius = np.linalg.norm(force, axis=1), np.linalg.norm(lattice.shortest(point - centre), axis=1)
     least = _SMALL_FORCE * size.mean() if size.size else 0.0
-    free, found, apart = np.ones(len(rows), bool), [], []
+    free, found, apart, beside = np.ones(len(rows), bool), [], [], []
     for distance in range(1, min(len(rows), _MOST_CONTACTS_A_PAIR)):
         one = np.flatnonzero((pair[distance:] == pair[:-distance]) & (turned[distance:] != turned[:-distance]))
         for step in (0, 1):  # rows that follow each other share one: every other of them at a time
@@ -176,14 +179,18 @@ def _mirrored(
             mismatch = np.linalg.norm(force[some] + force[other], axis=1)
             larger = np.maximum(np.maximum(size[some], size[other]), least)
             gap = np.linalg.norm(lattice.shortest(point[some] - point[other]), axis=1)
-            same = (mismatch <= _OPPOSITE * larger) & (gap <= _ONE_PLACE * np.minimum(radius[some], radius[other]))
+            near = gap <= _ONE_PLACE * np.minimum(radius[some], radius[other])
+            same = near & (mismatch <= _OPPOSITE * larger)
+            beside.append(np.stack([some, other], axis=1)[near & ~same])
             free[some[same]] = free[other[same]] = False
             found.append(np.sort([rows[some[same]], rows[other[same]]], axis=0))
             apart.append(np.divide(mismatch[same], larger[same], out=np.zeros(same.sum()), where=larger[same] > 0))
         if not one.size:
             break
     first, second = np.concatenate(found, axis=1) if found else np.empty((2, 0), int)
-    return first, second, np.concatenate(apart) if apart else np.empty(0)
+    unlike = np.concatenate(beside) if beside else np.empty((0, 2), int)
+    unlike = rows[unlike[free[unlike].all(axis=1)]]
+    return first, second, np.concatenate(apart) if apart else np.empty(0), unlike
 
 
 def _warn_of_mirrored(apart: NDArray, sides: Sides, source: str) -> None:
@@ -193,6 +200,18 @@ def _warn_of_mirrored(apart: NDArray, sides: Sides, source: str) -> None:
         f"{source}: {apart.size} contacts are listed from both sides with forces that differ by {apart.mean():.2g} of "
         f"the larger on average, {apart.max():.2g} at most: each is taken once, {taken}; sides='separate' takes both "
         "rows as contacts of their own" + (", sides='first' the first" if sides == "mean" else ""),
+    )
+
+
+def _warn_of_unlike(contacts: Frame, unlike: NDArray, source: str) -> None:
+    row, other = unlike[0]
+    i, j = contacts["contact_i"][row], contacts["contact_j"][row]
+    warn_once(
+        "unlike sides of contacts",
+        f"{source}: {len(unlike)} contacts are listed from both sides with forces that differ by more than "
+        f"{_OPPOSITE:g} of the larger, such as {contacts['contact_force'][row]} on particle {i} and "
+        f"{contacts['contact_force'][other]} on particle {j}: both rows count, so that stress and coordination may be "
+        "twice as large; list each contact once, or pass sides='separate' if these are contacts of their own",
     )
 
 
