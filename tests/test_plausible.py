@@ -315,6 +315,9 @@ def test_discs_that_are_taken_for_spheres():
     with pytest.warns(xcg.SceneWarning, match="as those of discs, .* give shape='disc' and thickness=") as said:
         xcg.scene_from_arrays(position, diameter=d, mass=2.0 * d**2, dimension=2)
     only(said)
+    with pytest.warns(xcg.SceneWarning, match="as those of discs, .* and dimension=2$") as said:
+        xcg.scene_from_arrays(position, diameter=d, mass=2.0 * d**2)  # a layer read as a volume
+    only(said)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         xcg.scene_from_arrays(position, diameter=d, mass=2.0 * d**2, dimension=2, shape="disc", thickness=1.0)

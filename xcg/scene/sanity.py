@@ -23,7 +23,7 @@ _VARIED = 0.02  # scatter of diameters that tells d^2 from d^3
 
 
 def check_shape(frame: Frame, setup: Setup) -> None:
-    """Warn where grains of one layer are taken for spheres, and their masses are those of discs.
+    """Warn where grains are taken for spheres, and their masses are those of discs.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def check_shape(frame: Frame, setup: Setup) -> None:
     setup : Setup
         Arguments of the scene.
     """
-    if setup.dimension != 2 or setup.shape != "sphere" or not {"mass", "diameter", "volume"} <= set(frame):
+    if setup.shape != "sphere" or not {"mass", "diameter", "volume"} <= set(frame):
         return
     some = _sample(len(frame["position"]))
     d, mass, volume = (np.asarray(frame[name][some], float) for name in ("diameter", "mass", "volume"))
@@ -45,7 +45,7 @@ def check_shape(frame: Frame, setup: Setup) -> None:
     if np.std(mass / d**2) < _SAME * np.mean(mass / d**2):
         warn_user(
             "masses go with the square of the diameter, as those of discs, and volumes and densities are taken to be "
-            "those of spheres: give shape='disc' and thickness="
+            "those of spheres: give shape='disc' and thickness=" + (" and dimension=2" if setup.dimension == 3 else "")
         )
 
 
