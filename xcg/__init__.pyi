@@ -15,9 +15,8 @@ from .fields.formulas.register import register_field
 from .fields.formulas.registry import FIELDS
 from .fields.formulas.variables import Flux, Mean, Sum, Variance
 from .fields.places.frames import Cylindrical, Rotated
-from .fields.places.surfaces.cylinder import Cylinder
-from .fields.places.surfaces.plane import Plane
-from .fields.places.surfaces.triangles import Surface
+from .fields.places.surface import Surface
+from .fields.places.wall_shapes import Cylinder, Plane
 from .fields.presets.lammps import lammps_mesh
 from .fields.presets.pysammos import pysammos_mesh
 from .fields.studies.balance import balance

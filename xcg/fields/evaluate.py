@@ -136,9 +136,9 @@ def _warn_of_unknown(rows: Mapping[str, NDArray], reached: int, width: float, so
     for name in (name for name in _TEMPERATURES if name in rows):
         known = np.count_nonzero(np.isfinite(rows[name].reshape(len(rows[name]), -1)[:, 0]))
         if 2 * known < reached:
-            msg = (
+            warn_once(
+                "temperature",
                 f"{source}: of {reached} nodes that grains reach {known} have a {_TEMPERATURES[name]}; the others see "
                 f"too few grains for a mean and its gradient to leave fluctuations over. Take a larger width (it is "
-                f"{width:.3g}), average along an axis (axes=), or mask by sample_count"
+                f"{width:.3g}), average along an axis (axes=), or mask by sample_count",
             )
-            warn_once("temperature", msg)

@@ -192,11 +192,10 @@ def warn_of_cuts(grid: Grid, scene: Description, reach: float) -> None:
         room = high - low + reach
         beyond = [x for x in grid.cuts.get(a, ()) if not low - room <= x <= high + room]
         if beyond:
-            msg = (
+            warn_user(
                 f"at={{{a!r}: {beyond[0]:g}}} is outside the box, which is periodic from {low:g} to {high:g} along "
                 f"{a!r}: fields are those of the image inside; check the units of lengths"
             )
-            warn_user(msg)
 
 
 def check_differentiable(kernel: Kernel, seen: int) -> None:
@@ -206,14 +205,12 @@ def check_differentiable(kernel: Kernel, seen: int) -> None:
             "gradient='kernel' needs a kernel that is differentiable: Heaviside is not; take gradient='least_squares'"
         )
     if kernel.smoothness == 0:
-        msg = (
+        warn_user(
             f"the {kernel.name} kernel is continuous, but its slope jumps at its cutoff: its gradient is exact almost "
             "everywhere, and the fields made of it jump where a grain comes into reach; take Lucy for smooth ones"
         )
-        warn_user(msg)
     elif not kernel.differentiable:
-        msg = (
+        warn_user(
             f"the {kernel.name} kernel jumps at its cutoff: its gradient leaves the jump out (8 % low for a Gaussian "
             "cut at 3 w); take Lucy, or gradient='least_squares'"
         )
-        warn_user(msg)

@@ -238,11 +238,11 @@ def _in_range(diameter: NDArray, low: float, high: float, once: Once) -> NDArray
     """Warn of diameters outside the range that was measured; NaN is in it."""
     small = 1e-9 * high
     if (diameter < low - small).any() or (diameter > high + small).any():
-        msg = (
+        once.warn(
+            "diameters",
             f"diameters from {np.nanmin(diameter):.6g} to {np.nanmax(diameter):.6g} are not in the range that was "
-            f"measured, {low:.6g} to {high:.6g}, and default widths follow from that; call ds = ds.cg.measure() first"
+            f"measured, {low:.6g} to {high:.6g}, and default widths follow from that; call ds = ds.cg.measure() first",
         )
-        once.warn("diameters", msg)
     return diameter
 
 

@@ -181,12 +181,11 @@ def nodes_along(
         count = max(1, count) if cells else count + 1
         first = 0.5 * (first + last) - 0.5 * (count - 1) * step
     if count > 1 and step > 2 * cutoff and not cells:
-        msg = (
+        warn_user(
             f"spacing {step:g} along {a!r} is larger than the support of the kernel (2 c = {2 * cutoff:g}): "
             "particles between nodes are not seen; choose a smaller spacing or a larger width, or "
             "sampling='cell' for averages over the spacing around each node"
         )
-        warn_user(msg)
     return first + step * np.arange(count), float(step)
 
 

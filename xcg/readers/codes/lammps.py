@@ -33,11 +33,10 @@ class Lammps(dump.Dumps):
         found = self.contact_columns(refs[0], options)
         columns.warn_of_ignored(refs[0], found, columns.CONTACT_SLOTS, options)
         if "normal_force_x" in found and "tangential_force_x" not in found:
-            msg = (
+            warn_user(
                 f"{source_of(refs[0])}: only normal forces ({found['normal_force_x']}, ...) were found, and they are "
                 "taken as the contact forces; map the others with names={'column': 'tangential_force_x', ...}"
             )
-            warn_user(msg)
         return refs
 
     def wall_step(self, ref: StepRef, options: ReadOptions) -> StepRef:

@@ -97,12 +97,11 @@ class Mfix(Engine):
         found = [targets(ref, "particle", options, PARTICLE_NAMES) for ref in refs]
         nameless = [ref for ref, target in zip(refs, found, strict=True) if "particle_id" not in target]
         if nameless:
-            msg = (
+            warn_user(
                 f"{nameless[0].path}: no array 'Particle_ID', so particles are numbered as they stand: rows "
                 "are other particles in every step, and contacts cannot be matched. Write Particle_ID in the "
                 "region, or map another array with names={'...': 'particle_id'}"
             )
-            warn_user(msg)
         return refs
 
     def index_contacts(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:

@@ -107,8 +107,7 @@ def _once(refs: Sequence[StepRef]) -> list[StepRef]:
         if (first.rows, first.size) != (ref.rows, ref.size):
             other.append(ref.path)
     if other:
-        msg = f"dropped, as an earlier file holds the same time (though not the same data): {', '.join(other)}"
-        warn_user(msg)
+        warn_user(f"dropped, as an earlier file holds the same time (though not the same data): {', '.join(other)}")
     return list(kept.values())
 
 

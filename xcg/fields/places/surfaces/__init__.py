@@ -1,1 +1,0 @@
-"""Walls as geometry: planes, cylinders and triangulated surfaces."""
