@@ -63,6 +63,40 @@ def test_wrong_arguments_raise_one_error(kind, name, lazy):
             assert above is None, f"{name}({parameter.name}={wrong!r}): {above!r}"
 
 
+# what functions of the package that take no scene need besides one wrong argument
+NEEDED = {
+    "scene_from_arrays": {"position": [[0.0, 0, 0], [1, 0, 0]], "diameter": [1.0, 1.0], "density": 1.0},
+    "scene_from_table": {"particles": {"x": [0.0], "y": [0.0], "z": [0.0], "radius": [0.5], "time": [0.0]}},
+    "open_scene": {"particles": "nowhere.*.dump"},
+    "find_pairs": {"position": [[0.0, 0, 0], [1, 0, 0]], "radius": [0.6, 0.6]},
+    "mesh_points": {"path": "nowhere.vtu"},
+    "register_field": {"name": "mine", "compute": lambda: None, "fields": "density"},
+    "Plane": {"point": (0, 0, 0), "normal": (0, 0, 1)},
+    "Cylinder": {"point": (0, 0, 0), "axis": (0, 0, 1), "radius": 1.0},
+    "Rotated": {"z": (0, 0, 1)},
+    "Cylindrical": {},
+    "Box": {"lower": (0, 0, 0), "upper": (1, 1, 1)},
+    "Sphere": {"centre": (0, 0, 0), "radius": 1.0},
+    "Lucy": {"width": 1.0},
+    "Gaussian": {"width": 1.0},
+    "Heaviside": {"width": 1.0},
+    "Mean": {"variable": "mass"},
+}
+
+
+@pytest.mark.parametrize("name", NEEDED)
+def test_wrong_arguments_of_other_functions_raise_one_error(name):
+    function, needed = getattr(xcg, name), NEEDED[name]
+    for parameter in inspect.signature(function).parameters:
+        if parameter in FREE:
+            continue
+        for wrong in WRONG:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                above = _internal_error(function, needed | {parameter: wrong})
+            assert above is None, f"{name}({parameter}={wrong!r}): {above!r}"
+
+
 def test_a_misspelt_field_of_a_lazy_scene_has_no_context():
     with pytest.raises(ValueError, match="did you mean 'velocity'") as caught:
         scene().chunk(time=1).cg.coarse_grain("velocty")

@@ -59,7 +59,7 @@ def _rings(scene: Description, request: Request, kernels: Sequence[Kernel]) -> R
         )
     setup, reach = scene.setup, max(k.cutoff for k in kernels)
     automatic = _automatic(scene, reach)
-    if {"x", "y"} <= set(automatic):
+    if {"x", "y"} <= set(automatic) and scene.radius is not None:
         automatic["r"] = 0.0, scene.radius + reach
     axes = ("rtz" if "z" in setup.plane else "rt") if request.axes is None and request.at is None else request.axes
     return make_rings(

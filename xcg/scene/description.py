@@ -57,8 +57,8 @@ class Description:
         Values of the integer variable that divides the particles into groups, where they are known.
     cylindrical : bool
         Whether axes x, y, z are those of a cylindrical frame.
-    radius : float
-        Distance of the outermost particle from the axis of that frame (m); NaN without one.
+    radius : float, optional
+        Distance of the outermost particle from the axis of that frame (m), where it is known.
     lag : int, optional
         Frames to the later one, in a scene of displacements.
     attrs, times : mapping
@@ -77,7 +77,7 @@ class Description:
     in_box: bool
     values: Mapping[str, tuple[int, ...]]
     cylindrical: bool
-    radius: float
+    radius: float | None
     lag: int | None
     attrs: Mapping[str, Any] = field(compare=False, repr=False)
     times: Mapping[str, xr.Variable] = field(compare=False, repr=False)
@@ -169,7 +169,7 @@ def describe(ds: xr.Dataset, by: str | None = None) -> Description:
         in_box="position" in ds and known_without_reading(ds, "position"),
         values={} if by is None else _values(ds, by),
         cylindrical=cylindrical,
-        radius=_largest_radius(ds) if cylindrical else float("nan"),
+        radius=_largest_radius(ds) if cylindrical else None,
         lag=ds.attrs.get("lag"),
         attrs=ds.attrs,
         times={name: ds.variables[name] for name in ("time", "step") if name in ds.coords},
@@ -282,13 +282,13 @@ def _box_lasts(ds: xr.Dataset) -> bool:
     return all(bool((part == part[:1]).all()) for part in parts)
 
 
-def _largest_radius(ds: xr.Dataset) -> float:
+def _largest_radius(ds: xr.Dataset) -> float | None:
     """Distance from the axis z of the outermost grain of the first and last step; of the corners of a lazy scene."""
     position = ds["position"]
     if isinstance(position.variable._data, np.ndarray):
         ends: NDArray = position.transpose("time", "particle", "component")[[0, -1]].to_numpy()
         return float(np.nanmax(np.hypot(ends[..., 0], ends[..., 1])))
     if "particle_lower" not in ds.attrs:
-        return float("nan")
+        return None
     far = np.maximum(np.abs(ds.attrs["particle_lower"]), np.abs(ds.attrs["particle_upper"]))
     return float(np.hypot(far[0], far[1]))

@@ -122,7 +122,7 @@ def _unit(name: Any, units: str | None, powers: Sequence[int] | None) -> str:
 
 
 def _refuse(name: Any, why: str) -> NoReturn:
-    raise ValueError(f"register_field({name!r}): {why}")
+    raise ValueError(f"register_field({name!r}): {why}") from None
 
 
 def _check(name: str, row: Field) -> None:
