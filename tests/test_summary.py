@@ -64,6 +64,12 @@ def test_labels_are_one_word_and_counts_agree_with_nouns():
     assert rows(f)["title"].startswith("result of 1 step on")
 
 
+def test_walls_with_names_are_listed():
+    """As the page on the silo says."""
+    assert rows(xcg.datasets.open("silo"))["walls"] == "side (-2), floor (-3)"
+    assert "walls" not in rows(xcg.datasets.open("chute"))
+
+
 def test_names_in_files_are_made_printable(tmp_path):
     codes = "c_\x1b[31m"
     dumps.write(tmp_path / "p.10.dump", dumps.dump_text(columns=dumps.ATOMS.replace(" vx ", f" {codes} ")

@@ -12,6 +12,7 @@ import xarray as xr
 from xcg.common.messages import printable
 from xcg.scene.description import describe
 from xcg.scene.schema import BOX, COMPONENTS, VARIABLES, units_in, variable
+from xcg.scene.walls import walls_of
 
 _WIDTH = 11  # of labels
 
@@ -60,6 +61,7 @@ def summary_of_scene(ds: xr.Dataset) -> Summary:
             *rows_of_origin(ds),
             *((f"{dim}s", ", ".join(own[dim]) or "none") for dim in _ROWS),
             ("missing", ", ".join(missing) or "nothing"),
+            ("walls", ", ".join(f"{name} ({number})" for name, number in walls_of(ds).items())),
             ("sides", _SIDES.get(str(ds.attrs.get("sides")), "")),
             ("sizes", sizes or "not measured"),
             ("box", _box(ds)),
