@@ -460,12 +460,12 @@ def test_sub_selection_of_particles_keeps_their_side():
 
 
 def test_labels_and_provenance(tmp_path):
-    f = xcg.datasets.random_scene(20).cg.coarse_grain(width=0.8, axes="xz", at={"y": 1.0}, by="species")
+    f = xcg.datasets.random_scene(20).cg.coarse_grain(width=1.5, axes="xz", at={"y": 1.0}, by="species")
     assert f.stress.dims == ("time", "x", "z", "phase", "component", "direction")
     assert f.stress.attrs["units"] == "Pa"
     assert f.velocity_gradient.attrs["units"] == "s^-1"
     assert float(f.y) == 1.0
-    assert "coarse_grain(width=0.8" in f.attrs["history"]
+    assert "coarse_grain(width=1.5" in f.attrs["history"]
     f.to_netcdf(tmp_path / "f.nc")
     with xr.open_dataset(tmp_path / "f.nc") as again:
         xr.testing.assert_equal(again, f)

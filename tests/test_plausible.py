@@ -125,9 +125,9 @@ def test_all_is_well_in_the_samples():
 
 def test_a_width_far_below_the_grains(ds):
     with pytest.warns(xcg.SceneWarning) as said:
-        ds.cg.coarse_grain("volume_fraction", width="0.05 d43", axes="z")
+        ds.cg.coarse_grain("density", width="0.05 d43", axes="z")
     assert "0.05 of the diameter of the grains" in only(said)
-    ds.cg.coarse_grain("volume_fraction", width="0.125 d43", axes="z")  # as in studies of what width does
+    ds.cg.coarse_grain("density", width="0.125 d43", axes="z")  # as in studies of what width does
 
 
 def test_a_cut_outside_a_periodic_box(ds):
