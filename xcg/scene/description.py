@@ -202,7 +202,8 @@ def _way_to(missing: Set[str]) -> str:
         ways.append("density= to xcg.open_scene or xcg.scene_from_arrays")
     if others := sorted(missing & {"position", "particle_id", "velocity", "diameter", "angular_velocity"}):
         ways.append(f"{', '.join(f'{name}=' for name in others)} to xcg.scene_from_arrays, or files that hold them")
-    found = "; where files have no contacts, ds.cg.find_contacts() finds them" if "contact_i" in missing else ""
+    stiffness = "k_n=..." if "contact_force" in missing else ""
+    found = f"; where files have none, call ds.cg.find_contacts({stiffness}) first" if "contact_i" in missing else ""
     return f"give {', and '.join(ways) or 'them to xcg.open_scene or xcg.scene_from_arrays'}{found}"
 
 
