@@ -430,7 +430,7 @@ def test_selected_steps_open_again_once_saved(tmp_path, suffix, step):
         again = xcg.open_scene(path, chunks=chunks)
         found = again.cg.coarse_grain(["density", "stress"], axes="z", width=1.0).compute()
         xr.testing.assert_equal(found, expected)
-        assert f"scene of {ds.time.size} steps" in repr(again.cg)
+        assert f"scene of {ds.time.size} step" in repr(again.cg)
 
 
 def test_commands_take_a_step_that_was_saved_alone(tmp_path):

@@ -57,6 +57,9 @@ ALGORITHMS = ("branching", "peters2005")
 # missing='skip', overwrite=True, contacts=; but not alpha=100.0 or on_error='x': expected, which quote what was given
 _ARGUMENT = re.compile(r"\b(\w+)=(?:'(\w+)'(?!:)|True\b|(?=[\s?:;,.)]|$))")
 
+# what messages say of calls in Python
+_FOR_PYTHON = re.compile(r" to xcg\.open_scene( or xcg\.scene_from_arrays| \([^)]*\), or call ds\.cg\S+ first)")
+
 
 @contextmanager
 def plain_messages(quiet: bool) -> Iterator[None]:
@@ -91,8 +94,7 @@ def _as_options(message: str, options: Mapping[str, str]) -> str:
         name, value = found.groups()
         return " ".join(filter(None, (options[name], value))) if name in options else found[0]
 
-    plain = message.replace(" to xcg.open_scene or xcg.scene_from_arrays", "")
-    return _ARGUMENT.sub(called, plain)
+    return _ARGUMENT.sub(called, _FOR_PYTHON.sub("", message))
 
 
 _OPTIONS = (

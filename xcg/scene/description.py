@@ -197,14 +197,16 @@ def _way_to(missing: Set[str]) -> str:
         return "ds.cg.find_contacts(k_n=...) estimates forces, and contacts= of xcg.open_scene reads them"
     ways = []
     if any(name.startswith("contact_") for name in missing):
-        ways.append("contacts= to xcg.open_scene (contact_i=, contact_j=, contact_force= to xcg.scene_from_arrays)")
+        stiffness = "k_n=..." if "contact_force" in missing else ""
+        ways.append(
+            "contacts= to xcg.open_scene (contact_i=, contact_j=, contact_force= to xcg.scene_from_arrays), or call "
+            f"ds.cg.find_contacts({stiffness}) first"
+        )
     if missing & {"mass", "density", "moment_of_inertia"}:
         ways.append("density= to xcg.open_scene or xcg.scene_from_arrays")
     if others := sorted(missing & {"position", "particle_id", "velocity", "diameter", "angular_velocity"}):
         ways.append(f"{', '.join(f'{name}=' for name in others)} to xcg.scene_from_arrays, or files that hold them")
-    stiffness = "k_n=..." if "contact_force" in missing else ""
-    found = f"; where files have none, call ds.cg.find_contacts({stiffness}) first" if "contact_i" in missing else ""
-    return f"give {', and '.join(ways) or 'them to xcg.open_scene or xcg.scene_from_arrays'}{found}"
+    return f"give {', and '.join(ways) or 'them to xcg.open_scene or xcg.scene_from_arrays'}"
 
 
 def _column(given: xr.Variable) -> Column:
