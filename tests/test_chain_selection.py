@@ -7,7 +7,7 @@ import xarray as xr
 import xcg
 from tests.networks import chains_of, nine_particles
 
-EVERYWHERE = xcg.Box((-np.inf,) * 3, (np.inf,) * 3)
+EVERYWHERE = xcg.BoxRegion((-np.inf,) * 3, (np.inf,) * 3)
 
 
 def three_chains():
@@ -19,10 +19,10 @@ def three_chains():
 
 def test_regions_any_and_all():
     fc = three_chains()
-    corner = xcg.Box((-0.5, -0.5, -1), (1.5, 1.5, 1))
+    corner = xcg.BoxRegion((-0.5, -0.5, -1), (1.5, 1.5, 1))
     assert chains_of(fc.cg.select_chains(corner)) == {frozenset([0, 1, 2]), frozenset([3, 4, 5])}
     assert chains_of(fc.cg.select_chains(corner, of="all")) == set()
-    left = xcg.Box((-0.5, -0.5, -1), (0.5, 2.5, 1))
+    left = xcg.BoxRegion((-0.5, -0.5, -1), (0.5, 2.5, 1))
     assert chains_of(fc.cg.select_chains(left, of="all")) == {frozenset([0, 1, 2])}
     assert chains_of(fc.cg.select_chains(~left, of="all")) == {frozenset([3, 4, 5]), frozenset([6, 7, 8])}
     assert chains_of(fc.cg.select_chains(left | xcg.Sphere((2, 0, 0), 0.1))) == {
@@ -36,7 +36,7 @@ def test_stress_and_composition():
     strong = 2 * float(fc.major_stress[0, 1])
     assert chains_of(fc.cg.select_chains(min_stress=strong)) == {frozenset([3, 4, 5])}
     assert chains_of(fc.cg.select_chains(min_stress=strong, of="all")) == set()
-    right = xcg.Box((1.5, -1, -1), (3, 3, 1))
+    right = xcg.BoxRegion((1.5, -1, -1), (3, 3, 1))
     assert chains_of(fc.cg.select_chains(min_stress=strong).cg.select_chains(right)) == set()
     # in one call, one particle must fulfil both
     assert chains_of(fc.cg.select_chains(xcg.Sphere((1, 0, 0), 0.1), min_stress=strong)) == set()
@@ -68,17 +68,17 @@ def test_what_is_left_is_consistent():
 
 def test_search_in_a_region():
     ds = nine_particles(across=0.0)
-    assert chains_of(ds.cg.force_chains(region=xcg.Box((0.5, -1, -1), (3, 3, 1)))) == {
+    assert chains_of(ds.cg.force_chains(region=xcg.BoxRegion((0.5, -1, -1), (3, 3, 1)))) == {
         frozenset([3, 4, 5]),
         frozenset([6, 7, 8]),
     }
-    assert chains_of(ds.cg.force_chains(region=xcg.Box((-1, -1, -1), (3, 1.5, 1)))) == set()
+    assert chains_of(ds.cg.force_chains(region=xcg.BoxRegion((-1, -1, -1), (3, 1.5, 1)))) == set()
 
 
 def test_moving_region_follows_time():
     steps = nine_particles(across=0.0).isel(time=[0, 0, 0]).assign_coords(time=[0.0, 1.0, 2.0])
     fc = steps.cg.force_chains()
-    moving = fc.cg.select_chains(xcg.Box((-0.5, -1, -1), (0.5, 3, 1), velocity=(1, 0, 0)))
+    moving = fc.cg.select_chains(xcg.BoxRegion((-0.5, -1, -1), (0.5, 3, 1), velocity=(1, 0, 0)))
     assert [chains_of(moving, t) for t in range(3)] == [{frozenset(range(3 * t, 3 * t + 3))} for t in range(3)]
 
 
@@ -95,7 +95,7 @@ def test_wrong_arguments():
     [
         (lambda fc: fc.cg.select_chains(min_stress="high"), "min_stress='high': expected a finite stress"),
         (lambda fc: fc.cg.select_chains(min_stress=np.nan), "min_stress=nan: expected a finite stress"),
-        (lambda fc: fc.cg.select_chains((0, 1)), r"region=\(0, 1\): expected xcg.Box"),
+        (lambda fc: fc.cg.select_chains((0, 1)), r"region=\(0, 1\): expected xcg.BoxRegion"),
         (lambda fc: fc.cg.track_chains(overlap="half"), "overlap='half': expected a share"),
         (lambda fc: fc.isel(time=[]).cg.chain_table(), "chain_table needs one step or more"),
         (lambda fc: fc.isel(time=[]).cg.link_table(), "link_table needs one step or more"),

@@ -317,7 +317,7 @@ def series():
 @pytest.mark.parametrize("scheduler", ["synchronous", "threads", "processes"])
 def test_lazy_equals_eager_under_every_scheduler(scheduler, computing):
     ds = series()
-    region = xcg.Box((0, 0, 0), (4, 4, 4), velocity=(1, 0, 0)) | xcg.Sphere((1, 1, 1), 2, follow=None)
+    region = xcg.BoxRegion((0, 0, 0), (4, 4, 4), velocity=(1, 0, 0)) | xcg.Sphere((1, 1, 1), 2, follow=None)
     options = {"alpha": 60, "threshold": "mean", "region": region}
     eager = ds.cg.force_chains(**options).drop_attrs()
     for chunk in (1, 3):
@@ -374,7 +374,7 @@ def test_netcdf(tmp_path):
         ({"threshold": np.nan}, "expected a finite stress"),
         ({"min_length": 1}, "min_length=1: expected a whole number"),
         ({"algorithm": "peters"}, r"algorithm='peters': expected one of \('branching', 'peters2005'\)"),
-        ({"region": "box"}, r"region='box': expected xcg.Box"),
+        ({"region": "box"}, r"region='box': expected xcg.BoxRegion"),
         ({"volume": "area"}, "volume='area': expected 'particle'"),
     ],
 )

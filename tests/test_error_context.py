@@ -75,7 +75,7 @@ NEEDED = {
     "Cylinder": {"point": (0, 0, 0), "axis": (0, 0, 1), "radius": 1.0},
     "Rotated": {"z": (0, 0, 1)},
     "Cylindrical": {},
-    "Box": {"lower": (0, 0, 0), "upper": (1, 1, 1)},
+    "BoxRegion": {"lower": (0, 0, 0), "upper": (1, 1, 1)},
     "Sphere": {"centre": (0, 0, 0), "radius": 1.0},
     "Lucy": {"width": 1.0},
     "Gaussian": {"width": 1.0},

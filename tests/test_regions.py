@@ -3,7 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from xcg import Box, Sphere
+import xcg
+from xcg import BoxRegion, Sphere
 from xcg.scene.lattice import Lattice
 
 OPEN = np.full(3, np.inf)
@@ -18,11 +19,11 @@ def inside(region, time=0.0, period=OPEN):
 
 
 def test_box():
-    assert inside(Box((0, 0, 0), (1.5, 1, 1))) == [2, 5]  # faces belong to it
-    assert inside(Box((1, -np.inf, -np.inf), (np.inf, np.inf, np.inf))) == [5, 7, 11]
-    assert inside(Box((1, 0, 0), (2, 1, 1), velocity=(2, 0, 0)), time=1.0) == [7]
-    assert inside(Box((-2, -1, -1), (2, 1, 1), follow=5)) == [2, 5]
-    assert inside(Box((-2, -1, -1), (2, 1, 1), follow=3)) == []
+    assert inside(BoxRegion((0, 0, 0), (1.5, 1, 1))) == [2, 5]  # faces belong to it
+    assert inside(BoxRegion((1, -np.inf, -np.inf), (np.inf, np.inf, np.inf))) == [5, 7, 11]
+    assert inside(BoxRegion((1, 0, 0), (2, 1, 1), velocity=(2, 0, 0)), time=1.0) == [7]
+    assert inside(BoxRegion((-2, -1, -1), (2, 1, 1), follow=5)) == [2, 5]
+    assert inside(BoxRegion((-2, -1, -1), (2, 1, 1), follow=3)) == []
 
 
 def test_sphere():
@@ -34,12 +35,12 @@ def test_sphere():
 def test_periodic_images_count():
     period = np.array([4.0, np.inf, np.inf])
     assert inside(Sphere((0, 0.5, 0.5), 0.5), period=period) == [2, 7]
-    assert inside(Box((-0.2, 0, 0), (0.2, 1, 1)), period=period) == [7]
-    assert inside(Box((0, 0, 0), (1, 1, 1), velocity=(4, 0, 0)), time=3.0, period=period) == [2]
+    assert inside(BoxRegion((-0.2, 0, 0), (0.2, 1, 1)), period=period) == [7]
+    assert inside(BoxRegion((0, 0, 0), (1, 1, 1), velocity=(4, 0, 0)), time=3.0, period=period) == [2]
 
 
 def test_combinations():
-    left, low = Box((0, 0, 0), (2, 4, 4)), Box((0, 0, 0), (4, 1, 1))
+    left, low = BoxRegion((0, 0, 0), (2, 4, 4)), BoxRegion((0, 0, 0), (4, 1, 1))
     assert inside(left & low) == [2, 5]
     assert inside(left | low) == [2, 5, 7, 11]
     assert inside(left & ~low) == [11]
@@ -48,8 +49,8 @@ def test_combinations():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Box((0, 0), (1, 1, 1)), r"lower=\(0, 0\): expected three numbers"),
-        (lambda: Box((0, 0, 2), (1, 1, 1)), "expected every lower edge below the upper"),
+        (lambda: BoxRegion((0, 0), (1, 1, 1)), r"lower=\(0, 0\): expected three numbers"),
+        (lambda: BoxRegion((0, 0, 2), (1, 1, 1)), "expected every lower edge below the upper"),
         (lambda: Sphere((0, 0, 0), 0), "radius=0: expected a positive length"),
         (lambda: Sphere((0, 0, np.nan), 1), "centre=.*expected three finite numbers"),
         (lambda: Sphere((0, 0, 0), 1, velocity=(1, 0, 0), follow=3), "expected one of the two"),
@@ -58,3 +59,7 @@ def test_combinations():
 def test_wrong_regions(make, message):
     with pytest.raises(ValueError, match=message):
         make()
+
+
+def test_the_old_name_stays_for_a_release():
+    assert xcg.Box is xcg.BoxRegion

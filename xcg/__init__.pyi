@@ -6,7 +6,7 @@ from .chains.particle_stress import particle_stress
 from .chains.plots import plot_chains, plot_lengths, plot_rose
 from .chains.results import chain_table, link_table
 from .chains.search import force_chains
-from .chains.selection import Box, Region, Sphere, select_chains
+from .chains.selection import Box, BoxRegion, Region, Sphere, select_chains
 from .chains.tracks import track_chains
 from .common.messages import SceneError, SceneWarning
 from .fields.coarse_grain import coarse_grain
@@ -48,6 +48,7 @@ __version__: str
 __all__ = [
     "FIELDS",
     "Box",
+    "BoxRegion",
     "CoarseGrainAccessor",
     "Cylinder",
     "Cylindrical",

@@ -123,7 +123,7 @@ def force_chains(
         Go on from a particle only where the branch points along its direction, turned onward (both ways from the
         seed). Chains then depend on the order of the ids. By default both ways count, and they do not.
     region : Region, optional
-        Particles whose centre is elsewhere take no part: `xcg.Box`, `xcg.Sphere`, at rest, moving or following a
+        Particles whose centre is elsewhere take no part: `xcg.BoxRegion`, `xcg.Sphere`, at rest, moving or following a
         particle, combined with ``&``, ``|`` and ``~``.
     symmetric, volume
         How the stress of a particle is made, see `xcg.particle_stress`. Force Chain Finder takes ``symmetric=False``.
@@ -209,7 +209,7 @@ def _rule(
         raise ValueError(f"algorithm={algorithm!r}: expected one of {get_args(Algorithm)}")
     if region is not None and not isinstance(region, Region):
         raise ValueError(
-            f"region={region!r}: expected xcg.Box(lower, upper), xcg.Sphere(centre, radius), or a combination"
+            f"region={region!r}: expected xcg.BoxRegion(lower, upper), xcg.Sphere(centre, radius), or a combination"
         )
     stress = StressRule.of(ds, "force_chains", symmetric=symmetric, volume=volume)
     require_scene(ds, ("diameter",), "force_chains")

@@ -97,7 +97,7 @@ def _check_motion(velocity: Sequence[float], follow: int | None) -> tuple[float,
 
 
 @dataclass(frozen=True)
-class Box(Region):
+class BoxRegion(Region):
     """A box with edges along x, y, z; its faces belong to it.
 
     Attributes
@@ -144,6 +144,9 @@ class Box(Region):
             return np.bincount(inside, minlength=len(away)) > 0
         away = np.where(bounded, lattice.shortest(away), away)
         return np.asarray(((away >= lower - middle) & (away <= upper - middle)).all(axis=1))
+
+
+Box = BoxRegion  # its former name, kept for a release
 
 
 @dataclass(frozen=True)
@@ -217,7 +220,7 @@ def select_chains(
     fc : xarray.Dataset
         A result of `force_chains`.
     region : Region, optional
-        Where particles must be: `xcg.Box`, `xcg.Sphere`, or a combination.
+        Where particles must be: `xcg.BoxRegion`, `xcg.Sphere`, or a combination.
     min_stress : float, optional
         Least major stress (Pa).
     of : str
@@ -240,10 +243,10 @@ def select_chains(
     if of not in OF:
         raise ValueError(f"of={of!r}: expected 'any' or 'all' of a chain's particles")
     if region is None and min_stress is None:
-        raise ValueError("nothing to select by: give region= (xcg.Box, xcg.Sphere), min_stress= (Pa), or both")
+        raise ValueError("nothing to select by: give region= (xcg.BoxRegion, xcg.Sphere), min_stress= (Pa), or both")
     if region is not None and not isinstance(region, Region):
         raise ValueError(
-            f"region={region!r}: expected xcg.Box(lower, upper), xcg.Sphere(centre, radius), or a combination"
+            f"region={region!r}: expected xcg.BoxRegion(lower, upper), xcg.Sphere(centre, radius), or a combination"
         )
     if min_stress is not None and not is_finite(min_stress):
         raise ValueError(f"min_stress={min_stress!r}: expected a finite stress (Pa), or None")
