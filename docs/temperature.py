@@ -154,7 +154,7 @@ def table_of_shear() -> str:
 
 
 def main() -> None:
-    warnings.filterwarnings("ignore", ".*have a temperature", xcg.SceneWarning)
+    warnings.filterwarnings("ignore", ".*too few particles per node", xcg.SceneWarning)
     page = HEAD + table_of_independent() + GAS + table_of_gases() + SHEAR + table_of_shear() + TAIL
     (HERE / "temperature.md").write_text(page)
 

@@ -179,7 +179,7 @@ def test_one_warning_where_most_nodes_know_too_little(lazy):
         f.compute()
     (warning,) = found
     assert issubclass(warning.category, xcg.SceneWarning)
-    assert "have a temperature" in str(warning.message)
+    assert "too few particles per node" in str(warning.message)
     assert warning.filename == __file__
     with warnings.catch_warnings():
         warnings.simplefilter("error")

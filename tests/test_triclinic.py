@@ -13,7 +13,7 @@ from xcg import SceneError, SceneWarning
 
 DATA = Path(__file__).parents[1] / "examples" / "data" / "lammps_triclinic"
 RATE = 0.5
-pytestmark = pytest.mark.filterwarnings("ignore:.*of .* nodes that grains reach:xcg.SceneWarning")
+pytestmark = pytest.mark.filterwarnings("ignore:.*too few particles per node:xcg.SceneWarning")
 
 
 @pytest.fixture(scope="module")

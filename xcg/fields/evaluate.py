@@ -35,14 +35,14 @@ def evaluate_plan(ds: xr.Dataset, plan: Plan, on_error: OnError) -> dict[str, An
     return map_over_time(ds, names, partial(compute_chunk, plan, threads), results, "coarse-grain", on_error)
 
 
-# what fluctuations tell, in words
-_TEMPERATURES = {
-    "granular_temperature": "temperature",
-    "directional_temperature": "temperature",
-    "d2min": "d2min",
-    "nonaffine_covariance": "covariance",
-    "self_diffusion": "self-diffusion",
-}
+# means of squared fluctuations
+_TEMPERATURES = (
+    "granular_temperature",
+    "directional_temperature",
+    "d2min",
+    "nonaffine_covariance",
+    "self_diffusion",
+)
 _PAGE = 4096 // 8  # numbers in a page of memory
 
 
@@ -138,7 +138,6 @@ def _warn_of_unknown(rows: Mapping[str, NDArray], reached: int, width: float, so
         if 2 * known < reached:
             warn_once(
                 "temperature",
-                f"{source}: of {reached} nodes that grains reach {known} have a {_TEMPERATURES[name]}; the others see "
-                f"too few grains for a mean and its gradient to leave fluctuations over. Take a larger width (it is "
-                f"{width:.3g}), average along an axis (axes=), or mask by sample_count",
+                f"{source}: {name} is NaN at {reached - known} of {reached} nodes: too few particles per node. Increase "
+                f"width= (it is {width:.3g}), average along an axis (axes=), or mask by sample_count",
             )
