@@ -138,6 +138,6 @@ def _warn_of_unknown(rows: Mapping[str, NDArray], reached: int, width: float, so
         if 2 * known < reached:
             warn_once(
                 "temperature",
-                f"{source}: {name} is NaN at {reached - known} of {reached} nodes: too few particles per node. Increase "
-                f"width= (it is {width:.3g}), average along an axis (axes=), or mask by sample_count",
+                f"{source}: {name} is NaN at {reached - known} of {reached} nodes: too few particles per node. "
+                f"Increase width= (it is {width:.3g}), average along an axis (axes=), or mask by sample_count",
             )
