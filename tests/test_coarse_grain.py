@@ -555,7 +555,7 @@ def test_bad_requests(options, message):
 
 def test_spacing_larger_than_the_support_warns():
     with pytest.warns(xcg.SceneWarning, match="larger than the support"):
-        xcg.datasets.random_scene(20).cg.coarse_grain("density", width=0.2, spacing=1.0)
+        xcg.datasets.random_scene(20).cg.coarse_grain("density", width=0.22, spacing=1.0)
 
 
 def test_average_without_a_box_needs_an_extent():

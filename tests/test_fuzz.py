@@ -107,7 +107,7 @@ def test_slices_wider_than_64_bits(tmp_path):
         (b'name = "fields"', b'name = ""', "without its folder"),
         (b'name = "fields"', b"name = 1979-05-27", "expected str"),
         (b'axes = "z"', b"axes = 1", "axes=1: expected any of"),
-        (b'axes = "z"', b'colour = "red"', "has ['colour']"),
+        (b'axes = "z"', b'colour = "red"', "unknown option 'colour'"),
         (b"mapping = { 1 = 0, 2 = 1 }", b"mapping = { 1 = inf }", "numbers of types"),
         (b'particles = "p.*.dump"', b"particles = [[1]]", "expected a path"),
         (b"[scene]", b"scene = 1\n[other]", "expected the tables"),

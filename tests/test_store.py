@@ -198,9 +198,8 @@ import os, sys
 from pathlib import Path
 import xcg
 from xcg.writers import files
-from xcg.writers import files as folders
 when, target = sys.argv[1:]
-real, count = Path.rename, [0]
+real, remove_for_good, count = Path.rename, files.remove, [0]
 
 def rename(self, other):
     if when == "before" or (when == "between" and count[0] == 1):
@@ -211,9 +210,9 @@ def rename(self, other):
 def remove(path):
     if Path(target).exists() and count[0] == 2:
         os._exit(9)
-    files.remove(path)
+    remove_for_good(path)
 
-Path.rename, folders.remove = rename, remove
+Path.rename, files.remove = rename, remove
 xcg.save(xcg.datasets.simple_cubic(3), target, overwrite=True)
 """
 

@@ -67,8 +67,8 @@ def is_own(error: Exception) -> bool:
 
 # modules that check arguments
 _CHECKS = (
-    "numbers", "grid", "plan", "coarse_grain", "smoothing", "find_contacts", "pairs", "slice_temperature", "phases",
-    "job", "pysammos_ini", "pysammos", "registry", "build", "query", "complete",
+    "checks", "grid", "layout", "choices", "plan", "mesh_size", "coarse_grain", "kernels", "find_contacts", "pairs",
+    "slice_temperature", "phases", "job", "pysammos_ini", "pysammos", "registry", "build", "description", "complete",
 )  # fmt: skip
 
 
