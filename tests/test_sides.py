@@ -32,7 +32,7 @@ def rebuild(scene, contacts, **options):
     )  # fmt: skip
 
 
-def from_both_sides(contacts, eps, rng, *, shift=None):
+def from_both_sides(contacts, eps, rng):
     """List each contact again from the other side, its force off by up to a share `eps` in a direction of its own."""
     force = contacts["contact_force"]
     push = rng.normal(size=force.shape)
@@ -41,7 +41,7 @@ def from_both_sides(contacts, eps, rng, *, shift=None):
         "contact_i": contacts["contact_j"],
         "contact_j": contacts["contact_i"],
         "contact_force": -force + eps * push,
-        "contact_point": contacts["contact_point"] + (0.0 if shift is None else shift),
+        "contact_point": contacts["contact_point"],
     }
     order = rng.permutation(2 * len(force))
     return {name: np.concatenate([contacts[name], other[name]])[order] for name in NAMES}, 0.5 * (
@@ -160,6 +160,53 @@ def test_two_contacts_of_a_pair_listed_from_both_sides_stay_two():
     assert ds.sizes["contact"] == 2
     np.testing.assert_allclose(sorted(ds.contact_force.values[0, :, 0]), [-10.2 * 1.025, -10.0 * 1.025], rtol=1e-12)
     assert len(np.unique(ds.contact_point.values[0, :, 1])) == 2
+
+
+@pytest.mark.parametrize("order", [[0, 1, 2, 3], [3, 1, 2, 0]])
+def test_two_contacts_whose_sides_alternate_by_the_size_of_the_force(order):
+    """9.5 from i and 11 from j at one place, 10.5 from i and 10 from j at another."""
+    given = {
+        "contact_i": np.array([0, 1, 0, 1]), "contact_j": np.array([1, 0, 1, 0]),
+        "contact_force": np.array([[-9.5, 0, 0], [10.0, 0, 0], [-10.5, 0, 0], [11.0, 0, 0]]),
+        "contact_point": np.array([[0.5, 0.3, 0], [0.5, -0.3, 0], [0.5, -0.3, 0], [0.5, 0.3, 0]]),
+    }  # fmt: skip
+    given = {name: values[order] for name, values in given.items()}
+    with pytest.warns(SceneWarning, match="2 contacts are listed from both sides"):
+        ds = xcg.scene_from_arrays([[0.0, 0, 0], [1, 0, 0]], diameter=[1.0, 1.0], density=1.0, **given)
+    assert ds.sizes["contact"] == 2
+    np.testing.assert_allclose(np.abs(ds.contact_force.values[0, :, 0]), 10.25, rtol=1e-14)
+
+
+def test_the_mean_of_points_on_both_sides_of_a_periodic_edge():
+    given = {
+        "contact_i": [0, 1], "contact_j": [1, 0], "contact_force": [[10.0, 0, 0], [-12.0, 0, 0]],
+        "contact_point": [[0.02, 1, 1], [3.98, 1, 1]],
+    }  # fmt: skip
+    with pytest.warns(SceneWarning, match="1 contacts? "):
+        ds = xcg.scene_from_arrays(
+            [[0.5, 1, 1], [3.6, 1, 1]], diameter=[1.0, 1.0], density=1.0, box=[[0, 4.0]] * 3, periodic="xyz", **given
+        )
+    assert ds.sizes["contact"] == 1
+    assert abs((float(ds.contact_point[0, 0, 0]) + 2) % 4 - 2) < 1e-12
+    np.testing.assert_allclose(ds.contact_force.values[0, 0], [11.0, 0, 0])
+
+
+def test_a_quarter_of_the_larger_force_is_the_limit_and_saved_scenes_keep_the_choice(tmp_path, scene):
+    """Forces longer by a share eps differ by eps / (1 + eps) of the larger: 0.23 at 0.3, 0.29 at 0.4."""
+    contacts = listed(scene)
+    for eps, count in ((0.3, 1), (0.4, 2)):
+        other = {
+            "contact_i": contacts["contact_j"], "contact_j": contacts["contact_i"],
+            "contact_force": -(1 + eps) * contacts["contact_force"], "contact_point": contacts["contact_point"],
+        }  # fmt: skip
+        both = {name: np.concatenate([contacts[name], other[name]]) for name in NAMES}
+        with pytest.warns(SceneWarning, match="listed from both sides"):
+            ds = rebuild(scene, both)
+        assert (ds.contact_i.values >= 0).sum() == count * len(contacts["contact_i"])
+    ds = rebuild(scene, both, sides="separate")
+    again = xcg.open_scene(xcg.save(ds, tmp_path / "scene.nc"))
+    assert again.attrs["sides"] == "separate"
+    assert "are two" in str(again.cg)
 
 
 def test_what_is_not_known_is_refused():

@@ -96,7 +96,7 @@ def test_contacts_as_lines(tmp_path, mode):
         write_lines(tmp_path / f"c_{step}.vtp", [x[[0, 1]], x[[1, 0]]][:rows], mode, first=[1, 2][:rows],
                     second=[2, 1][:rows], F=force[:rows], own=[5, 6][:rows])  # fmt: skip
     ds = xcg.open_scene(str(tmp_path / "p_*.vtp"), contacts=str(tmp_path / "c_*.vtp"), engine="vtk",
-                        names=NAMES | {"own": "contact_own"}, times=[1, 2]).load()  # fmt: skip
+                        names=NAMES | {"own": "contact_own"}, times=[1, 2], sides="separate").load()  # fmt: skip
     np.testing.assert_array_equal(ds.contact_i, [[1, 2], [-1, -1]])
     np.testing.assert_array_equal(ds.contact_own[0], [5, 6])
     np.testing.assert_array_equal(ds.contact_force[0], force)

@@ -171,7 +171,10 @@ def _mirrored(
     least = _SMALL_FORCE * size.mean() if size.size else 0.0
     free, found, apart, beside = np.ones(len(rows), bool), [], [], []
     for distance in range(1, min(len(rows), _MOST_CONTACTS_A_PAIR)):
-        one = np.flatnonzero((pair[distance:] == pair[:-distance]) & (turned[distance:] != turned[:-distance]))
+        of_pair = pair[distance:] == pair[:-distance]
+        if not of_pair.any():
+            break
+        one = np.flatnonzero(of_pair & (turned[distance:] != turned[:-distance]))
         for step in (0, 1):  # rows that follow each other share one: every other of them at a time
             some = one[(one // distance) % 2 == step]
             some = some[free[some] & free[some + distance]]
@@ -185,8 +188,6 @@ def _mirrored(
             free[some[same]] = free[other[same]] = False
             found.append(np.sort([rows[some[same]], rows[other[same]]], axis=0))
             apart.append(np.divide(mismatch[same], larger[same], out=np.zeros(same.sum()), where=larger[same] > 0))
-        if not one.size:
-            break
     first, second = np.concatenate(found, axis=1) if found else np.empty((2, 0), int)
     unlike = np.concatenate(beside) if beside else np.empty((0, 2), int)
     unlike = rows[unlike[free[unlike].all(axis=1)]]
