@@ -8,6 +8,7 @@ import pytest
 import xcg
 from xcg.accessor import CoarseGrainAccessor, Method
 
+plt = pytest.importorskip("matplotlib.pyplot")
 WRONG = ["nonsense", -3.5, {"nonsense": 1}, ["nonsense"]]
 FREE = {"args", "kwargs", "options", "ax", "title", "mapping", "scheme"}
 
@@ -61,6 +62,37 @@ def test_wrong_arguments_raise_one_error(kind, name, lazy):
                 warnings.simplefilter("ignore")
                 above = _internal_error(method, {parameter.name: wrong})
             assert above is None, f"{name}({parameter.name}={wrong!r}): {above!r}"
+
+
+# what draws or writes, and what it needs besides one wrong argument
+SHOWN = {
+    "plot": {"name": "density"},
+    "movie": {"name": "density", "path": "f.gif"},
+    "plot_chains": {}, "plot_lengths": {}, "plot_rose": {}, "plot_phases": {},
+    "save": {"path": "f.nc"},
+    "to_vtkhdf": {"path": "f.vtkhdf"},
+    "to_vtu": {"path": "f.vtu", "mesh": "none.vtu"},
+    "to_csv": {"path": "f.csv"},
+    "to_vtp": {"path": "f.vtp"},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SHOWN)
+def test_wrong_arguments_of_what_draws_or_writes_raise_one_error(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    method = vars(CoarseGrainAccessor)[name]
+    for kind in method.kinds:
+        ds = KINDS[kind]()
+        bound = getattr(ds.cg, name)
+        parameters = inspect.signature(bound).parameters
+        needed = {key: value for key, value in SHOWN[name].items() if key in parameters}
+        for parameter in set(parameters) - {"progress", "fps"}:
+            for wrong in WRONG:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore")
+                    above = _internal_error(bound, needed | {parameter: wrong})
+                    plt.close("all")
+                assert above is None, f"{name}({parameter}={wrong!r}): {above!r}"
 
 
 # what functions of the package that take no scene need besides one wrong argument

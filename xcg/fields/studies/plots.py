@@ -12,9 +12,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.checks import extra
+from xcg.common.checks import extra, is_positive
 from xcg.common.drawing import add_colour_bar, label_of, new_axes, set_label, unit_text
-from xcg.common.messages import did_you_mean
+from xcg.common.messages import did_you_mean, unknown
 from xcg.fields.formulas.registry import FIELDS
 from xcg.scene.schema import COMPONENTS
 from xcg.scene.times import step_at, with_time
@@ -183,6 +183,12 @@ def movie(
     if path.suffix not in (".gif", ".mp4"):
         raise ValueError(f"{path}: expected a name that ends with .gif or .mp4")
     _check_shading(shading)
+    for what, number in (("fps", fps), ("dpi", dpi)):
+        if not is_positive(number):
+            raise ValueError(f"{what}={number!r}: expected a positive number")
+    maps = extra("matplotlib", "plot", "a movie").colormaps
+    if cmap is not None and not (isinstance(cmap, str) and cmap in maps):
+        raise ValueError(unknown("colour map", cmap, maps, "others are listed by matplotlib.colormaps"))
     f = with_time(f)
     if "time" not in f.dims:
         raise ValueError("movie needs a result with the dimension 'time'; draw a single step with plot")
@@ -303,10 +309,10 @@ def _part(
 
 def _component(value: xr.DataArray, name: str, chosen: Mapping[str, str]) -> xr.DataArray:
     for dim, label in chosen.items():
+        if dim not in value.dims:
+            raise ValueError(f"{dim}={label!r}: {name} has no dimension {dim!r}")
         if not isinstance(label, str):
             raise TypeError(f"{dim}={label!r}: expected a name, one of {', '.join(map(str, value[dim].values))}")
-        if dim not in value.dims:
-            raise ValueError(f"{dim}={chosen[dim]!r}: {name} has no dimension {dim!r}")
     if not chosen:
         return value
     part = f"{_named(value, name)}, {''.join(chosen.values())}"
