@@ -87,7 +87,6 @@ def warn_user(message: str | Warning, category: type[Warning] = SceneWarning) ->
     category : type
         Class of the warning, where `message` is text.
     """
-    _current.warnings += 1
     distributed: Any = sys.modules.get("distributed")
     if distributed is not None and _on_worker(distributed):
         distributed.worker.warn(message, category)
@@ -160,18 +159,12 @@ class Once:
 
 
 class _Current(threading.local):
-    """The call that this thread works for, and how many warnings it has given."""
+    """The call that this thread works for."""
 
     call: Once | None = None
-    warnings: int = 0
 
 
 _current = _Current()
-
-
-def warnings_given() -> int:
-    """How many times this thread has warned, whether or not it was shown."""
-    return _current.warnings
 
 
 def warn_once(about: str, message: str) -> None:

@@ -34,7 +34,7 @@ def nodes_of(scene: Description, request: Request, kernels: Sequence[Kernel]) ->
         _check_pointwise(request)
         return make_points(at, plane=setup.plane, cutoff=narrowest)
     return make_grid(
-        setup.plane if request.axes is None and request.at is None else request.axes or "",
+        request.axes_of(setup.plane),
         at,
         request.bounds or {},
         min(k.width for k in kernels) if request.spacing is None else request.spacing,
@@ -112,7 +112,7 @@ def _automatic(scene: Description, cutoff: float) -> dict[str, tuple[float, floa
 def averaged_gradient(scene: Description, request: Request) -> str:
     """Return what is known of derivatives along averaged axes, see `xcg.fields.formulas.field.Options`."""
     plane, at = scene.setup.plane, request.at or {}
-    axes = plane if request.axes is None and request.at is None else request.axes or ""
+    axes = request.axes_of(plane)
     averaged = [a for a in plane if isinstance(axes, str) and a not in axes and a not in at]
     if "lattice_velocity" in scene.columns and any(a in scene.setup.periodic for a in averaged):
         return "box"

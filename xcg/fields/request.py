@@ -197,6 +197,10 @@ class Request(SharedOptions):
         usual = Request()
         return [name for name in names if getattr(self, name) != getattr(usual, name)]
 
+    def axes_of(self, plane: str) -> str:
+        """Return the resolved axes: by default, and without fixed ones, those of the scene."""
+        return plane if self.axes is None and self.at is None else self.axes or ""
+
     def given(self) -> dict[str, Any]:
         """Arguments that are not None."""
         kind: Any = type(self)

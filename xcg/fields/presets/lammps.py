@@ -125,7 +125,7 @@ def _from_xcg(f: xr.Dataset, names: Sequence[str], axes: str) -> xr.Dataset:
 def _kernel(scene: Description, request: Request) -> Kernel:
     """Its kernel, in as many dimensions as there are axes; another one where that is asked for."""
     setup = scene.setup
-    axes = setup.plane if request.axes is None and request.at is None else request.axes or ""
+    axes = request.axes_of(setup.plane)
     seen = len({*axes, *(request.at or {})}) or setup.dimension
     if isinstance(request.width, Mapping):
         raise ValueError("preset='lammps' has one kernel for all grains: give one width= instead of one for each group")
