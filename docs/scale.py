@@ -158,8 +158,8 @@ def reading(folder: Path, particles: int) -> None:
 
 def parsing(folder: Path, particles: int) -> None:
     """Speed of reading text, plain and compressed, by one thread and by two; of other parsers; and of the fields."""
-    from xcg.readers.codes.lammps import Lammps
-    from xcg.readers.codes.mercury import Mercury
+    from xcg.readers.engines.lammps import Lammps
+    from xcg.readers.engines.mercury import Mercury
     from xcg.readers.files import text
     from xcg.readers.files.compressed import _zstd
 

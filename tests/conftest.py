@@ -8,8 +8,8 @@ from unittest import mock
 
 import pytest
 
-from xcg.readers.codes.lammps import Lammps
-from xcg.readers.codes.mfix import Mfix
+from xcg.readers.engines.lammps import Lammps
+from xcg.readers.engines.mfix import Mfix
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -27,13 +27,13 @@ FLOORS = [
 INSIDE = {
     "fields": [
         ["sums"],
-        ["places", "formulas"],
+        ["grids", "formulas"],
         ["request"],
         ["choices", "layout"],
         ["plan"],
         ["output", "evaluate", "accessible", "presets", "mesh_size"],
         ["coarse_grain"],
-        ["studies"],
+        ["analysis"],
         ["__init__"],
     ],
     "readers": [
@@ -41,7 +41,7 @@ INSIDE = {
         ["files", "index"],
         ["paths"],
         ["columns"],
-        ["codes"],
+        ["engines"],
         ["lazy"],
         ["pairs"],
         ["saved"],
@@ -195,7 +195,7 @@ def test_every_dataset_has_the_accessor_once_the_package_is_imported():
 
 
 def test_a_method_loads_the_rooms_that_it_passes():
-    rooms = ("chains", "packing", "readers", "writers", "datasets", "fields.studies")
+    rooms = ("chains", "packing", "readers", "writers", "datasets", "fields.analysis")
     code = (
         "import sys, xarray as xr, xcg; xr.Dataset().cg.coarse_grain; print('xcg.fields.coarse_grain' in sys.modules, "
     )

@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 
 import xcg
-from xcg.fields.studies.correlations import falls_to
+from xcg.fields.analysis.correlations import falls_to
 
 
 def result(values, wrapped, spacing=0.5, names=("x", "y", "z"), tail=()):

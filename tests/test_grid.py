@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from xcg.common.messages import SceneWarning
-from xcg.fields.places.grid import make_grid
+from xcg.fields.grids.grid import make_grid
 
 
 def grid(axes="x", *, at=None, bounds=None, spacing=1.0, plane="xyz", cutoff=10.0, automatic=None, period=None):

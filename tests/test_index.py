@@ -12,11 +12,11 @@ import pytest
 
 from tests import shared_data
 from tests.dumps import dump_text, write, write_series
-from xcg.readers.codes import dump
-from xcg.readers.codes import vtk as vtk_steps
-from xcg.readers.codes.lammps import Lammps
-from xcg.readers.codes.mfix import Mfix
 from xcg.readers.engine import ReadOptions, StepRef
+from xcg.readers.engines import dump
+from xcg.readers.engines import vtk as vtk_steps
+from xcg.readers.engines.lammps import Lammps
+from xcg.readers.engines.mfix import Mfix
 from xcg.readers.index import remembered
 from xcg.readers.series import open_scene
 

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from tests import shared_data
 from tests.dumps import ATOMS, PAIR_ROWS, PAIRS, ROWS, dump_text, pairs_text, write
 from xcg.common.messages import SceneError, SceneWarning
-from xcg.readers.codes import dump
-from xcg.readers.codes.lammps import Lammps
 from xcg.readers.engine import ReadOptions
+from xcg.readers.engines import dump
+from xcg.readers.engines.lammps import Lammps
 from xcg.readers.files.table import parse_table
 from xcg.readers.series import open_scene
 

@@ -10,8 +10,8 @@ import xcg
 from tests import real_data
 from tests.dumps import dump_text, pairs_text, write
 from tests.lammps_forms import BOX, COLUMNS, binary_step, rows_of, write_netcdf
-from xcg.readers.codes.lammps import Lammps
 from xcg.readers.engine import ReadOptions
+from xcg.readers.engines.lammps import Lammps
 from xcg.readers.files.classic_netcdf import ClassicFile
 
 lammps = Lammps()

@@ -6,8 +6,8 @@ import pytest
 from tests import shared_data
 from tests.dumps import dump_text, pairs_text, write
 from xcg.common.messages import SceneError
-from xcg.readers.codes.liggghts import Liggghts
 from xcg.readers.engine import ReadOptions
+from xcg.readers.engines.liggghts import Liggghts
 from xcg.readers.series import open_scene
 from xcg.scene.lattice import minimum_image
 

@@ -6,8 +6,8 @@ import pytest
 from tests import real_data
 from tests.dumps import write
 from xcg.common.messages import SceneError
-from xcg.readers.codes.mercury import Mercury, read_restart
 from xcg.readers.engine import ReadOptions
+from xcg.readers.engines.mercury import Mercury, read_restart
 from xcg.readers.series import open_scene
 
 mercury = Mercury()

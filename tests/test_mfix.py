@@ -10,8 +10,8 @@ import xarray as xr
 import xcg
 from tests import shared_data
 from xcg.common.messages import SceneError, SceneWarning
-from xcg.readers.codes.mfix import Mfix
 from xcg.readers.engine import ReadOptions
+from xcg.readers.engines.mfix import Mfix
 from xcg.readers.files import vtp
 from xcg.scene.lattice import minimum_image
 

@@ -15,8 +15,8 @@ from tests.test_mfix import read_contacts, write_contacts, write_vtp
 from xcg.cli import group
 from xcg.common.messages import SceneError, SceneWarning
 from xcg.packing.pairs import find_pairs
-from xcg.readers.codes.mfix import Mfix
 from xcg.readers.engine import ReadOptions
+from xcg.readers.engines.mfix import Mfix
 from xcg.readers.files import vtp
 from xcg.scene.lattice import minimum_image
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 import xcg
 from tests.brute_force import BruteKernel, brute_force
-from xcg.fields.places import points
+from xcg.fields.grids import points
 
 # what fits through few grains, and ratios with pressures near zero, make of the last bit of their sums
 FITTED = {

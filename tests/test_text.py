@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from tests.dumps import ATOMS, dump_text, write
 from xcg.common.messages import SceneError
-from xcg.readers.codes.lammps import Lammps
 from xcg.readers.engine import ReadOptions
+from xcg.readers.engines.lammps import Lammps
 from xcg.readers.files import compressed, text
 from xcg.readers.files import table as table_module
 from xcg.readers.files.table import parse_table

@@ -10,7 +10,7 @@ import xarray as xr
 
 import xcg
 from tests.test_walls import DATA, GRAVITY, SUMS, WALLS
-from xcg.fields.places.wall_shapes import Wall
+from xcg.fields.grids.wall_shapes import Wall
 
 DIAMETER = 1.0
 FLOOR = xcg.Plane((0, 0, 0), (0, 0, 1))

@@ -9,24 +9,24 @@ from .chains.search import force_chains
 from .chains.selection import Box, BoxRegion, Region, Sphere, select_chains
 from .chains.tracks import track_chains
 from .common.messages import SceneError, SceneWarning
+from .fields.analysis.balance import balance
+from .fields.analysis.correlations import spatial_correlation, time_correlation
+from .fields.analysis.diffusion import mean_squared_displacement
+from .fields.analysis.displacement import displacement
+from .fields.analysis.plots import movie, plot
+from .fields.analysis.slice_temperature import slice_temperature
+from .fields.analysis.wall_stress import wall_stress
+from .fields.analysis.width_sweep import width_sweep
 from .fields.coarse_grain import coarse_grain
 from .fields.formulas.averages import profile, time_average
 from .fields.formulas.register import register_field
 from .fields.formulas.registry import FIELDS
 from .fields.formulas.variables import Flux, Mean, Sum, Variance
-from .fields.places.frames import Cylindrical, Rotated
-from .fields.places.surface import Surface
-from .fields.places.wall_shapes import Cylinder, Plane
+from .fields.grids.frames import Cylindrical, Rotated
+from .fields.grids.surface import Surface
+from .fields.grids.wall_shapes import Cylinder, Plane
 from .fields.presets.lammps import lammps_mesh
 from .fields.presets.pysammos import pysammos_mesh
-from .fields.studies.balance import balance
-from .fields.studies.correlations import spatial_correlation, time_correlation
-from .fields.studies.diffusion import mean_squared_displacement
-from .fields.studies.displacement import displacement
-from .fields.studies.plots import movie, plot
-from .fields.studies.slice_temperature import slice_temperature
-from .fields.studies.wall_stress import wall_stress
-from .fields.studies.width_sweep import width_sweep
 from .fields.sums.kernels import Gaussian, Heaviside, Kernel, Lucy, register_kernel
 from .packing.find_contacts import find_contacts
 from .packing.microstructure import microstructure

@@ -11,16 +11,16 @@ from xcg.chains.results import chain_table, link_table
 from xcg.chains.search import force_chains
 from xcg.chains.selection import select_chains
 from xcg.chains.tracks import track_chains
+from xcg.fields.analysis.balance import balance
+from xcg.fields.analysis.correlations import spatial_correlation, time_correlation
+from xcg.fields.analysis.diffusion import mean_squared_displacement
+from xcg.fields.analysis.displacement import displacement
+from xcg.fields.analysis.plots import movie, plot
+from xcg.fields.analysis.slice_temperature import slice_temperature
+from xcg.fields.analysis.wall_stress import wall_stress
+from xcg.fields.analysis.width_sweep import width_sweep
 from xcg.fields.coarse_grain import coarse_grain, explain
 from xcg.fields.formulas.averages import profile, time_average
-from xcg.fields.studies.balance import balance
-from xcg.fields.studies.correlations import spatial_correlation, time_correlation
-from xcg.fields.studies.diffusion import mean_squared_displacement
-from xcg.fields.studies.displacement import displacement
-from xcg.fields.studies.plots import movie, plot
-from xcg.fields.studies.slice_temperature import slice_temperature
-from xcg.fields.studies.wall_stress import wall_stress
-from xcg.fields.studies.width_sweep import width_sweep
 from xcg.packing.find_contacts import find_contacts
 from xcg.packing.microstructure import microstructure
 from xcg.scene.bodies import group_bodies

@@ -18,7 +18,7 @@ from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
 from xcg.fields.formulas.averages import per_fraction
-from xcg.fields.places.wall_shapes import Plane, Wall
+from xcg.fields.grids.wall_shapes import Plane, Wall
 from xcg.fields.plan import Plan
 from xcg.fields.request import Per, Request
 from xcg.fields.sums.kernels import Kernel

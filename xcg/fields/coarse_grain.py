@@ -12,9 +12,9 @@ import xarray as xr
 
 from xcg.fields.accessible import check_walls, with_accessible
 from xcg.fields.evaluate import evaluate_plan
+from xcg.fields.grids.frames import in_frame, is_cylindrical
 from xcg.fields.mesh_size import make_plan_of_size
 from xcg.fields.output import labelled
-from xcg.fields.places.frames import in_frame, is_cylindrical
 from xcg.fields.plan import Plan, make_plan
 from xcg.fields.presets import lammps, pysammos
 from xcg.fields.request import Preset, Request, SharedOptions, takes

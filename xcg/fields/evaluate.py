@@ -16,7 +16,7 @@ from xcg.compiled import THREADS
 from xcg.compiled.threads import for_each
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.program import Loads, program_for
-from xcg.fields.places.grid import check_mesh
+from xcg.fields.grids.grid import check_mesh
 from xcg.fields.plan import Plan, scale_of
 from xcg.fields.sums.deposit import sums_of_frame
 from xcg.fields.sums.nodes import Block

@@ -10,10 +10,10 @@ from xcg.common.messages import warn_user
 from xcg.compiled import smoothing as kinds
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Options
-from xcg.fields.places.frames import Cylindrical
-from xcg.fields.places.grid import make_grid
-from xcg.fields.places.points import is_pointwise, make_points
-from xcg.fields.places.rings import Rings, make_rings
+from xcg.fields.grids.frames import Cylindrical
+from xcg.fields.grids.grid import make_grid
+from xcg.fields.grids.points import is_pointwise, make_points
+from xcg.fields.grids.rings import Rings, make_rings
 from xcg.fields.request import Request
 from xcg.fields.sums.kernels import Kernel, as_kernel, choose_width
 from xcg.fields.sums.nodes import Grid

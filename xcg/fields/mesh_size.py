@@ -12,7 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.messages import warn_user
-from xcg.fields.places.grid import MeshTooLargeError, RegularGrid
+from xcg.fields.grids.grid import MeshTooLargeError, RegularGrid
 from xcg.fields.plan import Plan
 from xcg.scene.description import Description
 from xcg.scene.schema import COMPONENTS, PADDING

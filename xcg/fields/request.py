@@ -18,8 +18,8 @@ import xarray as xr
 
 from xcg.fields.formulas.field import Deviatoric, Gradient, InertialSize, Temperature
 from xcg.fields.formulas.variables import Quantity
-from xcg.fields.places.frames import Cylindrical, Rotated
-from xcg.fields.places.wall_shapes import Wall
+from xcg.fields.grids.frames import Cylindrical, Rotated
+from xcg.fields.grids.wall_shapes import Wall
 from xcg.fields.sums.kernels import Kernel, KernelName
 from xcg.scene.conform import as_selected, conformed
 from xcg.steps.faults import OnError

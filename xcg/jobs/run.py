@@ -21,9 +21,9 @@ import numpy as np
 import xarray as xr
 
 from xcg.common.messages import SceneError, unknown
+from xcg.fields.analysis.slice_temperature import SliceMethod, slice_temperature
 from xcg.fields.coarse_grain import coarse_grain
 from xcg.fields.presets.pysammos import pysammos_mesh
-from xcg.fields.studies.slice_temperature import SliceMethod, slice_temperature
 from xcg.jobs.job import Job
 from xcg.readers.paths import expand_paths
 from xcg.readers.series import open_scene

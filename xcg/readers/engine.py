@@ -249,14 +249,14 @@ class Engine(ABC):
 
 GROUP = "xcg.readers"
 _OWN = {
-    "lammps": "xcg.readers.codes.lammps:Lammps",
-    "liggghts": "xcg.readers.codes.liggghts:Liggghts",
-    "mercury": "xcg.readers.codes.mercury:Mercury",
-    "mfix": "xcg.readers.codes.mfix:Mfix",
-    "yade": "xcg.readers.codes.yade:Yade",
-    "table": "xcg.readers.codes.tabular:Table",
-    "hdf5": "xcg.readers.codes.hdf5:Hdf5",
-    "vtk": "xcg.readers.codes.vtk:Vtk",
+    "lammps": "xcg.readers.engines.lammps:Lammps",
+    "liggghts": "xcg.readers.engines.liggghts:Liggghts",
+    "mercury": "xcg.readers.engines.mercury:Mercury",
+    "mfix": "xcg.readers.engines.mfix:Mfix",
+    "yade": "xcg.readers.engines.yade:Yade",
+    "table": "xcg.readers.engines.tabular:Table",
+    "hdf5": "xcg.readers.engines.hdf5:Hdf5",
+    "vtk": "xcg.readers.engines.vtk:Vtk",
 }
 
 

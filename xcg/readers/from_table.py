@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError
 from xcg.readers import columns
-from xcg.readers.codes.tabular import Table, clock_of, runs_of
 from xcg.readers.engine import ReadOptions, StepRef
+from xcg.readers.engines.tabular import Table, clock_of, runs_of
 from xcg.scene.build import scene_from_arrays
 from xcg.scene.schema import Frame
 

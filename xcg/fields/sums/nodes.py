@@ -142,7 +142,7 @@ def mesh_blocks(shape: tuple[int, int, int], steps: NDArray, half: NDArray, size
 
 
 class Grid(Protocol):
-    """Where fields are evaluated: nodes on a mesh (`RegularGrid`), or anywhere (`xcg.fields.places.points.Points`)."""
+    """Where fields are evaluated: nodes on a mesh (`RegularGrid`), or anywhere (`xcg.fields.grids.points.Points`)."""
 
     @property
     def seen(self) -> str:

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from xcg.common.checks import is_finite
 from xcg.compiled import THREADS
-from xcg.fields.places.grid import MAX_NODES, nodes_along
-from xcg.fields.places.means import RingBlock
-from xcg.fields.places.points import PointBlock
+from xcg.fields.grids.grid import MAX_NODES, nodes_along
+from xcg.fields.grids.means import RingBlock
+from xcg.fields.grids.points import PointBlock
 from xcg.fields.sums.kernels import Kernel
 from xcg.fields.sums.nodes import BLOCK_NODES, Apart
 

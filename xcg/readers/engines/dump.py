@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from xcg.common.checks import is_positive
 from xcg.common.messages import SceneError
 from xcg.readers import columns
-from xcg.readers.codes import lammps_binary, lammps_netcdf
-from xcg.readers.codes.lammps_binary import with_bounds
 from xcg.readers.columns import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
+from xcg.readers.engines import lammps_binary, lammps_netcdf
+from xcg.readers.engines.lammps_binary import with_bounds
 from xcg.readers.files.compressed import compression, most_from
 from xcg.readers.files.text import (
     Scanner,

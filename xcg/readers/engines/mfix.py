@@ -10,7 +10,7 @@ What its contacts hold was checked on its output, against the positions of the p
   whose damping outweighs repulsion, where it points the other way. Of superquadrics it is another direction. So it is
   not read as the normal.
 - Contacts are one time step older than positions, so a point may lie a period away from a particle i that just crossed.
-- Many contacts stand twice: see `xcg.readers.codes.mfix_contacts`.
+- Many contacts stand twice: see `xcg.readers.engines.mfix_contacts`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError, warn_user
-from xcg.readers.codes.mfix_contacts import (
+from xcg.readers.engine import Engine, ReadOptions, StepRef
+from xcg.readers.engines.mfix_contacts import (
     EXACT,
     both_sides_once,
     distances_of_twins,
@@ -30,8 +31,7 @@ from xcg.readers.codes.mfix_contacts import (
     of_superquadrics,
     periods_of,
 )
-from xcg.readers.codes.vtk import is_vtk, list_steps, open_step, read_particle_arrays, require_contacts, targets
-from xcg.readers.engine import Engine, ReadOptions, StepRef
+from xcg.readers.engines.vtk import is_vtk, list_steps, open_step, read_particle_arrays, require_contacts, targets
 from xcg.readers.files import vtp
 from xcg.scene.schema import Frame
 

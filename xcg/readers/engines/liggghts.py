@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from xcg.readers import columns
-from xcg.readers.codes import dump
 from xcg.readers.engine import ReadOptions, StepRef
+from xcg.readers.engines import dump
 from xcg.scene.schema import COMPONENTS, Frame
 
 

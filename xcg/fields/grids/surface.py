@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from xcg.common.checks import is_positive
 from xcg.common.vtk_mesh import read_mesh
 from xcg.compiled import triangles as loops
-from xcg.fields.places.wall_shapes import SurfaceCells, Wall
+from xcg.fields.grids.wall_shapes import SurfaceCells, Wall
 from xcg.scene.schema import COMPONENTS
 
 _FILES = (".stl", ".obj", ".ply", ".vtp", ".vtk")

@@ -17,8 +17,8 @@ from xcg.fields.coarse_grain import prepare
 from xcg.fields.evaluate import compute_chunk
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.averages import derive, needed_for_averages
+from xcg.fields.grids.frames import refuse_cylindrical
 from xcg.fields.output import about, labelled
-from xcg.fields.places.frames import refuse_cylindrical
 from xcg.fields.plan import make_plan
 from xcg.fields.request import Request, takes
 from xcg.scene.description import describe, require_scene

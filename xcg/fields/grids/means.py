@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from xcg.compiled import points as loops
 from xcg.compiled.rings import ROOM, ring_squares
-from xcg.fields.places.points import PointBlock
+from xcg.fields.grids.points import PointBlock
 from xcg.fields.sums.deposit import BlockSums
 from xcg.fields.sums.moments import MOMENTS
 from xcg.fields.sums.passes import Layout, Squared

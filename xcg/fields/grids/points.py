@@ -17,7 +17,7 @@ from xcg.compiled import THREADS
 from xcg.compiled.cells import PointCells, lists_for_points, sort_by_cell
 from xcg.compiled.reach import PAD, Lists, Nodes
 from xcg.compiled.threads import for_each
-from xcg.fields.places.grid import MAX_NODES, check_axes
+from xcg.fields.grids.grid import MAX_NODES, check_axes
 from xcg.fields.sums.nodes import BLOCK_NODES, Apart, SameAxes, triple
 from xcg.scene.schema import COMPONENTS
 

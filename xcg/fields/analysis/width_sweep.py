@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from xcg.fields.coarse_grain import answer, prepare
 from xcg.fields.formulas.variables import Quantity
-from xcg.fields.places.frames import refuse_cylindrical
+from xcg.fields.grids.frames import refuse_cylindrical
 from xcg.fields.plan import make_plan
 from xcg.fields.request import Request, SharedOptions, takes
 from xcg.fields.sums.kernels import choose_width

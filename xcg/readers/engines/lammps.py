@@ -7,8 +7,8 @@ from dataclasses import replace
 
 from xcg.common.messages import warn_user
 from xcg.readers import columns
-from xcg.readers.codes import dump
 from xcg.readers.engine import ReadOptions, StepRef
+from xcg.readers.engines import dump
 from xcg.readers.files.text import source_of
 from xcg.scene.schema import Frame
 

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from xcg.fields.coarse_grain import answer, prepare
-from xcg.fields.places.frames import refuse_cylindrical
+from xcg.fields.grids.frames import refuse_cylindrical
 from xcg.fields.plan import make_plan
 from xcg.fields.request import SharedOptions, takes
 from xcg.scene.description import describe

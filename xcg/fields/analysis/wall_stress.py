@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from xcg.common.checks import is_positive
 from xcg.common.messages import warn_once
-from xcg.fields.places.wall_shapes import SurfaceCells, Wall
+from xcg.fields.grids.wall_shapes import SurfaceCells, Wall
 from xcg.fields.sums.kernels import Kernel, KernelName, as_kernel, choose_width
 from xcg.scene.build import storable
 from xcg.scene.conform import takes_scene
