@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 import xcg
-from xcg.fields.choices import options_of
 from xcg.fields.formulas.program import program_for
+from xcg.fields.plan import _options_of as options_of
 from xcg.fields.request import Request
 from xcg.scene.description import describe
 

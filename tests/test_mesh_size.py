@@ -7,7 +7,7 @@ import pytest
 
 import xcg
 from xcg import SceneWarning
-from xcg.fields import mesh_size
+from xcg.fields import layout as mesh_size
 
 R = np.random.default_rng(0).uniform(0, 10, (1000, 3))
 

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from inspect import unwrap
 from typing import TypeVar
 
 import xarray as xr
 
 from xcg.fields.accessible import check_walls, with_accessible
-from xcg.fields.evaluate import evaluate_plan
+from xcg.fields.evaluate import evaluate_plan, labelled
 from xcg.fields.grids.frames import in_frame, is_cylindrical
-from xcg.fields.mesh_size import make_plan_of_size
-from xcg.fields.output import labelled
+from xcg.fields.grids.grid import MeshTooLargeError
+from xcg.fields.layout import about_strays, check_size
 from xcg.fields.plan import Plan, make_plan
 from xcg.fields.presets import lammps, pysammos
 from xcg.fields.request import Preset, Request, SharedOptions, takes
@@ -70,7 +70,8 @@ def coarse_grain(ds: xr.Dataset, request: Request) -> xr.Dataset:
     >>> f.volume_fraction.dims
     ('time', 'z')
     """
-    check_walls(request)
+    if request.walls is not None or request.per is not None:
+        check_walls(request)
     framed = {"frame": request.frame} if request.frame is not None else {}
     ds, request = prepare(ds, request)
     skips = check_on_error(request.on_error) == "skip"
@@ -78,7 +79,11 @@ def coarse_grain(ds: xr.Dataset, request: Request) -> xr.Dataset:
     call = format_call("coarse_grain", given)
     scene = describe(ds, request.by)
     request, rename = _in_own_names(scene, request)
-    plan = make_plan_of_size(ds, scene, partial(make_plan, scene, request))
+    try:
+        plan = make_plan(scene, request)
+    except MeshTooLargeError as error:
+        raise ValueError(f"{error}; {about_strays(ds, scene)}") from None
+    check_size(ds, scene, plan.deposit.grid, sum(map(math.prod, plan.shapes.values())))
     arrays = evaluate_plan(ds, plan, request.on_error)
     result = labelled(scene, plan, arrays, call)
     if request.walls is not None:

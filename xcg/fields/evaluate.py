@@ -1,4 +1,4 @@
-"""What a plan gives: the sums and the algebra of each step, mapped over time."""
+"""What a plan says: sums and algebra of each step, mapped over time, with labels."""
 
 from __future__ import annotations
 
@@ -15,15 +15,19 @@ from xcg.common.messages import warn_once
 from xcg.compiled import THREADS
 from xcg.compiled.threads import for_each
 from xcg.fields.formulas import registry
+from xcg.fields.formulas.field import Field
 from xcg.fields.formulas.program import Loads, program_for
 from xcg.fields.grids.grid import check_mesh
 from xcg.fields.plan import Plan, scale_of
 from xcg.fields.sums.deposit import sums_of_frame
 from xcg.fields.sums.nodes import Block
+from xcg.scene.build import storable
+from xcg.scene.description import Description
 from xcg.scene.frame import steps_in
 from xcg.scene.lattice import Lattice
-from xcg.scene.schema import OF_STEP, Frame
+from xcg.scene.schema import COMPONENTS, OF_STEP, Frame, units_in
 from xcg.steps.faults import OnError
+from xcg.steps.labels import provenance, with_phase_labels
 from xcg.steps.mapping import map_over_time, threads_a_chunk
 
 
@@ -60,20 +64,16 @@ WORTH_SHARING = 5_000_000
 _ONCE = 30
 
 
-def _threads_for(plan: Plan, arrays: Mapping[str, NDArray], threads: int) -> int:
-    """As many threads as there are, or one where a step is little work."""
-    rows = sum(arrays[name].shape[1] for name in ("particle_id", "contact_i") if name in arrays)
-    return threads if rows * (plan.reached + _ONCE) + plan.deposit.grid.count * _ONCE > WORTH_SHARING else 1
-
-
 def compute_chunk(plan: Plan, threads: int, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
     """Fields of one chunk of time, from padded arrays."""
-    threads = _threads_for(plan, arrays, threads)
+    rows = sum(arrays[name].shape[1] for name in ("particle_id", "contact_i") if name in arrays)
+    if rows * (plan.reached + _ONCE) + plan.deposit.grid.count * _ONCE <= WORTH_SHARING:
+        threads = 1
     out = {name: np.empty((len(arrays["particle_id"]), *plan.shapes[name])) for name in plan.fields}
     for_each([a.reshape(-1) for a in out.values() if a.size > _PAGE], _take_memory, threads)
     for t, (frame, lattice, source) in enumerate(steps_in(arrays, plan.setup.periodic)):
-        rows = {name: a[t, ...].reshape(plan.rows[name]) for name, a in out.items()}
-        _compute_step(plan, frame, lattice, source, threads, rows)
+        results = {name: a[t, ...].reshape(plan.rows[name]) for name, a in out.items()}
+        _compute_step(plan, frame, lattice, source, threads, results)
     return out
 
 
@@ -108,7 +108,7 @@ def _compute_step(
         for name, values in rows.items():
             if registry.row(name, plan.options).rank:
                 values[grid.undirected] = np.nan
-    if plan.options.temperature == "unbiased":
+    if plan.options.temperature == "unbiased" and not rows.keys().isdisjoint(_TEMPERATURES):
         _warn_of_unknown(rows, sum(reached), plan.kernel.width, source)
     if "volume_fraction" in rows and rows["volume_fraction"].max(initial=0.0) > 1.0:
         _warn_of_fraction(plan, rows["volume_fraction"], frame["volume"].max(initial=0.0) * scale, source)
@@ -141,3 +141,71 @@ def _warn_of_unknown(rows: Mapping[str, NDArray], reached: int, width: float, so
                 f"{source}: {name} is NaN at {reached - known} of {reached} nodes: too few particles per node. "
                 f"Increase width= (it is {width:.3g}), average along an axis (axes=), or mask by sample_count",
             )
+
+
+_CYLINDRICAL: dict[str, dict[str, str]] = {
+    "r": {"long_name": "distance from the axis"},
+    "theta": {"units": "rad", "long_name": "angle about the axis"},
+    "z": {"long_name": "position along the axis", "axis": "Z"},
+}
+_AXES = {*COMPONENTS, *_CYLINDRICAL}
+
+
+def labelled(scene: Description, plan: Plan, arrays: Mapping[str, Any], call: str) -> xr.Dataset:
+    """Return arrays of the plan's fields as a result of the scene, with dimensions, coordinates, units and history."""
+    system = plan.setup.unit_system
+    length = units_in("m", system)
+    # those of the scene may be changed in place
+    coords: dict[str, Any] = {name: given.copy() for name, given in scene.times.items()}
+    for name, coord in plan.deposit.grid.coords.items():
+        attrs = {"units": length, "long_name": f"position along {name}", "axis": name.upper()}
+        if scene.cylindrical:
+            attrs = _CYLINDRICAL[name] | ({} if name == "theta" else {"units": length})
+        coords[name] = (coord.dims, coord, attrs | coord.attrs if name in _AXES else coord.attrs)
+    if plan.deposit.by:
+        attrs = {"long_name": f"phase by {plan.deposit.by}"}
+        coords["phase"] = ("phase", ["bulk", *map(str, plan.deposit.groups)], attrs)
+    data = {}
+    for name in plan.fields:
+        row = registry.row(name, plan.options)
+        tail = ("component", "direction")[: row.rank]
+        coords |= {dim: (dim, list(_CYLINDRICAL) if scene.cylindrical else list(COMPONENTS)) for dim in tail}
+        if row.paired:
+            tail = ("other_phase", *tail)
+            coords["other_phase"] = ("other_phase", [*map(str, plan.deposit.groups), "wall"])
+        attrs = about(row, system)
+        if lacking := plan.left_out(name):
+            attrs["comment"] = f"without rotation, as the scene holds no {' and no '.join(lacking)}"
+        data[name] = xr.Variable(("time", *plan.dims, *tail), arrays[name], attrs)
+    result = storable(xr.Dataset(data, coords))
+    if plan.deposit.by:
+        result = with_phase_labels(result)
+    return result.assign_attrs(provenance(scene, call) | _choices(plan))
+
+
+def about(row: Field, system: str) -> dict[str, str]:
+    """Attributes of a field in a result."""
+    units = row.units if row.source else units_in(row.units, system)  # a scene's own variables may have any unit
+    found = {"units": units, "long_name": row.long_name, "formula": row.formula, "source": row.source}
+    found |= {"weight": row.weight} if row.source else {}  # what averages of fields without a row need
+    return {key: text for key, text in found.items() if text}
+
+
+def _choices(plan: Plan) -> dict[str, Any]:
+    return {
+        **plan.deposit.grid.attrs,
+        "kernel": plan.kernel.name,
+        "width": plan.widths if len(plan.widths) > 1 else plan.kernel.width,
+        "cutoff": list(plan.deposit.cutoffs) if len(plan.widths) > 1 else plan.kernel.cutoff,
+        "kernel_dimension": plan.kernel.dimension,
+        "rtol": plan.rtol,
+        "gradient": plan.options.gradient,
+        "pressure_dims": "".join(COMPONENTS[k] for k in plan.options.pressure_axes or plan.options.plane),
+        "deviatoric": plan.options.deviatoric,
+        "size": plan.options.size,
+        "temperature": plan.options.temperature,
+        **registry.given_options(plan.options),
+        "sampling": "cell" if plan.deposit.grid.half.any() else "node",
+        "averaged_axes": plan.deposit.grid.averaged,
+        "wrapped_axes": "".join(a for a, wraps in zip(COMPONENTS, plan.options.wrapped, strict=True) if wraps),
+    }

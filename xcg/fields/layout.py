@@ -1,9 +1,15 @@
-"""Where fields are computed: nodes, the axes that are averaged, and the kernels that reach them."""
+"""Where fields are computed: nodes, averaged axes, the kernels that reach them, and whether memory holds the mesh."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
 
 from xcg.common.checks import is_positive
 from xcg.common.messages import warn_user
@@ -11,14 +17,14 @@ from xcg.compiled import smoothing as kinds
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Options
 from xcg.fields.grids.frames import Cylindrical
-from xcg.fields.grids.grid import make_grid
-from xcg.fields.grids.points import is_pointwise, make_points
+from xcg.fields.grids.grid import RegularGrid, make_grid
+from xcg.fields.grids.points import make_points
 from xcg.fields.grids.rings import Rings, make_rings
 from xcg.fields.request import Request
 from xcg.fields.sums.kernels import Kernel, as_kernel, choose_width
 from xcg.fields.sums.nodes import Grid
 from xcg.scene.description import Description
-from xcg.scene.schema import COMPONENTS
+from xcg.scene.schema import COMPONENTS, PADDING
 
 _NARROW = 0.1  # widths, in mean diameters, that show single grains only
 
@@ -30,7 +36,7 @@ def nodes_of(scene: Description, request: Request, kernels: Sequence[Kernel]) ->
     narrowest = min(k.cutoff for k in kernels)
     if scene.cylindrical:
         return _rings(scene, request, kernels)
-    if is_pointwise(at):
+    if any(np.ndim(place) > 0 for place in at.values()):
         _check_pointwise(request)
         return make_points(at, plane=setup.plane, cutoff=narrowest)
     return make_grid(
@@ -120,20 +126,11 @@ def averaged_gradient(scene: Description, request: Request) -> str:
     return "unknown" if lost else "zero"
 
 
-def warn_of_unknown_gradient(fields: Sequence[str], options: Options) -> None:
-    """Warn of fields that follow from a velocity gradient which is not known."""
-
-    def takes_gradient(name: str) -> bool:
-        if name in ("velocity_gradient", "fluctuation_stress"):  # whose fluctuations are then about the mean
-            return name == "velocity_gradient"
-        return any(map(takes_gradient, registry.row(name, options).fields))
-
-    lost = [name for name in fields if takes_gradient(name)]
-    if options.averaged_gradient == "unknown" and lost:
-        warn_user(
-            f"{', '.join(lost)}: NaN, as no axis is resolved or fixed, and so the velocity has no neighbours to differ "
-            "from: resolve the axis that it varies along, axes='z' for example, and average the result"
-        )
+def takes_gradient(name: str, options: Options) -> bool:
+    """Whether a field follows from the velocity gradient."""
+    if name in ("velocity_gradient", "fluctuation_stress"):  # whose fluctuations are about the mean without it
+        return name == "velocity_gradient"
+    return any(takes_gradient(needed, options) for needed in registry.row(name, options).fields)
 
 
 def extents_of(grid: Grid, extent: Mapping[str, float], scene: Description) -> dict[str, float | None]:
@@ -172,16 +169,17 @@ def kernels_of(scene: Description, request: Request) -> list[Kernel]:
     return [as_kernel(kernel, choose_width(own[str(g)], scene.sizes), dimension) for g in known]
 
 
-def warn_of_width(width: float, diameter: float | None, whose: str) -> bool:
-    """Warn of a kernel that sees single grains, and return whether it does."""
-    narrow = diameter is not None and width < _NARROW * diameter
-    if narrow and diameter is not None:
-        warn_user(
-            f"width={width:.4g} is {width / diameter:.2g} of the diameter of {whose} ({diameter:.4g}): the kernel sees "
-            "the inside of single grains, and no field of a continuum (volume fractions far above 1); the usual choice "
-            "is 0.75 mean diameters, see the page on width"
-        )
-    return narrow
+def warn_of_width(width: float, sizes: Mapping[str, float], *, of_groups: bool) -> None:
+    """Warn of a kernel that sees single grains."""
+    usual = {"d43": "the grains", "dmax": "the largest grains"}
+    for size, whose in ({"dmin": "the smallest grains"} if of_groups else usual).items():
+        if size in sizes and width < _NARROW * sizes[size]:
+            warn_user(
+                f"width={width:.4g} is {width / sizes[size]:.2g} of the diameter of {whose} ({sizes[size]:.4g}): the "
+                "kernel sees the inside of single grains, and no field of a continuum (volume fractions far above 1); "
+                "the usual choice is 0.75 mean diameters, see the page on width"
+            )
+            return
 
 
 def warn_of_cuts(grid: Grid, scene: Description, reach: float) -> None:
@@ -214,3 +212,90 @@ def check_differentiable(kernel: Kernel, seen: int) -> None:
             f"the {kernel.name} kernel jumps at its cutoff: its gradient leaves the jump out (8 % low for a Gaussian "
             "cut at 3 w); take Lucy, or gradient='least_squares'"
         )
+
+
+_MANY = 1000  # nodes a particle, of a mesh that was laid around the particles
+_LARGE = 1_000_000  # nodes, of such a mesh, below which nothing is said
+_MIDDLE = 0.98  # share of the particles that the others are compared with
+
+
+def check_size(ds: xr.Dataset, scene: Description, grid: Grid, numbers: int) -> None:
+    """Compare an automatic mesh, with so many numbers of fields a step, with the memory at hand and the particles.
+
+    Raises
+    ------
+    ValueError
+        If the fields of one chunk do not fit into memory; particles that are far from the others are named.
+    """
+    if not isinstance(grid, RegularGrid) or not grid.fitted or grid.count < _LARGE:
+        return
+    needed, free = 8 * numbers * _steps_at_once(ds), memory_at_hand()
+    shown = " x ".join(map(str, grid.sizes))
+    if free is not None and needed > free:
+        raise ValueError(
+            f"the automatic mesh has {shown} nodes, and its fields take {needed / 1e9:.3g} GB at once where "
+            f"{free / 1e9:.3g} GB are free: {about_strays(ds, scene)}"
+        )
+    particles = max(1, ds.sizes["particle"])
+    if grid.count > _MANY * particles:
+        warn_user(
+            f"the automatic mesh has {shown} nodes, {grid.count / particles:.3g} for each particle: "
+            f"{about_strays(ds, scene, grid)}"
+        )
+
+
+def memory_at_hand() -> int | None:
+    """Return the memory that is free (bytes), None where the system does not tell."""
+    info = Path("/proc/meminfo")
+    if info.exists():
+        for line in info.read_text().splitlines():
+            if line.startswith("MemAvailable:"):
+                return 1024 * int(line.split()[1])
+    try:
+        return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, ValueError, OSError):  # Windows, macOS
+        return None
+
+
+def _steps_at_once(ds: xr.Dataset) -> int:
+    """Return how many steps of fields are in memory at once: all, or those of the longest chunk of a lazy scene."""
+    chunks = ds["position"].chunksizes.get("time")
+    return max(chunks) if chunks else max(1, ds.sizes.get("time", 1))
+
+
+def about_strays(ds: xr.Dataset, scene: Description, grid: RegularGrid | None = None) -> str:
+    """Name the particle that is farthest from the others, or the extent where positions are not in memory."""
+    way_out = "give bounds=, or leave particles out with ds.where"
+    position = ds["position"].transpose("time", "particle", "component").variable
+    if not isinstance(position._data, np.ndarray):
+        if scene.corners is None:
+            return way_out
+        ends = zip(COMPONENTS, *scene.corners, strict=True)
+        extent = ", ".join(f"{a} from {low:.4g} to {high:.4g}" for a, low, high in ends)
+        return f"particles lie at {extent}, perhaps as some escaped; {way_out}"
+    ids = ds["particle_id"].transpose("time", "particle").to_numpy()
+    held = np.argwhere(ids != PADDING)
+    place = position.values[tuple(held.T)]
+    low, high = np.quantile(place, [(1 - _MIDDLE) / 2, (1 + _MIDDLE) / 2], axis=0)
+    room = np.maximum(high - low, np.spacing(np.abs(place).max()))
+    beyond = np.maximum(low - place, place - high) / room
+    strays = (beyond > 1.0).any(axis=1)
+    if not strays.any():
+        return way_out
+    t, row = held[int(beyond.max(axis=1).argmax())]
+    x, y, z = position.values[t, row].tolist()
+    text = f"particle {ids[t, row]} at ({x:.4g}, {y:.4g}, {z:.4g}) is far from the others"
+    if grid is not None:
+        count = len({*ids[tuple(held[strays].T)].tolist()})
+        such = "it" if count == 1 else f"{count} such particles"
+        text += f"; without {such} the mesh would have about {_nodes_around(place[~strays], grid):.3g} nodes"
+    return f"{text}; {way_out}"
+
+
+def _nodes_around(place: NDArray, grid: RegularGrid) -> float:
+    """Nodes of a mesh around some particles, with the spacing and the margins of another."""
+    count = 1.0
+    for a, nodes in grid.nodes.items():
+        k = COMPONENTS.index(a)
+        count *= np.ptp(place[:, k]) / grid.spacing[a] + 4 if a in grid.fitted else len(nodes)
+    return count

@@ -3,39 +3,41 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
+from typing import get_args
 
 import numpy as np
 
-from xcg.common.checks import is_finite
-from xcg.common.messages import SceneError
+from xcg.common.checks import is_finite, is_positive
+from xcg.common.messages import SceneError, unknown, warn_user
 from xcg.compiled.points import LINEAR
 from xcg.compiled.segments import RULES
-from xcg.fields.choices import choose_fields, options_of, variables_of, with_friction
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.averages import needed_for_averages
-from xcg.fields.formulas.field import Options
-from xcg.fields.formulas.variables import check_turns, own_moments
+from xcg.fields.formulas.field import Deviatoric, Gradient, InertialSize, Options, Temperature
+from xcg.fields.formulas.variables import OwnField, Quantity, check_turns, own_fields
 from xcg.fields.layout import (
     averaged_gradient,
     check_differentiable,
     extents_of,
     kernels_of,
     nodes_of,
+    takes_gradient,
     warn_of_cuts,
-    warn_of_unknown_gradient,
     warn_of_width,
 )
-from xcg.fields.request import Request
+from xcg.fields.request import Request, Sampling
+from xcg.fields.sums.contact_moments import sliding_contacts
 from xcg.fields.sums.kernels import Kernel
+from xcg.fields.sums.moments import MOMENTS, Moment
 from xcg.fields.sums.nodes import BLOCK_NODES, FINE, nodes_in_cache
 from xcg.fields.sums.passes import DepositSpec
 from xcg.fields.sums.quadrature import SINGLE, gauss_limits
 from xcg.scene.description import Description
 from xcg.scene.lattice import Lattice
-from xcg.scene.schema import COMPONENTS, ROTATION, Setup
+from xcg.scene.schema import COMPONENTS, CONTACT_VARIABLES, ROTATION, Setup
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,34 +95,25 @@ class Plan:
         return [self.kernel.spread * cutoff for cutoff in self.deposit.cutoffs]
 
     @cached_property
-    def shapes(self) -> dict[str, tuple[int, ...]]:
-        """Shape of one step of each field."""
-        return {name: self._shape(name) for name in self.fields}
-
-    @cached_property
     def rows(self) -> dict[str, tuple[int, ...]]:
         """Shape of one step of each field as (nodes, phases, ...)."""
-        nodes, dims = (self.deposit.grid.count, self.phases if self.deposit.by else 1), len(self.dims)
-        return {name: (*nodes, *shape[dims:]) for name, shape in self.shapes.items()}
+        nodes, phases = self.deposit.grid.count, self.phases if self.deposit.by else 1
+        rows = {name: registry.row(name, self.options) for name in self.fields}
+        others = {name: (self.phases,) if row.paired else () for name, row in rows.items()}
+        return {name: (nodes, phases, *others[name], *(3,) * row.rank) for name, row in rows.items()}
 
-    def _shape(self, name: str) -> tuple[int, ...]:
+    @cached_property
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """Shape of one step of each field as in the result."""
         phases = (self.phases,) if self.deposit.by else ()
-        row = registry.row(name, self.options)
-        return (*self.deposit.grid.sizes, *phases, *((self.phases,) if row.paired else ()), *(3,) * row.rank)
+        return {name: (*self.deposit.grid.sizes, *phases, *shape[2:]) for name, shape in self.rows.items()}
 
     def left_out(self, name: str) -> list[str]:
         """Name the variables of rotation that a field would take and that the scene does not hold."""
-        if not self._absent:
-            return []
-        absent = {v for moment in registry.moments_of([name], self.options) for v in self._absent.get(moment, ())}
-        return [v for v in ROTATION if v in absent]
-
-    @cached_property
-    def _absent(self) -> dict[str, set[str]]:
-        """Variables of rotation that the scene does not hold, by the moments that would take them."""
-        absent = set(ROTATION) - set(self.variables)
-        found = {moment: absent & set(row.optional) for moment, row in self.deposit.rows.items()}
-        return {moment: variables for moment, variables in found.items() if variables}
+        lost = set(ROTATION) - set(self.variables)
+        rows = (self.deposit.rows[moment] for moment in registry.moments_of([name], self.options)) if lost else ()
+        taken = {variable for row in rows for variable in row.optional}
+        return [variable for variable in ROTATION if variable in lost & taken]
 
     @cached_property
     def reached(self) -> float:
@@ -215,22 +208,23 @@ def make_plan(scene: Description, request: Request) -> Plan:
     if not (is_finite(rtol) and rtol >= 0):
         raise ValueError(f"rtol={rtol!r}: expected 0 (closed form) or a positive number such as 1e-3")
     names, asked, options = _fields_and_options(scene, request)
-    warn_of_unknown_gradient(asked, options)
-    variables = _held_variables(scene, names, options)
+    variables = variables_of(names, scene.names, options)
+    if not variables <= scene.names:
+        lacking = [name for name in names if not variables_of((name,), scene.names, options) <= scene.names]
+        scene.require(sorted(variables), f"coarse_grain of {', '.join(lacking)}")
     kernels = kernels_of(scene, request)
     widest = max(kernels, key=lambda k: k.cutoff)
-    narrowest, sizes = min(k.width for k in kernels), scene.sizes
-    if isinstance(request.width, Mapping):
-        warn_of_width(narrowest, sizes.get("dmin"), "the smallest grains")
-    elif not warn_of_width(narrowest, sizes.get("d43"), "the grains"):
-        warn_of_width(narrowest, sizes.get("dmax"), "the largest grains")
+    warn_of_width(min(k.width for k in kernels), scene.sizes, of_groups=isinstance(request.width, Mapping))
     grid = nodes_of(scene, request, kernels)
-    warn_of_cuts(grid, scene, widest.cutoff)
+    if grid.cuts:
+        warn_of_cuts(grid, scene, widest.cutoff)
     moments = registry.moments_of(names, options)
     if request.gradient == "kernel" and {"mass_slope", "momentum_slope"} & set(moments):
         check_differentiable(widest, len(grid.seen))
-    limits = gauss_limits(widest, len(grid.seen), rtol)
-    own = own_moments(options.own) | with_friction(options.friction)
+    rows = moment_rows(options)
+    limits = np.zeros(0)
+    if rtol and any(rows[name].along_branches for name in moments):
+        limits = gauss_limits(widest, len(grid.seen), rtol)
     deposit = DepositSpec(
         moments=moments,
         grid=grid,
@@ -240,7 +234,7 @@ def make_plan(scene: Description, request: Request) -> Plan:
         coarse=limits.size > 0 and rtol >= SINGLE,
         by=by,
         groups=() if by is None else scene.groups(by, request.groups),
-        own={name: row for name, row in own.items() if name in moments},
+        own={name: rows[name] for name in moments if rows[name] is not MOMENTS.get(name)},
     )
     x, y, z = (grid.spacing.get(a, 0.0) for a in COMPONENTS)
     options = replace(
@@ -255,6 +249,9 @@ def make_plan(scene: Description, request: Request) -> Plan:
     )  # fmt: skip
 
 
+# --- which fields are meant, which variables they take, and the choices of their algebra ---------------------
+
+
 def _fields_and_options(scene: Description, request: Request) -> tuple[tuple[str, ...], tuple[str, ...], Options]:
     """Fields that are computed, those of them that were asked for, and the choices of their algebra."""
     if request.by_pair and request.by is None:
@@ -265,9 +262,9 @@ def _fields_and_options(scene: Description, request: Request) -> tuple[tuple[str
         raise ValueError(
             f"groups={request.groups!r} are the values of an integer variable of the particles: say which with by="
         )
-    options = replace(options_of(scene, request), averaged_gradient=averaged_gradient(scene, request))
-    names, own = choose_fields(request.fields, scene, options)
-    if scene.cylindrical:
+    options = _options_of(scene, request)
+    names, own = _choose_fields(request.fields, scene, options)
+    if scene.cylindrical and own:
         check_turns(own)
     options = replace(options, own=(*own, *registry.registered_for(names, replace(options, own=own))))
     if request.by_pair:
@@ -275,13 +272,117 @@ def _fields_and_options(scene: Description, request: Request) -> tuple[tuple[str
     asked = names
     if request.for_averages or request.per is not None:
         names = (*names, *needed_for_averages(names, options))
+    if options.averaged_gradient == "unknown" and (lost := [name for name in asked if takes_gradient(name, options)]):
+        warn_user(
+            f"{', '.join(lost)}: NaN, as no axis is resolved or fixed, and so the velocity has no neighbours to differ "
+            "from: resolve the axis that it varies along, axes='z' for example, and average the result"
+        )
     return names, asked, options
 
 
-def _held_variables(scene: Description, names: tuple[str, ...], options: Options) -> frozenset[str]:
-    """Return the variables that some fields take. Raise SceneError unless the scene holds all of them."""
-    held = scene.names
-    variables = variables_of(names, held, options)
-    lacking = [] if variables <= held else [name for name in names if not variables_of((name,), held, options) <= held]
-    scene.require(sorted(variables), f"coarse_grain of {', '.join(lacking)}")
-    return variables
+def possible_fields(scene: Description, request: Request) -> tuple[str, ...]:
+    """Return the names of the fields that the scene's variables allow: those of a request without names."""
+    return _choose_fields(None, scene, _options_of(scene, request))[0]
+
+
+def _choose_fields(
+    asked: str | Quantity | Sequence[str | Quantity | registry.OwnRow] | None, scene: Description, options: Options
+) -> tuple[tuple[str, ...], tuple[OwnField | registry.OwnRow, ...]]:
+    """Names of the fields of a result, and those of them that are quantities of the scene's own variables."""
+    rows, listed = registry.FIELDS, registry.listed()
+    lacking = {name for name, row in rows.items() if row.option and getattr(options, row.option) is None}
+    if asked is None:
+        possible = [name for name in listed if rows[name].default and name not in lacking]
+        here = tuple(name for name in possible if variables_of((name,), scene.names, options) <= scene.names)
+        if not here:
+            scene.require(("mass",), "coarse_grain")
+        return here, ()
+    given = list(asked) if isinstance(asked, Iterable) and not isinstance(asked, str) else [asked]
+    own = {} if all(isinstance(one, str) and one in rows for one in given) else own_fields(given, scene)
+    names = [own[k].name if k in own else one for k, one in enumerate(given)]
+    if not names:
+        raise ValueError(f"fields={asked!r}: expected at least one; leave it out for all that the scene allows")
+    ours = {one.name for one in own.values()}
+    for name in names:
+        if name not in listed and name not in ours:
+            known = [*listed, *scene.rows]
+            raise ValueError(unknown("field", name, known, "others are listed by xcg.FIELDS and by ds.data_vars"))
+    for name in names:
+        if name in lacking and rows[name].option == "lag":
+            raise ValueError(f"{name} compares two frames: call ds.cg.displacement({name!r}) instead of coarse_grain")
+        if name in lacking:
+            raise ValueError(f"{name} needs the argument {rows[name].option}=")
+    return tuple(dict.fromkeys(map(str, names))), tuple(dict.fromkeys(own.values()))
+
+
+def moment_rows(options: Options) -> dict[str, Moment]:
+    """All sums by name: those of xcg, with the coefficient of friction where it is known, and those of own fields."""
+    own = {name: row for one in options.own for name, row in one.moments.items()}
+    if options.friction is not None:
+        name = "sliding_contacts"
+        own[name] = replace(MOMENTS[name], column=partial(sliding_contacts, options.friction))
+    return MOMENTS | own
+
+
+@registry.remembered
+def variables_of(fields: tuple[str, ...], here: frozenset[str], options: Options) -> frozenset[str]:
+    """Variables that some fields need, of a scene that holds those that are here."""
+    needed = {"position", "particle_id"}
+    rows = moment_rows(options)
+    for name in registry.moments_of(fields, options):
+        needed |= set(rows[name].variables) | (set(rows[name].optional) & here)
+        if name == "partners" and "coordination_number" in here:
+            needed.add("coordination_number")
+        elif rows[name].contacts:
+            needed |= set(CONTACT_VARIABLES) - {"contact_normal"}
+            needed |= {"diameter"} & here  # tells contacts that are far from their grains
+    return frozenset(needed)
+
+
+def _options_of(scene: Description, request: Request) -> Options:
+    """Check the choices of the algebra."""
+    for name, known in (
+        ("gradient", Gradient),
+        ("deviatoric", Deviatoric),
+        ("size", InertialSize),
+        ("temperature", Temperature),
+        ("sampling", Sampling),
+    ):
+        value = getattr(request, name)
+        if value not in get_args(known):
+            raise ValueError(f"{name}={value!r}: expected one of {', '.join(get_args(known))}")
+    if request.sampling == "cell" and request.gradient == "kernel":
+        raise ValueError(
+            "gradient='kernel' is the derivative at a node, and sampling='cell' averages over cells: take "
+            "gradient='least_squares' (the default), or 'finite_difference' between the cells"
+        )
+    setup, size, fluid_viscosity = scene.setup, request.size, request.fluid_viscosity
+    indices: dict[str, tuple[int, ...] | None] = {}
+    for name in ("pressure_dims", "shear_dims"):
+        axes = getattr(request, name)
+        if axes is not None and (not axes or set(axes) - set(setup.plane) or len(set(axes)) < len(axes)):
+            raise ValueError(f"{name}={axes!r}: expected some of the scene's axes {setup.plane!r}, each once")
+        indices[name] = None if axes is None else tuple(map(COMPONENTS.index, axes))
+    if fluid_viscosity is not None and not is_positive(fluid_viscosity):
+        raise ValueError(
+            f"fluid_viscosity={fluid_viscosity!r}: expected a positive viscosity (Pa s), such as 1e-3 for water"
+        )
+    if request.friction is not None and not (is_finite(request.friction) and request.friction >= 0):
+        raise ValueError(f"friction={request.friction!r}: expected a coefficient of friction, such as 0.5")
+    if size in ("d50", "dmax") and size not in scene.sizes:
+        raise ValueError(f"size={size!r} is an attribute that the scene does not hold; call ds = ds.cg.measure() first")
+    return Options(
+        plane=tuple(COMPONENTS.index(a) for a in setup.plane),
+        gradient=request.gradient,
+        pressure_axes=indices["pressure_dims"],
+        shear_axes=indices["shear_dims"],
+        deviatoric=request.deviatoric,
+        size=size,
+        diameter=scene.sizes.get(size),
+        fluid_viscosity=fluid_viscosity,
+        friction=request.friction,
+        temperature=request.temperature,
+        lag=scene.lag,
+        by=request.by,
+        averaged_gradient=averaged_gradient(scene, request),
+    )

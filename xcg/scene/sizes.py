@@ -89,13 +89,6 @@ def known_without_reading(ds: xr.Dataset, name: str) -> bool:
     return isinstance(given._data, np.ndarray) or bool(given.encoding)
 
 
-def numbers_of(given: xr.Variable) -> NDArray:
-    """Return the array of a variable, at once where it is in memory: xarray looks for other kinds of arrays first."""
-    if isinstance(given._data, np.ndarray):
-        return given._data
-    return given.values if isinstance(given, xr.IndexVariable) else given.to_numpy()
-
-
 _RANGES = {"position": ("particle_lower", "particle_upper"), "diameter": ("dmin", "dmax")}
 MEASURED_ATTRIBUTES = {"position": _RANGES["position"], "diameter": SIZES}
 
@@ -133,7 +126,7 @@ def _ends_in_memory(ds: xr.Dataset, names: Sequence[str]) -> list[Frame]:
         return []
     order = "time", "particle"
     ordered = {name: v if v.dims[:2] == order else v.transpose(*order, ...) for name, v in here.items()}
-    arrays = {name: numbers_of(v) for name, v in ordered.items()}
+    arrays = {name: v.to_numpy() for name, v in ordered.items()}
     found = []
     for t in sorted({0, ds.sizes["time"] - 1}):
         valid = arrays["particle_id"][t] != PADDING

@@ -12,7 +12,6 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.messages import Once
-from xcg.scene.sizes import numbers_of
 from xcg.steps.faults import SKIPPED, Compute, OnError, Result, check_on_error, guarded
 
 
@@ -48,16 +47,16 @@ def map_over_time(
         NumPy or dask arrays by the names in `results`, and ``skipped`` where steps may be.
     """
     once, variables = Once(), ds.variables
-    inputs = {name: _time_first(variables[name]) for name in names}
+    inputs = {name: variables[name].transpose(*_order(variables[name].dims)) for name in names}
     skip = check_on_error(on_error) == "skip"
     numbers = _numbers(ds) if skip else None
     if skip:
         results = dict(results) | {SKIPPED: ((), "bool")}
-    if is_lazy(ds, inputs):
+    if any(map(_chunked, inputs.values())):
         from xcg.steps.graph import lazy_results  # and with it dask
 
         return lazy_results(inputs, partial(_with_warnings_once, once, compute), results, label, numbers, on_error)
-    arrays = {name: numbers_of(given) for name, given in inputs.items()}
+    arrays = {name: given.to_numpy() for name, given in inputs.items()}
     with once.active():
         return guarded(compute, results, numbers, {}, {}, arrays) if skip else compute(arrays)
 
@@ -66,11 +65,6 @@ def _with_warnings_once(once: Once, compute: Compute, arrays: Mapping[str, NDArr
     """Compute a chunk; warnings of `xcg.common.messages.warn_once` are given once for all chunks."""
     with once.active():
         return compute(arrays)
-
-
-def _time_first(given: xr.Variable) -> xr.Variable:
-    order = _order(given.dims)
-    return given if order == given.dims else given.transpose(*order)
 
 
 @cache
@@ -101,8 +95,7 @@ def threads_a_chunk(ds: xr.Dataset, names: Iterable[str], threads: int) -> int:
 
 
 def _chunked(given: xr.Variable) -> bool:
-    # NumPy first: xarray takes a tenth of a millisecond to say that an array has no chunks
-    return not isinstance(given._data, np.ndarray) and given.chunks is not None
+    return given.chunks is not None
 
 
 def chunks_of_time(series: Iterable[xr.Dataset]) -> list[slice]:

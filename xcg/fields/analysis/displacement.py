@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 from xcg.common.messages import unknown
 from xcg.compiled import THREADS
 from xcg.fields.coarse_grain import prepare
-from xcg.fields.evaluate import compute_chunk
+from xcg.fields.evaluate import about, compute_chunk, labelled
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.averages import derive, needed_for_averages
 from xcg.fields.grids.frames import refuse_cylindrical
-from xcg.fields.output import about, labelled
 from xcg.fields.plan import make_plan
 from xcg.fields.request import Request, takes
 from xcg.scene.description import describe, require_scene
