@@ -67,7 +67,7 @@ def is_own(error: Exception) -> bool:
 
 # modules that check arguments
 _CHECKS = (
-    "checks", "grid", "layout", "choices", "plan", "mesh_size", "coarse_grain", "kernels", "find_contacts", "pairs",
+    "checks", "grid", "layout", "plan", "coarse_grain", "kernels", "find_contacts", "pairs",
     "slice_temperature", "phases", "job", "pysammos_ini", "pysammos", "registry", "build", "description", "complete",
 )  # fmt: skip
 

@@ -21,7 +21,6 @@ from xcg.fields.request import Preset, Request, SharedOptions, takes
 from xcg.scene.bodies import group_bodies
 from xcg.scene.description import Description, describe
 from xcg.scene.sizes import with_measures
-from xcg.steps.faults import check_on_error
 from xcg.steps.labels import format_call, mark_skipped
 
 # names of other programs: from a request in them to one in names of xcg, and what turns its answer into theirs
@@ -74,11 +73,13 @@ def coarse_grain(ds: xr.Dataset, request: Request) -> xr.Dataset:
         check_walls(request)
     framed = {"frame": request.frame} if request.frame is not None else {}
     ds, request = prepare(ds, request)
-    skips = check_on_error(request.on_error) == "skip"
-    given = {k: v for k, v in (request.given() | framed).items() if k != "on_error" or skips}
-    call = format_call("coarse_grain", given)
+    given = request.given() | framed
+    if request.on_error == "raise":
+        del given["on_error"]
+    call, rename = format_call("coarse_grain", given), None
     scene = describe(ds, request.by)
-    request, rename = _in_own_names(scene, request)
+    if request.preset is not None:
+        request, rename = _in_own_names(scene, request)
     try:
         plan = make_plan(scene, request)
     except MeshTooLargeError as error:
@@ -88,7 +89,8 @@ def coarse_grain(ds: xr.Dataset, request: Request) -> xr.Dataset:
     result = labelled(scene, plan, arrays, call)
     if request.walls is not None:
         result = with_accessible(result, scene, plan, request)
-    return rename(mark_skipped(result, arrays))
+    result = mark_skipped(result, arrays)
+    return rename(result) if rename else result
 
 
 # of a scene that is conformed, and a request: for functions that are made of it
@@ -127,7 +129,8 @@ def explain(ds: xr.Dataset, request: Request) -> Plan:
     """
     ds, request = prepare(ds, request)
     scene = describe(ds, request.by)
-    request, _ = _in_own_names(scene, request)
+    if request.preset is not None:
+        request, _ = _in_own_names(scene, request)
     return make_plan(scene, request)
 
 
@@ -149,9 +152,7 @@ def prepare(ds: xr.Dataset, asked: Asked) -> tuple[xr.Dataset, Asked]:
 
 
 def _in_own_names(scene: Description, request: Request) -> tuple[Request, Callable[[xr.Dataset], xr.Dataset]]:
-    """Give the request in names of xcg, and what turns its answer into what was asked for."""
-    if request.preset is None:
-        return request, lambda result: result
+    """Return the request in names of xcg, and the function that turns its answer into what was asked for."""
     if request.preset not in PRESETS:
         raise ValueError(f"preset={request.preset!r}: expected {' or '.join(map(repr, PRESETS))}")
     return PRESETS[request.preset](scene, request)

@@ -21,7 +21,7 @@ from xcg.fields.grids.grid import check_mesh
 from xcg.fields.plan import Plan, scale_of
 from xcg.fields.sums.deposit import sums_of_frame
 from xcg.fields.sums.nodes import Block
-from xcg.scene.build import storable
+from xcg.scene.conform import storable
 from xcg.scene.description import Description
 from xcg.scene.frame import steps_in
 from xcg.scene.lattice import Lattice

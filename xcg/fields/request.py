@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, MISSING, Field, dataclass, fields
 from functools import cache, wraps
-from typing import Any, Concatenate, Literal, ParamSpec, TypeAlias, TypeVar, cast, get_type_hints
+from typing import Any, Concatenate, Literal, ParamSpec, TypeAlias, TypeVar, cast, get_args, get_type_hints
 
 import numpy as np
 import xarray as xr
@@ -38,6 +38,10 @@ _FORMS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "extent": (lambda value: isinstance(value, Mapping), "a length (m) by axis, such as {'y': 0.1}"),
     "at": (lambda value: isinstance(value, Mapping), "a coordinate (m) by axis, such as {'y': 0.0}"),
     "by": (lambda value: isinstance(value, str), "the name of a variable of the particles, such as 'species'"),
+    "on_error": (
+        lambda value: value in get_args(OnError),
+        "'raise' (stop at the first error) or 'skip' (go on without the step)",
+    ),
     "frame": (lambda value: isinstance(value, (Rotated, Cylindrical)), "xcg.Rotated(...) or xcg.Cylindrical(...)"),
 }
 

@@ -13,8 +13,7 @@ from xcg.common.checks import floats, is_positive
 from xcg.common.messages import unknown
 from xcg.packing.measure import Bounds, Measure
 from xcg.packing.quantities import CONTACTS, QUANTITIES, TENSOR
-from xcg.scene.build import storable
-from xcg.scene.conform import takes_scene
+from xcg.scene.conform import storable, takes_scene
 from xcg.scene.description import describe, require_scene
 from xcg.scene.schema import BOX, COMPONENTS, OF_STEP, units_in
 from xcg.scene.times import require_rising_times

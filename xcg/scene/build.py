@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from xcg.common.messages import SceneError, did_you_mean
 from xcg.scene.box import box_array, in_unit, with_lattice
 from xcg.scene.complete import complete_contacts, complete_particles, refuse_mask
+from xcg.scene.conform import storable
 from xcg.scene.frame import stack
 from xcg.scene.lattice import Lattice
 from xcg.scene.sanity import check_shape
@@ -88,14 +89,6 @@ def to_dataset(
         **measured,
     }
     return mark_measured(storable(xr.Dataset(data, coords, about)))
-
-
-def storable(ds: xr.Dataset) -> xr.Dataset:
-    """Have texts stored without a fixed length: no other text is in the specification of Zarr 3."""
-    for values in ds.variables.values():
-        if values.dtype.kind == "U":
-            values.encoding["dtype"] = object
-    return ds
 
 
 def _split_steps(name: str, values: Any) -> list[NDArray]:

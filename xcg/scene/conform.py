@@ -85,7 +85,8 @@ def conform(ds: xr.Dataset) -> xr.Dataset:
         scene = scene.reset_coords(kept)
     for dim in _taken_away(scene):
         scene = _with_dim(scene, dim)
-    scene = with_components(scene)
+    if labels_along(scene, "component") != list(COMPONENTS):
+        scene = with_components(scene)
     masked = scene.variables["particle_id"].dtype.kind == "f"
     changed = {}
     for name in map(str, scene.data_vars):
@@ -164,6 +165,14 @@ def as_selected(result: R, ds: xr.Dataset) -> R:
     return cast(R, selected.swap_dims(back) if back else selected)
 
 
+def storable(ds: xr.Dataset) -> xr.Dataset:
+    """Have texts stored without a fixed length: no other text is in the specification of Zarr 3."""
+    for values in ds.variables.values():
+        if values.dtype.kind == "U":
+            values.encoding["dtype"] = object
+    return ds
+
+
 def with_components(ds: xr.Dataset) -> xr.Dataset:
     """Order components by their labels.
 
@@ -191,9 +200,6 @@ def in_order(ds: xr.Dataset, dim: str, axes: Sequence[str]) -> xr.Dataset | None
 
 def labels_along(ds: xr.Dataset, dim: str) -> list[Any]:
     """Labels along a dimension of components, x, y and z where there are none."""
-    index = ds.xindexes.get(dim)
-    if index is not None:  # as nearly always
-        return index.to_pandas_index().tolist()
     return np.atleast_1d(ds.variables[dim]).tolist() if dim in ds.coords else list(COMPONENTS)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping, Sequence, Set
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -120,7 +120,7 @@ class Description:
 
     def require(self, names: Sequence[str], purpose: str) -> None:
         """Raise SceneError unless the scene holds these variables; the message lists all that are missing."""
-        _require(self.columns, list(self.columns), names, purpose)
+        require_scene(self.columns, names, purpose)
 
     def groups(self, by: str, groups: Sequence[int] | None = None) -> tuple[int, ...]:
         """Return the values of an integer variable of the particles, sorted: given, or known without reading.
@@ -151,18 +151,31 @@ def describe(ds: xr.Dataset, by: str | None = None) -> Description:
     Nothing is read, but the six numbers of the first box where a lazy box changes.
     """
     ds = with_measures(ds)
-    setup, edges = _setup(ds), _edges(ds)
+    gravity, edges = ds.attrs.get("gravity"), _edges(ds)
+    setup = Setup.make(
+        periodic=ds.attrs.get("periodic", ""),
+        gravity=None if gravity is None else np.asarray(gravity, float).tolist(),
+        dimension=int(ds.attrs.get("dimension", 3)),
+        plane=ds.attrs.get("plane"),
+        thickness=ds.attrs.get("thickness"),
+    )
+    setup = replace(setup, unit_system=ds.attrs.get("unit_system", "SI"))
+    columns, lasts = {}, _box_lasts(ds)
+    for name in map(str, ds.data_vars):
+        given = ds.variables[name]
+        texts = [None if (text := given.attrs.get(key)) is None else str(text) for key in ("units", "long_name")]
+        columns[name] = Column(tuple(map(str, given.dims)), given.dtype.kind, *texts)
     corners = [
         tuple(np.ravel(ds.attrs[end]).tolist()) for end in ("particle_lower", "particle_upper") if end in ds.attrs
     ]
     cylindrical = ds.attrs.get("frame") == "cylindrical"
     return Description(
-        columns={str(name): _column(given.variable) for name, given in ds.data_vars.items()},
+        columns=columns,
         steps=ds.sizes.get("time", 1),
         setup=setup,
         edges=edges,
-        lasting_periods=_lasting_periods(ds, setup, edges),
-        box_lasts=_box_lasts(ds),
+        lasting_periods=_lasting_periods(ds, setup, edges, lasts_all=lasts),
+        box_lasts=lasts,
         tilted="lattice" in ds,
         sizes={name: float(ds.attrs[name]) for name in SIZES if name in ds.attrs},
         corners=(corners[0], corners[1]) if len(corners) == 2 else None,
@@ -176,13 +189,10 @@ def describe(ds: xr.Dataset, by: str | None = None) -> Description:
     )
 
 
-def require_scene(ds: xr.Dataset, names: Sequence[str], purpose: str) -> None:
+def require_scene(ds: xr.Dataset | Mapping[str, Any], names: Sequence[str], purpose: str) -> None:
     """Raise SceneError unless `ds` is a scene and holds these variables; the message lists all that are missing."""
-    _require(ds.variables, list(ds.data_vars), names, purpose)
-
-
-def _require(held: Container[Any], shown: Sequence[Any], names: Sequence[str], purpose: str) -> None:
-    if missing := {name for name in ("position", "particle_id", *names) if name not in held}:
+    if missing := {name for name in ("position", "particle_id", *names) if name not in ds}:
+        shown = ds.data_vars if isinstance(ds, xr.Dataset) else ds
         raise SceneError(
             f"{purpose} needs {sorted(missing)}: {_way_to(missing)} "
             f"(this Dataset holds {', '.join(map(str, shown)) or 'nothing'})"
@@ -207,23 +217,6 @@ def _way_to(missing: Set[str]) -> str:
     if others := sorted(missing & {"position", "particle_id", "velocity", "diameter", "angular_velocity"}):
         ways.append(f"{', '.join(f'{name}=' for name in others)} to xcg.scene_from_arrays, or files that hold them")
     return f"give {', and '.join(ways) or 'them to xcg.open_scene or xcg.scene_from_arrays'}"
-
-
-def _column(given: xr.Variable) -> Column:
-    texts = (None if (text := given.attrs.get(name)) is None else str(text) for name in ("units", "long_name"))
-    return Column(tuple(map(str, given.dims)), given.dtype.kind, *texts)
-
-
-def _setup(ds: xr.Dataset) -> Setup:
-    gravity = ds.attrs.get("gravity")
-    setup = Setup.make(
-        periodic=ds.attrs.get("periodic", ""),
-        gravity=None if gravity is None else np.asarray(gravity, float).tolist(),
-        dimension=int(ds.attrs.get("dimension", 3)),
-        plane=ds.attrs.get("plane"),
-        thickness=ds.attrs.get("thickness"),
-    )
-    return replace(setup, unit_system=ds.attrs.get("unit_system", "SI"))
 
 
 def _values(ds: xr.Dataset, by: str) -> dict[str, tuple[int, ...]]:
@@ -251,28 +244,24 @@ def _edges(ds: xr.Dataset) -> dict[str, tuple[float, float]]:
 
 
 def _lasting_periods(
-    ds: xr.Dataset, setup: Setup, edges: Mapping[str, tuple[float, float]]
+    ds: xr.Dataset, setup: Setup, edges: Mapping[str, tuple[float, float]], *, lasts_all: bool
 ) -> tuple[float, float, float]:
-    if "lattice" not in ds:
-        lasting = _lasting_axes(ds)
-        periods = [edges[a][1] - edges[a][0] if a in setup.periodic and a in edges else np.inf for a in COMPONENTS]
-        x, y, z = (period if a in lasting else np.inf for a, period in zip(COMPONENTS, periods, strict=True))
-    elif _box_lasts(ds):
+    """Period along x, y, z; infinite where there is none that is the same in all steps."""
+    if not setup.periodic:
+        x = y = z = np.inf
+    elif "lattice" not in ds:
+        lasts = [lasts_all] * 3
+        if not lasts_all and "box" in ds and ds.variables["box"].chunks is None:
+            steps = ds.variables["box"].transpose("time", "component", ...).to_numpy()
+            lasts = (steps == steps[:1]).all(axis=(0, 2)).tolist()
+        lasting = [a for a, same in zip(COMPONENTS, lasts, strict=True) if same and a in setup.periodic and a in edges]
+        x, y, z = (edges[a][1] - edges[a][0] if a in lasting else np.inf for a in COMPONENTS)
+    elif lasts_all:
         box = {name: ds[name].isel(time=0).transpose(*row.dims).to_numpy() for name, row in BOX.items() if name in ds}
         x, y, z = Lattice.of(box, setup.periodic).axis_periods.tolist()
     else:
         x = y = z = np.inf
     return x, y, z
-
-
-def _lasting_axes(ds: xr.Dataset) -> str:
-    """Axes along which the edges of a box that is not tilted are the same in all steps."""
-    if _box_lasts(ds):
-        return "".join(COMPONENTS)
-    if "box" not in ds or ds.variables["box"].chunks is not None:
-        return ""
-    box = ds.variables["box"].transpose("time", "component", ...).to_numpy()
-    return "".join(a for a, edges in zip(COMPONENTS, box.swapaxes(0, 1), strict=True) if (edges == edges[:1]).all())
 
 
 def _box_lasts(ds: xr.Dataset) -> bool:

@@ -14,7 +14,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 from xarray.indexes import PandasIndex
 
-from xcg.scene.build import storable
+from xcg.scene.conform import storable
 from xcg.scene.description import Description
 from xcg.scene.schema import COMPONENTS, Variable, units_in
 from xcg.scene.summary import Summary, rows_of_origin

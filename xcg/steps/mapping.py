@@ -48,7 +48,7 @@ def map_over_time(
     """
     once, variables = Once(), ds.variables
     inputs = {name: variables[name].transpose(*_order(variables[name].dims)) for name in names}
-    skip = check_on_error(on_error) == "skip"
+    skip = on_error != "raise" and check_on_error(on_error) == "skip"
     numbers = _numbers(ds) if skip else None
     if skip:
         results = dict(results) | {SKIPPED: ((), "bool")}

@@ -18,8 +18,7 @@ from xcg.common.messages import SceneError
 from xcg.fields.coarse_grain import answer
 from xcg.fields.request import Request
 from xcg.fields.sums.kernels import Kernel
-from xcg.scene.build import storable
-from xcg.scene.conform import takes_scene
+from xcg.scene.conform import storable, takes_scene
 from xcg.scene.schema import COMPONENTS
 from xcg.scene.times import check_times
 from xcg.steps.mapping import chunks_of_time, each_step

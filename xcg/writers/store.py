@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from xarray.backends.locks import get_dask_scheduler, get_write_lock
 
 from xcg.compiled import THREADS
-from xcg.scene.build import storable
+from xcg.scene.conform import storable
 from xcg.steps.faults import SKIPPED, listen_for_skips, skips_heard
 from xcg.steps.graph import Gathered
 from xcg.steps.mapping import chunks_of_time

@@ -26,7 +26,7 @@ from xcg.scene.motion import BoxMotion, partners
 from xcg.scene.schema import COMPONENTS, OF_STEP, PADDING, units_in
 from xcg.scene.sizes import with_measures
 from xcg.scene.times import require_rising_times
-from xcg.steps.faults import Compute, Result, check_on_error
+from xcg.steps.faults import Compute, Result
 from xcg.steps.labels import format_call, mark_skipped
 from xcg.steps.mapping import map_over_time, threads_a_chunk
 
@@ -115,7 +115,7 @@ def displacement(ds: xr.Dataset, asked: DisplacementRequest) -> xr.Dataset:
     """
     names = _names(ds, asked)
     require_scene(ds, ("mass",), "displacement")
-    skips = check_on_error(asked.on_error) == "skip"
+    skips = asked.on_error == "skip"
     call = format_call("displacement", {k: v for k, v in asked.given().items() if k != "on_error" or skips})
     ds, asked = prepare(with_measures(ds), asked)
     if asked.accumulate:

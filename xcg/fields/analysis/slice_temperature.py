@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from xcg.common.checks import is_positive, is_whole, rising_pair
 from xcg.common.messages import SceneError
-from xcg.scene.build import storable
-from xcg.scene.conform import takes_scene
+from xcg.scene.conform import storable, takes_scene
 from xcg.scene.description import describe, require_scene
 from xcg.scene.frame import steps_in
 from xcg.scene.schema import COMPONENTS, OF_STEP, units_in

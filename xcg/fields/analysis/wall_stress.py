@@ -16,8 +16,7 @@ from xcg.common.checks import is_positive
 from xcg.common.messages import warn_once
 from xcg.fields.grids.wall_shapes import SurfaceCells, Wall
 from xcg.fields.sums.kernels import Kernel, KernelName, as_kernel, choose_width
-from xcg.scene.build import storable
-from xcg.scene.conform import takes_scene
+from xcg.scene.conform import storable, takes_scene
 from xcg.scene.contacts import Contacts
 from xcg.scene.description import Description, describe, require_scene
 from xcg.scene.frame import steps_in, without_frozen

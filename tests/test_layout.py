@@ -7,7 +7,7 @@ import pytest
 
 import xcg
 from xcg import SceneWarning
-from xcg.fields import layout as mesh_size
+from xcg.fields import layout
 
 R = np.random.default_rng(0).uniform(0, 10, (1000, 3))
 
@@ -31,7 +31,7 @@ def test_the_particle_and_the_way_out_are_named(far):
 def test_what_does_not_fit_into_memory_is_refused_before_it_is_taken(monkeypatch, lazy, steps, factor):
     """All steps of a scene in memory, one chunk of a lazy one."""
     ds, nodes = scene(150.0, lazy=lazy, steps=steps), 205 * 105 * 205
-    monkeypatch.setattr(mesh_size, "memory_at_hand", lambda: 8 * nodes * factor - 1)
+    monkeypatch.setattr(layout, "memory_at_hand", lambda: 8 * nodes * factor - 1)
     monkeypatch.setattr("xcg.fields.coarse_grain.evaluate_plan", lambda *_: pytest.fail("computed"))
     with pytest.raises(ValueError, match=r"205 x 105 x 205 nodes, and its fields take .* GB at once"):
         ds.cg.coarse_grain("density")
@@ -45,7 +45,7 @@ def test_many_nodes_a_grain_are_warned_of_with_those_of_a_mesh_without_it():
 
 
 def test_meshes_that_were_asked_for_are_not(monkeypatch):
-    monkeypatch.setattr(mesh_size, "memory_at_hand", lambda: 1)
+    monkeypatch.setattr(layout, "memory_at_hand", lambda: 1)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         f = scene(150.0).cg.coarse_grain("density", bounds=dict.fromkeys("xyz", (0, 10)), spacing=2.0)
@@ -53,5 +53,5 @@ def test_meshes_that_were_asked_for_are_not(monkeypatch):
 
 
 def test_memory_is_known_here():
-    found = mesh_size.memory_at_hand()
+    found = layout.memory_at_hand()
     assert found is None or found > 2**20
