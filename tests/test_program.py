@@ -188,7 +188,7 @@ def test_rows_name_what_their_formulas_take():
             gradient=gradient, deviatoric=deviatoric, temperature=temperature, friction=friction, size=size,
             diameter=1.0, shape=(5, 1, 1), spacing=(1.0, 0.0, 0.0), fluid_viscosity=1.0, by="species", lag=1,
         )  # fmt: skip
-        names = list(registry._ROWS)
+        names = tuple(registry._ROWS)
         for phases in (slice(0, 1), slice(None)):  # formulas may differ for the bulk alone
             made_up = _made_up(registry.moments_of(names, options))
             s = {name: a if name == "reference" else a[phases] for name, a in made_up.items()}

@@ -111,7 +111,7 @@ class Plan:
     def left_out(self, name: str) -> list[str]:
         """Name the variables of rotation that a field would take and that the scene does not hold."""
         lost = set(ROTATION) - set(self.variables)
-        rows = (self.deposit.rows[moment] for moment in registry.moments_of([name], self.options)) if lost else ()
+        rows = (self.deposit.rows[moment] for moment in registry.moments_of((name,), self.options)) if lost else ()
         taken = {variable for row in rows for variable in row.optional}
         return [variable for variable in ROTATION if variable in lost & taken]
 

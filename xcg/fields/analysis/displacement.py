@@ -128,7 +128,7 @@ def displacement(ds: xr.Dataset, asked: DisplacementRequest) -> xr.Dataset:
     options = replace(options, lag=asked.lag)
     if asked.for_averages:
         names = (*names, *needed_for_averages(names, options))
-    derived = [name for name in names if name != _GRADIENT and _GRADIENT in registry.order_of([name], options)]
+    derived = [name for name in names if name != _GRADIENT and _GRADIENT in registry.order_of((name,), options)]
     summed = [name for name in names if name not in derived] + [_GRADIENT] * bool(derived)
     summed += ["centre_offset"] * (moves and "displacement" in names)
     f, motion = _between_frames(ds, asked, list(dict.fromkeys(summed)), call)
@@ -168,7 +168,7 @@ def _names(ds: xr.Dataset, asked: DisplacementRequest) -> tuple[str, ...]:
         if name not in (*known, *BESIDE):
             raise ValueError(unknown("field of displacements", name, (*known, *BESIDE)))
     if asked.accumulate:
-        total = [name for name in known if _TOTAL in registry.order_of([name], registry.Options())]
+        total = [name for name in known if _TOTAL in registry.order_of((name,), registry.Options())]
         if asked.fields is None:
             names = total
         if wrong := [name for name in names if name not in total]:

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, reduce
+from itertools import count
 from types import SimpleNamespace
 from typing import Any
 
@@ -149,7 +150,7 @@ def program_for(fields: tuple[str, ...], options: Options, groups: int = 0) -> P
     Fields that cannot be traced are left out, and None is returned where all are: those whose formula, or that of a
     field that they need, takes operations that the loop does not know, or other nodes.
     """
-    if registry.whole_grid(options):
+    if options.whole_grid:
         return None
     record = Trace()
     rows = MOMENTS | {name: row for one in options.own for name, row in one.moments.items()}
@@ -158,20 +159,20 @@ def program_for(fields: tuple[str, ...], options: Options, groups: int = 0) -> P
     moments["reference"] = zero_if_unknown(record.load("reference", 0, np.arange(3)))
     found = _traced(fields, moments, options)
     results = {
-        (name, first, count): [record.of(value).number for value in found[name].flat[first : first + count]]
+        (name, first, number): [record.of(value).number for value in found[name].flat[first : first + number]]
         for name in fields
         if name in found
-        for count in [3 ** registry.row(name, options).rank]
-        for first in range(0, found[name].size, count)
+        for number in [3 ** registry.row(name, options).rank]
+        for first in range(0, found[name].size, number)
     }
-    return _RegisterAllocation(record.steps, results).program() if results else None
+    return _allocate(record.steps, results) if results else None
 
 
 def _traced(fields: Sequence[str], moments: Mapping[str, NDArray], options: Options) -> dict[str, Any]:
     """Symbols of some fields and of what they need, without those that cannot be traced."""
     found: dict[str, Any] = {}
     s = SimpleNamespace(**moments)
-    for name in registry.order_of(fields, options):
+    for name in registry.order_of(tuple(fields), options):
         row = registry.row(name, options)
         if found.keys() >= set(row.fields):
             try:
@@ -192,114 +193,80 @@ def _moment(record: Trace, name: str, row: Moment, groups: int) -> NDArray:
     return np.stack([reduce(operator.add, each), *each])[:, None]
 
 
-# The steps that lead to the components of each store.
-_Results = Mapping[tuple[str, int, int], Sequence[int]]
+def _allocate(
+    recorded: Sequence[tuple[int, tuple[Any, ...]]], results: Mapping[tuple[str, int, int], Sequence[int]]
+) -> Program:
+    """Put the steps that lead to results on rows of numbers, used anew once nothing needs what is in them.
 
+    `results` holds the steps that lead to the components of each store. What is stored together is stored as soon as
+    it is there.
+    """
+    uses = Counter(number for numbers in results.values() for number in numbers)
+    waiting = list(uses)
+    while waiting:
+        for operand in _operands(*recorded[waiting.pop()]):
+            if not uses[operand]:
+                waiting.append(operand)
+            uses[operand] += 1
+    # rows for good: of constants, and of what a fit takes and finds, side by side
+    row, constants, kept = dict[int, int](), dict[int, float](), 0
+    for number in sorted(uses):
+        operation, operands = recorded[number]
+        if operation == loops.CONSTANT:
+            row[number], constants[kept], kept = kept, operands[0], kept + 1
+        elif operation == loops.FIT:
+            row |= {operand: kept + k for k, operand in enumerate(operands[1:])}
+            row[number] = kept + len(operands) - 1
+            kept = row[number] + FOUND
+        elif operation == loops.PART:
+            row[number] = row[operands[1]] + operands[0]
+    free, fresh = list[int](), count(kept)
+    steps, inputs = list[tuple[int, int, int, int]](), list[tuple[str, int, int]]()
+    stored, target = list[tuple[str, int, int]](), np.zeros((len(results), 9), "uint64")
 
-class _RegisterAllocation:
-    """Puts the steps that lead to some results on rows of numbers, used anew once nothing needs what is in them."""
+    def row_of(number: int) -> int:
+        """Row of the result of a step; a column is loaded when it is first needed."""
+        operation, operands = recorded[number]
+        if number not in row:
+            row[number] = free.pop() if free else next(fresh)
+        if operation == loops.LOAD and operands not in inputs:
+            steps.append((loops.LOAD, row[number], len(inputs), 0))
+            inputs.append((operands[0], operands[1], operands[2]))
+        return row[number]
 
-    def __init__(self, recorded: Sequence[tuple[int, tuple[Any, ...]]], results: _Results) -> None:
-        self.recorded, self.results = recorded, results
-        self.uses = self._count_uses()
-        self.row: dict[int, int] = {}  # where the result of a step is
-        self.kept: set[int] = set()  # rows that are not used anew
-        self.free: list[int] = []
-        self.rows = 0
-        self.steps: list[tuple[int, int, int, int]] = []
-        self.inputs: list[tuple[str, int, int]] = []
-
-    def program(self) -> Program:
-        """Write all steps; what is stored together is stored as soon as it is there."""
-        complete: dict[int, list[tuple[str, int, int]]] = {}
-        for store, numbers in self.results.items():
-            complete.setdefault(max(numbers), []).append(store)
-        stored: list[tuple[str, int, int]] = []
-        constants, target = self._keep_rows(), np.zeros((len(self.results), 9), "uint64")
-        for number in sorted(self.uses):
-            operation, operands = self.recorded[number]
-            if operation == loops.FIT:
-                rows = [self._at(operand) for operand in operands[1:]]
-                self.steps.append((loops.FIT, self.row[number], rows[0], operands[0]))
-            elif operation not in (loops.CONSTANT, loops.LOAD, loops.PART):
-                rows = [self._at(operand) for operand in operands]
-                if number not in self.row:
-                    self.row[number] = self._new_row()
-                self.steps.append((operation, self.row[number], rows[0], rows[-1]))
-            for operand in self._operands(number):
-                self._used(operand)
-            for store in complete.get(number, ()):
-                numbers = self.results[store]
-                target[len(stored), : len(numbers)] = [self._at(k) for k in numbers]
-                self.steps.append((loops.STORE, len(stored), 0, 0))
-                stored.append(store)
-                for k in numbers:
-                    self._used(k)
-        scratch = np.zeros((self.rows, loops.TILE))
-        for row, value in constants.items():
-            scratch[row] = value
-        return Program(_whole(self.steps, 4), scratch, tuple(self.inputs), tuple(stored), target)
-
-    def _operands(self, number: int) -> tuple[int, ...]:
-        """Return the steps that a step takes something from."""
-        operation, operands = self.recorded[number]
-        if operation in (loops.CONSTANT, loops.LOAD):
-            return ()
-        return operands[1:] if operation in (loops.FIT, loops.PART) else operands
-
-    def _count_uses(self) -> Counter[int]:
-        """How often the result of each step is used, for those that lead to the results."""
-        uses = Counter(number for numbers in self.results.values() for number in numbers)
-        waiting = list(uses)
-        while waiting:
-            for operand in self._operands(waiting.pop()):
-                if not uses[operand]:
-                    waiting.append(operand)
-                uses[operand] += 1
-        return uses
-
-    def _keep_rows(self) -> dict[int, float]:
-        """Give rows for good to constants, and to what a fit takes and finds, side by side; returns the constants."""
-        constants = {}
-        for number in sorted(self.uses):
-            operation, operands = self.recorded[number]
-            if operation == loops.CONSTANT:
-                constants[self.rows] = operands[0]
-                self._keep([number])
-            elif operation == loops.FIT:
-                self._keep(operands[1:])
-                self.row[number] = self._kept_rows(FOUND)
-            elif operation == loops.PART:
-                self.row[number] = self.row[operands[1]] + operands[0]
-        return constants
-
-    def _keep(self, numbers: Sequence[int]) -> None:
-        first = self._kept_rows(len(numbers))
-        self.row |= {number: first + k for k, number in enumerate(numbers)}
-
-    def _kept_rows(self, count: int) -> int:
-        first, self.rows = self.rows, self.rows + count
-        self.kept |= {*range(first, self.rows)}
-        return first
-
-    def _new_row(self) -> int:
-        if not self.free:
-            self.free.append(self.rows)
-            self.rows += 1
-        return self.free.pop()
-
-    def _at(self, number: int) -> int:
-        """Row of a result; a column is loaded when it is first needed."""
-        operation, operands = self.recorded[number]
-        if operation == loops.LOAD and operands not in self.inputs:
-            if number not in self.row:
-                self.row[number] = self._new_row()
-            self.steps.append((loops.LOAD, self.row[number], len(self.inputs), 0))
-            self.inputs.append(operands)
-        return self.row[number]
-
-    def _used(self, number: int) -> None:
+    def use(number: int) -> None:
         """Count a use of a result; after the last its row is free."""
-        self.uses[number] -= 1
-        if not self.uses[number] and self.row[number] not in self.kept:
-            self.free.append(self.row[number])
+        uses[number] -= 1
+        if not uses[number] and row[number] >= kept:
+            free.append(row[number])
+
+    complete = dict[int, list[tuple[str, int, int]]]()
+    for store, numbers in results.items():
+        complete.setdefault(max(numbers), []).append(store)
+    for number in sorted(uses):
+        operation, operands = recorded[number]
+        if operation == loops.FIT:
+            rows = [row_of(operand) for operand in operands[1:]]
+            steps.append((loops.FIT, row[number], rows[0], operands[0]))
+        elif operation not in (loops.CONSTANT, loops.LOAD, loops.PART):
+            rows = [row_of(operand) for operand in operands]
+            steps.append((operation, row_of(number), rows[0], rows[-1]))
+        for operand in _operands(operation, operands):
+            use(operand)
+        for store in complete.get(number, ()):
+            target[len(stored), : len(results[store])] = [row_of(k) for k in results[store]]
+            steps.append((loops.STORE, len(stored), 0, 0))
+            stored.append(store)
+            for k in results[store]:
+                use(k)
+    scratch = np.zeros((next(fresh), loops.TILE))
+    for number, value in constants.items():
+        scratch[number] = value
+    return Program(_whole(steps, 4), scratch, tuple(inputs), tuple(stored), target)
+
+
+def _operands(operation: int, operands: tuple[Any, ...]) -> tuple[int, ...]:
+    """Return the steps that a step takes something from."""
+    if operation in (loops.CONSTANT, loops.LOAD):
+        return ()
+    return operands[1:] if operation in (loops.FIT, loops.PART) else operands

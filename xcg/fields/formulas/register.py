@@ -154,7 +154,7 @@ def _check(name: str, row: Field) -> None:
 def _try_out(name: str, row: Field) -> None:
     """Compute the field from made-up moments."""
     options = Options(fluid_viscosity=1.0, own=(registry.OwnRow(name, row),))
-    moments = _made_up(registry.moments_of([name], options))
+    moments = _made_up(registry.moments_of((name,), options))
     part = {moment: a[..., 2:4, :] if moment == "reference" else a[:, 2:4] for moment, a in moments.items()}
     try:
         found = registry.evaluate([*row.fields, name], moments, options)

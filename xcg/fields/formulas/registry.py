@@ -58,11 +58,6 @@ def row(name: str, options: Options) -> Field:
     return usual
 
 
-def whole_grid(options: Options) -> bool:
-    """Tell whether the algebra needs all nodes at once, not block by block."""
-    return options.gradient == "finite_difference"
-
-
 def given_options(options: Options) -> dict[str, Any]:
     """Return the options that are set only if somebody gave them, as attributes of a result."""
     found: dict[str, Any] = {}
@@ -121,36 +116,19 @@ def add(name: str, field: Field) -> None:
 
 def registered_for(fields: Iterable[str], options: Options) -> tuple[OwnRow, ...]:
     """Return what users registered of all that some fields need."""
-    return tuple(OwnRow(name, _REGISTERED[name]) for name in order_of(fields, options) if name in _REGISTERED)
+    return tuple(OwnRow(name, _REGISTERED[name]) for name in order_of(tuple(fields), options) if name in _REGISTERED)
 
 
-def order_of(fields: Iterable[str], options: Options) -> tuple[str, ...]:
+@remembered
+def order_of(fields: tuple[str, ...], options: Options) -> tuple[str, ...]:
     """All rows needed for some fields, each after what it needs."""
-    return _order_of(tuple(fields), options)
+    chains = ((*order_of(row(name, options).fields, options), name) for name in fields)
+    return tuple(dict.fromkeys(name for chain in chains for name in chain))
 
 
 @remembered
-def _order_of(fields: tuple[str, ...], options: Options) -> tuple[str, ...]:
-    order: list[str] = []
-
-    def visit(name: str) -> None:
-        if name not in order:
-            for needed in row(name, options).fields:
-                visit(needed)
-            order.append(name)
-
-    for name in fields:
-        visit(name)
-    return tuple(order)
-
-
-def moments_of(fields: Iterable[str], options: Options) -> tuple[str, ...]:
+def moments_of(fields: tuple[str, ...], options: Options) -> tuple[str, ...]:
     """All moments needed for some fields."""
-    return _moments_of(tuple(fields), options)
-
-
-@remembered
-def _moments_of(fields: tuple[str, ...], options: Options) -> tuple[str, ...]:
     return tuple(dict.fromkeys(s for name in order_of(fields, options) for s in row(name, options).moments))
 
 
@@ -158,6 +136,6 @@ def evaluate(fields: Sequence[str], moments: Mapping[str, NDArray], options: Opt
     """Compute fields from moments with NumPy; arrays (phase, node, ...)."""
     s, f = SimpleNamespace(**moments), SimpleNamespace()
     with np.errstate(all="ignore"):  # as the program: nodes without grains divide 0 by 0
-        for name in order_of(fields, options):
+        for name in order_of(tuple(fields), options):
             setattr(f, name, row(name, options).compute(f, s, options))
     return {name: getattr(f, name) for name in fields}

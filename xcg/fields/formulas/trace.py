@@ -7,6 +7,7 @@ for element the same. What symbols do not know is refused; such formulas are lef
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, field
 from typing import Any, NoReturn
 
 import numpy as np
@@ -20,12 +21,12 @@ class UnknownOperation(NotImplementedError, TypeError):
     """A formula takes an operation that only numbers know."""
 
 
+@dataclass(eq=False)
 class Trace:
     """The steps that were written down, each once however often it was asked for."""
 
-    def __init__(self) -> None:
-        self.steps: list[tuple[int, tuple[Hashable, ...]]] = []
-        self._number: dict[tuple[int, tuple[Hashable, ...]], int] = {}
+    steps: list[tuple[int, tuple[Hashable, ...]]] = field(default_factory=list)
+    _number: dict[tuple[int, tuple[Hashable, ...]], int] = field(default_factory=dict)
 
     def add(self, operation: int, *operands: Hashable) -> Symbol:
         """Write down a step, of which the operands are numbers of earlier ones."""
@@ -45,13 +46,12 @@ class Trace:
         return _array(loads, columns.shape)
 
 
+@dataclass(eq=False, slots=True)
 class Symbol:
     """The result of a step; arithmetic with it makes further steps."""
 
-    __slots__ = ("number", "record")
-
-    def __init__(self, record: Trace, number: int) -> None:
-        self.record, self.number = record, number
+    record: Trace
+    number: int
 
     def _with(self, operation: int, left: Any, right: Any) -> Symbol:
         numbers = [self.record.of(value).number for value in (left, right)]
@@ -94,13 +94,9 @@ class Symbol:
     __eq__ = __ne__ = __lt__ = __le__ = __gt__ = __ge__ = _no_value
     __hash__ = None  # type: ignore[assignment]
 
-    def alone(self, operation: int) -> Symbol:
-        """Write down a step with one operand."""
-        return self.record.add(operation, self.number)
-
     def sqrt(self) -> Symbol:
         """Return the square root; `np.sqrt` of an array of symbols calls it."""
-        return self.alone(loops.SQUARE_ROOT)
+        return self.record.add(loops.SQUARE_ROOT, self.number)
 
 
 # What gives the same bits on symbols as on numbers: arithmetic element by element, and putting elements elsewhere. Sums
@@ -146,7 +142,7 @@ def _array(symbols: Sequence[Symbol], shape: tuple[int, ...]) -> NDArray:
 
 
 def _each(array: NDArray, operation: int) -> NDArray:
-    return _array([symbol.alone(operation) for symbol in array.ravel()], array.shape)
+    return _array([one.record.add(operation, one.number) for one in array.ravel()], array.shape)
 
 
 def trace_fit(sums: NDArray, *, active: Sequence[bool], about_node: bool) -> NDArray:
