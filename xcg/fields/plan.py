@@ -33,9 +33,9 @@ from xcg.fields.sums.contact_moments import sliding_contacts
 from xcg.fields.sums.kernels import Kernel
 from xcg.fields.sums.moments import MOMENTS, Moment
 from xcg.fields.sums.nodes import BLOCK_NODES, FINE, nodes_in_cache
-from xcg.fields.sums.passes import DepositSpec
 from xcg.fields.sums.quadrature import SINGLE, gauss_limits
-from xcg.scene.description import Description
+from xcg.fields.sums.step import DepositSpec
+from xcg.scene.description import Description, require_scene
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import COMPONENTS, CONTACT_VARIABLES, ROTATION, Setup
 
@@ -203,7 +203,7 @@ def make_plan(scene: Description, request: Request) -> Plan:
     ValueError
         If an argument is wrong.
     """
-    scene.require((), "coarse_grain")
+    require_scene(scene.columns, (), "coarse_grain")
     rtol, by = request.rtol, request.by
     if not (is_finite(rtol) and rtol >= 0):
         raise ValueError(f"rtol={rtol!r}: expected 0 (closed form) or a positive number such as 1e-3")
@@ -211,7 +211,7 @@ def make_plan(scene: Description, request: Request) -> Plan:
     variables = variables_of(names, scene.names, options)
     if not variables <= scene.names:
         lacking = [name for name in names if not variables_of((name,), scene.names, options) <= scene.names]
-        scene.require(sorted(variables), f"coarse_grain of {', '.join(lacking)}")
+        require_scene(scene.columns, sorted(variables), f"coarse_grain of {', '.join(lacking)}")
     kernels = kernels_of(scene, request)
     widest = max(kernels, key=lambda k: k.cutoff)
     warn_of_width(min(k.width for k in kernels), scene.sizes, of_groups=isinstance(request.width, Mapping))
@@ -289,13 +289,14 @@ def _choose_fields(
     asked: str | Quantity | Sequence[str | Quantity | registry.OwnRow] | None, scene: Description, options: Options
 ) -> tuple[tuple[str, ...], tuple[OwnField | registry.OwnRow, ...]]:
     """Names of the fields of a result, and those of them that are quantities of the scene's own variables."""
-    rows, listed = registry.FIELDS, registry.listed()
+    rows = registry.FIELDS
+    listed = [name for name, row in rows.items() if row.listed]
     lacking = {name for name, row in rows.items() if row.option and getattr(options, row.option) is None}
     if asked is None:
         possible = [name for name in listed if rows[name].default and name not in lacking]
         here = tuple(name for name in possible if variables_of((name,), scene.names, options) <= scene.names)
         if not here:
-            scene.require(("mass",), "coarse_grain")
+            require_scene(scene.columns, ("mass",), "coarse_grain")
         return here, ()
     given = list(asked) if isinstance(asked, Iterable) and not isinstance(asked, str) else [asked]
     own = {} if all(isinstance(one, str) and one in rows for one in given) else own_fields(given, scene)

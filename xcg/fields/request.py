@@ -230,7 +230,8 @@ def takes(request: Callable[P, A]) -> Callable[[Callable[[xr.Dataset, A], R]], C
         @wraps(function)
         def call(ds: xr.Dataset, *args: P.args, **options: P.kwargs) -> R:
             scene = conformed(function.__name__, signature, ds, args, options)
-            return as_selected(function(scene, request(*args, **options)), ds)
+            result = function(scene, request(*args, **options))
+            return result if scene is ds else as_selected(result, ds)
 
         parameters = [inspect.Parameter("ds", inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation="xr.Dataset")]
         for field in arguments(request):

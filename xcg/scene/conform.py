@@ -35,7 +35,8 @@ def takes_scene(task: Task[P, R]) -> Task[P, R]:
     @wraps(task)
     def call(ds: xr.Dataset, *args: P.args, **options: P.kwargs) -> R:
         scene = conformed(task.__name__, signature, ds, args, options)
-        return as_selected(task(scene, *args, **options), ds)
+        result = task(scene, *args, **options)
+        return result if scene is ds else as_selected(result, ds)
 
     return cast("Task[P, R]", call)
 

@@ -118,10 +118,6 @@ class Description:
             "a one-layer scene needs its thickness: give thickness= when opening it, or a box that is finite across it"
         )
 
-    def require(self, names: Sequence[str], purpose: str) -> None:
-        """Raise SceneError unless the scene holds these variables; the message lists all that are missing."""
-        require_scene(self.columns, names, purpose)
-
     def groups(self, by: str, groups: Sequence[int] | None = None) -> tuple[int, ...]:
         """Return the values of an integer variable of the particles, sorted: given, or known without reading.
 

@@ -23,7 +23,7 @@ from xcg.fields.formulas.field import Options
 from xcg.fields.formulas.trace import Trace, as_symbols, zero_if_unknown
 from xcg.fields.sums.deposit import BlockSums
 from xcg.fields.sums.moments import MOMENTS, Moment
-from xcg.fields.sums.passes import Layout
+from xcg.fields.sums.step import Layout
 
 
 @dataclass(frozen=True, eq=False)

@@ -142,16 +142,6 @@ class MeshTooLargeError(ValueError):
     """A mesh has more nodes than loops count, or than there is memory for."""
 
 
-def _whole(axis: str, count: float) -> int:
-    """Return the number of nodes of one axis as an integer. Raise MeshTooLargeError for too many."""
-    if not count < _MOST_OF_ONE_AXIS:
-        raise MeshTooLargeError(
-            f"the mesh would have {count:.3g} nodes along {axis!r}, more than {_MOST_OF_ONE_AXIS}: choose a larger "
-            "spacing or smaller bounds"
-        )
-    return int(count)
-
-
 def nodes_along(
     a: str, step: Any, axes: Iterable[str], bounds: Mapping[str, Sequence[float]],
     automatic: Mapping[str, tuple[float, float]], period: Mapping[str, float], cutoff: float, cells: bool = False,
@@ -164,7 +154,7 @@ def nodes_along(
         )
     if a in bounds:
         first, last = rising_pair(f"bounds[{a!r}]", bounds[a], equal=True)
-        count = _whole(a, (last - first) / step * (1 + 1e-12) + 1e-9) + 1
+        count = np.floor((last - first) / step * (1 + 1e-12) + 1e-9) + 1
     elif a not in automatic:
         raise ValueError(
             f"axis {a!r} has no bounds: the scene holds neither a box nor the particles' extent, or no longer, as "
@@ -172,21 +162,26 @@ def nodes_along(
             "(of bodies: ds = ds.cg.group_bodies(...).cg.measure() in place of by_body=)"
         )
     elif a in period:
-        first, count = automatic[a][0], max(1, _whole(a, period[a] / step + 0.5))
+        first, count = automatic[a][0], max(1, np.floor(period[a] / step + 0.5))
         step = period[a] / count
         first += 0.5 * step if cells else 0.0
     else:
         first, last = automatic[a]
-        count = _whole(a, np.ceil((last - first) / step))
+        count = np.ceil((last - first) / step)
         count = max(1, count) if cells else count + 1
         first = 0.5 * (first + last) - 0.5 * (count - 1) * step
+    if not count < _MOST_OF_ONE_AXIS:
+        raise MeshTooLargeError(
+            f"the mesh would have {count:.3g} nodes along {a!r}, more than {_MOST_OF_ONE_AXIS}: choose a larger "
+            "spacing or smaller bounds"
+        )
     if count > 1 and step > 2 * cutoff and not cells:
         warn_user(
             f"spacing {step:g} along {a!r} is larger than the support of the kernel (2 c = {2 * cutoff:g}): "
             "particles between nodes are not seen; choose a smaller spacing or a larger width, or "
             "sampling='cell' for averages over the spacing around each node"
         )
-    return first + step * np.arange(count), float(step)
+    return first + step * np.arange(int(count)), float(step)
 
 
 def make_grid(

@@ -12,7 +12,7 @@ from xcg.compiled.rings import ROOM, ring_squares
 from xcg.fields.grids.points import PointBlock
 from xcg.fields.sums.deposit import BlockSums
 from xcg.fields.sums.moments import MOMENTS
-from xcg.fields.sums.passes import Layout, Squared
+from xcg.fields.sums.step import Layout, Squared
 
 _TO_TURN = (  # flow columns that are vectors and tensors, and the level from which they are there
     (loops.VELOCITY, "momentum"),

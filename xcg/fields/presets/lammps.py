@@ -147,7 +147,7 @@ def translate(scene: Description, request: Request) -> tuple[Request, Callable[[
     idle = request.changed(_WITHOUT_EFFECT)
     if idle:
         raise ValueError(f"preset='lammps': none of its fields depends on {idle}; leave them out")
-    scene.require((), "coarse_grain")
+    require_scene(scene.columns, (), "coarse_grain")
     gradient = request.gradient if request.changed(["gradient"]) else "finite_difference"
     own = replace(request, preset=None, gradient=gradient, kernel=_kernel(scene, request), width=None)
     names = _choose(request.fields, make_plan(scene, replace(own, fields=None)).fields)

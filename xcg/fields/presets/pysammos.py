@@ -234,7 +234,7 @@ def translate(scene: Description, request: Request) -> tuple[Request, Callable[[
         raise ValueError(
             f"preset='pysammos' has a name for each variant: leave out {clash}, and take the field that you want"
         )
-    scene.require((), "coarse_grain")
+    require_scene(scene.columns, (), "coarse_grain")
     table = rows(*plane_of(scene, request.shear_dims))
     own = replace(request, preset=None, shear_dims=None, for_averages=False)
     chosen = {name: table[name].field for name in choose(request.fields, table, possible_fields(scene, own))}

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from xcg.compiled.threads import for_each
 from xcg.fields.sums import points
 from xcg.fields.sums.nodes import NodeBlock
-from xcg.fields.sums.passes import DepositSpec, Layout, Pass
 from xcg.fields.sums.segments import along_branches
-from xcg.fields.sums.step import StepRows
+from xcg.fields.sums.step import DepositSpec, Layout, Pass, StepRows
 from xcg.scene.frame import check_finite
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import Frame

@@ -13,9 +13,8 @@ from xcg.compiled import points as loops
 from xcg.compiled.reach import BATCH, batches_of
 from xcg.fields.sums.moments import CUTOFF_POWERS, MOMENTS, Moment
 from xcg.fields.sums.nodes import NodeBlock
-from xcg.fields.sums.passes import AnyKernel, DepositSpec, Layout, Pass, Squared
 from xcg.fields.sums.reach import Mesh
-from xcg.fields.sums.step import Images, StepRows
+from xcg.fields.sums.step import AnyKernel, DepositSpec, Images, Layout, Pass, Squared, StepRows
 from xcg.scene.lattice import Lattice
 
 

@@ -28,9 +28,8 @@ from xcg.compiled.segments import (
 )
 from xcg.fields.sums.moments import Moment
 from xcg.fields.sums.nodes import NodeBlock
-from xcg.fields.sums.passes import AnyKernel, Fill, Layout, Pass
 from xcg.fields.sums.reach import Mesh
-from xcg.fields.sums.step import StepRows, alike
+from xcg.fields.sums.step import AnyKernel, Fill, Layout, Pass, StepRows, alike
 from xcg.scene.schema import Frame
 
 # Segments of more contacts than this are not kept, as each takes 80 bytes.
