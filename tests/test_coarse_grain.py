@@ -280,7 +280,7 @@ def test_one_size_of_grain_needs_one_column():
     one = ds.cg.coarse_grain(["volume_fraction", "d43", "d32", "number_density"], width=0.8)
     np.testing.assert_allclose(one.volume_fraction, np.pi / 6 * 0.7**3 * one.number_density, rtol=1e-14)
     np.testing.assert_allclose(one.d43.where(one.number_density > 0, 0.7), 0.7, rtol=1e-14)
-    with mock.patch("xcg.fields.sums.points.loops.deposit", wraps=deposit) as loop:
+    with mock.patch("xcg.fields.sums.deposit.loops.deposit", wraps=deposit) as loop:
         ds.cg.coarse_grain(["volume_fraction", "d43", "d32", "number_density"], width=0.8)
     assert loop.call_args.args[0].constants.shape[1] == 4  # one column, and three that fill up the four
 
@@ -390,7 +390,7 @@ def test_what_stands_still_takes_less_work_and_gives_the_same():
     ds = xcg.datasets.random_scene(60, seed=4)
     still = ds.assign(velocity=xr.full_like(ds.velocity, 0.3))
     f = still.cg.coarse_grain(by="species", width=1.0)
-    with mock.patch("xcg.fields.sums.points.loops.deposit", side_effect=_as_if_moving):
+    with mock.patch("xcg.fields.sums.deposit.loops.deposit", side_effect=_as_if_moving):
         moving = still.cg.coarse_grain(by="species", width=1.0)
     xr.testing.assert_equal(f.drop_attrs(), moving.drop_attrs())
     seen = f.granular_temperature.sel(phase="bulk").dropna("z", how="all")

@@ -10,9 +10,9 @@ import pytest
 
 import xcg
 from xcg.compiled import program as kernel
+from xcg.fields.formulas import algebra as symbols
 from xcg.fields.formulas import program as program
 from xcg.fields.formulas import registry
-from xcg.fields.formulas import trace as symbols
 from xcg.fields.formulas.field import Gradient, Options, Temperature
 from xcg.fields.formulas.register import _made_up
 

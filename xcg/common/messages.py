@@ -8,6 +8,7 @@ import threading
 import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from types import FrameType
 from typing import Any, ClassVar
 from uuid import uuid4
@@ -113,6 +114,7 @@ def _on_worker(distributed: Any) -> bool:
     return True
 
 
+@dataclass(eq=False)
 class Once:
     """Warnings of one call, each of them given once: copies in other threads and processes know what was said.
 
@@ -123,8 +125,7 @@ class Once:
     _said: ClassVar[set[tuple[str, str]]] = set()
     _lock: ClassVar[threading.Lock] = threading.Lock()
 
-    def __init__(self, key: str | None = None) -> None:
-        self.key = key or uuid4().hex
+    key: str = field(default_factory=lambda: uuid4().hex)
 
     def __reduce__(self) -> tuple[type[Once], tuple[str]]:
         return Once, (self.key,)

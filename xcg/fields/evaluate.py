@@ -102,7 +102,7 @@ def _compute_step(
             for name, values in registry.evaluate(untraced, found.moments, options).items():
                 rows[name][place] = values.swapaxes(0, 1)
 
-    whole = plan.options.whole_grid
+    whole = plan.options.gradient == "finite_difference"
     for_each(grid.blocks(grid.count, 1) if whole else grid.blocks(plan.block_nodes, threads), fill, threads)
     if grid.undirected.size:
         for name, values in rows.items():

@@ -1,13 +1,175 @@
-"""Algebra of vectors and tensors at nodes: arrays (phase, node, ...), of numbers or of symbols."""
+"""Functions of formulas: of arrays of numbers, or of symbols that write down the steps which numbers would take.
+
+A symbol is a number at a node that is not known yet. Formulas run on arrays of either kind, element for element the
+same; a program of steps is traced by running them once on symbols. What symbols do not know is refused; such formulas
+are left to NumPy.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.fields.formulas.trace import at_least_zero, where_positive
+from xcg.compiled import program as loops
+from xcg.compiled.fit import FOUND, flags_of
+
+
+class UnknownOperation(NotImplementedError, TypeError):
+    """A formula takes an operation that only numbers know."""
+
+
+@dataclass(eq=False)
+class Trace:
+    """The steps that were written down, each once however often it was asked for."""
+
+    steps: list[tuple[int, tuple[Hashable, ...]]] = field(default_factory=list)
+    _number: dict[tuple[int, tuple[Hashable, ...]], int] = field(default_factory=dict)
+
+    def add(self, operation: int, *operands: Hashable) -> Symbol:
+        """Write down a step, of which the operands are numbers of earlier ones."""
+        step = operation, operands
+        if step not in self._number:
+            self._number[step] = len(self.steps)
+            self.steps.append(step)
+        return Symbol(self, self._number[step])
+
+    def of(self, value: Any) -> Symbol:
+        """Return a symbol for a value that may be a number."""
+        return value if isinstance(value, Symbol) else self.add(loops.CONSTANT, float(value))
+
+    def load(self, name: str, group: int, columns: NDArray) -> NDArray:
+        """Return symbols for the moment of a group of grains that is made of these columns."""
+        loads = [self.add(loops.LOAD, name, group, int(column)) for column in columns.ravel()]
+        return _array(loads, columns.shape)
+
+
+@dataclass(eq=False, slots=True)
+class Symbol:
+    """The result of a step; arithmetic with it makes further steps."""
+
+    record: Trace
+    number: int
+
+    def _with(self, operation: int, left: Any, right: Any) -> Symbol:
+        numbers = [self.record.of(value).number for value in (left, right)]
+        if operation in (loops.ADD, loops.MULTIPLY):  # the order of two does not matter, to the last bit
+            numbers.sort()
+        return self.record.add(operation, *numbers)
+
+    def __add__(self, other: Any) -> Symbol:
+        return self._with(loops.ADD, self, other)
+
+    def __sub__(self, other: Any) -> Symbol:
+        return self._with(loops.SUBTRACT, self, other)
+
+    def __rsub__(self, other: Any) -> Symbol:
+        return self._with(loops.SUBTRACT, other, self)
+
+    def __mul__(self, other: Any) -> Symbol:
+        return self._with(loops.MULTIPLY, self, other)
+
+    def __truediv__(self, other: Any) -> Symbol:
+        return self._with(loops.DIVIDE, self, other)
+
+    def __rtruediv__(self, other: Any) -> Symbol:
+        return self._with(loops.DIVIDE, other, self)
+
+    __radd__, __rmul__ = __add__, __mul__
+
+    def __neg__(self) -> Symbol:
+        return self * -1.0
+
+    def __pow__(self, exponent: int) -> Symbol:
+        if exponent != 2:
+            raise UnknownOperation(f"power {exponent}: only squares are known")
+        return self * self
+
+    def _no_value(self, *others: Any) -> NoReturn:
+        raise UnknownOperation("the value of a symbol is not known while steps are written down")
+
+    __bool__ = __float__ = __int__ = __index__ = _no_value
+    __eq__ = __ne__ = __lt__ = __le__ = __gt__ = __ge__ = _no_value
+    __hash__ = None  # type: ignore[assignment]
+
+    def sqrt(self) -> Symbol:
+        """Return the square root; `np.sqrt` of an array of symbols calls it."""
+        return self.record.add(loops.SQUARE_ROOT, self.number)
+
+
+# What gives the same bits on symbols as on numbers: arithmetic element by element, and putting elements elsewhere. Sums
+# over axes are not among it, as NumPy adds numbers in another order than symbols.
+_ARITHMETIC = {np.add, np.subtract, np.multiply, np.divide, np.negative, np.square, np.sqrt, np.power}
+_PLACEMENT = {
+    np.array_split, np.broadcast_to, np.concatenate, np.copy, np.diagonal, np.expand_dims, np.flip, np.moveaxis,
+    np.ravel, np.reshape, np.split, np.squeeze, np.stack, np.swapaxes, np.take, np.transpose, np.where,
+}  # fmt: skip
+
+
+class Symbols(np.ndarray):
+    """An array of symbols."""
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
+        if method != "__call__" or ufunc not in _ARITHMETIC or options.keys() - {"out"}:
+            raise UnknownOperation(
+                f"{ufunc.__name__}: only {', '.join(sorted(known.__name__ for known in _ARITHMETIC))} are known"
+            )
+        if "out" in options:
+            options["out"] = tuple(map(_plain, options["out"]))
+        return as_symbols(ufunc(*map(_plain, inputs), **options))
+
+    def __array_function__(self, function: Any, types: Any, args: Any, options: Any) -> Any:
+        if function not in _PLACEMENT:
+            raise UnknownOperation(f"{function.__name__} is not known")
+        return as_symbols(super().__array_function__(function, types, args, options))
+
+
+def as_symbols(value: Any) -> Any:
+    """Return an array of symbols as `Symbols`, anything else as it is."""
+    return value.view(Symbols) if isinstance(value, np.ndarray) and value.dtype == object else value
+
+
+def _plain(value: Any) -> Any:
+    return value.view(np.ndarray) if isinstance(value, Symbols) else value
+
+
+def _array(symbols: Sequence[Symbol], shape: tuple[int, ...]) -> NDArray:
+    out = np.empty(len(symbols), object)
+    out[:] = symbols
+    return out.reshape(shape).view(Symbols)
+
+
+def _each(array: NDArray, operation: int) -> NDArray:
+    return _array([one.record.add(operation, one.number) for one in array.ravel()], array.shape)
+
+
+def trace_fit(sums: NDArray, *, active: Sequence[bool], about_node: bool) -> NDArray:
+    """As `xcg.compiled.fit.fit_gradient`, for symbols."""
+    record, flags = sums[0, 0].record, flags_of(active, about_node)
+    fits = [record.add(loops.FIT, flags, *(symbol.number for symbol in column)) for column in sums.T]
+    found = [record.add(loops.PART, k, one.number) for k in range(FOUND) for one in fits]
+    return _array(found, (FOUND, len(fits)))
+
+
+# --- functions of arrays of either kind ------------------------------------------------------------------
+
+
+def where_positive(x: NDArray) -> NDArray:
+    """Return x where it is positive, NaN elsewhere."""
+    return _each(x, loops.WHERE_POSITIVE) if x.dtype == object else np.where(x > 0, x, np.nan)
+
+
+def at_least_zero(x: NDArray) -> NDArray:
+    """Return the larger of x and 0; NaN stays NaN."""
+    return _each(x, loops.AT_LEAST_ZERO) if x.dtype == object else np.maximum(x, 0.0)
+
+
+def zero_if_unknown(x: NDArray) -> NDArray:
+    """Return x, 0 where it is NaN."""
+    return _each(x, loops.ZERO_IF_UNKNOWN) if x.dtype == object else np.where(np.isnan(x), 0.0, x)
 
 
 def ratio(a: NDArray, b: NDArray) -> NDArray:

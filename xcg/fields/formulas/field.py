@@ -89,11 +89,6 @@ class Options:
         return {one.name: one.row for one in self.own}
 
     @property
-    def whole_grid(self) -> bool:
-        """Whether the algebra needs all nodes at once, not block by block."""
-        return self.gradient == "finite_difference"
-
-    @property
     def sliding(self) -> bool:
         """Whether it is known which contacts slide."""
         return self.friction is not None

@@ -7,7 +7,7 @@ import operator
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache, reduce
+from functools import lru_cache, reduce
 from itertools import count
 from types import SimpleNamespace
 from typing import Any
@@ -19,8 +19,8 @@ from xcg.compiled import program as loops
 from xcg.compiled.fit import FOUND
 from xcg.compiled.simd import EIGHT
 from xcg.fields.formulas import registry
+from xcg.fields.formulas.algebra import Trace, as_symbols, zero_if_unknown
 from xcg.fields.formulas.field import Options
-from xcg.fields.formulas.trace import Trace, as_symbols, zero_if_unknown
 from xcg.fields.sums.deposit import BlockSums
 from xcg.fields.sums.moments import MOMENTS, Moment
 from xcg.fields.sums.step import Layout
@@ -38,30 +38,20 @@ class Program:
         Constants in their rows.
     inputs : tuple of (str, int, int)
         Moments, of which group, and which of their columns.
-    outputs : tuple of (str, int, int)
-        Fields, the first of the components, and how many: one tensor, vector or scalar.
     target : array (stores, 9)
         Rows of these components.
+    widths : dict
+        How many numbers of each field, which it computes, are stored for a place.
+    stores : array (stores, 3)
+        Its field's number, as in `widths`; its first component; how many there are.
     """
 
     steps: NDArray
     scratch: NDArray
     inputs: tuple[tuple[str, int, int], ...]
-    outputs: tuple[tuple[str, int, int], ...]
     target: NDArray
-
-    @cached_property
-    def widths(self) -> dict[str, int]:
-        """How many numbers of each field, which it computes, are stored for a place."""
-        fields = dict.fromkeys(name for name, _, _ in self.outputs)
-        return {name: max(begin + count for one, begin, count in self.outputs if one == name) for name in fields}
-
-    @cached_property
-    def _stores(self) -> tuple[NDArray, NDArray]:
-        """Which field each store is of, and (stores, 3): its first byte, the field's numbers for a place, its own."""
-        numbers = {name: number for number, name in enumerate(self.widths)}
-        stores = [(loops.BYTES * begin, self.widths[name], count) for name, begin, count in self.outputs]
-        return np.array([numbers[name] for name, _, _ in self.outputs]), _whole(stores, 3)
+    widths: Mapping[str, int]
+    stores: NDArray
 
     def run(
         self, loads: Loads, sums: BlockSums, place: NDArray, out: Mapping[str, NDArray], order: NDArray | None = None
@@ -83,10 +73,10 @@ class Program:
             (loops.address_of(a, nodes, width, "moments"), width, row)
             for a, width, row in zip(arrays, loads.widths, loads.rows, strict=False)
         ]
-        which, stores = self._stores
         begins = [loops.address_of(out[name], places, width, name) for name, width in self.widths.items()]
-        fields = stores.copy()
-        fields[:, 0] += np.array(begins, "uint64")[which]
+        which, first, count = self.stores.T
+        address = np.array(begins, "uint64")[which] + loops.BYTES * first.astype("uint64")
+        fields = np.stack([address, np.array(list(self.widths.values()), "uint64")[which], count.astype("uint64")], 1)
         tile = np.empty((loops.TILE + EIGHT) * max(loads.widths))
         to = place if order is None else place[order]
         lists = _whole(records, 3), loads.source, fields, self.target
@@ -150,7 +140,7 @@ def program_for(fields: tuple[str, ...], options: Options, groups: int = 0) -> P
     Fields that cannot be traced are left out, and None is returned where all are: those whose formula, or that of a
     field that they need, takes operations that the loop does not know, or other nodes.
     """
-    if options.whole_grid:
+    if options.gradient == "finite_difference":  # of all nodes at once
         return None
     record = Trace()
     rows = MOMENTS | {name: row for one in options.own for name, row in one.moments.items()}
@@ -262,7 +252,12 @@ def _allocate(
     scratch = np.zeros((next(fresh), loops.TILE))
     for number, value in constants.items():
         scratch[number] = value
-    return Program(_whole(steps, 4), scratch, tuple(inputs), tuple(stored), target)
+    widths: dict[str, int] = {}
+    for name, first, components in stored:
+        widths[name] = max(widths.get(name, 0), first + components)
+    names = list(widths)
+    stores = np.array([(names.index(name), first, components) for name, first, components in stored])
+    return Program(_whole(steps, 4), scratch, tuple(inputs), target, widths, stores)
 
 
 def _operands(operation: int, operands: tuple[Any, ...]) -> tuple[int, ...]:

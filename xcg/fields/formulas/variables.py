@@ -23,9 +23,8 @@ from numpy.typing import NDArray
 from xcg.common.messages import SceneError, did_you_mean, unknown
 from xcg.compiled import points as loops
 from xcg.fields.formulas import registry
-from xcg.fields.formulas.algebra import mean_of
+from xcg.fields.formulas.algebra import at_least_zero, mean_of, zero_if_unknown
 from xcg.fields.formulas.field import Field, Options
-from xcg.fields.formulas.trace import at_least_zero, zero_if_unknown
 from xcg.fields.sums.moments import Moment
 from xcg.scene.contacts import Contacts
 from xcg.scene.description import Column, Description

@@ -1,22 +1,195 @@
-"""Sums over grains and contacts at the nodes: from a frame to the passes that make them."""
+"""Sums over grains, contacts and walls at the nodes: from a frame to the passes that make them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import chain
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.compiled import points as loops
+from xcg.compiled.reach import BATCH, batches_of
 from xcg.compiled.threads import for_each
-from xcg.fields.sums import points
+from xcg.fields.sums.moments import CUTOFF_POWERS, MOMENTS, Moment
 from xcg.fields.sums.nodes import NodeBlock
+from xcg.fields.sums.reach import Mesh
 from xcg.fields.sums.segments import along_branches
-from xcg.fields.sums.step import DepositSpec, Layout, Pass, StepRows
+from xcg.fields.sums.step import AnyKernel, DepositSpec, Images, Layout, Pass, Squared, StepRows
 from xcg.scene.frame import check_finite
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import Frame
+
+
+def grains(step: StepRows) -> list[Pass]:
+    """Flow columns and columns of constants."""
+    at, rows = step.grains, {name: row for name, row in step.spec.of_grains.items() if row.column}
+    # a column that is the same for all grains, as those of one size are, is a multiple of their number
+    single, same = dict[str, NDArray](), dict[str, float]()
+    for name, row in rows.items():
+        if row.width == 1:
+            values = step.column(row, at)
+            if len(values) and _is_one_row(values):
+                same[name] = float(values[0, 0])
+            else:
+                single[name] = values
+    number = [np.ones((len(at.position), 1))] if same else []
+    # what is wide is made when it is written beside the others
+    rest = {name: row for name, row in rows.items() if name not in same}
+    columns = (single.pop(name) if name in single else step.column(row, at) for name, row in rest.items())
+    layout = _layout_of_grains(step.spec, same)
+    return [_pass(step, layout, at, *step.flow, at.of(step.phase), chain(columns, number))]
+
+
+def _layout_of_grains(spec: DepositSpec, same: Mapping[str, float]) -> Layout:
+    """Flow columns come first, then those of constants that are not the same for all, then the number of grains."""
+    moments, first = dict[str, tuple[NDArray, float | NDArray]](), spec.level
+    for name, row in spec.of_grains.items():
+        if row.level:
+            power = CUTOFF_POWERS.get(name, 0)
+            moments[name] = (row.first + row.columns, spec.by_phase**power if power else 1.0)
+        elif name not in same:
+            moments[name] = (first + row.columns, 1.0)
+            first += row.width
+    number = first + MOMENTS["number"].columns
+    moments |= {name: (number, value) for name, value in same.items()}
+    return Layout(spec.phases, _padded(first + bool(same)), moments, spec.level)
+
+
+def slopes(step: StepRows) -> list[Pass]:
+    """Flow columns weighted by grad Psi."""
+    spec = step.spec
+    moments = {
+        name: (MOMENTS[flow].first + MOMENTS[flow].columns, -1 / spec.by_phase)
+        for name, flow in (("mass_slope", "offset"), ("momentum_slope", "shear"))
+    }
+    layout = Layout(spec.phases, loops.LINEAR, moments, loops.LINEAR)
+    return [_pass(step, layout, step.grains, *step.flow, step.grains.of(step.phase), by_gradient=True)]
+
+
+def relative(step: StepRows) -> list[Pass]:
+    """Numbers in the place of velocity, so that they are kept relative to each node: a pass for each three."""
+    passes = []
+    for name, row in step.spec.rows.items():
+        if not (row.level and row.column):
+            continue
+        if row.at_contacts:
+            images, phase, share, contact = step.contact_points
+            values = step.column(row, images, contact)
+            values[:, 0] *= share
+        else:
+            images, phase = step.grains, step.grains.of(step.phase)
+            values = step.column(row, images)
+        weight, numbers = np.ascontiguousarray(values[:, 0]), np.ascontiguousarray(values[:, 1:])
+        moments = {name: (row.first + row.columns, 1.0)}
+        layout = Layout(step.spec.phases, row.level, moments, row.level, apart=True, vector=row.vector)
+        passes.append(_pass(step, layout, images, numbers, weight, phase))
+    return passes
+
+
+def at_contacts(step: StepRows) -> list[Pass]:
+    """Columns of constants at the contact points."""
+    rows = {name: row for name, row in step.spec.rows.items() if row.at_contacts and not row.level}
+    images, phase, share, contact = step.contact_points
+    columns = [step.column(row, images, contact) * share[:, None] for row in rows.values()]
+    return [_constants(step, rows, images, phase, columns)]
+
+
+def between_phases(step: StepRows) -> list[Pass]:
+    """Sum the forces of other phases and of walls on the grains of each phase, at the contact points."""
+    c = step.contacts
+    assert c is not None
+    phase, others = np.append(step.phase, step.spec.phases), step.spec.others  # row -1 is that of a wall
+    sides = []
+    for row, partner, sign in ((c.i, c.j, 1.0), (c.j, c.i, -1.0)):
+        # inside a phase both sides add up to nothing
+        at = np.flatnonzero((row >= 0) & (phase[row] != phase[partner]))
+        sides.append((c.point[at], phase[row[at]] * others + phase[partner[at]], sign * c.force[at]))
+    point, pair, force = (np.concatenate(parts) for parts in zip(*sides, strict=True))
+    images, moment = step.images(point), {"pair_force": MOMENTS["pair_force"]}
+    return [_constants(step, moment, images, images.of(pair), [images.of(force)], others)]
+
+
+def at_walls(step: StepRows) -> list[Pass]:
+    """Sum the forces of walls, at the contact points."""
+    assert step.contacts is not None
+    at, point, force = step.contacts.at_walls
+    images, moment = step.images(point), {"traction": MOMENTS["traction"]}
+    return [_constants(step, moment, images, images.of(step.phase[at]), [images.of(force)])]
+
+
+def _constants(
+    step: StepRows, rows: Mapping[str, Moment], images: Images, phase: NDArray, columns: Sequence[NDArray],
+    others: int = 1,
+) -> Pass:  # fmt: skip
+    """Prepare places with columns of constants alone, those of the moments one after the other."""
+    firsts = np.cumsum([0, *(row.width for row in rows.values())]).tolist()
+    moments = {name: (first + row.columns, 1.0) for first, (name, row) in zip(firsts, rows.items(), strict=False)}
+    layout, still = Layout(step.spec.phases * others, _padded(firsts[-1]), moments), np.zeros((len(images.position), 3))
+    return _pass(step, layout, images, still, still[:, 0], phase, columns, others)
+
+
+def _pass(
+    step: StepRows, layout: Layout, images: Images, velocity: NDArray, mass: NDArray, phase: NDArray,
+    constants: Iterable[NDArray] = (), others: int = 1, *, by_gradient: bool | None = None,
+) -> Pass:  # fmt: skip
+    """Prepare grains, or other points, with their flow columns and columns of constants.
+
+    With `others`, `phase` is the number of a pair of phases, the first times `others` plus the second.
+    """
+    spec, position, level = step.spec, images.position, layout.level
+    columns = _side_by_side(constants, len(position), layout.columns - level)
+    # where nothing moves, columns with u are zero without adding them
+    still = True if level and _is_one_row(velocity) else None
+    beyond = step.lattice if images.row is None else Lattice(np.full(3, np.inf))
+    fill, squared = [], []
+    for cutoff in spec.distinct if len(position) or layout.squares else ():
+        rows, groups = images.order, None
+        if len(spec.distinct) > 1:
+            groups = np.repeat(spec.by_phase == cutoff, others)
+            rows = rows[groups[phase[rows]]]
+        meet = step.translations(cutoff) if layout.squares else None
+        batches = (batches_of(position, rows) - spec.origin) / cutoff
+        grains = loops.Grains(rows, batches, position, velocity, mass, columns, phase, spec.origin, cutoff)
+        mesh, weights = step.meshes[cutoff], step.kernels[cutoff]
+        fill.append(partial(_fill, grains, mesh, weights, (level, still, meet, by_gradient)))
+        if layout.squares:
+            of = np.arange(layout.groups) if groups is None else np.flatnonzero(groups)
+            squared.append(Squared(rows, position, mass, phase, beyond, of, cutoff, weights, spec.grid.active))
+    return Pass(layout, fill, squared)
+
+
+def _is_one_row(values: NDArray) -> bool:
+    """Whether all rows (n, k) are the same, or there are none."""
+    return not len(values) or (values[0].tolist() == values[-1].tolist() and bool((values == values[0]).all()))
+
+
+def _padded(columns: int) -> int:
+    """Return the next multiple of four, as the loop adds four at a time."""
+    return columns + -columns % 4
+
+
+def _side_by_side(parts: Iterable[NDArray], count: int, width: int) -> NDArray:
+    """Columns (count, ...) side by side, and zeros up to a width."""
+    out, first = np.zeros((count, width)), 0
+    for values in parts:
+        out[:, first : first + values.shape[1]] = values
+        first += values.shape[1]
+        del values  # before the next are made
+    return out
+
+
+def _fill(
+    grains: loops.Grains, mesh: Mesh, weights: AnyKernel, flags: tuple[int, *tuple[bool | NDArray | None, ...]],
+    block: NodeBlock, sums: NDArray, reference: NDArray,
+) -> None:  # fmt: skip
+    nodes = block.nodes(mesh.origin, mesh.cutoff, mesh.active, mesh.period)
+    records = np.empty((BATCH, sums.shape[2] + loops.GRAIN))
+    scratch = loops.Scratch(block.lists(nodes, mesh.reach.tolist()), records)
+    loops.deposit(grains, nodes, weights, *flags, scratch, sums, reference)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,13 +279,13 @@ def sums_of_frame(
         check_finite(name, step.frame, source)  # variables of scenes were checked with their frame
     rows = spec.rows
     ways = [  # the calling thread begins with the last: contacts take more memory than grains
-        (points.grains, spec.of_grains),
-        (points.relative, {name for name, row in rows.items() if row.level and row.column}),
-        (points.at_contacts, {name for name, row in rows.items() if row.at_contacts and not row.level}),
-        (points.between_phases, rows.keys() & {"pair_force"}),
+        (grains, spec.of_grains),
+        (relative, {name for name, row in rows.items() if row.level and row.column}),
+        (at_contacts, {name for name, row in rows.items() if row.at_contacts and not row.level}),
+        (between_phases, rows.keys() & {"pair_force"}),
         (along_branches, {name for name, row in rows.items() if row.along_branches}),
-        (points.slopes, rows.keys() & {"mass_slope", "momentum_slope"}),
-        (points.at_walls, rows.keys() & {"traction"}),
+        (slopes, rows.keys() & {"mass_slope", "momentum_slope"}),
+        (at_walls, rows.keys() & {"traction"}),
     ]
     prepared = for_each([way for way, moments in ways if moments], lambda way: way(step), threads)
     return Sums(spec, [one for passes in prepared for one in passes])

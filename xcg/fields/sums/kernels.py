@@ -363,23 +363,11 @@ def as_kernel(kernel: str | Kernel, width: float | None, dimension: int) -> Kern
         if width is not None:
             raise ValueError(f"kernel={kernel!r} has its own width; leave width= out")
         return kernel.in_dimension(dimension)
-    return kind_of(kernel)(width, dimension=dimension)
-
-
-def kind_of(name: str) -> Callable[..., Kernel]:
-    """Return what makes kernels of this name.
-
-    Raises
-    ------
-    ValueError
-        If there is none.
-    """
-    try:
-        return _NAMED[str(name).lower()]
-    except KeyError:
+    if str(kernel).lower() not in _NAMED:
         raise ValueError(
-            f"kernel={name!r}: expected one of {sorted(_NAMED)} or a kernel object such as xcg.Lucy(width=0.01)"
-        ) from None
+            f"kernel={kernel!r}: expected one of {sorted(_NAMED)} or a kernel object such as xcg.Lucy(width=0.01)"
+        )
+    return _NAMED[kernel.lower()](width, dimension=dimension)
 
 
 def choose_width(width: float | str | None, attrs: Mapping[Any, Any]) -> float:

@@ -6,9 +6,8 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from xcg.fields.formulas.algebra import dot, double_dot, times, trace
+from xcg.fields.formulas.algebra import dot, double_dot, times, trace, zero_if_unknown
 from xcg.fields.formulas.field import Field, Options
-from xcg.fields.formulas.trace import zero_if_unknown
 
 
 def _bulk(f: Any, s: Any) -> NDArray:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from xcg.compiled import fit
 from xcg.fields.formulas.algebra import (
+    at_least_zero,
     deviator,
     dot,
     double_dot,
@@ -22,10 +23,12 @@ from xcg.fields.formulas.algebra import (
     restricted,
     times,
     trace,
+    trace_fit,
     transposed,
+    where_positive,
+    zero_if_unknown,
 )
 from xcg.fields.formulas.field import Field, Function, Options
-from xcg.fields.formulas.trace import at_least_zero, trace_fit, where_positive, zero_if_unknown
 
 LINEAR = ("count", "mass", "momentum", "offset", "shear", "spread")
 SQUARES = ("square", "square_offset", "square_spread")
@@ -86,7 +89,7 @@ def with_averaged_axes(gradient: Field, kind: str) -> Field:
 def _finite_difference(f: Any, s: Any, o: Options) -> NDArray:
     """Central differences of V between nodes, of second order also at the ends; NaN beside empty nodes.
 
-    It needs all nodes at once, see `whole_grid`.
+    It needs all nodes at once.
     """
     flat = f._drift + s.reference
     v = flat.reshape(len(flat), *o.shape, 3)

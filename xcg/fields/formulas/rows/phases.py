@@ -9,9 +9,8 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from xcg.fields.formulas.algebra import mean_of
+from xcg.fields.formulas.algebra import mean_of, zero_if_unknown
 from xcg.fields.formulas.field import Field, Options
-from xcg.fields.formulas.trace import zero_if_unknown
 
 
 def _segregation_flux(f: Any, s: Any, o: Options) -> NDArray:

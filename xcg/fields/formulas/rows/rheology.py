@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.fields.formulas.algebra import deviator, mean_normal, ratio, restricted, stress_magnitude
+from xcg.fields.formulas.algebra import deviator, mean_normal, ratio, restricted, stress_magnitude, where_positive
 from xcg.fields.formulas.field import Field, Options
-from xcg.fields.formulas.trace import where_positive
 
 
 def _shear_stress(f: Any, s: Any, o: Options) -> NDArray:

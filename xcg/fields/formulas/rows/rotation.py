@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.fields.formulas.algebra import mean_of, outer, ratio
+from xcg.fields.formulas.algebra import at_least_zero, mean_of, outer, ratio, where_positive, zero_if_unknown
 from xcg.fields.formulas.field import Field, Options
-from xcg.fields.formulas.trace import at_least_zero, where_positive, zero_if_unknown
 
 # of the moment "rotation": I, I o and I o o (xx xy xz yy yz zz) with o relative to the node, and (I Psi)^2
 _WEIGHT, _FIRST, _SECOND, _SQUARE = 0, slice(1, 4), ((4, 5, 6), (5, 7, 8), (6, 8, 9)), 10
