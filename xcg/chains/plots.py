@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from xcg.chains.results import Step, require_chains, steps_of
 from xcg.common.checks import extra
 from xcg.common.drawing import add_colour_bar, label_of, new_axes, set_label, with_unit
+from xcg.scene.frame import step_at, with_time
 from xcg.scene.schema import COMPONENTS
-from xcg.scene.times import step_at, with_time
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 from xcg.chains.particle_stress import RESULTS as STRESSES
 from xcg.common.messages import SceneError
 from xcg.scene.conform import with_components
-from xcg.scene.frame import particle_rows
+from xcg.scene.frame import particle_rows, with_time
 from xcg.scene.lattice import Lattice
-from xcg.scene.repeats import rows_of
+from xcg.scene.sanity import rows_of
 from xcg.scene.schema import BOX, COMPONENTS, PADDING, VARIABLES, Frame, Variable
 from xcg.scene.summary import Summary, rows_of_origin
-from xcg.scene.times import with_time
 from xcg.steps.mapping import each_step
 
 COPIED = ("particle_id", "position", "diameter", "contact_i", "contact_j", "contact_force")

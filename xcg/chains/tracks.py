@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from xcg.chains.results import require_chains, steps_of
 from xcg.common.checks import is_positive
+from xcg.scene.frame import require_rising_times, with_time
 from xcg.scene.schema import units_in
-from xcg.scene.times import require_rising_times, with_time
 from xcg.steps.labels import provenance
 
 

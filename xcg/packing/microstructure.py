@@ -15,8 +15,8 @@ from xcg.packing.measure import Bounds, Measure
 from xcg.packing.quantities import CONTACTS, QUANTITIES, TENSOR
 from xcg.scene.conform import storable, takes_scene
 from xcg.scene.description import describe, require_scene
+from xcg.scene.frame import require_rising_times
 from xcg.scene.schema import BOX, COMPONENTS, OF_STEP, units_in
-from xcg.scene.times import require_rising_times
 from xcg.steps.faults import OnError
 from xcg.steps.labels import format_call, mark_skipped, provenance, with_phase_labels
 from xcg.steps.mapping import map_over_time

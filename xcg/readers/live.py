@@ -18,7 +18,7 @@ from xcg.readers.columns import WALL_CONTACTS
 from xcg.readers.paths import UNIT_SYSTEMS
 from xcg.scene.build import scene_from_arrays
 from xcg.scene.complete import contact_points
-from xcg.scene.repeats import rows_of
+from xcg.scene.sanity import rows_of
 from xcg.scene.schema import COMPONENTS
 from xcg.scene.walls import FIRST_WALL, named_walls
 

@@ -14,7 +14,7 @@ from xcg.scene.description import describe, require_scene
 from xcg.scene.frame import particle_rows
 from xcg.scene.lattice import Lattice
 from xcg.scene.measure import measure
-from xcg.scene.repeats import rows_of
+from xcg.scene.sanity import rows_of
 from xcg.scene.schema import BOX, PADDING, units_in, variable
 
 _SHARED = ("species", "frozen")  # by all spheres of a body

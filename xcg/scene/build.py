@@ -14,7 +14,7 @@ from xcg.common.messages import SceneError, did_you_mean
 from xcg.scene.box import box_array, in_unit, with_lattice
 from xcg.scene.complete import complete_contacts, complete_particles, refuse_mask
 from xcg.scene.conform import storable
-from xcg.scene.frame import stack
+from xcg.scene.frame import check_times, stack
 from xcg.scene.lattice import Lattice
 from xcg.scene.sanity import check_shape
 from xcg.scene.schema import (
@@ -31,7 +31,6 @@ from xcg.scene.schema import (
     variable,
 )
 from xcg.scene.sizes import mark_measured, measure_frames
-from xcg.scene.times import check_times
 
 # --- many frames: the Dataset ----------------------------------------------------------------------------
 

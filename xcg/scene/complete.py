@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from xcg.common.messages import SceneError, warn_once
 from xcg.compiled.contacts import share_of_i, touching_points
 from xcg.scene.lattice import Lattice
-from xcg.scene.repeats import rows_of, without_repeats
+from xcg.scene.sanity import rows_of, without_repeats
 from xcg.scene.schema import LONGEST, SHORTEST, Frame, Setup, variable
 
 # What readers say of contacts besides variables of the scene.
@@ -174,7 +174,7 @@ def complete_contacts(
     ``overlap = R_i + R_j - |r_i - r_j|`` and ``r_i - r_j`` the image nearest to the branch that the data hold, or else
     the shortest one.
 
-    Contacts that are listed again are taken once, see `xcg.scene.repeats.without_repeats`.
+    Contacts that are listed again are taken once, see `xcg.scene.sanity.without_repeats`.
 
     Parameters
     ----------

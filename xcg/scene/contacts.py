@@ -14,8 +14,7 @@ from xcg.compiled.contacts import add_dyads, add_rows, add_unit_squares, between
 from xcg.compiled.threads import for_parts
 from xcg.scene.complete import unit_vectors
 from xcg.scene.lattice import Lattice
-from xcg.scene.repeats import repeated_pairs, rows_of
-from xcg.scene.sanity import check_contacts
+from xcg.scene.sanity import check_contacts, repeated_pairs, rows_of
 from xcg.scene.schema import Frame
 
 # Contacts are those of spheres where the branches are as spheres have them, to this share of the radius.

@@ -1,15 +1,235 @@
-"""Warnings about implausible input: attractive contacts, distant contact points, discs read as spheres."""
+"""Contacts that are listed again, and warnings about implausible input: attractive contacts, discs read as spheres."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.common.messages import warn_once, warn_user
-from xcg.compiled.contacts import far_and_pulling
+from xcg.common.messages import SceneError, warn_once, warn_user
+from xcg.compiled.contacts import a_pair_twice, far_and_pulling, partners_by_lower
 from xcg.scene.lattice import Lattice
-from xcg.scene.repeats import rows_of
-from xcg.scene.schema import Frame, Setup
+from xcg.scene.schema import Frame, Setup, Sides
+
+# Rows of one pair are one contact where their forces differ by no more than this share of their size, as in files of
+# six digits, and their points by no more than this share of the distance from the centre.
+_SAME_FORCE, _SAME_POINT = 1e-4, 0.05
+_MOST_CONTACTS_A_PAIR = 64  # of equal force, that are compared with each other
+_DENSE = 16  # ids are looked up in a table where they span no more numbers than this for each contact
+# Rows from both sides are one contact where their forces differ from opposite ones by no more than this share of the
+# larger, or of a hundredth of the mean force of such rows, and their points by this share of the smaller radius.
+_OPPOSITE, _SMALL_FORCE, _ONE_PLACE = 0.25, 0.01, 0.15
+# what turns its sign with the side
+_OF_SIDE = ("contact_force", "contact_normal")
+
+
+def without_repeats(
+    contacts: Frame, number: NDArray | range, particles: Frame, lattice: Lattice, sides: Sides, source: str
+) -> Frame:
+    """Take contacts that are listed again once.
+
+    Copies, (i, j, f) twice, and rows that list a contact from both sides, (i, j, f) and (j, i, -f), are one contact
+    where forces agree to 1e-4 and points to a twentieth of the distance from the centre. Rows from both sides whose
+    forces are opposite to a quarter of the larger, and whose points are no more than 0.15 of the smaller radius
+    apart, are one contact unless `sides` is "separate": with the mean of both forces, points, normals and overlaps for
+    "mean", or as the row that comes first for "first". Other variables are those of the first row. A warning states
+    how many, and how far they differ. Other contacts of one pair, which differ in force or place, all stay.
+
+    Parameters
+    ----------
+    contacts : Frame
+        Contacts of one step, completed.
+    number
+        Rows of the file, for messages.
+
+    Raises
+    ------
+    SceneError
+        If a contact is listed from both sides with the same force.
+    """
+    rows, pair = repeated_pairs(contacts["contact_i"], contacts["contact_j"])
+    if not rows.size:
+        return contacts
+    ids = particles["particle_id"]
+    there, other = (rows_of(ids, contacts[name][rows]) for name in ("contact_i", "contact_j"))
+    there, centre = np.where(there >= 0, there, other), contacts["contact_point"][rows]
+    centre[there >= 0] = particles["position"][there[there >= 0]]
+    order = np.lexsort((np.linalg.norm(contacts["contact_force"][rows], axis=1), pair))
+    rows, pair, centre = rows[order], pair[order], centre[order]
+    copy = _copies(contacts, number, rows, pair, centre, lattice, source)
+    dropped = rows[copy]
+    if sides != "separate":
+        first, second, apart, unlike = _mirrored(contacts, rows[~copy], pair[~copy], centre[~copy], lattice)
+        if unlike.size:
+            _warn_of_unlike(contacts, unlike, source)
+        if first.size:
+            _warn_of_mirrored(apart, sides, source)
+            contacts = _with_means(contacts, first, second, lattice) if sides == "mean" else contacts
+            dropped = np.concatenate([dropped, second])
+    return {name: np.delete(values, dropped, axis=0) for name, values in contacts.items()} if dropped.size else contacts
+
+
+def rows_of(ids: NDArray, wanted: NDArray) -> NDArray:
+    """Row of each wanted id among sorted ids, -1 where it is not there; `wanted` itself where that is the same."""
+    if not len(ids):
+        return np.full(len(wanted), -1)
+    if ids[-1] - ids[0] + 1 == len(ids):  # no gaps: nothing to search for
+        row = wanted - ids[0] if ids[0] else wanted
+        known = (row >= 0) & (row < len(ids))
+        return row if known.all() else np.where(known, row, -1)
+    row = np.minimum(np.searchsorted(ids, wanted), len(ids) - 1)
+    return np.where(ids[row] == wanted, row, -1)
+
+
+def repeated_pairs(i: NDArray, j: NDArray) -> tuple[NDArray, NDArray]:
+    """Rows of the contacts of all pairs that have more than one, pair after pair, and a number for the pair of each.
+
+    Which of the two comes first makes no difference. Spheres touch once, and one look at all pairs tells that there are
+    none.
+    """
+    none = np.empty(0, int), np.empty(0, int)
+    if not len(i):
+        return none
+    least, most = min(i.min(), j.min()), max(i.max(), j.max())
+    count = int(most) - int(least) + 1
+    if count <= _DENSE * len(i) and not _any_repeated(i, j, least, count):
+        return none
+    low, high = np.minimum(i, j), np.maximum(i, j)
+    lows, highs = (int(ids.max()) - int(ids.min()) + 1 for ids in (low, high))
+    if lows * highs < 2**62:
+        order = np.argsort((low - low.min()) * highs + (high - high.min()), kind="stable")
+    else:
+        order = np.lexsort((high, low))
+    same = (low[order[1:]] == low[order[:-1]]) & (high[order[1:]] == high[order[:-1]])
+    inside = np.append(same, False) | np.insert(same, 0, False)
+    return order[inside], np.insert(np.cumsum(~same), 0, 0)[inside]
+
+
+def _any_repeated(i: NDArray, j: NDArray, least: int, count: int) -> bool:
+    """Tell whether any pair of the `count` numbers from `least` on stands more than once."""
+    ends, partner = np.zeros(count + 1, "int64"), np.empty_like(i)
+    partners_by_lower(i, j, least, ends, partner)
+    return a_pair_twice(ends[:-1], partner, np.full(count, -1))
+
+
+def _copies(
+    contacts: Frame, number: NDArray | range, rows: NDArray, pair: NDArray, centre: NDArray, lattice: Lattice,
+    source: str,
+) -> NDArray:  # fmt: skip
+    """Which rows list a contact again (n,): the same force, from either side, at the same point.
+
+    Parameters
+    ----------
+    number
+        Rows of the file, for messages.
+    rows, pair : array (n,)
+        Contacts of pairs that have more than one, see `repeated_pairs`; those of a pair by the size of the force, so
+        that those of one contact are near each other.
+    centre : array (n, 3)
+        Centre of a particle of each (m), from which the distance of points is judged.
+    """
+    point = contacts["contact_point"][rows]
+    mirrored = contacts["contact_i"][rows] > contacts["contact_j"][rows]
+    force = contacts["contact_force"][rows]
+    size = np.linalg.norm(force, axis=1)
+    reach = _SAME_POINT * np.linalg.norm(lattice.shortest(point - centre), axis=1)
+    copy = np.zeros(len(rows), bool)
+    for distance in range(1, min(len(rows), _MOST_CONTACTS_A_PAIR)):
+        near = (pair[distance:] == pair[:-distance]) & ~copy[distance:]
+        near &= size[distance:] - size[:-distance] <= _SAME_FORCE * size[distance:]
+        one = np.flatnonzero(near)
+        if not one.size:
+            break
+        other = one + distance
+        together = np.linalg.norm(lattice.shortest(point[one] - point[other]), axis=1) <= reach[other]
+        one, other = one[together], other[together]
+        turned, least = mirrored[one] != mirrored[other], _SAME_FORCE * size[other]
+        same = np.linalg.norm(force[one] - force[other], axis=1) <= least
+        opposite = np.linalg.norm(force[one] + force[other], axis=1) <= least
+        copy[other[np.where(turned, opposite, same)]] = True
+        wrong = turned & same & ~opposite
+        if wrong.any():
+            first, second = number[rows[one[wrong][0]]], number[rows[other[wrong][0]]]
+            raise SceneError(
+                f"{source}: contact rows {first} and {second} list one contact from both sides with the same force, "
+                f"{force[one[wrong][0]]}, so that both sides cancel; contact_force is that on contact_i: turn "
+                "the sign of one of them, or list each contact once"
+            )
+    return copy
+
+
+def _mirrored(
+    contacts: Frame, rows: NDArray, pair: NDArray, centre: NDArray, lattice: Lattice
+) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+    """Rows that list one contact from both sides, the first one first, and by how much their forces differ; (m,) each.
+
+    Differences are shares of the larger force. Last come rows at one place whose forces differ by more, and that are
+    no contact with a third one (k, 2). Arguments are those of `_copies`, without copies.
+    """
+    point, force = contacts["contact_point"][rows], contacts["contact_force"][rows]
+    turned = contacts["contact_i"][rows] > contacts["contact_j"][rows]
+    size, radius = np.linalg.norm(force, axis=1), np.linalg.norm(lattice.shortest(point - centre), axis=1)
+    least = _SMALL_FORCE * size.mean() if size.size else 0.0
+    free, found, apart, beside = np.ones(len(rows), bool), [], [], []
+    for distance in range(1, min(len(rows), _MOST_CONTACTS_A_PAIR)):
+        of_pair = pair[distance:] == pair[:-distance]
+        if not of_pair.any():
+            break
+        one = np.flatnonzero(of_pair & (turned[distance:] != turned[:-distance]))
+        for step in (0, 1):  # rows that follow each other share one: every other of them at a time
+            some = one[(one // distance) % 2 == step]
+            some = some[free[some] & free[some + distance]]
+            other = some + distance
+            mismatch = np.linalg.norm(force[some] + force[other], axis=1)
+            larger = np.maximum(np.maximum(size[some], size[other]), least)
+            gap = np.linalg.norm(lattice.shortest(point[some] - point[other]), axis=1)
+            near = gap <= _ONE_PLACE * np.minimum(radius[some], radius[other])
+            same = near & (mismatch <= _OPPOSITE * larger)
+            beside.append(np.stack([some, other], axis=1)[near & ~same])
+            free[some[same]] = free[other[same]] = False
+            found.append(np.sort([rows[some[same]], rows[other[same]]], axis=0))
+            apart.append(np.divide(mismatch[same], larger[same], out=np.zeros(same.sum()), where=larger[same] > 0))
+    first, second = np.concatenate(found, axis=1) if found else np.empty((2, 0), int)
+    unlike = np.concatenate(beside) if beside else np.empty((0, 2), int)
+    unlike = rows[unlike[free[unlike].all(axis=1)]]
+    return first, second, np.concatenate(apart) if apart else np.empty(0), unlike
+
+
+def _warn_of_mirrored(apart: NDArray, sides: Sides, source: str) -> None:
+    taken = "with the mean of both sides" if sides == "mean" else "as the row that comes first"
+    warn_once(
+        "sides of contacts",
+        f"{source}: {apart.size} contacts are listed from both sides with forces that differ by {apart.mean():.2g} of "
+        f"the larger on average, {apart.max():.2g} at most: each is taken once, {taken}; sides='separate' takes both "
+        "rows as contacts of their own" + (", sides='first' the first" if sides == "mean" else ""),
+    )
+
+
+def _warn_of_unlike(contacts: Frame, unlike: NDArray, source: str) -> None:
+    row, other = unlike[0]
+    i, j = contacts["contact_i"][row], contacts["contact_j"][row]
+    warn_once(
+        "unlike sides of contacts",
+        f"{source}: {len(unlike)} contacts are listed from both sides with forces that differ by more than "
+        f"{_OPPOSITE:g} of the larger, such as {contacts['contact_force'][row]} on particle {i} and "
+        f"{contacts['contact_force'][other]} on particle {j}: both rows count, so that stress and coordination may be "
+        "twice as large; list each contact once, or pass sides='separate' if these are contacts of their own",
+    )
+
+
+def _with_means(contacts: Frame, first: NDArray, second: NDArray, lattice: Lattice) -> Frame:
+    """Return contacts whose `first` rows hold the means of both sides."""
+    found = dict(contacts)
+    for name in (*_OF_SIDE, "contact_point", "overlap"):
+        if name in found:
+            values = found[name] = found[name].copy()
+            change = values[second] * (-1 if name in _OF_SIDE else 1) - values[first]
+            values[first] += 0.5 * (lattice.shortest(change) if name == "contact_point" else change)
+    if "contact_normal" in found:
+        normal = found["contact_normal"][first]
+        length = np.linalg.norm(normal, axis=1, keepdims=True)
+        found["contact_normal"][first] = np.divide(normal, length, out=np.zeros_like(normal), where=length > 0)
+    return found
+
 
 SAMPLE = 4096  # rows looked at, spread over all
 _FAR = 3.0  # diameters from a centre to a contact point; the ends of rods are as far that are 18 times as long as wide

@@ -13,8 +13,8 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from xcg.chains.results import Step, require_chains, steps_of
+from xcg.scene.frame import with_time
 from xcg.scene.schema import Frame
-from xcg.scene.times import with_time
 from xcg.writers.files import check_file, whole_file, write_by_vtk
 from xcg.writers.hdf5_store import hdf5_file
 

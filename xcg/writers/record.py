@@ -19,8 +19,8 @@ from xcg.fields.coarse_grain import answer
 from xcg.fields.request import Request
 from xcg.fields.sums.kernels import Kernel
 from xcg.scene.conform import storable, takes_scene
+from xcg.scene.frame import check_times
 from xcg.scene.schema import COMPONENTS
-from xcg.scene.times import check_times
 from xcg.steps.mapping import chunks_of_time, each_step
 from xcg.writers.encoding import Encoding
 from xcg.writers.files import check_target, locked, part_of, remove, whole_file

@@ -19,7 +19,7 @@ import xarray as xr
 from numpy.typing import DTypeLike, NDArray
 
 from xcg.scene.conform import in_order, labels_along
-from xcg.scene.times import with_time
+from xcg.scene.frame import with_time
 from xcg.writers import chains
 from xcg.writers.encoding import Encoding
 from xcg.writers.hdf5_store import Hdf5Store, StoredArray, hdf5_file

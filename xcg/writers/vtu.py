@@ -12,8 +12,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.vtk_mesh import places_of, read_mesh
+from xcg.scene.frame import with_time
 from xcg.scene.schema import COMPONENTS
-from xcg.scene.times import with_time
 from xcg.writers.files import check_file, write_by_vtk
 from xcg.writers.pvd import write_series
 from xcg.writers.vtkhdf import arrays_of, with_components

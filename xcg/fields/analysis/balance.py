@@ -14,8 +14,8 @@ from xcg.fields.grids.frames import refuse_cylindrical
 from xcg.fields.plan import make_plan
 from xcg.fields.request import SharedOptions, takes
 from xcg.scene.description import describe
+from xcg.scene.frame import require_rising_times
 from xcg.scene.schema import COMPONENTS
-from xcg.scene.times import require_rising_times
 
 OF_PHASES = ("interphase_force", "segregation_flux")  # what phases have besides
 

@@ -10,8 +10,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.fields.formulas.averages import block_errors
+from xcg.scene.frame import evenly_spaced, with_time
 from xcg.scene.schema import COMPONENTS
-from xcg.scene.times import evenly_spaced, with_time
 from xcg.steps.labels import format_call, provenance
 
 _TAIL = ("component", "direction")

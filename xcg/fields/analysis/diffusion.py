@@ -12,13 +12,12 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.fields.formulas.averages import block_errors
+from xcg.scene.box import BoxMotion, partners
 from xcg.scene.conform import takes_scene
 from xcg.scene.description import describe, require_scene
-from xcg.scene.frame import phase_of, steps_in, without_frozen
-from xcg.scene.motion import BoxMotion, partners
-from xcg.scene.repeats import rows_of
+from xcg.scene.frame import evenly_spaced, phase_of, steps_in, without_frozen
+from xcg.scene.sanity import rows_of
 from xcg.scene.schema import COMPONENTS, OF_STEP, units_in
-from xcg.scene.times import evenly_spaced
 from xcg.steps.labels import format_call, provenance, with_phase_labels
 from xcg.steps.mapping import each_step
 

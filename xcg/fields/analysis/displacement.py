@@ -20,12 +20,11 @@ from xcg.fields.formulas.averages import derive, needed_for_averages
 from xcg.fields.grids.frames import refuse_cylindrical
 from xcg.fields.plan import make_plan
 from xcg.fields.request import Request, takes
+from xcg.scene.box import BoxMotion, partners
 from xcg.scene.description import describe, require_scene
-from xcg.scene.frame import steps_in
-from xcg.scene.motion import BoxMotion, partners
+from xcg.scene.frame import require_rising_times, steps_in
 from xcg.scene.schema import COMPONENTS, OF_STEP, PADDING, units_in
 from xcg.scene.sizes import with_measures
-from xcg.scene.times import require_rising_times
 from xcg.steps.faults import Compute, Result
 from xcg.steps.labels import format_call, mark_skipped
 from xcg.steps.mapping import map_over_time, threads_a_chunk

@@ -16,8 +16,8 @@ from xcg.common.checks import extra, is_positive
 from xcg.common.drawing import add_colour_bar, label_of, new_axes, set_label, unit_text
 from xcg.common.messages import did_you_mean, unknown
 from xcg.fields.formulas.registry import FIELDS
+from xcg.scene.frame import step_at, with_time
 from xcg.scene.schema import COMPONENTS
-from xcg.scene.times import step_at, with_time
 from xcg.steps.mapping import each_step
 from xcg.steps.progress import shown
 

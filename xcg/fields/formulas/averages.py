@@ -22,8 +22,8 @@ from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Field, Options
 from xcg.fields.formulas.variables import row_of_result
 from xcg.scene.conform import in_order, labels_along
+from xcg.scene.frame import with_time
 from xcg.scene.schema import COMPONENTS
-from xcg.scene.times import with_time
 from xcg.steps.faults import SKIPPED
 
 # --- averages of results ---------------------------------------------------------------------------------
