@@ -30,6 +30,7 @@ from .fields.presets.pysammos import pysammos_mesh
 from .fields.sums.kernels import Gaussian, Heaviside, Kernel, Lucy, register_kernel
 from .packing.find_contacts import find_contacts
 from .packing.microstructure import microstructure
+from .packing.network import adjacency, contact_graph
 from .packing.pairs import find_pairs
 from .readers.from_table import scene_from_table
 from .readers.live import scene_from_lammps
@@ -69,10 +70,12 @@ __all__ = [
     "Sum",
     "Surface",
     "Variance",
+    "adjacency",
     "assign_phases",
     "balance",
     "chain_table",
     "coarse_grain",
+    "contact_graph",
     "datasets",
     "displacement",
     "find_contacts",

@@ -87,6 +87,8 @@ class CoarseGrainAccessor:
     wall_stress = Method("xcg.fields.analysis.wall_stress", SCENE)
     find_contacts = Method("xcg.packing.find_contacts", SCENE)
     microstructure = Method("xcg.packing.microstructure", SCENE)
+    adjacency = Method("xcg.packing.network", SCENE)
+    contact_graph = Method("xcg.packing.network", SCENE)
     particle_stress = Method("xcg.chains.particle_stress", SCENE)
     force_chains = Method("xcg.chains.search", SCENE)
     measure = Method("xcg.scene.measure", SCENE)

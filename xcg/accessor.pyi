@@ -23,6 +23,7 @@ from xcg.fields.coarse_grain import coarse_grain, explain
 from xcg.fields.formulas.averages import profile, time_average
 from xcg.packing.find_contacts import find_contacts
 from xcg.packing.microstructure import microstructure
+from xcg.packing.network import adjacency, contact_graph
 from xcg.scene.bodies import group_bodies
 from xcg.scene.measure import measure, size_statistics
 from xcg.scene.phases import assign_phases, find_phases, plot_phases
@@ -57,6 +58,8 @@ class CoarseGrainAccessor:
     wall_stress = Method(wall_stress)
     find_contacts = Method(find_contacts)
     microstructure = Method(microstructure)
+    adjacency = Method(adjacency)
+    contact_graph = Method(contact_graph)
     particle_stress = Method(particle_stress)
     force_chains = Method(force_chains)
     measure = Method(measure)

@@ -87,6 +87,57 @@ def k_core(row_i, row_j, weight, least, degree, kept):
                 degree[j] += weight[n]
 
 
+@inner
+def _root(row, parent, moved):
+    """Make the root of its cluster the parent of a row, and return it; the way is halved until it is one step."""
+    while parent[parent[row]] != parent[row]:
+        below = row
+        while parent[below] != below:
+            above = parent[below]
+            for k in range(moved.shape[1]):
+                moved[below, k] += moved[above, k]  # zero where the row above is a root
+            parent[below] = parent[above]
+            below = parent[below]
+    return parent[row]
+
+
+@leaf
+def join_clusters(row_i, row_j, crossed, parent, moved, winds):
+    """Join rows that contacts connect into clusters, by union and find, with the periods between their images.
+
+    A contact between two rows of one cluster closes a loop. A loop that ends in another image of where it begins winds
+    around the box (Newman & Ziff 2001).
+
+    Parameters
+    ----------
+    row_i, row_j : (n,)
+        Rows that contacts connect; those with a negative one are left out.
+    crossed : (n, k)
+        Periods between row j and the image of it that touches row i.
+    parent : (m,)
+        The rows themselves on entry; the root of each row's cluster.
+    moved : (m, k)
+        Zero on entry; periods between the images of a row and its root that are connected.
+    winds : (m, k)
+        False on entry; along which periods the clusters of these roots wind.
+    """
+    for n in range(row_i.size):
+        if row_i[n] < 0 or row_j[n] < 0:
+            continue
+        i, j = row_i[n], row_j[n]
+        one, other = _root(i, parent, moved), _root(j, parent, moved)
+        for k in range(crossed.shape[1]):
+            left_open = moved[i, k] - moved[j, k] - crossed[n, k]
+            if one == other:
+                winds[one, k] |= left_open != 0
+            else:
+                moved[other, k] = left_open
+                winds[one, k] |= winds[other, k]
+        parent[other] = one
+    for row in range(parent.size):
+        _root(row, parent, moved)
+
+
 @leaf
 def add_dyads(row, sign, a, b, first, out):
     """Add sign a b, (n, 3) each, to the rows that `row` (n,) names, of which out (m, 3, 3) are those from `first` on.

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError
+from xcg.packing.clusters import Clusters
 from xcg.packing.mixing import Mixture
 from xcg.packing.quantities import QUANTITIES, ratio
 from xcg.scene.contacts import Contacts
@@ -21,6 +22,7 @@ Bounds = Mapping[str, Sequence[float]]
 
 # Partners that hold a sphere in place without friction: one more than the dimensions.
 NOT_A_RATTLER = {3: 4, 2: 3}
+_ROUNDING = 1e-9  # of a force, below which its tangential part is none
 CELL = 3.0  # edge of the cells that concentrations are sampled in, in mean diameters d43
 
 
@@ -166,9 +168,16 @@ def _shared(measure: Measure, frame: Frame, contacts: Contacts | None) -> Simple
     return SimpleNamespace(
         partners=contacts.partners,
         held=contacts.k_core(least) if measure.iterative else contacts.partners >= least,
-        normal_force=np.einsum("ni,ni->n", contacts.force, contacts.normal),
+        normal_force=contacts.normal_force,
+        tangential_force=_tangential(contacts),
         virial=contacts.sum_over_particles(virial_i, virial_j),
     )
+
+
+def _tangential(contacts: Contacts) -> NDArray:
+    """Magnitude of tangential forces (N), zero where it is no more than rounding; (n,)."""
+    size = np.linalg.norm(contacts.tangential_force, axis=1)
+    return np.where(size > _ROUNDING * np.linalg.norm(contacts.force, axis=1), size, 0.0)
 
 
 def _sample(
@@ -195,10 +204,11 @@ def _sample(
         sides = (contacts.i >= 0).astype(int) + (contacts.j >= 0)
         weight = np.divide(side_i.astype(float) + side_j, sides, out=np.zeros(len(sides)), where=sides > 0)
         here = weight > 0
-        s.weight, s.normal, s.normal_force = weight[here], contacts.normal[here], shared.normal_force[here]
-        s.push = s.normal_force > 0
-        s.pushing = s.weight[s.push]
-        s.mean_force = float(ratio((s.pushing * s.normal_force[s.push]).sum(), s.pushing.sum()))
+        s.weight, s.normal = weight[here], contacts.normal[here]
+        push = shared.normal_force[here] > 0
+        s.pushing = s.weight[push]
+        s.normal_force, s.tangential_force = shared.normal_force[here][push], shared.tangential_force[here][push]
+        s.clusters = Clusters(contacts, member)
         s.partners, s.held = shared.partners[member], shared.held[member]
         s.virial = shared.virial[member].sum(axis=0)
     return s

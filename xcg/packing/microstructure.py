@@ -133,9 +133,14 @@ def microstructure(
                                        :math:`(2 N_c - N_1) / (N - N_0 - N_1)`
     rattler_count                      particles of :math:`z_i < D + 1`                                     [2]_
     non_rattler_fraction               :math:`f_{NR}`, 1 - rattlers / N                                     [2]_
-    connectivity                       :math:`N_{z_i = z} / N`
-    mean_normal_force                  :math:`\langle f \rangle`, f = f_c . n_c where it is positive
-    normal_force_pdf, _count           :math:`p(f / \langle f \rangle)`, and number of contacts a bin       [3]_
+    connectivity                       :math:`N_{z_i = z} / N`, the distribution of degrees
+    mean_normal_force                  :math:`\langle f_n \rangle`, f_n = f_c . n_c where it is positive
+    mean_tangential_force              :math:`\langle f_t \rangle`, f_t = \|f_c - f_n n_c\| there
+    normal_force_pdf, _count           :math:`p(f_n / \langle f_n \rangle)`, and number of contacts a bin   [3]_
+    tangential_force_pdf, _count       :math:`p(f_t / \langle f_t \rangle)`, the same                       [3]_
+    cluster_count                      number of clusters, single grains included
+    largest_cluster, _fraction         :math:`s_{max}`, :math:`s_{max} / N`
+    percolation                        1 along axes on which a cluster reaches through the box, else 0      [10]_
     fabric                             :math:`F = \sum w_c n n / N_c`                                       [4]_
     fabric_anisotropy                  :math:`\sqrt{3/2\, a:a}`, :math:`a = 15/2\, dev F`; 2D:              [5]_
                                        :math:`\sqrt{a:a / 2}`, :math:`a = 4\, dev F`
@@ -161,6 +166,10 @@ def microstructure(
     inertial_number_{dmax,d50,dbar}    :math:`I = \dot\epsilon_q d \sqrt{\rho / p'}`, NaN if p' <= 0        [2]_
     =================================  ===================================================================  =========
 
+    A cluster is all grains of the group that a path of contacts between them connects. Along a periodic axis it reaches
+    through the box where such a path leads to another image of the grain that it begins at, along others where the
+    cluster touches walls on both sides, contacts whose normal has its largest component along the axis.
+
     In isochoric triaxial shear :math:`\dot\epsilon_q` is the axial rate; in simple shear it is the shear rate over
     :math:`\sqrt 3` (in a plane: the shear rate).
 
@@ -180,6 +189,8 @@ def microstructure(
        substrate particles in a rotating drum fermenter. Biotechnol. Bioeng. 75.
     .. [9] Godlieb, W., Deen, N. G., Kuipers, J. A. M. (2007). Characterizing solids mixing in DEM simulations. 6th Int.
        Conf. on Multiphase Flow.
+    .. [10] Newman, M. E. J., Ziff, R. M. (2001). Fast Monte Carlo algorithm for site or bond percolation. Phys. Rev. E
+       64.
 
     Examples
     --------

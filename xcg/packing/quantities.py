@@ -6,10 +6,12 @@ count, diameter, volume, mass, velocity, position : number and (n, ...)
     The particles of the group.
 partners, held : (n,)
     Number of contact partners, and whether they hold the particle in place (it is no rattler).
-weight, normal, normal_force : (c, ...)
+weight, normal : (c, ...)
     The contacts of the group; a contact weighs half for each of its particles in the group, 1 at a wall.
-push, pushing, mean_force
-    Which contacts have a positive normal force, the weights of these, and their mean force.
+pushing, normal_force, tangential_force
+    Weights of the contacts that have a positive normal force, and their forces.
+clusters
+    Which grains of the group contacts between them connect (`xcg.packing.clusters`).
 virial : (3, 3)
     Sum of f a over the particles' sides of their contacts.
 mixture, which
@@ -22,6 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -77,18 +80,28 @@ def _connectivity(s: Any) -> NDArray:
     return ratio(np.bincount(np.minimum(s.partners, last).astype(int), minlength=last + 1), s.count)
 
 
-def _force_pdf(s: Any) -> NDArray:
-    return ratio(_force_count(s), s.pushing.sum()) / np.diff(s.force_bins)
+def _mean_force(force: str, s: Any) -> float:
+    return float(ratio((s.pushing * getattr(s, force)).sum(), s.pushing.sum()))
 
 
-def _force_count(s: Any) -> NDArray:
-    ratio = s.normal_force[s.push] / s.mean_force
-    return np.histogram(ratio, s.force_bins, weights=s.pushing)[0]
+def _force_pdf(force: str, s: Any) -> NDArray:
+    contacts = s.pushing.sum() if _mean_force(force, s) > 0 else 0.0
+    return ratio(_force_count(force, s), contacts) / np.diff(s.force_bins)
+
+
+def _force_count(force: str, s: Any) -> NDArray:
+    return np.histogram(ratio(getattr(s, force), _mean_force(force, s)), s.force_bins, weights=s.pushing)[0]
 
 
 def _fabric(s: Any) -> NDArray:
     known = s.weight * (s.normal**2).sum(axis=1)
     return ratio(np.einsum("n,ni,nj->ij", s.weight, s.normal, s.normal), known.sum())
+
+
+def _percolation(s: Any) -> NDArray:
+    found = np.full(3, np.nan)
+    found[s.plane] = s.clusters.spans[s.plane]
+    return found
 
 
 def _plane(tensor: NDArray, s: Any) -> NDArray:
@@ -160,7 +173,25 @@ def _of_phases(long_name: str, formula: str, compute: Callable[[Any], Any]) -> P
     return PackingQuantity(long_name, formula, compute, needs=("diameter", "volume"), of_phases=True)
 
 
-_PER_RATIO = ("force_ratio",)
+def _of_force(kind: str, symbol: str) -> dict[str, PackingQuantity]:
+    """Mean and distribution of one part of the forces, over the contacts that push."""
+    force, ratios = f"{kind}_force", f"{symbol} / <{symbol}>"
+    return {
+        f"mean_{force}": PackingQuantity(
+            f"mean {kind} force of contacts that push", f"<{symbol}>, f_c . n_c > 0", partial(_mean_force, force),
+            units="N", needs=FORCES,
+        ),
+        f"{force}_pdf": PackingQuantity(
+            f"probability density of the {kind} force over its mean", f"p({ratios})", partial(_force_pdf, force),
+            dims=("force_ratio",), needs=FORCES,
+        ),
+        f"{force}_count": PackingQuantity(
+            f"number of contacts by {kind} force over its mean", f"N_c({ratios})", partial(_force_count, force),
+            dims=("force_ratio",), needs=FORCES,
+        ),
+    }  # fmt: skip
+
+
 QUANTITIES: dict[str, PackingQuantity] = {
     "particle_count": PackingQuantity("number of particles", "N", lambda s: s.count),
     "contact_count": PackingQuantity("number of contacts", "N_c = sum w_c", lambda s: s.weight.sum(), needs=CONTACTS),
@@ -184,15 +215,22 @@ QUANTITIES: dict[str, PackingQuantity] = {
         "fraction of particles by number of contact partners", "N(z_i = z) / N", _connectivity,
         dims=("partners",), needs=CONTACTS,
     ),
-    "mean_normal_force": PackingQuantity(
-        "mean normal force of contacts that push", "<f> = <f_c . n_c>, f_c . n_c > 0", lambda s: s.mean_force,
-        units="N", needs=FORCES,
+    **_of_force("normal", "f_n"),
+    **_of_force("tangential", "f_t"),
+    "cluster_count": PackingQuantity(
+        "number of clusters of grains in contact, single grains included", "number of connected components",
+        lambda s: len(s.clusters.size), needs=CONTACTS,
     ),
-    "normal_force_pdf": PackingQuantity(
-        "probability density of the normal force over its mean", "p(f / <f>)", _force_pdf, dims=_PER_RATIO, needs=FORCES
+    "largest_cluster": PackingQuantity(
+        "number of grains of the largest cluster", "s_max", lambda s: s.clusters.size.max(initial=0), needs=CONTACTS
     ),
-    "normal_force_count": PackingQuantity(
-        "number of contacts by normal force over its mean", "N_c(f / <f>)", _force_count, dims=_PER_RATIO, needs=FORCES
+    "largest_cluster_fraction": PackingQuantity(
+        "share of the grains that the largest cluster has", "s_max / N",
+        lambda s: ratio(s.clusters.size.max(initial=0), s.count), needs=CONTACTS,
+    ),
+    "percolation": PackingQuantity(
+        "1 along axes on which a cluster reaches through the box", "1 where a cluster winds or joins walls, else 0",
+        _percolation, dims=("component",), needs=CONTACTS,
     ),
     "fabric": PackingQuantity("fabric tensor", "F = <n n>", _fabric, dims=TENSOR, needs=CONTACTS),
     "fabric_anisotropy": PackingQuantity(

@@ -156,6 +156,11 @@ class Contacts:
         return np.einsum("ni,ni->n", self.force, self.normal)
 
     @property
+    def tangential_force(self) -> NDArray:
+        """Tangential force on i of each contact (N), (n, 3)."""
+        return self.force - self.normal_force[:, None] * self.normal
+
+    @property
     def strong(self) -> NDArray:
         """Whether each contact pushes more than the mean of all contacts that push; (n,)."""
         push = (self.normal_force > 0) & (self.first_row >= 0)
@@ -187,13 +192,19 @@ class Contacts:
             first[rows[order[1:][repeated]]] = 0.0
         return first
 
+    @cached_property
+    def crossed(self) -> NDArray:
+        """Periods (n, k) between j and the image of it that touches i; zero at walls."""
+        both = np.flatnonzero((self.i >= 0) & (self.j >= 0))
+        number = np.zeros((len(self.i), len(self.lattice.basis)))
+        away = self.position[self.i[both]] - self.position[self.j[both]]
+        number[both] = self.lattice.numbers(self.between[both] - away)
+        return number
+
     @property
     def _images(self) -> NDArray:
-        """Number of periods (n, k) between the images that touch and the particles, from the lower id to the higher."""
-        both = (self.i >= 0) & (self.j >= 0)
-        away = self.between - (self.position[self.i] - self.position[self.j])
-        number = np.where(both[:, None], self.lattice.numbers(away), 0.0)
-        return np.where((self.key_i < self.key_j)[:, None], number, -number)
+        """Periods (n, k) between the images that touch, from the lower id to the higher."""
+        return np.where((self.key_i < self.key_j)[:, None], self.crossed, -self.crossed)
 
     @cached_property
     def partners(self) -> NDArray:

@@ -41,7 +41,7 @@ def bearing_contacts(frame: Frame, contacts: Contacts | None) -> NDArray:
 def sliding_contacts(friction: float, frame: Frame, contacts: Contacts | None) -> NDArray:
     """Return 1 for each contact that slides, which has its tangential force at Coulomb's limit, else 0; (n,)."""
     assert contacts is not None
-    tangential = np.linalg.norm(contacts.force - contacts.normal_force[:, None] * contacts.normal, axis=1)
+    tangential = np.linalg.norm(contacts.tangential_force, axis=1)
     slides = (contacts.normal_force > 0) & (tangential >= AT_LIMIT * friction * contacts.normal_force)
     return (slides & contacts.between_bearing).astype(float)
 
@@ -77,7 +77,7 @@ def normals(of: Column) -> Column:
 def tangential_normals(frame: Frame, contacts: Contacts | None) -> NDArray:
     """Return tangential force times normal of each contact (N); (n, 3, 3)."""
     assert contacts is not None
-    tangential = contacts.force - contacts.normal_force[:, None] * contacts.normal
+    tangential = contacts.tangential_force
     return tangential[:, :, None] * contacts.normal[:, None, :]
 
 

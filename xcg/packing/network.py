@@ -1,0 +1,221 @@
+"""The contact network of one step: an adjacency matrix, and a graph of networkx."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.common.checks import extra
+from xcg.packing.quantities import CONTACTS
+from xcg.scene.complete import unit_vectors
+from xcg.scene.conform import takes_scene
+from xcg.scene.contacts import Contacts
+from xcg.scene.description import require_scene
+from xcg.scene.frame import step_at, steps_in
+from xcg.scene.schema import OF_STEP, Frame
+
+if TYPE_CHECKING:
+    import networkx as nx
+    from scipy.sparse import csr_array
+
+EdgeWeight: TypeAlias = Literal["contacts", "force", "overlap"]
+
+
+@takes_scene
+def adjacency(ds: xr.Dataset, time: int = -1, *, weight: EdgeWeight | None = None) -> csr_array:
+    r"""Return the adjacency matrix of the contacts between the grains of one step.
+
+    Parameters
+    ----------
+    ds : xarray.Dataset
+        A scene with contacts.
+    time : int
+        Which step, by position; the last one by default.
+    weight : {"contacts", "force", "overlap"}, optional
+        What entries are: 1 where grains touch (default), the number of their contacts, the magnitude of the sum of
+        their contact forces (N), or the largest of their overlaps (m).
+
+    Returns
+    -------
+    scipy.sparse.csr_array
+        Square and symmetric; row k is that of the k-th grain by id. Walls, and partners that the step does not hold,
+        have no row.
+
+    Raises
+    ------
+    SceneError
+        If the scene has no contacts, or no variable for the weight.
+    ValueError
+        If there is no such step, or `weight` is another.
+
+    See Also
+    --------
+    contact_graph : With walls, vectors and the variables of grains, for networkx.
+
+    Notes
+    -----
+    :math:`A_{ij} = A_{ji}` is 1 for each pair of grains in contact, so that :math:`\sum_j A_{ij}` is the degree of
+    grain i: its coordination number without walls. Source: Walker, D. M., Tordesillas, A. (2010). Topological evolution
+    in dense granular materials: a complex networks perspective. Int. J. Solids Struct. 47.
+
+    Examples
+    --------
+    >>> import xcg
+    >>> matrix = xcg.datasets.face_centred_cubic(3).cg.adjacency()
+    >>> float(matrix.sum(axis=1).max())
+    12.0
+    """
+    from scipy.sparse import csr_array
+
+    if weight is not None and weight not in get_args(EdgeWeight):
+        raise ValueError(f"weight={weight!r}: expected None, {', '.join(map(repr, get_args(EdgeWeight)))}")
+    needed = {"force": ["contact_force"], "overlap": ["overlap"]}.get(str(weight), [])
+    require_scene(ds, [*CONTACTS, *needed], "adjacency")
+    step = _Step.at(ds, time, needed)
+    pairs = _Edges.of(step)
+    values = {None: np.ones(len(pairs.i)), "force": np.linalg.norm(pairs.force, axis=1)}.get(weight)
+    if values is None:
+        values = getattr(pairs, str(weight)).astype(float)
+    rows, columns = np.concatenate([pairs.i, pairs.j]), np.concatenate([pairs.j, pairs.i])
+    count = len(step.frame["particle_id"])
+    return csr_array((np.tile(values, 2), (rows, columns)), shape=(count, count))
+
+
+@takes_scene
+def contact_graph(ds: xr.Dataset, time: int = -1, *, walls: bool = False) -> nx.Graph:
+    """Return the contact network of one step as a graph of networkx.
+
+    Nodes are grains by ``particle_id``, frozen ones included, with the scene's variables of the grain in this step as
+    attributes: numbers, and vectors as arrays. Edges are pairs of grains in contact.
+
+    Parameters
+    ----------
+    ds : xarray.Dataset
+        A scene with contacts.
+    time : int
+        Which step, by position; the last one by default.
+    walls : bool
+        Add walls as nodes by their negative number. Nodes have the attribute ``wall``, True for these.
+
+    Returns
+    -------
+    networkx.Graph
+        Each edge has, summed over the contacts of its pair,
+
+        - ``i``, ``j``: its ends, which signs refer to: of two grains i has the lower id, and j is the wall;
+        - ``contacts``: their number;
+        - ``force`` (3,): the force **on i** by j (N), if the scene has forces;
+        - ``normal`` (3,): unit vector of the sum of their normals, each from j to i; zero where they cancel, as between
+          grains that touch on both sides of a periodic box;
+        - ``overlap``: the largest of theirs (m), if the scene has overlaps.
+
+        The graph has the attributes ``time`` and ``step``.
+
+    Raises
+    ------
+    ImportError
+        If networkx is not installed.
+    SceneError
+        If the scene has no contacts.
+    ValueError
+        If there is no such step.
+
+    See Also
+    --------
+    adjacency : The same network as a sparse matrix, without networkx.
+    microstructure : Clusters, percolation and the distribution of degrees (``connectivity``) over time.
+
+    Notes
+    -----
+    Source: Papadopoulos, L., Porter, M. A., Daniels, K. E., Bassett, D. S. (2018). Network analysis of particles and
+    grains. J. Complex Networks 6.
+
+    Examples
+    --------
+    >>> import xcg
+    >>> graph = xcg.datasets.simple_cubic(4).cg.contact_graph()  # doctest: +SKIP
+    >>> graph.degree[0]  # doctest: +SKIP
+    6
+    """
+    nx = extra("networkx", "network", "contact_graph")
+    require_scene(ds, CONTACTS, "contact_graph")
+    of_grains = [str(name) for name in ds.data_vars if "particle" in ds[name].dims]
+    step = _Step.at(ds, time, [*of_grains, "contact_force", "contact_normal", "overlap"])
+    frame, pairs = step.frame, _Edges.of(step, walls=walls)
+    graph = nx.Graph(**step.labels)
+    ids = np.concatenate([frame["particle_id"], pairs.walls]).tolist()
+    columns = {name: _entries(frame[name]) for name in of_grains if name != "particle_id"}
+    for row, node in enumerate(ids[: len(frame["particle_id"])]):
+        graph.add_node(node, wall=False, **{name: values[row] for name, values in columns.items()})
+    graph.add_nodes_from(pairs.walls.tolist(), wall=True)
+    given = {"force": "contact_force", "overlap": "overlap"}
+    names = [name for name in ("contacts", "force", "normal", "overlap") if given.get(name, "particle_id") in frame]
+    attributes = {name: _entries(getattr(pairs, name)) for name in names}
+    for row, (i, j) in enumerate(zip(pairs.i, pairs.j, strict=True)):
+        one, other = ids[i], ids[j]
+        graph.add_edge(one, other, i=one, j=other, **{name: values[row] for name, values in attributes.items()})
+    return graph
+
+
+def _entries(values: NDArray) -> Sequence[Any]:
+    """Rows of an array: Python's numbers, or arrays."""
+    return values.tolist() if values.ndim == 1 else [row.copy() for row in values]
+
+
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """One step of a scene in memory, its contacts, and its time and number."""
+
+    frame: Frame
+    contacts: Contacts
+    labels: dict[str, float]
+
+    @classmethod
+    def at(cls, ds: xr.Dataset, time: int, names: Sequence[str]) -> _Step:
+        """Read some variables of a step, and what contacts need."""
+        wanted = {"particle_id", "position", *CONTACTS, "contact_normal", *names}
+        read = [name for name in map(str, ds.data_vars) if name in wanted or name in OF_STEP]
+        read += [name for name in ("step",) if name in ds.coords]
+        step = step_at(ds, time, "time")[read].compute()
+        arrays = {name: step[name].to_numpy()[None] for name in read}
+        frame, lattice, source = next(steps_in(arrays, str(ds.attrs.get("periodic", ""))))
+        labels = {name: step[name].item() for name in ("time", "step") if name in step.coords}
+        return cls(frame, Contacts.of(frame, lattice, source), labels)
+
+
+@dataclass(frozen=True, eq=False)
+class _Edges:
+    """Pairs in contact, each once: rows i < j, those of walls after the grains', and sums over their contacts."""
+
+    i: NDArray
+    j: NDArray
+    walls: NDArray
+    contacts: NDArray
+    force: NDArray
+    normal: NDArray
+    overlap: NDArray
+
+    @classmethod
+    def of(cls, step: _Step, *, walls: bool = False) -> _Edges:
+        """Sum the contacts of each pair."""
+        contacts, count = step.contacts, len(step.contacts.position)
+        key = np.where(contacts.i < 0, contacts.key_i, contacts.key_j)  # of the partner, where only one grain is there
+        at_wall = walls & (key < 0) & (contacts.first_row >= 0)
+        numbers, wall = np.unique(key[at_wall], return_inverse=True)
+        rows = np.stack([contacts.i, contacts.j])
+        rows[:, at_wall] = np.where(rows[:, at_wall] < 0, count + wall, rows[:, at_wall])
+        kept = (rows >= 0).all(axis=0)
+        rows = rows[:, kept]
+        sign = np.where(rows[0] <= rows[1], 1.0, -1.0)[:, None]
+        (i, j), pair, many = np.unique(np.sort(rows, axis=0), axis=1, return_inverse=True, return_counts=True)
+        force, normal = np.zeros((len(i), 3)), np.zeros((len(i), 3))
+        np.add.at(force, pair, sign * contacts.force[kept])
+        np.add.at(normal, pair, sign * contacts.normal[kept])
+        overlap = np.full(len(i), -np.inf)
+        np.maximum.at(overlap, pair, step.frame.get("overlap", np.zeros(len(key)))[kept])
+        return cls(i, j, numbers, many, force, unit_vectors(normal), overlap)
