@@ -104,7 +104,9 @@ def averages() -> str:
     rules: dict[str, list[str]] = {"as they are": ["sums (*additive* in the [table](fields.md))"]}
     for name in listed(registered=False):
         f = FIELDS[name]
-        if f.harmonic:
+        if name.endswith("_error"):
+            rule = "the larger of this noise and the scatter of what is averaged, see [errors](errors.md)"
+        elif f.harmonic:
             rule = f"`{f.weight}` over the mean of `{f.weight}` divided by the field"
         elif f.weight:
             whose = ", that of the bulk" if f.by_bulk else ""

@@ -13,8 +13,9 @@ from xcg.fields.sums.moments import MOMENTS
 from xcg.scene.schema import VARIABLES
 
 REAL = pytest.mark.parametrize("name", list(OPEN))
-# the temperatures along the axes are the diagonal of a tensor, not a vector: they do not turn like one
-ALL = [name for name in registry.listed() if not xcg.FIELDS[name].option and name != "directional_temperature"]
+# temperatures along the axes and errors are parts of tensors, not vectors: they do not turn like one
+OTHERS = {"directional_temperature", *(name for name in xcg.FIELDS if name.endswith("_error"))}
+ALL = [name for name in registry.listed() if not xcg.FIELDS[name].option and name not in OTHERS]
 OBJECTIVE = ["kinetic_stress", "velocity_gradient", "granular_temperature", "fluctuation_stress", "shear_rate"]
 VECTORS = ("position", "velocity", "contact_point", "contact_force", "contact_normal", "angular_velocity")
 # what a mirror turns once more: vectors along axes of rotation, and their fluxes

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import get_args
@@ -17,7 +17,9 @@ from xcg.compiled.segments import RULES
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.averages import needed_for_averages
 from xcg.fields.formulas.field import Deviatoric, Gradient, InertialSize, Options, Temperature
-from xcg.fields.formulas.variables import OwnField, Quantity, check_turns, own_fields
+from xcg.fields.formulas.rows.errors import OF_FITS, OF_PLACES
+from xcg.fields.formulas.rows.flow import FITS
+from xcg.fields.formulas.variables import OwnField, Quantity, check_turns, own_field, own_fields
 from xcg.fields.layout import (
     averaged_gradient,
     check_differentiable,
@@ -266,6 +268,18 @@ def _fields_and_options(scene: Description, request: Request) -> tuple[tuple[str
     names, own = _choose_fields(request.fields, scene, options)
     if scene.cylindrical and own:
         check_turns(own)
+    absent = OF_PLACES if scene.cylindrical else OF_FITS if options.gradient not in FITS else set()
+    if request.errors:
+        names, own = _with_errors(names, own, scene, absent)
+    if unknown_here := absent & {*names}:
+        raise ValueError(
+            f"{', '.join(sorted(unknown_here))}: known in axes x, y and z alone, and of gradients that are fitted "
+            "(gradient='least_squares')"
+        )
+    if request.per is not None and any(name.endswith("_error") for name in names):
+        raise ValueError(
+            "errors=True with per='accessible': errors are those of sums per volume; leave one of them out"
+        )
     options = replace(options, own=(*own, *registry.registered_for(names, replace(options, own=own))))
     if request.by_pair:
         names = tuple(dict.fromkeys([*names, "contact_stress_by_pair"]))
@@ -314,6 +328,21 @@ def _choose_fields(
         if name in lacking:
             raise ValueError(f"{name} needs the argument {rows[name].option}=")
     return tuple(dict.fromkeys(map(str, names))), tuple(dict.fromkeys(own.values()))
+
+
+def _with_errors(
+    names: tuple[str, ...], own: tuple[OwnField | registry.OwnRow, ...], scene: Description, absent: Set[str]
+) -> tuple[tuple[str, ...], tuple[OwnField | registry.OwnRow, ...]]:
+    """Add the errors of one step of the fields that have them, but for those that are absent."""
+    quantities = [one.error for one in own if isinstance(one, OwnField)]
+    further = tuple(own_field(quantity, scene) for quantity in quantities if quantity is not None)
+    errors = [f"{name}_error" for name in names if f"{name}_error" in registry.FIELDS.keys() - absent]
+    if not errors and not further:
+        raise ValueError(
+            f"errors=True: none of {', '.join(names)} has an error that one step tells, as sums of independent "
+            "fluctuations have, such as velocity; leave it out, and see the errors of time_average"
+        )
+    return tuple(dict.fromkeys([*names, *errors, *(one.name for one in further)])), (*own, *further)
 
 
 def moment_rows(options: Options) -> dict[str, Moment]:

@@ -183,6 +183,11 @@ class Request(SharedOptions):
         Divide sums by the accessible fraction, so that fields near walls are per volume that grains can reach. Ratios
         of sums stay, other fields follow from the sums. NaN where the fraction is below 0.01. Balance laws hold for
         fields per volume, without it.
+    errors : bool
+        Add ``<field>_error``, one standard deviation in one step, of velocity, its gradient and what is made of it,
+        temperature, kinetic stress, spin, and means of variables of particles: as of independent fluctuations of the
+        grains, see `xcg.fields.formulas.rows.errors`. Densities and contact stress have none, as neighbours are not
+        independent: their errors come from several steps (`time_average`).
     for_averages : bool
         Also compute the sums that `time_average` and `profile` of the fields need beside them, such as the density
         beside a velocity.
@@ -194,6 +199,7 @@ class Request(SharedOptions):
     at: Mapping[str, float | xr.DataArray] | None = None
     walls: Sequence[Wall] | None = None
     per: Per | None = None
+    errors: bool = False
     for_averages: bool = False
 
     def changed(self, names: Sequence[str]) -> list[str]:

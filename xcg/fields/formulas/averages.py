@@ -21,6 +21,7 @@ from xcg.common.checks import is_whole
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Field, Options
 from xcg.fields.formulas.variables import row_of_result
+from xcg.fields.sums.kernels import Kernel, as_kernel
 from xcg.scene.conform import in_order, labels_along
 from xcg.scene.frame import with_time
 from xcg.scene.schema import COMPONENTS
@@ -50,13 +51,17 @@ def profile(f: xr.Dataset, axis: str) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        Fields without the other axes; ratios are ratios of averaged sums.
+        Fields without the other axes; ratios are ratios of averaged sums. Where the result has errors of one step
+        (``coarse_grain(errors=True)``), those of the average: of the noise, with as many independent places as supports
+        of the kernel, ``n = A int Psi^2 / int psi^2`` (psi the marginal along the axis that is kept), or of the scatter
+        of the places over sqrt(n - 1); the larger, and ``<name>_error_from`` says which.
 
     Raises
     ------
     ValueError
         If the axis is not resolved, or a sum that a ratio needs is not in the result.
     """
+    f, noise = _without_noise(f)
     axes = [a for a in (*COMPONENTS, "r", "theta") if a in f.dims]
     if axis not in axes:
         raise ValueError(f"profile({axis!r}): the resolved axes of this result are {axes}")
@@ -65,7 +70,13 @@ def profile(f: xr.Dataset, axis: str) -> xr.Dataset:
     if "r" in others:  # rings have areas r dr; the axis itself has none
         sums = sums.sel(r=sums["r"] > 0.0)
         return _from_sums((sums * sums["r"]).sum(others, skipna=False) / _area(sums, others), f)
-    return _from_sums(sums.mean(others, skipna=False), f)
+    mean = _from_sums(sums.mean(others, skipna=False), f)
+    if not noise or not set(others) <= set(COMPONENTS):
+        return mean
+    count = _independent(f, others)
+    scatter = {f"{name}_error": f[name].std(others) / np.sqrt(count - 1.0) for name in noise if count > 1}
+    of_nodes = {name: _noise(one, sums, name, others, count) for name, one in noise.items()}
+    return _with_larger(mean.assign(scatter), of_nodes, "scatter_of_places")
 
 
 def _area(f: xr.Dataset, dims: Sequence[str]) -> float:
@@ -95,14 +106,15 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
     -------
     xarray.Dataset
         Means and, under ``<name>_error``, their standard errors; NaN for a single step. Without `time`, or with the
-        mean time of each window.
+        mean time of each window. Where the result has errors of one step (``coarse_grain(errors=True)``), the larger of
+        the two, and ``<name>_error_from`` says which: noise of independent steps, or their scatter.
 
     Raises
     ------
     ValueError
         If there is no time, the window does not fit, or a sum that a ratio needs is not in the result.
     """
-    f = with_time(f)
+    f, noise = _without_noise(with_time(f))
     if "time" not in f.dims:
         raise ValueError("time_average needs a result with the dimension 'time'")
     count = f.sizes["time"]
@@ -110,6 +122,7 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
         if value is not None and not is_whole(value, 1, count):
             raise ValueError(f"{name}={value!r}: expected a number of steps from 1 to {count}")
     sums = _to_sums(f.drop_vars("step", errors="ignore"), "time_average")
+    sums = sums.assign({_noise_of(name): values.variable for name, values in noise.items()})
     if window is None:
         samples = sums.rename(time=_SAMPLE).drop_vars(_SAMPLE)
     else:
@@ -118,6 +131,8 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
         samples = sums.drop_vars("time").isel(time=xr.DataArray(steps, dims=("time", _SAMPLE)))
         middle = f["time"].to_numpy()[steps].mean(axis=1)
         samples = samples.assign_coords(time=("time", middle, f["time"].attrs))
+    noisy = {name: samples[_noise_of(name)] for name in noise}
+    samples = samples.drop_vars([_noise_of(name) for name in noise])
     mean = _from_sums(samples.mean(_SAMPLE, skipna=False), f)
     errors = block_errors(samples, _SAMPLE, lambda means: _from_sums(means, f))
     beside = {}
@@ -127,7 +142,9 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
         beside[f"{name}_error"].attrs = {
             "units": f[name].attrs.get("units", "1"), "long_name": f"standard error of {name}"
         }  # fmt: skip
-    return mean.assign(beside).assign_attrs(averaged_steps=count if window is None else window)
+    mean = mean.assign(beside).assign_attrs(averaged_steps=count if window is None else window)
+    of_steps = {name: _noise(one, samples, name, [_SAMPLE], samples.sizes[_SAMPLE]) for name, one in noisy.items()}
+    return _with_larger(mean, of_steps, "scatter_of_steps")
 
 
 def per_fraction(f: xr.Dataset, fraction: xr.DataArray) -> xr.Dataset:
@@ -142,6 +159,72 @@ def per_fraction(f: xr.Dataset, fraction: xr.DataArray) -> xr.Dataset:
     out = _from_sums(xr.Dataset(divided), f)
     known = fraction.notnull()
     return out.assign({name: f[name].where(known) if name != "sample_count" else f[name] for name in kept & set(rows)})
+
+
+# --- errors of one step ----------------------------------------------------------------------------------
+
+
+def _noise_of(name: str) -> str:
+    return f"{name}/noise"
+
+
+def _without_noise(f: xr.Dataset) -> tuple[xr.Dataset, dict[str, xr.DataArray]]:
+    """Take errors of single steps out of a result; by the names of their fields."""
+    if "averaged_steps" in f.attrs:
+        return f, {}
+    found = {name: f.get(f"{name}_error") for name in map(str, f.data_vars)}
+    noise = {name: error for name, error in found.items() if error is not None}
+    return f.drop_vars([f"{name}_error{end}" for name in noise for end in ("", "_from")], errors="ignore"), noise
+
+
+def _noise(
+    noise: xr.DataArray, sums: xr.Dataset, name: str, dims: Sequence[str], independent: float
+) -> xr.DataArray:  # fmt: skip
+    """Error of an average of some independent values over dimensions; of a ratio with the weights of its average."""
+    if (bottom := sums.get(f"{name}/bottom")) is None:
+        variance = (noise**2).mean(dims)
+    else:
+        weight = bottom.where(noise.notnull(), 0.0)
+        total = weight.sum(dims)
+        share = ((weight * noise.fillna(0.0)) ** 2).sum(dims) / total.where(total != 0) ** 2
+        variance = share * math.prod(sums.sizes[dim] for dim in dims)
+    return variance.clip(0.0) ** 0.5 / independent**0.5
+
+
+def _independent(f: xr.Dataset, axes: Sequence[str]) -> float:
+    """Return how many places along some axes share no grains: at most as many as there are nodes."""
+    count = math.prod(f.sizes[a] for a in axes)
+    dimension = int(f.attrs["kernel_dimension"])
+    kernel = as_kernel(str(f.attrs["kernel"]), float(np.max(f.attrs["width"])), dimension)
+    seen = [a for a in COMPONENTS if a in f.coords]
+    kept = len(seen) - len(axes)
+    length = [float(f[a][1] - f[a][0]) * f.sizes[a] if f.sizes[a] > 1 else 0.0 for a in axes]
+    return max(1.0, min(count, math.prod(length) * _square(kernel, len(seen)) / _square(kernel, kept)))
+
+
+def _square(kernel: Kernel, seen: int) -> float:
+    """Integral of the square of a kernel, as it is seen in some dimensions (m^-seen)."""
+    if not seen:
+        return 1.0
+    r, step = np.linspace(0.0, kernel.cutoff, 2001, retstep=True)
+    shell = {1: 2.0 + 0 * r, 2: 2 * np.pi * r, 3: 4 * np.pi * r**2}[seen]
+    return float(np.trapezoid(kernel.value(r, seen) ** 2 * shell, dx=step))
+
+
+def _with_larger(mean: xr.Dataset, noise: Mapping[str, xr.DataArray], source: str) -> xr.Dataset:
+    """Put the larger of two errors of each field into an average, and from which it is: noise, or what it holds."""
+    found = {}
+    for name, one in noise.items():
+        other = mean.get(f"{name}_error", one)
+        larger = ((other > one) | one.isnull()).drop_attrs()
+        error = other.where(larger, one).where(mean[name].notnull()).drop_attrs()
+        units = mean[name].attrs.get("units", "1")
+        found[f"{name}_error"] = error.assign_attrs(units=units, long_name=f"standard error of {name}")
+        found[f"{name}_error_from"] = larger.astype("int8").assign_attrs(
+            long_name=f"source of the error of {name}", flag_values=np.array([0, 1], "int8"),
+            flag_meanings=f"noise_of_each_step {source}",
+        )  # fmt: skip
+    return mean.assign(found)
 
 
 def block_errors(samples: xr.Dataset, dim: str, function: Callable[[xr.Dataset], xr.Dataset]) -> xr.Dataset:
@@ -171,7 +254,7 @@ def block_errors(samples: xr.Dataset, dim: str, function: Callable[[xr.Dataset],
 def needed_for_averages(names: Iterable[str], options: Options) -> tuple[str, ...]:
     """Return the fields that have to be in a result beside some others, so that averages of all can be taken."""
     names = tuple(names)
-    rows = {name: registry.row(name, options) for name in names}
+    rows = {name: registry.row(name, options) for name in names if name.removesuffix("_error") not in {*names} - {name}}
     return _all_of(_missing(rows, options))
 
 
@@ -220,9 +303,7 @@ def _to_sums(f: xr.Dataset, purpose: str) -> xr.Dataset:
             f"{purpose} averages fields, and this is a scene: call {purpose} on what its coarse_grain returns"
         )
     rows = _rows_of(f)
-    if errors := [
-        name for name, row in rows.items() if row is None and name.removesuffix("_error") in {*rows} - {name}
-    ]:
+    if errors := [name for name in rows if name.removesuffix("_error") in {*rows} - {name}]:
         raise ValueError(
             f"{purpose} takes no mean of standard errors ({', '.join(errors)}): call it before time_average"
         )

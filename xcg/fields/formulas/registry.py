@@ -18,11 +18,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.fields.formulas.field import Field, Options
-from xcg.fields.formulas.rows import contacts, density, displacement, energy, fabric, flow, phases, rheology, rotation
+from xcg.fields.formulas.rows import (
+    contacts,
+    density,
+    displacement,
+    energy,
+    errors,
+    fabric,
+    flow,
+    phases,
+    rheology,
+    rotation,
+)
 
 P = ParamSpec("P")
 R = TypeVar("R")
-TOPICS = (density, flow, contacts, fabric, phases, rheology, rotation, energy, displacement)
+TOPICS = (density, flow, contacts, fabric, phases, rheology, rotation, energy, displacement, errors)
 _ROWS: dict[str, Field] = {name: row for topic in TOPICS for name, row in topic.ROWS.items()}
 _REGISTERED: dict[str, Field] = {}  # by users, see `xcg.register_field`
 # All rows by name, read-only.

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from xcg.common.messages import SceneError, did_you_mean, unknown
 from xcg.compiled import points as loops
 from xcg.fields.formulas import registry
-from xcg.fields.formulas.algebra import at_least_zero, mean_of, zero_if_unknown
+from xcg.fields.formulas.algebra import at_least_zero, mean_of, where_positive, zero_if_unknown
 from xcg.fields.formulas.field import Field, Options
 from xcg.fields.sums.moments import Moment
 from xcg.scene.contacts import Contacts
@@ -107,6 +107,16 @@ class Variance(Quantity):
     """
 
     prefix = "variance_"
+
+
+class _MeanError(Variance):
+    """The standard error of a mean in one step, ``sqrt(variance / N_eff)``, as of independent values of the particles.
+
+    The variance is about the mean of each phase, and unbiased: ``sum u (q - <q>)^2 Psi / (sum u Psi - sum (u Psi)^2 /
+    sum u Psi)``; ``N_eff = (sum u Psi)^2 / sum (u Psi)^2``. See `xcg.fields.formulas.rows.errors`.
+    """
+
+    prefix = ""
 
 
 class Flux(Quantity):
@@ -214,16 +224,25 @@ class OwnField:
 
     def _relative(self, reads: tuple[str, ...]) -> dict[str, Moment]:
         """Return the sums of products, relative to each node."""
-        symbol = WEIGHTS[self.weight][0]
+        symbol, of_error = WEIGHTS[self.weight][0], isinstance(self.quantity, _MeanError)
+        layout = (*_ABOUT, loops.SQUARE) if of_error else _ABOUT
+        squares = f", ({symbol} Psi)^2" if of_error else ""
         return {
-            _name(self.weight, triple): Moment(
+            _name(self.weight, triple) + squares: Moment(
                 tuple(dict.fromkeys([*reads, *(part[0] for part in triple if part)])),
-                f"{symbol} (1, q, q q) of {', '.join(_text(part) for part in triple if part)}",
-                (len(_ABOUT),), loops.FLUCTUATION, loops.MASS, partial(_numbers, triple, self.weight), layout=_ABOUT,
+                f"{symbol} (1, q, q q){squares} of {', '.join(_text(part) for part in triple if part)}",
+                (len(layout),), loops.FLUCTUATION, loops.MASS, partial(_numbers, triple, self.weight), layout=layout,
                 vector=self.rank == 1 and isinstance(self.quantity, Variance),
             )
             for triple in self._triples
         }  # fmt: skip
+
+    @property
+    def error(self) -> Quantity | None:
+        """The quantity that is the error of this one in one step; None where there is none."""
+        if not isinstance(self.quantity, Mean) or self.at_contacts:
+            return None
+        return _MeanError(self.quantity.variable, self.weight, f"{self.name}_error")
 
     @property
     def row(self) -> Field:
@@ -242,6 +261,10 @@ class OwnField:
                 f"variance of {self.what}, weighted by {by}", f"sum {u}(q - <q>)^2 {point} / {below}, {mean}",
                 _variance, (), (),
             ),
+            _MeanError: (
+                f"standard error in one step of the mean of {self.what}", f"sqrt(var(q) sum ({u}{point})^2) / {below}",
+                _mean_error, (), (),
+            ),
             Flux: (
                 f"flux of {self.what} by fluctuations of the velocity", f"sum {u}(q - <q>)(v_i - V) {point}, {mean}",
                 _flux, ("mass", "momentum"), ("_drift",),
@@ -251,7 +274,8 @@ class OwnField:
         return Field(
             rank=self.rank + (kind is Flux), units=self.units, long_name=long_name, formula=f"{formula}, q = {q}",
             compute=partial(compute, names=names, total=self._total, rank=self.rank), fields=fields,
-            moments=(*names, *more), additive=kind in (Sum, Flux), weight="" if kind in (Sum, Flux) else self._counts,
+            moments=(*names, *more), additive=kind in (Sum, Flux),
+            weight=self._counts if kind in (Mean, Variance) else "",
             source=f"variable {q!r} of the {'contacts' if self.at_contacts else 'particles'}",
         )  # fmt: skip
 
@@ -378,7 +402,7 @@ def _wrong_dims(name: str, found: Column, expected: tuple[str, ...]) -> str:
 
 def _units(quantity: Quantity, weight: Weight, unit: str | None, system: str) -> str:
     """Return the unit of a quantity, from that of its variable; empty where the variable has none."""
-    if unit is None or isinstance(quantity, Mean):
+    if unit is None or isinstance(quantity, (Mean, _MeanError)):
         return unit or ""
     length, mass, _ = powers_of(WEIGHTS[weight][1])
     if isinstance(quantity, Variance):
@@ -400,9 +424,9 @@ def _times(unit: str, exponent: int, other: str) -> str:
 
 # a component of a variable, numbered row by row; None for zeros
 _Number = tuple[str, int] | None
-# of three numbers a, b, c: the weight; a, b, c; their products aa ab ac bb bc cc
+# of three numbers a, b, c: the weight; a, b, c; their products aa ab ac bb bc cc; of errors also the weight's square
 _ABOUT = (loops.MASS, *(loops.MOMENTUM + k for k in range(3)), *(loops.KINETIC + k for k in range(6)))
-_FIRST, _SQUARES, _PRODUCTS = 1, (4, 7, 9), (5, 6)
+_FIRST, _SQUARES, _PRODUCTS, _OF_WEIGHTS = 1, (4, 7, 9), (5, 6), 10
 
 
 def _text(part: _Number) -> str:
@@ -459,6 +483,16 @@ def _variance(f: Any, s: Any, o: Options, *, names: tuple[str, ...], total: str,
         b = _bulk_mean(weight, first)
         squares = sums[..., _SQUARES[k]] - b * first - (first - b * weight) * b
         found.append(at_least_zero(mean_of(squares, weight)))
+    return _components(found, rank)
+
+
+def _mean_error(f: Any, s: Any, o: Options, *, names: tuple[str, ...], total: str, rank: int) -> NDArray:
+    found = []
+    for name, k in product(names, range(3 if rank else 1)):
+        sums = getattr(s, name)
+        weight, first, square = where_positive(sums[..., 0]), sums[..., _FIRST + k], sums[..., _OF_WEIGHTS]
+        scatter = at_least_zero(sums[..., _SQUARES[k]] - first * first / weight)
+        found.append(np.sqrt(scatter * square / (where_positive(weight - square / weight) * weight * weight)))
     return _components(found, rank)
 
 

@@ -147,7 +147,7 @@ def _kinetic_stress(f: Any, s: Any, o: Options) -> NDArray:
     return _outer(out)
 
 
-def _about(sums: tuple[NDArray, NDArray, NDArray], a: NDArray, b: NDArray) -> tuple[NDArray, NDArray]:
+def about(sums: tuple[NDArray, NDArray, NDArray], a: NDArray, b: NDArray) -> tuple[NDArray, NDArray]:
     """Return the sums of w (x - a) and of w (x - a)(x - b), from those of w, w x and w x x."""
     weight, first, second = sums
     moved = first - weight[..., None] * a
@@ -170,11 +170,11 @@ def _taken_by_fit(f: Any, s: Any, o: Options) -> NDArray:
     point, inverse = f._fit.mean[:1], f._fit.inverse[:1]
     centre = zero_if_unknown(mean_of(s.offset[:1], s.mass[:1]))
     squares = s.square, s.square_offset, s.square_spread
-    shift, bulk = _about(tuple(a[:1] for a in squares), centre, centre)
+    shift, bulk = about(tuple(a[:1] for a in squares), centre, centre)
     if len(s.mass) == 1:
         return _taken_by_mean(f, s, o) + double_dot(inverse, bulk)
-    _, own = _about(squares, centre, point)
-    first, second = _about((s.mass, s.offset, s.spread), point, point)
+    _, own = about(squares, centre, point)
+    first, second = about((s.mass, s.offset, s.spread), point, point)
     across = times(inverse, shift[..., None])[..., 0]
     mean = zero_if_unknown(2 * dot(across, first) / where_positive(s.mass[:1]))
     shared = double_dot(times(times(inverse, bulk), inverse), second)

@@ -11,7 +11,7 @@ from xcg.fields.formulas.algebra import at_least_zero, mean_of, outer, ratio, wh
 from xcg.fields.formulas.field import Field, Options
 
 # of the moment "rotation": I, I o and I o o (xx xy xz yy yz zz) with o relative to the node, and (I Psi)^2
-_WEIGHT, _FIRST, _SECOND, _SQUARE = 0, slice(1, 4), ((4, 5, 6), (5, 7, 8), (6, 8, 9)), 10
+WEIGHT, _FIRST, _SECOND, SQUARE = 0, slice(1, 4), ((4, 5, 6), (5, 7, 8), (6, 8, 9)), 10
 
 
 def _vorticity(f: Any, s: Any, o: Options) -> NDArray:
@@ -21,7 +21,7 @@ def _vorticity(f: Any, s: Any, o: Options) -> NDArray:
 
 def _fluctuation(f: Any, s: Any, o: Options) -> NDArray:
     """Sum of I Psi (o - b)(o - b), with b the mean of the bulk, expanded as the kinetic stress is."""
-    weight, first = s.rotation[..., _WEIGHT], s.rotation[..., _FIRST]
+    weight, first = s.rotation[..., WEIGHT], s.rotation[..., _FIRST]
     second = np.stack([np.stack([s.rotation[..., k] for k in row], axis=-1) for row in _SECOND], axis=-2)
     b = zero_if_unknown(mean_of(first[:1], weight[:1]))
     return second - outer(b, first) - outer(first - b * weight[..., None], b)
@@ -29,7 +29,7 @@ def _fluctuation(f: Any, s: Any, o: Options) -> NDArray:
 
 def _fluctuation_inertia(f: Any, s: Any, o: Options) -> NDArray:
     """Return the inertia of what fluctuates: less what the mean of the bulk takes from independent spins."""
-    weight, square = s.rotation[..., _WEIGHT], s.rotation[..., _SQUARE]
+    weight, square = s.rotation[..., WEIGHT], s.rotation[..., SQUARE]
     whole = where_positive(weight[:1])
     taken = zero_if_unknown(2 * square / whole - weight * square[:1] / (whole * whole))
     return at_least_zero(weight - taken)
