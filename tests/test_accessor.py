@@ -15,13 +15,13 @@ import xcg
 from xcg.accessor import CoarseGrainAccessor, Method
 from xcg.fields.coarse_grain import coarse_grain, explain
 from xcg.fields.request import SharedOptions, arguments, takes
-from xcg.writers import chains, vtkhdf, vtu
+from xcg.writers import chains, meshes, view, vtkhdf, vtu
 
 METHODS = sorted(name for name, member in vars(CoarseGrainAccessor).items() if isinstance(member, Method))
 # methods whose functions have no place at the top of the package
 DEEPER = {
     "explain": explain, "to_csv": chains.to_csv, "to_vtp": chains.to_vtp, "to_vtkhdf": vtkhdf.to_vtkhdf,
-    "to_vtu": vtu.to_vtu,
+    "to_vtu": vtu.to_vtu, "to_pyvista": meshes.to_pyvista, "view": view.view,
 }  # fmt: skip
 
 
@@ -102,10 +102,10 @@ def test_every_kind_is_offered_what_fits(scene):
                {"scene": scene, "fields": fields, "chains": found}.items()}  # fmt: skip
     assert offered["scene"] >= {"coarse_grain", "explain", "force_chains", "measure", "save"}
     correlations = {"spatial_correlation", "time_correlation"}
-    pictures = {"plot", "movie"}
-    assert offered["fields"] == {"profile", "time_average", "to_vtkhdf", "to_vtu", "save"} | correlations | pictures
+    pictures, shared = {"plot", "movie"}, {"view", "to_pyvista", "save"}
+    assert offered["fields"] == {"profile", "time_average", "to_vtkhdf", "to_vtu"} | correlations | pictures | shared
     assert offered["chains"] >= {"select_chains", "chain_table", "plot_rose", "to_csv", "to_vtp", "to_vtkhdf", "save"}
-    assert not offered["scene"] & offered["chains"] - {"save"}
+    assert not offered["scene"] & offered["chains"] - shared
     assert set.union(*offered.values()) == set(METHODS)
     assert "__repr__" in dir(scene.cg)
 

@@ -12,7 +12,11 @@ ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "how_do_i.md").read_text()
 SETTING, *ANSWERS = re.split(r"^### ", PAGE, flags=re.MULTILINE)
 BLOCK = re.compile(r"```python\n(.*?)```", re.DOTALL)
-OPTIONAL = {"contact_graph(": "networkx"}  # packages that answers need besides matplotlib
+OPTIONAL = {
+    "contact_graph(": "networkx",
+    "pyvista(": "pyvista",
+    "view(": "pyvista",
+}  # packages that answers need besides matplotlib
 LIGGGHTS = """ITEM: TIMESTEP
 10
 ITEM: NUMBER OF {what}
@@ -61,11 +65,12 @@ def files(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("answer", ANSWERS, ids=lambda text: text.partition("\n")[0].removeprefix("... "))
 @pytest.mark.filterwarnings("ignore")  # of steps of other boxes, of files without units
-def test_answer(answer, setting, files):
+def test_answer(answer, setting, files, monkeypatch):
     (code,) = BLOCK.findall(answer)
     for method, package in OPTIONAL.items():
         if method in code:
-            pytest.importorskip(package)
+            module = pytest.importorskip(package)
+            monkeypatch.setattr(module, "OFF_SCREEN", True, raising=False)
     assert len(code.splitlines()) <= 3
     names = dict(setting)
     exec(code, names)

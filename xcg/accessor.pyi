@@ -29,7 +29,9 @@ from xcg.scene.measure import measure, size_statistics
 from xcg.scene.phases import assign_phases, find_phases, plot_phases
 from xcg.scene.walls import select_walls
 from xcg.writers.chains import to_csv, to_vtp
+from xcg.writers.meshes import to_pyvista
 from xcg.writers.save import save
+from xcg.writers.view import view
 from xcg.writers.vtkhdf import to_vtkhdf
 from xcg.writers.vtu import to_vtu
 
@@ -86,4 +88,6 @@ class CoarseGrainAccessor:
     to_vtp = Method(to_vtp)
     to_vtkhdf = Method(to_vtkhdf)
     to_vtu = Method(to_vtu)
+    to_pyvista = Method(to_pyvista)
+    view = Method(view)
     save = Method(save)

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError
-from xcg.packing.clusters import Clusters
 from xcg.packing.mixing import Mixture
+from xcg.packing.network import Clusters
 from xcg.packing.quantities import QUANTITIES, ratio
 from xcg.scene.contacts import Contacts
 from xcg.scene.frame import phase_of, steps_in, without_frozen

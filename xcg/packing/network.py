@@ -1,9 +1,10 @@
-"""The contact network of one step: an adjacency matrix, and a graph of networkx."""
+"""The contact network: an adjacency matrix, a graph of networkx, and clusters that may reach through the box."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
 import numpy as np
@@ -11,13 +12,14 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.checks import extra
+from xcg.compiled.contacts import join_clusters
 from xcg.packing.quantities import CONTACTS
 from xcg.scene.complete import unit_vectors
 from xcg.scene.conform import takes_scene
 from xcg.scene.contacts import Contacts
 from xcg.scene.description import require_scene
-from xcg.scene.frame import step_at, steps_in
-from xcg.scene.schema import OF_STEP, Frame
+from xcg.scene.frame import frame_at, step_at
+from xcg.scene.schema import Frame
 
 if TYPE_CHECKING:
     import networkx as nx
@@ -179,12 +181,9 @@ class _Step:
     def at(cls, ds: xr.Dataset, time: int, names: Sequence[str]) -> _Step:
         """Read some variables of a step, and what contacts need."""
         wanted = {"particle_id", "position", *CONTACTS, "contact_normal", *names}
-        read = [name for name in map(str, ds.data_vars) if name in wanted or name in OF_STEP]
-        read += [name for name in ("step",) if name in ds.coords]
-        step = step_at(ds, time, "time")[read].compute()
-        arrays = {name: step[name].to_numpy()[None] for name in read}
-        frame, lattice, source = next(steps_in(arrays, str(ds.attrs.get("periodic", ""))))
-        labels = {name: step[name].item() for name in ("time", "step") if name in step.coords}
+        frame, lattice, source = frame_at(ds, time, wanted)
+        coords = step_at(ds, time, "time").coords
+        labels = {name: coords[name].values.item() for name in ("time", "step") if name in coords}
         return cls(frame, Contacts.of(frame, lattice, source), labels)
 
 
@@ -219,3 +218,58 @@ class _Edges:
         overlap = np.full(len(i), -np.inf)
         np.maximum.at(overlap, pair, step.frame.get("overlap", np.zeros(len(key)))[kept])
         return cls(i, j, numbers, many, force, unit_vectors(normal), overlap)
+
+
+@dataclass(frozen=True, eq=False)
+class Clusters:
+    """Clusters of some grains of a frame: grains that contacts between them connect, single ones included.
+
+    Attributes
+    ----------
+    contacts : Contacts
+        Contacts of the frame.
+    member : array (particles,)
+        Whether each grain is one of them.
+    """
+
+    contacts: Contacts
+    member: NDArray
+
+    @cached_property
+    def _joined(self) -> tuple[NDArray, NDArray]:
+        """Root of the cluster of each grain (particles,), and along which lattice vectors that winds (particles, k)."""
+        contacts, known = self.contacts, np.append(self.member, False)  # row -1 is that of a wall
+        lattice, count = contacts.lattice, len(self.member)
+        row_i, row_j = (np.where(known[row], row, -1) for row in (contacts.i, contacts.j))
+        # in numbers of the vectors of the axes, which reduced ones of tilted boxes are sums of
+        crossed = np.rint(contacts.crossed @ lattice.basis @ np.linalg.pinv(lattice.given)).astype("int64")
+        root, moved = np.arange(count), np.zeros((count, crossed.shape[1]), "int64")
+        winds = np.zeros(moved.shape, bool)
+        join_clusters(row_i, row_j, crossed, root, moved, winds)
+        return root, winds
+
+    @property
+    def size(self) -> NDArray:
+        """Number of grains of each cluster; (clusters,)."""
+        return np.unique(self._joined[0][self.member], return_counts=True)[1]
+
+    @property
+    def spans(self) -> NDArray:
+        """Whether any cluster reaches through the box along x, y, z; (3,).
+
+        Along a periodic axis a cluster does so if it winds around the box; along the others if it touches walls on both
+        sides, those whose contacts' normals have their largest component along this axis.
+        """
+        (root, winds), contacts = self._joined, self.contacts
+        through = np.zeros((len(root), 3), bool)
+        periodic = np.isfinite(contacts.lattice.lengths)
+        through[:, periodic] = winds
+        sides = np.zeros((len(root), 3, 2), bool)
+        for row, other, sign in ((contacts.i, contacts.j, 1.0), (contacts.j, contacts.i, -1.0)):
+            known = np.flatnonzero((row >= 0) & (other < 0))
+            known = known[self.member[row[known]]]
+            normal = sign * contacts.normal[known]
+            axis = np.abs(normal).argmax(axis=1)
+            sides[root[row[known]], axis, (normal[range(len(known)), axis] < 0).astype(int)] = True
+        through[:, ~periodic] = np.asarray(sides.all(axis=2))[:, ~periodic]
+        return np.asarray(through[root[self.member]].any(axis=0))

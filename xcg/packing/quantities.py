@@ -11,7 +11,7 @@ weight, normal : (c, ...)
 pushing, normal_force, tangential_force
     Weights of the contacts that have a positive normal force, and their forces.
 clusters
-    Which grains of the group contacts between them connect (`xcg.packing.clusters`).
+    Which grains of the group contacts between them connect (`xcg.packing.network`).
 virial : (3, 3)
     Sum of f a over the particles' sides of their contacts.
 mixture, which

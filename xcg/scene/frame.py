@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -70,6 +70,14 @@ def step_at(ds: xr.Dataset, position: int, name: str) -> xr.Dataset:
     if not is_whole(position, -count, count - 1):
         raise ValueError(f"{name}={position!r}: expected the position of a step, from {-count} to {count - 1}")
     return ds.isel(time=int(position))
+
+
+def frame_at(ds: xr.Dataset, position: int, names: Iterable[str]) -> tuple[Frame, Lattice, str]:
+    """Compute some variables of the step at a position: its frame, periodic images and name; errors as `step_at`."""
+    step, wanted = step_at(ds, position, "time"), {*names, *OF_STEP}
+    step = step[[name for name in step.variables if name in wanted]].compute()
+    arrays = {str(name): values.to_numpy()[None] for name, values in step.variables.items() if name in wanted}
+    return next(steps_in(arrays, str(ds.attrs.get("periodic", ""))))
 
 
 def stack(frames: Sequence[Frame], names: Sequence[str], rows: int) -> Frame:

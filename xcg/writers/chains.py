@@ -32,7 +32,7 @@ _FCF = (
     "position", "diameter", "chain_id", "parent_id", "major_stress", "major_direction", "principal_stress",
     "principal_direction",
 )  # fmt: skip
-_VTK = (
+VTK_VARIABLES = (
     "position", "diameter", "chain_id", "links", "major_stress", "major_direction", "link_chain", "contact_j",
     "contact_force",
 )  # fmt: skip
@@ -207,16 +207,18 @@ def to_vtp(fc: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool = Fa
 
     require_chains(fc, "to_vtp")
     files = targets(fc, path, overwrite=overwrite)
-    for step, file in zip(steps_of(fc, _VTK), files, strict=True):
-        write_by_vtk(vtkXMLPolyDataWriter(), _polydata(_Mesh.of(step), step.time), file, overwrite=overwrite)
+    for step, file in zip(steps_of(fc, VTK_VARIABLES), files, strict=True):
+        write_by_vtk(vtkXMLPolyDataWriter(), polydata_of(step), file, overwrite=overwrite)
     return files
 
 
-def _polydata(mesh: _Mesh, time: float) -> Any:
+def polydata_of(step: Step) -> Any:
+    """Return the chains of a step as vtkPolyData, see `to_vtp`."""
     from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray
     from vtkmodules.vtkCommonCore import vtkPoints
     from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData
 
+    mesh = _Mesh.of(step)
     poly, points, lines = vtkPolyData(), vtkPoints(), vtkCellArray()
     points.SetData(numpy_to_vtk(mesh.points, deep=True))
     poly.SetPoints(points)
@@ -226,7 +228,7 @@ def _polydata(mesh: _Mesh, time: float) -> Any:
     for target, values in (
         (poly.GetPointData(), mesh.point_data),
         (poly.GetCellData(), mesh.line_data),
-        (poly.GetFieldData(), {"TimeValue": np.array([time])}),
+        (poly.GetFieldData(), {"TimeValue": np.array([step.time])}),
     ):
         for name, array in values.items():
             column = numpy_to_vtk(np.ascontiguousarray(array), deep=True)
@@ -270,7 +272,7 @@ def to_vtkhdf(fc: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool =
         root.attrs["Version"] = (2, 0)
         root.attrs["Type"] = np.bytes_("PolyData")  # the reader takes ASCII of fixed length only
         times = []
-        for step in steps_of(fc, _VTK):
+        for step in steps_of(fc, VTK_VARIABLES):
             _append_step(root, _Mesh.of(step))
             times.append(step.time)
         root["Steps"].attrs["NSteps"] = len(times)
