@@ -6,6 +6,7 @@ import urllib.request
 from importlib import metadata
 from pathlib import Path
 
+import pyvista
 from sphinx.util.fileutil import copy_asset
 
 project = "xcg"
@@ -40,6 +41,10 @@ nb_execution_timeout = 300  # a cell may compile
 numpydoc_show_class_members = False
 autodoc_typehints = "none"
 
+# Pictures in 3D are drawn without a screen, by EGL or OSMesa where there is no X server.
+pyvista.OFF_SCREEN = True
+pyvista.BUILDING_GALLERY = True
+
 # The gallery: each script of examples/gallery is run and becomes a page; one that has not changed is not run again.
 sys.path.append(str(Path(__file__).parents[1]))
 sphinx_gallery_conf = {
@@ -49,6 +54,7 @@ sphinx_gallery_conf = {
     "within_subsection_order": "FileNameSortKey",
     "reset_modules": ("docs.figures.legible",),
     "image_srcset": ["2x"],
+    "image_scrapers": ("matplotlib", "pyvista"),
     "capture_repr": (),
     "remove_config_comments": True,
     "download_all_examples": False,

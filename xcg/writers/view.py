@@ -108,7 +108,10 @@ def _draw(plotter: Any, mesh: Any, array: str, units: Mapping[str, str], style: 
         text = array.replace("_", " ") + (", magnitude" if mesh[array].ndim > 1 else "")
         unit = f"[{units[array]}]" if units.get(array, "1") != "1" else ""
         title = "\n".join([*textwrap.wrap(text, _LETTERS), unit, ""])
-        plotter.add_mesh(mesh, scalars=array, scalar_bar_args=_BAR | {"title": title}, **style)
+        drawn = plotter.add_mesh(mesh, scalars=array, scalar_bar_args=_BAR | {"title": title}, **style)
+        drawn.prop.interpolation = (
+            "Gouraud"  # by the normals of spheres and tubes, which smooth_shading would compute anew
+        )
 
 
 def _draw_scene(
@@ -131,7 +134,8 @@ def _draw_scene(
     if "box" in blocks.keys():  # noqa: SIM118
         plotter.add_mesh(blocks["box"], color="black", line_width=1)
     plotter.view_isometric()
-    plotter.reset_camera(bounds=blocks["particles"].bounds)
+    plotter.reset_camera(bounds=blocks["particles"].bounds)  # boxes may be much higher
+    plotter.camera_set = True
 
 
 def _draw_field(

@@ -28,6 +28,14 @@ ax.set(title="1 ms after the start", xlim=(0, 0.016), ylim=(0, 0.032), xlabel="r
 plt.show()
 
 # %%
+# Forces spread out below it along :doc:`chains </chains>`, here those of four grains or more whose stress is above the
+# mean:
+
+first = ds.isel(time=[0])
+chains = first.cg.force_chains(threshold="mean", min_length=4)
+first.cg.view(chains=chains)
+
+# %%
 # The pressure below the sphere is tens of times that of the bed at rest, and spreads at once through all of the bed, as
 # it is only two of the sphere's diameters deep.
 #

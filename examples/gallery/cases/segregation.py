@@ -12,6 +12,7 @@ is :download:`segregation.in <../../../examples/data/lammps_segregation/segregat
 
 import matplotlib.pyplot as plt
 import numpy as np
+import pyvista
 
 import xcg
 
@@ -20,6 +21,16 @@ names = ["volume_fraction", "density", "velocity", "concentration"]
 f = ds.cg.coarse_grain(names, by="phase", axes="z", width=1.0, bounds={"z": (0, 24)}, spacing=0.25).compute()
 bulk, large = f.sel(phase="bulk"), f.sel(phase=2)
 c = large.concentration.where(bulk.volume_fraction > 0.2)
+
+# %%
+# The grains at the start and at the end:
+
+plotter = pyvista.Plotter(shape=(1, 2))
+for k, step in enumerate((0, -1)):
+    plotter.subplot(0, k)
+    ds.cg.view("diameter", time=step, cmap="coolwarm", plotter=plotter)
+    plotter.add_title(f"t = {float(ds.time[step]):.0f}", font_size=10)
+plotter.show()
 
 # %%
 # The share of the large grains over time and height:

@@ -29,6 +29,13 @@ f = ds.cg.coarse_grain(names, axes="z", width="1 d43", **inside)
 f = f.isel(time=0).compute()
 
 # %%
+# The forces of the lowest 60 mm. A tube leads from each grain to its contact, thicker and brighter the larger the force
+# is; at the side, tubes end at the wall, and strong ones lead up from it:
+
+low = ds.isel(particle=(ds.position.isel(time=0).sel(component="z") < 0.06).values)
+low.cg.view(contacts=True)
+
+# %%
 # Nothing is fitted: the density, the pressure ratio :math:`K` and the friction that the side really takes (not the most
 # that it could) are those of the fields, over the heights that are far from both ends.
 
