@@ -15,7 +15,8 @@ import xcg
 from xcg.accessor import CoarseGrainAccessor, Method
 from xcg.fields.coarse_grain import coarse_grain, explain
 from xcg.fields.request import SharedOptions, arguments, takes
-from xcg.writers import chains, meshes, view, vtkhdf, vtu
+from xcg.writers import chains, meshes, view, vtkhdf
+from xcg.writers import paraview as vtu
 
 METHODS = sorted(name for name, member in vars(CoarseGrainAccessor).items() if isinstance(member, Method))
 # methods whose functions have no place at the top of the package

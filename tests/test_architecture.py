@@ -37,7 +37,7 @@ INSIDE = {
         ["__init__"],
     ],
     "readers": [
-        ["engine", "mesh_points"],
+        ["engine"],
         ["files", "index"],
         ["paths"],
         ["columns"],

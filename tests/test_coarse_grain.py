@@ -437,7 +437,7 @@ def test_one_large_lazy_step_uses_all_threads_and_others_take_one_each(steps, wo
     one = xcg.datasets.random_scene(60, seed=2)
     times = [one.assign_coords(time=[float(t)], step=("time", [t])) for t in range(steps)]
     lazy = xr.concat(times, "time", combine_attrs="override").chunk(time=1)
-    pool = mock.patch("xcg.compiled.threads.ThreadPoolExecutor", wraps=ThreadPoolExecutor)
+    pool = mock.patch("xcg.compiled._jit.ThreadPoolExecutor", wraps=ThreadPoolExecutor)
     with mock.patch.multiple("xcg.fields.evaluate", THREADS=2, WORTH_SHARING=worth), pool as pools:
         f = lazy.cg.coarse_grain(width=0.8).compute()
     assert pools.called == shared

@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import xcg
-from xcg.packing.cells import CellLists
-from xcg.packing.pairs import find_pairs
+from xcg.packing.pairs import CellLists, find_pairs
 from xcg.scene.contacts import Contacts
 from xcg.scene.lattice import Lattice
 

@@ -97,13 +97,13 @@ def test_zarr_by_xarray(client, scene, tmp_path):
 
 
 def _refuse_pools():
-    import xcg.compiled.threads
+    import xcg.compiled._jit
 
     def refuse(*_):
         message = "a task started threads of its own"
         raise AssertionError(message)
 
-    xcg.compiled.threads.ThreadPoolExecutor = refuse
+    xcg.compiled._jit.ThreadPoolExecutor = refuse
 
 
 def test_one_thread_a_task(client, scene):

@@ -13,7 +13,7 @@ import pytest
 
 import xcg
 from tests import steps_of_random_scenes
-from xcg.writers.hdf5_store import hdf5_file, recover
+from xcg.writers.netcdf import hdf5_file, recover
 
 ROOT = Path(__file__).parents[1]
 SUFFIXES = [".nc", ".h5", ".zarr", ".vtkhdf"]
@@ -83,7 +83,8 @@ KILLED = """
 import os, sys
 import numpy as np, xcg, dask
 from tests.test_resume import fields
-from xcg.writers import hdf5_store, zarr, resume
+from xcg.writers import zarr, resume
+from xcg.writers import netcdf
 path, kills, where = sys.argv[1], int(sys.argv[2]), sys.argv[3]
 zarr._steps_together = lambda layout: 1
 count = [0]
@@ -97,9 +98,9 @@ def counted(real):
 if where == "log":
     resume.Log.add = counted(resume.Log.add)
 elif where == "apply":
-    hdf5_store._apply = counted(hdf5_store._apply)
+    netcdf._apply = counted(netcdf._apply)
 elif where == "write":
-    hdf5_store.Sink.write = counted(hdf5_store.Sink.write)
+    netcdf.Sink.write = counted(netcdf.Sink.write)
 elif where == "chunk":
     zarr._Plain.write = counted(zarr._Plain.write)
 with dask.config.set(scheduler="sync"):
@@ -157,7 +158,7 @@ def test_a_file_comes_to_the_state_after_the_last_task(tmp_path, monkeypatch):
         file["a"] = np.arange(1000.0)
     for k in range(3):
         if k == 2:
-            monkeypatch.setattr("xcg.writers.hdf5_store._apply", lambda changes, file: None)
+            monkeypatch.setattr("xcg.writers.netcdf._apply", lambda changes, file: None)
         with hdf5_file(path, "r+", journal=True) as file:
             file[f"b{k}"] = np.full(100, k)
             file["a"][k] = -1.0

@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from xcg.compiled.threads import for_each
+from xcg.compiled._jit import for_each
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3, 8])

@@ -9,7 +9,7 @@ from vtkmodules.vtkIOXML import vtkXMLImageDataReader
 import xcg
 from tests import steps_of_random_scenes
 from xcg.readers.files.vtp import read_collection
-from xcg.writers import pvd as vti
+from xcg.writers import paraview as vti
 
 
 def read(path):

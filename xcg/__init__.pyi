@@ -4,10 +4,9 @@ from . import datasets, readers
 from .accessor import CoarseGrainAccessor
 from .chains.particle_stress import particle_stress
 from .chains.plots import plot_chains, plot_lengths, plot_rose
-from .chains.results import chain_table, link_table
+from .chains.results import chain_table, link_table, track_chains
 from .chains.search import force_chains
 from .chains.selection import Box, BoxRegion, Region, Sphere, select_chains
-from .chains.tracks import track_chains
 from .common.messages import SceneError, SceneWarning
 from .fields.analysis.balance import balance
 from .fields.analysis.correlations import spatial_correlation, time_correlation
@@ -32,9 +31,9 @@ from .packing.find_contacts import find_contacts
 from .packing.microstructure import microstructure
 from .packing.network import adjacency, contact_graph
 from .packing.pairs import find_pairs
+from .readers.engines.vtk import mesh_points
 from .readers.from_table import scene_from_table
 from .readers.live import scene_from_lammps
-from .readers.mesh_points import mesh_points
 from .readers.series import open_scene
 from .scene.bodies import group_bodies
 from .scene.build import scene_from_arrays

@@ -107,7 +107,7 @@ class CoarseGrainAccessor:
     movie = Method("xcg.fields.analysis.plots", RESULT)
 
     select_chains = Method("xcg.chains.selection", CHAINS)
-    track_chains = Method("xcg.chains.tracks", CHAINS)
+    track_chains = Method("xcg.chains.results", CHAINS)
     chain_table = Method("xcg.chains.results", CHAINS)
     link_table = Method("xcg.chains.results", CHAINS)
     plot_chains = Method("xcg.chains.plots", CHAINS)
@@ -117,7 +117,7 @@ class CoarseGrainAccessor:
     to_vtp = Method("xcg.writers.chains", CHAINS)
 
     to_vtkhdf = Method("xcg.writers.vtkhdf", RESULT, CHAINS)
-    to_vtu = Method("xcg.writers.vtu", RESULT)
+    to_vtu = Method("xcg.writers.paraview", RESULT)
     to_pyvista = Method("xcg.writers.meshes", SCENE, RESULT, CHAINS)
     view = Method("xcg.writers.view", SCENE, RESULT, CHAINS)
     save = Method("xcg.writers.save", SCENE, RESULT, CHAINS)

@@ -7,10 +7,9 @@ import xarray as xr
 
 from xcg.chains.particle_stress import particle_stress
 from xcg.chains.plots import plot_chains, plot_lengths, plot_rose
-from xcg.chains.results import chain_table, link_table
+from xcg.chains.results import chain_table, link_table, track_chains
 from xcg.chains.search import force_chains
 from xcg.chains.selection import select_chains
-from xcg.chains.tracks import track_chains
 from xcg.fields.analysis.balance import balance
 from xcg.fields.analysis.correlations import spatial_correlation, time_correlation
 from xcg.fields.analysis.diffusion import mean_squared_displacement
@@ -30,10 +29,10 @@ from xcg.scene.phases import assign_phases, find_phases, plot_phases
 from xcg.scene.walls import select_walls
 from xcg.writers.chains import to_csv, to_vtp
 from xcg.writers.meshes import to_pyvista
+from xcg.writers.paraview import to_vtu
 from xcg.writers.save import save
 from xcg.writers.view import view
 from xcg.writers.vtkhdf import to_vtkhdf
-from xcg.writers.vtu import to_vtu
 
 P = ParamSpec("P")
 R = TypeVar("R")

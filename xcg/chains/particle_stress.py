@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from xcg.common.checks import is_positive
 from xcg.common.messages import SceneError
 from xcg.compiled import THREADS
+from xcg.compiled._jit import for_parts, worth
 from xcg.compiled.contacts import blank_rows_of_zeros, scale_tensors
 from xcg.compiled.eigen import principal, principal_of_any
-from xcg.compiled.threads import for_parts, worth
 from xcg.scene.conform import takes_scene
 from xcg.scene.contacts import Contacts
 from xcg.scene.description import describe, require_scene

@@ -17,7 +17,7 @@ from xcg.chains.selection import Region
 from xcg.common.checks import is_finite, is_positive, is_whole
 from xcg.compiled import THREADS
 from xcg.compiled import chains as loops
-from xcg.compiled.threads import for_parts
+from xcg.compiled._jit import for_parts
 from xcg.scene.conform import takes_scene
 from xcg.scene.description import require_scene
 from xcg.scene.frame import particle_rows, steps_in

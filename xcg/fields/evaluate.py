@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from xcg.common.messages import warn_once
 from xcg.compiled import THREADS
-from xcg.compiled.threads import for_each
+from xcg.compiled._jit import for_each
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Field
 from xcg.fields.formulas.program import Loads, program_for

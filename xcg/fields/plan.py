@@ -35,7 +35,7 @@ from xcg.fields.sums.contact_moments import sliding_contacts
 from xcg.fields.sums.kernels import Kernel
 from xcg.fields.sums.moments import MOMENTS, Moment
 from xcg.fields.sums.nodes import BLOCK_NODES, FINE, nodes_in_cache
-from xcg.fields.sums.quadrature import SINGLE, gauss_limits
+from xcg.fields.sums.segments import SINGLE, gauss_limits
 from xcg.fields.sums.step import DepositSpec
 from xcg.scene.description import Description, require_scene
 from xcg.scene.lattice import Lattice

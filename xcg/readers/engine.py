@@ -250,7 +250,7 @@ class Engine(ABC):
 GROUP = "xcg.readers"
 _OWN = {
     "lammps": "xcg.readers.engines.lammps:Lammps",
-    "liggghts": "xcg.readers.engines.liggghts:Liggghts",
+    "liggghts": "xcg.readers.engines.lammps:Liggghts",
     "mercury": "xcg.readers.engines.mercury:Mercury",
     "mfix": "xcg.readers.engines.mfix:Mfix",
     "yade": "xcg.readers.engines.yade:Yade",

@@ -9,9 +9,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.compiled._jit import for_parts
 from xcg.compiled.arrays import Reduced, counting_sort, short_integers
 from xcg.compiled.contacts import add_dyads, add_rows, add_unit_squares, between, k_core, sides
-from xcg.compiled.threads import for_parts
 from xcg.scene.complete import unit_vectors
 from xcg.scene.lattice import Lattice
 from xcg.scene.sanity import check_contacts, repeated_pairs, rows_of

@@ -15,7 +15,7 @@ from xcg.scene.conform import conform
 from xcg.scene.contacts import Contacts
 from xcg.scene.frame import frame_at, step_at
 from xcg.writers.chains import VTK_VARIABLES, polydata_of
-from xcg.writers.pvd import image_of
+from xcg.writers.paraview import image_of
 from xcg.writers.vtkhdf import arrays_of, checked
 
 if TYPE_CHECKING:

@@ -32,7 +32,7 @@ _WRITERS: dict[str, Writer | tuple[str, str]] = {
     ".h5": ("xcg.writers.netcdf", "NETCDF"),
     ".zarr": ("xcg.writers.zarr", "ZARR"),
     ".vtkhdf": ("xcg.writers.vtkhdf", "VTKHDF"),
-    ".pvd": ("xcg.writers.pvd", "write_pvd"),
+    ".pvd": ("xcg.writers.paraview", "write_pvd"),
 }
 
 

@@ -22,7 +22,7 @@ from xcg.scene.conform import in_order, labels_along
 from xcg.scene.frame import with_time
 from xcg.writers import chains
 from xcg.writers.encoding import Encoding
-from xcg.writers.hdf5_store import Hdf5Store, StoredArray, hdf5_file
+from xcg.writers.netcdf import Hdf5Store, StoredArray, hdf5_file
 from xcg.writers.store import Format, StoreLayout, write_file
 
 if TYPE_CHECKING:

@@ -14,9 +14,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.compiled import THREADS
+from xcg.compiled._jit import for_each
 from xcg.compiled.cells import PointCells, lists_for_points, sort_by_cell
 from xcg.compiled.reach import PAD, Lists, Nodes
-from xcg.compiled.threads import for_each
 from xcg.fields.grids.grid import MAX_NODES, check_axes
 from xcg.fields.sums.nodes import BLOCK_NODES, Apart, SameAxes, triple
 from xcg.scene.schema import COMPONENTS

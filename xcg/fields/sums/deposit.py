@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled import points as loops
+from xcg.compiled._jit import for_each
 from xcg.compiled.reach import BATCH, batches_of
-from xcg.compiled.threads import for_each
 from xcg.fields.sums.moments import CUTOFF_POWERS, MOMENTS, Moment
 from xcg.fields.sums.nodes import NodeBlock
 from xcg.fields.sums.reach import Mesh

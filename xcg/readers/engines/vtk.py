@@ -10,14 +10,16 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+import xarray as xr
 
 from xcg.common.messages import SceneError, warn_user
+from xcg.common.vtk_mesh import places_of, read_mesh
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files import vtp
 from xcg.readers.files.compressed import ENDINGS, plain_name
 from xcg.readers.files.text import open_binary
 from xcg.readers.index import remembered
-from xcg.scene.schema import Frame, variable
+from xcg.scene.schema import COMPONENTS, Frame, variable
 from xcg.steps import faults as errors
 
 LINES = "lines"  # kind of a step whose contacts are lines
@@ -233,3 +235,32 @@ class Vtk(Engine):
     def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
         """Read the contacts of one step as they stand: points are contact points, those of lines follow from radii."""
         return read_arrays(ref, targets(ref, "contact", options, {}))
+
+
+def mesh_points(path: str | os.PathLike[str], *, centers: bool = False) -> dict[str, xr.DataArray]:
+    """Points of a mesh or surface, or the centres of its cells, as `coarse_grain` takes them: ``at=mesh_points(...)``.
+
+    `to_vtu` writes the fields at them back onto the mesh.
+
+    Parameters
+    ----------
+    path : str or path
+        A file that VTK reads: ``.vtu``, ``.vtp``, ``.vts``, ``.vtr``, ``.vti``, ``.vtk``, ``.stl``, ``.obj``, ``.ply``.
+    centers : bool
+        Take the centres of cells (VTK's parametric centres, as ParaView's filter "Cell Centers"), where codes of finite
+        volumes keep their fields; else the points.
+
+    Returns
+    -------
+    dict
+        Coordinates ``x``, ``y`` and ``z`` (m) with the dimension ``cell`` or ``point``, in the order of the file.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If the name ends otherwise, or the file holds no points.
+    """
+    places = places_of(read_mesh(path), centers=centers)
+    return {a: xr.DataArray(places[:, k], dims="cell" if centers else "point") for k, a in enumerate(COMPONENTS)}
