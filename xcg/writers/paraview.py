@@ -44,10 +44,16 @@ def write_pvd(ds: xr.Dataset, path: Path, encoding: Encoding, *, overwrite: bool
 
 
 def _write_step(encoding: Encoding, step: xr.Dataset, path: Path, *, overwrite: bool) -> None:
+    from vtkmodules.vtkIOXML import vtkXMLImageDataWriter
+
+    write_by_vtk(vtkXMLImageDataWriter(), image_of(step, encoding.reduced), path, overwrite=overwrite)
+
+
+def image_of(step: xr.Dataset, reduced: Callable[[NDArray], NDArray] = np.asarray) -> Any:
+    """Return the fields of a step, in memory, as vtkImageData with units; `reduced` is called on all values."""
     from vtkmodules.util.numpy_support import numpy_to_vtk
     from vtkmodules.vtkCommonCore import vtkDataArray
     from vtkmodules.vtkCommonDataModel import vtkImageData
-    from vtkmodules.vtkIOXML import vtkXMLImageDataWriter
 
     frame, image = Image.of(step), vtkImageData()
     image.SetDimensions(frame.nodes)
@@ -55,7 +61,7 @@ def _write_step(encoding: Encoding, step: xr.Dataset, path: Path, *, overwrite: 
     image.SetSpacing(frame.spacing)
     for array in arrays_of(step):
         data = step[array.variable]
-        values = encoding.reduced(np.asarray(array.values(data.variable, frame)))
+        values = reduced(np.asarray(array.values(data.variable, frame)))
         found = numpy_to_vtk(values.reshape(-1, array.components), deep=True)
         found.SetName(array.name)
         for k, label in enumerate(_labels(array.components)):
@@ -63,7 +69,7 @@ def _write_step(encoding: Encoding, step: xr.Dataset, path: Path, *, overwrite: 
         if "units" in data.attrs:
             found.GetInformation().Set(vtkDataArray.UNITS_LABEL(), str(data.attrs["units"]))
         image.GetPointData().AddArray(found)
-    write_by_vtk(vtkXMLImageDataWriter(), image, path, overwrite=overwrite)
+    return image
 
 
 def _labels(components: int) -> list[str]:
