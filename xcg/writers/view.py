@@ -17,7 +17,10 @@ if TYPE_CHECKING:
     import pyvista
 
 FAINT = 0.04  # opacity of grains before their contacts or chains
-_BAR = {"vertical": True, "position_x": 0.86, "position_y": 0.25, "width": 0.05, "height": 0.5, "fmt": "%.3g"}
+_BAR = {
+    "vertical": True, "position_x": 0.85, "position_y": 0.25, "width": 0.05, "height": 0.5, "fmt": "%.3g",
+    "title_font_size": 20, "label_font_size": 18,
+}  # fmt: skip
 _LETTERS = 14  # in a line of the title of a bar
 
 
