@@ -12,6 +12,7 @@ from .fields.analysis.balance import balance
 from .fields.analysis.correlations import spatial_correlation, time_correlation
 from .fields.analysis.diffusion import mean_squared_displacement
 from .fields.analysis.displacement import displacement
+from .fields.analysis.flow_rate import flow_rate
 from .fields.analysis.plots import movie, plot
 from .fields.analysis.slice_temperature import slice_temperature
 from .fields.analysis.wall_stress import wall_stress
@@ -80,6 +81,7 @@ __all__ = [
     "find_contacts",
     "find_pairs",
     "find_phases",
+    "flow_rate",
     "force_chains",
     "group_bodies",
     "lammps_mesh",

@@ -14,6 +14,7 @@ from xcg.fields.analysis.balance import balance
 from xcg.fields.analysis.correlations import spatial_correlation, time_correlation
 from xcg.fields.analysis.diffusion import mean_squared_displacement
 from xcg.fields.analysis.displacement import displacement
+from xcg.fields.analysis.flow_rate import flow_rate
 from xcg.fields.analysis.plots import movie, plot
 from xcg.fields.analysis.slice_temperature import slice_temperature
 from xcg.fields.analysis.wall_stress import wall_stress
@@ -56,6 +57,7 @@ class CoarseGrainAccessor:
     width_sweep = Method(width_sweep)
     balance = Method(balance)
     slice_temperature = Method(slice_temperature)
+    flow_rate = Method(flow_rate)
     wall_stress = Method(wall_stress)
     find_contacts = Method(find_contacts)
     microstructure = Method(microstructure)

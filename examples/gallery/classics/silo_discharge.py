@@ -45,15 +45,18 @@ plt.show()
 
 # %%
 # **Check.** In a steady flow the same mass goes through all heights, so that its rate is the momentum of all grains
-# over the height of the box. With :math:`W^{2/3}` over :math:`D`, Beverloo's law is a straight line.
+# over the height of the box; `xcg.flow_rate` through the plane of the slot has it from the grains near the slot alone,
+# with a larger error. With :math:`W^{2/3}` over :math:`D`, Beverloo's law is a straight line.
 
-rate, error, density = [], [], []
-for ds in runs.values():
+rate, error, density, outflow = [], [], [], []
+for D, ds in runs.items():
     p = ds.cg.coarse_grain(["momentum_density", "density"], axes="z", width=1.0).compute()
     W = -p.momentum_density.sel(component="z").mean("z") * 18 * L
     rate.append(float(W.mean()))
     error.append(float(W.std() / np.sqrt(W.size - 1)))
     density.append(float(p.density.sel(z=slice(10, 16)).mean()))
+    through = ds.cg.flow_rate(xcg.Plane((9, 0, 6), (0, 0, -1)), width=1.0).mass_flow_rate.compute()
+    outflow.append((D, float(through.mean()), float(through.std() / np.sqrt(through.size - 1))))
 slope, start = np.polyfit(slots, np.array(rate) ** (2 / 3), 1)
 published = 1.03
 C, k = slope**1.5 / (np.mean(density) * L), -start / slope
@@ -63,6 +66,7 @@ print(f"C = {C:.2f} (published {published}), k = {k:.2f} (1 to 2)")
 fig, ax = plt.subplots()
 D = np.linspace(2, 6.5, 50)
 ax.errorbar(slots, rate, error, fmt="o", label="simulation")
+ax.errorbar(*np.transpose(outflow), fmt="s", mfc="none", label="through the slot")
 ax.plot(D, (slope * (D - k)).clip(0) ** 1.5, "k-", label=f"C = {C:.2f}, k = {k:.2f}")
 ax.set(xlabel="width of the slot $D$ [$d$]", ylabel=r"rate [$m\sqrt{g/d}$]")
 ax.legend()

@@ -1,0 +1,200 @@
+"""Flow through surfaces: brute force over grains, closed surfaces, and planes that are whole, tilted or parts."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import xcg
+
+L = np.array([6.0, 5.0, 4.0])
+
+
+def scene(periodic="xy", count=120, seed=3, steps=1, dt=0.0, contacts=False):
+    rng = np.random.default_rng(seed)
+    start = rng.uniform(0, 1, (count, 3)) * L
+    velocity = rng.normal([0.3, 0.1, -0.5], size=(count, 3))
+    diameter = rng.uniform(0.6, 1.0, count)
+    position = start + velocity * dt * (np.arange(steps) - (steps - 1) / 2)[:, None, None]
+    more = {}
+    if contacts:
+        i, j = np.arange(0, count - 1, 2), np.arange(1, count, 2)
+        position[..., j, :] = start[j] = start[i] + rng.uniform(-0.4, 0.4, (len(i), 3))
+        more = {"contact_i": i, "contact_j": j, "contact_force": rng.normal(size=(len(i), 3)),
+                "contact_point": (start[i] + start[j]) / 2}  # fmt: skip
+    return xcg.scene_from_arrays(
+        position if steps > 1 else position[0], velocity=np.broadcast_to(velocity, position.shape)[: steps or 1]
+        if steps > 1 else velocity, diameter=diameter, density=2.0, species=1 + (diameter > 0.8),
+        box={a: (0.0, float(length)) for a, length in zip("xyz", L, strict=True)}, periodic=periodic,
+        time=np.arange(steps) * (dt or 1.0), **more,
+    )  # fmt: skip
+
+
+def marginal(width, x):
+    """Lucy's kernel of three dimensions, integrated over planes by Gauss's rule."""
+    c = 2 * width
+    nodes, weights = np.polynomial.legendre.leggauss(60)
+    x = np.abs(x)[..., None]
+    reach = np.sqrt(np.maximum(c**2 - x**2, 0.0))
+    s = reach * (nodes + 1) / 2
+    q = np.sqrt(x**2 + s**2) / c
+    psi = np.where(q < 1, 105 / (16 * np.pi * c**3) * (1 - 6 * q**2 + 8 * q**3 - 3 * q**4), 0.0)
+    return (psi * 2 * np.pi * s * weights * reach / 2).sum(-1)
+
+
+def images(ds, k, reach=2):
+    shift = np.zeros((2 * reach + 1, 1, 3))
+    if "xyz"[k] in ds.attrs["periodic"]:
+        shift[:, 0, k] = L[k] * np.arange(-reach, reach + 1)
+    else:
+        shift = shift[:1]
+    return ds.position.values[0] + shift
+
+
+@pytest.mark.parametrize("periodic", ["", "xy", "xyz"])
+@pytest.mark.parametrize("k", [0, 2])
+def test_a_whole_plane_by_brute_force(periodic, k):
+    ds, width, place = scene(periodic, contacts=True), 0.8, 1.7
+    normal = -2.0 * np.eye(3)[k]
+    point = np.full(3, 0.4)
+    point[k] = place
+    q = ds.cg.flow_rate(xcg.Plane(point, normal), ["mass", "number", "volume", "momentum"], width=width)
+    v, m, volume = (ds[name].values[0] for name in ("velocity", "mass", "volume"))
+    psi = marginal(width, images(ds, k)[..., k] - place).sum(0)
+    for name, weight in (("mass", m), ("number", np.ones_like(m)), ("volume", volume)):
+        assert q[f"{name}_flow_rate"].item() == pytest.approx(-(weight * v[:, k] * psi).sum(), rel=1e-10)
+    stress = ds.cg.coarse_grain("contact_stress", width=width, axes="", at={"xyz"[k]: place},
+                                extent={a: 1.0 for j, a in enumerate("xyz") if j != k})  # fmt: skip
+    expected = -(m[:, None] * v * v[:, [k]] * psi[:, None]).sum(0) - stress.contact_stress.values.reshape(3, 3)[:, k]
+    np.testing.assert_allclose(q.momentum_flow_rate.values[0], expected, rtol=1e-9, atol=1e-9)
+    assert q.mass_flow_rate.attrs["units"] == "kg s^-1"
+    assert q.momentum_flow_rate.attrs["units"] == "N"
+
+
+def test_momentum_density_times_the_area():
+    ds = scene("xyz")
+    p = ds.cg.coarse_grain("momentum_density", width=1.0, axes="", at={"z": 2.0})
+    q = ds.cg.flow_rate(xcg.Plane((0, 0, 2.0), (0, 0, 1)), width=1.0)
+    assert q.mass_flow_rate.item() == pytest.approx(
+        p.momentum_density.sel(component="z").item() * L[0] * L[1], rel=1e-10
+    )
+
+
+def test_a_tilted_plane_by_brute_force():
+    ds, width = scene(""), 0.8
+    normal, point = np.array([1.0, 2.0, -0.5]), np.array([3.0, 2.0, 2.0])
+    q = ds.cg.flow_rate(xcg.Plane(point, normal), ["mass", "momentum"], width=width)
+    n = normal / np.linalg.norm(normal)
+    v, m = ds.velocity.values[0], ds.mass.values[0]
+    psi = marginal(width, (ds.position.values[0] - point) @ n)
+    assert q.mass_flow_rate.item() == pytest.approx((m * (v @ n) * psi).sum(), rel=1e-10)
+    np.testing.assert_allclose(
+        q.momentum_flow_rate.values[0], (m[:, None] * v * (v @ n)[:, None] * psi[:, None]).sum(0)
+    )
+    with pytest.raises(xcg.SceneError, match="average"):
+        scene("xyz").cg.flow_rate(xcg.Plane(point, normal), width=width)
+
+
+def test_phases_add_up():
+    ds = scene()
+    q = ds.cg.flow_rate(xcg.Plane((0, 0, 2), (0, 0, 1)), ["mass", "momentum"], width=1.0, by="species")
+    for name in q.data_vars:
+        parts = q[name].sel(phase=["1", "2"]).sum("phase")
+        xr.testing.assert_allclose(parts, q[name].sel(phase="bulk", drop=True))
+
+
+def faces(low, high):
+    """Six sides of a box, with normals that point out."""
+    found = []
+    for k in range(3):
+        bounds = [(low[j], high[j]) for j in range(3) if j != k]
+        for end, sign in ((low, -1.0), (high, 1.0)):
+            found.append(xcg.Plane(end, sign * np.eye(3)[k], bounds=bounds))
+    return found
+
+
+def mass_within(ds, low, high, width):
+    """Smoothed mass within a box: the density at Gauss points of small cells."""
+    nodes, weights = np.polynomial.legendre.leggauss(40)
+    x = [a + (b - a) * (nodes + 1) / 2 for a, b in zip(low, high, strict=True)]
+    w = np.einsum("i,j,k->ijk", *([weights / 2] * 3)).ravel() * np.prod(np.subtract(high, low))
+    grid = np.stack(np.meshgrid(*x, indexing="ij"), -1).reshape(-1, 3)
+    at = {a: xr.DataArray(grid[:, k], dims="place") for k, a in enumerate("xyz")}
+    return (ds.cg.coarse_grain("density", width=width, at=at).density * xr.Variable("place", w)).sum("place")
+
+
+def test_what_leaves_a_closed_box_is_what_it_loses():
+    ds, low, high, width = scene("", count=60, steps=3, dt=1e-3), [1.5, 1.2, 1.0], [4.2, 3.9, 3.1], 0.7
+    mass = mass_within(ds, low, high, width)
+    rate = float(mass[2] - mass[0]) / float(ds.time[2] - ds.time[0])
+    out = sum(ds.cg.flow_rate(face, width=width).mass_flow_rate.values[1] for face in faces(low, high))
+    scale = float(ds.mass[0].sum())
+    assert rate == pytest.approx(-out, abs=1e-3 * scale)
+    assert abs(rate) > 0.02 * scale
+
+
+def test_triangles_and_cylinders_are_sums_over_points():
+    ds, width = scene("", count=200), 0.8
+    bounds = ((1.0, 5.0), (0.5, 4.5))
+    plane = ds.cg.flow_rate(xcg.Plane((0, 0, 2.0), (0, 0, 1), bounds=bounds), ["mass", "momentum"], width=width)
+    corners = np.array([[1.0, 0.5, 2.0], [5.0, 0.5, 2.0], [5.0, 4.5, 2.0], [1.0, 4.5, 2.0]])
+    same = ds.cg.flow_rate(xcg.Surface(corners, np.array([[0, 1, 2], [0, 2, 3]])), ["mass", "momentum"], width=width)
+    scale = float((ds.mass * abs(ds.velocity).sum("component")).sum())
+    for name in ("mass_flow_rate", "momentum_flow_rate"):
+        np.testing.assert_allclose(same[name], plane[name], atol=1e-3 * scale)
+    # a wide enough part is the whole
+    whole = ds.cg.flow_rate(xcg.Plane((0, 0, 2.0), (0, 0, 1)), width=width).mass_flow_rate.item()
+    part = xcg.Plane((0, 0, 2.0), (0, 0, 1), bounds=((-3, 9), (-3, 8)))
+    assert ds.cg.flow_rate(part, width=width).mass_flow_rate.item() == pytest.approx(whole, rel=1e-5)
+    # a cylinder about all grains with two lids far away is passed by none
+    side = xcg.Cylinder((3, 2.5, 0), (0, 0, 1), 12.0, inside=False, low=-4.0, high=8.0)
+    assert abs(ds.cg.flow_rate(side, width=width, spacing=0.5).mass_flow_rate.item()) < 1e-12
+
+
+def test_it_is_lazy_and_takes_one_step():
+    ds, plane = scene(steps=4, dt=0.1), xcg.Plane((0, 0, 2), (0, 0, 1))
+    eager, lazy = (one.cg.flow_rate(plane, width=1.0) for one in (ds, ds.chunk(time=1)))
+    assert lazy.mass_flow_rate.chunks is not None
+    np.testing.assert_array_equal(lazy.mass_flow_rate, eager.mass_flow_rate)
+    assert ds.isel(time=0).cg.flow_rate(plane, width=1.0).mass_flow_rate.dims == ()
+
+
+def test_energy_of_grains_without_contacts():
+    ds, width = scene("xy"), 0.9
+    v, m = ds.velocity.values[0], ds.mass.values[0]
+    psi = marginal(width, ds.position.values[0][:, 2] - 2.0)
+    q = ds.cg.flow_rate(xcg.Plane((0, 0, 2.0), (0, 0, 1)), "energy", width=width)
+    assert q.energy_flow_rate.item() == pytest.approx((0.5 * m * (v**2).sum(1) * v[:, 2] * psi).sum(), rel=1e-10)
+
+
+@pytest.mark.parametrize(("surface", "of", "message"), [
+    ("z", "mass", "expected an xcg.Plane"), (xcg.Plane((0, 0, 1), (0, 0, 1)), "maß", "unknown flow 'maß'"),
+])  # fmt: skip
+def test_wrong_arguments(surface, of, message):
+    with pytest.raises(ValueError, match=message):
+        scene().cg.flow_rate(surface, of)
+
+
+def test_a_layer_has_its_thickness():
+    ds = xcg.scene_from_arrays(
+        [[0.5, 0.5, 0.0], [1.5, 0.5, 0.0]], velocity=[[1.0, 0, 0], [2.0, 0, 0]], diameter=[1.0, 1.0], mass=[3.0, 5.0],
+        dimension=2, thickness=0.1, box={"x": (0, 4), "y": (0, 1)}, periodic="y",
+    )  # fmt: skip
+    kernel = xcg.Lucy(0.6, dimension=2)
+    q = ds.cg.flow_rate(xcg.Plane((1.0, 0, 0), (1, 0, 0)), kernel=kernel)
+    psi = kernel.value(np.array([0.5, 0.5]), seen=1)
+    assert q.mass_flow_rate.item() == pytest.approx((np.array([3.0, 10.0]) * psi).sum(), rel=1e-9)
+
+
+@pytest.mark.filterwarnings("ignore:.*no grain reaches any node")  # before and after
+def test_the_integral_over_time_is_the_mass_that_crossed():
+    """Grains that fall freely from above a plane to below it; the kernel holds nothing on both sides in the end."""
+    rng = np.random.default_rng(2)
+    start = rng.uniform([0, 0, 4], [6, 5, 6], (80, 3))
+    time = np.linspace(0.0, 1.6, 161)
+    fall = -0.5 * 9.81 * time**2
+    position = start + fall[:, None, None] * [0, 0, 1]
+    velocity = np.zeros_like(position) + (-9.81 * time)[:, None, None] * [0, 0, 1]
+    ds = xcg.scene_from_arrays(position, velocity=velocity, diameter=np.full(80, 0.5), density=1.0, time=time)
+    q = ds.cg.flow_rate(xcg.Plane((0, 0, 2.0), (0, 0, -1)), width=0.5)
+    left = float(q.mass_flow_rate.integrate("time"))
+    assert left == pytest.approx(float(ds.mass[0].sum()), rel=1e-4)
