@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -35,6 +38,13 @@ def planning(**replaced: Any) -> Iterator[None]:
     """Plan with other constants in `xcg.fields.plan`."""
     with mock.patch.multiple("xcg.fields.plan", **replaced):
         yield
+
+
+@cache
+def pyvista_draws() -> bool:
+    """Whether PyVista is here and draws: VTK ends the process where there is neither a screen, EGL nor OSMesa."""
+    code = "import pyvista as p; d = p.Plotter(off_screen=True); d.add_mesh(p.Sphere()); d.screenshot()"
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, check=False).returncode == 0
 
 
 def steps_of_random_scenes(count: int) -> xr.Dataset:

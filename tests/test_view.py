@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 import xcg
-from tests import steps_of_random_scenes
+from tests import pyvista_draws, steps_of_random_scenes
 from tests.networks import network
 
 pv = pytest.importorskip("pyvista")
@@ -26,6 +26,8 @@ def fields(scene):
 
 @pytest.fixture
 def plotter():
+    if not pyvista_draws():
+        pytest.skip("VTK finds no way to draw")
     found = pv.Plotter(off_screen=True, window_size=(300, 200))
     yield found
     found.close()
@@ -206,7 +208,7 @@ def test_something_is_drawn(scene, fields, draw, plotter):
     assert colours(plotter) > 20
 
 
-def test_a_picture_of_its_own_is_shown(scene, monkeypatch):
+def test_a_picture_of_its_own_is_shown(scene, plotter, monkeypatch):
     monkeypatch.setattr(pv, "OFF_SCREEN", True)
     assert isinstance(scene.cg.view(), pv.Plotter)
 

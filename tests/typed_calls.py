@@ -20,6 +20,7 @@ def use(ds: xr.Dataset) -> None:
     coarse_grain(ds, preset="liggghts", per="grain")  # type: ignore[arg-type]
     CoarseGrainAccessor(ds).displacement(on_error="ignore")  # type: ignore[arg-type]
     CoarseGrainAccessor(ds).microstructure(rattlers="leave")  # type: ignore[arg-type]
+    CoarseGrainAccessor(ds).adjacency(weight="mass")  # type: ignore[arg-type]
     CoarseGrainAccessor(ds).find_contacts(method="brute force")  # type: ignore[arg-type]
     CoarseGrainAccessor(ds).force_chains(algorithm="peters", threshold="median")  # type: ignore[arg-type]
     CoarseGrainAccessor(ds).particle_stress(volume="sphere")  # type: ignore[arg-type]
