@@ -139,7 +139,7 @@ def test_no_module_imports_itself_in_a_circle():
 
 # pairs of names that are not twins, in rooms that are still being joined
 NOT_TWINS = {
-    "chains", "chunks", "contacts", "displacement", "fabric", "lammps", "layout", "measure", "pairs", "phases", "plots",
+    "chains", "chunks", "contacts", "displacement", "lammps", "layout", "measure", "pairs", "plots",
     "points", "run", "summary",
 }  # fmt: skip
 NAMED_TWICE = {"Encoding", "Method", "Step", "Table", "Variable", "_Lines", "_Zarr"}

@@ -1,6 +1,6 @@
 """Fields that users register: in the program or in NumPy with the same bits, in other processes, refused when wrong."""
 
-import sys
+import importlib
 from unittest import mock
 
 import numpy as np
@@ -43,7 +43,7 @@ def test_both_ways_give_the_same_bits(options):
     names = [name for name in names if not registry.FIELDS[name].option]
     if "gradient" in options:  # which is not fitted
         names = [name for name in names if name not in OF_FITS]
-    module = sys.modules["xcg.fields.evaluate"]
+    module = importlib.import_module("xcg.fields.evaluate")
     with planning(BLOCK_NODES=40), mock.patch.object(module, "THREADS", 2):
         mixed = ds.cg.coarse_grain(names, width=0.6, **options)
     with mock.patch.object(module, "program_for", return_value=None):

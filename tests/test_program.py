@@ -14,7 +14,7 @@ from xcg.fields.formulas import algebra as symbols
 from xcg.fields.formulas import program as program
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Gradient, Options, Temperature
-from xcg.fields.formulas.register import _made_up
+from xcg.fields.formulas.registry import _made_up
 
 ALL = tuple(name for name in registry.listed() if not (registry.FIELDS[name].option or registry.FIELDS[name].paired))
 

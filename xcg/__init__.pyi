@@ -19,8 +19,7 @@ from .fields.analysis.wall_stress import wall_stress
 from .fields.analysis.width_sweep import width_sweep
 from .fields.coarse_grain import coarse_grain
 from .fields.formulas.averages import profile, time_average
-from .fields.formulas.register import register_field
-from .fields.formulas.registry import FIELDS
+from .fields.formulas.registry import FIELDS, register_field
 from .fields.formulas.variables import Flux, Mean, Sum, Variance
 from .fields.grids.frames import Cylindrical, Rotated
 from .fields.grids.surface import Surface

@@ -9,50 +9,37 @@ from __future__ import annotations
 
 from collections import ChainMap
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from types import MappingProxyType, SimpleNamespace
-from typing import Any, ClassVar, ParamSpec, TypeVar, cast
+from typing import Any, ClassVar, NoReturn, ParamSpec, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.common.messages import unknown
 from xcg.fields.formulas.field import Field, Options
-from xcg.fields.formulas.rows import (
-    contacts,
-    density,
-    displacement,
-    energy,
-    errors,
-    fabric,
-    flow,
-    phases,
-    rheology,
-    rotation,
-)
+from xcg.fields.formulas.rows import contacts, displacement, energy, errors, flow, rheology, rotation
+from xcg.fields.sums.moments import MOMENTS
+from xcg.scene.schema import COMPONENTS, powers_of, units_of
 
 P = ParamSpec("P")
 R = TypeVar("R")
-TOPICS = (density, flow, contacts, fabric, phases, rheology, rotation, energy, displacement, errors)
+TOPICS = (flow, contacts, rheology, rotation, energy, displacement, errors)
 _ROWS: dict[str, Field] = {name: row for topic in TOPICS for name, row in topic.ROWS.items()}
 _REGISTERED: dict[str, Field] = {}  # by users, see `xcg.register_field`
 # All rows by name, read-only.
 FIELDS: Mapping[str, Field] = MappingProxyType(ChainMap(_REGISTERED, _ROWS))
 # Other ways to a field: the option that chooses, and the row for each of its values that is not the default.
-WAYS = flow.WAYS | rheology.WAYS | fabric.WAYS
+WAYS = flow.WAYS | rheology.WAYS | contacts.WAYS
 
-_FORGET: list[Callable[[], None]] = []
-
-
-def on_register(forget: Callable[[], None]) -> None:
-    """Have something forgotten when a field is registered."""
-    _FORGET.append(forget)
+_FORGET: list[Callable[[], None]] = []  # answers that are kept until a field is registered
 
 
 def remembered(function: Callable[P, R]) -> Callable[P, R]:
     """Have equal calls answered at once, until a field is registered."""
     cached = lru_cache(maxsize=256)(function)
-    on_register(cached.cache_clear)
+    _FORGET.append(cached.cache_clear)
     return cast("Callable[P, R]", cached)
 
 
@@ -118,13 +105,6 @@ class OwnRow:
     moments: ClassVar[Mapping[str, Any]] = MappingProxyType({})
 
 
-def add(name: str, field: Field) -> None:
-    """Put the row of a user's field beside the others; in place of a former one of its name."""
-    _REGISTERED[name] = field
-    for forget in _FORGET:
-        forget()
-
-
 def registered_for(fields: Iterable[str], options: Options) -> tuple[OwnRow, ...]:
     """Return what users registered of all that some fields need."""
     return tuple(OwnRow(name, _REGISTERED[name]) for name in order_of(tuple(fields), options) if name in _REGISTERED)
@@ -150,3 +130,182 @@ def evaluate(fields: Sequence[str], moments: Mapping[str, NDArray], options: Opt
         for name in order_of(tuple(fields), options):
             setattr(f, name, row(name, options).compute(f, s, options))
     return {name: getattr(f, name) for name in fields}
+
+
+_COORDINATES = ("time", "step", "skipped", *COMPONENTS, "phase", "other_phase", "component", "direction")
+_PHASES, _NODES = 3, 5  # of the trial: the bulk and two phases; the first node is empty
+
+
+def register_field(
+    name: str,
+    compute: Callable[[Any, Any, Options], NDArray],
+    *,
+    rank: int = 0,
+    units: str | None = None,
+    powers: Sequence[int] | None = None,
+    long_name: str = "",
+    formula: str = "",
+    fields: str | Sequence[str] = (),
+    moments: str | Sequence[str] = (),
+    additive: bool = False,
+    weight: str = "",
+) -> None:
+    """Register a field of one's own, which `coarse_grain` then takes by its name.
+
+    Any NumPy will do. Arithmetic and square roots, element by element, run in the compiled program of the other fields;
+    a formula with anything else runs in NumPy, block by block, with the same bits. `coarse_grain` without names
+    computes the fields of xcg only. A name may be registered again, which replaces the former field.
+
+    Parameters
+    ----------
+    name : str
+        The name for ``fields=`` and in the result.
+    compute : callable
+        ``compute(f, s, o)`` gives the field, an array (phase, node), followed by 3 for a vector, (3, 3) for a tensor.
+        ``f.<name>`` are the fields that it needs, ``s.<name>`` the moments, in the same form, and ``o`` the options
+        (`xcg.fields.formulas.field.Options`), such as the axes ``o.plane`` of the scene. Phase 0 is the bulk. Nodes
+        where nothing reaches hold zeros, and NaN in what is divided by a density.
+    rank : int
+        0 for a scalar, 1 for a vector, 2 for a tensor.
+    units : str, optional
+        SI unit, a product of m, kg, s, N, Pa, J and W, such as "Pa" or "kg m^-3"; "1" by default.
+    powers : tuple of int, optional
+        Powers of (length, mass, time) of the unit instead of its name: (-1, 1, -2) is Pa.
+    long_name, formula : str
+        What it is, and its formula as text, for the attributes of the result.
+    fields : str or list of str
+        The fields that it is computed from.
+    moments : str or list of str
+        The moments that it is computed from, names in `xcg.fields.sums.moments.MOMENTS`.
+    additive : bool
+        Whether it is a sum: partial fields of phases add up to the bulk, and averages are means.
+    weight : str
+        For a ratio, the field that weighs its averages: the one in the denominator. A field that is neither additive
+        nor weighted is computed anew from averages of the fields that it needs.
+
+    Raises
+    ------
+    ValueError
+        If the name is taken, what the field needs does not exist, or the formula fails on a trial of a few nodes: it
+        raises, returns another shape, changes what it is given, or gives a node values that depend on other nodes.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import xcg
+    >>> xcg.register_field(
+    ...     "major_stress",
+    ...     lambda f, s, o: np.linalg.eigvalsh(f.stress)[..., -1],
+    ...     fields="stress",
+    ...     units="Pa",
+    ...     long_name="largest principal stress",
+    ... )
+    >>> f = xcg.datasets.simple_cubic(4).cg.coarse_grain("major_stress", axes="z")
+    >>> f.major_stress.attrs["units"]
+    'Pa'
+    """
+    row = Field(
+        rank=rank, units=_unit(name, units, powers), long_name=long_name or str(name).replace("_", " "),
+        formula=formula, compute=compute, fields=_names(fields), moments=_names(moments), additive=additive,
+        weight=weight, default=False,
+    )  # fmt: skip
+    _check(name, row)
+    row = replace(row, option=next((FIELDS[need].option for need in row.fields if FIELDS[need].option), ""))
+    _try_out(name, row)
+    _REGISTERED[name] = row
+    for forget in _FORGET:
+        forget()
+
+
+def _names(given: str | Sequence[str]) -> tuple[str, ...]:
+    return (given,) if isinstance(given, str) else tuple(given)
+
+
+def _unit(name: Any, units: str | None, powers: Sequence[int] | None) -> str:
+    """Return the unit of a field, given as text or as powers."""
+    if units is not None and powers is not None:
+        _refuse(name, f"units={units!r} and powers={powers!r} both give its unit; pass one of them")
+    if powers is not None:
+        if len(powers) != 3 or not all(isinstance(power, int) for power in powers):
+            _refuse(
+                name, f"powers={powers!r}: expected whole powers of (length, mass, time), such as (-1, 1, -2) for Pa"
+            )
+        length, mass, time = powers
+        return units_of((length, mass, time))
+    try:
+        powers_of(units or "1")
+    except ValueError as error:
+        _refuse(name, str(error))
+    return units or "1"
+
+
+def _refuse(name: Any, why: str) -> NoReturn:
+    raise ValueError(f"register_field({name!r}): {why}") from None
+
+
+def _check(name: str, row: Field) -> None:
+    own = listed(registered=False)
+    if not isinstance(name, str) or not name.isidentifier() or name.startswith("_"):
+        _refuse(name, "expected a name of letters, digits and underscores, such as 'major_stress'")
+    if name in own or name in _COORDINATES:
+        _refuse(name, f"the name is that of a {'field of xcg' if name in own else 'coordinate'}; choose another")
+    if not callable(row.compute):
+        _refuse(name, f"compute={row.compute!r}: expected a function compute(f, s, o)")
+    if row.rank not in (0, 1, 2):
+        _refuse(name, f"rank={row.rank!r}: expected 0 (scalar), 1 (vector) or 2 (tensor)")
+    if not row.fields and not row.moments:
+        _refuse(name, "name the fields= or moments= that it is computed from")
+    for kind, needs, known, where in (
+        ("field", row.fields, listed(), "xcg.FIELDS"),
+        ("moment", row.moments, list(MOMENTS), "xcg.fields.sums.moments.MOMENTS"),
+    ):
+        for need in needs:
+            if need not in known:
+                _refuse(name, f"it needs an {unknown(kind, need, known, f'{kind}s are in {where}')}")
+    if name in order_of(row.fields, Options()):
+        _refuse(name, f"it is needed for {', '.join(row.fields)}, which it needs itself")
+    if row.weight and (row.additive or row.weight not in own or not FIELDS[row.weight].additive):
+        sums = [field for field in own if FIELDS[field].additive and FIELDS[field].rank == 0]
+        _refuse(name, f"weight={row.weight!r}: expected, for a field that is not additive, one of {', '.join(sums)}")
+
+
+def _try_out(name: str, row: Field) -> None:
+    """Compute the field from made-up moments."""
+    options = Options(fluid_viscosity=1.0, own=(OwnRow(name, row),))
+    moments = _made_up(moments_of((name,), options))
+    part = {moment: a[..., 2:4, :] if moment == "reference" else a[:, 2:4] for moment, a in moments.items()}
+    try:
+        found = evaluate([*row.fields, name], moments, options)
+        again = evaluate([name], part, options)[name]
+    except Exception as error:
+        why = "its formula fails on a trial of a few nodes, of which one sees no grains (ratios are NaN there)"
+        raise ValueError(f"register_field({name!r}): {why}: {type(error).__name__}: {error}") from error
+    values, expected = np.asarray(found[name]), (_PHASES, _NODES, *(3,) * row.rank)
+    if values.shape != expected or values.dtype.kind not in "biuf":
+        _refuse(
+            name,
+            f"of {_PHASES} phases at {_NODES} nodes its formula gives {values.dtype} {values.shape}; "
+            f"of rank={row.rank} it has to give numbers {expected}",
+        )
+    for need, unchanged in evaluate(row.fields, moments, options).items():
+        if not np.array_equal(found[need], unchanged, equal_nan=True):
+            _refuse(name, f"its formula changes the field {need!r} that it is given; let it work on a copy")
+    if not np.allclose(values[:, 2:4], again, rtol=1e-9, equal_nan=True):
+        _refuse(name, "what its formula gives at a node depends on other nodes, which are computed block by block")
+
+
+def _made_up(names: Sequence[str]) -> dict[str, NDArray]:
+    """Moments (phase, node, ...) of two phases and the bulk, read-only; symmetric tensors are positive."""
+    rng, found = np.random.default_rng(0), {}
+    for name in names:
+        tail = ((_PHASES,) if MOMENTS[name].paired else ()) + MOMENTS[name].shape
+        values = rng.uniform(0.5, 1.5, (_PHASES, _NODES, *tail))
+        if tail[-2:] == (3, 3):
+            values = values + values.swapaxes(-1, -2) + 4 * np.eye(3)
+        values[0] = values[1] + values[2]
+        values[:, 0] = 0.0
+        found[name] = values
+    found["reference"] = rng.uniform(-1.0, 1.0, (_NODES, 3))
+    for values in found.values():
+        values.flags.writeable = False
+    return found

@@ -15,8 +15,7 @@ from xcg.compiled import points as loops
 from xcg.compiled._jit import for_each
 from xcg.compiled.reach import BATCH, batches_of
 from xcg.fields.sums.moments import CUTOFF_POWERS, MOMENTS, Moment
-from xcg.fields.sums.nodes import NodeBlock
-from xcg.fields.sums.reach import Mesh
+from xcg.fields.sums.nodes import Mesh, NodeBlock
 from xcg.fields.sums.segments import along_branches
 from xcg.fields.sums.step import AnyKernel, DepositSpec, Images, Layout, Pass, Squared, StepRows
 from xcg.scene.frame import check_finite

@@ -31,8 +31,7 @@ from xcg.compiled.segments import (
 from xcg.compiled.shells import RADIUS
 from xcg.fields.sums.kernels import Kernel
 from xcg.fields.sums.moments import Moment
-from xcg.fields.sums.nodes import NodeBlock
-from xcg.fields.sums.reach import Mesh
+from xcg.fields.sums.nodes import Mesh, NodeBlock
 from xcg.fields.sums.step import AnyKernel, Fill, Layout, Pass, StepRows, alike
 from xcg.scene.schema import Frame
 
