@@ -14,6 +14,7 @@ from .fields.analysis.diffusion import mean_squared_displacement
 from .fields.analysis.displacement import displacement
 from .fields.analysis.flow_rate import flow_rate
 from .fields.analysis.plots import movie, plot
+from .fields.analysis.shallow import depth_average, fit_slope, free_surface
 from .fields.analysis.slice_temperature import slice_temperature
 from .fields.analysis.wall_stress import wall_stress
 from .fields.analysis.width_sweep import width_sweep
@@ -76,12 +77,15 @@ __all__ = [
     "coarse_grain",
     "contact_graph",
     "datasets",
+    "depth_average",
     "displacement",
     "find_contacts",
     "find_pairs",
     "find_phases",
+    "fit_slope",
     "flow_rate",
     "force_chains",
+    "free_surface",
     "group_bodies",
     "lammps_mesh",
     "link_table",

@@ -84,6 +84,7 @@ class CoarseGrainAccessor:
     width_sweep = Method("xcg.fields.analysis.width_sweep", SCENE)
     balance = Method("xcg.fields.analysis.balance", SCENE)
     slice_temperature = Method("xcg.fields.analysis.slice_temperature", SCENE)
+    depth_average = Method("xcg.fields.analysis.shallow", SCENE)
     flow_rate = Method("xcg.fields.analysis.flow_rate", SCENE)
     wall_stress = Method("xcg.fields.analysis.wall_stress", SCENE)
     find_contacts = Method("xcg.packing.find_contacts", SCENE)
@@ -104,6 +105,8 @@ class CoarseGrainAccessor:
     time_average = Method("xcg.fields.formulas.averages", RESULT)
     spatial_correlation = Method("xcg.fields.analysis.correlations", RESULT)
     time_correlation = Method("xcg.fields.analysis.correlations", RESULT)
+    free_surface = Method("xcg.fields.analysis.shallow", RESULT)
+    fit_slope = Method("xcg.fields.analysis.shallow", RESULT)
     plot = Method("xcg.fields.analysis.plots", RESULT)
     movie = Method("xcg.fields.analysis.plots", RESULT)
 

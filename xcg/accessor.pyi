@@ -16,6 +16,7 @@ from xcg.fields.analysis.diffusion import mean_squared_displacement
 from xcg.fields.analysis.displacement import displacement
 from xcg.fields.analysis.flow_rate import flow_rate
 from xcg.fields.analysis.plots import movie, plot
+from xcg.fields.analysis.shallow import depth_average, fit_slope, free_surface
 from xcg.fields.analysis.slice_temperature import slice_temperature
 from xcg.fields.analysis.wall_stress import wall_stress
 from xcg.fields.analysis.width_sweep import width_sweep
@@ -58,6 +59,7 @@ class CoarseGrainAccessor:
     balance = Method(balance)
     slice_temperature = Method(slice_temperature)
     flow_rate = Method(flow_rate)
+    depth_average = Method(depth_average)
     wall_stress = Method(wall_stress)
     find_contacts = Method(find_contacts)
     microstructure = Method(microstructure)
@@ -76,6 +78,8 @@ class CoarseGrainAccessor:
     time_average = Method(time_average)
     spatial_correlation = Method(spatial_correlation)
     time_correlation = Method(time_correlation)
+    free_surface = Method(free_surface)
+    fit_slope = Method(fit_slope)
     plot = Method(plot)
     movie = Method(movie)
     select_chains = Method(select_chains)

@@ -1,0 +1,286 @@
+"""Shallow flows: where the surface is, how steep it is, and integrals over the depth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.common.checks import is_finite, is_positive
+from xcg.common.messages import SceneError
+from xcg.fields.coarse_grain import coarse_grain
+from xcg.fields.sums.kernels import Kernel, KernelName, as_kernel, choose_width
+from xcg.scene.conform import takes_scene
+from xcg.scene.description import describe, require_scene
+from xcg.scene.frame import with_time
+from xcg.scene.schema import COMPONENTS, units_in
+from xcg.steps.faults import OnError
+from xcg.steps.labels import format_call, provenance
+
+
+def free_surface(f: xr.Dataset, axis: str = "z", threshold: float = 0.5, *, of: str = "volume_fraction") -> xr.Dataset:
+    """Find the free surface and the base of a flow: where its fields fall through a share of their bulk value.
+
+    The bulk value of a step is ``sum phi^2 / sum phi`` over all nodes: phi itself where it is the same everywhere.
+    Between nodes phi is interpolated linearly. Holes inside do not count: the surface is the highest crossing, the base
+    the lowest.
+
+    Parameters
+    ----------
+    f : xarray.Dataset
+        A result of `xcg.coarse_grain` that is resolved along the axis, and holds the field.
+    axis : str
+        Across the base, upwards.
+    threshold : float
+        Share of the bulk value, between 0 and 1.
+    of : str
+        The field: "volume_fraction" or "density".
+
+    Returns
+    -------
+    xarray.Dataset
+        ``height`` and ``base`` (m), without the axis; NaN where nothing is above the threshold, or where the mesh ends
+        before the field falls through it. Lazy where the result is.
+
+    Raises
+    ------
+    ValueError
+        If the axis is not resolved, the field is not there, or the threshold is no share.
+
+    Examples
+    --------
+    >>> import xcg
+    >>> f = xcg.datasets.random_scene(500).cg.coarse_grain("volume_fraction", axes="xz")
+    >>> free_surface(f).height.dims
+    ('time', 'x')
+    """
+    if of not in f:
+        raise ValueError(f"of={of!r}: expected a field of this result, which holds {', '.join(map(str, f.data_vars))}")
+    if axis not in f[of].dims:
+        raise ValueError(
+            f"free_surface({axis!r}): the axes of this result are {[a for a in COMPONENTS if a in f.dims]}"
+        )
+    if not (is_finite(threshold) and 0 < threshold < 1):
+        raise ValueError(f"threshold={threshold!r}: expected a share of the bulk value between 0 and 1, such as 0.5")
+    values = f[of].isel(phase=0, drop=True) if "phase" in f[of].dims else f[of]
+    nodes = [a for a in COMPONENTS if a in values.dims]
+    bulk = (values**2).sum(nodes) / values.sum(nodes)
+    found = xr.apply_ufunc(
+        partial(_crossings, z=f[axis].to_numpy()), values.chunk({axis: -1}) if values.chunks else values,
+        threshold * bulk, input_core_dims=[[axis], []], output_core_dims=[["end"]], dask="parallelized",
+        output_dtypes=[float], dask_gufunc_kwargs={"output_sizes": {"end": 2}},
+    )  # fmt: skip
+    units = {"units": f[axis].attrs.get("units", "m")}
+    share = f"where {of} is {threshold:g} of its bulk value"
+    return xr.Dataset(
+        {
+            "height": found.isel(end=1).assign_attrs(units, long_name=f"free surface along {axis}, {share}"),
+            "base": found.isel(end=0).assign_attrs(units, long_name=f"base along {axis}, {share}"),
+        },
+        attrs=f.attrs | {"surface_axis": axis},
+    )
+
+
+def _crossings(values: NDArray, least: NDArray, z: NDArray) -> NDArray:
+    """Lowest and highest crossing (..., 2) of values (..., n) through what is `least` (...)."""
+    above = values >= least[..., None]
+    out = np.full((*above.shape[:-1], 2), np.nan)
+    for end, (inside, beyond) in enumerate(((slice(1, None), slice(None, -1)), (slice(None, -1), slice(1, None)))):
+        crosses = above[..., inside] & ~above[..., beyond]
+        k = crosses.argmax(-1) if end == 0 else crosses.shape[-1] - 1 - crosses[..., ::-1].argmax(-1)
+        here, there = (np.take_along_axis(values[..., part], k[..., None], -1)[..., 0] for part in (inside, beyond))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            share = (here - least) / (here - np.where(np.isnan(there), 0.0, there))
+        place = z[inside][k] + share * (z[beyond][k] - z[inside][k])
+        whole = ~above[..., 0] if end == 0 else ~above[..., -1]  # else the mesh ends inside
+        out[..., end] = np.where(crosses.any(-1) & whole, place, np.nan)
+    return out
+
+
+def fit_slope(surface: xr.Dataset | xr.DataArray) -> xr.Dataset:
+    """Fit a line or a plane to a surface: its slope, as of a heap at its angle of repose.
+
+    Parameters
+    ----------
+    surface : xarray.Dataset or DataArray
+        From `free_surface`, or its ``height``: select the part to fit first, ``surface.sel(x=slice(0.02, 0.1))``. Nodes
+        without a surface are left out.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``slope`` (component), dh/dx and dh/dy, those that there are; ``angle`` against the level (degrees); and their
+        standard errors ``slope_error`` and ``angle_error``, from the scatter about the fit with one independent node
+        for each support of the kernel. NaN for fewer nodes than the fit takes.
+
+    Raises
+    ------
+    ValueError
+        If no axis is resolved.
+
+    Examples
+    --------
+    >>> import numpy as np, xarray as xr
+    >>> x = np.linspace(0, 1, 11)
+    >>> round(float(fit_slope(xr.DataArray(0.5 - 0.3 * x, {"x": x})).angle), 6)
+    16.699244
+    """
+    height = surface["height"] if isinstance(surface, xr.Dataset) else surface
+    axes = [a for a in COMPONENTS if a in height.dims]
+    if not axes:
+        raise ValueError("fit_slope needs a surface along an axis, such as height (time, x)")
+    places = np.stack([c.ravel() for c in np.meshgrid(*(height[a].to_numpy() for a in axes), indexing="ij")], 1)
+    support = 2 * float(np.max(surface.attrs.get("cutoff", 0.0)))
+    steps = [float(abs(height[a][1] - height[a][0])) if height.sizes[a] > 1 else np.inf for a in axes]
+    shared = float(np.prod([max(1.0, support / step) for step in steps]))
+    dims = dict.fromkeys(axes, -1)
+    found = xr.apply_ufunc(
+        partial(_fitted, places=places, shared=shared), height.chunk(dims) if height.chunks else height,
+        input_core_dims=[axes], output_core_dims=[["number"]], dask="parallelized", output_dtypes=[float],
+        dask_gufunc_kwargs={"output_sizes": {"number": 2 * len(axes) + 2}},
+    )  # fmt: skip
+    count = len(axes)
+    parts = {"slope": (0, "slope of the surface"), "slope_error": (count, "standard error of the slope")}
+    data = {}
+    for name, (first, text) in parts.items():
+        some = found.isel(number=slice(first, first + count)).rename(number="component")
+        data[name] = some.assign_coords(component=axes).assign_attrs(units="1", long_name=text)
+    for k, (name, text) in enumerate(
+        (("angle", "angle of the surface"), ("angle_error", "standard error of the angle"))
+    ):
+        data[name] = found.isel(number=2 * count + k).assign_attrs(units="degree", long_name=text)
+    return xr.Dataset(data)
+
+
+def _fitted(height: NDArray, places: NDArray, shared: float) -> NDArray:
+    """Slopes, their errors, the angle and its error (..., 2 k + 2) of heights (..., nodes along k axes)."""
+    count = places.shape[1]
+    values = height.reshape(*height.shape[: height.ndim - count], -1)
+    out = np.full((*values.shape[:-1], 2 * count + 2), np.nan)
+    for at in np.ndindex(values.shape[:-1]):
+        known = np.isfinite(values[at])
+        matrix = np.column_stack([np.ones(known.sum()), places[known] - places[known].mean(axis=0)])
+        if len(matrix) < count + 1 or np.linalg.matrix_rank(matrix) < count + 1:
+            continue
+        slope, left = np.linalg.lstsq(matrix, values[at][known], rcond=None)[0], len(matrix) - count - 1
+        rest = values[at][known] - matrix @ slope
+        variance = shared * (rest @ rest) / left if left else np.nan
+        covariance = variance * np.linalg.inv(matrix.T @ matrix)[1:, 1:]
+        steep = np.linalg.norm(slope[1:])
+        along = slope[1:] / steep if steep else np.zeros(count)
+        angle_error = np.sqrt(along @ covariance @ along) / (1 + steep**2)
+        out[at] = *slope[1:], *np.sqrt(np.diag(covariance)), *np.degrees([np.arctan(steep), angle_error])
+    return out
+
+
+@takes_scene
+def depth_average(
+    ds: xr.Dataset,
+    axis: str = "z",
+    *,
+    axes: str | None = None,
+    width: float | str | None = None,
+    kernel: KernelName | str | Kernel = "lucy",
+    spacing: float | None = None,
+    bounds: Mapping[str, Sequence[float]] | None = None,
+    extent: Mapping[str, float] | None = None,
+    on_error: OnError = "raise",
+) -> xr.Dataset:
+    """Integrate fields over the depth of a flow: what models of avalanches are made of; lazy where the scene is.
+
+    Integrals of sums are exact, without a mesh along the axis (the kernel's marginal). The shape factor takes the
+    smoothed velocity u along the axis, ``alpha_k = int rho u_k^2 dz int rho dz / (int rho u_k dz)^2``, from nodes a
+    quarter of the width apart.
+
+    Parameters
+    ----------
+    ds : xarray.Dataset
+        A scene.
+    axis : str
+        Across the base; it may not be periodic.
+    axes : str, optional
+        Resolved axes, by default all others of the scene; "" for one column.
+    width, kernel, spacing, bounds, extent, on_error
+        As in `coarse_grain`, of the resolved axes and those that are averaged.
+
+    Returns
+    -------
+    xarray.Dataset
+        (time, axes): ``mass_per_area``, ``int rho dz`` (kg/m2); ``depth``, ``int phi dz`` (m), the height of the grains
+        without voids; ``momentum_per_area`` (component, kg/m/s); ``depth_averaged_velocity`` (component, m/s), their
+        ratio; ``shape_factor`` (component), 1 for a block, 4/3 for a linear profile from rest, 5/4 for Bagnold's; with
+        contact forces also ``depth_stress``, ``int sigma dz`` (component, direction, N/m), ``earth_pressure``
+        (component), its normal stresses over that across the base, and ``basal_traction`` (component, Pa), the force of
+        walls on the grains per area of the base. Sources: Savage & Hutter (1989), J. Fluid Mech. 199, 177; Bouchut &
+        Westdickenberg (2004).
+
+    Raises
+    ------
+    SceneError
+        If the scene lacks velocities, or the axis is periodic.
+    ValueError
+        If an argument is wrong.
+
+    Examples
+    --------
+    >>> import xcg
+    >>> d = depth_average(xcg.datasets.random_scene(300, periodic="xy", walls=True), axes="x")
+    >>> d.mass_per_area.dims
+    ('time', 'x')
+    """
+    require_scene(ds, ("velocity", "mass"), "depth_average")
+    scene = describe(ds)
+    plane = scene.setup.plane
+    if axis not in plane:
+        raise ValueError(f"axis={axis!r}: expected one of the scene's axes {plane!r}")
+    if axis in scene.setup.periodic:
+        raise SceneError(f"depth_average along {axis!r}: the box is periodic there, and a flow has no depth along it")
+    axes = "".join(a for a in plane if a != axis) if axes is None else axes
+    if axis in axes:
+        raise ValueError(f"axes={axes!r}: the depth is along {axis!r}; resolve the others")
+    call = format_call("depth_average", {"axis": axis, "axes": axes, "width": width})
+    smooth = kernel
+    if not isinstance(kernel, Kernel) or width is not None:
+        smooth = as_kernel(kernel, choose_width(width, scene.sizes), scene.setup.dimension)
+    assert isinstance(smooth, Kernel)
+    if spacing is not None and not is_positive(spacing):
+        raise ValueError(f"spacing={spacing!r}: expected a positive distance (m)")
+    apart = dict.fromkeys(axes, smooth.width if spacing is None else float(spacing))
+    shared: dict[str, Any] = {"kernel": smooth, "bounds": bounds, "on_error": on_error}
+    names = ["density", "momentum_density", "volume_fraction"]
+    forces = "contact_force" in scene.columns
+    names += ["stress", "wall_traction"] if forces else []
+    lengths = {a: length for a, length in (extent or {}).items() if a not in axes}
+    sums = coarse_grain(ds, names, axes=axes, spacing=apart or None, extent=lengths | {axis: 1.0}, **shared)
+    order = "".join(a for a in plane if a in axes + axis)
+    along = {**apart, axis: 0.25 * smooth.width}
+    u = coarse_grain(ds, names[:2], axes=order, spacing=along, extent=lengths or None, **shared)
+    transport = (u["momentum_density"] ** 2 / u["density"].where(u["density"] > 0)).fillna(0.0).integrate(axis)
+    mass, momentum = sums["density"], sums["momentum_density"]
+    found = {
+        "mass_per_area": (mass, "kg m^-2", "mass per area"),
+        "depth": (sums["volume_fraction"], "m", "volume of the grains per area"),
+        "momentum_per_area": (momentum, "kg m^-1 s^-1", "momentum per area"),
+        "depth_averaged_velocity": (momentum / mass.where(mass > 0), "m s^-1", "depth-averaged velocity"),
+        "shape_factor": (transport * mass / (momentum**2).where(momentum != 0), "1", "shape factor of the velocity"),
+    }
+    if forces:
+        stress = sums["stress"]
+        normal = xr.concat([stress.sel(component=a, direction=a, drop=True) for a in COMPONENTS], "component")
+        normal = normal.assign_coords(component=list(COMPONENTS))
+        across = normal.sel(component=axis, drop=True)
+        found |= {
+            "depth_stress": (stress, "N m^-1", "stress integrated over the depth"),
+            "earth_pressure": (normal / across.where(across != 0), "1", f"normal stress over that along {axis}"),
+            "basal_traction": (sums["wall_traction"], "Pa", "force of walls on the grains per area"),
+        }
+    system = scene.setup.unit_system
+    data = {
+        name: values.drop_attrs().assign_attrs(units=units_in(units, system), long_name=text)
+        for name, (values, units, text) in found.items()
+    }
+    return with_time(xr.Dataset(data, attrs=sums.attrs)).assign_attrs(provenance(ds, call), depth_axis=axis)
