@@ -211,7 +211,10 @@ class _Edges:
         kept = (rows >= 0).all(axis=0)
         rows = rows[:, kept]
         sign = np.where(rows[0] <= rows[1], 1.0, -1.0)[:, None]
-        (i, j), pair, many = np.unique(np.sort(rows, axis=0), axis=1, return_inverse=True, return_counts=True)
+        nodes = count + len(numbers)
+        number = rows.min(axis=0) * nodes + rows.max(axis=0)
+        found, pair, many = np.unique(number, return_inverse=True, return_counts=True)
+        i, j = divmod(found, nodes)
         force, normal = np.zeros((len(i), 3)), np.zeros((len(i), 3))
         np.add.at(force, pair, sign * contacts.force[kept])
         np.add.at(normal, pair, sign * contacts.normal[kept])
