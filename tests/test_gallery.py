@@ -27,6 +27,7 @@ CHECKS = {
     "mu_of_i": ("measured", "expected", 0.2),
     "segregation": ("mass", "expected", 1e-4),
     "shear_band": ("band", "coulomb", 0.1),
+    "heap": ("angle", "of_grains", 0.05),
     "silo_discharge": ("C", "published", 0.15),
     "silo_pressure": ("measured", "expected", 0.05),
 }

@@ -110,7 +110,8 @@ def _compute_step(
                 values[grid.undirected] = np.nan
     if plan.options.temperature == "unbiased" and not rows.keys().isdisjoint(_TEMPERATURES):
         _warn_of_unknown(rows, sum(reached), plan.kernel.width, source)
-    if "volume_fraction" in rows and rows["volume_fraction"].max(initial=0.0) > 1.0:
+    # a given extent of 1 m makes integrals of averages
+    if "volume_fraction" in rows and 1.0 not in plan.extent.values() and rows["volume_fraction"].max(initial=0.0) > 1.0:
         _warn_of_fraction(plan, rows["volume_fraction"], frame["volume"].max(initial=0.0) * scale, source)
 
 
