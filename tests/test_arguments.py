@@ -11,9 +11,8 @@ import xarray as xr
 import xcg
 from xcg.common.checks import floats, is_finite, is_positive, is_whole
 from xcg.fields.coarse_grain import PRESETS
-from xcg.fields.formulas.field import Deviatoric, Gradient, InertialSize, Options, Temperature
+from xcg.fields.formulas.field import WEIGHTS, Deviatoric, Gradient, InertialSize, Options, Temperature, Weight
 from xcg.fields.formulas.registry import WAYS
-from xcg.fields.formulas.variables import WEIGHTS, Weight
 from xcg.fields.request import Per, Preset, Sampling
 from xcg.fields.sums.kernels import KernelName
 from xcg.steps.faults import OnError

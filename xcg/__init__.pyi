@@ -20,8 +20,8 @@ from .fields.analysis.wall_stress import wall_stress
 from .fields.analysis.width_sweep import width_sweep
 from .fields.coarse_grain import coarse_grain
 from .fields.formulas.averages import profile, time_average
+from .fields.formulas.field import Flux, Mean, Sum, Variance
 from .fields.formulas.registry import FIELDS, register_field
-from .fields.formulas.variables import Flux, Mean, Sum, Variance
 from .fields.grids.frames import Cylindrical, Rotated
 from .fields.grids.surface import Surface
 from .fields.grids.wall_shapes import Cylinder, Plane

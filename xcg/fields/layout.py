@@ -17,9 +17,9 @@ from xcg.compiled import smoothing as kinds
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Options
 from xcg.fields.grids.frames import Cylindrical
-from xcg.fields.grids.grid import RegularGrid, make_grid
+from xcg.fields.grids.grid import make_grid
 from xcg.fields.grids.points import make_points
-from xcg.fields.grids.rings import Rings, make_rings
+from xcg.fields.grids.rings import make_rings
 from xcg.fields.request import Request
 from xcg.fields.sums.kernels import Kernel, as_kernel, choose_width
 from xcg.fields.sums.nodes import Grid
@@ -52,7 +52,7 @@ def nodes_of(scene: Description, request: Request, kernels: Sequence[Kernel]) ->
     )
 
 
-def _rings(scene: Description, request: Request, kernels: Sequence[Kernel]) -> Rings:
+def _rings(scene: Description, request: Request, kernels: Sequence[Kernel]) -> Grid:
     """Lay the nodes of a cylinder."""
     assert isinstance(request.frame, Cylindrical)
     if request.gradient == "finite_difference":
@@ -227,7 +227,7 @@ def check_size(ds: xr.Dataset, scene: Description, grid: Grid, numbers: int) -> 
     ValueError
         If the fields of one chunk do not fit into memory; particles that are far from the others are named.
     """
-    if not isinstance(grid, RegularGrid) or not grid.fitted or grid.count < _LARGE:
+    if not grid.fitted or grid.count < _LARGE:
         return
     needed, free = 8 * numbers * _steps_at_once(ds), memory_at_hand()
     shown = " x ".join(map(str, grid.sizes))
@@ -263,7 +263,7 @@ def _steps_at_once(ds: xr.Dataset) -> int:
     return max(chunks) if chunks else max(1, ds.sizes.get("time", 1))
 
 
-def about_strays(ds: xr.Dataset, scene: Description, grid: RegularGrid | None = None) -> str:
+def about_strays(ds: xr.Dataset, scene: Description, grid: Grid | None = None) -> str:
     """Name the particle that is farthest from the others, or the extent where positions are not in memory."""
     way_out = "give bounds=, or leave particles out with ds.where"
     position = ds["position"].transpose("time", "particle", "component").variable
@@ -292,10 +292,10 @@ def about_strays(ds: xr.Dataset, scene: Description, grid: RegularGrid | None = 
     return f"{text}; {way_out}"
 
 
-def _nodes_around(place: NDArray, grid: RegularGrid) -> float:
+def _nodes_around(place: NDArray, grid: Grid) -> float:
     """Nodes of a mesh around some particles, with the spacing and the margins of another."""
     count = 1.0
-    for a, nodes in grid.nodes.items():
+    for a, nodes in zip(grid.dims, grid.sizes, strict=True):
         k = COMPONENTS.index(a)
-        count *= np.ptp(place[:, k]) / grid.spacing[a] + 4 if a in grid.fitted else len(nodes)
+        count *= np.ptp(place[:, k]) / grid.spacing[a] + 4 if a in grid.fitted else nodes
     return count

@@ -16,10 +16,10 @@ from xcg.compiled.points import LINEAR
 from xcg.compiled.segments import RULES
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.averages import needed_for_averages
-from xcg.fields.formulas.field import Deviatoric, Gradient, InertialSize, Options, Temperature
+from xcg.fields.formulas.field import Deviatoric, Gradient, InertialSize, Options, Quantity, Temperature
 from xcg.fields.formulas.rows.errors import OF_FITS, OF_PLACES
 from xcg.fields.formulas.rows.flow import FITS
-from xcg.fields.formulas.variables import OwnField, Quantity, check_turns, own_field, own_fields
+from xcg.fields.formulas.variables import OwnField, check_turns, own_field, own_fields
 from xcg.fields.layout import (
     averaged_gradient,
     check_differentiable,
@@ -162,7 +162,7 @@ class Plan:
         lines = {
             "fields": ", ".join(self.fields),
             "read": ", ".join(self.variables),
-            **grid.describe(),
+            **grid.text,
             "averaged": ", ".join(f"{a} ({self.extent[a] or 'box'})" for a in grid.averaged) or "none",
             "kernel": f"{self.kernel!r}, seen in {len(grid.seen)} of {self.kernel.dimension} dimensions{own}",
             "sums": ", ".join(f"{m} ({row.formula})" for m, row in moments.items()),

@@ -16,8 +16,7 @@ from typing import Any, Concatenate, Literal, ParamSpec, TypeAlias, TypeVar, cas
 import numpy as np
 import xarray as xr
 
-from xcg.fields.formulas.field import Deviatoric, Gradient, InertialSize, Temperature
-from xcg.fields.formulas.variables import Quantity
+from xcg.fields.formulas.field import Deviatoric, Gradient, InertialSize, Quantity, Temperature
 from xcg.fields.grids.frames import Cylindrical, Rotated
 from xcg.fields.grids.wall_shapes import Wall
 from xcg.fields.sums.kernels import Kernel, KernelName

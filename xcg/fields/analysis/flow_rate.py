@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from xcg.common.messages import unknown
 from xcg.fields.coarse_grain import coarse_grain
-from xcg.fields.formulas.variables import Sum
+from xcg.fields.formulas.field import Sum
 from xcg.fields.grids.frames import Rotated
 from xcg.fields.grids.surface import Surface
 from xcg.fields.grids.wall_shapes import Plane, Wall, axis_of

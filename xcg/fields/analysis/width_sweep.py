@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from xcg.fields.coarse_grain import answer, prepare
-from xcg.fields.formulas.variables import Quantity
+from xcg.fields.formulas.field import Quantity
 from xcg.fields.grids.frames import refuse_cylindrical
 from xcg.fields.plan import make_plan
 from xcg.fields.request import Request, SharedOptions, takes

@@ -9,22 +9,32 @@ each node, so that nothing large is subtracted from something equally large.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
-from typing import Any, ClassVar, Literal, TypeAlias
+from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.messages import SceneError, did_you_mean, unknown
+from xcg.common.messages import SceneError, unknown
 from xcg.compiled import points as loops
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.algebra import at_least_zero, mean_of, where_positive, zero_if_unknown
-from xcg.fields.formulas.field import Field, Options
+from xcg.fields.formulas.field import (
+    WEIGHTS,
+    Field,
+    Flux,
+    Mean,
+    Options,
+    Quantity,
+    Sum,
+    Variance,
+    Weight,
+    read_quantity,
+)
 from xcg.fields.sums.moments import Moment
 from xcg.scene.contacts import Contacts
 from xcg.scene.description import Column, Description
@@ -39,75 +49,6 @@ from xcg.scene.schema import (
     variable,
 )
 
-Weight: TypeAlias = Literal["mass", "volume", "number"]
-# symbol, unit, and the moment and the field that are its sum
-WEIGHTS: dict[Weight, tuple[str, str, str, str]] = {
-    "mass": ("m", "kg", "mass", "density"),
-    "volume": ("V", "m^3", "volume", "volume_fraction"),
-    "number": ("1", "1", "number", "number_density"),
-}
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """What is asked of a variable: one of `Mean`, `Sum`, `Variance` and `Flux`, for the argument `fields`.
-
-    Parameters
-    ----------
-    variable : str
-        A variable of the scene: a scalar, a vector (``component``) or a tensor (``component``, ``direction``), of
-        particles or of contacts.
-    weight : {"mass", "volume", "number"}, optional
-        What particles count by; contacts count by number.
-    name : str, optional
-        Name of the result.
-
-    Raises
-    ------
-    ValueError
-        If the weight is none of these.
-    """
-
-    variable: str
-    weight: Weight | None = None
-    name: str | None = None
-
-    usual: ClassVar[Weight] = "mass"
-    prefix: ClassVar[str] = ""
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.variable, str):
-            raise ValueError(f"{type(self).__name__}({self.variable!r}): expected the name of a variable of the scene")
-        if self.weight is not None and self.weight not in WEIGHTS:
-            raise ValueError(f"{self}: weight={self.weight!r}, expected one of {', '.join(WEIGHTS)}")
-
-
-class Mean(Quantity):
-    """The mean of a variable, ``sum u q Psi / sum u Psi``, in the variable's unit; u is the mass by default.
-
-    The result has the variable's name, or ``mean_<variable>`` where that is the name of a field, as of ``density``.
-    NaN where nothing reaches.
-    """
-
-
-class Sum(Quantity):
-    """The sum of a variable in a unit of volume, ``sum u q Psi``; u is 1 by default: charges sum to their density.
-
-    The result is ``sum_<variable>``.
-    """
-
-    usual = "number"
-    prefix = "sum_"
-
-
-class Variance(Quantity):
-    """The variance of each component of a variable, ``sum u (q - <q>)^2 Psi / sum u Psi``; u is the mass by default.
-
-    The result is ``variance_<variable>``, about the bulk's mean also for phases. NaN where nothing reaches.
-    """
-
-    prefix = "variance_"
-
 
 class _MeanError(Variance):
     """The standard error of a mean in one step, ``sqrt(variance / N_eff)``, as of independent values of the particles.
@@ -117,41 +58,6 @@ class _MeanError(Variance):
     """
 
     prefix = ""
-
-
-class Flux(Quantity):
-    """The flux that fluctuations carry, ``sum u (q - <q>)(v - V) Psi``; u is the mass by default.
-
-    The result is ``flux_<variable>``, a vector for a scalar, and for a vector a tensor (``component`` of the variable,
-    ``direction`` of the velocity). The mean and V are the bulk's also for phases, so that partial fluxes add up.
-    """
-
-    prefix = "flux_"
-
-
-KINDS: dict[str, type[Quantity]] = {"mean": Mean, "sum": Sum, "variance": Variance, "flux": Flux}
-_CALL = re.compile(r"\s*(\w+)\s*\(([^()]*)\)\s*")
-
-
-def read_quantity(text: str) -> Quantity | None:
-    """Return what a text such as ``"mean(charge, number)"`` or ``"sum(charge, name=c)"`` asks for; None for a name.
-
-    Raises
-    ------
-    ValueError
-        If the text is a call of something else.
-    """
-    call = _CALL.fullmatch(text)
-    if call is None:
-        return None
-    kind, given = call[1].lower(), [part.strip() for part in call[2].split(",")]
-    named: dict[str, Any] = dict(re.split(r"\s*=\s*", part, maxsplit=1) for part in given if "=" in part)
-    plain: list[Any] = [part for part in given if "=" not in part]
-    if kind not in KINDS or set(named) - {"weight", "name"} or not 0 < len(plain) <= 3:
-        hint = "" if kind in KINDS else did_you_mean(kind, KINDS)
-        forms = f"expected one of {', '.join(KINDS)} of a variable, such as 'mean(charge, number, name=q)'"
-        raise ValueError(f"{text!r}{hint}: {forms}")
-    return KINDS[kind](*plain, **named)
 
 
 # --- in a plan -------------------------------------------------------------------------------------------

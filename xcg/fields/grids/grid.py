@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -13,102 +12,13 @@ from numpy.typing import NDArray
 
 from xcg.common.checks import is_finite, rising_pair
 from xcg.common.messages import warn_once, warn_user
-from xcg.fields.sums.nodes import Block, Grid, SameAxes, mesh_blocks
+from xcg.fields.sums.nodes import Grid
 from xcg.scene.sanity import SAMPLE
 from xcg.scene.schema import COMPONENTS
 
 MAX_NODES = 2**31
 _MOST_OF_ONE_AXIS = 2**27
 _FINEST = 1e-9  # least spacing, in radii of the support
-
-
-@dataclass(frozen=True, eq=False)
-class RegularGrid(SameAxes):
-    """Nodes on a regular mesh.
-
-    Attributes
-    ----------
-    axes : str
-        Resolved axes, in the order x, y, z.
-    at : dict
-        Coordinate of each fixed axis (m).
-    averaged : str
-        Axes that are integrated over and divided by their extent.
-    nodes : dict
-        Node coordinates along each resolved axis (m).
-    spacing : dict
-        Distance of nodes along each resolved axis (m).
-    fitted : str
-        Resolved axes along which the nodes were laid around the particles.
-    cells : bool
-        Whether values are averages over the cells of the nodes, instead of those at the nodes.
-    """
-
-    axes: str
-    at: Mapping[str, float]
-    averaged: str
-    nodes: Mapping[str, NDArray]
-    spacing: Mapping[str, float]
-    fitted: str = ""
-    cells: bool = False
-    # what `Grid` says of all nodes, which follows from these
-    dims: tuple[str, ...] = field(init=False)
-    sizes: tuple[int, ...] = field(init=False)
-    count: int = field(init=False)
-    seen: str = field(init=False)
-    active: NDArray = field(init=False)
-    shape: tuple[int, int, int] = field(init=False)
-    steps: NDArray = field(init=False)
-    half: NDArray = field(init=False)
-    origin: NDArray = field(init=False)
-    lower: NDArray = field(init=False)
-    upper: NDArray = field(init=False)
-    cuts: Mapping[str, tuple[float, float]] = field(init=False)
-    coords: Mapping[str, xr.Variable] = field(init=False)
-
-    def __post_init__(self) -> None:
-        nodes, at = self.nodes, self.at
-        shape = tuple(len(nodes[a]) if a in nodes else 1 for a in COMPONENTS)
-        steps = np.array([self.spacing.get(a, 1.0) for a in COMPONENTS])
-        half = np.array([0.5 * self.spacing[a] if self.cells and a in nodes else 0.0 for a in COMPONENTS])
-        origin = np.array([nodes[a][0] if a in nodes else at.get(a, 0.0) for a in COMPONENTS])
-        coords = {a: xr.Variable(a, nodes[a]) for a in COMPONENTS if a in nodes}
-        for name, value in {
-            "dims": tuple(self.axes),
-            "sizes": tuple(len(nodes[a]) for a in self.axes),
-            "count": math.prod(shape),
-            "seen": "".join(a for a in COMPONENTS if a in nodes or a in at),
-            "active": np.array([a in nodes or a in at for a in COMPONENTS]),
-            "shape": shape,
-            "steps": steps,
-            "half": half,
-            "origin": origin,
-            "lower": origin - half,
-            "upper": origin + (np.array(shape) - 1) * steps + half,
-            "cuts": {a: (place, place) for a, place in at.items()},
-            "coords": coords | {a: xr.Variable((), place) for a, place in at.items()},
-        }.items():
-            object.__setattr__(self, name, value)
-
-    def blocks(self, size: int, threads: int) -> Sequence[Block]:
-        """Divide the mesh into boxes."""
-        return mesh_blocks(self.shape, self.steps, self.half, size, threads)
-
-    def describe(self) -> dict[str, str]:
-        """Say where the nodes are."""
-        return {
-            "nodes": (" x ".join(f"{len(self.nodes[a])} {a}" for a in self.axes) or "one")
-            + (", averages over their cells" if self.cells and self.axes else ""),
-            "fixed": ", ".join(f"{a} = {v:g}" for a, v in self.at.items()) or "none",
-        }
-
-    def fills(self, period: NDArray) -> tuple[bool, bool, bool]:
-        """Tell along which axes the nodes fill a period (3,), so that the last is next to the first."""
-        x, y, z = (
-            a in self.nodes and bool(np.isclose(len(self.nodes[a]) * self.spacing[a], period[k], atol=0.0))
-            for k, a in enumerate(COMPONENTS)
-        )
-        return x, y, z
 
 
 def check_axes(name: str, given: Iterable[str], plane: str) -> None:
@@ -195,7 +105,7 @@ def make_grid(
     automatic: Mapping[str, tuple[float, float]],
     period: Mapping[str, float],
     cells: bool = False,
-) -> RegularGrid:
+) -> Grid:
     """Place nodes.
 
     Nodes stand at first, first + spacing, ... up to last. A periodic axis without bounds gets nodes that divide
@@ -230,14 +140,30 @@ def make_grid(
     nodes, taken = {}, {}
     for a in axes:
         nodes[a], taken[a] = nodes_along(a, steps.get(a), axes, bounds, automatic, period, cutoff, cells)
-    averaged = "".join(a for a in plane if a not in axes and a not in at)
-    fitted = "".join(a for a in axes if a not in bounds and a not in period)
-    grid = RegularGrid(axes, {a: float(v) for a, v in at.items()}, averaged, nodes, taken, fitted, cells)
-    if np.prod([float(n) for n in grid.shape]) > MAX_NODES:
+    shape = {a: len(x) for a, x in nodes.items()}
+    if math.prod(map(float, shape.values())) > MAX_NODES:
         raise MeshTooLargeError(
-            f"the mesh would have {grid.shape} nodes, more than {MAX_NODES}: choose a larger spacing or smaller bounds"
+            f"the mesh would have {tuple(shape.get(a, 1) for a in COMPONENTS)} nodes, more than {MAX_NODES}: choose a "
+            "larger spacing or smaller bounds"
         )
-    return grid
+    fixed = {a: float(v) for a, v in at.items()}
+    coords = {a: xr.Variable(a, x) for a, x in nodes.items()} | {a: xr.Variable((), x) for a, x in fixed.items()}
+    half = np.array([0.5 * taken[a] if cells and a in nodes else 0.0 for a in COMPONENTS])
+    origin = np.array([nodes[a][0] if a in nodes else fixed.get(a, 0.0) for a in COMPONENTS])
+    last = origin + [(shape.get(a, 1) - 1) * taken.get(a, 1.0) for a in COMPONENTS]
+    text = {
+        "nodes": (" x ".join(f"{n} {a}" for a, n in shape.items()) or "one")
+        + (", averages over their cells" if cells and axes else ""),
+        "fixed": ", ".join(f"{a} = {v:g}" for a, v in fixed.items()) or "none",
+    }
+    return Grid(
+        dims=tuple(axes), sizes=tuple(shape.values()), coords=coords,
+        seen="".join(a for a in COMPONENTS if a in nodes or a in fixed),
+        averaged="".join(a for a in plane if a not in nodes and a not in fixed),
+        origin=origin, lower=origin - half, upper=last + half, text=text,
+        cuts={a: (place, place) for a, place in fixed.items()}, spacing=taken,
+        fitted="".join(a for a in axes if a not in bounds and a not in period), half=half,
+    )  # fmt: skip
 
 
 def check_mesh(position: NDArray, grid: Grid, cutoff: float, open_axes: NDArray, source: str) -> None:

@@ -18,7 +18,7 @@ from xcg.compiled._jit import for_each
 from xcg.compiled.cells import PointCells, lists_for_points, sort_by_cell
 from xcg.compiled.reach import PAD, Lists, Nodes
 from xcg.fields.grids.grid import MAX_NODES, check_axes
-from xcg.fields.sums.nodes import BLOCK_NODES, Apart, SameAxes, triple
+from xcg.fields.sums.nodes import BLOCK_NODES, Grid, triple
 from xcg.scene.schema import COMPONENTS
 
 # Cells hold about this many points, but are no wider and no narrower than these shares of the support's radius:
@@ -106,65 +106,7 @@ class PointBlock:
         return lists_for_points(nodes.cells, reach, real)
 
 
-@dataclass(frozen=True, eq=False)
-class Points(Apart, SameAxes):
-    """Points given by arrays of coordinates, which share dimensions.
-
-    Attributes
-    ----------
-    given : mapping
-        Coordinate along each seen axis (m), and further coordinates, as they stand in results.
-    dims, sizes : tuple
-        Dimensions of the points, and their lengths.
-    averaged : str
-        Axes that are integrated over and divided by their extent.
-    origin, lower, upper : array (3,)
-        A point amid the others, and the bounds of all (m).
-    parts : tuple of PointBlock
-        The points, sorted in space.
-    """
-
-    given: Mapping[str, xr.Variable]
-    dims: tuple[str, ...]
-    sizes: tuple[int, ...]
-    averaged: str
-    origin: NDArray
-    lower: NDArray
-    upper: NDArray
-    parts: tuple[PointBlock, ...]
-
-    @property
-    def seen(self) -> str:
-        """Axes along which points have a coordinate."""
-        return "".join(a for a in COMPONENTS if a in self.given)
-
-    @property
-    def cuts(self) -> dict[str, tuple[float, float]]:
-        """Lowest and highest coordinate along each seen axis (m)."""
-        return {a: (float(self.lower[k]), float(self.upper[k])) for k, a in enumerate(COMPONENTS) if a in self.seen}
-
-    @property
-    def coords(self) -> Mapping[str, xr.Variable]:
-        """Coordinates as they were given."""
-        return self.given
-
-    def blocks(self, size: int, threads: int) -> tuple[PointBlock, ...]:
-        """Return the points as they were divided when the plan was made."""
-        return self.parts
-
-    def describe(self) -> dict[str, str]:
-        """Say where the points are."""
-        spans = ", ".join(f"{a} from {low:.6g} to {high:.6g}" for a, (low, high) in self.cuts.items())
-        sizes = " x ".join(f"{size} {dim}" for dim, size in zip(self.dims, self.sizes, strict=True))
-        return {"nodes": f"{sizes}, points with {spans}", "fixed": "none"}
-
-
-def is_pointwise(at: Mapping[str, Any]) -> bool:
-    """Whether coordinates are arrays, so that they name points and not planes."""
-    return any(np.ndim(value) > 0 for value in at.values())
-
-
-def make_points(at: Mapping[str, Any], *, plane: str, cutoff: float) -> Points:
+def make_points(at: Mapping[str, Any], *, plane: str, cutoff: float) -> Grid:
     """Sort points in space.
 
     Parameters
@@ -206,8 +148,13 @@ def make_points(at: Mapping[str, Any], *, plane: str, cutoff: float) -> Points:
     place = (position - origin[:, None]) / cutoff
     divided = _divide(np.arange(position.shape[1], dtype="uint64"), place, most)
     parts = tuple(for_each(list(divided), lambda part: PointBlock.of(*part, cutoff), THREADS))
-    averaged = "".join(a for a in plane if a not in arrays)
-    return Points(_coords(arrays), tuple(sizes), shape, averaged, origin, lower, upper, parts)
+    cuts = {a: (float(lower[k]), float(upper[k])) for k, a in enumerate(COMPONENTS) if a in arrays}
+    spans = ", ".join(f"{a} from {low:.6g} to {high:.6g}" for a, (low, high) in cuts.items())
+    text = " x ".join(f"{size} {dim}" for dim, size in sizes.items())
+    return Grid(
+        tuple(sizes), shape, _coords(arrays), "".join(arrays), "".join(a for a in plane if a not in arrays), origin,
+        lower, upper, {"nodes": f"{text}, points with {spans}", "fixed": "none"}, cuts, parts=parts,
+    )  # fmt: skip
 
 
 def _array(axis: str, value: Any) -> xr.DataArray:

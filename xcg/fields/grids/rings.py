@@ -24,7 +24,7 @@ from xcg.fields.grids.points import PointBlock
 from xcg.fields.sums.deposit import BlockSums
 from xcg.fields.sums.kernels import Kernel
 from xcg.fields.sums.moments import MOMENTS
-from xcg.fields.sums.nodes import BLOCK_NODES, Apart
+from xcg.fields.sums.nodes import BLOCK_NODES, Grid
 from xcg.fields.sums.step import Layout, Squared
 
 _TO_TURN = (  # flow columns that are vectors and tensors, and the level from which they are there
@@ -204,93 +204,11 @@ _FINEST = 128  # angles a radius of the support: where the error of a kernel tha
 _BLOCKS = 4  # parts a thread
 
 
-@dataclass(frozen=True, eq=False)
-class Rings(Apart):
-    """Nodes of a cylinder whose axis is z.
-
-    Attributes
-    ----------
-    nodes : mapping
-        Coordinates along the resolved axes r, theta and z (m, rad).
-    at : mapping
-        Coordinates of fixed ones.
-    averaged : str
-        "z" where that is averaged, else nothing.
-    origin, lower, upper : array (3,)
-        A point amid the nodes, and the bounds of all (m).
-    parts : tuple of RingBlock
-        The nodes with all their angles.
-    on_axis : array
-        Those nodes that are on the axis, where r and theta have no direction.
-    error : float
-        What averages over theta differ by at most, as a share of the most that one grain adds.
-    """
-
-    nodes: Mapping[str, NDArray]
-    at: Mapping[str, float]
-    averaged: str
-    origin: NDArray
-    lower: NDArray
-    upper: NDArray
-    parts: tuple[RingBlock, ...]
-    on_axis: NDArray
-    error: float
-
-    @property
-    def undirected(self) -> NDArray:
-        """Nodes on the axis."""
-        return self.on_axis
-
-    @property
-    def attrs(self) -> dict[str, float]:
-        """How exact averages over theta are."""
-        return {"theta_error": self.error}
-
-    @property
-    def cuts(self) -> dict[str, tuple[float, float]]:
-        """No cut across x, y or z."""
-        return {}
-
-    @property
-    def dims(self) -> tuple[str, ...]:
-        """Resolved axes."""
-        return tuple(self.nodes)
-
-    @property
-    def sizes(self) -> tuple[int, ...]:
-        """Number of nodes along each."""
-        return tuple(map(len, self.nodes.values()))
-
-    @property
-    def seen(self) -> str:
-        """Axes along which distance counts."""
-        return "xy" if self.averaged or not ({"z"} & ({*self.nodes} | {*self.at})) else "xyz"
-
-    @property
-    def coords(self) -> dict[str, xr.Variable]:
-        """Coordinates of results."""
-        found = {a: xr.Variable(a, x) for a, x in self.nodes.items()}
-        return found | {a: xr.Variable((), x) for a, x in self.at.items()}
-
-    def blocks(self, size: int, threads: int) -> tuple[RingBlock, ...]:
-        """Return the nodes as they were divided when the plan was made."""
-        return self.parts
-
-    def describe(self) -> dict[str, str]:
-        """Say where the nodes are, and how many angles are averaged."""
-        angles = sum(part.inner.count for part in self.parts)
-        mean = f", averages over {angles} places" if any(part.is_mean for part in self.parts) else ""
-        return {
-            "nodes": (" x ".join(f"{len(x)} {a}" for a, x in self.nodes.items()) or "one") + mean,
-            "fixed": ", ".join(f"{a} = {x:g}" for a, x in self.at.items()) or "none",
-        }
-
-
 def make_rings(
     axes: str, at: Mapping[str, Any], bounds: Mapping[str, Sequence[float]],
     spacing: float | Mapping[str, float], *, plane: str, kernel: Kernel, seen_all: int, error: float,
     automatic: Mapping[str, tuple[float, float]], period: Mapping[str, float],
-) -> Rings:  # fmt: skip
+) -> Grid:  # fmt: skip
     """Lay the nodes of a cylinder.
 
     Parameters
@@ -380,8 +298,19 @@ def make_rings(
     top = float(radii.max())
     lower, upper = np.array([-top, -top, heights.min()]), np.array([top, top, heights.max()])
     parts = tuple(_blocks(radii, rules, heights, origin, kernel.cutoff, seen_all, count))
-    on_axis = np.flatnonzero(np.repeat(radii == 0.0, len(rules[0]) * len(heights)))
-    return Rings(nodes, fixed, averaged, origin, lower, upper, parts, on_axis, reached)
+    on_axis = np.flatnonzero(
+        np.repeat(radii == 0.0, len(rules[0]) * len(heights))
+    )  # where r and theta have no direction
+    mean = f", averages over {count} places" if any(part.is_mean for part in parts) else ""
+    text = {
+        "nodes": (" x ".join(f"{len(x)} {a}" for a, x in nodes.items()) or "one") + mean,
+        "fixed": ", ".join(f"{a} = {x:g}" for a, x in fixed.items()) or "none",
+    }
+    coords = {a: xr.Variable(a, x) for a, x in nodes.items()} | {a: xr.Variable((), x) for a, x in fixed.items()}
+    return Grid(
+        tuple(nodes), tuple(map(len, nodes.values())), coords, "xyz" if "z" in coords else "xy", averaged, origin,
+        lower, upper, text, parts=parts, undirected=on_axis, attrs={"theta_error": reached},
+    )  # fmt: skip
 
 
 def angular_step(kernel: Kernel, seen: int, error: float) -> tuple[float, float]:

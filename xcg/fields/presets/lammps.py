@@ -20,7 +20,7 @@ import xarray as xr
 from xcg.common.checks import is_positive
 from xcg.common.messages import unknown
 from xcg.fields.formulas import registry
-from xcg.fields.formulas.variables import Quantity
+from xcg.fields.formulas.field import Quantity
 from xcg.fields.plan import make_plan
 from xcg.fields.request import Request
 from xcg.fields.sums.kernels import Gaussian, Kernel, as_kernel, choose_width

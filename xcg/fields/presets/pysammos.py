@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from xcg.common.messages import unknown
 from xcg.fields.formulas import algebra, registry
 from xcg.fields.formulas.algebra import at_least_zero, where_positive
-from xcg.fields.formulas.field import Field, Options
-from xcg.fields.formulas.variables import Quantity
+from xcg.fields.formulas.field import Field, Options, Quantity
 from xcg.fields.plan import possible_fields
 from xcg.fields.request import Request
 from xcg.fields.sums.kernels import KernelName, as_kernel, choose_width

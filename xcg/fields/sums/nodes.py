@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import pairwise, product
-from types import MappingProxyType
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol
 
 import numpy as np
 import xarray as xr
@@ -23,8 +23,6 @@ from xcg.compiled.reach import Lists, Nodes, Rows, lists_for
 from xcg.compiled.segments import BRANCH, FORCE, GROUP
 from xcg.compiled.volumes import Volumes
 from xcg.scene.schema import COMPONENTS
-
-R = TypeVar("R")
 
 # Sums are made over blocks of about this many nodes, so that memory holds those of a few blocks, not of all nodes.
 BLOCK_NODES = 110_000
@@ -144,127 +142,99 @@ def mesh_blocks(shape: tuple[int, int, int], steps: NDArray, half: NDArray, size
     return [MeshBlock((i[0], j[0], k[0]), (i[1], j[1], k[1]), shape, steps, half) for i, j, k in product(x, y, z)]
 
 
-class Grid(Protocol):
-    """Where fields are evaluated: nodes on a mesh (`RegularGrid`), or anywhere (`xcg.fields.grids.points.Points`)."""
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Where fields are evaluated: on a mesh, or at places that stand apart, as points and the nodes of a cylinder do.
 
-    @property
-    def seen(self) -> str:
-        """Axes along which distance to a node counts."""
+    Attributes
+    ----------
+    dims, sizes : tuple
+        Dimensions that the nodes have in results, and their lengths.
+    coords : mapping
+        Coordinates of results.
+    seen : str
+        Axes along which distance to a node counts.
+    averaged : str
+        Axes that are integrated over and divided by their extent.
+    origin, lower, upper : array (3,)
+        The place that loops take others relative to, and bounds of the nodes, or of their cells (m).
+    text : mapping
+        Where the nodes are, in words.
+    cuts : mapping
+        Lowest and highest coordinate along each axis that is fixed, not resolved (m).
+    spacing : mapping
+        Distance of nodes along each resolved axis of a mesh (m).
+    fitted : str
+        Those of them along which the nodes were laid around the particles.
+    half : array (3,)
+        Half of the extent of the cells that values are averages over (m); 0 where they are those at the nodes.
+    parts : sequence of Block, optional
+        The nodes that stand apart, divided; None for a mesh, which is divided when it is filled.
+    undirected : array
+        Nodes where the axes of vectors have no direction.
+    attrs : mapping
+        What results tell of the nodes.
+    """
 
-    @property
-    def active(self) -> NDArray:
-        """Which of the three axes are seen (3,)."""
+    dims: tuple[str, ...]
+    sizes: tuple[int, ...]
+    coords: Mapping[str, xr.Variable]
+    seen: str
+    averaged: str
+    origin: NDArray
+    lower: NDArray
+    upper: NDArray
+    text: Mapping[str, str]
+    cuts: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    spacing: Mapping[str, float] = field(default_factory=dict)
+    fitted: str = ""
+    half: NDArray = field(default_factory=lambda: np.zeros(3))
+    parts: Sequence[Block] | None = None
+    undirected: NDArray = field(default_factory=lambda: np.zeros(0, int))
+    attrs: Mapping[str, float] = field(default_factory=dict)
 
-    @property
-    def averaged(self) -> str:
-        """Axes that are integrated over and divided by their extent."""
-
-    @property
-    def axes(self) -> str:
-        """Axes that are dimensions of the result."""
-
-    @property
-    def fitted(self) -> str:
-        """Those of them along which the nodes were laid around the particles."""
-
-    @property
-    def cuts(self) -> Mapping[str, tuple[float, float]]:
-        """Lowest and highest coordinate along each axis that is fixed, not resolved (m)."""
-
-    @property
-    def dims(self) -> tuple[str, ...]:
-        """Dimensions that the nodes have in results."""
-
-    @property
-    def sizes(self) -> tuple[int, ...]:
-        """Lengths of these dimensions."""
-
-    @property
+    @cached_property
     def count(self) -> int:
-        """Number of nodes."""
-
-    @property
-    def coords(self) -> Mapping[str, xr.Variable]:
-        """Coordinates of results."""
-
-    @property
-    def origin(self) -> NDArray:
-        """Return the place that loops take others relative to (3,)."""
-
-    @property
-    def half(self) -> NDArray:
-        """Half of the extent of the cells that values are averages over (3,); 0 where they are those at the nodes."""
-
-    @property
-    def lower(self) -> NDArray:
-        """Lower bounds of the nodes, or of their cells (3,)."""
-
-    @property
-    def upper(self) -> NDArray:
-        """Upper bounds of the nodes, or of their cells (3,)."""
-
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        """Number of nodes along x, y, z, for differences between neighbours."""
-
-    @property
-    def spacing(self) -> Mapping[str, float]:
-        """Distance of neighbours along each axis that has any (m)."""
-
-    @property
-    def steps(self) -> NDArray:
-        """Distance by which loops count nodes (3,), infinity where they do not."""
-
-    def fills(self, period: NDArray) -> tuple[bool, bool, bool]:
-        """Tell along which axes the nodes fill a period (3,), so that the last is next to the first."""
-
-    @property
-    def undirected(self) -> NDArray:
-        """Nodes where the axes of vectors have no direction."""
-
-    @property
-    def attrs(self) -> Mapping[str, float]:
-        """What results tell of the nodes."""
-
-    def blocks(self, size: int, threads: int) -> Sequence[Block]:
-        """Divide the nodes into blocks of at most about `size`, for some threads."""
-
-    def describe(self) -> dict[str, str]:
-        """Say where the nodes are."""
-
-
-class SameAxes:
-    """What nodes have in common whose vectors are all along the same axes."""
-
-    undirected = np.zeros(0, int)
-    attrs: Mapping[str, float] = MappingProxyType({})
-
-
-class Apart:
-    """What nodes have in common that stand apart: no axis, no spacing, no neighbours, no cells."""
-
-    axes = fitted = ""
-    steps, half = np.full(3, np.inf), np.zeros(3)
-    spacing: Mapping[str, float] = MappingProxyType({})
-
-    @property
-    def count(self: Grid) -> int:
         """Number of nodes."""
         return math.prod(self.sizes)
 
-    @property
-    def active(self: Grid) -> NDArray:
+    @cached_property
+    def active(self) -> NDArray:
         """Which of the three axes are seen (3,)."""
         return np.array([a in self.seen for a in COMPONENTS])
 
     @property
-    def shape(self: Grid) -> tuple[int, int, int]:
-        """Number of nodes, as a row."""
-        return self.count, 1, 1
+    def axes(self) -> str:
+        """Axes of a mesh that are dimensions of the result."""
+        return "".join(self.spacing)
+
+    @cached_property
+    def shape(self) -> tuple[int, int, int]:
+        """Number of nodes along x, y, z, for differences between neighbours; of those that stand apart, as a row."""
+        if self.parts is not None:
+            return self.count, 1, 1
+        length = dict(zip(self.dims, self.sizes, strict=True))
+        x, y, z = (length.get(a, 1) for a in COMPONENTS)
+        return x, y, z
+
+    @cached_property
+    def steps(self) -> NDArray:
+        """Distance by which loops count nodes (3,), infinity where they do not."""
+        return np.array([self.spacing.get(a, 1.0 if self.parts is None else np.inf) for a in COMPONENTS])
 
     def fills(self, period: NDArray) -> tuple[bool, bool, bool]:
-        """Nodes have no neighbours."""
-        return False, False, False
+        """Tell along which axes the nodes fill a period (3,), so that the last is next to the first."""
+        x, y, z = (
+            a in self.spacing and bool(np.isclose(n * self.spacing[a], length, atol=0.0))
+            for a, n, length in zip(COMPONENTS, self.shape, period, strict=True)
+        )
+        return x, y, z
+
+    def blocks(self, size: int, threads: int) -> Sequence[Block]:
+        """Divide a mesh into blocks of at most about `size` nodes, for some threads; others are divided already."""
+        if self.parts is not None:
+            return self.parts
+        return mesh_blocks(self.shape, self.steps, self.half, size, threads)
 
 
 # Beyond this many cutoffs from the mesh, or spacings, places cannot be told apart, and cells and nodes not be counted.
