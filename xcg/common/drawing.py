@@ -1,4 +1,4 @@
-"""Labels of pictures, and the figures they are drawn in: the same for scenes, fields and chains."""
+"""Labels, colours and cells of pictures, and the figures they are drawn in: the same for scenes, fields and chains."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ import re
 import textwrap
 from typing import TYPE_CHECKING, Any, cast
 
+import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from xcg.common.checks import extra
 
@@ -14,6 +16,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
 
+BOTH_SIGNS = 0.1  # of the larger end of a field, which the smaller one has where colours are about zero
+SMOOTH = 400  # cells along an axis of a smooth map
 _SYMBOLS = {"x": "$x$", "y": "$y$", "z": "$z$", "r": "$r$", "theta": r"$\theta$"}  # of axes
 # powers as UDUNITS has them: "m^-1", "m**-1" and "m-1"
 _POWER = re.compile(r"(?:\^|\*\*)\(?([+-]?[\d.]+)\)?|(?<=[^\W\d_])([+-]?\d+)(?![\w.])")
@@ -37,9 +41,14 @@ def with_unit(text: str, units: str) -> str:
     return f"{text} [{unit}]" if unit else text
 
 
+def long_name_of(value: xr.DataArray, name: str) -> str:
+    """Return the long name of a variable, or its name in words."""
+    return str(value.attrs.get("long_name", name.replace("_", " ")))
+
+
 def label_of(value: xr.DataArray, name: str) -> str:
     """Return the label of a variable: the symbol of an axis, the long name, or the name, and the unit."""
-    text = _SYMBOLS.get(name) or str(value.attrs.get("long_name", name.replace("_", " ")))
+    text = _SYMBOLS.get(name) or long_name_of(value, name)
     return with_unit(text, str(value.attrs.get("units", "")))
 
 
@@ -72,3 +81,69 @@ def new_axes(projection: str | None = None) -> Axes:
     """Return the axes of a new figure of pyplot, with room for labels."""
     figure = extra("matplotlib.pyplot", "plot", "drawing").figure(layout="constrained")
     return cast("Axes", figure.add_subplot(projection=projection))
+
+
+def ends_of(values: NDArray) -> tuple[float, float]:
+    """Return the smallest and the largest number; two that differ, whatever the numbers."""
+    if not values.size:
+        return 0.0, 1.0
+    low, high = float(values.min()), float(values.max())
+    return (low, high) if low < high else (low - 0.5, high + 0.5)
+
+
+def _has_both_signs(values: NDArray) -> bool:
+    """Whether both signs matter: neither is a trace beside the other, by percentiles of what is not zero."""
+    values = values[values != 0]
+    if not values.size:
+        return False
+    low, high = np.percentile(values, (2, 98))
+    return bool(low < 0 < high and min(-low, high) >= BOTH_SIGNS * max(-low, high))
+
+
+def colours_of(values: NDArray, cmap: str | None, vmin: float | None, vmax: float | None) -> dict[str, Any]:
+    """Return colours and their ends as asked for; by default of all numbers, about zero where both signs matter."""
+    low, high = ends_of(values)
+    end = vmax if vmax is not None else -vmin if vmin is not None else max(-low, high)
+    if end > 0 and _has_both_signs(values):
+        low, high = -end, end
+    low, high = low if vmin is None else vmin, high if vmax is None else vmax
+    about_zero = low == -high and _has_both_signs(values)
+    return {"cmap": cmap or ("RdBu_r" if about_zero else "viridis"), "vmin": low, "vmax": high}
+
+
+def cells_of(value: xr.DataArray, shading: str) -> tuple[NDArray, NDArray, NDArray]:
+    """Return the edges of the cells to draw, across and up, and the number in each of them.
+
+    A smooth map has cells finer than the nodes. Their numbers are interpolated linearly between the nodes that are
+    known; a cell is unknown where the nearest node is.
+    """
+    up, across = (value[dim].to_numpy() for dim in value.dims)
+    numbers = value.to_numpy()
+    if shading == "flat":
+        return _edges(across), _edges(up), numbers
+    known = np.isfinite(numbers)
+    x, near_x, weight_x = _finer(across, None)
+    y, near_y, weight_y = _finer(up, 2 * np.pi if value.dims[0] == "theta" else None)
+    top = weight_y @ np.where(known, numbers, 0.0) @ weight_x.T
+    bottom = weight_y @ known.astype(float) @ weight_x.T
+    return x, y, np.where(known[np.ix_(near_y, near_x)], top / np.where(bottom > 0, bottom, 1.0), np.nan)
+
+
+def _finer(nodes: NDArray, period: float | None) -> tuple[NDArray, NDArray, NDArray]:
+    """Divide the cells of nodes into parts: edges (m + 1,), nearest nodes (m,), and weights of the nodes (m, n)."""
+    count = len(nodes)
+    parts = -(-SMOOTH // count)
+    edges = np.interp(np.arange(count * parts + 1) / parts, np.arange(count + 1), _edges(nodes))
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    if period is not None and edges[-1] - edges[0] < period * (1 - 1e-9):
+        period = None  # a sector of the circle
+    weights = np.stack([np.interp(middle, nodes, unit, period=period) for unit in np.eye(count)], axis=1)
+    return edges, np.repeat(np.arange(count), parts), weights
+
+
+def _edges(nodes: np.ndarray) -> np.ndarray:
+    """Find the ends of the cells around nodes."""
+    if nodes.size < 2:
+        return np.repeat(nodes, 2)
+    middle = 0.5 * (nodes[1:] + nodes[:-1])
+    return np.concatenate([[2 * nodes[0] - middle[0]], middle, [2 * nodes[-1] - middle[-1]]])

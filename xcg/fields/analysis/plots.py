@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from contextlib import suppress
+from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, get_args
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.common import drawing
 from xcg.common.checks import extra, is_positive
-from xcg.common.drawing import add_colour_bar, label_of, new_axes, set_label, unit_text
 from xcg.common.messages import did_you_mean, unknown
 from xcg.fields.formulas.registry import FIELDS
 from xcg.scene.frame import step_at, with_time
@@ -25,17 +25,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 T = TypeVar("T", xr.Dataset, xr.DataArray)
-
-Shading = Literal["smooth", "flat"]
-SHADINGS = ("smooth", "flat")
+Shading: TypeAlias = Literal["smooth", "flat"]
 
 ARROWS = 20  # along the longer axis of a map
 AT_REST = 0.1  # of the speed whose arrow fills its place: slower ones have no arrow
 FASTEST = 98  # percentile of that speed, so that single grains do not make all other arrows short
 NARROW = 2.0  # inches of a map, in which numbers below it may run into each other
 BESIDE = 0.8  # of the width that is left of a map beside its colour bar, about
-BOTH_SIGNS = 0.1  # of the larger end of a field, which the smaller one has where colours are about zero
-SMOOTH = 400  # cells along an axis of a smooth map
 _ARROW = "arrow_"
 _AXES = ("r", "theta", *COMPONENTS)  # in the order in which maps have them across and up
 ERROR = "_error"  # what `time_average` adds to the name of a field
@@ -114,16 +110,15 @@ def plot(
     >>> f.cg.plot("pressure")  # doctest: +SKIP
     """
     extra("matplotlib.pyplot", "plot", "drawing")
-    _check_shading(shading)
-    part = _part(with_time(f), field, component, direction, at, arrows)
+    part = _part(with_time(f), field, component, direction, at, arrows, shading)
     picture = _one_step(part, time, phase).compute()
-    ax = new_axes() if ax is None else ax
+    ax = drawing.new_axes() if ax is None else ax
     name, axes = picture.attrs["drawn"], _axes(picture)
     if len(axes) == 1:
         _draw_profile(picture, name, axes[0], ax)
     else:
         values = _known([picture[name]])
-        colours = _colours(values, cmap, vmin, vmax)
+        colours = drawing.colours_of(values, cmap, vmin, vmax)
         mesh = _draw_map(picture, name, axes, ax, colours, _fastest(picture), shading)
         _draw_colour_bar(picture, name, mesh, values)
     ax.set_title(_title(picture))
@@ -182,7 +177,6 @@ def movie(
     path = Path(path)
     if path.suffix not in (".gif", ".mp4"):
         raise ValueError(f"{path}: expected a name that ends with .gif or .mp4")
-    _check_shading(shading)
     for what, number in (("fps", fps), ("dpi", dpi)):
         if not is_positive(number):
             raise ValueError(f"{what}={number!r}: expected a positive number")
@@ -197,19 +191,17 @@ def movie(
         raise OSError(
             f"{path}: mp4 needs the program ffmpeg (apt install ffmpeg, or conda install ffmpeg); or write a .gif"
         )
-    part = _part(f, field, component, direction, at, arrows)
-    count = part.sizes["time"]
-    name = part.attrs["drawn"]
-    # a step has to be computed and drawn
-    with shown(2 * count, progress, what="frames") as bar:
+    part = _part(f, field, component, direction, at, arrows, shading)
+    count, name = part.sizes["time"], part.attrs["drawn"]
+    with shown(2 * count, progress, what="frames") as bar:  # a step has to be computed and drawn
         steps = []
         for step in each_step(part):
             steps.append(_one_step(step, 0, phase))
             bar.update()
         values = _known([step[name] for step in steps])
-        low, high = _ends(values)
+        low, high = drawing.ends_of(values)
         fastest = max(_fastest(step) for step in steps)
-        colours = _colours(values, cmap, vmin, vmax)
+        colours = drawing.colours_of(values, cmap, vmin, vmax)
         figure = extra("matplotlib.figure", "plot", "a movie").Figure(figsize=(7, 5), layout="constrained")
         ax = figure.add_subplot()
         axes = _axes(steps[0])
@@ -233,8 +225,7 @@ def movie(
             film.save(part_of_file, writer="pillow" if path.suffix == ".gif" else "ffmpeg", fps=fps, dpi=dpi)
             part_of_file.replace(path)
         finally:
-            with suppress(FileNotFoundError):
-                part_of_file.unlink()
+            part_of_file.unlink(missing_ok=True)
     return path
 
 
@@ -242,29 +233,20 @@ def movie(
 
 
 def _part(
-    f: xr.Dataset,
-    field: str | None,
-    component: str | None,
-    direction: str | None,
-    at: Mapping[str, float] | None,
-    arrows: str | None,
-) -> xr.Dataset:
+    f: xr.Dataset, field: str | None, component: str | None, direction: str | None, at: Mapping[str, float] | None,
+    arrows: str | None, shading: str,
+) -> xr.Dataset:  # fmt: skip
     """Select the numbers to draw, its errors and arrows of all steps and phases; ``attrs["drawn"]`` is its name."""
+    if shading not in get_args(Shading):
+        raise ValueError(f"shading={shading!r}: expected one of {', '.join(map(repr, get_args(Shading)))}")
     name = field or next((str(n) for n in f.data_vars if n != "sample_count"), None)
     if "particle_id" in f:
-        raise ValueError(
-            "plot draws results, and this is a scene: draw fields of it, ds.cg.coarse_grain(...).cg.plot()"
-        )
+        raise ValueError("plot draws results, and this is a scene: draw fields, ds.cg.coarse_grain(...).cg.plot()")
     if name is None or name not in f:
         fields = list(map(str, f.data_vars))
-        raise ValueError(
-            f"plot({name!r}): the result has {', '.join(fields) or 'no fields'}"
-            + (
-                f"; name {name!r} in coarse_grain to get it, or to learn what the scene lacks for it"
-                if name in FIELDS
-                else did_you_mean(str(name), fields)
-            )
-        )
+        hint = f"; name {name!r} in coarse_grain to get it, or to learn what the scene lacks for it"
+        hint = hint if name in FIELDS else did_you_mean(str(name), fields)
+        raise ValueError(f"plot({name!r}): the result has {', '.join(fields) or 'no fields'}{hint}")
     cut = _slice(f, at)
     axes = _axes(cut)
     if not 1 <= len(axes) <= 2 or "point" in cut.dims:
@@ -278,15 +260,13 @@ def _part(
     value = cut[name]
     if "direction" in value.dims and (component is None or direction is None):
         labels = [str(label) for label in value["component"].values if str(label) in f.attrs.get("plane", _AXES)]
-        raise ValueError(
-            f"{name} is a tensor: name a part of it, for example component={labels[0]!r}, direction={labels[-1]!r}"
-        )
+        x, z = labels[0], labels[-1]
+        raise ValueError(f"{name} is a tensor: name a part of it, for example component={x!r}, direction={z!r}")
     spare = set(value.dims) - {*axes, "time", "phase", "component", "direction"}
     if len(axes) == 2 and spare:
         dim = str(min(spare, key=str))
         raise ValueError(f"a map of {name} needs one value of its dimension {dim!r}: select it first, f.sel({dim}=...)")
-    wanted = {"component": component, "direction": direction}
-    chosen = {dim: label for dim, label in wanted.items() if label is not None}
+    chosen = {dim: x for dim, x in (("component", component), ("direction", direction)) if x is not None}
     found = {name: _component(value, name, chosen)}
     if len(axes) == 1 and f"{name}{ERROR}" in cut:
         found[f"{name}{ERROR}"] = _component(cut[f"{name}{ERROR}"], name, chosen)
@@ -303,32 +283,25 @@ def _part(
                 found[f"{_ARROW}{axis}"] = cut[arrows].sel(component=axis, drop=True)
         if "component" in found[name].dims:
             size = (found[name] ** 2).sum("component", skipna=False) ** 0.5
-            found[name] = size.assign_attrs(value.attrs, long_name=f"magnitude of {_named(value, name)}")
+            found[name] = size.assign_attrs(value.attrs, long_name=f"magnitude of {drawing.long_name_of(value, name)}")
     return xr.Dataset(found, attrs={"drawn": name})
 
 
 def _component(value: xr.DataArray, name: str, chosen: Mapping[str, str]) -> xr.DataArray:
     for dim, label in chosen.items():
-        if dim not in value.dims:
-            raise ValueError(f"{dim}={label!r}: {name} has no dimension {dim!r}")
-        if not isinstance(label, str):
+        if dim in value.dims and not isinstance(label, str):
             raise TypeError(f"{dim}={label!r}: expected a name, one of {', '.join(map(str, value[dim].values))}")
-    if not chosen:
-        return value
-    part = f"{_named(value, name)}, {''.join(chosen.values())}"
-    for dim, label in chosen.items():
         value = _labelled(value, dim, label).drop_vars(dim)
-    return value.assign_attrs(value.attrs, long_name=part)
+    part = f"{drawing.long_name_of(value, name)}, {''.join(chosen.values())}"
+    return value.assign_attrs(value.attrs, long_name=part) if chosen else value
 
 
 def _slice(f: xr.Dataset, at: Mapping[str, float] | None) -> xr.Dataset:
     """Cut a result where it is asked for, and a volume through the middle of its shortest axis."""
-    wrong = sorted(set(at or ()) - set(_axes(f)))
-    if wrong:
+    if set(at or ()) - set(_axes(f)):
         raise ValueError(f"at={dict(at or {})!r}: the axes of this result are {', '.join(_axes(f)) or 'none'}")
     cut = f.sel(at, method="nearest") if at else f
-    axes = _axes(cut)
-    if len(axes) < 3:
+    if len(axes := _axes(cut)) < 3:
         return cut
     shortest = min(axes, key=lambda a: float(cut[a][-1] - cut[a][0]))
     return cut.isel({shortest: cut.sizes[shortest] // 2})
@@ -345,7 +318,8 @@ def _one_step(part: xr.Dataset, time: int, phase: int | str | None) -> xr.Datase
 def _labelled(part: T, dim: str, label: int | str) -> T:
     """Select by a label, and refuse one that the result does not have."""
     if dim not in part.dims:
-        raise ValueError(f"{dim}={label!r}: the result has no dimension {dim!r}")
+        name = getattr(part, "name", None) or "the result"
+        raise ValueError(f"{dim}={label!r}: {name} has no dimension {dim!r}")
     labels = list(map(str, part[dim].to_numpy()))
     if str(label) not in labels:
         raise ValueError(f"{dim}={label!r}: expected one of {', '.join(labels)}")
@@ -356,52 +330,16 @@ def _axes(f: xr.Dataset) -> list[str]:
     return [a for a in _AXES if a in f.dims]
 
 
-def _check_shading(shading: str) -> None:
-    if shading not in SHADINGS:
-        raise ValueError(f"shading={shading!r}: expected one of {', '.join(map(repr, SHADINGS))}")
-
-
-def _known(steps: list[xr.DataArray]) -> NDArray:
+def _known(steps: list[Any]) -> NDArray:
     """Return the finite numbers of all steps."""
-    values = np.concatenate([step.to_numpy().ravel() for step in steps])
+    values = np.concatenate([np.ravel(step) for step in steps])
     return values[np.isfinite(values)]
-
-
-def _ends(values: NDArray) -> tuple[float, float]:
-    """Return the smallest and the largest number; two that differ, whatever the numbers."""
-    if not values.size:
-        return 0.0, 1.0
-    low, high = float(values.min()), float(values.max())
-    return (low, high) if low < high else (low - 0.5, high + 0.5)
-
-
-def _has_both_signs(values: NDArray) -> bool:
-    """Whether both signs matter: neither is a trace beside the other, by percentiles of what is not zero."""
-    values = values[values != 0]
-    if not values.size:
-        return False
-    low, high = np.percentile(values, (2, 98))
-    return bool(low < 0 < high and min(-low, high) >= BOTH_SIGNS * max(-low, high))
-
-
-def _colours(values: NDArray, cmap: str | None, vmin: float | None, vmax: float | None) -> dict[str, Any]:
-    """Return colours and their ends as asked for; by default of all numbers, about zero where both signs matter."""
-    low, high = _ends(values)
-    end = vmax if vmax is not None else -vmin if vmin is not None else max(-low, high)
-    if end > 0 and _has_both_signs(values):
-        low, high = -end, end
-    low, high = low if vmin is None else vmin, high if vmax is None else vmax
-    about_zero = low == -high and _has_both_signs(values)
-    return {"cmap": cmap or ("RdBu_r" if about_zero else "viridis"), "vmin": low, "vmax": high}
 
 
 def _fastest(picture: xr.Dataset) -> float:
     """Return the speed whose arrow is as long as arrows are apart."""
     parts = [picture[name].to_numpy() for name in picture if str(name).startswith(_ARROW)]
-    if not parts:
-        return 0.0
-    size = np.hypot(*parts)
-    size = size[np.isfinite(size)]
+    size = _known([np.hypot(*parts)] if parts else [[]])
     return float(np.percentile(size, FASTEST)) if size.size else 0.0
 
 
@@ -411,21 +349,18 @@ def _fastest(picture: xr.Dataset) -> float:
 def _draw_profile(picture: xr.Dataset, name: str, axis: str, ax: Axes) -> None:
     nodes = picture[axis].to_numpy()
     value, error = picture[name], picture.get(f"{name}{ERROR}")
-    others = [dim for dim in value.dims if dim != axis]
-    upright = axis == "z"
-    stacked = value.stack(line=others) if others else value.expand_dims(line=[""])
-    errors = None if error is None else error.stack(line=others) if others else error.expand_dims(line=[""])
-    for k, key in enumerate(stacked["line"].to_numpy()):
-        label = ", ".join(map(str, key)) if isinstance(key, tuple) else str(key)
-        y = stacked.isel(line=k).to_numpy()
-        (line,) = ax.plot(*((y, nodes) if upright else (nodes, y)), label=label or None)
-        if errors is not None:
-            e = errors.isel(line=k).to_numpy()
+    others, upright = [dim for dim in value.dims if dim != axis], axis == "z"
+    for labels in product(*(value[dim].to_numpy() for dim in others)):
+        place = dict(zip(others, labels, strict=True))
+        y = value.sel(place).to_numpy()
+        (line,) = ax.plot(*((y, nodes) if upright else (nodes, y)), label=", ".join(map(str, labels)) or None)
+        if error is not None:
+            e = error.sel(place).to_numpy()
             fill = ax.fill_betweenx if upright else ax.fill_between
             fill(nodes, y - e, y + e, color=line.get_color(), alpha=0.25, lw=0)
-    along, across = label_of(picture[axis], axis), label_of(value, name)
-    set_label(ax.xaxis, across if upright else along)
-    set_label(ax.yaxis, along if upright else across)
+    along, up = (axis, name)[:: -1 if upright else 1]
+    drawing.set_label(ax.xaxis, drawing.label_of(picture[along], along))
+    drawing.set_label(ax.yaxis, drawing.label_of(picture[up], up))
     if others:
         ax.legend(title=", ".join(map(str, others)))
 
@@ -439,7 +374,7 @@ def _draw_map(
     value = picture[name].transpose(up, across)
     if axes == ["r", "theta"]:
         return _draw_circle(picture, value, ax, colours, fastest, shading)
-    x, y, values = _cells(value, shading)
+    x, y, values = drawing.cells_of(value, shading)
     mesh = ax.pcolormesh(x, y, values, rasterized=shading == "smooth", **colours)
     if fastest > 0:
         every = max(1, round(max(picture.sizes[a] for a in axes) / ARROWS))
@@ -452,8 +387,8 @@ def _draw_map(
     wide = ax.get_window_extent().width / ax.figure.dpi
     if wide < NARROW:
         ax.xaxis.set_major_locator(extra("matplotlib.ticker", "plot", "drawing").MaxNLocator(max(1, int(1.5 * wide))))
-    set_label(ax.xaxis, label_of(picture[across], across))
-    set_label(ax.yaxis, label_of(picture[up], up))
+    drawing.set_label(ax.xaxis, drawing.label_of(picture[across], across))
+    drawing.set_label(ax.yaxis, drawing.label_of(picture[up], up))
     return mesh
 
 
@@ -461,7 +396,7 @@ def _draw_circle(
     picture: xr.Dataset, value: xr.DataArray, ax: Axes, colours: Mapping[str, Any], fastest: float, shading: Shading
 ) -> Any:
     """Draw a map over r and theta in the plane of the circle, with arrows on a grid of squares."""
-    rim, turn, values = _cells(value, shading)
+    rim, turn, values = drawing.cells_of(value, shading)
     rim = rim.clip(0)
     mesh = ax.pcolormesh(
         rim * np.cos(turn[:, None]), rim * np.sin(turn[:, None]), values, rasterized=shading == "smooth", **colours
@@ -479,9 +414,9 @@ def _draw_circle(
         rise = outward * np.sin(angle) + around * np.cos(angle)
         _draw_arrows(ax, x, y, along, rise, fastest, apart)
     ax.set_aspect("equal")
-    unit = label_of(picture["r"], "r").removeprefix("$r$")
-    set_label(ax.xaxis, rf"$r\,\cos\theta${unit}")
-    set_label(ax.yaxis, rf"$r\,\sin\theta${unit}")
+    unit = drawing.label_of(picture["r"], "r").removeprefix("$r$")
+    drawing.set_label(ax.xaxis, rf"$r\,\cos\theta${unit}")
+    drawing.set_label(ax.yaxis, rf"$r\,\sin\theta${unit}")
     return mesh
 
 
@@ -502,57 +437,14 @@ def _draw_colour_bar(picture: xr.Dataset, name: str, mesh: Any, values: NDArray)
     ax = mesh.axes
     room = ax.get_position(original=True).transformed(ax.figure.transSubfigure)
     tall = BESIDE * room.width * ax.get_data_ratio() / room.height if ax.get_aspect() == 1 else 1.0
-    add_colour_bar(mesh, ax, label_of(picture[name], name), extend=extend, shrink=min(1.0, tall))
-
-
-def _cells(value: xr.DataArray, shading: Shading) -> tuple[NDArray, NDArray, NDArray]:
-    """Return the edges of the cells to draw, across and up, and the number in each of them.
-
-    A smooth map has cells finer than the nodes. Their numbers are interpolated linearly between the nodes that are
-    known; a cell is unknown where the nearest node is.
-    """
-    up, across = (value[dim].to_numpy() for dim in value.dims)
-    numbers = value.to_numpy()
-    if shading == "flat":
-        return _edges(across), _edges(up), numbers
-    known = np.isfinite(numbers)
-    x, near_x, weight_x = _finer(across, None)
-    y, near_y, weight_y = _finer(up, 2 * np.pi if value.dims[0] == "theta" else None)
-    top = weight_y @ np.where(known, numbers, 0.0) @ weight_x.T
-    bottom = weight_y @ known.astype(float) @ weight_x.T
-    return x, y, np.where(known[np.ix_(near_y, near_x)], top / np.where(bottom > 0, bottom, 1.0), np.nan)
-
-
-def _finer(nodes: NDArray, period: float | None) -> tuple[NDArray, NDArray, NDArray]:
-    """Divide the cells of nodes into parts: edges (m + 1,), nearest nodes (m,), and weights of the nodes (m, n)."""
-    count = len(nodes)
-    parts = -(-SMOOTH // count)
-    edges = np.interp(np.arange(count * parts + 1) / parts, np.arange(count + 1), _edges(nodes))
-    middle = 0.5 * (edges[1:] + edges[:-1])
-    if period is not None and edges[-1] - edges[0] < period * (1 - 1e-9):
-        period = None  # a sector of the circle
-    weights = np.stack([np.interp(middle, nodes, unit, period=period) for unit in np.eye(count)], axis=1)
-    return edges, np.repeat(np.arange(count), parts), weights
-
-
-def _edges(nodes: np.ndarray) -> np.ndarray:
-    """Find the ends of the cells around nodes."""
-    if nodes.size < 2:
-        return np.repeat(nodes, 2)
-    middle = 0.5 * (nodes[1:] + nodes[:-1])
-    return np.concatenate([[2 * nodes[0] - middle[0]], middle, [2 * nodes[-1] - middle[-1]]])
-
-
-def _named(value: xr.DataArray, name: str) -> str:
-    return str(value.attrs.get("long_name", name.replace("_", " ")))
+    drawing.add_colour_bar(mesh, ax, drawing.label_of(picture[name], name), extend=extend, shrink=min(1.0, tall))
 
 
 def _title(picture: xr.Dataset) -> str:
     """Tell when, and where a result was cut."""
-    said = [a for a in ("time", "phase", *_AXES) if a in picture.coords and not picture[a].ndim]
     parts = []
-    for name in said:
-        value, unit = picture[name].item(), unit_text(str(picture[name].attrs.get("units", "")))
+    for name in (a for a in ("time", "phase", *_AXES) if a in picture.coords and not picture[a].ndim):
+        value, unit = picture[name].item(), drawing.unit_text(str(picture[name].attrs.get("units", "")))
         text = f"{value:.4g}" if isinstance(value, float) else str(value)
         parts.append(f"{name} = {text} {unit}".rstrip())
     return ", ".join(parts)
