@@ -40,6 +40,7 @@ from .scene.bodies import group_bodies
 from .scene.build import scene_from_arrays
 from .scene.measure import measure, size_statistics
 from .scene.phases import assign_phases, find_phases, plot_phases
+from .scene.velocities import derive_velocity
 from .scene.walls import select_walls
 from .steps.faults import SkippedStep
 from .writers.record import Recorder, record
@@ -78,6 +79,7 @@ __all__ = [
     "contact_graph",
     "datasets",
     "depth_average",
+    "derive_velocity",
     "displacement",
     "find_contacts",
     "find_pairs",

@@ -28,6 +28,7 @@ from xcg.packing.network import adjacency, contact_graph
 from xcg.scene.bodies import group_bodies
 from xcg.scene.measure import measure, size_statistics
 from xcg.scene.phases import assign_phases, find_phases, plot_phases
+from xcg.scene.velocities import derive_velocity
 from xcg.scene.walls import select_walls
 from xcg.writers.chains import to_csv, to_vtp
 from xcg.writers.meshes import to_pyvista
@@ -74,6 +75,7 @@ class CoarseGrainAccessor:
     assign_phases = Method(assign_phases)
     plot_phases = Method(plot_phases)
     select_walls = Method(select_walls)
+    derive_velocity = Method(derive_velocity)
     profile = Method(profile)
     time_average = Method(time_average)
     spatial_correlation = Method(spatial_correlation)

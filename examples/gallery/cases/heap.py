@@ -5,8 +5,8 @@ Heap: its surface and slope
 How steep does a heap lie? The deposit of a collapsed column, 1600 discs, with its free surface, where the volume
 fraction is half of that inside, and the line that fits it best.
 
-The simulation (LAMMPS) is that of the `collapse of a column <../classics/column_collapse.html>`_; diameter and gravity
-are 1.
+The script of the simulation (LAMMPS) is :download:`column.in <../../../examples/data/lammps_column/column.in>`, see the
+`collapse of a column <../classics/column_collapse.html>`_; diameter and gravity are 1.
 """
 
 import matplotlib.pyplot as plt

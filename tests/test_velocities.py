@@ -1,0 +1,94 @@
+"""Velocities from positions: constant acceleration, periodic boxes that shear, particles that come and go, tables."""
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+
+import xcg
+
+
+def motion(steps=6, count=20, dt=0.1, seed=1):
+    rng = np.random.default_rng(seed)
+    start, speed, pull = (rng.normal(size=(count, 3)) for _ in range(3))
+    t = dt * np.arange(steps)[:, None, None]
+    return start + speed * t + 0.5 * pull * t**2, speed + pull * t, dt * np.arange(steps)
+
+
+@pytest.mark.parametrize("chunk", [None, 1, 4])
+def test_it_is_exact_for_constant_acceleration(chunk):
+    position, velocity, time = motion()
+    ds = xcg.scene_from_arrays(position, time=time, diameter=np.ones(20))
+    ds = ds.cg.derive_velocity() if chunk is None else ds.chunk(time=chunk).cg.derive_velocity()
+    assert (ds.velocity.chunks is not None) == (chunk is not None)
+    np.testing.assert_allclose(ds.velocity[1:-1], velocity[1:-1], atol=1e-12)
+    np.testing.assert_allclose(ds.velocity[0], (position[1] - position[0]) / 0.1, atol=1e-12)
+    np.testing.assert_allclose(ds.velocity[-1], (position[-1] - position[-2]) / 0.1, atol=1e-12)
+    assert ds.velocity.attrs["units"] == "m s^-1"
+
+
+def test_uneven_steps_are_divided_by_their_time():
+    time = np.array([0.0, 0.1, 0.4])
+    ds = xcg.scene_from_arrays(time[:, None, None] * [[[2.0, 0, 0]]], time=time, diameter=[1.0]).cg.derive_velocity()
+    np.testing.assert_allclose(ds.velocity[:, 0, 0], 2.0)
+
+
+def test_the_nearest_image_and_a_box_that_shears():
+    rng, time, rate = np.random.default_rng(2), 0.1 * np.arange(5), 0.7
+    start = rng.uniform(0, 4, (30, 3))
+    position = np.stack([start + [[0.3, 0.0, 0.2]] * np.array(t) for t in time])
+    position[..., 0] += rate * time[:, None] * start[:, 1]
+    tilt = rate * 4 * time
+    wrapped = position.copy()
+    wrapped[..., 2] %= 4
+    beyond = np.floor(wrapped[..., 0] / 4)
+    wrapped[..., 0] -= 4 * beyond
+    ds = xcg.scene_from_arrays(wrapped, time=time, diameter=np.ones(30), periodic="xyz",
+                               box=dict.fromkeys("xyz", (0.0, 4.0)), lattice={"xy": tilt})  # fmt: skip
+    v = ds.cg.derive_velocity().velocity
+    np.testing.assert_allclose(v[..., 0], np.broadcast_to(0.3 + rate * start[:, 1], (5, 30)), atol=1e-12)
+    np.testing.assert_allclose(v[..., 2], 0.2, atol=1e-12)
+
+
+def test_particles_that_come_and_go():
+    position, _, time = motion(steps=4, count=3)
+    ids = [[1, 2, 3], [3, 1], [2, 1, 3], [1, 3, 9]]
+    rows = [[k - 1 for k in step] for step in ids]
+    rows[3] = [0, 2, 1]
+    ds = xcg.scene_from_arrays([position[t][r] for t, r in enumerate(rows)], particle_id=ids, time=time,
+                               diameter=[np.ones(len(r)) for r in rows])  # fmt: skip
+    v = ds.cg.derive_velocity()
+    of = {int(k): v.velocity.values[2, row] for row, k in enumerate(v.particle_id.values[2])}
+    np.testing.assert_allclose(of[1], (position[3, 0] - position[1, 0]) / 0.2)
+    assert np.isnan(of[2]).all()  # in no neighbouring step
+    at = {int(k): v.velocity.values[1, row] for row, k in enumerate(v.particle_id.values[1]) if k >= 0}
+    np.testing.assert_allclose(at[3], (position[2, 2] - position[0, 2]) / 0.2)
+
+
+def test_what_trackpy_writes():
+    """Positions by frame and particle, with gaps; no velocities, radii or third coordinate."""
+    table = pd.DataFrame({
+        "y": [5.0, 1.0, 5.0, 1.0, 1.0, 5.0], "x": [10.0, 2.0, 13.0, 2.5, 3.0, 19.0],
+        "mass": [800.0, 900.0, 810.0, 905.0, 880.0, 790.0], "size": 2.1, "ecc": 0.1, "signal": 30.0, "raw_mass": 1e3,
+        "ep": 0.05, "frame": [0, 0, 1, 1, 2, 3], "particle": [7, 3, 7, 3, 3, 7],
+    })  # fmt: skip
+    names = {"frame": "step", "particle": "particle_id", "mass": None}
+    ds = xcg.scene_from_table(
+        table[["x", "y", "frame", "particle", "mass"]].assign(z=0.0, diameter=3.0), names=names, dimension=2,
+        thickness=1.0, density=1.0,
+    ).cg.derive_velocity()  # fmt: skip
+    seven = ds.velocity.where(ds.particle_id == 7).sel(component="x").max("particle")
+    np.testing.assert_allclose(seven[:2], 3.0)
+    assert np.isnan(seven[3])  # a gap before it
+    grains = ds.where(ds.velocity.notnull().all("component"))
+    f = grains.isel(time=[0, 1]).cg.coarse_grain("velocity", axes="", extent={"x": 20.0, "y": 8.0}, width=2.0)
+    np.testing.assert_allclose(f.velocity.sel(component="x"), (3.0 + 0.5) / 2)
+
+
+def test_wrong_scenes():
+    with pytest.raises(xcg.SceneError, match="two steps or more"):
+        xcg.scene_from_arrays([[0.0, 0, 0]], diameter=[1.0]).cg.derive_velocity()
+    ds = xcg.scene_from_arrays(np.zeros((2, 1, 3)), time=[0.0, 1.0], diameter=[1.0])
+    with pytest.raises(xcg.SceneError, match="rise"):
+        ds.isel(time=[1, 0]).cg.derive_velocity()
+    assert isinstance(ds.cg.derive_velocity(), xr.Dataset)
