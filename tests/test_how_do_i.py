@@ -5,6 +5,7 @@ import shutil
 from pathlib import Path
 
 import matplotlib as mpl
+import pandas as pd
 import pytest
 
 from tests import pyvista_draws
@@ -37,7 +38,9 @@ def setting():
     """What the page says first."""
     names: dict = {}
     exec(BLOCK.search(SETTING)[1], names)
-    return names
+    frames, particles = [0, 0, 1, 1], [0, 1, 0, 1]
+    tracks = {"frame": frames, "particle": particles, "x": [1.0, 3.0, 1.1, 3.2], "y": 1.0, "mass": 800.0}
+    return names | {"tracks": pd.DataFrame(tracks)}
 
 
 @pytest.fixture

@@ -16,6 +16,7 @@ from .fields.analysis.flow_rate import flow_rate
 from .fields.analysis.plots import movie, plot
 from .fields.analysis.shallow import depth_average, fit_slope, free_surface
 from .fields.analysis.slice_temperature import slice_temperature
+from .fields.analysis.velocities import derive_velocity
 from .fields.analysis.wall_stress import wall_stress
 from .fields.analysis.width_sweep import width_sweep
 from .fields.coarse_grain import coarse_grain
@@ -40,7 +41,6 @@ from .scene.bodies import group_bodies
 from .scene.build import scene_from_arrays
 from .scene.measure import measure, size_statistics
 from .scene.phases import assign_phases, find_phases, plot_phases
-from .scene.velocities import derive_velocity
 from .scene.walls import select_walls
 from .steps.faults import SkippedStep
 from .writers.record import Recorder, record

@@ -18,6 +18,7 @@ from xcg.fields.analysis.flow_rate import flow_rate
 from xcg.fields.analysis.plots import movie, plot
 from xcg.fields.analysis.shallow import depth_average, fit_slope, free_surface
 from xcg.fields.analysis.slice_temperature import slice_temperature
+from xcg.fields.analysis.velocities import derive_velocity
 from xcg.fields.analysis.wall_stress import wall_stress
 from xcg.fields.analysis.width_sweep import width_sweep
 from xcg.fields.coarse_grain import coarse_grain, explain
@@ -28,7 +29,6 @@ from xcg.packing.network import adjacency, contact_graph
 from xcg.scene.bodies import group_bodies
 from xcg.scene.measure import measure, size_statistics
 from xcg.scene.phases import assign_phases, find_phases, plot_phases
-from xcg.scene.velocities import derive_velocity
 from xcg.scene.walls import select_walls
 from xcg.writers.chains import to_csv, to_vtp
 from xcg.writers.meshes import to_pyvista
