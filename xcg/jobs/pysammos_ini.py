@@ -1,4 +1,4 @@
-"""Pysammos's config.ini, read as a job."""
+"""Pysammos's config.ini, read as the arguments of a job."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from xcg.common.messages import SceneError, warn_user
-from xcg.jobs.job import Job, _on_error
 from xcg.readers.files.compressed import plain_name
 from xcg.scene.schema import COMPONENTS
 
@@ -29,12 +28,10 @@ KEYS = {
     "Contact_ij": "contact_point",
 }
 
-
 # its kernels, however they are spelled, and the names in its output
 KERNELS = {"lucy": ("lucy", "Lucy"), "gaussian": ("gaussian", "Gaussian")} | dict.fromkeys(
     ("heavyside", "heaviside"), ("heaviside", "HeavySide")
 )
-
 
 FAMILIES = (
     "volume_fraction", "density_mixture", "density_particle", "d32", "d43", "coordination_number", "momentum_density",
@@ -42,15 +39,12 @@ FAMILIES = (
     "shear_rate_tensor", "pressure", "granular_temperature", "inertial_number", "frictional_coefficient",
 )  # fmt: skip
 
-
 OF_CONTACTS = (
     "coordination_number", "contact_tensor", "total_stress_tensor", "fabric_tensor", "pressure", "inertial_number",
     "frictional_coefficient",
 )  # fmt: skip
 
-
 SLICES = "granular_temperature_slices"
-
 
 _OFF_BY_AN_OVERLAP = "FORCE_CHAIN_CONTACT_POINT"
 
@@ -102,7 +96,8 @@ class _Section:
             )
 
 
-def _ini(path: Path) -> Job:
+def read_ini(path: Path) -> dict[str, Any]:
+    """Read the arguments of `xcg.jobs.config.Job` from Pysammos's config.ini."""
     parser = configparser.ConfigParser(interpolation=None)
     parser.optionxform = str  # type: ignore[method-assign, assignment]
     try:
@@ -139,19 +134,19 @@ def _ini(path: Path) -> Job:
     folder = path.parent / (paths.get("output_path") or "PysammosCG")
     spelled = "vkthdf_output" if output.get("vkthdf_output") is not None else "vtkhdf_output"
     output.known |= {"vkthdf_output", "vtkhdf_output"}
-    job = Job(
-        scene=scene,
-        fields={"fields": fields, "preset": "pysammos"},
-        phases=phases,
-        mesh={"kernel": kernel, **mesh},
-        slices=slices,
-        folder=folder,
-        name=f"CG_{label}_{'Monodisperse' if phases is None else 'Polydisperse'}",
-        netcdf=output.flag("h5_output"),
-        vtkhdf={True: "steps", False: ""}[output.flag(spelled)],
-        suffix=".h5",
-        on_error=_on_error(flags.source, flags.get("on_error") or "raise"),
-    )
+    job: dict[str, Any] = {
+        "scene": scene,
+        "fields": {"fields": fields, "preset": "pysammos"},
+        "phases": phases,
+        "mesh": {"kernel": kernel, **mesh},
+        "slices": slices,
+        "folder": folder,
+        "name": f"CG_{label}_{'Monodisperse' if phases is None else 'Polydisperse'}",
+        "netcdf": output.flag("h5_output"),
+        "vtkhdf": {True: "steps", False: ""}[output.flag(spelled)],
+        "suffix": ".h5",
+        "on_error": flags.get("on_error") or "raise",
+    }
     for section in sections.values():
         section.warn_of_the_rest()
     return job

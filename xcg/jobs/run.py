@@ -24,7 +24,7 @@ from xcg.common.messages import SceneError, unknown
 from xcg.fields.analysis.slice_temperature import SliceMethod, slice_temperature
 from xcg.fields.coarse_grain import coarse_grain
 from xcg.fields.presets.pysammos import pysammos_mesh
-from xcg.jobs.job import Job
+from xcg.jobs.config import Job
 from xcg.readers.paths import expand_paths
 from xcg.readers.series import open_scene
 from xcg.scene.conform import conform
