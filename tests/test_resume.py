@@ -83,7 +83,7 @@ KILLED = """
 import os, sys
 import numpy as np, xcg, dask
 from tests.test_resume import fields
-from xcg.writers import zarr, resume
+from xcg.writers import store, zarr
 from xcg.writers import netcdf
 path, kills, where = sys.argv[1], int(sys.argv[2]), sys.argv[3]
 zarr._steps_together = lambda layout: 1
@@ -96,7 +96,7 @@ def counted(real):
         return real(*args, **kwargs)
     return call
 if where == "log":
-    resume.Log.add = counted(resume.Log.add)
+    store.Log.add = counted(store.Log.add)
 elif where == "apply":
     netcdf._apply = counted(netcdf._apply)
 elif where == "write":

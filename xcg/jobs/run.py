@@ -33,8 +33,7 @@ from xcg.steps.faults import SKIPPED, collecting
 from xcg.writers.encoding import Encoding
 from xcg.writers.files import publish
 from xcg.writers.netcdf import NETCDF
-from xcg.writers.resume import Mismatch
-from xcg.writers.store import Format, Parts, StoreLayout, joined, write_files
+from xcg.writers.store import Format, Mismatch, Parts, StoreLayout, joined, write_files
 from xcg.writers.vtkhdf import VTKHDF, write_vtkhdf
 
 _JOB = "job"  # attribute of the output: which job made it

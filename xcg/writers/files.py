@@ -50,24 +50,18 @@ def whole_file(path: Path, *, overwrite: bool, room: int = 0, part: Path | None 
         If it cannot be written, as where the disk is full. Nothing is left behind then.
     """
     check_file(path, overwrite=overwrite)
-    own = part is None
-    part = part or part_of(path)
-    if own:
-        temporary.add(part)
-    try:
-        if room:
-            reserve(part, room)
-        yield part
-        publish(part, path, overwrite=overwrite)
-    except (OSError, RuntimeError) as error:  # netCDF4 raises RuntimeError
-        problem = _cannot_write(path, error, "" if part.parent.suffix == ".begun" else ", and nothing was left behind")
-        if problem is None:
-            raise
-        raise problem from error
-    finally:
-        if own:
-            part.unlink(missing_ok=True)
-            temporary.discard(part)
+    with _part(path) if part is None else nullcontext(part) as part:
+        try:
+            if room:
+                reserve(part, room)
+            yield part
+            publish(part, path, overwrite=overwrite)
+        except (OSError, RuntimeError) as error:  # netCDF4 raises RuntimeError
+            left = "" if part.parent.suffix == ".begun" else ", and nothing was left behind"
+            problem = _cannot_write(path, error, left)
+            if problem is None:
+                raise
+            raise problem from error
 
 
 def write_by_vtk(writer: Any, data: Any, path: Path, *, overwrite: bool) -> None:
@@ -159,14 +153,11 @@ def _cannot_write(path: Path, error: Exception, left: str) -> OSError | None:
     free = _LITTLE
     with suppress(OSError):
         free = shutil.disk_usage(path.parent).free
-    text = str(error)
     if number in _FULL or free < _LITTLE:
         full = "a file may not be larger here" if number == errno.EFBIG else "the disk is full"
-        msg = f"{path}: {full} ({free / 1e6:.0f} MB free){left}; make room and run again"
-        return OSError(msg)
-    if isinstance(error, RuntimeError) and "HDF" in text:
-        msg = f"{path}: cannot be written ({error}){left}; is the disk full or out of reach?"
-        return OSError(msg)
+        return OSError(f"{path}: {full} ({free / 1e6:.0f} MB free){left}; make room and run again")
+    if isinstance(error, RuntimeError) and "HDF" in str(error):
+        return OSError(f"{path}: cannot be written ({error}){left}; is the disk full or out of reach?")
     return None
 
 
@@ -213,9 +204,36 @@ def hidden_folder(path: Path) -> Iterator[Path]:
     with locked(path.with_name(f".{path.name}.lock"), str(path)):
         for left in leftovers(path):
             remove(left)
-        with _part(path) as part:
-            part.mkdir()
+        with work_folder(None, path) as part:
             yield part
+
+
+@contextmanager
+def work_folder(kept: Path | None, path: Path) -> Iterator[Path]:
+    """Give a folder for files that are not whole yet, which goes in the end.
+
+    Parameters
+    ----------
+    kept : Path or None
+        A folder that stays after an error, held by one process at a time; None for a temporary one beside `path`.
+
+    Raises
+    ------
+    FileExistsError
+        If another process holds it.
+    """
+    if kept is None:
+        with _part(path) as work:
+            work.mkdir()
+            yield work
+        return
+    what = kept.name.removeprefix(".").removesuffix(".begun")
+    with locked(kept.with_name(f"{kept.name}.lock"), str(kept.with_name(what))):
+        kept.mkdir(exist_ok=True)
+        yield kept
+        gone = part_of(kept)
+        kept.rename(gone)  # at once, so that no half of it is taken for a run to go on with
+        shutil.rmtree(gone)
 
 
 @contextmanager
@@ -226,7 +244,11 @@ def _part(path: Path) -> Iterator[Path]:
     try:
         yield part
     finally:
-        remove_for_good(part)
+        for _ in range(100):  # tasks may write to a folder for another moment, as they do after one of them failed
+            if not part.exists():
+                break
+            remove(part)
+            time.sleep(0.05)
         temporary.discard(part)
 
 
@@ -249,15 +271,6 @@ def _publish(part: Path, path: Path, aside: Path) -> None:
         if aside.exists():
             aside.rename(path)
         raise
-
-
-def remove_for_good(folder: Path) -> None:
-    """Remove a folder that tasks may write to for another moment, as they do after one of them failed."""
-    for _ in range(100):
-        if not folder.exists():
-            return
-        remove(folder)
-        time.sleep(0.05)
 
 
 # What file systems without locks answer, as some of clusters; runs are not held apart there.

@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -32,22 +32,10 @@ _CDF5: Any = "NETCDF3_64BIT_DATA"  # which xarray hands on, though its annotatio
 _SAME = ("kernel", "width", "cutoff", "kernel_dimension", "gradient", "unit_system", "averaged_axes", "periodic")
 
 
-class _Format(Protocol):
-    """A file that grows by steps: what is in it is whole at any moment, whenever the process ends."""
-
-    path: Path
-
-    def create(self, first: xr.Dataset, *, overwrite: bool) -> None:
-        """Begin with one step."""
-
-    def append(self, values: dict[str, np.ndarray], at: int) -> None:
-        """Add a step, whose arrays have time first, as number `at`."""
-
-    def close(self) -> None:
-        """Let go of the file."""
+# Files that grow by steps: what is in them is whole at any moment, whenever the process ends.
 
 
-class _NetCDF:
+class _GrowingNetCDF:
     """A file in the classic format of NetCDF with 64 bits (CDF-5), whose time is its record dimension.
 
     Steps are added to its end, and then their number is written into its header: a step that was not finished does not
@@ -78,7 +66,7 @@ class _NetCDF:
             self._file = None
 
 
-class _Zarr:
+class _GrowingZarr:
     """A Zarr folder with a file a variable and step.
 
     Steps count from the moment at which the consolidated metadata, one file that is replaced as a whole, says so.
@@ -111,7 +99,7 @@ class _Zarr:
             remove(part)
 
 
-_FORMATS: dict[str, type[_NetCDF] | type[_Zarr]] = {".nc": _NetCDF, ".zarr": _Zarr}
+_FORMATS: dict[str, type[_GrowingNetCDF] | type[_GrowingZarr]] = {".nc": _GrowingNetCDF, ".zarr": _GrowingZarr}
 
 
 class Recorder:
@@ -131,7 +119,7 @@ class Recorder:
         check_target(path, overwrite=True)
         self.path, self.steps = path, 0
         self._request, self._encoding, self._overwrite = request, encoding, overwrite
-        self._format: _Format = _FORMATS[path.suffix](path)
+        self._format = _FORMATS[path.suffix](path)
         self._pattern: xr.Dataset | None = None
         self._held = ExitStack()
         self._held.enter_context(locked(path.with_name(f".{path.name}.record"), str(path)))

@@ -7,11 +7,14 @@ one a variable. Tasks find the file by its name, so that they may run in any pro
 
 from __future__ import annotations
 
+import json
+import os
 import uuid
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence, Set
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
+from importlib.metadata import version
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
@@ -19,11 +22,13 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 import dask
 import numpy as np
 import xarray as xr
+from dask.base import tokenize
 from dask.delayed import Delayed
 from dask.highlevelgraph import HighLevelGraph
 from numpy.typing import NDArray
 from xarray.backends.locks import get_dask_scheduler, get_write_lock
 
+from xcg.common.messages import SceneError
 from xcg.compiled import THREADS
 from xcg.scene.conform import storable
 from xcg.steps.faults import SKIPPED, listen_for_skips, skips_heard
@@ -31,8 +36,7 @@ from xcg.steps.graph import Gathered
 from xcg.steps.mapping import chunks_of_time
 from xcg.steps.progress import CountTasks, shown
 from xcg.writers.encoding import Encoding
-from xcg.writers.files import check_target, whole_file
-from xcg.writers.resume import Log, state_of, work_folder
+from xcg.writers.files import check_target, whole_file, work_folder
 
 if TYPE_CHECKING:
     import dask.array as da  # slow to import
@@ -244,7 +248,7 @@ def write_files(
         ds, together = kind.check(ds), kind.together
     layout = StoreLayout.of(ds, encoding, together)
     with ExitStack() as held:
-        folder = held.enter_context(work_folder(work, next(iter(files), None)))
+        folder = held.enter_context(work_folder(work, next(iter(files))))
         log = Log(folder)
         begun = log.is_begun(state | {"steps in a chunk": str(layout.steps)})
         stores: list[Store] = []
@@ -348,3 +352,81 @@ def _wait(_: Any) -> None:
 
 def _writes(key: Any) -> bool:
     return isinstance(key, tuple) and str(key[0]).startswith(_WRITES)
+
+
+# --- hidden folders: what their files are of, and which steps are in them ---------------------------------
+
+
+class Mismatch(SceneError):
+    """An interrupted run was of another scene or call; `folder` holds what it wrote."""
+
+    def __init__(self, folder: Path, message: str) -> None:
+        super().__init__(message)
+        self.folder = folder
+
+
+@dataclass(frozen=True)
+class Log:
+    """Which steps are in the files of a folder. Tasks note a chunk of them when all files hold it."""
+
+    folder: Path
+
+    def is_begun(self, state: Mapping[str, str]) -> bool:
+        """Whether the files are laid out; raise Mismatch where they are of something else."""
+        file = self.folder / "state.json"
+        if not file.exists():
+            return False
+        before = json.loads(file.read_text())
+        wrong = [key for key in sorted({*before, *state}) if before.get(key) != state.get(key)]
+        if wrong:
+            told = "; ".join(f"{key}: {_short(state.get(key))} instead of {_short(before.get(key))}" for key in wrong)
+            raise Mismatch(
+                self.folder,
+                f"{self.folder} is of a save that was interrupted, of another scene or call ({told}); repeat the call "
+                "that began it, or remove the folder to start over",
+            )
+        return True
+
+    def begin(self, state: Mapping[str, str]) -> None:
+        """Note that the files are laid out."""
+        part = self.folder / "state.part"
+        part.write_text(json.dumps(state))
+        os.replace(part, self.folder / "state.json")
+
+    def add(self, steps: slice, skipped: Mapping[int, str]) -> None:
+        """Note that steps are in all files, and why some of them were skipped."""
+        line = json.dumps({"steps": [steps.start, steps.stop], "skipped": skipped})
+        with open(self.folder / "done.jsonl", "ab", buffering=0) as file:
+            file.write(f"\n{line}".encode())
+
+    def steps(self) -> set[tuple[int, int]]:
+        """First and last (exclusive) step of each chunk that is there."""
+        return {(first, stop) for first, stop in (line["steps"] for line in self._lines())}
+
+    def skipped(self) -> dict[int, str]:
+        """Return the steps that were skipped, by their place in time, and why."""
+        return dict(sorted((int(t), cause) for line in self._lines() for t, cause in line["skipped"].items()))
+
+    def _lines(self) -> Iterator[dict[str, Any]]:
+        file = self.folder / "done.jsonl"
+        for line in file.read_text().splitlines() if file.exists() else ():
+            if line.endswith("}}"):  # else the process ended while it wrote the line
+                yield json.loads(line)
+
+
+def state_of(ds: xr.Dataset, encoding: Encoding, formats: Sequence[str], mark: str) -> dict[str, str]:
+    """Describe what is written, by names that a message can use.
+
+    Names of dask's tasks stand for lazy values: they follow from the files, as they were when they were opened, and
+    from the call.
+    """
+    state = {"xcg": version("xcg"), "formats": ", ".join(formats), "encoding": str(encoding), "job": mark}
+    for name, data in ds.variables.items():
+        state[f"shape of {name!r}"] = f"{dict(data.sizes)} {data.dtype}"
+        state[f"values of {name!r}"] = data.data.name if data.chunks is not None else tokenize(data.to_numpy())
+    attrs = {name: value for name, value in ds.attrs.items() if name != "history"}  # which has the time of the call
+    return state | {f"attribute {name!r}": str(np.asarray(value).tolist()) for name, value in attrs.items()}
+
+
+def _short(text: str | None) -> str:
+    return "none" if text is None else text if len(text) < 60 else f"{text[:57]}..."
