@@ -142,7 +142,7 @@ NOT_TWINS = {
     "chains", "chunks", "contacts", "displacement", "lammps", "layout", "measure", "pairs", "plots",
     "points", "run", "summary",
 }  # fmt: skip
-NAMED_TWICE = {"Encoding", "Method", "Step", "Table", "Variable", "_Lines"}
+NAMED_TWICE = {"Encoding", "Method", "Table", "Variable", "_Lines"}
 
 
 def test_modules_of_one_name_are_a_module_and_its_loops():

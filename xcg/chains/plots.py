@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.chains.results import Step, require_chains, steps_of
+from xcg.chains.results import ChainStep, require_chains, steps_of
 from xcg.common.checks import extra
 from xcg.common.drawing import add_colour_bar, label_of, new_axes, set_label, with_unit
 from xcg.scene.frame import step_at, with_time
@@ -182,12 +182,12 @@ def plot_rose(
     return ax
 
 
-def _step(fc: xr.Dataset, time: int, names: list[str]) -> Step:
+def _step(fc: xr.Dataset, time: int, names: list[str]) -> ChainStep:
     (step,) = steps_of(step_at(fc, time, "time"), names)
     return step
 
 
-def _links(step: Step) -> tuple[NDArray, NDArray, NDArray]:
+def _links(step: ChainStep) -> tuple[NDArray, NDArray, NDArray]:
     """Contacts of the links, row of their first particle, and nearest image of the vector to the second (m)."""
     contact, i, j = step.links()
     position: Any = step.arrays["position"]

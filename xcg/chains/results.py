@@ -118,7 +118,7 @@ def summary_of_chains(fc: xr.Dataset) -> Summary:
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class ChainStep:
     """One step of a result, in memory.
 
     Attributes
@@ -146,7 +146,7 @@ class Step:
         return contact, i, j
 
 
-def steps_of(fc: xr.Dataset, names: Sequence[str]) -> Iterator[Step]:
+def steps_of(fc: xr.Dataset, names: Sequence[str]) -> Iterator[ChainStep]:
     """Yield the steps of a result one after the other, each chunk of time computed once."""
     fc = with_time(with_components(fc))
     if "time" not in fc.dims:
@@ -164,7 +164,7 @@ def steps_of(fc: xr.Dataset, names: Sequence[str]) -> Iterator[Step]:
         number = int(step["step"]) if "step" in step.coords else t
         box = {name: step[name].transpose(*row.dims).to_numpy() for name, row in BOX.items() if name in step}
         lattice = Lattice.of(box, fc.attrs.get("periodic", ""), f"step {number}")
-        yield Step(arrays, float(step["time"]) if "time" in step.coords else 0.0, number, lattice)
+        yield ChainStep(arrays, float(step["time"]) if "time" in step.coords else 0.0, number, lattice)
 
 
 def chain_table(fc: xr.Dataset) -> pd.DataFrame:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from xcg.chains.particle_stress import StressRule, Volumes, carries
 from xcg.chains.results import CHAINS, COPIED, RESULTS, result_sizes, statistics_of
-from xcg.chains.selection import Region
+from xcg.chains.selection import Region, check_region
 from xcg.common.checks import is_finite, is_positive, is_whole
 from xcg.compiled import THREADS
 from xcg.compiled import chains as loops
@@ -24,7 +24,7 @@ from xcg.scene.frame import particle_rows, steps_in
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import BOX, OF_STEP, PADDING, Frame
 from xcg.steps.faults import OnError
-from xcg.steps.labels import empty_results, label, results_of
+from xcg.steps.labels import empty_results, format_call, label, results_of
 from xcg.steps.mapping import map_over_time, threads_a_chunk
 
 Algorithm: TypeAlias = Literal["branching", "peters2005"]
@@ -166,37 +166,7 @@ def force_chains(
     >>> fc.chain_id.dims
     ('time', 'particle')
     """
-    rule = _rule(ds, alpha, threshold, min_length, algorithm, one_sided, region, symmetric, volume)
-    given = {
-        "alpha": alpha, "threshold": threshold, "min_length": min_length, "algorithm": algorithm,
-        "one_sided": one_sided, "region": region, "symmetric": symmetric, "volume": volume,
-    }  # fmt: skip
-    sizes = result_sizes(ds.sizes["particle"], ds.sizes["contact"], rule.min_length)
-    names = [*rule.variables, *(name for name in ("frozen", "time", *OF_STEP) if name in ds)]
-    threads = threads_a_chunk(ds, names, THREADS)
-    arrays = map_over_time(
-        ds, names, partial(_compute, rule, threads), results_of(RESULTS, sizes), "force-chains", on_error
-    )
-    call = ", ".join(f"{name}={value!r}" for name, value in given.items() if value is not None)
-    lengths = rule.min_length + np.arange(sizes["length"])
-    further = {name: ds.variables[name] for name in BOX if name in ds}
-    further["length"] = xr.Variable("length", lengths, {"units": "1", "long_name": "particles of a chain"})
-    about = {"alpha": float(alpha), "min_length": rule.min_length, "algorithm": algorithm}
-    return label(ds, RESULTS, arrays, f"force_chains({call})", further, **about)
-
-
-def _rule(
-    ds: xr.Dataset,
-    alpha: float,
-    threshold: float | Literal["mean"] | None,
-    min_length: int,
-    algorithm: Algorithm,
-    one_sided: bool,
-    region: Region | None,
-    symmetric: bool,
-    volume: Volumes,
-) -> SearchRule:
-    """Check the arguments of `force_chains` and the scene, without reading any of it."""
+    given = {k: v for k, v in locals().items() if k not in ("ds", "on_error") and v is not None}
     if not (is_positive(alpha) and alpha <= 90):
         raise ValueError(f"alpha={alpha!r}: expected an angle in degrees above 0 and up to 90, for example 45")
     if isinstance(threshold, str) and threshold != "mean":
@@ -207,14 +177,22 @@ def _rule(
         raise ValueError(f"min_length={min_length!r}: expected a whole number of particles, 2 or more")
     if algorithm not in get_args(Algorithm):
         raise ValueError(f"algorithm={algorithm!r}: expected one of {get_args(Algorithm)}")
-    if region is not None and not isinstance(region, Region):
-        raise ValueError(
-            f"region={region!r}: expected xcg.BoxRegion(lower, upper), xcg.Sphere(centre, radius), or a combination"
-        )
+    check_region(region)
     stress = StressRule.of(ds, "force_chains", symmetric=symmetric, volume=volume)
     require_scene(ds, ("diameter",), "force_chains")
     cosine = max(0.0, float(np.cos(np.deg2rad(alpha) + _ANGLE)))
-    return SearchRule(stress, cosine, threshold, int(min_length), algorithm == "peters2005", one_sided, region)
+    rule = SearchRule(stress, cosine, threshold, int(min_length), algorithm == "peters2005", one_sided, region)
+    sizes = result_sizes(ds.sizes["particle"], ds.sizes["contact"], rule.min_length)
+    names = [*rule.variables, *(name for name in ("frozen", "time", *OF_STEP) if name in ds)]
+    threads = threads_a_chunk(ds, names, THREADS)
+    arrays = map_over_time(
+        ds, names, partial(_compute, rule, threads), results_of(RESULTS, sizes), "force-chains", on_error
+    )
+    lengths = rule.min_length + np.arange(sizes["length"])
+    further = {name: ds.variables[name] for name in BOX if name in ds}
+    further["length"] = xr.Variable("length", lengths, {"units": "1", "long_name": "particles of a chain"})
+    about = {"alpha": float(alpha), "min_length": rule.min_length, "algorithm": algorithm}
+    return label(ds, RESULTS, arrays, format_call("force_chains", given), further, **about)
 
 
 def _compute(rule: SearchRule, threads: int, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:

@@ -16,7 +16,7 @@ from xcg.scene.conform import takes_scene
 from xcg.scene.frame import particle_rows, steps_in
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import OF_STEP, Frame
-from xcg.steps.labels import label, results_of
+from xcg.steps.labels import format_call, label, results_of
 from xcg.steps.mapping import map_over_time
 
 
@@ -82,22 +82,42 @@ def _three(name: str, given: Sequence[float], *, infinite: bool = False) -> tupl
     return x, y, z
 
 
-def _offset(frame: Frame, time: float, velocity: Sequence[float], follow: int | None) -> NDArray | None:
-    """How far a region has moved from where it was given (m); None where the particle that it follows is gone."""
-    if follow is None:
-        return np.asarray(velocity) * time
-    row = np.flatnonzero(frame["particle_id"] == follow)
-    return frame["position"][row[0]] if row.size else None
+def check_region(region: object) -> None:
+    """Raise ValueError unless this is a region, or None."""
+    if region is not None and not isinstance(region, Region):
+        raise ValueError(
+            f"region={region!r}: expected xcg.BoxRegion(lower, upper), xcg.Sphere(centre, radius), or a combination"
+        )
 
 
-def _check_motion(velocity: Sequence[float], follow: int | None) -> tuple[float, float, float]:
-    if follow is not None and np.any(velocity):
-        raise ValueError(f"velocity={velocity!r} and follow={follow!r}: expected one of the two")
-    return _three("velocity", velocity)
+class _Moving(Region):
+    """A region that moves at a velocity, or with a particle."""
+
+    velocity: Sequence[float]
+    follow: int | None
+
+    def __post_init__(self) -> None:
+        if self.follow is not None and np.any(self.velocity):
+            raise ValueError(f"velocity={self.velocity!r} and follow={self.follow!r}: expected one of the two")
+        object.__setattr__(self, "velocity", _three("velocity", self.velocity))
+
+    def contains(self, frame: Frame, time: float, lattice: Lattice) -> NDArray:
+        """Tell which particles have their centre inside; none where the particle that is followed is gone."""
+        position, offset = frame["position"], np.asarray(self.velocity) * time
+        if self.follow is not None:
+            row = np.flatnonzero(frame["particle_id"] == self.follow)
+            if not row.size:
+                return np.zeros(len(position), bool)
+            offset = position[row[0]]
+        return self._holds(position, offset, lattice)
+
+    def _holds(self, position: NDArray, offset: NDArray, lattice: Lattice) -> NDArray:
+        """Tell which positions (n, 3) are inside, where the region has moved by an offset (3,)."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True)
-class BoxRegion(Region):
+class BoxRegion(_Moving):
     """A box with edges along x, y, z; its faces belong to it.
 
     Attributes
@@ -121,19 +141,14 @@ class BoxRegion(Region):
     follow: int | None = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         lower, upper = _three("lower", self.lower, infinite=True), _three("upper", self.upper, infinite=True)
         if not all(a <= b for a, b in zip(lower, upper, strict=True)):
             raise ValueError(f"lower={lower}, upper={upper}: expected every lower edge below the upper")
-        object.__setattr__(self, "velocity", _check_motion(self.velocity, self.follow))
         object.__setattr__(self, "lower", lower)
         object.__setattr__(self, "upper", upper)
 
-    def contains(self, frame: Frame, time: float, lattice: Lattice) -> NDArray:
-        """Tell which particles have their centre inside."""
-        position = frame["position"]
-        offset = _offset(frame, time, self.velocity, self.follow)
-        if offset is None:
-            return np.zeros(len(position), bool)
+    def _holds(self, position: NDArray, offset: NDArray, lattice: Lattice) -> NDArray:
         lower, upper = np.asarray(self.lower), np.asarray(self.upper)
         bounded = np.isfinite(lower) & np.isfinite(upper)
         # about its centre, so that a periodic image inside counts
@@ -150,7 +165,7 @@ Box = BoxRegion  # its former name, kept for a release
 
 
 @dataclass(frozen=True)
-class Sphere(Region):
+class Sphere(_Moving):
     """A ball; its surface belongs to it.
 
     Attributes
@@ -176,17 +191,12 @@ class Sphere(Region):
     follow: int | None = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not is_positive(self.radius):
             raise ValueError(f"radius={self.radius!r}: expected a positive length (m)")
-        object.__setattr__(self, "velocity", _check_motion(self.velocity, self.follow))
         object.__setattr__(self, "centre", _three("centre", self.centre))
 
-    def contains(self, frame: Frame, time: float, lattice: Lattice) -> NDArray:
-        """Tell which particles have their centre inside."""
-        position = frame["position"]
-        offset = _offset(frame, time, self.velocity, self.follow)
-        if offset is None:
-            return np.zeros(len(position), bool)
+    def _holds(self, position: NDArray, offset: NDArray, lattice: Lattice) -> NDArray:
         away = lattice.shortest(position - (offset + np.asarray(self.centre)))
         return np.asarray((away**2).sum(axis=1) <= self.radius**2)
 
@@ -239,24 +249,20 @@ def select_chains(
     ValueError
         If an argument is wrong.
     """
+    given = {k: v for k, v in locals().items() if k != "fc" and v is not None}
     require_chains(fc, "select_chains")
     if of not in OF:
         raise ValueError(f"of={of!r}: expected 'any' or 'all' of a chain's particles")
     if region is None and min_stress is None:
         raise ValueError("nothing to select by: give region= (xcg.BoxRegion, xcg.Sphere), min_stress= (Pa), or both")
-    if region is not None and not isinstance(region, Region):
-        raise ValueError(
-            f"region={region!r}: expected xcg.BoxRegion(lower, upper), xcg.Sphere(centre, radius), or a combination"
-        )
+    check_region(region)
     if min_stress is not None and not is_finite(min_stress):
         raise ValueError(f"min_stress={min_stress!r}: expected a finite stress (Pa), or None")
     condition = _Condition(region, min_stress, of, fc.attrs.get("periodic", ""), int(fc.attrs.get("min_length", 3)))
     changed = MEMBERS | CHAINS | STATISTICS
     names = [*(name for name in (*_GRAINS, "time") if name in fc), *MEMBERS, *CHAINS]
     arrays = map_over_time(fc, names, partial(_compute, condition), results_of(changed, fc.sizes), "select-chains")
-    given = {"region": region, "min_stress": min_stress, "of": of}
-    call = ", ".join(f"{name}={value!r}" for name, value in given.items() if value is not None)
-    selected = label(fc, changed, arrays, f"select_chains({call})")
+    selected = label(fc, changed, arrays, format_call("select_chains", given))
     return fc.assign(selected.data_vars).assign_attrs(history=selected.attrs["history"])
 
 

@@ -163,21 +163,16 @@ def _shared(measure: Measure, frame: Frame, contacts: Contacts | None) -> Simple
     if contacts is None:
         return SimpleNamespace()
     least = NOT_A_RATTLER[measure.setup.dimension]
+    tangential = np.linalg.norm(contacts.tangential_force, axis=1)
     virial_i = contacts.force[:, :, None] * contacts.branch_i[:, None, :]
     virial_j = -contacts.force[:, :, None] * contacts.branch_j[:, None, :]
     return SimpleNamespace(
         partners=contacts.partners,
         held=contacts.k_core(least) if measure.iterative else contacts.partners >= least,
         normal_force=contacts.normal_force,
-        tangential_force=_tangential(contacts),
+        tangential_force=np.where(tangential > _ROUNDING * np.linalg.norm(contacts.force, axis=1), tangential, 0.0),
         virial=contacts.sum_over_particles(virial_i, virial_j),
     )
-
-
-def _tangential(contacts: Contacts) -> NDArray:
-    """Magnitude of tangential forces (N), zero where it is no more than rounding; (n,)."""
-    size = np.linalg.norm(contacts.tangential_force, axis=1)
-    return np.where(size > _ROUNDING * np.linalg.norm(contacts.force, axis=1), size, 0.0)
 
 
 def _sample(

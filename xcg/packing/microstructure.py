@@ -201,8 +201,22 @@ def microstructure(
     """
     given = {k: v for k, v in locals().items() if k != "ds" and v is not None}
     require_scene(ds, (), "microstructure")
-    _check(min_contacts, rattlers, max_connectivity, strain)
-    _check_mixing(cell, mixing_weight, neighbours)
+    for name, choice, known in (
+        ("rattlers", rattlers, RattlerRule), ("strain", strain, StrainMeasure),
+        ("mixing_weight", mixing_weight, MixingWeight),
+    ):  # fmt: skip
+        if choice not in get_args(known):
+            raise ValueError(f"{name}={choice!r}: expected one of {', '.join(map(repr, get_args(known)))}")
+    several = {
+        "min_contacts": min_contacts,
+        "max_connectivity": max_connectivity,
+        "neighbours": 1 if neighbours is None else neighbours,
+    }
+    for name, value in several.items():
+        if not (isinstance(value, (int, np.integer)) and value >= 1):
+            raise ValueError(f"{name}={value!r}: expected a whole number of at least 1")
+    if cell is not None and not is_positive(cell):
+        raise ValueError(f"cell={cell!r}: expected the edge of a cell (m), such as three diameters")
     scene, regions = describe(ds, by), _regions(bounds)
     setup = scene.setup
     rate = _rate_source(ds, strain_rate)
@@ -228,24 +242,6 @@ def microstructure(
     result = _label(ds, arrays, measure, regions)
     result = _with_series(ds, result, names, rate, strain, axis or setup.plane[-1], given)
     return mark_skipped(result, arrays)
-
-
-def _check(min_contacts: int, rattlers: str, max_connectivity: int, strain: str) -> None:
-    for name, value in (("min_contacts", min_contacts), ("max_connectivity", max_connectivity)):
-        if not (isinstance(value, (int, np.integer)) and value >= 1):
-            raise ValueError(f"{name}={value!r}: expected a whole number of at least 1")
-    for name, choice, known in (("rattlers", rattlers, RattlerRule), ("strain", strain, StrainMeasure)):
-        if choice not in get_args(known):
-            raise ValueError(f"{name}={choice!r}: expected one of {', '.join(map(repr, get_args(known)))}")
-
-
-def _check_mixing(cell: float | None, weight: str, neighbours: int | None) -> None:
-    if cell is not None and not is_positive(cell):
-        raise ValueError(f"cell={cell!r}: expected the edge of a cell (m), such as three diameters")
-    if weight not in get_args(MixingWeight):
-        raise ValueError(f"mixing_weight={weight!r}: expected 'number' or 'volume'")
-    if neighbours is not None and not (isinstance(neighbours, (int, np.integer)) and neighbours >= 1):
-        raise ValueError(f"neighbours={neighbours!r}: expected a whole number of at least 1")
 
 
 def _force_bins(edges: ArrayLike | None) -> NDArray:

@@ -307,21 +307,9 @@ def pairs_of(
         others = shift.any(axis=1)
         centres = np.concatenate([centres, centres[row[others]] + shift[others]])
         whose = np.concatenate([whose, row[others]])
-    near = _near(centres, radii[whose], corner, lattice.period, skin, method, levels, threads, most)
-    if lattice.vectors is None:
-        return near
-    near = whose[near[near[:, 0] < count]]  # of two images that are near each other one is in the box
-    return np.unique(np.sort(near[near[:, 0] != near[:, 1]], axis=1), axis=0)
-
-
-def _near(
-    centres: NDArray, radii: NDArray, corner: NDArray, period: NDArray, skin: float, method: str, levels: int | None,
-    threads: int | None, most: int | None,
-) -> NDArray:  # fmt: skip
-    """Pairs of spheres in a box with periods along the axes, or none."""
     workers = threads or worth(len(centres), THREADS)
     levels = 1 if method == "linked-cell" else levels
-    lists = CellLists.of(centres, radii, corner, period, skin=skin, levels=levels, threads=workers)
+    lists = CellLists.of(centres, radii[whose], corner, lattice.period, skin=skin, levels=levels, threads=workers)
     most = max(MOST_PAIRS, MOST_A_PARTICLE * len(centres), most or 0)
     counts = [0]
 
@@ -341,7 +329,10 @@ def _near(
     low, high = (np.concatenate([part[side] for part in found]) for side in (0, 1))
     pairs = np.empty((len(low), 2), "int64")
     for_parts(len(centres), lambda first, last: sort_pairs(low, high, len(centres), first, last, pairs), workers)
-    return pairs
+    if lattice.vectors is None:
+        return pairs
+    near = whose[pairs[pairs[:, 0] < count]]  # of two images that are near each other one is in the box
+    return np.unique(np.sort(near[near[:, 0] != near[:, 1]], axis=1), axis=0)
 
 
 def _spheres(position: ArrayLike, radius: ArrayLike) -> tuple[NDArray, NDArray]:

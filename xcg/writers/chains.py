@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from xcg.chains.results import Step, require_chains, steps_of
+from xcg.chains.results import ChainStep, require_chains, steps_of
 from xcg.scene.frame import with_time
 from xcg.scene.schema import Frame
 from xcg.writers.files import check_file, whole_file, write_by_vtk
@@ -128,7 +128,7 @@ class _Mesh:
     line_data: dict[str, NDArray]
 
     @classmethod
-    def of(cls, step: Step) -> _Mesh:
+    def of(cls, step: ChainStep) -> _Mesh:
         """Members of chains as points, links as lines.
 
         A link across a periodic boundary ends at an image of its second particle, a point of its own that is marked
@@ -212,7 +212,7 @@ def to_vtp(fc: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool = Fa
     return files
 
 
-def polydata_of(step: Step) -> Any:
+def polydata_of(step: ChainStep) -> Any:
     """Return the chains of a step as vtkPolyData, see `to_vtp`."""
     from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray
     from vtkmodules.vtkCommonCore import vtkPoints
