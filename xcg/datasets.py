@@ -26,69 +26,51 @@ class _Sample:
     options: dict[str, Any] = field(default_factory=dict)
 
 
+_SERIES = "particles.*.dump.gz", "contacts.*.dump.gz"
 _DISCS = {"shape": "disc", "thickness": 1.0}  # dumps hold radii and masses, and not of which shape
+_FLOOR = {"floor": "f_floor[*]"}
 
 # what the wheel holds stands in pyproject.toml
 _SAMPLES = {
-    "bedload": _Sample(
-        "lammps_bedload",
-        "particles.*.dump.gz",
-        "contacts.*.dump.gz",
-        {"frozen": 2, "gravity": (0.0, 0.0, -5.886), "names": {"v_fx": "drag", "v_fz": None}},
-    ),
-    "biaxial": _Sample("lammps_biaxial", "particles.*.dump.gz", "contacts.*.dump.gz", _DISCS),
-    "chute": _Sample(
-        "lammps_chute",
-        "particles.00050000.dump.gz",
-        "contacts.00050000.dump.gz",
-        {"gravity": (0.4067, 0.0, -0.9135), "names": {"fz": "force_z"}},  # the total force on each grain
-    ),
+    "bedload": _Sample("lammps_bedload", *_SERIES, {
+        "frozen": 2, "gravity": (0.0, 0.0, -5.886), "names": {"v_fx": "drag", "v_fz": None},
+    }),
+    "biaxial": _Sample("lammps_biaxial", *_SERIES, _DISCS),
+    "chute": _Sample("lammps_chute", "particles.00050000.dump.gz", "contacts.00050000.dump.gz", {
+        "gravity": (0.4067, 0.0, -0.9135), "names": {"fz": "force_z"},  # the total force on each grain
+    }),
     **{
         f"column_{a}": _Sample("lammps_column", f"particles_{a}.dump.gz", options=_DISCS)
         for a in ("0.5", "1", "2", "4", "8")
     },
     "cooling": _Sample("lammps_cooling"),
-    "glued": _Sample(
-        "lammps_glued",
-        contacts="contacts.dump.gz",
-        options={
-            "walls": {"floor": "f_floor[*]"},
-            "gravity": (0.258819, 0.0, -0.965926),
-        },
-    ),
-    "impact": _Sample(
-        "lammps_impact",
-        "particles.*.dump.gz",
-        "contacts.*.dump.gz",
-        {"walls": {"floor": "f_floor[*]"}, "gravity": (0.0, 0.0, -9.81), "names": {"fz": "force_z"}},
-    ),
-    "segregation": _Sample("lammps_segregation", "particles.*.dump.gz", options={"frozen": 2}),
-    "suspension": _Sample(
-        "lammps_suspension", "particles.*.dump.gz", "contacts.*.dump.gz", {"shear_rate": {"xy": 1.0}}
-    ),
+    "glued": _Sample("lammps_glued", contacts="contacts.dump.gz", options={
+        "walls": _FLOOR, "gravity": (0.258819, 0.0, -0.965926),
+    }),
+    "impact": _Sample("lammps_impact", *_SERIES, {
+        "walls": _FLOOR, "gravity": (0.0, 0.0, -9.81), "names": {"fz": "force_z"},
+    }),
+    "segregation": _Sample("lammps_segregation", _SERIES[0], options={"frozen": 2}),
+    "suspension": _Sample("lammps_suspension", *_SERIES, {"shear_rate": {"xy": 1.0}}),
     **{
-        f"hopper_{width}": _Sample(
-            "lammps_hopper", f"particles_{width}.dump.gz", options={"density": 6 / np.pi, "gravity": (0.0, 0.0, -1.0)}
-        )
+        f"hopper_{width}": _Sample("lammps_hopper", f"particles_{width}.dump.gz", options={
+            "density": 6 / np.pi, "gravity": (0.0, 0.0, -1.0),
+        })
         for width in (4, 5, 6)
     },
     "mixing_drum": _Sample("lammps_mixing", options={"gravity": (0.0, 0.0, -1.0)}),
-    "plane_shear": _Sample("lammps_plane_shear", "particles.*.dump.gz", "contacts.*.dump.gz", {"frozen": 2}),
+    "plane_shear": _Sample("lammps_plane_shear", *_SERIES, {"frozen": 2}),
     **{
         f"shear_cell_{rate}": _Sample(
-            "lammps_shear_cell",
-            f"particles_{rate}.dump.gz",
-            f"contacts_{rate}.dump.gz",
+            "lammps_shear_cell", f"particles_{rate}.dump.gz", f"contacts_{rate}.dump.gz",
             {**_DISCS, "shear_rate": {"xy": float(rate)}},
         )
         for rate in ("0.02", "0.03", "0.05", "0.1", "0.2", "0.3")
     },
-    "silo": _Sample(
-        "lammps_silo",
-        contacts="contacts.dump.gz",
-        options={"walls": {"side": "f_side[*]", "floor": "f_floor[*]"}, "gravity": (0.0, 0.0, -9.81)},
-    ),
-}
+    "silo": _Sample("lammps_silo", contacts="contacts.dump.gz", options={
+        "walls": {"side": "f_side[*]", **_FLOOR}, "gravity": (0.0, 0.0, -9.81),
+    }),
+}  # fmt: skip
 _FOLDERS = (Path(__file__).parent / "data", Path(__file__).parents[1] / "examples" / "data")
 
 
