@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
 from typing import get_args
 
 import numpy as np
@@ -354,7 +354,7 @@ def moment_rows(options: Options) -> dict[str, Moment]:
     return MOMENTS | own
 
 
-@registry.remembered
+@lru_cache(maxsize=256)  # 5 ms of a call for all fields; rows that users registered are in the options
 def variables_of(fields: tuple[str, ...], here: frozenset[str], options: Options) -> frozenset[str]:
     """Variables that some fields need, of a scene that holds those that are here."""
     needed = {"position", "particle_id"}

@@ -162,7 +162,7 @@ def _traced(fields: Sequence[str], moments: Mapping[str, NDArray], options: Opti
     """Symbols of some fields and of what they need, without those that cannot be traced."""
     found: dict[str, Any] = {}
     s = SimpleNamespace(**moments)
-    for name in registry.order_of(tuple(fields), options):
+    for name in registry.order_of(fields, options):
         row = registry.row(name, options)
         if found.keys() >= set(row.fields):
             try:

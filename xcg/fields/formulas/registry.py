@@ -10,9 +10,8 @@ from __future__ import annotations
 from collections import ChainMap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from types import MappingProxyType, SimpleNamespace
-from typing import Any, ClassVar, NoReturn, ParamSpec, TypeVar, cast
+from typing import Any, ClassVar, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +22,6 @@ from xcg.fields.formulas.rows import contacts, displacement, energy, errors, flo
 from xcg.fields.sums.moments import MOMENTS
 from xcg.scene.schema import COMPONENTS, powers_of, units_of
 
-P = ParamSpec("P")
-R = TypeVar("R")
 TOPICS = (flow, contacts, rheology, rotation, energy, displacement, errors)
 _ROWS: dict[str, Field] = {name: row for topic in TOPICS for name, row in topic.ROWS.items()}
 _REGISTERED: dict[str, Field] = {}  # by users, see `xcg.register_field`
@@ -32,15 +29,6 @@ _REGISTERED: dict[str, Field] = {}  # by users, see `xcg.register_field`
 FIELDS: Mapping[str, Field] = MappingProxyType(ChainMap(_REGISTERED, _ROWS))
 # Other ways to a field: the option that chooses, and the row for each of its values that is not the default.
 WAYS = flow.WAYS | rheology.WAYS | contacts.WAYS
-
-_FORGET: list[Callable[[], None]] = []  # answers that are kept until a field is registered
-
-
-def remembered(function: Callable[P, R]) -> Callable[P, R]:
-    """Have equal calls answered at once, until a field is registered."""
-    cached = lru_cache(maxsize=256)(function)
-    _FORGET.append(cached.cache_clear)
-    return cast("Callable[P, R]", cached)
 
 
 def row(name: str, options: Options) -> Field:
@@ -107,18 +95,25 @@ class OwnRow:
 
 def registered_for(fields: Iterable[str], options: Options) -> tuple[OwnRow, ...]:
     """Return what users registered of all that some fields need."""
-    return tuple(OwnRow(name, _REGISTERED[name]) for name in order_of(tuple(fields), options) if name in _REGISTERED)
+    return tuple(OwnRow(name, _REGISTERED[name]) for name in order_of(fields, options) if name in _REGISTERED)
 
 
-@remembered
-def order_of(fields: tuple[str, ...], options: Options) -> tuple[str, ...]:
+def order_of(fields: Iterable[str], options: Options) -> tuple[str, ...]:
     """All rows needed for some fields, each after what it needs."""
-    chains = ((*order_of(row(name, options).fields, options), name) for name in fields)
-    return tuple(dict.fromkeys(name for chain in chains for name in chain))
+    found: dict[str, None] = {}
+
+    def add(name: str) -> None:
+        if name not in found:
+            for need in row(name, options).fields:
+                add(need)
+            found[name] = None
+
+    for name in fields:
+        add(name)
+    return tuple(found)
 
 
-@remembered
-def moments_of(fields: tuple[str, ...], options: Options) -> tuple[str, ...]:
+def moments_of(fields: Iterable[str], options: Options) -> tuple[str, ...]:
     """All moments needed for some fields."""
     return tuple(dict.fromkeys(s for name in order_of(fields, options) for s in row(name, options).moments))
 
@@ -127,7 +122,7 @@ def evaluate(fields: Sequence[str], moments: Mapping[str, NDArray], options: Opt
     """Compute fields from moments with NumPy; arrays (phase, node, ...)."""
     s, f = SimpleNamespace(**moments), SimpleNamespace()
     with np.errstate(all="ignore"):  # as the program: nodes without grains divide 0 by 0
-        for name in order_of(tuple(fields), options):
+        for name in order_of(fields, options):
             setattr(f, name, row(name, options).compute(f, s, options))
     return {name: getattr(f, name) for name in fields}
 
@@ -213,8 +208,6 @@ def register_field(
     row = replace(row, option=next((FIELDS[need].option for need in row.fields if FIELDS[need].option), ""))
     _try_out(name, row)
     _REGISTERED[name] = row
-    for forget in _FORGET:
-        forget()
 
 
 def _names(given: str | Sequence[str]) -> tuple[str, ...]:

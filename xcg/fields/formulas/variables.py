@@ -347,12 +347,12 @@ def _weights(weight: str, frame: Frame, count: int) -> NDArray:
     return np.ones(count) if weight == "number" else frame[weight]
 
 
-def _weighted(name: str, weight: str, frame: Frame, _: Contacts | None) -> NDArray:
+def _weighted(name: str, weight: str, frame: Frame, _: Contacts) -> NDArray:
     q = frame[name]
     return q * _weights(weight, frame, len(q)).reshape(-1, *(1,) * (q.ndim - 1))
 
 
-def _numbers(triple: Iterable[_Number], weight: str, frame: Frame, _: Contacts | None) -> NDArray:
+def _numbers(triple: Iterable[_Number], weight: str, frame: Frame, _: Contacts) -> NDArray:
     """Weight and three numbers (n, 4)."""
     count = next(len(frame[part[0]]) for part in triple if part)
     out = np.zeros((count, 4))

@@ -100,7 +100,6 @@ def at_contacts(step: StepRows) -> list[Pass]:
 def between_phases(step: StepRows) -> list[Pass]:
     """Sum the forces of other phases and of walls on the grains of each phase, at the contact points."""
     c = step.contacts
-    assert c is not None
     phase, others = np.append(step.phase, step.spec.phases), step.spec.others  # row -1 is that of a wall
     sides = []
     for row, partner, sign in ((c.i, c.j, 1.0), (c.j, c.i, -1.0)):
@@ -114,7 +113,6 @@ def between_phases(step: StepRows) -> list[Pass]:
 
 def at_walls(step: StepRows) -> list[Pass]:
     """Sum the forces of walls, at the contact points."""
-    assert step.contacts is not None
     at, point, force = step.contacts.at_walls
     images, moment = step.images(point), {"traction": MOMENTS["traction"]}
     return [_constants(step, moment, images, images.of(step.phase[at]), [images.of(force)])]

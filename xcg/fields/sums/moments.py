@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial, reduce
 from typing import Any
 
@@ -85,27 +85,24 @@ def _power(exponent: int) -> Column:
     return lambda frame, _: reduce(np.multiply, [frame["diameter"]] * exponent)  # many times faster than `**`
 
 
-def _partners(frame: Frame, contacts: Contacts | None) -> NDArray:
+def _partners(frame: Frame, contacts: Contacts) -> NDArray:
     if "coordination_number" in frame:
         return frame["coordination_number"]
-    assert contacts is not None
     return contacts.partners
 
 
-def _fabric(frame: Frame, contacts: Contacts | None) -> NDArray:
-    assert contacts is not None
+def _fabric(frame: Frame, contacts: Contacts) -> NDArray:
     total = contacts.normals
     total *= frame["volume"][:, None]
     return total
 
 
-def _weighted_box_gradient(frame: Frame, _: Contacts | None) -> NDArray:
+def _weighted_box_gradient(frame: Frame, _: Contacts) -> NDArray:
     mass = frame["mass"][:, None, None]
     return mass * frame["box_gradient"] if "box_gradient" in frame else np.zeros((len(mass), 3, 3))
 
 
-def _forces(frame: Frame, contacts: Contacts | None) -> NDArray:
-    assert contacts is not None
+def _forces(frame: Frame, contacts: Contacts) -> NDArray:
     return contacts.forces
 
 
@@ -113,8 +110,9 @@ def _at_contacts(
     variables: tuple[str, ...], formula: str, column: Column, shape: tuple[int, ...] = (),
     layout: tuple[Any, ...] = (), optional: tuple[str, ...] = (),
 ) -> Moment:  # fmt: skip
-    row = Moment(variables, formula, shape, column=column, contacts=True, at_contacts=True)
-    return replace(row, layout=layout, optional=optional)
+    return Moment(
+        variables, formula, shape, column=column, contacts=True, at_contacts=True, layout=layout, optional=optional
+    )
 
 
 _SYMMETRIC = ((0, 1, 2), (1, 3, 4), (2, 4, 5))  # kept as six
@@ -128,6 +126,7 @@ _I_OMEGA = ("moment_of_inertia", "angular_velocity")
 _power_moment = partial(
     Moment, (*_FORCE, "velocity"), contacts=True, optional=("angular_velocity", contact_moments.WALL_VELOCITY)
 )
+_along_branches = partial(Moment, _FORCE, shape=(3, 3), contacts=True, along_branches=True)
 MOMENTS: dict[str, Moment] = {
     # flow columns, relative to the node: x = r_i - r, u = v_i - U
     "count": Moment((), "1, where Psi > 0", (), loops.VELOCITY, loops.COUNT),
@@ -174,12 +173,8 @@ MOMENTS: dict[str, Moment] = {
     "power": _power_moment("sum_c f.u", column=contact_moments.powers),
     # in passes of their own, relative to the node
     "rotation": Moment(
-        _I_OMEGA,
-        "I (1, o, o o), (I Psi)^2, o = omega",
-        (11,),
-        loops.FLUCTUATION,
-        column=contact_moments.weighted_rotation,
-        layout=_ABOUT,
+        _I_OMEGA, "I (1, o, o o), (I Psi)^2, o = omega", (11,), loops.FLUCTUATION,
+        column=contact_moments.weighted_rotation, layout=_ABOUT,
     ),
     "cubes": Moment(_MV, "m u^2 u", (3,), loops.CUBIC, loops.CUBE, column=contact_moments.weighted_motion),
     "bearing": Moment((), "1, where z > 1", column=contact_moments.bearing, contacts=True),
@@ -210,37 +205,18 @@ MOMENTS: dict[str, Moment] = {
     "mass_slope": Moment(("mass",), "m, with grad Psi", (3,), layout=_OFFSETS),
     "momentum_slope": Moment(_MV, "m u, with grad Psi", (3, 3), layout=_SHEARS),
     # along branches, and at walls
-    "contact": Moment(_FORCE, "f a, along the branch", (3, 3), contacts=True, along_branches=True),
-    "strong_contact": Moment(
-        _FORCE,
-        "f a, along the branch, of contacts that push more than the mean",
-        (3, 3),
-        column=contact_moments.strong_forces,
-        contacts=True,
-        along_branches=True,
+    "contact": _along_branches("f a, along the branch"),
+    "strong_contact": _along_branches(
+        "f a, along the branch, of contacts that push more than the mean", column=contact_moments.strong_forces,
         optional=_NORMAL,
     ),
-    "pair_contact": Moment(
-        _FORCE,
-        "f a, along the branch, by phase of the partner",
-        (3, 3),
-        contacts=True,
-        along_branches=True,
-        paired=True,
-    ),
-    "couple": Moment(
-        _FORCE,
-        "(b x f) a, along the branch",
-        (3, 3),
-        column=contact_moments.torque_of_sides,
-        contacts=True,
-        along_branches=True,
-    ),
+    "pair_contact": _along_branches("f a, along the branch, by phase of the partner", paired=True),
+    "couple": _along_branches("(b x f) a, along the branch", column=contact_moments.torque_of_sides),
     "side_power": _power_moment(
         "(f.u) a, along the branch", (3,), column=contact_moments.power_of_sides, along_branches=True
     ),
     "traction": Moment(_FORCE, "f, at the wall", (3,), contacts=True),
-}
+}  # fmt: skip
 
 # powers of the cutoff in the flow columns, which the deposit computes with lengths in cutoffs
 CUTOFF_POWERS = {"offset": 1, "shear": 1, "spread": 2, "square_offset": 1, "square_spread": 2}

@@ -165,7 +165,6 @@ def measure(listing: Listing, contacts: NDArray) -> tuple[NDArray, NDArray, bool
 
 def along_branches(step: StepRows) -> list[Pass]:
     """Sum what contacts carry, along their branches."""
-    assert step.contacts is not None
     order = step.in_space(step.position) if step.grains.row is not None else step.grains.order
     contacts = step.contacts.in_order_of(order)
     return [_branches(step, name, row, contacts) for name, row in step.spec.rows.items() if row.along_branches]
@@ -193,7 +192,6 @@ def _branches(step: StepRows, name: str, row: Moment, contacts: NDArray) -> Pass
 
 def _carried(step: StepRows, row: Moment, frame: Frame) -> tuple[NDArray, NDArray | None]:
     """Vectors (n, 3) that the sides of i and of j carry; None where those of j are the opposite."""
-    assert step.contacts is not None
     if row.column is None:
         return step.contacts.force, None
     on_i, on_j = row.column(frame, step.contacts)
@@ -206,7 +204,6 @@ def _segments(
 ) -> tuple[Branches, NDArray, bool]:  # fmt: skip
     """Segments of the first or second particles of contacts, the longest, and whether there are second ones."""
     c = step.contacts
-    assert c is not None
     mesh, tilted, limits = step.meshes[cutoff], step.lattice.vectors is not None, step.spec.limits
     rows = ContactRows(c.i, c.j, c.point, on_i, step.position, step.phase, *c.periods)
     listing = rows, on_j, second, others, step.spec.by_phase, cutoff, step.spec.origin

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -244,7 +244,8 @@ class StepRows:
         self.position = np.ascontiguousarray(self.frame["position"])
         self.count = len(self.position)
         self.phase = phase_of(self.frame, spec.by, spec.groups, source)
-        self.contacts = Contacts.of(self.frame, lattice, source) if "contact_i" in self.frame else None
+        found = Contacts.of(self.frame, lattice, source) if "contact_i" in self.frame else None
+        self.contacts = cast(Contacts, found)  # None where no moment takes them
         if self.contacts and spec.takes(WALL_VELOCITY) and "frozen" in frame:
             self.frame[WALL_VELOCITY] = velocities_of_walls(frame, self.contacts, source)
         velocity, mass = self.frame.get("velocity"), self.frame.get("mass")
@@ -329,7 +330,6 @@ class StepRows:
         A contact between two phases is half one's and half the other's, so that phases add up to the bulk.
         """
         c = self.contacts
-        assert c is not None
         first = np.flatnonzero(c.first_row >= 0)
         mixed = (c.i >= 0) & (c.j >= 0) & (self.phase[c.i] != self.phase[c.j])
         contact = np.concatenate([first, np.flatnonzero(mixed)])
