@@ -120,25 +120,14 @@ def slice_temperature(
         nodes = bounds[0] + step * np.arange(_whole((bounds[1] - bounds[0]) / step + 1e-9, 2 * planes + 1) + 1)
         limits = (nodes[0] - width / 2, nodes[-1] + width / 2)
         function = partial(_planes, axis=k, dims=[*map(COMPONENTS.index, setup.plane)], sides=planes, width=width)
+    periodic = setup.periodic if scene.tilted else axis if axis in setup.periodic else ""
     compute = partial(
-        _over_time,
-        weight=weight,
-        function=function,
-        nodes=nodes,
-        axis=k,
-        limits=limits,
-        periodic=setup.periodic if scene.tilted else axis if axis in setup.periodic else "",
+        _over_time, weight=weight, function=function, nodes=nodes, axis=k, limits=limits, periodic=periodic
     )
-    names = [
-        "particle_id",
-        "position",
-        "velocity",
-        weight,
-        *(name for name in OF_STEP if name in ds),
-    ]
+    names = ["particle_id", "position", "velocity", weight, *(name for name in OF_STEP if name in ds)]
     shape = {_TABLE: ((len(nodes), 5), "float64")}
     found = map_over_time(ds, names, compute, shape, "slices", on_error)
-    coords: dict[Any, Any] = {name: ds[name].variable for name in ("time", "step") if name in ds.coords}
+    coords: dict[Any, Any] = dict(scene.times)
     table = xr.DataArray(found[_TABLE], coords, ("time", axis, "_column"))
     system = setup.unit_system
     length = units_in("m", system)

@@ -24,7 +24,7 @@ from xcg.scene.lattice import Lattice
 from xcg.scene.schema import COMPONENTS, OF_STEP, Setup, units_in
 from xcg.scene.walls import Walls, select_walls
 from xcg.steps.faults import OnError
-from xcg.steps.labels import format_call, mark_skipped, provenance
+from xcg.steps.labels import format_call, mark_skipped, provenance, times_of
 from xcg.steps.mapping import map_over_time
 
 _NEEDS = ("contact_i", "contact_j", "contact_force", "contact_point")
@@ -224,7 +224,7 @@ def _smear(task: _Task, point: NDArray, values: NDArray, lattice: Lattice) -> ND
 def _label(ds: xr.Dataset, task: _Task, found: Mapping[str, Any]) -> xr.Dataset:
     cells, system = task.cells, task.setup.unit_system
     length, stress, newton = (units_in(unit, system) for unit in ("m", "Pa", "N"))
-    coords: dict[str, Any] = {name: ds[name].variable for name in ("time", "step") if name in ds.coords}
+    coords: dict[str, Any] = dict(times_of(ds))
     for dim, (values, text) in cells.coords.items():
         unit = {"theta": "rad", "triangle": "1"}.get(dim, length)
         coords[dim] = (dim, values, {"units": unit, "long_name": text})

@@ -127,7 +127,7 @@ def evaluate(fields: Sequence[str], moments: Mapping[str, NDArray], options: Opt
     return {name: getattr(f, name) for name in fields}
 
 
-_COORDINATES = ("time", "step", "skipped", *COMPONENTS, "phase", "other_phase", "component", "direction")
+COORDINATES = ("time", "step", "skipped", *COMPONENTS, "phase", "other_phase", "component", "direction")
 _PHASES, _NODES = 3, 5  # of the trial: the bulk and two phases; the first node is empty
 
 
@@ -240,7 +240,7 @@ def _check(name: str, row: Field) -> None:
     own = listed(registered=False)
     if not isinstance(name, str) or not name.isidentifier() or name.startswith("_"):
         _refuse(name, "expected a name of letters, digits and underscores, such as 'major_stress'")
-    if name in own or name in _COORDINATES:
+    if name in own or name in COORDINATES:
         _refuse(name, f"the name is that of a {'field of xcg' if name in own else 'coordinate'}; choose another")
     if not callable(row.compute):
         _refuse(name, f"compute={row.compute!r}: expected a function compute(f, s, o)")

@@ -39,7 +39,6 @@ from xcg.fields.sums.moments import Moment
 from xcg.scene.contacts import Contacts
 from xcg.scene.description import Column, Description
 from xcg.scene.schema import (
-    COMPONENTS,
     Frame,
     factors_of_unit,
     powers_of,
@@ -194,11 +193,6 @@ def row_of_result(field: xr.DataArray) -> Field | None:
     return Field(formula="", compute=lambda f, s, o: None, additive=not weight, weight=weight)
 
 
-def own_moments(own: Iterable[OwnField | registry.OwnRow]) -> dict[str, Moment]:
-    """All sums that some quantities need, by name."""
-    return {name: row for one in own for name, row in one.moments.items()}
-
-
 def own_fields(
     given: Iterable[str | Quantity | registry.OwnRow], scene: Description
 ) -> dict[int, OwnField | registry.OwnRow]:
@@ -261,7 +255,7 @@ def own_field(quantity: Quantity, scene: Description) -> OwnField:
     result = quantity.name or quantity.prefix + name
     if quantity.name is None and result in registry.FIELDS:
         result = f"mean_{name}"
-    if result in registry.FIELDS or result in (*COMPONENTS, "time", "step", "phase", "component", "direction"):
+    if result in registry.FIELDS or result in registry.COORDINATES:
         raise ValueError(
             f"{quantity}: the result cannot be called {result!r}, which is something else in a result; pass name="
         )

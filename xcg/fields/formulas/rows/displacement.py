@@ -47,14 +47,6 @@ def _rotation_vector(f: Any, s: Any, o: Options) -> NDArray:
     return found.reshape(f.rotation.shape[:-1])
 
 
-def _nonaffine(f: Any, s: Any, o: Options) -> NDArray:
-    return ratio(f.fluctuation_stress, f._free)
-
-
-def _self_diffusion(f: Any, s: Any, o: Options) -> NDArray:
-    return ratio(f.nonaffine_covariance, 2 * ratio(s.interval, s.number))
-
-
 _ROWS: dict[str, Field] = {
     "displacement": Field(
         rank=1, units="m", long_name="displacement", formula="u = sum m_i u_i Psi / rho, u_i = r_i(t + lag) - r_i(t)",
@@ -97,7 +89,8 @@ _ROWS: dict[str, Field] = {
     ),
     "nonaffine_covariance": Field(
         rank=2, units="m^2", long_name="covariance of the displacements about their affine fit",
-        formula="sum m_i u'_i u'_i Psi / rho_T, u'_i = u_i - u - H (r_i - r_bar)", compute=_nonaffine,
+        formula="sum m_i u'_i u'_i Psi / rho_T, u'_i = u_i - u - H (r_i - r_bar)",
+        compute=lambda f, s, o: ratio(f.fluctuation_stress, f._free),
         fields=("fluctuation_stress", "_free"), weight="fluctuation_density",
     ),
     "d2min": Field(
@@ -108,7 +101,8 @@ _ROWS: dict[str, Field] = {
     ),
     "self_diffusion": Field(
         rank=2, units="m^2 s^-1", long_name="self-diffusion of the grains over the interval of the frames",
-        formula="D = sum m_i u'_i u'_i Psi / (2 rho_T (t' - t))", compute=_self_diffusion,
+        formula="D = sum m_i u'_i u'_i Psi / (2 rho_T (t' - t))",
+        compute=lambda f, s, o: ratio(f.nonaffine_covariance, 2 * ratio(s.interval, s.number)),
         fields=("nonaffine_covariance",), moments=("interval", "number"), weight="fluctuation_density",
     ),
 }  # fmt: skip

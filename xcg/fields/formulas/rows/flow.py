@@ -181,10 +181,6 @@ def _taken_by_fit(f: Any, s: Any, o: Options) -> NDArray:
     return _taken_by_mean(f, s, o) + (2 * double_dot(inverse, own) - mean - shared)
 
 
-def _fluctuation_density(f: Any, s: Any, o: Options) -> NDArray:
-    return at_least_zero(s.mass - f._taken)
-
-
 def _free(f: Any, s: Any, o: Options) -> NDArray:
     """Return the density that a temperature divides by, NaN where it is less than half of that of a mean grain."""
     enough = where_positive(f.fluctuation_density - 0.5 * ratio(s.mass, s.count))
@@ -280,7 +276,7 @@ ROWS: dict[str, Field] = {
     "fluctuation_density": Field(
         units="kg m^-3", long_name="density of what fluctuates: that of the mixture less what V and G take",
         formula="rho_T = rho - tr(P^-1 sum (m_i Psi)^2 p_i p_i), P = sum m_i Psi p_i p_i, p_i = (1, r_i - r_bar)",
-        compute=_fluctuation_density, fields=("_taken",), moments=("mass",), additive=True,
+        compute=lambda f, s, o: at_least_zero(s.mass - f._taken), fields=("_taken",), moments=("mass",), additive=True,
     ),
     "granular_temperature": Field(
         units="m^2 s^-2", long_name="granular temperature", formula="T = tr(sum m_i v'_i v'_i Psi) / (D rho_T)",

@@ -22,10 +22,6 @@ def _inertial_number(f: Any, s: Any, o: Options) -> NDArray:
     return f.shear_rate * f._size * np.sqrt(f.particle_density) / root
 
 
-def _viscous_number(f: Any, s: Any, o: Options) -> NDArray:
-    return ratio(o.fluid_viscosity * f.shear_rate, f.pressure)
-
-
 ROWS: dict[str, Field] = {
     "stress": Field(
         rank=2, units="Pa", long_name="stress, compression positive", formula="sigma = sigma^c + sigma^k",
@@ -55,7 +51,8 @@ ROWS: dict[str, Field] = {
         compute=_inertial_number, fields=("shear_rate", "pressure", "particle_density", "_size"),
     ),
     "viscous_number": Field(
-        long_name="viscous number", formula="J = eta_f |Gamma| / p, where p > 0", compute=_viscous_number,
+        long_name="viscous number", formula="J = eta_f |Gamma| / p, where p > 0",
+        compute=lambda f, s, o: ratio(o.fluid_viscosity * f.shear_rate, f.pressure),
         fields=("shear_rate", "pressure"), option="fluid_viscosity",
     ),
     "effective_viscosity": Field(
