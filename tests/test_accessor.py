@@ -15,14 +15,14 @@ import xcg
 from xcg.accessor import CoarseGrainAccessor, Method
 from xcg.fields.coarse_grain import coarse_grain, explain
 from xcg.fields.request import SharedOptions, arguments, takes
-from xcg.writers import chains, meshes, view, vtkhdf
+from xcg.writers import chains, view, vtkhdf
 from xcg.writers import paraview as vtu
 
 METHODS = sorted(name for name, member in vars(CoarseGrainAccessor).items() if isinstance(member, Method))
 # methods whose functions have no place at the top of the package
 DEEPER = {
     "explain": explain, "to_csv": chains.to_csv, "to_vtp": chains.to_vtp, "to_vtkhdf": vtkhdf.to_vtkhdf,
-    "to_vtu": vtu.to_vtu, "to_pyvista": meshes.to_pyvista, "view": view.view,
+    "to_vtu": vtu.to_vtu, "to_pyvista": view.to_pyvista, "view": view.view,
 }  # fmt: skip
 
 

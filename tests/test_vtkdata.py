@@ -15,7 +15,7 @@ from xcg.readers.files import vtkdata, vtp
 
 # --- base64 ----------------------------------------------------------------------------------------------
 
-PLAIN = vtkdata.Encoding("<", np.dtype("<u4"), "")
+PLAIN = vtkdata.VtkEncoding("<", np.dtype("<u4"), "")
 
 
 def block(values):
@@ -97,7 +97,7 @@ def test_parts_that_lie(tmp_path, number, size, last, part, message):
     parts = [zlib.compress(part, 9), zlib.compress(bytes(12_000))][:number]
     path = tmp_path / "block"
     path.write_bytes(np.array([number, size, last, *map(len, parts)], "<u4").tobytes() + b"".join(parts))
-    encoding = vtkdata.Encoding("<", np.dtype("<u4"), "vtkZLibDataCompressor")
+    encoding = vtkdata.VtkEncoding("<", np.dtype("<u4"), "vtkZLibDataCompressor")
     tracemalloc.start()
     try:
         with path.open("rb") as file, pytest.raises(vtkdata.DataError, match=message) if message else nullcontext():

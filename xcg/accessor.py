@@ -123,6 +123,6 @@ class CoarseGrainAccessor:
 
     to_vtkhdf = Method("xcg.writers.vtkhdf", RESULT, CHAINS)
     to_vtu = Method("xcg.writers.paraview", RESULT)
-    to_pyvista = Method("xcg.writers.meshes", SCENE, RESULT, CHAINS)
+    to_pyvista = Method("xcg.writers.view", SCENE, RESULT, CHAINS)
     view = Method("xcg.writers.view", SCENE, RESULT, CHAINS)
     save = Method("xcg.writers.save", SCENE, RESULT, CHAINS)

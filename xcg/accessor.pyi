@@ -31,10 +31,9 @@ from xcg.scene.measure import measure, size_statistics
 from xcg.scene.phases import assign_phases, find_phases, plot_phases
 from xcg.scene.walls import select_walls
 from xcg.writers.chains import to_csv, to_vtp
-from xcg.writers.meshes import to_pyvista
 from xcg.writers.paraview import to_vtu
 from xcg.writers.save import save
-from xcg.writers.view import view
+from xcg.writers.view import to_pyvista, view
 from xcg.writers.vtkhdf import to_vtkhdf
 
 P = ParamSpec("P")

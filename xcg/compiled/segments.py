@@ -113,8 +113,10 @@ class ContactRows(NamedTuple):
 
 
 @leaf
-def list_segments(contacts, on_j, second, others, cutoffs, cutoff, origin, rows, segments, longest):
+def list_segments(contacts, on_j, second, others, cutoffs, cutoff, origin, rows, segments, bounds, longest):
     """List one segment for each of some contacts: of its first particle that is there, or `second`, of its partner.
+
+    Where `segments` is None they are only measured. None leaves code out when the loop is compiled, here and below.
 
     Each side of a contact runs from its particle's centre to the contact point. Both sides are one segment, of the
     first, where they carry opposite vectors, lie on one line, on opposite sides of the point, and in one phase.
@@ -124,8 +126,7 @@ def list_segments(contacts, on_j, second, others, cutoffs, cutoff, origin, rows,
     contacts : ContactRows
         The contacts.
     on_j : (n, 3) or None
-        What the side of j carries; None for the opposite of that of i, as of forces. None leaves code out when the loop
-        is compiled.
+        What the side of j carries; None for the opposite of that of i, as of forces.
     second : bool
         Whether the segments of the partners are wanted.
     others : int
@@ -139,9 +140,11 @@ def list_segments(contacts, on_j, second, others, cutoffs, cutoff, origin, rows,
         Of the starts.
     rows : (k,)
         Which contacts, in the order of the list.
-    segments : (k, SEGMENT)
+    segments : (k, SEGMENT) or None
         Written: START, BRANCH from the segment's end to its start, and FORCE on the particle (or what the side carries
         in its place) times the cutoff, three each, and GROUP, or where there is no segment, -1 as GROUP alone.
+    bounds : (runs, 2, 3) or None
+        Widened to hold the segments of each run, see `bounds_of_segments`.
     longest : (4,)
         Written: the largest component along x, y, z, and length, of a branch; NaN if any is.
 
@@ -155,56 +158,40 @@ def list_segments(contacts, on_j, second, others, cutoffs, cutoff, origin, rows,
     alone = cutoffs.size == 1  # phases are not looked at where there is one
     for k in range(rows.size):
         far = rows[min(k + FAR_AHEAD, last)]
-        prefetch(contacts.on_i, far)
+        if segments is not None:
+            prefetch(contacts.on_i, far)
+            segments[k, GROUP] = -1.0
         _prefetch(contacts, far, rows[min(k + AHEAD, last)], alone)
         n = np.int64(rows[k])
         i, j, two, ax, ay, az = _side(contacts, n, on_j is None, second, alone)
         more = more or two
-        segments[k, GROUP] = -1.0
-        if i < 0 or (second and not two) or (not alone and cutoffs[phase[i]] != cutoff):
-            continue
-        for c in range(3):
-            segments[k, START + c] = (position[i, c] - origin[c]) * per_cutoff
-        x, y, z = ax * per_cutoff, ay * per_cutoff, az * per_cutoff
-        segments[k, BRANCH], segments[k, BRANCH + 1], segments[k, BRANCH + 2] = x, y, z
-        carried, sign = contacts.on_i, cutoff
-        if second or contacts.row_i[n] < 0:
-            if on_j is None:
-                sign = -cutoff
-            else:
-                carried = on_j
-        segments[k, FORCE], segments[k, FORCE + 1] = sign * carried[n, 0], sign * carried[n, 1]
-        segments[k, FORCE + 2] = sign * carried[n, 2]
-        segments[k, GROUP] = 0.0
-        if others or not alone:
-            partner = others - 1 if j < 0 else phase[j]
-            segments[k, GROUP] = phase[i] * others + partner if others else phase[i]
-        most = _longer(most, x, y, z)
-    _write_longest(most, longest)
-    return more
-
-
-@leaf
-def measure_segments(contacts, on_j, second, others, cutoffs, cutoff, origin, rows, bounds, longest):
-    """Write what `bounds_of_segments` tells of the segments that `list_segments` would list, and the longest branch.
-
-    Other arguments, and what is returned, are as there.
-    """
-    position, phase = contacts.position, contacts.phase
-    per_cutoff, more, last, most = 1.0 / cutoff, False, rows.size - 1, (0.0, 0.0, 0.0, 0.0)
-    alone = cutoffs.size == 1  # phases are not looked at where there is one
-    for k in range(rows.size):
-        _prefetch(contacts, rows[min(k + FAR_AHEAD, last)], rows[min(k + AHEAD, last)], alone)
-        i, _, two, ax, ay, az = _side(contacts, np.int64(rows[k]), on_j is None, second, alone)
-        more = more or two
         if i < 0 or (second and not two) or (not alone and cutoffs[phase[i]] != cutoff):
             continue
         x, y, z = ax * per_cutoff, ay * per_cutoff, az * per_cutoff
-        _widen(bounds[k // RUN], 0, (position[i, 0] - origin[0]) * per_cutoff, x)
-        _widen(bounds[k // RUN], 1, (position[i, 1] - origin[1]) * per_cutoff, y)
-        _widen(bounds[k // RUN], 2, (position[i, 2] - origin[2]) * per_cutoff, z)
         most = _longer(most, x, y, z)
-    _write_longest(most, longest)
+        if bounds is not None:
+            _widen(bounds[k // RUN], 0, (position[i, 0] - origin[0]) * per_cutoff, x)
+            _widen(bounds[k // RUN], 1, (position[i, 1] - origin[1]) * per_cutoff, y)
+            _widen(bounds[k // RUN], 2, (position[i, 2] - origin[2]) * per_cutoff, z)
+        if segments is not None:
+            for c in range(3):
+                segments[k, START + c] = (position[i, c] - origin[c]) * per_cutoff
+            segments[k, BRANCH], segments[k, BRANCH + 1], segments[k, BRANCH + 2] = x, y, z
+            carried, sign = contacts.on_i, cutoff
+            if second or contacts.row_i[n] < 0:
+                if on_j is None:
+                    sign = -cutoff
+                else:
+                    carried = on_j
+            segments[k, FORCE], segments[k, FORCE + 1] = sign * carried[n, 0], sign * carried[n, 1]
+            segments[k, FORCE + 2] = sign * carried[n, 2]
+            segments[k, GROUP] = 0.0
+            if others or not alone:
+                partner = others - 1 if j < 0 else phase[j]
+                segments[k, GROUP] = phase[i] * others + partner if others else phase[i]
+    for k in range(3):
+        longest[k] = math.nan if math.isnan(most[3]) else most[k]
+    longest[3] = math.sqrt(most[3])
     return more
 
 
@@ -245,14 +232,6 @@ def _longer(most, x, y, z):
     length2 = x * x + y * y + z * z
     most2 = most[3] if length2 <= most[3] or math.isnan(most[3]) else length2
     return max(most[0], abs(x)), max(most[1], abs(y)), max(most[2], abs(z)), most2
-
-
-@inlined
-def _write_longest(most, longest):
-    """Write what `_longer` found, with the length in place of its square."""
-    for k in range(3):
-        longest[k] = math.nan if math.isnan(most[3]) else most[k]
-    longest[3] = math.sqrt(most[3])
 
 
 @inlined

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from xcg.common.checks import floats, is_positive
 from xcg.common.messages import unknown
-from xcg.packing.measure import Bounds, Measure
 from xcg.packing.quantities import CONTACTS, QUANTITIES, TENSOR
+from xcg.packing.samples import Bounds, Measure
 from xcg.scene.conform import storable, takes_scene
 from xcg.scene.description import describe, require_scene
 from xcg.scene.frame import require_rising_times

@@ -16,7 +16,7 @@ _BAR = "[{bar:30}] {n_fmt} of {total_fmt}{unit}, {rate_noinv_fmt}, {remaining} l
 _LINE = "{n_fmt} of {total_fmt}{unit}, {rate_noinv_fmt}, {remaining} left"
 
 
-class _Lines:
+class _LogLines:
     """A stream in which every state of a bar is a line of its own."""
 
     def __init__(self, stream: TextIO) -> None:
@@ -54,7 +54,7 @@ def shown(count: int, wanted: bool | None, *, done: int = 0, what: str = "steps"
     redraws = sys.stderr.isatty() or type(sys.stderr).__module__.startswith("ipykernel")
     how: dict[str, Any] = {"file": sys.stderr, "bar_format": _BAR, "delay": 0}
     if not redraws:
-        how = {"file": _Lines(sys.stderr), "bar_format": _LINE, "mininterval": 0, "miniters": _SHARE * count}
+        how = {"file": _LogLines(sys.stderr), "bar_format": _LINE, "mininterval": 0, "miniters": _SHARE * count}
         how |= {"maxinterval": float("inf"), "delay": 1e-9}  # which leaves out the line before the first step
     how |= {"delay": _LONG} if wanted is None else {}
     quiet = not (redraws if wanted is None else wanted)

@@ -25,7 +25,6 @@ from xcg.compiled.segments import (
     bounds_of_segments,
     deposit_segments,
     list_segments,
-    measure_segments,
     no_bounds,
 )
 from xcg.compiled.shells import RADIUS
@@ -152,14 +151,14 @@ class ListedAnew:
 def list_some(listing: Listing, contacts: NDArray) -> tuple[NDArray, NDArray, bool]:
     """List the segments of some contacts: records, the longest (4,), and whether any contact has a second segment."""
     records, longest = np.empty((len(contacts), SEGMENT)), np.empty(4)
-    more = list_segments(*listing, contacts, records, longest)
+    more = list_segments(*listing, contacts, records, None, longest)
     return records, longest, more
 
 
 def measure(listing: Listing, contacts: NDArray) -> tuple[NDArray, NDArray, bool]:
     """Measure the segments of some contacts: bounds of runs, the longest, and whether any has a second segment."""
     bounds, longest = no_bounds(len(contacts)), np.empty(4)
-    more = measure_segments(*listing, contacts, bounds, longest)
+    more = list_segments(*listing, contacts, None, bounds, longest)
     return bounds, longest, more
 
 

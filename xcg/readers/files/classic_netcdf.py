@@ -24,7 +24,7 @@ _DIMENSIONS, _VARIABLES, _ATTRIBUTES = 10, 11, 12
 
 
 @dataclass(frozen=True)
-class Variable:
+class ClassicVariable:
     """One variable as the header describes it; `shape` is without records, `length` in bytes, padded."""
 
     name: str
@@ -134,7 +134,7 @@ class ClassicFile:
             found[name] = data.decode("utf-8", "replace") if dtype.kind == "S" else np.frombuffer(data, dtype)
         return found
 
-    def _variable(self, dims: Sequence[str]) -> Variable:
+    def _variable(self, dims: Sequence[str]) -> ClassicVariable:
         name = self._name()
         places = [self._count() for _ in range(self._count())]
         if any(place >= len(dims) for place in places):
@@ -146,7 +146,7 @@ class ClassicFile:
         recorded = bool(mine) and self.dims[mine[0]] == 0
         shape = tuple(self.dims[dim] for dim in mine[recorded:])
         length = math.prod(shape) * dtype.itemsize
-        return Variable(name, dtype, mine, shape, attrs, begin, recorded, length + -length % 4)
+        return ClassicVariable(name, dtype, mine, shape, attrs, begin, recorded, length + -length % 4)
 
     def read(self, name: str, record: int = 0) -> NDArray:
         """Read a variable, of one record where it has records."""

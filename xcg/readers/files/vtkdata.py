@@ -30,7 +30,7 @@ Take: TypeAlias = Callable[[int, int], Data]  # some bytes of a block: from, cou
 
 
 @dataclass(frozen=True)
-class Encoding:
+class VtkEncoding:
     """How the arrays of one file are written.
 
     Attributes
@@ -71,7 +71,9 @@ def parse_text(text: bytes, kind: str, count: int) -> NDArray[np.float64]:
     return values
 
 
-def read_raw(file: BinaryIO, start: int, encoding: Encoding, dtype: np.dtype[Any], count: int) -> NDArray[np.float64]:
+def read_raw(
+    file: BinaryIO, start: int, encoding: VtkEncoding, dtype: np.dtype[Any], count: int
+) -> NDArray[np.float64]:
     """Read a raw block of the appended data."""
 
     def take(first: int, number: int) -> bytes:
@@ -82,7 +84,7 @@ def read_raw(file: BinaryIO, start: int, encoding: Encoding, dtype: np.dtype[Any
 
 
 def read_base64(
-    file: BinaryIO, start: int, encoding: Encoding, dtype: np.dtype[Any], count: int
+    file: BinaryIO, start: int, encoding: VtkEncoding, dtype: np.dtype[Any], count: int
 ) -> NDArray[np.float64]:
     """Read a block in base64. Lengths of compressed blocks are encoded apart from the blocks themselves."""
 
@@ -108,7 +110,7 @@ def _encoded(number: int) -> int:
 
 
 def _values(
-    head: Take, data: Take, encoding: Encoding, dtype: np.dtype[Any], count: int, length: Callable[[int], int]
+    head: Take, data: Take, encoding: VtkEncoding, dtype: np.dtype[Any], count: int, length: Callable[[int], int]
 ) -> NDArray[np.float64]:
     """Values of a block; `length` is that of so many bytes in the file."""
     wanted = count * dtype.itemsize
@@ -124,13 +126,13 @@ def _values(
     return np.frombuffer(raw, dtype).astype("float64")
 
 
-def _numbers(raw: Data, encoding: Encoding, count: int) -> list[int]:
+def _numbers(raw: Data, encoding: VtkEncoding, count: int) -> list[int]:
     if len(raw) != count * encoding.prefix.itemsize:
         raise DataError("its block lies beyond the end of the file")
     return [int(number) for number in np.frombuffer(raw, encoding.prefix)]
 
 
-def _uncompressed(head: Take, data: Take, encoding: Encoding, wanted: int, length: Callable[[int], int]) -> Data:
+def _uncompressed(head: Take, data: Take, encoding: VtkEncoding, wanted: int, length: Callable[[int], int]) -> Data:
     """Join the compressed parts of a block: number, size and last size come first, then the size of each part."""
     width = encoding.prefix.itemsize
     number, size, last = _numbers(head(0, 3 * width), encoding, 3)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError
 from xcg.readers.files.text import most_text, open_binary, uncompressed_size
-from xcg.readers.files.vtkdata import COMPRESSORS, DataError, Encoding, parse_text, read_base64, read_raw
+from xcg.readers.files.vtkdata import COMPRESSORS, DataError, VtkEncoding, parse_text, read_base64, read_raw
 
 _HEAD = 1 << 14  # headers of MFiX take 2 to 5 kB
 _LONGEST_TAG = 4096
@@ -78,7 +78,7 @@ class Header:
         Physical time (s) from the comment that MFiX writes.
     arrays : tuple of Array
         The coordinates of the points, then the arrays of point data; or the arrays of the lines.
-    encoding : Encoding
+    encoding : VtkEncoding
         Byte order, type of lengths, and compression.
     field_names : tuple of str
         Names of the arrays that belong to no point.
@@ -91,7 +91,7 @@ class Header:
     rows: int
     time: float | None
     arrays: tuple[Array, ...]
-    encoding: Encoding
+    encoding: VtkEncoding
     field_names: tuple[str, ...] = ()
     of_lines: bool = False
 
@@ -269,12 +269,12 @@ def _has_lines(text: str, piece: dict[str, str], path: str) -> bool:
     return not others
 
 
-def _encoding(root: dict[str, str], path: str) -> Encoding:
+def _encoding(root: dict[str, str], path: str) -> VtkEncoding:
     order = ">" if root.get("byte_order") == "BigEndian" else "<"
     compressor = root.get("compressor", "")
     if compressor and compressor not in COMPRESSORS:
         raise SceneError(f"{path}: is compressed by {compressor[:60]!r}; expected one of {', '.join(COMPRESSORS)}")
-    return Encoding(order, np.dtype(f"{order}u{8 if root.get('header_type') == 'UInt64' else 4}"), compressor)
+    return VtkEncoding(order, np.dtype(f"{order}u{8 if root.get('header_type') == 'UInt64' else 4}"), compressor)
 
 
 def _time(text: str) -> float | None:
