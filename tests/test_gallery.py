@@ -23,6 +23,7 @@ CHECKS = {
     "drum_mixing": ("down", "up", 0.2),
     "fluid_cells": ("found", "solid", 1e-6),
     "glued_spheres": ("carried", "load", 0.001),
+    "heat_conduction": ("carried", "given", 1e-7),
     "impact": ("contact", "expected", 0.01),
     "mu_of_i": ("measured", "expected", 0.2),
     "segregation": ("mass", "expected", 1e-4),

@@ -21,7 +21,7 @@ from .fields.analysis.wall_stress import wall_stress
 from .fields.analysis.width_sweep import width_sweep
 from .fields.coarse_grain import coarse_grain
 from .fields.formulas.averages import profile, time_average
-from .fields.formulas.field import Flux, Mean, Sum, Variance
+from .fields.formulas.field import Conduction, Flux, Mean, Sum, Variance
 from .fields.formulas.registry import FIELDS, register_field
 from .fields.grids.frames import Cylindrical, Rotated
 from .fields.grids.surface import Surface
@@ -52,6 +52,7 @@ __all__ = [
     "Box",
     "BoxRegion",
     "CoarseGrainAccessor",
+    "Conduction",
     "Cylinder",
     "Cylindrical",
     "Flux",

@@ -166,7 +166,7 @@ class Request(SharedOptions):
     fields : str, quantity, or list of these, optional
         Names of fields, see `xcg.FIELDS` (those that begin with an underscore are parts of others), by default all that
         the scene's variables allow; names of other variables of the scene, for their means; and `xcg.Mean`, `xcg.Sum`,
-        `xcg.Variance` or `xcg.Flux` of any variable. Only what these need is read and summed.
+        `xcg.Variance`, `xcg.Flux` or `xcg.Conduction` of any variable. Only what these need is read and summed.
     width : float, str or mapping, optional
         Half-width w of the kernel (m), or a multiple of a size such as "0.75 d43" (the default). With `by`, a mapping
         gives each group its own, for very polydisperse scenes: ``{1: 1e-3, 2: "0.75 d43"}``. Every grain, and its

@@ -175,7 +175,7 @@ WEIGHTS: dict[Weight, tuple[str, str, str, str]] = {
 
 @dataclass(frozen=True)
 class Quantity:
-    """What is asked of a variable: one of `Mean`, `Sum`, `Variance` and `Flux`, for the argument `fields`.
+    """What is asked of a variable: `Mean`, `Sum`, `Variance`, `Flux` or `Conduction`, for the argument `fields`.
 
     Parameters
     ----------
@@ -244,7 +244,36 @@ class Flux(Quantity):
     prefix = "flux_"
 
 
-KINDS: dict[str, type[Quantity]] = {"mean": Mean, "sum": Sum, "variance": Variance, "flux": Flux}
+class Conduction(Quantity):
+    """The flux of what flows along contacts, as heat or charge do: ``q = sum_c Q [(r_i - c) S_i + (c - r_j) S_j]``.
+
+    The variable is a scalar of contacts, the rate Q that i receives from j (W for heat); j loses as much. S_i and S_j
+    are the integrals of Psi from the contact point c to the centres, so that ``sum_i Psi_i sum_j Q_ij = -div q`` holds
+    exactly: with `Flux` and the rate of the grains' content the balance closes. The flux is from j to i where Q > 0.
+    Contacts with walls have the part of their grain only, and what walls give is ``sum_w Q Psi(r - c)``. The result is
+    ``conduction_<variable>``, a vector, per area (W m-2).
+
+    Notes
+    -----
+    Written as the contact stress is: Goldhirsch (2010), with Q in place of the force; walls: Weinhart et al. (2012).
+
+    Examples
+    --------
+    >>> import xcg
+    >>> ds = xcg.datasets.random_scene(200)
+    >>> heat = ds.contact_force.isel(component=0, drop=True).assign_attrs(units="W")  # any number for each contact
+    >>> f = ds.assign(contact_heat=heat).cg.coarse_grain(xcg.Conduction("contact_heat"), axes="z")
+    >>> f.conduction_contact_heat.dims, f.conduction_contact_heat.attrs["units"]
+    (('time', 'z', 'component'), 'W m^-2')
+    """
+
+    usual = "number"
+    prefix = "conduction_"
+
+
+KINDS: dict[str, type[Quantity]] = {
+    "mean": Mean, "sum": Sum, "variance": Variance, "flux": Flux, "conduction": Conduction
+}  # fmt: skip
 _CALL = re.compile(r"\s*(\w+)\s*\(([^()]*)\)\s*")
 
 

@@ -3,7 +3,8 @@
 With q the variable, u a weight and <q> the mean at the node: ``sum u q Psi``, ``<q> = sum u q Psi / sum u Psi``,
 ``sum u (q - <q>)^2 Psi / sum u Psi`` and ``sum u (q - <q>)(v - V) Psi``, over particles. Variables of contacts are
 summed at the contact points, each contact once. What is about a mean is summed as velocity is, relative to a value at
-each node, so that nothing large is subtracted from something equally large.
+each node, so that nothing large is subtracted from something equally large. What flows along contacts is summed along
+their branches, as stress is.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from xcg.fields.formulas import registry
 from xcg.fields.formulas.algebra import at_least_zero, mean_of, where_positive, zero_if_unknown
 from xcg.fields.formulas.field import (
     WEIGHTS,
+    Conduction,
     Field,
     Flux,
     Mean,
@@ -116,6 +118,9 @@ class OwnField:
         """The sums that it needs and that are not in the registry of moments."""
         symbol = WEIGHTS[self.weight][0]
         reads = (self.quantity.variable, *(() if self.weight == "number" else (self.weight,)))
+        if isinstance(self.quantity, Conduction):
+            given, formula = partial(_of_sides, self.quantity.variable), f"{self.quantity.variable} a, along the branch"
+            return {formula: Moment(reads, formula, (3,), column=given, contacts=True, along_branches=True)}
         if isinstance(self.quantity, (Mean, Sum)):
             column = partial(_weighted, self.quantity.variable, self.weight)
             times = "" if symbol == "1" else f"{symbol} "
@@ -174,12 +179,17 @@ class OwnField:
                 f"flux of {self.what} by fluctuations of the velocity", f"sum {u}(q - <q>)(v_i - V) {point}, {mean}",
                 _flux, ("mass", "momentum"), ("_drift",),
             ),
+            Conduction: (
+                f"flux of {self.what} along contacts",
+                "sum_c q [(r_i - c) S_i + (c - r_j) S_j], S_i = int_0^1 Psi(r - c - s (r_i - c)) ds", _sum, (), (),
+            ),
         }  # fmt: skip
         long_name, formula, compute, more, fields = forms[kind]
         return Field(
-            rank=self.rank + (kind is Flux), units=self.units, long_name=long_name, formula=f"{formula}, q = {q}",
+            rank=self.rank + (kind in (Flux, Conduction)), units=self.units, long_name=long_name,
+            formula=f"{formula}, q = {q}",
             compute=partial(compute, names=names, total=self._total, rank=self.rank), fields=fields,
-            moments=(*names, *more), additive=kind in (Sum, Flux),
+            moments=(*names, *more), additive=kind in (Sum, Flux, Conduction),
             weight=self._counts if kind in (Mean, Variance) else "",
             source=f"variable {q!r} of the {'contacts' if self.at_contacts else 'particles'}",
         )  # fmt: skip
@@ -248,6 +258,10 @@ def own_field(quantity: Quantity, scene: Description) -> OwnField:
         raise ValueError(
             f"{quantity}: {name!r} is a variable of contacts, which have no {lack}: take Mean, Sum or Variance"
         )
+    if isinstance(quantity, Conduction) and not (at_contacts and rank == 0):
+        raise ValueError(
+            f"{quantity}: {name!r} is {found.dims}; what flows along contacts is one number for each contact"
+        )
     if isinstance(quantity, Flux) and rank == 2:
         raise ValueError(
             f"{quantity}: {name!r} is a tensor, and its flux would have 27 components; take those of its components"
@@ -307,8 +321,8 @@ def _units(quantity: Quantity, weight: Weight, unit: str | None, system: str) ->
     length, mass, _ = powers_of(WEIGHTS[weight][1])
     if isinstance(quantity, Variance):
         return _times(unit, 2, "1")
-    flux = int(isinstance(quantity, Flux))
-    return _times(unit, 1, units_in(units_of((length - 3 + flux, mass, -flux)), system))
+    flux, along = isinstance(quantity, Flux), isinstance(quantity, Conduction)
+    return _times(unit, 1, units_in(units_of((length - 3 + flux + along, mass, -int(flux))), system))
 
 
 def _times(unit: str, exponent: int, other: str) -> str:
@@ -344,6 +358,13 @@ def _weights(weight: str, frame: Frame, count: int) -> NDArray:
 def _weighted(name: str, weight: str, frame: Frame, _: Contacts) -> NDArray:
     q = frame[name]
     return q * _weights(weight, frame, len(q)).reshape(-1, *(1,) * (q.ndim - 1))
+
+
+def _of_sides(name: str, frame: Frame, _: Contacts) -> NDArray:
+    """Return what each side of each contact receives, as the first of three components; (2, contacts, 3)."""
+    out = np.zeros((2, len(frame[name]), 3))
+    out[0, :, 0], out[1, :, 0] = frame[name], -frame[name]
+    return out
 
 
 def _numbers(triple: Iterable[_Number], weight: str, frame: Frame, _: Contacts) -> NDArray:
