@@ -11,7 +11,7 @@ import operator
 from collections.abc import Callable, Mapping
 from functools import partial
 from itertools import accumulate
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Any, ClassVar, Literal, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -160,13 +160,9 @@ class Kernel:
             raise ValueError(f"order={order!r}: expected a number of Gauss-Legendre points, or 0 for the closed form")
         r = np.atleast_2d(np.asarray(points, float))
         w = self.weights(r.shape[1])
+        start, end = np.asarray(start, float), np.asarray(end, float)
         return w.norm * mean_along(
-            (r - np.asarray(start, float)) / self.cutoff,
-            (np.asarray(end, float) - np.asarray(start, float)) / self.cutoff,
-            order,
-            w.kind,
-            w.spread,
-            w.table,
+            (r - start) / self.cutoff, (end - start) / self.cutoff, order, w.kind, w.spread, w.table
         )
 
 
@@ -257,6 +253,22 @@ class Heaviside(Kernel):
         return {1: 1 / 2, 2: 1 / math.pi, 3: 3 / (4 * math.pi)}[dimension]
 
 
+class _Registered(Kernel):
+    """Kernel of a profile P(q) that a user registered."""
+
+    code = codes.TABLE
+    profile: ClassVar[Any]  # a static method
+
+    def _unit_norm(self, dimension: int) -> float:
+        return 1 / profile_integral(self.profile, dimension)
+
+    def _table(self, codimension: int) -> NDArray:
+        return table_of(self.profile, codimension)
+
+    def _rims(self) -> list[float]:
+        return rims_of(self.profile)
+
+
 KernelName: TypeAlias = Literal["lucy", "gaussian", "shifted gaussian", "heaviside"]
 _NAMED: dict[str, Callable[..., Kernel]] = {
     "lucy": Lucy,
@@ -314,21 +326,9 @@ def register_kernel(
         )
         smoothness = -1
 
-    def unit_norm(self: Kernel, dimension: int) -> float:
-        return 1 / profile_integral(profile, dimension)
-
-    def table(self: Kernel, codimension: int) -> NDArray:
-        return table_of(profile, codimension)
-
-    def rims(self: Kernel) -> list[float]:
-        return rims_of(profile)
-
-    members: dict[str, Any] = {
-        "__doc__": f"The kernel registered as {name!r}.",
-        "name": name, "code": codes.TABLE, "ratio": ratio, "smoothness": smoothness,
-        "_unit_norm": unit_norm, "_table": table, "_rims": rims,
-    }  # fmt: skip
-    kind = _NAMED[name.lower()] = type(name.title(), (Kernel,), members)
+    members: dict[str, Any] = {"name": name, "profile": staticmethod(profile), "ratio": ratio, "smoothness": smoothness}
+    members["__doc__"] = f"The kernel registered as {name!r}."
+    kind = _NAMED[name.lower()] = type(name.title(), (_Registered,), members)
     return kind
 
 

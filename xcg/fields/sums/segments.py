@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from typing import Protocol, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,23 +103,11 @@ Listing: TypeAlias = tuple[
 ]  # fmt: skip
 
 
-class Branches(Protocol):
-    """Segments of contacts, in an order that is the same for all blocks of nodes."""
-
-    def near(self, nodes: Nodes) -> Iterator[Segments]:
-        """All segments that reach a block of nodes, some at a time."""
-
-
 @dataclass(frozen=True, eq=False)
 class ListedOnce:
     """Segments that stay in memory, some of which may be out of reach."""
 
     segments: Segments
-
-    @classmethod
-    def of(cls, records: NDArray, limits: NDArray) -> ListedOnce:
-        """Keep records of segments; `limits` are those of `Segments`."""
-        return cls(Segments(records, limits, bounds_of_segments(records)))
 
     def near(self, nodes: Nodes) -> Iterator[Segments]:
         """All segments."""
@@ -146,6 +134,10 @@ class ListedAnew:
             contacts = self.contacts[places[places < len(self.contacts)]]  # the last run may be shorter
             records, _, _ = list_some(self.listing, contacts)
             yield Segments(records, self.limits, self.bounds[some])
+
+
+# Segments of contacts, in an order that is the same for all blocks of nodes.
+Branches: TypeAlias = ListedOnce | ListedAnew
 
 
 def list_some(listing: Listing, contacts: NDArray) -> tuple[NDArray, NDArray, bool]:
@@ -228,7 +220,7 @@ def _segments(
         partner = (c.i if second else np.where(c.i >= 0, c.j, c.i))[contacts]
         ends = [points + shift for points in (c.point[contacts], step.position[partner])]
         longest = mesh.cut(segments, np.array(ends), step.source)
-    return ListedOnce.of(segments, limits), longest, more
+    return ListedOnce(Segments(segments, limits, bounds_of_segments(segments))), longest, more
 
 
 def _rules(step: StepRows, longest: float, cutoff: float) -> list[tuple[str, bool, bool]]:
