@@ -12,11 +12,11 @@ from tests import real_data, shared_data
 from tests.brute_force import BruteKernel
 from tests.identities import residuals
 from tests.identities.scenes import load
-from xcg.fields.formulas.rows import energy, rotation
+from xcg.fields.formulas.rows import energy
 from xcg.readers.files import table
 from xcg.scene.schema import VARIABLES
 
-NAMES = [*rotation.ROWS, *energy.ROWS]
+NAMES = list(energy.ROWS)
 ROTATIONAL = ["spin", "spin_density", "inertia_density", "spin_flux", "spin_fluctuation", "fluctuation_inertia",
               "rotational_temperature", "rotational_kinetic_energy"]  # fmt: skip
 

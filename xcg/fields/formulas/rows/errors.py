@@ -28,9 +28,9 @@ from xcg.fields.formulas.algebra import (
     zero_if_unknown,
 )
 from xcg.fields.formulas.field import Field, Function, Options
-from xcg.fields.formulas.rows import flow, rotation
+from xcg.fields.formulas.rows import energy, flow
+from xcg.fields.formulas.rows.energy import SQUARE, WEIGHT
 from xcg.fields.formulas.rows.flow import SQUARES, about
-from xcg.fields.formulas.rows.rotation import SQUARE, WEIGHT
 
 
 def _share(f: Any, s: Any, o: Options) -> NDArray:
@@ -166,7 +166,7 @@ _ERRORS: dict[str, tuple[Function, tuple[str, ...], str]] = {
     ),
     "spin": (_spin, ("spin_fluctuation", "fluctuation_inertia"), "sqrt(T_k / N_eff), of omega weighted by I"),
 }
-_SOURCES = flow.ROWS | rotation.ROWS
+_SOURCES = flow.ROWS | energy.ROWS
 # errors of fits in the axes x, y and z alone
 OF_FITS = {f"{name}_error" for name, (_, fields, _) in _ERRORS.items() if "_slopes" in fields}
 OF_PLACES = OF_FITS | {"kinetic_stress_error"}  # and of what differs about a cylinder's axis
