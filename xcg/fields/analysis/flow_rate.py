@@ -112,9 +112,7 @@ def flow_rate(
     else:
         flux = _through_points(ds, scene, surface, fields, shared, smooth.width * _FINE if spacing is None else spacing)
     found = {f"{one}_flow_rate": _labelled(sum(flux[_name(f)] for f in _fields(one, scene)), one, ds) for one in wanted}
-    result = xr.Dataset(
-        found, {name: c for name, c in flux.coords.items() if name in ("time", "step", "phase", "skipped")}
-    )
+    result = xr.Dataset(found).drop_vars([*COMPONENTS, "direction"], errors="ignore")  # where the plane is
     return result.assign_attrs(
         provenance(ds, call), kernel=smooth.name, width=smooth.width, cutoff=smooth.cutoff, surface=repr(surface)
     )
