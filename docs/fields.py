@@ -42,11 +42,8 @@ These tables are made by `python docs/fields.py`; `xcg fields` prints all formul
 # pages that say more on a topic
 PAGES = {
     "flow": "[granular temperature](temperature.md)",
-    "contacts": "[walls](walls.md)",
-    "fabric": "[fabric](fabric.md)",
-    "phases": "[phases](phases.md)",
+    "contacts": "[walls](walls.md), [fabric](fabric.md), [phases](phases.md)",
     "rheology": "[variants](variants.md)",
-    "rotation": "[rotation and energy](energy.md)",
     "energy": "[rotation and energy](energy.md)",
     "displacement": "[displacement and strain](displacement.md)",
 }

@@ -1,4 +1,4 @@
-"""What contacts give: stress, traction of walls, fabric and its anisotropy, and how phases act on each other.
+"""Contacts and phases: stress, traction of walls, fabric and its anisotropy, and how phases act on each other.
 
 With n the normal of a contact, l its branch along n (from centre to centre, at a wall to the contact point), f its
 force and f_t the tangential part, <> the mean over contacts at the node, dev the deviator, k = 15/2 (4 in a plane),

@@ -1,4 +1,4 @@
-"""Rotation of grains: spin, its fluctuations, torques and couple stress; energy: kinetic, its fluxes, and powers."""
+"""Rotation and energy: spin, torques and couple stress; kinetic energy, its fluxes, and the powers that exchange it."""
 
 from __future__ import annotations
 

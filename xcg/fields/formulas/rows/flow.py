@@ -1,4 +1,4 @@
-"""Density and sizes of grains; velocity, its gradient, and the fluctuations about it."""
+"""Density, sizes of grains, velocity, its gradient, and the fluctuations about it."""
 
 from __future__ import annotations
 
