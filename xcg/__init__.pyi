@@ -9,6 +9,7 @@ from .chains.search import force_chains
 from .chains.selection import Box, BoxRegion, Region, Sphere, select_chains
 from .common.messages import SceneError, SceneWarning
 from .fields.analysis.balance import balance
+from .fields.analysis.cell_volumes import cell_volumes
 from .fields.analysis.correlations import spatial_correlation, time_correlation
 from .fields.analysis.diffusion import mean_squared_displacement
 from .fields.analysis.displacement import displacement
@@ -75,6 +76,7 @@ __all__ = [
     "adjacency",
     "assign_phases",
     "balance",
+    "cell_volumes",
     "chain_table",
     "coarse_grain",
     "contact_graph",

@@ -84,6 +84,7 @@ class CoarseGrainAccessor:
     width_sweep = Method("xcg.fields.analysis.width_sweep", SCENE)
     balance = Method("xcg.fields.analysis.balance", SCENE)
     slice_temperature = Method("xcg.fields.analysis.slice_temperature", SCENE)
+    cell_volumes = Method("xcg.fields.analysis.cell_volumes", SCENE)
     depth_average = Method("xcg.fields.analysis.shallow", SCENE)
     flow_rate = Method("xcg.fields.analysis.flow_rate", SCENE)
     wall_stress = Method("xcg.fields.analysis.wall_stress", SCENE)

@@ -11,6 +11,7 @@ from xcg.chains.results import chain_table, link_table, track_chains
 from xcg.chains.search import force_chains
 from xcg.chains.selection import select_chains
 from xcg.fields.analysis.balance import balance
+from xcg.fields.analysis.cell_volumes import cell_volumes
 from xcg.fields.analysis.correlations import spatial_correlation, time_correlation
 from xcg.fields.analysis.diffusion import mean_squared_displacement
 from xcg.fields.analysis.displacement import displacement
@@ -60,6 +61,7 @@ class CoarseGrainAccessor:
     slice_temperature = Method(slice_temperature)
     flow_rate = Method(flow_rate)
     depth_average = Method(depth_average)
+    cell_volumes = Method(cell_volumes)
     wall_stress = Method(wall_stress)
     find_contacts = Method(find_contacts)
     microstructure = Method(microstructure)

@@ -46,7 +46,7 @@ def nodes_of(scene: Description, request: Request, kernels: Sequence[Kernel]) ->
         min(k.width for k in kernels) if request.spacing is None else request.spacing,
         plane=setup.plane,
         cutoff=narrowest,
-        automatic=_automatic(scene, max(k.cutoff for k in kernels)),
+        automatic=automatic_bounds(scene, max(k.cutoff for k in kernels)),
         period=scene.periods,
         cells=request.sampling == "cell",
     )
@@ -64,7 +64,7 @@ def _rings(scene: Description, request: Request, kernels: Sequence[Kernel]) -> G
             "sampling='cell' takes the cells of a mesh along x, y and z, and a cylindrical frame has none: leave it out"
         )
     setup, reach = scene.setup, max(k.cutoff for k in kernels)
-    automatic = _automatic(scene, reach)
+    automatic = automatic_bounds(scene, reach)
     if {"x", "y"} <= set(automatic) and scene.radius is not None:
         automatic["r"] = 0.0, scene.radius + reach
     axes = ("rtz" if "z" in setup.plane else "rt") if request.axes is None and request.at is None else request.axes
@@ -103,7 +103,7 @@ def _check_pointwise(request: Request) -> None:
         )
 
 
-def _automatic(scene: Description, cutoff: float) -> dict[str, tuple[float, float]]:
+def automatic_bounds(scene: Description, cutoff: float) -> dict[str, tuple[float, float]]:
     """Bounds by default: the period, or the particles' extent with their supports, or the box they were read with."""
     periodic = scene.setup.periodic
     # a box does not follow positions that were changed
