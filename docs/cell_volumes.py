@@ -28,15 +28,8 @@ def table() -> list[str]:
 def main() -> None:
     """Put the table between its marks."""
     warnings.simplefilter("ignore")
-    text = PAGE.read_text()
-    PAGE.write_text(
-        re.sub(
-            "(<!-- cells -->).*?(<!-- cells -->)",
-            "\n".join(["<!-- cells -->", *table(), "<!-- cells -->"]),
-            text,
-            flags=re.DOTALL,
-        )
-    )
+    text, mark = PAGE.read_text(), "<!-- cells -->"
+    PAGE.write_text(re.sub(f"{mark}.*?{mark}", "\n".join([mark, *table(), mark]), text, flags=re.DOTALL))
 
 
 if __name__ == "__main__":

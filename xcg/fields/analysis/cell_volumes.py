@@ -31,7 +31,7 @@ _COLUMNS = 6
 
 
 @dataclass(frozen=True, eq=False)
-class _Task:
+class _Cells:
     """What the shares need besides a step."""
 
     grid: Grid
@@ -111,7 +111,7 @@ def cell_volumes(
             f"cells reach through the box along {loose}, and the scene has no finite box there: name them in axes="
         )
     values = () if by is None else scene.groups(by, groups)
-    task = _Task(grid, setup, _depth(scene), by, values)
+    task = _Cells(grid, setup, _depth(scene), by, values)
     phases = (1 + len(values),) if by is not None else ()
     shape = (*grid.sizes, *phases)
     results = {name: ((*shape, *(3,) * rank), "float64") for name, (rank, _, _) in _FIELDS.items()}
@@ -153,7 +153,7 @@ def _depth(scene: Description) -> float:
     return math.nan if isinstance(depth, str) else 1.0 if depth is None else depth
 
 
-def _of_chunk(task: _Task, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
+def _of_chunk(task: _Cells, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
     """Fields of one chunk of time."""
     grid, groups = task.grid, max(1, len(task.groups))
     steps = [_shares(task, groups, *step) for step in steps_in(arrays, task.setup.periodic)]
@@ -169,7 +169,7 @@ def _of_chunk(task: _Task, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
     }  # fmt: skip
 
 
-def _shares(task: _Task, groups: int, frame: Any, lattice: Any, source: str) -> NDArray:
+def _shares(task: _Cells, groups: int, frame: Any, lattice: Any, source: str) -> NDArray:
     """Return sums of one step per volume of a cell, (groups, nx, ny, nz, columns)."""
     grid, setup = task.grid, task.setup
     free = frame["frozen"] != 1 if "frozen" in frame else np.ones(len(frame["position"]), bool)
