@@ -181,21 +181,19 @@ def chain_table(fc: xr.Dataset) -> pd.DataFrame:
     SceneError
         If `fc` is not a result of `force_chains`, or has no step.
     """
-    require_chains(fc, "chain_table")
-    _require_steps(fc, "chain_table")
-    tables = []
-    for step in steps_of(fc, list(CHAINS)):
+
+    def columns(step: ChainStep) -> dict[str, NDArray]:
         chain = np.flatnonzero(step.arrays["chain_particles"] > 0)
-        columns = {"time": step.time, "step": step.number, "chain": chain}
+        found = {"chain": chain}
         for name, row in CHAINS.items():
-            values = step.arrays[name][chain]
-            short = name.removeprefix("chain_")
+            values, short = step.arrays[name][chain], name.removeprefix("chain_")
             if "component" in row.dims:
-                columns |= {f"{short}_{axis}": values[:, k] for k, axis in enumerate(COMPONENTS)}
+                found |= {f"{short}_{axis}": values[:, k] for k, axis in enumerate(COMPONENTS)}
             else:
-                columns[short] = values
-        tables.append(pd.DataFrame(columns))
-    return pd.concat(tables, ignore_index=True)
+                found[short] = values
+        return found
+
+    return _table(fc, "chain_table", list(CHAINS), columns)
 
 
 def link_table(fc: xr.Dataset) -> pd.DataFrame:
@@ -213,30 +211,32 @@ def link_table(fc: xr.Dataset) -> pd.DataFrame:
     SceneError
         If `fc` is not a result of `force_chains`, or has no step.
     """
-    require_chains(fc, "link_table")
-    _require_steps(fc, "link_table")
-    tables = []
-    for step in steps_of(fc, ["link_chain", "contact_j", "contact_force", "major_stress"]):
+
+    def columns(step: ChainStep) -> dict[str, NDArray]:
         contact, i, j = step.links()
-        major = step.arrays["major_stress"]
-        columns = {
-            "time": step.time,
-            "step": step.number,
-            "chain": step.arrays["link_chain"][contact],
+        arrays = step.arrays
+        return {
+            "chain": arrays["link_chain"][contact],
             "contact": contact,
-            "particle_i": step.arrays["contact_i"][contact],
-            "particle_j": step.arrays["contact_j"][contact],
-            "force": np.linalg.norm(step.arrays["contact_force"][contact], axis=1),
-            "stress": 0.5 * (major[i] + major[j]),
+            "particle_i": arrays["contact_i"][contact],
+            "particle_j": arrays["contact_j"][contact],
+            "force": np.linalg.norm(arrays["contact_force"][contact], axis=1),
+            "stress": 0.5 * (arrays["major_stress"][i] + arrays["major_stress"][j]),
         }
-        tables.append(pd.DataFrame(columns))
-    return pd.concat(tables, ignore_index=True)
+
+    return _table(fc, "link_table", ["link_chain", "contact_j", "contact_force", "major_stress"], columns)
 
 
-def _require_steps(fc: xr.Dataset, purpose: str) -> None:
-    """Refuse a result that a selection left without steps."""
+def _table(
+    fc: xr.Dataset, purpose: str, names: Sequence[str], columns: Callable[[ChainStep], dict[str, NDArray]]
+) -> pd.DataFrame:
+    """Put the columns of all steps below each other, with time and number of the step."""
+    require_chains(fc, purpose)
     if not fc.sizes.get("time", 1):
         raise SceneError(f"{purpose} needs one step or more, and these chains have none: check how steps were selected")
+    steps = steps_of(fc, names)
+    tables = [pd.DataFrame({"time": step.time, "step": step.number, **columns(step)}) for step in steps]
+    return pd.concat(tables, ignore_index=True)
 
 
 def track_chains(fc: xr.Dataset, overlap: float = 0.5) -> xr.Dataset:

@@ -62,17 +62,9 @@ def unknown(what: str, word: object, known: Iterable[object], listed: str = "") 
 
 # Packages whose lines stand between a line of the user's program and the one that warns.
 _BETWEEN = {
-    "xcg",
-    "dask",
-    "xarray",
-    "distributed",
-    "tornado",
-    "asyncio",
-    "selectors",
-    "concurrent",
-    "threading",
-    "queue",
-}
+    "xcg", "dask", "xarray", "distributed", "tornado", "asyncio", "selectors", "concurrent",
+    "threading", "queue",
+}  # fmt: skip
 
 
 def warn_user(message: str | Warning, category: type[Warning] = SceneWarning) -> None:

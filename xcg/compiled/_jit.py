@@ -72,17 +72,14 @@ class _Cache(FunctionCache):
         try:
             return super().load_overload(sig, target_context)
         except Exception:  # a damaged file can make unpickling raise anything
-            self._start_anew()
+            try:
+                self.flush()
+            except OSError:
+                self.disable()
 
     def save_overload(self, sig: Any, data: Any) -> None:
         with suppress(OSError):  # a full disk, a folder that is gone
             super().save_overload(sig, data)
-
-    def _start_anew(self) -> None:
-        try:
-            self.flush()
-        except OSError:
-            self.disable()
 
 
 class _WithoutCollection(event.Listener):

@@ -19,15 +19,7 @@ from xcg.compiled.arrays import Reduced, gauss_rules
 from xcg.compiled.cells import points_around_segment
 from xcg.compiled.contacts import side
 from xcg.compiled.lines import SHORT, SHORT_ORDER, fill_segments
-from xcg.compiled.reach import (
-    ALONG,
-    NODE,
-    Q2,
-    WEIGHT,
-    batch_reaches,
-    nodes_around_segment,
-    periodic_images,
-)
+from xcg.compiled.reach import ALONG, NODE, Q2, WEIGHT, batch_reaches, nodes_around_segment, periodic_images
 from xcg.compiled.simd import add4, prefetch
 from xcg.compiled.smoothing import fill_gauss
 from xcg.compiled.volumes import volumes_in_ball

@@ -51,8 +51,7 @@ def _all(byte):
 # the white space of Python's bytes: a space, or one of the five from the tab on
 white = _bytes_where(
     lambda builder, data: builder.or_(
-        builder.icmp_unsigned("==", data, _all(32)),
-        builder.icmp_unsigned("<", builder.sub(data, _all(9)), _all(5)),
+        builder.icmp_unsigned("==", data, _all(32)), builder.icmp_unsigned("<", builder.sub(data, _all(9)), _all(5))
     ),
     lambda byte: byte == 32 or 9 <= byte < 14,
 )

@@ -82,12 +82,7 @@ def to_csv(fc: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool = Fa
 def _fcf_rows(arrays: Frame) -> Iterator[str]:
     principal, direction = -arrays["principal_stress"], arrays["principal_direction"]
     numbers = np.concatenate(
-        [
-            -arrays["major_stress"][:, None],
-            arrays["major_direction"],
-            principal,
-            direction.reshape(len(direction), 9),
-        ],
+        [-arrays["major_stress"][:, None], arrays["major_direction"], principal, direction.reshape(len(direction), 9)],
         axis=1,
     )
     for p in np.flatnonzero(arrays["chain_id"] >= 0):

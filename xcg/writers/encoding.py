@@ -41,11 +41,7 @@ class Encoding:
 
     @classmethod
     def of(
-        cls,
-        ds: xr.Dataset,
-        dtype: DTypeLike | None = None,
-        digits: int | None = None,
-        compression: int | None = None,
+        cls, ds: xr.Dataset, dtype: DTypeLike | None = None, digits: int | None = None, compression: int | None = None
     ) -> Encoding:
         """Check the arguments of `xcg.save`, and choose a level of compression where none is given.
 
