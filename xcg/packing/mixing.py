@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.common.messages import warn_once
+from xcg.packing.quantities import ratio
 
 ENOUGH = 5  # grains in a cell, on average, that a warning recommends
 
@@ -117,7 +118,7 @@ class Mixture:
         if apart > 0 and self.cells.max() + 1 == len(self.phase):
             warn_once("cells below a grain", self._too_small())
             return math.nan
-        return _ratio(apart - self.variance(which), apart - self.random_variance(which))
+        return float(ratio(apart - self.variance(which), apart - self.random_variance(which)))
 
     def _too_small(self) -> str:
         """Return a warning that recommends the smallest cell that holds `ENOUGH` grains on average."""
@@ -134,7 +135,7 @@ class Mixture:
         if not len(self.phase):
             return np.nan
         weight, inside, share = self.shares(self.members(which, rest=True))
-        return _ratio(float((weight * _entropy(inside)).sum()), float(_entropy(share)))
+        return float(ratio((weight * _entropy(inside)).sum(), float(_entropy(share))))
 
     @cached_property
     def unlike(self) -> NDArray:
@@ -161,7 +162,7 @@ class Mixture:
         members = self.members(which)
         number = members.sum(axis=1)
         expected = float((number * (count - number)).sum()) / (count - 1)
-        return _ratio(float(self.unlike[members.any(axis=0)].sum()), expected)
+        return float(ratio(self.unlike[members.any(axis=0)].sum(), expected))
 
 
 def _nearest(
@@ -190,7 +191,3 @@ def _nearest(
 def _entropy(share: NDArray) -> NDArray:
     """-sum c ln c over the first axis."""
     return np.asarray(-(share * np.log(np.where(share > 0, share, 1.0))).sum(axis=0))
-
-
-def _ratio(a: float, b: float) -> float:
-    return a / b if b > 0 else math.nan
