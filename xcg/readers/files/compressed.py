@@ -17,6 +17,8 @@ from contextlib import contextmanager, suppress
 from functools import cache
 from typing import Any, BinaryIO, cast
 
+from isal import igzip, isal_zlib
+
 from xcg.common.messages import SceneError
 
 # the first bytes, and how many bytes one can stand for: deflate repeats 258, Zstandard 128 KiB in a block of four bytes
@@ -49,29 +51,18 @@ def most_from(path: str) -> int:
 
 
 @cache
-def _first_of(*names: str) -> Any:
-    """Give the first of some modules that is installed, None if none of them is."""
-    for name in names:
+def _zstd() -> Any:
+    """Return the standard library's module from Python 3.14 on, else its backport, else None."""
+    for name in ("compression.zstd", "backports.zstd"):
         with suppress(ModuleNotFoundError):
             return importlib.import_module(name)
     return None
 
 
-def _gzip() -> Any:
-    """Give isal where it is installed: three times as fast as the standard library, with the same interface."""
-    return _first_of("isal.igzip", "gzip")
-
-
-def _zstd() -> Any:
-    """Give the standard library's module from Python 3.14 on, else its backport, else None."""
-    return _first_of("compression.zstd", "backports.zstd")
-
-
 def errors() -> tuple[type[Exception], ...]:
     """Exceptions that mean damaged or cut off data."""
-    isal, zstd = _first_of("isal.isal_zlib"), _zstd()
-    further = [*([isal.IsalError] if isal else []), *([zstd.ZstdError] if zstd else [])]
-    return (EOFError, zlib.error, gzip.BadGzipFile, *further)
+    zstd = _zstd()
+    return (EOFError, zlib.error, gzip.BadGzipFile, isal_zlib.IsalError, *([zstd.ZstdError] if zstd else []))
 
 
 def open_compressed(path: str, kind: str = "") -> BinaryIO:
@@ -83,7 +74,7 @@ def open_compressed(path: str, kind: str = "") -> BinaryIO:
         If what unpacks it is not installed.
     """
     if (kind or compression(path)) == "gzip":
-        return cast(BinaryIO, _gzip().open(path, "rb"))
+        return cast(BinaryIO, igzip.open(path, "rb"))
     zstd = _zstd()
     if zstd is None:
         raise SceneError(
@@ -105,7 +96,7 @@ def size_of_content(path: str) -> int:
         head = file.read(_LOOKED_AT)
         file.seek(max(0, size - 4))
         told = int.from_bytes(file.read(4), "little")
-    member = _first_of("isal.isal_zlib", "zlib").decompressobj(31)
+    member = isal_zlib.decompressobj(31)
     try:
         found = len(member.decompress(head, _MOST_FOUND))
     except errors():
