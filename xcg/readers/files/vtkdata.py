@@ -162,7 +162,7 @@ def _inflate(packed: memoryview, compressor: str, expected: int) -> bytes:
     unpack: Any = isal_zlib.decompressobj() if compressor == "vtkZLibDataCompressor" else lzma.LZMADecompressor()
     try:
         return bytes(unpack.decompress(packed, expected))
-    except (zlib.error, isal_zlib.error, lzma.LZMAError, EOFError):
+    except (zlib.error, isal_zlib.IsalError, lzma.LZMAError, EOFError):
         return b""
 
 
