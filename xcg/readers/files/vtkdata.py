@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import binascii
 import lzma
-import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, BinaryIO, TypeAlias
@@ -18,6 +17,8 @@ import numpy as np
 import pybase64
 from isal import isal_zlib
 from numpy.typing import NDArray
+
+from xcg.readers.files.compressed import errors
 
 _LZ4 = "vtkLZ4DataCompressor"
 # Bytes that one compressed byte can stand for, at most.
@@ -160,9 +161,10 @@ def _inflate(packed: memoryview, compressor: str, expected: int) -> bytes:
     if compressor == _LZ4:
         return _lz4(packed, expected)
     unpack: Any = isal_zlib.decompressobj() if compressor == "vtkZLibDataCompressor" else lzma.LZMADecompressor()
+    damaged: tuple[type[Exception], ...] = (*errors(), lzma.LZMAError)
     try:
         return bytes(unpack.decompress(packed, expected))
-    except (zlib.error, isal_zlib.IsalError, lzma.LZMAError, EOFError):
+    except damaged:
         return b""
 
 
