@@ -45,6 +45,7 @@ PAGES = {
     "contacts": "[walls](walls.md), [fabric](fabric.md), [phases](phases.md)",
     "rheology": "[variants](variants.md)",
     "energy": "[rotation and energy](energy.md)",
+    "orientation": "[fabric](fabric.md#grains-that-are-not-round)",
     "displacement": "[displacement and strain](displacement.md)",
 }
 KINDS = ("scalar", "vector", "tensor")

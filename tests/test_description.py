@@ -8,7 +8,7 @@ import xcg
 from xcg import SceneError
 from xcg.fields.plan import make_plan
 from xcg.fields.request import Request
-from xcg.scene.description import describe
+from xcg.scene.description import describe, require_scene
 
 
 def _refuse_to_compute(dsk, keys, **kwargs):
@@ -47,4 +47,4 @@ def test_what_is_missing_and_what_to_give_is_said():
     with pytest.raises(
         SceneError, match=r"stress needs \['contact_force', 'mass'\]: give contacts= .* and density= to "
     ):
-        scene.require(["contact_force", "mass"], "stress")
+        require_scene(scene.columns, ["contact_force", "mass"], "stress")

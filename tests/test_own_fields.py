@@ -39,6 +39,7 @@ def test_numpy_computes_what_is_not_traced():
 def test_both_ways_give_the_same_bits(options):
     register_all()
     ds = xcg.datasets.random_scene(120, seed=8)
+    ds = ds.assign(director=ds["velocity"])
     names = [*OWN, *registry.listed(registered=False)]
     names = [name for name in names if not registry.FIELDS[name].option]
     if "gradient" in options:  # which is not fitted

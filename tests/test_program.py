@@ -15,8 +15,11 @@ from xcg.fields.formulas import program as program
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Gradient, Options, Temperature
 from xcg.fields.formulas.registry import _made_up
+from xcg.fields.formulas.rows import orientation
 
-ALL = tuple(name for name in registry.listed() if not (registry.FIELDS[name].option or registry.FIELDS[name].paired))
+# scenes here hold no directors, and axes of tensors are found by NumPy, see test_orientation
+LISTED = [name for name in registry.listed() if name not in orientation.ROWS]
+ALL = tuple(name for name in LISTED if not (registry.FIELDS[name].option or registry.FIELDS[name].paired))
 
 
 def played_and_plain(ds, *fields, **options):
@@ -117,7 +120,7 @@ def test_stress_takes_no_steps_for_what_nobody_asked_for():
 @pytest.mark.parametrize("groups", [0, 2])
 def test_all_fields_of_the_registry_are_traced(gradient, groups):
     options = Options(gradient=gradient, fluid_viscosity=1e-3)
-    names = tuple(name for name in registry.listed() if groups or not registry.FIELDS[name].paired)
+    names = tuple(name for name in LISTED if groups or not registry.FIELDS[name].paired)
     # rotations take singular values, and follow from the deformation gradient when that is whole
     assert set(program.program_for(names, options, groups).widths) == set(names) - {"rotation", "rotation_vector"}
 

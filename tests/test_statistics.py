@@ -215,7 +215,7 @@ def test_missing_sums_and_bad_arguments_are_named():
 def test_every_field_has_a_rule():
     """Those of two frames are averaged in test_displacement, and those between phases where phases are."""
     ds = series(2)
-    ds = ds.assign(angular_velocity=ds.velocity * 0.3, moment_of_inertia=ds.mass * 0.1)
+    ds = ds.assign(angular_velocity=ds.velocity * 0.3, moment_of_inertia=ds.mass * 0.1, director=ds.velocity)
     rows = {name: registry.FIELDS[name] for name in registry.listed()}
     names = [name for name, row in rows.items() if row.option in ("", "fluid_viscosity") and not row.paired]
     names = [name for name in names if not name.endswith("_error")]  # see test_errors

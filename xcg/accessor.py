@@ -101,6 +101,7 @@ class CoarseGrainAccessor:
     assign_phases = Method("xcg.scene.phases", SCENE)
     plot_phases = Method("xcg.scene.phases", SCENE)
     select_walls = Method("xcg.scene.walls", SCENE)
+    derive_director = Method("xcg.fields.analysis.directors", SCENE)
     derive_velocity = Method("xcg.fields.analysis.velocities", SCENE)
 
     profile = Method("xcg.fields.formulas.averages", RESULT)

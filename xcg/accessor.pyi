@@ -14,6 +14,7 @@ from xcg.fields.analysis.balance import balance
 from xcg.fields.analysis.cell_volumes import cell_volumes
 from xcg.fields.analysis.correlations import spatial_correlation, time_correlation
 from xcg.fields.analysis.diffusion import mean_squared_displacement
+from xcg.fields.analysis.directors import derive_director
 from xcg.fields.analysis.displacement import displacement
 from xcg.fields.analysis.flow_rate import flow_rate
 from xcg.fields.analysis.plots import movie, plot
@@ -77,6 +78,7 @@ class CoarseGrainAccessor:
     plot_phases = Method(plot_phases)
     select_walls = Method(select_walls)
     derive_velocity = Method(derive_velocity)
+    derive_director = Method(derive_director)
     profile = Method(profile)
     time_average = Method(time_average)
     spatial_correlation = Method(spatial_correlation)

@@ -14,7 +14,8 @@ from xcg.scene.schema import VARIABLES
 
 REAL = pytest.mark.parametrize("name", list(OPEN))
 # temperatures along the axes and errors are parts of tensors, not vectors: they do not turn like one
-OTHERS = {"directional_temperature", *(name for name in xcg.FIELDS if name.endswith("_error"))}
+DIRECTED = {name for name, row in xcg.FIELDS.items() if "director" in name or "orient" in name or "nematic" in name}
+OTHERS = {"directional_temperature", *DIRECTED, *(name for name in xcg.FIELDS if name.endswith("_error"))}
 ALL = [name for name in registry.listed() if not xcg.FIELDS[name].option and name not in OTHERS]
 OBJECTIVE = ["kinetic_stress", "velocity_gradient", "granular_temperature", "fluctuation_stress", "shear_rate"]
 VECTORS = ("position", "velocity", "contact_point", "contact_force", "contact_normal", "angular_velocity")

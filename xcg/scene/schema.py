@@ -73,6 +73,7 @@ VARIABLES: dict[str, Variable] = {
     "species": Variable(_PARTICLE, "1", "species", "int64"),
     "body_id": Variable(_PARTICLE, "1", "identifier of the body that the particle is glued to", "int64"),
     "frozen": Variable(_PARTICLE, "1", "1 where the particle is held in place and acts as a wall", "int64"),
+    "director": Variable((*_PARTICLE, "component"), "1", "director: the axis of a grain that is not round"),
     "coordination_number": Variable(_PARTICLE, "1", "number of contact partners"),
     "contact_i": Variable(_CONTACT, "1", "id of the particle that the force acts on", "int64"),
     "contact_j": Variable(_CONTACT, "1", "id of its partner; negative for a wall", "int64"),

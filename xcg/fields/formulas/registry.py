@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from xcg.common.messages import unknown
 from xcg.fields.formulas.field import Field, Options
-from xcg.fields.formulas.rows import contacts, displacement, energy, errors, flow, rheology
+from xcg.fields.formulas.rows import contacts, displacement, energy, errors, flow, orientation, rheology
 from xcg.fields.sums.moments import MOMENTS
 from xcg.scene.schema import COMPONENTS, powers_of, units_of
 
-TOPICS = (flow, contacts, rheology, energy, displacement, errors)
+TOPICS = (flow, contacts, rheology, energy, orientation, displacement, errors)
 _ROWS: dict[str, Field] = {name: row for topic in TOPICS for name, row in topic.ROWS.items()}
 _REGISTERED: dict[str, Field] = {}  # by users, see `xcg.register_field`
 # All rows by name, read-only.

@@ -97,6 +97,12 @@ def _fabric(frame: Frame, contacts: Contacts) -> NDArray:
     return total
 
 
+def _director_dyads(frame: Frame, _: Contacts) -> NDArray:
+    n = frame["director"]
+    n = n / np.linalg.norm(n, axis=1, keepdims=True)
+    return np.stack([n[:, i] * n[:, j] for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))], axis=1)
+
+
 def _weighted_box_gradient(frame: Frame, _: Contacts) -> NDArray:
     mass = frame["mass"][:, None, None]
     return mass * frame["box_gradient"] if "box_gradient" in frame else np.zeros((len(mass), 3, 3))
@@ -154,6 +160,7 @@ MOMENTS: dict[str, Moment] = {
     "fabric": Moment(
         ("volume",), "V sum_c n n", (3, 3), column=_fabric, contacts=True, layout=_SYMMETRIC, optional=_NORMAL
     ),
+    "directors": Moment(("director",), "n n", (3, 3), column=_director_dyads, layout=_SYMMETRIC),
     "force": Moment(_FORCE, "sum_c f", (3,), column=_forces, contacts=True),
     "inertia": Moment(("moment_of_inertia",), "I", column=lambda frame, _: frame["moment_of_inertia"]),
     "spin": Moment(_I_OMEGA, "I omega", (3,), column=contact_moments.spins),

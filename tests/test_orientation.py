@@ -1,0 +1,98 @@
+"""Directors: isotropic 0, aligned 1, tensors that turn with the scene, quaternions, brute force."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import xcg
+
+NAMES = ["orientation_tensor", "nematic_tensor", "nematic_order", "nematic_director", "number_density"]
+
+
+def rods(director, count=4000, seed=1, **options):
+    rng = np.random.default_rng(seed)
+    n = director(rng, count)
+    return xcg.scene_from_arrays(
+        rng.uniform(0, 6, (count, 3)), diameter=rng.uniform(0.3, 0.6, count), density=1.0, director=n,
+        species=rng.integers(1, 3, count), box=dict.fromkeys("xyz", (0.0, 6.0)), periodic="xyz", **options,
+    )  # fmt: skip
+
+
+def isotropic(rng, count):
+    n = rng.normal(size=(count, 3))
+    return n / np.linalg.norm(n, axis=1, keepdims=True)
+
+
+def test_isotropic_is_zero_and_aligned_is_one():
+    f = rods(isotropic).cg.coarse_grain(NAMES, axes="")
+    np.testing.assert_allclose(f.orientation_tensor.values[0], np.eye(3) / 3, atol=0.02)
+    assert f.nematic_order.item() == pytest.approx(0.0, abs=0.05)
+    one = np.array([2.0, -1.0, 0.5]) / np.linalg.norm([2.0, -1.0, 0.5])
+    signs = rods(lambda rng, count: rng.choice([-1.0, 1.0], (count, 1)) * one).cg.coarse_grain(NAMES, axes="")
+    assert signs.nematic_order.item() == pytest.approx(1.0, rel=1e-12)
+    np.testing.assert_allclose(signs.nematic_director.values[0], one, atol=1e-12)
+
+
+def test_brute_force_at_a_node_with_phases():
+    ds, at, width = rods(isotropic, 300), {"x": 2.0, "y": 3.0, "z": 2.5}, 0.8
+    f = ds.cg.coarse_grain(NAMES, axes="", at=at, width=width, by="species")
+    apart = ds.position.values[0] - list(at.values())
+    apart -= 6 * np.rint(apart / 6)
+    w = xcg.Lucy(width, dimension=3).value(np.linalg.norm(apart, axis=1))
+    n = ds.director.values[0]
+    for phase, some in (("bulk", slice(None)), ("1", ds.species.values[0] == 1)):
+        expected = np.einsum("n,ni,nj", w[some], n[some], n[some]) / w[some].sum()
+        np.testing.assert_allclose(f.orientation_tensor.sel(phase=phase).values[0], expected, atol=1e-13)
+        order = np.linalg.eigvalsh(1.5 * expected - 0.5 * np.eye(3))[-1]
+        assert f.nematic_order.sel(phase=phase).item() == pytest.approx(order, rel=1e-12)
+
+
+def test_the_tensor_turns_with_the_scene():
+    ds = rods(isotropic, 200).drop_vars("box").assign_attrs(periodic="")
+    frame = xcg.Rotated(z=(1, 2, 2), x=(2, 1, -2), origin=(3, 3, 3))
+    options = {"axes": "", "width": 1.0}
+    one = ds.cg.coarse_grain(NAMES, at=dict.fromkeys("xyz", 3.0), **options)
+    turned = ds.cg.coarse_grain(NAMES, at=dict.fromkeys("xyz", 0.0), frame=frame, **options)
+    r = np.asarray(frame.axes)
+    np.testing.assert_allclose(
+        turned.orientation_tensor.values[0], r @ one.orientation_tensor.values[0] @ r.T, atol=1e-12
+    )
+    np.testing.assert_allclose(turned.nematic_order, one.nematic_order, rtol=1e-10)
+
+
+def test_a_layer_has_two_dimensions():
+    rng = np.random.default_rng(3)
+    angle = rng.normal(0.4, 0.2, 500)
+    ds = xcg.scene_from_arrays(
+        rng.uniform(0, 5, (500, 3)) * [1, 1, 0], diameter=np.full(500, 0.2), density=1.0, dimension=2, thickness=1.0,
+        director=np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1), box={"x": (0, 5), "y": (0, 5)}, periodic="xy",
+    )  # fmt: skip
+    f = ds.cg.coarse_grain(NAMES, axes="")
+    assert f.nematic_order.item() == pytest.approx(abs(np.exp(2j * angle).mean()), rel=1e-9)
+    assert np.isfinite(f.nematic_tensor.values[0][:2, :2]).all()
+
+
+@pytest.mark.parametrize("chunk", [False, True])
+def test_directors_from_quaternions(chunk):
+    from scipy.spatial.transform import Rotation
+
+    turn = Rotation.random(50, random_state=2)
+    x, y, z, w = 3.0 * turn.as_quat().T  # of any length
+    ds = xcg.scene_from_arrays(np.random.default_rng(1).uniform(0, 4, (50, 3)), diameter=np.ones(50), density=1.0,
+                               qw=w, qx=x, qy=y, qz=z)  # fmt: skip
+    ds = ds.chunk(time=1) if chunk else ds
+    found = ds.cg.derive_director(("qw", "qx", "qy", "qz"), axis=(1.0, 2.0, 0.0))
+    assert (found.director.chunks is not None) == chunk
+    np.testing.assert_allclose(found.director.values[0], turn.apply(np.array([1.0, 2.0, 0.0]) / 5**0.5), atol=1e-12)
+    with pytest.raises(ValueError, match="four variables"):
+        ds.cg.derive_director(("qw", "qx"))
+    with pytest.raises(xcg.SceneError, match="quat_w"):
+        ds.cg.derive_director()
+
+
+def test_averages_take_the_tensor_and_find_its_axis_anew():
+    ds = rods(isotropic, 200)
+    two = xr.concat([ds, ds.assign_coords(time=[1.0])], "time", data_vars="minimal")
+    f = two.cg.coarse_grain(["nematic_order"], axes="z", width=1.0, for_averages=True)
+    average = f.cg.time_average()
+    np.testing.assert_allclose(average.nematic_order, f.nematic_order.isel(time=0), rtol=1e-10)
