@@ -21,7 +21,7 @@ from xcg.fields.grids.grid import make_grid
 from xcg.fields.grids.points import make_points
 from xcg.fields.grids.rings import make_rings
 from xcg.fields.request import Request
-from xcg.fields.sums.kernels import Kernel, as_kernel, choose_width
+from xcg.fields.sums.kernels import Kernel, kernel_of
 from xcg.fields.sums.nodes import Grid
 from xcg.scene.description import Description
 from xcg.scene.schema import COMPONENTS, PADDING
@@ -156,8 +156,7 @@ def kernels_of(scene: Description, request: Request) -> list[Kernel]:
     """One kernel for all, or one for each group where `width` maps groups to widths."""
     kernel, width, by, dimension = request.kernel, request.width, request.by, scene.setup.dimension
     if not isinstance(width, Mapping):
-        has_own = isinstance(kernel, Kernel) and width is None
-        return [as_kernel(kernel, None if has_own else choose_width(width, scene.sizes), dimension)]
+        return [kernel_of(kernel, width, scene.sizes, dimension)]
     if by is None or not isinstance(kernel, str):
         raise ValueError(
             f"width={dict(width)!r} gives each group its own: name the groups' variable with by=, and a kernel"
@@ -166,7 +165,7 @@ def kernels_of(scene: Description, request: Request) -> list[Kernel]:
     known = scene.groups(by, request.groups)
     if set(own) != {str(g) for g in known}:
         raise ValueError(f"width={dict(width)!r}: expected a width for each of the groups {list(known)} of {by!r}")
-    return [as_kernel(kernel, choose_width(own[str(g)], scene.sizes), dimension) for g in known]
+    return [kernel_of(kernel, own[str(g)], scene.sizes, dimension) for g in known]
 
 
 def warn_of_width(width: float, sizes: Mapping[str, float], *, of_groups: bool) -> None:

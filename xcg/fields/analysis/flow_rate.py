@@ -15,7 +15,7 @@ from xcg.fields.formulas.field import Sum
 from xcg.fields.grids.frames import Rotated
 from xcg.fields.grids.surface import Surface
 from xcg.fields.grids.wall_shapes import Plane, Wall, axis_of
-from xcg.fields.sums.kernels import Kernel, KernelName, as_kernel, choose_width
+from xcg.fields.sums.kernels import Kernel, KernelName, kernel_of
 from xcg.scene.conform import takes_scene
 from xcg.scene.description import Description, describe, require_scene
 from xcg.scene.schema import COMPONENTS, units_in
@@ -98,10 +98,7 @@ def flow_rate(
     call = format_call("flow_rate", {"surface": surface, "of": of, "width": width, "kernel": kernel, "by": by})
     require_scene(ds, ("velocity",), "flow_rate")
     scene = describe(ds)
-    smooth = kernel
-    if not isinstance(kernel, Kernel) or width is not None:
-        smooth = as_kernel(kernel, choose_width(width, scene.sizes), scene.setup.dimension)
-    assert isinstance(smooth, Kernel)
+    smooth = kernel_of(kernel, width, scene.sizes, scene.setup.dimension)
     if "momentum" in wanted:
         other = ds["velocity"].rename(component="direction")
         ds = ds.assign(velocity_squared=(ds["velocity"] * other).assign_attrs(units=units_in("m^2 s^-2", "SI")))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from xcg.common.checks import is_finite, is_positive
 from xcg.common.messages import SceneError
 from xcg.fields.coarse_grain import coarse_grain
-from xcg.fields.sums.kernels import Kernel, KernelName, as_kernel, choose_width
+from xcg.fields.sums.kernels import Kernel, KernelName, kernel_of
 from xcg.scene.conform import takes_scene
 from xcg.scene.description import describe, require_scene
 from xcg.scene.frame import with_time
@@ -243,10 +243,7 @@ def depth_average(
     if axis in axes:
         raise ValueError(f"axes={axes!r}: the depth is along {axis!r}; resolve the others")
     call = format_call("depth_average", {"axis": axis, "axes": axes, "width": width})
-    smooth = kernel
-    if not isinstance(kernel, Kernel) or width is not None:
-        smooth = as_kernel(kernel, choose_width(width, scene.sizes), scene.setup.dimension)
-    assert isinstance(smooth, Kernel)
+    smooth = kernel_of(kernel, width, scene.sizes, scene.setup.dimension)
     if spacing is not None and not is_positive(spacing):
         raise ValueError(f"spacing={spacing!r}: expected a positive distance (m)")
     apart = dict.fromkeys(axes, smooth.width if spacing is None else float(spacing))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from xcg.common.checks import is_positive
 from xcg.common.messages import warn_once
 from xcg.fields.grids.wall_shapes import SurfaceCells, Wall
-from xcg.fields.sums.kernels import Kernel, KernelName, as_kernel, choose_width
+from xcg.fields.sums.kernels import Kernel, KernelName, kernel_of
 from xcg.scene.conform import storable, takes_scene
 from xcg.scene.contacts import Contacts
 from xcg.scene.description import Description, describe, require_scene
@@ -119,8 +119,7 @@ def wall_stress(
         ds = select_walls(ds, walls)
     scene = describe(ds)
     setup = scene.setup
-    own = isinstance(kernel, Kernel) and width is None
-    smooth = as_kernel(kernel, None if own else choose_width(width, scene.sizes), 2)
+    smooth = kernel_of(kernel, width, scene.sizes, 2)
     for name, value in (("spacing", spacing), ("within", within)):
         if value is not None and not is_positive(value):
             raise ValueError(f"{name}={value!r}: expected a positive length (m)")

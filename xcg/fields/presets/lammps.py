@@ -23,7 +23,7 @@ from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Quantity
 from xcg.fields.plan import make_plan
 from xcg.fields.request import Request
-from xcg.fields.sums.kernels import Gaussian, Kernel, as_kernel, choose_width
+from xcg.fields.sums.kernels import Gaussian, Kernel, kernel_of
 from xcg.scene.description import Description, describe, require_scene
 from xcg.scene.schema import COMPONENTS, units_in
 
@@ -129,9 +129,8 @@ def _kernel(scene: Description, request: Request) -> Kernel:
     seen = len({*axes, *(request.at or {})}) or setup.dimension
     if isinstance(request.width, Mapping):
         raise ValueError("preset='lammps' has one kernel for all grains: give one width= instead of one for each group")
-    own = isinstance(request.kernel, Kernel) and request.width is None
     kernel = request.kernel if request.changed(["kernel"]) else "shifted gaussian"
-    return as_kernel(kernel, None if own else choose_width(request.width, scene.sizes), seen)
+    return kernel_of(kernel, request.width, scene.sizes, seen)
 
 
 def translate(scene: Description, request: Request) -> tuple[Request, Callable[[xr.Dataset], xr.Dataset]]:
