@@ -131,16 +131,20 @@ def checked(tmp_path_factory):
     return os.environ | {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path_factory.mktemp("checked"))}
 
 
-def test_hostile_calls_under_bounds_checks(checked):
+@pytest.mark.parametrize("bounds", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_hostile_calls(bounds, request):
     """In a process of its own: results or errors of the package, nothing else."""
-    command = [sys.executable, "-m", "tests.fuzz.calls", "--count", "500"]
-    done = subprocess.run(command, env=checked, cwd=ROOT, capture_output=True, text=True, check=False)
+    count = 500
+    command = [sys.executable, "-m", "tests.fuzz.calls", "--count", str(count)]
+    environment = request.getfixturevalue("checked") if bounds else os.environ
+    done = subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"{done.stdout[-3000:]}\nlast call: {done.stderr[-500:]}"
     counts = json.loads(done.stdout.splitlines()[-1])
-    assert counts["computed"] > 150, counts
-    assert counts["refused"] > 150, counts
+    assert counts["computed"] > 0.3 * count, counts
+    assert counts["refused"] > 0.3 * count, counts
 
 
+@pytest.mark.slow
 def test_fields_under_bounds_checks(checked):
     command = [sys.executable, "-m", "pytest", "tests/test_program.py", "-x", "-q"]
     done = subprocess.run(command, env=checked, cwd=ROOT, capture_output=True, text=True, check=False)

@@ -96,3 +96,69 @@ def test_averages_take_the_tensor_and_find_its_axis_anew():
     f = two.cg.coarse_grain(["nematic_order"], axes="z", width=1.0, for_averages=True)
     average = f.cg.time_average()
     np.testing.assert_allclose(average.nematic_order, f.nematic_order.isel(time=0), rtol=1e-10)
+
+
+def solid_samples(a, b, c, n1, n2, count=400_000, seed=5):
+    """Points drawn evenly in the box around a superquadric, and which of them are inside."""
+    r = np.random.default_rng(seed).uniform(-1, 1, (count, 3))
+    inside = (np.abs(r[:, 0]) ** n2 + np.abs(r[:, 1]) ** n2) ** (n1 / n2) + np.abs(r[:, 2]) ** n1 <= 1
+    return r * [a, b, c], inside
+
+
+@pytest.mark.parametrize(("n1", "n2"), [(2.0, 2.0), (4.0, 2.0), (2.0, 6.0), (8.0, 3.0)])
+def test_superquadrics_against_sampled_solids(n1, n2):
+    """Volume and moments of inertia agree with 400,000 points to 1 %."""
+    half = (1.0, 0.5, 2.0)
+    named = dict(zip(("half_axis_x", "half_axis_y", "half_axis_z"), ([value] for value in half), strict=True))
+    ds = xcg.scene_from_arrays([[0.0, 0.0, 0.0]], **named).cg.derive_superquadric(exponents=(n1, n2), density=3.0)
+    r, inside = solid_samples(*half, n1, n2)
+    volume = inside.mean() * 8 * np.prod(half)
+    assert ds.volume.item() == pytest.approx(volume, rel=0.01)
+    assert ds.mass.item() == pytest.approx(3 * ds.volume.item(), rel=1e-14)
+    squares = (r[inside] ** 2).mean(axis=0) * ds.mass.item()
+    np.testing.assert_allclose(ds.principal_inertia.values[0, 0], squares.sum() - squares, rtol=0.01)
+    assert ds.moment_of_inertia.item() == pytest.approx(ds.principal_inertia.values.mean(), rel=1e-14)
+    assert ds.diameter.item() ** 3 * np.pi / 6 == pytest.approx(ds.volume.item(), rel=1e-14)
+
+
+@pytest.mark.parametrize("chunk", [False, True])
+def test_limits_of_superquadrics(chunk):
+    """Spheres and ellipsoids exactly, boxes in the limit; masses of the file are kept."""
+    half = {"a": [1.0, 1.0, 1.0], "b": [1.0, 2.0, 2.0], "c": [1.0, 3.0, 3.0]}
+    ds = xcg.scene_from_arrays(np.eye(3) * 9, mass=[1.0, 2.0, 5.0], p=[2.0, 2.0, 2e4], q=[2.0, 2.0, 2e4], **half)
+    ds = (ds.chunk(time=1) if chunk else ds).cg.derive_superquadric("abc", exponents="pq")
+    np.testing.assert_allclose(ds.volume.values[0], [np.pi * 4 / 3, np.pi * 8, 48.0], rtol=1e-6)
+    np.testing.assert_allclose(ds.principal_inertia.values[0, 0], 0.4, rtol=1e-12)
+    np.testing.assert_allclose(ds.principal_inertia.values[0, 1], [2 / 5 * k for k in (13, 10, 5)], rtol=1e-12)
+    np.testing.assert_allclose(ds.principal_inertia.values[0, 2], [5 / 3 * k for k in (13, 10, 5)], rtol=1e-6)
+    np.testing.assert_allclose(ds.density * ds.volume, ds.mass)
+    assert ds.volume.attrs["units"] == "m^3"
+    assert ds.principal_inertia.attrs["units"] == "kg m^2"
+
+
+def test_superquadrics_lack_what_is_named():
+    ds = xcg.scene_from_arrays([[0.0, 0.0, 0.0]], a=[1.0])
+    with pytest.raises(ValueError, match="three names"):
+        ds.cg.derive_superquadric(("a",))
+    with pytest.raises(xcg.SceneError, match="density"):
+        ds.cg.derive_superquadric("aaa")
+    with pytest.raises(xcg.SceneError, match="half_axis_x"):
+        ds.cg.derive_superquadric(density=1.0)
+
+
+def test_angular_velocity_in_the_axes_of_the_body():
+    """Means of spin and tumbling of rods: rotated back by the inverse rotation."""
+    from scipy.spatial.transform import Rotation
+
+    turn = Rotation.random(40, random_state=4)
+    x, y, z, w = turn.as_quat().T
+    omega = np.random.default_rng(4).normal(size=(40, 3))
+    ds = xcg.scene_from_arrays(
+        np.random.default_rng(1).uniform(0, 4, (40, 3)), diameter=np.full(40, 0.5), density=1.0,
+        angular_velocity=omega, quat_w=w, quat_x=x, quat_y=y, quat_z=z,
+    ).cg.derive_director()  # fmt: skip
+    expected = turn.inv().apply(omega)
+    np.testing.assert_allclose(ds.body_angular_velocity.values[0], expected, atol=1e-13)
+    f = ds.cg.coarse_grain("body_angular_velocity", axes="", extent=dict.fromkeys("xyz", 4.0), width=40.0)
+    assert f.body_angular_velocity.attrs["units"] == "s^-1"
+    assert np.isfinite(f.body_angular_velocity).all()

@@ -92,3 +92,35 @@ def test_wrong_scenes():
     with pytest.raises(xcg.SceneError, match="rise"):
         ds.isel(time=[1, 0]).cg.derive_velocity()
     assert isinstance(ds.cg.derive_velocity(), xr.Dataset)
+
+
+def pegs_tables():
+    """Three discs with two contacts in each of two frames, listed from both sides, and a wall, as PeGS2 lists them."""
+    grains = pd.DataFrame({
+        "frame": [1, 1, 1, 2, 2, 2], "id": [7, 3, 9] * 2, "x": [0.0, 2.0, 2.0, 0.0, 2.0, 2.0],
+        "y": [0.0, 0.0, 2.0] * 2, "r": 1.0,
+    })  # fmt: skip
+    rows = [(1, 7, 3, 0.1, 1.0), (1, 3, 7, 0.1, 1.0), (1, 3, 9, -0.3, 2.0), (1, 9, 3, -0.3, 2.0), (2, 7, 3, 0.0, 4.0),
+            (2, 7, -1, 0.5, 5.0)]  # fmt: skip
+    return grains, pd.DataFrame(rows, columns=["frame", "id1", "id2", "tangential_force", "normal_force"])
+
+
+def test_what_pegs2_writes():
+    """Adjacency lists of magnitudes become vectors on i; both sides are one contact; walls are dropped."""
+    grains, contacts = pegs_tables()
+    names = {"frame": "step", "r": "radius"}
+    layer = {"dimension": 2, "thickness": 1.0, "density": 1.0}
+    with pytest.warns(xcg.SceneWarning, match="1 rows name a wall"):
+        ds = xcg.scene_from_table(grains.assign(z=0.0), contacts=contacts, names=names, **layer)
+    force = {
+        (int(i), int(j)): f
+        for i, j, f in zip(ds.contact_i.values[0], ds.contact_j.values[0], ds.contact_force.values[0], strict=True)
+    }
+    for (i, j), expected in {(7, 3): (-1.0, -0.1), (3, 9): (-0.3, -2.0)}.items():
+        found = force[i, j] if (i, j) in force else -force[j, i]
+        np.testing.assert_allclose(found, (*expected, 0.0), atol=1e-15)
+    assert len(force) == 2
+    stress = ds.cg.coarse_grain("contact_stress", axes="", extent={"x": 16.0, "y": 16.0}, width=1.0).contact_stress
+    assert stress.values[1, 0, 0] == pytest.approx(4.0 * 2.0 / 256.0, rel=1e-9)  # force, branch, volume
+    with pytest.raises(xcg.SceneError, match="no particle has id 8"):
+        xcg.scene_from_table(grains.assign(z=0.0), contacts=contacts[:4].replace(9, 8), names=names, **layer)

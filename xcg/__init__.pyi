@@ -12,7 +12,7 @@ from .fields.analysis.balance import balance
 from .fields.analysis.cell_volumes import cell_volumes
 from .fields.analysis.correlations import spatial_correlation, time_correlation
 from .fields.analysis.diffusion import mean_squared_displacement
-from .fields.analysis.directors import derive_director
+from .fields.analysis.directors import derive_director, derive_superquadric
 from .fields.analysis.displacement import displacement
 from .fields.analysis.flow_rate import flow_rate
 from .fields.analysis.plots import movie, plot
@@ -84,6 +84,7 @@ __all__ = [
     "datasets",
     "depth_average",
     "derive_director",
+    "derive_superquadric",
     "derive_velocity",
     "displacement",
     "find_contacts",

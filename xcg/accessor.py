@@ -102,6 +102,7 @@ class CoarseGrainAccessor:
     plot_phases = Method("xcg.scene.phases", SCENE)
     select_walls = Method("xcg.scene.walls", SCENE)
     derive_director = Method("xcg.fields.analysis.directors", SCENE)
+    derive_superquadric = Method("xcg.fields.analysis.directors", SCENE)
     derive_velocity = Method("xcg.fields.analysis.velocities", SCENE)
 
     profile = Method("xcg.fields.formulas.averages", RESULT)

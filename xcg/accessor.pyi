@@ -14,7 +14,7 @@ from xcg.fields.analysis.balance import balance
 from xcg.fields.analysis.cell_volumes import cell_volumes
 from xcg.fields.analysis.correlations import spatial_correlation, time_correlation
 from xcg.fields.analysis.diffusion import mean_squared_displacement
-from xcg.fields.analysis.directors import derive_director
+from xcg.fields.analysis.directors import derive_director, derive_superquadric
 from xcg.fields.analysis.displacement import displacement
 from xcg.fields.analysis.flow_rate import flow_rate
 from xcg.fields.analysis.plots import movie, plot
@@ -79,6 +79,7 @@ class CoarseGrainAccessor:
     select_walls = Method(select_walls)
     derive_velocity = Method(derive_velocity)
     derive_director = Method(derive_director)
+    derive_superquadric = Method(derive_superquadric)
     profile = Method(profile)
     time_average = Method(time_average)
     spatial_correlation = Method(spatial_correlation)

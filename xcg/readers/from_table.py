@@ -11,7 +11,7 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.messages import SceneError
+from xcg.common.messages import SceneError, warn_user
 from xcg.readers import columns
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.engines.tabular import Table, clock_of, runs_of
@@ -33,6 +33,8 @@ def scene_from_table(
     contacts : pandas.DataFrame, or what makes one, optional
         A row a contact and step: ``contact_i contact_j`` or ``id1 id2``, ``fx fy fz`` or ``contact_force_x``, on i, or
         ``normal_force_x`` and ``tangential_force_x``, ``contact_point_x``, ``overlap``, and ``time`` or ``step``.
+        Magnitudes ``normal_force`` and ``tangential_force`` of discs in the plane of x and y, as PeGS2 lists them, have
+        the direction n of the centres, from j to i: the force on i is ``normal_force n + tangential_force (z x n)``.
     names : mapping, optional
         From other columns to these names; None drops a column.
     **options
@@ -63,6 +65,7 @@ def scene_from_table(
     given: dict[str, Any] = _stacked([grains[key][1] for key in steps])
     given |= {what: [grains[key][0][what] for key in steps] for what in grains[steps[0]][0]}
     if contacts is not None:
+        contacts, said = _with_directions(contacts, grains, said)
         touching = _frames(contacts, "contacts", said, contacts=True)
         unknown = sorted(set(touching) - set(steps))
         if unknown:
@@ -73,6 +76,45 @@ def scene_from_table(
         given |= _stacked([touching[key][1] if key in touching else empty for key in steps])
     position = given.pop("position")
     return scene_from_arrays(position, **(options | given))
+
+
+def _with_directions(
+    contacts: Any, grains: Mapping[float, tuple[dict[str, float], Frame]], options: ReadOptions
+) -> tuple[pd.DataFrame, ReadOptions]:
+    """Contacts with forces as vectors where they are magnitudes along and across the line of centres, and names."""
+    table = contacts if isinstance(contacts, pd.DataFrame) else pd.DataFrame(contacts)
+    wanted = {column: name for column, name in options.names.items() if name is not None}
+    table = table.rename(columns=str).rename(columns=wanted | {"id1": "contact_i", "id2": "contact_j"})
+    if not {"normal_force", "contact_i", "contact_j"} <= set(table):
+        return contacts, options
+    if (walls := table.contact_j < 0).any():
+        warn_user(
+            f"contacts: {int(walls.sum())} rows name a wall, whose direction is unknown, and are dropped; give forces "
+            "as normal_force_x, ... and contact_point_x, ... to keep them"
+        )
+        table = table[~walls]
+    clock = clock_of(tuple(table.columns), {})
+    keys = table[next(iter(clock.values()))].to_numpy(float) if clock else np.zeros(len(table))
+    normal = np.zeros((len(table), 2))
+    for key in np.unique(keys):
+        if key not in grains:
+            continue  # the caller names it
+        frame, rows = grains[key][1], np.flatnonzero(keys == key)
+        ids = frame["particle_id"]
+        order = np.argsort(ids)
+        ends = [table[name].to_numpy()[rows] for name in ("contact_i", "contact_j")]
+        unknown = np.setdiff1d(np.concatenate(ends), ids)
+        if unknown.size:
+            raise SceneError(f"contacts: no particle has id {unknown[0]:g} at {key:g}; drop its contacts or add it")
+        i, j = (order[np.searchsorted(ids, end, sorter=order)] for end in ends)
+        apart = frame["position"][i, :2] - frame["position"][j, :2]
+        normal[rows] = apart / np.linalg.norm(apart, axis=1, keepdims=True)
+    across = table["tangential_force"].to_numpy() if "tangential_force" in table else 0.0
+    along = table["normal_force"].to_numpy()
+    x, y = normal.T
+    forces = {"contact_force_x": along * x - across * y, "contact_force_y": along * y + across * x}
+    table = table.drop(columns=["normal_force", "tangential_force"], errors="ignore")
+    return table.assign(**forces, contact_force_z=0.0), ReadOptions({})
 
 
 def _stacked(frames: Sequence[Frame]) -> dict[str, list[NDArray]]:
