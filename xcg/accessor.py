@@ -26,7 +26,7 @@ def _load(module: str, name: str) -> Any:
 
 
 def kind_of(ds: xr.Dataset) -> str:
-    """Tell a scene from a result of `force_chains` and from other results."""
+    """Return "scene", "chains" or "result": the kind of Dataset."""
     if "chain_id" in ds:
         return CHAINS
     return SCENE if "position" in ds else RESULT

@@ -111,7 +111,7 @@ _OPTIONS = (
 
 
 def takes_files(command: Callable) -> Callable:
-    """Give a command the argument ``files`` and the options of `open_scene`; as keywords, None or () if not said."""
+    """Add the argument ``files`` and the options of `open_scene` to a command; None or () where they are not given."""
     for option in reversed(_OPTIONS):
         command = option(command)
     return command
@@ -269,7 +269,7 @@ def fields(pysammos: bool) -> None:
 @click.command()
 @takes_files
 def info(files: tuple[str, ...], **options: Any) -> None:
-    """Tell what FILES of a DEM code hold, and what is missing.
+    """Show what FILES of a DEM code hold, and what is missing.
 
     For example: xcg info "particles.*.dump" -c "contacts.*.dump"
     """

@@ -43,7 +43,7 @@ RESULTS: dict[str, Variable] = {
 
 @dataclass(frozen=True)
 class StressRule:
-    """How the stress of a particle is made.
+    """Options of the stress of a particle.
 
     Attributes
     ----------

@@ -93,7 +93,7 @@ def statistics_of(particles: NDArray, min_length: int, lengths: int) -> dict[str
 
 
 def require_chains(fc: xr.Dataset, purpose: str) -> None:
-    """Refuse a Dataset that is no result of `force_chains`.
+    """Raise SceneError unless a Dataset is a result of `force_chains`.
 
     Raises
     ------
@@ -108,7 +108,7 @@ def require_chains(fc: xr.Dataset, purpose: str) -> None:
 
 
 def summary_of_chains(fc: xr.Dataset) -> Summary:
-    """Tell what a result of `force_chains` holds, without computing it."""
+    """Return a summary of a result of `force_chains`, without computing it."""
     fc = with_time(fc)
     sizes = ", ".join(f"{fc.sizes[dim]} {dim}" for dim in ("time", "particle", "contact") if dim in fc.sizes)
     rule = ", ".join(f"{name} = {fc.attrs[name]}" for name in ("alpha", "min_length", "algorithm") if name in fc.attrs)
@@ -119,7 +119,7 @@ def summary_of_chains(fc: xr.Dataset) -> Summary:
 
 @dataclass(frozen=True, eq=False)
 class ChainStep:
-    """One step of a result, in memory.
+    """Single step of a result, in memory.
 
     Attributes
     ----------
@@ -230,7 +230,7 @@ def link_table(fc: xr.Dataset) -> pd.DataFrame:
 def _table(
     fc: xr.Dataset, purpose: str, names: Sequence[str], columns: Callable[[ChainStep], dict[str, NDArray]]
 ) -> pd.DataFrame:
-    """Put the columns of all steps below each other, with time and number of the step."""
+    """Join the columns of all steps below each other, with time and number of the step."""
     require_chains(fc, purpose)
     if not fc.sizes.get("time", 1):
         raise SceneError(f"{purpose} needs one step or more, and these chains have none: check how steps were selected")

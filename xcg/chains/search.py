@@ -36,7 +36,7 @@ _SHARE = 1e-12
 
 @dataclass(frozen=True)
 class SearchRule:
-    """What makes a chain.
+    """Criteria of a chain.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class SearchRule:
         return tuple(dict.fromkeys((*self.stress.variables, *COPIED)))
 
     def qualifies(self, frame: Frame, stress: Frame, time: float, lattice: Lattice) -> NDArray:
-        """Tell which particles may be part of a chain."""
+        """Return a mask of the particles that may be part of a chain."""
         chosen = carries(stress)
         if "frozen" in frame:
             chosen &= frame["frozen"] != 1

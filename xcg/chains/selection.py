@@ -24,7 +24,7 @@ class Region:
     """Part of space; ``a & b``, ``a | b`` and ``~a`` are regions, too."""
 
     def contains(self, frame: Frame, time: float, lattice: Lattice) -> NDArray:
-        """Tell which particles have their centre inside.
+        """Return a mask of the particles whose centre is inside.
 
         Parameters
         ----------
@@ -102,7 +102,7 @@ class _Moving(Region):
         object.__setattr__(self, "velocity", _three("velocity", self.velocity))
 
     def contains(self, frame: Frame, time: float, lattice: Lattice) -> NDArray:
-        """Tell which particles have their centre inside; none where the particle that is followed is gone."""
+        """Return a mask of the particles whose centre is inside; all False where the followed particle is missing."""
         position, offset = frame["position"], np.asarray(self.velocity) * time
         if self.follow is not None:
             row = np.flatnonzero(frame["particle_id"] == self.follow)
@@ -112,7 +112,7 @@ class _Moving(Region):
         return self._holds(position, offset, lattice)
 
     def _holds(self, position: NDArray, offset: NDArray, lattice: Lattice) -> NDArray:
-        """Tell which positions (n, 3) are inside, where the region has moved by an offset (3,)."""
+        """Return a mask of the positions (n, 3) inside the region, moved by an offset (3,)."""
         raise NotImplementedError
 
 
@@ -207,7 +207,7 @@ OF = {"any": np.logical_or, "all": np.logical_and}
 
 @dataclass(frozen=True)
 class _Condition:
-    """What the particles of a chain must fulfil, any or all of them."""
+    """Conditions on the particles of a chain, any or all of them."""
 
     region: Region | None
     min_stress: float | None
@@ -291,7 +291,7 @@ def _compute(condition: _Condition, arrays: Mapping[str, NDArray]) -> dict[str, 
 
 
 def _kept(chain: NDArray, exists: NDArray, inside: NDArray, of: str) -> NDArray:
-    """Tell which chains have any, or all, of their particles inside."""
+    """Return a mask of the chains with any, or all, of their particles inside."""
     kept = np.full(len(exists), of == "all")
     member = chain >= 0
     OF[of].at(kept, chain[member], inside[member])

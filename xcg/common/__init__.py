@@ -1,1 +1,1 @@
-"""What is not about scenes: messages, checks of arguments, labels of pictures, meshes of VTK."""
+"""Code that is not about scenes: messages, checks of arguments, labels of pictures, meshes of VTK."""

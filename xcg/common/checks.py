@@ -25,18 +25,18 @@ def _holds_text(values: NDArray) -> bool:
 
 
 def is_finite(value: Any) -> TypeGuard[float]:
-    """Whether this is one finite number."""
+    """Return whether this is one finite number."""
     number = floats(value)
     return number.ndim == 0 and math.isfinite(number)
 
 
 def is_positive(value: Any) -> TypeGuard[float]:
-    """Whether this is one finite number above zero."""
+    """Return whether this is one finite number above zero."""
     return is_finite(value) and bool(value > 0)
 
 
 def is_whole(value: Any, least: int, most: float = math.inf) -> bool:
-    """Whether this is one whole number in a range."""
+    """Return whether this is one whole number in a range."""
     return is_finite(value) and float(value).is_integer() and least <= value <= most
 
 

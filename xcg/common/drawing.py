@@ -92,7 +92,7 @@ def ends_of(values: NDArray) -> tuple[float, float]:
 
 
 def _has_both_signs(values: NDArray) -> bool:
-    """Whether both signs matter: neither is a trace beside the other, by percentiles of what is not zero."""
+    """Return whether both signs matter: neither is a trace beside the other, by percentiles of what is not zero."""
     values = values[values != 0]
     if not values.size:
         return False

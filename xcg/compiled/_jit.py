@@ -146,7 +146,7 @@ PARTICLES_A_THREAD = 20_000
 
 
 def worth(particles: int, threads: int) -> int:
-    """How many of some threads are worth starting for the particles of one step."""
+    """Return the number of threads worth starting for the particles of one step."""
     return min(threads, 1 + particles // PARTICLES_A_THREAD)
 
 

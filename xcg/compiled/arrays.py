@@ -1,4 +1,4 @@
-"""What several loops need: rules of Gauss-Legendre, sorting, transposing, rounding, bounds, the minimum image."""
+"""Functions shared by loops: rules of Gauss-Legendre, sorting, transposing, rounding, bounds, the minimum image."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def transpose_columns(records, column, factor, out):
 
 @leaf
 def all_finite(numbers):
-    """Whether all numbers (n,) are finite."""
+    """Return whether all numbers (n,) are finite."""
     finite = True
     for n in range(numbers.size):
         finite &= abs(numbers[n]) < np.inf

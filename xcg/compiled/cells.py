@@ -1,4 +1,4 @@
-"""Which of scattered points a grain or a branch reaches: points lie in cells, and those of a row of cells together.
+"""Search for scattered points near a grain or branch: points are sorted into cells, and rows of cells are contiguous.
 
 The twins of `nodes_in_ball` and `nodes_around_segment` for points that form no mesh. Lengths are in units of the
 cutoff, as for a mesh. Cells are numbered ``(ix ny + iy) nz + iz``, and points are sorted by the cell that they are in,
@@ -232,7 +232,7 @@ def _cell_range(low, high, lower, per_size, count):
 
 @inner
 def _beyond(x, k, lower, size, per_size, margin):
-    """How far a place is at least from cell k of an axis; nothing where there is one cell only."""
+    """Return the least distance of a place from cell k of an axis; 0 where there is one cell only."""
     if per_size == 0.0:
         return 0.0
     low = lower + k * size

@@ -38,7 +38,7 @@ def partners_by_lower(row_i, row_j, least, ends, partner):
 
 @leaf
 def a_pair_twice(ends, partner, last):
-    """Tell whether any group of rows has one partner twice; `partner` (n,) holds those of group after group.
+    """Return whether any group of rows has one partner twice; `partner` (n,) holds those of group after group.
 
     Group k ends before ``ends[k]``. Of each partner, `last` holds the group that had it last, and no group before.
     """
@@ -288,7 +288,7 @@ def _length(x, y, z):
 
 @leaf
 def far_and_pulling(row_i, row_j, every, position, diameter, point, force, period, lattice, far):
-    """Look at every so many contacts: how many points are far from a centre, and how many forces on i pull and push.
+    """Sample contacts: count points far from a centre, and forces on i that pull and push.
 
     Parameters
     ----------

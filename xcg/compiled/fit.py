@@ -59,7 +59,7 @@ def fit_gradient(sums: NDArray, *, active: Sequence[bool], about_node: bool) -> 
 
 
 def flags_of(active: Sequence[bool], about_node: bool) -> int:
-    """One number for the axes that are active and the point that is fitted about."""
+    """Return the active axes and the point of the fit as bits of one number."""
     return sum(1 << k for k, on in enumerate((*active, about_node)) if on)
 
 
@@ -80,7 +80,7 @@ def _put_three(rows, first, n, values):
 
 @inner
 def _moved(shear, u, offsets):
-    """One row of B, from the sums of m Psi u x of one component."""
+    """Compute a row of B from the sums of m Psi u x of one component."""
     return shear[0] - u * offsets[0], shear[1] - u * offsets[1], shear[2] - u * offsets[2]
 
 

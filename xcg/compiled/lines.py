@@ -42,7 +42,7 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(32)
 
 @inlined
 def has_shells(table):
-    """Whether lines through the kernel of a table have the closed form of shells."""
+    """Return whether lines through the kernel of a table have the closed form of shells."""
     return table[SHELLS, RADIUS, 0] > 0.0
 
 
@@ -235,7 +235,7 @@ def _fill_quadrature(kind, spread, table, per_length, length, along, q2, count, 
 
 @inlined
 def _crossing(first, last, h2, x, side):
-    """Where a line is at a share x of its way: squared distance, half of the chord across there, and its weight.
+    """Return the squared distance, half chord and weight of a line at the share x of its length.
 
     The way is from end to end, or, of what lies before (side 1) or behind the foot (side 2), away from the foot.
     """

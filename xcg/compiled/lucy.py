@@ -89,7 +89,7 @@ def lucy_plane(h2, t):
 
 @inlined
 def clipped(q2, along, length):
-    """Where a segment begins and ends within the support, from the foot of a node, and the foot's squared distance."""
+    """Return the ends of a segment within the support, from the foot of a node, and the foot's squared distance."""
     h2 = max(0.0, q2 - along * along)
     half = math.sqrt(max(0.0, 1.0 - h2))
     begin = max(-along, -half)

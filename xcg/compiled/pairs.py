@@ -96,7 +96,7 @@ def _reached(x, reach, lower, inverse, count, period):
 
 @jit
 def _image(c, count):
-    """How many periods a cell lies away from the box."""
+    """Return the number of periods between a cell and the box."""
     return -1 if c < 0 else (1 if c >= count else 0)
 
 

@@ -206,7 +206,7 @@ def _list_nodes(x, y, z, rows, cells, volumes, kernel, lists):
 
 @inner
 def _list_grains(rows, grains, records):
-    """Put together what is needed of some grains, which is spread over memory: all of it is asked for at once."""
+    """Gather the rows of some grains, spread over memory, all requested at once."""
     per_cutoff, origin = 1.0 / grains.cutoff, grains.origin
     position, velocity, constants = grains.position, grains.velocity, grains.constants
     for i in range(rows.size):

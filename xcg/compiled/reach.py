@@ -1,4 +1,4 @@
-"""Which nodes a grain or a branch reaches: periodic images, rows of nodes, spatial order.
+"""Search for the nodes that a grain or branch reaches: periodic images, rows of nodes, spatial order.
 
 Lengths are in units of the cutoff and relative to the first node. A node's index is ``(ix ny + iy) nz + iz``
 within the box of nodes that is being filled.
@@ -301,7 +301,7 @@ def batches_of(records: NDArray, rows: NDArray | None = None) -> NDArray:
 
 @inner
 def batch_reaches(batches, batch, begin, end, active, period):
-    """Whether anything of one of `batches_of`, or an image of it, is closer than 1 to nodes from `begin` to `end`."""
+    """Return whether one of `batches_of`, or an image of it, is closer than 1 to nodes from `begin` to `end`."""
     reaches = True
     for k in range(3):
         if active[k]:

@@ -1,4 +1,4 @@
-"""What a grain shares with itself on a ring of nodes: squares of its weight, summed over all angles of the ring."""
+"""Sums of squared weights of a grain over all angles of a ring of nodes."""
 
 import math
 

@@ -236,7 +236,7 @@ def _widen(bounds, k, start, branch):
 
 @inner
 def _on_one_line(ax, ay, az, bx, by, bz):
-    """Whether two vectors point opposite ways along one line."""
+    """Return whether two vectors point opposite ways along one line."""
     cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
     area2, most = cx * cx + cy * cy + cz * cz, (ax * ax + ay * ay + az * az) * (bx * bx + by * by + bz * bz)
     return ax * bx + ay * by + az * bz <= 0.0 and area2 <= COLLINEAR * COLLINEAR * most

@@ -61,7 +61,7 @@ def pointer_to(context, builder, array_type, array, indices, lanes):
 
 
 def vector_of(builder, values):
-    """Put numbers side by side."""
+    """Combine numbers into a vector."""
     out = ir.Constant(ir.VectorType(values[0].type, len(values)), ir.Undefined)
     for k, value in enumerate(values):
         out = builder.insert_element(out, value, ir.Constant(ir.IntType(32), k))
@@ -166,7 +166,7 @@ def ramp8(lists, to, squares, at, first, step, origin, factor):
 
 
 def _compresses() -> bool:
-    """Whether this processor, and this LLVM, move the chosen numbers of a vector to its front in one instruction."""
+    """Return whether processor and LLVM move chosen numbers of a vector to its front in one instruction."""
     try:
         features = binding.get_host_cpu_features()
     except RuntimeError:  # unknown

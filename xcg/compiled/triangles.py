@@ -8,7 +8,7 @@ _TIE = 1e-9
 
 @inner
 def _place(point, corner, place):
-    """Put the point of a triangle (3, 3) that is nearest to a point into `place`; after Ericson (2005), 5.1.5."""
+    """Write the point of a triangle (3, 3) nearest to a point into `place`; after Ericson (2005), 5.1.5."""
     d1, d2, d3, d4, d5, d6 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(3):
         ab, ac = corner[1, k] - corner[0, k], corner[2, k] - corner[0, k]

@@ -35,7 +35,7 @@ _ORDER = 24  # Gauss points of integrals over the kernel, exact for polynomials 
 
 
 def check_walls(request: Request) -> None:
-    """Refuse walls that are none, and a `per` without walls.
+    """Raise ValueError for invalid walls, and for `per` without walls.
 
     Raises
     ------

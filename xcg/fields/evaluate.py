@@ -1,4 +1,4 @@
-"""What a plan says: sums and algebra of each step, mapped over time, with labels."""
+"""Evaluation of a plan: sums and algebra of each step, mapped over time, with labels."""
 
 from __future__ import annotations
 

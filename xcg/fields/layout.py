@@ -1,4 +1,4 @@
-"""Where fields are computed: nodes, averaged axes, the kernels that reach them, and whether memory holds the mesh."""
+"""Layout of a result: nodes, averaged axes, the kernels that reach them, and the memory of the mesh."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def _rings(scene: Description, request: Request, kernels: Sequence[Kernel]) -> G
 
 
 def _check_pointwise(request: Request) -> None:
-    """Refuse what only meshes have."""
+    """Raise ValueError for options that only meshes have."""
     if request.sampling == "cell":
         raise ValueError(
             "sampling='cell' takes averages over the cells of a mesh, and points, which at= has arrays of, have none: "
@@ -127,7 +127,7 @@ def averaged_gradient(scene: Description, request: Request) -> str:
 
 
 def takes_gradient(name: str, options: Options) -> bool:
-    """Whether a field follows from the velocity gradient."""
+    """Return whether a field follows from the velocity gradient."""
     if name in ("velocity_gradient", "fluctuation_stress"):  # whose fluctuations are about the mean without it
         return name == "velocity_gradient"
     return any(takes_gradient(needed, options) for needed in registry.row(name, options).fields)
@@ -153,7 +153,7 @@ def extents_of(grid: Grid, extent: Mapping[str, float], scene: Description) -> d
 
 
 def kernels_of(scene: Description, request: Request) -> list[Kernel]:
-    """One kernel for all, or one for each group where `width` maps groups to widths."""
+    """Return the kernel of all grains, or of each group where `width` maps groups to widths."""
     kernel, width, by, dimension = request.kernel, request.width, request.by, scene.setup.dimension
     if not isinstance(width, Mapping):
         return [kernel_of(kernel, width, scene.sizes, dimension)]
@@ -196,7 +196,7 @@ def warn_of_cuts(grid: Grid, scene: Description, reach: float) -> None:
 
 
 def check_differentiable(kernel: Kernel, seen: int) -> None:
-    """Refuse gradients of a kernel that has none, and warn where it jumps."""
+    """Raise ValueError for gradients of a kernel that has none; warn where it jumps."""
     if kernel.code == kinds.HEAVISIDE:
         raise ValueError(
             "gradient='kernel' needs a kernel that is differentiable: Heaviside is not; take gradient='least_squares'"

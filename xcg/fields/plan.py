@@ -44,7 +44,7 @@ from xcg.scene.schema import COMPONENTS, CONTACT_VARIABLES, ROTATION, Setup
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """What one call of `coarse_grain` will do; printing it explains it.
+    """Plan of one call of `coarse_grain`; print it to see what the call will do.
 
     Attributes
     ----------
@@ -130,7 +130,7 @@ class Plan:
 
     @property
     def _numbers(self) -> int:
-        """How many numbers are summed at a node."""
+        """Number of sums at a node."""
         return max(1, self.phases - 1) * sum(sum(columns) for columns in self._columns.values())
 
     @cached_property
@@ -346,7 +346,7 @@ def _with_errors(
 
 
 def moment_rows(options: Options) -> dict[str, Moment]:
-    """All sums by name: those of xcg, with the coefficient of friction where it is known, and those of own fields."""
+    """Return all sums by name: those of xcg, with the coefficient of friction if known, and those of own fields."""
     own = {name: row for one in options.own for name, row in one.moments.items()}
     if options.friction is not None:
         name = "sliding_contacts"

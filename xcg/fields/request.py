@@ -1,4 +1,4 @@
-"""What is asked of `coarse_grain` and of what calls it: each argument once, with its type, default and meaning.
+"""Arguments of `coarse_grain` and of its callers: each once, with its type, default and meaning.
 
 Functions take a request as one object. The decorator `takes` gives them its arguments instead, with the documentation,
 so that users see plain functions.

@@ -17,7 +17,7 @@ from xcg.writers.encoding import Encoding
 
 @dataclass(frozen=True)
 class Job:
-    """What one run does.
+    """Job: the files, options and outputs of one run.
 
     Attributes
     ----------

@@ -50,7 +50,7 @@ _OFF_BY_AN_OVERLAP = "FORCE_CHAIN_CONTACT_POINT"
 
 
 class _Section:
-    """One section: typed values, and a memory of what was asked for, so that the rest can be named."""
+    """Section of the file: typed values, and the names that were read, so that the rest can be listed."""
 
     def __init__(self, path: Path, name: str, values: Mapping[str, str]) -> None:
         self.source, self.values = f"{path}: [{name}]", dict(values)

@@ -243,14 +243,14 @@ class _Images:
 
 @contextmanager
 def _whole_images(images: list[Path], path: Path, *, overwrite: bool, part: Path) -> Iterator[Path]:
-    """Give the files in the folder `part` their names in the end."""
+    """Rename the files in the folder `part` at the end."""
     yield part
     for image in images:
         publish(part / image.name, image, overwrite=overwrite)
 
 
 def _made_by(path: Path) -> str | None:
-    """Which job wrote a file."""
+    """Return the signature of the job that wrote a file."""
     import h5py
 
     try:
@@ -262,7 +262,7 @@ def _made_by(path: Path) -> str | None:
 
 
 def _signature(job: Job) -> str:
-    """Tell a job apart from another, and from itself with other input or another version of xcg."""
+    """Return a hash of a job: its options, its input and the version of xcg."""
     paths: list[str] = []
     for key in ("particles", "contacts", "walls", "restart"):
         given = job.scene.get(key, [])

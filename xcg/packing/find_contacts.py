@@ -34,7 +34,7 @@ MOST_CONTACTS = {3: 7, 2: 3}
 
 @dataclass(frozen=True)
 class Stiffness:
-    """How a normal force follows from an overlap.
+    """Law of the normal force as a function of overlap.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class Stiffness:
 
     @property
     def given(self) -> bool:
-        """Whether forces are wanted."""
+        """Return whether forces are wanted."""
         return self.k_n is not None or self.E is not None
 
     def __str__(self) -> str:
@@ -83,7 +83,7 @@ class Stiffness:
 
 @dataclass(frozen=True)
 class Search:
-    """What finding the contacts of a frame needs besides the frame."""
+    """Options of the contact search of a frame."""
 
     setup: Setup
     stiffness: Stiffness
@@ -142,7 +142,7 @@ class Search:
         return found
 
     def _refuse_own_images(self, frame: Frame, lattice: Lattice, source: str) -> None:
-        """Refuse a period that a grain reaches across: a contact with itself has no place in a scene."""
+        """Raise SceneError for a period that a grain spans: it would touch itself."""
         ids, diameter = frame["particle_id"], frame["diameter"]
         if "frozen" in frame:
             ids, diameter = ids[frame["frozen"] != 1], diameter[frame["frozen"] != 1]

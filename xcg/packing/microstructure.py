@@ -268,7 +268,7 @@ def _regions(bounds: Bounds | Mapping[str, Bounds] | None) -> dict[str, Bounds]:
 
 
 def _rate_source(ds: xr.Dataset, given: str | float | xr.DataArray | None) -> str | xr.DataArray:
-    """Where the strain rate comes from: "box", "velocity", or the rate itself."""
+    """Return the source of the strain rate: "box", "velocity", or the rate itself."""
     if given is None:
         return "box" if "box" in ds and "lattice" not in ds and ds.sizes.get("time", 0) > 1 else "velocity"
     if isinstance(given, str):

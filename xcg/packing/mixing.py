@@ -1,4 +1,4 @@
-"""How well phases are mixed: concentrations in cells against their limits, nearest neighbours, entropy.
+"""Indices of mixing: concentrations in cells against their limits, nearest neighbours, entropy.
 
 All of it is of one phase beside the rest, or, for the bulk, of all phases. With c_ka the share of phase a in cell k,
 p_a that in the region, W_k = sum w_i over the grains of the cell (w_i = 1, or the volume), W that over the region:
@@ -76,7 +76,7 @@ class Mixture:
         return np.unique(place, return_inverse=True)[1]
 
     def members(self, which: int, *, rest: bool = False) -> NDArray:
-        """Whether grains are in phase `which` - 1, and in the `rest`; for 0, in each of the phases; (parts, n)."""
+        """Return masks of grains in phase `which` - 1, and in the `rest`; for 0, in each phase; (parts, n)."""
         if which == 0:
             return self.phase == np.unique(self.phase)[:, None]
         one = (self.phase == which - 1)[None]

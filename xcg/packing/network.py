@@ -171,7 +171,7 @@ def _entries(values: NDArray) -> Sequence[Any]:
 
 @dataclass(frozen=True, eq=False)
 class _Step:
-    """One step of a scene in memory, its contacts, and its time and number."""
+    """Return a single step of a scene in memory, its contacts, and its time and number."""
 
     frame: Frame
     contacts: Contacts
@@ -258,7 +258,7 @@ class Clusters:
 
     @property
     def spans(self) -> NDArray:
-        """Whether any cluster reaches through the box along x, y, z; (3,).
+        """Return whether any cluster reaches through the box along x, y, z; (3,).
 
         Along a periodic axis a cluster does so if it winds around the box; along the others if it touches walls on both
         sides, those whose contacts' normals have their largest component along this axis.

@@ -205,7 +205,7 @@ def _by_size(radius: NDArray, skin: float, levels: int | None) -> tuple[NDArray,
 
 
 def _extent(position: NDArray, corner: NDArray, period: NDArray) -> tuple[NDArray, NDArray]:
-    """Where cells lie: the box along periodic axes, else the particles, a few that are far astray left out."""
+    """Return the region of the cells: the box along periodic axes, else the particles without a few outliers."""
     sample = position[:: max(1, len(position) // 10_000)]
     low, high = np.quantile(sample, 0.01, axis=0), np.quantile(sample, 0.99, axis=0)
     margin = 0.05 * (high - low)
@@ -358,7 +358,7 @@ def _spheres(position: ArrayLike, radius: ArrayLike) -> tuple[NDArray, NDArray]:
 
 
 def check_search(skin: float, method: str, levels: int | None, threads: int | None = None) -> None:
-    """Refuse options of the search that are not as expected."""
+    """Raise ValueError for invalid options of the search."""
     if method not in get_args(PairMethod):
         raise ValueError(f"method={method!r}: expected one of {', '.join(map(repr, get_args(PairMethod)))}")
     if not (is_finite(skin) and skin >= 0):

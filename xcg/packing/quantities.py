@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class PackingQuantity:
-    """One quantity.
+    """Quantity of the microstructure.
 
     Attributes
     ----------

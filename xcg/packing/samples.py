@@ -28,7 +28,7 @@ CELL = 3.0  # edge of the cells that concentrations are sampled in, in mean diam
 
 @dataclass(frozen=True, eq=False)
 class Measure:
-    """All that measuring a frame needs besides the frame.
+    """Options of the measurement of a frame.
 
     Attributes
     ----------

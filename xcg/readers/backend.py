@@ -62,7 +62,7 @@ class SceneBackend(BackendEntrypoint):
         return scene.drop_vars(names, errors="ignore")
 
     def guess_can_open(self, filename_or_obj: Any) -> bool:
-        """Tell whether this is a file that an engine recognises by what it holds."""
+        """Return whether an engine recognises a file by its content."""
         if not isinstance(filename_or_obj, (str, os.PathLike)) or not os.path.isfile(filename_or_obj):
             return False
         try:

@@ -135,7 +135,7 @@ _WORDS_OF_COMPUTES = (
 
 
 def unread_by_number(ref: StepRef, filled: Mapping[str, str], options: ReadOptions) -> str:
-    """Say which columns without a name of their own stand unread beside a whole force, and how to map them; or nothing.
+    """Return a hint about unnamed columns beside a complete force, with the mapping to use; "" if there are none.
 
     Where that force lies along all branches, they may hold its tangential part. Forces without friction lie along the
     branches, too; but who has these has no further columns in most cases, and says what they are otherwise.
@@ -226,7 +226,7 @@ def particle_columns(ref: StepRef, slots: Slots, options: ReadOptions) -> dict[s
 
 
 def _is_own(slot: str, dim: str) -> bool:
-    """Whether a slot is a variable of the caller's own, of particles or of contacts."""
+    """Return whether a slot is a variable of the caller's own, of particles or of contacts."""
     return slot not in {*PARTICLE_SLOTS, *CONTACT_SLOTS} and variable(slot).dims == (dim,)
 
 
@@ -379,7 +379,7 @@ def wall_contacts_from(ref: StepRef, options: ReadOptions, read: Read = read_tab
 
 
 def _check_ids(ref: StepRef, ids: NDArray) -> None:
-    """Refuse ids that ``dump local`` cut to six digits, as it does unless told otherwise."""
+    """Raise SceneError for ids that ``dump local`` cut to six digits, its default."""
     large = ids[ids >= 1e6]
     if len(large) > 10 and (large % 10 == 0).all():
         raise SceneError(

@@ -22,7 +22,7 @@ def _tuples(values: Any) -> Any:
 
 @dataclass(frozen=True)
 class StepRef:
-    """One step of one file: all that its header tells, and where its body is.
+    """Step of a file: what its header holds, and where its body is.
 
     Only `path` and `rows` must be given.
 
@@ -88,7 +88,7 @@ class StepRef:
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """What the caller says about the files, and how they are read.
+    """Options of the caller: names, walls and options of single engines.
 
     Attributes
     ----------
@@ -148,11 +148,11 @@ class Engine(ABC):
 
     @property
     def name(self) -> str:
-        """What messages call it."""
+        """Name in messages."""
         return type(self).__name__.lower()
 
     def recognises(self, path: str) -> bool:
-        """Tell from the first bytes and the name whether this engine reads the file.
+        """Return whether this engine reads the file, from its first bytes and its name.
 
         Any file may come, of particles or of contacts, and what raises an error here cannot be opened.
         """
@@ -215,7 +215,7 @@ class Engine(ABC):
         )
 
     def unread_forces(self, ref: StepRef, options: ReadOptions) -> str:
-        """Say which columns may hold the rest of the contact forces, and what to do then; "" where none do."""
+        """Return a hint about columns that may hold the rest of the contact forces; "" if there are none."""
         return ""
 
     def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:

@@ -1,4 +1,4 @@
-"""What headers said, remembered between sessions: a series that was opened once opens again without reading it.
+"""Index of headers, kept between sessions: a series opens again without reading its files.
 
 One small JSON file for each folder of data stands in the user's cache (``$XDG_CACHE_HOME/xcg``, else ``~/.cache/xcg``),
 never beside the data, which may be read-only or shared. A file counts as known if its size and its time of modification
@@ -29,7 +29,7 @@ _LEFT_OUT = ("path", "size", "modified")  # of entries: they are known when an e
 
 
 def remembered(paths: Sequence[str], kind: str, scan: Callable[[str], Iterable[StepRef]]) -> list[list[StepRef]]:
-    """Tell the steps of each file, from the index where it knows the file, else from its headers.
+    """Return the steps of each file, from the index if it knows the file, else from its headers.
 
     Parameters
     ----------
@@ -92,13 +92,13 @@ def _state(path: str) -> tuple[int, int]:
 
 
 def _entry(ref: StepRef) -> dict[str, Any]:
-    """All of a step that is not as usual."""
+    """Return the items of a step that differ from the usual ones."""
     usual = {f.name: f.default for f in fields(StepRef) if f.name not in _LEFT_OUT}
     return {name: getattr(ref, name) for name, default in usual.items() if getattr(ref, name) != default}
 
 
 def _steps(path: str, entry: Mapping[str, Any] | None, state: tuple[int, int]) -> list[StepRef] | None:
-    """Tell the steps of an entry; None if there is none, or it is of another state of the file."""
+    """Return the steps of an entry; None if there is none, or the file has changed."""
     if entry is None or (entry["size"], entry["modified"]) != state:
         return None
     size, modified = state
@@ -117,7 +117,7 @@ def _tuples(value: Any) -> Any:
 
 
 def _place(folder: str, kind: str) -> Path | None:
-    """Where the index of a folder is kept; None where it is turned off or there is no home."""
+    """Return the folder's index file; None if the index is turned off or there is no home."""
     if os.environ.get("XCG_INDEX_CACHE", "1") == "0":
         return None
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")

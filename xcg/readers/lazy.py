@@ -107,7 +107,7 @@ def _bytes(ref: StepRef, steps: int) -> float:
 
 @dataclass(frozen=True)
 class Step:
-    """One step of the scene: its particles, and the files that its contacts come from."""
+    """Step of the scene: its particles, and the files of its contacts."""
 
     particles: StepRef
     contacts: tuple[StepRef, ...] = ()
@@ -133,7 +133,7 @@ def read_step(engine: Engine, options: ReadOptions, ref: StepRef, *, contacts: b
 
 
 def _check_unchanged(ref: StepRef) -> None:
-    """Refuse a file that is another than when its headers were read."""
+    """Raise SceneError for a file that changed since its headers were read."""
     try:
         state = os.stat(ref.path)
     except FileNotFoundError:
@@ -147,7 +147,7 @@ def _check_unchanged(ref: StepRef) -> None:
 
 @dataclass(frozen=True)
 class Source:
-    """All that reading a step needs besides the step; it travels to the workers.
+    """Options of reading a step; they travel to the workers.
 
     Attributes
     ----------
@@ -211,7 +211,7 @@ class Source:
 
 
 def _check_own(frame: Frame, ref: StepRef) -> None:
-    """Refuse variables of the caller's own that are not one number a row, as the shape of lazy arrays is that."""
+    """Raise SceneError for own variables that are not one number a row, the shape of lazy arrays."""
     wide = next(
         (name for name, values in frame.items() if name not in {*VARIABLES, *HINTS} and np.ndim(values) > 1), None
     )
@@ -223,7 +223,7 @@ def _check_own(frame: Frame, ref: StepRef) -> None:
 
 
 def _require(frame: Frame, names: Sequence[str], ref: StepRef) -> None:
-    """Refuse a frame without what the other steps hold, or with more rows than its header promised."""
+    """Raise SceneError for a frame that lacks variables of other steps, or has more rows than its header promised."""
     rows = len(next(iter(frame.values())))
     if rows > ref.rows:
         raise SceneError(f"{source_of(ref)}: {rows} rows, but its index promised {ref.rows} at most")
@@ -307,7 +307,7 @@ class Series:
         return max(sum(ref.rows for ref in step.contacts) for step in self.steps)
 
     def token(self) -> str:
-        """Tell series apart by what they read."""
+        """Token of a series, from the files and options that it reads."""
         paths = sorted({ref.path for step in self.steps for ref in (step.particles, *step.contacts)})
         modified = [os.stat(path).st_mtime_ns for path in paths]
         # as text, which dask digests ten times as fast as thousands of objects
@@ -374,7 +374,7 @@ def indexed_arrays(series: Series) -> dict[str, indexing.MemoryCachedArray]:
 
 
 class _Variable(BackendArray):
-    """One variable of all steps."""
+    """Variable of all steps."""
 
     def __init__(self, series: Series, token: str, name: str, dtype: DTypeLike, rows: int) -> None:
         self.series, self.token, self.name = series, token, name

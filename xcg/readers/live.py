@@ -40,7 +40,7 @@ def scene_from_lammps(
     units: Mapping[str, float] | str | None = None,
     shear_rate: Mapping[str, float] | None = None,
 ) -> xr.Dataset:
-    """Take the present step of a running LAMMPS as a scene in memory.
+    """Return the present step of a running LAMMPS as a scene in memory.
 
     It is the scene that dumps of this step would give, to rounding: positions, velocities, angular velocities,
     diameters, masses and types of the atoms, box, time and units, and the contacts of granular pair styles. Call it on

@@ -37,7 +37,7 @@ def one_series(refs: list[StepRef], same: Sequence[str]) -> list[StepRef]:
 
 
 def _check_same(first: StepRef, ref: StepRef, what: Sequence[str]) -> None:
-    """Refuse a step that differs in kind from the first of its series; say all that differs."""
+    """Raise SceneError for a step that differs in kind from the first of its series; name all differences."""
     problems = [f"column '{name}' is in the first only" for name in first.columns if name not in ref.columns]
     problems += [f"column '{name}' is in the second only" for name in ref.columns if name not in first.columns]
     for name in what:
@@ -81,7 +81,7 @@ def _in_order(steps: list[Step], kind: str) -> list[Step]:
 
 
 def _join(steps: list[Step], kind: str, refs: list[StepRef], missing: str) -> list[Step]:
-    """Give each step its contacts: of the same time where both have one, else of the same number."""
+    """Match contacts to steps: by time where both have one, else by number."""
     others = [step.particles for step in _in_order([Step(ref, (), ref.time) for ref in refs], kind)]
     timed = others[0].time is not None and steps[0].particles.time is not None
     partner = _same_time(steps, others) if timed else _same_number(steps, others)

@@ -98,7 +98,7 @@ UNIT_SYSTEMS: dict[str, Mapping[str, float] | str | None] = {
 
 
 def names_no_units(engine: Engine, indexed: Mapping[str, Sequence[StepRef]]) -> bool:
-    """Whether files could name their units, and do not."""
+    """Return whether files could name their units, and do not."""
     return bool(engine.UNNAMED_UNITS) and all(refs[0].units is None for refs in indexed.values())
 
 
@@ -124,7 +124,7 @@ def units_of_headers(engine: Engine, indexed: Mapping[str, Sequence[StepRef]]) -
 
 
 def not_against_headers(units: Mapping[str, float] | str, indexed: Mapping[str, Sequence[StepRef]]) -> Any:
-    """Refuse units other than those that the headers name.
+    """Raise SceneError for units other than those that the headers name.
 
     Factors may give reduced units (lj) a scale, and numbers in SI may be taken as scaled ones: none of them changes.
     """

@@ -48,7 +48,7 @@ def saved_path(particles: PathLike | Iterable[PathLike]) -> str | None:
 
 
 def _may_be_saved(path: Path) -> bool:
-    """Whether this is a Zarr folder, a NetCDF 4 file, or an HDF5 file with a scene as xarray writes it."""
+    """Return whether this is a Zarr folder, a NetCDF 4 file, or an HDF5 file with a scene as xarray writes it."""
     suffix = path.suffix.lower()
     if suffix == ".zarr" or not path.is_file():
         return suffix == ".zarr" and path.is_dir()
@@ -100,7 +100,7 @@ def open_saved(path: str, chunks: Chunks) -> xr.Dataset:
 
 
 def _lazy(values: xr.Variable, named: str, chunks: Mapping[Hashable, Any], key: str) -> xr.Variable:
-    """Give a lazy variable whose faults name it; xarray's own tell neither the file nor the variable."""
+    """Wrap a lazy variable so that its errors name it and its file; those of xarray do not."""
     import dask.array as da  # slow to import
 
     array = da.from_array(_Read(values, named), tuple(chunks[dim] for dim in values.dims), key, asarray=False)

@@ -315,7 +315,7 @@ def _origin(
 
 
 def _refuse_beside(saved: str, given: Mapping[str, Any]) -> None:
-    """Refuse what describes files of a code beside a scene that has it all."""
+    """Raise SceneError for options of a code's files beside a saved scene, which needs none."""
     parameters = inspect.signature(open_scene).parameters.values()
     described = [*given["engine_options"]]
     for name, default in ((p.name, p.default) for p in parameters if p.name not in _OF_SAVED):
@@ -338,7 +338,7 @@ def _warn_of_files(left_out: Mapping[str, str]) -> None:
 
 
 def _refuse_guesses(left_out: Mapping[str, str], files: Mapping[str, Sequence[str]]) -> None:
-    """Refuse to take a damaged file of contacts for one that was not written as nothing touched."""
+    """Raise SceneError if a damaged file of contacts could be taken for one without contacts."""
     contacts = [path for kind in ("contacts", "walls") for path in files.get(kind, ())]
     damaged = [place for place in left_out if any(place.startswith(path) for path in contacts)]
     if damaged:
@@ -443,7 +443,7 @@ _FITS: Mapping[str, Callable[[Any], bool]] = {  # what engines of users may get 
 
 
 def _stamped(refs: Iterable[StepRef], engine: Engine) -> list[StepRef]:
-    """Give each step the size and time of modification of its file, where the engine did not."""
+    """Add the size and time of modification of its file to each step, where the engine did not."""
     state = cache(os.stat)
     stamped = []
     for ref in refs:

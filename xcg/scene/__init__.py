@@ -1,1 +1,1 @@
-"""What a scene is, and what one step of it holds."""
+"""Scenes: their variables, and single steps of them."""

@@ -273,7 +273,7 @@ def scene_from_arrays(
 
 
 def _repeat_what_stays(steps: dict[str, list[NDArray]], total: int) -> None:
-    """Take variables of particles that are given for one step for all steps, whose rows are the same particles.
+    """Repeat variables of particles that are given for one step in all steps, whose rows are the same particles.
 
     Raises
     ------
@@ -301,7 +301,7 @@ def _repeat_what_stays(steps: dict[str, list[NDArray]], total: int) -> None:
 
 
 def _is_one_number(values: Any) -> bool:
-    """Whether this is no array, and no list of steps, which may differ in length."""
+    """Return whether this is no array, and no list of steps, which may differ in length."""
     return not isinstance(values, (list, tuple)) and np.ndim(values) == 0
 
 
@@ -314,7 +314,7 @@ _OTHER_NAMES = {
 
 
 def _refuse_misspelt(names: Iterable[str]) -> None:
-    """Refuse names of variables that are almost, but not quite, one that is known; ``diameter_2`` is one of its own."""
+    """Raise SceneError for names of variables close to a known one; ``diameter_2`` is a name of its own."""
     known = [*VARIABLES, *inspect.signature(scene_from_arrays).parameters]
     for name in names:
         own = any(name.startswith(word) and not name[len(word) :][:1].isalpha() for word in known)

@@ -1,4 +1,4 @@
-"""One frame: scale it to the scene's units, check it, and derive what is missing."""
+"""Frames: scaling to the scene's units, checks, and derived variables."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ REPEAT = "repeat the box once or more along that axis, or simulate a larger one"
 
 
 def _check_rows(frame: Frame, dim: str, source: str) -> None:
-    """Refuse arrays of the wrong shape or with values that are not finite; name every bad variable at once."""
+    """Raise SceneError for arrays of the wrong shape or with values that are not finite; name every bad variable."""
     first = next(name for name in frame if variable(name).dims[0] == dim)
     rows = len(frame[first])
     problems = []
@@ -42,7 +42,7 @@ def _check_rows(frame: Frame, dim: str, source: str) -> None:
 
 
 def refuse_mask(name: str, values: Any, where: str = "") -> None:
-    """Refuse masked values: what stands below the mask would count."""
+    """Raise SceneError for masked values: the data below the mask would count."""
     if np.ma.is_masked(values):
         raise SceneError(
             f"{where}'{name}' is a masked array with {np.ma.count_masked(values)} masked values; leave out such rows "
@@ -51,7 +51,7 @@ def refuse_mask(name: str, values: Any, where: str = "") -> None:
 
 
 def _typed(frame: Mapping[str, ArrayLike], setup: Setup, source: str) -> Frame:
-    """Give arrays their types and the scene's units; what is returned is shared with nobody."""
+    """Convert arrays to their types and the scene's units; the result is a copy."""
     typed: Frame = {}
     for name, values in frame.items():
         refuse_mask(name, values, f"{source}: ")

@@ -71,7 +71,7 @@ def conformed(
 
 
 def conform(ds: xr.Dataset) -> xr.Dataset:
-    """Bring a scene to the form that tasks read, lazily; anything else is returned as it is.
+    """Convert a scene to the form that tasks read, lazily; return anything else unchanged.
 
     Raises
     ------
@@ -126,7 +126,7 @@ def _taken_away(ds: xr.Dataset) -> list[str]:
 
 
 def _with_dim(ds: xr.Dataset, dim: str) -> xr.Dataset:
-    """Give one step, one particle or one contact its dimension back."""
+    """Restore the dimension of a single step, particle or contact."""
     if dim == "time":
         series = ds.expand_dims("time")
         if "step" in ds.coords and ds["step"].ndim == 0:
@@ -154,7 +154,7 @@ def _row_of(name: str, dims: tuple[Hashable, ...], dtype: np.dtype) -> Variable 
 
 
 def as_selected(result: R, ds: xr.Dataset) -> R:
-    """Take the dimensions away that a selection has no more, and name the others as it does; of a Dataset only."""
+    """Remove the dimensions that a selection dropped, and rename the others as it does; of a Dataset only."""
     if not isinstance(result, xr.Dataset) or "position" not in ds or "particle_id" not in ds:
         return result
     renamed = _renamed(ds)
@@ -167,7 +167,7 @@ def as_selected(result: R, ds: xr.Dataset) -> R:
 
 
 def storable(ds: xr.Dataset) -> xr.Dataset:
-    """Have texts stored without a fixed length: no other text is in the specification of Zarr 3."""
+    """Store texts without a fixed length: Zarr 3 specifies no other text."""
     for values in ds.variables.values():
         if values.dtype.kind == "U":
             values.encoding["dtype"] = object
@@ -192,7 +192,7 @@ def with_components(ds: xr.Dataset) -> xr.Dataset:
 
 
 def in_order(ds: xr.Dataset, dim: str, axes: Sequence[str]) -> xr.Dataset | None:
-    """Put the labels of a dimension in the order of some axes; None where it does not hold all of them, each once."""
+    """Return the order of the labels of a dimension by some axes; None unless it holds all of them, each once."""
     labels = labels_along(ds, dim)
     if sorted(map(str, labels)) != sorted(axes) or ds.sizes.get(dim) != len(axes):
         return None
@@ -205,7 +205,7 @@ def labels_along(ds: xr.Dataset, dim: str) -> list[Any]:
 
 
 def _with_dims(array: xr.DataArray, row: Variable) -> xr.DataArray:
-    """Put dimensions in order, and take away the rows of others that a variable was spread over."""
+    """Transpose dimensions, and remove the rows of others that a variable was spread over."""
     expected = ("time", *row.dims)
     lacking = [d for d in expected if d not in array.dims]
     spread = [str(d) for d in array.dims if d not in expected]
@@ -228,7 +228,7 @@ def _with_dims(array: xr.DataArray, row: Variable) -> xr.DataArray:
 
 
 def _as_measured(array: xr.DataArray, attrs: Mapping[Any, Any]) -> xr.DataArray:
-    """Note that a lazy variable, some of whose rows were masked, is as it was measured, and look when it is read.
+    """Mark a lazy variable with masked rows as measured, and check it when it is read.
 
     Masking takes marks away, as arithmetic does. Diameters tell which of them it was, positions do so when they are
     compared with the mesh, and groups when grains are counted to them.
@@ -261,7 +261,7 @@ def _mapped(function: Callable[[NDArray], NDArray], array: xr.DataArray, dtype: 
 
 
 def _same(values: NDArray, name: str, dim: str) -> NDArray:
-    """Take the one value along the last axis, NaN aside."""
+    """Return the single value along the last axis, NaN aside."""
     low, high = np.fmin.reduce(values, axis=-1), np.fmax.reduce(values, axis=-1)
     if (low < high).any():
         raise SceneError(

@@ -162,7 +162,7 @@ class Contacts:
 
     @property
     def strong(self) -> NDArray:
-        """Whether each contact pushes more than the mean of all contacts that push; (n,)."""
+        """Return whether each contact pushes more than the mean of all contacts that push; (n,)."""
         push = (self.normal_force > 0) & (self.first_row >= 0)
         if not push.any():
             return push
@@ -214,17 +214,17 @@ class Contacts:
 
     @cached_property
     def bearing(self) -> NDArray:
-        """Whether each particle has two contact partners or more, so that it may bear load; (particles,)."""
+        """Return whether each particle has two contact partners or more, so that it may bear load; (particles,)."""
         return self.partners >= BEARING
 
     @property
     def between_bearing(self) -> NDArray:
-        """Whether all particles of each contact that are there may bear load; (n,)."""
+        """Return whether all particles of each contact that are there may bear load; (n,)."""
         bearing = np.append(self.bearing, True)  # row -1 is that of a wall
         return bearing[self.i] & bearing[self.j] & (self.first_row >= 0)
 
     def k_core(self, least: int) -> NDArray:
-        """Whether each particle keeps `least` partners when all that have fewer are taken out, again and again.
+        """Return whether each particle keeps `least` partners when all that have fewer are taken out, again and again.
 
         Partners that are not particles of the scene (walls) stay.
         """

@@ -29,7 +29,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Description:
-    """What a call knows of a scene. Equal for a scene in memory and the same one in chunks.
+    """Description of a scene. Equal for a scene in memory and the same one in chunks.
 
     Attributes
     ----------
@@ -261,7 +261,7 @@ def _lasting_periods(
 
 
 def _box_lasts(ds: xr.Dataset) -> bool:
-    """Whether the box is the same in all steps; a lazy one is not read, as attributes hold a box that lasts."""
+    """Return whether the box is the same in all steps; a lazy one is not read, as attributes hold a box that lasts."""
     if "box" not in ds or ds.variables["box"].chunks is not None:
         return "box_lower" in ds.attrs and "lattice" not in ds
     if ds.sizes.get("time", 1) == 1:

@@ -17,7 +17,7 @@ from xcg.scene.schema import BOX, OF_STEP, PADDING, VARIABLES, Frame, variable
 
 
 def _require_numbers(times: NDArray, purpose: str) -> None:
-    """Refuse dates and durations of NumPy, whose numbers are nanoseconds or the like."""
+    """Raise SceneError for dates and durations of NumPy, whose numbers are nanoseconds or the like."""
     if times.dtype.kind not in "fiu":
         raise SceneError(
             f"{purpose}: expected times as numbers (s), and these are {times.dtype}; ds.assign_coords(time=seconds)"
@@ -25,7 +25,7 @@ def _require_numbers(times: NDArray, purpose: str) -> None:
 
 
 def check_times(time: NDArray, purpose: str, way_out: str) -> None:
-    """Refuse times (t,) that are not finite or do not rise from step to step; the message says which."""
+    """Raise SceneError for times (t,) that are not finite or do not rise; name the step."""
     _require_numbers(time, purpose)
     late = np.flatnonzero(~(time[1:] > time[:-1]))
     if not np.isfinite(time).all() or late.size:
@@ -34,7 +34,7 @@ def check_times(time: NDArray, purpose: str, way_out: str) -> None:
 
 
 def require_rising_times(ds: xr.Dataset, purpose: str) -> None:
-    """Refuse a series whose times do not rise, as after a selection or joining: rates would be wrong."""
+    """Raise SceneError for a series whose times do not rise, as after a selection or joining: rates would be wrong."""
     check_times(ds["time"].to_numpy(), purpose, "order the steps with ds.sortby('time').drop_duplicates('time')")
 
 
@@ -120,7 +120,7 @@ def particle_rows(ids: NDArray, source: str = "scene") -> slice | NDArray:
 
 
 def frame_of(arrays: Mapping[str, NDArray], t: int, source: str = "scene") -> Frame:
-    """One frame of padded arrays: the rows of step `t` that are not padding, particles by id.
+    """Return a frame of padded arrays: the rows of step `t` without padding, particles by id.
 
     Raises
     ------
@@ -146,7 +146,7 @@ def frame_of(arrays: Mapping[str, NDArray], t: int, source: str = "scene") -> Fr
 
 
 def check_finite(name: str, frame: Frame, source: str) -> None:
-    """Refuse a variable that is not finite in a row that is not padding, as one that was assigned may be."""
+    """Raise SceneError for a variable that is not finite in a row of data, as an assigned one may be."""
     if frame[name].dtype != np.float64 or all_finite(np.ascontiguousarray(frame[name]).reshape(-1)):
         return
     row = int(np.argwhere(~np.isfinite(frame[name]))[0][0])
@@ -159,7 +159,7 @@ def check_finite(name: str, frame: Frame, source: str) -> None:
 
 
 def phase_of(frame: Frame, by: str | None, groups: Sequence[int], source: str) -> NDArray:
-    """Which of the groups each particle belongs to; refuses particles of none."""
+    """Return the group of each particle; raise SceneError for particles without one."""
     count = len(frame["position"])
     if by is None:
         return np.zeros(count, "int64")

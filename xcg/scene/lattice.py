@@ -49,7 +49,7 @@ class Lattice:
 
     @classmethod
     def of(cls, box: Mapping[str, NDArray], periodic: str, source: str = "scene") -> Lattice:
-        """Take over the box of a step: its variables ``box``, ``lattice`` and ``lattice_velocity``, those there are.
+        """Read the box of a step: its variables ``box``, ``lattice`` and ``lattice_velocity``, as far as given.
 
         Raises
         ------
@@ -138,11 +138,11 @@ class Lattice:
         return np.rint(vector @ self._dual.T)
 
     def drift(self, shift: NDArray) -> NDArray | float:
-        """How fast images move that are shifted by lattice vectors (n, 3); (n, 3), or 0 where none moves (m/s)."""
+        """Return the velocities (n, 3) of images shifted by lattice vectors (n, 3), or 0 where none moves (m/s)."""
         return 0.0 if self.rates is None or not self.rates.any() else self.numbers(shift) @ self.rates
 
     def translations(self, length: float, source: str = "scene") -> NDArray:
-        """All lattice vectors (m, 3) shorter than a length, but for zero."""
+        """Return all lattice vectors (m, 3) shorter than a length, but zero."""
         if self.vectors is None and length <= self.period.min():
             return np.zeros((0, 3))
         most = np.ceil(length * np.linalg.norm(self._dual, axis=1))
@@ -165,7 +165,7 @@ class Lattice:
         return np.nonzero(inside)[0], images[inside]
 
     def is_halfway(self, vector: NDArray, hair: float) -> NDArray:
-        """Whether shortest vectors (n, 3) are as long as another image of theirs, up to a share of the period; (n,)."""
+        """Return whether shortest vectors (n, 3) are as long as another image, up to a share of the period; (n,)."""
         if self.reduced is None:
             return (np.abs(vector) >= 0.5 * (1 - hair) * self.period).any(axis=1)
         around = self.reduced.around
@@ -295,7 +295,7 @@ class Lattice:
     def images(
         self, position: NDArray, low: NDArray, high: NDArray, source: str = "scene"
     ) -> tuple[NDArray, NDArray, NDArray]:
-        """All images of positions (n, 3) that lie within [low, high], (3,) each, infinite along axes without a limit.
+        """Return all images of positions (n, 3) within [low, high], (3,) each, infinite along unlimited axes.
 
         Returns
         -------
@@ -361,12 +361,12 @@ def _volume(vectors: NDArray) -> float:
 
 
 def _independent(vectors: NDArray) -> bool:
-    """Whether vectors (k, 3) span a volume, or as much as they can."""
+    """Return whether vectors (k, 3) span a volume, or as much as they can."""
     return _volume(vectors) > _SAME * np.linalg.norm(vectors, axis=1).prod()
 
 
 def _numbers(low: NDArray, high: NDArray, source: str) -> NDArray:
-    """All rows of whole numbers (m, k) from `low` to `high` (k,)."""
+    """Return all rows of whole numbers (m, k) from `low` to `high` (k,)."""
     if not np.prod(high - low + 1) <= _MOST_IMAGES:
         raise SceneError(
             f"{source}: the box is so small that {np.prod(high - low + 1):.3g} periodic images are within reach; it is "

@@ -116,7 +116,7 @@ def assign_phases(
     mapping: Mapping[int, int] | None = None,
     by: str = "species",
 ) -> xr.Dataset:
-    """Give grains phases by size or by type.
+    """Group grains into phases by size or by type.
 
     Parameters
     ----------

@@ -25,7 +25,7 @@ _OF_SIDE = ("contact_force", "contact_normal")
 def without_repeats(
     contacts: Frame, number: NDArray | range, particles: Frame, lattice: Lattice, sides: Sides, source: str
 ) -> Frame:
-    """Take contacts that are listed again once.
+    """Merge contacts that are listed more than once.
 
     Copies, (i, j, f) twice, and rows that list a contact from both sides, (i, j, f) and (j, i, -f), are one contact
     where forces agree to 1e-4 and points to a twentieth of the distance from the centre. Rows from both sides whose
@@ -105,7 +105,7 @@ def repeated_pairs(i: NDArray, j: NDArray) -> tuple[NDArray, NDArray]:
 
 
 def _any_repeated(i: NDArray, j: NDArray, least: int, count: int) -> bool:
-    """Tell whether any pair of the `count` numbers from `least` on stands more than once."""
+    """Return whether any pair of the `count` numbers from `least` on stands more than once."""
     ends, partner = np.zeros(count + 1, "int64"), np.empty_like(i)
     partners_by_lower(i, j, least, ends, partner)
     return a_pair_twice(ends[:-1], partner, np.full(count, -1))
@@ -115,7 +115,7 @@ def _copies(
     contacts: Frame, number: NDArray | range, rows: NDArray, pair: NDArray, centre: NDArray, lattice: Lattice,
     source: str,
 ) -> NDArray:  # fmt: skip
-    """Which rows list a contact again (n,): the same force, from either side, at the same point.
+    """Return a mask of the rows that repeat a contact (n,): the same force, from either side, at the same point.
 
     Parameters
     ----------
@@ -316,7 +316,7 @@ def check_contacts(frame: Frame, row_i: NDArray, row_j: NDArray, lattice: Lattic
 
 
 def is_central(contacts: Frame, particles: Frame, lattice: Lattice) -> bool:
-    """Whether all forces between particles lie along the line of their centres; False for few contacts."""
+    """Return whether all forces between particles lie along the line of their centres; False for few contacts."""
     some = _sample(len(contacts["contact_i"]))
     i, j = (rows_of(particles["particle_id"], contacts[name][some]) for name in ("contact_i", "contact_j"))
     pairs = (i >= 0) & (j >= 0)

@@ -1,4 +1,4 @@
-"""What a scene is made of: names, dimensions and units of its variables, and what holds for it as a whole.
+"""Schema of a scene: names, dimensions and units of its variables, and its attributes.
 
 A *scene* is an `xarray.Dataset` whose rows fill a prefix of the ``particle`` and ``contact`` dimensions; the
 rest is padding (``particle_id == -1``, ``contact_i == -1``, NaN). Rows of particles are sorted by id. One step
@@ -36,7 +36,7 @@ Sides: TypeAlias = Literal["mean", "first", "separate"]
 
 @dataclass(frozen=True)
 class Variable:
-    """One variable of the scene: dimensions besides time, SI unit, kind."""
+    """Variable of the scene: dimensions besides time, SI unit, kind."""
 
     dims: tuple[str, ...]
     units: str
@@ -168,7 +168,7 @@ def variable(name: str, dtype: Any = "float64", ndim: int = 1) -> Variable:
 
 @dataclass(frozen=True)
 class Setup:
-    """What holds for the whole scene and is not in its rows.
+    """Properties of the whole scene that are not in its rows.
 
     Attributes
     ----------

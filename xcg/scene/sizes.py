@@ -77,14 +77,14 @@ MEASURED = "measured"
 
 
 def mark_measured(ds: xr.Dataset, names: Sequence[str] | None = None) -> xr.Dataset:
-    """Note that the attributes measured from some variables (all by default) are those of what they are now."""
+    """Record that the attributes measured from some variables (all by default) match their present values."""
     for name in ds.data_vars if names is None else names:
         ds[name].encoding[MEASURED] = True
     return ds
 
 
 def known_without_reading(ds: xr.Dataset, name: str) -> bool:
-    """Whether a variable is in memory, or as it was when its attributes were measured."""
+    """Return whether a variable is in memory, or as it was when its attributes were measured."""
     given = ds.variables[name]
     return isinstance(given._data, np.ndarray) or bool(given.encoding)
 
@@ -119,7 +119,7 @@ def with_measures(ds: xr.Dataset) -> xr.Dataset:
 
 
 def _ends_in_memory(ds: xr.Dataset, names: Sequence[str]) -> list[Frame]:
-    """Give the first and the last step of those variables that are in memory; nothing where the ids are not."""
+    """Return the first and the last step of those variables that are in memory; nothing where the ids are not."""
     given = {name: ds.variables[name] for name in names if name in ds.variables}
     here = {name: v for name, v in given.items() if "time" in v.dims and isinstance(v._data, np.ndarray)}
     if "particle_id" not in here or not ds.sizes["time"]:
@@ -136,7 +136,7 @@ def _ends_in_memory(ds: xr.Dataset, names: Sequence[str]) -> list[Frame]:
 
 
 def _within(name: str, frame: Frame, known: Mapping[Any, Any]) -> bool:
-    """Whether positions or diameters of a frame lie inside the range of them that is known."""
+    """Return whether positions or diameters of a frame lie inside the range of them that is known."""
     values = frame.get(name)
     if values is None or not len(values):
         return True

@@ -1,4 +1,4 @@
-"""What `ds.cg` shows: a title and rows of (label, text), made once and written as text and as HTML."""
+"""Summary that `ds.cg` shows: a title and rows of (label, text), written as text and as HTML."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Summary:
 
 
 def summary_of_scene(ds: xr.Dataset) -> Summary:
-    """Tell what a scene holds, and what is missing, without reading it."""
+    """Return a summary of what a scene holds and lacks, without reading it."""
     steps = ds["time"].size if "time" in ds.coords else ds.sizes.get("time", 1)  # also by other dimensions
     particles, contacts = (ds.sizes.get(dim, 1) for dim in ("particle", "contact"))
     contacts = contacts if "contact_i" in ds else 0

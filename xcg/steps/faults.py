@@ -40,7 +40,7 @@ class SkippedStep(SceneWarning):
 
 
 def check_on_error(on_error: str) -> OnError:
-    """Refuse what is no choice of `on_error`."""
+    """Raise ValueError unless `on_error` is one of its choices."""
     if on_error not in ON_ERROR:
         raise ValueError(
             f"on_error={on_error!r}: expected 'raise' (stop at the first error) or 'skip' (go on without the step)"
@@ -59,7 +59,7 @@ _recorded = _Recorded()
 
 @contextmanager
 def collecting() -> Iterator[dict[Any, str]]:
-    """Give the faults that are noted in this thread instead of raised, by number of the step or by file."""
+    """Yield a dict of the faults noted in this thread instead of raised, by number of the step or by file."""
     before, _recorded.faults = _recorded.faults, {}
     try:
         yield _recorded.faults
@@ -74,7 +74,7 @@ def raising() -> Iterator[dict[Any, str]]:
 
 
 def record_fault(source: int | str, error: Exception) -> bool:
-    """Note the fault of a step or file; False where nobody tolerates it, and it must be raised."""
+    """Record the fault of a step or file; return False if nobody tolerates it and it must be raised."""
     if _recorded.faults is None:
         return False
     _recorded.faults.setdefault(source, cause_of(error))
@@ -82,7 +82,7 @@ def record_fault(source: int | str, error: Exception) -> bool:
 
 
 def cause_of(error: Exception) -> str:
-    """Say what an error says, or its name where it says nothing."""
+    """Return the message of an error, or its name where it has none."""
     return str(error) or repr(error)
 
 
@@ -99,7 +99,7 @@ def recorded() -> int:
 
 
 def is_collecting() -> bool:
-    """Whether faults are tolerated in this thread."""
+    """Return whether faults are tolerated in this thread."""
     return _recorded.faults is not None
 
 
@@ -114,7 +114,7 @@ _listeners: list[dict[int, str]] = []
 
 @contextmanager
 def listen_for_skips() -> Iterator[dict[int, str]]:
-    """Give the faults of all steps that are skipped meanwhile in this process, in whatever thread."""
+    """Yield the faults of all steps that are skipped meanwhile in this process, in any thread."""
     found: dict[int, str] = {}
     _listeners.append(found)
     try:

@@ -74,7 +74,7 @@ class Gathered:
 
     @classmethod
     def of(cls, arrays: Mapping[str, da.Array]) -> Gathered:
-        """Look through the picks of these arrays."""
+        """Find the sources of these arrays, each once."""
         sources: list[tuple[str, int]] = []
         entries = {}
         for name, array in arrays.items():
@@ -134,7 +134,7 @@ def _in_chunks(inputs: Mapping[str, xr.Variable]) -> dict[str, Any]:
 def _tasks(
     name: str, call: str, lazy: Mapping[str, da.Array], fixed: Mapping[str, NDArray], chunks: Sequence[int]
 ) -> dict[Any, Any]:
-    """One task a chunk of time, which computes all results."""
+    """Return the graph: one task a chunk of time, which computes all results."""
     gathered = Gathered.of(lazy)
     tasks = {}
     for t, (start, stop) in enumerate(pairwise(np.cumsum([0, *chunks]).tolist())):

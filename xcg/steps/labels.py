@@ -79,7 +79,7 @@ def times_of(ds: xr.Dataset) -> dict[str, xr.Variable]:
 
 
 def mark_skipped(result: xr.Dataset, arrays: Mapping[str, Any]) -> xr.Dataset:
-    """Say which steps were skipped, where they may be: the coordinate ``skipped``, and once known, an attribute."""
+    """Label the skipped steps: the coordinate ``skipped``, and once known, an attribute."""
     if SKIPPED not in arrays:
         return result
     long_name = "whether the step was left out, as it could not be read or computed"
@@ -127,7 +127,7 @@ class PhaseLabels(pd.Index):
     """
 
     def __new__(cls, data: ArrayLike, name: Any = None, **_: Any) -> Self:
-        """Take labels as they come; pandas calls this, too."""
+        """Convert a sequence of labels; pandas calls this, too."""
         return cls._simple_new(np.array(data, dtype=object), name)  # type: ignore[attr-defined]
 
     def get_loc(self, key: Any) -> Any:
@@ -149,7 +149,7 @@ def _as_text(label: Any) -> Any:
 
 
 def with_phase_labels(result: xr.Dataset) -> xr.Dataset:
-    """Have phases of a result found by whole numbers, too."""
+    """Make phases of a result selectable by whole numbers, too."""
     for dim in PHASES:
         if dim in result.dims and dim in result.coords:
             plain = result[dim].variable
@@ -160,7 +160,7 @@ def with_phase_labels(result: xr.Dataset) -> xr.Dataset:
 
 
 def summary_of_result(ds: xr.Dataset) -> Summary:
-    """Tell what a result holds, also one that was averaged, sliced, or opened from a file, without computing it."""
+    """Return a summary of a result, also if averaged, sliced, or opened from a file, without computing it."""
     if not {"history", "kernel"} & set(ds.attrs) and not {"time", "phase", *COMPONENTS} & set(map(str, ds.coords)):
         return Summary.of(
             "neither a scene nor a result: no 'position', no coordinates",
@@ -211,7 +211,7 @@ def _nodes(axis: xr.DataArray) -> str:
 
 
 def _kernel(ds: xr.Dataset) -> str:
-    """Tell name, width and cutoff; one of each for groups that have their own."""
+    """Return name, width and cutoff; one of each for groups that have their own."""
     if "kernel" not in ds.attrs:
         return ""
     lengths = ((name, np.atleast_1d(ds.attrs[name])) for name in ("width", "cutoff") if name in ds.attrs)

@@ -1,4 +1,4 @@
-"""One function over all chunks of time: at once in memory, as one dask task a chunk for lazy scenes."""
+"""Map a function over all chunks of time: at once in memory, as one dask task a chunk for lazy scenes."""
 
 from __future__ import annotations
 
@@ -82,13 +82,13 @@ def _numbers(ds: xr.Dataset) -> NDArray | None:
 
 
 def is_lazy(ds: xr.Dataset, names: Iterable[str]) -> bool:
-    """Whether any of these variables is a dask array."""
+    """Return whether any of these variables is a dask array."""
     variables = ds.variables
     return any(_chunked(variables[name]) for name in names)
 
 
 def threads_a_chunk(ds: xr.Dataset, names: Iterable[str], threads: int) -> int:
-    """How many of some threads a chunk of time gets: all, where there is one or none; else chunks have one each."""
+    """Return the number of threads of a chunk of time: all for a single chunk, else one."""
     variables = ds.variables
     lazy = (given for name in names if _chunked(given := variables[name]))
     return threads if all(len(given.chunksizes.get("time", ())) <= 1 for given in lazy) else 1

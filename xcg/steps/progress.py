@@ -1,4 +1,4 @@
-"""How far long work is: a bar in a terminal or notebook, plain lines elsewhere."""
+"""Progress of long work: a bar in a terminal or notebook, plain lines elsewhere."""
 
 from __future__ import annotations
 

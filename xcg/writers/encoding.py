@@ -1,4 +1,4 @@
-"""How numbers are stored: their type, how many of their digits, and how they are compressed."""
+"""Encoding of numbers in files: type, digits, compression."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _ISAL_LEVELS = 3  # beyond, its compression is that of zlib
 
 @dataclass(frozen=True)
 class Encoding:
-    """What becomes of the numbers of a Dataset on their way to a file.
+    """Encoding of a Dataset in a file.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ class Encoding:
         return out
 
     def noted(self, ds: xr.Dataset) -> xr.Dataset:
-        """Say on each variable how it was rounded."""
+        """Record on each variable how it was rounded."""
         if self.digits is None:
             return ds
         error = max(0.5 * 10.0**-self.digits, _SINGLE if self.dtype == "float32" else 0.0)

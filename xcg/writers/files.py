@@ -24,7 +24,7 @@ _LITTLE = 1 << 20  # bytes; a disk with less is full
 
 @contextmanager
 def whole_file(path: Path, *, overwrite: bool, room: int = 0, part: Path | None = None) -> Iterator[Path]:
-    """Give a temporary name beside `path` to write to; rename it in the end, or remove it after an error.
+    """Yield a temporary name beside `path` to write to; rename it at the end, or remove it after an error.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def abandon() -> None:
 
 
 def check_target(path: Path, *, overwrite: bool) -> None:
-    """Refuse a name that is taken, or in a folder that does not exist."""
+    """Raise an error for a name that is taken, or in a folder that does not exist."""
     if path.exists() and not overwrite:
         raise FileExistsError(exists_message(path))
     if not path.parent.is_dir():
@@ -89,7 +89,7 @@ def check_target(path: Path, *, overwrite: bool) -> None:
 
 
 def check_file(path: Path, *, overwrite: bool) -> None:
-    """Refuse a name as `check_target`, and that of a folder: said before all is computed."""
+    """Raise an error for a taken name, as `check_target`, and for a folder, before anything is computed."""
     check_target(path, overwrite=overwrite)
     if path.is_dir():
         raise IsADirectoryError(
@@ -98,7 +98,7 @@ def check_file(path: Path, *, overwrite: bool) -> None:
 
 
 def exists_message(path: Path) -> str:
-    """Say that a name is taken."""
+    """Return the message for a name that is taken."""
     return f"{path} exists; choose another name, or pass overwrite=True to replace it"
 
 
@@ -111,7 +111,7 @@ def remove(path: Path) -> None:
 
 
 def part_of(path: Path) -> Path:
-    """Give a new temporary name beside `path`."""
+    """Return a new temporary name beside `path`."""
     return path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.part")
 
 
@@ -121,7 +121,7 @@ def leftovers(path: Path) -> list[Path]:
 
 
 def reserve(part: Path, room: int) -> None:
-    """Take room on the disk, and give it back."""
+    """Reserve room on the disk, and release it."""
     if not hasattr(os, "posix_fallocate"):
         if shutil.disk_usage(part.parent).free < room:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -132,7 +132,7 @@ def reserve(part: Path, room: int) -> None:
 
 
 def publish(part: Path, path: Path, *, overwrite: bool) -> None:
-    """Give a whole file its name, once its bytes are on the disk."""
+    """Rename a complete file to its name, once its bytes are on the disk."""
     with open(part, "rb+") as file:
         os.fsync(file.fileno())
     if not overwrite:
@@ -148,7 +148,7 @@ def publish(part: Path, path: Path, *, overwrite: bool) -> None:
 
 
 def _cannot_write(path: Path, error: Exception, left: str) -> OSError | None:
-    """Say plainly that a file cannot be written; None where the error is another one."""
+    """Return a plain message for a file that cannot be written; None where the error is another one."""
     number = getattr(error, "errno", None)
     free = _LITTLE
     with suppress(OSError):
@@ -163,7 +163,7 @@ def _cannot_write(path: Path, error: Exception, left: str) -> OSError | None:
 
 @contextmanager
 def whole_folder(path: Path, *, overwrite: bool, part: Path | None = None) -> Iterator[Path]:
-    """Give a temporary name beside `path` to make a folder at; rename it in the end, or remove it after an error.
+    """Yield a temporary name beside `path` for a folder; rename it at the end, or remove it after an error.
 
     What it replaces is put aside before, and removed after. So one of both is there whole at any moment, if need be
     under the name ``.<name>.replaced``: where a process was killed in between, the next writer gives it its name back,
@@ -192,7 +192,7 @@ def whole_folder(path: Path, *, overwrite: bool, part: Path | None = None) -> It
 
 @contextmanager
 def hidden_folder(path: Path) -> Iterator[Path]:
-    """Give a new folder beside `path` for files that are not whole yet; it goes in the end.
+    """Yield a new folder beside `path` for incomplete files; it is removed at the end.
 
     So does what a process left that was killed.
 
@@ -210,7 +210,7 @@ def hidden_folder(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def work_folder(kept: Path | None, path: Path) -> Iterator[Path]:
-    """Give a folder for files that are not whole yet, which goes in the end.
+    """Yield a folder for incomplete files, which is removed at the end.
 
     Parameters
     ----------
@@ -238,7 +238,7 @@ def work_folder(kept: Path | None, path: Path) -> Iterator[Path]:
 
 @contextmanager
 def _part(path: Path) -> Iterator[Path]:
-    """Give a temporary name beside `path`; what stands there in the end is removed."""
+    """Yield a temporary name beside `path`; whatever has it at the end is removed."""
     part = part_of(path)
     temporary.add(part)
     try:
@@ -262,7 +262,7 @@ def _recover(path: Path, aside: Path, work: Path | None) -> None:
 
 
 def _publish(part: Path, path: Path, aside: Path) -> None:
-    """Give a whole folder its name; renaming fails where a folder that is not empty has it."""
+    """Rename a complete folder to its name; this fails where a folder that is not empty has it."""
     try:
         part.rename(path)
     except OSError as error:

@@ -59,7 +59,7 @@ class Hdf5Store:
 
     @classmethod
     def of(cls, path: Path, arrays: list[StoredArray], encoding: Encoding, threads: int, root: str = "/") -> Hdf5Store:
-        """Take a lock for the file, and bring it into the state after the last task that ended."""
+        """Lock the file, and restore its state after the last task that ended."""
         recover(path)
         return cls(path, lock_for(path), tuple(arrays), encoding, threads, root)
 
@@ -188,7 +188,7 @@ def hdf5_file(path: Path, mode: str, *, journal: bool = False) -> Iterator[h5py.
 
 
 def recover(path: Path) -> None:
-    """Bring a file into the state after the last time that it was closed."""
+    """Restore the state of a file when it was last closed."""
     journal = _journal(path)
     if not journal.exists():
         return

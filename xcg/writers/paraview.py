@@ -216,7 +216,7 @@ def _place_of(fields: xr.Dataset, mesh: Any, path: str | os.PathLike[str]) -> tu
 
 
 def _check_places(fields: xr.Dataset, dim: str, places: NDArray, path: str | os.PathLike[str]) -> None:
-    """Refuse fields at other places, as of another mesh or order."""
+    """Raise ValueError for fields at other places, as of another mesh or order."""
     size = np.ptp(places, axis=0).max()
     for k, a in enumerate(COMPONENTS):
         if a in fields.coords and fields[a].dims in ((), (dim,)):

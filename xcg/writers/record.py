@@ -103,7 +103,7 @@ _FORMATS: dict[str, type[_GrowingNetCDF] | type[_GrowingZarr]] = {".nc": _Growin
 
 
 class Recorder:
-    """What `xcg.record` returns: a file of fields that grows by steps. It is a context manager.
+    """File of fields that grows by steps, returned by `xcg.record`. It is a context manager.
 
     Attributes
     ----------
@@ -226,7 +226,7 @@ def _with_mesh_of(request: Request, fields: xr.Dataset) -> Request:
 
 
 def _check(before: xr.Dataset, fields: xr.Dataset, path: Path) -> None:
-    """Refuse a step with other fields, nodes or kernels than those before it."""
+    """Raise SceneError for a step with other fields, nodes or kernels than those before it."""
     problems = []
     changed = sorted(set(map(str, before.data_vars)) ^ set(map(str, fields.data_vars)))
     if changed:

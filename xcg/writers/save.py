@@ -16,7 +16,7 @@ from xcg.writers.store import Format, write_file
 
 
 class Writer(Protocol):
-    """What writes one format: ``write(ds, path, encoding, overwrite=...)``.
+    """Writer of one format: ``write(ds, path, encoding, overwrite=...)``.
 
     `ds` is a scene, a result or chains, lazy or in memory; `encoding` says how numbers are stored, and
     ``encoding.reduced(values)`` gives them as they are asked for. The file should appear only when it is whole.
@@ -37,7 +37,7 @@ _WRITERS: dict[str, Writer | tuple[str, str]] = {
 
 
 def register_writer(suffix: str, write: Writer) -> None:
-    """Have `save` write another format.
+    """Register a writer of another format for `save`.
 
     Parameters
     ----------

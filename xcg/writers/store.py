@@ -110,7 +110,7 @@ class StoreLayout:
         return tuple(self.steps if dim == "time" else n for dim, n in self.ds[name].sizes.items())
 
     def outline(self) -> xr.Dataset:
-        """Give the same Dataset with arrays that nothing computes in place of what tasks write."""
+        """Return the same Dataset with placeholders, which nothing computes, for the arrays that tasks write."""
         import dask.array as da  # slow to import
 
         empty = {}
@@ -129,7 +129,7 @@ def _with(ds: xr.Dataset, variables: Mapping[Any, xr.Variable]) -> xr.Dataset:
 
 
 def _aligned(ds: xr.Dataset, over: Sequence[str]) -> xr.Dataset:
-    """Give all lazy variables the same even chunks of time, so that no two tasks write to one chunk on disk."""
+    """Rechunk all lazy variables to the same even chunks of time, so that no two tasks write to one chunk on disk."""
     lazy = [name for name in over if ds.variables[name].chunks is not None]
     sizes = {ds.variables[name].chunksizes["time"] for name in lazy}
     if all(len(set(s[:-1])) < 2 and s[-1] <= s[0] for s in sizes) and len(sizes) < 2:
@@ -140,7 +140,7 @@ def _aligned(ds: xr.Dataset, over: Sequence[str]) -> xr.Dataset:
 
 @dataclass(frozen=True)
 class Format:
-    """What tells one format from another.
+    """Properties of a format.
 
     Attributes
     ----------
@@ -170,12 +170,12 @@ def lock_for(path: Path) -> AbstractContextManager[Any]:
 
 
 def _config() -> AbstractContextManager[Any]:
-    """Have threads write where dask's own scheduler of processes is set: these cannot share a lock."""
+    """Select threads for writing where dask's own scheduler of processes is set: processes cannot share a lock."""
     return dask.config.set(scheduler="threads") if get_dask_scheduler() == "multiprocessing" else nullcontext()
 
 
 def joined(parts: Sequence[NDArray]) -> NDArray:
-    """Give arrays that follow each other as one, which is no copy where there is one."""
+    """Join arrays that follow each other; a single one is not copied."""
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
@@ -367,12 +367,12 @@ class Mismatch(SceneError):
 
 @dataclass(frozen=True)
 class Log:
-    """Which steps are in the files of a folder. Tasks note a chunk of them when all files hold it."""
+    """Log of the steps in the files of a folder. Tasks record a chunk of them when all files hold it."""
 
     folder: Path
 
     def is_begun(self, state: Mapping[str, str]) -> bool:
-        """Whether the files are laid out; raise Mismatch where they are of something else."""
+        """Return whether the files are laid out; raise Mismatch where they are of something else."""
         file = self.folder / "state.json"
         if not file.exists():
             return False
@@ -388,13 +388,13 @@ class Log:
         return True
 
     def begin(self, state: Mapping[str, str]) -> None:
-        """Note that the files are laid out."""
+        """Record that the files are laid out."""
         part = self.folder / "state.part"
         part.write_text(json.dumps(state))
         os.replace(part, self.folder / "state.json")
 
     def add(self, steps: slice, skipped: Mapping[int, str]) -> None:
-        """Note that steps are in all files, and why some of them were skipped."""
+        """Record that steps are in all files, and why some of them were skipped."""
         line = json.dumps({"steps": [steps.start, steps.stop], "skipped": skipped})
         with open(self.folder / "done.jsonl", "ab", buffering=0) as file:
             file.write(f"\n{line}".encode())

@@ -95,7 +95,7 @@ def to_pyvista(
 
 
 def _noted(mesh: Any, step: xr.Dataset, variables: Mapping[str, str]) -> Any:
-    """Note the time of a mesh, and the units of its arrays, by the variables that they are of."""
+    """Record the time of a mesh, and the units of its arrays."""
     units = {array: str(step[name].attrs["units"]) for array, name in variables.items() if "units" in step[name].attrs}
     times = {name: step[name].values.item() for name in ("time", "step") if name in step.coords}
     mesh.user_dict = {"units": units, **times}

@@ -118,7 +118,7 @@ class Image:
 
     @property
     def temporal(self) -> bool:
-        """Whether there are several steps."""
+        """Return whether there are several steps."""
         return self.times is not None and len(self.times) > 1
 
     def shape(self, components: int) -> tuple[int, ...]:
@@ -130,7 +130,7 @@ class Image:
 
 @dataclass(frozen=True)
 class _Array:
-    """One array of point data: a variable, or one phase of it."""
+    """Array of point data: a variable, or one phase of it."""
 
     name: str
     variable: str
@@ -185,7 +185,7 @@ def _storable(dtype: np.dtype[Any]) -> np.dtype[Any] | None:
 
 
 def checked(fields: xr.Dataset) -> xr.Dataset:
-    """Refuse what is no result; put components in the order x, y, z."""
+    """Raise an error unless a Dataset is a result; sort components into the order x, y, z."""
     if not fields.data_vars:
         raise ValueError("fields holds no variables; expected a result of coarse_grain")
     if {"particle", "contact"} & set(fields.dims):
@@ -206,7 +206,7 @@ def checked(fields: xr.Dataset) -> xr.Dataset:
 
 
 def with_components(fields: xr.Dataset) -> xr.Dataset:
-    """Put components in the order x, y, z; refuse vectors and tensors that lack some."""
+    """Sort components into the order x, y, z; raise for vectors and tensors that lack some."""
     for dim in ("component", "direction"):
         if dim not in fields.sizes:
             continue

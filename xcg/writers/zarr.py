@@ -81,7 +81,7 @@ class _Plain:
         os.replace(part, file)
 
     def _is_blank(self, values: NDArray) -> bool:
-        """Whether there is nothing but what stands for no value; zeros of another sign are something else."""
+        """Return whether all values are fill values; zeros of another sign differ."""
         for some in (values.reshape(-1)[:1], values):  # a first look is enough for nearly all
             blank = np.isnan(some) if np.isnan(self.fill) else (some == self.fill) & ~np.signbit(some)
             if not blank.all():
@@ -150,7 +150,7 @@ def _whole(path: Path, *, overwrite: bool, part: Path) -> Iterator[Path]:
 
 
 def _steps_together(layout: StoreLayout) -> int:
-    """How many steps share a chunk: whole chunks of the Dataset, as many as are worth a file each."""
+    """Return the number of steps of a chunk: whole chunks of the Dataset, as many as are worth a file each."""
     chunk, count = layout.steps, max(1, layout.ds.sizes.get("time", 1))
     size = max(1.0, chunk * sum(layout.ds[name].nbytes for name in layout.over) / count)
     return chunk * max(1, min(int(min(len(layout.over) * _CHUNK, _TOGETHER) / size), -(-count // chunk)))

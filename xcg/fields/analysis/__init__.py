@@ -1,1 +1,1 @@
-"""What is made of fields: balances, correlations, displacements, stress on walls, choice of a width, pictures."""
+"""Analyses of fields: balances, correlations, displacements, stress on walls, choice of a width, pictures."""

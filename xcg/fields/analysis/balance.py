@@ -41,7 +41,7 @@ def _divergence(field: xr.DataArray, dim: str, axes: str, wraps: set[str]) -> xr
 
 @dataclass(frozen=True)
 class _Law:
-    """One balance: its terms add up to zero.
+    """Balance law: its terms add up to zero.
 
     Attributes
     ----------

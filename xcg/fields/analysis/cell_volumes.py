@@ -32,7 +32,7 @@ _COLUMNS = 6
 
 @dataclass(frozen=True, eq=False)
 class _Cells:
-    """What the shares need besides a step."""
+    """Options of the shares of cells."""
 
     grid: Grid
     setup: Setup

@@ -211,7 +211,7 @@ def _labelled(values: xr.DataArray, units: str, long_name: str) -> xr.DataArray:
 def _with_errors(
     sums: xr.Dataset, function: Any, about: dict[str, tuple[str, str]], f: xr.Dataset, call: str
 ) -> xr.Dataset:
-    """Give a function of the mean over time of some sums, and its standard errors."""
+    """Return a function of the time mean of some sums, and its standard errors."""
     series = sums if "time" in sums.dims else sums.expand_dims("time")
     series = series.drop_vars([name for name in series.coords if name not in series.dims or name == "time"])
     mean, errors = function(series.mean("time")), block_errors(series, "time", function)
@@ -304,7 +304,7 @@ def _correlation_in_space(sums: xr.Dataset) -> xr.Dataset:
 
 
 def falls_to(values: NDArray, at: NDArray, level: float = np.exp(-1.0)) -> NDArray:
-    """Where values (..., n) at rising places (n,) first fall to a level, between neighbours by a straight line.
+    """Return where values (..., n) at rising places (n,) first fall to a level, interpolated linearly.
 
     NaN where they do not, are not above it at first, or are not known before.
     """
@@ -326,7 +326,7 @@ def _normalised(sums: xr.Dataset, squares: xr.Dataset) -> xr.DataArray:
 
 
 def _correlation_in_time(products: NDArray, pairs: NDArray, lags: NDArray) -> tuple[NDArray, ...]:
-    """Give correlation (lag,) with its error, and the time to 1/e with its error, from sums (lag, time)."""
+    """Return correlation (lag,) with its error, and the time to 1/e with its error, from sums (lag, time)."""
     steps = products.shape[1]
     whole = xr.Dataset({"products": (("lag", "time"), products), "pairs": (("lag", "time"), pairs)})
     mean = _by_lag(whole.sum("time"))["correlation"].to_numpy()

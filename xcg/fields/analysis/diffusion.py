@@ -1,4 +1,4 @@
-"""How far grains get in a time: mean squared displacement and self-diffusion, with errors."""
+"""Mean squared displacement and self-diffusion, with errors."""
 
 from __future__ import annotations
 
@@ -172,7 +172,7 @@ def _lags(lags: int | Sequence[int] | None, steps: int) -> list[int]:
 
 
 def _range(fit: Sequence[float] | None, at: NDArray) -> NDArray:
-    """Give indices of the lags (n,) in the range of the fit."""
+    """Return indices of the lags (n,) in the range of the fit."""
     if fit is None:
         return np.zeros(0, int)
     first, last = fit
@@ -188,7 +188,7 @@ def _range(fit: Sequence[float] | None, at: NDArray) -> NDArray:
 
 @dataclass(frozen=True, eq=False)
 class _Places:
-    """Where the grains of one step are on their way: places relative to where each was first seen, (n, 3)."""
+    """Return displacements (n, 3) of the grains of one step since each was first seen."""
 
     ids: NDArray
     place: NDArray

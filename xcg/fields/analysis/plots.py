@@ -441,7 +441,7 @@ def _draw_colour_bar(picture: xr.Dataset, name: str, mesh: Any, values: NDArray)
 
 
 def _title(picture: xr.Dataset) -> str:
-    """Tell when, and where a result was cut."""
+    """Return the time and the position of a slice, as text."""
     parts = []
     for name in (a for a in ("time", "phase", *_AXES) if a in picture.coords and not picture[a].ndim):
         value, unit = picture[name].item(), drawing.unit_text(str(picture[name].attrs.get("units", "")))

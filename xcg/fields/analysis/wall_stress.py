@@ -32,7 +32,7 @@ _NEEDS = ("contact_i", "contact_j", "contact_force", "contact_point")
 
 @dataclass(frozen=True)
 class _Task:
-    """What the traction on a surface needs besides a step."""
+    """Options of the traction on a surface."""
 
     surface: Wall
     cells: SurfaceCells

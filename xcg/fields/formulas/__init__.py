@@ -1,1 +1,1 @@
-"""What a field is: its row in the registry, and the algebra that makes it of sums."""
+"""Definitions of fields: their rows in the registry, and the algebra that computes them from sums."""

@@ -169,7 +169,7 @@ def _noise_of(name: str) -> str:
 
 
 def _without_noise(f: xr.Dataset) -> tuple[xr.Dataset, dict[str, xr.DataArray]]:
-    """Take errors of single steps out of a result; by the names of their fields."""
+    """Remove the errors of single steps from a result; return them by the names of their fields."""
     if "averaged_steps" in f.attrs:
         return f, {}
     found = {name: f.get(f"{name}_error") for name in map(str, f.data_vars)}
@@ -212,7 +212,7 @@ def _square(kernel: Kernel, seen: int) -> float:
 
 
 def _with_larger(mean: xr.Dataset, noise: Mapping[str, xr.DataArray], source: str) -> xr.Dataset:
-    """Put the larger of two errors of each field into an average, and from which it is: noise, or what it holds."""
+    """Add the larger of two errors of each field to an average, and its source: noise or scatter."""
     found = {}
     for name, one in noise.items():
         other = mean.get(f"{name}_error", one)
@@ -228,7 +228,7 @@ def _with_larger(mean: xr.Dataset, noise: Mapping[str, xr.DataArray], source: st
 
 
 def block_errors(samples: xr.Dataset, dim: str, function: Callable[[xr.Dataset], xr.Dataset]) -> xr.Dataset:
-    """Give standard errors of a function of the mean over samples in a row, which may be correlated.
+    """Return standard errors of a function of the mean over consecutive samples, which may be correlated.
 
     They are those of the first size of blocks beyond which they do not grow, see `time_average`.
     """
@@ -268,7 +268,7 @@ def _missing(rows: Mapping[str, Field | None], options: Options) -> dict[str, li
     here, missing = set(rows), dict[str, list[str]]()
 
     def follows(name: str) -> bool:
-        """Whether a sum is here, or follows from sums that are."""
+        """Return whether a sum is here, or follows from sums that are."""
         row = registry.row(name, options)
         return name in here or bool(row.fields and not row.moments and all(map(follows, row.fields)))
 
@@ -332,11 +332,11 @@ def _to_sums(f: xr.Dataset, purpose: str) -> xr.Dataset:
 
 
 def _with_components(f: xr.Dataset, rows: Mapping[str, Field | None], purpose: str) -> xr.Dataset:
-    """Put components in the order that formulas expect; refuse to compute a field anew from some of them."""
+    """Sort components into the order of the formulas; raise if a field would be recomputed from some of them."""
     options = registry.options_of(f.attrs)
 
     def of_tensors(name: str) -> bool:
-        """Whether a field is computed anew from vectors or tensors."""
+        """Return whether a field is computed anew from vectors or tensors."""
         row = registry.row(name, options)
         if row.additive or row.weight:
             return row.rank > 0
@@ -387,7 +387,7 @@ def _from_sums(sums: xr.Dataset, f: xr.Dataset) -> xr.Dataset:
 
 
 def derive(name: str, found: dict[str, xr.DataArray], options: Options) -> xr.DataArray:
-    """Give a field that is among those found, or follows from them, and add to them what it took."""
+    """Return a field from those found, or compute it and add what it needed to them."""
     if name not in found:
         row = registry.row(name, options)
         found[name] = _compute(row, {need: derive(need, found, options) for need in row.fields}, options)

@@ -1,4 +1,4 @@
-"""What a field is: a row of the registry, the choices of its algebra, or a quantity of a variable of the scene."""
+"""Definition of a field: its row in the registry, the options of its algebra, quantities of variables of the scene."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ class Options:
 
     @property
     def sliding(self) -> bool:
-        """Whether it is known which contacts slide."""
+        """Return whether it is known which contacts slide."""
         return self.friction is not None
 
     @property
@@ -103,7 +103,7 @@ class Options:
 
 @dataclass(frozen=True, kw_only=True)
 class Field:
-    """One field.
+    """Field of the registry.
 
     Attributes
     ----------
@@ -175,7 +175,7 @@ WEIGHTS: dict[Weight, tuple[str, str, str, str]] = {
 
 @dataclass(frozen=True)
 class Quantity:
-    """What is asked of a variable: `Mean`, `Sum`, `Variance`, `Flux` or `Conduction`, for the argument `fields`.
+    """Quantity of a variable: `Mean`, `Sum`, `Variance`, `Flux` or `Conduction`, for the argument `fields`.
 
     Parameters
     ----------

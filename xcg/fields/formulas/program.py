@@ -85,7 +85,7 @@ class Program:
 
 @dataclass(frozen=True, eq=False)
 class Loads:
-    """Where a program finds its inputs in the sums of some passes.
+    """Positions of a program's inputs in the sums of the passes.
 
     Attributes
     ----------
@@ -105,7 +105,7 @@ class Loads:
 
     @classmethod
     def of(cls, program: Program, layouts: Sequence[Layout]) -> Loads:
-        """Look up the moments that a program loads."""
+        """Find the inputs of a program in the layouts of the passes."""
         found, widths = dict[str, tuple[int, Layout]](), [3]
         for layout in layouts:
             for name in layout.moments:
@@ -186,7 +186,7 @@ def _moment(record: Trace, name: str, row: Moment, groups: int) -> NDArray:
 def _allocate(
     recorded: Sequence[tuple[int, tuple[Any, ...]]], results: Mapping[tuple[str, int, int], Sequence[int]]
 ) -> Program:
-    """Put the steps that lead to results on rows of numbers, used anew once nothing needs what is in them.
+    """Assign the steps that lead to results to rows of numbers; rows are reused once nothing needs them.
 
     `results` holds the steps that lead to the components of each store. What is stored together is stored as soon as
     it is there.

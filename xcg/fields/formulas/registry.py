@@ -99,7 +99,7 @@ def registered_for(fields: Iterable[str], options: Options) -> tuple[OwnRow, ...
 
 
 def order_of(fields: Iterable[str], options: Options) -> tuple[str, ...]:
-    """All rows needed for some fields, each after what it needs."""
+    """Return the rows needed for some fields, each after its own inputs."""
     found: dict[str, None] = {}
 
     def add(name: str) -> None:
@@ -114,7 +114,7 @@ def order_of(fields: Iterable[str], options: Options) -> tuple[str, ...]:
 
 
 def moments_of(fields: Iterable[str], options: Options) -> tuple[str, ...]:
-    """All moments needed for some fields."""
+    """Return the moments needed for some fields."""
     return tuple(dict.fromkeys(s for name in order_of(fields, options) for s in row(name, options).moments))
 
 

@@ -206,7 +206,7 @@ def row_of_result(field: xr.DataArray) -> Field | None:
 def own_fields(
     given: Iterable[str | Quantity | registry.OwnRow], scene: Description
 ) -> dict[int, OwnField | registry.OwnRow]:
-    """Those of the fields asked for that are quantities of a scene's variable, or rows, by their place in the list.
+    """Return the requested fields that are quantities of a variable, or rows, by their index in the list.
 
     Names of fields come first: ``"density"`` is the field, and ``Mean("density")`` the mean of the variable.
 
@@ -281,7 +281,7 @@ def own_field(quantity: Quantity, scene: Description) -> OwnField:
 
 
 def check_turns(own: Iterable[Any]) -> None:
-    """Refuse quantities of which sums cannot be turned from place to place, as a cylindrical frame does.
+    """Raise ValueError for quantities whose sums cannot be rotated from place to place, as a cylindrical frame does.
 
     Raises
     ------

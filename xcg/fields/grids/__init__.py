@@ -1,1 +1,1 @@
-"""Where fields are evaluated: meshes, points, rings of a cylinder; the frames that they stand in; walls."""
+"""Places where fields are evaluated: meshes, points, rings of a cylinder; frames; walls."""

@@ -171,11 +171,11 @@ def in_frame(ds: xr.Dataset, frame: Rotated | Cylindrical) -> xr.Dataset:
 
 
 def refuse_cylindrical(ds: xr.Dataset, call: str) -> None:
-    """Refuse a cylindrical frame where it has no meaning."""
+    """Raise ValueError where a cylindrical frame has no meaning."""
     if is_cylindrical(ds):
         raise ValueError(f"{call} takes axes at right angles: frame=xcg.Rotated, not xcg.Cylindrical")
 
 
 def is_cylindrical(ds: xr.Dataset) -> bool:
-    """Whether a scene was turned into, or a result is in, a cylindrical frame."""
+    """Return whether a scene was turned into, or a result is in, a cylindrical frame."""
     return bool(ds.attrs.get("frame") == CYLINDRICAL)

@@ -1,4 +1,4 @@
-"""Where fields are evaluated: on meshes of volumes, planes and lines, with the other axes averaged exactly."""
+"""Meshes of volumes, planes and lines, with the other axes averaged exactly."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _FINEST = 1e-9  # least spacing, in radii of the support
 
 
 def check_axes(name: str, given: Iterable[str], plane: str) -> None:
-    """Refuse axes that the scene does not have."""
+    """Raise ValueError for axes that the scene does not have."""
     if wrong := [a for a in given if a not in plane]:
         layer = " (one layer, dimension=2)" if len(plane) == 2 else ""
         joined = f"; write names without commas or spaces, such as {plane[:2]!r}" if {",", " "} & set(wrong) else ""

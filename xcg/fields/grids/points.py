@@ -173,7 +173,7 @@ def _array(axis: str, value: Any) -> xr.DataArray:
 
 
 def _aligned(arrays: Mapping[str, xr.DataArray]) -> dict[str, xr.DataArray]:
-    """Refuse arrays that do not belong together, or whose dimensions results have already."""
+    """Raise ValueError for arrays that do not belong together, or whose dimensions results have already."""
     for a, array in arrays.items():
         # a dimension may be named by the one axis that runs along it, as the nodes of a mesh are
         taken = [d for d in array.dims if d in COMPONENTS and (d not in arrays or arrays[str(d)].dims != (d,))]
@@ -198,7 +198,7 @@ def _coords(arrays: Mapping[str, xr.DataArray]) -> dict[str, xr.Variable]:
 
 
 def _cells_of(extent: NDArray, size: NDArray | float) -> float:
-    """How many cells of a size cover an extent (3,)."""
+    """Return the number of cells of a size that cover an extent (3,)."""
     return float((np.floor(extent / size) + 1.0).prod())
 
 

@@ -74,7 +74,7 @@ class RingBlock:
 
     @property
     def is_mean(self) -> bool:
-        """Whether any node has several angles."""
+        """Return whether any node has several angles."""
         return len(self.angle) > len(self.places)
 
     def mean(self, values: NDArray) -> NDArray:
@@ -114,7 +114,7 @@ def mean_sums(found: BlockSums, block: RingBlock) -> BlockSums:
 def _common(
     given: NDArray, block: RingBlock, cosine: NDArray, sine: NDArray, *, vector: bool
 ) -> tuple[NDArray, NDArray]:
-    """One reference (m, 3) for all angles of each node, NaN where nothing reaches, and how others differ (3, a)."""
+    """Return a reference (m, 3) for all angles of each node, NaN where nothing reaches, and offsets (3, a)."""
     turned = np.empty(given.shape[::-1])
     turned[:, block.inner.places] = given.T
     if vector:
@@ -147,7 +147,7 @@ def _turn(layout: Layout, columns: NDArray, cosine: NDArray, sine: NDArray) -> N
 
 
 def _shift(level: int, columns: NDArray, d: NDArray) -> None:
-    """Take flow columns from u to u + d, in place; d is (3, angles)."""
+    """Shift flow columns from u to u + d, in place; d is (3, angles)."""
     d = d[:, None]
     mass, momentum = columns[loops.MASS], columns[_FLOW["momentum"]]
     if level >= loops.FLUCTUATION:
@@ -166,7 +166,7 @@ def _shift(level: int, columns: NDArray, d: NDArray) -> None:
 
 
 def _square(layout: Layout, squared: Squared, block: RingBlock, averaged: NDArray) -> None:
-    """Put what fits over whole rings take of each grain in the place of what those at single angles take."""
+    """Replace the per-angle sums of squared weights by those of the fit over the whole ring."""
     seen_z = bool(squared.active[2])
     low, high = block.rings.min(axis=0) - squared.cutoff, block.rings.max(axis=0) + squared.cutoff
     row, position = squared.rows, squared.position[squared.rows]

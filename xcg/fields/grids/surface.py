@@ -92,14 +92,14 @@ class Surface(Wall):
         return self.normals[self._nearest(points)[1]]
 
     def crossings(self, points: NDArray, directions: NDArray, reach: float) -> NDArray:
-        """Where rays cross."""
+        """Return where rays cross."""
         out = np.full((*directions.shape[:2], loops.MOST_CROSSINGS), np.inf)
         given = (np.ascontiguousarray(a, "float64") for a in (points, directions))
         most = loops.crossings(*given, float(reach), self.corners, self.centre, self._radius, out)
         return out[..., : max(1, most)]
 
     def varies(self, axis: int) -> bool:
-        """Whether a shift along an axis matters."""
+        """Return whether a shift along an axis matters."""
         return True
 
     def span(self, axis: int) -> tuple[float, float]:

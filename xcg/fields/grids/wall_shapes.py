@@ -108,7 +108,7 @@ class Wall(ABC):
 
     @abstractmethod
     def varies(self, axis: int) -> bool:
-        """Tell whether the surface is another one when it is shifted along x, y or z."""
+        """Return whether a shift along x, y or z changes the surface."""
 
     @abstractmethod
     def span(self, axis: int) -> tuple[float, float]:
@@ -123,7 +123,7 @@ class Wall(ABC):
         """Split vectors (n, 3) at points: normal part (n,), and what is along the axes of `cells` (n, 2 or 3)."""
 
     def covers(self, points: NDArray, cells: SurfaceCells) -> NDArray:
-        """Tell which points (n, 3) near the surface are over its cells."""
+        """Return a mask of the points (n, 3) near the surface that are over its cells."""
         return np.ones(len(points), bool)
 
 
@@ -170,7 +170,7 @@ class Plane(Wall):
 
     @property
     def _origin(self) -> NDArray:
-        """Where its two coordinates are zero."""
+        """Origin of its two coordinates."""
         point = vector("point", self.point)
         k = axis_of(self._frame[0])
         return point if k is None else np.where(np.arange(3) == k, point, 0.0)
@@ -190,13 +190,13 @@ class Plane(Wall):
         return np.broadcast_to(self._frame[0], points.shape)
 
     def crossings(self, points: NDArray, directions: NDArray, reach: float) -> NDArray:
-        """Where rays cross."""
+        """Return where rays cross."""
         with np.errstate(divide="ignore", invalid="ignore"):
             s = -self.distance(points)[:, None] / (directions @ self._frame[0])
         return np.where(s > 0, s, np.inf)[..., None]
 
     def varies(self, axis: int) -> bool:
-        """Whether a shift along an axis matters."""
+        """Return whether a shift along an axis matters."""
         return bool(abs(self._frame[0][axis]) > 1e-12)
 
     def span(self, axis: int) -> tuple[float, float]:
@@ -229,7 +229,7 @@ class Plane(Wall):
         return vectors @ normal, np.stack([vectors @ axis for axis in along], axis=1)
 
     def covers(self, points: NDArray, cells: SurfaceCells) -> NDArray:
-        """Which points are over the cells."""
+        """Return a mask of the points over the cells."""
         assert cells.bounds is not None
         low, high = np.transpose(cells.bounds)
         x = self._coordinates(points)
@@ -313,7 +313,7 @@ class Cylinder(Wall):
         return self._sign * self._radial(points)
 
     def crossings(self, points: NDArray, directions: NDArray, reach: float) -> NDArray:
-        """Where rays cross."""
+        """Return where rays cross."""
         x, y, _ = self._from_axis(points).T
         u, v = (directions @ e for e in self._frame[1:])
         a, b = u * u + v * v, x[:, None] * u + y[:, None] * v
@@ -325,7 +325,7 @@ class Cylinder(Wall):
         return np.where(both > 0, both, np.inf)
 
     def varies(self, axis: int) -> bool:
-        """Whether a shift along an axis matters."""
+        """Return whether a shift along an axis matters."""
         return axis_of(self._frame[0]) != axis
 
     def span(self, axis: int) -> tuple[float, float]:
@@ -359,7 +359,7 @@ class Cylinder(Wall):
         return normal, np.stack([(vectors * around).sum(axis=1), vectors @ axis], axis=1)
 
     def covers(self, points: NDArray, cells: SurfaceCells) -> NDArray:
-        """Which points are between the ends."""
+        """Return a mask of the points between the ends."""
         assert cells.bounds is not None
         low, high = cells.bounds[1]
         z = self._from_axis(points)[:, 2]

@@ -30,7 +30,7 @@ from xcg.scene.schema import COMPONENTS, units_in
 
 @dataclass(frozen=True)
 class LammpsRow:
-    """One of its fields.
+    """Field of the preset.
 
     Attributes
     ----------
@@ -134,7 +134,7 @@ def _kernel(scene: Description, request: Request) -> Kernel:
 
 
 def translate(scene: Description, request: Request) -> tuple[Request, Callable[[xr.Dataset], xr.Dataset]]:
-    """Put a request in its names into names of xcg; the function turns the answer into its fields.
+    """Translate a request into names of xcg; the returned function translates the result back.
 
     Raises
     ------

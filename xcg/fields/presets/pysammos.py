@@ -63,7 +63,7 @@ class Formula:
 
 @dataclass(frozen=True)
 class PysammosRow:
-    """One of its fields.
+    """Field of the preset.
 
     Attributes
     ----------
@@ -219,7 +219,7 @@ def _in_its_names(f: xr.Dataset, renamed: Mapping[str, Field]) -> xr.Dataset:
 
 
 def translate(scene: Description, request: Request) -> tuple[Request, Callable[[xr.Dataset], xr.Dataset]]:
-    """Put a request in its names into names of xcg; the function turns the answer into its fields.
+    """Translate a request into names of xcg; the returned function translates the result back.
 
     Raises
     ------

@@ -1,1 +1,1 @@
-"""What is summed over grains and contacts, how it is smoothed, and the passes over the nodes that do it."""
+"""Sums over grains and contacts, their smoothing, and the passes over the nodes."""

@@ -160,7 +160,7 @@ def _pass(
 
 
 def _is_one_row(values: NDArray) -> bool:
-    """Whether all rows (n, k) are the same, or there are none."""
+    """Return whether all rows (n, k) are the same, or there are none."""
     return not len(values) or (values[0].tolist() == values[-1].tolist() and bool((values == values[0]).all()))
 
 

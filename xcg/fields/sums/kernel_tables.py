@@ -73,7 +73,7 @@ def profile_integral(profile: Profile, dimension: int) -> float:
 
 
 def check_table(name: str, profile: Profile) -> None:
-    """Refuse profiles that are not finite or have no positive integral; warn of those that their tables do not hold.
+    """Raise ValueError for profiles that are not finite or have no positive integral; warn if a table is inaccurate.
 
     Values are looked at in places between those that the table goes through.
     """

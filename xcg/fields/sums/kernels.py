@@ -88,7 +88,7 @@ class Kernel:
 
     @property
     def differentiable(self) -> bool:
-        """Whether the kernel is continuously differentiable, as the differential balance laws need."""
+        """Return whether the kernel is continuously differentiable, as the differential balance laws need."""
         return self.smoothness >= 1
 
     def _unit_norm(self, dimension: int) -> float:
@@ -333,7 +333,7 @@ def register_kernel(
 
 
 def _check_registration(name: Any, profile: Any, ratio: Any, smoothness: Any) -> None:
-    """Refuse what makes no kernel, before its profile is looked at."""
+    """Raise ValueError for arguments that make no kernel, before the profile is evaluated."""
     if not isinstance(name, str) or not name.strip():
         raise ValueError(f"register_kernel({name!r}): expected a name, such as 'tent'")
     if name.lower() in _OF_THE_PACKAGE:

@@ -19,7 +19,7 @@ from xcg.scene.schema import ROTATION, Frame
 
 @dataclass(frozen=True)
 class Moment:
-    """One sum: ``sum_i q_i Psi(r - r_i)`` over grains, or over contacts.
+    """Moment: ``sum_i q_i Psi(r - r_i)`` over grains, or over contacts.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class Moment:
 
     @cached_property
     def width(self) -> int:
-        """How many columns there are."""
+        """Number of columns."""
         return 1 + int(self.columns.max(initial=-1))
 
 

@@ -48,7 +48,7 @@ class Block(Protocol):
 
     @property
     def places(self) -> NDArray:
-        """Where the nodes are among all nodes of the result, unsigned (nodes,)."""
+        """Indices of the nodes among all nodes of the result, unsigned (nodes,)."""
 
     @property
     def order(self) -> NDArray | None:
@@ -102,7 +102,7 @@ class MeshBlock:
 
     @property
     def places(self) -> NDArray:
-        """Where the nodes are among all nodes of the mesh, numbered row by row."""
+        """Indices of the nodes among all nodes of the mesh, numbered row by row."""
         if self.count == math.prod(self.shape):
             return np.arange(self.count, dtype="uint64")
         x, y, z = (np.arange(low, high, dtype="uint64") for low, high in zip(self.low, self.high, strict=True))
@@ -144,7 +144,7 @@ def mesh_blocks(shape: tuple[int, int, int], steps: NDArray, half: NDArray, size
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Where fields are evaluated: on a mesh, or at places that stand apart, as points and the nodes of a cylinder do.
+    """Nodes of a result: a mesh, or separate places such as points and the nodes of a cylinder.
 
     Attributes
     ----------
@@ -200,7 +200,7 @@ class Grid:
 
     @cached_property
     def active(self) -> NDArray:
-        """Which of the three axes are seen (3,)."""
+        """Mask of the axes that are resolved (3,)."""
         return np.array([a in self.seen for a in COMPONENTS])
 
     @property
@@ -223,7 +223,7 @@ class Grid:
         return np.array([self.spacing.get(a, 1.0 if self.parts is None else np.inf) for a in COMPONENTS])
 
     def fills(self, period: NDArray) -> tuple[bool, bool, bool]:
-        """Tell along which axes the nodes fill a period (3,), so that the last is next to the first."""
+        """Return a mask of the axes whose nodes fill a period (3,), so that the last is next to the first."""
         x, y, z = (
             a in self.spacing and bool(np.isclose(n * self.spacing[a], length, atol=0.0))
             for a, n, length in zip(COMPONENTS, self.shape, period, strict=True)
@@ -292,7 +292,7 @@ class Mesh:
 
     @classmethod
     def of(cls, grid: Grid, period: NDArray, cutoff: float) -> Mesh:
-        """Take over a grid and the periods of the scene (m)."""
+        """Return the nodes of a grid with the periods of the scene (m)."""
         steps = np.where(np.array(grid.shape) > 1, grid.steps / cutoff, 1.0)
         lower, upper = (grid.lower - grid.origin) / cutoff, (grid.upper - grid.origin) / cutoff
         periods = np.where(grid.active, period, np.inf) / cutoff
@@ -304,7 +304,7 @@ class Mesh:
         self._along_active = [(k, numbers[k]) for k in range(3) if self.active[k]]  # extent, spacing and period
 
     def check_far(self, farthest: Sequence[float] | NDArray, source: str) -> None:
-        """Refuse places (3,) too far from the first node to be numbered, or not finite; damaged files hold them.
+        """Raise SceneError for places (3,) not finite or too far away to be numbered; damaged files hold them.
 
         Here and below, `source` names the step in messages.
         """
@@ -317,7 +317,7 @@ class Mesh:
                 )
 
     def check_reach(self, reach: NDArray, source: str, *, paired: bool = False) -> None:
-        """Refuse supports (3,), from end to end, of more nodes or periodic images than can be counted, or than end.
+        """Raise SceneError if a support (3,) covers more nodes or periodic images than the loops can index.
 
         `paired` says that images of one grain are multiplied with each other.
         """
@@ -342,11 +342,11 @@ class Mesh:
             )
 
     def fits_single(self, longest: float) -> bool:
-        """Tell whether single precision is enough to number the nodes that a branch of this length reaches."""
+        """Return whether single precision is enough to number the nodes that a branch of this length reaches."""
         return all((longest + 2.0) / step < _SINGLE for _, (_, step, _) in self._along_active)
 
     def too_long(self, longest: NDArray) -> bool:
-        """Tell whether branches with these largest components (3,) must be cut."""
+        """Return whether branches with these largest components (3,) must be cut."""
         return any(longest[k] > _LONG for k, _ in self._along_active)
 
     def cut(self, segments: NDArray, ends: NDArray, source: str) -> NDArray:

@@ -110,7 +110,7 @@ class ListedOnce:
     segments: Segments
 
     def near(self, nodes: Nodes) -> Iterator[Segments]:
-        """All segments."""
+        """Yield all segments at once."""
         yield self.segments
 
 

@@ -1,4 +1,4 @@
-"""One step as its passes take it: what is wanted, rows and their images, nodes and kernels, and the passes."""
+"""Single step as its passes take it: requested sums, rows and their images, nodes and kernels, and the passes."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Fill: TypeAlias = Callable[[NodeBlock, NDArray, NDArray], None]
 
 @dataclass(eq=False)
 class DepositSpec:
-    """What the deposits need besides a frame: which sums, where, how smeared.
+    """Options of the deposits: which sums, where, with which kernels.
 
     Attributes
     ----------
@@ -119,7 +119,7 @@ class Squared:
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """What a pass sums at a node: what the columns of its array (groups, nodes, columns) are.
+    """Columns of the sums of a pass; its array is (groups, nodes, columns).
 
     Attributes
     ----------
@@ -144,7 +144,7 @@ class Layout:
 
     @cached_property
     def squares(self) -> bool:
-        """Whether any moment is one of squares of weights."""
+        """Return whether any moment is one of squares of weights."""
         kept = {column for column in SQUARES if column < self.level}
         return not all(kept.isdisjoint(columns.ravel().tolist()) for columns, _ in self.moments.values())
 
@@ -167,7 +167,7 @@ class Layout:
 
 @dataclass(frozen=True, eq=False)
 class Pass:
-    """One pass over grains or segments, prepared: each `fill` is a loop for one cutoff, which adds to its array.
+    """Prepared pass over grains or segments: each `fill` is a loop for one cutoff, which adds to its array.
 
     `squared` are the grains whose weights are squared in it.
     """
@@ -186,7 +186,7 @@ _AT_ONE_PLACE = "taken_up"  # relative velocities, which are those of the images
 
 @dataclass(frozen=True, eq=False)
 class Images:
-    """Where rows of the data stand.
+    """Positions of rows of the data.
 
     Periodic images along axes are found node by node. In boxes that are tilted, or whose images move, each image is a
     place of its own.
@@ -213,7 +213,7 @@ class Images:
 
 
 class StepRows:
-    """One frame, what is wanted of it, and what several passes share.
+    """Single frame, the request, and arrays that several passes share.
 
     Attributes
     ----------
@@ -279,7 +279,7 @@ class StepRows:
         return {**self.frame, "velocity": self.velocity, "box_gradient": of_box}
 
     def images(self, position: NDArray) -> Images:
-        """Where rows of the data stand: at these positions, and where a box is tilted at all images near the mesh."""
+        """Return the positions of rows, with all images near the mesh where a box is tilted."""
         if self.lattice.vectors is None:
             return Images(position, self.in_space(position))
         row, shift, drift = self.near_mesh(position, self.spec.distinct[-1])
@@ -314,7 +314,7 @@ class StepRows:
         return values
 
     def moving(self, drift: NDArray) -> Frame:
-        """Give all grains another velocity more: the frame as it is in images that drift."""
+        """Add a velocity to all grains: the frame as seen in images that drift."""
         return self.frame | {"velocity": self.frame["velocity"] + drift}
 
     @property
@@ -325,7 +325,7 @@ class StepRows:
 
     @cached_property
     def contact_points(self) -> tuple[Images, NDArray, NDArray, NDArray]:
-        """Where contacts are, the phase of each place, its share in the contact, and the row of that; (n,).
+        """Return the place of each contact, its phase, its share in the contact, and its row; (n,).
 
         A contact between two phases is half one's and half the other's, so that phases add up to the bulk.
         """

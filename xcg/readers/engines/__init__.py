@@ -1,1 +1,1 @@
-"""One engine for each DEM code or layout of files: what its columns are in a scene."""
+"""Engines, one for each DEM code or file layout: they map its columns to variables of a scene."""

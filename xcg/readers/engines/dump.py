@@ -37,7 +37,7 @@ from xcg.steps import faults as errors
 
 
 class Dumps(Columnar):
-    """What the engines of dumps share."""
+    """Base class of the engines of dumps."""
 
     OPTIONS = ("timestep",)
 
@@ -48,7 +48,7 @@ class Dumps(Columnar):
         return refs
 
     def unread_forces(self, ref: StepRef, options: ReadOptions) -> str:
-        """Say which columns may hold the rest of the contact forces; "" where none do."""
+        """Return a hint about columns that may hold the rest of the contact forces; "" if there are none."""
         return columns.unread_by_number(ref, self.contact_columns(ref, options), options)
 
     def read_columns(
@@ -63,7 +63,7 @@ _FORMS = (lammps_binary, lammps_netcdf)
 
 
 def form_of(path: str) -> ModuleType | None:
-    """Give the module that reads a dump which is no text; None for texts and all else."""
+    """Return the module that reads a binary dump; None for texts and other files."""
     with open(path, "rb") as file:
         head = file.read(64)
     return next((form for form in _FORMS if form.begins(head)), None)
@@ -82,7 +82,7 @@ def body_columns(path: str) -> tuple[str, tuple[str, ...]] | None:
 
 
 def is_numbered(names: Sequence[str]) -> bool:
-    """Tell columns without names of their own (``c_3[1] c_3[2] ...``), as LIGGGHTS writes contacts."""
+    """Return whether columns have numbers instead of names (``c_3[1] c_3[2] ...``), as LIGGGHTS writes contacts."""
     return len(names) in (12, 13) and all(re.fullmatch(rf"\w+\[{k}\]", name) for k, name in enumerate(names, 1))
 
 
@@ -159,7 +159,7 @@ def _steps_of_text(path: str, *, atoms: bool) -> Iterator[StepRef]:
 
 
 def _is_alone(ref: StepRef, rest: int, scanner: Scanner) -> bool:
-    """Tell whether a step is the only one in its file, by its name and by the length of its first rows."""
+    """Return whether a step is the only one in its file, from its name and the length of its first rows."""
     numbers = [int(number) for number in re.findall(r"\d+", os.path.basename(ref.path))]
     if ref.step not in numbers or ref.rows == 0 or rest < 0:
         return False
@@ -207,7 +207,7 @@ def _finite(text: str) -> float:
 
 
 def _value(ref: StepRef, scanner: Scanner, item: str) -> StepRef:
-    """Take over an item of one value."""
+    """Add an item of one value."""
     value = scanner.line().decode("utf-8", "replace").strip()
     try:
         if item == "UNITS":

@@ -43,7 +43,7 @@ class Hdf5(Columnar):
     NEEDS_ID = False
 
     def recognises(self, path: str) -> bool:
-        """Tell by the end of the name and the first bytes."""
+        """Return whether the suffix and the first bytes are those of HDF5."""
         if Path(path).suffix.lower() not in (".h5", ".hdf5"):
             return False
         with open(path, "rb") as file:

@@ -21,7 +21,7 @@ class Lammps(dump.Dumps):
     UNNAMED_UNITS = "have the files say it by 'dump_modify ... units yes'"
 
     def recognises(self, path: str) -> bool:
-        """Tell LAMMPS dumps by how they begin, apart from those that only LIGGGHTS writes."""
+        """Return whether the file begins as a LAMMPS dump, and not as one that only LIGGGHTS writes."""
         if dump.form_of(path):
             return True
         found = dump.body_columns(path)
@@ -44,7 +44,7 @@ class Lammps(dump.Dumps):
         return replace(ref, kind=_WALLS, rows=ref.rows * len(columns.wall_columns(ref, options)))
 
     def unread_forces(self, ref: StepRef, options: ReadOptions) -> str:
-        """Say which columns may hold the rest of the contact forces; "" where none do."""
+        """Return a hint about columns that may hold the rest of the contact forces; "" if there are none."""
         return "" if ref.kind == _WALLS else super().unread_forces(ref, options)
 
     def contact_variables(self, ref: StepRef, options: ReadOptions) -> list[str]:
@@ -94,7 +94,7 @@ class Liggghts(dump.Dumps):
     """Dumps of LIGGGHTS."""
 
     def recognises(self, path: str) -> bool:
-        """Tell dumps by their first lines, local ones by columns that have numbers instead of names."""
+        """Return whether the first lines are those of a dump; local ones have numbered columns."""
         found = dump.body_columns(path)
         return found is not None and (found[0] == "ATOMS" or dump.is_numbered(found[1]))
 

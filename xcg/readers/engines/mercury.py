@@ -56,7 +56,7 @@ class Mercury(Engine):
     OPTIONS = ("restart",)
 
     def recognises(self, path: str) -> bool:
-        """Tell ``.data`` by its header of 8 (2D: 6) numbers, ``.fstat`` by its three comment lines."""
+        """Return whether a file is ``.data`` (header of 8, in 2D 6, numbers) or ``.fstat`` (three comment lines)."""
         name = os.path.basename(path)
         lines = first_lines(path)
         if ".fstat" in name:
@@ -229,7 +229,7 @@ def _once(i: NDArray, j: NDArray) -> NDArray:
 
 @dataclass(frozen=True)
 class Restart:
-    """What the head of a restart file says of the whole run."""
+    """Header of a restart file: what holds for the whole run."""
 
     path: str
     gravity: tuple[float, float, float] | None = None

@@ -69,7 +69,7 @@ class Mfix(Engine):
     """Region output of MFiX-DEM."""
 
     def recognises(self, path: str) -> bool:
-        """Tell whether this is a VTK PolyData file or a collection of them."""
+        """Return whether this is a VTK PolyData file or a collection of them."""
         return is_vtk(path, (".vtp", ".pvd"), b"PolyData", b"Collection")
 
     def index_particles(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:

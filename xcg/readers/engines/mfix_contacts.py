@@ -32,7 +32,7 @@ _SAME_PLACE = 0.5
 
 
 def of_superquadrics(middle: NDArray, point: NDArray, length: NDArray) -> NDArray:
-    """Tell contacts of superquadrics from those between two spheres, row by row, by what MFiX writes for each.
+    """Return a mask of the contacts of superquadrics, from what MFiX writes for each row.
 
     For a superquadric, the points of the mesh are midway between a centre and ``FORCE_CHAIN_CONTACT_POINT``, and
     ``FORCE_CHAIN_LENGTH`` is the distance of these two. For spheres of radii R1, R2 and overlap h, they are midway

@@ -42,7 +42,7 @@ class Table(Columnar):
     CONTACT_SLOTS = _slots(columns.CONTACT_SLOTS, "end_i", "end_j")
 
     def recognises(self, path: str) -> bool:
-        """Tell by the end of the name."""
+        """Return whether the suffix is that of a table."""
         return _form(path) is not None
 
     def index_particles(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
@@ -79,7 +79,7 @@ class Table(Columnar):
 
 
 def _form(path: str) -> Any:
-    """Give the module that reads files of this name."""
+    """Return the module that reads files of this name."""
     ending = Path(plain_name(path)).suffix.lower()
     return {".csv": delimited, ".tsv": delimited, ".parquet": parquet}.get(ending)
 

@@ -26,7 +26,7 @@ LINES = "lines"  # kind of a step whose contacts are lines
 
 
 def is_vtk(path: str, suffixes: Sequence[str], *kinds: bytes) -> bool:
-    """Tell VTK's files by their suffix, before that of a compression, and by the kinds that their beginning names."""
+    """Return whether a VTK file has one of these suffixes, before that of a compression, and one of these kinds."""
     if Path(plain_name(path)).suffix not in suffixes:
         return False
     with open_binary(path) as file:
@@ -47,7 +47,7 @@ def list_steps(paths: Sequence[str], options: ReadOptions, *, lines: bool = Fals
 
 
 def _header(path: str, *, lines: bool) -> list[StepRef]:
-    """Tell the one step of a file from its header."""
+    """Return the step of a file, from its header."""
     header = vtp.read_header(path, lines=lines)
     kind = LINES if header.of_lines else ""
     return [StepRef(path, rows=header.rows, time=header.time, columns=header.names, size=header.size, kind=kind)]
@@ -162,7 +162,7 @@ def read_particle_arrays(ref: StepRef, wanted: Mapping[str, str]) -> Frame:
 
 
 def require_contacts(ref: StepRef, there: Sequence[str], advice: str) -> None:
-    """Refuse contacts without ids or forces; the advice is a sentence."""
+    """Raise SceneError for contacts without ids or forces; the advice is a sentence."""
     lacking = [name for name in ("contact_i", "contact_j", "contact_force") if name not in there]
     if lacking:
         raise SceneError(f"{ref.path}: contacts lack {lacking}; found {list(ref.columns)}. {advice}")
@@ -196,7 +196,7 @@ class Vtk(Engine):
     """Points and lines of any code, one step a file; arrays by ``names=``."""
 
     def recognises(self, path: str) -> bool:
-        """Tell unstructured grids; PolyData is taken for that of MFiX where no engine is named."""
+        """Return whether this is an unstructured grid; PolyData is read as MFiX's unless an engine is named."""
         return is_vtk(path, (".vtu",), b"UnstructuredGrid")
 
     def index_particles(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:

@@ -57,7 +57,7 @@ class Yade(Columnar):
     }
 
     def recognises(self, path: str) -> bool:
-        """Tell by a first line of ``#`` that tells format, time or columns in YADE's words."""
+        """Return whether the first line is a ``#`` with format, time or columns in YADE's words."""
         lines = first_lines(path)
         words = lines[0].lstrip("#").split() if lines and lines[0].startswith("#") else []
         return words[:1] in (["time"], ["format"]) or {"id1", "id2"} <= set(words)
@@ -84,7 +84,7 @@ def _index(paths: Sequence[str]) -> list[StepRef]:
 
 
 def _steps(path: str) -> Iterator[StepRef]:
-    """Tell the one step of a file from its comments, and count its rows."""
+    """Return the step of a file, from its comments, and count its rows."""
     told: dict[str, Any] = {}
     digits = re.findall(r"\d+", Path(path).stem)
     with open_binary(path) as stream:

@@ -1,1 +1,1 @@
-"""What files hold, whatever code wrote them: lines and columns of texts, compression, Parquet, NetCDF, VTK's XML."""
+"""File formats, whatever code wrote them: text, compression, Parquet, NetCDF, VTK's XML."""

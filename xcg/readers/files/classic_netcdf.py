@@ -25,7 +25,7 @@ _DIMENSIONS, _VARIABLES, _ATTRIBUTES = 10, 11, 12
 
 @dataclass(frozen=True)
 class ClassicVariable:
-    """One variable as the header describes it; `shape` is without records, `length` in bytes, padded."""
+    """Variable as the header describes it; `shape` is without records, `length` in bytes, padded."""
 
     name: str
     dtype: np.dtype
@@ -38,7 +38,7 @@ class ClassicVariable:
 
 
 def begins(head: bytes) -> bool:
-    """Tell by the first bytes whether this is NetCDF in a classic format."""
+    """Return whether the first bytes are those of a classic NetCDF format."""
     return head[:3] == b"CDF" and head[3:4] in (b"\x01", b"\x02", b"\x05")
 
 

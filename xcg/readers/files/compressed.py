@@ -32,7 +32,7 @@ _lock = threading.Lock()
 
 
 def compression(path: str) -> str:
-    """Tell "gzip" and "zstd" by the first bytes of a file, "" for any other."""
+    """Return "gzip" or "zstd" by the first bytes of a file, "" for any other."""
     with open(path, "rb") as file:
         head = file.read(4)
     return next((kind for kind, (magic, _) in _KINDS.items() if head.startswith(magic)), "")
@@ -107,7 +107,7 @@ def size_of_content(path: str) -> int:
 
 
 def _ended(stream: BinaryIO) -> bool:
-    """Whether nothing more can be read."""
+    """Return whether nothing more can be read."""
     try:
         return not cast(Any, stream).peek(1)
     except errors():
@@ -136,7 +136,7 @@ def forward(path: str, offset: int) -> Iterator[BinaryIO]:
 
 
 def _take(key: tuple[str, int, int], offset: int) -> BinaryIO | None:
-    """Take the waiting file that stands nearest before an offset; None if there is none."""
+    """Return the waiting file with the largest position before an offset; None if there is none."""
     with _lock:
         ready = [entry for entry in _waiting if entry[0] == key and entry[1].tell() <= offset]
         if not ready:

@@ -21,7 +21,7 @@ _MOST_COLUMNS = 1000
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """What one pass through a file tells.
+    """Result of one pass through a file.
 
     Attributes
     ----------
@@ -98,7 +98,7 @@ def _pieces(scanner: Scanner) -> Iterator[bytes]:
 
 
 class _Lines:
-    """Where lines that are not blank begin in a text that passes by; `shortest` of them in bytes, with its end."""
+    """Find the starts of lines that are not blank in a stream of text; `shortest` of them in bytes, with its end."""
 
     def __init__(self, offset: int, shortest: int) -> None:
         self._end, self._found, self._shortest = offset, [np.array([offset])], shortest
@@ -119,7 +119,7 @@ class _Lines:
 
 
 def translated(pieces: Iterable[bytes], separator: str) -> Iterable[bytes]:
-    """Put blanks between values, where something else stands there."""
+    """Replace separators between values by blanks."""
     if separator.isspace():
         return pieces
     blank = bytes.maketrans(separator.encode(), b" ")

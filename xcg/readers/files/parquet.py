@@ -18,7 +18,7 @@ from xcg.readers.files.text import source_of
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """What the metadata of a file and its columns of times tell; see `xcg.readers.files.delimited.Table`."""
+    """Metadata of a file and its columns of times; see `xcg.readers.files.delimited.Table`."""
 
     columns: tuple[str, ...]
     rows: int

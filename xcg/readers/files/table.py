@@ -154,7 +154,7 @@ def _shown(line: bytes) -> str:
 
 
 def _fault(line: bytes, columns: Sequence[str], wanted: Sequence[str], *, last: bool) -> str:
-    """Say what is wrong with a row."""
+    """Describe the error of a row."""
     words = line.split()
     if len(words) != len(columns):
         hint = (

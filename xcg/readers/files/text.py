@@ -61,7 +61,7 @@ def most_text(path: str) -> float:
 
 
 def check_rows(ref: StepRef, room: int) -> None:
-    """Refuse a header that promises more rows than its bytes can hold, before anything is made for them.
+    """Raise SceneError for a header with more rows than its bytes can hold, before memory is allocated.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def check_rows(ref: StepRef, room: int) -> None:
 
 
 def is_one_table(path: str, first: int, rows: int, marker: bytes) -> bool:
-    """Tell whether a plain file holds nothing but a table of some rows from byte `first` on, from a few samples.
+    """Return whether a plain file holds only a table of some rows from byte `first` on, from a few samples.
 
     Another table after it, which a marker begins, makes the file longer, or is seen among the last bytes.
     """

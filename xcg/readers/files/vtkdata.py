@@ -30,7 +30,7 @@ Take: TypeAlias = Callable[[int, int], Data]  # some bytes of a block: from, cou
 
 @dataclass(frozen=True)
 class VtkEncoding:
-    """How the arrays of one file are written.
+    """Encoding of the arrays of one file.
 
     Attributes
     ----------

@@ -38,7 +38,7 @@ _TIME = re.compile(r"<!--\s*Time\s*=\s*([-+.\deEdD]+)\s*s", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class Array:
-    """One array as the header describes it.
+    """Array as the header describes it.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class Array:
 
 @dataclass(frozen=True)
 class Header:
-    """What stands before the data of one file.
+    """Header of one file.
 
     Attributes
     ----------
@@ -97,7 +97,7 @@ class Header:
 
     @property
     def what(self) -> str:
-        """How many rows there are, in words."""
+        """Number of rows, in words."""
         return f"{self.rows} {'lines' if self.of_lines else 'points'}"
 
     @property
@@ -124,7 +124,7 @@ def _whole(text: str | None, what: str, path: str) -> int:
 
 
 def _without_comments(text: str) -> str:
-    """Put blanks in place of comments, so that all else stays where it is."""
+    """Replace comments by blanks, so that all offsets stay."""
     parts, at = [], 0
     while (start := text.find("<!--", at)) >= 0:
         end = text.find("-->", start + 4)
@@ -148,14 +148,14 @@ def _tags(text: str, name: str, start: int = 0, stop: int | None = None) -> Iter
 
 
 def _section(text: str, name: str) -> tuple[int, int] | None:
-    """Where the inside of an element begins and ends; None where the element is not there or not whole."""
+    """Return the start and end of the content of an element; None if it is missing or incomplete."""
     start = next((end for _, end in _tags(text, name)), -1)
     end = text.find(f"</{name}>", start) if start >= 0 else -1
     return (start, end) if end >= 0 else None
 
 
 def _refuse(path: str, text: str, *kinds: str) -> None:
-    """Refuse what is not VTK XML of one of these kinds, and documents with entities."""
+    """Raise SceneError unless this is VTK XML of one of these kinds, without entities."""
     root = next((attributes for attributes, _ in _tags(text, "VTKFile")), None)
     found = None if root is None else _attributes(root).get("type")
     if found not in kinds:
@@ -166,7 +166,7 @@ def _refuse(path: str, text: str, *kinds: str) -> None:
 
 
 def _nested(text: str) -> bool:
-    """Whether every element is closed in order; `VTKFile` may stay open before appended data."""
+    """Return whether every element is closed in order; `VTKFile` may stay open before appended data."""
     opened: list[str] = []
     at = 0
     while (at := text.find("<", at)) >= 0:
@@ -256,7 +256,7 @@ def read_header(path: str, *, lines: bool = False) -> Header:
 
 
 def _has_lines(text: str, piece: dict[str, str], path: str) -> bool:
-    """Whether the arrays of cells are those of lines, of which there may be none; false where there are no arrays."""
+    """Return whether the arrays of cells are those of lines (perhaps none); False without arrays."""
     section = _section(text, "CellData")
     if section is None or not any(_tags(text, "DataArray", *section)):
         return False
