@@ -140,6 +140,10 @@ def test_superquadrics_lack_what_is_named():
     ds = xcg.scene_from_arrays([[0.0, 0.0, 0.0]], a=[1.0])
     with pytest.raises(ValueError, match="three names"):
         ds.cg.derive_superquadric(("a",))
+    with pytest.raises(ValueError, match="density=-1"):
+        ds.cg.derive_superquadric("aaa", density=-1.0)
+    with pytest.raises(ValueError, match="exponents="):
+        ds.cg.derive_superquadric("aaa", exponents=(0, 2), density=1.0)
     with pytest.raises(xcg.SceneError, match="density"):
         ds.cg.derive_superquadric("aaa")
     with pytest.raises(xcg.SceneError, match="half_axis_x"):

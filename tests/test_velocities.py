@@ -95,7 +95,7 @@ def test_wrong_scenes():
 
 
 def pegs_tables():
-    """Three discs with two contacts in each of two frames, listed from both sides, and a wall, as PeGS2 lists them."""
+    """Three discs in two frames: contacts listed from both sides in the first, once and with a wall in the second."""
     grains = pd.DataFrame({
         "frame": [1, 1, 1, 2, 2, 2], "id": [7, 3, 9] * 2, "x": [0.0, 2.0, 2.0, 0.0, 2.0, 2.0],
         "y": [0.0, 0.0, 2.0] * 2, "r": 1.0,
@@ -124,3 +124,17 @@ def test_what_pegs2_writes():
     assert stress.values[1, 0, 0] == pytest.approx(4.0 * 2.0 / 256.0, rel=1e-9)  # force, branch, volume
     with pytest.raises(xcg.SceneError, match="no particle has id 8"):
         xcg.scene_from_table(grains.assign(z=0.0), contacts=contacts[:4].replace(9, 8), names=names, **layer)
+
+
+def test_names_and_texts_of_forces_as_magnitudes():
+    grains = {"x": [0.0, 1.0], "y": 0.0, "z": 0.0, "diameter": 1.0, "id": [1, 2]}
+    layer = {"dimension": 2, "thickness": 1.0, "density": 1.0}
+    row = {"id1": [2], "id2": [1], "N": 0.3, "overlap": 0.1}
+    ds = xcg.scene_from_table(grains, contacts=row, names={"N": "normal_force", "overlap": None}, **layer)
+    np.testing.assert_allclose(ds.contact_force.values[0], [[0.3, 0.0, 0.0]])
+    assert "overlap" not in ds
+    for wrong in ({"N": "a"}, {"id1": ["a"]}, {"T": "a"}):
+        with pytest.raises(xcg.SceneError, match=r"contacts: column .* holds other things than numbers"):
+            xcg.scene_from_table(
+                grains, contacts=row | wrong, names={"N": "normal_force", "T": "tangential_force"}, **layer
+            )

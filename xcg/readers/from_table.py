@@ -16,6 +16,8 @@ from xcg.readers import columns
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.engines.tabular import Table, clock_of, runs_of
 from xcg.scene.build import scene_from_arrays
+from xcg.scene.complete import unit_vectors
+from xcg.scene.sanity import rows_of
 from xcg.scene.schema import Frame
 
 
@@ -60,13 +62,12 @@ def scene_from_table(
     {'time': 2, 'particle': 2, 'component': 3}
     """
     said = ReadOptions(dict(names or {}))
-    grains = _frames(particles, "particles", said, contacts=False)
+    grains = _frames(_table(particles), "particles", said, contacts=False)
     steps = sorted(grains)
     given: dict[str, Any] = _stacked([grains[key][1] for key in steps])
     given |= {what: [grains[key][0][what] for key in steps] for what in grains[steps[0]][0]}
     if contacts is not None:
-        contacts, said = _with_directions(contacts, grains, said)
-        touching = _frames(contacts, "contacts", said, contacts=True)
+        touching = _frames(_with_vectors(_table(contacts), grains, said), "contacts", said, contacts=True)
         unknown = sorted(set(touching) - set(steps))
         if unknown:
             raise SceneError(
@@ -78,43 +79,47 @@ def scene_from_table(
     return scene_from_arrays(position, **(options | given))
 
 
-def _with_directions(
-    contacts: Any, grains: Mapping[float, tuple[dict[str, float], Frame]], options: ReadOptions
-) -> tuple[pd.DataFrame, ReadOptions]:
-    """Contacts with forces as vectors where they are magnitudes along and across the line of centres, and names."""
-    table = contacts if isinstance(contacts, pd.DataFrame) else pd.DataFrame(contacts)
-    wanted = {column: name for column, name in options.names.items() if name is not None}
-    table = table.rename(columns=str).rename(columns=wanted | {"id1": "contact_i", "id2": "contact_j"})
-    if not {"normal_force", "contact_i", "contact_j"} <= set(table):
-        return contacts, options
-    if (walls := table.contact_j < 0).any():
+def _with_vectors(
+    contacts: pd.DataFrame, grains: Mapping[float, tuple[dict[str, float], Frame]], options: ReadOptions
+) -> pd.DataFrame:
+    """Replace magnitudes of forces along and across the lines of centres by vectors; other tables stay as they are."""
+    magnitudes = ("normal_force", "tangential_force")
+    table = contacts.rename(columns={column: name for column, name in options.names.items() if name in magnitudes})
+    ref = StepRef("contacts", len(table), columns=tuple(table.columns))
+    ends = columns.assign(ref, {end: columns.CONTACT_SLOTS[end] for end in ("contact_i", "contact_j")}, options)
+    if "normal_force" not in table or len(ends) < 2:
+        return contacts
+    walls = _numbers(table, ends["contact_j"], "contacts") < 0
+    if walls.any():
         warn_user(
             f"contacts: {int(walls.sum())} rows name a wall, whose direction is unknown, and are dropped; give forces "
             "as normal_force_x, ... and contact_point_x, ... to keep them"
         )
         table = table[~walls]
-    clock = clock_of(tuple(table.columns), {})
-    keys = table[next(iter(clock.values()))].to_numpy(float) if clock else np.zeros(len(table))
-    normal = np.zeros((len(table), 2))
-    for key in np.unique(keys):
-        if key not in grains:
-            continue  # the caller names it
-        frame, rows = grains[key][1], np.flatnonzero(keys == key)
-        ids = frame["particle_id"]
-        order = np.argsort(ids)
-        ends = [table[name].to_numpy()[rows] for name in ("contact_i", "contact_j")]
-        unknown = np.setdiff1d(np.concatenate(ends), ids)
+    ids_i, ids_j = (_numbers(table, ends[end], "contacts") for end in ("contact_i", "contact_j"))
+    clock = clock_of(tuple(table.columns), options.names)
+    keys = _numbers(table, next(iter(clock.values())), "contacts") if clock else np.zeros(len(table))
+    apart = np.zeros((len(table), 3))
+    for key, (_, frame) in grains.items():
+        rows, position = np.flatnonzero(keys == key), frame["position"]
+        ids = frame.get("particle_id", np.arange(len(position)))
+        unknown = np.setdiff1d(np.concatenate([ids_i[rows], ids_j[rows]]), ids)
         if unknown.size:
             raise SceneError(f"contacts: no particle has id {unknown[0]:g} at {key:g}; drop its contacts or add it")
-        i, j = (order[np.searchsorted(ids, end, sorter=order)] for end in ends)
-        apart = frame["position"][i, :2] - frame["position"][j, :2]
-        normal[rows] = apart / np.linalg.norm(apart, axis=1, keepdims=True)
-    across = table["tangential_force"].to_numpy() if "tangential_force" in table else 0.0
-    along = table["normal_force"].to_numpy()
-    x, y = normal.T
+        order = np.argsort(ids)
+        i, j = (order[rows_of(ids[order].astype(int), end[rows].astype(int))] for end in (ids_i, ids_j))
+        apart[rows, :2] = position[i, :2] - position[j, :2]
+    x, y, _ = unit_vectors(apart).T
+    along = _numbers(table, "normal_force", "contacts")
+    across = _numbers(table, "tangential_force", "contacts") if "tangential_force" in table else 0.0
     forces = {"contact_force_x": along * x - across * y, "contact_force_y": along * y + across * x}
-    table = table.drop(columns=["normal_force", "tangential_force"], errors="ignore")
-    return table.assign(**forces, contact_force_z=0.0), ReadOptions({})
+    return table.drop(columns=[*magnitudes], errors="ignore").assign(**forces, contact_force_z=0.0)
+
+
+def _table(rows: Any) -> pd.DataFrame:
+    """Return rows as a table whose index is a column if it has a name."""
+    data = rows if isinstance(rows, pd.DataFrame) else pd.DataFrame(rows)
+    return (data.reset_index() if any(data.index.names) else data).rename(columns=str)
 
 
 def _stacked(frames: Sequence[Frame]) -> dict[str, list[NDArray]]:
@@ -122,12 +127,9 @@ def _stacked(frames: Sequence[Frame]) -> dict[str, list[NDArray]]:
 
 
 def _frames(
-    table: Any, what: str, options: ReadOptions, *, contacts: bool
+    data: pd.DataFrame, what: str, options: ReadOptions, *, contacts: bool
 ) -> dict[float, tuple[dict[str, float], Frame]]:
     """Time and number of each step, and its frame, by the first of both."""
-    data = table if isinstance(table, pd.DataFrame) else pd.DataFrame(table)
-    data = data.reset_index(drop=False) if any(data.index.names) else data
-    data = data.rename(columns=str)
     engine, found = Table(), {}
     clock = clock_of(tuple(data.columns), options.names)
     rows = {word: _numbers(data, name, what) for word, name in clock.items()}

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from scipy.special import beta
 
-from xcg.common.checks import unit_vector
+from xcg.common.checks import is_positive, unit_vector
 from xcg.scene.conform import takes_scene
 from xcg.scene.description import require_scene
 from xcg.scene.schema import COMPONENTS, VARIABLES, units_in
@@ -73,15 +73,12 @@ def derive_director(
         (2 * (x * z - w * y), 2 * (y * z + w * x), (w * w - x * x - y * y + z * z)),
     )
     parts = [sum(entry * float(part) for entry, part in zip(row, a, strict=True)) / size for row in rows]
-    director = xr.concat(parts, xr.Variable("component", list(COMPONENTS)))
-    director = director.transpose(*w.dims, "component").assign_attrs(units="1", long_name="director of the grain")
-    found = {"director": director}
+    found = {"director": _vector(parts).assign_attrs(units="1", long_name="director of the grain")}
     if "angular_velocity" in ds:
         omega = [ds.angular_velocity.sel(component=c, drop=True).drop_attrs() for c in COMPONENTS]
         along = [sum(rows[k][c] * omega[k] for k in range(3)) / size for c in range(3)]
-        body = xr.concat(along, director.component).transpose(*w.dims, "component")
         label = {"units": ds.angular_velocity.attrs.get("units", "s^-1"), "long_name": "angular velocity, body axes"}
-        found["body_angular_velocity"] = body.assign_attrs(label)
+        found["body_angular_velocity"] = _vector(along).assign_attrs(label)
     return ds.assign(found)
 
 
@@ -128,7 +125,7 @@ def derive_superquadric(
     SceneError
         If a variable is missing, or the scene has neither mass nor density and none is given.
     ValueError
-        If there are not three half-axes and two exponents.
+        If there are not three half-axes and two exponents, or a number is not positive.
 
     Examples
     --------
@@ -139,14 +136,17 @@ def derive_superquadric(
     (array([[12.566371]]), [[[25.132741, 25.132741, 5.026548]]])
     """
     axes, powers = list(half_axes), list(exponents)
-    if len(axes) != 3 or len(powers) != 2:
-        raise ValueError(f"half_axes={half_axes!r}, exponents={exponents!r}: expected three names, and two of either")
     named = [power for power in powers if isinstance(power, str)]
-    known = ["mass"] if "mass" in ds else ["density"]
-    require_scene(ds, [*axes, *named, *(known if density is None else [])], "derive_superquadric")
+    valid = all(power in named or is_positive(power) for power in powers)
+    if len(axes) != 3 or len(powers) != 2 or not valid:
+        raise ValueError(f"{half_axes=}, {exponents=}: expected three names, and two names or positive numbers")
+    if density is not None and not is_positive(density):
+        raise ValueError(f"density={density!r}: expected a positive number (kg/m^3), or None")
+    known = [] if density is not None else ["mass" if "mass" in ds else "density"]
+    require_scene(ds, [*axes, *named, *known], "derive_superquadric")
     a, b, c = (ds[name].drop_attrs() for name in axes)
     n1, n2 = (ds[power].drop_attrs() if isinstance(power, str) else power for power in powers)
-    volume, square_x, square_z = xr.apply_ufunc(_moments, n1, n2, output_core_dims=[[], [], []], dask="allowed")
+    volume, square_x, square_z = _moments(n1, n2)
     volume = volume * a * b * c
     new: dict[str, xr.DataArray] = {"volume": volume, "diameter": (6 / np.pi * volume) ** (1 / 3)}
     if density is None and "mass" in ds:
@@ -158,17 +158,21 @@ def derive_superquadric(
     per_volume = new["mass"] * (a * b * c) / volume
     squares = square_x * a**2, square_x * b**2, square_z * c**2
     inertia = [per_volume * (squares[(k + 1) % 3] + squares[(k + 2) % 3]) for k in range(3)]
-    new["moment_of_inertia"] = sum(inertia[1:], inertia[0]) / 3
+    new["moment_of_inertia"] = (inertia[0] + inertia[1] + inertia[2]) / 3
     system = str(ds.attrs.get("unit_system", "SI"))
     for name, values in new.items():
         row = VARIABLES[name]
         new[name] = values.assign_attrs(units=units_in(row.units, system), long_name=row.long_name)
-    principal = xr.concat(inertia, xr.Variable("component", list(COMPONENTS))).transpose(*volume.dims, "component")
     label = {"units": units_in("kg m^2", system), "long_name": "moments of inertia about the axes of the body"}
-    return ds.assign(new | {"principal_inertia": principal.assign_attrs(label)})
+    return ds.assign(new | {"principal_inertia": _vector(inertia).assign_attrs(label)})
 
 
-def _moments(n1: NDArray, n2: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+def _vector(parts: Sequence[xr.DataArray]) -> xr.DataArray:
+    """Return components x, y and z as one vector."""
+    return xr.concat(parts, xr.Variable("component", list(COMPONENTS))).transpose(*parts[0].dims, "component")
+
+
+def _moments(n1: Any, n2: Any) -> tuple[Any, Any, Any]:
     """Volume over abc, and the integrals of x^2 over a^3bc and of z^2 over abc^3, of superquadrics."""
     e1, e2 = 2.0 / n1, 2.0 / n2
     return (
