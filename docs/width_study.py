@@ -2,9 +2,9 @@
 
 In a face-centred cubic lattice the volume fraction and the stress are known in closed form. Narrow kernels show
 single grains, wide ones the plateau; how wide is wide enough depends on the kernel. Points are quasi-random.
-Run from anywhere::
+Run from the root of the repository::
 
-    python docs/width_study.py
+    python -m docs.width_study
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 from scipy.stats.qmc import Sobol
 
 import xcg
+from tests.flows import sine
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -69,6 +70,9 @@ def main() -> None:
     folder = Path(__file__).with_name("_static")
     folder.mkdir(exist_ok=True)
     figure.savefig(folder / "width_study.png", dpi=150)
+    figure, axes = plt.subplots(figsize=(5.5, 3.6), layout="constrained")
+    sine(60).scene.cg.choose_width("velocity", axes="z", frames=20, sample=16).cg.plot_width(axes)
+    figure.savefig(folder / "choose_width.png", dpi=130)
 
 
 if __name__ == "__main__":

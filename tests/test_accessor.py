@@ -103,7 +103,7 @@ def test_every_kind_is_offered_what_fits(scene):
                {"scene": scene, "fields": fields, "chains": found}.items()}  # fmt: skip
     assert offered["scene"] >= {"coarse_grain", "explain", "force_chains", "measure", "save"}
     correlations = {"spatial_correlation", "time_correlation"}
-    pictures, shared = {"plot", "movie", "free_surface", "fit_slope"}, {"view", "to_pyvista", "save"}
+    pictures, shared = {"plot", "plot_width", "movie", "free_surface", "fit_slope"}, {"view", "to_pyvista", "save"}
     assert offered["fields"] == {"profile", "time_average", "to_vtkhdf", "to_vtu"} | correlations | pictures | shared
     assert offered["chains"] >= {"select_chains", "chain_table", "plot_rose", "to_csv", "to_vtp", "to_vtkhdf", "save"}
     assert not offered["scene"] & offered["chains"] - shared

@@ -153,3 +153,14 @@ def test_errors_of_averages_are_not_averaged():
     f = ensemble(60, draws=4).cg.coarse_grain("velocity", errors=True, width=1.0, for_averages=True)
     with pytest.raises(ValueError, match="profile takes no mean of standard errors"):
         f.cg.time_average().cg.profile("z")
+
+
+@pytest.mark.parametrize("options", [{}, {"axes": "z"}, {"axes": "xz", "at": {"y": 5.0}, "kernel": "gaussian"}])
+def test_explain_states_the_noise_of_a_dense_packing(options):
+    ds = xcg.datasets.dense_packing(8000)
+    plan = ds.cg.explain("velocity", width=1.0, **options)
+    seen = ds.cg.coarse_grain("effective_count", width=1.0, **options).effective_count.mean().item()
+    assert plan.effective_count == pytest.approx(seen, rel=0.05)
+    assert f"velocity +-{plan.effective_count**-0.5:.2g} sqrt(T)" in str(plan)
+    points = xcg.scene_from_arrays(ds.position.values, velocity=ds.velocity.values, mass=np.ones(8000))
+    assert "noise" not in str(points.cg.explain("velocity", width=1.0))

@@ -10,6 +10,7 @@ from .chains.selection import Box, BoxRegion, Region, Sphere, select_chains
 from .common.messages import SceneError, SceneWarning
 from .fields.analysis.balance import balance
 from .fields.analysis.cell_volumes import cell_volumes
+from .fields.analysis.choose_width import choose_width, plot_width
 from .fields.analysis.correlations import spatial_correlation, time_correlation
 from .fields.analysis.diffusion import mean_squared_displacement
 from .fields.analysis.directors import derive_director, derive_superquadric
@@ -79,6 +80,7 @@ __all__ = [
     "balance",
     "cell_volumes",
     "chain_table",
+    "choose_width",
     "coarse_grain",
     "contact_graph",
     "datasets",
@@ -109,6 +111,7 @@ __all__ = [
     "plot_lengths",
     "plot_phases",
     "plot_rose",
+    "plot_width",
     "profile",
     "pysammos_mesh",
     "readers",

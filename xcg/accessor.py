@@ -82,6 +82,7 @@ class CoarseGrainAccessor:
     displacement = Method("xcg.fields.analysis.displacement", SCENE)
     mean_squared_displacement = Method("xcg.fields.analysis.diffusion", SCENE)
     width_sweep = Method("xcg.fields.analysis.width_sweep", SCENE)
+    choose_width = Method("xcg.fields.analysis.choose_width", SCENE)
     balance = Method("xcg.fields.analysis.balance", SCENE)
     slice_temperature = Method("xcg.fields.analysis.slice_temperature", SCENE)
     cell_volumes = Method("xcg.fields.analysis.cell_volumes", SCENE)
@@ -112,6 +113,7 @@ class CoarseGrainAccessor:
     free_surface = Method("xcg.fields.analysis.shallow", RESULT)
     fit_slope = Method("xcg.fields.analysis.shallow", RESULT)
     plot = Method("xcg.fields.analysis.plots", RESULT)
+    plot_width = Method("xcg.fields.analysis.choose_width", RESULT)
     movie = Method("xcg.fields.analysis.plots", RESULT)
 
     select_chains = Method("xcg.chains.selection", CHAINS)

@@ -12,6 +12,7 @@ from xcg.chains.search import force_chains
 from xcg.chains.selection import select_chains
 from xcg.fields.analysis.balance import balance
 from xcg.fields.analysis.cell_volumes import cell_volumes
+from xcg.fields.analysis.choose_width import choose_width, plot_width
 from xcg.fields.analysis.correlations import spatial_correlation, time_correlation
 from xcg.fields.analysis.diffusion import mean_squared_displacement
 from xcg.fields.analysis.directors import derive_director, derive_superquadric
@@ -58,6 +59,7 @@ class CoarseGrainAccessor:
     displacement = Method(displacement)
     mean_squared_displacement = Method(mean_squared_displacement)
     width_sweep = Method(width_sweep)
+    choose_width = Method(choose_width)
     balance = Method(balance)
     slice_temperature = Method(slice_temperature)
     flow_rate = Method(flow_rate)
@@ -87,6 +89,7 @@ class CoarseGrainAccessor:
     free_surface = Method(free_surface)
     fit_slope = Method(fit_slope)
     plot = Method(plot)
+    plot_width = Method(plot_width)
     movie = Method(movie)
     select_chains = Method(select_chains)
     track_chains = Method(track_chains)

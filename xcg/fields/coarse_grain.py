@@ -15,7 +15,7 @@ from xcg.fields.evaluate import evaluate_plan, labelled
 from xcg.fields.grids.frames import in_frame, is_cylindrical
 from xcg.fields.grids.grid import MeshTooLargeError
 from xcg.fields.layout import about_strays, check_size
-from xcg.fields.plan import Plan, make_plan
+from xcg.fields.plan import Plan, effective_count, make_plan
 from xcg.fields.presets import lammps, pysammos
 from xcg.fields.request import Preset, Request, SharedOptions, takes
 from xcg.scene.bodies import group_bodies
@@ -113,7 +113,8 @@ def explain(ds: xr.Dataset, request: Request) -> Plan:
     Returns
     -------
     Plan
-        Its text names fields, variables read, nodes, kernel, sums, passes, the rule for contacts, and memory.
+        Its text names fields, variables read, nodes, kernel, sums, passes, the rule for contacts, memory, and the noise
+        of velocity and temperature that a dense packing would have.
 
     Raises
     ------
@@ -131,7 +132,8 @@ def explain(ds: xr.Dataset, request: Request) -> Plan:
     scene = describe(ds, request.by)
     if request.preset is not None:
         request, _ = _in_own_names(scene, request)
-    return make_plan(scene, request)
+    plan = make_plan(scene, request)
+    return replace(plan, effective_count=effective_count(scene, plan))
 
 
 def prepare(ds: xr.Dataset, asked: Asked) -> tuple[xr.Dataset, Asked]:

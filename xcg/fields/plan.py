@@ -15,7 +15,7 @@ from xcg.common.messages import SceneError, unknown, warn_user
 from xcg.compiled.points import LINEAR
 from xcg.compiled.segments import RULES
 from xcg.fields.formulas import registry
-from xcg.fields.formulas.averages import needed_for_averages
+from xcg.fields.formulas.averages import needed_for_averages, squared_integral
 from xcg.fields.formulas.field import Deviatoric, Gradient, InertialSize, Options, Quantity, Temperature
 from xcg.fields.formulas.rows.errors import OF_FITS, OF_PLACES
 from xcg.fields.formulas.rows.flow import FITS
@@ -40,6 +40,8 @@ from xcg.fields.sums.step import DepositSpec
 from xcg.scene.description import Description, require_scene
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import COMPONENTS, CONTACT_VARIABLES, ROTATION, Setup
+
+DENSE = 0.6  # volume fraction of the packing for which the noise is estimated
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +70,9 @@ class Plan:
         What holds for the whole scene.
     rtol : float
         Promise for the contact stress.
+    effective_count : float, optional
+        Particles of d43 that a node sees as equals (N_eff) in a packing of the volume fraction `DENSE`; None where
+        d43 or the box is not known. Estimated by `explain` alone.
     """
 
     fields: tuple[str, ...]
@@ -80,6 +85,7 @@ class Plan:
     depth: float | str | None
     setup: Setup
     rtol: float
+    effective_count: float | None = None
 
     @property
     def dims(self) -> tuple[str, ...]:
@@ -173,7 +179,23 @@ class Plan:
             "contacts": f"{rules} (rtol = {self.rtol:g})" if passes["contacts"] else "not read for stress",
             "memory": f"{8 * sums / 1e6:.3g} MB of sums a thread and {8 * outputs / 1e6:.3g} MB of fields a step",
         }
+        if (seen := self.effective_count) is not None:
+            velocity, temperature = (min(1.0, math.sqrt(k / seen)) for k in (1, 2 / self.setup.dimension))
+            lines["noise"] = (
+                f"velocity +-{velocity:.2g} sqrt(T), temperature +-{100 * temperature:.0f} % in one frame, from "
+                f"{seen:.3g} particles (N_eff) at a node with a volume fraction of {DENSE}"
+            )
         return "\n".join(f"{key:9s} {text}" for key, text in lines.items())
+
+
+def effective_count(scene: Description, plan: Plan) -> float | None:
+    """N_eff at a node for equal spheres (or discs in a layer) of d43 that fill the share `DENSE` of the space."""
+    lengths = [length or np.ptp(scene.edges.get(a, (0.0, np.inf))) for a, length in plan.extent.items()]
+    if "d43" not in scene.sizes or not np.isfinite(lengths).all():
+        return None
+    space = scene.setup.dimension
+    number = DENSE / ({2: math.pi / 4, 3: math.pi / 6}[space] * scene.sizes["d43"] ** space)
+    return number * math.prod(lengths) / squared_integral(plan.kernel, len(plan.deposit.grid.seen))
 
 
 def scale_of(plan: Plan, lattice: Lattice, source: str) -> float:

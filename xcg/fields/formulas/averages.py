@@ -199,10 +199,12 @@ def _independent(f: xr.Dataset, axes: Sequence[str]) -> float:
     seen = [a for a in COMPONENTS if a in f.coords]
     kept = len(seen) - len(axes)
     length = [float(f[a][1] - f[a][0]) * f.sizes[a] if f.sizes[a] > 1 else 0.0 for a in axes]
-    return max(1.0, min(count, math.prod(length) * _square(kernel, len(seen)) / _square(kernel, kept)))
+    return max(
+        1.0, min(count, math.prod(length) * squared_integral(kernel, len(seen)) / squared_integral(kernel, kept))
+    )
 
 
-def _square(kernel: Kernel, seen: int) -> float:
+def squared_integral(kernel: Kernel, seen: int) -> float:
     """Integral of the square of a kernel, as it is seen in some dimensions (m^-seen)."""
     if not seen:
         return 1.0

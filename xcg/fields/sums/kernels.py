@@ -371,13 +371,13 @@ def as_kernel(kernel: str | Kernel, width: float | None, dimension: int) -> Kern
 
 
 def kernel_of(kernel: str | Kernel, width: float | str | None, sizes: Mapping[Any, Any], dimension: int) -> Kernel:
-    """Return the kernel of a call: an object with its own width, or one of a name and a width, see `choose_width`."""
+    """Return the kernel of a call: an object with its own width, or one of a name and a width, see `resolve_width`."""
     if isinstance(kernel, Kernel) and width is None:
         return kernel.in_dimension(dimension)
-    return as_kernel(kernel, choose_width(width, sizes), dimension)
+    return as_kernel(kernel, resolve_width(width, sizes), dimension)
 
 
-def choose_width(width: float | str | None, attrs: Mapping[Any, Any]) -> float:
+def resolve_width(width: float | str | None, attrs: Mapping[Any, Any]) -> float:
     """Width in metres from a number, a multiple of a size such as "0.75 d43", or the default of 0.75 d43.
 
     Raises

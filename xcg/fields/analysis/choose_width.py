@@ -1,0 +1,313 @@
+"""The width with the least error: bias and noise against the width of the kernel, from a few frames of a scene."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from xcg.common import drawing
+from xcg.common.checks import is_positive, is_whole
+from xcg.fields.analysis.width_sweep import join_widths, with_nodes
+from xcg.fields.coarse_grain import prepare
+from xcg.fields.formulas.averages import time_average
+from xcg.fields.formulas.field import Quantity
+from xcg.fields.grids.frames import refuse_cylindrical
+from xcg.fields.request import SharedOptions, takes
+from xcg.fields.sums.kernels import Kernel, as_kernel, resolve_width
+from xcg.scene.description import describe
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+WIDTHS = tuple(f"{0.5 * 2 ** (k / 2):.4g} d43" for k in range(7))
+KNOWN = 0.9  # share of the particles at nodes where a field is known, least
+STEPS = 240  # between the widths, where bias and noise are interpolated as powers of the width
+_COUNT = "number_density"
+
+
+@dataclass(frozen=True)
+class ChoiceRequest(SharedOptions):
+    """Arguments of `choose_width`.
+
+    Parameters
+    ----------
+    fields : str, quantity, or list of these
+        Names of fields, or quantities, as in `coarse_grain`.
+    at : mapping, optional
+        Coordinate of fixed axes (m), or points, as in `coarse_grain`.
+    frames : int, optional
+        Number of frames that the fields will be averaged over; all frames of the scene by default.
+    target : float
+        Largest error wanted, relative to the size of each field.
+    widths : list of float or str
+        Three or more widths to measure at (m), or multiples of sizes; by default seven from 0.5 to 4 d43.
+    sample : int
+        Number of frames, spread over the scene, that bias and noise are measured on.
+    """
+
+    fields: str | Quantity | Sequence[str | Quantity]
+    _: KW_ONLY
+    at: Mapping[str, float | xr.DataArray] | None = None
+    frames: int | None = None
+    target: float = 0.02
+    widths: Sequence[float | str] = WIDTHS
+    sample: int = 8
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name, value in (("frames", self.frames), ("sample", self.sample)):
+            if value is not None and not is_whole(value, 1):
+                raise ValueError(f"{name}={value!r}: expected a number of frames, 1 or more")
+        if not is_positive(self.target):
+            raise ValueError(f"target={self.target!r}: expected a relative error, such as 0.02")
+
+
+@takes(ChoiceRequest)
+def choose_width(ds: xr.Dataset, asked: ChoiceRequest) -> xr.Dataset:
+    """Choose the width of the kernel with the least error, from bias and noise at several widths.
+
+    Computes: reads `sample` frames once. `plot_width` draws the result.
+
+    Parameters
+    ----------
+    ds : xarray.Dataset
+        A scene.
+    {arguments}
+
+    Returns
+    -------
+    xarray.Dataset
+        With the dimension ``width`` (m), relative to the root mean square of each field: ``<field>_bias``,
+        ``<field>_noise`` of one frame, ``<field>_total``, the error of the average over `frames` frames, and ``total``,
+        the largest of the fields'. All are root mean squares over the nodes, weighted by the number of particles; NaN
+        where more than a tenth of the particles are at nodes where the field is unknown. As numbers: ``best_width`` (m)
+        with ``best_bias``, ``best_noise`` (of the average) and ``best_total``; ``best_spacing`` (m), the widest spacing
+        at which linear interpolation between nodes adds less than 5 % to the error; ``target_width`` (m) and
+        ``target_frames``, the width that reaches `target` with the fewest frames and their number, NaN where none does.
+
+    Raises
+    ------
+    ValueError
+        If an argument is wrong, or a field without an error of a single frame (a density, contact stress) is asked for
+        in a scene of one frame.
+
+    Notes
+    -----
+    A narrow kernel sees few particles, a wide one smears gradients. The error of the average over n frames is
+    ``sqrt(bias(w)^2 + noise(w)^2 / n)``. The bias comes from each width and the next wider one (see `width_sweep`),
+    less the noise of their difference, and is never more than that of a wider kernel. The noise is the error of one
+    frame (``coarse_grain(errors=True)``) or the scatter of the frames, whichever is larger: slow changes of the flow
+    count as noise. Both are interpolated as powers of the width.
+
+    Examples
+    --------
+    >>> import xcg
+    >>> found = choose_width(xcg.datasets.open("plane_shear"), "velocity", axes="z")
+    >>> sorted(found.sizes)
+    ['width']
+    """
+    ds, asked = prepare(ds, asked)
+    refuse_cylindrical(ds, "choose_width")
+    scene, count = describe(ds), ds.sizes.get("time", 1)
+    widths = sorted({resolve_width(width, scene.sizes) for width in asked.widths})
+    if len(widths) < 3:
+        raise ValueError(f"widths={list(asked.widths)!r}: expected three or more different widths")
+    rows = np.unique(np.linspace(0, count - 1, min(count, asked.sample)).round().astype(int))
+    sampled = ds.isel(time=rows) if "time" in ds.dims else ds
+    mean, names, seen = _averages(sampled, asked, widths, scene.setup.plane)
+    frames = asked.frames or count
+    found: dict[str, NDArray] = {}
+    for name in names:
+        bias, noise = _bias_and_noise(mean, name, seen)
+        noise = noise * math.sqrt(len(rows))
+        found |= {f"{name}_bias": bias, f"{name}_noise": noise, f"{name}_total": np.hypot(bias, noise / frames**0.5)}
+    labels = {name: {"units": "1", "long_name": name.replace("_", " ")} for name in found}
+    out = xr.Dataset(
+        {name: ("width", values, labels[name]) for name, values in found.items()},
+        {"width": mean["width"]}, {"frames": frames, "sampled_frames": len(rows), "target": asked.target},
+    )  # fmt: skip
+    out["total"] = out[[f"{name}_total" for name in names]].to_dataarray().max("variable", skipna=False)
+    kernel = as_kernel(asked.kernel, widths[0], scene.setup.dimension)
+    return out.assign(_choice(out, names, kernel.in_dimension(scene.setup.dimension)))
+
+
+def _averages(
+    ds: xr.Dataset, asked: ChoiceRequest, widths: Sequence[float], plane: str
+) -> tuple[xr.Dataset, list[str], int]:
+    """Averages over the frames at all widths with their errors, the names of the fields, and the axes of the kernel."""
+    wanted = [asked.fields] if isinstance(asked.fields, str | Quantity) else list(asked.fields)
+    at, axes = asked.at or {}, plane if asked.axes is None and asked.at is None else asked.axes or ""
+    if axes:
+        # nodes in a volume lie apart, or the widest kernel would reach too many
+        spacing = widths[0] * (widths[-1] / widths[0]) ** ((len(axes) - 1) / 4)
+        asked = with_nodes(ds, replace(asked, axes=axes, spacing=asked.spacing or spacing), widths[:1], at)
+    fields = [*wanted, *({_COUNT} - {str(field) for field in wanted})]
+    ask = partial(asked.ask, fields=fields, at=asked.at, for_averages=True)
+    try:
+        f = join_widths(ds, [ask(width=width, errors=True) for width in widths]).compute()
+    except ValueError:  # none of the fields has an error, or else the next line says what is wrong
+        f = join_widths(ds, [ask(width=width) for width in widths]).compute()
+    names = [name for name in map(str, f.data_vars) if any(name == getattr(w, "name", w) for w in wanted)]
+    lone = [name for name in names if f"{name}_error" not in f]
+    if lone and f.sizes.get("time", 1) < 2:
+        raise ValueError(
+            f"choose_width: {', '.join(lone)} has no error of a single frame, and the scene holds one frame; open two "
+            "frames or more, or choose by a field with an error, such as velocity"
+        )
+    return time_average(f).assign_coords(width=f["width"]), names, len(axes) + sum(np.ndim(x) == 0 for x in at.values())
+
+
+def _bias_and_noise(mean: xr.Dataset, name: str, seen: int) -> tuple[NDArray, NDArray]:
+    """Bias and noise of an average at each width, relative to the size of the field."""
+    field, error, widths = mean[name], mean[f"{name}_error"], mean["width"].to_numpy()
+    parts = [dim for dim in ("component", "direction", "other_phase") if dim in field.dims]
+    count = mean[_COUNT].isel(width=len(widths) // 2, drop=True)
+    places = list(count.dims)
+
+    def mean_square(values: xr.DataArray) -> NDArray:
+        squares = (values**2).sum(parts, skipna=False)
+        known = count.where(squares.notnull(), 0.0)
+        squares = (squares * known).sum(places) / known.sum(places).where(known.sum(places) >= KNOWN * count.sum())
+        return squares.transpose("width").to_numpy()
+
+    noise = mean_square(error)
+    change = mean_square(field.diff("width", label="lower"))
+    # less the noise of the difference: of Gaussians, the noise at two widths is correlated by this
+    correlation = (2 * widths[1:] * widths[:-1] / (widths[1:] ** 2 + widths[:-1] ** 2)) ** (seen / 2)
+    change -= noise[1:] + noise[:-1] - 2 * correlation * np.sqrt(noise[1:] * noise[:-1])
+    bias = _integrate(np.fmin.accumulate(np.clip(change, 0.0, None)[::-1])[::-1] ** 0.5, widths)
+    size = mean_square(field)[len(widths) // 2 :]
+    size = size[np.isfinite(size)]
+    scale = size[0] if size.size and size[0] > 0 else np.nan
+    return bias / np.sqrt(scale), np.sqrt(noise / scale)
+
+
+def _integrate(change: NDArray, widths: NDArray) -> NDArray:
+    """Return the bias of each width from its changes between widths: a power of the width that is fitted to them.
+
+    The power is 2 where fields are smooth, 1 or less where they end or jump; ``change_k = c (w_k+1^p - w_k^p)``.
+    """
+    there = change > 0
+    if there.sum() < 2:
+        power = 2.0
+    else:
+        power, best = 2.0, np.inf
+        for p in np.linspace(0.3, 2.0, 86):
+            logs = np.log(change[there] / np.diff(widths**p)[there])
+            if (spread := np.var(logs)) < best:
+                power, best = p, spread
+    level = change / np.diff(widths**power)
+    return np.append(level, level[-1]) * widths**power
+
+
+def _choice(found: xr.Dataset, names: Sequence[str], kernel: Kernel) -> dict[str, xr.DataArray]:
+    """Return the best width with its errors and spacing, and the width and number of frames that reach the target."""
+    frames, target, widths = found.attrs["frames"], found.attrs["target"], found["width"].to_numpy()
+    fine = np.geomspace(widths[0], widths[-1], STEPS + 1)
+
+    def between(name: str) -> NDArray:
+        values = np.maximum(found[name].to_numpy(), 1e-9)
+        return np.exp(np.interp(np.log(fine), np.log(widths), np.log(values)))
+
+    biases, noises = (np.stack([between(f"{name}_{end}") for name in names]) for end in ("bias", "noise"))
+    totals = np.hypot(biases, noises / math.sqrt(frames))
+    worst = totals.max(axis=0)
+    needed = (noises**2 / np.maximum(target**2 - biases**2, 1e-300)).max(axis=0)
+    needed = np.where((biases < target).all(axis=0) & np.isfinite(needed), np.ceil(needed), np.inf)
+    if not np.isfinite(worst).any():
+        raise ValueError(
+            f"choose_width: {', '.join(names)} cannot be judged at any width: unknown at more than a tenth of the "
+            "particles, or zero everywhere; choose by other fields, or measure at wider widths="
+        )
+    best, fewest = int(np.nanargmin(worst)), int(np.lexsort((worst, needed))[0])
+    leading = int(totals[:, best].argmax())
+    bias, total = biases[leading, best], worst[best]
+    # between nodes h apart, linear interpolation is off by h^2 f'' / sqrt(120), f'' = 2 bias / mu_2
+    second_moment = _second_moment(kernel) * fine[best] ** 2
+    spacing = math.sqrt(math.sqrt(120) * second_moment * 0.32 * total / (2 * bias))
+    reached = np.isfinite(needed[fewest])
+    unit = found["width"].attrs["units"]
+    numbers = {
+        "best_width": (fine[best], unit, "width with the least error"),
+        "best_bias": (bias, "1", "relative bias at the best width"),
+        "best_noise": (
+            noises[leading, best] / math.sqrt(frames),
+            "1",
+            f"relative noise of the mean of {frames} frames",
+        ),
+        "best_total": (total, "1", "relative error at the best width"),
+        "best_spacing": (min(spacing, 2 * fine[best]), unit, "widest spacing of nodes for linear interpolation"),
+        "target_width": (fine[fewest] if reached else np.nan, unit, f"width that reaches an error of {target:g}"),
+        "target_frames": (needed[fewest] if reached else np.nan, "1", f"frames to reach an error of {target:g}"),
+    }
+    return {name: xr.DataArray(v, attrs={"units": u, "long_name": text}) for name, (v, u, text) in numbers.items()}
+
+
+def _second_moment(kernel: Kernel) -> float:
+    """Second moment of a kernel along one axis, over the square of its width."""
+    q = np.linspace(0.0, 1.0, 4001)
+    weight = kernel.value(q * kernel.cutoff) * q ** ((kernel.dimension or 3) - 1)
+    mean = float(np.trapezoid(weight * q**2, q) / np.trapezoid(weight, q))
+    return mean * (kernel.cutoff / kernel.width) ** 2 / (kernel.dimension or 3)
+
+
+def plot_width(found: xr.Dataset, ax: Axes | None = None) -> Axes:
+    """Draw bias, noise and total error against width, with the best width marked.
+
+    Parameters
+    ----------
+    found : xarray.Dataset
+        A result of `choose_width`.
+    ax : matplotlib.axes.Axes, optional
+        Axes to draw into; new ones by default.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        The axes.
+
+    Raises
+    ------
+    ValueError
+        If the Dataset is no result of `choose_width`.
+    """
+    if "best_width" not in found:
+        raise ValueError("plot_width expects a result of ds.cg.choose_width(...)")
+    ax = drawing.new_axes() if ax is None else ax
+    frames, width = found.attrs["frames"], found["width"]
+    names = [str(name)[: -len("_total")] for name in found.data_vars if str(name).endswith("_total")]
+    names.remove("best")
+    for k, name in enumerate(names):
+        what = name.replace("_", " ")
+        styles: dict[str, tuple[Any, str]] = {
+            f"bias of {what}": (found[f"{name}_bias"], "--"),
+            f"noise of {what}": (found[f"{name}_noise"] / math.sqrt(frames), ":"),
+            f"{what}, total": (found[f"{name}_total"], "-"),
+        }
+        for label, (values, style) in styles.items():
+            ax.plot(width, values.where(values > 0), style, color=f"C{k}", marker=".", label=label)
+    best = found["best_width"].item()
+    ax.axvline(best, color="0.5", lw=1)
+    ax.plot(
+        best,
+        found["best_total"].item(),
+        "o",
+        mfc="none",
+        mec="k",
+        ms=9,
+        label=f"best width, {best:.3g} {width.attrs['units']}".removesuffix(" 1"),
+    )
+    ax.set(xscale="log", yscale="log")
+    ax.set_xticks(width.to_numpy(), [f"{w:.3g}" for w in width.to_numpy()])
+    ax.minorticks_off()
+    drawing.set_label(ax.xaxis, drawing.with_unit("width", width.attrs["units"]))
+    drawing.set_label(ax.yaxis, f"relative error, mean of {frames} frame{'s' * (frames > 1)}")
+    ax.legend(frameon=False, fontsize="small")
+    return ax
