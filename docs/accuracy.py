@@ -25,7 +25,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 import xcg
-from docs import alternatives
+from docs import alternatives, physics
 from tests import planning
 from tests.brute_force import BruteKernel
 from xcg.compiled.points import deposit
@@ -648,6 +648,7 @@ times as many nodes at the same width. The Heaviside is the fastest because it r
 then sees few grains. Wendland's C2 function, (1 - q)^4 (1 + 4 q), stands for registered kernels.
 """
 
+PHYSICS = "<!-- physics -->"  # the second part of the page follows
 MARKERS = "osD^v"
 # offset in points, alignments, rotation
 LABELS: dict[str, dict[str, Any]] = {
@@ -665,7 +666,7 @@ def draw(panels: Sequence[tuple[Panel, list[Point], Mapping[str, float]]], path:
     figure, grid = plt.subplots(2, 3, figsize=(15, 9.5), layout="constrained")
     for ax, (panel, points, bare) in zip(grid.flat, panels, strict=True):
         ax.set(xscale="log", yscale="log", title=panel.title, ylabel=panel.measure)
-        ax.set_xlabel(f"{panel.timed} (us a particle)")
+        ax.set_xlabel(f"{panel.timed} [µs per particle]")
         for group in by_group(points).values():
             line = front(group)
             ax.step([p.time for p in line], [p.error for p in line], "0.8", lw=5, where="post", zorder=1)
@@ -747,8 +748,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--particles", type=int, default=20_000, help="grains of the packing (default 20000)")
     parser.add_argument("--repeats", type=int, default=15, help="times that each way is run (default 15)")
+    parser.add_argument("--part", choices=["arithmetic", "physics", "both"], default="both", help="what to measure")
     given = parser.parse_args()
-    n, repeats = given.particles, given.repeats
+    page = HERE / "accuracy.md"
+    first, _, second = page.read_text().partition(PHYSICS)
+    if given.part != "physics":
+        first = arithmetic(given.particles, given.repeats)
+    if given.part != "arithmetic":
+        second = physics.main()
+    page.write_text(f"{first.rstrip()}\n\n{PHYSICS}\n\n{second.lstrip()}")
+
+
+def arithmetic(n: int, repeats: int) -> str:
+    """Measure the ways of all panels, draw them, and return the text."""
     measured = []
     for make in PANELS:
         panel = make(n)
@@ -761,7 +773,7 @@ def main() -> None:
         if "temperature" in panel.title:
             parts += [TEMPERATURES, table_of_temperatures(n)]
     parts += [RATES, table_of_rates(n, repeats)]
-    (HERE / "accuracy.md").write_text("\n".join(parts))
+    return "\n".join(parts)
 
 
 def machine() -> str:

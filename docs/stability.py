@@ -6,6 +6,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from tests.stability.cases import CASES
+from tests.stability.physical import LIMITS
 
 HERE = Path(__file__).parent
 HEAD = """# Where methods fail
@@ -21,6 +22,18 @@ test (`tests/stability/`) that runs both methods; errors are relative to the siz
 """
 
 
+PHYSICAL = """
+## Physical limits
+
+No method is right here: the scene does not hold what is asked for. What counts is that the result says so: the
+[error of one frame](errors.md), the [bias of the width](width.md#bias), or NaN. Errors are root mean squares relative
+to the field.
+
+| case | what goes wrong | what xcg states | true error | stated |
+|---|---|---|---|---|
+"""
+
+
 def main() -> None:
     results = [case() for case in CASES]
     rows = [
@@ -33,7 +46,11 @@ def main() -> None:
         '\nWhere the answer is "unknown" (few grains, degenerate rows), any number counts as an error of 1, NaN with '
         "its count as none.\n"
     )
-    (HERE / "stability.md").write_text(HEAD + "".join(rows) + tail)
+    limits = [limit() for limit in LIMITS]
+    physical = [
+        f"| {x.what} | {x.fails} | {x.says} | {100 * x.true:.2g} % | {100 * x.stated:.2g} % |\n" for x in limits
+    ]
+    (HERE / "stability.md").write_text(HEAD + "".join(rows) + tail + PHYSICAL + "".join(physical))
     figure, ax = plt.subplots(figsize=(8.5, 4.2), layout="constrained")
     y = np.arange(len(results))[::-1]
     floor = 1e-17

@@ -31,11 +31,11 @@ class Flow:
 
 
 def _grains(
-    frames: int, seed: int, temperature: float, speed: Callable[[NDArray], NDArray], periodic: str
+    frames: int, seed: int, temperature: float, speed: Callable[[NDArray], NDArray], periodic: str, side: float = 6.0
 ) -> xr.Dataset:
-    """Random grains at a volume fraction of 0.4, placed anew in each frame, in a box of 6 x 6 x 12 diameters."""
+    """Random grains at a volume fraction of 0.4, placed anew in each frame, in a box of side x side x 12 diameters."""
     rng = np.random.default_rng(seed)
-    side, count = 6.0, 330
+    count = round(9.17 * side**2)
     position = rng.uniform(0, [side, side, LENGTH], (frames, count, 3))
     velocity = np.sqrt(temperature) * rng.normal(size=position.shape)
     velocity[..., 0] += speed(position[..., 2])
@@ -45,13 +45,13 @@ def _grains(
     )  # fmt: skip
 
 
-def sine(frames: int, seed: int = 1, temperature: float = 0.25) -> Flow:
+def sine(frames: int, seed: int = 1, temperature: float = 0.25, side: float = 6.0) -> Flow:
     """Periodic shear, V_x = sin(2 pi z / L)."""
 
     def truth(z: NDArray) -> NDArray:
         return np.sin(2 * np.pi * z / LENGTH)
 
-    return Flow(_grains(frames, seed, temperature, truth, "xyz"), "velocity", truth)
+    return Flow(_grains(frames, seed, temperature, truth, "xyz", side), "velocity", truth)
 
 
 def shear(frames: int, seed: int = 1, temperature: float = 0.25) -> Flow:
@@ -96,9 +96,9 @@ def layer(frames: int, seed: int = 1) -> Flow:
 
 
 def column(frames: int, seed: int = 1, columns: int = 30) -> Flow:
-    """Columns of touching grains under gravity on a floor: sigma_zz = n_columns / A times the weight above.
+    """Columns of touching grains under gravity: sigma_zz = (columns / A) times the weight above, mass = g = 1.
 
-    The lowest grain of each column starts within a diameter above the floor, which carries it by a contact.
+    The lowest grain of each column lies up to a diameter above z = 0, on a support that carries it by a contact.
     """
     rng = np.random.default_rng(seed)
     side, high = 6.0, 24
@@ -115,14 +115,12 @@ def column(frames: int, seed: int = 1, columns: int = 30) -> Flow:
     scene = xcg.scene_from_arrays(
         position.reshape(frames, -1, 3), velocity=np.zeros((frames, columns * high, 3)),
         diameter=np.ones((frames, columns * high)), density=6 / np.pi, time=np.arange(frames),
-        contacts={
-            "contact_i": np.tile(pairs[0], (frames, 1)), "contact_j": np.tile(pairs[1], (frames, 1)),
-            "contact_force": np.tile(np.outer(force, [0, 0, 1.0]), (frames, 1, 1)), "contact_point": places,
-        },
+        contact_i=np.tile(pairs[0], (frames, 1)), contact_j=np.tile(pairs[1], (frames, 1)),
+        contact_force=np.tile(np.outer(force, [0, 0, 1.0]), (frames, 1, 1)), contact_point=places,
         box={"x": (0, side), "y": (0, side), "z": (0, high + 2.0)}, periodic="xy",
     )  # fmt: skip
     weight = columns / side**2
-    return Flow(scene, "contact_stress", lambda z: weight * np.clip(high + 0.5 - z, 0, high))
+    return Flow(scene, "contact_stress", lambda z: weight * np.clip(high - z, 0, high))
 
 
 FLOWS = {"sine": sine, "linear shear": shear, "channel": channel, "band": band, "layer": layer}

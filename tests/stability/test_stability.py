@@ -3,6 +3,7 @@
 import pytest
 
 from tests.stability.cases import CASES
+from tests.stability.physical import LIMITS
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda c: c.__name__)
@@ -10,3 +11,11 @@ def test_naive_fails_and_xcg_does_not(case):
     result = case()
     assert result.naive > 5 * result.bound, result
     assert result.ours <= result.bound, result
+
+
+@pytest.mark.parametrize("limit", LIMITS, ids=lambda c: c.__name__)
+def test_the_stated_error_is_that_of_the_field(limit):
+    found = limit()
+    low, high = found.ratio
+    assert found.true > 0.01
+    assert low < found.stated / found.true < high
