@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -31,7 +32,13 @@ class Flow:
 
 
 def _grains(
-    frames: int, seed: int, temperature: float, speed: Callable[[NDArray], NDArray], periodic: str, side: float = 6.0
+    frames: int,
+    seed: int,
+    temperature: float,
+    speed: Callable[[NDArray], NDArray],
+    periodic: str,
+    side: float = 6.0,
+    **box: Any,
 ) -> xr.Dataset:
     """Random grains at a volume fraction of 0.4, placed anew in each frame, in a box of side x side x 12 diameters."""
     rng = np.random.default_rng(seed)
@@ -41,7 +48,7 @@ def _grains(
     velocity[..., 0] += speed(position[..., 2])
     return xcg.scene_from_arrays(
         position, velocity=velocity, diameter=np.ones((frames, count)), density=1.0, time=np.arange(frames),
-        box={"x": (0, side), "y": (0, side), "z": (0, LENGTH)}, periodic=periodic,
+        box={"x": (0, side), "y": (0, side), "z": (0, LENGTH)}, periodic=periodic, **box,
     )  # fmt: skip
 
 
@@ -61,6 +68,16 @@ def shear(frames: int, seed: int = 1, temperature: float = 0.25) -> Flow:
         return z / LENGTH
 
     return Flow(_grains(frames, seed, temperature, truth, "xy"), "velocity", truth)
+
+
+def lees_edwards(frames: int, seed: int = 1, temperature: float = 0.25) -> Flow:
+    """Linear shear in a sheared periodic box, V_x = z / L: images above the box are faster by 1."""
+
+    def truth(z: NDArray) -> NDArray:
+        return z / LENGTH
+
+    shear = {"lattice": {"xz": np.arange(frames) % 6.0}, "shear_rate": {"xz": 1 / LENGTH}}
+    return Flow(_grains(frames, seed, temperature, truth, "xyz", **shear), "velocity", truth)
 
 
 def channel(frames: int, seed: int = 1, temperature: float = 0.25) -> Flow:
@@ -123,4 +140,6 @@ def column(frames: int, seed: int = 1, columns: int = 30) -> Flow:
     return Flow(scene, "contact_stress", lambda z: weight * np.clip(high - z, 0, high))
 
 
-FLOWS = {"sine": sine, "linear shear": shear, "channel": channel, "band": band, "layer": layer}
+FLOWS = {
+    "sine": sine, "linear shear": shear, "sheared box": lees_edwards, "channel": channel, "band": band, "layer": layer,
+}  # fmt: skip

@@ -19,8 +19,9 @@ from scipy.optimize import curve_fit
 import xcg
 
 ds = xcg.datasets.open("chute")  # with force_z, the total force on each grain, for the check
-wanted = ["density", "volume_fraction", "velocity", "inertial_number", "contact_stress", xcg.Sum("force_z")]
-f = ds.cg.coarse_grain(wanted, axes="z", bounds={"z": (0, 25)}, spacing=0.25).isel(time=0).compute()
+wanted = ["density", "volume_fraction", "velocity", "inertial_number", "contact_stress", "granular_temperature"]
+wanted.append(xcg.Sum("force_z"))
+f = ds.cg.coarse_grain(wanted, errors=True, axes="z", bounds={"z": (0, 25)}, spacing=0.25).isel(time=0).compute()
 V = f.velocity.sel(component="x")
 
 # %%
@@ -34,17 +35,27 @@ def bagnold(z, V0, A, h):
 flow = f.sel(z=slice(2, 20))
 (V0, A, h), _ = curve_fit(bagnold, flow.z, flow.velocity.sel(component="x"), p0=(0, 0.2, 20))
 
-fig, ax = plt.subplots()
+fig, (ax, right) = plt.subplots(1, 2, sharey=True, layout="constrained")
 ax.plot(V, f.z, "o", ms=4, label="coarse-grained")
 ax.plot(bagnold(flow.z, V0, A, h), flow.z, "k-", label="Bagnold's profile")
 ax.set(xlabel=r"velocity $V_x$ [$\sqrt{g d}$]", ylabel="height $z$ [$d$]")
 ax.legend()
+T, noise = f.granular_temperature, f.granular_temperature_error
+right.fill_betweenx(f.z, T - 2 * noise, T + 2 * noise, alpha=0.3, lw=0, label="two standard errors")
+right.plot(T, f.z, label="coarse-grained")
+right.set(xlabel="granular temperature [$g d$]")
+right.legend()
 plt.show()
 
 inertial = flow.inertial_number.median()
 from_I = float(inertial * np.sqrt(flow.volume_fraction.mean() * np.cos(np.radians(24))))
 print(f"A = {A:.3f} by the velocity, {from_I:.3f} by the inertial number, whose median is {inertial:.2f}")
 print(f"largest difference of the velocity from the fit: {abs(bagnold(flow.z, V0, A, h) - V).max():.2f}")
+print(f"noise of the velocity in this step: {f.velocity_error.sel(z=slice(2, 20), component='x').mean():.2f}")
+
+# %%
+# The band is the noise of one step (:doc:`how sure is a field </errors>`). That of the velocity is too small to be
+# seen: its difference from the fit is not noise, but the flow's own.
 
 # %%
 # **Check.** At every height the contacts carry the weight of the grains above, and what accelerates them: the flow is
