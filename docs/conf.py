@@ -30,8 +30,9 @@ html_title = "xcg"
 html_static_path = ["_static"]
 html_css_files = ["xcg.css"]
 html_show_sourcelink = False
-html_sidebars = {"**": ["globaltoc"]}
-html_theme_options = {"navbar_center": []}
+html_logo = html_favicon = "_static/logo.svg"
+html_sidebars = {"index": []}
+html_theme_options = {"logo": {"text": "", "alt_text": "xcg"}, "navbar_align": "left", "show_prev_next": False}
 
 myst_enable_extensions = ["attrs_block", "deflist", "dollarmath"]
 myst_heading_anchors = 3
@@ -98,18 +99,12 @@ def shorten_methods(app, what, name, obj, options, lines):
         del lines[1:]
 
 
-# What has a page here, and is a file where the repository is read
-PAGES = {
-    "../gallery": "gallery/index.rst",
-    "../examples/gallery": "gallery/index.rst",
-    "examples/gallery": "docs/gallery/index.rst",
-    "CHANGELOG.md": "docs/changes.md",
-    "CONTRIBUTING.md": "docs/contributing.md",
-}
+# Files of the repository that are pages of the site
+PAGES = {"../gallery": "gallery/index.rst", "../examples/gallery": "gallery/index.rst"}
 
 
 def link_pages(app, *names_and_text):
-    """Let links to scripts of the gallery, and those of the README's list, lead to the pages that show them."""
+    """Replace links to scripts and folders of the gallery by links to their pages."""
     text = names_and_text[-1]
     text[0] = re.sub(r"\(\.\./examples/gallery/([\w/]+)\.py\)", r"(gallery/\1.rst)", text[0])
     for path, page in PAGES.items():

@@ -1,6 +1,6 @@
 """Writes what the documentation says of all fields from the rows of the registry: python docs/fields.py.
 
-That is the page docs/fields.md, and the parts of README.md and docs/averages.md between two marks.
+These are the page docs/fields.md and the part of docs/averages.md between two marks.
 """
 
 import re
@@ -14,7 +14,7 @@ HEAD = """# Fields
 
 `ds.cg.coarse_grain([...])` takes these fields by name, and without names all that have no star. Psi is the kernel, and
 sums run over all grains and periodic images that reach the node. [Theory](theory.md) explains the formulas,
-[variants](variants.md) has other definitions. [Your own fields](own_fields.md) are taken by name as well, and so is
+[variants](variants.md) has other definitions. [Custom fields](own_fields.md) are taken by name as well, and so is
 [any variable of the scene](own_fields.md#any-variable). Fields from `displacement` on compare two steps, and
 [`ds.cg.displacement`](displacement.md) takes their names instead.
 
@@ -44,7 +44,7 @@ PAGES = {
     "flow": "[granular temperature](temperature.md)",
     "contacts": "[walls](walls.md), [fabric](fabric.md), [phases](phases.md)",
     "rheology": "[variants](variants.md)",
-    "energy": "[rotation and energy](energy.md)",
+    "energy": "[vorticity, spin and energy](energy.md)",
     "orientation": "[fabric](fabric.md#grains-that-are-not-round)",
     "displacement": "[displacement and strain](displacement.md)",
 }
@@ -87,16 +87,6 @@ def _row(name: str) -> str:
     return f"| `{name}`{star} | {about} | {KINDS[f.rank]} | {unit} | {additive} | {average} |\n"
 
 
-def names() -> str:
-    """The table of fields in the README."""
-    shown = set(listed(registered=False))
-    rows = []
-    for topic in TOPICS:
-        found = ", ".join(f"`{name}`" for name in topic.ROWS if name in shown)
-        rows.append(f"| {_title(topic).partition(':')[0]} | {found} |\n")
-    return "".join(["| fields | names |\n|---|---|\n", *rows])
-
-
 def averages() -> str:
     """The table of docs/averages.md."""
     rules: dict[str, list[str]] = {"as they are": ["sums (*additive* in the [table](fields.md))"]}
@@ -120,9 +110,9 @@ def averages() -> str:
 def pages() -> dict[Path, str]:
     """All files that this writes, with their text."""
     found = {ROOT / "docs" / "fields.md": table()}
-    for path, part in ((ROOT / "README.md", names()), (ROOT / "docs" / "averages.md", averages())):
-        before, rest = path.read_text().split(FIRST)
-        found[path] = before + FIRST + part + "\n" + LAST + rest.split(LAST)[1]
+    path = ROOT / "docs" / "averages.md"
+    before, rest = path.read_text().split(FIRST)
+    found[path] = before + FIRST + averages() + "\n" + LAST + rest.split(LAST)[1]
     return found
 
 

@@ -1,6 +1,6 @@
 r"""
-Bedload: a bed that a fluid shears
-==================================
+Bedload transport
+=================
 
 A river moves the grains of its bed by the drag on those at the surface. Layer by layer grains take over the stress of
 the fluid, and deeper down they bear it at rest, where their weight holds them.

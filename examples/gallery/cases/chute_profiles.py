@@ -1,6 +1,6 @@
 r"""
-Profiles of a chute flow: Bagnold's profile
-===========================================
+Chute flow: Bagnold's profile
+=============================
 
 In a steady flow down a rough plane friction is the tangent of the angle at every height. If friction depends on the
 inertial number :math:`I` alone, :math:`I` is the same at every height, too, and the velocity has Bagnold's profile

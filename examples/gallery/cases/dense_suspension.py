@@ -1,6 +1,6 @@
 r"""
-A dense suspension: viscous number and effective viscosity
-==========================================================
+Dense suspension: viscous number
+================================
 
 Where a fluid is viscous enough for inertia not to matter, a suspension is told by the viscous number :math:`J = \eta_f
 \dot\gamma / P`: its volume fraction :math:`\phi`, its friction :math:`\mu = \tau / P`, and its viscosity :math:`\eta_s

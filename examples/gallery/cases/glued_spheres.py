@@ -1,6 +1,6 @@
 r"""
-Bodies of glued spheres: forces that no contact shows
-=====================================================
+Clumps of glued spheres
+=======================
 
 Codes make grains of other shapes by gluing spheres together. What holds a body together is no contact, so a stress that
 is summed over spheres misses it. Summed over bodies, from each contact to the centre of the body, it is complete.

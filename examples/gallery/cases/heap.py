@@ -1,6 +1,6 @@
 r"""
-Heap: its surface and slope
-===========================
+Heap: angle of repose
+=====================
 
 How steep does a heap lie? The deposit of a collapsed column, 1600 discs, with its free surface, where the volume
 fraction is half of that inside, and the line that fits it best.

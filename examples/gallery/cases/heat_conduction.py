@@ -1,6 +1,6 @@
 r"""
-Heat through a packing: its effective conductivity
-==================================================
+Heat conduction through a packing
+=================================
 
 Heat goes from grain to grain through small contacts, so a bed of grains conducts far less than what they are made of.
 Where the gas between them does not count, a contact of radius :math:`a` lets :math:`Q_{ij} = 2 k a (T_j - T_i)`

@@ -1,6 +1,6 @@
 r"""
-A sphere that falls into a bed: pressure below it
-=================================================
+Impact of a sphere
+==================
 
 A sphere that hits a bed of grains is slowed down by what it sets in motion, and later by the weight and friction of the
 grains that it pushes aside. Fields show how far into the bed it is felt.

@@ -1,6 +1,6 @@
 r"""
-Rods in shear: how they align
-=============================
+Rods in shear: alignment
+========================
 
 A rod in a shear flow turns fast while it stands across the flow and slowly while it lies along it. Jeffery's equation
 for a rod of aspect ratio :math:`r` in the plane of a shear rate :math:`\dot\gamma` (*Proc. R. Soc. Lond. A* 102 (1922)

@@ -1,6 +1,6 @@
 r"""
-Large and small grains that flow together: segregation
-======================================================
+Segregation of two sizes
+========================
 
 In a flow small grains fall into gaps that large ones do not fit into. So the large ones come up, until the diffusion
 that the same flow makes stirs as much back. Fields of each phase show how concentrations change, and how fast.

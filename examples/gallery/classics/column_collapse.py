@@ -1,6 +1,6 @@
 r"""
-Collapse of a column: its run-out
-=================================
+Column collapse: run-out
+========================
 
 A column of grains that is set free spreads by a distance that depends on its aspect ratio :math:`a` alone, height over
 width: its run-out over its width grows like :math:`a` for low columns and about like :math:`a^{2/3}` for tall ones

@@ -1,6 +1,6 @@
 r"""
-A granular gas that cools: Haff's law
-=====================================
+Cooling gas: Haff's law
+=======================
 
 Smooth spheres that lose energy in each collision cool without end: the granular temperature falls as :math:`T = T_0 /
 (1 + t/\tau)^2` (Haff 1983), and kinetic theory says :math:`\tau` without anything to fit.

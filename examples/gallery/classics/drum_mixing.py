@@ -1,6 +1,6 @@
 r"""
-Mixing in a rotating drum
-=========================
+Rotating drum: mixing
+=====================
 
 Grains in a drum turn with it as one body, until they come to the surface and flow down in a thin layer. There they mix:
 Lacey's index goes from 0, where two sorts are apart, towards 1, where they are as mixed as by chance.

@@ -1,6 +1,6 @@
 r"""
-Void fraction on a fluid's cells
-================================
+Void fraction on fluid cells
+============================
 
 A coupled code (CFD-DEM) needs the void fraction :math:`\varepsilon = 1 - \phi` on the cells of the fluid's mesh. Fields
 that are averaged over cells hold all of the solid volume, whatever the size of the cells: that is what a solver of the

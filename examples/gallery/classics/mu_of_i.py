@@ -1,6 +1,6 @@
 r"""
-Friction of a shear flow: mu(I)
-===============================
+Shear flow: mu(I) rheology
+==========================
 
 In plane shear at the rate :math:`\dot\gamma` under the normal stress :math:`P`, the ratio :math:`\mu` of shear to
 normal stress depends on the inertial number alone, :math:`I = \dot\gamma \sqrt{m/P}` for discs of mass :math:`m` per

@@ -1,6 +1,6 @@
 r"""
-A biaxial test: shear band and force chains
-===========================================
+Biaxial test: shear band and force chains
+=========================================
 
 A dense sample that is shortened along one axis at a constant stress across it yields in bands. The Mohr circle of the
 stresses at the peak, :math:`\sin\varphi = (\sigma_1 - \sigma_3)/(\sigma_1 + \sigma_3)`, says at which angle to the axis

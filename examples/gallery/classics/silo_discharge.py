@@ -1,6 +1,6 @@
 r"""
-Discharge of a silo: Beverloo's law
-===================================
+Hopper flow: Beverloo's law
+===========================
 
 Grains flow out of a silo at a rate that does not depend on how full it is, and that grows faster than the area of the
 outlet. Beverloo et al. (1961) found the power 5/2 of the diameter for a round hole. For a slot of width :math:`D` and

@@ -1,6 +1,6 @@
 r"""
-Pressure in a silo: Janssen's law
-=================================
+Silo pressure: Janssen's law
+============================
 
 The side of a silo carries most of what is in it, so that the pressure stops growing with depth (Janssen 1895). A layer
 in a cylinder of radius :math:`R` pushes against the side with the pressure :math:`K \sigma_{zz}`, and the side holds it
