@@ -29,6 +29,7 @@ html_theme = "pydata_sphinx_theme"
 html_title = "xcg"
 html_static_path = ["_static"]
 html_css_files = ["xcg.css"]
+html_search_scorer = str(Path(__file__).with_name("scorer.js"))
 html_show_sourcelink = False
 html_logo = html_favicon = "_static/logo.svg"
 html_sidebars = {"index": []}
