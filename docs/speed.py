@@ -48,7 +48,7 @@ Many small steps, from gzipped dumps of LAMMPS, a pair of files a step, to a Zar
 step, after a first one; processor time is that of all threads, in the program and in the system). A new file takes
 pages of the system. A virtual machine may have to ask its host for these, which takes several times as long as
 computing; *at hand* are pages that a process gave back a moment before
-([design](design.md#memory-comes-from-numpy-large-arrays-first)).
+([measurements](measurements.md#memory-comes-from-numpy-large-arrays-first)).
 
 | steps | grains | threads | pages | time | program | system |
 |---|---|---|---|---|---|---|

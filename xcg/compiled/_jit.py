@@ -153,7 +153,7 @@ def worth(particles: int, threads: int) -> int:
 def for_each(items: Sequence[T], do: Callable[[T], R], threads: int) -> list[R]:
     """Do something with each item, in turn or by several threads; return what it gave, raise an error of theirs.
 
-    The calling thread is one of them, from the last item on, as it has more memory at hand: see docs/design.md.
+    The calling thread is one of them, from the last item on, as it has more memory at hand: see docs/measurements.md.
     """
     if threads == 1 or len(items) < 2:
         return list(map(do, items))

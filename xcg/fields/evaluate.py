@@ -53,7 +53,7 @@ _PAGE = 4096 // 8  # numbers in a page of memory
 def _take_memory(numbers: NDArray) -> None:
     """Write to every page, so that the system gives the memory now, which is quick just after other memory was freed.
 
-    See docs/design.md.
+    See docs/measurements.md.
     """
     numbers[::_PAGE] = 0.0
 

@@ -22,7 +22,7 @@ from xcg.fields.sums.nodes import BLOCK_NODES, Grid, triple
 from xcg.scene.schema import COMPONENTS
 
 # Cells hold about this many points, but are no wider and no narrower than these shares of the support's radius:
-# measured, see docs/design.md.
+# measured, see docs/measurements.md.
 _IN_A_CELL = 16
 _WIDEST, _NARROWEST = 1.0, 0.35
 # They are flat, as the run of points within reach begins and ends with a cell.
