@@ -305,6 +305,9 @@ def plot_width(found: xr.Dataset, ax: Axes | None = None) -> Axes:
         label=f"best width, {best:.3g} {width.attrs['units']}".removesuffix(" 1"),
     )
     ax.set(xscale="log", yscale="log")
+    ticks: Any = ax.yaxis.get_major_locator()
+    ticks.set_params(subs=(1.0, 2.0, 5.0))
+    ax.yaxis.set_major_formatter("{x:g}")
     ax.set_xticks(width.to_numpy(), [f"{w:.3g}" for w in width.to_numpy()])
     ax.minorticks_off()
     drawing.set_label(ax.xaxis, drawing.with_unit("width", width.attrs["units"]))
