@@ -278,7 +278,7 @@ def dense_packing(
 
     Spheres stand on the sites of a face-centred cubic lattice, a few left empty so that any number fits, each
     displaced at random; the pairs that are nearest to each other are in contact, pushed apart by random forces with
-    some friction. No packing that is in balance, but its sums cost what those of one do.
+    some friction. The packing is not in balance, but its sums cost as much as a real one's.
 
     Parameters
     ----------

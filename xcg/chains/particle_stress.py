@@ -52,7 +52,7 @@ class StressRule:
     symmetric : bool
         Whether the symmetric part is taken.
     disc : bool
-        Whether volumes are those of discs of a certain thickness.
+        Whether volumes are computed for discs of a certain thickness.
     thickness : float or str or None
         Of the discs (m), or the axis whose box extent it is.
     spheres : tuple of str

@@ -35,7 +35,7 @@ def plot_chains(
     colour : {"stress", "chain"}
         Of the links: the mean major stress of the two particles of a link, or one colour a chain.
     grains : bool
-        Draw the particles, those of chains darker.
+        Draw the particles; particles of chains are darker.
     ax : matplotlib.axes.Axes, optional
         Where to draw; a new figure by default.
 
@@ -143,9 +143,9 @@ def plot_rose(
     bins : int
         Petals, an even number.
     plane : str, optional
-        The two axes that directions are projected on; those of the layer, or "xz" in 3D.
+        The two axes that directions are projected on; the axes of the layer by default, or "xz" in 3D.
     ax : matplotlib.axes.Axes, optional
-        Polar axes; those of a new figure by default.
+        Polar axes; a new figure by default.
 
     Returns
     -------

@@ -84,7 +84,7 @@ def result_sizes(particles: int, contacts: int, min_length: int) -> dict[str, in
 
 
 def statistics_of(particles: NDArray, min_length: int, lengths: int) -> dict[str, NDArray | float]:
-    """Statistics of the lengths of the chains of one step, by the names in `STATISTICS`; NaN where there are none."""
+    """Statistics of the lengths of the chains of one step, by the names in `STATISTICS`; NaN without chains."""
     count = len(particles)
     found: dict[str, NDArray | float] = {"chain_count": count}
     found |= {name: row.compute(particles) if count else np.nan for name, row in _OF_LENGTHS.items()}
@@ -254,7 +254,7 @@ def track_chains(fc: xr.Dataset, overlap: float = 0.5) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        ``track_id`` (time, chain), -1 where there is no chain; ``births``, ``deaths`` and ``survivors`` (time):
+        ``track_id`` (time, chain), -1 for padding; ``births``, ``deaths`` and ``survivors`` (time):
         chains that continue none of the step before, chains of the step before that none continues, and the others;
         ``birth_time``, ``last_time``, ``lifetime`` (s) and ``steps`` (track). A track seen in one step has lifetime
         zero. What there is in the first step counts as born there, and what there is in the last does not die, so

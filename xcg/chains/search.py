@@ -140,7 +140,7 @@ def force_chains(
         is a link of. By chain, row k for chain k: ``chain_particles``, ``chain_links``, ``chain_branchings``,
         ``chain_stress`` (Pa), ``chain_orientation``, ``chain_normal`` (NaN for a straight chain). By step:
         ``chain_count``, ``length_mean``, ``length_median``, ``length_min``, ``length_max``, ``length_share``
-        (time, length). Positions, diameters, ids and forces are those of the scene.
+        (time, length). Positions, diameters, ids and forces are copied from the scene.
 
         The dimension ``chain`` has as many rows as there could be chains, particles // `min_length`, so that nothing
         needs to be computed to know the shape; rows without a chain are padding (-1, NaN).

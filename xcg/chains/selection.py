@@ -123,7 +123,7 @@ class BoxRegion(_Moving):
     Attributes
     ----------
     lower, upper : three floats
-        Corners (m), infinite where there is no face. With `follow`, relative to that particle.
+        Corners (m), infinite on open sides. With `follow`, relative to that particle.
     velocity : three floats
         Of the box (m s-1); `lower` and `upper` hold at time 0.
     follow : int, optional
@@ -239,7 +239,7 @@ def select_chains(
     Returns
     -------
     xarray.Dataset
-        The same variables. Chains keep their numbers, dropped ones leave padding; statistics are those of the chains
+        The same variables. Chains keep their numbers, dropped ones leave padding; statistics cover the chains
         that are left.
 
     Raises

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 
 def floats(given: Any) -> NDArray[np.float64]:
-    """Numbers as an array; NaN, without dimensions, where they are texts, booleans or anything else that is none."""
+    """Numbers as an array; NaN, without dimensions, where they are texts, booleans or other objects."""
     try:
         values = np.asarray(given)
         numeric = values.dtype.kind in "iuf" or (values.dtype.kind == "O" and not _holds_text(values))

@@ -69,7 +69,7 @@ def set_label(axis: Axis, text: str) -> None:
 
 
 def add_colour_bar(drawn: Any, ax: Axes, text: str, **options: Any) -> None:
-    """Add a labelled colour bar beside axes; `options` are those of matplotlib."""
+    """Add a labelled colour bar beside axes; `options` go to matplotlib."""
     bar = ax.figure.colorbar(drawn, ax=ax, **options)
     powers: Any = bar.formatter
     powers.set_powerlimits((-3, 4))

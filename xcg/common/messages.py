@@ -34,7 +34,7 @@ class SceneError(_Printable, ValueError):
 
 
 class SceneWarning(_Printable, UserWarning):
-    """Something in the data or the request is probably not what was meant."""
+    """Something in the data or the request is probably a mistake."""
 
 
 def did_you_mean(word: str, words: Iterable[str], cutoff: float = 0.6) -> str:
@@ -70,8 +70,8 @@ _BETWEEN = {
 def warn_user(message: str | Warning, category: type[Warning] = SceneWarning) -> None:
     """Warn at the line of the user's program that made the call.
 
-    That is the first line outside this package and those that run its tasks. In a thread of dask's, which has no such
-    line, it is the line of the main thread that waits for the result. A worker of ``distributed`` tells its client.
+    It is the first line outside this package and the libraries that run its tasks. A thread of dask's has no such line;
+    there it is the line of the main thread that waits for the result. Workers of ``distributed`` pass the warning on.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def _on_worker(distributed: Any) -> bool:
 class Once:
     """Warnings of one call, each of them given once: copies in other threads and processes know what was said.
 
-    Copies in one process share what was said, as they have the same key. The key is no part of what dask names tasks
+    Copies in one process share the warnings, by the same key. The key is no part of what dask names tasks
     by, so that equal calls still have equal names.
     """
 

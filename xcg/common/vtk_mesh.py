@@ -30,7 +30,7 @@ def read_mesh(path: str | os.PathLike[str], *, empty: bool = False) -> Any:
     Raises
     ------
     FileNotFoundError
-        If there is no such file.
+        If the file does not exist.
     ValueError
         If the name ends otherwise, or VTK cannot read the file.
     """

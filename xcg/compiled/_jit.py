@@ -114,7 +114,7 @@ def jit(function: Callable, **options: Any) -> Any:
 
 
 def leaf(function: Callable) -> Callable:
-    """Compile a loop that makes no arrays: those that it is given, and views of them, are not counted.
+    """Compile a loop that makes no arrays: references to its arguments, and to views of them, are not counted.
 
     Counting references to memory stops the processor until all that is under way is written.
     """

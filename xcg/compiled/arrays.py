@@ -13,7 +13,7 @@ from xcg.compiled._jit import inner, leaf
 
 @lru_cache
 def gauss_rules(*orders: int) -> tuple[NDArray, NDArray]:
-    """Points and weights of Gauss-Legendre rules on [0, 1]: those of n points fill the first n places of row n."""
+    """Points and weights of Gauss-Legendre rules on [0, 1]: the rule of n points fills the first n places of row n."""
     points = np.zeros((max(orders) + 1, max(orders)))
     weights = np.zeros_like(points)
     for n in orders:

@@ -6,7 +6,7 @@ so that the points of neighbouring cells along z are one run. As for a mesh it i
 cells is reached, for all rows at once; then the points of the runs are looked at, as many at a time as a vector holds.
 
 What tests points against a place or a segment is written out as in `xcg.compiled.simd`: points are tested once, and all
-that lists hold of those that are near moves to the front of the vectors by one mask, so that nothing goes through
+that lists hold of near points moves to the front of the vectors by one mask, so that nothing goes through
 memory in between.
 """
 
@@ -91,7 +91,7 @@ def _list_near_place(typingctx, values, numbers, at, px, py, pz, first, left, x,
 
 @compiled_as(_list_near_place)
 def list_near_place(values, numbers, at, px, py, pz, first, left, x, y, z):
-    """List those of eight points, from `first` on, that are closer than 1 to a place.
+    """List the points among eight, from `first` on, that are closer than 1 to a place.
 
     No more than `left` points are looked at. What `nodes_in_ball` writes of each is written from `at` on; returns how
     many there are. Memory that follows them is spoilt, up to eight numbers from `at` on.
@@ -129,7 +129,7 @@ def _list_near_segment(typingctx, values, numbers, at, px, py, pz, first, left, 
 
 @compiled_as(_list_near_segment)
 def list_near_segment(values, numbers, at, px, py, pz, first, left, x, y, z, ex, ey, ez, length):
-    """List those of eight points, or of sixteen in single precision, that are closer than 1 to a segment.
+    """List the points among eight, or sixteen in single precision, that are closer than 1 to a segment.
 
     The segment begins at a place and runs along a unit vector e. Differences of places are taken in double precision,
     the rest has the precision of the lists. Otherwise as `list_near_place`, with what `nodes_around_segment` writes.
@@ -181,14 +181,14 @@ class PointCells(NamedTuple):
 
 @leaf
 def sort_by_cell(x, y, z, rows, lower, per_size, shape, start, cell, rank, position, sorted_rows):
-    """Sort points by the cell that they are in; those of one cell keep their order.
+    """Sort points by the cell that they are in; points of one cell keep their order.
 
     Parameters
     ----------
     x, y, z, rows : (n,)
         The points, and a number that each has.
     lower, per_size, shape : tuple
-        As those of `PointCells`.
+        As in `PointCells`.
     start : (cells + 2,)
         Zeros; written: the first point of each cell, and twice the number of points.
     cell, rank : (n,)
@@ -241,7 +241,7 @@ def _beyond(x, k, lower, size, per_size, margin):
 
 @inner
 def _keep_rows(count, lists):
-    """Keep the rows of cells that are closer than 1, of those that are listed; returns how many are left."""
+    """Keep the listed rows of cells that are closer than 1; return their number."""
     values, numbers = lists.values, lists.numbers
     tests, kept = values[ROW2], np.uint64(0)
     for k in range(0, count, EIGHT):

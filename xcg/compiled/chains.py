@@ -142,7 +142,7 @@ def branching_chains(
     onward : (n, 3)
         Directions, turned onward here.
     place : (n, 3)
-        Positions, those of a chain made continuous across periodic boundaries here.
+        Positions; positions of a chain are made continuous across periodic boundaries here.
     link : (m,)
         Chain that each contact is a link of, UNSEEN at first; set here.
 
@@ -218,7 +218,7 @@ def linear_chains(
     """Search without branches: from each seed both ways, each time to the contact nearest to the direction of travel.
 
     A seed's direction is a line: the first way is the one of the link nearest to it, so that the sign in which an
-    eigenvector comes makes no difference. The parameters are those of `branching_chains`.
+    eigenvector comes makes no difference. Parameters as in `branching_chains`.
     """
     count, filled = 0, 0
     for seed in seeds:

@@ -38,7 +38,7 @@ def partners_by_lower(row_i, row_j, least, ends, partner):
 
 @leaf
 def a_pair_twice(ends, partner, last):
-    """Return whether any group of rows has one partner twice; `partner` (n,) holds those of group after group.
+    """Return whether any group of rows has one partner twice; `partner` (n,) holds the partners of group after group.
 
     Group k ends before ``ends[k]``. Of each partner, `last` holds the group that had it last, and no group before.
     """
@@ -59,7 +59,7 @@ def k_core(row_i, row_j, weight, least, degree, kept):
     Parameters
     ----------
     row_i, row_j : (n,)
-        Pairs; negative where a partner is no row.
+        Pairs; negative where a partner has no row.
     weight : (n,)
         1 for pairs that count, 0 for repeated ones.
     least : int
@@ -142,7 +142,7 @@ def join_clusters(row_i, row_j, crossed, parent, moved, winds):
 def add_dyads(row, sign, a, b, first, out):
     """Add sign a b, (n, 3) each, to the rows that `row` (n,) names, of which out (m, 3, 3) are those from `first` on.
 
-    Rows before and after those of `out` are left out: threads that share the rows need not wait for each other.
+    Rows outside `out` are skipped: threads that share the rows need not wait for each other.
     """
     for n in range(row.size):
         prefetch(out, row[min(n + AHEAD, row.size - 1)] - first)
@@ -205,7 +205,7 @@ def add_unit_squares(row_i, row_j, along, out):
 def side(position, row, point, n, period, lattice):
     """Vector from contact point n to the centre of a row of `position`, zero where the row is negative.
 
-    Images are those of a `lattice`, or where that is None, of periods along the axes.
+    Images follow from a `lattice` or, if that is None, from periods along the axes.
     """
     if row < 0:
         return 0.0, 0.0, 0.0

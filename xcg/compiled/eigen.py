@@ -57,7 +57,7 @@ def principal_of_one(xx, xy, xz, yy, yz, zz):
 
 @inner
 def _unfinished(matrix, turns):
-    """Mark the matrices (3, 3, TILE) that are not diagonal yet; tell whether there are any."""
+    """Mark the matrices (3, 3, TILE) that are not diagonal yet; return whether any is left."""
     some = False
     for n in range(TILE):
         off = matrix[0, 1, n] ** 2 + matrix[0, 2, n] ** 2 + matrix[1, 2, n] ** 2
@@ -200,7 +200,7 @@ def principal_of_any(tensor, values, vectors):
     """Real eigenvalues, largest first, and right eigenvectors of matrices that need not be symmetric.
 
     A matrix without its mean diagonal has a real eigenvalue that is at least as far from the others as from zero. Its
-    eigenvector is well defined; in axes that begin with it, what is left is a 2x2 matrix.
+    eigenvector is well defined; in axes that begin with it, the rest is a 2x2 matrix.
 
     Parameters
     ----------

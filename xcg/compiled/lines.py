@@ -1,7 +1,7 @@
 """Integrals of kernels along lines, at one node and at many.
 
 A segment at distance h from a point, running from t0 to t1 along its own line, contributes the integral of the value at
-sqrt(h^2 + t^2) over t. Kinds, spreads and tables are those of `xcg.compiled.smoothing`.
+sqrt(h^2 + t^2) over t. Kinds, spreads and tables as in `xcg.compiled.smoothing`.
 """
 
 import math
@@ -175,7 +175,7 @@ def _fill_one_by_one(kind, spread, table, length, along, q2, count, out):
 def _fill_chords(kind, spread, table, per_length, length, along, q2, count, out):
     """As `_antiderivative` at both ends of the clipped segment, for kinds of `_parts_of_line`.
 
-    Differences of error functions are those of their complements, which keep their digits far out.
+    Differences of error functions are computed from their complements, which keep their digits far out.
     """
     bell, flat, cube = _parts_of_line(kind, spread, table)
     per_2s2 = 0.5 / (spread * spread)

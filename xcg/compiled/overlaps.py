@@ -107,7 +107,7 @@ def add_shares(position, radius, values, group, lower, step, count, period, disc
     period : (3,)
         Period, infinity along axes that are not periodic.
     discs : int
-        The axis that discs stand along, whose shares are those of their areas; -1 for spheres.
+        The axis of the discs, whose shares follow from areas; -1 for spheres.
     corner : (m,)
         Scratch: as many numbers as a grain reaches corners of cells.
     out : (groups, nx, ny, nz, k)

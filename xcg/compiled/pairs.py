@@ -2,7 +2,7 @@
 
 Every level has its own cells, at least as wide as its largest particle's reach. Particles are kept as records
 (x, y, z, radius), sorted by level and cell, so that the cells along z that a particle can reach are one run of
-records. A particle looks for partners in its own level and in those of larger particles, never in those of smaller
+records. A particle looks for partners in its own level and in levels of larger particles, never of smaller
 ones: forward cells in its own level (each pair once), all near cells in the others.
 
 A level is a row of three arrays:
@@ -39,7 +39,7 @@ def locate(position, level, corner, period, lower, inverse, cells, first_cell, w
     level : (n,)
         Level of each particle.
     corner, period : (3,)
-        Lower edge of the box, and its period; infinity where there is none.
+        Lower edge of the box, and its period; infinite without one.
     lower, inverse, cells : (levels, 3)
         The levels.
     first_cell : (levels,)
@@ -124,7 +124,7 @@ def find(
     largest : (levels,)
         Largest radius of each level.
     period : (3,)
-        Period of each axis, infinity where there is none.
+        Period of each axis, infinite without one.
     fold : (levels, 3)
         The period along axes where a level has one cell, so that each distance is wrapped by itself; else infinity.
     skin : float
@@ -227,7 +227,7 @@ def sort_pairs(low, high, rows, first, last, pairs):
     first, last : int
         The range of lower rows.
     pairs : (m, 2)
-        Those of the range are set here.
+        Entries of the range are set here.
     """
     before, count = 0, 0
     for n in range(low.size):

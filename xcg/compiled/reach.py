@@ -47,7 +47,7 @@ class Nodes(NamedTuple):
     active : tuple of bool
         Whether distance along an axis counts.
     period : tuple of float
-        Period, infinity where there is none.
+        Period, infinite without one.
     rows, cells, volumes : Rows, PointCells or Volumes, one of them, and None
         The nodes themselves: of a mesh, points anywhere, or cells of a mesh. None leaves code out when a loop is
         compiled.
@@ -314,7 +314,7 @@ def batch_reaches(batches, batch, begin, end, active, period):
 
 @leaf
 def batches_in_reach(batches, begin, end, active, period, reaches):
-    """Write for each of `batches_of` (r,) whether it reaches nodes, as `batch_reaches` tells."""
+    """Write for each of `batches_of` (r,) whether it reaches nodes, see `batch_reaches`."""
     for batch in range(batches.shape[0]):
         reaches[batch] = batch_reaches(batches, batch, begin, end, active, period)
 

@@ -22,7 +22,7 @@ def _first_from(angle, first, last, low):
 
 @leaf
 def ring_squares(grains, kernel, cutoff, rings, start, angle, share, tilts, dimension, scratch, sums, out):
-    """Add the squares of the weights of grains on rings, as those of the rings' fits, to `out`.
+    """Add the squares of the weights of grains in the fits of rings to `out`.
 
     A grain's velocity has the same error at each angle of a ring, seen in the axes R_k that are there. With w_k the
     weight at an angle and phi = (1, x) in these axes, a fit over the ring takes ``Q = m^2 |sum_k w_k R_k phi|^2 / D``

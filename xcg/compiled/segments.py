@@ -81,7 +81,7 @@ class ContactRows(NamedTuple):
     Attributes
     ----------
     row_i, row_j : (n,)
-        Particles of each contact; negative where a partner is no row.
+        Particles of each contact; negative where a partner has no row.
     point : (n, 3)
         Contact point.
     on_i : (n, 3)
@@ -89,7 +89,7 @@ class ContactRows(NamedTuple):
     position, phase : (m, 3), (m,)
         Of the particles.
     period : tuple
-        Periods of the scene, infinity where there are none.
+        Periods of the scene, infinite along other axes.
     lattice : Reduced or None
         Periodic images of boxes with other edges than x, y and z.
     """
@@ -108,7 +108,7 @@ class ContactRows(NamedTuple):
 def list_segments(contacts, on_j, second, others, cutoffs, cutoff, origin, rows, segments, bounds, longest):
     """List one segment for each of some contacts: of its first particle that is there, or `second`, of its partner.
 
-    Where `segments` is None they are only measured. None leaves code out when the loop is compiled, here and below.
+    Without `segments` they are only measured. None leaves code out when the loop is compiled, here and below.
 
     Each side of a contact runs from its particle's centre to the contact point. Both sides are one segment, of the
     first, where they carry opposite vectors, lie on one line, on opposite sides of the point, and in one phase.
@@ -134,7 +134,7 @@ def list_segments(contacts, on_j, second, others, cutoffs, cutoff, origin, rows,
         Which contacts, in the order of the list.
     segments : (k, SEGMENT) or None
         Written: START, BRANCH from the segment's end to its start, and FORCE on the particle (or what the side carries
-        in its place) times the cutoff, three each, and GROUP, or where there is no segment, -1 as GROUP alone.
+        in its place) times the cutoff, three each, and GROUP, or -1 as GROUP alone without a segment.
     bounds : (runs, 2, 3) or None
         Widened to hold the segments of each run, see `bounds_of_segments`.
     longest : (4,)
@@ -204,7 +204,7 @@ def _prefetch(contacts, far, later, alone):
 def _side(contacts, n, opposite, second, alone):
     """Particle and partner of a segment of contact n, whether it has two segments, and the branch.
 
-    `opposite` tells that the sides carry opposite vectors, `alone` that there is one phase.
+    `opposite`: the sides carry opposite vectors; `alone`: there is one phase.
     """
     row_i, row_j, point, _, position, phase, wrap, lattice = contacts
     i, j = row_i[n], row_j[n]

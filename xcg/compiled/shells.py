@@ -35,7 +35,7 @@ _TINY = 1e-290  # keeps quotients finite where both ends are at the node
 def fill_shells(shells, per_length, length, along, q2, count, out, ratio, bits, exponent, rows):
     """Write the mean of the shells over segments, seen from `count` nodes, in loops that vectorise.
 
-    Arguments are those of `xcg.compiled.lines.fill_segments`.
+    Arguments as in `xcg.compiled.lines.fill_segments`.
     """
     room = padded(count)
     for k in range(room):
@@ -113,7 +113,7 @@ def along_shells(shells, h2, t0, t1):
 def along_marginal(shells, h2, t0, t1):
     """Integral of a marginal along a line at distance h from t0 to t1 (t0 < t1), of the kernel seen in a plane.
 
-    The shells are those of ``w(q) = int_q^1 P(r) r dr``, P being the kernel.
+    The shells describe ``w(q) = int_q^1 P(r) r dr``, P being the kernel.
     """
     total = 0.0
     for j in range(shells.shape[1]):

@@ -6,7 +6,7 @@ compiled (``NUMBA_DISABLE_JIT=1``, to step through a loop in a debugger); the fu
 with an underscore, writes the instructions that compiled code has in its place. Both give the same bits.
 
 Compiled code checks places only where ``NUMBA_BOUNDSCHECK=1`` is set, and never addresses or what `prefetch` is asked
-for: places must lie within the array, and addresses be those of arrays that are still there.
+for: places must lie within the array, and addresses belong to arrays that still exist.
 """
 
 import ctypes

@@ -10,11 +10,11 @@ P(q) the profile (q = r / cutoff, zero for q >= 1),
 and the same three hold for kernels of any k. Integrals along segments are in `xcg.compiled.lines`.
 
 A kind is one of these, the code of a kernel + its codimension. The kind of Lucy's kernel itself, in codimension 0, is
-`LUCY_FULL`, which is None: the compiler tells None from a number by its type, and leaves all other kernels out of the
+`LUCY_FULL`, which is None: the compiler knows None by its type, and leaves all other kernels out of the
 loops that most scenes take, which then compile in half the time. In the same way the table of most kernels is `PLAIN`,
 which is None: nothing is compiled for them of a Gaussian whose value at the cutoff is taken off, which has any array
 for a table, nor of registered kernels, whose spread is `TABULATED`, also None. (The compiler leaves out what follows a
-test for None only where an argument is None: so functions for tables begin with a test of their own.)
+test for None only where an argument is None: so functions for tables begin with that test.)
 """
 
 import math

@@ -1,6 +1,6 @@
 """Tables of numbers in text: words, lines, and the float64 nearest to a decimal number.
 
-Words are found 64 bytes at a time, and those of other columns are not looked at.
+Words are found 64 bytes at a time, and words of other columns are skipped.
 
 Digits are read eight at a time, and a word of up to eight characters, point and all, at once. A number of up to 19
 digits is a whole number m times a power of ten. Where both are exact in float64, one product or quotient gives the
@@ -26,7 +26,7 @@ BLOCK = 64  # bytes that are looked at together
 
 
 def _bytes_where(emit, compute):
-    """Return what tells which of 64 bytes are of a kind, as bits of a whole number."""
+    """Return a mask of 64 bits that marks the bytes of one kind."""
 
     def of_bytes(typingctx, data, at):
         def generate(context, builder, signature, args):
@@ -207,7 +207,7 @@ def _points(characters):
 
 @inlined
 def _short(text, at, count):
-    """Read one to eight characters, digits with or without a point, as m 10^power; tell whether that is what they are.
+    """Read one to eight characters, digits with or without a point, as m 10^power; return whether they have that form.
 
     The point is taken out, and the digits before it move up by a byte.
     """
@@ -226,7 +226,7 @@ def _short(text, at, count):
 
 @inlined
 def _usual(text, at, end):
-    """Read digits with a point and an exponent of two digits as m 10^power; tell whether that is what they are.
+    """Read digits with a point and an exponent of two digits as m 10^power; return whether they have that form.
 
     There are up to 8 digits before the point, or where no point is, and 19 in all without zeros at the front.
     """
@@ -263,7 +263,7 @@ def _usual(text, at, end):
 
 @inner
 def _any(text, at, end):
-    """Read any decimal number as m 10^power; tell whether further digits follow m, and whether it is one at all."""
+    """Read any decimal number as m 10^power; return whether further digits follow m, and whether it is a number."""
     m, digits, power = _U(0), 0, np.int64(0)
     further, point, there = False, False, False
     while at < end:
@@ -308,7 +308,7 @@ def number(text, start, end):
     value : float
         The nearest float64, ties to even.
     known : bool
-        Whether it is; else Python's `float` tells, or that the word is no number.
+        Whether it is; else Python's `float` decides, or the word is not a number.
     """
     negative = load8(text, start) & _U(255) == _U(45)
     m, power, known = _usual(text, start + negative, end)

@@ -42,7 +42,7 @@ def _place(point, corner, place):
 def nearest(points, corners, normals, centre, radius, place, distance, triangle):
     """Find the nearest triangle to each point, and the signed distance from it.
 
-    Of triangles that are equally near, which meet at an edge or a corner, the one that faces the point most tells its
+    Of triangles that are equally near, which meet at an edge or a corner, the one that faces the point most decides its
     side.
 
     Parameters
@@ -91,7 +91,7 @@ def crossings(points, directions, reach, corners, centre, radius, out):
     corners, centre, radius
         As in `nearest`.
     out : (n, m, MOST_CROSSINGS)
-        Distances, infinity (on entry) where there is none.
+        Distances, infinite (on entry) without one.
     """
     most = 0
     for n in range(len(points)):

@@ -1,7 +1,7 @@
-"""Means of the kernel over the cells of a mesh: what a node that stands for the volume around it sees of a grain.
+"""Means of the kernel over the cells of a mesh: the share of a grain in the volume around a node.
 
 A cell is a box about its node. The mean of the kernel over it, ``(1 / V) int Psi(x - o) do``, is a kernel of its own,
-so that sums with it are those of any kernel, counts and squares of weights included.
+so that sums with it work as for any kernel, counts and squares of weights included.
 
 Along the last of the axes that have an extent the integral is the closed form of a line. Along the others it is by
 Gauss-Legendre points within the part of the cell that the support reaches: over the angle along the chord, which takes

@@ -74,7 +74,7 @@ def with_accessible(f: xr.Dataset, scene: Description, plan: Plan, request: Requ
     Raises
     ------
     ValueError
-        If the kernel is not of the scene's dimension, groups have widths of their own, walls do not bound an averaged
+        If the kernel is not of the scene's dimension, groups have different widths, walls do not bound an averaged
         axis, or they vary across the layer of a two-dimensional scene.
     """
     walls, kernel = tuple(request.walls or ()), plan.kernel

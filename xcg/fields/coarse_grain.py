@@ -46,7 +46,7 @@ def coarse_grain(ds: xr.Dataset, request: Request) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        Fields with dimensions (time, x, y, z, phase, component, direction), those that apply. Sums are zero where
+        Fields with dimensions (time, x, y, z, phase, component, direction), as far as they apply. Sums are zero where
         nothing reaches; ratios are NaN there, and ``sample_count`` says how many particles each node saw.
 
     Raises

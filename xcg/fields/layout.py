@@ -244,7 +244,7 @@ def check_size(ds: xr.Dataset, scene: Description, grid: Grid, numbers: int) -> 
 
 
 def memory_at_hand() -> int | None:
-    """Return the memory that is free (bytes), None where the system does not tell."""
+    """Return the memory that is free (bytes), None where the system does not report it."""
     info = Path("/proc/meminfo")
     if info.exists():
         for line in info.read_text().splitlines():
@@ -257,7 +257,7 @@ def memory_at_hand() -> int | None:
 
 
 def _steps_at_once(ds: xr.Dataset) -> int:
-    """Return how many steps of fields are in memory at once: all, or those of the longest chunk of a lazy scene."""
+    """Return how many steps of fields are in memory at once: all, or one longest chunk of a lazy scene."""
     chunks = ds["position"].chunksizes.get("time")
     return max(chunks) if chunks else max(1, ds.sizes.get("time", 1))
 

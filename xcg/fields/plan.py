@@ -277,7 +277,7 @@ def make_plan(scene: Description, request: Request) -> Plan:
 
 
 def _fields_and_options(scene: Description, request: Request) -> tuple[tuple[str, ...], tuple[str, ...], Options]:
-    """Fields that are computed, those of them that were asked for, and the choices of their algebra."""
+    """Return the computed fields, the requested fields, and the choices of their algebra."""
     if request.by_pair and request.by is None:
         raise ValueError(
             "by_pair=True divides contact stress by pairs of phases: say which with by=, for example by='species'"
@@ -317,14 +317,14 @@ def _fields_and_options(scene: Description, request: Request) -> tuple[tuple[str
 
 
 def possible_fields(scene: Description, request: Request) -> tuple[str, ...]:
-    """Return the names of the fields that the scene's variables allow: those of a request without names."""
+    """Return the names of the fields that the scene's variables allow: the fields of a request without names."""
     return _choose_fields(None, scene, _options_of(scene, request))[0]
 
 
 def _choose_fields(
     asked: str | Quantity | Sequence[str | Quantity | registry.OwnRow] | None, scene: Description, options: Options
 ) -> tuple[tuple[str, ...], tuple[OwnField | registry.OwnRow, ...]]:
-    """Names of the fields of a result, and those of them that are quantities of the scene's own variables."""
+    """Names of the fields of a result, and of the quantities of the scene's own variables among them."""
     rows = registry.FIELDS
     listed = [name for name, row in rows.items() if row.listed]
     lacking = {name for name, row in rows.items() if row.option and getattr(options, row.option) is None}
@@ -355,7 +355,7 @@ def _choose_fields(
 def _with_errors(
     names: tuple[str, ...], own: tuple[OwnField | registry.OwnRow, ...], scene: Description, absent: Set[str]
 ) -> tuple[tuple[str, ...], tuple[OwnField | registry.OwnRow, ...]]:
-    """Add the errors of one step of the fields that have them, but for those that are absent."""
+    """Add the errors of one step of the fields that have them, unless absent."""
     quantities = [one.error for one in own if isinstance(one, OwnField)]
     further = tuple(own_field(quantity, scene) for quantity in quantities if quantity is not None)
     errors = [f"{name}_error" for name in names if f"{name}_error" in registry.FIELDS.keys() - absent]
@@ -368,7 +368,7 @@ def _with_errors(
 
 
 def moment_rows(options: Options) -> dict[str, Moment]:
-    """Return all sums by name: those of xcg, with the coefficient of friction if known, and those of own fields."""
+    """Return all sums by name: xcg's, with the coefficient of friction if known, and the sums of custom fields."""
     own = {name: row for one in options.own for name, row in one.moments.items()}
     if options.friction is not None:
         name = "sliding_contacts"
@@ -378,7 +378,7 @@ def moment_rows(options: Options) -> dict[str, Moment]:
 
 @lru_cache(maxsize=256)  # 5 ms of a call for all fields; rows that users registered are in the options
 def variables_of(fields: tuple[str, ...], here: frozenset[str], options: Options) -> frozenset[str]:
-    """Variables that some fields need, of a scene that holds those that are here."""
+    """Variables that some fields need, of a scene with the variables `here`."""
     needed = {"position", "particle_id"}
     rows = moment_rows(options)
     for name in registry.moments_of(fields, options):

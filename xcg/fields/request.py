@@ -74,7 +74,7 @@ class SharedOptions:
     sampling : {"node", "cell"}
         "node" (default) gives fields at the nodes. "cell" gives averages over the cell of each node, which extends half
         a spacing to every side along resolved axes: for meshes that are coarser than the kernel, as cells side by side
-        count all mass, however large they are. Ratios are ratios of averages, as those of a wider kernel.
+        count all mass, however large they are. Ratios are ratios of averages, as with a wider kernel.
     by : str, optional
         An integer variable of the particles, for example "species": adds the dimension ``phase`` with "bulk" first.
         Fluctuations of each phase are about the bulk velocity; contact stress is split at the contact point.
@@ -91,7 +91,7 @@ class SharedOptions:
     shear_dims : str, optional
         Axes that deviatoric stress, shear stress and shear rate are restricted to, for example "xz".
     deviatoric : str
-        Which magnitudes are those of deviators: of the "stress" (default), the "rate", "both" or "neither".
+        Magnitudes computed from deviators: of the "stress" (default), the "rate", "both" or "neither".
     size : str
         Diameter in the inertial number: "d43" (default) or "d32" of the node, "d50" or "dmax" of the scene.
     fluid_viscosity : float, optional
@@ -110,7 +110,7 @@ class SharedOptions:
         "body_id": bodies are coarse-grained instead of spheres, see `xcg.group_bodies`. Sizes and extent of the bodies
         of a lazy scene are not known: `width` and `bounds` have to be given then.
     frame : Rotated or Cylindrical, optional
-        Axes of one's own choice, in which everything else in the request and in the result is then meant.
+        Axes chosen by the user; everything else in the request and the result refers to them.
     rtol : float
         Promise for the contact stress of every segment, relative to its largest value: the cheapest quadrature that
         keeps it is taken, from 1e-4 on with weights in single precision. 0 (default) takes the closed form.
@@ -164,7 +164,7 @@ class Request(SharedOptions):
     Parameters
     ----------
     fields : str, quantity, or list of these, optional
-        Names of fields, see `xcg.FIELDS` (those that begin with an underscore are parts of others), by default all that
+        Names of fields, see `xcg.FIELDS` (names with an underscore first are parts of others), by default all that
         the scene's variables allow; names of other variables of the scene, for their means; and `xcg.Mean`, `xcg.Sum`,
         `xcg.Variance`, `xcg.Flux` or `xcg.Conduction` of any variable. Only what these need is read and summed.
     width : float, str or mapping, optional
@@ -202,12 +202,12 @@ class Request(SharedOptions):
     for_averages: bool = False
 
     def changed(self, names: Sequence[str]) -> list[str]:
-        """Of some arguments, those that are not as they are by default."""
+        """Names of arguments that differ from their defaults."""
         usual = Request()
         return [name for name in names if getattr(self, name) != getattr(usual, name)]
 
     def axes_of(self, plane: str) -> str:
-        """Return the resolved axes: by default, and without fixed ones, those of the scene."""
+        """Return the resolved axes: by default, and without fixed axes, all axes of the scene."""
         return plane if self.axes is None and self.at is None else self.axes or ""
 
     def given(self) -> dict[str, Any]:
@@ -219,7 +219,7 @@ class Request(SharedOptions):
 
 @cache
 def arguments(request: Any) -> tuple[Field[Any], ...]:
-    """Fields of a class of requests in the order of a call: by position, its own, those of all."""
+    """Fields of a class of requests in the order of a call: by position, its own, shared ones."""
     shared = {field.name for field in fields(SharedOptions)}
     return tuple(sorted(fields(request), key=lambda field: (field.kw_only, field.name in shared)))
 
@@ -227,7 +227,7 @@ def arguments(request: Any) -> tuple[Field[Any], ...]:
 def takes(request: Callable[P, A]) -> Callable[[Callable[[xr.Dataset, A], R]], Callable[Concatenate[xr.Dataset, P], R]]:
     """Decorate a function of a scene and a request: it takes the arguments that the request is made of.
 
-    It takes any selection of a scene, as functions with `takes_scene` do. Signature and annotations are those of the
+    It takes any selection of a scene, as functions with `takes_scene` do. Signature and annotations come from the
     arguments, and ``{arguments}`` in the docstring is replaced by their descriptions.
     """
 
@@ -259,7 +259,7 @@ def takes(request: Callable[P, A]) -> Callable[[Callable[[xr.Dataset, A], R]], C
 
 
 def _meanings(request: Any) -> dict[str, str]:
-    """Entries of the parameters in the docstrings of a class of requests and of those that it extends."""
+    """Entries of the parameters in the docstrings of a class of requests and of its bases."""
     found: dict[str, str] = {}
     for kind in reversed(request.__mro__):
         _, _, entries = inspect.cleandoc(kind.__doc__ or "").partition("Parameters\n----------\n")

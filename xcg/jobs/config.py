@@ -67,7 +67,7 @@ def read_config(path: str | Path) -> Job:
     Raises
     ------
     FileNotFoundError
-        If the file does not exist, or names files of which there are none.
+        If the file does not exist, or names files that do not exist.
     SceneError
         If it cannot be understood; the message names section and key.
 

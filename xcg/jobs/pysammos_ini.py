@@ -178,7 +178,7 @@ def _files(folder: Path, prefix: str, steps: _Section, *, required: bool) -> lis
 
 
 def _names(section: _Section, particles: str, contacts: list[str]) -> dict[str, str | None]:
-    """Arrays in the files for our variables, those that are there."""
+    """Arrays that the files hold for our variables."""
     from xcg.readers.files.vtp import read_header
 
     there = {True: read_header(particles).names, False: read_header(contacts[0]).names if contacts else ()}

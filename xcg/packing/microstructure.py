@@ -105,7 +105,7 @@ def microstructure(
     Returns
     -------
     xarray.Dataset
-        Dimensions (time, region, phase), those that apply, and those of each quantity. Lazy over time where the scene
+        Dimensions (time, region, phase), as they apply, and each quantity's own. Lazy over time where the scene
         is. NaN where there is nothing to measure, and where the volume of the region is not known.
 
     Raises
@@ -328,7 +328,7 @@ def _is(rate: str | xr.DataArray, source: str) -> bool:
 
 
 def _label(ds: xr.Dataset, arrays: Mapping[str, Any], measure: Measure, regions: Mapping[str, Bounds]) -> xr.Dataset:
-    """Name dimensions, without those of one region or phase."""
+    """Name dimensions, except dimensions of one region or phase."""
     system, bins = measure.setup.unit_system, measure.force_bins
     coords: dict[str, Any] = {name: ds[name].variable for name in ("time", "step") if name in ds.coords}
     coords |= {dim: (dim, list(COMPONENTS)) for dim in TENSOR}

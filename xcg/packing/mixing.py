@@ -155,7 +155,7 @@ class Mixture:
         return np.asarray((self.phase[others] != self.phase[:, None]).mean(axis=1))
 
     def neighbour_index(self, which: int) -> float:
-        """Return the unlike neighbours over those of grains at random: 0 apart, 1 at random."""
+        """Return the unlike neighbours over their number among randomly placed grains: 0 apart, 1 at random."""
         count = len(self.phase)
         if count < 2:
             return np.nan

@@ -53,7 +53,7 @@ def adjacency(ds: xr.Dataset, time: int = -1, *, weight: EdgeWeight | None = Non
     SceneError
         If the scene has no contacts, or no variable for the weight.
     ValueError
-        If there is no such step, or `weight` is another.
+        If the step does not exist, or `weight` is another.
 
     See Also
     --------
@@ -125,7 +125,7 @@ def contact_graph(ds: xr.Dataset, time: int = -1, *, walls: bool = False) -> nx.
     SceneError
         If the scene has no contacts.
     ValueError
-        If there is no such step.
+        If the step does not exist.
 
     See Also
     --------
@@ -189,7 +189,7 @@ class _Step:
 
 @dataclass(frozen=True, eq=False)
 class _Edges:
-    """Pairs in contact, each once: rows i < j, those of walls after the grains', and sums over their contacts."""
+    """Pairs in contact, each once: rows i < j, rows of walls after the grains', and sums over their contacts."""
 
     i: NDArray
     j: NDArray

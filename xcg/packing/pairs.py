@@ -119,7 +119,7 @@ class CellLists:
     starts : array (levels.total + 1,)
         First record of each cell.
     period : array (3,)
-        Period of each axis (m), infinity where there is none.
+        Period of each axis (m), infinite without one.
     skin : float
         Pairs closer than the sum of their radii and this are found (m).
     slack : float
@@ -248,7 +248,7 @@ def find_pairs(
     box : array (3, 2) or mapping, optional
         Edges of the domain (m), needed along periodic axes, for example ``{"x": (0.0, 0.1)}``.
     periodic : str
-        Periodic axes, any of "xyz". Distances are to the nearest image; a particle is no partner of its own image.
+        Periodic axes, any of "xyz". Distances are to the nearest image; a particle is not a partner of its own image.
     lattice : array (3, 3) or mapping, optional
         Vectors a, b, c to the next images of a tilted box, or its tilts, as in `xcg.scene_from_arrays` (m).
     skin : float
@@ -256,7 +256,7 @@ def find_pairs(
     method : str
         "hierarchical", or "linked-cell": one level for all sizes, the common method, to compare with.
     levels : int, optional
-        Number of levels, spaced logarithmically from the smallest to the largest radius; those that hold no
+        Number of levels, spaced logarithmically from the smallest to the largest radius; levels that hold no
         particles are left out. By default one for each factor of 3.
     threads : int, optional
         Threads that search; by default all cores for many particles. The result does not depend on it.

@@ -5,7 +5,7 @@ A row's function takes the sample ``s`` of one group of particles at one time:
 count, diameter, volume, mass, velocity, position : number and (n, ...)
     The particles of the group.
 partners, held : (n,)
-    Number of contact partners, and whether they hold the particle in place (it is no rattler).
+    Number of contact partners, and whether they hold the particle in place (it is not a rattler).
 weight, normal : (c, ...)
     The contacts of the group; a contact weighs half for each of its particles in the group, 1 at a wall.
 pushing, normal_force, tangential_force

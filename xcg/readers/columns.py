@@ -135,7 +135,7 @@ _WORDS_OF_COMPUTES = (
 
 
 def unread_by_number(ref: StepRef, filled: Mapping[str, str], options: ReadOptions) -> str:
-    """Return a hint about unnamed columns beside a complete force, with the mapping to use; "" if there are none.
+    """Return a hint about unnamed columns beside a complete force, with the mapping to use; "" without such columns.
 
     Where that force lies along all branches, they may hold its tangential part. Forces without friction lie along the
     branches, too; but who has these has no further columns in most cases, and says what they are otherwise.
@@ -196,7 +196,7 @@ def warn_of_ignored(ref: StepRef, filled: Mapping[str, str], slots: Slots, optio
 def particle_columns(ref: StepRef, slots: Slots, options: ReadOptions) -> dict[str, str]:
     """Find the column of each slot, checked to be enough for particles.
 
-    Columns that `names` maps to other names become variables of their own. A two-dimensional file need not
+    Columns that `names` maps to other names become custom variables. A two-dimensional file need not
     hold z.
     """
     filled = assign(ref, slots, options)
@@ -396,7 +396,7 @@ class Columnar(Engine):
     PARTICLE_SLOTS, CONTACT_SLOTS : mapping
         Columns that are taken for variables of the scene without ``names=``, see `xcg.readers.columns`.
     NEEDS_ID : bool
-        Whether particles must have a column of ids; else the number of the row is the id where there is none.
+        Whether particles must have a column of ids; else the row number replaces a missing id.
     """
 
     PARTICLE_SLOTS: ClassVar[Slots] = PARTICLE_SLOTS

@@ -35,7 +35,7 @@ class StepRef:
     time : float or None
         Physical time in the file's unit, None where the file does not say.
     step : int
-        Number of the time step, from the header or the file's name; negative and rising where neither tells it, so that
+        Number of the time step, from the header or the file's name; negative and rising where neither has it, so that
         particles and contacts are paired in their order.
     box : tuple or None
         ``((x0, x1), (y0, y1), (z0, z1))`` in the file's unit; infinite edges where an axis is unbounded.
@@ -99,7 +99,7 @@ class ReadOptions:
         Options of one engine only, and ``missing`` ("raise" or "skip"): what to do about files that do not
         exist.
     walls : mapping
-        From names of walls to the columns of particles that their contacts stand in: a pattern, or names of columns.
+        From names of walls to the columns of particles that hold their contacts: a pattern, or names of columns.
     unwanted : tuple of str
         Variables of the scene that an engine need not read this time.
     alone : bool
@@ -209,13 +209,13 @@ class Engine(ABC):
         )
 
     def wall_step(self, ref: StepRef, options: ReadOptions) -> StepRef:
-        """Return the contacts with walls that stand in columns of a step of particles, for `read_contacts`."""
+        """Return the contacts with walls that are columns of a step of particles, for `read_contacts`."""
         raise SceneError(
             f"walls={dict(options.walls)!r}: the engine '{self.name}' reads no walls from columns of particles"
         )
 
     def unread_forces(self, ref: StepRef, options: ReadOptions) -> str:
-        """Return a hint about columns that may hold the rest of the contact forces; "" if there are none."""
+        """Return a hint about columns that may hold the rest of the contact forces; "" without such columns."""
         return ""
 
     def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
@@ -235,11 +235,11 @@ class Engine(ABC):
         raise SceneError(f"contacts=: the engine '{self.name}' does not read contacts")
 
     def contact_variables(self, ref: StepRef, options: ReadOptions) -> Sequence[str]:
-        """Names of what `read_contacts` returns; told from the header where that is quicker than reading the step."""
+        """Names of what `read_contacts` returns; from the header where that is quicker than reading the step."""
         return list(self.read_contacts(ref, options))
 
     def recover_periods(self, ref: StepRef, options: ReadOptions) -> Mapping[str, float]:
-        """Length of the period along some axes from the contacts of a step, where files do not tell it."""
+        """Length of the period along some axes from the contacts of a step, where files lack it."""
         return {}
 
     def ignored_columns(self, ref: StepRef, options: ReadOptions, *, contacts: bool = False) -> Sequence[str]:
@@ -261,7 +261,7 @@ _OWN = {
 
 
 def engine_table() -> dict[str, EntryPoint]:
-    """List the engines by name; those of this package come first, and first when files are recognised."""
+    """List the engines by name; engines of this package come first, and first when files are recognised."""
     found = {name: EntryPoint(name, place, GROUP) for name, place in _OWN.items()}
     for entry in _installed(tuple(sys.path)):
         taken = found.setdefault(entry.name, entry)
@@ -280,7 +280,7 @@ def _installed(places: tuple[str, ...]) -> tuple[EntryPoint, ...]:
 
 
 def all_engines() -> Iterator[Engine]:
-    """Load one engine after the other; those of packages that cannot be imported are left out, with a warning."""
+    """Load one engine after the other; engines of packages that cannot be imported are left out, with a warning."""
     for name in engine_table():
         try:
             yield load_engine(name)
@@ -294,7 +294,7 @@ def load_engine(engine: str | Engine | type[Engine]) -> Engine:
     Raises
     ------
     SceneError
-        If there is none of this name, it cannot be imported, or it is no `Engine`.
+        If no engine has this name, it cannot be imported, or it is not an `Engine`.
     """
     given = _load(engine) if isinstance(engine, str) else engine
     if isinstance(given, type) and issubclass(given, Engine):

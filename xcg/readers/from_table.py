@@ -31,7 +31,7 @@ def scene_from_table(
     particles : pandas.DataFrame, or what makes one
         A row a particle and step. Columns are named as in `xcg.open_scene`: ``x y z`` or ``position_x``,
         ``diameter`` or ``radius``, ``mass``, ``density``, ``particle_id`` or ``id``, ``species`` or ``type``; ``time``
-        (s) or ``step`` tell steps apart, whose rows come in any order.
+        (s) or ``step`` distinguish steps, whose rows come in any order.
     contacts : pandas.DataFrame, or what makes one, optional
         A row a contact and step: ``contact_i contact_j`` or ``id1 id2``, ``fx fy fz`` or ``contact_force_x``, on i, or
         ``normal_force_x`` and ``tangential_force_x``, ``contact_point_x``, ``overlap``, and ``time`` or ``step``.

@@ -1,8 +1,8 @@
 """Index of headers, kept between sessions: a series opens again without reading its files.
 
-One small JSON file for each folder of data stands in the user's cache (``$XDG_CACHE_HOME/xcg``, else ``~/.cache/xcg``),
+One small JSON file for each folder of data is in the user's cache (``$XDG_CACHE_HOME/xcg``, else ``~/.cache/xcg``),
 never beside the data, which may be read-only or shared. A file counts as known if its size and its time of modification
-(in nanoseconds) are those of the entry; any other is read. The cache may be deleted at any time, and
+(in nanoseconds) match the entry; any other is read. The cache may be deleted at any time, and
 ``XCG_INDEX_CACHE=0`` turns it off.
 """
 
@@ -98,7 +98,7 @@ def _entry(ref: StepRef) -> dict[str, Any]:
 
 
 def _steps(path: str, entry: Mapping[str, Any] | None, state: tuple[int, int]) -> list[StepRef] | None:
-    """Return the steps of an entry; None if there is none, or the file has changed."""
+    """Return the steps of an entry; None without an entry, or if the file has changed."""
     if entry is None or (entry["size"], entry["modified"]) != state:
         return None
     size, modified = state
@@ -117,7 +117,7 @@ def _tuples(value: Any) -> Any:
 
 
 def _place(folder: str, kind: str) -> Path | None:
-    """Return the folder's index file; None if the index is turned off or there is no home."""
+    """Return the folder's index file; None if the index is turned off or the home is unknown."""
     if os.environ.get("XCG_INDEX_CACHE", "1") == "0":
         return None
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
@@ -138,7 +138,7 @@ def _load(place: Path | None) -> dict[str, Any]:
 
 
 def _save(place: Path, entries: Mapping[str, Any]) -> None:
-    """Write the index whole or not at all; a cache that cannot be written is no error."""
+    """Write the index whole or not at all; a cache that cannot be written is ignored."""
     text = json.dumps(entries, separators=(",", ":")).encode()
     part = place.with_name(f".{place.name}.{os.getpid()}")
     with suppress(OSError):

@@ -101,7 +101,7 @@ def _held(name: str, dtype: Any, rows: int) -> int:
 
 
 def _bytes(ref: StepRef, steps: int) -> float:
-    """Bytes of a body, as its header tells, else its share of the file."""
+    """Bytes of a body, from its header, else its share of the file."""
     return ref.length or ref.size / steps
 
 

@@ -84,7 +84,7 @@ def scene_from_lammps(
     Notes
     -----
     The total contact force is the sum of the force of ``pair/local``, which is the normal part, and of its ``p1 p2
-    p3``, the tangential one. Pairs that pull at each other without touching are not among those of the default.
+    p3``, the tangential one. Pairs that pull at each other without touching are not in the default list.
 
     Examples
     --------

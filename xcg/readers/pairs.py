@@ -1,4 +1,4 @@
-"""Steps of one series: all of one kind, in order, and those of particles each with its contacts."""
+"""Steps of one series: all of one kind, in order; steps of particles each with their contacts."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def pair_steps(indexed: Mapping[str, list[StepRef]], times: ArrayLike | None, mi
 
 
 def _in_order(steps: list[Step], kind: str) -> list[Step]:
-    """Sort by time (by number where there is none), and of equal ones keep the last."""
+    """Sort by time (without times, by number), and keep the last of equal ones."""
     unique: dict[float, Step] = {}
     for step in steps:
         key = step.particles.step if step.time is None else step.time

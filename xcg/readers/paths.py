@@ -124,7 +124,7 @@ def units_of_headers(engine: Engine, indexed: Mapping[str, Sequence[StepRef]]) -
 
 
 def not_against_headers(units: Mapping[str, float] | str, indexed: Mapping[str, Sequence[StepRef]]) -> Any:
-    """Raise SceneError for units other than those that the headers name.
+    """Raise SceneError for units that differ from the headers.
 
     Factors may give reduced units (lj) a scale, and numbers in SI may be taken as scaled ones: none of them changes.
     """

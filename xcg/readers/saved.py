@@ -70,7 +70,7 @@ def open_saved(path: str, chunks: Chunks) -> xr.Dataset:
     Raises
     ------
     SceneError
-        If it cannot be opened, or is no scene.
+        If it cannot be opened, or is not a scene.
     """
     engine = "zarr" if path.lower().endswith(".zarr") else "netcdf4"
     try:
@@ -100,7 +100,7 @@ def open_saved(path: str, chunks: Chunks) -> xr.Dataset:
 
 
 def _lazy(values: xr.Variable, named: str, chunks: Mapping[Hashable, Any], key: str) -> xr.Variable:
-    """Wrap a lazy variable so that its errors name it and its file; those of xarray do not."""
+    """Wrap a lazy variable so that its errors name it and its file; xarray's errors do not."""
     import dask.array as da  # slow to import
 
     array = da.from_array(_Read(values, named), tuple(chunks[dim] for dim in values.dims), key, asarray=False)

@@ -99,7 +99,7 @@ def open_scene(
           ``radius``, ``density``, ``mass``, ``volume``; any other name is one more variable of particles,
         - ``scaled_x`` for positions in fractions of the box,
         - ``contact_i``, ``contact_j`` (the force acts on i), ``overlap``,
-        - ``contact_branch_x`` for the vector from j to i as the code saw it, which tells in periodic boxes of less than
+        - ``contact_branch_x`` for the vector from j to i as the code saw it, needed in periodic boxes of less than
           two diameters on which side grains touch (LAMMPS: ``dx dy dz``, taken by themselves),
         - ``normal_force_x`` and ``tangential_force_x``, which add up to the contact force.
     times : array (t,), optional
@@ -146,7 +146,7 @@ def open_scene(
         with a warning, or take them as steps in which nothing touches (MFiX writes no file of contacts then).
     chunks : int, "auto", mapping or None
         Steps in a chunk, as xarray takes it: a number; -1 for all in one; "auto" (default) for as many as make a task
-        of a tenth of a second or more, by the rows and bytes that the headers tell, but no more than dask's
+        of a tenth of a second or more, by the rows and bytes in the headers, but no more than dask's
         ``array.chunk-size`` (128 MiB) of arrays: one of 100,000 grains, tens of 1000; a mapping such as
         ``{"time": 10}`` or ``{"time": (10, 5)}``. Rows of a step stay together. None gives arrays without dask,
         which are read when they are used and then kept.
@@ -157,7 +157,7 @@ def open_scene(
         computed, see ``on_error`` of `xcg.coarse_grain`.
     **engine_options
         Of one engine only. LAMMPS, LIGGGHTS, tables and HDF5: ``timestep``, the time between two steps of the
-        simulation, for files that do not tell the time. HDF5: ``mapping``, from variables to datasets. MercuryDPM:
+        simulation, for files without times. HDF5: ``mapping``, from variables to datasets. MercuryDPM:
         ``restart``, the restart file with gravity, periodic boundaries and densities (by default the one beside the
         ``.data`` file).
 
@@ -194,7 +194,7 @@ def open_scene(
     What the headers of files said is remembered in the user's cache until the files change
     (``XCG_INDEX_CACHE=0`` turns this off).
 
-    Where neither files, `times` nor ``timestep`` tell the time, the coordinate ``time`` is the step number,
+    Without times in the files, `times` or ``timestep``, the coordinate ``time`` is the step number,
     and its ``long_name`` says so.
 
     Values in the files come before `density`, and box, periodicity and gravity given here before those in the
@@ -351,7 +351,7 @@ def _refuse_guesses(left_out: Mapping[str, str], files: Mapping[str, Sequence[st
 def _ends(
     engine: Engine, options: ReadOptions, steps: Sequence[Step], setup: Callable[[], Setup]
 ) -> dict[StepRef, Frame]:
-    """Particles of the first and the last step, of those that can be read where faults are tolerated."""
+    """Particles of the first and the last step, or of the first and last readable steps where faults are tolerated."""
     raw: dict[StepRef, Frame] = {}
     for order in (steps, steps[::-1]):
         for step in order:
@@ -414,7 +414,7 @@ def _index(
 ) -> dict[str, list[StepRef]]:
     """Index each kind of file, and check that nothing changes along the way.
 
-    `from_headers` tells which of periodic, units, box and time the headers decide, as the caller does not.
+    `from_headers`: which of periodic, units, box and time come from the headers, not from the caller.
     """
     indexed: dict[str, list[StepRef]] = {}
     for kind, paths in files.items():
@@ -506,7 +506,7 @@ def _recovered_box(
     *,
     skipping: bool,
 ) -> dict[str, tuple[float, float]] | None:
-    """Periods that files do not tell, from contacts that stand on both sides of an edge; None if that fails.
+    """Periods that files lack, from contacts on both sides of an edge; None if that fails.
 
     Edges are put about the middle of the grains: sums over images depend on the period alone.
     """

@@ -28,7 +28,7 @@ def group_bodies(ds: xr.Dataset, by_body: str = "body_id") -> xr.Dataset:
     """Group component spheres into bodies, lazily where the scene is.
 
     A body has the mass and volume of its spheres together, their centre of mass (components joined across periodic
-    edges), its velocity ``S m v / S m``, and the diameter of a sphere of its volume. Contacts become those of bodies at
+    edges), its velocity ``S m v / S m``, and the diameter of a sphere of its volume. Contacts join bodies at
     the same points, with the same forces; contacts inside a body are dropped. Components that overlap count twice,
     unless their masses and volumes in the scene already allow for it. The spheres of a body are of one species, and all
     frozen or none. Angular velocities are left out, as moments of inertia of bodies are not known.
@@ -38,12 +38,12 @@ def group_bodies(ds: xr.Dataset, by_body: str = "body_id") -> xr.Dataset:
     ds : xarray.Dataset
         A scene with ``mass``.
     by_body : str
-        An integer variable of the particles; spheres with a negative value are bodies of their own.
+        An integer variable of the particles; spheres with a negative value are single bodies.
 
     Returns
     -------
     xarray.Dataset
-        A scene whose particles are the bodies, sorted by id. Spheres of their own get ids above those of the bodies.
+        A scene whose particles are the bodies, sorted by id. Single spheres get ids above the bodies' ids.
         Sizes and extent of the bodies of a lazy scene are not known: call ``ds.cg.measure()``, which reads it, or
         give width and bounds.
 

@@ -222,7 +222,7 @@ class BoxMotion:
 
 
 def partners(first: Frame, later: Frame, sources: tuple[str, str]) -> NDArray:
-    """Row in a later frame of each grain of the first, -1 for those that are not there any more.
+    """Row in a later frame of each grain of the first, -1 for lost grains.
 
     Raises
     ------

@@ -109,7 +109,7 @@ def _split_steps(name: str, values: Any) -> list[NDArray]:
 
 
 def _split_own(name: str, values: Any, rows: Sequence[int]) -> list[NDArray]:
-    """As `_split_steps`, for a scalar, vector or tensor of the caller's own; `rows` of each step tell which it is."""
+    """As `_split_steps`, for a scalar, vector or custom tensor; `rows` of each step decide which."""
     for part in values if isinstance(values, (list, tuple)) else [values]:
         refuse_mask(name, part)
     if len(values) == len(rows) and all(np.shape(v)[:1] == (n,) for v, n in zip(values, rows, strict=True)):
@@ -197,7 +197,7 @@ def scene_from_arrays(
     **variables
         Other variables by their scene name: ``velocity``, ``diameter``, ``mass``, ``volume``, ``particle_id``,
         ``species``, ``contact_i``, ``contact_j``, ``contact_force``, ``contact_point``, ... In a periodic box of less
-        than two diameters ``contact_branch`` (from j to i) tells on which side grains touch, where no point does.
+        than two diameters ``contact_branch`` (from j to i) gives the side on which grains touch, where no point does.
         Any other name is a variable of your own, but for names that are almost one of these: of the contacts if it
         begins with ``contact_``, else of the particles; scalars ``(n,)``, vectors ``(n, 3)`` or tensors ``(n, 3, 3)``
         a step. `coarse_grain` takes it by its name.
@@ -301,7 +301,7 @@ def _repeat_what_stays(steps: dict[str, list[NDArray]], total: int) -> None:
 
 
 def _is_one_number(values: Any) -> bool:
-    """Return whether this is no array, and no list of steps, which may differ in length."""
+    """Return whether this is neither an array nor a list of steps, which may differ in length."""
     return not isinstance(values, (list, tuple)) and np.ndim(values) == 0
 
 
@@ -332,7 +332,7 @@ def _refuse_misspelt(names: Iterable[str]) -> None:
 
 
 def _prefix(steps: Mapping[str, list[NDArray]], names: Sequence[str], key: str, t: int, source: str) -> Frame:
-    """Drop the rows of step t that `key` marks as padding; refuse rows that have its mark and are none."""
+    """Drop the rows of step t that `key` marks as padding; raise SceneError for other rows with its mark."""
     frame = {name: steps[name][t] for name in names}
     if key not in frame:
         return frame

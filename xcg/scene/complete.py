@@ -82,7 +82,7 @@ def complete_particles(frame: Mapping[str, ArrayLike], setup: Setup, source: str
 
     Mass, volume, density and diameter follow from each other: volume ``pi d^3/6`` (discs: ``pi d^2/4`` times
     the layer's thickness), ``mass = density * volume``. Moments of inertia of particles with an angular velocity are
-    those of solid spheres, ``m d^2/10``, or discs, ``m d^2/8``. What is given is taken as it is.
+    of solid spheres, ``m d^2/10``, or discs, ``m d^2/8``. What is given is taken as it is.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ def complete_contacts(
     ----------
     frame : mapping
         Arrays by scene name, at least ``contact_i``, ``contact_j`` (n,) and ``contact_force`` (n, 3).
-        ``contact_branch`` (n, 3), from j to i as the code saw it, tells which images touch. ``wrapped_branch`` (n, 3),
+        ``contact_branch`` (n, 3), from j to i as the code saw it, selects the images. ``wrapped_branch`` (n, 3),
         from j, or the wall, to i, but of any image, becomes the normal. Where ``point_is_middle`` (n,) is true,
         ``contact_point`` is the middle of the centres of two spheres, and becomes the point where they touch.
         Messages count rows by ``row_of_file`` (n,), where rows were joined or reordered.
@@ -249,7 +249,7 @@ def _derive_points(
     contacts: Frame, number: NDArray | range, derived: NDArray, particles: Frame, row_i: NDArray, row_j: NDArray,
     seen: NDArray | None, lattice: Lattice, source: str,
 ) -> NDArray:  # fmt: skip
-    """Contact points (n, 3), those of `derived` contacts (n,) from the spheres; by blocks that stay in the cache."""
+    """Contact points (n, 3), derived from the spheres for `derived` contacts (n,); by blocks that stay in the cache."""
     points = contacts["contact_point"].copy() if "contact_point" in contacts else np.empty((len(row_i), 3))
     wanted = None if derived.all() else np.flatnonzero(derived)
     for first in range(0, len(row_i) if wanted is None else len(wanted), _BLOCK):
@@ -299,7 +299,7 @@ def _contact_points(
     contacts: Frame, particles: Frame, row_i: NDArray, row_j: NDArray, seen: NDArray | None, lattice: Lattice,
     source: str,
 ) -> NDArray:  # fmt: skip
-    """Points where spheres touch; their middle, if it is given, tells of a partner that is not in the scene."""
+    """Points where spheres touch; for a partner that is not in the scene, from the given middle."""
     alone = (row_i < 0) | (row_j < 0)
     if alone.any() and not {"contact_point", "overlap"} <= set(contacts):
         row = int(np.flatnonzero(alone)[0])

@@ -49,7 +49,7 @@ def conformed(
     Raises
     ------
     TypeError
-        If `ds` is no Dataset, or an argument is unknown, missing or one too many.
+        If `ds` is not a Dataset, or an argument is unknown, missing or one too many.
     SceneError
         As `conform`.
     """
@@ -200,7 +200,7 @@ def in_order(ds: xr.Dataset, dim: str, axes: Sequence[str]) -> xr.Dataset | None
 
 
 def labels_along(ds: xr.Dataset, dim: str) -> list[Any]:
-    """Labels along a dimension of components, x, y and z where there are none."""
+    """Labels along a dimension of components, x, y and z by default."""
     return np.atleast_1d(ds.variables[dim]).tolist() if dim in ds.coords else list(COMPONENTS)
 
 
@@ -230,7 +230,7 @@ def _with_dims(array: xr.DataArray, row: Variable) -> xr.DataArray:
 def _as_measured(array: xr.DataArray, attrs: Mapping[Any, Any]) -> xr.DataArray:
     """Mark a lazy variable with masked rows as measured, and check it when it is read.
 
-    Masking takes marks away, as arithmetic does. Diameters tell which of them it was, positions do so when they are
+    Masking takes marks away, as arithmetic does. Diameters show which of them it was, positions do so when they are
     compared with the mesh, and groups when grains are counted to them.
     """
     if array.name == "diameter" and {"dmin", "dmax"} <= set(attrs):

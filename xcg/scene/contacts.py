@@ -115,7 +115,7 @@ class Contacts:
     def with_overlaps(self, diameter: NDArray, overlap: NDArray) -> Contacts:
         """Return the contacts with branches of spheres as the code had them: ``a = n (R - overlap/2)``.
 
-        Text files hold normals and overlaps with more digits than positions can tell. Contacts whose branches differ
+        Text files hold normals and overlaps with more digits than positions determine. Contacts whose branches differ
         from that by more than `SPHERES` of a radius are not between spheres, and stay as they are.
         """
         both = np.flatnonzero((self.i >= 0) & (self.j >= 0))
@@ -133,7 +133,7 @@ class Contacts:
     def between(self) -> NDArray:
         """From j to i, ``r_i - r_j`` (m), or between the contact point and the only particle that is there; (n, 3).
 
-        Of all images of the two, those that touch at the contact point are taken: the nearest ones, unless grains are
+        Of all images of the two, those touching at the contact point are taken: the nearest ones, unless grains are
         larger than half the box. The contact point itself, and which of the two comes first, make no difference.
         """
         if self.given_branches is not None:
@@ -279,7 +279,7 @@ class Contacts:
     def in_order_of(self, order: NDArray) -> NDArray:
         """Return the contacts in the order that their first particles have in an order (particles,) of these; (n,).
 
-        Those of no particle come last.
+        Contacts without a particle come last.
         """
         keys = len(order) + 1
         rank = np.full(keys, len(order), short_integers(max(keys, len(self.i))))  # row -1 is that of no particle

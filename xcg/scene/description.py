@@ -42,7 +42,7 @@ class Description:
     edges : mapping
         Edges of the box of the first step (m), along the axes where it is finite.
     lasting_periods : tuple of float
-        Period along x, y, z (m); infinite where there is none that is the same in all steps.
+        Period along x, y, z (m); infinite unless it is the same in all steps.
     box_lasts : bool
         Whether the box is the same in all steps.
     tilted : bool
@@ -52,11 +52,11 @@ class Description:
     corners : tuple, optional
         Lowest and highest coordinates of the particles' centres (m), where they are known.
     in_box : bool
-        Whether positions are those that the box was read with.
+        Whether positions are unchanged since the box was read.
     values : mapping
         Values of the integer variable that divides the particles into groups, where they are known.
     cylindrical : bool
-        Whether axes x, y, z are those of a cylindrical frame.
+        Whether axes x, y, z belong to a cylindrical frame.
     radius : float, optional
         Distance of the outermost particle from the axis of that frame (m), where it is known.
     lag : int, optional
@@ -124,7 +124,7 @@ class Description:
         Raises
         ------
         ValueError
-            If there is no such variable, or its values are not known.
+            If the variable does not exist, or its values are not known.
         """
         whole = [name for name, column in self.columns.items() if column.kind in "iu" and "particle" in column.dims]
         if by not in whole:
@@ -242,7 +242,7 @@ def _edges(ds: xr.Dataset) -> dict[str, tuple[float, float]]:
 def _lasting_periods(
     ds: xr.Dataset, setup: Setup, edges: Mapping[str, tuple[float, float]], *, lasts_all: bool
 ) -> tuple[float, float, float]:
-    """Period along x, y, z; infinite where there is none that is the same in all steps."""
+    """Period along x, y, z; infinite unless it is the same in all steps."""
     if not setup.periodic:
         x = y = z = np.inf
     elif "lattice" not in ds:

@@ -61,7 +61,7 @@ def step_at(ds: xr.Dataset, position: int, name: str) -> xr.Dataset:
     Raises
     ------
     ValueError
-        If there is no such step.
+        If the step does not exist.
     """
     ds = with_time(ds)
     if "time" not in ds.sizes:

@@ -99,7 +99,7 @@ class Lattice:
 
     @cached_property
     def basis(self) -> NDArray:
-        """Vectors to the next images (k, 3), those of any box."""
+        """Vectors to the next images (k, 3), in any box."""
         periodic = np.isfinite(self.period)
         return np.diag(np.where(periodic, self.period, 0.0))[periodic] if self.vectors is None else self.vectors
 
@@ -194,7 +194,7 @@ class Lattice:
 
     @cached_property
     def axis_periods(self) -> NDArray:
-        """Period (3,) along each axis alone, after which all is the same, velocities too; infinity if there is none."""
+        """Period (3,) along each axis alone, after which all is the same, velocities too; infinite without one."""
         if self.vectors is None or self.edges is None or self.rates is None:
             return self.period
         lengths = self.edges[:, 1] - self.edges[:, 0]
@@ -231,12 +231,12 @@ class Lattice:
         return position
 
     def seen(self, active: NDArray, source: str = "scene") -> Lattice:
-        """Return the lattice as seen along some axes (3,): averages along the others do not tell its images apart.
+        """Return the lattice as seen along some axes (3,): averages along the others do not distinguish its images.
 
         Raises
         ------
         SceneError
-            If images are shifted along the axes that are seen by what is no period of theirs, so that an average along
+            If images are shifted along the seen axes by a distance that is not a period, so that an average along
             the others is that over infinitely many shifted boxes.
         """
         if self.vectors is None:
@@ -269,7 +269,7 @@ class Lattice:
         return np.where(np.isfinite(self.edges).all(axis=1), self.edges.mean(axis=1), 0.0)
 
     def _along(self, active: NDArray) -> tuple[NDArray, NDArray, NDArray]:
-        """Vectors that some axes (3,) tell apart, if any are, their rates, and which of them lead along these axes."""
+        """Vectors that some axes (3,) distinguish, their rates, and which of them lead along these axes."""
         assert self.vectors is not None
         assert self.rates is not None
         longest = np.linalg.norm(self.vectors, axis=1).max(initial=0.0)
@@ -281,7 +281,7 @@ class Lattice:
         return vectors, self.numbers(vectors) @ self.rates, apart
 
     def _resolvable(self, active: NDArray) -> str:
-        """Fewest further axes that make `seen` possible, with those that are seen."""
+        """Fewest further axes that make `seen` possible, with the seen axes."""
         for more in np.flatnonzero(~active):
             some = active.copy()
             some[more] = True
@@ -328,7 +328,7 @@ class Lattice:
     def extent(self, hidden: NDArray) -> float:
         """Length, area or volume that sums over all images are divided by, to be averages along some axes (3,).
 
-        That of the vectors along these axes, and of the box along those that are not periodic; not finite where the
+        That of the vectors along these axes, and of the box along axes that are not periodic; not finite where the
         scene does not say.
         """
         lengths = np.full(3, np.nan) if self.edges is None else self.edges[:, 1] - self.edges[:, 0]
@@ -379,7 +379,7 @@ def _numbers(low: NDArray, high: NDArray, source: str) -> NDArray:
 def same_vectors(one: NDArray, two: NDArray, axes: Sequence[int] | NDArray) -> NDArray:
     """Whole numbers (k, k) for which the sums ``numbers @ two`` of vectors are nearest to other ones, (k, 3) each.
 
-    Codes flip a box that is tilted far: a vector is then written as its sum with others. `axes` (k,) are those that
+    Codes flip a box that is tilted far: a vector is then written as its sum with others. `axes` (k,) are the axes that
     the vectors belong to.
     """
     numbers = np.eye(len(axes))

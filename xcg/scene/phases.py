@@ -174,7 +174,7 @@ def plot_phases(ds: xr.Dataset, step: int = 0) -> Figure:
     SceneError
         If the scene lacks sizes, densities or phases.
     ValueError
-        If there is no such step.
+        If the step does not exist.
     """
     require_scene(ds, ("diameter", "density", "phase"), "plot_phases")
     frame = step_at(ds[["diameter", "density", "phase"]], step, "step").compute()

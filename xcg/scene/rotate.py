@@ -23,7 +23,7 @@ _SAME = 1e-12  # rounding of directions
 def turn_scene(ds: xr.Dataset, axes: NDArray, origin: NDArray) -> xr.Dataset:
     """Return a scene in other axes, lazily where it is lazy: its variables, its box and its gravity.
 
-    A box keeps its edges along those of its axes that are among the new ones. Other periodic axes become vectors of a
+    A box keeps its edges along axes that are among the new ones. Other periodic axes become vectors of a
     lattice.
 
     Parameters
@@ -124,7 +124,7 @@ def _with_box(ds: xr.Dataset, axes: NDArray, origin: NDArray) -> xr.Dataset:
 
 
 def _edges(box: NDArray, own: Sequence[int | None], axes: NDArray, origin: NDArray) -> NDArray:
-    """Edges (..., 3, 2) along new axes: those of the old axes that they are along, else none."""
+    """Edges (..., 3, 2) along new axes that are parallel to old ones, else none."""
     out = np.empty(box.shape)
     out[...] = -np.inf, np.inf
     for j, k in enumerate(own):
@@ -134,6 +134,6 @@ def _edges(box: NDArray, own: Sequence[int | None], axes: NDArray, origin: NDArr
 
 
 def _lattice(box: NDArray, axes: NDArray, rows: Sequence[int], repeats: NDArray) -> NDArray:
-    """Vectors a, b, c (..., 3, 3) to the next images in new axes, zero where there are none."""
+    """Vectors a, b, c (..., 3, 3) to the next images in new axes, zero without images."""
     lengths = np.where(repeats, box[..., 1] - box[..., 0], 0.0)
     return (lengths[..., None] * axes.T)[..., list(rows), :]

@@ -31,7 +31,7 @@ def without_repeats(
     where forces agree to 1e-4 and points to a twentieth of the distance from the centre. Rows from both sides whose
     forces are opposite to a quarter of the larger, and whose points are no more than 0.15 of the smaller radius
     apart, are one contact unless `sides` is "separate": with the mean of both forces, points, normals and overlaps for
-    "mean", or as the row that comes first for "first". Other variables are those of the first row. A warning states
+    "mean", or as the row that comes first for "first". Other variables come from the first row. A warning states
     how many, and how far they differ. Other contacts of one pair, which differ in force or place, all stay.
 
     Parameters
@@ -83,7 +83,7 @@ def rows_of(ids: NDArray, wanted: NDArray) -> NDArray:
 def repeated_pairs(i: NDArray, j: NDArray) -> tuple[NDArray, NDArray]:
     """Rows of the contacts of all pairs that have more than one, pair after pair, and a number for the pair of each.
 
-    Which of the two comes first makes no difference. Spheres touch once, and one look at all pairs tells that there are
+    Which of the two comes first makes no difference. Spheres touch once, and one look at all pairs shows that there are
     none.
     """
     none = np.empty(0, int), np.empty(0, int)
@@ -122,8 +122,8 @@ def _copies(
     number
         Rows of the file, for messages.
     rows, pair : array (n,)
-        Contacts of pairs that have more than one, see `repeated_pairs`; those of a pair by the size of the force, so
-        that those of one contact are near each other.
+        Contacts of pairs that have more than one, see `repeated_pairs`; contacts of a pair by the size of the force, so
+        that rows of one contact are near each other.
     centre : array (n, 3)
         Centre of a particle of each (m), from which the distance of points is judged.
     """
@@ -163,7 +163,7 @@ def _mirrored(
     """Rows that list one contact from both sides, the first one first, and by how much their forces differ; (m,) each.
 
     Differences are shares of the larger force. Last come rows at one place whose forces differ by more, and that are
-    no contact with a third one (k, 2). Arguments are those of `_copies`, without copies.
+    no contact with a third one (k, 2). Arguments as in `_copies`, without copies.
     """
     point, force = contacts["contact_point"][rows], contacts["contact_force"][rows]
     turned = contacts["contact_i"][rows] > contacts["contact_j"][rows]
@@ -243,7 +243,7 @@ _VARIED = 0.02  # scatter of diameters that tells d^2 from d^3
 
 
 def check_shape(frame: Frame, setup: Setup) -> None:
-    """Warn where grains are taken for spheres, and their masses are those of discs.
+    """Warn when discs are read as spheres (their masses are masses of discs).
 
     Parameters
     ----------

@@ -187,7 +187,7 @@ class Setup:
     density : float or None
         Material density where the data hold neither mass nor density.
     scales : tuple of float
-        Factors from the data's units of (length, mass, time) to those of the scene.
+        Factors from the data's units of (length, mass, time) to the units of the scene.
     unit_system : str
         "SI" or "reduced".
     sides : str

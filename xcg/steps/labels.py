@@ -122,7 +122,7 @@ PHASES = ("phase", "other_phase")
 class PhaseLabels(pd.Index):
     """Text in which ``1`` finds "1": ``f.sel(phase=1)`` is ``f.sel(phase="1")``.
 
-    It is a pandas index that xarray keeps inside its own, as its index of calendars is. So results align with those
+    It is a pandas index that xarray keeps inside its own, as its index of calendars is. So results align with results
     that were opened from files, which have the same labels as plain text.
     """
 
@@ -135,7 +135,7 @@ class PhaseLabels(pd.Index):
         return super().get_loc(_as_text(key))
 
     def get_indexer(self, target: Any, *args: Any, **options: Any) -> Any:
-        """Places of several labels, -1 where there is none."""
+        """Places of several labels, -1 if missing."""
         labels = pd.Index([_as_text(label) for label in target], dtype=object)
         return super().get_indexer(labels, *args, **options)
 

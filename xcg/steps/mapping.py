@@ -75,7 +75,7 @@ def _order(dims: tuple[Hashable, ...]) -> tuple[Hashable, ...]:
 
 
 def _numbers(ds: xr.Dataset) -> NDArray | None:
-    """Numbers of the steps, by which faults are told; None where the scene has lost them."""
+    """Numbers of the steps, which messages about faults name; None where the scene has lost them."""
     if "step" not in ds.coords or ds["step"].dims != ("time",) or ds["step"].chunks is not None:
         return None
     return ds["step"].to_numpy()

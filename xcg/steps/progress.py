@@ -40,7 +40,7 @@ def shown(count: int, wanted: bool | None, *, done: int = 0, what: str = "steps"
     Parameters
     ----------
     count, done : int
-        Steps in all, and those that are there already.
+        Number of all steps, and of finished steps.
     wanted : bool or None
         Always, never, or (None) from two seconds on in a terminal or notebook.
     what : str

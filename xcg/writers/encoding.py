@@ -48,7 +48,7 @@ class Encoding:
         Raises
         ------
         ValueError
-            If one of them is none of those that are known.
+            If one of them is unknown.
         """
         kind = None if dtype is None else np.dtype(dtype).name
         if kind not in (None, "float32", "float64"):

@@ -175,7 +175,7 @@ def whole_folder(path: Path, *, overwrite: bool, part: Path | None = None) -> It
     FileExistsError
         If `path` exists and `overwrite` is False, at the start or in the end, or another process is writing it.
     FileNotFoundError
-        If the folder that it is to stand in does not exist.
+        If its folder does not exist.
     """
     check_target(path, overwrite=overwrite)
     with locked(path.with_name(f".{path.name}.lock"), str(path)):

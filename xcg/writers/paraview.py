@@ -131,7 +131,7 @@ def write_series(
 
 
 def _steps_of(path: Path, suffix: str) -> set[Path]:
-    """Files of the series that a list names, none but those that this module gives a name to."""
+    """Files of the series that a list names, only files that this module has named."""
     if not path.exists():
         return set()
     with suppress(SceneError):  # a list by another hand, or damaged

@@ -147,7 +147,7 @@ class Recorder:
     def append(self, ds: xr.Dataset) -> None:
         """Add the fields of a scene, or fields, one step after the other.
 
-        Mesh and width are those of the first step, whatever the extent of the grains in later ones.
+        Mesh and width follow from the first step, whatever the extent of the grains in later ones.
 
         Parameters
         ----------
@@ -157,7 +157,7 @@ class Recorder:
         Raises
         ------
         SceneError
-            If it is not later than what is there, or its fields have other names, nodes or kernels.
+            If it is not later than the last step, or its fields have other names, nodes or kernels.
         """
         for part in [ds.isel(time=steps) for steps in chunks_of_time([ds])] if "time" in ds.dims else [ds]:
             # fields first: of a lazy scene they need only some variables
@@ -211,7 +211,7 @@ def _one_step(fields: xr.Dataset) -> xr.Dataset:
 
 
 def _with_mesh_of(request: Request, fields: xr.Dataset) -> Request:
-    """Fix nodes, width and phases to those of a result."""
+    """Fix nodes, width and phases as in a result."""
     nodes = {a: fields[a].to_numpy() for a in COMPONENTS if a in fields.dims}
     bounds = {a: (float(x[0]), float(x[-1])) for a, x in nodes.items()}
     spacing = {a: float(x[-1] - x[0]) / (len(x) - 1) for a, x in nodes.items() if len(x) > 1}
@@ -278,7 +278,7 @@ def record(
     dtype, digits
         As in `xcg.save`.
     **options
-        As `xcg.coarse_grain`. Mesh and width are those of the first step where they are not given.
+        As `xcg.coarse_grain`. Mesh and width follow from the first step unless given.
 
     Returns
     -------

@@ -50,7 +50,7 @@ def register_writer(suffix: str, write: Writer) -> None:
     Raises
     ------
     ValueError
-        If the suffix has no dot, or is taken, or what should write is no function.
+        If the suffix has no dot, or is taken, or the writer is not a function.
 
     Examples
     --------
@@ -102,7 +102,7 @@ def save(
         see `to_vtkhdf` in `xcg.writers` `vtkhdf` and `chains`; ``*.pvd`` for fields as images, one file a step, which
         ParaView before 5.12 reads, too. It appears only when it is whole.
     overwrite : bool
-        Replace what is there.
+        Replace existing files.
     dtype : {"float32", "float64"}, optional
         Type of floating-point numbers on disk; by default their own.
     digits : int, optional
@@ -116,8 +116,8 @@ def save(
         interrupted: steps that are complete are kept. Until the file is whole, it is in a hidden folder beside it,
         ``.<name>.begun``, which stays when the call fails or its process ends. For NetCDF, HDF5, Zarr and VTKHDF.
     progress : bool, optional
-        Tell how far it is on the standard error: always or never. By default in a terminal or notebook where it takes
-        longer than two seconds. Only lazy variables are counted, and not those that a cluster computes.
+        Show the progress on the standard error: always or never. By default in a terminal or notebook where it takes
+        longer than two seconds. Only lazy variables are counted, except variables that a cluster computes.
 
     Returns
     -------

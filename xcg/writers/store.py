@@ -229,7 +229,7 @@ def write_files(
         Hidden folder for what is not whole yet, which stays after an error and is continued by the next run. By default
         a temporary one.
     mark : str
-        Tells this run from others of the same Dataset.
+        Distinguishes this run from others of the same Dataset.
     batch : int, optional
         Chunks of time between two reports; by default all.
 
@@ -417,7 +417,7 @@ class Log:
 def state_of(ds: xr.Dataset, encoding: Encoding, formats: Sequence[str], mark: str) -> dict[str, str]:
     """Describe what is written, by names that a message can use.
 
-    Names of dask's tasks stand for lazy values: they follow from the files, as they were when they were opened, and
+    Names of dask's tasks represent lazy values: they follow from the files, as they were when they were opened, and
     from the call.
     """
     state = {"xcg": version("xcg"), "formats": ", ".join(formats), "encoding": str(encoding), "job": mark}

@@ -71,7 +71,7 @@ def to_pyvista(
     ImportError
         If PyVista is not installed.
     ValueError
-        If there is no such step, or the fields form no image: on a cylinder, at points, or on uneven nodes.
+        If the step does not exist, or the fields form no image: on a cylinder, at points, or on uneven nodes.
 
     Examples
     --------
@@ -150,7 +150,7 @@ def _box(pv: Any, edges: NDArray, cell: NDArray | None) -> Any:
 
 
 def _lines(pv: Any, start: NDArray, end: NDArray, values: Mapping[str, NDArray]) -> Any:
-    """Lines with ends of their own, (n, 3) each, and values."""
+    """Separate lines by their ends, (n, 3) each, and values."""
     points = np.stack([start, end], axis=1).reshape(-1, 3)
     first = 2 * np.arange(len(start))
     lines = pv.PolyData(points, lines=np.column_stack([np.full(len(start), 2), first, first + 1]).ravel())
@@ -238,7 +238,7 @@ def view(
     ImportError
         If PyVista is not installed.
     ValueError
-        As `to_pyvista`; if there is no such field, or a field has fewer than two axes.
+        As `to_pyvista`; if the field does not exist, or a field has fewer than two axes.
 
     Examples
     --------

@@ -2,7 +2,7 @@
 
 The file holds what the reader was found to read back, not all that its description allows: axes with one node
 do not appear in the shape of arrays, and a file with a single step has no time axis either. Of a single step
-VTK does not report the time; it stands in ``Steps/Values`` all the same.
+VTK does not report the time; it is in ``Steps/Values`` all the same.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def to_vtkhdf(
     and 9 components, the latter row by row: xx, xy, xz, yx, ... A field with phases becomes one array a
     phase: ``velocity`` for the bulk and ``velocity_phase_1`` for phase "1". Results with fewer axes become
     images with one node along the others, at the coordinate given by ``at`` or at 0. Integers stay integers.
-    Attributes of a field (units, long_name) stand on its array, those of `fields` on the group ``/xcg``.
+    Attributes of a field (units, long_name) are on its array, attributes of `fields` on the group ``/xcg``.
 
     Of lazy fields, one task computes and writes all variables of a chunk of time, so that a chunk is gone from memory
     when the next one comes and every input file is parsed once. Under a distributed scheduler the workers write, and
@@ -81,7 +81,7 @@ def to_vtkhdf(
     FileNotFoundError
         If its folder does not exist.
     ValueError
-        If `dtype`, `digits` or `compression` is none of those that are known.
+        If `dtype`, `digits` or `compression` is unknown.
         If the fields do not form an image: unknown dimensions, nodes that are not evenly spaced, no time
         steps, or values that are not numbers.
     """
@@ -175,7 +175,7 @@ def arrays_of(fields: xr.Dataset) -> list[_Array]:
 
 
 def _storable(dtype: np.dtype[Any]) -> np.dtype[Any] | None:
-    """Type that VTK knows for values of this type, None if there is none."""
+    """Type that VTK knows for values of this type, or None."""
     if dtype.kind == "f":
         return np.dtype(f"f{min(max(dtype.itemsize, 4), 8)}")
     return {"i": dtype, "u": dtype, "b": np.dtype("u1")}.get(dtype.kind)
@@ -327,7 +327,7 @@ def _lay_out(
 
 
 def _blocks(shape: tuple[int, ...], itemsize: int, steps: int) -> tuple[int, ...]:
-    """Shape of the chunks on disk: some steps (0 where time is no axis), cut into slabs where these are large."""
+    """Shape of the chunks on disk: some steps (0 without a time axis), cut into slabs where these are large."""
     block = [min(steps, shape[0]), *shape[1:]] if steps else list(shape)
     first = 1 if steps else 0
     if first < len(block):

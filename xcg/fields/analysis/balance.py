@@ -66,7 +66,7 @@ class _Law:
 
 
 def _traction(f: xr.Dataset) -> xr.DataArray:
-    """Return what walls do to the grains, and what other phases do to those of a phase."""
+    """Return the forces of the walls on the grains, and of other phases on a phase."""
     return f.interphase_force.sum("other_phase") if "phase" in f.dims else f.wall_traction
 
 
@@ -154,7 +154,7 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
     With div by central differences of fourth order between the nodes,
 
     - ``force_residual`` = div sigma^c + sum_i F_i Psi - t, at each step: zero for the exact divergence, so that
-      it tells how well the mesh resolves the kernel;
+      it shows how well the mesh resolves the kernel;
     - ``torque_residual`` = div C + sum_i T_i Psi - c, likewise, with C the couple stress, T_i the torque of the contact
       forces on a grain, and c the couple of contact forces at the contact points;
     - ``power_residual`` = div q_c + sum_i (F_i.v_i + T_i.omega_i) Psi + Gamma - w, likewise, with q_c the contact
@@ -190,7 +190,7 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
         If the scene lacks what the fields need, or its times do not rise.
     ValueError
         If an axis is fixed or has fewer than five nodes, if each group has a width of its own, or with a preset; if
-        `of` names what is none of these, what the scene does not tell, or torque, power, spin or energy with `by`.
+        `of` names none of these or a quantity that the scene lacks, or torque, power, spin or energy with `by`.
 
     Notes
     -----

@@ -61,7 +61,7 @@ def cell_volumes(
     Parameters
     ----------
     ds : xarray.Dataset
-        A scene with ``diameter`` and ``volume``. Discs (a scene of one layer whose volumes are not those of spheres)
+        A scene with ``diameter`` and ``volume``. Discs (a scene of one layer whose volumes differ from spheres)
         are shared by their areas; other shapes as spheres of their diameter.
     spacing : float or mapping
         Size of the cells (m), for all axes or by axis. Periodic axes without bounds take the nearest that divides them.

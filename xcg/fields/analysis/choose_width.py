@@ -276,7 +276,7 @@ def plot_width(found: xr.Dataset, ax: Axes | None = None) -> Axes:
     Raises
     ------
     ValueError
-        If the Dataset is no result of `choose_width`.
+        If the Dataset is not a result of `choose_width`.
     """
     if "best_width" not in found:
         raise ValueError("plot_width expects a result of ds.cg.choose_width(...)")

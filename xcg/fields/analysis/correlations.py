@@ -267,7 +267,7 @@ class _Radial:
     Attributes
     ----------
     r : array
-        Mean length of the lags that are added, which are those of a shell as thick as the smallest spacing. The longest
+        Mean length of the added lags, which fill a shell as thick as the smallest spacing. The longest
         is the longest lag along an axis.
     """
 

@@ -24,7 +24,7 @@ def derive_director(
 ) -> xr.Dataset:
     """Add the director of each grain: an axis of its body, turned by its quaternion; lazy where the scene is.
 
-    ``n = q a q*`` with q = (w, x, y, z) the rotation from the body's axes to those of space, as LAMMPS
+    ``n = q a q*`` with q = (w, x, y, z) the rotation from the body's axes to the axes of space, as LAMMPS
     (``c_q[1]`` ... of ``compute property/atom quatw quati quatj quatk``) and MFiX write it. Take the longest axis of a
     prolate body, and the shortest of an oblate one.
 
@@ -50,7 +50,7 @@ def derive_director(
     SceneError
         If a variable is missing.
     ValueError
-        If there are not four names, or the axis is none.
+        If there are not four names, or the axis is not a direction.
 
     Examples
     --------

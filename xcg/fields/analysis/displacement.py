@@ -67,7 +67,7 @@ def displacement(ds: xr.Dataset, asked: DisplacementRequest) -> xr.Dataset:
     """Coarse-grain the displacement between frames: strain, rotation, and what an affine deformation leaves over.
 
     Each grain moves by ``u_i = r_i(t + lag) - r_i(t)``, found by its id. Across periodic edges it is the image that
-    moves least relative to the box; a box that deforms carries its images with it. Fields are those of frame t, at the
+    moves least relative to the box; a box that deforms carries its images with it. Fields belong to frame t, at the
     places that grains have in frame t (the reference configuration), which therefore takes no contacts.
 
     Parameters

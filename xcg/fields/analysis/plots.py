@@ -152,13 +152,13 @@ def movie(
     path : str or path
         ``*.gif``, or ``*.mp4``, which needs the program ffmpeg. A file of this name is replaced.
     field, component, direction, phase, at, arrows, shading, cmap, vmin, vmax
-        As in `plot`; the ends of the colours are those of all steps.
+        As in `plot`; all steps share the ends of the colours.
     fps : float
         Steps in a second.
     dpi : float
         Dots in an inch; a frame is 7 by 5 inches.
     progress : bool, optional
-        Tell how far it is on the standard error; by default in a terminal or notebook where it takes long.
+        Show the progress on the standard error; by default in a terminal or notebook where it takes long.
 
     Returns
     -------
@@ -421,7 +421,7 @@ def _draw_circle(
 
 
 def _draw_arrows(ax: Axes, x: Any, y: Any, along: Any, rise: Any, fastest: float, apart: float) -> None:
-    """Draw arrows, those of the fastest as long as they are apart, and none where there is next to no motion."""
+    """Draw arrows; the longest are as long as their distance, and slow places have none."""
     there = np.hypot(along, rise) >= AT_REST * fastest
     ax.quiver(
         x[there], y[there], along[there], rise[there], pivot="mid", color="white", edgecolor="black", linewidth=0.5,

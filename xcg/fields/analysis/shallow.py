@@ -49,7 +49,7 @@ def free_surface(f: xr.Dataset, axis: str = "z", threshold: float = 0.5, *, of: 
     Raises
     ------
     ValueError
-        If the axis is not resolved, the field is not there, or the threshold is no share.
+        If the axis is not resolved, the field is not there, or the threshold is not between 0 and 1.
 
     Examples
     --------
@@ -113,7 +113,7 @@ def fit_slope(surface: xr.Dataset | xr.DataArray) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        ``slope`` (component), dh/dx and dh/dy, those that there are; ``angle`` against the level (degrees); and their
+        ``slope`` (component), dh/dx and dh/dy, those that exist; ``angle`` against the level (degrees); and their
         standard errors ``slope_error`` and ``angle_error``, from the scatter about the fit with one independent node
         for each support of the kernel. NaN for fewer nodes than the fit takes.
 
@@ -205,7 +205,7 @@ def depth_average(
     axes : str, optional
         Resolved axes, by default all others of the scene; "" for one column.
     width, kernel, spacing, bounds, extent, on_error
-        As in `coarse_grain`, of the resolved axes and those that are averaged.
+        As in `coarse_grain`, of resolved and averaged axes.
 
     Returns
     -------

@@ -177,7 +177,7 @@ def _over_time(
 
 
 def _images_between(x: NDArray, low: float, high: float, period: float) -> NDArray:
-    """Count the images of coordinates that lie in [low, high): 0 or 1 each where there is no period."""
+    """Count the images of coordinates that lie in [low, high): 0 or 1 each without a period."""
     if not np.isfinite(period):
         return ((low <= x) & (x < high)).astype(float)
     return np.ceil((high - x) / period) - np.ceil((low - x) / period)

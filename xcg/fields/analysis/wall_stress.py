@@ -87,7 +87,7 @@ def wall_stress(
         surface, in Pa:
 
         - ``normal_traction``, the force of the grains on the wall against its normal: positive in compression,
-        - ``shear_traction`` (..., along), the force of the grains on the wall along the surface's axes: those of the
+        - ``shear_traction`` (..., along), the force of the grains on the wall along the surface's axes: the axes of the
           cells, or x, y, z of a surface,
         - ``traction`` (..., component), the force of the grains on the wall.
 

@@ -85,7 +85,7 @@ def width_sweep(ds: xr.Dataset, asked: SweepRequest) -> xr.Dataset:
         The fields with the dimension ``width`` (m), and for each ``<field>_bias``, what the width adds to the field by
         smearing it; ``<field>_extrapolated``, the field less its bias; ``<field>_too_wide``, whether the bias exceeds
         `threshold` times the largest value of the field in the step. Of three widths or more also ``<field>_slope``,
-        ``<field>_plateau_width`` (m, NaN where there is none) and ``<field>_plateau`` (the value there).
+        ``<field>_plateau_width`` (m, NaN without a plateau) and ``<field>_plateau`` (the value there).
 
     Raises
     ------

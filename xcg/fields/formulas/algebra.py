@@ -215,7 +215,7 @@ def restricted(tensor: NDArray, axes: Sequence[int] | None) -> NDArray:
 
 
 def deviator(tensor: NDArray, axes: Sequence[int]) -> NDArray:
-    """Return X - tr(X) / D I, with trace, D and I those of some axes."""
+    """Return X - tr(X) / D I, with trace, D and I restricted to some axes."""
     out = tensor.copy(order="K")
     mean = mean_normal(tensor, axes)
     for k in axes:

@@ -36,7 +36,7 @@ _NO_RULE = "a rule: give it one with xcg.register_field, or leave it out with dr
 
 
 def profile(f: xr.Dataset, axis: str) -> xr.Dataset:
-    """Average a result over its other axes, nodes weighing the same, or those of a cylinder by their radius.
+    """Average a result over its other axes, nodes weighing the same, or by their radius in a cylinder.
 
     This is for results that are there already; the exact marginal profile, without a mesh along the other axes, is
     ``coarse_grain(axes=axis)``. Over whole periods or supports the two agree but for the ratios' small parts.
@@ -52,7 +52,7 @@ def profile(f: xr.Dataset, axis: str) -> xr.Dataset:
     -------
     xarray.Dataset
         Fields without the other axes; ratios are ratios of averaged sums. Where the result has errors of one step
-        (``coarse_grain(errors=True)``), those of the average: of the noise, with as many independent places as supports
+        (``coarse_grain(errors=True)``), errors of the average: of the noise, with as many places as supports
         of the kernel, ``n = A int Psi^2 / int psi^2`` (psi the marginal along the axis that is kept), or of the scatter
         of the places over sqrt(n - 1); the larger, and ``<name>_error_from`` says which.
 
@@ -232,7 +232,7 @@ def _with_larger(mean: xr.Dataset, noise: Mapping[str, xr.DataArray], source: st
 def block_errors(samples: xr.Dataset, dim: str, function: Callable[[xr.Dataset], xr.Dataset]) -> xr.Dataset:
     """Return standard errors of a function of the mean over consecutive samples, which may be correlated.
 
-    They are those of the first size of blocks beyond which they do not grow, see `time_average`.
+    They come from the first size of blocks beyond which they do not grow, see `time_average`.
     """
     levels: list[xr.Dataset] = []
     doubt = []  # relative scatter of each level's error
@@ -292,7 +292,7 @@ def _missing(rows: Mapping[str, Field | None], options: Options) -> dict[str, li
 
 
 def _rows_of(f: xr.Dataset) -> dict[str, Field | None]:
-    """Rows of the fields of a result; None for what is no field."""
+    """Rows of the fields of a result; None for other variables."""
     options = registry.options_of(f.attrs)
     names = map(str, f.data_vars)
     return {name: registry.row(name, options) if name in registry.FIELDS else row_of_result(f[name]) for name in names}

@@ -38,11 +38,11 @@ class Options:
     gradient : str
         "least_squares", "kernel", "finite_difference" or "paper".
     pressure_axes : tuple of int, optional
-        The normal stresses whose mean is the pressure; those of the scene by default.
+        The normal stresses whose mean is the pressure; by default all axes of the scene.
     shear_axes : tuple of int, optional
         The axes that magnitudes of stress and shear rate are restricted to; the scene's by default.
     deviatoric : str
-        Which magnitudes are those of deviators: of "stress", "rate", "both" or "neither".
+        Magnitudes computed from deviators: of "stress", "rate", "both" or "neither".
     size : str
         The diameter in the inertial number: "d43", "d32", or "d50", "dmax" of the whole scene.
     diameter : float, optional
@@ -58,11 +58,11 @@ class Options:
     lag : int, optional
         Frames from each frame to that which it is compared with; given in scenes of displacements.
     averaged_gradient : str
-        Derivatives along averaged axes: "zero", "box" (those of a sheared box), or "unknown", as no axis is resolved or
+        Derivatives along averaged axes: "zero", "box" (rates of a sheared box), or "unknown", as no axis is resolved or
         fixed and an averaged one is not periodic.
     own : tuple
-        Fields that are not those of xcg, each with a `name`, its `row`, and `moments` by name: of the scene's own
-        variables, see `xcg.fields.formulas.variables.OwnField`, and those that users registered, see `OwnRow`. What
+        Fields from outside xcg, each with a `name`, its `row`, and `moments` by name: of the scene's own
+        variables, see `xcg.fields.formulas.variables.OwnField`, and fields that users registered, see `OwnRow`. What
         computes a plan in another process finds them here.
     """
 
@@ -87,7 +87,7 @@ class Options:
 
     @cached_property
     def own_rows(self) -> dict[str, Field]:
-        """Rows of the fields that are not those of xcg, by name."""
+        """Rows of the fields from outside xcg, by name."""
         return {one.name: one.row for one in self.own}
 
     @property
@@ -128,7 +128,7 @@ class Field:
     harmonic : bool
         Whether it is its inverse that is averaged with `weight`, as the weight is the numerator.
     listed : bool
-        False for steps of the algebra that are not fields of their own.
+        False for steps of the algebra that are not fields themselves.
     default : bool
         Whether it is computed where no field is asked for by name.
     option : str
@@ -190,7 +190,7 @@ class Quantity:
     Raises
     ------
     ValueError
-        If the weight is none of these.
+        If the weight is unknown.
     """
 
     variable: str

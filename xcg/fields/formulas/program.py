@@ -95,7 +95,7 @@ class Loads:
         Columns of the reference velocity and of each group of each pass, and the row where they begin; the last row is
         that where they end.
     constants : array (rows, TILE)
-        Rows before these: those of the program, and factors.
+        Rows before these: the program's, and factors.
     """
 
     source: NDArray
@@ -159,7 +159,7 @@ def program_for(fields: tuple[str, ...], options: Options, groups: int = 0) -> P
 
 
 def _traced(fields: Sequence[str], moments: Mapping[str, NDArray], options: Options) -> dict[str, Any]:
-    """Symbols of some fields and of what they need, without those that cannot be traced."""
+    """Symbols of some fields and of what they need, except fields that cannot be traced."""
     found: dict[str, Any] = {}
     s = SimpleNamespace(**moments)
     for name in registry.order_of(fields, options):

@@ -80,7 +80,7 @@ def options_of(attrs: Mapping[Any, Any]) -> Options:
 
 
 def listed(*, registered: bool = True) -> list[str]:
-    """Names of all fields that can be asked for, with or without those that users registered."""
+    """Names of all fields that can be asked for, with or without fields that users registered."""
     return [name for name, field in (FIELDS if registered else _ROWS).items() if field.listed]
 
 
@@ -145,7 +145,7 @@ def register_field(
     additive: bool = False,
     weight: str = "",
 ) -> None:
-    """Register a field of one's own, which `coarse_grain` then takes by its name.
+    """Register a custom field, which `coarse_grain` then takes by its name.
 
     Any NumPy will do. Arithmetic and square roots, element by element, run in the compiled program of the other fields;
     a formula with anything else runs in NumPy, block by block, with the same bits. `coarse_grain` without names

@@ -149,7 +149,7 @@ class OwnField:
 
     @property
     def error(self) -> Quantity | None:
-        """The quantity that is the error of this one in one step; None where there is none."""
+        """Error of this quantity in one step, a quantity; None if unknown."""
         if not isinstance(self.quantity, Mean) or self.at_contacts:
             return None
         return _MeanError(self.quantity.variable, self.weight, f"{self.name}_error")

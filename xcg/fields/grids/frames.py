@@ -21,7 +21,7 @@ _NO_PLACE = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Rotated:
-    """Axes x, y, z of one's own choice, for the argument ``frame``; right-handed, at right angles.
+    """Axes x, y, z chosen by the user, for the argument ``frame``; right-handed, at right angles.
 
     One or two of them are given. Of two, the first of z, x, y is kept as it is, and of the other its part at a right
     angle to that. Of one, the second is the scene's own z, or x where that is z, likewise.
@@ -70,7 +70,7 @@ class Rotated:
 
     @property
     def axes(self) -> NDArray:
-        """The axes x, y, z in those of the scene, a row each (3, 3)."""
+        """The axes x, y, z in the scene's coordinates, a row each (3, 3)."""
         given = self._order(a for a in COMPONENTS if getattr(self, a) is not None)
         first, others = given[0], given[1:] or [a for a in "zxy" if a != given[0]]
         second, beside = next((a, part) for a in others if (part := self._second(first, a)) is not None)
@@ -112,7 +112,7 @@ class Cylindrical:
     error : float
         What averages over theta may differ by from the exact integral, as a share of the most that one grain adds at
         any place: so many angles are taken. Kernels that jump at their cutoff do not meet it, as the attribute
-        ``theta_error`` of results then tells.
+        ``theta_error`` of results estimates the error.
 
     Raises
     ------
@@ -162,7 +162,7 @@ class Cylindrical:
 
 
 def in_frame(ds: xr.Dataset, frame: Rotated | Cylindrical) -> xr.Dataset:
-    """Return the scene in a frame, which its attributes then tell."""
+    """Return the scene in a frame, which its attributes then name."""
     axes = frame if isinstance(frame, Rotated) else frame.rotated
     origin = np.asarray(frame.origin, float)
     turned = turn_scene(ds, axes.axes, origin)

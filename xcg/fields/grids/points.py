@@ -121,7 +121,7 @@ def make_points(at: Mapping[str, Any], *, plane: str, cutoff: float) -> Grid:
     Raises
     ------
     ValueError
-        For unknown axes; arrays without names of dimensions, or with those of results; arrays whose labels or sizes
+        For unknown axes; arrays without names of dimensions, or with result dimensions; arrays whose labels or sizes
         differ; coordinates that are not finite.
     """
     check_axes("at", at, plane)
@@ -222,7 +222,7 @@ def _sorted(
 def _divide(rows: NDArray, position: NDArray, most: int) -> Iterator[tuple[NDArray, NDArray]]:
     """Divide points (3, n) into parts of at most about `most` that are neighbours in space, as (rows, points).
 
-    Parts whose points are far apart are divided further, so that cells narrower than the support tell them apart.
+    Parts whose points are far apart are divided further, so that cells narrower than the support separate them.
     """
     many = len(rows)
     if not many:

@@ -166,7 +166,7 @@ def _shift(level: int, columns: NDArray, d: NDArray) -> None:
 
 
 def _square(layout: Layout, squared: Squared, block: RingBlock, averaged: NDArray) -> None:
-    """Replace the per-angle sums of squared weights by those of the fit over the whole ring."""
+    """Replace the per-angle sums of squared weights by the sums of the fit over the whole ring."""
     seen_z = bool(squared.active[2])
     low, high = block.rings.min(axis=0) - squared.cutoff, block.rings.max(axis=0) + squared.cutoff
     row, position = squared.rows, squared.position[squared.rows]

@@ -26,14 +26,14 @@ class Surface(Wall):
     triangles : array of int (m, 3), optional
         Rows of the corners of each triangle, counterclockwise seen from the grains.
     flip : bool
-        Turn the normals round, where those of the file point away from the grains.
+        Turn the normals round, where normals in the file point away from the grains.
     scale : float
         Factor from the file's unit of length to that of the scene.
 
     Raises
     ------
     FileNotFoundError
-        If there is no such file.
+        If the file does not exist.
     ValueError
         If the file is of another kind or holds no triangle, or corners are missing, not finite or in one line.
     """

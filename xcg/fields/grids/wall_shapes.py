@@ -160,7 +160,7 @@ class Plane(Wall):
 
     @cached_property
     def _frame(self) -> tuple[NDArray, NDArray, NDArray]:
-        """The normal, and two axes along the plane: those of the coordinates where it is across one."""
+        """The normal, and two axes along the plane: coordinate axes where the normal is one."""
         normal = unit_vector("normal", self.normal)
         k = axis_of(normal)
         if k is not None:

@@ -165,7 +165,7 @@ def lammps_mesh(
 ) -> dict[str, Any]:
     """Arguments for `xcg.coarse_grain` that place nodes at the centres of LAMMPS' bins, and take its kernel.
 
-    They are those of ``compute ID all chunk/atom bin/3d x lower delta y lower delta z lower delta units box`` and
+    They are the nodes of ``compute ID all chunk/atom bin/3d x lower delta y lower delta z lower delta units box`` and
     ``compute ID all continuum/chunk chunkID cutoff width ...``: of bins of equal size from the origin on, and as many
     as cover the box.
 

@@ -1,7 +1,7 @@
 """Pysammos's names for fields, its variants of them, and its mesh: ``coarse_grain(preset="pysammos")``.
 
 Its names carry their variant: ``inertial_number_Sxy_Pxy_d32`` takes the shear rate in the plane xy, the pressure
-(sigma_xx + sigma_yy) / 2 and d32. Each is algebra on fields of xcg, so that values are those of the registry. Formulas:
+(sigma_xx + sigma_yy) / 2 and d32. Each is algebra on fields of xcg, so that values follow the registry. Formulas:
 Pysammos 1.0.0 and its paper (EGUsphere 2026-2591). What differs from it is listed in the documentation.
 """
 
@@ -120,7 +120,7 @@ def rows(plane: str, axes: str) -> Mapping[str, PysammosRow]:
     plane : str
         Two axes, for ``xy`` in the names.
     axes : str
-        The axes of the scene, for ``xyz``: all three, or those of a layer.
+        The axes of the scene, for ``xyz``: all three, or the two of a layer.
     """
     index = {name: tuple(COMPONENTS.index(a) for a in dims) for name, dims in (("xyz", axes), (plane, plane))}
     index |= {a: (COMPONENTS.index(a),) for a in axes}
@@ -264,7 +264,7 @@ def pysammos_mesh(
     ds : xarray.Dataset
         A scene with the attributes particle_lower, particle_upper and dmax.
     axes : str
-        Resolved axes: three, two, or one; those that the scene lacks (one layer) are left out.
+        Resolved axes: three, two, or one; axes that the scene lacks (one layer) are left out.
     bounds : mapping, optional
         First and last node of resolved axes (m), in place of the automatic range.
     at : mapping, optional

@@ -90,7 +90,7 @@ def _dot(a: NDArray, b: NDArray) -> NDArray:
 def surface_velocities(frame: Frame, contacts: Contacts, *, of_images: bool = False) -> tuple[NDArray, NDArray]:
     """Velocities of the surfaces of i and j at the contact points (m s-1), (n, 3) each.
 
-    Those of walls are `WALL_VELOCITY` of the frame, or zero. In a sheared box they are those of the particles as they
+    Walls have `WALL_VELOCITY` of the frame, or zero. In a sheared box velocities are taken where the particles
     are written, or of the images that touch at the point.
     """
     found = []

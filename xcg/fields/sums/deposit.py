@@ -44,7 +44,7 @@ def grains(step: StepRows) -> list[Pass]:
 
 
 def _layout_of_grains(spec: DepositSpec, same: Mapping[str, float]) -> Layout:
-    """Flow columns come first, then those of constants that are not the same for all, then the number of grains."""
+    """Flow columns come first, then columns of constants that differ between grains, then the number of grains."""
     moments, first = dict[str, tuple[NDArray, float | NDArray]](), spec.level
     for name, row in spec.of_grains.items():
         if row.level:
@@ -122,7 +122,7 @@ def _constants(
     step: StepRows, rows: Mapping[str, Moment], images: Images, phase: NDArray, columns: Sequence[NDArray],
     others: int = 1,
 ) -> Pass:  # fmt: skip
-    """Prepare places with columns of constants alone, those of the moments one after the other."""
+    """Prepare places with columns of constants alone, moment after moment."""
     firsts = np.cumsum([0, *(row.width for row in rows.values())]).tolist()
     moments = {name: (first + row.columns, 1.0) for first, (name, row) in zip(firsts, rows.items(), strict=False)}
     layout, still = Layout(step.spec.phases * others, _padded(firsts[-1]), moments), np.zeros((len(images.position), 3))
@@ -160,7 +160,7 @@ def _pass(
 
 
 def _is_one_row(values: NDArray) -> bool:
-    """Return whether all rows (n, k) are the same, or there are none."""
+    """Return whether all rows (n, k) are the same, or n is zero."""
     return not len(values) or (values[0].tolist() == values[-1].tolist() and bool((values == values[0]).all()))
 
 
@@ -261,7 +261,7 @@ def sums_of_frame(
     frame : Frame
         One step of a scene.
     spec : DepositSpec
-        What is wanted.
+        Requested sums.
     lattice : Lattice
         Periodic images.
     scale : float

@@ -1,7 +1,7 @@
 """Tables of the profiles of registered kernels: polynomials for values at points, and for integrals along lines.
 
 Values, marginals and derivatives are polynomials on equal intervals. Lines take *shells*, a few polynomials within
-radii of their own, whose integrals are closed forms (`xcg.compiled.shells`).
+radii each, whose integrals are closed forms (`xcg.compiled.shells`).
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def profile_integral(profile: Profile, dimension: int) -> float:
 def check_table(name: str, profile: Profile) -> None:
     """Raise ValueError for profiles that are not finite or have no positive integral; warn if a table is inaccurate.
 
-    Values are looked at in places between those that the table goes through.
+    Values are looked at in places between the nodes of the table.
     """
     exact = _values(profile, _PLACES)
     if not np.isfinite(exact).all():
@@ -137,7 +137,7 @@ def rims_of(profile: Profile) -> list[float]:
 def table_of(profile: Profile, codimension: int) -> NDArray:
     """Polynomials of the value and of its derivative / q on equal intervals, integrated over `codimension` axes.
 
-    In codimension 1 both are over half of the chord, sqrt(1 - q^2), as loops take them: what is left is as smooth up to
+    In codimension 1 both are over half of the chord, sqrt(1 - q^2), as loops take them: the quotient is as smooth up to
     the cutoff as the profile. With them come the shells that lines take, where there are any.
     """
     degree, table = codes.PIECE - 1, np.zeros((3, _INTERVALS, codes.PIECE))
@@ -182,7 +182,7 @@ def _half(q: float) -> float:
 
 
 def _columns(shells: Shells) -> NDArray:
-    """Shells as compiled loops take them, zeros in the place of those that there are not."""
+    """Shells as compiled loops take them, padded with zeros."""
     columns = np.zeros((_INTERVALS, codes.PIECE))
     for k, (radius, shell) in enumerate(shells):
         coefficients = np.asarray(shell.coef, float)

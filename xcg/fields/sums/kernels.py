@@ -194,7 +194,7 @@ class Gaussian(Kernel):
     dimension : int, optional
         The number of dimensions in which it integrates to 1; by default that of the scene.
     shifted : bool
-        Take its value at the cutoff off. The name ``kernel="shifted gaussian"`` stands for this.
+        Take its value at the cutoff off. The name ``kernel="shifted gaussian"`` means this.
 
     Raises
     ------
@@ -282,7 +282,7 @@ _OF_THE_PACKAGE = frozenset(get_args(KernelName))
 def register_kernel(
     name: str, profile: Callable[[NDArray], NDArray], *, ratio: float = 2.0, smoothness: int = 2
 ) -> type[Kernel]:
-    """Register a radial kernel of one's own under a name.
+    """Register a custom radial kernel under a name.
 
     Parameters
     ----------
@@ -312,7 +312,7 @@ def register_kernel(
     Raises
     ------
     ValueError
-        If the name is that of a kernel of the package, the ratio or the smoothness is none, or the profile is not
+        If the name is that of a kernel of the package, the ratio or the smoothness is invalid, or the profile is not
         finite from 0 on, below 1, or has no positive integral.
     """
     _check_registration(name, profile, ratio, smoothness)

@@ -36,7 +36,7 @@ class Moment:
     column : callable, optional
         ``column(frame, contacts) -> (n, ...)`` for a column of constants.
         Together with a `level` it gives (n, 4): a weight, and three numbers that take the place of velocity in the flow
-        columns of a pass of their own, so that their squares and products are kept relative to each node.
+        columns of a separate pass, so that their squares and products are kept relative to each node.
     contacts : bool
         Whether contacts are needed, in whole.
     at_contacts : bool

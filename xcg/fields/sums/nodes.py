@@ -56,7 +56,7 @@ class Block(Protocol):
 
     @property
     def inner(self) -> NodeBlock | None:
-        """The nodes that are filled, where `averages` of these make those of the block; else it is one itself."""
+        """The nodes that are filled: the block itself, or nodes whose `averages` make the block."""
 
 
 class NodeBlock(Protocol):
@@ -165,7 +165,7 @@ class Grid:
     spacing : mapping
         Distance of nodes along each resolved axis of a mesh (m).
     fitted : str
-        Those of them along which the nodes were laid around the particles.
+        Axes whose bounds follow from the particles' extent.
     half : array (3,)
         Half of the extent of the cells that values are averages over (m); 0 where they are those at the nodes.
     parts : sequence of Block, optional
@@ -173,7 +173,7 @@ class Grid:
     undirected : array
         Nodes where the axes of vectors have no direction.
     attrs : mapping
-        What results tell of the nodes.
+        Attributes of results that describe the nodes.
     """
 
     dims: tuple[str, ...]
@@ -210,7 +210,7 @@ class Grid:
 
     @cached_property
     def shape(self) -> tuple[int, int, int]:
-        """Number of nodes along x, y, z, for differences between neighbours; of those that stand apart, as a row."""
+        """Number of nodes along x, y, z, for differences between neighbours; scattered nodes count as a row."""
         if self.parts is not None:
             return self.count, 1, 1
         length = dict(zip(self.dims, self.sizes, strict=True))
@@ -350,7 +350,7 @@ class Mesh:
         return any(longest[k] > _LONG for k, _ in self._along_active)
 
     def cut(self, segments: NDArray, ends: NDArray, source: str) -> NDArray:
-        """Cut long branches where nothing beyond reaches the mesh; those that never come near it are left out.
+        """Cut long branches where nothing beyond reaches the mesh; branches that never come near it are left out.
 
         Parameters
         ----------

@@ -182,7 +182,7 @@ def _branches(step: StepRows, name: str, row: Moment, contacts: NDArray) -> Pass
 
 
 def _carried(step: StepRows, row: Moment, frame: Frame) -> tuple[NDArray, NDArray | None]:
-    """Vectors (n, 3) that the sides of i and of j carry; None where those of j are the opposite."""
+    """Vectors (n, 3) that the sides of i and of j carry; None where the vectors of j are the opposite."""
     if row.column is None:
         return step.contacts.force, None
     on_i, on_j = row.column(frame, step.contacts)

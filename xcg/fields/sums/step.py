@@ -55,7 +55,7 @@ class DepositSpec:
 
     Other attributes follow from these: `phases`, the number of groups or 1; `by_phase`, the cutoff of each (m);
     `distinct`, each cutoff once, rising; `origin`, the place that loops take others relative to (m); `rows`, the
-    moments by name; `of_grains`, those of the main pass over grains, and `level`, the flow columns of that pass.
+    moments by name; `of_grains`, the moments of the main pass over grains, and `level`, the flow columns of that pass.
     """
 
     moments: tuple[str, ...]
@@ -125,7 +125,7 @@ class Layout:
     ----------
     groups, columns : int
     moments : mapping
-        Columns that each moment is made of (those of a symmetric tensor name six of them nine times), with a factor, or
+        Columns that each moment is made of (a symmetric tensor names six of them nine times), with a factor, or
         one for each group.
     level : int
         How many columns are flow columns; they are the first ones.
@@ -208,7 +208,7 @@ class Images:
     drift: NDArray | None = None
 
     def of(self, values: NDArray) -> NDArray:
-        """Values (m, ...) at the places from those of the rows."""
+        """Values (m, ...) at the places from the values of the rows."""
         return values if self.row is None else values[self.row]
 
 

@@ -48,7 +48,7 @@ class Dumps(Columnar):
         return refs
 
     def unread_forces(self, ref: StepRef, options: ReadOptions) -> str:
-        """Return a hint about columns that may hold the rest of the contact forces; "" if there are none."""
+        """Return a hint about columns that may hold the rest of the contact forces; "" without such columns."""
         return columns.unread_by_number(ref, self.contact_columns(ref, options), options)
 
     def read_columns(

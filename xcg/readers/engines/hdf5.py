@@ -1,4 +1,4 @@
-"""HDF5 of any layout: ``mapping=`` tells which dataset holds which variable of the scene.
+"""HDF5 of any layout: ``mapping=`` assigns datasets to the variables of the scene.
 
 A step is a group, whose name holds ``{time}`` or ``{step}``; or an entry along the first dimension of all datasets; or
 a file. Datasets of vectors have two or three columns.
@@ -43,7 +43,7 @@ class Hdf5(Columnar):
     NEEDS_ID = False
 
     def recognises(self, path: str) -> bool:
-        """Return whether the suffix and the first bytes are those of HDF5."""
+        """Return whether the suffix and the first bytes identify HDF5."""
         if Path(path).suffix.lower() not in (".h5", ".hdf5"):
             return False
         with open(path, "rb") as file:
@@ -160,7 +160,7 @@ def _steps(path: str, mine: Mapping[str, str], time: str | None) -> Iterator[Ste
 
 
 def _numbers_of_groups(file: h5py.File, path: str, place: str) -> list[tuple[str, float]]:
-    """List what stands in place of the placeholder in the names of a group's members, by number."""
+    """List the values of the placeholder in the names of a group's members, by number."""
     parts = path.split("/")
     at = next(k for k, part in enumerate(parts) if place in part)
     parent = file["/".join(parts[:at]) or "/"]

@@ -44,7 +44,7 @@ class Lammps(dump.Dumps):
         return replace(ref, kind=_WALLS, rows=ref.rows * len(columns.wall_columns(ref, options)))
 
     def unread_forces(self, ref: StepRef, options: ReadOptions) -> str:
-        """Return a hint about columns that may hold the rest of the contact forces; "" if there are none."""
+        """Return a hint about columns that may hold the rest of the contact forces; "" without such columns."""
         return "" if ref.kind == _WALLS else super().unread_forces(ref, options)
 
     def contact_variables(self, ref: StepRef, options: ReadOptions) -> list[str]:
@@ -94,7 +94,7 @@ class Liggghts(dump.Dumps):
     """Dumps of LIGGGHTS."""
 
     def recognises(self, path: str) -> bool:
-        """Return whether the first lines are those of a dump; local ones have numbered columns."""
+        """Return whether the first lines identify a dump; local ones have numbered columns."""
         found = dump.body_columns(path)
         return found is not None and (found[0] == "ATOMS" or dump.is_numbered(found[1]))
 

@@ -19,7 +19,7 @@ from xcg.scene.schema import COMPONENTS
 
 
 def with_bounds(ref: StepRef, low: ArrayLike, high: ArrayLike, tilts: Sequence[float] | None) -> StepRef:
-    """Add the box of a step from lower and upper bounds (3,), which are those of the tilted box, and xy, xz, yz.
+    """Add the box of a step from lower and upper bounds (3,), which bound the tilted box, and xy, xz, yz.
 
     Raises
     ------
@@ -47,7 +47,7 @@ _NEWEST = 2  # revision
 
 
 def begins(head: bytes) -> bool:
-    """Return whether the first bytes are those of a binary dump."""
+    """Return whether the first bytes identify a binary dump."""
     return _mark(head) is not None
 
 

@@ -39,7 +39,7 @@ def steps_of(path: str) -> Iterator[StepRef]:
     Raises
     ------
     SceneError
-        If it is no such file, or damaged.
+        If the file is of another format, or damaged.
     """
     file = ClassicFile(path)
     needed = {"time": (), "cell_origin": (3,), "cell_lengths": (3,), "cell_angles": (3,)}

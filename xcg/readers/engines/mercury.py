@@ -1,6 +1,6 @@
 """MercuryDPM: ``.data`` (particles), ``.fstat`` (contacts), and the head of ``.restart`` (density, gravity).
 
-Particles are numbered by their row in ``.data``, from 0, as ``.fstat`` does. A pair stands in ``.fstat`` once
+Particles are numbered by their row in ``.data``, from 0, as ``.fstat`` does. A pair is listed in ``.fstat`` once
 or twice; of two rows, the one with i < j is read, as the other has fewer digits.
 """
 
@@ -238,7 +238,7 @@ class Restart:
 
 
 def read_restart(data: str, options: ReadOptions) -> Restart | None:
-    """Read the restart file that the caller names, or that stands beside a ``.data`` file.
+    """Read the restart file that the caller names, or that lies next to a ``.data`` file.
 
     Only its head, down to the particles, is read.
     """

@@ -161,7 +161,7 @@ class Mfix(Engine):
         Returns
         -------
         dict
-            Float64 arrays by scene name, shape (n,) or (n, 3), rows in the order of the file, those of spheres first.
+            Float64 arrays by scene name, shape (n,) or (n, 3), rows in the order of the file, spheres first.
             Where ``point_is_middle`` (n,) is true, ``contact_point`` is the middle of the centres of two spheres;
             `names` that map an array to ``contact_point`` are believed. ``row_of_file`` (n,) counts rows of the file.
 
@@ -183,7 +183,7 @@ class Mfix(Engine):
     def recover_periods(self, ref: StepRef, options: ReadOptions) -> dict[str, float]:
         """Periods by axis, from contacts whose two rows stand on either side of an edge, one period apart.
 
-        The extent of the particles' centres is no period: it is short by about a diameter.
+        The extent of the particles' centres is not a period: it is short by about a diameter.
         """
         return _periods(_Rows.of(ref, options))
 

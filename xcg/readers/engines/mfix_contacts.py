@@ -12,7 +12,7 @@ Three kinds of rows were found in its output, checked against the positions of t
   order, except for the side that they describe. Across a cyclic boundary ids are swapped, forces differ by some per
   cent besides their sign, and points stand one period apart. Such bodies are convex: rows of one pair of ids whose
   points agree, but for the period, are one contact.
-- **Copies** of a row stand in some files, too.
+- **Copies** of a row occur in some files, too.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def of_superquadrics(middle: NDArray, point: NDArray, length: NDArray) -> NDArra
 def distances_of_twins(contacts: Frame, mark: NDArray, place: NDArray, superquadric: NDArray) -> NDArray:
     """Distances (m, 3) along each axis between the points of the two rows of contacts that stand twice.
 
-    Parameters are those of `each_contact_once`, and which rows are contacts of superquadrics (n,).
+    Parameters as in `each_contact_once`, and which rows are contacts of superquadrics (n,).
     """
     i, j = contacts["contact_i"], contacts["contact_j"]
     low, high, swapped = np.minimum(i, j), np.maximum(i, j), i > j
@@ -95,7 +95,7 @@ def each_contact_once(contacts: Frame, mark: NDArray, place: NDArray) -> Frame:
 
     A mirrored row has the same pair of ids swapped and `mark` negated, exactly: both rows come from the same
     overlap and relative velocity, so that their Float32 values agree to the last bit. A pair may touch at
-    several points (concave grains); these have different marks, or else are told apart by their order in
+    several points (concave grains); these have different marks, or else are distinguished by their order in
     space, which the shift by a period between mirrored rows leaves as it is.
 
     Parameters
@@ -154,7 +154,7 @@ def both_sides_once(contacts: Frame, place: NDArray, length: NDArray, periods: d
     length : array (n,)
         Distance from the contact point to a centre (m).
     periods : dict
-        Those that are known, by axis (m).
+        Known periods by axis (m).
 
     Returns
     -------
@@ -201,7 +201,7 @@ def _without_sign(mark: NDArray, swapped: NDArray) -> list[NDArray]:
 
 
 def _of_shared_pairs(i: NDArray, j: NDArray) -> NDArray:
-    """Rows whose pair of ids stands in other rows, too."""
+    """Rows whose pair of ids occurs in other rows, too."""
     low, high = np.minimum(i, j), np.maximum(i, j)
     whole = low.size and max(abs(low.min()), abs(high.max())) < EXACT  # NaN is not
     if not whole:

@@ -1,6 +1,6 @@
 """Tables of any origin, CSV (also compressed) and Parquet; columns are named as variables of scenes, or by ``names=``.
 
-A file holds one step, or several that a column of times tells apart, whose rows stand together.
+A file holds one step, or several that a column of times separates, whose rows are contiguous.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _CLOCK = ("time", "step")
 
 
 def _slots(known: columns.Slots, *left_out: str) -> columns.Slots:
-    """Slots that columns of their own names fill first, then those of dumps."""
+    """Slots, filled by columns of the same name first, then by names of dumps."""
     return {slot: (slot, *found) for slot, found in known.items() if not slot.startswith(left_out)}
 
 
@@ -94,7 +94,7 @@ def clock_of(names: Sequence[str], given: Mapping[str, str | None]) -> dict[str,
 
 
 def without_clock(options: ReadOptions) -> ReadOptions:
-    """Return what holds for all columns but those of times and numbers of steps."""
+    """Return the options without the names of times and step numbers."""
     return replace(options, names={name: target for name, target in options.names.items() if target not in _CLOCK})
 
 
@@ -139,7 +139,7 @@ def runs_of(clock: Mapping[str, NDArray], rows: int, path: str) -> list[tuple[in
     Raises
     ------
     SceneError
-        If a time is no finite number, a number of a step is none, or rows of one time stand apart.
+        If a time is not finite, a step number is not whole, or rows of one time are not contiguous.
     """
     key = next(iter(clock.values()), None)
     if key is None:

@@ -154,7 +154,7 @@ def read_arrays(ref: StepRef, wanted: Mapping[str, str]) -> Frame:
 
 
 def read_particle_arrays(ref: StepRef, wanted: Mapping[str, str]) -> Frame:
-    """Read those of particles, whose radii become diameters."""
+    """Read the variables of particles; radii become diameters."""
     frame = read_arrays(ref, wanted)
     if "radius" in frame:
         frame.setdefault("diameter", 2 * frame.pop("radius"))
@@ -233,7 +233,7 @@ class Vtk(Engine):
         return read_particle_arrays(ref, targets(ref, "particle", options, _PARTICLE_NAMES))
 
     def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
-        """Read the contacts of one step as they stand: points are contact points, those of lines follow from radii."""
+        """Read the contacts of one step as they stand: points are contact points; on lines they follow from radii."""
         return read_arrays(ref, targets(ref, "contact", options, {}))
 
 
@@ -258,7 +258,7 @@ def mesh_points(path: str | os.PathLike[str], *, centers: bool = False) -> dict[
     Raises
     ------
     FileNotFoundError
-        If there is no such file.
+        If the file does not exist.
     ValueError
         If the name ends otherwise, or the file holds no points.
     """

@@ -38,7 +38,7 @@ class ClassicVariable:
 
 
 def begins(head: bytes) -> bool:
-    """Return whether the first bytes are those of a classic NetCDF format."""
+    """Return whether the first bytes identify a classic NetCDF format."""
     return head[:3] == b"CDF" and head[3:4] in (b"\x01", b"\x02", b"\x05")
 
 

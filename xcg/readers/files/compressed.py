@@ -86,7 +86,7 @@ def open_compressed(path: str, kind: str = "") -> BinaryIO:
 def size_of_content(path: str) -> int:
     """Size of what a gzipped file holds; -1 where it may be several members one after the other, or over 4 GiB.
 
-    Other files do not tell. The last bytes of a gzipped one tell the size of its last member, modulo 4 GiB. Whether
+    Other sizes are unknown. The last bytes of a gzipped file hold the size of its last member, modulo 4 GiB. Whether
     there are others is seen where the first one ends in what is looked at, and else from how far that was compressed.
     """
     if compression(path) != "gzip":
@@ -136,7 +136,7 @@ def forward(path: str, offset: int) -> Iterator[BinaryIO]:
 
 
 def _take(key: tuple[str, int, int], offset: int) -> BinaryIO | None:
-    """Return the waiting file with the largest position before an offset; None if there is none."""
+    """Return the waiting file with the largest position before an offset; or None."""
     with _lock:
         ready = [entry for entry in _waiting if entry[0] == key and entry[1].tell() <= offset]
         if not ready:

@@ -113,7 +113,7 @@ def _in_order(blocks: Iterable[bytes], work: Callable, threads: int) -> Iterator
 def _parse(
     columns: int, places: NDArray, block: bytes, out: NDArray | None = None, first: int = 0
 ) -> tuple[NDArray, bool]:
-    """Parse the rows of a block, (wanted, rows), and tell whether that is all of it or one of its rows is at fault.
+    """Parse the rows of a block, (wanted, rows), and return whether all rows were read or one is faulty.
 
     They go to `out` from row `first` on, where that is given, and surplus rows are at fault.
     """
@@ -138,7 +138,7 @@ def _parse(
 
 
 def _number(word: bytes) -> float:
-    """Read what compiled code leaves undecided; NaN where it is no number."""
+    """Read words that compiled code leaves undecided; NaN for anything but numbers."""
     try:
         return float(word) if b"_" not in word else math.nan
     except ValueError:

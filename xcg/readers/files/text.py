@@ -51,7 +51,7 @@ def _damage_named(path: str) -> Iterator[None]:
 
 
 def uncompressed_size(path: str) -> int:
-    """Size of what `open_binary` yields; -1 where a compressed file does not tell it."""
+    """Size of what `open_binary` yields; -1 where a compressed file does not state it."""
     return size_of_content(path) if compression(path) else os.path.getsize(path)
 
 
@@ -186,7 +186,7 @@ def body_of(ref: StepRef) -> Iterator[bytes]:
     Raises
     ------
     SceneError
-        If it is longer than its rows can be, as where a few compressed kilobytes stand for gigabytes, or more follows
+        If it is longer than its rows can be, as where a few compressed kilobytes expand to gigabytes, or more follows
         it than was known.
     """
     if ref.length < 0 or (ref.rows and ref.length > _LONGEST_VALUE * (ref.rows + 1) * (len(ref.columns) + 1) + _BLOCK):
@@ -231,5 +231,5 @@ def whole_lines(pieces: Iterable[bytes], name: str) -> Iterator[bytes]:
 
 
 def source_of(ref: StepRef) -> str:
-    """File and step, for messages; the file alone where it does not tell the step."""
+    """File and step, for messages; the file alone where the step is unknown."""
     return f"{ref.path} (step {ref.step})" if ref.step >= 0 else ref.path

@@ -56,7 +56,7 @@ class DataError(ValueError):
 
 
 def parse_text(text: bytes, kind: str, count: int) -> NDArray[np.float64]:
-    """Parse numbers that stand in the XML itself."""
+    """Parse numbers written in the XML itself."""
     tokens = text.split()
     if len(tokens) != count:
         raise DataError(f"it holds {len(tokens)} numbers, not {count}")

@@ -206,7 +206,7 @@ def _text(path: str) -> tuple[str, str | None, int | None, int]:
 def read_header(path: str, *, lines: bool = False) -> Header:
     """Read the header of a ``.vtp`` or ``.vtu`` file, of its points, and check that the file is as long as it says.
 
-    Where `lines` are wanted and cells have arrays, rows are lines, and the arrays those of cells.
+    Where `lines` are wanted and cells have arrays, rows are lines, and the arrays belong to cells.
 
     Only the first kilobytes are read where data are appended; files with values in the XML (old ASCII output)
     are scanned as a whole, because the names of their arrays are spread over them.
@@ -214,7 +214,7 @@ def read_header(path: str, *, lines: bool = False) -> Header:
     Raises
     ------
     SceneError
-        If this is no VTK PolyData of one piece, or shorter than its header promises; or lines are wanted, and there are
+        If this is not VTK PolyData of one piece, or shorter than promised; or lines are wanted, and there are
         cells of other kinds beside them.
     """
     text, appended, body, size = _text(path)
@@ -256,7 +256,7 @@ def read_header(path: str, *, lines: bool = False) -> Header:
 
 
 def _has_lines(text: str, piece: dict[str, str], path: str) -> bool:
-    """Return whether the arrays of cells are those of lines (perhaps none); False without arrays."""
+    """Return whether the arrays of cells belong to lines (perhaps none); False without arrays."""
     section = _section(text, "CellData")
     if section is None or not any(_tags(text, "DataArray", *section)):
         return False
@@ -376,7 +376,7 @@ def read_collection(path: str) -> list[tuple[str, float | None]]:
     Raises
     ------
     SceneError
-        If this is no collection, or it names nothing.
+        If this is not a collection, or it names nothing.
     """
     with open_binary(path) as file:
         text = _without_comments(file.read(_LONGEST_LIST).decode("utf-8", "replace"))

@@ -148,7 +148,7 @@ def _kinetic_stress(f: Any, s: Any, o: Options) -> NDArray:
 
 
 def about(sums: tuple[NDArray, NDArray, NDArray], a: NDArray, b: NDArray) -> tuple[NDArray, NDArray]:
-    """Return the sums of w (x - a) and of w (x - a)(x - b), from those of w, w x and w x x."""
+    """Return the sums of w (x - a) and of w (x - a)(x - b), from the sums of w, w x and w x x."""
     weight, first, second = sums
     moved = first - weight[..., None] * a
     return moved, second - outer(a, first) - outer(moved, b)
