@@ -2,7 +2,7 @@ r"""
 Dense suspension: viscous number
 ================================
 
-Where a fluid is viscous enough for inertia not to matter, a suspension is told by the viscous number :math:`J = \eta_f
+Where the fluid is so viscous that inertia does not matter, the viscous number describes a suspension: :math:`J = \eta_f
 \dot\gamma / P`: its volume fraction :math:`\phi`, its friction :math:`\mu = \tau / P`, and its viscosity :math:`\eta_s
 = \mu / J` in units of the fluid's are functions of :math:`J`. Boyer, Guazzelli & Pouliquen (2011) measured :math:`\phi
 = \phi_m / (1 + \sqrt J)` with :math:`\phi_m = 0.585`, and took the part of friction that contacts make as :math:`\mu_c

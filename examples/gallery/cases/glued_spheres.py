@@ -60,5 +60,5 @@ print(f"contacts of a sphere: {float(spheres.coordination_number.sel(z=6)):.2f}"
 # %%
 # **For your own data, change** the line that opens them to ``xcg.open_scene("particles.*.dump",
 # contacts="contacts.*.dump", walls={"floor": "f_floor[*]"})``; a column other than LAMMPS' ``mol`` that numbers your
-# bodies is named by ``names={"clump": "body_id"}``. How bodies are made is told :doc:`with the phases </phases>`;
+# bodies is named by ``names={"clump": "body_id"}``. :doc:`Phases </phases>` describes how bodies are made;
 # ``ds.cg.group_bodies("body_id")`` gives them as a scene.

@@ -26,7 +26,7 @@ now = ds.isel(time=0)
 z, radius = now.position.sel(component="z").values, now.diameter.values / 2
 
 # %%
-# Hertz's law tells the radius of a contact from its force, :math:`a^3 = 3 f R^* / 4 E^*`. Walls have no grain at the
+# Hertz's law relates the radius of a contact to its force, :math:`a^3 = 3 f R^* / 4 E^*`. Walls have no grain at the
 # other side, and conduct nothing.
 
 row = {number: n for n, number in enumerate(now.particle_id.values)}

@@ -59,6 +59,6 @@ print(f"mass that flows down the layer {down:.2f}, and up below it {up:.2f}, in 
 # quarter of a turn meets more of the rising between them. After two turns the halves are on their way, not mixed: the
 # index goes on to 1. It depends on the size of the cells, and a random mixture of few grains scatters about 1.
 #
-# **For your own data, change** ``by=`` to the variable that tells the sorts apart (a type of the files, a size class of
+# **For your own data, change** ``by=`` to the variable that names the sorts (a type of the files, a size class of
 # ``ds.cg.assign_phases``), and ``cell`` to the size of the sample that has to be mixed. More indices are in
 # :doc:`microstructure </microstructure>`.

@@ -6,7 +6,7 @@ A coupled code (CFD-DEM) needs the void fraction :math:`\varepsilon = 1 - \phi` 
 that are averaged over cells hold all of the solid volume, whatever the size of the cells: that is what a solver of the
 balance of mass needs.
 
-The grains are those of the :doc:`silo <silo_pressure>`, 3800 spheres in a cylinder of 50 mm (:download:`silo.in
+The grains come from the :doc:`silo <silo_pressure>`: 3800 spheres in a cylinder of 50 mm (:download:`silo.in
 <../../../examples/data/lammps_silo/silo.in>`, LAMMPS), in a mesh of cells of 10 mm, two grains wide.
 """
 

@@ -56,7 +56,7 @@ print(f"mu_s = {mu_s:.2f}, mu_2 = {mu_2:.2f}, I_0 = {I_0:.2f}")
 
 # %%
 # The rise is the published one, and so is the limit of slow flow within its error, but all points lie above the line,
-# by a seventh on average. Errors are those of 12 steps and do not explain it; what does is not known. The published
+# by a seventh on average. Errors come from 12 steps and do not explain it; what does is not known. The published
 # flow is between walls, this one has none, and its normal stress swings about the imposed one by a tenth.
 #
 # Coarse-graining is not the cause. The mean contact stress of the box (``axes="", at={}``) is the stress that LAMMPS
