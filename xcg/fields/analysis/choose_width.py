@@ -148,12 +148,11 @@ def _averages(
         # nodes in a volume lie apart, or the widest kernel would reach too many
         spacing = widths[0] * (widths[-1] / widths[0]) ** ((len(axes) - 1) / 4)
         asked = with_nodes(ds, replace(asked, axes=axes, spacing=asked.spacing or spacing), widths[:1], at)
-    fields = [*wanted, *({_COUNT} - {str(field) for field in wanted})]
-    ask = partial(asked.ask, fields=fields, at=asked.at, for_averages=True)
-    try:
-        f = join_widths(ds, [ask(width=width, errors=True) for width in widths]).compute()
-    except ValueError:  # none of the fields has an error, or else the next line says what is wrong
-        f = join_widths(ds, [ask(width=width) for width in widths]).compute()
+    moving = "velocity" in ds  # a velocity has an error beside fields without one
+    further = [_COUNT, "velocity"] if moving else [_COUNT]
+    fields = [*wanted, *(name for name in further if name not in wanted)]
+    ask = partial(asked.ask, fields=fields, at=asked.at, errors=moving, for_averages=True)
+    f = join_widths(ds, [ask(width=width) for width in widths]).compute()
     names = [name for name in map(str, f.data_vars) if any(name == getattr(w, "name", w) for w in wanted)]
     lone = [name for name in names if f"{name}_error" not in f]
     if lone and f.sizes.get("time", 1) < 2:
