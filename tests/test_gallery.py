@@ -26,6 +26,7 @@ CHECKS = {
     "heat_conduction": ("carried", "given", 1e-7),
     "impact": ("contact", "expected", 0.01),
     "mu_of_i": ("measured", "expected", 0.2),
+    "photoelastic": ("stress", "expected", 0.005),
     "rods_in_shear": ("measured", "expected", 0.05),
     "segregation": ("mass", "expected", 1e-4),
     "shear_band": ("band", "coulomb", 0.1),

@@ -138,3 +138,15 @@ def test_names_and_texts_of_forces_as_magnitudes():
             xcg.scene_from_table(
                 grains, contacts=row | wrong, names={"N": "normal_force", "T": "tangential_force"}, **layer
             )
+
+
+def test_photoelastic_forces_across_a_periodic_edge_have_the_direction_of_the_nearest_image():
+    grains = {"id": [1, 2], "x": [0.2, 3.3], "y": [1.0, 1.0], "z": 0.0, "diameter": 1.0}
+    touching = {"id1": [1], "id2": [2], "normal_force": [2.0], "tangential_force": [0.5]}
+    box = {"x": (0.0, 4.0), "y": (0.0, 4.0), "z": (-0.5, 0.5)}
+    layer = {"dimension": 2, "thickness": 1.0, "density": 1.0}
+    discs = xcg.scene_from_table(grains, contacts=touching, box=box, periodic="xy", **layer)
+    force = discs.contact_force.isel(time=0).dropna("contact").values
+    np.testing.assert_allclose(force, [[2.0, 0.5, 0.0]], atol=1e-12)  # 1 lies to the right of the image of 2
+    open_box = xcg.scene_from_table(grains | {"x": [0.2, -0.7]}, contacts=touching, **layer)
+    np.testing.assert_allclose(open_box.contact_force.isel(time=0).dropna("contact").values, force, atol=1e-12)
