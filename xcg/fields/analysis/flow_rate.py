@@ -73,7 +73,8 @@ def flow_rate(
     -------
     xarray.Dataset
         ``mass_flow_rate`` (kg/s), ``number_flow_rate`` (1/s), ``volume_flow_rate`` (m3/s), ``momentum_flow_rate``
-        (component, N) and ``energy_flow_rate`` (W), those asked for; (time) or (time, phase).
+        (component, N) and ``energy_flow_rate`` (W), those asked for; (time) or (time, phase). Without contact forces
+        the last two are carried by the particles alone, and their attribute ``comment`` says so.
 
     Raises
     ------
@@ -132,7 +133,10 @@ def _name(field: str | Sum) -> str:
 def _labelled(rate: Any, flow: Flow, ds: xr.Dataset) -> xr.DataArray:
     found: xr.DataArray = rate
     units = units_in(_UNITS[flow], str(ds.attrs.get("unit_system", "SI")))
-    return found.drop_attrs().assign_attrs(units=units, long_name=f"flow rate of {flow} along the normal")
+    found = found.drop_attrs().assign_attrs(units=units, long_name=f"flow rate of {flow} along the normal")
+    if flow in ("momentum", "energy") and "contact_force" not in ds:
+        found.attrs["comment"] = "carried by particles alone, as the scene holds no contact forces"
+    return found
 
 
 def _across(flux: xr.Dataset, normal: NDArray) -> xr.Dataset:
