@@ -100,16 +100,11 @@ def shorten_methods(app, what, name, obj, options, lines):
         del lines[1:]
 
 
-# Files of the repository that are pages of the site
-PAGES = {"../gallery": "gallery/index.rst", "../examples/gallery": "gallery/index.rst"}
-
-
 def link_pages(app, *names_and_text):
-    """Replace links to scripts and folders of the gallery by links to their pages."""
+    """Replace links to the gallery and its scripts by links to their pages."""
     text = names_and_text[-1]
     text[0] = re.sub(r"\(\.\./examples/gallery/([\w/]+)\.py\)", r"(gallery/\1.rst)", text[0])
-    for path, page in PAGES.items():
-        text[0] = text[0].replace(f"]({path})", f"]({page})")
+    text[0] = text[0].replace("](../examples/gallery)", "](gallery/index.rst)")
 
 
 def copy_mathjax(app, error):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from tests import flows
-from tests.flows import LENGTH, Flow
+from tests.flows import LENGTH, NODES, Flow
 
 PICTURE = Path(__file__).parent / "_static" / "physics.png"
 DEFAULT = {"width": 0.75, "spacing": 1.0, "frames": 16, "kernel": "lucy", "sampling": "node"}  # spacing in widths
@@ -25,7 +25,6 @@ CHOICES: Mapping[str, Sequence[Any]] = {
     "sampling": ("node", "cell"),
 }
 SIDE = 12.0
-NODES = {"axes": "z", "bounds": {"z": (0.25, LENGTH - 0.25)}, "spacing": 0.5}
 TEXT = """## How sure the fields are: width, spacing, frames, sampling, kernel
 
 Errors so far are of arithmetic. Errors of physics are a million times larger: too few particles (noise), and gradients
@@ -59,33 +58,19 @@ beside the walls, where all particles are on one side of the node.
 """
 
 
-def errors(flow: Flow, truth: xr.DataArray, f: xr.Dataset) -> tuple[float, float]:
-    """Bias of the mean, and scatter of one frame, as root mean squares over nodes."""
-    value = flow.value(f)
-    scatter = float(value.var("time", ddof=1).mean())
-    bias = float(((value.mean("time") - truth) ** 2).mean()) - scatter / f.sizes["time"]
-    return max(bias, 0.0) ** 0.5, scatter**0.5
-
-
 def of_width(flow: Flow, width: float, **options: Any) -> tuple[float, float]:
     f = flow.scene.cg.coarse_grain(flow.field, width=width, **NODES | options)
-    return errors(flow, flow.truth(f.z), f)
+    return flow.errors(f)
 
 
-def of_spacing(flow: Flow, width: float, spacing: float) -> tuple[float, float]:
-    """Largest errors of linear and cubic interpolation of a smeared sine without noise, relative to its amplitude."""
-    found = []
+def of_spacing(flow: Flow, spacing: float) -> tuple[float, float]:
+    """Errors of linear and cubic interpolation of a sine, relative to it: smearing changes its size alone."""
+    between, found = np.linspace(0, LENGTH, 400), []
     for shift in np.linspace(0, 1, 8, endpoint=False):
         z = np.arange(-4, 20 + spacing, spacing) + shift * spacing
-        between = np.linspace(0, LENGTH, 400)
-        values, exact = flow.truth(z), flow.truth(between)
-        found.append(
-            [
-                np.sqrt(np.mean((g - exact) ** 2))
-                for g in (np.interp(between, z, values), CubicSpline(z, values)(between))
-            ]
-        )
-    linear, cubic = np.mean(found, axis=0) / np.sqrt(0.5)
+        ways = (np.interp(between, z, flow.truth(z)), CubicSpline(z, flow.truth(z))(between))
+        found.append([np.sqrt(np.mean((way - flow.truth(between)) ** 2) / 0.5) for way in ways])
+    linear, cubic = np.mean(found, axis=0)
     return float(linear), float(cubic)
 
 
@@ -93,7 +78,7 @@ def of_choice(whole: Flow, points: NDArray, choice: Mapping[str, Any]) -> tuple[
     """Time (us a particle) and error of the velocity at points, interpolated from the nodes of a volume."""
     spacing = LENGTH / round(LENGTH / (choice["spacing"] * choice["width"]))
     bounds = dict.fromkeys("xyz", (0.0, LENGTH))
-    errors, times = [], []
+    squares, times = [], []
     frames = choice["frames"]
     for first in range(0, 64, max(frames, 16)):
         scene = whole.scene.isel(time=slice(first, first + frames))
@@ -106,8 +91,8 @@ def of_choice(whole: Flow, points: NDArray, choice: Mapping[str, Any]) -> tuple[
         times.append(time.perf_counter() - begin)
         at = {a: xr.DataArray(points[:, k], dims="point") for k, a in enumerate("xyz")}
         found = mean.sel(component="x").interp(at) - flows.sine(1).truth(points[:, 2])
-        errors.append(float((found**2).mean()))
-    return 1e6 * min(times) / whole.scene.sizes["particle"], float(np.sqrt(np.mean(errors) / 0.5))
+        squares.append(float((found**2).mean()))
+    return 1e6 * min(times) / whole.scene.sizes["particle"], float(np.sqrt(np.mean(squares) / 0.5))
 
 
 def on_the_front(points: Sequence[tuple[str, Any, float, float]]) -> list[str]:
@@ -130,7 +115,7 @@ def table_of_flows() -> str:
         cells = []
         for width in (0.75, chosen):
             f = flow.scene.cg.coarse_grain(flow.field, width=width, **nodes)
-            cells.append([f"{100 * e / size:.2g} %" for e in errors(flow, flow.truth(f.z), f)])
+            cells.append([f"{100 * e / size:.2g} %" for e in flow.errors(f)])
         rows.append(f"| {name} | {flow.field} | {' | '.join(cells[0])} | {chosen:.2f} d | {' | '.join(cells[1])} |")
     return "\n".join(rows)
 
@@ -165,7 +150,7 @@ def main() -> str:
     ax.legend(fontsize="small")
 
     ax, ratios = axes[1, 0], np.array([0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0])
-    lines = {w: np.array([of_spacing(flow, w, r * w) for r in ratios]) for w in (0.75, 1.5)}
+    lines = {w: np.array([of_spacing(flow, r * w) for r in ratios]) for w in (0.75, 1.5)}
     for k, (w, loss) in enumerate(lines.items()):
         ax.loglog(ratios, loss[:, 0], f"C{k}o-", label=f"linear, w = {w} d")
         ax.loglog(ratios, loss[:, 1], f"C{k}s--", label=f"cubic, w = {w} d")

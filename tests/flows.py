@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 import xcg
 
 LENGTH = 12.0  # of the box along z, in diameters
+NODES = {"axes": "z", "bounds": {"z": (0.25, LENGTH - 0.25)}, "spacing": 0.5}  # of profiles, beside walls and jumps
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,13 @@ class Flow:
         if "direction" in found.dims:
             return found.sel(component="z", direction="z", drop=True)
         return found.sel(component="x", drop=True) if "component" in found.dims else found
+
+    def errors(self, f: xr.Dataset) -> tuple[float, float]:
+        """Return the bias of the mean and the scatter of one frame, as root mean squares over the nodes."""
+        value = self.value(f)
+        scatter = float(value.var("time", ddof=1).mean())
+        bias = float(((value.mean("time") - self.truth(f.z)) ** 2).mean()) - scatter / f.sizes["time"]
+        return max(bias, 0.0) ** 0.5, scatter**0.5
 
 
 def _grains(

@@ -164,3 +164,14 @@ def test_explain_states_the_noise_of_a_dense_packing(options):
     assert f"velocity +-{plan.effective_count**-0.5:.2g} sqrt(T)" in str(plan)
     points = xcg.scene_from_arrays(ds.position.values, velocity=ds.velocity.values, mass=np.ones(8000))
     assert "noise" not in str(points.cg.explain("velocity", width=1.0))
+
+
+def test_explain_states_no_noise_of_rings_cells_and_widths_by_group():
+    ds = xcg.datasets.dense_packing(1000)
+    for options in (
+        {"frame": xcg.Cylindrical("z"), "axes": "r", "extent": {"z": 1.0}}, {"sampling": "cell", "spacing": 2.0},
+        {"by": "species", "width": {1: 1.0, 2: 0.5}},
+    ):  # fmt: skip
+        assert "noise" not in str(
+            ds.drop_vars("box").assign_attrs(periodic="").cg.explain("velocity", **{"width": 1.0} | options)
+        )

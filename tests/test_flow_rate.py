@@ -165,12 +165,10 @@ def test_energy_of_grains_without_contacts():
     q = ds.cg.flow_rate(xcg.Plane((0, 0, 2.0), (0, 0, 1)), "energy", width=width)
     assert q.energy_flow_rate.item() == pytest.approx((0.5 * m * (v**2).sum(1) * v[:, 2] * psi).sum(), rel=1e-10)
     assert ("comment" in q.energy_flow_rate.attrs) == ("contact_force" not in ds)
-    assert (
-        "comment"
-        in ds.drop_dims("contact", errors="ignore")
-        .cg.flow_rate(xcg.Plane((0, 0, 2.0), (0, 0, 1)), "momentum", width=width)
-        .momentum_flow_rate.attrs
+    alone = ds.drop_dims("contact", errors="ignore").cg.flow_rate(
+        xcg.Plane((0, 0, 2.0), (0, 0, 1)), "momentum", width=width
     )
+    assert "comment" in alone.momentum_flow_rate.attrs
 
 
 @pytest.mark.parametrize(("surface", "of", "message"), [

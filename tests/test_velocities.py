@@ -148,5 +148,12 @@ def test_photoelastic_forces_across_a_periodic_edge_have_the_direction_of_the_ne
     discs = xcg.scene_from_table(grains, contacts=touching, box=box, periodic="xy", **layer)
     force = discs.contact_force.isel(time=0).dropna("contact").values
     np.testing.assert_allclose(force, [[2.0, 0.5, 0.0]], atol=1e-12)  # 1 lies to the right of the image of 2
+    tilted = {"x": [0.2, 0.9], "y": [0.1, 3.4]}  # the image of 2 below lies at (-0.1, -0.6)
+    sheared = xcg.scene_from_table(
+        grains | tilted, contacts=touching, box=box, periodic="xy", lattice={"xy": 1.0}, **layer
+    )
+    found = sheared.contact_force.isel(time=0).dropna("contact").values
+    n = np.array([0.3, 0.7]) / np.hypot(0.3, 0.7)
+    np.testing.assert_allclose(found, [[2 * n[0] - 0.5 * n[1], 2 * n[1] + 0.5 * n[0], 0.0]], atol=1e-12)
     open_box = xcg.scene_from_table(grains | {"x": [0.2, -0.7]}, contacts=touching, **layer)
     np.testing.assert_allclose(open_box.contact_force.isel(time=0).dropna("contact").values, force, atol=1e-12)

@@ -9,8 +9,7 @@ import numpy as np
 
 import xcg
 from tests import flows
-
-NODES = {"axes": "z", "bounds": {"z": (0.25, 11.75)}, "spacing": 0.5}
+from tests.flows import NODES
 
 
 @dataclass(frozen=True)

@@ -257,7 +257,7 @@ def memory_at_hand() -> int | None:
 
 
 def _steps_at_once(ds: xr.Dataset) -> int:
-    """Return how many steps of fields are in memory at once: all, or one longest chunk of a lazy scene."""
+    """Return how many steps of fields are in memory at once: all, or one chunk of a lazy scene, the longest."""
     chunks = ds["position"].chunksizes.get("time")
     return max(chunks) if chunks else max(1, ds.sizes.get("time", 1))
 

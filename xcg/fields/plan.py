@@ -189,9 +189,13 @@ class Plan:
 
 
 def effective_count(scene: Description, plan: Plan) -> float | None:
-    """N_eff at a node for equal spheres (or discs in a layer) of d43 that fill the share `DENSE` of the space."""
+    """N_eff at a node for equal spheres (or discs in a layer) of d43 that fill the share `DENSE` of the space.
+
+    None for rings, averages over cells and widths by group, whose weights are not those of one kernel.
+    """
     lengths = [length or np.ptp(scene.edges.get(a, (0.0, np.inf))) for a, length in plan.extent.items()]
-    if "d43" not in scene.sizes or not np.isfinite(lengths).all():
+    other_weights = scene.cylindrical or plan.deposit.grid.half.any() or len(plan.deposit.cutoffs) > 1
+    if other_weights or "d43" not in scene.sizes or not np.isfinite(lengths).all():
         return None
     space = scene.setup.dimension
     number = DENSE / ({2: math.pi / 4, 3: math.pi / 6}[space] * scene.sizes["d43"] ** space)

@@ -15,11 +15,12 @@ from xcg.common.messages import SceneError, warn_user
 from xcg.readers import columns
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.engines.tabular import Table, clock_of, runs_of
-from xcg.scene.box import box_array
+from xcg.scene.box import box_array, with_lattice
 from xcg.scene.build import scene_from_arrays
 from xcg.scene.complete import unit_vectors
+from xcg.scene.lattice import Lattice
 from xcg.scene.sanity import rows_of
-from xcg.scene.schema import COMPONENTS, Frame
+from xcg.scene.schema import Frame
 
 
 def scene_from_table(
@@ -68,11 +69,12 @@ def scene_from_table(
     given: dict[str, Any] = _stacked([grains[key][1] for key in steps])
     given |= {what: [grains[key][0][what] for key in steps] for what in grains[steps[0]][0]}
     if contacts is not None:
-        periods = np.full((len(steps), 3), np.inf)
-        if options.get("box") is not None:
-            along = [axis in options.get("periodic", "") for axis in COMPONENTS]
-            periods[:, along] = np.ptp(box_array(options["box"], len(steps)), axis=-1)[:, along]
-        rows = _with_vectors(_table(contacts), grains, said, dict(zip(steps, periods, strict=True)))
+        periodic, lattices = options.get("periodic", ""), [Lattice.of({}, "")] * len(steps)
+        if periodic and options.get("box") is not None:
+            edges = box_array(options["box"], len(steps))
+            boxes = with_lattice(edges, options.get("lattice"), {}, periodic, None)
+            lattices = [Lattice.of({name: v[t] for name, v in boxes.items()}, periodic) for t in range(len(steps))]
+        rows = _with_vectors(_table(contacts), grains, said, dict(zip(steps, lattices, strict=True)))
         touching = _frames(rows, "contacts", said, contacts=True)
         unknown = sorted(set(touching) - set(steps))
         if unknown:
@@ -89,11 +91,11 @@ def _with_vectors(
     contacts: pd.DataFrame,
     grains: Mapping[float, tuple[dict[str, float], Frame]],
     options: ReadOptions,
-    periods: Mapping[float, NDArray],
+    lattices: Mapping[float, Lattice],
 ) -> pd.DataFrame:
     """Replace magnitudes of forces along and across the lines of centres by vectors; other tables stay as they are.
 
-    The line of centres leads to the nearest image; `periods` (3,) of each step are infinite along other axes.
+    The line of centres leads to the nearest image in the lattice of the step.
     """
     magnitudes = ("normal_force", "tangential_force")
     table = contacts.rename(columns={column: name for column, name in options.names.items() if name in magnitudes})
@@ -120,10 +122,7 @@ def _with_vectors(
             raise SceneError(f"contacts: no particle has id {unknown[0]:g} at {key:g}; drop its contacts or add it")
         order = np.argsort(ids)
         i, j = (order[rows_of(ids[order].astype(int), end[rows].astype(int))] for end in (ids_i, ids_j))
-        branch = position[i] - position[j]
-        inside = np.isfinite(periods[key])
-        branch[:, inside] -= periods[key][inside] * np.rint(branch[:, inside] / periods[key][inside])
-        apart[rows, :2] = branch[:, :2]
+        apart[rows, :2] = lattices[key].shortest(position[i] - position[j])[:, :2]
     x, y, _ = unit_vectors(apart).T
     along = _numbers(table, "normal_force", "contacts")
     across = _numbers(table, "tangential_force", "contacts") if "tangential_force" in table else 0.0

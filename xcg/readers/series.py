@@ -99,8 +99,8 @@ def open_scene(
           ``radius``, ``density``, ``mass``, ``volume``; any other name is one more variable of particles,
         - ``scaled_x`` for positions in fractions of the box,
         - ``contact_i``, ``contact_j`` (the force acts on i), ``overlap``,
-        - ``contact_branch_x`` for the vector from j to i as the code saw it, needed in periodic boxes of less than
-          two diameters on which side grains touch (LAMMPS: ``dx dy dz``, taken by themselves),
+        - ``contact_branch_x`` for the vector from j to i as the code saw it: in periodic boxes of less than two
+          diameters it is the side on which grains touch (LAMMPS: ``dx dy dz``, taken by themselves),
         - ``normal_force_x`` and ``tangential_force_x``, which add up to the contact force.
     times : array (t,), optional
         Time of each step in the particle files, in their order and in their unit of time.

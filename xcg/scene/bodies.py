@@ -28,7 +28,7 @@ def group_bodies(ds: xr.Dataset, by_body: str = "body_id") -> xr.Dataset:
     """Group component spheres into bodies, lazily where the scene is.
 
     A body has the mass and volume of its spheres together, their centre of mass (components joined across periodic
-    edges), its velocity ``S m v / S m``, and the diameter of a sphere of its volume. Contacts join bodies at
+    edges), its velocity ``S m v / S m``, and the diameter of a sphere of its volume. Contacts then join bodies at
     the same points, with the same forces; contacts inside a body are dropped. Components that overlap count twice,
     unless their masses and volumes in the scene already allow for it. The spheres of a body are of one species, and all
     frozen or none. Angular velocities are left out, as moments of inertia of bodies are not known.

@@ -190,7 +190,7 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
         If the scene lacks what the fields need, or its times do not rise.
     ValueError
         If an axis is fixed or has fewer than five nodes, if each group has a width of its own, or with a preset; if
-        `of` names none of these or a quantity that the scene lacks, or torque, power, spin or energy with `by`.
+        `of` names no such balance or a quantity that the scene lacks, or torque, power, spin or energy with `by`.
 
     Notes
     -----

@@ -101,10 +101,11 @@ def choose_width(ds: xr.Dataset, asked: ChoiceRequest) -> xr.Dataset:
     Notes
     -----
     A narrow kernel sees few particles, a wide one smears gradients. The error of the average over n frames is
-    ``sqrt(bias(w)^2 + noise(w)^2 / n)``. The bias comes from each width and the next wider one (see `width_sweep`),
-    less the noise of their difference, and is never more than that of a wider kernel. The noise is the error of one
-    frame (``coarse_grain(errors=True)``) or the scatter of the frames, whichever is larger: slow changes of the flow
-    count as noise. Both are interpolated as powers of the width.
+    ``sqrt(bias(w)^2 + noise(w)^2 / n)``. The bias comes from the differences between neighbouring widths, less their
+    noise, as a power of the width that is fitted to them: 2 in smooth flow, as `width_sweep` assumes at each node, and
+    about 1 where walls or jumps lead. The noise is the error of one frame (``coarse_grain(errors=True)``) or the
+    scatter of the frames, whichever is larger: slow changes of the flow count as noise. Both are interpolated as powers
+    of the width.
 
     Examples
     --------
@@ -135,7 +136,7 @@ def choose_width(ds: xr.Dataset, asked: ChoiceRequest) -> xr.Dataset:
     )  # fmt: skip
     out["total"] = out[[f"{name}_total" for name in names]].to_dataarray().max("variable", skipna=False)
     kernel = as_kernel(asked.kernel, widths[0], scene.setup.dimension)
-    return out.assign(_choice(out, names, kernel.in_dimension(scene.setup.dimension)))
+    return out.assign(_choice(out, names, kernel))
 
 
 def _averages(
@@ -160,7 +161,7 @@ def _averages(
             f"choose_width: {', '.join(lone)} has no error of a single frame, and the scene holds one frame; open two "
             "frames or more, or choose by a field with an error, such as velocity"
         )
-    return time_average(f).assign_coords(width=f["width"]), names, len(axes) + sum(np.ndim(x) == 0 for x in at.values())
+    return time_average(f).assign_coords(width=f["width"]), names, len(axes) + len(at)
 
 
 def _bias_and_noise(mean: xr.Dataset, name: str, seen: int) -> tuple[NDArray, NDArray]:
@@ -194,14 +195,10 @@ def _integrate(change: NDArray, widths: NDArray) -> NDArray:
     The power is 2 where fields are smooth, 1 or less where they end or jump; ``change_k = c (w_k+1^p - w_k^p)``.
     """
     there = change > 0
-    if there.sum() < 2:
-        power = 2.0
-    else:
-        power, best = 2.0, np.inf
-        for p in np.linspace(0.3, 2.0, 86):
-            logs = np.log(change[there] / np.diff(widths**p)[there])
-            if (spread := np.var(logs)) < best:
-                power, best = p, spread
+    power = 2.0
+    if there.sum() > 1:
+        powers = np.linspace(0.3, 2.0, 86)
+        power = min(powers, key=lambda p: np.var(np.log(change[there] / np.diff(widths**p)[there])))
     level = change / np.diff(widths**power)
     return np.append(level, level[-1]) * widths**power
 
@@ -236,11 +233,7 @@ def _choice(found: xr.Dataset, names: Sequence[str], kernel: Kernel) -> dict[str
     numbers = {
         "best_width": (fine[best], unit, "width with the least error"),
         "best_bias": (bias, "1", "relative bias at the best width"),
-        "best_noise": (
-            noises[leading, best] / math.sqrt(frames),
-            "1",
-            f"relative noise of the mean of {frames} frames",
-        ),
+        "best_noise": (noises[leading, best] / math.sqrt(frames), "1", f"relative noise, mean of {frames} frames"),
         "best_total": (total, "1", "relative error at the best width"),
         "best_spacing": (min(spacing, 2 * fine[best]), unit, "widest spacing of nodes for linear interpolation"),
         "target_width": (fine[fewest] if reached else np.nan, unit, f"width that reaches an error of {target:g}"),
@@ -294,15 +287,8 @@ def plot_width(found: xr.Dataset, ax: Axes | None = None) -> Axes:
             ax.plot(width, values.where(values > 0), style, color=f"C{k}", marker=".", label=label)
     best = found["best_width"].item()
     ax.axvline(best, color="0.5", lw=1)
-    ax.plot(
-        best,
-        found["best_total"].item(),
-        "o",
-        mfc="none",
-        mec="k",
-        ms=9,
-        label=f"best width, {best:.3g} {width.attrs['units']}".removesuffix(" 1"),
-    )
+    label = f"best width, {best:.3g} {width.attrs['units']}".removesuffix(" 1")
+    ax.plot(best, found["best_total"].item(), "o", mfc="none", mec="k", ms=9, label=label)
     ax.set(xscale="log", yscale="log")
     ticks: Any = ax.yaxis.get_major_locator()
     ticks.set_params(subs=(1.0, 2.0, 5.0))

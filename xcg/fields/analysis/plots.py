@@ -421,7 +421,7 @@ def _draw_circle(
 
 
 def _draw_arrows(ax: Axes, x: Any, y: Any, along: Any, rise: Any, fastest: float, apart: float) -> None:
-    """Draw arrows; the longest are as long as their distance, and slow places have none."""
+    """Draw arrows; the longest are as long as their spacing, and slow places have none."""
     there = np.hypot(along, rise) >= AT_REST * fastest
     ax.quiver(
         x[there], y[there], along[there], rise[there], pivot="mid", color="white", edgecolor="black", linewidth=0.5,

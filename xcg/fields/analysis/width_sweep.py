@@ -149,18 +149,14 @@ def with_nodes(ds: xr.Dataset, asked: Asked, widths: Sequence[float], point: Map
     return replace(asked, spacing=spacing, bounds={a: (float(x[0]), float(x[-1])) for a, x in nodes.items()})
 
 
-def bias_of(field: xr.DataArray, widths: NDArray) -> xr.DataArray:
-    """Return the bias of a field at each width, in proportion to w^2, from the next width (the last: the former)."""
-    squares = xr.DataArray(widths**2, {"width": widths}, "width")
-    field = field.assign_coords(width=widths)
-    change = (field.diff("width", label="lower") / squares.diff("width", label="lower")).reindex(width=widths[:-1])
-    last = change.isel(width=-1).assign_coords(width=widths[-1])
-    return xr.concat([change, last], "width") * squares
-
-
 def _bias(name: str, field: xr.DataArray, widths: NDArray, threshold: float) -> dict[str, xr.DataArray]:
-    """Bias of a field, the field without it, and where it is more than `threshold` times the largest value."""
-    bias = bias_of(field, widths).transpose(*field.dims)
+    """Bias of a field, the field without it, and where it is more than `threshold` times the largest value.
+
+    It is in proportion to w^2, by the difference from the next width, for the last width from the one before.
+    """
+    squares = xr.DataArray(widths**2, {"width": widths}, "width")
+    level = field.diff("width", label="lower") / squares.diff("width", label="lower")
+    bias = (level.reindex(width=widths, method="ffill") * squares).transpose(*field.dims)
     parts = [dim for dim in ("component", "direction") if dim in field.dims]
     places = [dim for dim in field.dims if dim not in ("width", "time", "phase", "other_phase", *parts)]
     size, largest = ((values**2).sum(parts, skipna=False) ** 0.5 for values in (bias, field))

@@ -90,8 +90,8 @@ def _dot(a: NDArray, b: NDArray) -> NDArray:
 def surface_velocities(frame: Frame, contacts: Contacts, *, of_images: bool = False) -> tuple[NDArray, NDArray]:
     """Velocities of the surfaces of i and j at the contact points (m s-1), (n, 3) each.
 
-    Walls have `WALL_VELOCITY` of the frame, or zero. In a sheared box velocities are taken where the particles
-    are written, or of the images that touch at the point.
+    Walls have `WALL_VELOCITY` of the frame, or zero. In a sheared box velocities belong to the particles as
+    they are written, or to the images that touch at the point.
     """
     found = []
     for row, branch in ((contacts.i, contacts.branch_i), (contacts.j, contacts.branch_j)):
