@@ -104,7 +104,7 @@ def link_pages(app, *names_and_text):
     """Replace links to the gallery and its scripts by links to their pages."""
     text = names_and_text[-1]
     text[0] = re.sub(r"\(\.\./examples/gallery/([\w/]+)\.py\)", r"(gallery/\1.rst)", text[0])
-    text[0] = text[0].replace("](../examples/gallery)", "](gallery/index.rst)")
+    text[0] = re.sub(r"\]\(\.\./(examples/)?gallery\)", "](gallery/index.rst)", text[0])
 
 
 def copy_mathjax(app, error):
