@@ -97,9 +97,10 @@ def test_negative_parts_of_a_kernel_count(scene):
     ids=str,
 )
 def test_cells_hold_all_contact_stress(scene, mesh):
+    """The table of means adds up to one; what it has of cells that are out of reach is left out."""
     expected = total_contact_stress(scene)
     found = total(scene, "contact_stress", width=0.4, **mesh)
-    np.testing.assert_allclose(found, expected, rtol=0, atol=MASS * np.abs(expected).max())
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
 
 
 @settings(max_examples=15, deadline=None)

@@ -6,7 +6,7 @@ import tokenize
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "xcg"
-MOST_MODULES, MOST_LINES, LONGEST, SHORTEST = 176, 24448, 450, 60
+MOST_MODULES, MOST_LINES, LONGEST, SHORTEST = 177, 24684, 450, 60
 # modules that are longer or shorter for now, or tables of rows
 LONG = {"readers/series.py"}
 SHORT = {"__init__.py", "fields/formulas/rows/orientation.py"}

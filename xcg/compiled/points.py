@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled._jit import inner, leaf
+from xcg.compiled.cell_means import mean_over_cell, volumes_in_ball
 from xcg.compiled.cells import points_in_ball
 from xcg.compiled.reach import (
     BATCH,
@@ -33,7 +34,6 @@ from xcg.compiled.reach import (
 )
 from xcg.compiled.simd import add4
 from xcg.compiled.smoothing import fill_values
-from xcg.compiled.volumes import mean_over_cell, volumes_in_ball
 
 
 def reference_deposit(place, velocity, mass, constants, node, value):

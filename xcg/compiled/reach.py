@@ -107,17 +107,20 @@ def padded(count):
     return (count + PAD - 1) // PAD * PAD
 
 
-def lists_for(rows: Rows, active: Sequence[bool], reach: Sequence[float], real: str = "float64") -> Lists:
+def lists_for(
+    rows: Rows, active: Sequence[bool], reach: Sequence[float], real: str = "float64", least: int = 1
+) -> Lists:
     """Make lists for anything that reaches this far, from end to end, along the active axes of a mesh.
 
-    The integers come with tables of the indices of the nodes of a row and of the rows of a plane.
+    They have room for `least` nodes or more. The integers come with tables of the indices of the nodes of a row and of
+    the rows of a plane.
     """
     low, high, steps, _ = rows
     most = 1
     for first, end, far, step, counts in zip(low, high, reach, steps, active, strict=True):
         # no more than there are: along an axis with one node the spacing means nothing
         most *= min(end - first, int(far / step) + 2 if counts else 2)
-    room = padded(most) + PAD
+    room = padded(max(most, least)) + PAD
     numbers = np.zeros((NUMBERS, room), "int32")
     numbers[OF_Z] = np.arange(room)
     numbers[OF_Y] = np.arange(room) * (high[2] - low[2])

@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from xcg.compiled._jit import inlined, inner, leaf
 from xcg.compiled.arrays import Reduced, gauss_rules
+from xcg.compiled.cell_means import volumes_along_segment
 from xcg.compiled.cells import points_around_segment
 from xcg.compiled.contacts import side
 from xcg.compiled.lines import SHORT, SHORT_ORDER, fill_segments
 from xcg.compiled.reach import ALONG, NODE, Q2, WEIGHT, batch_reaches, nodes_around_segment, periodic_images
 from xcg.compiled.simd import add4, prefetch
 from xcg.compiled.smoothing import fill_gauss
-from xcg.compiled.volumes import volumes_in_ball
 
 
 def reference_deposit_segments(start, branch, force, node, active, value):
@@ -345,8 +345,8 @@ def deposit_segments(segments, nodes, kernel, lists, closed, rest, moments):
                 for image_z in range(first_z, last_z + 1):
                     z = z0 + image_z * period[2] if image_z else z0
                     if nodes.volumes is not None:
-                        segment = x, y, z, bx, by, bz
-                        _add_to_volumes(segment, length, nodes.volumes, kernel, lists, records, i, moments)
+                        hits = _list_volumes(x, y, z, bx, by, bz, length, nodes.volumes, kernel, lists)
+                        _add_dyad(moments, records, i, 1.0, numbers, w, hits)
                         continue
                     hits = _list_nodes(x, y, z, bx, by, bz, per_length, nodes.rows, nodes.cells, lists)
                     if points:
@@ -368,18 +368,12 @@ def _list_nodes(x, y, z, bx, by, bz, per_length, rows, cells, lists):
 
 
 @inner
-def _add_to_volumes(segment, length, volumes, kernel, lists, records, i, moments):
-    """Add segment i, from a point to that point plus b, to the cells that it reaches: parts of a cutoff at most."""
+def _list_volumes(x, y, z, bx, by, bz, length, volumes, kernel, lists):
+    """List the nodes whose cells a segment reaches, with their weights: points for parts of a cutoff at most."""
     if volumes is None:
-        return
-    x, y, z, bx, by, bz = segment
-    values, numbers = lists
-    weight, parts = values[WEIGHT], max(1, math.ceil(length))
-    for part in range(parts):
-        for g in range(IN_CELL):
-            u = (part + GAUSS_POINTS[IN_CELL, g]) / parts
-            hits = volumes_in_ball(x + u * bx, y + u * by, z + u * bz, volumes, kernel, lists)
-            _add_dyad(moments, records, i, GAUSS_WEIGHTS[IN_CELL, g] / parts, numbers, weight, hits)
+        return 0
+    points, shares, parts = GAUSS_POINTS[IN_CELL, :IN_CELL], GAUSS_WEIGHTS[IN_CELL, :IN_CELL], max(1, math.ceil(length))
+    return volumes_along_segment(x, y, z, bx, by, bz, shares, points, parts, volumes, kernel, lists)
 
 
 @inner

@@ -18,7 +18,7 @@ test for None only where an argument is None: so functions for tables begin with
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,8 +60,9 @@ class KernelCode(NamedTuple):
 class CellKernel(NamedTuple):
     """A kernel as loops over cells take it: as `KernelCode`, and integrated over one and over two more axes.
 
-    The last two are any kernels where so many axes are not left. `rims` are the radii over the cutoff, rising, at
-    which it is not smooth; the last is that of its support.
+    `once` and `twice` are any kernels where so many axes are not left. `rims` are the radii over the cutoff, rising, at
+    which it is not smooth; the last is that of its support. `means` is a table for cells of one size, or None, see
+    `xcg.compiled.volumes`.
     """
 
     kind: int | None
@@ -71,6 +72,7 @@ class CellKernel(NamedTuple):
     rims: NDArray
     once: KernelCode
     twice: KernelCode
+    means: Any = None
 
 
 PIECE = 8  # coefficients of a piece of a table: a line of cache

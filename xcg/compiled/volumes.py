@@ -18,15 +18,12 @@ from typing import NamedTuple
 from xcg.compiled._jit import inner
 from xcg.compiled.arrays import gauss_rules
 from xcg.compiled.lines import segment
-from xcg.compiled.reach import NODE, OF_Y, OF_Y2, OF_Z, OF_Z2, WEIGHT, Rows, X, Y, Z, node_range
+from xcg.compiled.reach import OF_Y, OF_Y2, OF_Z, OF_Z2, Rows
 from xcg.compiled.smoothing import value
 
 # Gauss-Legendre points for a part of no length, and more for one from rim to rim: errors are in docs/evaluation.md
 FEWEST, PER_RIM = 3, 5
 _POINTS, _WEIGHTS = gauss_rules(*range(1, FEWEST + PER_RIM + 1))
-_AXES = (X, Y, Z)
-# Of integrals, in units of the norm: kernels may have negative parts, and those that have none are zero at their rim.
-_ROUNDING = 1e-12
 
 
 class Volumes(NamedTuple):
@@ -73,10 +70,10 @@ def _list_points(place, half, inner2, outer2, apart, values, at, weight):
 
 
 @inner
-def _integrals_along(q2, place, half, step, many, kind, spread, table, factor, out, first):
-    """Add to `many` neighbours along an axis, from a place down, the integral of the kernel over the extent of each."""
+def _integrals_along(q2, place, half, step, node, many, kind, spread, table, factor, out, first):
+    """Add to `many` nodes along an axis, from one on, the integral of the kernel over the extent of each."""
     for k in range(many):
-        middle = place - k * step
+        middle = place - (node + k) * step  # the same bits whichever block the nodes are in
         if half > 0.0:
             out[first + k] += factor * segment(kind, spread, table, q2, middle - half, middle + half)
         elif q2 + middle * middle < 1.0:
@@ -84,7 +81,9 @@ def _integrals_along(q2, place, half, step, many, kind, spread, table, factor, o
 
 
 @inner
-def _add_columns(da, half_a, db, half_b, dc, half_c, step, many, kind, spread, table, rims, norm, values, out, at):
+def _add_columns(
+    da, half_a, db, half_b, dc, half_c, step, node, many, kind, spread, table, rims, norm, values, out, at
+):
     """Add the integral of the kernel over the cells of `many` nodes of a row along the last axis."""
     nearest = 0.0
     for farthest in rims:
@@ -98,20 +97,22 @@ def _add_columns(da, half_a, db, half_b, dc, half_c, step, many, kind, spread, t
                         q2 = across2 + values[OF_Z, j] * values[OF_Z, j]
                         here = norm * values[OF_Y2, i] * values[OF_Z2, j]
                         if q2 < 1.0:
-                            _integrals_along(q2, dc, half_c, step, many, kind, spread, table, here, out, at)
+                            _integrals_along(q2, dc, half_c, step, node, many, kind, spread, table, here, out, at)
                     inner2 = outer2
                 inner = rim
         nearest = farthest
 
 
 @inner
-def _add_row(da, db, dc, many, volumes, kernel, values, out, first):
-    """Add the mean of the kernel over the cells of `many` nodes of a row along the last axis.
+def integrate_row(da, db, dc, node, many, share, volumes, kernel, values, out, first):
+    """Add a share of the mean of the kernel over the cells of `many` nodes of a row along the last axis.
 
-    A point minus the first of them is (da, db, dc), in the order of the axes. Where cells cover the whole support along
+    A point minus the first of them, number `node` along that axis, is (da, db, dc - node x step), in the order of the
+    axes. Where cells cover the whole support along
     an axis, the marginal takes the place of points there.
     """
-    kind, spread, table, norm, rims, once, twice = kernel
+    kind, spread, table, norm, rims, once, twice, _ = kernel
+    norm *= share
     (a, b, c), half = volumes.order, volumes.half
     half_a, half_b, half_c, step, covered = half[a], half[b], half[c], volumes.rows.steps[c], 0
     for k in range(3):
@@ -121,67 +122,10 @@ def _add_row(da, db, dc, many, volumes, kernel, values, out, first):
         da, half_a, covered = 0.0, 0.0, 1
     if abs(db) + 1.0 <= half_b:
         db, half_b, covered = 0.0, 0.0, covered + 1
-    cells = da, half_a, db, half_b, dc, half_c, step, many
+    cells = da, half_a, db, half_b, dc, half_c, step, node, many
     if covered == 0:
         _add_columns(*cells, kind, spread, table, rims, norm, values, out, first)
     elif covered == 1:
         _add_columns(*cells, once.kind, spread, once.table, rims, norm, values, out, first)
     else:
         _add_columns(*cells, twice.kind, spread, twice.table, rims, norm, values, out, first)
-
-
-@inner
-def mean_over_cell(x, y, z, volumes, kernel, values, out, k):
-    """Write the mean of the kernel over the cell of a node to place k, for a point minus the node."""
-    offset, (a, b, c) = (x, y, z), volumes.order
-    out[k] = 0.0
-    _add_row(offset[a], offset[b], offset[c], 1, volumes, kernel, values, out, k)
-
-
-@inner
-def volumes_in_ball(x, y, z, volumes, kernel, lists):
-    """List the nodes whose cells are closer than 1 to a point, and the mean of the kernel over each.
-
-    Parameters
-    ----------
-    x, y, z : float
-        The point.
-    volumes : Volumes
-        Indices are counted within this block.
-    kernel : CellKernel
-        The smoothing function.
-    lists : Lists
-        Written: numbers[NODE], the indices, values[X], values[Y] and values[Z], the point minus the node, and
-        values[WEIGHT], the means.
-
-    Returns
-    -------
-    int
-        Number of nodes listed.
-    """
-    values, numbers = lists.values, lists.numbers
-    (low, high, steps, per_steps), half = volumes.rows, volumes.half
-    place, (a, b, c) = (x, y, z), volumes.order
-    strides = ((high[1] - low[1]) * (high[2] - low[2]), high[2] - low[2], 1)
-    first_a, end_a = node_range(place[a] - half[a] - 1.0, place[a] + half[a] + 1.0, per_steps[a], low[a], high[a])
-    first_b, end_b = node_range(place[b] - half[b] - 1.0, place[b] + half[b] + 1.0, per_steps[b], low[b], high[b])
-    first_c, end_c = node_range(place[c] - half[c] - 1.0, place[c] + half[c] + 1.0, per_steps[c], low[c], high[c])
-    many, hits, weight, least = end_c - first_c, 0, values[WEIGHT], -_ROUNDING * kernel.norm
-    dc = place[c] - first_c * steps[c]
-    for ia in range(first_a, end_a):
-        da = place[a] - ia * steps[a]
-        for ib in range(first_b, end_b):
-            db = place[b] - ib * steps[b]
-            for k in range(many):
-                weight[hits + k] = 0.0
-            _add_row(da, db, dc, many, volumes, kernel, values, weight, hits)
-            row = (ia - low[a]) * strides[a] + (ib - low[b]) * strides[b]
-            begin = hits
-            for k in range(many):
-                if weight[begin + k] > 0.0 or weight[begin + k] < least:
-                    weight[hits] = weight[begin + k]
-                    values[_AXES[a], hits], values[_AXES[b], hits] = da, db
-                    values[_AXES[c], hits] = dc - k * steps[c]
-                    numbers[NODE, hits] = row + (first_c + k - low[c]) * strides[c]
-                    hits += 1
-    return hits

@@ -19,6 +19,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError
+from xcg.compiled.cell_means import LONGEST_LINE
 from xcg.compiled.reach import Lists, Nodes, Rows, lists_for
 from xcg.compiled.segments import BRANCH, FORCE, GROUP
 from xcg.compiled.volumes import Volumes
@@ -122,8 +123,9 @@ class MeshBlock:
 
     def lists(self, nodes: Nodes, reach: Sequence[float], real: str = "float64") -> Lists:
         """Return scratch to list the nodes that something of this length reaches."""
-        rows = nodes.rows if nodes.volumes is None else nodes.volumes.rows
-        return lists_for(rows, nodes.active, reach, real)
+        if nodes.volumes is not None:
+            return lists_for(nodes.volumes.rows, nodes.active, reach, real, least=LONGEST_LINE)
+        return lists_for(nodes.rows, nodes.active, reach, real)
 
 
 def mesh_blocks(shape: tuple[int, int, int], steps: NDArray, half: NDArray, size: int, threads: int) -> list[MeshBlock]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from xcg.common.messages import warn_once
 from xcg.compiled.arrays import bounds_of, transpose_columns
+from xcg.compiled.cell_means import cell_means
 from xcg.compiled.points import NONE, SQUARED, SQUARES
 from xcg.compiled.reach import spatial_order
 from xcg.compiled.smoothing import CellKernel, KernelCode
@@ -258,7 +259,12 @@ class StepRows:
             if cutoff in (spec.distinct[0], spec.distinct[-1]):
                 mesh.check_reach(mesh.reach, source, paired=spec.level >= SQUARED)
             norm = spec.weights.norm * (spec.cutoffs[0] / cutoff) ** seen
-            self.kernels[cutoff] = spec.weights._replace(norm=norm * scale)
+            weights = self.kernels[cutoff] = spec.weights._replace(norm=norm * scale)
+            if isinstance(weights, CellKernel):
+                of_unit = spec.weights.norm * spec.cutoffs[0] ** seen
+                self.kernels[cutoff] = weights._replace(
+                    means=cell_means(triple(mesh.half), seen, weights, 1.0 / of_unit)
+                )
         self.of_grains = self._without_hidden_shear(lattice)
         self.grains = self.images(self.position)
 
