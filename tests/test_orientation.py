@@ -5,6 +5,7 @@ import pytest
 import xarray as xr
 
 import xcg
+from tests import shared_data
 
 NAMES = ["orientation_tensor", "nematic_tensor", "nematic_order", "nematic_director", "number_density"]
 
@@ -166,3 +167,55 @@ def test_angular_velocity_in_the_axes_of_the_body():
     f = ds.cg.coarse_grain("body_angular_velocity", axes="", extent=dict.fromkeys("xyz", 4.0), width=40.0)
     assert f.body_angular_velocity.attrs["units"] == "s^-1"
     assert np.isfinite(f.body_angular_velocity).all()
+
+
+# --- names that readers know -----------------------------------------------------------------------------------
+
+ROWS = ["1 1 0.0 0.0 0.0 0.5 {shape} 0.8 0.6 0.0 0.0", "2 1 3.0 0.0 0.0 0.5 {shape} 1.0 0.0 0.0 0.0"]
+
+
+def dump_of(tmp_path, name, columns):
+    rows = [row.format(shape="2.0 4.0 6.0 2.0 3.0") for row in ROWS]
+    head = "ITEM: TIMESTEP\n0\nITEM: NUMBER OF ATOMS\n2\nITEM: BOX BOUNDS ff ff ff\n-9 9\n-9 9\n-9 9\n"
+    (tmp_path / name).write_text(f"{head}ITEM: ATOMS id type x y z mass {columns}\n" + "\n".join(rows) + "\n")
+    return tmp_path / name
+
+
+@pytest.mark.parametrize(
+    ("engine", "columns", "whole"),
+    [
+        ("lammps", "shapex shapey shapez block1 block2 quatw quati quatj quatk", 2.0),
+        ("liggghts", "shapex shapey shapez blockiness1 blockiness2 quat1 quat2 quat3 quat4", 1.0),
+    ],
+)
+def test_dumps_of_superquadrics_need_no_names(tmp_path, engine, columns, whole):
+    """LAMMPS writes whole axes, LIGGGHTS halves; units of the file scale them."""
+    path = dump_of(tmp_path, "grains.dump", columns)
+    ds = xcg.open_scene(path, engine=engine, units={"length": 1e-3})
+    half = [float(ds[f"half_axis_{a}"][0, 0]) for a in "xyz"]
+    np.testing.assert_allclose(half, np.array([2.0, 4.0, 6.0]) / whole * 1e-3)
+    assert ds.half_axis_x.attrs["units"] == "m"
+    assert [float(ds[f"quat_{a}"][0, 0]) for a in "wxyz"] == [0.8, 0.6, 0.0, 0.0]
+    told = ds.cg.derive_superquadric(exponents=(2.0, 3.0))
+    xr.testing.assert_equal(ds.cg.derive_superquadric().volume, told.volume)
+    np.testing.assert_allclose(ds.cg.derive_director().director[0, 0], [0.0, -0.96, 0.28], atol=1e-15)
+
+
+def test_contact_points_of_mfix_lie_on_the_surfaces_of_its_superquadrics():
+    """Of 668 ellipsoids and 111 spheres: 1 for a point on the surface, less by the overlap."""
+    data = shared_data("mfix_bedload")
+    files = {"particles": data / "DES_FB1_0150.vtp.gz", "contacts": data / "ENTIRE_DOMAIN_0150.vtp.gz"}
+    ds = xcg.open_scene(**files, engine="mfix", allow_unknown=True).isel(time=0).compute()
+    row = {number: k for k, number in enumerate(ds.particle_id.values.tolist())}
+    first = np.array([row.get(number, -1) for number in ds.contact_i.values.tolist()])
+    to = ds.contact_point.values - ds.position.values[first]
+    near = (first >= 0) & (np.linalg.norm(to, axis=1) < 0.02)  # not across an edge
+    axes = [ds.expand_dims("time").cg.derive_director(axis=a).director.values[0][first[near]] for a in "xyz"]
+    inside = sum(
+        ((to[near] * axis).sum(axis=1) / ds[f"half_axis_{a}"].values[first[near]]) ** 2
+        for a, axis in zip("xyz", axes, strict=True)
+    )
+    assert near.sum() > 1000
+    assert np.percentile(inside, [5, 50, 95]) == pytest.approx([0.86, 0.98, 1.02], abs=0.02)
+    volume = ds.expand_dims("time").cg.derive_superquadric().volume[0]
+    np.testing.assert_allclose(volume, ds.volume, rtol=1e-3)  # MFiX rounds diameters to a micrometre

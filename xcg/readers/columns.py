@@ -30,6 +30,7 @@ def _vector(slot: str, *templates: str) -> dict[str, tuple[str, ...]]:
     return {f"{slot}_{axis}": tuple(t.replace("?", axis) for t in templates) for axis in COMPONENTS}
 
 
+_QUATERNION = ("quatw", "quati", "quatj", "quatk")
 PARTICLE_SLOTS: Slots = {
     "particle_id": ("id",),
     "species": ("type",),
@@ -46,6 +47,12 @@ PARTICLE_SLOTS: Slots = {
     "mass": ("mass",),
     "volume": ("volume",),
     "moment_of_inertia": (),
+    # of LAMMPS' compute property/atom, and of LIGGGHTS
+    **{f"quat_{k}": names for k, *names in zip("wxyz", _QUATERNION, ("quat1", "quat2", "quat3", "quat4"), strict=True)},
+    **_vector("half_axis"),
+    **_vector("whole_axis", "shape?"),
+    "exponent_1": ("block1", "blockiness1"),
+    "exponent_2": ("block2", "blockiness2"),
 }
 CONTACT_SLOTS: Slots = {
     "contact_i": ("id1", "patom1"),
@@ -150,7 +157,7 @@ def unread_by_number(ref: StepRef, filled: Mapping[str, str], options: ReadOptio
     )
 
 
-def _axes(filled: Mapping[str, str], slot: str) -> list[str]:
+def _axes(filled: Iterable[str], slot: str) -> list[str]:
     return [axis for axis in COMPONENTS if f"{slot}_{axis}" in filled]
 
 
@@ -249,6 +256,9 @@ def particles_from(ref: StepRef, columns: Mapping[str, str], options: ReadOption
     if "radius" in frame:
         radius = frame.pop("radius")
         frame.setdefault("diameter", 2 * radius)
+    for axis in _axes(frame, "whole_axis"):
+        whole = frame.pop(f"whole_axis_{axis}")
+        frame.setdefault(f"half_axis_{axis}", whole / 2)
     if columns.get("body_id") == "mol":  # LAMMPS' molecule 0 is none
         frame["body_id"] = np.where(frame["body_id"] == 0, -1, frame["body_id"])
     return frame

@@ -87,7 +87,7 @@ def derive_superquadric(
     ds: xr.Dataset,
     half_axes: Sequence[str] = ("half_axis_x", "half_axis_y", "half_axis_z"),
     *,
-    exponents: Sequence[str | float] = (2.0, 2.0),
+    exponents: Sequence[str | float] | None = None,
     density: float | None = None,
 ) -> xr.Dataset:
     """Add volume, mass, diameter and moments of inertia of ellipsoids and superquadrics; lazy where the scene is.
@@ -106,9 +106,9 @@ def derive_superquadric(
     ds : xarray.Dataset
         A scene with the half-axes (m) as variables of the particles.
     half_axes : three names
-        Of a, b and c. LAMMPS' ``shapex`` ... are whole axes; LIGGGHTS' are halves.
-    exponents : two names or numbers
-        n1 and n2; LAMMPS' ``block1`` and ``block2``, LIGGGHTS' ``blockiness1`` and ``blockiness2``. Ellipsoids have 2
+        Of a, b and c.
+    exponents : two names or numbers, optional
+        n1 and n2, by default ``exponent_1`` and ``exponent_2`` where the scene holds them, else 2. Ellipsoids have 2
         and 2, boxes with sharp edges infinitely large ones.
     density : float, optional
         Of the material (kg/m^3). Without it the scene's masses are kept, or else its densities.
@@ -135,7 +135,8 @@ def derive_superquadric(
     >>> rod.volume.values.round(6), rod.principal_inertia.values.round(6).tolist()
     (array([[12.566371]]), [[[25.132741, 25.132741, 5.026548]]])
     """
-    axes, powers = list(half_axes), list(exponents)
+    axes = list(half_axes)
+    powers = [n if n in ds else 2.0 for n in ("exponent_1", "exponent_2")] if exponents is None else list(exponents)
     named = [power for power in powers if isinstance(power, str)]
     valid = all(power in named or is_positive(power) for power in powers)
     if len(axes) != 3 or len(powers) != 2 or not valid:

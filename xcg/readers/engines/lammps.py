@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import ClassVar
 
 from xcg.common.messages import warn_user
 from xcg.readers import columns
@@ -91,7 +92,13 @@ _WALL = {
 
 
 class Liggghts(dump.Dumps):
-    """Dumps of LIGGGHTS."""
+    """Dumps of LIGGGHTS, whose axes of superquadrics are halves, where those of LAMMPS are whole."""
+
+    PARTICLE_SLOTS: ClassVar[columns.Slots] = {
+        **columns.PARTICLE_SLOTS,
+        **{f"half_axis_{axis}": (f"shape{axis}",) for axis in COMPONENTS},
+        **{f"whole_axis_{axis}": () for axis in COMPONENTS},
+    }
 
     def recognises(self, path: str) -> bool:
         """Return whether the first lines identify a dump; local ones have numbered columns."""

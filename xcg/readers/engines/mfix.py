@@ -11,6 +11,8 @@ What its contacts hold was checked on its output, against the positions of the p
   not read as the normal.
 - Contacts are one time step older than positions, so a point may lie a period away from a particle i that just crossed.
 - Many contacts stand twice: see `xcg.readers.engines.mfix_contacts`.
+- ``QUATERNION`` (w, x, y, z) turns the axes of the body to those of space, and half-axes are those of the phase times
+  ``SQP_POLY_SCALE``: so contact points of superquadrics lie on their surfaces.
 """
 
 from __future__ import annotations
@@ -33,7 +35,7 @@ from xcg.readers.engines.mfix_contacts import (
 )
 from xcg.readers.engines.vtk import is_vtk, list_steps, open_step, read_particle_arrays, require_contacts, targets
 from xcg.readers.files import vtp
-from xcg.scene.schema import Frame
+from xcg.scene.schema import COMPONENTS, Frame
 
 # The first of two arrays for the same name is taken.
 PARTICLE_NAMES = {
@@ -58,7 +60,8 @@ CONTACT_NAMES = {
 }
 _NORMAL, _TANGENTIAL, _OVERLAP = "FORCE_CHAIN_FN", "FORCE_CHAIN_FT", "FORCE_CHAIN_OVERLAP"
 _POINT, _LENGTH = "FORCE_CHAIN_CONTACT_POINT", "FORCE_CHAIN_LENGTH"
-_SHAPES = "SQP_"  # begins the names of the shapes that files of superquadrics list
+_SHAPES = "SQP_"  # begins the names of the shapes that files of superquadrics list, by phase: three half-axes, m, n
+_QUATERNION, _SCALE, _PHASE = "QUATERNION", "SQP_POLY_SCALE", "Particle_Phase_ID"
 _ADVICE = (
     "Expected FORCE_CHAIN_GLOBAL_ID1 and _ID2, and FORCE_CHAIN_FC (or FORCE_CHAIN_FN and FORCE_CHAIN_FT): switch them "
     "on in the region's output, or map others with names={'...': 'contact_i'}"
@@ -128,7 +131,9 @@ class Mfix(Engine):
         """Arrays of a step that are not read."""
         dim, known = ("contact", CONTACT_NAMES) if contacts else ("particle", PARTICLE_NAMES)
         read = {*targets(ref, dim, options, known).values()}
-        if contacts:
+        if not contacts:
+            read |= {_QUATERNION, _SCALE} - options.names.keys()
+        else:
             read |= {_NORMAL, _TANGENTIAL, _OVERLAP, _POINT, _LENGTH}
         return [array for array in ref.columns if array not in read]
 
@@ -145,7 +150,12 @@ class Mfix(Engine):
         SceneError
             If the file is damaged or changed since it was indexed, or ids are too large for Float32.
         """
-        frame = read_particle_arrays(ref, targets(ref, "particle", options, PARTICLE_NAMES))
+        shape = [
+            array for array in (_QUATERNION, _SCALE, _PHASE) if array in ref.columns and array not in options.names
+        ]
+        wanted = targets(ref, "particle", options, PARTICLE_NAMES) | {array: array for array in shape}
+        frame = read_particle_arrays(ref, wanted)
+        frame |= _shapes(ref, {array: frame.pop(array) for array in shape})
         ids = frame.get("particle_id", np.empty(0))
         if ids.size and ids.max() >= EXACT and len(np.unique(ids)) < len(ids):
             raise SceneError(
@@ -188,6 +198,26 @@ class Mfix(Engine):
         return _periods(_Rows.of(ref, options))
 
 
+def _shapes(ref: StepRef, arrays: Frame) -> Frame:
+    """Return quaternions, half-axes and exponents of superquadrics.
+
+    Which of the two exponents m and n is which could not be checked: there are none where these differ.
+    """
+    frame: Frame = {}
+    if _QUATERNION in arrays:
+        frame |= {f"quat_{axis}": arrays[_QUATERNION][:, k].copy() for k, axis in enumerate("wxyz")}
+    if _SCALE in arrays and _PHASE in arrays:
+        listed = {name.removeprefix(_SHAPES): numbers for name, numbers in open_step(ref).fields.items()}
+        phases, row = np.unique(arrays[_PHASE].astype("int64"), return_inverse=True)
+        found = [listed.get(f"{phase:02d}", ()) for phase in phases]
+        if found and all(len(numbers) == 5 for numbers in found):
+            table = np.array(found)[row]
+            frame |= {f"half_axis_{axis}": table[:, k] * arrays[_SCALE] for k, axis in enumerate(COMPONENTS)}
+            if (table[:, 3] == table[:, 4]).all():
+                frame |= {"exponent_1": table[:, 3].copy(), "exponent_2": table[:, 4].copy()}
+    return frame
+
+
 @dataclass(frozen=True, eq=False)
 class _Rows:
     """Contacts of a file as they stand.
@@ -227,7 +257,7 @@ class _Rows:
         if {_POINT, _LENGTH} <= set(arrays):
             superquadric = of_superquadrics(place, arrays[_POINT], length)
             place = np.where(superquadric[:, None], arrays[_POINT], place)
-        elif any(name.startswith(_SHAPES) for name in header.field_names):
+        elif any(name.startswith(_SHAPES) for name in header.fields):
             raise SceneError(
                 f"{ref.path}: contacts of superquadrics need {_POINT} and {_LENGTH}, which tell where they touch; "
                 f"found {list(ref.columns)}. Switch them on in the region's output"

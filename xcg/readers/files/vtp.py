@@ -1,19 +1,19 @@
-"""VTK XML PolyData files and their collections, read without an XML parser and without VTK.
+"""VTK XML PolyData files and their collections, whose headers expat parses, read without VTK.
 
-Headers are text of a known form: they are searched for their few tags, so that entities are never expanded. Every
-count in them is held against the size of the file before anything is made for it.
+Document types are refused, so that entities are never expanded. Every count in a header is held against the size of the
+file before anything is made for it.
 """
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import BinaryIO
-from xml.sax.saxutils import unescape
+from xml.parsers import expat
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,6 @@ from xcg.readers.files.text import most_text, open_binary, uncompressed_size
 from xcg.readers.files.vtkdata import COMPRESSORS, DataError, VtkEncoding, parse_text, read_base64, read_raw
 
 _HEAD = 1 << 14  # headers of MFiX take 2 to 5 kB
-_LONGEST_TAG = 4096
 _LONGEST_LIST = 1 << 28  # bytes of a collection
 _BLOCK = 1 << 20
 _MOST_COMPONENTS = 100
@@ -32,8 +31,7 @@ _TYPES = {f"{kind}{bits}": f"{letter}{bits // 8}" for kind, letter, all_bits in 
     ("Int", "i", (8, 16, 32, 64)), ("UInt", "u", (8, 16, 32, 64)), ("Float", "f", (32, 64)),
 ) for bits in all_bits}  # fmt: skip
 
-_ATTRIBUTE = re.compile(r"(\w+)\s*=\s*(?:\"([^\"]*)\"|'([^']*)')")
-_TIME = re.compile(r"<!--\s*Time\s*=\s*([-+.\deEdD]+)\s*s", re.IGNORECASE)
+_TIME = re.compile(r"\s*Time\s*=\s*([-+.\deEdD]+)\s*s", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -80,8 +78,8 @@ class Header:
         The coordinates of the points, then the arrays of point data; or the arrays of the lines.
     encoding : VtkEncoding
         Byte order, type of lengths, and compression.
-    field_names : tuple of str
-        Names of the arrays that belong to no point.
+    fields : mapping
+        Numbers of the arrays that belong to no point, where the header holds them, by name.
     of_lines : bool
         Whether rows are lines.
     """
@@ -92,7 +90,7 @@ class Header:
     time: float | None
     arrays: tuple[Array, ...]
     encoding: VtkEncoding
-    field_names: tuple[str, ...] = ()
+    fields: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     of_lines: bool = False
 
     @property
@@ -106,9 +104,82 @@ class Header:
         return tuple(array.name for array in self.arrays)
 
 
-def _attributes(tag: str) -> dict[str, str]:
-    found = _ATTRIBUTE.findall(tag[:_LONGEST_TAG])
-    return {key: unescape(a or b, {"&quot;": '"', "&apos;": "'"}) for key, a, b in found}
+@dataclass(frozen=True)
+class _Element:
+    """Element of a header: its name, that of the element around it, and where its content starts."""
+
+    name: str
+    parent: str
+    attributes: dict[str, str]
+    start: int
+
+
+@dataclass(frozen=True)
+class _Xml:
+    """Elements of a header in their order, names of those that are complete, and comments."""
+
+    data: bytes
+    elements: list[_Element]
+    complete: set[str]
+    comments: list[str]
+
+    def named(self, name: str) -> list[dict[str, str]]:
+        """Attributes of the elements of a name."""
+        return [element.attributes for element in self.elements if element.name == name]
+
+    def arrays(self, section: str) -> list[_Element]:
+        """Arrays within a section."""
+        return [element for element in self.elements if (element.parent, element.name) == (section, "DataArray")]
+
+    def content(self, element: _Element) -> bytes:
+        """Text of an element that holds no others."""
+        stop = self.data.find(b"<", element.start)
+        return self.data[element.start : stop if stop >= 0 else None]
+
+
+def _parsed(path: str, data: bytes, *kinds: str) -> _Xml:
+    """Parse a header, which may end before the file does.
+
+    Raises
+    ------
+    SceneError
+        Unless this is VTK XML of one of these kinds, without entities, whose elements close in order.
+    """
+    parser = expat.ParserCreate("iso-8859-1")  # all bytes are characters; see `_utf8`
+    elements: list[_Element] = []
+    opened, complete, comments = [""], set[str](), list[str]()
+
+    def start(name: str, attributes: dict[str, str]) -> None:
+        elements.append(_Element(name, opened[-1], attributes, data.find(b">", parser.CurrentByteIndex) + 1))
+        opened.append(name)
+
+    def declared(*_: object) -> None:
+        raise SceneError(f"{path}: declares a document type or entities, which VTK files never need; it is not read")
+
+    parser.StartElementHandler, parser.StartDoctypeDeclHandler = start, declared
+    parser.EndElementHandler = lambda _: complete.add(opened.pop())
+    parser.CommentHandler = comments.append
+    fault = ""
+    try:
+        parser.Parse(data, False)
+    except expat.ExpatError as error:
+        fault = expat.ErrorString(error.code)
+    root = elements[0] if elements and elements[0].name == "VTKFile" else None
+    kind = None if root is None else root.attributes.get("type")
+    if kind not in kinds:
+        what = "no VTK XML file" if root is None else f"VTK data of type {kind!r}"
+        raise SceneError(f"{path}: expected VTK XML of type '{kinds[0]}', but this is {what}")
+    if fault:
+        raise SceneError(f"{path}: its XML is damaged ({fault}); leave the file out")
+    return _Xml(data, elements, complete, comments)
+
+
+def _utf8(text: str) -> str:
+    """Decode UTF-8 that was parsed byte by byte; other texts stay."""
+    try:
+        return text.encode("latin-1").decode("utf-8")
+    except UnicodeError:
+        return text
 
 
 def _whole(text: str | None, what: str, path: str) -> int:
@@ -123,68 +194,8 @@ def _whole(text: str | None, what: str, path: str) -> int:
     return number
 
 
-def _without_comments(text: str) -> str:
-    """Replace comments by blanks, so that all offsets stay."""
-    parts, at = [], 0
-    while (start := text.find("<!--", at)) >= 0:
-        end = text.find("-->", start + 4)
-        end = len(text) if end < 0 else end + 3
-        parts += [text[at:start], " " * (end - start)]
-        at = end
-    return "".join([*parts, text[at:]])
-
-
-def _tags(text: str, name: str, start: int = 0, stop: int | None = None) -> Iterator[tuple[str, int]]:
-    """Attributes of the tags of this name as text, and where each tag ends."""
-    stop = len(text) if stop is None else stop
-    while (start := text.find(f"<{name}", start, stop)) >= 0:
-        end = text.find(">", start, stop)
-        if end < 0:
-            return
-        inside = text[start + 1 + len(name) : end]
-        if not inside or not (inside[0].isalnum() or inside[0] == "_"):
-            yield inside, end + 1
-        start = end
-
-
-def _section(text: str, name: str) -> tuple[int, int] | None:
-    """Return the start and end of the content of an element; None if it is missing or incomplete."""
-    start = next((end for _, end in _tags(text, name)), -1)
-    end = text.find(f"</{name}>", start) if start >= 0 else -1
-    return (start, end) if end >= 0 else None
-
-
-def _refuse(path: str, text: str, *kinds: str) -> None:
-    """Raise SceneError unless this is VTK XML of one of these kinds, without entities."""
-    root = next((attributes for attributes, _ in _tags(text, "VTKFile")), None)
-    found = None if root is None else _attributes(root).get("type")
-    if found not in kinds:
-        what = "no VTK XML file" if root is None else f"VTK data of type {found!r}"
-        raise SceneError(f"{path}: expected VTK XML of type '{kinds[0]}', but this is {what}")
-    if "<!DOCTYPE" in text or "<!ENTITY" in text:
-        raise SceneError(f"{path}: declares a document type or entities, which VTK files never need; it is not read")
-
-
-def _nested(text: str) -> bool:
-    """Return whether every element is closed in order; `VTKFile` may stay open before appended data."""
-    opened: list[str] = []
-    at = 0
-    while (at := text.find("<", at)) >= 0:
-        end = text.find(">", at)
-        tag = text[at + 1 : end] if end >= 0 else ""
-        if not tag.strip():
-            return False
-        if tag[0] == "/":
-            if not opened or opened.pop() != tag[1:].strip():
-                return False
-        elif tag[0] not in "?!" and tag[-1] != "/":
-            opened.append(tag.split(None, 1)[0])
-        at = end
-    return opened in ([], ["VTKFile"])
-
-
-def _text(path: str) -> tuple[str, str | None, int | None, int]:
-    """Text before the appended data, their encoding (None without any), where they start, size of it all unpacked."""
+def _text(path: str) -> tuple[bytes, int | None, int]:
+    """Return the header up to the tag of appended data, where these start, and the size of the file unpacked."""
     most, size = most_text(path), uncompressed_size(path)
     with open_binary(path) as file:
         head = file.read(_HEAD)
@@ -195,12 +206,10 @@ def _text(path: str) -> tuple[str, str | None, int | None, int]:
             head += more
         if size < 0:  # a compressed file that does not tell it
             size = len(head) + sum(map(len, iter(partial(file.read, _BLOCK), b"")))
-    size = int(min(size, most))
-    text, tag, rest = head.partition(b"<AppendedData")
-    opening = rest.partition(b">")[0]
-    encoding = _attributes(opening.decode("latin-1")).get("encoding", "raw") if tag else None
-    marker = head.find(b"_", len(text) + len(tag) + len(opening)) if tag else -1
-    return text.decode("latin-1"), encoding, marker + 1 if marker >= 0 else None, size
+    begin = head.find(b"<AppendedData")
+    end = head.find(b">", begin) + 1 if begin >= 0 else 0
+    marker = head.find(b"_", end) if end else -1
+    return head[:end] if end else head, marker + 1 if marker >= 0 else None, int(min(size, most))
 
 
 def read_header(path: str, *, lines: bool = False) -> Header:
@@ -217,48 +226,39 @@ def read_header(path: str, *, lines: bool = False) -> Header:
         If this is not VTK PolyData of one piece, or shorter than promised; or lines are wanted, and there are
         cells of other kinds beside them.
     """
-    text, appended, body, size = _text(path)
-    time = _TIME.search(text[:_LONGEST_TAG])
-    text = _without_comments(text)
-    _refuse(path, text, "PolyData", "UnstructuredGrid")
-    root = _attributes(next(_tags(text, "VTKFile"))[0])
-    pieces = [_attributes(attributes) for attributes, _ in _tags(text, "Piece")]
-    of_lines = lines and len(pieces) == 1 and _has_lines(text, pieces[0], path)
-    sections = [_section(text, "Points"), _section(text, "PointData")]
-    if len(pieces) != 1 or sections[0] is None or (sections[1] is None and "<PointData" in text):
+    data, body, size = _text(path)
+    xml = _parsed(path, data, "PolyData", "UnstructuredGrid")
+    pieces = xml.named("Piece")
+    of_lines = lines and len(pieces) == 1 and _has_lines(xml, pieces[0], path)
+    there = [name in xml.complete for name in ("Points", "PointData")]
+    if len(pieces) != 1 or not there[0] or (not there[1] and xml.named("PointData")):
         raise SceneError(
-            f"{path}: its header has {len(pieces)} pieces and {sum(s is not None for s in sections)} of the "
-            "two sections Points and PointData, expected one piece with both; the file was cut short, or is "
-            "not by MFiX"
+            f"{path}: its header has {len(pieces)} pieces and {sum(there)} of the two sections Points and PointData, "
+            "expected one piece with both; the file was cut short, or is not by MFiX"
         )
-    if not _nested(text):
-        raise SceneError(
-            f"{path}: its XML is damaged: elements do not close in the order in which they open; leave the file out"
-        )
-    encoding = _encoding(root, path)
-    counted, sections = ("NumberOfLines", [_section(text, "CellData")]) if of_lines else ("NumberOfPoints", sections)
+    encoding = _encoding(xml.elements[0].attributes, path)
+    counted, sections = ("NumberOfLines", ["CellData"]) if of_lines else ("NumberOfPoints", ["Points", "PointData"])
     rows = _whole(pieces[0].get(counted), counted, path)
-    tags = [(_attributes(tag), end) for s in sections if s for tag, end in _tags(text, "DataArray", *s)]
-    if any(tag.get("format") == "appended" for tag, _ in tags) and (appended not in ("raw", "base64") or not body):
+    tags = [element for section in sections for element in xml.arrays(section)]
+    form = next((tag.get("encoding", "raw") for tag in xml.named("AppendedData")), "")
+    if any(tag.attributes.get("format") == "appended" for tag in tags) and (form not in ("raw", "base64") or not body):
         raise SceneError(
             f"{path}: its header names appended data, but none follows; the file was cut short, leave it out"
         )
-    arrays = tuple(_array(tag, path, text, end, (appended or "", body or 0, size)) for tag, end in tags)
+    arrays = tuple(_array(tag, path, xml, (form, body or 0, size)) for tag in tags)
     if not of_lines and (not arrays or arrays[0].components != 3):
         raise SceneError(f"{path}: its points have no array with three components; the file is not by MFiX, or damaged")
-    section = _section(text, "FieldData")
-    named = tuple(_attributes(tag).get("Name", "") for tag, _ in _tags(text, "DataArray", *section)) if section else ()
-    clock = _time(time[1]) if time else None
-    header = Header(path, os.path.getsize(path), rows, clock, arrays, encoding, named, of_lines)
+    fields = {_utf8(tag.attributes.get("Name", "")): _numbers(xml.content(tag)) for tag in xml.arrays("FieldData")}
+    time = next((_time(found[1]) for found in map(_TIME.match, xml.comments) if found), None)
+    header = Header(path, os.path.getsize(path), rows, time, arrays, encoding, fields, of_lines)
     for array in arrays:
         _check_size(header, array)
     return header
 
 
-def _has_lines(text: str, piece: dict[str, str], path: str) -> bool:
+def _has_lines(xml: _Xml, piece: dict[str, str], path: str) -> bool:
     """Return whether the arrays of cells belong to lines (perhaps none); False without arrays."""
-    section = _section(text, "CellData")
-    if section is None or not any(_tags(text, "DataArray", *section)):
+    if not xml.arrays("CellData"):
         return False
     lines = _whole(piece.get("NumberOfLines", "0"), "NumberOfLines", path)
     others = [kind for kind in _OTHER_CELLS if _whole(piece.get(f"NumberOf{kind}", "0"), f"NumberOf{kind}", path)]
@@ -267,6 +267,14 @@ def _has_lines(text: str, piece: dict[str, str], path: str) -> bool:
             f"{path}: holds {' and '.join(others)} beside Lines; write the contacts, as lines, to files of their own"
         )
     return not others
+
+
+def _numbers(text: bytes) -> tuple[float, ...]:
+    """Numbers of a text; none if it holds anything else."""
+    try:
+        return tuple(float(token) for token in text.split())
+    except ValueError:
+        return ()
 
 
 def _encoding(root: dict[str, str], path: str) -> VtkEncoding:
@@ -285,9 +293,10 @@ def _time(text: str) -> float | None:
     return time if np.isfinite(time) else None
 
 
-def _array(tag: dict[str, str], path: str, text: str, end: int, appended: tuple[str, int, int]) -> Array:
-    """Describe one array; `end` is where its tag ends, `appended` are form, start and end of the appended data."""
-    name = tag.get("Name", "Points").encode("latin-1", "replace").decode("utf-8", "replace")
+def _array(element: _Element, path: str, xml: _Xml, appended: tuple[str, int, int]) -> Array:
+    """Describe one array; `appended` are form, start and end of the appended data."""
+    tag = element.attributes
+    name = _utf8(tag.get("Name", "Points"))
     kind, form, body = tag.get("type", ""), *appended[:2]
     if kind not in _TYPES:
         raise SceneError(f"{path}: array '{name}' has type {kind!r}; expected one of {sorted(_TYPES)}")
@@ -299,11 +308,9 @@ def _array(tag: dict[str, str], path: str, text: str, end: int, appended: tuple[
     if tag.get("format") == "appended":
         offset = _whole(tag.get("offset"), f"the offset of '{name}'", path)
         return Array(name, components, kind, form, body + offset, appended[2])
-    form = "base64" if tag.get("format") == "binary" else "ascii"
-    stop = text.find("<", end)
-    stop = len(text) if stop < 0 else stop
-    blanks = len(text[end:stop]) - len(text[end:stop].lstrip())
-    return Array(name, components, kind, form, end + blanks, stop)
+    text = xml.content(element)
+    start, stop = element.start + len(text) - len(text.lstrip()), element.start + len(text)
+    return Array(name, components, kind, "base64" if tag.get("format") == "binary" else "ascii", start, stop)
 
 
 def _type(header: Header, array: Array) -> np.dtype[np.generic]:
@@ -379,12 +386,11 @@ def read_collection(path: str) -> list[tuple[str, float | None]]:
         If this is not a collection, or it names nothing.
     """
     with open_binary(path) as file:
-        text = _without_comments(file.read(_LONGEST_LIST).decode("utf-8", "replace"))
-    _refuse(path, text, "Collection")
+        xml = _parsed(path, file.read(_LONGEST_LIST), "Collection")
     entries = []
-    for tag in (_attributes(tag) for tag, _ in _tags(text, "DataSet")):
+    for tag in xml.named("DataSet"):
         if tag.get("file") and "\0" not in tag["file"]:
-            entries.append((str(Path(path).parent / tag["file"]), _time(tag.get("timestep", ""))))
+            entries.append((str(Path(path).parent / _utf8(tag["file"])), _time(tag.get("timestep", ""))))
     if not entries:
         raise SceneError(
             f"{path}: this collection names no files; expected entries like <DataSet timestep=... file=.../>"
