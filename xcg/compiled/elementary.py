@@ -1,4 +1,4 @@
-"""exp, erf and logarithms by arithmetic alone, without branches: loops that take them become vector instructions.
+"""exp, erf, angles and logarithms by arithmetic alone, without branches: loops that take them become vector instructions.
 
 Each is compiled into the loop that calls it. Compiled or not they give the same bits, on every machine.
 `tests/test_elementary.py` measures the errors stated here.
@@ -17,6 +17,8 @@ _LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
 _TO_EXPONENT = 1.5 * 2.0**52 + 1023.0
 _LEAST = -709.0  # exp is 0 from here on: 2^-1023 of this many last bits is zero
 _FARTHEST = 27.0  # beyond it erfc is 0
+_TAN_EIGHTH, _QUARTER, _HALF_PI = math.sqrt(2.0) - 1.0, 0.25 * math.pi, 0.5 * math.pi
+_LEAST_LENGTH = 1e-300  # keeps the quotient at the origin a number
 
 
 @inlined
@@ -100,6 +102,30 @@ def erf(x):
     p = p * s - 0.37612638903183543
     p = p * s + 1.1283791670955126
     return x * p if x < 1.0 else 1.0 - exp(-s) * erfcx(x)
+
+
+@inlined
+def angle(y, x):
+    """Angle of a point (x, y) with y >= 0 to the x axis, from 0 to pi, to 3e-16; pi / 2 at the origin."""
+    across = abs(x)
+    less, more = min(across, y), max(across, y)
+    steep = less > _TAN_EIGHTH * more
+    t = (less - more if steep else less) / ((less + more if steep else more) + _LEAST_LENGTH)
+    z = t * t
+    p = -0.017805397205419446
+    p = p * z + 0.03796525745386593
+    p = p * z - 0.05035102456601552
+    p = p * z + 0.05846878297330872
+    p = p * z - 0.06662951813629191
+    p = p * z + 0.07692045330902225
+    p = p * z - 0.09090896809064027
+    p = p * z + 0.11111110744919658
+    p = p * z - 0.14285714279250245
+    p = p * z + 0.19999999999940893
+    p = p * z - 0.3333333333333312
+    found = t + t * (z * p) + (_QUARTER if steep else 0.0)
+    found = found if y <= across and across > 0.0 else _HALF_PI - found
+    return found if x >= 0.0 else math.pi - found
 
 
 @inlined

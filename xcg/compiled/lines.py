@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from xcg.compiled._jit import inlined, inner, leaf
 from xcg.compiled.arrays import gauss_rules
 from xcg.compiled.elementary import erf, erfcx, exp
-from xcg.compiled.lucy import TINY, clipped, fill_lucy_lines, lucy_line, lucy_plane
+from xcg.compiled.lucy import TINY, clipped, fill_lucy_lines, fill_lucy_planes, lucy_line, lucy_plane
 from xcg.compiled.reach import padded
 from xcg.compiled.shells import RADIUS, SCRATCH, along_marginal, along_shells, fill_shells
 from xcg.compiled.smoothing import (
@@ -144,6 +144,8 @@ def fill_segments(kind, spread, table, length, along, q2, count, out, ratio, bit
         _filltabulated(kind, table, length, along, q2, count, out, ratio, bits, exponent, rows)
     elif kind == GAUSSIAN + 1:
         _fill_quadrature(kind, spread, table, 1.0 / length, length, along, q2, count, out, ratio)
+    elif kind == LUCY + 1:
+        fill_lucy_planes(1.0 / length, length, along, q2, count, out, ratio, bits, exponent, rows)
     elif kind >= GAUSSIAN and kind != HEAVISIDE + 1:
         _fill_chords(kind, spread, table, 1.0 / length, length, along, q2, count, out)
     else:

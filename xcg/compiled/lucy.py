@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from xcg.compiled._jit import inlined, inner
-from xcg.compiled.elementary import add_logarithms
+from xcg.compiled.elementary import add_logarithms, angle
 from xcg.compiled.reach import padded
 
 TINY = 1e-290  # keeps the logarithm finite on the segment itself, where its factor h^4 is zero
@@ -118,3 +118,42 @@ def fill_lucy_lines(per_length, length, along, q2, count, out, ratio, bits, expo
         ratio[k] = (both + apart + TINY) / (max(0.0, both - apart) + TINY)
         q2[k] = 3.0 * per_length * h4
     add_logarithms(ratio, bits, exponent, q2, room, out)
+
+
+@inlined
+def _plane_end(h2, t):
+    """Half chord at an end of a segment, its distance from the node, and the parts of `lucy_plane` there.
+
+    These are the part without logarithm, times t, and the factor of log((1 + u) / distance).
+    """
+    t2, h4 = t * t, h2 * h2
+    r2 = h2 + t2
+    u2 = max(0.0, 1.0 - r2)
+    u = math.sqrt(u2)
+    part = -0.5 + 3.0 * h2 + 1.5 * h4 + (1.5 + 1.5 * h2) * (u2 / 3.0 + t2)
+    part += 0.5 * (u2 * (0.2 * u2 + 2.0 / 3.0 * t2) + t2 * t2) - 0.4 - 0.6 * r2 - 0.8 * h2
+    return u, math.sqrt(r2), t * u * part, 1.6 * t * (r2 * (0.375 * r2 + 0.5 * h2) + h4)
+
+
+@inner
+def fill_lucy_planes(per_length, length, along, q2, count, out, ratio, bits, exponent, rows):
+    """As `lucy_plane` at both ends of the clipped segment, in loops that vectorise.
+
+    The angles at both ends are one, of the product of the first and the mirror image of the second.
+    """
+    room = padded(count)
+    first, last, ratio_last = rows[0], rows[1], rows[2]
+    for k in range(room):
+        a, b, h2 = clipped(q2[k], along[k], length)
+        ua, ra, part_a, factor_a = _plane_end(h2, a)
+        ub, rb, part_b, factor_b = _plane_end(h2, b)
+        h, even = math.sqrt(h2), 0.1 + h2 * (-0.5 + h2 * (1.5 + 0.5 * h2))
+        turn, both = max(0.0, b * ua - a * ub), ua * ub
+        total = even * angle(turn, both + a * b) - 1.6 * h2 * h2 * h * angle(h * turn, h2 * both + a * b)
+        out[k] = 2.0 * per_length * (total - (part_b - part_a))
+        ratio[k], ratio_last[k] = (1.0 + ua) / (ra + TINY), (1.0 + ub) / (rb + TINY)
+        first[k], last[k] = -2.0 * per_length * factor_a, 2.0 * per_length * factor_b
+    add_logarithms(ratio, bits, exponent, first, room, out)
+    for k in range(room):
+        ratio[k] = ratio_last[k]
+    add_logarithms(ratio, bits, exponent, last, room, out)
