@@ -115,8 +115,8 @@ print(f"conductivity of the bed {low:.1f} to {high:.1f} mW/m/K, of glass {k} W/m
 # ----------------------
 # In a gas or a flow, grains also take their heat along. ``Flux`` is what fluctuations carry of any variable of grains,
 # :math:`\sum (T_i - \langle T \rangle)(v_i - V) \Psi` here. Times the heat capacity of a grain it is the convective
-# flux of heat, to which that of contacts adds. 2000 grains of a gas start with a temperature that is a wave along z, and
-# exchange no heat. So the wave fades as fast as grains diffuse.
+# flux of heat, to which that of contacts adds. 2000 grains of a gas start with a temperature that is a wave along z,
+# and exchange no heat. So the wave fades as fast as grains diffuse.
 
 gas = xcg.datasets.open("cooling").compute()
 low, high = gas.box.isel(time=0).sel(component="z").values
