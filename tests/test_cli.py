@@ -201,7 +201,9 @@ def test_a_run_resumes(few):
     said = xcg_run("run", few / "config.ini")
     assert "1 of 3 steps are there from an earlier run" in said
     whole = xr.load_dataset(few / "PysammosCG" / "CG_Lucy_Monodisperse.h5")
-    assert "exists; choose another" in xcg_run("run", few / "config.ini", code=1)
+    refused = xcg_run("run", few / "config.ini", code=1)
+    assert "exists; choose another" in refused
+    assert "are kept" not in refused
     again = xcg_run("run", few / "config.ini", "--overwrite", "--quiet")
     assert again == ""
     xr.testing.assert_equal(xr.load_dataset(few / "PysammosCG" / "CG_Lucy_Monodisperse.h5"), whole)

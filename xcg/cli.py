@@ -349,7 +349,7 @@ def run(
                     for done, _ in steps:
                         bar.update(done - bar.n)
             except OSError as error:
-                if error.errno is not None:  # not of a full disk
+                if error.errno is not None or isinstance(error, FileExistsError):  # not of a full disk
                     raise
                 raise click.ClickException(f"{error}\n{kept()}") from error
             finally:
