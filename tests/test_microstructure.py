@@ -54,6 +54,7 @@ def test_lattices(lattice, partners, fraction, stress):
     assert one(m, "mean_normal_force") == pytest.approx(1.0)
     assert float(m.normal_force_count.sum()) == partners * count / 2
     assert float((m.normal_force_pdf * m.force_ratio_width).sum()) == pytest.approx(1.0)
+    assert m.force_ratio.attrs["long_name"] == "force over its mean"  # shared by normal and tangential forces
     for name in ("d_max", "d50", "d_bar"):
         assert one(m, name) == 1
 

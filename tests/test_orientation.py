@@ -89,6 +89,8 @@ def test_directors_from_quaternions(chunk):
         ds.cg.derive_director(("qw", "qx"))
     with pytest.raises(xcg.SceneError, match="quat_w"):
         ds.cg.derive_director()
+    with pytest.raises(xcg.SceneError, match=r"give quaternions to ds\.cg\.derive_director\(\)"):
+        ds.cg.coarse_grain("nematic_order")
 
 
 def test_averages_take_the_tensor_and_find_its_axis_anew():

@@ -151,6 +151,16 @@ def test_radii_are_half_of_diameters():
         xcg.scene_from_arrays(np.zeros((2, 3)), radius=np.ones(2))
 
 
+def test_times_are_given_for_each_step():
+    with pytest.raises(xcg.SceneError, match=r"'timestep' is neither .*; did you mean time=, an array"):
+        xcg.scene_from_arrays(np.zeros((2, 3)), timestep=0.1)
+
+
+def test_a_variable_of_particles_has_a_row_for_each():
+    with pytest.raises(xcg.SceneError, match=r"'charge' is one number, .* numpy\.full\(n, 0\.5\)"):
+        xcg.scene_from_arrays(np.zeros((2, 3)), charge=0.5)
+
+
 def test_contacts_are_given_as_one_array_for_each_variable():
     with pytest.raises(xcg.SceneError, match=r"'contacts' is neither .*; did you mean contact_i=, contact_j="):
         xcg.scene_from_arrays(np.zeros((2, 3)), contacts={})

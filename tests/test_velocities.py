@@ -33,6 +33,15 @@ def test_uneven_steps_are_divided_by_their_time():
     np.testing.assert_allclose(ds.velocity[:, 0, 0], 2.0)
 
 
+def test_missing_velocities_and_what_to_do():
+    ds = xcg.datasets.random_scene(100, seed=1).drop_vars("velocity")
+    for fields, instead in (("velocity", False), (["density", "pressure"], True)):
+        with pytest.raises(xcg.SceneError, match=r"or call ds\.cg\.derive_velocity\(\)") as raised:
+            ds.cg.coarse_grain(fields)
+        assert ("or ask for contact_stress" in str(raised.value)) == instead
+    assert "contact_stress" in ds.cg.coarse_grain("contact_stress", axes="z")
+
+
 def test_the_nearest_image_and_a_box_that_shears():
     rng, time, rate = np.random.default_rng(2), 0.1 * np.arange(5), 0.7
     start = rng.uniform(0, 4, (30, 3))

@@ -239,7 +239,11 @@ def make_plan(scene: Description, request: Request) -> Plan:
     variables = variables_of(names, scene.names, options)
     if not variables <= scene.names:
         lacking = [name for name in names if not variables_of((name,), scene.names, options) <= scene.names]
-        require_scene(scene.columns, sorted(variables), f"coarse_grain of {', '.join(lacking)}")
+        static = "contact_stress" in registry.order_of(lacking, options) and (
+            variables_of(("contact_stress",), scene.names, options) <= scene.names
+        )
+        instead = "; or ask for contact_stress, which needs no velocity" if static else ""
+        require_scene(scene.columns, sorted(variables), f"coarse_grain of {', '.join(lacking)}", instead)
     kernels = kernels_of(scene, request)
     widest = max(kernels, key=lambda k: k.cutoff)
     warn_of_width(min(k.width for k in kernels), scene.sizes, of_groups=isinstance(request.width, Mapping))

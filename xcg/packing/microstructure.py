@@ -338,7 +338,7 @@ def _label(ds: xr.Dataset, arrays: Mapping[str, Any], measure: Measure, regions:
         {"long_name": "number of contact partners"},
     )
     middle = np.sqrt(bins[1:] * bins[:-1]) if bins[0] > 0 else (bins[1:] + bins[:-1]) / 2
-    coords["force_ratio"] = ("force_ratio", middle, {"long_name": "normal force over its mean", "units": "1"})
+    coords["force_ratio"] = ("force_ratio", middle, {"long_name": "force over its mean", "units": "1"})
     coords["force_ratio_width"] = ("force_ratio", np.diff(bins), {"long_name": "width of the bin", "units": "1"})
     coords["region"] = ("region", list(regions))
     coords["phase"] = ("phase", ["bulk", *map(str, measure.groups)], {"long_name": f"phase by {measure.by}"})

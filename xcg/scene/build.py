@@ -112,6 +112,11 @@ def _split_own(name: str, values: Any, rows: Sequence[int]) -> list[NDArray]:
     """As `_split_steps`, for a scalar, vector or custom tensor; `rows` of each step decide which."""
     for part in values if isinstance(values, (list, tuple)) else [values]:
         refuse_mask(name, part)
+    if _is_one_number(values):
+        raise SceneError(
+            f"{name!r} is one number, neither an argument nor an array: a variable of your own has a row for each "
+            f"particle or contact, such as numpy.full(n, {values})"
+        )
     if len(values) == len(rows) and all(np.shape(v)[:1] == (n,) for v, n in zip(values, rows, strict=True)):
         return [np.asarray(v) for v in values]
     array = np.asarray(values)
@@ -309,6 +314,7 @@ def _is_one_number(values: Any) -> bool:
 _OTHER_NAMES = {
     "radius": "diameter = 2 radius",
     "radii": "diameter = 2 radii",
+    "timestep": "time=, an array with the time of each step",
     "contacts": "contact_i=, contact_j=, contact_force= and contact_point=, an array for each",
 }
 

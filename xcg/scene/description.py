@@ -185,12 +185,15 @@ def describe(ds: xr.Dataset, by: str | None = None) -> Description:
     )
 
 
-def require_scene(ds: xr.Dataset | Mapping[str, Any], names: Sequence[str], purpose: str) -> None:
-    """Raise SceneError unless `ds` is a scene and holds these variables; the message lists all that are missing."""
+def require_scene(ds: xr.Dataset | Mapping[str, Any], names: Sequence[str], purpose: str, instead: str = "") -> None:
+    """Raise SceneError unless `ds` is a scene and holds these variables; the message lists all that are missing.
+
+    `instead` ends the advice with what can be asked for without them.
+    """
     if missing := {name for name in ("position", "particle_id", *names) if name not in ds}:
         shown = ds.data_vars if isinstance(ds, xr.Dataset) else ds
         raise SceneError(
-            f"{purpose} needs {sorted(missing)}: {_way_to(missing)} "
+            f"{purpose} needs {sorted(missing)}: {_way_to(missing)}{instead} "
             f"(this Dataset holds {', '.join(map(str, shown)) or 'nothing'})"
         )
 
@@ -211,7 +214,10 @@ def _way_to(missing: Set[str]) -> str:
     if missing & {"mass", "density", "moment_of_inertia"}:
         ways.append("density= to xcg.open_scene or xcg.scene_from_arrays")
     if others := sorted(missing & {"position", "particle_id", "velocity", "diameter", "angular_velocity"}):
-        ways.append(f"{', '.join(f'{name}=' for name in others)} to xcg.scene_from_arrays, or files that hold them")
+        way = f"{', '.join(f'{name}=' for name in others)} to xcg.scene_from_arrays, or files that hold them"
+        ways.append(way + ", or call ds.cg.derive_velocity() on several steps" * ("velocity" in missing))
+    if "director" in missing:
+        ways.append("quaternions to ds.cg.derive_director()")
     return f"give {', and '.join(ways) or 'them to xcg.open_scene or xcg.scene_from_arrays'}"
 
 

@@ -120,7 +120,7 @@ def fit_slope(surface: xr.Dataset | xr.DataArray) -> xr.Dataset:
     Raises
     ------
     ValueError
-        If no axis is resolved.
+        If there is no ``height``, or no axis is resolved.
 
     Examples
     --------
@@ -129,6 +129,8 @@ def fit_slope(surface: xr.Dataset | xr.DataArray) -> xr.Dataset:
     >>> round(float(fit_slope(xr.DataArray(0.5 - 0.3 * x, {"x": x})).angle), 6)
     16.699244
     """
+    if isinstance(surface, xr.Dataset) and "height" not in surface:
+        raise ValueError("fit_slope needs 'height': call it on f.cg.free_surface(...), not on fields")
     height = surface["height"] if isinstance(surface, xr.Dataset) else surface
     axes = [a for a in COMPONENTS if a in height.dims]
     if not axes:
