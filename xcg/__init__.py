@@ -1,7 +1,9 @@
 """Coarse-graining of granular matter: from DEM output to continuum fields.
 
-A name of the package is loaded when it is first used. Where it stands says ``__init__.pyi``, so that editors and type
-checkers see plain imports.
+`open_scene` and `datasets.open` return a scene, an xarray Dataset whose accessor ``ds.cg`` has the methods of xcg, such
+as ``ds.cg.coarse_grain(["velocity", "density"], axes="z")``. ``print(ds.cg)`` shows what a scene holds.
+
+Names are loaded when they are first used, from the modules that ``__init__.pyi`` lists.
 """
 
 from importlib import import_module
