@@ -23,7 +23,9 @@ def scene(far, *, lazy=False, steps=1):
 def test_the_particle_and_the_way_out_are_named(far):
     with pytest.raises(ValueError, match=r"particle 17 at \(1e\+.*far from the others; give bounds=, or .* ds\.where"):
         scene(far).cg.coarse_grain("density")
-    with pytest.raises(ValueError, match=r"x from .* to 1e\+.*perhaps as some escaped; give bounds="):
+    with pytest.raises(
+        ValueError, match=r"x from .* to 1e\+.*perhaps as some escaped; give bounds=, or a larger spacing="
+    ):
         scene(far, lazy=True).cg.coarse_grain("density")
 
 

@@ -264,7 +264,7 @@ def _steps_at_once(ds: xr.Dataset) -> int:
 
 def about_strays(ds: xr.Dataset, scene: Description, grid: Grid | None = None) -> str:
     """Name the particle that is farthest from the others, or the extent where positions are not in memory."""
-    way_out = "give bounds=, or leave particles out with ds.where"
+    way_out = "give bounds=, or a larger spacing=, or leave particles out with ds.where"
     position = ds["position"].transpose("time", "particle", "component").variable
     if not isinstance(position._data, np.ndarray):
         if scene.corners is None:

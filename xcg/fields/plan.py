@@ -369,8 +369,8 @@ def _with_errors(
     errors = [f"{name}_error" for name in names if f"{name}_error" in registry.FIELDS.keys() - absent]
     if not errors and not further:
         raise ValueError(
-            f"errors=True: none of {', '.join(names)} has an error that one step tells, as sums of independent "
-            "fluctuations have, such as velocity; leave it out, and see the errors of time_average"
+            "errors=True: errors of a single step exist for velocity, granular_temperature and others, not for "
+            f"{', '.join(names)}: leave errors= out, and take the errors of time_average over several steps"
         )
     return tuple(dict.fromkeys([*names, *errors, *(one.name for one in further)])), (*own, *further)
 
