@@ -85,6 +85,17 @@ def test_a_fault_is_raised_each_time(files, tmp_path):
     ds.position.isel(time=0).load()
 
 
+def test_a_relative_path_and_another_current_folder(tmp_path, monkeypatch):
+    (tmp_path / "grains.csv").write_text("x,y,z,radius\n0,0,0,1\n")
+    monkeypatch.chdir(tmp_path)
+    relative, absolute = (xcg.open_scene(path) for path in ("grains.csv", tmp_path / "grains.csv"))
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir("elsewhere")
+    absolute.position.load()
+    with pytest.raises(xcg.SceneError, match=r"absolute path where the current folder changed \(it is .*elsewhere\)"):
+        relative.position.load()
+
+
 def test_options_and_variables(files):
     ds = opened(files, reader="mfix", drop_variables=["velocity", "nothing"], density=100.0, gravity=(0, 0, -9.81))
     assert "velocity" not in ds

@@ -134,15 +134,18 @@ def read_step(engine: Engine, options: ReadOptions, ref: StepRef, *, contacts: b
 
 def _check_unchanged(ref: StepRef) -> None:
     """Raise SceneError for a file that changed since its headers were read."""
+    again = "open it again"
     try:
         state = os.stat(ref.path)
     except FileNotFoundError:
         now = "is gone"
+        if not os.path.isabs(ref.path):
+            again += f", by an absolute path where the current folder changed (it is {os.getcwd()})"
     else:
         if (state.st_size, state.st_mtime_ns) == (ref.size, ref.modified or state.st_mtime_ns):
             return
         now = f"has {state.st_size} bytes, but had {ref.size}" if state.st_size != ref.size else "was written again"
-    raise SceneError(f"{source_of(ref)}: the file {now} after the scene was opened; open it again")
+    raise SceneError(f"{source_of(ref)}: the file {now} after the scene was opened; {again}")
 
 
 @dataclass(frozen=True)
