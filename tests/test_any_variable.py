@@ -274,8 +274,8 @@ def test_what_is_wrong_is_said():
         (xcg.Mean("heat", name="stress"), "pass name="),
         ([xcg.Mean("heat"), xcg.Mean("heat", "volume")], "pass name="),
         (xcg.Mean("wear"), "ds.rename(wear='contact_wear')"),
-        (xcg.Mean("still"), "expand_dims(time=ds.time)"),
-        (xcg.Mean("odd"), "'odd' holds"),
+        (xcg.Mean("still"), "add the dimension time, ds.assign(still=ds.still.expand_dims(time=ds.time))"),
+        (xcg.Mean("odd"), "'odd' has the dimensions"),
     ]:
         with pytest.raises(ValueError, match=re.escape(words)):
             ds.cg.coarse_grain(asked, axes="z")
@@ -472,5 +472,5 @@ def test_names_of_contacts_are_theirs():
     with pytest.raises(xcg.SceneError, match=r"'contact_heat' is a variable of contacts.*there are none"):
         xcg.scene_from_arrays(np.eye(3) * 5, contact_heat=np.ones(3), **given)
     ds = xcg.datasets.random_scene(20).assign(contact_heat=(("time", "particle"), np.ones((1, 20))))
-    with pytest.raises(xcg.SceneError, match=r"holds .*names that begin with 'contact_'.* another name"):
+    with pytest.raises(xcg.SceneError, match=r"has the dimensions .*names that begin with 'contact_'.* another name"):
         ds.cg.coarse_grain("contact_heat")

@@ -305,6 +305,16 @@ def test_variables_that_were_assigned_are_finite_or_refused(scene, what, lazy):
         NOT_FINITE[what](scene.chunk(time=1) if lazy else scene).cg.coarse_grain(**MESH).compute()
 
 
+def test_variables_without_time_are_refused_with_the_call_that_adds_it(scene):
+    constant = scene.assign(diameter=scene.diameter.isel(time=0, drop=True))
+    with pytest.raises(xcg.SceneError, match="add the dimension time, ") as raised:
+        constant.cg.coarse_grain("density", width=1.0)
+    given = str(raised.value).split("add the dimension time, ")[1]
+    assert given == "ds.assign(diameter=ds.diameter.expand_dims(time=ds.time))"
+    again = constant.assign(diameter=constant.diameter.expand_dims(time=constant.time))
+    assert again.cg.coarse_grain("density", width=1.0).density.notnull().all()
+
+
 def test_what_was_spread_too_far_is_refused_before_it_is_read(scene, monkeypatch):
     monkeypatch.setattr("xcg.scene.conform._MOST_SPREAD", 1000)
     with pytest.raises(SceneError, match=r"ds\.map"):

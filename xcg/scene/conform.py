@@ -212,6 +212,11 @@ def _with_dims(array: xr.DataArray, row: Variable) -> xr.DataArray:
     if not lacking and not spread:
         return array if array.dims == expected else array.transpose(*expected)
     size = array.size / max(array.sizes.get("time", 1), 1)
+    if lacking == ["time"] and not spread:
+        raise SceneError(
+            f"'{array.name}' has the dimensions {dict(array.sizes)}, expected {expected}: add the dimension time, "
+            f"ds.assign({array.name}=ds.{array.name}.expand_dims(time=ds.time))"
+        )
     if lacking or not set(spread) <= {"particle", "contact"} or not 0 < size <= _MOST_SPREAD:
         raise SceneError(
             f"'{array.name}' has the dimensions {dict(array.sizes)}, expected {expected}. Where xarray's 'where' or "

@@ -299,14 +299,14 @@ def check_turns(own: Iterable[Any]) -> None:
 
 
 def _wrong_dims(name: str, found: Column, expected: tuple[str, ...]) -> str:
-    msg = f"{name!r} holds NumPy's type {found.kind!r} with dimensions {found.dims}"
+    msg = f"{name!r} has the dimensions {found.dims} and NumPy's type {found.kind!r}"
     if "contact" in found.dims and expected[0] == "particle":
         to = f"contact_{name}"
         return f"{msg}: names of variables of contacts begin with 'contact_'; call ds = ds.rename({name}={to!r})"
     if "particle" in found.dims and expected[0] == "contact":
         return f"{msg}: names that begin with 'contact_' are for contacts; give it another name, by ds.rename"
     if "time" not in found.dims:
-        return f"{msg}: give it time, by ds.assign({name}=ds.{name}.expand_dims(time=ds.time))"
+        return f"{msg}: add the dimension time, ds.assign({name}=ds.{name}.expand_dims(time=ds.time))"
     rows = expected[0]
     return (
         f"{msg}: expected numbers with ('time', {rows!r}), and 'component' for vectors, or 'component' and 'direction' "
