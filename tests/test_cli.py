@@ -15,8 +15,8 @@ from click.testing import CliRunner
 
 import xcg
 from tests import shared_data
-from tests.test_mfix import write_contacts, write_particles, write_pvd, write_vtp
-from tests.test_vtkhdf import read
+from tests.readers.engines.test_mfix import write_contacts, write_particles, write_pvd, write_vtp
+from tests.writers.test_vtkhdf import read
 from xcg.chains.search import Algorithm
 from xcg.cli import group
 from xcg.jobs.config import read_config
