@@ -4,7 +4,6 @@ import gzip
 import os
 import subprocess
 import sys
-from pathlib import Path
 from typing import get_args
 
 import h5py
@@ -14,7 +13,7 @@ import xarray as xr
 from click.testing import CliRunner
 
 import xcg
-from tests import shared_data
+from tests import ROOT, shared_data
 from tests.readers.engines.test_mfix import write_contacts, write_particles, write_pvd, write_vtp
 from tests.writers.test_vtkhdf import read
 from xcg.chains.search import Algorithm
@@ -23,7 +22,6 @@ from xcg.jobs.config import read_config
 from xcg.jobs.run import run_job
 from xcg.steps.faults import ON_ERROR
 
-ROOT = Path(__file__).parents[1]
 EXAMPLE = (ROOT / "examples" / "config.ini").read_text()
 
 

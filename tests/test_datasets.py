@@ -3,14 +3,12 @@
 import re
 import tomllib
 import warnings
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import xcg
-
-ROOT = Path(__file__).parents[1]
+from tests import ROOT
 
 
 def test_samples_open_with_contacts():

@@ -2,17 +2,17 @@
 
 import ast
 import pickle
-from pathlib import Path
 
 import pytest
 
 import xcg
+from tests import ROOT
 from xcg.fields.formulas.program import program_for
 from xcg.fields.plan import _options_of as options_of
 from xcg.fields.request import Request
 from xcg.scene.description import describe
 
-PACKAGE = Path(__file__).parents[2] / "xcg"
+PACKAGE = ROOT / "xcg"
 
 
 def _with_arrays():

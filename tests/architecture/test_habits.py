@@ -1,13 +1,13 @@
 """What users of xarray expect: units that pint reads, accessors after reopening, plots without arguments."""
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
 
 import xcg
+from tests import ROOT
 from xcg.chains.results import RESULTS
 from xcg.fields.formulas import registry
 from xcg.packing.quantities import QUANTITIES
@@ -98,7 +98,7 @@ def test_results_reopen_with_their_accessor(scene, tmp_path, ending):
 def test_the_first_plot_of_the_readme_lies_the_right_way_round(scene):
     """The x axis is across, and z is up."""
     pyplot = pytest.importorskip("matplotlib.pyplot")
-    page = (Path(__file__).parents[2] / "README.md").read_text()
+    page = (ROOT / "README.md").read_text()
     plot = re.search(r"^f\.sel.*\.plot\(.*$", page, re.MULTILINE)[0]
     f = scene.cg.coarse_grain(["stress"], spacing=1.0)
     drawn = eval(plot, {"f": f})

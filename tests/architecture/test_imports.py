@@ -3,11 +3,12 @@
 import ast
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
-PACKAGE = Path(__file__).parents[2] / "xcg"
+from tests import ROOT
+
+PACKAGE = ROOT / "xcg"
 
 # floors from the ground up; a room imports only from lower floors, so that the wings of one floor know nothing of each
 # other

@@ -1,15 +1,14 @@
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 import xcg
+from tests import ROOT
 from tests.networks import network
 from xcg.compiled.eigen import principal, principal_of_any
 
-EXAMPLES = Path(__file__).parents[2] / "examples" / "data"
+EXAMPLES = ROOT / "examples" / "data"
 
 
 @pytest.mark.parametrize("periodic", ["", "xy", "xyz"])

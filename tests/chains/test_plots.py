@@ -1,13 +1,13 @@
 from __future__ import annotations
 
 import runpy
-from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
 import pytest
 
 import xcg
+from tests import ROOT
 from tests.networks import fork
 
 mpl.use("agg")
@@ -66,7 +66,7 @@ def test_nothing_to_draw():
 
 def test_example(tmp_path, capsys):
     """Chains of a sheared layer lie along the compressive diagonal."""
-    example = runpy.run_path(str(Path(__file__).parents[2] / "examples" / "force_chains.py"))
+    example = runpy.run_path(str(ROOT / "examples" / "force_chains.py"))
     example["main"](tmp_path)
     assert "links point at 138 degrees, the mean stress at 140" in capsys.readouterr().out
     assert (tmp_path / "chains.png").stat().st_size > 1e5

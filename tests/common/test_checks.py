@@ -1,7 +1,6 @@
 """Texts and other things in the place of numbers are refused by a message that names the argument."""
 
 from fractions import Fraction
-from pathlib import Path
 from typing import get_args
 
 import numpy as np
@@ -9,6 +8,7 @@ import pytest
 import xarray as xr
 
 import xcg
+from tests import ROOT
 from xcg.common.checks import floats, is_finite, is_positive, is_whole
 from xcg.fields.coarse_grain import PRESETS
 from xcg.fields.formulas.field import WEIGHTS, Deviatoric, Gradient, InertialSize, Options, Temperature, Weight
@@ -17,7 +17,7 @@ from xcg.fields.request import Per, Preset, Sampling
 from xcg.fields.sums.kernels import KernelName
 from xcg.steps.faults import OnError
 
-DUMP = Path(__file__).parents[2] / "examples/data/lammps_chute/particles.00050000.dump.gz"
+DUMP = ROOT / "examples/data/lammps_chute/particles.00050000.dump.gz"
 
 
 @pytest.fixture(scope="module")

@@ -6,17 +6,15 @@ import random
 import subprocess
 import sys
 from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests import ROOT
 from tests.loops import compiled
 from xcg.common.messages import SceneError
 from xcg.compiled import text
 from xcg.readers.files.table import parse_table
-
-ROOT = Path(__file__).parents[2]
 
 
 def digits(rng, most):

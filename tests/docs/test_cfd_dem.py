@@ -1,14 +1,14 @@
 """The page on fluid between the grains: its example, and the sums that it promises."""
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import xcg
+from tests import ROOT
 
-PAGE = (Path(__file__).parents[2] / "docs" / "cfd_dem.md").read_text()
+PAGE = (ROOT / "docs" / "cfd_dem.md").read_text()
 
 
 def test_the_example_runs():

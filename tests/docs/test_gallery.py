@@ -2,15 +2,13 @@
 
 import re
 import runpy
-from pathlib import Path
 
 import matplotlib as mpl
 import pytest
 
-from tests import pyvista_draws
+from tests import ROOT, pyvista_draws
 
 mpl.use("agg")
-ROOT = Path(__file__).parents[2]
 SCRIPTS = sorted((ROOT / "examples" / "gallery").glob("*/*.py"))
 
 # measured, expected, and how far apart they are at most as a share of the expected: names that the script defines

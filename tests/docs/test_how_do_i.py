@@ -2,16 +2,14 @@
 
 import re
 import shutil
-from pathlib import Path
 
 import matplotlib as mpl
 import pandas as pd
 import pytest
 
-from tests import pyvista_draws
+from tests import ROOT, pyvista_draws
 
 mpl.use("agg")
-ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "how_do_i.md").read_text()
 SETTING, *ANSWERS = re.split(r"^### ", PAGE, flags=re.MULTILINE)
 BLOCK = re.compile(r"```python\n(.*?)```", re.DOTALL)

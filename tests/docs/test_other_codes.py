@@ -1,7 +1,6 @@
 """The recipes of the page on other codes: what it tells to write is written, and its calls open it."""
 
 import re
-from pathlib import Path
 from types import SimpleNamespace
 
 import h5py
@@ -10,9 +9,10 @@ import pandas as pd
 import pytest
 
 import xcg
+from tests import ROOT
 from xcg import datasets
 
-PAGE = (Path(__file__).parents[2] / "docs" / "other_codes.md").read_text()
+PAGE = (ROOT / "docs" / "other_codes.md").read_text()
 
 
 def blocks(heading, mark="run"):

@@ -4,11 +4,10 @@ import inspect
 import pkgutil
 import re
 import runpy
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
+from tests import ROOT
 
 
 def test_table_of_fields_is_current():

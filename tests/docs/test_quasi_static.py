@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-ROOT = Path(__file__).parents[2]
+from tests import ROOT
+
 EXAMPLE = ROOT / "examples" / "quasi_static"
 
 

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 import xcg
-from tests import dumps, real_data
+from tests import ROOT, dumps, real_data
 from tests.lammps_forms import binary_step, rows_of, write_netcdf
 from tests.readers.engines.test_mfix import (
     OLD_ASCII,
@@ -26,8 +26,6 @@ from tests.readers.engines.test_mfix import (
     write_vtp,
 )
 from tests.readers.engines.test_vtk import write_lines, write_spheres
-
-ROOT = Path(__file__).parents[2]
 
 
 class Escaped(AssertionError):

@@ -1,12 +1,11 @@
 """A drum of LAMMPS in cylindrical axes and along its surface: its script turns it with 1 rad/s about y."""
 
-from pathlib import Path
-
 import numpy as np
 
 import xcg
+from tests import ROOT
 
-DUMP = Path(__file__).parents[2] / "examples" / "data" / "lammps_drum" / "particles.dump.gz"
+DUMP = ROOT / "examples" / "data" / "lammps_drum" / "particles.dump.gz"
 
 
 def test_grains_at_the_rim_turn_with_the_drum():

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 import xcg
+from tests import ROOT
 from tests.dumps import write
 from xcg import SceneError, SceneWarning
 
-DATA = Path(__file__).parents[2] / "examples" / "data" / "lammps_triclinic"
+DATA = ROOT / "examples" / "data" / "lammps_triclinic"
 RATE = 0.5
 pytestmark = pytest.mark.filterwarnings("ignore:.*too few particles per node:xcg.SceneWarning")
 

@@ -18,15 +18,13 @@ import pytest
 import xarray as xr
 
 import xcg
-from tests import dumps, steps_of_random_scenes
+from tests import ROOT, dumps, steps_of_random_scenes
 from tests.test_cli import xcg_run
 from xcg.jobs.config import read_config
 from xcg.jobs.run import run_job
 from xcg.steps.faults import SkippedStep
-from xcg.steps.progress import shown
 from xcg.writers.files import locked, whole_file
 
-ROOT = Path(__file__).parents[2]
 FULL = bool(os.environ.get("XCG_FULL"))
 KILLS = 20 if FULL else 3
 STEPS = 20
@@ -343,42 +341,7 @@ def test_on_error_in_the_file_of_the_job(job):
     assert "on_error='ignore': expected" in xcg_run("run", job, code=1)
 
 
-# --- how far it is ---------------------------------------------------------------------------------------
-
-
-class Stream:
-    def __init__(self, terminal):
-        self.text, self.terminal = "", terminal
-
-    def isatty(self):
-        return self.terminal
-
-    def write(self, text):
-        self.text += text
-
-    def flush(self):
-        pass
-
-
-@pytest.mark.parametrize("terminal", [True, False])
-def test_progress(terminal, monkeypatch):
-    stream = Stream(terminal)
-    monkeypatch.setattr(sys, "stderr", stream)
-    with shown(100, True, done=10) as bar:
-        for _ in range(90):
-            bar.update()
-    if terminal:
-        assert "[###---------------------------] 10 of 100 steps, " in stream.text
-        assert re.search(r"\[#{30}\] 100 of 100 steps, .* steps/s, 00:00 left\n$", stream.text)
-    else:
-        lines = stream.text.splitlines()
-        assert [line.split(",")[0] for line in lines] == [f"{n} of 100 steps" for n in range(20, 101, 10)]
-        assert re.fullmatch(r"20 of 100 steps, .* steps/s, \d\d:\d\d left", lines[0])
-        assert "\r" not in stream.text
-    stream.text = ""
-    with shown(10, False) as bar:
-        bar.update(10)
-    assert not stream.text
+# --- dashboard -------------------------------------------------------------------------------------------
 
 
 def test_dashboard_without_distributed(job, monkeypatch):

@@ -1,7 +1,5 @@
 """Microstructure against closed forms, brute force, and real packings."""
 
-from pathlib import Path
-
 import dask
 import numpy as np
 import pytest
@@ -10,7 +8,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import xcg
-from tests import shared_data, steps_of_random_scenes
+from tests import ROOT, shared_data, steps_of_random_scenes
 from xcg.packing.microstructure import NAMES
 from xcg.packing.quantities import QUANTITIES
 from xcg.scene.contacts import Contacts
@@ -332,7 +330,7 @@ def test_every_quantity_has_a_unit_and_a_name():
 
 
 def test_documentation_names_every_quantity():
-    page = (Path(__file__).parents[2] / "docs" / "microstructure.md").read_text()
+    page = (ROOT / "docs" / "microstructure.md").read_text()
     assert [name for name in NAMES if f"`{name}`" not in page] == []
 
 

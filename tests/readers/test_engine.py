@@ -1,4 +1,4 @@
-"""What users add, through public names only: as someone would who knows the documentation and not the code."""
+"""Readers that users add, through public names only, as the page on own readers shows."""
 
 import os
 import re
@@ -6,16 +6,13 @@ import subprocess
 import sys
 import tomllib
 from importlib.metadata import entry_points
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import xcg
+from tests import ROOT
 from xcg.readers import Engine, StepRef
-
-ROOT = Path(__file__).parents[2]
-
 
 # --- a reader from another package -----------------------------------------------------------------------
 
@@ -190,106 +187,6 @@ def test_engines_at_fault_are_named(tmp_path):
     np.save(path, np.eye(5, 3))
     with pytest.raises(xcg.SceneError, match="after the scene was opened"):
         ds.compute()
-
-
-# --- a field of one's own ----------------------------------------------------------------------------------
-
-
-def test_a_field_with_an_eigenvalue():
-    """The example of the docs: principal stresses by phase, averaged over nodes."""
-    page = (ROOT / "docs" / "own_fields.md").read_text()
-    names: dict = {}
-    exec(re.search(r"```python\n(.*?)```", page, re.DOTALL)[1], names)
-    ds, f, mean = names["ds"], names["f"], names["profile"]
-    np.testing.assert_array_equal(f.major_stress, np.linalg.eigvalsh(f.stress)[..., -1])
-    assert f.major_stress.dims == ("time", "x", "y", "z", "phase")
-    assert f.major_stress.attrs["units"] == "Pa"
-    assert f.major_stress.attrs["long_name"] == "largest principal stress"
-    assert "major_stress" in xcg.FIELDS
-    alone = ds.cg.coarse_grain("stress_anisotropy", width=0.8, by="species")
-    np.testing.assert_array_equal(alone.stress_anisotropy, f.stress_anisotropy)
-    sigma = f.stress.mean(["x", "y"])  # not the average of eigenvalues
-    np.testing.assert_allclose(mean.major_stress, np.linalg.eigvalsh(sigma)[..., -1], rtol=1e-12)
-    ratio = mean.major_stress / (sum(sigma.sel(component=a, direction=a) for a in "xyz") / 3) - 1
-    np.testing.assert_allclose(mean.stress_anisotropy, ratio, rtol=1e-9)
-
-
-# --- a variable of one's own -----------------------------------------------------------------------------
-
-
-def test_mean_of_a_temperature():
-    rng = np.random.default_rng(3)
-    position = rng.random((300, 3)) * [1.0, 1.0, 2.0]
-    ds = xcg.scene_from_arrays(
-        position, diameter=np.full(300, 0.1), density=1000.0, velocity=rng.normal(size=(300, 3)),
-        box={"x": (0, 1), "y": (0, 1), "z": (0, 2)}, periodic="xyz",
-    )  # fmt: skip
-    ds = ds.assign(temperature=(("time", "particle"), 290.0 + 10.0 * position[None, :, 2], {"units": "K"}))
-    f = ds.cg.coarse_grain(["velocity", "temperature", xcg.Flux("temperature")], width=0.2, axes="z")
-    assert f.temperature.dims == ("time", "z")
-    assert f.temperature.attrs["units"] == "K"
-    middle = f.temperature.sel(z=slice(0.6, 1.4)).isel(time=0)
-    np.testing.assert_allclose(middle, 290.0 + 10.0 * middle.z, atol=0.7)
-    weighed = f.temperature.attrs["weight"]
-    average = ds.cg.coarse_grain(["temperature", weighed], width=0.2, axes="z").cg.profile("z")
-    np.testing.assert_allclose(average.temperature, f.temperature)
-
-
-# --- a smoothing function --------------------------------------------------------------------------------
-
-
-def test_means_of_a_kernel_with_negative_parts():
-    """What is about a mean is about sum m v Psi / sum m Psi, also where the sum of weights is below zero."""
-
-    def profile(q):
-        return (1 - q**2) ** 2 * (1 - 1.5 * q**2)
-
-    xcg.register_kernel("with negative parts", profile)
-    rng = np.random.default_rng(1)
-    position, velocity, heat = rng.uniform(0, 4, (30, 3)), rng.normal(size=(30, 3)), rng.normal(300.0, 1.0, 30)
-    ds = xcg.scene_from_arrays(
-        position, velocity=velocity, diameter=rng.uniform(0.5, 1, 30), density=1000.0, heat=heat,
-        species=rng.integers(1, 3, 30),
-    )  # fmt: skip
-    fields = ["density", "velocity", "kinetic_stress", "heat", xcg.Flux("heat"), xcg.Variance("heat")]
-    at = {"bounds": dict.fromkeys("xyz", (0.0, 4.0)), "spacing": 1.0}
-    f = ds.cg.coarse_grain(fields, width=0.7, kernel="with negative parts", by="species", **at).isel(time=0)
-
-    nodes = np.stack(np.meshgrid(f.x, f.y, f.z, indexing="ij"), axis=-1)[..., None, :]
-    q = np.minimum(np.linalg.norm(nodes - position, axis=-1) / 1.4, 1)
-    radii = (np.arange(10_000) + 0.5) / 10_000
-    psi = profile(q) / (4 * np.pi * np.mean(profile(radii) * radii**2) * 1.4**3)
-    mass = ds.mass.values[0]
-    rho = psi @ mass
-    assert (rho < 0).sum() > 5
-    with np.errstate(invalid="ignore"):
-        v = velocity - ((psi * mass) @ velocity / rho[..., None])[..., None, :]
-        dq = heat - (psi @ (mass * heat) / rho)[..., None]
-    for phase in ("bulk", "1", "2"):
-        weight = psi * mass * (1 if phase == "bulk" else ds.species.values[0] == int(phase))
-        own = weight.sum(axis=-1)
-        expected = {
-            "density": own,
-            "kinetic_stress": np.einsum("...g,...gi,...gj->...ij", weight, v, v),
-            "flux_heat": np.einsum("...g,...g,...gi->...i", weight, dq, v),
-        }
-        seen = np.abs(psi).max(axis=-1) > 0
-        for name, values in expected.items():
-            found = f[name].sel(phase=phase).values
-            np.testing.assert_allclose(found[seen], values[seen], rtol=0, atol=1e-7 * np.abs(values[seen]).max())
-        with np.errstate(invalid="ignore"):
-            ratios = {
-                "velocity": weight @ velocity / own[..., None],
-                "heat": weight @ heat / own,
-                "variance_heat": np.maximum((weight * dq**2).sum(axis=-1) / own, 0),
-            }
-        for name, values in ratios.items():
-            found = f[name].sel(phase=phase).values
-            np.testing.assert_allclose(found, values, rtol=1e-6, atol=1e-6 * np.nanmedian(np.abs(values)))
-    steps = ds.cg.coarse_grain(["density", "velocity", "heat"], width=0.7, kernel="with negative parts", **at)
-    mean = xcg.time_average(steps)
-    for name in ("density", "velocity", "heat"):
-        np.testing.assert_allclose(mean[name], steps[name].isel(time=0), rtol=1e-12)
 
 
 # --- what readers get wrong ------------------------------------------------------------------------------

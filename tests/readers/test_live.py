@@ -1,13 +1,13 @@
 """A running LAMMPS as a scene: with an object of the same interface, and with LAMMPS itself where it is installed."""
 
 import re
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import xcg
+from tests import ROOT
 
 CONTACTS = {"ids": "patom1 patom2", "pl": "dx dy dz fx fy fz p1 p2 p3"}
 
@@ -259,7 +259,7 @@ def test_equal_to_the_scene_from_dumps(lammps, tmp_path):
 
 def test_the_dumps_of_the_documentation(lammps, tmp_path):
     """The commands that the page for users of LAMMPS tells, and the call that opens what they write."""
-    page = (Path(__file__).parents[2] / "docs" / "lammps.md").read_text()
+    page = (ROOT / "docs" / "lammps.md").read_text()
     commands = re.search(r"```text\n(.*?)```", page, re.DOTALL)[1]
     lammps.commands_string(re.sub(r"(\w+\.\*\.dump)\.gz", rf"{tmp_path}/\1", commands))
     lammps.command("run 1000 post no")
@@ -276,7 +276,7 @@ def test_the_dumps_of_the_documentation(lammps, tmp_path):
 
 
 def test_the_binary_dump_of_the_documentation(lammps, tmp_path):
-    page = (Path(__file__).parents[2] / "docs" / "lammps.md").read_text()
+    page = (ROOT / "docs" / "lammps.md").read_text()
     commands = re.findall(r"```text\n(.*?)```", page, re.DOTALL)[1].splitlines()[:2]
     lammps.commands_string("\n".join(commands).replace("particles", f"{tmp_path}/particles"))
     lammps.command("run 0 post no")

@@ -9,10 +9,10 @@ import pytest
 import xarray as xr
 
 import xcg
-from tests import dumps
+from tests import ROOT, dumps
 from xcg.scene.walls import walls_of
 
-DATA = Path(__file__).parents[2] / "examples" / "data" / "lammps_silo"
+DATA = ROOT / "examples" / "data" / "lammps_silo"
 WALLS = {"side": "f_side[*]", "floor": "f_floor[*]"}
 # what `compute reduce` says of the two fixes in the last line of the log: contacts, and the force on the grains (N)
 SUMS = np.loadtxt(DATA / "sums.txt").reshape(2, 4)

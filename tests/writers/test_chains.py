@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import xarray as xr
@@ -11,11 +9,11 @@ from vtkmodules.vtkIOHDF import vtkHDFReader
 from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
 
 import xcg
-from tests import shared_data
+from tests import ROOT, shared_data
 from tests.networks import fork, nine_particles, read_fcf
 from xcg.cli import chains
 
-BIAXIAL = Path(__file__).parents[2] / "examples" / "data" / "lammps_biaxial2d"
+BIAXIAL = ROOT / "examples" / "data" / "lammps_biaxial2d"
 
 
 @pytest.fixture(scope="module")

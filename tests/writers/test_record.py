@@ -6,14 +6,13 @@ import subprocess
 import sys
 import textwrap
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
 
 import xcg
-from tests import dumps
+from tests import ROOT, dumps
 
 FIELDS = ["density", "velocity", "stress", "sample_count"]
 OPTIONS = {"axes": "xz", "width": 0.8, "spacing": 1.0}
@@ -205,7 +204,7 @@ def test_killed_while_it_writes(path, tmp_path):
     first = 0
     for delay in (0.0, 0.004):
         call = [sys.executable, script, path, str(first)]
-        with subprocess.Popen(call, stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parents[2]) as run:
+        with subprocess.Popen(call, stdout=subprocess.PIPE, text=True, cwd=ROOT) as run:
             assert run.stdout.readline() == "ready\n"
             while (line := run.stdout.readline()) and int(line) < first + 5:
                 pass

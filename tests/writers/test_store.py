@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 
 import xcg
-from tests import steps_of_random_scenes
+from tests import ROOT, steps_of_random_scenes
 from xcg.writers.netcdf import hdf5_file, recover
 
-ROOT = Path(__file__).parents[2]
 SUFFIXES = [".nc", ".h5", ".zarr", ".vtkhdf"]
 STEPS = 6
 

@@ -2,13 +2,13 @@
 
 import itertools
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
 
 import xcg
+from tests import ROOT
 from xcg.fields.analysis.correlations import falls_to
 
 
@@ -254,10 +254,9 @@ def test_constant_fields_have_no_correlation():
 
 
 def test_the_page_runs(monkeypatch):
-    root = Path(__file__).parents[3]
-    monkeypatch.chdir(root)
+    monkeypatch.chdir(ROOT)
     names = {}
-    for block in re.findall(r"```python\n(.*?)```", (root / "docs" / "correlations.md").read_text(), re.DOTALL):
+    for block in re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "correlations.md").read_text(), re.DOTALL):
         exec(compile(block, "correlations.md", "exec"), names)
     c, k, m = (names[n] for n in "ckm")
     assert 0.5 < c.correlation_length < 5

@@ -11,6 +11,7 @@ from scipy.linalg import polar
 from scipy.spatial.transform import Rotation
 
 import xcg
+from tests import ROOT
 from tests.brute_force import BruteKernel
 
 TENSOR = ("component", "direction")
@@ -376,8 +377,7 @@ def test_coarse_grain_says_where_these_fields_are():
 
 
 def test_the_page_runs(monkeypatch, capsys):
-    root = Path(__file__).parents[3]
-    monkeypatch.chdir(root / "docs")
+    monkeypatch.chdir(ROOT / "docs")
     names = {}
     with matplotlib.rc_context({"backend": "agg"}):
         for cell in re.findall(r"```\{code-cell\} python\n(.*?)```", Path("displacement.md").read_text(), re.DOTALL):

@@ -6,7 +6,6 @@ import itertools
 import re
 import sys
 import tomllib
-from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
@@ -14,13 +13,12 @@ import pytest
 import xarray as xr
 
 import xcg
+from tests import ROOT
 from xcg.common.drawing import unit_text
 from xcg.scene.schema import units_of
-from xcg.steps.progress import shown
 
 mpl.use("agg")
 plt = pytest.importorskip("matplotlib.pyplot")
-ROOT = Path(__file__).parents[3]
 
 
 @pytest.fixture(autouse=True)
@@ -445,45 +443,3 @@ def test_extras_that_are_named_exist():
         named |= set(re.findall(r'extra\("[\w.]+", "(\w+)"', path.read_text()))
     assert named
     assert named <= set(known)
-
-
-def test_saving_tells_how_far_it_is(tmp_path, capsys):
-    import xarray as xr
-
-    ds = xcg.datasets.random_scene(30)
-    series = xr.concat([ds.assign_coords(time=[float(k)]) for k in range(4)], "time", data_vars="all").chunk(time=1)
-    series.cg.save(tmp_path / "quiet.nc")
-    assert capsys.readouterr().err == ""  # neither a terminal nor asked for
-    series.cg.save(tmp_path / "told.nc", progress=True)
-    assert [line.split(" steps")[0] for line in capsys.readouterr().err.splitlines()] == [
-        "1 of 4", "2 of 4", "3 of 4", "4 of 4",
-    ]  # fmt: skip
-
-
-def test_a_notebook_gets_a_bar(monkeypatch):
-    class OutStream:
-        __module__ = "ipykernel.iostream"
-
-        def __init__(self):
-            self.text = ""
-
-        def isatty(self):
-            return False
-
-        def write(self, text):
-            self.text += text
-
-        def flush(self):
-            pass
-
-    stream = OutStream()
-    monkeypatch.setattr(sys, "stderr", stream)
-    with shown(2, True) as bar:
-        bar.update(1)
-        bar.refresh()
-        bar.update(1)
-    assert "\r[###############---------------] 1 of 2 steps" in stream.text
-    stream.text = ""
-    with shown(2, None) as bar:  # nothing in the first seconds
-        bar.update(2)
-    assert stream.text == ""

@@ -1,13 +1,14 @@
 """Fields that users register: in the program or in NumPy with the same bits, in other processes, refused when wrong."""
 
 import importlib
+import re
 from unittest import mock
 
 import numpy as np
 import pytest
 
 import xcg
-from tests import planning, steps_of_random_scenes
+from tests import ROOT, planning, steps_of_random_scenes
 from xcg.fields.formulas import program, registry
 from xcg.fields.formulas.field import Options
 from xcg.fields.formulas.rows.errors import OF_FITS
@@ -148,3 +149,25 @@ def test_a_unit_is_given_as_text_or_as_powers(unit):
     assert ds.cg.coarse_grain("own", axes="z").own.attrs["units"] == unit.get("units", "Pa")
     reduced = ds.assign_attrs(unit_system="reduced")
     assert reduced.cg.coarse_grain("own", axes="z").own.attrs["units"] == "1"
+
+
+# --- the page on own fields ------------------------------------------------------------------------------
+
+
+def test_a_field_with_an_eigenvalue():
+    """The example of the docs: principal stresses by phase, averaged over nodes."""
+    page = (ROOT / "docs" / "own_fields.md").read_text()
+    names: dict = {}
+    exec(re.search(r"```python\n(.*?)```", page, re.DOTALL)[1], names)
+    ds, f, mean = names["ds"], names["f"], names["profile"]
+    np.testing.assert_array_equal(f.major_stress, np.linalg.eigvalsh(f.stress)[..., -1])
+    assert f.major_stress.dims == ("time", "x", "y", "z", "phase")
+    assert f.major_stress.attrs["units"] == "Pa"
+    assert f.major_stress.attrs["long_name"] == "largest principal stress"
+    assert "major_stress" in xcg.FIELDS
+    alone = ds.cg.coarse_grain("stress_anisotropy", width=0.8, by="species")
+    np.testing.assert_array_equal(alone.stress_anisotropy, f.stress_anisotropy)
+    sigma = f.stress.mean(["x", "y"])  # not the average of eigenvalues
+    np.testing.assert_allclose(mean.major_stress, np.linalg.eigvalsh(sigma)[..., -1], rtol=1e-12)
+    ratio = mean.major_stress / (sum(sigma.sel(component=a, direction=a) for a in "xyz") / 3) - 1
+    np.testing.assert_allclose(mean.stress_anisotropy, ratio, rtol=1e-9)

@@ -474,3 +474,24 @@ def test_names_of_contacts_are_theirs():
     ds = xcg.datasets.random_scene(20).assign(contact_heat=(("time", "particle"), np.ones((1, 20))))
     with pytest.raises(xcg.SceneError, match=r"holds .*names that begin with 'contact_'.* another name"):
         ds.cg.coarse_grain("contact_heat")
+
+
+# --- averages along an axis ------------------------------------------------------------------------------
+
+
+def test_mean_of_a_temperature():
+    rng = np.random.default_rng(3)
+    position = rng.random((300, 3)) * [1.0, 1.0, 2.0]
+    ds = xcg.scene_from_arrays(
+        position, diameter=np.full(300, 0.1), density=1000.0, velocity=rng.normal(size=(300, 3)),
+        box={"x": (0, 1), "y": (0, 1), "z": (0, 2)}, periodic="xyz",
+    )  # fmt: skip
+    ds = ds.assign(temperature=(("time", "particle"), 290.0 + 10.0 * position[None, :, 2], {"units": "K"}))
+    f = ds.cg.coarse_grain(["velocity", "temperature", xcg.Flux("temperature")], width=0.2, axes="z")
+    assert f.temperature.dims == ("time", "z")
+    assert f.temperature.attrs["units"] == "K"
+    middle = f.temperature.sel(z=slice(0.6, 1.4)).isel(time=0)
+    np.testing.assert_allclose(middle, 290.0 + 10.0 * middle.z, atol=0.7)
+    weighed = f.temperature.attrs["weight"]
+    average = ds.cg.coarse_grain(["temperature", weighed], width=0.2, axes="z").cg.profile("z")
+    np.testing.assert_allclose(average.temperature, f.temperature)

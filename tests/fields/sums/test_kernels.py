@@ -628,3 +628,60 @@ def test_nodes_on_the_rim_of_a_marginal(kernel):
 def test_bad_kernels(make, message):
     with pytest.raises(ValueError, match=message):
         make()
+
+
+# --- kernels with negative parts -------------------------------------------------------------------------
+
+
+def test_means_of_a_kernel_with_negative_parts():
+    """What is about a mean is about sum m v Psi / sum m Psi, also where the sum of weights is below zero."""
+
+    def profile(q):
+        return (1 - q**2) ** 2 * (1 - 1.5 * q**2)
+
+    xcg.register_kernel("with negative parts", profile)
+    rng = np.random.default_rng(1)
+    position, velocity, heat = rng.uniform(0, 4, (30, 3)), rng.normal(size=(30, 3)), rng.normal(300.0, 1.0, 30)
+    ds = xcg.scene_from_arrays(
+        position, velocity=velocity, diameter=rng.uniform(0.5, 1, 30), density=1000.0, heat=heat,
+        species=rng.integers(1, 3, 30),
+    )  # fmt: skip
+    fields = ["density", "velocity", "kinetic_stress", "heat", xcg.Flux("heat"), xcg.Variance("heat")]
+    at = {"bounds": dict.fromkeys("xyz", (0.0, 4.0)), "spacing": 1.0}
+    f = ds.cg.coarse_grain(fields, width=0.7, kernel="with negative parts", by="species", **at).isel(time=0)
+
+    nodes = np.stack(np.meshgrid(f.x, f.y, f.z, indexing="ij"), axis=-1)[..., None, :]
+    q = np.minimum(np.linalg.norm(nodes - position, axis=-1) / 1.4, 1)
+    radii = (np.arange(10_000) + 0.5) / 10_000
+    psi = profile(q) / (4 * np.pi * np.mean(profile(radii) * radii**2) * 1.4**3)
+    mass = ds.mass.values[0]
+    rho = psi @ mass
+    assert (rho < 0).sum() > 5
+    with np.errstate(invalid="ignore"):
+        v = velocity - ((psi * mass) @ velocity / rho[..., None])[..., None, :]
+        dq = heat - (psi @ (mass * heat) / rho)[..., None]
+    for phase in ("bulk", "1", "2"):
+        weight = psi * mass * (1 if phase == "bulk" else ds.species.values[0] == int(phase))
+        own = weight.sum(axis=-1)
+        expected = {
+            "density": own,
+            "kinetic_stress": np.einsum("...g,...gi,...gj->...ij", weight, v, v),
+            "flux_heat": np.einsum("...g,...g,...gi->...i", weight, dq, v),
+        }
+        seen = np.abs(psi).max(axis=-1) > 0
+        for name, values in expected.items():
+            found = f[name].sel(phase=phase).values
+            np.testing.assert_allclose(found[seen], values[seen], rtol=0, atol=1e-7 * np.abs(values[seen]).max())
+        with np.errstate(invalid="ignore"):
+            ratios = {
+                "velocity": weight @ velocity / own[..., None],
+                "heat": weight @ heat / own,
+                "variance_heat": np.maximum((weight * dq**2).sum(axis=-1) / own, 0),
+            }
+        for name, values in ratios.items():
+            found = f[name].sel(phase=phase).values
+            np.testing.assert_allclose(found, values, rtol=1e-6, atol=1e-6 * np.nanmedian(np.abs(values)))
+    steps = ds.cg.coarse_grain(["density", "velocity", "heat"], width=0.7, kernel="with negative parts", **at)
+    mean = xcg.time_average(steps)
+    for name in ("density", "velocity", "heat"):
+        np.testing.assert_allclose(mean[name], steps[name].isel(time=0), rtol=1e-12)

@@ -2,7 +2,6 @@
 
 import gzip
 import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +9,7 @@ import xarray as xr
 from click.testing import CliRunner
 
 import xcg
-from tests import shared_data
+from tests import ROOT, shared_data
 from tests.readers.engines.test_mfix import read_contacts, write_contacts, write_vtp
 from xcg.cli import group
 from xcg.common.messages import SceneError, SceneWarning
@@ -22,7 +21,7 @@ from xcg.scene.lattice import minimum_image
 
 mfix = Mfix()
 
-EXAMPLE = (Path(__file__).parents[3] / "examples" / "config.ini").read_text()
+EXAMPLE = (ROOT / "examples" / "config.ini").read_text()
 
 
 def opened(folder, **options):

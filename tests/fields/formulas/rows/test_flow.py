@@ -1,5 +1,6 @@
-"""Variants of fields that arguments of coarse_grain choose: gradients, temperatures, pressures, sizes, fluids."""
+"""Velocity gradients and temperatures: the choices of coarse_grain, and gradients along averaged axes."""
 
+import warnings
 from typing import get_args
 
 import numpy as np
@@ -8,6 +9,7 @@ import xarray as xr
 
 import xcg
 from tests.brute_force import BruteKernel
+from xcg import SceneWarning
 from xcg.fields.formulas.field import Gradient
 
 RATE = np.array([[0.3, 1.0, -0.4], [0.1, -0.2, 0.5], [0.0, 0.7, -0.1]])
@@ -115,80 +117,7 @@ def test_finite_differences_know_nothing_across_a_plane_and_zero_along_an_averag
     assert np.isfinite(mean.granular_temperature).all()
 
 
-# --- pressures, planes, magnitudes -----------------------------------------------------------------------
-
-
-def whole_and(**options):
-    ds = xcg.datasets.random_scene(150, seed=6)
-    names = ["stress", "pressure", "deviatoric_stress", "shear_stress", "shear_rate_tensor", "shear_rate",
-             "friction_coefficient", "inertial_number", "particle_density", "d43", "d32"]  # fmt: skip
-    return ds.cg.coarse_grain(names, width=0.9, spacing=1.3, **options).isel(time=0)
-
-
-@pytest.mark.parametrize("dims", ["x", "z", "xy", "xz", "yz", "xyz"])
-def test_pressure_of_some_normal_stresses(dims):
-    f = whole_and(pressure_dims=dims)
-    expected = sum(f.stress.sel(component=a, direction=a) for a in dims) / len(dims)
-    np.testing.assert_allclose(f.pressure, expected, rtol=1e-12)
-    mu = (f.shear_stress / f.pressure).where(f.pressure > 0)
-    np.testing.assert_allclose(f.friction_coefficient, mu, rtol=1e-12)
-    assert f.attrs["pressure_dims"] == dims
-
-
-@pytest.mark.parametrize("dims", ["xy", "xz", "yz"])
-@pytest.mark.parametrize("deviatoric", ["stress", "rate", "both", "neither"])
-def test_magnitudes_in_a_plane(dims, deviatoric):
-    f = whole_and(shear_dims=dims, deviatoric=deviatoric)
-    rows = ["xyz".index(a) for a in dims]
-    both = {}
-    for name in ("stress", "shear_rate_tensor"):
-        part = f[name].values[..., rows, :][..., rows]
-        half = (part[..., 0, 0] + part[..., 1, 1])[..., None, None] / 2 * np.eye(2)
-        both[name] = part, part - half
-    s = both["stress"][deviatoric in ("stress", "both")]
-    g = both["shear_rate_tensor"][deviatoric in ("rate", "both")]
-    np.testing.assert_allclose(f.shear_stress, np.sqrt((s**2).sum((-1, -2)) / 2), rtol=1e-12)
-    np.testing.assert_allclose(f.shear_rate, np.sqrt(2 * (g**2).sum((-1, -2))), rtol=1e-12)
-    np.testing.assert_allclose(f.deviatoric_stress.values[..., rows, :][..., rows], both["stress"][1], atol=1e-12)
-    other = 3 - sum(rows)
-    assert (f.deviatoric_stress.values[..., other, :] == 0).all()
-
-
-def test_size_in_the_inertial_number():
-    scene = xcg.datasets.random_scene(150, seed=6)
-    ones = {}
-    for size in ("d43", "d32", "d50", "dmax"):
-        f = whole_and(size=size)
-        d = f[size] if size in f else scene.attrs[size]
-        ones[size] = (f.inertial_number / d).values
-        assert f.attrs["size"] == size
-    for size in ("d32", "d50", "dmax"):
-        np.testing.assert_allclose(ones[size], ones["d43"], rtol=1e-12)
-
-
-def test_viscous_number_and_effective_viscosity():
-    ds = xcg.datasets.random_scene(150, seed=6)
-    names = ["viscous_number", "effective_viscosity", "shear_rate", "pressure", "shear_stress"]
-    f = ds.cg.coarse_grain(names, width=0.9, spacing=1.3, fluid_viscosity=2e-3)
-    firm = f.pressure > 0
-    assert firm.any()
-    np.testing.assert_allclose(f.viscous_number, (2e-3 * f.shear_rate / f.pressure).where(firm), rtol=1e-12)
-    np.testing.assert_allclose(f.effective_viscosity, (f.shear_stress / (2e-3 * f.shear_rate)).where(firm), rtol=1e-12)
-    assert "viscous_number" not in ds.cg.coarse_grain(width=0.9, spacing=1.3)
-    with pytest.raises(ValueError, match="needs the argument fluid_viscosity="):
-        ds.cg.coarse_grain("viscous_number")
-
-
-def test_rheology_is_unknown_where_the_pressure_is_not_positive():
-    ds = xcg.datasets.random_scene(150, seed=6)
-    names = ["viscous_number", "effective_viscosity", "inertial_number", "friction_coefficient", "pressure"]
-    f = ds.assign(contact_force=1e5 * ds.contact_force).cg.coarse_grain(
-        names, width=0.9, spacing=1.3, fluid_viscosity=2e-3
-    )
-    tension = f.pressure <= 0
-    assert 0 < int(tension.sum()) < tension.size
-    for name in names[:-1]:
-        np.testing.assert_array_equal(np.isnan(f[name]), tension, err_msg=name)
+# --- layers, and choices that are refused ----------------------------------------------------------------
 
 
 def test_directional_temperatures_of_a_layer():
@@ -226,3 +155,77 @@ def test_width_in_any_size():
     }  # fmt: skip
     for size, value in expected.items():
         assert ds.cg.explain("density", width=f"0.5 {size}").kernel.width == pytest.approx(0.5 * value, rel=1e-12)
+
+
+# --- gradients along averaged axes -----------------------------------------------------------------------
+
+EDGE, SHEAR = 6.0, 0.37
+FLOW = ["velocity", "velocity_gradient", "shear_rate", "granular_temperature", "kinetic_stress"]
+
+
+def sheared(noise=0.0, wrapped=False):
+    """Grains in a linear shear between images that move; those written another period further on have its velocity."""
+    rng = np.random.default_rng(0)
+    position = rng.uniform(0, EDGE, (400, 3))
+    if wrapped:
+        position[:, 1] += EDGE * rng.integers(-1, 2, len(position))
+    velocity = noise * np.random.default_rng(5).normal(size=(400, 3)) + 0.4
+    velocity[:, 0] += SHEAR * position[:, 1]
+    return xcg.scene_from_arrays(
+        position, velocity=velocity, diameter=np.full(400, 0.5), density=1.0, box=[[0, EDGE]] * 3, periodic="xyz",
+        lattice={"xy": 0.0}, shear_rate={"xy": SHEAR},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("lazy", [False, True], ids=["eager", "lazy"])
+@pytest.mark.parametrize("axes", ["", "x", "z", "xz", "y"])
+def test_a_sheared_box_has_its_rate(axes, lazy):
+    ds = sheared(wrapped=axes != "y")
+    f = (ds.chunk(time=1) if lazy else ds).cg.coarse_grain(FLOW, axes=axes).compute()
+    expected = np.zeros((3, 3))
+    expected[0, 1] = SHEAR
+    np.testing.assert_allclose(f.velocity_gradient, np.broadcast_to(expected, f.velocity_gradient.shape), atol=1e-13)
+    np.testing.assert_allclose(f.shear_rate, SHEAR, rtol=1e-12)
+    assert float(f.granular_temperature.max()) < 1e-15
+    if "y" not in axes:
+        assert float(abs(f.kinetic_stress).max()) < 1e-25
+        np.testing.assert_allclose(f.velocity.sel(component="x"), 0.4 + SHEAR * EDGE / 2, rtol=1e-12)
+
+
+@pytest.mark.parametrize("axes", ["", "xz"])
+def test_results_do_not_depend_on_how_grains_are_written(axes):
+    one, other = (sheared(noise=0.2, wrapped=w).cg.coarse_grain(FLOW, axes=axes) for w in (False, True))
+    for name in FLOW:
+        np.testing.assert_allclose(one[name], other[name], rtol=1e-10, atol=1e-12)
+    assert float(one.granular_temperature.mean()) == pytest.approx(0.04, rel=0.1)
+
+
+def test_a_periodic_box_at_rest_has_none():
+    ds = xcg.datasets.random_scene(50)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        f = ds.cg.coarse_grain(["velocity_gradient", "inertial_number"], axes="")
+    assert not f.velocity_gradient.any()
+    assert (f.inertial_number == 0).all()
+
+
+@pytest.mark.parametrize("lazy", [False, True], ids=["eager", "lazy"])
+@pytest.mark.parametrize("gradient", ["least_squares", "kernel"])
+def test_between_walls_it_is_unknown_and_a_warning_tells_the_way_out(gradient, lazy):
+    ds = xcg.datasets.random_scene(50, periodic="xy")
+    ds = ds.chunk(time=1) if lazy else ds
+    names = ["velocity_gradient", "shear_rate", "vorticity", "inertial_number", "pressure"]
+    with pytest.warns(SceneWarning, match=r"shear_rate, vorticity, inertial_number: NaN, .* axes='z'") as told:
+        f = ds.cg.coarse_grain(names, axes="", extent={"z": 5.0}, gradient=gradient).compute()
+    assert len(told) == 1
+    for name in names[:4]:
+        assert f[name].isnull().all()
+    assert f.pressure.notnull().all()
+
+
+def test_fields_that_do_not_follow_from_it_are_not_warned_of():
+    ds = xcg.datasets.random_scene(50, periodic="xy")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        f = ds.cg.coarse_grain(["stress", "granular_temperature"], axes="", extent={"z": 5.0})
+    assert np.isfinite(f.granular_temperature).all()
