@@ -50,7 +50,7 @@ def _internal_error(method, arguments):
 
 @pytest.mark.parametrize("lazy", [False, True], ids=["eager", "lazy"])
 @pytest.mark.parametrize(("kind", "name"), METHODS)
-def test_wrong_arguments_raise_one_error(kind, name, lazy):
+def test_wrong_arguments_raise_an_error_without_a_context(kind, name, lazy):
     ds = KINDS[kind]()
     ds = ds.chunk(time=1) if lazy else ds
     method = getattr(ds.cg, name)
@@ -78,7 +78,7 @@ SHOWN = {
 
 
 @pytest.mark.parametrize("name", SHOWN)
-def test_wrong_arguments_of_what_draws_or_writes_raise_one_error(name, tmp_path, monkeypatch):
+def test_wrong_arguments_of_plots_and_writers_raise_an_error_without_a_context(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     method = vars(CoarseGrainAccessor)[name]
     for kind in method.kinds:
@@ -117,7 +117,7 @@ NEEDED = {
 
 
 @pytest.mark.parametrize("name", NEEDED)
-def test_wrong_arguments_of_other_functions_raise_one_error(name):
+def test_wrong_arguments_of_other_functions_raise_an_error_without_a_context(name):
     function, needed = getattr(xcg, name), NEEDED[name]
     for parameter in inspect.signature(function).parameters:
         if parameter in FREE:

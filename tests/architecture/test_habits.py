@@ -22,7 +22,7 @@ def scene():
 TABLES = (registry.FIELDS, VARIABLES, BOX, QUANTITIES, RESULTS)
 
 
-def test_units_as_text_are_those_of_their_powers():
+def test_units_in_the_tables_are_canonical():
     for row in (row for table in TABLES for row in table.values()):
         assert units_of(powers_of(row.units)) == row.units == units_in(row.units, "SI"), row
         assert units_in(row.units, "reduced") == "1"
@@ -59,7 +59,7 @@ def test_pint_reads_all_units():
         lambda ds: ds.cg.particle_stress(),
     ],
 )
-def test_pint_xarray_quantifies_what_there_is(scene, make):
+def test_pint_xarray_quantifies_scenes_and_results(scene, make):
     pytest.importorskip("pint_xarray")
     ds = make(scene)
     quantified = ds.pint.quantify()
@@ -69,14 +69,14 @@ def test_pint_xarray_quantifies_what_there_is(scene, make):
         np.testing.assert_array_equal(back[name], ds[name])
 
 
-def test_quantities_convert(scene):
+def test_pint_converts_units_of_results(scene):
     pytest.importorskip("pint_xarray")
     f = scene.cg.coarse_grain(["density", "stress"], axes="z")
     density = f.pint.quantify().density.pint.to("g/cm^3")
     np.testing.assert_allclose(density.pint.magnitude, f.density / 1000, rtol=1e-15)
 
 
-def test_quantities_are_saved_as_numbers(scene, tmp_path):
+def test_quantified_results_are_not_saved_until_dequantified(scene, tmp_path):
     pytest.importorskip("pint_xarray")
     f = scene.cg.coarse_grain(["density"], axes="z").pint.quantify()
     with pytest.raises(TypeError, match=r"density.*: expected plain numbers.*dequantify"):
@@ -95,7 +95,7 @@ def test_results_reopen_with_their_accessor(scene, tmp_path, ending):
     assert {"profile", "save", "to_vtkhdf"} <= set(dir(again.cg))
 
 
-def test_the_first_plot_of_the_readme_lies_the_right_way_round(scene):
+def test_the_first_plot_of_the_readme_has_x_across_and_z_up(scene):
     """The x axis is across, and z is up."""
     pyplot = pytest.importorskip("matplotlib.pyplot")
     page = (ROOT / "README.md").read_text()

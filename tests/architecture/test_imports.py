@@ -71,7 +71,7 @@ for name in ("xarray", "dask", "pandas", "vtk"):
     assert done.returncode == 0, done.stderr
 
 
-def test_import_defers_what_is_heavy():
+def test_import_of_the_package_loads_no_heavy_library():
     heavy = ("vtk", "vtkmodules", "matplotlib", "sklearn", "h5py", "click", "dask", "numba", "scipy")
     done = run(f"import sys, xcg; print([m for m in {heavy} if m in sys.modules])")
     assert done.stdout.strip() == "[]", done.stdout + done.stderr
@@ -81,7 +81,7 @@ def test_import_defers_what_is_heavy():
     ("folder", "floors"),
     [(PACKAGE, FLOORS), *((PACKAGE / room, floors) for room, floors in INSIDE.items())],
 )
-def test_the_list_of_files_is_the_architecture(folder, floors):
+def test_all_rooms_and_modules_are_listed(folder, floors):
     found = {f.stem for f in folder.iterdir() if f.suffix == ".py" or (f.is_dir() and any(f.glob("*.py")))}
     assert found == {room for floor in floors for room in floor}
 
@@ -173,7 +173,7 @@ def test_completion_shows_public_names_only():
     assert done.stdout.startswith("True"), done.stdout + done.stderr
 
 
-def test_names_are_loaded_from_where_editors_are_told():
+def test_names_are_imported_from_where_the_stub_says():
     stub = ast.parse((PACKAGE / "__init__.pyi").read_text())
     told = [ast.literal_eval(node.value) for node in stub.body if isinstance(node, ast.Assign)]
     done = run("import xcg; print(xcg.__all__)")
@@ -182,7 +182,7 @@ def test_names_are_loaded_from_where_editors_are_told():
     assert done.stdout.strip() == "set()", done.stdout + done.stderr
 
 
-def test_other_names_are_refused():
+def test_unknown_names_raise_attribute_error():
     done = run("import xcg; xcg.schema")
     assert "AttributeError: No xcg attribute schema" in done.stderr
 
@@ -192,7 +192,7 @@ def test_every_dataset_has_the_accessor_once_the_package_is_imported():
     assert done.stdout.strip() == "CoarseGrainAccessor", done.stdout + done.stderr
 
 
-def test_a_method_loads_the_rooms_that_it_passes():
+def test_a_method_loads_only_the_rooms_it_uses():
     rooms = ("chains", "packing", "readers", "writers", "datasets", "fields.analysis")
     code = (
         "import sys, xarray as xr, xcg; xr.Dataset().cg.coarse_grain; print('xcg.fields.coarse_grain' in sys.modules, "
@@ -201,7 +201,7 @@ def test_a_method_loads_the_rooms_that_it_passes():
     assert done.stdout.strip() == "True []", done.stdout + done.stderr
 
 
-def test_editors_are_told_of_each_method():
+def test_the_stub_lists_each_method_of_the_accessor():
     told, has = (
         {target.id for node in ast.walk(ast.parse((PACKAGE / file).read_text())) if isinstance(node, ast.ClassDef)
          and node.name == "CoarseGrainAccessor" for line in node.body if isinstance(line, ast.Assign)

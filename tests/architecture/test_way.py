@@ -59,7 +59,7 @@ def counted(work, folder):
     return json.loads(done.stdout)
 
 
-def test_from_coarse_grain_to_the_loop(tmp_path):
+def test_frames_and_functions_of_coarse_grain_do_not_grow(tmp_path):
     """Two fields of a profile, after a call with others, so that nothing is imported any more."""
     work = """
 ds = xcg.datasets.simple_cubic(3)
@@ -72,7 +72,7 @@ print(json.dumps(count(lambda: ds.cg.coarse_grain(["velocity", "density"], axes=
     assert found["modules"] <= MOST_MODULES
 
 
-def test_opening_two_text_files(tmp_path):
+def test_functions_of_opening_two_text_files_do_not_grow(tmp_path):
     dumps.write_series(tmp_path, steps=[0])
     work = """
 files = {"particles": "p.0.dump", "contacts": "c.0.dump"}

@@ -12,7 +12,7 @@ EXAMPLES = ROOT / "examples" / "data"
 
 
 @pytest.mark.parametrize("periodic", ["", "xy", "xyz"])
-def test_brute_force(periodic):
+def test_stress_equals_brute_force(periodic):
     """Loop over contacts, both sides, walls, nearest images."""
     ds = xcg.datasets.random_scene(80, seed=3, periodic=periodic)
     stress = np.zeros((80, 3, 3))
@@ -87,7 +87,7 @@ def test_discs_take_the_thickness_of_the_layer():
         network(**chain).cg.particle_stress(volume="disc")
 
 
-def test_branches_from_overlaps():
+def test_branches_follow_from_overlaps():
     """Rounded positions do not matter where the overlap is known; other bodies keep their contact points."""
     overlap = np.array([0.1, 0.1])
     position = np.array([(0.0, 0, 0), (0.9004, 0, 0), (1.8, 0, 0)])

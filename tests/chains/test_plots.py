@@ -57,14 +57,14 @@ def test_plot_rose():
     np.testing.assert_allclose(heights[:6], heights[6:])  # both ways
 
 
-def test_nothing_to_draw():
+def test_plots_of_no_chains_are_empty():
     fc = fork().cg.force_chains(threshold=1e9)
     fc.cg.plot_chains()
     fc.cg.plot_rose(ax=plt.figure().add_subplot(projection="polar"))
     fc.cg.plot_lengths(ax=plt.figure().add_subplot())
 
 
-def test_example(tmp_path, capsys):
+def test_the_example_script_runs(tmp_path, capsys):
     """Chains of a sheared layer lie along the compressive diagonal."""
     example = runpy.run_path(str(ROOT / "examples" / "force_chains.py"))
     example["main"](tmp_path)
@@ -72,7 +72,7 @@ def test_example(tmp_path, capsys):
     assert (tmp_path / "chains.png").stat().st_size > 1e5
 
 
-def test_refused():
+def test_wrong_plots_raise():
     fc = fork().cg.force_chains()
     with pytest.raises(ValueError, match="colour='red'"):
         fc.cg.plot_chains(colour="red")

@@ -27,7 +27,7 @@ def chains_over_time(*steps):
     ).cg.force_chains()  # fmt: skip
 
 
-def test_life_of_chains():
+def test_births_deaths_and_lifetimes_of_tracked_chains():
     fc = chains_over_time(
         [[0, 1, 2, 3], [4, 5, 6]],  # two chains
         [[4, 5, 6], [0, 1, 2]],  # the first loses a grain
@@ -46,7 +46,7 @@ def test_life_of_chains():
     assert tracks.equals(fc.chunk(time=1).cg.track_chains(overlap=0.5))
 
 
-def test_least_share():
+def test_a_chain_survives_with_at_least_the_given_overlap():
     fc = chains_over_time([[0, 1, 2, 3]], [[0, 1, 2]])
     assert fc.cg.track_chains(overlap=0.75).survivors.values.tolist() == [0, 1]
     assert fc.cg.track_chains(overlap=0.76).survivors.values.tolist() == [0, 0]
@@ -59,13 +59,13 @@ def test_a_chain_that_splits_lives_on_in_the_larger_part():
     assert tracks.births.values.tolist() == [1, 1]
 
 
-def test_no_chains():
+def test_tracks_of_no_chains_are_empty():
     tracks = chains_over_time([], [[0, 1, 2]], []).cg.track_chains()
     assert tracks.births.values.tolist() == [0, 1, 0]
     assert tracks.deaths.values.tolist() == [0, 0, 1]
 
 
-def test_wrong_arguments():
+def test_wrong_arguments_raise():
     fc = chains_over_time([[0, 1, 2]])
     with pytest.raises(ValueError, match="overlap=0: expected a share"):
         fc.cg.track_chains(overlap=0)

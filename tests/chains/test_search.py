@@ -23,7 +23,7 @@ def columns():
 # --- fabricated networks ---------------------------------------------------------------------------------
 
 
-def test_nine_particles():
+def test_chains_of_nine_particles():
     """All contacts at 90 degrees, straight chains at 45, and a network split where chains must not branch."""
     ds = nine_particles()
     assert chains_of(ds.cg.force_chains(alpha=90)) == {frozenset(range(9))}
@@ -32,7 +32,7 @@ def test_nine_particles():
         assert chains_of(ds.cg.force_chains(alpha=alpha, algorithm="peters2005")) == columns()
 
 
-def test_branches():
+def test_a_branching_chain_is_one_chain():
     ds = fork()
     fc = ds.cg.force_chains(alpha=45)
     assert chains_of(fc) == {frozenset(range(9))}
@@ -46,7 +46,7 @@ def test_branches():
     assert (linear.links.values <= 2).all()
 
 
-def test_ring_merges_again():
+def test_chains_that_part_and_merge_are_one_ring():
     """A ring is one chain with as many links as grains, and each particle has two."""
     angle = 2 * np.pi * np.arange(8) / 8
     position = np.stack([np.cos(angle), np.sin(angle)], axis=1) / (2 * np.sin(np.pi / 8))
@@ -116,7 +116,7 @@ def test_threshold_and_least_length():
     assert chains_of(ds.cg.force_chains(min_length=9)) == {frozenset(range(9))}
 
 
-def test_tension_makes_no_chains():
+def test_contacts_in_tension_make_no_chains():
     assert (
         nine_particles().pipe(lambda ds: ds.assign(contact_force=-ds.contact_force)).cg.force_chains().chain_count == 0
     )
@@ -138,7 +138,7 @@ def test_several_contacts_of_a_pair_are_one_link():
     assert fc.link_chain.values[0].tolist() == [0, -1, 0, 0, -1]
 
 
-def test_statistics():
+def test_numbers_and_lengths_of_chains():
     ds = network(
         np.arange(12)[:, None], [(0, 1), (1, 2), (3, 4), (4, 5), (6, 7), (7, 8), (8, 9), (9, 10), (10, 11)], np.ones(9)
     )
@@ -153,7 +153,7 @@ def test_statistics():
     assert share.sum().item() == pytest.approx(1)
 
 
-def test_tables():
+def test_tables_of_chains_and_links():
     fc = fork().cg.force_chains()
     assert repr(fc.cg).startswith("force chains of 1 time, 9 particle, 8 contact")
     chains, links = fc.cg.chain_table(), fc.cg.link_table()
@@ -176,7 +176,7 @@ def compression():
 
 @pytest.mark.parametrize(("alpha", "name"), [(45, "pi_4"), (22.5, "pi_8")])
 @pytest.mark.parametrize(("t", "step"), [(0, 1500), (1, 3500)])
-def test_force_chain_finder(compression, t, step, alpha, name):
+def test_chains_equal_those_of_force_chain_finder(compression, t, step, alpha, name):
     """Every chain of the shipped files, under its number, with the particle that each was reached from."""
     rows = read_fcf(shared_data("force_chain_finder") / f"forceChains_{step}_{name}.csv")
     fc = compression.cg.force_chains(alpha=alpha, symmetric=False).isel(time=t)
@@ -281,7 +281,7 @@ def test_ninety_degrees_are_connected_components(ds, threshold, seed):
     one_sided=st.booleans(),
     algorithm=st.sampled_from(["branching", "peters2005"]),
 )
-def test_what_holds_for_any_chains(ds, alpha, one_sided, algorithm):
+def test_labels_links_and_counts_are_consistent(ds, alpha, one_sided, algorithm):
     fc = ds.cg.force_chains(alpha=alpha, one_sided=one_sided, algorithm=algorithm).isel(time=0)
     chain, link, links = fc.chain_id.values, fc.link_chain.values, fc.links.values
     i, j, on = fc.contact_i.values, fc.contact_j.values, fc.link_chain.values >= 0
@@ -355,7 +355,7 @@ def test_memory_grows_in_proportion():
     assert peaks[1] == pytest.approx(peaks[0], rel=0.2)
 
 
-def test_netcdf(tmp_path):
+def test_chains_written_to_netcdf_read_back_equal(tmp_path):
     fc = series().cg.force_chains(threshold="mean")
     fc.to_netcdf(tmp_path / "fc.nc")
     with xr.open_dataset(tmp_path / "fc.nc") as back:
@@ -378,12 +378,12 @@ def test_netcdf(tmp_path):
         ({"volume": "area"}, "volume='area': expected 'particle'"),
     ],
 )
-def test_wrong_arguments(wrong, message):
+def test_wrong_arguments_raise(wrong, message):
     with pytest.raises(ValueError, match=message):
         nine_particles().cg.force_chains(**wrong)
 
 
-def test_scenes_that_lack_something():
+def test_missing_contact_forces_raise():
     ds = nine_particles()
     with pytest.raises(xcg.SceneError, match=r"force_chains needs \['contact_force'\]"):
         ds.drop_vars("contact_force").cg.force_chains()
@@ -393,7 +393,7 @@ def test_scenes_that_lack_something():
 
 
 @pytest.mark.parametrize("particles", [0, 1, 2])
-def test_hardly_any_particles(particles):
+def test_scenes_of_up_to_two_particles(particles):
     fc = xcg.datasets.random_scene(particles).cg.force_chains()
     assert fc.chain_count.item() == 0
     assert fc.cg.chain_table().empty

@@ -21,7 +21,7 @@ def three_chains():
     return ds.assign(contact_force=ds.contact_force * xr.where(second, 3.0, 1.0)).cg.force_chains()
 
 
-def test_regions_any_and_all():
+def test_chains_with_any_or_all_particles_in_a_region():
     fc = three_chains()
     corner = xcg.BoxRegion((-0.5, -0.5, -1), (1.5, 1.5, 1))
     assert chains_of(fc.cg.select_chains(corner)) == {frozenset([0, 1, 2]), frozenset([3, 4, 5])}
@@ -54,7 +54,7 @@ def test_the_least_stress_is_included():
     assert chains_of(fc.cg.select_chains(min_stress=np.nextafter(largest, np.inf))) == set()
 
 
-def test_what_is_left_is_consistent():
+def test_counts_and_tables_of_selected_chains_are_consistent():
     fc = three_chains()
     some = fc.cg.select_chains(xcg.Sphere((1, 0, 0), 0.1))
     assert some.chain_id.values[0].tolist() == [-1, -1, -1, 1, 1, 1, -1, -1, -1]  # chains keep their numbers
@@ -86,7 +86,7 @@ def test_moving_region_follows_time():
     assert [chains_of(moving, t) for t in range(3)] == [{frozenset(range(3 * t, 3 * t + 3))} for t in range(3)]
 
 
-def test_wrong_arguments():
+def test_wrong_regions_and_limits_raise():
     fc = three_chains()
     with pytest.raises(ValueError, match="of='most': expected 'any' or 'all'"):
         fc.cg.select_chains(EVERYWHERE, of="most")
@@ -123,7 +123,7 @@ def inside(region, time=0.0, period=OPEN):
     return FRAME["particle_id"][region.contains(FRAME, time, Lattice(period))].tolist()
 
 
-def test_box():
+def test_particles_in_a_box():
     assert inside(BoxRegion((0, 0, 0), (1.5, 1, 1))) == [2, 5]  # faces belong to it
     assert inside(BoxRegion((1, -np.inf, -np.inf), (np.inf, np.inf, np.inf))) == [5, 7, 11]
     assert inside(BoxRegion((1, 0, 0), (2, 1, 1), velocity=(2, 0, 0)), time=1.0) == [7]
@@ -131,20 +131,20 @@ def test_box():
     assert inside(BoxRegion((-2, -1, -1), (2, 1, 1), follow=3)) == []
 
 
-def test_sphere():
+def test_particles_in_a_sphere():
     assert inside(Sphere((0.5, 0.5, 0.5), 1.0)) == [2, 5]
     assert inside(Sphere((0.5, 0.5, 0.5), 0.5, velocity=(1, 0, 0)), time=1.0) == [5]
     assert inside(Sphere((0, 0, 0), 2.4, follow=7)) == [5, 7]
 
 
-def test_periodic_images_count():
+def test_regions_reach_across_periodic_edges():
     period = np.array([4.0, np.inf, np.inf])
     assert inside(Sphere((0, 0.5, 0.5), 0.5), period=period) == [2, 7]
     assert inside(BoxRegion((-0.2, 0, 0), (0.2, 1, 1)), period=period) == [7]
     assert inside(BoxRegion((0, 0, 0), (1, 1, 1), velocity=(4, 0, 0)), time=3.0, period=period) == [2]
 
 
-def test_combinations():
+def test_regions_are_intersected_united_and_inverted():
     left, low = BoxRegion((0, 0, 0), (2, 4, 4)), BoxRegion((0, 0, 0), (4, 1, 1))
     assert inside(left & low) == [2, 5]
     assert inside(left | low) == [2, 5, 7, 11]
@@ -161,10 +161,10 @@ def test_combinations():
         (lambda: Sphere((0, 0, 0), 1, velocity=(1, 0, 0), follow=3), "expected one of the two"),
     ],
 )
-def test_wrong_regions(make, message):
+def test_wrong_regions_raise(make, message):
     with pytest.raises(ValueError, match=message):
         make()
 
 
-def test_the_old_name_stays_for_a_release():
+def test_xcg_box_is_an_alias_of_box_region():
     assert xcg.Box is xcg.BoxRegion

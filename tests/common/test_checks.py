@@ -43,7 +43,7 @@ def scene():
         ({"friction": "0.5"}, "friction='0.5': expected a coefficient of friction"),
     ],
 )
-def test_of_coarse_grain(scene, options, match):
+def test_wrong_arguments_of_coarse_grain_are_named(scene, options, match):
     with pytest.raises(ValueError, match=match):
         scene.cg.coarse_grain(**{"fields": "density", **options})
 
@@ -73,7 +73,7 @@ def test_of_coarse_grain(scene, options, match):
         (lambda ds: xcg.Plane(point=("a", 0, 0), normal=(0, 0, 1)), r"point=\('a', 0, 0\): expected three finite"),
     ],
 )
-def test_of_other_calls(scene, call, match):
+def test_wrong_arguments_of_other_calls_are_named(scene, call, match):
     with pytest.raises(ValueError, match=match):
         call(scene)
 
@@ -94,12 +94,12 @@ def test_of_other_calls(scene, call, match):
         ({"timestep": "a"}, "timestep='a': expected a positive number"),
     ],
 )
-def test_of_files(options, match):
+def test_wrong_arguments_of_open_scene_are_named(options, match):
     with pytest.raises(xcg.SceneError, match=match):
         xcg.open_scene(DUMP, **options)
 
 
-def test_numbers_of_data_are_told_as_they_are_written():
+def test_messages_print_numbers_as_written():
     given = {"position": np.eye(3), "diameter": np.ones(3), "density": 1.0}
     for options, match in (
         ({"diameter": np.array([1, -0.5, 1])}, "'diameter' of particle 1 is -0.5; expected"),
@@ -113,7 +113,7 @@ def test_numbers_of_data_are_told_as_they_are_written():
             xcg.scene_from_arrays(**(given | options))
 
 
-def test_numbers_are_told_from_texts():
+def test_numbers_are_distinguished_from_text_and_booleans():
     for number in (2, 2.0, np.float32(2), np.array(2), Fraction(2), True + 1):
         assert is_whole(number, 1, 2)
         assert not is_whole(number, 3)
@@ -131,11 +131,11 @@ def test_numbers_are_told_from_texts():
         assert np.isnan(floats(other))
 
 
-def test_friction_is_left_out_by_fields_that_do_not_take_it(scene):
+def test_friction_is_ignored_by_fields_that_do_not_use_it(scene):
     xr.testing.assert_equal(scene.cg.coarse_grain("density", friction=0.5), scene.cg.coarse_grain("density"))
 
 
-def test_choices_in_annotations_are_those_that_are_taken():
+def test_choices_in_annotations_are_the_valid_ones():
     """Each list of choices is a Literal; tables that a choice is looked up in have a row for each."""
     ways = {option: set[str]() for option in ("gradient", "size", "temperature")}
     for option, rows in WAYS.values():
@@ -153,6 +153,6 @@ def test_choices_in_annotations_are_those_that_are_taken():
     ("gradient", Gradient), ("deviatoric", Deviatoric), ("size", InertialSize), ("temperature", Temperature),
     ("sampling", Sampling), ("preset", Preset), ("per", Per), ("on_error", OnError),
 ])  # fmt: skip
-def test_a_wrong_choice_names_those_there_are(name, choices):
+def test_a_wrong_choice_lists_the_valid_ones(name, choices):
     with pytest.raises(ValueError, match="(?s)" + ".*".join((f"{name}='other'", *get_args(choices)))):
         xcg.datasets.simple_cubic(3).cg.coarse_grain("density", axes="z", **{name: "other"})

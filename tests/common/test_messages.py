@@ -42,7 +42,7 @@ def ds():
     return xcg.scene_from_arrays(np.zeros((6, 1, 3)), diameter=np.ones((6, 1)), density=1.0)
 
 
-def test_the_line_is_that_of_the_call(ds):
+def test_warnings_point_at_the_line_of_the_call(ds):
     options = {"spacing": 9.0, "width": 1.0, "bounds": {"z": (-9, 9)}, "axes": "z", "extent": {"x": 1, "y": 1}}
     with pytest.warns(xcg.SceneWarning, match="larger than the support") as said:
         ds.cg.coarse_grain("density", **options)  # by the accessor
@@ -53,7 +53,7 @@ def test_the_line_is_that_of_the_call(ds):
     assert line_of(said[0], "# as a function")
 
 
-def test_in_memory_a_step_in_doubt_is_told_once(ds):
+def test_a_call_in_memory_warns_once(ds):
     with pytest.warns(xcg.SceneWarning, match="step 0 is doubtful") as said:
         mapped(ds)
     assert len(said) == 1
@@ -62,7 +62,7 @@ def test_in_memory_a_step_in_doubt_is_told_once(ds):
 
 
 @pytest.mark.parametrize("scheduler", ["threads", "sync"])
-def test_lazy_calls_tell_once(ds, scheduler):
+def test_a_lazy_call_warns_once(ds, scheduler):
     a = mapped(ds.chunk(time=1))
     with pytest.warns(xcg.SceneWarning, match="is doubtful") as said, dask.config.set(scheduler=scheduler):
         a.compute()
@@ -70,19 +70,19 @@ def test_lazy_calls_tell_once(ds, scheduler):
 
 
 @pytest.mark.parametrize("scheduler", ["threads", "sync"])
-def test_lazy_calls_point_at_the_line_that_computes(scheduler):
+def test_warnings_of_lazy_calls_point_at_the_line_that_computes(scheduler):
     f = without_box().chunk(time=1).cg.coarse_grain("density", axes="z", on_error="skip")
     with pytest.warns(SkippedStep) as said, dask.config.set(scheduler=scheduler):
         f.compute()  # here
     assert line_of(said[0], "# here")
 
 
-def test_equal_calls_have_equal_names(ds):
+def test_equal_calls_have_equal_names_in_dask(ds):
     lazy = ds.chunk(time=1)
     assert mapped(lazy).name == mapped(lazy).name
 
 
-def test_copies_know_what_was_said():
+def test_unpickled_copies_do_not_repeat_a_warning():
     once = Once()
     copy = pickle.loads(pickle.dumps(once))
     with pytest.warns(xcg.SceneWarning, match="first"):
@@ -92,7 +92,7 @@ def test_copies_know_what_was_said():
         copy.warn("b", "third")
 
 
-def test_from_a_thread_of_the_user():
+def test_warnings_from_a_user_thread_point_at_its_line():
     def work():
         warn_user("from a thread")  # the thread's own line
 
@@ -101,7 +101,7 @@ def test_from_a_thread_of_the_user():
     assert line_of(said[0], "# the thread's own line")
 
 
-def test_workers_tell_their_client():
+def test_warnings_of_workers_reach_the_client():
     cluster = distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=True, dashboard_address=":0")
     f = without_box().chunk(time=1).cg.coarse_grain("density", axes="z", on_error="skip")
     with cluster, distributed.Client(cluster), pytest.warns(SkippedStep, match="no finite extent"):

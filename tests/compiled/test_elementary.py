@@ -52,7 +52,7 @@ FUNCTIONS = [
 ]
 
 
-def test_logarithms():
+def test_logarithms_are_accurate():
     """To 2e-16 and rounding, times their factors; the same bits uncompiled."""
     rng, room = np.random.default_rng(1), 4096
     ratio = np.concatenate([10.0 ** rng.uniform(0, 290, room // 2), 1.0 + 10.0 ** rng.uniform(-16, 1, room // 2)])
@@ -67,7 +67,7 @@ def test_logarithms():
 
 
 @pytest.mark.parametrize(("function", "other", "arguments", "most"), FUNCTIONS)
-def test_errors_are_as_stated(function, other, arguments, most):
+def test_errors_are_within_the_stated_bounds(function, other, arguments, most):
     x = arguments(np.random.default_rng(0))
     found = np.empty_like(x)
     over_numbers(function)(x, found)
@@ -85,7 +85,7 @@ def test_python_gives_the_bits_of_compiled_code(function):
     np.testing.assert_array_equal(found, [uncompiled(function)(v) for v in x])
 
 
-def test_ends():
+def test_values_at_zero_and_far_out_are_exact():
     """Exact at 0, and nothing but zeros and ones far away."""
     ends = [(elementary.exp, 0.0, 1.0), (elementary.exp, -709.0, 0.0), (elementary.exp, -1e300, 0.0),
             (elementary.expm1, 0.0, 0.0), (elementary.expm1, -1e300, -1.0), (elementary.erf, 0.0, 0.0),

@@ -113,7 +113,7 @@ def test_a_linear_field_is_found_and_leaves_nothing():
     assert (determined == 1.0).all()
 
 
-def test_grains_in_a_plane_tell_nothing_across_it():
+def test_grains_in_a_plane_give_no_gradient_across_it():
     x, mass = grains(6, flat=(2,))
     sums = moments_of(x, x @ SLOPE.T, mass)
     gradient, explained, determined, *_ = parts_of(fit.fit_gradient(sums, active=(True,) * 3, about_node=False))
@@ -124,7 +124,7 @@ def test_grains_in_a_plane_tell_nothing_across_it():
     assert np.isfinite(explained).all()
 
 
-def test_no_grains_one_grain_and_damaged_sums():
+def test_fits_to_no_grain_one_grain_or_damaged_sums_are_nan():
     x, mass = grains(7)
     u = x @ SLOPE.T
     one = np.where(np.arange(40) == 0, 0.0, moments_of(x[:, :1], u[:, :1], mass[:, :1]))

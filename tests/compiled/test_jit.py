@@ -106,25 +106,25 @@ def test_damaged_code_is_made_anew(used, kind, damage):
     assert call(used) == (4, 1)
 
 
-def test_no_folder_can_be_written(package):
+def test_code_runs_where_no_cache_folder_can_be_written(package):
     for place in (package / "home", package / "xcg" / "compiled" / "__pycache__"):
         place.write_text("a file where the folder should be: not even the superuser can write to it")
     assert call(package) == (4, 0)
 
 
-def test_an_index_that_cannot_be_replaced(used):
+def test_code_runs_where_the_cache_index_cannot_be_replaced(used):
     (index,) = used.rglob("outer*.nbi")
     index.unlink()
     (index / "a").mkdir(parents=True)
     assert call(used) == (4, 0)
 
 
-def test_it_can_be_turned_off(used):
+def test_the_cache_can_be_turned_off(used):
     assert call(used, XCG_JIT_CACHE="0") == (4, 0)
 
 
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
-def test_what_is_compiled_for_loops_is_not_called_from_python():
+def test_leaf_functions_cannot_be_called_from_python():
     along = 1.0, 2.0, 3.0
     assert compiled(_dot)(along, along) == 14.0
     with pytest.raises(TypeError, match=r"_dot is compiled for loops; from Python, call _dot\.py_func"):

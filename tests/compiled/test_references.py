@@ -40,7 +40,7 @@ def seen_kernel(name, axes):
 
 @pytest.mark.parametrize("axes", AXES)
 @pytest.mark.parametrize("name", KERNELS)
-def test_points(name, axes):
+def test_deposit_of_points_equals_its_reference(name, axes):
     rng = np.random.default_rng(1)
     block, nodes, places, active = mesh(axes)
     weights, value = seen_kernel(name, axes)
@@ -64,7 +64,7 @@ def test_points(name, axes):
 
 @pytest.mark.parametrize("axes", AXES)
 @pytest.mark.parametrize("name", KERNELS)
-def test_segments(name, axes):
+def test_deposit_of_segments_equals_its_reference(name, axes):
     rng = np.random.default_rng(2)
     block, nodes, places, active = mesh(axes)
     weights, value = seen_kernel(name, axes)

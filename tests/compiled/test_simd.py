@@ -71,7 +71,7 @@ def assert_same_bits(one, other):
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.parametrize(("instruction", "dtype", "shape", "arguments"), ARRAYS)
-def test_instructions_on_arrays_are_what_their_python_says(instruction, dtype, shape, arguments):
+def test_instructions_on_arrays_equal_their_python_functions(instruction, dtype, shape, arguments):
     rng = np.random.default_rng(7)
     call, changed = compiled(instruction, 1 + len(arguments(rng))), False
     for _ in range(30):
@@ -85,7 +85,7 @@ def test_instructions_on_arrays_are_what_their_python_says(instruction, dtype, s
 
 
 @pytest.mark.parametrize("store", [simd.store_number, simd.store_nontemporal])
-def test_numbers_by_their_address(store):
+def test_numbers_are_loaded_and_stored_by_address(store):
     rng = np.random.default_rng(8)
     load, write, fence = compiled(simd.load_number, 2), compiled(store, 3), compiled(simd.store_fence, 0)
     memory = numbers(rng, 40, "float64")
@@ -103,7 +103,7 @@ def test_numbers_by_their_address(store):
 
 @pytest.mark.parametrize("compresses", sorted({False, simd._COMPRESSES}))
 @pytest.mark.parametrize("dtype", ["float64", "float32", "int32"])
-def test_numbers_that_are_kept(dtype, compresses):
+def test_keep8_compresses_the_numbers_below_one(dtype, compresses):
     rng = np.random.default_rng(10)
     with mock.patch.object(simd, "_COMPRESSES", compresses):
         keep = compiled(simd.keep8, 8)
@@ -121,7 +121,7 @@ def test_numbers_that_are_kept(dtype, compresses):
 
 @pytest.mark.parametrize("compresses", sorted({False, simd._COMPRESSES}))
 @pytest.mark.parametrize("real", ["float64", "float32", None])
-def test_points_that_are_near(real, compresses):
+def test_near_points_are_listed_with_the_same_bits_by_both_forms(real, compresses):
     """Both forms of what lists points write the same bits, of the points that are near, and nothing before them."""
     rng = np.random.default_rng(11)
     px, py, pz = points = rng.uniform(-1, 1, (3, 64))
@@ -161,7 +161,7 @@ def test_points_that_are_near(real, compresses):
                 np.testing.assert_allclose(found[0][0][ALONG, 3 : 3 + count], foot, atol=1e-6)
 
 
-def test_eight_rows_transposed():
+def test_transpose8x8_transposes_eight_rows():
     rng = np.random.default_rng(9)
     memory, call = numbers(rng, 200, "float64"), compiled(simd.transpose8x8, 6)
     at = np.uint64(memory.ctypes.data)

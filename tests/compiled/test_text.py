@@ -90,11 +90,11 @@ def wrong(found, columns=10):
     return [found[k] for k in np.flatnonzero(differs.T)]
 
 
-def test_numbers_of_every_shape():
+def test_numbers_are_the_nearest_float64():
     assert wrong(words(220_000)) == []
 
 
-def test_digits_without_the_compiler():
+def test_numbers_are_the_same_without_the_compiler():
     """The loop is the same Python function: eight digits at a time, products of 128 bits."""
     code = """
 import numba, numpy as np
@@ -109,7 +109,7 @@ assert wrong(words(880, seed=1)) == []
 
 
 @pytest.mark.parametrize("most", [4, 7, 8, 9, 17, 19])
-def test_few_are_left_to_python(most):
+def test_usual_numbers_are_decided_by_compiled_code(most):
     """Usual numbers are decided by compiled code."""
     rng = random.Random(most)
     for _ in range(2000):
@@ -128,7 +128,7 @@ def test_few_are_left_to_python(most):
      "١٢", "1e+٣", "infinit", "1:2", "1/2", "12345678:", "1.:", "1.0000000:", "e-05", "-e-05", "1e--5", "1e+-5"],
 )  # fmt: skip
 @pytest.mark.parametrize("other", ["1", "-0.5", "1e-05"])
-def test_what_is_no_number(word, other):
+def test_words_that_are_no_numbers_raise(word, other):
     body = f"{other} {other}\n{other} {word}\n{other} {other}\n".encode()
     with pytest.raises(SceneError, match="file: row 1 has"):
         parse_table(body, ("a", "b"), ("a", "b"), 3, "file")

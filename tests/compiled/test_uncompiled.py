@@ -35,7 +35,7 @@ def all_fields():
     return {f"{name}, {field}": f[field].values for name, f in results.items() for field in f.data_vars}
 
 
-def test_python_gives_the_bits_of_compiled_code(tmp_path):
+def test_fields_in_python_have_the_bits_of_compiled_code(tmp_path):
     """Kernels of polynomials, roots, exp and erf; log and arcs come from the same library of C here and there."""
     path = tmp_path / "fields.npz"
     code = f"""

@@ -53,7 +53,7 @@ def test_contact_stress_keeps_its_promise(errors):
     assert points[5] > 1e-7
 
 
-def test_tables_err_by_the_width_of_their_bins(errors):
+def test_errors_of_kernel_tables_scale_with_their_bins(errors):
     error = errors(accuracy.volume_fraction)
     assert error["kernel evaluated", "evaluated"] < 1e-14
     assert 1e-8 < error["weights in single precision", "single precision"] < 1e-6
@@ -63,7 +63,7 @@ def test_tables_err_by_the_width_of_their_bins(errors):
         assert 0.5 / bins**2 < error["table, interpolated", f"{bins} bins"] < 10 / bins**2
 
 
-def test_raw_moments_lose_digits_and_ours_do_not(errors):
+def test_raw_moments_lose_digits_and_relative_ones_do_not(errors):
     error = errors(accuracy.kinetic_stress)
     for speed in (1e3, 1e6):
         series = f"V / v' = {speed:.0e}"
@@ -73,7 +73,7 @@ def test_raw_moments_lose_digits_and_ours_do_not(errors):
     assert error["V / v' = 1e+06", "raw moments"] > 1e-6
 
 
-def test_temperature_of_shear_is_zero_by_least_squares_only(errors):
+def test_only_least_squares_gives_zero_temperature_in_shear(errors):
     error = errors(accuracy.temperature)
     alone = {name: e for (series, name), e in error.items() if series == "shear alone"}
     assert alone.pop("linear, least squares") < 1e-13
@@ -112,7 +112,7 @@ def test_marginals_are_exact_and_meshes_are_not(errors):
 
 
 @pytest.mark.parametrize("name", ["volume_fraction", "contact_stress"])
-def test_what_interpolation_between_nodes_costs(name):
+def test_interpolation_between_nodes_errs_as_documented(name):
     """What docs/evaluation.md says of finer meshes."""
     ds = accuracy.packing(PARTICLES)
     box = ds.attrs["box_upper"]
@@ -148,7 +148,7 @@ def test_velocity_at_grains_is_the_field_there():
         np.testing.assert_allclose(found[i], f.velocity.values[0], atol=1e-12)
 
 
-def test_front_is_what_nothing_beats():
+def test_the_front_has_the_points_that_no_other_beats():
     way = accuracy.Way("", lambda: None, 0.0, "")
     points = [accuracy.Point(way, t, e) for t, e in ((1, 1e-2), (2, 1e-2), (3, 1e-4), (4, 1e-3), (5, 1e-9))]
     assert [p.time for p in accuracy.front(points)] == [1, 3, 5]
@@ -166,7 +166,7 @@ def test_no_contact_of_a_packing_crosses_an_edge_that_is_not_periodic(periodic):
 
 
 @pytest.mark.parametrize(("particles", "contacts"), [(1, 0.0), (2, 0.5), (1000, 3.0), (1234, 3.0), (4000, 2.0)])
-def test_dense_packing(particles, contacts):
+def test_the_dense_packing_is_dense(particles, contacts):
     ds = xcg.datasets.dense_packing(particles, diameter=2.0, contacts=contacts)
     volume = np.prod(ds.attrs["box_upper"] - ds.attrs["box_lower"])
     assert ds.sizes["particle"] == particles
@@ -181,7 +181,7 @@ def test_dense_packing(particles, contacts):
         assert len(np.unique(np.sort(np.stack([i, j]), axis=0), axis=1).T) == len(i)
 
 
-def test_the_floor_in_c_is_the_floor():
+def test_the_loop_in_c_adds_the_same_as_in_numba():
     """Both loops add the same: what they are compared by is the same work."""
     in_c = alternatives.multiply_add_in_c()
     if in_c is None:

@@ -11,7 +11,7 @@ from tests import ROOT
 PAGE = (ROOT / "docs" / "cfd_dem.md").read_text()
 
 
-def test_the_example_runs():
+def test_the_example_of_the_page_runs():
     names: dict = {}
     for block in re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL):
         exec(block, names)

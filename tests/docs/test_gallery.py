@@ -35,7 +35,7 @@ CHECKS = {
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
-def test_agrees_with_physics(script, monkeypatch):
+def test_each_script_agrees_with_physics(script, monkeypatch):
     from matplotlib import pyplot as plt
 
     if "cg.view(" in script.read_text():
@@ -60,7 +60,7 @@ def test_agrees_with_physics(script, monkeypatch):
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
-def test_has_the_form_of_the_others(script):
+def test_each_script_has_the_form_of_the_others(script):
     """A title, the script of the simulation, a check, and what to change for other data; data that come with xcg."""
     text = script.read_text()
     assert re.match(r'r?"""\n(.+)\n=+\n', text)

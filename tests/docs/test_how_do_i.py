@@ -68,7 +68,7 @@ def files(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("answer", ANSWERS, ids=lambda text: text.partition("\n")[0].removeprefix("... "))
 @pytest.mark.filterwarnings("ignore")  # of steps of other boxes, of files without units
-def test_answer(answer, setting, files, monkeypatch):
+def test_each_answer_runs(answer, setting, files, monkeypatch):
     (code,) = BLOCK.findall(answer)
     for method, package in OPTIONAL.items():
         if method in code:

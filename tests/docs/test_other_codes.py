@@ -37,7 +37,7 @@ class Sphere:
     radius = 0.5
 
 
-def test_yade(folder):
+def test_recipe_for_yade_opens(folder):
     """The script, in a stand-in of YADE with two grains, a wall and a periodic cell."""
     states = [SimpleNamespace(pos=(k, 0.0, 0.0), vel=(0.1, 0, 0), angVel=(0, 0, k), mass=2.0) for k in range(2)]
     bodies = [SimpleNamespace(id=k, shape=Sphere(), state=s) for k, s in enumerate(states)]
@@ -71,7 +71,7 @@ def test_yade(folder):
     assert np.isfinite(ds.cg.coarse_grain("stress", axes="").stress).all()
 
 
-def test_tables(folder):
+def test_recipe_for_tables_opens(folder):
     scene = datasets.random_scene(20, seed=1)
     x, v = scene.position.values[0].T, scene.velocity.values[0].T
     grains = dict(zip("xyz", x, strict=True)) | dict(zip(("vx", "vy", "vz"), v, strict=True))
@@ -92,7 +92,7 @@ def test_tables(folder):
         np.testing.assert_array_equal(later[name][0], ds[name][1])
 
 
-def test_hdf5(folder):
+def test_recipe_for_hdf5_opens(folder):
     names = {"Particles/Position": np.array([[0.0, 0, 0], [0.9, 0, 0]]), "Particles/Velocity": np.ones((2, 3)),
              "Particles/Ids": [3, 4], "Particles/Radius": [0.5, 0.5], "Contacts/Id1": [3], "Contacts/Id2": [4],
              "Contacts/NormalForce": [[-5.0, 0, 0]], "Contacts/TangentialForce": [[0, 1.0, 0]],

@@ -25,7 +25,7 @@ def anchors_of(path):
 
 
 @pytest.mark.parametrize("page", ["README.md", *(f"docs/{p.name}" for p in (ROOT / "docs").glob("*.md"))])
-def test_links_lead_somewhere(page):
+def test_links_have_targets(page):
     path = ROOT / page
     for target, anchor in re.findall(r"\]\(([^)#\s]*)#?([^)\s]*)\)", path.read_text()):
         if not target.startswith("http"):

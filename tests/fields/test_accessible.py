@@ -38,7 +38,7 @@ def by_points(places, walls, kernel):
 
 @pytest.mark.parametrize("kernel", KERNELS, ids=lambda k: k.name)
 @pytest.mark.parametrize("name", WALLS)
-def test_near_walls_it_is_what_brute_force_gives(name, kernel):
+def test_the_accessible_fraction_near_walls_equals_brute_force(name, kernel):
     rng = np.random.default_rng(0)
     places = rng.uniform(-3, 3, (2000, 3))
     nearest = np.min([wall.distance(places) for wall in WALLS[name]], axis=0)
@@ -48,7 +48,7 @@ def test_near_walls_it_is_what_brute_force_gives(name, kernel):
     assert np.abs(error).max() < 5e-3 + 1e-3
 
 
-def test_beside_a_plane_it_is_a_polynomial():
+def test_the_accessible_fraction_beside_a_plane_is_a_polynomial():
     """The marginal of Lucy's kernel along one axis, integrated by hand."""
     c, x = 1.5, np.linspace(-1.6, 1.6, 41)
     q = np.minimum(np.abs(x) / c, 1)
@@ -77,7 +77,7 @@ BETWEEN = [FLOOR, xcg.Plane((0, 0, 10), (0, 0, -1))]
 NAMES = ["density", "velocity", "kinetic_stress", "pressure", "shear_stress", "friction_coefficient", "sample_count"]
 
 
-def test_per_accessible_volume_the_material_reaches_the_wall(packed):
+def test_density_per_accessible_volume_is_constant_up_to_the_wall(packed):
     given = {"width": 1.5, "axes": "z", "bounds": {"z": (0, 10)}, "spacing": 0.25}
     f = packed.isel(time=[0]).cg.coarse_grain("density", walls=BETWEEN, per="accessible", **given)
     plain = packed.isel(time=[0]).cg.coarse_grain("density", **given)
@@ -118,7 +118,7 @@ def test_sums_are_divided_ratios_stay_and_the_rest_follows():
 
 
 @pytest.mark.parametrize(("axes", "at"), [("z", None), ("xz", None), ("r", {"z": 3.0})])
-def test_averaged_axes(axes, at):
+def test_the_accessible_fraction_with_averaged_axes(axes, at):
     """Averages over the cross-section of a silo see its area, and the floor as a plane does."""
     rng = np.random.default_rng(4)
     grains = xcg.scene_from_arrays(
@@ -140,7 +140,7 @@ def test_averaged_axes(axes, at):
     np.testing.assert_allclose(f, expected, atol=1.5e-3)
 
 
-def test_layers_take_walls_across_them():
+def test_layers_accept_walls_across_them():
     ds = xcg.scene_from_arrays(
         np.array([[1.0, 1, 0], [2, 1, 0], [1, 2, 0]]), diameter=np.ones(3), density=1.0, dimension=2, plane="xy",
         thickness=1.0,
@@ -171,12 +171,12 @@ def test_layers_take_walls_across_them():
         ({"walls": [FLOOR], "kernel": xcg.Lucy(1.0, dimension=2), "axes": "z"}, "kernels of the scene's dimension"),
     ],
 )
-def test_wrong_walls_are_refused(packed, options, message):
+def test_wrong_walls_raise(packed, options, message):
     with pytest.raises(ValueError, match=message):
         packed.cg.coarse_grain(["density"], **options)
 
 
-def test_averages_over_unbounded_space_are_refused():
+def test_averages_over_unbounded_space_raise():
     ds = xcg.scene_from_arrays(np.eye(3), diameter=np.ones(3), density=1.0)
     with pytest.raises(ValueError, match="nor a box bound the space"):
         ds.cg.coarse_grain("density", axes="xy", extent={"z": 1.0}, walls=[FLOOR])

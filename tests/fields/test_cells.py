@@ -85,7 +85,7 @@ def test_polynomials_that_meet_inside_lose_no_mass(profile, error, spacing):
         np.testing.assert_allclose(found, scene.mass.sum(), rtol=error)
 
 
-def test_negative_parts_of_a_kernel_count(scene):
+def test_negative_parts_of_a_kernel_are_averaged(scene):
     xcg.register_kernel("negative", lambda q: (1 - q**2) ** 2 * (1 - 1.5 * q**2))
     found = total(scene, "density", kernel="negative", spacing=0.7, width=1.0)
     assert found == pytest.approx(scene.mass.values.sum(), rel=MASS)
@@ -107,14 +107,14 @@ def test_cells_hold_all_contact_stress(scene, mesh):
     spacing=st.tuples(*[st.floats(0.5, 8.0)] * 2), periodic=st.sampled_from(["", "x", "xz"]),
     kernel=st.sampled_from(KERNELS), axes=st.sampled_from(["xz", "zy"]),
 )  # fmt: skip
-def test_any_spacing_and_any_edges(scene, spacing, periodic, kernel, axes):
+def test_totals_are_kept_at_any_spacing_and_edges(scene, spacing, periodic, kernel, axes):
     ds = scene.assign_attrs(periodic=periodic)
     options = {"axes": axes, "spacing": dict(zip(axes, spacing, strict=True)), "kernel": kernel, "width": 0.4}
     assert total(ds, "density", **options) == pytest.approx(float(ds.mass.sum()), rel=MASS)
 
 
 @pytest.mark.parametrize("periodic", ["", "x"])
-def test_a_layer_and_its_phases(periodic):
+def test_cells_of_a_layer_and_its_phases(periodic):
     rng = np.random.default_rng(1)
     ds = xcg.scene_from_arrays(
         np.column_stack([rng.uniform(0, 6, (30, 2)), np.zeros(30)]), diameter=np.ones(30), density=1.0,
@@ -127,7 +127,7 @@ def test_a_layer_and_its_phases(periodic):
         np.testing.assert_allclose(found, [sum(masses), *masses], rtol=MASS)
 
 
-def test_a_tilted_box():
+def test_cells_in_a_tilted_box():
     """Cells fill the box without its tilt, which holds everything once."""
     rng = np.random.default_rng(4)
     lattice = np.array([[5.0, 0, 0], [2.1, 4.0, 0], [-1.3, 0.7, 6.0]])
@@ -141,7 +141,7 @@ def test_a_tilted_box():
         np.testing.assert_allclose(found, expected, rtol=0, atol=10 * MASS * np.abs(expected).max())
 
 
-def test_a_width_for_each_group(scene):
+def test_cells_with_a_width_for_each_group(scene):
     found = total(scene, "density", spacing=2.0, by="species", width={1: 0.3, 2: 0.6})
     masses = [float(scene.mass.where(scene.species == k).sum()) for k in (1, 2)]
     np.testing.assert_allclose(found, [sum(masses), *masses], rtol=MASS)
@@ -260,7 +260,7 @@ def test_the_temperature_of_a_gas_in_large_cells_is_unbiased():
 # --- what a request says -----------------------------------------------------------------------------------
 
 
-def test_what_has_no_cells_is_refused(scene):
+def test_sampling_without_cells_raises(scene):
     with pytest.raises(ValueError, match="sampling='volume': expected one of node, cell"):
         scene.cg.coarse_grain("density", sampling="volume")
     with pytest.raises(ValueError, match="points, which at= has arrays of, have none"):

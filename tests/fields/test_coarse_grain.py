@@ -93,7 +93,7 @@ CASES = [
 
 @pytest.mark.parametrize("kernel", ["lucy", "gaussian", "shifted gaussian", "heaviside"])
 @pytest.mark.parametrize(("axes", "at"), CASES)
-def test_brute_force_3d(kernel, axes, at):
+def test_fields_in_3d_equal_brute_force(kernel, axes, at):
     ds = xcg.datasets.random_scene(60, periodic="xy", seed=3)
     averaged = 3 - len(axes) - len(at)
     # 64 Gauss points leave 1e-11 of a quotient of marginals, which amplifies the error of its parts
@@ -103,7 +103,7 @@ def test_brute_force_3d(kernel, axes, at):
 
 @pytest.mark.parametrize("kernel", ["lucy", "gaussian", "shifted gaussian", "heaviside"])
 @pytest.mark.parametrize("axes", ["xy", "y"])
-def test_brute_force_2d(kernel, axes):
+def test_fields_in_2d_equal_brute_force(kernel, axes):
     ds = xcg.datasets.random_scene(60, periodic="x", dimension=2, seed=4, thickness=0.5)
     scale = 2.0 if axes == "xy" else 2.0 / 5.0
     f = assert_equals_brute_force(
@@ -130,7 +130,7 @@ def test_support_larger_than_the_box_counts_all_images():
     polydispersity=st.floats(1.0, 20.0),
     offset=st.sampled_from([0.0, 1e4]),
 )
-def test_brute_force_on_any_scene(particles, seed, periodic, width, polydispersity, offset):
+def test_fields_of_any_scene_equal_brute_force(particles, seed, periodic, width, polydispersity, offset):
     ds = xcg.datasets.random_scene(particles, seed=seed, periodic=periodic, polydispersity=polydispersity, edge=3.0)
     ds = ds.assign(position=ds.position + offset, contact_point=ds.contact_point + offset, box=ds.box + offset)
     bounds = dict.fromkeys("xyz", (offset, offset + 3.0))
@@ -267,12 +267,12 @@ def test_linear_flow_is_exact_with_two_widths():
         ({"width": {1: 0.4, 2: 0.9}, "by": "species", "kernel": xcg.Lucy(0.5)}, "and a kernel"),
     ],
 )
-def test_widths_of_groups_are_checked(options, message):
+def test_wrong_widths_of_groups_raise(options, message):
     with pytest.raises(ValueError, match=message):
         xcg.datasets.random_scene(20).cg.coarse_grain("density", **options)
 
 
-def test_one_size_of_grain_needs_one_column():
+def test_equal_diameters_take_one_column():
     """Columns that all grains share are multiples of their number."""
     ds = xcg.datasets.random_scene(60, seed=3)
     d = np.full_like(ds.diameter, 0.7)
@@ -285,7 +285,7 @@ def test_one_size_of_grain_needs_one_column():
     assert loop.call_args.args[0].constants.shape[1] == 4  # one column, and three that fill up the four
 
 
-def test_unknown_group_is_named():
+def test_an_unknown_group_raises():
     ds = xcg.datasets.random_scene(20)
     with pytest.raises(xcg.SceneError, match=r"species=2, which is not among\s+the groups"):
         ds.cg.coarse_grain("density", by="species", groups=[1], width=1.0)
@@ -377,7 +377,7 @@ def test_explain_knows_bodies_and_presets():
 
 
 @pytest.mark.parametrize("row", [0, 7, 19])
-def test_places_that_are_no_numbers_never_reach_the_loops(row):
+def test_positions_that_are_nan_raise(row):
     ds = xcg.datasets.random_scene(20)
     position = ds.position.values.copy()
     position[0, row, 1] = np.nan
@@ -385,7 +385,7 @@ def test_places_that_are_no_numbers_never_reach_the_loops(row):
         ds.assign(position=(ds.position.dims, position)).cg.coarse_grain("density", width=1.0)
 
 
-def test_what_stands_still_takes_less_work_and_gives_the_same():
+def test_leaving_out_zero_velocities_changes_no_bit():
     """Adding zeros or leaving them out: the same bits."""
     ds = xcg.datasets.random_scene(60, seed=4)
     still = ds.assign(velocity=xr.full_like(ds.velocity, 0.3))
@@ -405,7 +405,7 @@ def _as_if_moving(*args):
 
 @pytest.mark.parametrize("rtol", [0.0, 1e-3])
 @pytest.mark.parametrize("long", ["x", "y", "z"])
-def test_threads_and_boxes_leave_every_bit(long, rtol):
+def test_threads_and_blocks_change_no_bit(long, rtol):
     """What is left out in a box of nodes must not change what is added there."""
     ds = xcg.datasets.random_scene(150, seed=12)
     options = {"by": "species", "width": 0.6, "rtol": rtol, "spacing": {a: 0.31 if a == long else 0.7 for a in "xyz"}}
@@ -421,7 +421,7 @@ def test_threads_and_boxes_leave_every_bit(long, rtol):
 
 @pytest.mark.parametrize("gradient", ["least_squares", "paper"])
 @pytest.mark.parametrize("axes", ["xyz", "xz", "z"])
-def test_what_a_fit_leaves_is_what_the_moments_expand_to(axes, gradient):
+def test_fluctuation_stress_is_the_same_with_and_without_phases(axes, gradient):
     """Without phases the part that the fit explains is subtracted, with phases moments are expanded about it."""
     ds = xcg.datasets.random_scene(200, seed=6)
     options = {"axes": axes, "width": 0.7, "spacing": 0.5, "gradient": gradient}
@@ -486,7 +486,7 @@ def test_empty_nodes_are_nan_with_a_count_beside():
     assert np.isnan(f.granular_temperature.values[0, 0])
 
 
-def test_no_particles_at_all():
+def test_fields_of_a_scene_without_particles():
     ds = xcg.datasets.random_scene(0)
     f = ds.cg.coarse_grain(width=1.0)
     assert float(f.density.sum()) == 0
@@ -495,7 +495,7 @@ def test_no_particles_at_all():
 
 
 @pytest.mark.parametrize("none", ["selected", "free"])
-def test_contacts_of_no_particle_add_nothing(none):
+def test_contacts_without_free_particles_add_nothing(none):
     """As where a selection leaves a step without grains, but its contacts; or where all grains are frozen."""
     ds = xcg.datasets.random_scene(20)
     frozen = ds["particle_id"].copy(data=np.ones((1, 20), "int64"))
@@ -547,7 +547,7 @@ def test_given_coordination_number_is_used():
         ({"spacing": 1e-5}, "nodes, more than"),
     ],
 )
-def test_bad_requests(options, message):
+def test_wrong_arguments_raise(options, message):
     ds = xcg.datasets.random_scene(20)
     with pytest.raises(ValueError, match=message):
         ds.cg.coarse_grain(**options)
@@ -566,7 +566,7 @@ def test_average_without_a_box_needs_an_extent():
     assert float(f.density.sum() * 0.05 * 8) == pytest.approx(float(ds.mass.sum()), rel=1e-6)
 
 
-def test_a_dataset_that_is_no_scene():
+def test_a_dataset_that_is_no_scene_raises():
     with pytest.raises(xcg.SceneError, match="open_scene"):
         xr.Dataset({"a": 1.0}).cg.coarse_grain()
 
@@ -579,13 +579,13 @@ def test_preferred_width_and_spacing():
     assert step * f.sizes["x"] == pytest.approx(5.0)
 
 
-def test_only_fields_that_lack_something_are_named():
+def test_messages_name_only_fields_with_missing_variables():
     ds = xcg.scene_from_arrays(np.eye(3), velocity=np.eye(3), diameter=np.ones(3), density=1.0)
     with pytest.raises(xcg.SceneError, match=r"coarse_grain of stress, pressure needs \['contact_force', 'contact_i'"):
         ds.cg.coarse_grain(["density", "stress", "velocity", "pressure"])
 
 
-def test_what_to_do_where_something_is_missing():
+def test_messages_say_how_to_provide_missing_variables():
     ds = xcg.scene_from_arrays(np.eye(3), diameter=np.ones(3))
     with pytest.raises(xcg.SceneError, match=r"contacts= to xcg\.open_scene \(contact_i=.*ds\.cg\.find_contacts"):
         ds.cg.microstructure(["coordination_number"])
@@ -617,7 +617,7 @@ def test_what_to_do_where_something_is_missing():
         ({"frame": "z"}, r"frame='z': expected xcg.Rotated\(...\) or xcg.Cylindrical\(...\)"),
     ],
 )
-def test_arguments_of_another_form_are_told(wrong, message):
+def test_arguments_of_another_form_raise(wrong, message):
     ds = xcg.datasets.simple_cubic(3)
     for call in (ds.cg.coarse_grain, ds.cg.explain):
         with pytest.raises(ValueError, match=message):

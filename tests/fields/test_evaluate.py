@@ -10,7 +10,7 @@ from xcg import SceneWarning
 
 
 @pytest.mark.parametrize("dimension", [3, 2])
-def test_one_large_grain_among_small_ones(dimension):
+def test_a_kernel_narrower_than_the_largest_grain_warns(dimension):
     """Its volume times the kernel's largest value is the fraction at its centre."""
     small = xcg.datasets.random_scene(200, dimension=dimension, seed=2)
     position, diameter = small.position.values[0], small.diameter.values[0].copy()
@@ -27,20 +27,20 @@ def test_one_large_grain_among_small_ones(dimension):
     assert all(f"{a} = {value:.4g}" in str(told[0].message) for a, value in at.items())
 
 
-def test_grains_that_overlap_are_another_cause():
+def test_overlapping_grains_warn():
     position = np.random.default_rng(0).uniform(0, 2, (200, 3))
     ds = xcg.scene_from_arrays(position, velocity=0 * position, diameter=np.full(200, 0.8), density=1.0)
     with pytest.warns(SceneWarning, match="grains overlap, or their sizes"):
         ds.cg.coarse_grain("volume_fraction", width=0.8, axes="", at={"x": 1.0, "y": 1.0, "z": 1.0})
 
 
-def test_fractions_that_can_be_are_not_warned_of():
+def test_possible_volume_fractions_do_not_warn():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         xcg.datasets.face_centred_cubic().cg.coarse_grain("volume_fraction")
 
 
-def test_widths_are_compared_with_the_largest_grains():
+def test_a_width_below_the_largest_diameter_warns():
     position = np.random.default_rng(0).uniform(0, 5, (300, 3))
     diameter = np.full(300, 0.1)
     diameter[0] = 3.0

@@ -20,7 +20,7 @@ def scene(far, *, lazy=False, steps=1):
 
 
 @pytest.mark.parametrize("far", [1e6, 1e12])
-def test_the_particle_and_the_way_out_are_named(far):
+def test_messages_name_the_escaped_particle_and_a_remedy(far):
     with pytest.raises(ValueError, match=r"particle 17 at \(1e\+.*far from the others; give bounds=, or .* ds\.where"):
         scene(far).cg.coarse_grain("density")
     with pytest.raises(ValueError, match=r"x from .* to 1e\+.*perhaps as some escaped; give bounds="):
@@ -28,7 +28,7 @@ def test_the_particle_and_the_way_out_are_named(far):
 
 
 @pytest.mark.parametrize(("lazy", "steps", "factor"), [(False, 1, 1), (False, 3, 3), (True, 3, 1)])
-def test_what_does_not_fit_into_memory_is_refused_before_it_is_taken(monkeypatch, lazy, steps, factor):
+def test_a_mesh_beyond_memory_raises_before_computing(monkeypatch, lazy, steps, factor):
     """All steps of a scene in memory, one chunk of a lazy one."""
     ds, nodes = scene(150.0, lazy=lazy, steps=steps), 205 * 105 * 205
     monkeypatch.setattr(layout, "memory_at_hand", lambda: 8 * nodes * factor - 1)
@@ -37,14 +37,14 @@ def test_what_does_not_fit_into_memory_is_refused_before_it_is_taken(monkeypatch
         ds.cg.coarse_grain("density")
 
 
-def test_many_nodes_a_grain_are_warned_of_with_those_of_a_mesh_without_it():
+def test_many_nodes_per_grain_warn_and_name_the_particle():
     with pytest.warns(
         SceneWarning, match=r"4\.41e\+03 for each particle: particle 17 at .*without it .* 5\.\d+e\+03 nodes"
     ):
         scene(150.0).cg.coarse_grain("density")
 
 
-def test_meshes_that_were_asked_for_are_not(monkeypatch):
+def test_given_meshes_do_not_warn(monkeypatch):
     monkeypatch.setattr(layout, "memory_at_hand", lambda: 1)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -52,6 +52,6 @@ def test_meshes_that_were_asked_for_are_not(monkeypatch):
     assert f.density.size == 216
 
 
-def test_memory_is_known_here():
+def test_available_memory_is_known_or_none():
     found = layout.memory_at_hand()
     assert found is None or found > 2**20

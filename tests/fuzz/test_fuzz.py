@@ -17,7 +17,7 @@ EXAMPLES = dict.fromkeys(TARGETS, 12) | {"vtp": 4, "ini": 3, "toml": 6}
 
 
 @pytest.mark.parametrize("name", TARGETS)
-def test_damaged_files_are_opened_or_refused(tmp_path_factory, name):
+def test_damaged_files_open_or_raise_scene_errors(tmp_path_factory, name):
     folder = tmp_path_factory.mktemp(name)
     seeds = TARGETS[name].seeds(folder)
 
@@ -50,29 +50,29 @@ def refused(name, folder, **changes):
     return detail
 
 
-def test_a_grain_far_away_ended_the_interpreter(tmp_path):
+def test_a_grain_far_away_raises(tmp_path):
     assert "run.data" not in refused("mercury", tmp_path, run_data=(b"1 0.5 0.5 1 0", b"1 0.5 1e30 1 0"))
 
 
-def test_a_count_that_never_ends(tmp_path):
+def test_a_count_beyond_the_file_raises(tmp_path):
     assert "promises" in refused("mercury", tmp_path, run_data=(b"3 0 0 0 0 2 2 2", b"1e300 0 0 0 0 2 2 2"))
 
 
-def test_a_step_beyond_int64(tmp_path):
+def test_a_step_beyond_int64_raises(tmp_path):
     assert "expected a number" in refused("lammps", tmp_path, p_dump=(b"TIMESTEP\n0", b"TIMESTEP\n" + b"9" * 30))
 
 
-def test_an_item_without_a_name(tmp_path):
+def test_an_item_without_a_name_raises(tmp_path):
     assert refused("lammps_gz", tmp_path, p_7_dump_gz=(b"\x1f\x8b", b"ITEM:\n\x1f"))
 
 
-def test_a_number_that_a_restart_lacks(tmp_path):
+def test_a_restart_file_without_a_number_raises(tmp_path):
     assert "expected a number after 'density'" in refused(
         "mercury", tmp_path, run_restart=(b"density 2.0", b"density x")
     )
 
 
-def test_a_name_of_a_file_that_is_too_long(tmp_path):
+def test_a_file_name_that_is_too_long_raises(tmp_path):
     assert "do not exist" in refused("mfix", tmp_path, P_pvd=(b"P_1.vtp", b"P" * 1000))
 
 
@@ -88,11 +88,11 @@ def test_a_name_of_a_file_that_is_too_long(tmp_path):
         (b"<PolyData>", b"< >", "elements do not close in the order"),
     ],
 )
-def test_headers_of_vtk_that_lie(tmp_path, old, new, message):
+def test_wrong_headers_of_vtk_raise(tmp_path, old, new, message):
     assert message in refused("mfix", tmp_path, P_1_vtp=(old, new))
 
 
-def test_slices_wider_than_64_bits(tmp_path):
+def test_slices_wider_than_64_bits_raise(tmp_path):
     seeds = dict(TARGETS["toml"].seeds(tmp_path))
     seeds["job/job.toml"] = seeds["job/job.toml"].replace(b"width = 1.0", b"width = 18446744073709551615")
     lay(tmp_path / "now", seeds)
@@ -118,7 +118,7 @@ def test_slices_wider_than_64_bits(tmp_path):
         (b"width = 1.0", b"width = 1e-300", "slices of 11 planes are more"),
     ],
 )
-def test_jobs_that_are_refused(tmp_path, old, new, message):
+def test_damaged_jobs_raise(tmp_path, old, new, message):
     assert message in refused("toml", tmp_path, job_toml=(old, new))
 
 
@@ -132,7 +132,7 @@ def checked(tmp_path_factory):
 
 
 @pytest.mark.parametrize("bounds", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_hostile_calls(bounds, request):
+def test_calls_with_hostile_arguments_raise(bounds, request):
     """In a process of its own: results or errors of the package, nothing else."""
     command = [sys.executable, "-m", "tests.fuzz.calls", "--count", "500"]
     environment = request.getfixturevalue("checked") if bounds else os.environ

@@ -86,7 +86,7 @@ def test_linear_flow_of_any_scene(seed, width, size):
     assert f["granular_temperature"] < 1e-12 * np.abs(gradient).max() ** 2
 
 
-def test_other_gradients_see_the_velocity_of_the_mean():
+def test_the_kernel_gradient_errs_where_grains_are_uneven():
     """The exact derivative of V(r) is not the rate of the flow: grains are not evenly spread (10 % at w = 0.75 d)."""
     ds = load("lammps_chute").ds
     points = inner(ds, 0.75, 6)

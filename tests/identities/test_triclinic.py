@@ -104,7 +104,7 @@ def dump(bounds, columns="id xs ys zs vx vy vz radius", rows=ROWS, step=0):
     )
 
 
-def test_fractions_of_a_tilted_box(tmp_path):
+def test_scaled_positions_in_a_tilted_box(tmp_path):
     # a = (4, 0, 0), b = (-1, 5, 0), c = (0.5, 2, 6), from the corner (1, 2, 3)
     path = write(tmp_path / "p.dump", dump("0.0 5.5 -1.0\n2.0 9.0 0.5\n3.0 9.0 2.0\n"))
     ds = xcg.open_scene(path, density=1.0)
@@ -116,7 +116,7 @@ def test_fractions_of_a_tilted_box(tmp_path):
     assert "tilted" in repr(ds.cg)
 
 
-def test_tilts_without_times_have_no_rate(tmp_path):
+def test_tilts_without_times_give_no_shear_rate(tmp_path):
     for step, tilt in ((0, 0.0), (10, 0.5)):
         write(tmp_path / f"p{step}.dump", dump(f"0.0 {4 + tilt} {tilt}\n0 5 0\n0 6 0\n", step=step))
     with pytest.warns(SceneWarning, match="the times of the steps are not known"):
@@ -127,7 +127,7 @@ def test_tilts_without_times_have_no_rate(tmp_path):
     np.testing.assert_allclose(ds.lattice_velocity.sel(vector="b", component="x"), 0.5)
 
 
-def test_general_boxes_are_refused_by_name(tmp_path):
+def test_general_triclinic_boxes_raise(tmp_path):
     text = dump("0 1 0\n0 1 0\n0 1 0\n").replace("xy xz yz", "abc origin")
     with pytest.raises(SceneError, match="triclinic/general no"):
         xcg.open_scene(write(tmp_path / "p.dump", text), density=1.0)

@@ -167,7 +167,7 @@ def test_resume_sees_what_changed_in_a_folder(tmp_path):
 # --- stopped ---------------------------------------------------------------------------------------------
 
 
-def test_ctrl_c(job):
+def test_ctrl_c_stops_a_run_and_keeps_finished_steps(job):
     rng = random.Random(1)
     for stop in sorted(rng.randrange(1, STEPS) for _ in range(KILLS if FULL else 1)):
         shutil.rmtree(job.parent / "out", ignore_errors=True)
@@ -188,7 +188,7 @@ def test_ctrl_c(job):
         assert steps_there(job) >= stop
 
 
-def test_ctrl_c_while_libraries_are_loaded(tmp_path):
+def test_ctrl_c_while_libraries_load_exits_quietly(tmp_path):
     (tmp_path / "numba.py").write_text("import os, signal, time; os.kill(os.getpid(), signal.SIGINT); time.sleep(60)")
     module, function = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]["xcg"].split(":")
     done = subprocess.run(
@@ -201,7 +201,7 @@ def test_ctrl_c_while_libraries_are_loaded(tmp_path):
 # --- doubled ---------------------------------------------------------------------------------------------
 
 
-def test_a_second_run_is_refused(job):
+def test_a_second_run_of_one_job_raises(job):
     first = run_job(read_config(job), jobs=5)
     next(first)
     said = " ".join(xcg_run("run", job, code=1).split())
@@ -247,7 +247,7 @@ def test_a_lock_follows_no_link(job, tmp_path):
     assert link.is_symlink()
 
 
-def test_a_file_system_without_locks(tmp_path, monkeypatch):
+def test_runs_work_on_a_file_system_without_locks(tmp_path, monkeypatch):
     def refuse(*_):
         raise OSError(errno.EOPNOTSUPP, "Operation not supported")
 
@@ -260,7 +260,7 @@ def test_a_file_system_without_locks(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("limit", [20_000, 600_000])  # the first step fails, or a later one
-def test_a_full_disk(job, limit):
+def test_a_full_disk_is_reported_and_the_run_resumes(job, limit):
     before = f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))"
     process = start(job, before=before)
     said, _ = process.communicate(timeout=120)
@@ -293,7 +293,7 @@ def test_writers_leave_nothing_behind(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_of_two_writers_one_is_refused(tmp_path):
+def test_the_second_of_two_writers_raises(tmp_path):
     path = tmp_path / "f"
 
     def two():
@@ -329,7 +329,7 @@ def test_steps_at_fault_are_left_out_and_listed(job):
     assert f.density.isel(time=~f.skipped.values).notnull().all()
 
 
-def test_on_error_in_the_file_of_the_job(job):
+def test_on_error_is_read_from_the_job(job):
     (job.parent / "p.7.dump").write_text(dumps.dump_text(step=7).replace("1.9", "oops"))
     job.write_text('on_error = "skip"\n' + JOB.replace("[output]", '[slices]\naxis = "z"\n[output]'))
     with pytest.warns(SkippedStep):
@@ -344,13 +344,13 @@ def test_on_error_in_the_file_of_the_job(job):
 # --- dashboard -------------------------------------------------------------------------------------------
 
 
-def test_dashboard_without_distributed(job, monkeypatch):
+def test_the_dashboard_without_distributed_raises(job, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     assert "pip install distributed bokeh" in xcg_run("run", job, "--dashboard", code=1)
 
 
 @slow
-def test_dashboard(tmp_path):
+def test_the_dashboard_is_served_during_a_run(tmp_path):
     pytest.importorskip("distributed")
     pytest.importorskip("bokeh")
     job = write_job(tmp_path, 3, 10)
@@ -365,7 +365,7 @@ def test_dashboard(tmp_path):
 
 
 @slow
-def test_a_killed_worker(tmp_path):
+def test_a_run_survives_a_killed_worker(tmp_path):
     pytest.importorskip("distributed")
     write_job(tmp_path, 12, 20)
     code = f"""
@@ -390,7 +390,7 @@ if __name__ == "__main__":
     assert "skipped 0 same True" in done.stdout, done.stdout + done.stderr[-2000:]
 
 
-def test_fields_without_a_file_are_an_error(job):
+def test_fields_without_a_file_raise(job):
     plain = job.read_text().replace('vtkhdf = "temporal"', "netcdf = false")
     job.write_text(plain)
     for options in ([], ["--dry-run"]):

@@ -79,7 +79,7 @@ def test_contacts_are_those_that_lammps_lists(name, file, frozen, stiffness, met
 # --- forces and geometry ---------------------------------------------------------------------------------
 
 
-def test_geometry_and_forces_of_two_spheres():
+def test_contact_of_two_spheres_has_their_geometry_and_force():
     position, diameter = [[0.0, 0, 0], [0.0, 1.4, 0]], [2.0, 1.0]
     ds = xcg.scene_from_arrays(position, diameter=diameter, density=1.0)
     c = ds.cg.find_contacts(k_n=10.0)
@@ -105,7 +105,7 @@ def test_a_gap_within_the_skin_carries_no_force():
     assert (c.contact_force.values == 0).all()
 
 
-def test_stress_from_positions_alone():
+def test_stress_of_contacts_found_from_positions():
     """A compressed cubic lattice: 3 bonds a particle, sigma = k_n overlap / spacing^2."""
     ds = xcg.datasets.simple_cubic(5, density=1000.0)
     squeezed = (
@@ -176,7 +176,7 @@ def test_padding_of_the_bound_changes_nothing():
     assert rest.overlap.isnull().all()
 
 
-def test_too_many_contacts_say_what_to_pass():
+def test_too_many_contacts_raise_and_suggest_a_bound():
     crowd = xcg.scene_from_arrays(np.zeros((20, 3)), diameter=np.ones(20), density=1.0)
     assert crowd.cg.find_contacts().sizes["contact"] == 190
     with pytest.raises(xcg.SceneError, match=r"step 0: 190 contacts .* than the 140 rows.*max_contacts=190"):
@@ -199,12 +199,12 @@ def test_too_many_contacts_say_what_to_pass():
         ({"E": 1e9, "nu": 0.7}, "nu=0.7"),
     ],
 )
-def test_bad_requests(options, message):
+def test_wrong_arguments_raise(options, message):
     with pytest.raises(ValueError, match=message):
         xcg.datasets.random_scene(5).cg.find_contacts(**options)
 
 
-def test_no_diameters_and_no_particles():
+def test_scenes_without_diameters_or_particles():
     ds = xcg.datasets.random_scene(5)
     with pytest.raises(xcg.SceneError, match="diameter"):
         ds.drop_vars("diameter").cg.find_contacts()

@@ -29,7 +29,7 @@ def one(m, name):
         ("face_centred_cubic", 12, np.pi / (3 * np.sqrt(2)), 2 * np.sqrt(2)),
     ],
 )
-def test_lattices(lattice, partners, fraction, stress):
+def test_coordination_stress_and_fabric_of_lattices(lattice, partners, fraction, stress):
     ds = getattr(xcg.datasets, lattice)(4)
     m = ds.cg.microstructure()
     count = ds.sizes["particle"]
@@ -69,7 +69,7 @@ def column(axis):
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_one_bond(axis):
+def test_fabric_and_stress_of_one_bond(axis):
     m = column(axis).cg.microstructure()
     # sigma = f l / V along the axis; F' has the values 2/3, -1/3, -1/3, so a_1 - a_3 = 15/2
     assert one(m, "stress")[axis, axis] == pytest.approx(0.6)
@@ -82,7 +82,7 @@ def test_one_bond(axis):
     assert one(m, "non_rattler_fraction") == 0
 
 
-def test_one_bond_in_a_plane():
+def test_fabric_and_stress_of_one_bond_in_a_plane():
     ds = column(0).assign_attrs(dimension=2, plane="xy", thickness=0.2)
     m = ds.cg.microstructure()
     assert one(m, "volume_fraction") == pytest.approx(2 * np.pi / 6 * 0.2**3 / 0.2)
@@ -93,7 +93,7 @@ def test_one_bond_in_a_plane():
     assert one(m, "fabric_anisotropy") == pytest.approx(2.0)
 
 
-def test_known_strain_and_rate():
+def test_a_known_strain_and_rate_are_recovered():
     """A box that shortens along z at 0.1 /s and widens so that its volume stays."""
     time = np.linspace(0, 2, 9)
     stretch = np.exp(np.outer(time, [0.05, 0.05, -0.1]))
@@ -119,7 +119,7 @@ def test_known_strain_and_rate():
     xr.testing.assert_allclose(lazy.compute(), m)
 
 
-def test_rate_of_velocities_and_given_rates():
+def test_shear_rates_from_velocities_and_as_given():
     ds = xcg.datasets.random_scene(300, seed=1)
     gradient = np.array([[0.0, 0.0, 0.7], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
     sheared = ds.assign(velocity=ds.velocity.copy(data=(ds.position.values @ gradient.T) + 5.0))
@@ -269,7 +269,7 @@ def test_stress_is_that_of_coarse_graining():
 
 @settings(deadline=None, max_examples=50)
 @given(seed=st.integers(0, 10_000), least=st.integers(1, 5))
-def test_backbone_is_what_is_left_of_taking_out_rattlers(seed, least):
+def test_the_backbone_is_left_after_removing_rattlers(seed, least):
     ds = xcg.datasets.random_scene(60, seed=seed, periodic="x")
     frame = {n: ds[n].values[0] for n in ds.data_vars if n != "box"}
     contacts = Contacts.of(frame, Lattice(np.array([5.0, np.inf, np.inf])))
@@ -350,7 +350,7 @@ def test_frozen_grains_act_as_walls():
     xr.testing.assert_equal(m, free.cg.microstructure(list(m)))
 
 
-def test_what_the_scene_allows_is_the_default():
+def test_the_default_is_all_quantities_the_scene_allows():
     ds = xcg.datasets.random_scene(30)
     bare = ds.drop_dims("contact")
     assert "volume_fraction" in bare.cg.microstructure()
@@ -363,7 +363,7 @@ def test_what_the_scene_allows_is_the_default():
 
 
 @pytest.mark.parametrize("count", [0, 1])
-def test_hardly_any_particles(count):
+def test_scenes_of_up_to_two_particles(count):
     m = xcg.datasets.random_scene(count).cg.microstructure()
     assert one(m, "particle_count") == count
     assert one(m, "volume_fraction") >= 0
@@ -372,7 +372,7 @@ def test_hardly_any_particles(count):
         assert np.isnan(one(m, name)).all(), name
 
 
-def test_without_a_box_volumes_are_unknown_and_bounds_give_them():
+def test_without_a_box_volumes_come_from_bounds():
     ds = xcg.datasets.random_scene(50, periodic="").drop_vars("box")
     m = ds.cg.microstructure(["volume_fraction", "coordination_number"])
     assert np.isnan(one(m, "volume_fraction"))
@@ -398,7 +398,7 @@ def test_without_a_box_volumes_are_unknown_and_bounds_give_them():
         ({"axis": "q"}, "axis='q'"),
     ],
 )
-def test_bad_requests(options, message):
+def test_wrong_arguments_raise(options, message):
     with pytest.raises(ValueError, match=message):
         xcg.datasets.random_scene(20).cg.microstructure(**options)
 
@@ -406,7 +406,7 @@ def test_bad_requests(options, message):
 # --- a real packing --------------------------------------------------------------------------------------
 
 
-def test_polydisperse_packing_at_100_kpa():
+def test_pressure_of_a_polydisperse_packing_is_100_kpa():
     folder = shared_data("lammps_polydisperse")
     ds = xcg.open_scene(folder / "particles.*", contacts=folder / "contacts.*")
     m = ds.cg.microstructure().compute()

@@ -34,7 +34,7 @@ def lattice(edge=4):
 BOX = [[0.0, 4.0]] * 3
 
 
-def test_a_checkerboard_is_more_than_random():
+def test_a_checkerboard_is_mixed_better_than_random():
     """Every cell of eight holds four of each: no variance, full entropy; all six neighbours of another phase."""
     x = lattice()
     ds = scene(x, 1 + (x - 0.5).sum(axis=1).astype(int) % 2, box=BOX, periodic="xyz")
@@ -62,7 +62,7 @@ def test_cells_below_a_grain_have_no_index_and_a_warning_names_a_cell():
         few.cg.microstructure("lacey_index", by="species", cell=0.5).compute()
 
 
-def test_halves_are_apart():
+def test_separated_halves_have_a_lacey_index_of_zero():
     x = lattice()
     ds = scene(x, np.where(x[:, 0] < 2, 1, 2), box=BOX, periodic="xyz")
     m = measured(ds, cell=2.0, neighbours=6)
@@ -109,7 +109,7 @@ def test_the_random_limit_by_volume_is_that_of_large_cells():
 
 @pytest.mark.parametrize("weight", ["number", "volume"])
 @pytest.mark.parametrize("dimension", [2, 3])
-def test_every_index_is_what_it_says(weight, dimension):
+def test_indices_equal_their_sums_written_out(weight, dimension):
     ds = xcg.datasets.random_scene(90, seed=5, dimension=dimension, periodic="x", edge=5.0)
     bounds = {"low": {"y": (0.0, 2.4)}, "all": {"y": (0.0, 5.0)}}
     cell, count = 1.3, 5
@@ -166,7 +166,7 @@ def test_every_index_is_what_it_says(weight, dimension):
                 assert m[name].item() == pytest.approx(value, rel=1e-12), (name, phase, region)
 
 
-def test_three_phases_and_time():
+def test_indices_of_three_phases_over_time():
     rng = np.random.default_rng(1)
     x = lattice()
     species = [1 + rng.permutation(len(x)) % 3, np.where(x[:, 0] < 1, 1, np.where(x[:, 0] < 2, 2, 3))]
@@ -183,7 +183,7 @@ def test_three_phases_and_time():
     assert float(m.lacey_index.sel(phase="bulk")[0]) > float(m.lacey_index.sel(phase="bulk")[1])
 
 
-def test_nothing_to_mix_and_bad_requests():
+def test_one_phase_and_wrong_arguments_raise():
     ds = scene(lattice(), np.ones(64, int), box=BOX)
     m = ds.cg.microstructure(MIXING, by="species")
     assert np.isnan(m.lacey_index).all()

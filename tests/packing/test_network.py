@@ -152,7 +152,7 @@ def test_percolation_is_that_of_copies_of_the_box(count, seed):
     np.testing.assert_array_equal(ds.cg.microstructure("percolation").percolation[0], winding_brute(ds))
 
 
-def test_brute_force_sees_both():
+def test_random_packings_percolate_about_half_the_time():
     found = np.array([winding_brute(loose(count, seed)) for count in (40, 60, 75, 85, 95, 110) for seed in range(5)])
     assert (found.mean(axis=0) > 0.1).all()
     assert (found.mean(axis=0) < 0.9).all()
@@ -216,7 +216,7 @@ def column(count, walls, frozen=False):
     ("walls", "frozen", "spans"),
     [((), False, 0), ((-2,), False, 0), ((-3,), False, 0), ((-2, -3), False, 1), ((), True, 1)],
 )
-def test_a_column_between_walls(walls, frozen, spans):
+def test_a_column_between_walls_spans(walls, frozen, spans):
     np.testing.assert_array_equal(
         column(5, walls, frozen).cg.microstructure("percolation").percolation[0], [0, 0, spans]
     )
@@ -293,7 +293,7 @@ def test_without_friction_there_is_no_distribution_of_tangential_forces():
 # --- messages --------------------------------------------------------------------------------------------
 
 
-def test_what_is_refused(monkeypatch):
+def test_wrong_arguments_raise(monkeypatch):
     ds = loose(20, 1)
     with pytest.raises(ValueError, match="weight='mass': expected None, 'contacts', 'force', 'overlap'"):
         ds.cg.adjacency(weight="mass")

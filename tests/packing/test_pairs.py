@@ -61,7 +61,7 @@ def test_pairs_are_those_of_brute_force(seed, count, periodic, lengths, decades,
     cells=st.tuples(*[st.integers(1, 5)] * 3),
     skin=st.sampled_from([0.0, 0.25]),
 )
-def test_touching_exactly_and_coincident_particles(data, periodic, count, cells, skin):
+def test_exactly_touching_and_coincident_particles_are_found(data, periodic, count, cells, skin):
     """On a lattice of quarters every distance is exact: touching is not closer, and a duplicate is a pair."""
     place = st.tuples(*[st.integers(-2, 8 * n + 2) for n in cells])
     position = np.array(data.draw(st.lists(place, min_size=count, max_size=count)), float).reshape(-1, 3) / 8
@@ -75,7 +75,7 @@ def test_touching_exactly_and_coincident_particles(data, periodic, count, cells,
 
 @pytest.mark.parametrize("periodic", ["", "xyz"])
 @pytest.mark.parametrize("decades", [0.0, 1.0])
-def test_a_skin_of_many_radii(periodic, decades):
+def test_pairs_within_a_skin_of_many_radii(periodic, decades):
     """Cells and what is looked for in them reach as far as the skin does, not as far as radii alone."""
     rng = np.random.default_rng(4)
     position, radius = rng.uniform(0, 10, (400, 3)), 0.05 * 10 ** (-decades * rng.random(400))
@@ -87,13 +87,13 @@ def test_a_skin_of_many_radii(periodic, decades):
             np.testing.assert_array_equal(found, expected)
 
 
-def test_touching_is_not_closer_but_within_a_skin():
+def test_touching_pairs_are_found_only_with_a_skin():
     position = np.array([[0.0, 0, 0], [1.0, 0, 0]])
     assert find_pairs(position, [0.5, 0.5]).shape == (0, 2)
     assert find_pairs(position, [0.5, 0.5], skin=1e-9).tolist() == [[0, 1]]
 
 
-def test_planes_and_mappings():
+def test_positions_in_a_plane_and_mappings_are_accepted():
     rng = np.random.default_rng(1)
     flat, radius = rng.random((300, 2)), rng.uniform(0.01, 0.06, 300)
     solid = np.column_stack([flat, np.zeros(300)])
@@ -124,12 +124,12 @@ def test_work_does_not_grow_with_the_ratio_of_sizes():
 
 
 @pytest.mark.parametrize("count", [0, 1])
-def test_nothing_to_find(count):
+def test_no_pairs_among_few_particles(count):
     assert find_pairs(np.zeros((count, 3)), np.ones(count)).shape == (0, 2)
     assert find_pairs([], []).shape == (0, 2)
 
 
-def test_all_in_one_place():
+def test_particles_in_one_place_are_all_pairs():
     assert len(find_pairs(np.zeros((50, 3)), np.full(50, 0.1))) == 50 * 49 // 2
     assert len(find_pairs(np.zeros((50, 3)), np.zeros(50))) == 0
 
@@ -148,7 +148,7 @@ def test_all_in_one_place():
         ((np.zeros((3, 3)), np.ones(3)), {"threads": 1.5}, "threads=1.5"),
     ],
 )
-def test_bad_requests(arguments, options, message):
+def test_wrong_arguments_raise(arguments, options, message):
     with pytest.raises(ValueError, match=message):
         find_pairs(*arguments, **options)
 
@@ -178,7 +178,7 @@ for call in (lambda: find_pairs(np.zeros((30_000, 3)), np.ones(30_000)), lambda:
     assert done.stdout.count("more than 6000000 pairs of near particles among 30000") == 2, done.stderr
 
 
-def test_many_pairs_that_are_meant():
+def test_most_raises_the_limit_on_pairs():
     n = 1500
     assert len(find_pairs(np.zeros((n, 3)), np.ones(n), most=2_000_000)) == n * (n - 1) // 2
     with pytest.raises(xcg.SceneError, match="more than 1000000 pairs"):

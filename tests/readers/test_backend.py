@@ -40,14 +40,14 @@ def test_each_body_is_read_once_for_all_variables(files, reads, chunks, expected
     assert reads == {(kind, step): 1 for kind in ("particles", "contacts") for step in range(STEPS)}
 
 
-def test_fields_are_the_same_bits(files):
+def test_fields_have_the_bits_of_open_scene(files):
     fields = ["density", "contact_stress"]
     expected = xcg.open_scene(**files).cg.coarse_grain(fields).compute()
     for chunks in (None, {}, {"time": 2}):
         xr.testing.assert_equal(opened(files, chunks=chunks).cg.coarse_grain(fields).compute(), expected)
 
 
-def test_only_what_is_wanted_is_read(files, reads):
+def test_only_selected_variables_are_read(files, reads):
     whole = xcg.open_scene(**files).compute()
     ds = xcg.open_scene(**files, chunks=None)
     reads.clear()
@@ -76,7 +76,7 @@ def test_steps_are_kept_within_a_bound(files, reads, monkeypatch):
     assert sum(reads.values()) == 2 * STEPS
 
 
-def test_a_fault_is_raised_each_time(files, tmp_path):
+def test_a_damaged_file_raises_each_time(files, tmp_path):
     ds = xcg.open_scene(**files, chunks=None)
     sorted(tmp_path.rglob("P*.vtp"))[1].unlink()
     for name in ("position", "velocity"):
@@ -85,7 +85,7 @@ def test_a_fault_is_raised_each_time(files, tmp_path):
     ds.position.isel(time=0).load()
 
 
-def test_options_and_variables(files):
+def test_options_and_drop_variables_are_taken(files):
     ds = opened(files, reader="mfix", drop_variables=["velocity", "nothing"], density=100.0, gravity=(0, 0, -9.81))
     assert "velocity" not in ds
     assert ds.attrs["gravity"].tolist() == [0, 0, -9.81]

@@ -11,7 +11,7 @@ from xcg.readers import index
 from xcg.readers.files import text
 
 
-def test_a_last_column_of_text(tmp_path):
+def test_a_last_column_of_text_is_skipped(tmp_path):
     rows = ["2 1 1.9 1 1 0 0 0 0.5 1 NA", "1 1 1 1 1 0 0 0 0.5 1 Si"]
     for name, ends in (("single.dump", rows), ("wide.dump", [row.replace(" ", "  ") for row in rows])):
         path = dumps.write(tmp_path / name, dumps.dump_text(ends, dumps.ATOMS + " element"))
@@ -30,7 +30,7 @@ def test_later_steps_with_fewer_rows_in_a_file_named_by_the_first(tmp_path, late
     assert (ds.particle_id >= 0).sum("particle").values.tolist() == [100, later, later]
 
 
-def test_compressed_bytes_that_stand_for_too_many(tmp_path, monkeypatch):
+def test_compressed_bytes_that_expand_too_much_raise(tmp_path, monkeypatch):
     monkeypatch.setattr(text, "_SLACK", 1 << 20)
     contact = b"0 0 1 0.75 0.5 0.5 0.1 0 3 1 -1 0 0 0 1 0\n"
     (tmp_path / "run.data").write_text("0 0 0 0 0 2 2 2\n")
@@ -39,7 +39,7 @@ def test_compressed_bytes_that_stand_for_too_many(tmp_path, monkeypatch):
         xcg.open_scene(tmp_path / "run.data", contacts=tmp_path / "run.fstat.gz", engine="mercury")
 
 
-def test_blank_lines_and_headers_without_end(tmp_path):
+def test_endless_blank_lines_and_headers_raise(tmp_path):
     whole = dumps.dump_text()
     blank = dumps.write(tmp_path / "blank.dump.gz", "\n" * 20_000 + whole)
     with pytest.raises(xcg.SceneError, match=r"more than 10000 lines .* are blank"):
@@ -49,7 +49,7 @@ def test_blank_lines_and_headers_without_end(tmp_path):
         xcg.open_scene(endless, timestep=0.1)
 
 
-def test_more_steps_than_can_be_kept(tmp_path, monkeypatch):
+def test_too_many_steps_in_one_file_raise(tmp_path, monkeypatch):
     monkeypatch.setattr(index, "_MOST_STEPS", 20)
     steps = dumps.write(tmp_path / "p.dump", [dumps.dump_text(step=step) for step in range(21)])
     with pytest.raises(xcg.SceneError, match="more than 20 steps in one file"):

@@ -58,7 +58,7 @@ def run(code, site, folder):
     return done.stdout
 
 
-def test_an_installed_package_brings_a_reader(tmp_path, site):
+def test_an_installed_package_adds_a_reader(tmp_path, site):
     write_grit(tmp_path)
     code = """
 import dask, xcg
@@ -95,7 +95,7 @@ for options in ({"engine": "xcg"}, {"engine": "xcg", "reader": "grit", "chunks":
     assert run(code, site, tmp_path) == told.format(None) + told.format((1,)) + told.format(None)
 
 
-def test_a_class_travels_to_other_processes(tmp_path, site):
+def test_an_engine_class_pickles(tmp_path, site):
     write_grit(tmp_path)
     code = (
         (site / "grit_tools.py").read_text()
@@ -113,7 +113,7 @@ for engine in (Grit, Grit()):
     assert run(code, tmp_path, tmp_path) == 2 * "-20.0\n"
 
 
-def test_a_package_that_is_broken_is_left_out(tmp_path, site):
+def test_a_broken_package_is_skipped_with_a_warning(tmp_path, site):
     write_grit(tmp_path)
     (site / "grit_tools.py").write_text("import nowhere_to_be_found")
     code = """
@@ -131,7 +131,7 @@ print(*(w.message for w in caught))
     assert "the engine 'grit' (grit_tools:Grit) cannot be imported: No module named 'nowhere_to_be_found'" in shown
 
 
-def test_engines_at_fault_are_named(tmp_path):
+def test_faulty_engines_are_named(tmp_path):
     from xcg.readers import Engine, StepRef
 
     class Points(Engine):
@@ -216,7 +216,7 @@ def opened(tmp_path, engine):
     return xcg.open_scene(tmp_path / "own.txt", engine=engine, density=1.0).compute()
 
 
-def test_readers_may_give_lists(tmp_path):
+def test_engines_may_return_lists(tmp_path):
     step = {"box": [[0, 2], [0, 3], [0, 4]], "gravity": np.array([0.0, 0.0, -9.81]), "periodic": "x"}
     velocity = [[3, 3, 3], [1, 1, 1], [2, 2, 2]]
     ds = opened(tmp_path, reader(step, position=np.eye(3).tolist(), velocity=velocity, charge=[6, 4, 5]))
@@ -239,6 +239,6 @@ def test_readers_may_give_lists(tmp_path):
         ({"step": {"time": "0.1", "rows": -1}}, "gives a step rows=-1, time='0.1'"),
     ],
 )
-def test_what_readers_give_is_checked(tmp_path, changed, told):
+def test_results_of_engines_are_checked(tmp_path, changed, told):
     with pytest.raises(xcg.SceneError, match=rf"own.txt.*{told}"):
         opened(tmp_path, reader(**changed))

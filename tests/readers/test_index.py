@@ -88,7 +88,7 @@ def test_only_what_changed_is_read_again(series, scanned, tmp_path):
     assert scanned == {"p.10.dump": 1, "p.20.dump": 1, "p.30.dump": 1}
 
 
-def test_files_that_may_still_change_are_not_remembered(series, scanned, tmp_path):
+def test_files_that_may_still_change_are_not_indexed(series, scanned, tmp_path):
     write(tmp_path / "p.20.dump", dump_text(step=20, before="ITEM: TIME\n4.0\n"))
     open_scene(series[0])
     open_scene(series[0])
@@ -127,7 +127,7 @@ def test_a_damaged_index_is_ignored(series, scanned, cache, damage):
     assert index.read_bytes() == whole  # and mended
 
 
-def test_it_can_be_turned_off(series, scanned, cache, monkeypatch):
+def test_the_index_can_be_turned_off(series, scanned, cache, monkeypatch):
     monkeypatch.setenv("XCG_INDEX_CACHE", "0")
     open_scene(series[0])
     open_scene(series[0])
@@ -142,7 +142,7 @@ def test_a_cache_that_cannot_be_written_is_no_error(series, scanned, cache):
     assert set(scanned.values()) == {2}
 
 
-def test_kinds_are_kept_apart(tmp_path):
+def test_particles_and_contacts_are_indexed_apart(tmp_path):
     path = write(tmp_path / "a", "x")
     settle(tmp_path)
     for kind, rows in (("one", 1), ("other", 2), ("one", 1)):
@@ -150,7 +150,7 @@ def test_kinds_are_kept_apart(tmp_path):
         assert ref == StepRef(str(path), rows, size=1, modified=path.stat().st_mtime_ns)
 
 
-def test_all_that_a_header_tells_is_remembered(tmp_path):
+def test_all_values_of_a_header_are_indexed(tmp_path):
     path = write(tmp_path / "a", "x")
     settle(tmp_path)
     ref = StepRef(
@@ -165,7 +165,7 @@ def test_all_that_a_header_tells_is_remembered(tmp_path):
 @pytest.mark.parametrize(("engine", "folder", "pattern"), [
     (Lammps(), "lammps_chute", "particles.*.gz"), (Mfix(), "mfix_chute", "P_FB1_0*.vtp"),
 ])  # fmt: skip
-def test_real_output(tmp_path, monkeypatch, engine, folder, pattern):
+def test_real_output_is_indexed(tmp_path, monkeypatch, engine, folder, pattern):
     for path in shared_data(folder).glob(pattern):
         shutil.copy(path, tmp_path)
     settle(tmp_path)

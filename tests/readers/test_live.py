@@ -88,7 +88,7 @@ def check(ds):
     assert ds.attrs["periodic"] == "xy"
 
 
-def test_one_step():
+def test_one_step_of_a_running_simulation():
     lmp = Lammps()
     ds = xcg.scene_from_lammps(lmp, walls="floor", gravity=(0, 0, -9.81))
     check(ds)
@@ -141,7 +141,7 @@ def test_pair_styles_without_friction():
     np.testing.assert_array_equal(ds.contact_force[0, 0], lmp.FORCE)
 
 
-def test_several_processes():
+def test_atoms_of_several_processes_are_gathered():
     """Two of them, of which the other has the same atoms with other ids: each array is gathered."""
     shift = iter(range(100))
     world = SimpleNamespace(allgather=lambda values: [values, values[:0]] if next(shift) >= 0 else None)
@@ -168,7 +168,7 @@ def test_computes_are_removed_after_an_error():
         ({}, {"contacts": {"ids": "patom1 patom2"}}, r"lacks \['dx', 'dy', 'dz', 'fx', 'fy', 'fz'\]"),
     ],
 )
-def test_what_cannot_be_taken(lmp, arguments, message):
+def test_simulations_without_needed_data_raise(lmp, arguments, message):
     stub = Lammps(**lmp)
     stub.ready = {} if not arguments else {"ids": ["patom1", "patom2"]}
     with pytest.raises(xcg.SceneError, match=message):
@@ -287,7 +287,7 @@ def test_the_binary_dump_of_the_documentation(lammps, tmp_path):
         np.testing.assert_array_equal(ds[name], live[name][0])
 
 
-def test_recorded_while_it_runs(lammps, tmp_path):
+def test_fields_are_recorded_while_it_runs(lammps, tmp_path):
     with xcg.record(tmp_path / "live.nc", ["density"], axes="z", width=0.001, bounds={"z": (0, 0.01)}) as live:
         for _ in range(3):
             lammps.command("run 100 post no")

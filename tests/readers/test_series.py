@@ -29,7 +29,7 @@ def series(tmp_path):
 # --- paths -----------------------------------------------------------------------------------------------
 
 
-def test_natural_order(tmp_path):
+def test_files_are_in_natural_order(tmp_path):
     names = ["p9.dump", "p10.dump", "p100.dump", "p010.dump"]
     assert sorted(names, key=natural_key)[0] == "p9.dump"
     assert sorted(names, key=natural_key)[-1] == "p100.dump"
@@ -59,7 +59,7 @@ def test_lists_keep_their_order(tmp_path):
         ("saved.zarr", "saved.zarr' is a Zarr folder, which is opened alone"),
     ],
 )
-def test_paths_that_lead_nowhere(tmp_path, path, match):
+def test_missing_paths_raise(tmp_path, path, match):
     (tmp_path / "empty").mkdir()
     (tmp_path / "saved.zarr").mkdir()
     for name in ("particles.10.dump", "contacts.10.dump"):
@@ -73,7 +73,7 @@ def test_paths_that_lead_nowhere(tmp_path, path, match):
 # --- the scene -------------------------------------------------------------------------------------------
 
 
-def test_scene(series):
+def test_a_series_is_opened_as_a_lazy_scene(series):
     particles, contacts = series
     scene = open_scene(particles, contacts=contacts)
     assert dict(scene.sizes) == {"time": 3, "particle": 3, "contact": 1, "component": 3, "bound": 2}
@@ -160,14 +160,14 @@ def test_contacts_of_one_step_touch_that_step_only(series, reads):
     ({"time": -1}, (3,)), ({"time": (1, 2)}, (1, 2)), ((2, 1), (2, 1)), ("auto", (3,)), ({"time": "auto"}, (3,)),
     ({"time": None}, (1, 1, 1)),
 ])  # fmt: skip
-def test_chunks(series, chunks, expected):
+def test_chunks_are_as_requested(series, chunks, expected):
     scene = open_scene(series[0], contacts=series[1], chunks=chunks)
     assert scene.contact_point.chunks == (expected, (1,), (3,))
     xr.testing.assert_identical(scene.compute(), open_scene(series[0], contacts=series[1]).compute())
 
 
 @pytest.mark.parametrize("chunks", [0, -2, 1.5])
-def test_bad_chunks(series, chunks):
+def test_wrong_chunks_raise(series, chunks):
     with pytest.raises(SceneError, match=f"chunks={chunks}"):
         open_scene(series[0], chunks=chunks)
 
@@ -218,7 +218,7 @@ def test_work_on_chunks_is_merged_with_the_picking(series):
             np.testing.assert_array_equal(found.compute(), np.sqrt(array.compute()))
 
 
-def test_the_graph_travels(series, computing):
+def test_the_graph_pickles(series, computing):
     scene = open_scene(series[0], contacts=series[1], frozen=[2])
     expected = scene.compute()
     xr.testing.assert_identical(pickle.loads(pickle.dumps(scene)).compute(), expected)
@@ -235,7 +235,7 @@ def test_files_that_changed_are_noticed(series, tmp_path):
         scene.contact_i.isel(time=2).compute()
 
 
-def test_a_file_of_equal_size_is_noticed(tmp_path):
+def test_a_changed_file_of_equal_size_is_noticed(tmp_path):
     path = write(tmp_path / "p.0.dump", dump_text(step=0))
     scene = open_scene(path)
     size, modified = path.stat().st_size, path.stat().st_mtime_ns
@@ -318,7 +318,7 @@ def test_times_pair_within_a_thousandth_of_the_shortest_interval(tmp_path, times
                 open_scene(tmp_path / "p.*", contacts=tmp_path / "c.*")
 
 
-def test_nothing_pairs(series, tmp_path):
+def test_contacts_without_matching_steps_raise(series, tmp_path):
     other = write(tmp_path / "other.dump", pairs_text(step=99, before="ITEM: TIME\n9.9\n"))
     with pytest.raises(SceneError, match="none of the same time for 3 of 3 steps"):
         open_scene(series[0], contacts=other, missing="skip")
@@ -334,7 +334,7 @@ def test_step_numbers_pair_without_times(tmp_path):
         open_scene(particles, contacts=str(tmp_path / "c.?.dump"))
 
 
-def test_steps_written_twice(series, tmp_path):
+def test_steps_written_twice_count_once(series, tmp_path):
     write(tmp_path / "p.21.dump", (tmp_path / "p.20.dump").read_text())
     write(tmp_path / "c.21.dump", (tmp_path / "c.20.dump").read_text())
     with pytest.warns(SceneWarning) as record:
@@ -344,12 +344,12 @@ def test_steps_written_twice(series, tmp_path):
     np.testing.assert_array_equal(scene.time, [0, 1, 2])
 
 
-def test_files_in_any_order(series):
+def test_files_in_any_order_are_sorted_by_time(series):
     files = [series[0].replace("*", str(step)) for step in (20, 0, 10)]
     np.testing.assert_array_equal(open_scene(files).time, [0, 1, 2])
 
 
-def test_times_of_the_caller(series):
+def test_times_of_the_caller_are_taken(series):
     scene = open_scene(series[0], contacts=series[1], times=[5, 6, 8])
     np.testing.assert_array_equal(scene.time, [5, 6, 8])
     np.testing.assert_array_equal(scene.contact_i.compute(), [[1]] * 3)
@@ -376,7 +376,7 @@ def test_times_of_the_caller(series):
         (dump_text(step=30, before="ITEM: TIME\n3\n"), "the time is in the second only"),
     ],
 )
-def test_changes_are_refused(tmp_path, text, match):
+def test_headers_that_change_raise(tmp_path, text, match):
     particles, _ = write_series(tmp_path)
     write(tmp_path / "p.30.dump", text)
     with pytest.raises(SceneError, match=match) as error:
@@ -416,7 +416,7 @@ def test_another_order_of_columns_is_no_change(tmp_path):
         ("si", "reduced", 1, 1, 1, "reduced"),
     ],
 )
-def test_units(tmp_path, system, units, length, mass, time, name):
+def test_units_are_read_from_headers(tmp_path, system, units, length, mass, time, name):
     before = f"ITEM: UNITS\n{system}\nITEM: TIME\n{{time}}\n"
     particles, contacts = write_series(tmp_path, before=before)
     scene = open_scene(particles, contacts=contacts, units=units).compute()
@@ -431,7 +431,7 @@ def test_units(tmp_path, system, units, length, mass, time, name):
     np.testing.assert_allclose(scene.contact_point[0, 0], np.array([1.45, 1, 1.25]) * length)
 
 
-def test_unknown_and_contradictory_units(tmp_path):
+def test_unknown_and_contradictory_units_raise(tmp_path):
     particles, _ = write_series(tmp_path, before="ITEM: UNITS\nmetal\n")
     with pytest.raises(SceneError, match=r"unit system 'metal', known are si, lj.*units="):
         open_scene(particles)
@@ -475,7 +475,7 @@ def test_a_scene_that_leaves_its_plane_is_not_flat(tmp_path):
     assert open_scene(tmp_path / "p.*").attrs["dimension"] == 3
 
 
-def test_discs(tmp_path):
+def test_discs_have_volumes_of_cylinders(tmp_path):
     path = write(tmp_path / "p.dump", dump_text(["1 1 5 2", "2 2 6 2", "3 4 5 2"], "id x y radius"))
     scene = open_scene(path, shape="disc", thickness=0.5, density=2)
     np.testing.assert_allclose(scene.mass, np.pi * 4 * 0.5 * 2)
@@ -500,7 +500,7 @@ def test_what_a_file_holds_comes_before_the_density_given(tmp_path, column):
     np.testing.assert_array_equal(with_it[column], 7.0)
 
 
-def test_frozen(series):
+def test_frozen_species_are_marked(series):
     scene = open_scene(series[0], frozen=2)
     np.testing.assert_array_equal(scene.frozen.compute()[0], [0, 0, 1])
     np.testing.assert_array_equal(open_scene(series[0], frozen=(1, 2)).frozen.compute(), 1)
@@ -513,7 +513,7 @@ def test_frozen(series):
 # --- the engine ------------------------------------------------------------------------------------------
 
 
-def test_wrong_arguments(series, tmp_path):
+def test_wrong_arguments_raise(series, tmp_path):
     with pytest.raises(SceneError, match=r"unknown engine 'lamps'; did you mean 'lammps'\? Expected one of lammps, "):
         open_scene(series[0], engine="lamps")
     with pytest.raises(SceneError, match="no argument 'periodc' for the engine 'lammps'; did you mean 'periodic'"):
@@ -537,7 +537,7 @@ def test_vtk_is_imported_only_when_needed():
 # --- real output -----------------------------------------------------------------------------------------
 
 
-def test_chute():
+def test_the_chute_opens_without_warnings():
     folder = shared_data("lammps_chute")
     with warnings.catch_warnings():
         warnings.simplefilter("error")

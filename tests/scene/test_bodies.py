@@ -23,7 +23,7 @@ def dimers(**options):
 
 
 @pytest.mark.parametrize("lazy", [False, True])
-def test_mass_centre_velocity_and_contacts_of_bodies(lazy):
+def test_bodies_have_mass_centre_velocity_and_contacts(lazy):
     ds = dimers()
     b = (ds.chunk(time=1, particle=2) if lazy else ds).cg.group_bodies("body_id")
     assert (b.mass.chunks is not None) == lazy
@@ -79,7 +79,7 @@ def test_bodies_keep_their_species_and_what_holds_them():
 
 
 @pytest.mark.parametrize("name", ["species", "frozen"])
-def test_spheres_of_a_body_are_alike(name):
+def test_spheres_of_a_body_must_agree(name):
     ds = dimers(**{name: [1, 1, 0, 1, 0]})
     message = (
         rf"^group_bodies, frame 0 of its chunk: spheres 12 and 13 are of one body \(3\) and differ in {name} \(0, 1\)"

@@ -150,7 +150,7 @@ def test_regions_across_an_edge_against_a_loop_over_images():
                 np.testing.assert_allclose(found.volume_fraction, filled / size, rtol=1e-12)
 
 
-def test_regions_wider_than_the_period_are_refused():
+def test_regions_wider_than_the_period_raise():
     ds, alone = steps_of(edges=(10.0, 8.0))
     whole = alone[0].cg.microstructure("volume_fraction").volume_fraction.item()
     for low in (0.0, 3.3):
@@ -163,7 +163,7 @@ def test_regions_wider_than_the_period_are_refused():
 
 
 @pytest.mark.parametrize("times", [[0.0, 2.0, 1.0], [0.0, 1.0, 1.0], [0.0, np.nan, 2.0], [np.nan] * 3])
-def test_times_that_do_not_rise_are_refused(times):
+def test_times_that_do_not_rise_raise(times):
     with pytest.raises(xcg.SceneError, match="a scene needs finite times that rise"):
         steps_of(time=times)
     ds = steps_of()[0].assign_coords(time=times)

@@ -95,7 +95,7 @@ def dumps(tmp_path, columns="id1 id2 dx dy dz fnx fny fnz", sign=1.0):
 
 
 @pytest.mark.filterwarnings("ignore:.*only normal forces")
-def test_branches_in_a_dump_tell_which_images_touch(tmp_path):
+def test_branches_in_a_dump_choose_the_images(tmp_path):
     particles, contacts, stress = dumps(tmp_path)
     ds = xcg.open_scene(particles, contacts=contacts)
     found = ds.cg.coarse_grain("contact_stress", axes="", at={}, width=0.5).contact_stress.values[0]
@@ -107,7 +107,7 @@ def test_branches_in_a_dump_tell_which_images_touch(tmp_path):
 
 
 @pytest.mark.filterwarnings("ignore:.*only normal forces")
-def test_what_cannot_be_told_is_refused(tmp_path):
+def test_ambiguous_images_raise(tmp_path):
     particles, contacts, _ = dumps(tmp_path, "id1 id2 fnx fny fnz")
     with pytest.raises(xcg.SceneError, match=r"may be on either side.*names=\{'dx': 'contact_branch_x'"):
         xcg.open_scene(particles, contacts=contacts).contact_point.compute()
@@ -120,7 +120,7 @@ def test_what_cannot_be_told_is_refused(tmp_path):
         ds.contact_point.compute()
 
 
-def test_grains_that_touch_themselves_are_refused():
+def test_grains_that_touch_themselves_raise():
     one = {"diameter": [1.1], "density": 1.0, "box": [[0, 1.0], [0, 5], [0, 5]], "periodic": "xy"}
     ds = xcg.scene_from_arrays([[0.5, 0.5, 0.5]], particle_id=[7], **one)
     with pytest.raises(xcg.SceneError, match=r"particle 7 of diameter 1.1 touches its own image.*along 'x' is 1"):
@@ -139,7 +139,7 @@ def test_grains_that_touch_themselves_are_refused():
         xcg.datasets.simple_cubic(1)
 
 
-def test_lattices_of_few_cells_have_the_stress_they_promise():
+def test_lattices_of_few_cells_have_their_closed_form_stress():
     for ds in (xcg.datasets.simple_cubic(2), xcg.datasets.face_centred_cubic(1)):
         stress = ds.cg.microstructure("stress").stress[0]
         expected = 1.0 if ds.sizes["particle"] == 8 else 2 * np.sqrt(2)
@@ -148,14 +148,14 @@ def test_lattices_of_few_cells_have_the_stress_they_promise():
         assert partners == (6 if ds.sizes["particle"] == 8 else 12)
 
 
-def test_spheres_of_their_own_touch_each_other():
+def test_spheres_without_a_body_touch_each_other():
     ds = xcg.scene_from_arrays([[0.0, 0, 0], [0.9, 0, 0]], diameter=np.ones(2), density=1.0, body_id=[-1, -1])
     assert ds.cg.find_contacts().sizes["contact"] == 1
 
 
 @pytest.mark.parametrize("periodic", ["", "x", "xy", "xyz"])
 @pytest.mark.parametrize("seen", [False, True])
-def test_points_where_nothing_is_in_doubt_are_those_of_a_closer_look(periodic, seen, monkeypatch):
+def test_fast_and_careful_contact_points_agree(periodic, seen, monkeypatch):
     """A loop derives points up to a pair in doubt; NumPy derives, or refuses, those of its block: the same bits."""
     rng = np.random.default_rng(len(periodic))
     plain = []

@@ -142,7 +142,7 @@ def test_chosen_particles_of_a_lazy_scene_have_the_default_width_and_mesh_of_the
     assert measured.attrs["dmax"] == float(chosen.diameter.max())
 
 
-def test_diameters_that_were_changed_before_a_selection_are_told(scene):
+def test_diameters_changed_before_a_selection_warn(scene):
     lazy = scene.chunk(time=1)
     changed = lazy.assign(diameter=3 * lazy.diameter).where(lazy.species == 1)
     with pytest.warns(xcg.SceneWarning, match=r"diameters from .* not in the range that was measured.*measure\(\)"):
@@ -186,7 +186,7 @@ def test_variables_of_the_users_own_are_selected_along(scene, lazy):
 
 
 @pytest.mark.parametrize("lazy", [False, True])
-def test_labels_may_stand_for_rows(scene, lazy):
+def test_rows_may_be_selected_by_label(scene, lazy):
     scene = scene.chunk(time=1) if lazy else scene
     by_number = scene.swap_dims(time="step")
     f = by_number.cg.coarse_grain(**MESH)
@@ -248,7 +248,7 @@ def test_chains_by_the_number_of_the_step_are_those_by_time(scene, tmp_path):
     assert str(by_number.cg) == str(fc.cg)
 
 
-def test_no_particles_at_all_are_no_fault(scene):
+def test_scenes_without_particles_are_accepted(scene):
     for none in (scene.isel(particle=[]), scene.chunk(time=1).isel(particle=[])):
         assert (none.cg.coarse_grain("density", width=0.8).density == 0).all()
         assert (none.cg.microstructure("coordination_number").coordination_number.isnull()).all()
@@ -284,7 +284,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("what", WRONG)
-def test_what_cannot_be_told_is_refused(scene, what):
+def test_ambiguous_selections_raise(scene, what):
     with pytest.raises(SceneError, match=what):
         WRONG[what](scene).cg.coarse_grain(**MESH)
 
@@ -300,18 +300,18 @@ NOT_FINITE = {
 
 @pytest.mark.parametrize("lazy", [False, True])
 @pytest.mark.parametrize("what", NOT_FINITE)
-def test_variables_that_were_assigned_are_finite_or_refused(scene, what, lazy):
+def test_assigned_variables_that_are_not_finite_raise(scene, what, lazy):
     with np.errstate(all="ignore"), pytest.raises(SceneError, match=what):
         NOT_FINITE[what](scene.chunk(time=1) if lazy else scene).cg.coarse_grain(**MESH).compute()
 
 
-def test_what_was_spread_too_far_is_refused_before_it_is_read(scene, monkeypatch):
+def test_masks_that_are_too_large_raise_before_reading(scene, monkeypatch):
     monkeypatch.setattr("xcg.scene.conform._MOST_SPREAD", 1000)
     with pytest.raises(SceneError, match=r"ds\.map"):
         xcg.coarse_grain(scene.chunk(time=1).where(scene.species == 1), **MESH)
 
 
-def test_data_in_rows_that_are_marked_as_padding_are_refused():
+def test_data_in_padding_rows_raise():
     at = {"position": [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], "diameter": [1.0, 1.0], "density": 2.0}
     with pytest.raises(SceneError, match=r"row 0 has 'particle_id' -1.*'position': number particles from 0 on"):
         xcg.scene_from_arrays(**at, particle_id=[-1, 0])
@@ -330,7 +330,7 @@ def test_components_in_several_chunks_are_turned(scene):
     xr.testing.assert_identical(f.compute().drop_attrs(), scene.cg.coarse_grain(**asked).drop_attrs())
 
 
-def test_masked_arrays_are_refused():
+def test_masked_arrays_raise():
     position, mask = np.eye(3), [False, True, False]
     masked = np.ma.masked_array(np.ones(3), mask)
     for given in ({"diameter": masked}, {"diameter": [masked]}, {"velocity": np.ma.masked_equal(position, 1.0)}):
@@ -343,6 +343,6 @@ def test_masked_arrays_are_refused():
 
 
 @pytest.mark.parametrize("time", [[np.nan], [np.inf]])
-def test_times_that_are_not_numbers_are_refused(time):
+def test_times_that_are_not_numbers_raise(time):
     with pytest.raises(SceneError, match="time"):
         xcg.scene_from_arrays(np.eye(3), diameter=np.ones(3), density=1.0, time=time)

@@ -28,7 +28,7 @@ def turned_about(ds, seed):
 
 
 @pytest.mark.parametrize("options", [{"periodic": "xy"}, {"periodic": "x", "dimension": 2}], ids=["3D", "2D"])
-def test_which_id_comes_first_makes_no_difference(options):
+def test_the_order_of_the_two_particles_does_not_matter(options):
     ds = off_line(3, **options)
     other = turned_about(ds, 4)
     everything = (

@@ -42,7 +42,7 @@ def test_a_plan_is_made_without_the_dataset():
     assert describe(one) == describe(other)
 
 
-def test_what_is_missing_and_what_to_give_is_said():
+def test_missing_variables_are_named_with_a_remedy():
     scene = describe(xcg.datasets.random_scene(40).drop_vars(["contact_force", "mass"]))
     with pytest.raises(
         SceneError, match=r"stress needs \['contact_force', 'mass'\]: give contacts= .* and density= to "

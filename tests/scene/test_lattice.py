@@ -97,7 +97,7 @@ def test_the_shortest_image_is_the_shortest_of_all(tilt, angles, seed):
 
 @settings(deadline=None, max_examples=50)
 @given(tilt=tilts, angles=turns, seed=st.integers(0, 1000), periodic=st.sampled_from(["x", "xy", "xyz", "yz"]))
-def test_images_in_a_region_are_all_there_are(tilt, angles, seed, periodic):
+def test_all_images_in_a_region_are_found(tilt, angles, seed, periodic):
     rng = np.random.default_rng(seed)
     turn = turned(angles)
     velocity = rng.standard_normal((3, 3))
@@ -296,7 +296,7 @@ def test_rates_follow_from_the_tilt_of_steps_and_flips_do_not_count():
         ({"lattice": {"xy": np.nan}}, "expected a finite number"),
     ],
 )
-def test_lattices_that_are_not_as_expected(options, match):
+def test_wrong_lattices_raise(options, match):
     with pytest.raises(SceneError, match=match):
         xcg.scene_from_arrays([[1.0, 1.0, 1.0]], **{"box": BOX, "periodic": "xyz"} | options)
 
@@ -305,7 +305,7 @@ def test_lattices_that_are_not_as_expected(options, match):
 
 
 @pytest.mark.parametrize("tilt", TILTS)
-def test_contacts_found_are_all_there_are(tilt):
+def test_all_contacts_across_tilted_edges_are_found(tilt):
     cell = cell_of(tilt)
     given = packing(8, cell)
     known = {k: given[k] for k in ("position", "diameter", "density", "periodic")}

@@ -43,7 +43,7 @@ def test_bounds_follow_positions_in_memory(ds, change):
     np.testing.assert_allclose(mass_in(f)[[0, -1]], mass[[0, -1]], rtol=2e-3)
 
 
-def test_bounds_of_lazy_positions_that_were_changed_are_asked_for(ds):
+def test_changed_lazy_positions_need_bounds_or_measure(ds):
     lazy = moved(ds.chunk(time=1), -100)
     with pytest.raises(ValueError, match=r"no longer, as positions were changed.*measure\(\)"):
         lazy.cg.coarse_grain("density")
@@ -61,7 +61,7 @@ def test_a_box_does_not_follow_lazy_positions_that_were_changed(ds):
     assert float(f.density.isel(time=0).mean()) > 0
 
 
-def test_positions_that_were_exchanged_under_their_attributes_are_warned_of(ds):
+def test_replaced_positions_with_old_attributes_warn(ds):
     """`copy(data=...)` keeps all marks: the mesh is the old one, and the sums are not zero in silence."""
     lazy = ds.chunk(time=1)
     f = lazy.assign(position=lazy.position.copy(data=lazy.position.data - 100)).cg.coarse_grain("density")
@@ -103,21 +103,21 @@ def test_width_follows_diameters(ds):
     assert lazy.cg.measure().cg.explain("density").kernel.width > 2 * ds.cg.explain("density").kernel.width
 
 
-def test_files_bring_their_measures(ds, tmp_path):
+def test_measures_are_kept_in_files(ds, tmp_path):
     ds.to_netcdf(tmp_path / "ds.nc")
     for chunks in ({"time": 1}, None):
         with xr.open_dataset(tmp_path / "ds.nc", chunks=chunks) as again:
             assert again.cg.explain("density").deposit.grid.shape == ds.cg.explain("density").deposit.grid.shape
 
 
-def test_groups_that_were_changed_are_asked_for(ds):
+def test_changed_groups_need_measure(ds):
     lazy = ds.chunk(time=1)
     assert lazy.cg.explain("density", by="species").deposit.groups == (1, 2)
     with pytest.raises(ValueError, match="not known without reading"):
         lazy.assign(species=lazy.species + 1).cg.explain("density", by="species")
 
 
-def test_nothing_is_read(ds):
+def test_messages_about_changed_positions_read_no_data(ds):
     def refuse(block):
         msg = "read"
         raise AssertionError(msg)

@@ -34,7 +34,7 @@ def only(said):
 
 
 @pytest.mark.parametrize("lazy", [False, True])
-def test_no_grain_reaches_any_node(lazy):
+def test_a_mesh_that_no_grain_reaches_warns(lazy):
     position = np.random.default_rng(0).uniform(0, 1, (4, 30, 3))
     ds = xcg.scene_from_arrays(position, diameter=np.full((4, 30), 0.1), density=1.0)
     ds = ds.chunk(time=1) if lazy else ds
@@ -50,12 +50,12 @@ def test_no_grain_reaches_any_node(lazy):
     assert "y from 3 to 3" in only(said)
 
 
-def test_a_step_without_grains_is_no_reason_to_warn():
+def test_a_step_without_grains_does_not_warn():
     ds = xcg.scene_from_arrays([np.zeros((0, 3)), np.ones((2, 3))], diameter=[np.zeros(0), np.ones(2)], density=1.0)
     ds.cg.coarse_grain("density")
 
 
-def test_grains_beyond_the_mesh_of_first_and_last_step():
+def test_grains_beyond_the_mesh_warn():
     position = np.zeros((3, 2, 3))
     position[1:, 1, 2] = 5.0, 0.1
     ds = xcg.scene_from_arrays(position, diameter=np.ones((3, 2)), density=1.0)
@@ -76,19 +76,19 @@ def test_grains_beyond_the_mesh_of_first_and_last_step():
     [lambda ds: ds.cg.coarse_grain(CONTACT_FIELDS), lambda ds: ds.cg.particle_stress(),
      lambda ds: ds.cg.force_chains(), lambda ds: ds.cg.microstructure(["stress"])],
 )  # fmt: skip
-def test_forces_of_the_wrong_sign(ds, call, lazy):
+def test_attractive_contacts_warn(ds, call, lazy):
     ds = several(ds.assign(contact_force=-ds.contact_force))
     with pytest.warns(xcg.SceneWarning) as said:
         call(ds.chunk(time=1) if lazy else ds).compute()
     assert "contacts looked at pull their particles together" in only(said)
 
 
-def test_forces_of_the_right_sign_are_those_that_push(ds):
+def test_repulsive_contacts_do_not_warn(ds):
     for scene in (ds, ds.assign(contact_i=ds.contact_j, contact_j=ds.contact_i, contact_force=-ds.contact_force)):
         scene.cg.coarse_grain(CONTACT_FIELDS)
 
 
-def test_contact_points_that_were_left_behind(ds):
+def test_distant_contact_points_warn(ds):
     moved = several(ds.assign(position=ds.position + 1.5).assign_attrs(periodic=""))
     moved = moved.assign(position=moved.position + 4.0)
     with pytest.warns(xcg.SceneWarning) as said:
@@ -96,13 +96,13 @@ def test_contact_points_that_were_left_behind(ds):
     assert "diameters from the centre of a particle" in only(said)
 
 
-def test_contacts_across_a_box_that_is_not_periodic(ds):
+def test_contacts_across_an_open_box_warn(ds):
     with pytest.warns(xcg.SceneWarning) as said:
         ds.assign_attrs(periodic="").cg.coarse_grain(CONTACT_FIELDS)
     assert "another step or box" in only(said)
 
 
-def test_ends_that_are_not_the_positions(ds):
+def test_ends_of_contacts_that_are_not_the_positions_warn(ds):
     frame = {name: ds[name].values[0] for name in ("particle_id", "position", "contact_i", "contact_j")}
     period = np.full(3, 4.0)
     branch = frame["position"][frame["contact_i"]] - frame["position"][frame["contact_j"]]
@@ -112,7 +112,7 @@ def test_ends_that_are_not_the_positions(ds):
         check_ends(frame | {"wrapped_branch": branch[:, ::-1]}, frame, Lattice(period), "step 0")
 
 
-def test_all_is_well_in_the_samples():
+def test_lattices_do_not_warn():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for scene in (xcg.datasets.simple_cubic(4), xcg.datasets.simple_cubic(3)):
@@ -123,14 +123,14 @@ def test_all_is_well_in_the_samples():
 # --- the call ---------------------------------------------------------------------------------------------
 
 
-def test_a_width_far_below_the_grains(ds):
+def test_a_width_far_below_the_diameter_warns(ds):
     with pytest.warns(xcg.SceneWarning) as said:
         ds.cg.coarse_grain("density", width="0.05 d43", axes="z")
     assert "0.05 of the diameter of the grains" in only(said)
     ds.cg.coarse_grain("density", width="0.125 d43", axes="z")  # as in studies of what width does
 
 
-def test_a_cut_outside_a_periodic_box(ds):
+def test_a_plane_outside_a_periodic_box_warns(ds):
     with pytest.warns(xcg.SceneWarning) as said:
         f = ds.cg.coarse_grain("density", axes="x", at={"y": 13.0, "z": 1.0})
     assert "at={'y': 13} is outside the box, which is periodic from 0 to 4" in only(said)
@@ -141,22 +141,22 @@ def test_a_cut_outside_a_periodic_box(ds):
 @pytest.mark.parametrize(
     "name", ["diametr", "diameters", "velocty", "velocities", "contact_forces", "periodc", "spieces"]
 )
-def test_a_misspelt_variable(name):
+def test_a_misspelt_variable_raises(name):
     with pytest.raises(xcg.SceneError, match=f"'{name}' is neither .*did you mean"):
         xcg.scene_from_arrays(np.zeros((2, 3)), **{name: np.ones(2)})
 
 
-def test_radii_are_half_of_diameters():
+def test_radius_suggests_twice_as_diameter():
     with pytest.raises(xcg.SceneError, match=r"'radius' is neither .*; did you mean diameter = 2 radius\?"):
         xcg.scene_from_arrays(np.zeros((2, 3)), radius=np.ones(2))
 
 
-def test_contacts_are_given_as_one_array_for_each_variable():
+def test_contacts_as_one_table_raise():
     with pytest.raises(xcg.SceneError, match=r"'contacts' is neither .*; did you mean contact_i=, contact_j="):
         xcg.scene_from_arrays(np.zeros((2, 3)), contacts={})
 
 
-def test_shapes_that_beginners_give():
+def test_wrong_shapes_raise_with_a_remedy():
     with pytest.raises(xcg.SceneError, match=r"add a column of zeros for z and give dimension=2\)$"):
         xcg.scene_from_arrays(np.zeros((5, 2)))
     with pytest.raises(xcg.SceneError, match=r"'diameter' has shape \(\): .*numpy\.full\(n, 0\.1\)"):
@@ -164,7 +164,7 @@ def test_shapes_that_beginners_give():
 
 
 @pytest.mark.parametrize("name", ["temperature", "diameter_2", "charge", "species2", "moisture", "velocity_x", "age"])
-def test_variables_of_the_user(name):
+def test_own_variables_are_accepted(name):
     assert name in xcg.scene_from_arrays(np.zeros((2, 3)), **{name: np.ones(2)})
 
 
@@ -180,7 +180,7 @@ def test_variables_of_the_user(name):
         ("cgs", "reduced", False), ("metal", {"length": 1e-10}, True),
     ],
 )  # fmt: skip
-def test_units_against_the_header(tmp_path, system, units, fits):
+def test_units_that_contradict_the_header_warn(tmp_path, system, units, fits):
     path = dumps.write(tmp_path / "p.dump", dumps.dump_text(before=f"ITEM: UNITS\n{system}\n"))
     if fits:
         xcg.open_scene(path, units=units)
@@ -189,7 +189,7 @@ def test_units_against_the_header(tmp_path, system, units, fits):
             xcg.open_scene(path, units=units)
 
 
-def test_contacts_of_another_box(tmp_path):
+def test_contacts_of_another_box_warn(tmp_path):
     units = "ITEM: UNITS\nsi\n"
     particles = dumps.write(tmp_path / "p.dump", dumps.dump_text(before=units))
     same = dumps.write(tmp_path / "c.dump", dumps.pairs_text(before=units, box=dumps.BOX.replace("-1 9", "-1 8")))
@@ -200,7 +200,7 @@ def test_contacts_of_another_box(tmp_path):
     assert "d.dump (step 0) is [0.0, 20.0] along 'x'" in only(said)
 
 
-def test_a_lammps_file_without_units(tmp_path):
+def test_a_lammps_file_without_units_warns(tmp_path):
     path = dumps.write(tmp_path / "p.dump", dumps.dump_text().replace("ITEM: UNITS\nsi\n", ""))
     with pytest.warns(xcg.SceneWarning) as said:
         xcg.open_scene(path)
@@ -209,7 +209,7 @@ def test_a_lammps_file_without_units(tmp_path):
         xcg.open_scene(path, units=units)
 
 
-def test_columns_that_look_like_walls_or_forces(tmp_path):
+def test_unused_columns_of_walls_or_forces_warn(tmp_path):
     rows = [f"{row} 7" for row in dumps.ROWS]
     particles = dumps.write(tmp_path / "p.dump", dumps.dump_text(rows, f"{dumps.ATOMS} f_wall[1]"))
     with pytest.warns(xcg.SceneWarning) as said:
@@ -250,7 +250,7 @@ def opened(tmp_path, shear, names, columns=RAW):
     return xcg.open_scene(particles, contacts=contacts, names=names)
 
 
-def test_a_normal_part_that_is_taken_for_the_force_is_pointed_at(tmp_path):
+def test_normal_forces_read_as_whole_forces_warn(tmp_path):
     with pytest.warns(xcg.SceneWarning) as said:
         opened(tmp_path, 2.0, WHOLE).compute()
     text = only(said)
@@ -259,7 +259,7 @@ def test_a_normal_part_that_is_taken_for_the_force_is_pointed_at(tmp_path):
     assert "names={'c_2[4]': 'normal_force_x', 'c_2[7]': 'tangential_force_x', ...}" in text
 
 
-def test_so_is_one_without_branches(tmp_path):
+def test_normal_forces_without_branches_warn(tmp_path):
     """The centres tell the branches; the last columns that nobody wanted are the first guess."""
     names = {column: name for column, name in WHOLE.items() if "branch" not in name}
     with pytest.warns(xcg.SceneWarning) as said:
@@ -269,7 +269,7 @@ def test_so_is_one_without_branches(tmp_path):
     assert "names={'c_2[4]': 'normal_force_x', 'c_2[7]': 'tangential_force_x', ...}" in text
 
 
-def test_forces_that_are_whole_are_not(tmp_path):
+def test_whole_forces_do_not_warn(tmp_path):
     dropped = WHOLE | {f"c_2[{k}]": None for k in (7, 8, 9)}
     opened(tmp_path, 2.0, dropped).compute()  # said not to be wanted
     parts = {column: slot.replace("contact_force", "normal_force") for column, slot in WHOLE.items()}
@@ -282,7 +282,7 @@ def test_forces_that_are_whole_are_not(tmp_path):
     opened(tmp_path, 2.0, kept | turned).compute()
 
 
-def test_raw_columns_get_a_table_of_targets(tmp_path):
+def test_unnamed_columns_raise_with_a_table_of_names(tmp_path):
     with pytest.raises(xcg.SceneError) as raised:
         opened(tmp_path, 2.0, {})
     text = " ".join(str(raised.value).split())
@@ -294,7 +294,7 @@ def test_raw_columns_get_a_table_of_targets(tmp_path):
     assert "patom1" not in str(raised.value)
 
 
-def test_the_summary_says_which_units_were_assumed(tmp_path):
+def test_the_summary_states_the_assumed_units(tmp_path):
     text = dumps.dump_text().removeprefix("ITEM: UNITS\nsi\n")
     path = dumps.write(tmp_path / "p.dump", text)
     with pytest.warns(xcg.SceneWarning, match="the header does not name the units"):
@@ -308,7 +308,7 @@ def test_the_summary_says_which_units_were_assumed(tmp_path):
 # --- discs -----------------------------------------------------------------------------------------------
 
 
-def test_discs_that_are_taken_for_spheres():
+def test_discs_read_as_spheres_warn():
     rng = np.random.default_rng(1)
     position = np.column_stack([rng.uniform(0, 9, (50, 2)), np.zeros(50)])
     d = rng.uniform(0.8, 1.2, 50)

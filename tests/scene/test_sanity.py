@@ -102,13 +102,13 @@ def test_different_contacts_of_a_pair_all_count():
     assert ds.sizes["contact"] == 2
 
 
-def test_both_sides_with_the_same_force_are_refused():
+def test_both_sides_with_the_same_force_raise():
     bodies = {"position": [[0.0, 0, 0], [0.9, 0, 0]], "diameter": [1.0, 1.0], "density": 1.0}
     with pytest.raises(SceneError, match="contact rows 0 and 1 list one contact from both sides with the same force"):
         xcg.scene_from_arrays(**bodies, contact_i=[0, 1], contact_j=[1, 0], contact_force=[[-1.0, 0, 0]] * 2)
 
 
-def test_walls_and_partners_that_are_not_there():
+def test_walls_and_unknown_partners_are_kept():
     bodies = {"position": [[0.0, 0, 0.5], [3.0, 0, 0.5]], "diameter": [1.0, 1.0], "density": 1.0}
     wall = {"contact_i": [0, 0, 0, 1, 7], "contact_j": [-1, -1, -2, -1, 8], "contact_force": [[0, 0, 1.0]] * 5}
     point = [[0.0, 0, 0], [0, 0, 0.01], [0, 0, 0], [3.0, 0, 0], [0, 0, 0]]
@@ -149,7 +149,7 @@ def test_many_rows_of_one_pair_are_bounded_work():
     assert ds.sizes["contact"] == 1
 
 
-def test_dumps_that_list_both_sides(tmp_path):
+def test_dumps_that_list_both_sides_count_once(tmp_path):
     particles = dumps.write(tmp_path / "p.0.dump", dumps.dump_text())
     once = dumps.write(tmp_path / "once.0.dump", dumps.pairs_text())
     twice = dumps.write(tmp_path / "twice.0.dump", dumps.pairs_text(["1 2 -9 0 0 0 1 0", "2 1 9 0 0 0 -1 0"]))
@@ -161,7 +161,7 @@ def test_dumps_that_list_both_sides(tmp_path):
         np.testing.assert_array_equal(f.contact_stress, usual.contact_stress)
 
 
-def test_fstat_files_with_copied_rows(tmp_path):
+def test_copied_rows_of_fstat_files_count_once(tmp_path):
     grains = [f"{x} 0 0 0 0 0 0.5 0 0 0 0 0 0 0" for x in (0.5, 1.4)]
     (tmp_path / "a.data").write_text("\n".join(["2 0 -1 -1 -1 3 3 3", *grains, ""]))
     row, mirror = "0 0 1 0.95 0 0 0.1 0 5 0 -1 0 0 0 0 0\n", "0 1 0 0.95 0 0 0.1 0 5 0 1 0 0 0 0 0\n"
@@ -248,7 +248,7 @@ def test_rows_with_forces_that_are_far_from_opposite_stay_two(packing, eps):
     rebuild(packing, both, sides="separate")  # without a warning
 
 
-def test_unlike_sides_name_both_forces():
+def test_messages_about_unlike_sides_name_both_forces():
     force = np.array([[2.0, 0, 0], [-3.0, 0, 0]])
     with pytest.warns(
         SceneWarning, match=r"1 contacts .* \[2\. 0\. 0\.\] on particle 0 and \[-3\. +0\. +0\.\] on particle 1"
@@ -270,7 +270,7 @@ def test_the_warning_has_the_number_and_the_mismatch(packing):
 
 
 @pytest.mark.parametrize(("sides", "count"), [("mean", 1), ("first", 1), ("separate", 2)])
-def test_sides_decides(sides, count):
+def test_the_argument_sides_decides(sides, count):
     given = {
         "contact_i": [0, 1], "contact_j": [1, 0], "contact_force": [[-10.0, 1.0, 0], [11.0, -1.2, 0]],
         "contact_point": [[0.5, 0.0, 0.0], [0.52, 0.0, 0.0]],
@@ -379,12 +379,12 @@ def test_a_quarter_of_the_larger_force_is_the_limit_and_saved_scenes_keep_the_ch
     assert "are two" in str(again.cg)
 
 
-def test_what_is_not_known_is_refused():
+def test_unknown_sides_raise():
     with pytest.raises(SceneError, match="sides='both': expected one of 'mean', 'first', 'separate'"):
         xcg.scene_from_arrays([[0.0, 0, 0]], diameter=[1.0], density=1.0, sides="both")
 
 
-def test_files_take_the_choice_too(tmp_path, packing):
+def test_open_scene_takes_sides(tmp_path, packing):
     contacts = listed(packing)
     both, mean = from_both_sides(contacts, 0.01, np.random.default_rng(5))
     grains = np.column_stack([packing.particle_id.values[0], packing.position.values[0], packing.diameter.values[0]])

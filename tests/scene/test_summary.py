@@ -30,7 +30,7 @@ def opened(tmp_path):
                           "vy": None, "vz": None})  # fmt: skip
 
 
-def test_a_scene_says_where_it_is_from_and_what_was_ignored(opened, tmp_path):
+def test_the_summary_of_a_scene_names_files_and_ignored_columns(opened, tmp_path):
     said = rows(opened)
     assert said["title"].startswith("scene of 2 steps with up to")
     assert said["engine"] == "lammps"
@@ -44,7 +44,7 @@ def test_a_scene_says_where_it_is_from_and_what_was_ignored(opened, tmp_path):
 
 
 @pytest.mark.parametrize("suffix", ENDS)
-def test_it_stays_with_selections_and_files(opened, tmp_path, suffix):
+def test_the_summary_is_kept_by_selections_and_files(opened, tmp_path, suffix):
     said = rows(opened)
     again = ENDS[suffix](opened.cg.save(tmp_path / f"scene.{suffix}"))
     for kept in (again, opened.isel(time=0), opened.isel(particle=slice(1)), opened.where(opened.diameter > 0)):
@@ -80,12 +80,12 @@ def test_names_in_files_are_made_printable(tmp_path):
         assert all(c.isprintable() or c == "\n" for c in text)
 
 
-def test_markup_is_shown_not_obeyed():
+def test_markup_is_escaped():
     ds = steps_of_random_scenes(1).rename(species="<b>species</b>")
     assert "&lt;b&gt;species&lt;/b&gt;" in ds.cg._repr_html_()
 
 
-def test_a_box_that_changes_is_said_to():
+def test_a_changing_box_is_noted():
     moving = xcg.scene_from_arrays(np.zeros((2, 1, 3)), diameter=np.ones((2, 1)), density=1.0,
                                    box=[[[0, 2.0]] * 3, [[0, 3.0]] * 3])  # fmt: skip
     assert rows(moving)["box"] == "x 0 to 2, y 0 to 2, z 0 to 2 m (first step)"
@@ -94,7 +94,7 @@ def test_a_box_that_changes_is_said_to():
 
 
 @pytest.mark.parametrize("suffix", ENDS)
-def test_a_result_says_its_mesh_kernel_and_times(tmp_path, suffix):
+def test_the_summary_of_a_result_has_mesh_kernel_and_times(tmp_path, suffix):
     ds = steps_of_random_scenes(3)
     f = ds.cg.coarse_grain(["density", "velocity"], axes="xz", at={"y": 1.0}, width=0.8, spacing=1.0, by="species")
     again = ENDS[suffix](f.cg.save(tmp_path / f"f.{suffix}"))
@@ -119,7 +119,7 @@ def test_a_result_says_its_mesh_kernel_and_times(tmp_path, suffix):
     assert rows(several)["kernel"] == "lucy, width 0.5 and 0.8, cutoff 1 and 1.6"
 
 
-def test_every_result_and_anything_else_is_summed_up():
+def test_all_results_and_other_datasets_have_a_summary():
     ds = steps_of_random_scenes(2)
     for task in ("particle_stress", "microstructure", "slice_temperature", "size_statistics", "force_chains"):
         result = getattr(ds.cg, task)()

@@ -89,7 +89,7 @@ def particles_with_walls(folder: Path, columns: str = ARRAY) -> Path:
     return dumps.write(folder / "p.dump", dumps.dump_text(rows, f"{dumps.ATOMS} {columns}"))
 
 
-def test_grains_with_zeros_do_not_touch(tmp_path):
+def test_grains_with_zero_force_do_not_touch(tmp_path):
     six = [f"f_w[{k}]" for k in range(2, 8)]
     for walls in ({"floor": "f_w[*]"}, {"floor": six}):  # the last leaves two columns, which are told
         ds = xcg.open_scene(particles_with_walls(tmp_path), walls=walls).compute()
@@ -101,13 +101,13 @@ def test_grains_with_zeros_do_not_touch(tmp_path):
     assert "f_w[2]" not in ds.attrs["ignored_columns"]
 
 
-def test_walls_and_pairs_together(tmp_path):
+def test_walls_and_pairs_are_read_together(tmp_path):
     pairs = dumps.write(tmp_path / "c.dump", dumps.pairs_text())
     ds = xcg.open_scene(particles_with_walls(tmp_path), contacts=pairs, walls={"floor": "f_w[*]"}).compute()
     assert sorted(ds.contact_j[0][ds.contact_i[0] >= 0].to_numpy()) == [-2, 2]
 
 
-def test_columns_that_look_like_walls_are_told(tmp_path):
+def test_unused_columns_of_walls_warn(tmp_path):
     path = particles_with_walls(tmp_path)
     with pytest.warns(xcg.SceneWarning, match=r"f_w\[1\] to f_w\[8\] look like .* walls=\{'side': 'f_w\[\*\]'\}"):
         xcg.open_scene(path)
@@ -122,7 +122,7 @@ def test_columns_that_look_like_walls_are_told(tmp_path):
         ({"the floor": "f_w[*]"}, "'the floor' is no name"),
     ],
 )
-def test_wrong_columns_are_named(tmp_path, walls, message):
+def test_wrong_columns_raise(tmp_path, walls, message):
     with pytest.raises(xcg.SceneError, match=message):
         xcg.open_scene(particles_with_walls(tmp_path), walls=walls, names={f"f_w[{k}]": None for k in range(1, 9)})
 
@@ -136,12 +136,12 @@ def test_wrong_columns_are_named(tmp_path, walls, message):
         (["side", 1.5], "1.5 is no wall"),
     ],
 )
-def test_unknown_walls_are_refused(silo, walls, message):
+def test_unknown_walls_raise(silo, walls, message):
     with pytest.raises(ValueError, match=message):
         silo.cg.select_walls(walls)
 
 
-def test_walls_without_names_go_by_number():
+def test_walls_without_names_have_numbers():
     ds = xcg.datasets.random_scene(60, seed=2)
     assert int((xcg.select_walls(ds, -1).contact_i >= 0).sum()) == int(((ds.contact_j < 0) & (ds.contact_i >= 0)).sum())
     with pytest.raises(ValueError, match="no wall of this scene has a name"):

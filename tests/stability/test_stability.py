@@ -7,7 +7,7 @@ from tests.stability.physical import LIMITS
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda c: c.__name__)
-def test_naive_fails_and_xcg_does_not(case):
+def test_naive_sums_lose_digits_and_xcg_keeps_them(case):
     result = case()
     assert result.naive > 5 * result.bound, result
     assert result.ours <= result.bound, result

@@ -42,7 +42,7 @@ def here(ds: xr.Dataset) -> xr.Dataset:
     return ds.compute(scheduler="synchronous")
 
 
-def test_equal_bits(client, scene):
+def test_fields_under_a_cluster_have_equal_bits(client, scene):
     assert dask.base.get_scheduler() == client.get
     assert_same_bits(here(scene), scene.compute())
     for options in ({}, {"axes": "z", "by": "species"}, {"axes": "xz", "kernel": "gaussian", "rtol": 1e-3}):
@@ -51,25 +51,25 @@ def test_equal_bits(client, scene):
 
 
 @pytest.mark.parametrize("work", ["force_chains", "microstructure", "particle_stress", "find_contacts"])
-def test_other_work(client, scene, work):
+def test_other_functions_under_a_cluster_have_equal_bits(client, scene, work):
     result = getattr(scene.cg, work)()
     assert_same_bits(here(result), result.compute())
 
 
-def test_kernels_of_a_user_travel(client):
+def test_kernels_of_users_reach_workers(client):
     ds = steps_of_random_scenes(2).chunk(time=1)
     f = ds.cg.coarse_grain(["density"], kernel=xcg.Lucy(cutoff=2.0))
     assert_same_bits(here(f), f.compute())
 
 
-def test_fields_of_a_user_travel(client):
+def test_fields_of_users_reach_workers(client):
     xcg.register_field("twist", lambda f, s, o: np.linalg.eigvalsh(f.stress)[..., 0] ** 3, fields="stress")
     f = steps_of_random_scenes(2).chunk(time=1).cg.coarse_grain(["stress", "twist"], width=0.8)
     assert_same_bits(here(f), f.compute())
 
 
 @pytest.mark.parametrize("suffix", [".nc", ".zarr", ".vtkhdf"])
-def test_results_are_saved(client, scene, tmp_path, suffix):
+def test_results_are_saved_under_a_cluster(client, scene, tmp_path, suffix):
     f = scene.cg.coarse_grain(["density", "stress"], by="species")
     one = xcg.save(f, tmp_path / f"one{suffix}")
     with dask.config.set(scheduler="synchronous"):
@@ -86,11 +86,11 @@ def test_results_are_saved(client, scene, tmp_path, suffix):
 
 
 @pytest.mark.parametrize("suffix", [".nc", ".zarr"])
-def test_scenes_are_saved(client, scene, tmp_path, suffix):
+def test_scenes_are_saved_under_a_cluster(client, scene, tmp_path, suffix):
     assert_same_bits(here(scene), here(reopen(xcg.save(scene, tmp_path / f"scene{suffix}"))))
 
 
-def test_zarr_by_xarray(client, scene, tmp_path):
+def test_xarray_writes_results_to_zarr(client, scene, tmp_path):
     f = scene.cg.coarse_grain(["density"])
     f.to_zarr(tmp_path / "f.zarr", zarr_format=2)
     assert_same_bits(here(f), here(reopen(tmp_path / "f.zarr")))
@@ -106,14 +106,14 @@ def _refuse_pools():
     xcg.compiled._jit.ThreadPoolExecutor = refuse
 
 
-def test_one_thread_a_task(client, scene):
+def test_tasks_take_one_thread(client, scene):
     """A task starts no threads: with several tasks at a time, they would fight for the processors."""
     client.run(_refuse_pools)
     for result in (scene.cg.coarse_grain(), scene.cg.find_contacts(), scene.cg.microstructure()):
         result.compute()
 
 
-def test_errors_of_data_arrive_as_they_are(client, tmp_path):
+def test_scene_errors_of_workers_reach_the_client(client, tmp_path):
     """An exception of a task keeps its type and message on its way from the worker."""
     ds = xcg.open_scene(**series.write_vtp_series(tmp_path, 60, 3))
     path = tmp_path / "P_00001.vtp"
@@ -122,7 +122,7 @@ def test_errors_of_data_arrive_as_they_are(client, tmp_path):
         ds.cg.coarse_grain(["density"]).compute()
 
 
-def test_few_tasks_a_step(scene):
+def test_a_step_takes_few_tasks(scene):
     """The scheduler's cost is a task's: reading, contacts, computing, and one for each result."""
     f = scene.cg.coarse_grain(["density", "stress", "velocity"])
     (optimized,) = dask.optimize(f)
@@ -130,7 +130,7 @@ def test_few_tasks_a_step(scene):
 
 
 @pytest.mark.parametrize("on_error", ["raise", "skip"])
-def test_what_all_tasks_share_travels_once(scene, on_error):
+def test_shared_arrays_are_once_in_the_graph(scene, on_error):
     """Points of a result are in the graph once, not in each task."""
     count = 20_000
     line = xr.DataArray(np.linspace(0.0, 1.0, count), dims="point")

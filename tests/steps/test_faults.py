@@ -50,7 +50,7 @@ def test_a_garbled_body_is_raised_or_skipped(folder, name, chunks):
     xr.testing.assert_equal(f.isel(time=[0, 1, 3, 4]).drop_vars("skipped"), whole.isel(time=[0, 1, 3, 4]))
 
 
-def test_fields_of_particles_do_not_mind_contacts(folder):
+def test_fields_of_particles_do_not_read_damaged_contacts(folder):
     garble(folder / "c.20.dump", "-9", "oops")
     f = opened(folder).cg.coarse_grain("density", axes="z", on_error="skip").compute()
     assert not f.skipped.any()
@@ -82,7 +82,7 @@ def test_every_function_over_time_can_skip(folder):
             assert result.compute().skipped.values.tolist() == [False, False, True, False, False]
 
 
-def test_a_fault_while_computing_in_memory(folder):
+def test_a_step_in_memory_that_cannot_be_computed_is_skipped(folder):
     ds = opened(folder).load()
     ds.box.values[1, 0] = np.nan
     with pytest.raises(xcg.SceneError, match="step 10: axis 'x' is periodic"):
@@ -168,7 +168,7 @@ def test_whole_numbers_of_a_skipped_step_are_padding(folder):
         assert (got[name].isel(time=2) == -1).all(), name
 
 
-def test_wrong_choice(folder):
+def test_wrong_on_error_raises(folder):
     for call in (lambda: opened(folder, on_error="ignore"),
                  lambda: opened(folder).cg.coarse_grain("density", on_error="ignore")):  # fmt: skip
         with pytest.raises(ValueError, match="on_error='ignore': expected 'raise'"):
@@ -193,7 +193,7 @@ CODES = "\x1b]0;title\x07\x9b31m\u202e"  # title of the window, colour, directio
 SHOWN = "\\x1b]0;title\\x07\\x9b31m\\u202e"
 
 
-def test_messages_hold_nothing_that_a_terminal_obeys(folder):
+def test_messages_escape_control_characters(folder):
     dumps.write(folder / "p.10.dump", dumps.dump_text(columns=dumps.ATOMS.replace(" x ", f" {CODES} "), step=10))
     with pytest.raises(xcg.SceneError) as error:
         xcg.open_scene(folder / "p.10.dump")
@@ -257,7 +257,7 @@ def test_a_damaged_file_of_contacts_is_no_step_without_contacts(folder):
         opened(folder, on_error="skip", missing="empty")
 
 
-def test_files_missing_from_a_list(folder):
+def test_missing_files_of_a_list_are_skipped(folder):
     paths = [folder / f"p.{step}.dump" for step in (*STEPS, 50)]
     with pytest.raises(FileNotFoundError, match=r"p\.50\.dump"):
         xcg.open_scene(paths)
@@ -265,14 +265,14 @@ def test_files_missing_from_a_list(folder):
         assert xcg.open_scene(paths, on_error="skip").sizes["time"] == 5
 
 
-def test_nothing_is_left(folder):
+def test_a_series_of_empty_files_raises(folder):
     for path in folder.glob("p.*"):
         path.write_text("")
     with pytest.raises(ValueError, match=r"p\.0\.dump"):
         opened(folder, on_error="skip", engine="lammps")
 
 
-def test_a_file_that_goes_after_it_was_opened(folder):
+def test_a_file_removed_after_opening_is_skipped(folder):
     ds = opened(folder)
     (folder / "p.20.dump").unlink()
     with pytest.raises(xcg.SceneError, match="is gone"):
@@ -283,7 +283,7 @@ def test_a_file_that_goes_after_it_was_opened(folder):
 
 @pytest.mark.parametrize("keep", [0.45, 0.7, 0.85, 0.95])
 @pytest.mark.parametrize("packed", [False, True])
-def test_a_file_of_many_steps_that_is_cut_off(tmp_path, keep, packed):
+def test_a_truncated_file_of_many_steps_raises_or_is_cut(tmp_path, keep, packed):
     data = "".join(dumps.dump_text(step=k) for k in range(6)).encode()
     path = tmp_path / ("many.dump.gz" if packed else "many.dump")
     if packed:
@@ -303,7 +303,7 @@ def test_a_file_of_many_steps_that_is_cut_off(tmp_path, keep, packed):
     assert good.sizes["time"] == int(keep * 6)
 
 
-def test_one_garbled_step_among_many(tmp_path):
+def test_one_garbled_step_among_many_is_skipped(tmp_path):
     steps = [dumps.dump_text(step=k) for k in range(5)]
     steps[2] = steps[2].replace("ITEM: NUMBER OF ATOMS\n3", "ITEM: NUMBER OF ATOMS\nthree")
     path = dumps.write(tmp_path / "many.dump", steps)
@@ -312,7 +312,7 @@ def test_one_garbled_step_among_many(tmp_path):
     assert ds.step.values.tolist() == [0, 1, 3, 4]
 
 
-def test_series_of_vtp(tmp_path):
+def test_damaged_vtp_files_are_skipped(tmp_path):
     for k in range(4):
         write_particles(tmp_path / f"P_{k}.vtp", time=k / 10, Density=np.ones(3), Velocity=np.zeros((3, 3)))
         write_contacts(tmp_path / f"F_{k}.vtp", [1], [2], [[1, 0, 0]], time=k / 10)
@@ -331,21 +331,21 @@ def test_series_of_vtp(tmp_path):
 
 
 @pytest.mark.parametrize("rows", [10**9, 10**15, 2**63 - 1, 2**64, -5])
-def test_a_header_that_lies_makes_no_memory(tmp_path, rows):
+def test_a_wrong_header_allocates_no_memory(tmp_path, rows):
     text = dumps.dump_text().replace("NUMBER OF ATOMS\n3", f"NUMBER OF ATOMS\n{rows}")
     dumps.write(tmp_path / "p.dump", text)
     with pytest.raises(xcg.SceneError, match=r"p\.dump"):
         xcg.open_scene(tmp_path / "p.dump")
 
 
-def test_a_compressed_file_of_one_endless_line(tmp_path):
+def test_a_compressed_file_of_one_endless_line_raises(tmp_path):
     (tmp_path / "p.dump").write_bytes(gzip.compress(b"ITEM: TIMESTEP" + b"0" * (1 << 24)))
     with pytest.raises(xcg.SceneError, match="no end of a line"):
         xcg.open_scene(tmp_path / "p.dump", engine="lammps")
 
 
 @pytest.mark.parametrize("far", [1e17, 1e30, -1e300])
-def test_a_grain_that_is_beyond_all_numbers(far):
+def test_a_grain_beyond_countable_distance_raises(far):
     ds = xcg.datasets.simple_cubic(3)
     ds.position.values[0, 0, 1] = far
     with pytest.raises(xcg.SceneError, match=r"reaches .* from the mesh along 'y'"):
@@ -363,20 +363,20 @@ def test_grains_far_astray_take_no_memory_and_change_nothing():
     xr.testing.assert_allclose(more.density, few.density, rtol=1e-12)
 
 
-def test_a_box_far_smaller_than_its_grains():
+def test_a_box_far_smaller_than_its_grains_raises():
     ds = xcg.datasets.simple_cubic(3)
     ds.box.values[:, 0] = (0, 1e-9)
     with pytest.raises(xcg.SceneError, match="along 'x' the period is 1e-09 m, and the reach 3 m"):
         ds.cg.coarse_grain("density", bounds=dict.fromkeys("xyz", (0, 1)), spacing=0.5, width=0.75)
 
 
-def test_a_mesh_of_too_many_nodes():
+def test_a_mesh_of_too_many_nodes_raises():
     ds = xcg.datasets.simple_cubic(3)
     with pytest.raises(ValueError, match="nodes along 'x', more than"):
         ds.cg.coarse_grain("density", bounds={"x": (0, 1e300)}, axes="x")
 
 
-def test_a_box_far_smaller_than_the_widest_of_several_kernels():
+def test_a_box_far_smaller_than_the_widest_kernel_raises():
     ds = xcg.datasets.simple_cubic(3)
     ds["species"] = ds.diameter.dims, np.where(np.arange(ds.sizes["particle"]) < 9, 1, 2)[None]
     ds.box.values[:, 0] = (0, 0.1)

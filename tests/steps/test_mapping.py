@@ -15,7 +15,7 @@ def lazy(**chunks):
     return ds.assign({name: ds[name].chunk(time=sizes) for name, sizes in chunks.items()})
 
 
-def test_chunks_cut_no_chunk_of_any_variable():
+def test_chunks_follow_those_of_all_variables():
     def edges(*series):
         return [(steps.start, steps.stop) for steps in chunks_of_time(series)]
 
@@ -25,7 +25,7 @@ def test_chunks_cut_no_chunk_of_any_variable():
     assert edges(lazy().compute()) == [(t, t + 1) for t in range(7)]
 
 
-def test_steps_are_those_of_the_series():
+def test_mapping_yields_the_steps_of_the_series():
     ds = lazy(a=(2, 2, 3), b=(4, 3), c=1)
     xr.testing.assert_identical(xr.concat(each_step(ds), "time", data_vars="minimal"), ds.compute())
     assert all(step.sizes["time"] == 1 and step["a"].chunks is None for step in each_step(ds))

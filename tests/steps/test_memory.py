@@ -108,7 +108,7 @@ def test_steps_of_many_contacts_do_not_keep_their_segments(packing, monkeypatch)
     assert saved > 70
 
 
-def test_what_is_in_order_is_not_copied():
+def test_sorted_arrays_are_not_copied():
     ids, wanted = np.arange(5), np.array([3, 0, 4])
     assert rows_of(ids, wanted) is wanted
     assert rows_of(ids, np.array([3, -2, 5])).tolist() == [3, -1, -1]

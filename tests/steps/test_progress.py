@@ -26,7 +26,7 @@ class Stream:
         pass
 
 
-def test_saving_tells_how_far_it_is(tmp_path, capsys):
+def test_saving_reports_progress(tmp_path, capsys):
     ds = xcg.datasets.random_scene(30)
     series = xr.concat([ds.assign_coords(time=[float(k)]) for k in range(4)], "time", data_vars="all").chunk(time=1)
     series.cg.save(tmp_path / "quiet.nc")
@@ -37,7 +37,7 @@ def test_saving_tells_how_far_it_is(tmp_path, capsys):
     ]  # fmt: skip
 
 
-def test_a_notebook_gets_a_bar(monkeypatch):
+def test_a_notebook_shows_a_bar(monkeypatch):
     class OutStream(Stream):
         __module__ = "ipykernel.iostream"
 
@@ -55,7 +55,7 @@ def test_a_notebook_gets_a_bar(monkeypatch):
 
 
 @pytest.mark.parametrize("terminal", [True, False])
-def test_progress(terminal, monkeypatch):
+def test_progress_is_a_bar_in_terminals_and_lines_elsewhere(terminal, monkeypatch):
     stream = Stream(terminal)
     monkeypatch.setattr(sys, "stderr", stream)
     with shown(100, True, done=10) as bar:

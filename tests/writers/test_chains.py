@@ -64,7 +64,7 @@ def test_csv_has_the_columns_of_force_chain_finder(tmp_path):
         assert abs(np.dot(direction, minor)) == pytest.approx(1, abs=1e-6)
 
 
-def test_csv_signs(tmp_path):
+def test_signs_of_forces_in_csv(tmp_path):
     """Compression is negative in the file, as there."""
     fc = fork().cg.force_chains()
     (path,) = fc.cg.to_csv(tmp_path / "f.csv")
@@ -75,7 +75,7 @@ def test_csv_signs(tmp_path):
     assert read_fcf(path)[0]["linkNodes"] == "starting"
 
 
-def test_vtp(tmp_path):
+def test_chains_are_written_to_vtp(tmp_path):
     fc = fork().cg.force_chains()
     (path,) = fc.cg.to_vtp(tmp_path / "f.vtp")
     points, ends, point_data, line_data = content(read_vtp(path))
@@ -155,7 +155,7 @@ def test_every_link_goes_from_its_first_particle_to_the_nearest_image_of_its_sec
     np.testing.assert_array_equal(line_data["chain_id"], links["chain"])
 
 
-def test_no_chains(tmp_path):
+def test_files_without_chains_are_valid(tmp_path):
     fc = nine_particles().cg.force_chains(threshold=1e9)
     assert len(fc.cg.to_csv(tmp_path / "f.csv")[0].read_text().splitlines()) == 1
     assert read_vtp(fc.cg.to_vtp(tmp_path / "f.vtp")[0]).GetNumberOfPoints() == 0
@@ -166,7 +166,7 @@ def test_no_chains(tmp_path):
     assert reader.GetOutput().GetNumberOfPoints() == 0
 
 
-def test_files_are_kept(tmp_path):
+def test_existing_files_are_kept(tmp_path):
     fc = fork().cg.force_chains()
     for write, name in ((fc.cg.to_csv, "f.csv"), (fc.cg.to_vtp, "f.vtp"), (fc.cg.to_vtkhdf, "f.vtkhdf")):
         write(tmp_path / name)
@@ -190,7 +190,7 @@ def run(*arguments):
     return CliRunner().invoke(chains, list(map(str, arguments)))
 
 
-def test_command(tmp_path, sheared):
+def test_the_command_writes_chains(tmp_path, sheared):
     files = [BIAXIAL / "particles.*.gz", "--contacts", BIAXIAL / "contacts.*.gz", "--periodic", "x", "--frozen", "2"]
     names = {"--csv": "f_{step}.csv", "--vtp": "f_{step}.vtp", "--vtkhdf": "f.vtkhdf", "--netcdf": "f.nc"}
     outputs = [word for option, name in names.items() for word in (option, tmp_path / name)]
@@ -221,7 +221,7 @@ def test_no_chain_is_written_where_a_name_is_taken(tmp_path, sheared):
     assert [p.name for p in tmp_path.iterdir()] == [f"f_{steps[-1]}.vtp"]
 
 
-def test_command_says_what_is_wrong():
+def test_the_command_reports_errors():
     files = [BIAXIAL / "particles.*.gz", "--contacts", BIAXIAL / "contacts.*.gz", "--periodic", "x"]
     assert "expected an angle in degrees" in run(*files, "--alpha", 100).output
     assert "neither 'mean' nor a stress" in run(*files, "--threshold", "median").output

@@ -26,7 +26,7 @@ def reopen(path):
     st.lists(st.floats(width=64), min_size=1, max_size=50),
     st.integers(1, 15),
 )
-def test_rounding_keeps_its_promise(numbers, digits):
+def test_rounding_errors_are_within_the_stated_bound(numbers, digits):
     values = np.array(numbers)
     rounded = Encoding(digits=digits).reduced(values)
     normal = np.isfinite(values) & (np.abs(values) > 1e-300) & (np.abs(values) < 1e308)
@@ -37,7 +37,7 @@ def test_rounding_keeps_its_promise(numbers, digits):
 
 
 @pytest.mark.parametrize("digits", range(1, 8))
-def test_single_precision_keeps_the_promise_of_the_note(digits):
+def test_single_precision_errors_are_within_the_note(digits):
     values = 10.0 ** np.random.default_rng(digits).uniform(-6, 6, 100_000)
     encoding = Encoding(dtype="float32", digits=digits)
     told = encoding.noted(xr.Dataset({"a": ("time", values)})).a.attrs["precision"]
@@ -45,7 +45,7 @@ def test_single_precision_keeps_the_promise_of_the_note(digits):
     assert error <= float(told.split()[-1]) <= max(0.5 * 10.0**-digits, 6e-8) * 1.001
 
 
-def test_rounding_takes_no_more_digits_than_are_asked_for():
+def test_rounding_keeps_no_more_digits_than_requested():
     values = np.random.default_rng(0).uniform(1, 10, 1000)
     worst = [np.abs(Encoding(digits=d).reduced(values) / values - 1).max() for d in range(1, 8)]
     assert all(error > 0.05 * 10.0**-d for d, error in enumerate(worst, start=1))
@@ -65,7 +65,7 @@ def test_bytes_are_shuffled_as_hdf5_does(dtype):
 @pytest.mark.parametrize("lazy", [False, True])
 @pytest.mark.parametrize("suffix", [".nc", ".zarr"])
 @pytest.mark.parametrize("options", [{"compression": 1}, {"compression": 9}, {"digits": 4}, {"dtype": "float32"}])
-def test_what_is_written_comes_back(tmp_path, suffix, lazy, options):
+def test_values_read_back_equal_the_rounded_ones(tmp_path, suffix, lazy, options):
     ds = steps_of_random_scenes(5)
     f = (ds.chunk(time=2) if lazy else ds).cg.coarse_grain(["density", "velocity", "stress"])
     back = reopen(xcg.save(f, tmp_path / f"f{suffix}", **options)).compute()
@@ -96,7 +96,7 @@ def test_files_of_fields_are_smaller_by_digits(tmp_path):
         assert file["stress"].compression is None
 
 
-def test_scenes_are_compressed_and_lose_nothing(tmp_path):
+def test_scenes_are_compressed_without_loss(tmp_path):
     ds = steps_of_random_scenes(3)
     path = xcg.save(ds, tmp_path / "scene.nc")
     with h5py.File(path) as file:
@@ -133,7 +133,7 @@ def test_short_steps_share_files(tmp_path):
         ({"compression": 11}, "compression=11"),
     ],
 )
-def test_other_numbers_are_refused(tmp_path, options, message):
+def test_wrong_digits_raise(tmp_path, options, message):
     f = xcg.datasets.simple_cubic(3).cg.coarse_grain(["density"])
     for suffix in (".nc", ".vtkhdf"):
         with pytest.raises(ValueError, match=message):
@@ -141,7 +141,7 @@ def test_other_numbers_are_refused(tmp_path, options, message):
     assert not list(tmp_path.iterdir())
 
 
-def test_the_command_line_takes_them(tmp_path):
+def test_the_command_line_takes_digits_and_compression(tmp_path):
     write_series(tmp_path)
     job = tmp_path / "job.toml"
     job.write_text(
@@ -157,7 +157,7 @@ def test_the_command_line_takes_them(tmp_path):
     assert "digits=99" in done.output
 
 
-def test_a_format_of_ones_own(tmp_path):
+def test_users_register_a_format(tmp_path):
     def write_text(ds, path, encoding, *, overwrite):
         np.savetxt(path, encoding.reduced(ds.density.to_numpy()))
 
@@ -178,7 +178,7 @@ def test_a_format_of_ones_own(tmp_path):
         xcg.save(f, tmp_path / "f.tex")
 
 
-def test_a_folder_in_the_place_of_a_file_is_said_before_computing(tmp_path):
+def test_a_folder_in_place_of_a_file_raises_before_computing(tmp_path):
     def fail(values):
         raise AssertionError
 
@@ -191,7 +191,7 @@ def test_a_folder_in_the_place_of_a_file_is_said_before_computing(tmp_path):
         assert not list((tmp_path / name).iterdir())
 
 
-def test_scenes_are_no_images(tmp_path):
+def test_scenes_saved_as_images_raise(tmp_path):
     for name in ("s.vtkhdf", "s.pvd"):
         with pytest.raises(ValueError, match="particles and contacts are no dimensions of an image"):
             xcg.datasets.random_scene(50, seed=1).cg.save(tmp_path / name)

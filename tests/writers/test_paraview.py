@@ -49,7 +49,7 @@ def test_images_hold_the_fields(tmp_path, axes, by):
             assert image.GetPointData().GetArray("velocity_phase_1") is not None
 
 
-def test_files_that_exist_are_kept(tmp_path):
+def test_existing_files_are_kept(tmp_path):
     f = xcg.datasets.random_scene(30).cg.coarse_grain("density", axes="z")
     f.cg.save(tmp_path / "f.pvd")
     (tmp_path / "f.pvd").unlink()
@@ -59,14 +59,14 @@ def test_files_that_exist_are_kept(tmp_path):
     assert vtk_to_numpy(read(tmp_path / "f_0000.vti").GetPointData().GetArray("density")).dtype == "f4"
 
 
-def test_what_is_no_image_is_refused(tmp_path):
+def test_fields_that_are_no_image_raise(tmp_path):
     scene = xcg.datasets.random_scene(30)
     with pytest.raises(ValueError, match="dimensions"):
         scene.cg.save(tmp_path / "f.pvd")
     assert not list(tmp_path.iterdir())
 
 
-def test_a_shorter_series_takes_the_place_of_a_longer_one(tmp_path):
+def test_a_shorter_series_replaces_a_longer_one(tmp_path):
     """Steps that only the old list names go; files of other names stay."""
     f = steps_of_random_scenes(4).cg.coarse_grain("density", axes="z", spacing=1.0)
     other = tmp_path / "f_0009.vti"
@@ -155,7 +155,7 @@ def test_points_and_centres_are_those_of_the_file(tmp_path, suffix):
 
 
 @pytest.mark.parametrize("suffix", [".stl", ".vtp", ".vti"])
-def test_surfaces_and_images(tmp_path, suffix):
+def test_points_of_surfaces_and_images(tmp_path, suffix):
     source = vtk.vtkImageData() if suffix == ".vti" else vtk.vtkCubeSource()
     writers = {".stl": vtk.vtkSTLWriter, ".vtp": vtk.vtkXMLPolyDataWriter, ".vti": vtk.vtkXMLImageDataWriter}
     writer = writers[suffix]()
@@ -241,7 +241,7 @@ def test_a_series_needs_times(scene, mesh, tmp_path, change, message):
     assert [p.name for p in tmp_path.iterdir()] == [mesh.name]
 
 
-def test_fields_of_another_mesh_are_refused(scene, mesh, tmp_path):
+def test_fields_of_another_mesh_raise(scene, mesh, tmp_path):
     at = xcg.mesh_points(mesh)
     f = scene.cg.coarse_grain("density", at=at)
     with pytest.raises(ValueError, match=r"mesh\.vtu has 9 points and 2 cells, and the fields have 8 along 'point'"):
@@ -255,7 +255,7 @@ def test_fields_of_another_mesh_are_refused(scene, mesh, tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["mesh.vtu"]
 
 
-def test_files_that_are_no_mesh(tmp_path):
+def test_files_that_are_no_mesh_raise(tmp_path):
     with pytest.raises(FileNotFoundError, match="no such file"):
         xcg.mesh_points(tmp_path / "none.vtu")
     with pytest.raises(ValueError, match=r"expected a mesh in \.vtu"):

@@ -39,7 +39,7 @@ def steps(count=4, **options):
     return xr.concat(parts, "time", data_vars="all"), parts
 
 
-def test_equal_to_the_fields_of_the_series(path):
+def test_recorded_fields_equal_those_of_the_series(path):
     series, parts = steps()
     with xcg.record(path, FIELDS, **OPTIONS) as live:
         for k, part in enumerate(parts):
@@ -61,7 +61,7 @@ def test_equal_to_the_fields_of_the_series(path):
     assert [p.name for p in path.parent.iterdir()] == [path.name]
 
 
-def test_several_steps_and_fields_at_once(path):
+def test_several_steps_and_fields_are_appended_at_once(path):
     series, _ = steps()
     fields = series.cg.coarse_grain("density", bounds={"x": (0, 4), "z": (0, 4)}, **OPTIONS)
     with xcg.record(path) as live:
@@ -72,7 +72,7 @@ def test_several_steps_and_fields_at_once(path):
         np.testing.assert_array_equal(found.step, fields.step)
 
 
-def test_lazy_scenes_of_many_steps(path):
+def test_lazy_scenes_of_many_steps_are_recorded(path):
     series, _ = steps()
     with xcg.record(path, "density", bounds={"z": (-2.0, 7.0)}, **OPTIONS) as live:
         live.append(series.chunk({"time": 2}))
@@ -89,7 +89,7 @@ def test_only_what_fields_need_is_read(path):
         assert live.steps == 3
 
 
-def test_continues_where_it_stopped(path):
+def test_recording_continues_where_it_stopped(path):
     series, parts = steps()
     for part in parts:
         with xcg.record(path, FIELDS, **OPTIONS) as live:
@@ -100,7 +100,7 @@ def test_continues_where_it_stopped(path):
         np.testing.assert_array_equal(found.time, series.time)
 
 
-def test_overwrites_where_asked(path):
+def test_recording_overwrites_on_request(path):
     _, parts = steps()
     with xcg.record(path, "density", **OPTIONS) as live:
         live.append(parts[0])
@@ -128,7 +128,7 @@ def test_the_mesh_of_the_first_step_holds_for_all(path):
         assert found.attrs["width"] == expected.attrs["width"]
 
 
-def test_digits(path):
+def test_recorded_fields_are_rounded_to_digits(path):
     _, parts = steps()
     with xcg.record(path, "density", digits=3, dtype="float32", **OPTIONS) as live:
         live.append(parts[0])
@@ -153,7 +153,7 @@ def test_digits(path):
         ({"spacing": 0.5}, "'x' has the length"),
     ],
 )
-def test_a_step_that_is_not_like_the_others_is_refused(path, change, message):
+def test_a_step_of_another_shape_raises(path, change, message):
     _, parts = steps(2)
     change = dict(change)
     later = parts[1].assign_coords(time=[change.pop("time", 0.5)])
@@ -166,13 +166,13 @@ def test_a_step_that_is_not_like_the_others_is_refused(path, change, message):
         assert found.sizes["time"] == 1
 
 
-def test_one_recorder_at_a_time(path):
+def test_a_second_recorder_raises(path):
     with xcg.record(path, "density"), pytest.raises(FileExistsError, match="is being written by another run"):
         xcg.record(path, "density")
     xcg.record(path, "density").close()
 
 
-def test_bad_arguments(tmp_path):
+def test_wrong_arguments_raise(tmp_path):
     with pytest.raises(ValueError, match=r"expected a name that ends with \.nc"):
         xcg.record(tmp_path / "f.vtkhdf", "density")
     with pytest.raises(TypeError, match="axis"):
@@ -197,7 +197,7 @@ SCRIPT = """
 
 
 @pytest.mark.skipif(os.name != "posix", reason="kills a process")
-def test_killed_while_it_writes(path, tmp_path):
+def test_a_killed_recorder_leaves_a_readable_file(path, tmp_path):
     """Whenever the process is killed: all steps that were appended are whole, and it goes on from there."""
     script = tmp_path / "script.py"
     script.write_text(textwrap.dedent(SCRIPT))

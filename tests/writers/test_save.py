@@ -50,7 +50,7 @@ def suffix(request):
 
 
 @pytest.mark.parametrize("lazy", [False, True])
-def test_a_scene_comes_back(tmp_path, suffix, lazy):
+def test_a_saved_scene_reads_back_equal(tmp_path, suffix, lazy):
     ds = steps_of_random_scenes(4)
     saved = xcg.save(ds.chunk(time=1) if lazy else ds, tmp_path / f"scene{suffix}")
     again = reopen(saved)
@@ -72,7 +72,7 @@ def test_hdf5_is_netcdf_by_another_name(tmp_path):
     assert_same_bits(ds, xcg.open_scene(tmp_path / "scene.h5"))
 
 
-def test_everything_works_on_it(tmp_path, suffix):
+def test_functions_give_the_same_bits_on_a_saved_scene(tmp_path, suffix):
     ds = steps_of_random_scenes(2)
     again = reopen(ds.cg.save(tmp_path / f"scene{suffix}"))
     assert repr(again.cg) == repr(ds.cg)
@@ -82,7 +82,7 @@ def test_everything_works_on_it(tmp_path, suffix):
     assert_same_bits(ds.cg.find_contacts(), again.compute().cg.find_contacts())
 
 
-def test_real_output(tmp_path, suffix):
+def test_real_output_is_saved_and_read_back(tmp_path, suffix):
     folder = real_data("mfix_chute")
     ds = xcg.open_scene(
         folder / "P_FB1_0004.vtp", contacts=folder / "FC_0004.vtp", periodic="xz", box={"x": (0, 0.04), "z": (0, 0.02)}
@@ -93,7 +93,7 @@ def test_real_output(tmp_path, suffix):
     assert_same_bits(ds.cg.coarse_grain(axes="y").compute(), again.cg.coarse_grain(axes="y").compute())
 
 
-def test_nothing_touches(tmp_path, suffix):
+def test_scenes_without_contacts_are_saved(tmp_path, suffix):
     ds = steps_of_random_scenes(3).isel(contact=[])
     for k, scene in enumerate((ds, ds.chunk(time=1))):
         assert_same_bits(ds, reopen(xcg.save(scene, tmp_path / f"{k}{suffix}")))
@@ -128,7 +128,7 @@ def test_padding_takes_no_room(tmp_path, suffix):
     assert sizes[1] < 2 * sizes[0]
 
 
-def test_refusals(tmp_path, suffix):
+def test_wrong_targets_raise(tmp_path, suffix):
     ds = steps_of_random_scenes(1)
     path = xcg.save(ds, tmp_path / f"scene{suffix}")
     with pytest.raises(FileExistsError, match="overwrite=True"):
@@ -140,7 +140,7 @@ def test_refusals(tmp_path, suffix):
         xcg.save(ds, tmp_path / "none" / f"scene{suffix}")
 
 
-def test_an_error_leaves_nothing(tmp_path, suffix):
+def test_an_error_leaves_no_file(tmp_path, suffix):
     particles, _ = write_series(tmp_path)
     ds = xcg.open_scene(particles)
     (tmp_path / "p.10.dump").write_text("changed")
@@ -257,7 +257,7 @@ def test_a_store_that_appears_meanwhile_is_kept(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["scene.zarr"]
 
 
-def test_one_writer_of_a_store_at_a_time(tmp_path):
+def test_a_second_writer_of_a_store_raises(tmp_path):
     ds, path = xcg.datasets.simple_cubic(2), tmp_path / "scene.zarr"
     with whole_folder(path, overwrite=False) as part:
         part.mkdir()
@@ -299,7 +299,7 @@ def test_results_are_stored_without_warnings_about_text(tmp_path):
         assert_same_bits(f, again)
 
 
-def test_names_say_what_is_written(tmp_path):
+def test_suffixes_choose_the_format(tmp_path):
     ds = steps_of_random_scenes(2)
     assert xcg.save(ds.cg.coarse_grain("density"), tmp_path / "f.vtkhdf").exists()
     assert xcg.save(ds.cg.force_chains(), tmp_path / "c.vtkhdf").exists()
@@ -311,7 +311,7 @@ def test_names_say_what_is_written(tmp_path):
 @pytest.mark.parametrize(
     ("chunks", "expected"), [(None, None), (2, (2, 2, 1)), (-1, (5,)), ({"time": (1, 4)}, (1, 4)), ("auto", (5,))]
 )
-def test_open_scene_takes_it(tmp_path, suffix, chunks, expected):
+def test_open_scene_opens_saved_scenes(tmp_path, suffix, chunks, expected):
     ds = steps_of_random_scenes(5)
     saved = ds.cg.save(tmp_path / f"scene{suffix}")
     again = xcg.open_scene(saved, chunks=chunks)
@@ -340,14 +340,14 @@ def test_chunks_of_long_series_are_those_of_the_file(tmp_path, monkeypatch):
      ({"box": np.array([[0, 1]] * 3)}, "box"), ({"missing": "skip"}, "missing"),
      ({"allow_unknown": True}, "allow_unknown")],
 )  # fmt: skip
-def test_what_describes_files_is_refused_beside_it(tmp_path, suffix, given, named):
+def test_options_of_readers_raise_for_saved_scenes(tmp_path, suffix, given, named):
     saved = steps_of_random_scenes(1).cg.save(tmp_path / f"scene{suffix}")
     with pytest.raises(xcg.SceneError, match=rf"scene\{suffix} is a scene that xcg saved, which takes no {named}="):
         xcg.open_scene(saved, **given)
 
 
 @pytest.mark.parametrize("name", ["scene.nc4", "scene.h5", "scene.HDF5", "a scene [1] é.nc", "a scene [1] é.zarr"])
-def test_names_that_a_scene_may_have(tmp_path, name):
+def test_saved_scenes_open_under_any_name(tmp_path, name):
     ds = steps_of_random_scenes(2)
     saved = ds.cg.save(tmp_path / ("saved.zarr" if name.endswith("zarr") else "saved.nc"))
     saved.rename(tmp_path / name)
@@ -357,7 +357,7 @@ def test_names_that_a_scene_may_have(tmp_path, name):
     assert sum(done for done, _ in [*run_job(read_config(job))][-1:]) == 2
 
 
-def test_patterns_find_one_scene(tmp_path, suffix):
+def test_a_pattern_opens_one_saved_scene(tmp_path, suffix):
     ds = steps_of_random_scenes(2)
     saved = [ds.cg.save(tmp_path / f"scene{n}{suffix}") for n in (1, 2)]
     assert_same_bits(ds, xcg.open_scene(tmp_path / f"scene1*{suffix}"))
@@ -385,7 +385,7 @@ def test_a_damaged_chunk_is_named_and_skipped(tmp_path):
     np.testing.assert_array_equal(f.density[[0, 2, 3]], whole.density[[0, 2, 3]])
 
 
-def test_steps_and_boxes_are_in_memory(tmp_path, suffix):
+def test_coordinates_and_boxes_of_saved_scenes_are_in_memory(tmp_path, suffix):
     ds = steps_of_random_scenes(2)
     ds = ds.assign_coords(tag=("particle", np.arange(ds.sizes["particle"])))
     again = xcg.open_scene(ds.cg.save(tmp_path / f"scene{suffix}"))
@@ -393,7 +393,7 @@ def test_steps_and_boxes_are_in_memory(tmp_path, suffix):
     assert_same_bits(ds, again)
 
 
-def test_on_error_is_checked_beside_it(tmp_path, suffix):
+def test_wrong_on_error_raises_for_saved_scenes(tmp_path, suffix):
     saved = steps_of_random_scenes(1).cg.save(tmp_path / f"scene{suffix}")
     with pytest.raises(ValueError, match="on_error='never'"):
         xcg.open_scene(saved, on_error="never")
@@ -406,7 +406,7 @@ def test_on_error_is_checked_beside_it(tmp_path, suffix):
      np.array(["sand", "müll"]), np.array(["sand", "müll"], object)],
     ids=["dates", "spans", "texts", "objects"],
 )  # fmt: skip
-def test_what_is_no_number_comes_back(tmp_path, suffix, lazy, values):
+def test_nan_and_infinity_read_back_equal(tmp_path, suffix, lazy, values):
     ds = steps_of_random_scenes(2).assign(extra=("time", values)).assign_coords(when=("time", values))
     saved = (ds.chunk(time=1) if lazy else ds).cg.save(tmp_path / f"scene{suffix}")
     again = xcg.open_scene(saved)
@@ -415,7 +415,7 @@ def test_what_is_no_number_comes_back(tmp_path, suffix, lazy, values):
     assert_same_bits(ds.drop_vars(["extra", "when"]), again.drop_vars(["extra", "when"]))
 
 
-def test_what_is_no_scene_is_refused(tmp_path, suffix):
+def test_files_that_are_no_scene_raise(tmp_path, suffix):
     fields = steps_of_random_scenes(1).cg.coarse_grain("density").cg.save(tmp_path / f"fields{suffix}")
     with pytest.raises(xcg.SceneError, match=rf"fields\{suffix} is no scene that xcg saved \(it holds density\)"):
         xcg.open_scene(fields)
@@ -428,7 +428,7 @@ def test_what_is_no_scene_is_refused(tmp_path, suffix):
         xcg.open_scene(broken)
 
 
-def test_commands_take_it(tmp_path, suffix):
+def test_commands_accept_saved_scenes(tmp_path, suffix):
     ds = steps_of_random_scenes(2)
     saved = str(ds.cg.save(tmp_path / f"scene{suffix}"))
     told = CliRunner().invoke(group, ["info", saved])
@@ -451,7 +451,7 @@ def test_commands_take_it(tmp_path, suffix):
 # --- the command line ------------------------------------------------------------------------------------
 
 
-def test_convert(tmp_path, suffix):
+def test_convert_writes_a_scene(tmp_path, suffix):
     particles, contacts = write_series(tmp_path)
     target = tmp_path / f"scene{suffix}"
     command = ["convert", particles, "-c", contacts, "-o", str(target), "--periodic", "x", "--timestep", "0.5"]
@@ -465,7 +465,7 @@ def test_convert(tmp_path, suffix):
     assert CliRunner().invoke(group, [*command, "--overwrite"]).exit_code == 0
 
 
-def test_convert_as_a_job_says(tmp_path, suffix):
+def test_convert_follows_a_job(tmp_path, suffix):
     write_series(tmp_path)
     job = tmp_path / "job.toml"
     text = '[scene]\nparticles = "p.*.dump"\ncontacts = "c.*.dump"\nnames = { mass = "weight" }\ndensity = 2.0\n'

@@ -115,7 +115,7 @@ with dask.config.set(scheduler="sync"):
         (".zarr", "log", 2, 1), (".zarr", "chunk", 8, 0),
     ],
 )  # fmt: skip
-def test_a_process_that_is_killed(tmp_path, suffix, where, kills, compression, monkeypatch):
+def test_a_killed_process_keeps_finished_steps(tmp_path, suffix, where, kills, compression, monkeypatch):
     monkeypatch.setattr("xcg.writers.zarr._steps_together", lambda layout: 1)
     path = tmp_path / f"f{suffix}"
     command = [sys.executable, "-c", KILLED, str(path), str(kills), where, str(compression)]
@@ -128,7 +128,7 @@ def test_a_process_that_is_killed(tmp_path, suffix, where, kills, compression, m
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_another_call_is_an_error_that_says_what_differs(tmp_path, suffix):
+def test_resuming_with_another_call_raises(tmp_path, suffix):
     path = tmp_path / f"f{suffix}"
     with dask.config.set(scheduler="sync"), pytest.raises(RuntimeError, match="stopped"):
         xcg.save(fields(fail_at=3), path, resume=True)

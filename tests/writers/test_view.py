@@ -50,14 +50,14 @@ def test_an_image_has_each_number_at_its_node(fields):
     np.testing.assert_array_equal(sheared.sum(), step.stress.sel(component="x", direction="z").values.ravel("F").sum())
 
 
-def test_units_and_time_are_noted(fields):
+def test_meshes_hold_units_and_time(fields):
     noted = fields.cg.to_pyvista(time=0).user_dict
     assert noted["units"]["stress"] == "Pa"
     assert noted["units"]["velocity"] == "m s^-1"
     assert noted["time"] == 0.0
 
 
-def test_steps_phases_and_planes():
+def test_meshes_of_steps_phases_and_planes():
     ds = steps_of_random_scenes(3)
     f = ds.chunk(time=1).cg.coarse_grain(
         ["density"], by="species", groups=[1, 2], axes="xz", at={"y": 1.5}, width=0.8, spacing=1.0
@@ -74,7 +74,7 @@ def test_steps_phases_and_planes():
     np.testing.assert_array_equal(one["density"], f.cg.to_pyvista(time=-1)["density"])
 
 
-def test_unknown_numbers_stay_nan_and_are_not_drawn(plotter):
+def test_nan_is_not_drawn(plotter):
     ds = xcg.scene_from_arrays(np.full((1, 3), 2.0), diameter=[1.0], density=1.0, velocity=[[1.0, 2.0, 3.0]])
     f = ds.cg.coarse_grain("velocity", width=0.8, spacing=0.5, bounds=dict.fromkeys("xyz", (0.0, 4.0)))
     image = f.cg.to_pyvista()
@@ -87,7 +87,7 @@ def test_unknown_numbers_stay_nan_and_are_not_drawn(plotter):
     assert np.isfinite(drawn["velocity"]).all()
 
 
-def test_other_meshes_are_refused(scene):
+def test_rings_uneven_axes_and_points_raise(scene):
     ring = scene.cg.coarse_grain("density", frame=xcg.Cylindrical((2.5, 2.5, 0)), axes="rz", width=0.8)
     with pytest.raises(ValueError, match=r"on a cylinder, and an image has x, y and z: draw them with f\.cg\.plot"):
         ring.cg.to_pyvista()
@@ -176,7 +176,7 @@ def test_the_box_is_that_of_the_scene():
 
 
 @pytest.mark.parametrize("count", [0, 1])
-def test_hardly_any_grains(count, plotter):
+def test_scenes_of_up_to_two_grains_are_drawn(count, plotter):
     ds = xcg.datasets.random_scene(count)
     assert set(ds.cg.to_pyvista().keys()) == {"particles", "contacts", "box"}
     ds.cg.view(plotter=plotter)
@@ -203,17 +203,17 @@ def colours(plotter):
         lambda ds, f, p: ds.cg.force_chains().cg.view(plotter=p),
     ],
 )
-def test_something_is_drawn(scene, fields, draw, plotter):
+def test_pictures_are_not_empty(scene, fields, draw, plotter):
     assert draw(scene, fields, plotter) is plotter
     assert colours(plotter) > 20
 
 
-def test_a_picture_of_its_own_is_shown(scene, plotter, monkeypatch):
+def test_view_without_a_plotter_shows_one(scene, plotter, monkeypatch):
     monkeypatch.setattr(pv, "OFF_SCREEN", True)
     assert isinstance(scene.cg.view(), pv.Plotter)
 
 
-def test_what_view_refuses(scene, fields, plotter, monkeypatch):
+def test_wrong_views_raise(scene, fields, plotter, monkeypatch):
     with pytest.raises(ValueError, match=r"unknown field 'densty'; did you mean 'density'"):
         fields.cg.view("densty", plotter=plotter)
     with pytest.raises(ValueError, match=r"unknown field 'weight'"):

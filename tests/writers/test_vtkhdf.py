@@ -116,7 +116,7 @@ def test_one_component_is_a_scalar(tmp_path):
     assert_read_equal(to_vtkhdf(ds, tmp_path / "f.vtkhdf"), ds, ["stress"])
 
 
-def test_without_time(tmp_path):
+def test_fields_without_time_are_written(tmp_path):
     ds = result()
     assert_read_equal(to_vtkhdf(ds.mean("time"), tmp_path / "mean.vtkhdf"), ds.mean("time"))
     path = to_vtkhdf(ds.isel(time=1), tmp_path / "one.vtkhdf")
@@ -161,7 +161,7 @@ def test_values_that_are_not_finite_stay(tmp_path):
 
 
 @pytest.mark.parametrize("dtype", ["int64", "int32", "uint8", "bool", "float32", "float16", "float64"])
-def test_types(tmp_path, dtype):
+def test_types_of_numbers_are_kept(tmp_path, dtype):
     ds = (result()[["density"]] % 2).astype(dtype)
     path = to_vtkhdf(ds, tmp_path / "f.vtkhdf")
     assert_read_equal(path, ds, ["density"])
@@ -233,7 +233,7 @@ def test_each_chunk_is_computed_once_with_all_its_variables(tmp_path):
     assert sorted(seen) == [0, 1, 2]
 
 
-def test_nothing_is_left_after_an_error_in_the_middle(tmp_path):
+def test_no_file_is_left_after_an_error(tmp_path):
     def fail(block, block_info=None):
         if block_info[0]["chunk-location"][0] == 1:
             message = "file 2 is damaged"
@@ -257,7 +257,7 @@ def test_nothing_is_left_after_an_error_in_the_middle(tmp_path):
 # --- refused ---------------------------------------------------------------------------------------------
 
 
-def test_existing_files_stay_unless_told(tmp_path):
+def test_existing_files_stay_unless_overwrite(tmp_path):
     path = tmp_path / "f.vtkhdf"
     path.write_text("mine")
     with pytest.raises(FileExistsError, match="overwrite=True"):
@@ -288,13 +288,13 @@ def test_existing_files_stay_unless_told(tmp_path):
         (lambda ds: ds.drop_vars(list(ds.data_vars)), "holds no variables"),
     ],
 )  # fmt: skip
-def test_what_is_no_image_is_refused(tmp_path, change, message):
+def test_fields_that_are_no_image_raise(tmp_path, change, message):
     with pytest.raises(ValueError, match=message):
         to_vtkhdf(change(result()), tmp_path / "f.vtkhdf")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_phases_that_clash_with_variables_are_refused(tmp_path):
+def test_phases_that_clash_with_variables_raise(tmp_path):
     ds = result()
     phases = xr.concat([ds, ds], xr.IndexVariable("phase", ["bulk", "1"]))
     phases["density_phase_1"] = ds["density"]

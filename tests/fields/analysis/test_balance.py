@@ -68,7 +68,7 @@ def test_residuals_of_each_phase_fall_with_the_mesh_and_with_the_time_between_fr
 
 
 @pytest.mark.parametrize("options", [{}, {"axes": "zx"}, {"by": "species"}])
-def test_dimensions_and_coordinates_stand_in_the_order_of_the_fields(options):
+def test_dimensions_and_coordinates_are_in_the_order_of_the_fields(options):
     ds = steps_of_random_scenes(2).assign_attrs(gravity=np.array([0, 0, -1.0]))
     f, b = ds.cg.coarse_grain("velocity", **options), ds.cg.balance(**options)
     assert list(b.sizes) == [*f.sizes, "interval"]
@@ -77,7 +77,7 @@ def test_dimensions_and_coordinates_stand_in_the_order_of_the_fields(options):
     assert list(ds.isel(time=0).cg.balance(**options).sizes) == list(f.sizes)[1:]
 
 
-def test_a_wrong_force_shows():
+def test_a_wrong_force_raises_the_residual():
     ds = close_frames(0.01)
     right = ds.cg.balance(width=1.2, spacing=0.15).momentum_residual_norm.item()
     wrong = ds.assign(contact_force=1.2 * ds.contact_force).cg.balance(width=1.2, spacing=0.15)
@@ -95,7 +95,7 @@ def test_balance_is_lazy_and_averages():
     assert float(b.force_residual_norm.max()) < 1e-3
 
 
-def test_bad_requests():
+def test_wrong_arguments_raise():
     ds = xcg.datasets.random_scene(20)
     with pytest.raises(ValueError, match="fixed axis"):
         ds.cg.balance(axes="x", at={"y": 1.0, "z": 1.0})

@@ -89,7 +89,7 @@ def random_scene(count=300, spread=2.0, periodic="xyz", seed=4, steps=1):
 
 @pytest.mark.parametrize("periodic", ["xyz", "", "x"])
 @pytest.mark.parametrize("spacing", [0.13, 1.0, 2.5, 6.0, {"x": 0.4, "y": 1.2, "z": 3.0}])
-def test_cells_hold_all_that_grains_have(periodic, spacing):
+def test_cell_sums_are_the_totals_of_the_grains(periodic, spacing):
     ds = random_scene(40 if spacing == 0.13 else 300, periodic=periodic)
     f = ds.cg.cell_volumes(spacing)
     step = [float(f[a][1] - f[a][0]) if f.sizes[a] > 1 else (6.0 if a in periodic else None) for a in "xyz"]
@@ -135,7 +135,7 @@ def test_phases_add_up_and_velocity_is_a_mean():
     np.testing.assert_allclose(f.velocity * f.density, f.momentum_density, rtol=1e-12, atol=1e-13)
 
 
-def test_it_is_lazy_and_equal():
+def test_lazy_results_equal_eager_ones():
     ds = random_scene(steps=3)
     eager, lazy = ds.cg.cell_volumes(1.0), ds.chunk(time=1).cg.cell_volumes(1.0)
     assert lazy.density.chunks is not None
@@ -146,6 +146,6 @@ def test_it_is_lazy_and_equal():
     ({"spacing": -1.0}, "positive distance"), ({"spacing": 1.0, "axes": "q"}, "axes names"),
     ({"spacing": 1.0, "by": "none"}, "by='none'"),
 ])  # fmt: skip
-def test_wrong_arguments(options, message):
+def test_wrong_arguments_raise(options, message):
     with pytest.raises(ValueError, match=message):
         random_scene().cg.cell_volumes(**options)

@@ -64,7 +64,7 @@ def test_densities_take_their_noise_from_the_frames():
         flow.scene.isel(time=[0]).cg.choose_width("density", axes="z")
 
 
-def test_volumes_planes_and_points():
+def test_widths_for_volumes_planes_and_points():
     ds = xcg.datasets.open("plane_shear")
     line = xr.DataArray(np.linspace(1, 10, 8), dims="s")
     points = {"x": 3.0 + 0 * line, "y": 2.0 + 0 * line, "z": line}
@@ -74,7 +74,7 @@ def test_volumes_planes_and_points():
         assert found.best_total < 1
 
 
-def test_bad_requests():
+def test_wrong_arguments_raise():
     ds = xcg.datasets.random_scene(50)
     for options, message in (
         ({"widths": [1.0, 2.0]}, "three or more"), ({"target": 0.0}, "target=0.0"), ({"frames": 0}, "frames=0"),

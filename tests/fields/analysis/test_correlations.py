@@ -49,7 +49,7 @@ def direct(a, b, wraps):
     ("shape", "wrapped", "components"),
     [((7,), "", 1), ((6,), "x", 1), ((5, 4), "y", 1), ((4, 5), "xy", 3), ((3, 4, 3), "xz", 1), ((3, 3, 2), "", 9)],
 )
-def test_brute_force(shape, wrapped, components):
+def test_correlations_equal_brute_force(shape, wrapped, components):
     rng = np.random.default_rng(0)
     tail = {1: (), 3: ("component",), 9: ("component", "direction")}[components]
     values = rng.normal(size=(3, *shape, *(3,) * len(tail))) + 5.0
@@ -134,7 +134,7 @@ def test_smeared_points_have_the_correlation_of_the_kernel():
     assert abs(c.correlation_length - fall) < 4 * c.correlation_length_error
 
 
-def test_where_values_fall():
+def test_falls_to_interpolates_where_values_fall_below_a_level():
     at = np.array([0.0, 1.0, 2.0, 3.0])
     values = np.array([[1.0, 0.6, 0.2, 0.1], [1.0, 0.9, 0.8, 0.7], [0.1, 0.9, 0.1, 0.0], [1.0, np.nan, 0.1, 0.0]])
     np.testing.assert_allclose(falls_to(values, at, 0.4), [1.5, np.nan, np.nan, np.nan])
@@ -201,7 +201,7 @@ def moving(steps=5):
 
 
 @pytest.mark.parametrize("chunk", [1, 2])
-def test_lazy_results_give_the_same_lazily(chunk):
+def test_lazy_correlations_equal_eager_ones(chunk):
     options = {"fields": ["velocity", "volume_fraction"], "axes": "xz", "by": "species", "spacing": 0.5}
     eager = moving().cg.coarse_grain(width=0.75, bounds={"z": (1.0, 3.0)}, **options)
     lazy = moving().chunk(time=chunk).cg.coarse_grain(width=0.75, bounds={"z": (1.0, 3.0)}, **options)
@@ -215,7 +215,7 @@ def test_lazy_results_give_the_same_lazily(chunk):
         xr.testing.assert_allclose(one.compute(), other, rtol=1e-12, atol=1e-12)
 
 
-def test_which_axes_wrap():
+def test_correlations_wrap_around_periodic_axes_only():
     ds = moving()
     assert ds.cg.coarse_grain("density").attrs["wrapped_axes"] == "xy"
     bounded = ds.cg.coarse_grain("density", axes="xy", bounds={"x": (0.0, 4.0)}, extent={"z": 5.0})
@@ -241,7 +241,7 @@ def test_which_axes_wrap():
         ("time_correlation", None, {"name": "a", "max_lag": 0}, ValueError, "max_lag=0"),
     ],
 )  # fmt: skip
-def test_wrong_input_is_named(method, change, options, error, message):
+def test_wrong_input_raises(method, change, options, error, message):
     f = result(np.random.default_rng(6).normal(size=(4, 5)), "x")
     with pytest.raises(error, match=re.escape(message)):
         getattr(xcg, method)(f if change is None else change(f), **options)
@@ -253,7 +253,7 @@ def test_constant_fields_have_no_correlation():
     assert np.isnan(f.cg.time_correlation("a").mean_correlation).all()
 
 
-def test_the_page_runs(monkeypatch):
+def test_the_page_on_correlations_runs(monkeypatch):
     monkeypatch.chdir(ROOT)
     names = {}
     for block in re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "correlations.md").read_text(), re.DOTALL):

@@ -22,7 +22,7 @@ def same(found, expected, **options):
 
 
 @pytest.mark.parametrize("remove_drift", [True, False])
-def test_brute_force(remove_drift):
+def test_displacements_equal_brute_force(remove_drift):
     species = np.tile(np.arange(30) % 3 + 1, (8, 1))
     ds, way = walks(species=species)
     if remove_drift:
@@ -69,7 +69,7 @@ def test_errors_are_those_of_repeated_walks():
         assert float(ratio.max()) < 1.5, name
 
 
-def test_grains_that_come_back_are_new_ones():
+def test_grains_that_come_back_count_as_new():
     ds, way = walks(6, 12)
     here = np.ones((6, 12), bool)
     here[2, :3] = here[0, 5] = here[5, 7] = False
@@ -90,7 +90,7 @@ def test_grains_that_come_back_are_new_ones():
         same(m.mean_squared_displacement[k], products / count)
 
 
-def test_what_the_box_does_is_no_diffusion():
+def test_deformation_of_the_box_is_no_diffusion():
     share = np.random.default_rng(2).uniform(0, 1, (50, 3))
     edges = np.array([[4.0 + 0.2 * t, 4.0, 4.0 - 0.1 * t] for t in range(5)])
     box = np.stack([np.zeros_like(edges), edges], axis=-1)
@@ -133,6 +133,6 @@ def test_layers_frozen_grains_and_lazy_scenes():
         ),
     ],
 )  # fmt: skip
-def test_wrong_input_is_named(change, options, error, message):
+def test_wrong_input_raises(change, options, error, message):
     with pytest.raises(error, match=re.escape(message)):
         change(walks()[0]).cg.mean_squared_displacement(**options)

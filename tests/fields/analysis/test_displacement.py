@@ -117,7 +117,7 @@ def test_displacement_of_the_box_is_that_of_the_grains_at_the_node():
     np.testing.assert_allclose(f.displacement.sel(component="x"), expected.transpose("time", "x"), atol=1e-12)
 
 
-def test_fields_do_not_see_where_the_edges_are():
+def test_fields_do_not_depend_on_where_the_edges_are():
     at = {"x": 6.0, "y": 6.2, "z": 5.9}
     at_edge, within = (
         deforming((1.1, 0.9, 1.0), 0.05, first).cg.displacement(axes="", at=at) for first in (0.0, 0.5)
@@ -146,7 +146,7 @@ def test_open_and_periodic_axes_together():
     check_affine(ds.cg.displacement(bounds={"z": (2.0, 4.0)}, spacing=1.0), deformation, atol=1e-12)
 
 
-def test_an_edge_a_period_further_on_is_the_same_edge():
+def test_edges_a_period_apart_are_equivalent():
     r = grains()
     box = np.array([[[0.0, 6.0]] * 3, [[6.0, 12.0]] * 3])
     f = scene([r, (r + np.array([0.1, 0, 0])) % 6 + 6], box=box, periodic="xyz").cg.displacement(
@@ -163,7 +163,7 @@ def test_translation_across_periodic_edges():
     np.testing.assert_allclose(f.displacement, np.broadcast_to(u, f.displacement.shape), atol=1e-13)
 
 
-def test_a_layer():
+def test_displacements_of_a_layer():
     r = grains(400) * [1, 0, 1] + [0, 0.5, 0]
     deformation = np.array([[1.1, 0, 0.3], [0, 1, 0], [-0.2, 0, 0.9]])
     ds = scene([r, r @ deformation.T + [0, 0.05, 0]], dimension=2, plane="xz", thickness=1.0)
@@ -259,7 +259,7 @@ def series(steps=6, seed=3):
 
 
 @pytest.mark.parametrize("chunks", [1, 2, 4])
-def test_lazy_scenes_give_the_same_lazily(chunks):
+def test_lazy_displacements_equal_eager_ones(chunks):
     ds = series()
     options = {"axes": "z", "extent": {"x": 6.0, "y": 6.0}, "bounds": {"z": (2.0, 4.0)}, "lag": 2}
     eager = ds.cg.displacement(**options)
@@ -308,7 +308,7 @@ def test_accumulated_deformations_are_composed(chunks):
     np.testing.assert_allclose(every.deformation_gradient[1], second @ first, rtol=0, atol=1e-13)
 
 
-def test_averages_follow_the_rules_of_the_rows():
+def test_averages_follow_the_rules_of_the_registry():
     f = series().cg.displacement(axes="z", extent={"x": 6.0, "y": 6.0}, bounds={"z": (2.0, 4.0)}, for_averages=True)
     a = f.cg.time_average()
     mean = (f.density * f.deformation_gradient).mean("time") / f.density.mean("time")
@@ -321,7 +321,7 @@ def test_averages_follow_the_rules_of_the_rows():
     assert set(f.cg.profile("z").data_vars) == set(f.data_vars)
 
 
-def test_turned_inside_out_is_no_rotation():
+def test_rotation_is_nan_under_a_reflection():
     r = grains()
     f = scene([r, r * [1, 1, -1]]).cg.displacement(["rotation", "rotation_vector", "strain"], axes="", at=MIDDLE)
     assert np.isnan(f.rotation).all()
@@ -354,12 +354,12 @@ def test_turned_inside_out_is_no_rotation():
         (lambda ds: ds.drop_vars("mass"), {}, xcg.SceneError, "needs ['mass']"),
     ],
 )  # fmt: skip
-def test_wrong_input_is_named(change, options, error, message):
+def test_wrong_input_raises(change, options, error, message):
     with pytest.raises(error, match=re.escape(message)):
         change(series()).cg.displacement(**({"axes": "", "at": MIDDLE} | options))
 
 
-def test_ids_that_do_not_last():
+def test_steps_without_common_ids_raise_or_are_skipped():
     ds = series(3)
     ds = ds.assign(particle_id=ds.particle_id + xr.DataArray([0, 0, 1000], dims="time"))
     place = {"axes": "", "at": MIDDLE, "width": 2.0}
@@ -371,12 +371,12 @@ def test_ids_that_do_not_last():
     np.testing.assert_array_equal(np.isnan(f.strain).all(("component", "direction")), [False, True])
 
 
-def test_coarse_grain_says_where_these_fields_are():
+def test_coarse_grain_points_to_displacement():
     with pytest.raises(ValueError, match=r"strain compares two frames: call ds.cg.displacement\('strain'\)"):
         series().cg.coarse_grain("strain")
 
 
-def test_the_page_runs(monkeypatch, capsys):
+def test_the_page_on_displacement_runs(monkeypatch, capsys):
     monkeypatch.chdir(ROOT / "docs")
     names = {}
     with matplotlib.rc_context({"backend": "agg"}):

@@ -125,7 +125,7 @@ def mass_within(ds, low, high, width):
     return (ds.cg.coarse_grain("density", width=width, at=at).density * xr.Variable("place", w)).sum("place")
 
 
-def test_what_leaves_a_closed_box_is_what_it_loses():
+def test_outflow_of_a_closed_box_is_its_loss_of_mass():
     ds, low, high, width = scene("", count=60, steps=3, dt=1e-3), [1.5, 1.2, 1.0], [4.2, 3.9, 3.1], 0.7
     mass = mass_within(ds, low, high, width)
     rate = float(mass[2] - mass[0]) / float(ds.time[2] - ds.time[0])
@@ -153,7 +153,7 @@ def test_triangles_and_cylinders_are_sums_over_points():
     assert abs(ds.cg.flow_rate(side, width=width, spacing=0.5).mass_flow_rate.item()) < 1e-12
 
 
-def test_it_is_lazy_and_takes_one_step():
+def test_lazy_flow_rates_equal_eager_ones_also_of_one_step():
     ds, plane = scene(steps=4, dt=0.1), xcg.Plane((0, 0, 2), (0, 0, 1))
     eager, lazy = (one.cg.flow_rate(plane, width=1.0) for one in (ds, ds.chunk(time=1)))
     assert lazy.mass_flow_rate.chunks is not None
@@ -177,7 +177,7 @@ def test_energy_of_grains_without_contacts():
 @pytest.mark.parametrize(("surface", "of", "message"), [
     ("z", "mass", "expected an xcg.Plane"), (xcg.Plane((0, 0, 1), (0, 0, 1)), "maß", "unknown flow 'maß'"),
 ])  # fmt: skip
-def test_wrong_arguments(surface, of, message):
+def test_wrong_arguments_raise(surface, of, message):
     with pytest.raises(ValueError, match=message):
         scene().cg.flow_rate(surface, of)
 
@@ -320,7 +320,7 @@ PARTS = {
 
 @pytest.mark.parametrize("part", PARTS)
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_parts_err_by_less_than_they_say(part, seed):
+def test_errors_of_parts_are_below_the_stated_ones(part, seed):
     surface, pieces = PARTS[part]
     ds = xcg.datasets.random_scene(100, periodic="xyz", seed=seed)
     expected, either = through_pieces(ds, *pieces(), 1.0)
@@ -330,7 +330,7 @@ def test_parts_err_by_less_than_they_say(part, seed):
     assert error[1] < 4e-3
 
 
-def test_what_left_the_silo():
+def test_flow_out_of_the_silo_is_its_loss_of_grains():
     """Steps are far apart, and the flow through the slot is not steady: some percent."""
     ds = xcg.datasets.open("hopper_6").compute()
     q = ds.cg.flow_rate(xcg.Plane((0, 0, 8), (0, 0, -1)), width=1.0).mass_flow_rate

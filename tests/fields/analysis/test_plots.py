@@ -110,7 +110,7 @@ def test_a_cylindrical_wall_is_unrolled():
         f.cg.plot("shear_traction")
 
 
-def test_a_map_of_a_vector_is_its_magnitude_and_one_of_both_signs_is_white_at_zero(result):
+def test_maps_of_vectors_show_the_magnitude_and_signed_maps_are_white_at_zero(result):
     _, f = result
     (mesh, _) = f.cg.plot("velocity", shading="flat").collections
     np.testing.assert_allclose(mesh.get_array(), np.sqrt((f.velocity[-1] ** 2).sum("component")).transpose("z", "x"))
@@ -136,7 +136,7 @@ def test_a_profile_has_a_band_of_one_standard_error(result):
     assert [t.get_text() for t in p.cg.plot("velocity").get_legend().get_texts()] == ["x", "y", "z"]
 
 
-def test_a_volume_is_cut_through_the_middle_of_its_shortest_axis_or_where_it_is_said():
+def test_a_volume_is_cut_through_the_middle_of_its_shortest_axis_or_at_the_given_place():
     f = xcg.datasets.random_scene(60).cg.coarse_grain("density", width=1.0, bounds={"y": (1.0, 3.0)})
     (mesh,) = f.cg.plot(shading="flat").collections
     np.testing.assert_array_equal(
@@ -206,7 +206,7 @@ def test_a_smooth_circle_has_no_seam():
     np.testing.assert_allclose(sector.get_array()[-1], values[0, 5])
 
 
-def test_two_colours_about_zero_only_where_both_signs_matter():
+def test_diverging_colours_only_where_both_signs_matter():
     """The smaller of two percentiles is a tenth of the larger, or more."""
     values = np.linspace(0, 50, 400).reshape(20, 20)
     values[0, :3] = -40  # fewer than 2 % of the nodes
@@ -318,7 +318,7 @@ def test_the_label_of_each_field_has_its_whole_unit_and_fits_the_picture(name):
         assert (label.get_points()[1] <= corners[1]).all()
 
 
-def test_what_is_derived_has_a_label_of_its_own(result):
+def test_derived_fields_have_their_own_labels(result):
     _, f = result
     bar = f.cg.plot("velocity").collections[0].colorbar.ax
     assert raised(bar.get_ylabel()) == "magnitude of velocity [m s⁻¹]"
@@ -355,7 +355,7 @@ def test_a_movie_has_a_frame_a_step(result, tmp_path, axes):
     assert [p.name for p in tmp_path.iterdir()] == ["f.gif"]
 
 
-def test_the_part_of_a_tensor_that_is_suggested_lies_in_the_layer():
+def test_the_suggested_part_of_a_tensor_lies_in_the_layer():
     p = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
     arrays = {"velocity": p, "diameter": np.ones(2), "density": 1.0}
     ds = xcg.scene_from_arrays(p, **arrays, dimension=2, plane="xy", thickness=1.0)
@@ -365,7 +365,7 @@ def test_the_part_of_a_tensor_that_is_suggested_lies_in_the_layer():
     f.cg.plot(component="x", direction="y")
 
 
-def test_refused(result, tmp_path):
+def test_wrong_plots_raise(result, tmp_path):
     scene, f = result
     with pytest.raises(ValueError, match=r"stress is a tensor: name a part of it, for example component='x'"):
         f.cg.plot("stress")
@@ -435,7 +435,7 @@ def test_errors_name_the_extra_to_install(result, tmp_path, monkeypatch, package
         call(result[1], tmp_path)
 
 
-def test_extras_that_are_named_exist():
+def test_extras_named_in_messages_exist():
     known = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     named = set()
     for path in [*ROOT.glob("xcg/**/*.py"), *ROOT.glob("docs/*.md"), ROOT / "README.md"]:

@@ -125,7 +125,7 @@ def test_neighbours_within_a_support_are_not_independent():
     (lambda ds: ds.cg.coarse_grain("volume_fraction", axes="z").cg.free_surface("x"), r"axes of this result are"),
     (lambda ds: ds.cg.coarse_grain("volume_fraction", axes="z").cg.free_surface(threshold=2), "threshold=2"),
 ])  # fmt: skip
-def test_wrong_arguments(call, message):
+def test_wrong_arguments_raise(call, message):
     with pytest.raises(ValueError, match=message):
         call(flow(np.ones_like, count=100))
 

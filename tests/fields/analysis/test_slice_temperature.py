@@ -11,7 +11,7 @@ def grains(ds):
     return (ds[n].values[0] for n in ("position", "velocity", "diameter", "mass"))
 
 
-def test_bins_by_hand():
+def test_temperatures_in_bins_equal_a_loop_over_grains():
     ds = xcg.datasets.random_scene(200, periodic="", seed=1)
     s = xcg.slice_temperature(ds, "z", method="bins", width=1.0, bounds=(0.0, 5.0)).isel(time=0)
     np.testing.assert_allclose(s.z, [0.5, 1.5, 2.5, 3.5, 4.5])
@@ -26,7 +26,7 @@ def test_bins_by_hand():
 
 
 @pytest.mark.parametrize("periodic", ["", "z"])
-def test_planes_by_hand(periodic):
+def test_temperatures_in_planes_equal_a_loop_over_grains(periodic):
     ds = xcg.datasets.random_scene(150, periodic=periodic, seed=2)
     n, width = 3, 0.8
     s = xcg.slice_temperature(ds, "z", width=width, spacing=1.2, bounds=(0.0, 5.0), planes=n).isel(time=0)
@@ -49,7 +49,7 @@ def test_planes_by_hand(periodic):
 
 
 @pytest.mark.parametrize("method", ["planes", "bins"])
-def test_gas_layer_lazy_and_empty(method):
+def test_slices_of_a_gas_a_layer_a_lazy_scene_and_nothing(method):
     ds = xcg.datasets.random_scene(4000, seed=3, polydispersity=1.0)
     s = ds.cg.slice_temperature("y", method=method)
     assert float(s.granular_temperature.mean()) == pytest.approx(1.0, rel=0.05)
@@ -63,7 +63,7 @@ def test_gas_layer_lazy_and_empty(method):
     assert (empty.sample_count == 0).all()
 
 
-def test_bad_slices():
+def test_wrong_slices_raise():
     ds = xcg.datasets.random_scene(20)
     for options, message in (
         ({"method": "kernel"}, "'planes'"),
@@ -85,7 +85,7 @@ def test_bad_slices():
 
 
 @pytest.mark.parametrize("method", ["planes", "bins"])
-def test_whole_numbers_beyond_64_bits(method):
+def test_integers_beyond_64_bits_are_taken_as_floats(method):
     ds = xcg.datasets.random_scene(20)
     wide = xcg.slice_temperature(ds, width=2**64 - 1, bounds=(0, 2**64), method=method)
     as_float = xcg.slice_temperature(ds, width=2.0**64, bounds=(0.0, 2.0**64), method=method)

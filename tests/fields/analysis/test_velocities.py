@@ -16,7 +16,7 @@ def motion(steps=6, count=20, dt=0.1, seed=1):
 
 
 @pytest.mark.parametrize("chunk", [None, 1, 4])
-def test_it_is_exact_for_constant_acceleration(chunk):
+def test_velocities_are_exact_for_constant_acceleration(chunk):
     position, velocity, time = motion()
     ds = xcg.scene_from_arrays(position, time=time, diameter=np.ones(20))
     ds = ds.cg.derive_velocity() if chunk is None else ds.chunk(time=chunk).cg.derive_velocity()
@@ -33,7 +33,7 @@ def test_uneven_steps_are_divided_by_their_time():
     np.testing.assert_allclose(ds.velocity[:, 0, 0], 2.0)
 
 
-def test_the_nearest_image_and_a_box_that_shears():
+def test_velocities_across_edges_and_in_a_sheared_box():
     rng, time, rate = np.random.default_rng(2), 0.1 * np.arange(5), 0.7
     start = rng.uniform(0, 4, (30, 3))
     position = np.stack([start + [[0.3, 0.0, 0.2]] * np.array(t) for t in time])
@@ -50,7 +50,7 @@ def test_the_nearest_image_and_a_box_that_shears():
     np.testing.assert_allclose(v[..., 2], 0.2, atol=1e-12)
 
 
-def test_particles_that_come_and_go():
+def test_velocities_of_particles_that_come_and_go():
     position, _, time = motion(steps=4, count=3)
     ids = [[1, 2, 3], [3, 1], [2, 1, 3], [1, 3, 9]]
     rows = [[k - 1 for k in step] for step in ids]
@@ -65,7 +65,7 @@ def test_particles_that_come_and_go():
     np.testing.assert_allclose(at[3], (position[2, 2] - position[0, 2]) / 0.2)
 
 
-def test_what_trackpy_writes():
+def test_tables_of_trackpy_are_read():
     """Positions by frame and particle, with gaps; no velocities, radii or third coordinate."""
     table = pd.DataFrame({
         "y": [5.0, 1.0, 5.0, 1.0, 1.0, 5.0], "x": [10.0, 2.0, 13.0, 2.5, 3.0, 19.0],
@@ -85,7 +85,7 @@ def test_what_trackpy_writes():
     np.testing.assert_allclose(f.velocity.sel(component="x"), (3.0 + 0.5) / 2)
 
 
-def test_wrong_scenes():
+def test_single_steps_and_falling_times_raise():
     with pytest.raises(xcg.SceneError, match="two steps or more"):
         xcg.scene_from_arrays([[0.0, 0, 0]], diameter=[1.0]).cg.derive_velocity()
     ds = xcg.scene_from_arrays(np.zeros((2, 1, 3)), time=[0.0, 1.0], diameter=[1.0])
@@ -105,7 +105,7 @@ def pegs_tables():
     return grains, pd.DataFrame(rows, columns=["frame", "id1", "id2", "tangential_force", "normal_force"])
 
 
-def test_what_pegs2_writes():
+def test_tables_of_pegs2_are_read():
     """Adjacency lists of magnitudes become vectors on i; both sides are one contact; walls are dropped."""
     grains, contacts = pegs_tables()
     names = {"frame": "step", "r": "radius"}

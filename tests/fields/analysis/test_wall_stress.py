@@ -172,7 +172,7 @@ def test_contacts_across_a_periodic_edge_count_on_both_sides():
     np.testing.assert_allclose(q.roll(x=-6), p, atol=1e-14)
 
 
-def test_a_part_of_a_plane_takes_what_is_over_it():
+def test_a_part_of_a_plane_carries_the_force_above_it():
     ds = touching([[1, 1, 0], [4, 1, 0], [1, 1, 3]], [[0, 0, 1.0]] * 3)
     part = xcg.Plane((0, 0, 0), (0, 0, 1), bounds=((0, 2), (0, 2)))
     f = ds.cg.wall_stress(part, 0.5)
@@ -192,7 +192,7 @@ def test_distances_from_triangles_are_those_of_brute_force():
     np.testing.assert_allclose(surface.distance(points), np.where(inside, depth, -outside), atol=1e-12)
 
 
-def test_surfaces_from_files(tmp_path):
+def test_surfaces_are_read_from_files(tmp_path):
     path = tmp_path / "floor.stl"
     facet = "facet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex {}\nvertex {}\nendloop\nendfacet\n"
     path.write_text("solid\n" + facet.format("6 0 0", "6 6 0") + facet.format("6 6 0", "0 6 0") + "endsolid\n")
@@ -228,7 +228,7 @@ def test_surfaces_from_files(tmp_path):
         (lambda: xcg.Surface(np.eye(3), [[0, 1, 2]], scale=0), "scale=0"),
     ],
 )
-def test_wrong_walls_are_refused(make, message):
+def test_wrong_walls_raise(make, message):
     with pytest.raises(ValueError, match=message):
         make()
 
@@ -243,13 +243,13 @@ def test_wrong_walls_are_refused(make, message):
         ({"width": "2 d99"}, "d99"),
     ],
 )
-def test_wrong_arguments_are_refused(options, message):
+def test_wrong_arguments_raise(options, message):
     ds = touching([[1, 1, 0]], [[0, 0, 1.0]])
     with pytest.raises(ValueError, match=message):
         ds.cg.wall_stress(**{"surface": FLOOR, **options})
 
 
-def test_a_scene_without_contacts_is_refused():
+def test_a_scene_without_contacts_raises():
     ds = xcg.datasets.random_scene(20, seed=1)
     with pytest.raises(xcg.SceneError, match="wall_stress needs"):
         ds.drop_vars("contact_force").cg.wall_stress(FLOOR)

@@ -29,7 +29,7 @@ def test_the_plateau_of_a_lattice_is_its_volume_fraction():
     assert s.volume_fraction_plateau_width.item() > 0.5
 
 
-def test_no_plateau_is_said():
+def test_a_missing_plateau_is_reported():
     """The density at a lone grain falls as w^-3 for ever."""
     ds = xcg.scene_from_arrays([[0.0, 0, 0]], diameter=[1.0], density=1.0)
     s = ds.cg.width_sweep(WIDTHS, "density", at={"x": 0, "y": 0, "z": 0})
@@ -46,7 +46,7 @@ def test_profiles_keep_their_nodes():
     xr.testing.assert_allclose(s.density.isel(width=1, drop=True), lone.density)
 
 
-def test_bad_requests():
+def test_wrong_arguments_raise():
     ds = xcg.datasets.random_scene(20)
     with pytest.raises(ValueError, match="two or more"):
         ds.cg.width_sweep([0.5, 0.5], "density")

@@ -212,7 +212,7 @@ def test_missing_sums_and_bad_arguments_are_named():
             call()
 
 
-def test_every_field_has_a_rule():
+def test_every_field_has_an_averaging_rule():
     """Those of two frames are averaged in test_displacement, and those between phases where phases are."""
     ds = series(2)
     ds = ds.assign(angular_velocity=ds.velocity * 0.3, moment_of_inertia=ds.mass * 0.1, director=ds.velocity)
@@ -226,7 +226,7 @@ def test_every_field_has_a_rule():
 
 
 @pytest.mark.parametrize("options", [{}, {"size": "d32"}, {"size": "d50"}, {"shear_dims": "xz", "pressure_dims": "z"}])
-def test_what_averages_lack_is_named_in_one_round(options):
+def test_all_missing_sums_are_named_at_once(options):
     """Each field by itself, and what it needs: its averages are those of the result that holds all fields."""
     ds, options = series(3), {**ALL, "fluid_viscosity": 1e-3, **options}
     whole = ds.cg.coarse_grain(**options)
@@ -242,7 +242,7 @@ def test_what_averages_lack_is_named_in_one_round(options):
                 part.drop_vars(need).cg.time_average()
 
 
-def test_sums_are_taken_along_where_asked_for():
+def test_for_averages_adds_the_needed_sums():
     names, ds = ["velocity", "inertial_number"], series(3)
     f = ds.cg.coarse_grain(names, for_averages=True, **ALL)
     sums = {"density", "shear_rate_tensor", "pressure", "particle_density", "volume_fraction", "d43"}
@@ -294,19 +294,19 @@ def test_standard_errors_are_not_averaged():
         f.cg.profile("z")
 
 
-def test_averages_of_stacked_nodes_warn_of_nothing():
+def test_averages_of_stacked_nodes_do_not_warn():
     f = series(3).cg.coarse_grain("density", **ALL)
     stacked = f.stack(node=("x", "y", "z")).cg.time_average()  # warnings are errors in the tests
     xr.testing.assert_identical(stacked.density_error.unstack("node"), f.cg.time_average().density_error)
 
 
-def test_a_scene_has_no_averages():
+def test_averages_of_a_scene_raise():
     with pytest.raises(ValueError, match="this is a scene: call time_average on what its coarse_grain returns"):
         xcg.datasets.random_scene(20).cg.time_average()
 
 
 @pytest.mark.parametrize("unknown", [3, 32])
-def test_what_has_no_mean_has_no_error(unknown):
+def test_the_error_is_nan_where_the_mean_is(unknown):
     values = np.random.default_rng(1).normal(size=(33, 4))
     values[unknown, 2] = np.nan
     f = xr.Dataset({"density": (("time", "z"), values)}, {"time": np.arange(33.0), "z": np.arange(4.0)})

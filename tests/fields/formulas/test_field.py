@@ -35,7 +35,7 @@ def shifts(ds):
 
 
 @pytest.mark.parametrize("periodic", ["", "xy", "xyz"])
-def test_by_definition(periodic):
+def test_conduction_equals_its_definition(periodic):
     ds, kernel = scene(periodic), BruteKernel("lucy", WIDTH)
     nodes = np.random.default_rng(1).uniform(0.2, 4.8, (7, 3))
     s, weights = np.polynomial.legendre.leggauss(120)
@@ -66,7 +66,7 @@ def cumulative(x, c):
 
 
 @pytest.mark.parametrize("periodic", ["", "xy", "xyz"])
-def test_the_balance_closes(periodic):
+def test_the_heat_balance_closes(periodic):
     """Content between two planes changes by what grains carry, what contacts conduct, and what walls give."""
     ds, c, (low, high) = scene(periodic), 2 * WIDTH, (0.4, 3.1)
     r, v = ds.position.values[0], ds.velocity.values[0]
@@ -110,7 +110,7 @@ def test_heat_flows_from_j_to_i_and_phases_add_up():
     np.testing.assert_allclose(q, [[-2.0, 0, 0], [-1.0, 0, 0], [-1.0, 0, 0]], atol=1e-12)
 
 
-def test_what_is_refused():
+def test_wrong_conduction_raises():
     ds = scene()
     for given, error, message in (
         (xcg.Conduction("mass"), ValueError, "one number for each contact"),

@@ -50,7 +50,7 @@ def test_a_program_gives_what_the_registry_gives(options):
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_any_fields_in_any_order(seed):
+def test_programs_of_any_fields_in_any_order(seed):
     """Rows are used anew: each field must be stored before that, whatever else is asked for."""
     rng = np.random.default_rng(seed)
     names = rng.permutation(ALL)[: rng.integers(1, len(ALL) + 1)].tolist()
@@ -58,7 +58,7 @@ def test_any_fields_in_any_order(seed):
 
 
 @pytest.mark.parametrize("nodes", [1, 7, kernel.TILE - 1, kernel.TILE, kernel.TILE + 1, 3 * kernel.TILE])
-def test_any_number_of_nodes(nodes):
+def test_programs_on_any_number_of_nodes(nodes):
     ds = xcg.datasets.random_scene(60, seed=4)
     bounds = {"z": (0.0, 0.1 * (nodes - 1))}
     played, plain, _ = played_and_plain(ds, axes="z", width=0.6, spacing=0.1, bounds=bounds)
@@ -80,7 +80,7 @@ def test_fits_by_eigenvectors_are_those_of_the_loop():
     assert bool(np.isfinite(played.velocity_gradient).any())
 
 
-def test_a_static_scene_and_one_of_equal_grains():
+def test_programs_of_a_static_scene_and_of_equal_grains():
     """Columns that are the same for all grains are multiples of their number, and have a factor of their own."""
     for ds in (xcg.datasets.simple_cubic(4), xcg.datasets.dense_packing(300)):
         assert_same(*played_and_plain(ds, width="0.9 d43")[:2])
@@ -98,7 +98,7 @@ def test_phases_of_few_grains():
     assert_same(*played_and_plain(ds, width=0.5, by="species")[:2])
 
 
-def test_what_is_asked_for_twice_is_written_down_once():
+def test_equal_operations_are_traced_once():
     record = symbols.Trace()
     a, b = record.load("momentum", 0, np.arange(2))
     assert (a + b).number == (b + a).number
@@ -108,7 +108,7 @@ def test_what_is_asked_for_twice_is_written_down_once():
     assert len(record.steps) == written + 5  # the product, two constants, two sums
 
 
-def test_stress_takes_no_steps_for_what_nobody_asked_for():
+def test_the_program_of_stress_has_no_superfluous_steps():
     steps = program.program_for(("stress",), Options()).steps[:, 0]
     assert not np.isin(steps, [kernel.FIT, kernel.SQUARE_ROOT]).any()
     # six kinetic components of symmetric tensors, not nine; each to nine of the contacts
@@ -137,14 +137,14 @@ def test_negation_is_traced_to_the_bit():
     lambda x: x**3, lambda x: x > 0, lambda x: x == x, lambda x: np.where(x > 0, x, 1.0), lambda x: np.maximum(x, 0.0),
     lambda x: x.astype(float), lambda x: np.einsum("...ij,...ij", x, x), lambda x: x.max(), float, sorted, abs,
 ])  # fmt: skip
-def test_what_symbols_do_not_know_is_refused(operation):
+def test_unknown_operations_on_symbols_raise(operation):
     """What is let through must give the bits of NumPy, which sums over axes in an order of its own."""
     x = symbols.Trace().load("contact", 0, np.arange(9).reshape(3, 3))
     with pytest.raises((symbols.UnknownOperation, TypeError)):
         operation(x)
 
 
-def test_symbols_have_no_value_yet():
+def test_symbols_have_no_truth_value_and_no_cubes():
     (a,) = symbols.Trace().load("mass", 0, np.arange(1))
     with pytest.raises(TypeError, match="not known"):
         bool(a)
@@ -181,7 +181,7 @@ def test_arrays_that_are_read_by_address_are_checked():
     assert kernel.address_of(numbers, 5, 4, "moments") == numbers.ctypes.data
 
 
-def test_rows_name_what_their_formulas_take():
+def test_rows_list_exactly_the_inputs_of_their_formulas():
     """A formula runs on exactly the fields and moments that its row names; without any one of them it fails."""
     rows, needed = {}, {}
     for gradient, deviatoric, temperature, friction, size in product(

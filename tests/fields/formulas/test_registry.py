@@ -29,7 +29,7 @@ def register_all():
         xcg.register_field(name, compute, rank=rank, fields=fields, moments=["mass"] if name == "doubled" else [])
 
 
-def test_numpy_computes_what_is_not_traced():
+def test_numpy_computes_operations_that_cannot_be_traced():
     register_all()
     names = (*OWN, "stress", "velocity_gradient")
     assert set(program.program_for(names, Options()).widths) == {*TRACED, "stress", "velocity_gradient"}
@@ -37,7 +37,7 @@ def test_numpy_computes_what_is_not_traced():
 
 
 @pytest.mark.parametrize("options", [{}, {"by": "species"}, {"axes": "z"}, {"gradient": "finite_difference"}])
-def test_both_ways_give_the_same_bits(options):
+def test_program_and_numpy_give_the_same_bits(options):
     register_all()
     ds = xcg.datasets.random_scene(120, seed=8)
     ds = ds.assign(director=ds["velocity"])
@@ -60,7 +60,7 @@ def test_both_ways_give_the_same_bits(options):
 
 
 @pytest.mark.parametrize("scheduler", ["synchronous", "threads", "processes"])
-def test_rows_travel_to_other_processes(computing, scheduler):
+def test_rows_pickle(computing, scheduler):
     xcg.register_field("swing", lambda f, s, o: np.sin(f.density), fields="density")
     xcg.register_field("rest", lambda f, s, o: f.swing - 1.0, fields="swing")
     ds = steps_of_random_scenes(2).chunk(time=1)
@@ -72,7 +72,7 @@ def test_rows_travel_to_other_processes(computing, scheduler):
     np.testing.assert_array_equal(again.swing, np.cos(again.density))
 
 
-def test_fields_of_users_are_asked_for_by_name():
+def test_fields_of_users_are_requested_by_name():
     ds = xcg.datasets.simple_cubic(3)
     before = list(ds.cg.coarse_grain(axes="z"))
     xcg.register_field("twice", lambda f, s, o: 2 * f.density, fields="density")
@@ -81,7 +81,7 @@ def test_fields_of_users_are_asked_for_by_name():
         xcg.FIELDS["twice"] = xcg.FIELDS["density"]
 
 
-def test_options_that_a_field_needs_are_needed_by_what_is_made_of_it():
+def test_a_field_inherits_the_options_of_its_inputs():
     xcg.register_field("twice", lambda f, s, o: 2 * f.viscous_number, fields="viscous_number")
     ds = xcg.datasets.random_scene(40, seed=1)
     with pytest.raises(ValueError, match="twice needs the argument fluid_viscosity="):
@@ -126,7 +126,7 @@ RIGHT = {"compute": lambda f, s, o: f.density, "fields": "density"}
     ("own", {"compute": change_what_is_given, "fields": ["stress", "volume_fraction"]}, "changes the field 'stress'"),
     ("own", {"compute": smallest_rate, "fields": "shear_rate_tensor"}, "one sees no grains .* LinAlgError"),
 ])  # fmt: skip
-def test_what_is_wrong_is_named(name, options, message):
+def test_wrong_fields_raise(name, options, message):
     with pytest.raises(ValueError, match=message):
         xcg.register_field(name, **(RIGHT | options))
     assert "own" not in xcg.FIELDS
@@ -154,7 +154,7 @@ def test_a_unit_is_given_as_text_or_as_powers(unit):
 # --- the page on own fields ------------------------------------------------------------------------------
 
 
-def test_a_field_with_an_eigenvalue():
+def test_the_example_with_an_eigenvalue_runs():
     """The example of the docs: principal stresses by phase, averaged over nodes."""
     page = (ROOT / "docs" / "own_fields.md").read_text()
     names: dict = {}

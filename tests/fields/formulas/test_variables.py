@@ -161,7 +161,7 @@ def test_variables_of_contacts_are_sums_at_the_contact_points(name, by):
         close(g[f"variance_{name}"], variance)
 
 
-def test_a_plane_and_a_point():
+def test_variables_on_a_plane_and_at_a_point():
     a, ds = arrays(), build()
     f = ds.cg.coarse_grain("heat", width=WIDTH, spacing=0.21, axes="xz", at={"y": 0.1})
     psi = kernel_sums(f, a["position"])
@@ -177,7 +177,7 @@ SIGNS, SIZES, WEIGHTS = (
 
 @given(SIGNS, SIZES, WEIGHTS, st.booleans())
 @settings(max_examples=20, deadline=None)
-def test_a_constant_comes_back_as_the_constant(sign, size, weight, by_phase):
+def test_the_mean_of_a_constant_is_the_constant(sign, size, weight, by_phase):
     value = sign * size
     ds = build().assign(q=lambda d: d.heat * 0 + value)
     asked = [kind("q", weight) for kind in (xcg.Mean, xcg.Variance, xcg.Flux)]
@@ -212,7 +212,7 @@ def test_fluctuations_of_a_millionth_keep_their_digits(large):
         assert float(np.abs(one[name] - other[name]).max()) <= 1e-9 * scale
 
 
-def test_names_units_and_sources():
+def test_names_units_and_sources_of_variables():
     ds = build()
     ds["heat"].attrs.update(units="K", long_name="temperature of the grain")
     ds["whirl"].attrs["units"] = "rad s-1"
@@ -253,12 +253,12 @@ def test_fields_of_the_registry_come_first():
         ("flux(heat)", xcg.Flux("heat")),
     ],
 )
-def test_texts_are_quantities(text, quantity):
+def test_quantities_are_parsed_from_text(text, quantity):
     ds = build()
     xr.testing.assert_equal(ds.cg.coarse_grain([text], axes="z"), ds.cg.coarse_grain(quantity, axes="z"))
 
 
-def test_what_is_wrong_is_said():
+def test_wrong_quantities_raise():
     ds = build().assign(wear=lambda d: d.contact_wear, still=lambda d: d.heat.isel(time=0))
     ds["odd"] = ("time", [1.0])
     for asked, words in [
@@ -364,7 +364,7 @@ def test_frozen_grains_are_not_counted():
     close(f.contact_wear, written_out(kernel_sums(f, a["contact_point"]) * free, 1.0, a["contact_wear"], None)[1])
 
 
-def test_averages_go_through_sums(tmp_path):
+def test_averages_are_ratios_of_sums(tmp_path):
     ds = series()
     asked = ["heat", "density", "contact_slip", "contact_number_density", xcg.Flux("heat"), xcg.Variance("heat")]
     f = ds.cg.coarse_grain(asked, width=WIDTH, axes="yz", spacing=0.3)
@@ -380,14 +380,14 @@ def test_averages_go_through_sums(tmp_path):
         f[["heat"]].cg.time_average()
 
 
-def test_contacts_are_counted_where_they_are_asked_for():
+def test_contacts_are_counted_on_request():
     ds = build()
     f = ds.cg.coarse_grain("contact_number_density", width=WIDTH, spacing=0.3)
     close(f.contact_number_density, kernel_sums(f, arrays()["contact_point"]).sum(1))
     assert "contact_number_density" not in ds.cg.coarse_grain(width=WIDTH, axes="z")
 
 
-def test_a_job_takes_texts(tmp_path):
+def test_a_job_file_holds_quantities_as_text(tmp_path):
     ds = series()
     job = tmp_path / "job.toml"
     for t in range(2):
@@ -426,7 +426,7 @@ def test_columns_of_contacts_become_variables(tmp_path):
         assert f.contact_age.sel(x=0.5, method="nearest").to_numpy().item() == pytest.approx(7.5)
 
 
-def test_one_layer():
+def test_variables_of_one_layer():
     rng = np.random.default_rng(1)
     position = np.column_stack([rng.random((40, 2)), np.zeros(40)])
     ds = xcg.scene_from_arrays(position, diameter=np.full(40, 0.1), density=2.0, dimension=2, charge=np.arange(40.0))
@@ -436,7 +436,7 @@ def test_one_layer():
     assert float(f.sum_charge.sum()) * cell == pytest.approx(np.arange(40).sum(), rel=1e-3)
 
 
-def test_plans_travel_and_explain():
+def test_plans_pickle_and_explain():
     plan = build().cg.explain(ASKED)
     text = str(plan)
     assert all(words in text for words in ("sum_heat", "contact points", "relative to means"))
@@ -452,7 +452,7 @@ def test_other_fields_keep_their_bits_beside_quantities():
 
 
 @pytest.mark.parametrize("shape", [(N, 2), (N + 1,), (2, N), (N, 3, 3, 3)])
-def test_arrays_of_other_shapes_are_refused(shape):
+def test_arrays_of_other_shapes_raise(shape):
     with pytest.raises(xcg.SceneError, match="'own'"):
         xcg.scene_from_arrays(arrays()["position"], own=np.zeros(shape))
 
@@ -467,7 +467,7 @@ def test_own_variables_of_a_series_may_be_stacks_or_lists():
     assert one.q.dims == ("time", "particle", "component") or one.q.sizes["particle"] == 3
 
 
-def test_names_of_contacts_are_theirs():
+def test_names_with_contact_are_variables_of_contacts():
     given = {"diameter": np.ones(3), "density": 1.0}
     with pytest.raises(xcg.SceneError, match=r"'contact_heat' is a variable of contacts.*there are none"):
         xcg.scene_from_arrays(np.eye(3) * 5, contact_heat=np.ones(3), **given)
@@ -479,7 +479,7 @@ def test_names_of_contacts_are_theirs():
 # --- averages along an axis ------------------------------------------------------------------------------
 
 
-def test_mean_of_a_temperature():
+def test_the_mean_of_a_linear_temperature_is_linear():
     rng = np.random.default_rng(3)
     position = rng.random((300, 3)) * [1.0, 1.0, 2.0]
     ds = xcg.scene_from_arrays(

@@ -90,7 +90,7 @@ def test_axes_that_are_not_given_follow(given, want):
         ({"z": (0, 0, 1), "x": (0, 0, -2)}, "parallel"),
     ],
 )
-def test_frames_that_are_none(given, message):
+def test_wrong_axes_raise(given, message):
     with pytest.raises(ValueError, match=message):
         xcg.Rotated(**given)
 
@@ -193,7 +193,7 @@ def test_averages_over_the_whole_periods_of_a_turned_box():
     np.testing.assert_allclose(f.density, g.density, rtol=1e-12)
 
 
-def test_averages_that_are_not_defined_are_refused():
+def test_undefined_averages_raise():
     frame = xcg.Rotated(z=(1, 0, 2), y=(0, 1, 0))
     with pytest.raises(xcg.SceneError, match=r"shifted along z.*does not exist"):
         scene("xyz").cg.coarse_grain("density", frame=frame, axes="z")
@@ -216,7 +216,7 @@ def test_layers_turn_in_their_plane_only():
 # --- other functions -------------------------------------------------------------------------------------
 
 
-def test_lazy_scenes_stay_lazy_and_give_the_same(tmp_path):
+def test_lazy_results_in_turned_axes_equal_eager_ones(tmp_path):
     ds = xr.concat([scene(), scene().assign_coords(time=[1.0])], "time", data_vars="all")
     ds.cg.save(tmp_path / "scene.nc")
     lazy, frame = xr.open_dataset(tmp_path / "scene.nc", chunks={"time": 1}), xcg.Rotated(z=(1, 2, 3))
@@ -260,7 +260,7 @@ def test_displacements_in_turned_boxes():
         grows.cg.displacement("displacement", at=turned, frame=frame)
 
 
-def test_walls_are_refused():
+def test_walls_in_turned_axes_raise():
     wall = xcg.Plane((0, 0, 0), (0, 0, 1))
     with pytest.raises(ValueError, match="walls= with frame="):
         scene().cg.coarse_grain("density", frame=xcg.Rotated(z=(0, 1, 1)), walls=[wall])

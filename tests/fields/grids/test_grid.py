@@ -39,7 +39,7 @@ def test_nodes_cover_the_extent_about_its_middle(step, count):
     assert nodes[-1] >= 4
 
 
-def test_nodes_that_see_nothing_between_them_are_warned_of():
+def test_a_spacing_beyond_the_support_warns():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         grid(bounds={"x": (0, 8)}, spacing=2.0, cutoff=1.0)

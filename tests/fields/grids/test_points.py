@@ -85,7 +85,7 @@ def test_quadrature_keeps_its_promise_at_points(scene, rtol):
     assert_as_mesh(scene.cg.coarse_grain("contact_stress", at=at, rtol=rtol), exact, order, rtol)
 
 
-def test_a_layer_seen_at_points():
+def test_points_in_a_layer():
     rng = np.random.default_rng(1)
     ds = xcg.scene_from_arrays(
         np.column_stack([rng.uniform(0, 6, (30, 2)), np.zeros(30)]), diameter=np.ones(30), density=1.0,
@@ -115,7 +115,7 @@ NUMBERS = st.floats(-1e3, 1e3) | st.sampled_from([0.0, 1.0, 2.5, 2.5 + 1e-9, 5.0
 @settings(max_examples=40, deadline=None)
 @given(where=st.lists(st.tuples(NUMBERS, NUMBERS, NUMBERS), min_size=1, max_size=30), repeat=st.integers(1, 3))
 @pytest.mark.filterwarnings("ignore::xcg.SceneWarning")
-def test_each_point_is_as_if_it_were_alone(where, repeat):
+def test_points_do_not_influence_each_other(where, repeat):
     """Duplicates, points far from each other and outside the grains: every one sees what it sees by itself."""
     ds = xcg.datasets.random_scene(20, seed=5).assign_attrs(periodic="")
     where = np.array(where * repeat)
@@ -226,17 +226,17 @@ def test_stacked_points_lose_their_index_only(scene):
         ({"x": xr.DataArray([0.0], dims="p")}, {"gradient": "finite_difference"}, "points have no neighbours"),
     ],
 )  # fmt: skip
-def test_what_points_cannot_be_is_refused(scene, at, options, message):
+def test_wrong_points_raise(scene, at, options, message):
     with pytest.raises(ValueError, match=message):
         scene.cg.coarse_grain("density", at=at, **options)
 
 
-def test_differences_between_points_are_refused(scene):
+def test_finite_differences_between_points_raise(scene):
     with pytest.raises(ValueError, match=r"at= names \['x'\]: no derivative is taken"):
         scene.cg.balance(at={"x": xr.DataArray([0.0], dims="p")})
 
 
-def test_points_outside_a_periodic_box_and_beyond_all_grains_are_warned_of(scene):
+def test_points_outside_a_periodic_box_or_beyond_all_grains_warn(scene):
     far = xr.DataArray([1.0, 40.0], dims="p")
     with pytest.warns(xcg.SceneWarning, match=r"at=\{'x': 40\} is outside the box"):
         scene.cg.explain("density", at={"x": far})
@@ -248,7 +248,7 @@ def test_points_outside_a_periodic_box_and_beyond_all_grains_are_warned_of(scene
 # --- what takes a request ----------------------------------------------------------------------------------
 
 
-def test_whatever_takes_a_request_takes_points(scene, tmp_path):
+def test_all_functions_of_fields_accept_points(scene, tmp_path):
     at = {"x": xr.DataArray([0.5, 2.0, 3.5], dims="point"), "z": xr.DataArray([0.5, 1.0, 1.5], dims="point")}
     assert "3 point, points with x from 0.5 to 3.5, z from 0.5 to 1.5" in str(scene.cg.explain("density", at=at))
     assert "y (box)" in str(scene.cg.explain("density", at=at))
@@ -295,7 +295,7 @@ def test_loops_over_points_run_uncompiled_to_the_same_bits(tmp_path):
                 np.testing.assert_array_equal(other[name], one[name], name)
 
 
-def test_warnings_are_none_for_usual_points(scene):
+def test_usual_points_do_not_warn(scene):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         scene.cg.coarse_grain("density", at={a: xr.DataArray([0.5, 2.0], dims="point") for a in "xyz"})

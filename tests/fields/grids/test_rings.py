@@ -41,7 +41,7 @@ def turning(theta):
 
 @pytest.mark.parametrize("axis", ["z", (1.0, 2.0, -1.0)], ids=str)
 @pytest.mark.parametrize("axes", ["r", "rz", "rt", "rtz"])
-def test_a_rigid_rotation(axes, axis):
+def test_rigid_rotation_has_its_velocity_vorticity_and_no_temperature(axes, axis):
     """Antisymmetric gradient, no temperature, and V_theta = Omega r at the centre of mass of what a node sees."""
     ds = rotating(
         (0.0, 0.0, 1.0) if axis == "z" else axis, tuple(0.3 * np.array([0, 0, 1.0])) if axis == "z" else (0,) * 3
@@ -68,7 +68,7 @@ def test_a_rigid_rotation(axes, axis):
     np.testing.assert_allclose(there.sel(component="z"), 0.3 if axis == "z" else 0.0, atol=1e-11)
 
 
-def test_a_rigid_rotation_in_a_plane():
+def test_rigid_rotation_in_a_plane():
     f = rotating(dimension=2).cg.coarse_grain(
         ["velocity_gradient", "granular_temperature", "shear_rate"], frame=xcg.Cylindrical(origin=(1, 2, 0)), axes="r",
         width=0.4, spacing=0.5, bounds={"r": (0.5, 2.0)},
@@ -126,7 +126,7 @@ def test_averages_over_theta_are_those_of_many_turned_points(part, axes):
     np.testing.assert_allclose(f.velocity, f.momentum_density / f.density, rtol=1e-9, atol=1e-12)
 
 
-def test_averages_over_theta_meet_their_error():
+def test_averages_over_theta_are_within_their_stated_error():
     """The error is a bound for each grain, and so for their sum."""
     ds = scene()
     options = {"axes": "r", "bounds": {"r": (0.0, 2.0)}, "spacing": 0.4, "width": 0.5}
@@ -167,7 +167,7 @@ def test_the_integral_over_the_cylinder_is_the_mass(axis):
     )
 
 
-def test_profiles_weigh_rings_by_their_area():
+def test_profiles_weight_rings_by_their_area():
     f = scene().cg.coarse_grain(
         ["density", "velocity", "momentum_density"], frame=xcg.Cylindrical(origin=(2.5, 2.5, 0)), axes="rz",
         bounds={"r": (0, 2.4)}, spacing=0.3, width=0.5,
@@ -242,7 +242,7 @@ def test_phases_own_variables_and_time_averages():
     np.testing.assert_allclose(mean.velocity, g.velocity[0], rtol=1e-9)
 
 
-def test_lazy_scenes_give_the_same(tmp_path):
+def test_lazy_results_on_rings_equal_eager_ones(tmp_path):
     ds = scene()
     ds.cg.save(tmp_path / "scene.nc")
     lazy = xr.open_dataset(tmp_path / "scene.nc", chunks={"time": 1})
@@ -269,12 +269,12 @@ def test_lazy_scenes_give_the_same(tmp_path):
         ({"at": {"r": xr.DataArray([1.0], dims="p")}}, "name points"),
     ],
 )
-def test_requests_that_have_no_meaning(given, message):
+def test_meaningless_requests_raise(given, message):
     with pytest.raises(ValueError, match=message):
         scene().cg.coarse_grain(["velocity_gradient"], frame=xcg.Cylindrical(), **given)
 
 
-def test_frames_that_are_none():
+def test_wrong_frames_raise():
     for given in ({"axis": "w"}, {"axis": (0, 0, 0)}, {"error": 0.0}, {"axis": "z", "x": (0, 0, 1)}):
         with pytest.raises(ValueError, match=r"expected|parallel"):
             xcg.Cylindrical(**given)

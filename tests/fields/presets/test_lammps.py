@@ -66,7 +66,7 @@ def kernel(r, dimension):
 
 
 @pytest.mark.parametrize("axes", ["z", "xz", "xyz"])
-def test_formulas_written_out(axes):
+def test_fields_equal_their_formulas_written_out(axes):
     """Over bins along some axes: a kernel of as many dimensions, over the length of the others."""
     ds = xcg.datasets.random_scene(80, periodic="xy", seed=8)
     size = 5.0
@@ -139,7 +139,7 @@ def test_kernel_and_units_of_the_preset():
         ({"preset": "lamps"}, "expected 'pysammos' or 'lammps'"),
     ],
 )
-def test_bad_requests(arguments, message):
+def test_wrong_arguments_raise(arguments, message):
     ds = xcg.datasets.random_scene(20)
     with pytest.raises(ValueError, match=message):
         ds.cg.coarse_grain(**{"preset": "lammps", "width": 0.8} | arguments)
@@ -148,6 +148,6 @@ def test_bad_requests(arguments, message):
 @pytest.mark.parametrize(
     ("arguments", "message"), [({"axes": "w"}, "no finite box along 'w'"), ({"delta": 0.0}, "expected a positive size")]
 )
-def test_bad_meshes(arguments, message):
+def test_wrong_meshes_raise(arguments, message):
     with pytest.raises(ValueError, match=message):
         xcg.lammps_mesh(xcg.datasets.random_scene(20), **{"delta": 1.0, "cutoff": 1.0, "width": 0.3} | arguments)

@@ -76,7 +76,7 @@ def by_hand(base, fluctuation):
     return out
 
 
-def test_all_names_by_hand():
+def test_all_fields_equal_independent_sums():
     ds = xcg.datasets.random_scene(250, periodic="", seed=3)
     f = preset(ds, width=0.8, spacing=1.0, bounds=dict.fromkeys("xyz", (1.0, 4.0))).isel(time=0)
     more = {"sample_count", "total_stress_tensor_xy", "total_stress_tensor_xy_mag"}
@@ -104,7 +104,7 @@ def test_all_names_by_hand():
     assert checked >= 4
 
 
-def test_its_temperature_about_the_node():
+def test_temperature_about_the_node():
     """With its own least squares: v' = v_i - V - G (r_i - r), whatever the temperature of xcg divides by."""
     ds = xcg.datasets.random_scene(250, periodic="", seed=3)
     x, v, m = (ds[n].values[0] for n in ("position", "velocity", "mass"))
@@ -121,7 +121,7 @@ def test_its_temperature_about_the_node():
         assert f.granular_temperature_xyz.item() == pytest.approx(expected.mean(), rel=1e-9)
 
 
-def test_its_fields_are_computed_in_one_pass_with_those_of_xcg():
+def test_fields_are_computed_in_one_pass_with_those_of_xcg():
     ds = xcg.datasets.random_scene(60)
     plans = [ds.cg.explain(preset="pysammos", width=0.9) for _ in range(2)]
     programs = [program_for(plan.fields, plan.options) for plan in plans]
@@ -139,7 +139,7 @@ def test_units_are_those_of_the_quantities():
     assert {n: f[n].attrs["units"] for n in expected} == expected
 
 
-def test_its_keys_choose_families_and_other_planes_have_names():
+def test_keys_choose_families_and_planes():
     ds = xcg.datasets.random_scene(60)
     f = preset(ds, ["pressure", "inertial_number", "velocity"], shear_dims="xz", width=0.9)
     assert set(f) - {"sample_count"} == {
@@ -153,7 +153,7 @@ def test_its_keys_choose_families_and_other_planes_have_names():
     np.testing.assert_allclose(f.inertial_number_Sxz_Pz_d32, ours.inertial_number, rtol=1e-9)
 
 
-def test_lazy_phases_and_bad_requests():
+def test_lazy_scenes_phases_and_wrong_arguments():
     ds = xcg.datasets.random_scene(100)
     eager = preset(ds, width=0.9, by="species")
     lazy = preset(ds.chunk(time=1), width=0.9, by="species")
@@ -179,7 +179,7 @@ def its_nodes(first, last, c):
     return np.linspace(first, last, int(np.ceil(2 * (last - first) / c)) + 1)
 
 
-def test_its_mesh():
+def test_the_mesh_is_that_of_pysammos():
     ds = xcg.datasets.simple_cubic(14)  # centres from 0 to 13
     c, margin = 1.5, 2.5 * 1.5 + 0.5
     mesh = xcg.pysammos_mesh(ds, "xz")
@@ -193,7 +193,7 @@ def test_its_mesh():
 
 
 @pytest.mark.parametrize(("last", "count"), [(3.0, 5), (3.0001, 6), (0.1, 2), (0.0, 1)])
-def test_its_mesh_divides_a_range_of_ones_own(last, count):
+def test_the_mesh_divides_given_bounds(last, count):
     ds = xcg.datasets.simple_cubic(5)
     mesh = xcg.pysammos_mesh(ds, "xy", bounds={"x": (0, last), "y": (1, 2)}, at={"z": 1.5})
     f = ds.cg.coarse_grain("density", **mesh)
@@ -208,7 +208,7 @@ def test_its_mesh_divides_a_range_of_ones_own(last, count):
             ds.cg.coarse_grain("density", **xcg.pysammos_mesh(ds, "x", bounds={"x": ends}))
 
 
-def test_its_fabric_is_smeared_along_the_branch():
+def test_fabric_is_smeared_along_the_branch():
     """Ours is of the grains at their centres: as much in all, elsewhere by a part of the width."""
     ds = xcg.datasets.random_scene(250, periodic="", seed=3)
     x, volume = (ds[n].values[0] for n in ("position", "volume"))
@@ -261,7 +261,7 @@ def test_stress_of_a_lattice_is_the_closed_form():
     np.testing.assert_allclose(f.pressure_xyz, 2 * np.sqrt(2), rtol=5e-3)
 
 
-def test_images_at_faces_and_corners():
+def test_images_at_faces_and_corners_are_counted():
     lattice = xcg.datasets.simple_cubic(6)
     ds = lattice.assign(position=lattice.position + 0.5).drop_vars([n for n in lattice if str(n).startswith("contact")])
     for at, share in (({"x": 0.0, "y": 3.0, "z": 3.0}, 1 / 2), ({"x": 0.0, "y": 0.0, "z": 0.0}, 1 / 8)):
@@ -382,7 +382,7 @@ def test_a_profile_of_a_constant_is_that_constant():
 
 
 @pytest.mark.parametrize("plane", ["xy", "xz", "yz"])
-def test_every_plane(plane):
+def test_fields_on_every_plane(plane):
     ds = xcg.datasets.random_scene(150, seed=5)
     (across,) = set("xyz") - set(plane)
     f = preset(ds, axes=plane, at={across: 2.5}, width=0.8, spacing=1.0)

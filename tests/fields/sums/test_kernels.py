@@ -117,7 +117,7 @@ def test_the_marginal_of_lucy_keeps_its_digits_up_to_the_rim():
 
 @pytest.mark.parametrize("name", ["lucy", "shifted gaussian", "wendland"])
 @pytest.mark.parametrize(("dimension", "seen"), SEEN)
-def test_derivative(name, dimension, seen):
+def test_derivatives_equal_finite_differences(name, dimension, seen):
     kernel = as_kernel(name, 0.7, dimension)
     r = np.linspace(0.02, 0.98, 31) * kernel.cutoff
     h = 1e-4
@@ -180,7 +180,7 @@ def segments(dimension):
 
 @pytest.mark.parametrize("name", [*NAMES, "wendland"])
 @pytest.mark.parametrize(("dimension", "seen"), SEEN)
-def test_segment_integrals(name, dimension, seen):
+def test_segment_integrals_equal_quadrature(name, dimension, seen):
     """Finite everywhere, and equal to quadrature: on the line, at the ends, for branches of no length."""
     kernel = as_kernel(name, 0.7, dimension)
     for points, start, end in segments(seen):
@@ -430,7 +430,7 @@ def test_total_stress_of_a_registered_kernel_is_the_virial(sampling):
         np.testing.assert_allclose(mean, whole.contact_stress, rtol=0, atol=5e-6 * float(abs(mean).max()))
 
 
-def test_profiles_that_are_not_smooth_are_told():
+def test_profiles_that_are_not_smooth_warn():
     """With the error that their values have, and where."""
     with pytest.warns(xcg.SceneWarning, match=r"kernel 'step'.*of its largest value, worst at q=0\.[45]"):
         xcg.register_kernel("step", lambda q: np.where(q < 0.496, 1.0, 0.2), smoothness=-1)
@@ -440,7 +440,7 @@ def test_profiles_that_are_not_smooth_are_told():
         xcg.register_kernel("single", lambda q: ((1 - q**2) ** 2).astype("float32"))
 
 
-def test_quadratures_along_contacts_tell_their_error():
+def test_quadratures_along_contacts_state_their_error():
     """Of a table of 17 numbers, which has more kinks than shells are made of."""
     places = np.linspace(0.0, 1.0, 17)
 
@@ -459,7 +459,7 @@ def test_quadratures_along_contacts_tell_their_error():
 @pytest.mark.parametrize(
     ("profile", "place"), [(lambda q: np.exp(-4.5 * q**2), "1"), (lambda q: np.where(q < 0.75, 1 - q, 0.0), r"0\.75")]
 )
-def test_kernels_that_jump_are_not_taken_for_smooth_ones(profile, place):
+def test_kernels_that_jump_are_recognised(profile, place):
     """Rules of few points would break the promise of rtol, and kernel gradients leave jumps out."""
     with pytest.warns(xcg.SceneWarning) as told:
         kernel = xcg.register_kernel("jumps", profile)(1.0, dimension=3)
@@ -483,7 +483,7 @@ def _gauss(value, points, end, panels=200):
     name=st.sampled_from(["lucy", "shifted gaussian", "wendland"]),
     seed=st.integers(0, 1000),
 )
-def test_rtol_is_a_promise(length, rtol, seen, name, seed):
+def test_errors_are_below_rtol(length, rtol, seen, name, seed):
     """|S_quadrature - S| <= rtol max S for the rule that the planner takes at this branch length."""
     kernel = as_kernel(name, 0.5, 3)  # cutoff 1
     limits = gauss_limits(kernel, seen, rtol)
@@ -544,7 +544,7 @@ def test_any_number_of_gauss_points(order):
 
 
 @pytest.mark.parametrize("order", [-1, 2.5])
-def test_strange_numbers_of_gauss_points_are_refused(order):
+def test_wrong_numbers_of_gauss_points_raise(order):
     with pytest.raises(ValueError, match=f"order={order}: expected a number of Gauss-Legendre points"):
         as_kernel("lucy", 0.5, 3).segment([[0.0, 0.0, 0.0]], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0], order)
 
@@ -568,7 +568,7 @@ def touching(rng, axes):
 @pytest.mark.parametrize("axes", ["xyz", "xz", "z"])
 @pytest.mark.parametrize("kernel", ["lucy", "wendland"])
 @pytest.mark.parametrize("width", [0.3, 0.45, 0.75, 1.0, 2.0, 6.0])
-def test_every_contact_keeps_the_promise(axes, kernel, width):
+def test_the_error_of_every_contact_is_below_rtol(axes, kernel, width):
     """One contact between spheres of any sizes, at random places on the mesh, at widths of 0.3 d to 6 d."""
     rng, shape = np.random.default_rng(round(100 * width)), as_kernel(kernel, width, 3)
     options = {"axes": axes, "kernel": kernel, "width": width, "spacing": width / 3}
@@ -582,7 +582,7 @@ def test_every_contact_keeps_the_promise(axes, kernel, width):
             assert float(abs(found - exact).max()) <= rtol * largest
 
 
-def test_registered_kernel_coarse_grains():
+def test_coarse_graining_with_a_registered_kernel():
     ds = xcg.datasets.random_scene(60, seed=1)
     f = ds.cg.coarse_grain(
         ["density", "contact_stress", "velocity_gradient"], kernel="wendland", width=0.8, gradient="kernel"
@@ -625,7 +625,7 @@ def test_nodes_on_the_rim_of_a_marginal(kernel):
         (lambda: xcg.register_kernel("pole", lambda q: np.where(q > 0, 1 / np.maximum(q, 1e-300), np.inf)), "at q=0"),
     ],
 )
-def test_bad_kernels(make, message):
+def test_wrong_kernels_raise(make, message):
     with pytest.raises(ValueError, match=message):
         make()
 
@@ -633,7 +633,7 @@ def test_bad_kernels(make, message):
 # --- kernels with negative parts -------------------------------------------------------------------------
 
 
-def test_means_of_a_kernel_with_negative_parts():
+def test_fields_of_a_kernel_with_negative_parts_equal_brute_force():
     """What is about a mean is about sum m v Psi / sum m Psi, also where the sum of weights is below zero."""
 
     def profile(q):

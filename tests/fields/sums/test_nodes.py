@@ -45,7 +45,7 @@ def stress_along_z(z, contacts, cutoff):
 @pytest.mark.parametrize("rtol", [0.0, 1e-3])
 @pytest.mark.parametrize("far", [1e3, 1e9, 1e12, -1e12])
 @pytest.mark.parametrize("contacts", [((0, 1), (2, 1)), ((1, 0), (1, 2))])
-def test_a_partner_far_away(far, contacts, rtol):
+def test_the_stress_of_a_contact_with_a_far_partner_is_exact_near_the_mesh(far, contacts, rtol):
     z = np.array([far, 0.5, 0.52])
     ds = scene(np.column_stack([0 * z, 0 * z, z]), contacts)
     options = {"axes": "z", "bounds": {"z": (0.47, 0.53)}, "spacing": 3e-5, "width": 0.3, "rtol": rtol}
@@ -56,7 +56,7 @@ def test_a_partner_far_away(far, contacts, rtol):
         np.testing.assert_allclose(f.contact_stress[0, k, :, 2], expected(float(f.z[k])), rtol=1e-10 + rtol, atol=0)
 
 
-def test_far_halves_of_a_branch_are_cut_one_by_one():
+def test_both_halves_of_a_far_branch_are_cut():
     """The contact point is off the line of centres, so that each half is a segment; along z they follow each other."""
     ds = scene([[0, 0, 1e9], [0, 0, 0.5]], [(0, 1)], point=[[3e8, 0, 0.8]])
     with warned_of_far():
@@ -66,7 +66,7 @@ def test_far_halves_of_a_branch_are_cut_one_by_one():
         np.testing.assert_allclose(f.contact_stress[0, k, :, 2], expected(node), rtol=1e-9)
 
 
-def test_a_slanted_branch_is_that_of_its_near_part():
+def test_the_far_part_of_a_slanted_branch_does_not_matter():
     """Cut or not, what nodes see of a branch is the same: two kernels' lengths and a million beyond them."""
     near, direction = np.array([0.5, 0.5, 0.5]), np.array([0.6, -0.48, 0.64])
     options = {"bounds": dict.fromkeys("xyz", (0.0, 1.0)), "spacing": 0.25, "width": 0.2}
@@ -79,7 +79,7 @@ def test_a_slanted_branch_is_that_of_its_near_part():
     assert float(abs(short.contact_stress).max()) > 0.1
 
 
-def test_a_far_branch_that_never_comes_near():
+def test_a_far_branch_adds_nothing():
     ds = scene([[0, 0, 1e12], [1e3, 0, 1e12 + 1e9], [0, 0, 0.5]], [(0, 1)])
     options = {"axes": "z", "bounds": {"z": (0.4, 0.6)}, "spacing": 0.1, "width": 0.3}
     with warned_of_far():
@@ -89,14 +89,14 @@ def test_a_far_branch_that_never_comes_near():
     np.testing.assert_array_equal(f.density, alone.cg.coarse_grain("density", **options).density)
 
 
-def test_a_wide_kernel_on_a_plane():
+def test_a_support_of_1e20_m_sees_all_grains():
     """The one node of a fixed axis has no spacing: a support of 2e20 m sees all grains at its middle."""
     ds = scene([[0, 0, 0.1], [0, 0, 0.5], [0, 0, 0.52]])
     f = ds.cg.coarse_grain("sample_count", axes="", at={"z": 0.0}, width=1e20)
     assert f.sample_count.item() == 3
 
 
-def test_periodic_images_in_all_axes_together():
+def test_too_many_periodic_images_raise():
     ds = scene([[0, 0, 0], [0.001, 0, 0], [0, 0.001, 0]], box=[[0, 0.006]] * 3, periodic="xyz")
     with pytest.raises(xcg.SceneError, match=r"the box is so small .* in 2.98e\+08 periodic images"):
         ds.cg.coarse_grain("density", width=1.0, spacing=0.006)
@@ -113,13 +113,13 @@ def test_periodic_images_in_all_axes_together():
          "particles are not in touch"),
     ],
 )  # fmt: skip
-def test_places_that_are_refused(position, options, message):
+def test_places_too_far_away_raise(position, options, message):
     ds = scene(position, [(0, 1)], **options)
     with pytest.raises(xcg.SceneError, match=message), warned_of_far():
         ds.cg.coarse_grain("contact_stress", axes="z", bounds={"z": (0.4, 0.6)}, spacing=0.1, width=0.3)
 
 
-def test_a_mesh_that_the_kernel_cannot_number():
+def test_a_spacing_far_beyond_the_support_raises():
     ds = scene([[0, 0, 0.5], [0, 0, 0.52]], [(0, 1)])
     with pytest.raises(xcg.SceneError, match="closer to each other"), pytest.warns(xcg.SceneWarning, match="not seen"):
         ds.cg.coarse_grain("density", axes="z", bounds={"z": (0.0, 1e20)}, spacing=1e18, width=0.3)
@@ -128,7 +128,7 @@ def test_a_mesh_that_the_kernel_cannot_number():
 # --- sizes and types ---------------------------------------------------------------------------------------
 
 
-def test_sizes_whose_powers_are_no_numbers():
+def test_sizes_whose_powers_overflow_raise():
     with pytest.raises(xcg.SceneError, match=r"'diameter' of particle 1 is 1e-110 m, expected 1e-75 to 1e\+75 m"):
         xcg.scene_from_arrays(np.eye(3), diameter=[1.0, 1e-110, 1.0])
     ds = scene([[0, 0, 0.5], [0, 0, 0.52]], [(0, 1)])
@@ -137,7 +137,7 @@ def test_sizes_whose_powers_are_no_numbers():
             ds.cg.coarse_grain("density", axes="z", width=width, spacing=0.1)
 
 
-def test_numbers_the_other_way_round():
+def test_big_endian_numbers_give_equal_results():
     """As netCDF-3 gives them."""
     ds = xcg.datasets.random_scene(20, seed=1)
     turned = ds.map(lambda v: v.astype(v.dtype.newbyteorder(">")) if v.dtype.kind in "if" else v)
@@ -146,13 +146,13 @@ def test_numbers_the_other_way_round():
     xr.testing.assert_equal(turned.cg.force_chains(), ds.cg.force_chains())
 
 
-def test_times_and_steps_of_another_number():
+def test_wrong_numbers_of_times_and_steps_raise():
     for name in ("time", "step"):
         with pytest.raises(xcg.SceneError, match=f"{name}= has shape .2,.: expected one value for each of the 1 steps"):
             xcg.scene_from_arrays(np.eye(3), **{name: [0, 1]})
 
 
-def test_principal_axes_of_what_is_no_number():
+def test_principal_axes_of_nan_are_nan():
     values, vectors = np.empty((4, 3)), np.empty((4, 3, 3))
     tensor = np.tile(np.diag([1.0, 3.0, 2.0]), (4, 1, 1))
     tensor[[1, 2, 3], [0, 1, 2], [0, 1, 2]] = np.nan

@@ -28,7 +28,7 @@ def check(ds, scene, names=VARIABLES):
 
 
 @pytest.mark.parametrize("place", ["{time}", "{step}"])
-def test_a_group_a_step(tmp_path, scene, place):
+def test_one_group_per_step(tmp_path, scene, place):
     path = tmp_path / "run.h5"
     with h5py.File(path, "w") as file:
         for t, time in enumerate(scene.time.values):
@@ -64,7 +64,7 @@ def test_steps_along_the_first_dimension(tmp_path, scene):
     np.testing.assert_array_equal(ds.velocity, np.stack([rows_of(scene, "velocity", t)[:n] for t in range(3)]))
 
 
-def test_a_file_a_step_components_and_names_of_ones_own(tmp_path, scene):
+def test_one_file_per_step_with_own_names(tmp_path, scene):
     for t in range(3):
         with h5py.File(tmp_path / f"run_{t}.h5", "w") as file:
             x = rows_of(scene, "position", t)
@@ -91,7 +91,7 @@ def test_a_file_a_step_components_and_names_of_ones_own(tmp_path, scene):
         ({"position": "/S{step}/x", "diameter": "/S{step}/n"}, "different numbers of rows"),
     ],
 )
-def test_faults_are_named(tmp_path, change, message):
+def test_damaged_files_raise(tmp_path, change, message):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file["S0/x"], file["S0/n"], file["S0/wide"], file["S0/words"] = (
             np.ones((2, 3)),
@@ -104,13 +104,13 @@ def test_faults_are_named(tmp_path, change, message):
     assert "a.h5" in str(error.value) or "mapping" in str(error.value)
 
 
-def test_what_is_no_hdf5(tmp_path):
+def test_files_that_are_not_hdf5_raise(tmp_path):
     (tmp_path / "a.h5").write_bytes(b"nothing")
     with pytest.raises(xcg.SceneError, match=r"a\.h5: cannot be read as HDF5"):
         xcg.open_scene(tmp_path / "a.h5", mapping={"position": "x"}, engine="hdf5")
 
 
-def test_a_dataset_that_promises_more_than_there_is(tmp_path):
+def test_a_dataset_larger_than_its_file_raises(tmp_path):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file.create_dataset("x", (1 << 40, 3), "f8", chunks=(1 << 10, 3))
     with pytest.raises(xcg.SceneError, match=r"a\.h5: 'x' promises .* bytes, and 0 are stored"):

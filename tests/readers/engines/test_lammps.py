@@ -36,7 +36,7 @@ def contacts(tmp_path, text, options=DEFAULTS):
 # --- headers ---------------------------------------------------------------------------------------------
 
 
-def test_plain_frame(tmp_path):
+def test_a_frame_is_read(tmp_path):
     ref, frame = particles(tmp_path, dump_text(step=7).replace("ITEM: UNITS\nsi\n", ""))
     assert (ref.rows, ref.step, ref.time, ref.units, ref.periodic) == (3, 7, None, None, "xy")
     assert ref.box == ((0, 10), (0, 10), (-1, 9))
@@ -60,7 +60,7 @@ def test_items_come_in_any_order(tmp_path, before):
 
 
 @pytest.mark.parametrize("name", ["p.dump", "p.dump.gz"])
-def test_line_ends_of_windows(tmp_path, name):
+def test_line_ends_of_windows_are_read(tmp_path, name):
     path = tmp_path / name
     text = dump_text(before="ITEM: UNITS\nsi\n").replace("\n", "\r\n").encode()
     path.write_bytes(gzip.compress(text) if name.endswith("gz") else text)
@@ -71,7 +71,7 @@ def test_line_ends_of_windows(tmp_path, name):
 
 
 @pytest.mark.parametrize("name", ["all.dump", "all.dump.gz"])
-def test_many_steps_in_one_file(tmp_path, name):
+def test_many_steps_in_one_file_are_read(tmp_path, name):
     header = "ITEM: UNITS\nsi\n"  # LAMMPS writes it once a file
     texts = [
         dump_text([f"1 1 {k} 0 0 0 0 0 0.5 1"] * (k > 0) + ["2 1 5 5 5 0 0 0 0.5 1"] * (k > 1), step=10 * k)
@@ -111,7 +111,7 @@ def test_single_steps_are_not_read_through(tmp_path, monkeypatch):
     assert read
 
 
-def test_time_from_steps(tmp_path):
+def test_times_follow_from_step_numbers(tmp_path):
     path = str(write(tmp_path / "p.dump", dump_text(step=50)))
     (ref,) = lammps.index_particles([path], ReadOptions(extra={"timestep": 0.02}))
     assert ref.time == pytest.approx(1.0)
@@ -141,7 +141,7 @@ def test_time_from_steps(tmp_path):
         ("", "the file is empty"),
     ],
 )
-def test_bad_headers(tmp_path, text, match):
+def test_bad_headers_raise(tmp_path, text, match):
     path = write(tmp_path / "p.dump", text)
     with pytest.raises(SceneError, match=match) as error:
         lammps.index_particles([str(path)], DEFAULTS)
@@ -166,26 +166,26 @@ def test_bad_headers(tmp_path, text, match):
         ([*ROWS[:2], "2 1 1.9 nan 1.5 0 0 0 0.5 1"], "row 2 has 'nan' in column 'y'"),
     ],
 )
-def test_bad_bodies(tmp_path, rows, match):
+def test_bad_bodies_raise(tmp_path, rows, match):
     text = dump_text(rows, step=4, count=3)
     with pytest.raises(SceneError, match=match):
         particles(tmp_path, text)
 
 
-def test_values_that_trip_parsers(tmp_path):
+def test_unusual_numbers_are_read(tmp_path):
     row = "1 1 4.2e-315 -1E+2 +0.25 1e-400 -0 .5 0.5 1.e0"
     _, frame = particles(tmp_path, dump_text([row]))
     np.testing.assert_array_equal(frame["position"], [[4.2e-315, -100, 0.25]])
     np.testing.assert_array_equal(frame["velocity"], [[0, 0, 0.5]])
 
 
-def test_text_that_is_not_read_may_be_anything(tmp_path):
+def test_columns_that_are_not_read_may_hold_any_text(tmp_path):
     rows = [f"{row} Fe nan" for row in ROWS]
     _, frame = particles(tmp_path, dump_text(rows, ATOMS + " element c_t"))
     assert len(frame["position"]) == 3
 
 
-def test_columns_in_another_order(tmp_path):
+def test_columns_in_another_order_are_read(tmp_path):
     _, expected = particles(tmp_path, dump_text())
     order = [9, 4, 0, 8, 2, 1, 3, 7, 6, 5]
     rows = [" ".join(row.split()[k] for k in order) for row in ROWS]
@@ -205,7 +205,7 @@ def test_columns_in_another_order(tmp_path):
         ("id x y", "1 2 7", [2, 7, 0]),
     ],
 )
-def test_coordinate_styles(tmp_path, columns, row, expected):
+def test_all_coordinate_styles_are_read(tmp_path, columns, row, expected):
     _, frame = particles(tmp_path, dump_text([row], columns))
     np.testing.assert_allclose(frame["position"], [expected], atol=1e-15)
 
@@ -215,7 +215,7 @@ def test_scaled_coordinates_need_a_box(tmp_path):
         particles(tmp_path, dump_text(["1 0.5 0.25 0.1"], "id xs ys zs", box=""))
 
 
-def test_diameter_and_radius(tmp_path):
+def test_diameters_come_from_diameter_or_radius(tmp_path):
     _, frame = particles(tmp_path, dump_text(["1 0 0 0 3 1"], "id x y z diameter radius"))
     np.testing.assert_array_equal(frame["diameter"], 3)
     mapped = ReadOptions({"c_r": "radius"})
@@ -226,7 +226,7 @@ def test_diameter_and_radius(tmp_path):
 
 @settings(deadline=None, max_examples=50)
 @given(st.lists(st.tuples(*[st.floats(allow_nan=False, allow_infinity=False)] * 3), max_size=20))
-def test_numbers_survive(rows):
+def test_numbers_keep_their_bits(rows):
     body = "".join(f" {a!r}\t{b!r}  {c:.17g} \n" for a, b, c in rows).encode()
     table = parse_table(body, ("a", "b", "c"), ("c", "a"), len(rows), "numbers")
     expected = np.array(rows).reshape(-1, 3)
@@ -274,7 +274,7 @@ def test_names_map_columns(tmp_path):
         ),
     ],
 )
-def test_contact_forces(tmp_path, columns, row, names, expected):
+def test_contact_forces_are_read(tmp_path, columns, row, names, expected):
     frame = contacts(tmp_path, pairs_text([row], columns), ReadOptions(names))
     np.testing.assert_array_equal(frame["contact_force"], [expected])
     assert (frame["contact_i"], frame["contact_j"]) == (1, 2)
@@ -286,7 +286,7 @@ def test_normal_forces_alone_are_taken_with_a_warning(tmp_path):
     np.testing.assert_array_equal(frame["contact_force"], [[1, 2, 3]])
 
 
-def test_optional_columns_of_contacts(tmp_path):
+def test_optional_columns_of_contacts_are_read(tmp_path):
     names = {f"c{axis}": f"contact_point_{axis}" for axis in "xyz"}
     text = pairs_text(["1 2 1 2 3 0.1 4 5 6"], "id1 id2 fx fy fz delta cx cy cz")
     frame = contacts(tmp_path, text, ReadOptions(names))
@@ -305,18 +305,18 @@ def test_optional_columns_of_contacts(tmp_path):
         ("id1 id2 fx fy fz", {"fx": "contact_force_z"}, "no x of the contact force"),
     ],
 )
-def test_contact_columns_that_do_not_do(tmp_path, columns, names, match):
+def test_wrong_contact_columns_raise(tmp_path, columns, names, match):
     with pytest.raises(SceneError, match=match):
         contacts(tmp_path, pairs_text(["1 " * len(columns.split())], columns), ReadOptions(names))
 
 
-def test_ids_cut_to_six_digits_are_noticed(tmp_path):
+def test_ids_cut_to_six_digits_raise(tmp_path):
     rows = [f"{1.23457e6 + 10 * k:g} 2 1 2 3" for k in range(20)]
     with pytest.raises(SceneError, match=r"written with six digits.*%\.10g"):
         contacts(tmp_path, pairs_text(rows, "id1 id2 fx fy fz"))
 
 
-def test_no_contacts_at_all(tmp_path):
+def test_steps_without_contacts_are_read(tmp_path):
     frame = contacts(tmp_path, pairs_text([]))
     assert frame["contact_force"].shape == (0, 3)
 
@@ -324,7 +324,7 @@ def test_no_contacts_at_all(tmp_path):
 # --- recognising -----------------------------------------------------------------------------------------
 
 
-def test_recognises(tmp_path):
+def test_dumps_are_recognised(tmp_path):
     assert lammps.recognises(str(write(tmp_path / "a.dump.gz", dump_text(before="ITEM: TIME\n1\n"))))
     assert lammps.recognises(str(write(tmp_path / "b.dump", pairs_text())))
     assert not lammps.recognises(str(write(tmp_path / "c.txt", "x y z\n")))
@@ -401,7 +401,7 @@ def test_velocities_that_lack_x_are_no_velocities(tmp_path):
     np.testing.assert_array_equal(particles(tmp_path, flat)[1]["velocity"], [[1, 2, 0]])
 
 
-def test_two_columns_for_one_variable_are_refused(tmp_path):
+def test_two_columns_for_one_variable_raise(tmp_path):
     text = dump_text(["1 0 0 0 5 6"], "id x y z a b")
     for slot in ("velocity_x", "mass", "temperature"):
         with pytest.raises(SceneError, match=f"names maps 'a' and 'b' to '{slot}'"):

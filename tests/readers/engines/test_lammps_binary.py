@@ -23,7 +23,7 @@ def test_a_binary_dump_is_the_text_that_lammps_writes_beside_it():
 @pytest.mark.parametrize("order", "<>")
 @pytest.mark.parametrize("parts", [1, 3])
 @pytest.mark.parametrize("word", [b"DUMPCUSTOM", b"DUMPATOM"])
-def test_orders_of_bytes_and_processes(tmp_path, order, parts, word):
+def test_both_byte_orders_and_several_processes_are_read(tmp_path, order, parts, word):
     steps = [rows_of(7, seed=k) for k in range(3)]
     data = [binary_step(rows, step=10 * k, time=0.5 * k, units="" if k else "cgs", order=order, parts=parts, word=word)
             for k, rows in enumerate(steps)]  # fmt: skip
@@ -71,7 +71,7 @@ def test_binary_particles_with_contacts_in_text_are_lazy(tmp_path):
         (lambda data: data.replace(b"\x01\0\0\0\x02\0\0\0", b"\x01\0\0\0\x09\0\0\0", 1), "is of revision 9"),
     ],
 )
-def test_damaged_binary_dumps(tmp_path, change, message):
+def test_damaged_binary_dumps_raise(tmp_path, change, message):
     path = tmp_path / "p.bin"
     path.write_bytes(change(binary_step(rows_of())))
     with pytest.raises(xcg.SceneError, match=message) as error:
@@ -79,7 +79,7 @@ def test_damaged_binary_dumps(tmp_path, change, message):
     assert "p.bin" in str(error.value)
 
 
-def test_a_binary_dump_holds_no_contacts(tmp_path):
+def test_a_binary_dump_of_contacts_raises(tmp_path):
     (tmp_path / "p.bin").write_bytes(binary_step(rows_of()))
     with pytest.raises(xcg.SceneError, match=r"p\.bin: .* for particles="):
         lammps.index_contacts([str(tmp_path / "p.bin")], DEFAULTS)

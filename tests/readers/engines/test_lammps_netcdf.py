@@ -11,7 +11,7 @@ from xcg.readers.files.classic_netcdf import ClassicFile
 
 
 @pytest.mark.parametrize("version", ["DATA", "OFFSET"])
-def test_netcdf(tmp_path, version):
+def test_netcdf_holds_the_rows_of_each_step(tmp_path, version):
     steps = {10 * k: rows_of(7, seed=k) for k in range(3)}
     path = write_netcdf(tmp_path / "n.nc", steps, version=version)
     refs, frames = frames_of(path)
@@ -55,7 +55,7 @@ def test_lost_atoms_are_left_out(tmp_path):
     assert xcg.open_scene(tmp_path / "n.nc").particle_id.values[1].tolist().count(-1) == 2
 
 
-def test_single_precision_and_no_timestep(tmp_path):
+def test_single_precision_without_timestep_is_read(tmp_path):
     rows = rows_of()
     path = write_netcdf(tmp_path / "n.nc", {0: rows, 20: rows}, double=False, timestep=None)
     refs, frames = frames_of(path)
@@ -76,7 +76,7 @@ def test_a_tilted_netcdf_box(tmp_path):
     assert ref.periodic == "xyz"
 
 
-def test_damaged_netcdf(tmp_path):
+def test_damaged_netcdf_raises(tmp_path):
     path = write_netcdf(tmp_path / "n.nc", {0: rows_of(100), 10: rows_of(100)})
     whole = path.read_bytes()
     for data, message in (

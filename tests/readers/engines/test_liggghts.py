@@ -35,7 +35,7 @@ def box():
     return scene.compute()
 
 
-def test_pairs(tmp_path):
+def test_pairs_are_read(tmp_path):
     path = str(write(tmp_path / "pair.txt", pairs_text([PAIR], COLUMNS)))
     (ref,) = liggghts.index_contacts([path], DEFAULTS)
     frame = liggghts.read_contacts(ref, DEFAULTS)
@@ -46,7 +46,7 @@ def test_pairs(tmp_path):
     np.testing.assert_array_equal(frame["contact_force"], [[-3, 2, 1]])
 
 
-def test_walls(tmp_path):
+def test_contacts_with_walls_are_read(tmp_path):
     path = str(write(tmp_path / "wall.txt", pairs_text([WALL], COLUMNS)))
     (ref,) = liggghts.index_walls([path], DEFAULTS)
     frame = liggghts.read_contacts(ref, DEFAULTS)
@@ -56,13 +56,13 @@ def test_walls(tmp_path):
     np.testing.assert_allclose(frame["wrapped_branch"], [[0, 0, 0.45]])
 
 
-def test_without_overlap(tmp_path):
+def test_contacts_without_overlap_are_read(tmp_path):
     text = pairs_text([PAIR.rsplit(" ", 1)[0]], COLUMNS.rsplit(" ", 1)[0])
     (ref,) = liggghts.index_contacts([str(write(tmp_path / "pair.txt", text))], DEFAULTS)
     assert set(liggghts.read_contacts(ref, DEFAULTS)) == {"contact_i", "contact_j", "contact_force", "wrapped_branch"}
 
 
-def test_other_layouts_are_mapped(tmp_path):
+def test_other_layouts_of_columns_are_mapped(tmp_path):
     columns = " ".join(f"c_3[{k}]" for k in range(1, 7))
     path = str(write(tmp_path / "pair.txt", pairs_text(["1 2 0 4 5 6"], columns)))
     with pytest.raises(SceneError, match=r"no ids of both partners .* c_3\[1\].*names="):
@@ -98,7 +98,7 @@ def test_walls_are_for_engines_that_keep_them_apart(tmp_path):
         open_scene(path, walls=path, engine="lammps")
 
 
-def test_force_balance(box):
+def test_contact_forces_sum_to_the_forces_on_particles(box):
     """Contact forces, with walls, and weight make the dumped force (written with 6 digits)."""
     for t in range(box.sizes["time"]):
         step = box.isel(time=t)
@@ -115,7 +115,7 @@ def test_force_balance(box):
         assert np.sqrt(np.mean(error**2)) < 3e-3  # a few contacts of the first frame are not settled
 
 
-def test_contact_points(box):
+def test_contact_points_lie_half_an_overlap_inside(box):
     """Pairs meet at R - overlap/2 from both centres, walls at R - overlap."""
     step = box.isel(time=0)
     valid = step.contact_i.values >= 0
@@ -128,7 +128,7 @@ def test_contact_points(box):
     assert (j[j < 0] == -1).all()
 
 
-def test_normals(box):
+def test_normals_of_pairs_and_walls(box):
     """Normals of pairs from the file's positions are those of the particles; those of walls point off the wall."""
     step = box.isel(time=0)
     valid = step.contact_i.values >= 0
@@ -143,13 +143,13 @@ def test_normals(box):
     np.testing.assert_allclose(normal[j < 0], np.tile([0, 0, 1.0], ((j < 0).sum(), 1)), atol=1e-3)
 
 
-def test_time_and_density(box):
+def test_time_and_density_are_read(box):
     np.testing.assert_allclose(box.time, [0.4, 0.5])
     assert box.time.attrs["units"] == "s"
     np.testing.assert_allclose(box.mass, 2500 * np.pi / 6 * box.diameter**3)
 
 
-def test_force_chain_finder_data():
+def test_data_of_force_chain_finder_open():
     """Older files of the same layout: ids and order of the pairs agree with the positions written beside them."""
     folder = shared_data("force_chain_finder")
     scene = open_scene(folder / "compress*.liggghts", contacts=folder / "pair*.txt").compute()

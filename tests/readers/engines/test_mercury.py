@@ -54,7 +54,7 @@ def run(tmp_path):
     return tmp_path
 
 
-def test_run(run):
+def test_a_run_is_read(run):
     scene = open_scene(run / "run.data", contacts=run / "run.fstat").compute()
     assert dict(scene.sizes) == {"time": 3, "particle": 3, "contact": 2, "component": 3, "bound": 2}
     np.testing.assert_array_equal(scene.time, [0, 0.5, 1])
@@ -68,7 +68,7 @@ def test_run(run):
     np.testing.assert_array_equal(scene.box[0], [[0, 4], [0, 4], [0, 2]])
 
 
-def test_forces(run):
+def test_contact_forces_are_read(run):
     scene = open_scene(run / "run.data", contacts=run / "run.fstat").isel(time=0).compute()
     np.testing.assert_array_equal(scene.contact_i, [0, 0])
     np.testing.assert_array_equal(scene.contact_j, [1, -5])
@@ -88,7 +88,7 @@ def test_forces(run):
         ((), []),
     ],
 )
-def test_pairs_stand_twice_or_once(run, rows, pairs):
+def test_pairs_listed_twice_or_once_count_once(run, rows, pairs):
     write(run / "run.fstat", fstat_text((0, 0.5, 1), rows))
     scene = open_scene(run / "run.data", contacts=run / "run.fstat").isel(time=1).compute()
     assert list(zip(scene.contact_i.values, scene.contact_j.values, strict=True)) == pairs
@@ -114,7 +114,7 @@ def test_restart_can_be_named(run):
         open_scene(run / "run.data", restart=run / "absent.restart")
 
 
-def test_two_dimensions(tmp_path):
+def test_a_run_in_two_dimensions_is_read(tmp_path):
     rows = ["1 1 0.1 0.2 0.5 0 3 0", "2 1.5 0 0 0.5 0 0 1", "1 2 0 0 0.5 0 0 0"]
     text = "3 0.5 0 0 4 4\n" + "".join(f"{row}\n" for row in rows)
     scene = open_scene(write(tmp_path / "flat.data", text), density=2.0).compute()
@@ -143,21 +143,21 @@ def test_names_map_columns(run):
         ({"run.restart": RESTART.replace("gravity 1 0 -9.81", "gravity 1 0")}, "three numbers after 'gravity'"),
     ],
 )
-def test_errors(run, change, match):
+def test_damaged_files_raise(run, change, match):
     for name, text in change.items():
         write(run / name, text)
     with pytest.raises(SceneError, match=match):
         open_scene(run / "run.data", contacts=run / "run.fstat", engine="mercury")
 
 
-def test_recognises(run):
+def test_runs_are_recognised(run):
     assert mercury.recognises(str(run / "run.data"))
     assert mercury.recognises(str(run / "run.fstat"))
     assert not mercury.recognises(str(run / "run.restart"))
     assert not mercury.recognises(str(write(run / "table.data", "x y z\n1 2 3\n")))
 
 
-def test_real_run():
+def test_a_real_run_is_read():
     """Pairs: contact points on the branch, normals along it; walls: all six, normals into the box."""
     folder = real_data("mercury_synthetic")
     scene = open_scene(folder / "syn200.data", contacts=folder / "syn200.fstat").compute()
@@ -194,5 +194,5 @@ def test_unit_gravity_is_scaled(run):
     np.testing.assert_allclose(scene.time, [0, 5e-4, 1e-3])
 
 
-def test_options_are_the_engines_own():
+def test_a_missing_restart_file_is_none():
     assert read_restart("nowhere/run.data", ReadOptions()) is None

@@ -108,7 +108,7 @@ OLD_ASCII = """<?xml version="1.0"?>
 # --- index -----------------------------------------------------------------------------------------------
 
 
-def test_index_tells_what_the_header_holds(tmp_path):
+def test_the_index_holds_the_header(tmp_path):
     path = write_particles(tmp_path / "P_0042.vtp", time=0.40000344388050202)
     (ref,) = mfix.index_particles([str(path)], DEFAULTS)
     assert (ref.rows, ref.time, ref.step) == (3, 0.40000344388050202, 42)
@@ -124,7 +124,7 @@ def test_header_longer_than_one_read(tmp_path):
 
 
 @pytest.mark.parametrize(("name", "expected"), [("P.vtp", True), ("P.pvd", True), ("P.dump", False)])
-def test_recognises(tmp_path, name, expected):
+def test_files_of_mfix_are_recognised(tmp_path, name, expected):
     path = write_particles(tmp_path / name)
     assert mfix.recognises(str(path)) is expected
     path.write_text("ITEM: TIMESTEP\n")
@@ -167,7 +167,7 @@ def test_same_time_with_other_content_warns(tmp_path):
         assert len(mfix.index_particles(paths, DEFAULTS)) == 1
 
 
-def test_two_regions_are_refused(tmp_path):
+def test_two_regions_raise(tmp_path):
     paths = [str(write_particles(tmp_path / f"{region}_0001.vtp")) for region in ("P_FB1", "P_FB2")]
     with pytest.raises(SceneError, match="different regions; open one"):
         mfix.index_particles(paths, DEFAULTS)
@@ -213,14 +213,14 @@ def test_particles_without_ids_warn(tmp_path):
         assert set(read_particles(path)) == {"position"}
 
 
-def test_ids_beyond_float32_are_refused_once_they_collide(tmp_path):
+def test_colliding_ids_beyond_float32_raise(tmp_path):
     path = write_particles(tmp_path / "P_1.vtp", [2**24, 2**24 + 1, 5])
     with pytest.raises(SceneError, match="Float32"):
         read_particles(path)
     assert read_particles(write_particles(path, [2**24, 2**24 + 2, 5]))["particle_id"].max() == 2**24 + 2
 
 
-def test_empty_step(tmp_path):
+def test_an_empty_step_is_read(tmp_path):
     frame = read_particles(write_vtp(tmp_path / "P_1.vtp", [], Particle_ID=[], Velocity=np.empty((0, 3))))
     assert {name: values.shape for name, values in frame.items()} == {
         "position": (0, 3), "particle_id": (0,), "velocity": (0, 3),
@@ -229,7 +229,7 @@ def test_empty_step(tmp_path):
     assert contacts["contact_force"].shape == (0, 3)
 
 
-def test_old_ascii_files(tmp_path):
+def test_old_ascii_files_are_read(tmp_path):
     path = tmp_path / "CHUTE_DES_00003.vtp"
     path.write_text(OLD_ASCII)
     (ref,) = mfix.index_particles([str(path)], DEFAULTS)
@@ -300,7 +300,7 @@ def test_a_file_that_changed_after_the_index_is_noticed(tmp_path):
         mfix.read_particles(ref, DEFAULTS)
 
 
-def test_damaged_collections(tmp_path):
+def test_damaged_collections_raise(tmp_path):
     pvd = tmp_path / "P.pvd"
     pvd.write_text("nothing")
     with pytest.raises(SceneError, match="expected VTK XML of type 'Collection'"):
@@ -348,7 +348,7 @@ def test_other_arrays_for_ids_and_force(tmp_path):
     np.testing.assert_array_equal(normal_only["contact_force"], [[1, 2, 3]])
 
 
-def test_contacts_without_forces_are_refused(tmp_path):
+def test_contacts_without_forces_raise(tmp_path):
     path = write_particles(tmp_path / "P_1.vtp", FORCE_CHAIN_FN=np.zeros((3, 3)))
     with pytest.raises(SceneError, match=r"lack \['contact_i', 'contact_j', 'contact_force'\]"):
         read_contacts(path)
@@ -447,7 +447,7 @@ def test_real_forces_add_up_to_what_mfix_applied(step):
     assert error.max() < 5e-3
 
 
-def test_real_collection_and_old_file():
+def test_a_real_collection_and_an_old_file_open():
     folder = shared_data("mfix_chute")
     with pytest.warns(SceneWarning, match=r"4 of 8 files.*P_FB1_0005\.vtp; they are skipped"):
         refs = mfix.index_particles([str(folder / "P_FB1.pvd")], ReadOptions(extra={"missing": "skip"}))
@@ -464,7 +464,7 @@ def test_real_collection_and_old_file():
 @pytest.mark.parametrize("compressor", [None, "ZLib", "LZ4", "LZMA"])
 @pytest.mark.parametrize("mode", ["Ascii", "Binary", "Appended", "AppendedRaw"])
 @pytest.mark.parametrize("header", [32, 64])
-def test_every_encoding_of_vtk(tmp_path, compressor, mode, header):
+def test_every_encoding_of_vtk_is_read(tmp_path, compressor, mode, header):
     path = write_by_vtk(tmp_path / "P_1.vtp", mode, compressor, header)
     got = read_particles(path)
     np.testing.assert_array_equal(got["position"], np.arange(15000.0).reshape(-1, 3))
@@ -512,7 +512,7 @@ def pack(path: Path, *, members=1, keep=False) -> Path:
 
 @pytest.mark.parametrize("members", [1, 3])
 @pytest.mark.parametrize("form", ["mfix", "old", "AppendedRaw", "Appended", "Binary", "Ascii"])
-def test_packed_files_hold_what_they_hold(tmp_path, form, members):
+def test_compressed_files_equal_their_originals(tmp_path, form, members):
     path = tmp_path / "P_0007.vtp"
     if form == "mfix":
         write_particles(path, Velocity=np.arange(9.0).reshape(3, 3))
@@ -527,7 +527,7 @@ def test_packed_files_hold_what_they_hold(tmp_path, form, members):
     assert "P_0007.vtp.gz" in packed.attrs["files"]
 
 
-def test_a_packed_series(tmp_path):
+def test_a_compressed_series_opens(tmp_path):
     for number in (2, 10):
         write_particles(tmp_path / f"P_{number}.vtp", time=number / 10)
         write_contacts(tmp_path / f"FC_{number}.vtp", [1], [2], [number, 0, 0], time=number / 10)
@@ -553,7 +553,7 @@ def test_a_packed_series(tmp_path):
     xr.testing.assert_identical(by_packed_list.load().drop_attrs(), plain)
 
 
-def test_a_file_beside_its_packed_one_is_one_step(tmp_path):
+def test_a_file_beside_its_compressed_copy_is_one_step(tmp_path):
     packed = pack(write_particles(tmp_path / "P_0001.vtp"), keep=True)
     with pytest.warns(SceneWarning, match=r"an earlier file holds the same time .*P_0001\.vtp\.gz"):
         ds = xcg.open_scene([tmp_path / "P_0001.vtp", packed], density=1.0)
@@ -561,7 +561,7 @@ def test_a_file_beside_its_packed_one_is_one_step(tmp_path):
 
 
 @pytest.mark.parametrize("share", [0.3, 0.95])
-def test_packed_files_that_were_cut_off(tmp_path, share):
+def test_truncated_compressed_files_raise(tmp_path, share):
     path = pack(write_by_vtk(tmp_path / "P_0001.vtp", "AppendedRaw"))
     path.write_bytes(path.read_bytes()[: int(share * path.stat().st_size)])
     with pytest.raises(SceneError, match=r"P_0001\.vtp\.gz: .*(damaged or cut off|cut short)"):

@@ -153,7 +153,7 @@ def test_messages_count_rows_of_the_file(tmp_path):
         opened(tmp_path, allow_unknown=True)
 
 
-def test_names_that_map_contact_points_are_believed(unlike_spheres):
+def test_mapped_contact_points_are_kept(unlike_spheres):
     folder, _ = unlike_spheres
     for array in ("FORCE_CHAIN_CONTACT_POINT", "coordinates"):
         (ref,) = mfix.index_contacts([str(folder / "FC_0001.vtp")], ReadOptions())
@@ -262,7 +262,7 @@ def test_superquadrics_that_touch_on_both_sides_of_a_small_box_keep_both_contact
     assert not frame["point_is_middle"].any()
 
 
-def test_superquadrics_without_contact_points_are_refused(tmp_path):
+def test_superquadrics_without_contact_points_raise(tmp_path):
     path = write_contacts(tmp_path / "FC_1.vtp", [1], [2], [[1, 0, 0]], shape="SQP_01")
     with pytest.raises(SceneError, match=r"FC_1\.vtp: contacts of superquadrics need FORCE_CHAIN_CONTACT_POINT"):
         read_contacts(path)

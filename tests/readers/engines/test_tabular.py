@@ -45,7 +45,7 @@ def check(ds, scene):
 
 
 @pytest.mark.parametrize("ending", ["csv", "tsv", "csv.gz", "semicolon.csv", "blanks.csv", "parquet"])
-def test_files_are_the_scene(tmp_path, scene, ending):
+def test_scenes_written_as_tables_read_back_equal(tmp_path, scene, ending):
     if ending == "parquet":
         pytest.importorskip("pyarrow")
     mark = {"tsv": "\t", "semicolon.csv": ";", "blanks.csv": " "}.get(ending, ",")
@@ -63,13 +63,13 @@ def test_files_are_the_scene(tmp_path, scene, ending):
     np.testing.assert_array_equal(one.velocity[1], scene.velocity[1])
 
 
-def test_tables_in_memory_are_the_scene(scene):
+def test_tables_in_memory_give_an_equal_scene(scene):
     particles, contacts = tables_of(scene)
     shuffled = particles.sample(frac=1, random_state=0)
     check(xcg.scene_from_table(shuffled, contacts=contacts, **OPTIONS), scene)
 
 
-def test_short_names_and_names_of_ones_own(tmp_path):
+def test_short_and_own_names_of_columns(tmp_path):
     text = "t, ID ,x,y,z,vx,vy,vz,r,charge\r\n0.0,3,1,1,1,0.1,0.2,0.3,0.5,7\r\n0.5,3,2,1,1,0.1,0.2,0.3,0.5,8\r\n"
     names = {"t": "time", "ID": "particle_id", "r": "radius", "charge": "charge"}
     ds = xcg.open_scene(write(tmp_path / "a.csv", text), names=names, density=2.0)
@@ -103,7 +103,7 @@ def test_files_without_numbers_are_steps_from_zero_on(tmp_path):
         assert (ds.contact_force.isel(contact=0, component=0) == -1).all()
 
 
-def test_a_step_is_read_from_where_it_stands(tmp_path, monkeypatch):
+def test_one_step_is_read_alone(tmp_path, monkeypatch):
     rows = "".join(f"{k // 100},{k % 100},{k},0,0.5\n" for k in range(1000))
     path = write(tmp_path / "a.csv", "step,x,y,z,radius\n" + rows)
     ds = xcg.open_scene(path, density=1.0, chunks=1)
@@ -137,14 +137,14 @@ def test_particles_without_ids_are_numbered_by_row(tmp_path):
         ("", "expected a first line"),
     ],
 )
-def test_faults_are_named(tmp_path, text, message):
+def test_damaged_tables_raise(tmp_path, text, message):
     path = write(tmp_path / "a.csv", text)
     with pytest.raises(xcg.SceneError, match=message) as error:
         xcg.open_scene(path, density=1.0).load()
     assert "a.csv" in str(error.value)
 
 
-def test_faults_in_memory_are_named():
+def test_wrong_tables_in_memory_raise():
     good = pd.DataFrame({"x": [0.0], "y": 0.0, "z": 0.0, "radius": 0.5})
     with pytest.raises(xcg.SceneError, match="particles: column 'x' holds other things than numbers"):
         xcg.scene_from_table(good.assign(x="a"), density=1.0)
@@ -155,7 +155,7 @@ def test_faults_in_memory_are_named():
         xcg.scene_from_table(good.assign(time=0.0), contacts=contacts, density=1.0)
 
 
-def test_parquet_says_what_to_install(tmp_path, monkeypatch):
+def test_parquet_without_pyarrow_names_the_extra(tmp_path, monkeypatch):
     import importlib
 
     def no_pyarrow(name, *rest):
@@ -170,7 +170,7 @@ def test_parquet_says_what_to_install(tmp_path, monkeypatch):
         xcg.open_scene(tmp_path / "a.parquet")
 
 
-def test_parquet_faults_are_named(tmp_path):
+def test_damaged_parquet_files_raise(tmp_path):
     pytest.importorskip("pyarrow")
     good = pd.DataFrame({"x": [0.0, 1.0], "y": 0.0, "z": 0.0, "radius": 0.5})
     for table, message in (
@@ -187,7 +187,7 @@ def test_parquet_faults_are_named(tmp_path):
     assert "a.parquet" in str(error.value)
 
 
-def test_compressed_text_of_two_steps(tmp_path, scene):
+def test_compressed_text_of_two_steps_is_read(tmp_path, scene):
     particles, _ = tables_of(scene)
     data = particles.to_csv(index=False).encode()
     (tmp_path / "p.csv.gz").write_bytes(gzip.compress(data))

@@ -54,7 +54,7 @@ def write_lines(path, ends, mode="Appended", verts=0, **arrays):
 
 
 @pytest.mark.parametrize("mode", ["Appended", "Binary", "Ascii"])
-def test_spheres_of_yade(tmp_path, mode):
+def test_spheres_written_by_yade_are_read(tmp_path, mode):
     velocity = np.arange(9.0).reshape(3, 3)
     for step in (100, 2000):
         write_spheres(
@@ -71,7 +71,7 @@ def test_spheres_of_yade(tmp_path, mode):
     np.testing.assert_array_equal(ds.heat[0], [8, 9, 7])
 
 
-def test_contacts_as_points(tmp_path):
+def test_contacts_as_points_are_read(tmp_path):
     """Their points are contact points, also between spheres of different sizes."""
     write_vtp(tmp_path / "p.vtp", X, id=[1, 2, 3], radius=[0.75, 0.25, 1], v=X, mass=[1, 1, 1])
     force = np.array([[-1.0, 2, 0]])
@@ -88,7 +88,7 @@ NAMES = {"first": "contact_i", "second": "contact_j", "F": "contact_force"}
 
 
 @pytest.mark.parametrize("mode", ["Appended", "Binary", "Ascii"])
-def test_contacts_as_lines(tmp_path, mode):
+def test_contacts_as_lines_are_read(tmp_path, mode):
     """A line between two centres, forces as data of cells; a step in which nothing touches has none."""
     force = np.array([[-1.0, 2, 0], [1, -2, 3]])
     for step, x, rows in ((1, X, 2), (2, 2 * X, 0)):
@@ -103,7 +103,7 @@ def test_contacts_as_lines(tmp_path, mode):
     np.testing.assert_allclose(ds.contact_point[0], [[0.7, 0, 0]] * 2, rtol=1e-6)
 
 
-def test_lines_among_other_cells(tmp_path):
+def test_lines_among_other_cells_are_read(tmp_path):
     """Data of cells are those of all kinds of cells, one after the other."""
     write_vtp(tmp_path / "p.vtp", X, id=[1, 2, 3], radius=[0.75, 0.25, 1])
     write_lines(tmp_path / "c.vtp", [X[[0, 1]]], verts=1, first=[0, 1], second=[0, 2], F=np.eye(3)[:2])

@@ -20,7 +20,7 @@ def texts(tmp_path, steps=(0, 10), cell=CELL, pairs=PAIRS):
     return {"particles": str(tmp_path / "grains_*.txt"), "contacts": str(tmp_path / "pairs_*.txt")}
 
 
-def test_the_force_is_that_on_the_second_body(tmp_path):
+def test_forces_on_the_second_body_change_sign(tmp_path):
     ds = xcg.open_scene(**texts(tmp_path)).load()
     assert ds.attrs["engine"] == "yade"
     assert ds.attrs["periodic"] == "xyz"
@@ -41,7 +41,7 @@ def test_the_stress_is_that_of_yade():
     np.testing.assert_allclose(f.contact_stress[0], -np.loadtxt(folder / "stress_end.txt"), rtol=1e-8, atol=1e-6)
 
 
-def test_a_sheared_cell(tmp_path):
+def test_a_sheared_cell_is_read(tmp_path):
     """Columns of the matrix are the vectors."""
     ds = xcg.open_scene(**texts(tmp_path, cell="10 2 0 0 10 0 0 0 10"), shear_rate={})
     np.testing.assert_array_equal(ds.lattice[0], [[10, 0, 0], [2, 10, 0], [0, 0, 10]])
@@ -59,7 +59,7 @@ def test_names_without_numbers_are_paired_in_their_order(tmp_path):
     np.testing.assert_array_equal(ds.species[0], [3, 3])
 
 
-def test_walls_are_bodies_that_are_no_grains(tmp_path):
+def test_walls_may_be_the_first_or_second_body(tmp_path):
     """Whichever side the wall is on, the force is that on the grain."""
     for pair, sign in (("7 1", 1), ("1 7", -1)):
         given = texts(tmp_path, pairs=PAIRS.replace("0 1 1 0 0", f"{pair} 0 0 0").replace("11.95", "1.95"))
@@ -82,7 +82,7 @@ def test_walls_are_bodies_that_are_no_grains(tmp_path):
         ("11.5", "1l.5", "'1l.5' in column 'x'"),
     ],
 )
-def test_faults_are_named(tmp_path, old, new, message):
+def test_damaged_files_raise(tmp_path, old, new, message):
     text = GRAINS.format(time=0.0, step=0, cell=CELL) + ROWS
     assert old in text
     path = write(tmp_path / "grains_0.txt", text.replace(old, new, 1))

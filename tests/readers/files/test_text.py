@@ -30,7 +30,7 @@ tables = st.lists(st.tuples(numbers, numbers, numbers), min_size=1, max_size=20)
 
 @settings(deadline=None, max_examples=50)
 @given(tables, st.sampled_from([" \n", "\n"]))
-def test_white_space_and_pieces_change_no_bit(rows, end):
+def test_white_space_and_pieces_of_text_change_no_bit(rows, end):
     body = "".join(" ".join(row) + end for row in rows).encode()
     expected = np.array([[float(word) for word in row] for row in rows]).T.tobytes()
     for changed in (body, body.replace(b" ", b"  "), body.replace(b" ", b"\t"), body.replace(b"\n", b"\r\n\n")):
@@ -68,7 +68,7 @@ def test_blocks_and_threads_change_nothing(monkeypatch, threads, rows):
             parse([*lines, "\n7 8 9\n\n", "8 9"], threads)
 
 
-def test_a_line_without_end(monkeypatch):
+def test_an_endless_line_raises(monkeypatch):
     with pytest.raises(SceneError, match="file: a line has no end in 1048576 bytes"):
         parse_table(b"1 2 3\n" + b"1 " * 600_000, COLUMNS, COLUMNS, None, "file")
 
@@ -97,7 +97,7 @@ def test_uneven_white_space_changes_nothing(body, wanted):
 
 
 @pytest.mark.parametrize("body", [b"1 2 3 \n4 5 \n", b"1 2 3 \n4 5 6 7 \n", b"1 2 3\n4 5\n", b"1 2 3 \n4 x 6 \n"])
-def test_faults_name_the_row(body):
+def test_errors_name_the_row(body):
     with pytest.raises(SceneError, match="file: row 1 has"):
         parse_table(body, COLUMNS, COLUMNS, 2, "file")
 
@@ -165,7 +165,7 @@ def test_zstd_is_read_as_plain_text_is(tmp_path, opened):
     assert len(opened) == 1  # for all bodies
 
 
-def test_damaged_zstd_is_named(tmp_path):
+def test_damaged_zstd_raises(tmp_path):
     whole = zstd().compress("".join(dump_text(rows(t), ATOMS, step=t) for t in range(300)).encode())
     path = tmp_path / "p.dump.zst"
     for data in (whole[:-200], whole[:100] + b"xxxx" + whole[104:]):
@@ -174,7 +174,7 @@ def test_damaged_zstd_is_named(tmp_path):
             open_scene(path, engine="lammps").compute()
 
 
-def test_what_to_install_for_zstd(tmp_path, monkeypatch):
+def test_zstd_without_its_package_names_the_extra(tmp_path, monkeypatch):
     path = tmp_path / "p.dump.zst"
     path.write_bytes(b"\x28\xb5\x2f\xfd")
     monkeypatch.setattr(compressed, "_zstd", lambda: None)
@@ -183,7 +183,7 @@ def test_what_to_install_for_zstd(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("count", [3, 4000])
-def test_gzipped_files_put_one_after_the_other(tmp_path, count):
+def test_concatenated_gzip_files_are_read(tmp_path, count):
     """The last bytes of such a file tell the size of its last step only, which is that of one step."""
     rng = np.random.default_rng(0)
     texts, positions = [], []

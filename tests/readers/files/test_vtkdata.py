@@ -28,12 +28,12 @@ def decoded(text, count):
 
 
 @pytest.mark.parametrize("count", range(1, 8))
-def test_all_lengths(count):
+def test_base64_of_every_length_is_decoded(count):
     values = np.random.default_rng(count).integers(-(2**31), 2**31, count, "<i4")
     np.testing.assert_array_equal(decoded(block(values) + b"  <", count), values)
 
 
-def test_every_byte_at_every_place():
+def test_damaged_base64_raises_or_reads_as_in_python():
     """What the standard library refuses is refused, and what is read is what it reads."""
     text = block(np.arange(4, dtype="<i4"))
     for place in range(len(text)):
@@ -48,7 +48,7 @@ def test_every_byte_at_every_place():
 
 
 @pytest.mark.parametrize("piece", [b"=", b"==", b"=A", b"\n", b" ", b"\xff", b"-"])
-def test_foreign_characters_are_refused(piece):
+def test_foreign_characters_raise(piece):
     values = np.arange(4, dtype="<i4")
     text = block(values)
     for at in range(len(text) - 4):  # the last group may be padded
@@ -60,7 +60,7 @@ def test_foreign_characters_are_refused(piece):
 
 
 @pytest.mark.parametrize("encoding", ["zlib", "zlib base64"])
-def test_what_zlib_packed(tmp_path, encoding):
+def test_arrays_compressed_by_zlib_are_read(tmp_path, encoding):
     (ds,) = series.packings(3000, 1)
     path = series.write_vtp(tmp_path / "p.vtp", ds, "position", series.PARTICLE_ARRAYS, encoding)
     header = vtp.read_header(str(path))
@@ -78,7 +78,7 @@ def test_what_zlib_packed(tmp_path, encoding):
         (1, 12_000, 0, b"", "does not unpack to 12000 bytes"),
     ],
 )
-def test_parts_that_lie(tmp_path, number, size, last, part, message):
+def test_wrong_sizes_of_compressed_parts_raise(tmp_path, number, size, last, part, message):
     parts = [zlib.compress(part, 9), zlib.compress(bytes(12_000))][:number]
     path = tmp_path / "block"
     path.write_bytes(np.array([number, size, last, *map(len, parts)], "<u4").tobytes() + b"".join(parts))
@@ -92,7 +92,7 @@ def test_parts_that_lie(tmp_path, number, size, last, part, message):
         tracemalloc.stop()
 
 
-def test_damaged_parts_are_named(tmp_path):
+def test_damaged_compressed_parts_raise(tmp_path):
     (ds,) = series.packings(500, 1)
     path = series.write_vtp(tmp_path / "p.vtp", ds, "position", series.PARTICLE_ARRAYS, "zlib")
     header = vtp.read_header(str(path))

@@ -128,7 +128,7 @@ PLACES = [
 
 
 @pytest.mark.parametrize(("scene", "axes"), PLACES)
-def test_every_sum_is_what_it_says(scene, axes):
+def test_sums_over_contacts_equal_brute_force(scene, axes):
     ds = xcg.datasets.random_scene(60, seed=12, **scene)
     plane, dimension, friction = ds.attrs["plane"], ds.attrs["dimension"], 0.4
     extent = {a: 4.0 for a in plane if a not in axes and a not in ds.attrs["periodic"]}
@@ -241,7 +241,7 @@ def test_averages_of_a_whole_box_are_the_microstructure(dimension):
         np.testing.assert_allclose(f[name], m[other], rtol=1e-12, atol=1e-14)
 
 
-def test_the_tensors_give_back_the_stress_where_branches_are_equal():
+def test_fabric_tensors_give_the_stress_where_branches_are_equal():
     """In a whole box contact stress is the sum of f l, whatever the kernel."""
     ds = xcg.datasets.face_centred_cubic(3)
     noise = np.random.default_rng(1).normal(size=ds.contact_force.shape)
@@ -250,7 +250,7 @@ def test_the_tensors_give_back_the_stress_where_branches_are_equal():
     np.testing.assert_allclose(f.fabric_stress, f.contact_stress, rtol=0, atol=1e-12 * float(f.contact_stress.max()))
 
 
-def test_redundancy_of_a_lattice():
+def test_redundancy_factor_of_a_lattice():
     """Three contacts a grain: 9 constraints for 6 degrees of freedom; 3 where they only push."""
     ds = xcg.datasets.simple_cubic(4)
     assert ds.cg.coarse_grain(GRAINS, axes="").redundancy_number.item() == pytest.approx(1.5, rel=1e-12)
@@ -264,7 +264,7 @@ def test_redundancy_of_a_lattice():
 
 
 @pytest.mark.parametrize("lattice", [xcg.datasets.simple_cubic, xcg.datasets.face_centred_cubic])
-def test_of_equal_forces_none_is_strong(lattice):
+def test_equal_forces_are_all_weak(lattice):
     """Normal forces that are the same but for rounding, on either side of their mean."""
     ds = lattice(5, diameter=0.1, force=0.1)
     f = ds.cg.coarse_grain([*SPLIT, "contact_stress"], axes="z", width=0.1)
@@ -292,7 +292,7 @@ def test_averages_are_ratios_of_averaged_sums():
     xr.testing.assert_equal(lazy.compute(), f[list(lazy)])
 
 
-def test_only_what_is_needed_is_read():
+def test_only_needed_variables_are_read():
     ds = xcg.datasets.random_scene(30)
     without = ds.drop_vars(["contact_force", "velocity", "mass", "density", "volume"])
     f = without.cg.coarse_grain(["contact_fabric", "branch_fabric", "mechanical_coordination_number"], axes="z")

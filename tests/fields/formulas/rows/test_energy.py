@@ -163,12 +163,12 @@ def test_fields_are_their_definitions(kernel, axes, at):
 
 
 @pytest.mark.parametrize("axes", ["xz", "z"])
-def test_marginals(axes):
+def test_fields_on_planes_lines_and_points_are_integrals(axes):
     # 64 Gauss points leave 1e-11 of marginals
     assert_is_definition(scene(), "lucy", 0.8, axes=axes, spacing=0.9, scale=5.0 ** (len(axes) - 3), tolerance=3e-11)
 
 
-def test_all_images_in_a_small_box():
+def test_all_images_in_a_small_box_are_counted():
     ds = scene(5, 12, periodic="xyz", edge=1.5)
     inside = [name for name in NAMES if name != "wall_power"]
     # dozens of images of each contact add up, and cancel
@@ -285,7 +285,7 @@ def test_averages_are_those_of_the_sums():
 # --- without rotation, units, what is read ---------------------------------------------------------------
 
 
-def test_without_angular_velocity_its_parts_are_left_out_and_the_result_says_so():
+def test_rotation_is_left_out_and_noted_without_angular_velocity():
     ds = scene()
     bare = ds.drop_vars(["angular_velocity", "moment_of_inertia"])
     fields = [name for name in NAMES if name not in ROTATIONAL]
@@ -299,13 +299,13 @@ def test_without_angular_velocity_its_parts_are_left_out_and_the_result_says_so(
         bare.cg.coarse_grain("spin")
 
 
-def test_old_fields_take_no_part_of_rotation():
+def test_other_fields_do_not_depend_on_rotation():
     ds = scene()
     assert not {"angular_velocity", "moment_of_inertia"} & set(ds.cg.explain().variables)
     assert not set(NAMES) & set(ds.cg.coarse_grain(width=0.9))
 
 
-def test_units():
+def test_units_of_rotation_and_energy():
     f = scene().cg.coarse_grain(NAMES, width=0.9, spacing=1.3)
     units = {name: f[name].attrs["units"] for name in NAMES}
     assert units["heat_flux"] == units["contact_energy_flux"] == "W m^-2"
@@ -432,7 +432,7 @@ def test_residuals_of_spin_and_energy_fall_with_the_time_between_frames():
     assert b[0].energy_residual.dims == ("interval", "x", "y", "z")
 
 
-def test_a_wrong_force_shows():
+def test_a_wrong_force_raises_the_residual():
     ds = moving(0.02)
     options = {"of": ["spin", "energy"], "width": 1.2, "spacing": 0.15}
     right, wrong = (d.cg.balance(**options) for d in (ds, ds.assign(contact_force=1.2 * ds.contact_force)))
@@ -440,7 +440,7 @@ def test_a_wrong_force_shows():
         assert wrong[name].item() > 5 * right[name].item()
 
 
-def test_what_balance_refuses():
+def test_wrong_balances_raise():
     ds = scene()
     with pytest.raises(ValueError, match="expected a list of any of force, torque"):
         ds.cg.balance(of="torque")
@@ -455,7 +455,7 @@ def test_what_balance_refuses():
 # --- moments of inertia ------------------------------------------------------------------------------------
 
 
-def test_moments_of_inertia():
+def test_moments_of_inertia_of_spheres_and_discs():
     """Of solid spheres or discs, and as they are given; none without angular velocities."""
     given = {"position": np.zeros((1, 3)), "diameter": [0.4], "mass": [5.0]}
     turning = {"angular_velocity": [[0.0, 0.0, 1.0]], **given}
@@ -473,7 +473,7 @@ def test_moments_of_inertia():
 # --- files -----------------------------------------------------------------------------------------------
 
 
-def test_rotation_is_read_where_it_is_asked_for(monkeypatch):
+def test_rotation_is_read_only_on_request(monkeypatch):
     folder = real_data("lammps_plane_shear")
     ds = xcg.open_scene(folder / "particles.*.dump.gz", contacts=folder / "contacts.*.dump.gz", frozen=2)
     asked = []
@@ -494,7 +494,7 @@ def test_rotation_is_read_where_it_is_asked_for(monkeypatch):
     ("mercury_synthetic", "syn200.data", {}, [-0.0327707, -0.0108021, 0.244621]),
     ("lammps_chute", "particles.00030000.dump.gz", {}, None),
 ])  # fmt: skip
-def test_files_of_other_codes_tell_angular_velocities(folder, pattern, options, first):
+def test_angular_velocities_are_read_from_other_codes(folder, pattern, options, first):
     ds = xcg.open_scene(shared_data(folder) / pattern, **options)
     omega = ds.angular_velocity.isel(time=0).values
     assert omega.shape == ds.velocity.shape[1:]
@@ -504,7 +504,7 @@ def test_files_of_other_codes_tell_angular_velocities(folder, pattern, options, 
     np.testing.assert_allclose(ds.moment_of_inertia, ds.mass * ds.diameter**2 / 10, rtol=1e-12)
 
 
-def test_columns_of_angular_velocities(tmp_path):
+def test_angular_velocities_are_read_from_columns(tmp_path):
     """In a plane z alone will do; of three, one alone is an error if it was named."""
     head = "ITEM: TIMESTEP\n0\nITEM: NUMBER OF ATOMS\n1\nITEM: BOX BOUNDS pp pp pp\n0 1\n0 1\n0 1\nITEM: ATOMS "
     path = tmp_path / "a.dump"
@@ -516,7 +516,7 @@ def test_columns_of_angular_velocities(tmp_path):
     assert "angular_velocity" not in xcg.open_scene(path, units="SI", names={"omegaz": "turning"})
 
 
-def test_a_packing_in_plane_shear():
+def test_rotation_and_energy_in_plane_shear():
     """Its own bookkeeping: energies of LAMMPS at each frame, power of its walls; dissipation is stress times rate."""
     folder = real_data("lammps_plane_shear")
     ds = xcg.open_scene(folder / "particles.*.dump.gz", contacts=folder / "contacts.*.dump.gz", frozen=2).compute()

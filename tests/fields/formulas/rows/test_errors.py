@@ -144,7 +144,7 @@ def test_errors_are_lazy_and_equal():
     ({"fields": "velocity_gradient", "gradient": "kernel"}, "none of velocity_gradient has an error"),
     ({"fields": "velocity", "per": "accessible", "walls": [xcg.Plane((0, 0, 0), (0, 0, 1))]}, "leave one of them out"),
 ])  # fmt: skip
-def test_what_has_no_error_is_named(options, message):
+def test_fields_without_errors_are_named(options, message):
     with pytest.raises(ValueError, match=message):
         ensemble(60, draws=1).cg.coarse_grain(errors=True, width=1.0, **options)
 

@@ -33,7 +33,7 @@ def around(ds, f, width):
         yield w[w > 0], (x - node)[w > 0], v[w > 0]
 
 
-def test_least_squares_is_exact_in_linear_flow_and_the_paper_s_is_not():
+def test_only_least_squares_is_exact_in_linear_flow():
     ds = linear_flow()
     errors = {}
     for gradient in get_args(Gradient):
@@ -103,7 +103,7 @@ def test_finite_differences_wrap_around_a_period():
     np.testing.assert_allclose(got.values, slope.values, rtol=1e-12, atol=1e-12)
 
 
-def test_finite_differences_know_nothing_across_a_plane_and_zero_along_an_average():
+def test_finite_differences_are_nan_across_a_plane_and_zero_along_an_average():
     ds = linear_flow(seed=5)
     options = {"gradient": "finite_difference", "width": 0.6, "spacing": 0.5, "axes": "xz"}
     options["bounds"] = dict.fromkeys("xz", (1.5, 3.5))
@@ -141,12 +141,12 @@ def test_directional_temperatures_of_a_layer():
         ({"gradient": "fd"}, "least_squares, kernel, finite_difference, paper"),
     ],
 )
-def test_bad_variants(options, message):
+def test_wrong_choices_raise(options, message):
     with pytest.raises(ValueError, match=message):
         xcg.datasets.random_scene(20).cg.coarse_grain(**options)
 
 
-def test_width_in_any_size():
+def test_widths_in_units_of_any_mean_diameter():
     ds = xcg.datasets.random_scene(60)
     d = ds.diameter.values[0]
     expected = {
@@ -179,7 +179,7 @@ def sheared(noise=0.0, wrapped=False):
 
 @pytest.mark.parametrize("lazy", [False, True], ids=["eager", "lazy"])
 @pytest.mark.parametrize("axes", ["", "x", "z", "xz", "y"])
-def test_a_sheared_box_has_its_rate(axes, lazy):
+def test_the_gradient_of_a_sheared_box_is_its_shear_rate(axes, lazy):
     ds = sheared(wrapped=axes != "y")
     f = (ds.chunk(time=1) if lazy else ds).cg.coarse_grain(FLOW, axes=axes).compute()
     expected = np.zeros((3, 3))
@@ -193,14 +193,14 @@ def test_a_sheared_box_has_its_rate(axes, lazy):
 
 
 @pytest.mark.parametrize("axes", ["", "xz"])
-def test_results_do_not_depend_on_how_grains_are_written(axes):
+def test_gradients_do_not_depend_on_the_written_images(axes):
     one, other = (sheared(noise=0.2, wrapped=w).cg.coarse_grain(FLOW, axes=axes) for w in (False, True))
     for name in FLOW:
         np.testing.assert_allclose(one[name], other[name], rtol=1e-10, atol=1e-12)
     assert float(one.granular_temperature.mean()) == pytest.approx(0.04, rel=0.1)
 
 
-def test_a_periodic_box_at_rest_has_none():
+def test_the_gradient_of_a_periodic_box_at_rest_is_zero():
     ds = xcg.datasets.random_scene(50)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -211,7 +211,7 @@ def test_a_periodic_box_at_rest_has_none():
 
 @pytest.mark.parametrize("lazy", [False, True], ids=["eager", "lazy"])
 @pytest.mark.parametrize("gradient", ["least_squares", "kernel"])
-def test_between_walls_it_is_unknown_and_a_warning_tells_the_way_out(gradient, lazy):
+def test_the_gradient_averaged_between_walls_is_nan_and_warns(gradient, lazy):
     ds = xcg.datasets.random_scene(50, periodic="xy")
     ds = ds.chunk(time=1) if lazy else ds
     names = ["velocity_gradient", "shear_rate", "vorticity", "inertial_number", "pressure"]
@@ -223,7 +223,7 @@ def test_between_walls_it_is_unknown_and_a_warning_tells_the_way_out(gradient, l
     assert f.pressure.notnull().all()
 
 
-def test_fields_that_do_not_follow_from_it_are_not_warned_of():
+def test_fields_without_a_gradient_do_not_warn():
     ds = xcg.datasets.random_scene(50, periodic="xy")
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -23,7 +23,7 @@ def isotropic(rng, count):
     return n / np.linalg.norm(n, axis=1, keepdims=True)
 
 
-def test_isotropic_is_zero_and_aligned_is_one():
+def test_order_of_isotropic_directors_is_zero_and_of_aligned_ones_one():
     f = rods(isotropic).cg.coarse_grain(NAMES, axes="")
     np.testing.assert_allclose(f.orientation_tensor.values[0], np.eye(3) / 3, atol=0.02)
     assert f.nematic_order.item() == pytest.approx(0.0, abs=0.05)
@@ -60,7 +60,7 @@ def test_the_tensor_turns_with_the_scene():
     np.testing.assert_allclose(turned.nematic_order, one.nematic_order, rtol=1e-10)
 
 
-def test_a_layer_has_two_dimensions():
+def test_order_in_a_layer_is_two_dimensional():
     rng = np.random.default_rng(3)
     angle = rng.normal(0.4, 0.2, 500)
     ds = xcg.scene_from_arrays(
@@ -90,7 +90,7 @@ def test_directors_from_quaternions(chunk):
         ds.cg.derive_director()
 
 
-def test_averages_take_the_tensor_and_find_its_axis_anew():
+def test_averages_recompute_the_director_from_the_mean_tensor():
     ds = rods(isotropic, 200)
     two = xr.concat([ds, ds.assign_coords(time=[1.0])], "time", data_vars="minimal")
     f = two.cg.coarse_grain(["nematic_order"], axes="z", width=1.0, for_averages=True)
@@ -136,7 +136,7 @@ def test_limits_of_superquadrics(chunk):
     assert ds.principal_inertia.attrs["units"] == "kg m^2"
 
 
-def test_superquadrics_lack_what_is_named():
+def test_superquadrics_without_shape_variables_raise():
     ds = xcg.scene_from_arrays([[0.0, 0.0, 0.0]], a=[1.0])
     with pytest.raises(ValueError, match="three names"):
         ds.cg.derive_superquadric(("a",))

@@ -42,7 +42,7 @@ def test_magnitudes_in_a_plane(dims, deviatoric):
     assert (f.deviatoric_stress.values[..., other, :] == 0).all()
 
 
-def test_size_in_the_inertial_number():
+def test_the_inertial_number_takes_the_chosen_size():
     scene = xcg.datasets.random_scene(150, seed=6)
     ones = {}
     for size in ("d43", "d32", "d50", "dmax"):
@@ -67,7 +67,7 @@ def test_viscous_number_and_effective_viscosity():
         ds.cg.coarse_grain("viscous_number")
 
 
-def test_rheology_is_unknown_where_the_pressure_is_not_positive():
+def test_rheology_is_nan_where_the_pressure_is_not_positive():
     ds = xcg.datasets.random_scene(150, seed=6)
     names = ["viscous_number", "effective_viscosity", "inertial_number", "friction_coefficient", "pressure"]
     f = ds.assign(contact_force=1e5 * ds.contact_force).cg.coarse_grain(

@@ -57,7 +57,7 @@ def left_by_fit(ds, kernel, node, axes, gradient):
 @pytest.mark.parametrize("gradient", ["least_squares", "paper", "kernel"])
 @pytest.mark.parametrize(("axes", "at"), [("xyz", {}), ("xz", {}), ("xy", {"z": 0.3}), ("z", {})])
 @pytest.mark.parametrize(("length", "count", "width"), [(6.0, 80, 1.0), (2.5, 10, 1.7), (1.7, 4, 1.6)])
-def test_what_a_fit_leaves_by_brute_force(length, count, width, axes, at, gradient):
+def test_degrees_of_freedom_left_by_a_fit_equal_brute_force(length, count, width, axes, at, gradient):
     ds = scene(count, length, seed=count, spread=1.5)
     options = {"width": width, "axes": axes, "at": at, "spacing": length / 2, "gradient": gradient}
     f = ds.cg.coarse_grain(["fluctuation_density", "effective_count"], by="species", **options)
@@ -88,7 +88,7 @@ def averaged(f, name="granular_temperature", of="fluctuation_density"):
 
 
 @pytest.mark.parametrize(("width", "spread", "phi"), [(0.6, 1.0, 0.6), (0.75, 1.3, 0.4), (1, 1.6, 0.2), (2, 1, 0.1)])
-def test_the_temperature_put_in_comes_out(width, spread, phi):
+def test_the_temperature_of_a_gas_is_recovered(width, spread, phi):
     length = 10.0
     count = round(phi * length**3 / float(scene(2000, length, 0, spread=spread).volume.mean()))
     ds = scene(count, length, seed=1, spread=spread, steps=16_000 // count)
@@ -110,7 +110,7 @@ def test_a_layer_and_a_polydisperse_gas_by_direction():
     np.testing.assert_allclose(averaged(f, "directional_temperature"), [1, 4, 0], rtol=0.06)
 
 
-def test_the_old_definition_is_a_choice():
+def test_the_biased_definition_is_a_choice():
     ds = scene(300, 6.0, seed=5)
     new, old = (ds.cg.coarse_grain(NAMES, width=1.0, temperature=way) for way in ("unbiased", "biased"))
     assert (new.attrs["temperature"], old.attrs["temperature"]) == ("unbiased", "biased")
@@ -124,7 +124,7 @@ def test_the_old_definition_is_a_choice():
         ds.cg.coarse_grain(NAMES, width=1.0, temperature="true")
 
 
-def test_unknown_where_the_fit_leaves_less_than_half_a_grain():
+def test_nan_where_the_fit_leaves_less_than_half_a_grain():
     # four grains far apart and a fifth whose weight is small: the fit goes through it all but for a little
     rim = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) * 0.5
     f = {}
@@ -140,7 +140,7 @@ def test_unknown_where_the_fit_leaves_less_than_half_a_grain():
     assert 0 < float(f["far"].fluctuation_density) < 0.1 * float(f["far"].density)
 
 
-def test_averages_add_both_parts_apart():
+def test_averages_add_fluctuations_and_their_densities_separately():
     ds = scene(40, 6.0, seed=6, steps=40)
     f = ds.cg.coarse_grain(NAMES, width=0.9)
     assert float(f.granular_temperature.isnull().mean()) > 0.1
@@ -168,7 +168,7 @@ def test_errors_of_one_step_follow_from_the_effective_count():
 
 
 @pytest.mark.parametrize("lazy", [False, True])
-def test_one_warning_where_most_nodes_know_too_little(lazy):
+def test_one_warning_where_most_nodes_have_too_few_grains(lazy):
     ds = scene(40, 6.0, seed=8, steps=3)
     if lazy:
         ds = ds.chunk(time=1)
