@@ -22,6 +22,7 @@ from xcg.fields.sums.nodes import BLOCK_NODES
 RATIOS = {"velocity", "effective_count", "particle_density", "coordination_number", "d32",
           "d43", "granular_temperature", "friction_coefficient", "velocity_gradient", "shear_rate",
           "inertial_number"}  # fmt: skip
+OVER_PRESSURE = {"friction_coefficient", "inertial_number"}
 
 
 def nodes_of(f):
@@ -42,6 +43,54 @@ def nodes_of(f):
     return points, values
 
 
+def sizes_of_terms(ds, truth, peak, width):
+    """Size of what each field adds up, by name: rounding is relative to it, also where the sum cancels."""
+    speed, force, diameter, mass, volume = (
+        np.abs(ds[name].values).max(initial=0) for name in ("velocity", "contact_force", "diameter", "mass", "volume")
+    )
+    density, number_density = (np.max(truth[name], initial=0) for name in ("density", "number_density"))
+    # one minus the distance cancels at the rim, so coordinates give fewer digits of weights below a thousandth
+    rim = 1e-3 * peak
+    # velocities relative to the mean: where all are the same, their rounding is left
+    kinetic = density * speed**2
+    # segments are exact relative to their largest value, which no node need reach
+    contact = peak * force * diameter
+    return {
+        # sums of weights
+        "number_density": rim,
+        "density": rim * mass,
+        "momentum_density": rim * mass * speed,
+        "volume_fraction": rim * volume,
+        "fabric": rim * volume,
+        # forces on the two sides of a contact cancel
+        "contact_force_density": number_density * force,
+        # differences of velocities
+        "kinetic_stress": kinetic,
+        "granular_temperature": speed**2,
+        # differences of velocities across the support
+        "velocity_gradient": speed / width,
+        "shear_rate": speed / width,
+        # the density less what a fit takes
+        "fluctuation_density": density,
+        "contact_stress": contact,
+        # both parts of the stress
+        **dict.fromkeys(["stress", "pressure", "deviatoric_stress", "shear_stress"], kinetic + contact),
+    }
+
+
+def comparable(name, truth, sizes, count, fitted):
+    """Nodes at which a field holds digits in both computations."""
+    density, pressure = np.array(truth["density"]), np.abs(truth["pressure"])
+    keep = np.array([value is not None for value in truth[name]])
+    if name in RATIOS:  # weights at the rim hold few digits, and their ratios none
+        keep &= (density == 0) | (density > 1e-6 * density.max(initial=0))
+    if name in OVER_PRESSURE:  # so does a pressure that cancels
+        keep &= pressure > 1e-4 * max(pressure.max(initial=0), sizes["pressure"])
+    if name == "fluctuation_density":  # a fit through few grains amplifies rounding by its condition
+        keep &= count >= fitted
+    return keep
+
+
 def assert_equals_brute_force(
     ds, kernel, width, *, nodes=12, tolerance=1e-12, dimension=3, scale=1.0, fitted=0, **options
 ):
@@ -50,37 +99,14 @@ def assert_equals_brute_force(
     points, values = nodes_of(f)
     some = np.random.default_rng(1).permutation(len(points))[:nodes]
     seen = "".join(a for a in "xyz" if a in f.coords)
-    truth = brute_force(ds, BruteKernel(kernel, width, dimension, len(seen)), points[some], seen, scale)
-    density, pressure = np.array(truth["density"]), np.array(truth["pressure"])
-    # a ratio of weights at the rim, or over a pressure that cancels, holds no digits in either computation
-    solid = (density == 0) | (density > 1e-6 * density.max(initial=0))
-    force = np.abs(ds["contact_force"].values).max(initial=0) * np.array(truth["number_density"]).max(initial=0)
-    speed = np.abs(ds["velocity"].values).max(initial=0)
-    floors = {"contact_force_density": force, "granular_temperature": speed**2}
-    kinetic = speed**2 * density.max(initial=0)
-    # segments are exact relative to their largest value, which no node need see
-    peak = BruteKernel(kernel, width, dimension, len(seen))(np.zeros(1))[0] * scale
-    contact = peak * np.abs(ds["contact_force"].values).max(initial=0) * ds["diameter"].values.max(initial=0)
-    floors |= {"kinetic_stress": kinetic, "contact_stress": contact}
-    floors |= dict.fromkeys(["stress", "pressure", "deviatoric_stress", "shear_stress"], kinetic + contact)
-    # one minus the distance cancels at the rim: where nodes see no more, coordinates hold fewer digits of the weight
-    rim, mass, volume = 1e-3 * peak, *(ds[name].values.max(initial=0) for name in ("mass", "volume"))
-    floors |= {"number_density": rim, "density": rim * mass, "momentum_density": rim * mass * speed}
-    # the difference of density and what a fit takes
-    floors["fluctuation_density"] = density.max(initial=0)
-    floors |= {"volume_fraction": rim * volume, "fabric": rim * volume}
-    # a gradient is a difference of velocities across the support; where all are the same, their rounding is left
-    floors["velocity_gradient"] = floors["shear_rate"] = speed / width
-    many = values("sample_count")[some] >= fitted
-    firm = np.abs(pressure) > 1e-4 * max(np.abs(pressure).max(initial=0), kinetic + contact)
+    brute = BruteKernel(kernel, width, dimension, len(seen))
+    truth = brute_force(ds, brute, points[some], seen, scale)
+    sizes = sizes_of_terms(ds, truth, scale * brute(np.zeros(1))[0], width)
     for name, expected in truth.items():
-        keep = np.array([e is not None for e in expected])
-        keep &= solid if name in RATIOS else True
-        keep &= many if name == "fluctuation_density" else True
-        keep &= firm if name in ("friction_coefficient", "inertial_number") else True
+        keep = comparable(name, truth, sizes, values("sample_count")[some], fitted)
         if keep.any():
             want = np.array([expected[i] for i in np.flatnonzero(keep)], float)
-            size = max(np.nanmax(np.abs(want), initial=0.0), floors.get(name, 0.0))
+            size = max(np.nanmax(np.abs(want), initial=0.0), sizes.get(name, 0.0))
             np.testing.assert_allclose(values(name)[some][keep], want, rtol=0, atol=tolerance * size, err_msg=name)
     return f
 
@@ -136,7 +162,6 @@ def test_fields_of_any_scene_equal_brute_force(particles, seed, periodic, width,
     bounds = dict.fromkeys("xyz", (offset, offset + 3.0))
     # coordinates of size 1e4 hold 12 digits of an offset
     tolerance = 1e-11 if offset == 0 else 3e-9
-    # what a fit through few grains takes amplifies rounding by the condition of the fit
     assert_equals_brute_force(
         ds, "lucy", width, nodes=4, spacing=2 * width, bounds=bounds, tolerance=tolerance, fitted=10
     )
