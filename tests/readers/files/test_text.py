@@ -15,7 +15,6 @@ from xcg.common.messages import SceneError
 from xcg.readers.engine import ReadOptions
 from xcg.readers.engines.lammps import Lammps
 from xcg.readers.files import compressed, text
-from xcg.readers.files import table as table_module
 from xcg.readers.files.table import parse_table
 from xcg.readers.series import open_scene
 
@@ -41,10 +40,10 @@ def test_white_space_and_pieces_of_text_change_no_bit(rows, end):
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
-@pytest.mark.parametrize("rows", [2000, None])
-def test_blocks_and_threads_change_nothing(monkeypatch, threads, rows):
-    monkeypatch.setattr(table_module, "PIECE", 1000)
-    values = np.random.default_rng(0).normal(size=(2000, 3))
+@pytest.mark.parametrize("rows", [20_000, None])
+def test_blocks_and_threads_change_nothing(threads, rows):
+    values = np.random.default_rng(0).normal(size=(20_000, 3))
+    # 1.2 MB: ten pieces of text
     lines = ["{!r} {!r} {!r}\n".format(*row) + "\n" * (k % 700 == 5) for k, row in enumerate(values.tolist())]
 
     def parse(lines, threads):
@@ -54,21 +53,21 @@ def test_blocks_and_threads_change_nothing(monkeypatch, threads, rows):
     np.testing.assert_array_equal(table["a"], values[:, 0])
     np.testing.assert_array_equal(table["c"], values[:, 2])
     for row, line, found in [
-        (1500, "1 2\n", "2 values, expected 3 ('1 2'); the columns are a b c"),
-        (1999, "1 2\n", "2 values, expected 3 ('1 2'); the file is cut off here"),
-        (700, "1 2 x\n", "'x' in column 'c'"),
+        (15_000, "1 2\n", "2 values, expected 3 ('1 2'); the columns are a b c"),
+        (19_999, "1 2\n", "2 values, expected 3 ('1 2'); the file is cut off here"),
+        (7000, "1 2 x\n", "'x' in column 'c'"),
     ]:
         for further in (threads, 1):
             with pytest.raises(SceneError, match=re.escape(f"file: row {row} has {found}")):
                 parse([*lines[:row], line, "\n", *lines[row + 1 :]], further)
     if rows:
-        with pytest.raises(SceneError, match="1999 rows, but the header says 2000: row 1999 is missing"):
+        with pytest.raises(SceneError, match="19999 rows, but the header says 20000: row 19999 is missing"):
             parse(lines[:-1], threads)
-        with pytest.raises(SceneError, match="more rows than the 2000 that the header says; row 2000 is '7 8 9'"):
+        with pytest.raises(SceneError, match="more rows than the 20000 that the header says; row 20000 is '7 8 9'"):
             parse([*lines, "\n7 8 9\n\n", "8 9"], threads)
 
 
-def test_an_endless_line_raises(monkeypatch):
+def test_an_endless_line_raises():
     with pytest.raises(SceneError, match="file: a line has no end in 1048576 bytes"):
         parse_table(b"1 2 3\n" + b"1 " * 600_000, COLUMNS, COLUMNS, None, "file")
 
