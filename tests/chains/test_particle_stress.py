@@ -52,7 +52,7 @@ def test_raw_principal_stresses():
     assert (np.diff(values[~complex_pairs], axis=1) <= 0).all()
 
 
-def test_virial_is_that_of_the_code():
+def test_virial_equals_that_of_the_code():
     """The sum of stress times volume over all grains is minus the sum of LAMMPS's own stress/atom."""
     folder = EXAMPLES / "lammps_biaxial2d"
     ds = xcg.open_scene(

@@ -102,7 +102,7 @@ def test_grains_that_are_nearly_flat_are_fitted_in_full(line, thickness):
         assert np.isnan(determined).all()
 
 
-def test_a_linear_field_is_found_and_leaves_nothing():
+def test_a_linear_field_is_fitted_without_residual():
     x, mass = grains(5)
     u = x @ SLOPE.T + np.array([2.0, -1.0, 0.5])
     sums = moments_of(x, u, mass)

@@ -40,7 +40,7 @@ def test_every_panel_has_a_default_in_each_group_of_ways(make):
     assert floors.keys() == panel.floors.keys()
 
 
-def test_contact_stress_keeps_its_promise(errors):
+def test_errors_of_contact_stress_are_below_rtol(errors):
     error = errors(accuracy.contact_stress)
     assert error["closed form", "rtol 0"] < 1e-14
     for exponent in range(1, 5):
@@ -138,7 +138,7 @@ def test_interpolation_between_nodes_errs_as_documented(name):
     assert 0.005 < error[2, 3] < 0.02
 
 
-def test_velocity_at_grains_is_the_field_there():
+def test_velocity_at_grains_equals_the_field():
     ds = accuracy.sheared(300, 1.0)
     x, v, m = ds.position.values[0], ds.velocity.values[0], ds.mass.values[0]
     found = accuracy.alternatives.velocity_at_grains(x, v, m, accuracy.CUTOFF)

@@ -70,7 +70,7 @@ def test_overlaps_are_small(values):
     assert values.overlap_max.max() < 0.01
 
 
-def test_sizes_and_rates_are_the_ones_asked_for(values):
+def test_sizes_and_rates_are_as_requested(values):
     """The measured inertial number is that of the run's name, and sizes are those of series A."""
     np.testing.assert_allclose(values.inertial_d50, values.rate, rtol=0.06)
     np.testing.assert_allclose(values.inertial_dmax / values.inertial_d50, np.sqrt(values.ratio), rtol=0.05)

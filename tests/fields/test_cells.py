@@ -201,7 +201,7 @@ def test_cells_are_the_means_of_values_at_their_points(scene, kernel, rtol, mesh
         np.testing.assert_allclose(f[name], expected, rtol=0, atol=rtol * np.abs(expected).max(), err_msg=name)
 
 
-def test_squares_counts_and_fits_are_those_of_the_mean_kernel():
+def test_squares_counts_and_fits_equal_those_of_the_mean_kernel():
     """Fluctuations, what the fit leaves and effective counts by brute force, with images of one grain in one cell."""
     rng = np.random.default_rng(5)
     period, count = 3.0, 12
@@ -273,7 +273,7 @@ def test_sampling_without_cells_raises(scene):
         scene.cg.coarse_grain("density", sampling="cell", walls=[xcg.Plane((0, 0, 0), (0, 0, 1))])
 
 
-def test_without_resolved_axes_nothing_changes(scene):
+def test_sampling_does_not_matter_without_resolved_axes(scene):
     for options in ({"at": {"z": 1.0}}, {"at": {"x": 1.0, "y": 2.0, "z": 1.0}}, {"axes": ""}):
         node = scene.cg.coarse_grain(SUMS, **options)
         cell = scene.cg.coarse_grain(SUMS, sampling="cell", **options)

@@ -192,7 +192,7 @@ def test_kernel_gradient_refuses_heaviside_and_warns_of_gaussian():
 
 
 @pytest.mark.filterwarnings("ignore:the shifted gaussian kernel is continuous")
-def test_kernel_gradient_of_the_shifted_gaussian_is_that_of_the_velocity():
+def test_kernel_gradient_of_the_shifted_gaussian_equals_that_of_the_velocity():
     """Between nodes so close that no grain comes into reach from one to the next."""
     ds, h = xcg.datasets.random_scene(60, seed=3), 1e-6
     at = {"y": 2.0, "z": 2.1}
@@ -388,7 +388,7 @@ def test_blocks_are_smaller_where_a_grain_reaches_many_nodes():
     assert "memory    10 MB of sums a thread" in str(fine)
 
 
-def test_explain_knows_bodies_and_presets():
+def test_explain_accepts_bodies_and_presets():
     ds = xcg.datasets.random_scene(20)
     ds = ds.drop_vars("species").assign(body_id=(ds.particle_id.dims, np.arange(20)[None] // 2))
     assert "volume_fraction" in str(ds.cg.explain("volume_fraction", by_body="body_id", width=1.0))

@@ -78,7 +78,7 @@ def test_shifted_scenes_have_shifted_fields(name, seed):
 
 @settings(deadline=None, max_examples=10)
 @given(case=SYNTHETIC)
-def test_shifted_scenes_have_shifted_fields_whatever_the_scene(case):
+def test_shifted_scenes_have_shifted_fields_for_any_scene(case):
     assert residuals.periodicity(case.ds, case.width, case.points).relative < SHIFT
 
 
@@ -98,7 +98,7 @@ def test_marginals_are_integrals(name):
 
 @settings(deadline=None, max_examples=10)
 @given(case=SYNTHETIC)
-def test_marginals_are_integrals_whatever_the_scene(case):
+def test_marginals_are_integrals_for_any_scene(case):
     assert residuals.marginals(case.ds, case.width, case.points[0]).relative < MARGINAL
 
 

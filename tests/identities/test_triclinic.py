@@ -25,7 +25,7 @@ def thermo():
     return np.genfromtxt(DATA / "thermo.txt", names=True)
 
 
-def test_the_box_is_that_of_lammps_and_moves_as_it_is_deformed(sheared, thermo):
+def test_the_box_equals_that_of_lammps_and_moves_as_it_is_deformed(sheared, thermo):
     lengths = sheared.box[..., 1] - sheared.box[..., 0]
     np.testing.assert_allclose(lengths, np.column_stack([thermo[n] for n in ("lx", "ly", "lz")]), rtol=1e-12)
     np.testing.assert_allclose(sheared.box[..., 0], np.zeros((6, 3)), atol=1e-12)
@@ -37,7 +37,7 @@ def test_the_box_is_that_of_lammps_and_moves_as_it_is_deformed(sheared, thermo):
     np.testing.assert_allclose(sheared.lattice_velocity, expected, rtol=1e-9, atol=1e-9)
 
 
-def test_the_mean_of_stress_and_volume_fraction_are_those_of_lammps(sheared, thermo):
+def test_the_mean_of_stress_and_volume_fraction_equal_those_of_lammps(sheared, thermo):
     f = sheared.cg.coarse_grain(["contact_stress", "volume_fraction", "density"], axes="", width=0.75)
     stress = f.contact_stress.transpose("time", ...).values
     for name in ("pxx", "pyy", "pzz", "pxy", "pxz", "pyz"):
@@ -72,7 +72,7 @@ def test_the_flow_is_the_same_at_the_edges_of_the_box(sheared):
         sheared.cg.coarse_grain("velocity", axes="y", width=1.0).load()
 
 
-def test_contacts_found_are_those_of_lammps(sheared):
+def test_contacts_found_equal_those_of_lammps(sheared):
     one = sheared.isel(time=[4])
     found = one.drop_dims("contact").cg.find_contacts()
 

@@ -149,7 +149,7 @@ def test_resume_never_starts_over(job):
     assert "exists; choose another" in xcg_run("run", job, "--resume", code=1)
 
 
-def test_resume_sees_what_changed_in_a_folder(tmp_path):
+def test_resume_notices_changed_files(tmp_path):
     scene = steps_of_random_scenes(3).chunk(time=1).cg.save(tmp_path / "scene.zarr")
     job = tmp_path / "job.toml"
     job.write_text('[scene]\nparticles = "scene.zarr"\nchunks = 1\n[fields]\nfields = "density"\naxes = "z"\n')
@@ -276,7 +276,7 @@ def test_a_full_disk_is_reported_and_the_run_resumes(job, limit):
     assert xr.load_dataset(out / "fields.nc").density.notnull().all()
 
 
-def test_writers_leave_nothing_behind(tmp_path):
+def test_writers_at_a_size_limit_leave_no_files(tmp_path):
     f = xcg.datasets.simple_cubic(8).cg.coarse_grain(["density", "velocity"], spacing=0.3)
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, hard))

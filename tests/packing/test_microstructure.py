@@ -234,7 +234,7 @@ def test_phases_and_regions_add_up():
         np.testing.assert_allclose(thirds[name].mean("region"), whole[name], atol=1e-12)
 
 
-def test_grains_outside_the_box_are_those_of_their_images_inside():
+def test_grains_outside_the_box_count_as_their_images_inside():
     ds = xcg.datasets.random_scene(200, seed=5, periodic="xz")
     away = np.array([0.7, -31.0, 12.3])
     moved = ds.assign(position=ds.position + away, contact_point=ds.contact_point + away, box=ds.box + away[:, None])
@@ -258,7 +258,7 @@ def test_a_region_holds_its_lower_bound_and_not_its_upper_one():
     assert m.contact_count.values.tolist() == [[96, 48, 48]]
 
 
-def test_stress_is_that_of_coarse_graining():
+def test_stress_equals_that_of_coarse_graining():
     """Love-Weber over the periodic box is the exact average of the contact stress field (the virial)."""
     ds = xcg.datasets.random_scene(200, seed=4)
     f = ds.cg.coarse_grain(["contact_stress", "volume_fraction"], axes="", at={}, width=1.0)

@@ -93,7 +93,7 @@ def test_the_mean_over_all_arrangements_is_the_random_limit(phase):
     assert mean["nearest_neighbour_index"] == pytest.approx(1.0, rel=1e-13)
 
 
-def test_the_random_limit_by_volume_is_that_of_large_cells():
+def test_the_random_limit_by_volume_equals_that_of_large_cells():
     """By volume the limit is of first order: within a few per cent for cells of 60 grains of two sizes."""
     rng = np.random.default_rng(0)
     x, size = rng.random((3000, 3)), rng.uniform(0.5, 1.0, 3000)

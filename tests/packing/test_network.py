@@ -90,7 +90,7 @@ def test_a_pair_that_touches_on_both_sides():
 
 
 @pytest.mark.parametrize("weight", [None, "contacts", "force", "overlap"])
-def test_the_matrix_is_that_of_the_graph(weight):
+def test_the_matrix_equals_that_of_the_graph(weight):
     ds = loose(120, 3)
     matrix = ds.cg.adjacency(weight=weight)
     graph = ds.cg.contact_graph()
@@ -114,7 +114,7 @@ def test_degrees_are_the_connectivity():
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("count", [0, 1, 20, 60, 90, 140])
-def test_clusters_are_those_of_networkx(count, seed):
+def test_clusters_equal_those_of_networkx(count, seed):
     ds = loose(count, seed)
     m = ds.cg.microstructure(CLUSTERS).isel(time=0)
     sizes = [len(c) for c in nx.connected_components(ds.cg.contact_graph())]
@@ -147,7 +147,7 @@ def winding_brute(ds, reach=2):
 
 @pytest.mark.parametrize("count", [40, 60, 75, 85, 95, 110])
 @pytest.mark.parametrize("seed", range(5))
-def test_percolation_is_that_of_copies_of_the_box(count, seed):
+def test_percolation_equals_that_of_copies_of_the_box(count, seed):
     ds = loose(count, seed)
     np.testing.assert_array_equal(ds.cg.microstructure("percolation").percolation[0], winding_brute(ds))
 

@@ -76,7 +76,7 @@ def test_nothing_is_written_beside_the_data(series, tmp_path):
     assert sorted(tmp_path.iterdir()) == before
 
 
-def test_only_what_changed_is_read_again(series, scanned, tmp_path):
+def test_only_changed_files_are_read_again(series, scanned, tmp_path):
     open_scene(series[0])
     write(tmp_path / "p.10.dump", dump_text(step=10, before="ITEM: TIME\n1.5\n"))  # another size
     at = os.stat(tmp_path / "p.20.dump").st_mtime_ns

@@ -93,7 +93,7 @@ def test_a_series_is_opened_as_a_lazy_scene(series):
     assert all({"units", "long_name"} <= set(scene[name].attrs) for name in scene.data_vars)
 
 
-def test_types_of_the_graph_are_those_of_the_arrays(series):
+def test_types_of_the_graph_equal_those_of_the_arrays(series):
     scene = open_scene(series[0], contacts=series[1], frozen=2, names={"vx": "colour", "vy": None, "vz": None})
     computed = scene.compute()
     for name, values in scene.data_vars.items():
@@ -198,7 +198,7 @@ def test_automatic_chunks_follow_files_and_memory(tmp_path):
         assert open_scene(path, engine=Steps, chunks="auto").chunks["time"] == (1,) * 10
 
 
-def test_names_of_the_graph_tell_contents(series, tmp_path):
+def test_task_names_depend_on_contents(series, tmp_path):
     first = open_scene(series[0], contacts=series[1])
     assert open_scene(series[0], contacts=series[1]).position.data.name == first.position.data.name
     other = open_scene(series[0], contacts=series[1], frozen=2)
@@ -492,7 +492,7 @@ def test_sizes_from_volumes(tmp_path):
 
 
 @pytest.mark.parametrize("column", ["mass", "density"])
-def test_what_a_file_holds_comes_before_the_density_given(tmp_path, column):
+def test_variables_of_files_take_precedence_over_density(tmp_path, column):
     path = write(tmp_path / "p.dump", dump_text(["1 1 5 2 7", "2 2 6 2 7", "3 4 5 2 7"], f"id x y radius {column}"))
     with_it, without = (open_scene(path, **given).compute() for given in ({"density": 2.0}, {}))
     for name in ("mass", "density"):

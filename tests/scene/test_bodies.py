@@ -41,7 +41,7 @@ def test_bodies_have_mass_centre_velocity_and_contacts(lazy):
     np.testing.assert_allclose(b.contact_force.values[:2], [[-2, 1, 0], [0, 0, 4]])
 
 
-def test_sums_of_bodies_are_those_of_their_spheres():
+def test_sums_of_bodies_equal_those_of_their_spheres():
     ds = dimers()
     bodies = ds.cg.group_bodies()
     options = {"axes": "x", "width": 0.5, "spacing": 0.05, "extent": {"y": 10, "z": 10}, "bounds": {"x": (0, 9.95)}}
@@ -70,7 +70,7 @@ def test_bodies_need_ids_and_masses():
     np.testing.assert_array_equal(spheres.position, ds.position)
 
 
-def test_bodies_keep_their_species_and_what_holds_them():
+def test_bodies_keep_their_species_and_frozen_state():
     given = {"species": [1, 1, 2, 2, 3], "frozen": [1, 1, 0, 0, 0]}
     b = dimers(**given).cg.group_bodies().isel(time=0)
     assert b.particle_id.values[:3].tolist() == [3, 7, 22]

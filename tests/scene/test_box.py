@@ -21,7 +21,7 @@ def steps_of(edges=EDGES, **options):
 
 
 @pytest.mark.parametrize("lazy", [False, True])
-def test_mesh_of_a_selection_is_that_of_its_first_step(lazy):
+def test_mesh_of_a_selection_equals_that_of_its_first_step(lazy):
     ds, alone = steps_of()
     ds = ds.chunk(time=1) if lazy else ds
     for t in (1, 2):
@@ -106,7 +106,7 @@ def slices_by_hand(ds, t, method, edge, nodes, width, planes):
 
 
 @pytest.mark.parametrize("method", ["planes", "bins"])
-def test_slices_see_every_image_in_the_box_of_each_step(method):
+def test_slices_count_every_image_in_the_box_of_each_step(method):
     """Bounds beyond the box, a box that changes, grains written many periods away."""
     ds, alone = steps_of(edges=(5.0, 4.0))
     options = {"axis": "x", "method": method, "width": 0.8, "bounds": (-1.0, 7.0)}

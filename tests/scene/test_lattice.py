@@ -131,7 +131,7 @@ TILTS = [(1.3, -0.7, 2.1), (2.5, 2.5, 3.0), (-4.9, 0.0, 0.0)]
 
 @pytest.mark.parametrize("tilt", TILTS)
 @pytest.mark.parametrize("axes", ["xyz", "yz", "z"])
-def test_fields_are_those_of_another_basis_and_other_images(tilt, axes):
+def test_fields_equal_those_of_another_basis_and_other_images(tilt, axes):
     cell = cell_of(tilt)
     given = packing(1, cell)
     rng = np.random.default_rng(2)
@@ -196,7 +196,7 @@ def test_the_integral_of_stress_is_the_virial_and_of_density_the_mass():
     np.testing.assert_allclose(whole.density, ds.mass.sum() / LENGTHS.prod(), rtol=1e-12)
 
 
-def test_an_average_that_shifted_images_leave_undefined_is_refused_by_name():
+def test_averages_undefined_by_shifted_images_raise():
     given = packing(6, cell_of((1.3, 0.0, 0.0)))
     ds = xcg.scene_from_arrays(**given, box=BOX, lattice={"xy": 1.3})
     with pytest.raises(SceneError, match=r"along y are shifted along x, .*axes='xy'"):
@@ -321,7 +321,7 @@ def test_all_contacts_across_tilted_edges_are_found(tilt):
     assert {*map(tuple, pairs.tolist())} == {(a, b) for a, b, _ in found}
 
 
-def test_microstructure_and_chains_are_those_of_another_basis():
+def test_microstructure_and_chains_equal_those_of_another_basis():
     cell = cell_of(TILTS[0])
     given = packing(9, cell)
     again = given | {"position": given["position"] + np.random.default_rng(2).integers(-2, 3, (60, 3)) @ cell}

@@ -188,7 +188,7 @@ PLACES = [
 
 
 @pytest.mark.parametrize(("scene", "axes"), PLACES)
-def test_what_phases_do_to_each_other_is_its_sum(scene, axes):
+def test_exchange_between_phases_equals_brute_force(scene, axes):
     ds = xcg.datasets.random_scene(60, seed=11, **scene)
     extent = {a: 4.0 for a in ds.attrs["plane"] if a not in axes and a not in ds.attrs["periodic"]}
     f = ds.cg.coarse_grain(EXCHANGE, by="species", axes=axes, width=0.8, spacing=0.9, extent=extent)
@@ -234,7 +234,7 @@ def test_forces_between_phases_have_the_kernel_of_the_phase_they_act_on():
         np.testing.assert_allclose(own.interphase_force.sel(phase=phase), same, atol=1e-12 * float(abs(same).max()))
 
 
-def test_a_fast_frame_takes_nothing_from_the_segregation_flux():
+def test_segregation_flux_keeps_its_digits_in_a_fast_frame():
     ds = xcg.datasets.random_scene(150, seed=7)
     fast = ds.assign(velocity=ds.velocity + 1e6)
     one, other = (d.cg.coarse_grain("segregation_flux", by="species", width=0.8).segregation_flux for d in (ds, fast))

@@ -118,7 +118,7 @@ def test_walls_and_unknown_partners_are_kept():
 
 
 @pytest.mark.parametrize("span", [50, 2**20, 2**40])
-def test_repeated_pairs_are_those_of_a_loop(span):
+def test_repeated_pairs_equal_those_of_a_loop(span):
     rng = np.random.default_rng(0)
     ids = np.concatenate([[0, span], rng.integers(0, span, 8)]) - 7
     i, j = rng.choice(ids, (2, 60))
@@ -225,7 +225,7 @@ def sums(packing):
 
 
 @pytest.mark.parametrize("eps", EPS)
-def test_stress_and_counts_are_those_of_the_mean_of_both_sides(packing, eps):
+def test_stress_and_counts_equal_those_of_the_mean_of_both_sides(packing, eps):
     contacts, rng = listed(packing), np.random.default_rng(1)
     both, mean = from_both_sides(contacts, eps, rng)
     with warnings.catch_warnings():

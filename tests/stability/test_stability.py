@@ -14,7 +14,7 @@ def test_naive_sums_lose_digits_and_xcg_keeps_them(case):
 
 
 @pytest.mark.parametrize("limit", LIMITS, ids=lambda c: c.__name__)
-def test_the_stated_error_is_that_of_the_field(limit):
+def test_the_stated_error_equals_that_of_the_field(limit):
     found = limit()
     low, high = found.ratio
     assert found.true > 0.01

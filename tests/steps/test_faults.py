@@ -352,7 +352,7 @@ def test_a_grain_beyond_countable_distance_raises(far):
         ds.cg.coarse_grain("density", bounds=dict.fromkeys("xyz", (0, 1)))
 
 
-def test_grains_far_astray_take_no_memory_and_change_nothing():
+def test_grains_far_away_take_no_memory_and_change_no_field():
     near = np.random.default_rng(0).uniform(0, 5, (50, 3))
     far = np.concatenate([near, [[1e6, 1e6, 1e6], [-1e6, 1e7, 1e5]]])
     options = {"bounds": dict.fromkeys("xyz", (0.0, 5.0)), "width": 0.5}

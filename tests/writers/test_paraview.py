@@ -144,7 +144,7 @@ def scene():
 
 
 @pytest.mark.parametrize("suffix", [".vtu", ".vtk"])
-def test_points_and_centres_are_those_of_the_file(tmp_path, suffix):
+def test_points_and_centres_equal_those_of_the_file(tmp_path, suffix):
     path = write_mesh(tmp_path / f"mesh{suffix}")
     points, centres = xcg.mesh_points(path), xcg.mesh_points(path, centers=True)
     assert points["x"].dims == ("point",)

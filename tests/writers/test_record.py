@@ -79,7 +79,7 @@ def test_lazy_scenes_of_many_steps_are_recorded(path):
         assert live.steps == 4
 
 
-def test_only_what_fields_need_is_read(path):
+def test_only_needed_variables_are_read(path):
     dumps.write_series(path.parent, (0, 10, 20))
     damaged = path.parent / "c.10.dump"
     damaged.write_text(damaged.read_text().replace("-9", "oops"))

@@ -218,7 +218,7 @@ xcg.save(xcg.datasets.simple_cubic(3), target, overwrite=True)
 
 
 @pytest.mark.parametrize(("when", "new"), [("before", False), ("between", False), ("after", True)])
-def test_a_killed_writer_destroys_nothing(tmp_path, when, new):
+def test_a_killed_writer_leaves_the_old_or_the_new_store(tmp_path, when, new):
     """Killed before, between and after the two renames that put a new store in the place of an old one."""
     ds = xcg.datasets.simple_cubic(2)
     path = xcg.save(ds, tmp_path / "scene.zarr")
@@ -232,7 +232,7 @@ def test_a_killed_writer_destroys_nothing(tmp_path, when, new):
     assert [p.name for p in tmp_path.iterdir()] == ["scene.zarr"]
 
 
-def test_what_killed_writers_left_is_removed(tmp_path):
+def test_leftovers_of_killed_writers_are_removed(tmp_path):
     """Of this store; those of a store with a longer name may be under way."""
     mine, other = ".a.zarr.0123abcd.part", ".a.zarr.b.zarr.0123abcd.part"
     for name in (mine, other):
@@ -324,7 +324,7 @@ def test_open_scene_opens_saved_scenes(tmp_path, suffix, chunks, expected):
     assert_same_bits(ds.cg.coarse_grain("stress"), fields.compute())
 
 
-def test_chunks_of_long_series_are_those_of_the_file(tmp_path, monkeypatch):
+def test_chunks_of_long_series_equal_those_of_the_file(tmp_path, monkeypatch):
     saved = steps_of_random_scenes(7).chunk(time=2).cg.save(tmp_path / "scene.nc")
     monkeypatch.setattr("xcg.readers.lazy._TASK", 1e-9)
     assert xcg.open_scene(saved).chunks["time"] == (2, 2, 2, 1)

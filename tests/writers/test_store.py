@@ -142,7 +142,7 @@ def test_resuming_with_another_call_raises(tmp_path, suffix):
     assert (tmp_path / f".f{suffix}.begun").is_dir()
 
 
-def test_memory_is_written_and_other_formats_are_refused(tmp_path):
+def test_resume_writes_eager_results_and_refuses_other_formats(tmp_path):
     f = fields().compute()
     for suffix in SUFFIXES:
         assert_same_bits(xcg.save(f, tmp_path / f"a{suffix}", resume=True), xcg.save(f, tmp_path / f"b{suffix}"))

@@ -149,7 +149,7 @@ def test_tubes_grow_with_the_force():
     assert widths[2] == pytest.approx(0.3 * 0.5, rel=0.05)
 
 
-def test_chains_are_those_that_were_found():
+def test_drawn_chains_are_the_found_ones():
     position = [(0.0, float(k)) for k in range(5)]
     ds = network(position, [(k, k + 1) for k in range(4)], [1.0] * 4, dimension=2, thickness=1.0)
     fc = ds.cg.force_chains()
@@ -164,7 +164,7 @@ def test_chains_are_those_that_were_found():
         ds.cg.coarse_grain("density", width=1.0).cg.to_pyvista(chains=fc)
 
 
-def test_the_box_is_that_of_the_scene():
+def test_the_box_equals_that_of_the_scene():
     box = xcg.datasets.random_scene(5).cg.to_pyvista()["box"]
     assert box.n_lines == 12
     np.testing.assert_allclose(box.bounds, (0, 5) * 3)

@@ -39,7 +39,7 @@ def test_the_frames_for_a_target_reach_it():
     assert np.isnan(wide.target_frames)
 
 
-def test_the_spacing_adds_less_than_it_promises():
+def test_the_spacing_adds_less_error_than_stated():
     """Linear interpolation between the nodes against nodes that are ten times as close."""
     flow = FLOWS["sine"](60)
     found = flow.scene.cg.choose_width("velocity", frames=60, **NODES)

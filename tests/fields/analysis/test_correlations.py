@@ -267,7 +267,7 @@ def test_the_page_on_correlations_runs(monkeypatch):
     assert slope[0] < 0.5 * slope[-1]
 
 
-def test_times_that_are_durations_are_refused():
+def test_durations_as_times_raise():
     ds = xcg.datasets.random_scene(30).isel(time=[0, 0, 0, 0]).assign_coords(time=np.arange(4).astype("m8[ns]"))
     f = ds.cg.coarse_grain("density", axes="z")
     for call in (lambda: f.cg.time_correlation("density"), lambda: ds.cg.mean_squared_displacement(lags=[1])):

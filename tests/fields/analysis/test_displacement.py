@@ -111,7 +111,7 @@ def test_a_box_that_deforms_carries_its_images_with_it(place):
         np.testing.assert_allclose(f.displacement.sel(component=a), middle, atol=1e-12)
 
 
-def test_displacement_of_the_box_is_that_of_the_grains_at_the_node():
+def test_displacement_of_the_box_equals_that_of_the_grains_at_the_node():
     f = deforming((1.1, 1.0, 1.0)).cg.displacement(["displacement", "centre_offset"], axes="x", spacing=0.5)
     expected = 0.4 + 0.1 * (f.x + f.centre_offset.sel(component="x"))
     np.testing.assert_allclose(f.displacement.sel(component="x"), expected.transpose("time", "x"), atol=1e-12)

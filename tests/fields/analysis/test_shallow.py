@@ -30,7 +30,7 @@ def test_shape_factors_of_known_profiles(profile, factor):
     assert d.shape_factor.sel(component="x").item() == pytest.approx(factor, rel=5e-3)
 
 
-def test_integrals_over_the_depth_are_those_of_the_grains():
+def test_integrals_over_the_depth_equal_those_of_the_grains():
     ds = flow(lambda z: z)
     d = ds.cg.depth_average("z", axes="", width=0.5)
     area = L * 4.0

@@ -182,7 +182,7 @@ def test_a_part_of_a_plane_carries_the_force_above_it():
         ds.cg.wall_stress(xcg.Plane((0, 0, -9), (0, 0, 1)), 0.5)
 
 
-def test_distances_from_triangles_are_those_of_brute_force():
+def test_distances_from_triangles_equal_those_of_brute_force():
     rng = np.random.default_rng(1)
     surface = box_surface()
     points = rng.uniform(-2, 8, (200, 3))

@@ -141,7 +141,7 @@ def test_errors_of_correlated_samples(memory):
     assert naive == pytest.approx(true / np.sqrt((1 + memory) / (1 - memory)), rel=0.05)
 
 
-def test_the_error_is_that_of_the_block_beyond_which_it_does_not_grow():
+def test_the_error_equals_that_of_the_block_beyond_which_it_does_not_grow():
     n = 1024
     for length in (1, 2, 4, 8):  # so many steps up, so many down: blocks of twice as many are all alike
         x = np.where(np.arange(n) // length % 2, 1.0, -1.0)[:, None]
@@ -175,7 +175,7 @@ def test_the_block_is_chosen_within_the_scatter_of_the_errors():
     assert len(set(chosen)) > 3
 
 
-def test_errors_of_ratios_are_those_of_the_ratio_of_sums():
+def test_errors_of_ratios_equal_those_of_the_ratio_of_sums():
     rng = np.random.default_rng(1)
     n, columns = 2048, 300
     rho = rng.uniform(1, 3, (n, columns))

@@ -66,7 +66,7 @@ def test_programs_on_any_number_of_nodes(nodes):
     assert_same(played, plain)
 
 
-def test_fits_by_eigenvectors_are_those_of_the_loop():
+def test_fits_by_eigenvectors_equal_those_of_the_loop():
     """Grains almost in a plane: neither clearly flat nor clearly spread."""
     ds = xcg.datasets.random_scene(200, seed=3)
     z = 1.0 + 1e-3 * (ds.position.isel(component=2) - 1.0)

@@ -100,7 +100,7 @@ def test_wrong_axes_raise(given, message):
 
 @settings(deadline=None, max_examples=8)
 @given(x=directions, z=directions, origin=directions)
-def test_fields_are_those_of_the_scene_turned_by_hand(x, z, origin):
+def test_fields_equal_those_of_the_scene_turned_by_hand(x, z, origin):
     if np.linalg.norm(np.cross(x, z)) < 0.01:
         return
     frame, ds = xcg.Rotated(x=x, z=z, origin=origin), scene()

@@ -14,7 +14,7 @@ def grid(axes="x", *, at=None, bounds=None, spacing=1.0, plane="xyz", cutoff=10.
     return make_grid(axes, at or {}, bounds or {}, spacing, **options)
 
 
-def test_bounds_hold_their_last_node_whatever_its_rounding():
+def test_bounds_include_their_last_node_despite_rounding():
     rng = np.random.default_rng(0)
     for first, step, parts in zip(rng.normal(size=200), 10 ** rng.uniform(-3, 0.5, 200), range(200), strict=True):
         last = first + parts * step

@@ -79,7 +79,7 @@ def test_points_equal_a_mesh_with_the_same_nodes(scene, options):
 
 
 @pytest.mark.parametrize("rtol", [1e-2, 1e-3, 1e-6])
-def test_quadrature_keeps_its_promise_at_points(scene, rtol):
+def test_errors_of_quadrature_at_points_are_below_rtol(scene, rtol):
     exact = scene.cg.coarse_grain("contact_stress", axes="xz")
     order, at = shuffled(exact)
     assert_as_mesh(scene.cg.coarse_grain("contact_stress", at=at, rtol=rtol), exact, order, rtol)
@@ -176,7 +176,7 @@ def test_no_points_give_an_empty_result(scene):
 # --- labels ------------------------------------------------------------------------------------------------
 
 
-def test_dimensions_and_coordinates_are_those_of_the_arrays(scene):
+def test_dimensions_and_coordinates_equal_those_of_the_arrays(scene):
     run = xr.DataArray([0.1, 0.2, 0.3], dims="run", coords={"run": [7, 8, 9], "name": ("run", list("abc"))})
     side = xr.DataArray([1.0, 2.0], dims="side", attrs={"long_name": "height"})
     f = scene.cg.coarse_grain("velocity", at={"x": run, "y": run + 1, "z": side})

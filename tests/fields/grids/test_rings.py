@@ -104,7 +104,7 @@ def test_nodes_are_points_whose_fields_are_turned():
 
 @pytest.mark.parametrize("part", [None, (0.4, 2.0), (-3.0, 1.0)])
 @pytest.mark.parametrize("axes", ["r", "rz"])
-def test_averages_over_theta_are_those_of_many_turned_points(part, axes):
+def test_averages_over_theta_equal_those_of_many_turned_points(part, axes):
     """Sums at fine angles, turned one by one and averaged; ratios and gradients follow from them."""
     ds, width = scene(), 0.6
     low, high = part or (0.0, 2 * np.pi)

@@ -26,7 +26,7 @@ def flat(field):
     return field.isel(time=0).transpose("x", "y", "z", ...).values.reshape(np.prod(SHAPE), -1)
 
 
-def test_fields_are_those_of_lammps(chute):
+def test_fields_equal_those_of_lammps(chute):
     ds, table = chute
     mesh = xcg.lammps_mesh(ds, delta=1.0, cutoff=CUTOFF, width=WIDTH)
     f = ds.cg.coarse_grain([f"{name}/*" for name in COLUMNS], preset="lammps", **mesh)
@@ -39,7 +39,7 @@ def test_fields_are_those_of_lammps(chute):
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14 * np.abs(expected).max())
 
 
-def test_the_boundary_force_is_that_of_lammps_where_no_contact_crosses_an_edge(chute):
+def test_the_boundary_force_equals_that_of_lammps_where_no_contact_crosses_an_edge(chute):
     """Theirs loses contacts across periodic edges, so that only nodes that see none of these agree."""
     ds, table = chute
     mesh = xcg.lammps_mesh(ds, delta=1.0, cutoff=CUTOFF, width=WIDTH)
@@ -105,7 +105,7 @@ def test_gradients_are_differences_between_bins():
     np.testing.assert_allclose(f.strain_rate, (g + swapped) / 2, rtol=1e-12)
 
 
-def test_mesh_is_that_of_the_bins():
+def test_mesh_equals_that_of_the_bins():
     ds = xcg.datasets.random_scene(20)  # a box of 5
     mesh = xcg.lammps_mesh(ds, "xy", delta={"x": 0.1, "y": 2.0}, cutoff=1.0, width=0.3, origin={"y": 0.5})
     assert mesh["bounds"]["x"] == pytest.approx((0.05, 4.95))

@@ -131,7 +131,7 @@ def test_fields_are_computed_in_one_pass_with_those_of_xcg():
     assert sent.options.own == plans[0].options.own
 
 
-def test_units_are_those_of_the_quantities():
+def test_units_equal_those_of_the_quantities():
     f = preset(xcg.datasets.random_scene(60), width=0.9)
     expected = {"density_mixture": "kg m^-3", "pressure_xy": "Pa", "total_stress_tensor_xy_dev_mag": "Pa",
                 "shear_rate_tensor_xy_mag": "s^-1", "granular_temperature_x": "m^2 s^-2", "d32": "m",
@@ -179,7 +179,7 @@ def its_nodes(first, last, c):
     return np.linspace(first, last, int(np.ceil(2 * (last - first) / c)) + 1)
 
 
-def test_the_mesh_is_that_of_pysammos():
+def test_the_mesh_equals_that_of_pysammos():
     ds = xcg.datasets.simple_cubic(14)  # centres from 0 to 13
     c, margin = 1.5, 2.5 * 1.5 + 0.5
     mesh = xcg.pysammos_mesh(ds, "xz")
@@ -303,7 +303,7 @@ def test_the_kernel_is_evaluated_not_looked_up():
     assert table == pytest.approx(-2.6e-3, rel=0.02)
 
 
-def test_temperature_is_there_and_zero_in_linear_shear():
+def test_temperature_is_zero_in_linear_shear():
     rng = np.random.default_rng(0)
     ds = xcg.datasets.random_scene(600, periodic="", seed=1)
     shear = np.zeros((1, 600, 3))

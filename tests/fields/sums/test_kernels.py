@@ -69,7 +69,7 @@ def test_kernels_and_marginals_integrate_to_one(name, dimension, seen):
     assert total == pytest.approx(1.0, rel=1e-9)
 
 
-def test_constants_are_those_of_the_theory_sheet():
+def test_constants_equal_those_of_the_theory_sheet():
     w, c = 0.7, 1.4
     assert xcg.Lucy(w, dimension=3).value(0.0) == pytest.approx(105 / (16 * np.pi * c**3))
     assert xcg.Lucy(w, dimension=2).value(0.0) == pytest.approx(5 / (np.pi * c**2))
@@ -293,7 +293,7 @@ def test_segments_of_registered_kernels_are_integrals_of_their_profiles(name):
 
 @pytest.mark.parametrize("name", OWN)
 @pytest.mark.parametrize("seen", [1, 2])
-def test_segments_of_marginals_are_those_of_the_kernel_integrated(name, seen):
+def test_segments_of_marginals_equal_those_of_the_kernel_integrated(name, seen):
     """Over one axis that is left out: of the kernel of one dimension more, seen in all of them."""
     radii, kernel = OWN[name][1], as_kernel(name, 1.0, seen + 1)
     x, w = np.polynomial.legendre.leggauss(40)
@@ -353,7 +353,7 @@ BUILT_IN = {
 
 @pytest.mark.parametrize("name", BUILT_IN)
 @pytest.mark.parametrize(("dimension", "seen"), SEEN)
-def test_kernels_registered_by_their_profiles_are_those_of_their_own_loops(name, dimension, seen):
+def test_kernels_registered_by_their_profiles_equal_those_of_their_own_loops(name, dimension, seen):
     """Up to the cutoff, where some jump, so that their marginals end like the root of the distance to it."""
     make, profile = BUILT_IN[name]
     own = make(cutoff=1.0, dimension=dimension)

@@ -10,7 +10,7 @@ from tests.dumps import dump_text, pairs_text, write
 from tests.lammps_forms import BOX, DEFAULTS, binary_step, check, frames_of, lammps, rows_of
 
 
-def test_a_binary_dump_is_the_text_that_lammps_writes_beside_it():
+def test_a_binary_dump_equals_the_text_dump_beside_it():
     """Both by LAMMPS 22Jul2025, the text with all digits."""
     folder, walls = real_data("lammps_binary"), {"floor": "f_floor[*]"}
     text, binary = (xcg.open_scene(folder / f"particles.{end}", walls=walls) for end in ("dump.gz", "bin"))
@@ -36,7 +36,7 @@ def test_both_byte_orders_and_several_processes_are_read(tmp_path, order, parts,
         check(frame, rows)
 
 
-def test_a_tilted_box_is_that_of_the_text(tmp_path):
+def test_a_tilted_box_equals_that_of_the_text(tmp_path):
     tilts = (2.0, 0.5, -0.25)
     (tmp_path / "p.bin").write_bytes(binary_step(rows_of(), tilts=tilts))
     bounds = [f"{low} {high} {tilt}" for (low, high), tilt in zip(BOX, tilts, strict=True)]

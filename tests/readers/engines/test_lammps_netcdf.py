@@ -23,7 +23,7 @@ def test_netcdf_holds_the_rows_of_each_step(tmp_path, version):
         check(frame, rows)
 
 
-def test_the_header_of_netcdf_is_that_of_the_library(tmp_path):
+def test_the_header_of_netcdf_equals_that_of_the_library(tmp_path):
     import netCDF4
 
     path = write_netcdf(tmp_path / "n.nc", {0: rows_of(5), 10: rows_of(5, seed=1)}, extra=np.ones((5, 2)))

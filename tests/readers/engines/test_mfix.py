@@ -131,7 +131,7 @@ def test_files_of_mfix_are_recognised(tmp_path, name, expected):
     assert not mfix.recognises(str(path))
 
 
-def test_pvd_lists_all_that_is_missing_or_skips_it(tmp_path):
+def test_a_collection_names_or_skips_all_missing_files(tmp_path):
     write_particles(tmp_path / "P_0001.vtp", time=0.1000025)
     pvd = write_pvd(tmp_path / "P.pvd", {"P_0000.vtp": " 0.0E+00", "P_0001.vtp": " 0.1E+00", "P_0002.vtp": " 0.2E+00"})
     with pytest.raises(SceneError, match=r"2 of 3 files do not exist: .*P_0000\.vtp, .*P_0002\.vtp; .*missing='skip'"):

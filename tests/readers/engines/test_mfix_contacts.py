@@ -83,7 +83,7 @@ def by_pair(ds):
     return contacts.isel(contact=np.lexsort((high, low)))
 
 
-def test_spheres_of_unlike_sizes_touch_where_their_radii_say(unlike_spheres):
+def test_contact_points_of_unlike_spheres_follow_from_their_radii(unlike_spheres):
     folder, exact = unlike_spheres
     ds = opened(folder, periodic="x", box={"x": (0.0, 0.02)})
     one, two = by_pair(ds), by_pair(exact)

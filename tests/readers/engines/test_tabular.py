@@ -81,7 +81,7 @@ def test_short_and_own_names_of_columns(tmp_path):
     check(xcg.scene_from_table(table, names=names, density=2.0), ds.load())
 
 
-def test_one_step_a_file_by_the_number_in_its_name(tmp_path):
+def test_steps_are_numbered_by_file_names(tmp_path):
     for step in (2, 10):
         write(tmp_path / f"p_{step}.csv", f"x,y,z,radius\n{step},0,0,0.5\n\n")
     ds = xcg.open_scene(str(tmp_path / "p_*.csv"), density=1.0, timestep=0.1)

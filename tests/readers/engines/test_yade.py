@@ -33,7 +33,7 @@ def test_forces_on_the_second_body_change_sign(tmp_path):
     np.testing.assert_array_equal(ds.angular_velocity[0, 0], [0, 0, 1])
 
 
-def test_the_stress_is_that_of_yade():
+def test_the_stress_equals_that_of_yade():
     """YADE's own stress of a packing, negative in compression, to the digits of its text."""
     folder = shared_data("yade_periodic")
     ds = xcg.open_scene(folder / "particles_end.txt", contacts=folder / "contacts_end.txt")

@@ -204,7 +204,7 @@ def test_concatenated_gzip_files_are_read(tmp_path, count):
     assert lammps.index_particles([str(path)], ReadOptions())[0].alone
 
 
-def test_more_than_the_only_step_is_noticed_when_it_is_read(tmp_path, monkeypatch):
+def test_a_second_step_in_a_file_of_one_step_raises(tmp_path, monkeypatch):
     rows = [f"{k} 1 {k} 1 1 0 0 0 0.5 1" for k in range(30)]  # so many that lines of headers are few
     texts = [dump_text(rows, step=t).encode() for t in range(2)]
     path = tmp_path / "p.0.dump.gz"

@@ -263,7 +263,7 @@ def test_spins_of_known_temperature():
     assert lonely.rotational_temperature.isnull().all()
 
 
-def test_averages_are_those_of_the_sums():
+def test_averages_equal_those_of_the_sums():
     steps = [scene(k, 40, periodic="xyz") for k in range(3)]
     names = ["velocity", "angular_velocity", "diameter", "contact_i", "contact_j", "contact_force", "contact_point"]
     rows = {n: [s[n].values[0] for s in steps] for n in names}

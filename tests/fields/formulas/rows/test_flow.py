@@ -51,7 +51,7 @@ def test_only_least_squares_is_exact_in_linear_flow():
 
 
 @pytest.mark.parametrize("about_node", [False, True])
-def test_fits_are_those_of_lapack(about_node):
+def test_fits_equal_those_of_lapack(about_node):
     ds = linear_flow(seed=1, noise=0.5)
     gradient = "paper" if about_node else "least_squares"
     names = ["velocity_gradient", "granular_temperature", "directional_temperature"]
