@@ -192,7 +192,7 @@ def listed(packing):
     return {name: packing[name].values[0][there] for name in CONTACTS}
 
 
-def rebuild(packing, contacts, **options):
+def with_contacts(packing, contacts, **options):
     options = {"dimension": int(packing.attrs["dimension"]), "thickness": packing.attrs.get("thickness")} | options
     edges = np.stack([packing.attrs["box_lower"], packing.attrs["box_upper"]], axis=1)
     return xcg.scene_from_arrays(
@@ -230,8 +230,8 @@ def test_stress_and_counts_equal_those_of_the_mean_of_both_sides(packing, eps):
     both, mean = from_both_sides(contacts, eps, rng)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SceneWarning)
-        found = rebuild(packing, both)
-        once = rebuild(packing, {**contacts, "contact_force": mean})
+        found = with_contacts(packing, both)
+        once = with_contacts(packing, {**contacts, "contact_force": mean})
         a, b = sums(found), sums(once)
     rounding = 1e-4 if eps <= 1e-4 else 1e-12  # up to which one of the rows is taken as it is
     for name in a:
@@ -243,9 +243,9 @@ def test_rows_with_forces_that_are_far_from_opposite_stay_two(packing, eps):
     contacts = listed(packing)
     both, _ = from_both_sides(contacts, eps, np.random.default_rng(2))
     with pytest.warns(SceneWarning, match=r"contacts are listed from both sides with forces that differ by more"):
-        found = rebuild(packing, both)
+        found = with_contacts(packing, both)
     assert (found.contact_i.values >= 0).sum() == 2 * len(contacts["contact_i"])
-    rebuild(packing, both, sides="separate")  # without a warning
+    with_contacts(packing, both, sides="separate")  # without a warning
 
 
 def test_messages_about_unlike_sides_name_both_forces():
@@ -266,7 +266,7 @@ def test_the_warning_has_the_number_and_the_mismatch(packing):
     rows = np.flatnonzero(mirrored)[:4]
     both["contact_force"][rows] *= np.array([1.01, 1.03, 1.05, 1.07])[:, None]
     with pytest.warns(SceneWarning, match=r"4 contacts are listed from both sides .* 0\.038 .* 0\.065 at most"):
-        rebuild(packing, both)
+        with_contacts(packing, both)
 
 
 @pytest.mark.parametrize(("sides", "count"), [("mean", 1), ("first", 1), ("separate", 2)])
@@ -371,9 +371,9 @@ def test_a_quarter_of_the_larger_force_is_the_limit_and_saved_scenes_keep_the_ch
         }  # fmt: skip
         both = {name: np.concatenate([contacts[name], other[name]]) for name in CONTACTS}
         with pytest.warns(SceneWarning, match="listed from both sides"):
-            ds = rebuild(packing, both)
+            ds = with_contacts(packing, both)
         assert (ds.contact_i.values >= 0).sum() == count * len(contacts["contact_i"])
-    ds = rebuild(packing, both, sides="separate")
+    ds = with_contacts(packing, both, sides="separate")
     again = xcg.open_scene(xcg.save(ds, tmp_path / "packing.nc"))
     assert again.attrs["sides"] == "separate"
     assert "are two" in str(again.cg)
