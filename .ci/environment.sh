@@ -7,8 +7,9 @@ trap 'rm -rf "$work"' EXIT
 
 # readers, fields, averages, packings, chains and writers; none of them needs an optional package
 core=(
-  tests/test_chains.py tests/test_coarse_grain.py tests/test_contacts.py tests/test_datasets.py tests/test_lammps.py
-  tests/test_mercury.py tests/test_statistics.py tests/test_vtkhdf.py
+  tests/test_datasets.py tests/chains/test_search.py tests/fields/test_coarse_grain.py
+  tests/fields/formulas/test_averages.py tests/packing/test_pairs.py tests/readers/engines/test_lammps.py
+  tests/readers/engines/test_mercury.py tests/writers/test_vtkhdf.py
 )
 runner=("pytest>=8.0" "pytest-benchmark>=5.0" "hypothesis>=6.100")
 

@@ -556,7 +556,7 @@ because it has to find the nodes and their weights. The ways of other programs a
 weights up in 1000 bins, MercuryCG and LAMMPS take the closed form.
 {tests}
 """
-TESTS = "What does not depend on the clock is held by tests (`tests/test_accuracy.py`)."
+TESTS = "What does not depend on the clock is held by tests (`tests/docs/test_accuracy.py`)."
 
 
 def says_contact_stress(x: Times) -> str:

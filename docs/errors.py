@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 import xcg
-from tests.test_errors import CASES, OF_MOTION, OF_VARIABLES, ensemble, predicted_over_measured
+from tests.fields.formulas.rows.test_errors import CASES, OF_MOTION, OF_VARIABLES, ensemble, predicted_over_measured
 
 PAGE = Path(__file__).parent / "errors.md"
 NAMES = ["velocity", "velocity_gradient", "shear_rate", "granular_temperature", "kinetic_stress", "spin", "charge"]

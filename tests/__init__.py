@@ -17,10 +17,12 @@ import xarray as xr
 
 import xcg
 
+ROOT = Path(__file__).parents[1]
+
 
 def shared_data(name: str) -> Path:
     """Folder of real output beside the repository; the test is skipped where it is absent."""
-    path = Path(__file__).parents[2] / "shared" / "data" / name
+    path = ROOT.parent / "shared" / "data" / name
     if not path.exists():
         pytest.skip(f"needs the shared data '{name}'")
     return path
@@ -28,8 +30,7 @@ def shared_data(name: str) -> Path:
 
 def real_data(name: str) -> Path:
     """Folder of real output that ships with the project, else the one beside the repository."""
-    root = Path(__file__).parents[1]
-    shipped = [root / "tests" / "data" / name, root / "examples" / "data" / name]
+    shipped = [ROOT / "tests" / "data" / name, ROOT / "examples" / "data" / name]
     return next((path for path in shipped if path.exists()), None) or shared_data(name)
 
 

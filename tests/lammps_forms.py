@@ -10,6 +10,9 @@ import netCDF4
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.readers.engine import ReadOptions
+from xcg.readers.engines.lammps import Lammps
+
 COLUMNS = ("id", "type", "x", "y", "z", "vx", "vy", "vz", "radius", "mass")
 BOX = ((0.0, 10.0), (0.0, 10.0), (-1.0, 9.0))
 
@@ -81,3 +84,22 @@ def write_netcdf(
             if extra is not None:
                 file["c_own"][k] = extra
     return path
+
+
+lammps = Lammps()
+
+
+DEFAULTS = ReadOptions()
+
+
+def frames_of(path):
+    refs = lammps.index_particles([str(path)], DEFAULTS)
+    return refs, [lammps.read_particles(ref, DEFAULTS) for ref in refs]
+
+
+def check(frame, rows):
+    np.testing.assert_array_equal(frame["particle_id"], rows[:, 0])
+    np.testing.assert_array_equal(frame["position"], rows[:, 2:5])
+    np.testing.assert_array_equal(frame["velocity"], rows[:, 5:8])
+    np.testing.assert_array_equal(frame["diameter"], 2 * rows[:, 8])
+    np.testing.assert_array_equal(frame["mass"], rows[:, 9])

@@ -57,7 +57,7 @@ def test_every_argument_has_a_type_and_a_meaning(name):
         assert not told or parameter.name in named
 
 
-def test_help_is_whole(scene):
+def test_help_is_complete(scene):
     text = pydoc.plain(pydoc.render_doc(scene.cg.coarse_grain))
     assert re.search(r"kernel: '[^']*\bKernel' = 'lucy'", text)
     assert "rtol: 'float' = 0.0" in text
@@ -66,7 +66,7 @@ def test_help_is_whole(scene):
     assert "{arguments}" not in text
 
 
-def test_all_that_coarse_grain_share_its_options():
+def test_all_coarse_graining_methods_share_options():
     shared = {field.name: field for field in arguments(SharedOptions)}
     assert inspect.signature(explain).parameters == inspect.signature(coarse_grain).parameters
     for function in (coarse_grain, explain, xcg.balance, xcg.width_sweep):
@@ -96,7 +96,7 @@ def test_each_argument_of_a_request_needs_a_meaning():
         takes(Undocumented)(function)
 
 
-def test_every_kind_is_offered_what_fits(scene):
+def test_completion_offers_the_methods_of_each_kind(scene):
     fields = scene.cg.coarse_grain("density", width=1.0)
     found = scene.cg.force_chains()
     offered = {kind: {n for n in dir(ds.cg) if n in METHODS} for kind, ds in
@@ -125,12 +125,12 @@ def test_every_kind_is_offered_what_fits(scene):
         ("find_contacts", {"zzzz": 1}, "'zzzz'$"),
     ],
 )
-def test_misspelt_arguments(scene, method, given, message):
+def test_misspelt_arguments_suggest_the_right_ones(scene, method, given, message):
     with pytest.raises(TypeError, match=message):
         getattr(scene.cg, method)(**given)
 
 
-def test_too_many_arguments(scene):
+def test_too_many_arguments_raise(scene):
     with pytest.raises(TypeError, match=r"coarse_grain\(\).*too many positional"):
         scene.cg.coarse_grain("density", 1.0)
 
@@ -147,12 +147,12 @@ def test_too_many_arguments(scene):
         ("microstructure", "mean_stres", "unknown quantity 'mean_stres'; did you mean 'mean_stress'"),
     ],
 )
-def test_misspelt_names(scene, method, given, message):
+def test_misspelt_names_suggest_the_right_ones(scene, method, given, message):
     with pytest.raises(ValueError, match=message):
         getattr(scene.cg, method)(given)
 
 
-def test_misspelt_names_of_a_preset(scene):
+def test_misspelt_names_of_a_preset_suggest_the_right_ones(scene):
     with pytest.raises(ValueError, match="did you mean 'density_mixture'"):
         scene.cg.coarse_grain("density_mixtur", preset="pysammos", width=1.0)
 
@@ -179,7 +179,7 @@ def test_completion_by_jedi(scene):
     assert [c.name for c in jedi.Interpreter("ds.cg.width_sweep(thr", [{"ds": scene}]).complete()] == ["threshold="]
 
 
-def test_a_dataset_goes_when_nobody_holds_it():
+def test_the_accessor_keeps_no_dataset_alive():
     """Its arrays do not wait for Python to look for circles of references."""
     gc.disable()
     try:
@@ -194,7 +194,7 @@ def test_a_dataset_goes_when_nobody_holds_it():
 
 
 @pytest.mark.parametrize("given", ["particles.dump", 3, xr.DataArray([1.0])])
-def test_what_is_no_scene_is_told(given):
+def test_objects_that_are_no_scene_raise(given):
     with pytest.raises(
         TypeError, match=f"coarse_grain: expected a scene.*, not {type(given).__name__}; files are opened"
     ):

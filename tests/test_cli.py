@@ -4,7 +4,6 @@ import gzip
 import os
 import subprocess
 import sys
-from pathlib import Path
 from typing import get_args
 
 import h5py
@@ -14,16 +13,15 @@ import xarray as xr
 from click.testing import CliRunner
 
 import xcg
-from tests import shared_data
-from tests.test_mfix import write_contacts, write_particles, write_pvd, write_vtp
-from tests.test_vtkhdf import read
+from tests import ROOT, shared_data
+from tests.readers.engines.test_mfix import write_contacts, write_particles, write_pvd, write_vtp
+from tests.writers.test_vtkhdf import read
 from xcg.chains.search import Algorithm
 from xcg.cli import group
 from xcg.jobs.config import read_config
 from xcg.jobs.run import run_job
 from xcg.steps.faults import ON_ERROR
 
-ROOT = Path(__file__).parents[1]
 EXAMPLE = (ROOT / "examples" / "config.ini").read_text()
 
 
@@ -84,7 +82,7 @@ def few(series):
     return series
 
 
-def test_real_mfix_frames_through_a_pysammos_configuration(tmp_path):
+def test_a_pysammos_configuration_runs_on_real_mfix_frames(tmp_path):
     folder = shared_data("mfix_chute")
     text = changed(particles_path=folder / "P_FB1_", contacts_path=folder / "FC_", output_path=tmp_path / "out")
     (tmp_path / "config.ini").write_text(text)
@@ -126,7 +124,7 @@ def test_real_mfix_frames_through_a_pysammos_configuration(tmp_path):
         assert float(s.granular_temperature_LAMMPS.max()) > 0
 
 
-def test_series_as_mfix_writes_them(series):
+def test_a_series_written_by_mfix_runs(series):
     said = xcg_run("run", series / "config.ini")
     assert "recovered from contacts that stand on both sides" in said
     assert "3 steps" in said
@@ -152,7 +150,7 @@ def test_series_as_mfix_writes_them(series):
     np.testing.assert_allclose(total, expected, atol=2e-3)
 
 
-def test_steps_without_contact_files(series):
+def test_steps_without_contact_files_run(series):
     options = {"contacts": str(series / "VTU/FC_*.vtp"), "periodic": "", "engine": "mfix"}
     with pytest.raises(xcg.SceneError, match="missing='empty'"):
         xcg.open_scene(str(series / "VTU/DES_*.vtp"), **options)
@@ -173,7 +171,7 @@ def test_compressed_files_are_among_those_of_a_configuration(series):
     assert read_config(series / "config.ini").scene["contacts"] == [plain["contacts"][0], f"{last}.gz"]
 
 
-def test_the_period_is_asked_for_where_it_cannot_be_recovered(series):
+def test_an_unknown_period_must_be_given(series):
     one = {"engine": "mfix", "periodic": "xz", "missing": "empty"}
     with pytest.raises(xcg.SceneError, match="axis 'x' is periodic, but the box has no finite extent"):
         xcg.open_scene(str(series / "VTU/DES_*.vtp"), contacts=str(series / "VTU/FC_*.vtp"), **one)
@@ -232,7 +230,7 @@ def test_both_spellings_and_output_options(few, spelled):
 
 
 @pytest.mark.parametrize(("kernel", "name"), [("HeavySide", "HeavySide"), ("Gaussian", "Gaussian")])
-def test_kernels_by_their_names(few, kernel, name):
+def test_kernels_are_chosen_by_name(few, kernel, name):
     (few / "config.ini").write_text(changed((few / "config.ini").read_text(), type=kernel))
     xcg_run("run", few / "config.ini", "-q")
     assert (few / "PysammosCG" / f"CG_{name}_Monodisperse.h5").exists()
@@ -255,7 +253,7 @@ def test_automatic_grid_middle_transects_and_phases(few):
         assert last == pytest.approx(0.575, abs=0.03)
 
 
-def test_a_one_layer_series(series):
+def test_a_series_of_one_layer_runs(series):
     """As in its bedload case: all grains in one plane, z_transect = 0."""
     rng = np.random.default_rng(1)
     for number in (150, 151, 152):
@@ -276,7 +274,7 @@ def test_a_one_layer_series(series):
         assert "pressure_z" not in f
 
 
-def test_what_is_unknown_is_said(few):
+def test_unknown_sections_and_keys_are_reported(few):
     text = (few / "config.ini").read_text().replace("[grid_info]", "[grid_info]\ncolour = red")
     text = changed(text, Contact_ij="FORCE_CHAIN_CONTACT_POINT", Coordination_Number="Neighbours")
     (few / "config.ini").write_text(text + "\n[plots]\na = 1\n")
@@ -287,7 +285,7 @@ def test_what_is_unknown_is_said(few):
     assert "Coordination_Number = Neighbours: no such array" in said
 
 
-def test_no_contacts_at_all(series):
+def test_a_series_without_contacts_runs(series):
     for file in (series / "VTU").glob("FC*"):
         file.unlink()
     text = changed((series / "config.ini").read_text(), x_axis_periodic="False")
@@ -317,7 +315,7 @@ def test_faults_are_named_and_exit_with_1(series, values, message):
     assert message in " ".join(said.split())
 
 
-def test_messages_call_arguments_what_the_line_calls_them(tmp_path):
+def test_messages_name_options_of_the_command_line(tmp_path):
     one = write_particles(tmp_path / "P_0001.vtp", Velocity=np.zeros((3, 3)), Density=np.ones(3))
     pvd = write_pvd(tmp_path / "P.pvd", {"P_0001.vtp": "0.1", "P_0002.vtp": "0.2"})
     assert "or pass --missing skip to go on" in " ".join(xcg_run("info", pvd, code=1).split())
@@ -331,7 +329,7 @@ def test_messages_call_arguments_what_the_line_calls_them(tmp_path):
     assert "or pass missing='skip' to go on" in " ".join(xcg_run("run", tmp_path / "job.toml", code=1).split())
 
 
-def test_a_dry_run_names_all_that_would_be_computed(tmp_path):
+def test_a_dry_run_lists_all_fields(tmp_path):
     xcg.datasets.random_scene(50).cg.save(tmp_path / "scene.nc")
     text = '[scene]\nparticles = "scene.nc"\n[fields]\nfields = "density"\n[slices]\naxis = "z"\n'
     (tmp_path / "job.toml").write_text(text)
@@ -345,7 +343,7 @@ def test_usage_errors_exit_with_2(tmp_path):
     xcg_run("march", code=2)
 
 
-def test_toml(tmp_path):
+def test_a_job_in_toml_runs(tmp_path):
     pytest.importorskip("vtk")
     text = (ROOT / "examples" / "chute.toml").read_text()
     text = text.replace("data/lammps_chute", str(ROOT / "examples/data/lammps_chute")).replace("../output", "out")
@@ -368,7 +366,7 @@ def test_toml(tmp_path):
         assert message in xcg_run("run", tmp_path / "bad.toml", code=1)
 
 
-def test_info_and_fields(tmp_path):
+def test_info_and_fields_print_summaries(tmp_path):
     write_particles(tmp_path / "P_0001.vtp", Velocity=np.zeros((3, 3)), Density=np.ones(3))
     said = xcg_run("info", tmp_path / "P_0001.vtp")
     assert "scene of 1 step with up to 3 particles" in said
@@ -408,7 +406,7 @@ def test_completion_loads_no_more_than_the_package_does():
     assert said == "plain,branching\nplain,peters2005\nloaded []\n"
 
 
-def test_the_line_takes_what_the_library_takes():
+def test_options_have_the_choices_of_the_library():
     def taken(command, option):
         return next(tuple(p.type.choices) for p in group.commands[command].params if p.name == option)
 
@@ -435,7 +433,7 @@ def test_selected_steps_open_again_once_saved(tmp_path, suffix, step):
         assert f"scene of {ds.time.size} step" in repr(again.cg)
 
 
-def test_commands_take_a_step_that_was_saved_alone(tmp_path):
+def test_commands_accept_a_single_saved_step(tmp_path):
     path = selected("one").cg.save(tmp_path / "one.zarr")
     job = tmp_path / "job.toml"
     job.write_text('[scene]\nparticles = "one.zarr"\n[fields]\nfields = ["density"]\naxes = "z"\nwidth = 1.0\n')

@@ -3,14 +3,12 @@
 import re
 import tomllib
 import warnings
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import xcg
-
-ROOT = Path(__file__).parents[1]
+from tests import ROOT
 
 
 def test_samples_open_with_contacts():
@@ -39,7 +37,7 @@ def test_discs_are_discs(name):
     assert found.values == pytest.approx(share.values, rel=1e-12)
 
 
-def test_refused(monkeypatch, tmp_path):
+def test_unknown_samples_raise(monkeypatch, tmp_path):
     with pytest.raises(ValueError, match=r"unknown sample 'drum'; did you mean 'mixing_drum'\?"):
         xcg.datasets.open("drum")
     with pytest.raises(ValueError, match=r"unknown sample 'shute'; did you mean 'chute'\? Samples are .*plane_shear"):
@@ -59,7 +57,7 @@ def test_the_wheel_holds_the_samples():
 
 
 @pytest.mark.parametrize("name", xcg.datasets._SAMPLES)
-def test_every_sample_opens_whole_and_is_listed(name):
+def test_every_sample_opens_and_is_listed(name):
     """Default fields need no further argument, and nothing is odd about them."""
     ds = xcg.datasets.open(name).isel(time=[-1])
     with warnings.catch_warnings(record=True) as told:
@@ -77,5 +75,5 @@ def test_every_sample_opens_whole_and_is_listed(name):
     assert f'"{name}"' in row
 
 
-def test_one_version():
+def test_the_version_is_the_same_everywhere():
     assert re.search(r"^version: (.*)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)[1] == xcg.__version__

@@ -27,9 +27,9 @@ import numpy as np
 import xarray as xr
 
 import xcg
+from tests import ROOT
 from tests.benchmarks.series import write_vtp_series
 
-ROOT = Path(__file__).parents[2]
 WIDTH = "0.75 d43"
 
 

@@ -1,14 +1,14 @@
 """Time of the search for contacts: pytest tests/benchmarks --benchmark-only."""
 
 import runpy
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests import ROOT
 from xcg.packing.pairs import find_pairs
 
-Packing = runpy.run_path(str(Path(__file__).parents[2] / "docs" / "contact_speed.py"))["Packing"]
+Packing = runpy.run_path(str(ROOT / "docs" / "contact_speed.py"))["Packing"]
 
 
 @pytest.mark.parametrize("method", ["hierarchical", "linked-cell"])

@@ -9,11 +9,12 @@ import traceback
 from collections.abc import Mapping
 from pathlib import Path
 
+from tests import ROOT
 from tests.fuzz.mutators import mutate
 from tests.fuzz.targets import TARGETS
 from xcg import SceneError
 
-_OWN = str(Path(__file__).parents[2] / "xcg")
+_OWN = str(ROOT / "xcg")
 
 
 def damaged(name: str, seeds: Mapping[str, bytes], rng: random.Random) -> dict[str, bytes]:

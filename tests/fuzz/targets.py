@@ -15,12 +15,17 @@ import numpy as np
 import pandas as pd
 
 import xcg
-from tests import dumps, real_data
+from tests import ROOT, dumps, real_data
 from tests.lammps_forms import binary_step, rows_of, write_netcdf
-from tests.test_mfix import OLD_ASCII, write_by_vtk, write_contacts, write_particles, write_pvd, write_vtp
-from tests.test_vtk_points import write_lines, write_spheres
-
-ROOT = Path(__file__).parents[2]
+from tests.readers.engines.test_mfix import (
+    OLD_ASCII,
+    write_by_vtk,
+    write_contacts,
+    write_particles,
+    write_pvd,
+    write_vtp,
+)
+from tests.readers.engines.test_vtk import write_lines, write_spheres
 
 
 class Escaped(AssertionError):

@@ -20,14 +20,14 @@ ROUNDING = 1e-10
 
 
 @REAL
-def test_continuity(name):
+def test_the_continuity_equation_holds(name):
     case = load(name)
     assert residuals.continuity(case.ds, case.width, case.points).relative < KINK
 
 
 @settings(deadline=None, max_examples=20)
 @given(case=SYNTHETIC)
-def test_continuity_of_any_scene(case):
+def test_the_continuity_equation_holds_for_any_scene(case):
     assert residuals.continuity(case.ds, case.width, case.points).relative < 2 * KINK
 
 
@@ -48,7 +48,7 @@ def test_kernel_gradient_closes_the_mass_balance(name):
 
 
 @REAL
-def test_mass_between_close_frames(name):
+def test_mass_is_balanced_between_close_frames(name):
     case = load(name)
     step = 0.05 * residuals.time_scale(case.ds, case.width)
     coarse, fine = residuals.mass_between_frames(case.ds, case.width, case.points, step, step / 2)
@@ -67,7 +67,7 @@ def second_order(coarse: residuals.Residual, fine: residuals.Residual) -> bool:
 
 
 @REAL
-def test_divergence_of_contact_stress(name):
+def test_divergence_of_contact_stress_is_the_force_density(name):
     case = load(name)
     assert residuals.stress_divergence(case.ds, case.width, case.points).relative < ROUNDING
 
@@ -108,7 +108,7 @@ def test_divergence_of_contact_stress_of_any_scene(case):
     assert residuals.stress_divergence(case.ds, case.width, case.points).relative < 1e-9
 
 
-def test_walls_are_seen():
+def test_wall_traction_is_a_large_part_of_the_balance_at_the_bottom():
     """At the bottom of a scene with walls the traction is a large part of the balance."""
     for case in (load("liggghts_box"), load("lammps_chute")):
         f = residuals.at_points(case.ds, ["wall_traction", "contact_stress"], case.points, width=case.width)
@@ -141,7 +141,7 @@ def test_quadrature_leaves_its_error_in_the_divergence(name):
         ("yade_periodic", {}, 1e-3, 0.05),
     ],
 )
-def test_static_equilibrium(name, which, of_field, of_grains):
+def test_stress_of_a_packing_at_rest_balances_gravity(name, which, of_field, of_grains):
     case = load(name, **which)
     left, unexplained, resultant = residuals.static_equilibrium(case.ds, case.width, case.points)
     assert resultant < of_grains
@@ -153,7 +153,7 @@ FLOWING = ["lammps_chute", "lammps_biaxial2d", "mfix_chute", "mercury_synthetic"
 
 
 @pytest.mark.parametrize("name", FLOWING)
-def test_what_does_not_rest_is_explained_by_the_resultants(name):
+def test_residuals_out_of_equilibrium_follow_from_resultant_forces(name):
     """Flowing, or without all forces: div sigma - rho g - t is what the grains' resultants and div sigma^k make."""
     case = load(name)
     left, unexplained, _ = residuals.static_equilibrium(case.ds, case.width, case.points)
@@ -168,7 +168,7 @@ def test_what_does_not_rest_is_explained_by_the_resultants(name):
 
 
 @REAL
-def test_momentum_between_close_frames(name):
+def test_momentum_is_balanced_between_close_frames(name):
     case = load(name)
     step = 0.05 * residuals.time_scale(case.ds, case.width, residuals.accelerations(case.ds))
     coarse, fine = residuals.momentum_between_frames(case.ds, case.width, case.points, step, step / 2)
@@ -179,7 +179,7 @@ def test_momentum_between_close_frames(name):
 
 @settings(deadline=None, max_examples=10)
 @given(case=SYNTHETIC)
-def test_momentum_between_close_frames_of_any_scene(case):
+def test_momentum_of_any_scene_is_balanced_between_close_frames(case):
     step = 0.02 * residuals.time_scale(case.ds, case.width, residuals.accelerations(case.ds))
     steps = step, step / 4, step / 16
     coarse, fine, finest = residuals.momentum_between_frames(case.ds, case.width, case.points, *steps)
@@ -190,7 +190,7 @@ def test_momentum_between_close_frames_of_any_scene(case):
     assert size[2] < size[1] / 8 + floor
 
 
-def test_balance_of_a_gravity_free_pair():
+def test_momentum_of_a_pair_without_gravity_is_balanced():
     """Two grains, one force: the stress lies along the branch, and its divergence is the pair of forces."""
     ds = xcg.scene_from_arrays(
         [[0.0, 0, 0], [1.0, 0, 0]], diameter=[1.0, 1.0], density=1.0, velocity=np.zeros((2, 3)),

@@ -86,7 +86,7 @@ def test_linear_flow_of_any_scene(seed, width, size):
     assert f["granular_temperature"] < 1e-12 * np.abs(gradient).max() ** 2
 
 
-def test_other_gradients_see_the_velocity_of_the_mean():
+def test_the_kernel_gradient_errs_where_grains_are_uneven():
     """The exact derivative of V(r) is not the rate of the flow: grains are not evenly spread (10 % at w = 0.75 d)."""
     ds = load("lammps_chute").ds
     points = inner(ds, 0.75, 6)
@@ -117,7 +117,7 @@ def test_one_grain_has_no_gradient_wherever_it_is(dimension):
 
 
 @pytest.mark.parametrize(("diameter", "bond"), [(1.0, 1.0), (1.0, 0.97), (3e-3, 2.9e-3)])
-def test_lattice_averaged_over_its_box(diameter, bond):
+def test_averages_over_a_lattice_box_have_closed_forms(diameter, bond):
     ds = xcg.datasets.face_centred_cubic(3, diameter=diameter, bond=bond, force=2.5)
     f = ds.cg.coarse_grain(["volume_fraction", "stress", "coordination_number", "pressure"], width=diameter, axes="")
     assert f.volume_fraction.item() == pytest.approx(np.pi / (3 * np.sqrt(2)) * (diameter / bond) ** 3, rel=1e-13)
@@ -128,7 +128,7 @@ def test_lattice_averaged_over_its_box(diameter, bond):
     assert f.coordination_number.item() == pytest.approx(12)
 
 
-def test_layer_averaged_over_its_box():
+def test_averages_over_a_layer_box_have_closed_forms():
     """A square lattice of discs: traces run over the two axes of the plane, and the thickness divides."""
     n, bond, force, speed, thickness = 6, 0.9, 1.5, 0.4, 0.25
     i, j = np.divmod(np.arange(n * n), n)

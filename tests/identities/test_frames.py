@@ -135,7 +135,7 @@ def test_turned_scenes_have_turned_fields(angle, mirror):
     seed=st.integers(0, 10_000), angle=st.floats(0, 6.3), azimuth=st.floats(0, 6.3), polar=st.floats(0, 3.1),
     mirror=st.booleans(), dimension=st.sampled_from([2, 3]),
 )  # fmt: skip
-def test_turned_scenes_have_turned_fields_whatever_the_scene(seed, angle, azimuth, polar, mirror, dimension):
+def test_turned_scenes_have_turned_fields_for_any_scene(seed, angle, azimuth, polar, mirror, dimension):
     axis = (0, 0, 1) if dimension == 2 else (
         np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)
     )  # fmt: skip

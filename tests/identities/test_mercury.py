@@ -50,7 +50,7 @@ def assert_close(found, expected, name):
 
 @pytest.mark.filterwarnings("ignore:.*NaN, as no axis is resolved")  # of O, the mean of all
 @pytest.mark.parametrize("coordinates", COORDINATES)
-def test_columns(reference, coordinates):
+def test_fields_equal_the_columns_of_mercury(reference, coordinates):
     columns, points, kinetic, cutoff, _ = case_of(reference, coordinates)
     f = with_flux(evaluate("" if coordinates == "O" else coordinates.lower(), points, cutoff))
     assert_close(f["volume_fraction"], columns["VolumeFraction"], "VolumeFraction")

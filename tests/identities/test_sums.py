@@ -19,14 +19,14 @@ SUM = {2: 4e-11, 3: 4e-12}
 
 
 @REAL
-def test_mass(name):
+def test_integral_of_density_is_the_mass(name):
     case = load(name)
     assert residuals.mass(case.ds, case.width).relative < SUM[case.ds.attrs["dimension"]]
 
 
 @settings(deadline=None, max_examples=10)
 @given(case=SYNTHETIC)
-def test_mass_of_any_scene(case):
+def test_integral_of_density_of_any_scene_is_the_mass(case):
     assert residuals.mass(case.ds, case.width).relative < SUM[case.ds.attrs["dimension"]]
 
 
@@ -78,7 +78,7 @@ def test_shifted_scenes_have_shifted_fields(name, seed):
 
 @settings(deadline=None, max_examples=10)
 @given(case=SYNTHETIC)
-def test_shifted_scenes_have_shifted_fields_whatever_the_scene(case):
+def test_shifted_scenes_have_shifted_fields_for_any_scene(case):
     assert residuals.periodicity(case.ds, case.width, case.points).relative < SHIFT
 
 
@@ -98,7 +98,7 @@ def test_marginals_are_integrals(name):
 
 @settings(deadline=None, max_examples=10)
 @given(case=SYNTHETIC)
-def test_marginals_are_integrals_whatever_the_scene(case):
+def test_marginals_are_integrals_for_any_scene(case):
     assert residuals.marginals(case.ds, case.width, case.points[0]).relative < MARGINAL
 
 
@@ -119,19 +119,19 @@ def test_marginals_of_kernels_that_jump(kernel):
 
 
 @REAL
-def test_virial(name):
+def test_integral_of_contact_stress_is_the_virial(name):
     case = load(name)
     assert residuals.virial(case.ds, case.width).relative < SUM[case.ds.attrs["dimension"]]
 
 
 @settings(deadline=None, max_examples=10)
 @given(case=SYNTHETIC)
-def test_virial_of_any_scene(case):
+def test_integral_of_contact_stress_of_any_scene_is_the_virial(case):
     assert residuals.virial(case.ds, case.width).relative < SUM[case.ds.attrs["dimension"]]
 
 
 @pytest.mark.parametrize(("rtol", "rounding"), [(9e-5, SUM[3]), (1e-2, 1e-7)])
-def test_virial_with_quadrature(rtol, rounding):
+def test_integral_of_contact_stress_by_quadrature_is_the_virial(rtol, rounding):
     """A quadrature keeps the integral of every segment: its weights add up to 1, wherever its points are.
 
     They do so to the rounding of the weights, which are in single precision from rtol = 1e-4 on.

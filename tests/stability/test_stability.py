@@ -7,14 +7,14 @@ from tests.stability.physical import LIMITS
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda c: c.__name__)
-def test_naive_fails_and_xcg_does_not(case):
+def test_naive_sums_lose_digits_and_xcg_keeps_them(case):
     result = case()
     assert result.naive > 5 * result.bound, result
     assert result.ours <= result.bound, result
 
 
 @pytest.mark.parametrize("limit", LIMITS, ids=lambda c: c.__name__)
-def test_the_stated_error_is_that_of_the_field(limit):
+def test_the_stated_error_equals_that_of_the_field(limit):
     found = limit()
     low, high = found.ratio
     assert found.true > 0.01

@@ -1,7 +1,7 @@
 """exp, erf, angles and logarithms by arithmetic alone, without branches: loops that take them become vector instructions.
 
 Each is compiled into the loop that calls it. Compiled or not they give the same bits, on every machine.
-`tests/test_elementary.py` measures the errors stated here.
+`tests/compiled/test_elementary.py` measures the errors stated here.
 """
 
 import math

@@ -1,0 +1,45 @@
+"""Frozen dataclasses: those with arrays are compared by identity, and the options of the algebra by their values."""
+
+import ast
+import pickle
+
+import pytest
+
+import xcg
+from tests import ROOT
+from xcg.fields.formulas.program import program_for
+from xcg.fields.plan import _options_of as options_of
+from xcg.fields.request import Request
+from xcg.scene.description import describe
+
+PACKAGE = ROOT / "xcg"
+
+
+def _with_arrays():
+    for path in sorted(PACKAGE.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if not isinstance(node, ast.ClassDef):
+                continue
+            decorators = [ast.unparse(one) for one in node.decorator_list]
+            types = [ast.unparse(one.annotation) for one in node.body if isinstance(one, ast.AnnAssign)]
+            arrays = any("NDArray" in one and "Callable" not in one for one in types)
+            if arrays and any(one.startswith("dataclass") for one in decorators):
+                yield f"{path.relative_to(PACKAGE)}: {node.name}", decorators
+
+
+def test_dataclasses_that_hold_arrays_have_no_equality():
+    """`==` of arrays is an array, so that comparing two of them would raise."""
+    assert [name for name, decorators in _with_arrays() if not any("eq=False" in one for one in decorators)] == []
+
+
+@pytest.mark.parametrize("size", ["d43", "dmax"])
+def test_options_equal_themselves_in_another_process(size):
+    ds = xcg.datasets.simple_cubic(3)
+    if size == "d43":
+        ds = ds.drop_vars("diameter").drop_attrs(deep=False).assign_attrs(periodic="xyz")
+    options = options_of(describe(ds), Request(size=size))
+    assert (options.diameter is None) == (size == "d43")
+    again = pickle.loads(pickle.dumps(options))
+    assert again == options
+    assert hash(again) == hash(options)
+    assert program_for(("density",), again) is program_for(("density",), options)  # traced once a process

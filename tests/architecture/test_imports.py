@@ -1,0 +1,222 @@
+"""The rooms of the package stay apart, and the import stays light."""
+
+import ast
+import subprocess
+import sys
+
+import pytest
+
+from tests import ROOT
+
+PACKAGE = ROOT / "xcg"
+
+# floors from the ground up; a room imports only from lower floors, so that the wings of one floor know nothing of each
+# other
+FLOORS = [
+    ["compiled", "common"],
+    ["scene"],
+    ["steps"],
+    ["fields", "packing", "chains", "readers"],
+    ["datasets", "writers"],
+    ["accessor"],
+    ["__init__"],
+    ["jobs"],
+    ["cli"],
+]
+
+# floors within the largest rooms
+INSIDE = {
+    "fields": [
+        ["sums"],
+        ["grids", "formulas"],
+        ["request"],
+        ["layout"],
+        ["plan"],
+        ["evaluate", "accessible", "presets"],
+        ["coarse_grain"],
+        ["analysis"],
+        ["__init__"],
+    ],
+    "readers": [
+        ["engine"],
+        ["files", "index"],
+        ["paths"],
+        ["columns"],
+        ["engines"],
+        ["lazy"],
+        ["pairs"],
+        ["saved"],
+        ["series"],
+        ["backend", "from_table", "live"],
+        ["__init__"],
+    ],
+}
+
+
+def run(code):
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+
+
+def test_compiled_loops_import_neither_xarray_nor_dask():
+    code = """
+import sys
+for name in ("xarray", "dask", "pandas", "vtk"):
+    sys.modules[name] = None
+"""
+    # importing xcg itself would pull xarray in, so its __init__ is left out
+    stub = f"import sys, types; p = types.ModuleType('xcg'); p.__path__ = [{str(PACKAGE)!r}]; sys.modules['xcg'] = p\n"
+    names = [f.stem for f in sorted((PACKAGE / "compiled").glob("[a-z]*.py"))]
+    done = run(stub + code + "\n".join(f"import xcg.compiled.{n}" for n in names))
+    assert names
+    assert done.returncode == 0, done.stderr
+
+
+def test_import_of_the_package_loads_no_heavy_library():
+    heavy = ("vtk", "vtkmodules", "matplotlib", "sklearn", "h5py", "click", "dask", "numba", "scipy")
+    done = run(f"import sys, xcg; print([m for m in {heavy} if m in sys.modules])")
+    assert done.stdout.strip() == "[]", done.stdout + done.stderr
+
+
+@pytest.mark.parametrize(
+    ("folder", "floors"),
+    [(PACKAGE, FLOORS), *((PACKAGE / room, floors) for room, floors in INSIDE.items())],
+)
+def test_all_rooms_and_modules_are_listed(folder, floors):
+    found = {f.stem for f in folder.iterdir() if f.suffix == ".py" or (f.is_dir() and any(f.glob("*.py")))}
+    assert found == {room for floor in floors for room in floor}
+
+
+def _imports():
+    """Pairs (module, module that it imports), each as its path of names below xcg."""
+    for path in sorted([*PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.pyi")]):
+        own = path.relative_to(PACKAGE).with_suffix("").parts
+        for node in ast.walk(ast.parse(path.read_text())):
+            name = (node.module or "") if isinstance(node, ast.ImportFrom) else ""
+            if isinstance(node, ast.ImportFrom) and node.level:  # in the stub of xcg alone
+                name = f"xcg.{name}".strip(".")
+            if isinstance(node, ast.ImportFrom) and name.split(".")[0] == "xcg":
+                module = tuple(name.split(".")[1:])
+                for alias in node.names:
+                    deeper = (*module, alias.name)
+                    is_module = (
+                        PACKAGE.joinpath(*deeper).is_dir() or PACKAGE.joinpath(*deeper).with_suffix(".py").exists()
+                    )
+                    yield own, deeper if is_module else module or ("__init__",)
+            elif isinstance(node, ast.Import) and any(alias.name == "xcg" for alias in node.names):
+                yield own, ("__init__",)
+
+
+def _floor(room, floors):
+    found = [k for k, floor in enumerate(floors) if room in floor]
+    assert found, f"{room} stands on no floor: add it to the list of floors"
+    return found[0]
+
+
+def test_imports_only_go_down_and_wings_stay_apart():
+    for own, target in _imports():
+        floors = FLOORS
+        if own[0] == target[0] in INSIDE and len(own) > 1 and len(target) > 1:
+            own, target, floors = own[1:], target[1:], INSIDE[own[0]]
+        if own[0] != target[0]:
+            assert _floor(target[0], floors) < _floor(own[0], floors), f"{'.'.join(own)} imports {'.'.join(target)}"
+
+
+def test_no_module_imports_itself_in_a_circle():
+    graph, done = {}, set()
+    for own, target in _imports():
+        graph.setdefault(own, set()).add(target)
+
+    def visit(module, path):
+        if module in path:
+            pytest.fail(" -> ".join(".".join(m) for m in (*path[path.index(module) :], module)))
+        if module not in done:
+            for target in sorted(graph.get(module, ())):
+                visit(target, (*path, module))
+            done.add(module)
+
+    for module in sorted(graph):
+        visit(module, ())
+
+
+# pairs of names that are not twins, in rooms that are still being joined
+NOT_TWINS = {"contacts", "displacement", "lammps", "pairs", "plots"}
+NAMED_TWICE = {"Table"}
+
+
+def test_modules_of_one_name_are_a_module_and_its_loops():
+    homes = {}
+    for path in PACKAGE.rglob("[a-z]*.py"):
+        homes.setdefault(path.stem, []).append(path.parent.name)
+    shared = {name: rooms for name, rooms in homes.items() if len(rooms) > 1}
+    others = {name for name, rooms in shared.items() if len(rooms) > 2 or "compiled" not in rooms}
+    assert others <= NOT_TWINS, {name: shared[name] for name in others - NOT_TWINS}
+
+
+def test_classes_have_names_of_their_own():
+    seen, twice = set(), set()
+    for path in PACKAGE.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ClassDef):
+                (twice if node.name in seen else seen).add(node.name)
+    assert twice <= NAMED_TWICE, twice - NAMED_TWICE
+
+
+def test_kernel_means_the_smoothing_function_alone():
+    for path in PACKAGE.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import | ast.ImportFrom):
+                assert "kernel" not in {alias.asname for alias in node.names}, path
+
+
+def test_completion_shows_public_names_only():
+    done = run("import xcg; print(set(dir(xcg)) == set(xcg.__all__) | {'__version__'}, sorted(dir(xcg)))")
+    assert done.stdout.startswith("True"), done.stdout + done.stderr
+
+
+def test_names_are_imported_from_where_the_stub_says():
+    stub = ast.parse((PACKAGE / "__init__.pyi").read_text())
+    told = [ast.literal_eval(node.value) for node in stub.body if isinstance(node, ast.Assign)]
+    done = run("import xcg; print(xcg.__all__)")
+    assert [ast.literal_eval(done.stdout)] == [sorted(names) for names in told], done.stdout + done.stderr
+    done = run("import xcg; print({name for name in xcg.__all__ if getattr(xcg, name, None) is None})")
+    assert done.stdout.strip() == "set()", done.stdout + done.stderr
+
+
+def test_unknown_names_raise_attribute_error():
+    done = run("import xcg; xcg.schema")
+    assert "AttributeError: No xcg attribute schema" in done.stderr
+
+
+def test_every_dataset_has_the_accessor_once_the_package_is_imported():
+    done = run("import xarray as xr, xcg; print(type(xr.Dataset().cg).__name__)")
+    assert done.stdout.strip() == "CoarseGrainAccessor", done.stdout + done.stderr
+
+
+def test_a_method_loads_only_the_rooms_it_uses():
+    rooms = ("chains", "packing", "readers", "writers", "datasets", "fields.analysis")
+    code = (
+        "import sys, xarray as xr, xcg; xr.Dataset().cg.coarse_grain; print('xcg.fields.coarse_grain' in sys.modules, "
+    )
+    done = run(code + f"[m for m in sys.modules if m.startswith(tuple('xcg.' + room for room in {rooms}))])")
+    assert done.stdout.strip() == "True []", done.stdout + done.stderr
+
+
+def test_the_stub_lists_each_method_of_the_accessor():
+    told, has = (
+        {target.id for node in ast.walk(ast.parse((PACKAGE / file).read_text())) if isinstance(node, ast.ClassDef)
+         and node.name == "CoarseGrainAccessor" for line in node.body if isinstance(line, ast.Assign)
+         for target in line.targets if isinstance(target, ast.Name)}
+        for file in ("accessor.pyi", "accessor.py")
+    )  # fmt: skip
+    assert told == has != set()
+    homes = {
+        alias.name: node.module
+        for node in ast.parse((PACKAGE / "accessor.pyi").read_text()).body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+    done = run(
+        "from xcg.accessor import CoarseGrainAccessor as cg, Method; "
+        "print({name: m.module for name, m in vars(cg).items() if isinstance(m, Method)})"
+    )
+    assert ast.literal_eval(done.stdout) == {name: homes[name] for name in has}

@@ -1,0 +1,86 @@
+from __future__ import annotations
+
+import runpy
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+
+import xcg
+from tests import ROOT
+from tests.networks import fork
+
+mpl.use("agg")
+plt = pytest.importorskip("matplotlib.pyplot")
+
+
+@pytest.fixture(autouse=True)
+def _close():
+    yield
+    plt.close("all")
+
+
+@pytest.mark.parametrize("colour", ["stress", "chain"])
+def test_plot_chains(colour):
+    fc = fork().cg.force_chains()
+    ax = fc.cg.plot_chains(colour=colour)
+    grains, links = ax.collections
+    assert len(grains.get_offsets()) == 9
+    assert len(links.get_segments()) == 8
+    # the strongest links are the thickest
+    assert np.argmax(links.get_linewidths()) in (0, 1)
+    ax.figure.canvas.draw()
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("$x$ [m]", "$y$ [m]")
+    if colour == "stress":
+        assert links.colorbar.ax.get_ylabel() == "most compressive principal stress [Pa]"
+
+
+def test_pictures_have_figures_of_their_own():
+    """They do not paint over the current one."""
+    fc = fork().cg.force_chains()
+    mine = plt.figure().add_subplot()
+    drawn = [fc.cg.plot_chains(), fc.cg.plot_lengths(), fc.cg.plot_rose(), fc.cg.plot_rose()]
+    assert not [*mine.collections, *mine.lines, *mine.patches]
+    assert len({ax.figure for ax in [mine, *drawn]}) == 5
+    assert drawn[2].name == "polar"
+
+
+def test_plot_lengths():
+    ax = fork().cg.force_chains().cg.plot_lengths()
+    assert ax.lines[-1].get_xydata().tolist() == [[9, 1]]
+
+
+def test_plot_rose():
+    ax = fork().cg.force_chains().cg.plot_rose(bins=12)
+    heights = np.array([petal.get_height() for petal in ax.patches])
+    assert heights.sum() == pytest.approx(1)
+    np.testing.assert_allclose(heights[:6], heights[6:])  # both ways
+
+
+def test_plots_of_no_chains_are_empty():
+    fc = fork().cg.force_chains(threshold=1e9)
+    fc.cg.plot_chains()
+    fc.cg.plot_rose(ax=plt.figure().add_subplot(projection="polar"))
+    fc.cg.plot_lengths(ax=plt.figure().add_subplot())
+
+
+def test_the_example_script_runs(tmp_path, capsys):
+    """Chains of a sheared layer lie along the compressive diagonal."""
+    example = runpy.run_path(str(ROOT / "examples" / "force_chains.py"))
+    example["main"](tmp_path)
+    assert "links point at 138 degrees, the mean stress at 140" in capsys.readouterr().out
+    assert (tmp_path / "chains.png").stat().st_size > 1e5
+
+
+def test_wrong_plots_raise():
+    fc = fork().cg.force_chains()
+    with pytest.raises(ValueError, match="colour='red'"):
+        fc.cg.plot_chains(colour="red")
+    with pytest.raises(ValueError, match="bins=7: expected an even number"):
+        fc.cg.plot_rose(bins=7)
+    with pytest.raises(ValueError, match="plane='xx': expected two axes"):
+        fc.cg.plot_rose(plane="xx")
+    with pytest.raises(ValueError, match="time=1: expected the position of a step, from -1 to 0"):
+        fc.cg.plot_rose(time=1)
+    with pytest.raises(ValueError, match="plot_chains draws one-layer scenes"):
+        xcg.datasets.random_scene(20).cg.force_chains().cg.plot_chains()

@@ -1,0 +1,108 @@
+"""Warnings point at the line of the caller, and come once a call."""
+
+import pickle
+from concurrent.futures import ThreadPoolExecutor
+
+import dask
+import distributed
+import numpy as np
+import pytest
+
+import xcg
+from xcg.common.messages import Once, warn_once, warn_user
+from xcg.steps.faults import SkippedStep
+from xcg.steps.mapping import map_over_time
+
+
+def line_of(record, text):
+    """Line of this file that a warning points at."""
+    assert record.filename == __file__, record
+    with open(__file__) as stream:
+        return text in stream.readlines()[record.lineno - 1]
+
+
+def doubtful(arrays):
+    for number in arrays["step"]:
+        warn_once("doubt", f"step {number} is doubtful")
+    return {"a": np.zeros(len(arrays["step"]))}
+
+
+def mapped(ds):
+    return map_over_time(ds, ["position", "step"], doubtful, {"a": ((), "float64")}, "doubtful")["a"]
+
+
+def without_box():
+    """A scene whose step cannot be computed."""
+    ds = xcg.datasets.simple_cubic(3)
+    return ds.assign(box=np.nan * ds.box)
+
+
+@pytest.fixture
+def ds():
+    return xcg.scene_from_arrays(np.zeros((6, 1, 3)), diameter=np.ones((6, 1)), density=1.0)
+
+
+def test_warnings_point_at_the_line_of_the_call(ds):
+    options = {"spacing": 9.0, "width": 1.0, "bounds": {"z": (-9, 9)}, "axes": "z", "extent": {"x": 1, "y": 1}}
+    with pytest.warns(xcg.SceneWarning, match="larger than the support") as said:
+        ds.cg.coarse_grain("density", **options)  # by the accessor
+    assert len(said) == 1
+    assert line_of(said[0], "# by the accessor")
+    with pytest.warns(xcg.SceneWarning, match="larger than the support") as said:
+        xcg.coarse_grain(ds, "density", **options)  # as a function
+    assert line_of(said[0], "# as a function")
+
+
+def test_a_call_in_memory_warns_once(ds):
+    with pytest.warns(xcg.SceneWarning, match="step 0 is doubtful") as said:
+        mapped(ds)
+    assert len(said) == 1
+    with pytest.warns(xcg.SceneWarning):  # another call, another warning
+        mapped(ds)
+
+
+@pytest.mark.parametrize("scheduler", ["threads", "sync"])
+def test_a_lazy_call_warns_once(ds, scheduler):
+    a = mapped(ds.chunk(time=1))
+    with pytest.warns(xcg.SceneWarning, match="is doubtful") as said, dask.config.set(scheduler=scheduler):
+        a.compute()
+    assert len(said) == 1
+
+
+@pytest.mark.parametrize("scheduler", ["threads", "sync"])
+def test_warnings_of_lazy_calls_point_at_the_line_that_computes(scheduler):
+    f = without_box().chunk(time=1).cg.coarse_grain("density", axes="z", on_error="skip")
+    with pytest.warns(SkippedStep) as said, dask.config.set(scheduler=scheduler):
+        f.compute()  # here
+    assert line_of(said[0], "# here")
+
+
+def test_equal_calls_have_equal_names_in_dask(ds):
+    lazy = ds.chunk(time=1)
+    assert mapped(lazy).name == mapped(lazy).name
+
+
+def test_unpickled_copies_do_not_repeat_a_warning():
+    once = Once()
+    copy = pickle.loads(pickle.dumps(once))
+    with pytest.warns(xcg.SceneWarning, match="first"):
+        once.warn("a", "first")
+    copy.warn("a", "second")  # a warning would be an error
+    with pytest.warns(xcg.SceneWarning, match="third"):
+        copy.warn("b", "third")
+
+
+def test_warnings_from_a_user_thread_point_at_its_line():
+    def work():
+        warn_user("from a thread")  # the thread's own line
+
+    with pytest.warns(xcg.SceneWarning) as said, ThreadPoolExecutor(1) as pool:
+        pool.submit(work).result()
+    assert line_of(said[0], "# the thread's own line")
+
+
+def test_warnings_of_workers_reach_the_client():
+    cluster = distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=True, dashboard_address=":0")
+    f = without_box().chunk(time=1).cg.coarse_grain("density", axes="z", on_error="skip")
+    with cluster, distributed.Client(cluster), pytest.warns(SkippedStep, match="no finite extent"):
+        f.compute()

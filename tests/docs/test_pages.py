@@ -1,0 +1,120 @@
+"""Generated pages are what their scripts write, and links in the documentation lead somewhere."""
+
+import inspect
+import pkgutil
+import re
+import runpy
+
+import pytest
+
+from tests import ROOT
+
+
+def test_table_of_fields_is_current():
+    pages = runpy.run_path(str(ROOT / "docs" / "fields.py"))["pages"]()
+    assert len(pages) == 2
+    for path, text in pages.items():
+        assert path.read_text() == text, "run python docs/fields.py"
+
+
+def anchors_of(path):
+    """Anchors that Sphinx makes of the headings of a page."""
+    text = re.sub(r"```.*?```", "", path.read_text(), flags=re.DOTALL)
+    titles = [re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", title) for title in re.findall(r"^#+ (.*)$", text, re.MULTILINE)]
+    return {re.sub(r"[^\w\- ]", "", title.strip().lower()).replace(" ", "-") for title in titles}
+
+
+@pytest.mark.parametrize("page", ["README.md", *(f"docs/{p.name}" for p in (ROOT / "docs").glob("*.md"))])
+def test_links_have_targets(page):
+    path = ROOT / page
+    for target, anchor in re.findall(r"\]\(([^)#\s]*)#?([^)\s]*)\)", path.read_text()):
+        if not target.startswith("http"):
+            there = path.parent / target if target else path
+            assert there.exists(), f"{page} links to {target}"
+            assert not anchor or anchor in anchors_of(there), f"{page} links to {target}#{anchor}"
+
+
+def test_page_on_scale_counts_the_fields():
+    import xcg
+
+    f = xcg.datasets.random_scene(20).cg.coarse_grain(axes="z", width=1.0)
+    components = sum(field.isel(time=0, z=0).size for field in f.data_vars.values())
+    assert f"All {len(f.data_vars)} fields have {components} components" in (ROOT / "docs" / "scale.md").read_text()
+
+
+def test_entries_of_the_glossary_are_whole():
+    _, entries = (ROOT / "docs" / "glossary.md").read_text().split("{.glossary}\n")
+    for entry in entries.strip().split("\n\n"):
+        term, first, *rest = entry.split("\n")
+        assert not term.startswith((":", " "))
+        assert " : " not in term
+        assert first.startswith(": "), term
+        assert all(line.startswith("  ") for line in rest), term
+
+
+def test_every_function_has_an_example_on_a_page():
+    import xcg
+
+    pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
+    blocks = "".join(code for page in pages for code in re.findall(r"```.*?\n(.*?)```", page.read_text(), re.DOTALL))
+    functions = [n for n in xcg.__all__ if inspect.isfunction(getattr(xcg, n))]
+    methods = [n for n in dir(xcg.CoarseGrainAccessor) if not n.startswith("_")]
+    assert [n for n in functions if not re.search(rf"\.{n}\(", blocks)] == []
+    assert [n for n in methods if not re.search(rf"\.cg\.{n}\(", blocks)] == []
+
+
+def test_glossary_is_a_list_of_terms():
+    text = (ROOT / "docs" / "glossary.md").read_text().partition("{.glossary}\n")[2]
+    terms = []
+    for entry in text.strip().split("\n\n"):
+        term, meaning, *rest = entry.split("\n")
+        assert meaning.startswith(": "), entry
+        assert all(line.startswith("  ") for line in rest), entry
+        terms.append(term)
+    assert terms == sorted(terms, key=str.lower)
+
+
+def test_every_public_name_has_a_page():
+    import xcg
+
+    listed = set(re.findall(r"^   ([\w.]+)$", (ROOT / "docs" / "api.md").read_text(), re.MULTILINE))
+    modules = {"FIELDS", "datasets", "readers"}  # FIELDS has the page on fields
+    assert set(xcg.__all__) - modules <= listed
+    for name in listed:
+        assert pkgutil.resolve_name(f"xcg.{name}").__doc__, name
+
+
+@pytest.mark.parametrize(
+    ("formula", "expected"),
+    [
+        ("rho_p = rho / phi", r"$\rho_{p} = \dfrac{\rho}{\phi}$"),
+        ("d32 = sum d_i^3 Psi / sum d_i^2 Psi", r"$d_{32} = \dfrac{\sum d_{i}^{3} \Psi}{\sum d_{i}^{2} \Psi}$"),
+        (
+            "dev sigma = sigma - tr(sigma) / D I",
+            r"$\operatorname{dev} \sigma = \sigma - \dfrac{\operatorname{tr} (\sigma)}{D} I$",
+        ),
+        ("sum (m_i v_i^2 + b) / 2 v_i Psi", r"$\sum \dfrac{m_{i} v_{i}^{2} + b}{2} v_{i} \Psi$"),
+        (
+            "mu = |dev sigma| / p, where p > 0",
+            r"$\mu = \dfrac{\lvert \operatorname{dev} \sigma \rvert}{p}$, where $p > 0$",
+        ),
+        ("n_c <f.n>, a = 3, or 1 in a plane", r"$n_{c} \langle f \cdot n \rangle$, $a = 3$, or $1$ in a plane"),
+        ("sqrt(p / rho_p) M^-1", r"$\sqrt{\dfrac{p}{\rho_{p}}} M^{-1}$"),
+    ],
+)
+def test_formulas_become_mathematics(formula, expected):
+    from docs.formula import mathematics
+
+    assert mathematics(formula) == expected
+
+
+def test_all_formulas_are_whole_mathematics():
+    from docs.formula import mathematics
+    from xcg.fields.formulas.registry import FIELDS, listed
+
+    for name in listed(registered=False):
+        text = mathematics(FIELDS[name].formula)
+        assert text.count("$") % 2 == 0, name
+        for part in re.findall(r"\$(.*?)\$", text):
+            assert part.count("{") == part.count("}"), (name, part)
+            assert "/" not in part.replace("//", ""), (name, part)

@@ -1,0 +1,445 @@
+"""Pictures and movies show the numbers of a result, and packages that are missing are named with what to install."""
+
+from __future__ import annotations
+
+import itertools
+import re
+import sys
+import tomllib
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+import xarray as xr
+
+import xcg
+from tests import ROOT
+from xcg.common.drawing import unit_text
+from xcg.scene.schema import units_of
+
+mpl.use("agg")
+plt = pytest.importorskip("matplotlib.pyplot")
+
+
+@pytest.fixture(autouse=True)
+def _close():
+    yield
+    plt.close("all")
+
+
+@pytest.fixture(scope="module")
+def result():
+    """Three steps of random grains; those of the second are twice as fast, of the third four times."""
+    ds = xcg.datasets.random_scene(200, seed=3)
+    steps = [ds.assign(velocity=2.0**k * ds.velocity).assign_coords(time=[float(k)]) for k in range(3)]
+    scene = xr.concat(steps, "time", data_vars="all", coords="minimal", compat="override", join="override")
+    fields = ["volume_fraction", "velocity", "stress", "density"]
+    return scene, scene.cg.coarse_grain(fields, axes="xz", at={"y": 2.5}, width=1.0).compute()
+
+
+def test_a_map_shows_the_field_with_arrows_of_the_flow(result):
+    _, f = result
+    ax = f.cg.plot(time=1, arrows="velocity", shading="flat")
+    mesh, arrows = ax.collections
+    np.testing.assert_array_equal(mesh.get_array(), f.volume_fraction.isel(time=1).transpose("z", "x"))
+    flow = f.velocity.isel(time=1).transpose("z", "x", "component").to_numpy()
+    every = max(1, round(max(f.sizes["x"], f.sizes["z"]) / 20))
+    shown_arrows = flow[every // 2 :: every, every // 2 :: every]
+    # all but those of a tenth of the fastest
+    fastest = np.percentile(np.hypot(flow[..., 0], flow[..., 2]), 98)
+    moving = np.hypot(shown_arrows[..., 0], shown_arrows[..., 2]) >= 0.1 * fastest
+    np.testing.assert_array_equal(arrows.U, shown_arrows[moving][:, 0])
+    np.testing.assert_array_equal(arrows.V, shown_arrows[moving][:, 2])
+    assert ax.get_title() == "time = 1, y = 2.5 m"
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("$x$ [m]", "$z$ [m]")
+    assert ax.figure.axes[1].get_ylabel() == "volume fraction"
+
+
+def test_a_map_over_radius_and_height():
+    """r is across, z up, and arrows have the components along both."""
+    ds = xcg.datasets.random_scene(60, seed=1, periodic="", gravity=(0, 0, -1))
+    frame = xcg.Cylindrical(origin=(2.5, 2.5, 0))
+    ends = {"r": (0.0, 2.0), "z": (1.0, 4.0)}
+    f = ds.cg.coarse_grain(["density", "velocity"], axes="rz", frame=frame, bounds=ends, width=1.0, spacing=0.5)
+    ax = f.cg.plot("density", arrows="velocity", shading="flat")
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("$r$ [m]", "$z$ [m]")
+    mesh, arrows = ax.collections
+    np.testing.assert_array_equal(mesh.get_array(), f.density.isel(time=-1).transpose("z", "r"))
+    flow = f.velocity.isel(time=-1)
+    for (r, z), rise in zip(arrows.get_offsets(), arrows.V, strict=True):
+        assert rise == flow.sel(r=r, z=z, component="z").item()
+    assert len(arrows.V) > 20
+
+
+def test_a_map_over_radius_and_angle_lies_in_the_plane_of_the_circle():
+    """In a drum that turns as one body the arrows are at right angles to the radius, as long as it is."""
+    ds = xcg.datasets.random_scene(400, seed=1, periodic="z")
+    around = ds.position - xr.DataArray([2.5, 2.5, 0.0], dims="component")
+    spin = xr.DataArray([[0.0, -1, 0], [1, 0, 0], [0, 0, 0]], dims=("component", "c"))
+    ds = ds.assign(velocity=xr.dot(spin, around.rename(component="c"), dim="c").transpose(*ds.position.dims))
+    frame = xcg.Cylindrical(origin=(2.5, 2.5, 0))
+    f = ds.cg.coarse_grain(["density", "velocity"], axes="rt", frame=frame, bounds={"r": (0, 2)}, width=0.6).compute()
+    ax = f.cg.plot("density", arrows="velocity", shading="flat")
+    assert (ax.get_xlabel(), ax.get_ylabel()) == (r"$r\,\cos\theta$ [m]", r"$r\,\sin\theta$ [m]")
+    mesh, arrows = ax.collections
+    np.testing.assert_array_equal(mesh.get_array(), f.density.isel(time=-1).transpose("theta", "r"))
+    corner = mesh.get_coordinates()
+    first, last = f.theta.to_numpy()[[0, -1]]
+    np.testing.assert_allclose(np.hypot(*corner[:, -1].T), f.r[-1] + (f.r[1] - f.r[0]) / 2)  # the rim
+    np.testing.assert_allclose(np.arctan2(*corner[0, -1, ::-1]), first - (2 * np.pi - last) / 2, atol=1e-12)
+    flow, place = np.stack([arrows.U, arrows.V], -1), arrows.get_offsets()
+    known = np.isfinite(flow).all(-1)
+    assert known.sum() > 100
+    across = np.stack([-place[known, 1], place[known, 0]], -1)
+    size = np.linalg.norm(flow[known], axis=-1)
+    # the mean velocity is that of the grains' centre, which is some way beside the node
+    assert np.mean((flow[known] * across).sum(-1) / size / np.linalg.norm(across, axis=-1)) > 0.95
+    with pytest.raises(ValueError, match="draws along one or two of r, theta, x, y, z"):
+        f.isel(r=1, theta=2).cg.plot("density")
+
+
+def test_a_cylindrical_wall_is_unrolled():
+    ds = xcg.datasets.open("silo")
+    side = xcg.Cylinder((0, 0, 0), (0, 0, 1), radius=0.025, low=0.0, high=0.24)
+    f = ds.cg.wall_stress(side, 0.01, walls="side").compute()
+    ax = f.cg.plot("normal_traction", shading="flat")
+    (mesh,) = ax.collections
+    np.testing.assert_array_equal(mesh.get_array(), f.normal_traction[0].transpose("z", "theta"))
+    assert (ax.get_xlabel(), ax.get_aspect()) == (r"$\theta$ [rad]", "auto")
+    with pytest.raises(ValueError, match=r"f\.sel\(along=...\)"):
+        f.cg.plot("shear_traction")
+
+
+def test_maps_of_vectors_show_the_magnitude_and_signed_maps_are_white_at_zero(result):
+    _, f = result
+    (mesh, _) = f.cg.plot("velocity", shading="flat").collections
+    np.testing.assert_allclose(mesh.get_array(), np.sqrt((f.velocity[-1] ** 2).sum("component")).transpose("z", "x"))
+    plt.figure()
+    (mesh,) = f.cg.plot("stress", component="x", direction="z").collections
+    low, high = mesh.get_clim()
+    assert low == -high
+    assert high == pytest.approx(float(np.abs(f.stress[-1].sel(component="x", direction="z")).max()))
+
+
+def test_a_profile_has_a_band_of_one_standard_error(result):
+    scene, _ = result
+    p = scene.cg.coarse_grain(["velocity", "density"], axes="z", width=1.0).compute().cg.time_average()
+    ax = p.cg.plot("velocity", component="x")
+    (line,), (band,) = ax.lines, ax.collections
+    value, error = (p[name].sel(component="x") for name in ("velocity", "velocity_error"))
+    np.testing.assert_array_equal(line.get_xdata(), value)
+    np.testing.assert_array_equal(line.get_ydata(), p.z)
+    corners = band.get_paths()[0].vertices
+    assert corners[:, 0].max() == pytest.approx(float((value + error).max()))
+    assert corners[:, 0].min() == pytest.approx(float((value - error).min()))
+    plt.figure()
+    assert [t.get_text() for t in p.cg.plot("velocity").get_legend().get_texts()] == ["x", "y", "z"]
+
+
+def test_a_volume_is_cut_through_the_middle_of_its_shortest_axis_or_at_the_given_place():
+    f = xcg.datasets.random_scene(60).cg.coarse_grain("density", width=1.0, bounds={"y": (1.0, 3.0)})
+    (mesh,) = f.cg.plot(shading="flat").collections
+    np.testing.assert_array_equal(
+        mesh.get_array(), f.density.isel(time=0, y=f.sizes["y"] // 2).transpose("z", "x").compute()
+    )
+    plt.figure()
+    ax = f.cg.plot(at={"x": 2.0})
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("$y$ [m]", "$z$ [m]")
+
+
+def test_phases_are_lines_of_a_profile():
+    p = xcg.datasets.random_scene(60).cg.coarse_grain("volume_fraction", axes="x", by="species", width=1.0)
+    ax = p.cg.plot()
+    assert [t.get_text() for t in ax.get_legend().get_texts()] == ["bulk", "1", "2"]
+    np.testing.assert_array_equal(ax.lines[1].get_ydata(), p.volume_fraction.sel(phase="1").isel(time=0).compute())
+
+
+def plane(values, name="density", **attrs):
+    """A map over x and z, one m between the nodes; rows are z."""
+    values = np.asarray(values, float)
+    coords = {a: (a, np.arange(n) + 0.5, {"units": "m"}) for a, n in zip("zx", values.shape, strict=True)}
+    return xr.Dataset({name: (("z", "x"), values, attrs)}, coords)
+
+
+def numbers_at(mesh, x, z):
+    """Numbers of the drawn cells that hold points."""
+    corner = mesh.get_coordinates()
+    column = np.searchsorted(corner[0, :, 0], x) - 1
+    row = np.searchsorted(corner[:, 0, 1], z) - 1
+    return mesh.get_array()[row, column]
+
+
+def test_a_smooth_map_interpolates_linearly_between_the_nodes():
+    z, x = np.mgrid[0:4, 0:5] + 0.5
+    (mesh,) = plane(1 + 2 * x - z + 0.5 * x * z).cg.plot().collections
+    rng = np.random.default_rng(0)
+    x, z = rng.uniform(0.5, 4.5, 100), rng.uniform(0.5, 3.5, 100)
+    np.testing.assert_allclose(numbers_at(mesh, x, z), 1 + 2 * x - z + 0.5 * x * z, atol=0.03)
+    assert (mesh.get_coordinates().min(), mesh.get_coordinates().max()) == (0, 5)  # as far as the cells of the nodes
+
+
+def test_a_smooth_map_is_white_where_the_nearest_node_is_unknown_and_nothing_bleeds():
+    """Beside unknown nodes the numbers are those of the known ones."""
+    values = np.full((4, 5), 3.0)
+    values[1, 2] = values[3, 0] = np.nan
+    values[0, 4] = np.inf
+    (mesh,) = plane(values).cg.plot().collections
+    mesh.axes.figure.canvas.draw()
+    rng = np.random.default_rng(0)
+    x, z = rng.uniform(0, 5, 500), rng.uniform(0, 4, 500)
+    drawn = numbers_at(mesh, x, z)
+    known = np.isfinite(values[z.astype(int), x.astype(int)])
+    np.testing.assert_array_equal(np.ma.getmaskarray(drawn), ~known)
+    np.testing.assert_allclose(drawn[known], 3.0, rtol=1e-14)
+    plane(np.full((4, 5), np.nan)).cg.plot().figure.canvas.draw()
+
+
+def test_a_smooth_circle_has_no_seam():
+    theta = (np.arange(12) + 0.5) * np.pi / 6
+    values = np.broadcast_to(np.cos(theta), (6, 12))
+    f = xr.Dataset({"density": (("r", "theta"), values)}, {"r": np.arange(6) + 0.5, "theta": theta})
+    (mesh,) = f.cg.plot().collections
+    drawn = mesh.get_array()
+    np.testing.assert_allclose(drawn[0], drawn[-1], atol=0.01)
+    np.testing.assert_allclose(drawn[0], np.cos(theta[0]), atol=0.01)
+    (sector,) = f.isel(theta=slice(0, 6)).cg.plot().collections
+    np.testing.assert_allclose(sector.get_array()[-1], values[0, 5])
+
+
+def test_diverging_colours_only_where_both_signs_matter():
+    """The smaller of two percentiles is a tenth of the larger, or more."""
+    values = np.linspace(0, 50, 400).reshape(20, 20)
+    values[0, :3] = -40  # fewer than 2 % of the nodes
+    values[1:10, 0] = -4.0  # less than a tenth
+    f = plane(values)
+    mesh = f.cg.plot().collections[0]
+    assert (mesh.get_cmap().name, mesh.get_clim()) == ("viridis", (-40, 50))
+    values[1:10, 0] = -6.0
+    mesh = plane(values).cg.plot().collections[0]
+    assert (mesh.get_cmap().name, mesh.get_clim()) == ("RdBu_r", (-50, 50))
+    mesh = plane(values).cg.plot(vmax=20).collections[0]
+    assert (mesh.get_cmap().name, mesh.get_clim()) == ("RdBu_r", (-20, 20))
+    assert mesh.colorbar.extend == "both"
+    mesh = plane(values).cg.plot(vmin=0).collections[0]
+    assert (mesh.get_cmap().name, mesh.get_clim()) == ("viridis", (0, 50))
+    empty = np.zeros((20, 20))  # where no grain is, the stress is zero
+    empty[:2, 0], empty[:2, 1] = 1.0, -1.0
+    assert plane(empty).cg.plot().collections[0].get_cmap().name == "RdBu_r"
+
+
+def test_arrows_are_drawn_where_grains_move(result):
+    """On maps of a vector, and on others if asked for; none where grains rest."""
+    _, f = result
+    assert len(f.cg.plot("density").collections) == 1
+    assert len(f.cg.plot("velocity", component="z").collections) == 1
+    assert len(f.cg.plot("velocity").collections) == 2
+    assert len(f.cg.plot("velocity", arrows=None).collections) == 1
+    moving = xr.where(f.x < 2.5, f.velocity, 0.01 * f.velocity).transpose(*f.velocity.dims)
+    _, arrows = f.assign(velocity=moving).cg.plot("velocity").collections
+    assert 0 < len(arrows.U) == (arrows.get_offsets()[:, 0] < 2.5).sum()
+
+
+def test_a_colour_bar_is_as_high_as_its_map():
+    for shape in ((40, 10), (10, 10), (10, 16), (10, 40)):
+        ax = plane(np.arange(float(np.prod(shape))).reshape(shape)).cg.plot()
+        ax.figure.canvas.draw()
+        bar = ax.collections[0].colorbar.ax
+        assert bar.get_window_extent().height == pytest.approx(ax.get_window_extent().height, rel=0.15)
+
+
+def test_numbers_below_a_narrow_map_do_not_touch():
+    f = plane(np.arange(96.0).reshape(24, 4))
+    ax = f.assign_coords(x=0.02 * (f.x - 2), z=0.01 * f.z).cg.plot()
+    ax.figure.canvas.draw()
+    low, high = ax.get_xlim()
+    drawn = [t.label1.get_window_extent() for t in ax.xaxis.get_major_ticks() if low <= t.get_loc() <= high]
+    assert drawn
+    assert all(a.x1 < b.x0 for a, b in itertools.pairwise(drawn))
+
+
+def test_pictures_have_figures_of_their_own(result):
+    """They do not paint over the current one."""
+    _, f = result
+    mine = plt.figure().add_subplot()
+    drawn = [f.cg.plot("density"), f.cg.profile("z").cg.plot("density"), f.cg.plot("density")]
+    assert not mine.collections
+    assert len({ax.figure for ax in [mine, *drawn]}) == 4
+    assert f.cg.plot("density", ax=mine) is mine
+
+
+# --- labels ----------------------------------------------------------------------------------------------
+
+
+UNITS = {
+    "1": "", "m": "m", "m s^-1": "m s⁻¹", "kg m^-3": "kg m⁻³", "Pa m^-1": "Pa m⁻¹", "m^2 s^-2": "m² s⁻²", "": "",
+    "W m^-2": "W m⁻²", "m s-1": "m s⁻¹", "m**2/s": "m²/s", "m/s": "m/s", "10^-3 m": "10⁻³ m", "µm2": "µm²", "%": "%",
+    "s^0.5": "s⁰·⁵", "degree": "degree", "10 kg": "10 kg", "1/s": "1/s", "$\\mu$m": "$\\mu$m", "kg^(-1)": "kg⁻¹",
+}  # fmt: skip
+
+
+def raised(text):
+    """A label as it is read: powers as raised digits."""
+    up = str.maketrans("-+.0123456789", "⁻⁺·⁰¹²³⁴⁵⁶⁷⁸⁹")
+    return re.sub(r"\$\^\{([^}]*)\}\$", lambda power: power[1].translate(up), text)
+
+
+@pytest.mark.parametrize("units", UNITS)
+def test_units_have_raised_powers(units):
+    assert raised(unit_text(units)) == UNITS[units]
+
+
+def whole(unit):
+    """A unit of the registry with raised powers, by another way."""
+    return " ".join(
+        base + power.translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+        for base, _, power in (part.partition("^") for part in unit.split())
+    )
+
+
+@pytest.mark.parametrize("name", [name for name in xcg.FIELDS if not name.startswith("_")])
+def test_the_label_of_each_field_has_its_whole_unit_and_fits_the_picture(name):
+    field = xcg.FIELDS[name]
+    unit = units_of(field.powers)
+    f = plane(np.arange(12.0).reshape(3, 4), name, units=unit, long_name=field.long_name)
+    wanted = field.long_name if unit == "1" else f"{field.long_name} [{whole(unit)}]"
+    ax = f.cg.plot(name, shading="flat")
+    bar = ax.collections[0].colorbar.ax
+    assert raised(bar.get_ylabel().replace("\n", " ")) == wanted
+    line = f.isel(x=0).cg.plot(name)
+    assert raised(line.get_xlabel().replace("\n", " ")) == wanted
+    ax.figure.canvas.draw()
+    line.figure.canvas.draw()
+    for axis, side in ((bar.yaxis, "height"), (line.xaxis, "width")):
+        label, room = axis.label.get_window_extent(), axis.axes.get_window_extent()
+        assert getattr(label, side) <= getattr(room, side)
+        assert re.search(r"\[[^\]\n]*\]$", axis.label.get_text()) or unit == "1"  # the unit is in one line
+        corners = axis.figure.bbox.get_points()
+        assert (label.get_points()[0] >= corners[0]).all()
+        assert (label.get_points()[1] <= corners[1]).all()
+
+
+def test_derived_fields_have_their_own_labels(result):
+    _, f = result
+    bar = f.cg.plot("velocity").collections[0].colorbar.ax
+    assert raised(bar.get_ylabel()) == "magnitude of velocity [m s⁻¹]"
+    mean = f.cg.profile("z").cg.time_average()
+    assert raised(mean.cg.plot("velocity", component="x").get_xlabel()) == "velocity, x [m s⁻¹]"
+    assert raised(mean.cg.plot("velocity_error").get_xlabel()) == "standard error of velocity [m s⁻¹]"
+
+
+def test_labels_of_fields_of_users_have_their_units():
+    ds = xcg.datasets.random_scene(40, seed=2)
+    charge = (ds.mass * 0 + 1.0).assign_attrs(units="C s^-1", long_name="current of a grain")
+    names = [xcg.Sum("charge"), xcg.Mean("charge")]
+    f = ds.assign(charge=charge).cg.coarse_grain(names, axes="z", width=1.0).compute()
+    ends = [f"[{whole(f[name].attrs['units'])}]" for name in f.data_vars]
+    assert "s⁻¹" in ends[0]
+    assert "[C s⁻¹]" in ends
+    for name, end in zip(f.data_vars, ends, strict=True):
+        assert raised(f.cg.plot(name).get_xlabel()).replace("\n", " ").endswith(end)
+
+
+@pytest.mark.parametrize("axes", ["xz", "z"])
+def test_a_movie_has_a_frame_a_step(result, tmp_path, axes):
+    from PIL import Image
+
+    _, f = result
+    path = (f if axes == "xz" else f.cg.profile("z")).cg.movie(tmp_path / "f.gif", "velocity", dpi=40)
+    with Image.open(path) as film:
+        assert film.n_frames == 3
+        frames = []
+        for k in range(3):
+            film.seek(k)
+            frames.append(np.asarray(film.convert("RGB"), int))
+    assert not np.array_equal(frames[0], frames[1])
+    assert [p.name for p in tmp_path.iterdir()] == ["f.gif"]
+
+
+def test_the_suggested_part_of_a_tensor_lies_in_the_layer():
+    p = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    arrays = {"velocity": p, "diameter": np.ones(2), "density": 1.0}
+    ds = xcg.scene_from_arrays(p, **arrays, dimension=2, plane="xy", thickness=1.0)
+    f = ds.cg.coarse_grain("kinetic_stress", axes="x", extent={"y": 1.0})
+    with pytest.raises(ValueError, match="for example component='x', direction='y'"):
+        f.cg.plot()
+    f.cg.plot(component="x", direction="y")
+
+
+def test_wrong_plots_raise(result, tmp_path):
+    scene, f = result
+    with pytest.raises(ValueError, match=r"stress is a tensor: name a part of it, for example component='x'"):
+        f.cg.plot("stress")
+    with pytest.raises(
+        ValueError, match=r"plot\('velocty'\): the result has volume_fraction, .*; did you mean 'velocity'"
+    ):
+        f.cg.plot("velocty")
+    with pytest.raises(ValueError, match=r"plot\('pressure'\): the result has .*; name 'pressure' in coarse_grain"):
+        f.cg.plot("pressure")
+    with pytest.raises(ValueError, match=r"this is a scene: .*coarse_grain\(\.\.\.\)\.cg\.plot"):
+        scene.cg.plot("velocity")
+    with pytest.raises(TypeError, match="component=0: expected a name, one of x, y, z"):
+        f.cg.plot("velocity", component=0)
+    with pytest.raises(ValueError, match=r"xarray draws others, such as f\['density'\]\.plot\.line\(x='time'\)"):
+        f.isel(x=0, z=0).cg.plot("density")
+    f.isel(x=0, z=0)["density"].plot.line(x="time")
+    with pytest.raises(ValueError, match=r"component='x': density has no dimension 'component'"):
+        f.cg.plot("density", component="x")
+    with pytest.raises(ValueError, match=r"at={'y': 1.0}: the axes of this result are x, z"):
+        f.cg.plot(at={"y": 1.0})
+    with pytest.raises(ValueError, match="plot draws along one or two of r, theta, x, y, z"):
+        f.isel(x=0, z=0).cg.plot()
+    with pytest.raises(ValueError, match="shading='gouraud': expected one of 'smooth', 'flat'"):
+        f.cg.plot("density", shading="gouraud")
+    for wrong in ("speed", "density"):
+        with pytest.raises(ValueError, match=f"arrows='{wrong}': expected a vector field of the result"):
+            f.cg.plot("density", arrows=wrong)
+    with pytest.raises(ValueError, match=r"ends with \.gif or \.mp4"):
+        f.cg.movie(tmp_path / "f.avi")
+    with pytest.raises(ValueError, match="movie needs a result with the dimension 'time'"):
+        f.isel(time=0).cg.movie(tmp_path / "f.gif")
+    with pytest.raises(ValueError, match=r"component='q': expected one of x, y, z$"):
+        f.cg.plot("velocity", component="q")
+    for wrong in (3, -4, 0.5, "last"):
+        with pytest.raises(ValueError, match=f"time={wrong!r}: expected the position of a step, from -3 to 2"):
+            f.cg.plot("density", time=wrong)
+    with pytest.raises(ValueError, match="phase=1: the result has no dimension 'phase'"):
+        f.cg.plot("density", phase=1)
+    by_species = xcg.datasets.random_scene(20).cg.coarse_grain("density", axes="z", by="species", width=1.0)
+    for draw in (by_species.cg.plot, lambda *a, **k: by_species.cg.movie(tmp_path / "f.gif", *a, **k)):
+        with pytest.raises(ValueError, match=r"phase=9: expected one of bulk, 1, 2$"):
+            draw("density", phase=9)
+    assert not [*tmp_path.iterdir()]
+
+
+def test_a_movie_without_ffmpeg(result, tmp_path, monkeypatch):
+    from matplotlib import animation
+
+    monkeypatch.setattr(animation.writers, "is_available", lambda name: name != "ffmpeg")
+    with pytest.raises(OSError, match="mp4 needs the program ffmpeg"):
+        result[1].cg.movie(tmp_path / "f.mp4")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("package", "extra", "call"),
+    [
+        ("matplotlib.pyplot", "plot", lambda f, folder: f.cg.plot()),
+        ("matplotlib.animation", "plot", lambda f, folder: f.cg.movie(folder / "f.gif")),
+        ("zarr.codecs", "zarr", lambda f, folder: f.cg.save(folder / "f.zarr")),
+        ("sklearn.cluster", "phases", lambda f, folder: xcg.datasets.random_scene(9).cg.find_phases()),
+    ],
+)
+def test_errors_name_the_extra_to_install(result, tmp_path, monkeypatch, package, extra, call):
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(ImportError, match=re.escape(f"pip install 'xcg[{extra}]'")):
+        call(result[1], tmp_path)
+
+
+def test_extras_named_in_messages_exist():
+    known = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    named = set()
+    for path in [*ROOT.glob("xcg/**/*.py"), *ROOT.glob("docs/*.md"), ROOT / "README.md"]:
+        named |= set(re.findall(r"xcg\[(\w+)\]", path.read_text()))
+        named |= set(re.findall(r'extra\("[\w.]+", "(\w+)"', path.read_text()))
+    assert named
+    assert named <= set(known)

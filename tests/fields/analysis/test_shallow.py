@@ -1,0 +1,141 @@
+"""Shallow flows: surfaces at known heights, heaps of known slope, profiles of known shape, weight at the base."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import xcg
+
+L, H = 20.0, 10.0
+
+
+def flow(profile, count=40_000, seed=1):
+    """Small grains everywhere below a height H, that move along x as the profile says at each height."""
+    rng = np.random.default_rng(seed)
+    position = rng.uniform(0, 1, (count, 3)) * [L, 4.0, H]
+    position[:, 2] = np.linspace(0, H, count)
+    velocity = profile(position[:, 2] / H)[:, None] * [1.0, 0.0, 0.0]
+    return xcg.scene_from_arrays(
+        position, velocity=velocity, diameter=np.full(count, 0.3), density=1.0,
+        box={"x": (0, L), "y": (0, 4)}, periodic="xy",
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("profile", "factor"), [
+    (np.ones_like, 1.0), (lambda z: z, 4 / 3), (lambda z: 1 - (1 - z) ** 1.5, 5 / 4),
+])  # fmt: skip
+def test_shape_factors_of_known_profiles(profile, factor):
+    d = flow(profile).cg.depth_average("z", axes="", width=0.3)
+    # the kernel smears the profile at base and surface: an error of order (w / H)^2
+    assert d.shape_factor.sel(component="x").item() == pytest.approx(factor, rel=5e-3)
+
+
+def test_integrals_over_the_depth_equal_those_of_the_grains():
+    ds = flow(lambda z: z)
+    d = ds.cg.depth_average("z", axes="", width=0.5)
+    area = L * 4.0
+    mass = d.mass_per_area.item() * area
+    assert mass == pytest.approx(float(ds.mass.sum()), rel=1e-10)
+    assert d.depth.item() * area == pytest.approx(float(ds.volume.sum()), rel=1e-10)
+    momentum = d.momentum_per_area.sel(component="x").item() * area
+    assert momentum == pytest.approx(float((ds.mass * ds.velocity.sel(component="x")).sum()), rel=1e-10)
+    speed = d.depth_averaged_velocity.sel(component="x")
+    xr.testing.assert_allclose(speed, (d.momentum_per_area.sel(component="x") / d.mass_per_area).drop_attrs())
+    assert d.mass_per_area.attrs["units"] == "kg m^-2"
+
+
+def column(layers=8):
+    """A column of spheres on a floor that carry their weight: forces known."""
+    position = np.array([[0.5, 0.5, 0.5 + k] for k in range(layers)])
+    mass, g = np.pi / 6, 9.81
+    force = np.array([[0, 0, mass * g * (layers - k)] for k in range(layers)])
+    return xcg.scene_from_arrays(
+        position, velocity=np.zeros((layers, 3)), diameter=np.ones(layers), density=1.0, gravity=(0, 0, -g),
+        contact_i=np.arange(layers), contact_j=np.array([-2, *range(layers - 1)]), contact_force=force,
+        contact_point=position - [0, 0, 0.5], box={"x": (0, 1), "y": (0, 1)}, periodic="xy",
+    )  # fmt: skip
+
+
+def test_the_base_carries_the_weight():
+    ds = column()
+    d = ds.cg.depth_average("z", axes="", width=1.0)
+    weight = float(ds.mass.sum()) * 9.81
+    np.testing.assert_allclose(d.basal_traction.values[0], [0, 0, weight], atol=1e-10)
+    assert d.mass_per_area.item() * 9.81 == pytest.approx(weight, rel=1e-12)
+    # int sigma_zz dz = sum of f a over contacts, per area
+    f, a = ds.contact_force.values[0, :, 2], np.array([0.5, *[1.0] * 7])
+    assert d.depth_stress.sel(component="z", direction="z").item() == pytest.approx((f * a).sum(), rel=1e-10)
+    assert d.earth_pressure.sel(component="z").item() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("chunks", [False, True])
+def test_the_surface_of_a_slab(chunks):
+    z, x = np.linspace(-1, 6, 71), np.arange(4.0)
+    height, base = np.array([3.02, 2.5, 4.44, 0.0]), 0.31
+    profile = np.clip((height[:, None] - z) / 0.2 + 0.5, 0, 1) * np.clip((z - base) / 0.2 + 0.5, 0, 1) * 0.6
+    profile[3] = 0.0
+    f = xr.Dataset({"volume_fraction": (("time", "x", "z"), profile[None])}, {"time": [0.0], "x": x, "z": z})
+    s = (f.chunk(time=1) if chunks else f).cg.free_surface("z")
+    assert (s.height.chunks is not None) == chunks
+    np.testing.assert_allclose(s.height.values[0], [3.02, 2.5, 4.44, np.nan], atol=0.02)
+    np.testing.assert_allclose(s.base.values[0, :3], base, atol=0.02)
+    inside = f.sel(z=slice(1, 2)).cg.free_surface("z")
+    assert inside.height.isnull().all()
+
+
+def test_the_surface_of_a_packing_is_where_its_grains_end():
+    rng = np.random.default_rng(3)
+    position = rng.uniform(0, 1, (20_000, 3)) * [8, 4, 5]
+    ds = xcg.scene_from_arrays(position, diameter=np.full(20_000, 0.2), density=1.0, box={"x": (0, 8), "y": (0, 4)},
+                               periodic="xy")  # fmt: skip
+    f = ds.cg.coarse_grain("volume_fraction", axes="xz", width=0.3, spacing=0.1)
+    s = f.cg.free_surface("z")
+    np.testing.assert_allclose(s.height.mean(), 5.0, atol=0.02)
+    np.testing.assert_allclose(s.base.mean(), 0.0, atol=0.02)
+
+
+@pytest.mark.parametrize("plane", [False, True])
+def test_a_heap_of_known_slope(plane):
+    rng = np.random.default_rng(5)
+    slope = np.array([-0.45, 0.2]) if plane else np.array([-0.45])
+    angle, found = np.degrees(np.arctan(np.linalg.norm(slope))), []
+    axes = {"x": np.arange(30.0), "y": np.arange(12.0)} if plane else {"x": np.arange(30.0)}
+    grid = np.meshgrid(*axes.values(), indexing="ij")
+    for _ in range(60):
+        height = 20 + sum(s * g for s, g in zip(slope, grid, strict=True)) + rng.normal(size=grid[0].shape)
+        height[3] = np.nan
+        found.append(xcg.fit_slope(xr.DataArray(height, axes)))
+    angles, errors = (np.array([float(one[name]) for one in found]) for name in ("angle", "angle_error"))
+    assert angles.mean() == pytest.approx(angle, abs=3 * angles.std() / 60**0.5)
+    assert errors.mean() == pytest.approx(angles.std(ddof=1), rel=0.25)
+    np.testing.assert_allclose(found[0].slope, slope, atol=4 * float(found[0].slope_error.max()))
+
+
+def test_neighbours_within_a_support_are_not_independent():
+    x = np.arange(0, 30, 0.5)
+    rough = xr.DataArray(np.random.default_rng(1).normal(size=60), {"x": x})
+    alone, wide = xcg.fit_slope(rough), xcg.fit_slope(rough.assign_attrs(cutoff=2.0))
+    assert float(wide.slope_error[0] / alone.slope_error[0]) == pytest.approx(8**0.5)
+
+
+@pytest.mark.parametrize(("call", "message"), [
+    (lambda ds: ds.cg.depth_average("x"), "periodic"),
+    (lambda ds: ds.cg.depth_average("z", axes="xz"), "the depth is along 'z'"),
+    (lambda ds: ds.cg.coarse_grain("density", axes="z").cg.free_surface("z"), "of='volume_fraction'"),
+    (lambda ds: ds.cg.coarse_grain("volume_fraction", axes="z").cg.free_surface("x"), r"axes of this result are"),
+    (lambda ds: ds.cg.coarse_grain("volume_fraction", axes="z").cg.free_surface(threshold=2), "threshold=2"),
+    (lambda ds: ds.cg.coarse_grain("density", axes="z").cg.fit_slope(), "fit_slope needs 'height'"),
+])  # fmt: skip
+def test_wrong_arguments_raise(call, message):
+    with pytest.raises(ValueError, match=message):
+        call(flow(np.ones_like, count=100))
+
+
+def test_depth_averages_are_lazy():
+    ds = column()
+    two = xr.concat([ds, ds.assign_coords(time=[1.0])], "time", data_vars="minimal").chunk(time=1)
+    d = two.cg.depth_average("z", axes="", width=1.0)
+    assert d.shape_factor.chunks is not None
+    np.testing.assert_allclose(
+        d.mass_per_area.values, ds.cg.depth_average("z", axes="", width=1.0).mass_per_area.item()
+    )

@@ -1,0 +1,177 @@
+"""Errors of one step against the scatter of ensembles: the same grains, with velocities drawn anew 200 times."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import xcg
+
+DRAWS, LENGTH = 200, 6.0
+OF_MOTION = [
+    "velocity", "velocity_gradient", "shear_rate_tensor", "shear_rate", "vorticity", "granular_temperature",
+    "directional_temperature", "kinetic_stress", "spin",
+]  # fmt: skip
+OF_VARIABLES = ["charge", xcg.Mean("push", "number"), xcg.Mean("charge", "volume", name="charge_by_volume")]
+
+
+def ensemble(count, *, spread=1.0, shear=1.0, temperature=(1.0, 1.0, 1.0), layer=False, draws=DRAWS, seed=1):
+    """Grains that stay where they are, in steps that differ in their velocities, spins, charges and pushes alone."""
+    rng = np.random.default_rng(seed)
+    position = rng.uniform(0, LENGTH, (count, 3)) * ([1, 1, 0] if layer else [1, 1, 1])
+    diameter = rng.uniform(1 / spread, spread, count)
+    across = 1 if layer else 2
+    velocity = rng.normal(size=(draws, count, 3)) * np.sqrt(temperature)
+    velocity[..., 0] += shear * position[:, across]
+    every = {name: np.broadcast_to(a, (draws, *a.shape)) for name, a in (
+        ("position", position), ("diameter", diameter), ("species", 1 + (diameter > np.median(diameter))),
+    )}  # fmt: skip
+    more = {"dimension": 2, "thickness": 1.0} if layer else {}
+    return xcg.scene_from_arrays(
+        **every, velocity=velocity, angular_velocity=rng.normal(size=(draws, count, 3)), density=1.0,
+        charge=5 + rng.normal(size=(draws, count)), push=rng.normal(size=(draws, count, 3)),
+        box=dict.fromkeys("xyz", (0.0, LENGTH)), periodic="x" if shear else "xyz"[: 2 if layer else 3], **more,
+    )  # fmt: skip
+
+
+def predicted_over_measured(f, name, least=4.0):
+    """Root mean square of the errors over that of the scatter of the steps, where enough grains are seen."""
+    scatter, error = f[name].std("time", ddof=1), np.sqrt((f[f"{name}_error"] ** 2).mean("time"))
+    there = (f["effective_count"].mean("time") > least) & scatter.notnull() & error.notnull() & (scatter > 1e-9)
+    nodes = [d for d in scatter.dims if d not in ("phase", "component", "direction")]
+    ratio = np.sqrt((error**2).where(there).mean(nodes) / (scatter**2).where(there).mean(nodes))
+    return ratio.values[np.isfinite(ratio.values)]
+
+
+CASES = {
+    "gas": ({"count": 41, "shear": 0.0}, {"width": 2.0}),
+    "dense": ({"count": 226, "spread": 1.3, "shear": 0.0}, {"width": 1.0}),
+    "dense, narrow": ({"count": 226, "spread": 1.3, "shear": 0.0}, {"width": 0.75}),
+    "sheared": ({"count": 226, "shear": 1.0}, {"width": 1.5}),
+    "mixture": ({"count": 330, "spread": 1.4, "shear": 0.0}, {"width": 1.2, "by": "species"}),
+    "anisotropic plane": (
+        {"count": 226, "temperature": (1, 2, 0.5)}, {"width": 1.0, "axes": "xz", "at": {"y": 3.0}, "spacing": 0.5},
+    ),
+    "profile": ({"count": 226, "shear": 0.5}, {"width": 0.8, "axes": "z"}),
+    "points": (
+        {"count": 226, "shear": 0.0},
+        {"width": 1.2, "at": {a: xr.DataArray(np.linspace(0, 5, 40), dims="s") for a in "xyz"}},
+    ),
+    "layer": ({"count": 46, "layer": True, "shear": 0.0}, {"width": 1.0}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_errors_are_the_scatter_of_draws(case):
+    scene, options = CASES[case]
+    f = ensemble(**scene).cg.coarse_grain([*OF_MOTION, *OF_VARIABLES, "effective_count"], errors=True, **options)
+    for name in [*OF_MOTION, "charge", "push", "charge_by_volume"]:
+        found = predicted_over_measured(f, name)
+        assert found.size, name
+        # a node's scatter of 200 draws is known to 5 %, and neighbours share grains
+        np.testing.assert_allclose(found, 1.0, atol=0.13, err_msg=name)
+        assert np.median(found) == pytest.approx(1.0, abs=0.1), name
+
+
+def test_a_cylinder_has_errors_of_velocity_spin_and_means():
+    ds = ensemble(226, shear=0.0)
+    ds = ds.assign(position=ds.position - LENGTH / 2).drop_vars("box").assign_attrs(periodic="")
+    names = ["velocity", "directional_temperature", "spin", "charge", "effective_count"]
+    f = ds.cg.coarse_grain(names, errors=True, frame=xcg.Cylindrical("z"), axes="r", width=1.2, extent={"z": LENGTH})
+    for name in names[:-1]:
+        np.testing.assert_allclose(predicted_over_measured(f, name, 20.0), 1.0, atol=0.2, err_msg=name)
+    with pytest.raises(ValueError, match="velocity_gradient_error: known in axes x, y and z alone"):
+        ds.cg.coarse_grain("velocity_gradient_error", frame=xcg.Cylindrical("z"), axes="r", extent={"z": LENGTH})
+
+
+def test_errors_have_units_and_formulas_of_their_fields():
+    f = ensemble(100, draws=2).cg.coarse_grain(OF_MOTION, errors=True, axes="z")
+    for name in OF_MOTION:
+        assert f[f"{name}_error"].attrs["units"] == f[name].attrs["units"]
+        assert f[f"{name}_error"].dims == f[name].dims
+        assert f[f"{name}_error"].attrs["formula"]
+
+
+def test_the_error_of_a_mean_by_brute_force():
+    ds = ensemble(60, spread=1.5, draws=1)
+    f = ds.cg.coarse_grain(["velocity", "charge", "directional_temperature"], errors=True, width=1.5, axes="",
+                           at=dict.fromkeys("xyz", 3.0))  # fmt: skip
+    one = ds.isel(time=0)
+    apart = one.position.values - 3.0
+    apart[:, 0] -= LENGTH * np.rint(apart[:, 0] / LENGTH)
+    w = one.mass.values * xcg.Lucy(1.5, dimension=3).value(np.linalg.norm(apart, axis=1))
+    q = one.charge.values
+    mean, share = (w @ q) / w.sum(), (w @ w) / w.sum() ** 2
+    variance = (w @ (q - mean) ** 2) / (w.sum() - w @ w / w.sum())
+    assert f.charge_error.item() == pytest.approx(np.sqrt(variance * share), rel=1e-10)
+    expected = np.sqrt(f.directional_temperature.values.ravel() * share)
+    np.testing.assert_allclose(f.velocity_error.values.ravel(), expected, rtol=1e-10)
+
+
+def test_an_average_over_steps_has_the_larger_error_and_names_it():
+    f = ensemble(226, shear=0.0, draws=64).cg.coarse_grain("velocity", errors=True, width=1.0, for_averages=True)
+    mean = f.cg.time_average()
+    assert mean.velocity_error_from.attrs["flag_meanings"] == "noise_of_each_step scatter_of_steps"
+    # independent steps: both ways agree, and the larger is a little larger
+    expected = np.sqrt((f.velocity_error**2).mean("time") / 64)
+    assert float((mean.velocity_error / expected).mean()) == pytest.approx(1.05, abs=0.06)
+    stuck = f.isel(time=[0] * 64).assign_coords(time=f.time)
+    assert (stuck.cg.time_average().velocity_error_from == 0).all()  # no scatter: noise is all there is
+    drifting = f.assign(velocity=f.velocity + np.sin(f.time / 10.0))
+    assert (drifting.cg.time_average().velocity_error_from == 1).all()
+    alone = f.isel(time=[0]).cg.time_average()
+    xr.testing.assert_allclose(alone.velocity_error, f.velocity_error.isel(time=0, drop=True).drop_attrs())
+
+
+def test_a_profile_has_the_error_of_its_independent_places():
+    f = ensemble(226, shear=0.0).cg.coarse_grain(["velocity", "charge"], errors=True, width=1.0, for_averages=True)
+    profile = f.cg.profile("z")
+    for name in ("velocity", "charge"):
+        measured = float(profile[name].std("time").mean())
+        assert float(profile[f"{name}_error"].mean()) == pytest.approx(measured, rel=0.12)
+    assert profile.cg.time_average().velocity_error.dims == ("z", "component")
+
+
+def test_errors_are_lazy_and_equal():
+    ds = ensemble(100, draws=4)
+    options = {"errors": True, "width": 1.0, "axes": "z"}
+    eager, lazy = (one.cg.coarse_grain(["velocity", "charge"], **options) for one in (ds, ds.chunk(time=1)))
+    assert lazy.velocity_error.chunks is not None
+    xr.testing.assert_identical(lazy.compute().drop_attrs(), eager.drop_attrs())
+
+
+@pytest.mark.parametrize(("options", "message"), [
+    ({"fields": "density"}, "errors of a single step exist for .*, not for density: leave errors= out"),
+    ({"fields": "velocity_gradient", "gradient": "kernel"}, "not for velocity_gradient: leave errors= out"),
+    ({"fields": "velocity", "per": "accessible", "walls": [xcg.Plane((0, 0, 0), (0, 0, 1))]}, "leave one of them out"),
+])  # fmt: skip
+def test_fields_without_errors_are_named(options, message):
+    with pytest.raises(ValueError, match=message):
+        ensemble(60, draws=1).cg.coarse_grain(errors=True, width=1.0, **options)
+
+
+def test_errors_of_averages_are_not_averaged():
+    f = ensemble(60, draws=4).cg.coarse_grain("velocity", errors=True, width=1.0, for_averages=True)
+    with pytest.raises(ValueError, match="profile takes no mean of standard errors"):
+        f.cg.time_average().cg.profile("z")
+
+
+@pytest.mark.parametrize("options", [{}, {"axes": "z"}, {"axes": "xz", "at": {"y": 5.0}, "kernel": "gaussian"}])
+def test_explain_states_the_noise_of_a_dense_packing(options):
+    ds = xcg.datasets.dense_packing(8000)
+    plan = ds.cg.explain("velocity", width=1.0, **options)
+    seen = ds.cg.coarse_grain("effective_count", width=1.0, **options).effective_count.mean().item()
+    assert plan.effective_count == pytest.approx(seen, rel=0.05)
+    assert f"velocity +-{plan.effective_count**-0.5:.2g} sqrt(T)" in str(plan)
+    points = xcg.scene_from_arrays(ds.position.values, velocity=ds.velocity.values, mass=np.ones(8000))
+    assert "noise" not in str(points.cg.explain("velocity", width=1.0))
+
+
+def test_explain_states_no_noise_of_rings_cells_and_widths_by_group():
+    ds = xcg.datasets.dense_packing(1000)
+    for options in (
+        {"frame": xcg.Cylindrical("z"), "axes": "r", "extent": {"z": 1.0}}, {"sampling": "cell", "spacing": 2.0},
+        {"by": "species", "width": {1: 1.0, 2: 0.5}},
+    ):  # fmt: skip
+        assert "noise" not in str(
+            ds.drop_vars("box").assign_attrs(periodic="").cg.explain("velocity", **{"width": 1.0} | options)
+        )

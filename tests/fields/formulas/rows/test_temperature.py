@@ -1,0 +1,187 @@
+"""Granular temperature: what independent velocities leave, brute force over grains, gases of known temperature."""
+
+import itertools
+import warnings
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import xcg
+from tests.brute_force import BruteKernel
+
+NAMES = ["granular_temperature", "directional_temperature", "fluctuation_density", "fluctuation_stress", "density",
+         "sample_count"]  # fmt: skip
+
+
+def scene(count, length, seed, *, spread=1.0, periodic="xyz", steps=1):
+    """Grains anywhere in a box, with independent velocities of temperature 1 in shear; overlaps do not matter."""
+    rng = np.random.default_rng(seed)
+    position = rng.uniform(0, length, (steps, count, 3))
+    diameter = rng.uniform(1 / spread, spread, (steps, count))
+    velocity = rng.normal(size=(steps, count, 3))
+    species = rng.integers(1, 3, count)
+    species[:2] = 1, 2
+    return xcg.scene_from_arrays(
+        position, velocity=velocity, diameter=diameter, density=1.0, species=np.tile(species, (steps, 1)),
+        box=dict.fromkeys("xyz", (0.0, length)), periodic=periodic,
+    )  # fmt: skip
+
+
+def left_by_fit(ds, kernel, node, axes, gradient):
+    """Sum of w_i P_ij^2 over grains i of each phase and all j, with P v = v - fit: fitted grain by grain by LAPACK.
+
+    Images of a grain share its velocity, so that they share a column. Also (sum w)^2 / sum over grains of w^2.
+    """
+    one = ds.isel(time=0)
+    box = (one["box"].values[:, 1] - one["box"].values[:, 0]) * [a in ds.attrs["periodic"] for a in "xyz"]
+    reach = [range(-5, 6) if k in axes else [0] for k in range(3)]
+    mass, species, parts = one["mass"].values, one["species"].values, []
+    for shift in itertools.product(*reach):
+        x = (one["position"].values + np.array(shift) * box - node)[:, axes]
+        weight = mass * kernel(np.linalg.norm(x, axis=1))
+        parts += [(x[i], weight[i], i) for i in np.flatnonzero(weight)]
+    x, weight, own = (np.array(values) for values in zip(*parts, strict=True))
+    velocity = np.eye(len(mass))[own]  # row i: which velocities that of grain i is made of
+    mean = weight @ velocity / weight.sum()
+    y = x if gradient == "paper" else x - weight @ x / weight.sum()
+    left = velocity - mean
+    if gradient in ("least_squares", "paper"):
+        root = np.sqrt(weight)[:, None]
+        left = left - y @ np.linalg.lstsq(root * y, root * left, rcond=1e-6)[0]
+    each = weight * (left**2).sum(axis=1)
+    total = weight.sum() ** 2 / ((weight @ velocity) ** 2).sum()
+    return np.array([each.sum(), *(each[species[own] == k].sum() for k in (1, 2))]), total
+
+
+@pytest.mark.parametrize("gradient", ["least_squares", "paper", "kernel"])
+@pytest.mark.parametrize(("axes", "at"), [("xyz", {}), ("xz", {}), ("xy", {"z": 0.3}), ("z", {})])
+@pytest.mark.parametrize(("length", "count", "width"), [(6.0, 80, 1.0), (2.5, 10, 1.7), (1.7, 4, 1.6)])
+def test_degrees_of_freedom_left_by_a_fit_equal_brute_force(length, count, width, axes, at, gradient):
+    ds = scene(count, length, seed=count, spread=1.5)
+    options = {"width": width, "axes": axes, "at": at, "spacing": length / 2, "gradient": gradient}
+    f = ds.cg.coarse_grain(["fluctuation_density", "effective_count"], by="species", **options)
+    bulk = ds.cg.coarse_grain(["fluctuation_density", "effective_count"], **options)
+    seen = [k for k, a in enumerate("xyz") if a in axes or a in at]
+    kernel = BruteKernel("lucy", width, 3, len(seen))
+    nodes = f.stack(node=list(axes)).isel(time=0)
+    for n in range(0, nodes.sizes["node"], 3):
+        here = nodes.isel(node=n)
+        node = np.array([float(here[a]) if a in here.coords else 0.0 for a in "xyz"])
+        left, total = left_by_fit(ds, kernel, node, seen, gradient)
+        scale = length ** (len(seen) - 3.0)
+        left *= scale
+        size = 1e-12 * float(ds.mass.sum()) * scale
+        np.testing.assert_allclose(here.fluctuation_density, left, rtol=1e-9, atol=size)
+        alone = bulk.stack(node=list(axes)).isel(time=0, node=n)
+        np.testing.assert_allclose(alone.fluctuation_density, left[0], rtol=1e-9, atol=size)
+        assert float(here.effective_count.sel(phase="bulk")) == pytest.approx(total, rel=1e-10)
+        assert float(alone.effective_count) == pytest.approx(total, rel=1e-10)
+
+
+def averaged(f, name="granular_temperature", of="fluctuation_density"):
+    """Ratio of sums over the nodes where the temperature is known."""
+    known = f[name].notnull()
+    weight = f[of].where(known, 0.0)
+    rest = [d for d in f[name].dims if d in ("time", "x", "y", "z")]
+    return (f[name].fillna(0.0) * weight).sum(rest) / weight.sum(rest)
+
+
+@pytest.mark.parametrize(("width", "spread", "phi"), [(0.6, 1.0, 0.6), (0.75, 1.3, 0.4), (1, 1.6, 0.2), (2, 1, 0.1)])
+def test_the_temperature_of_a_gas_is_recovered(width, spread, phi):
+    length = 10.0
+    count = round(phi * length**3 / float(scene(2000, length, 0, spread=spread).volume.mean()))
+    ds = scene(count, length, seed=1, spread=spread, steps=16_000 // count)
+    options = {"width": width, "by": "species"}
+    for axes in ("xyz", "xz", "z"):
+        f = ds.cg.coarse_grain(NAMES, axes=axes, spacing=1.4, **options)
+        found = averaged(f)
+        np.testing.assert_allclose(found, 1.0, atol=0.03)
+
+
+def test_a_layer_and_a_polydisperse_gas_by_direction():
+    rng = np.random.default_rng(3)
+    ds = xcg.scene_from_arrays(
+        rng.uniform(0, 20, (10, 200, 3)) * [1, 1, 0], velocity=rng.normal(size=(10, 200, 3)) * [1, 2, 0], density=1.0,
+        diameter=np.ones((10, 200)), box={"x": (0, 20), "y": (0, 20)}, periodic="xy", dimension=2, thickness=1.0,
+    )  # fmt: skip
+    f = ds.cg.coarse_grain(NAMES, width=1.0)
+    assert float(averaged(f)) == pytest.approx(2.5, rel=0.05)
+    np.testing.assert_allclose(averaged(f, "directional_temperature"), [1, 4, 0], rtol=0.06)
+
+
+def test_the_biased_definition_is_a_choice():
+    ds = scene(300, 6.0, seed=5)
+    new, old = (ds.cg.coarse_grain(NAMES, width=1.0, temperature=way) for way in ("unbiased", "biased"))
+    assert (new.attrs["temperature"], old.attrs["temperature"]) == ("unbiased", "biased")
+    np.testing.assert_array_equal(old.fluctuation_density, old.density)
+    np.testing.assert_array_equal(old.fluctuation_stress, new.fluctuation_stress)
+    known = new.granular_temperature.notnull()
+    trace = sum(new.fluctuation_stress.sel(component=a, direction=a, drop=True) for a in "xyz") / 3
+    np.testing.assert_allclose(old.granular_temperature.where(known), (trace / new.density).where(known), rtol=1e-12)
+    xr.testing.assert_allclose(new.granular_temperature, (trace / new.fluctuation_density).where(known), rtol=1e-12)
+    with pytest.raises(ValueError, match="temperature='true': expected one of unbiased, biased"):
+        ds.cg.coarse_grain(NAMES, width=1.0, temperature="true")
+
+
+def test_nan_where_the_fit_leaves_less_than_half_a_grain():
+    # four grains far apart and a fifth whose weight is small: the fit goes through it all but for a little
+    rim = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) * 0.5
+    f = {}
+    for name, fifth in (("near", 0.1), ("far", 1.93)):
+        position = np.vstack([rim, np.array([[fifth, 0, 0]])])
+        velocity = np.random.default_rng(0).normal(size=(5, 3))
+        ds = xcg.scene_from_arrays(position, velocity=velocity, diameter=np.ones(5), density=1.0)
+        f[name] = ds.cg.coarse_grain(NAMES, width=1.0, axes="", at=dict.fromkeys("xyz", 0.0)).isel(time=0)
+        assert int(f[name].sample_count) == 5
+    assert np.isfinite(f["near"].granular_temperature)
+    assert np.isnan(f["far"].granular_temperature)
+    assert np.isnan(f["far"].directional_temperature).all()
+    assert 0 < float(f["far"].fluctuation_density) < 0.1 * float(f["far"].density)
+
+
+def test_averages_add_fluctuations_and_their_densities_separately():
+    ds = scene(40, 6.0, seed=6, steps=40)
+    f = ds.cg.coarse_grain(NAMES, width=0.9)
+    assert float(f.granular_temperature.isnull().mean()) > 0.1
+    profile = f.cg.profile("z")
+    known = f.granular_temperature.notnull()
+    top = sum(f.fluctuation_stress.sel(component=a, direction=a, drop=True) for a in "xyz").where(known, 0.0) / 3
+    bottom = f.fluctuation_density.where(known, 0.0)
+    np.testing.assert_allclose(profile.granular_temperature, top.sum(["x", "y"]) / bottom.sum(["x", "y"]), rtol=1e-10)
+    mean = profile.cg.time_average()
+    assert (np.abs(mean.granular_temperature - 1) < 4 * mean.granular_temperature_error).all()
+    assert float(mean.granular_temperature_error.max()) < 0.2
+    with pytest.raises(ValueError, match="granular_temperature needs fluctuation_density"):
+        f.drop_vars("fluctuation_density").cg.profile("z")
+
+
+def test_errors_of_one_step_follow_from_the_effective_count():
+    ds = scene(600, 10.0, seed=7, steps=200)
+    f = ds.cg.coarse_grain(["velocity", "effective_count", "granular_temperature"], width=1.5, spacing=5.0)
+    count = f.effective_count.mean("time")
+    np.testing.assert_allclose(
+        (f.velocity**2).mean(["time", "component"]), (1 / f.effective_count).mean("time"), rtol=0.2
+    )
+    scatter = f.granular_temperature.std("time")
+    np.testing.assert_allclose(scatter, np.sqrt(2 / (3 * (count - 4))), rtol=0.3)
+
+
+@pytest.mark.parametrize("lazy", [False, True])
+def test_one_warning_where_most_nodes_have_too_few_grains(lazy):
+    ds = scene(40, 6.0, seed=8, steps=3)
+    if lazy:
+        ds = ds.chunk(time=1)
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        f = ds.cg.coarse_grain(["granular_temperature"], width=0.6, spacing=1.0)
+        assert len(found) == (0 if lazy else 1)
+        f.compute()
+    (warning,) = found
+    assert issubclass(warning.category, xcg.SceneWarning)
+    assert "too few particles per node" in str(warning.message)
+    assert warning.filename == __file__
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        ds.cg.coarse_grain(["granular_temperature"], width=2.0, spacing=1.0).compute()
+        ds.cg.coarse_grain(["granular_temperature"], width=0.6, spacing=1.0, temperature="biased").compute()

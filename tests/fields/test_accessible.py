@@ -1,0 +1,182 @@
+"""The accessible fraction: closed forms and brute force; fields per accessible volume."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+from scipy.stats.qmc import Sobol
+
+import xcg
+from tests.fields.analysis.test_wall_stress import box_surface
+from xcg.fields.accessible import LEAST, fraction_at
+
+FLOOR = xcg.Plane((0, 0, 0), (0, 0, 1))
+SIDE = xcg.Cylinder((0, 0, 0), (0, 0, 1), 2.5)
+PIPE = xcg.Cylinder((0, 0, 0), (0.2, 0, 1), 1.0, inside=False)
+TILTED = xcg.Plane((0, 0, 0), (1, 0, 0.2))
+WALLS = {
+    "corner": [FLOOR, TILTED],
+    "cylinder": [SIDE],
+    "silo": [SIDE, FLOOR],
+    "around a pipe": [PIPE],
+    "triangles": [box_surface()],
+    "triangles and a pipe": [box_surface(), PIPE],
+}
+KERNELS = [xcg.Lucy(0.75, dimension=3), xcg.Gaussian(0.5, dimension=3), xcg.Heaviside(1.5, dimension=3)]
+
+
+def by_points(places, walls, kernel):
+    """Sum of the kernel over many points on the accessible side."""
+    radius, cosine, turn = Sobol(3, seed=1).random_base2(15).T
+    radius, cosine, turn = kernel.cutoff * np.cbrt(radius), 2 * cosine - 1, 2 * np.pi * turn
+    sine = np.sqrt(1 - cosine**2)
+    away = radius[:, None] * np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=1)
+    weight = kernel.value(radius) / kernel.value(radius).sum()
+    return np.array([weight @ np.all([wall.distance(r + away) > 0 for wall in walls], axis=0) for r in places])
+
+
+@pytest.mark.parametrize("kernel", KERNELS, ids=lambda k: k.name)
+@pytest.mark.parametrize("name", WALLS)
+def test_the_accessible_fraction_near_walls_equals_brute_force(name, kernel):
+    rng = np.random.default_rng(0)
+    places = rng.uniform(-3, 3, (2000, 3))
+    nearest = np.min([wall.distance(places) for wall in WALLS[name]], axis=0)
+    places = places[np.abs(nearest) < kernel.cutoff][:30]
+    error = fraction_at(places, WALLS[name], kernel) - by_points(places, WALLS[name], kernel)
+    assert np.sqrt((error**2).mean()) < 1.5e-3  # that of brute force with it
+    assert np.abs(error).max() < 5e-3 + 1e-3
+
+
+def test_the_accessible_fraction_beside_a_plane_is_a_polynomial():
+    """The marginal of Lucy's kernel along one axis, integrated by hand."""
+    c, x = 1.5, np.linspace(-1.6, 1.6, 41)
+    q = np.minimum(np.abs(x) / c, 1)
+    # int_q^1 2 pi s (1 - 6 s^2 + 8 s^3 - 3 s^4) ds, integrated from 0 to q
+    half = 105 / 8 * (q / 10 - q**3 / 6 + 3 * q**5 / 10 - 8 * q**6 / 30 + q**7 / 14)
+    points = np.stack([x, x, x], axis=1)
+    np.testing.assert_allclose(fraction_at(points, [FLOOR], KERNELS[0]), 0.5 + np.sign(x) * half, atol=1e-14)
+    np.testing.assert_array_equal(fraction_at(np.array([[0, 0, 9.0], [0, 0, -9.0]]), [FLOOR, SIDE], KERNELS[0]), [1, 0])
+    right = fraction_at(np.zeros((1, 3)), [FLOOR, xcg.Plane((0, 0, 0), (1, 0, 0))], KERNELS[0])
+    np.testing.assert_allclose(right, 0.25, atol=2e-3)
+
+
+@pytest.fixture(scope="module")
+def packed() -> xr.Dataset:
+    """A crystal between two walls, as full near them as far from them."""
+    x = np.arange(10) + 0.5
+    place = np.stack([a.ravel() for a in np.meshgrid(x, x, x)], axis=1)
+    rng = np.random.default_rng(3)
+    return xcg.scene_from_arrays(
+        [place, place[::2]], velocity=[rng.normal(size=place.shape), rng.normal(size=place[::2].shape)],
+        diameter=[np.ones(1000), np.ones(500)], density=2.0, box=[[0, 10]] * 3, periodic="xy",
+    )  # fmt: skip
+
+
+BETWEEN = [FLOOR, xcg.Plane((0, 0, 10), (0, 0, -1))]
+NAMES = ["density", "velocity", "kinetic_stress", "pressure", "shear_stress", "friction_coefficient", "sample_count"]
+
+
+def test_density_per_accessible_volume_is_constant_up_to_the_wall(packed):
+    given = {"width": 1.5, "axes": "z", "bounds": {"z": (0, 10)}, "spacing": 0.25}
+    f = packed.isel(time=[0]).cg.coarse_grain("density", walls=BETWEEN, per="accessible", **given)
+    plain = packed.isel(time=[0]).cg.coarse_grain("density", **given)
+    mean = 2.0 * np.pi / 6
+    np.testing.assert_allclose(f.density, mean, rtol=0.03)
+    assert float(plain.density.min()) < 0.52 * mean
+    np.testing.assert_allclose(f.density * f.accessible_fraction, plain.density, rtol=1e-12)
+    np.testing.assert_allclose(f.accessible_fraction[0, 0], 0.5, atol=1e-12)
+    assert f.attrs["per"] == "accessible"
+
+
+def test_sums_are_divided_ratios_stay_and_the_rest_follows():
+    scene = xcg.datasets.random_scene(400, seed=1, edge=10.0, periodic="xy")
+    moved = scene.assign(velocity=2 * scene.velocity).assign_coords(time=[1.0])
+    packed = xr.concat([scene, moved], "time", data_vars="all")
+    given = {"fields": NAMES, "width": 1.0, "spacing": 1.0, "axes": "xz", "bounds": {"z": (-3, 13)}}
+    given["pressure_dims"] = "z"
+    plain = packed.cg.coarse_grain(walls=BETWEEN, **given)
+    f = packed.cg.coarse_grain(walls=BETWEEN, per="accessible", **given)
+    assert list(f.data_vars) == [*NAMES, "accessible_fraction"]
+    known = plain.accessible_fraction >= LEAST
+    assert 0 < float(known.mean()) < 1
+    for name in ("density", "kinetic_stress", "pressure", "shear_stress"):
+        expected = (plain[name] / plain.accessible_fraction).where(known).transpose(*f[name].dims)
+        np.testing.assert_allclose(f[name], expected, rtol=1e-12)
+        assert f[name].attrs == plain[name].attrs
+    np.testing.assert_array_equal(f.velocity, plain.velocity.where(known))
+    np.testing.assert_allclose(f.friction_coefficient, plain.friction_coefficient.where(known), rtol=1e-12)
+    np.testing.assert_array_equal(f.sample_count, plain.sample_count)
+    lazy = packed.chunk(time=1).cg.coarse_grain(walls=BETWEEN, per="accessible", **given)
+    assert lazy.density.chunks is not None
+    assert lazy.accessible_fraction.chunks is not None
+    xr.testing.assert_identical(lazy.compute().drop_attrs(), f.drop_attrs())
+    one = packed.isel(time=0).cg.coarse_grain(walls=BETWEEN, per="accessible", **given)
+    np.testing.assert_array_equal(one.density, f.density[0])
+    mean = f[["density", "velocity", "accessible_fraction"]].cg.time_average()
+    np.testing.assert_allclose(mean.accessible_fraction, f.accessible_fraction[0])
+
+
+@pytest.mark.parametrize(("axes", "at"), [("z", None), ("xz", None), ("r", {"z": 3.0})])
+def test_the_accessible_fraction_with_averaged_axes(axes, at):
+    """Averages over the cross-section of a silo see its area, and the floor as a plane does."""
+    rng = np.random.default_rng(4)
+    grains = xcg.scene_from_arrays(
+        rng.uniform(2, 3, (20, 3)), diameter=np.ones(20), density=1.0, box=[[-4, 4], [-4, 4], [-1, 8]]
+    )
+    given = {"width": 0.75, "spacing": 0.5, "bounds": {"z": (-1, 3)} if "z" in axes else {}}
+    resolved = {"axes": axes.replace("r", ""), "at": at}
+    f = grains.cg.coarse_grain("density", walls=[SIDE, FLOOR], **given, **resolved).accessible_fraction[0]
+    if axes == "z":
+        points = np.stack([0 * f.z, 0 * f.z, f.z], axis=1)
+        expected = np.pi * 2.5**2 / 64 * fraction_at(points, [FLOOR], KERNELS[0])
+    elif axes == "xz":  # the chord, seen through the marginal; far from the floor
+        f = f.sel(z=3.0)
+        s = np.linspace(-1.5, 1.5, 4001)
+        chord = 2 * np.sqrt(np.maximum(0, 2.5**2 - (f.x.to_numpy()[:, None] - s) ** 2))
+        expected = np.trapezoid(chord * KERNELS[0].value(s, seen=1), s, axis=1) / 8
+    else:
+        expected = np.pi * 2.5**2 / 64
+    np.testing.assert_allclose(f, expected, atol=1.5e-3)
+
+
+def test_layers_accept_walls_across_them():
+    ds = xcg.scene_from_arrays(
+        np.array([[1.0, 1, 0], [2, 1, 0], [1, 2, 0]]), diameter=np.ones(3), density=1.0, dimension=2, plane="xy",
+        thickness=1.0,
+    )  # fmt: skip
+    given = {"fields": "density", "width": 1.0, "bounds": {"x": (0, 3), "y": (0, 3)}, "spacing": 0.5}
+    disc = xcg.Cylinder((0, 0, 0), (0, 0, 1), 3.0)
+    chi = ds.cg.coarse_grain(walls=[xcg.Plane((0, 0, 0), (0, 1, 0)), disc], **given).accessible_fraction[0]
+    kernel = xcg.Lucy(1.0, dimension=2)
+    s = np.linspace(-2, 2, 801)
+    x, y = np.meshgrid(s, s)
+    weight = kernel.value(np.hypot(x, y))
+    for i, j in [(0, 0), (3, 1), (4, 4), (6, 0)]:
+        inside = (np.hypot(x + float(chi.x[i]), y + float(chi.y[j])) < 3) & (y + float(chi.y[j]) > 0)
+        np.testing.assert_allclose(chi[i, j], (weight * inside).sum() / weight.sum(), atol=5e-3)
+    with pytest.raises(ValueError, match="one layer across 'z'"):
+        ds.cg.coarse_grain(walls=[FLOOR], **given)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"walls": FLOOR}, r"expected a list of xcg\.Plane"),
+        ({"walls": []}, r"expected a list of xcg\.Plane"),
+        ({"walls": ["floor"]}, r"expected a list of xcg\.Plane"),
+        ({"per": "accessible"}, r"needs walls="),
+        ({"walls": [FLOOR], "per": "volume"}, "per='volume'"),
+        ({"walls": [FLOOR], "preset": "pysammos"}, "presets know no"),
+        ({"walls": [FLOOR], "kernel": xcg.Lucy(1.0, dimension=2), "axes": "z"}, "kernels of the scene's dimension"),
+    ],
+)
+def test_wrong_walls_raise(packed, options, message):
+    with pytest.raises(ValueError, match=message):
+        packed.cg.coarse_grain(["density"], **options)
+
+
+def test_averages_over_unbounded_space_raise():
+    ds = xcg.scene_from_arrays(np.eye(3), diameter=np.ones(3), density=1.0)
+    with pytest.raises(ValueError, match="nor a box bound the space"):
+        ds.cg.coarse_grain("density", axes="xy", extent={"z": 1.0}, walls=[FLOOR])

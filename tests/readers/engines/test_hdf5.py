@@ -1,0 +1,117 @@
+"""HDF5 by mapping: groups, stacks and files as steps give the scene of the same arrays."""
+
+import h5py
+import numpy as np
+import pytest
+
+import xcg
+from tests import steps_of_random_scenes
+
+OPTIONS = {"box": [[0, 5.0]] * 3, "periodic": "xyz", "engine": "hdf5"}
+VARIABLES = ("particle_id", "position", "velocity", "diameter", "density", "species",
+             "contact_i", "contact_j", "contact_force", "contact_point")  # fmt: skip
+
+
+def rows_of(scene, name, t):
+    key = "particle_id" if "particle" in scene[name].dims else "contact_i"
+    return scene[name].values[t][scene[key].values[t] >= 0]
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return steps_of_random_scenes(3)
+
+
+def check(ds, scene, names=VARIABLES):
+    for name in names:
+        np.testing.assert_array_equal(ds[name], scene[name], err_msg=name)
+
+
+@pytest.mark.parametrize("place", ["{time}", "{step}"])
+def test_one_group_per_step(tmp_path, scene, place):
+    path = tmp_path / "run.h5"
+    with h5py.File(path, "w") as file:
+        for t, time in enumerate(scene.time.values):
+            group = file.create_group(f"data/Step{time if place == '{time}' else 100 * t}")
+            group.attrs["now"] = time
+            for name in VARIABLES:
+                group.create_dataset(f"own/{name}", data=rows_of(scene, name, t), compression="gzip")
+        file["data/notes"] = 1.0
+    mapping = {name: f"/data/Step{place}/own/{name}" for name in VARIABLES}
+    if place == "{step}":
+        mapping["time"] = "/data/Step{step}@now"
+    ds = xcg.open_scene(path, contacts=path, mapping=mapping, chunks=1, **OPTIONS)
+    assert ds.position.chunks[0] == (1, 1, 1)
+    np.testing.assert_array_equal(ds.time, scene.time)
+    assert ds.step.values.tolist() == [0, 1, 2] if place == "{time}" else [0, 100, 200]
+    check(ds, scene)
+    found = xcg.open_scene(path, mapping=mapping, box=OPTIONS["box"], periodic="xyz")  # by its name
+    check(found, scene, ["position"])
+
+
+def test_steps_along_the_first_dimension(tmp_path, scene):
+    """As H5MD has them."""
+    n = min(len(rows_of(scene, "position", t)) for t in range(3))
+    with h5py.File(tmp_path / "run.h5", "w") as file:
+        for name in ("position", "velocity", "diameter"):
+            file[f"particles/all/{name}/value"] = np.stack([rows_of(scene, name, t)[:n] for t in range(3)])
+        file["particles/all/position/time"] = [0.5, 1.0, 1.5]
+    mapping = {name: f"particles/all/{name}/value" for name in ("position", "velocity", "diameter")}
+    ds = xcg.open_scene(
+        tmp_path / "run.h5", mapping=mapping | {"time": "particles/all/position/time"}, density=1.0, **OPTIONS
+    )
+    np.testing.assert_array_equal(ds.time, [0.5, 1.0, 1.5])
+    np.testing.assert_array_equal(ds.velocity, np.stack([rows_of(scene, "velocity", t)[:n] for t in range(3)]))
+
+
+def test_one_file_per_step_with_own_names(tmp_path, scene):
+    for t in range(3):
+        with h5py.File(tmp_path / f"run_{t}.h5", "w") as file:
+            x = rows_of(scene, "position", t)
+            file["x"], file["y"], file["z"], file["r"], file["q"] = *x.T, rows_of(scene, "diameter", t) / 2, x[:, 0]
+            file["now"] = scene.time.values[t]
+    mapping = {"position_x": "x", "position_y": "y", "position_z": "z", "radius": "r", "charge": "q", "time": "now"}
+    ds = xcg.open_scene(str(tmp_path / "run_*.h5"), mapping=mapping, density=1.0, **OPTIONS)
+    np.testing.assert_array_equal(ds.time, scene.time)
+    check(ds, scene, ["position", "diameter"])
+    np.testing.assert_array_equal(ds.charge, ds.position[..., 0])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({}, "needs to be told"),
+        ({"position": "/a/{step}/{time}"}, "at most one"),
+        ({"positon": "/S{step}/x"}, "did you mean 'position'"),
+        ({"velocity": "/S{step}/x"}, "mapping= lacks 'position'"),
+        ({"position": "/T{step}/x"}, "no name like 'T{step}' in '/', which holds S0"),
+        ({"position": "/S{step}/y"}, "no dataset '/S0/y'; '/S0' holds n, wide, words, x"),
+        ({"position": "/S{step}/words"}, "expected numbers"),
+        ({"position": "/S{step}/wide"}, r"has the shape \(2, 5\) a step"),
+        ({"position": "/S{step}/x", "diameter": "/S{step}/n"}, "different numbers of rows"),
+    ],
+)
+def test_damaged_files_raise(tmp_path, change, message):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["S0/x"], file["S0/n"], file["S0/wide"], file["S0/words"] = (
+            np.ones((2, 3)),
+            np.ones(3),
+            np.ones((2, 5)),
+            "a",
+        )
+    with pytest.raises(xcg.SceneError, match=message) as error:
+        xcg.open_scene(tmp_path / "a.h5", mapping=change, engine="hdf5")
+    assert "a.h5" in str(error.value) or "mapping" in str(error.value)
+
+
+def test_files_that_are_not_hdf5_raise(tmp_path):
+    (tmp_path / "a.h5").write_bytes(b"nothing")
+    with pytest.raises(xcg.SceneError, match=r"a\.h5: cannot be read as HDF5"):
+        xcg.open_scene(tmp_path / "a.h5", mapping={"position": "x"}, engine="hdf5")
+
+
+def test_a_dataset_larger_than_its_file_raises(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.create_dataset("x", (1 << 40, 3), "f8", chunks=(1 << 10, 3))
+    with pytest.raises(xcg.SceneError, match=r"a\.h5: 'x' promises .* bytes, and 0 are stored"):
+        xcg.open_scene(tmp_path / "a.h5", mapping={"position": "x"}, engine="hdf5")

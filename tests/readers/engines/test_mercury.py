@@ -1,0 +1,198 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests import real_data
+from tests.dumps import write
+from xcg.common.messages import SceneError
+from xcg.readers.engine import ReadOptions
+from xcg.readers.engines.mercury import Mercury, read_restart
+from xcg.readers.series import open_scene
+
+mercury = Mercury()
+
+DATA = "{n} {t} 0 0 0 4 4 2\n"
+ROWS = [
+    "1 1 0.45 0 0 0 0.5 0 0 0 0 0 0 0",
+    "1.9 1 1 0.1 0.2 0.3 0.5 0 0 0 1 2 3 1",
+    "1 3 1 0 0 0 0.25 0 0 0 0 0 0 0",
+]
+FSTAT = "# {t} 1\n# 0 0 0 4 4 2\n# 0.25 0.5 0 0 0 0\n"
+PAIR = "{t} 0 1 1.45 1 0.7 0.1 0 5 2 -1 0 0 0 1 0"
+MIRROR = "{t} 1 0 1.45 1 0.7 0.1 0 5 2 1 0 0 0 -1 0"
+WALL = "{t} 0 -5 1 1 0 0.05 0 3 1 -0 -0 -1 1 0 0"
+RESTART = """MercuryDPM 1.0 name run revision 0 repository none
+xMin 0 xMax 4 yMin 0 yMax 4 zMin 0 zMax 2
+systemDimensions 3 particleDimensions 3 gravity 1 0 -9.81 backgroundDrag 0
+Species 2
+LinearViscoelasticSpecies id 0 density 2000 stiffness 1 dissipation 0
+LinearViscoelasticSpecies id 1 density 3000 stiffness 1 dissipation 0
+LinearViscoelasticMixedSpecies idMixed 0 index 0 stiffness 1000.0 dissipation 0
+Walls 0
+Boundaries 1
+PeriodicBoundary normal 0 1 0 distanceLeft 0 distanceRight 4 shift 0 4 0
+Particles 3
+gravity is not read from here
+"""
+
+
+def data_text(times=(0.0,), rows=ROWS):
+    return "".join(DATA.format(n=len(rows), t=t) + "".join(f"{row}\n" for row in rows) for t in times)
+
+
+def fstat_text(times=(0.0,), rows=(PAIR, MIRROR, WALL)):
+    return "".join(FSTAT.format(t=t) + "".join(row.format(t=t) + "\n" for row in rows) for t in times)
+
+
+@pytest.fixture
+def run(tmp_path):
+    """Write a run of three steps with its restart file."""
+    write(tmp_path / "run.data", data_text((0, 0.5, 1)))
+    write(tmp_path / "run.fstat", fstat_text((0, 0.5, 1)))
+    write(tmp_path / "run.restart", RESTART)
+    return tmp_path
+
+
+def test_a_run_is_read(run):
+    scene = open_scene(run / "run.data", contacts=run / "run.fstat").compute()
+    assert dict(scene.sizes) == {"time": 3, "particle": 3, "contact": 2, "component": 3, "bound": 2}
+    np.testing.assert_array_equal(scene.time, [0, 0.5, 1])
+    np.testing.assert_array_equal(scene.particle_id[0], [0, 1, 2])
+    np.testing.assert_array_equal(scene.diameter[0], [1, 1, 0.5])
+    np.testing.assert_array_equal(scene.velocity[0, 1], [0.1, 0.2, 0.3])
+    np.testing.assert_array_equal(scene.density[0], [2000, 3000, 2000])
+    np.testing.assert_allclose(scene.mass[0, 1], 3000 * np.pi / 6)
+    np.testing.assert_array_equal(scene.attrs["gravity"], [1, 0, -9.81])
+    assert scene.attrs["periodic"] == "y"
+    np.testing.assert_array_equal(scene.box[0], [[0, 4], [0, 4], [0, 2]])
+
+
+def test_contact_forces_are_read(run):
+    scene = open_scene(run / "run.data", contacts=run / "run.fstat").isel(time=0).compute()
+    np.testing.assert_array_equal(scene.contact_i, [0, 0])
+    np.testing.assert_array_equal(scene.contact_j, [1, -5])
+    np.testing.assert_array_equal(scene.contact_force, [[-5, 2, 0], [-1, 0, 3]])
+    np.testing.assert_array_equal(scene.contact_normal, [[-1, 0, 0], [0, 0, 1]])
+    np.testing.assert_array_equal(scene.contact_point, [[1.45, 1, 0.7], [1, 1, 0]])
+    np.testing.assert_array_equal(scene.overlap, [0.1, 0.05])
+
+
+@pytest.mark.parametrize(
+    ("rows", "pairs"),
+    [
+        ((PAIR, WALL), [(0, 1), (0, -5)]),
+        ((MIRROR, PAIR), [(0, 1)]),
+        ((MIRROR,), [(1, 0)]),
+        ((MIRROR, PAIR.replace(" 0 1 ", " 0 2 ", 1)), [(1, 0), (0, 2)]),
+        ((), []),
+    ],
+)
+def test_pairs_listed_twice_or_once_count_once(run, rows, pairs):
+    write(run / "run.fstat", fstat_text((0, 0.5, 1), rows))
+    scene = open_scene(run / "run.data", contacts=run / "run.fstat").isel(time=1).compute()
+    assert list(zip(scene.contact_i.values, scene.contact_j.values, strict=True)) == pairs
+    if rows == (MIRROR,):
+        np.testing.assert_array_equal(scene.contact_force, [[5, -2, 0]])
+
+
+def test_many_files_make_one_series(tmp_path):
+    for k, time in enumerate((0, 0.5, 1)):
+        write(tmp_path / f"run.data.{k}", data_text((time,)))
+        write(tmp_path / f"run.fstat.{k}", fstat_text((time,)))
+    scene = open_scene(tmp_path / "run.data.*", contacts=tmp_path / "run.fstat.*", engine="mercury")
+    np.testing.assert_array_equal(scene.step, [0, 1, 2])
+    assert "mass" not in scene
+    assert "gravity" not in scene.attrs
+
+
+def test_restart_can_be_named(run):
+    write(run / "other.restart", RESTART.replace("density 2000", "density 1"))
+    scene = open_scene(run / "run.data", restart=run / "other.restart")
+    assert float(scene.density[0, 0]) == 1
+    with pytest.raises(FileNotFoundError, match=r"absent\.restart"):
+        open_scene(run / "run.data", restart=run / "absent.restart")
+
+
+def test_a_run_in_two_dimensions_is_read(tmp_path):
+    rows = ["1 1 0.1 0.2 0.5 0 3 0", "2 1.5 0 0 0.5 0 0 1", "1 2 0 0 0.5 0 0 0"]
+    text = "3 0.5 0 0 4 4\n" + "".join(f"{row}\n" for row in rows)
+    scene = open_scene(write(tmp_path / "flat.data", text), density=2.0).compute()
+    assert (scene.attrs["dimension"], scene.attrs["plane"]) == (2, "xy")
+    np.testing.assert_array_equal(scene.position[0, 1], [2, 1.5, 0])
+    np.testing.assert_array_equal(scene.velocity[0, 0], [0.1, 0.2, 0])
+    np.testing.assert_array_equal(scene.species[0], [0, 1, 0])
+    np.testing.assert_array_equal(scene.box[0], [[0, 4], [0, 4], [-np.inf, np.inf]])
+
+
+def test_names_map_columns(run):
+    scene = open_scene(run / "run.data", names={"omx": "spin_x", "species": None})
+    np.testing.assert_array_equal(scene.spin_x[0], [0, 1, 0])
+    assert "species" not in scene
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"run.data": data_text() + "1 2 3\n"}, "expected a header 'N t xmin"),
+        ({"run.data": data_text((0, 0.5, 1))[:-20]}, r"run.data \(step 2\): row 2 has \d+ values, expected 14"),
+        ({"run.data": data_text((0, 0.5, 1)).replace("1.9", "what")}, "'what' in column 'x'"),
+        ({"run.fstat": fstat_text().replace("# 0.0", "# now", 1)}, "three lines with '#' and the time"),
+        ({"run.fstat": fstat_text()[:-9]}, "run.fstat .*row 2 has 12 values, expected 16"),
+        ({"run.restart": RESTART.replace("id 1 ", "id 7 ")}, "species 1 is not in .*run.restart"),
+        ({"run.restart": RESTART.replace("gravity 1 0 -9.81", "gravity 1 0")}, "three numbers after 'gravity'"),
+    ],
+)
+def test_damaged_files_raise(run, change, match):
+    for name, text in change.items():
+        write(run / name, text)
+    with pytest.raises(SceneError, match=match):
+        open_scene(run / "run.data", contacts=run / "run.fstat", engine="mercury")
+
+
+def test_runs_are_recognised(run):
+    assert mercury.recognises(str(run / "run.data"))
+    assert mercury.recognises(str(run / "run.fstat"))
+    assert not mercury.recognises(str(run / "run.restart"))
+    assert not mercury.recognises(str(write(run / "table.data", "x y z\n1 2 3\n")))
+
+
+def test_a_real_run_is_read():
+    """Pairs: contact points on the branch, normals along it; walls: all six, normals into the box."""
+    folder = real_data("mercury_synthetic")
+    scene = open_scene(folder / "syn200.data", contacts=folder / "syn200.fstat").compute()
+    np.testing.assert_array_equal(scene.time, [0, 0.01])
+    np.testing.assert_allclose(scene.density, 2.0)
+    np.testing.assert_array_equal(scene.attrs["gravity"], [0, 0, -1])
+    for t in range(2):
+        step = scene.isel(time=t)
+        rows = np.loadtxt(folder / "syn200.fstat", comments="#")
+        rows = rows[rows[:, 0] == step.time.values]
+        pairs, walls = rows[(rows[:, 2] > rows[:, 1])], rows[rows[:, 2] < 0]
+        valid = step.contact_i.values >= 0
+        assert valid.sum() == len(pairs) + len(walls)
+        i, j, normal, point, force = (
+            step[name].values[valid]
+            for name in ("contact_i", "contact_j", "contact_normal", "contact_point", "contact_force")
+        )
+        position, radius = step.position.values, step.diameter.values / 2
+        pair = j >= 0
+        branch = position[i[pair]] - position[j[pair]]
+        length = np.linalg.norm(branch, axis=1)
+        np.testing.assert_allclose(normal[pair], branch / length[:, None], atol=1e-12)
+        overlap = step.overlap.values[valid]
+        np.testing.assert_allclose(overlap[pair], radius[i[pair]] + radius[j[pair]] - length, atol=1e-12)
+        towards = np.sum((position[i] - point) * normal, axis=1)
+        np.testing.assert_allclose(towards, radius[i] - overlap / 2, atol=1e-9)
+        np.testing.assert_allclose(np.sum(force * normal, axis=1)[pair], pairs[:, 8], rtol=1e-9)
+        assert set(j[~pair]) <= set(range(-6, 0))
+
+
+def test_unit_gravity_is_scaled(run):
+    scene = open_scene(run / "run.data", units={"length": 1e-3, "time": 1e-3})
+    np.testing.assert_allclose(scene.attrs["gravity"], np.array([1, 0, -9.81]) * 1e3)
+    np.testing.assert_allclose(scene.time, [0, 5e-4, 1e-3])
+
+
+def test_a_missing_restart_file_is_none():
+    assert read_restart("nowhere/run.data", ReadOptions()) is None

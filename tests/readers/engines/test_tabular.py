@@ -1,0 +1,194 @@
+"""Tables: CSV, Parquet and pandas give the scene of the same arrays, to the last bit."""
+
+import gzip
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+
+import xcg
+from tests import steps_of_random_scenes
+from tests.dumps import write
+
+
+def tables_of(ds):
+    """Particles and contacts of a scene as tables, a row a particle or contact and step."""
+    rows = {"particle": [], "contact": []}
+    for t in range(ds.sizes["time"]):
+        step = ds.isel(time=t)
+        for dim, key in (("particle", "particle_id"), ("contact", "contact_i")):
+            there = step[key].values >= 0
+            frame = {"time": np.full(there.sum(), step.time.item())}
+            for name, values in step.data_vars.items():
+                if values.dims == (dim,):
+                    frame[name] = values.values[there]
+                elif values.dims == (dim, "component"):
+                    frame |= {f"{name}_{a}": values.values[there, k] for k, a in enumerate("xyz")}
+            rows[dim].append(pd.DataFrame(frame))
+    return [pd.concat(parts, ignore_index=True) for parts in rows.values()]
+
+
+@pytest.fixture(scope="module")
+def scene():
+    ds = steps_of_random_scenes(3)
+    return ds.drop_vars(["contact_normal", "overlap"], errors="ignore")
+
+
+OPTIONS = {"box": [[0, 5.0]] * 3, "periodic": "xyz"}
+
+
+def check(ds, scene):
+    for name in scene.data_vars:
+        np.testing.assert_array_equal(ds[name], scene[name], err_msg=name)
+    np.testing.assert_array_equal(ds.time, scene.time)
+
+
+@pytest.mark.parametrize("ending", ["csv", "tsv", "csv.gz", "semicolon.csv", "blanks.csv", "parquet"])
+def test_scenes_written_as_tables_read_back_equal(tmp_path, scene, ending):
+    if ending == "parquet":
+        pytest.importorskip("pyarrow")
+    mark = {"tsv": "\t", "semicolon.csv": ";", "blanks.csv": " "}.get(ending, ",")
+    paths = [tmp_path / f"{what}.{ending}" for what in ("particles", "contacts")]
+    for path, table in zip(paths, tables_of(scene), strict=True):
+        if ending == "parquet":
+            table.to_parquet(path, row_group_size=50)
+        else:
+            table.to_csv(path, sep=mark, index=False)
+    ds = xcg.open_scene(paths[0], contacts=paths[1], chunks=1, **OPTIONS)
+    assert ds.attrs["engine"] == "table"
+    assert ds.position.chunks[0] == (1, 1, 1)
+    check(ds, scene)
+    one = xr.open_dataset(paths[0], engine="xcg", **OPTIONS)
+    np.testing.assert_array_equal(one.velocity[1], scene.velocity[1])
+
+
+def test_tables_in_memory_give_an_equal_scene(scene):
+    particles, contacts = tables_of(scene)
+    shuffled = particles.sample(frac=1, random_state=0)
+    check(xcg.scene_from_table(shuffled, contacts=contacts, **OPTIONS), scene)
+
+
+def test_short_and_own_names_of_columns(tmp_path):
+    text = "t, ID ,x,y,z,vx,vy,vz,r,charge\r\n0.0,3,1,1,1,0.1,0.2,0.3,0.5,7\r\n0.5,3,2,1,1,0.1,0.2,0.3,0.5,8\r\n"
+    names = {"t": "time", "ID": "particle_id", "r": "radius", "charge": "charge"}
+    ds = xcg.open_scene(write(tmp_path / "a.csv", text), names=names, density=2.0)
+    np.testing.assert_array_equal(ds.time, [0, 0.5])
+    np.testing.assert_array_equal(ds.charge[:, 0], [7, 8])
+    np.testing.assert_array_equal(ds.diameter[:, 0], [1, 1])
+    np.testing.assert_array_equal(ds.velocity[0, 0], [0.1, 0.2, 0.3])
+    table = pd.read_csv(tmp_path / "a.csv", skipinitialspace=True).rename(columns=str.strip)
+    check(xcg.scene_from_table(table, names=names, density=2.0), ds.load())
+
+
+def test_steps_are_numbered_by_file_names(tmp_path):
+    for step in (2, 10):
+        write(tmp_path / f"p_{step}.csv", f"x,y,z,radius\n{step},0,0,0.5\n\n")
+    ds = xcg.open_scene(str(tmp_path / "p_*.csv"), density=1.0, timestep=0.1)
+    np.testing.assert_array_equal(ds.step, [2, 10])
+    np.testing.assert_allclose(ds.time, [0.2, 1.0])
+    np.testing.assert_array_equal(ds.position[:, 0, 0], [2, 10])
+
+
+def test_files_without_numbers_are_steps_from_zero_on(tmp_path):
+    names = ["one.csv", "two.csv"]
+    for name in names:
+        write(tmp_path / name, f"x,y,z,radius\n{len(name)},0,0,0.5\n1,0,0,0.5\n")
+        write(tmp_path / f"contacts_of_{name}", "id1,id2,fx,fy,fz\n0,1,-1,0,0\n")
+    for count in (1, 2):
+        contacts = [tmp_path / f"contacts_of_{name}" for name in names[:count]]
+        ds = xcg.open_scene([tmp_path / name for name in names[:count]], contacts=contacts, density=1.0, timestep=0.5)
+        np.testing.assert_array_equal(ds.step, np.arange(count))
+        np.testing.assert_array_equal(ds.time, 0.5 * np.arange(count))
+        assert (ds.contact_force.isel(contact=0, component=0) == -1).all()
+
+
+def test_one_step_is_read_alone(tmp_path, monkeypatch):
+    rows = "".join(f"{k // 100},{k % 100},{k},0,0.5\n" for k in range(1000))
+    path = write(tmp_path / "a.csv", "step,x,y,z,radius\n" + rows)
+    ds = xcg.open_scene(path, density=1.0, chunks=1)
+    read = []
+    original = xcg.readers.engines.tabular.delimited.body_of
+    monkeypatch.setattr(
+        xcg.readers.engines.tabular.delimited, "body_of", lambda ref: read.append(ref.length) or original(ref)
+    )
+    assert ds.position.isel(time=-1, particle=5).values.tolist() == [5, 905, 0]
+    assert read == [sum(len(f"9,{k},{k + 900},0,0.5\n") for k in range(100))]
+
+
+def test_particles_without_ids_are_numbered_by_row(tmp_path):
+    ds = xcg.open_scene(write(tmp_path / "a.csv", "x,y,z,radius\n5,0,0,0.5\n1,0,0,0.5\n"), density=1.0)
+    np.testing.assert_array_equal(ds.particle_id[0], [0, 1])
+    np.testing.assert_array_equal(ds.position[0, :, 0], [5, 1])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("1,2,3\n4,5,6\n", "expected a first line that names each column once"),
+        ("x,y,x\n1,2,3\n", "'x' twice"),
+        ("x,y,z,radius\n1,2,3,0.5\n1,2,3\n", "row 1 has 3 values, expected 4"),
+        ("x,y,z,radius\n1,2,,0.5\n", "row 0 has 3 values, expected 4"),
+        ("x,y,z,radius\n1,2,three,0.5\n", "row 0 has 'three' in column 'z'"),
+        ("time,x,y,z,radius\n0,1,2,3,0.5\n1,1,2,3,0.5\n0,1,2,3,0.5\n", "rows of the time .*0.0.* stand apart"),
+        ("time,x,y,z,radius\n0,1,2,3,0.5\n-,1,2,3,0.5\n", "row 1 has '-' in column 'time'"),
+        ("step,x,y,z,radius\n0.5,1,2,3,0.5\n", "the step of row 0"),
+        ("a,b,c\n1,2,3\n", "no x of the position"),
+        ("", "expected a first line"),
+    ],
+)
+def test_damaged_tables_raise(tmp_path, text, message):
+    path = write(tmp_path / "a.csv", text)
+    with pytest.raises(xcg.SceneError, match=message) as error:
+        xcg.open_scene(path, density=1.0).load()
+    assert "a.csv" in str(error.value)
+
+
+def test_wrong_tables_in_memory_raise():
+    good = pd.DataFrame({"x": [0.0], "y": 0.0, "z": 0.0, "radius": 0.5})
+    with pytest.raises(xcg.SceneError, match="particles: column 'x' holds other things than numbers"):
+        xcg.scene_from_table(good.assign(x="a"), density=1.0)
+    with pytest.raises(xcg.SceneError, match=r"particles .*no y of the position"):
+        xcg.scene_from_table(good.drop(columns="y"), density=1.0)
+    contacts = {"time": [1.0], "contact_i": 0, "contact_j": 1, "fx": 0.0, "fy": 0.0, "fz": 0.0}
+    with pytest.raises(xcg.SceneError, match=r"contacts: rows of 1\.0, and no particles"):
+        xcg.scene_from_table(good.assign(time=0.0), contacts=contacts, density=1.0)
+
+
+def test_parquet_without_pyarrow_names_the_extra(tmp_path, monkeypatch):
+    import importlib
+
+    def no_pyarrow(name, *rest):
+        if name.startswith("pyarrow"):
+            raise ImportError(name)
+        return original(name, *rest)
+
+    original = importlib.import_module
+    monkeypatch.setattr("xcg.readers.files.parquet.importlib.import_module", no_pyarrow)
+    (tmp_path / "a.parquet").write_bytes(b"PAR1")
+    with pytest.raises(xcg.SceneError, match=r"pip install 'xcg\[parquet\]'"):
+        xcg.open_scene(tmp_path / "a.parquet")
+
+
+def test_damaged_parquet_files_raise(tmp_path):
+    pytest.importorskip("pyarrow")
+    good = pd.DataFrame({"x": [0.0, 1.0], "y": 0.0, "z": 0.0, "radius": 0.5})
+    for table, message in (
+        (good.assign(x=["a", "b"]), "column 'x' holds"),
+        (good.assign(x=[0.0, None]), "row 1 has no value in column 'x'|not finite"),
+    ):
+        table.to_parquet(tmp_path / "a.parquet")
+        with pytest.raises(xcg.SceneError, match=message) as error:
+            xcg.open_scene(tmp_path / "a.parquet", density=1.0).load()
+        assert "a.parquet" in str(error.value)
+    (tmp_path / "a.parquet").write_bytes((tmp_path / "a.parquet").read_bytes()[:-10])
+    with pytest.raises(xcg.SceneError, match="cannot be read as Parquet") as error:
+        xcg.open_scene(tmp_path / "a.parquet", density=1.0)
+    assert "a.parquet" in str(error.value)
+
+
+def test_compressed_text_of_two_steps_is_read(tmp_path, scene):
+    particles, _ = tables_of(scene)
+    data = particles.to_csv(index=False).encode()
+    (tmp_path / "p.csv.gz").write_bytes(gzip.compress(data))
+    check(xcg.open_scene(tmp_path / "p.csv.gz", **OPTIONS), scene[[n for n in scene if "contact" not in scene[n].dims]])

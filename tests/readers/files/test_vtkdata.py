@@ -1,0 +1,103 @@
+"""Base64 that is damaged is refused; parts that unpack without a limit."""
+
+import base64
+import io
+import tracemalloc
+import zlib
+from contextlib import nullcontext
+
+import numpy as np
+import pytest
+
+from tests.benchmarks import series
+from xcg.common.messages import SceneError
+from xcg.readers.files import vtkdata, vtp
+
+# --- base64 ----------------------------------------------------------------------------------------------
+
+PLAIN = vtkdata.VtkEncoding("<", np.dtype("<u4"), "")
+
+
+def block(values):
+    """Values as VTK encodes them: their length and they in one piece."""
+    return base64.b64encode(np.uint32(values.nbytes).tobytes() + values.tobytes())
+
+
+def decoded(text, count):
+    return vtkdata.read_base64(io.BytesIO(text), 0, PLAIN, np.dtype("<i4"), count)
+
+
+@pytest.mark.parametrize("count", range(1, 8))
+def test_base64_of_every_length_is_decoded(count):
+    values = np.random.default_rng(count).integers(-(2**31), 2**31, count, "<i4")
+    np.testing.assert_array_equal(decoded(block(values) + b"  <", count), values)
+
+
+def test_damaged_base64_raises_or_reads_as_in_python():
+    """What the standard library refuses is refused, and what is read is what it reads."""
+    text = block(np.arange(4, dtype="<i4"))
+    for place in range(len(text)):
+        for byte in range(256):
+            changed = text[:place] + bytes([byte]) + text[place + 1 :]
+            try:
+                got = decoded(changed, 4)
+            except vtkdata.DataError:
+                continue
+            expected = np.frombuffer(base64.b64decode(changed, validate=True)[4:20], "<i4")
+            np.testing.assert_array_equal(got, expected.astype("f8"))
+
+
+@pytest.mark.parametrize("piece", [b"=", b"==", b"=A", b"\n", b" ", b"\xff", b"-"])
+def test_foreign_characters_raise(piece):
+    values = np.arange(4, dtype="<i4")
+    text = block(values)
+    for at in range(len(text) - 4):  # the last group may be padded
+        with pytest.raises(vtkdata.DataError):
+            decoded(text[:at] + piece + text[at + len(piece) :], 4)
+
+
+# --- zlib ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("encoding", ["zlib", "zlib base64"])
+def test_arrays_compressed_by_zlib_are_read(tmp_path, encoding):
+    (ds,) = series.packings(3000, 1)
+    path = series.write_vtp(tmp_path / "p.vtp", ds, "position", series.PARTICLE_ARRAYS, encoding)
+    header = vtp.read_header(str(path))
+    got = vtp.read_arrays(header, header.names)
+    np.testing.assert_array_equal(got["coordinates"], ds.position.values[0].astype("f4"))
+    np.testing.assert_array_equal(got["Velocity"], ds.velocity.values[0].astype("f4"))
+
+
+@pytest.mark.parametrize(
+    ("number", "size", "last", "part", "message"),
+    [
+        (1, 12_000, 0, bytes(1 << 24), None),  # what is beyond the promise is never unpacked
+        (2, 0, 12_000, bytes(1 << 24), "2 parts of 0 bytes"),
+        (1, 12_000, 0, bytes(11_999), "does not unpack to 12000 bytes"),
+        (1, 12_000, 0, b"", "does not unpack to 12000 bytes"),
+    ],
+)
+def test_wrong_sizes_of_compressed_parts_raise(tmp_path, number, size, last, part, message):
+    parts = [zlib.compress(part, 9), zlib.compress(bytes(12_000))][:number]
+    path = tmp_path / "block"
+    path.write_bytes(np.array([number, size, last, *map(len, parts)], "<u4").tobytes() + b"".join(parts))
+    encoding = vtkdata.VtkEncoding("<", np.dtype("<u4"), "vtkZLibDataCompressor")
+    tracemalloc.start()
+    try:
+        with path.open("rb") as file, pytest.raises(vtkdata.DataError, match=message) if message else nullcontext():
+            assert not vtkdata.read_raw(file, 0, encoding, np.dtype("<f4"), 3000).any()
+        assert tracemalloc.get_traced_memory()[1] < 1 << 22
+    finally:
+        tracemalloc.stop()
+
+
+def test_damaged_compressed_parts_raise(tmp_path):
+    (ds,) = series.packings(500, 1)
+    path = series.write_vtp(tmp_path / "p.vtp", ds, "position", series.PARTICLE_ARRAYS, "zlib")
+    header = vtp.read_header(str(path))
+    data = path.read_bytes()
+    start = header.arrays[0].start + 16
+    path.write_bytes(data[:start] + b"\xff" * 400 + data[start + 400 :])
+    with pytest.raises(SceneError, match=r"p\.vtp: 'coordinates' is not as its header says.*does not unpack"):
+        vtp.read_arrays(header, header.names)

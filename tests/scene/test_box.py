@@ -1,0 +1,193 @@
+"""Boxes that change over time: what looks across a periodic edge takes the period of each step."""
+
+import dask
+import numpy as np
+import pytest
+import xarray as xr
+
+import xcg
+
+EDGES = (10.0, 8.0, 9.1)
+
+
+def steps_of(edges=EDGES, **options):
+    """One random scene a box, each in its own period along all axes, with contacts across the edges."""
+    steps = [xcg.datasets.random_scene(150, seed=t, edge=edge) for t, edge in enumerate(edges)]
+    names = ["velocity", "diameter", "contact_i", "contact_j", "contact_force", "contact_point"]
+    key = {"contact": "contact_i", "particle": "particle_id"}
+    rows = {n: [s[n].values[0][s[key[s[n].dims[1]]].values[0] >= 0] for s in steps] for n in names}
+    given = {"density": 2500.0, "box": [[[0, edge]] * 3 for edge in edges], "periodic": "xyz"} | rows | options
+    return xcg.scene_from_arrays([s.position.values[0] for s in steps], **given), steps
+
+
+@pytest.mark.parametrize("lazy", [False, True])
+def test_mesh_of_a_selection_equals_that_of_its_first_step(lazy):
+    ds, alone = steps_of()
+    ds = ds.chunk(time=1) if lazy else ds
+    for t in (1, 2):
+        part = ds.isel(time=[t])
+        for one in (part, part.cg.measure(), ds.isel(time=slice(t, None, 3 - t))):
+            f = one.cg.coarse_grain("density", axes="xz", width=1.0)
+            assert bool(f.density.chunks) is lazy
+            expected = alone[t].cg.coarse_grain("density", axes="xz", width=1.0)
+            np.testing.assert_array_equal(f.x, expected.x)
+            np.testing.assert_array_equal(f.z, expected.z)
+            np.testing.assert_allclose(f.density[0], expected.density[0], rtol=1e-12)
+
+
+@pytest.mark.parametrize("lazy", [False, True])
+def test_axes_that_keep_their_period_have_neighbours_across_its_edges(lazy):
+    """One axis of three is stretched: differences along the others go on across the edges."""
+    ds = xcg.datasets.random_scene(150, seed=1, edge=6.0)
+    box = np.array([[[0.0, 6.0], [0.0, 6.0], [0.0, 6.0 + t]] for t in range(3)])
+    ds = xr.concat([ds] * 3, "time").assign(box=(("time", "component", "bound"), box), time=[0.0, 1.0, 2.0])
+    ds = ds.drop_attrs(deep=False).assign_attrs({k: v for k, v in ds.attrs.items() if not k.startswith("box_")})
+    ds = ds.chunk({"time": 1}).assign(box=ds.box) if lazy else ds
+    f = ds.cg.coarse_grain(["velocity", "velocity_gradient"], axes="xz", width=1.2, gradient="finite_difference")
+    assert f.attrs["wrapped_axes"] == "x"
+    v, step = f.velocity, float(f.x[1] - f.x[0])
+    want = (v.isel(x=1) - v.isel(x=-1)) / (2 * step)
+    np.testing.assert_allclose(f.velocity_gradient.isel(x=0).sel(direction="x"), want, rtol=1e-9)
+
+
+def test_a_box_that_stays_is_not_read_for_the_mesh():
+    ds, _ = steps_of(edges=(10.0, 10.0))
+    assert ds.attrs["box_upper"].tolist() == [10.0] * 3
+
+    def refuse(dsk, keys, **kwargs):
+        pytest.fail("computed while the graph was built")
+
+    with dask.config.set(scheduler=refuse):
+        ds.chunk(time=1).isel(time=[1]).cg.coarse_grain("density", width=1.0)
+
+
+@pytest.mark.parametrize("t", range(3))
+def test_finite_differences_at_the_edge_of_a_box_that_changed(t):
+    """Nodes that fill the period of the first step, against the slope of V on a mesh that goes on beyond them."""
+    ds, _ = steps_of(edges=(10.0, 8.0, 6.0))
+    options = {"axes": "x", "width": 2.0, "spacing": 0.05}
+    f = ds.cg.coarse_grain("velocity_gradient", gradient="finite_difference", **options).isel(time=t)
+    beyond = ds.cg.coarse_grain("velocity", **options, bounds={"x": (-0.1, 10.1)}).velocity.isel(time=t)
+    slope = np.gradient(beyond.values, 0.05, axis=0)[2 : 2 + f.sizes["x"]]
+    scale = np.abs(slope).max()
+    np.testing.assert_allclose(f.velocity_gradient.sel(direction="x"), slope, atol=2e-3 * scale)
+
+
+@pytest.mark.parametrize("lazy", [False, True])
+def test_a_body_across_the_edge_of_a_box_that_shrinks(lazy):
+    position = [[[0.1, 5, 5], [edge - 0.1, 5, 5]] for edge in (10.0, 8.0)]
+    ds = xcg.scene_from_arrays(
+        position, diameter=np.ones((2, 2)), density=1.0, body_id=np.zeros((2, 2), int), periodic="x",
+        box=[[[0, edge], [0, 10], [0, 10]] for edge in (10.0, 8.0)],
+    )  # fmt: skip
+    bodies = (ds.chunk(time=1) if lazy else ds).cg.group_bodies().compute()
+    np.testing.assert_allclose(bodies.position.values[:, 0], [[0, 5, 5]] * 2, atol=1e-12)
+
+
+def slices_by_hand(ds, t, method, edge, nodes, width, planes):
+    """Velocity and number of grains of each slice, image by image."""
+    x, v = ds.position.values[t][:, 0], ds.velocity.values[t]
+    d, m = ds.diameter.values[t], ds.mass.values[t]
+    for node in nodes:
+        total, momentum, seen = 0.0, np.zeros(3), set()
+        for grain in range(len(x)):
+            for n in range(-40, 41):
+                off = x[grain] + n * edge - node
+                weight = m[grain] * (-width / 2 <= off < width / 2)
+                if method == "planes":
+                    cuts = (
+                        (1 - abs(k) / (planes + 1), off - k * width / (2 * planes)) for k in range(-planes, planes + 1)
+                    )
+                    weight = sum(share * np.pi * max((d[grain] / 2) ** 2 - h**2, 0.0) for share, h in cuts)
+                if weight > 0:
+                    seen.add(grain)
+                    total, momentum = total + weight, momentum + weight * v[grain]
+        yield momentum / total, len(seen)
+
+
+@pytest.mark.parametrize("method", ["planes", "bins"])
+def test_slices_count_every_image_in_the_box_of_each_step(method):
+    """Bounds beyond the box, a box that changes, grains written many periods away."""
+    ds, alone = steps_of(edges=(5.0, 4.0))
+    options = {"axis": "x", "method": method, "width": 0.8, "bounds": (-1.0, 7.0)}
+    s = ds.cg.slice_temperature(**options)
+    for t, edge in enumerate((5.0, 4.0)):
+        by_hand = slices_by_hand(ds, t, method, edge, s.x.values, 0.8, 5)
+        for k, (velocity, count) in enumerate(by_hand):
+            np.testing.assert_allclose(s.velocity[t, k], velocity, rtol=1e-9, atol=1e-12)
+            assert s.sample_count[t, k] == count
+        far = np.random.default_rng(t).integers(-9, 9, (150, 3)) * edge
+        away = alone[t].assign(position=alone[t].position + far).cg.measure()
+        for scene in (alone[t], away):
+            one = scene.cg.slice_temperature(**options)
+            for name in s.data_vars:
+                np.testing.assert_allclose(one[name][0], s[name][t], rtol=1e-6, atol=1e-9)
+        default = [scene.cg.slice_temperature("x", method=method, width=0.8) for scene in (alone[t], away)]
+        assert default[1].sizes["x"] == default[0].sizes["x"]
+        assert default[1].sample_count.sum() == default[0].sample_count.sum()
+
+
+def test_regions_across_an_edge_against_a_loop_over_images():
+    ds, alone = steps_of(edges=(10.0, 8.0))
+    bounds = {"across": {"x": (7.0, 11.5), "y": (-1.0, 2.0)}, "far": {"z": (-33.0, -27.5)}, "inside": {"y": (1.0, 2.0)}}
+    far = np.random.default_rng(0).integers(-5, 6, (2, 150, 3)) * np.array([10.0, 8.0])[:, None, None]
+    for scene in (ds, ds.assign(position=ds.position + far)):
+        m = scene.cg.microstructure(["volume_fraction", "particle_count"], bounds=bounds)
+        for t, edge in enumerate((10.0, 8.0)):
+            x, volume = alone[t].position.values[0], alone[t].volume.values[0]
+            for name, region in bounds.items():
+                count, filled, size = 0, 0.0, edge**3
+                for low, high in region.values():
+                    size *= (high - low) / edge
+                for centre, own in zip(x, volume, strict=True):
+                    images = 1
+                    for axis, (low, high) in region.items():
+                        at = centre["xyz".index(axis)] + edge * np.arange(-20, 21)
+                        images *= ((low <= at) & (at < high)).sum()
+                    count, filled = count + images, filled + images * own
+                found = m.sel(region=name).isel(time=t)
+                assert found.particle_count == count
+                np.testing.assert_allclose(found.volume_fraction, filled / size, rtol=1e-12)
+
+
+def test_regions_wider_than_the_period_raise():
+    ds, alone = steps_of(edges=(10.0, 8.0))
+    whole = alone[0].cg.microstructure("volume_fraction").volume_fraction.item()
+    for low in (0.0, 3.3):
+        bounded = alone[0].cg.microstructure("volume_fraction", bounds={"x": (low, low + 10.0)})
+        assert bounded.volume_fraction.item() == pytest.approx(whole, rel=1e-12)
+    with pytest.raises(
+        xcg.SceneError, match="step 1: the region reaches from 0 to 9 along 'x', further than the period 8"
+    ):
+        ds.cg.microstructure("volume_fraction", bounds={"x": (0, 9)})
+
+
+@pytest.mark.parametrize("times", [[0.0, 2.0, 1.0], [0.0, 1.0, 1.0], [0.0, np.nan, 2.0], [np.nan] * 3])
+def test_times_that_do_not_rise_raise(times):
+    with pytest.raises(xcg.SceneError, match="a scene needs finite times that rise"):
+        steps_of(time=times)
+    ds = steps_of()[0].assign_coords(time=times)
+    with pytest.raises(xcg.SceneError, match=r"the strain rate of the box needs finite times .*sortby"):
+        ds.cg.microstructure("strain_rate", strain_rate="box")
+    with pytest.raises(xcg.SceneError, match="balance needs finite times"):
+        ds.cg.balance(axes="x", width=1.0)
+
+
+def test_balance_does_not_wrap_where_nodes_no_longer_fill_the_box():
+    options = {"axes": "x", "width": 1.0, "spacing": 0.25}
+    ds, _ = steps_of(edges=(10.0, 8.0))
+    ends = ds.cg.balance(**options).force_residual.isel(x=[0, 1, -2, -1])
+    assert np.isnan(ends).all()
+    same, _ = steps_of(edges=(10.0, 10.0))
+    assert same.cg.balance(**options).force_residual.notnull().all()
+
+
+def test_each_step_has_the_images_of_its_own_box():
+    """Steps of equal boxes share what follows from them; a step with another box has its own."""
+    ds, _ = steps_of((10.0, 8.0, 10.0))
+    options = {"width": 1.0, "bounds": dict.fromkeys("xyz", (0.0, 8.0)), "spacing": 1.6}
+    together = ds.cg.coarse_grain(["density", "stress"], **options)
+    for t in range(3):
+        alone = ds.isel(time=[t]).cg.coarse_grain(["density", "stress"], **options)
+        for name in ("density", "stress"):
+            np.testing.assert_array_equal(together[name][t], alone[name][0])

@@ -1,0 +1,171 @@
+"""Files that an interrupted save began are continued: the bits of an uninterrupted one, and no step twice."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import dask
+import h5py
+import numpy as np
+import pytest
+
+import xcg
+from tests import ROOT, steps_of_random_scenes
+from xcg.writers.netcdf import hdf5_file, recover
+
+SUFFIXES = [".nc", ".h5", ".zarr", ".vtkhdf"]
+STEPS = 6
+
+
+def fields(fail_at=None, seen=None, **options):
+    """Fields of six chunks of time, one of which fails at a step; computed ones are noted."""
+    ds = steps_of_random_scenes(STEPS).chunk(time=1)
+    f = ds.cg.coarse_grain(["density", "velocity", "stress"], axes="xz", width=1.0, **options)
+    if fail_at is None and seen is None:
+        return f
+
+    def note(values, block_info=None):
+        step = block_info[0]["chunk-location"][0]
+        if seen is not None and values.size:
+            seen.append(step)
+        if step == fail_at:
+            raise RuntimeError("stopped")
+        return values
+
+    data = f.density.data.map_blocks(note, dtype="f8", meta=np.empty((0, 0, 0)), name=f"noted-{f.density.data.name}")
+    return f.assign(density=f.density.copy(data=data))
+
+
+def assert_same_bits(one: Path, other: Path):
+    if one.suffix == ".zarr":
+        files = [
+            {str(p.relative_to(top)): p.read_bytes() for p in top.rglob("*") if p.is_file()} for top in (one, other)
+        ]
+        for held in files:  # the history tells the time
+            held.pop("zarr.json")
+        assert files[0] == files[1]
+        return
+    arrays = {}
+    with h5py.File(one) as file:
+        file.visititems(lambda name, a: arrays.update({name: a[()]}) if isinstance(a, h5py.Dataset) else None)
+    with h5py.File(other) as file:
+        assert arrays
+        for name, values in arrays.items():
+            assert np.asarray(file[name]).tobytes() == np.asarray(values).tobytes(), name
+            if file[name].chunks:
+                chunks = [h5py.File(path)[name].id for path in (one, other)]
+                assert chunks[0].get_num_chunks() == chunks[1].get_num_chunks(), name
+
+
+@pytest.mark.parametrize("compression", [0, 1])
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_an_error_midway_keeps_the_steps_before(tmp_path, suffix, compression, monkeypatch):
+    monkeypatch.setattr("xcg.writers.zarr._steps_together", lambda layout: 1)
+    path, options = tmp_path / f"f{suffix}", {"compression": compression, "resume": True}
+    with dask.config.set(scheduler="sync"):
+        with pytest.raises(RuntimeError, match="stopped"):
+            xcg.save(fields(fail_at=3, seen=[]), path, **options)
+        assert not path.exists()
+        lines = (tmp_path / f".f{suffix}.begun/done.jsonl").read_text()
+        done = {int(first) for first in re.findall(r"\[(\d+),", lines)}
+        seen = []
+        xcg.save(fields(seen=seen), path, **options)
+    assert done
+    assert sorted(seen) == sorted(set(range(STEPS)) - done)
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+    assert_same_bits(path, xcg.save(fields(), tmp_path / f"whole{suffix}", compression=compression))
+
+
+KILLED = """
+import os, sys
+import numpy as np, xcg, dask
+from tests.writers.test_store import fields
+from xcg.writers import store, zarr
+from xcg.writers import netcdf
+path, kills, where = sys.argv[1], int(sys.argv[2]), sys.argv[3]
+zarr._steps_together = lambda layout: 1
+count = [0]
+def counted(real):
+    def call(*args, **kwargs):
+        count[0] += 1
+        if count[0] == kills:
+            os._exit(9)
+        return real(*args, **kwargs)
+    return call
+if where == "log":
+    store.Log.add = counted(store.Log.add)
+elif where == "apply":
+    netcdf._apply = counted(netcdf._apply)
+elif where == "write":
+    netcdf.Sink.write = counted(netcdf.Sink.write)
+elif where == "chunk":
+    zarr._Plain.write = counted(zarr._Plain.write)
+with dask.config.set(scheduler="sync"):
+    xcg.save(fields(), path, resume=True, compression=int(sys.argv[4]))
+"""
+
+
+@pytest.mark.parametrize(
+    ("suffix", "where", "kills", "compression"),
+    [
+        (".nc", "log", 3, 1), (".nc", "apply", 2, 0), (".nc", "write", 60, 1), (".nc", "write", 45, 0),
+        (".vtkhdf", "log", 3, 1), (".vtkhdf", "apply", 3, 1), (".vtkhdf", "write", 60, 0), (".vtkhdf", "write", 81, 1),
+        (".zarr", "log", 2, 1), (".zarr", "chunk", 8, 0),
+    ],
+)  # fmt: skip
+def test_a_killed_process_keeps_finished_steps(tmp_path, suffix, where, kills, compression, monkeypatch):
+    monkeypatch.setattr("xcg.writers.zarr._steps_together", lambda layout: 1)
+    path = tmp_path / f"f{suffix}"
+    command = [sys.executable, "-c", KILLED, str(path), str(kills), where, str(compression)]
+    done = subprocess.run(command, env=os.environ | {"PYTHONPATH": str(ROOT)}, timeout=120, check=False)
+    assert done.returncode == 9
+    assert not path.exists()
+    xcg.save(fields(), path, resume=True, compression=compression)
+    assert {p.name for p in tmp_path.iterdir()} == {path.name}
+    assert_same_bits(path, xcg.save(fields(), tmp_path / f"whole{suffix}", compression=compression))
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_resuming_with_another_call_raises(tmp_path, suffix):
+    path = tmp_path / f"f{suffix}"
+    with dask.config.set(scheduler="sync"), pytest.raises(RuntimeError, match="stopped"):
+        xcg.save(fields(fail_at=3), path, resume=True)
+    with pytest.raises(xcg.SceneError, match=r"another scene or call .*encoding: .*digits=4.* instead of"):
+        xcg.save(fields(fail_at=3), path, resume=True, digits=4)
+    with pytest.raises(xcg.SceneError, match=r"values of 'velocity'"):
+        xcg.save(fields(kernel="gaussian"), path, resume=True)
+    with pytest.raises(xcg.SceneError, match=r"shape of 'time': .* 5.* instead of .* 6"):
+        xcg.save(fields().isel(time=slice(5)), path, resume=True)
+    xcg.save(fields(), path)  # without resume, it is let alone
+    assert (tmp_path / f".f{suffix}.begun").is_dir()
+
+
+def test_resume_writes_eager_results_and_refuses_other_formats(tmp_path):
+    f = fields().compute()
+    for suffix in SUFFIXES:
+        assert_same_bits(xcg.save(f, tmp_path / f"a{suffix}", resume=True), xcg.save(f, tmp_path / f"b{suffix}"))
+    with pytest.raises(ValueError, match=r"resume=True continues"):
+        xcg.save(f, tmp_path / "f.pvd", resume=True)
+
+
+def test_a_file_comes_to_the_state_after_the_last_task(tmp_path, monkeypatch):
+    """Of a process that ended before the changes in the journal were made, and after the next one had begun."""
+    path = tmp_path / "f"
+    with hdf5_file(path, "w") as file:
+        file["a"] = np.arange(1000.0)
+    for k in range(3):
+        if k == 2:
+            monkeypatch.setattr("xcg.writers.netcdf._apply", lambda changes, file: None)
+        with hdf5_file(path, "r+", journal=True) as file:
+            file[f"b{k}"] = np.full(100, k)
+            file["a"][k] = -1.0
+    with h5py.File(path) as file:
+        assert sorted(file) == ["a", "b0", "b1"]
+    monkeypatch.undo()
+    path.write_bytes(path.read_bytes() + b"appended")
+    recover(path)
+    with h5py.File(path) as file:
+        assert sorted(file) == ["a", "b0", "b1", "b2"]
+        assert file["a"][:4].tolist() == [-1.0, -1.0, -1.0, 3.0]
