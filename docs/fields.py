@@ -81,6 +81,7 @@ def _row(name: str) -> str:
     additive = "yes" if f.additive else ""
     whose = " of the bulk" if f.by_bulk else ""
     average = "as they are" if f.additive else f"by `{f.weight}`{whose}" if f.weight else "anew"
+    average += ", harmonic" if f.harmonic else ""
     unit = re.sub(r"\^(-?\d)", lambda power: power[1].translate(RAISED), f.units)
     about = f"{f.long_name}<br>{mathematics(f.formula)}"
     star = "" if f.default else " \\*"

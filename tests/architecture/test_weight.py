@@ -7,7 +7,7 @@ import tokenize
 from tests import ROOT
 
 PACKAGE = ROOT / "xcg"
-MOST_MODULES, MOST_LINES, LONGEST, SHORTEST = 177, 24750, 450, 60
+MOST_MODULES, MOST_LINES, LONGEST, SHORTEST = 177, 24790, 450, 60
 # modules that are longer or shorter for now, or tables of rows
 LONG = {"readers/series.py"}
 SHORT = {"__init__.py", "fields/formulas/rows/orientation.py"}

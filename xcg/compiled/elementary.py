@@ -1,4 +1,4 @@
-"""exp, erf, angles and logarithms by arithmetic alone, without branches: loops that take them become vector instructions.
+"""exp, erf, angles and logarithms by arithmetic alone, in loops that become vector instructions, as none branches.
 
 Each is compiled into the loop that calls it. Compiled or not they give the same bits, on every machine.
 `tests/compiled/test_elementary.py` measures the errors stated here.

@@ -118,7 +118,12 @@ def read_step(engine: Engine, options: ReadOptions, ref: StepRef, *, contacts: b
     """Parse one body in the file's units."""
     if ref.size:
         _check_unchanged(ref)
-    found = engine.read_contacts(ref, options) if contacts else engine.read_particles(ref, options)
+    try:
+        found = engine.read_contacts(ref, options) if contacts else engine.read_particles(ref, options)
+    except SceneError:
+        raise
+    except ValueError as error:  # of engines of users, such as NumPy's for texts
+        raise SceneError(f"{source_of(ref)}: the engine {engine.name!r} cannot read it: {error}") from error
     if not isinstance(found, Mapping):
         raise SceneError(
             f"{source_of(ref)}: the engine {engine.name!r} gives {'contacts' if contacts else 'particles'} as "

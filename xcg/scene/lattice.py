@@ -247,10 +247,11 @@ class Lattice:
             tilted = vectors[(vectors * active).any(axis=1) & (vectors * ~active).any(axis=1)].any(axis=0)
             shown = [a for a, leads in zip(COMPONENTS, tilted & active, strict=True) if leads]
             hidden = [a for a, leads in zip(COMPONENTS, tilted & ~active, strict=True) if leads]
+            across, along = " and ".join(hidden), " and ".join(shown)
             raise SceneError(
-                f"{source}: the box is tilted, so that its images along {' and '.join(hidden)} are shifted along "
-                f"{' and '.join(shown)}, and an average along {' and '.join(hidden)} alone does not exist; resolve "
-                f"more axes (axes={self._resolvable(active)!r}) and average the result"
+                f"{source}: the box is tilted, or turned against the axes of the nodes, so that its images along "
+                f"{across} are shifted along {along}, and an average along {across} alone does not exist; resolve more "
+                f"axes (axes={self._resolvable(active)!r}) and average the result"
             )
         return Lattice(self.period, self.edges, *_reduced(flat, rates))
 

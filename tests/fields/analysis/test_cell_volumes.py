@@ -149,3 +149,10 @@ def test_lazy_results_equal_eager_ones():
 def test_wrong_arguments_raise(options, message):
     with pytest.raises(ValueError, match=message):
         random_scene().cg.cell_volumes(**options)
+
+
+def test_void_fractions_need_no_velocities():
+    ds = xcg.datasets.simple_cubic(4)
+    still = ds.drop_vars("velocity").cg.cell_volumes(2.0)
+    np.testing.assert_array_equal(still.void_fraction, ds.cg.cell_volumes(2.0).void_fraction)
+    assert not {"velocity", "momentum_density"} & set(still)

@@ -166,3 +166,10 @@ def test_photoelastic_forces_across_a_periodic_edge_have_the_direction_of_the_ne
     np.testing.assert_allclose(found, [[2 * n[0] - 0.5 * n[1], 2 * n[1] + 0.5 * n[0], 0.0]], atol=1e-12)
     open_box = xcg.scene_from_table(grains | {"x": [0.2, -0.7]}, contacts=touching, **layer)
     np.testing.assert_allclose(open_box.contact_force.isel(time=0).dropna("contact").values, force, atol=1e-12)
+
+
+def test_large_moves_across_a_period_warn():
+    position = np.array([[[0.0, 1.0, 1.0]], [[1.3, 1.0, 1.0]], [[2.6, 1.0, 1.0]]])
+    ds = xcg.scene_from_arrays(position, diameter=[0.1], time=[0.0, 1.0, 2.0], box=[[0, 4]] * 3, periodic="x")
+    with pytest.warns(xcg.SceneWarning, match=r"by up to 0\.33 of the period along 'x'"):
+        ds.cg.derive_velocity()

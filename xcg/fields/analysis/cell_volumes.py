@@ -76,8 +76,8 @@ def cell_volumes(
     -------
     xarray.Dataset
         On the centres of the cells, (time, axes, phase): ``volume_fraction``, ``void_fraction``, ``number_density``
-        (m-3, parts of grains counted by their share), ``density``, ``momentum_density`` and ``velocity``, the mean
-        weighted by the mass inside.
+        (m-3, parts of grains counted by their share), ``density``, and, where the scene has velocities,
+        ``momentum_density`` and ``velocity``, the mean weighted by the mass inside.
 
     Raises
     ------
@@ -93,7 +93,7 @@ def cell_volumes(
     >>> round(float(f.volume_fraction.mean()), 6)
     0.523599
     """
-    require_scene(ds, ("diameter", "volume", "mass", "velocity"), "cell_volumes")
+    require_scene(ds, ("diameter", "volume", "mass"), "cell_volumes")
     scene = describe(ds, by)
     setup = scene.setup
     if scene.tilted:
@@ -114,9 +114,10 @@ def cell_volumes(
     task = _Cells(grid, setup, _depth(scene), by, values)
     phases = (1 + len(values),) if by is not None else ()
     shape = (*grid.sizes, *phases)
-    results = {name: ((*shape, *(3,) * rank), "float64") for name, (rank, _, _) in _FIELDS.items()}
-    names = ["particle_id", "position", "diameter", "volume", "mass", "velocity", *([by] if by else [])]
-    names += [name for name in ("frozen", *OF_STEP) if name in ds]
+    fields = {name: row for name, row in _FIELDS.items() if "velocity" in ds or name not in _OF_MOTION}
+    results = {name: ((*shape, *(3,) * rank), "float64") for name, (rank, _, _) in fields.items()}
+    names = ["particle_id", "position", "diameter", "volume", "mass", *([by] if by else [])]
+    names += [name for name in ("velocity", "frozen", *OF_STEP) if name in ds]
     found = map_over_time(ds, names, partial(_of_chunk, task), results, "cell-volumes", on_error)
     coords: dict[str, Any] = {name: given.copy() for name, given in scene.times.items()}
     length = units_in("m", setup.unit_system)
@@ -127,7 +128,7 @@ def cell_volumes(
     coords["component"] = list(COMPONENTS)
     dims = ("time", *grid.dims, *(("phase",) if by is not None else ()))
     data = {}
-    for name, (rank, unit, text) in _FIELDS.items():
+    for name, (rank, unit, text) in fields.items():
         about = {"units": units_in(unit, setup.unit_system), "long_name": text}
         data[name] = ((*dims, *("component",) * rank), found[name], about)
     result = storable(xr.Dataset(data, coords))
@@ -147,6 +148,9 @@ _FIELDS = {
 }
 
 
+_OF_MOTION = ("momentum_density", "velocity")
+
+
 def _depth(scene: Description) -> float:
     """Thickness of a scene of one layer, 1 in three dimensions; NaN where it is that of the box of each step."""
     depth = scene.layer_depth
@@ -161,12 +165,14 @@ def _of_chunk(task: _Cells, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]
     if task.by is not None:
         sums = np.concatenate([sums.sum(axis=1, keepdims=True), sums], axis=1)
     sums = np.moveaxis(sums, 1, -2).reshape(len(sums), *grid.sizes, *(sums.shape[1:2] if task.by else ()), _COLUMNS)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        velocity = sums[..., 3:] / sums[..., 2:3]
-    return {
+    found = {
         "volume_fraction": sums[..., 1], "void_fraction": 1.0 - sums[..., 1], "number_density": sums[..., 0],
-        "density": sums[..., 2], "momentum_density": sums[..., 3:], "velocity": velocity,
+        "density": sums[..., 2],
     }  # fmt: skip
+    if "velocity" in arrays:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            found |= {"momentum_density": sums[..., 3:], "velocity": sums[..., 3:] / sums[..., 2:3]}
+    return found
 
 
 def _shares(task: _Cells, groups: int, frame: Any, lattice: Any, source: str) -> NDArray:
@@ -176,7 +182,8 @@ def _shares(task: _Cells, groups: int, frame: Any, lattice: Any, source: str) ->
     some = {name: values[free] for name, values in frame.items()}
     phase = phase_of(some, task.by, task.groups, source)
     count, diameter, volume = free.sum(), some["diameter"], some["volume"]
-    values = np.column_stack([np.ones(count), volume, some["mass"], some["mass"][:, None] * some["velocity"]])
+    momentum = some["mass"][:, None] * some.get("velocity", np.zeros((count, 3)))
+    values = np.column_stack([np.ones(count), volume, some["mass"], momentum])
     spheres = setup.dimension == 3 or np.allclose(volume, np.pi / 6 * diameter**3, rtol=_SPHERE, atol=0.0)
     across = next((k for k, a in enumerate(COMPONENTS) if a not in setup.plane), -1)
     step = np.array([grid.spacing.get(a, np.inf) for a in COMPONENTS])

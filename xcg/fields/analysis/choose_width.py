@@ -223,6 +223,7 @@ def _choice(found: xr.Dataset, names: Sequence[str], kernel: Kernel) -> dict[str
             "particles, or zero everywhere; choose by other fields, or measure at wider widths="
         )
     best, fewest = int(np.nanargmin(worst)), int(np.lexsort((worst, needed))[0])
+    end = {0: ", the narrowest of those compared", STEPS: ", the widest of those compared"}.get(best, "")
     leading = int(totals[:, best].argmax())
     bias, total = biases[leading, best], worst[best]
     # between nodes h apart, linear interpolation is off by h^2 f'' / sqrt(120), f'' = 2 bias / mu_2
@@ -231,7 +232,7 @@ def _choice(found: xr.Dataset, names: Sequence[str], kernel: Kernel) -> dict[str
     reached = np.isfinite(needed[fewest])
     unit = found["width"].attrs["units"]
     numbers = {
-        "best_width": (fine[best], unit, "width with the least error"),
+        "best_width": (fine[best], unit, f"width with the least error{end}"),
         "best_bias": (bias, "1", "relative bias at the best width"),
         "best_noise": (noises[leading, best] / math.sqrt(frames), "1", f"relative noise, mean of {frames} frames"),
         "best_total": (total, "1", "relative error at the best width"),

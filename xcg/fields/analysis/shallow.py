@@ -217,8 +217,9 @@ def depth_average(
         ratio; ``shape_factor`` (component), 1 for a block, 4/3 for a linear profile from rest, 5/4 for Bagnold's; with
         contact forces also ``depth_stress``, ``int sigma dz`` (component, direction, N/m), ``earth_pressure``
         (component), its normal stresses over that across the base, and ``basal_traction`` (component, Pa), the force of
-        walls on the grains per area of the base. Sources: Savage & Hutter (1989), J. Fluid Mech. 199, 177; Bouchut &
-        Westdickenberg (2004).
+        walls on the grains per area of the base: contacts with walls and with frozen grains (``frozen=`` of
+        `xcg.open_scene`), so zero where a scene has neither. Sources: Savage & Hutter (1989), J. Fluid Mech. 199, 177;
+        Bouchut & Westdickenberg (2004).
 
     Raises
     ------
@@ -274,7 +275,11 @@ def depth_average(
         across = normal.sel(component=axis, drop=True)
         found |= {
             "depth_stress": (stress, "N m^-1", "stress integrated over the depth"),
-            "earth_pressure": (normal / across.where(across != 0), "1", f"normal stress over that along {axis}"),
+            "earth_pressure": (
+                (normal / across.where(across != 0)).transpose(..., "component"),
+                "1",
+                f"normal stress over that along {axis}",
+            ),
             "basal_traction": (sums["wall_traction"], "Pa", "force of walls on the grains per area"),
         }
     system = scene.setup.unit_system

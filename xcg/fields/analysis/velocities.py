@@ -10,17 +10,18 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.messages import SceneError
+from xcg.common.messages import SceneError, warn_once
 from xcg.scene.box import BoxMotion
 from xcg.scene.conform import takes_scene
 from xcg.scene.description import require_scene
 from xcg.scene.frame import particle_rows, require_rising_times, steps_in
 from xcg.scene.sanity import rows_of
-from xcg.scene.schema import OF_STEP, VARIABLES, units_in
+from xcg.scene.schema import COMPONENTS, OF_STEP, VARIABLES, units_in
 from xcg.steps.labels import format_call, provenance
 from xcg.steps.mapping import map_over_time
 
 _SIDES = {"_before": -1, "_after": 1}
+_LARGE_SHARE = 0.25  # of a period
 
 
 @takes_scene
@@ -29,7 +30,8 @@ def derive_velocity(ds: xr.Dataset) -> xr.Dataset:
 
     ``v(t_k) = (r_{k+1} - r_{k-1}) / (t_{k+1} - t_{k-1})``, particles by id, with the nearest periodic image relative to
     the box; one-sided in the first and last step, and where a particle is missing before or after. Exact for constant
-    acceleration and even steps. Steps have to be so close that no particle moves by half a period.
+    acceleration and even steps. Steps have to be so close that no particle moves by half a period: from there on the
+    nearest image is another one, and the velocity is wrong.
 
     Parameters
     ----------
@@ -46,6 +48,11 @@ def derive_velocity(ds: xr.Dataset) -> xr.Dataset:
     ------
     SceneError
         If there is one step only, or times do not rise.
+
+    Warns
+    -----
+    SceneWarning
+        When it is computed, if a particle moves by more than a quarter of a period between two steps.
 
     Examples
     --------
@@ -99,9 +106,21 @@ def _velocities(periodic: str, arrays: Mapping[str, NDArray]) -> dict[str, Any]:
             there = np.flatnonzero(row >= 0) if apart else np.empty(0, int)
             motion = BoxMotion.between(now[1], other[1])
             moved = motion.relative(position[there], other[0]["position"][row[there]])
+            _warn_of_aliasing(np.abs(moved).max(axis=0, initial=0.0) / now[1].period, now[2])
             moved += motion.shift + position[there] @ motion.gradient.T
             total[there] += np.sign(apart) * moved
             time[there] += abs(apart)
         with np.errstate(invalid="ignore", divide="ignore"):
             out[t, particle_rows(here["particle_id"][t])] = total / time[:, None]
     return {"velocity": out}
+
+
+def _warn_of_aliasing(share: NDArray, source: str) -> None:
+    """Warn where particles move by a large share (3,) of the period, as the nearest image may be another one."""
+    k = int(share.argmax())
+    if share[k] > _LARGE_SHARE:
+        warn_once(
+            "velocities across a period",
+            f"{source}: particles move by up to {share[k]:.2f} of the period along '{COMPONENTS[k]}' from one step to "
+            "the next; velocities of those that move by half a period or more are wrong. Write steps more often",
+        )
