@@ -13,9 +13,11 @@ import time
 import tomllib
 from pathlib import Path
 
+import dask
 import numpy as np
 import pytest
 import xarray as xr
+from tqdm import tqdm
 
 import xcg
 from tests import dumps, steps_of_random_scenes
@@ -23,7 +25,7 @@ from tests.test_cli import xcg_run
 from xcg.jobs.config import read_config
 from xcg.jobs.run import run_job
 from xcg.steps.faults import SkippedStep
-from xcg.steps.progress import shown
+from xcg.steps.progress import CountTasks, shown
 from xcg.writers.files import locked, whole_file
 
 ROOT = Path(__file__).parents[1]
@@ -379,6 +381,17 @@ def test_progress(terminal, monkeypatch):
     with shown(10, False) as bar:
         bar.update(10)
     assert not stream.text
+
+
+def test_tasks_count_the_steps_that_are_left():
+    """Of 10 steps 4 were done: three tasks stand for the other six, whatever other tasks there are."""
+    seen = []
+    with tqdm(total=10, initial=4, file=Stream(False)) as bar, CountTasks(bar, lambda key: key.startswith("write")):
+        tasks = {"other": (lambda: None,)}
+        for name, before in (("write 1", "other"), ("write 2", "write 1"), ("write 3", "write 2")):
+            tasks[name] = (lambda _: seen.append(bar.n), before)
+        dask.get(tasks, "write 3")
+        assert [*seen, bar.n] == [4, 6, 8, 10]
 
 
 def test_dashboard_without_distributed(job, monkeypatch):
