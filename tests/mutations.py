@@ -206,7 +206,7 @@ TABLE = [
     ),
     Mutation(
         "fields/formulas/rows/flow.py", "0.5 * ratio(s.mass, s.count)", "0.25 * ratio(s.mass, s.count)",
-        "test_unknown_where_the_fit_leaves_less_than_half_a_grain",
+        "test_two_grains_have_a_temperature_while_their_masses_are_alike",
     ),
     Mutation(
         "fields/formulas/rows/flow.py", "(2 * double_dot(inverse, own) - mean - shared)",
@@ -234,7 +234,7 @@ TABLE = [
     ),
     Mutation(
         "fields/formulas/averages.py", "* np.sqrt(count - 1))", "* np.sqrt(count))",
-        "test_errors_of_correlated_samples test_errors_of_ratios_are_those_of_the_ratio_of_sums",
+        "test_errors_of_few_samples_are_their_scatter_over_the_root_of_their_number",
     ),
     Mutation(
         "fields/formulas/rows/orientation.py", "-= 1 / (o.dimension - 1)", "-= 1 / o.dimension",
