@@ -367,13 +367,13 @@ TABLE = [
     # --- jobs ---
     Mutation(
         "jobs/pysammos_ini.py", "(number - (start or 0)) % stride", "number % stride",
-        "test_series_as_mfix_writes_them test_real_mfix_frames_through_a_pysammos_configuration",
+        "test_steps_of_a_configuration_count_from_the_first",
     ),
     Mutation(
         "jobs/run.py", "all(_made_by(path) == mark", "any(_made_by(path) != mark",
-        "test_another_job_does_not_resume test_resume_never_starts_over",
+        "test_resume_never_starts_over",
     ),
-    Mutation("jobs/config.py", 'fields.setdefault("by", "phase")', 'fields.setdefault("by", "species")', "test_toml"),
+    Mutation("jobs/config.py", 'output.get("netcdf", True)', 'output.get("netcdf", False)', "test_toml"),
 ]  # fmt: skip
 
 
