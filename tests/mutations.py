@@ -373,7 +373,10 @@ TABLE = [
         "jobs/run.py", "all(_made_by(path) == mark", "any(_made_by(path) != mark",
         "test_resume_never_starts_over",
     ),
-    Mutation("jobs/config.py", 'output.get("netcdf", True)', 'output.get("netcdf", False)', "test_toml"),
+    Mutation(
+        "jobs/config.py", 'output.get("netcdf", True)', 'output.get("netcdf", False)',
+        "test_what_a_job_leaves_out_has_the_documented_default",
+    ),
 ]  # fmt: skip
 
 

@@ -383,6 +383,15 @@ def test_toml(tmp_path):
         assert message in xcg_run("run", tmp_path / "bad.toml", code=1)
 
 
+def test_what_a_job_leaves_out_has_the_documented_default(tmp_path):
+    (tmp_path / "job.toml").write_text('[scene]\nparticles = "p.*.dump"\n')
+    job = read_config(tmp_path / "job.toml")
+    assert (job.netcdf, job.vtkhdf, job.suffix, job.name, job.on_error) == (True, "", ".nc", "fields", "raise")
+    assert job.folder == tmp_path / "xcg-output"
+    assert job.scene == {"particles": [str(tmp_path / "p.*.dump")]}
+    assert (job.fields, job.encoding, job.phases, job.slices) == ({}, {}, None, None)
+
+
 def test_info_and_fields(tmp_path):
     write_particles(tmp_path / "P_0001.vtp", Velocity=np.zeros((3, 3)), Density=np.ones(3))
     said = xcg_run("info", tmp_path / "P_0001.vtp")
