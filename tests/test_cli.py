@@ -18,6 +18,7 @@ from tests.readers.engines.test_mfix import write_contacts, write_particles, wri
 from tests.writers.test_vtkhdf import read
 from xcg.chains.search import Algorithm
 from xcg.cli import group
+from xcg.jobs import pysammos_ini
 from xcg.jobs.config import read_config
 from xcg.jobs.run import run_job
 from xcg.steps.faults import ON_ERROR
@@ -160,6 +161,22 @@ def test_steps_without_contact_files_run(series):
     # the first step may be the empty one
     (series / "VTU/FC_0150.vtp").unlink()
     assert "contact_force" in xcg.open_scene(str(series / "VTU/DES_*.vtp"), missing="empty", **options)
+
+
+@pytest.mark.parametrize(
+    ("steps", "expected"),
+    [
+        ({"t0": "2", "tf": "9", "dt": "3"}, [2, 5, 8]),
+        ({"t0": "1", "tf": "7", "dt": "3"}, [1, 4, 7]),
+        ({"dt": "4"}, [4, 8]),
+        ({"t0": "6"}, [6, 7, 8, 9, 10]),
+    ],
+)
+def test_steps_of_a_configuration_count_from_the_first(tmp_path, steps, expected):
+    for number in range(1, 11):
+        (tmp_path / f"P_{number:04d}.vtp").touch()
+    found = pysammos_ini._files(tmp_path, "P_", pysammos_ini._Section(tmp_path, "timesteps", steps), required=True)
+    assert found == [str(tmp_path / f"P_{number:04d}.vtp") for number in expected]
 
 
 def test_compressed_files_are_among_those_of_a_configuration(series):
@@ -364,6 +381,15 @@ def test_a_job_in_toml_runs(tmp_path):
     ):
         (tmp_path / "bad.toml").write_text(bad)
         assert message in xcg_run("run", tmp_path / "bad.toml", code=1)
+
+
+def test_what_a_job_leaves_out_has_the_documented_default(tmp_path):
+    (tmp_path / "job.toml").write_text('[scene]\nparticles = "p.*.dump"\n')
+    job = read_config(tmp_path / "job.toml")
+    assert (job.netcdf, job.vtkhdf, job.suffix, job.name, job.on_error) == (True, "", ".nc", "fields", "raise")
+    assert job.folder == tmp_path / "xcg-output"
+    assert job.scene == {"particles": [str(tmp_path / "p.*.dump")]}
+    assert (job.fields, job.encoding, job.phases, job.slices) == ({}, {}, None, None)
 
 
 def test_info_and_fields_print_summaries(tmp_path):

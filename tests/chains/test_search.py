@@ -122,6 +122,15 @@ def test_contacts_in_tension_make_no_chains():
     )
 
 
+def test_rounding_of_pure_tension_makes_no_chains():
+    """In a line that is pulled the largest principal stress is zero, of either sign by rounding."""
+    for axis in np.random.default_rng(0).normal(size=(20, 3)):
+        line = np.arange(5)[:, None] * 0.98 * axis / np.linalg.norm(axis)
+        fc = network(line, [(k, k + 1) for k in range(4)], [-1.0, -3.0, -2.0, -0.7]).cg.force_chains(alpha=90)
+        assert fc.chain_count == 0
+        assert abs(fc.major_stress.values).max() < 1e-12 * abs(fc.principal_stress.values).max()
+
+
 def test_frozen_grains_are_walls():
     ds = nine_particles()
     fc = ds.assign(frozen=("particle", np.arange(9) // 8)).assign(frozen=lambda s: s.frozen.expand_dims("time")).cg

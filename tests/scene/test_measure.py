@@ -6,6 +6,7 @@ import pytest
 import xarray as xr
 
 import xcg
+from xcg.scene.sizes import sizes_of
 
 AXES = ("x", "y", "z")
 
@@ -140,3 +141,13 @@ def test_sizes_stay_where_only_places_were_changed(ds):
         assert f.attrs["size_diameter"] == ds.attrs["d43"]
         f = scene.cg.coarse_grain("density", axes="r", at={"z": 0.0}, frame=frames[1], bounds={"r": (0, 1)})
         assert f.attrs["width"] == width
+
+
+@pytest.mark.parametrize("weighed", [True, False])
+def test_half_of_the_mass_lies_in_grains_up_to_d50(weighed):
+    rng = np.random.default_rng(3)
+    diameter, mass = rng.uniform(1.0, 3.0, 40), rng.uniform(0.5, 2.0, 40)
+    share = mass if weighed else diameter**3
+    up_to = np.array([share[diameter <= d].sum() for d in diameter])
+    expected = diameter[up_to >= 0.5 * share.sum()].min()
+    assert sizes_of(diameter, mass if weighed else None)["d50"] == expected

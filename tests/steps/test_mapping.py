@@ -5,6 +5,7 @@ import pytest
 import xarray as xr
 
 import xcg
+from tests import steps_of_random_scenes
 from tests.dumps import write_series
 from xcg.steps.mapping import chunks_of_time, each_step
 
@@ -31,6 +32,14 @@ def test_mapping_yields_the_steps_of_the_series():
     assert all(step.sizes["time"] == 1 and step["a"].chunks is None for step in each_step(ds))
     (one,) = each_step(ds.isel(time=3))
     xr.testing.assert_identical(one, ds.isel(time=3).compute())
+
+
+def test_tasks_take_the_finest_chunks_of_their_variables():
+    ds = steps_of_random_scenes(4)
+    mixed = ds.chunk(time=4).assign(velocity=ds.velocity.chunk(time=(1, 3)), mass=ds.mass.chunk(time=(1, 1, 2)))
+    f = mixed.cg.coarse_grain(["velocity"], width=1.0, axes="z")
+    assert f.velocity.chunks[0] == (1, 1, 2)
+    xr.testing.assert_equal(f.compute(), ds.cg.coarse_grain(["velocity"], width=1.0, axes="z"))
 
 
 def movie(ds, folder):

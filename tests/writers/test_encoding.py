@@ -14,6 +14,7 @@ import xcg
 from tests import steps_of_random_scenes
 from tests.dumps import write_series
 from xcg.cli import group
+from xcg.compiled.arrays import round_bits
 from xcg.writers.encoding import Encoding, deflated
 
 
@@ -34,6 +35,15 @@ def test_rounding_errors_are_within_the_stated_bound(numbers, digits):
     assert (error <= 0.5 * 10.0**-digits * np.abs(values)[normal]).all()
     np.testing.assert_array_equal(rounded[~np.isfinite(values)], values[~np.isfinite(values)])
     assert Encoding(digits=digits).reduced(rounded).tobytes() == rounded.tobytes()
+
+
+@pytest.mark.parametrize("drop", [1, 3, 5])
+def test_bits_are_rounded_to_nearest_even(drop):
+    numbers, special = np.arange(200, dtype="uint32"), np.uint32(0xF0000000)
+    bits = np.append(numbers, [special, special + np.uint32(7)])
+    round_bits(bits, np.uint32(drop), special)
+    assert bits[:200].tolist() == [round(n / 2**drop) * 2**drop for n in range(200)]  # Python's ties go to even, too
+    assert bits[200:].tolist() == [special, special + 7]
 
 
 @pytest.mark.parametrize("digits", range(1, 8))

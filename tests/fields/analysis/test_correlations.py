@@ -138,6 +138,7 @@ def test_falls_to_interpolates_where_values_fall_below_a_level():
     at = np.array([0.0, 1.0, 2.0, 3.0])
     values = np.array([[1.0, 0.6, 0.2, 0.1], [1.0, 0.9, 0.8, 0.7], [0.1, 0.9, 0.1, 0.0], [1.0, np.nan, 0.1, 0.0]])
     np.testing.assert_allclose(falls_to(values, at, 0.4), [1.5, np.nan, np.nan, np.nan])
+    np.testing.assert_allclose(falls_to(values, at**2, 0.3), [1.0 + 3.0 * 0.75, np.nan, np.nan, np.nan])
 
 
 # --- in time ---------------------------------------------------------------------------------------------

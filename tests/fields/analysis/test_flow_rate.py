@@ -8,6 +8,7 @@ import xarray as xr
 
 import xcg
 from tests.fields.formulas.test_field import LUCY, cumulative, marginal
+from xcg.fields.analysis import flow_rate
 
 L = np.array([6.0, 5.0, 4.0])
 
@@ -151,6 +152,18 @@ def test_triangles_and_cylinders_are_sums_over_points():
     # a cylinder about all grains with two lids far away is passed by none
     side = xcg.Cylinder((3, 2.5, 0), (0, 0, 1), 12.0, inside=False, low=-4.0, high=8.0)
     assert abs(ds.cg.flow_rate(side, width=width, spacing=0.5).mass_flow_rate.item()) < 1e-12
+
+
+@pytest.mark.parametrize("spacing", [9.0, 1.0, 0.3])
+def test_parts_of_a_triangle_have_its_area_and_its_centre(spacing):
+    """Parts are congruent, so that the sum is exact for whatever varies linearly over the triangle."""
+    corners = np.array([[1.0, 0.5, 2.0], [5.0, 1.5, 2.5], [2.0, 4.5, -1.0]])
+    centre, area = flow_rate._points(xcg.Surface(corners, [[0, 1, 2]]), None, spacing)
+    whole = 0.5 * np.linalg.norm(np.cross(corners[1] - corners[0], corners[2] - corners[0]))
+    assert area.sum() == pytest.approx(whole)
+    np.testing.assert_allclose(area @ centre / whole, corners.mean(axis=0), rtol=1e-12)
+    gaps = np.linalg.norm(centre[:, None] - centre, axis=2)[~np.eye(len(centre), dtype=bool)]
+    assert len(centre) == 1 or 0.3 * spacing < gaps.min() < spacing
 
 
 def test_lazy_flow_rates_equal_eager_ones_also_of_one_step():

@@ -111,6 +111,16 @@ def test_a_heap_of_known_slope(plane):
     np.testing.assert_allclose(found[0].slope, slope, atol=4 * float(found[0].slope_error.max()))
 
 
+@pytest.mark.parametrize("steep", [0.0, 0.5, -2.0])
+def test_errors_of_a_line_through_three_heights(steep):
+    """Heights s x + (0, e, 0): squares of 2 e^2 / 3 are left to one degree of freedom, over sum x^2 = 2."""
+    x, e = np.array([-1.0, 0.0, 1.0]), 0.03
+    found = xcg.fit_slope(xr.DataArray(steep * x + [0.0, e, 0.0], {"x": x}))
+    assert float(found.slope[0]) == pytest.approx(steep, abs=1e-12)
+    assert float(found.slope_error[0]) == pytest.approx(e / 3**0.5)
+    assert float(found.angle_error) == pytest.approx(np.degrees(e / 3**0.5 / (1 + steep**2)))
+
+
 def test_neighbours_within_a_support_are_not_independent():
     x = np.arange(0, 30, 0.5)
     rough = xr.DataArray(np.random.default_rng(1).normal(size=60), {"x": x})

@@ -52,6 +52,16 @@ def test_uniform_pressure_and_shear_on_a_plane():
     np.testing.assert_allclose(turned.cg.wall_stress(FLOOR, 0.8, spacing=1.0).normal_traction, 7.0, rtol=1e-12)
 
 
+@pytest.mark.parametrize(("within", "taken"), [(None, 4), (0.3, 3), (0.1, 1)])
+def test_contacts_farther_than_within_are_left_out(within, taken):
+    """On both sides of the wall; by default up to the width, 0.5."""
+    point = np.array([[2.0, 2, 0], [2, 3, 0.29], [3, 2, -0.29], [3, 3, 0.45], [4, 4, 0.55]])
+    force = np.arange(15.0).reshape(5, 3)
+    f = touching(point, force).cg.wall_stress(FLOOR, 0.5, within=within)
+    assert f.wall_contacts.item() == taken
+    np.testing.assert_allclose(f.wall_force[0], -force[:taken].sum(axis=0))
+
+
 @pytest.mark.parametrize("direction", [(0, 0, 1), (0, 2, 0), (1, 1, 0.5)])
 def test_hydrostatic_pressure_in_a_cylinder(direction):
     """Pressure that falls along the axis and a friction that holds: both come back but for the ends."""

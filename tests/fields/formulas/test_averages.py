@@ -124,6 +124,12 @@ def as_result(values, **more):
     )
 
 
+def test_errors_of_few_samples_are_their_scatter_over_the_root_of_their_number():
+    x = np.random.default_rng(2).normal(size=(5, 7))
+    got = as_result(x).cg.time_average()
+    np.testing.assert_allclose(got.density_error, x.std(axis=0, ddof=1) / np.sqrt(5), rtol=1e-12)
+
+
 @pytest.mark.parametrize("memory", [0.0, 0.9])
 def test_errors_of_correlated_samples(memory):
     rng = np.random.default_rng(0)

@@ -126,6 +126,27 @@ def test_averages_over_theta_equal_those_of_many_turned_points(part, axes):
     np.testing.assert_allclose(f.velocity, f.momentum_density / f.density, rtol=1e-9, atol=1e-12)
 
 
+def test_the_heat_flux_of_a_ring_by_brute_force():
+    """Third moments about the velocity of the ring, of grains in the axes at each angle."""
+    ds, width, count = rotating(noise=0.5, drift=(0.2, -0.1, 0.4)), 0.6, 400
+    f = ds.cg.coarse_grain(
+        ["kinetic_heat_flux", "velocity"], frame=xcg.Cylindrical(origin=(1, 2, 3), error=1e-6), axes="r",
+        at={"z": 0.0}, bounds={"r": (0.8, 1.6)}, spacing=0.8, width=width,
+    )  # fmt: skip
+    place, kernel = ds.position.values[0] - (1, 2, 3), xcg.Lucy(width, dimension=3)
+    for k, r in enumerate(f.r.values):
+        weight, turned = [], []
+        for theta in 2 * np.pi * (np.arange(count) + 0.5) / count:
+            node = (r * np.cos(theta), r * np.sin(theta), 0.0)
+            weight.append(ds.mass.values[0] * kernel.value(np.linalg.norm(place - node, axis=1)) / count)
+            turned.append(ds.velocity.values[0] @ turning(theta).T)
+        w, v = np.concatenate(weight), np.concatenate(turned)
+        mean = w @ v / w.sum()
+        flux = 0.5 * (w * ((v - mean) ** 2).sum(axis=1)) @ (v - mean)
+        np.testing.assert_allclose(f.velocity[0, k], mean, atol=1e-6)
+        np.testing.assert_allclose(f.kinetic_heat_flux[0, k], flux, atol=1e-5 * np.abs(flux).max())
+
+
 def test_averages_over_theta_are_within_their_stated_error():
     """The error is a bound for each grain, and so for their sum."""
     ds = scene()

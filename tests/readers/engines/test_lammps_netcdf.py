@@ -37,6 +37,23 @@ def test_the_header_of_netcdf_equals_that_of_the_library(tmp_path):
                 np.testing.assert_array_equal(ours.read(name, record), expected)
 
 
+@pytest.mark.parametrize("several", [True, False])
+def test_records_of_odd_length_are_padded_unless_they_are_alone(tmp_path, several):
+    import netCDF4
+
+    values = {"odd": np.arange(9, dtype="i1").reshape(3, 3)} | ({"real": np.arange(3.0)} if several else {})
+    with netCDF4.Dataset(tmp_path / "n.nc", "w", format="NETCDF3_64BIT_OFFSET") as file:
+        file.createDimension("frame", None)
+        file.createDimension("three", 3)
+        for name, given in values.items():
+            file.createVariable(name, given.dtype, ("frame", "three")[: given.ndim])[:] = given
+    ours = ClassicFile(str(tmp_path / "n.nc"))
+    assert ours.records == 3
+    for name, given in values.items():
+        for record in range(3):
+            np.testing.assert_array_equal(ours.read(name, record), given[record])
+
+
 def test_columns_of_netcdf_have_the_names_of_text(tmp_path):
     path = write_netcdf(tmp_path / "n.nc", {0: rows_of()}, extra=np.arange(6.0).reshape(3, 2))
     (ref,) = lammps.index_particles([str(path)], DEFAULTS)

@@ -263,6 +263,20 @@ def test_spins_of_known_temperature():
     assert lonely.rotational_temperature.isnull().all()
 
 
+@pytest.mark.parametrize(("ratio", "known"), [(1.0, True), (5.7, True), (5.9, False), (40.0, False)])
+def test_rotational_temperature_is_unknown_where_the_mean_leaves_less_than_half_a_grain(ratio, known):
+    """Of inertias 1 and x at one distance the mean leaves 2 x / (1 + x): half of (1 + x) / 2 at x = 3 + sqrt(8)."""
+    ds = xcg.scene_from_arrays(
+        [[-0.2, 0, 0], [0.2, 0, 0]], velocity=np.zeros((2, 3)), diameter=[0.4, 0.4], density=1.0,
+        angular_velocity=[[1.0, 2.0, 0.0], [0.0, 2.0, 3.0]], moment_of_inertia=[1.0, ratio],
+    )  # fmt: skip
+    f = ds.cg.coarse_grain(["rotational_temperature", "density"], at={"x": 0.0, "y": 0.0, "z": 0.0}, width=1.0)
+    weight = xcg.Lucy(1.0).value(0.2)
+    # sum I (o - b)^2 is that of two spins sqrt(10) apart, x / (1 + x) 10
+    want = (10 * ratio / (1 + ratio)) * (1 + ratio) / (2 * ratio / (1 + ratio)) * weight / (3 * f.density)
+    np.testing.assert_allclose(f.rotational_temperature, want if known else np.nan, rtol=1e-12)
+
+
 def test_averages_equal_those_of_the_sums():
     steps = [scene(k, 40, periodic="xyz") for k in range(3)]
     names = ["velocity", "angular_velocity", "diameter", "contact_i", "contact_j", "contact_force", "contact_point"]

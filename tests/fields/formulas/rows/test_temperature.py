@@ -140,6 +140,17 @@ def test_nan_where_the_fit_leaves_less_than_half_a_grain():
     assert 0 < float(f["far"].fluctuation_density) < 0.1 * float(f["far"].density)
 
 
+@pytest.mark.parametrize(("ratio", "known"), [(1.0, True), (5.7, True), (5.9, False), (40.0, False)])
+def test_two_grains_have_a_temperature_while_their_masses_are_alike(ratio, known):
+    """Over a box the mean of masses 1 and x leaves 2 x / (1 + x), which is half of (1 + x) / 2 at x = 3 + sqrt(8)."""
+    ds = xcg.scene_from_arrays(
+        [[1.0, 1, 1], [3, 2, 3]], velocity=[[1.0, 2, 0], [0, 2, 3]], diameter=[0.4, 0.4], mass=[1.0, ratio],
+        box=[[0, 4.0]] * 3, periodic="xyz",
+    )  # fmt: skip
+    f = ds.cg.coarse_grain("granular_temperature", axes="", width=1.0)
+    np.testing.assert_allclose(f.granular_temperature, 10 / 6 if known else np.nan, rtol=1e-12)  # |u - v|^2 / 2 D
+
+
 def test_averages_add_fluctuations_and_their_densities_separately():
     ds = scene(40, 6.0, seed=6, steps=40)
     f = ds.cg.coarse_grain(NAMES, width=0.9)

@@ -1,0 +1,469 @@
+"""Change the package in one place at a time, and check that a test fails: formulas, signs, indices, comparisons.
+
+Run from the root of a clone, in the environment of the tests::
+
+    python -m tests.mutations [--only WORD]
+
+Each row of `TABLE` is run on a copy of the package, with the tests that should catch it. First all these tests are run
+on the unchanged copy. The exit code is 1 if a mutation survives. `--only` runs the rows with this word in the file or
+in the text.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).parents[1]
+COPIED = ("xcg", "tests", "docs", "examples", "pyproject.toml", "README.md", "CITATION.cff", "LICENSE")
+LONGEST = 900  # seconds; a loop that does not end is caught as well
+
+
+class Mutation(NamedTuple):
+    """Change of a file of the package: `old`, which occurs once in it, becomes `new`; names of tests that see it."""
+
+    file: str
+    old: str
+    new: str
+    tests: str
+
+
+TABLE = [
+    # --- compiled ---
+    Mutation("compiled/smoothing.py", "return -12.0 * p * p", "return -6.0 * p * p", "test_derivative"),
+    Mutation(
+        "compiled/lines.py", "(lower if t0 >= 0.0 else -lower)", "(lower if t0 >= 0.0 else lower)",
+        "test_segment_integrals",
+    ),
+    Mutation(
+        "compiled/shells.py", "(n + 3.0) / (n + 2.0) * h2 * odd", "(n + 2.0) / (n + 1.0) * h2 * odd",
+        "test_polynomials_that_meet_inside_lose_no_mass",
+    ),
+    Mutation(
+        "compiled/points.py", "1.0, wy * uy, wy * uz, wz * uz, w * w", "1.0, wy * uy, wx * uz, wz * uz, w * w",
+        "test_points",
+    ),
+    Mutation("compiled/points.py", "(mass * other[k])", "other[k]", "test_what_a_fit_leaves_by_brute_force"),
+    Mutation(
+        "compiled/segments.py", "end = start - branch", "end = start + branch",
+        "test_segments_listed_anew_have_the_same_bits",
+    ),
+    Mutation(
+        "compiled/reach.py", "math.ceil((first - x - high) / period)", "math.ceil((first - x + high) / period)",
+        "test_support_larger_than_the_box_counts_all_images",
+    ),
+    Mutation(
+        "compiled/fit.py", "rows[count, n] > rank + 1", "rows[count, n] > rank",
+        "test_no_grains_one_grain_and_damaged_sums test_grains_in_a_plane_tell_nothing_across_it",
+    ),
+    Mutation(
+        "compiled/eigen.py", "square = half * half + above * below", "square = half * half - above * below",
+        "test_eigenvalues_of_any_matrix",
+    ),
+    Mutation(
+        "compiled/overlaps.py", "(half - _disc_in_quarter(a, -b))", "(half + _disc_in_quarter(a, -b))",
+        "test_areas_by_quadrature",
+    ),
+    Mutation(
+        "compiled/volumes.py", "norm /= 2.0 * half[k]", "norm /= half[k]", "test_cells_hold_all_mass_and_momentum",
+    ),
+    Mutation(
+        "compiled/pairs.py", "touch = records[j, 3] + ri + skin", "touch = records[j, 3] + ri",
+        "test_touching_is_not_closer_but_within_a_skin",
+    ),
+    Mutation(
+        "compiled/contacts.py", "if here_i and (here_j or j < 0):", "if here_i and here_j:",
+        "test_backbone_is_what_is_left_of_taking_out_rattlers",
+    ),
+    Mutation("compiled/chains.py", "branches[k] += links[p] > 2", "branches[k] += links[p] >= 2", "test_branches"),
+    Mutation(
+        "compiled/arrays.py", "(one << (drop - one)) - one, ~", "(one << (drop - one)), ~",
+        "test_bits_are_rounded_to_nearest_even",
+    ),
+    Mutation(
+        "compiled/text.py", "known = known and also and above == value", "known = known and also",
+        "test_numbers_of_every_shape",
+    ),
+    Mutation(
+        "compiled/rings.py", "found = 2.0 * (sums", "found = 1.0 * (sums",
+        "test_temperatures_of_rings_are_without_bias",
+    ),
+    # --- scene ---
+    Mutation(
+        "scene/contacts.py", "-self.force[wall_i]", "self.force[wall_i]",
+        "test_walls_may_come_first_or_second_and_particles_may_be_the_first",
+    ),
+    Mutation("scene/contacts.py", "* (1 + 1e-12)", "* (1 - 1e-12)", "test_of_equal_forces_none_is_strong"),
+    Mutation(
+        "scene/complete.py", '(8 if setup.shape == "disc" else 10)', '(10 if setup.shape == "disc" else 8)',
+        "test_moments_of_inertia",
+    ),
+    Mutation(
+        "scene/bodies.py", "lattice.drift(offset - apart)", "lattice.drift(apart - offset)",
+        "test_bodies_across_a_sheared_edge_have_the_velocity_of_one_place",
+    ),
+    Mutation(
+        "scene/lattice.py", "rates[k] -= way @ rates[others]", "rates[k] += way @ rates[others]",
+        "test_homogeneous_shear_has_one_gradient_and_no_temperature_up_to_the_edges",
+    ),
+    Mutation(
+        "scene/sizes.py", "np.searchsorted(share, 0.5 * share[-1])", "np.searchsorted(share, 0.4 * share[-1])",
+        "test_half_of_the_mass_lies_in_grains_up_to_d50",
+    ),
+    Mutation(
+        "scene/rotate.py", 'attrs["gravity"] = axes @', 'attrs["gravity"] = axes.T @',
+        "test_gravity_turns_with_the_frame",
+    ),
+    # --- steps ---
+    Mutation(
+        "steps/faults.py", 'kind == "f" else PADDING', 'kind == "f" else 0',
+        "test_whole_numbers_of_a_skipped_step_are_padding",
+    ),
+    Mutation(
+        "steps/mapping.py", "set.intersection(*edges)", "set.union(*edges)", "test_chunks_cut_no_chunk_of_any_variable",
+    ),
+    Mutation(
+        "steps/labels.py", "numbers[skipped.to_numpy()]", "numbers[~skipped.to_numpy()]",
+        "test_a_fault_while_computing_in_memory",
+    ),
+    Mutation(
+        "steps/graph.py", "finest = max((", "finest = min((", "test_tasks_take_the_finest_chunks_of_their_variables",
+    ),
+    Mutation(
+        "steps/progress.py", "(self._bar.total - self._first) * self._done", "self._bar.total * self._done",
+        "test_tasks_count_the_steps_that_are_left",
+    ),
+    # --- fields/sums ---
+    Mutation(
+        "fields/sums/kernels.py", "- 4 * math.pi * s**2 * tail", "- 2 * math.pi * s**2 * tail",
+        "test_kernels_and_marginals_integrate_to_one",
+    ),
+    Mutation(
+        "fields/sums/kernels.py", "(dimension + 2 * n)", "(dimension + n)", "test_shifted_gaussians_of_any_cutoff",
+    ),
+    Mutation(
+        "fields/sums/contact_moments.py", "c.branch_i - c.branch_j)", "c.branch_i + c.branch_j)",
+        "test_fields_are_their_definitions",
+    ),
+    Mutation(
+        "fields/sums/contact_moments.py", "AT_LIMIT = 0.999", "AT_LIMIT = 0.9",
+        "test_redundancy_of_a_lattice test_every_sum_is_what_it_says",
+    ),
+    Mutation(
+        "fields/sums/moments.py", '"square_spread": 2}', '"square_spread": 1}', "test_what_a_fit_leaves_by_brute_force",
+    ),
+    Mutation(
+        "fields/sums/step.py", "np.where(mixed[contact], 0.5, 1.0)", "np.where(mixed[contact], 1.0, 1.0)",
+        "test_phases_add_up",
+    ),
+    Mutation(
+        "fields/sums/step.py", "(self.position - lattice.middle) @ gradient.T", "self.position @ gradient.T",
+        "test_an_average_across_the_shear_is_that_in_the_middle_of_the_box",
+    ),
+    Mutation(
+        "fields/sums/deposit.py", "phase[row[at]] * others + phase[partner[at]], sign",
+        "phase[partner[at]] * others + phase[row[at]], sign", "test_what_phases_do_to_each_other_is_its_sum",
+    ),
+    # --- fields/grids ---
+    Mutation(
+        "fields/grids/rings.py", "2.0 * along * d", "1.0 * along * d",
+        "test_the_heat_flux_of_a_ring_by_brute_force",
+    ),
+    Mutation(
+        "fields/grids/rings.py", "+ square * mass * d", "- square * mass * d",
+        "test_the_heat_flux_of_a_ring_by_brute_force",
+    ),
+    Mutation("fields/grids/rings.py", "cosine * y - sine * x", "cosine * y + sine * x", "test_a_rigid_rotation"),
+    Mutation(
+        "fields/grids/grid.py", "first += 0.5 * step if cells", "first += 0.4 * step if cells",
+        "test_cells_lie_side_by_side",
+    ),
+    Mutation(
+        "fields/grids/wall_shapes.py", "normal = self._sign * (vectors * radial)",
+        "normal = -self._sign * (vectors * radial)", "test_hydrostatic_pressure_in_a_cylinder",
+    ),
+    Mutation(
+        "fields/grids/wall_shapes.py", "(np.hypot(x, y) + self.radius)\n        with",
+        "(np.hypot(x, y) - self.radius)\n        with", "test_near_walls_it_is_what_brute_force_gives",
+    ),
+    Mutation(
+        "fields/grids/surface.py", "rows[:, ::-1] if flip else rows", "rows if flip else rows[:, ::-1]",
+        "test_distances_from_triangles_are_those_of_brute_force test_surfaces_from_files",
+    ),
+    # --- fields/formulas ---
+    Mutation(
+        "fields/formulas/rows/energy.py", "0.5 * ratio(f.inertia_density", "0.25 * ratio(f.inertia_density",
+        "test_rotational_temperature_is_unknown_where_the_mean_leaves_less_than_half_a_grain",
+    ),
+    Mutation(
+        "fields/formulas/rows/energy.py", "- square * s.mass)[..., None] * b", "+ square * s.mass)[..., None] * b",
+        "test_fields_are_their_definitions test_heat_flux_of_a_fast_frame",
+    ),
+    Mutation(
+        "fields/formulas/rows/flow.py", "0.5 * ratio(s.mass, s.count)", "0.25 * ratio(s.mass, s.count)",
+        "test_two_grains_have_a_temperature_while_their_masses_are_alike",
+    ),
+    Mutation(
+        "fields/formulas/rows/flow.py", "(2 * double_dot(inverse, own) - mean - shared)",
+        "(2 * double_dot(inverse, own) - mean + shared)", "test_what_a_fit_leaves_by_brute_force",
+    ),
+    Mutation(
+        "fields/formulas/rows/contacts.py", "(0.5 if o.dimension == 2 else 1.5)", "(1.5 if o.dimension == 2 else 0.5)",
+        "test_anisotropies_of_a_plane",
+    ),
+    Mutation(
+        "fields/formulas/rows/contacts.py", "(d - 1) * s.sliding_contacts", "d * s.sliding_contacts",
+        "test_redundancy_of_a_lattice test_every_sum_is_what_it_says",
+    ),
+    Mutation(
+        "fields/formulas/rows/displacement.py", "- b * (d * j - g * h)", "+ b * (d * j - g * h)",
+        "test_affine_deformation_is_exact",
+    ),
+    Mutation(
+        "fields/formulas/rows/errors.py", "+ 2 * theta * slopes) / 4", "- 2 * theta * slopes) / 4",
+        "test_errors_are_the_scatter_of_draws",
+    ),
+    Mutation(
+        "fields/formulas/rows/errors.py", "(o.dimension + 1) * f._left", "(o.dimension - 1) * f._left",
+        "test_errors_are_the_scatter_of_draws",
+    ),
+    Mutation(
+        "fields/formulas/averages.py", "* np.sqrt(count - 1))", "* np.sqrt(count))",
+        "test_errors_of_few_samples_are_their_scatter_over_the_root_of_their_number",
+    ),
+    Mutation(
+        "fields/formulas/rows/orientation.py", "-= 1 / (o.dimension - 1)", "-= 1 / o.dimension",
+        "test_isotropic_is_zero_and_aligned_is_one",
+    ),
+    # --- fields ---
+    Mutation(
+        "fields/presets/pysammos.py", "2.5 * chosen.cutoff + 0.5 *", "2.5 * chosen.cutoff + 1.0 *", "test_its_mesh",
+    ),
+    Mutation(
+        "fields/accessible.py", "0.5 + np.sign(distance) * between", "0.5 - np.sign(distance) * between",
+        "test_beside_a_plane_it_is_a_polynomial",
+    ),
+    Mutation(
+        "fields/analysis/wall_stress.py", "<= task.within", "<= 2 * task.within",
+        "test_contacts_farther_than_within_are_left_out",
+    ),
+    Mutation(
+        "fields/analysis/balance.py", "(8 * near - far)", "(8 * near + far)", "test_force_residual_falls_with_the_mesh",
+    ),
+    Mutation(
+        "fields/analysis/flow_rate.py", "[turned] + 2 / 3", "[turned] + 1 / 3",
+        "test_parts_of_a_triangle_have_its_area_and_its_centre",
+    ),
+    Mutation(
+        "fields/analysis/shallow.py", "len(matrix) - count - 1", "len(matrix) - count",
+        "test_errors_of_a_line_through_three_heights",
+    ),
+    Mutation(
+        "fields/analysis/shallow.py", "/ (1 + steep**2)", "/ (1 + steep)",
+        "test_errors_of_a_line_through_three_heights",
+    ),
+    Mutation(
+        "fields/analysis/slice_temperature.py", "1 - abs(m) / (sides + 1)", "1 - abs(m) / (sides + 2)",
+        "test_planes_by_hand",
+    ),
+    Mutation(
+        "fields/analysis/correlations.py", "share = (y0 - level)", "share = (level - y1)", "test_where_values_fall",
+    ),
+    Mutation(
+        "fields/analysis/diffusion.py", "first_seen[rows[stay]] <= t - lag", "first_seen[rows[stay]] <= t",
+        "test_grains_that_come_back_are_new_ones",
+    ),
+    Mutation(
+        "fields/analysis/velocities.py", "position[there] @ motion.gradient.T", "position[there] @ motion.gradient",
+        "test_the_nearest_image_and_a_box_that_shears",
+    ),
+    Mutation(
+        "fields/analysis/choose_width.py", "math.sqrt(120)", "math.sqrt(480)",
+        "test_the_spacing_adds_less_than_it_promises",
+    ),
+    # --- packing ---
+    Mutation(
+        "packing/quantities.py", "np.sqrt(2 / 3 if len(rate) == 3 else 2)", "np.sqrt(3 / 2 if len(rate) == 3 else 2)",
+        "test_rate_of_velocities_and_given_rates",
+    ),
+    Mutation(
+        "packing/mixing.py", "(len(weight) - 1) / (count - 1)", "len(weight) / (count - 1)",
+        "test_the_mean_over_all_arrangements_is_the_random_limit",
+    ),
+    Mutation(
+        "packing/network.py", "rows[0] <= rows[1], 1.0, -1.0", "rows[0] <= rows[1], -1.0, 1.0",
+        "test_edges_are_sums_over_contacts",
+    ),
+    Mutation(
+        "packing/samples.py", "(position[:, k] < bounds[axis][1])", "(position[:, k] <= bounds[axis][1])",
+        "test_a_region_holds_its_lower_bound_and_not_its_upper_one",
+    ),
+    Mutation(
+        "packing/pairs.py", "length < 3 * reach * np.maximum(edges, 1)", "length < 1 * reach * np.maximum(edges, 1)",
+        "test_pairs_are_those_of_brute_force",
+    ),
+    # --- chains ---
+    Mutation("chains/results.py", "np.bincount(now[1])[b] - common)", "np.bincount(now[1])[b])", "test_least_share"),
+    Mutation(
+        "chains/selection.py", "np.asarray(self.velocity) * time", "np.asarray(self.velocity) / time",
+        "test_moving_region_follows_time",
+    ),
+    Mutation(
+        "chains/search.py", "least - _SHARE * abs(least)", "least + _SHARE * abs(least)",
+        "test_threshold_and_least_length",
+    ),
+    Mutation(
+        "chains/particle_stress.py", "> ROUNDING * size", "> -ROUNDING * size",
+        "test_rounding_of_pure_tension_makes_no_chains",
+    ),
+    # --- readers ---
+    Mutation(
+        "readers/engines/mercury.py", 'np.where(rows["j"] < 0, -1.0, 1.0)', 'np.where(rows["j"] < 0, 1.0, -1.0)',
+        "test_forces",
+    ),
+    Mutation(
+        "readers/engines/lammps_binary.py", "walls[2 * k] == walls[2 * k + 1] == 0", "walls[k] == 0",
+        "test_a_binary_dump_is_the_text_that_lammps_writes_beside_it",
+    ),
+    Mutation(
+        "readers/files/classic_netcdf.py", "length + -length % 4)", "length)",
+        "test_records_of_odd_length_are_padded_unless_they_are_alone",
+    ),
+    Mutation(
+        "readers/pairs.py", "far = 1e-3 * np.diff", "far = 1e-2 * np.diff",
+        "test_times_pair_within_a_thousandth_of_the_shortest_interval",
+    ),
+    Mutation("readers/engines/yade.py", "(3, 3)).T", "(3, 3))", "test_a_sheared_cell"),
+    Mutation(
+        "readers/engines/mfix_contacts.py", "(force[kept] - force[gone]) / 2", "force[kept]",
+        "test_mirrored_rows_become_one_with_the_mean_force",
+    ),
+    Mutation(
+        "readers/index.py", "after[1] > _SETTLED", "after[1] > -_SETTLED",
+        "test_files_that_may_still_change_are_not_remembered",
+    ),
+    # --- writers ---
+    Mutation(
+        "writers/encoding.py", "(2 * _SINGLE if twice else 0.0)", "0.0",
+        "test_rounding_keeps_its_promise test_single_precision_keeps_the_promise_of_the_note",
+    ),
+    Mutation(
+        "writers/chains.py", 'before - root["NumberOfPoints"].shape[0] + 1', "before",
+        "test_temporal_vtkhdf_equals_vtp",
+    ),
+    Mutation(
+        "writers/netcdf.py", "at = min(len(view), self._end - place)", "at = 0",
+        "test_a_file_comes_to_the_state_after_the_last_task",
+    ),
+    Mutation(
+        "writers/record.py", "float(x[-1] - x[0]) / (len(x) - 1)", "float(x[-1] - x[0]) / len(x)",
+        "test_the_mesh_of_the_first_step_holds_for_all",
+    ),
+    # --- jobs ---
+    Mutation(
+        "jobs/pysammos_ini.py", "(number - (start or 0)) % stride", "number % stride",
+        "test_steps_of_a_configuration_count_from_the_first",
+    ),
+    Mutation(
+        "jobs/run.py", "all(_made_by(path) == mark", "any(_made_by(path) != mark",
+        "test_resume_never_starts_over",
+    ),
+    Mutation(
+        "jobs/config.py", 'output.get("netcdf", True)', 'output.get("netcdf", False)',
+        "test_what_a_job_leaves_out_has_the_documented_default",
+    ),
+]  # fmt: skip
+
+
+def files_of(names: list[str]) -> list[str]:
+    """Return the ids of tests with these names, wherever they are; raise LookupError for unknown ones."""
+    texts = {path: path.read_text() for path in sorted((ROOT / "tests").rglob("test_*.py"))}
+    found = []
+    for name in names:
+        here = [path for path, text in texts.items() if re.search(rf"^def {name}\(", text, re.MULTILINE)]
+        if not here:
+            raise LookupError(f"there is no test of the name {name}: was it renamed?")
+        found += [f"{path.relative_to(ROOT)}::{name}" for path in here]
+    return list(dict.fromkeys(found))
+
+
+def run_tests(folder: Path, ids: list[str], cache: Path) -> tuple[int, str]:
+    """Run tests on the package in a folder until one fails; return pytest's exit code, and that test or the output."""
+    # a mutation of the same length within a second would leave the time and size that Python's own cache goes by
+    env = os.environ | {"PYTHONDONTWRITEBYTECODE": "1", "PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": str(cache)}
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "--tb=line", "-rf", *ids]
+    try:
+        done = subprocess.run(
+            command, cwd=folder, env=env, capture_output=True, text=True, timeout=LONGEST, check=False
+        )
+    except subprocess.TimeoutExpired:
+        return 1, "does not end"
+    if failed := re.findall(r"^FAILED \S+?::(.+?)(?: - |$)", done.stdout, re.MULTILINE):
+        return 1, failed[0]
+    if done.returncode < 0:  # indices beyond arrays, which loops do not check
+        return 1, "a crash of the interpreter"
+    return done.returncode, done.stdout[-2000:] + done.stderr[-500:]
+
+
+def mutated(folder: Path, mutation: Mutation, ids: list[str], cache: Path) -> str:
+    """Apply a mutation, run tests and undo it; return the test that failed, "" if none did."""
+    path = folder / "xcg" / mutation.file
+    text, stat = path.read_text(), path.stat()
+    path.write_text(text.replace(mutation.old, mutation.new))
+    own = cache if "compiled" not in mutation.file else Path(tempfile.mkdtemp(dir=folder))
+    try:
+        code, said = run_tests(folder, ids, own)
+    finally:
+        path.write_text(text)
+        os.utime(path, ns=(stat.st_atime_ns, stat.st_mtime_ns))
+        if own != cache:
+            shutil.rmtree(own)
+    if code not in (0, 1):
+        raise RuntimeError(f"{mutation.file}: {mutation.new!r} is no mutation, pytest ended with {code}:\n{said}")
+    return said if code else ""
+
+
+def main() -> int:
+    """Run the rows of the table; return how pytest would end."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", metavar="WORD", default="", help="rows with this word in the file or the text")
+    only = parser.parse_args().only
+    rows = [row for row in TABLE if only in " ".join(row)]
+    for row in rows:
+        count = (ROOT / "xcg" / row.file).read_text().count(row.old)
+        if count != 1:
+            raise LookupError(f"xcg/{row.file} holds {row.old!r} {count} times, expected once: update the table")
+    ids = [files_of(row.tests.split()) for row in rows]
+    survivors = 0
+    with tempfile.TemporaryDirectory() as name:
+        folder, cache = Path(name) / "copy", Path(name) / "cache"
+        folder.mkdir()
+        cache.mkdir()
+        for part in COPIED:
+            if (ROOT / part).is_dir():
+                shutil.copytree(ROOT / part, folder / part, ignore=shutil.ignore_patterns("__pycache__", "_build"))
+            else:
+                shutil.copy2(ROOT / part, folder)
+        code, said = run_tests(folder, sorted({one for some in ids for one in some}), cache)
+        if code:
+            raise RuntimeError(f"tests fail on the unchanged package: {said}")
+        for row, some in zip(rows, ids, strict=True):
+            start = time.monotonic()
+            caught = mutated(folder, row, some, cache)
+            survivors += not caught
+            end = f"caught by {caught}" if caught else "SURVIVED"
+            print(f"{end}: {row.file}: {row.old!r} -> {row.new!r} ({time.monotonic() - start:.0f} s)", flush=True)
+    print(f"{len(rows) - survivors} of {len(rows)} mutations are caught")
+    return int(survivors > 0)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
