@@ -3,6 +3,7 @@
 import re
 import tomllib
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
