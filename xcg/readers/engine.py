@@ -14,6 +14,8 @@ import numpy as np
 
 from xcg.common.messages import SceneError, unknown, warn_user
 from xcg.scene.schema import Frame
+from xcg.steps import faults as errors
+from xcg.steps.faults import FAULTS
 
 
 def _tuples(values: Any) -> Any:
@@ -315,3 +317,27 @@ def _load(name: str) -> object:
         return table[name].load()
     except (ImportError, AttributeError) as error:
         raise SceneError(f"the engine {name!r} ({table[name].value}) cannot be imported: {error}") from error
+
+
+def guess_engine(files: Mapping[str, Sequence[str]]) -> Engine:
+    """Return the first engine that recognises the first file of each kind."""
+    firsts = [_first_whole(paths) for paths in files.values()]
+    for engine in all_engines():
+        if all(engine.recognises(path) for path in firsts):
+            return engine
+    raise SceneError(
+        f"no engine recognises {' with '.join(firsts)}; name one with engine=: {', '.join(engine_table())}. For other "
+        "formats, xcg.scene_from_arrays takes arrays, and engine= a reader of your own (docs/own_readers.md)"
+    )
+
+
+def _first_whole(paths: Sequence[str]) -> str:
+    """First file that any engine recognises, where faults are tolerated; else the first one."""
+    if errors.is_collecting():
+        for path in paths:
+            try:
+                if any(engine.recognises(path) for engine in all_engines()):
+                    return path
+            except FAULTS:
+                continue
+    return paths[0]

@@ -1,21 +1,81 @@
-"""Steps of one series: all of one kind, in order; steps of particles each with their contacts."""
+"""Steps of one series: listed, all of one kind, in order; steps of particles each with their contacts."""
 
 from __future__ import annotations
 
+import os
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from xcg.common.checks import floats
-from xcg.common.messages import SceneError, warn_user
-from xcg.readers.engine import StepRef
+from xcg.common.messages import SceneError, printable, unknown, warn_user
+from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files.text import source_of
 from xcg.readers.lazy import Step
 from xcg.scene.schema import COMPONENTS
 from xcg.steps import faults as errors
+
+
+def index_files(
+    reader: Engine,
+    files: Mapping[str, Sequence[str]],
+    options: ReadOptions,
+    from_headers: Sequence[str],
+) -> dict[str, list[StepRef]]:
+    """Index each kind of file, and check that nothing changes along the way.
+
+    `from_headers`: which of periodic, units, box and time come from the headers, not from the caller.
+    """
+    indexed: dict[str, list[StepRef]] = {}
+    for kind, paths in files.items():
+        refs = _stamped(getattr(reader, f"index_{kind}")(paths, options) or [], reader)
+        if not refs:
+            raise SceneError(f"{kind}: no step in {', '.join(paths[:3])}{', ...' if len(paths) > 3 else ''}")
+        same = [what for what in from_headers if kind == "particles" or what in ("units", "time")]
+        indexed[kind] = one_series(refs, same)
+    columns = {column for refs in indexed.values() for column in refs[0].columns}
+    absent = sorted(set(options.names) - columns)
+    if absent and columns:
+        listed = f"columns are {' '.join(sorted(columns))}"
+        raise SceneError(f"names={{{absent[0]!r}: ...}}: {unknown('column', absent[0], columns, listed)}")
+    return indexed
+
+
+_FITS: Mapping[str, Callable[[Any], bool]] = {  # what engines of users may get wrong in a StepRef
+    "rows": lambda v: isinstance(v, (int, np.integer)) and bool(v >= 0),
+    "time": lambda v: v is None or isinstance(v, (int, float, np.number)),
+    "step": lambda v: isinstance(v, (int, np.integer)),
+    "box": lambda v: v is None or np.shape(v) == (3, 2),
+    "lattice": lambda v: v is None or np.shape(v) == (3, 3),
+    "gravity": lambda v: v is None or len(v) == 3,
+    "periodic": lambda v: v is None or isinstance(v, str),
+}
+
+
+def _stamped(refs: Iterable[StepRef], engine: Engine) -> list[StepRef]:
+    """Add the size and time of modification of its file to each step, where the engine did not."""
+    state = cache(os.stat)
+    stamped = []
+    for ref in refs:
+        if not isinstance(ref, StepRef):
+            raise SceneError(
+                f"the engine '{engine.name}' lists {ref!r} as a step; expected a list of xcg.readers.StepRef"
+            )
+        wrong = [f"{name}={getattr(ref, name)!r}" for name, fits in _FITS.items() if not fits(getattr(ref, name))]
+        if wrong:
+            raise SceneError(
+                f"{ref.path}: the engine '{engine.name}' gives a step {', '.join(wrong)}, which is of another type or "
+                "shape than xcg.readers.StepRef says"
+            )
+        known = ref.size or ref.modified
+        now = None if known else state(ref.path)
+        stamped.append(replace(ref, size=now.st_size, modified=now.st_mtime_ns) if now else ref)
+    return stamped
 
 
 def one_series(refs: list[StepRef], same: Sequence[str]) -> list[StepRef]:
@@ -139,3 +199,22 @@ def _same_time(steps: Sequence[Step], others: Sequence[StepRef]) -> list[int]:
 
 def _some(refs: Sequence[StepRef]) -> str:
     return ", ".join([*(source_of(ref) for ref in refs[:3]), *(["..."] if len(refs) > 3 else [])])
+
+
+def origin_of(
+    engine: Engine, files: Mapping[str, Sequence[str]], options: ReadOptions, steps: Sequence[Step]
+) -> dict[str, str]:
+    """Attributes on where a scene is from: engine, files, and columns that are not read, a line a kind of file."""
+    named = {kind: p[0] if len(p) == 1 else f"{p[0]} to {p[-1]} ({len(p)} files)" for kind, p in files.items()}
+    refs = [(step.particles, False) for step in steps[:1]]
+    refs += [(ref, True) for ref in next((step.contacts for step in steps if step.contacts), ())]
+    ignored: dict[str, dict[str, None]] = {}
+    for ref, contacts in refs:
+        left = engine.ignored_columns(ref, options, contacts=contacts)
+        ignored.setdefault("contacts" if contacts else "particles", {}).update(dict.fromkeys(left))
+    said = {
+        "engine": engine.name,
+        "files": "\n".join(f"{kind}: {text}" for kind, text in named.items()),
+        "ignored_columns": "\n".join(f"{kind}: {', '.join(left)}" for kind, left in ignored.items() if left),
+    }
+    return {name: printable(text) for name, text in said.items() if text}

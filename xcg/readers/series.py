@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import inspect
-import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
@@ -14,11 +13,11 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from xcg.common.checks import floats
-from xcg.common.messages import SceneError, did_you_mean, printable, unknown, warn_user
-from xcg.readers.engine import Engine, ReadOptions, StepRef, all_engines, engine_table, load_engine
+from xcg.common.messages import SceneError, did_you_mean, warn_user
+from xcg.readers.engine import Engine, ReadOptions, StepRef, guess_engine, load_engine
 from xcg.readers.files.text import source_of
 from xcg.readers.lazy import Chunks, Series, Source, Step, indexed_arrays, lazy_arrays, read_step, steps_of_chunks
-from xcg.readers.pairs import one_series, pair_steps
+from xcg.readers.pairs import index_files, origin_of, pair_steps
 from xcg.readers.paths import PathLike, expand_paths, names_no_units, not_against_headers, units_of_headers
 from xcg.readers.saved import open_saved, saved_path
 from xcg.scene.box import box_array, in_unit, with_lattice
@@ -224,12 +223,12 @@ def open_scene(
     kinds = {"particles": particles, "contacts": contacts, "walls": None if isinstance(walls, Mapping) else walls}
     with tolerate() as left_out:
         files = {kind: expand_paths(paths, kind) for kind, paths in kinds.items() if paths is not None}
-        reader = load_engine(engine or _guess_engine(files))
+        reader = load_engine(engine or guess_engine(files))
         _check_options(reader, engine_options)
         extra = {**engine_options, "missing": "raise" if missing == "raise" and on_error == "raise" else "skip"}
         options = ReadOptions(dict(names or {}), extra, in_columns, alone=True)
         said = {"periodic": periodic, "units": units, "box": box, "time": times}
-        indexed = _index(reader, files, options, [what for what, given in said.items() if given is None])
+        indexed = index_files(reader, files, options, [what for what, given in said.items() if given is None])
         if left_out and missing == "empty":
             _refuse_guesses(left_out, files)
         steps = pair_steps(indexed, times, "skip" if missing == "raise" and left_out else missing)
@@ -289,29 +288,10 @@ def open_scene(
         scene["time"].attrs.update(units="1", long_name=said_nothing)
     if units is None and names_no_units(reader, indexed):
         scene.attrs["assumed_units"] = "SI"
-    scene.attrs |= _origin(reader, files, options, steps) | about_walls
+    scene.attrs |= origin_of(reader, files, options, steps) | about_walls
     if left_out:
         scene.attrs["skipped_files"] = "\n".join(f"{source}: {cause}" for source, cause in left_out.items())
     return scene
-
-
-def _origin(
-    engine: Engine, files: Mapping[str, Sequence[str]], options: ReadOptions, steps: Sequence[Step]
-) -> dict[str, str]:
-    """Attributes on where a scene is from: engine, files, and columns that are not read, a line a kind of file."""
-    named = {kind: p[0] if len(p) == 1 else f"{p[0]} to {p[-1]} ({len(p)} files)" for kind, p in files.items()}
-    refs = [(step.particles, False) for step in steps[:1]]
-    refs += [(ref, True) for ref in next((step.contacts for step in steps if step.contacts), ())]
-    ignored: dict[str, dict[str, None]] = {}
-    for ref, contacts in refs:
-        left = engine.ignored_columns(ref, options, contacts=contacts)
-        ignored.setdefault("contacts" if contacts else "particles", {}).update(dict.fromkeys(left))
-    said = {
-        "engine": engine.name,
-        "files": "\n".join(f"{kind}: {text}" for kind, text in named.items()),
-        "ignored_columns": "\n".join(f"{kind}: {', '.join(left)}" for kind, left in ignored.items() if left),
-    }
-    return {name: printable(text) for name, text in said.items() if text}
 
 
 def _refuse_beside(saved: str, given: Mapping[str, Any]) -> None:
@@ -327,9 +307,6 @@ def _refuse_beside(saved: str, given: Mapping[str, Any]) -> None:
             f"{saved} is a scene that xcg saved, which takes no {described[0]}=; give it where the files of the code "
             "are opened, before they are saved"
         )
-
-
-# --- what cannot be opened -------------------------------------------------------------------------------
 
 
 def _warn_of_files(left_out: Mapping[str, str]) -> None:
@@ -370,100 +347,11 @@ def _ends(
     return raw
 
 
-# --- the engine and its options --------------------------------------------------------------------------
-
-
-def _guess_engine(files: Mapping[str, Sequence[str]]) -> Engine:
-    firsts = [_first_whole(paths) for paths in files.values()]
-    for engine in all_engines():
-        if all(engine.recognises(path) for path in firsts):
-            return engine
-    raise SceneError(
-        f"no engine recognises {' with '.join(firsts)}; name one with engine=: {', '.join(engine_table())}. For other "
-        "formats, xcg.scene_from_arrays takes arrays, and engine= a reader of your own (docs/own_readers.md)"
-    )
-
-
-def _first_whole(paths: Sequence[str]) -> str:
-    """First file that any engine recognises, where faults are tolerated; else the first one."""
-    if errors.is_collecting():
-        for path in paths:
-            try:
-                if any(engine.recognises(path) for engine in all_engines()):
-                    return path
-            except FAULTS:
-                continue
-    return paths[0]
-
-
 def _check_options(engine: Engine, engine_options: Mapping[str, Any]) -> None:
     for option in engine_options:
         if option not in engine.OPTIONS:
             likely = did_you_mean(option, [*inspect.signature(open_scene).parameters, *engine.OPTIONS])
             raise SceneError(f"open_scene has no argument {option!r} for the engine '{engine.name}'{likely}")
-
-
-# --- the index ------------------------------------------------------------------------------------------
-
-
-def _index(
-    reader: Engine,
-    files: Mapping[str, Sequence[str]],
-    options: ReadOptions,
-    from_headers: Sequence[str],
-) -> dict[str, list[StepRef]]:
-    """Index each kind of file, and check that nothing changes along the way.
-
-    `from_headers`: which of periodic, units, box and time come from the headers, not from the caller.
-    """
-    indexed: dict[str, list[StepRef]] = {}
-    for kind, paths in files.items():
-        refs = _stamped(getattr(reader, f"index_{kind}")(paths, options) or [], reader)
-        if not refs:
-            raise SceneError(f"{kind}: no step in {', '.join(paths[:3])}{', ...' if len(paths) > 3 else ''}")
-        same = [what for what in from_headers if kind == "particles" or what in ("units", "time")]
-        indexed[kind] = one_series(refs, same)
-    columns = {column for refs in indexed.values() for column in refs[0].columns}
-    absent = sorted(set(options.names) - columns)
-    if absent and columns:
-        listed = f"columns are {' '.join(sorted(columns))}"
-        raise SceneError(f"names={{{absent[0]!r}: ...}}: {unknown('column', absent[0], columns, listed)}")
-    return indexed
-
-
-_FITS: Mapping[str, Callable[[Any], bool]] = {  # what engines of users may get wrong in a StepRef
-    "rows": lambda v: isinstance(v, (int, np.integer)) and bool(v >= 0),
-    "time": lambda v: v is None or isinstance(v, (int, float, np.number)),
-    "step": lambda v: isinstance(v, (int, np.integer)),
-    "box": lambda v: v is None or np.shape(v) == (3, 2),
-    "lattice": lambda v: v is None or np.shape(v) == (3, 3),
-    "gravity": lambda v: v is None or len(v) == 3,
-    "periodic": lambda v: v is None or isinstance(v, str),
-}
-
-
-def _stamped(refs: Iterable[StepRef], engine: Engine) -> list[StepRef]:
-    """Add the size and time of modification of its file to each step, where the engine did not."""
-    state = cache(os.stat)
-    stamped = []
-    for ref in refs:
-        if not isinstance(ref, StepRef):
-            raise SceneError(
-                f"the engine '{engine.name}' lists {ref!r} as a step; expected a list of xcg.readers.StepRef"
-            )
-        wrong = [f"{name}={getattr(ref, name)!r}" for name, fits in _FITS.items() if not fits(getattr(ref, name))]
-        if wrong:
-            raise SceneError(
-                f"{ref.path}: the engine '{engine.name}' gives a step {', '.join(wrong)}, which is of another type or "
-                "shape than xcg.readers.StepRef says"
-            )
-        known = ref.size or ref.modified
-        now = None if known else state(ref.path)
-        stamped.append(replace(ref, size=now.st_size, modified=now.st_mtime_ns) if now else ref)
-    return stamped
-
-
-# --- what holds for the whole scene ----------------------------------------------------------------------
 
 
 def _flat_plane(frames: Sequence[Frame]) -> str | None:
