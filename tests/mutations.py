@@ -229,7 +229,11 @@ TABLE = [
     ),
     Mutation(
         "fields/formulas/rows/errors.py", "+ 2 * theta * slopes) / 4", "- 2 * theta * slopes) / 4",
-        "test_errors_are_the_scatter_of_draws",
+        "test_errors_of_linear_fields_by_propagation",
+    ),
+    Mutation(
+        "fields/formulas/rows/errors.py", "- 2 * theta[..., i, j] * slopes", "+ 2 * theta[..., i, j] * slopes",
+        "test_errors_of_linear_fields_by_propagation",
     ),
     Mutation(
         "fields/formulas/rows/errors.py", "(o.dimension + 1) * f._left", "(o.dimension - 1) * f._left",

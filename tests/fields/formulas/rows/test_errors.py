@@ -83,6 +83,34 @@ def test_a_cylinder_has_errors_of_velocity_spin_and_means():
         ds.cg.coarse_grain("velocity_gradient_error", frame=xcg.Cylindrical("z"), axes="r", extent={"z": LENGTH})
 
 
+def test_errors_of_linear_fields_by_propagation():
+    """G_kl = sum_i v_ik c_il with c_i = w_i A x_i: a sum T:G has the variance sum_i (T c_i) Theta (T c_i)."""
+    rng = np.random.default_rng(8)
+    place, mixed = rng.uniform(-1.5, 1.5, (60, 3)), np.array([[1.0, 0, 0], [0.9, 0.3, 0], [-0.5, 0.6, 0.4]])
+    ds = xcg.scene_from_arrays(
+        place, velocity=rng.normal(size=(60, 3)) @ mixed.T, diameter=rng.uniform(0.3, 0.5, 60), density=1.0
+    )
+    fields = ["velocity_gradient", "shear_rate_tensor", "vorticity"]
+    names = [f"{name}_error" for name in fields]
+    f = ds.cg.coarse_grain(
+        [*names, "fluctuation_stress", "fluctuation_density"], at=dict.fromkeys("xyz", 0.1), width=0.8
+    ).isel(time=0)  # fmt: skip
+    w = ds.mass.values[0] * xcg.Lucy(0.8).value(np.linalg.norm(place - 0.1, axis=1))
+    x = place - w @ place / w.sum()
+    c = w[:, None] * x @ np.linalg.inv(np.einsum("n,ni,nj", w, x, x))
+    theta = f.fluctuation_stress.values / float(f.fluctuation_density)
+
+    def error(weights):
+        return np.sqrt(np.einsum("nk,kl,nl", c @ weights.T, theta, c @ weights.T))
+
+    one = np.eye(9).reshape(3, 3, 3, 3)
+    rate = (one + one.swapaxes(0, 1)) / 2
+    turn = np.array([one[2, 1] - one[1, 2], one[0, 2] - one[2, 0], one[1, 0] - one[0, 1]])
+    for name, weights in zip(names, (one, rate, turn), strict=True):
+        expected = np.array([error(t) for t in weights.reshape(-1, 3, 3)]).reshape(weights.shape[:-2])
+        np.testing.assert_allclose(f[name], expected, rtol=1e-9, err_msg=name)
+
+
 def test_errors_have_units_and_formulas_of_their_fields():
     f = ensemble(100, draws=2).cg.coarse_grain(OF_MOTION, errors=True, axes="z")
     for name in OF_MOTION:
