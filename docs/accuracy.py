@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 import xcg
 from docs import alternatives, physics
+from docs.marks import write_between
 from tests import planning
 from tests.brute_force import BruteKernel
 from xcg.compiled.points import deposit
@@ -528,9 +529,8 @@ class Times:
         return f"{time_of(name, series) / time_of(than, series):.2g}"
 
 
-HEAD = """# Speed against accuracy
-
-A field can be computed in several ways. The chart shows the error of each way over its time per particle: down is
+HEAD = """\
+A field can be computed in several ways. The chart shows the error of each way against its time per particle: down is
 more exact, left is faster, and a ring marks xcg's default. Errors of different fields cannot be compared, so each
 field has a panel. The grey line is the *front*: no other way is both faster and more exact than those on it (in the
 tables, times within 3 % of each other count as equal). Made, on {machine}, by
@@ -549,14 +549,14 @@ grains straight from the definition, and 64-point quadrature of pieces of every 
 components and nodes, 96 random nodes in (a) to (c) and three heights in (f), unless it says otherwise. The
 alternatives (`docs/alternatives.py`) are xcg's own loops with one thing exchanged.
 
-The floors in (a) and (b) are the time that the additions alone would take. A grain or branch that reaches N nodes
+The floors in (a) and (b) are the times of the additions alone. A grain or branch that reaches N nodes
 adds to N times K sums, and an instruction of AVX-512 loads, adds to and stores eight of them. At one store a cycle
 of 3 GHz this is N K / 24 ns; the measured floor is higher, as sums come from the second cache. The loop takes longer
 because it has to find the nodes and their weights. The ways of other programs are on the chart: Pysammos looks
 weights up in 1000 bins, MercuryCG and LAMMPS take the closed form.
 {tests}
 """
-TESTS = "What does not depend on the clock is held by tests (`tests/test_accuracy.py`)."
+TESTS = "Tests (`tests/test_accuracy.py`) check everything here that does not depend on the clock."
 
 
 def says_contact_stress(x: Times) -> str:
@@ -648,7 +648,6 @@ times as many nodes at the same width. The Heaviside is the fastest because it r
 then sees few grains. Wendland's C2 function, (1 - q)^4 (1 + 4 q), stands for registered kernels.
 """
 
-PHYSICS = "<!-- physics -->"  # the second part of the page follows
 MARKERS = "osD^v"
 # offset in points, alignments, rotation
 LABELS: dict[str, dict[str, Any]] = {
@@ -750,13 +749,10 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=15, help="times that each way is run (default 15)")
     parser.add_argument("--part", choices=["arithmetic", "physics", "both"], default="both", help="what to measure")
     given = parser.parse_args()
-    page = HERE / "accuracy.md"
-    first, _, second = page.read_text().partition(PHYSICS)
     if given.part != "physics":
-        first = arithmetic(given.particles, given.repeats)
+        write_between("accuracy.md", "arithmetic", arithmetic(given.particles, given.repeats))
     if given.part != "arithmetic":
-        second = physics.main()
-    page.write_text(f"{first.rstrip()}\n\n{PHYSICS}\n\n{second.lstrip()}")
+        write_between("accuracy.md", "physics", physics.main())
 
 
 def arithmetic(n: int, repeats: int) -> str:

@@ -1,6 +1,6 @@
 // Order of search results: pages whose title holds the words come first; lists that name everything come last.
 const asked = (new URLSearchParams(window.location.search).get("q") || "").toLowerCase().split(/\s+/).filter(Boolean);
-const lists = ["how_do_i", "glossary", "changes", "design", "measurements", "fields", "api", "gallery/index", "sample_data"];
+const lists = ["how_do_i", "reference", "about", "design", "measurements", "fields", "api", "gallery/index"];
 var Scorer = {
   score: ([page, title, anchor, description, score]) => {
     const name = title.toLowerCase();

@@ -257,8 +257,8 @@ def test_the_page_runs(monkeypatch):
     root = Path(__file__).parents[1]
     monkeypatch.chdir(root)
     names = {}
-    for block in re.findall(r"```python\n(.*?)```", (root / "docs" / "correlations.md").read_text(), re.DOTALL):
-        exec(compile(block, "correlations.md", "exec"), names)
+    for block in re.findall(r"```python\n(.*?)```", (root / "docs" / "displacement.md").read_text(), re.DOTALL):
+        exec(compile(block, "displacement.md", "exec"), names)
     c, k, m = (names[n] for n in "ckm")
     assert 0.5 < c.correlation_length < 5
     # velocities forget 0.2 of themselves a step: 1 / ln(1 / 0.8) s, and D = 0.01^2 / (2 * 0.2^2)

@@ -44,7 +44,7 @@ def test_page_on_scale_counts_the_fields():
 
 
 def test_entries_of_the_glossary_are_whole():
-    _, entries = (ROOT / "docs" / "glossary.md").read_text().split("{.glossary}\n")
+    _, entries = (ROOT / "docs" / "reference.md").read_text().split("{.glossary}\n")
     for entry in entries.strip().split("\n\n"):
         term, first, *rest = entry.split("\n")
         assert not term.startswith((":", " "))
@@ -65,7 +65,7 @@ def test_every_function_has_an_example_on_a_page():
 
 
 def test_glossary_is_a_list_of_terms():
-    text = (ROOT / "docs" / "glossary.md").read_text().partition("{.glossary}\n")[2]
+    text = (ROOT / "docs" / "reference.md").read_text().partition("{.glossary}\n")[2]
     terms = []
     for entry in text.strip().split("\n\n"):
         term, meaning, *rest = entry.split("\n")
