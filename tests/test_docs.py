@@ -101,6 +101,7 @@ def test_every_public_name_has_a_page():
         ),
         ("n_c <f.n>, a = 3, or 1 in a plane", r"$n_{c} \langle f \cdot n \rangle$, $a = 3$, or $1$ in a plane"),
         ("sqrt(p / rho_p) M^-1", r"$\sqrt{\dfrac{p}{\rho_{p}}} M^{-1}$"),
+        ("sum v'_i^2 Psi", r"$\sum {v'_{i}}^{2} \Psi$"),
     ],
 )
 def test_formulas_become_mathematics(formula, expected):
