@@ -46,7 +46,7 @@ def heap() -> None:
     surface = f.cg.free_surface("y").isel(time=0)
     part = surface.sel(x=slice(20, 90))  # without the wall and the foot
     fit = part.cg.fit_slope()
-    _, ax = plt.subplots(figsize=(6.4, 2.8))
+    _, ax = plt.subplots(figsize=(6.4, 2.0))
     f.isel(time=0).cg.plot("volume_fraction", ax=ax)
     ax.plot(surface.x, surface.height, "r-", lw=1.5, label="free surface")
     line = part.height.mean() + fit.slope.item() * (part.x - part.x.mean())

@@ -98,7 +98,7 @@ def averages() -> str:
             rule = f"`{f.weight}` over the mean of `{f.weight}` divided by the field"
         elif f.weight:
             whose = ", that of the bulk" if f.by_bulk else ""
-            rule = f"weighted by `{f.weight}`{whose}, where they are known"
+            rule = f"weighted by `{f.weight}`{whose}, over known values"
         else:
             rule = "computed anew from averages of the fields that they depend on, with the same variants"
         if not f.additive:
