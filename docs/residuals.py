@@ -44,7 +44,7 @@ def columns(name: str) -> dict[str, Callable[[Case], str]]:
 def table(data: Path, count: int) -> str:
     """Return the table in markdown: a row for each folder that is there."""
     heads = ["scene", *columns("")]
-    lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
+    lines = ["{.numbers}", "| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
     for name, opened in OPEN.items():
         if not (data / name).is_dir():
             print(f"{name}: not in {data}, left out")

@@ -10,7 +10,9 @@ from tests.stability.cases import CASES
 from tests.stability.physical import LIMITS
 
 HERE = Path(__file__).parent
-CASES_HEAD = "| case | what goes wrong | what xcg does | naive error | xcg | held to |\n|---|---|---|---|---|---|\n"
+CASES_HEAD = (
+    "{.numbers}\n| case | what goes wrong | what xcg does | naive error | xcg | held to |\n|---|---|---|---|---|---|\n"
+)
 LIMITS_HEAD = "| case | what goes wrong | what xcg states | true error | stated |\n|---|---|---|---|---|\n"
 
 
