@@ -23,7 +23,7 @@ def write(name: str, picture: Image.Image) -> None:
 def save(name: str) -> None:
     """Write the current figure, and close it."""
     file = io.BytesIO()
-    plt.gcf().savefig(file, dpi=100)
+    plt.gcf().savefig(file, dpi=100, bbox_inches="tight")
     plt.close()
     write(name, Image.open(file))
 
