@@ -560,53 +560,53 @@ TESTS = "Tests (`tests/test_accuracy.py`) check everything here that does not de
 
 
 def says_contact_stress(x: Times) -> str:
-    return f"""**Default: the closed form (`rtol=0`).** It takes {x("rtol 0", "2 points")} times as long as two
-Gauss points and {x("rtol 0", "12 points")} times as long as twelve, and is exact to rounding, so that the
-identities of the theory hold for the fields. A larger `rtol` saves time, also because weights are then in single
-precision: 1e-3 takes {x("rtol 1e-3", "rtol 0")} of the time of the closed form, and 1e-4
-{x("rtol 1e-4", "rtol 0")}. A rule of an odd number of points takes as long as the next even one. At this width
-xcg takes the closed form for 1e-5 and less, because it is faster than the points needed. The errors are ten times
-smaller than `rtol` and more, because `rtol` bounds the error of each branch at its worst node, and a node sees a
-hundred branches.
+    return f"""**Default: the closed form (`rtol=0`).** It takes {x("rtol 0", "2 points")} times as long as
+two Gauss points and {x("rtol 0", "12 points")} times as long as twelve, and is exact to rounding, so that the
+identities of the theory hold for the fields. A larger `rtol` saves time, because fewer points suffice and
+weights are then in single precision: 1e-3 takes {x("rtol 1e-3", "rtol 0")} of the time of the closed form, and
+1e-4 {x("rtol 1e-4", "rtol 0")}. A rule of an odd number of points takes as long as the next even one. At this
+width xcg uses the closed form for 1e-5 and less, because it is faster than the points needed. The errors are at
+least ten times smaller than `rtol`, because `rtol` bounds the error of each branch at its worst node, and a
+node sees a hundred branches.
 """
 
 
 def says_volume_fraction(x: Times) -> str:
-    return f"""**Default: the kernel is evaluated.** A polynomial of the distance costs less than reading a
-table: {x("1000 bins", "evaluated", "table, rounded down")} times as long with the distance rounded down into
-1000 bins, as Pysammos does, for an error of 0.3 %, and {x("1000 bins", "evaluated", "table, interpolated")}
-with interpolation. More bins are more exact and no cheaper. Weights in single precision take
-{x("single precision", "evaluated")} of the time, for an error of 1e-7. They are not the default, because
+    return f"""**Default: the kernel is evaluated.** A polynomial of the distance is faster than a table. A
+table of 1000 bins takes {x("1000 bins", "evaluated", "table, rounded down")} times as long if the distance is
+rounded down, as in Pysammos, with an error of 0.3 %, and {x("1000 bins", "evaluated", "table, interpolated")}
+times as long with interpolation. More bins are more exact and no faster. Weights in single precision take
+{x("single precision", "evaluated")} times as long, with an error of 1e-7. They are not the default, because
 identities would then hold to seven digits instead of fifteen.
 """
 
 
 def says_kinetic_stress(x: Times) -> str:
-    return f"""**Default: one pass, velocities relative to the first grain that reaches a node.** The sum of m v
-v less rho V V (raw moments) loses digits with the square of V / v': six at 1e3, twelve at 1e6. Two passes, V first
-and then the sums about it, keep all digits, at
-{x("two passes", "relative to the node", "V / v' = 1e+06")} times the time of the default, which keeps them in one
-pass. Raw moments take {x("raw moments", "relative to the node", "V / v' = 1e+06")} of the time of the default, so
-they save little and lose digits without a warning.
+    return f"""**Default: one pass, velocities relative to the first grain that reaches a node.** The sum of
+m v v less rho V V (raw moments) loses digits with the square of V / v': six at 1e3, twelve at 1e6. Two passes,
+V first and then the sums about it, keep all digits, but take
+{x("two passes", "relative to the node", "V / v' = 1e+06")} times as long as the default, which keeps them in
+one pass. Raw moments take {x("raw moments", "relative to the node", "V / v' = 1e+06")} times as long as the
+default, so they save little and lose digits without a warning.
 """
 
 
 def says_temperature(x: Times) -> str:
     return f"""**Default: the velocity at each grain by linear extrapolation from the node, with the
-least-squares gradient.** In shear without fluctuations the temperature is zero. If fluctuations are taken about the
-velocity at the node, the shear contributes in proportion to w^2. If they are taken about V evaluated at the grains,
-less is left, because V(r) is the velocity at the grains' centre of mass. Only extrapolation by least squares gives
-zero, to rounding. It takes {x("linear, least squares", "V at the node", "shear alone")} times as long as
-fluctuations about the node.
+least-squares gradient.** In shear without fluctuations the temperature is zero. If fluctuations are taken about
+the velocity at the node, the shear contributes in proportion to w^2. About V evaluated at the grains, a smaller
+contribution remains, because V(r) is the velocity at the grains' centre of mass. Only extrapolation by least
+squares gives zero, to rounding. It takes {x("linear, least squares", "V at the node", "shear alone")} times as
+long as fluctuations about the node.
 
-**Where fluctuations are independent from grain to grain**, every way has an error at one node. A node sees some 16
-grains with unequal weights, which tell as much as seven equal ones. A mean velocity follows one part in seven of
-their fluctuations, a fit of four numbers more than half, and V evaluated at a grain is largely the velocity of that
-grain. What the mean flow follows is missing from the temperature. The default knows how much its fit follows and
-divides by what is left, so its **mean is right at every width**: the table below has the mean of the temperature
-over the true one. Divided by the density instead (`temperature="biased"`), the same fluctuations give a third at this
-width and 7 % too little at twice it. Taken about the node, the temperature grows with w without limit. More in
-[granular temperature](temperature.md).
+**Where fluctuations are independent from grain to grain**, every way has an error at one node. A node sees
+about 16 grains of unequal weights, equivalent to seven of equal weight. A mean velocity follows one seventh of
+their fluctuations, a fit of four numbers more than half, and V evaluated at a grain is largely the velocity of
+that grain. This part is missing from the temperature. The default subtracts the degrees of freedom of its fit
+from the density in the denominator, so its **mean is right at every width**: the table below has the mean of
+the temperature over the true one. Divided by the full density instead (`temperature="biased"`), the same
+fluctuations give a third at this width and 7 % too little at twice it. About the velocity at the node, the
+temperature grows with w without limit. More under [granular temperature](temperature.md).
 """
 
 
