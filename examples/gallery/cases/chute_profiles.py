@@ -54,7 +54,7 @@ print(f"largest difference of the velocity from the fit: {abs(bagnold(flow.z, V0
 print(f"noise of the velocity in this step: {f.velocity_error.sel(z=slice(2, 20), component='x').mean():.2f}")
 
 # %%
-# The band is the noise of one step (:doc:`how sure is a field </width>`). That of the velocity is too small to be
+# The band is the noise of one step (:doc:`standard errors </width>`). That of the velocity is too small to be
 # seen: its difference from the fit is not noise, but the flow's own.
 
 # %%
