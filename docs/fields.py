@@ -6,7 +6,6 @@ These are the page docs/fields.md and the part of docs/evaluation.md between two
 import re
 import runpy
 from pathlib import Path
-from types import ModuleType
 
 from xcg.fields.formulas.registry import FIELDS, TOPICS, listed
 
@@ -39,7 +38,16 @@ TABLE = """
 TAIL = """
 These tables are made by `python docs/fields.py`; `xcg fields` prints all formulas.
 """
-# pages that say more on a topic
+# headings of the topics, and pages that say more
+TITLES = {
+    "flow": "Density, velocity and granular temperature",
+    "contacts": "Contact stress, fabric and phases",
+    "rheology": "Stress, pressure and rheology",
+    "energy": "Vorticity, spin and energy",
+    "orientation": "Orientation of rods",
+    "displacement": "Displacement and strain",
+    "errors": "Standard errors",
+}
 PAGES = {
     "flow": "[granular temperature](temperature.md)",
     "contacts": "[walls](walls.md), [fabric](microstructure.md#fabric-and-its-anisotropies), [phases](phases.md)",
@@ -47,6 +55,7 @@ PAGES = {
     "energy": "[vorticity, spin and energy](temperature.md#vorticity-spin-and-energy)",
     "orientation": "[rods and other shapes](microstructure.md#rods-and-other-shapes)",
     "displacement": "[strain and displacement](displacement.md)",
+    "errors": "[standard errors](width.md#standard-errors)",
 }
 KINDS = ("scalar", "vector", "tensor")
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -63,16 +72,11 @@ def table() -> str:
     parts = [HEAD]
     for topic in TOPICS:
         room = topic.__name__.rpartition(".")[2]
-        parts.append(f"\n## {_title(topic)}\n")
+        parts.append(f"\n## {TITLES[room]}\n")
         parts.append(f"\nMore: {PAGES[room]}.\n" if room in PAGES else "")
         parts.append(TABLE)
         parts += [_row(name) for name in topic.ROWS if name in shown]
     return "".join([*parts, TAIL])
-
-
-def _title(topic: ModuleType) -> str:
-    """What the fields of a topic are about."""
-    return (topic.__doc__ or "").partition("\n")[0].removesuffix(".")
 
 
 def _row(name: str) -> str:
