@@ -35,6 +35,13 @@ def test_links_lead_somewhere(page):
             assert not anchor or anchor in anchors_of(there), f"{page} links to {target}#{anchor}"
 
 
+def test_no_line_of_text_is_a_comment():
+    """A line that begins with % is left out of the site."""
+    for page in (ROOT / "docs").glob("*.md"):
+        text = re.sub(r"```.*?```", "", page.read_text(), flags=re.DOTALL)
+        assert re.findall(r"^\s*%.*$", text, re.MULTILINE) == [], page.name
+
+
 def test_page_on_scale_counts_the_fields():
     import xcg
 
