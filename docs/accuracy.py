@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 import xcg
 from docs import alternatives, physics
+from docs.marks import write_between
 from tests import planning
 from tests.brute_force import BruteKernel
 from xcg.compiled.points import deposit
@@ -528,9 +529,8 @@ class Times:
         return f"{time_of(name, series) / time_of(than, series):.2g}"
 
 
-HEAD = """# Speed against accuracy
-
-A field can be computed in several ways. The chart shows the error of each way over its time per particle: down is
+HEAD = """\
+A field can be computed in several ways. The chart shows the error of each way against its time per particle: down is
 more exact, left is faster, and a ring marks xcg's default. Errors of different fields cannot be compared, so each
 field has a panel. The grey line is the *front*: no other way is both faster and more exact than those on it (in the
 tables, times within 3 % of each other count as equal). Made, on {machine}, by
@@ -549,64 +549,64 @@ grains straight from the definition, and 64-point quadrature of pieces of every 
 components and nodes, 96 random nodes in (a) to (c) and three heights in (f), unless it says otherwise. The
 alternatives (`docs/alternatives.py`) are xcg's own loops with one thing exchanged.
 
-The floors in (a) and (b) are the time that the additions alone would take. A grain or branch that reaches N nodes
+The floors in (a) and (b) are the times of the additions alone. A grain or branch that reaches N nodes
 adds to N times K sums, and an instruction of AVX-512 loads, adds to and stores eight of them. At one store a cycle
 of 3 GHz this is N K / 24 ns; the measured floor is higher, as sums come from the second cache. The loop takes longer
 because it has to find the nodes and their weights. The ways of other programs are on the chart: Pysammos looks
 weights up in 1000 bins, MercuryCG and LAMMPS take the closed form.
 {tests}
 """
-TESTS = "What does not depend on the clock is held by tests (`tests/docs/test_accuracy.py`)."
+TESTS = "Tests (`tests/docs/test_accuracy.py`) check everything here that does not depend on the clock."
 
 
 def says_contact_stress(x: Times) -> str:
-    return f"""**Default: the closed form (`rtol=0`).** It takes {x("rtol 0", "2 points")} times as long as two
-Gauss points and {x("rtol 0", "12 points")} times as long as twelve, and is exact to rounding, so that the
-identities of the theory hold for the fields. A larger `rtol` saves time, also because weights are then in single
-precision: 1e-3 takes {x("rtol 1e-3", "rtol 0")} of the time of the closed form, and 1e-4
-{x("rtol 1e-4", "rtol 0")}. A rule of an odd number of points takes as long as the next even one. At this width
-xcg takes the closed form for 1e-5 and less, because it is faster than the points needed. The errors are ten times
-smaller than `rtol` and more, because `rtol` bounds the error of each branch at its worst node, and a node sees a
-hundred branches.
+    return f"""**Default: the closed form (`rtol=0`).** It takes {x("rtol 0", "2 points")} times as long as
+two Gauss points and {x("rtol 0", "12 points")} times as long as twelve, and is exact to rounding, so that the
+identities of the theory hold for the fields. A larger `rtol` saves time, because fewer points suffice and
+weights are then in single precision: 1e-3 takes {x("rtol 1e-3", "rtol 0")} of the time of the closed form, and
+1e-4 {x("rtol 1e-4", "rtol 0")}. A rule of an odd number of points takes as long as the next even one. At this
+width xcg uses the closed form for 1e-5 and less, because it is faster than the points needed. The errors are at
+least ten times smaller than `rtol`, because `rtol` bounds the error of each branch at its worst node, and a
+node sees a hundred branches.
 """
 
 
 def says_volume_fraction(x: Times) -> str:
-    return f"""**Default: the kernel is evaluated.** A polynomial of the distance costs less than reading a
-table: {x("1000 bins", "evaluated", "table, rounded down")} times as long with the distance rounded down into
-1000 bins, as Pysammos does, for an error of 0.3 %, and {x("1000 bins", "evaluated", "table, interpolated")}
-with interpolation. More bins are more exact and no cheaper. Weights in single precision take
-{x("single precision", "evaluated")} of the time, for an error of 1e-7. They are not the default, because
+    return f"""**Default: the kernel is evaluated.** A polynomial of the distance is faster than a table. A
+table of 1000 bins takes {x("1000 bins", "evaluated", "table, rounded down")} times as long if the distance is
+rounded down, as in Pysammos, with an error of 0.3 %, and {x("1000 bins", "evaluated", "table, interpolated")}
+times as long with interpolation. More bins are more exact and no faster. Weights in single precision take
+{x("single precision", "evaluated")} times as long, with an error of 1e-7. They are not the default, because
 identities would then hold to seven digits instead of fifteen.
 """
 
 
 def says_kinetic_stress(x: Times) -> str:
-    return f"""**Default: one pass, velocities relative to the first grain that reaches a node.** The sum of m v
-v less rho V V (raw moments) loses digits with the square of V / v': six at 1e3, twelve at 1e6. Two passes, V first
-and then the sums about it, keep all digits, at
-{x("two passes", "relative to the node", "V / v' = 1e+06")} times the time of the default, which keeps them in one
-pass. Raw moments take {x("raw moments", "relative to the node", "V / v' = 1e+06")} of the time of the default, so
-they save little and lose digits without a warning.
+    return f"""**Default: one pass, velocities relative to the first grain that reaches a node.** The sum of
+m v v less rho V V (raw moments) loses digits with the square of V / v': six at 1e3, twelve at 1e6. Two passes,
+V first and then the sums about it, keep all digits, but take
+{x("two passes", "relative to the node", "V / v' = 1e+06")} times as long as the default, which keeps them in
+one pass. Raw moments take {x("raw moments", "relative to the node", "V / v' = 1e+06")} times as long as the
+default, so they save little and lose digits without a warning.
 """
 
 
 def says_temperature(x: Times) -> str:
     return f"""**Default: the velocity at each grain by linear extrapolation from the node, with the
-least-squares gradient.** In shear without fluctuations the temperature is zero. If fluctuations are taken about the
-velocity at the node, the shear contributes in proportion to w^2. If they are taken about V evaluated at the grains,
-less is left, because V(r) is the velocity at the grains' centre of mass. Only extrapolation by least squares gives
-zero, to rounding. It takes {x("linear, least squares", "V at the node", "shear alone")} times as long as
-fluctuations about the node.
+least-squares gradient.** In shear without fluctuations the temperature is zero. If fluctuations are taken about
+the velocity at the node, the shear contributes in proportion to w^2. About V evaluated at the grains, a smaller
+contribution remains, because V(r) is the velocity at the grains' centre of mass. Only extrapolation by least
+squares gives zero, to rounding. It takes {x("linear, least squares", "V at the node", "shear alone")} times as
+long as fluctuations about the node.
 
-**Where fluctuations are independent from grain to grain**, every way has an error at one node. A node sees some 16
-grains with unequal weights, which tell as much as seven equal ones. A mean velocity follows one part in seven of
-their fluctuations, a fit of four numbers more than half, and V evaluated at a grain is largely the velocity of that
-grain. What the mean flow follows is missing from the temperature. The default knows how much its fit follows and
-divides by what is left, so its **mean is right at every width**: the table below has the mean of the temperature
-over the true one. Divided by the density instead (`temperature="biased"`), the same fluctuations give a third at this
-width and 7 % too little at twice it. Taken about the node, the temperature grows with w without limit. More in
-[granular temperature](temperature.md).
+**Where fluctuations are independent from grain to grain**, every way has an error at one node. A node sees
+about 16 grains of unequal weights, equivalent to seven of equal weight. A mean velocity follows one seventh of
+their fluctuations, a fit of four numbers more than half, and V evaluated at a grain is largely the velocity of
+that grain. This part is missing from the temperature. The default subtracts the degrees of freedom of its fit
+from the density in the denominator, so its **mean is right at every width**: the table below has the mean of
+the temperature over the true one. Divided by the full density instead (`temperature="biased"`), the same
+fluctuations give a third at this width and 7 % too little at twice it. About the velocity at the node, the
+temperature grows with w without limit. More under [granular temperature](temperature.md).
 """
 
 
@@ -648,7 +648,6 @@ times as many nodes at the same width. The Heaviside is the fastest because it r
 then sees few grains. Wendland's C2 function, (1 - q)^4 (1 + 4 q), stands for registered kernels.
 """
 
-PHYSICS = "<!-- physics -->"  # the second part of the page follows
 MARKERS = "osD^v"
 # offset in points, alignments, rotation
 LABELS: dict[str, dict[str, Any]] = {
@@ -750,13 +749,10 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=15, help="times that each way is run (default 15)")
     parser.add_argument("--part", choices=["arithmetic", "physics", "both"], default="both", help="what to measure")
     given = parser.parse_args()
-    page = HERE / "accuracy.md"
-    first, _, second = page.read_text().partition(PHYSICS)
     if given.part != "physics":
-        first = arithmetic(given.particles, given.repeats)
+        write_between("accuracy.md", "arithmetic", arithmetic(given.particles, given.repeats))
     if given.part != "arithmetic":
-        second = physics.main()
-    page.write_text(f"{first.rstrip()}\n\n{PHYSICS}\n\n{second.lstrip()}")
+        write_between("accuracy.md", "physics", physics.main())
 
 
 def arithmetic(n: int, repeats: int) -> str:

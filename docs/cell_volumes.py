@@ -1,12 +1,9 @@
 """Writes the table of docs/cfd_dem.md: python -m docs.cell_volumes. Volume fractions of cells, exact and by kernels."""
 
-import re
 import warnings
-from pathlib import Path
 
 import xcg
-
-PAGE = Path(__file__).parent / "cfd_dem.md"
+from docs.marks import write_between
 
 
 def table() -> list[str]:
@@ -28,8 +25,7 @@ def table() -> list[str]:
 def main() -> None:
     """Put the table between its marks."""
     warnings.simplefilter("ignore")
-    text, mark = PAGE.read_text(), "<!-- cells -->"
-    PAGE.write_text(re.sub(f"{mark}.*?{mark}", "\n".join([mark, *table(), mark]), text, flags=re.DOTALL))
+    write_between("cfd_dem.md", "cells", "\n".join(table()))
 
 
 if __name__ == "__main__":

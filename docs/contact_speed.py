@@ -1,4 +1,4 @@
-"""Time of the search for contacts against the ratio of sizes: prints the table of docs/contacts.md, draws its chart.
+"""Time of the search for contacts against the ratio of sizes: prints the table of docs/accuracy.md, draws its chart.
 
 pip install . --group benchmark; python docs/contact_speed.py [--quick]
 

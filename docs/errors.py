@@ -1,15 +1,13 @@
-"""Writes the tables of docs/errors.md: python -m docs.errors. Predicted errors of one step against measured scatter."""
+"""Writes tables of docs/width.md: python -m docs.errors. Predicted errors of one step against measured scatter."""
 
-import re
 import warnings
-from pathlib import Path
 
 import numpy as np
 
 import xcg
+from docs.marks import write_between
 from tests.fields.formulas.rows.test_errors import CASES, OF_MOTION, OF_VARIABLES, ensemble, predicted_over_measured
 
-PAGE = Path(__file__).parent / "errors.md"
 NAMES = ["velocity", "velocity_gradient", "shear_rate", "granular_temperature", "kinetic_stress", "spin", "charge"]
 
 SAMPLES = {"plane_shear": "z", "segregation": "z", "suspension": "z", "cooling": "z"}  # with the axis of the profile
@@ -43,11 +41,8 @@ def of_samples() -> list[str]:
 def main() -> None:
     """Put the tables between their marks."""
     warnings.simplefilter("ignore")
-    text = PAGE.read_text()
-    for name, rows in (("draws", of_draws()), ("samples", of_samples())):
-        mark = f"<!-- {name} -->"
-        text = re.sub(f"{mark}.*?{mark}", "\n".join([mark, *rows, mark]).replace("\\", r"\\"), text, flags=re.DOTALL)
-    PAGE.write_text(text)
+    write_between("width.md", "draws", "\n".join(of_draws()))
+    write_between("width.md", "samples", "\n".join(of_samples()))
 
 
 if __name__ == "__main__":

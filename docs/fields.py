@@ -1,52 +1,61 @@
 """Writes what the documentation says of all fields from the rows of the registry: python docs/fields.py.
 
-These are the page docs/fields.md and the part of docs/averages.md between two marks.
+These are the page docs/fields.md and the part of docs/evaluation.md between two marks.
 """
 
 import re
 import runpy
 from pathlib import Path
-from types import ModuleType
 
 from xcg.fields.formulas.registry import FIELDS, TOPICS, listed
 
 HEAD = """# Fields
 
-`ds.cg.coarse_grain([...])` takes these fields by name, and without names all that have no star. Psi is the kernel, and
-sums run over all grains and periodic images that reach the node. [Theory](theory.md) explains the formulas,
-[variants](variants.md) has other definitions. [Custom fields](own_fields.md) are taken by name as well, and so is
-[any variable of the scene](own_fields.md#any-variable). Fields from `displacement` on compare two steps, and
-[`ds.cg.displacement`](displacement.md) takes their names instead.
+`ds.cg.coarse_grain([...])` takes these fields by name, and without names all fields without a star. Psi is the
+kernel, and sums run over all grains and periodic images that reach the node. [Theory](theory.md) derives the formulas
+and lists [variants of definitions](theory.md#variants-of-definitions). [Custom fields](custom.md) are taken by name
+as well, and so is [any variable of the scene](custom.md#any-variable). Fields from `displacement` on compare two
+steps; [`ds.cg.displacement`](displacement.md) takes their names instead.
 
 - Vectors have the dimension `component`. Tensors have `component` (of the force or velocity) and `direction` (of the
   face or derivative), so `stress.sel(component="x", direction="z")` is sigma_xz. Compression is positive.
 - The *additive* fields of all phases add up to that of the bulk.
-- The last column says how a field is [averaged](averages.md): sums as they are, ratios weighted by a sum, all others
-  computed anew from averages.
-- Sums are zero at nodes that no grain reaches, and ratios are NaN there. `sample_count` says how many grains reach a
-  node.
+- The last column is the rule for [averages](evaluation.md#averages-with-standard-errors): sums as they are, ratios
+  weighted by a sum, all others computed anew from averages.
+- At nodes that no grain reaches, sums are zero and ratios are NaN. `sample_count` is the number of grains that reach
+  a node.
 - A velocity gradient is NaN along directions that the grains at a node do not span. A temperature is NaN where the
-  grains are too few for its [correction](theory.md): where rho_T (`fluctuation_density`) is less than half of what one
-  grain contributes to rho on average.
+  grains are too few for its [correction](theory.md), that is, where rho_T (`fluctuation_density`) is less than half
+  of what one grain contributes to rho on average.
 - Friction coefficient and inertial number are NaN where p <= 0.
 
 In a one-layer scene D = 2, and traces run over the two axes of the plane.
 """
 TABLE = """
-| field | what it is, and its formula | kind | unit | additive | averages |
+| field | meaning and formula | kind | unit | additive | averages |
 |---|---|---|---|---|---|
 """
 TAIL = """
 These tables are made by `python docs/fields.py`; `xcg fields` prints all formulas.
 """
-# pages that say more on a topic
+# headings of the topics, and pages that say more
+TITLES = {
+    "flow": "Density, velocity and granular temperature",
+    "contacts": "Contact stress, fabric and phases",
+    "rheology": "Stress, pressure and rheology",
+    "energy": "Vorticity, spin and energy",
+    "orientation": "Orientation of rods",
+    "displacement": "Displacement and strain",
+    "errors": "Standard errors",
+}
 PAGES = {
     "flow": "[granular temperature](temperature.md)",
-    "contacts": "[walls](walls.md), [fabric](fabric.md), [phases](phases.md)",
-    "rheology": "[variants](variants.md)",
-    "energy": "[vorticity, spin and energy](energy.md)",
-    "orientation": "[fabric](fabric.md#grains-that-are-not-round)",
-    "displacement": "[displacement and strain](displacement.md)",
+    "contacts": "[walls](walls.md), [fabric](microstructure.md#fabric-and-its-anisotropies), [phases](phases.md)",
+    "rheology": "[variants of definitions](theory.md#variants-of-definitions)",
+    "energy": "[vorticity, spin and energy](temperature.md#vorticity-spin-and-energy)",
+    "orientation": "[rods and other shapes](microstructure.md#rods-and-other-shapes)",
+    "displacement": "[strain and displacement](displacement.md)",
+    "errors": "[standard errors](width.md#standard-errors)",
 }
 KINDS = ("scalar", "vector", "tensor")
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -63,16 +72,11 @@ def table() -> str:
     parts = [HEAD]
     for topic in TOPICS:
         room = topic.__name__.rpartition(".")[2]
-        parts.append(f"\n## {_title(topic)}\n")
+        parts.append(f"\n## {TITLES[room]}\n")
         parts.append(f"\nMore: {PAGES[room]}.\n" if room in PAGES else "")
         parts.append(TABLE)
         parts += [_row(name) for name in topic.ROWS if name in shown]
     return "".join([*parts, TAIL])
-
-
-def _title(topic: ModuleType) -> str:
-    """What the fields of a topic are about."""
-    return (topic.__doc__ or "").partition("\n")[0].removesuffix(".")
 
 
 def _row(name: str) -> str:
@@ -89,19 +93,19 @@ def _row(name: str) -> str:
 
 
 def averages() -> str:
-    """The table of docs/averages.md."""
+    """The table of averages in docs/evaluation.md."""
     rules: dict[str, list[str]] = {"as they are": ["sums (*additive* in the [table](fields.md))"]}
     for name in listed(registered=False):
         f = FIELDS[name]
         if name.endswith("_error"):
-            rule = "the larger of this noise and the scatter of what is averaged, see [errors](errors.md)"
+            rule = "the larger of this noise and the scatter ([standard errors](width.md#standard-errors))"
         elif f.harmonic:
             rule = f"`{f.weight}` over the mean of `{f.weight}` divided by the field"
         elif f.weight:
             whose = ", that of the bulk" if f.by_bulk else ""
-            rule = f"weighted by `{f.weight}`{whose}, where they are known"
+            rule = f"weighted by `{f.weight}`{whose}, over known values"
         else:
-            rule = "computed anew from averages of what they are made of, with the variants of the result"
+            rule = "computed anew from averages of the fields that they depend on, with the same variants"
         if not f.additive:
             rules.setdefault(rule, []).append(f"`{name}`")
     rows = [f"| {', '.join(fields)} | {rule} |\n" for rule, fields in rules.items()]
@@ -111,7 +115,7 @@ def averages() -> str:
 def pages() -> dict[Path, str]:
     """All files that this writes, with their text."""
     found = {ROOT / "docs" / "fields.md": table()}
-    path = ROOT / "docs" / "averages.md"
+    path = ROOT / "docs" / "evaluation.md"
     before, rest = path.read_text().split(FIRST)
     found[path] = before + FIRST + averages() + "\n" + LAST + rest.split(LAST)[1]
     return found

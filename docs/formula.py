@@ -136,5 +136,6 @@ class _Reader:
         while self.next() == "^":
             self.take()
             sign = self.take() if self.next() == "-" else ""
+            text = f"{{{text}}}" if "'" in text else text  # a prime is an exponent as well
             text += f"^{{{sign}{_symbol(self.take())}}}"
         return text

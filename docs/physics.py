@@ -25,10 +25,10 @@ CHOICES: Mapping[str, Sequence[Any]] = {
     "sampling": ("node", "cell"),
 }
 SIDE = 12.0
-TEXT = """## How sure the fields are: width, spacing, frames, sampling, kernel
+TEXT = """## Bias and noise: width, spacing, frames, sampling, kernel
 
-Errors so far are of arithmetic. Errors of physics are a million times larger: too few particles (noise), and gradients
-that the width smears (bias). The flows here are known (`tests/flows.py`): random grains at a volume fraction of 0.4
+The errors so far are numerical. Physical errors are a million times larger: noise of too few particles, and bias of
+gradients that the width smears. The flows here are known (`tests/flows.py`): random grains at a volume fraction of 0.4
 that follow a profile, with thermal noise of a temperature of 0.25 on speeds of about 1, placed anew in each frame.
 Repeat with `python -m docs.accuracy --part physics`.
 
@@ -42,10 +42,10 @@ Repeat with `python -m docs.accuracy --part physics`.
 - **Time** (sine, volume, {particles} particles; by default 0.75 d, nodes one width apart, 16 frames, Lucy): one choice
   is changed at a time. The error is that of the field interpolated linearly to random points.
 
-In the last picture, no other choice is both faster and more exact than these:
+In the last panel, no other choice is both faster and more exact than these:
 {front}.
-The default spacing of w is not among them and stays: 1.5 w takes about three quarters of the time, but loses twice as
-much by linear interpolation where there is little noise. `sampling="cell"` is for meshes that are coarser than the
+The default spacing of w is not among them, and is kept: 1.5 w takes about three quarters of the time, but its linear
+interpolation has twice the error if there is little noise. `sampling="cell"` is for meshes that are coarser than the
 kernel, where its cost falls.
 
 Bias and noise of one frame, relative to the root mean square of each field, in profiles at the default width and at the
@@ -53,7 +53,7 @@ width that `choose_width` takes for 16 frames:
 
 {table}
 
-The layer has bias at its edges only, as has the column, whose stress is linear. Linear shear between walls has it
+The layer has bias at its edges only, and so has the column, whose stress is linear. Linear shear between walls has bias
 beside the walls, where all particles are on one side of the node.
 """
 

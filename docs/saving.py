@@ -17,8 +17,8 @@ import xarray as xr
 
 import xcg
 from docs.accuracy import fastest
+from docs.marks import write_between
 
-PAGE = Path(__file__).with_name("saving.md")
 WAYS: dict[str, dict[str, Any]] = {
     "default": {},
     "`compression=1`": {"compression": 1},
@@ -51,8 +51,7 @@ def main() -> None:
         lines.append(f"| {name} | {times[k]:.2f} | {times[count + k]:.2f} | {sizes[k] / fields.nbytes:.0%} |")
     lines.append(f"| xarray's `to_netcdf(encoding={{... zlib level 1}})` | {times[-1]:.2f} | | |")
     lines.append(f"| for comparison: computing the fields | {computing:.2f} | | |")
-    head, _, rest = PAGE.read_text().partition("<!-- table -->\n")
-    PAGE.write_text(head + "<!-- table -->\n" + "\n".join(lines) + "\n" + rest[rest.index("<!-- end -->") :])
+    write_between("saving.md", "table", "\n".join(lines))
     print("\n".join(lines))
 
 

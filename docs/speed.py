@@ -1,4 +1,4 @@
-"""Measures speed and memory, and writes docs/speed.md.
+"""Measures speed and memory, and writes the section on speed in docs/accuracy.md.
 
 Run from the root of the repository, on a machine that does nothing else::
 
@@ -11,18 +11,18 @@ from __future__ import annotations
 
 import argparse
 from functools import partial
-from pathlib import Path
 
 from docs import against
 from docs.accuracy import fastest, machine
+from docs.marks import write_between
 from tests.benchmarks import cases
 
-HEAD = """# Speed
+HEAD = """## Speed
 
 A dense packing (`xcg.datasets.dense_packing`): volume fraction 0.6, three contacts a grain, w = 0.75 d, nodes w
 apart, Lucy's kernel. *All fields* are the {count} of the [registry](fields.md) that need no further argument. Threads
-share the nodes of one step in memory (over space), or take a step each of a lazy scene (over time); the bits of the
-result are the same. Times are the least of {repeats} ({few} for a million grains) after one to warm up, the cases
+share the nodes of one step in memory (over space), or each take a step of a lazy scene (over time); the results are the
+same bits. Times are the least of {repeats} ({few} for a million grains) after one to warm up, the cases
 taking turns, from a scene in memory to labelled fields; peak memory is that of a fresh process that reads the scene
 from a file (a lazy scene step by step) and does the job once, with Python and its libraries ({base:.0f} MB) in it.
 *Data* are scene and fields together. The dumps are text with six digits, two files of 7 MB and 22 MB for each 100,000
@@ -33,21 +33,21 @@ grains, particles and contacts; their time is that of opening, parsing, sorting,
 python -m docs.speed --particles {particles} --large {large} --repeats {repeats}
 ```
 
-The same cases are benchmarks for pytest: `pytest tests/benchmarks --benchmark-only`. How far from the bare arithmetic
-the loops are stands under [kernels and widths](accuracy.md).
+`pytest tests/benchmarks --benchmark-only` runs the same cases. [Kernels and widths](#kernels-and-widths) compares the
+loops with the bare arithmetic.
 
 """
 FEW = 2  # times that each large case is run
 COLUMNS = ("case", "grains", "threads", "time a step (s)", "us a grain and step", "peak memory (MB)", "data (MB)")
 FIRST = """
 From the start of a process to all fields of 1000 grains that are given as arrays: {cold:.1f} s with nothing compiled,
-{warm:.1f} s from the second time on (the least of four), as compiled code is kept on disk; importing the libraries that
-it stands on takes {libraries:.1f} s of it (Numba and what it loads of SciPy, xarray with pandas, dask).
+{warm:.1f} s from the second time on (the least of four), as compiled code is kept on disk; importing
+libraries takes {libraries:.1f} s of it (Numba and what it loads of SciPy, xarray with pandas, dask).
 
 Many small steps, from gzipped dumps of LAMMPS, a pair of files a step, to a Zarr folder of all fields (milliseconds a
-step, after a first one; processor time is that of all threads, in the program and in the system). A new file takes
-pages of the system. A virtual machine may have to ask its host for these, which takes several times as long as
-computing; *at hand* are pages that a process gave back a moment before
+step, after a first one; processor time is that of all threads, in the program and in the system). A new file needs
+memory pages of the system. A virtual machine may have to request these from its host, which takes several times as long
+as computing; *at hand* are pages that a process released a moment before
 ([measurements](measurements.md#memory-comes-from-numpy-large-arrays-first)).
 
 | steps | grains | threads | pages | time | program | system |
@@ -138,7 +138,7 @@ def main() -> None:
     text = head + "\n".join(lines) + "\n" + FIRST.format(cold=cold, warm=warm, libraries=libraries)
     text += "\n".join(small) + "\n"
     text += FIRST_CALL.format(grains=given.large or given.particles) + "\n".join(calls) + "\n"
-    Path(__file__).with_name("speed.md").write_text(text)
+    write_between("accuracy.md", "speed", text)
 
 
 if __name__ == "__main__":

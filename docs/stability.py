@@ -1,37 +1,19 @@
-"""Writes docs/stability.md and its picture: python -m docs.stability, from the root of the repository."""
+"""Writes two tables of docs/stability.md and its picture: python -m docs.stability, from the root of the repository."""
 
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
 
+from docs.marks import write_between
 from tests.stability.cases import CASES
 from tests.stability.physical import LIMITS
 
 HERE = Path(__file__).parent
-HEAD = """# Where methods fail
-
-Cases in which a straightforward coarse-grainer returns wrong numbers without a word, and what xcg does. Every row is a
-test (`tests/stability/`) that runs both methods; errors are relative to the size of the field. Made by
-`python -m docs.stability`.
-
-![Errors of the naive method and of xcg](_static/stability.png)
-
-| case | what goes wrong | what xcg does | naive error | xcg | held to |
-|---|---|---|---|---|---|
-"""
-
-
-PHYSICAL = """
-## Physical limits
-
-No method is right here: the scene does not hold what is asked for. What counts is that the result says so: the
-[error of one frame](errors.md), the [bias of the width](width.md#bias), or NaN. Errors are root mean squares relative
-to the field.
-
-| case | what goes wrong | what xcg states | true error | stated |
-|---|---|---|---|---|
-"""
+CASES_HEAD = (
+    "{.numbers}\n| case | what goes wrong | what xcg does | naive error | xcg | held to |\n|---|---|---|---|---|---|\n"
+)
+LIMITS_HEAD = "| case | what goes wrong | what xcg states | true error | stated |\n|---|---|---|---|---|\n"
 
 
 def main() -> None:
@@ -42,15 +24,12 @@ def main() -> None:
         ).replace("|x - r|^2", "(x - r)^2")
         for c in results
     ]
-    tail = (
-        '\nWhere the answer is "unknown" (few grains, degenerate rows), any number counts as an error of 1, NaN with '
-        "its count as none.\n"
-    )
     limits = [limit() for limit in LIMITS]
     physical = [
         f"| {x.what} | {x.fails} | {x.says} | {100 * x.true:.2g} % | {100 * x.stated:.2g} % |\n" for x in limits
     ]
-    (HERE / "stability.md").write_text(HEAD + "".join(rows) + tail + PHYSICAL + "".join(physical))
+    write_between("stability.md", "cases", CASES_HEAD + "".join(rows))
+    write_between("stability.md", "limits", LIMITS_HEAD + "".join(physical))
     figure, ax = plt.subplots(figsize=(8.5, 4.2), layout="constrained")
     y = np.arange(len(results))[::-1]
     floor = 1e-17

@@ -1,4 +1,4 @@
-"""Writes docs/temperature.md, temperatures found over those put in: python -m docs.temperature, from the root.
+"""Writes tables of docs/temperature.md, temperatures over true ones: python -m docs.temperature, from the root.
 
 Grains anywhere with independent velocities, gases, and dense shear. The runs of the last two are made by
 LAMMPS, from `examples/data/lammps_gas/gas.in` and `examples/data/lammps_shear/shear.in`.
@@ -13,54 +13,12 @@ import numpy as np
 import xarray as xr
 
 import xcg
+from docs.marks import write_between
 
-HERE = Path(__file__).parent
-DATA = HERE.parent / "examples" / "data"
+DATA = Path(__file__).parents[1] / "examples" / "data"
 RATE = 0.1  # of shear.in
 WIDTHS = (0.6, 0.75, 1.0, 1.5, 2.0)
 NAMES = ["granular_temperature", "fluctuation_density", "effective_count"]
-HEAD = """# Granular temperature
-
-The mean velocity at a node and its gradient come from the few grains there, whose own fluctuations they follow. What
-is left of these is divided by the density less what the fit takes, so that the mean comes out right where velocities
-are independent from grain to grain ([theory](theory.md)). The tables hold the temperature found over the one put in,
-averaged through its sums, first **without bias** (the default), then `temperature="biased"`: per density. Made by
-`python -m docs.temperature`.
-
-## Independent velocities
-
-Grains anywhere in a periodic box, at a volume fraction phi; "2 : 1" are two sizes, as many of each, and under "small"
-the temperature of the phase of the small ones. Last, the share of the nodes (of the volume) that know a temperature.
-
-"""
-GAS = """
-## Gases
-
-1000 elastic spheres that collide in a periodic box (`examples/data/lammps_gas`), in four steps. Where hardly
-any node knows a temperature (0 or 1 %), these few steps have too few of them for a mean.
-
-"""
-SHEAR = """
-## Dense shear
-
-1000 frictional spheres at phi = 0.57 in uniform shear without walls (`examples/data/lammps_shear`); what is put in is
-the variance about the uniform flow.
-
-"""
-TAIL = """
-**Velocities of neighbours in dense flow are correlated**: grains that touch move together. A fit takes part of such a
-motion for flow, at whatever width the grains stay together, and no count of grains tells how much. T is then the
-variance of what differs from the best linear flow over the support: a quantity of its width, which grows towards the
-whole as w does. Give w with it, take the same w where flows are compared, and look at T against w
-(`ds.cg.width_sweep`).
-
-**How much a node knows.** `sample_count` grains reach it, worth `effective_count` N of equal weight. Standard errors
-of one step are about sqrt(T / N) for a component of the velocity and T sqrt(2 / (D (N - 1 - D))) for T, where
-velocities are independent. Where less than half of a mean grain is left over (`fluctuation_density` below `density /
-sample_count / 2`), T is NaN. A warning comes where most nodes that grains reach know no temperature: a larger width,
-an average along an axis (`axes="z"`), or a mean over time help, as sums are added before they are divided
-(`time_average`, `profile`). Means of the temperatures themselves give nodes of few grains the same say as others.
-"""
 
 
 def found(
@@ -155,8 +113,9 @@ def table_of_shear() -> str:
 
 def main() -> None:
     warnings.filterwarnings("ignore", ".*too few particles per node", xcg.SceneWarning)
-    page = HEAD + table_of_independent() + GAS + table_of_gases() + SHEAR + table_of_shear() + TAIL
-    (HERE / "temperature.md").write_text(page)
+    write_between("temperature.md", "independent", table_of_independent())
+    write_between("temperature.md", "gases", table_of_gases())
+    write_between("temperature.md", "shear", table_of_shear())
 
 
 if __name__ == "__main__":

@@ -63,7 +63,7 @@ def main() -> None:
             print(f"{kernel:10s} w = {WIDTHS[nearest]:.2f} d: (max - min) / mean = {spread[nearest].round(5)}")
     for axes, exact, name in ((left, VOLUME_FRACTION, "volume fraction"), (right, PRESSURE, r"pressure [$f / d^2$]")):
         axes.axhline(exact, color="black", lw=1, ls="--", label="exact")
-        axes.set(xlabel="half-width over diameter, $w / d$", ylabel=name, xscale="log", ylim=(0, 2.2 * exact))
+        axes.set(xlabel="width over diameter, $w / d$", ylabel=name, xscale="log", ylim=(0, 2.2 * exact))
         axes.set_xticks([0.3, 0.5, 0.75, 1, 1.5, 2, 3], ["0.3", "0.5", "0.75", "1", "1.5", "2", "3"])
         axes.minorticks_off()
     left.legend(title=f"mean, min and max\nover {POINTS} points")

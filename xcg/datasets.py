@@ -80,8 +80,8 @@ def open(name: str, **options: Any) -> xr.Dataset:  # noqa: A001
     Parameters
     ----------
     name : str
-        One of the `sample data <../sample_data.html>`_, such as "chute": one step of 4398 spheres that flow down a
-        rough plane.
+        One of the `sample data <../api.html#sample-data-and-synthetic-scenes>`_, such as "chute": one step of 4398
+        spheres that flow down a rough plane.
     **options
         For `xcg.open_scene`.
 

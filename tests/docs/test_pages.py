@@ -34,6 +34,13 @@ def test_links_have_targets(page):
             assert not anchor or anchor in anchors_of(there), f"{page} links to {target}#{anchor}"
 
 
+def test_no_line_of_text_is_a_comment():
+    """A line that begins with % is left out of the site."""
+    for page in (ROOT / "docs").glob("*.md"):
+        text = re.sub(r"```.*?```", "", page.read_text(), flags=re.DOTALL)
+        assert re.findall(r"^\s*%.*$", text, re.MULTILINE) == [], page.name
+
+
 def test_page_on_scale_counts_the_fields():
     import xcg
 
@@ -43,7 +50,7 @@ def test_page_on_scale_counts_the_fields():
 
 
 def test_entries_of_the_glossary_are_whole():
-    _, entries = (ROOT / "docs" / "glossary.md").read_text().split("{.glossary}\n")
+    _, entries = (ROOT / "docs" / "reference.md").read_text().split("{.glossary}\n")
     for entry in entries.strip().split("\n\n"):
         term, first, *rest = entry.split("\n")
         assert not term.startswith((":", " "))
@@ -64,7 +71,7 @@ def test_every_function_has_an_example_on_a_page():
 
 
 def test_glossary_is_a_list_of_terms():
-    text = (ROOT / "docs" / "glossary.md").read_text().partition("{.glossary}\n")[2]
+    text = (ROOT / "docs" / "reference.md").read_text().partition("{.glossary}\n")[2]
     terms = []
     for entry in text.strip().split("\n\n"):
         term, meaning, *rest = entry.split("\n")
@@ -100,6 +107,7 @@ def test_every_public_name_has_a_page():
         ),
         ("n_c <f.n>, a = 3, or 1 in a plane", r"$n_{c} \langle f \cdot n \rangle$, $a = 3$, or $1$ in a plane"),
         ("sqrt(p / rho_p) M^-1", r"$\sqrt{\dfrac{p}{\rho_{p}}} M^{-1}$"),
+        ("sum v'_i^2 Psi", r"$\sum {v'_{i}}^{2} \Psi$"),
     ],
 )
 def test_formulas_become_mathematics(formula, expected):

@@ -28,7 +28,7 @@ def write_grit(folder):
 @pytest.fixture
 def site(tmp_path):
     """A folder with the engine of the docs as an installed package, in front of the path of modules."""
-    page = (ROOT / "docs" / "own_readers.md").read_text()
+    page = (ROOT / "docs" / "custom.md").read_text().partition("## File formats")[2]
     source, project = (re.search(rf"```{kind}\n(.*?)```", page, re.DOTALL)[1] for kind in ("python", "toml"))
     entry = re.search(r'\[project.entry-points."xcg.readers"\]\n(.*)\n', project)[1].replace('"', "")
     site = tmp_path / "site"
@@ -127,7 +127,7 @@ with warnings.catch_warnings(record=True) as caught:
 print(*(w.message for w in caught))
 """
     shown = run(code, site, tmp_path)
-    assert re.match(r"no engine recognises grains_0.txt; .*xcg.scene_from_arrays .*docs/own_readers.md", shown)
+    assert re.match(r"no engine recognises grains_0.txt; .*xcg.scene_from_arrays .*docs/custom.md", shown)
     assert "the engine 'grit' (grit_tools:Grit) cannot be imported: No module named 'nowhere_to_be_found'" in shown
 
 

@@ -327,7 +327,7 @@ def guess_engine(files: Mapping[str, Sequence[str]]) -> Engine:
             return engine
     raise SceneError(
         f"no engine recognises {' with '.join(firsts)}; name one with engine=: {', '.join(engine_table())}. For other "
-        "formats, xcg.scene_from_arrays takes arrays, and engine= a reader of your own (docs/own_readers.md)"
+        "formats, xcg.scene_from_arrays takes arrays, and engine= a reader of your own (docs/custom.md)"
     )
 
 

@@ -54,7 +54,7 @@ print(f"largest difference of the velocity from the fit: {abs(bagnold(flow.z, V0
 print(f"noise of the velocity in this step: {f.velocity_error.sel(z=slice(2, 20), component='x').mean():.2f}")
 
 # %%
-# The band is the noise of one step (:doc:`how sure is a field </errors>`). That of the velocity is too small to be
+# The band is the noise of one step (:doc:`standard errors </width>`). That of the velocity is too small to be
 # seen: its difference from the fit is not noise, but the flow's own.
 
 # %%
@@ -85,4 +85,4 @@ print(f"at z = 5 contacts carry {carried:.2f}; what is above makes {at_5}")
 #
 # **For your own data, change** the line that opens them to ``xcg.open_scene("particles.*.dump", contacts=
 # "contacts.*.dump", gravity=...)``, the range of ``z``, and the angle. With many steps, ``f.cg.time_average()`` makes
-# :doc:`averages with their errors </averages>`, and weight is enough.
+# :doc:`averages with their errors </evaluation>`, and weight is enough.

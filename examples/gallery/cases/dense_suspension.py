@@ -71,4 +71,4 @@ print("mu_c  =", (0.32 + 0.38 / (1 + 0.005 / J)).round(2).values)
 # **For your own data, change** the line that opens them to ``xcg.open_scene("particles.*.dump",
 # contacts="contacts.*.dump")``, the viscosity, and the axes of ``options``: the first is the flow, ``pressure_dims``
 # the normal of the plates. A flow that is not uniform has a profile of :math:`J`; leave ``mean("y")`` out. See
-# :doc:`fluid between the grains </cfd_dem>`.
+# :doc:`void fraction and drag </cfd_dem>`.

@@ -60,4 +60,4 @@ contact, expected = on_sphere[0], in_file[0]
 #
 # **For your own data, change** the line that opens them to ``xcg.open_scene("particles.*.dump",
 # contacts="contacts.*.dump", walls={"floor": "f_floor[*]"}, gravity=...)``, and the frame,
-# ``xcg.Cylindrical(origin=...)``. More on axes of that kind: :doc:`other axes </frames>`.
+# ``xcg.Cylindrical(origin=...)``. More on axes of that kind: :doc:`cylinders and rotated axes </frames>`.

@@ -76,4 +76,4 @@ print(f"order {measured:.3f}, Jeffery {expected:.3f}; the mean axis is {along:.1
 
 # %%
 # **For your own data, change** the name in ``xcg.datasets.open`` to your files, and leave out Jeffery's equation: your
-# code writes quaternions, from which ``ds.cg.derive_director()`` makes the directors (:doc:`fabric </fabric>`).
+# code writes quaternions, from which ``ds.cg.derive_director()`` makes the directors (:doc:`fabric </microstructure>`).

@@ -63,4 +63,4 @@ plt.show()
 # %%
 # **For your own data, change** ``edges`` and the spacing to your mesh's: ``edges`` are the *centres* of the outermost
 # cells. For cells of other shapes, ``at=xcg.mesh_points("mesh.vtu", centers=True)`` takes the centres of a mesh from
-# its file. Drag and slip velocity come the same way: :doc:`fluid between the grains </cfd_dem>`.
+# its file. Drag and slip velocity come the same way: :doc:`void fraction and drag </cfd_dem>`.

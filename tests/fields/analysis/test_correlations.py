@@ -257,8 +257,8 @@ def test_constant_fields_have_no_correlation():
 def test_the_page_on_correlations_runs(monkeypatch):
     monkeypatch.chdir(ROOT)
     names = {}
-    for block in re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "correlations.md").read_text(), re.DOTALL):
-        exec(compile(block, "correlations.md", "exec"), names)
+    for block in re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "displacement.md").read_text(), re.DOTALL):
+        exec(compile(block, "displacement.md", "exec"), names)
     c, k, m = (names[n] for n in "ckm")
     assert 0.5 < c.correlation_length < 5
     # velocities forget 0.2 of themselves a step: 1 / ln(1 / 0.8) s, and D = 0.01^2 / (2 * 0.2^2)

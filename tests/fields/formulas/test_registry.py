@@ -156,7 +156,7 @@ def test_a_unit_is_given_as_text_or_as_powers(unit):
 
 def test_the_example_with_an_eigenvalue_runs():
     """The example of the docs: principal stresses by phase, averaged over nodes."""
-    page = (ROOT / "docs" / "own_fields.md").read_text()
+    page = (ROOT / "docs" / "custom.md").read_text()
     names: dict = {}
     exec(re.search(r"```python\n(.*?)```", page, re.DOTALL)[1], names)
     ds, f, mean = names["ds"], names["f"], names["profile"]

@@ -108,7 +108,7 @@ def _left(f: Any, s: Any, o: Options) -> NDArray:
     """1 / N_left of the fluctuations that the fit leaves: between rho / (N_eff rho_T), of equal weights, and 1 / N_eff.
 
     The fit takes most from the grains of the largest weight. Of random packings, the geometric mean of both is right
-    to 9 % where N_eff > 4 (docs/errors.md).
+    to 9 % where N_eff > 4 (docs/width.md).
     """
     return f._share * np.sqrt(ratio(s.mass, f._free))
 
