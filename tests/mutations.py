@@ -244,6 +244,10 @@ TABLE = [
         "test_errors_of_few_samples_are_their_scatter_over_the_root_of_their_number",
     ),
     Mutation(
+        "fields/formulas/averages.py", "independent**0.5", "independent",
+        "test_an_average_over_steps_has_the_larger_error_and_names_it",
+    ),
+    Mutation(
         "fields/formulas/rows/orientation.py", "-= 1 / (o.dimension - 1)", "-= 1 / o.dimension",
         "test_isotropic_is_zero_and_aligned_is_one",
     ),
@@ -288,6 +292,10 @@ TABLE = [
     Mutation(
         "fields/analysis/velocities.py", "position[there] @ motion.gradient.T", "position[there] @ motion.gradient",
         "test_the_nearest_image_and_a_box_that_shears",
+    ),
+    Mutation(
+        "fields/analysis/choose_width.py", "noise / frames**0.5", "noise / frames",
+        "test_the_total_adds_the_bias_and_the_noise_of_the_mean_over_frames",
     ),
     Mutation(
         "fields/analysis/choose_width.py", "math.sqrt(120)", "math.sqrt(480)",

@@ -27,6 +27,14 @@ def test_the_chosen_width_is_nearly_the_best(name):
         assert found.best_total.item() == pytest.approx(chosen / size, rel=0.35)
 
 
+@pytest.mark.parametrize("frames", [1, 9])
+def test_the_total_adds_the_bias_and_the_noise_of_the_mean_over_frames(frames):
+    found = FLOWS["sine"](8).scene.cg.choose_width("velocity", frames=frames, widths=[0.8, 1.2, 1.8], **NODES)
+    expected = np.sqrt(found.velocity_bias**2 + found.velocity_noise**2 / frames)
+    np.testing.assert_allclose(found.velocity_total, expected, rtol=1e-12)
+    assert (found.velocity_noise > 0).all()
+
+
 def test_the_frames_for_a_target_reach_it():
     flow = FLOWS["sine"](60)
     found = flow.scene.cg.choose_width("velocity", frames=4, target=0.08, sample=30, **NODES)
