@@ -9,6 +9,7 @@ Run from the root of the repository::
     python -m docs.scale text    /tmp/scale --particles 1000000
     python -m docs.scale convert /tmp/scale --steps 50
     python -m docs.scale overhead --steps 10000
+    python -m docs.scale long    /tmp/long --particles 1000000 --steps 200   # 29 GB
 
 `write` fills a folder with MFiX's binary regions; most of its files are hard links to a few. Each measurement of memory
 is a process of its own, whose peak the system tells.
@@ -21,6 +22,7 @@ import gzip
 import io
 import json
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -33,7 +35,6 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-import dask
 import xarray as xr
 from dask.delayed import Delayed
 from dask.highlevelgraph import HighLevelGraph
@@ -42,7 +43,6 @@ import xcg
 from docs.accuracy import fastest
 from tests.benchmarks import cases, series
 from xcg.readers import ReadOptions
-from xcg.writers import chunks
 
 FIELDS = ["volume_fraction", "velocity", "stress"]
 SUFFIXES = {"NetCDF": ".nc", "Zarr": ".zarr", "VTKHDF": ".vtkhdf"}
@@ -91,16 +91,7 @@ def opening(folder: Path) -> None:
             f = ds.cg.coarse_grain(wanted)
             seconds = processor(partial(f.to_netcdf, Path(cache) / "f.nc", compute=False), 2)
             rows.append([f"graph of `to_netcdf`, {name}", f"{seconds:.2f}"])
-            arrays = chunks.same_chunks(f)
-            seconds = processor(
-                lambda arrays=arrays: Delayed(*chunks.graph_of(arrays, print)[::-1]).__dask_graph__().to_dict(), 2
-            )
-            rows.append([f"graph of `save`, {name}", f"{seconds:.2f}"])
     table([f"{ds.sizes['time']} steps", "processor time (s)"], rows)
-
-
-def _optimized(graph: HighLevelGraph, name: str) -> dict[Any, Any]:
-    return dict(dask.optimize(Delayed(name, graph))[0].__dask_graph__())
 
 
 # --- memory ----------------------------------------------------------------------------------------------
@@ -299,6 +290,83 @@ def overhead(steps: int) -> None:
     )
 
 
+# --- a job larger than memory ----------------------------------------------------------------------------
+
+_LONG = """
+import json, resource, sys, time, warnings
+from pathlib import Path
+import distributed
+from docs.scale import FIELDS, scene_of
+
+
+def peak():
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+if __name__ == "__main__":
+    warnings.simplefilter("ignore")
+    folder, target = Path(sys.argv[1]), sys.argv[2]
+    with (
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        print(json.dumps([worker.process.pid for worker in cluster.workers.values()]), flush=True)
+        start = time.perf_counter()
+        ds = scene_of(folder)
+        ds.cg.coarse_grain(FIELDS, spacing=2.0 * ds.attrs["d43"]).cg.save(target, resume=True, progress=True)
+        print(json.dumps([time.perf_counter() - start, peak(), max(client.run(peak).values())]), flush=True)
+"""
+
+
+def long(folder: Path, particles: int, steps: int) -> None:
+    """Coarse-grain a series larger than memory by two processes, of which one is killed, then all; resume the job."""
+    files = folder / "files"
+    if not (folder / "files" / "scene.json").exists():
+        arguments = series.write_distinct_vtp_series(files, particles, steps)
+        (files / "scene.json").write_text(json.dumps(arguments))
+    size = sum(path.stat().st_size for path in files.iterdir()) / 1e9
+    script, target = folder / "job.py", folder / "fields.zarr"
+    script.write_text(_LONG)
+    command = [sys.executable, str(script), str(files), str(target)]
+    environment = os.environ | {"PYTHONPATH": os.getcwd(), "OMP_NUM_THREADS": "1"}
+
+    def started() -> subprocess.Popen[str]:
+        pipe = subprocess.PIPE
+        return subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, env=environment, start_new_session=True)
+
+    job, killed, seconds = started(), False, time.perf_counter()
+    pids = json.loads(job.stdout.readline())  # type: ignore[union-attr]
+    for line in job.stderr:  # type: ignore[union-attr]
+        print(line, end="", flush=True)
+        done = int(line.split(" of ")[0]) if " of " in line and line.split(" of ")[0].isdecimal() else 0
+        if not killed and done >= 0.2 * steps:
+            os.kill(pids[0], signal.SIGKILL)
+            killed = True
+        elif done >= 0.5 * steps:
+            os.killpg(job.pid, signal.SIGKILL)
+            break
+    first = time.perf_counter() - seconds
+    again = started()
+    out, said = again.communicate()
+    print(said)
+    second, client, worker = json.loads(out.splitlines()[1])
+    f, ds = xr.open_zarr(target), scene_of(files)
+    some = ds.isel(time=slice(None, None, max(1, steps // 10)))
+    expected = some.cg.coarse_grain(FIELDS, spacing=2.0 * ds.attrs["d43"]).compute(scheduler="synchronous")
+    same = all(f[name].sel(time=some.time).load().equals(expected[name]) for name in FIELDS)
+    growth = 1.0 + 0.01 * xr.DataArray(range(steps), dims="time")
+    error = float(abs(f.velocity / f.velocity.isel(time=0) / growth - 1).max())
+    reading = processor(lambda: some.isel(time=[1]).compute(scheduler="synchronous"), 3)
+    rows = [
+        ["files (GB)", f"{size:.1f}"], ["until all processes are killed (s)", f"{first:.0f}"],
+        ["resumed, to the end (s)", f"{second:.0f}"], ["steps that equal those of one process", str(same)],
+        ["velocity against its growth, largest relative error", f"{error:.1e}"],
+        ["peak memory of a worker; of the client (MB)", f"{worker:.0f}; {client:.0f}"],
+        ["reading a step, processor time (s)", f"{reading:.2f}"],
+    ]  # fmt: skip
+    table([f"{particles:,} grains, {steps} steps", ""], rows)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(dest="command", required=True)
@@ -312,6 +380,10 @@ def main() -> None:
         if name == "memory":
             command.add_argument("--steps", type=int, nargs="+", default=[50, 200, 1000])
             command.add_argument("--to", nargs="+", default=list(SUFFIXES))
+    command = commands.add_parser("long")
+    command.add_argument("folder", type=Path)
+    command.add_argument("--particles", type=int, default=1_000_000)
+    command.add_argument("--steps", type=int, default=200)
     command = commands.add_parser("overhead")
     command.add_argument("--steps", type=int, default=10_000)
     given = parser.parse_args()
@@ -327,6 +399,8 @@ def main() -> None:
         converting(given.folder, given.steps)
     elif given.command == "overhead":
         overhead(given.steps)
+    elif given.command == "long":
+        long(given.folder, given.particles, given.steps)
     elif given.command == "memory":
         memory(given.folder, given.steps, given.to)
 

@@ -47,13 +47,30 @@ def write_vtp_series(folder: Path, particles: int, steps: int, base: int = 4) ->
     for kind, points, arrays in (("P", "position", PARTICLE_ARRAYS), ("FC", "contact_point", CONTACT_ARRAYS)):
         for k, ds in enumerate(scenes):
             write_vtp(folder / f"{kind}_base_{k}.vtp", ds, points, arrays)
-        names = [f"{kind}_{t:05d}.vtp" for t in range(steps)]
-        for t, name in enumerate(names):
-            os.link(folder / f"{kind}_base_{t % len(scenes)}.vtp", folder / name)
-        entries = "".join(f'<DataSet timestep="{0.1 * t:.6f}" file="{name}"/>\n' for t, name in enumerate(names))
+        for t in range(steps):
+            os.link(folder / f"{kind}_base_{t % len(scenes)}.vtp", folder / f"{kind}_{t:05d}.vtp")
+    return _collected(folder, scenes[0], steps)
+
+
+def write_distinct_vtp_series(folder: Path, particles: int, steps: int) -> dict[str, object]:
+    """Write files of their own for each step: in step t velocities and forces are 1 + t / 100 times the first."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (first,) = packings(particles, 1)
+    for t in range(steps):
+        growth = 1.0 + 0.01 * t
+        ds = first.assign(velocity=first.velocity * growth, contact_force=first.contact_force * growth)
+        write_vtp(folder / f"P_{t:05d}.vtp", ds, "position", PARTICLE_ARRAYS)
+        write_vtp(folder / f"FC_{t:05d}.vtp", ds, "contact_point", CONTACT_ARRAYS)
+    return _collected(folder, first, steps)
+
+
+def _collected(folder: Path, ds: xr.Dataset, steps: int) -> dict[str, object]:
+    """Write the collections of both kinds of files."""
+    for kind in ("P", "FC"):
+        entries = "".join(f'<DataSet timestep="{0.1 * t:.6f}" file="{kind}_{t:05d}.vtp"/>\n' for t in range(steps))
         text = f'<VTKFile type="Collection" version="0.1"><Collection>\n{entries}</Collection></VTKFile>\n'
         (folder / f"{kind}.pvd").write_text(text)
-    edges = scenes[0].box.values[0]
+    edges = ds.box.values[0]
     return {
         "particles": str(folder / "P.pvd"),
         "contacts": str(folder / "FC.pvd"),

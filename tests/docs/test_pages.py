@@ -1,5 +1,7 @@
 """Generated pages are what their scripts write, and links in the documentation lead somewhere."""
 
+import ast
+import importlib
 import inspect
 import pkgutil
 import re
@@ -126,3 +128,13 @@ def test_all_formulas_are_whole_mathematics():
         for part in re.findall(r"\$(.*?)\$", text):
             assert part.count("{") == part.count("}"), (name, part)
             assert "/" not in part.replace("//", ""), (name, part)
+
+
+@pytest.mark.parametrize("script", sorted((ROOT / "docs").glob("*.py")), ids=lambda path: path.stem)
+def test_scripts_import_names_of_the_package_that_exist(script):
+    for node in ast.walk(ast.parse(script.read_text())):
+        if isinstance(node, ast.ImportFrom) and str(node.module).partition(".")[0] in ("xcg", "tests"):
+            module = importlib.import_module(node.module)
+            for alias in node.names:
+                if not hasattr(module, alias.name):
+                    importlib.import_module(f"{node.module}.{alias.name}")
