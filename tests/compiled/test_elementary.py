@@ -103,3 +103,23 @@ def test_values_at_zero_and_far_out_are_exact():
 @numba.njit
 def _compiled(number):
     return simd.low_bits_as_exponent(number)
+
+
+def test_angles():
+    """From the x axis, of points with y >= 0 in all directions and at all distances; the same bits uncompiled."""
+    rng = np.random.default_rng(2)
+    x, y = 10.0 ** rng.uniform(-150, 2, (2, COUNT // 4))
+    x *= rng.choice([-1.0, 1.0], x.size)
+    x[:10], y[5:15] = 0.0, 0.0
+    function = elementary.angle
+
+    @numba.njit(error_model="numpy")
+    def run(y, x, out):
+        for k in range(x.size):
+            out[k] = function(y[k], x[k])
+
+    found = np.empty(x.size)
+    run(y, x, found)
+    np.testing.assert_allclose(found, np.where(x == 0, np.arctan2(y, 0.0), np.arctan2(y, x)), rtol=0, atol=5e-16)
+    plain = uncompiled(elementary.angle)
+    assert [plain(b, a) for a, b in zip(x[:1000].tolist(), y[:1000].tolist(), strict=True)] == found[:1000].tolist()

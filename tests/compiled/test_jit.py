@@ -1,18 +1,21 @@
 """Compiled code on disk: used again, made anew where it is stale or damaged, never needed; threads within a step."""
 
 import gc
+import io
 import os
 import shutil
 import subprocess
 import sys
 import threading
 import time
+from types import SimpleNamespace
 
 import numba
 import pytest
 
 from tests import ROOT
 from tests.loops import compiled
+from xcg.compiled import _jit
 from xcg.compiled._jit import for_each, leaf
 from xcg.compiled.fit import _dot
 
@@ -157,6 +160,20 @@ def test_collection_of_garbage_waits_for_the_compiler_alone(on):
         assert gc.isenabled() == on
     finally:
         (gc.enable if was_on else gc.disable)()
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_the_first_compilation_is_announced_in_a_terminal(terminal, monkeypatch):
+    stream = io.StringIO()
+    monkeypatch.setattr(stream, "isatty", lambda: terminal)
+    monkeypatch.setattr(sys, "stderr", stream)
+    listener = _jit._Compiling()
+    for function in (os.getcwd, _jit.for_each, _jit.for_each):
+        started = SimpleNamespace(data={"dispatcher": SimpleNamespace(py_func=function)})
+        listener.on_start(started)
+        listener.on_end(started)
+    said = "xcg compiles its loops for this machine; this takes some seconds, once.\n"
+    assert stream.getvalue() == (said if terminal else "")
 
 
 # --- threads within one step -----------------------------------------------------------------------------

@@ -15,6 +15,7 @@ import gc
 import hashlib
 import os
 import pickle
+import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -40,6 +41,11 @@ def _digest_of_sources() -> str:
 
 
 _SOURCES = _digest_of_sources()
+
+
+def is_interactive() -> bool:
+    """Return whether the standard error is that of a terminal or notebook."""
+    return sys.stderr.isatty() or type(sys.stderr).__module__.startswith("ipykernel")
 
 
 class _Checked(CompileResultCacheImpl):
@@ -82,13 +88,23 @@ class _Cache(FunctionCache):
             super().save_overload(sig, data)
 
 
-class _WithoutCollection(event.Listener):
-    """Python's collector of garbage waits while Numba compiles: it would look through all that is used, many times."""
+_NOTICE = "xcg compiles its loops for this machine; this takes some seconds, once.\n"
+
+
+class _Compiling(event.Listener):
+    """Python's collector of garbage waits while Numba compiles: it would look through all that is used, many times.
+
+    In a terminal or notebook, the first loop of the package that is compiled is announced.
+    """
 
     def __init__(self) -> None:
-        self._depth, self._was_on = 0, False
+        self._depth, self._was_on, self._announced = 0, False, False
 
-    def on_start(self, _: event.Event) -> None:
+    def on_start(self, started: event.Event) -> None:
+        ours = started.data["dispatcher"].py_func.__module__.startswith("xcg.")
+        if ours and not self._announced and is_interactive():
+            self._announced = True
+            sys.stderr.write(_NOTICE)
         if not self._depth:
             self._was_on = gc.isenabled()
             gc.disable()
@@ -100,7 +116,7 @@ class _WithoutCollection(event.Listener):
             gc.enable()
 
 
-event.register("numba:compile", _WithoutCollection())  # one thread compiles at a time
+event.register("numba:compile", _Compiling())  # one thread compiles at a time
 
 
 def jit(function: Callable, **options: Any) -> Any:

@@ -106,7 +106,7 @@ def erf(x):
 
 @inlined
 def angle(y, x):
-    """Angle of a point (x, y) with y >= 0 to the x axis, from 0 to pi, to 3e-16; pi / 2 at the origin."""
+    """Angle of a point (x, y) with y >= 0 to the x axis, from 0 to pi, to 5e-16; 0 at the origin."""
     across = abs(x)
     less, more = min(across, y), max(across, y)
     steep = less > _TAN_EIGHTH * more
@@ -124,7 +124,7 @@ def angle(y, x):
     p = p * z + 0.19999999999940893
     p = p * z - 0.3333333333333312
     found = t + t * (z * p) + (_QUARTER if steep else 0.0)
-    found = found if y <= across and across > 0.0 else _HALF_PI - found
+    found = found if y <= across else _HALF_PI - found
     return found if x >= 0.0 else math.pi - found
 
 

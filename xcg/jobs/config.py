@@ -153,12 +153,9 @@ def _toml(path: Path) -> Job:
             raise SceneError(
                 f"{path}: mapping = {phases['mapping']!r} in [phases]: expected numbers of types and of phases"
             ) from None
-    fields = dict(data.get("fields", {}))
-    if phases is not None:
-        fields.setdefault("by", "phase")
     return Job(
         scene=scene,
-        fields=fields,
+        fields=dict(data.get("fields", {})),
         phases=phases,
         slices=data.get("slices"),
         folder=path.parent / output.get("folder", "xcg-output"),

@@ -10,6 +10,8 @@ from typing import Any, TextIO
 from dask.callbacks import Callback
 from tqdm import tqdm
 
+from xcg.compiled._jit import is_interactive
+
 _SHARE = 0.1  # of all steps, from one plain line to the next
 _LONG = 2.0  # seconds after which work is long enough to show progress unasked
 _BAR = "[{bar:30}] {n_fmt} of {total_fmt}{unit}, {rate_noinv_fmt}, {remaining} left"
@@ -51,7 +53,7 @@ def shown(count: int, wanted: bool | None, *, done: int = 0, what: str = "steps"
     tqdm.tqdm
         Its method ``update(n)`` counts further steps.
     """
-    redraws = sys.stderr.isatty() or type(sys.stderr).__module__.startswith("ipykernel")
+    redraws = is_interactive()
     how: dict[str, Any] = {"file": sys.stderr, "bar_format": _BAR, "delay": 0}
     if not redraws:
         how = {"file": _LogLines(sys.stderr), "bar_format": _LINE, "mininterval": 0, "miniters": _SHARE * count}
