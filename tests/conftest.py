@@ -2,14 +2,40 @@ from __future__ import annotations
 
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
+from fnmatch import fnmatch
 from itertools import product
 from multiprocessing import get_context
 from unittest import mock
 
 import pytest
 
+from tests import ROOT
 from xcg.readers.engines.lammps import Lammps
 from xcg.readers.engines.mfix import Mfix
+
+# Marked slow: tests that take seconds and repeat the ground of others, which are named.
+SLOW = {
+    "architecture/test_error_context.py::*-view-*": "the other methods, and test_view",
+    "compiled/test_uncompiled.py::*": "test_references, with the loops in NumPy",
+    "docs/test_accuracy.py::test_every_panel_has_a_default*[[][tv]*": "the other panels",
+    "docs/test_cfd_dem.py::test_the_example*": "test_cells and test_cell_volumes",
+    "docs/test_gallery.py::test_each_script_agrees*[[][bcdims]*": "building the site; scripts of other letters",
+    "fields/analysis/test_choose_width.py::test_the_chosen_width*[[][bcl]*": "the other flows",
+    "fields/analysis/test_diffusion.py::test_errors_equal*": "test_choose_width and test_averages on errors of means",
+    "fields/grids/test_points.py::test_loops_over_points_run_uncompiled*": "fields at points equal those of a mesh",
+    "fields/test_cells.py::test_cells_hold_all_mass*0.7*": "the other meshes",
+    "fields/test_cells.py::test_polynomials_that_meet*-0.6*": "the same with larger cells",
+    "writers/test_store.py::test_a_killed_process*-write-*": "the kills at other places",
+}
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the tests of `SLOW`."""
+    for item in items:
+        place = f"{item.path.relative_to(ROOT / 'tests').as_posix()}::{item.name}"
+        if any(fnmatch(place, pattern) for pattern in SLOW):
+            item.add_marker("slow")
 
 
 @pytest.fixture(autouse=True, scope="session")
