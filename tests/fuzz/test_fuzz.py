@@ -10,6 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+import xcg
 from tests.fuzz.check import damaged, lay, outcome
 from tests.fuzz.targets import ROOT, TARGETS
 
@@ -178,3 +179,26 @@ for call in (lambda: beyond(np.zeros((2, 16)), 1, 9), lambda: beyond(np.zeros((2
         [sys.executable, "-c", code], env=checked, cwd=ROOT, capture_output=True, text=True, check=False
     )
     assert done.stdout.count("out of bounds") == 3, done.stdout + done.stderr
+
+
+def test_damaged_chunks_of_saved_scenes_raise(tmp_path):
+    """Bytes of one chunk are changed, cut or repeated: a scene or an error of the package, nothing else."""
+    pytest.importorskip("zarr", reason="saves to Zarr")
+    xcg.datasets.random_scene(50, seed=1).cg.save(tmp_path / "scene.zarr")
+    chunks = sorted(p for p in (tmp_path / "scene.zarr").glob("*/c*") if p.is_file() and p.stat().st_size > 16)
+    rng, raised = random.Random(1), 0
+    for _ in range(100):
+        path = rng.choice(chunks)
+        whole = path.read_bytes()
+        data, at = bytearray(whole), rng.randrange(len(whole))
+        if rng.random() < 0.5:
+            data[at % 16] = rng.randrange(256)  # heads hold the sizes
+        else:
+            data[at:] = rng.choice([b"", bytes(data[at : at + 8]) * 3, rng.randbytes(len(data) - at)])
+        path.write_bytes(data)
+        try:
+            xcg.open_scene(tmp_path / "scene.zarr").compute()
+        except xcg.SceneError:
+            raised += 1
+        path.write_bytes(whole)
+    assert raised > 15

@@ -23,6 +23,8 @@ _HDF5 = b"\x89HDF"  # how NetCDF 4 begins; codes write the classic formats
 _OF_HDF5 = (".h5", ".hdf5")  # which may hold anything
 _SUFFIXES = (".zarr", ".nc", ".nc4", *_OF_HDF5)
 _OF_SCENES = {"particle_id", "position", "time"}
+# what the libraries raise for damaged files; decompressors also the last two
+DAMAGED = (OSError, RuntimeError, ValueError, KeyError, SystemError, MemoryError)
 
 
 def saved_path(particles: PathLike | Iterable[PathLike]) -> str | None:
@@ -77,7 +79,7 @@ def open_saved(path: str, chunks: Chunks) -> xr.Dataset:
         ds = xr.open_dataset(path, engine=engine, cache=chunks is None)
         for name in {*ds.coords, *(BOX.keys() & ds.keys())}:  # numbers of steps and boxes, by which faults are told
             ds.variables[name].load()
-    except (OSError, RuntimeError, ValueError, KeyError) as error:
+    except DAMAGED as error:
         raise SceneError(f"{path}: cannot be opened as {engine} ({type(error).__name__}: {error})") from error
     if not ds.variables.keys() >= _OF_SCENES:
         held = ", ".join(map(str, list(ds.data_vars)[:5])) or "nothing"
@@ -121,7 +123,7 @@ class _Read:
     def __getitem__(self, key: Any) -> NDArray:
         try:
             return self.values[key].to_numpy()
-        except (OSError, RuntimeError, ValueError, KeyError) as error:
+        except DAMAGED as error:
             steps = key[0] if "time" in self.values.dims[:1] else slice(None)
             raise SceneError(
                 f"{self.named} cannot be read at the steps {steps.start or 0} to {(steps.stop or self.shape[0]) - 1} "
