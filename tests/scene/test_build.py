@@ -46,3 +46,8 @@ def test_contacts_must_be_given_for_each_step():
     contacts = {"contact_i": [0], "contact_j": [1], "contact_force": [[1.0, 0, 0]], "contact_point": [[0.0, 0, 0]]}
     with pytest.raises(SceneError, match="different numbers of steps"):
         xcg.scene_from_arrays([R, R + 0.1], diameter=D, density=2500.0, **contacts)
+
+
+def test_padding_beside_a_variable_of_another_length_raises():
+    with pytest.raises(xcg.SceneError, match="has shape"):
+        xcg.scene_from_arrays(np.zeros((2, 3)), diameter=[1.0, 1.0], density=1.0, particle_id=[-1])

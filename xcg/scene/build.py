@@ -353,7 +353,8 @@ def _prefix(steps: Mapping[str, list[NDArray]], names: Sequence[str], key: str, 
         raise SceneError(
             f"{source}: row {row} has {key!r} {PADDING}, which marks a row without data, and has {other!r}: {what}"
         )
-    return {name: values[valid] for name, values in frame.items()}
+    # other lengths are refused where the frame is completed
+    return {name: values[valid] if len(values) == len(valid) else values for name, values in frame.items()}
 
 
 # what rows of padding have not, and what to do where they have it

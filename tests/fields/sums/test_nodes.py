@@ -159,3 +159,14 @@ def test_principal_axes_of_nan_are_nan():
     principal(tensor, values, vectors)
     assert values[0].tolist() == [3.0, 2.0, 1.0]
     assert (np.isnan(values[1:]).sum(axis=1) >= 1).all()
+
+
+@pytest.mark.parametrize("gradient", ["least_squares", "kernel", "finite_difference"])
+def test_thousands_of_images_raise_where_they_are_paired(gradient):
+    """Squares of weights take products of all pairs of images of a grain, also without those of offsets."""
+    ds = xcg.scene_from_arrays(
+        np.full((2, 3), 0.5), velocity=np.zeros((2, 3)), diameter=[0.1, 0.1], density=1.0, box=[[0, 1]] * 3,
+        periodic="x",
+    )  # fmt: skip
+    with pytest.raises(xcg.SceneError, match="the box is so small that a particle or contact reaches the mesh in"):
+        ds.cg.coarse_grain("granular_temperature", axes="x", spacing=0.2, width=500.0, gradient=gradient)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from xcg.common.messages import warn_once
 from xcg.compiled.arrays import bounds_of, transpose_columns
 from xcg.compiled.cell_means import cell_means
-from xcg.compiled.points import NONE, SQUARED, SQUARES
+from xcg.compiled.points import NONE, SQUARES
 from xcg.compiled.reach import spatial_order
 from xcg.compiled.smoothing import CellKernel, KernelCode
 from xcg.fields.sums.contact_moments import WALL_VELOCITY, velocities_of_walls
@@ -257,7 +257,7 @@ class StepRows:
         self.kernels, seen = dict[float, AnyKernel](), int(spec.grid.active.sum())
         for cutoff, mesh in self.meshes.items():
             if cutoff in (spec.distinct[0], spec.distinct[-1]):
-                mesh.check_reach(mesh.reach, source, paired=spec.level >= SQUARED)
+                mesh.check_reach(mesh.reach, source, paired=any(name.startswith("square") for name in spec.moments))
             norm = spec.weights.norm * (spec.cutoffs[0] / cutoff) ** seen
             weights = self.kernels[cutoff] = spec.weights._replace(norm=norm * scale)
             if isinstance(weights, CellKernel):
