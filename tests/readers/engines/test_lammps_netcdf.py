@@ -54,6 +54,17 @@ def test_records_of_odd_length_are_padded_unless_they_are_alone(tmp_path, severa
             np.testing.assert_array_equal(ours.read(name, record), given[record])
 
 
+def test_variables_beyond_what_a_file_can_hold_raise(tmp_path):
+    path = write_netcdf(tmp_path / "n.nc", {0: rows_of()})
+    ours = ClassicFile(str(path))
+    begin = ours.variables["cell_origin"].begin.to_bytes(8, "big")
+    data = path.read_bytes()
+    assert data.count(begin) == 1  # offsets of 64 bits
+    path.write_bytes(data.replace(begin, b"\xff" * 8))
+    with pytest.raises(xcg.SceneError, match="'cell_origin' at byte 18446744073709551615, and is damaged"):
+        ClassicFile(str(path))
+
+
 def test_columns_of_netcdf_have_the_names_of_text(tmp_path):
     path = write_netcdf(tmp_path / "n.nc", {0: rows_of()}, extra=np.arange(6.0).reshape(3, 2))
     (ref,) = lammps.index_particles([str(path)], DEFAULTS)

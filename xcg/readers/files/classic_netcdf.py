@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from xcg.common.messages import SceneError
 
 _TYPES = dict(enumerate(("i1", "S1", ">i2", ">i4", ">f4", ">f8", "u1", ">u2", ">u4", ">i8", ">u8"), 1))
+_FARTHEST = 1 << 60  # byte of a file; further ones cannot be addressed
 _MOST = 10_000  # dimensions, variables, or attributes of one of them
 _LONGEST = 1 << 20  # bytes of a name or an attribute
 _DIMENSIONS, _VARIABLES, _ATTRIBUTES = 10, 11, 12
@@ -142,6 +143,8 @@ class ClassicFile:
         attrs, dtype = self._attributes(), self._type()
         self._count(most=None)  # its size, which follows from the dimensions where it is not too large for this field
         begin = int(struct.unpack(">Q" if self._far else ">I", self._bytes(8 if self._far else 4))[0])
+        if begin >= _FARTHEST:
+            self.refuse(f"has '{name}' at byte {begin}, and is damaged")
         mine = tuple(dims[place] for place in places)
         recorded = bool(mine) and self.dims[mine[0]] == 0
         shape = tuple(self.dims[dim] for dim in mine[recorded:])
