@@ -13,11 +13,9 @@ import time
 import tomllib
 from pathlib import Path
 
-import dask
 import numpy as np
 import pytest
 import xarray as xr
-from tqdm import tqdm
 
 import xcg
 from tests import ROOT, dumps, steps_of_random_scenes
@@ -25,7 +23,6 @@ from tests.test_cli import xcg_run
 from xcg.jobs.config import read_config
 from xcg.jobs.run import run_job
 from xcg.steps.faults import SkippedStep
-from xcg.steps.progress import CountTasks, shown
 from xcg.writers.files import locked, whole_file
 
 FULL = bool(os.environ.get("XCG_FULL"))
@@ -345,52 +342,6 @@ def test_on_error_is_read_from_the_job(job):
 
 
 # --- dashboard -------------------------------------------------------------------------------------------
-
-
-class Stream:
-    def __init__(self, terminal):
-        self.text, self.terminal = "", terminal
-
-    def isatty(self):
-        return self.terminal
-
-    def write(self, text):
-        self.text += text
-
-    def flush(self):
-        pass
-
-
-@pytest.mark.parametrize("terminal", [True, False])
-def test_progress(terminal, monkeypatch):
-    stream = Stream(terminal)
-    monkeypatch.setattr(sys, "stderr", stream)
-    with shown(100, True, done=10) as bar:
-        for _ in range(90):
-            bar.update()
-    if terminal:
-        assert "[###---------------------------] 10 of 100 steps, " in stream.text
-        assert re.search(r"\[#{30}\] 100 of 100 steps, .* steps/s, 00:00 left\n$", stream.text)
-    else:
-        lines = stream.text.splitlines()
-        assert [line.split(",")[0] for line in lines] == [f"{n} of 100 steps" for n in range(20, 101, 10)]
-        assert re.fullmatch(r"20 of 100 steps, .* steps/s, \d\d:\d\d left", lines[0])
-        assert "\r" not in stream.text
-    stream.text = ""
-    with shown(10, False) as bar:
-        bar.update(10)
-    assert not stream.text
-
-
-def test_tasks_count_the_steps_that_are_left():
-    """Of 10 steps 4 were done: three tasks stand for the other six, whatever other tasks there are."""
-    seen = []
-    with tqdm(total=10, initial=4, file=Stream(False)) as bar, CountTasks(bar, lambda key: key.startswith("write")):
-        tasks = {"other": (lambda: None,)}
-        for name, before in (("write 1", "other"), ("write 2", "write 1"), ("write 3", "write 2")):
-            tasks[name] = (lambda _: seen.append(bar.n), before)
-        dask.get(tasks, "write 3")
-        assert [*seen, bar.n] == [4, 6, 8, 10]
 
 
 def test_the_dashboard_without_distributed_raises(job, monkeypatch):

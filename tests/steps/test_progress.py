@@ -5,11 +5,13 @@ from __future__ import annotations
 import re
 import sys
 
+import dask
 import pytest
 import xarray as xr
+from tqdm import tqdm
 
 import xcg
-from xcg.steps.progress import shown
+from xcg.steps.progress import CountTasks, shown
 
 
 class Stream:
@@ -73,3 +75,14 @@ def test_progress_is_a_bar_in_terminals_and_lines_elsewhere(terminal, monkeypatc
     with shown(10, False) as bar:
         bar.update(10)
     assert not stream.text
+
+
+def test_tasks_count_the_steps_that_are_left():
+    """Of 10 steps 4 were done: three tasks stand for the other six, whatever other tasks there are."""
+    seen = []
+    with tqdm(total=10, initial=4, file=Stream(False)) as bar, CountTasks(bar, lambda key: key.startswith("write")):
+        tasks = {"other": (lambda: None,)}
+        for name, before in (("write 1", "other"), ("write 2", "write 1"), ("write 3", "write 2")):
+            tasks[name] = (lambda _: seen.append(bar.n), before)
+        dask.get(tasks, "write 3")
+        assert [*seen, bar.n] == [4, 6, 8, 10]
