@@ -101,7 +101,7 @@ class _Compiling(event.Listener):
         self._depth, self._was_on, self._announced = 0, False, False
 
     def on_start(self, started: event.Event) -> None:
-        ours = started.data["dispatcher"].py_func.__module__.startswith("xcg.")
+        ours = str(started.data["dispatcher"].py_func.__module__).startswith("xcg.")  # None for code from a text
         if ours and not self._announced and is_interactive():
             self._announced = True
             sys.stderr.write(_NOTICE)
