@@ -62,7 +62,7 @@ class CellKernel(NamedTuple):
 
     `once` and `twice` are any kernels where so many axes are not left. `rims` are the radii over the cutoff, rising, at
     which it is not smooth; the last is that of its support. `means` is a table for cells of one size, or None, see
-    `xcg.compiled.volumes`.
+    `xcg.compiled.cell_means`.
     """
 
     kind: int | None

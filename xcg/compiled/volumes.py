@@ -108,8 +108,7 @@ def integrate_row(da, db, dc, node, many, share, volumes, kernel, values, out, f
     """Add a share of the mean of the kernel over the cells of `many` nodes of a row along the last axis.
 
     A point minus the first of them, number `node` along that axis, is (da, db, dc - node x step), in the order of the
-    axes. Where cells cover the whole support along
-    an axis, the marginal takes the place of points there.
+    axes. Where cells cover the whole support along an axis, the marginal takes the place of points there.
     """
     kind, spread, table, norm, rims, once, twice, _ = kernel
     norm *= share
