@@ -125,6 +125,22 @@ TABLE = [
         "compiled/rings.py", "found = 2.0 * (sums", "found = 1.0 * (sums",
         "test_temperatures_of_rings_are_without_bias",
     ),
+    Mutation(
+        "compiled/rings.py", "2.0 * along * d", "1.0 * along * d",
+        "test_the_heat_flux_of_a_ring_by_brute_force",
+    ),
+    Mutation(
+        "compiled/rings.py", "+ square * mass * d[i]", "- square * mass * d[i]",
+        "test_the_heat_flux_of_a_ring_by_brute_force",
+    ),
+    Mutation(
+        "compiled/rings.py", "c * x + s * y, c * y - s * x", "c * x + s * y, c * y + s * x",
+        "test_rigid_rotation_has_its_velocity_vorticity_and_no_temperature",
+    ),
+    Mutation(
+        "compiled/rings.py", "+= d[i] * record[flow.offset[j]]", "-= d[i] * record[flow.offset[j]]",
+        "test_rigid_rotation_has_its_velocity_vorticity_and_no_temperature",
+    ),
     # --- scene ---
     Mutation(
         "scene/contacts.py", "-self.force[wall_i]", "self.force[wall_i]",
@@ -204,18 +220,6 @@ TABLE = [
         "phase[partner[at]] * others + phase[row[at]], sign", "test_exchange_between_phases_equals_brute_force",
     ),
     # --- fields/grids ---
-    Mutation(
-        "fields/grids/rings.py", "2.0 * along * d", "1.0 * along * d",
-        "test_the_heat_flux_of_a_ring_by_brute_force",
-    ),
-    Mutation(
-        "fields/grids/rings.py", "+ square * mass * d", "- square * mass * d",
-        "test_the_heat_flux_of_a_ring_by_brute_force",
-    ),
-    Mutation(
-        "fields/grids/rings.py", "cosine * y - sine * x", "cosine * y + sine * x",
-        "test_rigid_rotation_has_its_velocity_vorticity_and_no_temperature",
-    ),
     Mutation(
         "fields/grids/grid.py", "first += 0.5 * step if cells", "first += 0.4 * step if cells",
         "test_cells_lie_side_by_side",

@@ -1,19 +1,174 @@
-"""Sums of squared weights of a grain over all angles of a ring of nodes."""
+"""Nodes of a cylinder as averages over the angles of rings: sums at the angles, and of squared weights."""
 
 import math
+from typing import NamedTuple
 
+from numpy.typing import NDArray
+
+from xcg.compiled import points
 from xcg.compiled._jit import inner, leaf
 from xcg.compiled.smoothing import fill_values
 
 ROOM = 8  # numbers beyond the last that `fill_values` may write
+_MASS, _FLUCTUATION, _CUBIC, _LINEAR = points.MASS, points.FLUCTUATION, points.CUBIC, points.LINEAR
+
+
+class Rings(NamedTuple):
+    """Angles of the rings of a block.
+
+    Attributes
+    ----------
+    place : (m, 2)
+        Radius and height of each ring (m); radii rise.
+    start : (m + 1,)
+        First angle of each ring.
+    angle, cosine, sine, share : (a,)
+        Angles, which rise on each ring, and their shares of its average.
+    where : (a,)
+        Row of each angle in arrays that are sorted in space.
+    """
+
+    place: NDArray
+    start: NDArray
+    angle: NDArray
+    cosine: NDArray
+    sine: NDArray
+    share: NDArray
+    where: NDArray
+
+
+class Flow(NamedTuple):
+    """Columns of the moments that depend on the velocity which they are relative to: arrays of their shapes."""
+
+    momentum: NDArray
+    kinetic: NDArray
+    cubes: NDArray
+    offset: NDArray
+    shear: NDArray
+
+
+@leaf
+def ring_references(given, rings, turns, mean, difference):
+    """Average a velocity over the angles of each ring, where it is not NaN.
+
+    Parameters
+    ----------
+    given : array (a, 3)
+        Velocities, sorted in space.
+    rings : Rings
+    turns : bool
+        Whether their components are turned into (r, theta, z).
+    mean, difference : array (m, 3), (a, 3)
+        Filled with the averages, NaN where there is nothing, and with what each angle's differs by, or zero.
+    """
+    for n in range(mean.shape[0]):
+        total = x = y = z = 0.0
+        for k in range(rings.start[n], rings.start[n + 1]):
+            row, share = rings.where[k], rings.share[k]
+            first, second = given[row, 0], given[row, 1]
+            if turns:
+                c, s = rings.cosine[k], rings.sine[k]
+                first, second = c * first + s * second, c * second - s * first
+            difference[k, 0], difference[k, 1], difference[k, 2] = first, second, given[row, 2]
+            if math.isfinite(first):
+                total += share
+                x, y, z = x + share * first, y + share * second, z + share * given[row, 2]
+        mean[n, 0], mean[n, 1], mean[n, 2] = x / total, y / total, z / total
+        for k in range(rings.start[n], rings.start[n + 1]):
+            here = math.isfinite(difference[k, 0])
+            for c in range(3):
+                difference[k, c] = difference[k, c] - mean[n, c] if here else 0.0
 
 
 @inner
-def _first_from(angle, first, last, low):
-    """First of the angles first <= k < last, which rise, that is not below a limit."""
+def _turn(record, columns, rank, c, s, tensor):
+    """Turn a tensor of a record into (r, theta, z)."""
+    count = 3**rank
+    for k in range(count):
+        tensor[k] = record[columns[k]]
+    apart = 1
+    for _ in range(rank):
+        for k in range(count):
+            if k // apart % 3 == 0:
+                x, y = tensor[k], tensor[k + apart]
+                tensor[k], tensor[k + apart] = c * x + s * y, c * y - s * x
+        apart *= 3
+    for k in range(count):
+        record[columns[k]] = tensor[k]
+
+
+@inner
+def _shift(record, flow, level, d):
+    """Shift the moments of a record from velocities u to u + d."""
+    mass, momentum, kinetic = record[_MASS], flow.momentum, flow.kinetic
+    if level == _CUBIC:
+        trace = along = square = 0.0
+        for i in range(3):
+            trace += record[kinetic[i, i]]
+            along += record[momentum[i]] * d[i]
+            square += d[i] * d[i]
+        for i in range(3):
+            across = 0.0
+            for j in range(3):
+                across += record[kinetic[i, j]] * d[j]
+            record[flow.cubes[i]] += (
+                trace * d[i] + 2.0 * across + 2.0 * along * d[i] + square * record[momentum[i]] + square * mass * d[i]
+            )
+    if level >= _FLUCTUATION:
+        for i in range(3):
+            for j in range(i, 3):
+                p, q = record[momentum[i]], record[momentum[j]]
+                record[kinetic[i, j]] += p * d[j] + d[i] * q + mass * d[i] * d[j]
+    if level >= _LINEAR:
+        for i in range(3):
+            for j in range(3):
+                record[flow.shear[i, j]] += d[i] * record[flow.offset[j]]
+    for i in range(3):
+        record[momentum[i]] += mass * d[i]
+
+
+@leaf
+def ring_means(sums, rings, difference, tensors, level, flow, record, tensor, out):
+    """Average the sums at the angles of each ring, turned into (r, theta, z) and relative to one velocity.
+
+    Parameters
+    ----------
+    sums : array (groups, a, columns)
+        Sorted in space.
+    rings : Rings
+    difference : array (a, 3)
+        Velocity that each angle's sums are relative to, less that of the ring.
+    tensors : tuple of arrays (t,), (t, 27)
+        Rank of each tensor, and its columns.
+    level : int
+        How many columns are flow columns.
+    flow : Flow
+    record, tensor : array (columns,), (27,)
+        Memory.
+    out : array (groups, m, columns)
+        Averages are added.
+    """
+    rank, columns = tensors
+    for g in range(sums.shape[0]):
+        for n in range(out.shape[1]):
+            for k in range(rings.start[n], rings.start[n + 1]):
+                found = sums[g, rings.where[k]]
+                for c in range(record.size):
+                    record[c] = found[c]
+                for t in range(rank.size):
+                    _turn(record, columns[t], rank[t], rings.cosine[k], rings.sine[k], tensor)
+                if level:
+                    _shift(record, flow, level, difference[k])
+                for c in range(record.size):
+                    out[g, n, c] += rings.share[k] * record[c]
+
+
+@inner
+def _first_from(number, first, last, low):
+    """First of the numbers first <= k < last, which rise, that is not below a limit."""
     while first < last:
         middle = (first + last) // 2
-        if angle[middle] < low:
+        if number[middle] < low:
             first = middle + 1
         else:
             last = middle
@@ -21,7 +176,7 @@ def _first_from(angle, first, last, low):
 
 
 @leaf
-def ring_squares(grains, kernel, cutoff, rings, start, angle, share, tilts, dimension, scratch, sums, out):
+def ring_squares(grains, kernel, cutoff, rings, tilts, dimension, scratch, sums, out):
     """Add the squares of the weights of grains in the fits of rings to `out`.
 
     A grain's velocity has the same error at each angle of a ring, seen in the axes R_k that are there. With w_k the
@@ -35,12 +190,7 @@ def ring_squares(grains, kernel, cutoff, rings, start, angle, share, tilts, dime
     kernel : KernelCode
     cutoff : float
         Radius of the support (m).
-    rings : array (m, 2)
-        Radius and height of each ring (m).
-    start : array (m + 1,)
-        Where the angles of each ring begin in `angle` and `share`, which rise on each ring.
-    angle, share : array (a,)
-        Angles and their shares of the ring.
+    rings : Rings
     tilts : bool
         Whether heights count.
     dimension : int
@@ -57,10 +207,13 @@ def ring_squares(grains, kernel, cutoff, rings, start, angle, share, tilts, dime
     for i in range(mass.size):
         x, y = position[i, 0], position[i, 1]
         radius, azimuth = math.sqrt(x * x + y * y), math.atan2(y, x)
-        for n in range(rings.shape[0]):
-            r = rings[n, 0]
-            dz = position[i, 2] - rings[n, 1] if tilts else 0.0
-            if abs(radius - r) >= cutoff or abs(dz) >= cutoff:
+        along, across = math.cos(azimuth), math.sin(azimuth)
+        for n in range(_first_from(rings.place[:, 0], 0, rings.place.shape[0], radius - cutoff), rings.place.shape[0]):
+            r = rings.place[n, 0]
+            if r - radius >= cutoff:
+                break
+            dz = position[i, 2] - rings.place[n, 1] if tilts else 0.0
+            if abs(dz) >= cutoff:
                 continue
             below, half = 2.0 * r * radius, math.pi
             above = r * r + radius * radius + dz * dz - cutoff * cutoff
@@ -68,20 +221,24 @@ def ring_squares(grains, kernel, cutoff, rings, start, angle, share, tilts, dime
                 continue
             if above > -below:
                 half = math.acos(above / below)
-            first, last = start[n], start[n + 1]
+            first, last = rings.start[n], rings.start[n + 1]
             hits = 0
             for turn in range(-2, 3):
                 middle = azimuth + turn * 2.0 * math.pi
                 low, high = middle - half, middle + half
-                k = _first_from(angle, first, last, low)
+                if high < rings.angle[first] or low > rings.angle[last - 1]:
+                    continue
+                k = _first_from(rings.angle, first, last, low)
                 # at the far side both ends of the range are one place
-                while k < last and (angle[k] < high or (half < math.pi and angle[k] <= high)):
-                    c, s = math.cos(angle[k] - azimuth), math.sin(azimuth - angle[k])
+                while k < last and (rings.angle[k] < high or (half < math.pi and rings.angle[k] <= high)):
+                    # of the angle less the azimuth, and of the azimuth less the angle
+                    c = rings.cosine[k] * along + rings.sine[k] * across
+                    s = rings.cosine[k] * across - rings.sine[k] * along
                     px, py, pz = (radius * c - r) * per_cutoff, radius * s * per_cutoff, dz * per_cutoff
                     length2 = px * px + py * py + pz * pz
                     if length2 < 1.0:
                         q2[hits], cosine[hits], sine[hits] = length2, c, s
-                        part_of[hits] = share[k]
+                        part_of[hits] = rings.share[k]
                         hits += 1
                     k += 1
             if hits == 0:

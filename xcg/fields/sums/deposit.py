@@ -155,7 +155,7 @@ def _pass(
         fill.append(partial(_fill, grains, mesh, weights, (level, still, meet, by_gradient)))
         if layout.squares:
             of = np.arange(layout.groups) if groups is None else np.flatnonzero(groups)
-            squared.append(Squared(rows, position, mass, phase, beyond, of, cutoff, weights, spec.grid.active))
+            squared.append(Squared(rows, position, mass, phase, beyond, of, cutoff, weights, spec.grid))
     return Pass(layout, fill, squared)
 
 

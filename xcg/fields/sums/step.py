@@ -103,8 +103,10 @@ class Squared:
         Periodic images beyond these places.
     groups : array
         Groups of this cutoff.
-    cutoff, weights, active
-        The kernel, and the axes that it is seen in.
+    cutoff, weights
+        The kernel.
+    grid : Grid
+        The nodes.
     """
 
     rows: NDArray
@@ -115,7 +117,18 @@ class Squared:
     groups: NDArray
     cutoff: float
     weights: AnyKernel
-    active: NDArray
+    grid: Grid
+
+    @cached_property
+    def images(self) -> tuple[NDArray, NDArray]:
+        """Rows (k,) and places (k, 3) of the grains, with their periodic images within reach of the nodes."""
+        position, seen = self.position[self.rows], self.grid.active
+        if not len(self.lattice.basis):
+            return self.rows, position
+        low = np.where(seen, self.grid.lower - self.cutoff, -np.inf)
+        high = np.where(seen, self.grid.upper + self.cutoff, np.inf)
+        row, shift, _ = self.lattice.images(position, low, high)
+        return self.rows[row], position[row] + shift
 
 
 @dataclass(frozen=True, eq=False)
