@@ -47,7 +47,7 @@ TABLE = [
         "test_segment_integrals_equal_quadrature",
     ),
     Mutation(
-        "compiled/shells.py", "(n + 3.0) / (n + 2.0) * h2 * odd", "(n + 2.0) / (n + 1.0) * h2 * odd",
+        "compiled/polynomials.py", "(n + 3.0) / (n + 2.0) * h2 * odd", "(n + 2.0) / (n + 1.0) * h2 * odd",
         "test_polynomials_that_meet_inside_lose_no_mass",
     ),
     Mutation(
@@ -67,15 +67,15 @@ TABLE = [
         "test_support_larger_than_the_box_counts_all_images",
     ),
     Mutation(
-        "compiled/fit.py", "rows[count, n] > rank + 1", "rows[count, n] > rank",
+        "compiled/matrices.py", "rows[count, n] > rank + 1", "rows[count, n] > rank",
         "test_fits_to_no_grain_one_grain_or_damaged_sums_are_nan test_grains_in_a_plane_give_no_gradient_across_it",
     ),
     Mutation(
-        "compiled/eigen.py", "square = half * half + above * below", "square = half * half - above * below",
+        "compiled/matrices.py", "square = half * half + above * below", "square = half * half - above * below",
         "test_eigenvalues_of_any_matrix",
     ),
     Mutation(
-        "compiled/overlaps.py", "(half - _disc_in_quarter(a, -b))", "(half + _disc_in_quarter(a, -b))",
+        "compiled/geometry.py", "(half - _disc_in_quarter(a, -b))", "(half + _disc_in_quarter(a, -b))",
         "test_areas_by_quadrature",
     ),
     Mutation(
@@ -87,7 +87,7 @@ TABLE = [
         "test_cells_hold_all_mass_and_momentum",
     ),
     Mutation(
-        "compiled/lucy.py", "r2 * (0.375 * r2 + 0.5 * h2)", "r2 * (0.375 * r2 - 0.5 * h2)",
+        "compiled/polynomials.py", "r2 * (0.375 * r2 + 0.5 * h2)", "r2 * (0.375 * r2 - 0.5 * h2)",
         "test_segment_integrals_equal_quadrature",
     ),
     Mutation("compiled/elementary.py", "math.pi - found", "math.pi + found", "test_angles"),

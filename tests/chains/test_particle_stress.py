@@ -6,7 +6,7 @@ import pytest
 import xcg
 from tests import ROOT
 from tests.networks import network
-from xcg.compiled.eigen import principal, principal_of_any
+from xcg.compiled.matrices import principal, principal_of_any
 
 EXAMPLES = ROOT / "examples" / "data"
 

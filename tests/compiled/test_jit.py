@@ -17,7 +17,7 @@ from tests import ROOT
 from tests.loops import compiled
 from xcg.compiled import _jit
 from xcg.compiled._jit import for_each, leaf
-from xcg.compiled.fit import _dot
+from xcg.compiled.matrices import _dot
 
 COMPILED = ROOT / "xcg" / "compiled"
 INNER = """from xcg.compiled._jit import jit

@@ -16,7 +16,7 @@ from xcg.common.messages import SceneError
 from xcg.compiled import THREADS
 from xcg.compiled._jit import for_parts, worth
 from xcg.compiled.contacts import blank_rows_of_zeros, scale_tensors
-from xcg.compiled.eigen import principal, principal_of_any
+from xcg.compiled.matrices import principal, principal_of_any
 from xcg.scene.conform import takes_scene
 from xcg.scene.contacts import Contacts
 from xcg.scene.description import describe, require_scene

@@ -10,7 +10,7 @@ import numpy as np
 
 from xcg.compiled._jit import jit
 from xcg.compiled.contacts import AHEAD
-from xcg.compiled.eigen import principal
+from xcg.compiled.matrices import principal
 from xcg.compiled.simd import prefetch
 
 UNSEEN, TOO_SHORT = -1, -2

@@ -12,9 +12,20 @@ from numpy.typing import NDArray
 from xcg.compiled._jit import inlined, inner, leaf
 from xcg.compiled.arrays import gauss_rules
 from xcg.compiled.elementary import erf, erfcx, exp
-from xcg.compiled.lucy import TINY, clipped, fill_lucy_lines, fill_lucy_planes, lucy_line, lucy_plane
+from xcg.compiled.polynomials import (
+    RADIUS,
+    SCRATCH,
+    TINY,
+    along_marginal,
+    along_shells,
+    clipped,
+    fill_lucy_lines,
+    fill_lucy_planes,
+    fill_shells,
+    lucy_line,
+    lucy_plane,
+)
 from xcg.compiled.reach import padded
-from xcg.compiled.shells import RADIUS, SCRATCH, along_marginal, along_shells, fill_shells
 from xcg.compiled.smoothing import (
     GAUSSIAN,
     HEAVISIDE,
@@ -136,7 +147,7 @@ def fill_segments(kind, spread, table, length, along, q2, count, out, ratio, bit
     """Write the mean of the value over segments, in closed form, seen from `count` nodes.
 
     `ratio` and `bits` are scratch, the same memory as floats and as integers, `exponent` (integers), and `rows`, see
-    `xcg.compiled.shells`.
+    `xcg.compiled.polynomials`.
     """
     if kind is LUCY_FULL:
         fill_lucy_lines(1.0 / length, length, along, q2, count, out, ratio, bits, exponent)

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from xcg.compiled._jit import inlined, inner, jit, leaf
 from xcg.compiled.elementary import erf, exp, expm1
-from xcg.compiled.lucy import lucy_line_value, lucy_plane_value
+from xcg.compiled.polynomials import lucy_line_value, lucy_plane_value
 from xcg.compiled.reach import padded
 
 # codes of the kernels
@@ -76,8 +76,8 @@ class CellKernel(NamedTuple):
 
 
 PIECE = 8  # coefficients of a piece of a table: a line of cache
-# Of a table: shells of the value, or in codimension 1 those that its marginal takes (`xcg.compiled.shells`). Without
-# any, lines are left to quadrature.
+# Of a table: shells of the value, or in codimension 1 those that its marginal takes (`xcg.compiled.polynomials`).
+# Without any, lines are left to quadrature.
 SHELLS = 2
 _POWERS = tuple(np.uint64(k) for k in range(PIECE))
 SQRT2 = math.sqrt(2.0)

@@ -13,7 +13,7 @@ from scipy.integrate import quad
 import xcg
 from tests.brute_force import BruteKernel
 from tests.loops import compiled, uncompiled
-from xcg.compiled import shells
+from xcg.compiled import polynomials
 from xcg.compiled.lines import closed_for, has_shells
 from xcg.compiled.segments import RULES
 from xcg.compiled.smoothing import SHELLS
@@ -406,14 +406,14 @@ def test_shells_without_the_compiler_have_the_same_bits():
     columns = as_kernel("quintic spline", 0.5, 3).weights(3).table[SHELLS]
     rng, found = np.random.default_rng(0), []
     along, q2 = rng.uniform(-0.8, 1.4, 64), rng.uniform(0.0, 3.0, 64)
-    for fill in (compiled(shells.fill_shells), uncompiled(shells.fill_shells)):
+    for fill in (compiled(polynomials.fill_shells), uncompiled(polynomials.fill_shells)):
         out = np.empty(64)
         fill(columns, 1 / 0.6, 0.6, along, np.maximum(q2, along**2), 60, out, *closed_for(64))
         found.append(out)
     np.testing.assert_array_equal(*found)
     for h2, t0, t1 in rng.uniform(0.0, 1.0, (20, 3)):
         args = (columns, h2, min(t0, t1) - 0.4, max(t0, t1))
-        for line in (shells.along_shells, shells.along_marginal):
+        for line in (polynomials.along_shells, polynomials.along_marginal):
             by_python = uncompiled(line)(*args)
             assert compiled(line)(*args) == pytest.approx(by_python, abs=1e-14)  # logarithms of two libraries
 

@@ -6,7 +6,7 @@ import xarray as xr
 from scipy.integrate import quad
 
 import xcg
-from xcg.compiled.eigen import principal
+from xcg.compiled.matrices import principal
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*lie more than 3 diameters from the centre")
 FORCE = np.array([0.3, -0.2, 1.0])

@@ -13,7 +13,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError
-from xcg.compiled.overlaps import add_shares
+from xcg.compiled.geometry import add_shares
 from xcg.fields.grids.grid import make_grid
 from xcg.fields.layout import automatic_bounds
 from xcg.fields.sums.nodes import Grid

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled import program as loops
-from xcg.compiled.fit import FOUND, flags_of
+from xcg.compiled.matrices import FOUND, flags_of
 
 
 class UnknownOperation(NotImplementedError, TypeError):
@@ -147,7 +147,7 @@ def _each(array: NDArray, operation: int) -> NDArray:
 
 
 def trace_fit(sums: NDArray, *, active: Sequence[bool], about_node: bool) -> NDArray:
-    """As `xcg.compiled.fit.fit_gradient`, for symbols."""
+    """As `xcg.compiled.matrices.fit_gradient`, for symbols."""
     record, flags = sums[0, 0].record, flags_of(active, about_node)
     fits = [record.add(loops.FIT, flags, *(symbol.number for symbol in column)) for column in sums.T]
     found = [record.add(loops.PART, k, one.number) for k in range(FOUND) for one in fits]

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from xcg.common.checks import is_positive
 from xcg.common.vtk_mesh import read_mesh
-from xcg.compiled import triangles as loops
+from xcg.compiled import geometry as loops
 from xcg.fields.grids.wall_shapes import SurfaceCells, Wall
 from xcg.scene.schema import COMPONENTS
 

@@ -1,7 +1,7 @@
 """Tables of the profiles of registered kernels: polynomials for values at points, and for integrals along lines.
 
 Values, marginals and derivatives are polynomials on equal intervals. Lines take *shells*, a few polynomials within
-radii each, whose integrals are closed forms (`xcg.compiled.shells`).
+radii each, whose integrals are closed forms (`xcg.compiled.polynomials`).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from xcg.common.messages import warn_user
 from xcg.compiled import smoothing as codes
 from xcg.compiled.lines import mean_along
-from xcg.compiled.shells import AT_ONCE, FIRST, POWERS, RADIUS, along_shells
+from xcg.compiled.polynomials import AT_ONCE, FIRST, POWERS, RADIUS, along_shells
 
 Profile = Callable[[NDArray], NDArray]
 Shells = list[tuple[float, Polynomial]]  # radii, and polynomials of q

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from xcg.compiled import smoothing as kinds
 from xcg.compiled.lines import closed_for, largest_error
+from xcg.compiled.polynomials import RADIUS
 from xcg.compiled.reach import Nodes, batches_in_reach
 from xcg.compiled.segments import (
     BRANCH,
@@ -27,7 +28,6 @@ from xcg.compiled.segments import (
     list_segments,
     no_bounds,
 )
-from xcg.compiled.shells import RADIUS
 from xcg.fields.sums.kernels import Kernel
 from xcg.fields.sums.moments import Moment
 from xcg.fields.sums.nodes import Mesh, NodeBlock

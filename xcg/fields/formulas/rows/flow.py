@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.compiled import fit
+from xcg.compiled import matrices
 from xcg.fields.formulas.algebra import (
     at_least_zero,
     deviator,
@@ -54,14 +54,14 @@ def _fit(f: Any, s: Any, o: Options, *, about_node: bool = False) -> SimpleNames
     nodes = s.mass.shape
     spread = _inner(s.spread)[np.triu_indices(3)]
     rows = (s.count, s.mass, s.momentum, s.offset, s.shear)
-    sums = np.concatenate([*(_inner(a).reshape(-1, *nodes) for a in rows), spread]).reshape(fit.SUMS, -1)
-    way = trace_fit if sums.dtype == object else fit.fit_gradient
+    sums = np.concatenate([*(_inner(a).reshape(-1, *nodes) for a in rows), spread]).reshape(matrices.SUMS, -1)
+    way = trace_fit if sums.dtype == object else matrices.fit_gradient
     found = way(sums, active=o.active, about_node=about_node).reshape(-1, *nodes)
-    parts = np.split(found, (fit.EXPLAINED, fit.DETERMINED, fit.MEAN, fit.INVERSE))
+    parts = np.split(found, (matrices.EXPLAINED, matrices.DETERMINED, matrices.MEAN, matrices.INVERSE))
     gradient, explained, determined, mean, inverse = parts
     return SimpleNamespace(
-        gradient=_outer(gradient.reshape(3, 3, *nodes)), explained=_outer(explained[fit.SYMMETRIC]),
-        determined=_outer(determined), mean=_outer(mean), inverse=_outer(inverse[fit.SYMMETRIC]),
+        gradient=_outer(gradient.reshape(3, 3, *nodes)), explained=_outer(explained[matrices.SYMMETRIC]),
+        determined=_outer(determined), mean=_outer(mean), inverse=_outer(inverse[matrices.SYMMETRIC]),
     )  # fmt: skip
 
 

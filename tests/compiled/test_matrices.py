@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from xcg.compiled import fit
+from xcg.compiled import matrices
 
 SLOPE = np.array([[0.3, -1.2, 0.5], [0.8, 0.1, -0.4], [-0.6, 0.9, 0.2]])
 
@@ -20,9 +20,9 @@ def moments_of(x, u, mass):
 def parts_of(found):
     """Gradient, explained part (3, 3, nodes), determined axes, centre of mass (3, nodes), inverse (3, 3, nodes)."""
     gradient, explained, determined, mean, inverse = np.split(
-        found, (fit.EXPLAINED, fit.DETERMINED, fit.MEAN, fit.INVERSE)
+        found, (matrices.EXPLAINED, matrices.DETERMINED, matrices.MEAN, matrices.INVERSE)
     )
-    return gradient.reshape(3, 3, -1), explained[fit.SYMMETRIC], determined, mean, inverse[fit.SYMMETRIC]
+    return gradient.reshape(3, 3, -1), explained[matrices.SYMMETRIC], determined, mean, inverse[matrices.SYMMETRIC]
 
 
 def grains(seed, flat=()):
@@ -34,8 +34,16 @@ def grains(seed, flat=()):
 
 def by_eigenvectors(sums, active, about_node):
     """As `fit_gradient`, all nodes by NumPy's eigenvectors."""
-    count, mass, momentum, offset = sums[fit.COUNT], sums[fit.MASS], sums[fit.MOMENTUM : fit.OFFSET], sums[5:8]
-    shear, spread = sums[fit.SHEAR : fit.SPREAD].reshape(3, 3, -1), sums[fit.SPREAD :][fit.SYMMETRIC]
+    count, mass, momentum, offset = (
+        sums[matrices.COUNT],
+        sums[matrices.MASS],
+        sums[matrices.MOMENTUM : matrices.OFFSET],
+        sums[5:8],
+    )
+    shear, spread = (
+        sums[matrices.SHEAR : matrices.SPREAD].reshape(3, 3, -1),
+        sums[matrices.SPREAD :][matrices.SYMMETRIC],
+    )
     there = mass > 0.0
     drift, mean = (np.divide(a, mass, out=np.zeros_like(a), where=there) for a in (momentum, offset))
     if about_node:
@@ -70,7 +78,7 @@ def test_fits_are_those_by_eigenvectors(count, flat, about_node):
 
 
 def compare(sums, active, about_node):
-    quick = parts_of(fit.fit_gradient(sums, active=active, about_node=about_node))
+    quick = parts_of(matrices.fit_gradient(sums, active=active, about_node=about_node))
     slow = parts_of(by_eigenvectors(sums, active, about_node))
     seen = np.abs(slow[0]).max(axis=(0, 1)) < 1e3  # nodes whose grains are not almost on a line or in a plane
     assert seen.mean() > 0.9
@@ -88,7 +96,7 @@ def test_grains_that_are_nearly_flat_are_fitted_in_full(line, thickness):
     turned = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     x, mass = grains(10)
     x = x * [1.0, thickness if line else 0.9, thickness] @ turned.T
-    found = fit.fit_gradient(moments_of(x, x @ SLOPE.T, mass), active=(True,) * 3, about_node=False)
+    found = matrices.fit_gradient(moments_of(x, x @ SLOPE.T, mass), active=(True,) * 3, about_node=False)
     gradient, _, determined, *_ = parts_of(found)
     if thickness > 1e-5:
         np.testing.assert_allclose(
@@ -106,7 +114,7 @@ def test_a_linear_field_is_fitted_without_residual():
     x, mass = grains(5)
     u = x @ SLOPE.T + np.array([2.0, -1.0, 0.5])
     sums = moments_of(x, u, mass)
-    gradient, explained, determined, *_ = parts_of(fit.fit_gradient(sums, active=(True,) * 3, about_node=False))
+    gradient, explained, determined, *_ = parts_of(matrices.fit_gradient(sums, active=(True,) * 3, about_node=False))
     np.testing.assert_allclose(gradient, np.broadcast_to(SLOPE[..., None], gradient.shape), atol=1e-12)
     about = u - (np.einsum("ng,ngi->ni", mass, u) / mass.sum(axis=1)[:, None])[:, None]
     np.testing.assert_allclose(explained, np.einsum("ng,ngi,ngj->ijn", mass, about, about), atol=1e-11)
@@ -116,7 +124,7 @@ def test_a_linear_field_is_fitted_without_residual():
 def test_grains_in_a_plane_give_no_gradient_across_it():
     x, mass = grains(6, flat=(2,))
     sums = moments_of(x, x @ SLOPE.T, mass)
-    gradient, explained, determined, *_ = parts_of(fit.fit_gradient(sums, active=(True,) * 3, about_node=False))
+    gradient, explained, determined, *_ = parts_of(matrices.fit_gradient(sums, active=(True,) * 3, about_node=False))
     assert (determined[:2] == 1.0).all()
     assert np.isnan(determined[2]).all()
     np.testing.assert_allclose(gradient[:, :2], np.broadcast_to(SLOPE[:, :2, None], (3, 2, 40)), atol=1e-12)
@@ -128,8 +136,10 @@ def test_fits_to_no_grain_one_grain_or_damaged_sums_are_nan():
     x, mass = grains(7)
     u = x @ SLOPE.T
     one = np.where(np.arange(40) == 0, 0.0, moments_of(x[:, :1], u[:, :1], mass[:, :1]))
-    one[fit.SPREAD :, 1] = np.inf
-    gradient, explained, determined, mean, _ = parts_of(fit.fit_gradient(one, active=(True,) * 3, about_node=False))
+    one[matrices.SPREAD :, 1] = np.inf
+    gradient, explained, determined, mean, _ = parts_of(
+        matrices.fit_gradient(one, active=(True,) * 3, about_node=False)
+    )
     assert np.isnan(determined).all()
     assert (gradient[..., [0, *range(2, 40)]] == 0).all()
     assert np.isnan(explained).all()

@@ -1,10 +1,12 @@
-"""Eigenvalues and eigenvectors of 3x3 matrices, symmetric or not."""
+"""Matrices 3x3: eigenvalues and eigenvectors, symmetric or not; the velocity gradient of the best linear fit."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
-from xcg.compiled._jit import inlined, inner, jit
+from xcg.compiled._jit import inlined, inner, jit, leaf
 from xcg.compiled.simd import TILE
 
 # Parts of a pair of complex eigenvalues below this share of the matrix are rounding of a real pair.
@@ -12,6 +14,23 @@ _IMAGINARY = 1e-14
 # A matrix is diagonal where squares off the diagonal are below this share of those on it; a handful of sweeps.
 _DIAGONAL, _MOST_SWEEPS = 1e-40, 12
 _MOST_STEPS = 100  # of Newton's method; a handful, but where all eigenvalues are nearly zero
+# Above this share of the largest possible determinant the explicit inverse is exact to a few hundred ulp.
+_WELL_CONDITIONED = 1e-3
+# The same for the sum of the principal minors and the inverse within a plane; what is below the other two, shares of
+# those of well-spread grains, is nothing but rounding: the grains lie on one line, or in one plane.
+_WELL_SPREAD = 1e-4
+_ONE_LINE, _ONE_PLANE = 1e-13, 1e-11
+# Eigenvalues below this share of the largest count as zero: grains that lie in a plane to single precision give
+# 1e-11 from rounding alone, while a layer as thin as 1e-4 of the support still gives 1e-8.
+_RANK_THRESHOLD = 1e-9
+# Centring one grain, or several in one place, leaves the rounding of what is subtracted, a few 1e-16 of it.
+_ROUNDING = 1e-13
+# A derivative is determined where the grains span no less of its axis.
+_SPANNED = 1.0 - 1e-6
+# Rows of the sums at a node that a fit takes, in all `SUMS`, and of what it finds, in all `FOUND`.
+COUNT, MASS, MOMENTUM, OFFSET, SHEAR, SPREAD, SUMS = 0, 1, 2, 5, 8, 17, 23
+GRADIENT, EXPLAINED, DETERMINED, MEAN, INVERSE, FOUND = 0, 9, 15, 18, 21, 27
+SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 
 
 # --- symmetric: Jacobi's rotations, of one matrix ---
@@ -258,3 +277,174 @@ def _write_pairs(matrix, reflection, mean, size, values, vectors):
         values[k] = (value + mean) * size
         for i in range(3):
             vectors[k, i] = (reflection[i, 0] * x + reflection[i, 1] * y + reflection[i, 2] * z) / length
+
+
+# --- best linear fit: small symmetric systems, rank-aware ---
+
+
+def fit_gradient(sums: NDArray, *, active: Sequence[bool], about_node: bool) -> NDArray:
+    """Velocity gradient of the best linear fit at each node: G = B M^+, row by row.
+
+    Parameters
+    ----------
+    sums : (SUMS, n)
+        Number of grains, and sums of m Psi, m Psi u (3), m Psi x (3), m Psi u x (9) and m Psi x x (xx xy xz yy yz zz),
+        u and x relative to the same velocity and point.
+    active : (3,)
+        Axes along which grains have offsets at all.
+    about_node : bool
+        Fit about x = 0 instead of the centre of mass.
+
+    Returns
+    -------
+    array (FOUND, n)
+        G (9) with B = sum m Psi (u - u_bar) x' and M = sum m Psi x' x', where x' = x - x_bar: zero along directions
+        that the grains do not span. G B^T (6), the part of sum m Psi (u - u_bar)(u - u_bar) that the fit leaves nothing
+        of: NaN where it goes through all grains, so that the fluctuation is unknown. 1 (3) where the derivative along
+        each axis follows from the grains, or the axis is not active, else NaN. x_bar (3), zero where no grains are.
+        M^+ (6).
+    """
+    rows = np.empty((SUMS + FOUND, sums.shape[1]))
+    rows[:SUMS] = sums
+    begin, end, flags = (np.uint64(k) for k in (0, SUMS, flags_of(active, about_node)))
+    fit_rows(rows, begin, end, rows.shape[1], flags)
+    return rows[SUMS:]
+
+
+def flags_of(active: Sequence[bool], about_node: bool) -> int:
+    """Return the active axes and the point of the fit as bits of one number."""
+    return sum(1 << k for k, on in enumerate((*active, about_node)) if on)
+
+
+@inner
+def _dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@leaf
+def _three(rows, first, n):
+    return rows[first, n], rows[first + np.uint64(1), n], rows[first + np.uint64(2), n]
+
+
+@inner
+def _put_three(rows, first, n, values):
+    rows[first, n], rows[first + np.uint64(1), n], rows[first + np.uint64(2), n] = values
+
+
+@inner
+def _moved(shear, u, offsets):
+    """Compute a row of B from the sums of m Psi u x of one component."""
+    return shear[0] - u * offsets[0], shear[1] - u * offsets[1], shear[2] - u * offsets[2]
+
+
+@inner
+def _inverse_of_rank(xx, xy, xz, yy, yz, zz, rounding):
+    """Rank of a symmetric matrix, the part of each axis (3,) that its range spans, and its pseudo-inverse (6,)."""
+    rank, spanned, inverse = 0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    values, axes = principal_of_one(xx, xy, xz, yy, yz, zz)
+    least = max(_RANK_THRESHOLD * max(values), rounding)
+    for k in range(3):
+        if values[k] > least:
+            x, y, z = axes[k]
+            rank, scale = rank + 1, 1.0 / values[k]
+            spanned = spanned[0] + x * x, spanned[1] + y * y, spanned[2] + z * z
+            inverse = (
+                inverse[0] + scale * x * x, inverse[1] + scale * x * y, inverse[2] + scale * x * z,
+                inverse[3] + scale * y * y, inverse[4] + scale * y * z, inverse[5] + scale * z * z,
+            )  # fmt: skip
+    return rank, spanned, inverse
+
+
+@leaf
+def fit_rows(rows, first, found, many, flags):
+    """Fit at each node, as `fit_gradient` says.
+
+    The pseudo-inverse of M is adj M / det M where grains clearly span all active axes, with adj M the matrix of
+    cofactors; M / (tr M)^2 on a line; and (tr M (1 - N) - M) / tr adj M in a plane of normal n, where
+    N = n n = adj M / tr adj M. Where they span none of these clearly it follows from eigenvectors.
+
+    Parameters
+    ----------
+    rows : (any, nodes)
+        The sums, from row `first` on. What is found is written from row `found` on.
+    many : int
+        Number of nodes.
+    flags : int
+        See `flags_of`.
+    """
+    active_x, active_y, active_z, about_node = flags & 1 != 0, flags & 2 != 0, flags & 4 != 0, flags & 8 != 0
+    full = int(active_x) + int(active_y) + int(active_z)
+    # as unsigned numbers: signed ones are looked at for counting from the end
+    count, of_mass, momentum = first + np.uint64(COUNT), first + np.uint64(MASS), first + np.uint64(MOMENTUM)
+    offset, shear, spread = first + np.uint64(OFFSET), first + np.uint64(SHEAR), first + np.uint64(SPREAD)
+    gradient, explained = found + np.uint64(GRADIENT), found + np.uint64(EXPLAINED)
+    determined, mean, three = found + np.uint64(DETERMINED), found + np.uint64(MEAN), np.uint64(3)
+    inverse = found + np.uint64(INVERSE)
+    for n in range(many):
+        mass = rows[of_mass, n]
+        per_mass = 1.0 / mass if mass > 0.0 else 0.0
+        offsets = _three(rows, offset, n)
+        shift = 0.0 if about_node else per_mass
+        x, y, z = shift * offsets[0], shift * offsets[1], shift * offsets[2]
+        _put_three(rows, mean, n, (x, y, z))
+        about_xx, about_xy, about_xz = _three(rows, spread, n)
+        about_yy, about_yz, about_zz = _three(rows, spread + three, n)
+        xx, yy, zz = about_xx - x * offsets[0], about_yy - y * offsets[1], about_zz - z * offsets[2]
+        xy, xz, yz = about_xy - x * offsets[1], about_xz - x * offsets[2], about_yz - y * offsets[2]
+        trace = xx + yy + zz
+        rounding = _ROUNDING * (about_xx + about_yy + about_zz)
+        # along the other axes all offsets are zero, and any spread gives a gradient of zero
+        own = trace / full
+        xx, yy, zz = xx if active_x else own, yy if active_y else own, zz if active_z else own
+        c00, c01, c02 = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+        c11, c12, c22 = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
+        determinant, minors, size = xx * c00 + xy * c01 + xz * c02, c00 + c11 + c22, xx + yy + zz
+        rank, px, py, pz = full, 1.0, 1.0, 1.0  # the part of each axis that the grains span
+        if not trace > rounding:
+            rank, px, py, pz = 0, 0.0, 0.0, 0.0
+            c00, c01, c02, c11, c12, c22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        elif determinant > _WELL_CONDITIONED * own * own * own:
+            scale = 1.0 / determinant
+            c00, c01, c02 = scale * c00, scale * c01, scale * c02
+            c11, c12, c22 = scale * c11, scale * c12, scale * c22
+        elif minors <= _ONE_LINE * size * size:
+            rank, scale = full - 2, 1.0 / size
+            px, py, pz = scale * xx, scale * yy, scale * zz
+            scale = scale * scale
+            c00, c01, c02 = scale * xx, scale * xy, scale * xz
+            c11, c12, c22 = scale * yy, scale * yz, scale * zz
+        elif minors > _WELL_SPREAD * size * size and abs(determinant) <= _ONE_PLANE * minors * size:
+            rank, scale = full - 1, 1.0 / minors
+            px, py, pz = 1.0 - scale * c00, 1.0 - scale * c11, 1.0 - scale * c22
+            across = -scale * size
+            c00, c01, c02 = scale * (size * px - xx), scale * (across * c01 - xy), scale * (across * c02 - xz)
+            c11, c12, c22 = scale * (size * py - yy), scale * (across * c12 - yz), scale * (size * pz - zz)
+        else:
+            xx, yy, zz = xx if active_x else 0.0, yy if active_y else 0.0, zz if active_z else 0.0
+            rank, (px, py, pz), (c00, c01, c02, c11, c12, c22) = _inverse_of_rank(xx, xy, xz, yy, yz, zz, rounding)
+        # where offsets are all zero the spread that stands for theirs has an inverse too, which is none of M^+
+        _put_three(rows, inverse, n, (c00 if active_x else 0.0, c01, c02))
+        _put_three(rows, inverse + three, n, (c11 if active_y else 0.0, c12, c22 if active_z else 0.0))
+        known_x, known_y, known_z = px > _SPANNED, py > _SPANNED, pz > _SPANNED
+        _put_three(rows, determined, n, (
+            1.0 if mass > 0.0 and (not active_x or known_x) else np.nan,
+            1.0 if mass > 0.0 and (not active_y or known_y) else np.nan,
+            1.0 if mass > 0.0 and (not active_z or known_z) else np.nan,
+        ))  # fmt: skip
+        b0, b1, b2 = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+        if mass > 0.0:
+            u, v, w = _three(rows, momentum, n)
+            b0 = _moved(_three(rows, shear, n), u / mass, offsets)
+            b1 = _moved(_three(rows, shear + three, n), v / mass, offsets)
+            b2 = _moved(_three(rows, shear + three + three, n), w / mass, offsets)
+        c0, c1, c2 = (c00, c01, c02), (c01, c11, c12), (c02, c12, c22)
+        g0 = _dot(b0, c0), _dot(b0, c1), _dot(b0, c2)
+        g1 = _dot(b1, c0), _dot(b1, c1), _dot(b1, c2)
+        g2 = _dot(b2, c0), _dot(b2, c1), _dot(b2, c2)
+        _put_three(rows, gradient, n, g0)
+        _put_three(rows, gradient + three, n, g1)
+        _put_three(rows, gradient + three + three, n, g2)
+        # a fit through rank + 1 grains leaves nothing over: their fluctuation is unknown, not zero
+        known = 1.0 if rows[count, n] > rank + 1 else np.nan
+        _put_three(rows, explained, n, (known * _dot(g0, b0), known * _dot(g0, b1), known * _dot(g0, b2)))
+        _put_three(rows, explained + three, n, (known * _dot(g1, b1), known * _dot(g1, b2), known * _dot(g2, b2)))
