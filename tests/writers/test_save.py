@@ -217,6 +217,14 @@ xcg.save(xcg.datasets.simple_cubic(3), target, overwrite=True)
 """
 
 
+def test_a_full_disk_is_named_with_the_folder(tmp_path):
+    path = tmp_path / "f.zarr"
+    said = r"f\.zarr: the disk is full \(.* MB free\), and nothing was left behind; make room"
+    with pytest.raises(OSError, match=said), whole_folder(path, overwrite=False):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize(("when", "new"), [("before", False), ("between", False), ("after", True)])
 def test_a_killed_writer_leaves_the_old_or_the_new_store(tmp_path, when, new):
     """Killed before, between and after the two renames that put a new store in the place of an old one."""

@@ -50,18 +50,11 @@ def whole_file(path: Path, *, overwrite: bool, room: int = 0, part: Path | None 
         If it cannot be written, as where the disk is full. Nothing is left behind then.
     """
     check_file(path, overwrite=overwrite)
-    with _part(path) if part is None else nullcontext(part) as part:
-        try:
-            if room:
-                reserve(part, room)
-            yield part
-            publish(part, path, overwrite=overwrite)
-        except (OSError, RuntimeError) as error:  # netCDF4 raises RuntimeError
-            left = "" if part.parent.suffix == ".begun" else ", and nothing was left behind"
-            problem = _cannot_write(path, error, left)
-            if problem is None:
-                raise
-            raise problem from error
+    with _part(path) if part is None else nullcontext(part) as part, _disk_named(path, part):
+        if room:
+            reserve(part, room)
+        yield part
+        publish(part, path, overwrite=overwrite)
 
 
 def write_by_vtk(writer: Any, data: Any, path: Path, *, overwrite: bool) -> None:
@@ -147,18 +140,23 @@ def publish(part: Path, path: Path, *, overwrite: bool) -> None:
     os.replace(part, path)
 
 
-def _cannot_write(path: Path, error: Exception, left: str) -> OSError | None:
-    """Return a plain message for a file that cannot be written; None where the error is another one."""
-    number = getattr(error, "errno", None)
-    free = _LITTLE
-    with suppress(OSError):
-        free = shutil.disk_usage(path.parent).free
-    if number in _FULL or free < _LITTLE:
-        full = "a file may not be larger here" if number == errno.EFBIG else "the disk is full"
-        return OSError(f"{path}: {full} ({free / 1e6:.0f} MB free){left}; make room and run again")
-    if isinstance(error, RuntimeError) and "HDF" in str(error):
-        return OSError(f"{path}: cannot be written ({error}){left}; is the disk full or out of reach?")
-    return None
+@contextmanager
+def _disk_named(path: Path, part: Path) -> Iterator[None]:
+    """Name the file in errors of a disk that is full or out of reach."""
+    try:
+        yield
+    except (OSError, RuntimeError) as error:  # netCDF4 raises RuntimeError
+        left = "" if part.parent.suffix == ".begun" else ", and nothing was left behind"
+        free = _LITTLE
+        with suppress(OSError):
+            free = shutil.disk_usage(path.parent).free
+        number = getattr(error, "errno", None)
+        if number in _FULL or free < _LITTLE:
+            full = "a file may not be larger here" if number == errno.EFBIG else "the disk is full"
+            raise OSError(f"{path}: {full} ({free / 1e6:.0f} MB free){left}; make room and run again") from error
+        if isinstance(error, RuntimeError) and "HDF" in str(error):
+            raise OSError(f"{path}: cannot be written ({error}){left}; is the disk full or out of reach?") from error
+        raise
 
 
 @contextmanager
@@ -176,13 +174,15 @@ def whole_folder(path: Path, *, overwrite: bool, part: Path | None = None) -> It
         If `path` exists and `overwrite` is False, at the start or in the end, or another process is writing it.
     FileNotFoundError
         If its folder does not exist.
+    OSError
+        If it cannot be written, as where the disk is full.
     """
     check_target(path, overwrite=overwrite)
     with locked(path.with_name(f".{path.name}.lock"), str(path)):
         aside = path.with_name(f".{path.name}.replaced")
         _recover(path, aside, part)
         check_target(path, overwrite=overwrite)
-        with _part(path) if part is None else nullcontext(part) as part:
+        with _part(path) if part is None else nullcontext(part) as part, _disk_named(path, part):
             yield part
             if overwrite and path.exists():
                 path.rename(aside)
