@@ -152,7 +152,7 @@ def parsing(folder: Path, particles: int) -> None:
     from xcg.readers.engines.lammps import Lammps
     from xcg.readers.engines.mercury import Mercury
     from xcg.readers.files import text
-    from xcg.readers.files.compressed import _zstd
+    from xcg.readers.files.text import _zstd
 
     folder.mkdir(parents=True, exist_ok=True)
     (ds,) = series.packings(particles, 1)

@@ -99,7 +99,7 @@ TABLE = [
         "readers/columns.py", "whole / 2)", "whole)", "test_dumps_of_superquadrics_need_no_names",
     ),
     Mutation(
-        "compiled/volumes.py", "norm /= 2.0 * half[k]", "norm /= half[k]", "test_cells_hold_all_mass_and_momentum",
+        "compiled/lines.py", "norm /= 2.0 * half[k]", "norm /= half[k]", "test_cells_hold_all_mass_and_momentum",
     ),
     Mutation(
         "compiled/pairs.py", "touch = records[j, 3] + ri + skin", "touch = records[j, 3] + ri",
@@ -164,7 +164,7 @@ TABLE = [
         "test_half_of_the_mass_lies_in_grains_up_to_d50",
     ),
     Mutation(
-        "scene/rotate.py", 'attrs["gravity"] = axes @', 'attrs["gravity"] = axes.T @',
+        "fields/grids/frames.py", 'attrs["gravity"] = axes @', 'attrs["gravity"] = axes.T @',
         "test_gravity_turns_with_the_frame",
     ),
     # --- steps ---
@@ -196,11 +196,11 @@ TABLE = [
         "fields/sums/kernels.py", "(dimension + 2 * n)", "(dimension + n)", "test_shifted_gaussians_of_any_cutoff",
     ),
     Mutation(
-        "fields/sums/contact_moments.py", "c.branch_i - c.branch_j)", "c.branch_i + c.branch_j)",
+        "fields/sums/moments.py", "c.branch_i - c.branch_j)", "c.branch_i + c.branch_j)",
         "test_fields_are_their_definitions",
     ),
     Mutation(
-        "fields/sums/contact_moments.py", "AT_LIMIT = 0.999", "AT_LIMIT = 0.9",
+        "fields/sums/moments.py", "AT_LIMIT = 0.999", "AT_LIMIT = 0.9",
         "test_redundancy_factor_of_a_lattice test_sums_over_contacts_equal_brute_force",
     ),
     Mutation(
@@ -330,7 +330,7 @@ TABLE = [
         "test_grains_that_come_back_count_as_new",
     ),
     Mutation(
-        "fields/analysis/velocities.py", "position[there] @ motion.gradient.T", "position[there] @ motion.gradient",
+        "fields/analysis/derived.py", "position[there] @ motion.gradient.T", "position[there] @ motion.gradient",
         "test_velocities_across_edges_and_in_a_sheared_box",
     ),
     Mutation(
@@ -389,7 +389,7 @@ TABLE = [
         "test_a_binary_dump_equals_the_text_dump_beside_it",
     ),
     Mutation(
-        "readers/files/classic_netcdf.py", "length + -length % 4)", "length)",
+        "readers/engines/lammps_netcdf.py", "length + -length % 4)", "length)",
         "test_records_of_odd_length_are_padded_unless_they_are_alone",
     ),
     Mutation(
@@ -402,7 +402,7 @@ TABLE = [
         "test_mirrored_rows_become_one_with_the_mean_force",
     ),
     Mutation(
-        "readers/index.py", "after[1] > _SETTLED", "after[1] > -_SETTLED",
+        "readers/paths.py", "after[1] > _SETTLED", "after[1] > -_SETTLED",
         "test_files_that_may_still_change_are_not_indexed",
     ),
     # --- writers ---
@@ -424,7 +424,7 @@ TABLE = [
     ),
     # --- jobs ---
     Mutation(
-        "jobs/pysammos_ini.py", "(number - (start or 0)) % stride", "number % stride",
+        "jobs/config.py", "(number - (start or 0)) % stride", "number % stride",
         "test_steps_of_a_configuration_count_from_the_first",
     ),
     Mutation(

@@ -12,14 +12,13 @@ from .fields.analysis.balance import balance
 from .fields.analysis.cell_volumes import cell_volumes
 from .fields.analysis.choose_width import choose_width, plot_width
 from .fields.analysis.correlations import spatial_correlation, time_correlation
+from .fields.analysis.derived import derive_director, derive_superquadric, derive_velocity
 from .fields.analysis.diffusion import mean_squared_displacement
-from .fields.analysis.directors import derive_director, derive_superquadric
 from .fields.analysis.displacement import displacement
 from .fields.analysis.flow_rate import flow_rate
 from .fields.analysis.plots import movie, plot
 from .fields.analysis.shallow import depth_average, fit_slope, free_surface
 from .fields.analysis.slice_temperature import slice_temperature
-from .fields.analysis.velocities import derive_velocity
 from .fields.analysis.wall_stress import wall_stress
 from .fields.analysis.width_sweep import width_sweep
 from .fields.coarse_grain import coarse_grain
@@ -40,11 +39,9 @@ from .readers.engines.vtk import mesh_points
 from .readers.from_table import scene_from_table
 from .readers.live import scene_from_lammps
 from .readers.series import open_scene
-from .scene.bodies import group_bodies
+from .scene.bodies import group_bodies, select_walls
 from .scene.build import scene_from_arrays
-from .scene.measure import measure, size_statistics
-from .scene.phases import assign_phases, find_phases, plot_phases
-from .scene.walls import select_walls
+from .scene.phases import assign_phases, find_phases, measure, plot_phases, size_statistics
 from .steps.faults import SkippedStep
 from .writers.record import Recorder, record
 from .writers.save import register_writer, save

@@ -14,14 +14,13 @@ from xcg.fields.analysis.balance import balance
 from xcg.fields.analysis.cell_volumes import cell_volumes
 from xcg.fields.analysis.choose_width import choose_width, plot_width
 from xcg.fields.analysis.correlations import spatial_correlation, time_correlation
+from xcg.fields.analysis.derived import derive_director, derive_superquadric, derive_velocity
 from xcg.fields.analysis.diffusion import mean_squared_displacement
-from xcg.fields.analysis.directors import derive_director, derive_superquadric
 from xcg.fields.analysis.displacement import displacement
 from xcg.fields.analysis.flow_rate import flow_rate
 from xcg.fields.analysis.plots import movie, plot
 from xcg.fields.analysis.shallow import depth_average, fit_slope, free_surface
 from xcg.fields.analysis.slice_temperature import slice_temperature
-from xcg.fields.analysis.velocities import derive_velocity
 from xcg.fields.analysis.wall_stress import wall_stress
 from xcg.fields.analysis.width_sweep import width_sweep
 from xcg.fields.coarse_grain import coarse_grain, explain
@@ -29,10 +28,8 @@ from xcg.fields.formulas.averages import profile, time_average
 from xcg.packing.find_contacts import find_contacts
 from xcg.packing.microstructure import microstructure
 from xcg.packing.network import adjacency, contact_graph
-from xcg.scene.bodies import group_bodies
-from xcg.scene.measure import measure, size_statistics
-from xcg.scene.phases import assign_phases, find_phases, plot_phases
-from xcg.scene.walls import select_walls
+from xcg.scene.bodies import group_bodies, select_walls
+from xcg.scene.phases import assign_phases, find_phases, measure, plot_phases, size_statistics
 from xcg.writers.chains import to_csv, to_vtp
 from xcg.writers.paraview import to_vtu
 from xcg.writers.save import save

@@ -48,7 +48,7 @@ class Case:
 
     def run(self, ds: xr.Dataset) -> xr.Dataset | None:
         with ExitStack() as few:
-            for module in ("xcg.fields.evaluate", "xcg.fields.grids.points", "xcg.readers.files.table"):
+            for module in ("xcg.fields.coarse_grain", "xcg.fields.grids.points", "xcg.readers.files.table"):
                 with suppress(ImportError, AttributeError):  # another commit may not have it
                     few.enter_context(mock.patch(f"{module}.THREADS", self.threads))
             return self.work(ds)

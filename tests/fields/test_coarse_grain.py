@@ -2,6 +2,7 @@
 
 import inspect
 import pickle
+import warnings
 from concurrent.futures import ThreadPoolExecutor
 from unittest import mock
 
@@ -15,8 +16,9 @@ from hypothesis import strategies as st
 import xcg
 from tests import planning, steps_of_random_scenes
 from tests.brute_force import BruteKernel, brute_force
+from xcg import SceneWarning
 from xcg.compiled.points import deposit
-from xcg.fields.evaluate import WORTH_SHARING
+from xcg.fields.coarse_grain import WORTH_SHARING
 from xcg.fields.sums.nodes import BLOCK_NODES
 
 RATIOS = {"velocity", "effective_count", "particle_density", "coordination_number", "d32",
@@ -436,7 +438,10 @@ def test_threads_and_blocks_change_no_bit(long, rtol):
     options = {"by": "species", "width": 0.6, "rtol": rtol, "spacing": {a: 0.31 if a == long else 0.7 for a in "xyz"}}
     results = []
     for threads, box in ((1, 65_000), (3, 65_000), (2, 7)):
-        with planning(BLOCK_NODES=box), mock.patch.multiple("xcg.fields.evaluate", THREADS=threads, WORTH_SHARING=0):
+        with (
+            planning(BLOCK_NODES=box),
+            mock.patch.multiple("xcg.fields.coarse_grain", THREADS=threads, WORTH_SHARING=0),
+        ):
             results.append([ds.cg.coarse_grain(**options), ds.cg.coarse_grain(axes=long, rtol=rtol, width=0.6)])
     for other in results[1:]:
         for one, another in zip(results[0], other, strict=True):
@@ -463,7 +468,7 @@ def test_one_large_lazy_step_uses_all_threads_and_others_take_one_each(steps, wo
     times = [one.assign_coords(time=[float(t)], step=("time", [t])) for t in range(steps)]
     lazy = xr.concat(times, "time", combine_attrs="override").chunk(time=1)
     pool = mock.patch("xcg.compiled._jit.ThreadPoolExecutor", wraps=ThreadPoolExecutor)
-    with mock.patch.multiple("xcg.fields.evaluate", THREADS=2, WORTH_SHARING=worth), pool as pools:
+    with mock.patch.multiple("xcg.fields.coarse_grain", THREADS=2, WORTH_SHARING=worth), pool as pools:
         f = lazy.cg.coarse_grain(width=0.8).compute()
     assert pools.called == shared
     for name, values in one.cg.coarse_grain(width=0.8).items():
@@ -649,3 +654,49 @@ def test_arguments_of_another_form_raise(wrong, message):
             call("density", **wrong)
     f = ds.cg.coarse_grain("density", axes="z", width=xr.DataArray(1.0), spacing=np.float32(0.5))
     assert f.attrs["width"] == 1.0
+
+
+# --- computing a plan ---
+
+
+@pytest.mark.parametrize("dimension", [3, 2])
+def test_a_kernel_narrower_than_the_largest_grain_warns(dimension):
+    """Its volume times the kernel's largest value is the fraction at its centre."""
+    small = xcg.datasets.random_scene(200, dimension=dimension, seed=2)
+    position, diameter = small.position.values[0], small.diameter.values[0].copy()
+    diameter[:] = 0.1
+    diameter[5] = 1.0
+    ds = xcg.scene_from_arrays(position, velocity=0 * position, diameter=diameter, density=1.0, dimension=dimension)
+    at = dict(zip("xyz", position[5], strict=True)) if dimension == 3 else dict(zip("xy", position[5], strict=False))
+    kernel = xcg.Lucy(0.2, dimension=dimension)
+    with pytest.warns(SceneWarning, match="kernel is narrower than the largest grains, one of which alone") as told:
+        f = ds.cg.coarse_grain("volume_fraction", axes="", at=at, kernel=kernel)
+    volume = np.pi / 6 * (1.0 if dimension == 3 else 1.0 / 1.0)
+    assert float(f.volume_fraction.max()) >= volume * float(kernel.value(0.0)) > 1.0
+    assert len(told) == 1
+    assert all(f"{a} = {value:.4g}" in str(told[0].message) for a, value in at.items())
+
+
+def test_overlapping_grains_warn():
+    position = np.random.default_rng(0).uniform(0, 2, (200, 3))
+    ds = xcg.scene_from_arrays(position, velocity=0 * position, diameter=np.full(200, 0.8), density=1.0)
+    with pytest.warns(SceneWarning, match="grains overlap, or their sizes"):
+        ds.cg.coarse_grain("volume_fraction", width=0.8, axes="", at={"x": 1.0, "y": 1.0, "z": 1.0})
+
+
+def test_possible_volume_fractions_do_not_warn():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        xcg.datasets.face_centred_cubic().cg.coarse_grain("volume_fraction")
+
+
+def test_a_width_below_the_largest_diameter_warns():
+    position = np.random.default_rng(0).uniform(0, 5, (300, 3))
+    diameter = np.full(300, 0.1)
+    diameter[0] = 3.0
+    ds = xcg.scene_from_arrays(
+        position, velocity=0 * position, diameter=diameter, mass=np.ones(300), box=[[0, 5.0]] * 3
+    )
+    ds.attrs["d43"] = 0.1  # the width is narrow for the largest grain alone
+    with pytest.warns(SceneWarning, match="of the diameter of the largest grains"):
+        ds.cg.coarse_grain("number_density", width=0.2, axes="")

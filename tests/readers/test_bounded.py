@@ -7,7 +7,7 @@ import pytest
 
 import xcg
 from tests import dumps
-from xcg.readers import index
+from xcg.readers import paths
 
 
 def test_a_last_column_of_text_is_skipped(tmp_path):
@@ -48,7 +48,7 @@ def test_endless_blank_lines_and_headers_raise(tmp_path):
 
 
 def test_too_many_steps_in_one_file_raise(tmp_path, monkeypatch):
-    monkeypatch.setattr(index, "_MOST_STEPS", 20)
+    monkeypatch.setattr(paths, "_MOST_STEPS", 20)
     steps = dumps.write(tmp_path / "p.dump", [dumps.dump_text(step=step) for step in range(21)])
     with pytest.raises(xcg.SceneError, match="more than 20 steps in one file"):
         xcg.open_scene(steps, timestep=0.1)

@@ -11,8 +11,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.checks import is_positive
-from xcg.common.messages import SceneError
+from xcg.common.messages import SceneError, is_positive
 from xcg.compiled import THREADS
 from xcg.compiled._jit import for_parts, worth
 from xcg.compiled.contacts import blank_rows_of_zeros, scale_tensors

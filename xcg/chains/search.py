@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from xcg.chains.particle_stress import StressRule, Volumes, carries
 from xcg.chains.results import CHAINS, COPIED, RESULTS, result_sizes, statistics_of
 from xcg.chains.selection import Region, check_region
-from xcg.common.checks import is_finite, is_positive, is_whole
+from xcg.common.messages import is_finite, is_positive, is_whole
 from xcg.compiled import THREADS
 from xcg.compiled import chains as loops
 from xcg.compiled._jit import for_parts

@@ -3,7 +3,7 @@
 The mean depends on the distance to the node along each axis alone, so where two or three axes have an extent, loops
 take it from a table, by Lagrange's polynomials of degree 5 along each axis. A cell is a whole number of intervals of
 the table, and the table is divided by its own sums over all cells, so that the means of a point over all cells add up
-to one. Means close to zero, which would lose their digits and their sign, are integrated (`xcg.compiled.volumes`), and
+to one. Means close to zero, which would lose their digits and their sign, are integrated (`xcg.compiled.lines`), and
 all are where the table is not accurate, as of kernels that jump.
 
 Lengths are in units of the cutoff and relative to the first node.
@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.compiled._jit import inlined, inner, jit
+from xcg.compiled.lines import Volumes, integrate_row
 from xcg.compiled.reach import LISTS, NODE, ROW_Y, WEIGHT, Rows, X, Y, Z, node_range
 from xcg.compiled.smoothing import CellKernel
-from xcg.compiled.volumes import Volumes, integrate_row
 
 _AXES = (X, Y, Z)
 # Of integrals, in units of the norm: kernels may have negative parts, and those that have none are zero at their rim.

@@ -16,7 +16,7 @@ MOST_CROSSINGS = 16  # of one ray; further ones are left out
 _TIE = 1e-9
 
 
-# --- spheres and discs in the cells of a mesh along x, y and z ---
+# --- spheres and discs in the cells of a mesh along x, y and z -------------------------------------------
 
 
 @inner
@@ -186,7 +186,7 @@ def _face(k, x, r, lower, step):
     return (lower + k * step - x) / r
 
 
-# --- triangles of a surface ---
+# --- triangles of a surface ------------------------------------------------------------------------------
 
 
 @inner

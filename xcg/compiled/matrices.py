@@ -279,7 +279,7 @@ def _write_pairs(matrix, reflection, mean, size, values, vectors):
             vectors[k, i] = (reflection[i, 0] * x + reflection[i, 1] * y + reflection[i, 2] * z) / length
 
 
-# --- best linear fit: small symmetric systems, rank-aware ---
+# --- best linear fit: small symmetric systems, rank-aware ------------------------------------------------
 
 
 def fit_gradient(sums: NDArray, *, active: Sequence[bool], about_node: bool) -> NDArray:

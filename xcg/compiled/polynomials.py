@@ -156,7 +156,7 @@ def _marginal_to(shells, j, h2, t):
     return 2.0 * (angles - t * (u * line + (a2 * odd_line + odd) * log))
 
 
-# --- Lucy ---
+# --- Lucy ------------------------------------------------------------------------------------------------
 
 
 @inner

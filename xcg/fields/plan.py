@@ -10,8 +10,7 @@ from typing import get_args
 
 import numpy as np
 
-from xcg.common.checks import is_finite, is_positive
-from xcg.common.messages import SceneError, unknown, warn_user
+from xcg.common.messages import SceneError, is_finite, is_positive, unknown, warn_user
 from xcg.compiled.points import LINEAR
 from xcg.compiled.segments import RULES
 from xcg.fields.formulas import registry
@@ -31,9 +30,8 @@ from xcg.fields.layout import (
     warn_of_width,
 )
 from xcg.fields.request import Request, Sampling
-from xcg.fields.sums.contact_moments import sliding_contacts
 from xcg.fields.sums.kernels import Kernel
-from xcg.fields.sums.moments import MOMENTS, Moment
+from xcg.fields.sums.moments import MOMENTS, Moment, sliding_contacts
 from xcg.fields.sums.nodes import BLOCK_NODES, FINE, nodes_in_cache
 from xcg.fields.sums.segments import SINGLE, gauss_limits
 from xcg.fields.sums.step import DepositSpec

@@ -10,8 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.checks import is_positive
-from xcg.common.messages import SceneError
+from xcg.common.messages import SceneError, is_positive
 from xcg.packing.pairs import PairMethod, check_search, pairs_of
 from xcg.scene.complete import REPEAT, contact_points
 from xcg.scene.conform import takes_scene

@@ -9,8 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from xcg.common.checks import floats, is_positive
-from xcg.common.messages import unknown
+from xcg.common.messages import floats, is_positive, unknown
 from xcg.packing.quantities import CONTACTS, QUANTITIES, TENSOR
 from xcg.packing.samples import Bounds, Measure
 from xcg.scene.conform import storable, takes_scene

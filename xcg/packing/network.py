@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.checks import extra
+from xcg.common.messages import extra
 from xcg.compiled.contacts import join_clusters
 from xcg.packing.quantities import CONTACTS
 from xcg.scene.complete import unit_vectors

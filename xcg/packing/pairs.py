@@ -9,8 +9,7 @@ from typing import Literal, TypeAlias, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from xcg.common.checks import is_finite
-from xcg.common.messages import SceneError
+from xcg.common.messages import SceneError, is_finite
 from xcg.compiled import THREADS
 from xcg.compiled import pairs as loops
 from xcg.compiled._jit import for_parts, worth

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from xcg.common.checks import floats
-from xcg.common.messages import SceneError, warn_user
+from xcg.common.messages import SceneError, floats, warn_user
 from xcg.scene.lattice import Lattice, same_vectors
 from xcg.scene.sanity import rows_of
 from xcg.scene.schema import COMPONENTS, Frame

@@ -16,8 +16,7 @@ from typing import Any, Literal, TypeAlias, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.common.checks import is_positive, vector
-from xcg.common.messages import SceneError
+from xcg.common.messages import SceneError, is_positive, vector
 
 COMPONENTS = ("x", "y", "z")
 PADDING = -1

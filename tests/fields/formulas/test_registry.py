@@ -45,7 +45,7 @@ def test_program_and_numpy_give_the_same_bits(options):
     names = [name for name in names if not registry.FIELDS[name].option]
     if "gradient" in options:  # which is not fitted
         names = [name for name in names if name not in OF_FITS]
-    module = importlib.import_module("xcg.fields.evaluate")
+    module = importlib.import_module("xcg.fields.coarse_grain")
     with planning(BLOCK_NODES=40), mock.patch.object(module, "THREADS", 2):
         mixed = ds.cg.coarse_grain(names, width=0.6, **options)
     with mock.patch.object(module, "program_for", return_value=None):

@@ -62,7 +62,7 @@ def test_segments_listed_anew_have_the_same_bits(scene, call):
         places = np.random.default_rng(0).uniform(0.0, 5.0, (scene.attrs["dimension"], 90))
         given["at"] = {a: xr.DataArray(x, dims="point") for a, x in zip("xyz", places, strict=False)}
     kept = scene.cg.coarse_grain(**given)
-    found, few = [], mock.patch.multiple("xcg.fields.evaluate", THREADS=2, WORTH_SHARING=0)
+    found, few = [], mock.patch.multiple("xcg.fields.coarse_grain", THREADS=2, WORTH_SHARING=0)
     some, told = anew(found)
     with planning(BLOCK_NODES=300), few, some, told:
         same_bits(kept, scene.cg.coarse_grain(**given))

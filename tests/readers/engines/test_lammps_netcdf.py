@@ -7,7 +7,7 @@ import pytest
 
 import xcg
 from tests.lammps_forms import COLUMNS, DEFAULTS, check, frames_of, lammps, rows_of, write_netcdf
-from xcg.readers.files.classic_netcdf import ClassicFile
+from xcg.readers.engines.lammps_netcdf import ClassicFile
 
 
 @pytest.mark.parametrize("version", ["DATA", "OFFSET"])

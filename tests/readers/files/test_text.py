@@ -14,7 +14,7 @@ from tests.dumps import ATOMS, dump_text, write
 from xcg.common.messages import SceneError
 from xcg.readers.engine import ReadOptions
 from xcg.readers.engines.lammps import Lammps
-from xcg.readers.files import compressed, text
+from xcg.readers.files import text
 from xcg.readers.files.table import parse_table
 from xcg.readers.series import open_scene
 
@@ -106,11 +106,17 @@ def test_errors_name_the_row(body):
 
 @pytest.fixture
 def opened(monkeypatch):
-    """Count how often files are decompressed from the start to read bodies."""
+    """Count how often files are decompressed from the start to read bodies, which is without naming their kind."""
     calls = []
-    original = compressed.open_compressed
-    monkeypatch.setattr(compressed, "open_compressed", lambda path: calls.append(path) or original(path))
-    monkeypatch.setattr(compressed, "_waiting", [])
+    original = text.open_compressed
+
+    def counted(path, *kind):
+        if not kind:
+            calls.append(path)
+        return original(path, *kind)
+
+    monkeypatch.setattr(text, "open_compressed", counted)
+    monkeypatch.setattr(text, "_waiting", [])
     return calls
 
 
@@ -135,7 +141,7 @@ def test_threads_do_not_share_a_stream(tmp_path, opened):
     scene = open_scene(path)
     found = scene.position.compute(scheduler="threads", num_workers=4)
     np.testing.assert_array_equal(found[:, 1, 0], 2 + 0.001 * np.arange(30))
-    assert len(compressed._waiting) <= compressed._MOST_WAITING
+    assert len(text._waiting) <= text._MOST_WAITING
 
 
 def test_a_file_that_changed_is_opened_anew(tmp_path, opened):
@@ -148,7 +154,7 @@ def test_a_file_that_changed_is_opened_anew(tmp_path, opened):
 
 
 def zstd():
-    return compressed._zstd() or pytest.skip("needs Python 3.14 or backports.zstd")
+    return text._zstd() or pytest.skip("needs Python 3.14 or backports.zstd")
 
 
 def test_zstd_is_read_as_plain_text_is(tmp_path, opened):
@@ -176,7 +182,7 @@ def test_damaged_zstd_raises(tmp_path):
 def test_zstd_without_its_package_names_the_extra(tmp_path, monkeypatch):
     path = tmp_path / "p.dump.zst"
     path.write_bytes(b"\x28\xb5\x2f\xfd")
-    monkeypatch.setattr(compressed, "_zstd", lambda: None)
+    monkeypatch.setattr(text, "_zstd", lambda: None)
     with pytest.raises(SceneError, match=r"p\.dump\.zst: .*pip install 'xcg\[zstd\]'"):
         open_scene(path)
 
@@ -192,7 +198,7 @@ def test_concatenated_gzip_files_are_read(tmp_path, count):
         texts.append(dump_text(lines, ATOMS, step=10 * t))
     path = tmp_path / "p.0.dump.gz"
     path.write_bytes(b"".join(gzip.compress(text.encode()) for text in texts))
-    assert (path.stat().st_size > 3 * compressed._LOOKED_AT) == (count > 3)
+    assert (path.stat().st_size > 3 * text._LOOKED_AT) == (count > 3)
     scene = open_scene(path)
     assert scene.step.values.tolist() == [0, 10, 20]
     np.testing.assert_array_equal(scene.position, positions)
@@ -200,7 +206,7 @@ def test_concatenated_gzip_files_are_read(tmp_path, count):
     path.write_bytes(gzip.compress("".join(texts).encode()))
     np.testing.assert_array_equal(open_scene(path).position, positions)
     path.write_bytes(gzip.compress(texts[0].encode()))
-    assert compressed.size_of_content(str(path)) == len(texts[0])
+    assert text.size_of_content(str(path)) == len(texts[0])
     assert lammps.index_particles([str(path)], ReadOptions())[0].alone
 
 

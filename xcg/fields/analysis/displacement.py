@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from xcg.common.messages import unknown
 from xcg.compiled import THREADS
-from xcg.fields.coarse_grain import prepare
-from xcg.fields.evaluate import about, compute_chunk, labelled
+from xcg.fields.coarse_grain import about, compute_chunk, labelled, prepare
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.averages import derive, needed_for_averages
 from xcg.fields.grids.frames import refuse_cylindrical

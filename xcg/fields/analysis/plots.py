@@ -13,8 +13,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common import drawing
-from xcg.common.checks import extra, is_positive
-from xcg.common.messages import did_you_mean, unknown
+from xcg.common.messages import did_you_mean, extra, is_positive, unknown
 from xcg.fields.formulas.registry import FIELDS
 from xcg.scene.frame import step_at, with_time
 from xcg.scene.schema import COMPONENTS

@@ -10,8 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.checks import is_finite, is_positive
-from xcg.common.messages import SceneError
+from xcg.common.messages import SceneError, is_finite, is_positive
 from xcg.fields.coarse_grain import coarse_grain
 from xcg.fields.sums.kernels import Kernel, KernelName, kernel_of
 from xcg.scene.conform import takes_scene

@@ -13,8 +13,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.checks import is_positive, is_whole, rising_pair
-from xcg.common.messages import SceneError
+from xcg.common.messages import SceneError, is_positive, is_whole, rising_pair
 from xcg.scene.conform import storable, takes_scene
 from xcg.scene.description import describe, require_scene
 from xcg.scene.frame import steps_in

@@ -15,7 +15,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.checks import is_finite
+from xcg.common.messages import is_finite
 from xcg.compiled import THREADS
 from xcg.compiled import points as loops
 from xcg.compiled.points import SQUARES

@@ -17,8 +17,7 @@ from typing import Any
 
 import xarray as xr
 
-from xcg.common.checks import is_positive
-from xcg.common.messages import unknown
+from xcg.common.messages import is_positive, unknown
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Quantity
 from xcg.fields.plan import make_plan

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError
 from xcg.compiled.cell_means import LONGEST_LINE
+from xcg.compiled.lines import Volumes
 from xcg.compiled.reach import Lists, Nodes, Rows, lists_for
 from xcg.compiled.segments import BRANCH, FORCE, GROUP
-from xcg.compiled.volumes import Volumes
 from xcg.scene.schema import COMPONENTS
 
 # Sums are made over blocks of about this many nodes, so that memory holds those of a few blocks, not of all nodes.

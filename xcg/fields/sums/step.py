@@ -17,8 +17,7 @@ from xcg.compiled.cell_means import cell_means
 from xcg.compiled.points import NONE, SQUARES
 from xcg.compiled.reach import spatial_order
 from xcg.compiled.smoothing import CellKernel, KernelCode
-from xcg.fields.sums.contact_moments import WALL_VELOCITY, velocities_of_walls
-from xcg.fields.sums.moments import MOMENTS, Moment
+from xcg.fields.sums.moments import MOMENTS, WALL_VELOCITY, Moment, velocities_of_walls
 from xcg.fields.sums.nodes import Grid, Mesh, NodeBlock, triple
 from xcg.scene.contacts import Contacts
 from xcg.scene.frame import phase_of, without_frozen

@@ -13,25 +13,25 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.common.checks import is_positive
-from xcg.common.messages import SceneError
+from xcg.common.messages import SceneError, is_positive
 from xcg.readers import columns
 from xcg.readers.columns import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.engines import lammps_binary, lammps_netcdf
 from xcg.readers.engines.lammps_binary import with_bounds
-from xcg.readers.files.compressed import compression, most_from
 from xcg.readers.files.text import (
     Scanner,
     check_rows,
+    compression,
     first_lines,
     is_one_table,
+    most_from,
     most_text,
     open_binary,
     source_of,
     uncompressed_size,
 )
-from xcg.readers.index import remembered
+from xcg.readers.paths import remembered
 from xcg.scene.schema import COMPONENTS
 from xcg.steps import faults as errors
 

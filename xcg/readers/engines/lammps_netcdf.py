@@ -7,16 +7,17 @@ that are not periodic. Rows of atoms that were lost hold the fill value as their
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
-from typing import Any
+import os
+import struct
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, BinaryIO, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError
 from xcg.readers.engine import StepRef
-from xcg.readers.files.classic_netcdf import ClassicFile
-from xcg.readers.files.classic_netcdf import begins as begins
 from xcg.readers.files.text import source_of
 from xcg.scene.schema import COMPONENTS
 
@@ -118,3 +119,156 @@ def read_columns(ref: StepRef, wanted: Iterable[str]) -> dict[str, NDArray]:
         for column, (name, k) in places.items()
         if column in wanted
     }
+
+
+# --- classic NetCDF --------------------------------------------------------------------------------------
+#
+# CDF-1, CDF-2 and CDF-5 are read without the library, and their counts are checked first. Source: the NetCDF Classic
+# Format Specification, and that of CDF-5 (Unidata).
+
+
+_TYPES = dict(enumerate(("i1", "S1", ">i2", ">i4", ">f4", ">f8", "u1", ">u2", ">u4", ">i8", ">u8"), 1))
+_FARTHEST = 1 << 60  # byte of a file; further ones cannot be addressed
+_MOST = 10_000  # dimensions, variables, or attributes of one of them
+_LONGEST = 1 << 20  # bytes of a name or an attribute
+_DIMENSIONS, _VARIABLES, _ATTRIBUTES = 10, 11, 12
+
+
+@dataclass(frozen=True)
+class ClassicVariable:
+    """Variable as the header describes it; `shape` is without records, `length` in bytes, padded."""
+
+    name: str
+    dtype: np.dtype
+    dims: tuple[str, ...]
+    shape: tuple[int, ...]
+    attrs: dict[str, object]
+    begin: int
+    recorded: bool
+    length: int
+
+
+def begins(head: bytes) -> bool:
+    """Return whether the first bytes identify a classic NetCDF format."""
+    return head[:3] == b"CDF" and head[3:4] in (b"\x01", b"\x02", b"\x05")
+
+
+class ClassicFile:
+    """Header of a file: dimensions, variables and attributes.
+
+    Attributes
+    ----------
+    records : int
+        How many records the file holds.
+    dims : dict
+        Sizes of the dimensions by name; that of records is 0.
+    variables : dict
+        By name.
+    attrs : dict
+        Attributes of the file: texts, or arrays of numbers.
+
+    Raises
+    ------
+    SceneError
+        If the header is damaged, or promises more than the file holds.
+    """
+
+    def __init__(self, path: str) -> None:
+        self.path, self._size = path, os.path.getsize(path)
+        with open(path, "rb") as file:
+            self._file: BinaryIO = file
+            head = self._bytes(4)
+            if not begins(head):
+                self.refuse("is no NetCDF in a classic format")
+            self._wide, self._far = head[3] == 5, head[3] > 1
+            told = self._count(most=None)
+            pairs = [(self._name(), self._count(most=None)) for _ in range(self._list(_DIMENSIONS))]
+            self.dims, self.attrs = dict(pairs), self._attributes()
+            found = [self._variable([name for name, _ in pairs]) for _ in range(self._list(_VARIABLES))]
+        self.variables = {variable.name: variable for variable in found}
+        recorded = [variable for variable in found if variable.recorded]
+        alone = len(recorded) == 1
+        self._record = (
+            sum(math.prod(v.shape) * v.dtype.itemsize if alone else v.length for v in recorded) if recorded else 0
+        )
+        first = min((v.begin for v in recorded), default=self._size)
+        room = (self._size - first + 3) // self._record if self._record else 0  # the last one may lack its padding
+        self.records = room if told == (1 << (64 if self._wide else 32)) - 1 else told
+        if self._record and self.records > room:
+            self.refuse(f"promises {self.records} records, and has room for {room}; it was cut short")
+        for v in found:
+            if not v.recorded and v.begin + math.prod(v.shape) * v.dtype.itemsize > self._size:
+                self.refuse(f"ends before its variable '{v.name}' does; it was cut short")
+
+    def refuse(self, problem: str) -> NoReturn:
+        """Raise an error that names the file."""
+        raise SceneError(f"{self.path}: the file {problem}. Leave it out, or write it again") from None
+
+    def _bytes(self, count: int) -> bytes:
+        found = self._file.read(count)
+        if len(found) < count:
+            self.refuse("ends in its header")
+        return found
+
+    def _int(self) -> int:
+        return int(struct.unpack(">i", self._bytes(4))[0])
+
+    def _count(self, most: int | None = _MOST) -> int:
+        number = int(struct.unpack(">Q" if self._wide else ">I", self._bytes(8 if self._wide else 4))[0])
+        if most is not None and number > most:
+            self.refuse(f"has a count of {number} in its header, and is damaged")
+        return number
+
+    def _padded(self, count: int) -> bytes:
+        return self._bytes(count + -count % 4)[:count]
+
+    def _name(self) -> str:
+        return self._padded(self._count(_LONGEST)).decode("utf-8", "replace")
+
+    def _list(self, expected: int) -> int:
+        tag, count = self._int(), self._count()
+        if tag not in (0, expected) or (tag == 0 and count):
+            self.refuse(f"has a list of kind {tag} in its header, expected {expected}, and is damaged")
+        return count
+
+    def _type(self) -> np.dtype:
+        kind = self._int()
+        if kind not in _TYPES:
+            self.refuse(f"has numbers of type {kind}, and is damaged")
+        return np.dtype(_TYPES[kind])
+
+    def _attributes(self) -> dict[str, object]:
+        found: dict[str, object] = {}
+        for _ in range(self._list(_ATTRIBUTES)):
+            name, dtype, count = self._name(), self._type(), self._count(_LONGEST)
+            data = self._padded(count * dtype.itemsize)
+            found[name] = data.decode("utf-8", "replace") if dtype.kind == "S" else np.frombuffer(data, dtype)
+        return found
+
+    def _variable(self, dims: Sequence[str]) -> ClassicVariable:
+        name = self._name()
+        places = [self._count() for _ in range(self._count())]
+        if any(place >= len(dims) for place in places):
+            self.refuse(f"gives '{name}' a dimension that it has not, and is damaged")
+        attrs, dtype = self._attributes(), self._type()
+        self._count(most=None)  # its size, which follows from the dimensions where it is not too large for this field
+        begin = int(struct.unpack(">Q" if self._far else ">I", self._bytes(8 if self._far else 4))[0])
+        if begin >= _FARTHEST:
+            self.refuse(f"has '{name}' at byte {begin}, and is damaged")
+        mine = tuple(dims[place] for place in places)
+        recorded = bool(mine) and self.dims[mine[0]] == 0
+        shape = tuple(self.dims[dim] for dim in mine[recorded:])
+        length = math.prod(shape) * dtype.itemsize
+        return ClassicVariable(name, dtype, mine, shape, attrs, begin, recorded, length + -length % 4)
+
+    def read(self, name: str, record: int = 0) -> NDArray:
+        """Read a variable, of one record where it has records."""
+        variable = self.variables[name]
+        count = math.prod(variable.shape)
+        at = variable.begin + (self._record * record if variable.recorded else 0)
+        with open(self.path, "rb") as file:
+            file.seek(at)
+            data = file.read(count * variable.dtype.itemsize)
+        if len(data) < count * variable.dtype.itemsize:
+            self.refuse(f"ends within '{name}' of record {record}; it was cut short")
+        return np.frombuffer(data, variable.dtype).reshape(variable.shape)

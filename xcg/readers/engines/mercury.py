@@ -18,17 +18,17 @@ from numpy.typing import NDArray
 from xcg.common.messages import SceneError
 from xcg.readers import columns
 from xcg.readers.engine import Engine, ReadOptions, StepRef
-from xcg.readers.files.compressed import most_from
 from xcg.readers.files.table import parse_table, read_table
 from xcg.readers.files.text import (
     Scanner,
     check_rows,
     first_lines,
+    most_from,
     most_text,
     open_binary,
     source_of,
 )
-from xcg.readers.index import remembered
+from xcg.readers.paths import remembered
 from xcg.scene.schema import COMPONENTS, Frame
 from xcg.steps import faults as errors
 

@@ -21,8 +21,8 @@ from xcg.readers import columns
 from xcg.readers.columns import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.files import delimited, parquet
-from xcg.readers.files.compressed import plain_name
-from xcg.readers.index import remembered
+from xcg.readers.files.text import plain_name
+from xcg.readers.paths import remembered
 from xcg.steps import faults as errors
 
 _CLOCK = ("time", "step")

@@ -16,9 +16,8 @@ from xcg.common.messages import SceneError, warn_user
 from xcg.common.vtk_mesh import places_of, read_mesh
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files import vtp
-from xcg.readers.files.compressed import ENDINGS, plain_name
-from xcg.readers.files.text import open_binary
-from xcg.readers.index import remembered
+from xcg.readers.files.text import ENDINGS, open_binary, plain_name
+from xcg.readers.paths import remembered
 from xcg.scene.schema import COMPONENTS, Frame, variable
 from xcg.steps import faults as errors
 

@@ -21,7 +21,7 @@ from xcg.readers import columns
 from xcg.readers.columns import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.files.text import Scanner, check_rows, first_lines, most_text, open_binary
-from xcg.readers.index import remembered
+from xcg.readers.paths import remembered
 from xcg.scene.schema import COMPONENTS
 from xcg.steps import faults as errors
 

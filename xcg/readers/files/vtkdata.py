@@ -18,7 +18,7 @@ import pybase64
 from isal import isal_zlib
 from numpy.typing import NDArray
 
-from xcg.readers.files.compressed import errors
+from xcg.readers.files.text import errors
 
 _LZ4 = "vtkLZ4DataCompressor"
 # Bytes that one compressed byte can stand for, at most.

@@ -17,7 +17,7 @@ from xcg.readers.engines import dump
 from xcg.readers.engines import vtk as vtk_steps
 from xcg.readers.engines.lammps import Lammps
 from xcg.readers.engines.mfix import Mfix
-from xcg.readers.index import remembered
+from xcg.readers.paths import remembered
 from xcg.readers.series import open_scene
 
 
