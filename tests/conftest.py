@@ -17,14 +17,17 @@ from xcg.readers.engines.mfix import Mfix
 SLOW = {
     "architecture/test_error_context.py::*-view-*": "the other methods, and test_view",
     "compiled/test_uncompiled.py::*": "test_references, with the loops in NumPy",
-    "docs/test_accuracy.py::test_every_panel_has_a_default*[[][tv]*": "the other panels",
+    "docs/test_accuracy.py::test_every_panel_has_a_default*[[][cptv]*": "the other panels",
     "docs/test_cfd_dem.py::test_the_example*": "test_cells and test_cell_volumes",
-    "docs/test_gallery.py::test_each_script_agrees*[[][bcdims]*": "building the site; scripts of other letters",
+    "docs/test_gallery.py::test_each_script_agrees*[[][bcdfims]*": "building the site; scripts of other letters",
     "fields/analysis/test_choose_width.py::test_the_chosen_width*[[][bcl]*": "the other flows",
     "fields/analysis/test_diffusion.py::test_errors_equal*": "test_choose_width and test_averages on errors of means",
     "fields/grids/test_points.py::test_loops_over_points_run_uncompiled*": "fields at points equal those of a mesh",
     "fields/test_cells.py::test_cells_hold_all_mass*0.7*": "the other meshes",
+    "fields/test_cells.py::*shifted gaussian*": "the other kernels",
     "fields/test_cells.py::test_polynomials_that_meet*-0.6*": "the same with larger cells",
+    "fields/test_cells.py::test_polynomials_that_meet*[[][js][tu]*": "splines, kinks and cores",
+    "steps/test_memory.py::test_memory_does_not_grow*zarr*": "the same with the other formats",
     "writers/test_store.py::test_a_killed_process*-write-*": "the kills at other places",
 }
 
