@@ -28,6 +28,13 @@ class Stream:
         pass
 
 
+def test_a_finished_run_shows_no_progress(capsys):
+    for done in (3, 4):
+        with shown(4, wanted=True, done=done) as bar:
+            bar.update(4 - done)
+    assert [line.split(" steps")[0] for line in capsys.readouterr().err.splitlines()] == ["4 of 4"]
+
+
 def test_saving_reports_progress(tmp_path, capsys):
     ds = xcg.datasets.random_scene(30)
     series = xr.concat([ds.assign_coords(time=[float(k)]) for k in range(4)], "time", data_vars="all").chunk(time=1)

@@ -37,7 +37,7 @@ class _LogLines:
 
 @contextmanager
 def shown(count: int, wanted: bool | None, *, done: int = 0, what: str = "steps") -> Iterator[tqdm]:
-    """Show on the standard error how far a block of code is.
+    """Show on the standard error how far a block of code is; nothing where all steps are finished before.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def shown(count: int, wanted: bool | None, *, done: int = 0, what: str = "steps"
         how = {"file": _LogLines(sys.stderr), "bar_format": _LINE, "mininterval": 0, "miniters": _SHARE * count}
         how |= {"maxinterval": float("inf"), "delay": 1e-9}  # which leaves out the line before the first step
     how |= {"delay": _LONG} if wanted is None else {}
-    quiet = not (redraws if wanted is None else wanted)
+    quiet = done >= count or not (redraws if wanted is None else wanted)
     with tqdm(total=count, initial=done, disable=quiet, unit=f" {what}", ascii="-#", **how) as bar:
         yield bar
 
