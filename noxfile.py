@@ -41,7 +41,7 @@ def run_core(session, *options):
     files = [f"tests/{name}.py" for name in CORE]
     # warnings are of versions that a developer may never see: they do not fail here
     session.run(
-        "python", "-m", "pytest", "-q", "-p", "no:cacheprovider", "-W", "default", "--numprocesses", "auto",
+        "python", "-m", "pytest", "-q", "-p", "no:cacheprovider", "-W", "default", "--numprocesses", "auto", "--dist", "worksteal",
         *files, *options, *session.posargs,
     )  # fmt: skip
 
@@ -59,14 +59,14 @@ def lint(session):
 def tests(session):
     """Run the tests, but not those marked slow."""
     session.install("--editable", ".", *group("test"))
-    session.run("pytest", "--numprocesses", "auto", *session.posargs)
+    session.run("pytest", "--numprocesses", "auto", "--dist", "worksteal", *session.posargs)
 
 
 @nox.session
 def full(session):
     """Run all tests, also those marked slow: long fuzzing under bounds checks."""
     session.install("--editable", ".", *group("test"))
-    session.run("pytest", "--numprocesses", "auto", "-m", "slow or not slow", *session.posargs)
+    session.run("pytest", "--numprocesses", "auto", "--dist", "worksteal", "-m", "slow or not slow", *session.posargs)
 
 
 @nox.session(python="3.11")
