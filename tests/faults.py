@@ -73,8 +73,7 @@ def opened(path: Path) -> xr.Dataset:
             found = {}
             file.visititems(lambda name, a: found.update({name: a[()]}) if isinstance(a, h5py.Dataset) else None)
         return xr.Dataset({name.replace("/", "."): ((), values.tobytes()) for name, values in found.items()})
-    engine = "zarr" if path.suffix == ".zarr" else "netcdf4"
-    with xr.open_dataset(path, engine=engine, consolidated=False) if engine == "zarr" else xr.open_dataset(path) as ds:
+    with xr.open_zarr(path, chunks=None) if path.suffix == ".zarr" else xr.open_dataset(path) as ds:
         return ds.load()
 
 
