@@ -8,7 +8,8 @@ import xcg
 from xcg import SceneError
 from xcg.fields.plan import make_plan
 from xcg.fields.request import Request
-from xcg.scene.description import describe, require_scene
+from xcg.scene.conform import require_scene
+from xcg.scene.description import describe
 
 
 def _refuse_to_compute(dsk, keys, **kwargs):

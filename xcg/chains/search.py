@@ -18,8 +18,7 @@ from xcg.common.checks import is_finite, is_positive, is_whole
 from xcg.compiled import THREADS
 from xcg.compiled import chains as loops
 from xcg.compiled._jit import for_parts
-from xcg.scene.conform import takes_scene
-from xcg.scene.description import require_scene
+from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.frame import particle_rows, steps_in
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import BOX, OF_STEP, PADDING, Frame

@@ -37,7 +37,8 @@ from xcg.fields.sums.moments import MOMENTS, Moment
 from xcg.fields.sums.nodes import BLOCK_NODES, FINE, nodes_in_cache
 from xcg.fields.sums.segments import SINGLE, gauss_limits
 from xcg.fields.sums.step import DepositSpec
-from xcg.scene.description import Description, require_scene
+from xcg.scene.conform import require_scene
+from xcg.scene.description import Description
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import COMPONENTS, CONTACT_VARIABLES, ROTATION, Setup
 

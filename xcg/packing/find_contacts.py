@@ -14,8 +14,8 @@ from xcg.common.checks import is_positive
 from xcg.common.messages import SceneError
 from xcg.packing.pairs import PairMethod, check_search, pairs_of
 from xcg.scene.complete import REPEAT, contact_points
-from xcg.scene.conform import takes_scene
-from xcg.scene.description import describe, require_scene
+from xcg.scene.conform import require_scene, takes_scene
+from xcg.scene.description import describe
 from xcg.scene.frame import stack, steps_in
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import OF_STEP, Frame, Setup, units_in, variable

@@ -9,13 +9,13 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError
-from xcg.scene.conform import takes_scene
-from xcg.scene.description import describe, require_scene
+from xcg.scene.conform import require_scene, takes_scene
+from xcg.scene.description import describe
 from xcg.scene.frame import particle_rows
 from xcg.scene.lattice import Lattice
-from xcg.scene.measure import measure
 from xcg.scene.sanity import rows_of
 from xcg.scene.schema import BOX, PADDING, units_in, variable
+from xcg.scene.sizes import measure
 
 _SHARED = ("species", "frozen")  # by all spheres of a body
 _PARTICLES = ("particle_id", "position", "velocity", "diameter", "density", "mass", "volume", *_SHARED)

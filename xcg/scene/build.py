@@ -27,10 +27,11 @@ from xcg.scene.schema import (
     Setup,
     Shape,
     Sides,
+    mark_measured,
     units_in,
     variable,
 )
-from xcg.scene.sizes import mark_measured, measure_frames
+from xcg.scene.sizes import measure_frames
 
 # --- many frames: the Dataset ----------------------------------------------------------------------------
 

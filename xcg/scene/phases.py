@@ -17,11 +17,9 @@ from numpy.typing import NDArray
 from xcg.common.checks import extra, floats, is_whole
 from xcg.common.drawing import label_of, set_label
 from xcg.common.messages import SceneError, warn_user
-from xcg.scene.conform import takes_scene
-from xcg.scene.description import require_scene
+from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.frame import step_at
-from xcg.scene.schema import PADDING
-from xcg.scene.sizes import mark_measured
+from xcg.scene.schema import PADDING, mark_measured
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

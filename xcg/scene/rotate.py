@@ -12,8 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError
-from xcg.scene.schema import COMPONENTS, VECTORS
-from xcg.scene.sizes import known_without_reading, mark_measured
+from xcg.scene.schema import COMPONENTS, VECTORS, known_without_reading, mark_measured
 
 _PLACES = ("position", "contact_point")
 _LATTICE = ("lattice", "lattice_velocity")

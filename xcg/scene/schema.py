@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.checks import is_positive, vector
@@ -165,6 +166,26 @@ def variable(name: str, dtype: Any = "float64", ndim: int = 1) -> Variable:
     kind = "int64" if np.issubdtype(dtype, np.integer) else "float64"
     dims = ("contact" if name.startswith("contact_") else "particle", "component", "direction")
     return Variable(dims[:ndim], "1", name.replace("_", " "), kind)
+
+
+# --- lazy variables as measured --------------------------------------------------------------------------
+
+# A lazy variable that is as it was when its attributes were measured has an encoding: this mark, or what came with a
+# file that holds the attributes, too. Selections keep encodings, arithmetic drops them.
+MEASURED = "measured"
+
+
+def mark_measured(ds: xr.Dataset, names: Sequence[str] | None = None) -> xr.Dataset:
+    """Record that the attributes measured from some variables (all by default) match their present values."""
+    for name in ds.data_vars if names is None else names:
+        ds[name].encoding[MEASURED] = True
+    return ds
+
+
+def known_without_reading(ds: xr.Dataset, name: str) -> bool:
+    """Return whether a variable is in memory, or as it was when its attributes were measured."""
+    given = ds.variables[name]
+    return isinstance(given._data, np.ndarray) or bool(given.encoding)
 
 
 # --- what files do not say -------------------------------------------------------------------------------

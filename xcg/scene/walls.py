@@ -9,8 +9,7 @@ import numpy as np
 import xarray as xr
 
 from xcg.common.messages import SceneError, unknown
-from xcg.scene.conform import takes_scene
-from xcg.scene.description import require_scene
+from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.schema import PADDING
 
 Walls: TypeAlias = str | int | Sequence[str | int]

@@ -10,8 +10,7 @@ import xarray as xr
 from scipy.special import beta
 
 from xcg.common.checks import is_positive, unit_vector
-from xcg.scene.conform import takes_scene
-from xcg.scene.description import require_scene
+from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.schema import COMPONENTS, VARIABLES, units_in
 
 

@@ -21,7 +21,8 @@ from xcg.fields.grids.frames import refuse_cylindrical
 from xcg.fields.plan import make_plan
 from xcg.fields.request import Request, takes
 from xcg.scene.box import BoxMotion, partners
-from xcg.scene.description import describe, require_scene
+from xcg.scene.conform import require_scene
+from xcg.scene.description import describe
 from xcg.scene.frame import require_rising_times, steps_in
 from xcg.scene.schema import COMPONENTS, OF_STEP, PADDING, units_in
 from xcg.scene.sizes import with_measures

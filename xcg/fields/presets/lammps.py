@@ -24,7 +24,8 @@ from xcg.fields.formulas.field import Quantity
 from xcg.fields.plan import make_plan
 from xcg.fields.request import Request
 from xcg.fields.sums.kernels import Gaussian, Kernel, kernel_of
-from xcg.scene.description import Description, describe, require_scene
+from xcg.scene.conform import require_scene
+from xcg.scene.description import Description, describe
 from xcg.scene.schema import COMPONENTS, units_in
 
 
