@@ -15,7 +15,7 @@ import xarray as xr
 
 SCENE, RESULT, CHAINS = "scene", "result", "chains"
 _SUMMARIES = {
-    SCENE: ("xcg.scene.summary", "summary_of_scene"),
+    SCENE: ("xcg.scene.description", "summary_of_scene"),
     RESULT: ("xcg.steps.labels", "summary_of_result"),
     CHAINS: ("xcg.chains.results", "summary_of_chains"),
 }

@@ -15,10 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 from xarray.indexes import PandasIndex
 
 from xcg.scene.conform import storable
-from xcg.scene.description import Description
+from xcg.scene.description import Description, Summary, rows_of_origin
 from xcg.scene.frame import with_time
 from xcg.scene.schema import COMPONENTS, Variable, units_in
-from xcg.scene.summary import Summary, rows_of_origin
 from xcg.steps.faults import SKIPPED, Result
 
 # attributes of a scene that hold for its results, too
