@@ -148,7 +148,7 @@ TABLE = [
         "test_half_of_the_mass_lies_in_grains_up_to_d50",
     ),
     Mutation(
-        "scene/rotate.py", 'attrs["gravity"] = axes @', 'attrs["gravity"] = axes.T @',
+        "scene/box.py", 'attrs["gravity"] = axes @', 'attrs["gravity"] = axes.T @',
         "test_gravity_turns_with_the_frame",
     ),
     # --- steps ---

@@ -42,9 +42,9 @@ from .readers.live import scene_from_lammps
 from .readers.series import open_scene
 from .scene.bodies import group_bodies
 from .scene.build import scene_from_arrays
+from .scene.contacts import select_walls
 from .scene.phases import assign_phases, find_phases, plot_phases
 from .scene.sizes import measure, size_statistics
-from .scene.walls import select_walls
 from .steps.faults import SkippedStep
 from .writers.record import Recorder, record
 from .writers.save import register_writer, save

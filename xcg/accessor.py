@@ -101,7 +101,7 @@ class CoarseGrainAccessor:
     find_phases = Method("xcg.scene.phases", SCENE)
     assign_phases = Method("xcg.scene.phases", SCENE)
     plot_phases = Method("xcg.scene.phases", SCENE)
-    select_walls = Method("xcg.scene.walls", SCENE)
+    select_walls = Method("xcg.scene.contacts", SCENE)
     derive_director = Method("xcg.fields.analysis.directors", SCENE)
     derive_superquadric = Method("xcg.fields.analysis.directors", SCENE)
     derive_velocity = Method("xcg.fields.analysis.velocities", SCENE)

@@ -14,7 +14,7 @@ _DIAGONAL, _MOST_SWEEPS = 1e-40, 12
 _MOST_STEPS = 100  # of Newton's method; a handful, but where all eigenvalues are nearly zero
 
 
-# --- symmetric: Jacobi's rotations, of one matrix --------------------------------------------------------
+# --- symmetric: Jacobi's rotations, of one matrix ---
 
 
 @inlined
@@ -52,7 +52,7 @@ def principal_of_one(xx, xy, xz, yy, yz, zz):
     return (xx, yy, zz), (a, b, c)
 
 
-# --- symmetric: of as many matrices at a time as there are numbers in an instruction ---------------------
+# --- symmetric: of as many matrices at a time as there are numbers in an instruction ---
 
 
 @inner
@@ -137,7 +137,7 @@ def principal(tensor, values, vectors):
                     vectors[first + n, k, i] = axes[i, order[k], n]
 
 
-# --- not symmetric: one real eigenvalue that is apart from the others, and then those of a 2x2 matrix ----
+# --- not symmetric: one real eigenvalue that is apart from the others, and then those of a 2x2 matrix ---
 
 
 @inner

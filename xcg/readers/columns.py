@@ -15,8 +15,8 @@ from xcg.common.messages import SceneError, warn_user
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files.table import read_table
 from xcg.readers.files.text import source_of
+from xcg.scene.contacts import FIRST_WALL
 from xcg.scene.schema import COMPONENTS, Frame, variable
-from xcg.scene.walls import FIRST_WALL
 
 Slots: TypeAlias = Mapping[str, Sequence[str]]
 """Columns that fill each slot by themselves, the preferred first."""

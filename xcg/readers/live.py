@@ -18,9 +18,9 @@ from xcg.readers.columns import WALL_CONTACTS
 from xcg.readers.paths import UNIT_SYSTEMS
 from xcg.scene.build import scene_from_arrays
 from xcg.scene.complete import contact_points
+from xcg.scene.contacts import FIRST_WALL, named_walls
 from xcg.scene.sanity import rows_of
 from xcg.scene.schema import COMPONENTS
-from xcg.scene.walls import FIRST_WALL, named_walls
 
 _ATOM, _LOCAL = 1, 2  # styles, and
 _ARRAY = 2  # type of data, as the module's constants LMP_STYLE_ATOM, LMP_STYLE_LOCAL and LMP_TYPE_ARRAY

@@ -23,11 +23,11 @@ from xcg.readers.saved import open_saved, saved_path
 from xcg.scene.box import box_array, in_unit, with_lattice
 from xcg.scene.build import to_dataset
 from xcg.scene.complete import complete_particles
+from xcg.scene.contacts import named_walls
 from xcg.scene.lattice import Lattice
 from xcg.scene.sanity import check_shape
 from xcg.scene.schema import COMPONENTS, VARIABLES, Frame, Setup, Shape, Sides
 from xcg.scene.sizes import measure_frames
-from xcg.scene.walls import named_walls
 from xcg.steps import faults as errors
 from xcg.steps.faults import FAULTS, OnError, check_on_error, collecting, raising
 

@@ -13,10 +13,10 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError, printable
+from xcg.scene.contacts import walls_of
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import BOX, COMPONENTS, VARIABLES, Setup, known_without_reading, units_in, variable
 from xcg.scene.sizes import SIZES, with_measures
-from xcg.scene.walls import walls_of
 
 
 @dataclass(frozen=True)

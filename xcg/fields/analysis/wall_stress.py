@@ -17,12 +17,11 @@ from xcg.common.messages import warn_once
 from xcg.fields.grids.wall_shapes import SurfaceCells, Wall
 from xcg.fields.sums.kernels import Kernel, KernelName, kernel_of
 from xcg.scene.conform import require_scene, storable, takes_scene
-from xcg.scene.contacts import Contacts
+from xcg.scene.contacts import Contacts, Walls, select_walls
 from xcg.scene.description import Description, describe
 from xcg.scene.frame import steps_in, without_frozen
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import COMPONENTS, OF_STEP, Setup, units_in
-from xcg.scene.walls import Walls, select_walls
 from xcg.steps.faults import OnError
 from xcg.steps.labels import format_call, mark_skipped, provenance, times_of
 from xcg.steps.mapping import map_over_time

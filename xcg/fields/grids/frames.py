@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.checks import is_positive, unit, unit_vector, vector
-from xcg.scene.rotate import turn_scene
+from xcg.scene.box import turn_scene
 from xcg.scene.schema import COMPONENTS
 
 CYLINDRICAL = "cylindrical"
