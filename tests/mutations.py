@@ -165,10 +165,10 @@ TABLE = [
         "test_a_step_in_memory_that_cannot_be_computed_is_skipped",
     ),
     Mutation(
-        "steps/graph.py", "finest = max((", "finest = min((", "test_tasks_take_the_finest_chunks_of_their_variables",
+        "steps/mapping.py", "finest = max((", "finest = min((", "test_tasks_take_the_finest_chunks_of_their_variables",
     ),
     Mutation(
-        "steps/progress.py", "(self._bar.total - self._first) * self._done", "self._bar.total * self._done",
+        "steps/mapping.py", "(bar.total - first) * done", "bar.total * done",
         "test_tasks_count_the_steps_that_are_left",
     ),
     # --- fields/sums ---

@@ -280,9 +280,7 @@ def turn_scene(ds: xr.Dataset, axes: NDArray, origin: NDArray) -> xr.Dataset:
         dims = [dim for dim in ("component", "direction") if dim in ds[name].dims]
         if dims and name != "box":
             shift = origin if name in _PLACES else np.zeros(3)
-            turned = (
-                partial(_turned, axes=axes, origin=shift) if len(dims) == 1 else partial(_tensors, axes=axes)
-            )
+            turned = partial(_turned, axes=axes, origin=shift) if len(dims) == 1 else partial(_tensors, axes=axes)
             found[name] = _mapped(turned, ds[name], dims)
     out = _with_box(ds.assign(found), axes, origin)
     attrs = {k: v for k, v in out.attrs.items() if k not in ("particle_lower", "particle_upper")}

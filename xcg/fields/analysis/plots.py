@@ -18,8 +18,7 @@ from xcg.common.messages import did_you_mean, unknown
 from xcg.fields.formulas.registry import FIELDS
 from xcg.scene.frame import step_at, with_time
 from xcg.scene.schema import COMPONENTS
-from xcg.steps.mapping import each_step
-from xcg.steps.progress import shown
+from xcg.steps.mapping import each_step, shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
