@@ -14,14 +14,11 @@ def floats(given: Any) -> NDArray[np.float64]:
     """Numbers as an array; NaN, without dimensions, where they are texts, booleans or other objects."""
     try:
         values = np.asarray(given)
-        numeric = values.dtype.kind in "iuf" or (values.dtype.kind == "O" and not _holds_text(values))
+        texts = values.dtype.kind == "O" and any(isinstance(value, (str, bytes)) for value in values.flat)
+        numeric = values.dtype.kind in "iufO" and not texts
         return values.astype("float64") if numeric else np.full((), np.nan)
     except (TypeError, ValueError, OverflowError):
         return np.full((), np.nan)
-
-
-def _holds_text(values: NDArray) -> bool:
-    return any(isinstance(value, (str, bytes)) for value in values.flat)
 
 
 def is_finite(value: Any) -> TypeGuard[float]:

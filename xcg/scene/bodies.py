@@ -71,11 +71,11 @@ def group_bodies(ds: xr.Dataset, by_body: str = "body_id") -> xr.Dataset:
     setup = describe(ds).setup
     names = [*particles, "body", *contacts, *box]
     outputs = [*made, *contacts]
-    out_dims = [list(variable(name, _dtype(name)).dims) for name in outputs]
+    out_dims = [list(variable(name).dims) for name in outputs]
     arrays = xr.apply_ufunc(
         partial(_over_time, names=names, made=made, contacts=contacts, periodic=setup.periodic), *inputs,
         input_core_dims=dims, output_core_dims=out_dims, dask="parallelized",
-        output_dtypes=[np.dtype(_dtype(name)) for name in outputs],
+        output_dtypes=[np.dtype(variable(name).dtype) for name in outputs],
     )  # fmt: skip
     data = {}
     for name, array in zip(outputs, arrays if len(outputs) > 1 else [arrays], strict=True):
@@ -89,10 +89,6 @@ def group_bodies(ds: xr.Dataset, by_body: str = "body_id") -> xr.Dataset:
     return measure(grouped) if grouped.chunks == {} else grouped
 
 
-def _dtype(name: str) -> str:
-    return variable(name).dtype
-
-
 def _over_time(
     *arrays: NDArray, names: list[str], made: list[str], contacts: list[str], periodic: str
 ) -> tuple[NDArray, ...]:
@@ -103,7 +99,7 @@ def _over_time(
     if contacts:
         lengths |= dict.fromkeys(contacts, int(given["contact_i"].shape[-1]))
     out = {
-        name: np.full((*outer, *variable(name).shape(n)), variable(name).fill, _dtype(name))
+        name: np.full((*outer, *variable(name).shape(n)), variable(name).fill, variable(name).dtype)
         for name, n in lengths.items()
     }
     for at in np.ndindex(outer):

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Hashable, Mapping, Sequence, Set
-from functools import cache, partial, wraps
+from functools import partial, wraps
 from typing import Any, Concatenate, ParamSpec, TypeVar, cast
 
 import numpy as np
@@ -178,7 +178,6 @@ def _with_dim(ds: xr.Dataset, dim: str) -> xr.Dataset:
     return ds.assign(found)
 
 
-@cache
 def _row_of(name: str, dims: tuple[Hashable, ...], dtype: np.dtype) -> Variable | None:
     """Row of the schema of a variable; none for what the user keeps beside the scene."""
     if name in BOX:

@@ -277,9 +277,7 @@ class Setup:
             x, y, z = vector("gravity", gravity, error=SceneError).tolist()
             gravity = (x, y, z)
         plane = plane or ("xyz" if dimension == 3 else "xy")
-        given["periodic"] = "".join(axis for axis in COMPONENTS if axis in (given.get("periodic") or "")) + "".join(
-            sorted(set(given.get("periodic") or "") - set(COMPONENTS))
-        )
+        given["periodic"] = "".join(sorted(set(given.get("periodic") or "")))
         return cls(gravity=gravity, dimension=dimension, plane=plane, scales=scales, unit_system=unit_system, **given)
 
     def factor(self, powers: Powers) -> float:

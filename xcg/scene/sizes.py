@@ -94,29 +94,21 @@ def with_measures(ds: xr.Dataset) -> xr.Dataset:
     lost = {attr for name in of if not known_without_reading(ds, name) for attr in of[name]} & set(ds.attrs)
     if lost:
         ds = without_attrs(ds, lost)
-    ends = _ends_in_memory(ds, ("particle_id", *of, "mass"))
+    order, given = ("time", "particle", ...), {n: ds.variables[n] for n in ("particle_id", *of, "mass") if n in ds}
+    arrays = {
+        name: v.transpose(*order).to_numpy()
+        for name, v in given.items()
+        if "time" in v.dims and isinstance(v._data, np.ndarray)
+    }
+    ends: list[Frame] = []  # the first and the last step
+    for t in sorted({0, ds.sizes["time"] - 1}) if "particle_id" in arrays and ds.sizes["time"] else ():
+        valid = arrays["particle_id"][t] != PADDING
+        ends.append({name: a[t][valid] for name, a in arrays.items()})
     outside = {attr for name in of if not all(_within(name, frame, ds.attrs) for frame in ends) for attr in of[name]}
     if outside:
         measured = measure_frames(ends)
         ds = ds.assign_attrs({attr: measured[attr] for attr in outside & set(measured)})
     return ds
-
-
-def _ends_in_memory(ds: xr.Dataset, names: Sequence[str]) -> list[Frame]:
-    """Return the first and the last step of those variables that are in memory; nothing where the ids are not."""
-    given = {name: ds.variables[name] for name in names if name in ds.variables}
-    here = {name: v for name, v in given.items() if "time" in v.dims and isinstance(v._data, np.ndarray)}
-    if "particle_id" not in here or not ds.sizes["time"]:
-        return []
-    order = "time", "particle"
-    ordered = {name: v if v.dims[:2] == order else v.transpose(*order, ...) for name, v in here.items()}
-    arrays = {name: v.to_numpy() for name, v in ordered.items()}
-    found = []
-    for t in sorted({0, ds.sizes["time"] - 1}):
-        valid = arrays["particle_id"][t] != PADDING
-        rows = slice(None) if valid.all() else valid
-        found.append({name: a[t][rows] for name, a in arrays.items()})
-    return found
 
 
 def _within(name: str, frame: Frame, known: Mapping[Any, Any]) -> bool:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from datetime import UTC, datetime
-from functools import cache
 from importlib.metadata import version
 from typing import Any, Self
 
@@ -101,15 +100,10 @@ def format_call(function: str, given: Mapping[str, Any]) -> str:
     return f"{function}({', '.join(f'{k}={v}' for k, v in shown.items())})"
 
 
-@cache
-def _version() -> str:
-    return version("xcg")  # which is read from a file
-
-
 def provenance(ds: xr.Dataset | Description, call: str) -> dict[str, Any]:
     """Attributes of a result: what holds for the scene, then its history with the time, the version and the call."""
     stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-    line = f"{stamp} xcg {_version()}: {call}"
+    line = f"{stamp} xcg {version('xcg')}: {call}"
     earlier = ds.attrs.get("history")
     kept = {name: ds.attrs[name] for name in ABOUT if name in ds.attrs}
     return kept | {"history": line if earlier is None else f"{earlier}\n{line}"}

@@ -6,10 +6,10 @@ Functions import dask themselves: it loads slowly, and scenes in memory do witho
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from itertools import pairwise
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, TextIO
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from dask.callbacks import Callback
     from dask.highlevelgraph import HighLevelGraph
 
+_LAST = ("component", "direction", "bound")  # dimensions of a row, in the order of tasks
 _SHARE = 0.1  # of all steps, from one plain line to the next
 _LONG = 2.0  # seconds after which work is long enough to show progress unasked
 _BAR = "[{bar:30}] {n_fmt} of {total_fmt}{unit}, {rate_noinv_fmt}, {remaining} left"
@@ -66,12 +67,12 @@ def map_over_time(
         NumPy or dask arrays by the names in `results`, and ``skipped`` where steps may be.
     """
     once, variables = Once(), ds.variables
-    inputs = {name: variables[name].transpose(*_order(variables[name].dims)) for name in names}
+    inputs = {name: variables[name].transpose("time", ..., *_LAST, missing_dims="ignore") for name in names}
     skip = on_error != "raise" and check_on_error(on_error) == "skip"
     numbers = _numbers(ds) if skip else None
     if skip:
         results = dict(results) | {SKIPPED: ((), "bool")}
-    if any(map(_chunked, inputs.values())):
+    if any(given.chunks is not None for given in inputs.values()):
         return _lazy_results(inputs, partial(_with_warnings_once, once, compute), results, label, numbers, on_error)
     arrays = {name: given.to_numpy() for name, given in inputs.items()}
     with once.active():
@@ -84,13 +85,6 @@ def _with_warnings_once(once: Once, compute: Compute, arrays: Mapping[str, NDArr
         return compute(arrays)
 
 
-@cache
-def _order(dims: tuple[Hashable, ...]) -> tuple[Hashable, ...]:
-    """Dimensions of a step in the order of tasks."""
-    last = [dim for dim in ("component", "direction", "bound") if dim in dims]
-    return ("time", *(dim for dim in dims if dim not in ("time", *last)), *last)
-
-
 def _numbers(ds: xr.Dataset) -> NDArray | None:
     """Numbers of the steps, which messages about faults name; None where the scene has lost them."""
     if "step" not in ds.coords or ds["step"].dims != ("time",) or ds["step"].chunks is not None:
@@ -100,19 +94,12 @@ def _numbers(ds: xr.Dataset) -> NDArray | None:
 
 def is_lazy(ds: xr.Dataset, names: Iterable[str]) -> bool:
     """Return whether any of these variables is a dask array."""
-    variables = ds.variables
-    return any(_chunked(variables[name]) for name in names)
+    return any(ds.variables[name].chunks is not None for name in names)
 
 
 def threads_a_chunk(ds: xr.Dataset, names: Iterable[str], threads: int) -> int:
     """Return the number of threads of a chunk of time: all for a single chunk, else one."""
-    variables = ds.variables
-    lazy = (given for name in names if _chunked(given := variables[name]))
-    return threads if all(len(given.chunksizes.get("time", ())) <= 1 for given in lazy) else 1
-
-
-def _chunked(given: xr.Variable) -> bool:
-    return given.chunks is not None
+    return threads if all(len(ds.variables[name].chunksizes.get("time", ())) <= 1 for name in names) else 1
 
 
 def chunks_of_time(series: Iterable[xr.Dataset]) -> list[slice]:
@@ -228,18 +215,27 @@ def _lazy_results(
     """Dask arrays of all results, of variables (time, ...) some of which are lazy; see `map_over_time`."""
     from dask.base import tokenize
     from dask.highlevelgraph import HighLevelGraph
+    from dask.optimization import cull
 
     lazy, fixed = _in_chunks(inputs)
     name = f"{label}-{tokenize(compute, lazy, fixed, on_error)}"
     chunks = next(iter(lazy.values())).chunks[0]
     # a key of its own, so that what all tasks share, such as a million points, travels to a worker once
-    call = f"call-{name}"
-    if SKIPPED in results:
-        tasks = {call: partial(guarded, compute, results), **_guarded_tasks(name, call, numbers, lazy, fixed, chunks)}
-        graph = HighLevelGraph({name: tasks}, {name: set()})
-    else:
-        tasks = {call: compute, **_tasks(name, call, lazy, fixed, chunks)}
-        graph = HighLevelGraph.from_collections(name, tasks, list(lazy.values()))
+    call, skip = f"call-{name}", SKIPPED in results
+    tasks: dict[Any, Any] = {call: partial(guarded, compute, results) if skip else compute}
+    gathered = Gathered.of(lazy)
+    # of chunks that look after their own faults all that they need is within their tasks
+    below = HighLevelGraph.merge(*(a.__dask_graph__() for a in lazy.values())).to_dict() if skip else {}
+    for t, (start, stop) in enumerate(pairwise(np.cumsum([0, *chunks]).tolist())):
+        here = {n: a[start:stop] for n, a in fixed.items()}
+        if skip:
+            keys = {of: (a.name, t, *(0,) * (a.ndim - 1)) for of, a in lazy.items()}
+            part, _ = cull(below, list(keys.values()))
+            these = None if numbers is None else numbers[start:stop]
+            tasks[name, t] = (partial(_compute_guarded, these, part, keys, here), call)
+        else:
+            tasks[name, t] = (partial(_compute_chunk, gathered, here), call, *gathered.keys(t))
+    graph = HighLevelGraph.from_collections(name, tasks, [] if skip else list(lazy.values()))
     return {
         result: picked(graph, name, result, f"{result}-{name}", chunks, shape, dtype)
         for result, (shape, dtype) in results.items()
@@ -248,45 +244,10 @@ def _lazy_results(
 
 def _in_chunks(inputs: Mapping[str, xr.Variable]) -> tuple[dict[str, da.Array], dict[str, NDArray]]:
     """Lazy arrays, whole but along time, where they have the finest chunks of all; and arrays in memory."""
-    found: dict[str, Any] = {n: v._data for n, v in inputs.items() if _chunked(v)}
+    found: dict[str, Any] = {n: v._data for n, v in inputs.items() if v.chunks is not None}
     finest = max((a.chunks[0] for a in found.values()), key=len)
     lazy = {n: a.rechunk({0: finest, **dict.fromkeys(range(1, a.ndim), -1)}) for n, a in found.items()}
     return lazy, {n: v.to_numpy() for n, v in inputs.items() if n not in found}
-
-
-def _tasks(
-    name: str, call: str, lazy: Mapping[str, da.Array], fixed: Mapping[str, NDArray], chunks: Sequence[int]
-) -> dict[Any, Any]:
-    """Return the graph: one task a chunk of time, which computes all results."""
-    gathered = Gathered.of(lazy)
-    tasks = {}
-    for t, (start, stop) in enumerate(pairwise(np.cumsum([0, *chunks]).tolist())):
-        here = {n: a[start:stop] for n, a in fixed.items()}
-        tasks[name, t] = (partial(_compute_chunk, gathered, here), call, *gathered.keys(t))
-    return tasks
-
-
-def _guarded_tasks(
-    name: str,
-    call: str,
-    numbers: NDArray | None,
-    lazy: Mapping[str, da.Array],
-    fixed: Mapping[str, NDArray],
-    chunks: Sequence[int],
-) -> dict[Any, Any]:
-    """As `_tasks`, with every chunk looking after its own faults: what it needs is within its task."""
-    from dask.highlevelgraph import HighLevelGraph
-    from dask.optimization import cull
-
-    below = HighLevelGraph.merge(*(a.__dask_graph__() for a in lazy.values())).to_dict()
-    tasks: dict[Any, Any] = {}
-    for t, (start, stop) in enumerate(pairwise(np.cumsum([0, *chunks]).tolist())):
-        keys = {of: (a.name, t, *(0,) * (a.ndim - 1)) for of, a in lazy.items()}
-        part, _ = cull(below, list(keys.values()))
-        these = None if numbers is None else numbers[start:stop]
-        here = {n: a[start:stop] for n, a in fixed.items()}
-        tasks[name, t] = (partial(_compute_guarded, these, part, keys, here), call)
-    return tasks
 
 
 def _compute_chunk(
