@@ -420,7 +420,7 @@ TABLE = [
     ),
     # --- jobs ---
     Mutation(
-        "jobs/pysammos_ini.py", "(number - (start or 0)) % stride", "number % stride",
+        "jobs/config.py", "(number - (start or 0)) % stride", "number % stride",
         "test_steps_of_a_configuration_count_from_the_first",
     ),
     Mutation(

@@ -18,7 +18,7 @@ from tests.readers.engines.test_mfix import write_contacts, write_particles, wri
 from tests.writers.test_vtkhdf import read
 from xcg.chains.search import Algorithm
 from xcg.cli import group
-from xcg.jobs import pysammos_ini
+from xcg.jobs import config
 from xcg.jobs.config import read_config
 from xcg.jobs.run import run_job
 from xcg.steps.faults import ON_ERROR
@@ -175,7 +175,7 @@ def test_steps_without_contact_files_run(series):
 def test_steps_of_a_configuration_count_from_the_first(tmp_path, steps, expected):
     for number in range(1, 11):
         (tmp_path / f"P_{number:04d}.vtp").touch()
-    found = pysammos_ini._files(tmp_path, "P_", pysammos_ini._Section(tmp_path, "timesteps", steps), required=True)
+    found = config._files(tmp_path, "P_", config._Section(tmp_path, "timesteps", steps), required=True)
     assert found == [str(tmp_path / f"P_{number:04d}.vtp") for number in expected]
 
 

@@ -69,7 +69,7 @@ def is_own(error: Exception) -> bool:
 # modules that check arguments
 _CHECKS = (
     "checks", "grid", "layout", "plan", "coarse_grain", "kernels", "find_contacts", "pairs",
-    "slice_temperature", "phases", "job", "pysammos_ini", "pysammos", "registry", "build", "description", "complete",
+    "slice_temperature", "phases", "config", "pysammos", "registry", "build", "description", "complete",
 )  # fmt: skip
 
 
