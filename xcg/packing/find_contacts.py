@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from xcg.common.checks import is_positive
 from xcg.common.messages import SceneError
 from xcg.packing.pairs import PairMethod, check_search, pairs_of
-from xcg.scene.complete import REPEAT, contact_points
+from xcg.scene.complete import REPEAT, contact_points, unit_vectors
 from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.description import describe
 from xcg.scene.frame import stack, steps_in
@@ -128,7 +128,7 @@ class Search:
                 f"pass max_contacts={len(i)} or more to find_contacts, or load the scene first with ds.load()"
             )
         length = np.linalg.norm(branch, axis=1)
-        normal = np.divide(branch, length[:, None], out=np.zeros_like(branch), where=length[:, None] > 0)
+        normal = unit_vectors(branch)
         overlap = radius[i] + radius[j] - length
         found = {
             "contact_i": ids[i],

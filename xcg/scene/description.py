@@ -215,20 +215,18 @@ def _lasting_periods(
     ds: xr.Dataset, setup: Setup, edges: Mapping[str, tuple[float, float]], *, lasts_all: bool
 ) -> tuple[float, float, float]:
     """Period along x, y, z; infinite unless it is the same in all steps."""
-    if not setup.periodic:
-        x = y = z = np.inf
-    elif "lattice" not in ds:
-        lasts = [lasts_all] * 3
-        if not lasts_all and "box" in ds and ds.variables["box"].chunks is None:
-            steps = ds.variables["box"].transpose("time", "component", ...).to_numpy()
-            lasts = (steps == steps[:1]).all(axis=(0, 2)).tolist()
-        lasting = [a for a, same in zip(COMPONENTS, lasts, strict=True) if same and a in setup.periodic and a in edges]
-        x, y, z = (edges[a][1] - edges[a][0] if a in lasting else np.inf for a in COMPONENTS)
-    elif lasts_all:
-        box = {name: ds[name].isel(time=0).transpose(*row.dims).to_numpy() for name, row in BOX.items() if name in ds}
-        x, y, z = Lattice.of(box, setup.periodic).axis_periods.tolist()
-    else:
-        x = y = z = np.inf
+    lasts = [lasts_all] * 3
+    if "lattice" in ds:
+        if lasts_all and setup.periodic:
+            box = {n: ds[n].isel(time=0).transpose(*row.dims).to_numpy() for n, row in BOX.items() if n in ds}
+            x, y, z = Lattice.of(box, setup.periodic).axis_periods.tolist()
+            return x, y, z
+        lasts = [False] * 3
+    elif not lasts_all and "box" in ds and ds.variables["box"].chunks is None:
+        steps = ds.variables["box"].transpose("time", "component", ...).to_numpy()
+        lasts = (steps == steps[:1]).all(axis=(0, 2)).tolist()
+    lasting = [a for a, same in zip(COMPONENTS, lasts, strict=True) if same and a in setup.periodic and a in edges]
+    x, y, z = (edges[a][1] - edges[a][0] if a in lasting else np.inf for a in COMPONENTS)
     return x, y, z
 
 
