@@ -100,10 +100,11 @@ def with_measures(ds: xr.Dataset) -> xr.Dataset:
         for name, v in given.items()
         if "time" in v.dims and isinstance(v._data, np.ndarray)
     }
-    ends: list[Frame] = []  # the first and the last step
-    for t in sorted({0, ds.sizes["time"] - 1}) if "particle_id" in arrays and ds.sizes["time"] else ():
-        valid = arrays["particle_id"][t] != PADDING
-        ends.append({name: a[t][valid] for name, a in arrays.items()})
+    ends: list[Frame] = []
+    if "particle_id" in arrays and ds.sizes["time"]:
+        for t in sorted({0, ds.sizes["time"] - 1}):
+            valid = arrays["particle_id"][t] != PADDING
+            ends.append({name: a[t][valid] for name, a in arrays.items()})
     outside = {attr for name in of if not all(_within(name, frame, ds.attrs) for frame in ends) for attr in of[name]}
     if outside:
         measured = measure_frames(ends)

@@ -1,6 +1,6 @@
 """Map a function over all chunks of time: at once in memory, as one dask task a chunk for lazy scenes.
 
-Functions import dask themselves: it loads slowly, and scenes in memory do without it.
+Functions import dask and tqdm themselves: they load slowly, and scenes in memory do without them.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any, TextIO
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from tqdm import tqdm
 
 from xcg.common.messages import Once
 from xcg.compiled._jit import is_interactive
@@ -27,6 +26,7 @@ if TYPE_CHECKING:
     import dask.array as da
     from dask.callbacks import Callback
     from dask.highlevelgraph import HighLevelGraph
+    from tqdm import tqdm
 
 _LAST = ("component", "direction", "bound")  # dimensions of a row, in the order of tasks
 _SHARE = 0.1  # of all steps, from one plain line to the next
@@ -299,6 +299,8 @@ def shown(count: int, wanted: bool | None, *, done: int = 0, what: str = "steps"
     tqdm.tqdm
         Its method ``update(n)`` counts further steps.
     """
+    from tqdm import tqdm
+
     redraws = is_interactive()
     how: dict[str, Any] = {"file": sys.stderr, "bar_format": _BAR, "delay": 0}
     if not redraws:
