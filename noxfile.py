@@ -41,8 +41,8 @@ def run_core(session, *options):
     files = [f"tests/{name}.py" for name in CORE]
     # warnings are of versions that a developer may never see: they do not fail here
     session.run(
-        "python", "-m", "pytest", "-q", "-p", "no:cacheprovider", "-W", "default", "--numprocesses", "auto", "--dist", "worksteal",
-        *files, *options, *session.posargs,
+        "python", "-m", "pytest", "-q", "-p", "no:cacheprovider", "-W", "default", "--numprocesses", "auto",
+        "--dist", "worksteal", *files, *options, *session.posargs,
     )  # fmt: skip
 
 

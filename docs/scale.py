@@ -42,7 +42,7 @@ from dask.highlevelgraph import HighLevelGraph
 import xcg
 from docs.accuracy import fastest
 from tests.benchmarks import cases, series
-from xcg.readers import ReadOptions
+from xcg.readers.engine import ReadOptions
 
 FIELDS = ["volume_fraction", "velocity", "stress"]
 SUFFIXES = {"NetCDF": ".nc", "Zarr": ".zarr", "VTKHDF": ".vtkhdf"}

@@ -164,7 +164,7 @@ TABLE = [
         "test_half_of_the_mass_lies_in_grains_up_to_d50",
     ),
     Mutation(
-        "fields/grids/frames.py", 'attrs["gravity"] = axes @', 'attrs["gravity"] = axes.T @',
+        "scene/box.py", 'attrs["gravity"] = axes @', 'attrs["gravity"] = axes.T @',
         "test_gravity_turns_with_the_frame",
     ),
     # --- steps ---
@@ -181,10 +181,10 @@ TABLE = [
         "test_a_step_in_memory_that_cannot_be_computed_is_skipped",
     ),
     Mutation(
-        "steps/graph.py", "finest = max((", "finest = min((", "test_tasks_take_the_finest_chunks_of_their_variables",
+        "steps/mapping.py", "finest = max((", "finest = min((", "test_tasks_take_the_finest_chunks_of_their_variables",
     ),
     Mutation(
-        "steps/progress.py", "(self._bar.total - self._first) * self._done", "self._bar.total * self._done",
+        "steps/mapping.py", "(bar.total - first) * done", "bar.total * done",
         "test_tasks_count_the_steps_that_are_left",
     ),
     # --- fields/sums ---

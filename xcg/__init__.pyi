@@ -39,9 +39,11 @@ from .readers.engines.vtk import mesh_points
 from .readers.from_table import scene_from_table
 from .readers.live import scene_from_lammps
 from .readers.series import open_scene
-from .scene.bodies import group_bodies, select_walls
+from .scene.bodies import group_bodies
 from .scene.build import scene_from_arrays
-from .scene.phases import assign_phases, find_phases, measure, plot_phases, size_statistics
+from .scene.contacts import select_walls
+from .scene.phases import assign_phases, find_phases, plot_phases
+from .scene.sizes import measure, size_statistics
 from .steps.faults import SkippedStep
 from .writers.record import Recorder, record
 from .writers.save import register_writer, save

@@ -15,7 +15,7 @@ import xarray as xr
 
 SCENE, RESULT, CHAINS = "scene", "result", "chains"
 _SUMMARIES = {
-    SCENE: ("xcg.steps.labels", "summary_of_scene"),
+    SCENE: ("xcg.scene.description", "summary_of_scene"),
     RESULT: ("xcg.steps.labels", "summary_of_result"),
     CHAINS: ("xcg.chains.results", "summary_of_chains"),
 }
@@ -95,13 +95,13 @@ class CoarseGrainAccessor:
     contact_graph = Method("xcg.packing.network", SCENE)
     particle_stress = Method("xcg.chains.particle_stress", SCENE)
     force_chains = Method("xcg.chains.search", SCENE)
-    measure = Method("xcg.scene.phases", SCENE)
-    size_statistics = Method("xcg.scene.phases", SCENE)
+    measure = Method("xcg.scene.sizes", SCENE)
+    size_statistics = Method("xcg.scene.sizes", SCENE)
     group_bodies = Method("xcg.scene.bodies", SCENE)
     find_phases = Method("xcg.scene.phases", SCENE)
     assign_phases = Method("xcg.scene.phases", SCENE)
     plot_phases = Method("xcg.scene.phases", SCENE)
-    select_walls = Method("xcg.scene.bodies", SCENE)
+    select_walls = Method("xcg.scene.contacts", SCENE)
     derive_director = Method("xcg.fields.analysis.derived", SCENE)
     derive_superquadric = Method("xcg.fields.analysis.derived", SCENE)
     derive_velocity = Method("xcg.fields.analysis.derived", SCENE)

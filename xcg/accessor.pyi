@@ -28,8 +28,10 @@ from xcg.fields.formulas.averages import profile, time_average
 from xcg.packing.find_contacts import find_contacts
 from xcg.packing.microstructure import microstructure
 from xcg.packing.network import adjacency, contact_graph
-from xcg.scene.bodies import group_bodies, select_walls
-from xcg.scene.phases import assign_phases, find_phases, measure, plot_phases, size_statistics
+from xcg.scene.bodies import group_bodies
+from xcg.scene.contacts import select_walls
+from xcg.scene.phases import assign_phases, find_phases, plot_phases
+from xcg.scene.sizes import measure, size_statistics
 from xcg.writers.chains import to_csv, to_vtp
 from xcg.writers.paraview import to_vtu
 from xcg.writers.save import save

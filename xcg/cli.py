@@ -322,7 +322,7 @@ def run(
     from xcg.common.messages import printable
     from xcg.jobs.config import read_config
     from xcg.jobs.run import open_job, run_job
-    from xcg.steps.progress import shown
+    from xcg.steps.mapping import shown
 
     with plain_messages(quiet):
         job = read_config(config)

@@ -121,8 +121,9 @@ def open(name: str, **options: Any) -> xr.Dataset:  # noqa: A001
 _FCC = np.array([[0.0, 0.0, 0.0], [0.5, 0.5, 0.0], [0.5, 0.0, 0.5], [0.0, 0.5, 0.5]])
 
 
-def _lattice(cells: int, basis: NDArray, edge: float) -> NDArray:
-    corner = np.stack(np.meshgrid(*[np.arange(cells)] * 3, indexing="ij"), axis=-1).reshape(-1, 1, 3)
+def _lattice(cells: int | NDArray, basis: NDArray, edge: float) -> NDArray:
+    counts = np.broadcast_to(cells, 3)
+    corner = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(-1, 1, 3)
     return ((corner + basis) * edge).reshape(-1, 3)
 
 
@@ -230,9 +231,7 @@ def random_scene(
     pairs = tree.query_pairs(0.75 * diameter.max(initial=0.0), output_type="ndarray").reshape(-1, 2)
     i, j = pairs[:, 0], pairs[:, 1]
     force = rng.normal(size=(len(pairs), 3)) * np.array([1, 1, 1 if dimension == 3 else 0])
-    branch = position[i] - position[j]
-    wrap = period > 0
-    branch[:, wrap] -= period[wrap] * np.rint(branch[:, wrap] / period[wrap])
+    branch = minimum_image(position[i] - position[j], np.where(period > 0, period, np.inf))
     point = position[i] - 0.5 * branch
     if walls:
         for k, axis in enumerate("xyz"[:seen]):
@@ -305,9 +304,9 @@ def dense_packing(
     across = max(1, round((particles / 4) ** (1 / 3)))
     cells = np.array([across, across, max(1, -(-particles // (4 * across**2)))])
     edge = diameter * (particles * np.pi / 6 / volume_fraction / cells.prod()) ** (1 / 3)
-    corner = np.stack(np.meshgrid(*map(np.arange, cells), indexing="ij"), axis=-1).reshape(-1, 1, 3)
-    sites = ((corner + _FCC + 0.25) * edge).reshape(-1, 3)
-    position = rng.permutation(sites)[:particles] + jitter * diameter * rng.normal(size=(particles, 3))
+    position = rng.permutation(_lattice(cells, _FCC + 0.25, edge))[:particles] + jitter * diameter * rng.normal(
+        size=(particles, 3)
+    )
     box = cells * edge
     position %= box
     period = np.where([a in periodic for a in COMPONENTS], box, np.inf)

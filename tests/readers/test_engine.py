@@ -12,7 +12,7 @@ import pytest
 
 import xcg
 from tests import ROOT
-from xcg.readers import Engine, StepRef
+from xcg.readers.engine import Engine, StepRef
 
 # --- a reader from another package -----------------------------------------------------------------------
 
@@ -132,7 +132,7 @@ print(*(w.message for w in caught))
 
 
 def test_faulty_engines_are_named(tmp_path):
-    from xcg.readers import Engine, StepRef
+    from xcg.readers.engine import Engine, StepRef
 
     class Points(Engine):
         promised = 4

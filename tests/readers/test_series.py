@@ -15,7 +15,7 @@ import xarray as xr
 from tests import shared_data
 from tests.dumps import ATOMS, BOX, ROWS, dump_text, pairs_text, write, write_series
 from xcg.common.messages import SceneError, SceneWarning
-from xcg.readers import Engine, StepRef
+from xcg.readers.engine import Engine, StepRef
 from xcg.readers.paths import expand_paths, natural_key
 from xcg.readers.series import open_scene
 

@@ -62,7 +62,7 @@ def assert_equal(one, other, tolerance=1e-10):
         )
 
 
-# --- vectors ---
+# --- vectors ---------------------------------------------------------------------------------------------
 
 numbers = st.floats(-30.0, 30.0)
 tilts = st.tuples(numbers, numbers, numbers)
@@ -124,7 +124,7 @@ def test_vectors_of_any_basis_of_a_lattice_are_as_short():
     np.testing.assert_allclose(np.linalg.norm(one.basis, axis=1), np.linalg.norm(two.basis, axis=1), rtol=1e-12)
 
 
-# --- the same scene in another box ---
+# --- the same scene in another box -----------------------------------------------------------------------
 
 TILTS = [(1.3, -0.7, 2.1), (2.5, 2.5, 3.0), (-4.9, 0.0, 0.0)]
 
@@ -204,7 +204,7 @@ def test_averages_undefined_by_shifted_images_raise():
     ds.cg.coarse_grain("density", axes="xy", width=1.0)
 
 
-# --- shear ---
+# --- shear -----------------------------------------------------------------------------------------------
 
 RATE = 0.3
 
@@ -301,7 +301,7 @@ def test_wrong_lattices_raise(options, match):
         xcg.scene_from_arrays([[1.0, 1.0, 1.0]], **{"box": BOX, "periodic": "xyz"} | options)
 
 
-# --- contacts and what is made of them ---
+# --- contacts and what is made of them -------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("tilt", TILTS)

@@ -11,14 +11,14 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.messages import SceneError, is_positive
-from xcg.compiled import THREADS
-from xcg.compiled._jit import for_parts, worth
+from xcg.common.checks import is_positive
+from xcg.common.messages import SceneError
+from xcg.compiled._jit import THREADS, for_parts, worth
 from xcg.compiled.contacts import blank_rows_of_zeros, scale_tensors
 from xcg.compiled.matrices import principal, principal_of_any
-from xcg.scene.conform import takes_scene
+from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.contacts import Contacts
-from xcg.scene.description import describe, require_scene
+from xcg.scene.description import describe
 from xcg.scene.frame import particle_rows, steps_in
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import CONTACT_VARIABLES, OF_STEP, VARIABLES, Frame, Variable

@@ -9,8 +9,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.chains.results import ChainStep, require_chains, steps_of
+from xcg.common.checks import extra
 from xcg.common.drawing import add_colour_bar, label_of, new_axes, set_label, with_unit
-from xcg.common.messages import extra
 from xcg.scene.frame import step_at, with_time
 from xcg.scene.schema import COMPONENTS
 

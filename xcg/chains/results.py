@@ -12,13 +12,15 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.chains.particle_stress import RESULTS as STRESSES
-from xcg.common.messages import SceneError, is_positive
+from xcg.common.checks import is_positive
+from xcg.common.messages import SceneError
 from xcg.scene.conform import with_components
+from xcg.scene.description import Summary, rows_of_origin
 from xcg.scene.frame import particle_rows, require_rising_times, with_time
 from xcg.scene.lattice import Lattice
 from xcg.scene.sanity import rows_of
 from xcg.scene.schema import BOX, COMPONENTS, PADDING, VARIABLES, Frame, Variable, units_in
-from xcg.steps.labels import Summary, provenance, rows_of_origin
+from xcg.steps.labels import provenance
 from xcg.steps.mapping import each_step
 
 COPIED = ("particle_id", "position", "diameter", "contact_i", "contact_j", "contact_force")

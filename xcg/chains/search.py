@@ -14,12 +14,10 @@ from numpy.typing import NDArray
 from xcg.chains.particle_stress import StressRule, Volumes, carries
 from xcg.chains.results import CHAINS, COPIED, RESULTS, result_sizes, statistics_of
 from xcg.chains.selection import Region, check_region
-from xcg.common.messages import is_finite, is_positive, is_whole
-from xcg.compiled import THREADS
+from xcg.common.checks import is_finite, is_positive, is_whole
 from xcg.compiled import chains as loops
-from xcg.compiled._jit import for_parts
-from xcg.scene.conform import takes_scene
-from xcg.scene.description import require_scene
+from xcg.compiled._jit import THREADS, for_parts
+from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.frame import particle_rows, steps_in
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import BOX, OF_STEP, PADDING, Frame

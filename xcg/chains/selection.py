@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.chains.results import CHAINS, MEMBERS, STATISTICS, require_chains, result_sizes, statistics_of
-from xcg.common.messages import is_finite, is_positive, vector
+from xcg.common.checks import is_finite, is_positive, vector
 from xcg.scene.conform import takes_scene
 from xcg.scene.frame import particle_rows, steps_in
 from xcg.scene.lattice import Lattice

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.messages import extra
+from xcg.common.checks import extra
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

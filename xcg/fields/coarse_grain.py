@@ -14,8 +14,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.messages import warn_once
-from xcg.compiled import THREADS
-from xcg.compiled._jit import for_each
+from xcg.compiled._jit import THREADS, for_each
 from xcg.fields.accessible import check_walls, with_accessible
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Field

@@ -11,7 +11,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.messages import is_positive, warn_user
+from xcg.common.checks import is_positive
+from xcg.common.messages import warn_user
 from xcg.compiled import smoothing as kinds
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Options

@@ -10,7 +10,8 @@ from typing import get_args
 
 import numpy as np
 
-from xcg.common.messages import SceneError, is_finite, is_positive, unknown, warn_user
+from xcg.common.checks import is_finite, is_positive
+from xcg.common.messages import SceneError, unknown, warn_user
 from xcg.compiled.points import LINEAR
 from xcg.compiled.segments import RULES
 from xcg.fields.formulas import registry
@@ -35,7 +36,8 @@ from xcg.fields.sums.moments import MOMENTS, Moment, sliding_contacts
 from xcg.fields.sums.nodes import BLOCK_NODES, FINE, nodes_in_cache
 from xcg.fields.sums.segments import SINGLE, gauss_limits
 from xcg.fields.sums.step import DepositSpec
-from xcg.scene.description import Description, require_scene
+from xcg.scene.conform import require_scene
+from xcg.scene.description import Description
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import COMPONENTS, CONTACT_VARIABLES, ROTATION, Setup
 

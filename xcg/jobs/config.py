@@ -84,7 +84,7 @@ def read_config(path: str | Path) -> Job:
     if not path.exists():
         raise FileNotFoundError(f"{path} does not exist")
     try:
-        job = _toml(path) if path.suffix.lower() == ".toml" else Job(**read_ini(path))
+        job = _toml(path) if path.suffix.lower() == ".toml" else _ini(path)
     except UnicodeDecodeError as error:
         raise SceneError(f"{path}: is no text in UTF-8 ({error.reason} at byte {error.start})") from None
     except (TypeError, AttributeError, RecursionError) as error:  # tables where values should be, and the like
@@ -171,7 +171,7 @@ def _toml(path: Path) -> Job:
     )
 
 
-# --- settings of Pysammos --------------------------------------------------------------------------------
+# --- config.ini of Pysammos ------------------------------------------------------------------------------
 
 
 # key_mapping: its keys and our variables
@@ -250,16 +250,8 @@ class _Section:
             raise SceneError(f"{self.source} lacks {key}")
         return found
 
-    def warn_of_the_rest(self) -> None:
-        unknown = [key for key in self.values if key.lower() not in self.known]
-        if unknown:
-            warn_user(
-                f"{self.source}: unknown and left out: {', '.join(unknown)}; known are {', '.join(sorted(self.known))}"
-            )
 
-
-def read_ini(path: Path) -> dict[str, Any]:
-    """Read the arguments of `xcg.jobs.config.Job` from Pysammos's config.ini."""
+def _ini(path: Path) -> Job:
     parser = configparser.ConfigParser(interpolation=None)
     parser.optionxform = str  # type: ignore[method-assign, assignment]
     try:
@@ -296,21 +288,23 @@ def read_ini(path: Path) -> dict[str, Any]:
     folder = path.parent / (paths.get("output_path") or "PysammosCG")
     spelled = "vkthdf_output" if output.get("vkthdf_output") is not None else "vtkhdf_output"
     output.known |= {"vkthdf_output", "vtkhdf_output"}
-    job: dict[str, Any] = {
-        "scene": scene,
-        "fields": {"fields": fields, "preset": "pysammos"},
-        "phases": phases,
-        "mesh": {"kernel": kernel, **mesh},
-        "slices": slices,
-        "folder": folder,
-        "name": f"CG_{label}_{'Monodisperse' if phases is None else 'Polydisperse'}",
-        "netcdf": output.flag("h5_output"),
-        "vtkhdf": {True: "steps", False: ""}[output.flag(spelled)],
-        "suffix": ".h5",
-        "on_error": flags.get("on_error") or "raise",
-    }
+    job = Job(
+        scene=scene,
+        fields={"fields": fields, "preset": "pysammos"},
+        phases=phases,
+        mesh={"kernel": kernel, **mesh},
+        slices=slices,
+        folder=folder,
+        name=f"CG_{label}_{'Monodisperse' if phases is None else 'Polydisperse'}",
+        netcdf=output.flag("h5_output"),
+        vtkhdf="steps" if output.flag(spelled) else "",
+        suffix=".h5",
+        on_error=flags.get("on_error") or "raise",  # type: ignore[arg-type]
+    )
     for section in sections.values():
-        section.warn_of_the_rest()
+        if rest := [key for key in section.values if key.lower() not in section.known]:
+            known = ", ".join(sorted(section.known))
+            warn_user(f"{section.source}: unknown and left out: {', '.join(rest)}; known are {known}")
     return job
 
 

@@ -10,11 +10,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.messages import SceneError, is_positive
+from xcg.common.checks import is_positive
+from xcg.common.messages import SceneError
 from xcg.packing.pairs import PairMethod, check_search, pairs_of
-from xcg.scene.complete import REPEAT, contact_points
-from xcg.scene.conform import takes_scene
-from xcg.scene.description import describe, require_scene
+from xcg.scene.complete import REPEAT, contact_points, unit_vectors
+from xcg.scene.conform import require_scene, takes_scene
+from xcg.scene.description import describe
 from xcg.scene.frame import stack, steps_in
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import OF_STEP, Frame, Setup, units_in, variable
@@ -127,7 +128,7 @@ class Search:
                 f"pass max_contacts={len(i)} or more to find_contacts, or load the scene first with ds.load()"
             )
         length = np.linalg.norm(branch, axis=1)
-        normal = np.divide(branch, length[:, None], out=np.zeros_like(branch), where=length[:, None] > 0)
+        normal = unit_vectors(branch)
         overlap = radius[i] + radius[j] - length
         found = {
             "contact_i": ids[i],

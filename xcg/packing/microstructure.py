@@ -9,11 +9,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from xcg.common.messages import floats, is_positive, unknown
+from xcg.common.checks import floats, is_positive
+from xcg.common.messages import unknown
 from xcg.packing.quantities import CONTACTS, QUANTITIES, TENSOR
 from xcg.packing.samples import Bounds, Measure
-from xcg.scene.conform import storable, takes_scene
-from xcg.scene.description import describe, require_scene
+from xcg.scene.conform import require_scene, storable, takes_scene
+from xcg.scene.description import describe
 from xcg.scene.frame import require_rising_times
 from xcg.scene.schema import BOX, COMPONENTS, OF_STEP, units_in
 from xcg.steps.faults import OnError

@@ -11,13 +11,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.messages import extra
+from xcg.common.checks import extra
 from xcg.compiled.contacts import join_clusters
 from xcg.packing.quantities import CONTACTS
 from xcg.scene.complete import unit_vectors
-from xcg.scene.conform import takes_scene
+from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.contacts import Contacts
-from xcg.scene.description import require_scene
 from xcg.scene.frame import frame_at, step_at
 from xcg.scene.schema import Frame
 

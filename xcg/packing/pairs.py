@@ -9,14 +9,13 @@ from typing import Literal, TypeAlias, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from xcg.common.messages import SceneError, is_finite
-from xcg.compiled import THREADS
+from xcg.common.checks import is_finite
+from xcg.common.messages import SceneError
 from xcg.compiled import pairs as loops
-from xcg.compiled._jit import for_parts, worth
+from xcg.compiled._jit import THREADS, for_parts, worth
 from xcg.compiled.arrays import counting_sort_places
 from xcg.compiled.pairs import rows_of_pairs, sort_pairs
 from xcg.scene.box import box_array, with_lattice
-from xcg.scene.contacts import MOST_A_PARTICLE, MOST_PAIRS
 from xcg.scene.lattice import Lattice
 
 # Largest over smallest radius within a level, where the caller gives no number of levels. A level costs each smaller
@@ -31,6 +30,8 @@ LONG_EDGES = np.array([1.5, 1.5, 1 / 3])
 CROWDED = 2.5  # particles in a cube of the reach
 # More cells than this for each particle of a level cost memory and find nothing: cells are then made larger.
 CELLS_A_PARTICLE = 8
+# Pairs that the search stops beyond, unless more are asked for: spheres without overlap have 7 a particle.
+MOST_A_PARTICLE, MOST_PAIRS = 200, 1_000_000
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ from xcg.common.messages import SceneError, warn_user
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files.table import read_table
 from xcg.readers.files.text import source_of
-from xcg.scene.bodies import FIRST_WALL
+from xcg.scene.contacts import FIRST_WALL
 from xcg.scene.schema import COMPONENTS, Frame, variable
 
 Slots: TypeAlias = Mapping[str, Sequence[str]]

@@ -32,7 +32,7 @@ from xcg.scene.lattice import Lattice
 from xcg.scene.sanity import check_ends, is_central
 from xcg.scene.schema import ROTATION, VARIABLES, Frame, Setup, variable
 from xcg.steps import faults as errors
-from xcg.steps.graph import picked
+from xcg.steps.mapping import picked
 
 Chunks: TypeAlias = int | str | Sequence[int] | Mapping[str, int | str | Sequence[int] | None] | None
 

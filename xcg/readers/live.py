@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from xcg.common.messages import SceneError
 from xcg.readers.columns import WALL_CONTACTS
 from xcg.readers.paths import UNIT_SYSTEMS
-from xcg.scene.bodies import FIRST_WALL, named_walls
 from xcg.scene.build import scene_from_arrays
 from xcg.scene.complete import contact_points
+from xcg.scene.contacts import FIRST_WALL, named_walls
 from xcg.scene.sanity import rows_of
 from xcg.scene.schema import COMPONENTS
 

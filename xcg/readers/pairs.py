@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from xcg.common.messages import SceneError, floats, printable, unknown, warn_user
+from xcg.common.checks import floats
+from xcg.common.messages import SceneError, printable, unknown, warn_user
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files.text import source_of
 from xcg.readers.lazy import Step

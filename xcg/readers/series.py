@@ -12,17 +12,18 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from xcg.common.messages import SceneError, did_you_mean, floats, warn_user
+from xcg.common.checks import floats
+from xcg.common.messages import SceneError, did_you_mean, warn_user
 from xcg.readers.engine import Engine, ReadOptions, StepRef, guess_engine, load_engine
 from xcg.readers.files.text import source_of
 from xcg.readers.lazy import Chunks, Series, Source, Step, indexed_arrays, lazy_arrays, read_step, steps_of_chunks
 from xcg.readers.pairs import index_files, origin_of, pair_steps
 from xcg.readers.paths import PathLike, expand_paths, names_no_units, not_against_headers, units_of_headers
 from xcg.readers.saved import open_saved, saved_path
-from xcg.scene.bodies import named_walls
 from xcg.scene.box import box_array, in_unit, with_lattice
 from xcg.scene.build import to_dataset
 from xcg.scene.complete import complete_particles
+from xcg.scene.contacts import named_walls
 from xcg.scene.lattice import Lattice
 from xcg.scene.sanity import check_shape
 from xcg.scene.schema import COMPONENTS, VARIABLES, Frame, Setup, Shape, Sides

@@ -27,10 +27,11 @@ from xcg.scene.schema import (
     Setup,
     Shape,
     Sides,
+    mark_measured,
     units_in,
     variable,
 )
-from xcg.scene.sizes import mark_measured, measure_frames
+from xcg.scene.sizes import measure_frames
 
 # --- many frames: the Dataset ----------------------------------------------------------------------------
 
@@ -56,13 +57,10 @@ def to_dataset(
         Variables of the domain, time first, see `with_lattice`.
     """
     data = {}
-    for name, values in arrays.items():
-        row = variable(name, values.dtype, values.ndim - 1)
+    for name, values in (*arrays.items(), *box.items()):
+        row = BOX[name] if name in box else variable(name, values.dtype, values.ndim - 1)
         attrs = {"units": units_in(row.units, setup.unit_system), "long_name": row.long_name}
         data[name] = xr.Variable(("time", *row.dims), values, attrs)
-    for name, values in box.items():
-        attrs = {"units": units_in(BOX[name].units, setup.unit_system), "long_name": BOX[name].long_name}
-        data[name] = xr.Variable(("time", *BOX[name].dims), values, attrs)
     second = "s" if setup.unit_system == "SI" else "1"
     coords = {
         "time": ("time", np.asarray(time, float), {"units": second, "long_name": "time", "axis": "T"}),
@@ -267,14 +265,7 @@ def scene_from_arrays(
         rows = max((len(f[key]) for f in frames), default=0)
         for name in list(frames[0]) if frames else ():  # so that no more than one variable is there twice
             arrays |= stack([{name: frame.pop(name)} for frame in frames], [name], rows)
-    return to_dataset(
-        arrays,
-        time=times,
-        step=numbers,
-        box=domain,
-        setup=setup,
-        measured=measured,
-    )
+    return to_dataset(arrays, time=times, step=numbers, box=domain, setup=setup, measured=measured)
 
 
 def _repeat_what_stays(steps: dict[str, list[NDArray]], total: int) -> None:
@@ -332,9 +323,10 @@ def _refuse_misspelt(names: Iterable[str]) -> None:
         if name in _OTHER_NAMES:
             likely = f"; did you mean {_OTHER_NAMES[name]}?"
         if likely:
-            msg = f"scene_from_arrays: {name!r} is neither an argument nor a variable of scenes{likely} Variables of "
-            msg += "your own need names that are less alike"
-            raise SceneError(msg)
+            raise SceneError(
+                f"scene_from_arrays: {name!r} is neither an argument nor a variable of scenes{likely} Variables of "
+                "your own need names that are less alike"
+            )
 
 
 def _prefix(steps: Mapping[str, list[NDArray]], names: Sequence[str], key: str, t: int, source: str) -> Frame:

@@ -9,8 +9,8 @@ order of rows is looked after where frames are made (`xcg.scene.frame.frame_of`)
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Hashable, Mapping, Sequence
-from functools import cache, partial, wraps
+from collections.abc import Callable, Hashable, Mapping, Sequence, Set
+from functools import partial, wraps
 from typing import Any, Concatenate, ParamSpec, TypeVar, cast
 
 import numpy as np
@@ -18,8 +18,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.messages import Once, SceneError, did_you_mean
-from xcg.scene.schema import BOX, COMPONENTS, PADDING, VARIABLES, Variable, variable
-from xcg.scene.sizes import MEASURED, known_without_reading
+from xcg.scene.schema import BOX, COMPONENTS, MEASURED, PADDING, VARIABLES, Variable, known_without_reading, variable
 
 _MOST_SPREAD = 2**27  # values a step of a variable that was spread over the rows of others: 1 GB
 
@@ -68,6 +67,42 @@ def conformed(
     except TypeError as error:
         raise TypeError(f"{name}(): {error}") from None
     return conform(ds)
+
+
+def require_scene(ds: xr.Dataset | Mapping[str, Any], names: Sequence[str], purpose: str, instead: str = "") -> None:
+    """Raise SceneError unless `ds` is a scene and holds these variables; the message lists all that are missing.
+
+    `instead` ends the advice with what can be asked for without them.
+    """
+    if missing := {name for name in ("position", "particle_id", *names) if name not in ds}:
+        shown = ds.data_vars if isinstance(ds, xr.Dataset) else ds
+        raise SceneError(
+            f"{purpose} needs {sorted(missing)}: {_way_to(missing)}{instead} "
+            f"(this Dataset holds {', '.join(map(str, shown)) or 'nothing'})"
+        )
+
+
+def _way_to(missing: Set[str]) -> str:
+    """Return what to do where these variables are missing, as the middle of a message."""
+    if {"position", "particle_id"} <= missing:
+        return "call it on a scene, from xcg.open_scene or xcg.scene_from_arrays, not on a result or another Dataset"
+    if missing == {"contact_force"}:
+        return "ds.cg.find_contacts(k_n=...) estimates forces, and contacts= of xcg.open_scene reads them"
+    ways = []
+    if any(name.startswith("contact_") for name in missing):
+        stiffness = "k_n=..." if "contact_force" in missing else ""
+        ways.append(
+            "contacts= to xcg.open_scene (contact_i=, contact_j=, contact_force= to xcg.scene_from_arrays), or call "
+            f"ds.cg.find_contacts({stiffness}) first"
+        )
+    if missing & {"mass", "density", "moment_of_inertia"}:
+        ways.append("density= to xcg.open_scene or xcg.scene_from_arrays")
+    if others := sorted(missing & {"position", "particle_id", "velocity", "diameter", "angular_velocity"}):
+        way = f"{', '.join(f'{name}=' for name in others)} to xcg.scene_from_arrays, or files that hold them"
+        ways.append(way + ", or call ds.cg.derive_velocity() on several steps" * ("velocity" in missing))
+    if "director" in missing:
+        ways.append("quaternions to ds.cg.derive_director()")
+    return f"give {', and '.join(ways) or 'them to xcg.open_scene or xcg.scene_from_arrays'}"
 
 
 def conform(ds: xr.Dataset) -> xr.Dataset:
@@ -143,7 +178,6 @@ def _with_dim(ds: xr.Dataset, dim: str) -> xr.Dataset:
     return ds.assign(found)
 
 
-@cache
 def _row_of(name: str, dims: tuple[Hashable, ...], dtype: np.dtype) -> Variable | None:
     """Row of the schema of a variable; none for what the user keeps beside the scene."""
     if name in BOX:

@@ -1,27 +1,34 @@
-"""Contacts of one frame: who is near whom, branch vectors, and the segments that carry stress."""
+"""Contacts of one frame: partners, branch vectors, normals and sums; walls as partners, and their contacts alone."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any, TypeAlias
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
+from xcg.common.messages import SceneError, unknown
 from xcg.compiled._jit import for_parts
 from xcg.compiled.arrays import Reduced, counting_sort, short_integers
 from xcg.compiled.contacts import add_dyads, add_rows, add_unit_squares, between, k_core, sides
 from xcg.scene.complete import unit_vectors
+from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.lattice import Lattice
 from xcg.scene.sanity import check_contacts, repeated_pairs, rows_of
-from xcg.scene.schema import Frame
+from xcg.scene.schema import PADDING, Frame
 
 # Contacts are those of spheres where the branches are as spheres have them, to this share of the radius.
 SPHERES = 1e-2
 _BLOCK = 1 << 14  # contacts whose normals are computed together, in the cache of the processor
 # Partners from which a grain may bear load, with friction (Thornton 2000).
 BEARING = 2
+Walls: TypeAlias = str | int | Sequence[str | int]
+FIRST_WALL = PADDING - 1  # walls that have names are -2, -3, ... in their order
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,7 +294,86 @@ class Contacts:
         return counting_sort(rank[self.first_row], keys)
 
 
-# --- who is near whom ------------------------------------------------------------------------------------
+# --- walls -----------------------------------------------------------------------------------------------
 
-# Pairs that the search stops beyond, unless more are asked for: spheres without overlap have 7 a particle.
-MOST_A_PARTICLE, MOST_PAIRS = 200, 1_000_000
+
+def named_walls(names: Iterable[str]) -> dict[str, Any]:
+    """Attributes of a scene whose walls -2, -3, ... have names.
+
+    Raises
+    ------
+    SceneError
+        If a name is not a single word, as the attribute is words with blanks between.
+    """
+    names = list(names)
+    wrong = [name for name in names if not isinstance(name, str) or len(name.split()) != 1]
+    if wrong:
+        raise SceneError(f"walls: {wrong[0]!r} is no name of a wall: expected a word without blanks")
+    return {"wall_names": " ".join(names), "wall_ids": FIRST_WALL - np.arange(len(names))}
+
+
+def walls_of(ds: xr.Dataset) -> dict[str, int]:
+    """Names of a scene's walls and their numbers in ``contact_j``; empty where walls have no names."""
+    names = str(ds.attrs.get("wall_names", "")).split()
+    numbers = np.atleast_1d(ds.attrs.get("wall_ids", [])).tolist()
+    return {name: int(number) for name, number in zip(names, numbers, strict=True)}
+
+
+def numbers_of_walls(ds: xr.Dataset, walls: Walls) -> tuple[int, ...]:
+    """Numbers in ``contact_j`` of walls that are given by number or by name.
+
+    Raises
+    ------
+    ValueError
+        If the scene has no wall of a name, or a number is not negative.
+    """
+    known = walls_of(ds)
+    given = [walls] if isinstance(walls, str | int | np.integer) else list(walls)
+    for wall in given:
+        if isinstance(wall, str) and wall not in known:
+            there = f"the walls of this scene are {', '.join(known)}" if known else "no wall of this scene has a name"
+            raise ValueError(unknown("wall", wall, known, f"{there}; or give numbers as in contact_j"))
+        if not isinstance(wall, str) and not (isinstance(wall, int | np.integer) and wall < 0):
+            raise ValueError(f"walls: {wall!r} is no wall: expected names, or negative numbers as in contact_j")
+    if not given:
+        raise ValueError("walls: none is given; expected names, or negative numbers as in contact_j")
+    return tuple(dict.fromkeys(known[wall] if isinstance(wall, str) else int(wall) for wall in given))
+
+
+@takes_scene
+def select_walls(ds: xr.Dataset, walls: Walls) -> xr.Dataset:
+    """Keep the contacts with some walls, and no others; lazy where the scene is.
+
+    Fields of contacts are then the part that these walls have in them: ``wall_traction`` of several walls adds up to
+    that of all.
+
+    Parameters
+    ----------
+    ds : xarray.Dataset
+        A scene with contacts.
+    walls : str, int or list of these
+        Names of walls, as `open_scene` was given them, or their numbers in ``contact_j``: LAMMPS -2, -3, ... in the
+        order of ``walls=``; LIGGGHTS -(mesh + 1); MercuryDPM -(index + 1).
+
+    Returns
+    -------
+    xarray.Dataset
+        The scene with the other contacts turned into padding (``contact_i == -1``).
+
+    Raises
+    ------
+    SceneError
+        If the scene has no contacts.
+    ValueError
+        If a wall is unknown.
+
+    Examples
+    --------
+    >>> import xcg
+    >>> ds = xcg.datasets.random_scene(100)
+    >>> int((select_walls(ds, -1).contact_i >= 0).sum()) == int((ds.contact_j == -1).sum() - (ds.contact_i < 0).sum())
+    True
+    """
+    require_scene(ds, ("contact_i", "contact_j"), "select_walls")
+    kept = ds["contact_j"].isin(numbers_of_walls(ds, walls))
+    return ds.assign(contact_i=ds["contact_i"].where(kept, PADDING).assign_attrs(ds["contact_i"].attrs))

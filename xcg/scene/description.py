@@ -1,8 +1,9 @@
-"""Description of a scene: what planning, labels and messages know of it, found once and without reading lazy data."""
+"""Description of a scene, found once and without reading lazy data: for planning, labels, messages, and `ds.cg`."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence, Set
+import html
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -11,10 +12,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.messages import SceneError
+from xcg.common.messages import SceneError, printable
+from xcg.scene.contacts import walls_of
 from xcg.scene.lattice import Lattice
-from xcg.scene.schema import BOX, COMPONENTS, Setup
-from xcg.scene.sizes import SIZES, known_without_reading, with_measures
+from xcg.scene.schema import BOX, COMPONENTS, VARIABLES, Setup, known_without_reading, units_in, variable
+from xcg.scene.sizes import SIZES, with_measures
 
 
 @dataclass(frozen=True)
@@ -185,42 +187,6 @@ def describe(ds: xr.Dataset, by: str | None = None) -> Description:
     )
 
 
-def require_scene(ds: xr.Dataset | Mapping[str, Any], names: Sequence[str], purpose: str, instead: str = "") -> None:
-    """Raise SceneError unless `ds` is a scene and holds these variables; the message lists all that are missing.
-
-    `instead` ends the advice with what can be asked for without them.
-    """
-    if missing := {name for name in ("position", "particle_id", *names) if name not in ds}:
-        shown = ds.data_vars if isinstance(ds, xr.Dataset) else ds
-        raise SceneError(
-            f"{purpose} needs {sorted(missing)}: {_way_to(missing)}{instead} "
-            f"(this Dataset holds {', '.join(map(str, shown)) or 'nothing'})"
-        )
-
-
-def _way_to(missing: Set[str]) -> str:
-    """Return what to do where these variables are missing, as the middle of a message."""
-    if {"position", "particle_id"} <= missing:
-        return "call it on a scene, from xcg.open_scene or xcg.scene_from_arrays, not on a result or another Dataset"
-    if missing == {"contact_force"}:
-        return "ds.cg.find_contacts(k_n=...) estimates forces, and contacts= of xcg.open_scene reads them"
-    ways = []
-    if any(name.startswith("contact_") for name in missing):
-        stiffness = "k_n=..." if "contact_force" in missing else ""
-        ways.append(
-            "contacts= to xcg.open_scene (contact_i=, contact_j=, contact_force= to xcg.scene_from_arrays), or call "
-            f"ds.cg.find_contacts({stiffness}) first"
-        )
-    if missing & {"mass", "density", "moment_of_inertia"}:
-        ways.append("density= to xcg.open_scene or xcg.scene_from_arrays")
-    if others := sorted(missing & {"position", "particle_id", "velocity", "diameter", "angular_velocity"}):
-        way = f"{', '.join(f'{name}=' for name in others)} to xcg.scene_from_arrays, or files that hold them"
-        ways.append(way + ", or call ds.cg.derive_velocity() on several steps" * ("velocity" in missing))
-    if "director" in missing:
-        ways.append("quaternions to ds.cg.derive_director()")
-    return f"give {', and '.join(ways) or 'them to xcg.open_scene or xcg.scene_from_arrays'}"
-
-
 def _values(ds: xr.Dataset, by: str) -> dict[str, tuple[int, ...]]:
     """Values of an integer variable of the particles: those in memory, or the attributes that were measured."""
     if by not in ds or ds[by].dtype.kind not in "iu" or "particle" not in ds[by].dims:
@@ -249,20 +215,18 @@ def _lasting_periods(
     ds: xr.Dataset, setup: Setup, edges: Mapping[str, tuple[float, float]], *, lasts_all: bool
 ) -> tuple[float, float, float]:
     """Period along x, y, z; infinite unless it is the same in all steps."""
-    if not setup.periodic:
-        x = y = z = np.inf
-    elif "lattice" not in ds:
-        lasts = [lasts_all] * 3
-        if not lasts_all and "box" in ds and ds.variables["box"].chunks is None:
-            steps = ds.variables["box"].transpose("time", "component", ...).to_numpy()
-            lasts = (steps == steps[:1]).all(axis=(0, 2)).tolist()
-        lasting = [a for a, same in zip(COMPONENTS, lasts, strict=True) if same and a in setup.periodic and a in edges]
-        x, y, z = (edges[a][1] - edges[a][0] if a in lasting else np.inf for a in COMPONENTS)
-    elif lasts_all:
-        box = {name: ds[name].isel(time=0).transpose(*row.dims).to_numpy() for name, row in BOX.items() if name in ds}
-        x, y, z = Lattice.of(box, setup.periodic).axis_periods.tolist()
-    else:
-        x = y = z = np.inf
+    lasts = [lasts_all] * 3
+    if "lattice" in ds:
+        if lasts_all and setup.periodic:
+            box = {n: ds[n].isel(time=0).transpose(*row.dims).to_numpy() for n, row in BOX.items() if n in ds}
+            x, y, z = Lattice.of(box, setup.periodic).axis_periods.tolist()
+            return x, y, z
+        lasts = [False] * 3
+    elif not lasts_all and "box" in ds and ds.variables["box"].chunks is None:
+        steps = ds.variables["box"].transpose("time", "component", ...).to_numpy()
+        lasts = (steps == steps[:1]).all(axis=(0, 2)).tolist()
+    lasting = [a for a, same in zip(COMPONENTS, lasts, strict=True) if same and a in setup.periodic and a in edges]
+    x, y, z = (edges[a][1] - edges[a][0] if a in lasting else np.inf for a in COMPONENTS)
     return x, y, z
 
 
@@ -286,3 +250,110 @@ def _largest_radius(ds: xr.Dataset) -> float | None:
         return None
     far = np.maximum(np.abs(ds.attrs["particle_lower"]), np.abs(ds.attrs["particle_upper"]))
     return float(np.hypot(far[0], far[1]))
+
+
+# --- summary that ds.cg shows ----------------------------------------------------------------------------
+
+
+_WIDTH = 11  # of labels
+
+
+@dataclass(frozen=True)
+class Summary:
+    """A title and rows of (label, text). Rows without text are left out; names in files are made printable."""
+
+    title: str
+    rows: tuple[tuple[str, str], ...]
+
+    @classmethod
+    def of(cls, title: str, rows: Iterable[tuple[str, str]]) -> Summary:
+        """Make one of what there is to say."""
+        return cls(printable(title), tuple((label, printable(text)) for label, text in rows if text))
+
+    def __str__(self) -> str:
+        return "\n".join([self.title, *(f"  {label + ':':{_WIDTH}s}{text}" for label, text in self.rows)])
+
+    def html(self) -> str:
+        """Write a table, for notebooks."""
+        style = "text-align: left; vertical-align: top"
+        rows = "".join(
+            f'<tr><th style="{style}">{html.escape(label)}</th><td style="{style}">{html.escape(text)}</td></tr>'
+            for label, text in self.rows
+        )
+        return f"<div><p><b>{html.escape(self.title)}</b></p><table>{rows}</table></div>"
+
+
+def summary_of_scene(ds: xr.Dataset) -> Summary:
+    """Return a summary of what a scene holds and lacks, without reading it."""
+    steps = ds["time"].size if "time" in ds.coords else ds.sizes.get("time", 1)  # also by other dimensions
+    particles, contacts = (ds.sizes.get(dim, 1) for dim in ("particle", "contact"))
+    contacts = contacts if "contact_i" in ds else 0
+    # one order, whatever that of a file is
+    there = [name for name in dict.fromkeys([*VARIABLES, *map(str, ds.variables)]) if name in ds.variables]
+    names = {dim: [n for n in there if n not in BOX and variable(n).dims[0] == dim] for dim in _ROWS}
+    own = {
+        dim: [n for n in names[dim] if n not in ds.dims and (n in ds.data_vars or n == dim + "_id")] for dim in _ROWS
+    }
+    missing = [name for name in ("velocity", "diameter", "mass", "contact_force") if name not in ds]
+    sizes = ", ".join(f"{k} = {ds.attrs[k]:.6g}" for k in ("dmin", "d50", "d43", "dmax") if k in ds.attrs)
+    return Summary.of(
+        f"scene of {steps} step{'s' * (steps != 1)} with up to {particles} particles and {contacts} contacts",
+        [
+            *rows_of_origin(ds),
+            *((f"{dim}s", ", ".join(own[dim]) or "none") for dim in _ROWS),
+            ("missing", ", ".join(missing) or "nothing"),
+            ("walls", ", ".join(f"{name} ({number})" for name, number in walls_of(ds).items())),
+            ("sides", _SIDES.get(str(ds.attrs.get("sides")), "")),
+            ("sizes", sizes or "not measured"),
+            ("box", _box(ds)),
+            ("periodic", f"{ds.attrs.get('periodic') or 'no axis'}; dimension {ds.attrs.get('dimension', 3)}"),
+        ],
+    )
+
+
+_ROWS = ("particle", "contact")
+_SIDES = {
+    "mean": "contacts listed from both sides are one, with the mean of both",
+    "first": "contacts listed from both sides are one, as the first row has it",
+    "separate": "contacts listed from both sides, with forces not quite opposite, are two",
+}
+
+
+def rows_of_origin(ds: xr.Dataset) -> list[tuple[str, str]]:
+    """Rows on where data come from and what holds for all of them: engine, files, times, gravity, units."""
+    gravity = ds.attrs.get("gravity")
+    system, skipped = ds.attrs.get("unit_system"), str(ds.attrs.get("skipped_files", ""))
+    pull = "" if gravity is None else ", ".join(f"{g:.6g}" for g in np.atleast_1d(gravity))
+    unit = units_in("m s^-2", system or "SI").removesuffix("1")
+    assumed = " (assumed: the files do not name them)" if "assumed_units" in ds.attrs else ""
+    return [
+        ("engine", str(ds.attrs.get("engine", ""))),
+        ("files", str(ds.attrs.get("files", "")).replace("\n", "; ")),
+        ("ignored", str(ds.attrs.get("ignored_columns", "")).replace("\n", "; ")),
+        ("skipped", f"{len(skipped.splitlines())} files" if skipped else ""),
+        ("time", _times(ds)),
+        ("gravity", f"({pull}) {unit}".rstrip() if pull else ""),
+        ("units", {None: "", "SI": "SI"}.get(system, f"{system}: scaled numbers, without units") + assumed),
+    ]
+
+
+def _times(ds: xr.Dataset) -> str:
+    """First and last time."""
+    if "time" not in ds.coords or not ds["time"].size or ds["time"].dtype.kind not in "iuf":
+        return ""
+    times = np.atleast_1d(ds["time"].to_numpy())
+    unit = str(ds["time"].attrs.get("units", "")).removesuffix("1")
+    text = f"{times[0]:g} to {times[-1]:g} {unit}" if len(times) > 1 else f"{times[0]:g} {unit}"
+    return text.rstrip()
+
+
+def _box(ds: xr.Dataset) -> str:
+    """Edges of the box where they are known without reading."""
+    if "box" in ds and ds["box"].chunks is not None and "box_lower" not in ds.attrs:
+        return "changes with time"
+    edges = describe(ds).edges
+    unit = units_in("m", ds.attrs.get("unit_system", "SI")).removesuffix("1")
+    text = ", ".join(f"{a} {edges[a][0]:.6g} to {edges[a][1]:.6g}" for a in COMPONENTS if a in edges)
+    text += ", tilted" * ("lattice" in ds) + ", with images that move" * ("lattice_velocity" in ds)
+    changes = "box" in ds and "box_lower" not in ds.attrs and ds["box"].sizes.get("time", 1) > 1
+    return f"{text} {unit}".rstrip() + (" (first step)" if changes else "") if text else "none"

@@ -9,7 +9,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.messages import SceneError, is_whole
+from xcg.common.checks import is_whole
+from xcg.common.messages import SceneError
 from xcg.compiled.arrays import all_finite
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import BOX, OF_STEP, PADDING, VARIABLES, Frame, variable

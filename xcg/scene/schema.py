@@ -14,9 +14,11 @@ from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.messages import SceneError, is_positive, vector
+from xcg.common.checks import is_positive, vector
+from xcg.common.messages import SceneError
 
 COMPONENTS = ("x", "y", "z")
 PADDING = -1
@@ -166,6 +168,26 @@ def variable(name: str, dtype: Any = "float64", ndim: int = 1) -> Variable:
     return Variable(dims[:ndim], "1", name.replace("_", " "), kind)
 
 
+# --- lazy variables as measured --------------------------------------------------------------------------
+
+# A lazy variable that is as it was when its attributes were measured has an encoding: this mark, or what came with a
+# file that holds the attributes, too. Selections keep encodings, arithmetic drops them.
+MEASURED = "measured"
+
+
+def mark_measured(ds: xr.Dataset, names: Sequence[str] | None = None) -> xr.Dataset:
+    """Record that the attributes measured from some variables (all by default) match their present values."""
+    for name in ds.data_vars if names is None else names:
+        ds[name].encoding[MEASURED] = True
+    return ds
+
+
+def known_without_reading(ds: xr.Dataset, name: str) -> bool:
+    """Return whether a variable is in memory, or as it was when its attributes were measured."""
+    given = ds.variables[name]
+    return isinstance(given._data, np.ndarray) or bool(given.encoding)
+
+
 # --- what files do not say -------------------------------------------------------------------------------
 
 
@@ -255,9 +277,7 @@ class Setup:
             x, y, z = vector("gravity", gravity, error=SceneError).tolist()
             gravity = (x, y, z)
         plane = plane or ("xyz" if dimension == 3 else "xy")
-        given["periodic"] = "".join(axis for axis in COMPONENTS if axis in (given.get("periodic") or "")) + "".join(
-            sorted(set(given.get("periodic") or "") - set(COMPONENTS))
-        )
+        given["periodic"] = "".join(sorted(set(given.get("periodic") or "")))
         return cls(gravity=gravity, dimension=dimension, plane=plane, scales=scales, unit_system=unit_system, **given)
 
     def factor(self, powers: Powers) -> float:

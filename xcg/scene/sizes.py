@@ -1,4 +1,4 @@
-"""Sizes of the particles: of a set, of a scene, of each step."""
+"""Sizes and extent of the particles: of a set, of a scene, of each step."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.compiled.arrays import bounds_of
-from xcg.scene.schema import MAX_GROUPS, PADDING, Frame
+from xcg.scene.conform import require_scene, takes_scene
+from xcg.scene.frame import frame_of
+from xcg.scene.schema import MAX_GROUPS, PADDING, Frame, known_without_reading, mark_measured, units_in
 
 SIZES = ("d43", "d32", "d50", "drms", "dmin", "dmax")
 
@@ -71,24 +73,6 @@ def _joined(parts: Sequence[NDArray]) -> NDArray:
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
-# A lazy variable that is as it was when its attributes were measured has an encoding: this mark, or what came with a
-# file that holds the attributes, too. Selections keep encodings, arithmetic drops them.
-MEASURED = "measured"
-
-
-def mark_measured(ds: xr.Dataset, names: Sequence[str] | None = None) -> xr.Dataset:
-    """Record that the attributes measured from some variables (all by default) match their present values."""
-    for name in ds.data_vars if names is None else names:
-        ds[name].encoding[MEASURED] = True
-    return ds
-
-
-def known_without_reading(ds: xr.Dataset, name: str) -> bool:
-    """Return whether a variable is in memory, or as it was when its attributes were measured."""
-    given = ds.variables[name]
-    return isinstance(given._data, np.ndarray) or bool(given.encoding)
-
-
 _RANGES = {"position": ("particle_lower", "particle_upper"), "diameter": ("dmin", "dmax")}
 MEASURED_ATTRIBUTES = {"position": _RANGES["position"], "diameter": SIZES}
 
@@ -110,29 +94,22 @@ def with_measures(ds: xr.Dataset) -> xr.Dataset:
     lost = {attr for name in of if not known_without_reading(ds, name) for attr in of[name]} & set(ds.attrs)
     if lost:
         ds = without_attrs(ds, lost)
-    ends = _ends_in_memory(ds, ("particle_id", *of, "mass"))
+    order, given = ("time", "particle", ...), {n: ds.variables[n] for n in ("particle_id", *of, "mass") if n in ds}
+    arrays = {
+        name: v.transpose(*order).to_numpy()
+        for name, v in given.items()
+        if "time" in v.dims and isinstance(v._data, np.ndarray)
+    }
+    ends: list[Frame] = []
+    if "particle_id" in arrays and ds.sizes["time"]:
+        for t in sorted({0, ds.sizes["time"] - 1}):
+            valid = arrays["particle_id"][t] != PADDING
+            ends.append({name: a[t][valid] for name, a in arrays.items()})
     outside = {attr for name in of if not all(_within(name, frame, ds.attrs) for frame in ends) for attr in of[name]}
     if outside:
         measured = measure_frames(ends)
         ds = ds.assign_attrs({attr: measured[attr] for attr in outside & set(measured)})
     return ds
-
-
-def _ends_in_memory(ds: xr.Dataset, names: Sequence[str]) -> list[Frame]:
-    """Return the first and the last step of those variables that are in memory; nothing where the ids are not."""
-    given = {name: ds.variables[name] for name in names if name in ds.variables}
-    here = {name: v for name, v in given.items() if "time" in v.dims and isinstance(v._data, np.ndarray)}
-    if "particle_id" not in here or not ds.sizes["time"]:
-        return []
-    order = "time", "particle"
-    ordered = {name: v if v.dims[:2] == order else v.transpose(*order, ...) for name, v in here.items()}
-    arrays = {name: v.to_numpy() for name, v in ordered.items()}
-    found = []
-    for t in sorted({0, ds.sizes["time"] - 1}):
-        valid = arrays["particle_id"][t] != PADDING
-        rows = slice(None) if valid.all() else valid
-        found.append({name: a[t][rows] for name, a in arrays.items()})
-    return found
 
 
 def _within(name: str, frame: Frame, known: Mapping[Any, Any]) -> bool:
@@ -151,3 +128,85 @@ def _within(name: str, frame: Frame, known: Mapping[Any, Any]) -> bool:
     small = 1e-9 * max(map(abs, (*lower, *upper)))
     inside = zip(lowest, highest, lower, upper, strict=True)
     return all(first >= least - small and last <= most + small for first, last, least, most in inside)
+
+
+# --- measured on request ---------------------------------------------------------------------------------
+
+
+def measure(ds: xr.Dataset) -> xr.Dataset:
+    """Measure sizes and extent of all steps of a scene and store them as attributes (computes).
+
+    Returns
+    -------
+    xarray.Dataset
+        The same scene with the attributes of `sizes_of`, particle_lower and particle_upper set anew.
+    """
+    require_scene(ds, (), "measure")
+    return _measure(without_attrs(ds, {attr for attrs in MEASURED_ATTRIBUTES.values() for attr in attrs}))
+
+
+@takes_scene
+def _measure(ds: xr.Dataset) -> xr.Dataset:
+    names = [str(name) for name in ds.data_vars if "particle" in ds[name].dims]
+    frames = []
+    for t in range(ds.sizes["time"]):
+        arrays = {name: ds[name].isel(time=[t]).transpose("time", ...).to_numpy() for name in names}
+        frames.append(frame_of(arrays, 0, f"step {t}"))
+    return mark_measured(ds.assign_attrs(measure_frames(frames)))
+
+
+_SIZE_NAMES = {
+    "d43": "volume-weighted mean diameter",
+    "d32": "surface-weighted mean diameter",
+    "d50": "median diameter by mass",
+    "drms": "root mean square diameter",
+    "dmin": "smallest diameter",
+    "dmax": "largest diameter",
+}
+
+
+@takes_scene
+def size_statistics(ds: xr.Dataset) -> xr.Dataset:
+    """Sizes of the grains in each step, lazy where the scene is.
+
+    ``d43 = S d^4 / S d^3``, ``d32 = S d^3 / S d^2``, ``drms = sqrt(S d^2 / n)``, ``d50`` the diameter below which half
+    of the mass lies, ``dmin``, ``dmax``.
+
+    Parameters
+    ----------
+    ds : xarray.Dataset
+        A scene with ``diameter``, and ``mass`` (else d50 is by volume).
+
+    Returns
+    -------
+    xarray.Dataset
+        Variables (time,) in m; NaN for steps without grains.
+
+    Raises
+    ------
+    SceneError
+        If the scene holds no diameters.
+    """
+    require_scene(ds, ("diameter",), "size_statistics")
+    weight = ds["mass"] if "mass" in ds else ds["diameter"] ** 3
+    inputs = [a.chunk(particle=-1) if a.chunks is not None else a for a in (ds["diameter"], weight)]
+    if not ds.sizes["particle"]:  # which dask takes no function over
+        inputs = [a.compute() for a in inputs]
+    table = xr.apply_ufunc(
+        _sizes_of_rows, *inputs, input_core_dims=[["particle"]] * 2, output_core_dims=[["size"]],
+        dask="parallelized", output_dtypes=[float], dask_gufunc_kwargs={"output_sizes": {"size": len(SIZES)}},
+    )  # fmt: skip
+    units = units_in("m", ds.attrs.get("unit_system", "SI"))
+    out = {
+        name: table.isel(size=k).assign_attrs(units=units, long_name=_SIZE_NAMES[name]) for k, name in enumerate(SIZES)
+    }
+    return xr.Dataset(out)
+
+
+def _sizes_of_rows(diameter: NDArray, weight: NDArray) -> NDArray:
+    out = np.empty((*diameter.shape[:-1], len(SIZES)))
+    for at in np.ndindex(diameter.shape[:-1]):
+        here = np.isfinite(diameter[at])
+        found = sizes_of(diameter[at][here], weight[at][here])
+        out[at] = [found[name] for name in SIZES]
+    return out

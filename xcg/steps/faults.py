@@ -161,7 +161,10 @@ def guarded(
             try:
                 arrays = dict(arrays) | dict(zip(keys, get(graph, list(keys.values())), strict=True))
             except FAULTS as error:  # of none of its steps alone
-                return _all_skipped(results, numbers, error)
+                if numbers is None:
+                    raise  # how many steps there are is not known
+                warn_of(dict.fromkeys(numbers.tolist(), cause_of(error)))
+                return _filled(results, len(numbers), {})
     count = len(next(iter(arrays.values())))
     named = np.arange(count) if numbers is None else numbers
     if numbers is None and faults:
@@ -182,13 +185,6 @@ def guarded(
             faults[number] = cause_of(error)
     warn_of({number: cause for number, cause in faults.items() if number in named})
     return _filled(results, count, found)
-
-
-def _all_skipped(results: Mapping[str, Result], numbers: NDArray | None, error: Exception) -> dict[str, NDArray]:
-    if numbers is None:
-        raise error  # how many steps there are is not known
-    warn_of(dict.fromkeys(numbers.tolist(), cause_of(error)))
-    return _filled(results, len(numbers), {})
 
 
 def _filled(

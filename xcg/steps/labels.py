@@ -1,12 +1,9 @@
-"""Labels of results: dimensions, units, coordinates, phases, provenance; summaries of scenes and results."""
+"""Labels of results: dimensions, units, coordinates, phases, provenance, and a summary."""
 
 from __future__ import annotations
 
-import html
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from datetime import UTC, datetime
-from functools import cache
 from importlib.metadata import version
 from typing import Any, Self
 
@@ -16,12 +13,10 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 from xarray.indexes import PandasIndex
 
-from xcg.common.messages import printable
-from xcg.scene.bodies import walls_of
 from xcg.scene.conform import storable
-from xcg.scene.description import Description, describe
+from xcg.scene.description import Description, Summary, rows_of_origin
 from xcg.scene.frame import with_time
-from xcg.scene.schema import BOX, COMPONENTS, VARIABLES, Variable, units_in, variable
+from xcg.scene.schema import COMPONENTS, Variable, units_in
 from xcg.steps.faults import SKIPPED, Result
 
 # attributes of a scene that hold for its results, too
@@ -105,15 +100,10 @@ def format_call(function: str, given: Mapping[str, Any]) -> str:
     return f"{function}({', '.join(f'{k}={v}' for k, v in shown.items())})"
 
 
-@cache
-def _version() -> str:
-    return version("xcg")  # which is read from a file
-
-
 def provenance(ds: xr.Dataset | Description, call: str) -> dict[str, Any]:
     """Attributes of a result: what holds for the scene, then its history with the time, the version and the call."""
     stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-    line = f"{stamp} xcg {_version()}: {call}"
+    line = f"{stamp} xcg {version('xcg')}: {call}"
     earlier = ds.attrs.get("history")
     kept = {name: ds.attrs[name] for name in ABOUT if name in ds.attrs}
     return kept | {"history": line if earlier is None else f"{earlier}\n{line}"}
@@ -220,110 +210,3 @@ def _kernel(ds: xr.Dataset) -> str:
     lengths = ((name, np.atleast_1d(ds.attrs[name])) for name in ("width", "cutoff") if name in ds.attrs)
     shown = (f"{name} {' and '.join(f'{value:.6g}' for value in values)}" for name, values in lengths)
     return ", ".join([str(ds.attrs["kernel"]), *shown])
-
-
-# --- summaries of scenes ---------------------------------------------------------------------------------
-
-
-_WIDTH = 11  # of labels
-
-
-@dataclass(frozen=True)
-class Summary:
-    """A title and rows of (label, text). Rows without text are left out; names in files are made printable."""
-
-    title: str
-    rows: tuple[tuple[str, str], ...]
-
-    @classmethod
-    def of(cls, title: str, rows: Iterable[tuple[str, str]]) -> Summary:
-        """Make one of what there is to say."""
-        return cls(printable(title), tuple((label, printable(text)) for label, text in rows if text))
-
-    def __str__(self) -> str:
-        return "\n".join([self.title, *(f"  {label + ':':{_WIDTH}s}{text}" for label, text in self.rows)])
-
-    def html(self) -> str:
-        """Write a table, for notebooks."""
-        style = "text-align: left; vertical-align: top"
-        rows = "".join(
-            f'<tr><th style="{style}">{html.escape(label)}</th><td style="{style}">{html.escape(text)}</td></tr>'
-            for label, text in self.rows
-        )
-        return f"<div><p><b>{html.escape(self.title)}</b></p><table>{rows}</table></div>"
-
-
-def summary_of_scene(ds: xr.Dataset) -> Summary:
-    """Return a summary of what a scene holds and lacks, without reading it."""
-    steps = ds["time"].size if "time" in ds.coords else ds.sizes.get("time", 1)  # also by other dimensions
-    particles, contacts = (ds.sizes.get(dim, 1) for dim in ("particle", "contact"))
-    contacts = contacts if "contact_i" in ds else 0
-    # one order, whatever that of a file is
-    there = [name for name in dict.fromkeys([*VARIABLES, *map(str, ds.variables)]) if name in ds.variables]
-    names = {dim: [n for n in there if n not in BOX and variable(n).dims[0] == dim] for dim in _ROWS}
-    own = {
-        dim: [n for n in names[dim] if n not in ds.dims and (n in ds.data_vars or n == dim + "_id")] for dim in _ROWS
-    }
-    missing = [name for name in ("velocity", "diameter", "mass", "contact_force") if name not in ds]
-    sizes = ", ".join(f"{k} = {ds.attrs[k]:.6g}" for k in ("dmin", "d50", "d43", "dmax") if k in ds.attrs)
-    return Summary.of(
-        f"scene of {steps} step{'s' * (steps != 1)} with up to {particles} particles and {contacts} contacts",
-        [
-            *rows_of_origin(ds),
-            *((f"{dim}s", ", ".join(own[dim]) or "none") for dim in _ROWS),
-            ("missing", ", ".join(missing) or "nothing"),
-            ("walls", ", ".join(f"{name} ({number})" for name, number in walls_of(ds).items())),
-            ("sides", _SIDES.get(str(ds.attrs.get("sides")), "")),
-            ("sizes", sizes or "not measured"),
-            ("box", _box(ds)),
-            ("periodic", f"{ds.attrs.get('periodic') or 'no axis'}; dimension {ds.attrs.get('dimension', 3)}"),
-        ],
-    )
-
-
-_ROWS = ("particle", "contact")
-_SIDES = {
-    "mean": "contacts listed from both sides are one, with the mean of both",
-    "first": "contacts listed from both sides are one, as the first row has it",
-    "separate": "contacts listed from both sides, with forces not quite opposite, are two",
-}
-
-
-def rows_of_origin(ds: xr.Dataset) -> list[tuple[str, str]]:
-    """Rows on where data come from and what holds for all of them: engine, files, times, gravity, units."""
-    gravity = ds.attrs.get("gravity")
-    system, skipped = ds.attrs.get("unit_system"), str(ds.attrs.get("skipped_files", ""))
-    pull = "" if gravity is None else ", ".join(f"{g:.6g}" for g in np.atleast_1d(gravity))
-    unit = units_in("m s^-2", system or "SI").removesuffix("1")
-    assumed = " (assumed: the files do not name them)" if "assumed_units" in ds.attrs else ""
-    return [
-        ("engine", str(ds.attrs.get("engine", ""))),
-        ("files", str(ds.attrs.get("files", "")).replace("\n", "; ")),
-        ("ignored", str(ds.attrs.get("ignored_columns", "")).replace("\n", "; ")),
-        ("skipped", f"{len(skipped.splitlines())} files" if skipped else ""),
-        ("time", _times(ds)),
-        ("gravity", f"({pull}) {unit}".rstrip() if pull else ""),
-        ("units", {None: "", "SI": "SI"}.get(system, f"{system}: scaled numbers, without units") + assumed),
-    ]
-
-
-def _times(ds: xr.Dataset) -> str:
-    """First and last time."""
-    if "time" not in ds.coords or not ds["time"].size or ds["time"].dtype.kind not in "iuf":
-        return ""
-    times = np.atleast_1d(ds["time"].to_numpy())
-    unit = str(ds["time"].attrs.get("units", "")).removesuffix("1")
-    text = f"{times[0]:g} to {times[-1]:g} {unit}" if len(times) > 1 else f"{times[0]:g} {unit}"
-    return text.rstrip()
-
-
-def _box(ds: xr.Dataset) -> str:
-    """Edges of the box where they are known without reading."""
-    if "box" in ds and ds["box"].chunks is not None and "box_lower" not in ds.attrs:
-        return "changes with time"
-    edges = describe(ds).edges
-    unit = units_in("m", ds.attrs.get("unit_system", "SI")).removesuffix("1")
-    text = ", ".join(f"{a} {edges[a][0]:.6g} to {edges[a][1]:.6g}" for a in COMPONENTS if a in edges)
-    text += ", tilted" * ("lattice" in ds) + ", with images that move" * ("lattice_velocity" in ds)
-    changes = "box" in ds and "box_lower" not in ds.attrs and ds["box"].sizes.get("time", 1) > 1
-    return f"{text} {unit}".rstrip() + (" (first step)" if changes else "") if text else "none"

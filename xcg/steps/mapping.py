@@ -1,18 +1,38 @@
-"""Map a function over all chunks of time: at once in memory, as one dask task a chunk for lazy scenes."""
+"""Map a function over all chunks of time: at once in memory, as one dask task a chunk for lazy scenes.
+
+Functions import dask and tqdm themselves: they load slowly, and scenes in memory do without them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Iterator, Mapping
-from functools import cache, partial
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
-from typing import Any
+from operator import itemgetter
+from typing import TYPE_CHECKING, Any, TextIO
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.messages import Once
+from xcg.compiled._jit import is_interactive
 from xcg.steps.faults import SKIPPED, Compute, OnError, Result, check_on_error, guarded
+
+if TYPE_CHECKING:
+    import dask.array as da
+    from dask.callbacks import Callback
+    from dask.highlevelgraph import HighLevelGraph
+    from tqdm import tqdm
+
+_LAST = ("component", "direction", "bound")  # dimensions of a row, in the order of tasks
+_SHARE = 0.1  # of all steps, from one plain line to the next
+_LONG = 2.0  # seconds after which work is long enough to show progress unasked
+_BAR = "[{bar:30}] {n_fmt} of {total_fmt}{unit}, {rate_noinv_fmt}, {remaining} left"
+_LINE = "{n_fmt} of {total_fmt}{unit}, {rate_noinv_fmt}, {remaining} left"
 
 
 def map_over_time(
@@ -47,15 +67,13 @@ def map_over_time(
         NumPy or dask arrays by the names in `results`, and ``skipped`` where steps may be.
     """
     once, variables = Once(), ds.variables
-    inputs = {name: variables[name].transpose(*_order(variables[name].dims)) for name in names}
+    inputs = {name: variables[name].transpose("time", ..., *_LAST, missing_dims="ignore") for name in names}
     skip = on_error != "raise" and check_on_error(on_error) == "skip"
     numbers = _numbers(ds) if skip else None
     if skip:
         results = dict(results) | {SKIPPED: ((), "bool")}
-    if any(map(_chunked, inputs.values())):
-        from xcg.steps.graph import lazy_results  # and with it dask
-
-        return lazy_results(inputs, partial(_with_warnings_once, once, compute), results, label, numbers, on_error)
+    if any(given.chunks is not None for given in inputs.values()):
+        return _lazy_results(inputs, partial(_with_warnings_once, once, compute), results, label, numbers, on_error)
     arrays = {name: given.to_numpy() for name, given in inputs.items()}
     with once.active():
         return guarded(compute, results, numbers, {}, {}, arrays) if skip else compute(arrays)
@@ -67,13 +85,6 @@ def _with_warnings_once(once: Once, compute: Compute, arrays: Mapping[str, NDArr
         return compute(arrays)
 
 
-@cache
-def _order(dims: tuple[Hashable, ...]) -> tuple[Hashable, ...]:
-    """Dimensions of a step in the order of tasks."""
-    last = [dim for dim in ("component", "direction", "bound") if dim in dims]
-    return ("time", *(dim for dim in dims if dim not in ("time", *last)), *last)
-
-
 def _numbers(ds: xr.Dataset) -> NDArray | None:
     """Numbers of the steps, which messages about faults name; None where the scene has lost them."""
     if "step" not in ds.coords or ds["step"].dims != ("time",) or ds["step"].chunks is not None:
@@ -83,19 +94,12 @@ def _numbers(ds: xr.Dataset) -> NDArray | None:
 
 def is_lazy(ds: xr.Dataset, names: Iterable[str]) -> bool:
     """Return whether any of these variables is a dask array."""
-    variables = ds.variables
-    return any(_chunked(variables[name]) for name in names)
+    return any(ds.variables[name].chunks is not None for name in names)
 
 
 def threads_a_chunk(ds: xr.Dataset, names: Iterable[str], threads: int) -> int:
     """Return the number of threads of a chunk of time: all for a single chunk, else one."""
-    variables = ds.variables
-    lazy = (given for name in names if _chunked(given := variables[name]))
-    return threads if all(len(given.chunksizes.get("time", ())) <= 1 for given in lazy) else 1
-
-
-def _chunked(given: xr.Variable) -> bool:
-    return given.chunks is not None
+    return threads if all(len(ds.variables[name].chunksizes.get("time", ())) <= 1 for name in names) else 1
 
 
 def chunks_of_time(series: Iterable[xr.Dataset]) -> list[slice]:
@@ -122,3 +126,207 @@ def each_step(ds: xr.Dataset) -> Iterator[xr.Dataset]:
         chunk = ds.isel(time=steps).compute()
         for t in range(chunk.sizes["time"]):
             yield chunk.isel(time=[t])
+
+
+# --- tasks of dask: one a chunk, which computes all results ----------------------------------------------
+
+
+def picked(
+    graph: HighLevelGraph, layer: str, name: str, key: str, chunks: Sequence[int], shape: tuple[int, ...], dtype: Any
+) -> da.Array:
+    """Array of the entries `name` of the mappings that the tasks ``(layer, 0)``, ``(layer, 1)``, ... return.
+
+    Parameters
+    ----------
+    graph : HighLevelGraph
+        Holds `layer`.
+    key : str
+        Name of the array.
+    chunks : sequence of int
+        Steps in each chunk.
+    shape : tuple of int
+        Shape of one step.
+    """
+    import dask.array as da
+    from dask.blockwise import blockwise
+    from dask.highlevelgraph import HighLevelGraph
+
+    axes = tuple(range(1 + len(shape)))
+    picks: Any = blockwise(
+        itemgetter(name), key, axes, layer, (0,), numblocks={layer: (len(chunks),)}, new_axes=dict.fromkeys(axes[1:], 1)
+    )
+    picks.origin = layer, name
+    whole = HighLevelGraph({**graph.layers, key: picks}, {**graph.dependencies, key: {layer}})
+    sizes = (tuple(chunks), *((n,) for n in shape))
+    return da.Array(whole, key, sizes, meta=np.empty((0,) * (1 + len(shape)), dtype))
+
+
+def origin(array: da.Array) -> tuple[str, str] | None:
+    """Layer and entry that all chunks of an array are picked from; None where it comes about otherwise."""
+    return getattr(array.dask.layers.get(array.name), "origin", None)
+
+
+@dataclass(frozen=True)
+class Gathered:
+    """Arrays of the same chunks of time, whole otherwise, for tasks that take one chunk of all of them.
+
+    Attributes
+    ----------
+    sources : tuple
+        What such a task depends on: layers by name and number of indices.
+    entries : mapping
+        Where each array is among them, and under which name in it; "" for an array itself.
+    """
+
+    sources: tuple[tuple[str, int], ...]
+    entries: Mapping[str, tuple[int, str]]
+
+    @classmethod
+    def of(cls, arrays: Mapping[str, da.Array]) -> Gathered:
+        """Find the sources of these arrays, each once."""
+        sources: list[tuple[str, int]] = []
+        entries = {}
+        for name, array in arrays.items():
+            found = origin(array)
+            layer, entry = found or (array.name, "")
+            source = (layer, 1 if found else array.ndim)
+            if source not in sources:
+                sources.append(source)
+            entries[name] = (sources.index(source), entry)
+        return cls(tuple(sources), entries)
+
+    def keys(self, chunk: int) -> list[tuple[Any, ...]]:
+        """Keys that the task of one chunk depends on."""
+        return [(layer, chunk, *(0,) * (indices - 1)) for layer, indices in self.sources]
+
+    def take(self, values: Sequence[Any]) -> dict[str, NDArray]:
+        """Arrays by name, from the values of the keys."""
+        return {name: values[k][entry] if entry else values[k] for name, (k, entry) in self.entries.items()}
+
+
+def _lazy_results(
+    inputs: Mapping[str, xr.Variable],
+    compute: Compute,
+    results: Mapping[str, Result],
+    label: str,
+    numbers: NDArray | None,
+    on_error: str,
+) -> dict[str, Any]:
+    """Dask arrays of all results, of variables (time, ...) some of which are lazy; see `map_over_time`."""
+    from dask.base import tokenize
+    from dask.highlevelgraph import HighLevelGraph
+    from dask.optimization import cull
+
+    lazy, fixed = _in_chunks(inputs)
+    name = f"{label}-{tokenize(compute, lazy, fixed, on_error)}"
+    chunks = next(iter(lazy.values())).chunks[0]
+    # a key of its own, so that what all tasks share, such as a million points, travels to a worker once
+    call, skip = f"call-{name}", SKIPPED in results
+    tasks: dict[Any, Any] = {call: partial(guarded, compute, results) if skip else compute}
+    gathered = Gathered.of(lazy)
+    # of chunks that look after their own faults all that they need is within their tasks
+    below = HighLevelGraph.merge(*(a.__dask_graph__() for a in lazy.values())).to_dict() if skip else {}
+    for t, (start, stop) in enumerate(pairwise(np.cumsum([0, *chunks]).tolist())):
+        here = {n: a[start:stop] for n, a in fixed.items()}
+        if skip:
+            keys = {of: (a.name, t, *(0,) * (a.ndim - 1)) for of, a in lazy.items()}
+            part, _ = cull(below, list(keys.values()))
+            these = None if numbers is None else numbers[start:stop]
+            tasks[name, t] = (partial(_compute_guarded, these, part, keys, here), call)
+        else:
+            tasks[name, t] = (partial(_compute_chunk, gathered, here), call, *gathered.keys(t))
+    graph = HighLevelGraph.from_collections(name, tasks, [] if skip else list(lazy.values()))
+    return {
+        result: picked(graph, name, result, f"{result}-{name}", chunks, shape, dtype)
+        for result, (shape, dtype) in results.items()
+    }
+
+
+def _in_chunks(inputs: Mapping[str, xr.Variable]) -> tuple[dict[str, da.Array], dict[str, NDArray]]:
+    """Lazy arrays, whole but along time, where they have the finest chunks of all; and arrays in memory."""
+    found: dict[str, Any] = {n: v._data for n, v in inputs.items() if v.chunks is not None}
+    finest = max((a.chunks[0] for a in found.values()), key=len)
+    lazy = {n: a.rechunk({0: finest, **dict.fromkeys(range(1, a.ndim), -1)}) for n, a in found.items()}
+    return lazy, {n: v.to_numpy() for n, v in inputs.items() if n not in found}
+
+
+def _compute_chunk(
+    gathered: Gathered, fixed: Mapping[str, NDArray], compute: Compute, *given: Any
+) -> dict[str, NDArray]:
+    return compute({**gathered.take(given), **fixed})
+
+
+def _compute_guarded(*arguments: Any) -> dict[str, NDArray]:
+    *chunk, compute = arguments
+    return compute(*chunk)
+
+
+# --- progress: a bar in a terminal or notebook, plain lines elsewhere ------------------------------------
+
+
+class _LogLines:
+    """A stream in which every state of a bar is a line of its own."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream, self._last = stream, ""
+
+    def write(self, text: str) -> None:
+        line = text.strip("\r\n ")
+        steps = line.split(",")[0]
+        if line and steps != self._last:  # the last state comes twice
+            self._stream.write(f"{line}\n")
+        self._last = steps or self._last
+
+    def flush(self) -> None:
+        self._stream.flush()
+
+
+@contextmanager
+def shown(count: int, wanted: bool | None, *, done: int = 0, what: str = "steps") -> Iterator[tqdm]:
+    """Show on the standard error how far a block of code is; nothing where all steps are finished before.
+
+    Parameters
+    ----------
+    count, done : int
+        Number of all steps, and of finished steps.
+    wanted : bool or None
+        Always, never, or (None) from two seconds on in a terminal or notebook.
+    what : str
+        What is counted.
+
+    Yields
+    ------
+    tqdm.tqdm
+        Its method ``update(n)`` counts further steps.
+    """
+    from tqdm import tqdm
+
+    redraws = is_interactive()
+    how: dict[str, Any] = {"file": sys.stderr, "bar_format": _BAR, "delay": 0}
+    if not redraws:
+        how = {"file": _LogLines(sys.stderr), "bar_format": _LINE, "mininterval": 0, "miniters": _SHARE * count}
+        how |= {"maxinterval": float("inf"), "delay": 1e-9}  # which leaves out the line before the first step
+    how |= {"delay": _LONG} if wanted is None else {}
+    quiet = done >= count or not (redraws if wanted is None else wanted)
+    with tqdm(total=count, initial=done, disable=quiet, unit=f" {what}", ascii="-#", **how) as bar:
+        yield bar
+
+
+def count_tasks(bar: tqdm, is_counted: Callable[[Any], bool]) -> Callback:
+    """Return a dask callback that counts the tasks whose keys are chosen, and updates a bar of steps."""
+    from dask.callbacks import Callback
+
+    first, done, tasks = bar.n, 0, 1
+
+    def begin(graph: Mapping[Any, Any]) -> None:
+        nonlocal tasks
+        tasks = max(1, sum(map(is_counted, graph)))
+
+    def end(key: Any, *_: Any) -> None:
+        nonlocal done
+        if is_counted(key):
+            done += 1
+            steps = (bar.total - first) * done // tasks
+            bar.update(first + steps - bar.n)
+
+    return Callback(start=begin, posttask=end)

@@ -29,12 +29,10 @@ from numpy.typing import NDArray
 from xarray.backends.locks import get_dask_scheduler, get_write_lock
 
 from xcg.common.messages import SceneError
-from xcg.compiled import THREADS
+from xcg.compiled._jit import THREADS
 from xcg.scene.conform import storable
 from xcg.steps.faults import SKIPPED, listen_for_skips, skips_heard
-from xcg.steps.graph import Gathered
-from xcg.steps.mapping import chunks_of_time
-from xcg.steps.progress import CountTasks, shown
+from xcg.steps.mapping import Gathered, chunks_of_time, count_tasks, shown
 from xcg.writers.encoding import Encoding
 from xcg.writers.files import check_target, whole_file, work_folder
 
@@ -192,11 +190,11 @@ def write_file(
     resume: bool = False,
     progress: bool | None = False,
 ) -> None:
-    """Write one file; `progress` as in `xcg.steps.progress.shown`, where tasks on a cluster are not seen."""
+    """Write one file; `progress` as in `xcg.steps.mapping.shown`, where tasks on a cluster are not seen."""
     work = path.with_name(f".{path.name}.begun") if resume else None
     steps = write_files(ds, {path: kind}, encoding, overwrite=overwrite, work=work)
     done = next(steps)
-    with shown(ds.sizes.get("time", 1), progress, done=done) as bar, CountTasks(bar, _writes):
+    with shown(ds.sizes.get("time", 1), progress, done=done) as bar, count_tasks(bar, _writes):
         for _ in steps:
             pass
 

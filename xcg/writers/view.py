@@ -11,7 +11,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.chains.results import require_chains, steps_of
-from xcg.common.messages import extra, unknown
+from xcg.common.checks import extra
+from xcg.common.messages import unknown
 from xcg.scene.conform import conform
 from xcg.scene.contacts import Contacts
 from xcg.scene.frame import frame_at, step_at

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.common.messages import extra
+from xcg.common.checks import extra
 from xcg.writers.encoding import Encoding
 from xcg.writers.files import part_of, whole_folder
 from xcg.writers.store import Format, Parts, StoreLayout, joined

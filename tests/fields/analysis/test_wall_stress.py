@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 
 import xcg
-from tests.scene.test_bodies import DATA, GRAVITY, SUMS, WALLS
+from tests.scene.test_contacts import DATA, GRAVITY, SUMS, WALLS
 from xcg.fields.grids.wall_shapes import Wall
 
 DIAMETER = 1.0

@@ -17,8 +17,8 @@ from xcg.compiled.geometry import add_shares
 from xcg.fields.grids.grid import make_grid
 from xcg.fields.layout import automatic_bounds
 from xcg.fields.sums.nodes import Grid
-from xcg.scene.conform import storable, takes_scene
-from xcg.scene.description import Description, describe, require_scene
+from xcg.scene.conform import require_scene, storable, takes_scene
+from xcg.scene.description import Description, describe
 from xcg.scene.frame import phase_of, steps_in
 from xcg.scene.schema import COMPONENTS, OF_STEP, Setup, units_in
 from xcg.steps.faults import OnError

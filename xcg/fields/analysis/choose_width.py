@@ -13,7 +13,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common import drawing
-from xcg.common.messages import is_positive, is_whole
+from xcg.common.checks import is_positive, is_whole
 from xcg.fields.analysis.width_sweep import join_widths, with_nodes
 from xcg.fields.coarse_grain import prepare
 from xcg.fields.formulas.averages import time_average

@@ -11,10 +11,10 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.special import beta
 
-from xcg.common.messages import SceneError, is_positive, unit_vector, warn_once
+from xcg.common.checks import is_positive, unit_vector
+from xcg.common.messages import SceneError, warn_once
 from xcg.scene.box import BoxMotion
-from xcg.scene.conform import takes_scene
-from xcg.scene.description import require_scene
+from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.frame import particle_rows, require_rising_times, steps_in
 from xcg.scene.sanity import rows_of
 from xcg.scene.schema import COMPONENTS, OF_STEP, VARIABLES, units_in

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from xcg.fields.formulas.averages import block_errors
 from xcg.scene.box import BoxMotion, partners
-from xcg.scene.conform import takes_scene
-from xcg.scene.description import describe, require_scene
+from xcg.scene.conform import require_scene, takes_scene
+from xcg.scene.description import describe
 from xcg.scene.frame import evenly_spaced, phase_of, steps_in, without_frozen
 from xcg.scene.sanity import rows_of
 from xcg.scene.schema import COMPONENTS, OF_STEP, units_in

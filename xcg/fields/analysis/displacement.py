@@ -12,7 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.messages import unknown
-from xcg.compiled import THREADS
+from xcg.compiled._jit import THREADS
 from xcg.fields.coarse_grain import about, compute_chunk, labelled, prepare
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.averages import derive, needed_for_averages
@@ -20,7 +20,8 @@ from xcg.fields.grids.frames import refuse_cylindrical
 from xcg.fields.plan import make_plan
 from xcg.fields.request import Request, takes
 from xcg.scene.box import BoxMotion, partners
-from xcg.scene.description import describe, require_scene
+from xcg.scene.conform import require_scene
+from xcg.scene.description import describe
 from xcg.scene.frame import require_rising_times, steps_in
 from xcg.scene.schema import COMPONENTS, OF_STEP, PADDING, units_in
 from xcg.scene.sizes import with_measures

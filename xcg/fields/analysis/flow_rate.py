@@ -16,8 +16,8 @@ from xcg.fields.grids.frames import Rotated
 from xcg.fields.grids.surface import Surface
 from xcg.fields.grids.wall_shapes import Plane, Wall, axis_of
 from xcg.fields.sums.kernels import Kernel, KernelName, kernel_of
-from xcg.scene.conform import takes_scene
-from xcg.scene.description import Description, describe, require_scene
+from xcg.scene.conform import require_scene, takes_scene
+from xcg.scene.description import Description, describe
 from xcg.scene.schema import COMPONENTS, units_in
 from xcg.steps.faults import OnError
 from xcg.steps.labels import format_call, provenance

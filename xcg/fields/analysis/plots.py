@@ -13,12 +13,12 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common import drawing
-from xcg.common.messages import did_you_mean, extra, is_positive, unknown
+from xcg.common.checks import extra, is_positive
+from xcg.common.messages import did_you_mean, unknown
 from xcg.fields.formulas.registry import FIELDS
 from xcg.scene.frame import step_at, with_time
 from xcg.scene.schema import COMPONENTS
-from xcg.steps.mapping import each_step
-from xcg.steps.progress import shown
+from xcg.steps.mapping import each_step, shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

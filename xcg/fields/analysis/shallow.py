@@ -10,11 +10,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.messages import SceneError, is_finite, is_positive
+from xcg.common.checks import is_finite, is_positive
+from xcg.common.messages import SceneError
 from xcg.fields.coarse_grain import coarse_grain
 from xcg.fields.sums.kernels import Kernel, KernelName, kernel_of
-from xcg.scene.conform import takes_scene
-from xcg.scene.description import describe, require_scene
+from xcg.scene.conform import require_scene, takes_scene
+from xcg.scene.description import describe
 from xcg.scene.frame import with_time
 from xcg.scene.schema import COMPONENTS, units_in
 from xcg.steps.faults import OnError

@@ -13,9 +13,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.messages import SceneError, is_positive, is_whole, rising_pair
-from xcg.scene.conform import storable, takes_scene
-from xcg.scene.description import describe, require_scene
+from xcg.common.checks import is_positive, is_whole, rising_pair
+from xcg.common.messages import SceneError
+from xcg.scene.conform import require_scene, storable, takes_scene
+from xcg.scene.description import describe
 from xcg.scene.frame import steps_in
 from xcg.scene.schema import COMPONENTS, OF_STEP, units_in
 from xcg.steps.faults import OnError

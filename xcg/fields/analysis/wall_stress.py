@@ -12,13 +12,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.messages import is_positive, warn_once
+from xcg.common.checks import is_positive
+from xcg.common.messages import warn_once
 from xcg.fields.grids.wall_shapes import SurfaceCells, Wall
 from xcg.fields.sums.kernels import Kernel, KernelName, kernel_of
-from xcg.scene.bodies import Walls, select_walls
-from xcg.scene.conform import storable, takes_scene
-from xcg.scene.contacts import Contacts
-from xcg.scene.description import Description, describe, require_scene
+from xcg.scene.conform import require_scene, storable, takes_scene
+from xcg.scene.contacts import Contacts, Walls, select_walls
+from xcg.scene.description import Description, describe
 from xcg.scene.frame import steps_in, without_frozen
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import COMPONENTS, OF_STEP, Setup, units_in

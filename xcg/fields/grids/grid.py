@@ -10,7 +10,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.messages import is_finite, rising_pair, warn_once, warn_user
+from xcg.common.checks import is_finite, rising_pair
+from xcg.common.messages import warn_once, warn_user
 from xcg.fields.sums.nodes import Grid
 from xcg.scene.sanity import SAMPLE
 from xcg.scene.schema import COMPONENTS

@@ -13,8 +13,7 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.compiled import THREADS
-from xcg.compiled._jit import for_each
+from xcg.compiled._jit import THREADS, for_each
 from xcg.compiled.cells import PointCells, lists_for_points, sort_by_cell
 from xcg.compiled.reach import PAD, Lists, Nodes
 from xcg.fields.grids.grid import MAX_NODES, check_axes

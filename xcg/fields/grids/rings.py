@@ -15,9 +15,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.messages import is_finite
-from xcg.compiled import THREADS
+from xcg.common.checks import is_finite
 from xcg.compiled import points as loops
+from xcg.compiled._jit import THREADS
 from xcg.compiled.points import SQUARES
 from xcg.compiled.rings import ROOM, Flow, Rings, ring_means, ring_references, ring_squares
 from xcg.fields.grids.grid import MAX_NODES, nodes_along

@@ -7,7 +7,7 @@ import os
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from xcg.common.messages import is_positive
+from xcg.common.checks import is_positive
 from xcg.common.vtk_mesh import read_mesh
 from xcg.compiled import geometry as loops
 from xcg.fields.grids.wall_shapes import SurfaceCells, Wall

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.common.messages import is_positive, rising_pair, unit_vector, vector
+from xcg.common.checks import is_positive, rising_pair, unit_vector, vector
 from xcg.scene.schema import COMPONENTS
 
 _MOST_CELLS = 2**24

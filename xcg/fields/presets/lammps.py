@@ -17,13 +17,15 @@ from typing import Any
 
 import xarray as xr
 
-from xcg.common.messages import is_positive, unknown
+from xcg.common.checks import is_positive
+from xcg.common.messages import unknown
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Quantity
 from xcg.fields.plan import make_plan
 from xcg.fields.request import Request
 from xcg.fields.sums.kernels import Gaussian, Kernel, kernel_of
-from xcg.scene.description import Description, describe, require_scene
+from xcg.scene.conform import require_scene
+from xcg.scene.description import Description, describe
 from xcg.scene.schema import COMPONENTS, units_in
 
 

@@ -24,7 +24,8 @@ from xcg.fields.formulas.field import Field, Options, Quantity
 from xcg.fields.plan import possible_fields
 from xcg.fields.request import Request
 from xcg.fields.sums.kernels import KernelName, as_kernel, resolve_width
-from xcg.scene.description import Description, describe, require_scene
+from xcg.scene.conform import require_scene
+from xcg.scene.description import Description, describe
 from xcg.scene.schema import COMPONENTS
 
 _RATE = "shear_rate_tensor"

@@ -16,7 +16,8 @@ from typing import Any, ClassVar, Literal, TypeAlias, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from xcg.common.messages import is_finite, is_positive, is_whole, warn_user
+from xcg.common.checks import is_finite, is_positive, is_whole
+from xcg.common.messages import warn_user
 from xcg.compiled import smoothing as codes
 from xcg.compiled.lines import mean_along
 from xcg.compiled.smoothing import LUCY_FULL, PLAIN, CellKernel, KernelCode

@@ -13,7 +13,8 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.common.messages import SceneError, is_positive
+from xcg.common.checks import is_positive
+from xcg.common.messages import SceneError
 from xcg.readers import columns
 from xcg.readers.columns import Columnar
 from xcg.readers.engine import ReadOptions, StepRef

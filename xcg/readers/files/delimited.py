@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError
-from xcg.compiled import THREADS
+from xcg.compiled._jit import THREADS
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.files.table import SHARED, parse_table
 from xcg.readers.files.text import PIECE, Scanner, body_of, most_text, open_binary, source_of

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError
-from xcg.compiled import THREADS
+from xcg.compiled._jit import THREADS
 from xcg.compiled.text import BEYOND, REST, read_rows
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.files.text import PIECE, body_of, source_of, whole_lines

@@ -1,0 +1,94 @@
+"""Checks of numbers as callers give them, and of packages that not everyone has."""
+
+from __future__ import annotations
+
+import importlib
+import math
+from typing import Any, TypeGuard
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def floats(given: Any) -> NDArray[np.float64]:
+    """Numbers as an array; NaN, without dimensions, where they are texts, booleans or other objects."""
+    try:
+        values = np.asarray(given)
+        texts = values.dtype.kind == "O" and any(isinstance(value, (str, bytes)) for value in values.flat)
+        numeric = values.dtype.kind in "iufO" and not texts
+        return values.astype("float64") if numeric else np.full((), np.nan)
+    except (TypeError, ValueError, OverflowError):
+        return np.full((), np.nan)
+
+
+def is_finite(value: Any) -> TypeGuard[float]:
+    """Return whether this is one finite number."""
+    number = floats(value)
+    return number.ndim == 0 and math.isfinite(number)
+
+
+def is_positive(value: Any) -> TypeGuard[float]:
+    """Return whether this is one finite number above zero."""
+    return is_finite(value) and bool(value > 0)
+
+
+def is_whole(value: Any, least: int, most: float = math.inf) -> bool:
+    """Return whether this is one whole number in a range."""
+    return is_finite(value) and float(value).is_integer() and least <= value <= most
+
+
+def vector(name: str, given: Any, *, infinite: bool = False, error: type[ValueError] = ValueError) -> NDArray:
+    """Check three finite numbers (3,), or infinite ones where these mean something; `name` is the caller's for them."""
+    values = floats(given)
+    if values.shape != (3,) or np.isnan(values).any() or not (infinite or np.isfinite(values).all()):
+        raise error(f"{name}={given!r}: expected three {'' if infinite else 'finite '}numbers (x, y, z)")
+    return values
+
+
+def unit_vector(name: str, given: Any) -> NDArray:
+    """Check three finite numbers that are not all zero, and make their length one; (3,)."""
+    values = vector(name, given)
+    if not values.any():
+        raise ValueError(
+            f"{name}={given!r}: expected a direction, three finite numbers (x, y, z) that are not all zero"
+        )
+    return unit(values)
+
+
+def unit(values: NDArray) -> NDArray:
+    """Make the length of a vector (3,) one, whatever it is: squares of its largest component would not be finite."""
+    values = values / np.abs(values).max()
+    return np.asarray(values / np.linalg.norm(values))
+
+
+def rising_pair(name: str, given: Any, *, equal: bool = False) -> tuple[float, float]:
+    """Check two finite numbers of which the second is larger, or `equal` to the first where that is allowed."""
+    ends = floats(given)
+    if ends.shape != (2,) or not np.isfinite(ends).all() or ends[0] > ends[1] or (ends[0] == ends[1] and not equal):
+        raise ValueError(f"{name}={given!r}: expected (first, last) with first {'<=' if equal else '<'} last")
+    low, high = ends.tolist()
+    return low, high
+
+
+def extra(module: str, name: str, purpose: str) -> Any:
+    """Import a module of an optional package.
+
+    Parameters
+    ----------
+    module : str
+        What to import, for example ``matplotlib.pyplot``.
+    name : str
+        The extra of xcg that holds its package (``project.optional-dependencies`` in pyproject.toml).
+    purpose : str
+        What it is needed for, as the subject of a sentence.
+
+    Raises
+    ------
+    ImportError
+        If it is not installed.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        msg = f"{purpose} needs {error.name or module}, which is not installed: pip install 'xcg[{name}]'"
+        raise ImportError(msg, name=error.name) from error
