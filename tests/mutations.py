@@ -80,11 +80,11 @@ TABLE = [
     ),
     Mutation(
         "compiled/cell_means.py", "ab * f * ce / -24.0", "ab * f * ce / -25.0",
-        "test_cells_are_the_means_of_values_at_their_points",
+        "test_means_of_smooth_kernels_come_from_a_table",
     ),
     Mutation(
         "compiled/cell_means.py", "found *= integral / volume / total", "found *= integral / total",
-        "test_cells_hold_all_mass_and_momentum",
+        "test_means_of_smooth_kernels_come_from_a_table",
     ),
     Mutation(
         "compiled/polynomials.py", "r2 * (0.375 * r2 + 0.5 * h2)", "r2 * (0.375 * r2 - 0.5 * h2)",
