@@ -231,7 +231,7 @@ def ring_squares(grains, kernel, cutoff, rings, tilts, dimension, scratch, sums,
                 k = _first_from(rings.angle, first, last, low)
                 # at the far side both ends of the range are one place
                 while k < last and (rings.angle[k] < high or (half < math.pi and rings.angle[k] <= high)):
-                    # of the angle less the azimuth, and of the azimuth less the angle
+                    # cos(angle - azimuth), sin(azimuth - angle)
                     c = rings.cosine[k] * along + rings.sine[k] * across
                     s = rings.cosine[k] * across - rings.sine[k] * along
                     px, py, pz = (radius * c - r) * per_cutoff, radius * s * per_cutoff, dz * per_cutoff
