@@ -275,6 +275,8 @@ def volumes_in_ball(x, y, z, volumes, kernel, lists):
     int
         Number of nodes listed.
     """
+    if volumes is None:
+        return 0
     values, numbers = lists.values, lists.numbers
     (low, high, steps, per_steps), half = volumes.rows, volumes.half
     place, (a, b, c) = (x, y, z), volumes.order

@@ -253,6 +253,8 @@ def _keep_rows(count, lists):
 @inner
 def points_in_ball(x, y, z, cells, lists):
     """List the points of some cells that are closer than 1 to a place, as `nodes_in_ball` does."""
+    if cells is None:
+        return 0
     values, numbers = lists.values, lists.numbers
     px, py, pz, start, margin = cells.x, cells.y, cells.z, cells.start, cells.margin
     lower, size, per_size, (nx, ny, nz) = cells.lower, cells.size, cells.per_size, cells.shape
@@ -293,6 +295,8 @@ def points_around_segment(x, y, z, bx, by, bz, per_length, cells, lists):
 
     Differences of places are taken in double precision; the rest has the precision of the lists.
     """
+    if cells is None:
+        return 0
     values, numbers = lists.values, lists.numbers
     px, py, pz, start, margin = cells.x, cells.y, cells.z, cells.start, cells.margin
     lower, size, per_size, (nx, ny, nz) = cells.lower, cells.size, cells.per_size, cells.shape

@@ -173,7 +173,9 @@ def deposit(grains, nodes, kernel, level, still, meet, by_gradient, scratch, mom
                     y = y0 + image_y * period[1] if image_y else y0
                     for image_z in range(first_z, last_z + 1):
                         z = z0 + image_z * period[2] if image_z else z0
-                        hits = _list_nodes(x, y, z, nodes.rows, nodes.cells, nodes.volumes, kernel, lists)
+                        hits = nodes_in_ball(x, y, z, nodes.rows, lists)
+                        hits += points_in_ball(x, y, z, nodes.cells, lists)
+                        hits += volumes_in_ball(x, y, z, nodes.volumes, kernel, lists)
                         if nodes.volumes is None:
                             fill_values(kind, spread, table, norm, by_gradient, q2, hits, weight)
                         if level > 0:
@@ -189,19 +191,6 @@ def deposit(grains, nodes, kernel, level, still, meet, by_gradient, scratch, mom
                             c2, c3 = records[i, GRAIN + d + 2], records[i, GRAIN + d + 3]
                             for k in range(hits):
                                 add4(moments, p, numbers[NODE, k], level + d, weight[k], c0, c1, c2, c3)
-
-
-@inner
-def _list_nodes(x, y, z, rows, cells, volumes, kernel, lists):
-    """List the nodes that a grain at a place reaches; of cells with their weights."""
-    hits = 0
-    if rows is not None:
-        hits = nodes_in_ball(x, y, z, rows, lists)
-    if cells is not None:
-        hits = points_in_ball(x, y, z, cells, lists)
-    if volumes is not None:
-        hits = volumes_in_ball(x, y, z, volumes, kernel, lists)
-    return hits
 
 
 @inner

@@ -146,6 +146,8 @@ def nodes_in_ball(x, y, z, rows, lists):
     int
         Number of nodes listed.
     """
+    if rows is None:
+        return 0
     low, high, steps, per_steps = rows
     values, numbers = lists.values, lists.numbers
     x0, x1 = node_range(x - 1.0, x + 1.0, per_steps[0], low[0], high[0])
@@ -218,6 +220,8 @@ def nodes_around_segment(x, y, z, bx, by, bz, per_length, rows, lists):
     int
         Number of nodes listed.
     """
+    if rows is None:
+        return 0
     low, high, steps, per_steps = rows
     values, numbers = lists.values, lists.numbers
     x0, x1 = node_range(x + min(0.0, bx) - 1.0, x + max(0.0, bx) + 1.0, per_steps[0], low[0], high[0])

@@ -348,23 +348,13 @@ def deposit_segments(segments, nodes, kernel, lists, closed, rest, moments):
                         hits = _list_volumes(x, y, z, bx, by, bz, length, nodes.volumes, kernel, lists)
                         _add_dyad(moments, records, i, 1.0, numbers, w, hits)
                         continue
-                    hits = _list_nodes(x, y, z, bx, by, bz, per_length, nodes.rows, nodes.cells, lists)
+                    hits = nodes_around_segment(x, y, z, bx, by, bz, per_length, nodes.rows, lists)
+                    hits += points_around_segment(x, y, z, bx, by, bz, per_length, nodes.cells, lists)
                     if points:
                         fill_gauss(kind, spread, table, GAUSS_POINTS, GAUSS_WEIGHTS, points, length, along, q2, hits, w)
                     elif closed is not None:
                         fill_segments(kind, spread, table, length, along, q2, hits, w, *closed)
                     _add_dyad(moments, records, i, norm, numbers, w, hits)
-
-
-@inner
-def _list_nodes(x, y, z, bx, by, bz, per_length, rows, cells, lists):
-    """List the nodes that a segment, from a point to that point plus b, reaches."""
-    hits = 0
-    if rows is not None:
-        hits = nodes_around_segment(x, y, z, bx, by, bz, per_length, rows, lists)
-    if cells is not None:
-        hits = points_around_segment(x, y, z, bx, by, bz, per_length, cells, lists)
-    return hits
 
 
 @inner
