@@ -386,21 +386,26 @@ PANELS = (contact_stress, volume_fraction, kinetic_stress, temperature, velocity
 # --- measuring -------------------------------------------------------------------------------------------
 
 
-def fastest(runs: Sequence[Callable[[], Any]], repeats: int) -> list[float]:
-    """Least time of each run (s); they take turns, so that what disturbs the machine disturbs all of them.
+def in_turn(runs: Sequence[Callable[[], Any]], repeats: int) -> list[list[float]]:
+    """Times of each run (s); they take turns, so that what disturbs the machine disturbs all of them.
 
     Each time in another order: what one leaves of the heap makes the next faster or slower.
     """
     rng = np.random.default_rng(1)
     for run in runs:
         run()
-    best = [np.inf] * len(runs)
+    times: list[list[float]] = [[] for _ in runs]
     for _ in range(repeats):
         for k in rng.permutation(len(runs)):
             begin = time.perf_counter()
             runs[k]()
-            best[k] = min(best[k], time.perf_counter() - begin)
-    return best
+            times[k].append(time.perf_counter() - begin)
+    return times
+
+
+def fastest(runs: Sequence[Callable[[], Any]], repeats: int) -> list[float]:
+    """Least time of each run (s)."""
+    return list(map(min, in_turn(runs, repeats)))
 
 
 @dataclass(frozen=True)

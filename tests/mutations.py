@@ -93,7 +93,7 @@ TABLE = [
     Mutation("compiled/elementary.py", "math.pi - found", "math.pi + found", "test_angles"),
     Mutation(
         "readers/engines/mfix.py", "table[:, k] * arrays[_SCALE]", "table[:, k]",
-        "test_contact_points_of_mfix_lie_on_the_surfaces_of_its_superquadrics",
+        "test_half_axes_of_superquadrics_are_those_of_the_phase_times_the_scale",
     ),
     Mutation(
         "readers/columns.py", "whole / 2)", "whole)", "test_dumps_of_superquadrics_need_no_names",

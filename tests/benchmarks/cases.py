@@ -174,25 +174,17 @@ for line in open("/proc/self/status"):
     if line.startswith("VmHWM"):
         print(line.split()[1])
 """
-# Memory that a process has just given back is at the system's hand; other memory it may have to ask its host for.
-AT_HAND = """
-import sys
-import numpy as np
-np.ones(int(sys.argv[1]), np.uint8)
-"""
 SMALL_STEPS = """
-import os, sys, time
+import sys, time
 import dask, xcg
 from tests.benchmarks.series import write_gzipped_dumps
-folder, particles, steps, threads = sys.argv[2], *map(int, sys.argv[3:])
+folder, particles, steps, threads = sys.argv[1], *map(int, sys.argv[2:])
 ds = xcg.open_scene(**write_gzipped_dumps(folder, particles, steps), density=2500.0)
 with dask.config.set(scheduler="threads", num_workers=threads):
     for name, part in (("first", ds.isel(time=[0])), ("all", ds)):
-        exec(at_hand)
-        begin = time.perf_counter(), os.times()
+        begin = time.perf_counter()
         part.cg.coarse_grain().cg.save(f"{folder}/{name}.zarr")
-end = os.times()
-print(time.perf_counter() - begin[0], end.user - begin[1].user, end.system - begin[1].system)
+print(time.perf_counter() - begin)
 """
 DUMPS = """
 import sys
@@ -205,18 +197,6 @@ import xarray as xr
 from tests.benchmarks import cases
 case = cases.CASES[int(sys.argv[2])]
 case.run(xr.load_dataset(sys.argv[1]) if case.steps == 1 else xr.open_dataset(sys.argv[1], chunks={"time": 1}))
-"""
-TWICE = """
-import os, sys
-import xarray as xr
-from tests.benchmarks import cases
-case, ds = cases.CASES[int(sys.argv[3])], xr.load_dataset(sys.argv[2])
-for _ in range(2):
-    exec(at_hand)
-    begin = os.times()
-    case.run(ds)
-    end = os.times()
-    print(end.user - begin.user, end.system - begin.system)
 """
 
 
@@ -254,36 +234,15 @@ def libraries() -> float:
     return min(took)
 
 
-def small_steps(particles: int, steps: int, threads: int, at_hand: float = 0) -> tuple[float, float, float]:
-    """Seconds a step of a series of gzipped dumps to a Zarr folder of all fields: by the clock, and of the processor.
-
-    Those of the processor are in the program, and in the system. In a process of its own, after a first step; with as
-    many bytes of memory at hand.
-    """
+def small_steps(particles: int, steps: int, threads: int) -> float:
+    """Seconds a step of a series of gzipped dumps to a Zarr folder of all fields, after a first step."""
     with tempfile.TemporaryDirectory() as folder:
-        given = (f"{at_hand:.0f}", folder, *map(str, (particles, steps, threads)))
-        took = fresh(f"at_hand = {AT_HAND!r}" + SMALL_STEPS, *given, XCG_INDEX_CACHE="0")
-    seconds, program, system = map(float, took.split())
-    return seconds / steps, program / steps, system / steps
-
-
-def first_call(case: Case, particles: int, at_hand: float = 0) -> list[list[float]]:
-    """Seconds that the processor and the system take for the first call of a process, and for the next one.
-
-    With as many bytes of memory at hand before each.
-    """
-    took = _with_scene(f"at_hand = {AT_HAND!r}" + TWICE, case, particles, f"{at_hand:.0f}")
-    return [[float(seconds) for seconds in line.split()] for line in took.splitlines()]
+        return float(fresh(SMALL_STEPS, folder, *map(str, (particles, steps, threads)), XCG_INDEX_CACHE="0")) / steps
 
 
 def peak_memory(case: Case, particles: int) -> float:
-    """Largest resident memory of a process that reads the scene and does the job (MB); on Linux only."""
-    return int(_with_scene(PEAK + RESIDENT, case, particles)) / 1000
-
-
-def _with_scene(code: str, case: Case, particles: int, *arguments: str) -> str:
-    """What a process prints that is given the scene as a file, and the number of the case, after other arguments."""
+    """Largest resident memory of a process that reads the scene from a file and does the job (MB); on Linux only."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "scene.nc"
         case.scene(particles).to_netcdf(path)
-        return fresh(code, *arguments, str(path), str(CASES.index(case)))
+        return int(fresh(PEAK + RESIDENT, str(path), str(CASES.index(case)))) / 1000

@@ -24,14 +24,19 @@ PERIOD = np.array([0.04, np.inf, 0.02])  # of the real chute
 # --- small files of our own ------------------------------------------------------------------------------
 
 
-def write_vtp(path: Path, points, time=0.5, shape="", **arrays) -> Path:
-    """Write a file as MFiX does: big-endian, appended raw, Float32, the time in a comment, a shape of SuperDEM."""
+def write_vtp(path: Path, points, time=0.5, shape="", shapes=None, **arrays) -> Path:
+    """Write a file as MFiX does: big-endian, appended raw, Float32, the time in a comment, shapes of SuperDEM."""
+    shapes = shapes or ({shape: [1.0]} if shape else {})
+    listed = "".join(
+        f'<DataArray type="Float32" Name="{name}">  {" ".join(map(str, numbers))}</DataArray>\n'
+        for name, numbers in shapes.items()
+    )
     blocks = {"coordinates": np.reshape(points, (-1, 3)), **arrays}
     count = len(blocks["coordinates"])
     tags, body = [], b""
     for name, values in blocks.items():
         data = np.asarray(values, ">f4").tobytes()
-        components = 3 if np.ndim(values) == 2 else 1
+        components = np.shape(values)[1] if np.ndim(values) == 2 else 1
         tags.append(
             f'<DataArray type="Float32" Name="{name}"  NumberOfComponents="{components}" format="appended" '
             f'offset="  {len(body)} " />'
@@ -40,7 +45,7 @@ def write_vtp(path: Path, points, time=0.5, shape="", **arrays) -> Path:
     header = (
         f'<?xml version="1.0"?>\n <!-- Time =  {time}       sec. -->\n'
         '<VTKFile type="PolyData" version="0.1" byte_order="BigEndian">\n<PolyData>\n'
-        + (f'<FieldData>\n<DataArray type="Float32" Name="{shape}">  1.0</DataArray>\n</FieldData>\n' if shape else "")
+        + (f"<FieldData>\n{listed}</FieldData>\n" if listed else "")
         + f'<Piece NumberOfPoints="   {count} " NumberOfVerts="  0 " NumberOfLines ="0" NumberOfStrips="0" '
         f'NumberOfPolys="0" >\n<Points>\n{tags[0]}\n</Points>\n<PointData Scalars="Diameter">\n'
         + "\n".join(tags[1:])
@@ -192,6 +197,18 @@ def test_particles_by_their_names_in_the_scene(tmp_path):
     np.testing.assert_array_equal(frame["velocity"], np.eye(3))
     np.testing.assert_array_equal(frame["particle_id"], [3, 1, 2])
     np.testing.assert_array_equal(frame["species"], [1, 1, 2])
+
+
+def test_half_axes_of_superquadrics_are_those_of_the_phase_times_the_scale(tmp_path):
+    shapes = {"SQP_01": [0.3, 0.2, 0.1, 2.0, 2.0], "SQP_02": [0.5, 0.6, 0.7, 4.0, 4.0]}
+    turn = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+    given = {"Particle_Phase_ID": [2, 1, 2], "SQP_POLY_SCALE": [1.0, 2.0, 0.5]}
+    path = write_particles(tmp_path / "a_1.vtp", shapes=shapes, QUATERNION=turn, **given)
+    frame = read_particles(path)
+    np.testing.assert_allclose(frame["half_axis_x"], [0.5, 0.6, 0.25], rtol=1e-6)
+    np.testing.assert_allclose(frame["half_axis_z"], [0.7, 0.2, 0.35], rtol=1e-6)
+    np.testing.assert_array_equal(frame["exponent_2"], [4, 2, 4])
+    np.testing.assert_array_equal(frame["quat_z"], turn[:, 3])
 
 
 def test_names_add_replace_and_drop(tmp_path):

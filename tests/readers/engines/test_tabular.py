@@ -108,10 +108,9 @@ def test_one_step_is_read_alone(tmp_path, monkeypatch):
     path = write(tmp_path / "a.csv", "step,x,y,z,radius\n" + rows)
     ds = xcg.open_scene(path, density=1.0, chunks=1)
     read = []
-    original = xcg.readers.engines.tabular.delimited.body_of
-    monkeypatch.setattr(
-        xcg.readers.engines.tabular.delimited, "body_of", lambda ref: read.append(ref.length) or original(ref)
-    )
+    table = xcg.readers.engines.tabular.table
+    original = table.body_of
+    monkeypatch.setattr(table, "body_of", lambda ref: read.append(ref.length) or original(ref))
     assert ds.position.isel(time=-1, particle=5).values.tolist() == [5, 905, 0]
     assert read == [sum(len(f"9,{k},{k + 900},0,0.5\n") for k in range(100))]
 

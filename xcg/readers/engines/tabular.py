@@ -20,7 +20,7 @@ from xcg.common.messages import SceneError
 from xcg.readers import columns
 from xcg.readers.columns import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
-from xcg.readers.files import delimited, parquet
+from xcg.readers.files import parquet, table
 from xcg.readers.files.text import plain_name
 from xcg.readers.paths import remembered
 from xcg.steps import faults as errors
@@ -62,7 +62,7 @@ class Table(Columnar):
         self, ref: StepRef, wanted: Iterable[str], rows: int | None, options: ReadOptions
     ) -> dict[str, NDArray]:
         """Read columns of one step."""
-        return (_form(ref.path) or delimited).read_columns(ref, sorted(set(wanted)), options)
+        return (_form(ref.path) or table).read_columns(ref, sorted(set(wanted)), options)
 
     def particle_columns(self, ref: StepRef, options: ReadOptions) -> dict[str, str]:
         """Find the columns that particles are read from."""
@@ -81,7 +81,7 @@ class Table(Columnar):
 def _form(path: str) -> Any:
     """Return the module that reads files of this name."""
     ending = Path(plain_name(path)).suffix.lower()
-    return {".csv": delimited, ".tsv": delimited, ".parquet": parquet}.get(ending)
+    return {".csv": table, ".tsv": table, ".parquet": parquet}.get(ending)
 
 
 def clock_of(names: Sequence[str], given: Mapping[str, str | None]) -> dict[str, str]:
@@ -121,15 +121,14 @@ def _index(paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
 
 
 def _steps(path: str, given: Mapping[str, str | None]) -> Iterator[StepRef]:
-    form = _form(path) or delimited
-    table = form.scan(path, lambda names: clock_of(names, given))
-    clock = clock_of(table.columns, given)
-    for first, stop in runs_of({what: table.clock[name] for what, name in clock.items()}, table.rows, path):
-        told = {what: table.clock[name][first] for what, name in clock.items()}
-        offset, length = table.place(first, stop)
+    found = (_form(path) or table).scan(path, lambda names: clock_of(names, given))
+    clock = clock_of(found.columns, given)
+    for first, stop in runs_of({what: found.clock[name] for what, name in clock.items()}, found.rows, path):
+        told = {what: found.clock[name][first] for what, name in clock.items()}
+        offset, length = found.place(first, stop)
         yield StepRef(
             path, stop - first, time=float(told["time"]) if "time" in told else None, step=int(told.get("step", -1)),
-            columns=table.columns, offset=offset, length=length, kind=table.kind,
+            columns=found.columns, offset=offset, length=length, kind=found.kind,
         )  # fmt: skip
 
 

@@ -18,7 +18,7 @@ from xcg.readers.files.text import source_of
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Metadata of a file and its columns of times; see `xcg.readers.files.delimited.Table`."""
+    """Metadata of a file and its columns of times; see `xcg.readers.files.table.Table`."""
 
     columns: tuple[str, ...]
     rows: int
