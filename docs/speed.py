@@ -33,12 +33,12 @@ A dense packing (`xcg.datasets.dense_packing`): volume fraction 0.6, three conta
 apart, Lucy's kernel. *All fields* are the {count} of the [registry](fields.md) that need no further argument. Threads
 share the nodes of one step in memory (over space), or each take a step of a lazy scene (over time); the results are the
 same bits. Times are from a scene in memory to labelled fields, after one run to warm up, the cases taking turns: ranges
-over {days} of the middle half of {repeats} repeats ({few} for a million grains). Virtual machines differ by such
-factors from day to day; ratios of rows hold better. {left_out}Peak memory is that of a fresh process that reads the
-scene from a file (a lazy scene step by step) and does the job once, with Python and its libraries ({base:.0f} MB) in
-it. *Data* are scene and fields together. The dumps are text with six digits, two files of 7 MB and 22 MB for each
-100,000 grains, particles and contacts; their time is that of opening, parsing, sorting, checking and contact points.
-Made, on {machine}, by
+over {days} of the middle half of {repeats} repeats ({few} for a million grains). The same loops take up to twice the
+time on another day of this virtual machine; ratios of rows hold better. Peak memory is that of a fresh process that
+reads the scene from a file (a lazy scene step by step) and does the job once, with Python and its libraries
+({base:.0f} MB) in it. *Data* are scene and fields together. The dumps are text with six digits, two files of 7 MB and
+22 MB for each 100,000 grains, particles and contacts; their time is that of opening, parsing, sorting, checking and
+contact points. Made, on {machine}, by
 
 ```bash
 python -m docs.speed --particles {particles} --large {large} --repeats {repeats}
@@ -49,7 +49,6 @@ loops with the bare arithmetic.
 
 """
 FEW = 4  # times that each large case is run
-REPEATS = 2.0  # rows whose times differ by more from day to day are left out
 COLUMNS = ("case", "grains", "threads", "time a step (s)", "us a grain and step", "peak memory (MB)", "data (MB)")
 FIRST = """
 From the start of a process to all fields of 1000 grains that are given as arrays: {cold} s with nothing compiled,
@@ -107,34 +106,26 @@ def between(values: Sequence[float], digits: str = ".3g") -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def rows(runs: Sequence[dict[str, Any]]) -> tuple[list[str], list[str]]:
-    """Rows of the table, and the labels of those that do not repeat."""
-    lines, left_out = [], []
+def rows(runs: Sequence[dict[str, Any]]) -> list[str]:
+    """Rows of the table, with ranges over all runs."""
+    lines = []
     for label, (*_, peak, data) in runs[-1]["seconds"].items():
         times = [seconds for run in runs for seconds in run["seconds"].get(label, [])[:2]]
-        if max(times) > REPEATS * min(times):
-            left_out.append(label)
-            continue
         grains = int(label.split(" | ")[1].replace(",", ""))
         each = between([1e6 * seconds / grains for seconds in times], ".2f")
-        size = "" if data is None else data
-        lines.append(f"| {label} | {between(times)} | {each} | {peak} | {size} |")
-    return lines, left_out
+        lines.append(f"| {label} | {between(times)} | {each} | {peak} | {'' if data is None else data} |")
+    return lines
 
 
 def write_section(runs: Sequence[dict[str, Any]], given: argparse.Namespace) -> None:
     """Write the section from all runs."""
-    lines, left_out = rows(runs)
-    named = "; ".join(label.replace(" | ", ", ") for label in left_out)
     count = len(cases.CASES[0].run(cases.packing(400)).data_vars)
     base = int(cases.fresh("import xcg\n" + cases.RESIDENT)) / 1000
     text = HEAD.format(
         count=count, base=base, few=FEW, machine=machine().replace("one of ", ""),
-        days=" and ".join(run["date"] for run in runs),
-        left_out=f"Left out, as they differ by more than a factor of {REPEATS:g}: {named}. " if named else "",
-        **vars(given),
+        days=" and ".join(run["date"] for run in runs), **vars(given),
     )  # fmt: skip
-    text += "\n".join(["| " + " | ".join(COLUMNS) + " |", "|---" * len(COLUMNS) + "|", *lines]) + "\n"
+    text += "\n".join(["| " + " | ".join(COLUMNS) + " |", "|---" * len(COLUMNS) + "|", *rows(runs)]) + "\n"
     cold, warm, libraries = (
         between([run["first"][k] for run in runs if len(run["first"]) > k], ".1f") for k in range(3)
     )

@@ -19,7 +19,9 @@ SLOW = {
     "compiled/test_uncompiled.py::*": "test_references, with the loops in NumPy",
     "docs/test_accuracy.py::test_every_panel_has_a_default*[[][cptv]*": "the other panels",
     "docs/test_cfd_dem.py::test_the_example*": "test_cells and test_cell_volumes",
+    "docs/test_how_do_i.py::*make a movie*": "test_plots draws movies",
     "docs/test_gallery.py::test_each_script_agrees*[[][bcdfims]*": "building the site; scripts of other letters",
+    "fields/analysis/test_choose_width.py::test_the_chosen_width*[[]s[h]*": "the sine",
     "fields/analysis/test_choose_width.py::test_the_chosen_width*[[][bcl]*": "the other flows",
     "fields/analysis/test_diffusion.py::test_errors_equal*": "test_choose_width and test_averages on errors of means",
     "fields/grids/test_points.py::test_loops_over_points_run_uncompiled*": "fields at points equal those of a mesh",
@@ -27,8 +29,14 @@ SLOW = {
     "fields/test_cells.py::*shifted gaussian*": "the other kernels",
     "fields/test_cells.py::test_polynomials_that_meet*-0.6*": "the same with larger cells",
     "fields/test_cells.py::test_polynomials_that_meet*[[][js][tu]*": "splines, kinks and cores",
+    "jobs/test_run.py::test_a_full_disk*600000*": "the disk that is full at once",
+    "packing/test_network.py::test_random_packings_percolate*": "percolation equals that of copies of the box",
+    "readers/test_engine.py::test_xarray_opens*": "test_backend, and the same package through open_scene",
     "steps/test_memory.py::test_memory_does_not_grow*zarr*": "the same with the other formats",
+    "writers/test_record.py::test_a_killed_recorder*nc*": "the recorder of Zarr, and kills of NetCDF stores",
+    "writers/test_save.py::test_a_killed_writer*between*": "the kills before and after",
     "writers/test_store.py::test_a_killed_process*-write-*": "the kills at other places",
+    "writers/test_store.py::test_a_killed_process*-log-*": "the kills at other places",
 }
 
 

@@ -135,13 +135,14 @@ def checked(tmp_path_factory):
 @pytest.mark.parametrize("bounds", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_calls_with_hostile_arguments_raise(bounds, request):
     """In a process of its own: results or errors of the package, nothing else."""
-    command = [sys.executable, "-m", "tests.fuzz.calls", "--count", "500"]
+    count = 500 if bounds else 250
+    command = [sys.executable, "-m", "tests.fuzz.calls", "--count", str(count)]
     environment = request.getfixturevalue("checked") if bounds else os.environ
     done = subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"{done.stdout[-3000:]}\nlast call: {done.stderr[-500:]}"
     counts = json.loads(done.stdout.splitlines()[-1])
-    assert counts["computed"] > 150, counts
-    assert counts["refused"] > 150, counts
+    assert counts["computed"] > 0.3 * count, counts
+    assert counts["refused"] > 0.3 * count, counts
 
 
 @pytest.mark.slow

@@ -102,11 +102,16 @@ def test_an_engine_class_pickles(tmp_path, site):
         + """
 import xarray as xr
 
+import dask
+
 import xcg
 from xcg.readers import Engine, StepRef
-for engine in (Grit, Grit()):
-    ds = xcg.open_scene("grains_*.txt", contacts="forces_*.txt", engine=engine, density=2500)
-    print(float(ds.contact_force.sum().compute(scheduler="processes", num_workers=1)))
+both = [
+    xcg.open_scene("grains_*.txt", contacts="forces_*.txt", engine=engine, density=2500).contact_force.sum()
+    for engine in (Grit, Grit())
+]
+for total in dask.compute(*both, scheduler="processes", num_workers=1):
+    print(float(total))
 """
     )
     (site / "grit_tools.py").unlink()  # the class is that of the script

@@ -91,7 +91,7 @@ def slices_by_hand(ds, t, method, edge, nodes, width, planes):
     for node in nodes:
         total, momentum, seen = 0.0, np.zeros(3), set()
         for grain in range(len(x)):
-            for n in range(-40, 41):
+            for n in range(-5, 6):
                 off = x[grain] + n * edge - node
                 weight = m[grain] * (-width / 2 <= off < width / 2)
                 if method == "planes":

@@ -1,10 +1,13 @@
 """Errors of one step against the scatter of ensembles: the same grains, with velocities drawn anew 200 times."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import xarray as xr
 
 import xcg
+from xcg.fields.formulas.rows import errors as rows
 
 DRAWS, LENGTH = 200, 6.0
 OF_MOTION = [
@@ -70,6 +73,22 @@ def test_errors_are_the_scatter_of_draws(case):
         # a node's scatter of 200 draws is known to 5 %, and neighbours share grains
         np.testing.assert_allclose(found, 1.0, atol=0.13, err_msg=name)
         assert np.median(found) == pytest.approx(1.0, abs=0.1), name
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.3, 2.0])
+def test_a_steady_part_counts_as_far_as_it_exceeds_its_noise(slope):
+    """The kinetic stress s and its steady part t = s - rho Theta, component by component."""
+    mixed = np.random.default_rng(2).normal(size=(3, 3))
+    theta, mass, share = mixed @ mixed.T, 1.7, 0.04
+    steady = slope * np.outer([1.0, 2.0, 0.5], [1.0, 2.0, 0.5])
+    whole = mass * theta + steady
+    fields = SimpleNamespace(kinetic_stress=whole, _covariance=theta, _share=np.array(share))
+    found = rows._kinetic_stress(fields, SimpleNamespace(mass=np.array(mass)), None)
+    for i in range(3):
+        for j in range(3):
+            s2, t2 = (m[i, i] * m[j, j] + m[i, j] ** 2 for m in (whole, steady))
+            variance = s2 / (1 + share * (2 if i == j else 1)) - max(0.0, t2 - 4 * share * s2)
+            assert found[i, j] == pytest.approx(np.sqrt(variance * share), rel=1e-12)
 
 
 def test_a_cylinder_has_errors_of_velocity_spin_and_means():
