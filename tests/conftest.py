@@ -20,7 +20,7 @@ SLOW = {
     "docs/test_accuracy.py::test_every_panel_has_a_default*[[][cptv]*": "the other panels",
     "docs/test_cfd_dem.py::test_the_example*": "test_cells and test_cell_volumes",
     "docs/test_how_do_i.py::*make a movie*": "test_plots draws movies",
-    "docs/test_gallery.py::test_each_script_agrees*[[][bcdfims]*": "building the site; scripts of other letters",
+    "docs/test_gallery.py::test_each_script_agrees*[[][bcdfilms]*": "building the site; scripts of other letters",
     "fields/analysis/test_choose_width.py::test_the_chosen_width*[[]s[h]*": "the sine",
     "fields/analysis/test_choose_width.py::test_the_chosen_width*[[][bcl]*": "the other flows",
     "fields/analysis/test_diffusion.py::test_errors_equal*": "test_choose_width and test_averages on errors of means",

@@ -23,6 +23,7 @@ CHECKS = {
     "glued_spheres": ("carried", "load", 0.001),
     "heat_conduction": ("carried", "given", 1e-7),
     "impact": ("contact", "expected", 0.01),
+    "long_series": ("measured", "expected", 1e-5),
     "mu_of_i": ("measured", "expected", 0.2),
     "photoelastic": ("stress", "expected", 0.005),
     "rods_in_shear": ("measured", "expected", 0.05),
