@@ -17,6 +17,8 @@ from xcg.readers.engines.mfix import Mfix
 SLOW = {
     "architecture/test_error_context.py::*-view-*": "the other methods, and test_view",
     "compiled/test_uncompiled.py::*": "test_references, with the loops in NumPy",
+    "compiled/test_jit.py::test_a_change_of_another_file*False*": "the same with a folder that can be written",
+    "compiled/test_jit.py::test_damaged_code*nbi*": "the damaged machine code",
     "docs/test_accuracy.py::test_every_panel_has_a_default*[[][cptv]*": "the other panels",
     "docs/test_cfd_dem.py::test_the_example*": "test_cells and test_cell_volumes",
     "docs/test_how_do_i.py::*make a movie*": "test_plots draws movies",

@@ -29,11 +29,11 @@ def phases(ds, **options):
     "diameter",
     [
         np.full(300, 0.003),
-        RNG.normal(0.003, 0.00005, 2000),
-        RNG.normal(0.003, 0.0003, 2000).clip(1e-4),
-        RNG.uniform(0.002, 0.004, 2000),
-        RNG.lognormal(-6, 0.1, 2000),
-        np.random.default_rng(5).lognormal(-6, 0.6, 2000),
+        RNG.normal(0.003, 0.00005, 1000),
+        RNG.normal(0.003, 0.0003, 1000).clip(1e-4),
+        RNG.uniform(0.002, 0.004, 1000),
+        RNG.lognormal(-6, 0.1, 1000),
+        np.random.default_rng(5).lognormal(-6, 0.6, 1000),
         np.full(300, 0.003) * (1 + 1e-7 * RNG.normal(size=300)),
     ],
     ids=["monodisperse", "narrow normal", "normal", "uniform", "lognormal", "wide lognormal", "single precision"],
@@ -49,8 +49,8 @@ def test_one_distribution_is_one_phase(diameter):
 @pytest.mark.parametrize("noise", [0.0, 1e-7, 0.05])
 @pytest.mark.parametrize("share", [0.5, 0.02])
 def test_two_sizes_are_two_phases(noise, share):
-    large = np.random.default_rng(2).random(3000) < share
-    diameter = np.where(large, 0.004, 0.002) * (1 + noise * np.random.default_rng(3).normal(size=3000))
+    large = np.random.default_rng(2).random(1500) < share
+    diameter = np.where(large, 0.004, 0.002) * (1 + noise * np.random.default_rng(3).normal(size=1500))
     ds = scene(diameter).cg.find_phases()
     np.testing.assert_array_equal(ds.phase.values[0], 1 + large)
     np.testing.assert_allclose(ds.attrs["phase_diameter"], [0.002, 0.004], rtol=0.01)

@@ -17,7 +17,7 @@ from xcg.scene.sanity import SAMPLE
 from xcg.scene.schema import COMPONENTS
 
 MAX_NODES = 2**31
-_MOST_OF_ONE_AXIS = 2**27
+_MOST_OF_ONE_AXIS = 1 << 24  # 134 MB of places
 _FINEST = 1e-9  # least spacing, in radii of the support
 
 
