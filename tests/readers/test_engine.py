@@ -236,6 +236,7 @@ def test_engines_may_return_lists(tmp_path):
         ({"velocity": np.ma.masked_equal(np.eye(3), 1)}, "'velocity' is a masked array with 3 masked values"),
         ({"velocity": 1j * np.eye(3)}, "'velocity' holds complex128, expected real numbers"),
         ({"particle_id": ["a", "b", "c"]}, "'particle_id' holds <U1, expected real numbers"),
+        ({"particle_id": [2**70, 1, 2]}, "'particle_id' holds object, expected real numbers of 64 bits"),
         ({"velocity": [[1, 2, 3], [1, 2], [1, 2, 3]]}, "gives values that are no array"),
         ({"position": 3.0}, "no positions"),
         ({"step": {"box": [0, 1]}}, r"gives a step box=\(0, 1\)"),

@@ -67,9 +67,10 @@ def _typed(frame: Mapping[str, ArrayLike], setup: Setup, source: str) -> Frame:
             if array.dtype.kind in "cmM":  # NumPy would make numbers of them
                 raise TypeError
             typed[name] = array.astype(row.dtype, order="C")
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):  # the last of whole numbers beyond 64 bits
             raise SceneError(
-                f"{source}: '{name}' holds {array.dtype}, expected real numbers; give each text a number of its own"
+                f"{source}: '{name}' holds {array.dtype}, expected real numbers of 64 bits; give each text a number of "
+                "its own"
             ) from None
         factor = setup.factor(row.powers)
         if factor != 1.0:
