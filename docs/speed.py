@@ -33,8 +33,8 @@ A dense packing (`xcg.datasets.dense_packing`): volume fraction 0.6, three conta
 apart, Lucy's kernel. *All fields* are the {count} of the [registry](fields.md) that need no further argument. Threads
 share the nodes of one step in memory (over space), or each take a step of a lazy scene (over time); the results are the
 same bits. Times are from a scene in memory to labelled fields, after one run to warm up, the cases taking turns: ranges
-over {days} of the middle half of {repeats} repeats ({few} for a million grains). The same loops take up to twice the
-time on another day of this virtual machine; ratios of rows hold better. Peak memory is that of a fresh process that
+over {days} of the middle half of {repeats} repeats ({few} for a million grains). The same loops take up to twice
+the time on another day of this virtual machine; ratios of rows hold better. Peak memory is that of a fresh process that
 reads the scene from a file (a lazy scene step by step) and does the job once, with Python and its libraries
 ({base:.0f} MB) in it. *Data* are scene and fields together. The dumps are text with six digits, two files of 7 MB and
 22 MB for each 100,000 grains, particles and contacts; their time is that of opening, parsing, sorting, checking and
