@@ -51,7 +51,7 @@ def test_deposit_of_points_equals_its_reference(name, axes):
     scratch = Scratch(block.lists(nodes, [2.0] * 3), np.empty((BATCH, GRAIN + 4)))
     for level in (SQUARED, CUBIC):
         sums, reference = np.zeros((1, len(places), level + 4)), np.full((len(places), 3), np.nan)
-        deposit(grains, nodes, weights, level, None, None, None, scratch, sums, reference)
+        deposit(grains, nodes, weights, level, None, None, scratch, sums, reference)
         for node, found, first in zip(places, sums[0], reference, strict=True):
             flow, summed = reference_deposit(position, velocity, mass, constants, node, value)
             if level == CUBIC:  # in the place of the columns of LINEAR

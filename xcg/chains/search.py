@@ -179,7 +179,7 @@ def force_chains(
     stress = StressRule.of(ds, "force_chains", symmetric=symmetric, volume=volume)
     require_scene(ds, ("diameter",), "force_chains")
     cosine = max(0.0, float(np.cos(np.deg2rad(alpha) + _ANGLE)))
-    rule = SearchRule(stress, cosine, threshold, int(min_length), algorithm == "peters2005", one_sided, region)
+    rule = SearchRule(stress, cosine, threshold, int(min_length), algorithm == "peters2005", bool(one_sided), region)
     sizes = result_sizes(ds.sizes["particle"], ds.sizes["contact"], rule.min_length)
     names = [*rule.variables, *(name for name in ("frozen", "time", *OF_STEP) if name in ds)]
     threads = threads_a_chunk(ds, names, THREADS)

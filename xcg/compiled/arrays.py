@@ -19,6 +19,7 @@ def gauss_rules(*orders: int) -> tuple[NDArray, NDArray]:
     for n in orders:
         x, w = np.polynomial.legendre.leggauss(n)
         points[n, :n], weights[n, :n] = 0.5 + 0.5 * x, 0.5 * w
+    points.flags.writeable = weights.flags.writeable = False  # as loops know those that are constants of a module
     return points, weights
 
 

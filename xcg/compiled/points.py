@@ -118,7 +118,7 @@ class Scratch(NamedTuple):
 
 
 @leaf
-def deposit(grains, nodes, kernel, level, still, meet, by_gradient, scratch, moments, reference):
+def deposit(grains, nodes, kernel, level, meet, by_gradient, scratch, moments, reference):
     """Add grains to the nodes within their support.
 
     Parameters
@@ -131,12 +131,10 @@ def deposit(grains, nodes, kernel, level, still, meet, by_gradient, scratch, mom
         The smoothing function.
     level : int
         NONE, VELOCITY, FLUCTUATION, CUBIC, LINEAR or SQUARED: how many flow columns are wanted.
-    still : True or None
-        Whether all grains have the same velocity, so that all columns with u are zero. None leaves code out when the
-        loop is compiled, here and below.
     meet : (m, 3) or None
         Ways from an image of a grain to all others that may reach a node together with it. They share what their
-        velocities are beyond that of the flow: in the squares of weights they count as one grain.
+        velocities are beyond that of the flow: in the squares of weights they count as one grain. None leaves code out
+        when the loop is compiled, here and below.
     by_gradient : True or None
         Weigh by derivative / distance instead of the value.
     scratch : Scratch
@@ -179,7 +177,7 @@ def deposit(grains, nodes, kernel, level, still, meet, by_gradient, scratch, mom
                         if nodes.volumes is None:
                             fill_values(kind, spread, table, norm, by_gradient, q2, hits, weight)
                         if level > 0:
-                            _add_flow(p, records, i, lists, hits, level, still, moments, reference)
+                            _add_flow(p, records, i, lists, hits, level, moments, reference)
                         if level == CUBIC:
                             _add_cubes(p, records, i, lists, hits, moments, reference)
                         if meet is not None:
@@ -209,7 +207,7 @@ def _list_grains(rows, grains, records):
 
 
 @inner
-def _add_flow(p, records, i, lists, hits, level, still, moments, reference):
+def _add_flow(p, records, i, lists, hits, level, moments, reference):
     """Add one grain to the flow columns of the nodes that it reaches."""
     mass, vx, vy, vz = records[i, WEIGHED], records[i, SPEED], records[i, SPEED + 1], records[i, SPEED + 2]
     values, numbers = lists
@@ -219,26 +217,15 @@ def _add_flow(p, records, i, lists, hits, level, still, moments, reference):
             reference[n, 0], reference[n, 1], reference[n, 2] = vx, vy, vz
         ux, uy, uz = vx - reference[n, 0], vy - reference[n, 1], vz - reference[n, 2]
         w = values[WEIGHT, k] * mass
-        if still is not None:
-            moments[p, n, _COLUMNS[MASS]] += w
-            moments[p, n, _COLUMNS[COUNT]] += 1.0
-            if level >= FLUCTUATION:
-                moments[p, n, _COLUMNS[SQUARE]] += w * w
-            if level >= LINEAR:
-                moments[p, n, _COLUMNS[OFFSET]] += w * x
-                moments[p, n, _COLUMNS[OFFSET + 4]] += w * y
-                moments[p, n, _COLUMNS[OFFSET + 8]] += w * z
-        else:
-            wx, wy, wz = w * ux, w * uy, w * uz
-            add4(moments, p, n, MASS, 1.0, w, wx, wy, wz)
-            add4(moments, p, n, COUNT, 1.0, 1.0, wx * ux, wx * uy, wx * uz)
-            if level >= FLUCTUATION:
-                add4(moments, p, n, KINETIC + 3, 1.0, wy * uy, wy * uz, wz * uz, w * w)
-            if level >= LINEAR:
-                add4(moments, p, n, OFFSET, x, w, wx, wy, wz)
-                add4(moments, p, n, OFFSET + 4, y, w, wx, wy, wz)
-                add4(moments, p, n, OFFSET + 8, z, w, wx, wy, wz)
+        wx, wy, wz = w * ux, w * uy, w * uz
+        add4(moments, p, n, MASS, 1.0, w, wx, wy, wz)
+        add4(moments, p, n, COUNT, 1.0, 1.0, wx * ux, wx * uy, wx * uz)
+        if level >= FLUCTUATION:
+            add4(moments, p, n, KINETIC + 3, 1.0, wy * uy, wy * uz, wz * uz, w * w)
         if level >= LINEAR:
+            add4(moments, p, n, OFFSET, x, w, wx, wy, wz)
+            add4(moments, p, n, OFFSET + 4, y, w, wx, wy, wz)
+            add4(moments, p, n, OFFSET + 8, z, w, wx, wy, wz)
             wx, wy, wz = w * x, w * y, w * z
             add4(moments, p, n, SPREAD, 1.0, wx * x, wx * y, wx * z, wy * y)
             add4(moments, p, n, SPREAD + 4, 1.0, wy * z, wz * z, w * wx, w * wy)

@@ -137,8 +137,8 @@ def frame_of(arrays: Mapping[str, NDArray], t: int, source: str = "scene") -> Fr
     found: Frame = {}
     for name, values in arrays.items():
         row = variable(name, values.dtype, values.ndim - 1)
-        if row.dims[0] in rows:  # in the types of compiled loops: netCDF-3 holds bytes the other way round
-            found[name] = values[t][rows[row.dims[0]]].astype(row.dtype, copy=False)
+        if row.dims[0] in rows:  # as loops are compiled for: files may hold bytes or axes the other way round
+            found[name] = values[t][rows[row.dims[0]]].astype(row.dtype, order="C", copy=False)
     for name in found:
         if name in VARIABLES:
             check_finite(name, found, source)

@@ -125,8 +125,8 @@ def _constants(
     """Prepare places with columns of constants alone, moment after moment."""
     firsts = np.cumsum([0, *(row.width for row in rows.values())]).tolist()
     moments = {name: (first + row.columns, 1.0) for first, (name, row) in zip(firsts, rows.items(), strict=False)}
-    layout, still = Layout(step.spec.phases * others, _padded(firsts[-1]), moments), np.zeros((len(images.position), 3))
-    return _pass(step, layout, images, still, still[:, 0], phase, columns, others)
+    layout, count = Layout(step.spec.phases * others, _padded(firsts[-1]), moments), len(images.position)
+    return _pass(step, layout, images, np.zeros((count, 3)), np.zeros(count), phase, columns, others)
 
 
 def _pass(
@@ -139,8 +139,6 @@ def _pass(
     """
     spec, position, level = step.spec, images.position, layout.level
     columns = _side_by_side(constants, len(position), layout.columns - level)
-    # where nothing moves, columns with u are zero without adding them
-    still = True if level and _is_one_row(velocity) else None
     beyond = step.lattice if images.row is None else Lattice(np.full(3, np.inf))
     fill, squared = [], []
     for cutoff in spec.distinct if len(position) or layout.squares else ():
@@ -152,7 +150,7 @@ def _pass(
         batches = (batches_of(position, rows) - spec.origin) / cutoff
         grains = loops.Grains(rows, batches, position, velocity, mass, columns, phase, spec.origin, cutoff)
         mesh, weights = step.meshes[cutoff], step.kernels[cutoff]
-        fill.append(partial(_fill, grains, mesh, weights, (level, still, meet, by_gradient)))
+        fill.append(partial(_fill, grains, mesh, weights, (level, meet, by_gradient)))
         if layout.squares:
             of = np.arange(layout.groups) if groups is None else np.flatnonzero(groups)
             squared.append(Squared(rows, position, mass, phase, beyond, of, cutoff, weights, spec.grid))
@@ -180,7 +178,7 @@ def _side_by_side(parts: Iterable[NDArray], count: int, width: int) -> NDArray:
 
 
 def _fill(
-    grains: loops.Grains, mesh: Mesh, weights: AnyKernel, flags: tuple[int, *tuple[bool | NDArray | None, ...]],
+    grains: loops.Grains, mesh: Mesh, weights: AnyKernel, flags: tuple[int, NDArray | None, bool | None],
     block: NodeBlock, sums: NDArray, reference: NDArray,
 ) -> None:  # fmt: skip
     nodes = block.nodes(mesh.origin, mesh.cutoff, mesh.active, mesh.period)

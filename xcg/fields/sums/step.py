@@ -358,7 +358,7 @@ class StepRows:
     def in_space(self, position: NDArray) -> NDArray:
         """Order in space, so that neighbours add to the same nodes while these are in cache."""
         if not len(position):
-            return np.zeros(0, "int64")
+            return np.zeros(0, "int32")  # as of others, so that nothing is compiled for it
         lower, upper = bounds_of(position)
         farthest = [max(abs(a - o), abs(b - o)) for a, b, o in zip(lower, upper, self.spec.origin, strict=True)]
         for cutoff in {self.spec.distinct[0], self.spec.distinct[-1]}:
