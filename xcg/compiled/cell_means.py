@@ -44,7 +44,7 @@ class CellMeans(NamedTuple):
     first, per_step : tuple of float
         Distance before which means do not change, and places for each cutoff.
     least : float
-        What is smaller is integrated.
+        What is smaller is integrated; infinite where all is, as without a table.
     """
 
     table: NDArray
@@ -53,18 +53,19 @@ class CellMeans(NamedTuple):
     least: float
 
 
-_tables: dict[Any, CellMeans | None] = {}
+INTEGRATED = CellMeans(np.zeros((1, 1, 1)), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), math.inf)
+_tables: dict[Any, CellMeans] = {}
 
 
-def cell_means(half: tuple[float, float, float], seen: int, kernel: CellKernel, integral: float) -> CellMeans | None:
+def cell_means(half: tuple[float, float, float], seen: int, kernel: CellKernel, integral: float) -> CellMeans:
     """Tabulate the means of a kernel over a cell of half the extent `half`, in cutoffs.
 
-    `seen` is the number of axes along which distance counts, and `integral` that of the kernel without its norm. None
-    where integrals are taken: if one axis alone has an extent, an axis that is seen has none, cells are very small, or
-    the table would not be accurate.
+    `seen` is the number of axes along which distance counts, and `integral` that of the kernel without its norm.
+    `INTEGRATED` without a table: if one axis alone has an extent, an axis that is seen has none, cells are very small,
+    or the table would not be accurate.
     """
     if not 2 <= sum(h > 0.0 for h in half) == seen:
-        return None
+        return INTEGRATED
     codes = [
         (one.kind, None if one.table is None else one.table.tobytes()) for one in (kernel, kernel.once, kernel.twice)
     ]
@@ -72,21 +73,21 @@ def cell_means(half: tuple[float, float, float], seen: int, kernel: CellKernel, 
     if key not in _tables:
         if len(_tables) == _MOST_TABLES:
             _tables.clear()
-        _tables[key] = _tabulated(half, kernel, integral)
+        _tables[key] = _tabulated(half, kernel._replace(norm=1.0, means=INTEGRATED), integral)
     return _tables[key]
 
 
-def _tabulated(half: tuple[float, float, float], kernel: CellKernel, integral: float) -> CellMeans | None:
+def _tabulated(half: tuple[float, float, float], kernel: CellKernel, integral: float) -> CellMeans:
     order = sorted(range(3), key=lambda k: half[k] > 0.0)
     axes = [_axis(half[k]) for k in order]
     shape = [len(axis.distances) for axis in axes]
     if math.prod(shape) > MOST_PLACES or max(shape) + TAPS > LONGEST_LINE:
-        return None
+        return INTEGRATED
     a, b, c = order
     volumes = Volumes(Rows((0, 0, 0), (1, 1, 1), (1.0, 1.0, 1.0), (1.0, 1.0, 1.0)), half, (a, b, c))
     found = np.zeros(shape)
     scratch = np.zeros((LISTS, LONGEST_LINE))
-    _fill_means(volumes, kernel._replace(norm=1.0), *(axis.distances for axis in axes), scratch, found)
+    _fill_means(volumes, kernel, *(axis.distances for axis in axes), scratch, found)
     # the means of a point over all cells, which their volume makes the integral
     total = np.einsum("abc,xa,yb,zc->xyz", found, *(axis.cells for axis in axes), optimize=True)
     volume = math.prod(2.0 * h for h in half if h > 0.0)
@@ -96,9 +97,9 @@ def _tabulated(half: tuple[float, float, float], kernel: CellKernel, integral: f
     means = CellMeans(table, (fa, fb, fc), (pa, pb, pc), 0.0)
     ends = np.array([[axis.distances[0], axis.distances[-1]] for axis in axes])
     probes = ends[:, 0] + np.random.default_rng(0).random((_PROBES, 3)) * np.diff(ends)[:, 0]
-    error = _largest_error(probes, volumes, kernel._replace(norm=1.0), means, scratch, np.zeros(2))
+    error = _largest_error(probes, volumes, kernel, means, scratch, np.zeros(2))
     largest = float(np.abs(found).max())
-    return None if error > _WORST * largest else means._replace(least=max(_SMALL * largest, _IN_HAND * error))
+    return INTEGRATED if error > _WORST * largest else means._replace(least=max(_SMALL * largest, _IN_HAND * error))
 
 
 class _Axis(NamedTuple):
@@ -215,8 +216,6 @@ def _mean_of_line(dc, means, line):
 @inner
 def _interpolate_row(da, db, dc, node, many, share, volumes, means, values, out, first):
     """As `integrate_row`, from the table of means; cells that the support does not reach are left out."""
-    if means is None:
-        return
     (a, b, c), half = volumes.order, volumes.half
     across2 = max(0.0, abs(da) - half[a]) ** 2 + max(0.0, abs(db) - half[b]) ** 2
     if across2 >= 1.0:
@@ -235,7 +234,7 @@ def _interpolate_row(da, db, dc, node, many, share, volumes, means, values, out,
 @inner
 def _add_row(da, db, dc, node, many, volumes, kernel, means, values, out, first):
     """Add the mean of the kernel over the cells of a row, from the table where that holds enough digits."""
-    if means is None:
+    if means.least == math.inf:
         integrate_row(da, db, dc, node, many, 1.0, volumes, kernel, values, out, first)
         return
     _interpolate_row(da, db, dc, node, many, kernel.norm, volumes, means, values, out, first)
@@ -340,10 +339,11 @@ def volumes_along_segment(x, y, z, bx, by, bz, shares, points, parts, volumes, k
                 for g in range(points.size):
                     u, share = (part + points[g]) / parts, shares[g] / parts
                     ea, eb, ec = da + u * branch[a], db + u * branch[b], place[c] + u * branch[c]
-                    if kernel.means is None:
+                    if kernel.means.least == math.inf:
                         integrate_row(ea, eb, ec, first_c, many, share, volumes, kernel, values, weight, hits)
-                    share *= kernel.norm
-                    _interpolate_row(ea, eb, ec, first_c, many, share, volumes, kernel.means, values, weight, hits)
+                    else:
+                        share *= kernel.norm
+                        _interpolate_row(ea, eb, ec, first_c, many, share, volumes, kernel.means, values, weight, hits)
             row = (ia - low[a]) * strides[a] + (ib - low[b]) * strides[b]
             begin = hits
             for k in range(many):

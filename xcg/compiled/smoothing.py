@@ -61,7 +61,7 @@ class CellKernel(NamedTuple):
     """A kernel as loops over cells take it: as `KernelCode`, and integrated over one and over two more axes.
 
     `once` and `twice` are any kernels where so many axes are not left. `rims` are the radii over the cutoff, rising, at
-    which it is not smooth; the last is that of its support. `means` is a table for cells of one size, or None, see
+    which it is not smooth; the last is that of its support. `means` is a table for cells of one size, see
     `xcg.compiled.cell_means`.
     """
 
