@@ -207,7 +207,7 @@ def _take_memory(numbers: NDArray) -> None:
 
 # Threads share a step of more visits of nodes by grains and contacts than this; for fewer they cost more than they
 # gain. What is done once for each grain or contact, or for each node, takes as long as `_ONCE` visits.
-WORTH_SHARING = 5_000_000
+WORTH_SHARING = 1_500_000
 _ONCE = 30
 
 

@@ -126,8 +126,7 @@ class Plan:
     @cached_property
     def reached(self) -> float:
         """Nodes in the box around the support of a grain."""
-        grid, reach = self.deposit.grid, 2.0 * max(self.deposit.cutoffs)
-        return float(np.clip(reach / grid.steps, 1.0, grid.shape)[grid.active].prod())
+        return self.deposit.grid.nodes_within(2.0 * max(self.deposit.cutoffs))
 
     @cached_property
     def block_nodes(self) -> int:

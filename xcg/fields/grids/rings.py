@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -288,19 +288,19 @@ def _blocks(
     radii: NDArray, rules: Sequence[Sequence[tuple[NDArray, NDArray]]], heights: NDArray, origin: NDArray,
     cutoff: float, dimension: int, count: int,
 ) -> Iterator[RingBlock]:  # fmt: skip
-    """Divide the nodes, in their order, into blocks of not too many places."""
-    many = len(rules[0])
-    size = np.array([[len(angles) for angles, _ in rule] for rule in rules])
-    places = np.repeat(size.ravel(), len(heights))
-    ends = np.concatenate([[0], np.cumsum(places)])
-    most = max(1, min(BLOCK_NODES, count // (_BLOCKS * THREADS) + 1))
-    cuts = np.unique(np.searchsorted(ends, np.arange(0, count + most, most)).clip(0, len(places)))
-    for first, last in pairwise(cuts.tolist()):
-        rows = np.arange(first, last)
-        ring, height = rows // len(heights), heights[rows % len(heights)]
+    """Divide the nodes into blocks of not too many places: slabs, and shells of these where there are few heights."""
+    each, many = [rule for of_radius in rules for rule in of_radius], len(rules[0])
+    size = np.array([len(angles) for angles, _ in each])
+    parts = math.ceil(count / min(BLOCK_NODES, count // (_BLOCKS * THREADS) + 1))
+    slabs = np.array_split(np.arange(len(heights)), min(parts, len(heights)))
+    ends = np.concatenate([[0], np.cumsum(size)])
+    cuts = np.unique(np.searchsorted(ends, np.linspace(0, ends[-1], math.ceil(parts / len(slabs)) + 1)))
+    for (first, last), slab in product(pairwise(cuts.tolist()), slabs):
+        ring, row = np.repeat(np.arange(first, last), len(slab)), np.tile(slab, last - first)
+        rows, height = ring * len(heights) + row, heights[row]
         radius = radii[ring // many]
-        chosen = [rules[k // many][k % many] for k in ring.tolist()]
-        start = ends[first : last + 1] - ends[first]
+        chosen = [each[k] for k in ring.tolist()]
+        start = np.concatenate([[0], np.cumsum(size[ring])])
         angle, share = (np.concatenate(parts) for parts in zip(*chosen, strict=True))
         r, z = np.repeat(radius, np.diff(start)), np.repeat(height, np.diff(start))
         points = (np.array([r * np.cos(angle), r * np.sin(angle), z]) - origin[:, None]) / cutoff

@@ -224,6 +224,13 @@ class Grid:
         """Distance by which loops count nodes (3,), infinity where they do not."""
         return np.array([self.spacing.get(a, 1.0 if self.parts is None else np.inf) for a in COMPONENTS])
 
+    def nodes_within(self, extent: float) -> float:
+        """Return the number of nodes in a box (m); of scattered ones as if they were spread evenly."""
+        if self.parts is None:
+            return float(np.clip(extent / self.steps, 1.0, self.shape)[self.active].prod())
+        places = sum(part.inner.count if part.inner else len(part.places) for part in self.parts)
+        return max(1.0, places * float((extent / (self.upper - self.lower + extent))[self.active].prod()))
+
     def fills(self, period: NDArray) -> tuple[bool, bool, bool]:
         """Return a mask of the axes whose nodes fill a period (3,), so that the last is next to the first."""
         x, y, z = (
