@@ -29,6 +29,7 @@ SLOW = {
     "fields/analysis/test_diffusion.py::test_errors_equal*": "test_choose_width and test_averages on errors of means",
     "fields/grids/test_points.py::test_loops_over_points_run_uncompiled*": "fields at points equal those of a mesh",
     "fields/test_cells.py::test_cells_hold_all_mass*0.7*": "the other meshes",
+    "fields/test_cells.py::test_totals_are_kept*": "totals on given meshes",
     "fields/test_cells.py::*shifted gaussian*": "the other kernels",
     "fields/test_cells.py::test_polynomials_that_meet*-0.6*": "the same with larger cells",
     "fields/test_cells.py::test_polynomials_that_meet*[[][js][tu]*": "splines, kinks and cores",

@@ -148,7 +148,7 @@ def test_support_larger_than_the_box_counts_all_images():
 @pytest.mark.filterwarnings("ignore:.*width")  # and some grains are far wider than the kernel
 @example(particles=1, seed=1, periodic="yz", width=1.5, polydispersity=1.0, offset=1e4)
 @example(particles=1, seed=13, periodic="xyz", width=1.5, polydispersity=1.0, offset=0.0)
-@settings(deadline=None, max_examples=25)
+@settings(deadline=None, max_examples=15)
 @given(
     particles=st.integers(0, 30),
     seed=st.integers(0, 10_000),
