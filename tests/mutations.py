@@ -164,7 +164,7 @@ TABLE = [
         "test_half_of_the_mass_lies_in_grains_up_to_d50",
     ),
     Mutation(
-        "scene/box.py", 'attrs["gravity"] = axes @', 'attrs["gravity"] = axes.T @',
+        "fields/grids/frames.py", 'attrs["gravity"] = axes @', 'attrs["gravity"] = axes.T @',
         "test_gravity_turns_with_the_frame",
     ),
     # --- steps ---
