@@ -48,11 +48,6 @@ ARRAYS = [
         for dtype in ("float64", "float32")
     ],
     (simd.prefetch, "float64", (4, 24), lambda r: [int(r.integers(-5, 50))]),
-    *[
-        (row, "float64", (5, simd.TILE), lambda r: [place(r, 5), place(r, 5), place(r, 5)])
-        for row in (simd.row_sum, simd.row_difference, simd.row_product, simd.row_quotient, simd.row_root,
-                    simd.nan_unless_positive, simd.clip_at_zero, simd.nan_to_zero)
-    ],
 ]  # fmt: skip
 
 

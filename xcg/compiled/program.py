@@ -1,6 +1,7 @@
 """The algebra at the nodes, step by step, over a few nodes at a time so that all intermediate results stay in cache."""
 
 import ctypes
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,15 +11,7 @@ from xcg.compiled.matrices import fit_rows
 from xcg.compiled.simd import (
     EIGHT,
     TILE,
-    clip_at_zero,
     load_number,
-    nan_to_zero,
-    nan_unless_positive,
-    row_difference,
-    row_product,
-    row_quotient,
-    row_root,
-    row_sum,
     store_fence,
     store_nontemporal,
     store_number,
@@ -108,25 +101,40 @@ def run(steps, records, source, fields, target, place, order, tile, scratch):
             elif operation == FIT:
                 fit_rows(scratch, a, r, many, b)
             elif operation == LOAD:
-                row_product(scratch, r, source[a, 0], source[a, 1])
-            elif operation == ADD:
-                row_sum(scratch, r, a, b)
-            elif operation == SUBTRACT:
-                row_difference(scratch, r, a, b)
-            elif operation == MULTIPLY:
-                row_product(scratch, r, a, b)
-            elif operation == DIVIDE:
-                row_quotient(scratch, r, a, b)
-            elif operation == SQUARE_ROOT:
-                row_root(scratch, r, a, a)
-            elif operation == WHERE_POSITIVE:
-                nan_unless_positive(scratch, r, a, a)
-            elif operation == AT_LEAST_ZERO:
-                clip_at_zero(scratch, r, a, a)
-            elif operation == ZERO_IF_UNKNOWN:
-                nan_to_zero(scratch, r, a, a)
+                _combine(np.uint64(MULTIPLY), scratch, r, source[a, 0], source[a, 1])
+            else:
+                _combine(operation, scratch, r, a, b)
     store_fence()
     scratch[0, 0] = unread
+
+
+@inner
+def _combine(operation, rows, to, a, b):
+    """Write the result of an operation on two rows, or on the first of them, to a row."""
+    if operation == ADD:
+        for k in range(np.uint64(TILE)):
+            rows[to, k] = rows[a, k] + rows[b, k]
+    elif operation == SUBTRACT:
+        for k in range(np.uint64(TILE)):
+            rows[to, k] = rows[a, k] - rows[b, k]
+    elif operation == MULTIPLY:
+        for k in range(np.uint64(TILE)):
+            rows[to, k] = rows[a, k] * rows[b, k]
+    elif operation == DIVIDE:
+        for k in range(np.uint64(TILE)):
+            rows[to, k] = rows[a, k] / rows[b, k]
+    elif operation == SQUARE_ROOT:
+        for k in range(np.uint64(TILE)):
+            rows[to, k] = np.sqrt(rows[a, k])
+    elif operation == WHERE_POSITIVE:
+        for k in range(np.uint64(TILE)):
+            rows[to, k] = rows[a, k] if rows[a, k] > 0.0 else math.nan
+    elif operation == AT_LEAST_ZERO:
+        for k in range(np.uint64(TILE)):
+            rows[to, k] = 0.0 if rows[a, k] < 0.0 else rows[a, k]
+    elif operation == ZERO_IF_UNKNOWN:
+        for k in range(np.uint64(TILE)):
+            rows[to, k] = rows[a, k] if rows[a, k] == rows[a, k] else 0.0
 
 
 @inner

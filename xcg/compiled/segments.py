@@ -305,7 +305,8 @@ def deposit_segments(segments, nodes, kernel, lists, closed, rest, moments):
         Sums, added to: force component by branch component, row by row.
     """
     begin, end, active, period = nodes.begin, nodes.end, nodes.active, nodes.period
-    kind, spread, table, norm = kernel.kind, kernel.spread, kernel.table, kernel.norm
+    kind, spread, table = kernel.kind, kernel.spread, kernel.table
+    norm = kernel.norm if nodes.volumes is None else 1.0
     values, numbers = lists
     records = segments.records
     reach = (1.0 if active[0] else 0.0, 1.0 if active[1] else 0.0, 1.0 if active[2] else 0.0)
@@ -344,13 +345,11 @@ def deposit_segments(segments, nodes, kernel, lists, closed, rest, moments):
                 y = y0 + image_y * period[1] if image_y else y0
                 for image_z in range(first_z, last_z + 1):
                     z = z0 + image_z * period[2] if image_z else z0
-                    if nodes.volumes is not None:
-                        hits = _list_volumes(x, y, z, bx, by, bz, length, nodes.volumes, kernel, lists)
-                        _add_dyad(moments, records, i, 1.0, numbers, w, hits)
-                        continue
                     hits = nodes_around_segment(x, y, z, bx, by, bz, per_length, nodes.rows, lists)
                     hits += points_around_segment(x, y, z, bx, by, bz, per_length, nodes.cells, lists)
-                    if points:
+                    if nodes.volumes is not None:  # with their weights
+                        hits = _list_volumes(x, y, z, bx, by, bz, length, nodes.volumes, kernel, lists)
+                    elif points:
                         fill_gauss(kind, spread, table, GAUSS_POINTS, GAUSS_WEIGHTS, points, length, along, q2, hits, w)
                     elif closed is not None:
                         fill_segments(kind, spread, table, length, along, q2, hits, w, *closed)

@@ -10,7 +10,6 @@ for: places must lie within the array, and addresses belong to arrays that still
 """
 
 import ctypes
-import math
 from collections.abc import Callable
 from typing import Any
 
@@ -19,8 +18,6 @@ from llvmlite import binding, ir
 from numba import types
 from numba.core import cgutils, config
 from numba.extending import intrinsic
-
-from xcg.compiled._jit import inner
 
 FOUR, EIGHT = 4, 8
 TILE = 64  # nodes that the algebra is done for at a time
@@ -275,65 +272,6 @@ def _low_bits_as_exponent(typingctx, number):
 def low_bits_as_exponent(number):
     """Float64 whose sign and exponent are the last twelve bits of another one."""
     return (np.array(number, "float64").view("uint64") << np.uint64(52)).view("float64")[()]
-
-
-# --- rows of as many numbers as a tile has nodes ---------------------------------------------------------
-
-
-@inner
-def row_sum(rows, to, a, b):
-    """``rows[to] = rows[a] + rows[b]``."""
-    for k in range(TILE):
-        rows[to, np.uint64(k)] = rows[a, np.uint64(k)] + rows[b, np.uint64(k)]
-
-
-@inner
-def row_difference(rows, to, a, b):
-    """``rows[to] = rows[a] - rows[b]``."""
-    for k in range(TILE):
-        rows[to, np.uint64(k)] = rows[a, np.uint64(k)] - rows[b, np.uint64(k)]
-
-
-@inner
-def row_product(rows, to, a, b):
-    """``rows[to] = rows[a] * rows[b]``."""
-    for k in range(TILE):
-        rows[to, np.uint64(k)] = rows[a, np.uint64(k)] * rows[b, np.uint64(k)]
-
-
-@inner
-def row_quotient(rows, to, a, b):
-    """``rows[to] = rows[a] / rows[b]``."""
-    for k in range(TILE):
-        rows[to, np.uint64(k)] = rows[a, np.uint64(k)] / rows[b, np.uint64(k)]
-
-
-@inner
-def row_root(rows, to, a, b):
-    """``rows[to] = sqrt(rows[a])``."""
-    for k in range(TILE):
-        rows[to, np.uint64(k)] = np.sqrt(rows[a, np.uint64(k)])
-
-
-@inner
-def nan_unless_positive(rows, to, a, b):
-    """``rows[to] = rows[a] where that is positive, else NaN``."""
-    for k in range(TILE):
-        rows[to, np.uint64(k)] = rows[a, np.uint64(k)] if rows[a, np.uint64(k)] > 0.0 else math.nan
-
-
-@inner
-def clip_at_zero(rows, to, a, b):
-    """``rows[to] = rows[a] where that is not negative, else 0``."""
-    for k in range(TILE):
-        rows[to, np.uint64(k)] = 0.0 if rows[a, np.uint64(k)] < 0.0 else rows[a, np.uint64(k)]
-
-
-@inner
-def nan_to_zero(rows, to, a, b):
-    """``rows[to] = rows[a] where that is a number, else 0``."""
-    for k in range(TILE):
-        rows[to, np.uint64(k)] = rows[a, np.uint64(k)] if rows[a, np.uint64(k)] == rows[a, np.uint64(k)] else 0.0
 
 
 # --- memory that is named by its address -----------------------------------------------------------------
