@@ -17,6 +17,7 @@ from tests import planning, steps_of_random_scenes
 from tests.brute_force import BruteKernel, brute_force
 from xcg import SceneWarning
 from xcg.compiled.points import deposit
+from xcg.compiled.segments import deposit_segments
 from xcg.fields.coarse_grain import WORTH_SHARING
 from xcg.fields.sums.nodes import BLOCK_NODES
 
@@ -409,6 +410,22 @@ def test_positions_that_are_nan_raise(row):
     position[0, row, 1] = np.nan
     with pytest.raises(xcg.SceneError):
         ds.assign(position=(ds.position.dims, position)).cg.coarse_grain("density", width=1.0)
+
+
+@pytest.mark.parametrize("changed", ["axes in another order", "no grains", "grains at rest"])
+def test_loops_are_compiled_once_for_scenes_of_any_form(changed):
+    ds = xcg.datasets.random_scene(20, seed=1).drop_vars("wall_velocity", errors="ignore")
+    ds.cg.coarse_grain(width=1.0)
+    forms = {
+        "axes in another order": lambda: ds.transpose("component", "contact", "particle", ...),
+        "no grains": lambda: ds.isel(particle=slice(0, 0), contact=slice(0, 0)),
+        "grains at rest": lambda: ds.assign(velocity=0.0 * ds.velocity),
+    }
+    before = set(deposit.signatures), set(deposit_segments.signatures)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        forms[changed]().cg.coarse_grain(width=1.0, bounds=dict.fromkeys("xyz", (0.0, 1.0)))
+    assert (set(deposit.signatures), set(deposit_segments.signatures)) == before
 
 
 def test_grains_of_one_velocity_have_no_temperature():
