@@ -496,6 +496,8 @@ def main() -> int:
     parser.add_argument("--only", metavar="WORD", default="", help="rows with this word in the file or the text")
     only = parser.parse_args().only
     rows = [row for row in TABLE if only in " ".join(row)]
+    if not rows:
+        parser.error(f"no row has the word {only!r}")
     for row in rows:
         count = (ROOT / "xcg" / row.file).read_text().count(row.old)
         if count != 1:
