@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+import xcg
 from xcg.writers.vtkhdf import to_vtkhdf
 
 AXES = ("x", "y", "z")
@@ -300,3 +301,16 @@ def test_phases_that_clash_with_variables_raise(tmp_path):
     phases["density_phase_1"] = ds["density"]
     with pytest.raises(ValueError, match=r"several arrays would be named \['density_phase_1'\]"):
         to_vtkhdf(phases, tmp_path / "f.vtkhdf")
+
+
+def test_large_fields_take_hardly_any_memory_beyond_their_end(tmp_path):
+    """Chunks of 4 MB are even slabs, as the last one is stored whole."""
+    edges = {"x": (0.0, 5.9), "y": (0.0, 5.7), "z": (0.0, 5.7)}
+    f = xcg.datasets.random_scene(5, seed=1).cg.coarse_grain("contact_stress", width=0.5, spacing=0.1, bounds=edges)
+    f.cg.to_vtkhdf(tmp_path / "f.vtkhdf")
+    with h5py.File(tmp_path / "f.vtkhdf") as file:
+        stored = file["VTKHDF/PointData/contact_stress"]
+        assert stored.chunks[0] < stored.shape[0]
+        slabs = -(-stored.shape[0] // stored.chunks[0])
+        assert stored.chunks[0] * slabs < stored.shape[0] + slabs
+        assert stored.id.get_storage_size() < 1.05 * f.contact_stress.nbytes

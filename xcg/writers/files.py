@@ -241,14 +241,17 @@ def _part(path: Path) -> Iterator[Path]:
     """Yield a temporary name beside `path`; whatever has it at the end is removed."""
     part = part_of(path)
     temporary.add(part)
+    failed = True
     try:
         yield part
+        failed = False
     finally:
-        for _ in range(100):  # tasks may write to a folder for another moment, as they do after one of them failed
+        remove(part)
+        for _ in range(100 if failed else 0):  # after one of them failed, tasks may write to a folder for a moment
+            time.sleep(0.05)
             if not part.exists():
                 break
             remove(part)
-            time.sleep(0.05)
         temporary.discard(part)
 
 

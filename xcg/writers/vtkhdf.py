@@ -7,6 +7,7 @@ VTK does not report the time; it is in ``Steps/Values`` all the same.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
@@ -327,12 +328,16 @@ def _lay_out(
 
 
 def _blocks(shape: tuple[int, ...], itemsize: int, steps: int) -> tuple[int, ...]:
-    """Shape of the chunks on disk: some steps (0 without a time axis), cut into slabs where these are large."""
+    """Shape of the chunks on disk: some steps (0 without a time axis), cut into even slabs where these are large.
+
+    HDF5 stores the last slab whole, so that uneven ones would take memory beyond the end.
+    """
     block = [min(steps, shape[0]), *shape[1:]] if steps else list(shape)
     first = 1 if steps else 0
     if first < len(block):
         slab = itemsize * int(np.prod(block[:first])) * int(np.prod(block[first + 1 :]))
-        block[first] = int(np.clip(_BLOCK // slab, 1, shape[first]))
+        slabs = math.ceil(shape[first] / max(1, _BLOCK // slab))
+        block[first] = math.ceil(shape[first] / max(1, slabs))
     return tuple(block)
 
 
