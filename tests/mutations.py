@@ -90,6 +90,10 @@ TABLE = [
         "compiled/polynomials.py", "r2 * (0.375 * r2 + 0.5 * h2)", "r2 * (0.375 * r2 - 0.5 * h2)",
         "test_segment_integrals_equal_quadrature",
     ),
+    Mutation(
+        "compiled/program.py", "rows[a, k] - rows[b, k]", "rows[b, k] - rows[a, k]",
+        "test_operations_on_rows_equal_those_of_numpy",
+    ),
     Mutation("compiled/elementary.py", "math.pi - found", "math.pi + found", "test_angles"),
     Mutation(
         "readers/engines/mfix.py", "table[:, k] * arrays[_SCALE]", "table[:, k]",

@@ -31,7 +31,8 @@ def grains(step: StepRows) -> list[Pass]:
     for name, row in rows.items():
         if row.width == 1:
             values = step.column(row, at)
-            if len(values) and _is_one_row(values):
+            # most columns differ in their ends
+            if len(values) and values[0, 0] == values[-1, 0] and (values == values[0]).all():
                 same[name] = float(values[0, 0])
             else:
                 single[name] = values
@@ -155,11 +156,6 @@ def _pass(
             of = np.arange(layout.groups) if groups is None else np.flatnonzero(groups)
             squared.append(Squared(rows, position, mass, phase, beyond, of, cutoff, weights, spec.grid))
     return Pass(layout, fill, squared)
-
-
-def _is_one_row(values: NDArray) -> bool:
-    """Return whether all rows (n, k) are the same, or n is zero."""
-    return not len(values) or (values[0].tolist() == values[-1].tolist() and bool((values == values[0]).all()))
 
 
 def _padded(columns: int) -> int:
