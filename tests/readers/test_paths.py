@@ -13,7 +13,7 @@ import pytest
 from tests import shared_data
 from tests.dumps import dump_text, write, write_series
 from xcg.readers.engine import ReadOptions, StepRef
-from xcg.readers.engines import dump
+from xcg.readers.engines import lammps as lammps_engine
 from xcg.readers.engines import vtk as vtk_steps
 from xcg.readers.engines.lammps import Lammps
 from xcg.readers.engines.mfix import Mfix
@@ -39,13 +39,13 @@ def cache(tmp_path_factory, monkeypatch):
 def scanned(monkeypatch):
     """Count how often the headers of each dump are read."""
     counts: Counter = Counter()
-    original = dump._steps
+    original = lammps_engine._steps
 
     def counted(path, *, atoms):
         counts[os.path.basename(path)] += 1
         yield from original(path, atoms=atoms)
 
-    monkeypatch.setattr(dump, "_steps", counted)
+    monkeypatch.setattr(lammps_engine, "_steps", counted)
     return counts
 
 
@@ -171,6 +171,6 @@ def test_real_output_is_indexed(tmp_path, monkeypatch, engine, folder, pattern):
     settle(tmp_path)
     paths = sorted(map(str, tmp_path.iterdir()))
     first = engine.index_particles(paths, ReadOptions())
-    for module, scan in ((dump, "_steps"), (vtk_steps, "_header")):
+    for module, scan in ((lammps_engine, "_steps"), (vtk_steps, "_header")):
         monkeypatch.setattr(module, scan, lambda *_, **__: pytest.fail("headers are read again"))
     assert engine.index_particles(paths, ReadOptions()) == first

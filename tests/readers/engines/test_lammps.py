@@ -11,7 +11,7 @@ from tests import shared_data
 from tests.dumps import ATOMS, PAIR_ROWS, PAIRS, ROWS, dump_text, pairs_text, write
 from xcg.common.messages import SceneError, SceneWarning
 from xcg.readers.engine import ReadOptions
-from xcg.readers.engines import dump
+from xcg.readers.engines import lammps as lammps_engine
 from xcg.readers.engines.lammps import Lammps
 from xcg.readers.files.table import parse_table
 from xcg.readers.series import open_scene
@@ -102,7 +102,7 @@ def test_single_steps_are_not_read_through(tmp_path, monkeypatch):
     alone = str(write(tmp_path / "p.00700.dump.gz", dump_text([row] * 9, step=700)))
     many = str(write(tmp_path / "p.0.dump", [dump_text([row] * 9, step=k) for k in (0, 1)]))
     read = []
-    monkeypatch.setattr(dump.Scanner, "until", lambda self, marker: iter(read.append(marker) or ()))
+    monkeypatch.setattr(lammps_engine.Scanner, "until", lambda self, marker: iter(read.append(marker) or ()))
     (ref,) = lammps.index_particles([alone], DEFAULTS)
     assert not read
     assert ref.length == 9 * len(row + " \n")

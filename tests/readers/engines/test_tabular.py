@@ -108,7 +108,7 @@ def test_one_step_is_read_alone(tmp_path, monkeypatch):
     path = write(tmp_path / "a.csv", "step,x,y,z,radius\n" + rows)
     ds = xcg.open_scene(path, density=1.0, chunks=1)
     read = []
-    table = xcg.readers.engines.tabular.table
+    table = xcg.readers.files.table
     original = table.body_of
     monkeypatch.setattr(table, "body_of", lambda ref: read.append(ref.length) or original(ref))
     assert ds.position.isel(time=-1, particle=5).values.tolist() == [5, 905, 0]
@@ -163,7 +163,7 @@ def test_parquet_without_pyarrow_names_the_extra(tmp_path, monkeypatch):
         return original(name, *rest)
 
     original = importlib.import_module
-    monkeypatch.setattr("xcg.readers.files.parquet.importlib.import_module", no_pyarrow)
+    monkeypatch.setattr("xcg.readers.files.table.importlib.import_module", no_pyarrow)
     (tmp_path / "a.parquet").write_bytes(b"PAR1")
     with pytest.raises(xcg.SceneError, match=r"pip install 'xcg\[parquet\]'"):
         xcg.open_scene(tmp_path / "a.parquet")

@@ -11,7 +11,6 @@ from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +19,7 @@ from xcg.common.messages import SceneError
 from xcg.readers import columns
 from xcg.readers.columns import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
-from xcg.readers.files import parquet, table
+from xcg.readers.files.table import read_csv, read_parquet, scan_csv, scan_parquet
 from xcg.readers.files.text import plain_name
 from xcg.readers.paths import remembered
 from xcg.steps import faults as errors
@@ -43,7 +42,7 @@ class Table(Columnar):
 
     def recognises(self, path: str) -> bool:
         """Return whether the suffix is that of a table."""
-        return _form(path) is not None
+        return _suffix(path) in (".csv", ".tsv", ".parquet")
 
     def index_particles(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
         """List the steps of particles, from the column of times where there is one."""
@@ -62,7 +61,8 @@ class Table(Columnar):
         self, ref: StepRef, wanted: Iterable[str], rows: int | None, options: ReadOptions
     ) -> dict[str, NDArray]:
         """Read columns of one step."""
-        return (_form(ref.path) or table).read_columns(ref, sorted(set(wanted)), options)
+        read = read_parquet if _suffix(ref.path) == ".parquet" else read_csv
+        return read(ref, sorted(set(wanted)), options)
 
     def particle_columns(self, ref: StepRef, options: ReadOptions) -> dict[str, str]:
         """Find the columns that particles are read from."""
@@ -78,10 +78,9 @@ class Table(Columnar):
         return [name for name in ignored if name not in clock_of(ref.columns, options.names).values()]
 
 
-def _form(path: str) -> Any:
-    """Return the module that reads files of this name."""
-    ending = Path(plain_name(path)).suffix.lower()
-    return {".csv": table, ".tsv": table, ".parquet": parquet}.get(ending)
+def _suffix(path: str) -> str:
+    """Return the suffix of a file, before that of its compression."""
+    return Path(plain_name(path)).suffix.lower()
 
 
 def clock_of(names: Sequence[str], given: Mapping[str, str | None]) -> dict[str, str]:
@@ -121,7 +120,8 @@ def _index(paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
 
 
 def _steps(path: str, given: Mapping[str, str | None]) -> Iterator[StepRef]:
-    found = (_form(path) or table).scan(path, lambda names: clock_of(names, given))
+    scan = scan_parquet if _suffix(path) == ".parquet" else scan_csv
+    found = scan(path, lambda names: clock_of(names, given))
     clock = clock_of(found.columns, given)
     for first, stop in runs_of({what: found.clock[name] for what, name in clock.items()}, found.rows, path):
         told = {what: found.clock[name][first] for what, name in clock.items()}

@@ -1,15 +1,19 @@
-"""Tables of numbers in text: bytes to columns, block by block, in all threads where nothing else is read.
+"""Tables of numbers: bodies of text, CSV and Parquet.
 
-Last come tables whose first line names the columns: CSV with commas, semicolons, tabs or blanks between values.
+Text becomes columns block by block, in all threads where nothing else is read. CSV has commas, semicolons, tabs or
+blanks between values. Of Parquet, pyarrow reads the columns and row groups that are wanted.
 """
 
 from __future__ import annotations
 
+import importlib
 import math
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -174,11 +178,11 @@ def _fault(line: bytes, columns: Sequence[str], wanted: Sequence[str], *, last: 
     return f"has {words[columns.index(wrong)].decode('utf-8', 'replace')!r} in column '{wrong}', expected a number"
 
 
-# --- tables that name their columns in the first line ------------------------------------------------------
+# --- CSV: tables that name their columns in the first line -----------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
+class TableIndex:
     """Result of one pass through a file.
 
     Attributes
@@ -189,8 +193,8 @@ class Table:
         Number of rows.
     clock : mapping
         Columns of times and numbers of steps.
-    starts : array (rows + 1,)
-        Byte where each row begins, and where the last one ends.
+    starts : array (rows + 1,), optional
+        Byte where each row begins, and where the last one ends; unknown of Parquet.
     kind : str
         What stands between values.
     """
@@ -198,15 +202,17 @@ class Table:
     columns: tuple[str, ...]
     rows: int
     clock: Mapping[str, NDArray]
-    starts: NDArray
-    kind: str
+    starts: NDArray | None = None
+    kind: str = ""
 
     def place(self, first: int, stop: int) -> tuple[int, int]:
-        """Byte where some rows begin, and how many bytes there are."""
+        """Byte where some rows begin, and how many bytes there are; the first row where bytes are unknown."""
+        if self.starts is None:
+            return first, 0
         return int(self.starts[first]), int(self.starts[stop] - self.starts[first])
 
 
-def scan(path: str, clock_of: Callable[[Sequence[str]], Mapping[str, str]]) -> Table:
+def scan_csv(path: str, clock_of: Callable[[Sequence[str]], Mapping[str, str]]) -> TableIndex:
     """Read the names, count the rows, and read the columns of times.
 
     Raises
@@ -239,7 +245,7 @@ def scan(path: str, clock_of: Callable[[Sequence[str]], Mapping[str, str]]) -> T
     starts = lines.starts()
     if wanted and len(clock[wanted[0]]) != len(starts) - 1:
         raise SceneError(f"{path}: lines of blanks only stand between rows; remove them")
-    return Table(names, len(starts) - 1, clock, starts, separator)
+    return TableIndex(names, len(starts) - 1, clock, starts, separator)
 
 
 def _is_number(word: str) -> bool:
@@ -284,7 +290,66 @@ def _translated(pieces: Iterable[bytes], separator: str) -> Iterable[bytes]:
     return (piece.translate(blank) for piece in pieces)
 
 
-def read_columns(ref: StepRef, wanted: Sequence[str], options: ReadOptions) -> dict[str, NDArray]:
+def read_csv(ref: StepRef, wanted: Sequence[str], options: ReadOptions) -> dict[str, NDArray]:
     """Read columns of one step."""
     body, threads = _translated(body_of(ref), ref.kind), _threads(ref, options)
     return parse_table(body, ref.columns, wanted, ref.rows, source_of(ref), threads)
+
+
+# --- Parquet ---------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def _opened(path: str) -> Iterator[Any]:
+    """Open a file; what pyarrow finds wrong with it is said with its name."""
+    try:
+        pyarrow, parquet = importlib.import_module("pyarrow"), importlib.import_module("pyarrow.parquet")
+    except ImportError:
+        raise SceneError(
+            f"{path}: reading Parquet needs the package pyarrow: pip install 'xcg[parquet]', or write CSV"
+        ) from None
+    try:
+        with parquet.ParquetFile(path) as file:
+            yield file
+    except (pyarrow.ArrowException, OSError) as error:
+        if isinstance(error, FileNotFoundError):
+            raise
+        raise SceneError(
+            f"{path}: cannot be read as Parquet ({str(error)[:200]}); leave the file out, or write it again"
+        ) from None
+
+
+def scan_parquet(path: str, clock_of: Callable[[Sequence[str]], Mapping[str, str]]) -> TableIndex:
+    """Read names of columns, number of rows, and the columns of times."""
+    with _opened(path) as file:
+        names = tuple(file.schema_arrow.names)
+        wanted = sorted(set(clock_of(names).values()))
+        table = file.read(columns=wanted)
+        return TableIndex(names, file.metadata.num_rows, {name: _numbers(table, name, path) for name in wanted})
+
+
+def read_parquet(ref: StepRef, wanted: Sequence[str], options: ReadOptions) -> dict[str, NDArray]:
+    """Read columns of one step, from the row groups that it touches."""
+    first, stop = ref.offset, ref.offset + ref.rows
+    with _opened(ref.path) as file:
+        edges = np.cumsum([0, *(file.metadata.row_group(k).num_rows for k in range(file.num_row_groups))])
+        groups = np.flatnonzero((edges[:-1] < stop) & (edges[1:] > first)).tolist()
+        table = file.read_row_groups(groups, columns=list(wanted))
+        at = first - int(edges[groups[0]]) if groups else 0
+        table = table.slice(at, ref.rows)
+        if table.num_rows != ref.rows:
+            raise SceneError(
+                f"{source_of(ref)}: {table.num_rows} rows, but its metadata promise {ref.rows}; the file is damaged"
+            )
+        return {name: _numbers(table, name, source_of(ref)) for name in wanted}
+
+
+def _numbers(table: Any, name: str, source: str) -> NDArray:
+    column = table.column(name)
+    if column.null_count:
+        row = int(np.argmax(column.is_null().to_numpy(zero_copy_only=False)))
+        raise SceneError(f"{source}: row {row} has no value in column '{name}', expected a number")
+    try:
+        return np.asarray(column.to_numpy(), "float64")
+    except (TypeError, ValueError):
+        raise SceneError(f"{source}: column '{name}' holds {column.type}, expected numbers") from None
