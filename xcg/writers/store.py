@@ -240,23 +240,24 @@ def write_files(
     """
     for path in files:
         check_target(path, overwrite=overwrite)
-    # what goes on with nothing needs no names of its values, which are digests of those in memory
-    state = state_of(ds, encoding, [kind.name for kind in files.values()], mark) if work else dict[str, str]()
-    together = None
+    fitting, together = ds, None
     for kind in files.values():
-        ds, together = kind.check(ds), kind.together
-    layout = StoreLayout.of(ds, encoding, together)
+        fitting, together = kind.check(fitting), kind.together
+    layout = StoreLayout.of(fitting, encoding, together)
+    state = {"steps in a chunk": str(layout.steps)}
+    if work:  # else there is nothing to go on with, and no need of digests of values in memory
+        state |= state_of(ds, encoding, [kind.name for kind in files.values()], mark)
     with ExitStack() as held:
         folder = held.enter_context(work_folder(work, next(iter(files))))
         log = Log(folder)
-        begun = log.is_begun(state | {"steps in a chunk": str(layout.steps)})
+        begun = log.is_begun(state)
         stores: list[Store] = []
         for path, kind in files.items():
             part = folder / path.name
             held.enter_context(kind.whole(path, overwrite=overwrite, part=part))
             stores.append(kind.begin(layout, part, begun))
         if not begun:
-            log.begin(state | {"steps in a chunk": str(layout.steps)})
+            log.begin(state)
         write = _WriteTask(tuple(stores), log, _numbers(layout.ds))
         with listen_for_skips():
             yield from _fill(layout, write, batch)
