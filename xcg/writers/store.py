@@ -240,13 +240,13 @@ def write_files(
     """
     for path in files:
         check_target(path, overwrite=overwrite)
-    fitting, together = ds, None
+    # what goes on with nothing needs no names of its values, which are digests of those in memory
+    state = state_of(ds, encoding, [kind.name for kind in files.values()], mark) if work else dict[str, str]()
+    together = None
     for kind in files.values():
-        fitting, together = kind.check(fitting), kind.together
-    layout = StoreLayout.of(fitting, encoding, together)
-    state = {"steps in a chunk": str(layout.steps)}
-    if work:  # else there is nothing to go on with, and no need of digests of values in memory
-        state |= state_of(ds, encoding, [kind.name for kind in files.values()], mark)
+        ds, together = kind.check(ds), kind.together
+    layout = StoreLayout.of(ds, encoding, together)
+    state["steps in a chunk"] = str(layout.steps)
     with ExitStack() as held:
         folder = held.enter_context(work_folder(work, next(iter(files))))
         log = Log(folder)

@@ -228,7 +228,8 @@ def scan_csv(path: str, clock_of: Callable[[Sequence[str]], Mapping[str, str]]) 
         words = line.split(None if separator == " " else separator)
         names = tuple(word.strip().strip("\"'") for word in words)
         twice = [name for name, count in Counter(names).items() if count > 1]
-        if not line or twice or len(names) > _MOST_COLUMNS or all(map(_is_number, names)):
+        named = any(math.isnan(_number(name.encode())) for name in names)
+        if not line or twice or not named or len(names) > _MOST_COLUMNS:
             why = f"{twice[0]!r} twice" if twice else repr(line[:60])
             raise SceneError(
                 f"{path}: expected a first line that names each column once, such as 'x,y,z,radius', found {why}"
@@ -246,14 +247,6 @@ def scan_csv(path: str, clock_of: Callable[[Sequence[str]], Mapping[str, str]]) 
     if wanted and len(clock[wanted[0]]) != len(starts) - 1:
         raise SceneError(f"{path}: lines of blanks only stand between rows; remove them")
     return TableIndex(names, len(starts) - 1, clock, starts, separator)
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
 
 
 def _pieces(scanner: Scanner) -> Iterator[bytes]:
