@@ -2,8 +2,8 @@
 
 Functions import what a command does when it is done, so that help comes soon.
 
-Exit codes: 0 done, 1 the job or its data are at fault (the message says what), 2 the command line is, 130 stopped by
-Ctrl-C.
+Exit codes: 0 done, 1 the job or its data are at fault (`click.ClickException`), 2 the command line is
+(`click.BadParameter`), 130 stopped by Ctrl-C.
 """
 
 from __future__ import annotations
@@ -217,7 +217,7 @@ def statistics_table(fc: xr.Dataset) -> str:
 @click.option("--digits", type=click.IntRange(1, 15), help="Significant digits to keep; all by default.")
 @click.option("--compression", type=click.IntRange(0, 9), help="Level of compression, 0 for none; 1 by default.")
 @click.option("--overwrite", is_flag=True, help="Replace output that is there.")
-@click.option("--quiet", "-q", is_flag=True, help="No progress bar.")
+@click.option("--quiet", "-q", is_flag=True, help="No progress bar, no warnings.")
 def convert(
     files: tuple[str, ...],
     output: Path,
@@ -239,7 +239,7 @@ def convert(
     from xcg.scene.conform import conform
     from xcg.writers.save import save
 
-    with plain_messages(quiet=False):
+    with plain_messages(quiet):
         is_job = len(files) == 1 and Path(files[0]).suffix.lower() in (".toml", ".ini")
         scene = read_config(files[0]).scene if is_job else {"particles": list(files)}
         ds = conform(open_scene(**scene | said(options)))  # a step that was saved alone gets its time

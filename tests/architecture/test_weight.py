@@ -7,9 +7,10 @@ import tokenize
 from tests import ROOT
 
 PACKAGE = ROOT / "xcg"
-MOST_MODULES, MOST_LINES, LONGEST, SHORTEST = 157, 24613, 450, 60
+MOST_MODULES, MOST_LINES, LONGEST, SHORTEST = 157, 24612, 450, 60
 # tables of rows
 SHORT = {"__init__.py", "fields/formulas/rows/orientation.py"}
+ADVICE = "the package grew: take out as much as you add, or raise the limit above in this commit and say why"
 _NO_CODE = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
 
 
@@ -35,8 +36,9 @@ def test_lines_are_counted_without_docstrings_comments_and_blanks():
 
 def test_the_package_does_not_grow():
     texts = {path.relative_to(PACKAGE).as_posix(): path.read_text() for path in PACKAGE.rglob("*.py")}
-    assert len(texts) <= MOST_MODULES
-    assert sum(map(lines_of_code, texts.values())) <= MOST_LINES
+    assert len(texts) <= MOST_MODULES, ADVICE
+    lines = sum(map(lines_of_code, texts.values()))
+    assert lines <= MOST_LINES, ADVICE
     lengths = {name: len(text.splitlines()) for name, text in texts.items()}
     assert max(lengths.values()) <= LONGEST
     faces = {name for name in lengths if name.endswith("/__init__.py")}

@@ -12,7 +12,14 @@ import pytest
 
 import xcg
 from tests import ROOT
-from xcg.readers.engine import Engine, StepRef
+from xcg.readers.engine import _OWN, Engine, StepRef, load_engine
+
+
+def test_engines_are_called_by_the_name_that_they_have_in_messages():
+    named = re.search(r"engine : \{(.*?)\}", xcg.open_scene.__doc__)[1].replace('"', "").split(", ")
+    assert named == list(_OWN)
+    assert [load_engine(name).name for name in _OWN] == named
+
 
 # --- a reader from another package -----------------------------------------------------------------------
 

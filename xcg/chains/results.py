@@ -27,26 +27,26 @@ COPIED = ("particle_id", "position", "diameter", "contact_i", "contact_j", "cont
 
 
 @dataclass(frozen=True)
-class Statistic:
-    """A statistic of the chains of one step.
+class LengthStatistic:
+    """A statistic of the lengths of the chains of one step.
 
     Attributes
     ----------
     variable : Variable
         Dimensions, unit and type.
     compute : callable
-        ``compute(particles)`` from the numbers of particles of the chains, an array (chains,) of at least one.
+        ``compute(lengths)`` from the numbers of particles of the chains, an array (chains,) of at least one.
     """
 
     variable: Variable
     compute: Callable[[NDArray], float]
 
 
-_OF_LENGTHS: dict[str, Statistic] = {
-    "length_mean": Statistic(Variable((), "1", "mean length of the chains (particles)"), np.mean),
-    "length_median": Statistic(Variable((), "1", "median length of the chains (particles)"), np.median),
-    "length_min": Statistic(Variable((), "1", "shortest chain (particles)"), np.min),
-    "length_max": Statistic(Variable((), "1", "longest chain (particles)"), np.max),
+_OF_LENGTHS: dict[str, LengthStatistic] = {
+    "length_mean": LengthStatistic(Variable((), "1", "mean length of the chains (particles)"), np.mean),
+    "length_median": LengthStatistic(Variable((), "1", "median length of the chains (particles)"), np.median),
+    "length_min": LengthStatistic(Variable((), "1", "shortest chain (particles)"), np.min),
+    "length_max": LengthStatistic(Variable((), "1", "longest chain (particles)"), np.max),
 }
 STATISTICS: dict[str, Variable] = {
     "chain_count": Variable((), "1", "number of chains", "int64"),
@@ -83,12 +83,12 @@ def result_sizes(particles: int, contacts: int, min_length: int) -> dict[str, in
     return {"particle": particles, "contact": contacts, "chain": chains, "length": lengths}
 
 
-def statistics_of(particles: NDArray, min_length: int, lengths: int) -> dict[str, NDArray | float]:
+def statistics_of(lengths: NDArray, min_length: int, bins: int) -> dict[str, NDArray | float]:
     """Statistics of the lengths of the chains of one step, by the names in `STATISTICS`; NaN without chains."""
-    count = len(particles)
+    count = len(lengths)
     found: dict[str, NDArray | float] = {"chain_count": count}
-    found |= {name: row.compute(particles) if count else np.nan for name, row in _OF_LENGTHS.items()}
-    found["length_share"] = np.bincount(particles - min_length, minlength=lengths)[:lengths] / max(count, 1)
+    found |= {name: row.compute(lengths) if count else np.nan for name, row in _OF_LENGTHS.items()}
+    found["length_share"] = np.bincount(lengths - min_length, minlength=bins)[:bins] / max(count, 1)
     return found
 
 

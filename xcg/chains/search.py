@@ -30,6 +30,8 @@ Algorithm: TypeAlias = Literal["branching", "peters2005"]
 # than this share of it likewise: both are known to rounding only.
 _ANGLE = 1e-9
 _SHARE = 1e-12
+# what a loop finds of each chain, in the order of its arguments
+_DESCRIBED = ("particles", "links", "branchings", "stress", "orientation", "normal")
 
 
 @dataclass(frozen=True)
@@ -246,7 +248,7 @@ def find_chains(rule: SearchRule, frame: Frame, lattice: Lattice, time: float, s
     loops.count_links(i, j, start, contact, link, links)
 
     by_chain = {name: values[0] for name, values in empty_results(CHAINS, {"chain": count}, 1).items()}
-    loops.describe_chains(members, first, place, major, links, *by_chain.values())
+    loops.describe_chains(members, first, place, major, links, *(by_chain[f"chain_{name}"] for name in _DESCRIBED))
     dropped = chain == loops.TOO_SHORT
     chain[dropped] = parent[dropped] = loops.UNSEEN
     return by_chain | {

@@ -150,7 +150,7 @@ class Engine(ABC):
 
     @property
     def name(self) -> str:
-        """Name in messages."""
+        """Name in messages and for ``engine=``; override it where the class is called otherwise."""
         return type(self).__name__.lower()
 
     def recognises(self, path: str) -> bool:

@@ -35,7 +35,8 @@ def index_files(
     for kind, paths in files.items():
         refs = _stamped(getattr(reader, f"index_{kind}")(paths, options) or [], reader)
         if not refs:
-            raise SceneError(f"{kind}: no step in {', '.join(paths[:3])}{', ...' if len(paths) > 3 else ''}")
+            shown = f"{', '.join(paths[:3])}{', ...' if len(paths) > 3 else ''}"
+            raise SceneError(f"{kind}: no step in {shown}; are these files empty, or of another code?")
         same = [what for what in from_headers if kind == "particles" or what in ("units", "time")]
         indexed[kind] = one_series(refs, same)
     columns = {column for refs in indexed.values() for column in refs[0].columns}

@@ -209,7 +209,8 @@ class Moment:
     Attributes
     ----------
     variables : tuple of str
-        Scene variables that it needs besides positions.
+        Scene variables that it needs besides positions. With "velocity", `column` is also evaluated with the velocities
+        of images in sheared boxes.
     formula : str
         What is summed.
     shape : tuple of int
@@ -219,7 +220,7 @@ class Moment:
     first : int
         Its first flow column.
     column : callable, optional
-        ``column(frame, contacts) -> (n, ...)`` for a column of constants.
+        ``column(frame, contacts) -> (n, ...)``, the q_i, for those that do not depend on the node (constants).
         Together with a `level` it gives (n, 4): a weight, and three numbers that take the place of velocity in the flow
         columns of a separate pass, so that their squares and products are kept relative to each node.
     contacts : bool

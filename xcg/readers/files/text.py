@@ -160,7 +160,7 @@ class Scanner:
         return self._take(end + 1)
 
     def until(self, marker: bytes) -> Iterator[bytes]:
-        """Yield, in pieces, all from the start of a line to the next line that begins with `marker`."""
+        """Yield, in pieces (some empty), all from the start of a line to the next that begins with `marker`."""
         while len(self._data) - self._at < len(marker) and self._more():
             pass
         if self._data.startswith(marker, self._at):
