@@ -28,6 +28,57 @@ def test_units_in_the_tables_are_canonical():
         assert units_in(row.units, "reduced") == "1"
 
 
+FLOOR, MIDDLE = (xcg.Plane(point=(0, 0, z), normal=(0, 0, 1)) for z in (0.0, 1.0))
+RESULTS_OF = {
+    "coarse_grain": lambda ds: ds.cg.coarse_grain(width=0.6, axes="z"),
+    "accessible": lambda ds: ds.cg.coarse_grain("density", width=0.6, axes="z", walls=[FLOOR]),
+    "displacement": lambda ds: ds.cg.displacement(width=0.6, axes="z"),
+    "time_average": lambda ds: ds.cg.coarse_grain("density", width=0.6).cg.time_average(),
+    "profile": lambda ds: ds.cg.coarse_grain("density", width=0.6).cg.profile("z"),
+    "spatial_correlation": lambda ds: ds.cg.coarse_grain("density", width=0.6).cg.spatial_correlation("density"),
+    "time_correlation": lambda ds: ds.cg.coarse_grain("density", width=0.6).cg.time_correlation("density"),
+    "free_surface": lambda ds: ds.cg.coarse_grain("volume_fraction", width=0.6).cg.free_surface(),
+    "balance": lambda ds: ds.cg.balance(width=0.6, axes="z", spacing=0.2),
+    "cell_volumes": lambda ds: ds.cg.cell_volumes(spacing=0.5),
+    "choose_width": lambda ds: ds.cg.choose_width("velocity", axes="z"),
+    "depth_average": lambda ds: ds.cg.depth_average(width=0.6),
+    "flow_rate": lambda ds: ds.cg.flow_rate(MIDDLE, width=0.6),
+    "mean_squared_displacement": lambda ds: ds.cg.mean_squared_displacement(),
+    "slice_temperature": lambda ds: ds.cg.slice_temperature(axis="z"),
+    "wall_stress": lambda ds: ds.cg.wall_stress(FLOOR, width=0.6),
+    "width_sweep": lambda ds: ds.cg.width_sweep([0.4, 0.5, 0.6], "density", axes="z"),
+    "size_statistics": lambda ds: ds.cg.size_statistics(),
+    "microstructure": lambda ds: ds.cg.microstructure(),
+    "particle_stress": lambda ds: ds.cg.particle_stress(),
+    "force_chains": lambda ds: ds.cg.force_chains(),
+    "find_contacts": lambda ds: ds.cg.find_contacts(k_n=1.0),
+    "derive_velocity": lambda ds: ds.drop_vars("velocity").cg.derive_velocity(),
+    "derive_superquadric": lambda ds: ds.assign(
+        {f"half_axis_{a}": ds.diameter.assign_attrs(units="m") for a in "xyz"}
+    ).cg.derive_superquadric(),
+    "assign_phases": lambda ds: ds.cg.assign_phases(edges=[1.0]),
+}
+
+
+@pytest.fixture(scope="module")
+def walled():
+    one = xcg.datasets.random_scene(60, seed=1, walls=True, periodic="xy")
+    steps = [one.assign_coords(time=one.time + k, step=one.step + k) for k in range(3)]
+    joined = xr.concat(steps, "time", data_vars="all", coords="minimal", combine_attrs="override")
+    joined["time"].attrs = one.time.attrs
+    return joined
+
+
+@pytest.mark.parametrize("name", RESULTS_OF)
+def test_every_number_of_a_result_has_a_unit(walled, name):
+    """Coordinates, too, as plots take their labels from them."""
+    found = RESULTS_OF[name](walled)
+    bare = {str(n) for n, v in found.variables.items() if v.dtype.kind in "fi" and "units" not in v.attrs}
+    assert not bare - {"principal"}  # 1, 2, 3: labels
+    if "time" in found.dims:
+        assert found["time"].attrs == walled["time"].attrs
+
+
 @pytest.mark.parametrize(("text", "powers"), [
     ("1", (0, 0, 0)), ("kg m^-3", (-3, 1, 0)), ("m**2 s-2", (2, 0, -2)), ("J s^-1 m^-3", (-1, 1, -3)),
     ("N m^-1 m^-1", (-1, 1, -2)),

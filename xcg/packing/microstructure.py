@@ -332,11 +332,8 @@ def _label(ds: xr.Dataset, arrays: Mapping[str, Any], measure: Measure, regions:
     system, bins = measure.setup.unit_system, measure.force_bins
     coords: dict[str, Any] = {name: ds[name].variable for name in ("time", "step") if name in ds.coords}
     coords |= {dim: (dim, list(COMPONENTS)) for dim in TENSOR}
-    coords["partners"] = (
-        "partners",
-        np.arange(measure.max_connectivity + 1),
-        {"long_name": "number of contact partners"},
-    )
+    counts = np.arange(measure.max_connectivity + 1)
+    coords["partners"] = ("partners", counts, {"long_name": "number of contact partners", "units": "1"})
     middle = np.sqrt(bins[1:] * bins[:-1]) if bins[0] > 0 else (bins[1:] + bins[:-1]) / 2
     coords["force_ratio"] = ("force_ratio", middle, {"long_name": "force over its mean", "units": "1"})
     coords["force_ratio_width"] = ("force_ratio", np.diff(bins), {"long_name": "width of the bin", "units": "1"})
@@ -371,7 +368,7 @@ def _with_series(
         for name, logarithm in (("volumetric_strain", total), ("axial_strain", axial)):
             values = 0.0 - logarithm if strain == "logarithmic" else 1 - xr.ufuncs.exp(logarithm)
             attrs = {"units": "1", "long_name": STRAIN[name], "measure": strain}
-            result[name] = values.drop_attrs().assign_attrs(attrs)
+            result[name] = values.drop_attrs(deep=False).assign_attrs(attrs)
         if _is(rate, "box"):
             require_rising_times(ds, "the strain rate of the box")
             # one chunk, as finite differences reach over chunks; a box is six numbers a step
@@ -383,7 +380,7 @@ def _with_series(
             "long_name": QUANTITIES["strain_rate"].long_name,
             "formula": QUANTITIES["strain_rate"].formula,
         }
-        result["strain_rate"] = rate.drop_attrs().assign_attrs(attrs)
+        result["strain_rate"] = rate.drop_attrs(deep=False).assign_attrs(attrs)
     for name in set(INERTIAL) & set(names):
         pressure = result["mean_stress"]
         root = xr.ufuncs.sqrt(result["particle_density"] / pressure.where(pressure > 0))
@@ -393,7 +390,7 @@ def _with_series(
             "long_name": f"inertial number with {INERTIAL[name]}",
             "formula": f"strain_rate {INERTIAL[name]} sqrt(particle_density / mean_stress)",
         }
-        result[name] = number.transpose(*pressure.dims).drop_attrs().assign_attrs(attrs)
+        result[name] = number.transpose(*pressure.dims).drop_attrs(deep=False).assign_attrs(attrs)
     return result[list(names)].assign_attrs(provenance(ds, format_call("microstructure", given)))
 
 

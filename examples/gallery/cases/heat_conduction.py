@@ -140,7 +140,7 @@ theory = 1.019 * 3 / (8 * n * chi) * np.sqrt(f.granular_temperature.mean("z") / 
 fig, ax = plt.subplots()
 ax.plot(f.time[1:], diffusivity[1:], "o", label="flux of heat over the slope of the temperature")
 ax.plot(f.time, theory, "k-", label="kinetic theory")
-ax.set(xlabel="time", ylabel="diffusivity $D$ [$d^2$ per unit of time]", ylim=(0, None))
+ax.set(xlabel=r"time [$d / \sqrt{T_0}$]", ylabel=r"diffusivity $D$ [$d \sqrt{T_0}$]", ylim=(0, None))
 ax.legend()
 plt.show()
 

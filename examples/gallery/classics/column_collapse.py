@@ -22,7 +22,7 @@ def height(ds):
     """Height of the packing over x: the area of grains, over that share of a dense packing."""
     options = {"axes": "x", "extent": {"y": 1.0}, "width": 2.0, "spacing": 0.5}
     column = ds.cg.coarse_grain("volume_fraction", **options).volume_fraction.compute()
-    return (column / 0.82).drop_attrs().assign_attrs(long_name="height of the packing")
+    return (column / 0.82).drop_attrs(deep=False).assign_attrs(long_name="height of the packing")
 
 
 ds = xcg.datasets.open("column_2")

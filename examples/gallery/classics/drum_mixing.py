@@ -27,7 +27,7 @@ for ax, step in zip(axes.flat, (0, 1, 4, 8), strict=True):
     image = ax.pcolormesh(f.x, f.z, share.transpose("z", "x"), cmap="coolwarm", vmin=0, vmax=1)
     ax.set(title=f"$N$ = {float(turns[step]):.2g}", aspect="equal", xlabel="$x$ [$d$]", ylabel="$z$ [$d$]")
     ax.label_outer()
-fig.colorbar(image, ax=axes, label="share of those on the right", location="bottom")
+fig.colorbar(image, ax=axes, label="share of grains from the right half", location="bottom")
 plt.show()
 
 # %%

@@ -272,7 +272,8 @@ def _gravity(ds: xr.Dataset) -> xr.DataArray:
 def _ends(field: xr.DataArray) -> tuple[xr.DataArray, xr.DataArray, Any]:
     """Each step but the last, each but the first, and the times in the middle."""
     bare = field.drop_vars(["time", "step"], errors="ignore")
-    middle = (field.time[:-1].values + field.time[1:].values) / 2
+    middle = (field.time[1:].variable + field.time[:-1].values) / 2
+    middle.attrs = field.time.attrs | {"long_name": "time in the middle between two steps"}
     return bare.isel(time=slice(None, -1)), bare.isel(time=slice(1, None)), middle
 
 

@@ -170,7 +170,7 @@ def time_correlation(f: xr.Dataset, name: str, max_lag: int | None = None) -> xr
     lags = interval * np.arange(last + 1)
     coords = {
         "lag": ("lag", lags, {"units": second, "long_name": "time between the steps"}),
-        "steps": ("lag", np.arange(last + 1), {"long_name": "steps between"}),
+        "steps": ("lag", np.arange(last + 1), {"units": "1", "long_name": "steps between"}),
     }
     sums = xr.concat(at_nodes, "lag")
     # the last steps have no partner

@@ -72,7 +72,7 @@ def derive_director(
         raise ValueError(f"quaternion={quaternion!r}: expected the names of four variables: w, x, y and z")
     require_scene(ds, names, "derive_director")
     a = np.eye(3)[COMPONENTS.index(axis)] if axis in COMPONENTS else unit_vector("axis", axis)
-    w, x, y, z = (ds[name].drop_attrs() for name in names)
+    w, x, y, z = (ds[name].drop_attrs(deep=False) for name in names)
     size = w * w + x * x + y * y + z * z
     rows = (
         ((w * w + x * x - y * y - z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
@@ -82,7 +82,7 @@ def derive_director(
     parts = [sum(entry * float(part) for entry, part in zip(row, a, strict=True)) / size for row in rows]
     found = {"director": _vector(parts).assign_attrs(units="1", long_name="director of the grain")}
     if "angular_velocity" in ds:
-        omega = [ds.angular_velocity.sel(component=c, drop=True).drop_attrs() for c in COMPONENTS]
+        omega = [ds.angular_velocity.sel(component=c, drop=True).drop_attrs(deep=False) for c in COMPONENTS]
         along = [sum(rows[k][c] * omega[k] for k in range(3)) / size for c in range(3)]
         label = {"units": ds.angular_velocity.attrs.get("units", "s^-1"), "long_name": "angular velocity, body axes"}
         found["body_angular_velocity"] = _vector(along).assign_attrs(label)
@@ -152,16 +152,16 @@ def derive_superquadric(
         raise ValueError(f"density={density!r}: expected a positive number (kg/m^3), or None")
     known = [] if density is not None else ["mass" if "mass" in ds else "density"]
     require_scene(ds, [*axes, *named, *known], "derive_superquadric")
-    a, b, c = (ds[name].drop_attrs() for name in axes)
-    n1, n2 = (ds[power].drop_attrs() if isinstance(power, str) else power for power in powers)
+    a, b, c = (ds[name].drop_attrs(deep=False) for name in axes)
+    n1, n2 = (ds[power].drop_attrs(deep=False) if isinstance(power, str) else power for power in powers)
     volume, square_x, square_z = _moments(n1, n2)
     volume = volume * a * b * c
     new: dict[str, xr.DataArray] = {"volume": volume, "diameter": (6 / np.pi * volume) ** (1 / 3)}
     if density is None and "mass" in ds:
-        new["mass"] = ds.mass.drop_attrs()
+        new["mass"] = ds.mass.drop_attrs(deep=False)
         new["density"] = new["mass"] / volume
     else:
-        new["density"] = xr.full_like(volume, density) if density is not None else ds.density.drop_attrs()
+        new["density"] = xr.full_like(volume, density) if density is not None else ds.density.drop_attrs(deep=False)
         new["mass"] = new["density"] * volume
     per_volume = new["mass"] * (a * b * c) / volume
     squares = square_x * a**2, square_x * b**2, square_z * c**2

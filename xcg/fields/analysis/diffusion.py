@@ -148,7 +148,7 @@ def _label(result: xr.Dataset, lags: Sequence[int], by: str | None, known: Seque
     second = {"units": units_in("s", system), "long_name": "time between the steps of a pair"}
     coords: dict[str, Any] = {
         "lag": ("lag", result["lag"].to_numpy(), second),
-        "steps": ("lag", list(lags), {"long_name": "steps between"}),
+        "steps": ("lag", list(lags), {"units": "1", "long_name": "steps between"}),
     }
     if by:
         coords["phase"] = ("phase", ["bulk", *map(str, known)], {"long_name": f"phase by {by}"})

@@ -205,8 +205,8 @@ def _between_frames(
     second = units_in("s", plan.setup.unit_system)
     coords = {
         "interval": (times[lag:] - times[:count], {"units": second, "long_name": "time to the later frame"}),
-        "left": (arrays["left"], {"long_name": "number of grains that are not in the later frame"}),
-        "entered": (arrays["entered"], {"long_name": "number of grains that are in the later frame only"}),
+        "left": (arrays["left"], {"units": "1", "long_name": "number of grains in the first frame only"}),
+        "entered": (arrays["entered"], {"units": "1", "long_name": "number of grains in the later frame only"}),
     }
     axes = {dim: list(COMPONENTS) for dim in ("component", "direction")}
     tensors = {"box_gradient": ("component", "direction"), "box_shift": ("component",)}

@@ -133,7 +133,7 @@ def _name(field: str | Sum) -> str:
 def _labelled(rate: Any, flow: Flow, ds: xr.Dataset) -> xr.DataArray:
     found: xr.DataArray = rate
     units = units_in(_UNITS[flow], str(ds.attrs.get("unit_system", "SI")))
-    found = found.drop_attrs().assign_attrs(units=units, long_name=f"flow rate of {flow} along the normal")
+    found = found.drop_attrs(deep=False).assign_attrs(units=units, long_name=f"flow rate of {flow} along the normal")
     if flow in ("momentum", "energy") and "contact_force" not in ds:
         found.attrs["comment"] = "carried by particles alone, as the scene holds no contact forces"
     return found

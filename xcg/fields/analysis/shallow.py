@@ -284,7 +284,7 @@ def depth_average(
         }
     system = scene.setup.unit_system
     data = {
-        name: values.drop_attrs().assign_attrs(units=units_in(units, system), long_name=text)
+        name: values.drop_attrs(deep=False).assign_attrs(units=units_in(units, system), long_name=text)
         for name, (values, units, text) in found.items()
     }
     return with_time(xr.Dataset(data, attrs=sums.attrs)).assign_attrs(provenance(ds, call), depth_axis=axis)

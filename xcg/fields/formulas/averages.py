@@ -152,7 +152,7 @@ def per_fraction(f: xr.Dataset, fraction: xr.DataArray) -> xr.Dataset:
 
     Numbers of particles stay, too, and all is NaN where the fraction is.
     """
-    rows, fraction = _rows_of(f), fraction.drop_attrs()
+    rows, fraction = _rows_of(f), fraction.drop_attrs(deep=False)
     sums = _to_sums(f, "per='accessible'")
     kept = {"sample_count", *(name for name, row in rows.items() if row is not None and row.weight)}
     divided = {name: sums[name] if name in kept or "/" in str(name) else sums[name] / fraction for name in sums}
@@ -218,8 +218,8 @@ def _with_larger(mean: xr.Dataset, noise: Mapping[str, xr.DataArray], source: st
     found = {}
     for name, one in noise.items():
         other = mean.get(f"{name}_error", one)
-        larger = ((other > one) | one.isnull()).drop_attrs()
-        error = other.where(larger, one).where(mean[name].notnull()).drop_attrs()
+        larger = ((other > one) | one.isnull()).drop_attrs(deep=False)
+        error = other.where(larger, one).where(mean[name].notnull()).drop_attrs(deep=False)
         units = mean[name].attrs.get("units", "1")
         found[f"{name}_error"] = error.assign_attrs(units=units, long_name=f"standard error of {name}")
         found[f"{name}_error_from"] = larger.astype("int8").assign_attrs(
