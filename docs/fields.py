@@ -9,13 +9,18 @@ from pathlib import Path
 
 from xcg.fields.formulas.registry import FIELDS, TOPICS, listed
 
-HEAD = """# Fields
+HEAD = r"""# Fields
 
-`ds.cg.coarse_grain([...])` takes these fields by name, and without names all fields without a star. Psi is the
-kernel, and sums run over all grains and periodic images that reach the node. [Theory](theory.md) derives the formulas
-and lists [variants of definitions](theory.md#variants-of-definitions). [Custom fields](custom.md) are taken by name
-as well, and so is [any variable of the scene](custom.md#any-variable). Fields from `displacement` on compare two
-steps; [`ds.cg.displacement`](displacement.md) takes their names instead.
+`ds.cg.coarse_grain([...])` takes these fields by name, and without names all fields without a star that need neither
+two steps nor `fluid_viscosity`. Psi is the kernel, and sums run over all grains and periodic images that reach the
+node. [Theory](theory.md) derives the formulas and lists [variants of definitions](theory.md#variants-of-definitions).
+[Custom fields](custom.md) are taken by name as well, and so is [any variable of the scene](custom.md#any-variable).
+Fields under *Displacement and strain* compare two steps; [`ds.cg.displacement`](displacement.md) takes their names
+instead.
+
+$f_{ij}$ is the force on i by j, $a_{ij} = r_i - c$ the vector from the contact point c to the centre, n the unit normal
+of a contact, l the length of a branch, $z_i$ the number of partners, D the dimension of the scene. [Standard
+errors](width.md#standard-errors) defines S, $\Theta$ and $N_\mathrm{left}$.
 
 - Vectors have the dimension `component`. Tensors have `component` (of the force or velocity) and `direction` (of the
   face or derivative), so `stress.sel(component="x", direction="z")` is sigma_xz. Compression is positive.

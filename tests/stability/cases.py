@@ -74,7 +74,7 @@ def temperature_at_the_default_width():
     left = sum(f.fluctuation_stress.sel(component=a, direction=a).where(known, 0.0) for a in "xyz") / 3
     truth = float((ds.velocity**2).mean())
     return Case(
-        "temperature at a width of 0.75 d", "V and its gradient follow the grains whose fluctuations are wanted",
+        "temperature at a width of 0.75 d", "the fitted V and gradient contain part of the fluctuations",
         "fluctuations over the density less what the fit takes (error left: one step)",
         _relative(left.sum() / f.density.where(known, 0.0).sum(), truth), _relative(ours, truth), 0.05,
     )  # fmt: skip
@@ -225,7 +225,7 @@ def near_a_wall():
     left = slope - load - f.wall_traction.sel(component="z")
     scale = float(np.abs(load).max())
     return Case(
-        "near walls", "without the wall's contact the weight hangs in the air",
+        "near walls", "without the wall's contact the weight is not supported",
         "contacts with walls keep their side of the stress, and the wall's traction stands in the balance",
         float(np.abs(load).max()) / scale, float(np.abs(left[1:-1]).max()) / scale, 1e-5,
     )  # fmt: skip
@@ -249,7 +249,7 @@ def degenerate_rows():
     else:
         named = False
     return Case(
-        "degenerate rows", "a length or a mass of zero is divided by; NaN spreads",
+        "degenerate rows", "division by a length or mass of zero; NaN spreads",
         "a defined value, NaN where nothing is known, or an error that names the row",
         1.0, 0.0 if missing <= expected and named else 1.0, 0.1,
     )  # fmt: skip

@@ -130,8 +130,8 @@ def powers_of(units: str) -> Powers:
     factors = factors_of_unit(units)
     if factors is None or not factors.keys() <= _UNITS.keys():
         raise ValueError(
-            f"units={units!r}: expected '1' (also for radians) or a product of {', '.join(_UNITS)} with whole powers, "
-            "such as 'kg m^-3'"
+            f"units={units!r}: expected '1' or a product of {', '.join(_UNITS)} with whole powers, such as 'kg m^-3'; "
+            "for angles, in radians, '1'"
         )
     length, mass, time = (sum(power * _UNITS[name][k] for name, power in factors.items()) for k in range(3))
     return length, mass, time

@@ -134,8 +134,8 @@ def choose_width(ds: xr.Dataset, asked: ChoiceRequest) -> xr.Dataset:
         {name: ("width", values, labels[name]) for name, values in found.items()},
         {"width": mean["width"]}, {"frames": frames, "sampled_frames": len(rows), "target": asked.target},
     )  # fmt: skip
-    out["total"] = out[[f"{name}_total" for name in names]].to_dataarray().max("variable", skipna=False)
-    out["total"].attrs = {"units": "1", "long_name": "largest total of the fields"}
+    total = out[[f"{name}_total" for name in names]].to_dataarray().max("variable", skipna=False)
+    out["total"] = total.drop_attrs(deep=False).assign_attrs(units="1", long_name="largest total of the fields")
     kernel = as_kernel(asked.kernel, widths[0], scene.setup.dimension)
     return out.assign(_choice(out, names, kernel))
 

@@ -72,12 +72,13 @@ _ROWS: dict[str, Field] = {
         fields=("displacement_gradient",), weight="density",
     ),
     "volumetric_strain": Field(
-        long_name="volumetric strain, dilation positive", formula="det F - 1", compute=_volumetric_strain,
-        fields=("deformation_gradient",),
+        long_name="volumetric strain, dilation positive", formula="det F - 1", fields=("deformation_gradient",),
+        compute=_volumetric_strain,
     ),
     "shear_strain": Field(
-        long_name="magnitude of the deviatoric strain", formula="|dev E| = sqrt(2 dev E : dev E), E - tr(E) / D I",
-        compute=lambda f, s, o: np.sqrt(2 * contraction(deviator(f.strain, o.plane))), fields=("strain",),
+        long_name="magnitude of the deviatoric strain", fields=("strain",),
+        formula="|dev E| = sqrt(2 dev E : dev E), dev E = E - tr(E) / D I",
+        compute=lambda f, s, o: np.sqrt(2 * contraction(deviator(f.strain, o.plane))),
     ),
     "rotation": Field(
         rank=2, long_name="rotation", formula="R of F = R U, U symmetric and positive; NaN where det F <= 0",

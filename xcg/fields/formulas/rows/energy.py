@@ -115,7 +115,7 @@ ROWS: dict[str, Field] = {
         additive=True, default=False,
     ),
     "fluctuation_inertia": Field(
-        units="kg m^-1", long_name="inertia of what fluctuates: all less what the mean takes",
+        units="kg m^-1", long_name="inertia density less the degree of freedom of the mean spin",
         formula="I_T = sum I_i Psi - sum (I_i Psi)^2 / sum I_i Psi", compute=_fluctuation_inertia,
         moments=("rotation",), additive=True, default=False,
     ),

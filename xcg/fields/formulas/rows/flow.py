@@ -274,7 +274,7 @@ ROWS: dict[str, Field] = {
         additive=True,
     ),
     "fluctuation_density": Field(
-        units="kg m^-3", long_name="density of what fluctuates: that of the mixture less what V and G take",
+        units="kg m^-3", long_name="mass density less the degrees of freedom of the fit",
         formula="rho_T = rho - tr(P^-1 sum (m_i Psi)^2 p_i p_i), P = sum m_i Psi p_i p_i, p_i = (1, r_i - r_bar)",
         compute=lambda f, s, o: at_least_zero(s.mass - f._taken), fields=("_taken",), moments=("mass",), additive=True,
     ),
