@@ -54,7 +54,7 @@ def stop(*_: object) -> None:
 # what xcg.steps.faults and xcg.chains.search take, which are not imported for help; a test compares them
 ON_ERROR = ("raise", "skip")
 ALGORITHMS = ("branching", "peters2005")
-# missing='skip', overwrite=True, contacts=; but not alpha=100.0 or on_error='x': expected, which quote what was given
+# matches missing='skip', overwrite=True, contacts=; not quoted input such as alpha=100.0 or on_error='x':
 _ARGUMENT = re.compile(r"\b(\w+)=(?:'(\w+)'(?!:)|True\b|(?=[\s?:;,.)]|$))")
 
 # what messages say of calls in Python
@@ -106,7 +106,7 @@ _OPTIONS = (
     click.option("--density", type=float, help="Density of the material, where files hold no mass."),
     click.option("--timestep", type=float, help="Time between steps of the simulation, where files do not tell it."),
     click.option("--frozen", type=int, multiple=True, help="Species that are held in place; repeatable."),
-    click.option("--missing", type=click.Choice(["raise", "skip", "empty"]), help="Particles without contacts."),
+    click.option("--missing", type=click.Choice(["raise", "skip", "empty"]), help="Steps without contacts."),
 )
 
 
@@ -300,7 +300,7 @@ def _dashboard(jobs: int | None) -> Iterator[None]:
 @click.argument("config", type=click.Path(exists=True, dir_okay=False))
 @click.option("--quiet", "-q", is_flag=True, help="No progress bar, no warnings.")
 @click.option("--overwrite", is_flag=True, help="Replace output that is there.")
-@click.option("--resume", is_flag=True, help="Go on with a run of this very job, or find it done; never start over.")
+@click.option("--resume", is_flag=True, help="Resume this job's interrupted run; never start over.")
 @click.option("--on-error", type=click.Choice(ON_ERROR), help="Steps that cannot be read: stop, or leave them out.")
 @click.option("--dashboard", is_flag=True, help="Watch dask at work in a browser (needs distributed and bokeh).")
 @click.option("--jobs", "-j", type=click.IntRange(1), help="Chunks of time at once; all processors by default.")

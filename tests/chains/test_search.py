@@ -57,9 +57,14 @@ def test_chains_that_part_and_merge_are_one_ring():
     assert (fc.link_chain.values == 0).all()
 
 
+def test_angles_in_radians_warn():
+    with pytest.warns(xcg.SceneWarning, match="is it in radians"):
+        xcg.datasets.random_scene(20).cg.force_chains(alpha=np.pi / 4)
+
+
 def test_straight_chain():
     direction = np.array([1.0, 2.0, 3.0]) / np.sqrt(14)
-    fc = network(np.outer(np.arange(5), direction), [(k, k + 1) for k in range(4)], np.ones(4)).cg.force_chains(alpha=1)
+    fc = network(np.outer(np.arange(5), direction), [(k, k + 1) for k in range(4)], np.ones(4)).cg.force_chains(alpha=2)
     np.testing.assert_allclose(fc.chain_orientation.values[0, 0], direction, atol=1e-12)
     assert np.isnan(fc.chain_normal.values[0, 0]).all()
     # directions point onward, from the first particle to the last
@@ -164,7 +169,7 @@ def test_numbers_and_lengths_of_chains():
 
 def test_tables_of_chains_and_links():
     fc = fork().cg.force_chains()
-    assert repr(fc.cg).startswith("force chains of 1 time, 9 particle, 8 contact")
+    assert repr(fc.cg).startswith("force chains of 1 steps, 9 particles, 8 contacts")
     chains, links = fc.cg.chain_table(), fc.cg.link_table()
     assert chains[["chain", "particles", "links", "branchings"]].to_numpy().tolist() == [[0, 9, 8, 1]]
     assert set(map(tuple, links[["particle_i", "particle_j"]].to_numpy().tolist())) == {

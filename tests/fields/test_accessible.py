@@ -180,3 +180,8 @@ def test_averages_over_unbounded_space_raise():
     ds = xcg.scene_from_arrays(np.eye(3), diameter=np.ones(3), density=1.0)
     with pytest.raises(ValueError, match="nor a box bound the space"):
         ds.cg.coarse_grain("density", axes="xy", extent={"z": 1.0}, walls=[FLOOR])
+
+
+def test_normals_that_point_away_from_the_grains_warn(packed):
+    with pytest.warns(xcg.SceneWarning, match="the middle of the grains lies behind it"):
+        packed.cg.coarse_grain("density", axes="z", walls=[xcg.Plane((0, 0, 0), (0, 0, -1))])

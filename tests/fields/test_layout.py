@@ -24,7 +24,7 @@ def test_messages_name_the_escaped_particle_and_a_remedy(far):
     with pytest.raises(ValueError, match=r"particle 17 at \(1e\+.*far from the others; give bounds=, or .* ds\.where"):
         scene(far).cg.coarse_grain("density")
     with pytest.raises(
-        ValueError, match=r"x from .* to 1e\+.*perhaps as some escaped; give bounds=, or a larger spacing="
+        ValueError, match=r"x from .* to 1e\+.*some may have escaped; give bounds=, or a larger spacing="
     ):
         scene(far, lazy=True).cg.coarse_grain("density")
 
@@ -57,3 +57,9 @@ def test_given_meshes_do_not_warn(monkeypatch):
 def test_available_memory_is_known_or_none():
     found = layout.memory_at_hand()
     assert found is None or found > 2**20
+
+
+def test_widths_in_another_unit_warn():
+    ds = xcg.datasets.simple_cubic(3)
+    with pytest.warns(xcg.SceneWarning, match="check the unit of lengths"):
+        ds.cg.coarse_grain("density", axes="z", width=1e3)

@@ -141,12 +141,25 @@ def test_resume_never_starts_over(job):
     next(steps)
     steps.close()
     dumps.write(job.parent / "p.99.dump", dumps.dump_text(step=99))
-    assert "start over without --resume" in " ".join(xcg_run("run", job, "--resume", code=1).split())
+    said = " ".join(xcg_run("run", job, "--resume", code=1).split())
+    assert "start over without --resume" in said
+    assert "[scene] sizes and times of files: 21" in said
+    assert "[fields]" not in said
     (job.parent / "p.99.dump").unlink()
     assert "5 of 20 steps are there" in xcg_run("run", job, "--resume")
     assert "20 of 20 steps are there" in xcg_run("run", job, "--resume")
     job.write_text(JOB.replace("spacing = 0.75", "spacing = 1.0"))
-    assert "exists; choose another" in xcg_run("run", job, "--resume", code=1)
+    assert "exists, of another job or other input; choose another" in xcg_run("run", job, "--resume", code=1)
+
+
+def test_resume_names_the_option_that_changed(job):
+    steps = run_job(read_config(job), jobs=1)
+    next(steps)
+    next(steps)
+    steps.close()
+    job.write_text(JOB.replace("spacing = 0.75", "spacing = 1.0"))
+    said = " ".join(xcg_run("run", job, "--resume", code=1).split())
+    assert "([fields] spacing: 1.0 instead of 0.75)" in said
 
 
 def test_resume_notices_changed_files(tmp_path):
@@ -161,7 +174,7 @@ def test_resume_notices_changed_files(tmp_path):
     before = scene.stat().st_mtime_ns
     os.utime(chunk, ns=(chunk.stat().st_atime_ns, chunk.stat().st_mtime_ns + 10**9))  # as where it is written anew
     assert scene.stat().st_mtime_ns == before
-    assert "files changed" in " ".join(xcg_run("run", job, "--resume", code=1).split())
+    assert "sizes and times of files: " in " ".join(xcg_run("run", job, "--resume", code=1).split())
 
 
 # --- stopped ---------------------------------------------------------------------------------------------

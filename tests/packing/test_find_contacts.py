@@ -209,3 +209,11 @@ def test_scenes_without_diameters_or_particles():
     with pytest.raises(xcg.SceneError, match="diameter"):
         ds.drop_vars("diameter").cg.find_contacts()
     assert xcg.datasets.random_scene(0).cg.find_contacts().sizes["contact"] == 0
+
+
+def test_results_say_that_forces_are_estimated():
+    found = xcg.datasets.simple_cubic(3).assign_attrs(sides="first").cg.find_contacts(k_n=1.0)
+    assert "sides" not in found.attrs
+    f = found.cg.coarse_grain("contact_stress", axes="z")
+    assert f.attrs["estimated_forces"].startswith("normal force from the overlap of spheres")
+    assert "forces:" in repr(f.cg)

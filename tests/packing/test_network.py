@@ -297,7 +297,7 @@ def test_wrong_arguments_raise(monkeypatch):
     ds = loose(20, 1)
     with pytest.raises(ValueError, match="weight='mass': expected None, 'contacts', 'force', 'overlap'"):
         ds.cg.adjacency(weight="mass")
-    with pytest.raises(ValueError, match="time=3: expected the position of a step, from -1 to 0"):
+    with pytest.raises(ValueError, match="time=3: expected the position of a step, a whole number from -1 to 0"):
         ds.cg.adjacency(3)
     with pytest.raises(xcg.SceneError, match="contact_force"):
         ds.drop_vars("contact_force").cg.adjacency(weight="force")

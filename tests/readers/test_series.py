@@ -314,13 +314,13 @@ def test_times_pair_within_a_thousandth_of_the_shortest_interval(tmp_path, times
             scene = open_scene(tmp_path / "p.*", contacts=tmp_path / "c.*")
             assert (scene.contact_force[:, 0, 0] == 5).all()
         else:
-            with pytest.raises(SceneError, match=f"none of the same time for 1 of {len(times)} steps"):
+            with pytest.raises(SceneError, match=f"no step with the same time for 1 of {len(times)} steps"):
                 open_scene(tmp_path / "p.*", contacts=tmp_path / "c.*")
 
 
 def test_contacts_without_matching_steps_raise(series, tmp_path):
     other = write(tmp_path / "other.dump", pairs_text(step=99, before="ITEM: TIME\n9.9\n"))
-    with pytest.raises(SceneError, match="none of the same time for 3 of 3 steps"):
+    with pytest.raises(SceneError, match="no step with the same time for 3 of 3 steps"):
         open_scene(series[0], contacts=other, missing="skip")
 
 
@@ -330,7 +330,7 @@ def test_step_numbers_pair_without_times(tmp_path):
     np.testing.assert_array_equal(scene.time, [0, 10, 20])
     assert scene.time.attrs["units"] == "1"
     assert "number of the time step" in scene.time.attrs["long_name"]
-    with pytest.raises(SceneError, match="none of the same step number"):
+    with pytest.raises(SceneError, match="no step with the same step number"):
         open_scene(particles, contacts=str(tmp_path / "c.?.dump"))
 
 
@@ -355,7 +355,7 @@ def test_times_of_the_caller_are_taken(series):
     np.testing.assert_array_equal(scene.contact_i.compute(), [[1]] * 3)
     with pytest.raises(SceneError, match=r"times has shape \(2,\): expected 3 finite numbers"):
         open_scene(series[0], times=[5, 6])
-    with pytest.warns(SceneWarning, match="same time"):
+    with pytest.warns(SceneWarning, match="has its time or step number"):
         assert open_scene(series[0], times=[5, 5, 8]).sizes["time"] == 2
 
 

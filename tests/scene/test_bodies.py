@@ -112,3 +112,12 @@ def test_molecule_0_of_lammps_is_none(tmp_path):
     ds = xcg.open_scene(path)
     assert ds.body_id.values[0].tolist() == [-1, 5, 5, -1]
     assert ds.cg.group_bodies().compute().mass.values[0].tolist()[:3] == [2.0, 1.0, 1.0]
+
+
+def test_partners_that_are_missing_are_no_wall_with_a_name():
+    ds = xcg.datasets.simple_cubic(3)
+    less = ds.isel(particle=ds.particle_id[0].values != 5)
+    b = less.assign(body_id=less.particle_id).cg.group_bodies()
+    partners = b.contact_j.values[b.contact_j.values < 0]
+    assert partners.size
+    assert (partners < -1000).all()

@@ -133,7 +133,7 @@ def test_plot_of_clusters_and_scores():
     assert left.get_xlabel() == "diameter [m]"
     assert left.get_ylabel().replace("\n", " ") == "density of the particle's material [kg m$^{-3}$]"
     assert right.lines[0].get_xydata()[0].tolist() == [2.0, 1.0]
-    with pytest.raises(ValueError, match="step=1: expected the position of a step, from -1 to 0"):
+    with pytest.raises(ValueError, match="step=1: expected the position of a step, a whole number from -1 to 0"):
         scene(np.repeat([0.002, 0.004], 50)).cg.find_phases().cg.plot_phases(step=1)
     plt.close(figure)
 
@@ -172,7 +172,7 @@ def test_stress_by_pairs_adds_up_and_is_right_for_one_pair():
         value = got.sel(phase=phase, other_phase=other, component="x", direction="x").item()
         assert value == pytest.approx(sides[phase], rel=1e-12)
         assert float(np.abs(got.sel(phase=phase, other_phase=phase)).max()) == 0
-    with pytest.raises(ValueError, match="say which with by="):
+    with pytest.raises(ValueError, match="name their variable, such as by="):
         one.cg.coarse_grain("density", by_pair=True, width=0.75)
 
 

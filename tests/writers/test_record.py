@@ -145,7 +145,7 @@ def test_recorded_fields_are_rounded_to_digits(path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"time": 0.0}, "steps are appended as time goes on"),
+        ({"time": 0.0}, "append steps in the order of time"),
         ({"fields": ["density", "velocity"]}, r"the fields \['velocity'\] are not in both"),
         ({"axes": "x"}, "'z' has the length None"),
         ({"kernel": "gaussian"}, "kernel is 'gaussian' instead of 'lucy'"),

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from xcg.common.checks import is_positive
 from xcg.common.messages import SceneError
-from xcg.compiled._jit import THREADS, for_parts, worth
+from xcg.compiled._jit import THREADS, for_parts, threads_for
 from xcg.compiled.contacts import blank_rows_of_zeros, scale_tensors
 from xcg.compiled.matrices import principal, principal_of_any
 from xcg.scene.conform import require_scene, takes_scene
@@ -90,7 +90,7 @@ class StressRule:
 
     def contacts(self, frame: Frame, lattice: Lattice, source: str, threads: int) -> Contacts:
         """Join the contacts of a frame to its particles; threads share a step of many."""
-        contacts = Contacts.of(frame, lattice, source, worth(len(frame["particle_id"]), threads))
+        contacts = Contacts.of(frame, lattice, source, threads_for(len(frame["particle_id"]), threads))
         return contacts.with_overlaps(frame["diameter"], frame["overlap"]) if self.spheres else contacts
 
     def volumes(self, frame: Frame, lattice: Lattice, source: str) -> NDArray:
@@ -152,7 +152,7 @@ def particle_stress(
         A scene with contacts.
     symmetric : bool
         Take the symmetric part of the tensor (default). Friction makes the stress of a single particle
-        asymmetric; without its symmetric part, principal stresses are the real eigenvalues, NaN where two of them
+        asymmetric; with ``symmetric=False``, principal stresses are the real eigenvalues, NaN where two of them
         are complex, and principal directions are the right eigenvectors, not perpendicular to each other.
     volume : str
         "particle" (default), the scene's volumes; "disc" for a one-layer scene, ``pi d^2/4`` times the thickness of

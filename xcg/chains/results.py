@@ -110,7 +110,8 @@ def require_chains(fc: xr.Dataset, purpose: str) -> None:
 def summary_of_chains(fc: xr.Dataset) -> Summary:
     """Return a summary of a result of `force_chains`, without computing it."""
     fc = with_time(fc)
-    sizes = ", ".join(f"{fc.sizes[dim]} {dim}" for dim in ("time", "particle", "contact") if dim in fc.sizes)
+    words = {"time": "steps", "particle": "particles", "contact": "contacts"}
+    sizes = ", ".join(f"{fc.sizes[dim]} {word}" for dim, word in words.items() if dim in fc.sizes)
     rule = ", ".join(f"{name} = {fc.attrs[name]}" for name in ("alpha", "min_length", "algorithm") if name in fc.attrs)
     kinds = (("particles", MEMBERS), ("chains", CHAINS), ("steps", STATISTICS))
     held = [(what, ", ".join(name for name in rows if name in fc)) for what, rows in kinds]
@@ -248,8 +249,8 @@ def track_chains(fc: xr.Dataset, overlap: float = 0.5) -> xr.Dataset:
         A result of `force_chains`, with particles known by id in all steps.
     overlap : float
         Least share of common particles, above 0 and up to 1: the number that two chains have in common over the
-        number in either of them. Pairs of chains are taken from the largest share downward; each chain continues one
-        chain at most. Above 0.5 no chain has two candidates.
+        number in at least one of them (Jaccard index). Pairs of chains are taken from the largest share downward; each
+        chain continues one chain at most. Above 0.5 no chain has two candidates.
 
     Returns
     -------
@@ -265,7 +266,7 @@ def track_chains(fc: xr.Dataset, overlap: float = 0.5) -> xr.Dataset:
     SceneError
         If `fc` is not a result of `force_chains`, or its times do not rise.
     ValueError
-        If `overlap` is out of range.
+        If `overlap` is out of range, or the chains have no time dimension.
     """
     require_chains(fc, "track_chains")
     fc = with_time(fc)

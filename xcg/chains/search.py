@@ -15,6 +15,7 @@ from xcg.chains.particle_stress import StressRule, Volumes, carries
 from xcg.chains.results import CHAINS, COPIED, RESULTS, result_sizes, statistics_of
 from xcg.chains.selection import Region, check_region
 from xcg.common.checks import is_finite, is_positive, is_whole
+from xcg.common.messages import warn_user
 from xcg.compiled import chains as loops
 from xcg.compiled._jit import THREADS, for_parts
 from xcg.scene.conform import require_scene, takes_scene
@@ -169,6 +170,8 @@ def force_chains(
     given = {k: v for k, v in locals().items() if k not in ("ds", "on_error") and v is not None}
     if not (is_positive(alpha) and alpha <= 90):
         raise ValueError(f"alpha={alpha!r}: expected an angle in degrees above 0 and up to 90, for example 45")
+    if alpha < np.pi / 2:
+        warn_user(f"alpha={alpha!r} is in degrees, and few branches are as close to the stress; is it in radians?")
     if isinstance(threshold, str) and threshold != "mean":
         raise ValueError(f"threshold={threshold!r}: expected None, 'mean', or a stress (Pa)")
     if not isinstance(threshold, str) and threshold is not None and not is_finite(threshold):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -42,39 +42,24 @@ class Region:
         raise NotImplementedError
 
     def __and__(self, other: Region) -> Region:
-        return _Both(self, other)
+        return _Combined(np.logical_and, (self, other))
 
     def __or__(self, other: Region) -> Region:
-        return _Either(self, other)
+        return _Combined(np.logical_or, (self, other))
 
     def __invert__(self) -> Region:
-        return _Outside(self)
+        return _Combined(np.logical_not, (self,))
 
 
 @dataclass(frozen=True)
-class _Both(Region):
-    first: Region
-    second: Region
+class _Combined(Region):
+    """Regions whose masks are combined."""
+
+    combine: Callable[..., NDArray]
+    regions: tuple[Region, ...]
 
     def contains(self, frame: Frame, time: float, lattice: Lattice) -> NDArray:
-        return self.first.contains(frame, time, lattice) & self.second.contains(frame, time, lattice)
-
-
-@dataclass(frozen=True)
-class _Either(Region):
-    first: Region
-    second: Region
-
-    def contains(self, frame: Frame, time: float, lattice: Lattice) -> NDArray:
-        return self.first.contains(frame, time, lattice) | self.second.contains(frame, time, lattice)
-
-
-@dataclass(frozen=True)
-class _Outside(Region):
-    region: Region
-
-    def contains(self, frame: Frame, time: float, lattice: Lattice) -> NDArray:
-        return ~self.region.contains(frame, time, lattice)
+        return self.combine(*(region.contains(frame, time, lattice) for region in self.regions))
 
 
 def _three(name: str, given: Sequence[float], *, infinite: bool = False) -> tuple[float, float, float]:

@@ -92,7 +92,7 @@ _NOTICE = "xcg compiles its loops for this machine; this takes some seconds, onc
 
 
 class _Compiling(event.Listener):
-    """Python's collector of garbage waits while Numba compiles: it would look through all that is used, many times.
+    """Pause Python's garbage collector while Numba compiles: it would scan all objects many times.
 
     In a terminal or notebook, the first loop of the package that is compiled is announced.
     """
@@ -161,7 +161,7 @@ R = TypeVar("R")
 PARTICLES_A_THREAD = 20_000
 
 
-def worth(particles: int, threads: int) -> int:
+def threads_for(particles: int, threads: int) -> int:
     """Return the number of threads worth starting for the particles of one step."""
     return min(threads, 1 + particles // PARTICLES_A_THREAD)
 

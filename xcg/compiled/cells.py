@@ -94,7 +94,7 @@ def list_near_place(values, numbers, at, px, py, pz, first, left, x, y, z):
     """List the points among eight, from `first` on, that are closer than 1 to a place.
 
     No more than `left` points are looked at. What `nodes_in_ball` writes of each is written from `at` on; returns how
-    many there are. Memory that follows them is spoilt, up to eight numbers from `at` on.
+    many there are. Memory that follows them is overwritten, up to eight numbers from `at` on.
     """
     n = np.arange(int(first), int(first) + min(int(left), VECTOR // values.itemsize))
     a, b, c = x - px[n], y - py[n], z - pz[n]
@@ -190,7 +190,7 @@ def sort_by_cell(x, y, z, rows, lower, per_size, shape, start, cell, rank, posit
     lower, per_size, shape : tuple
         As in `PointCells`.
     start : (cells + 2,)
-        Zeros; written: the first point of each cell, and twice the number of points.
+        Zeros; written: the first point of each cell; the number of points in the last two places.
     cell, rank : (n,)
         Written: the cell of each point, and its place among all.
     position, sorted_rows : (3, n or more), (n,)

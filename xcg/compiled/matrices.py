@@ -299,8 +299,8 @@ def fit_gradient(sums: NDArray, *, active: Sequence[bool], about_node: bool) -> 
     -------
     array (FOUND, n)
         G (9) with B = sum m Psi (u - u_bar) x' and M = sum m Psi x' x', where x' = x - x_bar: zero along directions
-        that the grains do not span. G B^T (6), the part of sum m Psi (u - u_bar)(u - u_bar) that the fit leaves nothing
-        of: NaN where it goes through all grains, so that the fluctuation is unknown. 1 (3) where the derivative along
+        that the grains do not span. G B^T (6), the part of sum m Psi (u - u_bar)(u - u_bar) that the fit explains:
+        NaN where it goes through all grains, so that the fluctuation is unknown. 1 (3) where the derivative along
         each axis follows from the grains, or the axis is not active, else NaN. x_bar (3), zero where no grains are.
         M^+ (6).
     """

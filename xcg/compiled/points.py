@@ -132,9 +132,9 @@ def deposit(grains, nodes, kernel, level, meet, by_gradient, scratch, moments, r
     level : int
         NONE, VELOCITY, FLUCTUATION, CUBIC, LINEAR or SQUARED: how many flow columns are wanted.
     meet : (m, 3) or None
-        Ways from an image of a grain to all others that may reach a node together with it. They share what their
-        velocities are beyond that of the flow: in the squares of weights they count as one grain. None leaves code out
-        when the loop is compiled, here and below.
+        Translations (cutoffs) from an image of a grain to all others that may reach the same node. They share what
+        their velocities are beyond that of the flow: in the squares of weights they count as one grain. None leaves
+        code out when the loop is compiled, here and below.
     by_gradient : True or None
         Weigh by derivative / distance instead of the value.
     scratch : Scratch

@@ -212,7 +212,7 @@ def lucy_plane(h2, t):
     """Integral of L1(sqrt(h^2 + s^2)) over 0 < s < t, for h^2 + t^2 <= 1.
 
     In polar coordinates about the foot of the perpendicular, integrating by parts over the radius leaves
-    pi w(h) - 2 t int_0^u w(r) / (u^2 + t^2) du with w = L2 / 2 pi and u the half chord of the disc at t.
+    pi w(h) - 2 t int_0^u w(r) / (z^2 + t^2) dz with w = L2 / 2 pi and u the half chord of the disc at t.
     """
     a2 = h2 + t * t
     if t <= 0.0:

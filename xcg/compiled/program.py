@@ -8,15 +8,7 @@ from numpy.typing import NDArray
 
 from xcg.compiled._jit import inner, leaf
 from xcg.compiled.matrices import fit_rows
-from xcg.compiled.simd import (
-    EIGHT,
-    TILE,
-    load_number,
-    store_fence,
-    store_nontemporal,
-    store_number,
-    transpose8x8,
-)
+from xcg.compiled.simd import EIGHT, TILE, load_number, store_fence, store_nontemporal, store_number, transpose8x8
 
 # The operations of a step (operation, result, a, b). Results and operands are rows of the scratch, but for a load and a
 # store, which say what to load or store.

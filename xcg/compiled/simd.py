@@ -184,7 +184,8 @@ def lanes_before(builder, left, lanes):
 def write_kept(context, builder, near, at, kept):
     """Write the lanes of vectors where a mask is set to arrays, from a place on; returns how many lanes there are.
 
-    `kept` are (type of the array, array, row, vector). Memory that follows is spoilt, up to as many numbers as lanes.
+    `kept` are (type of the array, array, row, vector). Memory that follows is overwritten, up to as many numbers as
+    lanes.
     """
     lanes, whole = near.type.count, ir.IntType(64)
     bits, found = ir.IntType(lanes), [ir.Constant(whole, 0)]
@@ -231,8 +232,8 @@ def _keep8(typingctx, lists, to, at, row, first, tests, k, many):
 def keep8(lists, to, at, row, first, tests, k, many):
     """Write some of ``lists[row, first : first + 8]`` to ``lists[to]``, from `at` on: where ``tests[k : k + 8] < 1``.
 
-    From the `many`-th test on none is written. Returns how many were; memory that follows them is spoilt, up to eight
-    numbers from `at` on. `to` may be `row` where `at` is not beyond `first`.
+    From the `many`-th test on none is written. Returns how many were; memory that follows them is overwritten, up to
+    eight numbers from `at` on. `to` may be `row` where `at` is not beyond `first`.
     """
     near = (tests[k : k + EIGHT] < 1.0)[: int(many) - int(k)]
     kept = lists[row, first : first + EIGHT][: len(near)][near]

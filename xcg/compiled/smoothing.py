@@ -96,7 +96,7 @@ def above_edge(per_s2, q2):
 
 @inlined
 def along_line(per_s2, q2):
-    """Integral of the Gaussian, without its value at the cutoff taken off, over a line at squared distance q2."""
+    """Integral of exp(-q^2 / 2 s^2) inside the support over a line at squared distance q2."""
     half = math.sqrt(0.5 * per_s2 * max(0.0, 1.0 - q2))
     return 2.0 * SQRT_PI_2 / math.sqrt(per_s2) * erf(half) * exp(-0.5 * per_s2 * q2)
 

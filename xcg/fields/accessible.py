@@ -17,6 +17,7 @@ import xarray as xr
 from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
+from xcg.common.messages import warn_user
 from xcg.fields.formulas.averages import per_fraction
 from xcg.fields.grids.wall_shapes import Plane, Wall
 from xcg.fields.plan import Plan
@@ -87,6 +88,10 @@ def with_accessible(f: xr.Dataset, scene: Description, plan: Plan, request: Requ
         raise ValueError(
             f"the scene is one layer across {layer[0]!r}: expected walls that are the same all along {layer[0]!r}"
         )
+    middle = None if scene.corners is None else np.mean(scene.corners, axis=0, keepdims=True)
+    for wall in walls:
+        if middle is not None and isinstance(wall, Plane) and wall.bounds is None and wall.distance(middle)[0] < 0:
+            warn_user(f"{wall!r}: the middle of the grains lies behind it; normals point to the grains, turn this one")
     seen = [a for a in plan.setup.plane if a not in plan.deposit.grid.averaged]
     nodes = xr.broadcast(*(f[a].drop_vars(f[a].coords) for a in seen)) if seen else ()
     shape = nodes[0].shape if nodes else ()

@@ -108,7 +108,7 @@ def coarse_grain(ds: xr.Dataset, request: Request) -> xr.Dataset:
     return rename(result) if rename else result
 
 
-# of a scene that is conformed, and a request: for functions that are made of it
+# coarse_grain of a conformed scene and a Request, for functions built on it
 answer: Callable[[xr.Dataset, Request], xr.Dataset] = unwrap(coarse_grain)
 
 
@@ -187,13 +187,7 @@ def evaluate_plan(ds: xr.Dataset, plan: Plan, on_error: OnError) -> dict[str, An
 
 
 # means of squared fluctuations
-_TEMPERATURES = (
-    "granular_temperature",
-    "directional_temperature",
-    "d2min",
-    "nonaffine_covariance",
-    "self_diffusion",
-)
+_TEMPERATURES = ("granular_temperature", "directional_temperature", "d2min", "nonaffine_covariance", "self_diffusion")
 _PAGE = 4096 // 8  # numbers in a page of memory
 
 
@@ -257,7 +251,7 @@ def _compute_step(
                 values[grid.undirected] = np.nan
     if plan.options.temperature == "unbiased" and not rows.keys().isdisjoint(_TEMPERATURES):
         _warn_of_unknown(rows, sum(reached), plan.kernel.width, source)
-    # a given extent of 1 m makes integrals of averages
+    # extent=1 m asks for an integral in place of an average: no warning
     if "volume_fraction" in rows and 1.0 not in plan.extent.values() and rows["volume_fraction"].max(initial=0.0) > 1.0:
         _warn_of_fraction(plan, rows["volume_fraction"], frame["volume"].max(initial=0.0) * scale, source)
 

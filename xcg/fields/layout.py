@@ -27,6 +27,7 @@ from xcg.scene.description import Description
 from xcg.scene.schema import COMPONENTS, PADDING
 
 _NARROW = 0.1  # widths, in mean diameters, that show single grains only
+_WIDE = 300  # largest diameters; a width beyond is in another unit, most likely
 
 
 def nodes_of(scene: Description, request: Request, kernels: Sequence[Kernel]) -> Grid:
@@ -57,7 +58,7 @@ def _rings(scene: Description, request: Request, kernels: Sequence[Kernel]) -> G
     assert isinstance(request.frame, Cylindrical)
     if request.gradient == "finite_difference":
         raise ValueError(
-            "gradient='finite_difference' takes a mesh along x, y and z, not a cylindrical frame; take another way"
+            "gradient='finite_difference' takes a mesh along x, y and z, not a cylindrical frame; leave it out"
         )
     if request.sampling == "cell":
         raise ValueError(
@@ -107,7 +108,7 @@ def automatic_bounds(scene: Description, cutoff: float) -> dict[str, tuple[float
     """Bounds by default: the period, or the particles' extent with their supports, or the box they were read with."""
     periodic = scene.setup.periodic
     # a box does not follow positions that were changed
-    found = {a: ends for a, ends in scene.edges.items() if scene.in_box or a in periodic}
+    found = {a: ends for a, ends in scene.edges.items() if scene.position_known or a in periodic}
     if scene.corners is not None:
         for a, low, high in zip(COMPONENTS, *scene.corners, strict=True):
             if a not in periodic or a not in scene.edges:
@@ -169,7 +170,9 @@ def kernels_of(scene: Description, request: Request) -> list[Kernel]:
 
 
 def warn_of_width(width: float, sizes: Mapping[str, float], *, of_groups: bool) -> None:
-    """Warn of a kernel that sees single grains."""
+    """Warn of a kernel that sees single grains, or of another unit than the grains."""
+    if width > _WIDE * sizes.get("dmax", np.inf):
+        warn_user(f"width={width:.4g} is {width / sizes['dmax']:.2g} largest diameters; check the unit of lengths")
     usual = {"d43": "the grains", "dmax": "the largest grains"}
     for size, whose in ({"dmin": "the smallest grains"} if of_groups else usual).items():
         if size in sizes and width < _NARROW * sizes[size]:
@@ -271,7 +274,7 @@ def about_strays(ds: xr.Dataset, scene: Description, grid: Grid | None = None) -
             return way_out
         ends = zip(COMPONENTS, *scene.corners, strict=True)
         extent = ", ".join(f"{a} from {low:.4g} to {high:.4g}" for a, low, high in ends)
-        return f"particles lie at {extent}, perhaps as some escaped; {way_out}"
+        return f"particles extend over {extent}; some may have escaped; {way_out}"
     ids = ds["particle_id"].transpose("time", "particle").to_numpy()
     held = np.argwhere(ids != PADDING)
     place = position.values[tuple(held.T)]

@@ -287,7 +287,7 @@ def _fields_and_options(scene: Description, request: Request) -> tuple[tuple[str
     """Return the computed fields, the requested fields, and the choices of their algebra."""
     if request.by_pair and request.by is None:
         raise ValueError(
-            "by_pair=True divides contact stress by pairs of phases: say which with by=, for example by='species'"
+            "by_pair=True splits contact stress by pairs of phases: name their variable, such as by='species'"
         )
     if request.groups is not None and request.by is None:
         raise ValueError(
@@ -302,8 +302,8 @@ def _fields_and_options(scene: Description, request: Request) -> tuple[tuple[str
         names, own = _with_errors(names, own, scene, absent)
     if unknown_here := absent & {*names}:
         raise ValueError(
-            f"{', '.join(sorted(unknown_here))}: known in axes x, y and z alone, and of gradients that are fitted "
-            "(gradient='least_squares')"
+            f"{', '.join(sorted(unknown_here))}: available only in Cartesian axes, with gradient='least_squares' or "
+            "'paper'"
         )
     if request.per is not None and any(name.endswith("_error") for name in names):
         raise ValueError(
@@ -399,7 +399,7 @@ def variables_of(fields: tuple[str, ...], here: frozenset[str], options: Options
 
 
 def _options_of(scene: Description, request: Request) -> Options:
-    """Check the choices of the algebra."""
+    """Return the options of the algebra; raise ValueError if one is wrong."""
     for name, known in (
         ("gradient", Gradient),
         ("deviatoric", Deviatoric),

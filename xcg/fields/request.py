@@ -102,9 +102,9 @@ class SharedOptions:
         Also divide contact stress by the phase of the partner: ``contact_stress_by_pair`` with the dimension
         ``other_phase``, the phases and then "wall". Its sum over them is the contact stress of the phase.
     temperature : str
-        "unbiased" (default) divides the fluctuations about the fitted velocity by the density less what the fit takes
-        of them (``fluctuation_density``); "biased" by the density alone, which gives less than half of the temperature
-        of a dense packing at the default width, and a tenth of that of a gas.
+        "unbiased" (default) divides the fluctuations about the fitted velocity by the density less the degrees of
+        freedom of the fit (``fluctuation_density``); "biased" by the density alone, which gives less than half of the
+        temperature of a dense packing at the default width, and a tenth of that of a gas.
     by_body : str, optional
         An integer variable of the particles that says which body each component sphere belongs to, for example
         "body_id": bodies are coarse-grained instead of spheres, see `xcg.group_bodies`. Sizes and extent of the bodies
@@ -153,7 +153,7 @@ class SharedOptions:
                 raise ValueError(f"{name}={value!r}: expected {expected}")
 
     def ask(self, **own: Any) -> Request:
-        """Ask `coarse_grain` with these options, and with arguments of its own."""
+        """Return a `Request` with these options and further arguments of `coarse_grain`."""
         return Request(**own, **{field.name: getattr(self, field.name) for field in fields(SharedOptions)})
 
 

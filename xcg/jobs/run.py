@@ -112,7 +112,7 @@ def _slices(ds: xr.Dataset, job: Job) -> xr.Dataset:
 def run_job(
     job: Job, *, overwrite: bool = False, resume: bool = False, jobs: int | None = None
 ) -> Iterator[tuple[int, int]]:
-    """Run a job, yielding the number of steps done and to do after each batch; the files are whole at the end.
+    """Run a job, yielding (steps done, steps in total) after each batch; files are complete at the end.
 
     Files are written step by step in a hidden folder until all steps are there. A run that was interrupted goes on
     where it was, unless the job or its input changed.
@@ -139,7 +139,8 @@ def run_job(
         If the disk is full; the steps that are done are kept.
     """
     _, fields, slices = open_job(job)
-    mark = _signature(job)
+    about = _description(job)
+    mark = hashlib.sha256(f"{about}{version('xcg')}".encode()).hexdigest()
     series = {job.name: fields} if fields.data_vars else {}
     if slices is not None:
         series[_slices_name(job)] = slices
@@ -153,30 +154,31 @@ def run_job(
         yield count, count
         return
     if there and not (overwrite or begun):
-        raise _exists(there[0])
+        raise _exists(there[0], ", of another job or other input" * resume)
     try:
-        yield from _run(outputs, count, jobs, mark)
+        yield from _run(outputs, count, jobs, about)
     except Mismatch as error:
         if resume and not overwrite:
             raise SceneError(
-                f"{error.folder} is of a run whose job or input was another: files changed, or were added, since; "
-                "start over without --resume, or with --overwrite"
+                f"{error.folder} is of a run of another job or other input "
+                f"({'; '.join(change for change in error.changed if change.startswith('['))}); start over without "
+                "--resume, or with --overwrite"
             ) from error
         if there and not overwrite:
             raise _exists(there[0]) from None
         for output in outputs:
             shutil.rmtree(output.work, ignore_errors=True)
-        yield from _run(outputs, count, jobs, mark)
+        yield from _run(outputs, count, jobs, about)
 
 
-def _exists(path: Path) -> FileExistsError:
-    return FileExistsError(f"{path} exists; choose another output folder or name, or overwrite it (--overwrite)")
+def _exists(path: Path, whose: str = "") -> FileExistsError:
+    return FileExistsError(f"{path} exists{whose}; choose another output folder or name, or overwrite it (--overwrite)")
 
 
-def _run(outputs: list[_Output], count: int, jobs: int | None, mark: str) -> Iterator[tuple[int, int]]:
+def _run(outputs: list[_Output], count: int, jobs: int | None, about: Mapping[str, str]) -> Iterator[tuple[int, int]]:
     """Write all outputs side by side, a batch of chunks each in turn."""
     with ExitStack() as held:
-        runs = [held.enter_context(closing(output.write(mark, jobs or os.cpu_count() or 1))) for output in outputs]
+        runs = [held.enter_context(closing(output.write(about, jobs or os.cpu_count() or 1))) for output in outputs]
         done = dict(enumerate(map(next, runs)))
         yield min(done.values()), count
         for numbers in zip_longest(*runs):
@@ -212,12 +214,12 @@ class _Output:
     def paths(self) -> list[Path]:
         return [*self._files(), *self._images()]
 
-    def write(self, mark: str, batch: int) -> Generator[int, None, None]:
+    def write(self, about: Mapping[str, str], batch: int) -> Generator[int, None, None]:
         encoding, files, images = Encoding.of(self.ds, **self.job.encoding), self._files(), self._images()
         if images:
             begin, whole = partial(_Images, [path.name for path in images]), partial(_whole_images, images)
             files[self.job.folder / f"{self.stem}.images"] = Format("VTKHDF by steps", begin, whole=whole)
-        return write_files(self.ds, files, encoding, overwrite=True, work=self.work, mark=mark, batch=batch)
+        return write_files(self.ds, files, encoding, overwrite=True, work=self.work, about=about, batch=batch)
 
 
 class _Images:
@@ -261,8 +263,8 @@ def _made_by(path: Path) -> str | None:
     return found.decode() if isinstance(found, bytes) else found
 
 
-def _signature(job: Job) -> str:
-    """Return a hash of a job: its options, its input and the version of xcg."""
+def _description(job: Job) -> dict[str, str]:
+    """Describe a job by its options and the state of its input, each by a name that a message can use."""
     paths: list[str] = []
     for key in ("particles", "contacts", "walls", "restart"):
         given = job.scene.get(key, [])
@@ -272,9 +274,13 @@ def _signature(job: Job) -> str:
             paths += expand_paths([path], key) if glob.has_magic(path) and not Path(path).exists() else [path]
     # a folder of Zarr keeps its own time when one of its files changes
     files = [file for path in map(Path, paths) for file in (path, *sorted(path.rglob("*"))) if file.exists()]
-    states = [(str(file), file.stat().st_mtime_ns, file.stat().st_size) for file in files]
-    text = repr(job) + repr(states) + version("xcg")
-    return hashlib.sha256(text.encode()).hexdigest()
+    states = repr([(str(file), file.stat().st_mtime_ns, file.stat().st_size) for file in files])
+    digest = hashlib.sha256(states.encode()).hexdigest()
+    about = {"[scene] sizes and times of files": f"{len(files)}, {digest[:8]}"}
+    for option, given in vars(job).items():
+        table = given if isinstance(given, dict) else {"": given}
+        about |= {f"[{option}] {key}".rstrip(): repr(value) for key, value in table.items()}
+    return about
 
 
 def _slices_name(job: Job) -> str:

@@ -244,12 +244,14 @@ def find_contacts(
 
 
 def _label(ds: xr.Dataset, arrays: Mapping[str, Any], search: Search, given: Mapping[str, Any]) -> xr.Dataset:
-    data = {}
+    data, about = {}, {"history": provenance(ds, format_call("find_contacts", given))["history"]}
     for name, values in arrays.items():
         row = variable(name)
         attrs = {"units": units_in(row.units, search.setup.unit_system), "long_name": row.long_name}
         if name == "contact_force":
             attrs["estimated"] = f"normal force from the overlap of spheres: {search.stiffness}"
+            about["estimated_forces"] = attrs["estimated"]
         data[name] = xr.Variable(("time", *row.dims), values, attrs)
-    bare = ds.drop_dims("contact", errors="ignore")
-    return bare.assign(data).assign_attrs(history=provenance(ds, format_call("find_contacts", given))["history"])
+    bare = ds.drop_dims("contact", errors="ignore").assign_attrs(about)
+    bare.attrs.pop("sides", None)  # of the contacts that are replaced
+    return bare.assign(data)

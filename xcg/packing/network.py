@@ -170,7 +170,7 @@ def _entries(values: NDArray) -> Sequence[Any]:
 
 @dataclass(frozen=True, eq=False)
 class _Step:
-    """Return a single step of a scene in memory, its contacts, and its time and number."""
+    """Single step of a scene in memory: its frame, contacts, time and number."""
 
     frame: Frame
     contacts: Contacts

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from xcg.common.checks import is_finite
 from xcg.common.messages import SceneError
 from xcg.compiled import pairs as loops
-from xcg.compiled._jit import THREADS, for_parts, worth
+from xcg.compiled._jit import THREADS, for_parts, threads_for
 from xcg.compiled.arrays import counting_sort_places
 from xcg.compiled.pairs import rows_of_pairs, sort_pairs
 from xcg.scene.box import box_array, with_lattice
@@ -245,7 +245,7 @@ def find_pairs(
         where the particles are.
     radius : array (n,)
         Radii (m), zero included.
-    box : array (3, 2) or mapping, optional
+    box : array (3, 2) or (2, 2), or mapping, optional
         Edges of the domain (m), needed along periodic axes, for example ``{"x": (0.0, 0.1)}``.
     periodic : str
         Periodic axes, any of "xyz". Distances are to the nearest image; a particle is not a partner of its own image.
@@ -261,7 +261,7 @@ def find_pairs(
     threads : int, optional
         Threads that search; by default all cores for many particles. The result does not depend on it.
     most : int, optional
-        Pairs that are meant, where they are more than a million and 200 a particle, at which the search stops.
+        Limit on the number of pairs, where it is above a million and 200 a particle.
 
     Returns
     -------
@@ -272,7 +272,7 @@ def find_pairs(
     ------
     SceneError
         If arrays have the wrong shape or hold values that are not finite, a radius is negative, or the box is
-        unbounded along a periodic axis, or there are more than `most` pairs.
+        unbounded along a periodic axis, or there are more than max(10^6, 200 n, `most`) pairs.
     ValueError
         If `method`, `skin`, `levels` or `threads` is not as expected.
 
@@ -307,7 +307,7 @@ def pairs_of(
         others = shift.any(axis=1)
         centres = np.concatenate([centres, centres[row[others]] + shift[others]])
         whose = np.concatenate([whose, row[others]])
-    workers = threads or worth(len(centres), THREADS)
+    workers = threads or threads_for(len(centres), THREADS)
     levels = 1 if method == "linked-cell" else levels
     lists = CellLists.of(centres, radii[whose], corner, lattice.period, skin=skin, levels=levels, threads=workers)
     most = max(MOST_PAIRS, MOST_A_PARTICLE * len(centres), most or 0)

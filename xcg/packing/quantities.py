@@ -285,7 +285,7 @@ QUANTITIES: dict[str, PackingQuantity] = {
     ),
     "nearest_neighbour_index": _of_phases(
         "neighbours of another phase over their number where phases are at random",
-        "sum_i u_i / sum_i (N - N_a) / (N - 1), u_i the share of another phase",
+        "sum_i u_i / sum_i ((N - N_a) / (N - 1)), u_i the share of another phase",
         lambda s: s.mixture.neighbour_index(s.which),
     ),
 }  # fmt: skip

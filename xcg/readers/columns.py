@@ -267,7 +267,7 @@ def particles_from(ref: StepRef, columns: Mapping[str, str], options: ReadOption
 def _edges(ref: StepRef) -> tuple[tuple[float, float], ...]:
     if ref.box is None:
         raise SceneError(
-            f"{source_of(ref)}: positions are in fractions of the box, and the header holds no 'BOX BOUNDS'"
+            f"{source_of(ref)}: positions are fractions of a box, and the header has no 'BOX BOUNDS'; dump x y z"
         )
     return ref.box
 

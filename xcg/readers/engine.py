@@ -156,7 +156,7 @@ class Engine(ABC):
     def recognises(self, path: str) -> bool:
         """Return whether this engine reads the file, from its first bytes and its name.
 
-        Any file may come, of particles or of contacts, and what raises an error here cannot be opened.
+        Called with any file, of particles or of contacts; an exception raised here makes opening fail.
         """
         return False
 

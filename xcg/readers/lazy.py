@@ -263,12 +263,7 @@ def _nothing(types: Mapping[str, Any]) -> Frame:
 
 
 def read_contact_chunk(
-    source: Source,
-    steps: Sequence[Step],
-    names: Sequence[str],
-    rows: int,
-    boxes: Frame,
-    particles: Frame,
+    source: Source, steps: Sequence[Step], names: Sequence[str], rows: int, boxes: Frame, particles: Frame
 ) -> Frame:
     """Contacts of the steps of a chunk, padded, checked against the particles of the same chunk."""
     frames = []

@@ -61,14 +61,13 @@ def scene_from_lammps(
     frozen : int or sequence of int, optional
         Types that are held in place and act as walls.
     gravity : three floats, optional
-        Acceleration of gravity, in units of the simulation.
+        Acceleration of gravity (m s-2, or reduced).
     units : mapping, "SI" or "reduced", optional
         Factors to SI. By default as LAMMPS' ``units`` says: ``si``, ``cgs``, ``micro``, ``nano``, and ``lj`` as
         "reduced".
-
     shear_rate : mapping, optional
-        Rates at which a box is sheared with ``fix deform ... remap v``, ``{"xy": 0.1}``, in units of the simulation: as
-        much faster images one length further along y move along x.
+        Velocity gradients of the images of a box that is sheared with ``fix deform ... remap v``: ``{"xy": 0.1}`` is
+        dv_x/dy (s-1, or reduced).
 
     Returns
     -------

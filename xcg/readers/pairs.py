@@ -22,10 +22,7 @@ from xcg.steps import faults as errors
 
 
 def index_files(
-    reader: Engine,
-    files: Mapping[str, Sequence[str]],
-    options: ReadOptions,
-    from_headers: Sequence[str],
+    reader: Engine, files: Mapping[str, Sequence[str]], options: ReadOptions, from_headers: Sequence[str]
 ) -> dict[str, list[StepRef]]:
     """Index each kind of file, and check that nothing changes along the way.
 
@@ -136,7 +133,7 @@ def _in_order(steps: list[Step], kind: str) -> list[Step]:
         key = step.particles.step if step.time is None else step.time
         if key in unique:
             old, new = source_of(unique[key].particles), source_of(step.particles)
-            warn_user(f"{kind}: {old} is left out, as {new} is of the same time (if it is not, give times=)")
+            warn_user(f"{kind}: {old} is left out, as {new} has its time or step number (if not, give times=)")
         unique[key] = step
     return [unique[key] for key in sorted(unique)]
 
@@ -152,7 +149,7 @@ def _join(steps: list[Step], kind: str, refs: list[StepRef], missing: str) -> li
     if lacking and (missing == "raise" or not paired):
         same = "time" if timed else "step number"
         raise SceneError(
-            f"{kind}: none of the same {same} for {len(lacking)} of {len(steps)} steps of the particles "
+            f"{kind}: no step with the same {same} for {len(lacking)} of {len(steps)} steps of the particles "
             f"({_some(lacking)}); there are {_some(others)}. Give the files that are missing, or leave such "
             "steps out with missing='skip'; if nothing touches in them, pass missing='empty'"
         )
@@ -190,7 +187,7 @@ def _same_number(steps: Sequence[Step], others: Sequence[StepRef]) -> list[int]:
 
 
 def _same_time(steps: Sequence[Step], others: Sequence[StepRef]) -> list[int]:
-    """Find the contacts nearest in time, -1 where they are further than a thousandth of the interval."""
+    """Find the contacts nearest in time, -1 beyond 1e-3 of the shortest interval (one step: 1e-6 of its time)."""
     wanted = np.array([step.particles.time for step in steps], float)
     there = np.array([ref.time for ref in others], float)
     far = 1e-3 * np.diff(np.sort(wanted)).min() if len(wanted) > 1 else 1e-6 * abs(wanted[0])

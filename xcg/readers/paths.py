@@ -129,9 +129,9 @@ def units_of_headers(engine: Engine, indexed: Mapping[str, Sequence[StepRef]]) -
 
 
 def not_against_headers(units: Mapping[str, float] | str, indexed: Mapping[str, Sequence[StepRef]]) -> Any:
-    """Raise SceneError for units that differ from the headers.
+    """Return `units`; raise SceneError if they contradict the headers.
 
-    Factors may give reduced units (lj) a scale, and numbers in SI may be taken as scaled ones: none of them changes.
+    Allowed all the same: factors where headers say lj, and "reduced" where they say si.
     """
     given = Setup.make(units=units)
     for refs in indexed.values():

@@ -112,7 +112,7 @@ def open_scene(
         files' unit of length, in place of the headers' (see `xcg.scene_from_arrays`). In boxes of Lees & Edwards the
         tilt is the offset of the images.
     shear_rate : mapping, optional
-        How much faster images one length further along y move along x, ``{"xy": 0.1}`` (s-1; a number, or one a step).
+        Velocity gradients of the images: ``{"xy": 0.1}`` is dv_x/dy (s-1; a number, or one a step).
         By default the rate at which tilts change from step to step, which is right where particles that leave a sheared
         box change their velocity (LAMMPS: ``fix deform ... remap v``); ``{}`` for images of equal velocity (``remap
         x``).

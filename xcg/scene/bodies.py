@@ -20,7 +20,7 @@ from xcg.scene.sizes import measure
 _SHARED = ("species", "frozen")  # by all spheres of a body
 _PARTICLES = ("particle_id", "position", "velocity", "diameter", "density", "mass", "volume", *_SHARED)
 _CONTACTS = ("contact_i", "contact_j", "contact_force", "contact_point", "contact_normal", "overlap")
-_MISSING = -2  # a partner that is not in the scene counts as a wall
+_MISSING = -(2**31)  # a partner that is not in the scene counts as a wall, and as none that has a name
 
 
 @takes_scene
@@ -31,7 +31,7 @@ def group_bodies(ds: xr.Dataset, by_body: str = "body_id") -> xr.Dataset:
     edges), its velocity ``S m v / S m``, and the diameter of a sphere of its volume. Contacts then join bodies at
     the same points, with the same forces; contacts inside a body are dropped. Components that overlap count twice,
     unless their masses and volumes in the scene already allow for it. The spheres of a body are of one species, and all
-    frozen or none. Angular velocities are left out, as moments of inertia of bodies are not known.
+    frozen or none. Variables that have no rule for bodies are left out, such as angular velocities.
 
     Parameters
     ----------

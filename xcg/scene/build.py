@@ -175,7 +175,7 @@ def scene_from_arrays(
         by name, ``{"xy": 0.01}`` (a number, or one a step): how far images along y are shifted along x, in boxes of
         Lees & Edwards the offset of the images.
     shear_rate : mapping, optional
-        How much faster images one length further along y move along x, ``{"xy": 0.1}`` (s-1; a number, or one a step).
+        Velocity gradients of the images: ``{"xy": 0.1}`` is dv_x/dy (s-1; a number, or one a step).
         By default the rate at which tilts change from step to step; ``{}`` for images of equal velocity.
     gravity : three floats, optional
         Acceleration of gravity (m s-2).
@@ -190,7 +190,8 @@ def scene_from_arrays(
     density : float or array
         Density of the material (kg m-3): one number, or one a particle.
     units : mapping or "reduced", optional
-        Factors from the data's units to SI, for example ``{"length": 1e-3}``; "reduced" for scaled data.
+        Factors to SI of arrays, time, box and lattice, for example ``{"length": 1e-3}``; gravity, thickness, shear_rate
+        and a single density are in SI. "reduced" for scaled data.
     allow_unknown : bool
         Take contacts with ids that are not among the particles as contacts with a wall.
     sides : {"mean", "first", "separate"}

@@ -97,7 +97,8 @@ def complete_particles(frame: Mapping[str, ArrayLike], setup: Setup, source: str
     Raises
     ------
     SceneError
-        If an array has the wrong shape or is not finite, an id occurs twice, or a size or mass is not positive.
+        If an array has the wrong shape or is not finite, an id is negative or occurs twice, a size is not positive, or
+        a mass is negative.
     """
     given = _typed(frame, setup, source)
     if not np.ndim(given.get("position", 0.0)):
@@ -122,9 +123,10 @@ def complete_particles(frame: Mapping[str, ArrayLike], setup: Setup, source: str
     for name in ("diameter", "density", "mass", "volume", "moment_of_inertia"):
         may_be_zero = name in ("mass", "moment_of_inertia")
         if name in given and (given[name] <= 0).any() and not (may_be_zero and (given[name] >= 0).all()):
-            bad = int(np.flatnonzero(given[name] <= 0)[0])
+            bad = int(np.flatnonzero(given[name] < 0 if may_be_zero else given[name] <= 0)[0])
             raise SceneError(
-                f"{source}: '{name}' of particle {ids[bad]} is {given[name][bad]}; expected a positive number"
+                f"{source}: '{name}' of particle {ids[bad]} is {given[name][bad]}; expected "
+                f"{'0 or more' if may_be_zero else 'a positive number'}"
             )
     _complete_size_and_mass(given, setup)
     if "diameter" in given:

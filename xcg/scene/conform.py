@@ -226,7 +226,7 @@ def with_components(ds: xr.Dataset) -> xr.Dataset:
 
 
 def in_order(ds: xr.Dataset, dim: str, axes: Sequence[str]) -> xr.Dataset | None:
-    """Return the order of the labels of a dimension by some axes; None unless it holds all of them, each once."""
+    """Sort a Dataset along `dim` into the order of `axes`; None unless it holds each of them once."""
     labels = labels_along(ds, dim)
     if sorted(map(str, labels)) != sorted(axes) or ds.sizes.get(dim) != len(axes):
         return None

@@ -53,8 +53,8 @@ class Description:
         Diameters of `xcg.scene.sizes.SIZES` that are known (m).
     corners : tuple, optional
         Lowest and highest coordinates of the particles' centres (m), where they are known.
-    in_box : bool
-        Whether positions are unchanged since the box was read.
+    position_known : bool
+        Whether `position` is in memory, or unchanged since it was measured.
     values : mapping
         Values of the integer variable that divides the particles into groups, where they are known.
     cylindrical : bool
@@ -76,7 +76,7 @@ class Description:
     tilted: bool
     sizes: Mapping[str, float]
     corners: tuple[tuple[float, ...], tuple[float, ...]] | None
-    in_box: bool
+    position_known: bool
     values: Mapping[str, tuple[int, ...]]
     cylindrical: bool
     radius: float | None
@@ -177,7 +177,7 @@ def describe(ds: xr.Dataset, by: str | None = None) -> Description:
         tilted="lattice" in ds,
         sizes={name: float(ds.attrs[name]) for name in SIZES if name in ds.attrs},
         corners=(corners[0], corners[1]) if len(corners) == 2 else None,
-        in_box="position" in ds and known_without_reading(ds, "position"),
+        position_known="position" in ds and known_without_reading(ds, "position"),
         values={} if by is None else _values(ds, by),
         cylindrical=cylindrical,
         radius=_largest_radius(ds) if cylindrical else None,
@@ -331,6 +331,7 @@ def rows_of_origin(ds: xr.Dataset) -> list[tuple[str, str]]:
         ("files", str(ds.attrs.get("files", "")).replace("\n", "; ")),
         ("ignored", str(ds.attrs.get("ignored_columns", "")).replace("\n", "; ")),
         ("skipped", f"{len(skipped.splitlines())} files" if skipped else ""),
+        ("forces", str(ds.attrs.get("estimated_forces", ""))),
         ("time", _times(ds)),
         ("gravity", f"({pull}) {unit}".rstrip() if pull else ""),
         ("units", {None: "", "SI": "SI"}.get(system, f"{system}: scaled numbers, without units") + assumed),

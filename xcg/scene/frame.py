@@ -56,7 +56,7 @@ def with_time(ds: xr.Dataset) -> xr.Dataset:
 
 
 def step_at(ds: xr.Dataset, position: int, name: str) -> xr.Dataset:
-    """Select a step by its position, which is the argument `name`; what has no steps is one.
+    """Select a step by its position; `name` is the argument in messages. Data without steps stay as they are.
 
     Raises
     ------
@@ -67,8 +67,11 @@ def step_at(ds: xr.Dataset, position: int, name: str) -> xr.Dataset:
     if "time" not in ds.sizes:
         return ds
     count = ds.sizes["time"]
-    if not is_whole(position, -count, count - 1):
-        raise ValueError(f"{name}={position!r}: expected the position of a step, from {-count} to {count - 1}")
+    if not (isinstance(position, int | np.integer) and is_whole(position, -count, count - 1)):
+        raise ValueError(
+            f"{name}={position!r}: expected the position of a step, a whole number from {-count} to {count - 1}; "
+            "select a time by .sel(time=...)"
+        )
     return ds.isel(time=int(position))
 
 

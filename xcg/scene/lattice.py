@@ -91,7 +91,7 @@ class Lattice:
         return self.basis if self.cell is None else self.cell[self.cell.any(axis=1)]
 
     def scaled(self, unit: float) -> Lattice:
-        """Return the same images with lengths in another unit (m)."""
+        """Return the same images with lengths over `unit` (m), without edges and cell; rates stay in m/s."""
         vectors = None if self.vectors is None else self.vectors / unit
         return Lattice(self.period / unit, vectors=vectors, rates=self.rates)
 

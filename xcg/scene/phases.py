@@ -63,7 +63,7 @@ def find_phases(ds: xr.Dataset, max_phases: int = 8, *, steps: int = 5, seed: in
     Raises
     ------
     SceneError
-        If the scene holds neither diameters nor densities, or no grains.
+        If the scene lacks diameters or densities, or holds no grains.
     ValueError
         If `max_phases` or `steps` is less than 1.
     """

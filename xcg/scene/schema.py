@@ -27,8 +27,8 @@ SHORTEST, LONGEST = 1e-75, 1e75  # m; powers of lengths between these are number
 
 Frame: TypeAlias = dict[str, NDArray]
 Powers: TypeAlias = tuple[int, int, int]  # of length, mass, time
-# what becomes of contacts that are listed from both sides, see `xcg.scene.sanity`
 Shape: TypeAlias = Literal["sphere", "disc"]
+# what becomes of contacts that are listed from both sides, see `xcg.scene.sanity`
 Sides: TypeAlias = Literal["mean", "first", "separate"]
 
 

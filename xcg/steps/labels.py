@@ -22,7 +22,7 @@ from xcg.steps.faults import SKIPPED, Result
 # attributes of a scene that hold for its results, too
 ABOUT = (
     "Conventions", "engine", "files", "periodic", "gravity", "unit_system", "dimension", "plane", "skipped_files",
-    "frame", "frame_axes", "frame_origin",
+    "frame", "frame_axes", "frame_origin", "estimated_forces",
 )  # fmt: skip
 AXES = {"component": list(COMPONENTS), "direction": list(COMPONENTS), "principal": [1, 2, 3]}
 
@@ -96,8 +96,12 @@ def name_skipped(result: xr.Dataset) -> xr.Dataset:
 
 def format_call(function: str, given: Mapping[str, Any]) -> str:
     """Write a call on one line, arrays by their shape."""
-    shown = {k: f"<array {np.shape(v)}>" if hasattr(v, "dtype") and np.ndim(v) else repr(v) for k, v in given.items()}
-    return f"{function}({', '.join(f'{k}={v}' for k, v in shown.items())})"
+    shown = {}
+    for name, value in given.items():
+        within = isinstance(value, Mapping) and any(np.ndim(one) and hasattr(one, "dtype") for one in value.values())
+        array = hasattr(value, "dtype") and np.ndim(value)
+        shown[name] = format_call("dict", value) if within else f"<array {np.shape(value)}>" if array else repr(value)
+    return f"{function}({', '.join(f'{name}={text}' for name, text in shown.items())})".replace("\n", " ")
 
 
 def provenance(ds: xr.Dataset | Description, call: str) -> dict[str, Any]:
@@ -160,7 +164,8 @@ def summary_of_result(ds: xr.Dataset) -> Summary:
             [("variables", ", ".join(map(str, ds.data_vars)) or "none")],
         )
     ds = with_time(ds)
-    axes = [a for a in COMPONENTS if a in ds.dims]
+    of_frame = ("r", "theta", *COMPONENTS)
+    axes = [a for a in of_frame if a in ds.dims]
     nodes = " x ".join(f"{ds.sizes[a]} {a}" for a in axes)
     count = ds.sizes.get("time", 1)
     steps = (
@@ -169,13 +174,13 @@ def summary_of_result(ds: xr.Dataset) -> Summary:
     along = ", ".join(str(ds.attrs.get("averaged_axes", "")))
     over = ds.attrs.get("averaged_steps")
     averaged = [f"along {along}"] * bool(along) + [f"over {over} steps"] * (over is not None)
-    known = {*COMPONENTS, "time", "phase", "other_phase", "component", "direction", "principal"}
+    known = {*of_frame, "time", "phase", "other_phase", "component", "direction", "principal"}
     return Summary.of(
         f"result of {steps}" + (f" on {nodes} nodes" if nodes else ""),
         [
             ("fields", ", ".join(map(str, ds.data_vars)) or "none"),
             *((a, _nodes(ds[a])) for a in axes),
-            ("fixed", ", ".join(f"{a} = {float(ds[a]):.6g}" for a in COMPONENTS if a in ds.coords and not ds[a].ndim)),
+            ("fixed", ", ".join(f"{a} = {float(ds[a]):.6g}" for a in of_frame if a in ds.coords and not ds[a].ndim)),
             ("averaged", ", ".join(averaged)),
             *((dim, _labels(ds, dim)) for dim in ("phase", "other_phase") if dim in ds.coords),
             *((str(dim), str(size)) for dim, size in ds.sizes.items() if dim not in known),

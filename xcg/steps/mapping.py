@@ -224,7 +224,7 @@ def _lazy_results(
     call, skip = f"call-{name}", SKIPPED in results
     tasks: dict[Any, Any] = {call: partial(guarded, compute, results) if skip else compute}
     gathered = Gathered.of(lazy)
-    # of chunks that look after their own faults all that they need is within their tasks
+    # tasks that record faults hold the graphs of their inputs, whose faults they record, too
     below = HighLevelGraph.merge(*(a.__dask_graph__() for a in lazy.values())).to_dict() if skip else {}
     for t, (start, stop) in enumerate(pairwise(np.cumsum([0, *chunks]).tolist())):
         here = {n: a[start:stop] for n, a in fixed.items()}

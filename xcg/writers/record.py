@@ -170,7 +170,7 @@ class Recorder:
         if before is not None:
             _check(before, fields, self.path)
             times = np.concatenate([before["time"].to_numpy(), fields["time"].to_numpy()])
-            check_times(times, str(self.path), "steps are appended as time goes on")
+            check_times(times, str(self.path), "append steps in the order of time")
         fields = self._encoding.noted(fields).load()
         values = {str(n): self._encoding.reduced(v.to_numpy()) for n, v in fields.variables.items() if "time" in v.dims}
         if before is None:
@@ -205,7 +205,7 @@ def _one_step(fields: xr.Dataset) -> xr.Dataset:
     if "time" in fields.dims:
         return fields.transpose("time", ...)
     if "time" not in fields.coords:
-        raise SceneError("what is recorded needs the coordinate 'time'")
+        raise SceneError("the fields lack the coordinate 'time'; add it by assign_coords(time=...)")
     step = {"step": ("time", [fields["step"].item()], fields["step"].attrs)} if "step" in fields.coords else {}
     return fields.expand_dims("time").assign_coords(step)
 

@@ -17,6 +17,7 @@ from functools import partial
 from importlib.metadata import version
 from itertools import pairwise
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 import dask
@@ -206,7 +207,7 @@ def write_files(
     *,
     overwrite: bool = False,
     work: Path | None = None,
-    mark: str = "",
+    about: Mapping[str, str] = MappingProxyType({}),
     batch: int | None = None,
 ) -> Generator[int, None, None]:
     """Write files, whose values are computed once for all of them, and yield the number of steps that are done.
@@ -226,8 +227,8 @@ def write_files(
     work : Path, optional
         Hidden folder for what is not whole yet, which stays after an error and is continued by the next run. By default
         a temporary one.
-    mark : str
-        Distinguishes this run from others of the same Dataset.
+    about : mapping of str to str
+        Distinguishes this run from others of the same Dataset, and names what differs.
     batch : int, optional
         Chunks of time between two reports; by default all.
 
@@ -240,13 +241,13 @@ def write_files(
     """
     for path in files:
         check_target(path, overwrite=overwrite)
-    # what goes on with nothing needs no names of its values, which are digests of those in memory
-    state = state_of(ds, encoding, [kind.name for kind in files.values()], mark) if work else dict[str, str]()
+    # without `work` nothing is resumed, and values in memory need not be hashed
+    state = state_of(ds, encoding, [kind.name for kind in files.values()]) if work else dict[str, str]()
     together = None
     for kind in files.values():
         ds, together = kind.check(ds), kind.together
     layout = StoreLayout.of(ds, encoding, together)
-    state["steps in a chunk"] = str(layout.steps)
+    state |= {"steps in a chunk": str(layout.steps), **about}
     with ExitStack() as held:
         folder = held.enter_context(work_folder(work, next(iter(files))))
         log = Log(folder)
@@ -358,11 +359,11 @@ def _writes(key: Any) -> bool:
 
 
 class Mismatch(SceneError):
-    """An interrupted run was of another scene or call; `folder` holds what it wrote."""
+    """An interrupted run was of another scene or call; `folder` holds what it wrote, `changed` says what differs."""
 
-    def __init__(self, folder: Path, message: str) -> None:
+    def __init__(self, folder: Path, message: str, changed: Sequence[str] = ()) -> None:
         super().__init__(message)
-        self.folder = folder
+        self.folder, self.changed = folder, changed
 
 
 @dataclass(frozen=True)
@@ -379,11 +380,12 @@ class Log:
         before = json.loads(file.read_text())
         wrong = [key for key in sorted({*before, *state}) if before.get(key) != state.get(key)]
         if wrong:
-            told = "; ".join(f"{key}: {_short(state.get(key))} instead of {_short(before.get(key))}" for key in wrong)
+            changed = [f"{key}: {_short(state.get(key))} instead of {_short(before.get(key))}" for key in wrong]
             raise Mismatch(
                 self.folder,
-                f"{self.folder} is of a save that was interrupted, of another scene or call ({told}); repeat the call "
-                "that began it, or remove the folder to start over",
+                f"{self.folder} is of a save that was interrupted, of another scene or call ({'; '.join(changed)}); "
+                "repeat the call that began it, or remove the folder to start over",
+                changed,
             )
         return True
 
@@ -414,13 +416,13 @@ class Log:
                 yield json.loads(line)
 
 
-def state_of(ds: xr.Dataset, encoding: Encoding, formats: Sequence[str], mark: str) -> dict[str, str]:
+def state_of(ds: xr.Dataset, encoding: Encoding, formats: Sequence[str]) -> dict[str, str]:
     """Describe what is written, by names that a message can use.
 
     Names of dask's tasks represent lazy values: they follow from the files, as they were when they were opened, and
     from the call.
     """
-    state = {"xcg": version("xcg"), "formats": ", ".join(formats), "encoding": str(encoding), "job": mark}
+    state = {"xcg": version("xcg"), "formats": ", ".join(formats), "encoding": str(encoding)}
     for name, data in ds.variables.items():
         state[f"shape of {name!r}"] = f"{dict(data.sizes)} {data.dtype}"
         state[f"values of {name!r}"] = data.data.name if data.chunks is not None else tokenize(data.to_numpy())

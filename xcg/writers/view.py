@@ -27,7 +27,7 @@ WIDEST = 0.3  # radius of a tube in mean radii of the grains, at the strongest f
 THINNEST = 0.02  # of that radius, so that weak contacts are seen
 STRONGEST = 98  # percentile of the forces of the widest tubes, so that single ones do not make all others thin
 _SPHERE = {"radius": 0.5, "theta_resolution": 16, "phi_resolution": 12}
-FAINT = 0.04  # opacity of grains before their contacts or chains
+FAINT = 0.04  # opacity of grains when contacts or chains are drawn
 _BAR = {
     "vertical": True, "position_x": 0.85, "position_y": 0.25, "width": 0.05, "height": 0.5, "fmt": "%.3g",
     "title_font_size": 20, "label_font_size": 18,

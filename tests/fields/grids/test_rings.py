@@ -286,7 +286,7 @@ def test_lazy_results_on_rings_equal_eager_ones(tmp_path):
         ({"axes": "r", "bounds": {"r": (-1, 1)}}, "none below zero"),
         ({"axes": "r", "bounds": {"theta": (0, 7)}}, "than a circle"),
         ({"axes": "r", "at": {"x": 1.0}}, "at names"),
-        ({"axes": "r", "gradient": "finite_difference"}, "another way"),
+        ({"axes": "r", "gradient": "finite_difference"}, "leave it out"),
         ({"at": {"r": xr.DataArray([1.0], dims="p")}}, "name points"),
     ],
 )
@@ -300,7 +300,7 @@ def test_wrong_frames_raise():
         with pytest.raises(ValueError, match=r"expected|parallel"):
             xcg.Cylindrical(**given)
     for call in ("balance", "width_sweep"):
-        with pytest.raises(ValueError, match="right angles"):
+        with pytest.raises(ValueError, match="Cartesian axes"):
             getattr(scene().cg, call)(
                 frame=xcg.Cylindrical(), **({"widths": [1, 2, 3]} if call == "width_sweep" else {})
             )

@@ -211,7 +211,7 @@ def test_all_coordinate_styles_are_read(tmp_path, columns, row, expected):
 
 
 def test_scaled_coordinates_need_a_box(tmp_path):
-    with pytest.raises(SceneError, match="fractions of the box, and the header holds no 'BOX BOUNDS'"):
+    with pytest.raises(SceneError, match="fractions of a box, and the header has no 'BOX BOUNDS'"):
         particles(tmp_path, dump_text(["1 0.5 0.25 0.1"], "id xs ys zs", box=""))
 
 

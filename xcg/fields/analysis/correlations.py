@@ -49,7 +49,7 @@ def spatial_correlation(f: xr.Dataset, name: str, other: str | None = None) -> x
 
     Notes
     -----
-    Computed by fast Fourier transforms, open axes padded with zeros (Wiener & Khinchin). The mean that is taken off is
+    Computed by fast Fourier transforms, open axes padded with zeros (Wiener & Khinchin). The mean that is subtracted is
     that of the nodes, so that the sum over all pairs of a periodic mesh is zero: in a mesh of few correlation lengths
     C is too low by about the share of the mesh that is correlated. Smearing correlates nodes over the support of the
     kernel, whatever the grains do.
@@ -137,7 +137,7 @@ def time_correlation(f: xr.Dataset, name: str, max_lag: int | None = None) -> xr
 
     Notes
     -----
-    The mean that is taken off is that of the series, so that C is too low by about twice the correlation time over the
+    The mean that is subtracted is that of the series, so that C is too low by about twice the correlation time over the
     length of the series.
     """
     f = with_time(f)

@@ -51,10 +51,10 @@ def mean_squared_displacement(
     groups : list of int, optional
         All values of `by`, where they are not known without reading.
     remove_drift : bool
-        Take off, at each step, the mean displacement of all grains (default).
+        Subtract, at each step, the mean displacement of all grains (default).
     fit : (float, float), optional
-        First and last lag (s) of the range in which the displacement is proportional to the lag, but for a constant:
-        asks for self-diffusion.
+        First and last lag (s) of the range where the mean squared displacement is linear in the lag: asks for
+        self-diffusion.
 
     Returns
     -------
@@ -179,7 +179,7 @@ def _range(fit: Sequence[float] | None, at: NDArray) -> NDArray:
     hair = 1e-9 * at[-1]
     used = np.flatnonzero((at >= first - hair) & (at <= last + hair))
     if used.size < 2:
-        raise ValueError(f"fit={tuple(fit)!r}: expected a range with two lags or more, which are {at.tolist()} (s)")
+        raise ValueError(f"fit={tuple(fit)!r}: expected a range with two or more of the lags {at.tolist()} (s)")
     return used
 
 
@@ -188,7 +188,7 @@ def _range(fit: Sequence[float] | None, at: NDArray) -> NDArray:
 
 @dataclass(frozen=True, eq=False)
 class _Places:
-    """Return displacements (n, 3) of the grains of one step since each was first seen."""
+    """Displacements (n, 3) of the grains of one step since each was first seen, with ids and phases."""
 
     ids: NDArray
     place: NDArray

@@ -96,7 +96,7 @@ def displacement(ds: xr.Dataset, asked: DisplacementRequest) -> xr.Dataset:
     E = (F^T F - I) / 2, and F = R U. Along an axis that is averaged, H is zero but for the change of a periodic box.
     ``d2min`` is the mean over grains of the squared distance from the fit, all components of the scene's dimensions
     together: the sum of Falk & Langer (1998, Phys. Rev. E 57, 7192) over the number of grains, with the kernel as
-    weight, and as number the density less what the fit takes (see ``granular_temperature``).
+    weight, divided by rho_T (see ``granular_temperature``).
 
     An accumulated strain is composed at fixed nodes, through which grains pass: it is that of a material point only
     as far as the deformation differs little over the way that grains go. A node that sees no grains once is NaN from
@@ -155,7 +155,7 @@ def _names(ds: xr.Dataset, asked: DisplacementRequest) -> tuple[str, ...]:
         raise ValueError(f"lag={lag!r}: the scene has {frames} frames, and displacements need lag + 1 or more of them")
     for name, no in (("preset", None), ("by_pair", False), ("walls", None), ("per", None)):
         if getattr(asked, name) != no:
-            raise ValueError(f"{name}={getattr(asked, name)!r}: there is none of displacements; leave it out")
+            raise ValueError(f"{name}={getattr(asked, name)!r}: not available for displacements; leave it out")
     require_rising_times(ds, "displacement")
     known = [name for name in registry.listed() if registry.FIELDS[name].option == "lag"]
     ours = [name for name in known if registry.FIELDS[name].default]

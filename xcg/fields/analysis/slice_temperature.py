@@ -77,7 +77,8 @@ def slice_temperature(
     -------
     xarray.Dataset
         ``granular_temperature`` (time, axis) in m2 s-2, ``velocity`` (time, axis, component) in m s-1, and
-        ``sample_count`` (time, axis), the grains in each slice. NaN for slices with fewer than two.
+        ``sample_count`` (time, axis), the grains in each slice. The temperature is NaN for slices with fewer than
+        two, the velocity for empty ones.
 
     Raises
     ------
@@ -102,7 +103,7 @@ def slice_temperature(
     elif bounds is None and scene.corners is not None:
         bounds = scene.corners[0][k], scene.corners[1][k]
     if not is_positive(width):
-        raise ValueError(f"width={width!r}: expected a positive width (m)")
+        raise ValueError(f"width={width!r}: expected a positive width (m); by default it is d43, from ds.cg.measure()")
     width, bounds = float(width), rising_pair("bounds", bounds, equal=True)
     if method == "bins":
         count = max(1, _whole(np.ceil((bounds[1] - bounds[0]) / width - 1e-9)))

@@ -1,4 +1,4 @@
-"""Statistics of scenes and results: sizes, profiles, averages over time with their standard errors.
+"""Averages of results over axes and over time, with standard errors.
 
 Averages of ratios are ratios of averages, by the rule on each field's row in the registry. Sums (`additive` fields)
 are averaged as they are. A ratio, such as a velocity, is averaged with the sum in its denominator as its `weight`:
@@ -150,7 +150,7 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
 def per_fraction(f: xr.Dataset, fraction: xr.DataArray) -> xr.Dataset:
     """Divide the sums of a result by a fraction of the volume; ratios of sums stay, other fields follow from the sums.
 
-    Numbers of particles stay, too, and all is NaN where the fraction is.
+    `sample_count` does not change; other fields are NaN where the fraction is.
     """
     rows, fraction = _rows_of(f), fraction.drop_attrs(deep=False)
     sums = _to_sums(f, "per='accessible'")

@@ -272,6 +272,8 @@ def _try_out(name: str, row: Field) -> None:
         again = evaluate([name], part, options)[name]
     except Exception as error:
         why = "its formula fails on a trial of a few nodes, of which one sees no grains (ratios are NaN there)"
+        if isinstance(error, AttributeError) and isinstance(error.obj, SimpleNamespace):
+            why = f"its formula takes {error.name!r}, which neither fields= nor moments= names"
         raise ValueError(f"register_field({name!r}): {why}: {type(error).__name__}: {error}") from error
     values, expected = np.asarray(found[name]), (_PHASES, _NODES, *(3,) * row.rank)
     if values.shape != expected or values.dtype.kind not in "biuf":

@@ -40,15 +40,7 @@ from xcg.fields.formulas.field import (
 from xcg.fields.sums.moments import Moment
 from xcg.scene.contacts import Contacts
 from xcg.scene.description import Column, Description
-from xcg.scene.schema import (
-    Frame,
-    factors_of_unit,
-    powers_of,
-    product_of_units,
-    units_in,
-    units_of,
-    variable,
-)
+from xcg.scene.schema import Frame, factors_of_unit, powers_of, product_of_units, units_in, units_of, variable
 
 
 class _MeanError(Variance):
@@ -136,7 +128,7 @@ class OwnField:
         """Return the sums of products, relative to each node."""
         symbol, of_error = WEIGHTS[self.weight][0], isinstance(self.quantity, _MeanError)
         layout = (*_ABOUT, loops.SQUARE) if of_error else _ABOUT
-        squares = f", ({symbol} Psi)^2" if of_error else ""
+        squares = f", {symbol}^2 Psi" if of_error else ""
         return {
             _name(self.weight, triple) + squares: Moment(
                 tuple(dict.fromkeys([*reads, *(part[0] for part in triple if part)])),
@@ -234,7 +226,7 @@ def own_fields(
 
 
 def own_field(quantity: Quantity, scene: Description) -> OwnField:
-    """Check a quantity against the variable of a scene that it is of. Reads attributes only.
+    """Return a quantity as a field of the scene, checked against its variable; reads attributes only.
 
     Raises
     ------
@@ -256,7 +248,8 @@ def own_field(quantity: Quantity, scene: Description) -> OwnField:
     if at_contacts and (weight != "number" or isinstance(quantity, Flux)):
         lack = "velocity" if weight == "number" else weight
         raise ValueError(
-            f"{quantity}: {name!r} is a variable of contacts, which have no {lack}: take Mean, Sum or Variance"
+            f"{quantity}: {name!r} is a variable of contacts, which have no {lack}: leave weight= out, and take "
+            "Mean, Sum or Variance"
         )
     if isinstance(quantity, Conduction) and not (at_contacts and rank == 0):
         raise ValueError(

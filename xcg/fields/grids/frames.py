@@ -71,7 +71,7 @@ class Rotated:
             unit_vector(name, getattr(self, name))
         vector("origin", self.origin)
         if len(given) == 2 and self._second(*self._order(given)) is None:
-            raise ValueError(f"{self}: the axes {' and '.join(given)} are parallel; they are to be at right angles")
+            raise ValueError(f"{self}: the axes {' and '.join(given)} are parallel: give two different directions")
 
     @property
     def axes(self) -> NDArray:
@@ -115,8 +115,8 @@ class Cylindrical:
         Direction in which theta is 0; its part at a right angle to the axis counts. By default the scene's x, or y
         where x is the axis.
     error : float
-        What averages over theta may differ by from the exact integral, as a share of the most that one grain adds at
-        any place: so many angles are taken. Kernels that jump at their cutoff do not meet it, as the attribute
+        Largest error of averages over theta, relative to the most that one grain adds; it sets the number of angles.
+        Kernels that jump at their cutoff do not meet it, as the attribute
         ``theta_error`` of results estimates the error.
 
     Raises
@@ -178,7 +178,7 @@ def in_frame(ds: xr.Dataset, frame: Rotated | Cylindrical) -> xr.Dataset:
 def refuse_cylindrical(ds: xr.Dataset, call: str) -> None:
     """Raise ValueError where a cylindrical frame has no meaning."""
     if is_cylindrical(ds):
-        raise ValueError(f"{call} takes axes at right angles: frame=xcg.Rotated, not xcg.Cylindrical")
+        raise ValueError(f"{call} needs Cartesian axes: take frame=xcg.Rotated(...), not xcg.Cylindrical(...)")
 
 
 def is_cylindrical(ds: xr.Dataset) -> bool:

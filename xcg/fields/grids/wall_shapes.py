@@ -42,7 +42,8 @@ def cell_centres(low: float, high: float, spacing: float, what: str) -> NDArray:
         np.isfinite(low) and np.isfinite(high) and low < high and spacing > 0 and (high - low) / spacing < _MOST_CELLS
     ):
         raise ValueError(
-            f"cells along {what} from {low} to {high}, {spacing} apart: expected rising bounds and a positive spacing"
+            f"cells along {what} from {low} to {high}, {spacing} apart: expected rising finite bounds, a positive "
+            f"spacing, and fewer than {_MOST_CELLS} cells"
         )
     count = max(1, round((high - low) / spacing))
     return low + (high - low) * (np.arange(count) + 0.5) / count
@@ -144,7 +145,7 @@ class Plane(Wall):
     Raises
     ------
     ValueError
-        If these are not three finite numbers each, or the normal is zero.
+        If point or normal are not three finite numbers, the normal is zero, or bounds are not two rising pairs.
     """
 
     point: Sequence[float]

@@ -89,7 +89,7 @@ def _choose(asked: str | Quantity | Sequence[str | Quantity] | None, available: 
     Raises
     ------
     ValueError
-        For names that are not its, for components, and for what is not followed.
+        For unknown names, single components, and fields that the preset does not provide.
     """
     if asked is None:
         return [name for name, row in ROWS.items() if row.ours in available]

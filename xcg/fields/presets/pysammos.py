@@ -95,7 +95,7 @@ def _pressure(f: Any, axes: tuple[int, ...]) -> NDArray:
 
 
 def _temperature(f: Any, axes: tuple[int, ...]) -> NDArray:
-    # of the whole density: nothing is taken off for the freedoms of the fit
+    # divided by rho, without subtracting the degrees of freedom of the fit
     return at_least_zero(algebra.mean_normal(f.fluctuation_stress, axes)) / where_positive(f.density)
 
 

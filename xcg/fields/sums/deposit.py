@@ -71,7 +71,7 @@ def slopes(step: StepRows) -> list[Pass]:
 
 
 def relative(step: StepRows) -> list[Pass]:
-    """Numbers in the place of velocity, so that they are kept relative to each node: a pass for each three."""
+    """Prepare a pass for each vector that takes the place of velocity, so that it is kept relative to each node."""
     passes = []
     for name, row in step.spec.rows.items():
         if not (row.level and row.column):

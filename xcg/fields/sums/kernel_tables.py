@@ -158,7 +158,7 @@ def table_of(profile: Profile, codimension: int) -> NDArray:
 
 
 def _integrated(profile: Profile, codimension: int) -> Callable[[float], float]:
-    """Profile as a function of q, integrated over a line, over half of the chord; or over a plane (codimension 2)."""
+    """Return the profile of q, its line integral divided by half the chord, or its plane integral."""
     shells = _shells(profile)
     if codimension == 1 and shells:
         columns = _columns(shells)

@@ -43,7 +43,7 @@ class Kernel:
     Raises
     ------
     ValueError
-        If neither or a value that is not positive is given.
+        If neither is given, both contradict each other, a length is not positive, or dimension is not 1, 2 or 3.
     """
 
     name = ""
@@ -194,7 +194,7 @@ class Gaussian(Kernel):
     dimension : int, optional
         The number of dimensions in which it integrates to 1; by default that of the scene.
     shifted : bool
-        Take its value at the cutoff off. The name ``kernel="shifted gaussian"`` means this.
+        Subtract the value at the cutoff. The name ``kernel="shifted gaussian"`` means this.
 
     Raises
     ------
@@ -296,8 +296,8 @@ def register_kernel(
         values of P itself are off by more than 1e-10, or where P jumps inside.
         Integrals along segments are closed forms, right to a few 1e-12 of the largest value (and to rounding over the
         length of segments below a tenth of c), where up to eight polynomials of q, each between two radii, are P to
-        1e-12. They are found here. Other profiles, such as one that ends like a root, take a long quadrature; a warning
-        says where it is off by more than 1e-7.
+        1e-12. Registration determines these polynomials. Other profiles, such as one that ends like a root, take a long
+        quadrature; a warning says where it is off by more than 1e-7.
     ratio : float
         Cutoff over width.
     smoothness : int

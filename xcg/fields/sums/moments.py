@@ -118,7 +118,7 @@ def velocities_of_walls(frame: Frame, free: Contacts, source: str) -> NDArray:
 
 
 def torques(frame: Frame, c: Contacts) -> NDArray:
-    """Torque of the contact forces on each particle about its centre, sum of b x f (N m); (particles, 3)."""
+    """Torque of the contact forces on each particle, sum of b x f, b = c - r_i (N m); (particles, 3)."""
     return c.sum_over_particles(np.cross(c.force, c.branch_i), np.cross(c.force, c.branch_j), -1.0)
 
 
@@ -364,7 +364,7 @@ MOMENTS: dict[str, Moment] = {
     "power": _power_moment("sum_c f.u", column=powers),
     # in passes of their own, relative to the node
     "rotation": Moment(
-        _I_OMEGA, "I (1, o, o o), (I Psi)^2, o = omega", (11,), loops.FLUCTUATION,
+        _I_OMEGA, "I (1, o, o o), I^2 Psi, o = omega", (11,), loops.FLUCTUATION,
         column=weighted_rotation, layout=_ABOUT,
     ),
     "cubes": Moment(_MV, "m u^2 u", (3,), loops.CUBIC, loops.CUBE, column=weighted_motion),

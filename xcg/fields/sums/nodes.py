@@ -79,7 +79,7 @@ class NodeBlock(Protocol):
         """
 
     def lists(self, nodes: Nodes, reach: Sequence[float], real: str = "float64") -> Lists:
-        """Return scratch to list those nodes that something of this length (3,), from end to end, reaches."""
+        """Return scratch lists for the nodes that a support or branch of the extent `reach` (3,) covers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,7 +202,7 @@ class Grid:
 
     @cached_property
     def active(self) -> NDArray:
-        """Mask of the axes that are resolved (3,)."""
+        """Mask (3,) of the axes along which distance to a node counts, resolved or fixed."""
         return np.array([a in self.seen for a in COMPONENTS])
 
     @property
@@ -321,8 +321,8 @@ class Mesh:
             if not farthest[k] < _FAR:
                 raise SceneError(
                     f"{source}: a particle or contact reaches {farthest[k] * self.cutoff:.3g} m from the mesh "
-                    f"along '{COMPONENTS[k]}', where coordinates have no digits left; the file is damaged, or its "
-                    "units are others"
+                    f"along '{COMPONENTS[k]}', too far for double precision; the file is damaged, or lengths "
+                    "have another unit"
                 )
 
     def check_reach(self, reach: NDArray, source: str, *, paired: bool = False) -> None:

@@ -155,7 +155,7 @@ def measure(listing: Listing, contacts: NDArray) -> tuple[NDArray, NDArray, bool
 
 
 def along_branches(step: StepRows) -> list[Pass]:
-    """Sum what contacts carry, along their branches."""
+    """Prepare a pass for each moment that is smeared along branches."""
     order = step.in_space(step.position) if step.grains.row is not None else step.grains.order
     contacts = step.contacts.in_order_of(order)
     return [_branches(step, name, row, contacts) for name, row in step.spec.rows.items() if row.along_branches]

@@ -90,7 +90,7 @@ class DepositSpec:
 
 @dataclass(frozen=True, eq=False)
 class Squared:
-    """Grains of one cutoff the squares of whose weights are summed.
+    """Grains of one cutoff whose squared weights are summed.
 
     Attributes
     ----------
@@ -169,7 +169,7 @@ class Layout:
         return columns.astype("uint64"), np.concatenate(factors)
 
     def turned(self, records: NDArray) -> Iterator[tuple[str, NDArray]]:
-        """Moments (components, groups, nodes) from the sums (groups, nodes, columns)."""
+        """Yield name and array (components, groups, nodes) of each moment, from the sums (groups, nodes, columns)."""
         column, factor = self._rows
         out, first = np.empty((column.size, *records.shape[:2])), 0
         transpose_columns(records, column, factor, out)
@@ -367,6 +367,6 @@ class StepRows:
 
 
 def alike(drifts: NDArray) -> Iterator[tuple[NDArray, NDArray]]:
-    """Each velocity among drifts (n, 3), and which of them are that; (n,)."""
+    """Yield each distinct row of drifts (n, 3), and a mask (n,) of where it stands."""
     for drift in np.unique(drifts, axis=0):
         yield drift, (drifts == drift).all(axis=1)

@@ -19,15 +19,7 @@ from xcg.common.messages import SceneError
 from xcg.readers import columns
 from xcg.readers.engine import Engine, ReadOptions, StepRef
 from xcg.readers.files.table import parse_table, read_table
-from xcg.readers.files.text import (
-    Scanner,
-    check_rows,
-    first_lines,
-    most_from,
-    most_text,
-    open_binary,
-    source_of,
-)
+from xcg.readers.files.text import Scanner, check_rows, first_lines, most_from, most_text, open_binary, source_of
 from xcg.readers.paths import remembered
 from xcg.scene.schema import COMPONENTS, Frame
 from xcg.steps import faults as errors
@@ -150,12 +142,7 @@ def _data_steps(path: str) -> Iterator[StepRef]:
             axes = len(edges) // 2
             box = [*zip(edges[:axes], edges[axes:], strict=True), (-np.inf, np.inf)][:3]
             ref = StepRef(
-                path,
-                int(rows),
-                time,
-                box=tuple(box),
-                columns=_ROW_3D if axes == 3 else _ROW_2D,
-                offset=scanner.offset,
+                path, int(rows), time, box=tuple(box), columns=_ROW_3D if axes == 3 else _ROW_2D, offset=scanner.offset
             )
             check_rows(ref, most_from(path) - ref.offset)
             for row in range(ref.rows):

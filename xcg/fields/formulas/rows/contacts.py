@@ -31,7 +31,7 @@ from xcg.fields.formulas.field import Field, Options
 
 
 def _anisotropy(tensor: NDArray, factor: tuple[float, float], o: Options) -> NDArray:
-    """Return the norm of a factor, in a plane or in space, times a deviator: a_1 - a_3, a_1 in a plane."""
+    """Return sqrt(3/2 a:a), or sqrt(a:a / 2) in a plane, of a = factor x dev(symmetric tensor)."""
     symmetric = (tensor + transposed(tensor)) / 2
     a = factor[o.dimension - 2] * deviator(restricted(symmetric, o.plane), o.plane)
     return np.sqrt((0.5 if o.dimension == 2 else 1.5) * contraction(a))

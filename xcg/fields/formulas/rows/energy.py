@@ -132,7 +132,7 @@ ROWS: dict[str, Field] = {
     ),
     "contact_couple_density": Field(
         rank=1, units="Pa",
-        long_name="couple of contact forces at the contact points: antisymmetric part of the contact stress",
+        long_name="couple of contact forces at the contact points, in the mean that of the contact stress",
         formula="sum_c (b_i - b_j) x f_ij Psi(r - c)", compute=lambda f, s, o: s.contact_couple,
         moments=("contact_couple",), additive=True, default=False,
     ),

@@ -91,8 +91,8 @@ def _vorticity(f: Any, s: Any, o: Options) -> NDArray:
 def _shear_rate(f: Any, s: Any, o: Options) -> NDArray:
     """Error of |Gamma| = sqrt(Q), Q = 2 Gamma:Gamma, to second order: var Q = 16 Gamma C Gamma - 8 tr C^2.
 
-    C is the covariance of (dG + dG^T) / 2. The second term takes off what the noise of Gamma itself adds to the first,
-    up to three quarters of it, where there is hardly anything but noise.
+    C is the covariance of (dG + dG^T) / 2. The second term subtracts what the noise of Gamma itself adds to the
+    first, at most three quarters of it.
     """
     rate, theta, slopes = (restricted(t, o.shear_axes) for t in (f.shear_rate_tensor, f._covariance, f._slopes))
     rate = deviator(rate, o.shear_axes or o.plane) if o.deviatoric in ("rate", "both") else rate
@@ -114,7 +114,7 @@ def _left(f: Any, s: Any, o: Options) -> NDArray:
 
 
 def _temperature(f: Any, s: Any, o: Options) -> NDArray:
-    """Return sqrt(2 Theta:Theta / N_left) / D; the noise of Theta itself is taken off its square."""
+    """Return sqrt(2 Theta:Theta / N_left) / D; the noise of Theta itself is subtracted from its square."""
     inside = f._covariance if o.dimension == 3 else restricted(f._covariance, o.plane)
     squares = contraction(inside) / (1 + (o.dimension + 1) * f._left)
     return _root(2 * squares * f._left) / o.dimension
@@ -127,7 +127,7 @@ def _temperature_along(f: Any, s: Any, o: Options) -> NDArray:
 def _kinetic_stress(f: Any, s: Any, o: Options) -> NDArray:
     """Isserlis' theorem: the variance of x_i x_j is X_ii X_jj + X_ij^2, less that of their steady part, G (r - r_bar).
 
-    The noise of these squares is taken off; a steady part counts as far as it is more than that.
+    The noise of these squares is subtracted; a steady part counts as far as it is more than that.
     """
     share = f._share[..., None, None]
     whole = _squares(f.kinetic_stress)

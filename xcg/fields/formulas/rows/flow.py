@@ -161,7 +161,7 @@ def _taken_by_mean(f: Any, s: Any, o: Options) -> NDArray:
 
 
 def _taken_by_fit(f: Any, s: Any, o: Options) -> NDArray:
-    """Return the density whose fluctuations the fit takes, in each phase.
+    """Return the mass density lost to the degrees of freedom of the fit, rho - rho_T, by phase.
 
     The fit gives grain i the velocity ``sum_j H_ij v_j`` with ``H_ij = w_j (1 / rho + y_i A x_j)``, w = m Psi, x and y
     relative to x_bar and to the point of the fit, A = M^+. Of independent fluctuations it takes, from the grains i of
@@ -182,7 +182,7 @@ def _taken_by_fit(f: Any, s: Any, o: Options) -> NDArray:
 
 
 def _free(f: Any, s: Any, o: Options) -> NDArray:
-    """Return the density that a temperature divides by, NaN where it is less than half of that of a mean grain."""
+    """Return rho_T, or NaN where less than half a mean particle's weight is left after the fit."""
     enough = where_positive(f.fluctuation_density - 0.5 * ratio(s.mass, s.count))
     return f.fluctuation_density + (enough - enough)
 
@@ -308,7 +308,7 @@ ROWS: dict[str, Field] = {
         moments=("count", "mass"), listed=False,
     ),
 }  # fmt: skip
-# other ways to a field: the option that chooses, and the row for each of its values that is not the default
+# variants of a field: the option that selects one, and a row for each value that is not the default
 WAYS: dict[str, tuple[str, dict[str, Field]]] = {
     "velocity_gradient": ("gradient", {
         "kernel": replace(
