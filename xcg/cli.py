@@ -338,7 +338,7 @@ def run(
             done = 0
 
             def kept() -> str:
-                return f"{done} steps are kept; the same command goes on from there"
+                return f"{done} step{'s' * (done != 1)} kept; the same command continues from there"
 
             try:
                 done, count = next(steps)

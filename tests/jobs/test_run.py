@@ -195,7 +195,7 @@ def test_ctrl_c_stops_a_run_and_keeps_finished_steps(job):
         assert process.returncode == 130, said
         assert "Traceback" not in said
         if "of 20 steps, " in said:
-            assert "steps are kept; the same command goes on from there" in said
+            assert "kept; the same command continues from there" in said
             assert [p.name for p in (job.parent / "out").iterdir()] == [".fields.begun"]
             assert not list((job.parent / "out").rglob("*.part"))
         assert steps_there(job) >= stop
@@ -280,7 +280,7 @@ def test_a_full_disk_is_reported_and_the_run_resumes(job, limit):
     assert process.returncode == 1, said
     assert "Traceback" not in said
     assert "make room and run again" in said
-    assert "steps are kept; the same command goes on from there" in " ".join(said.split())
+    assert "kept; the same command continues from there" in " ".join(said.split())
     out = job.parent / "out"
     assert [p.name for p in out.iterdir()] == [".fields.begun"]
     assert not list(out.rglob("*.part"))

@@ -186,7 +186,7 @@ def summary_of_result(ds: xr.Dataset) -> Summary:
             *((str(dim), str(size)) for dim, size in ds.sizes.items() if dim not in known),
             ("kernel", _kernel(ds)),
             *rows_of_origin(ds),
-            ("history", str(ds.attrs.get("history", "")).rpartition("\n")[2]),
+            ("history", str(ds.attrs.get("history", "")).replace("\n", "; ")),
         ],
     )
 

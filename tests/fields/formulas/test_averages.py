@@ -319,3 +319,11 @@ def test_the_error_is_nan_where_the_mean_is(unknown):
     average = f.cg.time_average()
     assert np.isnan(average.density.values).tolist() == [False, False, True, False]
     assert np.isnan(average.density_error.values).tolist() == [False, False, True, False]
+
+
+def test_averages_add_their_call_to_the_history():
+    f = xcg.datasets.simple_cubic(3).cg.coarse_grain("density", width=1.0)
+    mean = f.cg.time_average()
+    assert mean.attrs["history"].startswith(f.attrs["history"] + "\n")
+    assert "time_average(window=None" in mean.attrs["history"]
+    assert "profile(axis='z')" in f.cg.profile("z").attrs["history"]

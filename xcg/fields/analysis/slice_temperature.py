@@ -20,7 +20,7 @@ from xcg.scene.description import describe
 from xcg.scene.frame import steps_in
 from xcg.scene.schema import COMPONENTS, OF_STEP, units_in
 from xcg.steps.faults import OnError
-from xcg.steps.labels import mark_skipped
+from xcg.steps.labels import format_call, mark_skipped, provenance
 from xcg.steps.mapping import map_over_time
 
 _TABLE = "slices"  # temperature, velocity (3) and count, in columns
@@ -87,6 +87,7 @@ def slice_temperature(
     ValueError
         If an argument is wrong.
     """
+    given = {name: value for name, value in locals().items() if name not in ("ds", "on_error") and value is not None}
     weight = {"planes": "diameter", "bins": "mass"}.get(method)
     if weight is None:
         raise ValueError(f"method={method!r}: expected 'planes' (overlapping slices) or 'bins'")
@@ -141,7 +142,7 @@ def slice_temperature(
         "velocity": velocity.assign_attrs(units=units_in("m s^-1", system), long_name="velocity of the slice"),
         "sample_count": table.isel(_column=4).assign_attrs(units="1", long_name="number of particles in the slice"),
     }
-    attrs = {"slice_width": width, "method": method}
+    attrs = provenance(ds, format_call("slice_temperature", given)) | {"slice_width": width, "method": method}
     result = storable(xr.Dataset(out, {**coords, "component": list(COMPONENTS)}, attrs))
     return mark_skipped(result, found)
 

@@ -26,6 +26,7 @@ from xcg.scene.conform import in_order, labels_along
 from xcg.scene.frame import with_time
 from xcg.scene.schema import COMPONENTS
 from xcg.steps.faults import SKIPPED
+from xcg.steps.labels import format_call, provenance
 
 # --- averages of results ---------------------------------------------------------------------------------
 
@@ -65,6 +66,7 @@ def profile(f: xr.Dataset, axis: str) -> xr.Dataset:
     axes = [a for a in (*COMPONENTS, "r", "theta") if a in f.dims]
     if axis not in axes:
         raise ValueError(f"profile({axis!r}): the resolved axes of this result are {axes}")
+    f = f.assign_attrs(provenance(f, format_call("profile", {"axis": axis})))
     others = [a for a in axes if a != axis]
     sums = _to_sums(f, "profile")
     if "r" in others:  # rings have areas r dr; the axis itself has none
@@ -121,6 +123,7 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
     for name, value in (("window", window), ("every", every)):
         if value is not None and not is_whole(value, 1, count):
             raise ValueError(f"{name}={value!r}: expected a number of steps from 1 to {count}")
+    f = f.assign_attrs(provenance(f, format_call("time_average", {"window": window, "every": every})))
     sums = _to_sums(f.drop_vars("step", errors="ignore"), "time_average")
     sums = sums.assign({_noise_of(name): values.variable for name, values in noise.items()})
     if window is None:
