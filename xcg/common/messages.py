@@ -108,9 +108,9 @@ def _on_worker(distributed: Any) -> bool:
 
 @dataclass(eq=False)
 class Once:
-    """Warnings of one call, each of them given once: copies in other threads and processes know what was said.
+    """Warnings of one call, each given once per process; copies in one process share them by their key.
 
-    Copies in one process share the warnings, by the same key. The key is no part of what dask names tasks
+    The key is no part of what dask names tasks
     by, so that equal calls still have equal names.
     """
 

@@ -220,7 +220,7 @@ class Moment:
     first : int
         Its first flow column.
     column : callable, optional
-        ``column(frame, contacts) -> (n, ...)``, the q_i, for those that do not depend on the node (constants).
+        ``column(frame, contacts) -> (n, ...)``, the q_i, where they do not depend on the node.
         Together with a `level` it gives (n, 4): a weight, and three numbers that take the place of velocity in the flow
         columns of a separate pass, so that their squares and products are kept relative to each node.
     contacts : bool
