@@ -110,8 +110,7 @@ def _on_worker(distributed: Any) -> bool:
 class Once:
     """Warnings of one call, each given once per process; copies in one process share them by their key.
 
-    The key is no part of what dask names tasks
-    by, so that equal calls still have equal names.
+    The key is no part of what dask names tasks by, so that equal calls still have equal names.
     """
 
     _said: ClassVar[set[tuple[str, str]]] = set()
