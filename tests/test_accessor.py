@@ -199,3 +199,11 @@ def test_objects_that_are_no_scene_raise(given):
         TypeError, match=f"coarse_grain: expected a scene.*, not {type(given).__name__}; files are opened"
     ):
         xcg.coarse_grain(given)
+
+
+@pytest.mark.parametrize("part", [
+    lambda ds: ds.sel(component="x"), lambda ds: ds.isel(particle=0), lambda ds: ds.rename(particle="grain"),
+    lambda ds: ds.isel(time=[]), lambda ds: ds.isel(component=[0, 1]),
+])  # fmt: skip
+def test_parts_of_scenes_have_a_summary(part):
+    assert "scene" in repr(part(xcg.datasets.random_scene(20)).cg)

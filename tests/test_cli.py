@@ -377,7 +377,7 @@ def test_a_job_in_toml_runs(tmp_path):
     for bad, message in (
         ("[scene", "Expected ']'"),
         ("[scene]\na=1", "scene.particles"),
-        ("x=1", "expected the tables"),
+        ("x=1", "expected tables"),
     ):
         (tmp_path / "bad.toml").write_text(bad)
         assert message in xcg_run("run", tmp_path / "bad.toml", code=1)

@@ -185,3 +185,22 @@ def test_averages_over_unbounded_space_raise():
 def test_normals_that_point_away_from_the_grains_warn(packed):
     with pytest.warns(xcg.SceneWarning, match="the middle of the grains lies behind it"):
         packed.cg.coarse_grain("density", axes="z", walls=[xcg.Plane((0, 0, 0), (0, 0, -1))])
+
+
+@pytest.mark.parametrize("periodic", ["xy", ""])
+@pytest.mark.parametrize("reach", [0.0, 1.0, 5.0])
+def test_surfaces_beyond_the_box_count_as_far_as_the_box(periodic, reach):
+    """Averaged over x and y, a floor of triangles beyond the box is a plane, and a wide tube is nothing."""
+    ds = xcg.datasets.random_scene(60, seed=1, periodic=periodic)
+    side = float(ds.box[0, 0, 1])
+    low, high = -reach, side + reach
+    corners = [[low, low, 0], [high, low, 0], [high, high, 0], [low, high, 0]]
+    given = {"axes": "z", "width": 0.5, "spacing": 0.25, "bounds": {"z": (-0.5, 2.0)}}
+
+    def fraction(wall):
+        return ds.cg.coarse_grain("density", walls=[wall], **given).accessible_fraction[0]
+
+    plane = fraction(xcg.Plane((0, 0, 0), (0, 0, 1)))
+    floor = fraction(xcg.Surface(np.array(corners), np.array([[0, 1, 2], [0, 2, 3]])))
+    np.testing.assert_allclose(floor, plane, atol=5e-3 if reach else 0.05)
+    np.testing.assert_allclose(fraction(xcg.Cylinder((side / 2, side / 2, 0), (0, 0, 1), 20.0)), 1.0, atol=1e-3)

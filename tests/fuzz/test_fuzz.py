@@ -111,7 +111,7 @@ def test_slices_wider_than_64_bits_raise(tmp_path):
         (b'axes = "z"', b'colour = "red"', "unknown option 'colour'"),
         (b"mapping = { 1 = 0, 2 = 1 }", b"mapping = { 1 = inf }", "numbers of types"),
         (b'particles = "p.*.dump"', b"particles = [[1]]", "expected a path"),
-        (b"[scene]", b"scene = 1\n[other]", "expected the tables"),
+        (b"[scene]", b"scene = 1\n[other]", "expected tables"),
         (b"[scene]", b"\xff[scene]", "no text in UTF-8"),
         (b"[scene]", b"a = " + b"[" * 5000 + b"\n[scene]", "job.toml"),
         (b"spacing = 0.5", b"spacing = 1e-300", "spacing along 'z'"),

@@ -56,7 +56,7 @@ def test_lists_keep_their_order(tmp_path):
         ("empty/*.dump", "the folder '.*empty' holds no files"),
         ("**/nothing", "no file matches this pattern"),
         ("empty", "is a folder; give the files in it"),
-        ("saved.zarr", "saved.zarr' is a Zarr folder, which is opened alone"),
+        ("saved.zarr", "saved.zarr' is a Zarr folder, opened alone"),
     ],
 )
 def test_missing_paths_raise(tmp_path, path, match):

@@ -112,7 +112,8 @@ def test_phases_by_edges_and_by_type():
     for options, message in (
         ({}, "one of edges"),
         ({"edges": [2, 1]}, "that rise"),
-        ({"mapping": {}}, "expected phases"),
+        ({"mapping": {}}, "expected whole numbers"),
+        ({"mapping": {1: 1, 2: 1.5}}, "expected whole numbers"),
     ):
         with pytest.raises(ValueError, match=message):
             ds.cg.assign_phases(**options)
@@ -307,3 +308,17 @@ def test_phases_are_found_by_number_and_by_text(tmp_path):
         xr.testing.assert_equal((f - again).sel(phase=1), f.sel(phase=1) - again.sel(phase="1"))  # they align
         total = again.isel(phase=[2, 1]) + f
         xr.testing.assert_equal(total.sel(phase=["1", "2"]), f.sel(phase=[1, 2]) * 2.0)
+
+
+def test_few_grains_of_two_sizes_are_two_phases():
+    diameter = [1.0, 1.01, 0.99, 1.02, 2.0, 2.02, 1.98, 2.01]
+    ds = xcg.scene_from_arrays(np.arange(24.0).reshape(8, 3), diameter=diameter, density=1.0)
+    assert np.atleast_1d(ds.cg.find_phases().attrs["phase_values"]).tolist() == [1, 2]
+
+
+def test_groups_may_be_an_array_of_whole_numbers():
+    ds = xcg.datasets.random_scene(50)
+    f = ds.cg.coarse_grain("density", axes="z", by="species", groups=np.array([2, 1]), width=1.0)
+    assert f.phase.values.tolist() == ["bulk", "1", "2"]
+    with pytest.raises(ValueError, match="expected whole numbers"):
+        ds.cg.coarse_grain("density", axes="z", by="species", groups=[1.5], width=1.0)

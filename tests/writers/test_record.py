@@ -218,3 +218,18 @@ def test_a_killed_recorder_leaves_a_readable_file(path, tmp_path):
             np.testing.assert_array_equal(found.a, np.broadcast_to(np.arange(1.0, count + 1)[:, None], found.a.shape))
             np.testing.assert_array_equal(found.step, np.arange(count))
         first = count
+
+
+@pytest.mark.parametrize(("later", "message"), [
+    ({"width": 0.5}, "width 0.5 is not 1.0"), ({"bounds": {"z": (0, 1)}}, "z .* is not"),
+    ({"by": "species"}, "no phases"),
+    ({"temperature": "biased"}, "temperature is 'biased' instead of 'unbiased'"),
+])  # fmt: skip
+def test_a_record_is_continued_with_the_same_options_only(tmp_path, later, message):
+    ds = xcg.datasets.simple_cubic(4)
+    ds = ds.assign(species=ds.particle_id * 0 + 1).assign_attrs(species_values=[1])
+    given = {"axes": "z", "width": 1.0, "fields": "density"}
+    with xcg.record(tmp_path / "live.nc", **given) as live:
+        live.append(ds)
+    with pytest.raises(xcg.SceneError, match=message), xcg.record(tmp_path / "live.nc", **(given | later)) as live:
+        live.append(ds.assign_coords(time=ds.time + 1.0))

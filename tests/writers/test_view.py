@@ -220,7 +220,7 @@ def test_wrong_views_raise(scene, fields, plotter, monkeypatch):
         scene.cg.view("weight", plotter=plotter)
     with pytest.raises(ValueError, match=r"'component': 'q'.*'velocity' has no part of this name"):
         fields.cg.view("velocity", component="q", plotter=plotter)
-    with pytest.raises(ValueError, match=r"two axes or three, and 'density' has 1: draw it with f\.cg\.plot"):
+    with pytest.raises(ValueError, match=r"two axes or three, and 'density' has 1: use f\.cg\.plot"):
         fields.isel(x=0, y=0).cg.view("density", plotter=plotter)
     with pytest.raises(ValueError, match=r"no contacts; ds\.cg\.find_contacts\(\) finds them"):
         scene.drop_dims("contact").cg.view(contacts=True, plotter=plotter)

@@ -49,9 +49,7 @@ def unit_vector(name: str, given: Any) -> NDArray:
     """Check three finite numbers that are not all zero, and make their length one; (3,)."""
     values = vector(name, given)
     if not values.any():
-        raise ValueError(
-            f"{name}={given!r}: expected a direction, three finite numbers (x, y, z) that are not all zero"
-        )
+        raise ValueError(f"{name}={given!r}: expected a direction, three finite numbers (x, y, z), not all zero")
     return unit(values)
 
 

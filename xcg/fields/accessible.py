@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from xcg.common.messages import warn_user
 from xcg.fields.formulas.averages import per_fraction
+from xcg.fields.grids.surface import Surface
 from xcg.fields.grids.wall_shapes import Plane, Wall
 from xcg.fields.plan import Plan
 from xcg.fields.request import Per, Request
@@ -55,13 +56,9 @@ def check_walls(request: Request) -> None:
     if request.frame is not None:
         raise ValueError("walls= with frame=: walls are given in the scene's own axes; leave one of them out")
     if request.sampling == "cell":
-        raise ValueError(
-            "walls= with sampling='cell': the accessible fraction is that at a node; leave one of them out"
-        )
+        raise ValueError("walls= with sampling='cell': the accessible fraction is that at a node; leave one out")
     if request.preset is not None:
-        raise ValueError(
-            f"walls= with preset={request.preset!r}: presets know no accessible volume; leave one of them out"
-        )
+        raise ValueError(f"walls= with preset={request.preset!r}: presets know no accessible volume; leave one out")
 
 
 def with_accessible(f: xr.Dataset, scene: Description, plan: Plan, request: Request) -> xr.Dataset:
@@ -98,8 +95,8 @@ def with_accessible(f: xr.Dataset, scene: Description, plan: Plan, request: Requ
     points = np.zeros((int(np.prod(shape)), 3))
     for a, values in zip(seen, nodes, strict=True):
         points[:, COMPONENTS.index(a)] = values.to_numpy().ravel()
-    averaged = _averaged(plan, walls, scene.edges)
-    compute = partial(_fractions, points, walls, kernel, plan.setup.plane, averaged, shape)
+    averaged, faces = _averaged(plan, walls, scene.edges)
+    compute = partial(_fractions, points, (*walls, *faces), kernel, plan.setup.plane, averaged, shape)
     chi = _later(compute, shape) if is_lazy(f, plan.fields) else compute()
     field = xr.DataArray(chi, dims=nodes[0].dims if nodes else ()).expand_dims(time=f.sizes["time"])
     about = {"units": "1", "long_name": "share of the kernel on the accessible side of the walls", "source": "walls"}
@@ -121,19 +118,36 @@ def _later(compute: Callable[[], NDArray], shape: tuple[int, ...]) -> Any:
     return da.from_delayed(delayed(compute)(), shape, float)
 
 
-def _averaged(plan: Plan, walls: Sequence[Wall], edges: Mapping[str, tuple[float, float]]) -> dict[int, NDArray]:
-    """Points and their weight (n, 2) on each averaged axis that matters."""
-    found = {}
+def _averaged(
+    plan: Plan, walls: Sequence[Wall], edges: Mapping[str, tuple[float, float]]
+) -> tuple[dict[int, NDArray], list[Wall]]:
+    """Points and their weight (n, 2) on each averaged axis that matters, and faces of the box, which bound it there.
+
+    Surfaces may be open, so that only planes and cylinders bound an axis by themselves.
+    """
+    found: dict[int, NDArray] = {}
+    faces: list[Wall] = []
     cutoff = plan.kernel.cutoff
     for a in plan.deposit.grid.averaged:
         k = COMPONENTS.index(a)
         if not any(wall.varies(k) for wall in walls):
             continue
-        low, high = (extreme(ends) for extreme, ends in zip((max, min), zip(*(w.span(k) for w in walls), strict=True),
-                                                           strict=True))  # fmt: skip
-        bounds = edges.get(a, (-np.inf, np.inf))
-        low = low - cutoff if np.isfinite(low) else bounds[0]
-        high = high + cutoff if np.isfinite(high) else bounds[1]
+        box, ends = edges.get(a, (-np.inf, np.inf)), []
+        of_walls = [wall.span(k) for wall in walls if not isinstance(wall, Surface)]
+        of_surfaces = [wall.span(k) for wall in walls if isinstance(wall, Surface)]
+        for side, sign in ((0, 1), (1, -1)):  # inward
+            nearest = max((sign * span[side] for span in of_walls), default=-np.inf)
+            end = sign * box[side]
+            if nearest >= end or not np.isfinite(end):  # also of a box that is not known
+                end = max([nearest, *([sign * span[side] for span in of_surfaces] if nearest == -np.inf else [])])
+            elif a not in plan.setup.periodic:
+                place, normal = np.zeros((2, 3))
+                place[k], normal[k] = box[side], sign
+                faces.append(Plane(tuple(place), tuple(normal)))
+            else:
+                end += cutoff  # one period, without what lies beyond
+            ends.append(sign * (end - cutoff))
+        low, high = ends
         if not (np.isfinite(low) and np.isfinite(high) and low < high):
             raise ValueError(
                 f"fields are averaged along {a!r}, where the walls differ, and neither they nor a box bound the space "
@@ -143,7 +157,7 @@ def _averaged(plan: Plan, walls: Sequence[Wall], edges: Mapping[str, tuple[float
         count = max(1, int(np.ceil((high - low) / cutoff * _STEPS)))
         place = low + (high - low) * (np.arange(count) + 0.5) / count
         found[k] = np.stack([place, np.full(count, (high - low) / count / extent)], axis=1)
-    return found
+    return found, faces
 
 
 def _fractions(

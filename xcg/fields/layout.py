@@ -159,9 +159,7 @@ def kernels_of(scene: Description, request: Request) -> list[Kernel]:
     if not isinstance(width, Mapping):
         return [kernel_of(kernel, width, scene.sizes, dimension)]
     if by is None or not isinstance(kernel, str):
-        raise ValueError(
-            f"width={dict(width)!r} gives each group its own: name the groups' variable with by=, and a kernel"
-        )
+        raise ValueError(f"width={dict(width)!r} gives each group its own: name their variable with by=, and a kernel")
     own = {str(group): value for group, value in width.items()}
     known = scene.groups(by, request.groups)
     if set(own) != {str(g) for g in known}:

@@ -286,9 +286,7 @@ def make_plan(scene: Description, request: Request) -> Plan:
 def _fields_and_options(scene: Description, request: Request) -> tuple[tuple[str, ...], tuple[str, ...], Options]:
     """Return the computed fields, the requested fields, and the choices of their algebra."""
     if request.by_pair and request.by is None:
-        raise ValueError(
-            "by_pair=True splits contact stress by pairs of phases: name their variable, such as by='species'"
-        )
+        raise ValueError("by_pair=True splits stress by pairs of phases: name their variable, such as by='species'")
     if request.groups is not None and request.by is None:
         raise ValueError(
             f"groups={request.groups!r} are the values of an integer variable of the particles: say which with by="
@@ -306,9 +304,7 @@ def _fields_and_options(scene: Description, request: Request) -> tuple[tuple[str
             "'paper'"
         )
     if request.per is not None and any(name.endswith("_error") for name in names):
-        raise ValueError(
-            "errors=True with per='accessible': errors are those of sums per volume; leave one of them out"
-        )
+        raise ValueError("errors=True with per='accessible': errors are those of sums per volume; leave one out")
     options = replace(options, own=(*own, *registry.registered_for(names, replace(options, own=own))))
     if request.by_pair:
         names = tuple(dict.fromkeys([*names, "contact_stress_by_pair"]))

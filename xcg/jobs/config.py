@@ -88,9 +88,7 @@ def read_config(path: str | Path) -> Job:
     except UnicodeDecodeError as error:
         raise SceneError(f"{path}: is no text in UTF-8 ({error.reason} at byte {error.start})") from None
     except (TypeError, AttributeError, RecursionError) as error:  # tables where values should be, and the like
-        raise SceneError(
-            f"{path}: cannot be understood ({error}); see the form of a job in the documentation"
-        ) from None
+        raise SceneError(f"{path}: cannot be understood ({error}); see the form of jobs in the documentation") from None
     try:
         check_on_error(job.on_error)
     except ValueError as error:
@@ -114,9 +112,7 @@ def _toml(path: Path) -> Job:
     unknown = [name for name in data if name not in _TABLES or not isinstance(data[name], dict)]
     if unknown or "particles" not in data.get("scene", {}):
         tables = ", ".join(_TABLES)
-        raise SceneError(
-            f"{path}: expected the tables {tables} with scene.particles, and on_error; found {sorted(data)}"
-        )
+        raise SceneError(f"{path}: expected tables {tables} with scene.particles, and on_error; found {sorted(data)}")
     output = data.get("output", {})
     wrong = [name for name in output if name not in _OUTPUT]
     if wrong:

@@ -275,13 +275,9 @@ def _rate_source(ds: xr.Dataset, given: str | float | xr.DataArray | None) -> st
         if given not in get_args(RateSource):
             raise ValueError(f"strain_rate={given!r}: expected a rate (s-1), 'box' or 'velocity'")
         if given == "box" and ("box" not in ds or ds.sizes.get("time", 0) < 2):
-            raise ValueError(
-                "strain_rate='box' needs a box and at least two steps; give the rate (s-1), or take 'velocity'"
-            )
+            raise ValueError("strain_rate='box' needs a box and two steps; give the rate (s-1), or take 'velocity'")
         if given == "box" and "lattice" in ds:
-            raise ValueError(
-                "strain_rate='box' is that of edges along x, y and z, and this box is tilted; take 'velocity'"
-            )
+            raise ValueError("strain_rate='box' is that of edges along x, y and z, this box is tilted; take 'velocity'")
         return given
     return given if isinstance(given, xr.DataArray) else xr.DataArray(float(given))
 

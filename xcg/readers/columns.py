@@ -101,13 +101,13 @@ def assign(ref: StepRef, slots: Slots, options: ReadOptions) -> dict[str, str]:
             )
     for column, slot in given.items():
         if slot is not None and slot not in PARTICLE_SLOTS and slot not in CONTACT_SLOTS:
+            if native := [name for name, columns in slots.items() if slot in columns]:
+                raise SceneError(f"names={{{column!r}: {slot!r}}}: that is a column; its variable is {native[0]!r}")
             prefix = "contact_" if slot.startswith("contact_") else ""  # which all slots of contacts share
             alike = [word.removeprefix(prefix) for word in slots if word.startswith(prefix)]
             close = [prefix + word for word in difflib.get_close_matches(slot.removeprefix(prefix), alike, 3, 0.8)]
             if close:
-                raise SceneError(
-                    f"names={{{column!r}: {slot!r}}}: unknown; did you mean {' or '.join(map(repr, close))}?"
-                )
+                raise SceneError(f"names={{{column!r}: {slot!r}}}: did you mean {' or '.join(map(repr, close))}?")
     mine = {slot: column for column, slot in given.items() if slot is not None and slot in slots}
     displaced = tuple(rival for first, rival in _RIVALS if any(slot.startswith(first) for slot in mine))
     free = [column for column in ref.columns if column not in given]
@@ -122,9 +122,11 @@ def assign(ref: StepRef, slots: Slots, options: ReadOptions) -> dict[str, str]:
 
 
 def _lacks(ref: StepRef, what: str, slot: str) -> SceneError:
+    word = re.compile(rf"(?<![a-z]){slot.rpartition('_')[2]}(?![a-z])", re.IGNORECASE)
+    likely = next(filter(word.search, ref.columns), "its column")
     msg = (
         f"{source_of(ref)}: no {what} among the columns {' '.join(ref.columns)}; say which column it is, "
-        f"for example names={{{ref.columns[-1]!r}: {slot!r}}}"
+        f"for example names={{{likely!r}: {slot!r}}}"
     )
     if slot in CONTACT_SLOTS and any(map(_RAW.fullmatch, ref.columns)):
         rows = "".join(f"\n    {words:<14}{', '.join(slots)}" for words, slots in _WORDS_OF_COMPUTES)
@@ -144,8 +146,7 @@ _WORDS_OF_COMPUTES = (
 def unread_by_number(ref: StepRef, filled: Mapping[str, str], options: ReadOptions) -> str:
     """Return a hint about unnamed columns beside a complete force, with the mapping to use; "" without such columns.
 
-    Where that force lies along all branches, they may hold its tangential part. Forces without friction lie along the
-    branches, too; but who has these has no further columns in most cases, and says what they are otherwise.
+    Where that force lies along all branches, they may hold its tangential part.
     """
     left = [name for name in ref.columns if _RAW.fullmatch(name) and name not in (*filled.values(), *options.names)]
     if "contact_force_x" not in filled or len(left) < len(COMPONENTS):

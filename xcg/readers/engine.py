@@ -206,9 +206,7 @@ class Engine(ABC):
 
     def index_walls(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
         """List the steps in files with contacts with walls, where these are kept apart; `read_contacts` reads them."""
-        raise SceneError(
-            f"walls=: the engine '{self.name}' reads contacts with walls among the others; give contacts= only"
-        )
+        raise SceneError(f"walls=: the engine '{self.name}' reads contacts with walls among the others; give contacts=")
 
     def wall_step(self, ref: StepRef, options: ReadOptions) -> StepRef:
         """Return the contacts with walls that are columns of a step of particles, for `read_contacts`."""

@@ -115,9 +115,7 @@ def pair_steps(indexed: Mapping[str, list[StepRef]], times: ArrayLike | None, mi
     if times is not None:
         given = floats(times)
         if given.shape != (len(refs),) or not np.isfinite(given).all():
-            raise SceneError(
-                f"times has shape {given.shape}: expected {len(refs)} finite numbers, one a step of particles"
-            )
+            raise SceneError(f"times has shape {given.shape}: expected {len(refs)} finite numbers, one a step")
         known = given.tolist()
     steps = _in_order([Step(ref, (), time) for ref, time in zip(refs, known, strict=True)], "particles")
     for kind in ("contacts", "walls"):

@@ -66,9 +66,7 @@ def _expand(path: str, argument: str) -> list[str]:
         return [path]
     if os.path.isdir(path):
         if os.path.splitext(os.path.abspath(path))[1].lower() == ".zarr":
-            raise FileNotFoundError(
-                f"{argument}={path!r} is a Zarr folder, which is opened alone, as a scene that xcg saved"
-            )
+            raise FileNotFoundError(f"{argument}={path!r} is a Zarr folder, opened alone, as a scene that xcg saved")
         pattern = os.path.join(path, "*.dump")
         raise FileNotFoundError(f"{argument}={path!r} is a folder; give the files in it, for example {pattern!r}")
     if glob.has_magic(path):

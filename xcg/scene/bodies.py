@@ -55,9 +55,7 @@ def group_bodies(ds: xr.Dataset, by_body: str = "body_id") -> xr.Dataset:
     """
     require_scene(ds, ("mass", by_body), "group_bodies")
     if ds[by_body].dtype.kind not in "iu" or "particle" not in ds[by_body].dims:
-        raise SceneError(
-            f"by_body={by_body!r} holds {ds[by_body].dtype}: expected an integer variable of the particles"
-        )
+        raise SceneError(f"by_body={by_body!r} holds {ds[by_body].dtype}: expected an integer variable of particles")
     particles = [name for name in _PARTICLES if name in ds]
     contacts = [name for name in _CONTACTS if name in ds and "contact_i" in ds]
     made = [*particles, *(name for name in ("volume", "diameter") if name not in particles and "volume" in ds)]

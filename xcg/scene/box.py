@@ -102,9 +102,7 @@ def _entries(edges: NDArray, given: Mapping[str, ArrayLike], name: str, per: int
     wrong = set(given) - set(_SHEARS) if isinstance(given, Mapping) else {repr(given)}
     out = np.zeros((len(edges), 3, 3))
     if wrong:
-        raise SceneError(
-            f"{name} names {sorted(wrong)}: expected a mapping from any of {', '.join(_SHEARS)} to numbers"
-        )
+        raise SceneError(f"{name} names {sorted(wrong)}: expected a mapping from {', '.join(_SHEARS)} to numbers")
     for key, values in given.items():
         i, j = (COMPONENTS.index(axis) for axis in key)
         numbers = floats(values)

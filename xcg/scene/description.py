@@ -13,6 +13,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError, printable
+from xcg.scene.conform import conform
 from xcg.scene.contacts import walls_of
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import BOX, COMPONENTS, VARIABLES, Setup, known_without_reading, units_in, variable
@@ -135,12 +136,14 @@ class Description:
                 f"by={by!r}: expected an integer variable of the particles; this scene has "
                 f"{', '.join(shown) or 'none'}; ds.cg.assign_phases(edges=[...]) makes 'phase' from diameters"
             )
-        found = self.values.get(by, ()) if groups is None else groups
-        if not found:
+        found = np.atleast_1d(self.values.get(by, ()) if groups is None else groups)
+        if not found.size:
             raise ValueError(
                 f"by={by!r}: its values are not known without reading the series; pass groups= with all that occur"
             )
-        return tuple(sorted({int(group) for group in found}))
+        if found.dtype.kind not in "iuf" or (found % 1 != 0).any():
+            raise ValueError(f"groups={groups!r}: expected whole numbers, values of {by!r}")
+        return tuple(np.unique(found.astype("int64")).tolist())
 
 
 def describe(ds: xr.Dataset, by: str | None = None) -> Description:
@@ -285,6 +288,10 @@ class Summary:
 
 def summary_of_scene(ds: xr.Dataset) -> Summary:
     """Return a summary of what a scene holds and lacks, without reading it."""
+    try:
+        describe(ds := conform(ds))
+    except ValueError as error:
+        return Summary.of(f"a part of a scene: {error}", [("variables", ", ".join(map(str, ds.data_vars)))])
     steps = ds["time"].size if "time" in ds.coords else ds.sizes.get("time", 1)  # also by other dimensions
     particles, contacts = (ds.sizes.get(dim, 1) for dim in ("particle", "contact"))
     contacts = contacts if "contact_i" in ds else 0

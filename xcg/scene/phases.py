@@ -150,11 +150,12 @@ def assign_phases(
         found = _by_properties(ds, ("diameter",), partial(_between, edges=rising), f"between {rising.tolist()}")
         return mark_measured(found, ["phase"]).assign_attrs(phase_values=np.arange(1, len(rising) + 2))
     require_scene(ds, (by,), "assign_phases")
-    table = {int(value): int(phase) for value, phase in (mapping or {}).items()}
-    if not table or min(table.values()) < 0:
+    given = mapping or {}
+    if not given or any(value % 1 or phase % 1 or phase < 0 for value, phase in given.items()):
         raise ValueError(
-            f"mapping={mapping!r}: expected phases that are not negative, for example {{1: 1, 2: 1, 3: 2}}"
+            f"mapping={mapping!r}: expected whole numbers, phases not negative, for example {{1: 1, 2: 1, 3: 2}}"
         )
+    table = {int(value): int(phase) for value, phase in given.items()}
     found = _by_properties(ds, (by,), partial(_mapped, table=table, name=by), f"from {by} by {table}")
     return mark_measured(found, ["phase"]).assign_attrs(phase_values=np.unique(list(table.values())))
 
@@ -223,7 +224,7 @@ def _silhouette(points: NDArray, labels: NDArray, rng: np.random.Generator) -> f
     share = max(2, MAX_SILHOUETTES // len(values))
     some = np.concatenate([rng.permutation(np.flatnonzero(labels == v))[:share] for v in values])
     if len(some) <= len(values):
-        return 1.0  # one point a cluster
+        return 0.0  # one point a cluster: by definition
     each = silhouette_samples(points[some], labels[some])
     means = np.array([each[labels[some] == v].mean() for v in values])
     return float((means * counts).sum() / counts.sum())

@@ -304,7 +304,8 @@ def check_contacts(frame: Frame, row_i: NDArray, row_j: NDArray, lattice: Lattic
             "far contacts",
             f"{source}: {far} of {looked} contacts looked at lie more than {_FAR:g} diameters from the "
             f"centre of a particle of theirs ({farthest:.3g} diameters for contact_i={i}, contact_j={j}): "
-            "they are of another step or box, ids are mixed up, or positions were changed without contact_point",
+            "they are of another step or box, ids are mixed up, positions were changed without contact_point, or "
+            "periodic= lacks an axis",
         )
     elif pulling + pushing >= _FEW and pulling > _MOST * (pulling + pushing):
         warn_once(

@@ -50,7 +50,10 @@ class Encoding:
         ValueError
             If one of them is unknown.
         """
-        kind = None if dtype is None else np.dtype(dtype).name
+        try:
+            kind = None if dtype is None else np.dtype(dtype).name
+        except TypeError:  # of other texts
+            kind = str(dtype)
         if kind not in (None, "float32", "float64"):
             raise ValueError(f"dtype={dtype!r}: expected 'float32' or 'float64'")
         most = _MOST_DIGITS[4 if kind == "float32" else 8]

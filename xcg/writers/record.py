@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -29,7 +30,8 @@ from xcg.writers.zarr import ZARR
 
 _CDF5: Any = "NETCDF3_64BIT_DATA"  # which xarray hands on, though its annotations do not list it
 # attributes that tell fields of one kind from those of another
-_SAME = ("kernel", "width", "cutoff", "kernel_dimension", "gradient", "unit_system", "averaged_axes", "periodic")
+_SAME = ("kernel", "width", "cutoff", "kernel_dimension", "gradient", "unit_system", "averaged_axes", "periodic",
+         "sampling", "temperature", "deviatoric", "size", "pressure_dims", "shear_dims", "rtol", "per")  # fmt: skip
 
 
 # Files that grow by steps: what is in them is whole at any moment, whenever the process ends.
@@ -134,9 +136,7 @@ class Recorder:
     def _continue(self) -> None:
         with xr.open_dataset(self.path, chunks=None, engine="zarr" if self.path.suffix == ".zarr" else None) as there:
             if "time" not in there.dims:
-                raise SceneError(
-                    f"{self.path}: this is no record of fields over time; pass overwrite=True to replace it"
-                )
+                raise SceneError(f"{self.path}: this is no record of fields over time; overwrite=True replaces it")
             self._remember(there)
 
     def _remember(self, fields: xr.Dataset) -> None:
@@ -214,12 +214,19 @@ def _with_mesh_of(request: Request, fields: xr.Dataset) -> Request:
     """Fix nodes, width and phases as in a result."""
     nodes = {a: fields[a].to_numpy() for a in COMPONENTS if a in fields.dims}
     bounds = {a: (float(x[0]), float(x[-1])) for a, x in nodes.items()}
+    there = {"width": fields.attrs.get("width"), **bounds}
+    for name, asked in {"width": request.width, **(request.bounds or {})}.items():
+        numbers = None not in (asked, there.get(name)) and not isinstance(asked, str | Mapping)
+        if numbers and not np.allclose(np.asarray(asked, float), np.asarray(there[name], float), rtol=1e-6, atol=0):
+            raise SceneError(f"{name} {asked} is not {there[name]}, as of the steps that are there; leave it out")
     spacing = {a: float(x[-1] - x[0]) / (len(x) - 1) for a, x in nodes.items() if len(x) > 1}
     fixed: dict[str, Any] = {"bounds": bounds or None}
     if len(spacing) == len(nodes):
         fixed["spacing"] = spacing or None
     if not isinstance(request.kernel, Kernel) and np.ndim(fields.attrs.get("width", ())) == 0:
         fixed["width"] = float(fields.attrs["width"])
+    if request.by is not None and "phase" not in fields.dims:
+        raise SceneError(f"by={request.by!r}: the steps that are there have no phases; record to another file")
     if request.by is not None and request.groups is None:
         fixed["groups"] = [int(label) for label in fields["phase"].to_numpy().tolist() if label != "bulk"]
     return replace(request, **fixed)

@@ -315,9 +315,7 @@ def _draw_field(
         raise ValueError(f"{chosen}: {name!r} has no part of this name, {error}") from error
     resolved = sum(nodes > 1 for nodes in image.dimensions)
     if resolved < 2:
-        raise ValueError(
-            f"a picture in 3D needs two axes or three, and {name!r} has {resolved}: draw it with f.cg.plot"
-        )
+        raise ValueError(f"a picture in 3D needs two axes or three, and {name!r} has {resolved}: use f.cg.plot")
     unknown_at = np.isnan(image[name].reshape(image.n_points, -1)).any(axis=1)
     known = image.extract_points(~unknown_at, adjacent_cells=False)
     if resolved == 3 and known.n_points:

@@ -169,9 +169,7 @@ def arrays_of(fields: xr.Dataset) -> list[_Array]:
     names = [array.name for array in arrays]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
-        raise ValueError(
-            f"several arrays would be named {twice}; rename the variables or phases that lead to these names"
-        )
+        raise ValueError(f"several arrays would be named {twice}; rename the variables or phases")
     return arrays
 
 

@@ -142,9 +142,7 @@ def _begin(layout: StoreLayout, path: Path, begun: bool) -> _Zarr:
 def _whole(path: Path, *, overwrite: bool, part: Path) -> Iterator[Path]:
     """As `whole_folder`; refuse to replace a folder that holds anything but Zarr data."""
     if path.is_dir() and any(path.iterdir()) and not any((path / name).exists() for name in _ZARR):
-        raise FileExistsError(
-            f"{path} is a folder without Zarr data, and is not replaced; choose another name, or remove it"
-        )
+        raise FileExistsError(f"{path} is a folder without Zarr data, not replaced; choose another name, or remove it")
     with whole_folder(path, overwrite=overwrite, part=part):
         yield part
 

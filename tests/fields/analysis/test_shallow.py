@@ -132,7 +132,7 @@ def test_neighbours_within_a_support_are_not_independent():
     (lambda ds: ds.cg.depth_average("x"), "periodic"),
     (lambda ds: ds.cg.depth_average("z", axes="xz"), "the depth is along 'z'"),
     (lambda ds: ds.cg.coarse_grain("density", axes="z").cg.free_surface("z"), "of='volume_fraction'"),
-    (lambda ds: ds.cg.coarse_grain("volume_fraction", axes="z").cg.free_surface("x"), r"axes of this result are"),
+    (lambda ds: ds.cg.coarse_grain("volume_fraction", axes="z").cg.free_surface("x"), r"the result has the axes"),
     (lambda ds: ds.cg.coarse_grain("volume_fraction", axes="z").cg.free_surface(threshold=2), "threshold=2"),
     (lambda ds: ds.cg.coarse_grain("density", axes="z").cg.fit_slope(), "fit_slope needs 'height'"),
 ])  # fmt: skip

@@ -87,7 +87,7 @@ def test_one_file_per_step_with_own_names(tmp_path, scene):
         ({"position": "/T{step}/x"}, "no name like 'T{step}' in '/', which holds S0"),
         ({"position": "/S{step}/y"}, "no dataset '/S0/y'; '/S0' holds n, wide, words, x"),
         ({"position": "/S{step}/words"}, "expected numbers"),
-        ({"position": "/S{step}/wide"}, r"has the shape \(2, 5\) a step"),
+        ({"position": "/S{step}/wide"}, r"has the shape \(2, 5\)"),
         ({"position": "/S{step}/x", "diameter": "/S{step}/n"}, "different numbers of rows"),
     ],
 )

@@ -191,3 +191,15 @@ def test_compressed_text_of_two_steps_is_read(tmp_path, scene):
     data = particles.to_csv(index=False).encode()
     (tmp_path / "p.csv.gz").write_bytes(gzip.compress(data))
     check(xcg.open_scene(tmp_path / "p.csv.gz", **OPTIONS), scene[[n for n in scene if "contact" not in scene[n].dims]])
+
+
+def test_empty_cells_and_names_of_columns_raise(tmp_path):
+    shifted = write(tmp_path / "a.csv", "id,x,y,z,radius,note\n1,0,0,0,0.5,7\n2,0.5,,0.9,0.05,1,5\n")
+    with pytest.raises(xcg.SceneError, match=r"1 more ',' than 6 columns have.*every cell must hold a number"):
+        xcg.open_scene(shifted, density=1.0)
+    named = write(tmp_path / "b.csv", "ID,x,y,z,radius\n1,0,0,0,0.5\n")
+    with pytest.raises(xcg.SceneError, match=r"'id'}: that is a column; its variable is 'particle_id'"):
+        xcg.open_scene(named, density=1.0, names={"ID": "id"})
+    unknown = write(tmp_path / "c.csv", "Pos X,Pos Y,Pos Z,R\n0,0,0,0.5\n")
+    with pytest.raises(xcg.SceneError, match=r"names={'Pos X': 'position_x'}"):
+        xcg.open_scene(unknown, density=1.0)

@@ -77,7 +77,7 @@ def test_walls_may_be_the_first_or_second_body(tmp_path):
         ("cell 10 0", "cell 0 0", "expected positive lengths"),
         ("time 0.0", "time inf", "expected '# time"),
         ("# id x", "# id id", "names each column once"),
-        ("\n1 2.4", "\n# 2\n1 2.4", "a comment stands between rows"),
+        ("\n1 2.4", "\n# 2\n1 2.4", "a comment between rows"),
         ("1 2.4 1 1 0.5", "1 2.4 1 0.5", "row 1 has 14 values, expected 15"),
         ("11.5", "1l.5", "'1l.5' in column 'x'"),
     ],

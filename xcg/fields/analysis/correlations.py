@@ -196,9 +196,7 @@ def time_correlation(f: xr.Dataset, name: str, max_lag: int | None = None) -> xr
 
 def _field_of(f: xr.Dataset, name: str, purpose: str) -> xr.DataArray:
     if name not in f.data_vars:
-        raise ValueError(
-            f"{purpose}({name!r}): the result has no such field; it has {', '.join(map(str, f.data_vars))}"
-        )
+        raise ValueError(f"{purpose}({name!r}): no such field; the result has {', '.join(map(str, f.data_vars))}")
     return f[name].astype(float)
 
 

@@ -165,9 +165,7 @@ def _lags(lags: int | Sequence[int] | None, steps: int) -> list[int]:
         lags = [2**k for k in range(64) if 2**k <= max(1, steps // 2)]
     given = list(range(1, lags + 1)) if isinstance(lags, (int, np.integer)) else list(lags)
     if not given or not all(isinstance(lag, (int, np.integer)) and 0 < lag < steps for lag in given):
-        raise ValueError(
-            f"lags={lags!r}: expected numbers of steps from 1 to {steps - 1}, as the scene has {steps} steps"
-        )
+        raise ValueError(f"lags={lags!r}: expected numbers of steps from 1 to {steps - 1}, the scene has {steps}")
     return sorted({int(lag) for lag in given})
 
 

@@ -153,7 +153,7 @@ def _names(ds: xr.Dataset, asked: DisplacementRequest) -> tuple[str, ...]:
         raise ValueError(f"lag={lag!r}: expected a number of frames, 1 for the next")
     if lag >= frames:
         raise ValueError(f"lag={lag!r}: the scene has {frames} frames, and displacements need lag + 1 or more of them")
-    for name, no in (("preset", None), ("by_pair", False), ("walls", None), ("per", None)):
+    for name, no in (("preset", None), ("by_pair", False), ("walls", None), ("per", None), ("errors", False)):
         if getattr(asked, name) != no:
             raise ValueError(f"{name}={getattr(asked, name)!r}: not available for displacements; leave it out")
     require_rising_times(ds, "displacement")

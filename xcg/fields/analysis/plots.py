@@ -187,9 +187,7 @@ def movie(
         raise ValueError("movie needs a result with the dimension 'time'; draw a single step with plot")
     animation = extra("matplotlib.animation", "plot", "a movie")
     if path.suffix == ".mp4" and not animation.writers.is_available("ffmpeg"):
-        raise OSError(
-            f"{path}: mp4 needs the program ffmpeg (apt install ffmpeg, or conda install ffmpeg); or write a .gif"
-        )
+        raise OSError(f"{path}: mp4 needs the program ffmpeg (apt or conda install ffmpeg); or write a .gif")
     part = _part(f, field, component, direction, at, arrows, shading)
     count, name = part.sizes["time"], part.attrs["drawn"]
     with shown(2 * count, progress, what="frames") as bar:  # a step has to be computed and drawn

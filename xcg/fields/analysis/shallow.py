@@ -61,9 +61,7 @@ def free_surface(f: xr.Dataset, axis: str = "z", threshold: float = 0.5, *, of: 
     if of not in f:
         raise ValueError(f"of={of!r}: expected a field of this result, which holds {', '.join(map(str, f.data_vars))}")
     if axis not in f[of].dims:
-        raise ValueError(
-            f"free_surface({axis!r}): the axes of this result are {[a for a in COMPONENTS if a in f.dims]}"
-        )
+        raise ValueError(f"free_surface({axis!r}): the result has the axes {[a for a in COMPONENTS if a in f.dims]}")
     if not (is_finite(threshold) and 0 < threshold < 1):
         raise ValueError(f"threshold={threshold!r}: expected a share of the bulk value between 0 and 1, such as 0.5")
     values = f[of].isel(phase=0, drop=True) if "phase" in f[of].dims else f[of]

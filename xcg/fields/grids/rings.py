@@ -166,9 +166,7 @@ def make_rings(
     letters = "rtz" if "z" in plane else "rt"
     known = [NAMES[a] for a in letters]
     if set(axes) - set(letters) or len(set(axes)) < len(axes):
-        raise ValueError(
-            f"axes={axes!r}: in a cylindrical frame of this scene expected letters of {letters!r} (t is theta)"
-        )
+        raise ValueError(f"axes={axes!r}: in a cylindrical frame expected letters of {letters!r} (t is theta)")
     resolved = [NAMES[a] for a in letters if a in axes]
     for name, given in (("at", at), ("bounds", bounds)):
         if wrong := [a for a in given if a not in known]:
@@ -179,9 +177,7 @@ def make_rings(
     if both := [a for a in resolved if a in fixed]:
         raise ValueError(f"axes={axes!r} and at={dict(at)!r} both name {both}: an axis is either resolved or fixed")
     if "r" not in resolved and "r" not in fixed:
-        raise ValueError(
-            "a cylindrical frame takes r: resolve it (axes='r', 'rz', 'rtz', ...) or fix it (at={'r': ...})"
-        )
+        raise ValueError("a cylindrical frame takes r: resolve it (axes='r', 'rz', ...) or fix it (at={'r': ...})")
     if loose := [a for a in bounds if a not in resolved and (a != "theta" or a in fixed)]:
         raise ValueError(
             f"bounds are given for {loose}, which are not resolved: add them to axes=, or leave their bounds out"
@@ -200,9 +196,7 @@ def make_rings(
     radii = nodes.get("r", np.array([fixed.get("r", 0.0)]))
     low, high = map(float, bounds.get("theta", (0.0, _FULL)))
     if not 0.0 < high - low <= _FULL * (1 + 1e-12):
-        raise ValueError(
-            f"bounds['theta']=({low!r}, {high!r}): expected two angles (rad), not further apart than a circle"
-        )
+        raise ValueError(f"bounds['theta']=({low!r}, {high!r}): expected two angles (rad), at most a circle apart")
     if "theta" in resolved:
         widest = max(float(radii.max()), kernel.cutoff)
         along = steps.get("theta", steps["r"] / widest if "r" in steps else None)

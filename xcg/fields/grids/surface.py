@@ -55,13 +55,9 @@ class Surface(Wall):
         if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
             raise ValueError(f"{name}: expected finite corners (n, 3), got an array {points.shape}")
         if rows.ndim != 2 or rows.shape[1] != 3 or not len(rows) or rows.dtype.kind not in "iu":
-            raise ValueError(
-                f"{name}: expected triangles, whole numbers (m, 3), got an array {rows.shape} of {rows.dtype}"
-            )
+            raise ValueError(f"{name}: expected triangles, whole numbers (m, 3), got {rows.shape} of {rows.dtype}")
         if rows.min() < 0 or rows.max() >= len(points):
-            raise ValueError(
-                f"{name}: triangles name corners {rows.min()} to {rows.max()}, and there are {len(points)}"
-            )
+            raise ValueError(f"{name}: triangles name corners {rows.min()} to {rows.max()}, there are {len(points)}")
         corners = points[rows[:, ::-1] if flip else rows]
         twice = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         size = np.linalg.norm(twice, axis=1)

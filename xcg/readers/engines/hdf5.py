@@ -95,9 +95,7 @@ def _mapping(options: ReadOptions) -> dict[str, str]:
     given = options.extra.get("mapping")
     example = "mapping={'position': '/Step{time}/Particles/Position', ...}"
     if not isinstance(given, Mapping) or not given:
-        raise SceneError(
-            f"engine='hdf5' needs to be told where variables are: {example}; h5ls -r lists what a file holds"
-        )
+        raise SceneError(f"engine='hdf5' needs to be told where variables are: {example}; h5ls -r lists a file")
     slots = {**columns.PARTICLE_SLOTS, **columns.CONTACT_SLOTS}
     known = {*slots, *(slot[:-2] for slot in slots if slot.endswith("_x")), "time"}
     for name, path in given.items():
@@ -187,9 +185,7 @@ def _with_columns(file: h5py.File, ref: StepRef, mine: Mapping[str, str]) -> Ste
         shape = _dataset(file, _filled(path, ref)).shape[ref.kind == _STACKED :]
         if not (len(shape) == 1 or (len(shape) == 2 and shape[1] in (2, 3))):
             filled = _filled(path, ref)
-            raise SceneError(
-                f"{source_of(ref)}: {filled!r} has the shape {shape} a step, expected (n,), (n, 2) or (n, 3)"
-            )
+            raise SceneError(f"{source_of(ref)}: {filled!r} has the shape {shape}, expected (n,), (n, 2) or (n, 3)")
         names += [name] if len(shape) == 1 else [f"{name}_{axis}" for axis in COMPONENTS[: shape[1]]]
         rows[_filled(path, ref)] = shape[0]
     if len(set(rows.values())) > 1:

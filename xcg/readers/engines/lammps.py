@@ -238,9 +238,7 @@ def index_dumps(paths: Sequence[str], options: ReadOptions, *, atoms: bool) -> l
     if timestep is None:
         return refs
     if not is_positive(timestep):
-        raise SceneError(
-            f"timestep={timestep!r}: expected a positive number, the time between two steps of the simulation"
-        )
+        raise SceneError(f"timestep={timestep!r}: expected a positive number, the time between two steps")
     return [ref if ref.time is not None else replace(ref, time=ref.step * float(timestep)) for ref in refs]
 
 

@@ -108,9 +108,7 @@ def _steps(path: str) -> Iterator[StepRef]:
             length, rows, last = length + len(piece), rows + piece.count(b"\n"), piece
         rows += not last.endswith(b"\n")
         if scanner.line():
-            raise SceneError(
-                f"{path}: a comment stands between rows at byte {scanner.offset}; expected one step a file"
-            )
+            raise SceneError(f"{path}: a comment between rows at byte {scanner.offset}; expected one step a file")
     ref = replace(ref, rows=rows, length=length, **{"step": int(digits[-1]) if digits else -1} | told)
     check_rows(ref, length)
     yield ref

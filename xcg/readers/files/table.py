@@ -238,7 +238,8 @@ def scan_csv(path: str, clock_of: Callable[[Sequence[str]], Mapping[str, str]]) 
         pieces = lines.passed(_pieces(scanner))
         wanted = sorted(set(clock_of(names).values()))
         if wanted:
-            clock = parse_table(_translated(pieces, separator), names, wanted, None, path)
+            clock = parse_table(_translated(pieces, separator, []), names, wanted, None, path)
+
         else:
             clock = {}
             for _ in pieces:
@@ -275,18 +276,27 @@ class _RowStarts:
         return np.append(edges[:-1][rows], self._end)
 
 
-def _translated(pieces: Iterable[bytes], separator: str) -> Iterable[bytes]:
-    """Replace separators between values by blanks."""
-    if separator.isspace():
-        return pieces
-    blank = bytes.maketrans(separator.encode(), b" ")
-    return (piece.translate(blank) for piece in pieces)
+def _translated(pieces: Iterable[bytes], separator: str, found: list[int]) -> Iterator[bytes]:
+    """Replace separators between values by blanks, and count them in each piece."""
+    mark = separator.encode()
+    blank = bytes.maketrans(mark, b" ")
+    for piece in pieces:
+        found.append(0 if separator.isspace() else piece.count(mark))
+        yield piece if separator.isspace() else piece.translate(blank)
 
 
 def read_csv(ref: StepRef, wanted: Sequence[str], options: ReadOptions) -> dict[str, NDArray]:
     """Read columns of one step."""
-    body, threads = _translated(body_of(ref), ref.kind), _threads(ref, options)
-    return parse_table(body, ref.columns, wanted, ref.rows, source_of(ref), threads)
+    separators = list[int]()
+    body, threads = _translated(body_of(ref), ref.kind, separators), _threads(ref, options)
+    table = parse_table(body, ref.columns, wanted, ref.rows, source_of(ref), threads)
+    # as many values as columns, but more separators: cells are empty, and values may stand in other columns
+    if (more := sum(separators) - ref.rows * (len(ref.columns) - 1)) not in (0, ref.rows) and not ref.kind.isspace():
+        raise SceneError(
+            f"{source_of(ref)}: {more} more {ref.kind!r} than {len(ref.columns)} columns have between them: some "
+            "cells are empty or hold texts with this sign; every cell must hold a number"
+        )
+    return table
 
 
 # --- Parquet ---------------------------------------------------------------------------------------------

@@ -242,9 +242,7 @@ def read_header(path: str, *, lines: bool = False) -> Header:
     tags = [element for section in sections for element in xml.arrays(section)]
     form = next((tag.get("encoding", "raw") for tag in xml.named("AppendedData")), "")
     if any(tag.attributes.get("format") == "appended" for tag in tags) and (form not in ("raw", "base64") or not body):
-        raise SceneError(
-            f"{path}: its header names appended data, but none follows; the file was cut short, leave it out"
-        )
+        raise SceneError(f"{path}: its header names appended data, but none follows; it was cut short, leave it out")
     arrays = tuple(_array(tag, path, xml, (form, body or 0, size)) for tag in tags)
     if not of_lines and (not arrays or arrays[0].components != 3):
         raise SceneError(f"{path}: its points have no array with three components; the file is not by MFiX, or damaged")
@@ -392,7 +390,5 @@ def read_collection(path: str) -> list[tuple[str, float | None]]:
         if tag.get("file") and "\0" not in tag["file"]:
             entries.append((str(Path(path).parent / _utf8(tag["file"])), _time(tag.get("timestep", ""))))
     if not entries:
-        raise SceneError(
-            f"{path}: this collection names no files; expected entries like <DataSet timestep=... file=.../>"
-        )
+        raise SceneError(f"{path}: it names no files; expected entries like <DataSet timestep=... file=.../>")
     return entries
