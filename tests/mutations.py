@@ -303,6 +303,18 @@ TABLE = [
         "test_the_mesh_equals_that_of_pysammos",
     ),
     Mutation(
+        "fields/accessible.py", "end += cutoff", "end -= cutoff",
+        "test_surfaces_beyond_the_box_count_as_far_as_the_box",
+    ),
+    Mutation(
+        "fields/accessible.py", "faces.append(Plane(tuple(place), tuple(normal)))", "pass",
+        "test_surfaces_beyond_the_box_count_as_far_as_the_box",
+    ),
+    Mutation(
+        "readers/files/table.py", "not in (0, ref.rows)", "in (0,)", "test_empty_cells_and_names_of_columns_raise",
+    ),
+    Mutation("scene/phases.py", "return 0.0  # one point", "return 1.0  # one point", "test_few_grains_of_two_sizes_are_two_phases"),
+    Mutation(
         "fields/accessible.py", "0.5 + np.sign(distance) * between", "0.5 - np.sign(distance) * between",
         "test_the_accessible_fraction_beside_a_plane_is_a_polynomial",
     ),

@@ -161,7 +161,7 @@ def microstructure(
     concentration_variance             :math:`S^2 = \sum W_k (c_k - p)^2 / W` over cells
     random_concentration_variance      :math:`S_r^2 = \frac{K - 1}{N - 1} N \sum w_i^2 (a_i - p)^2 / W^2`
     segregated_concentration_variance  :math:`S_0^2 = p (1 - p)`
-    mixing_entropy                     :math:`\sum_k W_k \sum_a c_{ka} \ln c_{ka} / (W \sum_a p_a \ln p_a)` [8]_
+    mixing_entropy                     :math:`\sum_k W_k \sum_a c_{ka}\ln c_{ka} / (W \sum_a p_a \ln p_a)`  [8]_
     nearest_neighbour_index            :math:`\sum u_i / \sum ((N - N_a) / (N - 1))`                        [9]_
     inertial_number_{dmax,d50,dbar}    :math:`I = \dot\epsilon_q d \sqrt{\rho / p'}`, NaN if p' <= 0        [2]_
     =================================  ===================================================================  =========
