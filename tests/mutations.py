@@ -313,7 +313,9 @@ TABLE = [
     Mutation(
         "readers/files/table.py", "not in (0, ref.rows)", "in (0,)", "test_empty_cells_and_names_of_columns_raise",
     ),
-    Mutation("scene/phases.py", "return 0.0  # one point", "return 1.0  # one point", "test_few_grains_of_two_sizes_are_two_phases"),
+    Mutation(
+        "scene/phases.py", "return 0.0  # one", "return 1.0  # one", "test_few_grains_of_two_sizes_are_two_phases",
+    ),
     Mutation(
         "fields/accessible.py", "0.5 + np.sign(distance) * between", "0.5 - np.sign(distance) * between",
         "test_the_accessible_fraction_beside_a_plane_is_a_polynomial",

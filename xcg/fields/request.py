@@ -69,8 +69,9 @@ class SharedOptions:
         Resolved axes, for example "xyz" (the default), "xz", "z". Axes neither here nor in `at` are averaged: the
         exact integral over them (through the kernel's marginal), divided by their extent.
     bounds : mapping, optional
-        First and last node of resolved axes (m). By default the box along periodic axes, and the extent of the
-        particles with their supports along the others.
+        First and last node of resolved axes (m); the last one lies before its bound where the spacing does not divide
+        the range. By default the box along periodic axes, and the extent of the particles with their supports along the
+        others.
     sampling : {"node", "cell"}
         "node" (default) gives fields at the nodes. "cell" gives averages over the cell of each node, which extends half
         a spacing to every side along resolved axes: for meshes that are coarser than the kernel, as cells side by side

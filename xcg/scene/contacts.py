@@ -365,7 +365,7 @@ def select_walls(ds: xr.Dataset, walls: Walls) -> xr.Dataset:
     SceneError
         If the scene has no contacts.
     ValueError
-        If a wall is unknown.
+        If a name of a wall is unknown.
 
     Examples
     --------

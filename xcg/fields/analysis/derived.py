@@ -116,7 +116,7 @@ def derive_superquadric(
         Of a, b and c.
     exponents : two names or numbers, optional
         n1 and n2, by default ``exponent_1`` and ``exponent_2`` where the scene holds them, else 2. Ellipsoids have 2
-        and 2, boxes with sharp edges infinitely large ones.
+        and 2, boxes with sharp edges large ones, such as 1e6.
     density : float, optional
         Of the material (kg/m^3). Without it the scene's masses are kept, or else its densities.
 

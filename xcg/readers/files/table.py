@@ -281,7 +281,7 @@ def _translated(pieces: Iterable[bytes], separator: str, found: list[int]) -> It
     mark = separator.encode()
     blank = bytes.maketrans(mark, b" ")
     for piece in pieces:
-        found.append(0 if separator.isspace() else piece.count(mark))
+        found.append(0 if separator.isspace() else int((np.frombuffer(piece, np.uint8) == ord(mark)).sum()))
         yield piece if separator.isspace() else piece.translate(blank)
 
 
