@@ -7,6 +7,7 @@ import re
 import weakref
 from dataclasses import dataclass
 
+import dask
 import numpy as np
 import pytest
 import xarray as xr
@@ -207,3 +208,11 @@ def test_objects_that_are_no_scene_raise(given):
 ])  # fmt: skip
 def test_parts_of_scenes_have_a_summary(part):
     assert "scene" in repr(part(xcg.datasets.random_scene(20)).cg)
+
+
+def test_a_summary_computes_nothing():
+    ds = xcg.datasets.random_scene(20)
+    lazy = xr.concat([ds, ds.assign_coords(time=ds.time + 1.0)], "time", data_vars="all").chunk(time=1)
+    lazy.attrs = {k: v for k, v in lazy.attrs.items() if not k.startswith("box_")}
+    with dask.config.set(scheduler=lambda *_, **__: pytest.fail("a summary computes")):
+        assert "changes with time" in repr(lazy.cg)

@@ -243,9 +243,7 @@ def convert(
         is_job = len(files) == 1 and Path(files[0]).suffix.lower() in (".toml", ".ini")
         scene = read_config(files[0]).scene if is_job else {"particles": list(files)}
         ds = conform(open_scene(**scene | said(options)))  # a step that was saved alone gets its time
-        save(
-            ds, output, overwrite=overwrite, dtype=dtype, digits=digits, compression=compression, progress=not quiet
-        )  # fmt: skip
+        save(ds, output, overwrite=overwrite, dtype=dtype, digits=digits, compression=compression, progress=not quiet)
     click.echo(f"{ds.sizes['time']} steps in {output}; open it with xcg.open_scene({str(output)!r})")
 
 

@@ -233,3 +233,12 @@ def test_a_record_is_continued_with_the_same_options_only(tmp_path, later, messa
         live.append(ds)
     with pytest.raises(xcg.SceneError, match=message), xcg.record(tmp_path / "live.nc", **(given | later)) as live:
         live.append(ds.assign_coords(time=ds.time + 1.0))
+
+
+def test_bounds_that_the_spacing_does_not_divide_are_continued(tmp_path):
+    ds = xcg.datasets.simple_cubic(4)
+    given = {"fields": "density", "axes": "z", "width": 1.0, "bounds": {"z": (0, 1)}, "spacing": 0.4}
+    for k in range(2):
+        with xcg.record(tmp_path / "live.nc", **given) as live:
+            live.append(ds.assign_coords(time=ds.time + k))
+    assert live.steps == 2

@@ -244,9 +244,7 @@ def find_chains(rule: SearchRule, frame: Frame, lattice: Lattice, time: float, s
         seeds = seeds[np.argsort(-major[seeds], kind="stable")]
         count = loops.linear_chains(i, j, branch, start, contact, seeds, rule.min_length, *found)
     else:
-        count = loops.branching_chains(
-            i, j, branch, start, contact, seeds, rule.one_sided, rule.min_length, *found
-        )  # fmt: skip
+        count = loops.branching_chains(i, j, branch, start, contact, seeds, rule.one_sided, rule.min_length, *found)
     links = np.empty(particles, int)
     loops.count_links(i, j, start, contact, link, links)
 

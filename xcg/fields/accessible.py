@@ -133,20 +133,22 @@ def _averaged(
         if not any(wall.varies(k) for wall in walls):
             continue
         box, ends = edges.get(a, (-np.inf, np.inf)), []
-        of_walls = [wall.span(k) for wall in walls if not isinstance(wall, Surface)]
-        of_surfaces = [wall.span(k) for wall in walls if isinstance(wall, Surface)]
+        closed = [wall for wall in walls if not isinstance(wall, Surface)]
         for side, sign in ((0, 1), (1, -1)):  # inward
-            nearest = max((sign * span[side] for span in of_walls), default=-np.inf)
-            end = sign * box[side]
-            if nearest >= end or not np.isfinite(end):  # also of a box that is not known
-                end = max([nearest, *([sign * span[side] for span in of_surfaces] if nearest == -np.inf else [])])
-            elif a not in plan.setup.periodic:
+            edge = sign * box[side]
+            nearest = max((sign * wall.span(k)[side] for wall in closed), default=-np.inf)
+            if nearest == edge == -np.inf:
+                nearest = max(sign * wall.span(k)[side] for wall in walls)
+            if nearest >= edge:
+                end = nearest - cutoff
+            elif a in plan.setup.periodic:
+                end = edge  # one period, without what lies beyond
+            else:
                 place, normal = np.zeros((2, 3))
                 place[k], normal[k] = box[side], sign
                 faces.append(Plane(tuple(place), tuple(normal)))
-            else:
-                end += cutoff  # one period, without what lies beyond
-            ends.append(sign * (end - cutoff))
+                end = edge - cutoff
+            ends.append(sign * end)
         low, high = ends
         if not (np.isfinite(low) and np.isfinite(high) and low < high):
             raise ValueError(

@@ -143,7 +143,8 @@ def run_job(
     mark = hashlib.sha256(f"{about}{version('xcg')}".encode()).hexdigest()
     series = {job.name: fields} if fields.data_vars else {}
     if slices is not None:
-        series[_slices_name(job)] = slices
+        stem = "CG_GranularTemperature_slices" if job.suffix == ".h5" else f"{job.name}_slices"
+        series[stem] = slices
     job.folder.mkdir(parents=True, exist_ok=True)
     outputs = [_Output(job, stem, data.assign_attrs({_JOB: mark})) for stem, data in series.items()]
     count = next(iter(series.values())).sizes["time"]
@@ -281,7 +282,3 @@ def _description(job: Job) -> dict[str, str]:
         table = given if isinstance(given, dict) else {"": given}
         about |= {f"[{option}] {key}".rstrip(): repr(value) for key, value in table.items()}
     return about
-
-
-def _slices_name(job: Job) -> str:
-    return "CG_GranularTemperature_slices" if job.suffix == ".h5" else f"{job.name}_slices"

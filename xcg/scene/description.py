@@ -287,11 +287,14 @@ class Summary:
 
 
 def summary_of_scene(ds: xr.Dataset) -> Summary:
-    """Return a summary of what a scene holds and lacks, without reading it."""
+    """Return a summary of what a scene, or a part of one, holds and lacks, without reading it."""
     try:
-        describe(ds := conform(ds))
+        return _summary(conform(ds))
     except ValueError as error:
         return Summary.of(f"a part of a scene: {error}", [("variables", ", ".join(map(str, ds.data_vars)))])
+
+
+def _summary(ds: xr.Dataset) -> Summary:
     steps = ds["time"].size if "time" in ds.coords else ds.sizes.get("time", 1)  # also by other dimensions
     particles, contacts = (ds.sizes.get(dim, 1) for dim in ("particle", "contact"))
     contacts = contacts if "contact_i" in ds else 0

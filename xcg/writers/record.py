@@ -137,6 +137,7 @@ class Recorder:
         with xr.open_dataset(self.path, chunks=None, engine="zarr" if self.path.suffix == ".zarr" else None) as there:
             if "time" not in there.dims:
                 raise SceneError(f"{self.path}: this is no record of fields over time; overwrite=True replaces it")
+            _check_asked(self._request, there)
             self._remember(there)
 
     def _remember(self, fields: xr.Dataset) -> None:
@@ -210,23 +211,33 @@ def _one_step(fields: xr.Dataset) -> xr.Dataset:
     return fields.expand_dims("time").assign_coords(step)
 
 
+def _check_asked(request: Request, there: xr.Dataset) -> None:
+    """Raise SceneError for a width, bounds or phases that are not those of the steps that are there."""
+    asked: dict[str, tuple[Any, Any]] = {}
+    if not isinstance(request.width, str | Mapping | None):
+        asked["width"] = request.width, there.attrs["width"]
+    for a, (low, high) in (request.bounds or {}).items():
+        if a in there.dims:  # the last node lies before its bound where the spacing does not divide the range
+            x = there[a].to_numpy()
+            step = x[1] - x[0] if len(x) > 1 else np.inf
+            asked[a] = ((low, high), (x[0], high if 0 <= high - x[-1] < step * (1 - 1e-6) else x[-1]))
+    for name, (wanted, found) in asked.items():
+        if not np.allclose(wanted, found, rtol=1e-6, atol=0):
+            raise SceneError(f"{name} {wanted} is not {found}, as of the steps that are there; leave it out")
+    if request.by is not None and "phase" not in there.dims:
+        raise SceneError(f"by={request.by!r}: the steps that are there have no phases; record to another file")
+
+
 def _with_mesh_of(request: Request, fields: xr.Dataset) -> Request:
     """Fix nodes, width and phases as in a result."""
     nodes = {a: fields[a].to_numpy() for a in COMPONENTS if a in fields.dims}
     bounds = {a: (float(x[0]), float(x[-1])) for a, x in nodes.items()}
-    there = {"width": fields.attrs.get("width"), **bounds}
-    for name, asked in {"width": request.width, **(request.bounds or {})}.items():
-        numbers = None not in (asked, there.get(name)) and not isinstance(asked, str | Mapping)
-        if numbers and not np.allclose(np.asarray(asked, float), np.asarray(there[name], float), rtol=1e-6, atol=0):
-            raise SceneError(f"{name} {asked} is not {there[name]}, as of the steps that are there; leave it out")
     spacing = {a: float(x[-1] - x[0]) / (len(x) - 1) for a, x in nodes.items() if len(x) > 1}
     fixed: dict[str, Any] = {"bounds": bounds or None}
     if len(spacing) == len(nodes):
         fixed["spacing"] = spacing or None
     if not isinstance(request.kernel, Kernel) and np.ndim(fields.attrs.get("width", ())) == 0:
         fixed["width"] = float(fields.attrs["width"])
-    if request.by is not None and "phase" not in fields.dims:
-        raise SceneError(f"by={request.by!r}: the steps that are there have no phases; record to another file")
     if request.by is not None and request.groups is None:
         fixed["groups"] = [int(label) for label in fields["phase"].to_numpy().tolist() if label != "bulk"]
     return replace(request, **fixed)

@@ -272,9 +272,8 @@ def _draw(plotter: Any, mesh: Any, array: str, units: Mapping[str, str], style: 
         unit = f"[{units[array]}]" if units.get(array, "1") != "1" else ""
         title = "\n".join([*textwrap.wrap(text, _LETTERS), unit, ""])
         drawn = plotter.add_mesh(mesh, scalars=array, scalar_bar_args=_BAR | {"title": title}, **style)
-        drawn.prop.interpolation = (
-            "Gouraud"  # by the normals of spheres and tubes, which smooth_shading would compute anew
-        )
+        # by the normals of spheres and tubes, which smooth_shading would compute anew
+        drawn.prop.interpolation = "Gouraud"
 
 
 def _draw_scene(

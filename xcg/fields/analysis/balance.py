@@ -218,7 +218,7 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
         raise ValueError("balance takes differences between nodes: resolve an axis at least, such as axes='z'")
     short = [a for a, size in zip(grid.dims, grid.sizes, strict=True) if size < 5]
     if short:
-        raise ValueError(f"axes {short} have fewer than five nodes: differences of fourth order; lower spacing=")
+        raise ValueError(f"axes {short} have fewer than five nodes, which differences take; lower spacing=")
     if ds.sizes["time"] > 1:
         require_rising_times(ds, "balance")
     f = answer(ds, request)

@@ -253,9 +253,7 @@ def _products(a: NDArray, b: NDArray, wraps: Sequence[bool], rank: int) -> tuple
         norms += [(away**2).sum(axis=(0, *axes)), count.reshape(count.shape[: -len(wraps)]).astype(float)]
     lags = [_lags(int(n), wrapped) for n, wrapped in zip(sizes, wraps, strict=True)]
     place: Any = np.ix_(*(lag % size for lag, size in zip(lags, padded, strict=True)))
-    products, pairs = (
-        fft.irfftn(one.conj() * other, padded, axes)[(..., *place)] for one, other in (fields, known)
-    )  # fmt: skip
+    products, pairs = (fft.irfftn(one.conj() * other, padded, axes)[(..., *place)] for one, other in (fields, known))
     return products.sum(axis=0), np.rint(pairs), *norms
 
 

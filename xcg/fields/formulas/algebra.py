@@ -1,8 +1,8 @@
 """Functions of formulas: of arrays of numbers, or of symbols that write down the steps which numbers would take.
 
 A symbol is a number at a node that is not known yet. Formulas run on arrays of either kind, element for element the
-same; a program of steps is traced by running them once on symbols. Operations that symbols lack
-raise UnknownOperation; such formulas are left to NumPy.
+same; a program of steps is traced by running them once on symbols. Operations that symbols lack raise
+UnknownOperation; such formulas are left to NumPy.
 """
 
 from __future__ import annotations

@@ -71,7 +71,8 @@ def profile(f: xr.Dataset, axis: str) -> xr.Dataset:
     sums = _to_sums(f, "profile")
     if "r" in others:  # rings have areas r dr; the axis itself has none
         sums = sums.sel(r=sums["r"] > 0.0)
-        return _from_sums((sums * sums["r"]).sum(others, skipna=False) / _area(sums, others), f)
+        area = float(sums["r"].sum()) * math.prod(sums.sizes[d] for d in others if d != "r")
+        return _from_sums((sums * sums["r"]).sum(others, skipna=False) / area, f)
     mean = _from_sums(sums.mean(others, skipna=False), f)
     if not noise or not set(others) <= set(COMPONENTS):
         return mean
@@ -79,11 +80,6 @@ def profile(f: xr.Dataset, axis: str) -> xr.Dataset:
     scatter = {f"{name}_error": f[name].std(others) / np.sqrt(count - 1.0) for name in noise if count > 1}
     of_nodes = {name: _noise(one, sums, name, others, count) for name, one in noise.items()}
     return _with_larger(mean.assign(scatter), of_nodes, "scatter_of_places")
-
-
-def _area(f: xr.Dataset, dims: Sequence[str]) -> float:
-    """Sum of the radii of all nodes along some dimensions."""
-    return float(f["r"].sum()) * math.prod(f.sizes[d] for d in dims if d != "r")
 
 
 def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) -> xr.Dataset:

@@ -116,8 +116,8 @@ class Cylindrical:
         where x is the axis.
     error : float
         Largest error of averages over theta, relative to the most that one grain adds; it sets the number of angles.
-        Kernels that jump at their cutoff do not meet it, as the attribute
-        ``theta_error`` of results estimates the error.
+        Kernels that jump at their cutoff do not meet it, as the attribute ``theta_error`` of results estimates the
+        error.
 
     Raises
     ------

@@ -24,13 +24,9 @@ from xcg.readers.paths import remembered
 from xcg.scene.schema import COMPONENTS, Frame
 from xcg.steps import faults as errors
 
-_ROW_3D = (
-    "x", "y", "z", "vx", "vy", "vz", "radius", "alpha", "beta", "gamma", "omx", "omy", "omz", "species",
-)  # fmt: skip
+_ROW_3D = ("x", "y", "z", "vx", "vy", "vz", "radius", "alpha", "beta", "gamma", "omx", "omy", "omz", "species")
 _ROW_2D = ("x", "y", "vx", "vy", "radius", "alpha", "om", "species")
-_CONTACT = (
-    "t", "i", "j", "cx", "cy", "cz", "delta", "ctheta", "fn", "ft", "nx", "ny", "nz", "tx", "ty", "tz",
-)  # fmt: skip
+_CONTACT = ("t", "i", "j", "cx", "cy", "cz", "delta", "ctheta", "fn", "ft", "nx", "ny", "nz", "tx", "ty", "tz")
 _OWN_COLUMNS = {
     "species": ("species",),
     **{f"angular_velocity_{axis}": (f"om{axis}", *(["om"] if axis == "z" else [])) for axis in COMPONENTS},

@@ -277,12 +277,14 @@ class _RowStarts:
 
 
 def _translated(pieces: Iterable[bytes], separator: str, found: list[int]) -> Iterator[bytes]:
-    """Replace separators between values by blanks, and count them in each piece."""
-    mark = separator.encode()
-    blank = bytes.maketrans(mark, b" ")
+    """Replace separators between values by blanks, and count those that are none in each piece."""
+    if separator.isspace():
+        yield from pieces
+        return
+    blank = bytes.maketrans(separator.encode(), b" ")
     for piece in pieces:
-        found.append(0 if separator.isspace() else int((np.frombuffer(piece, np.uint8) == ord(mark)).sum()))
-        yield piece if separator.isspace() else piece.translate(blank)
+        found.append(int((np.frombuffer(piece, np.uint8) == ord(separator)).sum()))
+        yield piece.translate(blank)
 
 
 def read_csv(ref: StepRef, wanted: Sequence[str], options: ReadOptions) -> dict[str, NDArray]:
@@ -291,7 +293,8 @@ def read_csv(ref: StepRef, wanted: Sequence[str], options: ReadOptions) -> dict[
     body, threads = _translated(body_of(ref), ref.kind, separators), _threads(ref, options)
     table = parse_table(body, ref.columns, wanted, ref.rows, source_of(ref), threads)
     # as many values as columns, but more separators: cells are empty, and values may stand in other columns
-    if (more := sum(separators) - ref.rows * (len(ref.columns) - 1)) not in (0, ref.rows) and not ref.kind.isspace():
+    more = sum(separators) - ref.rows * (len(ref.columns) - 1)
+    if separators and more not in (0, ref.rows):
         raise SceneError(
             f"{source_of(ref)}: {more} more {ref.kind!r} than {len(ref.columns)} columns have between them: some "
             "cells are empty or hold texts with this sign; every cell must hold a number"
