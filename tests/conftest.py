@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
+from datetime import UTC, datetime
 from fnmatch import fnmatch
 from itertools import product
 from multiprocessing import get_context
@@ -59,6 +60,13 @@ def _own_cache(tmp_path_factory):
     """Keep the index of files that tests read out of the user's cache."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _one_time():
+    """Stop the clock of histories, so that results of one second and of the next are identical."""
+    with mock.patch("xcg.steps.labels.datetime", **{"now.return_value": datetime(2026, 1, 1, tzinfo=UTC)}):
         yield
 
 
