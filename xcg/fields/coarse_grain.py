@@ -213,7 +213,7 @@ def compute_chunk(plan: Plan, threads: int, arrays: Mapping[str, NDArray]) -> di
     out = {name: np.empty((len(arrays["particle_id"]), *plan.shapes[name])) for name in plan.fields}
     for_each([a.reshape(-1) for a in out.values() if a.size > _PAGE], _take_memory, threads)
     for t, (frame, lattice, source) in enumerate(steps_in(arrays, plan.setup.periodic)):
-        results = {name: a[t, ...].reshape(plan.rows[name]) for name, a in out.items()}
+        results = {name: a[t, ...].reshape(-1, plan.phases, *a.shape[1 + len(plan.dims) :]) for name, a in out.items()}
         _compute_step(plan, frame, lattice, source, threads, results)
     return out
 

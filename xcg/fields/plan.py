@@ -33,7 +33,7 @@ from xcg.fields.layout import (
 from xcg.fields.request import Request, Sampling
 from xcg.fields.sums.kernels import Kernel
 from xcg.fields.sums.moments import MOMENTS, Moment, sliding_contacts
-from xcg.fields.sums.nodes import BLOCK_NODES, FINE, nodes_in_cache
+from xcg.fields.sums.nodes import BLOCK_NODES, CACHED, FEWEST_NODES, FINE
 from xcg.fields.sums.segments import SINGLE, gauss_limits
 from xcg.fields.sums.step import DepositSpec
 from xcg.scene.conform import require_scene
@@ -103,18 +103,11 @@ class Plan:
         return [self.kernel.spread * cutoff for cutoff in self.deposit.cutoffs]
 
     @cached_property
-    def rows(self) -> dict[str, tuple[int, ...]]:
-        """Shape of one step of each field as (nodes, phases, ...)."""
-        nodes, phases = self.deposit.grid.count, self.phases if self.deposit.by else 1
-        rows = {name: registry.row(name, self.options) for name in self.fields}
-        others = {name: (self.phases,) if row.paired else () for name, row in rows.items()}
-        return {name: (nodes, phases, *others[name], *(3,) * row.rank) for name, row in rows.items()}
-
-    @cached_property
     def shapes(self) -> dict[str, tuple[int, ...]]:
         """Shape of one step of each field as in the result."""
-        phases = (self.phases,) if self.deposit.by else ()
-        return {name: (*self.deposit.grid.sizes, *phases, *shape[2:]) for name, shape in self.rows.items()}
+        rows = {name: registry.row(name, self.options) for name in self.fields}
+        places = (*self.deposit.grid.sizes, *((self.phases,) if self.deposit.by else ()))
+        return {name: places + (self.phases,) * row.paired + (3,) * row.rank for name, row in rows.items()}
 
     def left_out(self, name: str) -> list[str]:
         """Name the variables of rotation that a field would take and that the scene does not hold."""
@@ -131,7 +124,9 @@ class Plan:
     @cached_property
     def block_nodes(self) -> int:
         """Nodes that are computed at one time."""
-        return BLOCK_NODES if self.reached <= FINE else min(BLOCK_NODES, nodes_in_cache(self._numbers))
+        if self.reached <= FINE:
+            return BLOCK_NODES
+        return min(BLOCK_NODES, max(FEWEST_NODES, CACHED // (8 * max(1, self._numbers))))
 
     @property
     def _numbers(self) -> int:
@@ -305,7 +300,8 @@ def _fields_and_options(scene: Description, request: Request) -> tuple[tuple[str
         )
     if request.per is not None and any(name.endswith("_error") for name in names):
         raise ValueError("errors=True with per='accessible': errors are those of sums per volume; leave one out")
-    options = replace(options, own=(*own, *registry.registered_for(names, replace(options, own=own))))
+    needed = registry.order_of(names, replace(options, own=own))
+    options = replace(options, own=(*own, *registry.registered(needed)))
     if request.by_pair:
         names = tuple(dict.fromkeys([*names, "contact_stress_by_pair"]))
     asked = names

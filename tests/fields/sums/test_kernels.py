@@ -17,7 +17,7 @@ from xcg.compiled import polynomials
 from xcg.compiled.lines import closed_for, has_shells
 from xcg.compiled.segments import RULES
 from xcg.compiled.smoothing import SHELLS
-from xcg.fields.sums.kernels import as_kernel
+from xcg.fields.sums.kernels import kernel_of
 from xcg.fields.sums.segments import gauss_limits
 
 NAMES = ["lucy", "gaussian", "shifted gaussian", "heaviside"]
@@ -62,7 +62,7 @@ xcg.register_kernel("bump", bump, ratio=2.0, smoothness=2)
 @pytest.mark.parametrize("name", [*NAMES, "wendland"])
 @pytest.mark.parametrize(("dimension", "seen"), SEEN)
 def test_kernels_and_marginals_integrate_to_one(name, dimension, seen):
-    kernel = as_kernel(name, 0.7, dimension)
+    kernel = kernel_of(name, 0.7, {}, dimension)
     total = quad(lambda r: SPHERE[seen] * r ** (seen - 1) * kernel.value(r, seen).item(), 0, kernel.cutoff, limit=200)[
         0
     ]
@@ -84,7 +84,7 @@ def test_constants_equal_those_of_the_theory_sheet():
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize(("dimension", "seen"), [(3, 2), (3, 1), (2, 1)])
 def test_marginals_are_integrals_over_the_other_axes(name, dimension, seen):
-    kernel = as_kernel(name, 0.7, dimension)
+    kernel = kernel_of(name, 0.7, {}, dimension)
     r = np.linspace(0, 0.999 * kernel.cutoff, 23)
     expected = BruteKernel(name, 0.7, dimension, seen)(r)
     np.testing.assert_allclose(kernel.value(r, seen), expected, atol=1e-12 * expected[0])
@@ -118,7 +118,7 @@ def test_the_marginal_of_lucy_keeps_its_digits_up_to_the_rim():
 @pytest.mark.parametrize("name", ["lucy", "shifted gaussian", "wendland"])
 @pytest.mark.parametrize(("dimension", "seen"), SEEN)
 def test_derivatives_equal_finite_differences(name, dimension, seen):
-    kernel = as_kernel(name, 0.7, dimension)
+    kernel = kernel_of(name, 0.7, {}, dimension)
     r = np.linspace(0.02, 0.98, 31) * kernel.cutoff
     h = 1e-4
     v = [kernel.value(r + k * h, seen) for k in (-2, -1, 1, 2)]
@@ -162,7 +162,7 @@ def test_the_shifted_gaussian_is_the_gaussian_less_its_value_at_the_cutoff():
     assert repr(shifted) == "Gaussian(width=0.7, cutoff=2.1, shifted=True)"
     assert (shifted.name, shifted.smoothness, shifted.differentiable) == ("shifted gaussian", 0, False)
     assert (whole.name, whole.smoothness) == ("gaussian", -1)
-    assert as_kernel("Shifted Gaussian", 0.7, 3).in_dimension(2).shifted
+    assert kernel_of("Shifted Gaussian", 0.7, {}, 3).in_dimension(2).shifted
 
 
 def segments(dimension):
@@ -182,7 +182,7 @@ def segments(dimension):
 @pytest.mark.parametrize(("dimension", "seen"), SEEN)
 def test_segment_integrals_equal_quadrature(name, dimension, seen):
     """Finite everywhere, and equal to quadrature: on the line, at the ends, for branches of no length."""
-    kernel = as_kernel(name, 0.7, dimension)
+    kernel = kernel_of(name, 0.7, {}, dimension)
     for points, start, end in segments(seen):
         closed = kernel.segment(points, start, end)
         assert np.isfinite(closed).all()
@@ -281,7 +281,7 @@ def line_through(profile, radii, point, end):
 @pytest.mark.parametrize("name", OWN)
 def test_segments_of_registered_kernels_are_integrals_of_their_profiles(name):
     """To 1e-12 of the largest value, and to rounding over the length of short ones."""
-    (profile, radii), kernel = OWN[name], as_kernel(name, 1.0, 3)
+    (profile, radii), kernel = OWN[name], kernel_of(name, 1.0, {}, 3)
     unit = kernel.value(0.0, 3).item() / float(profile(np.asarray(0.0)))
     for points, end in random_segments(3, 3, 30):
         found = kernel.segment(points * kernel.cutoff, 0 * end, end * kernel.cutoff) / unit
@@ -295,7 +295,7 @@ def test_segments_of_registered_kernels_are_integrals_of_their_profiles(name):
 @pytest.mark.parametrize("seen", [1, 2])
 def test_segments_of_marginals_equal_those_of_the_kernel_integrated(name, seen):
     """Over one axis that is left out: of the kernel of one dimension more, seen in all of them."""
-    radii, kernel = OWN[name][1], as_kernel(name, 1.0, seen + 1)
+    radii, kernel = OWN[name][1], kernel_of(name, 1.0, {}, seen + 1)
     x, w = np.polynomial.legendre.leggauss(40)
     for points, end in random_segments(seen, seen, 12):
         found = kernel.segment(points * kernel.cutoff, 0 * end, end * kernel.cutoff)
@@ -324,7 +324,7 @@ def test_segments_of_marginals_equal_those_of_the_kernel_integrated(name, seen):
 @pytest.mark.parametrize("seen", [1, 2, 3])
 def test_stress_of_registered_kernels_balances_forces(name, seen):
     """``(a . grad) S = Psi(end) - Psi(start)`` up to sign, whatever is seen of it: the divergence of contact stress."""
-    kernel, h = as_kernel(name, 1.0, 3), 2e-3
+    kernel, h = kernel_of(name, 1.0, {}, 3), 2e-3
     reach = np.arange(1, 5) * h
     slope = np.array([4 / 5, -1 / 5, 4 / 105, -1 / 280]) / h
     rng = np.random.default_rng(seen)
@@ -386,9 +386,9 @@ def test_kernels_of_few_polynomials_have_closed_forms():
     """Those that are polynomials between any radii, or nearly so; one that jumps; one that takes single numbers."""
     for name in OWN:
         for seen in (1, 2, 3):
-            w = as_kernel(name, 1.0, 3).weights(seen)
+            w = kernel_of(name, 1.0, {}, 3).weights(seen)
             assert compiled(has_shells)(w.table)
-    w = as_kernel("bump", 1.0, 3).weights(3)
+    w = kernel_of("bump", 1.0, {}, 3).weights(3)
     assert not compiled(has_shells)(w.table)
 
     def one_by_one(q):
@@ -403,7 +403,7 @@ def test_kernels_of_few_polynomials_have_closed_forms():
 
 
 def test_shells_without_the_compiler_have_the_same_bits():
-    columns = as_kernel("quintic spline", 0.5, 3).weights(3).table[SHELLS]
+    columns = kernel_of("quintic spline", 0.5, {}, 3).weights(3).table[SHELLS]
     rng, found = np.random.default_rng(0), []
     along, q2 = rng.uniform(-0.8, 1.4, 64), rng.uniform(0.0, 3.0, 64)
     for fill in (compiled(polynomials.fill_shells), uncompiled(polynomials.fill_shells)):
@@ -485,7 +485,7 @@ def _gauss(value, points, end, panels=200):
 )
 def test_errors_are_below_rtol(length, rtol, seen, name, seed):
     """|S_quadrature - S| <= rtol max S for the rule that the planner takes at this branch length."""
-    kernel = as_kernel(name, 0.5, 3)  # cutoff 1
+    kernel = kernel_of(name, 0.5, {}, 3)  # cutoff 1
     limits = gauss_limits(kernel, seen, rtol)
     orders = [points for points, limit in zip(RULES, limits, strict=False) if length <= limit]
     order = orders[0] if orders else 0
@@ -501,23 +501,23 @@ def test_errors_are_below_rtol(length, rtol, seen, name, seed):
 
 
 def test_fewer_points_for_shorter_branches_and_looser_promises():
-    kernel = as_kernel("lucy", 0.5, 3)
+    kernel = kernel_of("lucy", 0.5, {}, 3)
     tight, loose = gauss_limits(kernel, 3, 1e-4), gauss_limits(kernel, 3, 1e-2)
     assert (np.diff(loose) > 0).all()
     assert (loose > tight).all()
     assert gauss_limits(kernel, 3, 0).size == 0
-    assert gauss_limits(as_kernel("gaussian", 0.5, 3), 3, 1e-2).size == 0
+    assert gauss_limits(kernel_of("gaussian", 0.5, {}, 3), 3, 1e-2).size == 0
     # single precision takes up to twelve points, double precision no more than four
     assert tight.size == loose.size == 6
     assert gauss_limits(kernel, 3, 1e-5).size == 2
     # marginals take their time a point
     assert gauss_limits(kernel, 2, 1e-3).size == gauss_limits(kernel, 1, 1e-3).size == 1
     # registered kernels take their closed form in less than two points, but not in planes; some have none
-    assert gauss_limits(as_kernel("wendland", 0.5, 3), 3, 1e-5).size == 0
-    assert gauss_limits(as_kernel("wendland", 0.5, 3), 1, 1e-5).size == 0
-    assert gauss_limits(as_kernel("wendland", 0.5, 3), 2, 1e-5).size == 6
-    assert gauss_limits(as_kernel("quintic spline", 0.5, 3), 3, 1e-5).size == 1
-    assert gauss_limits(as_kernel("bump", 0.5, 3), 3, 1e-5).size == 6
+    assert gauss_limits(kernel_of("wendland", 0.5, {}, 3), 3, 1e-5).size == 0
+    assert gauss_limits(kernel_of("wendland", 0.5, {}, 3), 1, 1e-5).size == 0
+    assert gauss_limits(kernel_of("wendland", 0.5, {}, 3), 2, 1e-5).size == 6
+    assert gauss_limits(kernel_of("quintic spline", 0.5, {}, 3), 3, 1e-5).size == 1
+    assert gauss_limits(kernel_of("bump", 0.5, {}, 3), 3, 1e-5).size == 6
     # two points at branch / c = 1/3 leave 1.6e-3 in typical scenes; nowhere twice as much
     assert gauss_limits(kernel, 3, 3.0 * 1.6e-3)[0] > 1 / 3
     assert gauss_limits(kernel, 3, 1.6e-3)[0] < 1 / 3
@@ -537,7 +537,7 @@ def _rule(kernel, points, end, order):
 
 @pytest.mark.parametrize("order", [1, 2, 3, 4, 5, 7, 12, 13, 40])
 def test_any_number_of_gauss_points(order):
-    kernel, end = as_kernel("lucy", 0.5, 3), np.array([0.7, -0.2, 0.4])
+    kernel, end = kernel_of("lucy", 0.5, {}, 3), np.array([0.7, -0.2, 0.4])
     points = np.random.default_rng(order).uniform(-0.8, 1.0, (200, 3))
     found = kernel.segment(points, 0 * end, end, order)
     np.testing.assert_allclose(found, _rule(kernel, points, end, order), rtol=0, atol=1e-14 * kernel.value(0.0))
@@ -546,7 +546,7 @@ def test_any_number_of_gauss_points(order):
 @pytest.mark.parametrize("order", [-1, 2.5])
 def test_wrong_numbers_of_gauss_points_raise(order):
     with pytest.raises(ValueError, match=f"order={order}: expected a number of Gauss-Legendre points"):
-        as_kernel("lucy", 0.5, 3).segment([[0.0, 0.0, 0.0]], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0], order)
+        kernel_of("lucy", 0.5, {}, 3).segment([[0.0, 0.0, 0.0]], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0], order)
 
 
 def touching(rng, axes):
@@ -570,7 +570,7 @@ def touching(rng, axes):
 @pytest.mark.parametrize("width", [0.3, 0.45, 0.75, 1.0, 2.0, 6.0])
 def test_the_error_of_every_contact_is_below_rtol(axes, kernel, width):
     """One contact between spheres of any sizes, at random places on the mesh, at widths of 0.3 d to 6 d."""
-    rng, shape = np.random.default_rng(round(100 * width)), as_kernel(kernel, width, 3)
+    rng, shape = np.random.default_rng(round(100 * width)), kernel_of(kernel, width, {}, 3)
     options = {"axes": axes, "kernel": kernel, "width": width, "spacing": width / 3}
     for _ in range(3):
         ds, branch, force = touching(rng, axes)
@@ -598,7 +598,7 @@ def test_nodes_on_the_rim_of_a_marginal(kernel):
     x, z = 10.7, 23.6
     assert ((x - 9.5) / 2.0) ** 2 + ((z - 22.0) / 2.0) ** 2 > 1.0
     ds = xcg.scene_from_arrays([[x, 2.0, z]], diameter=[1.0], density=1.0, box=[[0, 20], [0, 4], [0, 34]], periodic="y")
-    width = xcg.Lucy(1.0).cutoff / as_kernel(kernel, 1.0, 3).cutoff
+    width = xcg.Lucy(1.0).cutoff / kernel_of(kernel, 1.0, {}, 3).cutoff
     mesh = {"axes": "xz", "bounds": {"x": (0, 18), "z": (6, 24)}, "spacing": 0.5}
     f = ds.cg.coarse_grain("volume_fraction", kernel=kernel, width=width, **mesh)
     assert np.isfinite(f.volume_fraction).all()
@@ -613,7 +613,7 @@ def test_nodes_on_the_rim_of_a_marginal(kernel):
         (lambda: xcg.Lucy(1.0, cutoff=3.0), "contradict"),
         (lambda: xcg.Lucy(1.0, dimension=4), "expected 1, 2 or 3"),
         (lambda: xcg.Lucy(1.0, dimension=1).weights(3), "cannot be seen in 3"),
-        (lambda: as_kernel(xcg.Lucy(1.0), 2.0, 3), "has its own width"),
+        (lambda: kernel_of(xcg.Lucy(1.0), 2.0, {}, 3), "has its own width"),
         (lambda: xcg.register_kernel("none", lambda q: 0 * q), "positive integral"),
         (lambda: xcg.register_kernel("Lucy", lambda q: 1 - q), "'Lucy'.*a kernel of xcg"),
         (lambda: xcg.register_kernel("shifted gaussian", lambda q: 1 - q), "a kernel of xcg"),

@@ -20,7 +20,7 @@ from xcg.fields.formulas.averages import time_average
 from xcg.fields.formulas.field import Quantity
 from xcg.fields.grids.frames import refuse_cylindrical
 from xcg.fields.request import SharedOptions, takes
-from xcg.fields.sums.kernels import Kernel, as_kernel, resolve_width
+from xcg.fields.sums.kernels import Kernel, kernel_of, resolve_width
 from xcg.scene.description import describe
 
 if TYPE_CHECKING:
@@ -136,7 +136,7 @@ def choose_width(ds: xr.Dataset, asked: ChoiceRequest) -> xr.Dataset:
     )  # fmt: skip
     total = out[[f"{name}_total" for name in names]].to_dataarray().max("variable", skipna=False)
     out["total"] = total.drop_attrs(deep=False).assign_attrs(units="1", long_name="largest total of the fields")
-    kernel = as_kernel(asked.kernel, widths[0], scene.setup.dimension)
+    kernel = kernel_of(asked.kernel, widths[0], scene.sizes, scene.setup.dimension)
     return out.assign(_choice(out, names, kernel))
 
 

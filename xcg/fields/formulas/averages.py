@@ -21,7 +21,7 @@ from xcg.common.checks import is_whole
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Field, Options
 from xcg.fields.formulas.variables import row_of_result
-from xcg.fields.sums.kernels import Kernel, as_kernel
+from xcg.fields.sums.kernels import Kernel, kernel_of
 from xcg.scene.conform import in_order, labels_along
 from xcg.scene.frame import with_time
 from xcg.scene.schema import COMPONENTS
@@ -194,7 +194,7 @@ def _independent(f: xr.Dataset, axes: Sequence[str]) -> float:
     """Return how many places along some axes share no grains: at most as many as there are nodes."""
     count = math.prod(f.sizes[a] for a in axes)
     dimension = int(f.attrs["kernel_dimension"])
-    kernel = as_kernel(str(f.attrs["kernel"]), float(np.max(f.attrs["width"])), dimension)
+    kernel = kernel_of(str(f.attrs["kernel"]), float(np.max(f.attrs["width"])), {}, dimension)
     seen = [a for a in COMPONENTS if a in f.coords]
     kept = len(seen) - len(axes)
     length = [float(f[a][1] - f[a][0]) * f.sizes[a] if f.sizes[a] > 1 else 0.0 for a in axes]

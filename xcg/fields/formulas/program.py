@@ -79,7 +79,7 @@ class Program:
         fields = np.stack([address, np.array(list(self.widths.values()), "uint64")[which], count.astype("uint64")], 1)
         tile = np.empty((loops.TILE + EIGHT) * max(loads.widths))
         to = place if order is None else place[order]
-        lists = _whole(records, 3), loads.source, fields, self.target
+        lists = np.array(records, "uint64"), loads.source, fields, self.target
         loops.run(self.steps, *lists, to, order, tile.ctypes.data, scratch)
 
 
@@ -126,11 +126,7 @@ class Loads:
         rows = np.cumsum([own + len(factors), *(width + -width % EIGHT for width in widths)]).tolist()
         constants = np.concatenate([program.scratch, np.tile(np.reshape(factors, (-1, 1)), loops.TILE)])
         places = [(rows[number] + column, own + factor) for number, column, factor in source]
-        return cls(_whole(places, 2), widths, rows, constants)
-
-
-def _whole(numbers: Sequence[Sequence[int]], width: int) -> NDArray:
-    return np.array(numbers, "uint64").reshape(-1, width)
+        return cls(np.array(places, "uint64").reshape(-1, 2), widths, rows, constants)
 
 
 @lru_cache(maxsize=64)
@@ -257,7 +253,7 @@ def _allocate(
         widths[name] = max(widths.get(name, 0), first + components)
     names = list(widths)
     stores = np.array([(names.index(name), first, components) for name, first, components in stored])
-    return Program(_whole(steps, 4), scratch, tuple(inputs), target, widths, stores)
+    return Program(np.array(steps, "uint64"), scratch, tuple(inputs), target, widths, stores)
 
 
 def _operands(operation: int, operands: tuple[Any, ...]) -> tuple[int, ...]:

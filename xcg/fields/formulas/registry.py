@@ -93,9 +93,9 @@ class OwnRow:
     moments: ClassVar[Mapping[str, Any]] = MappingProxyType({})
 
 
-def registered_for(fields: Iterable[str], options: Options) -> tuple[OwnRow, ...]:
-    """Return what users registered of all that some fields need."""
-    return tuple(OwnRow(name, _REGISTERED[name]) for name in order_of(fields, options) if name in _REGISTERED)
+def registered(fields: Iterable[str]) -> tuple[OwnRow, ...]:
+    """Return the fields among these that users registered."""
+    return tuple(OwnRow(name, _REGISTERED[name]) for name in fields if name in _REGISTERED)
 
 
 def order_of(fields: Iterable[str], options: Options) -> tuple[str, ...]:

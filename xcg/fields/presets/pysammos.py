@@ -23,7 +23,7 @@ from xcg.fields.formulas.algebra import at_least_zero, where_positive
 from xcg.fields.formulas.field import Field, Options, Quantity
 from xcg.fields.plan import possible_fields
 from xcg.fields.request import Request
-from xcg.fields.sums.kernels import KernelName, as_kernel, resolve_width
+from xcg.fields.sums.kernels import KernelName, kernel_of
 from xcg.scene.conform import require_scene
 from xcg.scene.description import Description, describe
 from xcg.scene.schema import COMPONENTS
@@ -293,7 +293,7 @@ def pysammos_mesh(
     if scene.corners is None or "dmax" not in scene.sizes:
         raise ValueError("pysammos_mesh needs the extent and the largest diameter; call ds = ds.cg.measure() first")
     setup = scene.setup
-    chosen = as_kernel(kernel, resolve_width(width, scene.sizes), setup.dimension)
+    chosen = kernel_of(kernel, width, scene.sizes, setup.dimension)
     corners = zip(COMPONENTS, *scene.corners, strict=True)
     extent = {a: (first, last) for a, first, last in corners if a in setup.plane}
     resolved = "".join(a for a in axes if a in extent)

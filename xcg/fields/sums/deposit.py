@@ -55,8 +55,9 @@ def _layout_of_grains(spec: DepositSpec, same: Mapping[str, float]) -> Layout:
             moments[name] = (first + row.columns, 1.0)
             first += row.width
     number = first + MOMENTS["number"].columns
+    columns = -(-(first + bool(same)) // 4) * 4  # as the loop adds four at a time
     moments |= {name: (number, value) for name, value in same.items()}
-    return Layout(spec.phases, _padded(first + bool(same)), moments, spec.level)
+    return Layout(spec.phases, columns, moments, spec.level)
 
 
 def slopes(step: StepRows) -> list[Pass]:
@@ -126,7 +127,7 @@ def _constants(
     """Prepare places with columns of constants alone, moment after moment."""
     firsts = np.cumsum([0, *(row.width for row in rows.values())]).tolist()
     moments = {name: (first + row.columns, 1.0) for first, (name, row) in zip(firsts, rows.items(), strict=False)}
-    layout, count = Layout(step.spec.phases * others, _padded(firsts[-1]), moments), len(images.position)
+    layout, count = Layout(step.spec.phases * others, -(-firsts[-1] // 4) * 4, moments), len(images.position)
     return _pass(step, layout, images, np.zeros((count, 3)), np.zeros(count), phase, columns, others)
 
 
@@ -139,7 +140,11 @@ def _pass(
     With `others`, `phase` is the number of a pair of phases, the first times `others` plus the second.
     """
     spec, position, level = step.spec, images.position, layout.level
-    columns = _side_by_side(constants, len(position), layout.columns - level)
+    columns, first = np.zeros((len(position), layout.columns - level)), 0
+    for values in constants:
+        columns[:, first : first + values.shape[1]] = values
+        first += values.shape[1]
+        del values  # before the next are made
     beyond = step.lattice if images.row is None else Lattice(np.full(3, np.inf))
     fill, squared = [], []
     for cutoff in spec.distinct if len(position) or layout.squares else ():
@@ -156,21 +161,6 @@ def _pass(
             of = np.arange(layout.groups) if groups is None else np.flatnonzero(groups)
             squared.append(Squared(rows, position, mass, phase, beyond, of, cutoff, weights, spec.grid))
     return Pass(layout, fill, squared)
-
-
-def _padded(columns: int) -> int:
-    """Return the next multiple of four, as the loop adds four at a time."""
-    return columns + -columns % 4
-
-
-def _side_by_side(parts: Iterable[NDArray], count: int, width: int) -> NDArray:
-    """Columns (count, ...) side by side, and zeros up to a width."""
-    out, first = np.zeros((count, width)), 0
-    for values in parts:
-        out[:, first : first + values.shape[1]] = values
-        first += values.shape[1]
-        del values  # before the next are made
-    return out
 
 
 def _fill(

@@ -351,8 +351,8 @@ def _check_registration(name: Any, profile: Any, ratio: Any, smoothness: Any) ->
         )
 
 
-def as_kernel(kernel: str | Kernel, width: float | None, dimension: int) -> Kernel:
-    """Return a kernel object from a name and a width, or from a kernel that already has one.
+def kernel_of(kernel: str | Kernel, width: float | str | None, sizes: Mapping[Any, Any], dimension: int) -> Kernel:
+    """Return the kernel of a call: an object with its own width, or one of a name and a width, see `resolve_width`.
 
     Raises
     ------
@@ -367,14 +367,7 @@ def as_kernel(kernel: str | Kernel, width: float | None, dimension: int) -> Kern
         raise ValueError(
             f"kernel={kernel!r}: expected one of {sorted(_NAMED)} or a kernel object such as xcg.Lucy(width=0.01)"
         )
-    return _NAMED[kernel.lower()](width, dimension=dimension)
-
-
-def kernel_of(kernel: str | Kernel, width: float | str | None, sizes: Mapping[Any, Any], dimension: int) -> Kernel:
-    """Return the kernel of a call: an object with its own width, or one of a name and a width, see `resolve_width`."""
-    if isinstance(kernel, Kernel) and width is None:
-        return kernel.in_dimension(dimension)
-    return as_kernel(kernel, resolve_width(width, sizes), dimension)
+    return _NAMED[kernel.lower()](resolve_width(width, sizes), dimension=dimension)
 
 
 def resolve_width(width: float | str | None, attrs: Mapping[Any, Any]) -> float:

@@ -30,12 +30,7 @@ BLOCK_NODES = 110_000
 # Where there are more nodes than this in the box around a grain's support, sums have left the cache when the next grain
 # comes to the same nodes: blocks then have so few that their sums stay there.
 FINE = 1000
-_CACHED, _FEWEST = 10_000_000, 10_000  # bytes; nodes, however many numbers each has
-
-
-def nodes_in_cache(numbers: int) -> int:
-    """Return how many nodes have sums that stay in cache, of so many numbers each."""
-    return max(_FEWEST, _CACHED // (8 * max(1, numbers)))
+CACHED, FEWEST_NODES = 10_000_000, 10_000  # bytes; nodes, however many numbers each has
 
 
 def triple(values: NDArray | Sequence[Any]) -> tuple[Any, Any, Any]:
@@ -265,9 +260,16 @@ _BRANCHES = slice(BRANCH, FORCE)
 _MARGIN = 2.0
 
 
-@dataclass(eq=False)
 class Mesh:
     """Nodes and their surroundings as the loops see them: lengths in cutoffs, places relative to one of the nodes.
+
+    Parameters
+    ----------
+    grid : Grid
+    period : array (3,)
+        Periods of the scene (m).
+    cutoff : float
+        The unit of length (m).
 
     Attributes
     ----------
@@ -285,30 +287,16 @@ class Mesh:
         Period, infinity along axes that are not periodic, or not active.
     nodes : int
         Number of nodes.
-    cutoff : float
-        The unit of length (m).
+    reach : array (3,)
+        How far apart nodes are that see one point.
     """
 
-    origin: NDArray
-    steps: NDArray
-    half: NDArray
-    lower: NDArray
-    upper: NDArray
-    active: NDArray
-    period: NDArray
-    nodes: int
-    cutoff: float
-
-    @classmethod
-    def of(cls, grid: Grid, period: NDArray, cutoff: float) -> Mesh:
-        """Return the nodes of a grid with the periods of the scene (m)."""
-        steps = np.where(np.array(grid.shape) > 1, grid.steps / cutoff, 1.0)
-        lower, upper = (grid.lower - grid.origin) / cutoff, (grid.upper - grid.origin) / cutoff
-        periods = np.where(grid.active, period, np.inf) / cutoff
-        return cls(grid.origin, steps, grid.half / cutoff, lower, upper, grid.active, periods, grid.count, cutoff)
-
-    def __post_init__(self) -> None:
-        self.reach = 2.0 + 2.0 * self.half  # how far apart nodes are that see one point (3,)
+    def __init__(self, grid: Grid, period: NDArray, cutoff: float) -> None:
+        self.origin, self.active, self.nodes, self.cutoff = grid.origin, grid.active, grid.count, cutoff
+        self.steps = np.where(np.array(grid.shape) > 1, grid.steps / cutoff, 1.0)
+        self.half, self.reach = grid.half / cutoff, 2.0 + 2.0 * grid.half / cutoff
+        self.lower, self.upper = (grid.lower - grid.origin) / cutoff, (grid.upper - grid.origin) / cutoff
+        self.period = np.where(grid.active, period, np.inf) / cutoff
         numbers = np.column_stack([self.upper - self.lower, self.steps, self.period]).tolist()
         self._along_active = [(k, numbers[k]) for k in range(3) if self.active[k]]  # extent, spacing and period
 

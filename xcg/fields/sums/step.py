@@ -265,7 +265,7 @@ class StepRows:
         self.velocity = np.zeros((self.count, 3)) if velocity is None else np.ascontiguousarray(velocity)
         self.mass = np.ones(self.count) if mass is None else np.ascontiguousarray(mass)
         self.lattice = replace(lattice.seen(spec.grid.active, source), edges=None)  # which are a part of the scene
-        self.meshes = {cutoff: Mesh.of(spec.grid, self.lattice.period, cutoff) for cutoff in spec.distinct}
+        self.meshes = {cutoff: Mesh(spec.grid, self.lattice.period, cutoff) for cutoff in spec.distinct}
         self.kernels, seen = dict[float, AnyKernel](), int(spec.grid.active.sum())
         for cutoff, mesh in self.meshes.items():
             if cutoff in (spec.distinct[0], spec.distinct[-1]):
