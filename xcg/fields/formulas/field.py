@@ -212,6 +212,15 @@ class Mean(Quantity):
 
     The result has the variable's name, or ``mean_<variable>`` where that is the name of a field, as of ``density``.
     NaN where nothing reaches.
+
+    Parameters
+    ----------
+    variable : str
+        A variable of the scene: a scalar, vector or tensor of particles or of contacts.
+    weight : {"mass", "volume", "number"}, optional
+        What particles count by, "mass" by default; contacts count by number.
+    name : str, optional
+        Name of the result.
     """
 
 
@@ -219,6 +228,15 @@ class Sum(Quantity):
     """The sum of a variable in a unit of volume, ``sum u q Psi``; u is 1 by default: charges sum to their density.
 
     The result is ``sum_<variable>``.
+
+    Parameters
+    ----------
+    variable : str
+        A variable of the scene: a scalar, vector or tensor of particles or of contacts.
+    weight : {"mass", "volume", "number"}, optional
+        What each particle is multiplied by, "number" (1) by default; contacts count by number.
+    name : str, optional
+        Name of the result.
     """
 
     usual = "number"
@@ -229,6 +247,15 @@ class Variance(Quantity):
     """The variance of each component of a variable, ``sum u (q - <q>)^2 Psi / sum u Psi``; u is the mass by default.
 
     The result is ``variance_<variable>``, about the bulk's mean also for phases. NaN where nothing reaches.
+
+    Parameters
+    ----------
+    variable : str
+        A variable of the scene: a scalar, vector or tensor of particles or of contacts.
+    weight : {"mass", "volume", "number"}, optional
+        What particles count by, "mass" by default; contacts count by number.
+    name : str, optional
+        Name of the result.
     """
 
     prefix = "variance_"
@@ -239,6 +266,15 @@ class Flux(Quantity):
 
     The result is ``flux_<variable>``, a vector for a scalar, and for a vector a tensor (``component`` of the variable,
     ``direction`` of the velocity). The mean and V are the bulk's also for phases, so that partial fluxes add up.
+
+    Parameters
+    ----------
+    variable : str
+        A scalar or vector of the particles.
+    weight : {"mass", "volume", "number"}, optional
+        What particles count by, "mass" by default.
+    name : str, optional
+        Name of the result.
     """
 
     prefix = "flux_"
@@ -252,6 +288,15 @@ class Conduction(Quantity):
     exactly: with `Flux` and the rate of the grains' content the balance closes. The flux is from j to i where Q > 0.
     Contacts with walls have the part of their grain only, and what walls give is ``sum_w Q Psi(r - c)``. The result is
     ``conduction_<variable>``, a vector, per area (W m-2).
+
+    Parameters
+    ----------
+    variable : str
+        A scalar of the contacts.
+    weight : {"mass", "volume", "number"}, optional
+        Only "number", the default.
+    name : str, optional
+        Name of the result.
 
     Notes
     -----

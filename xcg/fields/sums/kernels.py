@@ -170,6 +170,15 @@ class Lucy(Kernel):
     """Lucy's kernel, ``105 / (16 pi c^3) (1 - 6 q^2 + 8 q^3 - 3 q^4)`` with q = r / c and c = 2 w in 3D.
 
     Twice continuously differentiable, so that its fields satisfy the differential balance laws. Source: Lucy (1977).
+
+    Parameters
+    ----------
+    width : float, optional
+        Half-width w (m).
+    cutoff : float, optional
+        Radius c of the support (m), 2 w. One of the two is enough.
+    dimension : int, optional
+        The number of dimensions in which it integrates to 1; by default that of the scene.
     """
 
     name, code, ratio, smoothness = "lucy", codes.LUCY, 2.0, 2
@@ -245,7 +254,17 @@ _SHIFTED_GAUSSIAN = "shifted gaussian"
 
 
 class Heaviside(Kernel):
-    """Constant inside c = w, zero outside; its fields jump."""
+    """Constant inside c = w, zero outside; its fields jump.
+
+    Parameters
+    ----------
+    width : float, optional
+        Half-width w (m).
+    cutoff : float, optional
+        Radius c of the support (m), equal to the width. One of the two is enough.
+    dimension : int, optional
+        The number of dimensions in which it integrates to 1; by default that of the scene.
+    """
 
     name, code = "heaviside", codes.HEAVISIDE
 
