@@ -105,6 +105,8 @@ def test_moving_windows():
             np.testing.assert_allclose(moving[name].isel(time=t), part[name], rtol=1e-12, atol=1e-14)
     np.testing.assert_allclose(f.cg.time_average(window=2, every=2).time, [0.05, 0.25, 0.45])
     xr.testing.assert_allclose(f.cg.time_average(window=2.0, every=2.0), f.cg.time_average(window=2, every=2))
+    with pytest.raises(ValueError, match="every=2 is the distance of windows: give their length, window="):
+        f.cg.time_average(every=2)
 
 
 def test_moving_windows_of_a_lazy_result():

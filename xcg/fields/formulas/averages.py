@@ -119,6 +119,8 @@ def time_average(f: xr.Dataset, window: int | None = None, *, every: int = 1) ->
     for name, value in (("window", window), ("every", every)):
         if value is not None and not is_whole(value, 1, count):
             raise ValueError(f"{name}={value!r}: expected a number of steps from 1 to {count}")
+    if window is None and every != 1:
+        raise ValueError(f"every={every!r} is the distance of windows: give their length, window=, too")
     f = f.assign_attrs(provenance(f, format_call("time_average", {"window": window, "every": every})))
     sums = _to_sums(f.drop_vars("step", errors="ignore"), "time_average")
     sums = sums.assign({_noise_of(name): values.variable for name, values in noise.items()})
