@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError, unknown
 from xcg.compiled._jit import for_parts
-from xcg.compiled.arrays import Reduced, counting_sort, short_integers
+from xcg.compiled.arrays import counting_sort, short_integers
 from xcg.compiled.contacts import add_dyads, add_rows, add_unit_squares, between, k_core, sides
-from xcg.scene.complete import unit_vectors
 from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.lattice import Lattice
-from xcg.scene.sanity import check_contacts, repeated_pairs, rows_of
+from xcg.scene.sanity import check_contacts, repeated_pairs, rows_of, unit_vectors
 from xcg.scene.schema import PADDING, Frame
 
 # Contacts are those of spheres where the branches are as spheres have them, to this share of the radius.
@@ -88,14 +87,9 @@ class Contacts:
             return self.given_branches
         return self._sides(self.i), self._sides(self.j)
 
-    @property
-    def periods(self) -> tuple[tuple[float, float, float], Reduced | None]:
-        """Periods along the axes, and the lattice of other boxes, as compiled loops take them."""
-        return self.lattice.for_loops
-
     def _sides(self, row: NDArray) -> NDArray:
         """Vectors (n, 3) from the contact points to one particle of each contact, zero where it is not there."""
-        out, periods = np.empty_like(self.point), self.periods
+        out, periods = np.empty_like(self.point), self.lattice.for_loops
 
         def write(first: int, last: int) -> None:
             sides(row[first:last], self.position, self.point[first:last], *periods, out[first:last])
@@ -150,7 +144,7 @@ class Contacts:
         return out
 
     def _write_between(self, some: slice, out: NDArray) -> None:
-        between(self.i[some], self.j[some], self.position, self.point[some], *self.periods, out)
+        between(self.i[some], self.j[some], self.position, self.point[some], *self.lattice.for_loops, out)
 
     @cached_property
     def normal(self) -> NDArray:

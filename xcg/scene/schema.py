@@ -45,11 +45,6 @@ class Variable:
     dtype: str = "float64"
 
     @property
-    def powers(self) -> Powers:
-        """Powers of (length, mass, time) of the unit."""
-        return powers_of(self.units)
-
-    @property
     def fill(self) -> float | int:
         """Value of padding."""
         return PADDING if self.dtype == "int64" else np.nan

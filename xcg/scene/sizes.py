@@ -14,7 +14,15 @@ from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.frame import frame_of
 from xcg.scene.schema import MAX_GROUPS, PADDING, Frame, known_without_reading, mark_measured, units_in
 
-SIZES = ("d43", "d32", "d50", "drms", "dmin", "dmax")
+_SIZE_NAMES = {
+    "d43": "volume-weighted mean diameter",
+    "d32": "surface-weighted mean diameter",
+    "d50": "median diameter by mass",
+    "drms": "root mean square diameter",
+    "dmin": "smallest diameter",
+    "dmax": "largest diameter",
+}
+SIZES = tuple(_SIZE_NAMES)
 
 
 def sizes_of(diameter: NDArray, mass: NDArray | None = None) -> dict[str, float]:
@@ -59,18 +67,14 @@ def measure_frames(frames: Sequence[Frame]) -> dict[str, Any]:
     if diameters and sum(map(len, diameters)):
         masses = [f["mass"] for f in frames if "mass" in f]
         whole = len(masses) == len(diameters)
-        measured |= sizes_of(_joined(diameters), _joined(masses) if whole else None)
+        measured |= sizes_of(np.concatenate(diameters), np.concatenate(masses) if whole else None)
     for name in frames[0] if frames else ():
         values = [f[name] for f in frames if f[name].dtype.kind == "i"]
         if values and name != "particle_id":
-            unique = np.unique(_joined(values))
+            unique = np.unique(np.concatenate(values))
             if 0 < len(unique) <= MAX_GROUPS:
                 measured[f"{name}_values"] = unique
     return measured
-
-
-def _joined(parts: Sequence[NDArray]) -> NDArray:
-    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 _RANGES = {"position": ("particle_lower", "particle_upper"), "diameter": ("dmin", "dmax")}
@@ -154,16 +158,6 @@ def _measure(ds: xr.Dataset) -> xr.Dataset:
         arrays = {name: ds[name].isel(time=[t]).transpose("time", ...).to_numpy() for name in names}
         frames.append(frame_of(arrays, 0, f"step {t}"))
     return mark_measured(ds.assign_attrs(measure_frames(frames)))
-
-
-_SIZE_NAMES = {
-    "d43": "volume-weighted mean diameter",
-    "d32": "surface-weighted mean diameter",
-    "d50": "median diameter by mass",
-    "drms": "root mean square diameter",
-    "dmin": "smallest diameter",
-    "dmax": "largest diameter",
-}
 
 
 @takes_scene

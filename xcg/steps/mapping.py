@@ -161,11 +161,6 @@ def picked(
     return da.Array(whole, key, sizes, meta=np.empty((0,) * (1 + len(shape)), dtype))
 
 
-def origin(array: da.Array) -> tuple[str, str] | None:
-    """Layer and entry that all chunks of an array are picked from; None where it comes about otherwise."""
-    return getattr(array.dask.layers.get(array.name), "origin", None)
-
-
 @dataclass(frozen=True)
 class Gathered:
     """Arrays of the same chunks of time, whole otherwise, for tasks that take one chunk of all of them.
@@ -187,7 +182,7 @@ class Gathered:
         sources: list[tuple[str, int]] = []
         entries = {}
         for name, array in arrays.items():
-            found = origin(array)
+            found = getattr(array.dask.layers.get(array.name), "origin", None)  # of what is `picked`
             layer, entry = found or (array.name, "")
             source = (layer, 1 if found else array.ndim)
             if source not in sources:
