@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 import sys
 import threading
 import warnings
@@ -13,13 +14,21 @@ from types import FrameType
 from typing import Any, ClassVar
 from uuid import uuid4
 
+_OF_NUMPY = re.compile(r"\bnp\.(?:float|u?int)\d+\(([^()]*)\)")
+
 
 def printable(text: str) -> str:
     """Write what a terminal would obey or hide, as codes for colours or the title of its window, as escapes.
 
-    Messages quote files, and files may come from strangers.
+    Messages quote files, and files may come from strangers. NumPy's numbers become plain: 0.1 for np.float64(0.1).
     """
+    text = _OF_NUMPY.sub(r"\1", text)
     return "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text)
+
+
+def plain(value: object) -> str:
+    """Write a value of the caller's in a message."""
+    return printable(repr(value))
 
 
 class _Printable(Exception):

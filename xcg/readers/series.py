@@ -25,7 +25,7 @@ from xcg.scene.build import to_dataset
 from xcg.scene.complete import complete_particles
 from xcg.scene.contacts import named_walls
 from xcg.scene.lattice import Lattice
-from xcg.scene.sanity import check_shape
+from xcg.scene.sanity import check_sizes
 from xcg.scene.schema import COMPONENTS, VARIABLES, Frame, Setup, Shape, Sides
 from xcg.scene.sizes import measure_frames
 from xcg.steps import faults as errors
@@ -267,7 +267,7 @@ def open_scene(
     domain = _domain(steps, box, lattice, shear_rate, setup, time)
     source = Source(reader, options, setup, _frozen_species(frozen, raw), allow_unknown)
     ends = [source.complete(frame, ref) for ref, frame in raw.items()]
-    check_shape(ends[0], setup)
+    check_sizes(ends[0], setup)
     types = {name: ends[0][name].dtype for name in dict.fromkeys([*VARIABLES, *ends[0]]) if name in ends[0]}
     contact_names = _contact_names(source, next((step for step in steps if step.contacts), steps[0]))
     series = Series(source, steps, domain, types, contact_names)

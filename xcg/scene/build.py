@@ -16,7 +16,7 @@ from xcg.scene.complete import complete_contacts, complete_particles, refuse_mas
 from xcg.scene.conform import storable
 from xcg.scene.frame import check_times, stack
 from xcg.scene.lattice import Lattice
-from xcg.scene.sanity import check_shape
+from xcg.scene.sanity import check_sizes
 from xcg.scene.schema import (
     BOX,
     COMPONENTS,
@@ -90,8 +90,6 @@ def to_dataset(
 
 def _split_steps(name: str, values: Any) -> list[NDArray]:
     """Arrays of one step each, from one step, a stack of steps, or a list of steps of different length."""
-    for part in values if isinstance(values, (list, tuple)) else [values]:
-        refuse_mask(name, part)
     if isinstance(values, (list, tuple)) and len(values) and np.ndim(values[0]) == len(variable(name).dims):
         return [np.asarray(v) for v in values]
     array = np.asarray(values)
@@ -108,8 +106,6 @@ def _split_steps(name: str, values: Any) -> list[NDArray]:
 
 def _split_own(name: str, values: Any, rows: Sequence[int]) -> list[NDArray]:
     """As `_split_steps`, for a scalar, vector or custom tensor; `rows` of each step decide which."""
-    for part in values if isinstance(values, (list, tuple)) else [values]:
-        refuse_mask(name, part)
     if _is_one_number(values):
         raise SceneError(
             f"{name!r} is one number, neither an argument nor an array: a variable of your own has a row for each "
@@ -233,13 +229,15 @@ def scene_from_arrays(
     if density is not None and one_density is None:
         given["density"] = density
     given = {name: values for name, values in given.items() if values is not None}
+    for name, values in (*given.items(), ("time", time)):
+        for part in values if isinstance(values, (list, tuple)) else [values]:
+            refuse_mask(name, part)
     steps = {name: _split_steps(name, values) for name, values in given.items() if name in VARIABLES}
     for name in (name for name in given if name not in VARIABLES):
         key = "position" if variable(name).dims[0] == "particle" else "contact_i"
         steps[name] = _split_own(name, given[name], [len(one) for one in steps.get(key, [])])
     total = len(steps["position"])
     _repeat_what_stays(steps, total)
-    refuse_mask("time", time)
     times = np.arange(total, dtype=float) if time is None else np.atleast_1d(np.asarray(time, float)) * setup.scales[2]
     numbers = np.arange(total) if step is None else np.atleast_1d(step)
     for name, values in (("time", times), ("step", numbers)):
@@ -260,7 +258,7 @@ def scene_from_arrays(
             frame = _prefix(steps, contact_names, "contact_i", t, source)
             contacts.append(complete_contacts(frame, particles[-1], images, setup, source, allow_unknown=allow_unknown))
     if particles:
-        check_shape(particles[0], setup)
+        check_sizes(particles[0], setup)
     measured, arrays = measure_frames(particles), Frame()
     for frames, key in ((particles, "particle_id"), (contacts, "contact_i")):
         rows = max((len(f[key]) for f in frames), default=0)

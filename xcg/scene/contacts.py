@@ -187,7 +187,8 @@ class Contacts:
         first = np.ones(len(self.key_i))
         rows, pair = repeated_pairs(self.key_i, self.key_j)
         if rows.size:
-            keys = np.column_stack([self._images[rows], pair])
+            from_lower = np.where((self.key_i < self.key_j)[:, None], self.crossed, -self.crossed)
+            keys = np.column_stack([from_lower[rows], pair])
             order = np.lexsort(keys.T)
             repeated = (np.diff(keys[order], axis=0) == 0).all(axis=1)
             first[rows[order[1:][repeated]]] = 0.0
@@ -201,11 +202,6 @@ class Contacts:
         away = self.position[self.i[both]] - self.position[self.j[both]]
         number[both] = self.lattice.numbers(self.between[both] - away)
         return number
-
-    @property
-    def _images(self) -> NDArray:
-        """Periods (n, k) between the images that touch, from the lower id to the higher."""
-        return np.where((self.key_i < self.key_j)[:, None], self.crossed, -self.crossed)
 
     @cached_property
     def partners(self) -> NDArray:

@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.messages import SceneError, printable
+from xcg.common.messages import SceneError, plain, printable
 from xcg.scene.conform import conform
 from xcg.scene.contacts import walls_of
 from xcg.scene.lattice import Lattice
@@ -142,7 +142,7 @@ class Description:
                 f"by={by!r}: its values are not known without reading the series; pass groups= with all that occur"
             )
         if found.dtype.kind not in "iuf" or (found % 1 != 0).any():
-            raise ValueError(f"groups={groups!r}: expected whole numbers, values of {by!r}")
+            raise ValueError(f"groups={plain(groups)}: expected whole numbers, values of {by!r}")
         return tuple(np.unique(found.astype("int64")).tolist())
 
 

@@ -55,15 +55,22 @@ def with_time(ds: xr.Dataset) -> xr.Dataset:
     return ds.swap_dims(step="time") if numbered else ds
 
 
+def require_steps(ds: xr.Dataset, purpose: str) -> None:
+    """Raise SceneError for data whose dimension of time is empty, as after a selection."""
+    if not ds.sizes.get("time", 1):
+        raise SceneError(f"{purpose}: there is no step; select one at least")
+
+
 def step_at(ds: xr.Dataset, position: int, name: str) -> xr.Dataset:
     """Select a step by its position; `name` is the argument in messages. Data without steps stay as they are.
 
     Raises
     ------
     ValueError
-        If the step does not exist.
+        If the step does not exist, or none.
     """
     ds = with_time(ds)
+    require_steps(ds, f"{name}={position!r}")
     if "time" not in ds.sizes:
         return ds
     count = ds.sizes["time"]

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from xcg.common.messages import SceneError, warn_once, warn_user
 from xcg.compiled.contacts import a_pair_twice, far_and_pulling, partners_by_lower
 from xcg.scene.lattice import Lattice
-from xcg.scene.schema import Frame, Setup, Sides
+from xcg.scene.schema import COMPONENTS, Frame, Setup, Sides
 
 # Rows of one pair are one contact where their forces differ by no more than this share of their size, as in files of
 # six digits, and their points by no more than this share of the distance from the centre.
@@ -242,11 +242,12 @@ _CENTRAL = 1e-2  # sine of the angle between forces and branches, from positions
 _OFF = 0.1  # largest distance of the ends in a file from the centres, in branches
 
 _SAME = 2e-3  # scatter of masses over d^2, from sizes and masses of four digits
+_MOST_FILLED = 100.0  # grains in the cube of a diameter, also of glued ones that overlap
 _VARIED = 0.02  # scatter of diameters that tells d^2 from d^3
 
 
-def check_shape(frame: Frame, setup: Setup) -> None:
-    """Warn when discs are read as spheres (their masses are masses of discs).
+def check_sizes(frame: Frame, setup: Setup) -> None:
+    """Warn when grains do not fit into the space that they are in, and when discs are read as spheres.
 
     Parameters
     ----------
@@ -255,6 +256,15 @@ def check_shape(frame: Frame, setup: Setup) -> None:
     setup : Setup
         Arguments of the scene.
     """
+    if "diameter" in frame and len(frame["diameter"]):
+        mean, extent = frame["diameter"].mean(), np.array([np.ptp(x) for x in frame["position"].T])
+        plane = [k for k, axis in enumerate(COMPONENTS) if axis in setup.plane]
+        if len(frame["diameter"]) > _MOST_FILLED * (extent[plane] / mean + 1).prod():
+            warn_user(
+                f"{len(frame['diameter'])} grains with a mean diameter of {mean:.3g} have their centres within "
+                f"{' x '.join(f'{length:.3g}' for length in extent)}, where they do not fit: are the units of radius "
+                "and position the same?"
+            )
     if setup.shape != "sphere" or not {"mass", "diameter", "volume"} <= set(frame):
         return
     some = _sample(len(frame["position"]))

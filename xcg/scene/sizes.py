@@ -9,7 +9,6 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.compiled.arrays import bounds_of
 from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.frame import frame_of
 from xcg.scene.schema import MAX_GROUPS, PADDING, Frame, known_without_reading, mark_measured, units_in
@@ -125,14 +124,10 @@ def _within(name: str, frame: Frame, known: Mapping[Any, Any]) -> bool:
     low, high = _RANGES[name]
     if low not in known:
         return False
-    if values.ndim == 1:
-        lowest, highest = (float(values.min()),), (float(values.max()),)
-    else:
-        lowest, highest = bounds_of(np.ascontiguousarray(values, "float64"))
-    lower, upper = (np.ravel(known[end]).tolist() for end in (low, high))
-    small = 1e-9 * max(map(abs, (*lower, *upper)))
-    inside = zip(lowest, highest, lower, upper, strict=True)
-    return all(first >= least - small and last <= most + small for first, last, least, most in inside)
+    lower, upper = (np.ravel(known[end]) for end in (low, high))
+    small = 1e-9 * np.abs([lower, upper]).max()
+    inside = zip(np.atleast_2d(values.T), lower - small, upper + small, strict=True)
+    return all(x.min() >= least and x.max() <= most for x, least, most in inside)
 
 
 # --- measured on request ---------------------------------------------------------------------------------

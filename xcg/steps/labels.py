@@ -13,6 +13,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 from xarray.indexes import PandasIndex
 
+from xcg.common.messages import plain
 from xcg.scene.conform import storable
 from xcg.scene.description import Description, Summary, rows_of_origin
 from xcg.scene.frame import with_time
@@ -98,7 +99,7 @@ def format_call(function: str, given: Mapping[str, Any]) -> str:
     for name, value in given.items():
         within = isinstance(value, Mapping) and any(np.ndim(one) and hasattr(one, "dtype") for one in value.values())
         array = hasattr(value, "dtype") and np.ndim(value)
-        shown[name] = format_call("dict", value) if within else f"<array {np.shape(value)}>" if array else repr(value)
+        shown[name] = format_call("dict", value) if within else f"<array {np.shape(value)}>" if array else plain(value)
     return f"{function}({', '.join(f'{name}={text}' for name, text in shown.items())})".replace("\n", " ")
 
 

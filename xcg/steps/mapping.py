@@ -72,6 +72,8 @@ def map_over_time(
     numbers = _numbers(ds) if skip else None
     if skip:
         results = dict(results) | {SKIPPED: ((), "bool")}
+    if not ds.sizes["time"]:
+        return {name: np.empty((0, *shape), dtype) for name, (shape, dtype) in results.items()}
     if any(given.chunks is not None for given in inputs.values()):
         return _lazy_results(inputs, partial(_with_warnings_once, once, compute), results, label, numbers, on_error)
     arrays = {name: given.to_numpy() for name, given in inputs.items()}
