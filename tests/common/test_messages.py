@@ -114,6 +114,6 @@ def test_numbers_of_numpy_are_plain_in_messages_and_history():
     ds = xcg.datasets.simple_cubic(3)
     with pytest.raises(ValueError, match=r"^edges=\[2.0, 1.0\]: expected"):
         ds.cg.assign_phases(edges=[np.float64(2), np.float64(1)])
-    f = ds.cg.coarse_grain("density", axes="z", width=np.float64(0.5), at={"z": np.float64(1)})
+    f = ds.cg.coarse_grain("density", axes="z", width=np.float64(0.5), at={"x": np.float64(1)})
     assert "width=0.5" in f.attrs["history"]
     assert "np." not in f.attrs["history"]

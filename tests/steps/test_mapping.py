@@ -182,7 +182,7 @@ def test_a_scene_without_steps_has_results_without_steps(lazily):
     floor = xcg.Plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
     for result in (
         scene.cg.coarse_grain("density", axes="z"),
-        scene.cg.wall_stress(floor, width=0.5, bounds={"x": (0, 5), "y": (0, 5)}),
+        scene.cg.wall_stress(floor, width=0.5),
         scene.cg.cell_volumes(spacing=0.5),
     ):
         assert result.sizes["time"] == 0

@@ -20,14 +20,14 @@ from xcg.readers.lazy import Chunks, Series, Source, Step, indexed_arrays, lazy_
 from xcg.readers.pairs import index_files, origin_of, pair_steps
 from xcg.readers.paths import PathLike, expand_paths, names_no_units, not_against_headers, units_of_headers
 from xcg.readers.saved import open_saved, saved_path
-from xcg.scene.box import box_array, in_unit, with_lattice
+from xcg.scene.box import domain_of
 from xcg.scene.build import to_dataset
 from xcg.scene.complete import complete_particles
 from xcg.scene.contacts import named_walls
+from xcg.scene.frame import measure_frames
 from xcg.scene.lattice import Lattice
 from xcg.scene.sanity import check_sizes
 from xcg.scene.schema import COMPONENTS, VARIABLES, Frame, Setup, Shape, Sides
-from xcg.scene.sizes import measure_frames
 from xcg.steps import faults as errors
 from xcg.steps.faults import FAULTS, OnError, check_on_error, collecting, raising
 
@@ -378,8 +378,7 @@ def _domain(
         lattice = [step.particles.lattice or cell.tolist() for step, cell in zip(steps, straight, strict=True)]
     if box is None and steps[0].particles.box is not None:
         box = [step.particles.box for step in steps]
-    edges = None if box is None else box_array(box, len(steps)) * setup.scales[0]
-    found = with_lattice(edges, in_unit(lattice, setup.scales[0]), shear_rate, setup.periodic, time)
+    found = domain_of(box, lattice, shear_rate, setup.periodic, len(steps), time, setup.scales[0])
     for t, step in enumerate(steps):
         Lattice.of({name: values[t] for name, values in found.items()}, setup.periodic, source_of(step.particles))
     return found

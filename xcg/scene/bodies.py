@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 from xcg.common.messages import SceneError
 from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.description import describe
-from xcg.scene.frame import steps_in
+from xcg.scene.frame import measure, steps_in
 from xcg.scene.lattice import Lattice
 from xcg.scene.sanity import rows_of
 from xcg.scene.schema import BOX, OF_STEP, units_in, variable
-from xcg.scene.sizes import measure
 
 _SHARED = ("species", "frozen")  # by all spheres of a body
 _PARTICLES = ("particle_id", "position", "velocity", "diameter", "density", "mass", "volume", *_SHARED)

@@ -11,10 +11,10 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from xcg.common.messages import SceneError, did_you_mean
-from xcg.scene.box import box_array, in_unit, with_lattice
+from xcg.scene.box import domain_of
 from xcg.scene.complete import complete_contacts, complete_particles, refuse_mask
 from xcg.scene.conform import storable
-from xcg.scene.frame import check_times, stack
+from xcg.scene.frame import check_times, measure_frames, stack
 from xcg.scene.lattice import Lattice
 from xcg.scene.sanity import check_sizes
 from xcg.scene.schema import (
@@ -31,7 +31,6 @@ from xcg.scene.schema import (
     units_in,
     variable,
 )
-from xcg.scene.sizes import measure_frames
 
 # --- many frames: the Dataset ----------------------------------------------------------------------------
 
@@ -54,7 +53,7 @@ def to_dataset(
     time, step : array (t,)
         Times (s) and step numbers.
     box : mapping
-        Variables of the domain, time first, see `with_lattice`.
+        Variables of the domain, time first, see `domain_of`.
     """
     data = {}
     for name, values in (*arrays.items(), *box.items()):
@@ -244,9 +243,7 @@ def scene_from_arrays(
         if values.shape != (total,):
             raise SceneError(f"{name}= has shape {values.shape}: expected one value for each of the {total} steps")
     check_times(times, "a scene", "sort the steps, and leave out those that stand twice")
-    length = setup.scales[0]
-    edges = None if box is None else box_array(box, total) * length
-    domain = with_lattice(edges, in_unit(lattice, length), shear_rate, setup.periodic, times)
+    domain = domain_of(box, lattice, shear_rate, setup.periodic, total, times, setup.scales[0])
     particle_names = [name for name in steps if variable(name).dims[0] == "particle"]
     contact_names = [name for name in steps if variable(name).dims[0] == "contact"]
     particles, contacts = [], []

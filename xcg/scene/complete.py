@@ -253,12 +253,10 @@ def _derive_points(
         some = wanted[first : first + _BLOCK]
         of_block = particles, row_i[some], row_j[some], None if seen is None else seen[some], lattice
         found = _plain_points(*of_block)
-        try:
-            if found is None:
-                block = {name: values[some] for name, values in contacts.items()} | {"row_of_file": number[some]}
-                found = _contact_points(block, *of_block, source)
-            points[some] = found
-        except _OtherBranchesError:
+        if found is None:
+            block = {name: values[some] for name, values in contacts.items()} | {"row_of_file": number[some]}
+            found = _contact_points(block, *of_block, source)
+        if found is None:
             warn_once(
                 "branches of contacts",
                 f"{source}: branches of contacts are not the vectors from j to i between the positions, or cross an "
@@ -266,6 +264,7 @@ def _derive_points(
                 "are something else",
             )
             return _derive_points(contacts, number, derived, particles, row_i, row_j, None, lattice, source)
+        points[some] = found
     return points
 
 
@@ -285,15 +284,14 @@ def _plain_points(
     return points if plain == len(row_i) else None
 
 
-class _OtherBranchesError(Exception):
-    """Branches that the data hold are not those between the positions."""
-
-
 def _contact_points(
     contacts: Frame, particles: Frame, row_i: NDArray, row_j: NDArray, seen: NDArray | None, lattice: Lattice,
     source: str,
-) -> NDArray:  # fmt: skip
-    """Points where spheres touch; for a partner that is not in the scene, from the given middle."""
+) -> NDArray | None:  # fmt: skip
+    """Points where spheres touch; for a partner that is not in the scene, from the given middle.
+
+    None where branches that the data hold are not those between the positions.
+    """
     alone = (row_i < 0) | (row_j < 0)
     if alone.any() and not {"contact_point", "overlap"} <= set(contacts):
         row = int(np.flatnonzero(alone)[0])
@@ -320,6 +318,8 @@ def _contact_points(
 
     centre, radius_i, radius_j = position[i], radius[i], radius[j]
     branch = _branches(centre - position[j], radius_i + radius_j, seen, lattice, refuse)
+    if branch is None:
+        return None
     points[both] = found = contact_points(centre, branch, radius_i, radius_j)
     for side in (centre - found, centre - found - branch):
         refuse(
@@ -335,13 +335,15 @@ def _contact_points(
 
 def _branches(
     apart: NDArray, touching: NDArray, seen: NDArray | None, lattice: Lattice, refuse: Callable[[NDArray, str], None]
-) -> NDArray:  # fmt: skip
-    """Images of vectors (n, 3) from j to i that touch at `touching` (n,): nearest to what was `seen`, or shortest."""
+) -> NDArray | None:  # fmt: skip
+    """Images of vectors (n, 3) from j to i that touch at `touching` (n,): nearest to what was `seen`, or shortest.
+
+    None where these are not near to what was seen.
+    """
     if seen is not None:
         branch = lattice.shortest(apart, seen)
-        if (np.linalg.norm(branch - seen, axis=1) <= _SAME_BRANCH * np.linalg.norm(seen, axis=1)).all():
-            return branch
-        raise _OtherBranchesError
+        near = np.linalg.norm(branch - seen, axis=1) <= _SAME_BRANCH * np.linalg.norm(seen, axis=1)
+        return branch if near.all() else None
     branch = lattice.shortest(apart)
     rows, _ = lattice.within(branch, np.maximum(np.linalg.norm(branch, axis=1), touching) * (1 + _HAIR))
     refuse(

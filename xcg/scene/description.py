@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from xcg.common.messages import SceneError, plain, printable
 from xcg.scene.conform import conform
 from xcg.scene.contacts import walls_of
+from xcg.scene.frame import SIZES, with_measures
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import BOX, COMPONENTS, VARIABLES, Setup, known_without_reading, units_in, variable
-from xcg.scene.sizes import SIZES, with_measures
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Description:
     tilted : bool
         Whether the edges of the box are not along x, y and z.
     sizes : mapping
-        Diameters of `xcg.scene.sizes.SIZES` that are known (m).
+        Diameters of `xcg.scene.frame.SIZES` that are known (m).
     corners : tuple, optional
         Lowest and highest coordinates of the particles' centres (m), where they are known.
     position_known : bool

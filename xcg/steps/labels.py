@@ -13,7 +13,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 from xarray.indexes import PandasIndex
 
-from xcg.common.messages import plain
+from xcg.common.messages import printable
 from xcg.scene.conform import storable
 from xcg.scene.description import Description, Summary, rows_of_origin
 from xcg.scene.frame import with_time
@@ -97,9 +97,11 @@ def format_call(function: str, given: Mapping[str, Any]) -> str:
     """Write a call on one line, arrays by their shape."""
     shown = {}
     for name, value in given.items():
-        within = isinstance(value, Mapping) and any(np.ndim(one) and hasattr(one, "dtype") for one in value.values())
-        array = hasattr(value, "dtype") and np.ndim(value)
-        shown[name] = format_call("dict", value) if within else f"<array {np.shape(value)}>" if array else plain(value)
+        if isinstance(value, Mapping) and any(np.ndim(one) and hasattr(one, "dtype") for one in value.values()):
+            shown[name] = format_call("dict", value)
+        else:
+            array = hasattr(value, "dtype") and np.ndim(value)
+            shown[name] = f"<array {np.shape(value)}>" if array else printable(repr(value))
     return f"{function}({', '.join(f'{name}={text}' for name, text in shown.items())})".replace("\n", " ")
 
 
