@@ -76,7 +76,7 @@ _BETWEEN = {
 }  # fmt: skip
 
 
-def warn_user(message: str | Warning, category: type[Warning] = SceneWarning) -> None:
+def warn_user(message: str | Warning) -> None:
     """Warn at the line of the user's program that made the call.
 
     It is the first line outside this package and the libraries that run its tasks. A thread of dask's has no such line;
@@ -85,19 +85,17 @@ def warn_user(message: str | Warning, category: type[Warning] = SceneWarning) ->
     Parameters
     ----------
     message : str or Warning
-        What is wrong, what it leads to, and what to do.
-    category : type
-        Class of the warning, where `message` is text.
+        What is wrong, what it leads to, and what to do; a text becomes a SceneWarning.
     """
     distributed: Any = sys.modules.get("distributed")
     if distributed is not None and _on_worker(distributed):
-        distributed.worker.warn(message, category)
+        distributed.worker.warn(message, SceneWarning)
         return
     main = sys._current_frames().get(threading.main_thread().ident or 0)
     frame = _of_user(sys._getframe(1)) or _of_user(main) or sys._getframe(1)
     name = frame.f_globals.get("__name__", "<unknown>")
     registry = frame.f_globals.setdefault("__warningregistry__", {})
-    warnings.warn_explicit(message, category, frame.f_code.co_filename, frame.f_lineno, name, registry)
+    warnings.warn_explicit(message, SceneWarning, frame.f_code.co_filename, frame.f_lineno, name, registry)
 
 
 def _of_user(frame: FrameType | None) -> FrameType | None:

@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.messages import SceneError, unknown
+from xcg.common.messages import SceneError, plain, unknown
 from xcg.compiled._jit import for_parts
 from xcg.compiled.arrays import counting_sort, short_integers
 from xcg.compiled.contacts import add_dyads, add_rows, add_unit_squares, between, k_core, sides
@@ -23,7 +23,6 @@ from xcg.scene.schema import PADDING, Frame
 
 # Contacts are those of spheres where the branches are as spheres have them, to this share of the radius.
 SPHERES = 1e-2
-_BLOCK = 1 << 14  # contacts whose normals are computed together, in the cache of the processor
 # Partners from which a grain may bear load, with friction (Thornton 2000).
 BEARING = 2
 Walls: TypeAlias = str | int | Sequence[str | int]
@@ -139,12 +138,14 @@ class Contacts:
         """
         if self.given_branches is not None:
             return self.branch_i - self.branch_j
-        out = np.empty_like(self.point)
-        for_parts(len(out), lambda first, last: self._write_between(slice(first, last), out[first:last]), self.threads)
-        return out
+        out, periods = np.empty_like(self.point), self.lattice.for_loops
 
-    def _write_between(self, some: slice, out: NDArray) -> None:
-        between(self.i[some], self.j[some], self.position, self.point[some], *self.lattice.for_loops, out)
+        def write(first: int, last: int) -> None:
+            some = slice(first, last)
+            between(self.i[some], self.j[some], self.position, self.point[some], *periods, out[some])
+
+        for_parts(len(out), write, self.threads)
+        return out
 
     @cached_property
     def normal(self) -> NDArray:
@@ -232,17 +233,8 @@ class Contacts:
     @property
     def normals(self) -> NDArray:
         """Sum over contacts of n n for each particle (particles, 6): xx xy xz yy yz zz."""
-        total, given = np.zeros((len(self.position), 6)), self.given_normal
-        if given is None and self.given_branches is not None:
-            given = self.between
-        for first in range(0, len(self.i), _BLOCK):
-            some = slice(first, first + _BLOCK)
-            if given is None:
-                along = np.empty_like(self.point[some])
-                self._write_between(some, along)
-            else:
-                along = given[some]
-            add_unit_squares(self.i[some], self.j[some], along, total)
+        total = np.zeros((len(self.position), 6))
+        add_unit_squares(self.i, self.j, self.between if self.given_normal is None else self.given_normal, total)
         return total
 
     @property
@@ -324,7 +316,7 @@ def numbers_of_walls(ds: xr.Dataset, walls: Walls) -> tuple[int, ...]:
             there = f"the walls of this scene are {', '.join(known)}" if known else "no wall of this scene has a name"
             raise ValueError(unknown("wall", wall, known, f"{there}; or give numbers as in contact_j"))
         if not isinstance(wall, str) and not (isinstance(wall, int | np.integer) and wall < 0):
-            raise ValueError(f"walls: {wall!r} is no wall: expected names, or negative numbers as in contact_j")
+            raise ValueError(f"walls: {plain(wall)} is no wall: expected names, or negative numbers as in contact_j")
     if not given:
         raise ValueError("walls: none is given; expected names, or negative numbers as in contact_j")
     return tuple(dict.fromkeys(known[wall] if isinstance(wall, str) else int(wall) for wall in given))

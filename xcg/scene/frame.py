@@ -10,7 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common.checks import is_whole
-from xcg.common.messages import SceneError
+from xcg.common.messages import SceneError, plain
 from xcg.compiled.arrays import all_finite
 from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.lattice import Lattice
@@ -82,13 +82,13 @@ def step_at(ds: xr.Dataset, position: int, name: str) -> xr.Dataset:
         If the step does not exist, or none.
     """
     ds = with_time(ds)
-    require_steps(ds, f"{name}={position!r}")
+    require_steps(ds, f"{name}={plain(position)}")
     if "time" not in ds.sizes:
         return ds
     count = ds.sizes["time"]
     if not (isinstance(position, int | np.integer) and is_whole(position, -count, count - 1)):
         raise ValueError(
-            f"{name}={position!r}: expected the position of a step, a whole number from {-count} to {count - 1}; "
+            f"{name}={plain(position)}: expected the position of a step, a whole number from {-count} to {count - 1}; "
             "select a time by .sel(time=...)"
         )
     return ds.isel(time=int(position))

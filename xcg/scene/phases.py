@@ -70,7 +70,7 @@ def find_phases(ds: xr.Dataset, max_phases: int = 8, *, steps: int = 5, seed: in
     require_scene(ds, ("diameter", "density"), "find_phases")
     for name, value in (("max_phases", max_phases), ("steps", steps)):
         if not is_whole(value, 1):
-            raise ValueError(f"{name}={value!r}: expected a whole number, 1 or more")
+            raise ValueError(f"{name}={plain(value)}: expected a whole number, 1 or more")
     count = ds.sizes["time"]
     some = np.unique(np.linspace(0, count - 1, min(int(steps), count)).round().astype(int))
     read = ds[["diameter", "density"]].isel(time=some).compute()

@@ -104,18 +104,15 @@ def threads_a_chunk(ds: xr.Dataset, names: Iterable[str], threads: int) -> int:
     return threads if all(len(ds.variables[name].chunksizes.get("time", ())) <= 1 for name in names) else 1
 
 
-def chunks_of_time(series: Iterable[xr.Dataset]) -> list[slice]:
+def chunks_of_time(ds: xr.Dataset) -> list[slice]:
     """List the steps of each chunk of time, which cuts no chunk of any variable; single steps where none is lazy.
 
     A task computes a whole chunk, whatever part of it is asked for.
     """
-    edges = [set(range(ds.sizes["time"] + 1)) for ds in series]
-    for ds in series:
-        edges += [
-            {0, *np.cumsum(values.chunks[values.get_axis_num("time")]).tolist()}
-            for values in ds.variables.values()
-            if values.chunks is not None and "time" in values.dims
-        ]
+    edges = [set(range(ds.sizes["time"] + 1))]
+    for values in ds.variables.values():
+        if "time" in values.chunksizes:
+            edges.append({0, *np.cumsum(values.chunksizes["time"]).tolist()})
     return [slice(first, end) for first, end in pairwise(sorted(set.intersection(*edges)))]
 
 
@@ -124,7 +121,7 @@ def each_step(ds: xr.Dataset) -> Iterator[xr.Dataset]:
     if "time" not in ds.dims:
         yield ds.compute()
         return
-    for steps in chunks_of_time([ds]):
+    for steps in chunks_of_time(ds):
         chunk = ds.isel(time=steps).compute()
         for t in range(chunk.sizes["time"]):
             yield chunk.isel(time=[t])
