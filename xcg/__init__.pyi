@@ -42,8 +42,8 @@ from .readers.series import open_scene
 from .scene.bodies import group_bodies
 from .scene.build import scene_from_arrays
 from .scene.contacts import select_walls
+from .scene.frame import measure, size_statistics
 from .scene.phases import assign_phases, find_phases, plot_phases
-from .scene.sizes import measure, size_statistics
 from .steps.faults import SkippedStep
 from .writers.record import Recorder, record
 from .writers.save import register_writer, save

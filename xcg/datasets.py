@@ -222,6 +222,7 @@ def random_scene(
 
     rng = np.random.default_rng(seed)
     seen = 3 if dimension == 3 else 2
+    moving = np.arange(3) < seen
     position = np.zeros((particles, 3))
     position[:, :seen] = rng.uniform(0, edge, (particles, seen))
     mean = edge * (0.6 / max(particles, 1)) ** (1 / seen)
@@ -230,19 +231,19 @@ def random_scene(
     tree = cKDTree(position, boxsize=period)
     pairs = tree.query_pairs(0.75 * diameter.max(initial=0.0), output_type="ndarray").reshape(-1, 2)
     i, j = pairs[:, 0], pairs[:, 1]
-    force = rng.normal(size=(len(pairs), 3)) * np.array([1, 1, 1 if dimension == 3 else 0])
+    force = rng.normal(size=(len(pairs), 3)) * moving
     branch = minimum_image(position[i] - position[j], np.where(period > 0, period, np.inf))
     point = position[i] - 0.5 * branch
-    if walls:
-        for k, axis in enumerate("xyz"[:seen]):
-            near = np.flatnonzero(position[:, k] < 0.5 * diameter) if axis not in periodic else np.zeros(0, int)
-            foot = position[near].copy()
+    for k, axis in enumerate("xyz"[:seen]):
+        if walls and axis not in periodic:
+            near = np.flatnonzero(position[:, k] < 0.5 * diameter)
+            foot = position[near]
             foot[:, k] = 0.0
             push = np.zeros_like(foot)
             push[:, k] = rng.uniform(0, 1, len(near))
             i, j = np.concatenate([i, near]), np.concatenate([j, np.full(len(near), -1 - k)])
             force, point = np.concatenate([force, push]), np.concatenate([point, foot])
-    velocity = rng.normal(size=(particles, 3)) * np.array([1, 1, 1 if dimension == 3 else 0])
+    velocity = rng.normal(size=(particles, 3)) * moving
     species = 1 + rng.integers(0, 2, particles)
     turning = rng.normal(size=(particles, 3)) * np.array([1, 1, 1] if dimension == 3 else [0, 0, 1])
     given = {

@@ -106,3 +106,14 @@ def test_warnings_of_workers_reach_the_client():
     f = without_box().chunk(time=1).cg.coarse_grain("density", axes="z", on_error="skip")
     with cluster, distributed.Client(cluster), pytest.warns(SkippedStep, match="no finite extent"):
         f.compute()
+
+
+def test_numbers_of_numpy_are_plain_in_messages_and_history():
+    wrong = {"value": np.float64(-0.5), "other": [np.int64(3), np.float64(1e-20)]}
+    assert str(xcg.SceneError(f"{wrong!r}")) == "{'value': -0.5, 'other': [3, 1e-20]}"
+    ds = xcg.datasets.simple_cubic(3)
+    with pytest.raises(ValueError, match=r"^edges=\[2.0, 1.0\]: expected"):
+        ds.cg.assign_phases(edges=[np.float64(2), np.float64(1)])
+    f = ds.cg.coarse_grain("density", axes="z", width=np.float64(0.5), at={"x": np.float64(1)})
+    assert "width=0.5" in f.attrs["history"]
+    assert "np." not in f.attrs["history"]

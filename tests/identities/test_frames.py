@@ -10,7 +10,7 @@ from tests.identities import residuals
 from tests.identities.scenes import OPEN, Case, load, synthetic
 from xcg.fields.formulas import registry
 from xcg.fields.sums.moments import MOMENTS
-from xcg.scene.schema import VARIABLES
+from xcg.scene.schema import VARIABLES, powers_of
 
 REAL = pytest.mark.parametrize("name", list(OPEN))
 # temperatures along the axes and errors are parts of tensors, not vectors: they do not turn like one
@@ -226,7 +226,7 @@ def test_fields_have_their_units(name):
         return float(np.prod(scales ** np.array(powers)))
 
     new = {
-        n: (v.dims, v.values * factor(VARIABLES[n].powers))
+        n: (v.dims, v.values * factor(powers_of(VARIABLES[n].units)))
         for n, v in case.ds.items()
         if v.dtype.kind == "f" and n in VARIABLES
     }

@@ -433,5 +433,5 @@ def test_pressure_of_a_polydisperse_packing_is_100_kpa():
 def test_a_scene_without_steps_has_results_without_steps():
     ds = xcg.datasets.dense_packing(50)
     assert ds.isel(time=[]).cg.microstructure().sizes == {**ds.cg.microstructure().sizes, "time": 0}
-    with pytest.raises(xcg.SceneError, match="find_contacts: the scene has no step"):
+    with pytest.raises(xcg.SceneError, match="find_contacts: there is no step"):
         ds.isel(time=[]).cg.find_contacts()

@@ -81,9 +81,7 @@ def test_bodies_keep_their_species_and_frozen_state():
 @pytest.mark.parametrize("name", ["species", "frozen"])
 def test_spheres_of_a_body_must_agree(name):
     ds = dimers(**{name: [1, 1, 0, 1, 0]})
-    message = (
-        rf"^group_bodies, frame 0 of its chunk: spheres 12 and 13 are of one body \(3\) and differ in {name} \(0, 1\)"
-    )
+    message = rf"^group_bodies, step 0: spheres 12 and 13 are of one body \(3\) and differ in {name} \(0, 1\)"
     with pytest.raises(xcg.SceneError, match=message):
         ds.cg.group_bodies()
 

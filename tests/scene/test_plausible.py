@@ -30,6 +30,24 @@ def only(said):
     return str(said[0].message)
 
 
+# --- sizes and places ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_radii_in_millimetres_at_positions_in_metres_warn(dimension):
+    rng = np.random.default_rng(0)
+    position = rng.uniform(0, 0.02, (400, 3)) * (1, 1, dimension == 3)
+    given = {"dimension": dimension, "density": 2500.0}
+    with pytest.warns(xcg.SceneWarning) as said:
+        xcg.scene_from_arrays(position, diameter=rng.uniform(1, 2, 400), **given)
+    text = only(said)
+    assert "400 grains with a mean diameter of 1." in text
+    assert "are the units of radius and position the same?" in text
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        xcg.scene_from_arrays(position, diameter=rng.uniform(1e-3, 2e-3, 400), **given)
+
+
 # --- mesh and grains -------------------------------------------------------------------------------------
 
 

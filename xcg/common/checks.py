@@ -9,6 +9,8 @@ from typing import Any, TypeGuard
 import numpy as np
 from numpy.typing import NDArray
 
+from xcg.common.messages import plain
+
 
 def floats(given: Any) -> NDArray[np.float64]:
     """Numbers as an array; NaN, without dimensions, where they are texts, booleans or other objects."""
@@ -41,7 +43,7 @@ def vector(name: str, given: Any, *, infinite: bool = False, error: type[ValueEr
     """Check three finite numbers (3,), or infinite ones where these mean something; `name` is the caller's for them."""
     values = floats(given)
     if values.shape != (3,) or np.isnan(values).any() or not (infinite or np.isfinite(values).all()):
-        raise error(f"{name}={given!r}: expected three {'' if infinite else 'finite '}numbers (x, y, z)")
+        raise error(f"{name}={plain(given)}: expected three {'' if infinite else 'finite '}numbers (x, y, z)")
     return values
 
 
@@ -49,7 +51,7 @@ def unit_vector(name: str, given: Any) -> NDArray:
     """Check three finite numbers that are not all zero, and make their length one; (3,)."""
     values = vector(name, given)
     if not values.any():
-        raise ValueError(f"{name}={given!r}: expected a direction, three finite numbers (x, y, z), not all zero")
+        raise ValueError(f"{name}={plain(given)}: expected a direction, three finite numbers (x, y, z), not all zero")
     return unit(values)
 
 
@@ -63,7 +65,7 @@ def rising_pair(name: str, given: Any, *, equal: bool = False) -> tuple[float, f
     """Check two finite numbers of which the second is larger, or `equal` to the first where that is allowed."""
     ends = floats(given)
     if ends.shape != (2,) or not np.isfinite(ends).all() or ends[0] > ends[1] or (ends[0] == ends[1] and not equal):
-        raise ValueError(f"{name}={given!r}: expected (first, last) with first {'<=' if equal else '<'} last")
+        raise ValueError(f"{name}={plain(given)}: expected (first, last) with first {'<=' if equal else '<'} last")
     low, high = ends.tolist()
     return low, high
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 import sys
 import threading
 import warnings
@@ -13,13 +14,21 @@ from types import FrameType
 from typing import Any, ClassVar
 from uuid import uuid4
 
+_OF_NUMPY = re.compile(r"\bnp\.(?:float|u?int)\d+\(([^()]*)\)")
+
 
 def printable(text: str) -> str:
     """Write what a terminal would obey or hide, as codes for colours or the title of its window, as escapes.
 
-    Messages quote files, and files may come from strangers.
+    Messages quote files, and files may come from strangers. NumPy's numbers become plain: 0.1 for np.float64(0.1).
     """
+    text = _OF_NUMPY.sub(r"\1", text)
     return "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text)
+
+
+def plain(value: object) -> str:
+    """Write a value of the caller's in a message."""
+    return printable(repr(value))
 
 
 class _Printable(Exception):
@@ -67,7 +76,7 @@ _BETWEEN = {
 }  # fmt: skip
 
 
-def warn_user(message: str | Warning, category: type[Warning] = SceneWarning) -> None:
+def warn_user(message: str | Warning) -> None:
     """Warn at the line of the user's program that made the call.
 
     It is the first line outside this package and the libraries that run its tasks. A thread of dask's has no such line;
@@ -76,19 +85,17 @@ def warn_user(message: str | Warning, category: type[Warning] = SceneWarning) ->
     Parameters
     ----------
     message : str or Warning
-        What is wrong, what it leads to, and what to do.
-    category : type
-        Class of the warning, where `message` is text.
+        What is wrong, what it leads to, and what to do; a text becomes a SceneWarning.
     """
     distributed: Any = sys.modules.get("distributed")
     if distributed is not None and _on_worker(distributed):
-        distributed.worker.warn(message, category)
+        distributed.worker.warn(message, SceneWarning)
         return
     main = sys._current_frames().get(threading.main_thread().ident or 0)
     frame = _of_user(sys._getframe(1)) or _of_user(main) or sys._getframe(1)
     name = frame.f_globals.get("__name__", "<unknown>")
     registry = frame.f_globals.setdefault("__warningregistry__", {})
-    warnings.warn_explicit(message, category, frame.f_code.co_filename, frame.f_lineno, name, registry)
+    warnings.warn_explicit(message, SceneWarning, frame.f_code.co_filename, frame.f_lineno, name, registry)
 
 
 def _of_user(frame: FrameType | None) -> FrameType | None:

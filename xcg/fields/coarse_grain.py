@@ -30,10 +30,9 @@ from xcg.fields.sums.nodes import Block
 from xcg.scene.bodies import group_bodies
 from xcg.scene.conform import storable
 from xcg.scene.description import Description, describe
-from xcg.scene.frame import steps_in
+from xcg.scene.frame import steps_in, with_measures
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import COMPONENTS, OF_STEP, Frame, units_in
-from xcg.scene.sizes import with_measures
 from xcg.steps.faults import OnError
 from xcg.steps.labels import format_call, mark_skipped, provenance, with_phase_labels
 from xcg.steps.mapping import map_over_time, threads_a_chunk

@@ -16,7 +16,7 @@ from xcg.packing.pairs import PairMethod, check_search, pairs_of
 from xcg.scene.complete import REPEAT, contact_points, unit_vectors
 from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.description import describe
-from xcg.scene.frame import stack, steps_in
+from xcg.scene.frame import require_steps, stack, steps_in
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import OF_STEP, Frame, Setup, units_in, variable
 from xcg.steps.labels import format_call, provenance
@@ -224,8 +224,7 @@ def find_contacts(
     """
     given = {k: v for k, v in locals().items() if k != "ds" and v is not None}
     require_scene(ds, ("diameter",), "find_contacts")
-    if not ds.sizes["time"]:
-        raise SceneError("find_contacts: the scene has no step; select one at least")
+    require_steps(ds, "find_contacts")
     check_search(skin, method, levels)
     if max_contacts is not None and not (isinstance(max_contacts, (int, np.integer)) and max_contacts >= 0):
         raise ValueError(f"max_contacts={max_contacts!r}: expected a whole number of rows, or None")

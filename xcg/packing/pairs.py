@@ -15,7 +15,7 @@ from xcg.compiled import pairs as loops
 from xcg.compiled._jit import THREADS, for_parts, threads_for
 from xcg.compiled.arrays import counting_sort_places
 from xcg.compiled.pairs import rows_of_pairs, sort_pairs
-from xcg.scene.box import box_array, with_lattice
+from xcg.scene.box import domain_of
 from xcg.scene.lattice import Lattice
 
 # Largest over smallest radius within a level, where the caller gives no number of levels. A level costs each smaller
@@ -285,8 +285,7 @@ def find_pairs(
     check_search(skin, method, levels, threads)
     if box is not None and not isinstance(box, Mapping) and np.shape(box) == (2, 2):
         box = dict(zip("xy", np.asarray(box, float).tolist(), strict=True))
-    edges = None if box is None else box_array(box, 1)
-    arrays = with_lattice(edges, lattice, {}, periodic, None)
+    arrays = domain_of(box, lattice, {}, periodic, 1)
     images = Lattice.of({name: values[0] for name, values in arrays.items()}, periodic, "find_pairs")
     return pairs_of(centres, radii, images, skin=skin, method=method, levels=levels, threads=threads, most=most)
 

@@ -331,7 +331,7 @@ def guess_engine(files: Mapping[str, Sequence[str]]) -> Engine:
 
 def _first_whole(paths: Sequence[str]) -> str:
     """First file that any engine recognises, where faults are tolerated; else the first one."""
-    if errors.is_collecting():
+    if errors.recorded() is not None:
         for path in paths:
             try:
                 if any(engine.recognises(path) for engine in all_engines()):

@@ -15,7 +15,7 @@ from xcg.common.messages import SceneError, warn_user
 from xcg.readers import columns
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.engines.tabular import Table, clock_of, runs_of
-from xcg.scene.box import box_array, with_lattice
+from xcg.scene.box import domain_of
 from xcg.scene.build import scene_from_arrays
 from xcg.scene.complete import unit_vectors
 from xcg.scene.lattice import Lattice
@@ -71,8 +71,7 @@ def scene_from_table(
     if contacts is not None:
         periodic, lattices = options.get("periodic", ""), [Lattice.of({}, "")] * len(steps)
         if periodic and options.get("box") is not None:
-            edges = box_array(options["box"], len(steps))
-            boxes = with_lattice(edges, options.get("lattice"), {}, periodic, None)
+            boxes = domain_of(options["box"], options.get("lattice"), {}, periodic, len(steps))
             lattices = [Lattice.of({name: v[t] for name, v in boxes.items()}, periodic) for t in range(len(steps))]
         rows = _with_vectors(_table(contacts), grains, said, dict(zip(steps, lattices, strict=True)))
         touching = _frames(rows, "contacts", said, contacts=True)

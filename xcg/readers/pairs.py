@@ -79,7 +79,7 @@ def _stamped(refs: Iterable[StepRef], engine: Engine) -> list[StepRef]:
 def one_series(refs: list[StepRef], same: Sequence[str]) -> list[StepRef]:
     """Return the steps of one kind, all or an error; where faults are tolerated, those like most of them."""
     pattern = refs[0]
-    if errors.is_collecting():
+    if errors.recorded() is not None:
         often = Counter(ref.columns for ref in refs).most_common(1)[0][0]
         pattern = next(ref for ref in refs if ref.columns == often)
     kept = []

@@ -199,11 +199,11 @@ def _of_folder(
             if refs is not None:
                 found[path] = refs
                 continue
-            earlier = errors.recorded()
+            earlier = len(errors.recorded() or ())
             for ref in _counted(path, scan(path)):  # where faults are tolerated, the steps before one stay
                 found[path].append(replace(ref, size=before[0], modified=before[1]))
             after = _state(path)
-            if before == after and time.time_ns() - after[1] > _SETTLED and errors.recorded() == earlier:
+            if before == after and time.time_ns() - after[1] > _SETTLED and len(errors.recorded() or ()) == earlier:
                 learnt[name] = {"size": after[0], "modified": after[1], "steps": [_entry(ref) for ref in found[path]]}
         except errors.FAULTS as error:
             if not errors.record_fault(path, error):

@@ -20,14 +20,14 @@ from xcg.readers.lazy import Chunks, Series, Source, Step, indexed_arrays, lazy_
 from xcg.readers.pairs import index_files, origin_of, pair_steps
 from xcg.readers.paths import PathLike, expand_paths, names_no_units, not_against_headers, units_of_headers
 from xcg.readers.saved import open_saved, saved_path
-from xcg.scene.box import box_array, in_unit, with_lattice
+from xcg.scene.box import domain_of
 from xcg.scene.build import to_dataset
 from xcg.scene.complete import complete_particles
 from xcg.scene.contacts import named_walls
+from xcg.scene.frame import measure_frames
 from xcg.scene.lattice import Lattice
-from xcg.scene.sanity import check_shape
+from xcg.scene.sanity import check_sizes
 from xcg.scene.schema import COMPONENTS, VARIABLES, Frame, Setup, Shape, Sides
-from xcg.scene.sizes import measure_frames
 from xcg.steps import faults as errors
 from xcg.steps.faults import FAULTS, OnError, check_on_error, collecting, raising
 
@@ -267,7 +267,7 @@ def open_scene(
     domain = _domain(steps, box, lattice, shear_rate, setup, time)
     source = Source(reader, options, setup, _frozen_species(frozen, raw), allow_unknown)
     ends = [source.complete(frame, ref) for ref, frame in raw.items()]
-    check_shape(ends[0], setup)
+    check_sizes(ends[0], setup)
     types = {name: ends[0][name].dtype for name in dict.fromkeys([*VARIABLES, *ends[0]]) if name in ends[0]}
     contact_names = _contact_names(source, next((step for step in steps if step.contacts), steps[0]))
     series = Series(source, steps, domain, types, contact_names)
@@ -378,8 +378,7 @@ def _domain(
         lattice = [step.particles.lattice or cell.tolist() for step, cell in zip(steps, straight, strict=True)]
     if box is None and steps[0].particles.box is not None:
         box = [step.particles.box for step in steps]
-    edges = None if box is None else box_array(box, len(steps)) * setup.scales[0]
-    found = with_lattice(edges, in_unit(lattice, setup.scales[0]), shear_rate, setup.periodic, time)
+    found = domain_of(box, lattice, shear_rate, setup.periodic, len(steps), time, setup.scales[0])
     for t, step in enumerate(steps):
         Lattice.of({name: values[t] for name, values in found.items()}, setup.periodic, source_of(step.particles))
     return found

@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 from xcg.common.messages import SceneError
 from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.description import describe
-from xcg.scene.frame import particle_rows
+from xcg.scene.frame import measure, steps_in
 from xcg.scene.lattice import Lattice
 from xcg.scene.sanity import rows_of
-from xcg.scene.schema import BOX, PADDING, units_in, variable
-from xcg.scene.sizes import measure
+from xcg.scene.schema import BOX, OF_STEP, units_in, variable
 
 _SHARED = ("species", "frozen")  # by all spheres of a body
 _PARTICLES = ("particle_id", "position", "velocity", "diameter", "density", "mass", "volume", *_SHARED)
@@ -58,28 +57,20 @@ def group_bodies(ds: xr.Dataset, by_body: str = "body_id") -> xr.Dataset:
         raise SceneError(f"by_body={by_body!r} holds {ds[by_body].dtype}: expected an integer variable of particles")
     particles = [name for name in _PARTICLES if name in ds]
     contacts = [name for name in _CONTACTS if name in ds and "contact_i" in ds]
-    made = [*particles, *(name for name in ("volume", "diameter") if name not in particles and "volume" in ds)]
-    inputs, dims = [], []
-    box = [name for name in BOX if name in ds]
-    for name in [*particles, by_body, *contacts, *box]:
-        core = [d for d in ds[name].dims if d != "time"]
-        whole = ds[name].chunk(dict.fromkeys(core, -1)) if ds[name].chunks is not None else ds[name]
-        inputs.append(whole)
-        dims.append([str(d) for d in core])
+    outputs = [*particles, *(["diameter"] if "volume" in ds and "diameter" not in ds else []), *contacts]
+    given = {name: ds[name] for name in (*particles, *contacts, *OF_STEP) if name in ds} | {"body": ds[by_body]}
+    core = {name: [d for d in array.dims if d != "time"] for name, array in given.items()}
+    whole = [array.chunk(dict.fromkeys(core[name], -1)) if array.chunks else array for name, array in given.items()]
     setup = describe(ds).setup
-    names = [*particles, "body", *contacts, *box]
-    outputs = [*made, *contacts]
-    out_dims = [list(variable(name).dims) for name in outputs]
     arrays = xr.apply_ufunc(
-        partial(_over_time, names=names, made=made, contacts=contacts, periodic=setup.periodic), *inputs,
-        input_core_dims=dims, output_core_dims=out_dims, dask="parallelized",
-        output_dtypes=[np.dtype(variable(name).dtype) for name in outputs],
+        partial(_over_time, names=list(given), outputs=outputs, periodic=setup.periodic), *whole,
+        input_core_dims=list(core.values()), output_core_dims=[list(variable(name).dims) for name in outputs],
+        dask="parallelized", output_dtypes=[np.dtype(variable(name).dtype) for name in outputs],
     )  # fmt: skip
-    data = {}
-    for name, array in zip(outputs, arrays if len(outputs) > 1 else [arrays], strict=True):
+    data = {name: ds[name] for name in BOX if name in ds}
+    for name, array in zip(outputs, arrays, strict=True):
         row = variable(name)
         data[name] = array.assign_attrs(units=units_in(row.units, setup.unit_system), long_name=row.long_name)
-    data |= {name: ds[name] for name in BOX if name in ds}
     line = f"xcg: group_bodies({by_body!r})"
     attrs = {name: value for name, value in ds.attrs.items() if not str(name).endswith("_values")}
     attrs["history"] = f"{attrs['history']}\n{line}" if "history" in attrs else line
@@ -87,37 +78,24 @@ def group_bodies(ds: xr.Dataset, by_body: str = "body_id") -> xr.Dataset:
     return measure(grouped) if grouped.chunks == {} else grouped
 
 
-def _over_time(
-    *arrays: NDArray, names: list[str], made: list[str], contacts: list[str], periodic: str
-) -> tuple[NDArray, ...]:
-    outer = arrays[0].shape[:-1]
+def _over_time(*arrays: NDArray, names: list[str], outputs: list[str], periodic: str) -> tuple[NDArray, ...]:
     given = dict(zip(names, arrays, strict=True))
-    rows = int(arrays[0].shape[-1])
-    lengths: dict[str, int] = dict.fromkeys(made, rows)
-    if contacts:
-        lengths |= dict.fromkeys(contacts, int(given["contact_i"].shape[-1]))
-    out = {
-        name: np.full((*outer, *variable(name).shape(n)), variable(name).fill, variable(name).dtype)
-        for name, n in lengths.items()
-    }
-    for at in np.ndindex(outer):
-        valid = particle_rows(given["particle_id"][at])
-        frame = {name: given[name][at][valid] for name in names if name not in {*contacts, *BOX}}
-        box = {name: given[name][at] for name in BOX if name in given}
-        source = f"group_bodies, frame {at[0]} of its chunk" if at else "group_bodies"
-        bodies, id_of_row = _bodies(frame, Lattice.of(box, periodic, source), source)
-        for name in made:
-            out[name][at][: len(bodies["particle_id"])] = bodies[name]
-        if contacts:
-            kept = given["contact_i"][at] != PADDING
-            pairs = {name: given[name][at][kept] for name in contacts}
+    rows = {variable(name).dims[0]: given[name].shape[1] for name in ("particle_id", "contact_i") if name in given}
+    out = {}
+    for name in outputs:
+        row = variable(name)
+        out[name] = np.full((len(arrays[0]), *row.shape(rows[row.dims[0]])), row.fill, row.dtype)
+    for t, (frame, lattice, source) in enumerate(steps_in(given, periodic)):
+        bodies, id_of_row = _bodies(frame, lattice, f"group_bodies, {source}")
+        if "contact_i" in frame:
             for side in ("contact_i", "contact_j"):
-                row = rows_of(frame["particle_id"], pairs[side])
-                there = np.where(pairs[side] < 0, pairs[side], _MISSING)
-                pairs[side] = np.where(row >= 0, id_of_row[row], there) if len(id_of_row) else there
-            outside = pairs["contact_i"] != pairs["contact_j"]
-            for name in contacts:
-                out[name][at][: outside.sum()] = pairs[name][outside]
+                row_of_side = rows_of(frame["particle_id"], frame[side])
+                there = np.where(frame[side] < 0, frame[side], _MISSING)
+                frame[side] = np.where(row_of_side >= 0, id_of_row[row_of_side], there) if len(id_of_row) else there
+            outside = frame["contact_i"] != frame["contact_j"]
+            bodies |= {name: frame[name][outside] for name in _CONTACTS if name in frame}
+        for name in outputs:
+            out[name][t, : len(bodies[name])] = bodies[name]
     return tuple(out.values())
 
 
@@ -146,12 +124,9 @@ def _bodies(frame: dict[str, NDArray], lattice: Lattice, source: str) -> tuple[d
         bodies["volume"] = total(frame["volume"])
         bodies["density"] = bodies["mass"] / bodies["volume"]
         bodies["diameter"] = np.cbrt(6 / np.pi * bodies["volume"])
-    for name in ("density", "diameter"):
-        if name in frame and name not in bodies:
-            bodies[name] = frame[name][first]
+    bodies = {name: frame[name][first] for name in ("density", "diameter", *_SHARED) if name in frame} | bodies
     for name in _SHARED:
         if name in frame:
-            bodies[name] = frame[name][first]
             differ = frame[name] != bodies[name][group]
             if differ.any():
                 other = differ.argmax()

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,7 +21,7 @@ _SHEARS = tuple(i + j for i in COMPONENTS for j in COMPONENTS if i != j)
 _FAST = 0.25  # change of the tilt from step to step, in periods, from which it is hardly known: a half is two rates
 
 
-def box_array(box: ArrayLike | Mapping[str, Sequence[float]], steps: int) -> NDArray:
+def _edges(box: ArrayLike | Mapping[str, Sequence[float]], steps: int) -> NDArray:
     """Edges of the domain as an array (steps, 3, 2); axes left out of a mapping are unbounded."""
     if isinstance(box, Mapping):
         wrong = set(box) - set(COMPONENTS)
@@ -37,26 +36,21 @@ def box_array(box: ArrayLike | Mapping[str, Sequence[float]], steps: int) -> NDA
     return np.broadcast_to(edges, (steps, 3, 2)).copy()
 
 
-def in_unit(lattice: ArrayLike | Mapping[str, ArrayLike] | None, unit: float) -> Any:
-    """Vectors or tilts as the caller gave them, times a unit of length."""
-    if isinstance(lattice, Mapping):
-        return {name: floats(tilt) * unit for name, tilt in lattice.items()}
-    return None if lattice is None else floats(lattice) * unit
-
-
-def with_lattice(
-    edges: NDArray | None,
+def domain_of(
+    box: ArrayLike | Mapping[str, Sequence[float]] | None,
     lattice: ArrayLike | Mapping[str, ArrayLike] | None,
     shear_rate: Mapping[str, ArrayLike] | None,
     periodic: str,
-    time: NDArray | None,
+    steps: int,
+    time: NDArray | None = None,
+    unit: float = 1.0,
 ) -> dict[str, NDArray]:
     """Variables of the domain, time first: its edges, and where it is tilted or sheared its lattice and how that moves.
 
     Parameters
     ----------
-    edges : array (t, 3, 2) or None
-        Edges of the box without its tilt.
+    box : array (3, 2), array (t, 3, 2) or mapping, optional
+        Edges of the box without its tilt; axes left out of a mapping are unbounded.
     lattice : array (3, 3), array (t, 3, 3) or mapping, optional
         Vectors a, b, c, or tilts by name, a number or one a step: "xy" is how far images along y are shifted along x.
     shear_rate : mapping, optional
@@ -64,20 +58,26 @@ def with_lattice(
         default the rates at which the tilts change from step to step.
     periodic : str
         Periodic axes.
-    time : array (t,) or None
+    steps : int
+        Number of steps.
+    time : array (t,), optional
         Times of the steps (s), where they are known.
+    unit : float
+        Unit of `box` and `lattice`, in that of the result.
 
     Raises
     ------
     SceneError
-        If a lattice is given without edges, does not fit them, or a shear is given without a lattice.
+        If edges or vectors have another shape, a lattice is given without edges or does not fit them, or a shear is
+        given without a lattice.
     """
-    if edges is None:
+    if box is None:
         if lattice is not None or shear_rate:
             raise SceneError(
                 f"lattice={lattice!r}, shear_rate={shear_rate!r}: give the edges without the tilt, too (box=)"
             )
         return {}
+    edges = _edges(box, steps) * unit
     found = {"box": edges}
     if lattice is None:
         if shear_rate and any(np.any(rate) for rate in shear_rate.values()):
@@ -87,7 +87,7 @@ def with_lattice(
                 "the offset of the images"
             )
         return found
-    vectors = _vectors(edges, lattice, periodic)
+    vectors = _vectors(edges, lattice, periodic, unit)
     rates = _rates(vectors, periodic, time) if shear_rate is None else _entries(edges, shear_rate, "shear_rate", per=1)
     tilted = (vectors * (1 - np.eye(3)))[:, [COMPONENTS.index(a) for a in periodic]].any()
     if tilted or rates.any():
@@ -115,14 +115,14 @@ def _entries(edges: NDArray, given: Mapping[str, ArrayLike], name: str, per: int
     return out
 
 
-def _vectors(edges: NDArray, lattice: ArrayLike | Mapping[str, ArrayLike], periodic: str) -> NDArray:
-    """Lattice vectors (t, 3, 3), checked against the edges."""
+def _vectors(edges: NDArray, lattice: ArrayLike | Mapping[str, ArrayLike], periodic: str, unit: float) -> NDArray:
+    """Lattice vectors (t, 3, 3), given in some unit, checked against the edges."""
     lengths = edges[..., 1] - edges[..., 0]
     if isinstance(lattice, Mapping):
-        vectors = _entries(edges, lattice, "lattice")
+        vectors = _entries(edges, lattice, "lattice") * unit
         vectors[:, range(3), range(3)] = lengths
         return vectors
-    vectors = floats(lattice)
+    vectors = floats(lattice) * unit
     if vectors.shape not in ((3, 3), (len(edges), 3, 3)):
         raise SceneError(f"lattice has shape {vectors.shape}: expected {_TILT_FORMS}")
     vectors = np.broadcast_to(vectors, (len(edges), 3, 3)).copy()

@@ -11,12 +11,12 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from xcg.common.messages import SceneError, did_you_mean
-from xcg.scene.box import box_array, in_unit, with_lattice
+from xcg.scene.box import domain_of
 from xcg.scene.complete import complete_contacts, complete_particles, refuse_mask
 from xcg.scene.conform import storable
-from xcg.scene.frame import check_times, stack
+from xcg.scene.frame import check_times, measure_frames, stack
 from xcg.scene.lattice import Lattice
-from xcg.scene.sanity import check_shape
+from xcg.scene.sanity import check_sizes
 from xcg.scene.schema import (
     BOX,
     COMPONENTS,
@@ -31,7 +31,6 @@ from xcg.scene.schema import (
     units_in,
     variable,
 )
-from xcg.scene.sizes import measure_frames
 
 # --- many frames: the Dataset ----------------------------------------------------------------------------
 
@@ -54,7 +53,7 @@ def to_dataset(
     time, step : array (t,)
         Times (s) and step numbers.
     box : mapping
-        Variables of the domain, time first, see `with_lattice`.
+        Variables of the domain, time first, see `domain_of`.
     """
     data = {}
     for name, values in (*arrays.items(), *box.items()):
@@ -90,8 +89,6 @@ def to_dataset(
 
 def _split_steps(name: str, values: Any) -> list[NDArray]:
     """Arrays of one step each, from one step, a stack of steps, or a list of steps of different length."""
-    for part in values if isinstance(values, (list, tuple)) else [values]:
-        refuse_mask(name, part)
     if isinstance(values, (list, tuple)) and len(values) and np.ndim(values[0]) == len(variable(name).dims):
         return [np.asarray(v) for v in values]
     array = np.asarray(values)
@@ -108,8 +105,6 @@ def _split_steps(name: str, values: Any) -> list[NDArray]:
 
 def _split_own(name: str, values: Any, rows: Sequence[int]) -> list[NDArray]:
     """As `_split_steps`, for a scalar, vector or custom tensor; `rows` of each step decide which."""
-    for part in values if isinstance(values, (list, tuple)) else [values]:
-        refuse_mask(name, part)
     if _is_one_number(values):
         raise SceneError(
             f"{name!r} is one number, neither an argument nor an array: a variable of your own has a row for each "
@@ -233,22 +228,22 @@ def scene_from_arrays(
     if density is not None and one_density is None:
         given["density"] = density
     given = {name: values for name, values in given.items() if values is not None}
+    for name, values in (*given.items(), ("time", time)):
+        for part in values if isinstance(values, (list, tuple)) else [values]:
+            refuse_mask(name, part)
     steps = {name: _split_steps(name, values) for name, values in given.items() if name in VARIABLES}
     for name in (name for name in given if name not in VARIABLES):
         key = "position" if variable(name).dims[0] == "particle" else "contact_i"
         steps[name] = _split_own(name, given[name], [len(one) for one in steps.get(key, [])])
     total = len(steps["position"])
     _repeat_what_stays(steps, total)
-    refuse_mask("time", time)
     times = np.arange(total, dtype=float) if time is None else np.atleast_1d(np.asarray(time, float)) * setup.scales[2]
     numbers = np.arange(total) if step is None else np.atleast_1d(step)
     for name, values in (("time", times), ("step", numbers)):
         if values.shape != (total,):
             raise SceneError(f"{name}= has shape {values.shape}: expected one value for each of the {total} steps")
     check_times(times, "a scene", "sort the steps, and leave out those that stand twice")
-    length = setup.scales[0]
-    edges = None if box is None else box_array(box, total) * length
-    domain = with_lattice(edges, in_unit(lattice, length), shear_rate, setup.periodic, times)
+    domain = domain_of(box, lattice, shear_rate, setup.periodic, total, times, setup.scales[0])
     particle_names = [name for name in steps if variable(name).dims[0] == "particle"]
     contact_names = [name for name in steps if variable(name).dims[0] == "contact"]
     particles, contacts = [], []
@@ -260,7 +255,7 @@ def scene_from_arrays(
             frame = _prefix(steps, contact_names, "contact_i", t, source)
             contacts.append(complete_contacts(frame, particles[-1], images, setup, source, allow_unknown=allow_unknown))
     if particles:
-        check_shape(particles[0], setup)
+        check_sizes(particles[0], setup)
     measured, arrays = measure_frames(particles), Frame()
     for frames, key in ((particles, "particle_id"), (contacts, "contact_i")):
         rows = max((len(f[key]) for f in frames), default=0)

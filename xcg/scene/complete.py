@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from xcg.common.messages import SceneError, warn_once
 from xcg.compiled.contacts import share_of_i, touching_points
 from xcg.scene.lattice import Lattice
-from xcg.scene.sanity import rows_of, without_repeats
-from xcg.scene.schema import LONGEST, SHORTEST, Frame, Setup, variable
+from xcg.scene.sanity import rows_of, unit_vectors, without_repeats
+from xcg.scene.schema import LONGEST, SHORTEST, Frame, Setup, powers_of, variable
 
 # What readers say of contacts besides variables of the scene.
 HINTS = ("wrapped_branch", "point_is_middle", "row_of_file")
@@ -72,7 +72,7 @@ def _typed(frame: Mapping[str, ArrayLike], setup: Setup, source: str) -> Frame:
                 f"{source}: '{name}' holds {array.dtype}, expected real numbers of 64 bits; give each text a number of "
                 "its own"
             ) from None
-        factor = setup.factor(row.powers)
+        factor = setup.factor(powers_of(row.units))
         if factor != 1.0:
             typed[name] *= factor
     return typed
@@ -211,7 +211,7 @@ def complete_contacts(
     _check_rows(given, "contact", source)
     seen = given.pop("contact_branch", None)
     i, j = given["contact_i"], given["contact_j"]
-    number: NDArray | range = np.asarray(frame["row_of_file"]) if "row_of_file" in frame else range(len(i))
+    number = np.asarray(frame.get("row_of_file", np.arange(len(i))))
     ids = particles["particle_id"]
     row_i, row_j = rows_of(ids, i), rows_of(ids, j)
     self_contact = np.flatnonzero(i == j)
@@ -242,32 +242,21 @@ def complete_contacts(
     return without_repeats(given, number, particles, lattice, setup.sides, source)
 
 
-def unit_vectors(vector: NDArray) -> NDArray:
-    """Vectors (n, 3) over their lengths; zero where these are zero."""
-    length = np.linalg.norm(vector, axis=1, keepdims=True)
-    return np.divide(vector, length, out=np.zeros_like(vector), where=length > 0)
-
-
 def _derive_points(
-    contacts: Frame, number: NDArray | range, derived: NDArray, particles: Frame, row_i: NDArray, row_j: NDArray,
+    contacts: Frame, number: NDArray, derived: NDArray, particles: Frame, row_i: NDArray, row_j: NDArray,
     seen: NDArray | None, lattice: Lattice, source: str,
 ) -> NDArray:  # fmt: skip
     """Contact points (n, 3), derived from the spheres for `derived` contacts (n,); by blocks that stay in the cache."""
     points = contacts["contact_point"].copy() if "contact_point" in contacts else np.empty((len(row_i), 3))
-    wanted = None if derived.all() else np.flatnonzero(derived)
-    for first in range(0, len(row_i) if wanted is None else len(wanted), _BLOCK):
-        some = slice(first, first + _BLOCK) if wanted is None else wanted[first : first + _BLOCK]
-        branch = None if seen is None else seen[some]
-        found = _plain_points(particles, row_i[some], row_j[some], branch, lattice)
-        if found is not None:
-            points[some] = found
-            continue
-        block = {name: values[some] for name, values in contacts.items()}
-        of_file = isinstance(some, slice) or not isinstance(number, range)  # else rows are their own numbers
-        block["row_of_file"] = np.asarray(number[some] if of_file else some)
-        try:
-            points[some] = _contact_points(block, particles, row_i[some], row_j[some], branch, lattice, source)
-        except _OtherBranchesError:
+    wanted = np.flatnonzero(derived)
+    for first in range(0, len(wanted), _BLOCK):
+        some = wanted[first : first + _BLOCK]
+        of_block = particles, row_i[some], row_j[some], None if seen is None else seen[some], lattice
+        found = _plain_points(*of_block)
+        if found is None:
+            block = {name: values[some] for name, values in contacts.items()} | {"row_of_file": number[some]}
+            found = _contact_points(block, *of_block, source)
+        if found is None:
             warn_once(
                 "branches of contacts",
                 f"{source}: branches of contacts are not the vectors from j to i between the positions, or cross an "
@@ -275,6 +264,7 @@ def _derive_points(
                 "are something else",
             )
             return _derive_points(contacts, number, derived, particles, row_i, row_j, None, lattice, source)
+        points[some] = found
     return points
 
 
@@ -294,15 +284,14 @@ def _plain_points(
     return points if plain == len(row_i) else None
 
 
-class _OtherBranchesError(Exception):
-    """Branches that the data hold are not those between the positions."""
-
-
 def _contact_points(
     contacts: Frame, particles: Frame, row_i: NDArray, row_j: NDArray, seen: NDArray | None, lattice: Lattice,
     source: str,
-) -> NDArray:  # fmt: skip
-    """Points where spheres touch; for a partner that is not in the scene, from the given middle."""
+) -> NDArray | None:  # fmt: skip
+    """Points where spheres touch; for a partner that is not in the scene, from the given middle.
+
+    None where branches that the data hold are not those between the positions.
+    """
     alone = (row_i < 0) | (row_j < 0)
     if alone.any() and not {"contact_point", "overlap"} <= set(contacts):
         row = int(np.flatnonzero(alone)[0])
@@ -329,6 +318,8 @@ def _contact_points(
 
     centre, radius_i, radius_j = position[i], radius[i], radius[j]
     branch = _branches(centre - position[j], radius_i + radius_j, seen, lattice, refuse)
+    if branch is None:
+        return None
     points[both] = found = contact_points(centre, branch, radius_i, radius_j)
     for side in (centre - found, centre - found - branch):
         refuse(
@@ -344,13 +335,15 @@ def _contact_points(
 
 def _branches(
     apart: NDArray, touching: NDArray, seen: NDArray | None, lattice: Lattice, refuse: Callable[[NDArray, str], None]
-) -> NDArray:  # fmt: skip
-    """Images of vectors (n, 3) from j to i that touch at `touching` (n,): nearest to what was `seen`, or shortest."""
+) -> NDArray | None:  # fmt: skip
+    """Images of vectors (n, 3) from j to i that touch at `touching` (n,): nearest to what was `seen`, or shortest.
+
+    None where these are not near to what was seen.
+    """
     if seen is not None:
         branch = lattice.shortest(apart, seen)
-        if (np.linalg.norm(branch - seen, axis=1) <= _SAME_BRANCH * np.linalg.norm(seen, axis=1)).all():
-            return branch
-        raise _OtherBranchesError
+        near = np.linalg.norm(branch - seen, axis=1) <= _SAME_BRANCH * np.linalg.norm(seen, axis=1)
+        return branch if near.all() else None
     branch = lattice.shortest(apart)
     rows, _ = lattice.within(branch, np.maximum(np.linalg.norm(branch, axis=1), touching) * (1 + _HAIR))
     refuse(

@@ -144,13 +144,11 @@ def conform(ds: xr.Dataset) -> xr.Dataset:
 
 # --- dimensions ------------------------------------------------------------------------------------------
 
-# what ds.swap_dims makes dimensions of
-_LABELS = {"step": "time", "particle_id": "particle"}
-
 
 def _renamed(ds: xr.Dataset) -> dict[str, str]:
-    """Dimensions that go by the name of another coordinate, with the names that tasks know them by."""
-    return {label: dim for label, dim in _LABELS.items() if label in ds.sizes and dim not in ds.sizes}
+    """Dimensions that ds.swap_dims named by a coordinate, with the names that tasks know them by."""
+    labels = {"step": "time", "particle_id": "particle"}
+    return {label: dim for label, dim in labels.items() if label in ds.sizes and dim not in ds.sizes}
 
 
 def _taken_away(ds: xr.Dataset) -> list[str]:

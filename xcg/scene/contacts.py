@@ -12,19 +12,17 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.messages import SceneError, unknown
+from xcg.common.messages import SceneError, plain, unknown
 from xcg.compiled._jit import for_parts
-from xcg.compiled.arrays import Reduced, counting_sort, short_integers
+from xcg.compiled.arrays import counting_sort, short_integers
 from xcg.compiled.contacts import add_dyads, add_rows, add_unit_squares, between, k_core, sides
-from xcg.scene.complete import unit_vectors
 from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.lattice import Lattice
-from xcg.scene.sanity import check_contacts, repeated_pairs, rows_of
+from xcg.scene.sanity import check_contacts, repeated_pairs, rows_of, unit_vectors
 from xcg.scene.schema import PADDING, Frame
 
 # Contacts are those of spheres where the branches are as spheres have them, to this share of the radius.
 SPHERES = 1e-2
-_BLOCK = 1 << 14  # contacts whose normals are computed together, in the cache of the processor
 # Partners from which a grain may bear load, with friction (Thornton 2000).
 BEARING = 2
 Walls: TypeAlias = str | int | Sequence[str | int]
@@ -88,14 +86,9 @@ class Contacts:
             return self.given_branches
         return self._sides(self.i), self._sides(self.j)
 
-    @property
-    def periods(self) -> tuple[tuple[float, float, float], Reduced | None]:
-        """Periods along the axes, and the lattice of other boxes, as compiled loops take them."""
-        return self.lattice.for_loops
-
     def _sides(self, row: NDArray) -> NDArray:
         """Vectors (n, 3) from the contact points to one particle of each contact, zero where it is not there."""
-        out, periods = np.empty_like(self.point), self.periods
+        out, periods = np.empty_like(self.point), self.lattice.for_loops
 
         def write(first: int, last: int) -> None:
             sides(row[first:last], self.position, self.point[first:last], *periods, out[first:last])
@@ -145,12 +138,14 @@ class Contacts:
         """
         if self.given_branches is not None:
             return self.branch_i - self.branch_j
-        out = np.empty_like(self.point)
-        for_parts(len(out), lambda first, last: self._write_between(slice(first, last), out[first:last]), self.threads)
-        return out
+        out, periods = np.empty_like(self.point), self.lattice.for_loops
 
-    def _write_between(self, some: slice, out: NDArray) -> None:
-        between(self.i[some], self.j[some], self.position, self.point[some], *self.periods, out)
+        def write(first: int, last: int) -> None:
+            some = slice(first, last)
+            between(self.i[some], self.j[some], self.position, self.point[some], *periods, out[some])
+
+        for_parts(len(out), write, self.threads)
+        return out
 
     @cached_property
     def normal(self) -> NDArray:
@@ -193,7 +188,8 @@ class Contacts:
         first = np.ones(len(self.key_i))
         rows, pair = repeated_pairs(self.key_i, self.key_j)
         if rows.size:
-            keys = np.column_stack([self._images[rows], pair])
+            from_lower = np.where((self.key_i < self.key_j)[:, None], self.crossed, -self.crossed)
+            keys = np.column_stack([from_lower[rows], pair])
             order = np.lexsort(keys.T)
             repeated = (np.diff(keys[order], axis=0) == 0).all(axis=1)
             first[rows[order[1:][repeated]]] = 0.0
@@ -207,11 +203,6 @@ class Contacts:
         away = self.position[self.i[both]] - self.position[self.j[both]]
         number[both] = self.lattice.numbers(self.between[both] - away)
         return number
-
-    @property
-    def _images(self) -> NDArray:
-        """Periods (n, k) between the images that touch, from the lower id to the higher."""
-        return np.where((self.key_i < self.key_j)[:, None], self.crossed, -self.crossed)
 
     @cached_property
     def partners(self) -> NDArray:
@@ -242,17 +233,8 @@ class Contacts:
     @property
     def normals(self) -> NDArray:
         """Sum over contacts of n n for each particle (particles, 6): xx xy xz yy yz zz."""
-        total, given = np.zeros((len(self.position), 6)), self.given_normal
-        if given is None and self.given_branches is not None:
-            given = self.between
-        for first in range(0, len(self.i), _BLOCK):
-            some = slice(first, first + _BLOCK)
-            if given is None:
-                along = np.empty_like(self.point[some])
-                self._write_between(some, along)
-            else:
-                along = given[some]
-            add_unit_squares(self.i[some], self.j[some], along, total)
+        total = np.zeros((len(self.position), 6))
+        add_unit_squares(self.i, self.j, self.between if self.given_normal is None else self.given_normal, total)
         return total
 
     @property
@@ -334,7 +316,7 @@ def numbers_of_walls(ds: xr.Dataset, walls: Walls) -> tuple[int, ...]:
             there = f"the walls of this scene are {', '.join(known)}" if known else "no wall of this scene has a name"
             raise ValueError(unknown("wall", wall, known, f"{there}; or give numbers as in contact_j"))
         if not isinstance(wall, str) and not (isinstance(wall, int | np.integer) and wall < 0):
-            raise ValueError(f"walls: {wall!r} is no wall: expected names, or negative numbers as in contact_j")
+            raise ValueError(f"walls: {plain(wall)} is no wall: expected names, or negative numbers as in contact_j")
     if not given:
         raise ValueError("walls: none is given; expected names, or negative numbers as in contact_j")
     return tuple(dict.fromkeys(known[wall] if isinstance(wall, str) else int(wall) for wall in given))

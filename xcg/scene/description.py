@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -12,12 +12,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from xcg.common.messages import SceneError, printable
+from xcg.common.messages import SceneError, plain, printable
 from xcg.scene.conform import conform
 from xcg.scene.contacts import walls_of
+from xcg.scene.frame import SIZES, with_measures
 from xcg.scene.lattice import Lattice
 from xcg.scene.schema import BOX, COMPONENTS, VARIABLES, Setup, known_without_reading, units_in, variable
-from xcg.scene.sizes import SIZES, with_measures
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Description:
     tilted : bool
         Whether the edges of the box are not along x, y and z.
     sizes : mapping
-        Diameters of `xcg.scene.sizes.SIZES` that are known (m).
+        Diameters of `xcg.scene.frame.SIZES` that are known (m).
     corners : tuple, optional
         Lowest and highest coordinates of the particles' centres (m), where they are known.
     position_known : bool
@@ -142,7 +142,7 @@ class Description:
                 f"by={by!r}: its values are not known without reading the series; pass groups= with all that occur"
             )
         if found.dtype.kind not in "iuf" or (found % 1 != 0).any():
-            raise ValueError(f"groups={groups!r}: expected whole numbers, values of {by!r}")
+            raise ValueError(f"groups={plain(groups)}: expected whole numbers, values of {by!r}")
         return tuple(np.unique(found.astype("int64")).tolist())
 
 
@@ -159,9 +159,10 @@ def describe(ds: xr.Dataset, by: str | None = None) -> Description:
         dimension=int(ds.attrs.get("dimension", 3)),
         plane=ds.attrs.get("plane"),
         thickness=ds.attrs.get("thickness"),
+        units=ds.attrs.get("unit_system"),
     )
-    setup = replace(setup, unit_system=ds.attrs.get("unit_system", "SI"))
-    columns, lasts = {}, _box_lasts(ds)
+    columns = {}
+    lasts, periods = _what_lasts(ds, setup, edges)
     for name in map(str, ds.data_vars):
         given = ds.variables[name]
         texts = [None if (text := given.attrs.get(key)) is None else str(text) for key in ("units", "long_name")]
@@ -175,7 +176,7 @@ def describe(ds: xr.Dataset, by: str | None = None) -> Description:
         steps=ds.sizes.get("time", 1),
         setup=setup,
         edges=edges,
-        lasting_periods=_lasting_periods(ds, setup, edges, lasts_all=lasts),
+        lasting_periods=periods,
         box_lasts=lasts,
         tilted="lattice" in ds,
         sizes={name: float(ds.attrs[name]) for name in SIZES if name in ds.attrs},
@@ -214,33 +215,27 @@ def _edges(ds: xr.Dataset) -> dict[str, tuple[float, float]]:
     return {a: (float(low), float(high)) for a, (low, high) in zip(COMPONENTS, box, strict=True) if high - low < np.inf}
 
 
-def _lasting_periods(
-    ds: xr.Dataset, setup: Setup, edges: Mapping[str, tuple[float, float]], *, lasts_all: bool
-) -> tuple[float, float, float]:
-    """Period along x, y, z; infinite unless it is the same in all steps."""
-    lasts = [lasts_all] * 3
-    if "lattice" in ds:
-        if lasts_all and setup.periodic:
-            box = {n: ds[n].isel(time=0).transpose(*row.dims).to_numpy() for n, row in BOX.items() if n in ds}
-            x, y, z = Lattice.of(box, setup.periodic).axis_periods.tolist()
-            return x, y, z
-        lasts = [False] * 3
-    elif not lasts_all and "box" in ds and ds.variables["box"].chunks is None:
-        steps = ds.variables["box"].transpose("time", "component", ...).to_numpy()
-        lasts = (steps == steps[:1]).all(axis=(0, 2)).tolist()
-    lasting = [a for a, same in zip(COMPONENTS, lasts, strict=True) if same and a in setup.periodic and a in edges]
+def _what_lasts(
+    ds: xr.Dataset, setup: Setup, edges: Mapping[str, tuple[float, float]]
+) -> tuple[bool, tuple[float, float, float]]:
+    """Return whether the box is the same in all steps, and the period along each axis, infinite unless that is.
+
+    A lazy box is not read, as attributes hold a box that lasts.
+    """
+    if "box" in ds and ds.variables["box"].chunks is None:
+        box = {n: ds.variables[n].transpose("time", *row.dims).to_numpy() for n, row in BOX.items() if n in ds}
+        same = np.all([(steps == steps[:1]).all(axis=(0, 2)) for steps in box.values()], axis=0)
+        if "lattice" in ds:
+            x, y, z = np.full(3, np.inf)
+            if same.all() and setup.periodic:
+                first = {name: steps[0] for name, steps in box.items()}
+                x, y, z = Lattice.of(first, setup.periodic).axis_periods.tolist()
+            return bool(same.all()), (x, y, z)
+    else:
+        same = np.full(3, "box_lower" in ds.attrs and "lattice" not in ds)
+    lasting = [a for a, lasts in zip(COMPONENTS, same, strict=True) if lasts and a in setup.periodic and a in edges]
     x, y, z = (edges[a][1] - edges[a][0] if a in lasting else np.inf for a in COMPONENTS)
-    return x, y, z
-
-
-def _box_lasts(ds: xr.Dataset) -> bool:
-    """Return whether the box is the same in all steps; a lazy one is not read, as attributes hold a box that lasts."""
-    if "box" not in ds or ds.variables["box"].chunks is not None:
-        return "box_lower" in ds.attrs and "lattice" not in ds
-    if ds.sizes.get("time", 1) == 1:
-        return True
-    parts = [ds.variables[name].transpose("time", ...).to_numpy() for name in BOX if name in ds]
-    return all(bool((part == part[:1]).all()) for part in parts)
+    return bool(same.all()), (x, y, z)
 
 
 def _largest_radius(ds: xr.Dataset) -> float | None:

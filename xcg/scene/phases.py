@@ -6,7 +6,7 @@ follows from each grain's own properties, not from its row, so that grains may e
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from xcg.common.checks import extra, floats, is_whole
 from xcg.common.drawing import label_of, set_label
-from xcg.common.messages import SceneError, warn_user
+from xcg.common.messages import SceneError, plain, warn_user
 from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.frame import step_at
 from xcg.scene.schema import PADDING, mark_measured
@@ -70,7 +70,7 @@ def find_phases(ds: xr.Dataset, max_phases: int = 8, *, steps: int = 5, seed: in
     require_scene(ds, ("diameter", "density"), "find_phases")
     for name, value in (("max_phases", max_phases), ("steps", steps)):
         if not is_whole(value, 1):
-            raise ValueError(f"{name}={value!r}: expected a whole number, 1 or more")
+            raise ValueError(f"{name}={plain(value)}: expected a whole number, 1 or more")
     count = ds.sizes["time"]
     some = np.unique(np.linspace(0, count - 1, min(int(steps), count)).round().astype(int))
     read = ds[["diameter", "density"]].isel(time=some).compute()
@@ -83,14 +83,12 @@ def find_phases(ds: xr.Dataset, max_phases: int = 8, *, steps: int = 5, seed: in
     labels, scores = _cluster((properties - mean) / scale, int(max_phases), seed)
     centres = np.array([properties[labels == k].mean(axis=0) for k in np.unique(labels)])
     centres = centres[np.lexsort((centres[:, 1], centres[:, 0]))]
+    nearest = partial(_nearest, centres=centres, scale=scale)
     assigned = _by_properties(
-        ds, ("diameter", "density"), partial(_nearest, centres=centres, scale=scale), "nearest (diameter, density)"
+        ds, ("diameter", "density"), nearest, "nearest (diameter, density)", range(1, len(centres) + 1)
     )
-    return mark_measured(assigned, ["phase"]).assign_attrs(
-        phase_values=np.arange(1, len(centres) + 1),
-        phase_diameter=centres[:, 0],
-        phase_density=centres[:, 1],
-        phase_scores=np.array(scores),
+    return assigned.assign_attrs(
+        phase_diameter=centres[:, 0], phase_density=centres[:, 1], phase_scores=np.array(scores)
     )
 
 
@@ -145,19 +143,18 @@ def assign_phases(
         require_scene(ds, ("diameter",), "assign_phases")
         rising = floats(edges)
         if rising.ndim != 1 or not np.isfinite(rising).all() or not (np.diff(rising) > 0).all():
-            raise ValueError(f"edges={edges!r}: expected diameters (m) that rise, such as [0.002, 0.004]")
+            raise ValueError(f"edges={plain(edges)}: expected diameters (m) that rise, such as [0.002, 0.004]")
         _warn_of_empty(rising, ds.attrs)
-        found = _by_properties(ds, ("diameter",), partial(_between, edges=rising), f"between {rising.tolist()}")
-        return mark_measured(found, ["phase"]).assign_attrs(phase_values=np.arange(1, len(rising) + 2))
+        number = partial(np.digitize, bins=np.append(-np.inf, rising))
+        return _by_properties(ds, ("diameter",), number, f"between {rising.tolist()}", range(1, len(rising) + 2))
     require_scene(ds, (by,), "assign_phases")
     given = mapping or {}
     if not given or any(value % 1 or phase % 1 or phase < 0 for value, phase in given.items()):
         raise ValueError(
-            f"mapping={mapping!r}: expected whole numbers, phases not negative, for example {{1: 1, 2: 1, 3: 2}}"
+            f"mapping={plain(mapping)}: expected whole numbers, phases not negative, for example {{1: 1, 2: 1, 3: 2}}"
         )
     table = {int(value): int(phase) for value, phase in given.items()}
-    found = _by_properties(ds, (by,), partial(_mapped, table=table, name=by), f"from {by} by {table}")
-    return mark_measured(found, ["phase"]).assign_attrs(phase_values=np.unique(list(table.values())))
+    return _by_properties(ds, (by,), partial(_mapped, table=table, name=by), f"from {by} by {table}", table.values())
 
 
 @takes_scene
@@ -233,14 +230,15 @@ def _silhouette(points: NDArray, labels: NDArray, rng: np.random.Generator) -> f
 # --- from properties to phases ---------------------------------------------------------------------------
 
 
-def _by_properties(ds: xr.Dataset, names: Sequence[str], function: Any, how: str) -> xr.Dataset:
-    """Add ``phase`` from some variables of each grain, chunk by chunk."""
+def _by_properties(ds: xr.Dataset, names: Sequence[str], function: Any, how: str, phases: Iterable[int]) -> xr.Dataset:
+    """Add ``phase``, one of some `phases`, from some variables of each grain, chunk by chunk."""
     inputs = [ds["particle_id"], *(ds[name] for name in names)]
     phase = xr.apply_ufunc(
         partial(_unless_padding, function=function), *inputs, dask="parallelized", output_dtypes=["int64"]
     )
     phase.attrs = {"units": "1", "long_name": f"phase, {how}"}
-    return ds.assign(phase=phase.transpose(*ds["particle_id"].dims))
+    assigned = ds.assign(phase=phase.transpose(*ds["particle_id"].dims))
+    return mark_measured(assigned, ["phase"]).assign_attrs(phase_values=np.unique(list(phases)))
 
 
 def _unless_padding(ids: NDArray, *values: NDArray, function: Any) -> NDArray:
@@ -254,10 +252,6 @@ def _nearest(diameter: NDArray, density: NDArray, *, centres: NDArray, scale: ND
     from scipy.spatial import cKDTree
 
     return np.asarray(cKDTree(centres / scale).query(np.stack([diameter, density], axis=-1) / scale)[1]) + 1
-
-
-def _between(diameter: NDArray, *, edges: NDArray) -> NDArray:
-    return np.asarray(1 + np.searchsorted(edges, diameter, side="right"))
 
 
 def _mapped(values: NDArray, *, table: Mapping[int, int], name: str) -> NDArray:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from xcg.common.messages import SceneError, warn_once, warn_user
 from xcg.compiled.contacts import a_pair_twice, far_and_pulling, partners_by_lower
 from xcg.scene.lattice import Lattice
-from xcg.scene.schema import Frame, Setup, Sides
+from xcg.scene.schema import COMPONENTS, Frame, Setup, Sides
 
 # Rows of one pair are one contact where their forces differ by no more than this share of their size, as in files of
 # six digits, and their points by no more than this share of the distance from the centre.
@@ -23,7 +23,7 @@ _OF_SIDE = ("contact_force", "contact_normal")
 
 
 def without_repeats(
-    contacts: Frame, number: NDArray | range, particles: Frame, lattice: Lattice, sides: Sides, source: str
+    contacts: Frame, number: NDArray, particles: Frame, lattice: Lattice, sides: Sides, source: str
 ) -> Frame:
     """Merge contacts that are listed more than once.
 
@@ -80,6 +80,12 @@ def rows_of(ids: NDArray, wanted: NDArray) -> NDArray:
     return np.where(ids[row] == wanted, row, -1)
 
 
+def unit_vectors(vector: NDArray) -> NDArray:
+    """Vectors (n, 3) over their lengths; zero where these are zero."""
+    length = np.linalg.norm(vector, axis=1, keepdims=True)
+    return np.divide(vector, length, out=np.zeros_like(vector), where=length > 0)
+
+
 def repeated_pairs(i: NDArray, j: NDArray) -> tuple[NDArray, NDArray]:
     """Rows of the contacts of all pairs that have more than one, pair after pair, and a number for the pair of each.
 
@@ -112,8 +118,7 @@ def _any_repeated(i: NDArray, j: NDArray, least: int, count: int) -> bool:
 
 
 def _copies(
-    contacts: Frame, number: NDArray | range, rows: NDArray, pair: NDArray, centre: NDArray, lattice: Lattice,
-    source: str,
+    contacts: Frame, number: NDArray, rows: NDArray, pair: NDArray, centre: NDArray, lattice: Lattice, source: str
 ) -> NDArray:  # fmt: skip
     """Return a mask of the rows that repeat a contact (n,): the same force, from either side, at the same point.
 
@@ -225,9 +230,7 @@ def _with_means(contacts: Frame, first: NDArray, second: NDArray, lattice: Latti
             change = values[second] * (-1 if name in _OF_SIDE else 1) - values[first]
             values[first] += 0.5 * (lattice.shortest(change) if name == "contact_point" else change)
     if "contact_normal" in found:
-        normal = found["contact_normal"][first]
-        length = np.linalg.norm(normal, axis=1, keepdims=True)
-        found["contact_normal"][first] = np.divide(normal, length, out=np.zeros_like(normal), where=length > 0)
+        found["contact_normal"][first] = unit_vectors(found["contact_normal"][first])
     return found
 
 
@@ -239,11 +242,12 @@ _CENTRAL = 1e-2  # sine of the angle between forces and branches, from positions
 _OFF = 0.1  # largest distance of the ends in a file from the centres, in branches
 
 _SAME = 2e-3  # scatter of masses over d^2, from sizes and masses of four digits
+_MOST_FILLED = 100.0  # grains in the cube of a diameter, also of glued ones that overlap
 _VARIED = 0.02  # scatter of diameters that tells d^2 from d^3
 
 
-def check_shape(frame: Frame, setup: Setup) -> None:
-    """Warn when discs are read as spheres (their masses are masses of discs).
+def check_sizes(frame: Frame, setup: Setup) -> None:
+    """Warn when grains do not fit into the space that they are in, and when discs are read as spheres.
 
     Parameters
     ----------
@@ -252,6 +256,15 @@ def check_shape(frame: Frame, setup: Setup) -> None:
     setup : Setup
         Arguments of the scene.
     """
+    if "diameter" in frame and len(frame["diameter"]):
+        mean, extent = frame["diameter"].mean(), np.array([np.ptp(x) for x in frame["position"].T])
+        plane = [k for k, axis in enumerate(COMPONENTS) if axis in setup.plane]
+        if len(frame["diameter"]) > _MOST_FILLED * (extent[plane] / mean + 1).prod():
+            warn_user(
+                f"{len(frame['diameter'])} grains with a mean diameter of {mean:.3g} have their centres within "
+                f"{' x '.join(f'{length:.3g}' for length in extent)}, where they do not fit: are the units of radius "
+                "and position the same?"
+            )
     if setup.shape != "sphere" or not {"mass", "diameter", "volume"} <= set(frame):
         return
     some = _sample(len(frame["position"]))
@@ -269,12 +282,8 @@ def check_shape(frame: Frame, setup: Setup) -> None:
         )
 
 
-def _every(rows: int) -> int:
-    return max(1, rows // SAMPLE)
-
-
 def _sample(rows: int) -> slice:
-    return slice(None, None, _every(rows))
+    return slice(None, None, max(1, rows // SAMPLE))
 
 
 def check_contacts(frame: Frame, row_i: NDArray, row_j: NDArray, lattice: Lattice, source: str) -> None:
@@ -293,7 +302,7 @@ def check_contacts(frame: Frame, row_i: NDArray, row_j: NDArray, lattice: Lattic
     """
     if not len(frame["position"]) or not len(row_i):
         return
-    every = _every(len(row_i))
+    every = _sample(len(row_i)).step
     looked = len(range(0, len(row_i), every))
     of_frame = (frame.get("diameter"), frame["contact_point"], frame.get("contact_force"))
     rows = row_i, row_j, every, frame["position"]
@@ -323,8 +332,8 @@ def is_central(contacts: Frame, particles: Frame, lattice: Lattice) -> bool:
     pairs = (i >= 0) & (j >= 0)
     branch = lattice.shortest(particles["position"][i[pairs]] - particles["position"][j[pairs]])
     force = contacts["contact_force"][some][pairs]
-    across = _lengths(np.cross(branch, force))
-    return len(force) >= _FEW and bool((across <= _CENTRAL * _lengths(branch) * _lengths(force)).all())
+    across, along, pull = (np.linalg.norm(vectors, axis=1) for vectors in (np.cross(branch, force), branch, force))
+    return len(force) >= _FEW and bool((across <= _CENTRAL * along * pull).all())
 
 
 def check_ends(raw: Frame, particles: Frame, lattice: Lattice, source: str) -> None:
@@ -348,7 +357,8 @@ def check_ends(raw: Frame, particles: Frame, lattice: Lattice, source: str) -> N
     pairs = np.flatnonzero((row_i >= 0) & (row_j >= 0))
     ends = lattice.shortest(raw["wrapped_branch"][some][pairs])
     centres = particles["position"][row_i[pairs]] - particles["position"][row_j[pairs]]
-    off = np.flatnonzero(_lengths(lattice.shortest(ends - centres)) > _OFF * _lengths(ends))
+    away = np.linalg.norm(lattice.shortest(ends - centres), axis=1)
+    off = np.flatnonzero(away > _OFF * np.linalg.norm(ends, axis=1))
     if off.size:
         first = off[0]
         i, j = (int(raw[name][some][pairs[first]]) for name in ("contact_i", "contact_j"))
@@ -359,7 +369,3 @@ def check_ends(raw: Frame, particles: Frame, lattice: Lattice, source: str) -> N
             f"{lattice.shortest(centres)[first]} from centre to centre): particles and contacts are of different "
             "steps or runs, columns are not in the order expected, or the box is another",
         )
-
-
-def _lengths(vectors: NDArray) -> NDArray:
-    return np.sqrt(np.einsum("ij,ij->i", vectors, vectors))

@@ -45,11 +45,6 @@ class Variable:
     dtype: str = "float64"
 
     @property
-    def powers(self) -> Powers:
-        """Powers of (length, mass, time) of the unit."""
-        return powers_of(self.units)
-
-    @property
     def fill(self) -> float | int:
         """Value of padding."""
         return PADDING if self.dtype == "int64" else np.nan
@@ -231,25 +226,6 @@ class Setup:
     unit_system: str = "SI"
     sides: Sides = "mean"
 
-    def __post_init__(self) -> None:
-        if set(self.periodic) - set(COMPONENTS):
-            raise SceneError(f"periodic={self.periodic!r}: expected any of 'x', 'y', 'z', for example periodic='xy'")
-        if self.dimension not in (2, 3) or len(self.plane) != self.dimension or set(self.plane) - set(COMPONENTS):
-            raise SceneError(
-                f"dimension={self.dimension!r} with plane={self.plane!r}: expected dimension=3, "
-                "or dimension=2 with the two axes of the plane, for example plane='xy'"
-            )
-        if self.shape not in get_args(Shape):
-            raise SceneError(f"shape={self.shape!r}: expected 'sphere' or 'disc'")
-        if self.sides not in get_args(Sides):
-            raise SceneError(f"sides={self.sides!r}: expected one of {', '.join(map(repr, get_args(Sides)))}")
-        for name in ("density", "thickness"):
-            value = getattr(self, name)
-            if value is not None and not is_positive(value):
-                raise SceneError(f"{name}={value!r}: expected a positive number")
-        if self.shape == "disc" and self.thickness is None:
-            raise SceneError("discs need thickness=: their volume is pi d^2/4 times the thickness of the layer")
-
     @classmethod
     def make(
         cls,
@@ -260,7 +236,7 @@ class Setup:
         plane: str | None = None,
         **given: Any,
     ) -> Setup:
-        """Build from the arguments of the public calls (`units` as a mapping, "reduced", or None for SI)."""
+        """Check the arguments of the public calls (`units` as a mapping, "reduced", or None for SI)."""
         scales, unit_system = (1.0, 1.0, 1.0), "SI"
         if units == "reduced":
             unit_system = "reduced"
@@ -279,7 +255,24 @@ class Setup:
             gravity = (x, y, z)
         plane = plane or ("xyz" if dimension == 3 else "xy")
         given["periodic"] = "".join(sorted(set(given.get("periodic") or "")))
-        return cls(gravity=gravity, dimension=dimension, plane=plane, scales=scales, unit_system=unit_system, **given)
+        made = cls(gravity=gravity, dimension=dimension, plane=plane, scales=scales, unit_system=unit_system, **given)
+        if set(made.periodic) - set(COMPONENTS):
+            raise SceneError(f"periodic={made.periodic!r}: expected any of 'x', 'y', 'z', for example periodic='xy'")
+        if dimension not in (2, 3) or len(plane) != dimension or set(plane) - set(COMPONENTS):
+            raise SceneError(
+                f"dimension={dimension!r} with plane={plane!r}: expected dimension=3, "
+                "or dimension=2 with the two axes of the plane, for example plane='xy'"
+            )
+        if made.shape not in get_args(Shape):
+            raise SceneError(f"shape={made.shape!r}: expected 'sphere' or 'disc'")
+        if made.sides not in get_args(Sides):
+            raise SceneError(f"sides={made.sides!r}: expected one of {', '.join(map(repr, get_args(Sides)))}")
+        for name, value in (("density", made.density), ("thickness", made.thickness)):
+            if value is not None and not is_positive(value):
+                raise SceneError(f"{name}={value!r}: expected a positive number")
+        if made.shape == "disc" and made.thickness is None:
+            raise SceneError("discs need thickness=: their volume is pi d^2/4 times the thickness of the layer")
+        return made
 
     def factor(self, powers: Powers) -> float:
         """Factor from the data's units to the scene's, for powers of (length, mass, time)."""

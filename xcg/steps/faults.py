@@ -93,14 +93,9 @@ def raise_or_record(path: str, error: Exception) -> None:
         raise error
 
 
-def recorded() -> int:
-    """Count the faults that are noted in this thread."""
-    return len(_recorded.faults or ())
-
-
-def is_collecting() -> bool:
-    """Return whether faults are tolerated in this thread."""
-    return _recorded.faults is not None
+def recorded() -> Mapping[int | str, str] | None:
+    """Return the faults that are noted in this thread; None where they are raised."""
+    return _recorded.faults
 
 
 def raise_recorded() -> None:

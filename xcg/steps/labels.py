@@ -13,6 +13,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 from xarray.indexes import PandasIndex
 
+from xcg.common.messages import printable
 from xcg.scene.conform import storable
 from xcg.scene.description import Description, Summary, rows_of_origin
 from xcg.scene.frame import with_time
@@ -27,18 +28,16 @@ ABOUT = (
 AXES = {"component": list(COMPONENTS), "direction": list(COMPONENTS), "principal": [1, 2, 3]}
 
 
-def _shape(row: Variable, sizes: Mapping[Any, int]) -> tuple[int, ...]:
-    return tuple(3 if dim in AXES else sizes[dim] for dim in row.dims)
-
-
 def results_of(variables: Mapping[str, Variable], sizes: Mapping[Any, int]) -> dict[str, Result]:
     """Shape of one step, and type, of each variable."""
-    return {name: (_shape(row, sizes), row.dtype) for name, row in variables.items()}
+    lengths = {**sizes, **dict.fromkeys(AXES, 3)}
+    return {name: (tuple(lengths[dim] for dim in row.dims), row.dtype) for name, row in variables.items()}
 
 
 def empty_results(variables: Mapping[str, Variable], sizes: Mapping[Any, int], steps: int) -> dict[str, NDArray]:
     """Arrays of padding, time first."""
-    return {name: np.full((steps, *_shape(row, sizes)), row.fill, row.dtype) for name, row in variables.items()}
+    found = results_of(variables, sizes).items()
+    return {name: np.full((steps, *shape), variables[name].fill, dtype) for name, (shape, dtype) in found}
 
 
 def label(
@@ -98,9 +97,11 @@ def format_call(function: str, given: Mapping[str, Any]) -> str:
     """Write a call on one line, arrays by their shape."""
     shown = {}
     for name, value in given.items():
-        within = isinstance(value, Mapping) and any(np.ndim(one) and hasattr(one, "dtype") for one in value.values())
-        array = hasattr(value, "dtype") and np.ndim(value)
-        shown[name] = format_call("dict", value) if within else f"<array {np.shape(value)}>" if array else repr(value)
+        if isinstance(value, Mapping) and any(np.ndim(one) and hasattr(one, "dtype") for one in value.values()):
+            shown[name] = format_call("dict", value)
+        else:
+            array = hasattr(value, "dtype") and np.ndim(value)
+            shown[name] = f"<array {np.shape(value)}>" if array else printable(repr(value))
     return f"{function}({', '.join(f'{name}={text}' for name, text in shown.items())})".replace("\n", " ")
 
 
@@ -174,7 +175,7 @@ def summary_of_result(ds: xr.Dataset) -> Summary:
     along = ", ".join(str(ds.attrs.get("averaged_axes", "")))
     over = ds.attrs.get("averaged_steps")
     averaged = [f"along {along}"] * bool(along) + [f"over {over} steps"] * (over is not None)
-    known = {*of_frame, "time", "phase", "other_phase", "component", "direction", "principal"}
+    known = {*of_frame, "time", *PHASES, *AXES}
     return Summary.of(
         f"result of {steps}" + (f" on {nodes} nodes" if nodes else ""),
         [
@@ -182,17 +183,13 @@ def summary_of_result(ds: xr.Dataset) -> Summary:
             *((a, _nodes(ds[a])) for a in axes),
             ("fixed", ", ".join(f"{a} = {float(ds[a]):.6g}" for a in of_frame if a in ds.coords and not ds[a].ndim)),
             ("averaged", ", ".join(averaged)),
-            *((dim, _labels(ds, dim)) for dim in ("phase", "other_phase") if dim in ds.coords),
+            *((dim, ", ".join(map(str, np.atleast_1d(ds[dim])))) for dim in PHASES if dim in ds.coords),
             *((str(dim), str(size)) for dim, size in ds.sizes.items() if dim not in known),
             ("kernel", _kernel(ds)),
             *rows_of_origin(ds),
             ("history", str(ds.attrs.get("history", "")).replace("\n", "; ")),
         ],
     )
-
-
-def _labels(ds: xr.Dataset, dim: str) -> str:
-    return ", ".join(map(str, np.atleast_1d(ds[dim].to_numpy())))
 
 
 def _nodes(axis: xr.DataArray) -> str:

@@ -72,6 +72,8 @@ def map_over_time(
     numbers = _numbers(ds) if skip else None
     if skip:
         results = dict(results) | {SKIPPED: ((), "bool")}
+    if not ds.sizes["time"]:
+        return {name: np.empty((0, *shape), dtype) for name, (shape, dtype) in results.items()}
     if any(given.chunks is not None for given in inputs.values()):
         return _lazy_results(inputs, partial(_with_warnings_once, once, compute), results, label, numbers, on_error)
     arrays = {name: given.to_numpy() for name, given in inputs.items()}
@@ -102,18 +104,15 @@ def threads_a_chunk(ds: xr.Dataset, names: Iterable[str], threads: int) -> int:
     return threads if all(len(ds.variables[name].chunksizes.get("time", ())) <= 1 for name in names) else 1
 
 
-def chunks_of_time(series: Iterable[xr.Dataset]) -> list[slice]:
+def chunks_of_time(ds: xr.Dataset) -> list[slice]:
     """List the steps of each chunk of time, which cuts no chunk of any variable; single steps where none is lazy.
 
     A task computes a whole chunk, whatever part of it is asked for.
     """
-    edges = [set(range(ds.sizes["time"] + 1)) for ds in series]
-    for ds in series:
-        edges += [
-            {0, *np.cumsum(values.chunks[values.get_axis_num("time")]).tolist()}
-            for values in ds.variables.values()
-            if values.chunks is not None and "time" in values.dims
-        ]
+    edges = [set(range(ds.sizes["time"] + 1))]
+    for values in ds.variables.values():
+        if "time" in values.chunksizes:
+            edges.append({0, *np.cumsum(values.chunksizes["time"]).tolist()})
     return [slice(first, end) for first, end in pairwise(sorted(set.intersection(*edges)))]
 
 
@@ -122,7 +121,7 @@ def each_step(ds: xr.Dataset) -> Iterator[xr.Dataset]:
     if "time" not in ds.dims:
         yield ds.compute()
         return
-    for steps in chunks_of_time([ds]):
+    for steps in chunks_of_time(ds):
         chunk = ds.isel(time=steps).compute()
         for t in range(chunk.sizes["time"]):
             yield chunk.isel(time=[t])
@@ -161,11 +160,6 @@ def picked(
     return da.Array(whole, key, sizes, meta=np.empty((0,) * (1 + len(shape)), dtype))
 
 
-def origin(array: da.Array) -> tuple[str, str] | None:
-    """Layer and entry that all chunks of an array are picked from; None where it comes about otherwise."""
-    return getattr(array.dask.layers.get(array.name), "origin", None)
-
-
 @dataclass(frozen=True)
 class Gathered:
     """Arrays of the same chunks of time, whole otherwise, for tasks that take one chunk of all of them.
@@ -187,7 +181,7 @@ class Gathered:
         sources: list[tuple[str, int]] = []
         entries = {}
         for name, array in arrays.items():
-            found = origin(array)
+            found = getattr(array.dask.layers.get(array.name), "origin", None)  # of what is `picked`
             layer, entry = found or (array.name, "")
             source = (layer, 1 if found else array.ndim)
             if source not in sources:

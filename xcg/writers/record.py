@@ -160,7 +160,7 @@ class Recorder:
         SceneError
             If it is not later than the last step, or its fields have other names, nodes or kernels.
         """
-        for part in [ds.isel(time=steps) for steps in chunks_of_time([ds])] if "time" in ds.dims else [ds]:
+        for part in [ds.isel(time=steps) for steps in chunks_of_time(ds)] if "time" in ds.dims else [ds]:
             # fields first: of a lazy scene they need only some variables
             for one in each_step(_fields(part, self._request) if "position" in ds else part):
                 self._add(one)

@@ -337,7 +337,7 @@ def graph_of(
 def same_chunks(ds: xr.Dataset) -> dict[str, da.Array]:
     """Lazy arrays, time first, in chunks of time that cut none of theirs, so that every chunk is computed once."""
     arrays = {str(name): data.transpose("time", ...).data for name, data in ds.variables.items() if data.chunks}
-    sizes = tuple(steps.stop - steps.start for steps in chunks_of_time([ds])) if arrays else ()
+    sizes = tuple(steps.stop - steps.start for steps in chunks_of_time(ds)) if arrays else ()
     return {name: a.rechunk({0: sizes, **dict.fromkeys(range(1, a.ndim), -1)}) for name, a in arrays.items()}
 
 

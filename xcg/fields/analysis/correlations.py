@@ -10,7 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.fields.formulas.averages import block_errors
-from xcg.scene.frame import evenly_spaced, with_time
+from xcg.scene.frame import evenly_spaced, require_steps, with_time
 from xcg.scene.schema import COMPONENTS
 from xcg.steps.labels import format_call, provenance
 
@@ -63,6 +63,7 @@ def spatial_correlation(f: xr.Dataset, name: str, other: str | None = None) -> x
     1.0
     """
     f, other = with_time(f), name if other is None else other
+    require_steps(f, "spatial_correlation")
     a, b = (_field_of(f, one, "spatial_correlation") for one in (name, other))
     if set(a.dims) != set(b.dims):
         raise ValueError(

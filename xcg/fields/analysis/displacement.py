@@ -22,9 +22,8 @@ from xcg.fields.request import Request, takes
 from xcg.scene.box import BoxMotion, partners
 from xcg.scene.conform import require_scene
 from xcg.scene.description import describe
-from xcg.scene.frame import require_rising_times, steps_in
+from xcg.scene.frame import require_rising_times, steps_in, with_measures
 from xcg.scene.schema import COMPONENTS, OF_STEP, PADDING, units_in
-from xcg.scene.sizes import with_measures
 from xcg.steps.faults import Compute, Result
 from xcg.steps.labels import format_call, mark_skipped
 from xcg.steps.mapping import map_over_time, threads_a_chunk

@@ -16,7 +16,7 @@ from xcg.common import drawing
 from xcg.common.checks import extra, is_positive
 from xcg.common.messages import did_you_mean, unknown
 from xcg.fields.formulas.registry import FIELDS
-from xcg.scene.frame import step_at, with_time
+from xcg.scene.frame import require_steps, step_at, with_time
 from xcg.scene.schema import COMPONENTS
 from xcg.steps.mapping import each_step, shown
 
@@ -185,6 +185,7 @@ def movie(
     f = with_time(f)
     if "time" not in f.dims:
         raise ValueError("movie needs a result with the dimension 'time'; draw a single step with plot")
+    require_steps(f, "movie")
     animation = extra("matplotlib.animation", "plot", "a movie")
     if path.suffix == ".mp4" and not animation.writers.is_available("ffmpeg"):
         raise OSError(f"{path}: mp4 needs the program ffmpeg (apt or conda install ffmpeg); or write a .gif")

@@ -22,8 +22,8 @@ from xcg.compiled import smoothing as codes
 from xcg.compiled.lines import mean_along
 from xcg.compiled.smoothing import LUCY_FULL, PLAIN, CellKernel, KernelCode
 from xcg.fields.sums.kernel_tables import check_table, jumps_of, profile_integral, rims_of, table_of
+from xcg.scene.frame import SIZES
 from xcg.scene.schema import LONGEST, SHORTEST
-from xcg.scene.sizes import SIZES
 
 _SHIFTED = np.zeros((3, 1, codes.PIECE))  # any array
 

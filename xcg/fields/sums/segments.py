@@ -196,7 +196,7 @@ def _segments(
     """Segments of the first or second particles of contacts, the longest, and whether there are second ones."""
     c = step.contacts
     mesh, tilted, limits = step.meshes[cutoff], step.lattice.vectors is not None, step.spec.limits
-    rows = ContactRows(c.i, c.j, c.point, on_i, step.position, step.phase, *c.periods)
+    rows = ContactRows(c.i, c.j, c.point, on_i, step.position, step.phase, *c.lattice.for_loops)
     listing = rows, on_j, second, others, step.spec.by_phase, cutoff, step.spec.origin
     if len(contacts) > MOST_LISTED_ONCE and not tilted:
         bounds, longest, more = measure(listing, contacts)

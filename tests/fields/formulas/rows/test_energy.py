@@ -14,7 +14,7 @@ from tests.identities import residuals
 from tests.identities.scenes import load
 from xcg.fields.formulas.rows import energy
 from xcg.readers.files import table
-from xcg.scene.schema import VARIABLES
+from xcg.scene.schema import VARIABLES, powers_of
 
 NAMES = list(energy.ROWS)
 ROTATIONAL = ["spin", "spin_density", "inertia_density", "spin_flux", "spin_fluctuation", "fluctuation_inertia",
@@ -328,7 +328,7 @@ def test_units_of_rotation_and_energy():
     assert units["couple_stress"] == units["spin_flux"] == "kg s^-2"
     # a scene in other units of length, mass and time: each field changes as its unit says
     ds, (length, mass, time) = scene(), (2.0, 3.0, 0.5)
-    powers = {name: VARIABLES[name].powers for name in ds.data_vars if name != "box"} | {"box": (1, 0, 0)}
+    powers = {name: powers_of(VARIABLES[name].units) for name in ds.data_vars if name != "box"} | {"box": (1, 0, 0)}
     other = ds.assign({n: ds[n] * (length ** p[0] * mass ** p[1] * time ** p[2]) if any(p) else ds[n]
                        for n, p in powers.items()})  # fmt: skip
     g = other.cg.measure().cg.coarse_grain(NAMES, width=0.9 * length, spacing=1.3 * length)

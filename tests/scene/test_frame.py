@@ -6,7 +6,7 @@ import pytest
 import xarray as xr
 
 import xcg
-from xcg.scene.sizes import sizes_of
+from xcg.scene.frame import sizes_of
 
 AXES = ("x", "y", "z")
 
