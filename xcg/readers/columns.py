@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
+from abc import abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import ClassVar, TypeAlias
@@ -176,7 +177,7 @@ _SUSPECT = re.compile("wall|force", re.IGNORECASE)
 def warn_of_ignored(ref: StepRef, filled: Mapping[str, str], slots: Slots, options: ReadOptions) -> None:
     """Warn of columns that look like forces or contacts with walls by their names, and that nobody asked for."""
     known = {*filled.values(), *options.names, *(column for columns in slots.values() for column in columns)}
-    known |= columns_of_walls(ref, options)
+    known.update(*columns_of_walls(options).values())
     arrays = {column.removesuffix("[1]") for column in ref.columns if slots is PARTICLE_SLOTS and column[:2] == "f_"}
     for array in sorted(arrays):
         numbered = [f"{array}[{k}]" for k in range(1, _WALL_ARRAY + 1)]
@@ -244,7 +245,12 @@ def particles_from(ref: StepRef, columns: Mapping[str, str], options: ReadOption
     values = {slot: table[column] for slot, column in columns.items()}
     for k, axis in enumerate(COMPONENTS):
         if f"position_{axis}" not in values and f"scaled_{axis}" in values:
-            low, high = _edges(ref)[k]
+            if ref.box is None:
+                raise SceneError(
+                    f"{source_of(ref)}: positions are fractions of a box, and the header has no 'BOX BOUNDS'; dump x y "
+                    "z"
+                )
+            low, high = ref.box[k]
             values[f"position_{axis}"] = low + values[f"scaled_{axis}"] * (high - low)
             for other, vector in zip(COMPONENTS, ref.lattice or (), strict=False):
                 if other != axis and vector[k]:
@@ -263,14 +269,6 @@ def particles_from(ref: StepRef, columns: Mapping[str, str], options: ReadOption
     if columns.get("body_id") == "mol":  # LAMMPS' molecule 0 is none
         frame["body_id"] = np.where(frame["body_id"] == 0, -1, frame["body_id"])
     return frame
-
-
-def _edges(ref: StepRef) -> tuple[tuple[float, float], ...]:
-    if ref.box is None:
-        raise SceneError(
-            f"{source_of(ref)}: positions are fractions of a box, and the header has no 'BOX BOUNDS'; dump x y z"
-        )
-    return ref.box
 
 
 # --- contacts --------------------------------------------------------------------------------------------
@@ -341,18 +339,16 @@ def contacts_from(ref: StepRef, columns: Mapping[str, str], options: ReadOptions
 # The per-atom array of LAMMPS' ``fix wall/gran ... contacts``: 1 where the grain touches, force on it (3), point on the
 # wall (3), radius; zeros where it does not touch.
 _WALL_ARRAY = 8
-_FORCE_AND_POINT = range(2, 8)
+_FORCE_AND_POINT = slice(1, 7)
 WALL_CONTACTS = ("contact_i", "contact_j", "contact_force", "contact_point")
 
 
-def _numbered(pattern: str, numbers: Iterable[int]) -> list[str]:
-    return [pattern.replace("*", str(k)) for k in numbers]
-
-
-def columns_of_walls(ref: StepRef, options: ReadOptions) -> set[str]:
-    """Columns that the contacts with walls have in a step of particles, read or not."""
-    given = options.walls.values()
-    return {c for one in given for c in (_numbered(one, range(1, _WALL_ARRAY + 1)) if isinstance(one, str) else one)}
+def columns_of_walls(options: ReadOptions) -> dict[str, list[str]]:
+    """Columns that the contacts with each wall have among those of particles: the whole array, or the six given."""
+    return {
+        wall: [given.replace("*", str(k + 1)) for k in range(_WALL_ARRAY)] if isinstance(given, str) else list(given)
+        for wall, given in options.walls.items()
+    }
 
 
 def wall_columns(ref: StepRef, options: ReadOptions) -> dict[str, list[str]]:
@@ -363,11 +359,11 @@ def wall_columns(ref: StepRef, options: ReadOptions) -> dict[str, list[str]]:
     SceneError
         If a step of particles does not hold them.
     """
-    found = {}
+    found = columns_of_walls(options)
     for wall, given in options.walls.items():
-        found[wall] = _numbered(given, _FORCE_AND_POINT) if isinstance(given, str) else list(given)
+        found[wall] = found[wall][_FORCE_AND_POINT] if isinstance(given, str) else found[wall]
         lacking = [column for column in found[wall] if column not in ref.columns]
-        if (isinstance(given, str) and "*" not in given) or len(found[wall]) != len(_FORCE_AND_POINT) or lacking:
+        if (isinstance(given, str) and "*" not in given) or len(found[wall]) != 6 or lacking:
             there = f"; it has no {' '.join(lacking)}, but {' '.join(ref.columns)}" if lacking else ""
             raise SceneError(
                 f"{source_of(ref)}: walls={{{wall!r}: {given!r}}}: expected the columns of a 'fix wall/gran ... "
@@ -414,6 +410,10 @@ class Columnar(Engine):
     CONTACT_SLOTS: ClassVar[Slots] = CONTACT_SLOTS
     NEEDS_ID: ClassVar[bool] = True
 
+    @abstractmethod
+    def list_steps(self, paths: Sequence[str], options: ReadOptions, *, contacts: bool) -> list[StepRef]:
+        """List the steps in files with particles or contacts, from headers alone."""
+
     def read_columns(
         self, ref: StepRef, wanted: Iterable[str], rows: int | None, options: ReadOptions
     ) -> dict[str, NDArray]:
@@ -430,6 +430,18 @@ class Columnar(Engine):
     def contact_columns(self, ref: StepRef, options: ReadOptions) -> dict[str, str]:
         """Find the columns that contacts are read from."""
         return contact_columns(ref, self.CONTACT_SLOTS, options)
+
+    def index_particles(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
+        """List the steps of particles, and warn of columns that are probably not ignored on purpose."""
+        refs = self.list_steps(paths, options, contacts=False)
+        warn_of_ignored(refs[0], self.particle_columns(refs[0], options), self.PARTICLE_SLOTS, options)
+        return refs
+
+    def index_contacts(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
+        """List the steps of contacts, and warn of columns that are probably not ignored on purpose."""
+        refs = self.list_steps(paths, options, contacts=True)
+        warn_of_ignored(refs[0], self.contact_columns(refs[0], options), self.CONTACT_SLOTS, options)
+        return refs
 
     def contact_variables(self, ref: StepRef, options: ReadOptions) -> list[str]:
         """Names of the variables that `read_contacts` returns."""

@@ -77,35 +77,33 @@ def _stamped(refs: Iterable[StepRef], engine: Engine) -> list[StepRef]:
 
 
 def one_series(refs: list[StepRef], same: Sequence[str]) -> list[StepRef]:
-    """Return the steps of one kind, all or an error; where faults are tolerated, those like most of them."""
+    """Return the steps of one kind, all or an error; where faults are tolerated, those like most of them.
+
+    They have the same columns and, as far as they are in `same`, units and periodic axes; a box and times in all of
+    them or in none.
+    """
     pattern = refs[0]
     if errors.is_collecting():
         often = Counter(ref.columns for ref in refs).most_common(1)[0][0]
         pattern = next(ref for ref in refs if ref.columns == often)
     kept = []
     for ref in refs:
-        try:
-            _check_same(pattern, ref, same)
-        except SceneError as error:
-            if not errors.record_fault(source_of(ref), error):
-                raise
-        else:
+        problems = [f"column '{name}' is in the first only" for name in pattern.columns if name not in ref.columns]
+        problems += [f"column '{name}' is in the second only" for name in ref.columns if name not in pattern.columns]
+        for name in same:
+            one, other = getattr(pattern, name), getattr(ref, name)
+            if (one is None) != (other is None):
+                problems.append(f"the {name} is in the {'second' if one is None else 'first'} only")
+            elif name in ("periodic", "units") and one != other:
+                problems.append(f"{name}: {one!r} became {other!r} (the argument {name}= overrides both)")
+        if not problems:
             kept.append(ref)
+            continue
+        both = f"{source_of(pattern)} and {source_of(ref)} do not make one series"
+        error = SceneError(f"{both}: {'; '.join(problems)}")
+        if not errors.record_fault(source_of(ref), error):
+            raise error
     return kept
-
-
-def _check_same(first: StepRef, ref: StepRef, what: Sequence[str]) -> None:
-    """Raise SceneError for a step that differs in kind from the first of its series; name all differences."""
-    problems = [f"column '{name}' is in the first only" for name in first.columns if name not in ref.columns]
-    problems += [f"column '{name}' is in the second only" for name in ref.columns if name not in first.columns]
-    for name in what:
-        one, other = getattr(first, name), getattr(ref, name)
-        if (one is None) != (other is None):
-            problems.append(f"the {name} is in the {'second' if one is None else 'first'} only")
-        elif name in ("periodic", "units") and one != other:
-            problems.append(f"{name}: {one!r} became {other!r} (the argument {name}= overrides both)")
-    if problems:
-        raise SceneError(f"{source_of(first)} and {source_of(ref)} do not make one series: {'; '.join(problems)}")
 
 
 def pair_steps(indexed: Mapping[str, list[StepRef]], times: ArrayLike | None, missing: str) -> list[Step]:
@@ -140,7 +138,13 @@ def _join(steps: list[Step], kind: str, refs: list[StepRef], missing: str) -> li
     """Match contacts to steps: by time where both have one, else by number."""
     others = [step.particles for step in _in_order([Step(ref, (), ref.time) for ref in refs], kind)]
     timed = others[0].time is not None and steps[0].particles.time is not None
-    partner = _same_time(steps, others) if timed else _same_number(steps, others)
+    if timed:
+        partner = _same_time(steps, others)
+    elif others[-1].step < 0 and len(others) == len(steps):  # files that tell neither, in their order
+        partner = list(range(len(others)))
+    else:
+        rows = {ref.step: row for row, ref in enumerate(others)}
+        partner = [rows.get(step.particles.step, -1) for step in steps]
     paired = [(step, row) for step, row in zip(steps, partner, strict=True) if row >= 0]
     lacking = [step.particles for step, row in zip(steps, partner, strict=True) if row < 0]
     unused = [ref for row, ref in enumerate(others) if row not in partner]
@@ -175,13 +179,6 @@ def _warn_of_boxes(pairs: Sequence[tuple[Step, StepRef]], kind: str) -> None:
                     f"({source_of(step.particles)}) is {list(own[k])}, which is taken: are both of one run?"
                 )
                 return
-
-
-def _same_number(steps: Sequence[Step], others: Sequence[StepRef]) -> list[int]:
-    if others[-1].step < 0 and len(others) == len(steps):  # files that tell neither, in their order
-        return list(range(len(others)))
-    rows = {ref.step: row for row, ref in enumerate(others)}
-    return [rows.get(step.particles.step, -1) for step in steps]
 
 
 def _same_time(steps: Sequence[Step], others: Sequence[StepRef]) -> list[int]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from typing import Any, Literal, TypeAlias, get_args
@@ -16,9 +17,19 @@ from xcg.common.checks import floats
 from xcg.common.messages import SceneError, did_you_mean, warn_user
 from xcg.readers.engine import Engine, ReadOptions, StepRef, guess_engine, load_engine
 from xcg.readers.files.text import source_of
-from xcg.readers.lazy import Chunks, Series, Source, Step, indexed_arrays, lazy_arrays, read_step, steps_of_chunks
+from xcg.readers.lazy import (
+    Chunks,
+    Series,
+    Source,
+    Step,
+    chunk_sizes,
+    indexed_arrays,
+    lazy_arrays,
+    read_step,
+    sensible_steps,
+)
 from xcg.readers.pairs import index_files, origin_of, pair_steps
-from xcg.readers.paths import PathLike, expand_paths, names_no_units, not_against_headers, units_of_headers
+from xcg.readers.paths import PathLike, expand_paths, not_against_headers, units_of_headers
 from xcg.readers.saved import open_saved, saved_path
 from xcg.scene.box import box_array, in_unit, with_lattice
 from xcg.scene.build import to_dataset
@@ -29,7 +40,7 @@ from xcg.scene.sanity import check_shape
 from xcg.scene.schema import COMPONENTS, VARIABLES, Frame, Setup, Shape, Sides
 from xcg.scene.sizes import measure_frames
 from xcg.steps import faults as errors
-from xcg.steps.faults import FAULTS, OnError, check_on_error, collecting, raising
+from xcg.steps.faults import FAULTS, OnError, check_on_error, collecting
 
 _RECOVERY_STEPS = 10  # files of contacts that are read for a period, where files do not tell it
 _OF_SAVED = ("particles", "chunks", "on_error", "engine_options")  # what a scene that was saved takes
@@ -212,7 +223,7 @@ def open_scene(
     ... )  # doctest: +SKIP
     """
     given = locals()
-    tolerate = collecting if check_on_error(on_error) == "skip" else raising
+    tolerate = collecting if check_on_error(on_error) == "skip" else lambda: nullcontext(dict[Any, str]())
     if engine is None and "mapping" not in engine_options and (saved := saved_path(particles)):
         _refuse_beside(saved, given)
         return open_saved(saved, chunks)
@@ -237,7 +248,15 @@ def open_scene(
             steps = [replace(step, contacts=(*step.contacts, ref)) for step, ref in zip(steps, beside, strict=True)]
     with tolerate():  # steps that cannot be read stay in the scene; their faults are told when they are computed
         raw = _ends(reader, options, steps, partial(Setup.make, shape=shape, thickness=thickness, density=density))
-    _warn_of_files(left_out)
+    skipped = [cause if place in cause else f"{place}: {cause}" for place, cause in left_out.items()]
+    for cause in skipped:
+        warn_user(f"left out: {cause}")
+    unnamed = units is None and reader.UNNAMED_UNITS and all(refs[0].units is None for refs in indexed.values())
+    if unnamed:
+        warn_user(
+            f"{source_of(indexed['particles'][0])}: the header does not name the units, and SI is taken; say "
+            f"units='SI', 'reduced' (LAMMPS's lj) or factors such as {{'length': 1e-3}}, or {reader.UNNAMED_UNITS}"
+        )
 
     first = next(iter(raw))
     flat = _flat_plane(list(raw.values()))
@@ -247,7 +266,7 @@ def open_scene(
     if periodic is not None and box is None and first.box is None:
         periodic = _within(flat, periodic)  # no file tells the period across a layer, and nothing depends on it
     setup = Setup.make(
-        units=units_of_headers(reader, indexed) if units is None else not_against_headers(units, indexed),
+        units=units_of_headers(indexed) if units is None else not_against_headers(units, indexed),
         gravity=gravity,
         dimension=dimension,
         plane=plane,
@@ -265,13 +284,14 @@ def open_scene(
     clock = [step.time for step in steps if step.time is not None]
     time = np.array(clock) * setup.scales[2] if clock else None
     domain = _domain(steps, box, lattice, shear_rate, setup, time)
-    source = Source(reader, options, setup, _frozen_species(frozen, raw), allow_unknown)
+    source = Source(reader, options, setup, None if frozen is None else _frozen_species(frozen, raw), allow_unknown)
     ends = [source.complete(frame, ref) for ref, frame in raw.items()]
     check_shape(ends[0], setup)
     types = {name: ends[0][name].dtype for name in dict.fromkeys([*VARIABLES, *ends[0]]) if name in ends[0]}
     contact_names = _contact_names(source, next((step for step in steps if step.contacts), steps[0]))
     series = Series(source, steps, domain, types, contact_names)
-    arrays = indexed_arrays(series) if chunks is None else lazy_arrays(series, steps_of_chunks(chunks, series))
+    sizes = () if chunks is None else chunk_sizes(chunks, len(steps), partial(sensible_steps, series))
+    arrays = indexed_arrays(series) if chunks is None else lazy_arrays(series, sizes)
     numbers = [step.particles.step for step in steps]
     if max(numbers) < 0:  # neither files nor their names tell any
         numbers = list(range(len(steps)))
@@ -286,11 +306,11 @@ def open_scene(
     if not clock:
         said_nothing = "number of the time step, as the files do not tell the time (give timestep= or times=)"
         scene["time"].attrs.update(units="1", long_name=said_nothing)
-    if units is None and names_no_units(reader, indexed):
+    if unnamed:
         scene.attrs["assumed_units"] = "SI"
     scene.attrs |= origin_of(reader, files, options, steps) | about_walls
     if left_out:
-        scene.attrs["skipped_files"] = "\n".join(f"{source}: {cause}" for source, cause in left_out.items())
+        scene.attrs["skipped_files"] = "\n".join(skipped)
     return scene
 
 
@@ -307,11 +327,6 @@ def _refuse_beside(saved: str, given: Mapping[str, Any]) -> None:
             f"{saved} is a scene that xcg saved, which takes no {described[0]}=; give it where the files of the code "
             "are opened, before they are saved"
         )
-
-
-def _warn_of_files(left_out: Mapping[str, str]) -> None:
-    for place, cause in left_out.items():
-        warn_user(f"left out: {cause}" if place in cause else f"left out: {place}: {cause}")
 
 
 def _refuse_guesses(left_out: Mapping[str, str], files: Mapping[str, Sequence[str]]) -> None:
@@ -423,9 +438,7 @@ def _recovered_box(
     return box
 
 
-def _frozen_species(frozen: int | Sequence[int] | None, raw: Mapping[StepRef, Frame]) -> tuple[int, ...] | None:
-    if frozen is None:
-        return None
+def _frozen_species(frozen: int | Sequence[int], raw: Mapping[StepRef, Frame]) -> tuple[int, ...]:
     given = np.atleast_1d(floats(frozen)).tolist()
     if not all(number.is_integer() for number in given):
         raise SceneError(f"frozen={frozen!r}: expected the number of a species, or several")
