@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -144,7 +143,7 @@ def _frames(
     data: pd.DataFrame, what: str, options: ReadOptions, *, contacts: bool
 ) -> dict[float, tuple[dict[str, float], Frame]]:
     """Time and number of each step, and its frame, by the first of both."""
-    engine, found = Table(), {}
+    found = {}
     clock = clock_of(tuple(data.columns), options.names)
     rows = {word: _numbers(data, name, what) for word, name in clock.items()}
     runs = [np.arange(len(data))]
@@ -156,17 +155,23 @@ def _frames(
     for k, chosen in enumerate(runs):
         told = {word: float(values[chosen[0]]) for word, values in rows.items()} if len(chosen) else {}
         ref = StepRef(what, len(chosen), step=int(told.get("step", k)), columns=tuple(data.columns))
-        read = partial(_of_rows, data.iloc[chosen], what)
-        if contacts:
-            frame = columns.contacts_from(ref, engine.contact_columns(ref, options), options, read)
-        else:
-            frame = columns.particles_from(ref, engine.particle_columns(ref, options), options, read)
+        engine = _InMemory(data.iloc[chosen])
+        frame = engine.read_contacts(ref, options) if contacts else engine.read_particles(ref, options)
         found[next(iter(told.values()), 0.0)] = told, frame
     return found
 
 
-def _of_rows(data: pd.DataFrame, what: str, ref: StepRef, wanted: Iterable[str], *_: object) -> dict[str, NDArray]:
-    return {name: _numbers(data, name, what) for name in wanted}
+class _InMemory(Table):
+    """Rows of one step."""
+
+    def __init__(self, data: pd.DataFrame) -> None:
+        self.data = data
+
+    def read_columns(
+        self, ref: StepRef, wanted: Iterable[str], rows: int | None, options: ReadOptions
+    ) -> dict[str, NDArray]:
+        """Read columns of a table that `ref` names."""
+        return {name: _numbers(self.data, name, ref.path) for name in wanted}
 
 
 def _numbers(data: pd.DataFrame, name: str, what: str) -> NDArray:

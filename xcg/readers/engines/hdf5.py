@@ -76,7 +76,7 @@ class Hdf5(Columnar):
         """Find the columns that particles are read from: all of them."""
         return super().particle_columns(ref, _by_themselves(ref, options))
 
-    def contact_columns(self, ref: StepRef, options: ReadOptions) -> dict[str, str]:
+    def contact_columns(self, ref: StepRef, options: ReadOptions, slots: columns.Slots | None = None) -> dict[str, str]:
         """Find the columns that contacts are read from: all of them."""
         return super().contact_columns(ref, _by_themselves(ref, options))
 

@@ -99,7 +99,7 @@ class Lammps(Dumps):
     def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
         """Parse the contacts of one step: those between grains, or those in columns of the grains."""
         if ref.kind == _WALLS:
-            return columns.wall_contacts_from(ref, options, self.read_columns)
+            return columns.wall_contacts_from(ref, options, self)
         return super().read_contacts(ref, options)
 
     def ignored_columns(self, ref: StepRef, options: ReadOptions, *, contacts: bool = False) -> list[str]:
@@ -168,15 +168,12 @@ class Liggghts(Dumps):
             frame["contact_j"] = -(frame["contact_j"] + 1)
         return frame
 
-    def contact_columns(self, ref: StepRef, options: ReadOptions) -> dict[str, str]:
-        """Find the columns that contacts are read from, by their place where they have numbers for names."""
+    def contact_slots(self, ref: StepRef) -> columns.Slots:
+        """Return the columns that fill each slot, by their place where they have numbers for names."""
         if not is_numbered(ref.columns):
-            return super().contact_columns(ref, options)
+            return self.CONTACT_SLOTS
         layout = _WALL if ref.kind == "wall" else _PAIR
-        slots: columns.Slots = dict.fromkeys(columns.CONTACT_SLOTS, ()) | {
-            slot: ref.columns[at : at + 1] for slot, at in layout.items()
-        }
-        return columns.contact_columns(ref, slots, options)
+        return {slot: ref.columns[layout[slot] :][:1] if slot in layout else () for slot in self.CONTACT_SLOTS}
 
 
 # --- the index of steps, and the headers of texts ("ITEM: ...") ------------------------------------------

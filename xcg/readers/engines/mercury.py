@@ -28,20 +28,18 @@ from xcg.scene.schema import COMPONENTS, Frame
 _ROW_3D = ("x", "y", "z", "vx", "vy", "vz", "radius", "alpha", "beta", "gamma", "omx", "omy", "omz", "species")
 _ROW_2D = ("x", "y", "vx", "vy", "radius", "alpha", "om", "species")
 _CONTACT = ("t", "i", "j", "cx", "cy", "cz", "delta", "ctheta", "fn", "ft", "nx", "ny", "nz", "tx", "ty", "tz")
-_OWN_COLUMNS = {
-    "species": ("species",),
-    **{f"angular_velocity_{axis}": (f"om{axis}", *(["om"] if axis == "z" else [])) for axis in COMPONENTS},
-}
 
 
 class Mercury(Columnar):
     """Files ``.data``, ``.fstat`` and ``.restart`` of MercuryDPM."""
 
     OPTIONS = ("restart",)
+    NEEDS_ID = False
     PARTICLE_SLOTS: ClassVar[columns.Slots] = {
-        slot: _OWN_COLUMNS.get(slot, found)
-        for slot, found in columns.PARTICLE_SLOTS.items()
-        if slot != "particle_id"  # the row is the id
+        **columns.PARTICLE_SLOTS,
+        "species": ("species",),
+        **{f"angular_velocity_{axis}": (f"om{axis}",) for axis in COMPONENTS},
+        "angular_velocity_z": ("omz", "om"),
     }
 
     def recognises(self, path: str) -> bool:
@@ -66,7 +64,7 @@ class Mercury(Columnar):
             for k, ref in enumerate(refs)
         ]
 
-    def contact_columns(self, ref: StepRef, options: ReadOptions) -> dict[str, str]:
+    def contact_columns(self, ref: StepRef, options: ReadOptions, slots: columns.Slots | None = None) -> dict[str, str]:
         """Return the columns of contacts, which are all read."""
         return dict(zip(ref.columns, ref.columns, strict=True))
 

@@ -6,7 +6,6 @@ A file holds one step, or several that a column of times separates, whose rows a
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -54,14 +53,6 @@ class Table(Columnar):
         read = read_parquet if _suffix(ref.path) == ".parquet" else read_csv
         return read(ref, sorted(set(wanted)), options)
 
-    def particle_columns(self, ref: StepRef, options: ReadOptions) -> dict[str, str]:
-        """Find the columns that particles are read from."""
-        return super().particle_columns(ref, without_clock(options))
-
-    def contact_columns(self, ref: StepRef, options: ReadOptions) -> dict[str, str]:
-        """Find the columns that contacts are read from."""
-        return super().contact_columns(ref, without_clock(options))
-
     def ignored_columns(self, ref: StepRef, options: ReadOptions, *, contacts: bool = False) -> list[str]:
         """Columns of a step that are not read."""
         ignored = super().ignored_columns(ref, options, contacts=contacts)
@@ -80,11 +71,6 @@ def clock_of(names: Sequence[str], given: Mapping[str, str | None]) -> dict[str,
         if target in names and target not in given:
             found.setdefault(target, target)
     return found
-
-
-def without_clock(options: ReadOptions) -> ReadOptions:
-    """Return the options without the names of times and step numbers."""
-    return replace(options, names={name: target for name, target in options.names.items() if target not in _CLOCK})
 
 
 def _steps(path: str, given: Mapping[str, str | None]) -> Iterator[StepRef]:
