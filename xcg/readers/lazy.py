@@ -302,7 +302,8 @@ def lazy_arrays(series: Series, sizes: Sequence[int]) -> dict[str, da.Array]:
     parts = [slice(stop - size, stop) for stop, size in zip(stops, sizes, strict=True)]
     token = tokenize(series.token(), sizes)
 
-    (rows, contact_rows), arrays = series.rows(), dict[str, da.Array]()
+    rows, contact_rows = series.rows()
+    graphs: dict[str, tuple[HighLevelGraph, str]] = {}
     # what few fields need is read by tasks of its own; contacts are checked against the particles, which come last
     kinds = {"rotation": [name for name in particle_types if name in ROTATION]}
     kinds["particles"] = [name for name in particle_types if name not in ROTATION]
@@ -313,25 +314,19 @@ def lazy_arrays(series: Series, sizes: Sequence[int]) -> dict[str, da.Array]:
         for k, part in enumerate(parts):
             tasks[layer, k] = (partial(read_particle_chunk, reader, steps[part], types, rows),)
         graph = HighLevelGraph({layer: tasks}, {layer: set()})
-        arrays |= {name: _array(graph, layer, name, dtype, rows, sizes) for name, dtype in types.items()}
-    arrays = {name: arrays[name] for name in particle_types}
-    if not series.contact_names:
-        return arrays
-
-    particles, layer = layer, f"read-contacts-{token}"
-    names, rows, tasks = list(series.contact_names), contact_rows, {}
-    for k, part in enumerate(parts):
-        edges = {name: values[part] for name, values in boxes.items()}
-        task = partial(read_contact_chunk, source, steps[part], names, rows, edges)
-        tasks[layer, k] = (task, (particles, k))
-    graph = HighLevelGraph({**graph.layers, layer: tasks}, {**graph.dependencies, layer: {particles}})
-    return arrays | {name: _array(graph, layer, name, variable(name).dtype, rows, sizes) for name in names}
-
-
-def _array(graph: HighLevelGraph, layer: str, name: str, dtype: Any, rows: int, sizes: Sequence[int]) -> da.Array:
-    """Lazy array of one variable out of the frames that the tasks of a layer return."""
-    key = f"{name}-{layer.removeprefix('read-')}"
-    return picked(graph, layer, name, key, sizes, variable(name, dtype).shape(rows), dtype)
+        graphs |= dict.fromkeys(wanted, (graph, layer))
+    if series.contact_names:
+        particles, layer, tasks = layer, f"read-contacts-{token}", {}
+        for k, part in enumerate(parts):
+            edges = {name: values[part] for name, values in boxes.items()}
+            task = partial(read_contact_chunk, source, steps[part], series.contact_names, contact_rows, edges)
+            tasks[layer, k] = (task, (particles, k))
+        graph = HighLevelGraph({**graph.layers, layer: tasks}, {**graph.dependencies, layer: {particles}})
+        graphs |= dict.fromkeys(series.contact_names, (graph, layer))
+    return {
+        name: picked(*graphs[name], name, f"{name}-{token}", sizes, shape[1:], dtype)
+        for name, (dtype, shape) in series.arrays().items()
+    }
 
 
 _KEPT, _MOST_KEPT = 2, 1 << 28  # steps that are always kept, and bytes up to which more of them are

@@ -70,9 +70,9 @@ def _stamped(refs: Iterable[StepRef], engine: Engine) -> list[StepRef]:
                 f"{ref.path}: the engine '{engine.name}' gives a step {', '.join(wrong)}, which is of another type or "
                 "shape than xcg.readers.StepRef says"
             )
-        known = ref.size or ref.modified
-        now = None if known else state(ref.path)
-        stamped.append(replace(ref, size=now.st_size, modified=now.st_mtime_ns) if now else ref)
+        if not (ref.size or ref.modified):
+            ref = replace(ref, size=state(ref.path).st_size, modified=state(ref.path).st_mtime_ns)
+        stamped.append(ref)
     return stamped
 
 

@@ -161,18 +161,18 @@ def remembered(paths: Sequence[str], kind: str, scan: Callable[[str], Iterable[S
         Reads the headers of one file. What it returns may depend on the file and on `kind` only.
     """
     found: list[list[StepRef]] = []
-    known: dict[str, dict[str, Any]] = {}
+    known: dict[str, tuple[Path | None, dict[str, Any]]] = {}
     learnt: dict[str, dict[str, Any]] = {}
     for path in paths:
         folder, name = os.path.split(os.path.abspath(path))
         if folder not in known:
-            known[folder] = _load(_place(folder, kind))
+            known[folder] = _load(folder, kind)
         steps: list[StepRef] = []
         found.append(steps)
         try:
             state = os.stat(path)
             stamp: dict[str, Any] = {"size": state.st_size, "modified": state.st_mtime_ns}
-            entry = known[folder].get(name, {})
+            entry = known[folder][1].get(name, {})
             if entry.items() >= stamp.items():
                 steps += [StepRef(path, **stamp, **step) for step in entry["steps"]]
                 continue
@@ -189,8 +189,9 @@ def remembered(paths: Sequence[str], kind: str, scan: Callable[[str], Iterable[S
             if not errors.record_fault(path, error):
                 raise
     for folder, entries in learnt.items():
-        if place := _place(folder, kind):
-            there = {name: entry for name, entry in known[folder].items() if os.path.exists(os.path.join(folder, name))}
+        place, before = known[folder]
+        if place is not None:
+            there = {name: entry for name, entry in before.items() if os.path.exists(os.path.join(folder, name))}
             _save(place, there | entries)
     return found
 
@@ -231,25 +232,21 @@ def index_steps(
 # --- the files of the index ------------------------------------------------------------------------------
 
 
-def _place(folder: str, kind: str) -> Path | None:
-    """Return the folder's index file; None if the index is turned off or the home is unknown."""
-    if os.environ.get("XCG_INDEX_CACHE", "1") == "0":
-        return None
+def _load(folder: str, kind: str) -> tuple[Path | None, dict[str, Any]]:
+    """Return the folder's index file and its entries by name of the file; none where it is absent or damaged.
+
+    There is no index file if the index is turned off or the home is unknown.
+    """
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    if home.startswith("~"):
-        return None
-    digest = hashlib.sha256(f"{_VERSION} {kind} {os.path.realpath(folder)}".encode()).hexdigest()
-    return Path(home) / "xcg" / f"index-{digest[:32]}.json"
-
-
-def _load(place: Path | None) -> dict[str, Any]:
-    """Entries by name of the file; none where the index is absent or damaged."""
+    if os.environ.get("XCG_INDEX_CACHE", "1") == "0" or home.startswith("~"):
+        return None, {}
+    name = hashlib.sha256(f"{_VERSION} {kind} {os.path.realpath(folder)}".encode()).hexdigest()
+    place = Path(home) / "xcg" / f"index-{name[:32]}.json"
     with suppress(OSError, ValueError):
-        if place is not None:
-            digest, _, text = place.read_bytes().partition(b"\n")
-            if hashlib.sha256(text).hexdigest().encode() == digest:
-                return dict(json.loads(text))
-    return {}
+        digest, _, text = place.read_bytes().partition(b"\n")
+        if hashlib.sha256(text).hexdigest().encode() == digest:
+            return place, dict(json.loads(text))
+    return place, {}
 
 
 def _save(place: Path, entries: Mapping[str, Any]) -> None:

@@ -155,31 +155,27 @@ def _header(line: str) -> list[float] | None:
 def _fstat_steps(path: str) -> Iterator[StepRef]:
     with scanned(path) as scanner:
         step = 0
-        while time := _comments(scanner, path):
+        while (time := _comments(scanner, path)) is not None:
             start = scanner.offset
             body = b"".join(scanner.until(b"#"))
-            ref = StepRef(path, 0, float(time), step, columns=_CONTACT, offset=start, length=len(body))
+            ref = StepRef(path, 0, time, step, columns=_CONTACT, offset=start, length=len(body))
             ids = parse_table(body, _CONTACT, ("i", "j"), None, source_of(ref))
             yield replace(ref, rows=int(_once(ids["i"], ids["j"]).sum()))
             step += 1
 
 
-def _comments(scanner: Scanner, path: str) -> str:
-    """Time in the three comment lines before a step, "" at the end of the file."""
+def _comments(scanner: Scanner, path: str) -> float | None:
+    """Time in the three comment lines before a step, None at the end of the file."""
     lines = [scanner.line().decode("utf-8", "replace") for _ in range(3)]
     if not any(lines):
-        return ""
-    words = lines[0].removeprefix("#").split()
-    if not all(line.startswith("#") for line in lines) or not words or not _is_float(words[0]):
-        raise SceneError(f"{path}: expected three lines with '#' and the time in the first, found {lines[0][:60]!r}")
-    return words[0]
-
-
-def _is_float(word: str) -> bool:
+        return None
     try:
-        return np.isfinite(float(word)).item()
-    except ValueError:
-        return False
+        time = float(lines[0].removeprefix("#").split()[0])
+    except (ValueError, IndexError):
+        time = np.nan
+    if not all(line.startswith("#") for line in lines) or not np.isfinite(time):
+        raise SceneError(f"{path}: expected three lines with '#' and the time in the first, found {lines[0][:60]!r}")
+    return time
 
 
 def _once(i: NDArray, j: NDArray) -> NDArray:
