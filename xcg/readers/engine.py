@@ -58,6 +58,8 @@ class StepRef:
         Acceleration of gravity in the file's units, None where the file does not say.
     kind : str
         A mark of the engine's own, for engines that read contacts from more than one kind of file.
+    named : bool
+        Whether `step` is the number in the name of the file, which does not say it.
     alone : bool
         Whether the step was taken for the only one of its file, without reading on.
     """
@@ -77,6 +79,7 @@ class StepRef:
     modified: int = 0
     gravity: tuple[float, float, float] | None = None
     kind: str = ""
+    named: bool = False
     alone: bool = False
 
     def __post_init__(self) -> None:

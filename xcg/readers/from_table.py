@@ -75,7 +75,7 @@ def scene_from_table(
             lattices = [Lattice.of({name: v[t] for name, v in boxes.items()}, periodic) for t in range(len(steps))]
         rows = _with_vectors(_table(contacts), grains, said, dict(zip(steps, lattices, strict=True)))
         touching = _frames(rows, "contacts", said, contacts=True)
-        unknown = sorted(set(touching) - set(steps))
+        unknown = sorted(set(touching) - set(steps)) if len(rows) else []
         if unknown:
             raise SceneError(
                 f"contacts: rows of {unknown[0]}, and no particles of that time or step; there are {steps[:3]}"
@@ -99,7 +99,7 @@ def _with_vectors(
     magnitudes = ("normal_force", "tangential_force")
     table = contacts.rename(columns={column: name for column, name in options.names.items() if name in magnitudes})
     ref = StepRef("contacts", len(table), columns=tuple(table.columns))
-    ends = columns.assign(ref, {end: columns.CONTACT_SLOTS[end] for end in ("contact_i", "contact_j")}, options)
+    ends = columns.assign(ref, {end: Table.CONTACT_SLOTS[end] for end in ("contact_i", "contact_j")}, options)
     if "normal_force" not in table or len(ends) < 2:
         return contacts
     walls = _numbers(table, ends["contact_j"], "contacts") < 0
@@ -147,7 +147,9 @@ def _frames(
     clock = clock_of(tuple(data.columns), options.names)
     rows = {word: _numbers(data, name, what) for word, name in clock.items()}
     runs = [np.arange(len(data))]
-    if rows:
+    if not len(data.columns) or not (len(data) or contacts):
+        raise SceneError(f"{what}: the table has no {'rows' if len(data.columns) else 'columns'}")
+    if rows and len(data):
         key = next(iter(rows.values()))
         order = np.argsort(key, kind="stable")
         runs_of({word: values[order] for word, values in rows.items()}, len(data), what)

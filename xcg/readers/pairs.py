@@ -106,8 +106,13 @@ def one_series(refs: list[StepRef], same: Sequence[str]) -> list[StepRef]:
     return kept
 
 
-def pair_steps(indexed: Mapping[str, list[StepRef]], times: ArrayLike | None, missing: str) -> list[Step]:
-    """Order the steps of particles by time, each with its contacts."""
+def pair_steps(
+    indexed: Mapping[str, list[StepRef]], times: ArrayLike | None, missing: str, *, together: bool
+) -> list[Step]:
+    """Order the steps of particles by time, each with its contacts.
+
+    `together`: whether the caller named one file of each kind, whose steps, if there is one each, are a pair.
+    """
     refs = indexed["particles"]
     known: list[float | None] = [ref.time for ref in refs]
     if times is not None:
@@ -118,7 +123,7 @@ def pair_steps(indexed: Mapping[str, list[StepRef]], times: ArrayLike | None, mi
     steps = _in_order([Step(ref, (), time) for ref, time in zip(refs, known, strict=True)], "particles")
     for kind in ("contacts", "walls"):
         if kind in indexed:
-            steps = _join(steps, kind, indexed[kind], missing)
+            steps = _join(steps, kind, indexed[kind], missing, together=together)
     return steps
 
 
@@ -134,13 +139,14 @@ def _in_order(steps: list[Step], kind: str) -> list[Step]:
     return [unique[key] for key in sorted(unique)]
 
 
-def _join(steps: list[Step], kind: str, refs: list[StepRef], missing: str) -> list[Step]:
+def _join(steps: list[Step], kind: str, refs: list[StepRef], missing: str, *, together: bool) -> list[Step]:
     """Match contacts to steps: by time where both have one, else by number."""
     others = [step.particles for step in _in_order([Step(ref, (), ref.time) for ref in refs], kind)]
     timed = others[0].time is not None and steps[0].particles.time is not None
+    one = together and len(steps) == len(others) == 1 and (steps[0].particles.named or others[0].named)
     if timed:
         partner = _same_time(steps, others)
-    elif others[-1].step < 0 and len(others) == len(steps):  # files that tell neither, in their order
+    elif one or (others[-1].step < 0 and len(others) == len(steps)):  # files that tell neither, in their order
         partner = list(range(len(others)))
     else:
         rows = {ref.step: row for row, ref in enumerate(others)}

@@ -214,7 +214,7 @@ def index_steps(
     for path, steps in zip(paths, remembered(paths, kind, scan), strict=True):
         digits = re.findall(r"\d+", Path(path).stem)
         if len(steps) == 1 and steps[0].step < 0 and digits:
-            steps = [replace(steps[0], step=int(digits[-1]))]
+            steps = [replace(steps[0], step=int(digits[-1]), named=True)]
         refs += steps
         if not steps:
             errors.raise_or_record(path, SceneError(f"{path}: the file is empty; leave it out"))

@@ -195,8 +195,9 @@ def open_scene(
 
     Notes
     -----
-    Particles and contacts are paired by time where both kinds of file hold it, else by step number. Contacts
-    of steps without particles are left out with a warning.
+    Particles and contacts are paired by time where both kinds of file hold it, else by step number, which is that in
+    the name of a file that states none. One file of particles and one of contacts, given by name, are paired whatever
+    the numbers in their names. Contacts of steps without particles are left out with a warning.
 
     Steps that share one text file are read from where they begin. In a gzipped file they are reached by
     decompressing all before them, going on from the last step that was read.
@@ -236,19 +237,24 @@ def open_scene(
         files = {kind: expand_paths(paths, kind) for kind, paths in kinds.items() if paths is not None}
         reader = load_engine(engine or guess_engine(files))
         _check_options(reader, engine_options)
-        extra = {**engine_options, "missing": "raise" if missing == "raise" and on_error == "raise" else "skip"}
+        extra = {**engine_options, "missing": "raise" if missing != "skip" and on_error == "raise" else "skip"}
         options = ReadOptions(dict(names or {}), extra, in_columns, alone=True)
         said = {"periodic": periodic, "units": units, "box": box, "time": times}
         indexed = index_files(reader, files, options, [what for what, given in said.items() if given is None])
         if left_out and missing == "empty":
             _refuse_guesses(left_out, files)
-        steps = pair_steps(indexed, times, "skip" if missing == "raise" and left_out else missing)
+        together = all([str(paths)] == files[kind] for kind, paths in kinds.items() if paths is not None)
+        missing = "skip" if missing == "raise" and left_out else missing
+        steps = pair_steps(indexed, times, missing, together=together)
         if in_columns:
             beside = [reader.wall_step(step.particles, options) for step in steps]
             steps = [replace(step, contacts=(*step.contacts, ref)) for step, ref in zip(steps, beside, strict=True)]
+    if max(step.particles.step for step in steps) < 0:  # neither files nor their names tell any
+        steps = [replace(step, particles=replace(step.particles, step=k)) for k, step in enumerate(steps)]
     with tolerate():  # steps that cannot be read stay in the scene; their faults are told when they are computed
         raw = _ends(reader, options, steps, partial(Setup.make, shape=shape, thickness=thickness, density=density))
-    skipped = [cause if place in cause else f"{place}: {cause}" for place, cause in left_out.items()]
+    # most messages name the file already; of one with many steps, the place goes on with " from byte ..."
+    skipped = [c if p.partition(" from byte ")[0] in c else f"{p}: {c}" for p, c in left_out.items()]
     for cause in skipped:
         warn_user(f"left out: {cause}")
     unnamed = units is None and reader.UNNAMED_UNITS and all(refs[0].units is None for refs in indexed.values())
@@ -293,8 +299,6 @@ def open_scene(
     sizes = () if chunks is None else chunk_sizes(chunks, len(steps), partial(sensible_steps, series))
     arrays = indexed_arrays(series) if chunks is None else lazy_arrays(series, sizes)
     numbers = [step.particles.step for step in steps]
-    if max(numbers) < 0:  # neither files nor their names tell any
-        numbers = list(range(len(steps)))
     scene = to_dataset(
         arrays,
         time=numbers if time is None else time,

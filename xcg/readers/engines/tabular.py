@@ -107,9 +107,9 @@ def runs_of(clock: Mapping[str, NDArray], rows: int, path: str) -> list[tuple[in
     if not rows:
         raise SceneError(f"{path}: no rows follow the names of the columns")
     edges = [0, *(np.flatnonzero(np.diff(key)) + 1).tolist(), rows]
-    firsts = key[edges[:-1]]
-    if len(np.unique(firsts)) < len(firsts):
-        twice = next(value for k, value in enumerate(firsts) if value in firsts[:k])
+    firsts = key[edges[:-1]].tolist()
+    if len(set(firsts)) < len(firsts):
+        twice = next(value for value in firsts if firsts.count(value) > 1)
         raise SceneError(
             f"{path}: rows of the {next(iter(clock))} {twice!r} stand apart from each other; sort the table by it"
         )

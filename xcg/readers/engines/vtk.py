@@ -42,7 +42,8 @@ def list_steps(paths: Sequence[str], options: ReadOptions, *, lines: bool = Fals
     for number, ((path, listed), steps) in enumerate(zip(there, found, strict=True)):
         digits = re.findall(r"\d+", os.path.basename(path))
         for ref in steps:  # one, or none where the file is at fault
-            refs.append(replace(ref, time=_time(ref.time, listed), step=int(digits[-1]) if digits else number))
+            step = int(digits[-1]) if digits else number
+            refs.append(replace(ref, time=_time(ref.time, listed), step=step, named=True))
     return _once(refs)
 
 
@@ -78,7 +79,8 @@ def _existing(paths: Sequence[str], options: ReadOptions) -> list[tuple[str, flo
         if missing == "raise" or not there:
             way_out = "pass missing='skip' to go on with the others" if there else "check the path"
             raise SceneError(f"{shown}; restore them, or {way_out}")
-        warn_user(f"{shown}; they are skipped")
+        if not errors.record_fault(str(paths[0]), SceneError(f"{shown}; they are skipped")):
+            warn_user(f"{shown}; they are skipped")
     return there
 
 
