@@ -73,7 +73,7 @@ def chunk_sizes(chunks: Any, count: int, sensible: Callable[[], int]) -> tuple[i
     return tuple(min(size, count - start) for start in range(0, count, size))
 
 
-def sensible_steps(series: Series) -> int:
+def _sensible(series: Series) -> int:
     """Count steps that make a task of `_TASK` seconds, whose arrays are no larger than dask wants chunks to be."""
     refs = [ref for step in series.steps for ref in (step.particles, *step.contacts)]
     shared = Counter(ref.path for ref in refs)
@@ -294,8 +294,9 @@ class Series:
         return tokenize(self.source, steps, modified, self.boxes, dict(self.particle_types), self.contact_names)
 
 
-def lazy_arrays(series: Series, sizes: Sequence[int]) -> dict[str, da.Array]:
-    """Dask arrays (time first, padded) of all variables, in chunks of so many steps."""
+def lazy_arrays(series: Series, chunks: Any) -> dict[str, da.Array]:
+    """Dask arrays (time first, padded) of all variables, in chunks as of `chunk_sizes`."""
+    sizes = chunk_sizes(chunks, len(series.steps), partial(_sensible, series))
     source = series.source.reading(alone=len(sizes) == 1)
     steps, boxes, particle_types = series.steps, series.boxes, dict(series.particle_types)
     stops = list(accumulate(sizes))

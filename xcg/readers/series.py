@@ -17,17 +17,7 @@ from xcg.common.checks import floats
 from xcg.common.messages import SceneError, did_you_mean, warn_user
 from xcg.readers.engine import Engine, ReadOptions, StepRef, guess_engine, load_engine
 from xcg.readers.files.text import source_of
-from xcg.readers.lazy import (
-    Chunks,
-    Series,
-    Source,
-    Step,
-    chunk_sizes,
-    indexed_arrays,
-    lazy_arrays,
-    read_step,
-    sensible_steps,
-)
+from xcg.readers.lazy import Chunks, Series, Source, Step, indexed_arrays, lazy_arrays, read_step
 from xcg.readers.pairs import index_files, origin_of, pair_steps
 from xcg.readers.paths import PathLike, expand_paths, not_against_headers, units_of_headers
 from xcg.readers.saved import open_saved, saved_path
@@ -296,8 +286,7 @@ def open_scene(
     types = {name: ends[0][name].dtype for name in dict.fromkeys([*VARIABLES, *ends[0]]) if name in ends[0]}
     contact_names = _contact_names(source, next((step for step in steps if step.contacts), steps[0]))
     series = Series(source, steps, domain, types, contact_names)
-    sizes = () if chunks is None else chunk_sizes(chunks, len(steps), partial(sensible_steps, series))
-    arrays = indexed_arrays(series) if chunks is None else lazy_arrays(series, sizes)
+    arrays = indexed_arrays(series) if chunks is None else lazy_arrays(series, chunks)
     numbers = [step.particles.step for step in steps]
     scene = to_dataset(
         arrays,
@@ -320,12 +309,9 @@ def open_scene(
 
 def _refuse_beside(saved: str, given: Mapping[str, Any]) -> None:
     """Raise SceneError for options of a code's files beside a saved scene, which needs none."""
-    parameters = inspect.signature(open_scene).parameters.values()
+    parameters = inspect.signature(open_scene).parameters.items()
     described = [*given["engine_options"]]
-    for name, default in ((p.name, p.default) for p in parameters if p.name not in _OF_SAVED):
-        plain = isinstance(given[name], (str, bool))
-        if given[name] is not default and not (plain and given[name] == default):
-            described.append(name)
+    described += [n for n, p in parameters if n not in _OF_SAVED and repr(given[n]) != repr(p.default)]
     if described:
         raise SceneError(
             f"{saved} is a scene that xcg saved, which takes no {described[0]}=; give it where the files of the code "
