@@ -51,8 +51,9 @@ def expand_paths(paths: PathLike | Iterable[PathLike], argument: str) -> list[st
     found: list[str] = []
     for given in cast(Iterable[PathLike], [paths] if single else paths):
         path = os.path.expanduser(os.fspath(given))
-        matches = [path] if os.path.isfile(path) else glob.glob(path, recursive=True)
-        files = sorted(filter(os.path.isfile, matches), key=natural_key)
+        files = [path]
+        if not os.path.isfile(path):
+            files = sorted(filter(os.path.isfile, glob.glob(path, recursive=True)), key=natural_key)
         if not files:
             error = FileNotFoundError(f"{argument}={path!r}{_why_none(path)}")
             if single or not errors.record_fault(os.fspath(given), error):

@@ -53,6 +53,8 @@ class Dumps(Columnar):
 
     def unread_forces(self, ref: StepRef, options: ReadOptions) -> str:
         """Return a hint about columns that may hold the rest of the contact forces; "" without such columns."""
+        if ref.kind == _WALLS:
+            return ""
         return columns.unread_by_number(ref, self.contact_columns(ref, options), options)
 
     def read_columns(
@@ -87,10 +89,6 @@ class Lammps(Dumps):
     def wall_step(self, ref: StepRef, options: ReadOptions) -> StepRef:
         """Return the contacts with walls of a step; each grain may touch each wall once."""
         return replace(ref, kind=_WALLS, rows=ref.rows * len(columns.wall_columns(ref, options)))
-
-    def unread_forces(self, ref: StepRef, options: ReadOptions) -> str:
-        """Return a hint about columns that may hold the rest of the contact forces; "" without such columns."""
-        return "" if ref.kind == _WALLS else super().unread_forces(ref, options)
 
     def contact_variables(self, ref: StepRef, options: ReadOptions) -> list[str]:
         """Names of the variables that `read_contacts` returns."""

@@ -221,41 +221,29 @@ def scan_csv(path: str, clock_of: Callable[[Sequence[str]], Mapping[str, str]]) 
             raise SceneError(
                 f"{path}: expected a first line that names each column once, such as 'x,y,z,radius', found {why}"
             )
-        lines = _RowStarts(scanner.offset, shortest=3 if first.endswith(b"\r\n") else 2)
-        pieces = lines.passed(_pieces(scanner))
+        found = [np.array([scanner.offset])]
+        pieces = _pieces(scanner, found)
         wanted = sorted(set(clock_of(names).values()))
         clock = parse_table(_translated(pieces, separator, []), names, wanted, None, path) if wanted else {}
         deque(pieces, 0)  # what is left
-    starts = lines.starts()
+    edges = np.concatenate(found)
+    rows = np.diff(edges) >= (3 if first.endswith(b"\r\n") else 2)  # others are blank
+    starts = np.append(edges[:-1][rows], scanner.offset)
     if wanted and len(clock[wanted[0]]) != len(starts) - 1:
         raise SceneError(f"{path}: lines of blanks only stand between rows; remove them")
     return TableIndex(names, len(starts) - 1, clock, starts, separator)
 
 
-def _pieces(scanner: Scanner) -> Iterator[bytes]:
-    while piece := scanner.block(PIECE):
+def _pieces(scanner: Scanner, starts: list[NDArray]) -> Iterator[bytes]:
+    """Yield what is left of a text, and add the byte after each end of a line to `starts`."""
+    piece = b"\n"
+    while block := scanner.block(PIECE):
+        piece = block
+        ends = np.flatnonzero(np.frombuffer(piece, np.uint8) == ord("\n"))
+        starts.append(scanner.offset - len(piece) + 1 + ends)
         yield piece
-
-
-class _RowStarts:
-    """Find the starts of lines that are not blank in a stream of text; `shortest` of them in bytes, with its end."""
-
-    def __init__(self, offset: int, shortest: int) -> None:
-        self._end, self._found, self._shortest = offset, [np.array([offset])], shortest
-
-    def passed(self, pieces: Iterable[bytes]) -> Iterator[bytes]:
-        last = b"\n"
-        for piece in pieces:
-            self._found.append(self._end + 1 + np.flatnonzero(np.frombuffer(piece, np.uint8) == ord("\n")))
-            self._end, last = self._end + len(piece), piece
-            yield piece
-        if not last.endswith(b"\n"):  # as if it did
-            self._found.append(np.array([self._end + 1]))
-
-    def starts(self) -> NDArray:
-        edges = np.concatenate(self._found)
-        rows = np.diff(edges) >= self._shortest
-        return np.append(edges[:-1][rows], self._end)
+    if not piece.endswith(b"\n"):  # as if it did
+        starts.append(np.array([scanner.offset + 1]))
 
 
 def _translated(pieces: Iterable[bytes], separator: str, found: list[int]) -> Iterator[bytes]:
