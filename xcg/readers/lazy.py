@@ -216,18 +216,16 @@ def _require(frame: Frame, names: Sequence[str], ref: StepRef) -> None:
         )
 
 
-def read_particle_chunk(source: Source, steps: Sequence[Step], types: Mapping[str, Any], rows: int) -> Frame:
-    """Particles of the steps of a chunk, padded; steps at fault are empty where faults are tolerated."""
+def _chunk(steps: Sequence[Step], read: Callable[[int, Step], Frame], types: Mapping[str, Any], rows: int) -> Frame:
+    """Frames of the steps of a chunk, padded; steps at fault are empty where faults are tolerated."""
     frames = []
-    for step in steps:
+    for t, step in enumerate(steps):
         try:
-            frame = source.complete(read_step(source.engine, source.options, step.particles), step.particles)
-            _require(frame, list(types), step.particles)
+            frames.append(read(t, step))
         except errors.FAULTS as error:
             if not errors.record_fault(step.particles.step, error):
                 raise
-            frame = _nothing(types)
-        frames.append(frame)
+            frames.append(_nothing(types))
     return stack(frames, list(types), rows)
 
 
@@ -236,21 +234,27 @@ def _nothing(types: Mapping[str, Any]) -> Frame:
     return {name: np.empty(variable(name, dtype).shape(0), dtype) for name, dtype in types.items()}
 
 
+def read_particle_chunk(source: Source, steps: Sequence[Step], types: Mapping[str, Any], rows: int) -> Frame:
+    """Particles of the steps of a chunk, padded."""
+
+    def read(_: int, step: Step) -> Frame:
+        frame = source.complete(read_step(source.engine, source.options, step.particles), step.particles)
+        _require(frame, list(types), step.particles)
+        return frame
+
+    return _chunk(steps, read, types, rows)
+
+
 def read_contact_chunk(
     source: Source, steps: Sequence[Step], names: Sequence[str], rows: int, boxes: Frame, particles: Frame
 ) -> Frame:
     """Contacts of the steps of a chunk, padded, checked against the particles of the same chunk."""
-    frames = []
-    for t, step in enumerate(steps):
-        try:
-            box = {name: values[t] for name, values in boxes.items()}
-            frame = source.contacts(step.contacts, names, frame_of(particles, t), box)
-        except errors.FAULTS as error:
-            if not errors.record_fault(step.particles.step, error):
-                raise
-            frame = _nothing({name: variable(name).dtype for name in names})
-        frames.append(frame)
-    return stack(frames, names, rows)
+
+    def read(t: int, step: Step) -> Frame:
+        box = {name: values[t] for name, values in boxes.items()}
+        return source.contacts(step.contacts, names, frame_of(particles, t), box)
+
+    return _chunk(steps, read, {name: variable(name).dtype for name in names}, rows)
 
 
 @dataclass(frozen=True)

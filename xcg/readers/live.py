@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError
 from xcg.readers.columns import WALL_CONTACTS
-from xcg.readers.paths import UNIT_SYSTEMS
+from xcg.readers.paths import units_of_system
 from xcg.scene.build import scene_from_arrays
 from xcg.scene.complete import contact_points
 from xcg.scene.contacts import FIRST_WALL, named_walls
@@ -120,7 +120,7 @@ def scene_from_lammps(
             periodic="".join(a for a, wraps in zip(COMPONENTS, periodic, strict=True) if wraps),
             gravity=gravity,
             dimension=int(lmp.extract_setting("dimension")),
-            units=_units(lmp) if units is None else units,
+            units=units_of_system(str(lmp.extract_global("units")), "LAMMPS has") if units is None else units,
         )
     return scene.assign_attrs(engine="lammps", **(named_walls(walls) if walls else {}))
 
@@ -145,16 +145,6 @@ def _computes(lmp: Any) -> Iterator[Mapping[str, str]]:
         for name in columns:
             if lmp.has_id("compute", name):
                 lmp.command(f"uncompute {name}")
-
-
-def _units(lmp: Any) -> Mapping[str, float] | str | None:
-    system = str(lmp.extract_global("units"))
-    if system not in UNIT_SYSTEMS:
-        raise SceneError(
-            f"LAMMPS has the unit system {system!r}, known are {', '.join(UNIT_SYSTEMS)}; give the factors to SI, for "
-            "example units={'length': 1e-10, 'mass': 1e-3, 'time': 1e-15}"
-        )
-    return UNIT_SYSTEMS[system]
 
 
 def _atoms(lmp: Any) -> dict[str, NDArray]:

@@ -101,14 +101,17 @@ def units_of_headers(indexed: Mapping[str, Sequence[StepRef]]) -> Mapping[str, f
     if len(named) > 1:
         found = ", ".join(f"{system!r} in {name}" for system, name in named.items())
         raise SceneError(f"headers name different unit systems ({found}); give the factors to SI with units=")
-    for system, name in named.items():
-        if system not in UNIT_SYSTEMS:
-            raise SceneError(
-                f"{name}: the header names the unit system {system!r}, known are {', '.join(UNIT_SYSTEMS)}; "
-                "give the factors to SI, for example units={'length': 1e-10, 'mass': 1e-3, 'time': 1e-15}"
-            )
-        return UNIT_SYSTEMS[system]
-    return None
+    return next((units_of_system(system, f"{name}: the header names") for system, name in named.items()), None)
+
+
+def units_of_system(system: str, named: str) -> Mapping[str, float] | str | None:
+    """Return the units of a system by name; `named` begins the message about one that is not known."""
+    if system not in UNIT_SYSTEMS:
+        raise SceneError(
+            f"{named} the unit system {system!r}, known are {', '.join(UNIT_SYSTEMS)}; give the factors to SI, for "
+            "example units={'length': 1e-10, 'mass': 1e-3, 'time': 1e-15}"
+        )
+    return UNIT_SYSTEMS[system]
 
 
 def not_against_headers(units: Mapping[str, float] | str, indexed: Mapping[str, Sequence[StepRef]]) -> Any:
