@@ -104,8 +104,8 @@ class Lammps(Dumps):
         """Columns of a step that are not read."""
         if ref.kind == _WALLS:
             return []
-        walls = [] if contacts else chain(*columns.columns_of_walls(options).values())
-        return [name for name in super().ignored_columns(ref, options, contacts=contacts) if name not in {*walls}]
+        walls = set() if contacts else {*chain(*columns.columns_of_walls(options).values())}
+        return [name for name in super().ignored_columns(ref, options, contacts=contacts) if name not in walls]
 
 
 def _vector(slot: str, first: int) -> dict[str, int]:
