@@ -216,7 +216,8 @@ def index_steps(
     """
     refs: list[StepRef] = []
     for path, steps in zip(paths, remembered(paths, kind, scan), strict=True):
-        digits = re.findall(r"\d+", Path(path).stem)
+        name = Path(path)
+        digits = re.findall(r"\d+", name.name if name.suffix[1:].isdecimal() else name.stem)  # ".h5" is no number
         if len(steps) == 1 and steps[0].step < 0 and digits:
             steps = [replace(steps[0], step=int(digits[-1]), named=True)]
         refs += steps

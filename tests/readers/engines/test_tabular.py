@@ -88,6 +88,9 @@ def test_steps_are_numbered_by_file_names(tmp_path):
     np.testing.assert_array_equal(ds.step, [2, 10])
     np.testing.assert_allclose(ds.time, [0.2, 1.0])
     np.testing.assert_array_equal(ds.position[:, 0, 0], [2, 10])
+    for step in (2, 10):
+        (tmp_path / f"p_{step}.csv").rename(tmp_path / f"p.csv.{step}")
+    np.testing.assert_array_equal(xcg.open_scene(str(tmp_path / "p.csv.*"), engine="table", density=1.0).step, [2, 10])
 
 
 def test_files_without_numbers_are_steps_from_zero_on(tmp_path):
