@@ -230,7 +230,7 @@ def test_a_file_without_a_header_is_named_or_left_out(folder, damage, step):
     with pytest.warns(xcg.SceneWarning) as said:
         ds = opened(folder, on_error="skip")
     assert any(f"p.{step}.dump" in str(w.message) for w in said)
-    assert f"p.{step}.dump" in ds.attrs["skipped_files"]
+    assert ds.attrs["skipped_files"].count(f"p.{step}.dump") == 1
     assert ds.step.values.tolist() == [s for s in STEPS if s != step]
     f = ds.cg.coarse_grain("density", axes="z", on_error="skip").compute()
     assert "skipped_files" in f.attrs

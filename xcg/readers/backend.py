@@ -10,10 +10,9 @@ from typing import Any
 import xarray as xr
 from xarray.backends import BackendEntrypoint
 
-from xcg.readers.engine import Engine, all_engines
+from xcg.readers.engine import Engine, is_recognised
 from xcg.readers.paths import PathLike
 from xcg.readers.series import open_scene
-from xcg.steps.faults import FAULTS
 
 _OF_XARRAY = ("particles", "engine", "chunks", "engine_options")  # called otherwise there
 
@@ -65,7 +64,4 @@ class SceneBackend(BackendEntrypoint):
         """Return whether an engine recognises a file by its content."""
         if not isinstance(filename_or_obj, (str, os.PathLike)) or not os.path.isfile(filename_or_obj):
             return False
-        try:
-            return any(engine.recognises(os.fspath(filename_or_obj)) for engine in all_engines())
-        except FAULTS:
-            return False
+        return is_recognised(os.fspath(filename_or_obj))

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import difflib
 import re
+from abc import abstractmethod
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import ClassVar, TypeAlias
 
 import numpy as np
@@ -20,9 +21,6 @@ from xcg.scene.schema import COMPONENTS, Frame, variable
 
 Slots: TypeAlias = Mapping[str, Sequence[str]]
 """Columns that fill each slot by themselves, the preferred first."""
-
-Read: TypeAlias = Callable[[StepRef, Iterable[str], int | None, ReadOptions], dict[str, NDArray]]
-"""What reads the wanted columns of one step, such as `read_table` of texts."""
 
 
 def _vector(slot: str, *templates: str) -> dict[str, tuple[str, ...]]:
@@ -176,7 +174,7 @@ _SUSPECT = re.compile("wall|force", re.IGNORECASE)
 def warn_of_ignored(ref: StepRef, filled: Mapping[str, str], slots: Slots, options: ReadOptions) -> None:
     """Warn of columns that look like forces or contacts with walls by their names, and that nobody asked for."""
     known = {*filled.values(), *options.names, *(column for columns in slots.values() for column in columns)}
-    known |= columns_of_walls(ref, options)
+    known.update(*columns_of_walls(options).values())
     arrays = {column.removesuffix("[1]") for column in ref.columns if slots is PARTICLE_SLOTS and column[:2] == "f_"}
     for array in sorted(arrays):
         numbered = [f"{array}[{k}]" for k in range(1, _WALL_ARRAY + 1)]
@@ -198,161 +196,21 @@ def warn_of_ignored(ref: StepRef, filled: Mapping[str, str], slots: Slots, optio
         )
 
 
-# --- particles -------------------------------------------------------------------------------------------
-
-
-def particle_columns(ref: StepRef, slots: Slots, options: ReadOptions) -> dict[str, str]:
-    """Find the column of each slot, checked to be enough for particles.
-
-    Columns that `names` maps to other names become custom variables. A two-dimensional file need not
-    hold z.
-    """
-    filled = assign(ref, slots, options)
-    if "particle_id" in slots and "particle_id" not in filled:
-        raise _lacks(ref, "id of the particle", "particle_id")
-    present = {axis for slot in ("position", "scaled") for axis in _axes(filled, slot)}
-    for axis in "xy":
-        if axis not in present:
-            raise _lacks(ref, f"{axis} of the position", f"position_{axis}")
-    for axis in sorted(present):
-        if _axes(filled, "velocity") and f"velocity_{axis}" not in filled:
-            raise _lacks(ref, f"{axis} of the velocity", f"velocity_{axis}")
-    unwanted = options.unwanted
-    turning = _axes(filled, "angular_velocity")
-    if 0 < len(turning) < 3 and turning != ["z"]:  # in a plane, grains turn about its normal alone
-        axis = next(axis for axis in COMPONENTS if axis not in turning)
-        if any(str(slot).startswith("angular_velocity_") for slot in options.names.values()):
-            raise _lacks(ref, f"{axis} of the angular velocity", f"angular_velocity_{axis}")
-        unwanted = (*unwanted, "angular_velocity")  # the file's column was mapped to something else
-    filled = {slot: column for slot, column in filled.items() if not slot.startswith(unwanted)}
-    own = {
-        slot: column
-        for column, slot in options.names.items()
-        if slot is not None and column in ref.columns and _is_own(slot, "particle")
-    }
-    return filled | own
-
-
-def _is_own(slot: str, dim: str) -> bool:
-    """Return whether a slot is a variable of the caller's own, of particles or of contacts."""
-    return slot not in {*PARTICLE_SLOTS, *CONTACT_SLOTS} and variable(slot).dims == (dim,)
-
-
-def particles_from(ref: StepRef, columns: Mapping[str, str], options: ReadOptions, read: Read = read_table) -> Frame:
-    """Read the particles of one step from the columns of `particle_columns`."""
-    table = read(ref, columns.values(), ref.rows, options)
-    values = {slot: table[column] for slot, column in columns.items()}
-    for k, axis in enumerate(COMPONENTS):
-        if f"position_{axis}" not in values and f"scaled_{axis}" in values:
-            low, high = _edges(ref)[k]
-            values[f"position_{axis}"] = low + values[f"scaled_{axis}"] * (high - low)
-            for other, vector in zip(COMPONENTS, ref.lattice or (), strict=False):
-                if other != axis and vector[k]:
-                    values[f"position_{axis}"] += values.get(f"scaled_{other}", 0.0) * vector[k]
-    frame = {slot: array for slot, array in values.items() if slot not in _PARTICLE_COMPONENTS}
-    frame["position"] = _stacked(values, "position")
-    for slot in ("velocity", "angular_velocity"):
-        if any(f"{slot}_{axis}" in values for axis in COMPONENTS):
-            frame[slot] = _stacked(values, slot)
-    if "radius" in frame:
-        radius = frame.pop("radius")
-        frame.setdefault("diameter", 2 * radius)
-    for axis in _axes(frame, "whole_axis"):
-        whole = frame.pop(f"whole_axis_{axis}")
-        frame.setdefault(f"half_axis_{axis}", whole / 2)
-    if columns.get("body_id") == "mol":  # LAMMPS' molecule 0 is none
-        frame["body_id"] = np.where(frame["body_id"] == 0, -1, frame["body_id"])
-    return frame
-
-
-def _edges(ref: StepRef) -> tuple[tuple[float, float], ...]:
-    if ref.box is None:
-        raise SceneError(
-            f"{source_of(ref)}: positions are fractions of a box, and the header has no 'BOX BOUNDS'; dump x y z"
-        )
-    return ref.box
-
-
-# --- contacts --------------------------------------------------------------------------------------------
-
-
-def contact_columns(ref: StepRef, slots: Slots, options: ReadOptions) -> dict[str, str]:
-    """Find the column of each slot, checked to be enough for contacts.
-
-    The force is ``contact_force``; without it, the sum of ``normal_force`` and ``tangential_force``; without
-    the second, the first alone. Columns that `names` maps to other names that begin with "contact_" become variables
-    of their own.
-    """
-    filled = assign(ref, slots, options)
-    for slot in ("contact_i", "contact_j"):
-        if slot not in filled:
-            raise _lacks(ref, "ids of both partners", slot)
-    if len(_axes(filled, "contact_branch")) < 3:  # a hint: without all of it, images follow from positions
-        filled = {slot: column for slot, column in filled.items() if not slot.startswith("contact_branch")}
-    there = {slot: _axes(filled, slot) for slot in _CONTACT_VECTORS}
-    for slot, axes in there.items():
-        if 0 < len(axes) < 3:
-            lacking = next(axis for axis in COMPONENTS if axis not in axes)
-            raise _lacks(ref, f"{lacking} of the {slot.replace('_', ' ')}", f"{slot}_{lacking}")
-    if not there["contact_force"] and not there["normal_force"]:
-        raise _lacks(ref, "contact force", "contact_force_x")
-    if there["contact_force"] and there["tangential_force"] and not there["normal_force"]:
-        total, part = filled["contact_force_x"], filled["tangential_force_x"]
-        raise SceneError(
-            f"{source_of(ref)}: is '{total}' the whole contact force or its normal part, beside the tangential "
-            f"'{part}'? Say names={{'{total}': 'normal_force_x', ...}} to add the two up, or "
-            f"names={{'{part}': None, ...}} to take the first alone"
-        )
-    used = ("contact_force",) if there["contact_force"] else ("normal_force", "tangential_force")
-    unused = tuple(set(_FORCES) - set(used))
-    own = {
-        slot: column
-        for column, slot in options.names.items()
-        if slot is not None and column in ref.columns and _is_own(slot, "contact")
-    }
-    return {slot: column for slot, column in filled.items() if not slot.startswith(unused)} | own
-
-
-def contact_names(columns: Mapping[str, str]) -> list[str]:
-    """Names of the variables that follow from what `contacts_from` returns."""
-    vectors = [slot for slot in ("contact_point", "contact_normal") if f"{slot}_x" in columns]
-    if "end_i_x" in columns and "contact_normal" not in vectors:
-        vectors.append("contact_normal")
-    own = [slot for slot in columns if _is_own(slot, "contact")]
-    return [*(slot for slot in _CONTACT_SCALARS if slot in columns), "contact_force", *vectors, *own]
-
-
-def contacts_from(ref: StepRef, columns: Mapping[str, str], options: ReadOptions, read: Read = read_table) -> Frame:
-    """Read the contacts of one step from the columns of `contact_columns`."""
-    table = read(ref, columns.values(), ref.rows, options)
-    values = {slot: table[column] for slot, column in columns.items()}
-    frame: Frame = {slot: values[slot] for slot in values if slot in _CONTACT_SCALARS or _is_own(slot, "contact")}
-    frame |= {slot: _stacked(values, slot) for slot in _CONTACT_VECTORS if f"{slot}_x" in columns}
-    if "contact_force" not in frame:
-        frame["contact_force"] = frame.pop("normal_force") + frame.pop("tangential_force", np.zeros(3))
-    if "end_i" in frame:  # wrapped positions: the nearest image is taken where the periods are known
-        frame["wrapped_branch"] = frame.pop("end_i") - frame.pop("end_j")
-    _check_ids(ref, frame["contact_i"])
-    return frame
-
-
 # --- contacts with walls, in columns of the particles -----------------------------------------------------
 
 # The per-atom array of LAMMPS' ``fix wall/gran ... contacts``: 1 where the grain touches, force on it (3), point on the
 # wall (3), radius; zeros where it does not touch.
 _WALL_ARRAY = 8
-_FORCE_AND_POINT = range(2, 8)
+_FORCE_AND_POINT = slice(1, 7)
 WALL_CONTACTS = ("contact_i", "contact_j", "contact_force", "contact_point")
 
 
-def _numbered(pattern: str, numbers: Iterable[int]) -> list[str]:
-    return [pattern.replace("*", str(k)) for k in numbers]
-
-
-def columns_of_walls(ref: StepRef, options: ReadOptions) -> set[str]:
-    """Columns that the contacts with walls have in a step of particles, read or not."""
-    given = options.walls.values()
-    return {c for one in given for c in (_numbered(one, range(1, _WALL_ARRAY + 1)) if isinstance(one, str) else one)}
+def columns_of_walls(options: ReadOptions) -> dict[str, list[str]]:
+    """Columns that the contacts with each wall have among those of particles: the whole array, or the six given."""
+    return {
+        wall: [given.replace("*", str(k + 1)) for k in range(_WALL_ARRAY)] if isinstance(given, str) else list(given)
+        for wall, given in options.walls.items()
+    }
 
 
 def wall_columns(ref: StepRef, options: ReadOptions) -> dict[str, list[str]]:
@@ -363,11 +221,11 @@ def wall_columns(ref: StepRef, options: ReadOptions) -> dict[str, list[str]]:
     SceneError
         If a step of particles does not hold them.
     """
-    found = {}
+    found = columns_of_walls(options)
     for wall, given in options.walls.items():
-        found[wall] = _numbered(given, _FORCE_AND_POINT) if isinstance(given, str) else list(given)
+        found[wall] = found[wall][_FORCE_AND_POINT] if isinstance(given, str) else found[wall]
         lacking = [column for column in found[wall] if column not in ref.columns]
-        if (isinstance(given, str) and "*" not in given) or len(found[wall]) != len(_FORCE_AND_POINT) or lacking:
+        if (isinstance(given, str) and "*" not in given) or len(found[wall]) != 6 or lacking:
             there = f"; it has no {' '.join(lacking)}, but {' '.join(ref.columns)}" if lacking else ""
             raise SceneError(
                 f"{source_of(ref)}: walls={{{wall!r}: {given!r}}}: expected the columns of a 'fix wall/gran ... "
@@ -376,11 +234,11 @@ def wall_columns(ref: StepRef, options: ReadOptions) -> dict[str, list[str]]:
     return found
 
 
-def wall_contacts_from(ref: StepRef, options: ReadOptions, read: Read = read_table) -> Frame:
+def wall_contacts_from(ref: StepRef, options: ReadOptions, engine: Columnar) -> Frame:
     """Read the contacts with walls from columns of a step of particles, wall after wall."""
     name, walls = assign(ref, PARTICLE_SLOTS, options)["particle_id"], wall_columns(ref, options)
     wanted = {name, *(column for six in walls.values() for column in six)}
-    table = read(ref, wanted, ref.rows // len(walls), options)
+    table = engine.read_columns(ref, wanted, ref.rows // len(walls), options)
     parts = []
     for number, six in enumerate(walls.values()):
         values = np.stack([table[column] for column in six], axis=1)
@@ -389,14 +247,14 @@ def wall_contacts_from(ref: StepRef, options: ReadOptions, read: Read = read_tab
     return dict(zip(WALL_CONTACTS, map(np.concatenate, zip(*parts, strict=True)), strict=True))
 
 
-def _check_ids(ref: StepRef, ids: NDArray) -> None:
-    """Raise SceneError for ids that ``dump local`` cut to six digits, its default."""
-    large = ids[ids >= 1e6]
-    if len(large) > 10 and (large % 10 == 0).all():
-        raise SceneError(
-            f"{source_of(ref)}: ids above a million all end in 0, as they were written with six digits; write "
-            "the file anew with 'dump_modify ... format float %.10g'"
-        )
+def _own(ref: StepRef, options: ReadOptions, dim: str) -> dict[str, str]:
+    """Columns that `names` maps to variables of the caller's own, of particles or of contacts."""
+    known = {*PARTICLE_SLOTS, *CONTACT_SLOTS, "time", "step"}
+    return {
+        slot: column
+        for column, slot in options.names.items()
+        if slot is not None and column in ref.columns and slot not in known and variable(slot).dims == (dim,)
+    }
 
 
 class Columnar(Engine):
@@ -414,36 +272,146 @@ class Columnar(Engine):
     CONTACT_SLOTS: ClassVar[Slots] = CONTACT_SLOTS
     NEEDS_ID: ClassVar[bool] = True
 
+    @abstractmethod
+    def list_steps(self, paths: Sequence[str], options: ReadOptions, *, contacts: bool) -> list[StepRef]:
+        """List the steps in files with particles or contacts, from headers alone."""
+
     def read_columns(
         self, ref: StepRef, wanted: Iterable[str], rows: int | None, options: ReadOptions
     ) -> dict[str, NDArray]:
         """Read columns (rows,) of one step by their names in the file; texts of numbers between blanks by default."""
         return read_table(ref, wanted, rows, options)
 
+    def index_particles(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
+        """List the steps of particles, and warn of columns that are probably not ignored on purpose."""
+        refs = self.list_steps(paths, options, contacts=False)
+        warn_of_ignored(refs[0], self.particle_columns(refs[0], options), self.PARTICLE_SLOTS, options)
+        return refs
+
+    def index_contacts(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
+        """List the steps of contacts, and warn of columns that are probably not ignored on purpose."""
+        refs = self.list_steps(paths, options, contacts=True)
+        warn_of_ignored(refs[0], self.contact_columns(refs[0], options), self.CONTACT_SLOTS, options)
+        return refs
+
     def particle_columns(self, ref: StepRef, options: ReadOptions) -> dict[str, str]:
-        """Find the columns that particles are read from."""
-        slots = self.PARTICLE_SLOTS
-        if not self.NEEDS_ID and "particle_id" not in assign(ref, slots, options):
-            slots = {slot: found for slot, found in slots.items() if slot != "particle_id"}
-        return particle_columns(ref, slots, options)
+        """Find the column of each slot, checked to be enough for particles.
+
+        Columns that `names` maps to other names become custom variables. A two-dimensional file need not hold z.
+        """
+        filled = assign(ref, self.PARTICLE_SLOTS, options)
+        if self.NEEDS_ID and "particle_id" not in filled:
+            raise _lacks(ref, "id of the particle", "particle_id")
+        present = {axis for slot in ("position", "scaled") for axis in _axes(filled, slot)}
+        for axis in "xy":
+            if axis not in present:
+                raise _lacks(ref, f"{axis} of the position", f"position_{axis}")
+        for axis in sorted(present):
+            if _axes(filled, "velocity") and f"velocity_{axis}" not in filled:
+                raise _lacks(ref, f"{axis} of the velocity", f"velocity_{axis}")
+        unwanted = options.unwanted
+        turning = _axes(filled, "angular_velocity")
+        if 0 < len(turning) < 3 and turning != ["z"]:  # in a plane, grains turn about its normal alone
+            axis = next(axis for axis in COMPONENTS if axis not in turning)
+            if any(str(slot).startswith("angular_velocity_") for slot in options.names.values()):
+                raise _lacks(ref, f"{axis} of the angular velocity", f"angular_velocity_{axis}")
+            unwanted = (*unwanted, "angular_velocity")  # the file's column was mapped to something else
+        read = {slot: column for slot, column in filled.items() if not slot.startswith(unwanted)}
+        return read | _own(ref, options, "particle")
+
+    def contact_slots(self, ref: StepRef) -> Slots:
+        """Return the columns that are taken for variables of contacts, where they depend on the file."""
+        return self.CONTACT_SLOTS
 
     def contact_columns(self, ref: StepRef, options: ReadOptions) -> dict[str, str]:
-        """Find the columns that contacts are read from."""
-        return contact_columns(ref, self.CONTACT_SLOTS, options)
+        """Find the column of each slot, checked to be enough for contacts.
+
+        The force is ``contact_force``; without it, the sum of ``normal_force`` and ``tangential_force``; without
+        the second, the first alone. Columns that `names` maps to other names that begin with "contact_" become
+        variables of their own.
+        """
+        filled = assign(ref, self.contact_slots(ref), options)
+        for slot in ("contact_i", "contact_j"):
+            if slot not in filled:
+                raise _lacks(ref, "ids of both partners", slot)
+        if len(_axes(filled, "contact_branch")) < 3:  # a hint: without all of it, images follow from positions
+            filled = {slot: column for slot, column in filled.items() if not slot.startswith("contact_branch")}
+        there = {slot: _axes(filled, slot) for slot in _CONTACT_VECTORS}
+        for slot, axes in there.items():
+            if 0 < len(axes) < 3:
+                lacking = next(axis for axis in COMPONENTS if axis not in axes)
+                raise _lacks(ref, f"{lacking} of the {slot.replace('_', ' ')}", f"{slot}_{lacking}")
+        if not there["contact_force"] and not there["normal_force"]:
+            raise _lacks(ref, "contact force", "contact_force_x")
+        if there["contact_force"] and there["tangential_force"] and not there["normal_force"]:
+            total, part = filled["contact_force_x"], filled["tangential_force_x"]
+            raise SceneError(
+                f"{source_of(ref)}: is '{total}' the whole contact force or its normal part, beside the tangential "
+                f"'{part}'? Say names={{'{total}': 'normal_force_x', ...}} to add the two up, or "
+                f"names={{'{part}': None, ...}} to take the first alone"
+            )
+        unused = ("normal_force", "tangential_force") if there["contact_force"] else ("contact_force",)
+        read = {slot: column for slot, column in filled.items() if not slot.startswith(unused)}
+        return read | _own(ref, options, "contact")
 
     def contact_variables(self, ref: StepRef, options: ReadOptions) -> list[str]:
-        """Names of the variables that `read_contacts` returns."""
-        return contact_names(self.contact_columns(ref, options))
-
-    def read_particles(self, ref: StepRef, options: ReadOptions) -> Frame:
-        """Read the particles of one step."""
-        return particles_from(ref, self.particle_columns(ref, options), options, self.read_columns)
-
-    def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
-        """Read the contacts of one step."""
-        return contacts_from(ref, self.contact_columns(ref, options), options, self.read_columns)
+        """Names of the variables that follow from what `read_contacts` returns."""
+        columns = self.contact_columns(ref, options)
+        scalars = [slot for slot in columns if slot in _CONTACT_SCALARS or slot not in CONTACT_SLOTS]
+        normal = "contact_normal_x" in columns or "end_i_x" in columns
+        point = ["contact_point"] if "contact_point_x" in columns else []
+        return [*scalars, "contact_force", *point, *(["contact_normal"] if normal else [])]
 
     def ignored_columns(self, ref: StepRef, options: ReadOptions, *, contacts: bool = False) -> list[str]:
         """Columns of a step that are not read."""
         read = self.contact_columns(ref, options) if contacts else self.particle_columns(ref, options)
         return [column for column in ref.columns if column not in read.values()]
+
+    def read_particles(self, ref: StepRef, options: ReadOptions) -> Frame:
+        """Read the particles of one step from the columns of `particle_columns`."""
+        columns = self.particle_columns(ref, options)
+        table = self.read_columns(ref, columns.values(), ref.rows, options)
+        values = {slot: table[column] for slot, column in columns.items()}
+        for k, axis in enumerate(COMPONENTS):
+            if f"position_{axis}" not in values and f"scaled_{axis}" in values:
+                if ref.box is None:
+                    what = "positions are fractions of a box, and the header has no 'BOX BOUNDS'; dump x y z"
+                    raise SceneError(f"{source_of(ref)}: {what}")
+                low, high = ref.box[k]
+                values[f"position_{axis}"] = low + values[f"scaled_{axis}"] * (high - low)
+                for other, vector in zip(COMPONENTS, ref.lattice or (), strict=False):
+                    if other != axis and vector[k]:
+                        values[f"position_{axis}"] += values.get(f"scaled_{other}", 0.0) * vector[k]
+        frame = {slot: array for slot, array in values.items() if slot not in _PARTICLE_COMPONENTS}
+        frame["position"] = _stacked(values, "position")
+        for slot in ("velocity", "angular_velocity"):
+            if _axes(values, slot):
+                frame[slot] = _stacked(values, slot)
+        if "radius" in frame:
+            radius = frame.pop("radius")
+            frame.setdefault("diameter", 2 * radius)
+        for axis in _axes(frame, "whole_axis"):
+            whole = frame.pop(f"whole_axis_{axis}")
+            frame.setdefault(f"half_axis_{axis}", whole / 2)
+        if columns.get("body_id") == "mol":  # LAMMPS' molecule 0 is none
+            frame["body_id"] = np.where(frame["body_id"] == 0, -1, frame["body_id"])
+        return frame
+
+    def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
+        """Read the contacts of one step from the columns of `contact_columns`."""
+        columns = self.contact_columns(ref, options)
+        table = self.read_columns(ref, columns.values(), ref.rows, options)
+        values = {slot: table[column] for slot, column in columns.items()}
+        frame: Frame = {s: v for s, v in values.items() if s in _CONTACT_SCALARS or s not in CONTACT_SLOTS}
+        frame |= {slot: _stacked(values, slot) for slot in _CONTACT_VECTORS if f"{slot}_x" in columns}
+        if "contact_force" not in frame:
+            frame["contact_force"] = frame.pop("normal_force") + frame.pop("tangential_force", np.zeros(3))
+        if "end_i" in frame:  # wrapped positions: the nearest image is taken where the periods are known
+            frame["wrapped_branch"] = frame.pop("end_i") - frame.pop("end_j")
+        large = frame["contact_i"][frame["contact_i"] >= 1e6]
+        if len(large) > 10 and (large % 10 == 0).all():
+            raise SceneError(
+                f"{source_of(ref)}: ids above a million all end in 0, as they were written with six digits, the "
+                "default of 'dump local'; write the file anew with 'dump_modify ... format float %.10g'"
+            )
+        return frame

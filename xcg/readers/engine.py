@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, ClassVar
 
@@ -59,6 +58,8 @@ class StepRef:
         Acceleration of gravity in the file's units, None where the file does not say.
     kind : str
         A mark of the engine's own, for engines that read contacts from more than one kind of file.
+    named : bool
+        Whether `step` is the number in the name of the file, which does not say it.
     alone : bool
         Whether the step was taken for the only one of its file, without reading on.
     """
@@ -78,6 +79,7 @@ class StepRef:
     modified: int = 0
     gravity: tuple[float, float, float] | None = None
     kind: str = ""
+    named: bool = False
     alone: bool = False
 
     def __post_init__(self) -> None:
@@ -260,10 +262,11 @@ _OWN = {
 }
 
 
+@cache  # a file of each installed package is read to find them
 def engine_table() -> dict[str, EntryPoint]:
     """List the engines by name; engines of this package come first, and first when files are recognised."""
     found = {name: EntryPoint(name, place, GROUP) for name, place in _OWN.items()}
-    for entry in _installed(tuple(sys.path)):
+    for entry in entry_points(group=GROUP):
         taken = found.setdefault(entry.name, entry)
         if taken.value != entry.value:
             warn_user(
@@ -271,12 +274,6 @@ def engine_table() -> dict[str, EntryPoint]:
                 f"{entry.value}, as engine="
             )
     return found
-
-
-@lru_cache(maxsize=1)
-def _installed(places: tuple[str, ...]) -> tuple[EntryPoint, ...]:
-    """Engines of the packages in these places; to find them, a file of each package there is read."""
-    return tuple(entry_points(group=GROUP))
 
 
 def all_engines() -> Iterator[Engine]:
@@ -296,7 +293,15 @@ def load_engine(engine: str | Engine | type[Engine]) -> Engine:
     SceneError
         If no engine has this name, it cannot be imported, or it is not an `Engine`.
     """
-    given = _load(engine) if isinstance(engine, str) else engine
+    given: object = engine
+    if isinstance(engine, str):
+        table = engine_table()
+        if engine not in table:
+            raise SceneError(unknown("engine", engine, table))
+        try:
+            given = table[engine].load()
+        except (ImportError, AttributeError) as error:
+            raise SceneError(f"the engine {engine!r} ({table[engine].value}) cannot be imported: {error}") from error
     if isinstance(given, type) and issubclass(given, Engine):
         try:
             return given()
@@ -307,19 +312,11 @@ def load_engine(engine: str | Engine | type[Engine]) -> Engine:
     return given
 
 
-def _load(name: str) -> object:
-    table = engine_table()
-    if name not in table:
-        raise SceneError(unknown("engine", name, table))
-    try:
-        return table[name].load()
-    except (ImportError, AttributeError) as error:
-        raise SceneError(f"the engine {name!r} ({table[name].value}) cannot be imported: {error}") from error
-
-
 def guess_engine(files: Mapping[str, Sequence[str]]) -> Engine:
-    """Return the first engine that recognises the first file of each kind."""
-    firsts = [_first_whole(paths) for paths in files.values()]
+    """Return the first engine that recognises the first file of each kind; where faults are tolerated, a good one."""
+    firsts = [paths[0] for paths in files.values()]
+    if errors.recorded() is not None:
+        firsts = [next(filter(is_recognised, paths), paths[0]) for paths in files.values()]
     for engine in all_engines():
         if all(engine.recognises(path) for path in firsts):
             return engine
@@ -329,13 +326,9 @@ def guess_engine(files: Mapping[str, Sequence[str]]) -> Engine:
     )
 
 
-def _first_whole(paths: Sequence[str]) -> str:
-    """First file that any engine recognises, where faults are tolerated; else the first one."""
-    if errors.recorded() is not None:
-        for path in paths:
-            try:
-                if any(engine.recognises(path) for engine in all_engines()):
-                    return path
-            except FAULTS:
-                continue
-    return paths[0]
+def is_recognised(path: str) -> bool:
+    """Return whether any engine reads a file; False if it is damaged."""
+    try:
+        return any(engine.recognises(path) for engine in all_engines())
+    except FAULTS:
+        return False

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -75,7 +74,7 @@ def scene_from_table(
             lattices = [Lattice.of({name: v[t] for name, v in boxes.items()}, periodic) for t in range(len(steps))]
         rows = _with_vectors(_table(contacts), grains, said, dict(zip(steps, lattices, strict=True)))
         touching = _frames(rows, "contacts", said, contacts=True)
-        unknown = sorted(set(touching) - set(steps))
+        unknown = sorted(set(touching) - set(steps)) if len(rows) else []
         if unknown:
             raise SceneError(
                 f"contacts: rows of {unknown[0]}, and no particles of that time or step; there are {steps[:3]}"
@@ -99,7 +98,7 @@ def _with_vectors(
     magnitudes = ("normal_force", "tangential_force")
     table = contacts.rename(columns={column: name for column, name in options.names.items() if name in magnitudes})
     ref = StepRef("contacts", len(table), columns=tuple(table.columns))
-    ends = columns.assign(ref, {end: columns.CONTACT_SLOTS[end] for end in ("contact_i", "contact_j")}, options)
+    ends = columns.assign(ref, {end: Table.CONTACT_SLOTS[end] for end in ("contact_i", "contact_j")}, options)
     if "normal_force" not in table or len(ends) < 2:
         return contacts
     walls = _numbers(table, ends["contact_j"], "contacts") < 0
@@ -143,11 +142,13 @@ def _frames(
     data: pd.DataFrame, what: str, options: ReadOptions, *, contacts: bool
 ) -> dict[float, tuple[dict[str, float], Frame]]:
     """Time and number of each step, and its frame, by the first of both."""
-    engine, found = Table(), {}
+    found = {}
     clock = clock_of(tuple(data.columns), options.names)
     rows = {word: _numbers(data, name, what) for word, name in clock.items()}
     runs = [np.arange(len(data))]
-    if rows:
+    if not len(data.columns) or not (len(data) or contacts):
+        raise SceneError(f"{what}: the table has no {'rows' if len(data.columns) else 'columns'}")
+    if rows and len(data):
         key = next(iter(rows.values()))
         order = np.argsort(key, kind="stable")
         runs_of({word: values[order] for word, values in rows.items()}, len(data), what)
@@ -155,17 +156,23 @@ def _frames(
     for k, chosen in enumerate(runs):
         told = {word: float(values[chosen[0]]) for word, values in rows.items()} if len(chosen) else {}
         ref = StepRef(what, len(chosen), step=int(told.get("step", k)), columns=tuple(data.columns))
-        read = partial(_of_rows, data.iloc[chosen], what)
-        if contacts:
-            frame = columns.contacts_from(ref, engine.contact_columns(ref, options), options, read)
-        else:
-            frame = columns.particles_from(ref, engine.particle_columns(ref, options), options, read)
+        engine = _InMemory(data.iloc[chosen])
+        frame = engine.read_contacts(ref, options) if contacts else engine.read_particles(ref, options)
         found[next(iter(told.values()), 0.0)] = told, frame
     return found
 
 
-def _of_rows(data: pd.DataFrame, what: str, ref: StepRef, wanted: Iterable[str], *_: object) -> dict[str, NDArray]:
-    return {name: _numbers(data, name, what) for name in wanted}
+class _InMemory(Table):
+    """Rows of one step."""
+
+    def __init__(self, data: pd.DataFrame) -> None:
+        self.data = data
+
+    def read_columns(
+        self, ref: StepRef, wanted: Iterable[str], rows: int | None, options: ReadOptions
+    ) -> dict[str, NDArray]:
+        """Read columns of a table that `ref` names."""
+        return {name: _numbers(self.data, name, ref.path) for name in wanted}
 
 
 def _numbers(data: pd.DataFrame, name: str, what: str) -> NDArray:

@@ -44,11 +44,6 @@ _EXPECTED = (
 )
 
 
-def steps_of_chunks(chunks: Any, series: Series) -> tuple[int, ...]:
-    """Numbers of steps in the chunks of a series."""
-    return chunk_sizes(chunks, len(series.steps), partial(_sensible, series))
-
-
 def chunk_sizes(chunks: Any, count: int, sensible: Callable[[], int]) -> tuple[int, ...]:
     """Numbers of steps in the chunks of `count` steps; "auto" takes as many a chunk as `sensible` says.
 
@@ -82,9 +77,9 @@ def _sensible(series: Series) -> int:
     """Count steps that make a task of `_TASK` seconds, whose arrays are no larger than dask wants chunks to be."""
     refs = [ref for step in series.steps for ref in (step.particles, *step.contacts)]
     shared = Counter(ref.path for ref in refs)
-    read = sum(_bytes(ref, shared[ref.path]) for ref in refs) / len(series.steps)
-    held: int = sum(_held(name, dtype, series.particle_rows) for name, dtype in series.particle_types.items())
-    held += sum(_held(name, variable(name).dtype, series.contact_rows) for name in series.contact_names)
+    # bytes of a body, from its header, else its share of the file
+    read = sum(ref.length or ref.size / shared[ref.path] for ref in refs) / len(series.steps)
+    held: int = sum(math.prod(shape[1:]) * np.dtype(dtype).itemsize for dtype, shape in series.arrays().values())
     rows = sum(ref.rows for ref in refs) / len(series.steps)
     return steps_in_a_task(rows, held, read * _BYTE)
 
@@ -93,16 +88,6 @@ def steps_in_a_task(rows: float, held: int, seconds: float = 0.0) -> int:
     """Count steps that make a sensible task, of so many rows and bytes in memory each, which take `seconds` to read."""
     limit = parse_bytes(dask.config.get("array.chunk-size"))
     return max(1, min(math.ceil(_TASK / max(seconds + rows * _ROW, 1e-9)), limit // max(held, 1)))
-
-
-def _held(name: str, dtype: Any, rows: int) -> int:
-    """Bytes of one step of a variable in memory."""
-    return math.prod(variable(name, dtype).shape(rows)) * np.dtype(dtype).itemsize
-
-
-def _bytes(ref: StepRef, steps: int) -> float:
-    """Bytes of a body, from its header, else its share of the file."""
-    return ref.length or ref.size / steps
 
 
 @dataclass(frozen=True)
@@ -130,11 +115,18 @@ def read_step(engine: Engine, options: ReadOptions, ref: StepRef, *, contacts: b
             f"{type(found).__name__}; expected a dict of arrays by the names of variables, such as 'position'"
         )
     try:  # engines of users give lists and tables, too; masked arrays stay so, to be refused
-        return {str(name): found[name] if name in HINTS else np.asanyarray(found[name]) for name in found}
+        frame = {str(name): found[name] if name in HINTS else np.asanyarray(found[name]) for name in found}
     except ValueError as error:
         raise SceneError(
             f"{source_of(ref)}: the engine {engine.name!r} gives values that are no array ({error})"
         ) from None
+    wide = [name for name, values in frame.items() if name not in {*VARIABLES, *HINTS} and values.ndim > 1]
+    if wide:  # lazy arrays of own variables have the shape of one number a row
+        raise SceneError(
+            f"{source_of(ref)}: {wide[0]!r} has shape {frame[wide[0]].shape}, expected one number a row; leave it out "
+            "of names=, and add vectors and tensors of your own with ds.assign"
+        )
+    return frame
 
 
 def _check_unchanged(ref: StepRef) -> None:
@@ -174,17 +166,12 @@ class Source:
     allow_unknown: bool
     once: Once = field(default_factory=Once, compare=False)
 
-    def without(self, variables: Sequence[str]) -> Source:
-        """Return what reads steps without some variables."""
-        return replace(self, options=replace(self.options, unwanted=tuple(variables)))
-
-    def taking_threads(self, alone: bool) -> Source:
-        """Return the same, for steps that are read one after the other (`alone`) or side by side."""
-        return replace(self, options=replace(self.options, alone=alone))
+    def reading(self, **options: Any) -> Source:
+        """Return the same with other options of reading: `alone`, or variables that are `unwanted`."""
+        return replace(self, options=replace(self.options, **options))
 
     def complete(self, frame: Frame, ref: StepRef) -> Frame:
         """Check and complete the particles of one step."""
-        _check_own(frame, ref)
         if self.frozen is not None:
             if "species" not in frame:
                 raise SceneError(f"{source_of(ref)}: frozen={self.frozen} needs 'species', and the file holds none")
@@ -197,7 +184,6 @@ class Source:
         for ref in refs:
             lattice = Lattice.of(box, self.setup.periodic, source_of(ref))
             raw = read_step(self.engine, self.options, ref, contacts=True)
-            _check_own(raw, ref)
             if "wrapped_branch" in raw:
                 scaled = particles | {"position": particles["position"] / self.setup.scales[0]}
                 with self.once.active():
@@ -218,18 +204,6 @@ class Source:
         return {name: np.concatenate([part[name] for part in parts]) for name in names}
 
 
-def _check_own(frame: Frame, ref: StepRef) -> None:
-    """Raise SceneError for own variables that are not one number a row, the shape of lazy arrays."""
-    wide = next(
-        (name for name, values in frame.items() if name not in {*VARIABLES, *HINTS} and np.ndim(values) > 1), None
-    )
-    if wide is not None:
-        raise SceneError(
-            f"{source_of(ref)}: {wide!r} has shape {frame[wide].shape}, expected one number a row; leave it out of "
-            "names=, and add vectors and tensors of your own with ds.assign"
-        )
-
-
 def _require(frame: Frame, names: Sequence[str], ref: StepRef) -> None:
     """Raise SceneError for a frame that lacks variables of other steps, or has more rows than its header promised."""
     rows = len(next(iter(frame.values())))
@@ -242,18 +216,16 @@ def _require(frame: Frame, names: Sequence[str], ref: StepRef) -> None:
         )
 
 
-def read_particle_chunk(source: Source, steps: Sequence[Step], types: Mapping[str, Any], rows: int) -> Frame:
-    """Particles of the steps of a chunk, padded; steps at fault are empty where faults are tolerated."""
+def _chunk(steps: Sequence[Step], read: Callable[[int, Step], Frame], types: Mapping[str, Any], rows: int) -> Frame:
+    """Frames of the steps of a chunk, padded; steps at fault are empty where faults are tolerated."""
     frames = []
-    for step in steps:
+    for t, step in enumerate(steps):
         try:
-            frame = source.complete(read_step(source.engine, source.options, step.particles), step.particles)
-            _require(frame, list(types), step.particles)
+            frames.append(read(t, step))
         except errors.FAULTS as error:
             if not errors.record_fault(step.particles.step, error):
                 raise
-            frame = _nothing(types)
-        frames.append(frame)
+            frames.append(_nothing(types))
     return stack(frames, list(types), rows)
 
 
@@ -262,21 +234,27 @@ def _nothing(types: Mapping[str, Any]) -> Frame:
     return {name: np.empty(variable(name, dtype).shape(0), dtype) for name, dtype in types.items()}
 
 
+def read_particle_chunk(source: Source, steps: Sequence[Step], types: Mapping[str, Any], rows: int) -> Frame:
+    """Particles of the steps of a chunk, padded."""
+
+    def read(_: int, step: Step) -> Frame:
+        frame = source.complete(read_step(source.engine, source.options, step.particles), step.particles)
+        _require(frame, list(types), step.particles)
+        return frame
+
+    return _chunk(steps, read, types, rows)
+
+
 def read_contact_chunk(
     source: Source, steps: Sequence[Step], names: Sequence[str], rows: int, boxes: Frame, particles: Frame
 ) -> Frame:
     """Contacts of the steps of a chunk, padded, checked against the particles of the same chunk."""
-    frames = []
-    for t, step in enumerate(steps):
-        try:
-            box = {name: values[t] for name, values in boxes.items()}
-            frame = source.contacts(step.contacts, names, frame_of(particles, t), box)
-        except errors.FAULTS as error:
-            if not errors.record_fault(step.particles.step, error):
-                raise
-            frame = _nothing({name: variable(name).dtype for name in names})
-        frames.append(frame)
-    return stack(frames, names, rows)
+
+    def read(t: int, step: Step) -> Frame:
+        box = {name: values[t] for name, values in boxes.items()}
+        return source.contacts(step.contacts, names, frame_of(particles, t), box)
+
+    return _chunk(steps, read, {name: variable(name).dtype for name in names}, rows)
 
 
 @dataclass(frozen=True)
@@ -299,15 +277,17 @@ class Series:
     particle_types: Mapping[str, Any]
     contact_names: Sequence[str]
 
-    @property
-    def particle_rows(self) -> int:
-        """Rows of particles in a step, at most."""
-        return max(step.particles.rows for step in self.steps)
+    def rows(self) -> tuple[int, int]:
+        """Rows of particles and of contacts in a step, at most."""
+        contacts = max(sum(ref.rows for ref in step.contacts) for step in self.steps)
+        return max(step.particles.rows for step in self.steps), contacts
 
-    @property
-    def contact_rows(self) -> int:
-        """Rows of contacts in a step, at most."""
-        return max(sum(ref.rows for ref in step.contacts) for step in self.steps)
+    def arrays(self) -> dict[str, tuple[Any, tuple[int, ...]]]:
+        """Type and shape of all variables."""
+        particle_rows, contact_rows = self.rows()
+        rows = {name: (dtype, particle_rows) for name, dtype in self.particle_types.items()}
+        rows |= {name: (variable(name).dtype, contact_rows) for name in self.contact_names}
+        return {name: (dtype, (len(self.steps), *variable(name, dtype).shape(n))) for name, (dtype, n) in rows.items()}
 
     def token(self) -> str:
         """Token of a series, from the files and options that it reads."""
@@ -318,44 +298,40 @@ class Series:
         return tokenize(self.source, steps, modified, self.boxes, dict(self.particle_types), self.contact_names)
 
 
-def lazy_arrays(series: Series, sizes: Sequence[int]) -> dict[str, da.Array]:
-    """Dask arrays (time first, padded) of all variables, in chunks of so many steps."""
-    source = series.source.taking_threads(len(sizes) == 1)
+def lazy_arrays(series: Series, chunks: Any) -> dict[str, da.Array]:
+    """Dask arrays (time first, padded) of all variables, in chunks as of `chunk_sizes`."""
+    sizes = chunk_sizes(chunks, len(series.steps), partial(_sensible, series))
+    source = series.source.reading(alone=len(sizes) == 1)
     steps, boxes, particle_types = series.steps, series.boxes, dict(series.particle_types)
     stops = list(accumulate(sizes))
     parts = [slice(stop - size, stop) for stop, size in zip(stops, sizes, strict=True)]
     token = tokenize(series.token(), sizes)
 
-    rows, arrays = series.particle_rows, dict[str, da.Array]()
+    rows, contact_rows = series.rows()
+    graphs: dict[str, tuple[HighLevelGraph, str]] = {}
     # what few fields need is read by tasks of its own; contacts are checked against the particles, which come last
     kinds = {"rotation": [name for name in particle_types if name in ROTATION]}
     kinds["particles"] = [name for name in particle_types if name not in ROTATION]
     for kind, wanted in kinds.items():
         layer, tasks = f"read-{kind}-{token}", dict[Any, Any]()
         types = {name: particle_types[name] for name in wanted}
-        reader = source.without(ROTATION) if kind == "particles" and kinds["rotation"] else source
+        reader = source.reading(unwanted=ROTATION) if kind == "particles" and kinds["rotation"] else source
         for k, part in enumerate(parts):
             tasks[layer, k] = (partial(read_particle_chunk, reader, steps[part], types, rows),)
         graph = HighLevelGraph({layer: tasks}, {layer: set()})
-        arrays |= {name: _array(graph, layer, name, dtype, rows, sizes) for name, dtype in types.items()}
-    arrays = {name: arrays[name] for name in particle_types}
-    if not series.contact_names:
-        return arrays
-
-    particles, layer = layer, f"read-contacts-{token}"
-    names, rows, tasks = list(series.contact_names), series.contact_rows, {}
-    for k, part in enumerate(parts):
-        edges = {name: values[part] for name, values in boxes.items()}
-        task = partial(read_contact_chunk, source, steps[part], names, rows, edges)
-        tasks[layer, k] = (task, (particles, k))
-    graph = HighLevelGraph({**graph.layers, layer: tasks}, {**graph.dependencies, layer: {particles}})
-    return arrays | {name: _array(graph, layer, name, variable(name).dtype, rows, sizes) for name in names}
-
-
-def _array(graph: HighLevelGraph, layer: str, name: str, dtype: Any, rows: int, sizes: Sequence[int]) -> da.Array:
-    """Lazy array of one variable out of the frames that the tasks of a layer return."""
-    key = f"{name}-{layer.removeprefix('read-')}"
-    return picked(graph, layer, name, key, sizes, variable(name, dtype).shape(rows), dtype)
+        graphs |= dict.fromkeys(wanted, (graph, layer))
+    if series.contact_names:
+        particles, layer, tasks = layer, f"read-contacts-{token}", {}
+        for k, part in enumerate(parts):
+            edges = {name: values[part] for name, values in boxes.items()}
+            task = partial(read_contact_chunk, source, steps[part], series.contact_names, contact_rows, edges)
+            tasks[layer, k] = (task, (particles, k))
+        graph = HighLevelGraph({**graph.layers, layer: tasks}, {**graph.dependencies, layer: {particles}})
+        graphs |= dict.fromkeys(series.contact_names, (graph, layer))
+    return {
+        name: picked(*graphs[name], name, f"{name}-{token}", sizes, shape[1:], dtype)
+        for name, (dtype, shape) in series.arrays().items()
+    }
 
 
 _KEPT, _MOST_KEPT = 2, 1 << 28  # steps that are always kept, and bytes up to which more of them are
@@ -366,23 +342,19 @@ _lock = threading.Lock()
 
 def indexed_arrays(series: Series) -> dict[str, indexing.MemoryCachedArray]:
     """Arrays (time first, padded) of all variables, which are kept once they are loaded whole."""
-    series = replace(series, source=series.source.taking_threads(len(series.steps) == 1))  # dask may wrap the arrays
+    series = replace(series, source=series.source.reading(alone=len(series.steps) == 1))  # dask may wrap the arrays
     token = series.token()
-    shapes = {name: (dtype, series.particle_rows) for name, dtype in series.particle_types.items()}
-    shapes |= {name: (variable(name).dtype, series.contact_rows) for name in series.contact_names}
     return {
-        name: indexing.MemoryCachedArray(indexing.LazilyIndexedArray(_Variable(series, token, name, dtype, rows)))
-        for name, (dtype, rows) in shapes.items()
+        name: indexing.MemoryCachedArray(indexing.LazilyIndexedArray(_Variable(series, token, name, *array)))
+        for name, array in series.arrays().items()
     }
 
 
 class _Variable(BackendArray):
     """Variable of all steps."""
 
-    def __init__(self, series: Series, token: str, name: str, dtype: DTypeLike, rows: int) -> None:
-        self.series, self.token, self.name = series, token, name
-        self.dtype = np.dtype(dtype)
-        self.shape = (len(series.steps), *variable(name, dtype).shape(rows))
+    def __init__(self, series: Series, token: str, name: str, dtype: DTypeLike, shape: tuple[int, ...]) -> None:
+        self.series, self.token, self.name, self.dtype, self.shape = series, token, name, np.dtype(dtype), shape
 
     def __getitem__(self, key: indexing.ExplicitIndexer) -> Any:
         return indexing.explicit_indexing_adapter(key, self.shape, indexing.IndexingSupport.OUTER_1VECTOR, self._values)
@@ -395,21 +367,18 @@ class _Variable(BackendArray):
         return np.stack(parts) if parts else np.empty((0, *np.empty(self.shape[1:], self.dtype)[key[1:]].shape))
 
     def _step(self, t: int) -> NDArray:
-        series, one = self.series, slice(t, t + 1)
+        series, steps, rows = self.series, self.series.steps[t : t + 1], self.series.rows()
 
         def particles() -> Frame:
-            return read_particle_chunk(series.source, series.steps[one], series.particle_types, series.particle_rows)
+            return read_particle_chunk(series.source, steps, series.particle_types, rows[0])
 
         def contacts() -> Frame:
-            boxes = {name: values[one] for name, values in series.boxes.items()}
+            boxes = {name: values[t : t + 1] for name, values in series.boxes.items()}
             beside = _kept((self.token, t, "particles"), particles)
-            return read_contact_chunk(
-                series.source, series.steps[one], series.contact_names, series.contact_rows, boxes, beside
-            )
+            return read_contact_chunk(series.source, steps, series.contact_names, rows[1], boxes, beside)
 
-        if self.name in series.particle_types:
-            return _kept((self.token, t, "particles"), particles)[self.name][0]
-        return _kept((self.token, t, "contacts"), contacts)[self.name][0]
+        read = particles if self.name in series.particle_types else contacts
+        return _kept((self.token, t, read.__name__), read)[self.name][0]
 
 
 def _kept(key: Hashable, read: Callable[[], Frame]) -> Frame:
@@ -417,10 +386,11 @@ def _kept(key: Hashable, read: Callable[[], Frame]) -> Frame:
     with _lock:
         there = _recent.pop(key, None)
         future = _recent[key] = there or Future()
-        held = [(old, _size(other)) for old, other in reversed(_recent.items())]
-        for k in range(_KEPT, len(held)):
-            if sum(size for _, size in held[: k + 1]) > _MOST_KEPT:
-                del _recent[held[k][0]]
+        held = 0
+        for k, (old, other) in enumerate(reversed([*_recent.items()])):
+            held += _size(other)
+            if k >= _KEPT and held > _MOST_KEPT:
+                del _recent[old]
     if there is None:
         try:
             future.set_result(read())

@@ -6,7 +6,7 @@ Nothing of LAMMPS is imported: its object is taken as it comes, and asked by the
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError
 from xcg.readers.columns import WALL_CONTACTS
-from xcg.readers.paths import UNIT_SYSTEMS
+from xcg.readers.paths import units_of_system
 from xcg.scene.build import scene_from_arrays
 from xcg.scene.complete import contact_points
 from xcg.scene.contacts import FIRST_WALL, named_walls
@@ -98,15 +98,31 @@ def scene_from_lammps(
             "property/local patom1 patom2 cutoff radius' and 'compute pl all pair/local dx dy dz fx fy fz p1 p2 p3 "
             "cutoff radius', and pass contacts={'ids': 'patom1 patom2', 'pl': 'dx dy dz fx fy fz p1 p2 p3'}"
         )
-    if not contacts:
-        return _scene(lmp, {}, walls, frozen, gravity, units, shear_rate)
-    with _computes(lmp) if contacts is True else _unchanged(contacts) as columns:
-        return _scene(lmp, columns, walls, frozen, gravity, units, shear_rate)
-
-
-@contextmanager
-def _unchanged(columns: Mapping[str, str]) -> Iterator[Mapping[str, str]]:
-    yield columns
+    if not isinstance(walls, Mapping):
+        walls = {wall: wall for wall in ([walls] if isinstance(walls, str) else walls)}
+    with _computes(lmp) if contacts is True else nullcontext(contacts or {}) as columns:
+        arrays = _atoms(lmp)
+        parts = [_pairs(lmp, columns, arrays)] if columns else []
+        parts += [_wall(lmp, fix, number, arrays["particle_id"]) for number, fix in enumerate(walls.values())]
+        if parts:
+            arrays |= {name: np.concatenate([part[name] for part in parts]) for name in WALL_CONTACTS}
+        if frozen is not None:
+            arrays["frozen"] = np.isin(arrays["species"], frozen).astype("int64")
+        low, high, xy, yz, xz, periodic, _ = lmp.extract_box()
+        everywhere: dict[str, Any] = {name: _gathered(lmp, values) for name, values in arrays.items()}
+        scene = scene_from_arrays(
+            **everywhere,
+            time=[lmp.get_thermo("time")],
+            step=[int(lmp.extract_global("ntimestep"))],
+            box=np.stack([low, high], axis=1),
+            lattice={"xy": xy, "xz": xz, "yz": yz},
+            shear_rate=shear_rate,
+            periodic="".join(a for a, wraps in zip(COMPONENTS, periodic, strict=True) if wraps),
+            gravity=gravity,
+            dimension=int(lmp.extract_setting("dimension")),
+            units=units_of_system(str(lmp.extract_global("units")), "LAMMPS has") if units is None else units,
+        )
+    return scene.assign_attrs(engine="lammps", **(named_walls(walls) if walls else {}))
 
 
 @contextmanager
@@ -131,64 +147,15 @@ def _computes(lmp: Any) -> Iterator[Mapping[str, str]]:
                 lmp.command(f"uncompute {name}")
 
 
-def _scene(
-    lmp: Any,
-    columns: Mapping[str, str],
-    walls: str | Sequence[str] | Mapping[str, str],
-    frozen: int | Sequence[int] | None,
-    gravity: Sequence[float] | None,
-    units: Mapping[str, float] | str | None,
-    shear_rate: Mapping[str, float] | None,
-) -> xr.Dataset:
-    arrays = _atoms(lmp)
-    named = (
-        dict(walls) if isinstance(walls, Mapping) else {w: w for w in ([walls] if isinstance(walls, str) else walls)}
-    )
-    parts = [_pairs(lmp, columns, arrays)] if columns else []
-    parts += [_wall(lmp, fix, number, arrays["particle_id"]) for number, fix in enumerate(named.values())]
-    if parts:
-        arrays |= {name: np.concatenate([part[name] for part in parts]) for name in WALL_CONTACTS}
-    if frozen is not None:
-        arrays["frozen"] = np.isin(arrays["species"], frozen).astype("int64")
-    low, high, xy, yz, xz, periodic, _ = lmp.extract_box()
-    everywhere: dict[str, Any] = {name: _gathered(lmp, values) for name, values in arrays.items()}
-    scene = scene_from_arrays(
-        **everywhere,
-        time=[lmp.get_thermo("time")],
-        step=[int(lmp.extract_global("ntimestep"))],
-        box=np.stack([low, high], axis=1),
-        lattice={"xy": xy, "xz": xz, "yz": yz},
-        shear_rate=shear_rate,
-        periodic="".join(a for a, wraps in zip(COMPONENTS, periodic, strict=True) if wraps),
-        gravity=gravity,
-        dimension=int(lmp.extract_setting("dimension")),
-        units=_units(lmp) if units is None else units,
-    )
-    about = named_walls(named) if named else {}
-    return scene.assign_attrs(engine="lammps", **about)
-
-
-def _units(lmp: Any) -> Mapping[str, float] | str | None:
-    system = str(lmp.extract_global("units"))
-    if system not in UNIT_SYSTEMS:
-        raise SceneError(
-            f"LAMMPS has the unit system {system!r}, known are {', '.join(UNIT_SYSTEMS)}; give the factors to SI, for "
-            "example units={'length': 1e-10, 'mass': 1e-3, 'time': 1e-15}"
-        )
-    return UNIT_SYSTEMS[system]
-
-
 def _atoms(lmp: Any) -> dict[str, NDArray]:
     """Atoms of this process as variables of the scene."""
     count = int(lmp.extract_global("nlocal"))
 
-    def of_atoms(name: str) -> NDArray | None:
-        values = lmp.numpy.extract_atom(name)
-        return None if values is None else np.array(values[:count])  # ghosts follow; a copy, as LAMMPS moves on
-
     words = {"particle_id": "id", "species": "type", "position": "x", "velocity": "v", "angular_velocity": "omega"}
     words |= {"mass": "rmass", "radius": "radius"}
-    found = {name: values for name, word in words.items() if (values := of_atoms(word)) is not None}
+    there = {name: lmp.numpy.extract_atom(word) for name, word in words.items()}
+    # ghosts follow; copies, as LAMMPS moves on
+    found = {name: np.array(values[:count]) for name, values in there.items() if values is not None}
     if "radius" not in found:
         raise SceneError("the atoms of LAMMPS have no radius: scenes are of grains, as of 'atom_style sphere'")
     found["diameter"] = 2 * found.pop("radius")

@@ -70,46 +70,49 @@ def _stamped(refs: Iterable[StepRef], engine: Engine) -> list[StepRef]:
                 f"{ref.path}: the engine '{engine.name}' gives a step {', '.join(wrong)}, which is of another type or "
                 "shape than xcg.readers.StepRef says"
             )
-        known = ref.size or ref.modified
-        now = None if known else state(ref.path)
-        stamped.append(replace(ref, size=now.st_size, modified=now.st_mtime_ns) if now else ref)
+        if not (ref.size or ref.modified):
+            ref = replace(ref, size=state(ref.path).st_size, modified=state(ref.path).st_mtime_ns)
+        stamped.append(ref)
     return stamped
 
 
 def one_series(refs: list[StepRef], same: Sequence[str]) -> list[StepRef]:
-    """Return the steps of one kind, all or an error; where faults are tolerated, those like most of them."""
+    """Return the steps of one kind, all or an error; where faults are tolerated, those like most of them.
+
+    They have the same columns and, as far as they are in `same`, units and periodic axes; a box and times in all of
+    them or in none.
+    """
     pattern = refs[0]
     if errors.recorded() is not None:
         often = Counter(ref.columns for ref in refs).most_common(1)[0][0]
         pattern = next(ref for ref in refs if ref.columns == often)
     kept = []
     for ref in refs:
-        try:
-            _check_same(pattern, ref, same)
-        except SceneError as error:
-            if not errors.record_fault(source_of(ref), error):
-                raise
-        else:
+        problems = [f"column '{name}' is in the first only" for name in pattern.columns if name not in ref.columns]
+        problems += [f"column '{name}' is in the second only" for name in ref.columns if name not in pattern.columns]
+        for name in same:
+            one, other = getattr(pattern, name), getattr(ref, name)
+            if (one is None) != (other is None):
+                problems.append(f"the {name} is in the {'second' if one is None else 'first'} only")
+            elif name in ("periodic", "units") and one != other:
+                problems.append(f"{name}: {one!r} became {other!r} (the argument {name}= overrides both)")
+        if not problems:
             kept.append(ref)
+            continue
+        both = f"{source_of(pattern)} and {source_of(ref)} do not make one series"
+        error = SceneError(f"{both}: {'; '.join(problems)}")
+        if not errors.record_fault(source_of(ref), error):
+            raise error
     return kept
 
 
-def _check_same(first: StepRef, ref: StepRef, what: Sequence[str]) -> None:
-    """Raise SceneError for a step that differs in kind from the first of its series; name all differences."""
-    problems = [f"column '{name}' is in the first only" for name in first.columns if name not in ref.columns]
-    problems += [f"column '{name}' is in the second only" for name in ref.columns if name not in first.columns]
-    for name in what:
-        one, other = getattr(first, name), getattr(ref, name)
-        if (one is None) != (other is None):
-            problems.append(f"the {name} is in the {'second' if one is None else 'first'} only")
-        elif name in ("periodic", "units") and one != other:
-            problems.append(f"{name}: {one!r} became {other!r} (the argument {name}= overrides both)")
-    if problems:
-        raise SceneError(f"{source_of(first)} and {source_of(ref)} do not make one series: {'; '.join(problems)}")
+def pair_steps(
+    indexed: Mapping[str, list[StepRef]], times: ArrayLike | None, missing: str, *, together: bool
+) -> list[Step]:
+    """Order the steps of particles by time, each with its contacts.
 
-
-def pair_steps(indexed: Mapping[str, list[StepRef]], times: ArrayLike | None, missing: str) -> list[Step]:
-    """Order the steps of particles by time, each with its contacts."""
+    `together`: whether the caller named one file of each kind, whose steps, if there is one each, are a pair.
+    """
     refs = indexed["particles"]
     known: list[float | None] = [ref.time for ref in refs]
     if times is not None:
@@ -120,7 +123,7 @@ def pair_steps(indexed: Mapping[str, list[StepRef]], times: ArrayLike | None, mi
     steps = _in_order([Step(ref, (), time) for ref, time in zip(refs, known, strict=True)], "particles")
     for kind in ("contacts", "walls"):
         if kind in indexed:
-            steps = _join(steps, kind, indexed[kind], missing)
+            steps = _join(steps, kind, indexed[kind], missing, together=together)
     return steps
 
 
@@ -136,11 +139,18 @@ def _in_order(steps: list[Step], kind: str) -> list[Step]:
     return [unique[key] for key in sorted(unique)]
 
 
-def _join(steps: list[Step], kind: str, refs: list[StepRef], missing: str) -> list[Step]:
+def _join(steps: list[Step], kind: str, refs: list[StepRef], missing: str, *, together: bool) -> list[Step]:
     """Match contacts to steps: by time where both have one, else by number."""
     others = [step.particles for step in _in_order([Step(ref, (), ref.time) for ref in refs], kind)]
     timed = others[0].time is not None and steps[0].particles.time is not None
-    partner = _same_time(steps, others) if timed else _same_number(steps, others)
+    one = together and len(steps) == len(others) == 1 and (steps[0].particles.named or others[0].named)
+    if timed:
+        partner = _same_time(steps, others)
+    elif one or (others[-1].step < 0 and len(others) == len(steps)):  # files that tell neither, in their order
+        partner = list(range(len(others)))
+    else:
+        rows = {ref.step: row for row, ref in enumerate(others)}
+        partner = [rows.get(step.particles.step, -1) for step in steps]
     paired = [(step, row) for step, row in zip(steps, partner, strict=True) if row >= 0]
     lacking = [step.particles for step, row in zip(steps, partner, strict=True) if row < 0]
     unused = [ref for row, ref in enumerate(others) if row not in partner]
@@ -175,13 +185,6 @@ def _warn_of_boxes(pairs: Sequence[tuple[Step, StepRef]], kind: str) -> None:
                     f"({source_of(step.particles)}) is {list(own[k])}, which is taken: are both of one run?"
                 )
                 return
-
-
-def _same_number(steps: Sequence[Step], others: Sequence[StepRef]) -> list[int]:
-    if others[-1].step < 0 and len(others) == len(steps):  # files that tell neither, in their order
-        return list(range(len(others)))
-    rows = {ref.step: row for row, ref in enumerate(others)}
-    return [rows.get(step.particles.step, -1) for step in steps]
 
 
 def _same_time(steps: Sequence[Step], others: Sequence[StepRef]) -> list[int]:

@@ -9,16 +9,17 @@ import json
 import os
 import re
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 
-from xcg.common.messages import SceneError, warn_user
-from xcg.readers.engine import Engine, StepRef
+from xcg.common.checks import is_positive
+from xcg.common.messages import SceneError
+from xcg.readers.engine import StepRef
 from xcg.readers.files.text import source_of
 from xcg.scene.schema import Setup
 from xcg.steps import faults as errors
@@ -46,48 +47,42 @@ def expand_paths(paths: PathLike | Iterable[PathLike], argument: str) -> list[st
     FileNotFoundError
         If a path does not exist or a glob matches nothing; the message names similar files.
     """
-    if isinstance(paths, (str, os.PathLike)):
-        return _expand(os.path.expanduser(os.fspath(paths)), argument)
-    found = []
-    for path in paths:
-        try:
-            found += _expand(os.path.expanduser(os.fspath(path)), argument)
-        except FileNotFoundError as error:
-            if not errors.record_fault(os.fspath(path), error):
-                raise
+    single = isinstance(paths, (str, os.PathLike))
+    found: list[str] = []
+    for given in cast(Iterable[PathLike], [paths] if single else paths):
+        path = os.path.expanduser(os.fspath(given))
+        files = [path]
+        if not os.path.isfile(path):
+            files = sorted(filter(os.path.isfile, glob.glob(path, recursive=True)), key=natural_key)
+        if not files:
+            error = FileNotFoundError(f"{argument}={path!r}{_why_none(path)}")
+            if single or not errors.record_fault(os.fspath(given), error):
+                raise error
+        found += files
     if not found:
         errors.raise_recorded()
         raise FileNotFoundError(f"{argument}=[]: expected at least one file")
     return list(dict.fromkeys(found))
 
 
-def _expand(path: str, argument: str) -> list[str]:
-    if os.path.isfile(path):
-        return [path]
+def _why_none(path: str) -> str:
+    """Return why a path or glob means no file, and what is there."""
     if os.path.isdir(path):
         if os.path.splitext(os.path.abspath(path))[1].lower() == ".zarr":
-            raise FileNotFoundError(f"{argument}={path!r} is a Zarr folder, opened alone, as a scene that xcg saved")
-        pattern = os.path.join(path, "*.dump")
-        raise FileNotFoundError(f"{argument}={path!r} is a folder; give the files in it, for example {pattern!r}")
-    if glob.has_magic(path):
-        files = [file for file in glob.glob(path, recursive=True) if os.path.isfile(file)]
-        if files:
-            return sorted(files, key=natural_key)
+            return " is a Zarr folder, opened alone, as a scene that xcg saved"
+        return f" is a folder; give the files in it, for example {os.path.join(path, '*.dump')!r}"
     folder, name = os.path.split(path)
-    problem = "no file matches this pattern" if glob.has_magic(path) else "no such file"
-    raise FileNotFoundError(f"{argument}={path!r}: {problem}{_what_is_there(folder or '.', name)}")
-
-
-def _what_is_there(folder: str, name: str) -> str:
+    folder = folder or "."
+    problem = ": no file matches this pattern" if glob.has_magic(path) else ": no such file"
     if glob.has_magic(folder):
-        return ""
+        return problem
     if not os.path.isdir(folder):
-        return f"; the folder {folder!r} does not exist"
-    files = sorted((entry.name for entry in Path(folder).iterdir() if entry.is_file()), key=natural_key)
-    if not files:
-        return f"; the folder {folder!r} holds no files"
-    similar = difflib.get_close_matches(name, files, n=3, cutoff=0.4) or files[:3]
-    return f"; the folder {folder!r} holds {len(files)} files, among them {', '.join(map(repr, similar))}"
+        return f"{problem}; the folder {folder!r} does not exist"
+    there = sorted((entry.name for entry in Path(folder).iterdir() if entry.is_file()), key=natural_key)
+    if not there:
+        return f"{problem}; the folder {folder!r} holds no files"
+    similar = difflib.get_close_matches(name, there, n=3, cutoff=0.4) or there[:3]
+    return f"{problem}; the folder {folder!r} holds {len(there)} files, among them {', '.join(map(repr, similar))}"
 
 
 # Factors to SI of the unit systems that headers name.
@@ -100,30 +95,23 @@ UNIT_SYSTEMS: dict[str, Mapping[str, float] | str | None] = {
 }
 
 
-def names_no_units(engine: Engine, indexed: Mapping[str, Sequence[StepRef]]) -> bool:
-    """Return whether files could name their units, and do not."""
-    return bool(engine.UNNAMED_UNITS) and all(refs[0].units is None for refs in indexed.values())
-
-
-def units_of_headers(engine: Engine, indexed: Mapping[str, Sequence[StepRef]]) -> Mapping[str, float] | str | None:
+def units_of_headers(indexed: Mapping[str, Sequence[StepRef]]) -> Mapping[str, float] | str | None:
     """Units as the headers name them; SI where they do not."""
     named = {refs[0].units: source_of(refs[0]) for refs in indexed.values() if refs[0].units is not None}
     if len(named) > 1:
         found = ", ".join(f"{system!r} in {name}" for system, name in named.items())
         raise SceneError(f"headers name different unit systems ({found}); give the factors to SI with units=")
-    for system, name in named.items():
-        if system not in UNIT_SYSTEMS:
-            raise SceneError(
-                f"{name}: the header names the unit system {system!r}, known are {', '.join(UNIT_SYSTEMS)}; "
-                "give the factors to SI, for example units={'length': 1e-10, 'mass': 1e-3, 'time': 1e-15}"
-            )
-        return UNIT_SYSTEMS[system]
-    if names_no_units(engine, indexed):
-        warn_user(
-            f"{source_of(indexed['particles'][0])}: the header does not name the units, and SI is taken; say "
-            f"units='SI', 'reduced' (LAMMPS's lj) or factors such as {{'length': 1e-3}}, or {engine.UNNAMED_UNITS}"
+    return next((units_of_system(system, f"{name}: the header names") for system, name in named.items()), None)
+
+
+def units_of_system(system: str, named: str) -> Mapping[str, float] | str | None:
+    """Return the units of a system by name; `named` begins the message about one that is not known."""
+    if system not in UNIT_SYSTEMS:
+        raise SceneError(
+            f"{named} the unit system {system!r}, known are {', '.join(UNIT_SYSTEMS)}; give the factors to SI, for "
+            "example units={'length': 1e-10, 'mass': 1e-3, 'time': 1e-15}"
         )
-    return None
+    return UNIT_SYSTEMS[system]
 
 
 def not_against_headers(units: Mapping[str, float] | str, indexed: Mapping[str, Sequence[StepRef]]) -> Any:
@@ -158,7 +146,7 @@ def not_against_headers(units: Mapping[str, float] | str, indexed: Mapping[str, 
 # ``XCG_INDEX_CACHE=0`` turns it off.
 
 
-_VERSION = 3  # of the entries; raise it when headers are read in another way
+_VERSION = 4  # of the entries; raise it when headers are read in another way
 _SETTLED = 2e9  # ns: a file that was modified just now may change again without another time stamp
 _MOST_STEPS = 200_000  # in a file; each takes a kilobyte
 _LEFT_OUT = ("path", "size", "modified")  # of entries: they are known when an entry is used
@@ -176,55 +164,40 @@ def remembered(paths: Sequence[str], kind: str, scan: Callable[[str], Iterable[S
     scan : callable
         Reads the headers of one file. What it returns may depend on the file and on `kind` only.
     """
-    folders: dict[str, list[str]] = {}
+    found: list[list[StepRef]] = []
+    known: dict[str, tuple[Path | None, dict[str, Any]]] = {}
+    learnt: dict[str, dict[str, Any]] = {}
     for path in paths:
-        folders.setdefault(os.path.dirname(os.path.abspath(path)), []).append(path)
-    found: dict[str, list[StepRef]] = {}
-    for folder, files in folders.items():
-        found |= _of_folder(folder, files, kind, scan)
-    return [found[path] for path in paths]
-
-
-def _of_folder(
-    folder: str, paths: Sequence[str], kind: str, scan: Callable[[str], Iterable[StepRef]]
-) -> dict[str, list[StepRef]]:
-    place = _place(folder, kind)
-    known = _load(place)
-    found: dict[str, list[StepRef]] = {path: [] for path in paths}
-    learnt = {}
-    for path in paths:
+        folder, name = os.path.split(os.path.abspath(path))
+        if folder not in known:
+            known[folder] = _load(folder, kind)
+        steps: list[StepRef] = []
+        found.append(steps)
         try:
-            name, before = os.path.basename(path), _state(path)
-            refs = _steps(path, known.get(name), before)
-            if refs is not None:
-                found[path] = refs
+            state = os.stat(path)
+            stamp: dict[str, Any] = {"size": state.st_size, "modified": state.st_mtime_ns}
+            entry = known[folder][1].get(name, {})
+            if entry.items() >= stamp.items():
+                steps += [StepRef(path, **stamp, **step) for step in entry["steps"]]
                 continue
             earlier = len(errors.recorded() or ())
-            for ref in _counted(path, scan(path)):  # where faults are tolerated, the steps before one stay
-                found[path].append(replace(ref, size=before[0], modified=before[1]))
-            after = _state(path)
-            if before == after and time.time_ns() - after[1] > _SETTLED and len(errors.recorded() or ()) == earlier:
-                learnt[name] = {"size": after[0], "modified": after[1], "steps": [_entry(ref) for ref in found[path]]}
+            for ref in scan(path):  # where faults are tolerated, the steps before one stay
+                if len(steps) == _MOST_STEPS:  # more cannot be kept in memory and in a graph
+                    raise SceneError(f"{path}: more than {_MOST_STEPS} steps in one file; split it, or thin it out")
+                steps.append(replace(ref, **stamp))
+            after = os.stat(path)
+            same = (after.st_size, after.st_mtime_ns) == (state.st_size, state.st_mtime_ns)
+            if same and time.time_ns() - after.st_mtime_ns > _SETTLED and len(errors.recorded() or ()) == earlier:
+                learnt.setdefault(folder, {})[name] = stamp | {"steps": [_entry(ref) for ref in steps]}
         except errors.FAULTS as error:
             if not errors.record_fault(path, error):
                 raise
-    if learnt and place is not None:
-        there = {name: entry for name, entry in known.items() if os.path.exists(os.path.join(folder, name))}
-        _save(place, there | learnt)
+    for folder, entries in learnt.items():
+        place, before = known[folder]
+        if place is not None:
+            there = {name: entry for name, entry in before.items() if os.path.exists(os.path.join(folder, name))}
+            _save(place, there | entries)
     return found
-
-
-def _counted(path: str, steps: Iterable[StepRef]) -> Iterator[StepRef]:
-    """Pass steps on, and refuse a file of more than can be kept in memory and in a graph."""
-    for number, step in enumerate(steps):
-        if number == _MOST_STEPS:
-            raise SceneError(f"{path}: more than {_MOST_STEPS} steps in one file; split it, or thin it out")
-        yield step
-
-
-def _state(path: str) -> tuple[int, int]:
-    state = os.stat(path)
-    return state.st_size, state.st_mtime_ns
 
 
 def _entry(ref: StepRef) -> dict[str, Any]:
@@ -233,44 +206,52 @@ def _entry(ref: StepRef) -> dict[str, Any]:
     return {name: getattr(ref, name) for name, default in usual.items() if getattr(ref, name) != default}
 
 
-def _steps(path: str, entry: Mapping[str, Any] | None, state: tuple[int, int]) -> list[StepRef] | None:
-    """Return the steps of an entry; None without an entry, or if the file has changed."""
-    if entry is None or (entry["size"], entry["modified"]) != state:
-        return None
-    size, modified = state
-    return [
-        StepRef(path=path, size=size, modified=modified, **{k: _tuples(v) for k, v in step.items()})
-        for step in entry["steps"]
-    ]
+def index_steps(
+    paths: Sequence[str], kind: str, scan: Callable[[str], Iterable[StepRef]], timestep: object = None
+) -> list[StepRef]:
+    """List the steps of all files, where faults are tolerated those of good files; arguments as of `remembered`.
 
-
-def _tuples(value: Any) -> Any:
-    """JSON has lists only."""
-    return tuple(map(_tuples, value)) if isinstance(value, list) else value
+    Steps without a number (-1) get the last one in the name of a file that holds no others, else negative ones in
+    their order. With a `timestep`, steps without time get one.
+    """
+    refs: list[StepRef] = []
+    for path, steps in zip(paths, remembered(paths, kind, scan), strict=True):
+        name = Path(path)
+        digits = re.findall(r"\d+", name.name if name.suffix[1:].isdecimal() else name.stem)  # ".h5" is no number
+        if len(steps) == 1 and steps[0].step < 0 and digits:
+            steps = [replace(steps[0], step=int(digits[-1]), named=True)]
+        refs += steps
+        if not steps:
+            errors.raise_or_record(path, SceneError(f"{path}: the file is empty; leave it out"))
+    if not refs:
+        errors.raise_recorded()
+    refs = [ref if ref.step >= 0 else replace(ref, step=k - len(refs)) for k, ref in enumerate(refs)]
+    if timestep is None:
+        return refs
+    if not is_positive(timestep):
+        raise SceneError(f"timestep={timestep!r}: expected a positive number, the time between two steps")
+    first = min(refs[0].step, 0)
+    return [replace(ref, time=(ref.step - first) * float(timestep)) if ref.time is None else ref for ref in refs]
 
 
 # --- the files of the index ------------------------------------------------------------------------------
 
 
-def _place(folder: str, kind: str) -> Path | None:
-    """Return the folder's index file; None if the index is turned off or the home is unknown."""
-    if os.environ.get("XCG_INDEX_CACHE", "1") == "0":
-        return None
+def _load(folder: str, kind: str) -> tuple[Path | None, dict[str, Any]]:
+    """Return the folder's index file and its entries by name of the file; none where it is absent or damaged.
+
+    There is no index file if the index is turned off or the home is unknown.
+    """
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    if home.startswith("~"):
-        return None
-    digest = hashlib.sha256(f"{_VERSION} {kind} {os.path.realpath(folder)}".encode()).hexdigest()
-    return Path(home) / "xcg" / f"index-{digest[:32]}.json"
-
-
-def _load(place: Path | None) -> dict[str, Any]:
-    """Entries by name of the file; none where the index is absent or damaged."""
+    if os.environ.get("XCG_INDEX_CACHE", "1") == "0" or home.startswith("~"):
+        return None, {}
+    name = hashlib.sha256(f"{_VERSION} {kind} {os.path.realpath(folder)}".encode()).hexdigest()
+    place = Path(home) / "xcg" / f"index-{name[:32]}.json"
     with suppress(OSError, ValueError):
-        if place is not None:
-            digest, _, text = place.read_bytes().partition(b"\n")
-            if hashlib.sha256(text).hexdigest().encode() == digest:
-                return dict(json.loads(text))
-    return {}
+        digest, _, text = place.read_bytes().partition(b"\n")
+        if hashlib.sha256(text).hexdigest().encode() == digest:
+            return place, dict(json.loads(text))
+    return place, {}
 
 
 def _save(place: Path, entries: Mapping[str, Any]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from typing import Any, Literal, TypeAlias, get_args
@@ -16,9 +17,9 @@ from xcg.common.checks import floats
 from xcg.common.messages import SceneError, did_you_mean, warn_user
 from xcg.readers.engine import Engine, ReadOptions, StepRef, guess_engine, load_engine
 from xcg.readers.files.text import source_of
-from xcg.readers.lazy import Chunks, Series, Source, Step, indexed_arrays, lazy_arrays, read_step, steps_of_chunks
+from xcg.readers.lazy import Chunks, Series, Source, Step, indexed_arrays, lazy_arrays, read_step
 from xcg.readers.pairs import index_files, origin_of, pair_steps
-from xcg.readers.paths import PathLike, expand_paths, names_no_units, not_against_headers, units_of_headers
+from xcg.readers.paths import PathLike, expand_paths, not_against_headers, units_of_headers
 from xcg.readers.saved import open_saved, saved_path
 from xcg.scene.box import domain_of
 from xcg.scene.build import to_dataset
@@ -29,7 +30,7 @@ from xcg.scene.lattice import Lattice
 from xcg.scene.sanity import check_sizes
 from xcg.scene.schema import COMPONENTS, VARIABLES, Frame, Setup, Shape, Sides
 from xcg.steps import faults as errors
-from xcg.steps.faults import FAULTS, OnError, check_on_error, collecting, raising
+from xcg.steps.faults import FAULTS, OnError, check_on_error, collecting
 
 _RECOVERY_STEPS = 10  # files of contacts that are read for a period, where files do not tell it
 _OF_SAVED = ("particles", "chunks", "on_error", "engine_options")  # what a scene that was saved takes
@@ -184,8 +185,9 @@ def open_scene(
 
     Notes
     -----
-    Particles and contacts are paired by time where both kinds of file hold it, else by step number. Contacts
-    of steps without particles are left out with a warning.
+    Particles and contacts are paired by time where both kinds of file hold it, else by step number, which is that in
+    the name of a file that states none. One file of particles and one of contacts, given by name, are paired whatever
+    the numbers in their names. Contacts of steps without particles are left out with a warning.
 
     Steps that share one text file are read from where they begin. In a gzipped file they are reached by
     decompressing all before them, going on from the last step that was read.
@@ -212,7 +214,7 @@ def open_scene(
     ... )  # doctest: +SKIP
     """
     given = locals()
-    tolerate = collecting if check_on_error(on_error) == "skip" else raising
+    tolerate = collecting if check_on_error(on_error) == "skip" else lambda: nullcontext(dict[Any, str]())
     if engine is None and "mapping" not in engine_options and (saved := saved_path(particles)):
         _refuse_beside(saved, given)
         return open_saved(saved, chunks)
@@ -225,19 +227,32 @@ def open_scene(
         files = {kind: expand_paths(paths, kind) for kind, paths in kinds.items() if paths is not None}
         reader = load_engine(engine or guess_engine(files))
         _check_options(reader, engine_options)
-        extra = {**engine_options, "missing": "raise" if missing == "raise" and on_error == "raise" else "skip"}
+        extra = {**engine_options, "missing": "raise" if missing != "skip" and on_error == "raise" else "skip"}
         options = ReadOptions(dict(names or {}), extra, in_columns, alone=True)
         said = {"periodic": periodic, "units": units, "box": box, "time": times}
         indexed = index_files(reader, files, options, [what for what, given in said.items() if given is None])
         if left_out and missing == "empty":
             _refuse_guesses(left_out, files)
-        steps = pair_steps(indexed, times, "skip" if missing == "raise" and left_out else missing)
+        together = all([str(paths)] == files[kind] for kind, paths in kinds.items() if paths is not None)
+        missing = "skip" if missing == "raise" and left_out else missing
+        steps = pair_steps(indexed, times, missing, together=together)
         if in_columns:
             beside = [reader.wall_step(step.particles, options) for step in steps]
             steps = [replace(step, contacts=(*step.contacts, ref)) for step, ref in zip(steps, beside, strict=True)]
+    if max(step.particles.step for step in steps) < 0:  # neither files nor their names tell any
+        steps = [replace(step, particles=replace(step.particles, step=k)) for k, step in enumerate(steps)]
     with tolerate():  # steps that cannot be read stay in the scene; their faults are told when they are computed
         raw = _ends(reader, options, steps, partial(Setup.make, shape=shape, thickness=thickness, density=density))
-    _warn_of_files(left_out)
+    # most messages name the file already; of one with many steps, the place goes on with " from byte ..."
+    skipped = [c if p.partition(" from byte ")[0] in c else f"{p}: {c}" for p, c in left_out.items()]
+    for cause in skipped:
+        warn_user(f"left out: {cause}")
+    unnamed = units is None and reader.UNNAMED_UNITS and all(refs[0].units is None for refs in indexed.values())
+    if unnamed:
+        warn_user(
+            f"{source_of(indexed['particles'][0])}: the header does not name the units, and SI is taken; say "
+            f"units='SI', 'reduced' (LAMMPS's lj) or factors such as {{'length': 1e-3}}, or {reader.UNNAMED_UNITS}"
+        )
 
     first = next(iter(raw))
     flat = _flat_plane(list(raw.values()))
@@ -247,7 +262,7 @@ def open_scene(
     if periodic is not None and box is None and first.box is None:
         periodic = _within(flat, periodic)  # no file tells the period across a layer, and nothing depends on it
     setup = Setup.make(
-        units=units_of_headers(reader, indexed) if units is None else not_against_headers(units, indexed),
+        units=units_of_headers(indexed) if units is None else not_against_headers(units, indexed),
         gravity=gravity,
         dimension=dimension,
         plane=plane,
@@ -265,16 +280,14 @@ def open_scene(
     clock = [step.time for step in steps if step.time is not None]
     time = np.array(clock) * setup.scales[2] if clock else None
     domain = _domain(steps, box, lattice, shear_rate, setup, time)
-    source = Source(reader, options, setup, _frozen_species(frozen, raw), allow_unknown)
+    source = Source(reader, options, setup, None if frozen is None else _frozen_species(frozen, raw), allow_unknown)
     ends = [source.complete(frame, ref) for ref, frame in raw.items()]
     check_sizes(ends[0], setup)
     types = {name: ends[0][name].dtype for name in dict.fromkeys([*VARIABLES, *ends[0]]) if name in ends[0]}
     contact_names = _contact_names(source, next((step for step in steps if step.contacts), steps[0]))
     series = Series(source, steps, domain, types, contact_names)
-    arrays = indexed_arrays(series) if chunks is None else lazy_arrays(series, steps_of_chunks(chunks, series))
+    arrays = indexed_arrays(series) if chunks is None else lazy_arrays(series, chunks)
     numbers = [step.particles.step for step in steps]
-    if max(numbers) < 0:  # neither files nor their names tell any
-        numbers = list(range(len(steps)))
     scene = to_dataset(
         arrays,
         time=numbers if time is None else time,
@@ -286,32 +299,24 @@ def open_scene(
     if not clock:
         said_nothing = "number of the time step, as the files do not tell the time (give timestep= or times=)"
         scene["time"].attrs.update(units="1", long_name=said_nothing)
-    if units is None and names_no_units(reader, indexed):
+    if unnamed:
         scene.attrs["assumed_units"] = "SI"
     scene.attrs |= origin_of(reader, files, options, steps) | about_walls
     if left_out:
-        scene.attrs["skipped_files"] = "\n".join(f"{source}: {cause}" for source, cause in left_out.items())
+        scene.attrs["skipped_files"] = "\n".join(skipped)
     return scene
 
 
 def _refuse_beside(saved: str, given: Mapping[str, Any]) -> None:
     """Raise SceneError for options of a code's files beside a saved scene, which needs none."""
-    parameters = inspect.signature(open_scene).parameters.values()
+    parameters = inspect.signature(open_scene).parameters.items()
     described = [*given["engine_options"]]
-    for name, default in ((p.name, p.default) for p in parameters if p.name not in _OF_SAVED):
-        plain = isinstance(given[name], (str, bool))
-        if given[name] is not default and not (plain and given[name] == default):
-            described.append(name)
+    described += [n for n, p in parameters if n not in _OF_SAVED and repr(given[n]) != repr(p.default)]
     if described:
         raise SceneError(
             f"{saved} is a scene that xcg saved, which takes no {described[0]}=; give it where the files of the code "
             "are opened, before they are saved"
         )
-
-
-def _warn_of_files(left_out: Mapping[str, str]) -> None:
-    for place, cause in left_out.items():
-        warn_user(f"left out: {cause}" if place in cause else f"left out: {place}: {cause}")
 
 
 def _refuse_guesses(left_out: Mapping[str, str], files: Mapping[str, Sequence[str]]) -> None:
@@ -422,9 +427,7 @@ def _recovered_box(
     return box
 
 
-def _frozen_species(frozen: int | Sequence[int] | None, raw: Mapping[StepRef, Frame]) -> tuple[int, ...] | None:
-    if frozen is None:
-        return None
+def _frozen_species(frozen: int | Sequence[int], raw: Mapping[StepRef, Frame]) -> tuple[int, ...]:
     given = np.atleast_1d(floats(frozen)).tolist()
     if not all(number.is_integer() for number in given):
         raise SceneError(f"frozen={frozen!r}: expected the number of a species, or several")

@@ -67,12 +67,6 @@ def collecting() -> Iterator[dict[Any, str]]:
         _recorded.faults = before
 
 
-@contextmanager
-def raising() -> Iterator[dict[Any, str]]:
-    """Let faults be raised; the counterpart of `collecting`."""
-    yield {}
-
-
 def record_fault(source: int | str, error: Exception) -> bool:
     """Record the fault of a step or file; return False if nobody tolerates it and it must be raised."""
     if _recorded.faults is None:

@@ -136,6 +136,24 @@ def test_files_of_mfix_are_recognised(tmp_path, name, expected):
     assert not mfix.recognises(str(path))
 
 
+def test_missing_files_of_a_collection_are_no_steps_without_contacts(tmp_path):
+    for t in range(2):
+        write_particles(tmp_path / f"P_{t}.vtp", time=t)
+    write_contacts(tmp_path / "F_0.vtp", [1], [2], [1.0, 0, 0], time=0)
+    times = dict.fromkeys("01")
+    pvd = [write_pvd(tmp_path / f"{kind}.pvd", {f"{kind}_{t}.vtp": t for t in times}) for kind in "PF"]
+    options = {"contacts": pvd[1], "density": 1.0, "periodic": ""}
+    with pytest.raises(SceneError, match=r"1 of 2 files do not exist: .*F_1\.vtp"):
+        xcg.open_scene(pvd[0], missing="empty", **options)
+    with pytest.raises(SceneError, match=r"F_1\.vtp.*missing='empty' its step would count as one without contacts"):
+        xcg.open_scene(pvd[0], missing="empty", on_error="skip", **options)
+    with pytest.warns(SceneWarning) as said:
+        ds = xcg.open_scene(pvd[0], on_error="skip", **options)
+    assert any("F_1.vtp; they are skipped" in str(warning.message) for warning in said)
+    assert ds.time.values.tolist() == [0]
+    assert ds.attrs["skipped_files"].count("F_1.vtp") == 1
+
+
 def test_a_collection_names_or_skips_all_missing_files(tmp_path):
     write_particles(tmp_path / "P_0001.vtp", time=0.1000025)
     pvd = write_pvd(tmp_path / "P.pvd", {"P_0000.vtp": " 0.0E+00", "P_0001.vtp": " 0.1E+00", "P_0002.vtp": " 0.2E+00"})

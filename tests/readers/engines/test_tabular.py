@@ -88,6 +88,9 @@ def test_steps_are_numbered_by_file_names(tmp_path):
     np.testing.assert_array_equal(ds.step, [2, 10])
     np.testing.assert_allclose(ds.time, [0.2, 1.0])
     np.testing.assert_array_equal(ds.position[:, 0, 0], [2, 10])
+    for step in (2, 10):
+        (tmp_path / f"p_{step}.csv").rename(tmp_path / f"p.csv.{step}")
+    np.testing.assert_array_equal(xcg.open_scene(str(tmp_path / "p.csv.*"), engine="table", density=1.0).step, [2, 10])
 
 
 def test_files_without_numbers_are_steps_from_zero_on(tmp_path):
@@ -101,6 +104,29 @@ def test_files_without_numbers_are_steps_from_zero_on(tmp_path):
         np.testing.assert_array_equal(ds.step, np.arange(count))
         np.testing.assert_array_equal(ds.time, 0.5 * np.arange(count))
         assert (ds.contact_force.isel(contact=0, component=0) == -1).all()
+
+
+def test_one_file_of_each_kind_is_paired_whatever_their_names_count(tmp_path):
+    particles = write(tmp_path / "p.3.csv", "x,y,z,radius\n0,0,0,0.5\n1,0,0,0.5\n")
+    contacts = write(tmp_path / "c.12.csv", "id1,id2,fx,fy,fz\n0,1,-1,0,0\n")
+    ds = xcg.open_scene(particles, contacts=contacts, density=1.0)
+    assert ds.step.values.tolist() == [3]
+    assert ds.contact_force.values.tolist() == [[[-1, 0, 0]]]
+    stated = write(tmp_path / "stated.csv", "step,id1,id2,fx,fy,fz\n12,0,1,-1,0,0\n")
+    assert xcg.open_scene(particles, contacts=stated, density=1.0).sizes["contact"] == 1  # one name counts
+    both = write(tmp_path / "both.csv", "step,x,y,z,radius\n3,0,0,0,0.5\n3,1,0,0,0.5\n")
+    for one, other in ((both, stated), (tmp_path / "p.*.csv", tmp_path / "c.*.csv")):
+        with pytest.raises(xcg.SceneError, match="no step with the same step number"):
+            xcg.open_scene(str(one), contacts=str(other), density=1.0)
+
+
+def test_unnumbered_steps_at_fault_are_skipped(tmp_path):
+    rows = ["0,1,0,0,0.5", "1,one,0,0,0.5", "2,1,0,0,0.5"]
+    path = write(tmp_path / "a.csv", "time,x,y,z,radius\n" + "\n".join(rows))
+    ds = xcg.open_scene(path, density=1.0, box=[[-1.0, 2.0]] * 3)
+    with pytest.warns(xcg.SceneWarning, match=r"step 1 is skipped: .*a\.csv \(step 1\): row 0 has 'one'"):
+        f = ds.cg.coarse_grain("density", axes="z", on_error="skip").compute()
+    assert f.skipped.values.tolist() == [False, True, False]
 
 
 def test_one_step_is_read_alone(tmp_path, monkeypatch):
@@ -129,7 +155,7 @@ def test_particles_without_ids_are_numbered_by_row(tmp_path):
         ("x,y,z,radius\n1,2,3,0.5\n1,2,3\n", "row 1 has 3 values, expected 4"),
         ("x,y,z,radius\n1,2,,0.5\n", "row 0 has 3 values, expected 4"),
         ("x,y,z,radius\n1,2,three,0.5\n", "row 0 has 'three' in column 'z'"),
-        ("time,x,y,z,radius\n0,1,2,3,0.5\n1,1,2,3,0.5\n0,1,2,3,0.5\n", "rows of the time .*0.0.* stand apart"),
+        ("time,x,y,z,radius\n0,1,2,3,0.5\n1,1,2,3,0.5\n0,1,2,3,0.5\n", "rows of the time 0.0 stand apart"),
         ("time,x,y,z,radius\n0,1,2,3,0.5\n-,1,2,3,0.5\n", "row 1 has '-' in column 'time'"),
         ("step,x,y,z,radius\n0.5,1,2,3,0.5\n", "the step of row 0"),
         ("a,b,c\n1,2,3\n", "no x of the position"),
@@ -152,6 +178,19 @@ def test_wrong_tables_in_memory_raise():
     contacts = {"time": [1.0], "contact_i": 0, "contact_j": 1, "fx": 0.0, "fy": 0.0, "fz": 0.0}
     with pytest.raises(xcg.SceneError, match=r"contacts: rows of 1\.0, and no particles"):
         xcg.scene_from_table(good.assign(time=0.0), contacts=contacts, density=1.0)
+    with pytest.raises(xcg.SceneError, match="particles: the table has no rows"):
+        xcg.scene_from_table(good[:0], density=1.0)
+    with pytest.raises(xcg.SceneError, match="contacts: the table has no columns"):
+        xcg.scene_from_table(good, contacts=pd.DataFrame(), density=1.0)
+
+
+@pytest.mark.parametrize("forces", [["fx", "fy", "fz"], ["normal_force", "tangential_force"]])
+def test_a_table_of_no_contacts_is_a_scene_in_which_nothing_touches(forces):
+    grains = pd.DataFrame({"time": [1.0, 1.0, 2.0], "x": [0.0, 1.0, 0.5], "y": 0.0, "z": 0.0, "radius": 0.5})
+    contacts = pd.DataFrame(columns=["time", "contact_i", "contact_j", *forces], dtype=float)
+    ds = xcg.scene_from_table(grains, contacts=contacts, density=1.0, box=[[-1.0, 2.0]] * 3)
+    assert (ds.contact_i < 0).all()
+    assert (ds.cg.coarse_grain("contact_stress", axes="z").contact_stress == 0).all()
 
 
 def test_parquet_without_pyarrow_names_the_extra(tmp_path, monkeypatch):

@@ -194,7 +194,7 @@ def test_concatenated_gzip_files_are_read(tmp_path, count):
     texts, positions = [], []
     for t in range(3):
         positions.append(rng.random((count, 3)))
-        lines = [f"{k} 1 {x} {y} {z} 0 0 0 0.5 1" for k, (x, y, z) in enumerate(positions[-1].tolist(), 1)]
+        lines = [f"{k} 1 {x} {y} {z} 0 0 0 0.005 1" for k, (x, y, z) in enumerate(positions[-1].tolist(), 1)]
         texts.append(dump_text(lines, ATOMS, step=10 * t))
     path = tmp_path / "p.0.dump.gz"
     path.write_bytes(b"".join(gzip.compress(text.encode()) for text in texts))
@@ -206,7 +206,7 @@ def test_concatenated_gzip_files_are_read(tmp_path, count):
     path.write_bytes(gzip.compress("".join(texts).encode()))
     np.testing.assert_array_equal(open_scene(path).position, positions)
     path.write_bytes(gzip.compress(texts[0].encode()))
-    assert text.size_of_content(str(path)) == len(texts[0])
+    assert text.uncompressed_size(str(path)) == len(texts[0])
     assert lammps.index_particles([str(path)], ReadOptions())[0].alone
 
 
@@ -215,6 +215,6 @@ def test_a_second_step_in_a_file_of_one_step_raises(tmp_path, monkeypatch):
     texts = [dump_text(rows, step=t).encode() for t in range(2)]
     path = tmp_path / "p.0.dump.gz"
     path.write_bytes(b"".join(map(gzip.compress, texts)))
-    monkeypatch.setattr(text, "size_of_content", lambda path: len(texts[0]))
+    monkeypatch.setattr("xcg.readers.engines.lammps.uncompressed_size", lambda path: len(texts[0]))
     with pytest.raises(SceneError, match=r"p\.0\.dump\.gz \(step 0\): more follows"):
         open_scene(path)

@@ -22,9 +22,8 @@ from xcg.readers import columns
 from xcg.readers.columns import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.files.text import source_of
-from xcg.readers.paths import remembered
+from xcg.readers.paths import index_steps
 from xcg.scene.schema import COMPONENTS
-from xcg.steps import faults as errors
 
 if TYPE_CHECKING:
     import h5py
@@ -49,13 +48,16 @@ class Hdf5(Columnar):
         with open(path, "rb") as file:
             return file.read(len(_MAGIC)) == _MAGIC
 
-    def index_particles(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
-        """List the steps of particles."""
-        return _index(paths, options, contacts=False)
-
-    def index_contacts(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
-        """List the steps of contacts, in the same files or others."""
-        return _index(paths, options, contacts=True)
+    def list_steps(self, paths: Sequence[str], options: ReadOptions, *, contacts: bool) -> list[StepRef]:
+        """List the steps of particles, or of contacts, in the same files or others."""
+        places = _mapping(options)
+        time = places.pop("time", None)
+        mine = {name: path for name, path in places.items() if _of_contacts(name) is contacts}
+        one = _ONE[contacts]
+        if one not in mine and f"{one}_x" not in mine:
+            raise SceneError(f"mapping= lacks {one!r}; it has {', '.join(places)}")
+        scan = partial(_steps, mine=mine, time=time)
+        return index_steps(paths, f"hdf5 {mine} {time}", scan, options.extra.get("timestep"))
 
     def read_columns(
         self, ref: StepRef, wanted: Iterable[str], rows: int | None, options: ReadOptions
@@ -74,7 +76,7 @@ class Hdf5(Columnar):
         """Find the columns that particles are read from: all of them."""
         return super().particle_columns(ref, _by_themselves(ref, options))
 
-    def contact_columns(self, ref: StepRef, options: ReadOptions) -> dict[str, str]:
+    def contact_columns(self, ref: StepRef, options: ReadOptions, slots: columns.Slots | None = None) -> dict[str, str]:
         """Find the columns that contacts are read from: all of them."""
         return super().contact_columns(ref, _by_themselves(ref, options))
 
@@ -118,23 +120,6 @@ def _filled(path: str, ref: StepRef) -> str:
 # --- the index -------------------------------------------------------------------------------------------
 
 
-def _index(paths: Sequence[str], options: ReadOptions, *, contacts: bool) -> list[StepRef]:
-    places = _mapping(options)
-    mine = {name: path for name, path in places.items() if name != "time" and _of_contacts(name) is contacts}
-    one = _ONE[contacts]
-    if one not in mine and f"{one}_x" not in mine:
-        raise SceneError(f"mapping= lacks {one!r}; it has {', '.join(places)}")
-    found = remembered(paths, f"hdf5 {mine} {places.get('time')}", partial(_steps, mine=mine, time=places.get("time")))
-    refs = [ref for steps in found for ref in steps]
-    if not refs:
-        errors.raise_recorded()
-    refs = [ref if ref.step >= 0 else replace(ref, step=k) for k, ref in enumerate(refs)]
-    timestep = options.extra.get("timestep")
-    if timestep is None:
-        return refs
-    return [ref if ref.time is not None else replace(ref, time=ref.step * float(str(timestep))) for ref in refs]
-
-
 def _steps(path: str, mine: Mapping[str, str], time: str | None) -> Iterator[StepRef]:
     with _opened(path) as file:
         first = next(iter(mine.values()))
@@ -145,7 +130,6 @@ def _steps(path: str, mine: Mapping[str, str], time: str | None) -> Iterator[Ste
                 ref = replace(ref, time=number if place == "{time}" else _time(file, time, ref))
                 yield _with_columns(file, ref, mine)
             return
-        digits = re.findall(r"\d+", Path(path).stem)
         name, data = _ONE[_of_contacts(next(iter(mine)))], _dataset(file, first)
         wide = next(iter(mine)) == name == "position"
         if len(data.shape) > 1 + wide:
@@ -153,7 +137,7 @@ def _steps(path: str, mine: Mapping[str, str], time: str | None) -> Iterator[Ste
                 ref = StepRef(path, 0, kind=_STACKED, offset=k, step=k)
                 yield _with_columns(file, replace(ref, time=_time(file, time, ref)), mine)
             return
-        ref = StepRef(path, 0, step=int(digits[-1]) if digits else -1)
+        ref = StepRef(path, 0, step=-1)
         yield _with_columns(file, replace(ref, time=_time(file, time, ref)), mine)
 
 

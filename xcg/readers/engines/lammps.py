@@ -8,13 +8,13 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import chain
 from types import ModuleType
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from xcg.common.checks import is_positive
 from xcg.common.messages import SceneError, warn_user
 from xcg.readers import columns
 from xcg.readers.columns import Columnar
@@ -26,14 +26,11 @@ from xcg.readers.files.text import (
     check_rows,
     compression,
     first_lines,
-    is_one_table,
-    most_from,
-    most_text,
-    open_binary,
+    scanned,
     source_of,
     uncompressed_size,
 )
-from xcg.readers.paths import remembered
+from xcg.readers.paths import index_steps
 from xcg.scene.schema import COMPONENTS, Frame
 from xcg.steps import faults as errors
 
@@ -45,14 +42,19 @@ class Dumps(Columnar):
 
     OPTIONS = ("timestep",)
 
-    def index_particles(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
-        """List the steps of ``dump custom`` files."""
-        refs = index_dumps(paths, options, atoms=True)
-        columns.warn_of_ignored(refs[0], self.particle_columns(refs[0], options), columns.PARTICLE_SLOTS, options)
-        return refs
+    def list_steps(self, paths: Sequence[str], options: ReadOptions, *, contacts: bool) -> list[StepRef]:
+        """List the steps of ``dump custom`` files, or of local dumps with contacts.
+
+        A file is read through only where it may hold several steps: not where its name holds the number of its
+        first step and its size is that of one step.
+        """
+        atoms = not contacts
+        return index_steps(paths, f"dump {atoms=}", partial(_steps, atoms=atoms), options.extra.get("timestep"))
 
     def unread_forces(self, ref: StepRef, options: ReadOptions) -> str:
         """Return a hint about columns that may hold the rest of the contact forces; "" without such columns."""
+        if ref.kind == _WALLS:
+            return ""
         return columns.unread_by_number(ref, self.contact_columns(ref, options), options)
 
     def read_columns(
@@ -70,16 +72,13 @@ class Lammps(Dumps):
 
     def recognises(self, path: str) -> bool:
         """Return whether the file begins as a LAMMPS dump, and not as one that only LIGGGHTS writes."""
-        if form_of(path):
-            return True
         found = body_columns(path)
-        return found is not None and ".liggghts" not in path and not is_numbered(found[1])
+        return bool(form_of(path)) or (found is not None and ".liggghts" not in path and not is_numbered(found[1]))
 
     def index_contacts(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
         """List the steps of ``dump local`` files."""
-        refs = index_dumps(paths, options, atoms=False)
+        refs = super().index_contacts(paths, options)
         found = self.contact_columns(refs[0], options)
-        columns.warn_of_ignored(refs[0], found, columns.CONTACT_SLOTS, options)
         if "normal_force_x" in found and "tangential_force_x" not in found:
             warn_user(
                 f"{source_of(refs[0])}: only normal forces ({found['normal_force_x']}, ...) were found, and they are "
@@ -91,10 +90,6 @@ class Lammps(Dumps):
         """Return the contacts with walls of a step; each grain may touch each wall once."""
         return replace(ref, kind=_WALLS, rows=ref.rows * len(columns.wall_columns(ref, options)))
 
-    def unread_forces(self, ref: StepRef, options: ReadOptions) -> str:
-        """Return a hint about columns that may hold the rest of the contact forces; "" without such columns."""
-        return "" if ref.kind == _WALLS else super().unread_forces(ref, options)
-
     def contact_variables(self, ref: StepRef, options: ReadOptions) -> list[str]:
         """Names of the variables that `read_contacts` returns."""
         return list(columns.WALL_CONTACTS) if ref.kind == _WALLS else super().contact_variables(ref, options)
@@ -102,14 +97,14 @@ class Lammps(Dumps):
     def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
         """Parse the contacts of one step: those between grains, or those in columns of the grains."""
         if ref.kind == _WALLS:
-            return columns.wall_contacts_from(ref, options, self.read_columns)
+            return columns.wall_contacts_from(ref, options, self)
         return super().read_contacts(ref, options)
 
     def ignored_columns(self, ref: StepRef, options: ReadOptions, *, contacts: bool = False) -> list[str]:
         """Columns of a step that are not read."""
         if ref.kind == _WALLS:
             return []
-        walls = () if contacts else columns.columns_of_walls(ref, options)
+        walls = set() if contacts else {*chain(*columns.columns_of_walls(options).values())}
         return [name for name in super().ignored_columns(ref, options, contacts=contacts) if name not in walls]
 
 
@@ -154,13 +149,13 @@ class Liggghts(Dumps):
 
     def index_contacts(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
         """List the steps of ``pair/gran/local`` files."""
-        refs = index_dumps(paths, options, atoms=False)
+        refs = self.list_steps(paths, options, contacts=True)
         self.contact_columns(refs[0], options)
         return refs
 
     def index_walls(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
         """List the steps of ``wall/gran/local`` files."""
-        refs = [replace(ref, kind="wall") for ref in index_dumps(paths, options, atoms=False)]
+        refs = [replace(ref, kind="wall") for ref in self.list_steps(paths, options, contacts=True)]
         self.contact_columns(refs[0], options)
         return refs
 
@@ -171,38 +166,39 @@ class Liggghts(Dumps):
             frame["contact_j"] = -(frame["contact_j"] + 1)
         return frame
 
-    def contact_columns(self, ref: StepRef, options: ReadOptions) -> dict[str, str]:
-        """Find the columns that contacts are read from, by their place where they have numbers for names."""
+    def contact_slots(self, ref: StepRef) -> columns.Slots:
+        """Return the columns that fill each slot, by their place where they have numbers for names."""
         if not is_numbered(ref.columns):
-            return super().contact_columns(ref, options)
+            return self.CONTACT_SLOTS
         layout = _WALL if ref.kind == "wall" else _PAIR
-        slots: columns.Slots = dict.fromkeys(columns.CONTACT_SLOTS, ()) | {
-            slot: ref.columns[at : at + 1] for slot, at in layout.items()
-        }
-        return columns.contact_columns(ref, slots, options)
+        return {slot: ref.columns[layout[slot] :][:1] if slot in layout else () for slot in self.CONTACT_SLOTS}
 
 
 # --- the index of steps, and the headers of texts ("ITEM: ...") ------------------------------------------
 
 _FORMS = (lammps_binary, lammps_netcdf)
+_NO_BODY = ("UNITS", "TIME", "TIMESTEP", "NUMBER OF", "BOX BOUNDS")  # how the other items of a header begin
+_LONGEST_HEADER = 1 << 20  # bytes
+_LARGEST = 2**63  # steps are int64
+_MOST_COLUMNS = 1000
+_SAMPLE, _TAIL = 1 << 14, 1 << 16  # bytes of a body and of its end, by which it is seen whether more follows
 
 
 def form_of(path: str) -> ModuleType | None:
     """Return the module that reads a binary dump; None for texts and other files."""
     with open(path, "rb") as file:
         head = file.read(64)
-    return next((form for form in _FORMS if form.begins(head)), None)
+    return next((form for form in _FORMS if head.startswith(tuple(form.MARKS))), None)
 
 
 def body_columns(path: str) -> tuple[str, tuple[str, ...]] | None:
     """Label and columns of the first body of a dump ("ATOMS", ("id", ...)), None where it is not a dump."""
     lines = first_lines(path)
-    if not lines or not lines[0].startswith("ITEM:"):
-        return None
-    for line in lines:
-        item = line.removeprefix("ITEM:").split()
-        if line.startswith("ITEM:") and item and _is_body(" ".join(item)):
-            return item[0], tuple(item[1:])
+    for line in lines if lines and lines[0].startswith("ITEM:") else ():
+        item = line.removeprefix("ITEM:").strip()
+        if line.startswith("ITEM:") and item and not item.startswith(_NO_BODY):
+            label, *names = item.split()
+            return label, tuple(names)
     return None
 
 
@@ -211,60 +207,23 @@ def is_numbered(names: Sequence[str]) -> bool:
     return len(names) in (12, 13) and all(re.fullmatch(rf"\w+\[{k}\]", name) for k, name in enumerate(names, 1))
 
 
-def _is_body(item: str) -> bool:
-    return item not in ("UNITS", "TIME", "TIMESTEP") and not item.startswith(("NUMBER OF", "BOX BOUNDS"))
-
-
-def index_dumps(paths: Sequence[str], options: ReadOptions, *, atoms: bool) -> list[StepRef]:
-    """List the steps of dump files.
-
-    A file is read through only where it may hold several steps: not where its name holds the number of its
-    first step and its size is that of one step.
-
-    Parameters
-    ----------
-    atoms : bool
-        True for per-atom dumps (``ITEM: ATOMS``), False for local ones.
-    """
-    timestep = options.extra.get("timestep")
-    refs: list[StepRef] = []
-    found = remembered(paths, f"dump {atoms=}", partial(_steps, atoms=atoms))
-    for path, steps in zip(paths, found, strict=True):
-        refs += steps
-        if not steps:
-            errors.raise_or_record(path, SceneError(f"{path}: the file is empty; expected a dump. Leave it out"))
-    if paths and not refs:
-        errors.raise_recorded()
-    if timestep is None:
-        return refs
-    if not is_positive(timestep):
-        raise SceneError(f"timestep={timestep!r}: expected a positive number, the time between two steps")
-    return [ref if ref.time is not None else replace(ref, time=ref.step * float(timestep)) for ref in refs]
-
-
 def _steps(path: str, *, atoms: bool) -> Iterator[StepRef]:
-    form = form_of(path)
-    if form is None:
-        yield from _steps_of_text(path, atoms=atoms)
-    elif atoms:
-        yield from form.steps_of(path)
-    else:
+    form, units = form_of(path), None
+    if form and not atoms:
         raise SceneError(
             f"{path}: LAMMPS writes particles in this form, and contacts as text; is this a file for particles=?"
         )
-
-
-def _steps_of_text(path: str, *, atoms: bool) -> Iterator[StepRef]:
-    units = None
-    with open_binary(path) as stream:
-        scanner = Scanner(stream, path, most_text(path))
+    if form:
+        yield from form.steps_of(path)
+        return
+    with scanned(path) as scanner:
         while True:
             start = scanner.offset
             try:
                 ref = _header(scanner, path, atoms=atoms)
                 if ref is None:
                     return
-                check_rows(ref, most_from(path) - ref.offset)
+                check_rows(ref)
                 units = ref.units or units  # LAMMPS writes the units once a file
                 ref = replace(ref, units=units)
                 rest = uncompressed_size(path) - ref.offset
@@ -282,15 +241,27 @@ def _steps_of_text(path: str, *, atoms: bool) -> Iterator[StepRef]:
 
 
 def _is_alone(ref: StepRef, rest: int, scanner: Scanner) -> bool:
-    """Return whether a step is the only one in its file, from its name and the length of its first rows."""
+    """Return whether a step is the only one in its file, from its name and the length of some of its rows.
+
+    Of a compressed file, these are the first ones. Another step after it makes the file longer, or is seen among the
+    last bytes of a plain one.
+    """
     numbers = [int(number) for number in re.findall(r"\d+", os.path.basename(ref.path))]
     if ref.step not in numbers or ref.rows == 0 or rest < 0:
         return False
-    if not compression(ref.path):
-        return is_one_table(ref.path, ref.offset, ref.rows, b"\nITEM:")
-    first = scanner.sample(1 << 14)
-    lines = first.count(b"\n")
-    return lines > 0 and rest < 1.5 * ref.rows * (first.rindex(b"\n") + 1) / lines
+    if compression(ref.path):
+        first = scanner.sample(_SAMPLE)
+        lines = first.count(b"\n")
+        return lines > 0 and rest < 1.5 * ref.rows * (first.rindex(b"\n") + 1) / lines
+    lines = length = 0
+    with open(ref.path, "rb") as file:
+        for place in (0, rest // 2, max(0, rest - _SAMPLE)):
+            file.seek(ref.offset + place)
+            block = file.read(_SAMPLE)
+            begin, end = (block.find(b"\n") + 1 if place else 0), block.rfind(b"\n") + 1
+            lines, length = lines + block.count(b"\n", begin, end), length + end - begin
+        file.seek(ref.offset + max(0, rest - max(_TAIL, rest // 32)))
+        return lines > 0 and rest < 1.03 * ref.rows * length / lines + _SAMPLE and b"\nITEM:" not in file.read()
 
 
 def _header(scanner: Scanner, path: str, *, atoms: bool) -> StepRef | None:
@@ -308,7 +279,7 @@ def _header(scanner: Scanner, path: str, *, atoms: bool) -> StepRef | None:
                 f"{path}: the header that begins at byte {start} has no end in {_LONGEST_HEADER} bytes; it is damaged"
             )
         item = line.removeprefix("ITEM:").strip()
-        if _is_body(item):
+        if not item.startswith(_NO_BODY):
             _check_header(ref, item.split(), atoms=atoms)
             return replace(ref, columns=tuple(item.split()[1:]), offset=scanner.offset)
         ref = _box(ref, scanner, item) if item.startswith("BOX BOUNDS") else _value(ref, scanner, item)
@@ -317,32 +288,18 @@ def _header(scanner: Scanner, path: str, *, atoms: bool) -> StepRef | None:
     raise SceneError(f"{path}: the header of step {ref.step} is cut off; leave out the step or the file")
 
 
-_LONGEST_HEADER = 1 << 20  # bytes
-_LARGEST = 2**63  # steps are int64
-_MOST_COLUMNS = 1000
-
-
-def _finite(text: str) -> float:
-    value = float(text)
-    if not np.isfinite(value):
-        raise ValueError
-    return value
-
-
 def _value(ref: StepRef, scanner: Scanner, item: str) -> StepRef:
     """Add an item of one value."""
     value = scanner.line().decode("utf-8", "replace").strip()
+    if item == "UNITS":
+        return replace(ref, units=value)
     try:
-        if item == "UNITS":
-            return replace(ref, units=value)
-        if item == "TIME":
-            return replace(ref, time=_finite(value))
-        number = int(value)
-        if not -_LARGEST < number < _LARGEST:
+        number: Any = float(value) if item == "TIME" else int(value)
+        if not abs(number) < _LARGEST:  # NaN is not
             raise ValueError
-        return replace(ref, step=number) if item == "TIMESTEP" else replace(ref, rows=number)
     except ValueError:
         raise SceneError(f"{ref.path}: {value[:60]!r} follows 'ITEM: {item}', expected a number") from None
+    return replace(ref, **{{"TIME": "time", "TIMESTEP": "step"}.get(item, "rows"): number})
 
 
 def _check_header(ref: StepRef, words: list[str], *, atoms: bool) -> None:
@@ -374,8 +331,8 @@ def _box(ref: StepRef, scanner: Scanner, item: str) -> StepRef:
         )
     tilted, flags = flags[:3] == ["xy", "xz", "yz"], [flag for flag in flags if flag not in ("xy", "xz", "yz")]
     try:
-        low, high, *tilts = np.array([[_finite(word) for word in line] for line in lines]).T
-        if len(tilts) != tilted:
+        low, high, *tilts = numbers = np.array([[float(word) for word in line] for line in lines]).T
+        if len(tilts) != tilted or not np.isfinite(numbers).all():
             raise ValueError
         ref = with_bounds(ref, low, high, tilts[0].tolist() if tilted else None)
     except ValueError:

@@ -39,20 +39,11 @@ def with_bounds(ref: StepRef, low: ArrayLike, high: ArrayLike, tilts: Sequence[f
     return replace(ref, box=tuple(zip(low.tolist(), high.tolist(), strict=True)), lattice=lattice)
 
 
-_MARKS = {struct.pack(f"{order}q", -len(word)) + word: order for order in "<>" for word in (b"DUMPCUSTOM", b"DUMPATOM")}
-_LONGEST_MARK = max(map(len, _MARKS))
+# how a file begins, and its order of bytes
+MARKS = {struct.pack(f"{order}q", -len(word)) + word: order for order in "<>" for word in (b"DUMPCUSTOM", b"DUMPATOM")}
 _MOST_COLUMNS = 1000
 _LONGEST_TEXT = 1 << 16  # bytes of the names of columns
 _NEWEST = 2  # revision
-
-
-def begins(head: bytes) -> bool:
-    """Return whether the first bytes identify a binary dump."""
-    return _mark(head) is not None
-
-
-def _mark(head: bytes) -> bytes | None:
-    return next((mark for mark in _MARKS if head.startswith(mark)), None)
 
 
 class _Header:
@@ -102,10 +93,11 @@ def steps_of(path: str) -> Iterator[StepRef]:
 
 
 def _read_header(header: _Header) -> StepRef:
-    mark = _mark(header.file.read(_LONGEST_MARK))
+    head = header.file.read(max(map(len, MARKS)))
+    mark = next((mark for mark in MARKS if head.startswith(mark)), None)
     if mark is None:
         header.refuse("does not begin with 'DUMPCUSTOM' or 'DUMPATOM'")
-    header.order = _MARKS[mark]
+    header.order = MARKS[mark]
     header.file.seek(header.start + len(mark))
     one, revision, step, rows, triclinic, *walls = header.numbers("iiqqi6i")
     if one != 1 or not 1 <= revision <= _NEWEST:
@@ -162,7 +154,8 @@ def _end_of_blocks(file: BinaryIO, ref: StepRef, size: int) -> int:
 def _order_of(path: str) -> str:
     """Order of bytes of a file."""
     with open(path, "rb") as file:
-        return _MARKS.get(_mark(file.read(_LONGEST_MARK)) or b"", "<")
+        head = file.read(max(map(len, MARKS)))
+    return next((order for mark, order in MARKS.items() if head.startswith(mark)), "<")
 
 
 def read_columns(ref: StepRef, wanted: Iterable[str]) -> dict[str, NDArray]:

@@ -127,6 +127,7 @@ def read_columns(ref: StepRef, wanted: Iterable[str]) -> dict[str, NDArray]:
 # Format Specification, and that of CDF-5 (Unidata).
 
 
+MARKS = (b"CDF\x01", b"CDF\x02", b"CDF\x05")  # how a file begins
 _TYPES = dict(enumerate(("i1", "S1", ">i2", ">i4", ">f4", ">f8", "u1", ">u2", ">u4", ">i8", ">u8"), 1))
 _FARTHEST = 1 << 60  # byte of a file; further ones cannot be addressed
 _MOST = 10_000  # dimensions, variables, or attributes of one of them
@@ -146,11 +147,6 @@ class ClassicVariable:
     begin: int
     recorded: bool
     length: int
-
-
-def begins(head: bytes) -> bool:
-    """Return whether the first bytes identify a classic NetCDF format."""
-    return head[:3] == b"CDF" and head[3:4] in (b"\x01", b"\x02", b"\x05")
 
 
 class ClassicFile:
@@ -178,7 +174,7 @@ class ClassicFile:
         with open(path, "rb") as file:
             self._file: BinaryIO = file
             head = self._bytes(4)
-            if not begins(head):
+            if head not in MARKS:
                 self.refuse("is no NetCDF in a classic format")
             self._wide, self._far = head[3] == 5, head[3] > 1
             told = self._count(most=None)

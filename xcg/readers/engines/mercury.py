@@ -11,37 +11,36 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError
 from xcg.readers import columns
-from xcg.readers.engine import Engine, ReadOptions, StepRef
+from xcg.readers.columns import Columnar
+from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.files.table import parse_table, read_table
-from xcg.readers.files.text import Scanner, check_rows, first_lines, most_from, most_text, open_binary, source_of
-from xcg.readers.paths import remembered
+from xcg.readers.files.text import Scanner, check_rows, first_lines, scanned, source_of
+from xcg.readers.paths import index_steps
 from xcg.scene.schema import COMPONENTS, Frame
-from xcg.steps import faults as errors
 
 _ROW_3D = ("x", "y", "z", "vx", "vy", "vz", "radius", "alpha", "beta", "gamma", "omx", "omy", "omz", "species")
 _ROW_2D = ("x", "y", "vx", "vy", "radius", "alpha", "om", "species")
 _CONTACT = ("t", "i", "j", "cx", "cy", "cz", "delta", "ctheta", "fn", "ft", "nx", "ny", "nz", "tx", "ty", "tz")
-_OWN_COLUMNS = {
-    "species": ("species",),
-    **{f"angular_velocity_{axis}": (f"om{axis}", *(["om"] if axis == "z" else [])) for axis in COMPONENTS},
-}
-_SLOTS: columns.Slots = {
-    slot: _OWN_COLUMNS.get(slot, found)
-    for slot, found in columns.PARTICLE_SLOTS.items()
-    if slot != "particle_id"  # the row is the id
-}
 
 
-class Mercury(Engine):
+class Mercury(Columnar):
     """Files ``.data``, ``.fstat`` and ``.restart`` of MercuryDPM."""
 
     OPTIONS = ("restart",)
+    NEEDS_ID = False
+    PARTICLE_SLOTS: ClassVar[columns.Slots] = {
+        **columns.PARTICLE_SLOTS,
+        "species": ("species",),
+        **{f"angular_velocity_{axis}": (f"om{axis}",) for axis in COMPONENTS},
+        "angular_velocity_z": ("omz", "om"),
+    }
 
     def recognises(self, path: str) -> bool:
         """Return whether a file is ``.data`` (header of 8, in 2D 6, numbers) or ``.fstat`` (three comment lines)."""
@@ -51,39 +50,31 @@ class Mercury(Engine):
             return len(lines) >= 3 and all(line.startswith("#") for line in lines[:3])
         return ".data" in name and bool(lines) and _header(lines[0]) is not None
 
-    def index_particles(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
-        """List the steps of ``.data`` files, numbered from 0 over all files."""
-        refs: list[StepRef] = []
-        for path, steps in zip(paths, remembered(paths, "mercury data", _data_steps), strict=True):
-            restart = read_restart(path, options)
-            for ref in steps:
-                refs.append(
-                    replace(ref, step=len(refs), periodic=restart.periodic, gravity=restart.gravity)
-                    if restart
-                    else replace(ref, step=len(refs))
-                )
-            _refuse_empty(path, len(steps))
-        return refs
+    def list_steps(self, paths: Sequence[str], options: ReadOptions, *, contacts: bool) -> list[StepRef]:
+        """List the steps, numbered from 0 over all files.
 
-    def index_contacts(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
-        """List the steps of ``.fstat`` files; as no header counts the rows, ids are read to count them."""
-        found = remembered(paths, "mercury fstat", _fstat_steps)
-        for path, steps in zip(paths, found, strict=True):
-            _refuse_empty(path, len(steps))
-        return [replace(ref, step=step) for step, ref in enumerate(ref for refs in found for ref in refs)]
+        As no header of ``.fstat`` counts the rows, ids are read to count them.
+        """
+        if contacts:
+            return [replace(ref, step=k) for k, ref in enumerate(index_steps(paths, "mercury fstat", _fstat_steps))]
+        refs = index_steps(paths, "mercury data", _data_steps)
+        restarts = {path: read_restart(path, options) or Restart(path, periodic=None) for path in paths}
+        return [
+            replace(ref, step=k, periodic=restarts[ref.path].periodic, gravity=restarts[ref.path].gravity)
+            for k, ref in enumerate(refs)
+        ]
+
+    def contact_columns(self, ref: StepRef, options: ReadOptions, slots: columns.Slots | None = None) -> dict[str, str]:
+        """Return the columns of contacts, which are all read."""
+        return dict(zip(ref.columns, ref.columns, strict=True))
 
     def contact_variables(self, ref: StepRef, options: ReadOptions) -> list[str]:
         """Names of the variables that `read_contacts` returns."""
         return ["contact_i", "contact_j", "contact_force", "contact_point", "contact_normal", "overlap"]
 
-    def ignored_columns(self, ref: StepRef, options: ReadOptions, *, contacts: bool = False) -> list[str]:
-        """Columns of a step that are not read: orientations of particles."""
-        read = [] if contacts else columns.particle_columns(ref, _SLOTS, options).values()
-        return [] if contacts else [column for column in ref.columns if column not in read]
-
     def read_particles(self, ref: StepRef, options: ReadOptions) -> Frame:
         """Parse the particles of one step; the restart file knows the density of each species."""
-        frame = columns.particles_from(ref, columns.particle_columns(ref, _SLOTS, options), options)
+        frame = super().read_particles(ref, options)
         restart = read_restart(ref.path, options)
         if restart and restart.density and "species" in frame and not {"density", "mass"} & set(frame):
             unknown = set(np.unique(frame["species"])) - set(restart.density)
@@ -123,8 +114,7 @@ class Mercury(Engine):
 
 
 def _data_steps(path: str) -> Iterator[StepRef]:
-    with open_binary(path) as stream:
-        scanner = Scanner(stream, path, most_text(path))
+    with scanned(path) as scanner:
         while line := scanner.line():
             if not line.strip():
                 continue
@@ -140,7 +130,7 @@ def _data_steps(path: str) -> Iterator[StepRef]:
             ref = StepRef(
                 path, int(rows), time, box=tuple(box), columns=_ROW_3D if axes == 3 else _ROW_2D, offset=scanner.offset
             )
-            check_rows(ref, most_from(path) - ref.offset)
+            check_rows(ref)
             for row in range(ref.rows):
                 if not scanner.line():
                     raise SceneError(
@@ -162,40 +152,30 @@ def _header(line: str) -> list[float] | None:
 # --- contacts --------------------------------------------------------------------------------------------
 
 
-def _refuse_empty(path: str, steps: int) -> None:
-    if not steps:
-        errors.raise_or_record(path, SceneError(f"{path}: the file is empty; leave it out"))
-
-
 def _fstat_steps(path: str) -> Iterator[StepRef]:
-    with open_binary(path) as stream:
-        scanner = Scanner(stream, path, most_text(path))
+    with scanned(path) as scanner:
         step = 0
-        while time := _comments(scanner, path):
+        while (time := _comments(scanner, path)) is not None:
             start = scanner.offset
             body = b"".join(scanner.until(b"#"))
-            ref = StepRef(path, 0, float(time), step, columns=_CONTACT, offset=start, length=len(body))
+            ref = StepRef(path, 0, time, step, columns=_CONTACT, offset=start, length=len(body))
             ids = parse_table(body, _CONTACT, ("i", "j"), None, source_of(ref))
             yield replace(ref, rows=int(_once(ids["i"], ids["j"]).sum()))
             step += 1
 
 
-def _comments(scanner: Scanner, path: str) -> str:
-    """Time in the three comment lines before a step, "" at the end of the file."""
+def _comments(scanner: Scanner, path: str) -> float | None:
+    """Time in the three comment lines before a step, None at the end of the file."""
     lines = [scanner.line().decode("utf-8", "replace") for _ in range(3)]
     if not any(lines):
-        return ""
-    words = lines[0].removeprefix("#").split()
-    if not all(line.startswith("#") for line in lines) or not words or not _is_float(words[0]):
-        raise SceneError(f"{path}: expected three lines with '#' and the time in the first, found {lines[0][:60]!r}")
-    return words[0]
-
-
-def _is_float(word: str) -> bool:
+        return None
     try:
-        return np.isfinite(float(word)).item()
-    except ValueError:
-        return False
+        time = float(lines[0].removeprefix("#").split()[0])
+    except (ValueError, IndexError):
+        time = np.nan
+    if not all(line.startswith("#") for line in lines) or not np.isfinite(time):
+        raise SceneError(f"{path}: expected three lines with '#' and the time in the first, found {lines[0][:60]!r}")
+    return time
 
 
 def _once(i: NDArray, j: NDArray) -> NDArray:
@@ -216,7 +196,7 @@ class Restart:
 
     path: str
     gravity: tuple[float, float, float] | None = None
-    periodic: str = ""
+    periodic: str | None = ""
     density: Mapping[float, float] = field(default_factory=dict)
 
 
@@ -230,8 +210,7 @@ def read_restart(data: str, options: ReadOptions) -> Restart | None:
     if given is None and not Path(path).is_file():
         return None
     restart, density, periodic = Restart(path), {}, set()
-    with open_binary(path) as stream:
-        scanner = Scanner(stream, path, most_text(path))
+    with scanned(path) as scanner:
         while raw := scanner.line():
             words = raw.decode("utf-8", "replace").split()
             if words[:1] == ["Particles"]:

@@ -17,14 +17,15 @@ What its contacts hold was checked on its output, against the positions of the p
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from xcg.common.messages import SceneError, warn_user
-from xcg.readers.engine import Engine, ReadOptions, StepRef
+from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.engines.mfix_contacts import (
     EXACT,
     both_sides_once,
@@ -33,72 +34,53 @@ from xcg.readers.engines.mfix_contacts import (
     of_superquadrics,
     periods_of,
 )
-from xcg.readers.engines.vtk import is_vtk, list_steps, open_step, read_particle_arrays, require_contacts, targets
+from xcg.readers.engines.vtk import Vtk, is_vtk, open_step
 from xcg.readers.files import vtp
 from xcg.scene.schema import COMPONENTS, Frame
 
-# The first of two arrays for the same name is taken.
-PARTICLE_NAMES = {
-    "Diameter": "diameter",
-    "Velocity": "velocity",
-    "Angular_velocity": "angular_velocity",
-    "Density": "density",
-    "Mass": "mass",
-    "Volume": "volume",
-    "Particle_ID": "particle_id",
-    "ID": "particle_id",  # in the old DES files
-    "Particle_Phase_ID": "species",
-    "Coordination": "coordination_number",
-}
-CONTACT_NAMES = {
-    "FORCE_CHAIN_GLOBAL_ID1": "contact_i",
-    "FORCE_CHAIN_GLOBAL_ID2": "contact_j",
-    "Particle_ID_1": "contact_i",
-    "Particle_ID_2": "contact_j",
-    "FORCE_CHAIN_FC": "contact_force",
-    "FORCE_CHAIN_OVERLAP": "overlap",
-}
 _NORMAL, _TANGENTIAL, _OVERLAP = "FORCE_CHAIN_FN", "FORCE_CHAIN_FT", "FORCE_CHAIN_OVERLAP"
 _POINT, _LENGTH = "FORCE_CHAIN_CONTACT_POINT", "FORCE_CHAIN_LENGTH"
 _SHAPES = "SQP_"  # begins the names of the shapes that files of superquadrics list, by phase: three half-axes, m, n
-_QUATERNION, _SCALE, _PHASE = "QUATERNION", "SQP_POLY_SCALE", "Particle_Phase_ID"
-_ADVICE = (
-    "Expected FORCE_CHAIN_GLOBAL_ID1 and _ID2, and FORCE_CHAIN_FC (or FORCE_CHAIN_FN and FORCE_CHAIN_FT): switch them "
-    "on in the region's output, or map others with names={'...': 'contact_i'}"
-)
+_SHAPE = _QUATERNION, _SCALE, _PHASE = "QUATERNION", "SQP_POLY_SCALE", "Particle_Phase_ID"
 
 
-class Mfix(Engine):
+class Mfix(Vtk):
     """Region output of MFiX-DEM."""
+
+    PARTICLE_NAMES: ClassVar = {
+        "Diameter": "diameter",
+        "Velocity": "velocity",
+        "Angular_velocity": "angular_velocity",
+        "Density": "density",
+        "Mass": "mass",
+        "Volume": "volume",
+        "Particle_ID": "particle_id",
+        "ID": "particle_id",  # in the old DES files
+        "Particle_Phase_ID": "species",
+        "Coordination": "coordination_number",
+    }
+    CONTACT_NAMES: ClassVar = {
+        "FORCE_CHAIN_GLOBAL_ID1": "contact_i",
+        "FORCE_CHAIN_GLOBAL_ID2": "contact_j",
+        "Particle_ID_1": "contact_i",
+        "Particle_ID_2": "contact_j",
+        "FORCE_CHAIN_FC": "contact_force",
+        "FORCE_CHAIN_OVERLAP": "overlap",
+    }
+    LINES = False
+    ADVICE = (
+        "Expected FORCE_CHAIN_GLOBAL_ID1 and _ID2, and FORCE_CHAIN_FC (or FORCE_CHAIN_FN and FORCE_CHAIN_FT): switch "
+        "them on in the region's output, or map others with names={'...': 'contact_i'}"
+    )
 
     def recognises(self, path: str) -> bool:
         """Return whether this is a VTK PolyData file or a collection of them."""
         return is_vtk(path, (".vtp", ".pvd"), b"PolyData", b"Collection")
 
     def index_particles(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
-        """List the steps of particles from the headers of ``.vtp`` files.
-
-        Parameters
-        ----------
-        paths : sequence of str
-            ``.vtp`` files of one region, or ``.pvd`` collections, whose times are taken where the files say none.
-        options : ReadOptions
-            ``extra["missing"]`` is "raise" (default) or "skip": what to do about files that do not exist.
-
-        Raises
-        ------
-        SceneError
-            If files are missing, damaged, or of several regions.
-
-        Warns
-        -----
-        SceneWarning
-            For files that are missing and skipped, steps dropped because their time occurs twice with other
-            content, and particles without ids.
-        """
-        refs = list_steps(paths, options)
-        found = [targets(ref, "particle", options, PARTICLE_NAMES) for ref in refs]
-        nameless = [ref for ref, target in zip(refs, found, strict=True) if "particle_id" not in target]
+        """List the steps of particles, with a warning where they have no ids."""
+        refs = super().index_particles(paths, options)
+        nameless = [ref for ref in refs if "particle_id" not in self.targets(ref, options)]
         if nameless:
             warn_user(
                 f"{nameless[0].path}: no array 'Particle_ID', so particles are numbered as they stand: rows "
@@ -107,35 +89,24 @@ class Mfix(Engine):
             )
         return refs
 
-    def index_contacts(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
-        """List the steps of contacts from the headers of ``.vtp`` files; see `index_particles`.
-
-        Raises
-        ------
-        SceneError
-            Also if ids or forces are not among the arrays.
-        """
-        refs = list_steps(paths, options)
-        for ref in refs:
-            require_contacts(ref, self.contact_variables(ref, options), _ADVICE)
-        return refs
-
     def contact_variables(self, ref: StepRef, options: ReadOptions) -> list[str]:
         """List the variables that `read_contacts` returns, from the header alone."""
-        found = targets(ref, "contact", options, CONTACT_NAMES)
+        found = self.targets(ref, options, contacts=True)
         if {_NORMAL, _TANGENTIAL} <= set(ref.columns):
             found.setdefault("contact_force", "")
         return list(found)
 
+    def targets(self, ref: StepRef, options: ReadOptions, *, contacts: bool = False) -> dict[str, str]:
+        """Scene names and the arrays that they are read from; of particles also the arrays of their shapes."""
+        found = super().targets(ref, options, contacts=contacts)
+        if contacts:
+            return found
+        return found | {array: array for array in _SHAPE if array in ref.columns and array not in options.names}
+
     def ignored_columns(self, ref: StepRef, options: ReadOptions, *, contacts: bool = False) -> list[str]:
         """Arrays of a step that are not read."""
-        dim, known = ("contact", CONTACT_NAMES) if contacts else ("particle", PARTICLE_NAMES)
-        read = {*targets(ref, dim, options, known).values()}
-        if not contacts:
-            read |= {_QUATERNION, _SCALE} - options.names.keys()
-        else:
-            read |= {_NORMAL, _TANGENTIAL, _OVERLAP, _POINT, _LENGTH}
-        return [array for array in ref.columns if array not in read]
+        read = {_NORMAL, _TANGENTIAL, _OVERLAP, _POINT, _LENGTH} if contacts else set()
+        return [name for name in super().ignored_columns(ref, options, contacts=contacts) if name not in read]
 
     def read_particles(self, ref: StepRef, options: ReadOptions) -> Frame:
         """Parse the particles of one step.
@@ -150,12 +121,8 @@ class Mfix(Engine):
         SceneError
             If the file is damaged or changed since it was indexed, or ids are too large for Float32.
         """
-        shape = [
-            array for array in (_QUATERNION, _SCALE, _PHASE) if array in ref.columns and array not in options.names
-        ]
-        wanted = targets(ref, "particle", options, PARTICLE_NAMES) | {array: array for array in shape}
-        frame = read_particle_arrays(ref, wanted)
-        frame |= _shapes(ref, {array: frame.pop(array) for array in shape})
+        frame = super().read_particles(ref, options)
+        frame |= _shapes(ref, {array: frame.pop(array) for array in _SHAPE if array in frame})
         ids = frame.get("particle_id", np.empty(0))
         if ids.size and ids.max() >= EXACT and len(np.unique(ids)) < len(ids):
             raise SceneError(
@@ -180,7 +147,7 @@ class Mfix(Engine):
         SceneError
             If the file is damaged or changed since it was indexed, or holds superquadrics without contact points.
         """
-        rows = _Rows.of(ref, options)
+        rows = _Rows.of(ref, options, self.targets(ref, options, contacts=True))
         spheres, others = np.flatnonzero(~rows.superquadric), np.flatnonzero(rows.superquadric)
         frame = {name: values[spheres] for name, values in rows.frame.items()}
         frame = each_contact_once(frame, rows.mark[spheres], rows.place[spheres])
@@ -195,7 +162,7 @@ class Mfix(Engine):
 
         The extent of the particles' centres is not a period: it is short by about a diameter.
         """
-        return _periods(_Rows.of(ref, options))
+        return _periods(_Rows.of(ref, options, self.targets(ref, options, contacts=True)))
 
 
 def _shapes(ref: StepRef, arrays: Frame) -> Frame:
@@ -243,9 +210,8 @@ class _Rows:
     superquadric: NDArray
 
     @classmethod
-    def of(cls, ref: StepRef, options: ReadOptions) -> _Rows:
+    def of(cls, ref: StepRef, options: ReadOptions, found: Mapping[str, str]) -> _Rows:
         header = open_step(ref)
-        found = targets(ref, "contact", options, CONTACT_NAMES)
         points, more = header.names[0], {_NORMAL, _TANGENTIAL, _OVERLAP, _POINT, _LENGTH}
         arrays = vtp.read_arrays(header, [*found.values(), points, *sorted(more & set(header.names))])
         frame: Frame = {name: arrays[array] for name, array in found.items()}

@@ -5,9 +5,7 @@ A file holds one step, or several that a column of times separates, whose rows a
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -21,8 +19,7 @@ from xcg.readers.columns import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
 from xcg.readers.files.table import read_csv, read_parquet, scan_csv, scan_parquet
 from xcg.readers.files.text import plain_name
-from xcg.readers.paths import remembered
-from xcg.steps import faults as errors
+from xcg.readers.paths import index_steps
 
 _CLOCK = ("time", "step")
 
@@ -44,18 +41,10 @@ class Table(Columnar):
         """Return whether the suffix is that of a table."""
         return _suffix(path) in (".csv", ".tsv", ".parquet")
 
-    def index_particles(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
-        """List the steps of particles, from the column of times where there is one."""
-        refs = _index(paths, options)
-        found = self.particle_columns(refs[0], options)
-        columns.warn_of_ignored(refs[0], found, self.PARTICLE_SLOTS, options)
-        return refs
-
-    def index_contacts(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
-        """List the steps of contacts."""
-        refs = _index(paths, options)
-        columns.warn_of_ignored(refs[0], self.contact_columns(refs[0], options), self.CONTACT_SLOTS, options)
-        return refs
+    def list_steps(self, paths: Sequence[str], options: ReadOptions, *, contacts: bool) -> list[StepRef]:
+        """List the steps of particles or contacts, from the column of times where there is one."""
+        clock = {name: target for name, target in options.names.items() if target in _CLOCK}
+        return index_steps(paths, f"table {clock}", partial(_steps, given=clock), options.extra.get("timestep"))
 
     def read_columns(
         self, ref: StepRef, wanted: Iterable[str], rows: int | None, options: ReadOptions
@@ -63,14 +52,6 @@ class Table(Columnar):
         """Read columns of one step."""
         read = read_parquet if _suffix(ref.path) == ".parquet" else read_csv
         return read(ref, sorted(set(wanted)), options)
-
-    def particle_columns(self, ref: StepRef, options: ReadOptions) -> dict[str, str]:
-        """Find the columns that particles are read from."""
-        return super().particle_columns(ref, without_clock(options))
-
-    def contact_columns(self, ref: StepRef, options: ReadOptions) -> dict[str, str]:
-        """Find the columns that contacts are read from."""
-        return super().contact_columns(ref, without_clock(options))
 
     def ignored_columns(self, ref: StepRef, options: ReadOptions, *, contacts: bool = False) -> list[str]:
         """Columns of a step that are not read."""
@@ -92,38 +73,12 @@ def clock_of(names: Sequence[str], given: Mapping[str, str | None]) -> dict[str,
     return found
 
 
-def without_clock(options: ReadOptions) -> ReadOptions:
-    """Return the options without the names of times and step numbers."""
-    return replace(options, names={name: target for name, target in options.names.items() if target not in _CLOCK})
-
-
-def _index(paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
-    clock = {name: target for name, target in options.names.items() if target in _CLOCK}
-    timestep = options.extra.get("timestep")
-    refs: list[StepRef] = []
-    for path, steps in zip(paths, remembered(paths, f"table {clock}", partial(_steps, given=clock)), strict=True):
-        digits = re.findall(r"\d+", Path(path).name)
-        for ref in steps:
-            if ref.step < 0 and len(steps) == 1 and digits:
-                ref = replace(ref, step=int(digits[-1]))
-            refs.append(ref)
-    if not refs:
-        errors.raise_recorded()
-    numbered = [ref if ref.step >= 0 else replace(ref, step=k - len(refs)) for k, ref in enumerate(refs)]
-    if timestep is None:
-        return numbered
-    first = min(numbered[0].step, 0)
-    return [
-        ref if ref.time is not None else replace(ref, time=(ref.step - first) * float(str(timestep)))
-        for ref in numbered
-    ]
-
-
 def _steps(path: str, given: Mapping[str, str | None]) -> Iterator[StepRef]:
     scan = scan_parquet if _suffix(path) == ".parquet" else scan_csv
     found = scan(path, lambda names: clock_of(names, given))
     clock = clock_of(found.columns, given)
-    for first, stop in runs_of({what: found.clock[name] for what, name in clock.items()}, found.rows, path):
+    runs = runs_of({what: found.clock[name] for what, name in clock.items()}, found.rows, path)
+    for first, stop in runs:
         told = {what: found.clock[name][first] for what, name in clock.items()}
         offset, length = found.place(first, stop)
         yield StepRef(
@@ -152,9 +107,9 @@ def runs_of(clock: Mapping[str, NDArray], rows: int, path: str) -> list[tuple[in
     if not rows:
         raise SceneError(f"{path}: no rows follow the names of the columns")
     edges = [0, *(np.flatnonzero(np.diff(key)) + 1).tolist(), rows]
-    firsts = key[edges[:-1]]
-    if len(np.unique(firsts)) < len(firsts):
-        twice = next(value for k, value in enumerate(firsts) if value in firsts[:k])
+    firsts = key[edges[:-1]].tolist()
+    if len(set(firsts)) < len(firsts):
+        twice = next(value for value in firsts if firsts.count(value) > 1)
         raise SceneError(
             f"{path}: rows of the {next(iter(clock))} {twice!r} stand apart from each other; sort the table by it"
         )

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import xarray as xr
@@ -41,7 +42,8 @@ def list_steps(paths: Sequence[str], options: ReadOptions, *, lines: bool = Fals
     for number, ((path, listed), steps) in enumerate(zip(there, found, strict=True)):
         digits = re.findall(r"\d+", os.path.basename(path))
         for ref in steps:  # one, or none where the file is at fault
-            refs.append(replace(ref, time=_time(ref.time, listed), step=int(digits[-1]) if digits else number))
+            step = int(digits[-1]) if digits else number
+            refs.append(replace(ref, time=_time(ref.time, listed), step=step, named=True))
     return _once(refs)
 
 
@@ -65,7 +67,9 @@ def _existing(paths: Sequence[str], options: ReadOptions) -> list[tuple[str, flo
         except errors.FAULTS as error:
             if not errors.record_fault(path, error):
                 raise
-    listed = [(_packed(path), time) for path, time in listed]
+    # a list may name files that were compressed later
+    packed = {path: [path, *(path + ending for ending in ENDINGS)] for path, _ in listed}
+    listed = [(next(filter(os.path.isfile, packed[path]), path), time) for path, time in listed]
     there = [entry for entry in listed if os.path.isfile(entry[0])]  # a pipe would be waited for
     # MFiX lists its last frame twice: a copy that is gone is not missed.
     times = {time for _, time in there if time is not None}
@@ -75,14 +79,9 @@ def _existing(paths: Sequence[str], options: ReadOptions) -> list[tuple[str, flo
         if missing == "raise" or not there:
             way_out = "pass missing='skip' to go on with the others" if there else "check the path"
             raise SceneError(f"{shown}; restore them, or {way_out}")
-        warn_user(f"{shown}; they are skipped")
+        if not errors.record_fault(str(paths[0]), SceneError(f"{shown}; they are skipped")):
+            warn_user(f"{shown}; they are skipped")
     return there
-
-
-def _packed(path: str) -> str:
-    """Name the file, or the compressed one in its place where it was packed after a list named it."""
-    beside = [path + ending for ending in ENDINGS if os.path.isfile(path + ending)]
-    return path if os.path.isfile(path) or not beside else beside[0]
 
 
 def _time(own: float | None, listed: float | None) -> float | None:
@@ -116,28 +115,6 @@ def _region(ref: StepRef) -> str:
     return re.sub(r"\d+(?=\D*$)", "", Path(plain_name(ref.path)).stem)
 
 
-def targets(ref: StepRef, dim: str, options: ReadOptions, known: Mapping[str, str]) -> dict[str, str]:
-    """Scene names of one dimension and the arrays that they are read from.
-
-    Arrays are `known` by their name, unless `options` say otherwise; the first of two for the same name is taken.
-    """
-    columns, path = ref.columns, ref.path
-    points = {} if ref.kind == LINES else {columns[0]: "position" if dim == "particle" else "contact_point"}
-    defaults = points | dict(known)
-    given = {a: name for a, name in options.names.items() if name is not None and variable(name).dims[0] == dim}
-    absent = [array for array in given if array not in columns]
-    if absent:
-        raise SceneError(f"{path}: names= maps {absent}, which are not in this file; it holds {list(columns)}")
-    twice = [name for name in given.values() if list(given.values()).count(name) > 1]
-    if twice:
-        raise SceneError(f"names= maps several arrays to {sorted(set(twice))}; expected one array a name")
-    found = {name: array for array, name in given.items()}
-    for array, name in defaults.items():
-        if array in columns and array not in options.names:
-            found.setdefault(name, array)
-    return {name: array for name, array in found.items() if name not in options.unwanted}
-
-
 def open_step(ref: StepRef) -> vtp.Header:
     """Read the header of a step again, which has to be as it was."""
     header = vtp.read_header(ref.path, lines=ref.kind == LINES)
@@ -152,88 +129,128 @@ def read_arrays(ref: StepRef, wanted: Mapping[str, str]) -> Frame:
     return {name: arrays[array] for name, array in wanted.items()}
 
 
-def read_particle_arrays(ref: StepRef, wanted: Mapping[str, str]) -> Frame:
-    """Read the variables of particles; radii become diameters."""
-    frame = read_arrays(ref, wanted)
-    if "radius" in frame:
-        frame.setdefault("diameter", 2 * frame.pop("radius"))
-    return frame
-
-
-def require_contacts(ref: StepRef, there: Sequence[str], advice: str) -> None:
-    """Raise SceneError for contacts without ids or forces; the advice is a sentence."""
-    lacking = [name for name in ("contact_i", "contact_j", "contact_force") if name not in there]
-    if lacking:
-        raise SceneError(f"{ref.path}: contacts lack {lacking}; found {list(ref.columns)}. {advice}")
-
-
-# Arrays of spheres as YADE's VTKRecorder, LIGGGHTS' dump custom/vtk and many others call them.
-_PARTICLE_NAMES = {
-    "radii": "radius",
-    "radius": "radius",
-    "Radius": "radius",
-    "diameter": "diameter",
-    "Diameter": "diameter",
-    "linVelVec": "velocity",
-    "v": "velocity",
-    "velocity": "velocity",
-    "Velocity": "velocity",
-    "angVelVec": "angular_velocity",
-    "omega": "angular_velocity",
-    "mass": "mass",
-    "Mass": "mass",
-    "density": "density",
-    "Density": "density",
-    "id": "particle_id",
-    "materialId": "species",
-    "type": "species",
-}
-_ADVICE = "Say which arrays they are, as in names={'...': 'contact_i'}"
-
-
 class Vtk(Engine):
-    """Points and lines of any code, one step a file; arrays by ``names=``."""
+    """Points and lines of any code, one step a file; arrays by ``names=``.
+
+    Attributes
+    ----------
+    PARTICLE_NAMES, CONTACT_NAMES : mapping
+        Arrays that are taken for variables of the scene without ``names=``; the first of two for one variable counts.
+    LINES : bool
+        Whether contacts are lines where a file holds any; else they are points.
+    ADVICE : str
+        What to do about contacts without ids or forces, a sentence.
+    """
+
+    # Arrays of spheres as YADE's VTKRecorder, LIGGGHTS' dump custom/vtk and many others call them.
+    PARTICLE_NAMES: ClassVar[Mapping[str, str]] = {
+        "radii": "radius",
+        "radius": "radius",
+        "Radius": "radius",
+        "diameter": "diameter",
+        "Diameter": "diameter",
+        "linVelVec": "velocity",
+        "v": "velocity",
+        "velocity": "velocity",
+        "Velocity": "velocity",
+        "angVelVec": "angular_velocity",
+        "omega": "angular_velocity",
+        "mass": "mass",
+        "Mass": "mass",
+        "density": "density",
+        "Density": "density",
+        "id": "particle_id",
+        "materialId": "species",
+        "type": "species",
+    }
+    CONTACT_NAMES: ClassVar[Mapping[str, str]] = {}
+    LINES: ClassVar[bool] = True
+    ADVICE: ClassVar[str] = "Say which arrays they are, as in names={'...': 'contact_i'}"
 
     def recognises(self, path: str) -> bool:
         """Return whether this is an unstructured grid; PolyData is read as MFiX's unless an engine is named."""
         return is_vtk(path, (".vtu",), b"UnstructuredGrid")
 
     def index_particles(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
-        """List the steps of particles from the headers of files, or of the ``.pvd`` collections that name them."""
-        refs = list_steps(paths, options)
-        for ref in refs:
-            targets(ref, "particle", options, _PARTICLE_NAMES)
-        return refs
+        """List the steps of particles from the headers of files, or of the ``.pvd`` collections that name them.
 
-    def index_contacts(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
-        """List the steps of contacts, which are points, or lines where a file holds any.
+        Parameters
+        ----------
+        paths : sequence of str
+            Files of one region, or ``.pvd`` collections, whose times are taken where the files say none.
+        options : ReadOptions
+            ``extra["missing"]`` is "raise" (default) or "skip": what to do about files that do not exist.
 
         Raises
         ------
         SceneError
-            If ids or forces are not among the arrays.
+            If files are missing, damaged, or of several regions.
+
+        Warns
+        -----
+        SceneWarning
+            For files that are missing and skipped, and steps dropped because their time occurs twice with other
+            content.
         """
-        refs = list_steps(paths, options, lines=True)
+        refs = list_steps(paths, options)
         for ref in refs:
-            require_contacts(ref, self.contact_variables(ref, options), _ADVICE)
+            self.targets(ref, options)
         return refs
+
+    def index_contacts(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
+        """List the steps of contacts from the headers of files; see `index_particles`.
+
+        Raises
+        ------
+        SceneError
+            Also if ids or forces are not among the arrays.
+        """
+        refs = list_steps(paths, options, lines=self.LINES)
+        for ref in refs:
+            there = self.contact_variables(ref, options)
+            lacking = [name for name in ("contact_i", "contact_j", "contact_force") if name not in there]
+            if lacking:
+                raise SceneError(f"{ref.path}: contacts lack {lacking}; found {list(ref.columns)}. {self.ADVICE}")
+        return refs
+
+    def targets(self, ref: StepRef, options: ReadOptions, *, contacts: bool = False) -> dict[str, str]:
+        """Scene names of particles or contacts, and the arrays that they are read from."""
+        dim, known = ("contact", self.CONTACT_NAMES) if contacts else ("particle", self.PARTICLE_NAMES)
+        columns, path = ref.columns, ref.path
+        points = {} if ref.kind == LINES else {columns[0]: "position" if dim == "particle" else "contact_point"}
+        defaults = points | dict(known)
+        given = {a: name for a, name in options.names.items() if name is not None and variable(name).dims[0] == dim}
+        absent = [array for array in given if array not in columns]
+        if absent:
+            raise SceneError(f"{path}: names= maps {absent}, which are not in this file; it holds {list(columns)}")
+        twice = [name for name in given.values() if list(given.values()).count(name) > 1]
+        if twice:
+            raise SceneError(f"names= maps several arrays to {sorted(set(twice))}; expected one array a name")
+        found = {name: array for array, name in given.items()}
+        for array, name in defaults.items():
+            if array in columns and array not in options.names:
+                found.setdefault(name, array)
+        return {name: array for name, array in found.items() if name not in options.unwanted}
 
     def contact_variables(self, ref: StepRef, options: ReadOptions) -> list[str]:
         """List the variables that `read_contacts` returns, from the header alone."""
-        return list(targets(ref, "contact", options, {}))
+        return list(self.targets(ref, options, contacts=True))
 
     def ignored_columns(self, ref: StepRef, options: ReadOptions, *, contacts: bool = False) -> list[str]:
         """Arrays of a step that are not read."""
-        found = targets(ref, "contact", options, {}) if contacts else targets(ref, "particle", options, _PARTICLE_NAMES)
+        found = self.targets(ref, options, contacts=contacts)
         return [array for array in ref.columns if array not in found.values()]
 
     def read_particles(self, ref: StepRef, options: ReadOptions) -> Frame:
-        """Read the particles of one step."""
-        return read_particle_arrays(ref, targets(ref, "particle", options, _PARTICLE_NAMES))
+        """Read the particles of one step; radii become diameters."""
+        frame = read_arrays(ref, self.targets(ref, options))
+        if "radius" in frame:
+            frame.setdefault("diameter", 2 * frame.pop("radius"))
+        return frame
 
     def read_contacts(self, ref: StepRef, options: ReadOptions) -> Frame:
         """Read the contacts of one step as they stand: points are contact points; on lines they follow from radii."""
-        return read_arrays(ref, targets(ref, "contact", options, {}))
+        return read_arrays(ref, self.targets(ref, options, contacts=True))
 
 
 def mesh_points(path: str | os.PathLike[str], *, centers: bool = False) -> dict[str, xr.DataArray]:

@@ -11,7 +11,6 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -20,10 +19,9 @@ from xcg.common.messages import SceneError
 from xcg.readers import columns
 from xcg.readers.columns import Columnar
 from xcg.readers.engine import ReadOptions, StepRef
-from xcg.readers.files.text import Scanner, check_rows, first_lines, most_text, open_binary
-from xcg.readers.paths import remembered
+from xcg.readers.files.text import check_rows, first_lines, scanned
+from xcg.readers.paths import index_steps
 from xcg.scene.schema import COMPONENTS
-from xcg.steps import faults as errors
 
 _MOST_COMMENTS = 1000
 _MOST_COMPONENTS = 9
@@ -62,33 +60,15 @@ class Yade(Columnar):
         words = lines[0].lstrip("#").split() if lines and lines[0].startswith("#") else []
         return words[:1] in (["time"], ["format"]) or {"id1", "id2"} <= set(words)
 
-    def index_particles(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
-        """List the steps of particles, one a file."""
-        refs = _index(paths)
-        found = self.particle_columns(refs[0], options)
-        columns.warn_of_ignored(refs[0], found, self.PARTICLE_SLOTS, options)
-        return refs
-
-    def index_contacts(self, paths: Sequence[str], options: ReadOptions) -> list[StepRef]:
-        """List the steps of contacts, one a file."""
-        refs = _index(paths)
-        columns.warn_of_ignored(refs[0], self.contact_columns(refs[0], options), self.CONTACT_SLOTS, options)
-        return refs
-
-
-def _index(paths: Sequence[str]) -> list[StepRef]:
-    refs = [ref for steps in remembered(paths, "yade", _steps) for ref in steps]
-    if not refs:
-        errors.raise_recorded()
-    return [ref if ref.step >= 0 else replace(ref, step=k - len(refs)) for k, ref in enumerate(refs)]
+    def list_steps(self, paths: Sequence[str], options: ReadOptions, *, contacts: bool) -> list[StepRef]:
+        """List the steps of particles or contacts, one a file."""
+        return index_steps(paths, "yade", _steps)
 
 
 def _steps(path: str) -> Iterator[StepRef]:
     """Return the step of a file, from its comments, and count its rows."""
     told: dict[str, Any] = {}
-    digits = re.findall(r"\d+", Path(path).stem)
-    with open_binary(path) as stream:
-        scanner = Scanner(stream, path, most_text(path))
+    with scanned(path) as scanner:
         names: tuple[str, ...] = ()
         for _ in range(_MOST_COMMENTS):
             if scanner.sample(1) != b"#":
@@ -109,7 +89,7 @@ def _steps(path: str) -> Iterator[StepRef]:
         rows += not last.endswith(b"\n")
         if scanner.line():
             raise SceneError(f"{path}: a comment between rows at byte {scanner.offset}; expected one step a file")
-    ref = replace(ref, rows=rows, length=length, **{"step": int(digits[-1]) if digits else -1} | told)
+    ref = replace(ref, rows=rows, length=length, **{"step": -1} | told)
     check_rows(ref, length)
     yield ref
 

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from xcg.common.messages import SceneError
 from xcg.compiled._jit import THREADS
 from xcg.compiled.text import BEYOND, REST, read_rows
 from xcg.readers.engine import ReadOptions, StepRef
-from xcg.readers.files.text import PIECE, Scanner, body_of, most_text, open_binary, source_of, whole_lines
+from xcg.readers.files.text import PIECE, Scanner, body_of, scanned, source_of, whole_lines
 
 _SHARED = 1 << 22  # bytes from which on a table is worth the threads
 _LEFT = 1024  # words of a block that are read by Python at a time
@@ -30,13 +31,12 @@ _SEPARATORS = "\t;,"
 _MOST_COLUMNS = 1000
 
 
-def read_table(ref: StepRef, wanted: Iterable[str], rows: int | None, options: ReadOptions) -> dict[str, NDArray]:
-    """Read the wanted columns of one step's body; see `parse_table`."""
-    return parse_table(body_of(ref), ref.columns, sorted(set(wanted)), rows, source_of(ref), _threads(ref, options))
-
-
-def _threads(ref: StepRef, options: ReadOptions) -> int:
-    return THREADS if options.alone and ref.length > _SHARED else 1
+def read_table(
+    ref: StepRef, wanted: Iterable[str], rows: int | None, options: ReadOptions, body: Iterable[bytes] | None = None
+) -> dict[str, NDArray]:
+    """Read the wanted columns of one step's body, which is that of the file by default; see `parse_table`."""
+    threads = THREADS if options.alone and ref.length > _SHARED else 1
+    return parse_table(body or body_of(ref), ref.columns, sorted(set(wanted)), rows, source_of(ref), threads)
 
 
 def parse_table(
@@ -78,12 +78,7 @@ def parse_table(
     places = np.array([columns.index(column) for column in wanted], np.int64)
     pieces = (body[at : at + PIECE] for at in range(0, len(body), PIECE)) if isinstance(body, bytes) else body
     table, filled = np.empty((len(wanted), rows or 0)), 0
-    at_once = threads == 1 and rows is not None  # then rows go to their places, with no copy
-
-    def parse(block: bytes) -> tuple[NDArray, bool]:
-        return _parse(len(columns), places, block, *((table, filled) if at_once else ()))
-
-    results = _in_order(whole_lines(pieces, name), parse, threads)
+    results = _in_order(whole_lines(pieces, name), partial(_parse, len(columns), places), threads)
     for block, (numbers, whole) in results:
         end = filled + numbers.shape[1]
         if rows is not None and end + (not whole) > rows:
@@ -93,10 +88,9 @@ def parse_table(
             line, *more = _lines(block)[numbers.shape[1] :]
             last = not more and not any(following.strip() for following, _ in results)
             raise SceneError(f"{name}: row {end} {_fault(line, columns, wanted, last=last)}")
-        if end > table.shape[1]:
+        if end > table.shape[1]:  # it doubles, as copying it for each block would take most of the time
             table = np.concatenate([table, np.empty((len(wanted), end))], axis=1)
-        if not at_once:
-            table[:, filled:end] = numbers
+        table[:, filled:end] = numbers
         filled = end
     if rows is not None and filled < rows:
         raise SceneError(
@@ -123,31 +117,25 @@ def _in_order(blocks: Iterable[bytes], work: Callable, threads: int) -> Iterator
             yield last, result.result()
 
 
-def _parse(
-    columns: int, places: NDArray, block: bytes, out: NDArray | None = None, first: int = 0
-) -> tuple[NDArray, bool]:
-    """Parse the rows of a block, (wanted, rows), and return whether all rows were read or one is faulty.
-
-    They go to `out` from row `first` on, where that is given, and surplus rows are at fault.
-    """
+def _parse(columns: int, places: NDArray, block: bytes) -> tuple[NDArray, bool]:
+    """Parse the rows of a block, (wanted, rows), and return whether all rows were read or one is faulty."""
     text, size = np.frombuffer(block, np.uint8), len(block) - BEYOND
-    if out is None:
-        out = np.empty((len(places), size // (2 * columns) + 1))  # a digit and a space for each value
+    out = np.empty((len(places), size // (2 * columns) + 1))  # a digit and a space for each value
     edges, lines = np.empty(text.size + 2 * columns + 2, np.int32), np.empty(text.size, np.int32)
     left = np.empty((len(places) + _LEFT, len(REST)), np.int64)
-    row, done = first, 0
+    row = done = 0
     while done < size:
         with np.errstate(over="ignore"):  # where nothing is compiled, NumPy warns of bits that products lose
             rows, passed, count = read_rows(text[done:], size - done + 1, columns, places, out, row, edges, lines, left)
         for at, place, start, stop in left[:count].tolist():
             value = _number(block[done + start : done + stop])
             if math.isnan(value):
-                return out[:, first:at], False
+                return out[:, :at], False
             out[place, at] = value
         if passed == 0:
-            return out[:, first:row], False
+            return out[:, :row], False
         row, done = row + rows, done + passed
-    return out[:, first:row], True
+    return out[:, :row], True
 
 
 def _number(word: bytes) -> float:
@@ -220,8 +208,7 @@ def scan_csv(path: str, clock_of: Callable[[Sequence[str]], Mapping[str, str]]) 
     SceneError
         If the first line names no columns, or one of them twice, or a time is not a number.
     """
-    with open_binary(path) as stream:
-        scanner = Scanner(stream, path, most_text(path))
+    with scanned(path) as scanner:
         first = scanner.line()
         line = first.decode("utf-8-sig", "replace").lstrip("#").strip()
         separator = next((mark for mark in _SEPARATORS if mark in line), " ")
@@ -234,46 +221,29 @@ def scan_csv(path: str, clock_of: Callable[[Sequence[str]], Mapping[str, str]]) 
             raise SceneError(
                 f"{path}: expected a first line that names each column once, such as 'x,y,z,radius', found {why}"
             )
-        lines = _RowStarts(scanner.offset, shortest=3 if first.endswith(b"\r\n") else 2)
-        pieces = lines.passed(_pieces(scanner))
+        found = [np.array([scanner.offset])]
+        pieces = _pieces(scanner, found)
         wanted = sorted(set(clock_of(names).values()))
-        if wanted:
-            clock = parse_table(_translated(pieces, separator, []), names, wanted, None, path)
-
-        else:
-            clock = {}
-            for _ in pieces:
-                pass
-    starts = lines.starts()
+        clock = parse_table(_translated(pieces, separator, []), names, wanted, None, path) if wanted else {}
+        deque(pieces, 0)  # what is left
+    edges = np.concatenate(found)
+    rows = np.diff(edges) >= (3 if first.endswith(b"\r\n") else 2)  # others are blank
+    starts = np.append(edges[:-1][rows], scanner.offset)
     if wanted and len(clock[wanted[0]]) != len(starts) - 1:
         raise SceneError(f"{path}: lines of blanks only stand between rows; remove them")
     return TableIndex(names, len(starts) - 1, clock, starts, separator)
 
 
-def _pieces(scanner: Scanner) -> Iterator[bytes]:
-    while piece := scanner.block(PIECE):
+def _pieces(scanner: Scanner, starts: list[NDArray]) -> Iterator[bytes]:
+    """Yield what is left of a text, and add the byte after each end of a line to `starts`."""
+    piece = b"\n"
+    while block := scanner.block(PIECE):
+        piece = block
+        ends = np.flatnonzero(np.frombuffer(piece, np.uint8) == ord("\n"))
+        starts.append(scanner.offset - len(piece) + 1 + ends)
         yield piece
-
-
-class _RowStarts:
-    """Find the starts of lines that are not blank in a stream of text; `shortest` of them in bytes, with its end."""
-
-    def __init__(self, offset: int, shortest: int) -> None:
-        self._end, self._found, self._shortest = offset, [np.array([offset])], shortest
-
-    def passed(self, pieces: Iterable[bytes]) -> Iterator[bytes]:
-        last = b"\n"
-        for piece in pieces:
-            self._found.append(self._end + 1 + np.flatnonzero(np.frombuffer(piece, np.uint8) == ord("\n")))
-            self._end, last = self._end + len(piece), piece
-            yield piece
-        if not last.endswith(b"\n"):  # as if it did
-            self._found.append(np.array([self._end + 1]))
-
-    def starts(self) -> NDArray:
-        edges = np.concatenate(self._found)
-        rows = np.diff(edges) >= self._shortest
-        return np.append(edges[:-1][rows], self._end)
+    if not piece.endswith(b"\n"):  # as if it did
+        starts.append(np.array([scanner.offset + 1]))
 
 
 def _translated(pieces: Iterable[bytes], separator: str, found: list[int]) -> Iterator[bytes]:
@@ -290,8 +260,7 @@ def _translated(pieces: Iterable[bytes], separator: str, found: list[int]) -> It
 def read_csv(ref: StepRef, wanted: Sequence[str], options: ReadOptions) -> dict[str, NDArray]:
     """Read columns of one step."""
     separators = list[int]()
-    body, threads = _translated(body_of(ref), ref.kind, separators), _threads(ref, options)
-    table = parse_table(body, ref.columns, wanted, ref.rows, source_of(ref), threads)
+    table = read_table(ref, wanted, ref.rows, options, _translated(body_of(ref), ref.kind, separators))
     # as many values as columns, but more separators: cells are empty, and values may stand in other columns
     more = sum(separators) - ref.rows * (len(ref.columns) - 1)
     if separators and more not in (0, ref.rows):

@@ -21,7 +21,6 @@ from xcg.readers.engine import StepRef
 
 _FIRST_BLOCK, _BLOCK = 1 << 16, 1 << 22  # small first, as the header is often all that is wanted
 _LONGEST_LINE = 1 << 20  # bytes; a file of one endless line (or a few compressed kilobytes of one) is no text
-_SAMPLE = 1 << 14
 _TEXT = 50  # tables of numbers shrink to a fifth, and never to as little as this
 _SLACK = 1 << 26  # bytes that any compressed text may have
 _MOST_BLANK = 10_000  # lines without a word between two that have some
@@ -32,8 +31,13 @@ _LONGEST_VALUE = 64  # bytes of one number and the space before it
 
 
 @contextmanager
-def open_binary(path: str) -> Iterator[BinaryIO]:
+def open_binary(path: str, offset: int | None = None) -> Iterator[BinaryIO]:
     """Open a file for reading bytes, decompressed when it is compressed (by its content, not its name).
+
+    Parameters
+    ----------
+    offset : int, optional
+        Where to begin, in a file that is read step after step; see `forward`.
 
     Raises
     ------
@@ -41,24 +45,19 @@ def open_binary(path: str) -> Iterator[BinaryIO]:
         While it is open, if the compressed data are damaged or end early.
     """
     kind = compression(path)
-    with _damage_named(path), open_compressed(path, kind) if kind else open(path, "rb") as stream:
-        yield stream
-
-
-@contextmanager
-def _damage_named(path: str) -> Iterator[None]:
-    """Name the file whose compressed data are damaged."""
     try:
-        yield
+        with (
+            open(path, "rb") if not kind
+            else open_compressed(path, kind) if offset is None
+            else forward(path, offset)
+        ) as stream:  # fmt: skip
+            if offset:
+                stream.seek(offset)
+            yield stream
     except errors() as error:
         raise SceneError(
             f"{path}: its compressed data are damaged or cut off ({error}); leave the file out, or write it again"
         ) from None
-
-
-def uncompressed_size(path: str) -> int:
-    """Size of what `open_binary` yields; -1 where a compressed file does not state it."""
-    return size_of_content(path) if compression(path) else os.path.getsize(path)
 
 
 def most_text(path: str) -> float:
@@ -66,41 +65,27 @@ def most_text(path: str) -> float:
     return os.path.getsize(path) * _TEXT + _SLACK if compression(path) else math.inf
 
 
-def check_rows(ref: StepRef, room: int) -> None:
+def check_rows(ref: StepRef, room: int | None = None) -> None:
     """Raise SceneError for a header with more rows than its bytes can hold, before memory is allocated.
 
     Parameters
     ----------
-    room : int
-        Bytes that the rows have, at most.
+    room : int, optional
+        Bytes that the rows have, at most; by default all that can come out of the file after the header.
 
     Raises
     ------
     SceneError
         If there are far fewer bytes than a digit and a space for each value.
     """
+    if room is None:
+        kind = compression(ref.path)
+        room = os.path.getsize(ref.path) * (_KINDS[kind][1] if kind else 1) - ref.offset
     if 2 * ref.rows * len(ref.columns) > room + _SMALL:
         raise SceneError(
             f"{source_of(ref)}: its header promises {ref.rows} rows of {len(ref.columns)} values, but only {room} "
             "bytes follow; the file was cut short or is damaged. Leave it out, or write it again"
         )
-
-
-def is_one_table(path: str, first: int, rows: int, marker: bytes) -> bool:
-    """Return whether a plain file holds only a table of some rows from byte `first` on, from a few samples.
-
-    Another table after it, which a marker begins, makes the file longer, or is seen among the last bytes.
-    """
-    size = os.path.getsize(path) - first
-    lines, length = 0, 0
-    with open(path, "rb") as file:
-        for place in (first, first + size // 2, first + max(0, size - _SAMPLE)):
-            file.seek(place)
-            block = file.read(_SAMPLE)
-            begin, end = (0 if place == first else block.find(b"\n") + 1), block.rfind(b"\n") + 1
-            lines, length = lines + block.count(b"\n", begin, end), length + end - begin
-        file.seek(first + max(0, size - max(_FIRST_BLOCK, size // 32)))
-        return lines > 0 and size < 1.03 * rows * length / lines + _SAMPLE and marker not in file.read()
 
 
 def first_lines(path: str, size: int = 1 << 16) -> list[str]:
@@ -111,20 +96,14 @@ def first_lines(path: str, size: int = 1 << 16) -> list[str]:
 
 
 class Scanner:
-    """Lines and blocks of a stream, read once from front to back.
+    """Lines and blocks of the stream of a file, read once from front to back; more than `most_text` is refused.
 
-    `offset` counts the (decompressed) bytes handed out so far; `name` is that of the file, for messages; beyond `most`
-    bytes the stream is refused, see `most_text`.
+    `offset` counts the (decompressed) bytes handed out so far.
     """
 
-    def __init__(self, stream: BinaryIO, name: str = "the file", most: float = math.inf) -> None:
-        self._stream = stream
-        self._name = name
-        self._most = most
-        self._blank = 0
-        self._data = b""
-        self._at = 0
-        self._block = _FIRST_BLOCK
+    def __init__(self, stream: BinaryIO, path: str) -> None:
+        self._stream, self._name, self._most = stream, path, most_text(path)
+        self._data, self._at, self._blank, self._block = b"", 0, 0, _FIRST_BLOCK
         self.offset = 0
 
     def _more(self) -> bool:
@@ -186,6 +165,13 @@ class Scanner:
         return self._data[self._at : self._at + size]
 
 
+@contextmanager
+def scanned(path: str) -> Iterator[Scanner]:
+    """Open a file, compressed or not, to read its lines."""
+    with open_binary(path) as stream:
+        yield Scanner(stream, path)
+
+
 def body_of(ref: StepRef) -> Iterator[bytes]:
     """Yield the bytes of one step's body, in pieces.
 
@@ -200,10 +186,7 @@ def body_of(ref: StepRef) -> Iterator[bytes]:
             f"{source_of(ref)}: {ref.length} bytes follow a header that promises {ref.rows} rows of {len(ref.columns)} "
             "values; the file is damaged. Leave it out, or write it again"
         )
-    waits = not ref.alone and compression(ref.path)
-    with _damage_named(ref.path), forward(ref.path, ref.offset) if waits else open_binary(ref.path) as stream:
-        if ref.offset:
-            stream.seek(ref.offset)
+    with open_binary(ref.path, ref.offset) as stream:
         missing = ref.length
         while missing > 0 and (piece := stream.read(min(missing, PIECE))):
             missing -= len(piece)
@@ -271,12 +254,6 @@ def plain_name(path: str) -> str:
     return name[: name.rindex(".")] if name.lower().endswith(ENDINGS) else name
 
 
-def most_from(path: str) -> int:
-    """Count the bytes that can come out of a file at most."""
-    kind = compression(path)
-    return os.path.getsize(path) * (_KINDS[kind][1] if kind else 1)
-
-
 @cache
 def _zstd() -> Any:
     """Return the standard library's module from Python 3.14 on, else its backport, else None."""
@@ -310,15 +287,15 @@ def open_compressed(path: str, kind: str = "") -> BinaryIO:
     return cast(BinaryIO, zstd.open(path, "rb"))
 
 
-def size_of_content(path: str) -> int:
-    """Size of what a gzipped file holds; -1 where it may be several members one after the other, or over 4 GiB.
+def uncompressed_size(path: str) -> int:
+    """Size of what `open_binary` yields; -1 where a compressed file does not state it.
 
-    Other sizes are unknown. The last bytes of a gzipped file hold the size of its last member, modulo 4 GiB. Whether
-    there are others is seen where the first one ends in what is looked at, and else from how far that was compressed.
+    The last bytes of a gzipped file hold the size of its last member, modulo 4 GiB. Whether there are others is seen
+    where the first one ends in what is looked at, and else from how far that was compressed.
     """
-    if compression(path) != "gzip":
-        return -1
-    size = os.path.getsize(path)
+    kind, size = compression(path), os.path.getsize(path)
+    if kind != "gzip":
+        return -1 if kind else size
     with open(path, "rb") as file:
         head = file.read(_LOOKED_AT)
         file.seek(max(0, size - 4))
