@@ -386,7 +386,7 @@ TABLE = [
     ),
     # --- chains ---
     Mutation(
-        "chains/results.py", "np.bincount(now[1])[b] - common)", "np.bincount(now[1])[b])",
+        "chains/search.py", "np.bincount(now[1])[b] - common)", "np.bincount(now[1])[b])",
         "test_a_chain_survives_with_at_least_the_given_overlap",
     ),
     Mutation(

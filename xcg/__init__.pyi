@@ -3,9 +3,8 @@
 from . import datasets, readers
 from .accessor import CoarseGrainAccessor
 from .chains.particle_stress import particle_stress
-from .chains.plots import plot_chains, plot_lengths, plot_rose
-from .chains.results import chain_table, link_table, track_chains
-from .chains.search import force_chains
+from .chains.results import chain_table, link_table, plot_chains, plot_lengths, plot_rose
+from .chains.search import force_chains, track_chains
 from .chains.selection import Box, BoxRegion, Region, Sphere, select_chains
 from .common.messages import SceneError, SceneWarning
 from .fields.analysis.balance import balance

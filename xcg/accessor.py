@@ -117,12 +117,12 @@ class CoarseGrainAccessor:
     movie = Method("xcg.fields.analysis.plots", RESULT)
 
     select_chains = Method("xcg.chains.selection", CHAINS)
-    track_chains = Method("xcg.chains.results", CHAINS)
+    track_chains = Method("xcg.chains.search", CHAINS)
     chain_table = Method("xcg.chains.results", CHAINS)
     link_table = Method("xcg.chains.results", CHAINS)
-    plot_chains = Method("xcg.chains.plots", CHAINS)
-    plot_lengths = Method("xcg.chains.plots", CHAINS)
-    plot_rose = Method("xcg.chains.plots", CHAINS)
+    plot_chains = Method("xcg.chains.results", CHAINS)
+    plot_lengths = Method("xcg.chains.results", CHAINS)
+    plot_rose = Method("xcg.chains.results", CHAINS)
     to_csv = Method("xcg.writers.chains", CHAINS)
     to_vtp = Method("xcg.writers.chains", CHAINS)
 

@@ -6,9 +6,8 @@ from typing import Concatenate, Generic, ParamSpec, TypeVar, overload
 import xarray as xr
 
 from xcg.chains.particle_stress import particle_stress
-from xcg.chains.plots import plot_chains, plot_lengths, plot_rose
-from xcg.chains.results import chain_table, link_table, track_chains
-from xcg.chains.search import force_chains
+from xcg.chains.results import chain_table, link_table, plot_chains, plot_lengths, plot_rose
+from xcg.chains.search import force_chains, track_chains
 from xcg.chains.selection import select_chains
 from xcg.fields.analysis.balance import balance
 from xcg.fields.analysis.cell_volumes import cell_volumes
