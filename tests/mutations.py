@@ -321,14 +321,14 @@ TABLE = [
         "test_the_accessible_fraction_beside_a_plane_is_a_polynomial",
     ),
     Mutation(
-        "fields/analysis/wall_stress.py", "<= task.within", "<= 2 * task.within",
+        "fields/analysis/surfaces.py", "<= task.within", "<= 2 * task.within",
         "test_contacts_farther_than_within_are_left_out",
     ),
     Mutation(
         "fields/analysis/balance.py", "(8 * near - far)", "(8 * near + far)", "test_force_residual_falls_with_the_mesh",
     ),
     Mutation(
-        "fields/analysis/flow_rate.py", "[turned] + 2 / 3", "[turned] + 1 / 3",
+        "fields/analysis/surfaces.py", "[turned] + 2 / 3", "[turned] + 1 / 3",
         "test_parts_of_a_triangle_have_its_area_and_its_centre",
     ),
     Mutation(

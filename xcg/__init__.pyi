@@ -14,11 +14,10 @@ from .fields.analysis.correlations import spatial_correlation, time_correlation
 from .fields.analysis.derived import derive_director, derive_superquadric, derive_velocity
 from .fields.analysis.diffusion import mean_squared_displacement
 from .fields.analysis.displacement import displacement
-from .fields.analysis.flow_rate import flow_rate
 from .fields.analysis.plots import movie, plot
 from .fields.analysis.shallow import depth_average, fit_slope, free_surface
 from .fields.analysis.slice_temperature import slice_temperature
-from .fields.analysis.wall_stress import wall_stress
+from .fields.analysis.surfaces import flow_rate, wall_stress
 from .fields.analysis.width_sweep import width_sweep
 from .fields.coarse_grain import coarse_grain
 from .fields.formulas.averages import profile, time_average

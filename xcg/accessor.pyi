@@ -16,11 +16,10 @@ from xcg.fields.analysis.correlations import spatial_correlation, time_correlati
 from xcg.fields.analysis.derived import derive_director, derive_superquadric, derive_velocity
 from xcg.fields.analysis.diffusion import mean_squared_displacement
 from xcg.fields.analysis.displacement import displacement
-from xcg.fields.analysis.flow_rate import flow_rate
 from xcg.fields.analysis.plots import movie, plot
 from xcg.fields.analysis.shallow import depth_average, fit_slope, free_surface
 from xcg.fields.analysis.slice_temperature import slice_temperature
-from xcg.fields.analysis.wall_stress import wall_stress
+from xcg.fields.analysis.surfaces import flow_rate, wall_stress
 from xcg.fields.analysis.width_sweep import width_sweep
 from xcg.fields.coarse_grain import coarse_grain, explain
 from xcg.fields.formulas.averages import profile, time_average
