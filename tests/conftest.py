@@ -22,7 +22,7 @@ SLOW = {
     "compiled/test_jit.py::test_damaged_code*nbi*": "the damaged machine code",
     "docs/test_accuracy.py::test_errors_of_kernel_tables*": "the other panels",
     "docs/test_accuracy.py::test_every_panel_has_a_default*[[][cptv]*": "the other panels",
-    "docs/test_cfd_dem.py::test_the_example*": "test_cells and test_cell_volumes",
+    "docs/test_cfd_dem.py::test_the_example*": "test_cells and test_without_kernel",
     "docs/test_how_do_i.py::*make a movie*": "test_plots draws movies",
     "docs/test_gallery.py::test_each_script_agrees*[[][bcdfilms]*": "building the site; scripts of other letters",
     "fields/analysis/test_choose_width.py::test_the_chosen_width*[[]s[h]*": "the sine",

@@ -340,7 +340,7 @@ TABLE = [
         "test_errors_of_a_line_through_three_heights",
     ),
     Mutation(
-        "fields/analysis/slice_temperature.py", "1 - abs(m) / (sides + 1)", "1 - abs(m) / (sides + 2)",
+        "fields/analysis/without_kernel.py", "1 - abs(m) / (sides + 1)", "1 - abs(m) / (sides + 2)",
         "test_temperatures_in_planes_equal_a_loop_over_grains",
     ),
     Mutation(
