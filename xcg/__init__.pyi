@@ -8,7 +8,6 @@ from .chains.search import force_chains, track_chains
 from .chains.selection import Box, BoxRegion, Region, Sphere, select_chains
 from .common.messages import SceneError, SceneWarning
 from .fields.analysis.balance import balance
-from .fields.analysis.choose_width import choose_width, plot_width
 from .fields.analysis.correlations import spatial_correlation, time_correlation
 from .fields.analysis.derived import derive_director, derive_superquadric, derive_velocity
 from .fields.analysis.diffusion import mean_squared_displacement
@@ -16,7 +15,7 @@ from .fields.analysis.displacement import displacement
 from .fields.analysis.plots import movie, plot
 from .fields.analysis.shallow import depth_average, fit_slope, free_surface
 from .fields.analysis.surfaces import flow_rate, wall_stress
-from .fields.analysis.width_sweep import width_sweep
+from .fields.analysis.widths import choose_width, plot_width, width_sweep
 from .fields.analysis.without_kernel import cell_volumes, slice_temperature
 from .fields.coarse_grain import coarse_grain
 from .fields.formulas.averages import profile, time_average

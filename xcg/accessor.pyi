@@ -10,7 +10,6 @@ from xcg.chains.results import chain_table, link_table, plot_chains, plot_length
 from xcg.chains.search import force_chains, track_chains
 from xcg.chains.selection import select_chains
 from xcg.fields.analysis.balance import balance
-from xcg.fields.analysis.choose_width import choose_width, plot_width
 from xcg.fields.analysis.correlations import spatial_correlation, time_correlation
 from xcg.fields.analysis.derived import derive_director, derive_superquadric, derive_velocity
 from xcg.fields.analysis.diffusion import mean_squared_displacement
@@ -18,7 +17,7 @@ from xcg.fields.analysis.displacement import displacement
 from xcg.fields.analysis.plots import movie, plot
 from xcg.fields.analysis.shallow import depth_average, fit_slope, free_surface
 from xcg.fields.analysis.surfaces import flow_rate, wall_stress
-from xcg.fields.analysis.width_sweep import width_sweep
+from xcg.fields.analysis.widths import choose_width, plot_width, width_sweep
 from xcg.fields.analysis.without_kernel import cell_volumes, slice_temperature
 from xcg.fields.coarse_grain import coarse_grain, explain
 from xcg.fields.formulas.averages import profile, time_average
