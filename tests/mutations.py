@@ -369,7 +369,7 @@ TABLE = [
         "test_shear_rates_from_velocities_and_as_given",
     ),
     Mutation(
-        "packing/mixing.py", "(len(weight) - 1) / (count - 1)", "len(weight) / (count - 1)",
+        "packing/samples.py", "ratio(len(weight) - 1, count - 1)", "ratio(len(weight), count - 1)",
         "test_the_mean_over_all_arrangements_is_the_random_limit",
     ),
     Mutation(

@@ -391,6 +391,6 @@ def _with_series(
 
 
 def _deviatoric(rates: xr.DataArray, dimension: int) -> xr.DataArray:
-    """Deviatoric strain rate from the rates of stretch along the axes, as `_rate` of a tensor."""
+    """Deviatoric strain rate from the rates of stretch along the axes."""
     deviator = rates - rates.mean("component")
     return xr.ufuncs.sqrt((2 / 3 if dimension == 3 else 2) * (deviator**2).sum("component", skipna=False))
