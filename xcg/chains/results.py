@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -12,7 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.chains.particle_stress import RESULTS as STRESSES
-from xcg.common.checks import extra
+from xcg.common.checks import check_choice, extra
 from xcg.common.drawing import add_colour_bar, label_of, new_axes, set_label, with_unit
 from xcg.common.messages import SceneError
 from xcg.scene.conform import with_components
@@ -267,13 +267,11 @@ def plot_chains(
         raise ValueError(
             "plot_chains draws one-layer scenes, and this one has dimension=3; write it with .cg.to_vtp for ParaView"
         )
-    if colour not in get_args(Colour):
-        raise ValueError(f"colour={colour!r}: expected one of {get_args(Colour)}")
+    check_choice("colour", colour, Colour)
     collections = extra("matplotlib.collections", "plot", "drawing")
     plane = [COMPONENTS.index(axis) for axis in fc.attrs.get("plane", "xy")]
-    step = _step(
-        fc, time, ["position", "diameter", "chain_id", "link_chain", "contact_j", "contact_force", "major_stress"]
-    )
+    names = ["position", "diameter", "chain_id", "link_chain", "contact_j", "contact_force", "major_stress"]
+    (step,) = steps_of(step_at(fc, time, "time"), names)
     arrays = step.arrays
     ax = new_axes() if ax is None else ax
     position, diameter = arrays["position"][:, plane], arrays["diameter"]
@@ -285,7 +283,7 @@ def plot_chains(
                 offset_transform=ax.transData, facecolors=shade, edgecolors="none",
             )
         )  # fmt: skip
-    contact, i, branch = _links(step)
+    contact, i, j, branch = _links(step)
     force = np.linalg.norm(arrays["contact_force"][contact], axis=1)
     ends = np.stack([position[i], position[i] + branch[:, plane]], axis=1)
     width = 0.5 + 3 * force / max(force.max(initial=0.0), np.finfo(float).tiny)
@@ -295,7 +293,6 @@ def plot_chains(
     if colour == "chain":
         lines.set_array(arrays["link_chain"][contact] % 20)
     else:
-        j = step.links()[2]
         lines.set_array(0.5 * (arrays["major_stress"][i] + arrays["major_stress"][j]))
         add_colour_bar(lines, ax, label_of(fc["major_stress"], "major_stress"), shrink=0.8)
     ax.add_collection(lines)
@@ -377,9 +374,9 @@ def plot_rose(
     plane = plane or (fc.attrs.get("plane", "xy") if flat else "xz")
     if len(plane) != 2 or len(set(plane) & set(COMPONENTS)) != 2:
         raise ValueError(f"plane={plane!r}: expected two axes, for example 'xz'")
-    step = _step(fc, time, ["position", "link_chain", "contact_j", "contact_force"])
+    (step,) = steps_of(step_at(fc, time, "time"), ["position", "link_chain", "contact_j", "contact_force"])
     ax = new_axes("polar") if ax is None else ax
-    contact, _, branch = _links(step)
+    contact, _, _, branch = _links(step)
     along, up = (branch[:, COMPONENTS.index(axis)] for axis in plane)
     angle = np.arctan2(up, along) % np.pi
     force = np.linalg.norm(step.arrays["contact_force"][contact], axis=1)
@@ -394,13 +391,8 @@ def plot_rose(
     return ax
 
 
-def _step(fc: xr.Dataset, time: int, names: list[str]) -> ChainStep:
-    (step,) = steps_of(step_at(fc, time, "time"), names)
-    return step
-
-
-def _links(step: ChainStep) -> tuple[NDArray, NDArray, NDArray]:
-    """Contacts of the links, row of their first particle, and nearest image of the vector to the second (m)."""
+def _links(step: ChainStep) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+    """Contacts of the links, rows of their two particles, and nearest image of the vector between these (m)."""
     contact, i, j = step.links()
-    position: Any = step.arrays["position"]
-    return contact, i, step.lattice.shortest(position[j] - position[i])
+    position = step.arrays["position"]
+    return contact, i, j, step.lattice.shortest(position[j] - position[i])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal, TypeAlias, get_args
+from typing import Literal, TypeAlias
 
 import numpy as np
 import xarray as xr
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from xcg.chains.particle_stress import StressRule, Volumes, carries
 from xcg.chains.results import CHAINS, COPIED, RESULTS, require_chains, result_sizes, statistics_of, steps_of
 from xcg.chains.selection import Region, check_region
-from xcg.common.checks import is_finite, is_positive, is_whole
+from xcg.common.checks import check_choice, is_finite, is_positive, is_whole
 from xcg.common.messages import warn_user
 from xcg.compiled import chains as loops
 from xcg.compiled._jit import THREADS, for_parts
@@ -64,11 +64,6 @@ class SearchRule:
     linear: bool
     one_sided: bool
     region: Region | None
-
-    @property
-    def variables(self) -> tuple[str, ...]:
-        """Variables of the scene that are read."""
-        return tuple(dict.fromkeys((*self.stress.variables, *COPIED)))
 
     def qualifies(self, frame: Frame, stress: Frame, time: float, lattice: Lattice) -> NDArray:
         """Return a mask of the particles that may be part of a chain."""
@@ -172,30 +167,28 @@ def force_chains(
         raise ValueError(f"alpha={alpha!r}: expected an angle in degrees above 0 and up to 90, for example 45")
     if alpha < np.pi / 2:
         warn_user(f"alpha={alpha!r} is in degrees, and few branches are as close to the stress; is it in radians?")
-    if isinstance(threshold, str) and threshold != "mean":
-        raise ValueError(f"threshold={threshold!r}: expected None, 'mean', or a stress (Pa)")
-    if not isinstance(threshold, str) and threshold is not None and not is_finite(threshold):
+    if not (threshold is None or is_finite(threshold) or (isinstance(threshold, str) and threshold == "mean")):
         raise ValueError(f"threshold={threshold!r}: expected a finite stress (Pa), 'mean', or None for no threshold")
     if not is_whole(min_length, 2):
         raise ValueError(f"min_length={min_length!r}: expected a whole number of particles, 2 or more")
-    if algorithm not in get_args(Algorithm):
-        raise ValueError(f"algorithm={algorithm!r}: expected one of {get_args(Algorithm)}")
+    check_choice("algorithm", algorithm, Algorithm)
     check_region(region)
     stress = StressRule.of(ds, "force_chains", symmetric=symmetric, volume=volume)
     require_scene(ds, ("diameter",), "force_chains")
     cosine = max(0.0, float(np.cos(np.deg2rad(alpha) + _ANGLE)))
     rule = SearchRule(stress, cosine, threshold, int(min_length), algorithm == "peters2005", bool(one_sided), region)
     sizes = result_sizes(ds.sizes["particle"], ds.sizes["contact"], rule.min_length)
-    names = [*rule.variables, *(name for name in ("frozen", "time", *OF_STEP) if name in ds)]
+    further = ("frozen", "time", *OF_STEP)
+    names = list(dict.fromkeys([*stress.variables, *COPIED, *(name for name in further if name in ds)]))
     threads = threads_a_chunk(ds, names, THREADS)
     arrays = map_over_time(
         ds, names, partial(_compute, rule, threads), results_of(RESULTS, sizes), "force-chains", on_error
     )
     lengths = rule.min_length + np.arange(sizes["length"])
-    further = {name: ds.variables[name] for name in BOX if name in ds}
-    further["length"] = xr.Variable("length", lengths, {"units": "1", "long_name": "particles of a chain"})
+    beside = {name: ds.variables[name] for name in BOX if name in ds}
+    beside["length"] = xr.Variable("length", lengths, {"units": "1", "long_name": "particles of a chain"})
     about = {"alpha": float(alpha), "min_length": rule.min_length, "algorithm": algorithm}
-    return label(ds, RESULTS, arrays, format_call("force_chains", given), further, **about)
+    return label(ds, RESULTS, arrays, format_call("force_chains", given), beside, **about)
 
 
 def _compute(rule: SearchRule, threads: int, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:

@@ -73,11 +73,10 @@ class Stiffness:
         depth = np.maximum(overlap, 0.0)
         if self.k_n is not None:
             return self.k_n * depth
-        assert self.E is not None
-        assert self.nu is not None
+        E, nu = self.E or 0.0, self.nu or 0.0
         total = radius_i + radius_j
         reduced = np.divide(radius_i * radius_j, total, out=np.zeros_like(total), where=total > 0)
-        return 4 / 3 * self.E / (2 * (1 - self.nu**2)) * np.sqrt(reduced) * depth**1.5
+        return 4 / 3 * E / (2 * (1 - nu**2)) * np.sqrt(reduced) * depth**1.5
 
 
 @dataclass(frozen=True)

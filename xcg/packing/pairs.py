@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, TypeAlias, get_args
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from xcg.common.checks import is_finite
+from xcg.common.checks import check_choice, is_finite
 from xcg.common.messages import SceneError
 from xcg.compiled import pairs as loops
 from xcg.compiled._jit import THREADS, for_parts, threads_for
@@ -359,8 +359,7 @@ def _spheres(position: ArrayLike, radius: ArrayLike) -> tuple[NDArray, NDArray]:
 
 def check_search(skin: float, method: str, levels: int | None, threads: int | None = None) -> None:
     """Raise ValueError for invalid options of the search."""
-    if method not in get_args(PairMethod):
-        raise ValueError(f"method={method!r}: expected one of {', '.join(map(repr, get_args(PairMethod)))}")
+    check_choice("method", method, PairMethod)
     if not (is_finite(skin) and skin >= 0):
         raise ValueError(f"skin={skin!r}: expected 0 or the width of a gap that still counts as a contact (m)")
     for name, value in (("levels", levels), ("threads", threads)):

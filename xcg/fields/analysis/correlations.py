@@ -183,7 +183,7 @@ def time_correlation(f: xr.Dataset, name: str, max_lag: int | None = None) -> xr
     )  # fmt: skip
     what = f"correlation of {name} with itself"
     about = {
-        "correlation": (_normalised(sums, sums.isel(lag=0)), "1", f"{what} at later times"),
+        "correlation": (_by_lag(sums)["correlation"], "1", f"{what} at later times"),
         "mean_correlation": (mean, "1", f"{what} at later times, over all nodes"),
         "mean_correlation_error": (error, "1", "standard error of mean_correlation"),
         "correlation_time": (forgets, second, "time at which the mean correlation falls to 1/e"),
@@ -283,10 +283,9 @@ class _Radial:
 
 
 def _correlation_in_space(sums: xr.Dataset) -> xr.Dataset:
-    squares = (
+    one, two = (
         sums[f"{whose}square"] / sums[f"{whose}count"].where(sums[f"{whose}count"] > 0) for whose in ("", "other_")
     )
-    one, two = squares
     scale = np.sqrt((one * two).where(one * two > 0))
     found = {
         f"{way}correlation": sums[f"{way}products"] / sums[f"{way}pairs"].where(sums[f"{way}pairs"] > 0) / scale
@@ -316,9 +315,10 @@ def falls_to(values: NDArray, at: NDArray, level: float = np.exp(-1.0)) -> NDArr
 # --- in time ---------------------------------------------------------------------------------------------
 
 
-def _normalised(sums: xr.Dataset, squares: xr.Dataset) -> xr.DataArray:
-    square = squares["products"] / squares["pairs"].where(squares["pairs"] > 0)
-    return sums["products"] / sums["pairs"].where(sums["pairs"] > 0) / square.where(square > 0)
+def _by_lag(sums: xr.Dataset) -> xr.Dataset:
+    mean = sums["products"] / sums["pairs"].where(sums["pairs"] > 0)
+    square = mean.isel(lag=0)
+    return xr.Dataset({"correlation": mean / square.where(square > 0)})
 
 
 def _correlation_in_time(products: NDArray, pairs: NDArray, lags: NDArray) -> tuple[NDArray, ...]:
@@ -338,7 +338,3 @@ def _correlation_in_time(products: NDArray, pairs: NDArray, lags: NDArray) -> tu
 
     forgets_error = block_errors(common, "time", time_of)["forgets"].to_numpy()
     return mean, np.array(errors), falls_to(mean, lags), forgets_error
-
-
-def _by_lag(sums: xr.Dataset) -> xr.Dataset:
-    return xr.Dataset({"correlation": _normalised(sums, sums.isel(lag=0))})

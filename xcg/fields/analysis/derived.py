@@ -18,7 +18,7 @@ from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.frame import particle_rows, require_rising_times, steps_in
 from xcg.scene.sanity import rows_of
 from xcg.scene.schema import COMPONENTS, OF_STEP, VARIABLES, units_in
-from xcg.steps.labels import format_call, provenance
+from xcg.steps.labels import format_call, label, results_of
 from xcg.steps.mapping import map_over_time
 
 
@@ -251,13 +251,10 @@ def derive_velocity(ds: xr.Dataset) -> xr.Dataset:
             beside[name + side] = series[name].variable.isel(time=other).to_base_variable()
     series = series.assign(beside)
     compute = partial(_velocities, str(ds.attrs.get("periodic", "")))
-    shape = {"velocity": ((ds.sizes["particle"], 3), "float64")}
-    found = map_over_time(series, [*names, "moment", *beside], compute, shape, "derive-velocity")
-    row = VARIABLES["velocity"]
-    about = {"units": units_in(row.units, str(ds.attrs.get("unit_system", "SI"))), "long_name": row.long_name}
-    velocity = xr.Variable(("time", *row.dims), found["velocity"], about)
-    history = provenance(ds, format_call("derive_velocity", {}))["history"]
-    return ds.assign(velocity=velocity).assign_attrs(history=history)
+    results = results_of({"velocity": VARIABLES["velocity"]}, ds.sizes)
+    found = map_over_time(series, [*names, "moment", *beside], compute, results, "derive-velocity")
+    made = label(ds, VARIABLES, found, format_call("derive_velocity", {}))
+    return ds.assign(velocity=made["velocity"].variable).assign_attrs(history=made.attrs["history"])
 
 
 def _velocities(periodic: str, arrays: Mapping[str, NDArray]) -> dict[str, Any]:

@@ -29,22 +29,12 @@ from xcg.scene.description import Description, describe
 from xcg.scene.schema import COMPONENTS
 
 _RATE = "shear_rate_tensor"
-
-
+_SAME = ("d32", "d43", "coordination_number", "momentum_density", "velocity", "velocity_gradient")
 _RENAMED = {
-    "volume_fraction": "volume_fraction",
-    "density_mixture": "density",
-    "density_particle": "particle_density",
-    "d32": "d32",
-    "d43": "d43",
-    "coordination_number": "coordination_number",
-    "momentum_density": "momentum_density",
-    "velocity": "velocity",
-    "velocity_gradient": "velocity_gradient",
-    "kinetic_tensor": "kinetic_stress",
-    "contact_tensor": "contact_stress",
-    "fabric_tensor": "fabric",
-}
+    "volume_fraction": "volume_fraction", "density_mixture": "density", "density_particle": "particle_density",
+    **{name: name for name in _SAME},
+    "kinetic_tensor": "kinetic_stress", "contact_tensor": "contact_stress", "fabric_tensor": "fabric",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
