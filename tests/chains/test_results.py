@@ -57,6 +57,16 @@ def test_plot_rose():
     np.testing.assert_allclose(heights[:6], heights[6:])  # both ways
 
 
+def test_pictures_are_those_of_the_last_step():
+    one = fork()
+    fc = one.isel(time=[0, 0]).assign_coords(time=[0.0, 1.0]).cg.force_chains()
+    fc["link_chain"][0] = -1
+    for name in ("plot_chains", "plot_rose"):
+        first, last = getattr(fc.cg, name)(time=0), getattr(fc.cg, name)()
+    assert sum(petal.get_height() for petal in first.patches) == 0
+    assert sum(petal.get_height() for petal in last.patches) == pytest.approx(1)
+
+
 def test_plots_of_no_chains_are_empty():
     fc = fork().cg.force_chains(threshold=1e9)
     fc.cg.plot_chains()

@@ -233,7 +233,7 @@ def _table(
 
 
 def plot_chains(
-    fc: xr.Dataset, *, time: int = 0, colour: Colour = "stress", grains: bool = True,
+    fc: xr.Dataset, *, time: int = -1, colour: Colour = "stress", grains: bool = True,
     ax: Axes | None = None,
 ) -> Axes:  # fmt: skip
     """Draw the chains of one step of a one-layer scene: links over grains, line width by force.
@@ -243,7 +243,7 @@ def plot_chains(
     fc : xarray.Dataset
         A result of `force_chains`; its scene has ``dimension=2``.
     time : int
-        Which step, by position.
+        Which step, by position; the last one by default.
     colour : {"stress", "chain"}
         Of the links: the mean major stress of the two particles of a link, or one colour a chain.
     grains : bool
@@ -339,7 +339,7 @@ def plot_lengths(fc: xr.Dataset, *, ax: Axes | None = None) -> Axes:
 
 
 def plot_rose(
-    fc: xr.Dataset, *, time: int = 0, bins: int = 36, plane: str | None = None, ax: Axes | None = None
+    fc: xr.Dataset, *, time: int = -1, bins: int = 36, plane: str | None = None, ax: Axes | None = None
 ) -> Axes:
     """Draw how the links of one step are directed: a rose, both ways, weighted by force.
 
@@ -348,7 +348,7 @@ def plot_rose(
     fc : xarray.Dataset
         A result of `force_chains`.
     time : int
-        Which step, by position.
+        Which step, by position; the last one by default.
     bins : int
         Petals, an even number.
     plane : str, optional

@@ -222,7 +222,7 @@ def microstructure(
     require_scene(ds, sorted(needed), f"microstructure ({', '.join(names)})")
     measure = Measure(
         names=measured, setup=setup, regions=tuple(regions.values()), by=by,
-        groups=() if by is None else scene.groups(by, groups), depth=scene.layer_depth,
+        groups=scene.groups(by, groups), depth=scene.layer_depth,
         min_contacts=int(min_contacts), iterative=rattlers == "iterative", max_connectivity=int(max_connectivity),
         force_bins=_force_bins(force_bins), cell=cell, by_volume=mixing_weight == "volume",
         neighbours=neighbours,

@@ -224,6 +224,7 @@ def test_wrong_slices_raise():
         ({"axis": "q"}, "one of the scene's axes"),
         ({"width": -1.0}, "positive width"),
         ({"spacing": 0.0}, "positive distance"),
+        ({"spacing": 0.5, "method": "bins"}, "spacing=0.5: bins touch"),
         ({"bounds": (1.0, 0.0)}, "expected \\(first, last\\) with first <= last"),
         ({"bounds": 1.0}, "expected \\(first, last\\) with first <= last"),
         ({"bounds": ("a", "b")}, "expected \\(first, last\\) with first <= last"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -18,7 +18,7 @@ from xcg.fields.formulas import registry
 from xcg.fields.formulas.averages import derive, needed_for_averages
 from xcg.fields.grids.frames import refuse_cylindrical
 from xcg.fields.plan import make_plan
-from xcg.fields.request import Request, takes
+from xcg.fields.request import SharedOptions, takes
 from xcg.scene.box import BoxMotion, partners
 from xcg.scene.conform import require_scene
 from xcg.scene.description import describe
@@ -42,7 +42,7 @@ _MOTION: dict[str, Result] = {
 
 
 @dataclass(frozen=True)
-class DisplacementRequest(Request):
+class DisplacementRequest(SharedOptions):
     """Arguments of `displacement`.
 
     Parameters
@@ -56,10 +56,25 @@ class DisplacementRequest(Request):
     accumulate : bool
         Compose the deformation gradients of consecutive steps of `lag` frames at each node, ``F = F_n ... F_2 F_1``,
         and give the fields that follow from it, at the time of the later frame.
+    width : float, str or mapping, optional
+        Half-width w of the kernel (m), or a multiple of a size such as "0.75 d43" (the default), as in `coarse_grain`.
+    at : mapping, optional
+        Coordinate of fixed axes (m), or points, as in `coarse_grain`.
+    for_averages : bool
+        Also compute what `time_average` and `profile` of the fields need beside them.
+    by_pair : bool
+        Refused: displacements take no contacts.
+    preset : str, optional
+        Refused: displacements have no names in other programs.
     """
 
+    fields: str | Sequence[str] | None = None
     lag: int = 1
     accumulate: bool = False
+    _: KW_ONLY
+    width: float | str | Mapping[int, float | str] | None = None
+    at: Mapping[str, float | xr.DataArray] | None = None
+    for_averages: bool = False
 
 
 @takes(DisplacementRequest)
@@ -153,14 +168,14 @@ def _names(ds: xr.Dataset, asked: DisplacementRequest) -> tuple[str, ...]:
         raise ValueError(f"lag={lag!r}: expected a number of frames, 1 for the next")
     if lag >= frames:
         raise ValueError(f"lag={lag!r}: the scene has {frames} frames, and displacements need lag + 1 or more of them")
-    for name, no in (("preset", None), ("by_pair", False), ("walls", None), ("per", None), ("errors", False)):
+    for name, no in (("preset", None), ("by_pair", False)):
         if getattr(asked, name) != no:
             raise ValueError(f"{name}={getattr(asked, name)!r}: not available for displacements; leave it out")
     require_rising_times(ds, "displacement")
     known = [name for name in registry.listed() if registry.FIELDS[name].option == "lag"]
     ours = [name for name in known if registry.FIELDS[name].default]
     given = ["sample_count", *ours] if asked.fields is None else asked.fields
-    names = [str(name) for name in ([given] if isinstance(given, str) else given)]  # type: ignore[union-attr]
+    names = [str(name) for name in ([given] if isinstance(given, str) else given)]
     if not names:
         raise ValueError(f"fields={asked.fields!r}: expected at least one; leave it out for all of displacements")
     for name in names:

@@ -134,7 +134,7 @@ def cell_volumes(
         raise ValueError(
             f"cells reach through the box along {loose}, and the scene has no finite box there: name them in axes="
         )
-    values = () if by is None else scene.groups(by, groups)
+    values = scene.groups(by, groups)
     task = _Cells(grid, setup, scene.layer_depth, by, values)
     dims = (*grid.dims, *(("phase",) if by is not None else ()))
     rows = {
@@ -256,6 +256,8 @@ def slice_temperature(
     weight = {"planes": "diameter", "bins": "mass"}.get(method)
     if weight is None:
         raise ValueError(f"method={method!r}: expected 'planes' (overlapping slices) or 'bins'")
+    if method == "bins" and spacing is not None:
+        raise ValueError(f"spacing={spacing!r}: bins touch, and take their width=; leave spacing= out, or take planes")
     require_scene(ds, ("velocity", weight), "slice_temperature")
     scene = describe(ds)
     setup = scene.setup

@@ -21,6 +21,7 @@ from xcg.common.messages import unknown
 from xcg.fields.formulas import algebra, registry
 from xcg.fields.formulas.algebra import at_least_zero, where_positive
 from xcg.fields.formulas.field import Field, Options, Quantity
+from xcg.fields.grids.grid import check_axes
 from xcg.fields.plan import possible_fields
 from xcg.fields.request import Request
 from xcg.fields.sums.kernels import KernelName, as_kernel, resolve_width
@@ -283,6 +284,8 @@ def pysammos_mesh(
     if scene.corners is None or "dmax" not in scene.sizes:
         raise ValueError("pysammos_mesh needs the extent and the largest diameter; call ds = ds.cg.measure() first")
     setup = scene.setup
+    for name, given in (("axes", axes), ("bounds", bounds or {}), ("at", at or {})):
+        check_axes(name, [a for a in given if a not in COMPONENTS], setup.plane)
     chosen = as_kernel(kernel, resolve_width(width, scene.sizes), setup.dimension)
     corners = zip(COMPONENTS, *scene.corners, strict=True)
     extent = {a: (first, last) for a, first, last in corners if a in setup.plane}
