@@ -46,10 +46,8 @@ class Levels:
         Largest radius (m).
     fold : array (levels, 3)
         The period along axes too short for three cells, infinity along the others.
-    first_cell : array (levels,)
-        Number of the first cell, all levels counted through.
-    total : int
-        Number of cells.
+    first_cell : array (levels + 1,)
+        Number of the first cell of each level, all levels counted through, and number of cells.
     """
 
     lower: NDArray
@@ -58,7 +56,6 @@ class Levels:
     largest: NDArray
     fold: NDArray
     first_cell: NDArray
-    total: int
 
     @classmethod
     def of(
@@ -79,16 +76,13 @@ class Levels:
             if reach > 0:
                 cells[k] = np.maximum(np.minimum(length / (reach * edges), 2.0**31), 1).astype("int64")
                 cells[k, periodic & (length < 3 * reach * np.maximum(edges, 1))] = 1
-        inverse = np.divide(cells, length, out=np.zeros(cells.shape), where=length > 0)
-        per_level = cells.prod(axis=1)
         return cls(
             lower=np.broadcast_to(lower, (count, 3)).copy(),
-            inverse=inverse,
+            inverse=np.divide(cells, length, out=np.zeros(cells.shape), where=length > 0),
             cells=cells,
             largest=largest,
             fold=np.where(cells == 1, period, np.inf),
-            first_cell=np.concatenate([[0], np.cumsum(per_level)[:-1]]),
-            total=int(per_level.sum()),
+            first_cell=np.concatenate([[0], np.cumsum(cells.prod(axis=1))]),
         )
 
 
@@ -116,7 +110,7 @@ class CellLists:
         Row of the particle that each record is.
     first_record : array (levels + 1,)
         First record of each level.
-    starts : array (levels.total + 1,)
+    starts : array (levels.first_cell[-1] + 1,)
         First record of each cell.
     period : array (3,)
         Period of each axis (m), infinite without one.
@@ -161,7 +155,7 @@ class CellLists:
 
         for_parts(count, locate, threads)
         # the sort leaves where each cell ends, and the next begins
-        starts, place = np.zeros(chosen.total + 2, "int32"), np.empty(count, "int64")
+        starts, place = np.zeros(chosen.first_cell[-1] + 2, "int32"), np.empty(count, "int64")
         counting_sort_places(cell, starts[1:], place)
         starts = starts[:-1]
         records, row = np.empty((count, 4)), np.empty(count, "int32")

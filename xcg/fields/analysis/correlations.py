@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -88,13 +88,13 @@ def spatial_correlation(f: xr.Dataset, name: str, other: str | None = None) -> x
         output_dtypes=[float] * 6, dask_gufunc_kwargs={"output_sizes": sizes, "allow_rechunk": True},
     )  # fmt: skip
     sums = xr.Dataset(dict(zip(_SUMS, found, strict=True))).assign_coords(coords)
-    radial = _Radial([values for _, values, _ in coords.values()], min(spacing))
+    r, by_shell = _shells([values for _, values, _ in coords.values()], min(spacing))
     for sum_ in ("products", "pairs"):
         sums[f"radial_{sum_}"] = xr.apply_ufunc(
-            radial.add, sums[sum_], input_core_dims=[list(coords)], output_core_dims=[["r"]], dask="parallelized",
-            output_dtypes=[float], dask_gufunc_kwargs={"output_sizes": {"r": len(radial.r)}, "allow_rechunk": True},
+            by_shell, sums[sum_], input_core_dims=[list(coords)], output_core_dims=[["r"]], dask="parallelized",
+            output_dtypes=[float], dask_gufunc_kwargs={"output_sizes": {"r": len(r)}, "allow_rechunk": True},
         )  # fmt: skip
-    sums = sums.assign_coords(r=("r", radial.r, {"units": length, "long_name": "distance"}))
+    sums = sums.assign_coords(r=("r", r, {"units": length, "long_name": "distance"}))
     about = {
         "correlation": ("1", f"correlation of {name} with {other}"),
         "radial_correlation": ("1", f"correlation of {name} with {other} by distance"),
@@ -257,29 +257,22 @@ def _products(a: NDArray, b: NDArray, wraps: Sequence[bool], rank: int) -> tuple
     return products.sum(axis=0), np.rint(pairs), *norms
 
 
-class _Radial:
-    """Adds up what lags of about the same length have.
+def _shells(lags: Sequence[NDArray], thickness: float) -> tuple[NDArray, Callable[[NDArray], NDArray]]:
+    """Return the mean length (m) of the lags in each shell, and a function that adds up sums (..., lags) by shell.
 
-    Attributes
-    ----------
-    r : array
-        Mean length of the added lags, which fill a shell as thick as the smallest spacing. The longest
-        is the longest lag along an axis.
+    A shell is as thick as the smallest spacing; the longest length is the longest lag along an axis.
     """
+    lengths = np.sqrt(sum(x**2 for x in np.meshgrid(*lags, indexing="ij"))).ravel()
+    shell = np.rint(lengths / thickness).astype(int)
+    used = np.flatnonzero(lengths <= max(np.abs(x).max() for x in lags) * (1 + 1e-12))
+    used = used[np.argsort(shell[used], kind="stable")]
+    _, first, count = np.unique(shell[used], return_index=True, return_counts=True)
 
-    def __init__(self, lags: Sequence[NDArray], thickness: float) -> None:
-        lengths = np.sqrt(sum(x**2 for x in np.meshgrid(*lags, indexing="ij"))).ravel()
-        shell = np.rint(lengths / thickness).astype(int)
-        self._used = np.flatnonzero(lengths <= max(np.abs(x).max() for x in lags) * (1 + 1e-12))
-        self._used = self._used[np.argsort(shell[self._used], kind="stable")]
-        _, self._first, count = np.unique(shell[self._used], return_index=True, return_counts=True)
-        self.r = np.add.reduceat(lengths[self._used], self._first) / count
-        self._rank = len(lags)
+    def add(sums: NDArray) -> NDArray:
+        flat = sums.reshape(*sums.shape[: -len(lags)], -1)
+        return np.add.reduceat(flat[..., used], first, axis=-1)
 
-    def add(self, sums: NDArray) -> NDArray:
-        """Return sums (..., r) from those at all lags."""
-        flat = sums.reshape(*sums.shape[: -self._rank], -1)
-        return np.add.reduceat(flat[..., self._used], self._first, axis=-1)
+    return np.add.reduceat(lengths[used], first) / count, add
 
 
 def _correlation_in_space(sums: xr.Dataset) -> xr.Dataset:

@@ -276,21 +276,17 @@ def _velocities(periodic: str, arrays: Mapping[str, NDArray]) -> dict[str, Any]:
             there = np.flatnonzero(row >= 0) if apart else np.empty(0, int)
             motion = BoxMotion.between(now[1], other[1])
             moved = motion.relative(position[there], other[0]["position"][row[there]])
-            _warn_of_aliasing(np.abs(moved).max(axis=0, initial=0.0) / now[1].period, now[2])
+            share = np.abs(moved).max(axis=0, initial=0.0) / now[1].period
+            if share.max() > _LARGE_SHARE:  # the nearest image may be another one
+                warn_once(
+                    "velocities across a period",
+                    f"{now[2]}: particles move by up to {share.max():.2f} of the period along "
+                    f"'{COMPONENTS[share.argmax()]}' from one step to the next; velocities of those that move by half "
+                    "a period or more are wrong. Write steps more often",
+                )
             moved += motion.shift + position[there] @ motion.gradient.T
             total[there] += np.sign(apart) * moved
             time[there] += abs(apart)
         with np.errstate(invalid="ignore", divide="ignore"):
             out[t, particle_rows(here["particle_id"][t])] = total / time[:, None]
     return {"velocity": out}
-
-
-def _warn_of_aliasing(share: NDArray, source: str) -> None:
-    """Warn where particles move by a large share (3,) of the period, as the nearest image may be another one."""
-    k = int(share.argmax())
-    if share[k] > _LARGE_SHARE:
-        warn_once(
-            "velocities across a period",
-            f"{source}: particles move by up to {share[k]:.2f} of the period along '{COMPONENTS[k]}' from one step to "
-            "the next; velocities of those that move by half a period or more are wrong. Write steps more often",
-        )

@@ -212,7 +212,7 @@ def _between_frames(
     read = list(dict.fromkeys([*(name for name in plan.variables if name not in _MADE), *both]))
     pairs = first.assign(later)
     threads = threads_a_chunk(pairs, [*read, *later], THREADS)
-    compute = _Pairs(plan.setup.periodic, partial(compute_chunk, plan, threads))
+    compute = partial(_of_pairs, plan.setup.periodic, partial(compute_chunk, plan, threads))
     results = {field: (plan.shapes[field], "float64") for field in plan.fields} | _MOTION
     arrays = map_over_time(pairs, [*read, *later], compute, results, "displacement", asked.on_error)
     f = mark_skipped(labelled(scene, plan, arrays, call), arrays)
@@ -229,37 +229,29 @@ def _between_frames(
     return f.assign_coords({name: ("time", *values) for name, values in coords.items()}), motion
 
 
-@dataclass(frozen=True)
-class _Pairs:
-    """Computes fields of a chunk of frames, with displacements to their later frames in the place of velocities."""
-
-    periodic: str
-    compute: Compute
-
-    def __call__(self, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
-        first = {name: a for name, a in arrays.items() if not name.endswith(_LATER)}
-        later = {name.removesuffix(_LATER): a for name, a in arrays.items() if name.endswith(_LATER)}
-        steps, grains = first["particle_id"].shape
-        found = {name: np.empty((steps, *shape), dtype) for name, (shape, dtype) in _MOTION.items()}
-        first["interval"] = np.broadcast_to((later.pop("time") - first.pop("time"))[:, None], (steps, grains))
-        first["velocity"] = np.full((steps, grains, 3), np.nan)
-        ids = np.full((steps, grains), PADDING)
-        frames = {name: first[name] for name in later}
-        for t, (one, other) in enumerate(
-            zip(steps_in(frames, self.periodic), steps_in(later, self.periodic), strict=True)
-        ):
-            sources = one[2], other[2]
-            rows = partners(one[0], other[0], sources)
-            stay = rows >= 0
-            motion = BoxMotion.between(one[1], other[1])
-            # grains without a partner become padding, and all rows stay where they are
-            given = first["particle_id"][t]
-            place = np.argsort(given, kind="stable")[grains - len(rows) :][stay]
-            ids[t, place] = given[place]
-            first["velocity"][t, place] = motion.relative(one[0]["position"][stay], other[0]["position"][rows[stay]])
-            found["left"][t], found["entered"][t] = (~stay).sum(), len(other[0]["position"]) - stay.sum()
-            found["box_gradient"][t], found["box_shift"][t] = motion.gradient, motion.shift
-        return {**self.compute(first | {"particle_id": ids}), **found}
+def _of_pairs(periodic: str, compute: Compute, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
+    """Compute fields of a chunk of frames, with displacements to their later frames in the place of velocities."""
+    first = {name: a for name, a in arrays.items() if not name.endswith(_LATER)}
+    later = {name.removesuffix(_LATER): a for name, a in arrays.items() if name.endswith(_LATER)}
+    steps, grains = first["particle_id"].shape
+    found = {name: np.empty((steps, *shape), dtype) for name, (shape, dtype) in _MOTION.items()}
+    first["interval"] = np.broadcast_to((later.pop("time") - first.pop("time"))[:, None], (steps, grains))
+    first["velocity"] = np.full((steps, grains, 3), np.nan)
+    ids = np.full((steps, grains), PADDING)
+    frames = {name: first[name] for name in later}
+    for t, (one, other) in enumerate(zip(steps_in(frames, periodic), steps_in(later, periodic), strict=True)):
+        sources = one[2], other[2]
+        rows = partners(one[0], other[0], sources)
+        stay = rows >= 0
+        motion = BoxMotion.between(one[1], other[1])
+        # grains without a partner become padding, and all rows stay where they are
+        given = first["particle_id"][t]
+        place = np.argsort(given, kind="stable")[grains - len(rows) :][stay]
+        ids[t, place] = given[place]
+        first["velocity"][t, place] = motion.relative(one[0]["position"][stay], other[0]["position"][rows[stay]])
+        found["left"][t], found["entered"][t] = (~stay).sum(), len(other[0]["position"]) - stay.sum()
+        found["box_gradient"][t], found["box_shift"][t] = motion.gradient, motion.shift
+    return {**compute(first | {"particle_id": ids}), **found}
 
 
 # --- from displacements relative to the box --------------------------------------------------------------

@@ -377,10 +377,11 @@ def _of_step(task: _Task, frame: Any, lattice: Lattice, source: str) -> dict[str
 
 def _over_surface(task: _Task, point: NDArray, force: NDArray, lattice: Lattice) -> tuple[NDArray, NDArray]:
     """Contacts near the surface and over its cells, each as that image which is the nearest to it."""
+    if not len(point):
+        return point, force
     images = _images(lattice, 1)
     all_points = (point + images[:, None]).reshape(-1, 3)
-    distance = np.abs(task.surface.distance(all_points)) if len(all_points) else np.empty(0)
-    over = task.surface.covers(all_points, task.cells) if len(all_points) else np.empty(0, bool)
+    over, distance = task.surface.covers(all_points, task.cells), np.abs(task.surface.distance(all_points))
     distance = np.where(over, distance, np.inf).reshape(len(images), -1)
     image = np.argmin(distance, axis=0)
     near = distance[image, np.arange(len(point))] <= task.within
