@@ -264,7 +264,7 @@ def make_plan(scene: Description, request: Request) -> Plan:
         limits=limits,
         coarse=limits.size > 0 and rtol >= SINGLE,
         by=by,
-        groups=scene.groups(by, request.groups),
+        groups=() if by is None and request.groups is None else scene.groups(by, request.groups),
         own={name: rows[name] for name in moments if rows[name] is not MOMENTS.get(name)},
     )
     x, y, z = (grid.spacing.get(a, 0.0) for a in COMPONENTS)
