@@ -321,14 +321,14 @@ TABLE = [
         "test_the_accessible_fraction_beside_a_plane_is_a_polynomial",
     ),
     Mutation(
-        "fields/analysis/wall_stress.py", "<= task.within", "<= 2 * task.within",
+        "fields/analysis/surfaces.py", "<= task.within", "<= 2 * task.within",
         "test_contacts_farther_than_within_are_left_out",
     ),
     Mutation(
         "fields/analysis/balance.py", "(8 * near - far)", "(8 * near + far)", "test_force_residual_falls_with_the_mesh",
     ),
     Mutation(
-        "fields/analysis/flow_rate.py", "[turned] + 2 / 3", "[turned] + 1 / 3",
+        "fields/analysis/surfaces.py", "[turned] + 2 / 3", "[turned] + 1 / 3",
         "test_parts_of_a_triangle_have_its_area_and_its_centre",
     ),
     Mutation(
@@ -340,7 +340,7 @@ TABLE = [
         "test_errors_of_a_line_through_three_heights",
     ),
     Mutation(
-        "fields/analysis/slice_temperature.py", "1 - abs(m) / (sides + 1)", "1 - abs(m) / (sides + 2)",
+        "fields/analysis/without_kernel.py", "1 - abs(m) / (sides + 1)", "1 - abs(m) / (sides + 2)",
         "test_temperatures_in_planes_equal_a_loop_over_grains",
     ),
     Mutation(
@@ -356,11 +356,11 @@ TABLE = [
         "test_velocities_across_edges_and_in_a_sheared_box",
     ),
     Mutation(
-        "fields/analysis/choose_width.py", "noise / frames**0.5", "noise / frames",
+        "fields/analysis/widths.py", "noise / frames**0.5", "noise / frames",
         "test_the_total_adds_the_bias_and_the_noise_of_the_mean_over_frames",
     ),
     Mutation(
-        "fields/analysis/choose_width.py", "math.sqrt(120)", "math.sqrt(480)",
+        "fields/analysis/widths.py", "math.sqrt(120)", "math.sqrt(480)",
         "test_the_spacing_adds_less_error_than_stated",
     ),
     # --- packing ---
@@ -369,7 +369,7 @@ TABLE = [
         "test_shear_rates_from_velocities_and_as_given",
     ),
     Mutation(
-        "packing/mixing.py", "(len(weight) - 1) / (count - 1)", "len(weight) / (count - 1)",
+        "packing/samples.py", "ratio(len(weight) - 1, count - 1)", "ratio(len(weight), count - 1)",
         "test_the_mean_over_all_arrangements_is_the_random_limit",
     ),
     Mutation(
@@ -386,7 +386,7 @@ TABLE = [
     ),
     # --- chains ---
     Mutation(
-        "chains/results.py", "np.bincount(now[1])[b] - common)", "np.bincount(now[1])[b])",
+        "chains/search.py", "np.bincount(now[1])[b] - common)", "np.bincount(now[1])[b])",
         "test_a_chain_survives_with_at_least_the_given_overlap",
     ),
     Mutation(

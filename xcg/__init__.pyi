@@ -3,24 +3,20 @@
 from . import datasets, readers
 from .accessor import CoarseGrainAccessor
 from .chains.particle_stress import particle_stress
-from .chains.plots import plot_chains, plot_lengths, plot_rose
-from .chains.results import chain_table, link_table, track_chains
-from .chains.search import force_chains
+from .chains.results import chain_table, link_table, plot_chains, plot_lengths, plot_rose
+from .chains.search import force_chains, track_chains
 from .chains.selection import Box, BoxRegion, Region, Sphere, select_chains
 from .common.messages import SceneError, SceneWarning
 from .fields.analysis.balance import balance
-from .fields.analysis.cell_volumes import cell_volumes
-from .fields.analysis.choose_width import choose_width, plot_width
 from .fields.analysis.correlations import spatial_correlation, time_correlation
 from .fields.analysis.derived import derive_director, derive_superquadric, derive_velocity
 from .fields.analysis.diffusion import mean_squared_displacement
 from .fields.analysis.displacement import displacement
-from .fields.analysis.flow_rate import flow_rate
 from .fields.analysis.plots import movie, plot
 from .fields.analysis.shallow import depth_average, fit_slope, free_surface
-from .fields.analysis.slice_temperature import slice_temperature
-from .fields.analysis.wall_stress import wall_stress
-from .fields.analysis.width_sweep import width_sweep
+from .fields.analysis.surfaces import flow_rate, wall_stress
+from .fields.analysis.widths import choose_width, plot_width, width_sweep
+from .fields.analysis.without_kernel import cell_volumes, slice_temperature
 from .fields.coarse_grain import coarse_grain
 from .fields.formulas.averages import profile, time_average
 from .fields.formulas.field import Conduction, Flux, Mean, Sum, Variance

@@ -6,23 +6,19 @@ from typing import Concatenate, Generic, ParamSpec, TypeVar, overload
 import xarray as xr
 
 from xcg.chains.particle_stress import particle_stress
-from xcg.chains.plots import plot_chains, plot_lengths, plot_rose
-from xcg.chains.results import chain_table, link_table, track_chains
-from xcg.chains.search import force_chains
+from xcg.chains.results import chain_table, link_table, plot_chains, plot_lengths, plot_rose
+from xcg.chains.search import force_chains, track_chains
 from xcg.chains.selection import select_chains
 from xcg.fields.analysis.balance import balance
-from xcg.fields.analysis.cell_volumes import cell_volumes
-from xcg.fields.analysis.choose_width import choose_width, plot_width
 from xcg.fields.analysis.correlations import spatial_correlation, time_correlation
 from xcg.fields.analysis.derived import derive_director, derive_superquadric, derive_velocity
 from xcg.fields.analysis.diffusion import mean_squared_displacement
 from xcg.fields.analysis.displacement import displacement
-from xcg.fields.analysis.flow_rate import flow_rate
 from xcg.fields.analysis.plots import movie, plot
 from xcg.fields.analysis.shallow import depth_average, fit_slope, free_surface
-from xcg.fields.analysis.slice_temperature import slice_temperature
-from xcg.fields.analysis.wall_stress import wall_stress
-from xcg.fields.analysis.width_sweep import width_sweep
+from xcg.fields.analysis.surfaces import flow_rate, wall_stress
+from xcg.fields.analysis.widths import choose_width, plot_width, width_sweep
+from xcg.fields.analysis.without_kernel import cell_volumes, slice_temperature
 from xcg.fields.coarse_grain import coarse_grain, explain
 from xcg.fields.formulas.averages import profile, time_average
 from xcg.packing.find_contacts import find_contacts

@@ -139,7 +139,7 @@ def test_no_module_imports_itself_in_a_circle():
 
 
 # pairs of names that are not twins, in rooms that are still being joined
-NOT_TWINS = {"contacts", "displacement", "lammps", "pairs", "plots"}
+NOT_TWINS = {"contacts", "displacement", "lammps", "pairs"}
 NAMED_TWICE: set[str] = set()
 
 

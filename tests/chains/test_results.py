@@ -1,73 +1,96 @@
 from __future__ import annotations
 
-from itertools import pairwise
+import runpy
 
+import matplotlib as mpl
 import numpy as np
 import pytest
 
 import xcg
+from tests import ROOT
+from tests.networks import fork
+
+mpl.use("agg")
+plt = pytest.importorskip("matplotlib.pyplot")
 
 
-def chains_over_time(*steps):
-    """Series of 12 grains; each step is a list of chains, each a list of ids, laid out along lines of their own."""
-    position, pairs = [], []
-    for chains in steps:
-        x = np.zeros((12, 3))
-        x[:, 1] = 100 + 10 * np.arange(12)
-        pairs.append([])
-        for k, chain in enumerate(chains):
-            x[chain] = [[n, 10 * k, 0] for n in range(len(chain))]
-            pairs[-1] += pairwise(chain)
-        position.append(x)
-    i, j = ([np.array([p[end] for p in step], int) for step in pairs] for end in (0, 1))
-    force = [np.tile([-1.0, 0, 0], (len(step), 1)) for step in pairs]
-    return xcg.scene_from_arrays(
-        np.array(position), diameter=np.ones((len(steps), 12)), density=1.0, contact_i=i, contact_j=j,
-        contact_force=force, time=0.5 * np.arange(len(steps)),
-    ).cg.force_chains()  # fmt: skip
+@pytest.fixture(autouse=True)
+def _close():
+    yield
+    plt.close("all")
 
 
-def test_births_deaths_and_lifetimes_of_tracked_chains():
-    fc = chains_over_time(
-        [[0, 1, 2, 3], [4, 5, 6]],  # two chains
-        [[4, 5, 6], [0, 1, 2]],  # the first loses a grain
-        [[0, 1, 2], [7, 8, 9]],  # one ends, one begins
-        [[7, 8, 9, 10]],
-    )
-    tracks = fc.cg.track_chains(overlap=0.5)
-    found = [t[t >= 0].tolist() for t in tracks.track_id.values]
-    assert found == [[0, 1], [0, 1], [0, 2], [2]]
-    assert tracks.births.values.tolist() == [2, 0, 1, 0]
-    assert tracks.deaths.values.tolist() == [0, 0, 1, 1]
-    assert tracks.survivors.values.tolist() == [0, 2, 1, 1]
-    assert tracks.lifetime.values.tolist() == [1.0, 0.5, 0.5]
-    assert tracks.steps.values.tolist() == [3, 2, 2]
-    assert tracks.lifetime.attrs["units"] == "s"
-    assert tracks.equals(fc.chunk(time=1).cg.track_chains(overlap=0.5))
+@pytest.mark.parametrize("colour", ["stress", "chain"])
+def test_plot_chains(colour):
+    fc = fork().cg.force_chains()
+    ax = fc.cg.plot_chains(colour=colour)
+    grains, links = ax.collections
+    assert len(grains.get_offsets()) == 9
+    assert len(links.get_segments()) == 8
+    # the strongest links are the thickest
+    assert np.argmax(links.get_linewidths()) in (0, 1)
+    ax.figure.canvas.draw()
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("$x$ [m]", "$y$ [m]")
+    if colour == "stress":
+        assert links.colorbar.ax.get_ylabel() == "most compressive principal stress [Pa]"
 
 
-def test_a_chain_survives_with_at_least_the_given_overlap():
-    fc = chains_over_time([[0, 1, 2, 3]], [[0, 1, 2]])
-    assert fc.cg.track_chains(overlap=0.75).survivors.values.tolist() == [0, 1]
-    assert fc.cg.track_chains(overlap=0.76).survivors.values.tolist() == [0, 0]
+def test_pictures_have_figures_of_their_own():
+    """They do not paint over the current one."""
+    fc = fork().cg.force_chains()
+    mine = plt.figure().add_subplot()
+    drawn = [fc.cg.plot_chains(), fc.cg.plot_lengths(), fc.cg.plot_rose(), fc.cg.plot_rose()]
+    assert not [*mine.collections, *mine.lines, *mine.patches]
+    assert len({ax.figure for ax in [mine, *drawn]}) == 5
+    assert drawn[2].name == "polar"
 
 
-def test_a_chain_that_splits_lives_on_in_the_larger_part():
-    fc = chains_over_time([[0, 1, 2, 3, 4, 5, 6]], [[0, 1, 2], [3, 4, 5, 6]])
-    tracks = fc.cg.track_chains(overlap=0.3)
-    assert tracks.track_id.values[1, :2].tolist() == [1, 0]
-    assert tracks.births.values.tolist() == [1, 1]
+def test_plot_lengths():
+    ax = fork().cg.force_chains().cg.plot_lengths()
+    assert ax.lines[-1].get_xydata().tolist() == [[9, 1]]
 
 
-def test_tracks_of_no_chains_are_empty():
-    tracks = chains_over_time([], [[0, 1, 2]], []).cg.track_chains()
-    assert tracks.births.values.tolist() == [0, 1, 0]
-    assert tracks.deaths.values.tolist() == [0, 0, 1]
+def test_plot_rose():
+    ax = fork().cg.force_chains().cg.plot_rose(bins=12)
+    heights = np.array([petal.get_height() for petal in ax.patches])
+    assert heights.sum() == pytest.approx(1)
+    np.testing.assert_allclose(heights[:6], heights[6:])  # both ways
 
 
-def test_wrong_arguments_raise():
-    fc = chains_over_time([[0, 1, 2]])
-    with pytest.raises(ValueError, match="overlap=0: expected a share"):
-        fc.cg.track_chains(overlap=0)
-    with pytest.raises(ValueError, match="no time dimension"):
-        fc.isel(time=0).cg.track_chains()
+def test_pictures_are_those_of_the_last_step():
+    one = fork()
+    fc = one.isel(time=[0, 0]).assign_coords(time=[0.0, 1.0]).cg.force_chains()
+    fc["link_chain"][0] = -1
+    for name in ("plot_chains", "plot_rose"):
+        first, last = getattr(fc.cg, name)(time=0), getattr(fc.cg, name)()
+    assert sum(petal.get_height() for petal in first.patches) == 0
+    assert sum(petal.get_height() for petal in last.patches) == pytest.approx(1)
+
+
+def test_plots_of_no_chains_are_empty():
+    fc = fork().cg.force_chains(threshold=1e9)
+    fc.cg.plot_chains()
+    fc.cg.plot_rose(ax=plt.figure().add_subplot(projection="polar"))
+    fc.cg.plot_lengths(ax=plt.figure().add_subplot())
+
+
+def test_the_example_script_runs(tmp_path, capsys):
+    """Chains of a sheared layer lie along the compressive diagonal."""
+    example = runpy.run_path(str(ROOT / "examples" / "force_chains.py"))
+    example["main"](tmp_path)
+    assert "links point at 138 degrees, the mean stress at 140" in capsys.readouterr().out
+    assert (tmp_path / "chains.png").stat().st_size > 1e5
+
+
+def test_wrong_plots_raise():
+    fc = fork().cg.force_chains()
+    with pytest.raises(ValueError, match="colour='red'"):
+        fc.cg.plot_chains(colour="red")
+    with pytest.raises(ValueError, match="bins=7: expected an even number"):
+        fc.cg.plot_rose(bins=7)
+    with pytest.raises(ValueError, match="plane='xx': expected two axes"):
+        fc.cg.plot_rose(plane="xx")
+    with pytest.raises(ValueError, match="time=1: expected the position of a step, a whole number from -1 to 0"):
+        fc.cg.plot_rose(time=1)
+    with pytest.raises(ValueError, match="plot_chains draws one-layer scenes"):
+        xcg.datasets.random_scene(20).cg.force_chains().cg.plot_chains()

@@ -14,7 +14,7 @@ from xcg.compiled.segments import (
     deposit_segments,
     reference_deposit_segments,
 )
-from xcg.fields.sums.kernels import as_kernel
+from xcg.fields.sums.kernels import kernel_of
 from xcg.fields.sums.nodes import MeshBlock
 
 xcg.register_kernel("reference spline", lambda q: (1 - q) ** 4 * (1 + 4 * q), ratio=2.0, smoothness=2)
@@ -33,7 +33,7 @@ def mesh(axes):
 
 def seen_kernel(name, axes):
     """A kernel as loops take it, and as a function of distances, with a cutoff of 1."""
-    kernel = as_kernel(name, 1.0, 3)
+    kernel = kernel_of(name, 1.0, {}, 3)
     kernel = type(kernel)(cutoff=1.0, dimension=3)
     return kernel.weights(len(axes)), lambda q: kernel.value(q, seen=len(axes))
 

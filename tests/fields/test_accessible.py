@@ -8,7 +8,7 @@ import xarray as xr
 from scipy.stats.qmc import Sobol
 
 import xcg
-from tests.fields.analysis.test_wall_stress import box_surface
+from tests.fields.analysis.test_surfaces import box_surface
 from xcg.fields.accessible import LEAST, fraction_at
 
 FLOOR = xcg.Plane((0, 0, 0), (0, 0, 1))

@@ -435,3 +435,12 @@ def test_a_scene_without_steps_has_results_without_steps():
     assert ds.isel(time=[]).cg.microstructure().sizes == {**ds.cg.microstructure().sizes, "time": 0}
     with pytest.raises(xcg.SceneError, match="find_contacts: there is no step"):
         ds.isel(time=[]).cg.find_contacts()
+
+
+@pytest.mark.parametrize("call", [
+    lambda ds: ds.cg.microstructure(groups=[1, 2]), lambda ds: ds.cg.mean_squared_displacement(groups=[1, 2]),
+    lambda ds: ds.cg.cell_volumes(1.0, groups=[1, 2]),
+])  # fmt: skip
+def test_groups_without_their_variable_raise(call):
+    with pytest.raises(ValueError, match=r"groups=\[1, 2\] are the values .* say which with by="):
+        call(xcg.datasets.random_scene(20).isel(time=[0, 0]).assign_coords(time=[0.0, 1.0]))

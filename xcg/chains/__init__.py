@@ -1,1 +1,1 @@
-"""Force chains: regions, search, selection, tables, tracks over time, pictures."""
+"""Force chains: regions, search, selection, tracks over time, tables, pictures."""

@@ -21,12 +21,13 @@ from xcg.scene.contacts import Contacts
 from xcg.scene.description import describe
 from xcg.scene.frame import particle_rows, steps_in
 from xcg.scene.lattice import Lattice
-from xcg.scene.schema import CONTACT_VARIABLES, OF_STEP, VARIABLES, Frame, Variable
+from xcg.scene.schema import OF_STEP, VARIABLES, Frame, Variable
 from xcg.steps.faults import OnError
 from xcg.steps.labels import empty_results, label, results_of
 from xcg.steps.mapping import map_over_time, threads_a_chunk
 
 Volumes: TypeAlias = Literal["particle", "disc"]
+_CONTACTS = ("position", "contact_i", "contact_j", "contact_point", "contact_force")
 # Eigenvalues below this share of the whole tensor are rounding.
 ROUNDING = 1e-12
 
@@ -50,23 +51,16 @@ class StressRule:
         Periodic axes of the scene.
     symmetric : bool
         Whether the symmetric part is taken.
-    disc : bool
-        Whether volumes are computed for discs of a certain thickness.
     thickness : float or str or None
-        Of the discs (m), or the axis whose box extent it is.
+        Of discs (m), or the axis whose box extent it is; None for the scene's volumes.
     spheres : tuple of str
         Variables that the branches of spheres follow from; empty where all follow from contact points.
     """
 
     periodic: str
-    symmetric: bool = True
-    disc: bool = False
-    thickness: float | str | None = None
-    spheres: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        if self.disc and self.thickness is None:
-            raise SceneError("volume='disc' is for one-layer scenes, and this one has dimension=3; leave volume= out")
+    symmetric: bool
+    thickness: float | str | None
+    spheres: tuple[str, ...]
 
     @classmethod
     def of(cls, ds: xr.Dataset, purpose: str, *, symmetric: bool, volume: str) -> StressRule:
@@ -78,15 +72,18 @@ class StressRule:
         disc = volume == "disc"
         require_scene(ds, (*_CONTACTS, "diameter" if disc else "volume"), purpose)
         scene = describe(ds)
-        setup, thickness = scene.setup, scene.layer_depth if disc else None
+        thickness = scene.layer_depth if disc else None
+        if disc and thickness is None:
+            raise SceneError("volume='disc' is for one-layer scenes, and this one has dimension=3; leave volume= out")
         given = tuple(name for name in ("diameter", "overlap", "contact_normal") if name in ds)
-        return cls(setup.periodic, symmetric, disc, thickness, given if {"diameter", "overlap"} <= set(given) else ())
+        spheres = given if {"diameter", "overlap"} <= set(given) else ()
+        return cls(scene.setup.periodic, symmetric, thickness, spheres)
 
     @property
     def variables(self) -> tuple[str, ...]:
         """Variables of the scene that the stress is made from."""
-        size = ("diameter",) if self.disc else ("volume",)
-        return tuple(dict.fromkeys(("particle_id", *_CONTACTS, *size, *self.spheres)))
+        size = "volume" if self.thickness is None else "diameter"
+        return tuple(dict.fromkeys(("particle_id", *_CONTACTS, size, *self.spheres)))
 
     def contacts(self, frame: Frame, lattice: Lattice, source: str, threads: int) -> Contacts:
         """Join the contacts of a frame to its particles; threads share a step of many."""
@@ -95,10 +92,9 @@ class StressRule:
 
     def volumes(self, frame: Frame, lattice: Lattice, source: str) -> NDArray:
         """Volume of each particle (m3)."""
-        if not self.disc:
-            return frame["volume"]
         thickness = self.thickness
-        assert thickness is not None  # checked when the rule was made
+        if thickness is None:
+            return frame["volume"]
         if isinstance(thickness, str):
             thickness = lattice.length(thickness)
             if not is_positive(thickness):
@@ -127,9 +123,6 @@ class StressRule:
             "major_stress": values[:, 0].copy(),
             "major_direction": vectors[:, 0].copy(),
         }
-
-
-_CONTACTS = (*(name for name in CONTACT_VARIABLES if name != "contact_normal"), "contact_force")
 
 
 def carries(result: Mapping[str, NDArray]) -> NDArray:

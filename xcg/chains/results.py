@@ -1,10 +1,10 @@
-"""Results of a search for chains: labels, tables, and chains that are followed from step to step."""
+"""Results of a search for chains: labels, steps, tables and pictures."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -12,45 +12,34 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.chains.particle_stress import RESULTS as STRESSES
-from xcg.common.checks import is_positive
+from xcg.common.checks import check_choice, extra
+from xcg.common.drawing import add_colour_bar, label_of, new_axes, set_label, with_unit
 from xcg.common.messages import SceneError
 from xcg.scene.conform import with_components
 from xcg.scene.description import Summary, rows_of_origin
-from xcg.scene.frame import particle_rows, require_rising_times, with_time
+from xcg.scene.frame import particle_rows, step_at, with_time
 from xcg.scene.lattice import Lattice
 from xcg.scene.sanity import rows_of
-from xcg.scene.schema import BOX, COMPONENTS, PADDING, VARIABLES, Frame, Variable, units_in
-from xcg.steps.labels import provenance
+from xcg.scene.schema import BOX, COMPONENTS, PADDING, VARIABLES, Frame, Variable
 from xcg.steps.mapping import each_step
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Colour: TypeAlias = Literal["stress", "chain"]
 COPIED = ("particle_id", "position", "diameter", "contact_i", "contact_j", "contact_force")
 
 
-@dataclass(frozen=True)
-class LengthStatistic:
-    """A statistic of the lengths of the chains of one step.
-
-    Attributes
-    ----------
-    variable : Variable
-        Dimensions, unit and type.
-    compute : callable
-        ``compute(lengths)`` from the numbers of particles of the chains, an array (chains,) of at least one.
-    """
-
-    variable: Variable
-    compute: Callable[[NDArray], float]
-
-
-_OF_LENGTHS: dict[str, LengthStatistic] = {
-    "length_mean": LengthStatistic(Variable((), "1", "mean length of the chains (particles)"), np.mean),
-    "length_median": LengthStatistic(Variable((), "1", "median length of the chains (particles)"), np.median),
-    "length_min": LengthStatistic(Variable((), "1", "shortest chain (particles)"), np.min),
-    "length_max": LengthStatistic(Variable((), "1", "longest chain (particles)"), np.max),
+# from the lengths of the chains of one step, an array (chains,) of at least one
+_OF_LENGTHS: dict[str, tuple[str, Callable[[NDArray], Any]]] = {
+    "length_mean": ("mean length of the chains (particles)", np.mean),
+    "length_median": ("median length of the chains (particles)", np.median),
+    "length_min": ("shortest chain (particles)", np.min),
+    "length_max": ("longest chain (particles)", np.max),
 }
 STATISTICS: dict[str, Variable] = {
     "chain_count": Variable((), "1", "number of chains", "int64"),
-    **{name: row.variable for name, row in _OF_LENGTHS.items()},
+    **{name: Variable((), "1", long_name) for name, (long_name, _) in _OF_LENGTHS.items()},
     "length_share": Variable(("length",), "1", "share of the chains that have this length, P(c)"),
 }
 CHAINS: dict[str, Variable] = {
@@ -87,7 +76,7 @@ def statistics_of(lengths: NDArray, min_length: int, bins: int) -> dict[str, NDA
     """Statistics of the lengths of the chains of one step, by the names in `STATISTICS`; NaN without chains."""
     count = len(lengths)
     found: dict[str, NDArray | float] = {"chain_count": count}
-    found |= {name: row.compute(lengths) if count else np.nan for name, row in _OF_LENGTHS.items()}
+    found |= {name: compute(lengths) if count else np.nan for name, (_, compute) in _OF_LENGTHS.items()}
     found["length_share"] = np.bincount(lengths - min_length, minlength=bins)[:bins] / max(count, 1)
     return found
 
@@ -240,102 +229,170 @@ def _table(
     return pd.concat(tables, ignore_index=True)
 
 
-def track_chains(fc: xr.Dataset, overlap: float = 0.5) -> xr.Dataset:
-    """Follow chains from step to step by the particles that they share (computes, one step at a time).
+# --- pictures --------------------------------------------------------------------------------------------
+
+
+def plot_chains(
+    fc: xr.Dataset, *, time: int = -1, colour: Colour = "stress", grains: bool = True,
+    ax: Axes | None = None,
+) -> Axes:  # fmt: skip
+    """Draw the chains of one step of a one-layer scene: links over grains, line width by force.
 
     Parameters
     ----------
     fc : xarray.Dataset
-        A result of `force_chains`, with particles known by id in all steps.
-    overlap : float
-        Least share of common particles, above 0 and up to 1: the number that two chains have in common over the
-        number in at least one of them (Jaccard index). Pairs of chains are taken from the largest share downward; each
-        chain continues one chain at most. Above 0.5 no chain has two candidates.
+        A result of `force_chains`; its scene has ``dimension=2``.
+    time : int
+        Which step, by position; the last one by default.
+    colour : {"stress", "chain"}
+        Of the links: the mean major stress of the two particles of a link, or one colour a chain.
+    grains : bool
+        Draw the particles; particles of chains are darker.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw; a new figure by default.
 
     Returns
     -------
-    xarray.Dataset
-        ``track_id`` (time, chain), -1 for padding; ``births``, ``deaths`` and ``survivors`` (time):
-        chains that continue none of the step before, chains of the step before that none continues, and the others;
-        ``birth_time``, ``last_time``, ``lifetime`` (s) and ``steps`` (track). A track seen in one step has lifetime
-        zero. What there is in the first step counts as born there, and what there is in the last does not die, so
-        that lifetimes are lower bounds for these.
+    matplotlib.axes.Axes
 
     Raises
     ------
     SceneError
-        If `fc` is not a result of `force_chains`, or its times do not rise.
+        If `fc` is not a result of `force_chains`.
     ValueError
-        If `overlap` is out of range, or the chains have no time dimension.
+        If the scene is not of one layer, or an argument is wrong.
     """
-    require_chains(fc, "track_chains")
-    fc = with_time(fc)
-    if not (is_positive(overlap) and overlap <= 1):
-        raise ValueError(f"overlap={overlap!r}: expected a share above 0 and up to 1, for example 0.5")
-    if "time" not in fc.dims:
+    require_chains(fc, "plot_chains")
+    if int(fc.attrs.get("dimension", 3)) != 2:
         raise ValueError(
-            "the chains have no time dimension, expected several steps; keep it when selecting: fc.isel(time=[0, 1])"
+            "plot_chains draws one-layer scenes, and this one has dimension=3; write it with .cg.to_vtp for ParaView"
         )
-    require_rising_times(fc, "track_chains")
-    chains, steps = fc.sizes["chain"], fc.sizes["time"]
-    track = np.full((steps, chains), -1)
-    births, deaths, survivors = (np.zeros(steps, int) for _ in range(3))
-    times = np.zeros(steps)
-    first: list[int] = []  # step, by track
-    last: list[int] = []
-    seen: list[int] = []
-    before: tuple[NDArray, NDArray] = (np.zeros(0, int), np.zeros(0, int))
-    for t, step in enumerate(steps_of(fc, ["chain_id"])):
-        member = step.arrays["chain_id"] >= 0
-        now = step.arrays["particle_id"][member], step.arrays["chain_id"][member]
-        times[t] = step.time
-        exists = np.unique(now[1])
-        for a, b in _matches(before, now, overlap):
-            track[t, b] = track[t - 1, a]
-            survivors[t] += 1
-        if t:
-            deaths[t] = (track[t - 1] >= 0).sum() - survivors[t]
-        born = exists[track[t, exists] < 0]
-        births[t] = len(born)
-        track[t, born] = len(first) + np.arange(len(born))
-        first += [t] * len(born)
-        last += [t] * len(born)
-        seen += [0] * len(born)
-        for k in track[t, exists]:
-            last[k] = t
-            seen[k] += 1
-        before = now
-    second = units_in("s", fc.attrs.get("unit_system", "SI"))
-    birth, end = times[np.array(first, int)], times[np.array(last, int)]
-    data = {
-        "track_id": (("time", "chain"), track, {"long_name": "track of the chain, -1 where there is none"}),
-        "births": ("time", births, {"long_name": "chains that continue none of the step before"}),
-        "deaths": ("time", deaths, {"long_name": "chains of the step before that none continues"}),
-        "survivors": ("time", survivors, {"long_name": "chains that continue one of the step before"}),
-        "birth_time": ("track", birth, {"units": second, "long_name": "first time of the track"}),
-        "last_time": ("track", end, {"units": second, "long_name": "last time of the track"}),
-        "lifetime": ("track", end - birth, {"units": second, "long_name": "time from first to last step"}),
-        "steps": ("track", np.array(seen, int), {"long_name": "steps of the track"}),
-    }
-    coords = {name: fc[name].variable for name in ("time", "step") if name in fc.coords}
-    return xr.Dataset(data, coords, provenance(fc, f"track_chains(overlap={overlap!r})"))
+    check_choice("colour", colour, Colour)
+    collections = extra("matplotlib.collections", "plot", "drawing")
+    plane = [COMPONENTS.index(axis) for axis in fc.attrs.get("plane", "xy")]
+    names = ["position", "diameter", "chain_id", "link_chain", "contact_j", "contact_force", "major_stress"]
+    (step,) = steps_of(step_at(fc, time, "time"), names)
+    arrays = step.arrays
+    ax = new_axes() if ax is None else ax
+    position, diameter = arrays["position"][:, plane], arrays["diameter"]
+    if grains:
+        shade = np.where(arrays["chain_id"] >= 0, "0.8", "0.93")
+        ax.add_collection(
+            collections.EllipseCollection(
+                diameter, diameter, np.zeros(len(diameter)), units="xy", offsets=position,
+                offset_transform=ax.transData, facecolors=shade, edgecolors="none",
+            )
+        )  # fmt: skip
+    contact, i, j, branch = _links(step)
+    force = np.linalg.norm(arrays["contact_force"][contact], axis=1)
+    ends = np.stack([position[i], position[i] + branch[:, plane]], axis=1)
+    width = 0.5 + 3 * force / max(force.max(initial=0.0), np.finfo(float).tiny)
+    lines = collections.LineCollection(
+        list(ends), linewidths=width, capstyle="round", cmap="tab20" if colour == "chain" else "inferno_r"
+    )
+    if colour == "chain":
+        lines.set_array(arrays["link_chain"][contact] % 20)
+    else:
+        lines.set_array(0.5 * (arrays["major_stress"][i] + arrays["major_stress"][j]))
+        add_colour_bar(lines, ax, label_of(fc["major_stress"], "major_stress"), shrink=0.8)
+    ax.add_collection(lines)
+    ax.set_aspect("equal")
+    ax.autoscale_view()
+    for axis, k in ((ax.xaxis, plane[0]), (ax.yaxis, plane[1])):
+        set_label(axis, with_unit(f"${COMPONENTS[k]}$", fc["position"].attrs.get("units", "")))
+    return ax
 
 
-def _matches(before: tuple[NDArray, NDArray], now: tuple[NDArray, NDArray], overlap: float) -> list[tuple[int, int]]:
-    """Pairs of chains, each given by particle ids (sorted) and the chain of each, that share enough particles."""
-    _, old, new = np.intersect1d(before[0], now[0], assume_unique=True, return_indices=True)
-    if not old.size:
-        return []
-    pairs, common = np.unique(np.stack([before[1][old], now[1][new]], axis=1), axis=0, return_counts=True)
-    a, b = pairs.T
-    share = common / (np.bincount(before[1])[a] + np.bincount(now[1])[b] - common)
-    taken_a: set[int] = set()
-    taken_b: set[int] = set()
-    matches = []
-    for k in np.lexsort((b, a, -share)):
-        if share[k] < overlap or a[k] in taken_a or b[k] in taken_b:
-            continue
-        taken_a.add(int(a[k]))
-        taken_b.add(int(b[k]))
-        matches.append((int(a[k]), int(b[k])))
-    return matches
+def plot_lengths(fc: xr.Dataset, *, ax: Axes | None = None) -> Axes:
+    """Draw P(c), the share of chains that have c particles, of each step (grey) and of all (blue).
+
+    Parameters
+    ----------
+    fc : xarray.Dataset
+        A result of `force_chains`.
+    ax : matplotlib.axes.Axes, optional
+        Where to draw; a new figure by default.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    SceneError
+        If `fc` is not a result of `force_chains`.
+    """
+    require_chains(fc, "plot_lengths")
+    ax = new_axes() if ax is None else ax
+    steps = with_time(fc[["length_share", "chain_count"]]).compute()
+    steps = steps if "time" in steps.dims else steps.expand_dims("time")
+    share, count = steps["length_share"].transpose("time", "length").to_numpy(), steps["chain_count"].to_numpy()
+    length = fc["length"].to_numpy()
+    for row in share:
+        ax.plot(length[row > 0], row[row > 0], ".", ms=4, color="0.75")
+    total = count @ share / max(count.sum(), 1)
+    ax.plot(length[total > 0], total[total > 0], "o", ms=4, color="C0")
+    ax.set_yscale("log")
+    set_label(ax.xaxis, "length $c$ [particles]")
+    set_label(ax.yaxis, "share of chains $P(c)$")
+    return ax
+
+
+def plot_rose(
+    fc: xr.Dataset, *, time: int = -1, bins: int = 36, plane: str | None = None, ax: Axes | None = None
+) -> Axes:
+    """Draw how the links of one step are directed: a rose, both ways, weighted by force.
+
+    Parameters
+    ----------
+    fc : xarray.Dataset
+        A result of `force_chains`.
+    time : int
+        Which step, by position; the last one by default.
+    bins : int
+        Petals, an even number.
+    plane : str, optional
+        The two axes that directions are projected on; the axes of the layer by default, or "xz" in 3D.
+    ax : matplotlib.axes.Axes, optional
+        Polar axes; a new figure by default.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+
+    Raises
+    ------
+    SceneError
+        If `fc` is not a result of `force_chains`.
+    ValueError
+        If an argument is wrong.
+    """
+    require_chains(fc, "plot_rose")
+    if bins < 2 or bins % 2:
+        raise ValueError(f"bins={bins!r}: expected an even number of petals, as every link points both ways")
+    flat = int(fc.attrs.get("dimension", 3)) == 2
+    plane = plane or (fc.attrs.get("plane", "xy") if flat else "xz")
+    if len(plane) != 2 or len(set(plane) & set(COMPONENTS)) != 2:
+        raise ValueError(f"plane={plane!r}: expected two axes, for example 'xz'")
+    (step,) = steps_of(step_at(fc, time, "time"), ["position", "link_chain", "contact_j", "contact_force"])
+    ax = new_axes("polar") if ax is None else ax
+    contact, _, _, branch = _links(step)
+    along, up = (branch[:, COMPONENTS.index(axis)] for axis in plane)
+    angle = np.arctan2(up, along) % np.pi
+    force = np.linalg.norm(step.arrays["contact_force"][contact], axis=1)
+    half, edges = np.histogram(angle, bins // 2, (0, np.pi), weights=force)
+    petals = np.tile(half / max(2 * half.sum(), np.finfo(float).tiny), 2)
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    ax.bar(
+        np.concatenate([middle, middle + np.pi]), petals, width=2 * np.pi / bins, color="C3", edgecolor="white", lw=0.5
+    )
+    ax.set_yticklabels([])
+    ax.set_xticks(np.deg2rad([0, 90, 180, 270]), [f"${sign}{axis}$" for sign in ("", "-") for axis in plane])
+    return ax
+
+
+def _links(step: ChainStep) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+    """Contacts of the links, rows of their two particles, and nearest image of the vector between these (m)."""
+    contact, i, j = step.links()
+    position = step.arrays["position"]
+    return contact, i, j, step.lattice.shortest(position[j] - position[i])

@@ -1,29 +1,29 @@
-"""Force chains of a scene: the search in each step, a description of each chain, statistics of all."""
+"""Force chains of a scene: the search in each step, a description of each chain, and chains followed over time."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal, TypeAlias, get_args
+from typing import Literal, TypeAlias
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.chains.particle_stress import StressRule, Volumes, carries
-from xcg.chains.results import CHAINS, COPIED, RESULTS, result_sizes, statistics_of
+from xcg.chains.results import CHAINS, COPIED, RESULTS, require_chains, result_sizes, statistics_of, steps_of
 from xcg.chains.selection import Region, check_region
-from xcg.common.checks import is_finite, is_positive, is_whole
+from xcg.common.checks import check_choice, is_finite, is_positive, is_whole
 from xcg.common.messages import warn_user
 from xcg.compiled import chains as loops
 from xcg.compiled._jit import THREADS, for_parts
 from xcg.scene.conform import require_scene, takes_scene
-from xcg.scene.frame import particle_rows, steps_in
+from xcg.scene.frame import particle_rows, require_rising_times, steps_in, with_time
 from xcg.scene.lattice import Lattice
-from xcg.scene.schema import BOX, OF_STEP, PADDING, Frame
+from xcg.scene.schema import BOX, OF_STEP, PADDING, Frame, units_in
 from xcg.steps.faults import OnError
-from xcg.steps.labels import empty_results, format_call, label, results_of
+from xcg.steps.labels import empty_results, format_call, label, provenance, results_of
 from xcg.steps.mapping import map_over_time, threads_a_chunk
 
 Algorithm: TypeAlias = Literal["branching", "peters2005"]
@@ -64,11 +64,6 @@ class SearchRule:
     linear: bool
     one_sided: bool
     region: Region | None
-
-    @property
-    def variables(self) -> tuple[str, ...]:
-        """Variables of the scene that are read."""
-        return tuple(dict.fromkeys((*self.stress.variables, *COPIED)))
 
     def qualifies(self, frame: Frame, stress: Frame, time: float, lattice: Lattice) -> NDArray:
         """Return a mask of the particles that may be part of a chain."""
@@ -172,30 +167,28 @@ def force_chains(
         raise ValueError(f"alpha={alpha!r}: expected an angle in degrees above 0 and up to 90, for example 45")
     if alpha < np.pi / 2:
         warn_user(f"alpha={alpha!r} is in degrees, and few branches are as close to the stress; is it in radians?")
-    if isinstance(threshold, str) and threshold != "mean":
-        raise ValueError(f"threshold={threshold!r}: expected None, 'mean', or a stress (Pa)")
-    if not isinstance(threshold, str) and threshold is not None and not is_finite(threshold):
+    if not (threshold is None or is_finite(threshold) or (isinstance(threshold, str) and threshold == "mean")):
         raise ValueError(f"threshold={threshold!r}: expected a finite stress (Pa), 'mean', or None for no threshold")
     if not is_whole(min_length, 2):
         raise ValueError(f"min_length={min_length!r}: expected a whole number of particles, 2 or more")
-    if algorithm not in get_args(Algorithm):
-        raise ValueError(f"algorithm={algorithm!r}: expected one of {get_args(Algorithm)}")
+    check_choice("algorithm", algorithm, Algorithm)
     check_region(region)
     stress = StressRule.of(ds, "force_chains", symmetric=symmetric, volume=volume)
     require_scene(ds, ("diameter",), "force_chains")
     cosine = max(0.0, float(np.cos(np.deg2rad(alpha) + _ANGLE)))
     rule = SearchRule(stress, cosine, threshold, int(min_length), algorithm == "peters2005", bool(one_sided), region)
     sizes = result_sizes(ds.sizes["particle"], ds.sizes["contact"], rule.min_length)
-    names = [*rule.variables, *(name for name in ("frozen", "time", *OF_STEP) if name in ds)]
+    further = ("frozen", "time", *OF_STEP)
+    names = list(dict.fromkeys([*stress.variables, *COPIED, *(name for name in further if name in ds)]))
     threads = threads_a_chunk(ds, names, THREADS)
     arrays = map_over_time(
         ds, names, partial(_compute, rule, threads), results_of(RESULTS, sizes), "force-chains", on_error
     )
     lengths = rule.min_length + np.arange(sizes["length"])
-    further = {name: ds.variables[name] for name in BOX if name in ds}
-    further["length"] = xr.Variable("length", lengths, {"units": "1", "long_name": "particles of a chain"})
+    beside = {name: ds.variables[name] for name in BOX if name in ds}
+    beside["length"] = xr.Variable("length", lengths, {"units": "1", "long_name": "particles of a chain"})
     about = {"alpha": float(alpha), "min_length": rule.min_length, "algorithm": algorithm}
-    return label(ds, RESULTS, arrays, format_call("force_chains", given), further, **about)
+    return label(ds, RESULTS, arrays, format_call("force_chains", given), beside, **about)
 
 
 def _compute(rule: SearchRule, threads: int, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
@@ -261,3 +254,97 @@ def find_chains(rule: SearchRule, frame: Frame, lattice: Lattice, time: float, s
         **{name: values for name, values in stress.items() if name in RESULTS},
         "major_direction": np.where(np.isnan(stress["major_direction"]), np.nan, onward),
     }
+
+
+# --- from step to step ------------------------------------------------------------------------------------
+
+
+def track_chains(fc: xr.Dataset, overlap: float = 0.5) -> xr.Dataset:
+    """Follow chains from step to step by the particles that they share (computes, one step at a time).
+
+    Parameters
+    ----------
+    fc : xarray.Dataset
+        A result of `force_chains`, with particles known by id in all steps.
+    overlap : float
+        Least share of common particles, above 0 and up to 1: the number that two chains have in common over the
+        number in at least one of them (Jaccard index). Pairs of chains are taken from the largest share downward; each
+        chain continues one chain at most. Above 0.5 no chain has two candidates.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``track_id`` (time, chain), -1 for padding; ``births``, ``deaths`` and ``survivors`` (time):
+        chains that continue none of the step before, chains of the step before that none continues, and the others;
+        ``birth_time``, ``last_time``, ``lifetime`` (s) and ``steps`` (track). A track seen in one step has lifetime
+        zero. What there is in the first step counts as born there, and what there is in the last does not die, so
+        that lifetimes are lower bounds for these.
+
+    Raises
+    ------
+    SceneError
+        If `fc` is not a result of `force_chains`, or its times do not rise.
+    ValueError
+        If `overlap` is out of range, or the chains have no time dimension.
+    """
+    require_chains(fc, "track_chains")
+    fc = with_time(fc)
+    if not (is_positive(overlap) and overlap <= 1):
+        raise ValueError(f"overlap={overlap!r}: expected a share above 0 and up to 1, for example 0.5")
+    if "time" not in fc.dims:
+        raise ValueError(
+            "the chains have no time dimension, expected several steps; keep it when selecting: fc.isel(time=[0, 1])"
+        )
+    require_rising_times(fc, "track_chains")
+    steps = fc.sizes["time"]
+    track = np.full((steps, fc.sizes["chain"]), -1)
+    survivors, times, tracks = np.zeros(steps, int), np.zeros(steps), 0
+    before: tuple[NDArray, NDArray] = (np.zeros(0, int), np.zeros(0, int))
+    for t, step in enumerate(steps_of(fc, ["chain_id"])):
+        member = step.arrays["chain_id"] >= 0
+        now = step.arrays["particle_id"][member], step.arrays["chain_id"][member]
+        times[t] = step.time
+        for a, b in _matches(before, now, overlap):
+            track[t, b] = track[t - 1, a]
+            survivors[t] += 1
+        exists = np.unique(now[1])
+        born = exists[track[t, exists] < 0]
+        track[t, born] = tracks + np.arange(len(born))
+        tracks += len(born)
+        before = now
+    number = (track >= 0).sum(axis=1)
+    births, deaths = number - survivors, np.append(0, number[:-1]) - survivors
+    # a track is in all steps from its first to its last
+    _, first, seen = np.unique(track[track >= 0], return_index=True, return_counts=True)
+    first = np.nonzero(track >= 0)[0][first]
+    birth, end = times[first], times[first + seen - 1]
+    second = units_in("s", fc.attrs.get("unit_system", "SI"))
+    data = {
+        "track_id": (("time", "chain"), track, {"long_name": "track of the chain, -1 where there is none"}),
+        "births": ("time", births, {"long_name": "chains that continue none of the step before"}),
+        "deaths": ("time", deaths, {"long_name": "chains of the step before that none continues"}),
+        "survivors": ("time", survivors, {"long_name": "chains that continue one of the step before"}),
+        "birth_time": ("track", birth, {"units": second, "long_name": "first time of the track"}),
+        "last_time": ("track", end, {"units": second, "long_name": "last time of the track"}),
+        "lifetime": ("track", end - birth, {"units": second, "long_name": "time from first to last step"}),
+        "steps": ("track", seen, {"long_name": "steps of the track"}),
+    }
+    coords = {name: fc[name].variable for name in ("time", "step") if name in fc.coords}
+    return xr.Dataset(data, coords, provenance(fc, f"track_chains(overlap={overlap!r})"))
+
+
+def _matches(before: tuple[NDArray, NDArray], now: tuple[NDArray, NDArray], overlap: float) -> list[tuple[int, int]]:
+    """Pairs of chains, each given by particle ids (sorted) and the chain of each, that share enough particles."""
+    _, old, new = np.intersect1d(before[0], now[0], assume_unique=True, return_indices=True)
+    if not old.size:
+        return []
+    pairs, common = np.unique(np.stack([before[1][old], now[1][new]], axis=1), axis=0, return_counts=True)
+    a, b = pairs.T
+    share = common / (np.bincount(before[1])[a] + np.bincount(now[1])[b] - common)
+    matches: dict[int, int] = {}
+    taken: set[int] = set()
+    for k in np.lexsort((b, a, -share)).tolist():
+        if share[k] >= overlap and a[k] not in matches and b[k] not in taken:
+            matches[a[k]] = b[k]
+            taken.add(b[k])
+    return list(matches.items())

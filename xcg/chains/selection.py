@@ -190,17 +190,6 @@ _GRAINS = ("particle_id", "position", "major_stress", *OF_STEP)
 OF = {"any": np.logical_or, "all": np.logical_and}
 
 
-@dataclass(frozen=True)
-class _Condition:
-    """Conditions on the particles of a chain, any or all of them."""
-
-    region: Region | None
-    min_stress: float | None
-    of: str
-    periodic: str
-    min_length: int
-
-
 @takes_scene
 def select_chains(
     fc: xr.Dataset, region: Region | None = None, *, min_stress: float | None = None, of: str = "any"
@@ -243,44 +232,44 @@ def select_chains(
     check_region(region)
     if min_stress is not None and not is_finite(min_stress):
         raise ValueError(f"min_stress={min_stress!r}: expected a finite stress (Pa), or None")
-    condition = _Condition(region, min_stress, of, fc.attrs.get("periodic", ""), int(fc.attrs.get("min_length", 3)))
+    compute = partial(
+        _compute, region=region, min_stress=min_stress, of=of, periodic=fc.attrs.get("periodic", ""),
+        min_length=int(fc.attrs.get("min_length", 3)),
+    )  # fmt: skip
     changed = MEMBERS | CHAINS | STATISTICS
     names = [*(name for name in (*_GRAINS, "time") if name in fc), *MEMBERS, *CHAINS]
-    arrays = map_over_time(fc, names, partial(_compute, condition), results_of(changed, fc.sizes), "select-chains")
+    arrays = map_over_time(fc, names, compute, results_of(changed, fc.sizes), "select-chains")
     selected = label(fc, changed, arrays, format_call("select_chains", given))
     return fc.assign(selected.data_vars).assign_attrs(history=selected.attrs["history"])
 
 
-def _compute(condition: _Condition, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
+def _compute(
+    arrays: Mapping[str, NDArray], *, region: Region | None, min_stress: float | None, of: str, periodic: str,
+    min_length: int,
+) -> dict[str, NDArray]:  # fmt: skip
     """Chains of one chunk of time that fulfil a condition, from padded arrays."""
     out = {name: arrays[name].copy() for name in (*MEMBERS, *CHAINS)}
     steps, particles = arrays["particle_id"].shape
-    lengths = result_sizes(particles, 0, condition.min_length)["length"]
+    lengths = result_sizes(particles, 0, min_length)["length"]
     for name, row in STATISTICS.items():
         out[name] = np.empty((steps, *(lengths,) * len(row.dims)), row.dtype)
     grains = {name: arrays[name] for name in _GRAINS if name in arrays}
-    for t, (frame, lattice, _) in enumerate(steps_in(grains, condition.periodic)):
+    for t, (frame, lattice, _) in enumerate(steps_in(grains, periodic)):
         fulfilled = np.ones(len(frame["particle_id"]), bool)
-        if condition.region is not None:
-            time = float(arrays["time"][t]) if "time" in arrays else 0.0
-            fulfilled &= condition.region.contains(frame, time, lattice)
-        if condition.min_stress is not None:
-            fulfilled &= frame["major_stress"] >= condition.min_stress
+        if region is not None:
+            fulfilled &= region.contains(frame, float(arrays["time"][t]) if "time" in arrays else 0.0, lattice)
+        if min_stress is not None:
+            fulfilled &= frame["major_stress"] >= min_stress
         inside = np.zeros(particles, bool)
         inside[particle_rows(arrays["particle_id"][t])] = fulfilled
-        kept = _kept(arrays["chain_id"][t], arrays["chain_particles"][t] > 0, inside, condition.of)
+        chain, exists = arrays["chain_id"][t], arrays["chain_particles"][t] > 0
+        kept = np.full(len(exists), of == "all")
+        OF[of].at(kept, chain[chain >= 0], inside[chain >= 0])
+        kept &= exists
         _drop(out, t, kept)
-        for name, value in statistics_of(out["chain_particles"][t][kept], condition.min_length, lengths).items():
+        for name, value in statistics_of(out["chain_particles"][t][kept], min_length, lengths).items():
             out[name][t] = value
     return out
-
-
-def _kept(chain: NDArray, exists: NDArray, inside: NDArray, of: str) -> NDArray:
-    """Return a mask of the chains with any, or all, of their particles inside."""
-    kept = np.full(len(exists), of == "all")
-    member = chain >= 0
-    OF[of].at(kept, chain[member], inside[member])
-    return kept & exists
 
 
 def _drop(out: Mapping[str, NDArray], t: int, kept: NDArray) -> None:

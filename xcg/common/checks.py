@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import math
-from typing import Any, TypeGuard
+from typing import Any, TypeGuard, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,12 @@ def is_positive(value: Any) -> TypeGuard[float]:
 def is_whole(value: Any, least: int, most: float = math.inf) -> bool:
     """Return whether this is one whole number in a range."""
     return is_finite(value) and float(value).is_integer() and least <= value <= most
+
+
+def check_choice(name: str, given: Any, choices: Any) -> None:
+    """Raise ValueError unless an argument is one of the values of a Literal."""
+    if given not in get_args(choices):
+        raise ValueError(f"{name}={given!r}: expected one of {', '.join(map(repr, get_args(choices)))}")
 
 
 def vector(name: str, given: Any, *, infinite: bool = False, error: type[ValueError] = ValueError) -> NDArray:

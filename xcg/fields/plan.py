@@ -259,7 +259,7 @@ def make_plan(scene: Description, request: Request) -> Plan:
         limits=limits,
         coarse=limits.size > 0 and rtol >= SINGLE,
         by=by,
-        groups=() if by is None else scene.groups(by, request.groups),
+        groups=() if by is None and request.groups is None else scene.groups(by, request.groups),
         own={name: rows[name] for name in moments if rows[name] is not MOMENTS.get(name)},
     )
     x, y, z = (grid.spacing.get(a, 0.0) for a in COMPONENTS)
@@ -282,10 +282,6 @@ def _fields_and_options(scene: Description, request: Request) -> tuple[tuple[str
     """Return the computed fields, the requested fields, and the choices of their algebra."""
     if request.by_pair and request.by is None:
         raise ValueError("by_pair=True splits stress by pairs of phases: name their variable, such as by='species'")
-    if request.groups is not None and request.by is None:
-        raise ValueError(
-            f"groups={request.groups!r} are the values of an integer variable of the particles: say which with by="
-        )
     options = _options_of(scene, request)
     names, own = _choose_fields(request.fields, scene, options)
     if scene.cylindrical and own:

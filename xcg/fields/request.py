@@ -157,6 +157,12 @@ class SharedOptions:
         """Return a `Request` with these options and further arguments of `coarse_grain`."""
         return Request(**own, **{field.name: getattr(self, field.name) for field in fields(SharedOptions)})
 
+    def given(self) -> dict[str, Any]:
+        """Arguments that are not None."""
+        kind: Any = type(self)
+        values = ((field.name, getattr(self, field.name)) for field in arguments(kind))
+        return {name: value for name, value in values if value is not None}
+
 
 @dataclass(frozen=True)
 class Request(SharedOptions):
@@ -210,12 +216,6 @@ class Request(SharedOptions):
     def axes_of(self, plane: str) -> str:
         """Return the resolved axes: by default, and without fixed axes, all axes of the scene."""
         return plane if self.axes is None and self.at is None else self.axes or ""
-
-    def given(self) -> dict[str, Any]:
-        """Arguments that are not None."""
-        kind: Any = type(self)
-        values = ((field.name, getattr(self, field.name)) for field in arguments(kind))
-        return {name: value for name, value in values if value is not None}
 
 
 @cache

@@ -21,7 +21,7 @@ import numpy as np
 import xarray as xr
 
 from xcg.common.messages import SceneError, unknown
-from xcg.fields.analysis.slice_temperature import SliceMethod, slice_temperature
+from xcg.fields.analysis.without_kernel import SliceMethod, slice_temperature
 from xcg.fields.coarse_grain import coarse_grain
 from xcg.fields.presets.pysammos import pysammos_mesh
 from xcg.jobs.config import Job

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -18,8 +17,8 @@ from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.description import describe
 from xcg.scene.frame import require_steps, stack, steps_in
 from xcg.scene.lattice import Lattice
-from xcg.scene.schema import OF_STEP, Frame, Setup, units_in, variable
-from xcg.steps.labels import format_call, provenance
+from xcg.scene.schema import OF_STEP, Frame, Setup, variable
+from xcg.steps.labels import format_call, label
 from xcg.steps.mapping import is_lazy, map_over_time
 
 READ = ("particle_id", "position", "diameter")
@@ -74,11 +73,10 @@ class Stiffness:
         depth = np.maximum(overlap, 0.0)
         if self.k_n is not None:
             return self.k_n * depth
-        assert self.E is not None
-        assert self.nu is not None
+        E, nu = self.E or 0.0, self.nu or 0.0
         total = radius_i + radius_j
         reduced = np.divide(radius_i * radius_j, total, out=np.zeros_like(total), where=total > 0)
-        return 4 / 3 * self.E / (2 * (1 - self.nu**2)) * np.sqrt(reduced) * depth**1.5
+        return 4 / 3 * E / (2 * (1 - nu**2)) * np.sqrt(reduced) * depth**1.5
 
 
 @dataclass(frozen=True)
@@ -239,18 +237,11 @@ def find_contacts(
     results = {name: (variable(name).shape(most or 0), variable(name).dtype) for name in search.names}
     names = [*read, *(name for name in OF_STEP if name in ds)]
     arrays = map_over_time(ds, names, search, results, "find-contacts")
-    return _label(ds, arrays, search, given)
-
-
-def _label(ds: xr.Dataset, arrays: Mapping[str, Any], search: Search, given: Mapping[str, Any]) -> xr.Dataset:
-    data, about = {}, {"history": provenance(ds, format_call("find_contacts", given))["history"]}
-    for name, values in arrays.items():
-        row = variable(name)
-        attrs = {"units": units_in(row.units, search.setup.unit_system), "long_name": row.long_name}
-        if name == "contact_force":
-            attrs["estimated"] = f"normal force from the overlap of spheres: {search.stiffness}"
-            about["estimated_forces"] = attrs["estimated"]
-        data[name] = xr.Variable(("time", *row.dims), values, attrs)
-    bare = ds.drop_dims("contact", errors="ignore").assign_attrs(about)
-    bare.attrs.pop("sides", None)  # of the contacts that are replaced
-    return bare.assign(data)
+    found = label(ds, {name: variable(name) for name in arrays}, arrays, format_call("find_contacts", given))
+    result = ds.drop_dims("contact", errors="ignore").assign(found.data_vars)
+    result.attrs["history"] = found.attrs["history"]
+    result.attrs.pop("sides", None)  # of the contacts that are replaced
+    if search.stiffness.given:
+        estimate = f"normal force from the overlap of spheres: {search.stiffness}"
+        result.attrs["estimated_forces"] = result["contact_force"].attrs["estimated"] = estimate
+    return result

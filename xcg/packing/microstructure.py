@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from xcg.common.checks import floats, is_positive
+from xcg.common.checks import check_choice, floats, is_positive
 from xcg.common.messages import unknown
 from xcg.packing.quantities import CONTACTS, QUANTITIES, TENSOR
 from xcg.packing.samples import Bounds, Measure
@@ -201,24 +201,18 @@ def microstructure(
     """
     given = {k: v for k, v in locals().items() if k != "ds" and v is not None}
     require_scene(ds, (), "microstructure")
-    for name, choice, known in (
-        ("rattlers", rattlers, RattlerRule), ("strain", strain, StrainMeasure),
-        ("mixing_weight", mixing_weight, MixingWeight),
-    ):  # fmt: skip
-        if choice not in get_args(known):
-            raise ValueError(f"{name}={choice!r}: expected one of {', '.join(map(repr, get_args(known)))}")
-    several = {
-        "min_contacts": min_contacts,
-        "max_connectivity": max_connectivity,
-        "neighbours": 1 if neighbours is None else neighbours,
-    }
-    for name, value in several.items():
+    check_choice("rattlers", rattlers, RattlerRule)
+    check_choice("strain", strain, StrainMeasure)
+    check_choice("mixing_weight", mixing_weight, MixingWeight)
+    scene, regions = describe(ds, by), _regions(bounds)
+    setup = scene.setup
+    neighbours = NEIGHBOURS[setup.dimension] if neighbours is None else neighbours
+    counts = {"min_contacts": min_contacts, "max_connectivity": max_connectivity, "neighbours": neighbours}
+    for name, value in counts.items():
         if not (isinstance(value, (int, np.integer)) and value >= 1):
             raise ValueError(f"{name}={value!r}: expected a whole number of at least 1")
     if cell is not None and not is_positive(cell):
         raise ValueError(f"cell={cell!r}: expected the edge of a cell (m), such as three diameters")
-    scene, regions = describe(ds, by), _regions(bounds)
-    setup = scene.setup
     rate = _rate_source(ds, strain_rate)
     names = _choose(ds, quantities, rate, by)
     if axis is not None and axis not in setup.plane:
@@ -228,10 +222,10 @@ def microstructure(
     require_scene(ds, sorted(needed), f"microstructure ({', '.join(names)})")
     measure = Measure(
         names=measured, setup=setup, regions=tuple(regions.values()), by=by,
-        groups=() if by is None else scene.groups(by, groups), depth=scene.layer_depth,
+        groups=scene.groups(by, groups), depth=scene.layer_depth,
         min_contacts=int(min_contacts), iterative=rattlers == "iterative", max_connectivity=int(max_connectivity),
         force_bins=_force_bins(force_bins), cell=cell, by_volume=mixing_weight == "volume",
-        neighbours=neighbours or NEIGHBOURS[setup.dimension],
+        neighbours=neighbours,
     )  # fmt: skip
     extra = {"particle_id", "position", "frozen", *([by] if by else [])}
     extra |= {"contact_normal"} if needed & set(CONTACTS) else set()
@@ -350,12 +344,11 @@ def _label(ds: xr.Dataset, arrays: Mapping[str, Any], measure: Measure, regions:
 
 
 def _with_series(
-    ds: xr.Dataset, measured: xr.Dataset, names: Sequence[str], rate: str | xr.DataArray, strain: str, axis: str,
+    ds: xr.Dataset, result: xr.Dataset, names: Sequence[str], rate: str | xr.DataArray, strain: str, axis: str,
     given: Mapping[str, Any],
 ) -> xr.Dataset:  # fmt: skip
     """Add what takes the whole series: strains, the strain rate of the box, inertial numbers."""
     setup = describe(ds).setup
-    result = measured
     if "box" in ds and (set(STRAIN) & set(names) or _is(rate, "box")):
         lengths = (ds["box"].isel(bound=1) - ds["box"].isel(bound=0)).sel(component=list(setup.plane))
         first = lengths.isel(time=0, drop=True) if lengths.sizes["time"] else lengths
@@ -391,6 +384,6 @@ def _with_series(
 
 
 def _deviatoric(rates: xr.DataArray, dimension: int) -> xr.DataArray:
-    """Deviatoric strain rate from the rates of stretch along the axes, as `_rate` of a tensor."""
+    """Deviatoric strain rate from the rates of stretch along the axes."""
     deviator = rates - rates.mean("component")
     return xr.ufuncs.sqrt((2 / 3 if dimension == 3 else 2) * (deviator**2).sum("component", skipna=False))

@@ -77,13 +77,12 @@ def adjacency(ds: xr.Dataset, time: int = -1, *, weight: EdgeWeight | None = Non
         raise ValueError(f"weight={weight!r}: expected None, {', '.join(map(repr, get_args(EdgeWeight)))}")
     needed = {"force": ["contact_force"], "overlap": ["overlap"]}.get(str(weight), [])
     require_scene(ds, [*CONTACTS, *needed], "adjacency")
-    step = _Step.at(ds, time, needed)
-    pairs = _Edges.of(step)
-    values = {None: np.ones(len(pairs.i)), "force": np.linalg.norm(pairs.force, axis=1)}.get(weight)
-    if values is None:
-        values = getattr(pairs, str(weight)).astype(float)
-    rows, columns = np.concatenate([pairs.i, pairs.j]), np.concatenate([pairs.j, pairs.i])
-    count = len(step.frame["particle_id"])
+    frame, contacts = _step_at(ds, time, needed)
+    pairs, count = _edges(frame, contacts), len(frame["particle_id"])
+    i, j = pairs["i"], pairs["j"]
+    values = np.ones(len(i)) if weight is None else pairs[weight].astype(float)
+    values = np.linalg.norm(values, axis=1) if weight == "force" else values
+    rows, columns = np.concatenate([i, j]), np.concatenate([j, i])
     return csr_array((np.tile(values, 2), (rows, columns)), shape=(count, count))
 
 
@@ -146,18 +145,19 @@ def contact_graph(ds: xr.Dataset, time: int = -1, *, walls: bool = False) -> nx.
     nx = extra("networkx", "network", "contact_graph")
     require_scene(ds, CONTACTS, "contact_graph")
     of_grains = [str(name) for name in ds.data_vars if "particle" in ds[name].dims]
-    step = _Step.at(ds, time, [*of_grains, "contact_force", "contact_normal", "overlap"])
-    frame, pairs = step.frame, _Edges.of(step, walls=walls)
-    graph = nx.Graph(**step.labels)
-    ids = np.concatenate([frame["particle_id"], pairs.walls]).tolist()
+    frame, contacts = _step_at(ds, time, [*of_grains, "contact_force", "overlap"])
+    pairs = _edges(frame, contacts, walls=walls)
+    coords = step_at(ds, time, "time").coords
+    graph = nx.Graph(**{name: coords[name].values.item() for name in ("time", "step") if name in coords})
+    ids = np.concatenate([frame["particle_id"], pairs["walls"]]).tolist()
     columns = {name: _entries(frame[name]) for name in of_grains if name != "particle_id"}
     for row, node in enumerate(ids[: len(frame["particle_id"])]):
         graph.add_node(node, wall=False, **{name: values[row] for name, values in columns.items()})
-    graph.add_nodes_from(pairs.walls.tolist(), wall=True)
+    graph.add_nodes_from(pairs["walls"].tolist(), wall=True)
     given = {"force": "contact_force", "overlap": "overlap"}
     names = [name for name in ("contacts", "force", "normal", "overlap") if given.get(name, "particle_id") in frame]
-    attributes = {name: _entries(getattr(pairs, name)) for name in names}
-    for row, (i, j) in enumerate(zip(pairs.i, pairs.j, strict=True)):
+    attributes = {name: _entries(pairs[name]) for name in names}
+    for row, (i, j) in enumerate(zip(pairs["i"], pairs["j"], strict=True)):
         one, other = ids[i], ids[j]
         graph.add_edge(one, other, i=one, j=other, **{name: values[row] for name, values in attributes.items()})
     return graph
@@ -168,58 +168,37 @@ def _entries(values: NDArray) -> Sequence[Any]:
     return values.tolist() if values.ndim == 1 else [row.copy() for row in values]
 
 
-@dataclass(frozen=True, eq=False)
-class _Step:
-    """Single step of a scene in memory: its frame, contacts, time and number."""
-
-    frame: Frame
-    contacts: Contacts
-    labels: dict[str, float]
-
-    @classmethod
-    def at(cls, ds: xr.Dataset, time: int, names: Sequence[str]) -> _Step:
-        """Read some variables of a step, and what contacts need."""
-        wanted = {"particle_id", "position", *CONTACTS, "contact_normal", *names}
-        frame, lattice, source = frame_at(ds, time, wanted)
-        coords = step_at(ds, time, "time").coords
-        labels = {name: coords[name].values.item() for name in ("time", "step") if name in coords}
-        return cls(frame, Contacts.of(frame, lattice, source), labels)
+def _step_at(ds: xr.Dataset, time: int, names: Sequence[str]) -> tuple[Frame, Contacts]:
+    """Read some variables of a step, and its contacts."""
+    wanted = {"particle_id", "position", *CONTACTS, "contact_normal", *names}
+    frame, lattice, source = frame_at(ds, time, wanted)
+    return frame, Contacts.of(frame, lattice, source)
 
 
-@dataclass(frozen=True, eq=False)
-class _Edges:
+def _edges(frame: Frame, contacts: Contacts, *, walls: bool = False) -> Frame:
     """Pairs in contact, each once: rows i < j, rows of walls after the grains', and sums over their contacts."""
-
-    i: NDArray
-    j: NDArray
-    walls: NDArray
-    contacts: NDArray
-    force: NDArray
-    normal: NDArray
-    overlap: NDArray
-
-    @classmethod
-    def of(cls, step: _Step, *, walls: bool = False) -> _Edges:
-        """Sum the contacts of each pair."""
-        contacts, count = step.contacts, len(step.contacts.position)
-        key = np.where(contacts.i < 0, contacts.key_i, contacts.key_j)  # of the partner, where only one grain is there
-        at_wall = walls & (key < 0) & (contacts.first_row >= 0)
-        numbers, wall = np.unique(key[at_wall], return_inverse=True)
-        rows = np.stack([contacts.i, contacts.j])
-        rows[:, at_wall] = np.where(rows[:, at_wall] < 0, count + wall, rows[:, at_wall])
-        kept = (rows >= 0).all(axis=0)
-        rows = rows[:, kept]
-        sign = np.where(rows[0] <= rows[1], 1.0, -1.0)[:, None]
-        nodes = count + len(numbers)
-        number = rows.min(axis=0) * nodes + rows.max(axis=0)
-        found, pair, many = np.unique(number, return_inverse=True, return_counts=True)
-        i, j = divmod(found, nodes)
-        force, normal = np.zeros((len(i), 3)), np.zeros((len(i), 3))
-        np.add.at(force, pair, sign * contacts.force[kept])
-        np.add.at(normal, pair, sign * contacts.normal[kept])
-        overlap = np.full(len(i), -np.inf)
-        np.maximum.at(overlap, pair, step.frame.get("overlap", np.zeros(len(key)))[kept])
-        return cls(i, j, numbers, many, force, unit_vectors(normal), overlap)
+    count = len(contacts.position)
+    key = np.where(contacts.i < 0, contacts.key_i, contacts.key_j)  # of the partner, where only one grain is there
+    at_wall = walls & (key < 0) & (contacts.first_row >= 0)
+    numbers, wall = np.unique(key[at_wall], return_inverse=True)
+    rows = np.stack([contacts.i, contacts.j])
+    rows[:, at_wall] = np.where(rows[:, at_wall] < 0, count + wall, rows[:, at_wall])
+    kept = (rows >= 0).all(axis=0)
+    rows = rows[:, kept]
+    sign = np.where(rows[0] <= rows[1], 1.0, -1.0)[:, None]
+    nodes = count + len(numbers)
+    number = rows.min(axis=0) * nodes + rows.max(axis=0)
+    found, pair, many = np.unique(number, return_inverse=True, return_counts=True)
+    i, j = divmod(found, nodes)
+    force, normal = np.zeros((len(i), 3)), np.zeros((len(i), 3))
+    np.add.at(force, pair, sign * contacts.force[kept])
+    np.add.at(normal, pair, sign * contacts.normal[kept])
+    overlap = np.full(len(i), -np.inf)
+    np.maximum.at(overlap, pair, frame.get("overlap", np.zeros(len(key)))[kept])
+    return {
+        "i": i, "j": j, "walls": numbers, "contacts": many, "force": force, "normal": unit_vectors(normal),
+        "overlap": overlap,
+    }  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, TypeAlias, get_args
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from xcg.common.checks import is_finite
+from xcg.common.checks import check_choice, is_finite
 from xcg.common.messages import SceneError
 from xcg.compiled import pairs as loops
 from xcg.compiled._jit import THREADS, for_parts, threads_for
@@ -34,62 +34,22 @@ CELLS_A_PARTICLE = 8
 MOST_A_PARTICLE, MOST_PAIRS = 200, 1_000_000
 
 
-@dataclass(frozen=True, eq=False)
-class Levels:
-    """Cells of all levels, from small particles to large.
-
-    Attributes
-    ----------
-    lower, inverse, cells : array (levels, 3)
-        Corner (m), inverse edge (m-1) and number of the cells along each axis.
-    largest : array (levels,)
-        Largest radius (m).
-    fold : array (levels, 3)
-        The period along axes too short for three cells, infinity along the others.
-    first_cell : array (levels,)
-        Number of the first cell, all levels counted through.
-    total : int
-        Number of cells.
-    """
-
-    lower: NDArray
-    inverse: NDArray
-    cells: NDArray
-    largest: NDArray
-    fold: NDArray
-    first_cell: NDArray
-    total: int
-
-    @classmethod
-    def of(
-        cls, largest: NDArray, members: NDArray, lower: NDArray, upper: NDArray, period: NDArray, skin: float,
-        slack: float,
-    ) -> Levels:  # fmt: skip
-        """Choose cells for levels with these largest radii and numbers of particles, over lower to upper."""
-        count = len(largest)
-        periodic = np.isfinite(period)
-        length = upper - lower
-        cells = np.ones((count, 3), "int64")
-        for k in range(count):
-            # a hair more than the reach, so that no rounding makes it span a cell more
-            reach = (2 * largest[k] + skin + 2 * slack) * (1 + 1e-9)
-            held = members[k] * np.minimum(np.divide(reach, length, out=np.ones(3), where=length > 0), 1).prod()
-            edges = EDGES if held > CROWDED else LONG_EDGES
-            reach = max(reach, _reach_for(length / edges, max(CELLS_A_PARTICLE * members[k], 64)))
-            if reach > 0:
-                cells[k] = np.maximum(np.minimum(length / (reach * edges), 2.0**31), 1).astype("int64")
-                cells[k, periodic & (length < 3 * reach * np.maximum(edges, 1))] = 1
-        inverse = np.divide(cells, length, out=np.zeros(cells.shape), where=length > 0)
-        per_level = cells.prod(axis=1)
-        return cls(
-            lower=np.broadcast_to(lower, (count, 3)).copy(),
-            inverse=inverse,
-            cells=cells,
-            largest=largest,
-            fold=np.where(cells == 1, period, np.inf),
-            first_cell=np.concatenate([[0], np.cumsum(per_level)[:-1]]),
-            total=int(per_level.sum()),
-        )
+def _cells_of_levels(
+    largest: NDArray, members: NDArray, length: NDArray, period: NDArray, skin: float, slack: float
+) -> NDArray:
+    """Choose the number of cells of each level along each axis of a region of this length; (levels, 3)."""
+    count = len(largest)
+    cells = np.ones((count, 3), "int64")
+    for k in range(count):
+        # a hair more than the reach, so that no rounding makes it span a cell more
+        reach = (2 * largest[k] + skin + 2 * slack) * (1 + 1e-9)
+        held = members[k] * np.minimum(np.divide(reach, length, out=np.ones(3), where=length > 0), 1).prod()
+        edges = EDGES if held > CROWDED else LONG_EDGES
+        reach = max(reach, _reach_for(length / edges, max(CELLS_A_PARTICLE * members[k], 64)))
+        if reach > 0:
+            cells[k] = np.maximum(np.minimum(length / (reach * edges), 2.0**31), 1).astype("int64")
+            cells[k, np.isfinite(period) & (length < 3 * reach * np.maximum(edges, 1))] = 1
+    return cells
 
 
 def _reach_for(scaled: NDArray, count: float) -> float:
@@ -109,15 +69,22 @@ class CellLists:
 
     Attributes
     ----------
-    levels : Levels
+    lower, inverse, cells : array (levels, 3)
+        Corner (m), inverse edge (m-1) and number of the cells along each axis, from small particles to large.
+    largest : array (levels,)
+        Largest radius (m).
+    fold : array (levels, 3)
+        The period along axes too short for three cells, infinity along the others.
+    first_cell : array (levels + 1,)
+        Number of the first cell of each level, all levels counted through, and number of cells.
     records : array (n, 4)
         x, y, z, radius, by level and cell (m).
     row : array (n,)
         Row of the particle that each record is.
     first_record : array (levels + 1,)
         First record of each level.
-    starts : array (levels.total + 1,)
-        First record of each cell.
+    starts : array
+        First record of each cell, and number of records.
     period : array (3,)
         Period of each axis (m), infinite without one.
     skin : float
@@ -126,7 +93,12 @@ class CellLists:
         Rounding of coordinates (m).
     """
 
-    levels: Levels
+    lower: NDArray
+    inverse: NDArray
+    cells: NDArray
+    largest: NDArray
+    fold: NDArray
+    first_cell: NDArray
     records: NDArray
     row: NDArray
     first_record: NDArray
@@ -148,20 +120,24 @@ class CellLists:
         lower, upper = _extent(position, corner, period)
         # coordinates as large as these are rounded by no more than this, and so are their differences
         slack = 16 * np.finfo(float).eps * float(max(np.abs(position).max(), np.abs(lower).max(), np.abs(upper).max()))
-        chosen = Levels.of(largest, members, lower, upper, period, skin, slack)
+        length = upper - lower
+        cells = _cells_of_levels(largest, members, length, period, skin, slack)
+        lower = np.broadcast_to(lower, cells.shape).copy()
+        inverse = np.divide(cells, length, out=np.zeros(cells.shape), where=length > 0)
+        first_cell = np.concatenate([[0], np.cumsum(cells.prod(axis=1))])
         count = len(position)
         wrapped, cell = np.empty((count, 3)), np.empty(count, "int64")
 
         def locate(first: int, last: int) -> None:
             some = slice(first, last)
             loops.locate(
-                position[some], level[some], corner, period, chosen.lower, chosen.inverse, chosen.cells,
-                chosen.first_cell, wrapped[some], cell[some],
+                position[some], level[some], corner, period, lower, inverse, cells, first_cell, wrapped[some],
+                cell[some],
             )  # fmt: skip
 
         for_parts(count, locate, threads)
         # the sort leaves where each cell ends, and the next begins
-        starts, place = np.zeros(chosen.total + 2, "int32"), np.empty(count, "int64")
+        starts, place = np.zeros(first_cell[-1] + 2, "int32"), np.empty(count, "int64")
         counting_sort_places(cell, starts[1:], place)
         starts = starts[:-1]
         records, row = np.empty((count, 4)), np.empty(count, "int32")
@@ -172,15 +148,17 @@ class CellLists:
 
         for_parts(count, write, threads)
         first_record = np.concatenate([[0], np.cumsum(members)])
-        return cls(chosen, records, row, first_record, starts, period, skin, slack)
+        fold = np.where(cells == 1, period, np.inf)
+        return cls(
+            lower, inverse, cells, largest, fold, first_cell, records, row, first_record, starts, period, skin, slack
+        )
 
     def find(self, first: int, last: int, most: int = 2**62) -> tuple[NDArray, NDArray, int]:
         """Pairs of the records from `first` to `last`, of more than `most` only some, and the distances that took."""
         capacity = 4 * (last - first) + 64
-        at = self.levels
         left, right, found, tested = loops.find(
-            first, last, self.records, self.first_record, at.first_cell, self.starts, at.lower, at.inverse, at.cells,
-            at.largest, self.period, at.fold, self.skin, self.slack, most,
+            first, last, self.records, self.first_record, self.first_cell, self.starts, self.lower, self.inverse,
+            self.cells, self.largest, self.period, self.fold, self.skin, self.slack, most,
             np.empty(capacity, "int32"), np.empty(capacity, "int32"),
         )  # fmt: skip
         return left[:found], right[:found], tested
@@ -358,8 +336,7 @@ def _spheres(position: ArrayLike, radius: ArrayLike) -> tuple[NDArray, NDArray]:
 
 def check_search(skin: float, method: str, levels: int | None, threads: int | None = None) -> None:
     """Raise ValueError for invalid options of the search."""
-    if method not in get_args(PairMethod):
-        raise ValueError(f"method={method!r}: expected one of {', '.join(map(repr, get_args(PairMethod)))}")
+    check_choice("method", method, PairMethod)
     if not (is_finite(skin) and skin >= 0):
         raise ValueError(f"skin={skin!r}: expected 0 or the width of a gap that still counts as a contact (m)")
     for name, value in (("levels", levels), ("threads", threads)):

@@ -15,7 +15,7 @@ clusters
 virial : (3, 3)
     Sum of f a over the particles' sides of their contacts.
 mixture, which
-    All grains of the region by phase (`xcg.packing.mixing`), and the group: 0 the bulk, 1, 2, ... the phases.
+    All grains of the region by phase (`xcg.packing.samples`), and the group: 0 the bulk, 1, 2, ... the phases.
 region_volume, plane, min_contacts, max_connectivity, force_bins
     Volume (m3), axes of the scene, and options.
 """
@@ -135,21 +135,17 @@ def _deviator_stress(s: Any) -> float:
     return np.sqrt(3 / 2 if len(s.plane) == 3 else 2) * _norm(_deviator(_plane(_stress(s), s)))
 
 
-def _rate(gradient: NDArray) -> float:
-    """Deviatoric strain rate of a velocity gradient in the axes of the scene."""
-    rate = _deviator((gradient + gradient.T) / 2)
-    return np.sqrt(2 / 3 if len(rate) == 3 else 2) * _norm(rate)
-
-
 def _velocity_rate(s: Any) -> float:
-    """Deviatoric rate of the affine flow that fits the velocities best."""
+    """Deviatoric strain rate of the affine flow that fits the velocities best."""
     x, v = s.position[:, s.plane], s.velocity[:, s.plane]
     if len(x) <= len(s.plane):
         return np.nan
     away, relative = x - x.mean(axis=0), v - v.mean(axis=0)
     if not (np.isfinite(away).all() and np.isfinite(relative).all()):  # LAPACK would not come to an end
         return np.nan
-    return _rate(np.linalg.lstsq(away, relative, rcond=None)[0].T)
+    gradient = np.linalg.lstsq(away, relative, rcond=None)[0].T
+    rate = _deviator((gradient + gradient.T) / 2)
+    return np.sqrt(2 / 3 if len(rate) == 3 else 2) * _norm(rate)
 
 
 def _d_max(s: Any) -> float:
@@ -169,7 +165,12 @@ def _d_bar(s: Any) -> float:
     return ratio((s.volume * s.diameter)[bearing].sum(), s.volume[bearing].sum())
 
 
-def _of_phases(long_name: str, formula: str, compute: Callable[[Any], Any]) -> PackingQuantity:
+def _of_mixture(method: str, s: Any) -> float:
+    return getattr(s.mixture, method)(s.which) if len(s.mixture.phase) else np.nan
+
+
+def _of_phases(method: str, long_name: str, formula: str) -> PackingQuantity:
+    compute = partial(_of_mixture, method)
     return PackingQuantity(long_name, formula, compute, needs=("diameter", "volume"), of_phases=True)
 
 
@@ -264,28 +265,22 @@ QUANTITIES: dict[str, PackingQuantity] = {
         "deviatoric strain rate", "sqrt(2/3 e:e), e = dev strain rate (2D: sqrt(2 e:e))", _velocity_rate, units="s^-1",
         needs=("velocity",),
     ),
-    "lacey_index": _of_phases(
-        "Lacey's index of mixing", "M = (S_0^2 - S^2) / (S_0^2 - S_r^2)", lambda s: s.mixture.lacey(s.which)
-    ),
+    "lacey_index": _of_phases("lacey", "Lacey's index of mixing", "M = (S_0^2 - S^2) / (S_0^2 - S_r^2)"),
     "concentration_variance": _of_phases(
-        "variance of the concentration between cells", "S^2 = sum_k W_k (c_k - p)^2 / W",
-        lambda s: s.mixture.variance(s.which),
+        "variance", "variance of the concentration between cells", "S^2 = sum_k W_k (c_k - p)^2 / W"
     ),
     "random_concentration_variance": _of_phases(
-        "mean variance of the concentration where phases are at random",
-        "S_r^2 = (K - 1) / (N - 1) N sum w_i^2 (a_i - p)^2 / W^2", lambda s: s.mixture.random_variance(s.which),
+        "random_variance", "mean variance of the concentration where phases are at random",
+        "S_r^2 = (K - 1) / (N - 1) N sum w_i^2 (a_i - p)^2 / W^2",
     ),
     "segregated_concentration_variance": _of_phases(
-        "variance of the concentration where phases are apart", "S_0^2 = p (1 - p)",
-        lambda s: s.mixture.segregated_variance(s.which),
+        "segregated_variance", "variance of the concentration where phases are apart", "S_0^2 = p (1 - p)"
     ),
     "mixing_entropy": _of_phases(
-        "entropy of the cells over that of the region", "sum_k W_k / W sum_a c_ka ln c_ka / sum_a p_a ln p_a",
-        lambda s: s.mixture.entropy(s.which),
+        "entropy", "entropy of the cells over that of the region", "sum_k W_k / W sum_a c_ka ln c_ka / sum_a p_a ln p_a"
     ),
     "nearest_neighbour_index": _of_phases(
-        "neighbours of another phase over their number where phases are at random",
+        "neighbour_index", "neighbours of another phase over their number where phases are at random",
         "sum_i u_i / sum_i ((N - N_a) / (N - 1)), u_i the share of another phase",
-        lambda s: s.mixture.neighbour_index(s.which),
     ),
 }  # fmt: skip

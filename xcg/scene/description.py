@@ -121,14 +121,22 @@ class Description:
             "a one-layer scene needs its thickness: give thickness= when opening it, or a box that is finite across it"
         )
 
-    def groups(self, by: str, groups: Sequence[int] | None = None) -> tuple[int, ...]:
+    def groups(self, by: str | None, groups: Sequence[int] | None = None) -> tuple[int, ...]:
         """Return the values of an integer variable of the particles, sorted: given, or known without reading.
+
+        None for `by` has none.
 
         Raises
         ------
         ValueError
-            If the variable does not exist, or its values are not known.
+            If the variable does not exist, its values are not known, or values are given without it.
         """
+        if by is None:
+            if groups is not None:
+                raise ValueError(
+                    f"groups={groups!r} are the values of an integer variable of the particles: say which with by="
+                )
+            return ()
         whole = [name for name, column in self.columns.items() if column.kind in "iu" and "particle" in column.dims]
         if by not in whole:
             shown = [name for name in whole if name != "particle_id"]

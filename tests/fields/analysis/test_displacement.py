@@ -345,7 +345,7 @@ def test_rotation_is_nan_under_a_reflection():
         (lambda ds: ds, {"fields": "velocity"}, ValueError, "unknown field of displacements 'velocity'"),
         (lambda ds: ds, {"fields": ["strian"]}, ValueError, "did you mean 'strain'"),
         (lambda ds: ds, {"fields": ["d2min"], "accumulate": True}, ValueError, "['d2min'] do not follow from one"),
-        (lambda ds: ds, {"per": "accessible"}, ValueError, "per='accessible': not available for displacements"),
+        (lambda ds: ds, {"per": "accessible"}, TypeError, "unexpected keyword argument 'per'"),
         (lambda ds: ds, {"preset": "pysammos"}, ValueError, "preset='pysammos': not available for displacements"),
         (lambda ds: ds.isel(time=[1, 0]), {}, xcg.SceneError, "times that rise"),
         (lambda ds: ds.assign_coords(time=np.arange(6).astype("m8[ns]")), {}, xcg.SceneError, "times as numbers (s)"),

@@ -145,9 +145,13 @@ def test_wrong_arguments_raise(arguments, message):
         ds.cg.coarse_grain(**{"preset": "lammps", "width": 0.8} | arguments)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"), [({"axes": "w"}, "no finite box along 'w'"), ({"delta": 0.0}, "expected a positive size")]
-)
+@pytest.mark.parametrize(("arguments", "message"), [
+    ({"axes": "xw"}, r"axes names \['w'\]: the axes of this scene are x, y, z"),
+    ({"axes": "x", "origin": {"w": 0.0}}, r"origin names \['w'\]"),
+    ({"axes": "x", "delta": {"x": 1.0, "w": 1.0}}, r"delta names \['w'\]"),
+    ({"axes": "xz", "delta": {"x": 1.0}}, "expected a positive size of bins .* for each of 'xz'"),
+    ({"delta": 0.0}, "expected a positive size"),
+])  # fmt: skip
 def test_wrong_meshes_raise(arguments, message):
     with pytest.raises(ValueError, match=message):
         xcg.lammps_mesh(xcg.datasets.random_scene(20), **{"delta": 1.0, "cutoff": 1.0, "width": 0.3} | arguments)

@@ -203,6 +203,9 @@ def test_the_mesh_divides_given_bounds(last, count):
     assert float(f.z) == 1.5
     with pytest.raises(ValueError, match=r"along \['y'\]"):
         xcg.pysammos_mesh(ds, "xy", bounds={"x": (0, last)})
+    for options in ({"axes": "xq"}, {"bounds": {"q": (0, 1)}}, {"at": {"q": 0.0}}):
+        with pytest.raises(ValueError, match=r"names \['q'\]: the axes of this scene are x, y, z"):
+            xcg.pysammos_mesh(ds, **options)
     for ends in ((2.0, 1.0), (0.0, np.nan), (0.0, np.inf)):
         with pytest.raises(ValueError, match="expected \\(first, last\\)"):
             ds.cg.coarse_grain("density", **xcg.pysammos_mesh(ds, "x", bounds={"x": ends}))

@@ -227,12 +227,14 @@ def balance(ds: xr.Dataset, asked: BalanceRequest) -> xr.Dataset:
     def divergence(field: xr.DataArray) -> xr.DataArray:
         return _divergence(field, "direction" if "direction" in field.dims else "component", grid.axes, wraps)
 
-    gravity = _gravity(ds) if "gravity" in ds.attrs else 0.0
-    out: dict[str, xr.DataArray] = {}
+    given = np.asarray(ds.attrs.get("gravity", (0.0, 0.0, 0.0)), float)
+    gravity = xr.DataArray(given, {"component": list(COMPONENTS)}, "component")
+    interval, out = xr.DataArray(np.diff(f.time.values), dims="time"), dict[str, xr.DataArray]()
     for balanced, law in laws.items():
         name, parts = f"{balanced}_residual", law.terms(f, divergence, gravity)
         if law.rate:
-            parts = [_between_steps(f[law.rate]), *map(_middle, parts)]
+            parts = [_halfway(part, lambda one, other: (one + other) / 2) for part in parts]
+            parts.insert(0, _halfway(f[law.rate], lambda one, other: (other - one) / interval))
         steps = {"time": "interval"} if law.rate else {}
         unit, long_name = law.units if plan.setup.unit_system == "SI" else "1", law.long_name
         residual = sum(parts[1:], start=parts[0]).transpose("time", *plan.dims, ...)
@@ -265,28 +267,12 @@ def _chosen(ds: xr.Dataset, asked: BalanceRequest) -> dict[str, _Law]:
     return {name: LAWS[name] for name in (asked.of or (name for name in USUAL if name not in lacking))}
 
 
-def _gravity(ds: xr.Dataset) -> xr.DataArray:
-    return xr.DataArray(np.asarray(ds.attrs["gravity"], float), {"component": list(COMPONENTS)}, "component")
-
-
-def _ends(field: xr.DataArray) -> tuple[xr.DataArray, xr.DataArray, Any]:
-    """Each step but the last, each but the first, and the times in the middle."""
+def _halfway(field: xr.DataArray, combine: Callable[[xr.DataArray, xr.DataArray], xr.DataArray]) -> xr.DataArray:
+    """Combine each step with the next, at the time in the middle."""
     bare = field.drop_vars(["time", "step"], errors="ignore")
     middle = (field.time[1:].variable + field.time[:-1].values) / 2
     middle.attrs = field.time.attrs | {"long_name": "time in the middle between two steps"}
-    return bare.isel(time=slice(None, -1)), bare.isel(time=slice(1, None)), middle
-
-
-def _between_steps(field: xr.DataArray) -> xr.DataArray:
-    """Rate of change from each step to the next, at the time in the middle."""
-    first, second, middle = _ends(field)
-    return ((second - first) / xr.DataArray(np.diff(field.time.values), dims="time")).assign_coords(time=middle)
-
-
-def _middle(field: xr.DataArray) -> xr.DataArray:
-    """Mean of each step and the next, at the time in the middle."""
-    first, second, middle = _ends(field)
-    return ((first + second) / 2).assign_coords(time=middle)
+    return combine(bare.isel(time=slice(None, -1)), bare.isel(time=slice(1, None))).assign_coords(time=middle)
 
 
 def _rms(field: xr.DataArray) -> xr.DataArray:

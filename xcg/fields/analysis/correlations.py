@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -89,13 +89,13 @@ def spatial_correlation(f: xr.Dataset, name: str, other: str | None = None) -> x
         output_dtypes=[float] * 6, dask_gufunc_kwargs={"output_sizes": sizes, "allow_rechunk": True},
     )  # fmt: skip
     sums = xr.Dataset(dict(zip(_SUMS, found, strict=True))).assign_coords(coords)
-    radial = _Radial([values for _, values, _ in coords.values()], min(spacing))
+    r, by_shell = _shells([values for _, values, _ in coords.values()], min(spacing))
     for sum_ in ("products", "pairs"):
         sums[f"radial_{sum_}"] = xr.apply_ufunc(
-            radial.add, sums[sum_], input_core_dims=[list(coords)], output_core_dims=[["r"]], dask="parallelized",
-            output_dtypes=[float], dask_gufunc_kwargs={"output_sizes": {"r": len(radial.r)}, "allow_rechunk": True},
+            by_shell, sums[sum_], input_core_dims=[list(coords)], output_core_dims=[["r"]], dask="parallelized",
+            output_dtypes=[float], dask_gufunc_kwargs={"output_sizes": {"r": len(r)}, "allow_rechunk": True},
         )  # fmt: skip
-    sums = sums.assign_coords(r=("r", radial.r, {"units": length, "long_name": "distance"}))
+    sums = sums.assign_coords(r=("r", r, {"units": length, "long_name": "distance"}))
     about = {
         "correlation": ("1", f"correlation of {name} with {other}"),
         "radial_correlation": ("1", f"correlation of {name} with {other} by distance"),
@@ -184,7 +184,7 @@ def time_correlation(f: xr.Dataset, name: str, max_lag: int | None = None) -> xr
     )  # fmt: skip
     what = f"correlation of {name} with itself"
     about = {
-        "correlation": (_normalised(sums, sums.isel(lag=0)), "1", f"{what} at later times"),
+        "correlation": (_by_lag(sums)["correlation"], "1", f"{what} at later times"),
         "mean_correlation": (mean, "1", f"{what} at later times, over all nodes"),
         "mean_correlation_error": (error, "1", "standard error of mean_correlation"),
         "correlation_time": (forgets, second, "time at which the mean correlation falls to 1/e"),
@@ -258,36 +258,28 @@ def _products(a: NDArray, b: NDArray, wraps: Sequence[bool], rank: int) -> tuple
     return products.sum(axis=0), np.rint(pairs), *norms
 
 
-class _Radial:
-    """Adds up what lags of about the same length have.
+def _shells(lags: Sequence[NDArray], thickness: float) -> tuple[NDArray, Callable[[NDArray], NDArray]]:
+    """Return the mean length (m) of the lags in each shell, and a function that adds up sums (..., lags) by shell.
 
-    Attributes
-    ----------
-    r : array
-        Mean length of the added lags, which fill a shell as thick as the smallest spacing. The longest
-        is the longest lag along an axis.
+    A shell is as thick as the smallest spacing; the longest length is the longest lag along an axis.
     """
+    lengths = np.sqrt(sum(x**2 for x in np.meshgrid(*lags, indexing="ij"))).ravel()
+    shell = np.rint(lengths / thickness).astype(int)
+    used = np.flatnonzero(lengths <= max(np.abs(x).max() for x in lags) * (1 + 1e-12))
+    used = used[np.argsort(shell[used], kind="stable")]
+    _, first, count = np.unique(shell[used], return_index=True, return_counts=True)
 
-    def __init__(self, lags: Sequence[NDArray], thickness: float) -> None:
-        lengths = np.sqrt(sum(x**2 for x in np.meshgrid(*lags, indexing="ij"))).ravel()
-        shell = np.rint(lengths / thickness).astype(int)
-        self._used = np.flatnonzero(lengths <= max(np.abs(x).max() for x in lags) * (1 + 1e-12))
-        self._used = self._used[np.argsort(shell[self._used], kind="stable")]
-        _, self._first, count = np.unique(shell[self._used], return_index=True, return_counts=True)
-        self.r = np.add.reduceat(lengths[self._used], self._first) / count
-        self._rank = len(lags)
+    def add(sums: NDArray) -> NDArray:
+        flat = sums.reshape(*sums.shape[: -len(lags)], -1)
+        return np.add.reduceat(flat[..., used], first, axis=-1)
 
-    def add(self, sums: NDArray) -> NDArray:
-        """Return sums (..., r) from those at all lags."""
-        flat = sums.reshape(*sums.shape[: -self._rank], -1)
-        return np.add.reduceat(flat[..., self._used], self._first, axis=-1)
+    return np.add.reduceat(lengths[used], first) / count, add
 
 
 def _correlation_in_space(sums: xr.Dataset) -> xr.Dataset:
-    squares = (
+    one, two = (
         sums[f"{whose}square"] / sums[f"{whose}count"].where(sums[f"{whose}count"] > 0) for whose in ("", "other_")
     )
-    one, two = squares
     scale = np.sqrt((one * two).where(one * two > 0))
     found = {
         f"{way}correlation": sums[f"{way}products"] / sums[f"{way}pairs"].where(sums[f"{way}pairs"] > 0) / scale
@@ -317,9 +309,10 @@ def falls_to(values: NDArray, at: NDArray, level: float = np.exp(-1.0)) -> NDArr
 # --- in time ---------------------------------------------------------------------------------------------
 
 
-def _normalised(sums: xr.Dataset, squares: xr.Dataset) -> xr.DataArray:
-    square = squares["products"] / squares["pairs"].where(squares["pairs"] > 0)
-    return sums["products"] / sums["pairs"].where(sums["pairs"] > 0) / square.where(square > 0)
+def _by_lag(sums: xr.Dataset) -> xr.Dataset:
+    mean = sums["products"] / sums["pairs"].where(sums["pairs"] > 0)
+    square = mean.isel(lag=0)
+    return xr.Dataset({"correlation": mean / square.where(square > 0)})
 
 
 def _correlation_in_time(products: NDArray, pairs: NDArray, lags: NDArray) -> tuple[NDArray, ...]:
@@ -339,7 +332,3 @@ def _correlation_in_time(products: NDArray, pairs: NDArray, lags: NDArray) -> tu
 
     forgets_error = block_errors(common, "time", time_of)["forgets"].to_numpy()
     return mean, np.array(errors), falls_to(mean, lags), forgets_error
-
-
-def _by_lag(sums: xr.Dataset) -> xr.Dataset:
-    return xr.Dataset({"correlation": _normalised(sums, sums.isel(lag=0))})

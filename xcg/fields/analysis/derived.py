@@ -18,7 +18,7 @@ from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.frame import particle_rows, require_rising_times, steps_in
 from xcg.scene.sanity import rows_of
 from xcg.scene.schema import COMPONENTS, OF_STEP, VARIABLES, units_in
-from xcg.steps.labels import format_call, provenance
+from xcg.steps.labels import format_call, label, results_of
 from xcg.steps.mapping import map_over_time
 
 
@@ -251,13 +251,10 @@ def derive_velocity(ds: xr.Dataset) -> xr.Dataset:
             beside[name + side] = series[name].variable.isel(time=other).to_base_variable()
     series = series.assign(beside)
     compute = partial(_velocities, str(ds.attrs.get("periodic", "")))
-    shape = {"velocity": ((ds.sizes["particle"], 3), "float64")}
-    found = map_over_time(series, [*names, "moment", *beside], compute, shape, "derive-velocity")
-    row = VARIABLES["velocity"]
-    about = {"units": units_in(row.units, str(ds.attrs.get("unit_system", "SI"))), "long_name": row.long_name}
-    velocity = xr.Variable(("time", *row.dims), found["velocity"], about)
-    history = provenance(ds, format_call("derive_velocity", {}))["history"]
-    return ds.assign(velocity=velocity).assign_attrs(history=history)
+    results = results_of({"velocity": VARIABLES["velocity"]}, ds.sizes)
+    found = map_over_time(series, [*names, "moment", *beside], compute, results, "derive-velocity")
+    made = label(ds, VARIABLES, found, format_call("derive_velocity", {}))
+    return ds.assign(velocity=made["velocity"].variable).assign_attrs(history=made.attrs["history"])
 
 
 def _velocities(periodic: str, arrays: Mapping[str, NDArray]) -> dict[str, Any]:
@@ -279,21 +276,17 @@ def _velocities(periodic: str, arrays: Mapping[str, NDArray]) -> dict[str, Any]:
             there = np.flatnonzero(row >= 0) if apart else np.empty(0, int)
             motion = BoxMotion.between(now[1], other[1])
             moved = motion.relative(position[there], other[0]["position"][row[there]])
-            _warn_of_aliasing(np.abs(moved).max(axis=0, initial=0.0) / now[1].period, now[2])
+            share = np.abs(moved).max(axis=0, initial=0.0) / now[1].period
+            if share.max() > _LARGE_SHARE:  # the nearest image may be another one
+                warn_once(
+                    "velocities across a period",
+                    f"{now[2]}: particles move by up to {share.max():.2f} of the period along "
+                    f"'{COMPONENTS[share.argmax()]}' from one step to the next; velocities of those that move by half "
+                    "a period or more are wrong. Write steps more often",
+                )
             moved += motion.shift + position[there] @ motion.gradient.T
             total[there] += np.sign(apart) * moved
             time[there] += abs(apart)
         with np.errstate(invalid="ignore", divide="ignore"):
             out[t, particle_rows(here["particle_id"][t])] = total / time[:, None]
     return {"velocity": out}
-
-
-def _warn_of_aliasing(share: NDArray, source: str) -> None:
-    """Warn where particles move by a large share (3,) of the period, as the nearest image may be another one."""
-    k = int(share.argmax())
-    if share[k] > _LARGE_SHARE:
-        warn_once(
-            "velocities across a period",
-            f"{source}: particles move by up to {share[k]:.2f} of the period along '{COMPONENTS[k]}' from one step to "
-            "the next; velocities of those that move by half a period or more are wrong. Write steps more often",
-        )

@@ -96,13 +96,14 @@ def mean_squared_displacement(
     at = interval * np.array(chosen)
     used = _range(fit, at)
     scene = describe(ds, by)
-    known = () if by is None else scene.groups(by, groups)
+    known = scene.groups(by, groups)
     sums, counts = _sums(ds, chosen, by, known, remove_drift)
-    phases = ("phase",) if by else ()
+    dims = ("first", "lag", "phase")
     samples = xr.Dataset(
-        {"sum": (("first", "lag", *phases, *_TENSOR), sums), "count": (("first", "lag", *phases), counts)},
+        {"sum": ((*dims, *_TENSOR), sums), "count": (dims, counts)},
         {"lag": at} | {dim: list(COMPONENTS) for dim in _TENSOR},
     )
+    samples = samples.isel(phase=0) if by is None else samples
     plane = [a for a in COMPONENTS if a in scene.setup.plane]
 
     def means(sums: xr.Dataset) -> xr.Dataset:
@@ -220,7 +221,7 @@ def _ways(ds: xr.Dataset, by: str | None, known: Sequence[int], remove_drift: bo
 def _sums(
     ds: xr.Dataset, lags: Sequence[int], by: str | None, known: Sequence[int], remove_drift: bool
 ) -> tuple[NDArray, NDArray]:
-    """Sum u u, and count grains, by first step of the pair, lag, and phase where there are any."""
+    """Sum u u, and count grains, by first step of the pair, lag and phase, all of them first."""
     steps, phases = ds.sizes["time"], max(1, len(known))
     sums, counts = np.zeros((steps, len(lags), phases, 3, 3)), np.zeros((steps, len(lags), phases))
     recent: deque[_Places] = deque(maxlen=lags[-1] + 1)
@@ -237,6 +238,5 @@ def _sums(
             for phase in range(phases):
                 of_phase = moved[then.phase[stay] == phase]
                 sums[t - lag, k, phase], counts[t - lag, k, phase] = of_phase.T @ of_phase, len(of_phase)
-    if by is None:
-        return sums[:, :, 0], counts[:, :, 0]
-    return tuple(np.concatenate([a.sum(axis=2, keepdims=True), a], axis=2) for a in (sums, counts))  # type: ignore[return-value]
+    sums, counts = (np.concatenate([a.sum(axis=2, keepdims=True), a], axis=2) for a in (sums, counts))
+    return sums, counts

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -18,7 +18,7 @@ from xcg.fields.formulas import registry
 from xcg.fields.formulas.averages import derive, needed_for_averages
 from xcg.fields.grids.frames import refuse_cylindrical
 from xcg.fields.plan import make_plan
-from xcg.fields.request import Request, takes
+from xcg.fields.request import SharedOptions, takes
 from xcg.scene.box import BoxMotion, partners
 from xcg.scene.conform import require_scene
 from xcg.scene.description import describe
@@ -41,7 +41,7 @@ _MOTION: dict[str, Result] = {
 
 
 @dataclass(frozen=True)
-class DisplacementRequest(Request):
+class DisplacementRequest(SharedOptions):
     """Arguments of `displacement`.
 
     Parameters
@@ -55,10 +55,25 @@ class DisplacementRequest(Request):
     accumulate : bool
         Compose the deformation gradients of consecutive steps of `lag` frames at each node, ``F = F_n ... F_2 F_1``,
         and give the fields that follow from it, at the time of the later frame.
+    width : float, str or mapping, optional
+        Half-width w of the kernel (m), or a multiple of a size such as "0.75 d43" (the default), as in `coarse_grain`.
+    at : mapping, optional
+        Coordinate of fixed axes (m), or points, as in `coarse_grain`.
+    for_averages : bool
+        Also compute what `time_average` and `profile` of the fields need beside them.
+    by_pair : bool
+        Refused: displacements take no contacts.
+    preset : str, optional
+        Refused: displacements have no names in other programs.
     """
 
+    fields: str | Sequence[str] | None = None
     lag: int = 1
     accumulate: bool = False
+    _: KW_ONLY
+    width: float | str | Mapping[int, float | str] | None = None
+    at: Mapping[str, float | xr.DataArray] | None = None
+    for_averages: bool = False
 
 
 @takes(DisplacementRequest)
@@ -152,14 +167,14 @@ def _names(ds: xr.Dataset, asked: DisplacementRequest) -> tuple[str, ...]:
         raise ValueError(f"lag={lag!r}: expected a number of frames, 1 for the next")
     if lag >= frames:
         raise ValueError(f"lag={lag!r}: the scene has {frames} frames, and displacements need lag + 1 or more of them")
-    for name, no in (("preset", None), ("by_pair", False), ("walls", None), ("per", None), ("errors", False)):
+    for name, no in (("preset", None), ("by_pair", False)):
         if getattr(asked, name) != no:
             raise ValueError(f"{name}={getattr(asked, name)!r}: not available for displacements; leave it out")
     require_rising_times(ds, "displacement")
     known = [name for name in registry.listed() if registry.FIELDS[name].option == "lag"]
     ours = [name for name in known if registry.FIELDS[name].default]
     given = ["sample_count", *ours] if asked.fields is None else asked.fields
-    names = [str(name) for name in ([given] if isinstance(given, str) else given)]  # type: ignore[union-attr]
+    names = [str(name) for name in ([given] if isinstance(given, str) else given)]
     if not names:
         raise ValueError(f"fields={asked.fields!r}: expected at least one; leave it out for all of displacements")
     for name in names:
@@ -196,7 +211,7 @@ def _between_frames(
     read = list(dict.fromkeys([*(name for name in plan.variables if name not in _MADE), *both]))
     pairs = first.assign(later)
     threads = threads_a_chunk(pairs, [*read, *later], THREADS)
-    compute = _Pairs(plan.setup.periodic, partial(compute_chunk, plan, threads))
+    compute = partial(_of_pairs, plan.setup.periodic, partial(compute_chunk, plan, threads))
     results = {field: (plan.shapes[field], "float64") for field in plan.fields} | _MOTION
     arrays = map_over_time(pairs, [*read, *later], compute, results, "displacement", asked.on_error)
     f = mark_skipped(labelled(scene, plan, arrays, call), arrays)
@@ -213,37 +228,29 @@ def _between_frames(
     return f.assign_coords({name: ("time", *values) for name, values in coords.items()}), motion
 
 
-@dataclass(frozen=True)
-class _Pairs:
-    """Computes fields of a chunk of frames, with displacements to their later frames in the place of velocities."""
-
-    periodic: str
-    compute: Compute
-
-    def __call__(self, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
-        first = {name: a for name, a in arrays.items() if not name.endswith(_LATER)}
-        later = {name.removesuffix(_LATER): a for name, a in arrays.items() if name.endswith(_LATER)}
-        steps, grains = first["particle_id"].shape
-        found = {name: np.empty((steps, *shape), dtype) for name, (shape, dtype) in _MOTION.items()}
-        first["interval"] = np.broadcast_to((later.pop("time") - first.pop("time"))[:, None], (steps, grains))
-        first["velocity"] = np.full((steps, grains, 3), np.nan)
-        ids = np.full((steps, grains), PADDING)
-        frames = {name: first[name] for name in later}
-        for t, (one, other) in enumerate(
-            zip(steps_in(frames, self.periodic), steps_in(later, self.periodic), strict=True)
-        ):
-            sources = one[2], other[2]
-            rows = partners(one[0], other[0], sources)
-            stay = rows >= 0
-            motion = BoxMotion.between(one[1], other[1])
-            # grains without a partner become padding, and all rows stay where they are
-            given = first["particle_id"][t]
-            place = np.argsort(given, kind="stable")[grains - len(rows) :][stay]
-            ids[t, place] = given[place]
-            first["velocity"][t, place] = motion.relative(one[0]["position"][stay], other[0]["position"][rows[stay]])
-            found["left"][t], found["entered"][t] = (~stay).sum(), len(other[0]["position"]) - stay.sum()
-            found["box_gradient"][t], found["box_shift"][t] = motion.gradient, motion.shift
-        return {**self.compute(first | {"particle_id": ids}), **found}
+def _of_pairs(periodic: str, compute: Compute, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
+    """Compute fields of a chunk of frames, with displacements to their later frames in the place of velocities."""
+    first = {name: a for name, a in arrays.items() if not name.endswith(_LATER)}
+    later = {name.removesuffix(_LATER): a for name, a in arrays.items() if name.endswith(_LATER)}
+    steps, grains = first["particle_id"].shape
+    found = {name: np.empty((steps, *shape), dtype) for name, (shape, dtype) in _MOTION.items()}
+    first["interval"] = np.broadcast_to((later.pop("time") - first.pop("time"))[:, None], (steps, grains))
+    first["velocity"] = np.full((steps, grains, 3), np.nan)
+    ids = np.full((steps, grains), PADDING)
+    frames = {name: first[name] for name in later}
+    for t, (one, other) in enumerate(zip(steps_in(frames, periodic), steps_in(later, periodic), strict=True)):
+        sources = one[2], other[2]
+        rows = partners(one[0], other[0], sources)
+        stay = rows >= 0
+        motion = BoxMotion.between(one[1], other[1])
+        # grains without a partner become padding, and all rows stay where they are
+        given = first["particle_id"][t]
+        place = np.argsort(given, kind="stable")[grains - len(rows) :][stay]
+        ids[t, place] = given[place]
+        first["velocity"][t, place] = motion.relative(one[0]["position"][stay], other[0]["position"][rows[stay]])
+        found["left"][t], found["entered"][t] = (~stay).sum(), len(other[0]["position"]) - stay.sum()
+        found["box_gradient"][t], found["box_shift"][t] = motion.gradient, motion.shift
+    return {**compute(first | {"particle_id": ids}), **found}
 
 
 # --- from displacements relative to the box --------------------------------------------------------------

@@ -6,14 +6,14 @@ import os
 from collections.abc import Mapping
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from xcg.common import drawing
-from xcg.common.checks import extra, is_positive
+from xcg.common.checks import check_choice, extra, is_positive
 from xcg.common.messages import did_you_mean, unknown
 from xcg.fields.formulas.registry import FIELDS
 from xcg.scene.frame import require_steps, step_at, with_time
@@ -235,8 +235,7 @@ def _part(
     arrows: str | None, shading: str,
 ) -> xr.Dataset:  # fmt: skip
     """Select the numbers to draw, its errors and arrows of all steps and phases; ``attrs["drawn"]`` is its name."""
-    if shading not in get_args(Shading):
-        raise ValueError(f"shading={shading!r}: expected one of {', '.join(map(repr, get_args(Shading)))}")
+    check_choice("shading", shading, Shading)
     name = field or next((str(n) for n in f.data_vars if n != "sample_count"), None)
     if "particle_id" in f:
         raise ValueError("plot draws results, and this is a scene: draw fields, ds.cg.coarse_grain(...).cg.plot()")

@@ -144,16 +144,14 @@ def fit_slope(surface: xr.Dataset | xr.DataArray) -> xr.Dataset:
         dask_gufunc_kwargs={"output_sizes": {"number": 2 * len(axes) + 2}},
     )  # fmt: skip
     count = len(axes)
-    parts = {"slope": (0, "slope of the surface"), "slope_error": (count, "standard error of the slope")}
-    data = {}
-    for name, (first, text) in parts.items():
-        some = found.isel(number=slice(first, first + count)).rename(number="component")
-        data[name] = some.assign_coords(component=axes).assign_attrs(units="1", long_name=text)
-    for k, (name, text) in enumerate(
-        (("angle", "angle of the surface"), ("angle_error", "standard error of the angle"))
-    ):
-        data[name] = found.isel(number=2 * count + k).assign_attrs(units="degree", long_name=text)
-    return xr.Dataset(data)
+    parts: dict[str, tuple[int | slice, str, str]] = {
+        "slope": (slice(count), "1", "slope of the surface"),
+        "slope_error": (slice(count, 2 * count), "1", "standard error of the slope"),
+        "angle": (-2, "degree", "angle of the surface"),
+        "angle_error": (-1, "degree", "standard error of the angle"),
+    }
+    data = {name: found.isel(number=k).assign_attrs(units=u, long_name=text) for name, (k, u, text) in parts.items()}
+    return xr.Dataset(data).rename(number="component").assign_coords(component=axes)
 
 
 def _fitted(height: NDArray, places: NDArray, shared: float) -> NDArray:

@@ -1,7 +1,7 @@
 """Walls as geometry: what all have in common, planes and cylinders; triangulated ones are in `surface`.
 
 A wall is a surface with a side where the grains are; normals point to that side. It says which part of space is
-accessible (`xcg.fields.accessible`), and has cells for fields of its stress (`xcg.fields.analysis.wall_stress`).
+accessible (`xcg.fields.accessible`), and has cells for fields of its stress (`xcg.fields.analysis.surfaces`).
 """
 
 from __future__ import annotations

@@ -21,6 +21,7 @@ from xcg.common.checks import is_positive
 from xcg.common.messages import unknown
 from xcg.fields.formulas import registry
 from xcg.fields.formulas.field import Quantity
+from xcg.fields.grids.grid import check_axes
 from xcg.fields.plan import make_plan
 from xcg.fields.request import Request
 from xcg.fields.sums.kernels import Gaussian, Kernel, kernel_of
@@ -203,13 +204,17 @@ def lammps_mesh(
     5
     """
     require_scene(ds, (), "lammps_mesh")
-    edges, bounds, spacing = describe(ds).edges, {}, {}
+    scene = describe(ds)
+    sizes = delta if isinstance(delta, Mapping) else dict.fromkeys(axes, delta)
+    for name, given in (("axes", axes), ("delta", sizes), ("origin", origin or {})):
+        check_axes(name, given, scene.setup.plane)
+    edges, bounds, spacing = scene.edges, {}, {}
     for a in axes:
         if a not in edges:
             raise ValueError(f"lammps_mesh: the scene has no finite box along {a!r}; bins of LAMMPS cover the box")
-        step = delta[a] if isinstance(delta, Mapping) else delta
+        step = sizes.get(a)
         if not is_positive(step):
-            raise ValueError(f"delta={delta!r}: expected a positive size of bins (m)")
+            raise ValueError(f"delta={delta!r}: expected a positive size of bins (m), or one for each of {axes!r}")
         first, last = (origin or {}).get(a, edges[a][0]), edges[a][1]
         # a box of a whole number of bins has that many, whatever the rounding
         count = max(1, math.ceil((last - first) / step * (1 - 1e-12)))

@@ -21,6 +21,7 @@ from xcg.common.messages import unknown
 from xcg.fields.formulas import algebra, registry
 from xcg.fields.formulas.algebra import at_least_zero, where_positive
 from xcg.fields.formulas.field import Field, Options, Quantity
+from xcg.fields.grids.grid import check_axes
 from xcg.fields.plan import possible_fields
 from xcg.fields.request import Request
 from xcg.fields.sums.kernels import KernelName, kernel_of
@@ -29,22 +30,12 @@ from xcg.scene.description import Description, describe
 from xcg.scene.schema import COMPONENTS
 
 _RATE = "shear_rate_tensor"
-
-
+_SAME = ("d32", "d43", "coordination_number", "momentum_density", "velocity", "velocity_gradient")
 _RENAMED = {
-    "volume_fraction": "volume_fraction",
-    "density_mixture": "density",
-    "density_particle": "particle_density",
-    "d32": "d32",
-    "d43": "d43",
-    "coordination_number": "coordination_number",
-    "momentum_density": "momentum_density",
-    "velocity": "velocity",
-    "velocity_gradient": "velocity_gradient",
-    "kinetic_tensor": "kinetic_stress",
-    "contact_tensor": "contact_stress",
-    "fabric_tensor": "fabric",
-}
+    "volume_fraction": "volume_fraction", "density_mixture": "density", "density_particle": "particle_density",
+    **{name: name for name in _SAME},
+    "kinetic_tensor": "kinetic_stress", "contact_tensor": "contact_stress", "fabric_tensor": "fabric",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -293,6 +284,8 @@ def pysammos_mesh(
     if scene.corners is None or "dmax" not in scene.sizes:
         raise ValueError("pysammos_mesh needs the extent and the largest diameter; call ds = ds.cg.measure() first")
     setup = scene.setup
+    for name, given in (("axes", axes), ("bounds", bounds or {}), ("at", at or {})):
+        check_axes(name, [a for a in given if a not in COMPONENTS], setup.plane)
     chosen = kernel_of(kernel, width, scene.sizes, setup.dimension)
     corners = zip(COMPONENTS, *scene.corners, strict=True)
     extent = {a: (first, last) for a, first, last in corners if a in setup.plane}

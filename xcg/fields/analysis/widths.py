@@ -1,25 +1,25 @@
-"""The width with the least error: bias and noise against the width of the kernel, from a few frames of a scene."""
+"""Fields against the width of the kernel: their bias, their plateau, and the width with the least error."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from xcg.common import drawing
 from xcg.common.checks import is_positive, is_whole
-from xcg.fields.analysis.width_sweep import join_widths, with_nodes
-from xcg.fields.coarse_grain import prepare
+from xcg.fields.coarse_grain import Asked, answer, prepare
 from xcg.fields.formulas.averages import time_average
 from xcg.fields.formulas.field import Quantity
 from xcg.fields.grids.frames import refuse_cylindrical
-from xcg.fields.request import SharedOptions, takes
+from xcg.fields.plan import make_plan
+from xcg.fields.request import Request, SharedOptions, takes
 from xcg.fields.sums.kernels import Kernel, kernel_of, resolve_width
 from xcg.scene.description import describe
 
@@ -30,6 +30,167 @@ WIDTHS = tuple(f"{0.5 * 2 ** (k / 2):.4g} d43" for k in range(7))
 KNOWN = 0.9  # share of the particles at nodes where a field is known, least
 STEPS = 240  # between the widths, where bias and noise are interpolated as powers of the width
 _COUNT = "number_density"
+
+
+@dataclass(frozen=True)
+class SweepRequest(SharedOptions):
+    """Arguments of `width_sweep`.
+
+    Parameters
+    ----------
+    widths : list of float or str
+        Two or more widths (m), or multiples of sizes such as "0.5 d43".
+    fields : str, quantity, or list of these, optional
+        Names of fields, or quantities, as in `coarse_grain`.
+    at : mapping, optional
+        Points: one number an axis, or lists of the same length, one entry a point (dimension ``point``), or DataArrays
+        as in `coarse_grain`. Axes not named are averaged, unless ``axes`` resolves them; None averages over the whole
+        box.
+    threshold : float
+        Largest logarithmic slope of a plateau; 0.1 changes a field by 7 % when the width doubles. Also the largest bias
+        of a width that is not too wide, relative to the largest value of the field.
+    """
+
+    widths: Sequence[float | str]
+    fields: str | Quantity | Sequence[str | Quantity] | None = None
+    _: KW_ONLY
+    at: Mapping[str, ArrayLike | xr.DataArray] | None = None
+    threshold: float = 0.1
+
+
+@takes(SweepRequest)
+def width_sweep(ds: xr.Dataset, asked: SweepRequest) -> xr.Dataset:
+    """Coarse-grain with several widths: the bias of each width, and the plateau of each field.
+
+    The plateau is where the logarithmic slope ``|d ln f / d ln w|`` is smallest, if it is below `threshold` there; it
+    takes three widths or more. Lazy where the scene is; computed in one go, all widths share one pass over the files.
+
+    Parameters
+    ----------
+    ds : xarray.Dataset
+        A scene.
+    {arguments}
+
+    Returns
+    -------
+    xarray.Dataset
+        The fields with the dimension ``width`` (m), and for each ``<field>_bias``, what the width adds to the field by
+        smearing it; ``<field>_extrapolated``, the field less its bias; ``<field>_too_wide``, whether the bias exceeds
+        `threshold` times the largest value of the field in the step. Of three widths or more also ``<field>_slope``,
+        ``<field>_plateau_width`` (m, NaN without a plateau) and ``<field>_plateau`` (the value there).
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two different widths, or an argument of `coarse_grain` is wrong.
+
+    Notes
+    -----
+    A kernel of the width w smears a field f to ``f_w = f + (mu_2 / 2) laplace f + O(w^4)``, its second moment ``mu_2``
+    in proportion to w^2. Two widths give the bias ``f_w - f = (f_w' - f_w) w^2 / (w'^2 - w^2)``, of each width with
+    the next wider one (the widest with the one before). It is right to a third where it is below a fifth of the field;
+    beside walls, surfaces and bands thinner than the width it is large, but no more than a sign that the width is too
+    large there. The noise of few grains adds to it: compare with the errors of the field (``errors=True``).
+    """
+    measured = describe(ds).sizes
+    lengths = sorted({resolve_width(width, measured) for width in asked.widths})
+    if len(lengths) < 2:
+        raise ValueError(f"widths={list(asked.widths)!r}: expected two or more different widths")
+    points, several = _points(asked.at)
+    ds, asked = prepare(ds, asked)
+    refuse_cylindrical(ds, "width_sweep")
+    asked = replace(asked, axes=asked.axes or "")
+    if asked.axes:
+        asked = _with_nodes(ds, asked, lengths, points[0])
+    swept = [_join_widths(ds, lengths, partial(asked.ask, fields=asked.fields, at=point)) for point in points]
+    joined = xr.concat(swept, "point", coords="different", compat="equals") if several else swept[0]
+    joined = joined.transpose("width", *(["point"] if several else []), ...)
+    if joined.chunks:
+        joined = joined.chunk({"width": -1})
+    widths, found = np.array(lengths), dict[str, xr.DataArray]()
+    for field in map(str, joined.data_vars):
+        found |= _bias(field, joined[field], widths, asked.threshold)
+        if len(lengths) > 2:
+            found |= _plateau(field, joined[field], widths, asked.threshold)
+    return joined.assign(found)
+
+
+def _points(at: Mapping[str, ArrayLike | xr.DataArray] | None) -> tuple[list[Mapping[str, Any]], bool]:
+    """Points as single `at` mappings, and whether there are several; DataArrays name all points at once."""
+    if not at:
+        return [{}], False
+    if any(isinstance(values, xr.DataArray) and values.ndim for values in at.values()):
+        return [at], False
+    columns = {axis: np.asarray(values, float) for axis, values in at.items()}
+    shapes = {axis: values.shape for axis, values in columns.items()}
+    if len(set(shapes.values())) > 1 or any(len(shape) > 1 for shape in shapes.values()):
+        raise ValueError(
+            f"at has shapes {shapes}: expected one number an axis, or lists of the same length, one entry a point"
+        )
+    rows = np.column_stack(list(columns.values())).tolist()
+    return [dict(zip(columns, row, strict=True)) for row in rows], any(shapes.values())
+
+
+def _join_widths(ds: xr.Dataset, widths: Sequence[float], ask: Callable[..., Request]) -> xr.Dataset:
+    """Coarse-grain a prepared scene with each of the widths (m): fields with the dimension width."""
+    along = xr.Variable("width", widths, {"long_name": "width of the kernel"})
+    joined = xr.concat([answer(ds, ask(width=width)) for width in widths], along, join="override")
+    joined["width"].attrs["units"] = "m" if joined.attrs.get("unit_system", "SI") == "SI" else "1"
+    joined.attrs = {name: value for name, value in joined.attrs.items() if name not in ("width", "cutoff")}
+    return joined
+
+
+def _with_nodes(ds: xr.Dataset, asked: Asked, widths: Sequence[float], point: Mapping[str, Any]) -> Asked:
+    """Keep nodes where they are for all widths: as close as the narrowest asks, as far as the widest reaches."""
+    spacing = widths[0] if asked.spacing is None else asked.spacing
+    if asked.bounds is not None:
+        return replace(asked, spacing=spacing)
+    placing = Request(
+        "number_density", width=widths[-1], at=point, axes=asked.axes, spacing=spacing, kernel=asked.kernel,
+        extent=asked.extent, sampling=asked.sampling,
+    )  # fmt: skip
+    grid = make_plan(describe(ds), placing).deposit.grid
+    ends = {a: tuple(grid.coords[a].to_numpy()[[0, -1]].tolist()) for a in grid.axes}
+    return replace(asked, spacing=spacing, bounds=ends)
+
+
+def _bias(name: str, field: xr.DataArray, widths: NDArray, threshold: float) -> dict[str, xr.DataArray]:
+    """Bias of a field in proportion to w^2, the field without it, and where it exceeds a share of the largest value."""
+    squares = xr.DataArray(widths**2, {"width": widths}, "width")
+    level = field.diff("width", label="lower") / squares.diff("width", label="lower")
+    bias = (level.reindex(width=widths, method="ffill") * squares).transpose(*field.dims)
+    parts = [dim for dim in ("component", "direction") if dim in field.dims]
+    places = [dim for dim in field.dims if dim not in ("width", "time", "phase", "other_phase", *parts)]
+    size, largest = ((values**2).sum(parts, skipna=False) ** 0.5 for values in (bias, field))
+    what = field.attrs.get("long_name", name)
+    units = {"units": field.attrs.get("units", "1")}
+    return {
+        f"{name}_bias": bias.assign_attrs(units, long_name=f"bias of {what} by the width of the kernel"),
+        f"{name}_extrapolated": (field - bias).assign_attrs(units, long_name=f"{what} without the bias of the width"),
+        f"{name}_too_wide": (size > threshold * largest.max(places)).assign_attrs(
+            units="1", long_name=f"whether the width smears {what} by more than {threshold:g} of its largest value"
+        ),
+    }
+
+
+def _plateau(name: str, field: xr.DataArray, widths: NDArray, threshold: float) -> dict[str, xr.DataArray]:
+    """Slope of a field, and width and value where it is smallest."""
+    # d ln f / d ln w = (w / f) df / dw, which also holds where f is negative
+    by_width = field.assign_coords(width=np.log(widths)).differentiate("width").assign_coords(width=widths)
+    slope = abs(by_width / field.where(field != 0))
+    # the ends have one neighbour only: no plateau is told from them
+    inside = slope.where((slope.width > widths[0]) & (slope.width < widths[-1])).fillna(np.inf)
+    rows = xr.DataArray(np.arange(len(widths)), {"width": widths}, "width")
+    best = (rows == inside.argmin("width")) & (inside.min("width") < threshold)
+    value = field.where(best).sum("width", min_count=1)
+    width = inside.width.where(best).sum("width", min_count=1)
+    unit = field.coords["width"].attrs.get("units", "m")
+    what = field.attrs.get("long_name", name)
+    return {
+        f"{name}_slope": slope.assign_attrs(units="1", long_name=f"logarithmic slope of {what} against width"),
+        f"{name}_plateau_width": width.assign_attrs(units=unit, long_name=f"width at the plateau of {what}"),
+        f"{name}_plateau": value.assign_attrs(field.attrs, long_name=f"{what} at its plateau"),
+    }
 
 
 @dataclass(frozen=True)
@@ -129,15 +290,13 @@ def choose_width(ds: xr.Dataset, asked: ChoiceRequest) -> xr.Dataset:
         bias, noise = _bias_and_noise(mean, name, seen)
         noise = noise * math.sqrt(len(rows))
         found |= {f"{name}_bias": bias, f"{name}_noise": noise, f"{name}_total": np.hypot(bias, noise / frames**0.5)}
-    labels = {name: {"units": "1", "long_name": name.replace("_", " ")} for name in found}
     out = xr.Dataset(
-        {name: ("width", values, labels[name]) for name, values in found.items()},
+        {n: ("width", values, {"units": "1", "long_name": n.replace("_", " ")}) for n, values in found.items()},
         {"width": mean["width"]}, {"frames": frames, "sampled_frames": len(rows), "target": asked.target},
     )  # fmt: skip
     total = out[[f"{name}_total" for name in names]].to_dataarray().max("variable", skipna=False)
     out["total"] = total.drop_attrs(deep=False).assign_attrs(units="1", long_name="largest total of the fields")
-    kernel = kernel_of(asked.kernel, widths[0], scene.sizes, scene.setup.dimension)
-    return out.assign(_choice(out, names, kernel))
+    return out.assign(_choice(out, names, kernel_of(asked.kernel, widths[0], {}, scene.setup.dimension)))
 
 
 def _averages(
@@ -149,18 +308,17 @@ def _averages(
     if axes:
         # nodes in a volume lie apart, or the widest kernel would reach too many
         spacing = widths[0] * (widths[-1] / widths[0]) ** ((len(axes) - 1) / 4)
-        asked = with_nodes(ds, replace(asked, axes=axes, spacing=asked.spacing or spacing), widths[:1], at)
+        asked = _with_nodes(ds, replace(asked, axes=axes, spacing=asked.spacing or spacing), widths[:1], at)
     moving = "velocity" in ds  # a velocity has an error beside fields without one
-    further = [_COUNT, "velocity"] if moving else [_COUNT]
-    fields = [*wanted, *(name for name in further if name not in wanted)]
+    fields = list(dict.fromkeys([*wanted, _COUNT, *["velocity"] * moving]))
     ask = partial(asked.ask, fields=fields, at=asked.at, errors=moving, for_averages=True)
-    f = join_widths(ds, [ask(width=width) for width in widths]).compute()
+    f = _join_widths(ds, widths, ask).compute()
     names = [name for name in map(str, f.data_vars) if any(name == getattr(w, "name", w) for w in wanted)]
     lone = [name for name in names if f"{name}_error" not in f]
     if lone and f.sizes.get("time", 1) < 2:
         raise ValueError(
-            f"choose_width: {', '.join(lone)} has no error of a single frame, and the scene holds one frame; open two "
-            "frames or more, or choose by a field with an error, such as velocity"
+            f"choose_width: {', '.join(lone)} has no error of a single frame: take sample=2 or more, of a scene "
+            "with as many frames, or choose by a field with an error, such as velocity"
         )
     return time_average(f).assign_coords(width=f["width"]), names, len(axes) + len(at)
 
@@ -185,8 +343,7 @@ def _bias_and_noise(mean: xr.Dataset, name: str, seen: int) -> tuple[NDArray, ND
     change -= noise[1:] + noise[:-1] - 2 * correlation * np.sqrt(noise[1:] * noise[:-1])
     bias = _integrate(np.fmin.accumulate(np.clip(change, 0.0, None)[::-1])[::-1] ** 0.5, widths)
     size = mean_square(field)[len(widths) // 2 :]
-    size = size[np.isfinite(size)]
-    scale = size[0] if size.size and size[0] > 0 else np.nan
+    scale = next((one for one in size if np.isfinite(one)), 0.0) or np.nan
     return bias / np.sqrt(scale), np.sqrt(noise / scale)
 
 
@@ -217,7 +374,7 @@ def _choice(found: xr.Dataset, names: Sequence[str], kernel: Kernel) -> dict[str
     totals = np.hypot(biases, noises / math.sqrt(frames))
     worst = totals.max(axis=0)
     needed = (noises**2 / np.maximum(target**2 - biases**2, 1e-300)).max(axis=0)
-    needed = np.where((biases < target).all(axis=0) & np.isfinite(needed), np.ceil(needed), np.inf)
+    needed = np.where((biases < target).all(axis=0) & np.isfinite(needed), np.ceil(needed), np.nan)
     if not np.isfinite(worst).any():
         raise ValueError(
             f"choose_width: {', '.join(names)} cannot be judged at any width: unknown at more than a tenth of the "
@@ -228,9 +385,11 @@ def _choice(found: xr.Dataset, names: Sequence[str], kernel: Kernel) -> dict[str
     leading = int(totals[:, best].argmax())
     bias, total = biases[leading, best], worst[best]
     # between nodes h apart, linear interpolation is off by h^2 f'' / sqrt(120), f'' = 2 bias / mu_2
-    second_moment = _second_moment(kernel) * fine[best] ** 2
+    q, dimension = np.linspace(0.0, 1.0, 4001), kernel.dimension or 3
+    weight = kernel.value(q * kernel.cutoff) * q ** (dimension - 1)
+    mean_square = float(np.trapezoid(weight * q**2, q) / np.trapezoid(weight, q))
+    second_moment = mean_square * (kernel.cutoff / kernel.width) ** 2 / dimension * fine[best] ** 2
     spacing = math.sqrt(math.sqrt(120) * second_moment * 0.32 * total / (2 * bias))
-    reached = np.isfinite(needed[fewest])
     unit = found["width"].attrs["units"]
     numbers = {
         "best_width": (fine[best], unit, f"width with the least error{end}"),
@@ -238,18 +397,10 @@ def _choice(found: xr.Dataset, names: Sequence[str], kernel: Kernel) -> dict[str
         "best_noise": (noises[leading, best] / math.sqrt(frames), "1", f"relative noise, mean of {frames} frames"),
         "best_total": (total, "1", "relative error at the best width"),
         "best_spacing": (min(spacing, 2 * fine[best]), unit, "widest spacing of nodes for linear interpolation"),
-        "target_width": (fine[fewest] if reached else np.nan, unit, f"width that reaches an error of {target:g}"),
-        "target_frames": (needed[fewest] if reached else np.nan, "1", f"frames to reach an error of {target:g}"),
+        "target_width": (np.where(needed > 0, fine, np.nan)[fewest], unit, f"width to reach an error of {target:g}"),
+        "target_frames": (needed[fewest], "1", f"frames to reach an error of {target:g}"),
     }
     return {name: xr.DataArray(v, attrs={"units": u, "long_name": text}) for name, (v, u, text) in numbers.items()}
-
-
-def _second_moment(kernel: Kernel) -> float:
-    """Second moment of a kernel along one axis, over the square of its width."""
-    q = np.linspace(0.0, 1.0, 4001)
-    weight = kernel.value(q * kernel.cutoff) * q ** ((kernel.dimension or 3) - 1)
-    mean = float(np.trapezoid(weight * q**2, q) / np.trapezoid(weight, q))
-    return mean * (kernel.cutoff / kernel.width) ** 2 / (kernel.dimension or 3)
 
 
 def plot_width(found: xr.Dataset, ax: Axes | None = None) -> Axes:
@@ -265,7 +416,6 @@ def plot_width(found: xr.Dataset, ax: Axes | None = None) -> Axes:
     Returns
     -------
     matplotlib.axes.Axes
-        The axes.
 
     Raises
     ------
@@ -276,24 +426,21 @@ def plot_width(found: xr.Dataset, ax: Axes | None = None) -> Axes:
         raise ValueError("plot_width expects a result of ds.cg.choose_width(...)")
     ax = drawing.new_axes() if ax is None else ax
     frames, width = found.attrs["frames"], found["width"]
-    names = [str(name)[: -len("_total")] for name in found.data_vars if str(name).endswith("_total")]
-    names.remove("best")
+    names = [str(name).removesuffix("_bias") for name in found if str(name).endswith("_bias") and name != "best_bias"]
     for k, name in enumerate(names):
         what = name.replace("_", " ")
-        styles: dict[str, tuple[Any, str]] = {
-            f"bias of {what}": (found[f"{name}_bias"], "--"),
-            f"noise of {what}": (found[f"{name}_noise"] / math.sqrt(frames), ":"),
-            f"{what}, total": (found[f"{name}_total"], "-"),
-        }
-        for label, (values, style) in styles.items():
+        for label, values, style in (
+            (f"bias of {what}", found[f"{name}_bias"], "--"),
+            (f"noise of {what}", found[f"{name}_noise"] / math.sqrt(frames), ":"),
+            (f"{what}, total", found[f"{name}_total"], "-"),
+        ):
             ax.plot(width, values.where(values > 0), style, color=f"C{k}", marker=".", label=label)
     best = found["best_width"].item()
     ax.axvline(best, color="0.5", lw=1)
     label = f"best width, {best:.3g} {width.attrs['units']}".removesuffix(" 1")
     ax.plot(best, found["best_total"].item(), "o", mfc="none", mec="k", ms=9, label=label)
     ax.set(xscale="log", yscale="log")
-    ticks: Any = ax.yaxis.get_major_locator()
-    ticks.set_params(subs=(1.0, 2.0, 5.0))
+    ax.locator_params("y", subs=(1.0, 2.0, 5.0))
     ax.yaxis.set_major_formatter("{x:g}")
     ax.set_xticks(width.to_numpy(), [f"{w:.3g}" for w in width.to_numpy()])
     ax.minorticks_off()

@@ -1,11 +1,14 @@
-"""Granular temperature by slices of a scene, without a kernel: overlapping planes, or bins.
+"""Without a kernel: the solid volume in the cells of a mesh, and the granular temperature in slices.
 
-Both are coarser than `xcg.coarse_grain` and are here for comparison with what was published with them.
+Each grain's own volume is shared exactly among the cells that it overlaps. Slices are overlapping planes or bins; both
+are coarser than `xcg.coarse_grain` and are here for comparison with what was published with them.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal, TypeAlias
 
@@ -15,21 +18,183 @@ from numpy.typing import NDArray
 
 from xcg.common.checks import is_positive, is_whole, rising_pair
 from xcg.common.messages import SceneError
+from xcg.compiled.geometry import add_shares
+from xcg.fields.grids.grid import make_grid
+from xcg.fields.layout import automatic_bounds
+from xcg.fields.sums.nodes import Grid
 from xcg.scene.conform import require_scene, storable, takes_scene
 from xcg.scene.description import describe
-from xcg.scene.frame import steps_in
-from xcg.scene.schema import COMPONENTS, OF_STEP, units_in
+from xcg.scene.frame import phase_of, steps_in
+from xcg.scene.schema import COMPONENTS, OF_STEP, Setup, Variable, units_in
 from xcg.steps.faults import OnError
-from xcg.steps.labels import format_call, mark_skipped, provenance
+from xcg.steps.labels import format_call, label, results_of, with_phase_labels
 from xcg.steps.mapping import map_over_time
 
-_TABLE = "slices"  # temperature, velocity (3) and count, in columns
+_SPHERE = 1e-6  # how far volumes may be from those of spheres of their diameters
+_COLUMNS = 6  # number, volume, mass and momentum of each grain
 _HAIR = 1e-9  # rounding of edges, as a share of the width
 _MOST_PERIODS = 1000  # that a grain may reach over
 _MOST = 1 << 20  # planes of all slices, each a step of a loop
-
-
+_FIELDS = {
+    "volume_fraction": Variable((), "1", "solid volume in the cell over its volume"),
+    "void_fraction": Variable((), "1", "share of the cell between the grains"),
+    "number_density": Variable((), "m^-3", "number of grains in a unit of volume, by their shares"),
+    "density": Variable((), "kg m^-3", "mass of the grains in a unit of volume, by their shares"),
+    "momentum_density": Variable(
+        ("component",), "kg m^-2 s^-1", "momentum of the grains in a unit of volume, by their shares"
+    ),
+    "velocity": Variable(("component",), "m s^-1", "velocity of the grains, weighted by the mass inside"),
+}
 SliceMethod: TypeAlias = Literal["planes", "bins"]
+
+
+def _along(axis: str, nodes: NDArray, system: str) -> tuple[str, NDArray, dict[str, str]]:
+    """Coordinate of the cells or slices along an axis."""
+    about = {"units": units_in("m", system), "long_name": f"position along {axis}", "axis": axis.upper()}
+    return axis, nodes, about
+
+
+@dataclass(frozen=True, eq=False)
+class _Cells:
+    """Options of the shares of cells."""
+
+    grid: Grid
+    setup: Setup
+    depth: float | str | None
+    by: str | None
+    groups: tuple[int, ...]
+
+
+@takes_scene
+def cell_volumes(
+    ds: xr.Dataset,
+    spacing: float | Mapping[str, float],
+    *,
+    axes: str | None = None,
+    bounds: Mapping[str, Sequence[float]] | None = None,
+    by: str | None = None,
+    groups: Sequence[int] | None = None,
+    on_error: OnError = "raise",
+) -> xr.Dataset:
+    """Share the volume of each grain among the cells of a mesh that it overlaps, exactly; lazy where the scene is.
+
+    No kernel is chosen: a sphere counts in a cell by the part of it that lies inside, in closed form, so that the solid
+    volume of all cells is that of the grains to rounding. This is what fluid solvers of coupled runs (CFD-DEM) ask for.
+    Fields jump where grains leave cells; smooth fields and stress take a kernel, see `coarse_grain`.
+
+    Parameters
+    ----------
+    ds : xarray.Dataset
+        A scene with ``diameter`` and ``volume``. Discs (a scene of one layer whose volumes differ from spheres)
+        are shared by their areas; other shapes as spheres of their diameter.
+    spacing : float or mapping
+        Size of the cells (m), for all axes or by axis. Periodic axes without bounds take the nearest that divides them.
+    axes : str, optional
+        Axes that are divided into cells, all of the scene by default; cells reach through the box along the others.
+    bounds : mapping, optional
+        First and last centre of the cells by axis (m), as in `coarse_grain`; by default cells cover all grains.
+    by, groups, on_error
+        As in `coarse_grain`.
+
+    Returns
+    -------
+    xarray.Dataset
+        On the centres of the cells, (time, axes, phase): ``volume_fraction``, ``void_fraction``, ``number_density``
+        (m-3, parts of grains counted by their share), ``density``, and, where the scene has velocities,
+        ``momentum_density`` and ``velocity``, the mean weighted by the mass inside.
+
+    Raises
+    ------
+    SceneError
+        If the scene lacks sizes, or its box is tilted.
+    ValueError
+        If an argument is wrong.
+
+    Examples
+    --------
+    >>> import xcg
+    >>> f = cell_volumes(xcg.datasets.simple_cubic(4), 2.0)
+    >>> round(float(f.volume_fraction.mean()), 6)
+    0.523599
+    """
+    require_scene(ds, ("diameter", "volume", "mass"), "cell_volumes")
+    scene = describe(ds, by)
+    setup = scene.setup
+    if scene.tilted:
+        raise SceneError("cell_volumes takes boxes with edges along x, y and z, and this one is tilted")
+    if scene.cylindrical:
+        raise SceneError("cell_volumes takes cells along x, y and z, not about an axis")
+    axes = setup.plane if axes is None else axes
+    largest = 0.5 * scene.sizes.get("dmax", 0.0)
+    grid = make_grid(
+        axes, {}, bounds or {}, spacing, plane=setup.plane, cutoff=largest or math.inf,
+        automatic=automatic_bounds(scene, largest), period=scene.periods, cells=True,
+    )  # fmt: skip
+    if loose := [a for a in grid.averaged if a not in scene.edges]:
+        raise ValueError(
+            f"cells reach through the box along {loose}, and the scene has no finite box there: name them in axes="
+        )
+    values = scene.groups(by, groups)
+    task = _Cells(grid, setup, scene.layer_depth, by, values)
+    dims = (*grid.dims, *(("phase",) if by is not None else ()))
+    rows = {
+        name: replace(row, dims=(*dims, *row.dims)) for name, row in _FIELDS.items() if "velocity" in ds or not row.dims
+    }
+    results = results_of(rows, dict(zip(grid.dims, grid.sizes, strict=True)) | {"phase": 1 + len(values)})
+    names = ["particle_id", "position", "diameter", "volume", "mass", *([by] if by else [])]
+    names += [name for name in ("velocity", "frozen", *OF_STEP) if name in ds]
+    found = map_over_time(ds, names, partial(_of_chunk, task), results, "cell-volumes", on_error)
+    call = format_call("cell_volumes", {"spacing": spacing, "axes": axes, "by": by})
+    result = label(ds, rows, found, call, sampling="cell")
+    coords: dict[str, Any] = {a: _along(a, nodes.to_numpy(), setup.unit_system) for a, nodes in grid.coords.items()}
+    if by is not None:
+        coords["phase"] = ("phase", ["bulk", *map(str, values)], {"long_name": f"phase by {by}"})
+    return with_phase_labels(storable(result.assign_coords(coords)))
+
+
+def _of_chunk(task: _Cells, arrays: Mapping[str, NDArray]) -> dict[str, NDArray]:
+    """Fields of one chunk of time."""
+    grid, groups = task.grid, max(1, len(task.groups))
+    steps = [_shares(task, groups, *step) for step in steps_in(arrays, task.setup.periodic)]
+    sums = np.stack(steps)  # (time, groups, cells..., columns)
+    if task.by is not None:
+        sums = np.concatenate([sums.sum(axis=1, keepdims=True), sums], axis=1)
+    sums = np.moveaxis(sums, 1, -2).reshape(len(sums), *grid.sizes, *(sums.shape[1:2] if task.by else ()), _COLUMNS)
+    found = {
+        "volume_fraction": sums[..., 1], "void_fraction": 1.0 - sums[..., 1], "number_density": sums[..., 0],
+        "density": sums[..., 2],
+    }  # fmt: skip
+    if "velocity" in arrays:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            found |= {"momentum_density": sums[..., 3:], "velocity": sums[..., 3:] / sums[..., 2:3]}
+    return found
+
+
+def _shares(task: _Cells, groups: int, frame: Any, lattice: Any, source: str) -> NDArray:
+    """Return sums of one step per volume of a cell, (groups, nx, ny, nz, columns)."""
+    grid, setup = task.grid, task.setup
+    free = frame["frozen"] != 1 if "frozen" in frame else np.ones(len(frame["position"]), bool)
+    some = {name: values[free] for name, values in frame.items()}
+    phase = phase_of(some, task.by, task.groups, source)
+    count, diameter, volume = free.sum(), some["diameter"], some["volume"]
+    momentum = some["mass"][:, None] * some.get("velocity", np.zeros((count, 3)))
+    values = np.column_stack([np.ones(count), volume, some["mass"], momentum])
+    spheres = setup.dimension == 3 or np.allclose(volume, np.pi / 6 * diameter**3, rtol=_SPHERE, atol=0.0)
+    across = next((k for k, a in enumerate(COMPONENTS) if a not in setup.plane), -1)
+    step = np.array([grid.spacing.get(a, np.inf) for a in COMPONENTS])
+    reach = [1.0 if np.isinf(size) else diameter.max(initial=0.0) // size + 3.0 for size in step]
+    out = np.zeros((groups, *grid.shape, _COLUMNS))
+    add_shares(
+        np.ascontiguousarray(some["position"]), diameter / 2, values, phase, grid.lower, step, np.array(grid.shape),
+        lattice.period, -1 if spheres else across, np.empty(int(math.prod(n + 1 for n in reach))), out,
+    )  # fmt: skip
+    lengths = [lattice.length(a) for a in grid.averaged]
+    if task.depth is not None:  # of one layer
+        lengths.append(lattice.length(task.depth) if isinstance(task.depth, str) else task.depth)
+    return np.asarray(out / math.prod([*lengths, *grid.spacing.values()]))
+
+
+# --- slices ----------------------------------------------------------------------------------------------
 
 
 @takes_scene
@@ -91,6 +256,8 @@ def slice_temperature(
     weight = {"planes": "diameter", "bins": "mass"}.get(method)
     if weight is None:
         raise ValueError(f"method={method!r}: expected 'planes' (overlapping slices) or 'bins'")
+    if method == "bins" and spacing is not None:
+        raise ValueError(f"spacing={spacing!r}: bins touch, and take their width=; leave spacing= out, or take planes")
     require_scene(ds, ("velocity", weight), "slice_temperature")
     scene = describe(ds)
     setup = scene.setup
@@ -106,12 +273,13 @@ def slice_temperature(
     if not is_positive(width):
         raise ValueError(f"width={width!r}: expected a positive width (m); by default it is d43, from ds.cg.measure()")
     width, bounds = float(width), rising_pair("bounds", bounds, equal=True)
+    shared: dict[str, Any] = {"axis": k, "dims": [COMPONENTS.index(a) for a in setup.plane], "width": width}
     if method == "bins":
         count = max(1, _whole(np.ceil((bounds[1] - bounds[0]) / width - 1e-9)))
         nodes = bounds[0] + width * (np.arange(count) + 0.5)
         hair = _HAIR * width  # the last edge is the first over again
         limits = (bounds[0] - hair, bounds[0] + count * width - 2 * hair)
-        function = partial(_bins, axis=k, dims=[*map(COMPONENTS.index, setup.plane)], edges=bounds[0], width=width)
+        function = partial(_bins, edges=bounds[0], **shared)
     else:
         step = width / 2 if spacing is None else spacing
         if not (is_positive(step) and is_whole(planes, 0)):
@@ -121,30 +289,20 @@ def slice_temperature(
         step = float(step)
         nodes = bounds[0] + step * np.arange(_whole((bounds[1] - bounds[0]) / step + 1e-9, 2 * planes + 1) + 1)
         limits = (nodes[0] - width / 2, nodes[-1] + width / 2)
-        function = partial(_planes, axis=k, dims=[*map(COMPONENTS.index, setup.plane)], sides=planes, width=width)
+        function = partial(_planes, sides=planes, **shared)
     periodic = setup.periodic if scene.tilted else axis if axis in setup.periodic else ""
     compute = partial(
         _over_time, weight=weight, function=function, nodes=nodes, axis=k, limits=limits, periodic=periodic
     )
     names = ["particle_id", "position", "velocity", weight, *(name for name in OF_STEP if name in ds)]
-    shape = {_TABLE: ((len(nodes), 5), "float64")}
-    found = map_over_time(ds, names, compute, shape, "slices", on_error)
-    coords: dict[Any, Any] = dict(scene.times)
-    table = xr.DataArray(found[_TABLE], coords, ("time", axis, "_column"))
-    system = setup.unit_system
-    length = units_in("m", system)
-    coords |= {axis: (axis, nodes, {"units": length, "long_name": f"position along {axis}", "axis": axis.upper()})}
-    velocity = table.isel(_column=slice(1, 4)).rename(_column="component")
-    out = {
-        "granular_temperature": table.isel(_column=0).assign_attrs(
-            units=units_in("m^2 s^-2", system), long_name=f"granular temperature in slices ({method})"
-        ),
-        "velocity": velocity.assign_attrs(units=units_in("m s^-1", system), long_name="velocity of the slice"),
-        "sample_count": table.isel(_column=4).assign_attrs(units="1", long_name="number of particles in the slice"),
+    rows = {
+        "granular_temperature": Variable((axis,), "m^2 s^-2", f"granular temperature in slices ({method})"),
+        "velocity": Variable((axis, "component"), "m s^-1", "velocity of the slice"),
+        "sample_count": Variable((axis,), "1", "number of particles in the slice"),
     }
-    attrs = provenance(ds, format_call("slice_temperature", given)) | {"slice_width": width, "method": method}
-    result = storable(xr.Dataset(out, {**coords, "component": list(COMPONENTS)}, attrs))
-    return mark_skipped(result, found)
+    found = map_over_time(ds, names, compute, results_of(rows, {axis: len(nodes)}), "slices", on_error)
+    result = label(ds, rows, found, format_call("slice_temperature", given), slice_width=width, method=method)
+    return result.assign_coords({axis: _along(axis, nodes, setup.unit_system)})
 
 
 def _whole(count: float, planes: int = 1) -> int:
@@ -160,7 +318,7 @@ def _over_time(
     arrays: Mapping[str, NDArray], *, weight: str, function: Callable[..., NDArray], nodes: NDArray, axis: int,
     periodic: str, limits: tuple[float, float],
 ) -> dict[str, NDArray]:  # fmt: skip
-    """Tables of the slices of one chunk of time."""
+    """Temperature, velocity and count of the slices of one chunk of time."""
     out = np.empty((len(arrays[weight]), len(nodes), 5))
     for t, (frame, box, source) in enumerate(steps_in(arrays, periodic)):
         lattice, position, velocity = box.seen(np.arange(3) == axis, source), frame["position"], frame["velocity"]
@@ -175,7 +333,7 @@ def _over_time(
             frame = {weight: frame[weight][row]}
             position, velocity = position[row] + shift, velocity[row] + drift
         out[t] = function(position, velocity, frame[weight], nodes, row=row, period=float(lattice.period[axis]))
-    return {_TABLE: out}
+    return {"granular_temperature": out[..., 0], "velocity": out[..., 1:4], "sample_count": out[..., 4]}
 
 
 def _images_between(x: NDArray, low: float, high: float, period: float) -> NDArray:
