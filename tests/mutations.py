@@ -437,7 +437,7 @@ TABLE = [
         "test_temporal_vtkhdf_equals_vtp",
     ),
     Mutation(
-        "writers/netcdf.py", "at = min(len(view), self._end - place)", "at = 0",
+        "writers/formats.py", "at = min(len(view), self._end - place)", "at = 0",
         "test_a_file_comes_to_the_state_after_the_last_task",
     ),
     Mutation(

@@ -32,7 +32,7 @@ from xcg.scene.phases import assign_phases, find_phases
 from xcg.steps.faults import SKIPPED, collecting
 from xcg.writers.encoding import Encoding
 from xcg.writers.files import publish
-from xcg.writers.netcdf import NETCDF
+from xcg.writers.formats import NETCDF
 from xcg.writers.store import Format, Mismatch, Parts, StoreLayout, joined, write_files
 from xcg.writers.vtkhdf import VTKHDF, write_vtkhdf
 

@@ -16,7 +16,7 @@ from xcg.chains.results import ChainStep, require_chains, steps_of
 from xcg.scene.frame import with_time
 from xcg.scene.schema import Frame
 from xcg.writers.files import check_file, whole_file, write_by_vtk
-from xcg.writers.netcdf import hdf5_file
+from xcg.writers.formats import hdf5_file
 
 if TYPE_CHECKING:
     import h5py

@@ -25,8 +25,8 @@ from xcg.scene.schema import COMPONENTS
 from xcg.steps.mapping import chunks_of_time, each_step
 from xcg.writers.encoding import Encoding
 from xcg.writers.files import check_target, locked, part_of, remove, whole_file
+from xcg.writers.formats import ZARR
 from xcg.writers.store import write_file
-from xcg.writers.zarr import ZARR
 
 _CDF5: Any = "NETCDF3_64BIT_DATA"  # which xarray hands on, though its annotations do not list it
 # attributes that tell fields of one kind from those of another

@@ -87,9 +87,9 @@ class StoreLayout:
             name: v for name, v in ds.variables.items() if v.dtype.kind in "biufc" and "time" in v.dims and v.size
         }
         over = [str(name) for name, v in numbers.items() if name in ds.data_vars or v.chunks is not None]
-        ds = _with(ds, {name: ds.variables[name].transpose("time", ...) for name in over})
+        ds = ds.assign({name: ds.variables[name].transpose("time", ...) for name in over})
         rest = {n: v for n, v in ds.variables.items() if v.chunks is not None and n not in over}
-        ds = _aligned(_with(ds, dask.compute(rest)[0]), over)  # at once, as one task computes all fields of a step
+        ds = _aligned(ds.assign(dask.compute(rest)[0]), over)  # at once, as one task computes all fields of a step
         chunks = (ds.variables[name].chunksizes["time"][0] for name in over if ds.variables[name].chunks is not None)
         layout = cls(ds, over, encoding, max(1, min(max(chunks, default=1), ds.sizes.get("time", 1))))
         return layout if together is None else replace(layout, steps=together(layout))
@@ -118,13 +118,7 @@ class StoreLayout:
             chunks, tasks = tuple((n,) for n in data.shape), {(f"empty-{name}", *(0,) * data.ndim): None}
             nothing = da.Array(tasks, f"empty-{name}", chunks, self.encoding.type_of(data.dtype))
             empty[name] = data.copy(data=nothing)
-        return _with(self.ds, empty)
-
-
-def _with(ds: xr.Dataset, variables: Mapping[Any, xr.Variable]) -> xr.Dataset:
-    """Replace variables, coordinates by coordinates."""
-    coords = {name: v for name, v in variables.items() if name in ds.coords}
-    return ds.assign({name: v for name, v in variables.items() if name not in coords}).assign_coords(coords)
+        return self.ds.assign(empty)
 
 
 def _aligned(ds: xr.Dataset, over: Sequence[str]) -> xr.Dataset:
@@ -134,7 +128,7 @@ def _aligned(ds: xr.Dataset, over: Sequence[str]) -> xr.Dataset:
     if all(len(set(s[:-1])) < 2 and s[-1] <= s[0] for s in sizes) and len(sizes) < 2:
         return ds
     steps = int(np.lcm.reduce([s[0] for s in sizes]))
-    return _with(ds, {name: ds[name].variable.chunk({"time": steps}) for name in lazy})
+    return ds.assign({name: ds[name].variable.chunk({"time": steps}) for name in lazy})
 
 
 @dataclass(frozen=True)

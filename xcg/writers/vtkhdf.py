@@ -23,7 +23,7 @@ from xcg.scene.conform import in_order, labels_along
 from xcg.scene.frame import with_time
 from xcg.writers import chains
 from xcg.writers.encoding import Encoding
-from xcg.writers.netcdf import Hdf5Store, StoredArray, hdf5_file
+from xcg.writers.formats import Hdf5Store, StoredArray, hdf5_file
 from xcg.writers.store import Format, StoreLayout, write_file
 
 if TYPE_CHECKING:
@@ -285,7 +285,7 @@ def _begin(layout: StoreLayout, path: Path, begun: bool) -> Hdf5Store:
         with hdf5_file(path, "w") as file:
             _lay_out(file, layout, image, rows, [array.chunk for array in found])
     over = [array for array in found if array.variable in layout.over]
-    return Hdf5Store.of(path, over, layout.encoding, layout.threads, "xcg")
+    return Hdf5Store(path, over, layout, "xcg")
 
 
 def _on_disk(row: _Array, dims: tuple[Hashable, ...], image: Image, values: NDArray) -> NDArray:
