@@ -31,7 +31,8 @@ from xcg.writers.store import write_file
 _CDF5: Any = "NETCDF3_64BIT_DATA"  # which xarray hands on, though its annotations do not list it
 # attributes that tell fields of one kind from those of another
 _SAME = ("kernel", "width", "cutoff", "kernel_dimension", "gradient", "unit_system", "averaged_axes", "periodic",
-         "sampling", "temperature", "deviatoric", "size", "pressure_dims", "shear_dims", "rtol", "per")  # fmt: skip
+         "sampling", "temperature", "deviatoric", "size", "pressure_dims", "shear_dims", "rtol", "per",
+         "extent")  # fmt: skip
 
 
 # Files that grow by steps: what is in them is whole at any moment, whenever the process ends.
@@ -117,7 +118,8 @@ class Recorder:
 
     def __init__(self, path: Path, request: Request, encoding: Encoding, *, overwrite: bool) -> None:
         if path.suffix not in _FORMATS:
-            raise ValueError(f"{path}: expected a name that ends with .nc (NetCDF) or .zarr (Zarr)")
+            why = "; no HDF5 file, which is damaged where a process ends that writes to it" * (path.suffix == ".h5")
+            raise ValueError(f"{path}: expected a name that ends with .nc (NetCDF) or .zarr (Zarr){why}")
         check_target(path, overwrite=True)
         self.path, self.steps = path, 0
         self._request, self._encoding, self._overwrite = request, encoding, overwrite
@@ -173,15 +175,13 @@ class Recorder:
             times = np.concatenate([before["time"].to_numpy(), fields["time"].to_numpy()])
             check_times(times, str(self.path), "append steps in the order of time")
         fields = self._encoding.noted(fields).load()
-        values = {str(n): self._encoding.reduced(v.to_numpy()) for n, v in fields.variables.items() if "time" in v.dims}
+        reduced = {n: v.copy(data=self._encoding.reduced(v.data)) for n, v in fields.items() if "time" in v.dims}
+        fields = fields.assign(reduced)
         if before is None:
-            stored = fields.assign(
-                {n: fields[n].copy(data=values[n]) for n in map(str, fields.data_vars) if n in values}
-            )
-            self._format.create(storable(stored.drop_encoding()), overwrite=self._overwrite)
+            self._format.create(storable(fields.drop_encoding()), overwrite=self._overwrite)
             self._remember(fields)
             return
-        self._format.append(values, self.steps)
+        self._format.append({str(n): v.data for n, v in fields.variables.items() if "time" in v.dims}, self.steps)
         self._pattern, self.steps = before.assign_coords(time=fields["time"]), self.steps + 1
 
     def close(self) -> None:
@@ -199,7 +199,8 @@ class Recorder:
 
 @takes_scene
 def _fields(ds: xr.Dataset, request: Request) -> xr.Dataset:
-    return answer(ds, request)
+    extent = {a: float(length) for a, length in (request.extent or {}).items()}
+    return answer(ds, request).assign_attrs({"extent": json.dumps(extent)} if extent else {})
 
 
 def _one_step(fields: xr.Dataset) -> xr.Dataset:
@@ -212,11 +213,21 @@ def _one_step(fields: xr.Dataset) -> xr.Dataset:
 
 
 def _check_asked(request: Request, there: xr.Dataset) -> None:
-    """Raise SceneError for a width, bounds or phases that are not those of the steps that are there."""
+    """Raise SceneError for width, mesh, extent or phases that are not those of the steps that are there."""
     asked: dict[str, tuple[Any, Any]] = {}
+    bounds, extent = request.bounds or {}, json.loads(there.attrs.get("extent", "{}"))
+    for a, length in (request.extent or {}).items():
+        asked[f"extent along {a}"] = length, extent.get(a, np.nan)
+    spacing = request.spacing if isinstance(request.spacing, Mapping) else dict.fromkeys("xyz", request.spacing)
+    for a, step in spacing.items():
+        if step is not None and there.sizes.get(a, 0) > 1:
+            found = float(there[a][1] - there[a][0])
+            length = there.sizes[a] * found
+            around = a in there.attrs.get("periodic", "") and a not in bounds  # the nearest that divides the period
+            asked[f"spacing along {a}"] = length / max(1, np.floor(length / step + 0.5)) if around else step, found
     if not isinstance(request.width, str | Mapping | None):
         asked["width"] = request.width, there.attrs["width"]
-    for a, (low, high) in (request.bounds or {}).items():
+    for a, (low, high) in bounds.items():
         if a in there.dims:  # the last node lies before its bound where the spacing does not divide the range
             x = there[a].to_numpy()
             step = x[1] - x[0] if len(x) > 1 else np.inf
@@ -234,6 +245,8 @@ def _with_mesh_of(request: Request, fields: xr.Dataset) -> Request:
     bounds = {a: (float(x[0]), float(x[-1])) for a, x in nodes.items()}
     spacing = {a: float(x[-1] - x[0]) / (len(x) - 1) for a, x in nodes.items() if len(x) > 1}
     fixed: dict[str, Any] = {"bounds": bounds or None}
+    if "extent" in fields.attrs:
+        fixed["extent"] = json.loads(fields.attrs["extent"])
     if len(spacing) == len(nodes):
         fixed["spacing"] = spacing or None
     if not isinstance(request.kernel, Kernel) and np.ndim(fields.attrs.get("width", ())) == 0:
@@ -252,8 +265,14 @@ def _check(before: xr.Dataset, fields: xr.Dataset, path: Path) -> None:
     for name, size in before.sizes.items():
         if fields.sizes.get(name) != size:
             problems.append(f"{name!r} has the length {fields.sizes.get(name)} instead of {size}")
-        elif name != "time" and name in before.coords and not _alike(before[name], fields[name]):
-            problems.append(f"{name!r} has other values")
+        elif name != "time" and name in before.coords:
+            there, new = before[name].to_numpy(), fields[name].to_numpy()
+            if there.dtype.kind == "f":
+                alike = np.allclose(there, new, rtol=1e-9, atol=0)
+            else:
+                alike = there.tolist() == new.tolist()  # text has several types
+            if not alike:
+                problems.append(f"{name!r} has other values")
     for name in _SAME:
         if not np.array_equal(before.attrs.get(name, ""), fields.attrs.get(name, "")):
             problems.append(f"{name} is {fields.attrs.get(name)!r} instead of {before.attrs.get(name)!r}")
@@ -261,13 +280,6 @@ def _check(before: xr.Dataset, fields: xr.Dataset, path: Path) -> None:
         raise SceneError(
             f"{path}: this step is not like those that are there: {'; '.join(problems)}; record it in another file"
         )
-
-
-def _alike(one: xr.DataArray, other: xr.DataArray) -> bool:
-    a, b = one.to_numpy(), other.to_numpy()
-    if a.dtype.kind == "f":
-        return np.allclose(a, b, rtol=1e-9, atol=0)
-    return [str(x) for x in a.ravel()] == [str(x) for x in b.ravel()]  # text has several types
 
 
 def record(
