@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import quoteattr
@@ -23,7 +24,7 @@ from xcg.scene.schema import COMPONENTS
 from xcg.steps.mapping import each_step
 from xcg.writers.encoding import Encoding
 from xcg.writers.files import check_file, check_target, hidden_folder, publish, whole_file, write_by_vtk
-from xcg.writers.vtkhdf import AXES, Image, arrays_of, checked, times_of, with_components
+from xcg.writers.vtkhdf import Image, arrays_of, checked, times_of, with_components
 
 
 def write_pvd(ds: xr.Dataset, path: Path, encoding: Encoding, *, overwrite: bool) -> None:
@@ -64,17 +65,13 @@ def image_of(step: xr.Dataset, reduced: Callable[[NDArray], NDArray] = np.asarra
         values = reduced(np.asarray(array.values(data.variable, frame)))
         found = numpy_to_vtk(values.reshape(-1, array.components), deep=True)
         found.SetName(array.name)
-        for k, label in enumerate(_labels(array.components)):
-            found.SetComponentName(k, label)
+        rank = len({"component", "direction"} & {*data.dims})
+        for k, label in enumerate(product(COMPONENTS, repeat=rank) if rank else ()):
+            found.SetComponentName(k, "".join(label))
         if "units" in data.attrs:
             found.GetInformation().Set(vtkDataArray.UNITS_LABEL(), str(data.attrs["units"]))
         image.GetPointData().AddArray(found)
     return image
-
-
-def _labels(components: int) -> list[str]:
-    """Names of the components of a vector or a tensor; none of a scalar."""
-    return {3: list(AXES), 9: [a + b for a in AXES for b in AXES]}.get(components, [])
 
 
 def write_series(
@@ -254,8 +251,7 @@ def _write_mesh_step(dim: str, bare: Any, step: xr.Dataset, path: Path, *, cells
     grid.ShallowCopy(bare)
     target = grid.GetCellData() if cells else grid.GetPointData()
     for array in arrays_of(step):
-        data = step[array.variable].variable
-        data = data if array.phase is None else data.isel(phase=array.phase)
+        data = array.part(step[array.variable].variable)
         values = data.transpose(dim, *(d for d in ("component", "direction") if d in data.dims)).to_numpy()
         found = numpy_to_vtk(np.ascontiguousarray(values.reshape(len(values), -1), array.dtype), deep=True)
         found.SetName(array.name)
