@@ -26,20 +26,16 @@ _MOST_OF_ONE_AXIS = 1 << 24  # 134 MB of places
 _FINEST = 1e-9  # least spacing, in radii of the support
 
 
-def check_axes(name: str, given: Iterable[str], plane: Sequence[str]) -> None:
-    """Raise ValueError for axes that the scene does not have."""
-    if wrong := [a for a in given if a not in plane]:
-        layer = " (one layer, dimension=2)" if len(plane) == 2 else ""
-        joined = f"; write names without commas or spaces, such as {plane[:2]!r}" if {",", " "} & set(wrong) else ""
-        raise ValueError(f"{name} names {wrong}: the axes of this scene are {', '.join(plane)}{layer}{joined}")
-
-
 def check_places(
     axes: Sequence[str], at: Mapping[str, float], bounds: Mapping[str, Sequence[float]], known: Sequence[str]
 ) -> None:
     """Raise ValueError for unknown axes, axes both resolved and fixed, and bounds of axes that are not resolved."""
     for name, given in (("axes", axes), ("at", at), ("bounds", bounds)):
-        check_axes(name, given, known)
+        if wrong := [a for a in given if a not in known]:
+            layer = " (one layer, dimension=2)" if len(known) == 2 else ""
+            example = "".join(known[:2])
+            how = f"; write names without commas or spaces, such as {example!r}" if {",", " "} & {*wrong} else ""
+            raise ValueError(f"{name} names {wrong}: the axes of this scene are {', '.join(known)}{layer}{how}")
     if both := [a for a in axes if a in at]:
         raise ValueError(f"axes= and at={dict(at)!r} both name {both}: an axis is either resolved or fixed")
     for a, value in at.items():
@@ -328,7 +324,7 @@ def make_points(at: Mapping[str, Any], *, plane: str, cutoff: float) -> Grid:
         For unknown axes; arrays without names of dimensions, or with result dimensions; arrays whose labels or sizes
         differ; coordinates that are not finite.
     """
-    check_axes("at", at, plane)
+    check_places("", dict.fromkeys(at, 0.0), {}, plane)  # names only
     arrays = _aligned({a: _array(a, at[a]) for a in COMPONENTS if a in at})
     sizes = {str(dim): size for array in arrays.values() for dim, size in array.sizes.items()}
     shape = tuple(sizes.values())
