@@ -10,7 +10,7 @@ import xarray as xr
 
 import xcg
 from tests.scene.test_contacts import DATA, GRAVITY, SUMS, WALLS
-from xcg.fields.grids.wall_shapes import Wall
+from xcg.fields.grids.walls import Wall
 
 DIAMETER = 1.0
 FLOOR = xcg.Plane((0, 0, 0), (0, 0, 1))

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from xcg.common.messages import unknown
 from xcg.fields.coarse_grain import coarse_grain
 from xcg.fields.formulas.field import Sum
-from xcg.fields.grids.frames import Rotated
-from xcg.fields.grids.surface import Surface
-from xcg.fields.grids.wall_shapes import Plane, Wall, axis_of
+from xcg.fields.grids.frames import Rotated, axis_of
+from xcg.fields.grids.walls import Plane, Surface, Wall
 from xcg.fields.sums.kernels import Kernel, KernelName, kernel_of
 from xcg.scene.conform import require_scene, takes_scene
 from xcg.scene.description import Description, describe

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from xcg.common.checks import is_positive
 from xcg.common.messages import warn_once
-from xcg.fields.grids.wall_shapes import SurfaceCells, Wall
+from xcg.fields.grids.walls import SurfaceCells, Wall
 from xcg.fields.sums.kernels import Kernel, KernelName, kernel_of
 from xcg.scene.conform import require_scene, storable, takes_scene
 from xcg.scene.contacts import Contacts, Walls, select_walls
@@ -223,18 +223,23 @@ def _label(ds: xr.Dataset, task: _Task, found: Mapping[str, Any]) -> xr.Dataset:
     cells, system = task.cells, task.setup.unit_system
     length, stress, newton = (units_in(unit, system) for unit in ("m", "Pa", "N"))
     coords: dict[str, Any] = dict(times_of(ds))
+    nodes = tuple(cells.coords)
     for dim, (values, text) in cells.coords.items():
         unit = {"theta": "rad", "triangle": "1"}.get(dim, length)
         coords[dim] = (dim, values, {"units": unit, "long_name": text})
     area = {"units": units_in("m^2", system), "long_name": "area of the cell"}
-    coords["area"] = (cells.dims, cells.area.reshape(cells.shape), area)
+    coords["area"] = (nodes, cells.area.reshape(cells.shape), area)
     place = {"units": length, "long_name": "centre of the cell"}
-    coords["centre"] = ((*cells.dims, "component"), cells.centre.reshape(*cells.shape, 3), place)
+    coords["centre"] = ((*nodes, "component"), cells.centre.reshape(*cells.shape, 3), place)
     coords |= {"component": list(COMPONENTS), "along": list(cells.axes)}
     rows = {
-        "normal_traction": (cells.dims, stress, "normal traction of the grains on the wall, compression positive"),
-        "shear_traction": ((*cells.dims, "along"), stress, "shear traction of the grains on the wall"),
-        "traction": ((*cells.dims, "component"), stress, "traction of the grains on the wall"),
+        "normal_traction": (
+            (*cells.coords,),
+            stress,
+            "normal traction of the grains on the wall, compression positive",
+        ),
+        "shear_traction": ((*nodes, "along"), stress, "shear traction of the grains on the wall"),
+        "traction": ((*nodes, "component"), stress, "traction of the grains on the wall"),
         "wall_force": (("component",), newton, "force of the grains on the wall"),
         "wall_contacts": ((), "1", "number of contacts with the wall"),
     }
