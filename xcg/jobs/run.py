@@ -141,13 +141,9 @@ def run_job(
     _, fields, slices = open_job(job)
     about = _description(job)
     mark = hashlib.sha256(f"{about}{version('xcg')}".encode()).hexdigest()
-    series = {job.name: fields} if fields.data_vars else {}
-    if slices is not None:
-        stem = "CG_GranularTemperature_slices" if job.suffix == ".h5" else f"{job.name}_slices"
-        series[stem] = slices
+    outputs = outputs_of(job, fields, slices, mark)
     job.folder.mkdir(parents=True, exist_ok=True)
-    outputs = [_Output(job, stem, data.assign_attrs({_JOB: mark})) for stem, data in series.items()]
-    count = next(iter(series.values())).sizes["time"]
+    count = outputs[0].ds.sizes["time"]
     targets = [path for output in outputs for path in output.paths()]
     begun = any((output.work / "state.json").exists() for output in outputs)
     there = [path for path in targets if path.exists()]
@@ -170,6 +166,15 @@ def run_job(
         for output in outputs:
             shutil.rmtree(output.work, ignore_errors=True)
         yield from _run(outputs, count, jobs, about)
+
+
+def outputs_of(job: Job, fields: xr.Dataset, slices: xr.Dataset | None, mark: str = "") -> list[_Output]:
+    """List what a job writes, from what `open_job` returns; `mark` is noted in the files."""
+    series = {job.name: fields} if fields.data_vars else {}
+    if slices is not None:
+        stem = "CG_GranularTemperature_slices" if job.suffix == ".h5" else f"{job.name}_slices"
+        series[stem] = slices
+    return [_Output(job, stem, data.assign_attrs({_JOB: mark})) for stem, data in series.items()]
 
 
 def _exists(path: Path, whose: str = "") -> FileExistsError:

@@ -21,13 +21,15 @@ from xcg.common.vtk_mesh import places_of, read_mesh
 from xcg.readers.files.vtp import read_collection
 from xcg.scene.frame import with_time
 from xcg.scene.schema import COMPONENTS
-from xcg.steps.mapping import each_step
+from xcg.steps.mapping import each_step, shown
 from xcg.writers.encoding import Encoding
 from xcg.writers.files import check_file, check_target, hidden_folder, publish, whole_file, write_by_vtk
 from xcg.writers.vtkhdf import Image, arrays_of, checked, times_of, with_components
 
 
-def write_pvd(ds: xr.Dataset, path: Path, encoding: Encoding, *, overwrite: bool) -> None:
+def write_pvd(
+    ds: xr.Dataset, path: Path, encoding: Encoding, *, overwrite: bool, progress: bool | None = False
+) -> None:
     """Write fields as ``name.pvd`` and ``name_0000.vti``, ``name_0001.vti``, ... beside it, step after step.
 
     Raises
@@ -37,17 +39,19 @@ def write_pvd(ds: xr.Dataset, path: Path, encoding: Encoding, *, overwrite: bool
     ValueError
         If these are chains, or no image; see `to_vtkhdf`.
     """
+    from vtkmodules.vtkIOXML import vtkXMLImageDataWriter
+
     if "chain_id" in ds:
         raise ValueError(f"{path}: chains are no image; save them as .vtkhdf, or step by step with to_vtp")
     fields = encoding.noted(checked(ds))
     Image.of(fields)  # what is no image is refused before anything is written
-    write_series(fields, path, ".vti", partial(_write_step, encoding, overwrite=overwrite), overwrite=overwrite)
+    with shown(fields.sizes.get("time", 1), progress) as bar:
 
+        def write(step: xr.Dataset, file: Path) -> None:
+            write_by_vtk(vtkXMLImageDataWriter(), image_of(step, encoding.reduced), file, overwrite=overwrite)
+            bar.update()
 
-def _write_step(encoding: Encoding, step: xr.Dataset, path: Path, *, overwrite: bool) -> None:
-    from vtkmodules.vtkIOXML import vtkXMLImageDataWriter
-
-    write_by_vtk(vtkXMLImageDataWriter(), image_of(step, encoding.reduced), path, overwrite=overwrite)
+        write_series(fields, path, ".vti", write, overwrite=overwrite)
 
 
 def image_of(step: xr.Dataset, reduced: Callable[[NDArray], NDArray] = np.asarray) -> Any:

@@ -156,5 +156,5 @@ def save(
     elif resume:
         raise ValueError(f"{path}: resume=True continues scenes and fields in .nc, .h5, .zarr and .vtkhdf only")
     else:
-        writer(ds, path, encoding, overwrite=overwrite)
+        writer(ds, path, encoding, overwrite=overwrite, **({"progress": progress} if writer is write_pvd else {}))
     return path

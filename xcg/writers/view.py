@@ -245,6 +245,9 @@ def view(
     >>> f.cg.view("density")  # doctest: +SKIP
     """
     pv = extra("pyvista", "view", "a picture in 3D")
+    parts = {"component": component, "direction": direction, "phase": None if phase == "bulk" else phase}
+    if ignored := [name for name, part in parts.items() if part is not None and ("position" in ds or "chain_id" in ds)]:
+        raise ValueError(f"{ignored[0]}= chooses a part of a field of a result: leave it out for a scene and chains")
     target = pv.Plotter() if plotter is None else plotter
     style = {"cmap": cmap, "clim": clim}
     if "position" in ds and "chain_id" not in ds:
