@@ -194,7 +194,10 @@ def chains(
     from xcg.scene.conform import conform
     from xcg.steps.labels import name_skipped
     from xcg.writers.chains import targets, to_csv, to_vtkhdf, to_vtp
-    from xcg.writers.files import check_target, whole_file
+    from xcg.writers.encoding import Encoding
+    from xcg.writers.files import check_target
+    from xcg.writers.formats import NETCDF
+    from xcg.writers.store import write_file
 
     with plain_messages(quiet=False):
         scene = conform(open_scene(list(files), on_error=on_error, **said(options)))
@@ -208,8 +211,7 @@ def chains(
         fc = name_skipped(fc.compute())
         click.echo(statistics_table(fc))
         if netcdf:
-            with whole_file(netcdf, overwrite=overwrite, room=fc.nbytes) as part:
-                fc.to_netcdf(part, engine="netcdf4")
+            write_file(fc, netcdf, Encoding.of(fc), NETCDF, overwrite=overwrite)
         if csv:
             to_csv(fc, csv, overwrite=overwrite)
         if vtp:
@@ -243,9 +245,6 @@ def convert(
     files: tuple[str, ...],
     output: Path,
     *,
-    dtype: str | None,
-    digits: int | None,
-    compression: int | None,
     overwrite: bool,
     quiet: bool,
     **options: Any,
@@ -263,8 +262,9 @@ def convert(
     with plain_messages(quiet):
         is_job = len(files) == 1 and Path(files[0]).suffix.lower() in (".toml", ".ini")
         scene = read_config(files[0]).scene if is_job else {"particles": list(files)}
+        encoding = {name: options.pop(name) for name in ("dtype", "digits", "compression")}
         ds = conform(open_scene(**scene | said(options)))  # a step that was saved alone gets its time
-        save(ds, output, overwrite=overwrite, dtype=dtype, digits=digits, compression=compression, progress=not quiet)
+        save(ds, output, overwrite=overwrite, progress=not quiet, **encoding)
     click.echo(f"{ds.sizes['time']} steps in {output}; open it with xcg.open_scene({str(output)!r})")
 
 

@@ -13,6 +13,7 @@ from typing import Any
 import xarray as xr
 
 from xcg.common.messages import SceneError, warn_user
+from xcg.fields.presets.pysammos import rows
 from xcg.readers.files.text import plain_name
 from xcg.scene.schema import COMPONENTS
 from xcg.steps.faults import OnError, check_on_error
@@ -187,21 +188,17 @@ KEYS = {
 }
 
 # its kernels, however they are spelled, and the names in its output
-KERNELS = {"lucy": ("lucy", "Lucy"), "gaussian": ("gaussian", "Gaussian")} | dict.fromkeys(
-    ("heavyside", "heaviside"), ("heaviside", "HeavySide")
-)
-
-FAMILIES = (
-    "volume_fraction", "density_mixture", "density_particle", "d32", "d43", "coordination_number", "momentum_density",
-    "velocity", "velocity_gradient", "kinetic_tensor", "contact_tensor", "total_stress_tensor", "fabric_tensor",
-    "shear_rate_tensor", "pressure", "granular_temperature", "inertial_number", "frictional_coefficient",
-)  # fmt: skip
+KERNELS = {
+    "lucy": ("lucy", "Lucy"), "gaussian": ("gaussian", "Gaussian"), "heavyside": ("heaviside", "HeavySide"),
+    "heaviside": ("heaviside", "HeavySide"),
+}  # fmt: skip
 
 OF_CONTACTS = (
     "coordination_number", "contact_tensor", "total_stress_tensor", "fabric_tensor", "pressure", "inertial_number",
     "frictional_coefficient",
 )  # fmt: skip
 
+FAMILIES = tuple(dict.fromkeys(row.family for row in rows("xy", "xyz").values()))
 SLICES = "granular_temperature_slices"
 
 _OFF_BY_AN_OVERLAP = "FORCE_CHAIN_CONTACT_POINT"

@@ -23,7 +23,7 @@ _LITTLE = 1 << 20  # bytes; a disk with less is full
 
 
 @contextmanager
-def whole_file(path: Path, *, overwrite: bool, room: int = 0, part: Path | None = None) -> Iterator[Path]:
+def whole_file(path: Path, *, overwrite: bool, part: Path | None = None) -> Iterator[Path]:
     """Yield a temporary name beside `path` to write to; rename it at the end, or remove it after an error.
 
     Parameters
@@ -32,9 +32,6 @@ def whole_file(path: Path, *, overwrite: bool, room: int = 0, part: Path | None 
         The file.
     overwrite : bool
         Replace a file that exists.
-    room : int
-        Bytes that it will take, if known: they are asked of the disk first, because the NetCDF library does not
-        recover from a disk that fills while it writes.
     part : Path, optional
         Name to write to instead, which stays after an error.
 
@@ -51,8 +48,6 @@ def whole_file(path: Path, *, overwrite: bool, room: int = 0, part: Path | None 
     """
     check_file(path, overwrite=overwrite)
     with _part(path) if part is None else nullcontext(part) as part, _disk_named(path, part):
-        if room:
-            reserve(part, room)
         yield part
         publish(part, path, overwrite=overwrite)
 

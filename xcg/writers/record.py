@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
-from contextlib import ExitStack
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -24,7 +24,7 @@ from xcg.scene.frame import check_times
 from xcg.scene.schema import COMPONENTS
 from xcg.steps.mapping import chunks_of_time, each_step
 from xcg.writers.encoding import Encoding
-from xcg.writers.files import check_target, locked, part_of, remove, whole_file
+from xcg.writers.files import check_target, locked, whole_file
 from xcg.writers.formats import ZARR
 from xcg.writers.store import write_file
 
@@ -38,71 +38,60 @@ _SAME = ("kernel", "width", "cutoff", "kernel_dimension", "gradient", "unit_syst
 # Files that grow by steps: what is in them is whole at any moment, whenever the process ends.
 
 
-class _GrowingNetCDF:
-    """A file in the classic format of NetCDF with 64 bits (CDF-5), whose time is its record dimension.
+def _create_netcdf(path: Path, first: xr.Dataset, overwrite: bool) -> None:
+    """Make a file in the classic format of NetCDF with 64 bits (CDF-5), whose time is its record dimension.
 
     Steps are added to its end, and then their number is written into its header: a step that was not finished does not
     count. An HDF5 file could not be read after a process ended that was writing to it.
     """
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self._file: Any = None
-
-    def create(self, first: xr.Dataset, *, overwrite: bool) -> None:
-        with whole_file(self.path, overwrite=overwrite) as part:
-            first.to_netcdf(part, engine="netcdf4", format=_CDF5, unlimited_dims=["time"])
-
-    def append(self, values: dict[str, np.ndarray], at: int) -> None:
-        import netCDF4
-
-        if self._file is None:
-            self._file = netCDF4.Dataset(self.path, "r+")
-            self._file.set_auto_maskandscale(False)
-        for name, value in values.items():
-            self._file[name][at : at + 1] = value
-        self._file.sync()
-
-    def close(self) -> None:
-        if self._file is not None:
-            self._file.close()
-            self._file = None
+    with whole_file(path, overwrite=overwrite) as part:
+        first.to_netcdf(part, engine="netcdf4", format=_CDF5, unlimited_dims=["time"])
 
 
-class _GrowingZarr:
-    """A Zarr folder with a file a variable and step.
+def _open_netcdf(path: Path) -> Any:
+    import netCDF4
+
+    file = netCDF4.Dataset(path, "r+")
+    file.set_auto_maskandscale(False)
+    return file
+
+
+def _append_netcdf(file: Any, values: dict[str, np.ndarray], at: int) -> None:
+    for name, value in values.items():
+        file[name][at : at + 1] = value
+    file.sync()
+
+
+def _create_zarr(path: Path, first: xr.Dataset, overwrite: bool) -> None:
+    """Make a Zarr folder with a file a variable and step.
 
     Steps count from the moment at which the consolidated metadata, one file that is replaced as a whole, says so.
     """
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-
-    def create(self, first: xr.Dataset, *, overwrite: bool) -> None:
-        write_file(first, self.path, Encoding(level=1), ZARR, overwrite=overwrite)
-
-    def append(self, values: dict[str, np.ndarray], at: int) -> None:
-        import zarr
-
-        group = zarr.open_group(self.path, mode="r+", use_consolidated=False)
-        for name, value in values.items():
-            array = group[name]
-            array.resize((at + 1, *array.shape[1:]))
-            array[at : at + 1] = value
-        root = self.path / "zarr.json"
-        said = json.loads(root.read_text())
-        for name in values:
-            said["consolidated_metadata"]["metadata"][name]["shape"][0] = at + 1
-        part = part_of(root)
-        part.write_text(json.dumps(said))
-        os.replace(part, root)
-
-    def close(self) -> None:
-        for part in self.path.glob(".zarr.json.*.part"):
-            remove(part)
+    write_file(first, path, Encoding(level=1), ZARR, overwrite=overwrite)
 
 
-_FORMATS: dict[str, type[_GrowingNetCDF] | type[_GrowingZarr]] = {".nc": _GrowingNetCDF, ".zarr": _GrowingZarr}
+def _append_zarr(path: Path, values: dict[str, np.ndarray], at: int) -> None:
+    import zarr
+
+    group = zarr.open_group(path, mode="r+", use_consolidated=False)
+    for name, value in values.items():
+        array = group[name]
+        array.resize((at + 1, *array.shape[1:]))
+        array[at : at + 1] = value
+    root = path / "zarr.json"
+    said = json.loads(root.read_text())
+    for name in values:
+        said["consolidated_metadata"]["metadata"][name]["shape"][0] = at + 1
+    part = root.with_suffix(".part")
+    part.write_text(json.dumps(said))
+    os.replace(part, root)
+
+
+# how a file is made, opened for appending, and appended to
+_FORMATS: dict[str, tuple[Callable, Callable, Callable]] = {
+    ".nc": (_create_netcdf, _open_netcdf, _append_netcdf),
+    ".zarr": (_create_zarr, nullcontext, _append_zarr),
+}
 
 
 class Recorder:
@@ -123,11 +112,11 @@ class Recorder:
         check_target(path, overwrite=True)
         self.path, self.steps = path, 0
         self._request, self._encoding, self._overwrite = request, encoding, overwrite
-        self._format = _FORMATS[path.suffix](path)
+        self._create, self._open, self._append_values = _FORMATS[path.suffix]
+        self._file: Any = None
         self._pattern: xr.Dataset | None = None
         self._held = ExitStack()
         self._held.enter_context(locked(path.with_name(f".{path.name}.record"), str(path)))
-        self._held.callback(self._format.close)
         try:
             if path.exists() and not overwrite:
                 self._continue()
@@ -175,13 +164,15 @@ class Recorder:
             times = np.concatenate([before["time"].to_numpy(), fields["time"].to_numpy()])
             check_times(times, str(self.path), "append steps in the order of time")
         fields = self._encoding.noted(fields).load()
-        reduced = {n: v.copy(data=self._encoding.reduced(v.data)) for n, v in fields.items() if "time" in v.dims}
-        fields = fields.assign(reduced)
+        over_time = {str(n): v.data for n, v in fields.variables.items() if "time" in v.dims}
+        values = {n: x if n in fields.coords else self._encoding.reduced(x) for n, x in over_time.items()}
         if before is None:
-            self._format.create(storable(fields.drop_encoding()), overwrite=self._overwrite)
+            stored = fields.assign({n: fields.variables[n].copy(data=x) for n, x in values.items()})
+            self._create(self.path, storable(stored.drop_encoding()), self._overwrite)
             self._remember(fields)
             return
-        self._format.append({str(n): v.data for n, v in fields.variables.items() if "time" in v.dims}, self.steps)
+        self._file = self._file or self._held.enter_context(self._open(self.path))
+        self._append_values(self._file, values, self.steps)
         self._pattern, self.steps = before.assign_coords(time=fields["time"]), self.steps + 1
 
     def close(self) -> None:
