@@ -212,12 +212,9 @@ def chains(
         click.echo(statistics_table(fc))
         if netcdf:
             write_file(fc, netcdf, Encoding.of(fc), NETCDF, overwrite=overwrite)
-        if csv:
-            to_csv(fc, csv, overwrite=overwrite)
-        if vtp:
-            to_vtp(fc, vtp, overwrite=overwrite)
-        if vtkhdf:
-            to_vtkhdf(fc, vtkhdf, overwrite=overwrite)
+        for file, write in ((csv, to_csv), (vtp, to_vtp), (vtkhdf, to_vtkhdf)):
+            if file:
+                write(fc, file, overwrite=overwrite)
 
 
 def statistics_table(fc: xr.Dataset) -> str:

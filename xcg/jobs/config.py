@@ -101,7 +101,7 @@ def read_config(path: str | Path) -> Job:
 
 _TABLES = ("scene", "phases", "fields", "slices", "output")
 _OUTPUT = ("folder", "name", "netcdf", "vtkhdf", "dtype", "digits", "compression")
-_PATHS = ("particles", "contacts", "walls", "restart")
+PATHS = ("particles", "contacts", "walls", "restart")
 
 
 def _toml(path: Path) -> Job:
@@ -136,7 +136,7 @@ def _toml(path: Path) -> Job:
     if vtkhdf not in ("steps", "temporal", "", False):
         raise SceneError(f"{path}: vtkhdf={vtkhdf!r} in [output]: expected 'steps', 'temporal' or false")
     scene = dict(data["scene"])
-    for key in set(_PATHS) & set(scene):
+    for key in set(PATHS) & set(scene):
         if key == "walls" and isinstance(scene[key], dict):  # columns of the particles, by names of walls
             continue
         several = [scene[key]] if isinstance(scene[key], str) else scene[key]

@@ -24,7 +24,7 @@ from xcg.common.messages import SceneError, unknown
 from xcg.fields.analysis.slice_temperature import SliceMethod, slice_temperature
 from xcg.fields.coarse_grain import coarse_grain
 from xcg.fields.presets.pysammos import pysammos_mesh
-from xcg.jobs.config import Job
+from xcg.jobs.config import PATHS, Job
 from xcg.readers.paths import expand_paths
 from xcg.readers.series import open_scene
 from xcg.scene.conform import conform
@@ -272,7 +272,7 @@ def _made_by(path: Path) -> str | None:
 def _description(job: Job) -> dict[str, str]:
     """Describe a job by its options and the state of its input, each by a name that a message can use."""
     paths: list[str] = []
-    for key in ("particles", "contacts", "walls", "restart"):
+    for key in PATHS:
         given = job.scene.get(key, [])
         if isinstance(given, dict):  # walls that are columns of the particles
             continue

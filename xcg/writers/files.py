@@ -19,6 +19,7 @@ from filelock import FileLock, Timeout
 temporary: set[Path] = set()
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+_ZARR = ("zarr.json", ".zgroup", ".zarray")  # what folders of Zarr have, of format 3 and 2
 _LITTLE = 1 << 20  # bytes; a disk with less is full
 
 
@@ -156,7 +157,7 @@ def _disk_named(path: Path, part: Path) -> Iterator[None]:
 
 @contextmanager
 def whole_folder(path: Path, *, overwrite: bool, part: Path) -> Iterator[Path]:
-    """Rename the folder `part` to `path` at the end.
+    """Rename the Zarr folder `part` to `path` at the end.
 
     What it replaces is put aside before, and removed after. So one of both is there whole at any moment, if need be
     under the name ``.<name>.replaced``: where a process was killed in between, the next writer gives it its name back,
@@ -165,12 +166,15 @@ def whole_folder(path: Path, *, overwrite: bool, part: Path) -> Iterator[Path]:
     Raises
     ------
     FileExistsError
-        If `path` exists and `overwrite` is False, at the start or in the end, or another process is writing it.
+        If `path` exists and `overwrite` is False, at the start or in the end, or another process is writing it, or it
+        is a folder that holds anything but Zarr data.
     FileNotFoundError
         If its folder does not exist.
     OSError
         If it cannot be written, as where the disk is full.
     """
+    if path.is_dir() and any(path.iterdir()) and not any((path / name).exists() for name in _ZARR):
+        raise FileExistsError(f"{path} is a folder without Zarr data, not replaced; choose another name, or remove it")
     check_target(path, overwrite=overwrite)
     with locked(path.with_name(f".{path.name}.lock"), str(path)):
         aside = path.with_name(f".{path.name}.replaced")

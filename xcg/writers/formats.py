@@ -250,7 +250,6 @@ _TOGETHER = 128_000_000
 # takes longer than writing small chunks.
 _KEYS = {"name": "default", "separator": "."}
 _NOT_STANDARD = "Consolidated metadata is currently not part"
-_ZARR = ("zarr.json", ".zgroup", ".zarray")  # what folders of Zarr have, of format 3 and 2
 
 
 @dataclass(frozen=True)
@@ -354,15 +353,6 @@ def _begin_zarr(layout: StoreLayout, path: Path, begun: bool) -> _Zarr:
     return _Zarr(path, layout.encoding, plain)
 
 
-@contextmanager
-def _whole(path: Path, *, overwrite: bool, part: Path) -> Iterator[Path]:
-    """As `whole_folder`; refuse to replace a folder that holds anything but Zarr data."""
-    if path.is_dir() and any(path.iterdir()) and not any((path / name).exists() for name in _ZARR):
-        raise FileExistsError(f"{path} is a folder without Zarr data, not replaced; choose another name, or remove it")
-    with whole_folder(path, overwrite=overwrite, part=part):
-        yield part
-
-
 def _steps_together(layout: StoreLayout) -> int:
     """Return the number of steps of a chunk: whole chunks of the Dataset, as many as are worth a file each."""
     chunk, count = layout.steps, max(1, layout.ds.sizes.get("time", 1))
@@ -370,4 +360,4 @@ def _steps_together(layout: StoreLayout) -> int:
     return chunk * max(1, min(int(min(len(layout.over) * _CHUNK, _TOGETHER) / size), -(-count // chunk)))
 
 
-ZARR = Format("Zarr", _begin_zarr, together=lambda layout: _steps_together(layout), whole=_whole)
+ZARR = Format("Zarr", _begin_zarr, together=lambda layout: _steps_together(layout), whole=whole_folder)

@@ -292,7 +292,7 @@ class PointBlock:
     def nodes(self, origin: NDArray, unit: float, active: NDArray, period: NDArray) -> Nodes:
         """Return the points as loops take them; the origin is theirs."""
         share = self.unit / unit
-        place = self.position if share == 1.0 else self.position * share
+        place = self.position * share
         begin, end = self.lower * share, self.upper * share
         many = np.array(self.shape) > 1
         size, per_size = np.where(many, self.size * share, 0.0), np.where(many, 1.0 / (self.size * share), 0.0)
