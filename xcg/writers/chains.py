@@ -142,8 +142,6 @@ class _Mesh:
         ends = point[j]
         ends[crossing] = len(members) + np.arange(len(crossing))
         points = np.concatenate([position[members], (position[i] + nearest)[crossing]])
-        image = np.zeros(len(source), "int64")
-        image[len(members) :] = 1
         major = arrays["major_stress"]
         return cls(
             points,
@@ -155,7 +153,7 @@ class _Mesh:
                 "links": arrays["links"][source],
                 "major_stress": major[source],
                 "major_direction": arrays["major_direction"][source],
-                "image": image,
+                "image": (np.arange(len(source)) >= len(members)).astype("int64"),
             },
             {
                 "chain_id": arrays["link_chain"][contact],

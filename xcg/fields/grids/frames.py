@@ -223,7 +223,7 @@ def in_frame(ds: xr.Dataset, frame: Rotated | Cylindrical) -> xr.Dataset:
         if dims and name != "box":
             shift = origin if name in _PLACES else np.zeros(3)
             turned = partial(_turned, axes=axes, origin=shift) if len(dims) == 1 else partial(_tensors, axes=axes)
-            found[name] = _mapped(turned, ds[name], dims)
+            found[name] = _mapped(turned, ds[name], dims).transpose(*ds[name].dims)
     out = _with_box(ds.assign(found), axes, origin)
     attrs = {k: v for k, v in out.attrs.items() if k not in ("particle_lower", "particle_upper")}
     attrs["frame"] = "rotated" if isinstance(frame, Rotated) else CYLINDRICAL
@@ -241,11 +241,13 @@ def in_frame(ds: xr.Dataset, frame: Rotated | Cylindrical) -> xr.Dataset:
     return out
 
 
-def _mapped(function: Any, values: xr.DataArray, dims: Sequence[str]) -> xr.DataArray:
+def _mapped(function: Any, values: xr.DataArray, dims: Sequence[str], out: Sequence[str] | None = None) -> xr.DataArray:
+    """Apply a function along dimensions; `out` are those of what it returns, three long, by default the same."""
     return xr.apply_ufunc(
-        function, values, input_core_dims=[list(dims)], output_core_dims=[list(dims)], dask="parallelized",
-        keep_attrs=True, output_dtypes=[float], dask_gufunc_kwargs={"allow_rechunk": True},
-    ).transpose(*values.dims)  # fmt: skip
+        function, values, input_core_dims=[list(dims)], output_core_dims=[list(out or dims)], dask="parallelized",
+        keep_attrs=out is None, output_dtypes=[float],
+        dask_gufunc_kwargs={"allow_rechunk": True, "output_sizes": dict.fromkeys(set(out or ()) - {*dims}, 3)},
+    )  # fmt: skip
 
 
 def _turned(values: NDArray, axes: NDArray, origin: NDArray) -> NDArray:
@@ -275,17 +277,14 @@ def _with_box(ds: xr.Dataset, axes: NDArray, origin: NDArray) -> xr.Dataset:
         box = edges(np.stack([attrs["box_lower"], attrs["box_upper"]], axis=-1))
         attrs |= {"box_lower": box[:, 0], "box_upper": box[:, 1]}
     attrs["periodic"] = "".join(a for a, k in zip(COMPONENTS, rows, strict=True) if COMPONENTS[k] in periodic)
-    found = {"box": _mapped(edges, ds["box"], ["component", "bound"])}
+    found = {"box": _mapped(edges, ds["box"], ["component", "bound"]).transpose(*ds["box"].dims)}
     if "lattice" in ds:
         found |= {n: ds[n].isel(vector=rows).assign_coords(vector=list(VECTORS)) for n in _LATTICE if n in ds}
     elif loose:
         repeats = np.array([a in periodic for a in COMPONENTS])
-        found["lattice"] = xr.apply_ufunc(
-            partial(_lattice_of, axes=axes, rows=rows, repeats=repeats), ds["box"],
-            input_core_dims=[["component", "bound"]], output_core_dims=[["vector", "component"]],
-            dask="parallelized", output_dtypes=[float],
-            dask_gufunc_kwargs={"output_sizes": {"vector": 3}, "allow_rechunk": True},
-        ).assign_coords(vector=list(VECTORS))  # fmt: skip
+        lattice_of = partial(_lattice_of, axes=axes, rows=rows, repeats=repeats)
+        vectors = _mapped(lattice_of, ds["box"], ["component", "bound"], ["vector", "component"])
+        found["lattice"] = vectors.assign_coords(vector=list(VECTORS))
     return ds.assign(found).drop_attrs(deep=False).assign_attrs(attrs)
 
 
